@@ -4,7 +4,7 @@ from stage import Stage
 stage = Stage("xy", chips="tmc5160")              known by its entry point
 chip = stage.axes["x"].chip
 chip.transfer(bytes.fromhex("EC000100C3"))        a datagram of SPI; returns the answer
-chip.write(0x2D, 51200)                           a register, for whoever has no SPI to play
+chip.write(0x2D, 51200)                           a register directly, without SPI
 """
 
 from __future__ import annotations
@@ -23,10 +23,13 @@ __all__ = ["TMC5160"]
 
 
 class TMC5160(Chip):
-    """One axis. Pins are True at a high level, but the outputs: these are True while active.
+    """TMC5160 that controls one axis. Input pins are True at a high level, output pins while they are active.
 
-    rsense: ohm, of the board's sense resistors; they and GLOBALSCALER, IRUN, IHOLD make the motor's current on a stage. A pulse is
-    1/256 full step of the field, whatever MRES says; XACTUAL counts steps.
+    A pulse is 1/256 full step of the field, whatever MRES says; XACTUAL counts steps.
+
+    Args:
+        clock_hz: Clock, Hz.
+        rsense: Sense resistors of the board, ohm. They and GLOBALSCALER, IRUN and IHOLD set the motor's current on a stage.
     """
 
     MAP: ClassVar = MAP
@@ -67,7 +70,7 @@ class TMC5160(Chip):
     # --- SPI ---
 
     def transfer40(self, datagram: int) -> int:
-        """A datagram of 40 bits; returns the answer to the one before: status byte, and 32 bits of data."""
+        """Send a datagram of 40 bits, and return the answer to the one before: status byte, and 32 bits of data."""
         self.write(SPI_DATAGRAM, datagram)
         return int(self.read(SPI_DATAGRAM))
 
@@ -118,7 +121,7 @@ class TMC5160(Chip):
 
     @classmethod
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
-        """One write to the register's own address."""
+        """Return the one write to the register's own address."""
         return [(cls.MAP.register(name).number, value & M32)]
 
     def values(self) -> dict[str, int]:

@@ -1,12 +1,12 @@
-"""TMC5160, compiled: registers as they are read and written, datagrams of SPI, the flags.
+"""TMC5160, compiled: reading and writing registers, SPI datagrams, and the flags.
 
-Addresses 0 to 7Fh are the registers, for whoever has no SPI to play. A host with SPI has three more:
+Addresses 0 to 7Fh are the registers, for hosts that do not simulate SPI. A host with SPI uses three more:
 
     80h   chip select: 0 begins a datagram, 1 ends it
-    81h   a byte written goes out on SDI; then a read gives the byte that came in on SDO meanwhile
-    82h   40 bits written are a whole datagram; then a read gives its answer
+    81h   a byte written goes out on SDI; a read then returns the byte that came in on SDO meanwhile
+    82h   40 bits written are a whole datagram; a read then returns its answer
 
-83h reads SPI_STATUS, 84h whether a drive is in progress, both without a datagram.
+A read of 83h returns SPI_STATUS, a read of 84h whether a drive is in progress, both without a datagram.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ FIRST = -1  # the answer to nothing: the status of its own time
 
 @hot
 def power_up(c):
-    """The values of the data sheet; clock, pins and the field's count stay."""
+    """Set the power-up values of the data sheet; clock, pins and the position of the field stay."""
     clock, hz, rsense, inputs, net = c.clock, c.hz, c.rsense, c.inputs, c.net
     c.fresh = 1
     c.x = c.target = c.q = c.dir = c.ph = c.brk = c.zw = 0
@@ -63,7 +63,7 @@ def ramp_stat(c):
 
 @hot
 def drv_status(c):
-    """DRV_STATUS."""
+    """Return DRV_STATUS."""
     word = c.sg | c.cs << 16 | c.stall << 24
     word |= 1 << 14 if speeds.stealth(c) else 0
     word |= 1 << 15 if c.speeds & state.HIGH and c.reg[state.CHOPCONF] & state.VHIGHFS else 0
@@ -85,13 +85,13 @@ def spi_status(c):
 
 @hot
 def drives(c):
-    """A drive is in progress, or begins at the next clock."""
+    """Return whether a drive is in progress or begins at the next clock."""
     return 1 if c.dir or (not speeds.gated(c) and ramp.starts(c)) else 0
 
 
 @hot
 def outputs(c):
-    """DIAG0 and DIAG1: bits of OUTPUTS, 1 = active."""
+    """Return the levels of DIAG0 and DIAG1 as bits of OUTPUTS, where 1 is active."""
     if c.reg[state.GCONF] & state.DIAG0_STEP:
         word = state.DIAG0 if c.toggle else 0
     else:
@@ -104,7 +104,7 @@ def outputs(c):
 
 @hot
 def arrived(c):
-    """position_reached anew, and its event."""
+    """Update position_reached and its event."""
     now = 1 if c.x == c.target else 0
     if now and not c.reached:
         c.events |= state.EVENT_POS
@@ -116,7 +116,7 @@ def arrived(c):
 
 @hot
 def register(c, a):
-    """Return the value that a register holds, also one that cannot be read."""
+    """Return the value that a register holds, also of one that cannot be read."""
     if a == state.GSTAT:
         return c.gstat
     if a == state.IOIN:
@@ -157,7 +157,7 @@ def read_register(c, a):
 
 @hot
 def write_register(c, a, value):
-    """A write acts from the next clock on; flags of the position follow at once."""
+    """Write a register. The write acts from the next clock on, but flags of the position follow at once."""
     value &= maps.STORED[a]
     if maps.STORED[a] == 0:
         return
@@ -201,7 +201,7 @@ def answer(c):
 
 @hot
 def _act(c, word):
-    """A whole datagram has come in, CSN goes high."""
+    """Execute a whole datagram when CSN goes high."""
     a = word >> 32 & DATUM
     datum = word & maps.M32
     if word >> 39 & 1:
@@ -213,7 +213,7 @@ def _act(c, word):
 
 @hot
 def write(c, address, value):
-    """One write cycle of the bus."""
+    """Make one write cycle on the bus."""
     if address < maps.REGISTERS:
         write_register(c, address, value & maps.M32)
     elif address == maps.SPI_CS:
@@ -230,7 +230,7 @@ def write(c, address, value):
 
 @hot
 def select(c, level):
-    """CSN."""
+    """Set the level of CSN."""
     if c.csn and not level:
         c.shift, c.bits = answer(c), 0
     elif level and not c.csn:
@@ -242,7 +242,7 @@ def select(c, level):
 
 @hot
 def peek(c, address):
-    """Return what a read cycle finds; it changes nothing."""
+    """Return the value that a read cycle would find, without its side effects."""
     if address < maps.REGISTERS:
         return read_register(c, address)
     if address == maps.SPI_CS:

@@ -24,14 +24,14 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "co
 
 @hot
 def _halt(c):
-    """Behind the thresholds of this clock: those of the next see the speed 0."""
+    """Note that the speed is 0 for the thresholds of the next clock; those of this clock are done."""
     ramp.halt(c)
     c.fresh = 1
 
 
 @hot
 def _tick(c):
-    """One clock."""
+    """Process one clock."""
     c.clock += 1
     c.fresh = 0
     switches.look(c)
@@ -63,13 +63,13 @@ def _tick(c):
 
 @hot
 def _steps(c, delta, m):
-    """How many steps m clocks make."""
+    """Count the steps that m clocks make."""
     return (c.ph + m * c.q + delta * (m * (m + 1) // 2)) >> 41
 
 
 @hot
 def _even(c, test, delta, m, step_limit, thresholds):
-    """Nothing happens within m clocks but steps."""
+    """Return whether only steps happen within m clocks."""
     if _steps(c, delta, m) >= step_limit:
         return False
     if thresholds and delta and speeds.speeds_at(c, c.q + delta * m) != c.speeds:
@@ -79,7 +79,7 @@ def _even(c, test, delta, m, step_limit, thresholds):
 
 @hot
 def _limit_steps(c, watch):
-    """The step, counted from 1, at which something may happen."""
+    """Return the number of the step, counted from 1, at which something other than a step may happen."""
     ahead = ((c.target - c.x) * c.dir) & M32
     max_steps = ahead if ahead else 1 << 32
     if c.reg[state.RAMPMODE] == state.POSITION:
@@ -101,7 +101,7 @@ def _limit_steps(c, watch):
 
 @hot
 def _leap(c, until, watch):
-    """Many clocks at once, up to `until`. Returns how many; 0 where it takes `_tick`."""
+    """Process many clocks at once, up to `until`; return their number, or 0 where `_tick` has to process the next one."""
     if c.fresh:
         return 0
     m = least(until, power.next_timer(c)) - c.clock
@@ -145,7 +145,7 @@ def _leap(c, until, watch):
 
 @hot
 def _go(c, delta, m):
-    """M clocks of an even stretch."""
+    """Process m clocks in which nothing but steps happens."""
     k = _steps(c, delta, m)
     if k:
         low, high = 0, m  # the clock of the last step
@@ -165,7 +165,7 @@ def _go(c, delta, m):
 
 @hot
 def _on(c, until, watch):
-    """To the next event, `until` at the latest."""
+    """Run to the next event, but not beyond `until`."""
     if _leap(c, until, watch):
         if c.fed:
             encoder.catch_up(c)
@@ -186,19 +186,19 @@ def run(c, until):
 
 @exported(None, STATE, "i8", "i8")
 def window(c, row, k):
-    """The slices of a window."""
+    """Compute the slices of a window."""
     through(c, row, k, run, net, drive_input)
 
 
 @exported(None, STATE, "i8", "f8", "f8")
 def set_shaft(c, j, count, rate):
-    """An encoder is at ENCA and ENCB, at `count` edges now and `rate` a clock."""
+    """Connect an encoder to ENCA and ENCB: `count` edges now, and `rate` edges a clock."""
     encoder.set_shaft(c, count, rate)
 
 
 @exported("f8", STATE, "i8")
 def current(c, j):
-    """Amplitude of the phase currents, A."""
+    """Return the amplitude of the phase currents, A."""
     return power.amplitude(c)
 
 
@@ -221,50 +221,53 @@ def set_load(c, j, angle, emf):
 
 @exported(None, STATE, "i8", "i8")
 def load(c, lam, emf):
-    """The load, 0 to 1024 each, for a chip on no stage."""
+    """Set the load, 0 to 1024 each, of a chip that is not on a stage."""
     stallguard.load(c, lam, emf)
 
 
 @exported("i8", STATE, "i8")
 def net(c, j):
-    """The field: 1/256 full steps since power-up."""
+    """Return the position of the field: 1/256 full steps since power-up."""
     return c.net
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
 def drive_input(c, j, before, ticks):
-    """Mean of the field over the last `ticks`."""
+    """Return the mean position of the field over the last `ticks`."""
     return 0.5 * (before + c.net)
 
 
 @hot
 def _rate(c):
-    """Of the field, 1/256 full steps a clock."""
+    """Return the rate of the field, 1/256 full steps a clock."""
     way = -c.dir if c.reg[state.GCONF] & state.SHAFT else c.dir
     return 0.0 if speeds.gated(c) else way * float(c.q) * (1 << state.mres(c)) / float(state.STEP)
 
 
 @exported("f8", STATE, "i8", "f8")
 def pulse_rate(c, j, hz):
-    """Of the field, 1/256 full steps a second."""
+    """Return the rate of the field, 1/256 full steps a second."""
     return _rate(c) * hz
 
 
 @exported("i8", STATE, "i8")
 def counter(c, j):
-    """XACTUAL."""
+    """Return XACTUAL."""
     return c.x & M32
 
 
 @exported("i8", STATE, "i8")
 def inputs(c, j):
-    """Pin levels, bits of INPUTS."""
+    """Return the levels of the input pins, as bits of INPUTS."""
     return c.inputs
 
 
 @exported(None, STATE, "i8", "i8")
 def set_input(c, j, word):
-    """Set the pin levels, but for A and B of an encoder whose shaft is known. They act at the next clock; DRV_ENN at once."""
+    """Set the levels of the input pins, except A and B of an encoder whose shaft is known.
+
+    They act at the next clock; DRV_ENN acts at once.
+    """
     if c.fed:
         word = word & ~encoder.PINS | c.inputs & encoder.PINS
     if word != c.inputs:
@@ -273,49 +276,49 @@ def set_input(c, j, word):
 
 @exported("i8", STATE, "i8")
 def outputs(c, j):
-    """Output pins, bits of OUTPUTS."""
+    """Return the levels of the output pins, as bits of OUTPUTS."""
     return bus.outputs(c)
 
 
 @exported("i8", STATE, "i8")
 def status(c, j):
-    """RAMP_STAT."""
+    """Return RAMP_STAT."""
     return bus.ramp_stat(c)
 
 
 @exported("i8", STATE, "i8")
 def busy(c, j):
-    """A drive is in progress."""
+    """Return whether a drive is in progress."""
     return bus.drives(c)
 
 
 @exported("i8", STATE, "i8")
 def peek(c, address):
-    """What a read cycle would find."""
+    """Return the value that a read cycle would find, without its side effects."""
     return bus.peek(c, address & 0xFF)
 
 
 @exported("i8", STATE, "i8")
 def read(c, address):
-    """One bus read cycle."""
+    """Make one read cycle on the bus."""
     return bus.peek(c, address & 0xFF)
 
 
 @exported(None, STATE, "i8", "i8")
 def write(c, address, value):
-    """One bus write cycle, between two clocks."""
+    """Make one write cycle on the bus, between two clocks."""
     bus.write(c, address & 0xFF, value)
 
 
 @exported("i8", STATE, "i8")
 def register(c, address):
-    """What a register holds, also one that cannot be read."""
+    """Return the value that a register holds, also of one that cannot be read."""
     return bus.register(c, address)
 
 
 @exported(None, STATE)
 def power_up(c):
-    """A cleared record becomes a chip that was just switched on."""
+    """Turn a cleared record into a chip that was just switched on."""
     bus.power_up(c)
 
 
@@ -324,7 +327,7 @@ def power_up(c):
 
 @exported("i8", STATE, "i8")
 def advance(c, until):
-    """Run up to clock `until`; returns by how many 1/256 full steps the field has gone, to and fro."""
+    """Run up to clock `until`; return by how many 1/256 full steps the field has moved, counting both directions."""
     made = 0
     while c.clock < until:
         before = c.net
@@ -335,7 +338,7 @@ def advance(c, until):
 
 @exported("i8", STATE, "i8", array_of(PULSE))
 def trace(c, until, out):
-    """As advance, and fills `out` (PULSE records); returns how many it would take."""
+    """Advance, and fill `out` with the pulses (PULSE records); return how many records all pulses would take."""
     made = 0
     while c.clock < until:
         before = c.net
@@ -351,7 +354,7 @@ def trace(c, until, out):
 
 @exported(None, STATE, "i8", array_of(EDGE), "i8")
 def mark(c, axis, out, k):
-    """Write the chip as it stands to `out[k]` (an EDGE record)."""
+    """Write the present state of the chip to `out[k]` (an EDGE record)."""
     e = out[k]
     e.clock, e.inputs, e.outputs, e.counter, e.net, e.rate = (
         c.clock,
@@ -385,5 +388,5 @@ def scan(c, until, every_pulse, axis, out):
     array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
 )  # fmt: skip
 def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
-    """As scan, while the shaft is seen anew at `clocks`, see stage/chips/cores.py."""
+    """Scan while the position of the shaft is sampled at `clocks`, see stage/chips/cores.py."""
     return scan_shafts(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done, scan, set_shaft)

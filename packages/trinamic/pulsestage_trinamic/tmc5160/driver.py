@@ -1,6 +1,6 @@
-"""How a host controls an axis of a TMC5160: moves, homing by a switch or by StallGuard, register values for rates and ramps.
+"""Host driver of the TMC5160: moves, homing by a switch, an index pulse or StallGuard, and registers for rates, ramps and currents.
 
-firmware.move(axis, 10e-3)                    m; the power stage is switched on where it is off
+firmware.move(axis, 10e-3)                    m; switches the power stage on if it is off
 firmware.home(axis, by="stall")               against the end of travel, without a switch
 current_registers(1.7, 0.1)                   GLOBALSCALER and IHOLD_IRUN for 1.7 A at 0.1 ohm
 """
@@ -43,19 +43,35 @@ IHOLDDELAY, TPOWERDOWN = 6, 10
 
 
 def velocity(pps: float, hz: int) -> int:
-    """Steps a second as the ramp generator's unit, 1 at least."""
+    """Convert steps a second to the velocity unit of the ramp generator, at least 1.
+
+    Args:
+        pps: Steps a second.
+        hz: Clock of the chip.
+    """
     return max(round(pps * (1 << 24) / hz), 1)
 
 
 def acceleration(pps2: float, hz: int) -> int:
-    """Steps per s2 as the ramp generator's unit, 1 at least."""
+    """Convert steps per s2 to the acceleration unit of the ramp generator, at least 1.
+
+    Args:
+        pps2: Steps per s2.
+        hz: Clock of the chip.
+    """
     return max(round(pps2 * (1 << 41) / hz**2), 1)
 
 
 def current_registers(amplitude: float, rsense: float, hold: float = 0.5) -> dict[str, int]:
-    """GLOBALSCALER, IHOLD_IRUN and TPOWERDOWN for a phase current of this amplitude, A; hold: of it, at standstill.
+    """Compute GLOBALSCALER, IHOLD_IRUN and TPOWERDOWN for a phase current.
 
-    Raises ArgumentError for more than the sense resistors allow.
+    Args:
+        amplitude: Amplitude of the phase current, A.
+        rsense: Sense resistors, ohm.
+        hold: Share of the current at standstill.
+
+    Raises:
+        ArgumentError: The sense resistors do not allow the current.
     """
     share = amplitude * rsense / FULL_SCALE
     if not 0 < share <= 1.0:
@@ -103,7 +119,7 @@ def encoder_registers(edges_per_turn: float, full_steps: int = 200) -> dict[str,
 
 
 class Tmc5160Driver(Driver):
-    """Host driver of the TMC5160. Speeds are those of 1/256 full steps: MRES stays 0."""
+    """Host driver of the TMC5160. Speeds are in 1/256 full steps a second, so MRES stays 0."""
 
     DONE: ClassVar = "position reached"
     DISTANCE_REGISTER: ClassVar = "XTARGET"
@@ -129,7 +145,7 @@ class Tmc5160Driver(Driver):
         return self.get(r.name)
 
     def switches(self, bits: int) -> int:
-        """SW_MODE of these bits, with the polarity of the axis' sensors as they are wired."""
+        """Return SW_MODE with these bits and with the polarity of the axis' sensors as they are wired."""
         return (
             bits
             | (state.POL_L if is_sensor_inverted(self.axis, "el_minus") else 0)
@@ -137,7 +153,7 @@ class Tmc5160Driver(Driver):
         )
 
     def currents(self) -> dict[str, int]:
-        """The registers that give the motor the current of its Drive; as much as the sense resistors allow at most."""
+        """Return the registers that give the motor the current of its Drive, limited by the sense resistors."""
         drive = getattr(self.axis, "drive", None)
         max_amplitude = FULL_SCALE / self.chip.rsense
         return current_registers(
@@ -145,12 +161,12 @@ class Tmc5160Driver(Driver):
         )
 
     def prepare(self) -> None:
-        """Switch the power stage on, where it is off: currents as the axis' Drive has them."""
+        """Switch the power stage on if it is off, with the currents of the axis' Drive."""
         if not self.get("CHOPCONF") & 15:
             self._switch_on(ImmediateOperations(self.axis))
 
     def switched_on(self) -> dict[str, int]:
-        """The registers that switch the power stage on."""
+        """Return the registers that switch the power stage on."""
         return {**self.currents(), "CHOPCONF": CHOPCONF}
 
     def _switch_on(self, program: Operations) -> None:
@@ -159,7 +175,7 @@ class Tmc5160Driver(Driver):
         program.wait(SWITCHED_ON)
 
     def _speeds(self, speeds: Speeds) -> dict[str, int]:
-        """Raises ArgumentError for what the registers cannot hold."""
+        """Return the registers for these speeds. Raises ArgumentError for values that the registers cannot hold."""
         if speeds.s_curve:
             raise self.build_s_curve_error()
         values, hz = self._wanted(speeds.start, speeds.drive, speeds.up, speeds.down), self.chip.clock_hz
@@ -180,7 +196,7 @@ class Tmc5160Driver(Driver):
     def formula(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
-        """The nearest of what is chosen from for each register."""
+        """Return the registers for these rates and ramps, each limited to its legal range."""
         self.list_move_registers(s_curve)
         ranges = {name: get_register_range(self.chip.MAP, name) for name in NAMES}
         return {n: min(max(value, ranges[n][0]), ranges[n][1]) for n, value in self._wanted(fl, fh, up, down).items()}
@@ -215,13 +231,23 @@ class Tmc5160Driver(Driver):
         self.start_with(self._speeds(speeds), pulses)
 
     def start_with(self, values: Mapping[str, int], pulses: int) -> None:
-        """Begin a move with these registers."""
+        """Start a move with these registers.
+
+        Args:
+            values: Registers of the ramp.
+            pulses: Signed distance.
+        """
         self.prepare()
         self.goal = self.chip.net(self.axis.chip_axis) + pulses
         self.put("XTARGET", self.aim(values, pulses))
 
     def aim(self, values: Mapping[str, int], pulses: int) -> int:
-        """All but the start of a move with these registers: returns the XTARGET that starts it."""
+        """Prepare a move with these registers, and return the XTARGET that starts it.
+
+        Args:
+            values: Registers of the ramp.
+            pulses: Signed distance.
+        """
         goal = self.get("XACTUAL") + pulses
         self.stay()
         for name, value in {
@@ -236,12 +262,12 @@ class Tmc5160Driver(Driver):
         return goal
 
     def check_still(self) -> None:
-        """Raises StageError for an axis that moves."""
+        """Raise StageError for an axis that moves."""
         if self.is_running():
             raise self.build_moving_error()
 
     def stay(self) -> None:
-        """Nothing moves, whatever comes: the target is where the axis is."""
+        """Make the present position the target, so that nothing moves."""
         self.put("RAMPMODE", state.HOLD)
         self.put("XTARGET", self.get("XACTUAL"))
         self.put("RAMPMODE", state.POSITION)
@@ -253,7 +279,13 @@ class Tmc5160Driver(Driver):
         self.run_with(direction, values, STOPS)
 
     def run_with(self, direction: int, values: Mapping[str, int], switches: int) -> None:
-        """Begin to run with these registers; switches: of SW_MODE, which stops act."""
+        """Start a continuous motion with these registers.
+
+        Args:
+            direction: -1 or 1.
+            values: Registers of the ramp.
+            switches: Bits of SW_MODE that enable stops.
+        """
         for name, value in {**values, "V1": 0, "D1": values["DMAX"], "SW_MODE": self.switches(switches)}.items():
             self.put(name, value)
         self.put("RAMPMODE", state.PLUS if direction > 0 else state.MINUS)
@@ -322,41 +354,41 @@ class Tmc5160Driver(Driver):
     def line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
-        """As `lines`; ramps up and down are alike, the longer of both."""
-        mine: dict[str, Any] = select_moving(dict(drivers), pulses)
-        for driver in mine.values():
+        """Drive a straight line as `lines` computes it; both ramps have the longer of both durations."""
+        moving: dict[str, Any] = select_moving(dict(drivers), pulses)
+        for driver in moving.values():
             driver.check_still()
         for driver in drivers.values():  # an axis that keeps still needs its power stage, too
             driver.prepare()
         ramp = max(speeds.up, speeds.down)
-        made = InRatio(list(mine.values()), LineSettings(speeds.start, ramp, speeds.s_curve, axes=tuple(mine)))
-        if speeds.drive > made.fastest:
-            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {made.fastest:g} here.")
-        moves = LineMoves(np.array([[pulses[n] for n in mine]]), np.array([speeds.drive]))
-        rows = made.data_sheet(moves)[0].tolist()
-        wanted = {n: pulses[n] for n in mine}
-        with LineObserver({n: Procedure(d.axis, "line") for n, d in mine.items()}, wanted) as together:
+        line = InRatio(list(moving.values()), LineSettings(speeds.start, ramp, speeds.s_curve, axes=tuple(moving)))
+        if speeds.drive > line.fastest:
+            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {line.fastest:g} here.")
+        moves = LineMoves(np.array([[pulses[n] for n in moving]]), np.array([speeds.drive]))
+        rows = line.data_sheet(moves)[0].tolist()
+        wanted = {n: pulses[n] for n in moving}
+        with LineObserver({n: Procedure(d.axis, "line") for n, d in moving.items()}, wanted) as together:
             goals = {
-                n: d.aim(dict(zip(made.names, row, strict=True)), wanted[n])
-                for (n, d), row in zip(mine.items(), rows, strict=True)
+                n: d.aim(dict(zip(line.names, row, strict=True)), wanted[n])
+                for (n, d), row in zip(moving.items(), rows, strict=True)
             }
             for name, goal in goals.items():
-                mine[name].put("XTARGET", goal)
+                moving[name].put("XTARGET", goal)
                 together.note_start(name)
             expected_seconds = 1.5 * float(moves.longest[0]) / speeds.drive + 6 * ramp + 1
-            breaker = EarlyStopHandler(together, mine)
+            breaker = EarlyStopHandler(together, moving)
             try:
                 wait_until_stopped(
-                    [d.axis for d in mine.values()], expected_seconds if timeout is None else timeout, on_poll=breaker
+                    [d.axis for d in moving.values()], expected_seconds if timeout is None else timeout, on_poll=breaker
                 )
             except RunTimeout as error:
-                error.reports = together.reports(dict.fromkeys(mine, "timeout"))  # type: ignore[attr-defined]
+                error.reports = together.reports(dict.fromkeys(moving, "timeout"))  # type: ignore[attr-defined]
                 raise
             end_reason = {
                 n: ANOTHER_AXIS if n in breaker.stopped else d.explain_end(together.has_arrived(n))
-                for n, d in mine.items()
+                for n, d in moving.items()
             }
-            for driver in mine.values():
+            for driver in moving.values():
                 driver.stay()
-            next(iter(mine.values())).axis.wait(SETTLING_TIME_S)
+            next(iter(moving.values())).axis.wait(SETTLING_TIME_S)
             return together.report(end_reason)

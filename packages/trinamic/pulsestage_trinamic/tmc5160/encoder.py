@@ -24,7 +24,7 @@ PERIOD = 4  # edges after which A and B are the same again
 
 @hot
 def wake(c):
-    """At power-up: what the encoder shows is no edge."""
+    """Take the levels at power-up as they are, so that they do not count as edges."""
     c.enc_pins = _levels(c)
     c.enc_met = _met(c)
 
@@ -41,7 +41,7 @@ def look(c):
 
 @hot
 def deviates(c):
-    """X_ENC is too far from XACTUAL."""
+    """Return whether X_ENC is too far from XACTUAL."""
     max_deviation = c.reg[state.ENC_DEVIATION]
     return max_deviation and abs(c.enc - c.x) > max_deviation
 
@@ -75,7 +75,7 @@ def watched(c):
 
 @hot
 def next_edge(c):
-    """The clock at which the shaft next passes an edge, or an earlier one."""
+    """Return the clock at which the shaft next passes an edge, or an earlier one."""
     if _edge_at(c, c.clock + 1) != c.edge:
         return c.clock + 1
     rate = abs(c.shaft_rate)
@@ -95,7 +95,7 @@ def next_edge(c):
 
 @hot
 def catch_up(c):
-    """The edges of a stretch that has passed, of which none was watched."""
+    """Count the edges of a past stretch in which none had to be processed in its clock."""
     edge = _edge_at(c, c.clock)
     if edge != c.edge:
         _add(c, edge - c.edge)
@@ -112,7 +112,7 @@ def _edge_at(c, clock):
 
 @hot
 def _follow(c, edge):
-    """Pass all edges up to this one; the last period of them one by one, as A and B select the N event."""
+    """Pass all edges up to this one, the last period of them one by one, because A and B select the N event."""
     if abs(edge - c.edge) > PERIOD:
         near = edge - PERIOD if edge > c.edge else edge + PERIOD
         _add(c, near - c.edge)
@@ -128,7 +128,7 @@ def _follow(c, edge):
 
 @hot
 def _show(c, edge):
-    """The levels at the pins."""
+    """Set the levels at the pins from the position of the shaft."""
     c.edge = edge
     c.inputs = c.inputs & ~PINS | (state.ENCA if edge + 1 & 2 else 0) | (state.ENCB if edge & 2 else 0)
     c.enc_pins = _levels(c)
@@ -144,7 +144,7 @@ def _levels(c):
 
 @hot
 def _pins_changed(c):
-    """Count an edge of pins that are driven by hand."""
+    """Count an edge at pins that are driven by hand."""
     now, was = _levels(c), c.enc_pins
     c.enc_pins = now
     changed = now ^ was
@@ -157,7 +157,7 @@ def _pins_changed(c):
 
 @hot
 def _add(c, edges):
-    """Edges that count up; below 0 down."""
+    """Add edges to the counter; negative edges count down."""
     factor = c.reg[state.ENC_CONST]
     base = 10_000 if c.reg[state.ENCMODE] & DECIMAL else 65_536
     part = c.part + edges * (factor & 0xFFFF)
@@ -169,7 +169,7 @@ def _add(c, edges):
 
 @hot
 def _met(c):
-    """The condition of an N event."""
+    """Return whether the condition of an N event holds."""
     mode = c.reg[state.ENCMODE]
     met = (c.inputs & state.ENCN != 0) == (mode & POL_N != 0)
     if not mode & IGNORE_AB:

@@ -1,6 +1,6 @@
-"""Homing of a TMC5160 by a switch, by the encoder's index pulse, by a stall: data sheet, pages 46 and 85 to 90.
+"""Homing of a TMC5160 by a switch, by the index pulse of the encoder, or by a stall: data sheet, pages 46 and 85 to 90.
 
-Each function returns what has ended it.
+Each function returns what ended the homing.
 """
 
 from __future__ import annotations
@@ -19,15 +19,25 @@ if TYPE_CHECKING:
 
 STOPS = state.STOP_L | state.STOP_R
 LEAST_VSTOP = 10  # recommended
-USUAL_STEPS = 200  # full steps a turn, of a motor that nobody knows
-SLOWLY = 10  # part of VMAX at which the index is sought
+USUAL_STEPS = 200  # full steps a turn of a motor that the axis does not state
+SLOWLY = 10  # the index is sought at a tenth of VMAX
 RISING = 1 << 6  # ENCMODE: the event is the beginning of the pulse
-TUNING, FULL_STEP = 8, 256  # full steps that are looked at; steps of each
+TUNING, FULL_STEP = 8, 256  # number of full steps in which SG_RESULT is read; steps of a full step
 WINDOW = 1.2  # TCOOLTHRS over TSTEP
 
 
 def to_switch(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeout: float) -> str:
-    """Drive to a switch, make the place where it closes 0, and end there (data sheet, pages 85 and 86)."""
+    """Drive to a reference switch, make the position at which it closes 0, and end there (data sheet, pages 85 and 86).
+
+    Args:
+        d: Driver of the axis.
+        direction: -1 or 1.
+        values: Registers of the drive.
+        timeout: Simulated seconds.
+
+    Returns:
+        "REFL" or "REFR", or why the axis stopped before.
+    """
     left = direction < 0
     closed, stop, latch = (
         (state.STATUS_L, state.STOP_L, state.LATCH_L_ON) if left else (state.STATUS_R, state.STOP_R, state.LATCH_R_ON)
@@ -51,9 +61,18 @@ def to_switch(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeo
 
 
 def to_index(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeout: float) -> str:
-    """Drive to the index pulse within a turn away from the switch (data sheet, page 46), and make that place 0.
+    """Drive away from the switch to the index pulse within a turn (data sheet, page 46), and make its position 0.
 
-    The pulse is some steps wide: it is passed slowly, always in this direction.
+    The pulse is some steps wide, so the axis passes it slowly and always in this direction.
+
+    Args:
+        d: Driver of the axis.
+        direction: -1 or 1.
+        values: Registers of the drive.
+        timeout: Simulated seconds.
+
+    Returns:
+        "ENCN", or why the axis stopped before.
     """
     motor = getattr(getattr(d.axis, "drive", None), "motor", None)
     turn = FULL_STEP * getattr(motor, "steps_per_turn", USUAL_STEPS)
@@ -82,7 +101,7 @@ def to_index(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeou
 
 
 def _zero_at_latch(d: Tmc5160Driver) -> None:
-    """XACTUAL becomes 0 where XLATCH was, and the axis goes there."""
+    """Make the position that XLATCH holds 0, and start a move to it."""
     d.put("RAMPMODE", state.HOLD)
     beyond = d.get("XACTUAL") - d.get("XLATCH")
     d.put("XACTUAL", beyond)
@@ -92,10 +111,19 @@ def _zero_at_latch(d: Tmc5160Driver) -> None:
 
 
 def to_stall(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeout: float) -> str:
-    """Drive until the motor stalls, and make that place 0 (data sheet, pages 87 to 90).
+    """Drive until the motor stalls, and make that position 0 (data sheet, pages 87 to 90).
 
-    SGT makes SG_RESULT 0 at half of what it is in free motion: so the motor stops before its field is half an electrical turn
-    ahead, where it would slip by four full steps or not, by chance.
+    SGT is set so that SG_RESULT becomes 0 at half of its value in free motion. So the motor stops before its field is half an
+    electrical turn ahead, where it might slip by four full steps.
+
+    Args:
+        d: Driver of the axis.
+        direction: -1 or 1.
+        values: Registers of the drive.
+        timeout: Simulated seconds.
+
+    Returns:
+        "stall", or why the axis stopped otherwise.
     """
     gconf, tstep = d.get("GCONF"), (1 << 24) // values["VMAX"]
     settings = {

@@ -1,7 +1,7 @@
-"""Several TMC5160 on a straight line.
+"""Straight lines of several axes with TMC5160.
 
-The chip does not interpolate. What couples the axes is that their velocities and accelerations are in the ratio of their
-distances, and that XTARGET, which starts each, is written to one after the other.
+The chip does not interpolate. The axes move together because their velocities and accelerations have the ratio of their
+distances, and because XTARGET, which starts each axis, is written to one right after the other.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ V, A = 1 << 24, 1 << 41  # units: fCLK / V steps/s, fCLK^2 / A steps/s2
 
 
 class InRatio(Line):
-    """A row of NAMES an axis: those of the longest axis, times its share."""
+    """Registers of a line: each axis gets the registers NAMES of the longest axis, scaled by its share of the distance."""
 
     def __init__(self, drivers: Sequence[Driver], settings: Any):
         names = drivers[0].list_move_registers(settings.s_curve)
@@ -55,13 +55,26 @@ class InRatio(Line):
         return self.clip_to_legal(moves.share[:, :, None] * rounded[:, None, :])
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        """Correct registers by a share of the counts that move the axis by `reach` steps along the line, one at least."""
-        made = self.data_sheet(moves)
-        counts = np.maximum(np.rint(self.settings.reach / self.compute_pulses_per_count(made, moves)), 1)
-        return self.clip_to_legal(made + np.rint(corrections * counts))
+        """Correct registers by a share of the counts that move the axis by `reach` steps along the line, at least one count.
+
+        Args:
+            moves: Lines, one a row.
+            corrections: Corrections from -1 to 1, (lines, axes, registers).
+
+        Returns:
+            Corrected registers within their legal ranges.
+        """
+        registers = self.data_sheet(moves)
+        counts = np.maximum(np.rint(self.settings.reach / self.compute_pulses_per_count(registers, moves)), 1)
+        return self.clip_to_legal(registers + np.rint(corrections * counts))
 
     def compute_pulses_per_count(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
-        """Return by how many steps one count of each register moves an axis along the line."""
+        """Return by how many steps one count of each register moves an axis along the line.
+
+        Args:
+            registers: Registers, (lines, axes, registers).
+            moves: Lines, one a row.
+        """
         r = registers.astype(np.float64)
         up, down = (self._seconds(r, start, rate) for start, rate in ((0, 1), (4, 3)))
         gained, decelerated = (0.5 * (r[..., 2] - r[..., start]) * t * self.hz / V for start, t in ((0, up), (4, down)))
@@ -70,7 +83,7 @@ class InRatio(Line):
         return np.maximum(np.stack(worth, axis=2), 1e-9)
 
     def _seconds(self, r: np.ndarray, start: int, rate: int) -> np.ndarray:
-        """Of a ramp between the columns `start` and VMAX."""
+        """Compute the duration of a ramp between the columns `start` and VMAX."""
         return np.maximum(r[..., 2] - r[..., start], 0.0) * (A / V) / (r[..., rate] * self.hz)
 
     def compute_share_errors(self, moves: LineMoves) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Lint of the TMC5160: the rules of its data sheet that a bus write breaks. `c` is the chip's record before the write."""
+"""The lint of the TMC5160: rules of its data sheet that a bus write can break. `c` is the chip's record before the write."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from pulsestage_trinamic.tmc5160 import maps, state
 from stage.chips.diagnostics import Finding, Rule
 
-CLEAR = 10e-9  # s, beyond clocks, of each level of SCK and of CSN
+CLEAR = 10e-9  # s that each level of SCK and of CSN lasts in addition to its clocks
 SHEET = "data sheet TMC5160 rev. 1.14, page "
 NOT_MODELED = Rule("not-modeled", "tmc5160_sheet.md of this package, section 10")
 NO_EFFECT = Rule("no-effect", "bus of this package")
@@ -39,7 +39,13 @@ UNMODELED_REGISTERS = {
 
 
 def lint_write(c: Any, address: int, value: int) -> Iterator[Finding]:
-    """Yield what is wrong with a write cycle."""
+    """Yield what is wrong with a write cycle.
+
+    Args:
+        c: Record of the chip before the write.
+        address: Address on the bus.
+        value: Value written.
+    """
     if address < maps.REGISTERS:
         yield from _lint_register(c, address, value & maps.M32)
     elif address == maps.SPI_DATAGRAM:
@@ -59,7 +65,15 @@ def lint_write(c: Any, address: int, value: int) -> Iterator[Finding]:
 
 
 def lint_timing(c: Any, address: int, value: int) -> Iterator[Finding]:
-    """Yield what is too fast for the silicon in a write to the ports of SPI; clocks are whole, so only what is so for certain."""
+    """Yield what is too fast for the silicon in a write to the SPI ports.
+
+    The time is known in whole clocks, so only what is certainly too fast is reported.
+
+    Args:
+        c: Record of the chip before the write.
+        address: Address on the bus.
+        value: Value written.
+    """
     clock, hz = int(c["clock"]), int(c["hz"])
     if address == maps.SPI_CS and not value & 1 and c["csn"]:
         passed, least = clock - int(c["risen"]), 2 + CLEAR * hz
@@ -69,11 +83,11 @@ def lint_timing(c: Any, address: int, value: int) -> Iterator[Finding]:
     elif address in (maps.SPI_BYTE, maps.SPI_CS) and not c["csn"] and c["bits"]:
         passed, least = clock - int(c["shifted"]), 8 * 2 * (1 + CLEAR * hz)
         if passed + 1 <= least:
-            made, highest = 8 * hz / max(passed, 1) / 1e6, hz / (2 * (1 + CLEAR * hz)) / 1e6
+            frequency, max_frequency = 8 * hz / max(passed, 1) / 1e6, hz / (2 * (1 + CLEAR * hz)) / 1e6
             yield (
                 SCK_TOO_FAST,
-                f"SCK is too fast: 8 bits in {passed} clocks, {made:.2f} MHz; its low and high take tCLK + 10 ns each, so "
-                f"{highest:.2f} MHz at most. Let each byte take longer, or the bus (bus_cycle=)",
+                f"SCK is too fast: 8 bits in {passed} clocks, {frequency:.2f} MHz; its low and high take tCLK + 10 ns each, so "
+                f"{max_frequency:.2f} MHz at most. Let each byte take longer, or the bus (bus_cycle=)",
             )
 
 
@@ -122,7 +136,7 @@ def _lint_target(c: Any, value: int) -> Iterator[Finding]:
 
 
 def _lint_motion(c: Any, mode: int) -> Iterator[Finding]:
-    """Yield why the motor will not move as a motion asks for."""
+    """Yield the reasons why the motor will not move as requested."""
     if not _reg(c, state.CHOPCONF) & 15:
         yield NO_CURRENT, "a motion while TOFF = 0: XACTUAL will count, the motor has no current. Write CHOPCONF"
     if int(c["inputs"]) & state.DRV_ENN:

@@ -1,4 +1,4 @@
-"""Register map of the TMC5160 as data: numbers, widths, reset values and fields of its data sheet (rev. 1.14, pages 31 to 56)."""
+"""The register map of the TMC5160 as data: numbers, widths, reset values and fields (data sheet rev. 1.14, pages 31 to 56)."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ M32, M40 = (1 << 32) - 1, (1 << 40) - 1
 
 
 def _bits(*names: str | tuple) -> tuple[Field, ...]:
-    """Fields, each (bits, name, meaning): "7", "4..0"."""
-    found = []
+    """Make fields from tuples (bits, name, meaning), with bits such as "7" or "4..0"."""
+    fields = []
     for place, name, meaning in names:  # type: ignore[misc]
         high, _, low = str(place).partition("..")
-        found.append(Field(name, int(high), int(low or high), meaning))
-    return tuple(found)
+        fields.append(Field(name, int(high), int(low or high), meaning))
+    return tuple(fields)
 
 
 def _r(

@@ -11,7 +11,7 @@ DELAY = 18  # times are in 2^18 clocks
 
 @hot
 def on(c):
-    """The power stage drives the motor."""
+    """Return whether the power stage drives the motor."""
     enabled = c.reg[state.CHOPCONF] & 15 and not c.inputs & state.DRV_ENN
     return enabled and not (c.shorts or c.hot or c.inputs & state.UV_CP)
 
@@ -47,13 +47,13 @@ def _limit(c):
 
 @hot
 def stands(c):
-    """DRV_STATUS b31."""
+    """Return whether the motor stands still (DRV_STATUS bit 31, stst)."""
     return c.clock - c.last >= _limit(c)
 
 
 @hot
 def next_timer(c):
-    """The clock at which the standstill next changes something."""
+    """Return the clock at which the standstill next changes something."""
     stops = c.last + _limit(c)
     at = state.NEVER
     if c.sg or c.stall or c.summed:
@@ -67,7 +67,7 @@ def next_timer(c):
 
 @hot
 def timers(c):
-    """What the time since the last step does."""
+    """Process the standstill timers: power-down, hold current and freewheeling follow from the time since the last step."""
     stops = c.last + _limit(c)
     if c.clock >= stops and (c.sg or c.stall or c.summed):
         c.sg = c.stall = c.total = c.summed = 0
@@ -86,7 +86,7 @@ def timers(c):
 
 @hot
 def currents_written(c):
-    """IHOLD_IRUN has been written."""
+    """Apply a write of IHOLD_IRUN."""
     if c.current == state.RUNS:
         c.cs = irun(c)
     elif c.current == state.HOLDS:
@@ -98,7 +98,7 @@ def currents_written(c):
 
 @hot
 def faults(c):
-    """Faults that are there: latched, and the power stage off."""
+    """Latch the faults that are present, and switch the power stage off."""
     chop = c.reg[state.CHOPCONF]
     if chop & 15 == 0 or c.inputs & state.DRV_ENN:
         c.shorts = 0

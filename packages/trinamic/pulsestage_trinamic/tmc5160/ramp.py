@@ -39,13 +39,13 @@ def low(c):
 
 @hot
 def away(c):
-    """XTARGET - XACTUAL."""
+    """Return XTARGET - XACTUAL."""
     return state.signed32(c.target - c.x)
 
 
 @hot
 def wanted(c):
-    """The direction in which the mode and the target ask to go."""
+    """Return the direction in which mode and target request a motion."""
     mode = c.reg[state.RAMPMODE]
     if mode == state.POSITION:
         n = away(c)
@@ -55,7 +55,7 @@ def wanted(c):
 
 @hot
 def stopped(c, way):
-    """The stop function of this direction is enabled and active."""
+    """Return whether the stop function of this direction is enabled and active."""
     if way < 0:
         return c.reg[state.SW_MODE] & state.STOP_L and c.left
     return way > 0 and c.reg[state.SW_MODE] & state.STOP_R and c.right
@@ -73,7 +73,7 @@ def _rate_up(c, q):
 
 @hot
 def _rate_down(c, q):
-    """To a lower VMAX."""
+    """Return the deceleration towards a lower VMAX."""
     return c.reg[state.A1] if c.reg[state.V1] and q <= _v1(c) else c.reg[state.AMAX]
 
 
@@ -112,7 +112,7 @@ def _over(a, b):
 
 @hot
 def need(c, q):
-    """Braking distance in 1/256 step, rounded up."""
+    """Return the braking distance in 1/256 step, rounded up."""
     z = low(c)
     if q <= z:
         return 0
@@ -127,13 +127,13 @@ def need(c, q):
 
 @hot
 def _short(c, n, q):
-    """At a distance of n steps it is too late for this speed."""
+    """Return whether a distance of n steps is too short to brake from this speed."""
     return 256 * (n - 1) < need(c, q)
 
 
 @hot
 def starts(c):
-    """From standstill the next clock moves."""
+    """Return whether the axis stands still and moves at the next clock."""
     s = wanted(c)
     if s == 0 or c.reg[state.VMAX] == 0 or stopped(c, s) or stalled(c):
         return False
@@ -146,7 +146,7 @@ def starts(c):
 
 @hot
 def speed(c):
-    """Steps 4 and 5 of a clock. Returns whether the phase moves on."""
+    """Compute steps 4 and 5 of a clock, and return whether the phase moves on."""
     if stalled(c):
         if c.q > 0:
             halt(c)
@@ -172,7 +172,7 @@ def speed(c):
 
 @hot
 def _rest(c, began):
-    """The speed is 0."""
+    """Process a speed of 0."""
     if began:
         c.dir = 0
     else:
@@ -231,7 +231,7 @@ def _positioning(c, s, began):
 
 @hot
 def plan(c):
-    """(test, delta, clocks) of a stretch in which the speed goes on evenly, of an axis that moves; see CANNOT."""
+    """Return (test, delta, clocks) of a stretch in which the speed changes evenly, of an axis that moves; see CANNOT."""
     q, mode = c.q, c.reg[state.RAMPMODE]
     if stalled(c):
         return CANNOT, 0, 0
@@ -256,6 +256,7 @@ def plan(c):
 
 @hot
 def _braking(c, q):
+    """Plan the braking at the end of a positioning."""
     if q <= low(c):
         return CALM, 0, state.NEVER
     rate = _rate_brake(c, q)
@@ -264,7 +265,7 @@ def _braking(c, q):
 
 @hot
 def _driving(c, q):
-    """Positioning, before the braking."""
+    """Plan a positioning before its braking."""
     g, corner = _goal(c), _v1(c)
     if q < g:
         rate = _rate_up(c, q)
@@ -284,7 +285,7 @@ def _driving(c, q):
 
 @hot
 def holds(c, test, delta, m, done):
-    """The test of `plan` holds for all of m clocks; done: the steps of the first m - 1 of them."""
+    """Return whether the test of `plan` holds for all of m clocks; done: the steps of the first m - 1 of them."""
     if test == CALM:
         return True
     n = abs(away(c)) - done

@@ -15,13 +15,13 @@ from stage.native import hot
 
 @hot
 def _up(c):
-    """The field turns to greater MSCNT."""
+    """Return whether the field turns towards greater MSCNT."""
     return (c.dir > 0) != ((c.reg[GCONF] & SHAFT) != 0)
 
 
 @hot
 def _stepped(c, k):
-    """The sequencer's position after k steps, not wrapped."""
+    """Return the position of the sequencer after k steps, without wrapping."""
     fine, at = mres(c), c.mscnt
     size = 1 << fine
     half = size >> 1
@@ -34,7 +34,7 @@ def _stepped(c, k):
 
 @hot
 def steps_to_full(c):
-    """The step that next changes MSCNT >> 8, counted from 1."""
+    """Return the number of the step, counted from 1, that next changes MSCNT >> 8."""
     size, first = 1 << mres(c), _stepped(c, 1)
     if _up(c):
         end = ((c.mscnt >> 8) << 8) + 256
@@ -45,7 +45,7 @@ def steps_to_full(c):
 
 @hot
 def steps(c, k, clock):
-    """K steps, the last at `clock`."""
+    """Make k steps, the last one at `clock`."""
     now = _stepped(c, k)
     c.net += now - c.mscnt
     c.mscnt = now & 1023
@@ -59,7 +59,7 @@ def steps(c, k, clock):
 
 @hot
 def sine(i):
-    """CUR_A of the default table at MSCNT = i."""
+    """Return CUR_A of the default table at MSCNT = i."""
     i &= 1023
     if i >= 512:
         return -sine_half(i - 512) - 1
@@ -68,7 +68,7 @@ def sine(i):
 
 @hot
 def sine_half(i):
-    """Entries 0 to 511."""
+    """Return the entries 0 to 511 of the default table."""
     return TABLE[511 - i if i > 255 else i]
 
 

@@ -8,7 +8,7 @@ from stage.native import hot, least
 
 @hot
 def gated(c):
-    """The emergency stop holds all steps: ENCA as the last clock saw it."""
+    """Return whether the emergency stop suppresses all steps; ENCA as of the last clock."""
     return c.reg[state.GCONF] & state.STOP_ENABLE and c.enc_pins & 1
 
 
@@ -19,7 +19,7 @@ def stealth(c):
 
 @hot
 def window(c):
-    """A stall stops, and status_sg shows it."""
+    """Return whether a stall stops the motor and is shown by status_sg."""
     return (
         c.speeds & state.COOL
         and not stealth(c)
@@ -29,7 +29,7 @@ def window(c):
 
 @hot
 def tstep(c, q):
-    """TSTEP at a speed."""
+    """Return TSTEP at a speed."""
     v = q >> state.UNIT
     if v == 0 or gated(c):
         return state.TSTEP_MOST
@@ -50,7 +50,7 @@ def _passed(c, was, bit, threshold, strictly, t):
 
 @hot
 def speeds_at(c, q):
-    """The thresholds that are passed when the speed becomes q."""
+    """Return the thresholds that are passed when the speed becomes q."""
     slow, cool, high = c.reg[state.TPWMTHRS], c.reg[state.TCOOLTHRS], c.reg[state.THIGH]
     if not (slow | cool | high):
         return 0

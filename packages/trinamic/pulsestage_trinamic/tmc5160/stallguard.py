@@ -10,13 +10,13 @@ PER_SGT, FULL_EMF, UNLOADED = 8, 1024, 1023  # of the model of StallGuard
 
 @hot
 def measures(c):
-    """StallGuard sees each full step."""
+    """Return whether StallGuard measures at each full step."""
     return power.on(c) and not speeds.stealth(c)
 
 
 @hot
 def blind(c):
-    """Without measurements there is no result."""
+    """Clear the result, because there are no measurements."""
     if not measures(c):
         c.sg = c.stall = 0
 
@@ -28,7 +28,7 @@ def cools(c):
 
 @hot
 def settle(c):
-    """Thresholds, registers or faults may have changed."""
+    """Update thresholds and measurements after registers or faults may have changed."""
     c.speeds = speeds.speeds_at(c, c.q)
     blind(c)
     cooling = 1 if cools(c) else 0
@@ -41,7 +41,7 @@ def settle(c):
 
 @hot
 def step(c):
-    """One step, now; what StallGuard sees in it. Returns whether a stall stops."""
+    """Process one step with its StallGuard measurement, and return whether a stall stops the motor."""
     before = c.mscnt >> 8
     sequencer.steps(c, 1, c.clock)
     if c.mscnt >> 8 == before or not measures(c):
@@ -93,13 +93,13 @@ def _cool(c):
 
 @hot
 def load(c, lam, emf):
-    """The load, live: see LAM and EMF of the page."""
+    """Set the load of a chip that is not on a stage; see LAM and EMF in the documentation."""
     c.lam, c.emf = lam, emf
 
 
 @hot
 def sample_load(c, lam, emf):
-    """A sample of the load: LAM and EMF are the means over the full step. Returns whether anything can come of it."""
+    """Take a sample of the load; LAM and EMF are the means over a full step. Return whether the sample can change anything."""
     if c.dir == 0 or not measures(c):
         return 0
     if c.load_of != c.full:

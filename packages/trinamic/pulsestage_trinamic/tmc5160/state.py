@@ -142,12 +142,12 @@ EDGE = record(
 
 @hot
 def signed32(number):
-    """The low 32 bits as two's complement."""
+    """Return the low 32 bits of a number as a two's complement value."""
     return ((number + 0x80000000) & 0xFFFFFFFF) - 0x80000000
 
 
 @hot
 def mres(c):
-    """A step is 2^mres of the 1024 table entries."""
+    """Return the shift of a step: a step is 2^mres of the 1024 table entries."""
     power = c.reg[CHOPCONF] >> 24 & 15
     return 8 if power > 8 else power

@@ -8,7 +8,7 @@ from stage.native import hot
 
 @hot
 def levels(c):
-    """(left, right) as the pins and SW_MODE make them."""
+    """Return the levels (left, right) that follow from the pins and the polarity bits of SW_MODE."""
     mode = c.reg[state.SW_MODE]
     refl, refr = (1 if c.inputs & state.REFL else 0), (1 if c.inputs & state.REFR else 0)
     left, right = (refr, refl) if mode & state.SWAP else (refl, refr)

@@ -1,4 +1,4 @@
-"""Bus cycles of the TMC5160 in words: `VMAX <- 200000 (drive velocity)`, `SPI: read XACTUAL`."""
+"""Description of the bus cycles of the TMC5160 in words: `VMAX <- 200000 (drive velocity)`, `SPI: read XACTUAL`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _STATUS = Fields(maps.MAP.word("SPI_STATUS"))
 
 
 def register(address: int, value: int, writes: bool) -> str:
-    """A register with a value."""
+    """Describe a register with its value."""
     r = (maps.WRITTEN if writes else maps.READ).get(address)
     arrow = "<-" if writes else "="
     if r is None:
@@ -31,7 +31,7 @@ def register(address: int, value: int, writes: bool) -> str:
 
 
 def datagram(word: int) -> str:
-    """Say what a datagram of 40 bits requests."""
+    """Describe the request of a datagram of 40 bits."""
     address = word >> 32 & 0x7F
     if word >> 39 & 1:
         return line(f"SPI: {register(address, word & maps.M32, True)}")
@@ -40,7 +40,7 @@ def datagram(word: int) -> str:
 
 
 class Decoder(describe.Decoder):
-    """Bytes of SPI wait for the end of their datagram."""
+    """Decoder of bus cycles that collects the bytes of an SPI datagram until its end."""
 
     def __init__(self) -> None:
         self._sent: list[int] | None = None
@@ -81,7 +81,7 @@ class Decoder(describe.Decoder):
 
 
 def write(address: int, value: int) -> str:
-    """A write cycle by itself."""
+    """Describe a write cycle by itself."""
     if address < maps.REGISTERS:
         return register(address, value & maps.M32, True)
     if address == maps.SPI_CS:
@@ -92,7 +92,7 @@ def write(address: int, value: int) -> str:
 
 
 class Listener:
-    """See `stage.chips.describe.Listener`. record: the chip's state."""
+    """Describer of single bus cycles, see `stage.chips.describe.Listener`; it begins with the state of the chip's record."""
 
     def __init__(self, record: Any):
         self._bits = int(record["bits"])
@@ -100,13 +100,13 @@ class Listener:
         self._word = int(record["shift"])
 
     def write(self, address: int, value: int) -> str:
-        """One write cycle."""
+        """Describe one write cycle."""
         if address == maps.SPI_CS:
             ends = self._low and value & 1
             self._low = not value & 1
             if ends:
-                said = datagram(self._word) if self._bits >= 40 else f"{self._bits} bits: nothing happens"
-                return line(f"CSN high: {said}")
+                request = datagram(self._word) if self._bits >= 40 else f"{self._bits} bits: nothing happens"
+                return line(f"CSN high: {request}")
             self._bits = 0 if self._low else self._bits
         elif address == maps.SPI_BYTE and self._low:
             self._bits += 8
@@ -114,7 +114,7 @@ class Listener:
         return write(address, value)
 
     def read(self, address: int, value: int) -> str:
-        """One read cycle, which returned `value`."""
+        """Describe one read cycle that returned `value`."""
         if address < maps.REGISTERS:
             return register(address, value, False)
         if address == maps.SPI_CS:
