@@ -37,7 +37,7 @@ def signed(value, bits):
 
 
 def to_sample(chip):
-    """To the next sample of a chip whose command position moves."""
+    """Advance to the next sample of a chip whose command position moves."""
     at = chip.command_position
     while chip.command_position == at:
         chip.advance(1)

@@ -26,12 +26,12 @@ def gains(a, b, k) -> Writes:
 
 
 def acceleration(value) -> Writes:
-    """In 256ths."""
+    """Draw an acceleration in 1/256 of a unit."""
     return [(0x26, value & 0xFF), (0x27, value >> 8)]
 
 
 def velocity(value) -> Writes:
-    """Of proportional velocity, 12.4."""
+    """Draw a velocity of proportional velocity mode, fixed point 12.4."""
     return [(0x23, value & 0xFF), (0x24, value >> 8 & 0xFF)]
 
 
@@ -41,7 +41,7 @@ def clear_flags() -> Writes:
 
 
 def begin(mode) -> Writes:
-    """From anywhere to one of the control modes."""
+    """Draw a program that leads from any state to one of the control modes."""
     return [(0x05, IDLE), *clear_flags(), (0x00, MODE_FLAGS[mode]), (0x05, CONTROL)]
 
 

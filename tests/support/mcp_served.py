@@ -43,7 +43,7 @@ class Served:
 
 
 def over_stdio(work, *arguments):
-    """What `await work(client)` gives, of a server in a process of its own."""
+    """Return the result of `await work(client)` with a server in a process of its own."""
     from mcp import Client
     from mcp.client.stdio import StdioServerParameters
 

@@ -24,7 +24,7 @@ NOP_514, NOP_304 = 0x1F, 0x0F
 
 
 def examples(share):
-    """As many random generators as this share of EXAMPLES, each with a seed of its own."""
+    """Return as many random generators as this share of EXAMPLES, each with a seed of its own."""
     print("PULSESTAGE_SEED", SEED)
     for n in range(max(int(EXAMPLES * share), 4)):
         yield random.Random(SEED + n)
@@ -79,7 +79,7 @@ def driving(chip, axes=0xF):
 
 
 class Move(NamedTuple):
-    """What both are told, in physical units. P: None for a continuous drive."""
+    """Move that both chips are commanded, in physical units. P: None for a continuous drive."""
 
     SV: int | Fraction
     DV: int | Fraction
@@ -105,7 +105,7 @@ class Move(NamedTuple):
 
 @lru_cache(64)
 def _drive(move, interventions):
-    """Of all chips that are told the same: a reference takes longer than the product."""
+    """Drive all chips that have the same commands with one reference: it takes longer than the product."""
     return Drive(**move._asdict(), interventions=interventions)
 
 

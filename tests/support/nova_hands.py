@@ -65,7 +65,7 @@ def cruise(chip, pps=1_000_000, minus=False, axes=X):
 
 
 def passes(chip, clock, look):
-    """What `look` sees a clock before `clock`, and at it."""
+    """Return the results of `look` one clock before `clock`, and at it."""
     chip.advance(clock - 1 - chip.clock)
     before = look(chip)
     chip.advance(1)

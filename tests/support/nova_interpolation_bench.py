@@ -84,7 +84,7 @@ def assert_circular(steps, centre, finish, clockwise, note):
 
 
 def assert_ends(at, centre, finish, clockwise, note):
-    """In the finish octant the faster axis is where the finish point is; beside a border the octant may end first."""
+    """Assert that the faster axis is at the finish point in the last octant; beside a border the octant may end first."""
     x, y = (f - c for f, c in zip(finish, centre, strict=True))
     fast = OCTANTS[octant_behind(x, y, clockwise)][0]
     assert abs(at[fast] - finish[fast]) <= (abs(abs(x) - abs(y)) <= 1), f"ends at {at}\n{note}"

@@ -30,6 +30,6 @@ ACME = Path(__file__).parents[2] / "scripts" / "acme_chip"
 
 
 def acme(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
-    """It, as if it were installed in a folder."""
+    """Install the ACME package in a folder."""
     monkeypatch.syspath_prepend(ACME)
     installed(monkeypatch, folder, "acme-chips", "0.1.0", ACME1000="acme_chips:ACME1000")

@@ -24,7 +24,7 @@ class Step(NamedTuple):
 
     @property
     def shows(self) -> bool:
-        """It is what is printed by the piece before; errors of pytest are shortened on pages."""
+        """Compare the text with the output of the code block before it; errors of pytest are shortened on pages."""
         return self.kind == "text" and not self.text.startswith("E ")
 
 

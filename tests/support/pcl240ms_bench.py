@@ -125,7 +125,7 @@ def span_of(setting: int, gain: int) -> float:
 
 
 def step_clocks(gain: int, span: float, rate: int) -> np.ndarray:
-    """When a ramp makes its steps, in clocks from its start, the 0 of the start first."""
+    """Return the times at which a ramp makes its steps, in clocks from its start, the 0 of the start first."""
     k = np.arange(gain + 1)
     end = (gain + 2 * span) * rate / 2
     late = end - rate * np.sqrt((gain - k) * span)
@@ -177,7 +177,7 @@ class Course:
         self.end = int(edges["clock"][edges["counter"] == 0][0] - edges["clock"][0])
 
     def clocks(self, pin: str) -> int:
-        """How long a pin was asserted."""
+        """Return how many clocks a pin was asserted."""
         return int(np.diff(self.clock, append=self.end)[self.pin(pin)].clip(0).sum())
 
     def steps(self) -> tuple[np.ndarray, np.ndarray]:
@@ -244,7 +244,7 @@ class Move(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """How a move ended. `r0`, `speed`: at its last pulse; `at_fl`: pulses at FL after the ramp-down; `left`: pulses that the
+    """End of a move. `r0`, `speed`: at its last pulse; `at_fl`: pulses at FL after the ramp-down; `left`: pulses that the
     rest of the ramp-down would have taken until FL; `own`: those that its last step takes, at FL."""
 
     r0: int

@@ -291,7 +291,7 @@ WIDE_PROGRAM = story(  # any legal values, runs that are long enough
 
 
 def any_size(low, high):
-    """As often small as large."""
+    """Draw a number that is as often small as large."""
     return lambda rng: int(low * (high / low) ** rng.random())
 
 

@@ -34,7 +34,7 @@ def drive(stage):
 
 
 def stage_of(model, axes):
-    """What a recording needs of a stage: time that stands still, without chips that run."""
+    """Return what a recording needs of a stage: time that stands still, without chips that run."""
     return SimpleNamespace(
         model=model, axes=axes, recording=None, host=None, faults=(), now=0, time=0.0, lock=None,
         state=SimpleNamespace(dt=1_000_000), begin_recording=lambda recording, steps: None, stop_recording=lambda: None,

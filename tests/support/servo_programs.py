@@ -17,20 +17,20 @@ def control(chip, sample=SAMPLE, filter=FILTER):
 
 
 def trapezoid(chip, counts, velocity=4, acceleration=4):
-    """From position control: a profile to this count. velocity: counts a sample; acceleration: 256ths of that a sample."""
+    """Write a profile to this count, from position control. velocity: counts a sample; acceleration: 256ths of that a sample."""
     tell(chip, {0x26: acceleration, 0x27: 0, 0x28: velocity})
     tell(chip, {0x29: counts, 0x2A: counts >> 8, 0x2B: counts >> 16})
     chip.write(0x00, 0x08 | F0)
 
 
 def run_on(chip, velocity, acceleration=8):
-    """From position control: integral velocity, counts a sample."""
+    """Write a run in integral velocity mode, from position control, counts a sample."""
     tell(chip, {0x26: acceleration, 0x27: 0})
     chip.write(0x00, 0x08 | F5)
     chip.write(0x3C, velocity & 0xFF)
 
 
 def move(chip, counts):
-    """From power-up to a trapezoid's start."""
+    """Write a program from power-up to the start of a trapezoid."""
     control(chip)
     trapezoid(chip, counts)

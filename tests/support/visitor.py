@@ -102,7 +102,7 @@ class Visitor:
         return self.find(name).text
 
     def error(self, name: Any) -> str:
-        """What stands in red at a field, or ""."""
+        """Return the error text at a field, or ""."""
         field = self.find(name)
         return (
             getattr(field, "error", None) or (field.props.get("error-message") if "error" in field.props else "") or ""
@@ -121,7 +121,7 @@ class Visitor:
         return f"report: {[e.text for e in self.all('report')]}, said: {self.said}, at fields: {fields}"
 
     def settled(self) -> None:
-        """What was begun by an event has had its turn in the loop."""
+        """Wait until the loop has processed what an event started."""
         for _ in range(3):
             self.within(lambda: asyncio.sleep(0))
 

@@ -51,7 +51,7 @@ PULSESTAGE_MAIN
 
 @pytest.fixture(autouse=True)
 def _modules_stay(monkeypatch):
-    """What an inner session imports is still there in the next: numba and MuJoCo cannot be imported twice."""
+    """Keep the modules that an inner session imports for the next one: numba and MuJoCo cannot be imported twice."""
     monkeypatch.setattr(
         "_pytest.pytester.SysModulesSnapshot",
         lambda preserve: SysModulesSnapshot(lambda name: not name.startswith(("test_", "conftest"))),

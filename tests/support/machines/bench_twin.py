@@ -29,7 +29,7 @@ class BenchTwin:
         self._advance(self.chip.clock)
 
     def _advance(self, clock):
-        """From one event to the next: the pins stay as they are."""
+        """Advance from one event to the next: the pins stay as they are."""
         clocks = clock - self.lone.clock
         if not clocks:
             return
@@ -39,6 +39,6 @@ class BenchTwin:
         self.host = self.host.advanced(course.inputs)
 
     def differences(self):
-        """What the chip and the one on the bench differ in."""
+        """List the differences between the chip and the one on the bench."""
         free = getattr(self.host, "FOR_A_STAGE", ())
         return {name: both for name, both in differences(self.lone, self.chip).items() if name not in free}

@@ -129,7 +129,7 @@ class ChipMachine(RuleBasedStateMachine):
 
     @rule(first=st.integers(0, 3), past=st.integers(-8, 8))
     def end_close_to_an_event(self, first, past):
-        """To some ticks before or after a pin changes: the twin cruises and may not cruise past it; a trace never cruises."""
+        """Advance to some ticks before or after a pin changes: the twin cruises, but not past it; a trace never cruises."""
         n = (clocks_to_a_change(self.chip, self.host.PULSE_PINS) or 0) + past
         if n < first:
             return
@@ -249,7 +249,7 @@ def clocks_to_a_change(chip, apart, most=1 << 22):
 
 
 def differences(chip, other) -> dict:
-    """What the states of two chips of a kind differ in, field by field; empty if they are the same bits."""
+    """List the differences between the states of two chips of a kind, field by field; empty if they are the same bits."""
     ours, theirs = chip.snapshot().record, other.snapshot().record
     if ours == theirs:
         return {}

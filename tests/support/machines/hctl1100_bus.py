@@ -62,7 +62,7 @@ class HctlHost:
         return chip.pins.limit
 
     def check(self, chip) -> None:
-        """What holds at any moment."""
+        """Assert what holds at any moment."""
         v, pins = chip.values(), chip.pins.as_dict()
         assert pins["prof"] == bool(v["R00"] & F0) == bool(v["R07"] & PROFILE)
         assert pins["init"] == bool(v["R00"] & F1) == bool(v["R07"] & INIT)
@@ -81,11 +81,11 @@ class HctlHost:
         assert rate or chip.encoder == math.floor(count - chip.missed), "a shaft that stands is where it was seen"
 
     def seen(self, chip) -> dict:
-        """What `check_course` needs of the moment before time passes."""
+        """Record what `check_course` needs of the moment before time passes."""
         return {"values": chip.values(), "command": chip.command_position, "motor": chip.motor_command}
 
     def check_course(self, before, chip) -> None:
-        """What holds after a time in which the pins stayed as they were."""
+        """Assert what holds after a time in which the pins stayed as they were."""
         was, now = before.seen["values"], chip.values()
         assert before.pulses == 0
         apart = {"R00", "R07", "R08", "R09", "R0C", "R0D", "R0E", "R0F", "R34", "R35", "R3C"}

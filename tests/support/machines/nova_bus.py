@@ -21,7 +21,7 @@ ENDED_304 = 0xC000  # of RR1: by ALARM, by EMG
 
 @dataclass(frozen=True)
 class Axis:
-    """What was last written for one axis."""
+    """Registers last written for one axis."""
 
     wr: tuple[int, int, int, int] = (0, 0, 0, 0)
     filters: int = 0
@@ -138,7 +138,7 @@ class NovaHost:
         return all(len(self.forbidden(inputs, j)) == 2 for j in range(len(self.axes)))
 
     def check(self, chip) -> None:
-        """What holds at any moment."""
+        """Assert what holds at any moment."""
         status = chip.read(0)
         look = copy.copy(chip)
         for j, axis in enumerate(chip.axes):
@@ -159,7 +159,7 @@ class NovaHost:
         return look.read(2) & ERRORS_304 | look.read(1) & ENDED_304
 
     def seen(self, chip) -> dict:
-        """What `check_course` needs of the moment before time passes."""
+        """Record what `check_course` needs of the moment before time passes."""
         return {"lp": self._positions(chip), "driving": chip.read(0) & 0xF}
 
     def _positions(self, chip) -> list[int]:
@@ -172,7 +172,7 @@ class NovaHost:
         return found
 
     def check_course(self, course, chip) -> None:
-        """What holds after a time in which the pins stayed as they were. course: a `Course`."""
+        """Assert what holds after a time in which the pins stayed as they were. course: a `Course`."""
         driving, still = course.seen["driving"], chip.read(0) & 0xF
         way = sum(abs(n) for n in course.moved)
         assert way <= course.pulses, "no way without pulses"

@@ -47,7 +47,7 @@ class Pcl240Host:
         return -1 if self.control & 0x08 else 1
 
     def counted(self, pulses: int, inputs: dict[str, bool]) -> int:
-        """By how much R0 falls while `pulses` are output and the inputs are these."""
+        """Return the number by which R0 falls while `pulses` are output and the inputs are these."""
         if self.output & 0x10:
             return int(self.extp and not inputs.get("extp", False))
         return pulses
@@ -85,16 +85,16 @@ class Pcl240Host:
         return chip.pins.hold and getattr(chip.pins, self.limit())
 
     def check(self, chip) -> None:
-        """What holds at any moment."""
+        """Assert what holds at any moment."""
         assert chip.values()["status"] == self.status(chip.pins.as_dict()), "the status byte agrees with the pins"
         assert not (chip.pins.hold and chip.pins.pout), "HOLD before the last pulse is complete"
 
     def seen(self, chip) -> dict:
-        """What `check_course` needs of the moment before time passes."""
+        """Record what `check_course` needs of the moment before time passes."""
         return {"registers": chip.values(), "hold": chip.pins.hold}
 
     def check_course(self, before, chip) -> None:
-        """What holds after a time in which the pins stayed as they were. before: a `Course`."""
+        """Assert what holds after a time in which the pins stayed as they were. before: a `Course`."""
         (inputs,), registers, values = before.inputs, before.seen["registers"], chip.values()
         if before.clocks:
             fell = (registers["R0"] - values["R0"]) % COUNTER
