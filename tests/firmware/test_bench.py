@@ -33,11 +33,11 @@ def test_time_does_not_drift_over_a_million_waits_of_odd_length():
 def test_scheduled_edges_come_on_time_even_inside_a_long_wait():
     bench = Bench(PCL240K())
     chip = bench.axes["x"].chip
-    seen = []
+    observed = []
     for seconds in (0.3, 0.1, 0.2):
-        bench.at(seconds, lambda: seen.append((bench.time, chip.clock)))
+        bench.at(seconds, lambda: observed.append((bench.time, chip.clock)))
     bench.wait(1.0)
-    assert seen == [(pytest.approx(s), int(s * 4_915_200)) for s in (0.1, 0.2, 0.3)]
+    assert observed == [(pytest.approx(s), int(s * 4_915_200)) for s in (0.1, 0.2, 0.3)]
     assert bench.time == 1.0
 
 
@@ -86,7 +86,7 @@ def test_an_end_limit_on_a_rail_stops_the_axis_on_it():
         (lambda: Bench(PCL240K()).wait(-1), "time runs forward"),
     ],
 )
-def test_mistakes_are_told(call, message):
+def test_arguments_out_of_range_raise_errors(call, message):
     with pytest.raises(ArgumentError, match=message):
         call()
 
@@ -98,15 +98,15 @@ def test_a_port_on_a_bench_reads_what_the_chip_says():
 
 
 def test_what_is_due_already_is_done_at_the_next_moment_and_time_does_not_run_back():
-    bench, seen = Bench(PCL240K()), []
+    bench, observed = Bench(PCL240K()), []
     bench.wait(0.2)
-    bench.at(0.1, lambda: seen.append((bench.time, bench.axes["x"].chip.clock)))
+    bench.at(0.1, lambda: observed.append((bench.time, bench.axes["x"].chip.clock)))
     bench.wait(0.1)
-    assert seen == [(0.2, int(0.2 * 4_915_200))]
+    assert observed == [(0.2, int(0.2 * 4_915_200))]
     assert bench.time == pytest.approx(0.3)
 
 
-def test_a_chip_that_has_run_before_goes_on_from_its_own_clock():
+def test_a_chip_with_an_advanced_clock_continues_from_it():
     chip = PCL240K()
     chip.advance(1234)
     bench = Bench(PCL240K(), chip)
@@ -114,7 +114,7 @@ def test_a_chip_that_has_run_before_goes_on_from_its_own_clock():
     assert [axis.chip.clock for axis in bench.axes.values()] == [1_228_800, 1_228_800 + 1234]
 
 
-def test_a_rail_under_an_axis_that_has_moved_stands_where_it_is_put():
+def test_a_rail_added_after_a_move_has_the_requested_position():
     bench = Bench(PCL240K())
     x = bench.axes["x"]
     firmware.preset_move(x, 300)

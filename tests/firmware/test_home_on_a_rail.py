@@ -23,7 +23,7 @@ PASSES_INDEX = {"stop2": (-100, -90)}
     ],
 )
 @pytest.mark.parametrize("chip", [MCX302, MCX304])
-def test_a_home_search_that_failed_says_what_ended_it(chip, switches, at, ended, place):
+def test_a_failed_home_search_reports_its_stop_reason(chip, switches, at, ended, place):
     """firmware.home(axis) with an ORG that is stuck said "ORG" at the end limit"""
     bench = Bench(chip())
     bench.add_rail("x", at=at, **switches)
@@ -33,7 +33,7 @@ def test_a_home_search_that_failed_says_what_ended_it(chip, switches, at, ended,
 
 
 @pytest.mark.parametrize("chip", [MCX304, MCX314AS])
-def test_a_search_that_goes_back_from_the_limit_for_ever_ends_with_the_limits_name(chip):
+def test_an_endless_search_back_from_a_limit_stops_with_the_name_of_the_limit(chip):
     """The axis stands where ORG ends before the limit does: on its way out the chip sees no ORG any more."""
     bench = Bench(chip())
     bench.add_rail("x", at=0, stop1=(None, 0), lmt_minus=(None, 10))
@@ -44,8 +44,8 @@ def test_a_search_that_goes_back_from_the_limit_for_ever_ends_with_the_limits_na
 
 
 @pytest.mark.parametrize("chip", [MCX304, MCX314AS])
-def test_a_contact_that_bounces_for_2_ms_moves_home_by_a_pulse_at_most(chip):
-    """Without its input filter the search took a bounce of the edge at which it had left ORG, 25 um away."""
+def test_a_contact_bounce_of_2_ms_moves_home_by_at_most_one_pulse(chip):
+    """The search without its input filter took a bounce of the edge at which it had left ORG, 25 um away."""
     stage = Stage("xy", chips=chip, visuals=False)
     x, found = stage.axes["x"], []
     for broken in (False, True):

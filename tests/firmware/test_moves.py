@@ -31,15 +31,15 @@ def xyz(stage):
 
 def phases(report):
     """The order of chip phases of a move, for example ['fup', 'fkeep', 'fdown']."""
-    seen = []
-    course = report.course
-    pins = {name: course.pin(name) for name in ("fup", "fkeep", "fdown")}
-    running = ~course.pin("hold")
+    observed = []
+    waveform = report.course
+    pins = {name: waveform.pin(name) for name in ("fup", "fkeep", "fdown")}
+    running = ~waveform.pin("hold")
     for k in range(len(running)):
         now = next(name for name, pin in pins.items() if pin[k]) if running[k] else None
-        if now and (not seen or seen[-1] != now):
-            seen.append(now)
-    return seen
+        if now and (not observed or observed[-1] != now):
+            observed.append(now)
+    return observed
 
 
 @pytest.mark.parametrize("pulses", [1, 2, 37, -37, 1000, -5000, 60_000])
@@ -67,8 +67,8 @@ def test_a_long_move_is_a_trapezoid_and_a_short_one_a_triangle(x):
 def test_a_move_lasts_from_its_start_to_its_stop(x):
     """firmware.preset_move(x, 3, high_speed=False): the chip is busy from the start command to the end of the last pulse"""
     report = firmware.preset_move(x, 3, high_speed=False)
-    course = report.course
-    began, ended = (course.seconds[1:][np.diff(course.running.astype(int)) == way] for way in (1, -1))
+    waveform = report.course
+    began, ended = (waveform.seconds[1:][np.diff(waveform.running.astype(int)) == direction] for direction in (1, -1))
     assert report.duration == pytest.approx(ended[0] - began[0], abs=1e-9)
     assert report.duration > 3 / Profile.of().fh1
 
@@ -82,14 +82,14 @@ def test_constant_speed_has_no_ramps(x):
     ("options", "why"),
     [({}, "decelerating stop"), ({"immediate": True}, "reset command"), ({"high_speed": False}, "reset command")],
 )
-def test_a_continuous_move_ends_as_it_is_told(x, options, why):
+def test_a_continuous_move_stops_by_the_requested_command(x, options, why):
     report = firmware.continuous_move(x, 0.3, -1, **options)
     assert report.stopped_by == why
     assert report.pulses < 0
     assert report.asked is None
 
 
-def test_dual_rate_goes_up_halfway_and_down_again(x):
+def test_a_dual_rate_move_rises_at_half_and_falls_again(x):
     profile = Profile.of(fl=1000, fh1=8000, fh2=16_000, accel=0.1)
     report = firmware.dual_rate_move(x, 12_000, profile, rates=("FL", "FH1", "FH2", "FH1"), dwell=0.1)
     assert report.ok
@@ -103,9 +103,9 @@ def test_speed_changes_through_any_number_of_rates_by_rewriting_the_unselected_r
     assert report.ok
     e = report.course.edges
     kept = report.course.pin("fkeep") & ~report.course.pin("hold")
-    seen = {round(float(r)) for r in (e["rate"] * report.course.clock_hz)[kept]}
+    observed = {round(float(r)) for r in (e["rate"] * report.course.clock_hz)[kept]}
     for rate in rates:
-        assert any(abs(s - rate) < 0.02 * rate for s in seen), (rate, seen)
+        assert any(abs(s - rate) < 0.02 * rate for s in observed), (rate, observed)
 
 
 def test_an_interrupted_move_resumes_its_residual_pulses(x):
@@ -124,7 +124,7 @@ def test_external_pulses_count_the_counter_down(x):
     assert silent.stopped_by == "reset command"
 
 
-def test_an_end_limit_is_told_as_the_reason(x):
+def test_an_end_limit_is_the_reported_stop_reason(x):
     x._bench.at(x.time + 0.2, lambda: setattr(x.chip.pins, "el_plus", True))
     report = firmware.preset_move(x, 50_000)
     assert report.stopped_by == "EL+"
@@ -144,7 +144,7 @@ def test_a_report_draws_itself(x, tmp_path):
     assert path.stat().st_size > 20_000
 
 
-def test_the_counter_is_read_whole_even_across_a_borrow(x):
+def test_the_counter_is_read_consistently_across_a_borrow(x):
     """The Q & A's remedy: every value read lies between the true ones before and after."""
     port = firmware.Port(x)
     port.write_registers(R0=0x020100, R1=8191, R2=8191, R7=2)
@@ -183,7 +183,7 @@ def test_the_counter_is_read_whole_even_across_a_borrow(x):
         (lambda a: firmware.Port(a).write_register("R9", 1), "unknown PCL240K register 'R9'"),
     ],
 )
-def test_bad_input_names_what_was_given_and_what_is_allowed(x, call, message):
+def test_errors_of_invalid_arguments_name_the_value_and_the_range(x, call, message):
     before = x.chip.snapshot()
     with pytest.raises(ArgumentError, match=message):
         call(x)
@@ -206,7 +206,7 @@ def test_a_profile_comes_as_close_as_the_registers_allow(rates):
     assert p.fh2 == pytest.approx(fh2, rel=0.05)
 
 
-def test_a_continuous_move_onto_an_end_limit_tells_the_limit(x):
+def test_a_continuous_move_onto_an_end_limit_reports_the_limit(x):
     x.chip.pins.el_minus = True
     report = firmware.continuous_move(x, 0.1, -1)
     assert (report.stopped_by, report.pulses) == ("EL-", 0)
@@ -223,7 +223,7 @@ def test_sd_slows_a_move_that_allows_it_and_no_other(x):
 
 
 @pytest.mark.parametrize("high_speed", [True, False])
-def test_an_interrupt_at_the_stop_when_asked_for(x, high_speed):
+def test_the_stop_raises_an_interrupt_on_request(x, high_speed):
     report = firmware.preset_move(x, 200, high_speed=high_speed, interrupt=True)
     irq, hold = report.course.pin("irq"), report.course.pin("hold")
     assert irq[-1]
@@ -246,7 +246,7 @@ def test_an_interruption_slows_down_from_the_rate_of_the_move(x, fh2, stop):
 
 
 @pytest.mark.parametrize(("fh2", "pulses"), [(False, -4200), (True, -8300)])
-def test_the_rest_of_an_interrupted_s_curve_that_is_short_ends_at_fl_by_a_whole_s_curve(fh2, pulses):
+def test_a_short_rest_of_an_interrupted_s_curve_ends_at_fl_by_a_complete_s_curve(fh2, pulses):
     """firmware.interrupted_move(axis, 3000, profile.shaped(True)): too few pulses are left for FH1"""
     profile = Profile.of(fl=500, fh1=8000, accel=0.2, chip=PCL240MS).shaped(True, fh2)
     report = firmware.interrupted_move(Bench(x=PCL240MS()).axes["x"], pulses, profile, after=0.42, pause=0.05, fh2=fh2)
@@ -310,10 +310,10 @@ def test_external_pulses_may_come_from_a_generator(x):
     assert not late.ok
 
 
-def test_the_average_rate_is_of_pulses_both_ways(x):
+def test_the_average_rate_counts_pulses_of_both_directions(x):
     with Procedure(x, "to and fro") as watched:
-        for way in (3000, -1000):
-            firmware.preset_move(x, way, Profile.of(fl=1000, fh1=8000, accel=0.1))
+        for pulses in (3000, -1000):
+            firmware.preset_move(x, pulses, Profile.of(fl=1000, fh1=8000, accel=0.1))
         report = watched.report("R0 = 0")
     assert report.pulses == 2000
     assert report.average_rate == pytest.approx(4000 / report.duration)
@@ -370,15 +370,15 @@ def test_above_pull_out_it_stalls_the_report_says_by_how_much_and_a_new_origin_r
     assert x.position == pytest.approx(home, abs=x.meters_per_pulse)
 
 
-def test_on_the_stage_an_end_limit_stops_within_the_pulse_and_leaves_the_way_back(xyz):
+def test_an_end_limit_stops_within_one_pulse_and_allows_moves_back(xyz):
     x = xyz.axes["x"]
     xyz.place(x=0.149)
     slow = Profile.of(fl=500, fh1=1000)
     report = firmware.preset_move(x, 2000, slow)
-    course = report.course
-    reached = course.edges["net"][np.argmax(course.pin("el_plus"))]
+    waveform = report.course
+    reached = waveform.edges["net"][np.argmax(waveform.pin("el_plus"))]
     assert report.stopped_by == "EL+"
-    assert course.edges["net"][-1] == reached, "no pulse begins after the switch"
+    assert waveform.edges["net"][-1] == reached, "no pulse begins after the switch"
     assert report.position == pytest.approx(0.150, abs=3 * x.meters_per_pulse)
     on = firmware.preset_move(x, 10, slow)
     assert (on.pulses, on.stopped_by) == (0, "EL+")
@@ -407,13 +407,13 @@ def test_on_the_stage_every_kind_of_move_comes_home_without_a_lost_step(xyz):
     assert x.position == pytest.approx(begin, abs=2e-5)
 
 
-@pytest.mark.parametrize(("way", "limit"), [(1, "EL+"), (-1, "EL-")])
-def test_what_ended_a_move_is_not_org_though_the_axis_stands_on_it(way, limit):
+@pytest.mark.parametrize(("direction", "limit"), [(1, "EL+"), (-1, "EL-")])
+def test_a_move_that_ends_on_org_is_not_reported_as_stopped_by_org(direction, limit):
     x = Bench(x=PCL240K()).axes["x"]
     x.chip.pins.org = True
-    assert firmware.preset_move(x, way * 300).stopped_by == "R0 = 0"
-    setattr(x.chip.pins, "el_plus" if way > 0 else "el_minus", True)
-    assert firmware.preset_move(x, way * 300).stopped_by == limit
+    assert firmware.preset_move(x, direction * 300).stopped_by == "R0 = 0"
+    setattr(x.chip.pins, "el_plus" if direction > 0 else "el_minus", True)
+    assert firmware.preset_move(x, direction * 300).stopped_by == limit
 
 
 @pytest.mark.parametrize("kind", [PCL240MK, PCL240MS])
@@ -434,13 +434,13 @@ def test_a_move_that_sd_may_slow_or_whose_ramps_differ_has_its_ramp_down_point_f
 
 def test_what_a_counter_reads_that_is_not_through_0_is_no_number_below_nothing(x):
     report = firmware.preset_move(x, 10)
-    far = replace(report, asked=-12_000_000, residual=11_999_990)
-    assert "(24-bit counter" not in str(far)
-    assert "R0 12000001 (24-bit counter: -4777215)" in str(replace(far, residual=12_000_001))
-    assert "R0 8388608;" in str(replace(far, asked=10, residual=1 << 23))
+    overrun = replace(report, asked=-12_000_000, residual=11_999_990)
+    assert "(24-bit counter" not in str(overrun)
+    assert "R0 12000001 (24-bit counter: -4777215)" in str(replace(overrun, residual=12_000_001))
+    assert "R0 8388608;" in str(replace(overrun, asked=10, residual=1 << 23))
 
 
-def test_pulses_that_were_made_and_lost_are_not_as_asked(x):
+def test_a_move_that_loses_steps_is_not_ok(x):
     report = replace(firmware.preset_move(x, 10), lost_steps=4)
     assert (report.pulses, report.asked, report.ok) == (10, 10, False)
     assert replace(report, lost_steps=0).ok

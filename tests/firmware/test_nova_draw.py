@@ -64,21 +64,21 @@ def test_constant_vector_speed_makes_a_circle_last_as_long_as_its_steps_are(stag
 
 @covers("MCX514", "HLN", "HLPCCW", "R-HLV", "HLV", "HLCCW")
 @pytest.mark.parametrize("rotations", [0, 1, 3])
-def test_a_helix_rises_evenly_and_its_turns_end_where_they_began(stage, rotations):
+def test_a_helix_rises_evenly_and_each_revolution_closes(stage, rotations):
     report, columns = drawn(stage, [Helix((0, RADIUS), (960,), rotations)], "xyz")
-    turns = max(rotations, 1)
+    revolutions = max(rotations, 1)
     assert report.ok
-    assert report.pulses == {"x": 0, "y": 0, "z": 960 * turns}
+    assert report.pulses == {"x": 0, "y": 0, "z": 960 * revolutions}
     x, y, z = (columns[f"{n}/pulses"] - columns[f"{n}/pulses"][0] for n in "xyz")
     angle = np.unwrap(np.arctan2(y - RADIUS, x)) + np.pi / 2
-    assert angle[-1] == pytest.approx(2 * np.pi * turns, abs=1e-3)
+    assert angle[-1] == pytest.approx(2 * np.pi * revolutions, abs=1e-3)
     assert abs(z - 960 * angle / (2 * np.pi)).max() < 0.03 * 960, "a tick is not always the same angle"
     assert abs(off_circle(columns, "position", 1, RADIUS * stage.axes["x"].meters_per_pulse)).max() < CARRIAGE
     assert not stage.chips[0].diagnostics
 
 
 @covers("MCX514", "CHKCCW", "LHK2", "DECDIS", "DECEN")
-def test_a_path_goes_on_from_segment_to_segment_at_its_speed(stage):
+def test_a_path_keeps_its_speed_from_segment_to_segment(stage):
     path = [Line(3200, 0), Arc((0, 1600), (1600, 1600)), Line(0, 3200)]
     report, columns = drawn(stage, path)
     assert report.ok
@@ -104,7 +104,7 @@ def test_more_segments_than_the_pre_buffer_holds_are_fed_as_it_empties(stage):
 
 
 @covers("MCX514", "CHKCW", "HLCW", "HLPCW")
-def test_clockwise_arcs_and_helices_turn_the_other_way(stage):
+def test_clockwise_arcs_and_helices_have_the_opposite_direction(stage):
     for segment in (Arc((0, 800), (800, 800), clockwise=True), Helix((0, 800), (300,), 0, (800, 800), clockwise=True)):
         report, columns = drawn(stage, [segment], "xyz")
         assert report.ok
@@ -133,7 +133,7 @@ def test_a_limit_ends_the_path_and_what_waits_is_not_drawn(stage):
 
 
 @pytest.mark.parametrize(
-    ("segment", "names", "said"),
+    ("segment", "names", "message"),
     [
         (Line(1, 2, 3), "xy", "a finish point for each of 2 axes"),
         (Helix((0, 9), (9,)), "xy", "`along` for each"),
@@ -143,8 +143,8 @@ def test_a_limit_ends_the_path_and_what_waits_is_not_drawn(stage):
         (Arc((0, 2**31)), "xy", "CP"),
     ],
 )
-def test_segments_that_do_not_suit_the_axes_are_refused(stage, segment, names, said):
-    with pytest.raises(ArgumentError, match=said):
+def test_segments_that_do_not_suit_the_axes_are_refused(stage, segment, names, message):
+    with pytest.raises(ArgumentError, match=message):
         draw([segment], *(stage.axes[n] for n in names), speed=SPEED)
     assert not stage.chips[0].busy(0)
 
@@ -163,7 +163,7 @@ def test_axes_of_other_chips_and_nothing_to_draw_are_refused(stage):
         draw([Line(1, 1)], old.axes["x"], old.axes["y"], speed=SPEED)
 
 
-def test_a_path_that_takes_too_long_is_stopped_and_told(stage):
+def test_a_path_beyond_its_timeout_is_stopped_with_an_error(stage):
     with pytest.raises(RunTimeout, match=r"0\.1 s"):
         draw([Line(8000, 8000)], stage.axes["x"], stage.axes["y"], speed=Speed(1000), timeout=0.1)
     assert not stage.chips[0].busy(0)

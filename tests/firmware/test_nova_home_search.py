@@ -22,12 +22,12 @@ def edge_of(axis, pin="org"):
 
 
 @covers("MCX514", "H1M", "H2M", "HV", "HMSRC", "R2CLR", "RR3P0")
-@pytest.mark.parametrize("way", [0.009, 0.0003, -0.0002, -0.0015], ids=["before", "just before", "on", "beyond"])
+@pytest.mark.parametrize("direction", [0.009, 0.0003, -0.0002, -0.0015], ids=["before", "just before", "on", "beyond"])
 @pytest.mark.parametrize("name", ["x", "y", "z"])
-def test_home_is_at_the_edge_of_org_wherever_the_axis_begins(name, way):
+def test_home_is_at_the_edge_of_org_wherever_the_axis_begins(name, direction):
     stage = a_stage("xyz" if name == "z" else "xy")
     axis = stage.axes[name]
-    stage.place(**{name: edge_of(axis) + way})
+    stage.place(**{name: edge_of(axis) + direction})
     report = home_search(axis)[name]
     assert report.ok
     assert report.position == pytest.approx(edge_of(axis), abs=EDGE)
@@ -36,7 +36,7 @@ def test_home_is_at_the_edge_of_org_wherever_the_axis_begins(name, way):
     assert axis.lost_steps == 0
     assert stage.chips[0].values()["RR0"] == 0
     states = [state for _, state in report.states]
-    expected = {3, 6} if way > 0.0001 else {15}
+    expected = {3, 6} if direction > 0.0001 else {15}
     assert expected <= set(states)
     assert states[-2:] == [20, 0]
     assert not stage.chips[0].diagnostics
@@ -66,15 +66,15 @@ def test_one_command_sends_all_axes_home_at_once():
 
 def test_home_is_the_same_pulse_from_everywhere():
     places = []
-    for way in (0.004, 0.0052, -0.0004, 0.0111):
+    for direction in (0.004, 0.0052, -0.0004, 0.0111):
         stage = a_stage()
-        stage.place(x=edge_of(stage.axes["x"]) + way)
+        stage.place(x=edge_of(stage.axes["x"]) + direction)
         places.append(home_search(stage.axes["x"])["x"].position)
     assert max(places) - min(places) < 1.5 * PULSE
 
 
 @pytest.mark.parametrize("pulses", [800, -300])
-def test_an_offset_is_gone_from_home_and_the_counters_are_0_there(pulses):
+def test_the_search_moves_by_the_offset_and_clears_the_counters(pulses):
     stage = a_stage(x=-0.115)
     x = stage.axes["x"]
     report = home_search(x, offset=pulses)["x"]
@@ -87,7 +87,7 @@ def test_an_offset_is_gone_from_home_and_the_counters_are_0_there(pulses):
     assert chip.read(6) == chip.read(7) == 0
 
 
-def test_an_index_pulse_after_org_is_found():
+def test_the_search_ends_at_an_index_pulse_after_org():
     stage = a_stage(x=-0.115)
     x = stage.axes["x"]
     report = home_search(x, index=True)["x"]
@@ -113,8 +113,8 @@ def test_a_switch_that_never_trips_is_an_error_and_no_home():
 def test_what_the_chip_cannot_do_is_refused():
     stage = a_stage()
     x = stage.axes["x"]
-    for wrong, said in (({"direction": 0}, "-1 or 1"), ({"timer": 0.05}, "one of"), ({"speed": 0}, "DV")):
-        with pytest.raises(ArgumentError, match=said):
+    for wrong, message in (({"direction": 0}, "-1 or 1"), ({"timer": 0.05}, "one of"), ({"speed": 0}, "DV")):
+        with pytest.raises(ArgumentError, match=message):
             home_search(x, **wrong)
     with pytest.raises(ArgumentError, match="one MCX514"):
         home_search()
@@ -122,7 +122,7 @@ def test_what_the_chip_cannot_do_is_refused():
         home_search(Stage("xyz", chips=MCX304, visuals=False).axes["x"])
 
 
-def test_a_search_that_takes_too_long_is_stopped_and_told():
+def test_a_search_beyond_its_timeout_is_stopped_with_an_error():
     stage = a_stage()
     with pytest.raises(RunTimeout, match="still searched home"):
         home_search(stage.axes["x"], timeout=0.05)

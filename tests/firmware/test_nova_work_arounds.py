@@ -14,11 +14,11 @@ PULSES = 12_000
 K, SV, V, M = 20_000, 100, 1000, 10
 JERK, AREA_D = 62.5e6 * M / K, 2e-6 * K  # pps/s^2, s
 RAMP = 2 * ((V - SV) * M / JERK) ** 0.5
-WHOLE = 2 * RAMP + (PULSES - (V + SV) * M * RAMP) / (V * M)  # s
-MOST_IN_D = SV * M + JERK / 2 * AREA_D**2  # pps
+FULL = 2 * RAMP + (PULSES - (V + SV) * M * RAMP) / (V * M)  # s
+MAX_IN_D = SV * M + JERK / 2 * AREA_D**2  # pps
 LATE = 3  # pulses: at MOST_IN_D in a polling period of 1 ms, and one for where the periods begin
 US = 1e-6
-IN_D = [WHOLE - AREA_D + 2 * US, WHOLE - AREA_D / 2, WHOLE - AREA_D / 7, WHOLE - 8 * US]
+IN_D = [FULL - AREA_D + 2 * US, FULL - AREA_D / 2, FULL - AREA_D / 7, FULL - 8 * US]
 SHORTLY = 3 * AREA_D  # from when on a routine watches that has nothing to see before
 LIMITS = {"CP": 2**31 - 1, "CM": -(2**31)}
 
@@ -79,39 +79,39 @@ def asked(stop, when, cls=MCX304, pulses=PULSES, **options):
 
 @every_chip
 @pytest.mark.parametrize("when", IN_D)
-def test_a_bare_stop_command_in_area_d_runs_away_and_is_held_back_by_both_work_arounds(cls, when):
-    setup, given = asked(bare, when, cls)
-    assert given
+def test_a_stop_command_in_area_d_runs_away_unless_a_work_around_prevents_it(cls, when):
+    setup, arguments = asked(bare, when, cls)
+    assert arguments
     assert setup.runs_away()
     for stop in (by_flag, by_speed):
-        setup, given = asked(stop, when, cls)
-        assert not given
+        setup, arguments = asked(stop, when, cls)
+        assert not arguments
         assert setup.ended_at() == PULSES
 
 
 @pytest.mark.parametrize("stop", [by_flag, by_speed])
-def test_with_the_work_around_no_instant_of_the_drive_runs_away(stop):
+def test_the_work_around_prevents_a_runaway_at_every_instant_of_the_drive(stop):
     """60 instants of the drive, and every bus cycle around the beginning and the end of area d."""
-    edges = [edge + k * US for edge in (WHOLE - AREA_D, WHOLE) for k in range(-12, 3)]
-    given = 0
-    for when in [WHOLE * k / 60 for k in range(60)] + edges:
+    edges = [edge + k * US for edge in (FULL - AREA_D, FULL) for k in range(-12, 3)]
+    arguments = 0
+    for when in [FULL * k / 60 for k in range(60)] + edges:
         setup, stopped = asked(stop, when)
         end = setup.ended_at()
         assert end < PULSES if stopped else end == PULSES
-        given += stopped
-    assert given > 15
+        arguments += stopped
+    assert arguments > 15
 
 
 @pytest.mark.parametrize(("stop", "from_"), [(by_flag, 0.01), (by_speed, 0.55)])
-def test_before_the_deceleration_the_work_around_does_stop(stop, from_):
-    """By speed from the middle of the acceleration on."""
+def test_the_work_around_stops_the_drive_before_the_deceleration(stop, from_):
+    """The speed criterion works from the middle of the acceleration on."""
     for when in (from_ * RAMP, 0.9 * RAMP, RAMP + 1e-3):
-        setup, given = asked(stop, when)
-        assert given
+        setup, arguments = asked(stop, when)
+        assert arguments
         assert setup.ended_at() < PULSES
 
 
-def test_without_constant_speed_there_is_no_interrupt_and_the_speed_still_tells():
+def test_a_drive_without_constant_speed_has_no_interrupt_but_stops_by_speed():
     """A drive too short to reach V: what the notice does not say of its work-around 1 (1)."""
     pulses, last_pulses = 3000, 20
     seconds = when_done(pulses, pulses - last_pulses)
@@ -129,7 +129,7 @@ def when_done(pulses, count):
 
 
 @pytest.mark.parametrize("v", [101, 115, 116])
-def test_the_speed_tells_even_where_the_whole_end_of_the_ramp_is_area_d(v):
+def test_the_speed_criterion_works_if_area_d_covers_the_full_end_of_the_ramp(v):
     """V so near to SV that the deceleration is never above 125 m: area d begins at the judgmental speed."""
     judgmental = erratum.judgmental_speed(SV, v)
     for k in range(200):
@@ -143,8 +143,8 @@ def test_the_judgmental_speed_is_the_middle():
     assert erratum.judgmental_speed(100, 1000) == 550
 
 
-def test_the_flag_is_made_anew_for_each_drive():
-    setup, _ = asked(by_flag, WHOLE / 2 + RAMP)  # in its deceleration: held back
+def test_each_drive_needs_a_new_deceleration_flag():
+    setup, _ = asked(by_flag, FULL / 2 + RAMP)  # in its deceleration: held back
     assert setup.ended_at() == PULSES
     flag = erratum.DecelerationFlag(setup.driver)
     setup.start()
@@ -183,23 +183,23 @@ def with_limit(name, when, cls=MCX304, sign=1, routine=True, errata=True, begins
 @pytest.mark.parametrize("when", IN_D)
 def test_a_decelerating_limit_in_area_d_runs_away_and_is_ended_within_3_pulses(cls, name, when):
     assert with_limit(name, when, cls, routine=False)[0].runs_away()
-    setup, (place,), stopped = with_limit(name, when, cls, begins=WHOLE - SHORTLY)
+    setup, (place,), stopped = with_limit(name, when, cls, begins=FULL - SHORTLY)
     assert stopped
     assert setup.driver.position() - place <= LATE
 
 
 @limit_routine
 @pytest.mark.parametrize("sign", [1, -1], ids=["plus", "minus"])
-def test_a_limit_met_before_area_d_is_ended_within_3_pulses_of_its_beginning(name, sign):
+def test_a_limit_before_area_d_stops_within_3_pulses_of_the_area(name, sign):
     begins = PULSES - int(SV * M * AREA_D + JERK * AREA_D**3 / 6)
-    setup, (place,), stopped = with_limit(name, WHOLE - RAMP / 2, sign=sign)
+    setup, (place,), stopped = with_limit(name, FULL - RAMP / 2, sign=sign)
     assert stopped
     assert place < begins
     assert abs(setup.driver.position()) - begins <= LATE
 
 
 @limit_routine
-@pytest.mark.parametrize("when", [RAMP / 2, WHOLE / 2, WHOLE + 1], ids=["a", "b", "never"])
+@pytest.mark.parametrize("when", [RAMP / 2, FULL / 2, FULL + 1], ids=["a", "b", "never"])
 def test_the_routines_leave_a_drive_alone_that_ends_by_itself(name, when):
     setup, places, stopped = with_limit(name, when)
     assert not stopped
@@ -219,9 +219,9 @@ def test_the_routines_leave_a_drive_alone_that_a_limit_ends_at_once(name):
 
 
 @limit_routine
-def test_a_mended_chip_needs_no_routine(name):
+def test_a_chip_without_the_erratum_needs_no_routine(name):
     for when in IN_D:
-        setup, _, stopped = with_limit(name, when, errata=False, begins=0.0 if when == IN_D[0] else WHOLE - SHORTLY)
+        setup, _, stopped = with_limit(name, when, errata=False, begins=0.0 if when == IN_D[0] else FULL - SHORTLY)
         assert not stopped
         assert setup.driver.position() <= PULSES
 
@@ -245,7 +245,7 @@ def test_a_drive_beyond_a_software_limit_is_not_started(cls, pulses, limits):
 
 
 @pytest.mark.parametrize("sign", [1, -1], ids=["plus", "minus"])
-def test_a_drive_up_to_a_software_limit_is_started_and_ends_there(sign):
+def test_a_drive_to_a_software_limit_starts_and_stops_there(sign):
     limits = {"CP": PULSES if sign > 0 else 1, "CM": -PULSES}
     setup = Setup(wr2=erratum.SOFT_LIMITS, **limits)
     assert erratum.start_within_limits(setup.driver, sign * PULSES, limits["CM"], limits["CP"])
@@ -274,12 +274,12 @@ def with_stop(k, when, cls=MCX304, routine=True, begins=0.0):
 def test_a_stop_signal_in_area_d_runs_away_and_is_ended_within_3_pulses(cls, k):
     for when in IN_D:
         assert with_stop(k, when, cls, routine=False)[0].runs_away()
-        setup, (place,), stopped = with_stop(k, when, cls, begins=WHOLE - SHORTLY)
+        setup, (place,), stopped = with_stop(k, when, cls, begins=FULL - SHORTLY)
         assert stopped
         assert setup.driver.position() - place <= LATE
 
 
-@pytest.mark.parametrize("when", [RAMP / 2, WHOLE / 2, WHOLE + 1], ids=["a", "b", "never"])
+@pytest.mark.parametrize("when", [RAMP / 2, FULL / 2, FULL + 1], ids=["a", "b", "never"])
 def test_the_stop_routine_leaves_a_drive_alone_that_ends_by_itself(when):
     setup, places, stopped = with_stop(0, when)
     assert not stopped
@@ -289,7 +289,7 @@ def test_the_stop_routine_leaves_a_drive_alone_that_ends_by_itself(when):
 # The driver
 
 
-def test_the_driver_speaks_to_its_own_axis():
+def test_the_driver_writes_to_its_axis_only():
     chip = MCX304()
     z = erratum.port_of(SimpleNamespace(name="z", chip=chip, chip_axis=2))
     erratum.port_of(SimpleNamespace(name="x", chip=chip, chip_axis=0)).load(P=5)
@@ -327,19 +327,19 @@ def test_other_chips_are_refused(chip):
 
 
 @pytest.mark.parametrize("stops", [True, False])
-def test_a_routine_that_has_stopped_the_drive_is_told_though_it_ran_often_after_that(stops):
-    setup, looks = Setup().start(), []
+def test_a_stop_by_the_routine_is_reported_though_it_runs_again_afterwards(stops):
+    setup, samples = Setup().start(), []
 
     def routine():
-        looks.append(setup.bench.time)
-        if len(looks) != 100:
+        samples.append(setup.bench.time)
+        if len(samples) != 100:
             return False
         if stops:
             setup.driver.command(erratum.DECELERATING_STOP)
         return stops
 
     assert setup.driver.wait_until_stopped(5, routine) is stops
-    assert len(looks) > 110
+    assert len(samples) > 110
     assert (setup.driver.position() < PULSES) is stops
 
 
@@ -350,7 +350,7 @@ def test_a_runaway_ends_in_a_timeout_that_shows_rr1():
 
 
 @every_chip
-def test_error_bits_are_told_by_the_names_that_the_chip_has(cls):
+def test_error_bits_have_the_names_of_the_chip_s_map(cls):
     """erratum.port_of(axis).errors()"""
     setup = Setup(cls)
     assert setup.driver.errors() == ()
@@ -360,22 +360,22 @@ def test_error_bits_are_told_by_the_names_that_the_chip_has(cls):
     assert "HLMT+" in setup.driver.errors()
 
 
-def test_a_routine_leaves_alone_what_another_cause_made_run_away():
+def test_a_routine_ignores_a_runaway_of_another_cause():
     """The flow charts of case 2 and 4 begin with their own cause: an interrupt for C-END, a limit, a stop signal."""
-    limited = with_limit("interrupt", WHOLE - AREA_D / 2, routine=False)[0]
+    limited = with_limit("interrupt", FULL - AREA_D / 2, routine=False)[0]
     assert limited.runs_away()
     limited.driver.word(3)  # C-END is told once
     assert not erratum.limit_interrupt(limited.driver)
     assert not erratum.stop_signal_poll(limited.driver)
     assert limited.runs_away()
     assert erratum.limit_poll(limited.driver)
-    told = Setup().start()
-    told.run_to(WHOLE - AREA_D / 2)
-    assert bare(told)
-    assert told.runs_away()
-    assert not erratum.limit_poll(told.driver)
-    assert not erratum.stop_signal_poll(told.driver)
-    assert told.runs_away()
+    reported = Setup().start()
+    reported.run_to(FULL - AREA_D / 2)
+    assert bare(reported)
+    assert reported.runs_away()
+    assert not erratum.limit_poll(reported.driver)
+    assert not erratum.stop_signal_poll(reported.driver)
+    assert reported.runs_away()
 
 
 class Said:

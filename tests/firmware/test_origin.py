@@ -88,10 +88,10 @@ def test_a_constant_speed_return_is_stopped_by_the_reset_command_alone(stage):
 def test_sd_slows_the_axis_to_fl_before_org_stops_it(stage):
     stage.reset()
     stage.place(x=-0.08)
-    course = firmware.origin_return(stage.axes["x"]).course
-    org = np.flatnonzero(course.pin("org"))[0]
-    sd = np.flatnonzero(course.pin("sd_minus"))[0]
-    speed = course.edges["speed"]
+    waveform = firmware.origin_return(stage.axes["x"]).course
+    org = np.flatnonzero(waveform.pin("org"))[0]
+    sd = np.flatnonzero(waveform.pin("sd_minus"))[0]
+    speed = waveform.edges["speed"]
     assert speed[sd] == speed.max()
     assert speed[org] == firmware.Profile.of().R1
 
@@ -131,7 +131,7 @@ def index_places(axis):
 
 
 @pytest.mark.parametrize(("name", "ez"), [("x", 1), ("x", 2), ("y", 2), ("z", 3)])
-def test_it_ends_at_the_index_pulse_asked_for(extended, extended_with_z, name, ez):
+def test_the_origin_return_ends_at_the_requested_index_pulse(extended, extended_with_z, name, ez):
     stage = extended_with_z if name == "z" else extended
     stage.reset()
     axis = stage.axes[name]
@@ -157,12 +157,12 @@ def test_a_switch_that_drifts_moves_the_origin_with_org_and_not_with_ez(extended
     ends = {}
     for ez in (None, 1):
         ends[ez] = []
-        for way in (0.0, shift, -shift):
+        for direction in (0.0, shift, -shift):
             extended.reset()
             extended.place(x=-0.11)
-            beam[0] += way
+            beam[0] += direction
             ends[ez].append(firmware.origin_return(x, ez=ez, **(FAST if ez else {})).position)
-            beam[0] -= way
+            beam[0] -= direction
     assert np.ptp(ends[None]) == pytest.approx(2 * shift, abs=1e-5)
     assert np.ptp(ends[1]) < x.meters_per_pulse
 

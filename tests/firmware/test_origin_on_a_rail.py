@@ -72,7 +72,7 @@ def test_an_end_limit_before_the_index_pulse_is_no_origin(ez, chip):
     assert x.chip.values()["R1"] == round(500 / P.step), "the speed of the approach, as on every chip"
 
 
-def test_the_approach_is_never_faster_than_fl_and_takes_the_least_speed_there_is():
+def test_the_approach_is_at_most_fl_and_at_least_one_speed_step():
     """firmware.origin_return(axis, -1, P, approach=1e4)"""
     for approach, r1 in [(0.4 * P.step, 1), (500, round(500 / P.step)), (1e4, P.R1), (P.step * 8191, P.R1)]:
         x = at(30)
@@ -82,10 +82,10 @@ def test_the_approach_is_never_faster_than_fl_and_takes_the_least_speed_there_is
 
 
 def test_sd_takes_it_to_fl_before_org():
-    course = firmware.origin_return(at(12_000), -1, P, slow_approach=False).course
-    org = np.flatnonzero(course.pin("org"))[0]
-    assert course.edges["speed"][org] == P.R1
-    assert course.pin("fdown").any()
+    waveform = firmware.origin_return(at(12_000), -1, P, slow_approach=False).course
+    org = np.flatnonzero(waveform.pin("org"))[0]
+    assert waveform.edges["speed"][org] == P.R1
+    assert waveform.pin("fdown").any()
 
 
 @pytest.mark.parametrize("high_speed", [True, False])
@@ -97,7 +97,7 @@ def test_without_org_it_ends_on_the_end_limit_and_says_so(high_speed):
     assert x.rail_position == LOW
 
 
-def test_an_org_that_never_lets_go_is_not_taken_for_the_origin():
+def test_an_org_switch_that_is_never_released_is_not_the_origin():
     x = at(5000, org=(None, None))
     report = firmware.origin_return(x, -1, P)
     assert report.stopped_by == "EL+", "it went to look where ORG ends"
@@ -106,18 +106,18 @@ def test_an_org_that_never_lets_go_is_not_taken_for_the_origin():
 
 
 @pytest.mark.parametrize("high_speed", [True, False])
-def test_a_carriage_that_lets_go_of_org_as_the_host_looks_has_found_it(monkeypatch, high_speed):
+def test_a_carriage_that_releases_org_during_a_poll_is_home(monkeypatch, high_speed):
     """The carriage rings, or the contact bounces: the first status byte after each stop has no ORG, later ones do."""
     look, operating, missed = Port.status, False, []
 
     def status(port):
         nonlocal operating
-        seen = look(port)
-        stops, operating = operating and not seen.operating, seen.operating
-        if stops and seen.org:
-            missed.append(seen)
-            seen = seen._replace(org=False)
-        return seen
+        observed = look(port)
+        stops, operating = operating and not observed.operating, observed.operating
+        if stops and observed.org:
+            missed.append(observed)
+            observed = observed._replace(org=False)
+        return observed
 
     monkeypatch.setattr(Port, "status", status)
     x = at(12_000)

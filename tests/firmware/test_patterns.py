@@ -30,15 +30,18 @@ def reports():
 
 
 def phases(report):
-    """What the chip did, in order; a stop between two pulse edges ends with the fkeep of the pulse that is completed."""
-    course, seen = report.course, []
-    running = ~course.pin("hold")
-    pins = {name: course.pin(name) for name in ("fup", "fdown", "fkeep")}
+    """Return the phases that the chip passed through, in order.
+
+    A stop between two pulse edges ends with the fkeep of the pulse that is completed.
+    """
+    waveform, observed = report.course, []
+    running = ~waveform.pin("hold")
+    pins = {name: waveform.pin(name) for name in ("fup", "fdown", "fkeep")}
     for k in np.flatnonzero(running):
         now = next(name for name, on in pins.items() if on[k])
-        if not seen or seen[-1] != now:
-            seen.append(now)
-    return " ".join(seen)
+        if not observed or observed[-1] != now:
+            observed.append(now)
+    return " ".join(observed)
 
 
 def notes(report):
@@ -64,12 +67,12 @@ def test_every_pattern_makes_its_pulses_without_a_mistake(reports, name):
     assert report.duration < 2
 
 
-def test_the_heading_of_a_drawing_says_what_it_was_and_how_it_ended(reports):
+def test_the_heading_of_a_drawing_names_the_procedure_and_the_stop_reason(reports):
     """firmware.preset_move(axis, 8000).plot()"""
     report = reports["constant_speed_preset"]
-    said = [text.get_text() for text in report.plot().texts]
-    assert said[0] == f"Constant-speed preset move, axis {report.axis}"
-    assert said[1] == f"+{report.pulses:,} pulses, {report.duration:.3f} s, stopped by {report.stopped_by}"
+    message = [text.get_text() for text in report.plot().texts]
+    assert message[0] == f"Constant-speed preset move, axis {report.axis}"
+    assert message[1] == f"+{report.pulses:,} pulses, {report.duration:.3f} s, stopped by {report.stopped_by}"
 
 
 @pytest.mark.parametrize(
@@ -87,7 +90,7 @@ def test_the_heading_of_a_drawing_says_what_it_was_and_how_it_ended(reports):
         ("slow_down", "fup fkeep fdown fkeep fup fkeep fdown fkeep"),
     ],
 )
-def test_a_pattern_goes_through_its_phases(reports, name, expected):
+def test_an_operation_pattern_passes_through_its_phases(reports, name, expected):
     assert phases(reports[name]) == expected
 
 
@@ -113,7 +116,7 @@ def test_the_bytes_are_those_of_the_data_sheet(reports):
     assert codes("dual_rate_down") == ["08", "44", "15", "14"]
 
 
-def test_a_picture_is_drawn_into_a_file_or_into_axes_of_ones_own(reports, tmp_path):
+def test_a_picture_is_drawn_into_a_file_or_into_existing_axes(reports, tmp_path):
     from matplotlib.figure import Figure
 
     path = tmp_path / "drawn.png"
@@ -122,13 +125,13 @@ def test_a_picture_is_drawn_into_a_file_or_into_axes_of_ones_own(reports, tmp_pa
     figure = Figure()
     ax = figure.add_subplot()
     assert reports["triangular"].plot(ax=ax) is figure
-    said = [t.get_text() for t in ax.texts]
-    assert "R0 = 0" in said
-    assert any(t.startswith("R0 < R6") for t in said)
-    assert any("15h" in t for t in said)
+    message = [t.get_text() for t in ax.texts]
+    assert "R0 = 0" in message
+    assert any(t.startswith("R0 < R6") for t in message)
+    assert any("15h" in t for t in message)
 
 
-def test_no_rate_is_named_while_it_stands(reports):
+def test_no_rate_is_labeled_while_the_axis_is_at_rest(reports):
     """firmware.interrupted_move(axis, 20_000).plot(): the pause is no stretch of constant rate"""
     from stage.firmware import plot
 
@@ -180,6 +183,6 @@ def test_the_ramp_down_point_is_noted_as_r6(reports):
 
 def test_an_arrow_points_from_each_note_of_the_host_to_the_curve(reports):
     drawn = [a for ax in reports["high_speed_continuous"].plot().axes for a in ax.texts if hasattr(a, "arrow_patch")]
-    told = {a.xy[0] for a in drawn if a.get_text().endswith("h")}
-    assert len(told) >= 2
-    assert told <= {a.xy[0] for a in drawn if a.arrow_patch}
+    reported = {a.xy[0] for a in drawn if a.get_text().endswith("h")}
+    assert len(reported) >= 2
+    assert reported <= {a.xy[0] for a in drawn if a.arrow_patch}

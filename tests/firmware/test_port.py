@@ -112,7 +112,7 @@ def test_sixteen_million_pulses_are_polled_for_every_two_milliseconds():
     assert cycles == pytest.approx(report.duration / 2e-3, rel=0.02)
 
 
-def test_every_procedure_can_be_found_by_name():
+def test_every_procedure_has_a_name():
     assert firmware.procedure("preset-move") is firmware.preset_move
     assert firmware.procedure("origin_return") is firmware.origin_return
     assert set(firmware.PROCEDURES) <= set(firmware.__all__)

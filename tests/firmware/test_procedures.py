@@ -44,7 +44,7 @@ each = pytest.mark.parametrize("stage", EVERY, indirect=True)
 
 
 @each
-def test_a_move_in_metres_goes_there_and_says_so(stage):
+def test_a_move_in_meters_reaches_and_reports_its_position(stage):
     """firmware.move(axis, 10e-3)"""
     x = stage.axes["x"]
     report = firmware.move(x, 6e-3, speed=0.05, accel=0.1)
@@ -69,7 +69,7 @@ def test_homings_that_a_chip_has_are_by_the_switch_and_by_the_index(stage, monke
     axis, asked = stage.axes["x"], []
     driver = driver_of(axis)
     monkeypatch.setattr(
-        type(driver), "home", lambda self, way, speeds, index, timeout: asked.append((way, index, timeout))
+        type(driver), "home", lambda self, direction, speeds, index, timeout: asked.append((direction, index, timeout))
     )
     for by in driver.list_homing_methods():
         firmware.home(axis, 1, by=by, timeout=9.0)
@@ -121,15 +121,15 @@ def test_home_begins_on_an_end_limit_as_well(stage, name):
 
 
 @each
-def test_a_move_can_be_begun_and_waited_for(stage):
+def test_a_move_is_started_first_and_awaited_later(stage):
     """driver.start(6400, Speeds()); driver.wait(5.0)"""
-    x, looks = stage.axes["x"], []
+    x, samples = stage.axes["x"], []
     driver = driver_of(x)
     driver.start(6400, Speeds(drive=20_000))
     x.wait(0.02)
     assert x.chip.busy(x.chip_axis)
-    assert driver.wait(5.0, lambda: looks.append(x.time)) == driver.DONE
-    assert len(looks) > 10
+    assert driver.wait(5.0, lambda: samples.append(x.time)) == driver.DONE
+    assert len(samples) > 10
     assert not x.chip.busy(x.chip_axis)
     x.wait(0.1)
     assert x.position == pytest.approx(6400 * x.meters_per_pulse, abs=NEAR)
@@ -140,7 +140,7 @@ def test_a_move_can_be_begun_and_waited_for(stage):
 
 
 @pytest.mark.parametrize("name", STEPPING)
-def test_a_driver_tells_what_ended_its_latest_run_and_nothing_while_it_runs(name):
+def test_a_driver_reports_the_stop_reason_of_its_last_run_only_after_the_stop(name):
     """driver.start(-300, Speeds()); driver.wait(5.0); driver.run(1, Speeds()); driver.stopped_by()"""
     x = Bench(x=CHIPS[name]()).axes["x"]
     driver = driver_of(x)
@@ -157,7 +157,7 @@ def test_a_driver_tells_what_ended_its_latest_run_and_nothing_while_it_runs(name
 
 
 @pytest.mark.parametrize("stage", STEPPING, indirect=True)
-def test_ramps_last_as_long_as_they_are_asked_to(stage):
+def test_ramps_last_the_requested_time(stage):
     """firmware.move(x, pulses=8000, accel=0.2)"""
     x = stage.axes["x"]
     report = firmware.move(x, pulses=8000, accel=0.2)
@@ -177,7 +177,7 @@ def test_two_rates_are_two_where_the_chip_has_them_and_else_the_higher_one(stage
 
 
 @each
-def test_jog_runs_as_long_as_it_is_told_and_stops_with_a_ramp(stage):
+def test_jog_runs_for_the_requested_time_and_stops_with_a_ramp(stage):
     x = stage.axes["x"]
     report = firmware.jog(x, 0.3, -0.02, accel=0.05)
     assert report.stopped_by == "decelerating stop"
@@ -189,7 +189,7 @@ def test_jog_runs_as_long_as_it_is_told_and_stops_with_a_ramp(stage):
 
 
 @pytest.mark.parametrize("name", STEPPING)
-def test_a_jog_without_a_speed_runs_towards_plus_and_one_of_no_time_stands(name):
+def test_a_jog_without_a_speed_runs_towards_plus_and_one_of_0_s_stays(name):
     """firmware.jog(axis, 0.05)"""
     x = Bench(x=CHIPS[name]()).axes["x"]
     assert 300 < firmware.jog(x, 0.05).pulses < 400
@@ -198,23 +198,23 @@ def test_a_jog_without_a_speed_runs_towards_plus_and_one_of_no_time_stands(name)
     assert report.pulses <= 1
 
 
-@pytest.mark.parametrize(("name", "least", "most"), [("MCX304", 20, 160_000), ("MCX514", 1, 8_000_000)])
-def test_a_nova_chip_moves_at_every_speed_that_it_says_it_makes_and_no_other(name, least, most):
+@pytest.mark.parametrize(("name", "least", "maximum"), [("MCX304", 20, 160_000), ("MCX514", 1, 8_000_000)])
+def test_a_nova_chip_moves_at_every_speed_that_it_says_it_makes_and_no_other(name, least, maximum):
     """firmware.move(axis, pulses=3, speed=..., start_speed=...) at the bounds"""
     driver = driver_of(Bench(x=CHIPS[name]()).axes["x"])
-    for start, drive in [(least, least), (least, 1000), (1000, 1000), (1000, most)]:
+    for start, drive in [(least, least), (least, 1000), (1000, 1000), (1000, maximum)]:
         assert driver.move(3, Speeds(start, drive)).ok
-    for start, drive, said in [
-        (least * 0.99, 1000, f"start speed {least * 0.99:g} pps: .* makes {least:g} to {most:g} pps"),
-        (1000, most * 1.01, f"drive speed {most * 1.01:g} pps"),
+    for start, drive, message in [
+        (least * 0.99, 1000, f"start speed {least * 0.99:g} pps: .* makes {least:g} to {maximum:g} pps"),
+        (1000, maximum * 1.01, f"drive speed {maximum * 1.01:g} pps"),
         (1001, 1000, "start speed 1001 pps is above the drive speed 1000"),
     ]:
-        with pytest.raises(ArgumentError, match=said.replace("+", r"\+")):
+        with pytest.raises(ArgumentError, match=message.replace("+", r"\+")):
             driver.move(3, Speeds(start, drive))
 
 
 @pytest.mark.parametrize("stage", ["MCX304", "MCX514"], indirect=True)
-def test_a_line_of_nova_axes_tells_what_it_cannot_draw_and_what_ended_it(stage):
+def test_a_line_of_nova_axes_refuses_impossible_lines_and_reports_stop_reasons(stage):
     """firmware.line({"x": 6e-3, "y": 2e-3}, stage) of axes that move, too fast, without time, onto a limit"""
     x, y = stage.axes["x"], stage.axes["y"]
     driver_of(y).run(1, Speeds())
@@ -224,12 +224,12 @@ def test_a_line_of_nova_axes_tells_what_it_cannot_draw_and_what_ended_it(stage):
     firmware.stop(y)
     with pytest.raises(ArgumentError, match=r"drive speed .* pps: up to .* here"):
         firmware.line({"x": 1e-3, "y": 1e-3}, stage, speed=60)
-    begun = {a.name: a.chip.net(a.chip_axis) for a in (x, y)}
+    started = {a.name: a.chip.net(a.chip_axis) for a in (x, y)}
     with pytest.raises(RunTimeout) as caught:
         firmware.line({x: 6e-3, y: 2e-3}, timeout=0.05)
     reports = caught.value.reports
     assert {n: r.stopped_by for n, r in reports.items()} == {"x": "timeout", "y": "timeout"}
-    assert all(0 < stage.axes[n].chip.net(stage.axes[n].chip_axis) - begun[n] < r.asked for n, r in reports.items())
+    assert all(0 < stage.axes[n].chip.net(stage.axes[n].chip_axis) - started[n] < r.asked for n, r in reports.items())
     stage.reset()
     with faults.switch_stuck(x, "el_plus", True):
         report = firmware.line({"x": 6e-3, "y": 2e-3}, stage)
@@ -246,13 +246,13 @@ def test_stop_ends_what_a_driver_has_started(stage):
         stage.run(0.1)
         with pytest.raises(StageError, match="axis x is moving"):
             firmware.move(x, 1e-3)
-        begun = x.position
+        started = x.position
         firmware.stop(x, at_once)
         if stage.chips[0].SERVO:
             stood = x.position
             stage.run(0.02)
             assert x.position == pytest.approx(stood, abs=60e-6), "a servo has come to rest when stop returns"
-        assert x.position - begun < 0.004
+        assert x.position - started < 0.004
         stage.run(0.3)
         rest = x.position
         stage.run(0.05)
@@ -263,15 +263,15 @@ def test_stop_ends_what_a_driver_has_started(stage):
 @pytest.mark.parametrize("name", STEPPING)
 def test_a_stop_at_once_makes_no_more_pulses_and_one_with_a_ramp_does(name):
     """firmware.stop(axis, at_once=True)"""
-    for way in (1, -1):
+    for direction in (1, -1):
         more = []
         for at_once in (True, False):
             x = Bench(x=CHIPS[name]()).axes["x"]
-            driver_of(x).run(way, Speeds(500, 4000, 0.05, 0.05))
+            driver_of(x).run(direction, Speeds(500, 4000, 0.05, 0.05))
             x.wait(0.1)
             before = x.chip.net(x.chip_axis)
             firmware.stop(x, at_once)
-            more.append(way * (x.chip.net(x.chip_axis) - before))
+            more.append(direction * (x.chip.net(x.chip_axis) - before))
         assert more[0] <= 1
         assert 50 < more[1] < 200
 
@@ -279,7 +279,7 @@ def test_a_stop_at_once_makes_no_more_pulses_and_one_with_a_ramp_does(name):
 @pytest.mark.parametrize("stage", ["HCTL1100"], indirect=True)
 def test_a_servo_stopped_at_once_holds_where_it_is_and_one_with_a_ramp_slows_down(stage):
     """firmware.stop(axis, at_once=True)"""
-    way = []
+    direction = []
     for at_once in (True, False):
         stage.reset()
         x = stage.axes["x"]
@@ -287,9 +287,9 @@ def test_a_servo_stopped_at_once_holds_where_it_is_and_one_with_a_ramp_slows_dow
         x.wait(0.1)
         before = x.position
         firmware.stop(x, at_once)
-        way.append(x.position - before)
-    assert abs(way[0]) < 0.2e-3
-    assert way[1] > 1e-3
+        direction.append(x.position - before)
+    assert abs(direction[0]) < 0.2e-3
+    assert direction[1] > 1e-3
 
 
 @pytest.mark.parametrize("stage", [name for name in STEPPING if name.startswith("MCX")], indirect=True)
@@ -318,7 +318,7 @@ def test_a_line_stays_near_the_straight_line(stage):
     assert math.isclose(report.distances["y"] / report.distances["x"], -0.375, abs_tol=1e-3)
 
 
-def test_a_lines_speed_is_that_of_the_axis_with_the_most_pulses_also_backwards():
+def test_the_speed_of_a_line_is_that_of_its_longest_axis_in_both_directions():
     """firmware.line({"x": -6e-3, "y": 3e-3}, stage, speed=0.02), x with 16 microsteps, y with 8"""
     stage = Stage("xy", drives={"x": Drive(microsteps=16), "y": Drive(microsteps=8)}, visuals=False)
     report = firmware.line({"x": -6e-3, "y": 3e-3}, stage, speed=0.02)
@@ -326,7 +326,7 @@ def test_a_lines_speed_is_that_of_the_axis_with_the_most_pulses_also_backwards()
 
 
 @each
-def test_an_end_limit_is_told_as_one(stage):
+def test_an_end_limit_is_reported_by_name(stage):
     x = stage.axes["x"]
     touch = next(s.touch for s in x.plant.switches if s.pin == "el_plus")
     stage.place(x=touch - 3e-3)
@@ -397,19 +397,21 @@ def test_a_jog_onto_an_end_limit_says_so(stage):
         assert firmware.jog(x, 0.5, -0.02).stopped_by == "EL-"
 
 
-@pytest.mark.parametrize("way", [1, -1])
-def test_a_servo_jogs_on_its_home_switch_and_over_it(way):
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_servo_jogs_on_its_home_switch_and_over_it(direction):
     """After a home the axis stands on ORG, whose pin STOP ends integral velocity mode."""
     stage = Stage("xy", chips=HCTL1100, visuals=False)
     x = stage.axes["x"]
     touch = next(s.touch for s in x.plant.switches if s.pin == "org")
-    for place in (touch - 2e-3, touch - way * 2e-3):
+    for place in (touch - 2e-3, touch - direction * 2e-3):
         stage.reset()
         stage.place(x=place)
-        report = firmware.jog(x, 0.2, way * 0.02)
+        report = firmware.jog(x, 0.2, direction * 0.02)
         assert report.ok
         assert report.stopped_by == "decelerating stop"
-        assert x.position - place == pytest.approx(way * 0.2 * 0.02, abs=0.3e-3), "a ramp up and the same ramp down"
+        assert x.position - place == pytest.approx(direction * 0.2 * 0.02, abs=0.3e-3), (
+            "a ramp up and the same ramp down"
+        )
     assert not x.chip.diagnostics
 
 
@@ -421,7 +423,7 @@ def test_a_servo_jogs_a_table_round_past_its_home_switch():
 
 
 @pytest.mark.parametrize("met", UNWANTED_REASONS)
-def test_what_a_move_was_not_meant_to_end_by_is_told_as_such(met):
+def test_an_unintended_stop_reason_is_marked_in_the_report(met):
     x = Bench(x=PCL240K()).axes["x"]
     with Procedure(x, "run") as p:
         report = p.report(met)
@@ -431,7 +433,7 @@ def test_what_a_move_was_not_meant_to_end_by_is_told_as_such(met):
     assert {"EL+", "EL-", "ALARM", "EMG", "timeout"} <= set(UNWANTED_REASONS)
 
 
-def test_an_emergency_stop_is_not_as_asked():
+def test_a_move_that_an_emergency_stop_ends_is_not_ok():
     x = Bench(x=MCX514()).axes["x"]
     driver = driver_of(x)
     driver.run(1, Speeds())
@@ -447,7 +449,7 @@ def test_an_emergency_stop_is_not_as_asked():
 @each
 def test_what_cannot_be_is_refused_before_the_first_bus_cycle(stage):
     x, now = stage.axes["x"], stage.time
-    for how, said in [
+    for how, message in [
         ({"distance": 1e-3, "pulses": 3}, "give one of the two"),
         ({}, "give one of the two"),
         ({"distance": math.nan}, "metres"),
@@ -458,7 +460,7 @@ def test_what_cannot_be_is_refused_before_the_first_bus_cycle(stage):
         ({"pulses": 100, "accel": -1}, "accel=-1"),
         ({"pulses": 0}, "pulses=0"),
     ]:
-        with pytest.raises(ArgumentError, match=said):
+        with pytest.raises(ArgumentError, match=message):
             firmware.move(x, **how)
     with pytest.raises(ArgumentError, match="direction=0"):
         firmware.home(x, 0)
@@ -541,7 +543,7 @@ def test_a_move_that_takes_too_long_carries_its_report():
     assert caught.value.report.stopped_by == "timeout"
 
 
-def test_s_curves_where_there_are_none_are_refused():
+def test_s_curves_are_refused_by_chips_without_them():
     for chip in (PCL240K, HCTL1100):
         x = Stage("xy", chips=chip, visuals=False).axes["x"]
         with pytest.raises(ArgumentError):
@@ -574,7 +576,7 @@ def test_with_nothing_to_ramp_s_curves_are_constant_speed(chip):
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_each_chips_driver_is_found_by_its_class_alone(name):
+def test_the_class_of_a_chip_determines_its_driver(name):
     assert driver_class(CHIPS[name]).__module__.startswith("stage.firmware.")
 
 
@@ -600,7 +602,7 @@ def test_the_drawing_of_a_line_names_its_interpolation_and_leaves_out_what_was_o
     assert not [w for w in words if "write" in w]
 
 
-def test_a_servo_on_its_end_limit_is_told_that_it_stands_there_and_moves_out_of_it():
+def test_a_servo_on_an_end_limit_reports_it_and_moves_out_of_it():
     """firmware.move(axis, 3e-3), standing on EL+"""
     x = Stage("xy", chips=HCTL1100, visuals=False).axes["x"]
     firmware.move(x, 0.2, speed=0.3)
@@ -617,10 +619,10 @@ def test_a_part_of_a_pulse_is_refused(stage):
     assert stage.axes["x"].position == 0
 
 
-def test_speeds_keep_their_slopes_and_what_is_not_said_is_usual():
+def test_missing_speeds_have_defaults_and_ramps_keep_their_slopes():
     """Speeds(1000, 16000, 0.1, 0.2).with_second(32000); firmware.move(x, speed=..., accel=0.1, decel=0.2) below the usual start"""
-    given = Speeds(1000.0, 16_000.0, 0.1, 0.2, True)
-    assert given.with_second(32_000.0) == Speeds(1000.0, 16_000.0, 0.2, 0.4, True, 32_000.0)
+    arguments = Speeds(1000.0, 16_000.0, 0.1, 0.2, True)
+    assert arguments.with_second(32_000.0) == Speeds(1000.0, 16_000.0, 0.2, 0.4, True, 32_000.0)
     assert (
         get_default_speeds(SimpleNamespace(MICROSTEPS=0))
         == get_default_speeds(SimpleNamespace(MICROSTEPS=16))
@@ -673,22 +675,22 @@ def test_a_wait_returns_within_two_milliseconds_of_the_end_of_a_long_move(name):
     assert 0 <= x.time - begin - 2 * 4000 / 500 < 2 * 2.2e-3 + 2 / 500 + SETTLING_TIME_S + report.began
 
 
-def test_an_index_pulse_is_not_sought_behind_an_origin_switch_that_is_not_there():
+def test_an_index_search_without_an_origin_switch_is_refused():
     spec = plant.open_spec("xy")
     spec.delete(next(s for s in spec.sensors if s.name == "x_org"))
     spec.add_text(name="x_unfitted", data="org")
     x = Stage(spec, chips=MCX514, visuals=False).axes["x"]
-    for given in ({"by": "index"}, {"by": "switch"}, {"index": True}, {}):
+    for arguments in ({"by": "index"}, {"by": "switch"}, {"index": True}, {}):
         with pytest.raises(ArgumentError, match="axis x has no origin switch"):
-            firmware.home(x, **given)
+            firmware.home(x, **arguments)
     assert x.stage.now == 0
 
 
-@pytest.mark.parametrize("given", [{}, {"by": "switch"}, {"index": True}])
-def test_a_homing_is_given_the_time_that_it_is_given(given):
+@pytest.mark.parametrize("arguments", [{}, {"by": "switch"}, {"index": True}])
+def test_home_passes_its_timeout_to_the_driver(arguments):
     x = Stage("xy", chips=PCL240MK, visuals=False).axes["x"]
     with pytest.raises(RunTimeout, match=r"after 0\.020 s"):
-        firmware.home(x, timeout=0.02, **given)
+        firmware.home(x, timeout=0.02, **arguments)
 
 
 def test_ctrl_c_has_the_reports_of_all_axes_that_are_watched():
@@ -713,28 +715,28 @@ def test_a_run_after_a_move_ends_at_its_limit_and_not_at_the_count_of_the_move()
     """driver.start(100, Speeds()); driver.run(-1, Speeds()) into the end limit, with R0 = 0 since the move"""
     bench = Bench(PCL240K())
     driver = driver_of(bench.axes["x"])
-    for way, limit in ((-1, "EL-"), (1, "EL+")):
-        driver.start(100 * way, Speeds())
+    for direction, limit in ((-1, "EL-"), (1, "EL+")):
+        driver.start(100 * direction, Speeds())
         assert driver.wait(5.0) == driver.DONE
-        driver.run(way, Speeds())
+        driver.run(direction, Speeds())
         setattr(bench.axes["x"].pins, limit.lower().replace("+", "_plus").replace("-", "_minus"), True)
         bench.wait(0.5)
         assert driver.stopped_by() == limit
 
 
-@pytest.mark.parametrize(("way", "limit"), [(-1, "EL-"), (1, "EL+")])
+@pytest.mark.parametrize(("direction", "limit"), [(-1, "EL-"), (1, "EL+")])
 @pytest.mark.parametrize("name", STEPPING)
-def test_a_move_that_an_end_limit_ends_says_which(name, way, limit):
+def test_a_move_that_an_end_limit_ends_says_which(name, direction, limit):
     bench = Bench(x=CHIPS[name]())
     driver = driver_of(bench.axes["x"])
-    driver.start(way * 5000, Speeds())
+    driver.start(direction * 5000, Speeds())
     bench.wait(0.05)
-    switch = "el_plus" if way > 0 else "el_minus"
+    switch = "el_plus" if direction > 0 else "el_minus"
     setattr(bench.axes["x"].pins, CHIPS[name].WIRING.get(switch, switch), True)
     assert driver.wait(5.0) == limit
 
 
-def test_a_line_of_a_pcl240_has_both_ramps_as_they_are_asked():
+def test_a_line_of_a_pcl240_has_both_requested_ramps():
     bench = Bench(PCL240K(), PCL240K())
     drivers = {name: driver_of(axis) for name, axis in bench.axes.items()}
     plan = type(drivers["x"]).line(drivers, {"x": 6000, "y": -3000}, Speeds(1000, 8000, 0.1, 0.2)).plan

@@ -46,7 +46,7 @@ def test_a_profile_takes_the_finest_steps_that_give_the_rates():
     assert p.accel(fh2=True) == pytest.approx(0.15, rel=1e-2)
 
 
-def test_a_multiplier_of_ones_own_is_kept():
+def test_an_explicit_multiplier_stays():
     assert Profile.of(multiplier=60).R7 == 60
 
 
@@ -58,11 +58,11 @@ def test_what_a_profile_says_is_what_the_chip_does():
     p = Profile.of(fl=800, fh1=9000, fh2=14_000, accel=0.13, decel=0.21)
     report = firmware.continuous_move(Bench(PCL240K()).axes["x"], 0.3, 1, p, fh2=True)
     assert report.peak_rate == pytest.approx(p.fh2, rel=1e-12)
-    course = report.course
-    up, down = (np.flatnonzero(course.pin(n)) for n in ("fup", "fdown"))
+    waveform = report.course
+    up, down = (np.flatnonzero(waveform.pin(n)) for n in ("fup", "fdown"))
     for ramp, seconds, rate in ((up, p.accel(fh2=True), p.R4), (down, p.decel(fh2=True), p.R5)):
         step = rate / p.clock_hz  # the first of a ramp-up and the last of a ramp-down are made at FL
-        assert course.seconds[ramp[-1] + 1] - course.seconds[ramp[0]] == pytest.approx(seconds, abs=1.01 * step)
+        assert waveform.seconds[ramp[-1] + 1] - waveform.seconds[ramp[0]] == pytest.approx(seconds, abs=1.01 * step)
 
 
 @pytest.mark.parametrize("trial", range(150))
@@ -144,7 +144,7 @@ def test_a_profile_without_ramps_may_be_shaped_and_takes_any_ramp_time():
     assert shaped.within(3).R2 == shaped.R1
 
 
-def test_a_shape_keeps_the_ramp_times_to_the_high_rate_that_is_asked():
+def test_a_ramp_shape_keeps_the_ramp_times_to_the_selected_high_rate():
     plain = Profile.of(fl=500, fh1=4000, fh2=16_000, accel=0.2, decel=0.1, chip=PCL240MS)
     for fh2 in (False, True):
         curved = plain.shaped(0.2, fh2)
@@ -200,10 +200,10 @@ def test_the_bound_of_a_moves_time_is_by_the_slower_rate_and_the_longer_ramp():
     assert p.seconds(500) == pytest.approx(500 / p.fl + 2 * p.accel(True))
 
 
-def test_a_ramp_is_a_hundredth_shorter_than_asked_at_most():
+def test_a_ramp_is_at_most_one_percent_shorter_than_requested():
     """Profile.of(1000, 2000, 2000, accel=0.172, multiplier=30): 50 steps of 16,383 clocks are 0.1667 s"""
-    most = 50 * 16383 / 4_915_200
-    assert Profile.of(1000, 2000, 2000, accel=1.005 * most, decel=0.1, multiplier=30).R4 == 16383
-    for accel, decel in ((1.03 * most, 0.1), (0.1, 1.03 * most)):
+    maximum = 50 * 16383 / 4_915_200
+    assert Profile.of(1000, 2000, 2000, accel=1.005 * maximum, decel=0.1, multiplier=30).R4 == 16383
+    for accel, decel in ((1.03 * maximum, 0.1), (0.1, 1.03 * maximum)):
         with pytest.raises(ArgumentError, match=r"Between these rates a ramp takes at most 0\.167 s"):
             Profile.of(1000, 2000, 2000, accel=accel, decel=decel, multiplier=30)

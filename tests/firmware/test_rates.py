@@ -20,7 +20,7 @@ def commands(report):
     return [code for t, code, _ in report.writes() if t >= 0 and len(code) == 2 and int(code, 16) < 0x40]
 
 
-def test_a_dual_rate_move_is_made_of_the_data_sheets_bytes(x):
+def test_a_dual_rate_move_writes_the_bytes_of_the_data_sheet(x):
     """10h constant FL; 14h sets bit 2 before the rate changes (section 5 h, note); 15h, 17h ramp to FH1, FH2; 14h down to FL."""
     report = firmware.dual_rate_move(x, 12_000, P, rates=("FL", "FH1", "FH2", "FL"), dwell=0.05)
     assert commands(report) == ["10", "14", "15", "17", "14"]
@@ -38,7 +38,7 @@ def test_a_continuous_dual_rate_run_ends_with_a_decelerating_stop(x, last, stop)
 
 @pytest.mark.parametrize("rates", [("FH1", "FH2", "FH1"), ("FL", "FH2"), ("FH2", "FL", "FH1")])
 def test_the_least_pulses_that_are_accepted_end_at_fl(x, rates):
-    """What is accepted is made as asked and ends at FL; one pulse less is refused with that number."""
+    """An accepted move is complete and ends at FL; one pulse less is refused with that number."""
     with pytest.raises(ArgumentError, match="at least") as refusal:
         firmware.dual_rate_move(x, 2, P, rates=rates)
     least = int(str(refusal.value).split("at least ")[1].split(" ")[0])
@@ -50,7 +50,7 @@ def test_the_least_pulses_that_are_accepted_end_at_fl(x, rates):
     assert speed[speed > 0][-1] == P.R1
 
 
-def test_a_host_that_looks_late_at_each_rate_has_pulses_left():
+def test_a_host_that_polls_with_a_delay_has_pulses_left():
     """The least pulses of rates without dwells leave a host a millisecond at the highest for each of them."""
     least = {}
     for rates in (("FH1", "FH2"), ("FH1", "FH2", "FH1")):
@@ -75,7 +75,7 @@ def test_an_end_limit_ends_the_sequence_without_further_starts(x):
     ("limit", "sent"), [(-30, ["17"]), (-1200, ["17"]), (-2600, ["17", "15"]), (-4200, ["17", "15", "17"])]
 )
 @pytest.mark.parametrize("asked", [-20_000, None])
-def test_an_end_limit_in_any_part_of_a_run_of_several_rates_is_what_ended_it(x, limit, sent, asked):
+def test_an_end_limit_stops_every_part_of_a_run_of_several_rates(x, limit, sent, asked):
     """firmware.dual_rate_move(axis, None, rates=(...), seconds=1.0, direction=-1) onto EL-: at once, without the dwells"""
     x._bench.add_rail("x", el_minus=(None, limit))
     kind = {"seconds": 1.0, "direction": -1} if asked is None else {}
@@ -92,11 +92,11 @@ def test_an_end_limit_ends_changes_of_speed_and_bent_ramps_too(x, limit):
         lambda a: firmware.speed_change_move(a, 12_000, [3000, 9000, 5000, 15_000], P, dwell=0.2),
         lambda a: firmware.curved_ramp_move(a, 12_000, [(2000, 0.2), (6000, 0.3), (12_000, 0.4)], P),
     ):
-        begun, bench = x.time, x._bench
+        started, bench = x.time, x._bench
         bench.add_rail("x", at=0, el_plus=(limit, None))
         report = run(x)
         assert (report.stopped_by, report.pulses, report.ok) == ("EL+", limit, False)
-        assert x.time - begun < 1.4
+        assert x.time - started < 1.4
         ended = report.course.seconds[np.flatnonzero(report.course.running)[-1] + 1] - report.began
         assert max(t for t, code, _ in report.writes() if code in ("15", "17")) < ended, "no start after the stop"
         bench.add_rail("x", at=0)
@@ -112,7 +112,7 @@ def test_one_rate_is_a_move_of_any_length_in_both_directions(x):
             assert (report.pulses, report.stopped_by, report.ok) == (pulses, "R0 = 0", True)
 
 
-def test_rates_from_fl_to_the_highest_of_the_multiplier_are_made(x):
+def test_rates_from_fl_to_the_maximum_of_the_multiplier_are_reached(x):
     """firmware.speed_change_move(axis, 12_000, [P.fl, P.step * 8191], P); a thousandth below FL is FL"""
     assert firmware.speed_change_move(x, 200_000, [8191 * P.step, P.fl], P, dwell=0.01).peak_rate == pytest.approx(
         8191 * P.step

@@ -64,9 +64,9 @@ def test_the_ramp_of_an_s_curve_starts_and_ends_gently():
     profile = Profile.of(fl=500, fh1=30_000, accel=0.2, chip=PCL240MS)
 
     def gains(s_curve):
-        course = firmware.preset_move(axis(PCL240MS), 30_000, profile, s_curve=s_curve).course
-        up = course.pin("fup")
-        t, speed = course.seconds[up], course.edges["speed"][up]
+        waveform = firmware.preset_move(axis(PCL240MS), 30_000, profile, s_curve=s_curve).course
+        up = waveform.pin("fup")
+        t, speed = waveform.seconds[up], waveform.edges["speed"][up]
         return np.diff(np.interp(np.linspace(t[0], t[-1], 11), t, speed))
 
     linear, curved = gains(False), gains(True)
@@ -105,7 +105,7 @@ def test_moves_between_rates_take_s_curves_from_their_profile():
 
 
 def test_what_a_chip_does_not_have_is_refused_before_the_first_bus_cycle():
-    for chip, options, said in (
+    for chip, options, message in (
         (PCL240K, {"s_curve": True}, "PCL240K has linear ramps only; S-curves need a PCL240MS"),
         (PCL240MK, {"s_curve": 0.2}, "PCL240MK has linear ramps only"),
         (PCL240K, {"automatic": True}, "no automatic ramp-down point: a PCL240MK or PCL240MS has"),
@@ -113,7 +113,7 @@ def test_what_a_chip_does_not_have_is_refused_before_the_first_bus_cycle():
         (PCL240MK, {"automatic": True, "down_point": 600_000}, "from -524288 to 524287"),
     ):
         x = axis(chip)
-        with pytest.raises(ArgumentError, match=said):
+        with pytest.raises(ArgumentError, match=message):
             firmware.preset_move(x, 1000, **options)
         assert x.time == 0.0
 
@@ -155,7 +155,7 @@ def test_a_span_of_more_than_half_of_a_ramp_leaves_no_linear_part(span, twice):
     assert twice_span(span, 400) == twice
 
 
-def test_the_linear_part_of_a_curve_is_late_by_what_its_first_two_steps_lack_to_a_whole_tick():
+def test_the_linear_part_of_a_curve_lags_by_the_rounding_of_its_first_two_steps():
     """The chip takes a step at the first whole tick; quarters of a tick, that alternate between a and a + 2 rate"""
     for a in range(8):
         for rate in range(1, 6):

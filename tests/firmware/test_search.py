@@ -14,7 +14,7 @@ from stage.firmware.pcl240 import home
 from stage.firmware.pcl240.search import FourRuns
 from stage.sim.program import Program
 
-MADE = {"leave": 0, "search": 7000, "back off": 500, "approach": 480}  # pulses
+RESULTS = {"leave": 0, "search": 7000, "back off": 500, "approach": 480}  # pulses
 
 
 def search(kind, chip, ez=0):
@@ -23,10 +23,10 @@ def search(kind, chip, ez=0):
 
 
 def found(made, results, **chosen):
-    """What is found from {mark: value} each, of a row with these choices."""
+    """Decode results, {mark: value} each, of a row with these choices."""
     kept = np.zeros((len(results), max(made.marks.values()) + 1), np.int64)
-    for row, said in zip(kept, results, strict=True):
-        for name, value in said.items():
+    for row, message in zip(kept, results, strict=True):
+        for name, value in message.items():
             row[made.marks[name]] = value
     rows = np.array(
         [list((dict(zip(made.choices.ranges, made.choices.low, strict=True)) | chosen).values())] * len(results)
@@ -34,7 +34,7 @@ def found(made, results, **chosen):
     return made.read_results(kept, rows)._asdict()
 
 
-def four_runs(ended=S_ORG, index=0xFF, made=MADE, **run):
+def four_runs(ended=S_ORG, index=0xFF, made=RESULTS, **run):
     """The results of four runs of which all did as they should but `run`: {name: its status byte, or -1 if it took too long}."""
     status = {"leave": S_ZERO, "search": S_ORG, "back off": S_ZERO, "approach": ended} | {
         name.replace("_", " "): s for name, s in run.items()
@@ -47,7 +47,7 @@ def four_runs(ended=S_ORG, index=0xFF, made=MADE, **run):
     return out, index
 
 
-WAYS = {  # late, home, end_limit, released
+DIRECTIONS = {  # late, home, end_limit, released
     "as it should": (four_runs(), (0, 1, 0, 1)),
     "with every other bit": (four_runs(leave=0xFF & ~S_ORG, search=0xFF, back_off=0xFF & ~S_ORG, ended=0xFF), (0, 1, 0, 1)),
     "the leaving met a limit": (four_runs(leave=0), (0, 1, 1, 1)),
@@ -60,13 +60,13 @@ WAYS = {  # late, home, end_limit, released
 }  # fmt: skip
 
 
-def test_every_end_of_an_origin_return_of_four_runs_is_told():
-    told = found(search(FourRuns, PCL240K), [r for (r, _), _ in WAYS.values()], back_off=500)
-    for k, (name, (_, expected)) in enumerate(WAYS.items()):
-        seen = [int(told[what][k]) for what in ("timed_out", "home", "end_limit", "released")]
-        assert all(e in (None, s) for s, e in zip(seen, expected, strict=True)), (name, seen)
-    assert set(told["searched"]) == {7000}
-    assert set(told["overrun"]) == {480 - 500}
+def test_every_stop_reason_of_an_origin_return_in_four_runs_is_reported():
+    reported = found(search(FourRuns, PCL240K), [r for (r, _), _ in DIRECTIONS.values()], back_off=500)
+    for k, (name, (_, expected)) in enumerate(DIRECTIONS.items()):
+        observed = [int(reported[what][k]) for what in ("timed_out", "home", "end_limit", "released")]
+        assert all(e in (None, s) for s, e in zip(observed, expected, strict=True)), (name, observed)
+    assert set(reported["searched"]) == {7000}
+    assert set(reported["overrun"]) == {480 - 500}
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_of_an_origin_return_to_the_index_pulse_home_is_that_pulse(chip, bit):
 
 @pytest.mark.parametrize("chip", [MCX304, MCX514])
 @pytest.mark.parametrize("ez", [0, 1])
-def test_every_end_of_an_automatic_home_search_is_told(chip, ez):
+def test_every_stop_reason_of_an_automatic_home_search_is_reported(chip, ez):
     made = search(HomeSearch, chip, ez)
     (mask, high), (error, _) = (made._bits[name] for name in (f"stop{ez + 1}", "error"))
     on, off = (mask, 0xFFFF & ~mask) if high else (0xFFFF & ~mask, mask)
@@ -94,13 +94,13 @@ def test_every_end_of_an_automatic_home_search_is_told(chip, ez):
         good | {f"stop{ez + 1}": off},
         good | {"error": error}, *(good | {name: -1} for name in times), *(good | {name: 0} for name in times),
     ]  # fmt: skip
-    told = found(made, results, leave=800)
+    reported = found(made, results, leave=800)
     n = len(times)
-    assert told["home"].tolist() == [True, True, True, False, False] + [False] * n + [True] * n
-    assert told["timed_out"].tolist() == [False] * 5 + [True] * n + [False] * n
-    assert told["end_limit"].tolist() == [False, False, True, True, False] + [False] * 2 * n
-    assert told["released"].tolist() == [True] * 4 + [False] + [True] * 2 * n
-    assert told["searched"].tolist() == [7000] * 2 + [6999] + [7000] * (2 + 2 * n)
+    assert reported["home"].tolist() == [True, True, True, False, False] + [False] * n + [True] * n
+    assert reported["timed_out"].tolist() == [False] * 5 + [True] * n + [False] * n
+    assert reported["end_limit"].tolist() == [False, False, True, True, False] + [False] * 2 * n
+    assert reported["released"].tolist() == [True] * 4 + [False] + [True] * 2 * n
+    assert reported["searched"].tolist() == [7000] * 2 + [6999] + [7000] * (2 + 2 * n)
 
 
 @pytest.mark.parametrize("ez", [1, 2, 16])

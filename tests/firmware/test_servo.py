@@ -64,7 +64,7 @@ def test_what_a_register_cannot_hold_is_refused_before_the_first_bus_cycle(stage
     assert port.chip.values()["R21"] == 0x40
 
 
-def test_a_port_writes_and_reads_whole_numbers(stage):
+def test_a_port_writes_and_reads_complete_numbers(stage):
     port = Port(stage.axes["x"])
     port.load(
         command_position=-70_000,
@@ -80,7 +80,7 @@ def test_a_port_writes_and_reads_whole_numbers(stage):
     assert [values[f"R{a:02X}"] for a in (0x27, 0x26, 0x24, 0x23)] == [0x01, 0x23, 0xFF, 0xEE]
 
 
-def test_set_up_loads_the_filter_and_holds_the_axis_where_it_stands(stage):
+def test_set_up_loads_the_filter_and_holds_the_present_position(stage):
     stage.place(x=0.02)
     before = stage.axes["x"].position
     port = set_up(stage.axes["x"], Tuning(gain=0x30, zero=0xE0, pole=0x20, timer=0x3F))
@@ -93,7 +93,7 @@ def test_set_up_loads_the_filter_and_holds_the_axis_where_it_stands(stage):
     assert not port.chip.diagnostics
 
 
-def test_an_error_as_large_as_the_deadband_is_within_it(stage):
+def test_an_error_equal_to_the_deadband_is_accepted(stage):
     port = set_up(stage.axes["x"])
     step(port, 200)
     while (error := port.commanded() - port.position()) == 0:  # it oscillates by a count
@@ -118,7 +118,7 @@ def test_a_step_settles_within_its_deadband(stage, name, counts):
 
 
 def test_a_step_is_settled_when_it_has_come_to_stay_within_its_deadband(stage):
-    """With a load it swings: leaving the deadband begins the wait anew."""
+    """A loaded axis swings: leaving the deadband begins the wait anew."""
     stage.set_payload(10.0)
     port = set_up(stage.axes["x"])
     goal = stage.axes["x"].position + 400 * COUNT
@@ -152,7 +152,7 @@ def test_a_trapezoid_shows_the_profile_flag_and_ends_within_its_deadband(stage, 
     assert not port.chip.diagnostics
 
 
-def test_a_move_that_ends_beside_its_deadband_is_not_ok(stage):
+def test_a_move_that_ends_outside_its_deadband_is_not_ok(stage):
     report = step(set_up(stage.axes["x"]), 200, deadband=DEADBAND)
     assert report.ok
     for error in (DEADBAND, -DEADBAND):
@@ -205,7 +205,7 @@ def test_a_deadband_that_no_loop_keeps_ends_in_a_timeout_and_without_a_motor_com
 
 
 @pytest.mark.parametrize("rate", [20_000, -6_000])
-def test_integral_velocity_turns_as_asked_and_stops_in_position_control(stage, rate):
+def test_integral_velocity_reaches_its_rate_and_stops_in_position_control(stage, rate):
     port = set_up(stage.axes["x"])
     report = integral_velocity(port, rate, seconds=0.2)
     assert report.asked == pytest.approx(rate, rel=0.08), "whole counts a sample"
@@ -217,7 +217,7 @@ def test_integral_velocity_turns_as_asked_and_stops_in_position_control(stage, r
 
 
 @pytest.mark.parametrize("rate", [20_000, -6_000])
-def test_proportional_velocity_turns_more_slowly_than_asked_by_what_drag_and_friction_take(stage, rate):
+def test_proportional_velocity_falls_short_by_the_share_of_drag_and_friction(stage, rate):
     """K/4 (command - velocity) = motor command, and that holds the velocity against drag and friction."""
     tuning = Tuning(gain=0x80)
     port = set_up(stage.axes["x"], tuning)
@@ -294,8 +294,8 @@ def test_home_is_at_the_index_pulse_wherever_the_axis_begins(stage, name, sag, w
     port = Port(axis)
     stage.run(0.1)
     assert abs(port.position()) <= sag
-    turns = axis.position * axis.gear / (2 * np.pi) - axis.plant.index
-    assert abs(turns - round(turns)) * 2000 == pytest.approx(10, abs=sag), "the rim of a pulse of 20 counts"
+    revolutions = axis.position * axis.gear / (2 * np.pi) - axis.plant.index
+    assert abs(revolutions - round(revolutions)) * 2000 == pytest.approx(10, abs=sag), "the rim of a pulse of 20 counts"
     assert -1.2 * 2000 < report.index - report.switch < 0
     assert not [d for d in port.chip.diagnostics if "computed" in d.message]
 

@@ -54,10 +54,10 @@ def edge_of(axis, pin):
 
 def place_on(axis, end, inside=INSIDE):
     """Put the axis on an end limit; returns the carriage's direction into it, and where it stands."""
-    pin, way = ENDS[end]
-    axis.stage.place(**{axis.name: edge_of(axis, pin) + way * inside})
+    pin, direction = ENDS[end]
+    axis.stage.place(**{axis.name: edge_of(axis, pin) + direction * inside})
     assert getattr(axis.switches, pin)
-    return way, axis.position
+    return direction, axis.position
 
 
 def until(happened, seconds=20.0):
@@ -68,20 +68,20 @@ def until(happened, seconds=20.0):
         time.sleep(1e-3)
 
 
-def start_and_wait(axis, way):
+def start_and_wait(axis, direction):
     driver = driver_of(axis)
     driver.prepare()
     with Procedure(axis, "start") as p:
-        driver.start(round(way * 5e-3 / axis.meters_per_pulse) * (-1 if axis.gear < 0 else 1), Speeds())
+        driver.start(round(direction * 5e-3 / axis.meters_per_pulse) * (-1 if axis.gear < 0 else 1), Speeds())
         return p.report(driver.wait(3.0))
 
 
 FURTHER = {
-    "move": lambda axis, way: firmware.move(axis, way * 5e-3),
+    "move": lambda axis, direction: firmware.move(axis, direction * 5e-3),
     "start": start_and_wait,
-    "jog": lambda axis, way: firmware.jog(axis, 0.2, way * 0.02, accel=0.05),
-    "line": lambda axis, way: firmware.line({axis.name: way * 5e-3, "y": 5e-3}, axis.stage).axes[axis.name],
-    "home": lambda axis, way: firmware.home(axis, way * (-1 if axis.gear < 0 else 1)),
+    "jog": lambda axis, direction: firmware.jog(axis, 0.2, direction * 0.02, accel=0.05),
+    "line": lambda axis, direction: firmware.line({axis.name: direction * 5e-3, "y": 5e-3}, axis.stage).axes[axis.name],
+    "home": lambda axis, direction: firmware.home(axis, direction * (-1 if axis.gear < 0 else 1)),
 }
 
 
@@ -90,8 +90,8 @@ FURTHER = {
 def test_nothing_is_driven_further_into_a_limit_that_is_on(stage, call, end):
     """firmware.move(axis, 5e-3) on EL+"""
     x, y = stage.axes["x"], stage.axes["y"]
-    way, at = place_on(x, end)
-    report = FURTHER[call](x, way)
+    direction, at = place_on(x, end)
+    report = FURTHER[call](x, direction)
     assert (report.stopped_by, report.pulses, report.ok) == (end, 0, False)
     assert report.start == pytest.approx(at, abs=1e-9)
     assert report.position == x.position == pytest.approx(at, abs=1e-9)
@@ -112,19 +112,19 @@ def test_a_home_towards_a_limit_that_is_on_ends_at_once(servo, end):
 
 
 @pytest.mark.parametrize("end", ENDS)
-def test_a_home_out_of_a_limit_goes_out_and_nowhere_else(servo, end):
+def test_a_home_that_starts_on_a_limit_only_leaves_it(servo, end):
     """firmware.home(axis, -1) from EL+, and from EL-, where ORG is on and it goes back out of ORG first"""
     x = servo.axes["x"]
-    way, at = place_on(x, end)
+    direction, at = place_on(x, end)
     with servo.record(every=1e-3) as recording:
         report = firmware.home(x, -1)
     assert report.stopped_by == "ORG"
     assert report.start == pytest.approx(at, abs=1e-9)
     assert x.position == pytest.approx(edge_of(x, "org"), abs=60e-6)
-    assert (way * (recording.columns["x/position"] - at)).max() < 1e-9, "never further in"
+    assert (direction * (recording.columns["x/position"] - at)).max() < 1e-9, "never further in"
 
 
-def test_a_home_that_backs_into_a_limit_ends_there(servo):
+def test_a_home_that_backs_into_a_limit_stops_there(servo):
     """firmware.home(axis, 1) between ORG and EL-: back out of ORG leads to EL-"""
     x = servo.axes["x"]
     servo.place(x=edge_of(x, "el_minus") + 3e-3)
@@ -134,25 +134,25 @@ def test_a_home_that_backs_into_a_limit_ends_there(servo):
 
 @pytest.mark.parametrize("end", ENDS)
 @pytest.mark.parametrize("name", ["x", "z"])
-def test_a_move_out_of_a_limit_is_as_long_as_asked_from_where_the_axis_was(stage, name, end):
+def test_a_move_out_of_a_limit_has_the_requested_distance_from_its_start(stage, name, end):
     """firmware.move(axis, -20e-3) on EL+"""
     axis = stage.axes[name]
-    way, at = place_on(axis, end)
-    report = firmware.move(axis, -way * 20e-3)
+    direction, at = place_on(axis, end)
+    report = firmware.move(axis, -direction * 20e-3)
     assert report.ok
     assert abs(report.pulses) == 4000
     assert report.start == pytest.approx(at, abs=1e-5), "z sinks while its chip is set up"
-    assert axis.position == pytest.approx(at - way * 20e-3, abs=2 * SETTLED)
+    assert axis.position == pytest.approx(at - direction * 20e-3, abs=2 * SETTLED)
 
 
 @pytest.mark.parametrize("end", ENDS)
-def test_a_line_out_of_a_limit_ends_where_it_is_asked_to(stage, end):
+def test_a_line_out_of_a_limit_reaches_its_end(stage, end):
     x, y = stage.axes["x"], stage.axes["y"]
-    way, at = place_on(x, end)
-    report = firmware.line({"x": -way * 5e-3, "y": 4e-3}, stage)
+    direction, at = place_on(x, end)
+    report = firmware.line({"x": -direction * 5e-3, "y": 4e-3}, stage)
     assert report.ok
     assert report.axes["x"].start == pytest.approx(at, abs=1e-9)
-    assert x.position == pytest.approx(at - way * 5e-3, abs=SETTLED)
+    assert x.position == pytest.approx(at - direction * 5e-3, abs=SETTLED)
     assert y.position == pytest.approx(4e-3, abs=SETTLED)
 
 
@@ -166,15 +166,15 @@ def test_a_jog_out_of_a_limit_runs(stage):
 
 
 @pytest.mark.parametrize("pin", ["el_plus", "el_minus"])
-def test_with_both_limits_on_no_way_is_free_and_each_is_named_by_its_end(servo, pin):
+def test_both_active_limits_block_both_directions_and_are_named_separately(servo, pin):
     x = servo.axes["x"]
     for name in ("el_plus", "el_minus"):
         x.switches.stick(name, True)
     try:
         servo.run(1e-3)
-        for end, (_, way) in ENDS.items():
+        for end, (_, direction) in ENDS.items():
             for call in FURTHER.values():
-                assert call(x, way).stopped_by == end
+                assert call(x, direction).stopped_by == end
         assert x.position == pytest.approx(0, abs=1e-9)
     finally:
         for name in ("el_plus", "el_minus"):
@@ -183,17 +183,17 @@ def test_with_both_limits_on_no_way_is_free_and_each_is_named_by_its_end(servo, 
 
 @pytest.mark.parametrize("end", ENDS)
 def test_a_limit_that_is_stuck_does_not_send_the_axis_to_its_other_end(servo, end):
-    pin, way = ENDS[end]
+    pin, direction = ENDS[end]
     x = servo.axes["x"]
     with faults.switch_stuck(x, pin, True):
         servo.run(1e-3)
         for call in ("move", "jog", "line"):
             servo.place(x=0.0)
             with pytest.raises(RunTimeout, match=r"its limit switch is still on 4000 counts away, at .* stuck"):
-                FURTHER[call](x, -way)
+                FURTHER[call](x, -direction)
             assert x.chip.motor_command == 0
             servo.run(0.2)
-            assert 20e-3 <= -way * x.position < 25e-3
+            assert 20e-3 <= -direction * x.position < 25e-3
 
 
 def test_rates_that_the_chip_has_not_are_refused_before_an_axis_leaves_its_limit(servo):
@@ -221,17 +221,17 @@ def test_rates_that_the_chip_has_not_are_refused_before_an_axis_leaves_its_limit
 def test_the_limit_that_ends_a_drive_is_named_also_by_another_driver(stage, call, end):
     """firmware.line({"x": -5e-3, "y": 5e-3}, stage) that meets EL-; driver_of(axis).stopped_by()."""
     x = stage.axes["x"]
-    way, _ = place_on(x, end)
-    stage.place(x=x.position - way * 0.8e-3)
-    report = FURTHER[call](x, way)
+    direction, _ = place_on(x, end)
+    stage.place(x=x.position - direction * 0.8e-3)
+    report = FURTHER[call](x, direction)
     assert report.stopped_by == end
     assert not report.ok
     assert abs(report.position - edge_of(x, ENDS[end][0])) < 1e-3
     assert driver_of(x).stopped_by() == end
 
 
-def test_a_limit_that_an_axis_has_left_since_is_named_by_the_drive_that_it_ended(servo):
-    """Without a motor command Z sinks out of EL+."""
+def test_a_limit_that_was_left_is_named_by_the_drive_that_it_stopped(servo):
+    """Axis Z sinks without a motor command out of EL+."""
     z = servo.axes["z"]
     servo.place(z=edge_of(z, "el_plus") - 0.5e-3)
     assert firmware.move(z, 5e-3).stopped_by == "EL+"
@@ -256,14 +256,14 @@ def test_a_limit_ends_a_drive_in_its_other_direction_too_and_is_named(servo):
 @pytest.mark.parametrize("end", ENDS)
 def test_the_panel_jogs_out_of_a_limit_and_refuses_to_jog_further_in(servo, end):
     x = servo.axes["x"]
-    way, at = place_on(x, end)
+    direction, at = place_on(x, end)
     with pytest.raises(StageError, match=f"x stands on its end limit, {end[:2]}\\{end[2]}, and does not go"):
-        Jog(x, way, {"speed": "20"}).run(servo)
+        Jog(x, direction, {"speed": "20"}).run(servo)
     assert x.position == pytest.approx(at, abs=1e-9)
-    jog = Jog(x, -way, {"speed": "20"})
+    jog = Jog(x, -direction, {"speed": "20"})
     jog.release()
     jog.run(servo)
-    assert -way * (x.position - at) > INSIDE
+    assert -direction * (x.position - at) > INSIDE
 
 
 def test_a_stop_ends_what_drives_an_axis_out_of_its_limit():

@@ -99,9 +99,9 @@ def test_a_host_that_is_too_slow_misses_samples_and_says_so():
     synchronize(ports)
     profile = np.zeros((50, 3))
     assert follow(ports, profile).missed > 20
-    for given, where in [((5, 2), ports), ((5,), ports[:1]), ((5, 0), [])]:
+    for arguments, where in [((5, 2), ports), ((5,), ports[:1]), ((5, 0), [])]:
         with pytest.raises(ArgumentError, match=r"\(samples, axes\)"):
-            follow(where, np.zeros(given))
+            follow(where, np.zeros(arguments))
 
 
 def test_a_gain_that_is_designed_is_one_that_the_register_holds():
@@ -192,8 +192,8 @@ def test_the_models_closed_loop_is_the_sum_over_its_samples():
         u = k * e - t.zero / 256 * k * e_before - t.pole / 256 * u
         e_before = e
         expected.append(e)
-        way = 1.0 if n and r > command[n - 1] else 0.0
-        f = loop.gain * (u - loop.friction * way)
+        direction = 1.0 if n and r > command[n - 1] else 0.0
+        f = loop.gain * (u - loop.friction * direction)
         x, v = x + loop.tau * (1 - p) * v + (h - loop.tau * (1 - p)) * f, p * v + (1 - p) * f
     assert loop.following_error(command) == pytest.approx(np.array(expected), abs=1e-9)
 

@@ -18,7 +18,7 @@ SAMPLES = 1_000_000
 
 
 def chip_before_a_sample():
-    """In position control, a clock before a sample."""
+    """Return a chip in position control, one clock before a sample."""
     chip = HCTL1100()
     for address, value in ((0x0F, T), (0x20, A), (0x21, B), (0x22, K)):
         chip.write(address, value)
@@ -29,7 +29,7 @@ def chip_before_a_sample():
 
 
 def corrupted(rng, moments):
-    """How many samples of a new chip are, with a command in each, at these clocks of it."""
+    """Count the samples of a new chip that are corrupted with a command in each, at these clocks of it."""
     n = len(moments)
     return play(chip_before_a_sample()._rows, moments, rng.integers(-40, 41, n), rng.integers(-9, 10, n))
 

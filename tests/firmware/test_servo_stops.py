@@ -16,7 +16,7 @@ from stage.panel.session import FREE, Session
 
 COUNT = 5e-6  # m
 SAMPLE = 16 * 65 / 2e6  # s
-LOOKS = 6  # samples until a stop knows how fast the profile is
+SAMPLES = 6  # samples until a stop knows how fast the profile is
 
 
 @pytest.fixture(scope="module")
@@ -43,25 +43,25 @@ def commanded_speed(axis):
     return abs(axis.chip.net() - before) / (10 * SAMPLE)
 
 
-@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("name", ["x", "z"])
 @pytest.mark.parametrize("seconds", [0.06, 0.3, 0.55], ids=["speeding up", "at its speed", "slowing down"])
-def test_a_stop_slows_a_trapezoid_down_with_its_own_ramp(stage, name, seconds, way):
+def test_a_stop_slows_a_trapezoid_down_with_its_ramp(stage, name, seconds, direction):
     """driver.start(5000, speeds); firmware.stop(axis)"""
     axis, speeds = stage.axes[name], Speeds(drive=10_000, up=0.1)
     driver = driver_of(axis)
-    driver.start(way * 5000, speeds)
+    driver.start(direction * 5000, speeds)
     stage.run(seconds)
     speed, net = commanded_speed(axis), axis.chip.net()
     assert speed > 2000
     with stage.record(every=1e-3) as recording:
         firmware.stop(axis)
-    made = way * (axis.chip.net() - net)
+    made = direction * (axis.chip.net() - net)
     expected, change = braking_distance(speed, speeds), 20 * SAMPLE * speeds.drive / speeds.up
     assert (
-        braking_distance(max(speed - change, 0), speeds) - LOOKS
+        braking_distance(max(speed - change, 0), speeds) - SAMPLES
         < made
-        < braking_distance(speed + change, speeds) + LOOKS * speed * SAMPLE
+        < braking_distance(speed + change, speeds) + SAMPLES * speed * SAMPLE
     ), f"{expected:.0f} counts from {speed:.0f} counts/s"
     error = recording.columns[f"{name}/following_error"] / COUNT
     assert np.ptp(error) < 60, "no jerk"
@@ -71,7 +71,7 @@ def test_a_stop_slows_a_trapezoid_down_with_its_own_ramp(stage, name, seconds, w
     stage.run(0.2)
     assert axis.position == pytest.approx(at, abs=10 * COUNT)
     assert not axis.chip.diagnostics, "no data of a profile that runs"
-    assert firmware.move(axis, pulses=-way * 500).ok
+    assert firmware.move(axis, pulses=-direction * 500).ok
 
 
 def test_stops_at_any_moment_of_any_trapezoid_end_before_its_end_and_write_no_data_of_it(stage):
@@ -83,16 +83,16 @@ def test_stops_at_any_moment_of_any_trapezoid_end_before_its_end_and_write_no_da
         stage.reset()
         counts, drive = rng.randrange(1, 12_000), 10 ** rng.uniform(3.4, 4.7)
         up = drive / 10 ** rng.uniform(4.2, 5.7)
-        way = rng.choice((1, -1))
+        direction = rng.choice((1, -1))
         driver = driver_of(x)
-        driver.start(way * counts, Speeds(drive=drive, up=up))
+        driver.start(direction * counts, Speeds(drive=drive, up=up))
         begin = x.chip.net()
         stage.run(rng.uniform(0, 1.2 * (counts / drive + up)))
-        said, at = f"{counts} counts at {drive:.0f}, {up:.3f} s, stopped at {stage.time:.4f} s", x.chip.net()
+        message, at = f"{counts} counts at {drive:.0f}, {up:.3f} s, stopped at {stage.time:.4f} s", x.chip.net()
         firmware.stop(x)
-        assert way * at <= way * x.chip.net() <= way * begin + counts, said
-        assert x.chip.values()["R00"] == 0, said
-        assert not x.chip.diagnostics, said
+        assert direction * at <= direction * x.chip.net() <= direction * begin + counts, message
+        assert x.chip.values()["R00"] == 0, message
+        assert not x.chip.diagnostics, message
 
 
 def test_a_sample_too_short_for_commands_stops_at_once(stage, monkeypatch):
@@ -145,7 +145,7 @@ STARTS = {
 
 
 @pytest.mark.parametrize("call", STARTS)
-def test_an_axis_that_moves_is_given_nothing_else_to_do_and_goes_on(stage, call):
+def test_a_moving_axis_refuses_other_procedures_and_continues(stage, call):
     """driver.start(4000, speeds); driver.start(-500, speeds)"""
     x = stage.axes["x"]
     driver = driver_of(x)
@@ -162,7 +162,7 @@ def test_an_axis_that_moves_is_given_nothing_else_to_do_and_goes_on(stage, call)
 
 
 @pytest.mark.parametrize("call", STARTS)
-def test_an_axis_that_runs_is_given_nothing_else_to_do_and_runs_on(stage, call):
+def test_a_running_axis_refuses_other_procedures_and_continues(stage, call):
     """driver.run(1, speeds); firmware.move(axis, -1e-3)"""
     x = stage.axes["x"]
     driver = driver_of(x)

@@ -92,7 +92,7 @@ def test_a_plan_that_a_follower_cannot_keep_is_refused_before_the_first_bus_cycl
     assert [axis.chip.net() for axis in stage.axes.values()] == [0, 0, 0]
 
 
-def test_moves_of_a_follower_have_the_rates_that_they_are_asked_to():
+def test_moves_of_a_clock_follower_have_the_requested_rates():
     stage = follow({"y": "x"})
     y = stage.axes["y"]
     load(stage.axes["x"], R7=60)
@@ -107,7 +107,7 @@ def test_moves_of_a_follower_have_the_rates_that_they_are_asked_to():
 
 def test_a_follower_whose_leader_makes_no_clock_says_so_before_the_first_bus_cycle():
     stage = follow({"y": "x"})
-    y, said = stage.axes["y"], r"axis y makes no pulses: its chip counts the clock of axis x \(SYNI\), whose R7 is 0"
+    y, message = stage.axes["y"], r"axis y makes no pulses: its chip counts the clock of axis x \(SYNI\), whose R7 is 0"
     for act in (
         lambda: firmware.move(y, pulses=100),
         lambda: firmware.preset_move(y, 100),
@@ -116,14 +116,14 @@ def test_a_follower_whose_leader_makes_no_clock_says_so_before_the_first_bus_cyc
         lambda: firmware.jog(y, 0.1),
         lambda: firmware.line({"y": 100}, stage, pulses=True),
     ):
-        with pytest.raises(StageError, match=said):
+        with pytest.raises(StageError, match=message):
             act()
     assert y.chip.values()["R0"] == 0
 
 
 def test_a_wait_for_pulses_that_cannot_come_says_what_is_missing():
     stage = follow({"y": "x"})
-    for axis, said in (
+    for axis, message in (
         (stage.axes["y"], "clock of axis x .SYNI., whose R7 is 0"),
         (Bench(PCL240K()).axes["x"], "its R7 is 0"),
     ):
@@ -131,7 +131,7 @@ def test_a_wait_for_pulses_that_cannot_come_says_what_is_missing():
         port.write_registers(R0=100, R1=100)
         port.control(bus.PRESET)
         port.command(bus.START["FL"])
-        with pytest.raises(StageError, match=said) as caught:
+        with pytest.raises(StageError, match=message) as caught:
             port.wait_until_stopped(0.01)
         assert "more time" not in str(caught.value)
 
@@ -160,13 +160,15 @@ def test_the_command_makes_the_dual_rates_of_the_data_sheet(monkeypatch, rates, 
     monkeypatch.setattr(driver, "dual_rate_move", lambda *args, **kwargs: made.append(real(*args, **kwargs)) or made[0])
     code, _, _ = run("dual-rate", "x", "20000", "--rates", rates, "--dwell", "0.15")
     assert (code, made[0].pulses) == (0, 20_000)
-    course = made[0].course
-    seen = [next((p for p in ("fup", "fdown", "fkeep") if course.pin(p)[k]), "") for k in range(len(course.edges))]
-    moving = [p for p, runs in zip(seen, course.running, strict=True) if runs]
+    waveform = made[0].course
+    observed = [
+        next((p for p in ("fup", "fdown", "fkeep") if waveform.pin(p)[k]), "") for k in range(len(waveform.edges))
+    ]
+    moving = [p for p, runs in zip(observed, waveform.running, strict=True) if runs]
     assert [p for k, p in enumerate(moving) if not k or moving[k - 1] != p] == phases
 
 
-def test_what_the_refusal_of_a_dual_rate_asks_for_can_be_given():
+def test_the_minimum_pulses_that_a_refused_dual_rate_move_names_are_accepted():
     code, _, err = run("dual-rate", "x", "4000")
     assert code != 0
     assert "give more, dwell less, or ask for fewer rates" in err

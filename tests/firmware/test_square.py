@@ -39,16 +39,16 @@ def gantry(request):
 
 @pytest.fixture
 def ways(monkeypatch):
-    """What `square` asks of `line`: (ways, options) of each call. Half of PIECES are enough for half of the travel."""
-    seen, line = [], tandem.line
+    """Record the calls of `line` by `square_gantry`: (ways, options) each. Half of PIECES are enough for half of the travel."""
+    observed, line = [], tandem.line
 
     def noted(distances, *axes, **options):
-        seen.append((dict(distances), options))
-        assert len(seen) <= PIECES, "it goes on for ever"
+        observed.append((dict(distances), options))
+        assert len(observed) <= PIECES, "it goes on for ever"
         return line(distances, *axes, **options)
 
     monkeypatch.setattr(tandem, "line", noted)
-    return seen
+    return observed
 
 
 def placed(gantry, millimetres):
@@ -75,11 +75,11 @@ def test_a_beam_is_squared_towards_org_at_either_end_from_before_it_and_from_on_
     assert np.sign(ways[0][0]["y"]) == (-direction if on else direction)
 
 
-def test_together_axes_have_the_speeds_asked_and_alone_a_quarter_and_no_start_above_that(gantry, ways, monkeypatch):
+def test_a_tandem_axis_moves_alone_at_a_quarter_of_the_common_speed(gantry, ways, monkeypatch):
     """firmware.square(y, w, speed=0.06, start_speed=0.02, accel=0.05)"""
     direction, axes = placed(gantry, 67)
     homes, driver = [], type(tandem.driver_of(axes[0]))
-    monkeypatch.setattr(driver, "home", lambda self, *given, **options: homes.append((given, options)))
+    monkeypatch.setattr(driver, "home", lambda self, *arguments, **options: homes.append((arguments, options)))
     asked = {"speed": 0.06, "start_speed": 0.02, "accel": 0.05}
     tandem.square_gantry(*axes, direction=direction, **asked, timeout=7.0)
     assert [options for _, options in ways] == [asked] * len(ways)
@@ -87,23 +87,23 @@ def test_together_axes_have_the_speeds_asked_and_alone_a_quarter_and_no_start_ab
     assert homes == [((direction, pytest.approx(Speeds(slow, slow, 0.05, 0.05))), {"timeout": 7.0})] * 2
     homes.clear()
     tandem.square_gantry(*axes, direction=direction, speed=0.06, start_speed=0.002)
-    assert [given[1].start for given, _ in homes] == pytest.approx([0.002 / axes[0].meters_per_pulse] * 2)
+    assert [arguments[1].start for arguments, _ in homes] == pytest.approx([0.002 / axes[0].meters_per_pulse] * 2)
 
 
 def test_speeds_in_pulses_are_those_of_the_first_axis(gantry, monkeypatch):
     direction, axes = placed(gantry, 67)
-    seen = []
-    monkeypatch.setattr(tandem, "square_gantry", lambda *axes, **options: seen.append((axes, options)) or ["squared"])
+    observed = []
+    monkeypatch.setattr(
+        tandem, "square_gantry", lambda *axes, **options: observed.append((axes, options)) or ["squared"]
+    )
     unit = axes[0].meters_per_pulse
     assert tandem.square_gantry_at_speeds(axes, direction, Speeds(500, 6000, 0.1, 0.3), 9.0) == ["squared"]
     wanted = {"direction": direction, "speed": 6000 * unit, "start_speed": 500 * unit, "accel": 0.1, "timeout": 9.0}
-    assert seen == [(tuple(axes), pytest.approx(wanted))]
+    assert observed == [(tuple(axes), pytest.approx(wanted))]
 
 
 @pytest.mark.parametrize("millimetres", [62, 78])
-def test_where_a_step_is_lost_on_the_way_together_each_axis_searches_for_the_time_it_is_given(
-    gantry, ways, millimetres
-):
+def test_each_axis_searches_within_its_own_timeout_after_a_step_is_lost(gantry, ways, millimetres):
     direction, axes = placed(gantry, millimetres)
     with faults.jam(axes[0]), faults.jam(axes[1]), pytest.raises(RunTimeout, match=r"after 0\.300 s"):
         firmware.square_gantry(*axes, direction=direction, timeout=0.3)

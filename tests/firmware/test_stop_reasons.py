@@ -34,7 +34,7 @@ def write_at(x, seconds, address, value):
 @pytest.mark.parametrize("chip", [PCL240K, PCL240MS])
 @pytest.mark.parametrize("fl", [2000, 4000])
 @pytest.mark.parametrize("degrees", [10, 31, 40, 59])
-def test_a_hinge_that_rings_off_its_origin_switch_has_found_it(chip, fl, degrees):
+def test_a_hinge_that_rings_off_its_origin_switch_is_home(chip, fl, degrees):
     """stage home a --model xya --constant --fl 4000 --from 40deg: the axis has no end limits"""
     a = Stage("xya", chips=chip, visuals=False).axes["a"]
     a.stage.place(a=math.radians(degrees))
@@ -44,7 +44,7 @@ def test_a_hinge_that_rings_off_its_origin_switch_has_found_it(chip, fl, degrees
 
 
 @pytest.mark.parametrize(("direction", "pin"), [(1, "el_plus"), (-1, "el_minus")])
-def test_a_limit_that_has_let_go_before_the_host_looks_is_the_reason(direction, pin):
+def test_a_limit_released_before_the_next_poll_is_the_stop_reason(direction, pin):
     x, limit = bench(), {"el_plus": "EL+", "el_minus": "EL-"}[pin]
     pulse_pin(x, pin, 0.1)
     assert firmware.preset_move(x, direction * 20_000).stopped_by == limit
@@ -62,7 +62,7 @@ def test_a_limit_that_has_let_go_before_the_host_looks_is_the_reason(direction, 
     assert driver.wait(5.0) == driver.stopped_by() == limit
 
 
-def test_an_origin_switch_that_has_let_go_before_the_host_looks_is_the_reason():
+def test_an_origin_switch_released_before_the_next_poll_is_the_stop_reason():
     x = bench()
     for _ in range(2):  # the fast approach, then the slow one, whose pulse is low for 1.25 ms
         pulse_pin(x, "org", 0.2)
@@ -70,7 +70,7 @@ def test_an_origin_switch_that_has_let_go_before_the_host_looks_is_the_reason():
         assert (report.stopped_by, report.ok) == ("ORG", True)
 
 
-def test_an_index_pulse_that_is_over_before_the_host_looks_is_the_reason():
+def test_an_index_pulse_that_ends_before_the_next_poll_is_the_stop_reason():
     x = bench(PCL240MK)
     x._bench.at(0.1, lambda: setattr(x.chip.pins, "org", True))
     pulse_pin(x, "ez", 0.2)
@@ -102,7 +102,7 @@ def test_a_stop_that_comes_with_the_last_pulse_leaves_the_move_done():
     assert driver_of(x).stopped_by() == "R0 = 0"
 
 
-def test_a_move_into_a_limit_that_is_on_is_ended_by_it_and_one_out_of_it_is_not():
+def test_an_active_limit_stops_moves_into_it_but_not_out_of_it():
     x = bench()
     x.chip.pins.el_plus = True
     report = firmware.preset_move(x, 300)
@@ -110,7 +110,7 @@ def test_a_move_into_a_limit_that_is_on_is_ended_by_it_and_one_out_of_it_is_not(
     assert firmware.preset_move(x, -300).stopped_by == "R0 = 0"
 
 
-def test_a_move_whose_start_was_lost_on_the_bus_was_ended_by_no_limit():
+def test_a_move_whose_start_was_lost_on_the_bus_names_no_limit():
     """faults.lost_write: the chip stands, R0 is not 0, and no limit is on"""
     stage = Stage("xy", visuals=False)
     x = stage.axes["x"]
@@ -123,7 +123,7 @@ def test_a_move_whose_start_was_lost_on_the_bus_was_ended_by_no_limit():
     assert (report.stopped_by, report.pulses, report.ok) == ("unknown", 0, False)
 
 
-def test_a_driver_that_has_begun_nothing_names_no_limit():
+def test_a_driver_that_has_started_nothing_names_no_limit():
     for direction in (1, -1):
         x = bench()
         assert driver_of(x).stopped_by() == ""
@@ -230,7 +230,7 @@ def test_each_axis_of_a_broken_line_slows_down_once(monkeypatch):
     assert {n: r.stopped_by for n, r in report.axes.items()} == {"x": "EL+", "y": "another axis", "z": "another axis"}
 
 
-def test_a_home_search_that_a_host_stops_has_not_found_the_origin():
+def test_a_home_search_that_a_host_stops_is_not_ok():
     """DRVFBRK while an MCX514 searches ORG"""
     x = bench(MCX514)
     write_at(x, 0.2, 0, 1 << 8 | MCX514.MAP.command("DRVFBRK").code)

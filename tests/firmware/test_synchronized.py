@@ -21,21 +21,21 @@ def test_random_pairs_stay_within_two_pulses_of_their_line():
     seed = SEED
     print("seed", seed)
     rng = random.Random(seed)
-    far = []
+    distance = []
     for _ in range(scaled(10)):
         distances = {n: rng.choice((-1, 1)) * rng.randint(100, 30_000) for n in "xy"}
         chips = bench()
         report = synchronized_move(distances, chips)
-        far.append(report.deviation.pulses)
+        distance.append(report.deviation.pulses)
         assert report.ok
         for n, d in distances.items():
             assert report.axes[n].pulses == d
             assert report.axes[n].stopped_by == "R0 = 0"
             assert chips.axes[n].chip.diagnostics == []
-    print(f"median {np.median(far):.3f}, 95 % {np.percentile(far, 95):.3f}, largest {max(far):.3f}")
-    assert np.median(far) <= 1
-    assert np.percentile(far, 95) <= 1.1
-    assert max(far) <= 2
+    print(f"median {np.median(distance):.3f}, 95 % {np.percentile(distance, 95):.3f}, largest {max(distance):.3f}")
+    assert np.median(distance) <= 1
+    assert np.percentile(distance, 95) <= 1.1
+    assert max(distance) <= 2
 
 
 def test_three_axes_share_a_line():
@@ -82,7 +82,7 @@ def test_an_axis_with_distance_zero_stays_still():
     assert chips.axes["y"].chip.values()["R7"] == 0
 
 
-def test_all_axes_start_a_bus_cycle_apart_and_end_together():
+def test_axes_start_one_bus_cycle_after_the_other_and_stop_at_the_same_time():
     report = synchronized_move({"x": 12_000, "y": 5_000, "z": 800}, bench("xyz", bus_cycle=4e-6))
     assert report.plan.bus_delay == pytest.approx(4e-6)
     assert report.skew == pytest.approx(8e-6)
@@ -94,22 +94,22 @@ def test_all_axes_start_a_bus_cycle_apart_and_end_together():
     assert "pulses from the line at most" in text
 
 
-def test_the_farther_apart_the_starts_the_farther_from_the_line():
+def test_the_deviation_grows_with_the_delay_between_starts():
     blind = plan({"x": 20_000, "y": 16_000}, rate=40_000)  # reckons with starts at once
-    far = []
+    distance = []
     for cycle in (0.0, 2e-5, 1e-4, 5e-4):
         report = synchronized_move(blind, bench(bus_cycle=cycle))
         assert report.skew == pytest.approx(cycle)
         assert report.plan.bus_delay == pytest.approx(cycle), "of this bus"
         assert report.deviation.pulses == pytest.approx(blind.with_bus_delay(cycle).deviation, abs=0.02)
         assert report.deviation.pulses == pytest.approx(report.plan.deviation, abs=0.02)
-        far.append(report.deviation.pulses)
-    assert far == sorted(far)
+        distance.append(report.deviation.pulses)
+    assert distance == sorted(distance)
     slow_axis_ahead = 32_000 * 5e-4
-    assert far[-1] == pytest.approx(slow_axis_ahead * 20_000 / np.hypot(20_000, 16_000), abs=1.5)
+    assert distance[-1] == pytest.approx(slow_axis_ahead * 20_000 / np.hypot(20_000, 16_000), abs=1.5)
 
 
-def test_a_plan_that_knows_the_bus_delay_makes_up_for_it():
+def test_a_plan_compensates_a_known_bus_delay():
     distances = {"x": 20_000, "y": 16_000}
     blind = synchronized_move(plan(distances, rate=40_000), bench(bus_cycle=1e-4)).deviation.pulses
     aware = synchronized_move(distances, bench(bus_cycle=1e-4), rate=40_000).deviation.pulses
@@ -143,7 +143,7 @@ def test_on_the_stage_carriages_follow_the_line(stage):
         assert moved == pytest.approx(d * axis.meters_per_pulse, abs=5e-5)
 
 
-def test_axes_may_be_named_or_given(stage):
+def test_axes_are_accepted_by_name_or_as_objects(stage):
     stage.reset()
     x, y = stage.axes["x"], stage.axes["y"]
     for call in (
@@ -169,7 +169,7 @@ def test_an_end_limit_stops_the_other_axes_too():
     assert stops == {"x": 1, "y": 0}, "told once, and only who still runs"
 
 
-def test_an_axis_that_made_its_pulses_while_another_met_a_limit_says_so():
+def test_an_axis_that_completes_its_pulses_reports_so_though_another_met_a_limit():
     """x meets its limit in its last pulses, when y has as good as ended: y is given a decelerating stop or is not, by chance."""
     for limit in range(19_985, 20_000, 2):
         chips = bench()
@@ -202,8 +202,8 @@ def test_it_draws_itself(tmp_path):
         report = synchronized_move(dict(zip(names, distances, strict=True)), bench(names))
         figure = report.plot(tmp_path / f"{names}.png", title="a line")
         assert_axes_are_named(figure)
-        far, told = report.deviation, [ax.get_title(loc="right") for ax in figure.axes]
-        assert f"at most {far.pulses:.2f} pulses from the line, after {far.time * 1000:,.4g} ms" in told
+        distance, reported = report.deviation, [ax.get_title(loc="right") for ax in figure.axes]
+        assert f"at most {distance.pulses:.2f} pulses from the line, after {distance.time * 1000:,.4g} ms" in reported
         assert (tmp_path / f"{names}.png").stat().st_size > 20_000
 
 
@@ -212,14 +212,14 @@ def test_a_wrong_name_is_answered_with_the_near_ones(stage):
         synchronized_move({"xx": 100, "y": 100}, stage)
 
 
-def test_names_need_a_place_to_look_them_up():
+def test_axis_names_need_a_stage_or_mapping():
     with pytest.raises(
         ArgumentError, match=r"axis 'x': say where it is: synchronized_move\(\{'x': ...\}, stage.axes\)"
     ):
         synchronized_move({"x": 100})
 
 
-def test_an_axis_given_twice_is_refused():
+def test_a_duplicate_axis_is_refused():
     chips = bench()
     with pytest.raises(ArgumentError, match="given twice"):
         synchronized_move({"x": 100, chips.axes["x"]: 50}, chips)
@@ -230,7 +230,7 @@ def test_what_is_no_axis_is_refused():
         synchronized_move({5: 100})
 
 
-def test_a_moving_axis_is_refused_and_goes_on():
+def test_a_procedure_on_a_moving_axis_is_refused_and_the_axis_continues():
     chips = bench()
     port = chips.axes["x"].chip
     for number, value in ((0, 200), (7, 1), (1, 100)):  # R0 = 5 * 256, R7 = 256, R1 = 100
@@ -257,10 +257,10 @@ def test_a_refusal_leaves_the_chips_alone():
     assert chips.time == 0
 
 
-def test_a_carriage_beyond_an_end_of_its_line_is_as_far_off_as_from_that_end():
+def test_a_carriage_beyond_an_end_of_its_line_deviates_by_its_distance_from_that_end():
     """A line of 3 mm and 4 mm; 1 mm before its beginning, beside its middle, and 2 mm beyond its end"""
     x, y = (SimpleNamespace(position=0.0, meters_per_pulse=1e-6, gear=gear, unit="m") for gear in (5.0, -5.0))
-    for place, far in (
+    for place, distance in (
         ((-0.6e-3, 0.8e-3), 1e-3),
         ((1.5e-3 + 0.4e-3, -2e-3 + 0.3e-3), 0.5e-3),
         ((4.2e-3, -5.6e-3), 2e-3),
@@ -269,6 +269,6 @@ def test_a_carriage_beyond_an_end_of_its_line_is_as_far_off_as_from_that_end():
         carriages = CarriageDeviationMeter({"x": x, "y": y}, {"x": 3000, "y": 4000})
         x.position, y.position = place
         carriages.measure()
-        assert carriages.worst == pytest.approx(far)
+        assert carriages.worst == pytest.approx(distance)
     y.unit = "rad"
     assert CarriageDeviationMeter({"x": x, "y": y}, {"x": 3000, "y": 4000}).worst is None

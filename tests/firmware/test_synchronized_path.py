@@ -41,10 +41,10 @@ def test_it_agrees_with_a_slow_check_in_fractions(axes):
             times = sorted(rng.randint(0, 60) for _ in range(abs(d)))  # many coincide
             signs = [(1 if d > 0 else -1) * rng.choice((1, 1, 1, -1)) for _ in times]
             pulses.append((times, signs))
-        far, where = slow_deviation(pulses, distances)
+        distance, where = slow_deviation(pulses, distances)
         got = path_deviation(pulses, distances)
-        assert got.pulses == pytest.approx(far, abs=1e-9)
-        if far:
+        assert got.pulses == pytest.approx(distance, abs=1e-9)
+        if distance:
             assert got.counts == where
             at = [sum(s for t, s in zip(*axis, strict=True) if t <= got.time) for axis in pulses]
             assert got.counts == tuple(at)
@@ -59,13 +59,13 @@ def test_one_axis_is_always_on_its_line():
     assert path_deviation([(np.arange(1, 38), -1)], [-37]).pulses == 0
 
 
-def test_an_axis_that_goes_alone_leaves_the_line_by_its_share():
+def test_an_axis_that_moves_alone_leaves_the_line_by_its_share():
     x, y = (np.arange(1, 31), 1), (np.arange(101, 141), 1)  # all of x, then all of y: the corner of a 3:4 triangle
     assert path_deviation([x, y], (30, 40)).pulses == pytest.approx(30 * 0.8)
     assert path_deviation([x, y], (30, 40)).counts == (30, 0)
 
 
-def test_going_beyond_the_end_counts_as_far_as_it_is():
+def test_a_path_beyond_the_end_counts_with_its_distance_from_the_end():
     assert path_deviation([(np.arange(1, 14), 1)], [10]).pulses == 3
 
 
@@ -86,9 +86,9 @@ def test_it_reads_what_chips_trace():
     assert path_deviation([x.trace(n), y.trace(n)], (3000, -3000), x.clock_hz).pulses == 0
 
 
-@pytest.mark.parametrize(("distances", "far"), [((1, 1), 0), ((2, 1), 1 / math.sqrt(5)), ((50_000, 100), 0.998)])
-def test_perfect_axes_are_a_staircase_off_the_line(distances, far):
-    assert perfect_deviation(distances) == pytest.approx(far, abs=1e-4)
+@pytest.mark.parametrize(("distances", "distance"), [((1, 1), 0), ((2, 1), 1 / math.sqrt(5)), ((50_000, 100), 0.998)])
+def test_perfect_axes_are_a_staircase_off_the_line(distances, distance):
+    assert perfect_deviation(distances) == pytest.approx(distance, abs=1e-4)
 
 
 def test_points_are_the_path():
@@ -98,19 +98,19 @@ def test_points_are_the_path():
 
 
 def test_a_journal_gives_back_every_pulse_of_its_chip():
-    chip, twin = PCL240K(), PCL240K()
-    for c in (chip, twin):
+    chip, replica = PCL240K(), PCL240K()
+    for c in (chip, replica):
         c.advance(777)
     journal = chip.journal()
     expected = []
     for minus in (False, True):
         start_preset(chip, 500, minus)
-        start_preset(twin, 500, minus)
-        expected.append(twin.trace(1_000_000))
+        start_preset(replica, 500, minus)
+        expected.append(replica.trace(1_000_000))
         chip.advance(1_000_000)
-        chip.pins.el_plus = twin.pins.el_plus = True
+        chip.pins.el_plus = replica.pins.el_plus = True
         chip.write(0, 0x08)
-        twin.write(0, 0x08)
+        replica.write(0, 0x08)
     journal.close()
     expected = np.concatenate(expected)
     got = replay_pulses(journal)

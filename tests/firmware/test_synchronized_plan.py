@@ -83,8 +83,8 @@ def test_a_longer_tail_at_a_slow_fl_is_not_tried_where_it_costs_time():
 
 
 @pytest.mark.parametrize("bent", [False, True])
-def test_an_estimate_is_what_a_look_at_every_moment_finds(bent):
-    """Of followers that fit badly, too: then the farthest moment is at an end of a ramp of theirs."""
+def test_an_estimate_equals_the_maximum_over_dense_samples(bent):
+    """The estimate also holds for followers that fit badly: then the farthest moment is at an end of a ramp of theirs."""
     print("seed", SEED)
     rng, work, short = random.Random(SEED), np.zeros(1, fit.WORK), []
     for n in range(scaled(160)):
@@ -99,10 +99,10 @@ def test_an_estimate_is_what_a_look_at_every_moment_finds(bent):
         own = leader.copy()
         own[:7], own[7] = np.maximum(leader[:7] * off, 2), 80
         lead = rng.choice((0.0, 1e-4))
-        far = fit.estimate(leader, 4_915_200, own, 4_915_200, lead, work)
+        distance = fit.estimate(leader, 4_915_200, own, 4_915_200, lead, work)
         if n % 10 == 0:
-            short.append(far / farthest(leader, own, lead))
-        assert far > farthest(leader, own, lead, corners=True) - 1e-6
+            short.append(distance / farthest(leader, own, lead))
+        assert distance > farthest(leader, own, lead, corners=True) - 1e-6
     assert min(short) > 0.97, short
     assert max(short) < 1.003, short
 
@@ -195,7 +195,7 @@ def test_constant_speed_is_rate_equal_to_fl():
     assert p.axes["y"].fh == pytest.approx(1000, rel=1e-6)
 
 
-def test_axes_start_shortest_first_and_lead_by_the_bus_delay():
+def test_the_shortest_axis_starts_first_by_the_bus_delay():
     p = plan({"x": 900, "y": -5000, "z": 2000}, bus_delay=5e-6)
     assert p.order == ("x", "z", "y")
     assert [p.axes[n].lead for n in p.order] == pytest.approx([1e-5, 5e-6, 0])
@@ -253,7 +253,7 @@ def test_planning_takes_milliseconds():
     assert np.median(taken) < 0.05
 
 
-def test_a_short_move_reaches_the_peak_that_its_plan_tells():
+def test_a_short_move_reaches_the_peak_of_its_plan():
     """38 pulses: with 14 at FL after the ramp-down, R6 = 38, and the chip would ramp down from the first pulse on"""
     bench = Bench(x=PCL240K(), y=PCL240K())
     report = synchronized_move({"x": 38, "y": 4}, bench, rate=6074.492488691149, fl=4000, accel=0.002, decel=0.01)
@@ -327,19 +327,19 @@ def test_a_slow_fl_leaves_a_move_the_data_sheets_tail():
 def test_an_axis_too_slow_to_ramp_along_does_its_best_and_says_so():
     p = plan({"x": 26_318, "y": -114}, rate=12_000, accel=0.45)
     assert 2 < p.deviation < 5
-    ramp, *_, far = p.notes
+    ramp, *_, distance = p.notes
     assert ramp.startswith(
         "axis y cannot ramp for accel=0.45 s: to 52 pps it takes no more than about 0.27 s (R7 = 1023"
     )
-    assert far.startswith(f"the closest registers leave the line by {p.deviation:.1f} pulses")
+    assert distance.startswith(f"the closest registers leave the line by {p.deviation:.1f} pulses")
 
 
-def test_an_fl_that_is_not_its_share_is_said():
+def test_a_plan_notes_an_fl_that_differs_from_its_share():
     p = plan({"x": 40_000, "y": 4_000})
     assert any(n.startswith("axis y: FL") for n in p.notes)
 
 
-def test_a_choice_does_not_depend_on_what_was_chosen_before():
+def test_a_plan_does_not_depend_on_earlier_plans():
     """The room that is handed on holds another follower's times: R5, R6 and scores are those of fresh room."""
     leader = np.array([6400, 100, 1600, 1600, 600, 600, 700, 24])
     hz, work = 4_915_200, np.zeros(1, fit.WORK)

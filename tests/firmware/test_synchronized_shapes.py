@@ -42,33 +42,33 @@ def random_distances(rng, names, low=100, high=20_000):
 
 @every_shape
 def test_random_pairs_stay_as_close_to_their_line_as_perfect_axes(chip, shape):
-    rng, far, perfect = seeded(), [], []
+    rng, distance, perfect = seeded(), [], []
     for _ in range(scaled(3)):
         distances, chips = random_distances(rng, "xy"), bench(chip)
         report = synchronized_move(distances, chips, **shape)
-        far.append(report.deviation.pulses)
+        distance.append(report.deviation.pulses)
         perfect.append(report.plan.perfect)
         assert report.ok
         for n, d in distances.items():
             assert (report.axes[n].pulses, report.axes[n].residual) == (d, 0)
             assert chips.axes[n].chip.diagnostics == []
-    print(f"median {np.median(far):.3f}, 95 % {np.percentile(far, 95):.3f}, largest {max(far):.3f}")
-    assert np.median(far) <= np.median(perfect) + 0.05
-    assert np.percentile(far, 95) <= 1.1
-    assert max(far) <= 1.5
+    print(f"median {np.median(distance):.3f}, 95 % {np.percentile(distance, 95):.3f}, largest {max(distance):.3f}")
+    assert np.median(distance) <= np.median(perfect) + 0.05
+    assert np.percentile(distance, 95) <= 1.1
+    assert max(distance) <= 1.5
 
 
 @every_shape
 def test_random_triples_stay_as_close_to_their_line_as_perfect_axes(chip, shape):
-    rng, far, perfect = seeded(), [], []
+    rng, distance, perfect = seeded(), [], []
     for _ in range(scaled(3)):
         distances = random_distances(rng, "xyz", high=15_000)
         report = synchronized_move(distances, bench(chip, "xyz"), **shape)
         assert {n: r.pulses for n, r in report.axes.items()} == distances
-        far.append(report.deviation.pulses)
+        distance.append(report.deviation.pulses)
         perfect.append(report.plan.perfect)
-    assert np.median(far) <= np.median(perfect) + 0.1
-    assert max(far) <= 2
+    assert np.median(distance) <= np.median(perfect) + 0.1
+    assert max(distance) <= 2
 
 
 @every_shape
@@ -87,17 +87,19 @@ def test_every_axis_rises_to_its_fh_and_ends_at_fl(chip, shape):
 
 def test_the_speed_follows_an_s():
     p = plan({"x": 20_000, "y": 8_000}, chips=PCL240MS, s_curve=True, accel=0.2)
-    course = synchronized_move(p, bench(PCL240MS)).axes["x"].course
+    waveform = synchronized_move(p, bench(PCL240MS)).axes["x"].course
     up = p.axes["x"]
     fl, fh = up.registers["R1"], up.registers["R2"]
-    began = course.edges["clock"][np.argmax(~course.pin("hold"))]
+    began = waveform.edges["clock"][np.argmax(~waveform.pin("hold"))]
     at = {part: began + round(part * up.accel * up.clock_hz) for part in (0.25, 0.5, 0.75)}
-    gained = [course.edges["speed"][np.searchsorted(course.edges["clock"], t, "right") - 1] - fl for t in at.values()]
+    gained = [
+        waveform.edges["speed"][np.searchsorted(waveform.edges["clock"], t, "right") - 1] - fl for t in at.values()
+    ]
     assert gained == pytest.approx([(fh - fl) * part for part in (1 / 8, 1 / 2, 7 / 8)], abs=2)
 
 
 @every_shape
-def test_ramps_take_the_time_asked_for_on_all_axes(chip, shape):
+def test_ramps_take_the_requested_time_on_all_axes(chip, shape):
     for ratio in (0.9, 0.61803, 0.25):
         p = plan({"x": 40_000, "y": int(40_000 * ratio)}, rate=20_000, fl=800, accel=0.2, chips=chip, **shape)
         for a in p.axes.values():
@@ -136,7 +138,7 @@ def test_a_linear_plan_for_an_ms_says_so_in_r14():
 @pytest.mark.parametrize(
     ("chip", "bits", "s_curve"), [(PCL240MK, 20, False), (PCL240MS, 24, False), (PCL240MS, 24, 0.3)]
 )
-def test_an_automatic_plan_makes_the_pulses_of_its_r6_twin(chip, bits, s_curve):
+def test_an_automatic_plan_makes_the_same_pulses_as_one_with_r6(chip, bits, s_curve):
     rng = seeded()
     for _ in range(scaled(3)):
         distances = random_distances(rng, "xyz", 50, 12_000)
@@ -145,10 +147,11 @@ def test_an_automatic_plan_makes_the_pulses_of_its_r6_twin(chip, bits, s_curve):
         for n, a in p.axes.items():
             assert a.registers["R4"] == a.registers["R5"]
             assert a.registers["R6"] == (a.offset % (1 << bits) if a.automatic else a.down_point)
-            twin = trace_row(a.row, chip)
+            replica = trace_row(a.row, chip)
             assert a.row[6] == a.down_point
             assert (
-                np.rint((report.paths[n][0] - report.paths[n][0][0]) * a.clock_hz).tolist() == (twin - twin[0]).tolist()
+                np.rint((report.paths[n][0] - report.paths[n][0][0]) * a.clock_hz).tolist()
+                == (replica - replica[0]).tolist()
             )
 
 
@@ -181,7 +184,7 @@ def test_the_automatic_point_reaches_ramps_too_long_for_r6():
     assert report.deviation.pulses == pytest.approx(p.deviation, abs=0.2)
 
 
-def test_chips_may_be_mixed_and_each_axis_keeps_to_its_own_registers():
+def test_axes_with_different_chips_use_the_registers_of_their_chip():
     rng = seeded()
     for _ in range(scaled(4)):
         kinds = {n: rng.choice(FAMILY) for n in "xyz"}

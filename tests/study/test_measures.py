@@ -18,7 +18,7 @@ SECONDS = np.array([-0.1, 0.0, 0.1, 0.2, 0.3, 0.4])
 
 def measured(monkeypatch, away, ok=True, lost=0, band=1e-3, camera=None):
     """Of a move of 100 pulses against the joint's positive direction, of whose place the tool is so far away at SECONDS."""
-    asked = []
+    requested = []
     axis = SimpleNamespace(commanded=0.5, meters_per_pulse=2e-3, gear=-300.0)
     columns = {"time": 5.0 + 0.25 + SECONDS, "x/position": 0.3 + np.array(away)}
     recording = SimpleNamespace(
@@ -28,15 +28,17 @@ def measured(monkeypatch, away, ok=True, lost=0, band=1e-3, camera=None):
     names = ["x"] if camera is None else ["x", "camera_x"]
     joints = [SimpleNamespace(name=name, qposadr=[k]) for k, name in enumerate(names)]
     stage = SimpleNamespace(
-        axes={"x": axis}, time=5.0, record=lambda every: nullcontext(recording), run=asked.append,
+        axes={"x": axis}, time=5.0, record=lambda every: nullcontext(recording), run=requested.append,
         model=SimpleNamespace(njnt=len(joints), joint=joints.__getitem__),
     )  # fmt: skip
     report = SimpleNamespace(began=0.25, duration=0.2, ok=ok, lost_steps=lost)
-    monkeypatch.setattr(objectives.firmware, "preset_move", lambda *given: asked.append(given[1:]) or report)
-    found = _measure(stage, "x", "a profile", 100, band, 0.7)
-    assert asked == [(100, "a profile"), 0.7]
-    assert found["duration"] == 0.2
-    return found
+    monkeypatch.setattr(
+        objectives.firmware, "preset_move", lambda *arguments: requested.append(arguments[1:]) or report
+    )
+    results = _measure(stage, "x", "a profile", 100, band, 0.7)
+    assert requested == [(100, "a profile"), 0.7]
+    assert results["duration"] == 0.2
+    return results
 
 
 @pytest.mark.parametrize(
@@ -54,7 +56,7 @@ def test_a_move_counts_until_the_tool_stays_within_its_band(monkeypatch, away, s
     assert measured(monkeypatch, away)["score"] == pytest.approx(score)
 
 
-def test_a_move_that_did_not_do_as_asked_has_failed_and_what_nobody_knows_is_not_lost(monkeypatch):
+def test_an_incomplete_move_fails_and_unknown_steps_do_not_count_as_lost(monkeypatch):
     quiet = [0.0] * 6
     failed = measured(monkeypatch, quiet, ok=False, lost=-4)
     assert (failed["score"], failed["reached"], failed["lost_steps"]) == (pytest.approx(0.2 + FAILED), 0, -4)
@@ -86,34 +88,34 @@ def test_moves_together_are_the_mean_score_all_their_time_and_the_worst_vibratio
 
 def test_a_trial_measures_the_moves_of_its_objective(monkeypatch):
     """axis y, a start, a band and a rest of its own, three moves; and of one number one move"""
-    asked, told = [], []
+    requested, reported = [], []
     move = {"score": 1.0, "duration": 1.0, "lost_steps": 0, "reached": 1, "vibration": 0.0}
     monkeypatch.setattr(
         objectives, "_measure",
-        lambda stage, name, profile, *given: asked.append((name, round(stage.axes["y"].position, 3), *given)) or move,
+        lambda stage, name, profile, *arguments: requested.append((name, round(stage.axes["y"].position, 3), *arguments)) or move,
     )  # fmt: skip
     registers = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
     own = {"model": "xy", "axis": "y", "start": 0.02, "band": 3e-6, "rest": 0.125}
     PresetMoves(**own, pulses=(10, -20, 30)).measure(
-        registers, 1, lambda k, so_far: told.append((k, so_far["duration"]))
+        registers, 1, lambda k, so_far: reported.append((k, so_far["duration"]))
     )
-    assert asked == [("y", 0.02, 10, 3e-6, 0.125), ("y", 0.02, -20, 3e-6, 0.125), ("y", 0.02, 30, 3e-6, 0.125)]
-    assert told == [(0, 1.0), (1, 2.0)], "after each but the last"
-    asked.clear()
+    assert requested == [("y", 0.02, 10, 3e-6, 0.125), ("y", 0.02, -20, 3e-6, 0.125), ("y", 0.02, 30, 3e-6, 0.125)]
+    assert reported == [(0, 1.0), (1, 2.0)], "after each but the last"
+    requested.clear()
     PresetMoves(**own, pulses=7).measure(registers, 1)
-    assert [given[2] for given in asked] == [7]
+    assert [arguments[2] for arguments in requested] == [7]
 
 
-def test_each_kind_of_text_is_asked_for_in_its_own_way():
+def test_each_kind_of_range_uses_its_own_optuna_suggestion():
     """ranges even and on a log scale, some values, one"""
-    asked = []
+    requested = []
     trial = SimpleNamespace(
-        suggest_int=lambda name, low, high, log=False: asked.append((name, low, high, log)) or low,
-        suggest_categorical=lambda name, values: asked.append((name, values)) or values[-1],
+        suggest_int=lambda name, low, high, log=False: requested.append((name, low, high, log)) or low,
+        suggest_categorical=lambda name, values: requested.append((name, values)) or values[-1],
     )
-    found = suggest(trial, {"R1": "4:100:log", "R2": "400:2800", "R4": "10,20,40", "R7": 12})
-    assert asked == [("R1", 4, 100, True), ("R2", 400, 2800, False), ("R4", (10, 20, 40)), ("R7", 12, 12, False)]
-    assert found == {"R1": 4, "R2": 400, "R4": 40, "R7": 12}
+    results = suggest(trial, {"R1": "4:100:log", "R2": "400:2800", "R4": "10,20,40", "R7": 12})
+    assert requested == [("R1", 4, 100, True), ("R2", 400, 2800, False), ("R4", (10, 20, 40)), ("R7", 12, 12, False)]
+    assert results == {"R1": 4, "R2": 400, "R4": 40, "R7": 12}
     assert {name: objectives.values_of(name, text) for name, text in SPACE.items()} == {
         "R1": (4, 100, True), "R2": (400, 2800, False), "R4": (60, 800, True), "R5": (60, 800, True), "R7": (12,),
     }  # fmt: skip

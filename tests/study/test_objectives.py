@@ -67,7 +67,7 @@ def test_a_move_that_an_end_limit_stopped_has_failed_however_wide_the_band_is():
     assert said["score"] >= FAILED
 
 
-def test_steps_lost_one_way_do_not_make_up_for_those_lost_the_other_way():
+def test_lost_steps_of_opposite_directions_do_not_cancel():
     """PresetMoves(pulses=(2000, -2000)): a move reports the steps that it loses with the sign of their direction"""
     move = {"score": 1.0, "duration": 1.0, "reached": 0, "vibration": 0.0}
     assert _together([move | {"lost_steps": 4}, move | {"lost_steps": -4}])["lost_steps"] == 8
@@ -84,32 +84,34 @@ def test_a_camera_on_a_mast_rings_less_after_s_curves():
 
 
 def test_a_pruner_ends_a_trial_between_its_moves(tmp_path):
-    there_and_back = PresetMoves(model="xy", pulses=[2000, -2000], rest=0.05)
-    study = open_study(there_and_back, tmp_path / "study", pruner=optuna.pruners.ThresholdPruner(upper=0.0))
-    study.optimize(there_and_back, n_trials=1)
+    back_and_forth = PresetMoves(model="xy", pulses=[2000, -2000], rest=0.05)
+    study = open_study(back_and_forth, tmp_path / "study", pruner=optuna.pruners.ThresholdPruner(upper=0.0))
+    study.optimize(back_and_forth, n_trials=1)
     trial = study.trials[0]
     assert trial.state.name == "PRUNED"
     first = PresetMoves(model="xy", pulses=2000, rest=0.05).measure(trial.params, trial.user_attrs["seed"])
     assert trial.intermediate_values == {0: first["score"]}
 
 
-def test_a_pruner_is_told_of_the_goal(monkeypatch):
+def test_a_pruner_receives_the_value_of_the_goal(monkeypatch):
     """PresetMoves(goals=("duration",), pulses=(2000, -2000, 2000))"""
-    told = []
+    reported = []
     moves = [{"score": 9.0, "duration": t, "lost_steps": 0, "reached": 1, "vibration": 0.0} for t in (0.5, 0.25, 1.0)]
-    monkeypatch.setattr(objectives, "_measure", lambda *given: moves[len(told)])
-    monkeypatch.setattr(optuna.trial.FixedTrial, "report", lambda trial, value, step: told.append((step, value)))
+    monkeypatch.setattr(objectives, "_measure", lambda *arguments: moves[len(reported)])
+    monkeypatch.setattr(optuna.trial.FixedTrial, "report", lambda trial, value, step: reported.append((step, value)))
     goal = PresetMoves(
         space={k: v for k, v in GENTLE.items()}, goals=("duration",), model="xy", pulses=(2000, -2000, 2000)
     )
     assert goal(optuna.trial.FixedTrial(GENTLE)) == 1.75
-    assert told == [(0, 0.5), (1, 0.75)]
+    assert reported == [(0, 0.5), (1, 0.75)]
 
 
 def test_starts_are_drawn_within_a_tenth_of_a_millimetre_to_both_sides(monkeypatch):
     starts = []
     move = {"score": 1.0, "duration": 1.0, "lost_steps": 0, "reached": 1, "vibration": 0.0}
-    monkeypatch.setattr(objectives, "_measure", lambda stage, *given: starts.append(stage.axes["x"].position) or move)
+    monkeypatch.setattr(
+        objectives, "_measure", lambda stage, *arguments: starts.append(stage.axes["x"].position) or move
+    )
     for seed in range(12):
         MOVE.measure(GENTLE, seed)
     off = [start - MOVE.start for start in starts]
@@ -173,14 +175,14 @@ def test_values_that_make_no_sense_are_refused(text):
         values_of("R2", text)
 
 
-def test_a_screw_that_turns_the_other_way_has_its_goal_on_the_other_side(tmp_path):
-    found = PresetMoves(model=mirrored(tmp_path), pulses=400, start=0.0, rest=0.1, band=1e-4).measure(
+def test_a_screw_with_inverse_gear_has_its_goal_on_the_other_side(tmp_path):
+    results = PresetMoves(model=mirrored(tmp_path), pulses=400, start=0.0, rest=0.1, band=1e-4).measure(
         {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}, seed=1
     )
-    assert (found["reached"], found["lost_steps"]) == (1, 0)
-    assert found["score"] < 1
+    assert (results["reached"], results["lost_steps"]) == (1, 0)
+    assert results["score"] < 1
 
 
-def test_moves_that_ended_as_asked_are_counted():
+def test_complete_moves_are_counted():
     registers = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
     assert PresetMoves(pulses=(400, -400, 400), rest=0.05).measure(registers, seed=1)["reached"] == 3

@@ -79,7 +79,7 @@ def wait_for(condition, seconds=60):
 
 
 @pytest.mark.slow
-def test_kills_take_the_trial_under_way_and_no_other_and_the_same_command_goes_on(tmp_path):
+def test_a_killed_study_loses_only_its_running_trials_and_continues(tmp_path):
     """python scripts/sweep.py --out study.log --trials 60 --workers 2 --objective mine:slow, its processes killed one by one"""
     print(f"seed {SEED}")
     rng = random.Random(SEED)
@@ -125,15 +125,15 @@ def test_kills_take_the_trial_under_way_and_no_other_and_the_same_command_goes_o
     assert states.count("COMPLETE") in (60, 61)
     assert states.count("RUNNING") == len(trials) - states.count("COMPLETE") <= 1
     assert all((trials[number].params, trials[number].value) == was for number, was in kept.items())
-    begun = [number for word, number, _ in lines(log) if word == "begun"]
-    assert len(begun) == len(set(begun))
-    assert {t.number for t in trials if t.state.name == "COMPLETE"} <= set(begun)
+    started = [number for word, number, _ in lines(log) if word == "begun"]
+    assert len(started) == len(set(started))
+    assert {t.number for t in trials if t.state.name == "COMPLETE"} <= set(started)
     assert re.match(r"6[01] trials finished \(", out)
 
 
-@pytest.mark.parametrize("begun", [b"", b'{"op_'])
-def test_a_journal_whose_first_writer_was_killed_before_its_first_line_is_a_new_one(tmp_path, begun):
-    (tmp_path / "study").write_bytes(begun)
+@pytest.mark.parametrize("started", [b"", b'{"op_'])
+def test_a_journal_whose_first_writer_was_killed_before_its_first_line_is_a_new_one(tmp_path, started):
+    (tmp_path / "study").write_bytes(started)
     assert len(made(run(valley, tmp_path / "study", 2))) == 2
 
 
@@ -220,7 +220,7 @@ def test_other_versions_of_the_packages_make_another_study(tmp_path, monkeypatch
     assert re.findall(r"(\w+): \S+ before, 0\.0\.1 now", str(caught.value)) == ["pulsestage", "mujoco", "numpy"]
 
 
-def test_what_is_there_and_no_study_stays_as_it_was(tmp_path):
+def test_a_file_that_is_no_study_stays_unchanged(tmp_path):
     (tmp_path / "notes").write_text("no end of line")
     for place, message in (("notes", "holds no study"), ("", "is no regular file"), ("not/there", "No such file")):
         with pytest.raises(StageError, match=message):
@@ -254,7 +254,7 @@ def dies(trial):
     os._exit(3)
 
 
-def test_workers_that_end_without_their_trials_are_told_and_an_objective_they_cannot_have_is_refused(tmp_path):
+def test_workers_that_exit_early_and_objectives_that_cannot_be_pickled_raise_errors(tmp_path):
     with pytest.raises(
         StageError, match=r"0 of 3 trials are finished: workers ended with exit codes 3, 3\. Run it again"
     ):
@@ -279,7 +279,7 @@ def swept(monkeypatch, capsys, tmp_path):
     return run
 
 
-def test_the_command_goes_on_and_prints_the_best(swept, tmp_path):
+def test_the_command_continues_a_study_and_prints_its_best_trial(swept, tmp_path):
     options = "--space R1=20 R4=400 R5=400 --option model=xy pulses=[500,-500] rest=0.02"
     assert swept(f"sweep.py --out study.log --trials 2 {options}")[0] == 0
     code, out, _ = swept(f"sweep.py --out study.log --trials 4 --top 2 --pruner median {options}")
@@ -347,7 +347,7 @@ def test_the_page_s_program_for_ray_runs(tmp_path):
     assert finished(read_study(tmp_path / "moves.log")) == 40
 
 
-def test_no_trial_is_pruned_unless_asked_for(tmp_path):
+def test_no_trial_is_pruned_without_a_pruner(tmp_path):
     assert isinstance(open_study(valley, tmp_path / "study").pruner, optuna.pruners.NopPruner)
     median = optuna.pruners.MedianPruner()
     assert open_study(valley, tmp_path / "other", pruner=median).pruner is median
@@ -355,15 +355,15 @@ def test_no_trial_is_pruned_unless_asked_for(tmp_path):
 
 def test_pruned_trials_are_finished_and_count(tmp_path):
     """run(objective, "study", trials=3) with one whose trials are all pruned"""
-    begun = []
+    started = []
 
     def pruned(trial):
-        begun.append(trial.number)
-        assert len(begun) < 4
+        started.append(trial.number)
+        assert len(started) < 4
         raise optuna.TrialPruned
 
     study = run(pruned, tmp_path / "study", 3)
-    assert (begun, finished(study)) == ([0, 1, 2], 3)
+    assert (started, finished(study)) == ([0, 1, 2], 3)
 
 
 def test_a_seed_of_a_trial_stays_what_it_was_in_older_studies():

@@ -25,21 +25,21 @@ def valley(trial):
 class Process:
     """Runs where it is joined, for `how` of the runner; ends with `code`."""
 
-    def __init__(self, said, ends, target, args, daemon):
-        self.said, self.ends, self.target, self.args, self.pid, self.exitcode = said, ends, target, args, None, None
-        said.append(("made", target, args[2], daemon))
+    def __init__(self, events, ends, target, args, daemon):
+        self.events, self.ends, self.target, self.args, self.pid, self.exitcode = events, ends, target, args, None, None
+        events.append(("made", target, args[2], daemon))
 
     def start(self):
         self.pid = 77
-        self.said.append("started")
+        self.events.append("started")
 
     def join(self):
-        self.said.append("joined")
+        self.events.append("joined")
         if self.exitcode is None:
             self.exitcode = self.ends(*self.args)
 
     def terminate(self):
-        self.said.append("terminated")
+        self.events.append("terminated")
 
 
 @pytest.fixture
@@ -47,33 +47,33 @@ def spawned(monkeypatch):
     """Makes processes that do what `ends` does; returns what was heard of them."""
 
     def make(ends):
-        said = []
-        context = SimpleNamespace(Process=lambda **how: Process(said, ends, **how))
-        monkeypatch.setattr(runner.multiprocessing, "get_context", lambda kind: (said.append(kind), context)[1])
-        return said
+        events = []
+        context = SimpleNamespace(Process=lambda **how: Process(events, ends, **how))
+        monkeypatch.setattr(runner.multiprocessing, "get_context", lambda kind: (events.append(kind), context)[1])
+        return events
 
     return make
 
 
-def test_each_worker_is_spawned_given_the_whole_task_and_joined(spawned, tmp_path):
-    given = []
+def test_each_worker_is_spawned_with_the_full_task_and_joined(spawned, tmp_path):
+    arguments = []
 
     def ends(objective, place, trials, how):
-        given.append((objective, place, trials, how))
+        arguments.append((objective, place, trials, how))
         _optimize(open_study(objective, place, **how), objective, trials)
         return 0
 
-    said = spawned(ends)
+    events = spawned(ends)
     sampler, pruner = optuna.samplers.RandomSampler, optuna.pruners.MedianPruner()
     study = run(valley, tmp_path / "study", 4, workers=3, sampler=sampler, pruner=pruner, seed=9)
-    assert said == [
+    assert events == [
         "spawn", *[("made", _work, 4, True)] * 3, *["started"] * 3, *["joined"] * 3, *["terminated", "joined"] * 3,
     ]  # fmt: skip
-    assert given == [(valley, tmp_path / "study", 4, {"sampler": sampler, "pruner": pruner, "seed": 9})] * 3
+    assert arguments == [(valley, tmp_path / "study", 4, {"sampler": sampler, "pruner": pruner, "seed": 9})] * 3
     assert finished(study) == 4
 
 
-def test_workers_that_leave_trials_undone_are_told_with_how_they_ended(spawned, tmp_path):
+def test_the_error_of_unfinished_trials_states_how_the_workers_exited(spawned, tmp_path):
     codes = iter((0, -9))
     spawned(lambda objective, place, trials, how: next(codes))
     with pytest.raises(
@@ -83,21 +83,21 @@ def test_workers_that_leave_trials_undone_are_told_with_how_they_ended(spawned, 
 
 
 def test_ctrl_c_ends_workers_that_were_started_and_no_other(spawned, tmp_path, monkeypatch):
-    said = spawned(lambda *_: 0)
+    events = spawned(lambda *_: 0)
     monkeypatch.setattr(Process, "start", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         run(valley, tmp_path / "study", 2, workers=2)
-    assert said[3:] == []
+    assert events[3:] == []
 
 
-def test_what_processes_cannot_import_is_refused_before_one_is_made(spawned, tmp_path):
-    said = spawned(lambda *_: 0)
+def test_an_objective_that_processes_cannot_import_is_refused_before_they_start(spawned, tmp_path):
+    events = spawned(lambda *_: 0)
     with pytest.raises(ArgumentError, match="workers=2: processes must be able to import the objective: "):
         run(lambda trial: 0.0, tmp_path / "study", 2, workers=2)
-    assert said == []
+    assert events == []
 
 
-def test_a_study_that_is_done_gets_no_trial_from_a_worker_that_comes_late(tmp_path):
+def test_a_worker_that_starts_after_the_last_trial_runs_none(tmp_path):
     study = run(valley, tmp_path / "study", 3)
     _optimize(study, valley, 3)
     assert len(study.trials) == 3
@@ -114,9 +114,9 @@ def test_a_worker_whose_parent_has_died_ends_after_its_trial(tmp_path, monkeypat
 
 
 @pytest.mark.parametrize(
-    ("error", "code", "said"), [(StageError("no room"), 2, "no room"), (KeyboardInterrupt(), 130, "")]
+    ("error", "code", "message"), [(StageError("no room"), 2, "no room"), (KeyboardInterrupt(), 130, "")]
 )
-def test_a_worker_says_what_was_wrong_and_ends_with_a_code(error, code, said, monkeypatch, capsys, tmp_path):
+def test_a_worker_says_what_was_wrong_and_ends_with_a_code(error, code, message, monkeypatch, capsys, tmp_path):
     def refuse(*_, **__):
         raise error
 
@@ -124,7 +124,7 @@ def test_a_worker_says_what_was_wrong_and_ends_with_a_code(error, code, said, mo
     with pytest.raises(SystemExit) as ended:
         _work(valley, tmp_path / "study", 1, {})
     assert ended.value.code == code
-    assert capsys.readouterr().err == (f"worker {os.getpid()}: {said}\n" if said else "")
+    assert capsys.readouterr().err == (f"worker {os.getpid()}: {message}\n" if message else "")
 
 
 def test_trials_are_finished_that_came_to_an_end_by_themselves():
@@ -137,7 +137,7 @@ def test_trials_are_finished_that_came_to_an_end_by_themselves():
     assert finished(SimpleNamespace(get_trials=lambda deepcopy: some)) == 3
 
 
-def test_a_study_has_the_sampler_and_the_pruner_that_were_asked_for_and_tpe_and_none_otherwise(tmp_path):
+def test_a_study_uses_the_requested_sampler_and_pruner_or_tpe_and_none(tmp_path):
     usual = open_study(valley, tmp_path / "usual")
     assert (usual.study_name, [d.name for d in usual.directions]) == ("study", ["MINIMIZE"])
     assert (usual.sampler._make, usual.sampler._seed) == (optuna.samplers.TPESampler, 0)
@@ -156,35 +156,35 @@ def test_a_study_of_an_empty_storage_is_none_to_read(tmp_path):
 class Sampler:
     """Notes what it is asked."""
 
-    said = []  # noqa: RUF012
+    events = []  # noqa: RUF012
 
     def __init__(self, seed):
         self.seed = seed
 
     def __getattr__(self, name):
-        return lambda *given: (self.said.append((name, self.seed, given)), name)[1]
+        return lambda *arguments: (self.events.append((name, self.seed, arguments)), name)[1]
 
 
-def test_a_sampler_by_number_asks_one_of_its_own_seed_each_time(monkeypatch):
+def test_each_trial_has_a_sampler_seeded_by_its_number(monkeypatch):
     monkeypatch.setattr(Sampler, "said", [])
     sampler, trial = ByNumber(Sampler, 5), SimpleNamespace(number=3, params={})
-    asked = [
+    requested = [
         ("before_trial", ("study", trial)), ("infer_relative_search_space", ("study", trial)),
         ("sample_relative", ("study", trial, "space")), ("sample_independent", ("study", trial, "R2", "range")),
         ("after_trial", ("study", trial, "state", [1.0])),
     ]  # fmt: skip
-    answers = [getattr(sampler, name)(*given) for name, given in asked]
+    answers = [getattr(sampler, name)(*arguments) for name, arguments in requested]
     assert answers == [None, "infer_relative_search_space", "sample_relative", "sample_independent", None]
-    assert [(name, given) for name, _, given in Sampler.said] == asked
-    assert len({seed for _, seed, _ in Sampler.said}) == 1
+    assert [(name, arguments) for name, _, arguments in Sampler.events] == requested
+    assert len({seed for _, seed, _ in Sampler.events}) == 1
     others = [
         (5, SimpleNamespace(number=4, params={})), (5, SimpleNamespace(number=3, params={"R2": 1})),
         (6, SimpleNamespace(number=3, params={})),
     ]  # fmt: skip
     for seed, other in others:
         ByNumber(Sampler, seed).before_trial("study", other)
-    assert len({seed for _, seed, _ in Sampler.said}) == 4, "another for each trial, each number drawn, and each seed"
-    assert Sampler.said[0][1] == 2014078169, "as older studies have drawn"
+    assert len({seed for _, seed, _ in Sampler.events}) == 4, "another for each trial, each number drawn, and each seed"
+    assert Sampler.events[0][1] == 2014078169, "as older studies have drawn"
 
 
 @pytest.mark.parametrize(
@@ -198,7 +198,7 @@ def test_a_sampler_by_number_asks_one_of_its_own_seed_each_time(monkeypatch):
         (b"one\n\n", b"one\n\n"),
     ],
 )
-def test_who_gets_the_lock_finds_a_journal_of_whole_lines(tmp_path, kept, left):
+def test_the_lock_removes_an_incomplete_last_line_of_the_journal(tmp_path, kept, left):
     path = tmp_path / "study"
     path.write_bytes(kept)
     lock = Lock(path)
@@ -230,7 +230,7 @@ def test_a_lock_is_one_s_alone_until_it_is_released_or_could_not_be_had(tmp_path
     assert not taken()
 
 
-def test_a_full_disk_is_told_with_what_is_safe(tmp_path, monkeypatch):
+def test_the_error_of_a_full_disk_states_which_trials_are_saved(tmp_path, monkeypatch):
     journal = Journal(tmp_path / "study")
 
     def full(self, logs):

@@ -21,7 +21,7 @@ from stage.tune.planners import MovePlan, create_planner
 from stage.tune.result import Answer, TuningResult
 from stage.tune.search import Trial
 
-PAYLOAD, MOST = 2.0, 2.6  # kg, with the spare
+PAYLOAD, MAX_PAYLOAD = 2.0, 2.6  # kg, with the spare
 
 
 def task_of(stage=None, **how):
@@ -65,7 +65,7 @@ def tuned(monkeypatch, task):
             Trial(k, named(name), worst, int(name in broken)) for k, (name, worst) in enumerate((found or {}).items())
         ]
         monkeypatch.setattr(tuning, "import_optuna", lambda: None)
-        monkeypatch.setattr(tuning, "search_registers", lambda *given: (ranked, False))
+        monkeypatch.setattr(tuning, "search_registers", lambda *arguments: (ranked, False))
         monkeypatch.setattr(tuning, "MoveRunner", lambda task, plans, workers: Told(task, goes))
         return tune(task, by="formula" if found is None else "search", moves=moves, **how)
 
@@ -80,7 +80,7 @@ def test_a_slow_answer_of_a_search_is_looked_at_for_as_long_as_it_takes(tuned):
     assert result.answer.plan == named("fast")
 
 
-def test_the_fastest_in_the_mean_is_taken(tuned):
+def test_the_answer_with_the_shortest_mean_time_is_selected(tuned):
     uneven = {"uneven": lambda case: 0.2 if case.payload == 0 else 0.04, "even": lambda case: 0.13}
     result = tuned(
         lambda name, case: (uneven[name](case) if name in uneven else 0.3, True), 8, {"even": 0.13, "uneven": 0.2}
@@ -88,7 +88,7 @@ def test_the_fastest_in_the_mean_is_taken(tuned):
     assert result.answer.plan == named("uneven")
 
 
-def test_registers_without_the_spare_that_was_asked_for_are_out(tuned):
+def test_registers_that_do_not_carry_the_margin_are_dropped(tuned):
     """They carry the payload and 2.6 kg, the moves of the proof, but not 2.3 kg"""
     result = tuned(lambda name, case: (0.1, name == "formula" or not 2.1 < case.payload < 2.5), 3, {"other": 0.1})
     assert (result.selected_name, result.rejected_count, len(result.answers)) == ("formula", 1, 1)
@@ -104,7 +104,9 @@ def test_a_gain_that_is_less_than_its_error_is_none(tuned):
 
 
 def test_where_the_formula_loses_steps_in_the_proof_the_search_wins_by_whatever_time(tuned):
-    result = tuned(lambda name, case: (0.1, name == "sound" or case.payload in (0.0, PAYLOAD, MOST)), 4, {"sound": 0.1})
+    result = tuned(
+        lambda name, case: (0.1, name == "sound" or case.payload in (0.0, PAYLOAD, MAX_PAYLOAD)), 4, {"sound": 0.1}
+    )
     assert result.selected_name == "search"
     assert result.explain_selection() == "The search's registers (1 trials): the formula's lose steps in the proof."
 
@@ -122,16 +124,18 @@ def test_what_swings_for_long_is_looked_at_for_four_times_as_long(tuned):
         tuned(lambda name, case: (9.0, True), 3)
 
 
-def test_where_neither_formula_nor_search_keeps_step_it_is_said_how_often_the_formula_has(tuned):
-    said = (
+def test_the_result_counts_the_moves_that_keep_step_when_neither_answer_passes(tuned):
+    message = (
         r"no registers are proved with up to 2\.6 kg: a proof wants every drawn machine to be good\. Of the formula's 4 machines 3 "
         r"were good, 1 did not keep step\. The strongest of those that failed has core loss 0\.000\d+ N m s/rad, .*, supply "
         r"[\d.]+ V\. "
         r"Ask for less payload or spare, "
         r"give more room \(--settle, --overshoot\), or search longer \(--trials\)\."
     )
-    with pytest.raises(StageError, match=said):
-        tuned(lambda name, case: (0.1, name == "formula" and case.payload in (0.0, PAYLOAD, MOST)), 4, {"bad": 0.1})
+    with pytest.raises(StageError, match=message):
+        tuned(
+            lambda name, case: (0.1, name == "formula" and case.payload in (0.0, PAYLOAD, MAX_PAYLOAD)), 4, {"bad": 0.1}
+        )
 
 
 def test_of_many_answers_of_a_search_the_first_that_passes_is_the_one(tuned):
@@ -143,10 +147,10 @@ def test_of_many_answers_of_a_search_the_first_that_passes_is_the_one(tuned):
 
 def test_three_times_eight_answers_of_a_search_are_tried_and_no_more(tuned):
     """Try k fails in the k-th of the moves that the search has not seen, and the others keep it"""
-    found, seen = {f"try {k}": 0.1 for k in range(40)}, {}
+    found, observed = {f"try {k}": 0.1 for k in range(40)}, {}
 
     def goes(name, case):
-        return 0.1, name not in found or seen.setdefault(case, len(seen)) != int(name.removeprefix("try "))
+        return 0.1, name not in found or observed.setdefault(case, len(observed)) != int(name.removeprefix("try "))
 
     result = tuned(goes, 96, found)
     assert (result.selected_name, result.rejected_count, result.trial_count) == ("formula", 24, 40)
@@ -155,7 +159,7 @@ def test_three_times_eight_answers_of_a_search_are_tried_and_no_more(tuned):
     )
 
 
-def test_where_eight_answers_fail_in_the_same_moves_those_that_fail_there_are_out_and_the_next_is_the_one(tuned):
+def test_trials_that_fail_in_the_moves_of_eight_failed_ones_are_dropped(tuned):
     """Overloaded moves alone: the first 30 of 40 trials lose steps in them"""
     found = {f"try {k}": 0.1 + 1e-3 * k for k in range(40)}
     result = tuned(
@@ -181,42 +185,42 @@ def test_one_move_is_a_proof_too(tuned):
     assert (result.answer.proof.move_count, result.answer.proof.good_count) == (1, 1)
 
 
-def test_the_spare_that_was_asked_for_is_enough_and_none_may_be_asked_for(tuned, task):
-    for most in (MOST, MOST - 0.01):
+def test_an_answer_needs_exactly_the_requested_margin_which_may_be_zero(tuned, task):
+    for most in (MAX_PAYLOAD, MAX_PAYLOAD - 0.01):
         try:
             held = tuned(lambda name, case, most=most: (0.1, case.payload <= most + 1e-9), 3).answer.is_proved
         except StageError:
             held = False
-        assert held == (most == MOST)
+        assert held == (most == MAX_PAYLOAD)
 
 
-def test_what_is_done_is_told_from_the_formula_to_the_end(tuned, monkeypatch):
-    heard = []
-    tuned(lambda name, case: (0.1, True), 4, {"even": 0.1}, on_progress=lambda *said: heard.append(said))
-    assert heard == [("the formula", 0.0, None), ("the proof", 0.0, None), ("the proof", 1.0, None)]
-    heard.clear()
+def test_progress_is_reported_from_the_formula_to_the_end(tuned, monkeypatch):
+    received = []
+    tuned(lambda name, case: (0.1, True), 4, {"even": 0.1}, on_progress=lambda *message: received.append(message))
+    assert received == [("the formula", 0.0, None), ("the proof", 0.0, None), ("the proof", 1.0, None)]
+    received.clear()
 
-    def searching(*given):
+    def searching(*arguments):
         for done, best in ((8, None), (16, Trial(0, None, 0.3, 0)), (24, Trial(0, None, 0.2, 1))):
-            given[-1](done, best)
+            arguments[-1](done, best)
         return [], True
 
     made = monkeypatch.setattr
     made(tuning, "import_optuna", lambda: None)
     made(tuning, "search_registers", searching)
-    result = tune(task_of(), trials=20, moves=1, on_progress=lambda *said: heard.append(said))
-    assert heard[1:-2] == [("searching", 0.4, None), ("searching", 0.8, 0.3), ("searching", 1.0, None)]
+    result = tune(task_of(), trials=20, moves=1, on_progress=lambda *message: received.append(message))
+    assert received[1:-2] == [("searching", 0.4, None), ("searching", 0.8, 0.3), ("searching", 1.0, None)]
     assert ", ended by Ctrl-C)" in result.explain_selection()
 
 
 def answered(task, **more):
     plans = create_planner(task)
     answer = Answer("formula", plans.build_formula_plan(), proof.Proof(1, 1, np.array([0.1]), 0.0), 0.6, False, True)
-    given = {
+    arguments = {
         "selected_name": "formula", "safety_factor": 1.5, "method": "formula", "trial_count": 0, "interrupted": False,
         "rejected_count": 0, "seed": 0,
     }  # fmt: skip
-    return TuningResult(task, plans, (answer,), move_count=1, **{**given, **more})
+    return TuningResult(task, plans, (answer,), move_count=1, **{**arguments, **more})
 
 
 def told_of(task, **more):
@@ -229,13 +233,13 @@ def told_of(task, **more):
         Answer("formula", plan, proof.Proof(4, 3, times[0], 3e-5, 1), 0.61, False, False),
         Answer("search", plan._replace(speeds=speeds), proof.Proof(4, 4, times[1], 1.5e-5, 0), 2.4, True, True),
     )
-    given = {
+    arguments = {
         "safety_factor": 1.5, "method": "search", "trial_count": 20, "interrupted": True, "rejected_count": 2, "seed": 7,
     }  # fmt: skip
-    return TuningResult(task, plans, answers, move_count=99, **{"selected_name": "search", **given, **more})
+    return TuningResult(task, plans, answers, move_count=99, **{"selected_name": "search", **arguments, **more})
 
 
-def test_every_number_of_an_answer_is_told_in_its_place(task):
+def test_the_result_text_contains_every_number_of_an_answer(task):
     result = told_of(task)
     lines = str(result).splitlines()
     assert lines[0] == (
@@ -269,25 +273,25 @@ def test_every_number_of_an_answer_is_told_in_its_place(task):
 
 
 def test_every_number_of_an_answer_is_in_its_json(task):
-    said = told_of(task).json()
-    assert {k: said[k] for k in ("axis", "pulses", "payload", "spare", "hold", "seed", "trials", "moves", "stopped", "won")} == {
+    message = told_of(task).json()
+    assert {k: message[k] for k in ("axis", "pulses", "payload", "spare", "hold", "seed", "trials", "moves", "stopped", "won")} == {
         "axis": "x", "pulses": 400, "payload": 2.0, "spare": 0.6, "hold": 0.02, "seed": 7, "trials": 20, "moves": 99,
         "stopped": True, "won": "search",
     }  # fmt: skip
-    assert (said["within"], said["overshoot"]) == pytest.approx((5e-5, 1e-4))
-    assert list(said["answers"]) == ["formula", "search"]
-    search = said["answers"]["search"]
+    assert (message["within"], message["overshoot"]) == pytest.approx((5e-5, 1e-4))
+    assert list(message["answers"]) == ["formula", "search"]
+    search = message["answers"]["search"]
     assert search["speeds"] == {"start": 1000.0, "drive": 20_000.0, "up": 0.1, "down": 0.05, "s_curve": False}
     numbers = {k: search[k] for k in ("mean", "worst", "beyond", "spare", "spare_may_be_more", "kept", "proved")}
     assert numbers == {
         "mean": pytest.approx(0.07), "worst": 0.08, "beyond": 1.5e-5, "spare": 2.4, "spare_may_be_more": True, "kept": 4,
         "proved": 4,
     }  # fmt: skip
-    formula = said["answers"]["formula"]
+    formula = message["answers"]["formula"]
     assert (formula["kept"], formula["proved"], formula["spare"], formula["spare_may_be_more"]) == (3, 4, 0.61, False)
 
 
-def test_a_servo_goes_counts_and_arrives():
+def test_a_servo_moves_by_encoder_counts_and_arrives():
     task = task_of(Stage("xy", chips="HCTL1100", visuals=False))
     result = told_of(task)
     assert result.describe_distance() == "2 mm (400 counts)"
@@ -295,13 +299,13 @@ def test_a_servo_goes_counts_and_arrives():
     assert "up to 20,000 counts/s" in result.describe_rates()
 
 
-def test_a_unit_stands_behind_a_meaning_that_does_not_have_it():
+def test_a_unit_follows_a_meaning_that_does_not_contain_it():
     assert RegisterValue("R1", 1, 4, "FL speed", "pps").meaning_with_unit == "FL speed, pps"
     assert RegisterValue("R1", 1, 4, "rate in pps", "pps").meaning_with_unit == "rate in pps"
     assert RegisterValue("R1", 1, 4, "mode", "").meaning_with_unit == "mode"
 
 
-def test_a_negative_register_is_told_in_hexadecimal_as_it_is_on_the_bus(task):
+def test_a_negative_register_is_printed_in_hexadecimal_as_on_the_bus(task):
     result = answered(task)
     vars(result)["register_values"] = [
         RegisterValue("TP", -40_000, 8, "goal", ""),
@@ -314,19 +318,19 @@ def test_a_negative_register_is_told_in_hexadecimal_as_it_is_on_the_bus(task):
 
 
 def test_what_has_no_limit_is_none_in_json():
-    said = answered(task_of(judge_at="work")).json()
-    assert said["overshoot"] is None
-    assert json.loads(json.dumps(said, allow_nan=False))["judge_at"] == "work"
+    message = answered(task_of(judge_at="work")).json()
+    assert message["overshoot"] is None
+    assert json.loads(json.dumps(message, allow_nan=False))["judge_at"] == "work"
 
 
-def test_moves_of_a_proof_go_both_ways_with_each_payload(task):
+def test_a_proof_moves_in_both_directions_with_each_payload(task):
     rng = np.random.default_rng(0)
     for cases in (task.build_corner_cases(rng, 2), task.draw_cases(rng, 16)):
-        for payload in (0.0, PAYLOAD, MOST):
+        for payload in (0.0, PAYLOAD, MAX_PAYLOAD):
             assert {case.direction for case in cases if case.payload == pytest.approx(payload)} == {1, -1}
 
 
-def test_on_a_screw_that_turns_the_other_way_the_picture_has_the_move_towards_plus(tmp_path, monkeypatch):
+def test_the_plot_shows_a_plus_move_on_a_screw_with_inverse_gear(tmp_path, monkeypatch):
     pytest.importorskip("matplotlib")
     drawn = []
     monkeypatch.setattr("stage.tune.result_plot.save_figure", lambda figure, *rest: drawn.append(figure))

@@ -60,32 +60,34 @@ def test_a_search_draws_sixteen_trials_before_its_sampler_has_an_opinion_and_say
 
 
 @pytest.mark.parametrize(
-    ("most", "said"),
+    ("maximum", "message"),
     [
         (2.0, "Up to 2 kg in all they keep step: take less payload or spare."),
         (0.0, "Up to 0 kg in all"),
         (-1.0, "Nor do they keep step with nothing on it"),
     ],
 )
-def test_what_the_formula_carries_is_the_most_of_nine_payloads_each_with_four_of_the_cases(task, most, said):
-    asked = []
+def test_the_largest_payload_of_the_formula_is_found_among_nine_with_four_cases_each(task, maximum, message):
+    requested = []
 
     def make(plans, cases, limit):
-        asked.append(([plan.registers for plan in plans], cases, limit))
-        return MoveOutcomes(*(np.array([[c.payload <= most for c in cases]]) for _ in range(3)))
+        requested.append(([plan.registers for plan in plans], cases, limit))
+        return MoveOutcomes(*(np.array([[c.payload <= maximum for c in cases]]) for _ in range(3)))
 
     plans = SimpleNamespace(
         build_formula_plan=lambda safety: MovePlan({"safety": safety}, Speeds(1000.0, 4000.0, 0.1, 0.2))
     )
-    assert tuning._describe_largest_payload(SimpleNamespace(task=task, run_moves=make), plans, CASES).startswith(said)
-    ((registers, cases, limit),) = asked
+    assert tuning._describe_largest_payload(SimpleNamespace(task=task, run_moves=make), plans, CASES).startswith(
+        message
+    )
+    ((registers, cases, limit),) = requested
     assert registers == [{"safety": SAFETY_FACTOR}]
     assert limit == pytest.approx(2 * (400 / 4000 + 0.1 + 0.2) + 0.3 + 0.02)
     assert [c.payload for c in cases] == pytest.approx(np.repeat(np.linspace(0.0, task.max_payload, 9), 4))
     assert [(c.start_offset, c.direction) for c in cases[4:8]] == [(c.start_offset, c.direction) for c in CASES[:8:2]]
 
 
-def test_tries_that_are_over_have_closed_their_fleet_and_so_do_those_that_were_cut_short(task, monkeypatch):
+def test_a_finished_or_interrupted_runner_has_closed_its_fleet(task, monkeypatch):
     closed = []
     made = MoveRunner(task, create_planner(task), 1, fleet_size=1)
     monkeypatch.setattr(made.fleet, "close", lambda: closed.append("closed"))
@@ -97,7 +99,7 @@ def test_tries_that_are_over_have_closed_their_fleet_and_so_do_those_that_were_c
     assert closed == ["closed"] * 2
 
 
-def test_as_many_stages_are_made_as_there_are_lanes_and_played_by_as_many_threads_as_workers(task):
+def test_the_fleet_has_one_stage_for_each_lane_and_one_thread_for_each_worker(task):
     made = MoveRunner(task, create_planner(task), 2, fleet_size=3)
     assert (len(made.fleet), made.fleet.threads) == (3, 2)
     assert len({id(stage) for stage in made.fleet.stages} | {id(task.stage)}) == 4

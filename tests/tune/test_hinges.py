@@ -22,6 +22,6 @@ def test_a_rotary_table_is_tuned_by_the_formula(capsys):
     """stage tune xya --axis a --distance 90deg --by formula"""
     code = main(["tune", "xya", "--axis", "a", "--distance", "90deg", "--by", "formula", "--moves", "8"])
     assert code in (0, 1)
-    said = capsys.readouterr().out
-    assert "90 deg (14400 pulses)" in said
-    assert "mdeg" in said
+    message = capsys.readouterr().out
+    assert "90 deg (14400 pulses)" in message
+    assert "mdeg" in message

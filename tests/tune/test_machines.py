@@ -88,7 +88,7 @@ def test_a_motor_that_is_known_to_have_no_core_loss_is_drawn_without():
     assert [machine.values["core loss"] for machine in machines] == [0.0, 0.0, 0.0]
 
 
-def test_a_supply_is_drawn_around_the_one_that_the_axis_has_up_to_what_a_drive_takes():
+def test_a_supply_is_drawn_near_the_model_s_value_up_to_the_limit_of_the_drive():
     assert find_spreads(axis_with(Drive(bus_voltage=400)))["supply"].high == 400
     assert find_spreads(axis_with(Drive(bus_voltage=48)))["supply"][:2] == pytest.approx((45.6, 50.4))
 
@@ -164,7 +164,7 @@ def test_a_seed_proves_the_same_machines_and_another_seed_others():
 # --- what a machine is on the engine ---
 
 
-def test_a_machine_leaves_nothing_behind_and_is_the_one_that_a_stage_is_built_with():
+def test_fitting_a_machine_equals_building_a_stage_with_it():
     """The same move, to the tolerance of the solver, after three other machines and on a stage that was built with this motor."""
     task = task_with()
     plans = create_planner(task)
@@ -211,13 +211,15 @@ def replay(record, cycles, machine):
 
 
 def check_claim(moves, pulses, every=1):
-    results = {way: tune(task_with(pulses=way * pulses), by="formula", moves=moves) for way in (1, -1)}
+    results = {
+        direction: tune(task_with(pulses=direction * pulses), by="formula", moves=moves) for direction in (1, -1)
+    }
     record = json.loads(json.dumps(results[1].json()))
     assert len(record["machines"]) == moves
     answer = record["answers"]["formula"]
     assert (answer["kept"], answer["proved"], answer["failed"]) == (moves, moves, [])
     assert f"keeps step in {moves} of {moves} drawn machines with up to 2.6 kg" in str(results[1])
-    cycles = {way: result.bus_cycles for way, result in results.items()}
+    cycles = {direction: result.bus_cycles for direction, result in results.items()}
     results = [replay(record, cycles, machine) for machine in record["machines"][::every]]
     assert all(results), np.flatnonzero(~np.array(results))
 
@@ -248,7 +250,7 @@ def test_the_optimum_of_a_motor_without_core_loss_loses_steps_with_any_of_the_lo
             )
             machine = task.machine._replace(drive=replace(task.machine.drive, motor=variant))
             kept[loss] = tries.run_moves(
-                [plan], [MoveCase(PAYLOAD, 5.0 * k, way, machine) for k, way in enumerate((1, -1))], 0.6
+                [plan], [MoveCase(PAYLOAD, 5.0 * k, direction, machine) for k, direction in enumerate((1, -1))], 0.6
             ).kept_step
     assert kept[0.0].all()
     assert not kept[spread.low].all()
@@ -266,7 +268,7 @@ def test_a_motor_with_a_wider_band_of_core_loss_gets_an_answer_that_is_slower_or
     assert results[1].answer.proof.mean_time > results[0].answer.proof.mean_time
 
 
-def test_registers_of_the_formula_that_some_machines_do_not_keep_are_made_slower_until_all_do(monkeypatch):
+def test_the_formula_slows_down_until_every_machine_keeps_step(monkeypatch):
     """A safety factor of 0.75 asks for more than the weakest machines have"""
     monkeypatch.setattr("stage.tune.tuning.SAFETY_FACTOR", 0.75)
     task = task_with(pulses=8000)

@@ -15,31 +15,32 @@ CASES = [MoveCase(0.0, 0.0, 1), MoveCase(PAYLOAD, 0.0, -1), MoveCase(2.6, 0.0, 1
 
 def tries(outcome=None, run_moves=None, **of_task):
     """Whose moves come out so."""
-    given = {
+    arguments = {
         "payload": PAYLOAD, "margin": 0.6, "moving_mass": 3.0, "pulses_per_electrical_turn": 64, "overshoot": 1e-4, **of_task,
     }  # fmt: skip
     task = SimpleNamespace(
-        **given, is_within_payload=lambda cases: np.array([c.payload <= PAYLOAD + PAYLOAD_ROUNDING_KG for c in cases])
+        **arguments,
+        is_within_payload=lambda cases: np.array([c.payload <= PAYLOAD + PAYLOAD_ROUNDING_KG for c in cases]),
     )
     return SimpleNamespace(task=task, run_moves=run_moves or (lambda plans, cases, limit: outcome))
 
 
-def test_a_proof_counts_what_kept_step_apart_from_what_came_to_rest_and_times_what_was_asked_for():
-    nan, far = np.nan, 2e-4
+def test_a_proof_counts_steps_and_arrivals_separately_and_times_moves_within_the_payload():
+    nan, distance = np.nan, 2e-4
     outcome = MoveOutcomes(
         np.array([[0.1, 0.2, 0.9, nan], [0.1, nan, 0.3, 0.3], [0.1, 0.2, 0.3, 0.4]]),
         np.array([[True, True, True, True], [True, True, True, False], [False, True, False, False]]),
-        np.array([[0.0, 1e-5, 9e-4, 9e-4], [1e-5, 0.0, 0.0, 0.0], [0.0, far, 0.0, 0.0]]),
+        np.array([[0.0, 1e-5, 9e-4, 9e-4], [1e-5, 0.0, 0.0, 0.0], [0.0, distance, 0.0, 0.0]]),
     )
-    found = proof.prove_plans(tries(outcome), [None] * 3, CASES, 1.0)
-    counts = [(p.move_count, p.good_count, p.lost_step_count, p.is_passed) for p in found]
+    results = proof.prove_plans(tries(outcome), [None] * 3, CASES, 1.0)
+    counts = [(p.move_count, p.good_count, p.lost_step_count, p.is_passed) for p in results]
     assert counts == [(4, 4, 0, True), (4, 2, 1, False), (4, 0, 3, False)]
-    assert [p.failed for p in found] == [(), (1, 3), (0, 1, 2, 3)]
-    assert [p.max_overshoot for p in found] == [1e-5, 1e-5, far], "of the moves with up to the payload"
-    assert found[0].arrival_times.tolist() == found[2].arrival_times.tolist() == [0.1, 0.2]
-    assert (found[0].mean_time, found[0].max_time) == (pytest.approx(0.15), 0.2)
-    assert np.isnan([found[1].mean_time, found[1].max_time]).all(), "what has not arrived has no time"
-    assert [p.describe() for p in found] == [
+    assert [p.failed for p in results] == [(), (1, 3), (0, 1, 2, 3)]
+    assert [p.max_overshoot for p in results] == [1e-5, 1e-5, distance], "of the moves with up to the payload"
+    assert results[0].arrival_times.tolist() == results[2].arrival_times.tolist() == [0.1, 0.2]
+    assert (results[0].mean_time, results[0].max_time) == (pytest.approx(0.15), 0.2)
+    assert np.isnan([results[1].mean_time, results[1].max_time]).all(), "what has not arrived has no time"
+    assert [p.describe() for p in results] == [
         "4 machines 4 were good",
         "4 machines 2 were good, 1 did not keep step, 1 did not come to rest at the goal",
         "4 machines 3 did not keep step, 1 did not come to rest at the goal",
@@ -47,7 +48,7 @@ def test_a_proof_counts_what_kept_step_apart_from_what_came_to_rest_and_times_wh
 
 
 @pytest.mark.parametrize(
-    ("of_task", "most"),
+    ("of_task", "maximum"),
     [
         ({"margin": 0.6}, 2.4),
         ({"margin": 0.0}, 0.4 * (PAYLOAD + 3.0)),
@@ -55,30 +56,30 @@ def test_a_proof_counts_what_kept_step_apart_from_what_came_to_rest_and_times_wh
         ({"margin": 5.0, "payload": 0.0}, 20.0),
     ],
 )
-def test_payloads_up_to_four_times_the_spare_are_tried_and_without_one_up_to_two_fifths_of_what_moves(of_task, most):
-    seen = []
+def test_payloads_up_to_four_times_the_spare_are_tried_and_without_one_up_to_two_fifths_of_what_moves(of_task, maximum):
+    observed = []
 
     def make(plans, cases, limit):
-        seen.extend(cases)
+        observed.extend(cases)
         return SimpleNamespace(kept_step=np.ones((1, len(cases)), bool))
 
     assert proof.measure_spare_payload(tries(run_moves=make, **of_task), None, 1.0, np.random.default_rng(0)) == (
-        most,
+        maximum,
         True,
     )
     payload = of_task.get("payload", PAYLOAD)
-    assert min(c.payload for c in seen) == pytest.approx(payload + most / 8)
-    assert max(c.payload for c in seen) == pytest.approx(payload + most)
-    assert -32 <= min(c.start_offset for c in seen) < -20 < 20 < max(c.start_offset for c in seen) <= 32
+    assert min(c.payload for c in observed) == pytest.approx(payload + maximum / 8)
+    assert max(c.payload for c in observed) == pytest.approx(payload + maximum)
+    assert -32 <= min(c.start_offset for c in observed) < -20 < 20 < max(c.start_offset for c in observed) <= 32
 
 
-def test_what_lost_a_step_once_is_not_said_to_carry_more():
+def test_a_payload_above_one_that_lost_a_step_is_never_reported():
     """The first round loses one of 2.0 + 0.9 kg; the second goes up to that, and loses none"""
     rounds = iter([0.9, 99.0])
 
     def make(plans, cases, limit):
-        most = next(rounds)
-        return SimpleNamespace(kept_step=np.array([[c.payload - PAYLOAD < most - 1e-9 for c in cases]]))
+        maximum = next(rounds)
+        return SimpleNamespace(kept_step=np.array([[c.payload - PAYLOAD < maximum - 1e-9 for c in cases]]))
 
     assert proof.measure_spare_payload(tries(run_moves=make), None, 1.0, np.random.default_rng(0)) == (
         pytest.approx(0.9),

@@ -25,7 +25,7 @@ def load():
     return Load.from_axis(Stage("xy", chips=PCL240K, visuals=False).axes["x"])
 
 
-def test_what_the_rotor_turns_lowers_the_rate_at_which_it_starts_by_the_root_of_the_inertias(load):
+def test_the_pull_in_rate_falls_with_the_square_root_of_the_inertia_ratio(load):
     rotor = load.drive.motor.rotor_inertia
     assert load.inertia_at_rotor == pytest.approx(load.mass / load.gear**2)
     for times in (1.0, 4.0, 9.0):
@@ -66,7 +66,7 @@ def test_a_dc_motor_has_its_stall_torque_at_rest_and_nothing_from_its_no_load_sp
     assert limited.compute_max_thrust(speeds) == pytest.approx([0.25 * stall, 0.25 * stall, 0.1 * stall, 0], abs=1e-9)
 
 
-def test_what_is_twice_as_strong_as_asked_uses_half(load):
+def test_a_safety_factor_of_two_uses_half_of_the_thrust(load):
     top = []
     for safety in (1.0, 2.0):
         made = compute_speeds(replace(load, mass=100.0, friction=0.0, damping=0.0), 30_000, safety)
@@ -117,7 +117,7 @@ def test_the_formula_gets_more_careful_until_it_keeps_step(task):
     assert made.limits == pytest.approx([2 * (0.1 + 0.3) + 0.3 + task.hold] * 4), "twice the move, and then a while"
 
 
-def test_what_keeps_step_and_swings_is_looked_at_for_longer_before_it_is_made_slower(task):
+def test_a_swinging_move_is_observed_longer_before_the_safety_factor_rises(task):
     made = Careful(task, lambda safety, limit: (0.9 if limit > 2 else np.nan, True, 0.0))
     safety, _, limit = formula_of(made)
     assert (safety, limit, made.asked) == (1.5, compute_time_limit(0.9, task.hold), [1.5])
@@ -125,7 +125,7 @@ def test_what_keeps_step_and_swings_is_looked_at_for_longer_before_it_is_made_sl
 
 
 @pytest.mark.parametrize(
-    ("goes", "said"),
+    ("goes", "message"),
     [
         ((0.3, False, 0.0), "the formula's registers lose steps, even with a safety factor of 4.5"),
         (
@@ -135,12 +135,12 @@ def test_what_keeps_step_and_swings_is_looked_at_for_longer_before_it_is_made_sl
         ((0.3, True, 2e-4), "go 200 um beyond the goal, even with a safety factor of 4.5: allow more, --overshoot"),
     ],
 )
-def test_where_no_care_helps_it_is_said_what_went_wrong(task, goes, said):
-    with pytest.raises(StageError, match=said.replace(".", r"\.")):
+def test_the_error_states_the_cause_when_no_safety_factor_helps(task, goes, message):
+    with pytest.raises(StageError, match=message.replace(".", r"\.")):
         formula_of(Careful(task, lambda safety, limit: goes))
 
 
-def test_a_motor_too_weak_for_any_care_is_told_as_the_formula_tells_it(task):
+def test_a_motor_that_is_too_weak_raises_the_error_of_the_formula(task):
     with pytest.raises(ArgumentError, match="too weak a motor"):
         formula_of(Careful(task, lambda safety, limit: (0.3, False, 0.0), strongest=1.0))
     with pytest.raises(StageError, match="lose steps"):
@@ -150,11 +150,11 @@ def test_a_motor_too_weak_for_any_care_is_told_as_the_formula_tells_it(task):
 # --- plans ---
 
 
-def test_numbers_of_a_search_lead_from_the_formula_towards_other_speeds_as_far_as_they_may(task):
+def test_parameters_lead_from_the_formula_to_other_speeds_within_the_search_range(task):
     plans = create_planner(task)
     middle = Speeds(1000.0, 8000.0, 0.1, 0.1)
-    found = plans.find_parameters(middle, Speeds(2000.0, 8000.0 * 1.5**0.5, 0.1 / 1.7, 5.0))
-    assert found == pytest.approx({"start": np.log(2) / np.log(3), "drive": 0.5, "up": -1.0, "down": 1.0})
+    results = plans.find_parameters(middle, Speeds(2000.0, 8000.0 * 1.5**0.5, 0.1 / 1.7, 5.0))
+    assert results == pytest.approx({"start": np.log(2) / np.log(3), "drive": 0.5, "up": -1.0, "down": 1.0})
     assert plans.find_parameters(middle, Speeds(0.0, 8000.0, 0.01, 0.17)) == pytest.approx(
         {"drive": 0, "up": -1, "down": 1}
     )
@@ -163,7 +163,7 @@ def test_numbers_of_a_search_lead_from_the_formula_towards_other_speeds_as_far_a
 def test_registers_that_the_chip_does_not_have_are_no_plan(task):
     plans = create_planner(task)
     real = plans.driver.formula
-    plans.driver.formula = lambda *given: {**real(*given), "R1": 1 << 20}
+    plans.driver.formula = lambda *arguments: {**real(*arguments), "R1": 1 << 20}
     with pytest.raises(ArgumentError, match="R1"):
         plans.build_plan(Speeds(1000.0, 8000.0, 0.1, 0.1), {}, "linear")
 
@@ -177,19 +177,19 @@ def test_a_number_of_a_search_is_a_factor_on_the_formula_and_a_faster_drive_ramp
         return plans.build_plan(middle, values, "linear").speeds
 
     assert made()[:4] == pytest.approx((1000, 8000, 0.1, 0.1 if plans.has_single_ramp else 0.08))
-    for name, most in (("start", 3.0), ("drive", 1.5), ("up", 1.7), ("down", 1.7)):
+    for name, maximum in (("start", 3.0), ("drive", 1.5), ("up", 1.7), ("down", 1.7)):
         for end in (-1.0, 0.5, 1.0):
             s = made(**{name: end})
-            rates = {"start": middle.start, "drive": middle.drive} | {name: getattr(middle, name) * most**end}
+            rates = {"start": middle.start, "drive": middle.drive} | {name: getattr(middle, name) * maximum**end}
             longer = (rates["drive"] - rates["start"]) / (middle.drive - middle.start)
             assert (s.start, s.drive) == pytest.approx((rates["start"], rates["drive"]))
             up, down = ((rates.get(ramp, getattr(middle, ramp))) * longer for ramp in ("up", "down"))
             assert (s.up, s.down) == pytest.approx((up, up if plans.has_single_ramp else down))
 
 
-def test_a_servo_is_given_its_rate_and_what_its_ramp_makes_of_it(monkeypatch):
+def test_a_servo_s_registers_contain_its_rate_and_the_acceleration_of_its_ramp(monkeypatch):
     plans, told = create_planner(Task(Stage("xy", chips=HCTL1100, visuals=False), "x", pulses=400)), []
-    monkeypatch.setattr(plans.driver, "write_servo_move", lambda *given: told.append(given))
+    monkeypatch.setattr(plans.driver, "write_servo_move", lambda *arguments: told.append(arguments))
     plans.write_move("program", MovePlan({"R0F": 1}, Speeds(0.0, 20_000.0, 0.1, 0.1)), -400)
     assert told == [("program", {"R0F": 1}, -400, (20_000.0, pytest.approx(200_000.0)))]
 
@@ -230,6 +230,6 @@ def test_a_wait_among_the_cycles_does_not_change_how_they_are_written(chip, writ
 @pytest.mark.parametrize("name", ["x", "y", "work", "tool"])
 def test_a_site_or_a_body_is_looked_at_where_it_is(name):
     stage = Stage("xy", chips=PCL240K, visuals=False)
-    looks = PositionSampler(Task(stage, "x", pulses=400, judge_at=name))
+    samples = PositionSampler(Task(stage, "x", pulses=400, judge_at=name))
     there = stage.data.body(name) if name in "xy" else stage.data.site(name)
-    assert looks._read_position(stage).tolist() == there.xpos.tolist()
+    assert samples._read_position(stage).tolist() == there.xpos.tolist()

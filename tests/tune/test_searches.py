@@ -51,15 +51,15 @@ def test_the_formula_is_tried_first_and_then_bolder_ones_with_each_shape(chip):
     assert [s.s_curve for s in made[: len(wanted)]] == [name == "s_curve" for name in shapes for _ in range(4)]
 
 
-def test_as_many_trials_are_made_as_were_asked_for_eight_at_a_time_each_with_a_number_of_its_own():
-    told, heard = Told(lambda k, case: (0.3, True)), []
-    ranked = told.search(19, on_progress=lambda done, best: heard.append((done, best.number)))
+def test_the_requested_number_of_trials_runs_in_batches_of_eight_with_unique_numbers():
+    told, received = Told(lambda k, case: (0.3, True)), []
+    ranked = told.search(19, on_progress=lambda done, best: received.append((done, best.number)))
     assert told.sizes == [(8, 2), (8, 2), (3, 2)]
     assert [trial.number for trial in ranked] == list(range(19)), "of equals the first is the best"
-    assert heard == [(8, 0), (16, 0), (19, 0)]
+    assert received == [(8, 0), (16, 0), (19, 0)]
 
 
-def test_a_trial_that_broke_leads_nobody_and_is_behind_all_that_did_not():
+def test_a_trial_without_registers_ranks_last():
     broken = Told(lambda k, case: (0.01, False) if k < 4 else (0.3, True))
     ranked = broken.search(16)
     assert broken.limits == [LIMIT, min(LIMIT, compute_time_limit(0.3, 0.02))]
@@ -77,11 +77,11 @@ def test_one_case_of_more_that_breaks_is_a_trial_that_broke():
 
 def test_what_the_chip_cannot_make_is_worse_than_all_that_it_can():
     told = Told(lambda k, case: (0.2, False))
-    real, asked = told.planner.build_plan, []
+    real, requested = told.planner.build_plan, []
 
     def plan(speeds, values, shape):
-        asked.append(values)
-        if len(asked) > 8:  # those before are asked for by the formula
+        requested.append(values)
+        if len(requested) > 8:  # those before are asked for by the formula
             raise ArgumentError("too steep.")
         return real(speeds, values, shape)
 

@@ -46,7 +46,7 @@ def test_the_room_of_an_axis_ends_where_an_end_limit_trips_on_whichever_side_it_
     assert compute_usable_travel(axis_with(*switches)) == compute_usable_travel(axis_with(*switches[::-1])) == ends
 
 
-def test_moves_lie_around_the_middle_of_the_room_and_not_of_the_travel(monkeypatch):
+def test_moves_are_centered_between_the_limit_switches_and_not_in_the_travel(monkeypatch):
     monkeypatch.setattr("stage.tune.task.compute_usable_travel", lambda axis: (-0.02, 0.07))
     task = task_of()
     assert task.travel_center == pytest.approx(0.025)
@@ -55,13 +55,13 @@ def test_moves_lie_around_the_middle_of_the_room_and_not_of_the_travel(monkeypat
     assert stage.axes["x"].position + goal == pytest.approx(0.05, abs=1e-5)
 
 
-def test_the_longest_move_is_a_turn_of_the_rotor_shorter_than_the_room():
+def test_the_maximum_distance_leaves_one_electrical_revolution_of_the_travel():
     stage = Stage("xy", chips=PCL240K, visuals=False)
     low, high = compute_usable_travel(stage.axes["x"])
-    most = int((high - low) / stage.axes["x"].meters_per_pulse) - 4 * 16
-    assert task_of(stage, pulses=most).pulses == task_of(stage, pulses=-most).pulses == most
-    with pytest.raises(ArgumentError, match=f"a distance of {most + 1} pulses: .* room for 1 to {most} pulses"):
-        task_of(stage, pulses=-most - 1)
+    maximum = int((high - low) / stage.axes["x"].meters_per_pulse) - 4 * 16
+    assert task_of(stage, pulses=maximum).pulses == task_of(stage, pulses=-maximum).pulses == maximum
+    with pytest.raises(ArgumentError, match=f"a distance of {maximum + 1} pulses: .* room for 1 to {maximum} pulses"):
+        task_of(stage, pulses=-maximum - 1)
     with pytest.raises(ArgumentError, match="a distance of 0 pulses"):
         task_of(stage, pulses=0)
 
@@ -72,7 +72,7 @@ def test_a_full_step_and_a_turn_are_as_many_pulses_as_the_drive_makes_of_them():
     assert (task.pulses_per_electrical_turn, task.tolerance) == (32, pytest.approx(8 * x.meters_per_pulse))
 
 
-def test_no_spare_is_a_margin_that_may_be_asked_for():
+def test_a_margin_of_zero_is_allowed():
     task = task_of(margin=0.0)
     assert (task.margin, task.max_payload) == (0.0, PAYLOAD)
     assert {case.payload for case in task.build_corner_cases(np.random.default_rng(0), 2, 1.25)} == {0.0, PAYLOAD}
@@ -95,7 +95,7 @@ def test_a_guard_is_on_top_of_the_spare_and_not_of_the_payload():
 @pytest.mark.parametrize("chip", [PCL240K, HCTL1100])
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("turned", [False, True])
-def test_a_move_begins_half_its_way_before_the_middle_and_its_goal_is_where_its_pulses_lead(
+def test_a_move_starts_half_its_distance_before_the_center_and_its_goal_follows_from_its_pulses(
     tmp_path, chip, way, turned
 ):
     stage = Stage(mirrored(tmp_path) if turned else "xy", chips=chip, visuals=False)
@@ -113,15 +113,15 @@ def test_a_move_begins_half_its_way_before_the_middle_and_its_goal_is_where_its_
     assert goals[:, 0] == pytest.approx([goal, way * PULSES * per_pulse])
 
 
-def test_a_body_that_is_judged_is_looked_at_as_a_site_is_and_off_its_way_counts():
+def test_a_judged_body_is_sampled_like_a_site_and_lateral_errors_count():
     goals = {}
     for name in ("work", task_of(judge_at="work").stage.model.body(2).name):
         task = task_of(judge_at=name)
         goals[name] = PositionSampler(task).place_at_start(task.copy_stage(), MoveCase(0.0, 0.0, 1))[1]
     a, b = goals.values()
     assert a == pytest.approx(b, abs=1e-9), "the way is the same"
-    looks = PositionSampler(task)
-    distance, beyond = looks.compute_errors(
+    samples = PositionSampler(task)
+    distance, beyond = samples.compute_errors(
         np.array([[0, *(1e12 * (a + np.array([3e-3, 4e-3, 0])))]]), np.array([[a, a]])
     )
     assert (distance.item(), beyond.item()) == (pytest.approx(5e-3), pytest.approx(3e-3))
@@ -167,30 +167,30 @@ def made(tries, monkeypatch, rows, pulses=None, lost=0, diverged=False, way=1):
     return tries.run_moves([plan], [MoveCase(0.0, 0.0, way)] * len(rows), SAMPLE_INTERVAL_S * len(rows[0]))
 
 
-FAR, NEAR = 1e-3, 1e-6
-AT_REST = [FAR] * 10 + [NEAR] * 40
+DISTANCE, NEAR = 1e-3, 1e-6
+AT_REST = [DISTANCE] * 10 + [NEAR] * 40
 
 
 @pytest.mark.parametrize("way", [1, -1])
-def test_who_stays_within_from_a_look_on_has_arrived_at_it(tries, monkeypatch, way):
+def test_a_move_arrives_at_the_first_sample_of_those_that_stay_within_the_tolerance(tries, monkeypatch, way):
     rows = [
         AT_REST,
-        [FAR] * 9 + [NEAR] + [FAR] * 5 + [NEAR] * 40,
+        [DISTANCE] * 9 + [NEAR] + [DISTANCE] * 5 + [NEAR] * 40,
         [NEAR] * 55,
-        [FAR] * 14 + [NEAR] * 41,
-        [FAR] * 16 + [NEAR] * 39,
-        [FAR] * 55,
+        [DISTANCE] * 14 + [NEAR] * 41,
+        [DISTANCE] * 16 + [NEAR] * 39,
+        [DISTANCE] * 55,
     ]
-    rows[0] = [FAR] * 5 + AT_REST
+    rows[0] = [DISTANCE] * 5 + AT_REST
     outcome = made(tries, monkeypatch, rows, way=way)
-    looks = np.round(outcome.arrival_times[0] / SAMPLE_INTERVAL_S, 6).tolist()
-    assert looks[:4] == [15, 15, 0, 14]
+    samples = np.round(outcome.arrival_times[0] / SAMPLE_INTERVAL_S, 6).tolist()
+    assert samples[:4] == [15, 15, 0, 14]
     assert np.isnan(outcome.arrival_times[0, 4:]).all(), "40 looks are the hold"
     assert outcome.kept_step.all()
 
 
-def test_how_far_a_move_went_beyond_its_goal_is_none_where_it_stayed_before(tries, monkeypatch):
-    rows = [[-FAR] * 10 + [-NEAR] * 40, [-FAR] * 9 + [3e-5] + [NEAR] * 40]
+def test_a_move_that_stays_before_its_goal_has_no_overshoot(tries, monkeypatch):
+    rows = [[-DISTANCE] * 10 + [-NEAR] * 40, [-DISTANCE] * 9 + [3e-5] + [NEAR] * 40]
     outcome = made(tries, monkeypatch, rows)
     assert outcome.overshoots[0] == pytest.approx([0.0, 3e-5])
 
@@ -206,7 +206,7 @@ def test_how_far_a_move_went_beyond_its_goal_is_none_where_it_stayed_before(trie
         ({"diverged": True}, False, False),
     ],
 )
-def test_what_has_kept_step_made_all_pulses_its_way_lost_none_and_did_not_diverge(tries, monkeypatch, how, kept, there):
+def test_a_move_keeps_step_if_it_makes_all_pulses_in_its_direction_and_loses_none(tries, monkeypatch, how, kept, there):
     before = tries.move_count
     outcome = made(tries, monkeypatch, [AT_REST] * 3, **how)
     assert outcome.kept_step.tolist() == [[kept] * 3]

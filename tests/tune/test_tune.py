@@ -53,7 +53,7 @@ def result():
     return tune(task_of(), trials=8, moves=8, seed=3)
 
 
-def test_the_answer_arrives_and_keeps_step_up_to_the_margin_in_moves_that_the_search_has_not_seen(result):
+def test_the_answer_keeps_step_up_to_the_margin_in_unknown_moves(result):
     answer = result.answer
     assert answer.is_proved
     assert answer.proof.good_count == answer.proof.move_count == 8
@@ -69,7 +69,7 @@ def test_the_answer_arrives_and_keeps_step_up_to_the_margin_in_moves_that_the_se
 @pytest.mark.parametrize("chip", [PCL240K, PCL240MS, MCX514, MCX304, HCTL1100])
 def test_a_distance_below_0_gets_the_bytes_of_a_move_towards_minus(chip):
     """`stage tune xy --distance -100mm` gave those of +100 mm, and did not say so."""
-    plus, minus = (tune(task_of(chip, pulses=way * PULSES), by="formula", moves=4) for way in (1, -1))
+    plus, minus = (tune(task_of(chip, pulses=direction * PULSES), by="formula", moves=4) for direction in (1, -1))
     assert (minus.task.pulses, minus.task.direction, minus.json()["pulses"]) == (PULSES, -1, -PULSES)
     assert minus.answer.plan == plus.answer.plan, "registers are tried both ways"
     assert f"({-PULSES} " in str(minus)
@@ -147,11 +147,11 @@ def test_a_trial_counts_lost_steps_and_moves_that_do_not_arrive(task, tries):
     cases = [MoveCase(PAYLOAD, 0.0, 1), MoveCase(PAYLOAD, 7.0, -1)]
     outcome = tries.run_moves([wild, calm], cases, LIMIT)
     assert outcome.kept_step.tolist() == [[False, False], [True, True]]
-    asked = task.is_within_payload(cases)
-    assert outcome.is_good(task, asked).tolist() == [[False, False], [True, True]]
+    requested = task.is_within_payload(cases)
+    assert outcome.is_good(task, requested).tolist() == [[False, False], [True, True]]
     short = tries.run_moves([calm], cases, 0.05)
     assert np.isnan(short.arrival_times).all()
-    assert not short.is_good(task, asked).any()
+    assert not short.is_good(task, requested).any()
 
 
 def test_the_time_until_arrived_is_that_of_the_same_move_on_a_stage(task, tries):
@@ -194,7 +194,7 @@ def test_a_trial_that_leads_is_as_slow_as_the_slowest_of_all_its_cases(task, tri
     assert ranked[0].max_time == 0.05
 
 
-def test_a_trial_is_as_slow_as_its_slowest_move_that_was_asked_for_and_what_does_not_arrive_breaks_it(task, tries):
+def test_the_time_of_a_trial_is_that_of_its_slowest_move_within_the_payload(task, tries):
     pytest.importorskip("optuna")
     cases, limits, late = [MoveCase(0.0, 0.0, 1), MoveCase(PAYLOAD + 0.6, 0.0, 1)], [], []
 
@@ -213,13 +213,13 @@ def test_a_trial_is_as_slow_as_its_slowest_move_that_was_asked_for_and_what_does
     assert search_registers(lanes, cases, [], LIMIT, 1, seed=0)[0][0][2:] == (1.5 * LIMIT, 1)
 
 
-def test_who_is_not_looked_at_for_the_whole_hold_has_not_arrived(task, tries):
+def test_a_move_that_is_not_sampled_for_the_full_hold_has_not_arrived(task, tries):
     plan, case = tries.planner.build_formula_plan(), MoveCase(PAYLOAD, 0.0, 1)
     arrived = float(tries.run_moves([plan], [case], LIMIT).arrival_times[0, 0])
-    for more, seen in ((0.0, True), (-SAMPLE_INTERVAL_S, False)):
+    for more, observed in ((0.0, True), (-SAMPLE_INTERVAL_S, False)):
         again = tries.run_moves([plan], [case], arrived + task.hold + more).arrival_times[0, 0]
-        assert (again == arrived) == seen
-        assert np.isnan(again) != seen
+        assert (again == arrived) == observed
+        assert np.isnan(again) != observed
 
 
 def test_nothing_starts_faster_than_it_is_to_drive(tries):
@@ -227,7 +227,7 @@ def test_nothing_starts_faster_than_it_is_to_drive(tries):
     assert made.speeds.start == made.speeds.drive == pytest.approx(2000 / 1.5)
 
 
-def test_ctrl_c_keeps_the_best_so_far(task, tries):
+def test_ctrl_c_returns_the_best_trial_of_the_search(task, tries):
     pytest.importorskip("optuna")
 
     def told(done, best):
@@ -241,7 +241,7 @@ def test_ctrl_c_keeps_the_best_so_far(task, tries):
 
 
 @pytest.mark.parametrize(
-    ("how", "said"),
+    ("how", "message"),
     [
         ({"axis": "w"}, "unknown axis 'w'. Known: x, y."),
         ({"pulses": 200_000}, r"has room for 1 to 95935 pulses between its limit switches \(299.797 mm\)"),
@@ -249,13 +249,13 @@ def test_ctrl_c_keeps_the_best_so_far(task, tries):
         ({"tolerance": 0.0}, "both more than 0"),
     ],
 )
-def test_what_cannot_be_is_told_before_any_move(how, said):
-    given = {"axis": "x", "pulses": PULSES, **how}
-    with pytest.raises(ArgumentError, match=said):
-        Task(Stage("xy", chips=PCL240K, visuals=False), **given)
+def test_impossible_tasks_are_refused_before_any_move(how, message):
+    arguments = {"axis": "x", "pulses": PULSES, **how}
+    with pytest.raises(ArgumentError, match=message):
+        Task(Stage("xy", chips=PCL240K, visuals=False), **arguments)
 
 
-def test_a_payload_that_the_motor_does_not_lift_is_told_with_the_largest_that_it_does():
+def test_the_error_of_a_payload_that_is_too_heavy_names_the_largest_possible_one():
     task = Task(Stage("xyz", chips=PCL240K, visuals=False), "z", pulses=1000, payload=80.0)
     with pytest.raises(ArgumentError, match=r"80 kg on axis z: .* Up to [\d.]+ kg it works"):
         create_planner(task).build_formula_plan()
@@ -324,12 +324,12 @@ def test_what_a_task_does_not_say_is_as_its_page_says():
 def test_the_spare_is_the_last_payload_before_the_first_that_loses_a_step():
     """Two rounds of eight payloads, each at six rotor angles, both ways"""
     task = SimpleNamespace(margin=0.5, payload=2.0, moving_mass=1.0, pulses_per_electrical_turn=64)
-    seen = []
+    observed = []
 
-    def carries(most):
+    def carries(maximum):
         def make(plans, cases, limit):
-            seen.extend(cases)
-            return SimpleNamespace(kept_step=np.array([[case.payload - 2.0 <= most for case in cases]]))
+            observed.extend(cases)
+            return SimpleNamespace(kept_step=np.array([[case.payload - 2.0 <= maximum for case in cases]]))
 
         return proof.measure_spare_payload(
             SimpleNamespace(task=task, run_moves=make), None, LIMIT, np.random.default_rng(0)
@@ -340,24 +340,24 @@ def test_the_spare_is_the_last_payload_before_the_first_that_loses_a_step():
     assert carries(0.76) == (0.75, False), "the first of the second round loses steps"
     assert carries(0.0) == (0.0, False)
     assert carries(1.7499) == (pytest.approx(1.71875), False)
-    ways = {}
-    for case in seen:
-        ways.setdefault(case.payload, []).append(case.direction)
-    assert all(sum(of) == 0 for of in ways.values())
+    directions = {}
+    for case in observed:
+        directions.setdefault(case.payload, []).append(case.direction)
+    assert all(sum(of) == 0 for of in directions.values())
 
 
-def test_what_is_gained_is_told_with_twice_its_standard_error():
-    formula, found = (proof.Proof(3, 3, np.array(times), 0.0) for times in ([2.0, 4.0, 6.0], [1.0, 2.0, 3.0]))
-    assert proof.compute_time_saved(formula, found) == pytest.approx((2.0, 2 / np.sqrt(3)))
+def test_the_time_saved_is_reported_with_twice_its_standard_error():
+    formula, results = (proof.Proof(3, 3, np.array(times), 0.0) for times in ([2.0, 4.0, 6.0], [1.0, 2.0, 3.0]))
+    assert proof.compute_time_saved(formula, results) == pytest.approx((2.0, 2 / np.sqrt(3)))
     one = proof.Proof(1, 1, np.array([1.0]), 0.0)
     assert proof.compute_time_saved(one, one) == (0.0, SAMPLE_INTERVAL_S)
     assert (formula.mean_time, formula.max_time, formula.is_passed) == (4.0, 6.0, True)
 
 
-def test_a_move_that_goes_too_far_is_not_good_where_its_payload_was_asked_for(task):
-    far = task.overshoot
+def test_a_move_that_overshoots_within_the_payload_is_not_good(task):
+    distance = task.overshoot
     outcome = MoveOutcomes(
-        np.array([[0.1, 0.1, 0.1]]), np.array([[True] * 3]), np.array([[far, 1.01 * far, 1.01 * far]])
+        np.array([[0.1, 0.1, 0.1]]), np.array([[True] * 3]), np.array([[distance, 1.01 * distance, 1.01 * distance]])
     )
     assert outcome.is_good(task, np.array([True, True, False])).tolist() == [[True, False, True]]
 
@@ -370,7 +370,7 @@ def test_a_servos_ramps_are_alike_the_longer_of_both():
     assert (made.up, made.down) == (both.up, both.up)
 
 
-def test_a_header_in_c_has_waits_whole_numbers_and_comments_that_end_where_they_should(task):
+def test_a_c_header_has_waits_integers_and_comments_that_end_correctly(task):
     rows = [
         bus_listing.RegisterValue("TP", -40_000, 8, "goal /* of */ a move", ""),
         bus_listing.RegisterValue("SV", 7, 4, "start", "pps"),
@@ -394,7 +394,7 @@ def test_a_register_has_the_digits_that_its_bits_need(task):
     assert any(bits % 4 for bits in places.values())
 
 
-def test_a_register_that_was_written_twice_is_told_once_with_its_last_value_in_its_last_place(task):
+def test_a_register_that_was_written_twice_is_listed_once_with_its_last_value(task):
     sayings = [Statement(0, "register", "", "", name, value) for name, value in (("R1", 1), ("R2", 2), ("R1", 3))]
     assert [
         (r.name, r.value)
@@ -413,7 +413,7 @@ def test_a_register_that_was_written_twice_is_told_once_with_its_last_value_in_i
         (HCTL1100, ("R29", PULSES & 0xFF), "outb(address, 0x300); outb(value, 0x300 + 1)"),
     ],
 )
-def test_chips_are_tuned_through_their_drivers_and_go_both_ways(chip, goal, write):
+def test_chips_are_tuned_through_their_drivers_in_both_directions(chip, goal, write):
     task = task_of(chip)
     plans = create_planner(task)
     assert ("s_curve" in plans.ramp_shapes) == (chip is not HCTL1100)
@@ -465,24 +465,24 @@ def test_a_search_of_usual_length_beats_the_formula_by_more_than_the_proof_sees(
     task = Task(
         Stage("xy", chips=chip, visuals=False), "x", pulses=32_000 if chip is not HCTL1100 else 20_000, payload=2.0
     )
-    found = tune(task, trials=96)
-    assert found.selected_name == "search"
-    assert found.answer.is_proved
-    assert found.answer.proof.mean_time < found.answers[0].proof.mean_time - 0.01
+    results = tune(task, trials=96)
+    assert results.selected_name == "search"
+    assert results.answer.is_proved
+    assert results.answer.proof.mean_time < results.answers[0].proof.mean_time - 0.01
 
 
 def test_the_command_writes_its_files_and_refuses_before_the_run(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     short = ["tune", "xy", "--distance", "1mm", "--settle", "50um", "10ms", "--by", "formula", "--moves", "4"]
     assert main([*short, "-o", "out", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said == json.loads((tmp_path / "out/tuned.json").read_text())
-    assert said["spare"] == pytest.approx(0.3 * Task(Stage("xy", visuals=False), "x", PULSES).moving_mass), (
+    message = json.loads(capsys.readouterr().out)
+    assert message == json.loads((tmp_path / "out/tuned.json").read_text())
+    assert message["spare"] == pytest.approx(0.3 * Task(Stage("xy", visuals=False), "x", PULSES).moving_mass), (
         "30 % of what moves"
     )
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"tuned.h", "tuned.txt", "tuned.json", "tuned.png"}
     assert (tmp_path / "out/tuned.png").read_bytes().startswith(b"\x89PNG")
-    for wrong, said in (
+    for wrong, message in (
         ([*short, "-o", "out"], "give --force"),
         ([*short, "-o", "no/where"], "no is no folder"),
         ([*short, "--spare", "much"], "--spare much: give percent of the payload, such as 30%, or kg, such as 0.6."),
@@ -491,11 +491,11 @@ def test_the_command_writes_its_files_and_refuses_before_the_run(tmp_path, capsy
         ([*short, "--axis", "q"], "unknown axis 'q'. Known: x, y."),
     ):
         assert main(wrong) == 2
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err
 
 
-def test_a_search_that_ctrl_c_has_ended_writes_what_it_has_and_says_so_by_its_code(result, capsys, monkeypatch):
-    monkeypatch.setattr("stage.tune.tune", lambda *given, **how: replace(result, interrupted=True))
+def test_an_interrupted_search_writes_its_result_and_exits_with_its_own_code(result, capsys, monkeypatch):
+    monkeypatch.setattr("stage.tune.tune", lambda *arguments, **how: replace(result, interrupted=True))
     assert main(["tune", "xy", "--distance", "1mm", "--trials", "8"]) == 130
     assert ", ended by Ctrl-C)" in capsys.readouterr().out
 

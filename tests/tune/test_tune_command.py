@@ -20,32 +20,32 @@ def told(monkeypatch):
     monkeypatch.setattr("stage.tune.search.import_optuna", lambda: None)
 
     def run(*typed, stopped=False):
-        given = []
+        arguments = []
 
         def task(*of):
-            given.append(of)
+            arguments.append(of)
             return "task"
 
         def tune(task, **how):
-            given.append((task, how))
+            arguments.append((task, how))
             return SimpleNamespace(interrupted=stopped, c_source=lambda: "// C\n", json=lambda: {"won": "formula"})
 
         monkeypatch.setattr(stage.tune, "Task", task)
         monkeypatch.setattr(stage.tune, "tune", tune)
         code = main(["tune", *typed])
-        return code, *given
+        return code, *arguments
 
     return run
 
 
-def test_what_was_not_said_is_the_usual(told):
-    code, task, (given, how) = told("xy", "--distance", "8000")
+def test_options_that_are_missing_have_their_defaults(told):
+    code, task, (arguments, how) = told("xy", "--distance", "8000")
     machine, axis, pulses, *rest = task
-    assert (code, axis, pulses, given) == (0, "x", 8000, "task")
+    assert (code, axis, pulses, arguments) == (0, "x", 8000, "task")
     assert list(machine.axes) == ["x", "y"]
     assert rest == [0.0, None, None, 0.05, None, None, None]
-    told_ = how.pop("on_progress")
-    assert isinstance(told_, _Progress)
+    reports = how.pop("on_progress")
+    assert isinstance(reports, _Progress)
     assert how == {"by": "search", "trials": 200, "seed": 0, "workers": None, "moves": 96}
 
 
@@ -56,10 +56,10 @@ def test_every_option_is_for_what_its_help_says(told):
         "--seed", "5", "--workers", "3", "--chips", "mcx514", "--microsteps", "8", "--bus-voltage", "36V", "--bus-cycle", "2us",
         stopped=True,
     )  # fmt: skip
-    machine, *given = task
+    machine, *arguments = task
     y = machine.axes["y"]
     pulses = -round(0.01 / y.meters_per_pulse)
-    assert given == [
+    assert arguments == [
         "y",
         pulses,
         2.0,
@@ -99,7 +99,7 @@ def test_a_margin_that_is_none_is_refused(text):
 
 
 @pytest.mark.parametrize(
-    ("typed", "said"),
+    ("typed", "message"),
     [
         (["--settle", "0um", "50ms"], "--settle 0um: must be greater than 0"),
         (["--settle", "20um", "-1s"], "--settle -1s: must be greater than 0, in one of"),
@@ -110,21 +110,21 @@ def test_a_margin_that_is_none_is_refused(text):
         (["--seed", "-1"], "--seed -1: must be a whole number, 0 or more"),
     ],
 )
-def test_what_cannot_be_is_refused_before_the_search(told, capsys, typed, said):
-    code, *given = told("xy", "--distance", "1mm", *typed)
-    assert (code, given) == (2, [])
-    assert said in capsys.readouterr().err
+def test_what_cannot_be_is_refused_before_the_search(told, capsys, typed, message):
+    code, *arguments = told("xy", "--distance", "1mm", *typed)
+    assert (code, arguments) == (2, [])
+    assert message in capsys.readouterr().err
 
 
 def test_a_seed_of_nothing_is_one(told):
     assert told("xy", "--distance", "1mm", "--seed", "0")[0] == 0
 
 
-def test_a_distance_without_a_unit_may_be_meant_in_that_of_the_axis():
+def test_the_error_of_a_distance_without_a_unit_proposes_the_unit_of_the_axis():
     stage = Stage("xya", chips={"x": HCTL1100, "y": MCX514, "a": MCX514}, visuals=False)
-    said = [explain_unit(stage.axes[name], "100") for name in "xya"]
-    assert [s.split("did you mean ")[1] for s in said] == ["100mm?", "100mm?", "100deg?"]
-    assert ["counts" in s for s in said] == [True, False, False]
+    message = [explain_unit(stage.axes[name], "100") for name in "xya"]
+    assert [s.split("did you mean ")[1] for s in message] == ["100mm?", "100mm?", "100deg?"]
+    assert ["counts" in s for s in message] == [True, False, False]
     assert explain_unit(stage.axes["x"], "100mm") == ""
     assert explain_unit(stage.axes["y"], " -100") == " --distance -100 is -100 pulses: did you mean -100mm?"
 
