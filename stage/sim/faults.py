@@ -147,7 +147,7 @@ def switch_stuck(axis: Axis, pin: str, closed: bool) -> Fault:
 def vane_missing(axis: Axis, pin: str) -> Fault:
     """Take off the vane that trips a switch: no switch that it serves will trip again (an EL vane serves both EL).
 
-    Only the beam that nothing interrupts is modelled, not the vane that lies in the machine.
+    Only the beam that nothing interrupts is modeled, not the vane that lies in the machine.
 
     Args:
         axis: Axis of a stage.

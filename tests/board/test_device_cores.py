@@ -359,7 +359,7 @@ def test_a_read_by_a_bus_of_16_bits_is_no_write():
 
 
 def test_bits_of_an_ls7166s_output_control_other_than_divide_by_n_leave_the_count_alone():
-    """outp(CMR, 0x80 | 0x3B): BCD, 24 hours and the outputs' kinds are not modelled; PR = 5, ten up from the upper end"""
+    """outp(CMR, 0x80 | 0x3B): BCD, 24 hours and the outputs' kinds are not modeled; PR = 5, ten up from the upper end"""
     for pr, steps in ((FULL - 2, 10), (5, -10)):
         b = ls7166(pr, 0x3B)
         b.counts[0] += steps

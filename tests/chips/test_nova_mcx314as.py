@@ -195,15 +195,15 @@ def test_out4_to_out7_are_bits_of_wr3_or_show_the_drive():
 
 
 @covers("MCX314AS", "SM", "SYNC_ACT", "BR")
-def test_its_synchronous_actions_are_not_modelled_and_each_write_says_so():
+def test_its_synchronous_actions_are_not_modeled_and_each_write_says_so():
     chip = ready()
     put(chip, 0x64, 0x0001_0001)
     command(chip, 0x65)
     assert get(chip, 0x14) == 0
     assert [d.message.split(" is ")[1] for d in chip.diagnostics] == [
-        "not modelled (its bits are not known): no synchronous action comes",
-        "not modelled: no synchronous action comes",
-        "not modelled: it reads 0, as no synchronous action comes",
+        "not modeled (its bits are not known): no synchronous action comes",
+        "not modeled: no synchronous action comes",
+        "not modeled: it reads 0, as no synchronous action comes",
     ]
 
 

@@ -300,7 +300,7 @@ def test_each_mistake_has_a_diagnostic(chip):
     assert "D1 = 0" in said(XTARGET=100)
     assert "the data sheet allows 32 to 255" in said(GLOBALSCALER=7)
     assert "do not use the soft stop" in said(SW_MODE=0xC00)
-    assert "not modelled" in said(MSLUT3=1)
+    assert "not modeled" in said(MSLUT3=1)
     chip.write(0x0F, 1)
     assert "no register at 0Fh" in chip.diagnostics[-1].message
     chip.transfer40(0x2700000000)
@@ -311,10 +311,10 @@ RESETS = {
     0x06: 0, 0x33: 0, 0x60: 0xAAAAB554, 0x61: 0x4A9554AA, 0x62: 0x24492929, 0x63: 0x10104222, 0x64: 0xFBFFFFFF, 0x65: 0xB5BB777D,
     0x66: 0x49295556, 0x67: 0x00404222, 0x68: 0xFFFF8056, 0x69: 0x00F70000, 0x6E: 0,
 }  # fmt: skip
-"""Address -> reset value, data sheet pages 32 and 53, of registers of which nothing else is modelled."""
+"""Address -> reset value, data sheet pages 32 and 53, of registers of which nothing else is modeled."""
 
 
-def test_a_reset_value_is_no_mistake_where_another_value_is_not_modelled(chip):
+def test_a_reset_value_is_no_mistake_where_another_value_is_not_modeled(chip):
     """Drivers write all registers at their start, as the data sheet's own code does."""
     for address, value in RESETS.items():
         chip.transfer40((0x80 | address) << 32 | value)
@@ -322,7 +322,7 @@ def test_a_reset_value_is_no_mistake_where_another_value_is_not_modelled(chip):
     assert [d.message for d in chip.diagnostics] == []
     for address, value in RESETS.items():
         chip.write(address, value ^ 0x100)
-        assert any("not modelled" in d.message for d in chip.diagnostics), f"{address:02X}h"
+        assert any("not modeled" in d.message for d in chip.diagnostics), f"{address:02X}h"
         chip.diagnostics.clear()
 
 

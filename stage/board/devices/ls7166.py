@@ -10,7 +10,7 @@ PR, reads come from the output latch OL. Control words at C/D high name their re
 
 A read at C/D high is the status: bit 0 BWT, 1 CYT, 2 COMPT (toggles at borrow, carry, equality with PR), 3 SIGN (1 after a borrow,
 0 after a carry), 4 counting up. Inferred: the meaning of SIGN, bits 5 to 7 read as 0, and the toggles see the net count between two
-cycles. Not modelled: counting without quadrature, BCD, the 24-hour clock, single cycles, the pins LCTR, RCTR, CY and BW.
+cycles. Not modeled: counting without quadrature, BCD, the 24-hour clock, single cycles, the pins LCTR, RCTR, CY and BW.
 
 A card's choice: C/D is address line 0, data at +0, control at +1. The chip does not pull the interrupt line.
 """

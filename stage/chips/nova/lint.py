@@ -380,13 +380,13 @@ def _lint_multichip(chip: Any, c: Command, name: str) -> Iterator[Finding]:
         yield NO_OTHER_CHIP, f"{subject}: {why}"
         return
     if not c.symbol.startswith("LHK"):
-        why = "starts nothing: of several chips together only lines, 60h to 63h, are modelled"
+        why = "starts nothing: of several chips together only lines, 60h to 63h, are modeled"
         yield ONLY_LINES, f"{subject} {why}"
     if not chip.linked:
         why = "no other chip is wired to this one, and no pulse of a master will come; see Stage(multichip=...)"
         yield NO_OTHER_CHIP, f"{subject}: {why}"
     if chip.interpolating:
-        why = "is refused: one after the other without a stop is not modelled"
+        why = "is refused: one after the other without a stop is not modeled"
         yield LINE_IN_PROGRESS, f"{subject} during a line of several chips {why}"
     elif chip.role == 2 and chip.started:
         yield SLAVE_TOO_LATE, f"{subject} while the master interpolates is refused (MCERR): start slaves first"

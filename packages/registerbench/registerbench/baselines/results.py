@@ -213,9 +213,9 @@ def describe_reward_excess(runs: list[MethodRun]) -> str:
     excesses = [r.reward_excess for r in runs if r.test and r.method != FORMULA.name]
     (formula_excess, *_) = [r.reward_excess for r in runs if r.method == FORMULA.name]
     return (
-        f"In its proof, by which it was\nchosen, an answer had {np.mean(excesses):.0f} ms more of reward than in its test (median "
+        f"In its proof, by which it was\nchosen, an answer had {np.mean(excesses):.0f} ms more reward than in its test (median "
         f"{np.median(excesses):.1f}; the formula, of which nothing is chosen, {formula_excess:.1f}):\n"
-        "nearly all of it are steps that the test alone saw lost."
+        "nearly all of this difference comes from steps lost only in the test."
     )
 
 
@@ -270,19 +270,19 @@ Made by `{made_by}` (extras `rl`, `plot`, `data`): {moves} moves of
 searches, {more} more of proofs and tests, {minutes:.0f} minutes on two cores. Do not edit.
 
 **Made with physics 1**, in which motors had no core loss. Since physics 2 every stepper is weaker at speed
-([drives.md](../../../docs/drives.md)): moves take longer than here, and which method leads may differ.
+([drives.md](../../../docs/drives.md)): moves take longer than here, and another method may lead.
 
 The task is `stage/RegisterTuning-v0` on the X axis of `{model}`: one preset move of {distance} pulses ({mm:g} mm) with a PCL-240K,
 with {payloads} on the table, at most {limit:g} s. As on a bench, each move begins at another rotor angle within
 an electrical turn, and the payload is up to {tolerance:.0%} more or less. **The reward** is - time - 1 ms for each um of vibration
-(peak to peak, in the 0.1 s after the stop) - 5 s for a lost step or pulses not made; here it is in ms. It is what searches and
-learners are given, what answers are chosen by, and what they are judged by; time and vibration stand beside it.
+(peak to peak, in the 0.1 s after the stop) - 5 s for a lost step or pulses not made; this page states it in ms. Searches and
+learners maximize it, and answers are chosen and judged by it; the tables also show time and vibration.
 
-**A method's answer**, by the same rule for all: of its moves that kept step, the highest reward first, the first {held} (of up to
-{candidates}) are taken that lose no step in {repeats} more moves, each with 0 to {margin:g} kg more on the table. Of these it is
-the one with the highest mean reward in this proof.
+**A method's answer** follows from the same rule for all methods. Of its moves that kept step, the highest reward first, the rule
+takes the first {held} (of up to {candidates}) that lose no step in {repeats} more moves, each with 0 to {margin:g} kg more on the
+table. The answer is the one of these with the highest mean reward in this proof.
 
-**What is told of it** comes of a test, the same for all, that neither a search nor a proof has seen, and by which nothing is
+**The results** come from a test, the same for all, which neither a search nor a proof has used, and by which nothing is
 chosen: {new} new moves, half of them in the other direction, with other rotor angles and payloads, 0 to {margin:g} kg more;
 and {shorter} shorter ones ({shortest:g} to {mm:g} mm) with the same registers, of which only losses are counted. Numbers are
 interquartile means over the seeds (95 % interval by the bootstrap over seeds). {flattered}
@@ -293,10 +293,10 @@ Every move of searches, proofs and tests: [data/results.parquet](data/results.pa
 {tables}
 ### Does it beat the formula?
 
-By how many ms a method is better than the formula in the test: the interquartile mean over the seeds, with its interval. It beats
-the formula where the interval is above 0, in {enough} seeds or more that all found an answer; the formula is better where the
-interval is below 0; else it is open. Such an interval is of the seeds, on these moves and this machine. The last column leaves out
-the moves that lost steps: what a method gains while all goes well.
+The table shows by how many ms a method is better than the formula in the test: the interquartile mean over the seeds, with its
+interval. A method beats the formula if the interval is above 0, in {enough} seeds or more that all found an answer; the formula is
+better if the interval is below 0; otherwise it is open. Such an interval covers the seeds, on these moves and this machine. The
+last column omits the moves that lost steps: it is the gain of a method while all goes well.
 
 {verdicts}
 
@@ -306,34 +306,34 @@ the moves that lost steps: what a method gains while all goes well.
 
 - **formula** is an engineer's answer without a trial: pull-out torque, reflected inertia, friction, safety factor {safety}, and
   the best top rate for the distance ([formula.py](../registerbench/baselines/formula.py)). **boldest** is the same formula
-  after trials on the machine: safety factors from 2 down to 1, each tried once; the answer is found by the rule
-  above, which is of reward. So
-  it is not the fastest of the factors that hold: it may be slower than the plain formula where it leaves less vibration. A
-  search must beat this, not the textbook's factor.
+  after trials on the machine: safety factors from 2 down to 1, each tried once; the rule above, which uses the reward, finds the
+  answer. It is therefore not the fastest of the factors that work: it may be slower than the plain formula if it causes less
+  vibration. A search must beat this, not the textbook's factor.
 - **random, CMA-ES, PPO, SAC** choose five factors on the formula's answer: FL, FH, acceleration, deceleration, ramp-down point.
-  All but random begin at the formula's answer. **Raw registers** begin without it: R1, R2, R4, R5, R6, R7 over their
+  All except random begin at the formula's answer. **Raw registers** begin without it: R1, R2, R4, R5, R6, R7 over their
   whole legal ranges, where nearly every move loses steps or takes too long.
-- The learning curves show the highest reward of a single move so far that kept step. It is higher than that of an answer: such a
-  move may have been lucky. The lines across are what the formulas have in the test.
-- PPO and SAC learn a policy, here for one situation only; their result is the best of the moves that they made while learning.
-- **agent loop** is a scripted agent that changes one register at a time, by tools alone (tool_loop.py). It has no
-  chance in it: one run.
+- The learning curves show the highest reward of a single move so far that kept step. It is higher than that of an answer, because
+  such a move may have been lucky. The horizontal lines are the results of the formulas in the test.
+- PPO and SAC learn a policy, here for one situation only; their result is the best of the moves that they made during learning.
+- **agent loop** is a scripted agent that changes one register at a time, by tools alone (tool_loop.py). It contains no
+  chance: one run.
 - **lucky** counts the moves with a higher reward that are not the answer; **moves that kept step** are those of the search.
-- **What is promised** of an answer is that no step was lost in the {repeats} moves of its proof, with 0 to {margin:g} kg more. That
-  is a sample: up to one move in 16 may still lose steps (95 % confidence), and more where several candidates were tried. The
-  columns **lost** say how many did. {priced}
-- **spare** is tried, not promised: the payload, in steps of {step:g} kg up to {most:g} kg, that was added without a loss
-  in {each} moves each, both ways. Neither reward nor proof has it beyond {margin:g} kg, and a fast move has little of it: the
-  formula's safety factor is of use.
+- **The promise** of an answer is that no step was lost in the {repeats} moves of its proof, with 0 to {margin:g} kg more. That
+  is a sample: up to one move in 16 may still lose steps (95 % confidence), and more if several candidates were tried. The
+  columns **lost** count them. {priced}
+- **spare** is tested, not promised: the payload, in steps of {step:g} kg up to {most:g} kg, that was added without a loss
+  in {each} moves each, in both directions. Neither reward nor proof covers more than {margin:g} kg, and a fast move has little
+  spare: this is the use of the formula's safety factor.
 - Losing steps is not monotonic: ramps pass resonances, and a faster or heavier move may keep step where a slower or lighter one
-  does not. So a proof with just {margin:g} kg more is none for less: with such a one, four answers were published that lost
-  steps at once with less than it, one of them (random, light) in 66 of 96 moves with the payload itself.
-- **What was tuned beforehand.** The safety factor is the textbook's. The formula's FL (an eighth of pull-in) and shortest ramp
-  (four periods) were chosen after trials on these same stages; so were the ranges of the five factors, narrowed twice, CMA-ES's
-  8 moves a generation (the rest are Optuna's defaults) and, mostly on the light payload, the settings of PPO and SAC. These trials
-  had seed 0, which is none of the seeds here (1 to {seeds}). They were on the same two payloads, and are not in any budget.
+  does not. A proof with just {margin:g} kg more therefore proves nothing for less: with such a proof, four published answers lost
+  steps at once with less, one of them (random, light) in 66 of 96 moves with the payload itself.
+- **Tuning beforehand.** The safety factor is the textbook's. We chose the formula's FL (an eighth of pull-in) and shortest ramp
+  (four periods) after trials on these same stages; in the same way we chose the ranges of the five factors, narrowed twice,
+  CMA-ES's 8 moves per generation (the rest are Optuna's defaults) and, mostly on the light payload, the settings of PPO and SAC.
+  These trials had seed 0, which is none of the seeds here (1 to {seeds}). They used the same two payloads, and are
+  not part of any budget.
 
-Budgets: {budget} moves a seed, {seeds} seeds (raw registers: a quarter of the moves). {versions}.
+Budgets: {budget} moves per seed, {seeds} seeds (raw registers: a quarter of the moves). {versions}.
 """
 
 

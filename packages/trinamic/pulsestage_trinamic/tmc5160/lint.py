@@ -31,11 +31,11 @@ VSTOP_BELOW_VSTART = Rule("vstop-below-vstart", SHEET + "42")
 SOFT_STOP_OF_STALL = Rule("soft-stop-of-stall", SHEET + "43")
 
 UNMODELED_REGISTERS = {
-    "OTP_PROG": "OTP memory is not modelled: nothing is programmed",
-    "DCCTRL": "dcStep is not modelled",
-    "MSLUTSEL": "the microstep table stays the default one: another is not modelled",
-    "MSLUTSTART": "the microstep table stays the default one: another is not modelled",
-} | {f"MSLUT{k}": "the microstep table stays the default one: another is not modelled" for k in range(8)}
+    "OTP_PROG": "OTP memory is not modeled: nothing is programmed",
+    "DCCTRL": "dcStep is not modeled",
+    "MSLUTSEL": "the microstep table stays the default one: another is not modeled",
+    "MSLUTSTART": "the microstep table stays the default one: another is not modeled",
+} | {f"MSLUT{k}": "the microstep table stays the default one: another is not modeled" for k in range(8)}
 
 
 def lint_write(c: Any, address: int, value: int) -> Iterator[Finding]:
@@ -173,12 +173,12 @@ def _lint_switches(c: Any, value: int) -> Iterator[Finding]:
 def _lint_gconf(c: Any, value: int) -> Iterator[Finding]:
     for bit, name in ((16, "direct_mode"), (17, "test_mode")):
         if value >> bit & 1:
-            yield NOT_MODELED, f"{name} is not modelled: the bit is stored"
+            yield NOT_MODELED, f"{name} is not modeled: the bit is stored"
 
 
 def _lint_dcstep(c: Any, value: int) -> Iterator[Finding]:
     if value >= 256:
-        yield NOT_MODELED, "dcStep is not modelled: VDCMIN is stored"
+        yield NOT_MODELED, "dcStep is not modeled: VDCMIN is stored"
 
 
 LINTS: dict[int, Callable[[Any, int], Iterator[Finding]]] = {

@@ -40,7 +40,7 @@ PARAMETERS = (
     _speed(0x05, "V", "drive speed", "m V pps; can be changed while driving"),
     _position(0x06, "P", "output pulses", "in interpolation the finish point, signed", evidence="M", signed=False),
     _position(0x07, "DP", "manual deceleration point", "used with MANLD", signed=False),
-    _position(0x08, "C", "circular centre", "relative", evidence="M"),
+    _position(0x08, "C", "circular center", "relative", evidence="M"),
     _position(0x09, "LP", "logical position counter", access="RW"),
     _position(0x0A, "EP", "real position counter", access="RW"),
     _position(0x0B, "CP", "COMP+", "compared with the counter, software limit +"),
@@ -140,9 +140,9 @@ def _extended() -> RegisterMap:
         _segment(0x31, "IP_3ST", "3-axis linear interpolation"),
         _segment(0x35, "IP_3BP", "3-axis bit pattern interpolation", points=False),
         writes(EM, "mode write"),
-        replace(writes(sync, "mode write"), lacking=f"not modelled (its bits are not known): {NO_ACTIONS}"),
-        replace(reads(buffer), lacking=f"not modelled: it reads 0, as {NO_ACTIONS}"),
-        Command(0x65, "SYNC_ACT", "synchronous action activation", "other", evidence="C", lacking=f"not modelled: {NO_ACTIONS}"),
+        replace(writes(sync, "mode write"), lacking=f"not modeled (its bits are not known): {NO_ACTIONS}"),
+        replace(reads(buffer), lacking=f"not modeled: it reads 0, as {NO_ACTIONS}"),
+        Command(0x65, "SYNC_ACT", "synchronous action activation", "other", evidence="C", lacking=f"not modeled: {NO_ACTIONS}"),
     )  # fmt: skip
     three = {"IP_3ST", "IP_3BP"}
     found = [*(c for c in COMMANDS if c.symbol != "HM"), *more]

@@ -54,7 +54,7 @@ PARAMETERS = (
                section="7.2.7"),
     _parameter(0x07, "DP", "manual deceleration point", (0, 4_294_967_292), "pulses", evidence="S", note="used with MANLD",
                section="7.2.8"),
-    _parameter(0x08, "CP", "circular centre", POINT, "pulses", signed=True, note="relative"),
+    _parameter(0x08, "CP", "circular center", POINT, "pulses", signed=True, note="relative"),
     _parameter(0x09, "LP", "logical position counter", None, "pulses", signed=True),
     _parameter(0x0A, "RP", "real position counter", None, "pulses", signed=True),
     _parameter(0x0B, "SP", "software limit +", None, "pulses", signed=True),
