@@ -16,7 +16,7 @@ import numpy as np
 from stage import Stage
 from stage.drives import stepper
 from stage.errors import ArgumentError
-from stage.sim.faults import JAM, STIFF
+from stage.sim.faults import DEFAULT_JAM_FACTOR, JAM_SOLIMP
 
 FAULTS = {
     "none": "",
@@ -42,7 +42,7 @@ OVERLOAD = 12.0  # kg
 BOUNCE, TOGGLES = 1e-3, 6  # s; of a bouncing contact
 _SWITCH = {"org open": 0, "org closed": 1}
 _SUPPLY = {"brownout": BROWNOUT, "sag": SAG}
-_PUSH = {"jam": JAM, "binding": BINDING}
+_PUSH = {"jam": DEFAULT_JAM_FACTOR, "binding": BINDING}
 
 
 def draw_fault(rng: np.random.Generator, names: Sequence[str], healthy: float, axes: int, context: Any) -> None:
@@ -108,7 +108,7 @@ class FaultyAxis:
         model, dof = stage.model, axis.plant.dof
         jammed, bounce = name == "jam", BOUNCE if name == "bounce" else bounce
         model.dof_solref[dof] = (2 * model.opt.timestep, 1) if jammed else self.solref
-        model.dof_solimp[dof] = STIFF if jammed else self.solimp
+        model.dof_solimp[dof] = JAM_SOLIMP if jammed else self.solimp
         if name in _PUSH:
             model.dof_frictionloss[dof] += _PUSH[name] * self.push
         axis.faults.open_phases = self.phases | (stepper.A if name == "phase open" else 0)

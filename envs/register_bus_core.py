@@ -206,7 +206,7 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out
 def _read_all_words(h, first, words, now):
     """Note the values at every address of the chips."""
     for i in range(len(words)):
-        chip = handle.chips(h)[handle.table(h)[first[i]].chip]
+        chip = handle.chip_table(h)[handle.axis_table(h)[first[i]].chip]
         for j in range(words.shape[1]):
             words[i, j].seen, words[i, j].when = cores.peek(chip, j), now
 

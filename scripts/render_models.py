@@ -12,7 +12,7 @@ parser.add_argument("--key", default="middle", help="keyframe: middle or home")
 parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs" / "pictures")
 args = parser.parse_args()
 
-for name in plant.names():
+for name in plant.list_model_names():
     path = args.out / f"model_{name}{'' if args.camera == 'overview' else '_' + args.camera}.png"
     draw_model(plant.open_spec(name).compile(), str(path), args.camera, True, args.key)
     print(path)

@@ -24,7 +24,7 @@ from matplotlib.patches import Rectangle
 
 from stage import Stage, firmware
 from stage.chips import PCL240MS
-from stage.drives.dynamometer import closed_form
+from stage.drives.dynamometer import compute_closed_form
 from stage.drives.motors import MOTORS
 from stage.firmware import Profile, Report
 from stage.support.pictures import HAIR, INK, MUTED, bare, title
@@ -361,7 +361,7 @@ def draw_the_thrust(ax: Any) -> None:
 
     def pull_out(rate: np.ndarray, volts: float) -> np.ndarray:
         rpm = rate / x.drive.pulses_per_turn * 60
-        return closed_form(x.drive.motor, volts * x.drive.bus_voltage, x.drive.amplitude, rpm) * x.gear
+        return compute_closed_form(x.drive.motor, volts * x.drive.bus_voltage, x.drive.amplitude, rpm) * x.gear
 
     rates = HARD_RATE * np.linspace(1e-3, 1.15, 600)
     ax.fill_between(rates / 1e3, pull_out(rates, 1), pull_out(rates, 4 / np.pi), color="#d5dbe1", lw=0)

@@ -11,20 +11,20 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stage.drives.dynamometer import (
-    H,
-    bound_by_both,
-    closed_form,
-    follow,
-    load_angle,
-    lost_in_start,
-    lost_steps,
-    natural_frequency,
-    pull_in,
-    pull_out,
-    pulses,
-    resonance_sweep,
-    ring_down,
-    slices,
+    SLICE_S,
+    compute_closed_form,
+    compute_joint_bound,
+    compute_load_angle,
+    compute_mean_counts,
+    compute_natural_frequency,
+    count_lost_steps,
+    count_slices,
+    count_steps_lost_in_start,
+    find_pull_in_rate,
+    simulate_motor,
+    simulate_pull_out,
+    simulate_ring_down,
+    sweep_resonance,
 )  # fmt: skip
 from stage.drives.motors import MOTORS, Drive
 from stage.support.pictures import COLOURS, INK, MUTED, bare, title
@@ -42,13 +42,13 @@ def pull_out_follows_the_closed_form(ax):
     spec = np.array([300, 900, 1200, 1500, 2000])
     sine = replace(SMOOTH, mode="sine", microsteps=256)
     print("1. pull-out torque, N m, 17HS4401, 24 V, 1.7 A, no detent")
-    columns = closed_form(MOTOR, 24, 1.7, spec), pull_out(sine, spec), pull_out(SMOOTH, spec)
+    columns = compute_closed_form(MOTOR, 24, 1.7, spec), simulate_pull_out(sine, spec), simulate_pull_out(SMOOTH, spec)
     for rpm, ideal, sine, chopper in zip(spec, *columns, strict=True):
         ratios = f"sine / closed form {sine / ideal:.4f}, chopper / closed form {chopper / ideal:.3f}"
         print(f"   {rpm:5} rpm: closed form {ideal:.3f}, sine {sine:.3f}, chopper {chopper:.3f}; {ratios}")
     rpm = np.r_[50, 150:700:110, 700:1000:20, 1000:2401:100]
-    chopper, ideal = pull_out(SMOOTH, rpm), closed_form(MOTOR, 24, 1.7, rpm)
-    saturated, both = closed_form(MOTOR, 4 / np.pi * 24, 1.7, rpm), bound_by_both(MOTOR, 24, 1.7, rpm)
+    chopper, ideal = simulate_pull_out(SMOOTH, rpm), compute_closed_form(MOTOR, 24, 1.7, rpm)
+    saturated, both = compute_closed_form(MOTOR, 4 / np.pi * 24, 1.7, rpm), compute_joint_bound(MOTOR, 24, 1.7, rpm)
     low, out = np.argmin(chopper / ideal), rpm[chopper < ideal * 0.99]
     print(f"   chopper / closed form at V: {chopper[low] / ideal[low]:.3f} at {rpm[low]} rpm, the least;", end=" ")
     print(f"below 0.99 from {out.min()} to {out.max()} rpm; {max(chopper / ideal):.3f}, the most")
@@ -57,9 +57,9 @@ def pull_out_follows_the_closed_form(ax):
         f"chopper / that bound: {min(chopper / both):.3f}, the least; chopper / 4/pi V: {max(chopper / saturated):.3f}"
     )
     fine = np.linspace(1, 2400, 400)
-    at_v, at_most = closed_form(MOTOR, 24, 1.7, fine), closed_form(MOTOR, 4 / np.pi * 24, 1.7, fine)
+    at_v, at_most = compute_closed_form(MOTOR, 24, 1.7, fine), compute_closed_form(MOTOR, 4 / np.pi * 24, 1.7, fine)
     ax.fill_between(fine, at_v, at_most, color="#cfe0f2", lw=0)
-    ax.plot(fine, bound_by_both(MOTOR, 24, 1.7, fine), color=MUTED, lw=1, ls=":")
+    ax.plot(fine, compute_joint_bound(MOTOR, 24, 1.7, fine), color=MUTED, lw=1, ls=":")
     ax.plot(rpm, chopper, color=BLUE, lw=2)
     ax.plot(spec, columns[1], "o", color=INK, ms=4)
     ax.text(1480, 0.235, "closed form, V to 4/π V", color=MUTED, fontsize=8)
@@ -76,13 +76,18 @@ def the_rotor_rings_at_its_natural_frequency(ax):
         ("on a full step", DRIVE, 0),
         ("on a half step", DRIVE, DRIVE.microsteps // 2),
     ):
-        simulated, formula = ring_down(drive, ROTOR, microstep), natural_frequency(drive, ROTOR, microstep > 0)
+        simulated, formula = (
+            simulate_ring_down(drive, ROTOR, microstep),
+            compute_natural_frequency(drive, ROTOR, microstep > 0),
+        )
         print(f"   {label}: {simulated:.1f} ({formula:.1f})")
     for times, color in ((1, BLUE), (4, RED)):
-        swing = follow(DRIVE, np.zeros(slices(0.03)), times * ROTOR, theta=0.1 * STEP, viscous=5e-4)
-        hz = ring_down(DRIVE, times * ROTOR)
+        swing = simulate_motor(DRIVE, np.zeros(count_slices(0.03)), times * ROTOR, theta=0.1 * STEP, viscous=5e-4)
+        hz = simulate_ring_down(DRIVE, times * ROTOR)
         label = "bare rotor" if times == 1 else f"{times} rotors"
-        ax.plot(np.arange(len(swing)) * H * 1e3, swing["theta"] / STEP, color=color, label=f"{label}: {hz:.0f} Hz")
+        ax.plot(
+            np.arange(len(swing)) * SLICE_S * 1e3, swing["theta"] / STEP, color=color, label=f"{label}: {hz:.0f} Hz"
+        )
         print(f"   {label}: {hz:.1f}")
     ax.legend(frameon=False, fontsize=8, loc="lower right")
     ax.set(xlabel="ms after the rotor is let go", ylabel="rotor angle (full steps)", xlim=(0, 30), ylim=(-0.15, 0.12))
@@ -91,7 +96,7 @@ def the_rotor_rings_at_its_natural_frequency(ax):
 def full_steps_lose_torque_at_resonance(ax):
     rates = np.unique(np.r_[np.geomspace(60, 2000, 40), 180:280:5])
     for microsteps, color in ((16, MUTED), (1, BLUE)):
-        sweep = resonance_sweep(Drive(MOTOR, microsteps), rates)
+        sweep = sweep_resonance(Drive(MOTOR, microsteps), rates)
         ax.plot(
             sweep.rate,
             sweep.torque,
@@ -107,10 +112,10 @@ def full_steps_lose_torque_at_resonance(ax):
             else "never falls out"
         )
     for ratio in (0.03, 0.06, 0.1):
-        sweep = resonance_sweep(Drive(MOTOR, 1), rates, damping_ratio=ratio)
+        sweep = sweep_resonance(Drive(MOTOR, 1), rates, damping_ratio=ratio)
         dead = [round(rate) for rate in sweep.rate[sweep.torque == 0]]
         print(f"   full steps, damped by {ratio:.0%} of critical: falls out unloaded at {dead or 'no rate'}")
-    natural = ring_down(SMOOTH, ROTOR)
+    natural = simulate_ring_down(SMOOTH, ROTOR)
     ax.axvline(natural, color=RED, lw=1, ls=(0, (4, 3)))
     ax.text(natural * 1.06, 0.1, f"natural\nfrequency,\n{natural:.0f} Hz", color=RED, fontsize=8)
     ax.legend(frameon=False, fontsize=8, loc="lower right")
@@ -129,14 +134,14 @@ def slip_is_a_multiple_of_four_full_steps(ax):
     print(
         "3. slip after an overload of 0.5 N m at 300 rpm, bare rotor; 0.4 s later the pulses stop and the rotor rests"
     )
-    seconds = np.arange(slices(1.2)) * H
-    counts = pulses(np.where(seconds < 0.5, 300 / 60 * DRIVE.pulses_per_turn, 0.0))
+    seconds = np.arange(count_slices(1.2)) * SLICE_S
+    counts = compute_mean_counts(np.where(seconds < 0.5, 300 / 60 * DRIVE.pulses_per_turn, 0.0))
     for ms, color in ((1, MUTED), (4, GREEN), (8, BLUE), (12, RED)):
         load = np.where((seconds >= 0.1) & (seconds < 0.1 + ms * 1e-3), 0.5, 0.0)
-        trace = follow(DRIVE, counts, ROTOR, load, viscous=1e-3, omega=300 * 2 * np.pi / 60)
-        lag = load_angle(DRIVE, trace) / (np.pi / 2)
+        trace = simulate_motor(DRIVE, counts, ROTOR, load, viscous=1e-3, omega=300 * 2 * np.pi / 60)
+        lag = compute_load_angle(DRIVE, trace) / (np.pi / 2)
         ax.plot(seconds * 1e3 - 100, lag, color=color, lw=1.8, label=f"{ms} ms")
-        print(f"   {ms:2} ms: at rest {lag[-1]:.4f} full steps behind; lost_steps = {lost_steps(DRIVE, trace)}")
+        print(f"   {ms:2} ms: at rest {lag[-1]:.4f} full steps behind; lost_steps = {count_lost_steps(DRIVE, trace)}")
     ax.legend(frameon=False, fontsize=8, loc="upper left", title="overload for", title_fontsize=8)
     ax.set(xlabel="ms after the overload begins", ylabel="rotor behind (full steps)", xlim=(-10, 40), ylim=(-2, 18))
     ax.set_yticks(np.arange(0, 17, 4))
@@ -145,11 +150,16 @@ def slip_is_a_multiple_of_four_full_steps(ax):
 def a_start_fails_where_a_ramp_succeeds(ax):
     print("4. pull-in rate, full steps/s, over inertia; running torque there")
     times = np.array([1, 1.5, 2, 3, 4, 6, 8, 12])
-    rates = np.array([pull_in(DRIVE, k * ROTOR) for k in times]) / DRIVE.microsteps
+    rates = np.array([find_pull_in_rate(DRIVE, k * ROTOR) for k in times]) / DRIVE.microsteps
     for k, rate in zip(times, rates, strict=True):
-        print(f"   {k:4g} rotors: {rate:5.0f}; pull-out torque there {pull_out(DRIVE, [rate / FULL_STEP])[0]:.3f} N m")
-    inertia, rate = 5 * ROTOR, 1.5 * pull_in(DRIVE, 5 * ROTOR)
-    once, ramped = lost_in_start(DRIVE, rate, inertia), lost_in_start(DRIVE, rate, inertia, accel=100_000)
+        print(
+            f"   {k:4g} rotors: {rate:5.0f}; pull-out torque there {simulate_pull_out(DRIVE, [rate / FULL_STEP])[0]:.3f} N m"
+        )
+    inertia, rate = 5 * ROTOR, 1.5 * find_pull_in_rate(DRIVE, 5 * ROTOR)
+    once, ramped = (
+        count_steps_lost_in_start(DRIVE, rate, inertia),
+        count_steps_lost_in_start(DRIVE, rate, inertia, accel=100_000),
+    )
     print(
         f"   5 rotors, {rate:.0f} pps, 1.5 x pull-in: {once} steps lost in 0.4 s at once, {ramped} ramped at 100000 pps/s"
     )
@@ -164,13 +174,13 @@ def a_start_fails_where_a_ramp_succeeds(ax):
 
 def missed_steps_never_repair_themselves(ax):
     print("5. 100 full steps forth at 1000 a second, jammed by 0.5 N m for 8 ms, and at the same rate back; bare rotor")
-    seconds = np.arange(slices(0.5)) * H
+    seconds = np.arange(count_slices(0.5)) * SLICE_S
     rates = np.where(seconds < 0.1, 1000.0, 0.0) - np.where((seconds >= 0.2) & (seconds < 0.3), 1000.0, 0.0)
     load = np.where((seconds >= 0.05) & (seconds < 0.058), 0.5, 0.0)
-    trace = follow(DRIVE, pulses(rates * DRIVE.microsteps), ROTOR, load, viscous=1e-3)
+    trace = simulate_motor(DRIVE, compute_mean_counts(rates * DRIVE.microsteps), ROTOR, load, viscous=1e-3)
     for ms in (190, 499):
-        k = slices(ms * 1e-3)
-        rotor, lost = trace["theta"][k] / STEP, lost_steps(DRIVE, trace[: k + 1])
+        k = count_slices(ms * 1e-3)
+        rotor, lost = trace["theta"][k] / STEP, count_lost_steps(DRIVE, trace[: k + 1])
         print(f"   {ms} ms: {trace['count'][k]:.0f} pulses, rotor at {rotor:.3f} full steps; lost_steps = {lost}")
     ax.plot(seconds * 1e3, trace["count"] / DRIVE.microsteps, color=MUTED, lw=2, label="pulses")
     ax.plot(seconds * 1e3, trace["theta"] / STEP, color=BLUE, lw=2, label="rotor")
@@ -185,11 +195,11 @@ def cost():
     for mode in ("chopper", "sine"):
         drive = Drive(MOTOR, mode=mode)
         for rpm in (300, 2000):
-            counts = pulses(np.full(300_000, rpm / 60 * drive.pulses_per_turn))
+            counts = compute_mean_counts(np.full(300_000, rpm / 60 * drive.pulses_per_turn))
             best = np.inf
             for _ in range(7):
                 start = time.perf_counter()
-                follow(drive, counts, inertia=1e-5)
+                simulate_motor(drive, counts, inertia=1e-5)
                 best = min(best, (time.perf_counter() - start) / len(counts))
             print(f"a slice of the dynamometer, {mode}, {rpm} rpm: {best * 1e9:.0f} ns")
 

@@ -17,7 +17,7 @@ from stage.firmware.axis import check_seconds
 from stage.firmware.hctl1100 import profile as servo_profile
 from stage.firmware.pcl240.moves import encode_offset
 from stage.firmware.pcl240.plan import MAX_R0, _check, _check_distance, _share
-from stage.recording.viewer import web_server
+from stage.recording.viewer import make_web_server
 from stage.sim import faults, records
 from stage.sim.fleet import MAX_TIME_NS, Fleet
 from stage.sim.program import Program
@@ -78,8 +78,8 @@ PLAIN = {
     ),
     "ramp of a circle": (lambda v: servo_profile.circle(9, seconds=0.4, sample=1e-2, ramp=v), (1e-3, 0.2), (0, 0.21)),
     "axes of a circle": (lambda v: servo_profile.circle(9, seconds=0.4, sample=1e-2, axes=v), (2, 3), (1, 4)),
-    "rate of a start": (lambda v: dynamometer.lost_in_start(Drive(), v, 1e-4), (1.0,), (0, 1.1e7)),
-    "rpm": (dynamometer._speeds, (1e-9, 20_000), (0, 20_001)),
+    "rate of a start": (lambda v: dynamometer.count_steps_lost_in_start(Drive(), v, 1e-4), (1.0,), (0, 1.1e7)),
+    "rpm": (dynamometer._check_speeds, (1e-9, 20_000), (0, 20_001)),
     "low of a log range": (lambda v: values_of("R2", f"{v}:9:log"), (1, 9), (0, 10)),
     "low of a range": (lambda v: values_of("R2", f"{v}:9"), (0, 9), (-1, 10)),
     "value of a register": (lambda v: values_of("R2", v), (0, 1), (-1, 0.5)),
@@ -156,7 +156,7 @@ def test_a_port_is_1_to_65535(tmp_path):
     (tmp_path / "a.rrd").write_bytes(b"RRF2")
     for port in (0, 65536, 80.5):
         with pytest.raises(ArgumentError, match="1 to 65535"):
-            web_server(tmp_path / "a.rrd", port)
+            make_web_server(tmp_path / "a.rrd", port)
 
 
 def test_a_condition_has_until_the_end_of_its_time(stage):

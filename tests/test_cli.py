@@ -147,7 +147,7 @@ def test_a_picture_overwrites_no_recording(here, capsys, monkeypatch):
     from stage.recording import viewer
 
     drawn = []
-    monkeypatch.setattr(viewer, "screenshot", lambda rrd, png, overwrite: drawn.append((rrd, png, overwrite)))
+    monkeypatch.setattr(viewer, "take_screenshot", lambda rrd, png, overwrite: drawn.append((rrd, png, overwrite)))
     (here / "stage.rrd").write_text("precious")
     out(capsys, "move", "x", "100", "--picture", "q.png")
     assert drawn == [("stage-2.rrd", "q.png", False)]

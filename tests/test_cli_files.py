@@ -92,7 +92,7 @@ def test_ctrl_c_says_which_file_is_not_there(here, capsys, monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("stage.drives.dynamometer.pull_out_table", stop)
+    monkeypatch.setattr("stage.drives.dynamometer.tabulate_pull_out", stop)
     assert main(["pullout", "--plot", "p.png"]) == 130
     assert capsys.readouterr().err == "stage: interrupted: nothing to write yet for --plot p.png.\n"
 

@@ -528,7 +528,7 @@ def test_the_erratum_is_as_claimed_where_all_its_figures_are(mended, bare, guard
 def test_pullout_measures_the_drive_that_was_asked_for(monkeypatch, capsys, tmp_path):
     asked = []
     monkeypatch.setattr(
-        "stage.drives.dynamometer.pull_out_table", lambda drive, progress: asked.append(drive) or "table"
+        "stage.drives.dynamometer.tabulate_pull_out", lambda drive, progress: asked.append(drive) or "table"
     )
     monkeypatch.setattr("stage.drives.picture.plot_pull_out", lambda *given, **how: asked.append((given[2], how)))
     plot = str(tmp_path / "p.png")

@@ -134,7 +134,7 @@ def test_the_help_names_every_model_that_ships():
 
     commands = next(a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction)).choices
     for name in ("move", "tune", "view", "panel"):
-        assert ", ".join(plant.names()) in " ".join(commands[name].format_help().split()), name
+        assert ", ".join(plant.list_model_names()) in " ".join(commands[name].format_help().split()), name
 
 
 def test_a_counter_that_went_below_nothing_is_told_with_its_sign():

@@ -13,7 +13,8 @@ from stage.sim import plant
 
 
 @pytest.mark.parametrize(
-    ("what", "names"), [("motors", [*MOTORS, *DC_MOTORS]), ("models", plant.names()), ("chips", ["PCL240K", "MCX514"])]
+    ("what", "names"),
+    [("motors", [*MOTORS, *DC_MOTORS]), ("models", plant.list_model_names()), ("chips", ["PCL240K", "MCX514"])],
 )
 def test_list_names_what_there_is(what, names, capsys):
     # stage list motors

@@ -55,7 +55,7 @@ def run_both_tests(tmp_path):
     )
     (tmp_path / "test_first.py").write_text(
         "from stage.native import COMPILED, load\n\n"
-        "def test():\n    assert load._library.cache_info().currsize == COMPILED\n"
+        "def test():\n    assert load._load_library.cache_info().currsize == COMPILED\n"
     )
 
     def run(required: str) -> str:

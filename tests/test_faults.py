@@ -502,10 +502,10 @@ def test_an_open_phase_carries_no_current_and_the_other_is_as_it_was(mode, open_
         broken[0].current_b = full[0].current_b = rng.uniform(-1.7, 1.7) * closed[1]
         currents = [(full[0].current_a, full[0].current_b)]
         for k in range(n):
-            stepper.torque(full[0], counts[k], begin + (k + 0.5) * omega * h, omega, h)
+            stepper.compute_slice_torque(full[0], counts[k], begin + (k + 0.5) * omega * h, omega, h)
             currents.append((full[0].current_a, full[0].current_b))
         a, b = (np.array(currents) * closed).T
-        torque = stepper.mean_torque(broken[0], counts, n, begin + 0.5 * n * omega * h, omega, h)
+        torque = stepper.compute_mean_torque(broken[0], counts, n, begin + 0.5 * n * omega * h, omega, h)
         assert (broken[0].current_a, broken[0].current_b) == pytest.approx((a[-1], b[-1]), abs=1e-9)
         ends, middles = (nr * (begin + omega * h * k) for k in (np.arange(n + 1), np.arange(n) + 0.5))
         at_ends = km * (b * np.cos(ends) - a * np.sin(ends))

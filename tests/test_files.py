@@ -16,7 +16,7 @@ from stage.cli import main
 from stage.drives.motors import Drive
 from stage.drives.picture import plot_pull_out
 from stage.recording import RecordingError
-from stage.recording.viewer import screenshot
+from stage.recording.viewer import take_screenshot
 from stage.support.files import FileError, figure_format, is_stream, written
 
 pytest.importorskip("matplotlib")
@@ -29,11 +29,11 @@ def stage():
 
 def drawings(stage):
     """Name -> a function of a path and `overwrite` that draws to it."""
-    from stage.drives.dynamometer import pull_out_table
+    from stage.drives.dynamometer import tabulate_pull_out
 
     report = firmware.preset_move(stage.axes["x"], 40)
     both = firmware.synchronized_move({"x": 40, "y": 20}, stage.axes)
-    table = pull_out_table(Drive(), np.array([100.0, 600.0]))
+    table = tabulate_pull_out(Drive(), np.array([100.0, 600.0]))
     return {
         "report": report.plot,
         "synchronized": both.plot,
@@ -78,7 +78,7 @@ def test_a_screenshot_stays_unless_overwriting_is_asked_for(tmp_path):
     rrd.write_bytes(b"")
     png.write_text("mine")
     with pytest.raises(FileError, match="exists"):
-        screenshot(rrd, png)
+        take_screenshot(rrd, png)
     assert png.read_text() == "mine"
 
 

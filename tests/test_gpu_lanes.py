@@ -16,7 +16,7 @@ from stage import Fleet, Program, Stage
 from stage.chips import HCTL1100, PCL240K, PCL240MS
 from stage.firmware.driver import driver_of
 from stage.sim.gpu.device_code import Tools
-from stage.sim.gpu.fleet import kernels_for
+from stage.sim.gpu.fleet import make_kernels
 from stage.sim.gpu.layout import LaneLayout
 from stage.sim.play import TRUTH
 
@@ -76,7 +76,7 @@ def play_by_lanes(stage, ops):
     """Play a program (operations, 4) on a stage by the kernel; returns results, extremes, and the truth as the kernel tells it."""
     state, model, data = stage.state, stage.model, stage.data
     lanes, layout = Lanes(), LaneLayout(stage)
-    advance, inspect = kernels_for(stage, layout, lanes.tools)
+    advance, inspect = make_kernels(stage, layout, lanes.tools)
     words = layout.pack(1)
     first, host = layout.host_words()
     words[first:] = host[:, None]

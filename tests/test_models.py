@@ -38,7 +38,7 @@ def put(model, data, **positions):
 
 
 def test_an_xy_and_an_xyz_stage_exist():
-    assert set(BENCH) <= set(plant.names())
+    assert set(BENCH) <= set(plant.list_model_names())
 
 
 MODEL_FIELDS = [name for name in dir(mujoco.MjModel) if not name.startswith("_")]
@@ -240,7 +240,7 @@ def test_the_documentation_shows_the_axes_and_masses_as_they_are():
 
     page = (Path(__file__).parent.parent / "docs" / "models.md").read_text()
     model = plant.open_spec("xyz").compile()
-    for line in plant.describe(model).splitlines():
+    for line in plant.format_axes(model).splitlines():
         assert f"    {line}\n" in page
     for a in plant.bind(model):
         assert f"{model.body_subtreemass[model.jnt_bodyid[a.joint]]:.2f} kg" in page

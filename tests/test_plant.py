@@ -13,7 +13,7 @@ import pytest
 from stage import ArgumentError, ModelError, Stage, faults, firmware
 from stage.chips import HCTL1100, PCL240K
 from stage.sim import plant
-from stage.sim.fingerprint import fingerprint
+from stage.sim.fingerprint import compute_fingerprint
 from stage.sim.plant import contract
 from stage.sim.plant.new import NewAxis, new_model
 from stage.sim.plant.problems import Problems
@@ -135,7 +135,7 @@ def test_unknown_models_and_broken_files_have_different_errors(tmp_path):
 
 
 def test_describe_is_a_table_of_the_axes():
-    text = plant.describe(plant.open_spec("xyz").compile())
+    text = plant.format_axes(plant.open_spec("xyz").compile())
     assert [line.split()[0] for line in text.splitlines()] == ["axis", "x", "y", "z"]
     assert "el_plus 150.00" in text
 
@@ -217,7 +217,7 @@ def test_an_axis_with_a_left_hand_screw_follows_pulses_of_the_opposite_sign(mode
     stage = Stage(spec, chips=chip, visuals=False)
     x = stage.axes["x"]
     assert x.meters_per_pulse > 0
-    assert " 10.000 mm" in plant.describe(stage.model).splitlines()[1]
+    assert " 10.000 mm" in plant.format_axes(stage.model).splitlines()[1]
     report = firmware.move(x, 3e-3)
     assert report.ok
     assert report.pulses == -round(3e-3 / x.meters_per_pulse)
@@ -378,7 +378,7 @@ def test_a_loose_part_is_no_hard_stop():
 
 def test_a_slip_between_actuator_and_joint_is_pointed_out():
     with pytest.raises(ModelError, match=r"no axis: .* Actuator 'X' and joint 'x': a slip\? Joints: x; actuators: X\."):
-        plant.axis_names(mujoco.MjModel.from_xml_string(edited((MOTOR, MOTOR.replace('name="x"', 'name="X"')))))
+        plant.find_axis_names(mujoco.MjModel.from_xml_string(edited((MOTOR, MOTOR.replace('name="x"', 'name="X"')))))
 
 
 def test_the_error_for_a_missing_file_names_the_shipped_model_of_that_name(tmp_path):
@@ -533,7 +533,7 @@ def test_text_of_a_compiled_model_that_is_not_utf_8_is_an_unknown_motor_too(tmp_
     file = tmp_path / "it.xml"
     file.write_bytes(b'<mujoco><custom><text name="x_motor" data="17HS\xe44401"/></custom></mujoco>')
     for source in (mujoco.MjModel.from_xml_path(str(file)), mujoco.MjSpec.from_file(str(file))):
-        assert plant.motors(source) == {"x": "17HS\N{REPLACEMENT CHARACTER}4401"}
+        assert plant.find_motor_names(source) == {"x": "17HS\N{REPLACEMENT CHARACTER}4401"}
 
 
 def test_a_spec_that_was_changed_is_nobody_elses():
@@ -575,7 +575,7 @@ def test_actuators_may_stand_in_any_order(model, tmp_path):
 
 def test_every_number_of_a_model_is_in_its_fingerprint_and_no_colour_of_a_texture():
     model = plant.open_spec("xy").compile()
-    observed = {fingerprint(model)}
+    observed = {compute_fingerprint(model)}
     for array in (
         model.geom_pos,
         model.geom_size,
@@ -585,13 +585,13 @@ def test_every_number_of_a_model_is_in_its_fingerprint_and_no_colour_of_a_textur
         model.opt.gravity,
     ):
         array.flat[array.size - 1] += 1e-6
-        observed.add(fingerprint(model))
+        observed.add(compute_fingerprint(model))
     model.opt.timestep *= 2
-    observed.add(fingerprint(model))
+    observed.add(compute_fingerprint(model))
     assert len(observed) == 8
     if model.ntexdata:
         model.tex_data[0] ^= 1
-    assert fingerprint(model) in observed
+    assert compute_fingerprint(model) in observed
 
 
 def test_a_line_that_mends_two_axes_is_proposed_once():
@@ -719,7 +719,7 @@ def test_a_shipped_model_that_is_edited_is_read_again(tmp_path, monkeypatch):
     for file in files("stage.models").iterdir():
         if file.name.endswith(".xml"):
             (tmp_path / file.name).write_text(file.read_text())
-    monkeypatch.setattr(plant.spec, "_models", lambda: tmp_path)
+    monkeypatch.setattr(plant.spec, "_find_model_folder", lambda: tmp_path)
     before = plant.open_spec("xy").option.timestep
     path = tmp_path / "_common.xml" if "timestep" in (tmp_path / "_common.xml").read_text() else tmp_path / "xy.xml"
     path.write_text(path.read_text().replace('timestep="0.00025"', 'timestep="0.000125"'))

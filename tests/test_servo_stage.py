@@ -17,7 +17,7 @@ from stage.chips import HCTL1100, PCL240K
 from stage.chips.entries import SHAFT, number
 from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo
 from stage.drives.motors import MOTORS, Drive
-from stage.recording.series import plot_title, series_of
+from stage.recording.series import make_plot_title, select_series
 from stage.sim.plant import open_spec
 
 MIXED = {"x": HCTL1100, "z": PCL240K}
@@ -520,7 +520,7 @@ def test_rerun_finds_no_fault_with_it_and_each_axis_has_the_series_of_its_kind(r
     read = read_rrd(path)
     have = {name: {e.split("/")[3] for e in read if e.startswith(f"/axes/{name}/")} for name in "xz"}
     for name in "xz":
-        assert have[name] - {"phase", "switches", "bus"} == set(series_of(stage.axes[name]))
+        assert have[name] - {"phase", "switches", "bus"} == set(select_series(stage.axes[name]))
     assert have["x"] - have["z"] == {"voltage", "current"}
     assert have["z"] - have["x"] == {"load_angle", "lost_steps"}
     about = read["/about"]["TextDocument:text"][1][0][0]
@@ -530,7 +530,7 @@ def test_rerun_finds_no_fault_with_it_and_each_axis_has_the_series_of_its_kind(r
 
 def test_titles_of_plots_name_the_units_of_both_kinds(recorded):
     _, mixed, _, _ = recorded
-    titles = [plot_title(mixed, key) for key in ("rate", "counter", "voltage", "lost_steps")]
+    titles = [make_plot_title(mixed, key) for key in ("rate", "counter", "voltage", "lost_steps")]
     assert titles == [
         "Pulse rate (pps | counts/s)",
         "Counter R0 (pulses | counts)",
@@ -538,8 +538,8 @@ def test_titles_of_plots_name_the_units_of_both_kinds(recorded):
         "Lost steps (full steps)",
     ]
     with Stage("xy", chips=HCTL1100).record() as servos:
-        assert plot_title(servos, "rate") == "Commanded velocity (counts/s)"
-        assert plot_title(servos, "counter") == "Actual position (counts)"
+        assert make_plot_title(servos, "rate") == "Commanded velocity (counts/s)"
+        assert make_plot_title(servos, "counter") == "Actual position (counts)"
 
 
 def test_lanes_say_what_the_chip_does_and_which_pins_its_switches_assert(recorded):

@@ -258,7 +258,7 @@ def test_the_torque_of_a_step_is_that_of_the_rotor_in_the_middle_of_each_slice(x
     middles = [
         (k + 0.5) * w.h - w.half for k in range(records.SLICES)
     ]  # s, from the moment at which the joint stands at q
-    torques = [stepper.torque(d, count, (q + v * tau) * t.gear, v * t.gear, w.h) for tau in middles]
+    torques = [stepper.compute_slice_torque(d, count, (q + v * tau) * t.gear, v * t.gear, w.h) for tau in middles]
     xyz.step()
     assert xyz.data.ctrl[t.actuator] == pytest.approx(np.mean(torques), rel=1e-9)
 

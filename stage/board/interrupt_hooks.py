@@ -15,7 +15,7 @@ import numpy as np
 from stage.board.bus import host_record, interrupts, requests
 from stage.board.errors import HostError
 from stage.errors import ArgumentError
-from stage.native import plain
+from stage.native import without_attributes
 
 if TYPE_CHECKING:
     from stage.board.link import Link
@@ -40,7 +40,7 @@ class Hooks:
         self._trampoline = HOOK(self._call_from_compiled_code)
         self.pointer = ctypes.cast(self._trampoline, ctypes.c_void_p).value or 0
         self._left: list[np.ndarray] = []
-        self.sources = np.zeros(interrupts.SOURCES, plain(interrupts.SOURCE))
+        self.sources = np.zeros(interrupts.SOURCES, without_attributes(interrupts.SOURCE))
         self.use_table(self.sources)
 
     def use_table(self, sources: np.ndarray) -> None:

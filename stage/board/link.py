@@ -19,7 +19,7 @@ from stage.board.errors import HostError, StormError
 from stage.board.interrupt_hooks import Hooks
 from stage.board.windows import explain_missing
 from stage.errors import StageError
-from stage.native import plain
+from stage.native import without_attributes
 from stage.sim import handle, records
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class Link:
         self._rows = np.zeros(1, host_record.HOST)
         self.use_record(self._rows)
         h = self.record
-        handle.fill(self._rows, 0, stage.state)
+        handle.fill_handle(self._rows, 0, stage.state)
         self.irqs = np.zeros(len(stage.chips), host_record.IRQ)
         self._acts = np.zeros(len(stage.chips), np.int64)
         for k, chip in enumerate(stage.chips):
@@ -248,7 +248,7 @@ class Link:
         rows[:] = self._rows
         self._rows, self.pointer = rows, rows.ctypes.data
         rows["own"] = self.pointer
-        self.record = rows.view(plain(host_record.HOST))[0]
+        self.record = rows.view(without_attributes(host_record.HOST))[0]
 
     # --- calls from compiled code ---
 

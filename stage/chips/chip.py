@@ -35,7 +35,7 @@ from stage.chips.journal import Journal
 from stage.chips.register_map import RegisterMap, Word, dump
 from stage.chips.sharing import Lock, exclusive, exclusively, with_lock
 from stage.errors import ArgumentError, StageError, add_article, unknown_name_error
-from stage.native import plain
+from stage.native import without_attributes
 from stage.support import snapshots
 from stage.support.arguments import explain_arguments
 from stage.support.snapshot_files import FiledSnapshot
@@ -314,7 +314,7 @@ class Chip:
         """Use record `i` of `rows` as the state."""
         self._rows, self._i = rows, i
         self._here = rows.ctypes.data + i * rows.itemsize
-        self._plain = rows.view(plain(rows.dtype))[i]
+        self._plain = rows.view(without_attributes(rows.dtype))[i]
 
     @property
     def pointer(self) -> int:

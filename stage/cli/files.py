@@ -171,10 +171,10 @@ def _write_recording(args: argparse.Namespace, recording: Any, usual: str | None
         recording.to_vcd(args.vcd, overwrite=args.force)
         wrote(args, args.vcd, f"{Path(args.vcd).stat().st_size / 1e6:.1f} MB; open with: gtkwave {args.vcd}")
     if args.picture and rrd:
-        from stage.recording.viewer import screenshot
+        from stage.recording.viewer import take_screenshot
 
         note(f"rendering {args.picture} ...")
-        screenshot(rrd, args.picture, overwrite=args.force)
+        take_screenshot(rrd, args.picture, overwrite=args.force)
         wrote(args, args.picture, "the dashboard")
     return rrd
 

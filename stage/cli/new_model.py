@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         part.write_text(text, encoding="utf-8")
     model = plant.open_spec(args.output).compile()
     tell(args, axes=[a.name for a in plant.bind(model)])
-    print(plant.describe(model))
+    print(plant.format_axes(model))
     name = shlex.quote(args.output)
     wrote(args, args.output, f"written. `stage home --model {name}` homes it, `stage view {name}` shows it.")
     return 0

@@ -30,13 +30,13 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Simulate and print the pull-out curve, and compare it with the published one."""
-    from stage.drives.dynamometer import pull_out_table
+    from stage.drives.dynamometer import tabulate_pull_out
     from stage.drives.motors import Drive, describe_core_loss, estimate_core_loss, find_motor
     from stage.drives.published_curves import PUBLISHED_CURVES
 
     drive = Drive(find_motor(args.motor), microsteps=args.microsteps, bus_voltage=args.bus_voltage)
     check_outputs(args)
-    table = pull_out_table(drive, progress=partial(show_progress, "simulating"))
+    table = tabulate_pull_out(drive, progress=partial(show_progress, "simulating"))
     tell(args, motor=args.motor, bus_voltage=args.bus_voltage, microsteps=args.microsteps, pull_out=table)
     print(table)
     if (curve := PUBLISHED_CURVES.get(args.motor)) is not None:

@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
 
     check_outputs(args)
     model, _ = plant.compile_spec(plant.open_spec(args.model), 0)
-    print(plant.describe(model))
+    print(plant.format_axes(model))
     Stage(args.model)  # checks what a stage needs beyond the contract
     tell(args, axes=[_describe_axis(axis) for axis in plant.bind(model)])
     if args.picture:

@@ -8,7 +8,7 @@ from numbers import Real
 from typing import Any, ClassVar
 
 from stage.drives.drive import SERVO
-from stage.drives.motors import MAX_BUS_VOLTAGE, within
+from stage.drives.motors import MAX_BUS_VOLTAGE, check_in_range
 from stage.errors import ArgumentError, unknown_name_error
 from stage.support.arguments import explain_constructor
 
@@ -43,11 +43,11 @@ class DCMotor:
     evidence: dict[str, str] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        within(f"{self.name}: resistance", self.resistance, 0, 1000, "ohm")
-        within(f"{self.name}: torque_constant", self.torque_constant, 0, 1000, "N m/A")
-        within(f"{self.name}: rotor_inertia", self.rotor_inertia, 0, 1, "kg m^2", zero=True)
-        within(f"{self.name}: continuous_torque", self.continuous_torque, 0, 1000, "N m")
-        within(f"{self.name}: nominal_voltage", self.nominal_voltage, 0, 400, "V")
+        check_in_range(f"{self.name}: resistance", self.resistance, 0, 1000, "ohm")
+        check_in_range(f"{self.name}: torque_constant", self.torque_constant, 0, 1000, "N m/A")
+        check_in_range(f"{self.name}: rotor_inertia", self.rotor_inertia, 0, 1, "kg m^2", zero=True)
+        check_in_range(f"{self.name}: continuous_torque", self.continuous_torque, 0, 1000, "N m")
+        check_in_range(f"{self.name}: nominal_voltage", self.nominal_voltage, 0, 400, "V")
 
     @property
     def stall_torque(self) -> float:
@@ -117,8 +117,8 @@ class Servo:
         object.__setattr__(self, "motor", find_dc_motor(self.motor))
         if self.current_limit is not None:
             otherwise = ", or None for an amplifier without a limit"
-            within("current_limit", self.current_limit, 0, MAX_CURRENT_A, "A", otherwise=otherwise)
-        within("bus_voltage", self.bus_voltage, 0, MAX_BUS_VOLTAGE, "V")
+            check_in_range("current_limit", self.current_limit, 0, MAX_CURRENT_A, "A", otherwise=otherwise)
+        check_in_range("bus_voltage", self.bus_voltage, 0, MAX_BUS_VOLTAGE, "V")
         number = isinstance(self.counts, Real) and not isinstance(self.counts, bool)
         if not number or not 4 <= self.counts <= MAX_COUNTS or int(self.counts) != self.counts:
             raise ArgumentError(

@@ -13,20 +13,20 @@ from stage.native import exported, hot
 __all__ = [
     "DRIVE",
     "SERVO",
-    "align",
-    "at_rest",
-    "lag",
-    "effort",
-    "load_angle",
-    "lost_steps",
-    "torque",
-    "torque_change",
-    "voltage",
+    "power_up",
+    "make_rest_signal",
+    "compute_lag",
+    "compute_effort",
+    "compute_load_angle",
+    "count_lost_steps",
+    "compute_torque",
+    "compute_torque_change",
+    "compute_voltage",
 ]
 
 
 @hot
-def effort(d, signal, n, theta, omega, h, gain=0.0):
+def compute_effort(d, signal, n, theta, omega, h, gain=0.0):
     """Compute the mean effort over n slices of h seconds, N m or V.
 
     Args:
@@ -39,18 +39,18 @@ def effort(d, signal, n, theta, omega, h, gain=0.0):
         gain: As of `mean_torque`.
     """
     if d.mode == SERVO:
-        return servo.voltage(d, signal, n, omega, gain)
-    return stepper.mean_torque(d, signal, n, theta, omega, h, gain)
+        return servo.compute_mean_voltage(d, signal, n, omega, gain)
+    return stepper.compute_mean_torque(d, signal, n, theta, omega, h, gain)
 
 
 @hot
-def torque(d, effort):
-    """Return the motor's torque, N m, when `effort` goes to its actuator."""
+def compute_torque(d, effort):
+    """Return the motor's torque, N m, when `compute_effort` goes to its actuator."""
     return d.torque_constant * d.current_a if d.mode == SERVO else effort
 
 
 @hot
-def torque_change(d, effort_change, speed_change):
+def compute_torque_change(d, effort_change, speed_change):
     """Return the change of the motor's torque, N m, with a change of its effort, and of its speed in rad/s."""
     if d.mode == SERVO:
         return d.torque_constant * (effort_change - d.torque_constant * speed_change) / d.resistance
@@ -58,37 +58,37 @@ def torque_change(d, effort_change, speed_change):
 
 
 @hot
-def voltage(d, effort):
+def compute_voltage(d, effort):
     """Return the terminal voltage of a DC motor, V; 0 for a stepper, whose phases have one each."""
     return effort if d.mode == SERVO else 0.0
 
 
 @hot
-def align(d, count, theta):
+def power_up(d, count, theta):
     """Power up; the encoder of a servo keeps its count."""
     if d.mode != SERVO:
-        stepper.align(d, count, theta)
+        stepper.power_up(d, count, theta)
 
 
 @hot
-def at_rest(d, count):
-    """Return the signal of a chip, see `effort`, that moves nothing."""
+def make_rest_signal(d, count):
+    """Return the signal of a chip, see `compute_effort`, that moves nothing."""
     return 0.0 if d.mode == SERVO else float(count)
 
 
 @exported("f8", DRIVE, "f8", "f8")
-def load_angle(d, count, theta):
+def compute_load_angle(d, count, theta):
     """Return commanded minus rotor angle, electrical radians; plain radians for a servo."""
-    return stepper.load_angle(d, count, theta)
+    return stepper.compute_load_angle(d, count, theta)
 
 
 @exported("f8", DRIVE, "f8", "f8")
-def lag(d, count, theta):
+def compute_lag(d, count, theta):
     """Return commanded minus rotor angle, rad."""
-    return stepper.mechanical(d, stepper.load_angle(d, count, theta))
+    return stepper.to_rotor_angle(d, stepper.compute_load_angle(d, count, theta))
 
 
 @exported("i8", DRIVE, "f8", "f8")
-def lost_steps(d, count, theta):
+def count_lost_steps(d, count, theta):
     """Return the full steps by which the rotor lags; a servo loses none."""
-    return 0 if d.mode == SERVO else stepper.lost_steps(d, count, theta)
+    return 0 if d.mode == SERVO else stepper.count_lost_steps(d, count, theta)

@@ -1,7 +1,8 @@
 """Test bench for motor and drive without a stage: a rotor, an inertia, a brake.
 
     trace = follow(drive, pulses(rates), inertia=...)       one run, everything in it
-    pull_out(drive, rpm), pull_in(drive, inertia), ring_down(drive, inertia), resonance_sweep(drive, rates)
+    simulate_pull_out(drive, rpm), find_pull_in_rate(drive, inertia), simulate_ring_down(drive, inertia),
+    sweep_resonance(drive, rates)
 
 One compiled loop, the leapfrog of the stage's engine in slices of H = 15.625 us (half the engine's), with the same compiled
 drive. Pulses come whole, as from a chip. Nothing is random: the same call gives the same bits.
@@ -17,14 +18,14 @@ from typing import NamedTuple
 import numpy as np
 
 from stage.drives import stepper
-from stage.drives.motors import Drive, Motor, find_motor, within
+from stage.drives.motors import Drive, Motor, check_in_range, find_motor
 from stage.errors import ArgumentError
 from stage.native import array_of, exported, greatest, least, record
 
-H = 15.625e-6
-SETTLE, HOLD = 0.3, 0.3  # s: the brake's onset, and how long it then holds
-SLIP = math.pi  # electrical radians from which a braked rotor does not come back
-VISCOUS = 2e-4  # N m s/rad: bearings and grease of a small axis
+SLICE_S = 15.625e-6
+BRAKE_ONSET_S, BRAKE_HOLD_S = 0.3, 0.3  # s: the brake's onset, and how long it then holds
+SLIP_ANGLE_RAD = math.pi  # electrical radians from which a braked rotor does not come back
+DEFAULT_DAMPING_N_M_S = 2e-4  # N m s/rad: bearings and grease of a small axis
 
 TRACE = record([(name, "f8") for name in "count theta omega torque current_a current_b".split()])
 """One slice: mean commanded pulses, rotor angle (rad) at its middle, speed (rad/s), motor torque (N m), currents (A)."""
@@ -60,7 +61,7 @@ class PullOut(NamedTuple):
         return "\n".join([head, *rows])
 
 
-def closed_form(motor: Motor | str, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
+def compute_closed_form(motor: Motor | str, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
     """Compute the pull-out torque of a sine drive, N m, shape of rpm: min(T_V, T_I) - b w, never below 0 (spec/drives.md, 1).
 
     Z = sqrt(R^2 + (Nr w L)^2), T_V = Km (V / Z - Km w R / Z^2), T_I = Km I; b is the motor's core loss.
@@ -73,7 +74,7 @@ def closed_form(motor: Motor | str, volts: float, current: float, rpm: Floats | 
     )
 
 
-def bound_by_both(motor: Motor | str, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
+def compute_joint_bound(motor: Motor | str, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
     """Compute the most torque of any sinusoidal current with |i| <= current and |v| <= volts at once, N m, shape of rpm.
 
     The motor's core loss is taken off.
@@ -95,7 +96,7 @@ def bound_by_both(motor: Motor | str, volts: float, current: float, rpm: Floats 
     return np.maximum(motor.torque_constant * best - motor.core_loss_damping * w, 0)
 
 
-def natural_frequency(drive: Drive, inertia: float, half_step: bool = False) -> float:
+def compute_natural_frequency(drive: Drive, inertia: float, half_step: bool = False) -> float:
     """Small-angle natural frequency of the rotor at rest, Hz: sqrt(stiffness / inertia) / 2 pi (spec/drives.md, 2).
 
     The stiffness is Nr (Km I + 4 Td) on a full step, where the detent helps, and Nr (Km I - 4 Td) on a half step, where it
@@ -115,32 +116,34 @@ def _check_inertia(drive: Drive, inertia: float) -> None:
 
 
 @exported(None, stepper.DRIVE, array_of("f8"), array_of("f8"), *["f8"] * 5, array_of(TRACE))
-def _follow(d, counts, load, inertia, viscous, damper, theta, omega, trace):
+def _simulate_motor(d, counts, load, inertia, viscous, damper, theta, omega, trace):
     """Leapfrog: the torque of a slice acts at the rotor's angle in its middle; friction stops a rotor but never turns it."""
     case = omega
-    stepper.align(d, counts[0], d.per_pulse * counts[0] / d.teeth)
+    stepper.power_up(d, counts[0], d.per_pulse * counts[0] / d.teeth)
     for k in range(len(counts)):
-        force = stepper.torque(d, counts[k], theta, omega, H)
+        force = stepper.compute_slice_torque(d, counts[k], theta, omega, SLICE_S)
         row = trace[k]
         row.count, row.theta, row.omega, row.torque = counts[k], theta, omega, force
         row.current_a, row.current_b = d.current_a, d.current_b
-        push, brake = omega + H / inertia * (force + damper * case), H / inertia * load[k]
+        push, brake = omega + SLICE_S / inertia * (force + damper * case), SLICE_S / inertia * load[k]
         push = greatest(push - brake, 0.0) if push > 0.0 else least(push + brake, 0.0)
-        omega = push / (1.0 + H / inertia * (viscous + damper))
-        theta += H * omega
+        omega = push / (1.0 + SLICE_S / inertia * (viscous + damper))
+        theta += SLICE_S * omega
 
 
-def slices(seconds: float) -> int:
+def count_slices(seconds: float) -> int:
     """Return the number of slices in a time, s."""
-    return round(seconds / H)
+    return round(seconds / SLICE_S)
 
 
-def pulses(rates: Floats) -> np.ndarray:
+def compute_mean_counts(rates: Floats) -> np.ndarray:
     """Mean commanded count of each slice, (n,), of a chip that makes whole pulses at `rates` pps, (n,), one a slice.
 
     The exact mean of the staircase: an average of a slice's ends alone would beat with the pulses.
     """
-    edges = np.concatenate([[0.0], np.cumsum(np.asarray(rates, float) * H)]) + 1e-6  # a sum that falls short of a pulse
+    edges = (
+        np.concatenate([[0.0], np.cumsum(np.asarray(rates, float) * SLICE_S)]) + 1e-6
+    )  # a sum that falls short of a pulse
     first_pulse = np.floor(edges[:-1])
     run, last_pulse = edges[1:] - first_pulse, np.floor(edges[1:]) - first_pulse
     area = last_pulse * (run - 0.5 * (last_pulse + 1))  # under the staircase, from the slice's first whole pulse on
@@ -148,12 +151,12 @@ def pulses(rates: Floats) -> np.ndarray:
     return first_pulse + np.divide(area, moved, out=np.zeros_like(area), where=moved != 0)
 
 
-def follow(
+def simulate_motor(
     drive: Drive,
     counts: Floats,
     inertia: float,
     load: Floats | float = 0.0,
-    viscous: float = VISCOUS,
+    viscous: float = DEFAULT_DAMPING_N_M_S,
     damper: float = 0.0,
     theta: float | None = None,
     omega: float = 0.0,
@@ -197,11 +200,11 @@ def follow(
     brake = np.array(np.broadcast_to(np.asarray(load, float), waveform.shape))
     start = drive.per_pulse * waveform[0] / drive.motor.rotor_teeth if theta is None else theta
     viscous = float(viscous) + drive.motor.core_loss_damping
-    _follow(rows, waveform, brake, float(inertia), viscous, float(damper), float(start), float(omega), trace)
+    _simulate_motor(rows, waveform, brake, float(inertia), viscous, float(damper), float(start), float(omega), trace)
     return trace
 
 
-def load_angle(drive: Drive, trace: np.ndarray) -> np.ndarray:
+def compute_load_angle(drive: Drive, trace: np.ndarray) -> np.ndarray:
     """Return commanded minus rotor angle of a trace, electrical radians, not wrapped, (n,).
 
     Args:
@@ -211,7 +214,7 @@ def load_angle(drive: Drive, trace: np.ndarray) -> np.ndarray:
     return drive.per_pulse * trace["count"] - drive.motor.rotor_teeth * trace["theta"]
 
 
-def lost_steps(drive: Drive, trace: np.ndarray) -> int:
+def count_lost_steps(drive: Drive, trace: np.ndarray) -> int:
     """Return the full steps by which the rotor lags at a trace's end.
 
     Args:
@@ -220,20 +223,20 @@ def lost_steps(drive: Drive, trace: np.ndarray) -> int:
     """
     rows = np.zeros(1, stepper.DRIVE)
     drive.fill(rows[0])
-    return int(stepper.lost_steps(rows[0], float(trace["count"][-1]), float(trace["theta"][-1])))
+    return int(stepper.count_lost_steps(rows[0], float(trace["count"][-1]), float(trace["theta"][-1])))
 
 
-def _speeds(rpm: Floats) -> np.ndarray:
+def _check_speeds(rpm: Floats) -> np.ndarray:
     speeds = np.atleast_1d(np.asarray(rpm, float))
     if not ((speeds > 0) & (speeds <= 20_000)).all():
         raise ArgumentError(f"rpm={rpm!r}: a brake needs turning rotors: give speeds above 0, up to 20000 rpm.")
     return speeds
 
 
-def _damper(drive: Drive, inertia: float, ratio: float) -> float:
+def _compute_damping(drive: Drive, inertia: float, ratio: float) -> float:
     """Return the damping of the rotor's swing about its field that is `ratio` of critical, N m s/rad."""
-    within("damping_ratio", ratio, 0, 10, "times critical", zero=True)
-    return 2 * ratio * inertia * 2 * math.pi * natural_frequency(replace(drive, detent=0.0), inertia)
+    check_in_range("damping_ratio", ratio, 0, 10, "times critical", zero=True)
+    return 2 * ratio * inertia * 2 * math.pi * compute_natural_frequency(replace(drive, detent=0.0), inertia)
 
 
 def _split_core_loss(drive: Drive) -> tuple[Drive, float]:
@@ -246,7 +249,9 @@ def _split_core_loss(drive: Drive) -> tuple[Drive, float]:
     return (replace(drive, motor=replace(drive.motor, core_loss_resistance=None)) if loss else drive), loss
 
 
-def pull_out(drive: Drive, rpm: Floats, inertia: float | None = None, damping_ratio: float = 0.15) -> np.ndarray:
+def simulate_pull_out(
+    drive: Drive, rpm: Floats, inertia: float | None = None, damping_ratio: float = 0.15
+) -> np.ndarray:
     """Simulate the pull-out torque at each speed, N m, (n,): the most friction with which a rotor keeps up; 0 if it slips unloaded.
 
     The rotor also turns against the motor's core loss, which is thus taken off, as on a real bench.
@@ -256,22 +261,24 @@ def pull_out(drive: Drive, rpm: Floats, inertia: float | None = None, damping_ra
 
     inertia: kg m^2, rotor included; default ten rotors. damping_ratio: of the damper that turns with the commanded
     speed and takes no torque. The defaults keep resonance from throwing the rotor out before its torque is spent;
-    `resonance_sweep` shows what happens without.
+    `sweep_resonance` shows what happens without.
 
     Raises ArgumentError for speeds that are not above 0.
     """
     inertia = 10 * drive.motor.rotor_inertia if inertia is None else inertia
     drive, loss = _split_core_loss(drive)
-    damper = _damper(drive, inertia, damping_ratio) + loss
-    onset = 0.5 - 0.5 * np.cos(math.pi * np.minimum(np.arange(slices(SETTLE + HOLD)) * H / SETTLE, 1))
-    speeds = _speeds(rpm)
+    damper = _compute_damping(drive, inertia, damping_ratio) + loss
+    onset = 0.5 - 0.5 * np.cos(
+        math.pi * np.minimum(np.arange(count_slices(BRAKE_ONSET_S + BRAKE_HOLD_S)) * SLICE_S / BRAKE_ONSET_S, 1)
+    )
+    speeds = _check_speeds(rpm)
     torque = np.zeros(len(speeds))
     for k, speed in enumerate(speeds):
-        counts = pulses(np.full(len(onset), speed / 60 * drive.pulses_per_turn))
+        counts = compute_mean_counts(np.full(len(onset), speed / 60 * drive.pulses_per_turn))
 
         def keeps_up(load: float, counts: np.ndarray = counts, omega: float = speed * 2 * math.pi / 60) -> bool:
-            trace = follow(drive, counts, inertia, load * onset, 0.0, damper, omega=omega)
-            return bool((np.abs(load_angle(drive, trace)) < SLIP).all())
+            trace = simulate_motor(drive, counts, inertia, load * onset, 0.0, damper, omega=omega)
+            return bool((np.abs(compute_load_angle(drive, trace)) < SLIP_ANGLE_RAD).all())
 
         low, high = 0.0, 1.2 * (drive.motor.torque_constant * drive.amplitude + drive.detent_torque)
         if not keeps_up(0.0):
@@ -283,8 +290,13 @@ def pull_out(drive: Drive, rpm: Floats, inertia: float | None = None, damping_ra
     return torque
 
 
-def lost_in_start(
-    drive: Drive, rate: float, inertia: float, accel: float = 0.0, load: float = 0.0, viscous: float = VISCOUS
+def count_steps_lost_in_start(
+    drive: Drive,
+    rate: float,
+    inertia: float,
+    accel: float = 0.0,
+    load: float = 0.0,
+    viscous: float = DEFAULT_DAMPING_N_M_S,
 ) -> int:
     """Count the full steps lost by a start from rest, 0.4 s after the rate is reached.
 
@@ -303,12 +315,12 @@ def lost_in_start(
         raise ArgumentError(
             f"rate={rate!r}, accel={accel!r}: give a rate above 0 up to 1e7 pps, and pps/s from 0 (at once) on."
         )
-    time = np.arange(slices(0.4 + (rate / accel if accel else 0.0))) * H
+    time = np.arange(count_slices(0.4 + (rate / accel if accel else 0.0))) * SLICE_S
     rates = np.minimum(accel * time, rate) if accel else np.full(len(time), float(rate))
-    return lost_steps(drive, follow(drive, pulses(rates), inertia, load, viscous))
+    return count_lost_steps(drive, simulate_motor(drive, compute_mean_counts(rates), inertia, load, viscous))
 
 
-def pull_in(drive: Drive, inertia: float, load: float = 0.0, viscous: float = VISCOUS) -> float:
+def find_pull_in_rate(drive: Drive, inertia: float, load: float = 0.0, viscous: float = DEFAULT_DAMPING_N_M_S) -> float:
     """Find the pull-in rate, pps: up to it a motor starts at once, from rest, without losing a step. 0 if no rate does.
 
     The search goes from 50 full steps a second up in steps of 3 %, then halves down to 0.2 %: so every slower rate tried starts as
@@ -321,18 +333,18 @@ def pull_in(drive: Drive, inertia: float, load: float = 0.0, viscous: float = VI
         viscous: Damping, N m s/rad.
     """
     low, high = 0.0, 50.0 * drive.microsteps
-    while lost_in_start(drive, high, inertia, 0.0, load, viscous) == 0:
+    while count_steps_lost_in_start(drive, high, inertia, 0.0, load, viscous) == 0:
         low, high = high, 1.03 * high
         if high > 20_000 * drive.microsteps:
             return low
     while low and high > 1.002 * low:
         middle = 0.5 * (low + high)
-        keeps_step = lost_in_start(drive, middle, inertia, 0.0, load, viscous) == 0
+        keeps_step = count_steps_lost_in_start(drive, middle, inertia, 0.0, load, viscous) == 0
         low, high = (middle, high) if keeps_step else (low, middle)
     return low
 
 
-def ring_down(drive: Drive, inertia: float, microstep: int = 0, viscous: float = 0.0) -> float:
+def simulate_ring_down(drive: Drive, inertia: float, microstep: int = 0, viscous: float = 0.0) -> float:
     """Simulate the natural frequency, Hz: the rotor is let go 1/40 full step beside a microstep; mean of its zero crossings.
 
     Args:
@@ -348,8 +360,14 @@ def ring_down(drive: Drive, inertia: float, microstep: int = 0, viscous: float =
     rest = drive.per_pulse * microstep / drive.motor.rotor_teeth
     # between full steps the detent pulls the rest away from the microstep: let a well damped rotor find it
     calm = 0.5 * math.sqrt(drive.motor.rotor_teeth * drive.motor.holding_torque * inertia)
-    rest = float(follow(drive, np.full(slices(0.3), float(microstep)), inertia, viscous=calm, theta=rest)["theta"][-1])
-    swing = follow(drive, np.full(slices(0.1), float(microstep)), inertia, viscous=viscous, theta=rest + aside)
+    rest = float(
+        simulate_motor(drive, np.full(count_slices(0.3), float(microstep)), inertia, viscous=calm, theta=rest)["theta"][
+            -1
+        ]
+    )
+    swing = simulate_motor(
+        drive, np.full(count_slices(0.1), float(microstep)), inertia, viscous=viscous, theta=rest + aside
+    )
     out = swing["theta"] - rest
     up = np.flatnonzero((out[:-1] < 0) & (out[1:] >= 0))
     if len(up) < 2:
@@ -357,7 +375,7 @@ def ring_down(drive: Drive, inertia: float, microstep: int = 0, viscous: float =
             f"inertia={inertia!r}, viscous={viscous!r}: the rotor does not ring twice in 0.1 s; give less."
         )
     crossings = up + out[up] / (out[up] - out[up + 1])
-    return float((len(crossings) - 1) / ((crossings[-1] - crossings[0]) * H))
+    return float((len(crossings) - 1) / ((crossings[-1] - crossings[0]) * SLICE_S))
 
 
 class Resonance(NamedTuple):
@@ -374,7 +392,7 @@ class Resonance(NamedTuple):
     ripple: np.ndarray
 
 
-def resonance_sweep(
+def sweep_resonance(
     drive: Drive, rates: Floats, inertia: float | None = None, damping_ratio: float = 0.06
 ) -> Resonance:
     """Simulate pull-out torque and speed ripple of a nearly bare rotor over the step rate.
@@ -386,23 +404,27 @@ def resonance_sweep(
         drive: Drive with its motor.
         rates: Full steps per second, (n,).
         inertia: kg m^2, rotor included; default: the bare rotor.
-        damping_ratio: As of `pull_out`.
+        damping_ratio: As of `simulate_pull_out`.
     """
     rate = np.atleast_1d(np.asarray(rates, float))
     inertia = drive.motor.rotor_inertia if inertia is None else inertia
     rpm = rate / drive.motor.steps_per_turn * 60
     lossless, loss = _split_core_loss(drive)
-    damper = _damper(drive, inertia, damping_ratio) + loss
+    damper = _compute_damping(drive, inertia, damping_ratio) + loss
     ripple = np.zeros(len(rate))
-    for k, speed in enumerate(_speeds(rpm)):
-        counts = pulses(np.full(slices(0.4), speed / 60 * drive.pulses_per_turn))
+    for k, speed in enumerate(_check_speeds(rpm)):
+        counts = compute_mean_counts(np.full(count_slices(0.4), speed / 60 * drive.pulses_per_turn))
         omega = speed * 2 * math.pi / 60
-        free = follow(lossless, counts, inertia, loss * omega, 0.0, damper, omega=omega)["omega"][slices(0.2) :]
+        free = simulate_motor(lossless, counts, inertia, loss * omega, 0.0, damper, omega=omega)["omega"][
+            count_slices(0.2) :
+        ]
         ripple[k] = math.sqrt(float(np.mean((free - omega) ** 2)))
-    return Resonance(rate, pull_out(drive, rpm, inertia, damping_ratio), ripple)
+    return Resonance(rate, simulate_pull_out(drive, rpm, inertia, damping_ratio), ripple)
 
 
-def pull_out_table(drive: Drive, rpm: Floats | None = None, progress: Callable[[float], None] | None = None) -> PullOut:
+def tabulate_pull_out(
+    drive: Drive, rpm: Floats | None = None, progress: Callable[[float], None] | None = None
+) -> PullOut:
     """Compute everything that the pull-out picture shows; print it for the rows.
 
     The ideal sine drive has 256 microsteps and no detent.
@@ -412,15 +434,16 @@ def pull_out_table(drive: Drive, rpm: Floats | None = None, progress: Callable[[
         rpm: Speeds, (n,), default 50 to 2400.
         progress: Called with the fraction done.
     """
-    speeds = _speeds(rpm if rpm is not None else np.r_[50, 150:2401:75])
+    speeds = _check_speeds(rpm if rpm is not None else np.r_[50, 150:2401:75])
     sine = replace(drive, mode="sine", microsteps=256, detent=0.0)
     simulated, ideal_drive = np.zeros(len(speeds)), np.zeros(len(speeds))
     for k in range(len(speeds)):
-        simulated[k], ideal_drive[k] = pull_out(drive, speeds[k])[0], pull_out(sine, speeds[k])[0]
+        simulated[k], ideal_drive[k] = simulate_pull_out(drive, speeds[k])[0], simulate_pull_out(sine, speeds[k])[0]
         if progress:
             progress((k + 1) / len(speeds))
     m, v, i = drive.motor, drive.bus_voltage, drive.amplitude
     return PullOut(
         speeds, simulated, ideal_drive,
-        closed_form(m, v, i, speeds), closed_form(m, 4 / math.pi * v, i, speeds), bound_by_both(m, v, i, speeds), m.steps_per_turn,
+        compute_closed_form(m, v, i, speeds), compute_closed_form(m, 4 / math.pi * v, i, speeds),
+        compute_joint_bound(m, v, i, speeds), m.steps_per_turn,
     )  # fmt: skip

@@ -34,7 +34,7 @@ that with an inductance a third larger (spec/drives.md); the middle is their geo
 MODES = {"chopper": stepper.CHOPPER, "sine": stepper.SINE}
 
 
-def within(
+def check_in_range(
     what: str, value: object, low: float, high: float, unit: str, zero: bool = False, otherwise: str = ""
 ) -> None:
     """Raise ArgumentError unless `value` is a number above `low` (or, if `zero`, from `low` on) up to `high`.
@@ -85,22 +85,22 @@ class Motor:
 
     def __post_init__(self) -> None:
         _check_evidence(self)
-        within(f"{self.name}: rated_current", self.rated_current, 0, 100, "A")
-        within(f"{self.name}: resistance", self.resistance, 0, 1000, "ohm")
-        within(f"{self.name}: inductance", self.inductance, 0, 1, "H")
-        within(f"{self.name}: holding_torque", self.holding_torque, 0, 1000, "N m")
-        within(f"{self.name}: detent_torque", self.detent_torque, 0, self.holding_torque, "N m", zero=True)
-        within(f"{self.name}: rotor_inertia", self.rotor_inertia, 0, 1, "kg m^2")
-        within(f"{self.name}: steps_per_turn", self.steps_per_turn, 0, 4000, "")
+        check_in_range(f"{self.name}: rated_current", self.rated_current, 0, 100, "A")
+        check_in_range(f"{self.name}: resistance", self.resistance, 0, 1000, "ohm")
+        check_in_range(f"{self.name}: inductance", self.inductance, 0, 1, "H")
+        check_in_range(f"{self.name}: holding_torque", self.holding_torque, 0, 1000, "N m")
+        check_in_range(f"{self.name}: detent_torque", self.detent_torque, 0, self.holding_torque, "N m", zero=True)
+        check_in_range(f"{self.name}: rotor_inertia", self.rotor_inertia, 0, 1, "kg m^2")
+        check_in_range(f"{self.name}: steps_per_turn", self.steps_per_turn, 0, 4000, "")
         if self.steps_per_turn % 4:
             raise ArgumentError(
                 f"{self.name}: steps_per_turn={self.steps_per_turn!r}: a tooth is 4 steps; try 200 or 400."
             )
         if self.effective_inductance is not None:
-            within(f"{self.name}: effective_inductance", self.effective_inductance, 0, 1, "H")
+            check_in_range(f"{self.name}: effective_inductance", self.effective_inductance, 0, 1, "H")
         if self.core_loss_resistance is not None:
             least = self.torque_constant**2 * 2 * math.pi / self.holding_torque  # one turn a second takes all torque
-            within(
+            check_in_range(
                 f"{self.name}: core_loss_resistance", self.core_loss_resistance, least, MAX_CORE_LOSS_RESISTANCE_OHM, "ohm",
                 otherwise=", or None for a motor without core loss",
             )  # fmt: skip
@@ -282,11 +282,13 @@ class Drive:
         object.__setattr__(self, "motor", find_motor(self.motor))
         if isinstance(self.microsteps, bool) or self.microsteps not in MICROSTEPS:
             raise ArgumentError(f"microsteps={self.microsteps!r}: a drive takes a whole number from 1 to 256.")
-        within("bus_voltage", self.bus_voltage, 0, MAX_BUS_VOLTAGE, "V")
+        check_in_range("bus_voltage", self.bus_voltage, 0, MAX_BUS_VOLTAGE, "V")
         if self.current is not None:
-            within(f"current of the {self.motor.name}", self.current, 0, 2 * self.motor.rated_current, "A")
+            check_in_range(f"current of the {self.motor.name}", self.current, 0, 2 * self.motor.rated_current, "A")
         if self.detent is not None:
-            within(f"detent of the {self.motor.name}", self.detent, 0, self.motor.holding_torque, "N m", zero=True)
+            check_in_range(
+                f"detent of the {self.motor.name}", self.detent, 0, self.motor.holding_torque, "N m", zero=True
+            )
         if self.mode not in MODES:
             raise unknown_name_error("drive mode", self.mode, MODES)
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from stage.drives.dynamometer import PullOut, bound_by_both, closed_form, pull_out
+from stage.drives.dynamometer import PullOut, compute_closed_form, compute_joint_bound, simulate_pull_out
 from stage.drives.motors import Drive, Motor, estimate_core_loss
 from stage.drives.published_curves import PUBLISHED_CURVES, PublishedCurve
-from stage.drives.spread import vary
+from stage.drives.spread import vary_motor
 from stage.support.files import save_figure
 from stage.support.pictures import COLOURS, INK, MUTED, bare, figure
 
@@ -34,7 +34,12 @@ def _dress(ax: Any, drive: Drive, rpm_max: float, torque_max: float) -> None:
 def _closed_forms(drive: Drive, rpm_max: float) -> tuple[Any, Any, Any, Any]:
     """Return speeds, finer than simulated, and there the closed forms at V and at 4/pi V, and the bound by V and I at once."""
     rpm, (m, v, i) = np.linspace(0, rpm_max, 601), (drive.motor, drive.bus_voltage, drive.amplitude)
-    return rpm, closed_form(m, v, i, rpm), closed_form(m, 4 / np.pi * v, i, rpm), bound_by_both(m, v, i, rpm)
+    return (
+        rpm,
+        compute_closed_form(m, v, i, rpm),
+        compute_closed_form(m, 4 / np.pi * v, i, rpm),
+        compute_joint_bound(m, v, i, rpm),
+    )
 
 
 def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None, overwrite: bool = False) -> Any:
@@ -91,7 +96,7 @@ def _draw_likely_loss(ax: Any, drive: Drive, rpm: np.ndarray) -> None:
     """Draw the band between the least and the most core loss that a motor without a published curve is likely to have."""
     likely = estimate_core_loss(drive.motor)
     high, low = (
-        pull_out(replace(drive, motor=vary(drive.motor, core_loss_damping=loss)), rpm)
+        simulate_pull_out(replace(drive, motor=vary_motor(drive.motor, core_loss_damping=loss)), rpm)
         for loss in (likely.low, likely.high)
     )
     label = f"likely: core loss {likely.low:.2g} to {likely.high:.2g} N m s/rad"

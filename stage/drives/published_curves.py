@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage.drives.dynamometer import pull_out
-from stage.drives.motors import Drive, Motor, find_motor, within
+from stage.drives.dynamometer import simulate_pull_out
+from stage.drives.motors import Drive, Motor, check_in_range, find_motor
 from stage.errors import ArgumentError, unknown_name_error
 from stage.support.arguments import explain_arguments
 
@@ -79,7 +79,7 @@ class PublishedCurve:
                 f"curve of the {self.motor}: torque={self.torque!r}; give N m above 0, as deviations are relative to them."
             )
         Drive(microsteps=self.microsteps, bus_voltage=self.bus_voltage)  # raises for settings that no drive has
-        within(f"curve of the {self.motor}: current", self.current, 0, 100, "A")
+        check_in_range(f"curve of the {self.motor}: current", self.current, 0, 100, "A")
 
     def drive(self, motor: Motor | str) -> Drive:
         """Return `motor` on the supply, current and microsteps of the curve."""
@@ -87,7 +87,7 @@ class PublishedCurve:
 
     def predict(self, motor: Motor | str) -> np.ndarray:
         """Simulate the pull-out torque of `motor` on the bench at the curve's speeds and settings, N m, (n,)."""
-        return pull_out(self.drive(motor), self.rpm)
+        return simulate_pull_out(self.drive(motor), self.rpm)
 
     def compare(self, motor: Motor | str) -> CurveComparison:
         """Compare the curve with what the bench simulates of `motor`."""
@@ -214,7 +214,7 @@ def _fit(motor: Motor, curve: PublishedCurve, speeds: np.ndarray, values: list[s
         return built
 
     def deviate(factors: np.ndarray) -> np.ndarray:
-        return pull_out(curve.drive(build(factors)), speeds) / published - 1
+        return simulate_pull_out(curve.drive(build(factors)), speeds) / published - 1
 
     factors = np.array([_VALUES[name][1] for name in names])
     for _ in range(GAUSS_NEWTON_STEPS):

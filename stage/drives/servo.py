@@ -14,7 +14,7 @@ from stage.native import hot
 
 
 @hot
-def voltage(d, shares, n, omega, gain=0.0):
+def compute_mean_voltage(d, shares, n, omega, gain=0.0):
     """Compute the mean terminal voltage, V, over n slices.
 
     MuJoCo takes the back-EMF at the end of the step. A current limit holds for the speed by then, if the rotor gains as much as in

@@ -16,7 +16,14 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from stage.drives.motors import Motor, estimate_core_loss, find_motor, is_core_loss_known, read_tolerance, within
+from stage.drives.motors import (
+    Motor,
+    check_in_range,
+    estimate_core_loss,
+    find_motor,
+    is_core_loss_known,
+    read_tolerance,
+)
 from stage.support import portable
 
 INDUCTANCE_TOLERANCE = 0.2
@@ -71,7 +78,7 @@ def estimate_spread(motor: Motor | str) -> dict[str, Spread]:
     return {"core_loss_damping": loss, "inductance": inductance}
 
 
-def vary(motor: Motor | str, core_loss_damping: float | None = None, inductance: float | None = None) -> Motor:
+def vary_motor(motor: Motor | str, core_loss_damping: float | None = None, inductance: float | None = None) -> Motor:
     """Return the motor with another core loss damping, N m s/rad, 0 for none, or inductance, H; None: as it is.
 
     Raises:
@@ -80,7 +87,7 @@ def vary(motor: Motor | str, core_loss_damping: float | None = None, inductance:
     motor = find_motor(motor)
     if core_loss_damping is not None:
         max_loss = motor.holding_torque / (2 * math.pi)  # one turn a second takes all torque
-        within(f"{motor.name}: core_loss_damping", core_loss_damping, 0, max_loss, "N m s/rad", zero=True)
+        check_in_range(f"{motor.name}: core_loss_damping", core_loss_damping, 0, max_loss, "N m s/rad", zero=True)
         resistance = motor.torque_constant**2 / core_loss_damping if core_loss_damping else None
         motor = replace(motor, core_loss_resistance=resistance)
     return motor if inductance is None else replace(motor, effective_inductance=inductance)

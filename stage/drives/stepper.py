@@ -10,7 +10,7 @@ exponential i(h) = i + (v - e - R i) / R (1 - exp(-h R / L)). The drive's target
 CHOPPER holds each phase on its target wherever +-V reaches within the slice, else at full voltage: a fixed-frequency chopper
 without ripple. SINE is the ideal drive of the closed form min(T_V, T_I): an ideal current source of amplitude I up to the
 speed where T_V falls below T_I, an ideal voltage source of amplitude V above. (No drive that is bound by both limits at once
-reaches that corner: see dynamometer.bound_by_both.)
+reaches that corner: see dynamometer.compute_joint_bound.)
 
 Equations: the two-phase model of drives.md (Simscape Electrical "Stepper Motor").
 """
@@ -21,7 +21,7 @@ import math
 
 import numpy as np
 
-from stage.drives.trig import SMALL, sincos, sincos_of_small, turned
+from stage.drives.trig import SMALL, add_angles, sincos, sincos_of_small
 from stage.native import greatest, hot, least, record, room
 
 CHOPPER, SINE, SERVO = range(3)  # modes
@@ -29,7 +29,7 @@ A, B = 1, 2  # phases
 SLICES = 8  # that the engine cuts a physics step into; mean_torque counts on 8
 ENDS = np.array([-3.0, -2.0, -1.0, -1.0, 1.0, 2.0, 3.0, 4.0])
 """Of each slice its end, in slices from the middle of the window; of the one that ends there -1, see `_place_targets`."""
-MIDDLE = SLICES // 2 - 1  # the slice that ends in the middle of a window
+MIDDLE_SLICE = SLICES // 2 - 1  # the slice that ends in the middle of a window
 
 DRIVE = record(
     [
@@ -47,11 +47,11 @@ DRIVE = record(
 `teeth`: rotor teeth Nr; `per_pulse`: electrical radians a pulse; `open`: the phases that are
 open, A + B; whoever sets a parameter sets `slice` to 0."""
 SIN, COS, WAVES = range(3)
-"""What `mean_torque` keeps of each slice: sine and cosine of an angle."""
+"""What `compute_mean_torque` keeps of each slice: sine and cosine of an angle."""
 
 
 @hot
-def load_angle(d, count, theta):
+def compute_load_angle(d, count, theta):
     """Return commanded minus rotor angle, electrical radians, not wrapped.
 
     Args:
@@ -63,19 +63,19 @@ def load_angle(d, count, theta):
 
 
 @hot
-def mechanical(d, angle):
+def to_rotor_angle(d, angle):
     """Convert electrical to rotor radians."""
     return angle / d.teeth
 
 
 @hot
-def lost_steps(d, count, theta):
+def count_lost_steps(d, count, theta):
     """Return the full steps by which the rotor lags its pulses: 4 for each electrical turn slipped."""
-    return 4 * int(math.floor(load_angle(d, count, theta) / (2.0 * math.pi) + 0.5))
+    return 4 * int(math.floor(compute_load_angle(d, count, theta) / (2.0 * math.pi) + 0.5))
 
 
 @hot
-def align(d, count, theta):
+def power_up(d, count, theta):
     """Power up without a jump: put the field on the microstep nearest to the rotor, with the currents settled.
 
     A choice: a real drive powers up on its home microstep and pulls the rotor there, by up to two full steps. The
@@ -88,7 +88,7 @@ def align(d, count, theta):
 
 
 @hot
-def _prepare(d, h):
+def _compute_slice_constants(d, h):
     """Compute what a slice of h seconds leaves of a current, what the bus voltage adds, and what back-EMF takes a (rad/s)."""
     d.slice = h
     d.keep = math.exp(-h * d.resistance / d.inductance)
@@ -111,7 +111,7 @@ def _is_sine_held(d, omega):
 
 
 @hot
-def _slice(d, a, b, ta, tb, s, c, omega, sine_held):
+def _advance_slice(d, a, b, ta, tb, s, c, omega, sine_held):
     """Compute the currents at the end of a slice that begins with a, b, and their means.
 
     ta, tb: cosine and sine of the commanded phase; s, c: sine and cosine of the rotor's; held: of `_is_sine_held`. The mean of a
@@ -139,7 +139,7 @@ def _place_targets(d, waves, counts, n, turn, omega):
 
     Returns whether these angles are small, and whether the bus voltage takes the currents from target to target.
     """
-    per_pulse, middle = d.per_pulse, counts[MIDDLE]
+    per_pulse, middle = d.per_pulse, counts[MIDDLE_SLICE]
     allowed = d.reach - abs(d.back * omega) - d.current * (1.0 - d.keep)
     outside = False
     for k in range(n):
@@ -156,7 +156,7 @@ def _follow_targets(d, waves, s, c, psi_s, psi_c, s4, c4, omega):
     """Advance the currents of a chopper that reaches its target in every slice; no slice then waits for the one before.
 
     Args:
-        d, omega: As `mean_torque` takes them.
+        d, omega: As `compute_mean_torque` takes them.
         waves: As `_place_targets` leaves them.
         s, c: Sine and cosine of the rotor's phase in the middle of the window.
         psi_s, psi_c: Those of the target at the end of the slice that ends there.
@@ -168,12 +168,12 @@ def _follow_targets(d, waves, s, c, psi_s, psi_c, s4, c4, omega):
     """
     x, y, current = waves[SIN], waves[COS], d.current
     target_s, target_c = current * x[0], current * y[0]
-    psi_s, psi_c = turned(psi_s, psi_c, -s, c)
+    psi_s, psi_c = add_angles(psi_s, psi_c, -s, c)
     # the currents at the beginning, as the rotor sees them then and at the end of the first slice
-    across, along = turned(d.current_b, d.current_a, -s, c)
-    across, along = turned(across, along, s4, c4)
-    then_s, then_c = turned(across, along, -x[MIDDLE], y[MIDDLE])
-    target_s, target_c = turned(target_s, target_c, psi_s, psi_c)
+    across, along = add_angles(d.current_b, d.current_a, -s, c)
+    across, along = add_angles(across, along, s4, c4)
+    then_s, then_c = add_angles(across, along, -x[MIDDLE_SLICE], y[MIDDLE_SLICE])
+    target_s, target_c = add_angles(target_s, target_c, psi_s, psi_c)
     change_s, change_c = target_s - d.keep * then_s, target_c - d.keep * then_c
     reach = d.reach - abs(d.back * omega)
     if change_s * change_s + change_c * change_c > reach * reach:
@@ -182,9 +182,9 @@ def _follow_targets(d, waves, s, c, psi_s, psi_c, s4, c4, omega):
     sum_c = ((y[0] + y[6]) + (y[1] + y[5])) + ((y[2] + y[4]) + 0.5 * y[7]) + 1.0
     moment_s = (3.0 * (x[6] - x[0]) + 2.0 * (x[5] - x[1])) + (x[4] - x[2]) + 2.0 * x[7]
     moment_c = (3.0 * (y[6] - y[0]) + 2.0 * (y[5] - y[1])) + (y[4] - y[2]) + 2.0 * y[7]
-    last_s, last_c = turned(x[7], y[7], psi_s, psi_c)
-    last_s, last_c = turned(last_s, last_c, s4, c4)
-    last_s, last_c = turned(last_s, last_c, s, c)
+    last_s, last_c = add_angles(x[7], y[7], psi_s, psi_c)
+    last_s, last_c = add_angles(last_s, last_c, s4, c4)
+    last_s, last_c = add_angles(last_s, last_c, s, c)
     d.current_a, d.current_b = current * last_c, current * last_s
     total = current * (sum_s * psi_c + sum_c * psi_s) + 0.5 * across
     return total, current * (moment_c * psi_c - moment_s * psi_s) - 2.0 * along, True
@@ -206,13 +206,13 @@ def _follow_slices(d, waves, counts, n, s, c, turn_s, turn_c, omega, half):
     if not sine_held:
         total, tilt = 0.5 * (b * c - a * s), -0.5 * (SLICES // 2) * (a * c + b * s)
     for k in range(n):
-        middle_s, middle_c = turned(s, c, hs, hc)
-        a, b, _, _ = _slice(d, a, b, waves[COS, k], waves[SIN, k], middle_s, middle_c, omega, sine_held)
+        middle_s, middle_c = add_angles(s, c, hs, hc)
+        a, b, _, _ = _advance_slice(d, a, b, waves[COS, k], waves[SIN, k], middle_s, middle_c, omega, sine_held)
         if opened & A:
             a = 0.0
         if opened & B:
             b = 0.0
-        s, c = turned(s, c, turn_s, turn_c)
+        s, c = add_angles(s, c, turn_s, turn_c)
         if sine_held:  # the currents are those of the middle of the slice, where the mean count belongs
             total += b * middle_c - a * middle_s
             tilt += (k + 0.5 - SLICES // 2) * (a * middle_c + b * middle_s)
@@ -225,7 +225,7 @@ def _follow_slices(d, waves, counts, n, s, c, turn_s, turn_c, omega, half):
 
 
 @hot
-def mean_torque(d, counts, n, theta, omega, h, gain=0.0):
+def compute_mean_torque(d, counts, n, theta, omega, h, gain=0.0):
     """Advance the currents by a window of SLICES slices of h seconds; returns the mean torque on the rotor, N m.
 
     The mean is that of the torques at the ends of the slices, the first and the last with half their weight: of what comes again
@@ -243,24 +243,24 @@ def mean_torque(d, counts, n, theta, omega, h, gain=0.0):
         gain: Speed that a newton metre adds in half of the window, rad/s.
     """
     if d.slice != h:
-        _prepare(d, h)
+        _compute_slice_constants(d, h)
     waves = room(WAVES, SLICES)
     s, c = sincos(theta * d.teeth)
-    psi_s, psi_c = sincos(d.offset + d.per_pulse * counts[MIDDLE])
+    psi_s, psi_c = sincos(d.offset + d.per_pulse * counts[MIDDLE_SLICE])
     turn = omega * h * d.teeth
     on_target = d.mode == CHOPPER and d.open == 0 and _place_targets(d, waves, counts, n, turn, omega)
     if on_target:
-        s1, c1 = waves[SIN, MIDDLE], waves[COS, MIDDLE]
+        s1, c1 = waves[SIN, MIDDLE_SLICE], waves[COS, MIDDLE_SLICE]
     else:
         s1, c1 = sincos(turn)
-    s2, c2 = turned(s1, c1, s1, c1)
-    s4, c4 = turned(s2, c2, s2, c2)
-    s8, c8 = turned(s4, c4, s4, c4)
+    s2, c2 = add_angles(s1, c1, s1, c1)
+    s4, c4 = add_angles(s2, c2, s2, c2)
+    s8, c8 = add_angles(s4, c4, s4, c4)
     total = tilt = 0.0
     if on_target:
         total, tilt, on_target = _follow_targets(d, waves, s, c, psi_s, psi_c, s4, c4, omega)
     if not on_target:
-        begin_s, begin_c = turned(s, c, -s4, c4)
+        begin_s, begin_c = add_angles(s, c, -s4, c4)
         total, tilt = _follow_slices(d, waves, counts, n, begin_s, begin_c, s1, c1, omega, 0.5 * turn)
     # of SLICES angles in equal steps the mean sine is that of the middle times c2 c4 c8
     detent = d.detent * 4.0 * s * c * (c * c - s * s)
@@ -271,8 +271,8 @@ def mean_torque(d, counts, n, theta, omega, h, gain=0.0):
 
 
 @hot
-def torque(d, count, theta, omega, h):
-    """Advance the currents by one slice and return the mean torque, as `mean_torque`; for benches, where no phase is open.
+def compute_slice_torque(d, count, theta, omega, h):
+    """Advance the currents by one slice and return the mean torque, as `compute_mean_torque`; for benches, where no phase is open.
 
     Args:
         d: DRIVE record.
@@ -282,9 +282,11 @@ def torque(d, count, theta, omega, h):
         h: Length of the slice, s.
     """
     if d.slice != h:
-        _prepare(d, h)
+        _compute_slice_constants(d, h)
     tb, ta = sincos(d.offset + d.per_pulse * count)
     s, c = sincos(theta * d.teeth)
     sine_held = _is_sine_held(d, omega)
-    d.current_a, d.current_b, mean_a, mean_b = _slice(d, d.current_a, d.current_b, ta, tb, s, c, omega, sine_held)
+    d.current_a, d.current_b, mean_a, mean_b = _advance_slice(
+        d, d.current_a, d.current_b, ta, tb, s, c, omega, sine_held
+    )
     return d.torque_constant * (mean_b * c - mean_a * s) - d.detent * 4.0 * s * c * (c * c - s * s)

@@ -43,6 +43,6 @@ def sincos_of_small(r):
 
 
 @hot
-def turned(s, c, by_s, by_c):
+def add_angles(s, c, by_s, by_c):
     """Return sine and cosine of the sum of two angles, each given by its sine and cosine."""
     return s * by_c + c * by_s, c * by_c - s * by_s

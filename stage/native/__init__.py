@@ -19,18 +19,19 @@ from stage.native.functions import (
     Exported,
     array_of,
     called,
+    enter_usual_float_mode,
     exchange,
     exported,
-    float_mode_as_before,
-    frame_address,
+    get_frame_address,
     hot,
+    restore_previous_float_mode,
     stack_mark,
-    usual_float_mode,
 )
 from stage.native.mode import COMPILED
-from stage.native.records import address_of, array_at, plain, record, room
+from stage.native.records import address_of, array_at, record, room, without_attributes
 
 __all__ = [
-    "COMPILED", "Exported", "address_of", "array_at", "array_of", "called", "exchange", "exported", "float_mode_as_before", "floor",
-    "frame_address", "greatest", "hot", "least", "plain", "record", "room", "stack_mark", "usual_float_mode",
+    "COMPILED", "Exported", "address_of", "array_at", "array_of", "called", "enter_usual_float_mode", "exchange", "exported",
+    "floor", "get_frame_address", "greatest", "hot", "least", "record", "restore_previous_float_mode", "room", "stack_mark",
+    "without_attributes",
 ]  # fmt: skip

@@ -100,7 +100,7 @@ def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
             f"libraries are built with numba {NUMBA}, and {installed} is installed: pip install numba=={NUMBA}."
         )
     roots = places | load.find_folders("stage")
-    known = {module: Path(source) for module, source in load.modules(roots)}
+    known = {module: Path(source) for module, source in load.list_modules(roots)}
     parts = _list_parts(package, places)
     object_cache = folder / "__pycache__"
     object_cache.mkdir(exist_ok=True)
@@ -110,9 +110,9 @@ def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
     for name, modules in parts.items():
         closure = _find_dependencies(modules, known)
         sources |= {m.partition(" ")[0]: load.digest_file(known[m.partition(" ")[0]]) for m in closure}
-        digest = hashlib.sha256(json.dumps([modules, closure, NUMBA, load.target(), processor]).encode()).hexdigest()[
-            :16
-        ]
+        digest = hashlib.sha256(
+            json.dumps([modules, closure, NUMBA, load.describe_target(), processor]).encode()
+        ).hexdigest()[:16]
         target = object_cache / f"{name}-{digest}.o"
         objects.append(target)
         if not object_files.is_intact(target):
@@ -123,7 +123,7 @@ def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
     _emit([part for _, part in sorted(missing, reverse=True)], roots, processor, say)
     manifest = {
         "digest": load.NO_DIGEST,
-        "target": load.target(),
+        "target": load.describe_target(),
         "needs": list(needs),
         "numba": NUMBA,
         "sources": sources,

@@ -105,9 +105,9 @@ def _gather_libraries(library: Any, into: dict[int, Any]) -> None:
 
 def _make_entry(function: Any, context: Any) -> Iterator[Any]:
     """Yield the libraries of an exported function: its C entry, and what numba made of the function."""
-    from stage.native.typed import lowered_array, type_of
+    from stage.native.typed import get_numba_type, lower_array
 
-    returned, arguments = type_of(function.result), tuple(type_of(a) for a in function.arguments)
+    returned, arguments = get_numba_type(function.result), tuple(get_numba_type(a) for a in function.arguments)
     try:
         function.hot.compile(arguments)
     except Exception as error:  # numba raises of many kinds, an AssertionError, too
@@ -124,7 +124,7 @@ def _make_entry(function: Any, context: Any) -> Iterator[Any]:
     left, values = iter(entry.args), []
     for a in arguments:
         if isinstance(a, types.Array):
-            values.append(lowered_array(context, builder, a, next(left), [next(left) for _ in range(a.ndim)]))
+            values.append(lower_array(context, builder, a, next(left), [next(left) for _ in range(a.ndim)]))
         else:
             values.append(next(left))
     inner = context.declare_function(module, overload.fndesc)

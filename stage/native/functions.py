@@ -170,7 +170,7 @@ class Exported:
     def address(self) -> int:
         """Address of the function, for tables of functions."""
         if COMPILED:
-            return load.address(self.module, self.symbol)
+            return load.find_function_address(self.module, self.symbol)
         self.numbered[len(self.numbered) + 1] = self
         return len(self.numbered)
 
@@ -219,11 +219,13 @@ def exchange(old: int | None, new: int | None) -> Any:
     return typed.exchange(old, new) if EMITTING else lambda address, word: True
 
 
-usual_float_mode: Callable[[], int] = typed.usual_float_mode if EMITTING else lambda: 0
+enter_usual_float_mode: Callable[[], int] = typed.enter_usual_float_mode if EMITTING else lambda: 0
 """From now on this thread computes as usual: rounding to nearest, no traps, small numbers kept. Returns the mode of before."""
-float_mode_as_before: Callable[[int], None] = typed.float_mode_as_before if EMITTING else lambda mode: None
+restore_previous_float_mode: Callable[[int], None] = (
+    typed.restore_previous_float_mode if EMITTING else lambda mode: None
+)
 """This thread computes in this mode again."""
-frame_address: Callable[[], int] = typed.frame_address if EMITTING else lambda: 0
+get_frame_address: Callable[[], int] = typed.get_frame_address if EMITTING else lambda: 0
 """About where on its stack the function that says this runs; uncompiled 0."""
 stack_mark: Callable[[int, int], int] = typed.stack_mark if EMITTING else lambda words, value: 0
 """(words, value) -> the address of so many words, `value` and up, on the stack of the function that says this, for as long as it

@@ -25,19 +25,19 @@ NO_DIGEST = "0" * 64
 """In a manifest, where the digest of the file will be; it stays where a file may not be changed after the link."""
 
 
-def address(module: str, symbol: str) -> int:
+def find_function_address(module: str, symbol: str) -> int:
     """Return the address of a function.
 
     Args:
         module: Module of the function; the library is that of its package.
         symbol: Name of the function in the library.
     """
-    function = getattr(_library(module.partition(".")[0]), symbol)
+    function = getattr(_load_library(module.partition(".")[0]), symbol)
     return int(ctypes.cast(function, ctypes.c_void_p).value or 0)
 
 
 @cache
-def _library(package: str) -> ctypes.CDLL:
+def _load_library(package: str) -> ctypes.CDLL:
     if sys.platform == "win32":
         raise NativeError(
             "PulseStage has no native library for Windows: use WSL. (NUMBA_DISABLE_JIT=1 runs it slowly, as Python.)"
@@ -48,7 +48,7 @@ def _library(package: str) -> ctypes.CDLL:
 
         path = build.build_missing(package, why)
     if package != "stage":
-        _library("stage")  # what others call in it, they find by name
+        _load_library("stage")  # what others call in it, they find by name
     try:
         return ctypes.CDLL(str(path), ctypes.RTLD_GLOBAL)
     except OSError as error:
@@ -69,8 +69,8 @@ def find_misfit(package: str, path: Path) -> str:
     manifest = _parse_manifest(content)
     if manifest is None or manifest["digest"] not in (NO_DIGEST, digest_content(content, manifest["digest"])):
         return f"{path} is damaged"
-    if manifest["target"] != target():
-        return f"{path} was built for {manifest['target']}, this is {target()}"
+    if manifest["target"] != describe_target():
+        return f"{path} was built for {manifest['target']}, this is {describe_target()}"
     if lacking := [f for f in manifest["needs"] if f not in read_features()]:
         return f"{path} needs a processor with {', '.join(lacking)}, which this one has not"
     return _find_changed_source(package, path, manifest["sources"])
@@ -107,7 +107,7 @@ def _project_file(folder: Path) -> Path:
     return folder.parent / "pyproject.toml"
 
 
-def modules(places: dict[str, Path]) -> Iterator[tuple[str, str]]:
+def list_modules(places: dict[str, Path]) -> Iterator[tuple[str, str]]:
     """Yield the full name and the file of every module.
 
     Args:
@@ -136,7 +136,7 @@ def find_exporting_modules(places: dict[str, Path], known: Container[str] = ()) 
         places: Package -> folder.
         known: Modules to leave out.
     """
-    for module, source in modules(places):
+    for module, source in list_modules(places):
         if module not in known and not module.startswith("stage.native."):
             with open(source, "rb") as file:
                 if b"\n@exported(" in file.read():
@@ -184,7 +184,7 @@ def advise_install(package: str) -> str:
     return f"Build it: pip install 'pulsestage[build]', then python -m stage.native {package}"
 
 
-def target() -> str:
+def describe_target() -> str:
     """Return system and processor, as a library names them."""
     return f"{sys.platform}-{platform.machine()}"
 

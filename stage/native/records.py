@@ -52,7 +52,7 @@ def _make_fast_record(dtype: np.dtype) -> type:
     return _FastRecordType("record", (np.record,), members)
 
 
-def plain(dtype: np.dtype) -> np.dtype:
+def without_attributes(dtype: np.dtype) -> np.dtype:
     """Return the same fields without attributes: c["name"] is then the fast access from Python."""
     return np.dtype([(name, dtype[name]) for name in dtype.names or ()])
 

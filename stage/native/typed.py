@@ -22,7 +22,7 @@ def hot(function: Callable) -> Any:
     return numba.njit(nogil=True, error_model="numpy", **options)(function)
 
 
-def lowered_array(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]) -> Any:
+def lower_array(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]) -> Any:
     """Return LLVM's value of numba's array of this type that lies at an address; nobody owns it."""
     array = make_array(kind)(context, builder)
     item = context.get_data_type(kind.dtype)
@@ -44,7 +44,7 @@ def _view_array(_context: Any, address: Any, shape: Any, dtype: Any) -> Any:
         lengths = [
             context.cast(builder, n, t, types.intp) for n, t in zip(lengths, shape if several else [shape], strict=True)
         ]
-        return lowered_array(context, builder, kind, context.cast(builder, args[0], address, types.intp), lengths)
+        return lower_array(context, builder, kind, context.cast(builder, args[0], address, types.intp), lengths)
 
     return kind(address, shape, dtype), lower
 
@@ -61,7 +61,7 @@ def _allocate_room(_context: Any, rows: Any, columns: Any) -> Any:
         place = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), words))
         address = builder.ptrtoint(place, context.get_value_type(types.intp))
         shape = [context.get_constant(types.intp, n.literal_value) for n in (rows, columns)]
-        return lowered_array(context, builder, kind, address, shape)
+        return lower_array(context, builder, kind, address, shape)
 
     if not all(isinstance(n, types.IntegerLiteral) for n in (rows, columns)):
         raise TypingError("room() takes numbers that are known when it is compiled.")
@@ -122,8 +122,8 @@ def _set_float_mode(builder: Any, mode: Any) -> None:
     builder.call(load, [builder.bitcast(place, cgutils.voidptr_t)])
 
 
-usual_float_mode: Any = intrinsic(_set_usual_mode)
-float_mode_as_before: Any = intrinsic(_restore_mode)
+enter_usual_float_mode: Any = intrinsic(_set_usual_mode)
+restore_previous_float_mode: Any = intrinsic(_restore_mode)
 """See stage.native.functions."""
 
 
@@ -151,12 +151,12 @@ def _stack_mark(_context: Any, words: Any, value: Any) -> Any:
     return types.int64(words, value), lower
 
 
-frame_address: Any = intrinsic(_frame_address)
+get_frame_address: Any = intrinsic(_frame_address)
 stack_mark: Any = intrinsic(prefer_literal=True)(_stack_mark)
 """See stage.native.functions."""
 
 
-def type_of(kind: Any) -> Any:
+def get_numba_type(kind: Any) -> Any:
     """Return numba's type of a result or an argument."""
     if kind is None:
         return types.void
@@ -173,13 +173,13 @@ def register(exported: type) -> None:
     def typeof_exported(function: Any, _context: Any) -> Any:
         if any(hasattr(a, "dimensions") for a in function.arguments):
             return types.Dispatcher(function.hot)
-        signature = type_of(function.result)(*map(type_of, function.arguments))
+        signature = get_numba_type(function.result)(*map(get_numba_type, function.arguments))
         return types.ExternalFunction(function.symbol, signature)
 
 
 def called(result: str | None, arguments: tuple) -> Any:
     """Return the intrinsic of `stage.native.functions.called`."""
-    returned, wanted = type_of(result), [type_of(a) for a in arguments]
+    returned, wanted = get_numba_type(result), [get_numba_type(a) for a in arguments]
 
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         of_address, of_values = signature.args

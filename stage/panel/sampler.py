@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from stage.errors import ArgumentError, unknown_name_error
-from stage.recording.series import SERIES, Series, describe_series, series_of
+from stage.recording.series import SERIES, Series, describe_series, select_series
 from stage.sim import handle
 from stage.sim.records import SAMPLE
 
@@ -78,7 +78,7 @@ def find_traces(stage: Stage) -> dict[str, Trace]:
 
 
 def _list_quantities(axis: Axis) -> Iterator[Trace]:
-    for key, series in series_of(axis, SERIES | MORE_SERIES).items():
+    for key, series in select_series(axis, SERIES | MORE_SERIES).items():
         title, unit, scale = describe_series(series, axis)
         places = 1 - math.floor(math.log10(series.tolerance)) if series.tolerance else 0
         value = partial(_scale_series, series, scale)

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 from stage.recording import geoms
-from stage.recording.scene import axis_path
+from stage.recording.scene import make_axis_path
 from stage.recording.sdk import rr, rrb
-from stage.recording.series import axes_with, colors_of, plot_title
+from stage.recording.series import assign_colors, list_axes_with_series, make_plot_title
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording
@@ -36,14 +36,14 @@ def build_dashboard(recording: Recording) -> Any:
             kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=(0, 0, 1)
         ),
     )
-    paths = {name: f"/{axis_path(name)}" for name in recording.axes}
+    paths = {name: f"/{make_axis_path(name)}" for name in recording.axes}
     together = rrb.TimeAxis(link="LinkToGlobal")
 
     def plot(*keys: str, suffix: str = "") -> Any:
         return rrb.TimeSeriesView(
-            name=plot_title(recording, keys[0]) + suffix,
+            name=make_plot_title(recording, keys[0]) + suffix,
             origin="/",
-            contents=[f"+ {paths[name]}/{k}" for k in keys for name in axes_with(recording, k)],
+            contents=[f"+ {paths[name]}/{k}" for k in keys for name in list_axes_with_series(recording, k)],
             plot_legend=rrb.PlotLegend(visible=False),  # it would lie on the curves
             axis_x=together,
         )
@@ -68,9 +68,9 @@ def build_dashboard(recording: Recording) -> Any:
         rrb.Horizontal(
             rrb.Vertical(view, rrb.Tabs(*lanes), row_shares=[1 - low, low]),
             rrb.Vertical(
-                plot("rate", suffix=f": {', '.join(f'{a} {c}' for a, c in colors_of(recording).items())}"),
+                plot("rate", suffix=f": {', '.join(f'{a} {c}' for a, c in assign_colors(recording).items())}"),
                 plot("position", "commanded", suffix=", commanded darker"),
-                rrb.Tabs(*(plot(key) for key in SAMPLED if axes_with(recording, key))),
+                rrb.Tabs(*(plot(key) for key in SAMPLED if list_axes_with_series(recording, key))),
                 rrb.Tabs(
                     bus,
                     rrb.TextDocumentView(origin="/about", name="About"),

@@ -44,11 +44,11 @@ def find_color(model: mujoco.MjModel, geom: int) -> np.ndarray:
         rgba = model.mat_rgba[material]
         texture = model.mat_texid[material][int(mujoco.mjtTextureRole.mjTEXROLE_RGB)]
         if texture >= 0:
-            rgba = rgba * np.append(_mean_texture(model, texture), 1.0)
+            rgba = rgba * np.append(_compute_mean_texture(model, texture), 1.0)
     return (np.clip(rgba, 0, 1) * 255).round().astype(np.uint8)
 
 
-def _mean_texture(model: mujoco.MjModel, texture: int) -> np.ndarray:
+def _compute_mean_texture(model: mujoco.MjModel, texture: int) -> np.ndarray:
     channels = model.tex_nchannel[texture]
     begin = model.tex_adr[texture]
     size = model.tex_width[texture] * model.tex_height[texture] * channels
@@ -83,7 +83,7 @@ def list_shapes(model: mujoco.MjModel, body: int) -> Iterator[tuple[str, Any]]:
             yield name, make(model, geoms)
         elif kind == _KIND.mjGEOM_MESH:
             for g in geoms:
-                yield f"mesh_{model.geom(g).name or g}", _mesh(model, g)
+                yield f"mesh_{model.geom(g).name or g}", _make_mesh(model, g)
 
 
 def _place_geoms(model: mujoco.MjModel, geoms: list[int]) -> dict[str, Any]:
@@ -91,7 +91,7 @@ def _place_geoms(model: mujoco.MjModel, geoms: list[int]) -> dict[str, Any]:
     return {"quaternions": quats, "colors": np.array([find_color(model, g) for g in geoms])}
 
 
-def _boxes(model: mujoco.MjModel, geoms: list[int]) -> Any:
+def _make_boxes(model: mujoco.MjModel, geoms: list[int]) -> Any:
     return rr.Boxes3D(
         half_sizes=model.geom_size[geoms],
         centers=model.geom_pos[geoms],
@@ -100,7 +100,7 @@ def _boxes(model: mujoco.MjModel, geoms: list[int]) -> Any:
     )
 
 
-def _planes(model: mujoco.MjModel, geoms: list[int]) -> Any:
+def _make_planes(model: mujoco.MjModel, geoms: list[int]) -> Any:
     """Return slabs whose tops are the planes; an endless one ends at twice the model's extent."""
     limit = 2 * float(model.stat.extent)
     half = model.geom_size[geoms].copy()
@@ -112,7 +112,7 @@ def _planes(model: mujoco.MjModel, geoms: list[int]) -> Any:
     )
 
 
-def _ellipsoids(model: mujoco.MjModel, geoms: list[int]) -> Any:
+def _make_ellipsoids(model: mujoco.MjModel, geoms: list[int]) -> Any:
     half = np.array([s if model.geom_type[g] == _KIND.mjGEOM_ELLIPSOID else [s[0]] * 3
                      for g, s in zip(geoms, model.geom_size[geoms], strict=True)])  # fmt: skip
     return rr.Ellipsoids3D(
@@ -120,7 +120,7 @@ def _ellipsoids(model: mujoco.MjModel, geoms: list[int]) -> Any:
     )
 
 
-def _cylinders(model: mujoco.MjModel, geoms: list[int]) -> Any:
+def _make_cylinders(model: mujoco.MjModel, geoms: list[int]) -> Any:
     size = model.geom_size[geoms]
     return rr.Cylinders3D(
         lengths=2 * size[:, 1], radii=size[:, 0], centers=model.geom_pos[geoms], fill_mode="solid",
@@ -128,7 +128,7 @@ def _cylinders(model: mujoco.MjModel, geoms: list[int]) -> Any:
     )  # fmt: skip
 
 
-def _capsules(model: mujoco.MjModel, geoms: list[int]) -> Any:
+def _make_capsules(model: mujoco.MjModel, geoms: list[int]) -> Any:
     """Return capsules; rerun's begins at its origin, MuJoCo's has its center there."""
     size = model.geom_size[geoms]
     ends = np.array([rotate(model.geom_quat[g], [0, 0, -s[1]]) for g, s in zip(geoms, size, strict=True)])
@@ -139,12 +139,12 @@ def _capsules(model: mujoco.MjModel, geoms: list[int]) -> Any:
 
 
 _MAKERS: dict[int, tuple[str, Any]] = {
-    int(_KIND.mjGEOM_BOX): ("boxes", _boxes),
-    int(_KIND.mjGEOM_PLANE): ("planes", _planes),
-    int(_KIND.mjGEOM_SPHERE): ("spheres", _ellipsoids),
-    int(_KIND.mjGEOM_ELLIPSOID): ("ellipsoids", _ellipsoids),
-    int(_KIND.mjGEOM_CYLINDER): ("cylinders", _cylinders),
-    int(_KIND.mjGEOM_CAPSULE): ("capsules", _capsules),
+    int(_KIND.mjGEOM_BOX): ("boxes", _make_boxes),
+    int(_KIND.mjGEOM_PLANE): ("planes", _make_planes),
+    int(_KIND.mjGEOM_SPHERE): ("spheres", _make_ellipsoids),
+    int(_KIND.mjGEOM_ELLIPSOID): ("ellipsoids", _make_ellipsoids),
+    int(_KIND.mjGEOM_CYLINDER): ("cylinders", _make_cylinders),
+    int(_KIND.mjGEOM_CAPSULE): ("capsules", _make_capsules),
 }
 
 
@@ -165,7 +165,7 @@ def find_triangles(model: mujoco.MjModel, mesh: int) -> tuple[np.ndarray, np.nda
     return triangles, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
 
-def _mesh(model: mujoco.MjModel, geom: int) -> Any:
+def _make_mesh(model: mujoco.MjModel, geom: int) -> Any:
     triangles, normals = find_triangles(model, model.geom_dataid[geom])
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.recording.series import SERIES, axes_with, plot_title
+from stage.recording.series import SERIES, list_axes_with_series, make_plot_title
 from stage.recording.signals import SWITCHES
 from stage.support import pictures
 from stage.support.files import save_figure
@@ -23,7 +23,7 @@ MAX_POINTS = 4000  # of a curve
 LANE_HEIGHT_IN = 0.17
 
 
-def draw(recording: Recording, path: str | os.PathLike | None = None, overwrite: bool = False) -> Any:
+def draw_recording(recording: Recording, path: str | os.PathLike | None = None, overwrite: bool = False) -> Any:
     """Draw a recording.
 
     Args:
@@ -34,9 +34,9 @@ def draw(recording: Recording, path: str | os.PathLike | None = None, overwrite:
     Returns:
         The figure.
     """
-    lanes = _lanes(recording)
-    panels = [p for p in PANELS if p != ("lost_steps",) or _lost(recording)]
-    panels = [p for p in panels if axes_with(recording, p[0])]
+    lanes = _list_lanes(recording)
+    panels = [p for p in PANELS if p != ("lost_steps",) or _has_lost_steps(recording)]
+    panels = [p for p in panels if list_axes_with_series(recording, p[0])]
     low = max(LANE_HEIGHT_IN * len(lanes), 0.01)
     fig = pictures.figure(9.2, 1.4 * len(panels) + low + 0.9)
     axes = fig.subplots(len(panels) + 1, 1, sharex=True, squeeze=False, height_ratios=[*(1.4 for _ in panels), low])[
@@ -46,7 +46,7 @@ def draw(recording: Recording, path: str | os.PathLike | None = None, overwrite:
     time = recording.column("time")[::every]
     axes[0].set_xlim(recording.began, time[-1])
     for ax, keys in zip(axes, panels, strict=False):
-        _panel(ax, recording, keys, time, every)
+        _draw_panel(ax, recording, keys, time, every)
     _draw_lanes(axes[-1], lanes, time, every)
     axes[-1].set_xlabel("time, s", color=pictures.INK, fontsize=8.5)
     fig.align_ylabels(axes[:-1])
@@ -62,27 +62,27 @@ def draw(recording: Recording, path: str | os.PathLike | None = None, overwrite:
     return fig
 
 
-def _lost(recording: Recording) -> bool:
-    return any(recording.column(f"{name}/lost_steps").any() for name in axes_with(recording, "lost_steps"))
+def _has_lost_steps(recording: Recording) -> bool:
+    return any(recording.column(f"{name}/lost_steps").any() for name in list_axes_with_series(recording, "lost_steps"))
 
 
-def _panel(ax: Any, recording: Recording, keys: tuple[str, ...], time: np.ndarray, every: int) -> None:
+def _draw_panel(ax: Any, recording: Recording, keys: tuple[str, ...], time: np.ndarray, every: int) -> None:
     for k, (name, axis) in enumerate(recording.axes.items()):
         color = pictures.COLOURS[k % len(pictures.COLOURS)]
         for key in keys:
-            if name in axes_with(recording, key):
+            if name in list_axes_with_series(recording, key):
                 values = recording.column(f"{name}/{key}")[::every] * SERIES[key].scales[axis.unit != "m"]
                 is_command = key == "commanded"
                 style = {"linewidth": 2.6, "alpha": 0.35} if is_command else {"linewidth": 1.1, "label": name}
                 ax.plot(time, values, color=color, **style)
-    title, _, unit = plot_title(recording, keys[-1]).rpartition(" (")
+    title, _, unit = make_plot_title(recording, keys[-1]).rpartition(" (")
     ax.set_ylabel(f"{title.lower()}\n{unit.rstrip(')')}", color=pictures.INK, fontsize=8.5)
     ax.ticklabel_format(axis="y", style="plain", useOffset=False)
     ax.locator_params(axis="y", nbins=4)
     pictures.bare(ax)
 
 
-def _lanes(recording: Recording) -> list[tuple[str, str, np.ndarray]]:
+def _list_lanes(recording: Recording) -> list[tuple[str, str, np.ndarray]]:
     """Return label, kind and states of each switch that was asserted at some time, of each axis, from the top."""
     lanes = []
     for name, axis in recording.axes.items():

@@ -42,7 +42,7 @@ from stage.support.files import RECORDING, WAVEFORMS, FileError, ends_as, is_str
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from stage.recording.rerun_log import Log
+    from stage.recording.rerun_log import RerunLog
 
 ROWS = 4096
 Number = TypeVar("Number", float, np.ndarray)
@@ -68,7 +68,7 @@ COLUMNS = {
 Every pin has a bool column of its name as well."""
 
 
-def unit_of(column: str, unit: str, servo: bool) -> str:
+def find_column_unit(column: str, unit: str, servo: bool) -> str:
     """Return the unit of a column.
 
     Args:
@@ -107,7 +107,7 @@ class RecordingWarning(UserWarning):
     """Warning that a recording could not go on, and the simulation continued without it (on_error="warn")."""
 
 
-def _unwritten(path: Path, error: OSError) -> RecordingError:
+def _make_write_error(path: Path, error: OSError) -> RecordingError:
     return RecordingError(f"{path} cannot be written: {error.strerror or error}.")
 
 
@@ -173,7 +173,7 @@ class Recording(Tabular):
         self._open()
         self._spooled = 0
         self.on_error: Literal["raise", "warn"] = "raise"
-        self._log: Log | None = None
+        self._log: RerunLog | None = None
         self._log_path, self._flush_rows, self._flushed = Path(), 0, 0
         self.samples = np.zeros((ROWS, len(axes)), SAMPLE)
         self.positions = np.zeros((ROWS, model.nq))
@@ -266,7 +266,7 @@ class Recording(Tabular):
             ArgumentError: The time between flushes, or `on_error`, cannot be.
             RecordingError: As `save`.
         """
-        from stage.recording.rerun_log import Log
+        from stage.recording.rerun_log import RerunLog
 
         if not 0 < seconds <= 1e9:
             raise ArgumentError(
@@ -281,9 +281,9 @@ class Recording(Tabular):
         self._log_path = writable(path, overwrite, RecordingError)
         self._flush_rows = max(1, round(seconds / self.every))
         try:
-            self._log = Log(self, self._log_path, overwrite or is_stream(self._log_path))
+            self._log = RerunLog(self, self._log_path, overwrite or is_stream(self._log_path))
         except OSError as error:
-            raise _unwritten(self._log_path, error) from error
+            raise _make_write_error(self._log_path, error) from error
         atexit.register(self._close_at_exit)  # a program that forgets to still gets a whole file
         return self
 
@@ -302,7 +302,7 @@ class Recording(Tabular):
             if log is not None:
                 log.close()
             rest = "It ends with the last flush; recording.save(...) writes everything to another place."
-            self._fail(f"{_unwritten(self._log_path, error)} {rest}", error)
+            self._fail(f"{_make_write_error(self._log_path, error)} {rest}", error)
 
     def _fail(self, message: str, error: Exception) -> None:
         if self.on_error == "raise":
@@ -410,7 +410,7 @@ class Recording(Tabular):
     def units(self) -> dict[str, str]:
         """Unit of each column, "" for a pin; in the order of `columns`."""
         return {"time": "s"} | {
-            f"{name}/{column}": unit_of(column, axis.unit, axis.drive.has_encoder)
+            f"{name}/{column}": find_column_unit(column, axis.unit, axis.drive.has_encoder)
             for name, axis in self.axes.items()
             for column in (*COLUMNS, *axis.chip.INPUTS, *axis.chip.OUTPUTS)
         }
@@ -489,12 +489,12 @@ class Recording(Tabular):
         Raises:
             RecordingError: The file does not end in .rrd, exists, or cannot be written; nothing has changed then.
         """
-        from stage.recording.rerun_log import write
+        from stage.recording.rerun_log import write_rrd
 
         ends_as(path, *RECORDING, RecordingError)
         self.check_time()
         with written(path, overwrite, RecordingError) as part:
-            write(self, part)
+            write_rrd(self, part)
         return Path(path)
 
     @explain_arguments
@@ -512,9 +512,9 @@ class Recording(Tabular):
             RecordingError, FileError: The recording is empty, or the file cannot be written.
             ExtraMissing: There is no matplotlib (extra `plot`).
         """
-        from stage.recording.picture import draw
+        from stage.recording.picture import draw_recording
 
-        return draw(self, path, overwrite)
+        return draw_recording(self, path, overwrite)
 
     def _repr_html_(self) -> str:
         return html.lines(repr(self)) + (html.picture(self.plot) if len(self) else "")
@@ -538,12 +538,12 @@ class Recording(Tabular):
         Raises:
             RecordingError: As `save`.
         """
-        from stage.recording.vcd import write
+        from stage.recording.vcd import write_vcd
 
         ends_as(path, *WAVEFORMS, RecordingError)
         self.check_time()
         with written(path, overwrite, RecordingError) as part:
-            write(self, part)
+            write_vcd(self, part)
         return Path(path)
 
     def __repr__(self) -> str:

@@ -26,9 +26,9 @@ from stage.chips.describe import Statement
 from stage.chips.journal import Replay
 from stage.recording import scene, signals
 from stage.recording.sdk import rr
-from stage.recording.series import COLORS, FORMAT, colors_of, series_of
-from stage.recording.sink import Sink
-from stage.recording.thin import thin
+from stage.recording.series import COLORS, FORMAT, assign_colors, select_series
+from stage.recording.sink import RrdSink
+from stage.recording.thin import mark_needed_samples
 from stage.units import DEVIATION_UNITS
 
 if TYPE_CHECKING:
@@ -42,14 +42,14 @@ STATES = {
 LEVELS = {"register": "INFO", "command": "DEBUG", "reset": "WARN", "lost": "ERROR"}
 
 
-def write(recording: Recording, path: Path) -> None:
+def write_rrd(recording: Recording, path: Path) -> None:
     """Write a rerun file, in memory that does not grow with the length of the recording.
 
     Args:
         recording: The recording.
         path: A new file.
     """
-    log = Log(recording, path)
+    log = RerunLog(recording, path)
     try:
         log.take()
         log.finish()
@@ -57,7 +57,7 @@ def write(recording: Recording, path: Path) -> None:
         log.close()
 
 
-class Log:
+class RerunLog:
     """Rerun file of a recording, which grows with it. Raises OSError where the file cannot be written.
 
     Everything up to the last `take` is in the file and can be read there, even if this process is killed.
@@ -67,10 +67,10 @@ class Log:
         from stage.recording.blueprint import build_dashboard
 
         self._recording, self._rows, self._notes_logged = recording, 0, 0
-        self._colors = {name: COLORS[color] for name, color in colors_of(recording).items()}
-        self._lanes = {name: Lanes(recording, name, self._colors[name]) for name in recording.axes}
+        self._colors = {name: COLORS[color] for name, color in assign_colors(recording).items()}
+        self._lanes = {name: StateLanes(recording, name, self._colors[name]) for name in recording.axes}
         self._scene = scene.Scene(recording)
-        self._sink = Sink(rr.RecordingStream("pulsestage"), path, build_dashboard(recording), overwrite)
+        self._sink = RrdSink(rr.RecordingStream("pulsestage"), path, build_dashboard(recording), overwrite)
         try:
             _log_about(self._sink.out, recording)
             self._scene.begin(self._sink.out, self._colors)
@@ -108,14 +108,14 @@ class Log:
         self._sink.abandon()
 
 
-def model_name(model: mujoco.MjModel) -> str:
+def find_model_name(model: mujoco.MjModel) -> str:
     """Return the name of the model in its MJCF."""
     return bytes(model.names).split(b"\0", 1)[0].decode(errors="replace")
 
 
 def _log_about(out: Any, recording: Recording) -> None:
     model = recording.model
-    name = model_name(model)
+    name = find_model_name(model)
     out.send_recording_name(name)
     rows: list[str] = []
     facts = rr.AnyValues()  # filled one by one: an axis may be called as an argument of AnyValues
@@ -148,7 +148,7 @@ def _log_about(out: Any, recording: Recording) -> None:
 
 def _log_styles(out: Any, recording: Recording, colors: dict[str, tuple]) -> None:
     for name, color in colors.items():
-        for series in series_of(recording.axes[name]):
+        for series in select_series(recording.axes[name]):
             is_command = series == "commanded"
             style = rr.SeriesLines(
                 colors=[tuple(c // 2 for c in color) if is_command else color],
@@ -156,24 +156,24 @@ def _log_styles(out: Any, recording: Recording, colors: dict[str, tuple]) -> Non
                 widths=[3.5 if is_command else 1.5],
                 aggregation_policy=rr.components.AggregationPolicy.Off,  # it takes samples to be evenly spaced
             )
-            out.log(f"{scene.axis_path(name)}/{series}", style, static=True)
+            out.log(f"{scene.make_axis_path(name)}/{series}", style, static=True)
 
 
 def _log_series(out: Any, recording: Recording, piece: np.ndarray) -> None:
     for name, axis in recording.axes.items():
         samples = piece["axes"][:, axis.index]
         time = np.ascontiguousarray(samples["time"])
-        for key, series in series_of(axis).items():
+        for key, series in select_series(axis).items():
             v = np.ascontiguousarray(series.value(samples) * float(series.scales[axis.unit != "m"]))
             keep = np.empty(len(v), np.bool_)
-            thin(time, v, float(series.tolerance), keep)
+            mark_needed_samples(time, v, float(series.tolerance), keep)
             columns = rr.Scalars.columns(scalars=v[keep])
             out.send_columns(
-                f"{scene.axis_path(name)}/{key}", indexes=[scene.to_time_column(time[keep])], columns=columns
+                f"{scene.make_axis_path(name)}/{key}", indexes=[scene.to_time_column(time[keep])], columns=columns
             )
 
 
-class Lanes:
+class StateLanes:
     """Phase, switches and bus of one axis, up to the end of its journal."""
 
     def __init__(self, recording: Recording, name: str, color: tuple):
@@ -223,7 +223,7 @@ class Lanes:
     def _lane(
         self, out: Any, lane: str, edges: np.ndarray, states: Any, colors: dict[str, tuple], style: bool = False
     ) -> None:
-        path = f"{scene.axis_path(self._name)}/{lane}"
+        path = f"{scene.make_axis_path(self._name)}/{lane}"
         if style or self._first:
             out.log(path, rr.StateConfiguration(values=list(colors), colors=list(colors.values())), static=True)
         clocks, states = signals.find_changes(edges, states)
@@ -239,7 +239,7 @@ class Lanes:
             return
         seconds = self._recording.seconds(self._name, np.array([s.clock for s in actions], np.int64))
         out.send_columns(
-            f"{scene.axis_path(self._name)}/bus",
+            f"{scene.make_axis_path(self._name)}/bus",
             indexes=[scene.to_time_column(seconds)],
             columns=rr.TextLog.columns(
                 text=[f"{t:11.6f}  {self._name}  {s}" for t, s in zip(seconds, actions, strict=True)],

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from stage.errors import StageError, unknown_name_error
-from stage.recording.recording import RecordingError, unit_of
+from stage.recording.recording import RecordingError, find_column_unit
 from stage.recording.rrd_process import DamagedFile, read_chunks
 from stage.recording.series import FORMAT, SERIES
 from stage.recording.table import Columns, Tabular
@@ -133,7 +133,9 @@ class Saved(Tabular):
         units = {"time": "s"}
         for axis in self._kinds:
             units |= {
-                c: unit_of(c.rpartition("/")[2], *self._kinds[axis]) for c in self._series if self._series[c][0] == axis
+                c: find_column_unit(c.rpartition("/")[2], *self._kinds[axis])
+                for c in self._series
+                if self._series[c][0] == axis
             }
             units |= {lane: "" for lane in self.states if lane.rpartition("/")[0] == axis}
         return units
@@ -201,7 +203,7 @@ def read(path: str | os.PathLike) -> Saved:
     entities: dict[str, dict[str, Any]] = {}
     try:
         for entity, batch in read_chunks(path):
-            _add(entities.setdefault(entity, {}), batch)
+            _add_chunk(entities.setdefault(entity, {}), batch)
         saved = Saved(path, entities)
         saved.check()
     except (
@@ -223,7 +225,7 @@ def read(path: str | os.PathLike) -> Saved:
     return saved
 
 
-def _add(entity: dict[str, Any], batch: Any) -> None:
+def _add_chunk(entity: dict[str, Any], batch: Any) -> None:
     """Add the columns of a chunk to those of an entity: times (ns, or None) and values by component."""
     kinds = {field.name: (field.metadata or {}).get(b"rerun:kind", b"data") for field in batch.schema}
     timeline = "time" if kinds.get("time") == b"index" else ""  # an axis may have that name, too

@@ -55,7 +55,7 @@ class Scene:
         out.log("stage", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for body in range(model.nbody):
             for name, shape in geoms.list_shapes(model, body):
-                out.log(f"{body_path(model, body)}/{name}", shape, static=True)
+                out.log(f"{make_body_path(model, body)}/{name}", shape, static=True)
         for body in np.flatnonzero(model.body_weldid == 0).tolist():
             if body:
                 _log_pose(out, model, body)
@@ -79,7 +79,7 @@ class Scene:
         if len(time):
             xpos, xquat, sites = geoms.compute_poses(model, qpos)
             for body in self._moving:
-                _log_poses(out, body_path(model, body), time, xpos[:, body], xquat[:, body])
+                _log_poses(out, make_body_path(model, body), time, xpos[:, body], xquat[:, body])
             self._path.append(_to_work_frame(model, xpos, xquat, sites))
             if self._track is not None:
                 self._track.append((time, qpos))
@@ -135,15 +135,15 @@ class Scene:
     def end(self, out: Any) -> None:
         """Log the tool's path, which is drawn whole."""
         if self._path:
-            _path(out, self._recording.model, np.concatenate(self._path))
+            _log_path(out, self._recording.model, np.concatenate(self._path))
 
 
-def body_path(model: mujoco.MjModel, body: int) -> str:
+def make_body_path(model: mujoco.MjModel, body: int) -> str:
     """Return the entity of a body."""
     return f"stage/{escape_name(model.body(body).name or f'body{body}', reserved=(DIRECTIONS,))}"
 
 
-def axis_path(name: str) -> str:
+def make_axis_path(name: str) -> str:
     """Return the entity of an axis."""
     return f"axes/{escape_name(name)}"
 
@@ -151,7 +151,9 @@ def axis_path(name: str) -> str:
 def _log_pose(out: Any, model: mujoco.MjModel, body: int) -> None:
     """Log the pose of a body that is part of the frame, once."""
     xpos, xquat, _ = geoms.compute_poses(model, model.qpos0[None])
-    out.log(body_path(model, body), rr.Transform3D(translation=xpos[0, body], quaternion=xquat[0, body]), static=True)
+    out.log(
+        make_body_path(model, body), rr.Transform3D(translation=xpos[0, body], quaternion=xquat[0, body]), static=True
+    )
 
 
 def _log_poses(out: Any, path: str, time: np.ndarray, position: np.ndarray, quat: np.ndarray) -> None:
@@ -189,14 +191,14 @@ def _to_work_frame(model: mujoco.MjModel, xpos: np.ndarray, xquat: np.ndarray, s
     return np.array([rotate(np.roll(q, 1), p) for q, p in zip(inverse, sites[:, tool] - xpos[:, body], strict=True)])
 
 
-def _path(out: Any, model: mujoco.MjModel, points: np.ndarray) -> None:
+def _log_path(out: Any, model: mujoco.MjModel, points: np.ndarray) -> None:
     if len(points) < 2:
         return
     cell = np.rint(points / GRID)
     keep = np.concatenate([[True], np.any(cell[1:] != cell[:-1], axis=1)])
     tool = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tool")
     body = _find_work_body(model)
-    where = body_path(model, 0 if model.site_bodyid[tool] == body else body)
+    where = make_body_path(model, 0 if model.site_bodyid[tool] == body else body)
     line = rr.LineStrips3D([points[keep].astype(np.float32)], colors=[PATH_COLOR], radii=rr.Radius.ui_points(1.6))
     out.log(f"{where}/path", line, static=True)
 
@@ -242,7 +244,7 @@ def _list_lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarr
         geom = next((g for g in pair if model.geom_bodyid[g] != carriage), pair[0])
         body = int(model.geom_bodyid[geom])
         above = rotate(data.xquat[body] * [1, -1, -1, -1], [0, 0, LAMP_HEIGHT * model.stat.extent])
-        path = f"{body_path(model, body)}/lamp_{escape_name(name)}_{pin}"
+        path = f"{make_body_path(model, body)}/lamp_{escape_name(name)}_{pin}"
         wired, others = axis.chip.wired(pin), axis.switches.as_dict()
         rivals = tuple(p for p in signals.SWITCHES if p != pin and p in others and axis.chip.wired(p) == wired)
         yield path, model.geom_pos[geom] + above, pin, kind, rivals

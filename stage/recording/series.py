@@ -65,7 +65,7 @@ SERIES = {
 }
 
 
-def series_of(axis: Any, series: Mapping[str, Series] = SERIES) -> dict[str, Series]:
+def select_series(axis: Any, series: Mapping[str, Series] = SERIES) -> dict[str, Series]:
     """Return the series that an axis has, of all `series`."""
     kind = "servo" if axis.drive.has_encoder else "stepper"
     return {key: s for key, s in series.items() if s.only in ("", kind)}
@@ -78,9 +78,9 @@ def describe_series(series: Series, axis: Any) -> tuple[str, str, float]:
     return title, unit, series.scales[on_hinge]
 
 
-def axes_with(recording: Recording, series: str) -> list[str]:
+def list_axes_with_series(recording: Recording, series: str) -> list[str]:
     """Return the names of the axes that have a series."""
-    return [name for name, axis in recording.axes.items() if series in series_of(axis)]
+    return [name for name, axis in recording.axes.items() if series in select_series(axis)]
 
 
 COLORS = {
@@ -90,15 +90,15 @@ COLORS = {
 """Colors of the axes, in their order, and again from the first."""
 
 
-def colors_of(recording: Recording) -> dict[str, str]:
+def assign_colors(recording: Recording) -> dict[str, str]:
     """Return the name of each axis' color."""
     names = list(COLORS)
     return {name: names[k % len(names)] for k, name in enumerate(recording.axes)}
 
 
-def plot_title(recording: Recording, series: str) -> str:
+def make_plot_title(recording: Recording, series: str) -> str:
     """Return the title of the plot of a series over all axes that have it, with its units."""
-    axes = [recording.axes[name] for name in axes_with(recording, series)]
+    axes = [recording.axes[name] for name in list_axes_with_series(recording, series)]
     described = [describe_series(SERIES[series], axis)[:2] for axis in axes]
     title = next((t for t, _ in described if t == SERIES[series].title), described[0][0])
     if series == "counter" and title == SERIES[series].title:

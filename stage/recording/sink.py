@@ -41,7 +41,7 @@ class BlueprintWithStream:
         self._blueprint._log_to_stream(stream)
 
 
-class Sink:
+class RrdSink:
     """File of a RecordingStream. Raises OSError, and so do `flush` and `close`.
 
     Each flush is one write of whole messages, and after an OSError the file ends with the last flush that succeeded.

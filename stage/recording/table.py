@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 FORMATS = {".csv": "to_csv", ".parquet": "to_parquet", ".npz": "to_npz"}
 
 
-def writer_of(path: str | os.PathLike) -> str:
+def find_writer_name(path: str | os.PathLike) -> str:
     """Return the method of `Tabular` that writes a file of this name. Raises FileError for an ending that is none of FORMATS."""
     return FORMATS[ends_as(path, FORMATS, "a table")]
 
@@ -203,5 +203,5 @@ class Tabular:
             ArgumentError: An unknown column.
             ExtraMissing: There is no pyarrow.
         """
-        write: Any = getattr(self, writer_of(path))
+        write: Any = getattr(self, find_writer_name(path))
         return Path(write(path, columns, overwrite=overwrite))

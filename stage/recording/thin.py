@@ -8,7 +8,7 @@ from stage.native import array_of, exported
 
 
 @exported(None, array_of("f8"), array_of("f8"), "f8", array_of("?"))
-def thin(t, v, tolerance, keep):
+def mark_needed_samples(t, v, tolerance, keep):
     """Mark in `keep` (bool) samples such that straight lines between them pass within `tolerance` of every other.
 
     First and last are always kept, and so is everything when nothing is straight. One pass: a cone of slopes from the

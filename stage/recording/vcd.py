@@ -49,7 +49,7 @@ def to_nanoseconds(clock: Any, hz: int) -> Any:
     return clock // hz * SECOND + (clock % hz * SECOND + hz // 2) // hz
 
 
-def write(recording: Recording, path: Path) -> Path:
+def write_vcd(recording: Recording, path: Path) -> Path:
     """Write the waveforms of a recording, in memory that does not grow with its length.
 
     Args:
@@ -59,8 +59,10 @@ def write(recording: Recording, path: Path) -> Path:
     from vcd import VCDWriter
 
     with path.open("w", encoding="ascii", buffering=1 << 20) as file:
-        begin = min(to_nanoseconds(int(j.start["clock"]), _hz(recording, n)) for n, j in recording.journals.items())
-        end = max(to_nanoseconds(j.until, _hz(recording, n)) for n, j in recording.journals.items())
+        begin = min(
+            to_nanoseconds(int(j.start["clock"]), _get_clock_hz(recording, n)) for n, j in recording.journals.items()
+        )
+        end = max(to_nanoseconds(j.until, _get_clock_hz(recording, n)) for n, j in recording.journals.items())
         comment = f"PulseStage: {recording!r}".encode("ascii", "backslashreplace").decode().replace("$", r"\x24")
         with VCDWriter(file, "1 ns", date=DATE, comment=comment, init_timestamp=begin) as writer:
             streams = [
@@ -77,12 +79,12 @@ def write(recording: Recording, path: Path) -> Path:
     return path
 
 
-def scope_of(axis: str) -> str:
+def make_scope_name(axis: str) -> str:
     """Return the scope of an axis, which is never that of the host's bus."""
     return escape_name(axis, reserved=(HOST,))
 
 
-def _hz(recording: Recording, axis: str) -> int:
+def _get_clock_hz(recording: Recording, axis: str) -> int:
     return recording.axes[axis].chip.clock_hz
 
 
@@ -96,7 +98,7 @@ def _add_pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
 
     variables, now = {}, {}
     for name, (kind, size, v) in levels(next(journal.pieces(size=256))[:1]).items():
-        *scope, short = (scope_of(axis), *map(escape_name, name.split(".")))
+        *scope, short = (make_scope_name(axis), *map(escape_name, name.split(".")))
         now[name] = v[0].item()
         variables[name] = writer.register_var(tuple(scope), short, kind, size=size, init=now[name])
 
@@ -136,7 +138,7 @@ def _compute_levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str
 
 def _add_bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
     """Register the bus of an axis, and return its cycles and resets."""
-    chip, journal, scope = recording.axes[axis].chip, recording.journals[axis], (scope_of(axis), "bus")
+    chip, journal, scope = recording.axes[axis].chip, recording.journals[axis], (make_scope_name(axis), "bus")
     kinds = {WRITE, RESET, *journal.entries.packed()["kind"].tolist()}  # most recordings have no LOST and no RD
     events = {k: writer.register_var(scope, name, "event", size=1) for k, name in EVENTS.items() if k in kinds}
     address = writer.register_var(scope, "A", "reg", size=chip.ADDRESS_MASK.bit_length(), init="x")

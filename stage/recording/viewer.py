@@ -85,7 +85,7 @@ def check_port(port: int) -> None:
         raise ArgumentError(f"port={port!r}: a port is a whole number of 1 to 65535.")
 
 
-def web_server(rrd: str | os.PathLike, port: int = 9090) -> Server:
+def make_web_server(rrd: str | os.PathLike, port: int = 9090) -> Server:
     """Make a server of the dashboard for browsers of this machine, at its `address`; call its `serve_forever()`.
 
     Args:
@@ -115,7 +115,7 @@ def serve_web(rrd: str | os.PathLike, port: int = 9090) -> None:
     """Serve the dashboard to browsers of this machine until interrupted."""
     with _exit_on_signals():
         try:
-            with web_server(rrd, port) as server:
+            with make_web_server(rrd, port) as server:
                 print(f"{rrd} is served on this machine only, at\n  {server.address}\nCtrl-C ends it.", flush=True)
                 if has_screen():
                     import webbrowser
@@ -153,7 +153,7 @@ def _fetch_file(port: int, name: str) -> bytes:
         connection.close()
 
 
-def screenshot(
+def take_screenshot(
     rrd: str | os.PathLike,
     png: str | os.PathLike,
     size: tuple[int, int] = (1920, 1080),

@@ -198,19 +198,19 @@ class Axis:
         """Position by the pulses, m; it differs from `position` by following error and lost steps."""
         q = self.position
         d, net = self.read_drive()
-        return float(q + any_drive.lag(d, net, q * self.gear) / self.gear)
+        return float(q + any_drive.compute_lag(d, net, q * self.gear) / self.gear)
 
     @property
     def lost_steps(self) -> int:
         """Full steps by which the rotor lags the pulses, a multiple of four; from the rotor's angle. 0 for a servo."""
         d, net = self.read_drive()
-        return int(any_drive.lost_steps(d, net, self.position * self.gear))
+        return int(any_drive.count_lost_steps(d, net, self.position * self.gear))
 
     @property
     def load_angle(self) -> float:
         """Commanded minus rotor angle, electrical radians; plain radians for a servo."""
         d, net = self.read_drive()
-        return float(any_drive.load_angle(d, net, self.position * self.gear))
+        return float(any_drive.compute_load_angle(d, net, self.position * self.gear))
 
     def read_drive(self) -> tuple[Any, float]:
         """Return its drive's record (stage.drives.stepper.DRIVE, with the currents), and the net pulses that the drive has had."""

@@ -2,7 +2,7 @@
 
 MuJoCo calls them in the middle of a step. It cannot pass on an exception from a callback and would end the process. So they run
 guarded: the exception is kept, the step is completed without further callbacks, and then the exception is raised in the caller of
-the step. `forward` is mj_forward so guarded.
+the step. `forward_guarded` is mj_forward so guarded.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def guard_callbacks(failed: Callable[[BaseException | None], bool]) -> Iterator[
                 _installed.clear()
 
 
-def forward(model: mujoco.MjModel, data: mujoco.MjData, back: Callable[[], None] | None = None) -> None:
+def forward_guarded(model: mujoco.MjModel, data: mujoco.MjData, back: Callable[[], None] | None = None) -> None:
     """Let MuJoCo compute what follows from the state (mj_forward).
 
     Args:

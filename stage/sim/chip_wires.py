@@ -100,11 +100,11 @@ def choose_leaders(
             raise ArgumentError(
                 f"syni: axis {pair[1]} leads {pair[0]}, and follows {wanted[pair[1]]}: connect all to one leader."
             )
-        check_pair(chip_of[pair[0]], chip_of[pair[1]], f"syni of axis {pair[0]}")
+        check_shared_clock(chip_of[pair[0]], chip_of[pair[1]], f"syni of axis {pair[0]}")
     return tuple(wanted.items())
 
 
-def check_pair(follower: Chip, leader: Chip, what: str) -> None:
+def check_shared_clock(follower: Chip, leader: Chip, what: str) -> None:
     """Check that two chips can share a clock by SYNO and SYNI.
 
     Args:

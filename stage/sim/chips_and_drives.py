@@ -20,7 +20,7 @@ ChipChoice = type[Chip] | str | Callable[[], Chip] | Mapping[str, Any]
 DriveChoice = Drive | Servo | Motor | DCMotor | str | Mapping[str, Any] | None
 
 
-def wire(
+def choose_chips_and_drives(
     spec: Any, chips: ChipChoice | None, drives: DriveChoice, clock: int | None = None
 ) -> tuple[list[str], list[ChipAxis], list[Drive | Servo]]:
     """Return the names of the axes, their chips' axes and their drives, as `Stage` takes chips, drives and clock.
@@ -34,8 +34,8 @@ def wire(
     Raises:
         ArgumentError: An axis, a chip or a motor does not exist or does not fit.
     """
-    chips = _find_classes(PCL240K if chips is None else chips)
-    known = plant.axis_names(spec)
+    chips = _resolve_chip_names(PCL240K if chips is None else chips)
+    known = plant.find_axis_names(spec)
     names = list(chips) if isinstance(chips, Mapping) else known
     if not names:
         raise ArgumentError(f"chips={chips!r}: a chip for one axis or more. Axes: {', '.join(known)}.")
@@ -67,7 +67,7 @@ def fit_rotors(
                 f"axis {p.name}: {type(axis.chip).__name__} drives a {want}, and this MjModel, which cannot change, has a "
                 f"{have}: pass its path or MjSpec."
             )
-        fitted = plant.fitted_values(model, p.name)
+        fitted = plant.view_fitted_values(model, p.name)
         built_in = d.motor.rotor_inertia
         if p.motor:
             built_in, fitted[0] = fitted[0] or _find_any_motor(p.motor).rotor_inertia, d.motor.rotor_inertia
@@ -123,10 +123,10 @@ def _format_one_digit(value: float) -> str:
     return f"{float(f'{value:.0e}'):g}"
 
 
-def _find_classes(chips: Any) -> Any:
+def _resolve_chip_names(chips: Any) -> Any:
     """Return chips with their names replaced by classes."""
     if isinstance(chips, Mapping):
-        return {axis: _find_classes(chip) for axis, chip in chips.items()}
+        return {axis: _resolve_chip_names(chip) for axis, chip in chips.items()}
     return chip_class(chips) if isinstance(chips, str) else chips
 
 
@@ -160,7 +160,7 @@ def _find_any_motor(name: str) -> Motor | DCMotor:
 
 def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Servo:
     """Choose the drive of an axis for its chip, as requested or as the model names it; the spec gets the actuator that it needs."""
-    choice, named = drives.get(axis) if isinstance(drives, Mapping) else drives, plant.motors(spec).get(axis)
+    choice, named = drives.get(axis) if isinstance(drives, Mapping) else drives, plant.find_motor_names(spec).get(axis)
     servo = chip.SERVO
     wrong, presets = ((Drive, Motor), MOTORS) if servo else ((Servo, DCMotor), DC_MOTORS)
     if isinstance(choice, wrong) or (isinstance(choice, str) and choice in presets):
@@ -170,13 +170,13 @@ def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Serv
             f"drives for axis {axis}: {type(chip).__name__} drives {what}; {label} is none: give {want}."
         )
     if not servo:
-        plant.equip(spec, axis, None)
+        plant.fit_actuator(spec, axis, None)
         if not isinstance(choice, Drive):
             choice = Drive(
                 find_motor(choice if choice is not None else named if named and named not in DC_MOTORS else "17HS4401")
             )
         return replace(choice, microsteps=chip.MICROSTEPS) if chip.MICROSTEPS else choice
-    constants = plant.dc_constants(spec, axis)
+    constants = plant.read_dc_constants(spec, axis)
     if isinstance(choice, Servo):
         amplifier = choice
     elif choice is not None:
@@ -187,5 +187,5 @@ def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Serv
         amplifier = Servo(DCMotor(f"that of axis {axis}", constants[1], constants[0], 0.0, constants[0]))
     else:
         amplifier = Servo()
-    plant.equip(spec, axis, (amplifier.motor.torque_constant, amplifier.motor.resistance))
+    plant.fit_actuator(spec, axis, (amplifier.motor.torque_constant, amplifier.motor.resistance))
     return amplifier

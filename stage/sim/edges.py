@@ -7,6 +7,7 @@ from stage.chips.entries import INPUT
 from stage.native import array_at, floor, hot, least
 from stage.sim.handle import (
     axes,
+    axis_table,
     clockwork,
     has_edge_room,
     note_edge,
@@ -15,13 +16,12 @@ from stage.sim.handle import (
     sensordata,
     switch_table,
     switches,
-    table,
     world,
 )
 from stage.sim.records import FLAG_EDGE, HYSTERESIS, INDEX, INDEX_HYSTERESIS, NEVER, SECOND, TURN, clock_at
 
 UNREACHED = 1e300  # joint travel to an edge that is not ahead
-SURE = 0.8  # share of the travel beside an edge in which the sensor's distance tells the place
+RELIABLE_SHARE = 0.8  # share of the travel beside an edge in which the sensor's distance tells the place
 
 
 @hot
@@ -63,50 +63,50 @@ def _flag_edges(clockwork):
 
 
 @hot
-def _travel_from(edge, q, turn):
+def _measure_travel_from(edge, q, turn):
     """Return the joint travel from an edge to `q`; of a joint that turns without end, from the nearest of its repetitions."""
     x = q - edge.at
     return x - turn * floor(x / turn + 0.5) if turn else x
 
 
 @hot
-def _nearest_edge(edges, t, q):
+def _find_nearest_edge(edges, t, q):
     """Return the index of the flag edge of a switch that is nearest to `q`."""
     k, nearest = t.first_edge, UNREACHED
     for i in range(t.first_edge, t.end_edge):
-        away = abs(_travel_from(edges[i], q, t.turn))
+        away = abs(_measure_travel_from(edges[i], q, t.turn))
         if away < nearest:
             k, nearest = i, away
     return k
 
 
 @hot
-def _outside(edges, t, q):
+def _measure_distance_outside(edges, t, q):
     """Return how far `q` is outside the flag of a switch, in joint travel; negative: so far inside."""
-    e = edges[_nearest_edge(edges, t, q)]
-    x = _travel_from(e, q, t.turn)
+    e = edges[_find_nearest_edge(edges, t, q)]
+    x = _measure_travel_from(e, q, t.turn)
     return x if e.slope > 0.0 else -x
 
 
 @hot
-def _follow_flag(edges, s, t, q, dist):
+def _correct_flag_shift(edges, s, t, q, dist):
     """Correct `s.shift` where the sensor's distance, read at joint position `q`, contradicts it.
 
     Beside an edge the distance tells the place. Elsewhere (far away, or deep in the switch, where the contact's direction changes)
     it only tells on which side of the edge the joint is, and the shift last found holds.
     """
     q -= s.shift
-    e = edges[_nearest_edge(edges, t, q)]
-    x, sensed = _travel_from(e, q, t.turn), dist / e.slope
+    e = edges[_find_nearest_edge(edges, t, q)]
+    x, sensed = _measure_travel_from(e, q, t.turn), dist / e.slope
     limit = 0.0
     if sensed < e.below or sensed > e.above:
-        limit = SURE * (e.above if sensed > 0.0 else e.below)
+        limit = RELIABLE_SHARE * (e.above if sensed > 0.0 else e.below)
         if (x - limit) * sensed >= 0.0:
             return
     error, correction, allowed = UNREACHED, x - limit, 0.0
     for i in range(t.first_edge, t.end_edge):
         e = edges[i]
-        x, sensed = _travel_from(e, q, t.turn), dist / e.slope
+        x, sensed = _measure_travel_from(e, q, t.turn), dist / e.slope
         if e.below <= sensed <= e.above and abs(x - sensed) < error:
             error, correction, allowed = abs(x - sensed), x - sensed, e.noise + e.bend * sensed * sensed
     if error > allowed:
@@ -114,27 +114,27 @@ def _follow_flag(edges, s, t, q, dist):
 
 
 @hot
-def _put_flag_ahead(edges, s, t, q, v, dist):
+def _place_flag_ahead(edges, s, t, q, v, dist):
     """Correct `s.shift` if by it the joint, at whose position `q` the sensor first sees the vane, moves away from the flag."""
     k, nearest = -1, UNREACHED
     for i in range(t.first_edge, t.end_edge):
-        away = abs(_travel_from(edges[i], q, t.turn))
+        away = abs(_measure_travel_from(edges[i], q, t.turn))
         if edges[i].slope * v < 0.0 and away < nearest:
             k, nearest = i, away
     if k >= 0 and dist > 0.0:
-        x, sensed = _travel_from(edges[k], q, t.turn), dist / edges[k].slope
+        x, sensed = _measure_travel_from(edges[k], q, t.turn), dist / edges[k].slope
         if x * sensed < 0.0:
             s.shift += x - sensed
 
 
 @hot
-def in_flag(clockwork, s, t, q):
+def is_in_flag(clockwork, s, t, q):
     """Return whether the vane is in its switch with the joint at `q`."""
-    return s.sensed and _outside(_flag_edges(clockwork), t, q - s.shift) <= 0.0
+    return s.sensed and _measure_distance_outside(_flag_edges(clockwork), t, q - s.shift) <= 0.0
 
 
 @hot
-def _travel_to_change(edges, t, q, direction, gone, on):
+def _measure_travel_to_change(edges, t, q, direction, gone, on):
     """Return the travel from flag position `q` after which the switch changes next; `gone` if it should have changed by then.
 
     Args:
@@ -146,13 +146,13 @@ def _travel_to_change(edges, t, q, direction, gone, on):
         on: Whether the switch is asserted there.
     """
     hysteresis, ahead = HYSTERESIS if on else 0.0, UNREACHED
-    outside = _outside(edges, t, q + direction * gone)
+    outside = _measure_distance_outside(edges, t, q + direction * gone)
     if (outside > hysteresis) if on else (outside <= 0.0):
         return gone
     for i in range(t.first_edge, t.end_edge):
         e = edges[i]
         if (e.slope * direction > 0.0) == (on != 0):
-            travel = hysteresis - _travel_from(e, q, t.turn) * direction
+            travel = hysteresis - _measure_travel_from(e, q, t.turn) * direction
             if gone <= travel < ahead:
                 ahead = travel
     return ahead
@@ -174,18 +174,18 @@ def predict_switch(world, axis, clockwork, s, t, q, v):
             q -= v * clockwork.half + s.shift
             speed = v * direction
             last, gone = speed * 2.0 * clockwork.half, speed * (float(world.now - world.start) / SECOND)
-            travel = _travel_to_change(edges, t, q, direction, gone, s.on)
+            travel = _measure_travel_to_change(edges, t, q, direction, gone, s.on)
             if travel <= last:
                 s.edge = world.start + int(travel / speed * SECOND) if travel > gone else world.now
                 if t.bounce == 0:
-                    travel = _travel_to_change(edges, t, q, direction, travel, 1 - s.on)
+                    travel = _measure_travel_to_change(edges, t, q, direction, travel, 1 - s.on)
                     if gone < travel <= last:
                         s.next_edge = world.start + int(travel / speed * SECOND)
     axis.next_edge = least(axis.next_edge, s.edge)
 
 
 @hot
-def _bounce(s, t, now):
+def _schedule_next_toggle(s, t, now):
     """Set, after an edge or a toggle that followed it, when the contact toggles next: ever sooner, the last at the bounce's end."""
     if s.toggles == 0:
         s.toggles, s.until = t.toggles, now + t.bounce
@@ -201,14 +201,14 @@ def predict_edges(h, moved):
 
     `moved`: qpos has moved since the sensors were read, by one step of the present qvel.
     """
-    axis_records, axis_table, readings = axes(h), table(h), sensordata(h)
+    axis_records, table, readings = axes(h), axis_table(h), sensordata(h)
     for a in range(len(axis_records)):
-        q, v = qpos(h)[axis_table[a].qpos], qvel(h)[axis_table[a].dof]
+        q, v = qpos(h)[table[a].qpos], qvel(h)[table[a].dof]
         predict_axis_edges(
             world(h),
             clockwork(h),
             axis_records[a],
-            axis_table[a],
+            table[a],
             switches(h),
             switch_table(h),
             readings,
@@ -236,9 +236,9 @@ def predict_axis_edges(now, clock, axis, of_axis, records, rows, sensordata, q, 
         if sensordata[t.found] > 0.0:
             q_sensed, dist = q - v * 2.0 * half if moved else q, sensordata[t.dist]
             if moved and not s.sensed:
-                _put_flag_ahead(edges, s, t, q_sensed, v, dist)
+                _place_flag_ahead(edges, s, t, q_sensed, v, dist)
             s.sensed = 1
-            _follow_flag(edges, s, t, q_sensed, dist)
+            _correct_flag_shift(edges, s, t, q_sensed, dist)
         else:
             s.sensed, s.shift = 0, 0.0
             if not s.on and t.forced <= 0 and s.toggles == 0:
@@ -251,7 +251,7 @@ def predict_axis_edges(now, clock, axis, of_axis, records, rows, sensordata, q, 
 
 
 @hot
-def switched(t, records, rows, word):
+def apply_switches(t, records, rows, word):
     """Return the pin word of an axis with its switches as they are.
 
     Two that are wired to one pin assert it if either is on. A sensor of positive logic sets its pin, which is low then, while it is
@@ -265,7 +265,7 @@ def switched(t, records, rows, word):
 
 
 @hot
-def indexed(t, axis, word):
+def apply_index_pulse(t, axis, word):
     """Return the pin word of an axis with its index pulse as it is."""
     return word | t.index_bit if axis.index_on != (t.positive & t.index_bit != 0) else word & ~t.index_bit
 
@@ -280,20 +280,20 @@ def process_axis_edges(axis, t, c, j, records, rows, now):
             s.edge, s.next_edge = s.next_edge, NEVER
             s.on = 1 - s.on
             if s.toggles or rows[k].bounce:
-                _bounce(s, rows[k], now)
+                _schedule_next_toggle(s, rows[k], now)
         axis.next_edge = least(axis.next_edge, s.edge)
-    word = switched(t, records, rows, cores.inputs(c, j))
+    word = apply_switches(t, records, rows, cores.inputs(c, j))
     if t.index_bit:
         if axis.index_edge <= now:
             axis.index_edge, axis.index_end = axis.index_end, NEVER
             axis.index_on = 1 - axis.index_on
-            word = indexed(t, axis, word)
+            word = apply_index_pulse(t, axis, word)
         axis.next_edge = least(axis.next_edge, axis.index_edge)
     cores.set_input(c, j, word)
 
 
 @hot
-def next_edge(axis_records, c):
+def find_next_edge(axis_records, c):
     """Return when the next input of a chip changes."""
     edge = axis_records[cores.axis_of(c, 0)].next_edge
     for j in range(1, c.axes):
@@ -302,7 +302,7 @@ def next_edge(axis_records, c):
 
 
 @hot
-def note_input(h, now, c, j):
+def journal_input(h, now, c, j):
     """Note that the inputs of chip axis `j` have changed at `now` ns."""
     if has_edge_room(h):
         note_edge(h, now, c, cores.axis_of(c, j), INPUT, j, cores.inputs(c, j))
@@ -311,14 +311,14 @@ def note_input(h, now, c, j):
 @hot
 def process_edges(h, c, until):
     """Run chip `c` through the edges of its switches up to `until` ns."""
-    axis_records, axis_table = axes(h), table(h)
-    now = next_edge(axis_records, c)
+    axis_records, table = axes(h), axis_table(h)
+    now = find_next_edge(axis_records, c)
     while now <= until:
         cores.run(c, clock_at(now, c.hz))
         for j in range(c.axes):
             a = cores.axis_of(c, j)
             if axis_records[a].next_edge > now:
                 continue
-            process_axis_edges(axis_records[a], axis_table[a], c, j, switches(h), switch_table(h), now)
-            note_input(h, now, c, j)
-        now = next_edge(axis_records, c)
+            process_axis_edges(axis_records[a], table[a], c, j, switches(h), switch_table(h), now)
+            journal_input(h, now, c, j)
+        now = find_next_edge(axis_records, c)

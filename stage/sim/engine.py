@@ -9,7 +9,7 @@ MuJoCo's integrator is a leapfrog: positions belong to times t, velocities to ha
 position is the mean over the window centred there. So the position in `qpos` is that of a window's centre, not of its start: at a
 chip time tau after the window's start a joint is at q + v (tau - dt / 2). With this the coupling adds no false damping (the ringing
 of a stepper would die out too fast), and a switch's edge is extrapolated by half a step only. The velocity at the centre is not
-known before the force is: a drive that needs it solves for it (`stepper.mean_torque`), or the coupling would add energy.
+known before the force is: a drive that needs it solves for it (`stepper.compute_mean_torque`), or the coupling would add energy.
 
 All state is in records inside MjData.userdata, all tables of constants in arrays beside it; nothing here allocates.
 """
@@ -21,22 +21,23 @@ from stage.chips.entries import LOAD, SHAFT
 from stage.drives import drive, stepper
 from stage.native import array_at, called, exported, hot, least
 from stage.sim.edges import (
-    in_flag,
-    indexed,
+    apply_index_pulse,
+    apply_switches,
+    find_next_edge,
+    is_in_flag,
+    journal_input,
     measure_index_offset,
-    next_edge,
-    note_input,
     predict_edges,
     predict_switch,
     process_edges,
-    switched,
 )
 from stage.sim.handle import (
     ENGINE,
     HANDLE,
     REAL,
     axes,
-    chips,
+    axis_table,
+    chip_table,
     claim,
     clockwork,
     drives,
@@ -47,7 +48,6 @@ from stage.sim.handle import (
     release,
     switch_table,
     switches,
-    table,
     world,
 )
 from stage.sim.records import (
@@ -79,23 +79,23 @@ _get_state = called(None, "i8", "i8", "i8", "i4")
 @hot
 def _run_chips(h, stop):
     """Run the chips up to `stop` ns, inside the window, and return the slices done."""
-    w, rows, axis_records = world(h), chips(h), axes(h)
+    w, rows, axis_records = world(h), chip_table(h), axes(h)
     start, dt = w.start, clockwork(h).dt
     hz = clock = rest = 0
     k = w.slice
     for i in range(len(rows)):
         c = rows[i]
         if c.link:
-            if _leads(rows, i):
+            if _is_first_linked_chip(rows, i):
                 k = _run_linked(h, i, stop)
             continue
         if cores.hear(c):
-            note_input(h, w.now, c, 0)
+            journal_input(h, w.now, c, 0)
         if c.hz != hz:
             hz = c.hz
             clock, rest = clock_at(start, hz), start % SECOND * hz % SECOND
         k, now = w.slice, 0
-        if stop == start + dt and next_edge(axis_records, c) > stop:
+        if stop == start + dt and find_next_edge(axis_records, c) > stop:
             c.begin, c.rest = clock, rest
             cores.window(c, k)
             k = SLICES
@@ -103,17 +103,17 @@ def _run_chips(h, stop):
         while now < stop:
             bound = start + (k + 1) * dt // SLICES
             now = least(bound, stop)
-            if next_edge(axis_records, c) <= now:
+            if find_next_edge(axis_records, c) <= now:
                 process_edges(h, c, now)
             cores.run(c, clock + (rest + (now - start) * hz) // SECOND)
             if now == bound:
-                _end_slice(c, axis_records, k)
+                _store_slice_counts(c, axis_records, k)
                 k += 1
     return k
 
 
 @hot
-def _end_slice(c, axis_records, k):
+def _store_slice_counts(c, axis_records, k):
     """Keep the axes' mean counts in slice `k`, which ends now."""
     for j in range(c.axes):
         axis = axis_records[cores.axis_of(c, j)]
@@ -122,7 +122,7 @@ def _end_slice(c, axis_records, k):
 
 
 @hot
-def _leads(rows, i):
+def _is_first_linked_chip(rows, i):
     """Return whether chip `i` is the first of those that are linked to it."""
     m = 0
     while rows[m].link != rows[i].link:
@@ -133,7 +133,7 @@ def _leads(rows, i):
 @hot
 def _run_linked(h, first, stop):
     """Run the chips that are linked to the first one, as `_run_chips`: an edge of one acts on all at its clock."""
-    w, rows, axis_records, edges = world(h), chips(h), axes(h), array_at(h.edges, h.edge_room, EDGE)
+    w, rows, axis_records, edges = world(h), chip_table(h), axes(h), array_at(h.edges, h.edge_room, EDGE)
     start, dt, link, hz = w.start, clockwork(h).dt, rows[first].link, rows[first].hz
     k, now = w.slice, 0
     while now < stop:
@@ -143,24 +143,24 @@ def _run_linked(h, first, stop):
             edge = now + 1
             for i in range(first, len(rows)):
                 if rows[i].link == link:
-                    edge = least(edge, next_edge(axis_records, rows[i]))
+                    edge = least(edge, find_next_edge(axis_records, rows[i]))
             at = least(edge, now)
             h.noted = links.run(rows, link, clock_at(at, hz), at, edges, h.noted)
             if edge > now:
                 break
             for i in range(first, len(rows)):
-                if rows[i].link == link and next_edge(axis_records, rows[i]) <= edge:
+                if rows[i].link == link and find_next_edge(axis_records, rows[i]) <= edge:
                     process_edges(h, rows[i], edge)
         if now == bound:
             for i in range(first, len(rows)):
                 if rows[i].link == link:
-                    _end_slice(rows[i], axis_records, k)
+                    _store_slice_counts(rows[i], axis_records, k)
             k += 1
     return k
 
 
 @hot
-def _shaft(h, t):
+def _read_shaft(h, t):
     """Return the present count of an axis' encoder, and its speed, counts a second."""
     w, v = world(h), qvel(h)[t.dof]
     tau = float(w.now - w.start) / SECOND - clockwork(h).half
@@ -168,16 +168,16 @@ def _shaft(h, t):
 
 
 @hot
-def _show_shafts(h):
+def _pass_shafts_to_chips(h):
     """Pass the shafts to the chips that count them, at the beginning of a window."""
-    rows = chips(h)
+    rows = chip_table(h)
     for i in range(len(rows)):
         c = rows[i]
         for j in range(c.axes):
             a = cores.axis_of(c, j)
-            if table(h)[a].counts == 0.0:
+            if axis_table(h)[a].counts == 0.0:
                 continue
-            count, speed = _shaft(h, table(h)[a])
+            count, speed = _read_shaft(h, axis_table(h)[a])
             cores.set_shaft(c, j, count, speed / c.hz)
             if has_edge_room(h):
                 e = note_edge(h, world(h).now, c, a, SHAFT, j, 0)
@@ -185,16 +185,16 @@ def _show_shafts(h):
 
 
 @hot
-def _show_loads(h):
+def _pass_loads_to_chips(h):
     """Pass the loads of the motors to the chips that drive them, at the beginning of a window."""
     rows, half = drives(h), clockwork(h).half
     for a in range(len(rows)):
-        t, d = table(h)[a], rows[a]
-        c = chips(h)[t.chip]
+        t, d = axis_table(h)[a], rows[a]
+        c = chip_table(h)[t.chip]
         if c.set_load == 0:
             continue
         v = qvel(h)[t.dof]
-        angle = drive.load_angle(d, cores.net(c, t.chip_axis), (qpos(h)[t.qpos] - v * half) * t.gear)
+        angle = drive.compute_load_angle(d, cores.net(c, t.chip_axis), (qpos(h)[t.qpos] - v * half) * t.gear)
         share = d.torque_constant * abs(v * t.gear) / d.voltage
         if cores.set_load(c, t.chip_axis, angle, share) and has_edge_room(h):
             e = note_edge(h, world(h).now, c, a, LOAD, t.chip_axis, 0)
@@ -202,51 +202,51 @@ def _show_loads(h):
 
 
 @hot
-def _set_currents(h):
+def _read_motor_currents(h):
     """Take the currents of the motors whose chips set them."""
     rows = drives(h)
     for a in range(len(rows)):
-        t = table(h)[a]
-        c = chips(h)[t.chip]
+        t = axis_table(h)[a]
+        c = chip_table(h)[t.chip]
         if c.current:
             rows[a].current = cores.current(c, t.chip_axis)
 
 
 @hot
-def _sample(h, a, effort, out):
+def _write_axis_sample(h, a, effort, out):
     """Write axis `a` as it is now into a SAMPLE."""
-    t, d = table(h)[a], drives(h)[a]
-    c, j = chips(h)[t.chip], t.chip_axis
+    t, d = axis_table(h)[a], drives(h)[a]
+    c, j = chip_table(h)[t.chip], t.chip_axis
     net = cores.net(c, j)
     v = qvel(h)[t.dof]
     q = qpos(h)[t.qpos] - v * clockwork(h).half
     theta = q * t.gear
     out.time = world(h).now / SECOND
     out.position, out.velocity = q, v
-    out.commanded = q + drive.lag(d, net, theta) / t.gear
-    out.load_angle, out.torque = stepper.load_angle(d, net, theta), drive.torque(d, effort)
-    out.voltage = drive.voltage(d, effort)
+    out.commanded = q + drive.compute_lag(d, net, theta) / t.gear
+    out.load_angle, out.torque = stepper.compute_load_angle(d, net, theta), drive.compute_torque(d, effort)
+    out.voltage = drive.compute_voltage(d, effort)
     out.current_a, out.current_b = d.current_a, d.current_b
     out.rate = cores.pulse_rate(c, j, c.hz)
     out.pulses, out.counter = net, cores.counter(c, j)
-    out.lost_steps = drive.lost_steps(d, net, theta)
+    out.lost_steps = drive.count_lost_steps(d, net, theta)
     out.inputs, out.outputs = cores.inputs(c, j), cores.outputs(c, j)
 
 
 @hot
-def _sample_all(h, ctrl):
+def _write_samples(h, ctrl):
     """Write all axes as they are now into the next row of samples."""
     samples = array_at(h.samples, (h.room, h.n_axes), SAMPLE)
     positions = array_at(h.positions, (h.room, h.nq), REAL)
     for a in range(h.n_axes):
-        _sample(h, a, ctrl[table(h)[a].actuator], samples[h.filled, a])
+        _write_axis_sample(h, a, ctrl[axis_table(h)[a].actuator], samples[h.filled, a])
     for i in range(h.nq):
         positions[h.filled, i] = qpos(h)[i]
     h.filled += 1
 
 
 @hot
-def _unguarded(clock):
+def _would_call_unguarded_callback(clock):
     """Return whether MuJoCo would call a Python callback whose exceptions are not guarded."""
     if not clock.guarded:
         for k in range(CALLBACKS):
@@ -256,9 +256,9 @@ def _unguarded(clock):
 
 
 @hot
-def _run(h, until):
+def _run_until(h, until):
     """Run up to `until` ns and return why it returned (REACHED, ...)."""
-    w, clock, axis_records, axis_table, rows = world(h), clockwork(h), axes(h), table(h), drives(h)
+    w, clock, axis_records, table, rows = world(h), clockwork(h), axes(h), axis_table(h), drives(h)
     positions, speeds = qpos(h), qvel(h)
     ctrl, inertia = array_at(h.ctrl, h.nu, REAL), array_at(h.inertia, h.nv, REAL)
     accelerations, damping = array_at(h.accelerations, h.nv, REAL), array_at(h.damping, h.nv, REAL)
@@ -266,7 +266,7 @@ def _run(h, until):
     if not w.powered:
         return WIPED
     if w.start + clock.dt <= until:
-        if _unguarded(clock):
+        if _would_call_unguarded_callback(clock):
             return UNGUARDED
         if h.state:
             _get_state(clock.mj_get_state, (h.mj_model, h.mj_data, h.state, clock.state_spec))
@@ -279,10 +279,10 @@ def _run(h, until):
         if stop < end:
             break
         if clock.currents:
-            _set_currents(h)
+            _read_motor_currents(h)
         for a in range(len(axis_records)):
             apply_effort(
-                clock, axis_records[a], axis_table[a], rows[a], positions, speeds,
+                clock, axis_records[a], table[a], rows[a], positions, speeds,
                 ctrl, accelerations, inertia, damping, core_loss,
             )  # fmt: skip
         _step(clock.mj_step, (h.mj_model, h.mj_data))
@@ -299,14 +299,14 @@ def _run(h, until):
             return DIVERGED
         predict_edges(h, True)
         if clock.encoders:
-            _show_shafts(h)
+            _pass_shafts_to_chips(h)
         if clock.loads:
-            _show_loads(h)
+            _pass_loads_to_chips(h)
         if clock.sample_every and h.filled < h.room:
             w.to_sample -= 1
             if w.to_sample <= 0:
                 w.to_sample = clock.sample_every
-                _sample_all(h, ctrl)
+                _write_samples(h, ctrl)
                 if h.filled == h.room:
                     return SAMPLES_FULL
         if h.edge_room and h.noted > h.edge_room - clock.most_edges:
@@ -326,7 +326,7 @@ def advance(h, until):
     if not claim(h.clockwork, ENGINE):
         return IN_USE
     filled, noted = h.filled, h.noted
-    status = _run(h, until)
+    status = _run_until(h, until)
     if status in (DIVERGED, FAILED):
         h.filled, h.noted = filled, noted
     h.status = status
@@ -337,7 +337,7 @@ def advance(h, until):
 @exported("i8", HANDLE)
 def has_unguarded_callback(h):
     """Return 1 if MuJoCo has a Python callback whose exceptions are not guarded now."""
-    return 1 if _unguarded(clockwork(h)) else 0
+    return 1 if _would_call_unguarded_callback(clockwork(h)) else 0
 
 
 @exported("i8", HANDLE, "i8")
@@ -355,45 +355,45 @@ def release_stage(h, token):
 @exported(None, HANDLE, "i8")
 def update_switches(h, a):
     """Apply a fault of axis `a`'s switches that begins or ends at any moment of a window: levels now, edges in the rest of it."""
-    axis, t = axes(h)[a], table(h)[a]
+    axis, t = axes(h)[a], axis_table(h)[a]
     axis.next_edge, axis.awake = axis.index_edge if t.index_bit else NEVER, 1
     for k in range(t.first_switch, t.end_switch):
         if switch_table(h)[k].forced >= 0:
             switches(h)[k].toggles = 0
         q, v = qpos(h)[t.qpos], qvel(h)[t.dof]
         predict_switch(world(h), axis, clockwork(h), switches(h)[k], switch_table(h)[k], q, v)
-    process_edges(h, chips(h)[t.chip], world(h).now)
+    process_edges(h, chip_table(h)[t.chip], world(h).now)
 
 
 @hot
-def _settle_axis(h, a):
-    axis, t, d = axes(h)[a], table(h)[a], drives(h)[a]
-    c, q = chips(h)[t.chip], qpos(h)[t.qpos]
+def _find_axis_switch_levels(h, a):
+    axis, t, d = axes(h)[a], axis_table(h)[a], drives(h)[a]
+    c, q = chip_table(h)[t.chip], qpos(h)[t.qpos]
     if t.counts != 0.0:
-        count, speed = _shaft(h, t)
+        count, speed = _read_shaft(h, t)
         cores.set_shaft(c, t.chip_axis, count, speed / c.hz)
     axis.next_edge = NEVER
     axis.speed = qvel(h)[t.dof]
     axis.count = cores.net(c, t.chip_axis)
     for k in range(SLICES):
-        axis.counts[k] = drive.at_rest(d, axis.count)
+        axis.counts[k] = drive.make_rest_signal(d, axis.count)
     for k in range(t.first_switch, t.end_switch):
         s, row = switches(h)[k], switch_table(h)[k]
         s.edge = s.next_edge = NEVER
-        s.on = row.forced if row.forced >= 0 else (1 if in_flag(clockwork(h), s, row, q) else 0)
-    word = switched(t, switches(h), switch_table(h), cores.inputs(c, t.chip_axis))
+        s.on = row.forced if row.forced >= 0 else (1 if is_in_flag(clockwork(h), s, row, q) else 0)
+    word = apply_switches(t, switches(h), switch_table(h), cores.inputs(c, t.chip_axis))
     if t.index_bit:
         axis.index_edge = axis.index_end = NEVER
         axis.index_on = 1 if abs(measure_index_offset(t, q)) <= 0.5 * INDEX else 0
-        word = indexed(t, axis, word)
+        word = apply_index_pulse(t, axis, word)
     cores.set_input(c, t.chip_axis, word)
     if c.current:
         d.current = cores.current(c, t.chip_axis)
-    drive.align(d, float(axis.count), q * t.gear)
+    drive.power_up(d, float(axis.count), q * t.gear)
 
 
 @exported(None, HANDLE)
-def settle(h):
+def find_switch_levels(h):
     """Find switch levels and pending edges, before the first window, or after the carriages were placed."""
     world(h).powered = 1
     for k in range(h.n_switches):
@@ -401,8 +401,8 @@ def settle(h):
         s.toggles, s.edge, s.shift = 0, NEVER, 0.0
     predict_edges(h, False)
     for a in range(h.n_axes):
-        _settle_axis(h, a)
-    rows = chips(h)
+        _find_axis_switch_levels(h, a)
+    rows = chip_table(h)
     for i in range(len(rows)):
-        if rows[i].link and _leads(rows, i):
+        if rows[i].link and _is_first_linked_chip(rows, i):
             links.exchange(rows, rows[i].link, world(h).now, array_at(h.edges, 0, EDGE), 0)

@@ -41,8 +41,8 @@ from stage.sim.stage import Stage
 from stage.support.arguments import explain_arguments
 
 PHASES = {"a": stepper.A, "b": stepper.B}
-JAM = 10.0  # times what the motor can push at its most
-STIFF = (0.9, 0.9, 0.001, 0.5, 2)  # solimp of its friction; from 0.97 on the solver no longer finds the force
+DEFAULT_JAM_FACTOR = 10.0  # times what the motor can push at its most
+JAM_SOLIMP = (0.9, 0.9, 0.001, 0.5, 2)  # solimp of its friction; from 0.97 on the solver no longer finds the force
 
 
 class Fault:
@@ -110,7 +110,7 @@ class Fault:
         return f"<Fault {self.text}{'' if self.in_force else ', cleared'}>"
 
 
-def _change(
+def _make_change(
     get: Callable[[], Any], put: Callable[[Any], None], to: Callable[[Any], Any]
 ) -> Callable[[], Callable[[], None]]:
     """Return `begin` of a fault that changes what `get` reads and `put` writes `to` another value; its end restores the old one."""
@@ -138,9 +138,11 @@ def switch_stuck(axis: Axis, pin: str, closed: bool) -> Fault:
     Raises:
         ArgumentError: The switch is not fitted.
     """
-    _check(axis)
+    _check_type(axis)
     row = axis.switches.row(pin)
-    return _switches(axis, f"{pin} stuck {'closed' if closed else 'open'}", {row: {"forced": int(bool(closed))}})
+    return _make_switch_fault(
+        axis, f"{pin} stuck {'closed' if closed else 'open'}", {row: {"forced": int(bool(closed))}}
+    )
 
 
 @explain_arguments
@@ -156,13 +158,13 @@ def vane_missing(axis: Axis, pin: str) -> Fault:
     Raises:
         ArgumentError: The switch is not fitted.
     """
-    _check(axis)
+    _check_type(axis)
     axis.switches.row(pin)
     fitted = axis.plant.switches
     vane = next(_find_vane(axis, s.sensor) for s in fitted if s.pin == pin)
     served = [s.pin for s in fitted if s.pin == pin or (vane is not None and _find_vane(axis, s.sensor) == vane)]
     rows = {axis.switches.row(p): {"forced": 0} for p in served}
-    return _switches(axis, f"vane of {' and '.join(served)} missing", rows)
+    return _make_switch_fault(axis, f"vane of {' and '.join(served)} missing", rows)
 
 
 @explain_arguments
@@ -182,17 +184,19 @@ def bounce(axis: Axis, pin: str, seconds: float = 2e-3, toggles: int = 6) -> Fau
     Raises:
         ArgumentError: The switch is not fitted, or a value is out of range.
     """
-    _check(axis)
+    _check_type(axis)
     row = axis.switches.row(pin)
     if not 0 < seconds <= 1:
         raise ArgumentError(f"seconds={seconds!r}: a contact bounces for more than 0 and up to 1 s; 2e-3 is usual.")
     if toggles not in range(2, MAX_TOGGLES + 1, 2):
         raise ArgumentError(f"toggles={toggles!r}: an even number from 2 to {MAX_TOGGLES}, so that the edge remains.")
     ns = max(round(seconds * 1e9), 1)
-    return _switches(axis, f"{pin} bounces for {seconds * 1e3:g} ms", {row: {"bounce": ns, "toggles": int(toggles)}})
+    return _make_switch_fault(
+        axis, f"{pin} bounces for {seconds * 1e3:g} ms", {row: {"bounce": ns, "toggles": int(toggles)}}
+    )
 
 
-def _switches(axis: Axis, what: str, rows: dict[int, dict[str, int]]) -> Fault:
+def _make_switch_fault(axis: Axis, what: str, rows: dict[int, dict[str, int]]) -> Fault:
     stage = axis.stage
 
     def get() -> dict[int, dict[str, int]]:
@@ -206,7 +210,7 @@ def _switches(axis: Axis, what: str, rows: dict[int, dict[str, int]]) -> Fault:
         stage.update_switches(axis)
 
     things = [(row, field) for row, change in rows.items() for field in change]
-    return Fault(stage, f"axis {axis.name}: {what}", _change(get, put, lambda _: rows), things)
+    return Fault(stage, f"axis {axis.name}: {what}", _make_change(get, put, lambda _: rows), things)
 
 
 def _find_vane(axis: Axis, sensor: int) -> int | None:
@@ -238,13 +242,13 @@ def payload(stage: Stage, factor: float = 2.0, body: str | None = None) -> Fault
     Raises:
         ArgumentError: There is no payload, or the factor is out of range.
     """
-    _check(stage, Stage)
+    _check_type(stage, Stage)
     before = stage.payload(body)
     if not 0 < factor < 1e6 or not before:
         raise ArgumentError(
             f"factor={factor!r} of a payload of {before:g} kg: put one on with stage.set_payload; a factor is above 0."
         )
-    begin = _change(lambda: stage.payload(body), lambda kg: stage.set_payload(kg, body), lambda kg: kg * factor)
+    begin = _make_change(lambda: stage.payload(body), lambda kg: stage.set_payload(kg, body), lambda kg: kg * factor)
     return Fault(stage, f"payload {before * factor:g} kg in place of {before:g} kg", begin, ["payload"])
 
 
@@ -262,8 +266,8 @@ def jam(axis: Axis, force: float | None = None) -> Fault:
     Raises:
         ArgumentError: The force is out of range.
     """
-    _check(axis)
-    default = JAM * axis.drive.peak_torque * abs(axis.gear)
+    _check_type(axis)
+    default = DEFAULT_JAM_FACTOR * axis.drive.peak_torque * abs(axis.gear)
     more = default if force is None else force
     if not 0 < more < 1e9:
         raise ArgumentError(
@@ -279,7 +283,7 @@ def jam(axis: Axis, force: float | None = None) -> Fault:
         for field, value in zip(fields, values, strict=True):
             field[dof] = value
 
-    begin = _change(get, put, lambda before: (before[0] + more, (2 * model.opt.timestep, 1), STIFF))
+    begin = _make_change(get, put, lambda before: (before[0] + more, (2 * model.opt.timestep, 1), JAM_SOLIMP))
     return Fault(axis.stage, f"axis {axis.name}: jammed", begin, [("friction", axis.name)])
 
 
@@ -298,7 +302,7 @@ def bus_voltage(where: Axis | Stage, volts: float) -> Fault:
         ArgumentError: The voltage is out of range.
     """
     if not isinstance(where, Stage):
-        _check(where)
+        _check_type(where)
     if not 0 < volts <= 400:
         raise ArgumentError(
             f"volts={volts!r}: a supply has above 0 and up to 400 V; with phase_open there is none at all."
@@ -307,7 +311,7 @@ def bus_voltage(where: Axis | Stage, volts: float) -> Fault:
     who = "all axes" if isinstance(where, Stage) else f"axis {where.name}"
     usual = ", ".join(dict.fromkeys(f"{a.faults.bus_voltage:g} V" for a in axes))
     text = f"{who}: bus voltage {volts:g} V in place of {usual}"
-    return _change_axes(stage, axes, text, "bus_voltage", lambda before: float(volts))
+    return _make_axis_fault(stage, axes, text, "bus_voltage", lambda before: float(volts))
 
 
 @explain_arguments
@@ -321,7 +325,7 @@ def phase_open(axis: Axis, phase: str = "a") -> Fault:
     Raises:
         ArgumentError: There is no such phase; a DC motor has none.
     """
-    _check(axis)
+    _check_type(axis)
     if axis.drive.has_encoder:
         raise ArgumentError(
             f"axis {axis.name} has a DC motor, {axis.drive.motor.name}, without phases: bus_voltage takes its supply away."
@@ -329,10 +333,10 @@ def phase_open(axis: Axis, phase: str = "a") -> Fault:
     if phase not in PHASES:
         raise unknown_name_error(f"phase of axis {axis.name}", phase, PHASES)
     text = f"axis {axis.name}: phase {phase} open"
-    return _change_axes(axis.stage, [axis], text, "open_phases", lambda before: before | PHASES[phase])
+    return _make_axis_fault(axis.stage, [axis], text, "open_phases", lambda before: before | PHASES[phase])
 
 
-def _change_axes(stage: Stage, axes: list[Axis], text: str, field: str, to: Callable[[Any], Any]) -> Fault:
+def _make_axis_fault(stage: Stage, axes: list[Axis], text: str, field: str, to: Callable[[Any], Any]) -> Fault:
     """Make a fault that changes a field of `Axis.faults` on some axes, from the present value to `to(value)`."""
 
     def put(values: list[Any]) -> None:
@@ -340,7 +344,7 @@ def _change_axes(stage: Stage, axes: list[Axis], text: str, field: str, to: Call
             setattr(axis.faults, field, value)
         stage.apply_faults()
 
-    begin = _change(lambda: [getattr(a.faults, field) for a in axes], put, lambda before: [to(v) for v in before])
+    begin = _make_change(lambda: [getattr(a.faults, field) for a in axes], put, lambda before: [to(v) for v in before])
     return Fault(stage, text, begin, [(field, a.name) for a in axes])
 
 
@@ -360,7 +364,7 @@ def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
         ArgumentError: There is no such motor, it has other steps, or the axis has it already.
         ModelError: It cannot be simulated with the model's time step.
     """
-    _check(axis)
+    _check_type(axis)
     before = axis.drive
     presets: Mapping[str, Any] = before.PRESETS
     if not isinstance(motor, type(before.motor)) and not (isinstance(motor, str) and motor in presets):
@@ -373,7 +377,7 @@ def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
             f"motor={after.motor.name!r}: it has {after.motor.steps_per_turn} steps a turn, and axis {axis.name} is made for "
             f"{before.motor.steps_per_turn}: build a stage with it, drives={{{axis.name!r}: ...}}."  # type: ignore[union-attr]
         )
-    begin = _change(lambda: axis.drive, lambda drive: axis.stage.replace_drive(axis, drive), lambda _: after)
+    begin = _make_change(lambda: axis.drive, lambda drive: axis.stage.replace_drive(axis, drive), lambda _: after)
     text = f"axis {axis.name}: motor {after.motor.name} in place of {before.motor.name}"
     return Fault(axis.stage, text, begin, [("motor", axis.name)])
 
@@ -395,7 +399,7 @@ def start_skew(axis: Axis, seconds: float) -> Fault:
     Raises:
         ArgumentError: The delay is out of range.
     """
-    _check(axis)
+    _check_type(axis)
     if not 0 <= seconds < 1e9:
         raise ArgumentError(f"seconds={seconds!r}: the CPU comes back after 0 s or more.")
 
@@ -426,7 +430,7 @@ def lost_write(where: Axis | Chip, address: int | None = None, value: int | None
         ArgumentError: `skip` is not a whole number, 0 or more.
     """
     if not isinstance(where, Chip):
-        _check(where)
+        _check_type(where)
     if int(skip) != skip or skip < 0:
         raise ArgumentError(f"skip={skip!r}: a whole number of writes, 0 or more, arrive before one is lost.")
     left = int(skip)
@@ -459,7 +463,7 @@ def _make_bus_fault(where: Axis | Chip, what: str, glitch: Callable[[int, int], 
     return Fault(stage, f"{name}: {what}", begin)
 
 
-def _check(value: Any, kind: type = Axis) -> None:
+def _check_type(value: Any, kind: type = Axis) -> None:
     if not isinstance(value, kind):
         wanted = "stage.axes['x']" if kind is Axis else "a Stage"
         raise ArgumentError(f"{value!r} is not what breaks here: give {wanted}.")

@@ -119,7 +119,7 @@ class Fleet:
         self._pool: ThreadPoolExecutor | None = None
         self._background: _BackgroundPlay | None = None
         for k, stage in enumerate(self.stages):
-            handle.fill(self.handles, k, stage.state)
+            handle.fill_handle(self.handles, k, stage.state)
         self.handles["state"] = 0  # nobody takes a step back
         self._first = self.handles.ctypes.data
 
@@ -320,11 +320,13 @@ def check_programs(
         raise ArgumentError(f"programs of shape {ops.shape}: one a stage, ({n}, operations, 4).")
     ops = np.ascontiguousarray(ops, np.int64)
     model = first.model
-    _check(ops, list(first.axes), model.nsite if sites is None else sites, model.nbody if bodies is None else bodies)
+    _check_operations(
+        ops, list(first.axes), model.nsite if sites is None else sites, model.nbody if bodies is None else bodies
+    )
     return ops
 
 
-def _check(ops: np.ndarray, axes: list[str], sites: int, bodies: int) -> None:
+def _check_operations(ops: np.ndarray, axes: list[str], sites: int, bodies: int) -> None:
     """Check programs, (stages, operations, 4): compiled code trusts them.
 
     Raises:

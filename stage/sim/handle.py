@@ -45,7 +45,7 @@ AXIS_TABLE, SWITCH_TABLE, CHIP_TABLE, CLOCKWORK = (
 REAL, INTEGER = np.dtype("f8"), np.dtype("i8")
 
 
-def _array_of(name: str, length: str, dtype: np.dtype) -> Any:
+def _make_array_accessor(name: str, length: str, dtype: np.dtype) -> Any:
     """Return a hot function of a HANDLE: the array whose address and length are in these fields."""
 
     @hot
@@ -55,7 +55,7 @@ def _array_of(name: str, length: str, dtype: np.dtype) -> Any:
     return view
 
 
-def _record_of(name: str, dtype: np.dtype) -> Any:
+def _make_record_accessor(name: str, dtype: np.dtype) -> Any:
     """Return a hot function of a HANDLE: the record whose address is in this field."""
 
     @hot
@@ -65,13 +65,16 @@ def _record_of(name: str, dtype: np.dtype) -> Any:
     return view
 
 
-world, clockwork = _record_of("world", WORLD), _record_of("clockwork", CLOCKWORK)
-chips, table = _array_of("chips", "n_chips", CHIP_TABLE), _array_of("table", "n_axes", AXIS_TABLE)
-axes, drives = _array_of("axes", "n_axes", AXIS), _array_of("drives", "n_axes", DRIVE)
-switches = _array_of("switches", "n_switches", SWITCH)
-switch_table = _array_of("switch_table", "n_switches", SWITCH_TABLE)
-qpos, qvel = _array_of("qpos", "nq", REAL), _array_of("qvel", "nv", REAL)
-sensordata = _array_of("sensordata", "ns", REAL)
+world, clockwork = _make_record_accessor("world", WORLD), _make_record_accessor("clockwork", CLOCKWORK)
+chip_table, axis_table = (
+    _make_array_accessor("chips", "n_chips", CHIP_TABLE),
+    _make_array_accessor("table", "n_axes", AXIS_TABLE),
+)
+axes, drives = _make_array_accessor("axes", "n_axes", AXIS), _make_array_accessor("drives", "n_axes", DRIVE)
+switches = _make_array_accessor("switches", "n_switches", SWITCH)
+switch_table = _make_array_accessor("switch_table", "n_switches", SWITCH_TABLE)
+qpos, qvel = _make_array_accessor("qpos", "nq", REAL), _make_array_accessor("qvel", "nv", REAL)
+sensordata = _make_array_accessor("sensordata", "ns", REAL)
 
 
 @hot
@@ -118,7 +121,7 @@ def make_token() -> int:
     return next(_tokens)
 
 
-def fill(handles: np.ndarray, k: int, state: State) -> None:
+def fill_handle(handles: np.ndarray, k: int, state: State) -> None:
     """Write the HANDLE of a stage into handles[k].
 
     Args:

@@ -22,7 +22,7 @@ from stage.sim import callbacks, engine, records
 from stage.sim.handle import make_token
 from stage.sim.state import POWERED, SAVED, START, State
 
-SHORT, LONG = 0.025, 0.1  # s of real time, a piece of a long run takes between them
+MIN_PIECE_S, MAX_PIECE_S = 0.025, 0.1  # s of real time, a piece of a long run takes between them
 FIRST_PIECE_STEPS = 16  # physics steps
 IN_USE = (
     "this stage is in use, by another thread or by the run that has called MuJoCo's callback: one thread at a time runs a stage "
@@ -190,9 +190,9 @@ class Loop:
 
     def _next_piece(self, took: float) -> int:
         """Return the simulated time of the next piece of a long run, ns, where the last one took so many seconds."""
-        if took < SHORT:
+        if took < MIN_PIECE_S:
             return min(2 * self._piece, 1 << 60)
-        return max(self._piece // 2, self._dt) if took > LONG else self._piece
+        return max(self._piece // 2, self._dt) if took > MAX_PIECE_S else self._piece
 
     def _account(self, status: int, until: int) -> None:
         """Take what the engine has noted after it returned before `until`, and handle or raise what stopped it."""
@@ -260,7 +260,7 @@ class Loop:
         before = np.empty_like(self.state.saved)
         mujoco.mj_getState(model, data, before, SAVED)
         change()
-        callbacks.forward(model, data, lambda: mujoco.mj_setState(model, data, before, SAVED))
+        callbacks.forward_guarded(model, data, lambda: mujoco.mj_setState(model, data, before, SAVED))
 
     # --- what the engine has noted ---
 

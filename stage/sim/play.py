@@ -17,7 +17,7 @@ from stage.errors import SimulationError
 from stage.native import array_at, array_of, exported, greatest, hot, least, record
 from stage.sim import records
 from stage.sim.engine import advance
-from stage.sim.handle import HANDLE, REAL, chips, clockwork, drives, qpos, qvel, table, world
+from stage.sim.handle import HANDLE, REAL, axis_table, chip_table, clockwork, drives, qpos, qvel, world
 from stage.sim.program import END, KEEP, LOOK, MEASURE, READ, STOP, WAIT, WRITE
 
 PLAYED, DIVERGED = records.REACHED, records.DIVERGED
@@ -56,24 +56,24 @@ def _advance_halting(h, until):
 @hot
 def _has_lost_step(h, mask):
     """Return whether an axis in the mask has lost a step."""
-    w, axes = world(h), table(h)
+    w, axes = world(h), axis_table(h)
     tau = (w.now - w.start - 0.5 * clockwork(h).dt) * 1e-9
     for k in range(h.n_axes):
         if mask >> k & 1:
             t = axes[k]
-            net = cores.net(chips(h)[t.chip], t.chip_axis)
-            if drive.lost_steps(drives(h)[k], float(net), (qpos(h)[t.qpos] + qvel(h)[t.dof] * tau) * t.gear) != 0:
+            net = cores.net(chip_table(h)[t.chip], t.chip_axis)
+            if drive.count_lost_steps(drives(h)[k], float(net), (qpos(h)[t.qpos] + qvel(h)[t.dof] * tau) * t.gear) != 0:
                 return True
     return False
 
 
 @hot
-def _until_stopped(h, mask, poll, limit, keep_step):
+def _poll_until_stopped(h, mask, poll, limit, keep_step):
     """Poll the axes in the mask until none is in motion.
 
     Returns (as `_advance_halting`, or STEP_LOST; ns that it took, negative where `limit` or a lost step came first).
     """
-    w, axes = world(h), table(h)
+    w, axes = world(h), axis_table(h)
     begin, left = w.now, mask
     while True:
         for k in range(h.n_axes):
@@ -81,7 +81,7 @@ def _until_stopped(h, mask, poll, limit, keep_step):
                 bad = _advance_halting(h, w.now + h.bus)
                 if bad:
                     return bad, 0
-                if not cores.busy(chips(h)[axes[k].chip], axes[k].chip_axis):
+                if not cores.busy(chip_table(h)[axes[k].chip], axes[k].chip_axis):
                     left &= ~(1 << k)
         took = w.now - begin
         if keep_step and _has_lost_step(h, mask):
@@ -119,16 +119,16 @@ def _measure(h, end, point, extremes):
 @hot
 def play_one(h, ops, results, extremes):
     """Play `ops` on the stage of handle `h`; return PLAYED, DIVERGED or why it could not be played."""
-    w, axes = world(h), table(h)
+    w, axes = world(h), axis_table(h)
     for j in range(len(ops)):
         kind, a, b, c = ops[j, 0], ops[j, 1], ops[j, 2], ops[j, 3]
         bad = 0
         if kind == END:
             break
         if kind == STOP:
-            bad, results[j] = _until_stopped(h, a, b, c, False)
+            bad, results[j] = _poll_until_stopped(h, a, b, c, False)
         elif kind == KEEP:
-            bad, results[j] = _until_stopped(h, a, b, c, True)
+            bad, results[j] = _poll_until_stopped(h, a, b, c, True)
             if bad == STEP_LOST:
                 break
         elif kind == MEASURE:
@@ -146,9 +146,9 @@ def play_one(h, ops, results, extremes):
         else:
             bad = _advance_halting(h, w.now + h.bus)
             if not bad and kind == WRITE:
-                cores.write(chips(h)[axes[a].chip], b, c)
+                cores.write(chip_table(h)[axes[a].chip], b, c)
             elif not bad:
-                results[j] = cores.read(chips(h)[axes[a].chip], b)
+                results[j] = cores.read(chip_table(h)[axes[a].chip], b)
         if bad:
             return bad
     return PLAYED
@@ -171,8 +171,8 @@ def inspect_axis(world, c, t, d, clockwork, qpos, qvel, out):
     q = qpos[t.qpos] + v * tau
     theta = q * t.gear
     out.now, out.position, out.velocity = world.now, q, v
-    out.commanded = q + drive.lag(d, float(net), theta) / t.gear
-    out.lost_steps = drive.lost_steps(d, float(net), theta)
+    out.commanded = q + drive.compute_lag(d, float(net), theta) / t.gear
+    out.lost_steps = drive.count_lost_steps(d, float(net), theta)
     out.pulses, out.counter, out.inputs = net, cores.counter(c, j), cores.inputs(c, j)
     out.outputs, out.status, out.busy = cores.outputs(c, j), cores.status(c, j), 1 if cores.busy(c, j) else 0
 
@@ -182,14 +182,14 @@ def inspect_axes(handles, begin, end, truth):
     """Fill truth[k, a] for every axis of the stages begin..end-1."""
     for k in range(begin, end):
         h = handles[k]
-        axes = table(h)
+        axes = axis_table(h)
         for a in range(h.n_axes):
-            c = chips(h)[axes[a].chip]
+            c = chip_table(h)[axes[a].chip]
             inspect_axis(world(h), c, axes[a], drives(h)[a], clockwork(h), qpos(h), qvel(h), truth[k, a])
 
 
 @hot
-def write_all(chip, ops, axes):
+def write_program_cycles(chip, ops, axes):
     """Write the write cycles of a program to a chip, for the axes in the mask."""
     for j in range(len(ops)):
         if ops[j, 0] == WRITE and axes >> ops[j, 1] & 1:
@@ -199,7 +199,7 @@ def write_all(chip, ops, axes):
 @exported(None, cores.CHIP, array_of("i8", 2), "i8")
 def write_cycles(chip, ops, axes):
     """Write the write cycles of a program to the chip whose axes are in the mask, at one clock."""
-    write_all(chip, ops, axes)
+    write_program_cycles(chip, ops, axes)
 
 
 @exported("i8", cores.CHIP, array_of("i8", 2), "i8", "i8", "i8")
@@ -209,7 +209,7 @@ def predict_pulses(chip, ops, axes, axis, until):
     Returns:
         The pulses; STILL_BUSY if the axis is in motion then.
     """
-    write_all(chip, ops, axes)
+    write_program_cycles(chip, ops, axes)
     cores.run(chip, until)
     return STILL_BUSY if cores.busy(chip, axis) else cores.net(chip, axis)
 

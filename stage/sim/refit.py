@@ -15,14 +15,16 @@ from stage.drives.motors import Drive
 from stage.errors import ArgumentError
 from stage.sim import callbacks
 from stage.sim.integration import check_dampers, check_step
-from stage.sim.plant import fitted_values
+from stage.sim.plant import view_fitted_values
 from stage.sim.state import SAVED, State
 
 if TYPE_CHECKING:
     from stage.sim.axis import Axis
 
 
-def fit_model(model: Any, here: mujoco.MjData, axes: Sequence[Axis], axis: Axis, drive: Drive | Servo) -> None:
+def replace_motor_in_model(
+    model: Any, here: mujoco.MjData, axes: Sequence[Axis], axis: Axis, drive: Drive | Servo
+) -> None:
     """Fit the rotor and the core loss of a drive's motor to the joint of an axis in place of its own.
 
     A <dcmotor> gets its constants.
@@ -51,14 +53,14 @@ def fit_model(model: Any, here: mujoco.MjData, axes: Sequence[Axis], axis: Axis,
             f"of its {axis.drive.motor.name} makes alone: build a stage with the other motor."
         )
     trial = copy.copy(model)
-    _fit(trial, axis, drive, armature)
+    _set_model_values(trial, axis, drive, armature)
     data = mujoco.MjData(trial)
     data.time, data.qpos[:] = here.time, here.qpos
-    callbacks.forward(trial, data)
+    callbacks.forward_guarded(trial, data)
     plants, drives = [a.plant for a in axes], [drive if a is axis else a.drive for a in axes]
     check_dampers(trial, plants, drives)
     check_step(trial, data, plants, drives)
-    _fit(model, axis, drive, armature)
+    _set_model_values(model, axis, drive, armature)
 
 
 def vary_drive(axis: Axis, drive: Drive | Servo) -> None:
@@ -74,32 +76,32 @@ def vary_drive(axis: Axis, drive: Drive | Servo) -> None:
     stage, model, actuator = axis.stage, axis.stage.model, axis.plant.actuator
     stage.prepare_change()
     damped = bool(model.actuator_damping[actuator])
-    _fit_windings(model, axis, drive)
+    _set_windings(model, axis, drive)
     if bool(model.actuator_damping[actuator]) != damped:
         mujoco.mj_setConst(model, mujoco.MjData(model))
-    fit_record(stage.state, axis, drive, stage.state.drives[axis.index])
+    set_drive_record(stage.state, axis, drive, stage.state.drives[axis.index])
     axis.drive, axis.faults.bus_voltage = drive, drive.bus_voltage
     stage.apply_faults()
 
 
-def _fit(model: Any, axis: Axis, drive: Drive | Servo, armature: float) -> None:
+def _set_model_values(model: Any, axis: Axis, drive: Drive | Servo, armature: float) -> None:
     model.dof_armature[axis.plant.dof] = armature
-    fitted = fitted_values(model, axis.name)
+    fitted = view_fitted_values(model, axis.name)
     fitted[0] = drive.motor.rotor_inertia if axis.plant.motor else 0.0
-    _fit_windings(model, axis, drive)
+    _set_windings(model, axis, drive)
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-def _fit_windings(model: Any, axis: Axis, drive: Drive | Servo) -> None:
+def _set_windings(model: Any, axis: Axis, drive: Drive | Servo) -> None:
     if isinstance(drive, Drive) and isinstance(axis.drive, Drive):
         damping = model.actuator_damping[axis.plant.actuator : axis.plant.actuator + 1]
         if damping[0] == axis.drive.motor.core_loss_damping:  # else it is the model's own
-            damping[0] = fitted_values(model, axis.name)[1] = drive.motor.core_loss_damping
+            damping[0] = view_fitted_values(model, axis.name)[1] = drive.motor.core_loss_damping
     elif isinstance(drive, Servo):
         model.actuator_gainprm[axis.plant.actuator, :2] = drive.motor.resistance, drive.motor.torque_constant
 
 
-def fit_record(state: State, axis: Axis, drive: Drive | Servo, record: Any) -> None:
+def set_drive_record(state: State, axis: Axis, drive: Drive | Servo, record: Any) -> None:
     """Write the constants of a drive into a DRIVE record. Its angle stays and its currents follow: no jump, no lost step.
 
     Args:
@@ -114,7 +116,7 @@ def fit_record(state: State, axis: Axis, drive: Drive | Servo, record: Any) -> N
         record.current = current  # is the chip's to say
 
 
-def fit_power_up(state: State, axis: Axis, drive: Drive | Servo, before: np.ndarray) -> np.ndarray:
+def compute_power_up_state(state: State, axis: Axis, drive: Drive | Servo, before: np.ndarray) -> np.ndarray:
     """Return the state of power-up with another drive; its currents are settled.
 
     Args:
@@ -129,8 +131,8 @@ def fit_power_up(state: State, axis: Axis, drive: Drive | Servo, before: np.ndar
     begin = (state.drives.ctypes.data - state.data.userdata.ctypes.data) // data.userdata.itemsize
     words = state.drives.nbytes // data.userdata.itemsize
     record = data.userdata[begin : begin + words].view(state.drives.dtype)[axis.index]
-    fit_record(state, axis, drive, record)
-    any_drive.align(record, 0.0, float(data.qpos[axis.plant.qpos]) * axis.gear)
+    set_drive_record(state, axis, drive, record)
+    any_drive.power_up(record, 0.0, float(data.qpos[axis.plant.qpos]) * axis.gear)
     after = before.copy()
     mujoco.mj_getState(state.model, data, after[:n], SAVED)
     return after

@@ -39,7 +39,7 @@ class Snapshot(FiledSnapshot):
         return tuple(parse_diagnostics(chip) for chip in chips)
 
 
-def header(
+def describe_stage(
     state: State,
     axes: Iterable[Axis],
     mechanics: str,
@@ -52,7 +52,7 @@ def header(
     Args:
         state: State of the stage.
         axes: Its axes.
-        mechanics: Of `fingerprint.mechanics`.
+        mechanics: Of `fingerprint.compute_mechanics_digest`.
         encoders: Encoders that its chips count.
         followers: (follower, leader) axes at SYNI.
         linked: Axes whose chips the lines of multichip interpolation join.

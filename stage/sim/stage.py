@@ -31,15 +31,15 @@ from stage.errors import ArgumentError, RunTimeout, StageError, unknown_name_err
 from stage.sim import callbacks, encoder, engine, handle, integration, plant, records
 from stage.sim.axis import Axes, Axis, format_axes_table
 from stage.sim.chip_wires import Wires, WiringChoice, choose_leaders, choose_linked_axes, choose_wiring
-from stage.sim.chips_and_drives import ChipChoice, DriveChoice, fit_rotors, wire
+from stage.sim.chips_and_drives import ChipChoice, DriveChoice, choose_chips_and_drives, fit_rotors
 from stage.sim.device_state import DeviceState
 from stage.sim.encoder import EncoderChoice
-from stage.sim.fingerprint import mechanics
+from stage.sim.fingerprint import compute_mechanics_digest
 from stage.sim.loop import Loop
 from stage.sim.payload import Payloads
-from stage.sim.refit import fit_model, fit_power_up, fit_record
-from stage.sim.snapshot import Snapshot, header
-from stage.sim.state import SAVED, State, chips_of, words_needed
+from stage.sim.refit import compute_power_up_state, replace_motor_in_model, set_drive_record
+from stage.sim.snapshot import Snapshot, describe_stage
+from stage.sim.state import SAVED, State, count_state_words, list_chips
 from stage.support import html, snapshots
 from stage.support.arguments import explain_arguments
 from stage.support.snapshots import Header
@@ -110,16 +110,16 @@ class Stage:
         spec = plant.open_spec(model)
         if not visuals:
             plant.discard_visuals(spec)
-        names, chip_axes, drives_chosen = wire(spec, chips, drives, clock)
+        names, chip_axes, drives_chosen = choose_chips_and_drives(spec, chips, drives, clock)
         self._encoders = encoder.choose_encoders(encoders, names, chip_axes)
         self._followers = choose_leaders(syni, names, chip_axes)
         self._linked, _ = choose_linked_axes(multichip, names, chip_axes)
-        self.model, offset = plant.compile_spec(spec, words_needed(chip_axes, 5 * len(names)))
+        self.model, offset = plant.compile_spec(spec, count_state_words(chip_axes, 5 * len(names)))
         integration.check_options(self.model)
         try:
             self._build(names, chip_axes, drives_chosen, round(bus_cycle * 1e9), offset, wiring)
         except BaseException:
-            for chip in chips_of(chip_axes):
+            for chip in list_chips(chip_axes):
                 chip.detach()
             raise
 
@@ -135,14 +135,14 @@ class Stage:
         self._plant = plant.bind(self.model, names)
         self._positive = choose_wiring(wiring, self._plant, chip_axes)
         fit_rotors(self.model, self._plant, chip_axes, drives)
-        self._mechanics = mechanics(self.model)
+        self._mechanics = compute_mechanics_digest(self.model)
         self._wire(chip_axes, drives, bus, offset)
         for k, d in enumerate(drives):
             d.fill(self.state.drives[k])
-        callbacks.forward(self.model, self.data)
+        callbacks.forward_guarded(self.model, self.data)
         integration.check_dampers(self.model, self._plant, drives)
         integration.check_step(self.model, self.data, self._plant, drives)
-        engine.settle.with_gil(self.state.pointer)
+        engine.find_switch_levels.with_gil(self.state.pointer)
         self.run_to(0)
         self._initial = self.snapshot()
 
@@ -162,7 +162,7 @@ class Stage:
         self.state = State(self.model, offset, self._plant, chip_axes, drives, bus, per_unit, wires)
         for follower, leader in wires.leaders.items():
             follower.syni = leader  # type: ignore[attr-defined]
-        self.data, self.chips = self.state.data, chips_of(chip_axes)
+        self.data, self.chips = self.state.data, list_chips(chip_axes)
         self.loop = Loop(self.state, self.chips, self._power_up)
         for chip, rows in zip(self.chips, self.state.chips, strict=True):
             chip.attach(self.loop, rows)
@@ -176,7 +176,7 @@ class Stage:
 
     def _make_header(self) -> Header:
         """Describe what the stage's snapshots are taken of, without devices."""
-        return header(self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked)
+        return describe_stage(self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked)
 
     @property
     def lock(self) -> Lock | None:
@@ -391,15 +391,15 @@ class Stage:
         self.prepare_change()
         self.loop.check_state_allowed()
         with self.loop.claimed():
-            fit_model(self.model, self.data, self._axes, axis, drive)
+            replace_motor_in_model(self.model, self.data, self._axes, axis, drive)
             axis.drive = drive
-            fit_record(self.state, axis, drive, self.state.drives[axis.index])
+            set_drive_record(self.state, axis, drive, self.state.drives[axis.index])
         self.apply_faults()
         before = self._initial
         self._bare = self._make_header()
         self._header = Header(self._bare.parts + self.device_state.header_part)
         self._initial = _make_snapshot(
-            self._header, fit_power_up(self.state, axis, drive, before.state), before.diagnostics
+            self._header, compute_power_up_state(self.state, axis, drive, before.state), before.diagnostics
         )
 
     @exclusive
@@ -445,7 +445,7 @@ class Stage:
         self._settle([(self.data.qpos, qpos), (self.data.qvel, qvel)])
 
     def _settle(self, changes: Iterable[tuple[np.ndarray, np.ndarray]]) -> None:
-        """Give arrays of MuJoCo new values, as carriages are placed, and find switch levels and edges again (`engine.settle`)."""
+        """Give arrays of MuJoCo new values, as carriages are placed, and find switch levels and edges again."""
 
         def put() -> None:
             for here, values in changes:
@@ -453,7 +453,7 @@ class Stage:
 
         with self.loop.claimed():
             self.loop.apply_change(put)
-            engine.settle.with_gil(self.state.pointer)
+            engine.find_switch_levels.with_gil(self.state.pointer)
         for axis in self._axes:
             chip: Any = axis.chip
             if chip.open_journal is not None:

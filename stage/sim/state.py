@@ -18,7 +18,7 @@ from stage.chips import Chip, ChipAxis, cores
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.drives.stepper import DRIVE
-from stage.native import address_of, plain
+from stage.native import address_of, without_attributes
 from stage.sim import callbacks, handle, libmujoco, records
 from stage.sim.chip_wires import Wires
 from stage.sim.plant import PlantAxis
@@ -34,7 +34,7 @@ class State:
     """Records of one stage.
 
     Args:
-        model: Model with room for the state in its userdata, see `words_needed`.
+        model: Model with room for the state in its userdata, see `count_state_words`.
         offset: Word of userdata at which the state begins.
         plant: Axes of the model.
         chip_axes: Axes of the chips, one an axis.
@@ -107,15 +107,15 @@ class State:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model, self.data = model, mujoco.MjData(model)
         self.offset, self.bus, self.dt = offset, bus, round(model.opt.timestep * 1e9)
-        chips = chips_of(chip_axes)
+        chips = list_chips(chip_axes)
         self._cut(len(plant), sum(len(p.switches) for p in plant), chips)
         self._set_clockwork(sum(isinstance(drive, Servo) for drive in drives) + sum(map(bool, encoders)))
         self._set_chip_table(chips, wires.leaders, wires.linked)
         self._set_axis_table(plant, chip_axes, drives, chips, encoders, wires)
         self.saved = np.zeros(mujoco.mj_stateSize(model, SAVED))
         rows = np.zeros(1, handle.HANDLE)
-        handle.fill(rows, 0, self)
-        self.pointer, self.handle = rows.ctypes.data, rows.view(plain(handle.HANDLE))[0]
+        handle.fill_handle(rows, 0, self)
+        self.pointer, self.handle = rows.ctypes.data, rows.view(without_attributes(handle.HANDLE))[0]
         max_edges = records.EDGES_A_WINDOW * len(plant)
         for chip in wires.linked:  # a pulse a clock, and what goes before and after it
             max_edges += records.clock_at(self.dt, chip.clock_hz) + LINK_EDGES
@@ -228,12 +228,12 @@ class State:
         self.clockwork["flag_edges"], self.clockwork["n_flag_edges"] = address_of(self.flag_edges), len(flag_edges)
 
 
-def chips_of(axes: Sequence[ChipAxis]) -> tuple[Chip, ...]:
+def list_chips(axes: Sequence[ChipAxis]) -> tuple[Chip, ...]:
     """Return the chips of some axes, each once."""
     return tuple(dict.fromkeys(axis.chip for axis in axes))
 
 
-def words_needed(axes: Sequence[ChipAxis], switches: int) -> int:
+def count_state_words(axes: Sequence[ChipAxis], switches: int) -> int:
     """Return how many float64 words of userdata the state of a stage takes.
 
     Args:
@@ -241,6 +241,6 @@ def words_needed(axes: Sequence[ChipAxis], switches: int) -> int:
         switches: Number of its switches.
     """
     per_axis = records.AXIS.itemsize + DRIVE.itemsize
-    rows = sum(chip.CORE.STATE.itemsize for chip in chips_of(axes))
-    latches = len(chips_of(axes)) * records.ADDRESS.itemsize
+    rows = sum(chip.CORE.STATE.itemsize for chip in list_chips(axes))
+    latches = len(list_chips(axes)) * records.ADDRESS.itemsize
     return (records.WORLD.itemsize + len(axes) * per_axis + rows + switches * records.SWITCH.itemsize + latches) // 8

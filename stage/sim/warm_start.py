@@ -12,7 +12,7 @@ from stage.native import hot
 
 
 @hot
-def force_change(axis, t, d, effort_change, speed, damping, core_loss):
+def compute_force_change(axis, t, d, effort_change, speed, damping, core_loss):
     """Return the change of a joint's force since the last physics step, N or N m, and note the joint's speed for the next step.
 
     Args:
@@ -25,7 +25,7 @@ def force_change(axis, t, d, effort_change, speed, damping, core_loss):
     speed_change = speed - axis.speed
     axis.speed = speed
     rotor_change = speed_change * t.gear
-    torque_change = drive.torque_change(d, effort_change, rotor_change) - core_loss * rotor_change
+    torque_change = drive.compute_torque_change(d, effort_change, rotor_change) - core_loss * rotor_change
     return torque_change * t.gear - damping * speed_change
 
 
@@ -41,7 +41,7 @@ def apply_effort(clock, axis, t, d, q, v, ctrl, accelerations, inertia, damping,
     """
     speed, before = v[t.dof], ctrl[t.actuator]
     gain = clock.half * t.gear * t.gear / inertia[t.dof]
-    effort = drive.effort(d, axis.counts, clock.slices, q[t.qpos] * t.gear, speed * t.gear, clock.h, gain)
+    effort = drive.compute_effort(d, axis.counts, clock.slices, q[t.qpos] * t.gear, speed * t.gear, clock.h, gain)
     ctrl[t.actuator] = effort
-    change = force_change(axis, t, d, effort - before, speed, damping[t.dof], core_loss[t.actuator])
+    change = compute_force_change(axis, t, d, effort - before, speed, damping[t.dof], core_loss[t.actuator])
     accelerations[t.dof] += change / inertia[t.dof]

@@ -23,7 +23,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from stage.drives.dynamometer import closed_form, natural_frequency, pull_in
+from stage.drives.dynamometer import compute_closed_form, compute_natural_frequency, find_pull_in_rate
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError
 from stage.firmware import Profile
@@ -101,7 +101,7 @@ class Load:
             limit = self.drive.current_limit
             return thrust if limit is None else np.minimum(thrust, limit * motor.torque_constant * self.gear)
         rpm = speed * self.gear * 60 / (2 * np.pi)
-        return closed_form(self.drive.motor, self.drive.bus_voltage, self.drive.amplitude, rpm) * self.gear
+        return compute_closed_form(self.drive.motor, self.drive.bus_voltage, self.drive.amplitude, rpm) * self.gear
 
     @property
     def inertia_at_rotor(self) -> float:
@@ -121,7 +121,7 @@ def measure_unloaded_pull_in(drive: Drive) -> float:
 
     For a real motor it is in the data sheet.
     """
-    return pull_in(drive, drive.motor.rotor_inertia)
+    return find_pull_in_rate(drive, drive.motor.rotor_inertia)
 
 
 def compute_speeds(load: Load, pulses: int, safety_factor: float = SAFETY_FACTOR) -> Speeds:
@@ -146,7 +146,7 @@ def compute_speeds(load: Load, pulses: int, safety_factor: float = SAFETY_FACTOR
     swing_limit = np.full(len(top), np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):  # beyond the speed at which the motor has no torque left
         if load.is_stepper:
-            swing_limit = (top - start) * natural_frequency(load.drive, load.inertia_at_rotor) / MIN_RAMP_SWINGS
+            swing_limit = (top - start) * compute_natural_frequency(load.drive, load.inertia_at_rotor) / MIN_RAMP_SWINGS
         net_thrust = thrust - load.weight  # the move must work in both directions
         acceleration, deceleration = (
             np.minimum(force / load.mass, swing_limit) for force in (net_thrust - friction, net_thrust + friction)

@@ -16,7 +16,7 @@ import numpy as np
 
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import MAX_BUS_VOLTAGE, Drive, read_tolerance
-from stage.drives.spread import estimate_spread, vary
+from stage.drives.spread import estimate_spread, vary_motor
 from stage.sim.refit import vary_drive
 from stage.support import portable
 
@@ -114,7 +114,7 @@ def draw_machines(axis: Any, rng: np.random.Generator, count: int) -> list[Machi
 def _build(drive: Drive | Servo, values: dict[str, float]) -> Machine:
     motor: Any = replace(drive.motor, resistance=values["resistance"])
     if isinstance(drive, Drive):
-        motor = vary(motor, values.get("core loss"), values["inductance"])
+        motor = vary_motor(motor, values.get("core loss"), values["inductance"])
     return Machine(replace(drive, motor=motor, bus_voltage=values["supply"]), values["friction"])
 
 

@@ -13,7 +13,14 @@ from scipy.integrate import solve_ivp
 from stage import ArgumentError, ModelError, Stage
 from stage.chips import PCL240K
 from stage.drives import stepper
-from stage.drives.dynamometer import bound_by_both, closed_form, follow, pull_out, pulses, slices
+from stage.drives.dynamometer import (
+    compute_closed_form,
+    compute_joint_bound,
+    compute_mean_counts,
+    count_slices,
+    simulate_motor,
+    simulate_pull_out,
+)
 from stage.drives.motors import Drive, Motor
 from stage.sim import faults
 from stage.tune.formula import Load
@@ -41,7 +48,7 @@ def test_current_lost_in_each_phase_brakes_like_a_constant_damping_at_any_angle(
         assert block == pytest.approx(KM * (ib * c - ia * s) - LOSSY.core_loss_damping * speed, rel=1e-12)
 
 
-@pytest.mark.parametrize("curve", [closed_form, bound_by_both])
+@pytest.mark.parametrize("curve", [compute_closed_form, compute_joint_bound])
 def test_closed_forms_are_less_by_the_loss_and_never_negative(curve):
     lossless, lossy = curve(LOSSLESS, 24, 2.0, RPM), curve(LOSSY, 24, 2.0, RPM)
     assert lossy == pytest.approx(np.maximum(lossless - DAMPING * W, 0), rel=1e-12)
@@ -49,12 +56,14 @@ def test_closed_forms_are_less_by_the_loss_and_never_negative(curve):
 
 
 def test_the_bench_finds_the_closed_form_less_the_loss():
-    assert pull_out(Drive(LOSSY, **SINE), RPM[:3]) == pytest.approx(closed_form(LOSSY, 24, 2.0, RPM[:3]), rel=0.01)
+    assert simulate_pull_out(Drive(LOSSY, **SINE), RPM[:3]) == pytest.approx(
+        compute_closed_form(LOSSY, 24, 2.0, RPM[:3]), rel=0.01
+    )
 
 
 def test_a_motor_that_its_core_loss_alone_holds_back_has_no_pull_out_torque():
-    assert pull_out(Drive(LOSSY, **SINE), [3000]) == 0.0
-    assert pull_out(Drive(LOSSLESS, **SINE), [3000]) > 0.05
+    assert simulate_pull_out(Drive(LOSSY, **SINE), [3000]) == 0.0
+    assert simulate_pull_out(Drive(LOSSLESS, **SINE), [3000]) > 0.05
 
 
 def pull_out_by_ode(motor, volts, current, speed, sine):
@@ -104,7 +113,7 @@ def pull_out_by_ode(motor, volts, current, speed, sine):
 @pytest.mark.parametrize(("rpm", "sine"), [(1500, True), (900, False), (1500, False)])
 def test_an_independent_solver_finds_the_pull_out_torque_of_the_bench(rpm, sine):
     expected = pull_out_by_ode(LOSSY, 24.0, 2.0, rpm * 2 * math.pi / 60, sine)
-    simulated = pull_out(Drive(LOSSY, **(SINE if sine else {"microsteps": 64})), [rpm])[0]
+    simulated = simulate_pull_out(Drive(LOSSY, **(SINE if sine else {"microsteps": 64})), [rpm])[0]
     print(rpm, sine, simulated, expected)
     assert simulated == pytest.approx(expected, rel=5e-3)
 
@@ -122,7 +131,7 @@ def test_the_windows_of_a_stage_have_the_pull_out_torque_of_an_independent_solve
             middle = speed * 8 * slice_s * (k + 0.5)
             times = 8 * slice_s * k + slice_s * (np.arange(8) + 0.5)
             counts = (50 * speed * times + lead) / drive.per_pulse
-            torques.append(stepper.mean_torque(rows[0], counts, 8, middle, speed, slice_s))
+            torques.append(stepper.compute_mean_torque(rows[0], counts, 8, middle, speed, slice_s))
         means.append(np.mean(torques[-16:]))
     a, b, c = means[np.argmax(means) - 1 : np.argmax(means) + 2]
     best = b + (a - c) ** 2 / (8 * (2 * b - a - c))
@@ -134,8 +143,8 @@ def test_the_windows_of_a_stage_have_the_pull_out_torque_of_an_independent_solve
 def test_torque_of_the_field_in_step_is_the_load_and_the_core_loss():
     """Energy balance of a turning motor: the power of the field goes into the brake and the core."""
     drive, speed, load = Drive(LOSSY, 64), 600 * 2 * math.pi / 60, 0.1
-    counts = pulses(np.full(slices(0.6), speed / (2 * math.pi) * drive.pulses_per_turn))
-    trace = follow(drive, counts, 10 * LOSSY.rotor_inertia, load, 0.0, 0.02, omega=speed)[slices(0.4) :]
+    counts = compute_mean_counts(np.full(count_slices(0.6), speed / (2 * math.pi) * drive.pulses_per_turn))
+    trace = simulate_motor(drive, counts, 10 * LOSSY.rotor_inertia, load, 0.0, 0.02, omega=speed)[count_slices(0.4) :]
     assert trace["omega"].mean() == pytest.approx(speed, rel=1e-4)
     assert trace["torque"].mean() == pytest.approx(load + DAMPING * speed, rel=5e-3)
 
@@ -248,8 +257,8 @@ def test_a_negative_or_infinite_loss_is_refused_in_one_sentence(bad):
 def test_an_effective_inductance_takes_the_place_of_the_data_sheet_s():
     effective = replace(LOSSLESS, effective_inductance=4.0e-3)
     assert (effective.inductance, effective.phase_inductance, LOSSLESS.phase_inductance) == (3.0e-3, 4.0e-3, 3.0e-3)
-    assert closed_form(effective, 24, 2.0, RPM) == pytest.approx(
-        closed_form(replace(LOSSLESS, inductance=4.0e-3), 24, 2.0, RPM)
+    assert compute_closed_form(effective, 24, 2.0, RPM) == pytest.approx(
+        compute_closed_form(replace(LOSSLESS, inductance=4.0e-3), 24, 2.0, RPM)
     )
     with pytest.raises(ArgumentError, match="effective_inductance=-1: give a number above 0, up to 1 H"):
         replace(LOSSLESS, effective_inductance=-1)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stage.drives.dynamometer import pull_out
+from stage.drives.dynamometer import simulate_pull_out
 from stage.drives.motors import Drive, find_motor
 
 MOTOR = find_motor("17HS4401")
@@ -47,6 +47,6 @@ def test_a_voltage_that_gives_the_rated_current_at_rest_is_unstable_from_mid_ban
 
 def test_the_damper_of_the_bench_hides_torque_that_mid_band_instability_takes():
     drive, rpm = Drive(MOTOR), [600, 1200]
-    damped, bare = pull_out(drive, rpm), pull_out(drive, rpm, damping_ratio=0.0)
+    damped, bare = simulate_pull_out(drive, rpm), simulate_pull_out(drive, rpm, damping_ratio=0.0)
     assert damped == pytest.approx([0.259, 0.189], abs=2e-3)
     assert bare == pytest.approx([0.259, 0.136], abs=3e-3), "the chopper still controls the current at 600 rpm"

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stage.drives.dynamometer import pull_out_table
+from stage.drives.dynamometer import tabulate_pull_out
 from stage.drives.motors import Drive
 from stage.drives.picture import plot_pull_out
 
@@ -14,7 +14,7 @@ RPM = [300, 900, 1500]
 
 @pytest.fixture(scope="module")
 def table():
-    return pull_out_table(Drive(), RPM)
+    return tabulate_pull_out(Drive(), RPM)
 
 
 def test_a_table_has_a_row_for_each_speed_with_the_closed_form(table):
@@ -27,12 +27,12 @@ def test_a_table_has_a_row_for_each_speed_with_the_closed_form(table):
 
 def test_a_table_has_the_full_steps_of_its_motor():
     fine = replace(Drive().motor, steps_per_turn=400)
-    assert str(pull_out_table(Drive(fine), [300])).splitlines()[1].split()[:2] == ["300", "2000"]
+    assert str(tabulate_pull_out(Drive(fine), [300])).splitlines()[1].split()[:2] == ["300", "2000"]
 
 
 def test_progress_is_reported_from_the_first_speed_to_the_last():
     reports = []
-    pull_out_table(Drive(), RPM, reports.append)
+    tabulate_pull_out(Drive(), RPM, reports.append)
     assert reports == pytest.approx([1 / 3, 2 / 3, 1])
 
 

@@ -9,11 +9,11 @@ import pytest
 
 from stage import ArgumentError
 from stage.cli import main
-from stage.drives.dynamometer import pull_out, pull_out_table
+from stage.drives.dynamometer import simulate_pull_out, tabulate_pull_out
 from stage.drives.motors import MOTORS, Drive, describe_core_loss, estimate_core_loss, find_motor
 from stage.drives.picture import plot_pull_out
 from stage.drives.published_curves import PUBLISHED_CURVES, PublishedCurve, fit_curve
-from stage.drives.spread import vary
+from stage.drives.spread import vary_motor
 
 CURVE = PUBLISHED_CURVES["17HS19-2004S1"]
 DATA_SHEET = replace(
@@ -154,7 +154,7 @@ def test_a_bench_refuses_a_damper_that_is_none(ratio):
     with pytest.raises(
         ArgumentError, match=f"^damping_ratio={ratio!r}: give a number from 0 up to 10 times critical.$"
     ):
-        pull_out(Drive(), [600], damping_ratio=ratio)
+        simulate_pull_out(Drive(), [600], damping_ratio=ratio)
 
 
 @pytest.mark.parametrize(
@@ -192,7 +192,7 @@ def test_the_picture_has_the_published_points_or_the_band_of_the_likely_loss():
         ("17HS4401", "likely: core loss 0.0002 to 0.00064 N m s/rad"),
     ):
         drive = Drive(name)
-        (ax,) = plot_pull_out(drive, pull_out_table(drive, [300, 900])).axes
+        (ax,) = plot_pull_out(drive, tabulate_pull_out(drive, [300, 900])).axes
         assert label in [text.get_text() for text in ax.get_legend().get_texts()]
     published = next(
         line for line in plot_pull_out(*both("17HS19-2004S1")).axes[0].lines if "published" in line.get_label()
@@ -207,19 +207,19 @@ def test_the_band_of_the_likely_loss_ends_where_such_motors_have_no_torque():
         estimate_core_loss(find_motor("17HS4401")),
         [900, 1650, 2400],
     )
-    (ax,) = plot_pull_out(drive, pull_out_table(drive, rpm)).axes
+    (ax,) = plot_pull_out(drive, tabulate_pull_out(drive, rpm)).axes
     band = next(drawn for drawn in ax.collections if "likely" in str(drawn.get_label())).get_paths()[0].vertices
     for loss, reach in ((likely.low, np.max), (likely.high, np.min)):
-        simulated = pull_out(replace(drive, motor=vary(drive.motor, core_loss_damping=loss)), rpm)
+        simulated = simulate_pull_out(replace(drive, motor=vary_motor(drive.motor, core_loss_damping=loss)), rpm)
         assert [reach(band[band[:, 0] == speed, 1]) for speed in rpm] == pytest.approx(list(simulated))
 
 
 def both(name):
-    return Drive(name), pull_out_table(Drive(name), [300, 900])
+    return Drive(name), tabulate_pull_out(Drive(name), [300, 900])
 
 
 def test_pullout_compares_with_the_published_curve(capsys, monkeypatch):
-    monkeypatch.setattr("stage.drives.dynamometer.pull_out_table", lambda drive, progress: "table")
+    monkeypatch.setattr("stage.drives.dynamometer.tabulate_pull_out", lambda drive, progress: "table")
     assert main(["pullout", "--motor", CURVE.motor]) == 0
     output = capsys.readouterr().out
     assert CURVE.source in output

@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 
 from stage import ArgumentError
-from stage.drives.dynamometer import bound_by_both, closed_form
+from stage.drives.dynamometer import compute_closed_form, compute_joint_bound
 from stage.drives.motors import EVIDENCE, MOTORS, describe_core_loss, estimate_core_loss, find_motor, read_tolerance
 from stage.drives.published_curves import PUBLISHED_CURVES, fit_curve
-from stage.drives.spread import estimate_spread, vary
+from stage.drives.spread import estimate_spread, vary_motor
 
 CURVE = PUBLISHED_CURVES["17HS19-2004S1"]
 
@@ -92,16 +92,22 @@ def test_functions_of_a_motor_take_the_name_of_a_preset():
     name, m = "17HS4401", find_motor("17HS4401")
     assert estimate_core_loss(name) == estimate_core_loss(m)
     assert estimate_spread(name) == estimate_spread(m)
-    assert vary(name, inductance=3e-3) == vary(m, inductance=3e-3)
+    assert vary_motor(name, inductance=3e-3) == vary_motor(m, inductance=3e-3)
     assert describe_core_loss(name) == describe_core_loss(m)
     assert fit_curve(CURVE.motor, CURVE, [500], ["core_loss_resistance"]).motor.name == CURVE.motor
-    for form in (closed_form, bound_by_both):
+    for form in (compute_closed_form, compute_joint_bound):
         assert form(name, 24.0, 1.7, 300.0) == form(m, 24.0, 1.7, 300.0)
 
 
 @pytest.mark.parametrize(
     "call",
-    [estimate_core_loss, estimate_spread, vary, describe_core_loss, lambda name: fit_curve(name, CURVE, [500, 900])],
+    [
+        estimate_core_loss,
+        estimate_spread,
+        vary_motor,
+        describe_core_loss,
+        lambda name: fit_curve(name, CURVE, [500, 900]),
+    ],
 )
 @pytest.mark.parametrize("name", ["17HS4410", None, 3])
 def test_what_is_no_motor_is_refused_with_the_known_ones(call, name):
@@ -111,15 +117,15 @@ def test_what_is_no_motor_is_refused_with_the_known_ones(call, name):
 
 def test_a_varied_motor_differs_in_the_values_named_alone():
     m = find_motor("17HS4401")
-    varied = vary(m, core_loss_damping=6.4e-4, inductance=3.3e-3)
+    varied = vary_motor(m, core_loss_damping=6.4e-4, inductance=3.3e-3)
     assert varied.core_loss_damping == pytest.approx(6.4e-4)
     assert (varied.phase_inductance, varied.inductance) == (3.3e-3, 2.8e-3)
-    assert vary(m) == m
-    assert vary(m, core_loss_damping=0).core_loss_resistance is None
+    assert vary_motor(m) == m
+    assert vary_motor(m, core_loss_damping=0).core_loss_resistance is None
 
 
 @pytest.mark.parametrize("bad", [-1e-4, math.inf, math.nan, "1e-4", 1.0])
 def test_a_loss_that_no_motor_has_is_refused_in_one_sentence(bad):
     with pytest.raises(ArgumentError) as error:
-        vary(find_motor("17HS4401"), core_loss_damping=bad)
+        vary_motor(find_motor("17HS4401"), core_loss_damping=bad)
     assert str(error.value) == (f"17HS4401: core_loss_damping={bad!r}: give a number from 0 up to 0.063662 N m s/rad.")

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from support.examples import scaled
 
 from stage.drives import stepper
-from stage.drives.dynamometer import follow, pulses
+from stage.drives.dynamometer import compute_mean_counts, simulate_motor
 from stage.drives.motors import MOTORS, Drive
 
 MOTOR = MOTORS["17HS4401"]
@@ -26,7 +26,7 @@ RATED = MOTOR.torque_constant * MOTOR.rated_current  # N m
 def record(drive):
     rows = np.zeros(1, stepper.DRIVE)
     drive.fill(rows[0])
-    stepper.align(rows[0], 0.0, 0.0)
+    stepper.power_up(rows[0], 0.0, 0.0)
     return rows[0]
 
 
@@ -39,7 +39,7 @@ def test_a_slice_at_full_voltage_is_the_exact_solution_of_the_phase():
     for start, omega, theta in [(-1.7, 0.0, 0.0), (-1.7, 100.0, 0.013), (-0.5, -80.0, 0.04), (0.3, 200.0, -0.021)]:
         d = record(SMOOTH)
         d.current_a = start
-        stepper.torque(d, 0.0, theta, omega, H)
+        stepper.compute_slice_torque(d, 0.0, theta, omega, H)
         e = -MOTOR.torque_constant * omega * math.sin(50 * theta)
 
         def slope(i, e=e):
@@ -63,7 +63,7 @@ def test_a_sine_drive_with_enough_voltage_makes_the_torque_of_its_load_angle_at_
     omega, theta = 2 * math.pi * turns_per_second, 0.4
     middles = (np.arange(stepper.SLICES) + 0.5 - stepper.SLICES / 2) * H
     counts = ((theta + omega * middles) * d.teeth + angle - d.offset) / d.per_pulse
-    torque = stepper.mean_torque(d, counts, stepper.SLICES, theta, omega, H)
+    torque = stepper.compute_mean_torque(d, counts, stepper.SLICES, theta, omega, H)
     assert torque == pytest.approx(RATED * math.sin(angle), abs=1e-9 * RATED)
 
 
@@ -96,7 +96,7 @@ def reference(drive, speed, lag, seconds, pieces):
 def simulated(drive, speed, lag, seconds, h=H):
     d = record(drive)
     thetas, phis = course(speed, lag, h, seconds)
-    torques = [stepper.torque(d, p / d.per_pulse, t, speed, h) for t, p in zip(thetas, phis, strict=True)]
+    torques = [stepper.compute_slice_torque(d, p / d.per_pulse, t, speed, h) for t, p in zip(thetas, phis, strict=True)]
     return np.mean(torques[len(torques) // 2 :])
 
 
@@ -137,7 +137,7 @@ def test_power_from_the_bus_is_copper_loss_plus_mechanical_power_plus_the_change
     h = H / 8
     for theta, phi in zip(*course(speed, 2.6, h, 0.01), strict=True):
         a, b = d.current_a, d.current_b
-        mechanical += stepper.torque(d, phi / d.per_pulse, theta, speed, h) * speed * h
+        mechanical += stepper.compute_slice_torque(d, phi / d.per_pulse, theta, speed, h) * speed * h
         ia, ib = (a + d.current_a) / 2, (b + d.current_b) / 2
         electrical += 24 * (math.cos(phi) * ia + math.sin(phi) * ib) * h
         copper += MOTOR.resistance * (ia**2 + ib**2) * h
@@ -153,7 +153,7 @@ def test_a_chopper_never_uses_more_than_the_bus_voltage_nor_more_than_the_set_cu
     decay = 1 - math.exp(-H * r / inductance)
     for theta, phi in zip(*course(rpm(speed), 1.5, H, 0.02), strict=True):
         before = np.array([d.current_a, d.current_b])
-        stepper.torque(d, phi / d.per_pulse, theta, rpm(speed), H)
+        stepper.compute_slice_torque(d, phi / d.per_pulse, theta, rpm(speed), H)
         after = np.array([d.current_a, d.current_b])
         e = km * rpm(speed) * np.array([-math.sin(50 * theta), math.cos(50 * theta)])
         assert (abs(e + r * (before + (after - before) / decay)) <= 24 * (1 + 1e-9)).all()
@@ -164,7 +164,7 @@ def test_at_rest_the_torque_over_angle_is_a_sine_and_four_detents():
     d = record(Drive())
     for theta in np.linspace(-0.06, 0.06, 25):
         for _ in range(3):
-            torque = stepper.torque(d, 0.0, theta, 0.0, H)
+            torque = stepper.compute_slice_torque(d, 0.0, theta, 0.0, H)
         assert torque == pytest.approx(
             -MOTOR.torque_constant * 1.7 * math.sin(50 * theta) - 0.022 * math.sin(200 * theta)
         )
@@ -174,12 +174,12 @@ def test_at_rest_the_torque_over_angle_is_a_sine_and_four_detents():
 @settings(max_examples=scaled(20), deadline=None)
 def test_powering_up_puts_the_field_on_the_nearest_microstep_without_a_jump(theta, count, microsteps):
     d = record(Drive(microsteps=microsteps))
-    stepper.align(d, float(count), theta)
-    angle = stepper.load_angle(d, float(count), theta)
+    stepper.power_up(d, float(count), theta)
+    angle = stepper.compute_load_angle(d, float(count), theta)
     field = (50 * theta + angle) / d.per_pulse
     assert abs(angle) <= d.per_pulse / 2 + 1e-6
     assert field == pytest.approx(round(field), abs=1e-4)
-    assert stepper.lost_steps(d, float(count), theta) == 0
+    assert stepper.count_lost_steps(d, float(count), theta) == 0
     assert math.hypot(d.current_a, d.current_b) == pytest.approx(1.7)
 
 
@@ -187,23 +187,23 @@ def test_powering_up_puts_the_field_on_the_nearest_microstep_without_a_jump(thet
 @settings(max_examples=scaled(20), deadline=None)
 def test_lost_steps_counts_four_for_each_tooth_that_the_rotor_lags(teeth, rest):
     d = record(Drive())
-    lost = stepper.lost_steps(d, 0.0, -(teeth + rest) * 2 * math.pi / 50)
+    lost = stepper.count_lost_steps(d, 0.0, -(teeth + rest) * 2 * math.pi / 50)
     assert isinstance(lost, int)
     assert lost == 4 * teeth
 
 
 def test_a_slice_of_another_length_has_new_constants():
     a, b = record(SMOOTH), record(SMOOTH)
-    stepper.torque(a, 0.0, 0.0, 0.0, H)
+    stepper.compute_slice_torque(a, 0.0, 0.0, 0.0, H)
     for d in (a, b):
         d.current_a = -1.7
-        stepper.torque(d, 0.0, 0.0, 0.0, H / 3)
+        stepper.compute_slice_torque(d, 0.0, 0.0, 0.0, H / 3)
     assert a.current_a == b.current_a
 
 
 def test_the_same_inputs_give_the_same_bits():
-    counts = pulses(np.full(3000, 40_000.0))
-    first, second = (follow(Drive(), counts, MOTOR.rotor_inertia) for _ in range(2))
+    counts = compute_mean_counts(np.full(3000, 40_000.0))
+    first, second = (simulate_motor(Drive(), counts, MOTOR.rotor_inertia) for _ in range(2))
     assert first.tobytes() == second.tobytes()
 
 
@@ -213,7 +213,7 @@ import numpy as np
 from stage.drives import dynamometer, motors, picture, stepper
 from stage.native import COMPILED
 runs = [
-    dynamometer.follow(motors.Drive(mode=mode), dynamometer.pulses(np.full(300, 30_000.0)), 54e-7, 0.05)
+    dynamometer.simulate_motor(motors.Drive(mode=mode), dynamometer.compute_mean_counts(np.full(300, 30_000.0)), 54e-7, 0.05)
     for mode in ("chopper", "sine")
 ]
 heavy = [m for m in ("mujoco", "matplotlib", "stage.chips", "stage.sim.engine") if m in sys.modules]
@@ -229,7 +229,10 @@ def test_uncompiled_the_drive_says_the_same_and_it_needs_neither_mujoco_nor_chip
     ).stdout  # fmt: skip
     compiled, heavy, columns = json.loads(out)
     assert (compiled, heavy) == (False, [])
-    runs = [follow(Drive(mode=mode), pulses(np.full(300, 30_000.0)), 54e-7, 0.05) for mode in ("chopper", "sine")]
+    runs = [
+        simulate_motor(Drive(mode=mode), compute_mean_counts(np.full(300, 30_000.0)), 54e-7, 0.05)
+        for mode in ("chopper", "sine")
+    ]
     expected_columns = [r[name] for r in runs for name in r.dtype.names]
     assert np.allclose(columns, expected_columns, rtol=1e-9, atol=1e-12)
 
@@ -242,7 +245,7 @@ def test_a_window_has_the_currents_of_its_slices_one_by_one_and_the_mean_of_the_
     counts, begin = 40.0 + 0.37 * np.arange(n), 0.2
     currents = [one.current_a + 1j * one.current_b]
     for k, count in enumerate(counts):
-        stepper.torque(one, count, begin + (k + 0.5) * speed * H, speed, H)
+        stepper.compute_slice_torque(one, count, begin + (k + 0.5) * speed * H, speed, H)
         currents.append(one.current_a + 1j * one.current_b)
     teeth = 50 * (begin + np.arange(n + 1) * speed * H)
     torque = MOTOR.torque_constant * (np.array(currents) * np.exp(-1j * teeth)).imag
@@ -253,7 +256,7 @@ def test_a_window_has_the_currents_of_its_slices_one_by_one_and_the_mean_of_the_
             MOTOR.torque_constant * (np.array(currents[1:]) * np.exp(-0.5j * (teeth[1:] + teeth[:-1]))).imag.mean()
             - detent.mean()
         )
-    mean = stepper.mean_torque(many, counts, n, begin + 0.5 * n * speed * H, speed, H)
+    mean = stepper.compute_mean_torque(many, counts, n, begin + 0.5 * n * speed * H, speed, H)
     assert mean == pytest.approx(expected, rel=1e-11)
     assert (many.current_a, many.current_b) == pytest.approx((one.current_a, one.current_b), rel=1e-11)
 
@@ -276,7 +279,7 @@ def test_the_path_through_a_window_has_the_speed_that_its_torque_causes(drive, l
         )
         latched = RATED * np.sin(7 * d.per_pulse - ends)
         latched = (latched.sum() - 0.5 * (latched[0] + latched[-1])) / n - 0.03 * np.sin(4 * middles).mean()
-        return latched, stepper.mean_torque(d, counts, n, middle, omega, H, gain)
+        return latched, stepper.compute_mean_torque(d, counts, n, middle, omega, H, gain)
 
     torque = 0.0
     for _ in range(20):
@@ -290,8 +293,8 @@ def test_the_path_through_a_window_has_the_speed_that_its_torque_causes(drive, l
 def test_a_drive_without_current_and_detent_makes_no_torque_and_an_open_phase_carries_no_current():
     d = record(Drive(detent=0.0))
     d.current = d.current_a = d.current_b = 0.0
-    assert stepper.mean_torque(d, np.full(8, 3.0), 8, 0.01, 20.0, H, 15.0) == 0.0
+    assert stepper.compute_mean_torque(d, np.full(8, 3.0), 8, 0.01, 20.0, H, 15.0) == 0.0
     d = record(Drive())
     d.open = stepper.A
-    stepper.mean_torque(d, np.full(8, 3.0), 8, 0.01, 20.0, H, 15.0)
+    stepper.compute_mean_torque(d, np.full(8, 3.0), 8, 0.01, 20.0, H, 15.0)
     assert d.current_a == 0.0 != d.current_b

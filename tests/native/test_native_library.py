@@ -157,7 +157,7 @@ def test_an_object_is_rebuilt_for_a_change_of_its_code_and_of_code_compiled_into
 
 def test_an_edit_of_the_engine_makes_one_part_of_the_library_again():
     places = load.find_folders("stage")
-    known = {module: Path(source) for module, source in load.modules(places)}
+    known = {module: Path(source) for module, source in load.list_modules(places)}
     parts = build._list_parts("stage", places)
     assert [name for name in parts if "stage.sim.engine" in build._find_dependencies(parts[name], known)] == [
         "stage.sim"
@@ -202,7 +202,7 @@ def test_a_new_module_is_missed_wherever_the_project_file_is(toy, project):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"target": "plan9-vax"}, f"was built for plan9-vax, this is {load.target()}"),
+        ({"target": "plan9-vax"}, f"was built for plan9-vax, this is {load.describe_target()}"),
         (
             {"needs": [*sorted(load.read_features())[:1], "telepathy", "luck"]},
             "a processor with telepathy, luck, which this one",

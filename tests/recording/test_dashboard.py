@@ -13,8 +13,8 @@ from stage import Drive
 from stage.chips import HCTL1100, MCX501, PCL240K
 from stage.drives.dc_motors import Servo
 from stage.recording.blueprint import BACKGROUND, MARGIN, build_dashboard, find_eye
-from stage.recording.recording import unit_of
-from stage.recording.series import SERIES, plot_title, series_of
+from stage.recording.recording import find_column_unit
+from stage.recording.series import SERIES, make_plot_title, select_series
 
 pytest.importorskip("rerun")
 FLOOR = '<geom type="plane" size="0 0 1" pos="0.3 0.2 -0.4"/>'
@@ -129,13 +129,13 @@ def test_the_grid_lies_on_the_floor_a_line_each_power_of_ten_of_metres_that_fits
     ],
 )
 def test_a_title_names_the_counters_and_units_of_the_axes_that_have_the_series(axes, series, title):
-    assert plot_title(recording_of(**{f"x{k}": axis(chip) for k, chip in enumerate(axes)}), series) == title
+    assert make_plot_title(recording_of(**{f"x{k}": axis(chip) for k, chip in enumerate(axes)}), series) == title
 
 
 def test_a_servo_has_voltage_and_current_and_a_stepper_has_load_angle_and_lost_steps():
     both = {"rate", "position", "commanded", "following_error", "counter"}
-    assert set(series_of(axis(PCL240K))) == both | {"load_angle", "lost_steps"}
-    assert set(series_of(axis(HCTL1100))) == both | {"voltage", "current"}
+    assert set(select_series(axis(PCL240K))) == both | {"load_angle", "lost_steps"}
+    assert set(select_series(axis(HCTL1100))) == both | {"voltage", "current"}
 
 
 def test_each_series_is_of_its_axis_and_scaled_to_its_units():
@@ -165,4 +165,4 @@ def test_each_series_is_of_its_axis_and_scaled_to_its_units():
     ],
 )  # fmt: skip
 def test_a_column_has_the_unit_of_its_axis(column, unit, servo, message):
-    assert unit_of(column, unit, servo) == message
+    assert find_column_unit(column, unit, servo) == message

@@ -16,8 +16,8 @@ from stage import Drive
 from stage.chips import PCL240K
 from stage.chips.entries import INPUT
 from stage.recording import Recording, geoms, signals
-from stage.recording.series import SERIES, series_of
-from stage.recording.thin import thin
+from stage.recording.series import SERIES, select_series
+from stage.recording.thin import mark_needed_samples
 
 PCL = SimpleNamespace(chip=PCL240K, drive=Drive())
 
@@ -47,12 +47,12 @@ def test_every_axis_has_its_series_lanes_and_bus(read):
     for axis in "xyz":
         have = {e.removeprefix(f"/axes/{axis}/") for e in read if e.startswith(f"/axes/{axis}/")}
         lanes = {"phase", "switches", *(f"switches/{pin}" for pin in signals.SWITCHES)}
-        assert have >= {*series_of(PCL), *lanes}
+        assert have >= {*select_series(PCL), *lanes}
         assert ("bus" in have) == (axis != "z"), "nothing was written to Z"
     assert "PulseStage xyz" in read["/about"]["TextDocument:text"][1][0][0]
 
 
-@pytest.mark.parametrize("series", series_of(PCL))
+@pytest.mark.parametrize("series", select_series(PCL))
 def test_lines_pass_within_the_tolerance_of_every_sample(run, read, series):
     spec = SERIES[series]
     columns = run.recording.columns
@@ -228,7 +228,7 @@ def test_thinning_keeps_the_line(values, repeats, tolerance):
     v = np.repeat(np.array(values, float), repeats)
     t = np.arange(len(v)) * 1e-3
     keep = np.empty(len(v), np.bool_)
-    thin(t, v, tolerance, keep)
+    mark_needed_samples(t, v, tolerance, keep)
     assert np.abs(np.interp(t, t[keep], v[keep]) - v).max() <= tolerance + 1e-6
     assert keep[0]
     assert keep[-1]
@@ -238,5 +238,5 @@ def test_thinning_takes_what_is_straight():
     t = np.arange(10_000) * 1e-3
     keep = np.empty(len(t), np.bool_)
     for v, limit in ((0 * t, 2), (3 * t - 7, 2), (np.where(t < 5, 0.0, 100.0), 4), (np.sin(t), 200)):
-        thin(t, v, 1e-3, keep)
+        mark_needed_samples(t, v, 1e-3, keep)
         assert keep.sum() <= limit

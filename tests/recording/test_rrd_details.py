@@ -15,7 +15,7 @@ from support.recording_bench import ONE_AXIS, feed, make_bench, read_rrd, stage_
 from stage.chips import HCTL1100
 from stage.recording import geoms, rerun_log, saved, scene, viewer
 from stage.recording.recording import ROWS, Recording, RecordingError
-from stage.recording.rerun_log import STATES, Lanes
+from stage.recording.rerun_log import STATES, StateLanes
 
 pytest.importorskip("rerun")
 RED, BLUE = STATES["fault"], STATES["keep"]
@@ -130,7 +130,7 @@ def test_a_lane_continues_and_combined_switches_have_the_most_important_color(mo
     bench = make_bench()
     axis, chip = bench.axes["x"], bench.chip
     axis.switches = SimpleNamespace(as_dict=lambda: {"org": False, "el_plus": False})
-    lanes = Lanes(bench.recording, "x", (1, 2, 3))
+    lanes = StateLanes(bench.recording, "x", (1, 2, 3))
     org, end, hold, up = chip.wired("org"), chip.wired("el_plus"), chip.OUTPUTS["hold"], chip.OUTPUTS["fup"]
     edges = np.zeros(6, [("clock", "i8"), ("inputs", "i8"), ("outputs", "i8")])
     edges["clock"] = np.arange(6) * chip.clock_hz

@@ -12,7 +12,7 @@ from support.recording_bench import read_rrd
 
 from stage.recording import scene, signals
 from stage.recording.geoms import compute_poses, is_visible
-from stage.recording.scene import Scene, body_path
+from stage.recording.scene import Scene, make_body_path
 
 rr = pytest.importorskip("rerun")
 
@@ -181,7 +181,7 @@ def test_the_path_is_where_the_tool_was_on_the_work():
     assert points[0] == pytest.approx([0.3, 0.4, -0.5])
     assert points[1] == pytest.approx([0.4, -0.2, -0.5]), "turned back with the work"
     out = Out()
-    scene._path(out, model, points)
+    scene._log_path(out, model, points)
     assert list(out.logged) == ["stage/work/path"]
 
 
@@ -192,14 +192,14 @@ def test_a_tool_that_rides_with_the_work_leaves_its_path_in_the_world_and_no_too
     points = scene._to_work_frame(riding, *compute_poses(riding, qpos))
     assert points[:, 0] == pytest.approx([0.3, 0.4, 0.4])
     out = Out()
-    scene._path(out, riding, points)
+    scene._log_path(out, riding, points)
     assert list(out.logged) == ["stage/world/path"]
     (strip,) = out.logged["stage/world/path"].strips.as_arrow_array().to_pylist()
     assert len(strip) == 2, "where it stands there is one point"
     none = model_of(tool="")
     out = Out()
-    scene._path(out, none, scene._to_work_frame(none, *compute_poses(none, qpos)))
-    scene._path(out, riding, points[:1])
+    scene._log_path(out, none, scene._to_work_frame(none, *compute_poses(none, qpos)))
+    scene._log_path(out, riding, points[:1])
     assert out.logged == {}
     unmodified = model_of(work="")
     assert scene._to_work_frame(unmodified, *compute_poses(unmodified, qpos))[1] == pytest.approx([0.3, 0.4, 0.5]), (
@@ -223,7 +223,7 @@ def test_the_arrows_point_along_plus_from_the_front_corner_of_what_does_not_move
 
 def test_a_body_without_a_name_is_called_by_its_number():
     model = model_of()
-    assert [body_path(model, k) for k in range(model.nbody)] == [
+    assert [make_body_path(model, k) for k in range(model.nbody)] == [
         "stage/world",
         "stage/frame",
         "stage/work",

@@ -18,7 +18,7 @@ from stage import ArgumentError, Stage
 from stage.chips import PCL240K
 from stage.recording import RecordingError, RecordingWarning
 from stage.recording.recording import ROWS
-from stage.recording.sink import Sink
+from stage.recording.sink import RrdSink
 
 KILLED = """
 import json, os, signal, sys
@@ -283,11 +283,11 @@ class Pipe:
         pass  # its end of the pipe stays open: nobody may wait for rerun
 
 
-@pytest.mark.parametrize(("let_go", "expected"), [(Sink.close, b"early, late"), (Sink.abandon, b"early")])
+@pytest.mark.parametrize(("let_go", "expected"), [(RrdSink.close, b"early, late"), (RrdSink.abandon, b"early")])
 def test_a_file_that_is_let_go_is_closed_and_nobody_collects_for_it_any_more(tmp_path, let_go, expected):
     """recording.close(), and a recording whose disk is full: neither keeps a file or a thread"""
     out = Pipe()
-    sink = Sink(out, tmp_path / "a.rrd", None, False)
+    sink = RrdSink(out, tmp_path / "a.rrd", None, False)
     out.end.write(b"early")
     sink.flush()
     out.end.write(b", late")

@@ -18,7 +18,7 @@ import pytest
 
 from stage import ArgumentError
 from stage.recording import viewer
-from stage.recording.series import COLORS, colors_of
+from stage.recording.series import COLORS, assign_colors
 from stage.recording.viewer import ViewerError
 
 
@@ -29,7 +29,7 @@ def listening(process):
 @pytest.fixture(scope="module")
 def served(rrd):
     """The dashboard's server."""
-    with viewer.web_server(rrd, viewer.find_free_port()) as server:
+    with viewer.make_web_server(rrd, viewer.find_free_port()) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         yield server
@@ -116,7 +116,7 @@ def test_the_page_calls_no_other_server_unless_requested(rrd, monkeypatch, wante
     """stage demo --web"""
     monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", wanted)
     monkeypatch.setattr(viewer, "_fetch_page", lambda: {"": b"page"})
-    with viewer.web_server(rrd, viewer.find_free_port()) as server:
+    with viewer.make_web_server(rrd, viewer.find_free_port()) as server:
         thread = threading.Thread(target=server.handle_request)
         thread.start()
         _, headers, _ = requested(server, f"{server.folder}?url=x", [f"localhost:{server.server_port}"])
@@ -133,7 +133,7 @@ def test_servers_have_different_addresses(rrd, monkeypatch):
     monkeypatch.setattr(viewer, "_fetch_page", dict)
     folders = set()
     for _ in range(2):
-        with viewer.web_server(rrd, viewer.find_free_port()) as server:
+        with viewer.make_web_server(rrd, viewer.find_free_port()) as server:
             folders.add(server.folder)
     assert len(folders) == 2
 
@@ -196,7 +196,7 @@ def test_reruns_usage_data_is_off_unless_requested(tmp_path, monkeypatch, reques
 @pytest.mark.parametrize("port", [0, -1, 65536, 9.5])
 def test_a_port_that_is_none_is_named(rrd, port):
     with pytest.raises(ArgumentError, match="1 to 65535"):
-        viewer.web_server(rrd, port)
+        viewer.make_web_server(rrd, port)
 
 
 def test_without_a_screen_the_error_names_the_alternatives(rrd, monkeypatch):
@@ -214,7 +214,7 @@ def test_with_a_screen_the_window_listens_to_this_machine_only(rrd, monkeypatch)
 
 
 def test_a_missing_recording_is_named(tmp_path):
-    for observe in (viewer.open_viewer, viewer.serve_web, lambda p: viewer.screenshot(p, tmp_path / "x.png")):
+    for observe in (viewer.open_viewer, viewer.serve_web, lambda p: viewer.take_screenshot(p, tmp_path / "x.png")):
         with pytest.raises(ViewerError, match=r"there is no recording .*none\.rrd"):
             observe(tmp_path / "none.rrd")
 
@@ -224,7 +224,7 @@ def test_a_missing_recording_is_named(tmp_path):
 def test_a_picture_shows_every_part_of_the_dashboard(rrd, tmp_path):
     from PIL import Image
 
-    png = viewer.screenshot(rrd, tmp_path / "x.png", (1600, 900), at=0.3)
+    png = viewer.take_screenshot(rrd, tmp_path / "x.png", (1600, 900), at=0.3)
     with Image.open(png) as picture:
         assert picture.size == (1600, 900)
         pixels = np.asarray(picture.convert("RGB")).astype(int)
@@ -252,7 +252,7 @@ def test_a_page_that_cannot_be_had_leaves_the_port_free(rrd, monkeypatch):
     port = viewer.find_free_port()
     monkeypatch.setattr(viewer, "_fetch_page", lambda: 1 / 0)
     with pytest.raises(ZeroDivisionError) as reported:
-        viewer.web_server(rrd, port)
+        viewer.make_web_server(rrd, port)
     assert viewer._is_port_free(port), reported
 
 
@@ -303,6 +303,6 @@ def test_a_picture_waits_until_the_viewer_has_loaded_and_settled(rrd, tmp_path, 
 
 def test_the_dashboard_names_the_colour_of_each_axis_and_begins_again_after_the_last():
     eight = SimpleNamespace(axes=dict.fromkeys("abcdefgh"))
-    named = colors_of(eight)
+    named = assign_colors(eight)
     assert list(named.values()) == [*COLORS, *list(COLORS)[:2]]
     assert named["b"] == "green"

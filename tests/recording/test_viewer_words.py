@@ -42,7 +42,7 @@ def test_a_port_that_cannot_be_had_says_why_and_names_one_that_is_free(tmp_path,
     rrd = tmp_path / "x.rrd"
     rrd.touch()
     with pytest.raises(ViewerError) as failed:
-        viewer.web_server(rrd, 9191)
+        viewer.make_web_server(rrd, 9191)
     assert str(failed.value).startswith(message)
 
 
@@ -125,9 +125,9 @@ def test_an_existing_picture_is_overwritten_only_on_request(tmp_path, monkeypatc
         viewer, "_render", lambda rrd, part, *arguments: (requested.append(arguments), part.write_bytes(b"new"))
     )
     with pytest.raises(FileError, match=r"x\.png"):
-        viewer.screenshot(rrd, png)
+        viewer.take_screenshot(rrd, png)
     assert (png.read_bytes(), requested) == (b"old", [])
-    assert viewer.screenshot(rrd, png, (320, 200), at=0.5, timeout=7, overwrite=True) == png
+    assert viewer.take_screenshot(rrd, png, (320, 200), at=0.5, timeout=7, overwrite=True) == png
     assert (png.read_bytes(), requested) == (b"new", [((320, 200), 0.5, 7)])
 
 

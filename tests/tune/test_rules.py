@@ -7,7 +7,7 @@ import pytest
 
 from stage import Stage
 from stage.chips import HCTL1100, MCX514, PCL240K, PCL240MS
-from stage.drives.dynamometer import natural_frequency
+from stage.drives.dynamometer import compute_natural_frequency
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import Speeds
 from stage.tune import Task, tuning
@@ -36,11 +36,11 @@ def test_the_pull_in_rate_falls_with_the_square_root_of_the_inertia_ratio(load):
 def test_no_ramp_is_shorter_than_four_swings_of_the_rotor_in_its_field(load):
     light = replace(load, friction=0.0, damping=0.0)
     made = compute_speeds(light, 40_000, safety_factor=1.0)
-    least = 4 / natural_frequency(light.drive, light.inertia_at_rotor)
+    least = 4 / compute_natural_frequency(light.drive, light.inertia_at_rotor)
     assert min(made.up, made.down) >= least * (1 - 1e-9)
     slow = replace(light, mass=0.1 * light.mass)
     made = compute_speeds(slow, 4000, safety_factor=0.1)
-    assert min(made.up, made.down) == pytest.approx(4 / natural_frequency(slow.drive, slow.inertia_at_rotor))
+    assert min(made.up, made.down) == pytest.approx(4 / compute_natural_frequency(slow.drive, slow.inertia_at_rotor))
 
 
 @pytest.mark.parametrize("pulses", [120, 200, 1000])

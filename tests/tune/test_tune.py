@@ -15,7 +15,7 @@ from stage.board.library import find_compiler
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MS
 from stage.chips.describe import Statement
 from stage.cli import main
-from stage.drives.dynamometer import natural_frequency
+from stage.drives.dynamometer import compute_natural_frequency
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import ImmediateOperations, Speeds, driver_of
 from stage.tune import MoveCase, Task, bus_listing, proof, tune
@@ -277,7 +277,7 @@ def test_friction_helps_to_brake_and_hinders_the_start(task):
     thrust = float(load.compute_max_thrust(np.array([top]))[0]) / 1.5
     helps = load.friction + load.damping * top
     for seconds, force in ((made.up, thrust - helps), (made.down, thrust + helps)):
-        gentle = (top - low) * natural_frequency(load.drive, load.inertia_at_rotor) / 4
+        gentle = (top - low) * compute_natural_frequency(load.drive, load.inertia_at_rotor) / 4
         assert seconds == pytest.approx((top - low) / min(force / load.mass, gentle), rel=1e-6)
     assert made.down < 0.9 * made.up
 

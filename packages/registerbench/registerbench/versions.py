@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import stage.envs
-from stage.native.load import digest_of_sources, target
+from stage.native.load import describe_target, digest_of_sources
 
 PHYSICS_VERSION = "2"
 """Version of the motors' physics. In version 1, which older entries do not state, motors had no core loss, and hidden machines
@@ -23,7 +23,7 @@ def list_versions() -> dict[str, str]:
     return {
         **packages,
         "python": platform.python_version(),
-        "system": target(),
+        "system": describe_target(),
         "processor": _find_processor_name(),
         "physics": PHYSICS_VERSION,
     }

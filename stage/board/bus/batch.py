@@ -11,7 +11,7 @@ import numpy as np
 
 from stage.board.bus import host_record, waiting
 from stage.board.bus.requests import execute
-from stage.native import array_of, exported, float_mode_as_before, hot, record, usual_float_mode
+from stage.native import array_of, enter_usual_float_mode, exported, hot, record, restore_previous_float_mode
 
 SLICE_NS, SLICE_CYCLES = 50_000_000, 100_000
 """Simulated time and bus cycles between two pauses of a batch, at which Python may end it."""
@@ -98,7 +98,7 @@ def run_batch(host, entries, answers):
     """
     if not host_record.enter(host):
         return -1
-    mode, done = usual_float_mode(), 0
+    mode, done = enter_usual_float_mode(), 0
     lazy, until, max_cycles = host.lazy, host.until, host.max_cycles
     host.lazy, host.quiet = 1, 0
     set_next_pause(host)
@@ -117,7 +117,7 @@ def run_batch(host, entries, answers):
     if host.stopped and done == len(entries):
         done -= 1
     host.lazy, host.until, host.max_cycles = lazy, until, max_cycles
-    float_mode_as_before(mode)
+    restore_previous_float_mode(mode)
     host_record.leave(host)
     return done
 

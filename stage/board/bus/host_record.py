@@ -12,9 +12,9 @@ A compiled device, shipped or in C, is two functions over its state, which get t
 from __future__ import annotations
 
 from stage.chips import cores
-from stage.native import array_at, called, floor, hot, record, usual_float_mode
+from stage.native import array_at, called, enter_usual_float_mode, floor, hot, record
 from stage.sim import handle, records
-from stage.sim.handle import ENGINE, INTEGER, REAL, chips, claim, clockwork, release, table, world
+from stage.sim.handle import ENGINE, INTEGER, REAL, axis_table, chip_table, claim, clockwork, release, world
 
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
 """Requests of a host: port cycles (a: port, b: value), a delay (a: us), the time (us), a line for the log (a: its address), a
@@ -135,7 +135,7 @@ def get_stage(host):
 @hot
 def get_chip(host, chip):
     """Return the record of the chip with this number."""
-    return chips(get_stage(host))[chip]
+    return chip_table(get_stage(host))[chip]
 
 
 @hot
@@ -161,7 +161,7 @@ def call_host_function(host, function, argument):
     """Call a function of the host that may itself make requests, then restore the default floating-point mode."""
     leave(host)
     _call(function, (argument,))
-    usual_float_mode()
+    enter_usual_float_mode()
     while not enter(host):  # another thread is inside, and soon out
         pass
 
@@ -227,7 +227,7 @@ def get_device(host, k):
 def _read_encoders(host, d):
     """Compute the counts of a device's encoders at the host's time."""
     s = get_stage(host)
-    qpos, qvel, axes = array_at(host.qpos, host.nq, REAL), array_at(host.qvel, host.nv, REAL), table(s)
+    qpos, qvel, axes = array_at(host.qpos, host.nq, REAL), array_at(host.qvel, host.nv, REAL), axis_table(s)
     counts, encoders = array_at(d.counts, d.n_encoders, INTEGER), array_at(d.encoders, d.n_encoders, ENCODER)
     tau = float(get_now(host) - world(s).start) / records.SECOND - clockwork(s).half
     for k in range(d.n_encoders):

@@ -10,7 +10,16 @@ from stage.board.bus import host_record, interrupts, waiting
 from stage.board.bus.host_record import DEVICE, EIGHT, IN8, IN16, LAST_PORT, OUT, OUT16, STRAY, append_to_trace
 from stage.chips import cores
 from stage.chips.entries import LOST, READ, WRITE
-from stage.native import array_at, exported, float_mode_as_before, frame_address, greatest, hot, least, usual_float_mode
+from stage.native import (
+    array_at,
+    enter_usual_float_mode,
+    exported,
+    get_frame_address,
+    greatest,
+    hot,
+    least,
+    restore_previous_float_mode,
+)
 from stage.sim.handle import INTEGER
 
 
@@ -264,7 +273,7 @@ def _raise_software_interrupt(host, number):
 @hot
 def _check_stack(host):
     """Call Python if a request comes from another stack than that of the firmware's own thread."""
-    position = frame_address()
+    position = get_frame_address()
     if position < host.stack_low or position > host.stack_high:
         host.stack_checks -= 1
         waiting.catch_up(host)
@@ -375,10 +384,10 @@ def request(host, code, a, b):
             host.collided = 1
         return host_record.BUS_BUSY
     if host.serving:
-        interrupts.end_abandoned_hooks(host, frame_address())
-    mode = usual_float_mode()  # whatever the firmware has made of it, the stage has the same bits
+        interrupts.end_abandoned_hooks(host, get_frame_address())
+    mode = enter_usual_float_mode()  # whatever the firmware has made of it, the stage has the same bits
     value = execute(host, code & (host_record.FROM_PYTHON - 1), a, b)
-    float_mode_as_before(mode)
+    restore_previous_float_mode(mode)
     host_record.leave(host)
     return value
 
@@ -398,19 +407,19 @@ def update_interrupts(host):
 @exported("i8")
 def get_stack_position():
     """Return the approximate stack position of the caller."""
-    return frame_address()
+    return get_frame_address()
 
 
 @exported("i8")
 def set_usual_float_mode():
     """Set the default floating-point mode of this thread; return the previous mode."""
-    return usual_float_mode()
+    return enter_usual_float_mode()
 
 
 @exported(None, "i8")
 def restore_float_mode(mode):
     """Restore an earlier floating-point mode of this thread."""
-    float_mode_as_before(mode)
+    restore_previous_float_mode(mode)
 
 
 REQUEST = request.prototype

@@ -17,7 +17,7 @@ import numpy as np
 
 from stage.board.bus import host_record
 from stage.errors import ArgumentError, StageError
-from stage.native import plain
+from stage.native import without_attributes
 from stage.sim import records
 from stage.sim.encoder import Encoder
 
@@ -207,7 +207,7 @@ class Compiled(Device):
         super().__init__(**base)
         core: ModuleType = self.CORE
         self.state = [np.zeros(1, core.STATE)]
-        self.registers = self.state[0].view(plain(core.STATE))[0]
+        self.registers = self.state[0].view(without_attributes(core.STATE))[0]
         self.access, self.pulls = core.access.address, core.pulls.address if hasattr(core, "pulls") else 0
 
     def make_recipe(self) -> tuple[Any, ...]:

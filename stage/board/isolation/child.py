@@ -36,7 +36,7 @@ from stage.board.isolation.shared_memory import (
 from stage.board.link import NOTED, Link
 from stage.board.thread_runner import LoadedProgram, ThreadRunner
 from stage.errors import StageError
-from stage.sim.fingerprint import settings
+from stage.sim.fingerprint import iterate_settings
 from stage.sim.stage import Stage
 
 if crash_report.IS_SUPPORTED:
@@ -242,7 +242,7 @@ def copy_settings(ours: Stage, stage: Stage) -> None:
         ours: Stage of this process.
         stage: Stage of the parent.
     """
-    for part, name, value in settings(stage.model):
+    for part, name, value in iterate_settings(stage.model):
         target = ours.model if part is stage.model else ours.model.opt
         if isinstance(value, np.ndarray):
             np.copyto(getattr(target, name), value)

@@ -44,7 +44,7 @@ from stage.board.thread_runner import Program, is_debugged, read_status
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
 from stage.sim import engine
-from stage.sim.fingerprint import settings
+from stage.sim.fingerprint import iterate_settings
 from stage.support import files
 
 GRACE_S = 10.0  # of real time beyond its patience, in which the child gives its firmware up itself
@@ -128,7 +128,7 @@ class ProcessRunner:
         self._owner = os.getpid()
         self._machine = b""  # what the child's stage is like
         self._error: BaseException | None = None
-        settable = list(settings(board.stage.model))
+        settable = list(iterate_settings(board.stage.model))
         self._arrays = [value for _, _, value in settable if isinstance(value, np.ndarray)]
         self._options = [name for _, name, value in settable if not isinstance(value, np.ndarray)]
         self._start()

@@ -23,7 +23,7 @@ from stage.board.link import NOTED
 from stage.board.thread_runner import Program
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
-from stage.native import plain
+from stage.native import without_attributes
 from stage.sim.records import EDGE, SAMPLE, SECOND
 
 SAMPLE_ROWS = 512
@@ -185,7 +185,8 @@ class SharedMemory:
         axes, nq, words = len(board.stage.axes), state.model.nq, len(state.saved) + board.stage.device_state.words
         sizes: list[tuple[Any, tuple[int, ...]]] = [
             (host_record.HOST, (1,)), (EDGE, (NOTED,)), (host_record.CYCLE, (board.trace.capacity,)), (np.float64, (words,)),
-            (SAMPLE, (SAMPLE_ROWS, axes)), (np.float64, (SAMPLE_ROWS, nq)), (plain(SOURCE), (SOURCES,)), (np.int64, (1,)),
+            (SAMPLE, (SAMPLE_ROWS, axes)), (np.float64, (SAMPLE_ROWS, nq)), (without_attributes(SOURCE), (SOURCES,)),
+            (np.int64, (1,)),
             (np.uint8, (TEXT_SIZE,)), (np.uint8, (CRASH_SIZE,)), (np.float64, (board.stage.device_state.words,)),
         ]  # fmt: skip
         lengths = [int(np.dtype(dtype).itemsize * np.prod(shape)) for dtype, shape in sizes]

@@ -18,7 +18,7 @@ from stage import native
 from stage.chips import cores
 from stage.support.extras import need
 
-WHAT = "a fleet on a GPU"
+FEATURE_NAME = "a fleet on a GPU"
 """For what the libraries are needed, in errors."""
 ALL_LANES = 0xFFFFFFFF
 INLINED = ("_flag_edges",)
@@ -57,8 +57,8 @@ def cuda_tools() -> Tools:
     Raises:
         ExtraMissing: numba-cuda is not installed.
     """
-    need("numba_cuda", WHAT)
-    cuda = need("numba.cuda", WHAT)
+    need("numba_cuda", FEATURE_NAME)
+    cuda = need("numba.cuda", FEATURE_NAME)
     extending, types = import_module("numba.cuda.extending"), import_module("numba.cuda.types")
     cgutils = import_module("numba.cuda.cgutils")
     ir: Any = import_module("llvmlite.ir")

@@ -18,7 +18,7 @@ import numpy as np
 from stage.drives.stepper import DRIVE
 from stage.errors import ArgumentError, GpuMissing, StageError
 from stage.sim import fleet, play, records
-from stage.sim.gpu.device_code import WHAT, DeviceModules, Tools, cuda_tools
+from stage.sim.gpu.device_code import FEATURE_NAME, DeviceModules, Tools, cuda_tools
 from stage.sim.gpu.layout import HOST, WARP, LaneLayout
 from stage.sim.gpu.physics import Physics, load_warp
 from stage.sim.program import Program
@@ -59,14 +59,14 @@ class GpuFleet(fleet.Fleet):
         stage = stages[0]
         tools = cuda_tools()
         load_warp()
-        cuda: Any = need("numba.cuda", WHAT)
+        cuda: Any = need("numba.cuda", FEATURE_NAME)
         if not cuda.is_available():
             raise GpuMissing(
                 'device="cuda": numba-cuda finds no NVIDIA GPU, though warp does: its driver may be too old.'
             )
         self.physics = Physics(stage.model, stage.data, self._copies)
         self._layout = LaneLayout(stage)
-        self._advance, self._inspect = kernels_for(stage, self._layout, tools)
+        self._advance, self._inspect = make_kernels(stage, self._layout, tools)
         self._stream = cuda.external_stream(self.physics.stream.cuda_stream)
         self._set_arrays(cuda)
         self._operations = self._used = 0
@@ -251,14 +251,14 @@ def check_stage(stage: Stage) -> None:
         raise ArgumentError("a stage that is being recorded, or whose chips lose bus writes, does not run on a GPU.")
 
 
-def kernels_for(stage: Stage, layout: LaneLayout, tools: Tools) -> tuple[Any, Any]:
+def make_kernels(stage: Stage, layout: LaneLayout, tools: Tools) -> tuple[Any, Any]:
     """Return the kernels `advance_lanes` and `inspect_lanes` for copies of a stage; tools: see `DeviceModules`."""
     sizes = (layout.lanes, layout.axes, layout.switches, stage.state.bus, bool(stage.state.clockwork["encoders"][0]))
-    return _kernels(stage.chips[0].CORE, sizes, tools)
+    return _compile_kernels(stage.chips[0].CORE, sizes, tools)
 
 
 @cache
-def _kernels(core: ModuleType, sizes: tuple[int, ...], tools: Tools) -> tuple[Any, Any]:
+def _compile_kernels(core: ModuleType, sizes: tuple[int, ...], tools: Tools) -> tuple[Any, Any]:
     lanes, axes, switches, bus, encoders = sizes
     state = vars(core)["STATE"]
     modules = DeviceModules(core, tools)

@@ -17,7 +17,7 @@ from typing import Any
 
 from stage.chips import cores
 from stage.drives import drive
-from stage.sim.edges import next_edge, predict_axis_edges, process_axis_edges
+from stage.sim.edges import find_next_edge, predict_axis_edges, process_axis_edges
 from stage.sim.gpu.device_code import LaneChip
 from stage.sim.gpu.layout import HOST, PLAYING, WARP
 from stage.sim.play import DIVERGED, PLAYED, inspect_axis
@@ -41,13 +41,13 @@ cuda: Any = None
 """`DeviceModules.module` gives these: records, sizes and their words (W_), ns of a bus cycle, functions of the GPU."""
 
 
-def load(records, words, row, thread):
+def load_records(records, words, row, thread):
     """Copy words of a lane to records of its own."""
     for k in range(records.shape[0]):
         records[k] = words[row + k, thread]
 
 
-def store(records, words, row, thread):
+def store_records(records, words, row, thread):
     """Copy a lane's own records to its words."""
     for k in range(records.shape[0]):
         words[row + k, thread] = records[k]
@@ -55,7 +55,7 @@ def store(records, words, row, thread):
 
 def run_chip(c, axes, table, switches, switch_table, world, dt, k, now, stop):
     """Run a chip from `now` to `stop` ns, within a window, and its switches; k: the slice. Returns the slice that it is in then."""
-    start, hz, edge = world.start, c.hz, next_edge(axes, c)
+    start, hz, edge = world.start, c.hz, find_next_edge(axes, c)
     clock, rest = clock_at(start, hz), start % SECOND * hz % SECOND
     while now < stop:
         bound = start + (k + 1) * dt // SLICES
@@ -65,7 +65,7 @@ def run_chip(c, axes, table, switches, switch_table, world, dt, k, now, stop):
             for j in range(c.axes):
                 if axes[j].next_edge <= now:
                     process_axis_edges(axes[j], table[j], c, j, switches, switch_table, now)
-            edge = next_edge(axes, c)
+            edge = find_next_edge(axes, c)
         if now == bound:
             for j in range(c.axes):
                 axis = axes[j]
@@ -92,32 +92,32 @@ def end_operation(host):
     host.op += 1
 
 
-def point_of(sites, bodies, copy, point, coordinate):
+def read_point_coordinate(sites, bodies, copy, point, coordinate):
     """Return a coordinate of a measured point, see `stage.sim.program`."""
     return sites[copy, point - 1, coordinate] if point > 0 else bodies[copy, -point, coordinate]
 
 
-def measure(host, extremes, q, sites, bodies, copy, point):
+def note_extremes(host, extremes, q, sites, bodies, copy, point):
     """Note where the coordinates of a copy, and its measured point, are."""
     for k in range(q.shape[0]):
         extremes[k, 0], extremes[k, 1] = min(extremes[k, 0], float(q[k])), max(extremes[k, 1], float(q[k]))
     if point:
         x, y, z = (
-            point_of(sites, bodies, copy, point, 0),
-            point_of(sites, bodies, copy, point, 1),
-            point_of(sites, bodies, copy, point, 2),
+            read_point_coordinate(sites, bodies, copy, point, 0),
+            read_point_coordinate(sites, bodies, copy, point, 1),
+            read_point_coordinate(sites, bodies, copy, point, 2),
         )
         host.x0, host.y0, host.z0 = min(host.x0, x), min(host.y0, y), min(host.z0, z)
         host.x1, host.y1, host.z1 = max(host.x1, x), max(host.y1, y), max(host.z1, z)
 
 
-def travel(host):
+def measure_travel(host):
     """Return the diagonal of the box that a measured point has kept to, pm."""
     x, y, z = host.x1 - host.x0, host.y1 - host.y0, host.z1 - host.z0
     return int(math.sqrt(x * x + y * y + z * z) * 1e12) if x >= 0.0 else 0
 
 
-def see_physics(world, host, c, axes, table, switches, switch_table, clockwork, sensordata, q, v):
+def begin_window(world, host, c, axes, table, switches, switch_table, clockwork, sensordata, q, v):
     """Begin the window after a physics step: edges to come, and shafts that chips look at."""
     host.stepped = 0
     world.slice = 0
@@ -163,7 +163,7 @@ def has_lost_a_step(c, drives, table, axis_numbers, mask, q, v, tau):
         t = table[j]
         if mask >> axis_numbers[j] & 1:
             theta = (q[t.qpos] + v[t.dof] * tau) * t.gear
-            if drive.lost_steps(drives[j], float(cores.net(c, j)), theta) != 0:
+            if drive.count_lost_steps(drives[j], float(cores.net(c, j)), theta) != 0:
                 return True
     return False
 
@@ -199,21 +199,21 @@ def advance_lanes(
         cuda.local.array(1, HOST),
     )
     if in_use:
-        load(words_of(chip_records, W_STATE), words, 0, thread)
-        load(words_of(axes, W_AXES), words, W_STATE, thread)
-        load(words_of(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
-        load(words_of(switches, W_SWITCHES), words, W_STATE + W_AXES + W_DRIVES, thread)
-        load(words_of(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)
-        load(words_of(host_records, W_HOST), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES + W_WORLD, thread)
+        load_records(words_of(chip_records, W_STATE), words, 0, thread)
+        load_records(words_of(axes, W_AXES), words, W_STATE, thread)
+        load_records(words_of(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
+        load_records(words_of(switches, W_SWITCHES), words, W_STATE + W_AXES + W_DRIVES, thread)
+        load_records(words_of(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)
+        load_records(words_of(host_records, W_HOST), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES + W_WORLD, thread)
     world, host = world_records[0], host_records[0]
     table, switch_table, numbers = tables[lane], switch_tables[lane], axis_numbers[lane]
     c = LaneChip(chip_records[0], rows[lane].axes, rows[lane].hz, rows[lane].ticks)
     q, v = qpos[copy], qvel[copy]
     nq, nv = q.shape[0], v.shape[0]
     if in_use and host.stepped:
-        see_physics(world, host, c, axes, table, switches, switch_table, clockwork, sensordata[copy], q, v)
+        begin_window(world, host, c, axes, table, switches, switch_table, clockwork, sensordata[copy], q, v)
         if lane == 0 and host.started and ops[copy, host.op, 0] == MEASURE:
-            measure(host, extremes[copy], q, sites, bodies, copy, ops[copy, host.op, 2])
+            note_extremes(host, extremes[copy], q, sites, bodies, copy, ops[copy, host.op, 2])
     elif in_use and host.frozen and lane == 0:
         for k in range(nq):
             q[k] = frozen_coordinates[copy, k]
@@ -265,12 +265,12 @@ def advance_lanes(
             elif kind == MEASURE:
                 if lane == 0:
                     if a > 0:
-                        measure(host, extremes[copy], q, sites, bodies, copy, b)
-                    results[copy, op] = travel(host)
+                        note_extremes(host, extremes[copy], q, sites, bodies, copy, b)
+                    results[copy, op] = measure_travel(host)
             elif kind == LOOK and lane == 0:
                 place = q[places[a].qpos] + v[places[a].dof] * tau
                 if b:
-                    place = point_of(sites, bodies, copy, b, x)
+                    place = read_point_coordinate(sites, bodies, copy, b, x)
                 results[copy, op] = int(math.floor(place * 1e12))
             end_operation(host)
         if any_in_warp(polling):
@@ -319,12 +319,12 @@ def advance_lanes(
             for k in range(nv):
                 frozen_coordinates[copy, nq + k], frozen_coordinates[copy, nq + nv + k] = v[k], warmstart[copy, k]
     if in_use:
-        store(words_of(chip_records, W_STATE), words, 0, thread)
-        store(words_of(axes, W_AXES), words, W_STATE, thread)
-        store(words_of(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
-        store(words_of(switches, W_SWITCHES), words, W_STATE + W_AXES + W_DRIVES, thread)
-        store(words_of(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)
-        store(words_of(host_records, W_HOST), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES + W_WORLD, thread)
+        store_records(words_of(chip_records, W_STATE), words, 0, thread)
+        store_records(words_of(axes, W_AXES), words, W_STATE, thread)
+        store_records(words_of(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
+        store_records(words_of(switches, W_SWITCHES), words, W_STATE + W_AXES + W_DRIVES, thread)
+        store_records(words_of(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)
+        store_records(words_of(host_records, W_HOST), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES + W_WORLD, thread)
 
 
 def inspect_lanes(words, rows, axis_numbers, tables, clockworks, qpos, qvel, truth):
@@ -340,9 +340,9 @@ def inspect_lanes(words, rows, axis_numbers, tables, clockworks, qpos, qvel, tru
         cuda.local.array(AXES, DRIVE),
         cuda.local.array(1, WORLD),
     )
-    load(words_of(chip_records, W_STATE), words, 0, thread)
-    load(words_of(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
-    load(words_of(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)
+    load_records(words_of(chip_records, W_STATE), words, 0, thread)
+    load_records(words_of(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
+    load_records(words_of(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)
     c = LaneChip(chip_records[0], rows[lane].axes, rows[lane].hz, rows[lane].ticks)
     for j in range(c.axes):
         out = truth[copy, axis_numbers[lane, j]]

@@ -9,7 +9,7 @@ Axis NAME is
     or <custom><text name="NAME_unfitted" data="sd_plus sd_minus"/></custom> for the switches that it does not have.
 <text name="NAME_motor" data="17HS4401"/> names the motor whose rotor inertia is in the joint's armature.
 <text name="NAME_tandem" data="OTHER"/> names the axes that drive the same load beside it.
-A stage exchanges the actuator for the kind that the axis' chip drives, see `equip`: any model takes any chip.
+A stage exchanges the actuator for the kind that the axis' chip drives, see `fit_actuator`: any model takes any chip.
 <numeric name="NAME_index" data="0.5"/> is the rotor angle of the encoder's index pulse (EZ), in turns from the rotor
 angle at joint position 0; by default half a turn from where ORG trips, as an encoder is usually mounted.
 
@@ -20,23 +20,23 @@ angle at joint position 0; by default half a turn from where ORG trips, as an en
 docs/models.md explains the contract and holds a complete small model.
 """
 
-from stage.sim.plant.contract import PlantAxis, bind, describe
+from stage.sim.plant.contract import PlantAxis, bind, format_axes
 from stage.sim.plant.spec import (
-    axis_names,
     compile_spec,
-    dc_constants,
     discard_visuals,
-    equip,
-    fitted_values,
-    motors,
-    names,
+    find_axis_names,
+    find_motor_names,
+    fit_actuator,
+    list_model_names,
     open_spec,
+    read_dc_constants,
     reserve_fitted_values,
+    view_fitted_values,
 )  # fmt: skip
 from stage.sim.plant.switches import Switch
 from stage.sim.records import PINS
 
 __all__ = [
-    "PINS", "PlantAxis", "Switch", "axis_names", "bind", "compile_spec", "dc_constants", "describe", "discard_visuals", "equip",
-    "fitted_values", "motors", "names", "open_spec", "reserve_fitted_values",
+    "PINS", "PlantAxis", "Switch", "bind", "compile_spec", "discard_visuals", "find_axis_names", "find_motor_names", "fit_actuator",
+    "format_axes", "list_model_names", "open_spec", "read_dc_constants", "reserve_fitted_values", "view_fitted_values",
 ]  # fmt: skip

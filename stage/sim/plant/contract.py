@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 
 from stage.errors import ModelError
-from stage.sim.fingerprint import fingerprint
-from stage.sim.plant.problems import Problems, actuator_line, joint_line, similar, slip
-from stage.sim.plant.spec import axis_names, texts
+from stage.sim.fingerprint import compute_fingerprint
+from stage.sim.plant.problems import Problems, find_nearest_name, format_actuator_line, format_joint_line, suggest_name
+from stage.sim.plant.spec import find_axis_names, read_texts
 from stage.sim.plant.switches import Switch, SwitchFinder
 from stage.sim.records import PINS
 from stage.units import POSITION_UNITS
@@ -65,8 +65,8 @@ def bind(model: mujoco.MjModel, axes: Sequence[str] | None = None) -> tuple[Plan
         ModelError: The model breaks the naming contract; the error lists everything that is wrong.
     """
     try:
-        names = tuple(axes if axes is not None else axis_names(model))
-        key = fingerprint(model), names
+        names = tuple(axes if axes is not None else find_axis_names(model))
+        key = compute_fingerprint(model), names
         if key not in _bound:
             if len(_bound) >= MAX_BOUND_PLANTS:
                 _bound.clear()
@@ -79,7 +79,7 @@ def bind(model: mujoco.MjModel, axes: Sequence[str] | None = None) -> tuple[Plan
 _bound: dict[tuple, tuple[PlantAxis, ...]] = {}  # by model and axes: the same model is measured once
 
 
-def describe(model: mujoco.MjModel) -> str:
+def format_axes(model: mujoco.MjModel) -> str:
     """Format the axes of a model as a text table."""
     lines = [f"{'axis':6}{'kind':7}{'travel':>22}{'per turn':>12}  {'motor':16}switches trip at"]
     for a in bind(model):
@@ -99,7 +99,7 @@ def _list_undriven_joints(model: mujoco.MjModel) -> list[str]:
     """List joints with switches that no actuator of the same name drives, in words."""
     joints = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, k) for k in range(model.njnt)} - {None}
     sensors = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SENSOR, k) for k in range(model.nsensor)}
-    lost = sorted(j for j in joints - set(axis_names(model)) if any(f"{j}_{pin}" in sensors for pin in PINS))
+    lost = sorted(j for j in joints - set(find_axis_names(model)) if any(f"{j}_{pin}" in sensors for pin in PINS))
     return [f"joint {j!r} has switches, but no actuator is named {j!r}: it is no axis" for j in lost]
 
 
@@ -109,7 +109,7 @@ class _Binder:
     def __init__(self, model: mujoco.MjModel, axes: list[str]):
         self.model, self.axes = model, axes
         self.problems = Problems()
-        self.texts = texts(model)
+        self.texts = read_texts(model)
         self.switches = SwitchFinder(model, self.problems, axes)
 
     def bind(self) -> tuple[PlantAxis, ...]:
@@ -130,11 +130,11 @@ class _Binder:
         tandems: dict[str, tuple[str, ...]] = {}
         if not any(name.endswith("_tandem") for name in self.texts):
             return tandems
-        known = axis_names(self.model)
+        known = find_axis_names(self.model)
         for name in known:
             for other in self.texts.get(f"{name}_tandem", "").split():
                 if other not in known or other == name:
-                    near = "".join(f" (meant {a!r}?)" for a in similar(other, known))
+                    near = "".join(f" (meant {a!r}?)" for a in find_nearest_name(other, known))
                     self.problems.add(
                         name, f"the text {name}_tandem names {other!r}{near}; it names other axes of one load"
                     )
@@ -166,20 +166,22 @@ class _Binder:
         joint, actuator = self._id(obj.mjOBJ_JOINT, name), self._id(obj.mjOBJ_ACTUATOR, name)
         if joint < 0:
             self.problems.add(
-                name, f"no joint {name!r}{slip(m, obj.mjOBJ_JOINT, m.njnt, name, self.axes)}", joint_line(name)
+                name,
+                f"no joint {name!r}{suggest_name(m, obj.mjOBJ_JOINT, m.njnt, name, self.axes)}",
+                format_joint_line(name),
             )
         if actuator < 0:
-            near = slip(m, obj.mjOBJ_ACTUATOR, m.nu, name, self.axes)
-            self.problems.add(name, f"no actuator {name!r}{near}", actuator_line(name))
+            near = suggest_name(m, obj.mjOBJ_ACTUATOR, m.nu, name, self.axes)
+            self.problems.add(name, f"no actuator {name!r}{near}", format_actuator_line(name))
         if joint < 0 or actuator < 0:
             return None
         slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
         if int(m.jnt_type[joint]) not in (slide, hinge):
-            self.problems.add(name, f"joint {name!r} is neither slide nor hinge", joint_line(name))
+            self.problems.add(name, f"joint {name!r} is neither slide nor hinge", format_joint_line(name))
             return None
         low, high = (float(v) for v in m.jnt_range[joint])
         if not low < high:
-            line = joint_line(name, int(m.jnt_type[joint]) == hinge)
+            line = format_joint_line(name, int(m.jnt_type[joint]) == hinge)
             self.problems.add(name, f"joint {name!r} has no range, so its switches cannot be looked for", line)
         gear = float(m.actuator_gear[actuator][0])
         servo = bool(m.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_DCMOTOR)
@@ -217,7 +219,7 @@ class _Binder:
                 f"actuator {name!r} is not a <motor> on joint {name!r}, nor a <dcmotor> with voltage input only, with a gear of "
                 f"1e-6 to 1e9 (rotor radians per joint unit); if {name!r} is no axis of a chip, name those that are: "
                 "chips={axis: chip}",
-                actuator_line(name),
+                format_actuator_line(name),
             )
 
     def _read_unfitted(self, name: str) -> list[str]:
@@ -225,7 +227,7 @@ class _Binder:
         unfitted = self.texts.get(f"{name}_unfitted", "").split()
         for pin in unfitted:
             if pin not in PINS:
-                near = "".join(f" (meant {p!r}?)" for p in similar(pin, PINS))
+                near = "".join(f" (meant {p!r}?)" for p in find_nearest_name(pin, PINS))
                 self.problems.add(name, f"the text {name}_unfitted names {pin!r}{near}; switches are {', '.join(PINS)}")
         return unfitted
 

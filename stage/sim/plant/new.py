@@ -18,22 +18,22 @@ from typing import NamedTuple
 
 from stage.errors import ModelError
 
-LEAD = 0.010  # m a turn
-RATIO = 10  # turns of the motor for one of a table
-ROTOR = 5.4e-6  # kg m2, of a 17HS4401
-MOTOR = "17HS4401"
+SCREW_LEAD_M = 0.010  # m a turn
+GEAR_RATIO = 10  # turns of the motor for one of a table
+ROTOR_INERTIA_KG_M2 = 5.4e-6  # kg m2, of a 17HS4401
+MOTOR_NAME = "17HS4401"
 STEEL, SCREW = 7850, 0.005  # kg/m3; m: the screw's radius
-SLIDES = 0.01, 2.0  # m between the end limits
+SLIDE_TRAVEL_RANGE_M = 0.01, 2.0  # m between the end limits
 TURN, WIDEST, NARROWEST = (
     360.0,
     330.0,
     20.0,
 )  # degrees; what lies between WIDEST and TURN leaves no room for the hard stops
-TABLE = 0.060  # m: a table's radius
+TABLE_RADIUS_M = 0.060  # m: a table's radius
 DIRECTIONS = {"x": "1 0 0 0", "y": "1 0 0 1", "z": "1 0 -1 0"}  # quaternions: how the x of a slide's own frame lies
-BACK = {"x": "1 0 0 0", "y": "1 0 0 -1", "z": "1 0 1 0"}
-BEAM = 0.0005  # m: radius of a light beam, at whose surface a switch trips
-KINDS = {"slide": {"m": 1.0, "cm": 1e-2, "mm": 1e-3}, "hinge": {"deg": 1.0, "rad": 180 / math.pi}}
+INVERSE_DIRECTIONS = {"x": "1 0 0 0", "y": "1 0 0 -1", "z": "1 0 1 0"}
+BEAM_RADIUS_M = 0.0005  # m: radius of a light beam, at whose surface a switch trips
+UNITS_BY_KIND = {"slide": {"m": 1.0, "cm": 1e-2, "mm": 1e-3}, "hinge": {"deg": 1.0, "rad": 180 / math.pi}}
 
 
 @dataclass(frozen=True)
@@ -58,10 +58,10 @@ class NewAxis:
             ModelError: The text has another form, or the travel is out of range.
         """
         m = re.fullmatch(r"([A-Za-z]\w*):(slide|hinge):([\d.]+)(mm|cm|m|deg|rad)", text.strip())
-        if m is None or m[4] not in KINDS[m[2]] or not re.fullmatch(r"\d+\.?\d*|\.\d+", m[3]):
+        if m is None or m[4] not in UNITS_BY_KIND[m[2]] or not re.fullmatch(r"\d+\.?\d*|\.\d+", m[3]):
             raise ModelError(f"{text!r}: an axis is NAME:slide:300mm (m, cm, mm), or NAME:hinge:90deg (deg, rad).")
-        travel = float(m[3]) * KINDS[m[2]][m[4]]
-        low, high = SLIDES
+        travel = float(m[3]) * UNITS_BY_KIND[m[2]][m[4]]
+        low, high = SLIDE_TRAVEL_RANGE_M
         if m[2] == "slide" and not low <= travel <= high:
             raise ModelError(f"{text!r}: {low * 1e3:g} mm to {high:g} m between the end limits.")
         if m[2] == "hinge" and not (NARROWEST <= travel <= WIDEST or math.isclose(travel, TURN, rel_tol=1e-3)):
@@ -105,7 +105,7 @@ def new_model(axes: Sequence[NewAxis]) -> str:
     names = [a.name for a in axes]
     if not axes or len(set(names)) < len(names):
         raise ModelError(f"axes {', '.join(names) or 'none'}: one or more, each of a name of its own.")
-    body, pairs = _chain(list(axes), _choose_directions(axes))
+    body, pairs = _build_bodies(list(axes), _choose_directions(axes))
     lines = [
         "<!-- A stage for PulseStage. Units: m, kg, s. An axis is a joint and an actuator of one name; its switches are the",
         "     contact sensors NAME_el_plus ... `stage view --text FILE` prints the axes, or what is missing.",
@@ -139,19 +139,19 @@ def new_model(axes: Sequence[NewAxis]) -> str:
         "  </contact>",
         "  <!-- gear: rotor radians for a metre (a radian on a hinge); ctrl is the rotor's torque, N m -->",
         "  <actuator>",
-        *(f'    <motor name="{a.name}" joint="{a.name}" gear="{_gear(a):.7g}"/>' for a in axes),
+        *(f'    <motor name="{a.name}" joint="{a.name}" gear="{_compute_gear(a):.7g}"/>' for a in axes),
         "  </actuator>",
         "  <sensor>",
         *(
             f'    <contact name="{a.name}_{s.name}" geom1="{a.name}_{s.name}_vane" geom2="{a.name}_{s.name}_beam" num="1" '
             'data="found dist"/>'
             for a in axes
-            for s in _switches(a)
+            for s in _list_switches(a)
         ),
         "  </sensor>",
         "  <!-- the motor whose rotor is inside the joint's armature; switches that an axis does not have -->",
         "  <custom>",
-        *(f'    <text name="{a.name}_motor" data="{MOTOR}"/>' for a in axes),
+        *(f'    <text name="{a.name}_motor" data="{MOTOR_NAME}"/>' for a in axes),
         *(f'    <text name="{a.name}_unfitted" data="el_plus el_minus sd_plus sd_minus"/>' for a in axes if a.endless),
         "  </custom>",
         "</mujoco>",
@@ -169,24 +169,24 @@ def _choose_directions(axes: Sequence[NewAxis]) -> dict[str, str]:
     return directions
 
 
-def _chain(axes: list[NewAxis], directions: dict[str, str]) -> tuple[list[str], list[str]]:
+def _build_bodies(axes: list[NewAxis], directions: dict[str, str]) -> tuple[list[str], list[str]]:
     """Return the bodies from the first axis on, each on the one before, and all pairs."""
     a, rest = axes[0], axes[1:]
-    parts = _slide(a) if a.kind == "slide" else _hinge(a)
-    inner, pairs = _chain(rest, directions) if rest else (
+    parts = _build_slide(a) if a.kind == "slide" else _build_hinge(a)
+    inner, pairs = _build_bodies(rest, directions) if rest else (
         ['<site name="work" pos="0 0 0.01" size="0.003" rgba="0.2 0.9 0.4 0.6"/>'], []
     )  # fmt: skip
     direction = directions.get(a.name, "x")
     above = "0 0 0.04" if direction != "z" else "0 0 0.1"  # a slide upwards carries the next in front of it, on an arm
     arm = '<geom size="0.02 0.02 0.035" pos="0 0 0.065" mass="0.1"/>'
     if direction != "x":
-        inner = [f'<frame quat="{BACK[direction]}">', *_indent(inner), "</frame>"]
+        inner = [f'<frame quat="{INVERSE_DIRECTIONS[direction]}">', *_indent(inner), "</frame>"]
     inner = [*([arm] if direction == "z" else []), f'<frame pos="{above}">', *_indent(inner), "</frame>"]
     reach = _find_stop(a) if a.kind == "slide" else math.radians(_find_stop(a))
-    inertia = _armature(a)
+    inertia = _compute_armature(a)
     friction = 'damping="60" frictionloss="4"' if a.kind == "slide" else 'damping="0.02" frictionloss="0.05"'
     axis = 'type="slide" axis="1 0 0"' if a.kind == "slide" else 'type="hinge" axis="0 0 1"'
-    kind = "screw of 10 mm lead" if a.kind == "slide" else f"gear {RATIO}:1"
+    kind = "screw of 10 mm lead" if a.kind == "slide" else f"gear {GEAR_RATIO}:1"
     lines = [
         f"<!-- {a.name}: {a.kind}, {_describe_travel(a)}; {kind}; the frame -->",
         f'<frame quat="{DIRECTIONS[direction]}">',
@@ -213,14 +213,14 @@ def _indent(lines: Sequence[str]) -> list[str]:
     return [f"  {line}" for line in lines]
 
 
-def _gear(a: NewAxis) -> float:
-    return 2 * math.pi / LEAD if a.kind == "slide" else float(RATIO)
+def _compute_gear(a: NewAxis) -> float:
+    return 2 * math.pi / SCREW_LEAD_M if a.kind == "slide" else float(GEAR_RATIO)
 
 
-def _armature(a: NewAxis) -> float:
+def _compute_armature(a: NewAxis) -> float:
     """Return the armature, kg (kg m2 on a hinge)."""
     screw = 0.5 * STEEL * math.pi * SCREW**4 * (a.travel + 0.1) if a.kind == "slide" else 0.0
-    return (ROTOR + screw) * _gear(a) ** 2
+    return (ROTOR_INERTIA_KG_M2 + screw) * _compute_gear(a) ** 2
 
 
 def _find_stop(a: NewAxis) -> float:
@@ -230,7 +230,7 @@ def _find_stop(a: NewAxis) -> float:
     return a.travel / 2 + (0.006 if a.kind == "slide" else 3.0)
 
 
-def _switches(a: NewAxis) -> list[_Switch]:
+def _list_switches(a: NewAxis) -> list[_Switch]:
     """Return the switches with their ranges."""
     green, red, amber = "0.12 0.66 0.32 1", "0.86 0.16 0.15 1", "0.98 0.68 0.08 1"
     if a.endless:
@@ -245,19 +245,20 @@ def _switches(a: NewAxis) -> list[_Switch]:
     ]
 
 
-def _slide(a: NewAxis) -> _AxisParts:
+def _build_slide(a: NewAxis) -> _AxisParts:
     """Return the parts of a rail and its carriage, along x."""
     half, wide = 0.04, 0.045  # m: of the carriage; beams lie beside it
     rail = _find_stop(a) + half + 0.02
     frame = [f'<geom class="frame" size="{rail:.6g} 0.03 0.008" pos="0 0 -0.01"/>']
     moving = [f'<geom name="{a.name}_carriage" size="{half} 0.04 0.01" pos="0 0 0.02" mass="0.8"/>']
     pairs = []
-    for k, s in enumerate(_switches(a)):
+    for k, s in enumerate(_list_switches(a)):
         at, long = (s.low + s.high) / 2, (s.high - s.low) / 2
         y = wide + 0.004 * k
         frame.append(f'<geom name="{a.name}_{s.name}_beam" class="beam" pos="{at:.6g} {y:.4g} 0.02"/>')
         moving.append(
-            f'<geom name="{a.name}_{s.name}_vane" size="{long - BEAM:.6g} 0.0005 0.005" pos="0 {y:.4g} 0.02" rgba="{s.colour}"/>'
+            f'<geom name="{a.name}_{s.name}_vane" size="{long - BEAM_RADIUS_M:.6g} 0.0005 0.005" '
+            f'pos="0 {y:.4g} 0.02" rgba="{s.colour}"/>'
         )
         pairs.append(_make_pair(a, s))
     for side, sign in (("plus", 1), ("minus", -1)):
@@ -267,16 +268,16 @@ def _slide(a: NewAxis) -> _AxisParts:
     return _AxisParts(frame, moving, pairs)
 
 
-def _hinge(a: NewAxis) -> _AxisParts:
+def _build_hinge(a: NewAxis) -> _AxisParts:
     """Return the parts of a table that turns about z. Each switch has a track of its own, above the last; vanes are flat."""
-    name, at_radius = a.name, TABLE - 0.008
-    frame = [f'<geom class="frame" type="cylinder" size="{TABLE} 0.008" pos="0 0 -0.01"/>']
-    moving = [f'<geom name="{name}_table" type="cylinder" size="{TABLE} 0.004" pos="0 0 0.035" mass="0.5"/>']
+    name, at_radius = a.name, TABLE_RADIUS_M - 0.008
+    frame = [f'<geom class="frame" type="cylinder" size="{TABLE_RADIUS_M} 0.008" pos="0 0 -0.01"/>']
+    moving = [f'<geom name="{name}_table" type="cylinder" size="{TABLE_RADIUS_M} 0.004" pos="0 0 0.035" mass="0.5"/>']
     pairs = []
-    for k, s in enumerate(_switches(a)):
+    for k, s in enumerate(_list_switches(a)):
         middle, half, z = math.radians((s.low + s.high) / 2), math.radians((s.high - s.low) / 2), 0.002 + 0.004 * k
         sag = at_radius * (1 - math.cos(half))
-        deep, where, wide = 0.004 + sag / 2, at_radius - sag / 2, at_radius * math.sin(half) - BEAM
+        deep, where, wide = 0.004 + sag / 2, at_radius - sag / 2, at_radius * math.sin(half) - BEAM_RADIUS_M
         frame.append(
             f'<geom name="{name}_{s.name}_beam" class="beam" pos="{at_radius * math.cos(middle):.6g} '
             f'{at_radius * math.sin(middle):.6g} {z:.4g}"/>'

@@ -44,24 +44,24 @@ class Problems:
         )
 
 
-def similar(name: str, known: Iterable[str]) -> list[str]:
+def find_nearest_name(name: str, known: Iterable[str]) -> list[str]:
     """Return the name nearest to `name`, if one is near."""
     return find_similar_names(name, filter(None, known), 0.6)[:1]
 
 
-def slip(model: Any, kind: Any, count: int, name: str, axes: Sequence[str]) -> str:
+def suggest_name(model: Any, kind: Any, count: int, name: str, axes: Sequence[str]) -> str:
     """Return, for a missing name, the nearest of its kind that is no axis, in words; "" if there is none."""
     known = (mujoco.mj_id2name(model, kind, k) or "" for k in range(count))
-    near = similar(name, (k for k in known if k not in axes))
+    near = find_nearest_name(name, (k for k in known if k not in axes))
     return f" (there is {near[0]!r}: a slip?)" if near else ""
 
 
-def actuator_line(name: str) -> str:
+def format_actuator_line(name: str) -> str:
     """Return the MJCF line of an axis' motor."""
     return f'<motor name="{name}" joint="{name}" gear="628.3185307"/>'
 
 
-def joint_line(name: str, hinge: bool = False) -> str:
+def format_joint_line(name: str, hinge: bool = False) -> str:
     """Return the MJCF line of an axis' joint.
 
     Args:
@@ -72,7 +72,7 @@ def joint_line(name: str, hinge: bool = False) -> str:
     return f'<joint name="{name}" type="{kind}" limited="false"/>'
 
 
-def sensor_line(axis: str, pin: str, vane: str = "", switch: str = "") -> str:
+def format_sensor_line(axis: str, pin: str, vane: str = "", switch: str = "") -> str:
     """Return the MJCF line of a switch's sensor.
 
     Args:
@@ -85,7 +85,7 @@ def sensor_line(axis: str, pin: str, vane: str = "", switch: str = "") -> str:
     return f'<contact name="{axis}_{pin}" geom1="{vane}" geom2="{switch}" num="1" reduce="mindist" data="found dist"/>'
 
 
-def pair_line(geom1: str, geom2: str) -> str:
+def format_pair_line(geom1: str, geom2: str) -> str:
     """Return the MJCF line of a pair of geoms that is detected and exerts no force.
 
     Args:

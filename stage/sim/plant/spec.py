@@ -15,10 +15,10 @@ import numpy as np
 
 from stage.errors import ArgumentError, ModelError, find_similar_names, unknown_name_error
 from stage.sim.plant.model_size import check_model_size
-from stage.sim.plant.problems import actuator_line, similar
+from stage.sim.plant.problems import find_nearest_name, format_actuator_line
 
 
-def names() -> list[str]:
+def list_model_names() -> list[str]:
     """Return the names of the models that ship with PulseStage."""
     shipped: list[str] = import_module("stage.models").names()
     return shipped
@@ -37,16 +37,18 @@ def open_spec(source: Any) -> Any:
     if isinstance(source, mujoco.MjModel):
         return copy.copy(source)
     if not isinstance(source, str | os.PathLike):
-        raise ArgumentError(f"model {source!r}: give a name ({', '.join(names())}), a path, an MjSpec or an MjModel.")
+        raise ArgumentError(
+            f"model {source!r}: give a name ({', '.join(list_model_names())}), a path, an MjSpec or an MjModel."
+        )
     path = Path(source)
     if not path.suffix and len(path.parts) == 1:
-        if str(source) not in names():
-            raise unknown_name_error("model", str(source), names())
-        return _shipped(str(source), _state_of_models()).copy()
+        if str(source) not in list_model_names():
+            raise unknown_name_error("model", str(source), list_model_names())
+        return _load_shipped_spec(str(source), _read_model_versions()).copy()
     if not os.path.lexists(path):
-        near = find_similar_names(path.stem, names(), 0.5)
+        near = find_similar_names(path.stem, list_model_names(), 0.5)
         hint = f" Did you mean the shipped model {near[0]!r}?" if near else ""
-        raise ModelError(f"no MJCF file at {path}.{hint} Shipped models, by name: {', '.join(names())}.")
+        raise ModelError(f"no MJCF file at {path}.{hint} Shipped models, by name: {', '.join(list_model_names())}.")
     check_model_size(path)
     try:
         return mujoco.MjSpec.from_file(str(path))
@@ -58,20 +60,20 @@ def open_spec(source: Any) -> Any:
 
 
 @cache
-def _models() -> Path:
+def _find_model_folder() -> Path:
     """Return the folder of the shipped models; in a checkout it is beside the package."""
     return Path(import_module("stage.models").__path__[0])
 
 
-def _state_of_models() -> tuple[int, ...]:
+def _read_model_versions() -> tuple[int, ...]:
     """Return a value that changes when a file of a shipped model does."""
-    return tuple(sorted(f.stat().st_mtime_ns for f in _models().iterdir() if f.is_file()))
+    return tuple(sorted(f.stat().st_mtime_ns for f in _find_model_folder().iterdir() if f.is_file()))
 
 
 @lru_cache(16)
-def _shipped(name: str, _state: tuple[int, ...]) -> Any:
+def _load_shipped_spec(name: str, _state: tuple[int, ...]) -> Any:
     """The MjSpec of a shipped model; to be copied. Reading it takes a hundred times longer."""
-    return mujoco.MjSpec.from_file(str(_models() / f"{name}.xml"))
+    return mujoco.MjSpec.from_file(str(_find_model_folder() / f"{name}.xml"))
 
 
 def discard_visuals(spec: Any) -> None:
@@ -89,7 +91,7 @@ def discard_visuals(spec: Any) -> None:
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 
 
-def axis_names(source: Any) -> list[str]:
+def find_axis_names(source: Any) -> list[str]:
     """Return every joint that has an actuator of its name, in the order of the actuators.
 
     Raises:
@@ -103,32 +105,36 @@ def axis_names(source: Any) -> list[str]:
     joints, actuators = [j for j in joints if j], [a for a in actuators if a]
     axes = [a for a in actuators if a in joints]
     if not axes:
-        slips = "".join(f" Actuator {a!r} and joint {j[0]!r}: a slip?" for a in actuators if (j := similar(a, joints)))
+        slips = "".join(
+            f" Actuator {a!r} and joint {j[0]!r}: a slip?" for a in actuators if (j := find_nearest_name(a, joints))
+        )
         raise ModelError(
             f"the model has no axis: a joint and an actuator of the same name.{slips} Joints: "
             f"{', '.join(joints) or 'none'}; actuators: {', '.join(actuators) or 'none'}. "
-            f"For a slide joint 'x' with a screw of 10 mm lead add {actuator_line('x')}",
-            [actuator_line("x")],
+            f"For a slide joint 'x' with a screw of 10 mm lead add {format_actuator_line('x')}",
+            [format_actuator_line("x")],
         )
     return axes
 
 
-def motors(source: Any) -> dict[str, str]:
+def find_motor_names(source: Any) -> dict[str, str]:
     """Return the motors that a model names, by axis."""
     compiled = isinstance(source, mujoco.MjModel)
-    texts_by_name = texts(source) if compiled else {_readable(t, "name"): _readable(t, "data") for t in source.texts}
+    texts_by_name = (
+        read_texts(source) if compiled else {_decode_text(t, "name"): _decode_text(t, "data") for t in source.texts}
+    )
     return {name[: -len("_motor")]: data for name, data in texts_by_name.items() if name.endswith("_motor")}
 
 
-def _readable(text: Any, field: str) -> str:
-    """A field of an MjSpec's text; what is not UTF-8 in it is replaced, as in `texts`."""
+def _decode_text(text: Any, field: str) -> str:
+    """A field of an MjSpec's text; what is not UTF-8 in it is replaced, as in `read_texts`."""
     try:
         return str(getattr(text, field))
     except UnicodeDecodeError as error:
         return error.object.decode(errors="replace")
 
 
-def equip(source: Any, axis: str, constants: tuple[float, float] | None) -> None:
+def fit_actuator(source: Any, axis: str, constants: tuple[float, float] | None) -> None:
     """Fit the actuator of an axis, if it is of another kind. An MjModel cannot change; `bind` reports if it does not fit.
 
     Args:
@@ -148,7 +154,7 @@ def equip(source: Any, axis: str, constants: tuple[float, float] | None) -> None
 
 
 def reserve_fitted_values(source: Any, axes: Iterable[str]) -> None:
-    """Give an MjSpec the numeric AXIS_fitted of each axis, see `fitted_values`. An MjModel stays as it is.
+    """Give an MjSpec the numeric AXIS_fitted of each axis, see `view_fitted_values`. An MjModel stays as it is.
 
     Args:
         source: MjSpec or MjModel.
@@ -160,7 +166,7 @@ def reserve_fitted_values(source: Any, axes: Iterable[str]) -> None:
                 source.add_numeric(name=f"{axis}_fitted", data=[0.0, 0.0])
 
 
-def fitted_values(model: mujoco.MjModel, axis: str) -> np.ndarray:
+def view_fitted_values(model: mujoco.MjModel, axis: str) -> np.ndarray:
     """Return what a stage has put into a model for the motor of an axis, a view of its numeric AXIS_fitted.
 
     Returns:
@@ -171,7 +177,7 @@ def fitted_values(model: mujoco.MjModel, axis: str) -> np.ndarray:
     return model.numeric_data[model.numeric_adr[k] :][:2] if k >= 0 else np.zeros(2)
 
 
-def dc_constants(source: Any, axis: str) -> tuple[float, float] | None:
+def read_dc_constants(source: Any, axis: str) -> tuple[float, float] | None:
     """Return torque constant, N m/A, and resistance, ohm, of the axis' <dcmotor>, if it has one."""
     compiled = isinstance(source, mujoco.MjModel)
     for a in [source.actuator(k) for k in range(source.nu)] if compiled else list(source.actuators):
@@ -180,7 +186,7 @@ def dc_constants(source: Any, axis: str) -> tuple[float, float] | None:
     return None
 
 
-def texts(model: mujoco.MjModel) -> dict[str, str]:
+def read_texts(model: mujoco.MjModel) -> dict[str, str]:
     """Return the <text>s of a model, by name."""
     return {
         mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, k): bytes(

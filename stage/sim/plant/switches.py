@@ -10,15 +10,17 @@ import mujoco
 import numpy as np
 
 from stage.sim import callbacks, flag_scan, libmujoco
-from stage.sim.plant.problems import Problems, pair_line, sensor_line, slip
+from stage.sim.plant.problems import Problems, format_pair_line, format_sensor_line, suggest_name
 from stage.sim.records import PINS
 
-LOOK_AHEAD = 0.5e-3  # m; a switch must be seen this far before the touch, so that the edge is found inside a step
-SCAN = 401  # joint positions tried over the range
-NARROWEST = 1e-7  # share of the range; flags are looked for down to this width
-LINEAR = 0.02  # share by which the distance beside an edge may miss its tangent
-TRUSTED = 0.95  # share of the travel over which it does so; where the contact's direction changes is beyond
-SMALLEST = 1e-12  # joint travel; below it the sensor and the joint's position do not differ
+MIN_LOOKAHEAD_M = 0.5e-3  # m; a switch must be seen this far before the touch, so that the edge is found inside a step
+SCAN_POSITIONS = 401  # joint positions tried over the range
+MIN_FLAG_SHARE = 1e-7  # share of the range; flags are looked for down to this width
+MAX_LINEAR_ERROR = 0.02  # share by which the distance beside an edge may miss its tangent
+TRUSTED_TRAVEL_SHARE = (
+    0.95  # share of the travel over which it does so; where the contact's direction changes is beyond
+)
+MIN_TRAVEL = 1e-12  # joint travel; below it the sensor and the joint's position do not differ
 FULL_TURN = 2 * np.pi
 _DATA_DIMS = (("FOUND", 1), ("FORCE", 3), ("TORQUE", 3), ("DIST", 1), ("POS", 3), ("NORMAL", 3), ("TANGENT", 3))
 
@@ -113,7 +115,7 @@ class SwitchFinder:
             return None
         vane, switch = int(m.sensor_objid[sensor]), int(m.sensor_refid[sensor])
         vane_name, switch_name = m.geom(vane).name, m.geom(switch).name
-        pair, line = pair_line(vane_name, switch_name), sensor_line(axis, pin, vane_name, switch_name)
+        pair, line = format_pair_line(vane_name, switch_name), format_sensor_line(axis, pin, vane_name, switch_name)
         at = self._addresses(sensor)
         if "FOUND" not in at or "DIST" not in at:
             self.problems.add(axis, f'sensor {name!r} needs data="found dist"', line)
@@ -125,15 +127,15 @@ class SwitchFinder:
         entering, leaving = [e for e in edges if e[1] < 0], [e for e in edges if e[1] > 0]
         q, slope = entering[0] if entering and (pin.endswith("plus") or not leaving) else leaving[-1]
         found_address, dist = at["FOUND"], at["DIST"]
-        ahead = q + LOOK_AHEAD / slope
+        ahead = q + MIN_LOOKAHEAD_M / slope
         self._forward(joint, ahead)
         is_seen, gap = self.data.sensordata[found_address] > 0, self._distance(joint, ahead, vane, switch)
         read = self.data.sensordata[dist]
         if not is_seen:
-            text = f"sensor {name!r} does not see its vane {LOOK_AHEAD * 1e3} mm before the touch: "
+            text = f"sensor {name!r} does not see its vane {MIN_LOOKAHEAD_M * 1e3} mm before the touch: "
             self.problems.add(axis, text + "no pair, or its margin + gap is too small", pair)
             return None
-        if abs(read - gap) > 0.1 * LOOK_AHEAD:
+        if abs(read - gap) > 0.1 * MIN_LOOKAHEAD_M:
             text = f"sensor {name!r} reads {read * 1e3:.3f} mm where vane and switch are {gap * 1e3:.3f} mm apart"
             self.problems.add(axis, text, line)
             return None
@@ -158,7 +160,7 @@ class SwitchFinder:
         m, obj, name = self.model, mujoco.mjtObj, f"{axis}_{pin}"
         sensor = self._sensor(name)
         if sensor < 0:
-            near = slip(m, obj.mjOBJ_SENSOR, m.nsensor, name, self._spoken_for)
+            near = suggest_name(m, obj.mjOBJ_SENSOR, m.nsensor, name, self._spoken_for)
             text = f'no contact sensor {name!r}{near}; a switch not fitted is named in <text name="{axis}_unfitted" data="{pin}"/>'
         elif m.sensor_type[sensor] != mujoco.mjtSensor.mjSENS_CONTACT:
             text = f"sensor {name!r} is not a <contact> sensor"
@@ -166,7 +168,7 @@ class SwitchFinder:
             text = f"sensor {name!r} must name geom1 (vane) and geom2 (switch)"
         else:
             return sensor
-        self.problems.add(axis, text, sensor_line(axis, pin, *self._likely(axis, pin)))
+        self.problems.add(axis, text, format_sensor_line(axis, pin, *self._likely(axis, pin)))
         return None
 
     def _pushes(self, joint: int, q: float, pair: set[int]) -> bool:
@@ -177,7 +179,7 @@ class SwitchFinder:
     def _limit_to_one_turn(self, joint: int, low: float, high: float) -> tuple[float, float, float]:
         """Return the joint travel in which all edges are found, and after which travel they come again: 0 of no full turn."""
         hinge = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
-        if not hinge or high - low <= FULL_TURN * (1 - NARROWEST):
+        if not hinge or high - low <= FULL_TURN * (1 - MIN_FLAG_SHARE):
             return low, high, 0.0
         middle, half = 0.5 * (low + high), 0.5 * min(high - low, FULL_TURN)
         return middle - half, middle + half, FULL_TURN
@@ -198,7 +200,7 @@ class SwitchFinder:
     def _forward(self, joint: int, q: float) -> None:
         """Compute everything with this joint at q and the others at qpos0."""
         self._at(joint, q)
-        callbacks.forward(self.model, self.data)
+        callbacks.forward_guarded(self.model, self.data)
 
     def _distance(self, joint: int, q: float, vane: int, switch: int) -> float:
         self._at(joint, q)
@@ -217,7 +219,7 @@ class SwitchFinder:
         return out
 
     def scanned(self, axis: str, joint: int, low: float, high: float) -> dict[tuple[int, int], np.ndarray]:
-        """Return vane and switch -> their distance at the positions of `_scan_grid`, for all the axis' sensors that name two geoms.
+        """Measure the distance between vane and switch over the travel, for each sensor of the axis that names two geoms.
 
         Args:
             axis: Name of the axis.
@@ -235,7 +237,7 @@ class SwitchFinder:
         ]
         for vane, switch in pairs:  # MuJoCo's errors are exceptions in Python only
             mujoco.mj_geomDistance(m, self.data, vane, switch, flag_scan.MAX_DISTANCE_M, None)
-        return dict(zip(pairs, self._far(joint, _scan_grid(low, high), pairs).T, strict=True))
+        return dict(zip(pairs, self._far(joint, _make_scan_grid(low, high), pairs).T, strict=True))
 
     def _pushing(self) -> list[set[int]]:
         contact, count = self.data.contact, self.data.ncon
@@ -247,9 +249,9 @@ class SwitchFinder:
         self, joint: int, pair: tuple[int, int], low: float, high: float, scanned: np.ndarray
     ) -> list[tuple[float, float]] | str:
         """Return all edges of the flag from `low` to `high`, (joint position, d dist / d q) of each, or what is wrong with it."""
-        grid, dist = _scan_grid(low, high).tolist(), scanned.tolist()
+        grid, dist = _make_scan_grid(low, high).tolist(), scanned.tolist()
         for k in reversed((np.flatnonzero(_may_touch_between(scanned)) + 1).tolist()):
-            finer, near = self._refine_minimum(joint, pair, grid[k - 1], grid[k + 1], NARROWEST * (high - low))
+            finer, near = self._refine_minimum(joint, pair, grid[k - 1], grid[k + 1], MIN_FLAG_SHARE * (high - low))
             grid[k : k + 1], dist[k : k + 1] = finer.tolist(), near.tolist()
         on = np.array(dist) <= 0
         changes = np.flatnonzero(on[:-1] != on[1:]).tolist()
@@ -302,7 +304,9 @@ class SwitchFinder:
         steps = np.geomspace(min(1e-6 * span, 1e-2 * room), 1e-2 * span, 5)
         slopes = [float((distance(at + e) - distance(at - e)) / (2 * e)) for e in steps]
         right = [(slope < 0) == entering and slope != 0 for slope in slopes]
-        steady = [ok and abs(s - t) <= LINEAR * abs(s) for ok, (s, t) in zip(right, pairwise(slopes), strict=False)]
+        steady = [
+            ok and abs(s - t) <= MAX_LINEAR_ERROR * abs(s) for ok, (s, t) in zip(right, pairwise(slopes), strict=False)
+        ]
         choice = next((fit.index(True) for fit in (steady, right) if any(fit)), None)
         return 0.0 if choice is None else slopes[choice]
 
@@ -313,8 +317,8 @@ class SwitchFinder:
 
         span, room: As of `_find_slope`.
         """
-        noise, bend, limits = SMALLEST, 0.0, []
-        nearest = min(NARROWEST * span, 1e-4 * room)  # the first steps, up to 100 times as far, measure the noise
+        noise, bend, limits = MIN_TRAVEL, 0.0, []
+        nearest = min(MIN_FLAG_SHARE * span, 1e-4 * room)  # the first steps, up to 100 times as far, measure the noise
         steps = (span * np.geomspace(nearest / span, 1, 41)).tolist()
         for side in (-1, 1):
             limit = 0.0
@@ -326,15 +330,15 @@ class SwitchFinder:
                 error = abs(sensed - side * step)
                 if step <= 100 * steps[0]:
                     noise = max(noise, error)
-                elif error > noise + LINEAR * step:
+                elif error > noise + MAX_LINEAR_ERROR * step:
                     break
-                bend, limit = max(bend, 1.5 * (error - noise) / step**2), TRUSTED * sensed
+                bend, limit = max(bend, 1.5 * (error - noise) / step**2), TRUSTED_TRAVEL_SHARE * sensed
             limits.append(limit)
         return FlagEdge(at, slope, bend, noise, *limits)
 
     def _look_ahead(self, joint: int, found_address: int, q: float, slope: float, low: float, high: float) -> float:
         """Return the joint travel before the touch over which the sensor finds the vane."""
-        sign, near, unseen = (1.0 if slope > 0 else -1.0), LOOK_AHEAD / abs(slope), 0.0
+        sign, near, unseen = (1.0 if slope > 0 else -1.0), MIN_LOOKAHEAD_M / abs(slope), 0.0
         room = high - q if slope > 0 else q - low
         for _ in range(24):
             x = 0.5 * (near + unseen) if unseen else min(2 * near, room)
@@ -411,15 +415,15 @@ def _limit_to_one_distance(edges: list[FlagEdge], closed: bool) -> tuple[FlagEdg
     return tuple(edges)
 
 
-def _scan_grid(low: float, high: float) -> np.ndarray:
+def _make_scan_grid(low: float, high: float) -> np.ndarray:
     """Return SCAN positions from `low` to `high` and one beyond each: a narrow flag may lie beside the ends, too."""
-    step = (high - low) / (SCAN - 1)
-    return np.concatenate(([low - step], np.linspace(low, high, SCAN), [high + step]))
+    step = (high - low) / (SCAN_POSITIONS - 1)
+    return np.concatenate(([low - step], np.linspace(low, high, SCAN_POSITIONS), [high + step]))
 
 
 def _measure_free_travel(places: list[float], span: float) -> list[float]:
     """Return the distance from each place to the nearest other one, at most `span`; `places` ascend."""
-    gaps = [span, *(max(b - a, SMALLEST) for a, b in pairwise(places)), span]
+    gaps = [span, *(max(b - a, MIN_TRAVEL) for a, b in pairwise(places)), span]
     return [min(before, after) for before, after in pairwise(gaps)]
 
 
