@@ -65,7 +65,7 @@ def commands(port: Port, begin: int, samples: int) -> np.ndarray:
     for cycle in (*chip.register_cycles("timer", port.t), *chip.register_cycles("command_position", begin)):
         chip.write(*cycle)
     clocks = 16 * (port.t + 1)
-    chip.advance(16 * (maps.after_reset("timer") + 1))  # the sample of the reset ends
+    chip.advance(16 * (maps.find_reset_value("timer") + 1))  # the sample of the reset ends
     chip.write(maps.FLAG, SET | FLAGS["trapezoid"])
     chip.write(maps.MODE, CONTROL)
     out = [chip.command_position]

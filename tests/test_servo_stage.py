@@ -249,7 +249,7 @@ def test_a_stage_placed_on_an_index_mark_shows_its_chip_the_shaft_first(xyz):
     lone._rows[0] = journal.start
     for e in journal.entries:
         e.apply(lone.CORE, lone._rows)
-    assert int(lone.state["home"]) == int(y.chip.state["home"]) == y.chip.encoder
+    assert int(lone.state["ring_origin"]) == int(y.chip.state["ring_origin"]) == y.chip.encoder
 
 
 def test_what_reached_a_chip_of_a_stage_brings_one_on_the_bench_to_the_same_state(xyz):
@@ -267,7 +267,7 @@ def test_what_reached_a_chip_of_a_stage_brings_one_on_the_bench_to_the_same_stat
         lone.advance(e.clock - lone.clock)
         e.apply(lone.CORE, lone._rows)
     lone.advance(journal.until - lone.clock)
-    distance = {"moment"}
+    distance = {"drive_integral"}
     for field in lone.state.dtype.names:
         assert field in distance or np.array_equal(lone.state[field], x.chip.state[field]), field
     shafts = [number(e.a) for e in journal.entries if e.kind == SHAFT]

@@ -10,7 +10,7 @@ from fuzzing.family import Family, Values, Work
 from stage.chips import Chip
 from stage.chips.hctl1100 import core, state
 from stage.chips.hctl1100.commutator import RING
-from stage.chips.hctl1100.timer import STEP, T
+from stage.chips.hctl1100.timer import CLOCKS_PER_COUNT, T
 from stage.native import COMPILED
 
 LONG = 1 << 22  # clocks: a loop in motion works sample by sample
@@ -22,14 +22,14 @@ RATES = (0.0, 1e-4, -1e-4, 0.003, -0.003, 0.1, -0.1, 0.5)  # counts a clock; the
 def counted_core() -> Work:
     """The loop's samples, wrapped once to be counted."""
     work = Work()
-    sample = core._sample
+    sample = core._run_sample
 
     def counting_sample(c: Any, until: int) -> None:
         work.spend()
         work.calls += 1
         sample(c, until)
 
-    core._sample = counting_sample
+    core._run_sample = counting_sample
     return work
 
 
@@ -85,10 +85,10 @@ class HctlFamily(Family):
     def clocks(self, chip: Chip, clocks: int) -> int:
         c = chip.state
         idle = c["mode"] == state.IDLE
-        if c["rate"] and c["reg"][RING]:
+        if c["shaft_rate"] and c["reg"][RING]:
             clocks = min(clocks, self.FEW_CLOCKS)  # each count is an edge of the course, the phases'
         clocks = clocks if idle else min(clocks, LONG)
-        min_clocks = STEP * (min(int(c["period"]), int(c["reg"][T])) + 1)
+        min_clocks = CLOCKS_PER_COUNT * (min(int(c["period"]), int(c["reg"][T])) + 1)
         self.most_samples = 0 if idle else clocks // min_clocks + 2
         return clocks
 

@@ -342,7 +342,7 @@ def test_the_mean_over_a_slice_is_that_of_every_clock_samples_inside_or_not():
         twin.restore(chip.snapshot())
         total = 0
         for _ in range(clocks):
-            total += max(-100, min(100, twin.motor_command)) if twin.clock >= twin.state["dead"] else 0
+            total += max(-100, min(100, twin.motor_command)) if twin.clock >= twin.state["pulse_off_until"] else 0
             twin.advance(1)
         assert mean_of(chip, clocks) == pytest.approx(total / (100 * clocks), abs=1e-12)
 

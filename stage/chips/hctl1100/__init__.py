@@ -5,7 +5,7 @@
     chip.set_shaft(0, rate=0.01)            the shaft turns, in counts of the encoder a clock
     chip.advance(1040)                one sample
 
-`chip.motor_command` is what drives the motor then.
+The motor is then driven by `chip.motor_command`.
 """
 
 from __future__ import annotations
@@ -32,8 +32,10 @@ INIT, PROFILE = (MAP.mask("R07", name) for name in ("init", "profile"))
 class HCTL1100(Chip):
     """Agilent HCTL-1100: digital filter, profile generator and commutator for one axis.
 
-    Bus addresses are those of the registers, 0 to 63, and act modulo 64. It makes no pulses: `trace` is empty, `net` the encoder's
-    count that the command position stands for. The input pins are low when asserted, the output pins high."""
+    The bus addresses are the numbers of the registers, 0 to 63; higher ones act modulo 64. The chip makes no pulses: `trace` is
+    empty, and `net` is the encoder count that corresponds to the command position. The input pins are low when asserted, the
+    output pins high.
+    """
 
     MAP: ClassVar = MAP
     CORE: ClassVar = core
@@ -58,9 +60,9 @@ class HCTL1100(Chip):
     @classmethod
     @explain_arguments
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
-        """Return the cycles to the register's address.
+        """Return the write cycles to the addresses of a register or number.
 
-        A number of several bytes has a name in `maps.NUMBERS`, and an order of its bytes.
+        A number of several bytes has a name in `maps.NUMBERS`, where the order of its bytes stands.
 
         Args:
             name: Name of the register or number.
@@ -75,7 +77,7 @@ class HCTL1100(Chip):
 
     @classmethod
     def rates(cls, edges: np.ndarray) -> np.ndarray:
-        """Return the rates of the profile generator; where a host writes command positions, those from one to the next.
+        """Return the rates of the profile generator, or, if a host writes command positions, the rates from each to the next.
 
         Args:
             edges: EDGE records of the core.
@@ -90,29 +92,31 @@ class HCTL1100(Chip):
 
     @property
     def motor_command(self) -> int:
-        """The command to the motor, -128 to 127: the last one of a control law or of a write to R08 or R09."""
-        return int(self.state["drive"])
+        """Motor command, -128 to 127, as the control law or a write to R08 or R09 has last set it."""
+        return int(self.state["motor_command"])
 
     @property
     def encoder(self) -> int:
-        """The encoder's raw count. Set, the shaft is there and stands still."""
-        return core.encoder_count.with_gil(self.pointer)
+        """Raw count of the encoder. An assignment puts the shaft there, at rest."""
+        return core.read_encoder.with_gil(self.pointer)
 
     @encoder.setter
     def encoder(self, count: int) -> None:
-        lost = core.lost.with_gil(self.pointer)
+        """Raw count of the encoder. An assignment puts the shaft there, at rest."""
+        lost = core.compute_missed_counts.with_gil(self.pointer)
         self.set_shaft(count + lost + 0.5 if lost else count)  # between two counts, where rounding does not matter
 
     @property
     def missed(self) -> float:
-        """Counts that came faster than one in three clocks, plus minus minus: the encoder's input filter lets none of them
-        through, and the shaft is so far ahead of the count."""
-        return core.lost.with_gil(self.pointer)
+        """Net number of counts that came faster than one in three clocks. The encoder's input filter drops them, so the shaft is so
+        far ahead of the count.
+        """
+        return core.compute_missed_counts.with_gil(self.pointer)
 
     @property
     def shaft(self) -> tuple[float, float]:
-        """The count and the rate that `set_shaft` was given last."""
-        return float(self.state["count"]), float(self.state["rate"])
+        """Count and rate of the last call of `set_shaft`."""
+        return float(self.state["shaft_count"]), float(self.state["shaft_rate"])
 
     def shaft_of(self, axis: int) -> tuple[float, float]:
         self._check_axis(axis)
@@ -120,17 +124,16 @@ class HCTL1100(Chip):
 
     @property
     def command_position(self) -> int:
-        """R0C to R0E, sign extended: what the loop is given, counts of the actual position."""
+        """Command position R0C to R0E, sign extended, in counts of the actual position."""
         return int(self.state["command"])
 
     def busy(self, axis: int = 0) -> bool:
-        """Read by one bus cycle whether a trapezoid is in progress: one that LIMIT has ended keeps its flag in Init/Idle."""
+        """Read by one bus cycle whether a trapezoid is in progress. After LIMIT has ended one its flag stays set in Init/Idle."""
         self._check_axis(axis)
         return self.read(STATUS) & (INIT | PROFILE) == PROFILE
 
     def net(self, axis: int = 0) -> int:
-        """The command position as a raw count of the encoder: there `encoder` is when the actual position is the command position.
-        The chip makes no pulses."""
+        """Return the command position as a raw count of the encoder: `encoder` shows it when the shaft has arrived."""
         self._check_axis(axis)
         return core.net.with_gil(self.pointer, 0)
 

@@ -1,12 +1,12 @@
-"""HCTL-1100, compiled: `run` jumps from sample to sample, and over those that change nothing. Between samples nothing changes.
+"""The functions of the HCTL-1100 for a stage, a host and a journal, compiled; see stage/chips/cores.py.
 
-The chip makes no pulses: for a stage `net` is the count that the command position stands for, and the motor gets `drive_input`, a
-share of full drive.
+`run` jumps from sample to sample, and over samples that change nothing. Between samples nothing changes.
+
+The chip makes no pulses: for a stage `net` is the count that corresponds to the command position, and the motor receives
+`drive_input`, a share of full drive.
 """
 
 from __future__ import annotations
-
-import numpy as np
 
 from stage.chips.cores import scan_shafts, through
 from stage.chips.hctl1100 import bus, commutator, encoder, motor, state, timer
@@ -15,9 +15,8 @@ from stage.chips.hctl1100.maps import ADDRESSES, PROPORTIONAL_HIGH, PROPORTIONAL
 from stage.chips.hctl1100.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
 from stage.native import array_of, exported, hot, least
 
-ROOM = 8
+EDGE_MARGIN = 8
 ALL_OUTPUTS = sum(OUTPUTS.values())
-REAL, WHOLE = np.dtype("f8"), np.dtype("i8")
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "drive_input", "net",
            "outputs", "peek", "power_up", "pulse_rate", "read", "run", "scan", "scan_shaft", "set_shaft", "set_input",
@@ -25,15 +24,15 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "co
 
 
 @hot
-def _sample(c, until):
-    """The timer has come to its end. Where the sample changes nothing, those that follow up to `until` do not either."""
-    timer.start(c)
+def _run_sample(c, until):
+    """Run the sample at which the timer ends. If it changes nothing, skip the samples after it up to `until` as well."""
+    timer.start_period(c)
     if c.mode != state.CONTROL:
-        commutator.align_sample(c)
-    elif law.sample(c) and c.clock < until:
-        more = (until - c.clock) // (c.next - c.clock)
-        motor.spend(c, c.clock + more * (c.next - c.clock))
-        timer.skip(c, more)
+        commutator.run_align_sample(c)
+    elif law.run_sample(c) and c.clock < until:
+        more = (until - c.clock) // (c.sample_end - c.clock)
+        motor.accumulate_drive(c, c.clock + more * (c.sample_end - c.clock))
+        timer.skip_samples(c, more)
 
 
 @exported(None, STATE, "i8")
@@ -41,15 +40,15 @@ def run(c, until):
     """Let the chip's clock run up to `until`."""
     while c.clock < until:
         if c.mode == state.IDLE:
-            motor.spend(c, until)
-            timer.idle_to(c, until)
+            motor.accumulate_drive(c, until)
+            timer.run_idle(c, until)
             c.clock = until
             return
-        stop = least(until, c.next)
-        motor.spend(c, stop)
+        stop = least(until, c.sample_end)
+        motor.accumulate_drive(c, stop)
         c.clock = stop
-        if stop == c.next:
-            _sample(c, until)
+        if stop == c.sample_end:
+            _run_sample(c, until)
 
 
 # --- the functions for a stage, see stage/chips/cores.py; the only axis is 0 ---
@@ -57,36 +56,43 @@ def run(c, until):
 
 @exported(None, STATE, "i8", "f8", "f8")
 def set_shaft(c, j, count, rate):
-    """Put the shaft at `count + rate * (clock - now)` from now on, in counts of the encoder."""
+    """Put the shaft at `count + rate * (clock - now)` from now on.
+
+    Args:
+        c: State of the chip.
+        j: Axis of the chip, 0.
+        count: Counts of the encoder.
+        rate: Counts per reference clock.
+    """
     encoder.set_shaft(c, count, rate)
 
 
 @exported("i8", STATE, "i8")
 def net(c, j):
-    """The encoder's count that the command position stands for."""
-    now = encoder.raw(c)
-    return now + state.signed(c.command - (now - c.zero), 24)
+    """Return the raw count of the encoder that corresponds to the command position."""
+    now = encoder.read_count(c)
+    return now + state.to_signed(c.command - (now - c.position_origin), 24)
 
 
 @exported("i8", STATE, "i8")
 def counter(c, j):
-    """The actual position."""
-    return encoder.actual(c)
+    """Return the actual position, in counts."""
+    return encoder.compute_actual_position(c)
 
 
 @exported("i8", STATE, "i8")
 def inputs(c, j):
-    """Input pins, see INPUTS."""
+    """Return the input pins, bits of INPUTS."""
     return c.inputs
 
 
 @exported(None, STATE, "i8", "i8")
 def set_input(c, j, word):
-    """Set the input pins, see INPUTS. They act at once.
+    """Set the input pins. They act at once.
 
     Args:
         c: State of the chip.
-        j: Axis of the chip.
+        j: Axis of the chip, 0.
         word: Bits of INPUTS.
     """
     bus.set_pins(c, word)
@@ -94,37 +100,43 @@ def set_input(c, j, word):
 
 @exported("i8", STATE, "i8")
 def status(c, j):
-    """R07."""
-    return bus.status_byte(c)
+    """Return the status byte R07."""
+    return bus.compute_status(c)
 
 
 @exported("i8", STATE, "i8")
 def peek(c, address):
-    """A register as it reads, without what reading does."""
+    """Return what a host would read at an address, without the side effects of a bus cycle."""
     return bus.peek_byte(c, address)
 
 
 @exported("i8", STATE, "i8")
 def busy(c, j):
-    """A trapezoid is in progress."""
-    return c.flag & state.F0 if c.mode == state.CONTROL else 0
+    """Return whether a trapezoid is in progress."""
+    return c.flag_bits & state.F0 if c.mode == state.CONTROL else 0
 
 
 @exported("i8", STATE, "i8")
 def outputs(c, j):
-    """Output pins, see OUTPUTS."""
-    word = (state.PROF if c.flag & state.F0 else 0) | (state.INIT if c.mode == state.IDLE else 0)
-    return word | motor.pins(c) | commutator.phases(c)
+    """Return the output pins, bits of OUTPUTS."""
+    word = (state.PROF if c.flag_bits & state.F0 else 0) | (state.INIT if c.mode == state.IDLE else 0)
+    return word | motor.compute_pins(c) | commutator.compute_phase_pins(c)
 
 
 @exported("f8", STATE, "i8", "f8")
 def pulse_rate(c, j, hz):
-    """The commanded velocity, counts per second."""
+    """Return the commanded velocity in counts per second.
+
+    Args:
+        c: State of the chip.
+        j: Axis of the chip, 0.
+        hz: Reference clock, Hz.
+    """
     if c.mode != state.CONTROL:
         return 0.0
-    mode, sample = state.control_mode(c.flag), 16.0 * (c.period + 1)
+    mode, sample = state.find_control_mode(c.flag_bits), 16.0 * (c.period + 1)
     if mode == state.PROPORTIONAL:
-        return state.signed(c.reg[PROPORTIONAL_HIGH] << 8 | c.reg[PROPORTIONAL_LOW], 16) * hz / (16.0 * sample)
+        return state.to_signed(c.reg[PROPORTIONAL_HIGH] << 8 | c.reg[PROPORTIONAL_LOW], 16) * hz / (16.0 * sample)
     return c.velocity * hz / (256.0 * sample) if mode in (state.TRAPEZOID, state.INTEGRAL) else 0.0
 
 
@@ -138,12 +150,12 @@ def drive_input(c, j, before, ticks):
         before: The value at the start of these ticks.
         ticks: Reference clocks.
     """
-    mean = c.moment / (motor.FULL_DRIVE * ticks)
-    c.moment = 0
+    mean = c.drive_integral / (motor.FULL_DRIVE * ticks)
+    c.drive_integral = 0
     return mean
 
 
-# --- the chip by itself: no stage asks for the mean of what was, so it does not matter how time was cut ---
+# --- the chip by itself: no stage needs the mean motor command, so `advance` clears its integral ---
 
 
 @exported(None, STATE, "i8", "i8")
@@ -154,7 +166,7 @@ def window(c, row, k):
 
 @exported(None, STATE)
 def power_up(c):
-    """A cleared record becomes a chip that was just switched on."""
+    """Make a cleared record the state of a chip that was just switched on."""
     bus.hard_reset(c)
 
 
@@ -172,7 +184,7 @@ def write(c, address, value):
 
 @exported("i8", STATE, "i8")
 def read(c, address):
-    """One bus read cycle; that of R14 latches."""
+    """Make a bus read cycle. A read of R14 latches the upper bytes of the actual position."""
     return bus.read_byte(c, address & (ADDRESSES - 1))
 
 
@@ -183,22 +195,22 @@ def value(c, address):
 
 
 @exported("i8", STATE)
-def encoder_count(c):
-    """The encoder's raw count."""
-    return encoder.raw(c)
+def read_encoder(c):
+    """Return the raw count of the encoder."""
+    return encoder.read_count(c)
 
 
 @exported("f8", STATE)
-def lost(c):
-    """Counts that came too fast for the encoder's filter, plus minus minus."""
-    return encoder.lost(c)
+def compute_missed_counts(c):
+    """Return the net number of counts that came too fast for the encoder's input filter."""
+    return encoder.compute_missed_counts(c)
 
 
 @exported("i8", STATE, "i8")
 def advance(c, until):
-    """Run up to clock `until`; returns the pulses begun: none."""
+    """Let the clock run up to `until`, and return the number of pulses, 0."""
     run(c, until)
-    c.moment = 0
+    c.drive_integral = 0
     return 0
 
 
@@ -220,46 +232,46 @@ def mark(c, axis, out, k):
     """
     e = out[k]
     e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, c.inputs, outputs(c, 0), counter(c, 0), net(c, 0)
-    e.command, e.motor, e.rate = c.command, c.drive, pulse_rate(c, 0, 1.0)
+    e.command, e.motor, e.rate = c.command, c.motor_command, pulse_rate(c, 0, 1.0)
 
 
 @hot
-def _next_change(c, until, every_pulse):
-    """The clock, at most `until`, at which a pin may change; PULSE only with `every_pulse`."""
-    stop = until if c.mode == state.IDLE else least(until, c.next)
+def _find_next_pin_change(c, until, every_pulse):
+    """Return the next clock, at most `until`, at which an output pin may change; PULSE counts only with `every_pulse`."""
+    stop = until if c.mode == state.IDLE else least(until, c.sample_end)
     if every_pulse:
-        stop = least(stop, motor.next_edge(c))
-    if c.clock < c.dead:
-        stop = least(stop, c.dead)
+        stop = least(stop, motor.find_next_pulse_edge(c))
+    if c.clock < c.pulse_off_until:
+        stop = least(stop, c.pulse_off_until)
     if c.reg[RING]:
-        stop = least(stop, encoder.next_count(c, stop))
+        stop = least(stop, encoder.find_next_count(c, stop))
     return stop
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan(c, until, every_pulse, axis, out):
-    """Let the clock run as `advance` does, and fill `out` (EDGE records) with every change of the axis' course.
+    """Let the clock run as `advance` does, and write an EDGE record at each change of the axis.
 
     Args:
         c: State of the chip.
         until: Clock at the end.
         every_pulse: Include the edges of the pulse output.
         axis: Axis of the chip.
-        out: EDGE records.
+        out: EDGE records to fill.
 
     Returns:
-        The number of edges; where `out` is nearly full the chip stops early.
+        The number of records. If `out` is nearly full the chip stops early.
     """
     k = 0
     watched = ALL_OUTPUTS if every_pulse else ALL_OUTPUTS & ~state.PULSE_ON
-    while c.clock < until and k < len(out) - ROOM:
-        word, rate, command, drive = outputs(c, 0), pulse_rate(c, 0, 1.0), c.command, c.drive
-        run(c, _next_change(c, until, every_pulse))
+    while c.clock < until and k < len(out) - EDGE_MARGIN:
+        word, rate, command, drive = outputs(c, 0), pulse_rate(c, 0, 1.0), c.command, c.motor_command
+        run(c, _find_next_pin_change(c, until, every_pulse))
         changed = (outputs(c, 0) ^ word) & watched or pulse_rate(c, 0, 1.0) != rate
-        if changed or (every_pulse and (c.command != command or c.drive != drive)):
+        if changed or (every_pulse and (c.command != command or c.motor_command != drive)):
             mark(c, axis, out, k)
             k += 1
-    c.moment = 0
+    c.drive_integral = 0
     return k
 
 
@@ -268,5 +280,5 @@ def scan(c, until, every_pulse, axis, out):
     array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
 )  # fmt: skip
 def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
-    """Scan while the shafts of axes move, see stage.chips.cores."""
+    """Scan while the shafts of axes move, see `stage.chips.cores.scan_shafts`."""
     return scan_shafts(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done, scan, set_shaft)

@@ -1,4 +1,4 @@
-"""Bus cycles of the HCTL-1100 in words: `program counter: control`, `R0E = 10h: command position = 4112 counts`; its journals:
+"""Descriptions of bus cycles of the HCTL-1100, `R0E = 10h: command position = 4112 counts`, and of its journals:
 `set F0`, `control`, `R22 <- 64 (filter: gain K)`."""
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from stage.chips.register_map import Register, RegisterMap
 SET, NUMBER = maps.FLAG_WRITE.fields
 MODES = maps.MODE_WRITE.fields[0].values
 _IDLE = [v for v, mode in MODES.items() if mode in ("reset", "Init/Idle")]
-"""What leads to Init/Idle."""
+"""Values of R05 that lead to Init/Idle."""
 
 
 class Decoder(describe.Decoder):
-    """Every write is one register's: nothing waits for what comes next."""
+    """Decoder of journals of the HCTL-1100. Each write concerns one register, so that no write waits for later ones."""
 
     def __init__(self, map_: RegisterMap):
         self._registers = {r.number: r for r in map_.registers}
@@ -43,7 +43,12 @@ class Decoder(describe.Decoder):
 
 
 class Listener:
-    """The bus cycles of an HCTL-1100 in words. `record` is the chip's state."""
+    """Descriptions of the bus cycles of an HCTL-1100.
+
+    Args:
+        map_: Register map of the chip.
+        record: State of the chip.
+    """
 
     def __init__(self, map_: RegisterMap, record: Any):
         self._chip = map_.chip
@@ -52,9 +57,9 @@ class Listener:
         for a, q in maps.QUANTITIES.items():
             if q.waits and a != q.low:
                 place = ("high", "middle")[q.addresses.index(a)]
-                self._bytes[a] = int(record[f"preset_{place}" if q is maps.PRESET_POSITION else place])
+                self._bytes[a] = int(record[f"{'preset' if q is maps.PRESET_POSITION else 'command'}_{place}"])
             elif q.latched:
-                self._bytes[a] = int(record["latch"]) >> q.shift(a) & 0xFF
+                self._bytes[a] = int(record["position_latch"]) >> q.shift(a) & 0xFF
         self._unread: set[int] = set()  # of the latched bytes
         self._idle = int(record["mode"]) == IDLE
         flags, status = self._registers[maps.FLAG], self._registers[maps.STATUS]
@@ -63,13 +68,13 @@ class Listener:
         self._known = {maps.FLAG: map_.mask(flags.name, "f1"), maps.STATUS: map_.mask(status.name, "init")}
 
     def write(self, address: int, value: int) -> str:
-        """One write cycle to register `address`, 0 to 63."""
+        """Describe a write cycle to register `address`, 0 to 63."""
         address, value = address % maps.ADDRESSES, value & 0xFF
         r = self._registers.get(address)
         if r is None:
             return f"no register of the {self._chip} at {address:02X}h: nothing changes"
         if r.access == "R":
-            return line(f"{r.name} can only be read: nothing changes ({_name(r)})")
+            return line(f"{r.name} can only be read: nothing changes ({_find_title(r)})")
         if address == maps.FLAG:
             return self._flag(r, value)
         if address == maps.MODE:
@@ -92,7 +97,7 @@ class Listener:
         return line(f"{verb} F{number}: {f.meaning}")
 
     def _number(self, r: Register, value: int) -> str:
-        """A write to a register that is a number, or part of one."""
+        """Describe a write to a register that is a number or one byte of it."""
         q = maps.QUANTITIES.get(r.number)
         if q is None:
             return self._text_of(r, value, value if r.signed else value & STORED[r.number])
@@ -104,13 +109,13 @@ class Listener:
         return line(f"{r.name} = {value:02X}h: {q.of(self._bytes)}")
 
     def read(self, address: int, value: int) -> str:
-        """One read cycle of register `address`, 0 to 63."""
+        """Describe a read cycle of register `address`, 0 to 63."""
         address, value = address % maps.ADDRESSES, value & 0xFF
         r = self._registers.get(address)
         if r is None:
             return f"no register of the {self._chip} at {address:02X}h: reads {value:02X}h"
         if r.access == "W":
-            return line(f"{r.name} can only be written: reads {value:02X}h ({_name(r)})")
+            return line(f"{r.name} can only be written: reads {value:02X}h ({_find_title(r)})")
         if address in self._known:
             self._idle = bool(value & self._known[address])
             return self._flags.tell("flags", value) if address == maps.FLAG else self._status.tell("status", value)
@@ -122,7 +127,7 @@ class Listener:
         return self._position(r, q, value)
 
     def _position(self, r: Register, q: maps.Quantity, value: int) -> str:
-        """A read of a latched byte: the whole with the last of them, after a read of the low one."""
+        """Describe a read of a latched byte: the whole number with the last of its bytes, once the low byte was read."""
         if r.number == q.low:
             self._unread = set(q.addresses)
         fresh = r.number in self._unread
@@ -137,7 +142,7 @@ class Listener:
         return line(f"{r.name} = {value:02X}h ({number}): {r.text}")
 
 
-def _name(r: Register) -> str:
-    """Return the name of a register, or of the number that it is a part of."""
+def _find_title(r: Register) -> str:
+    """Return the title of a register, or of the number that it is a part of."""
     q = maps.QUANTITIES.get(r.number)
     return q.title if q else r.title

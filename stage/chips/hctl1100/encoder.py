@@ -1,65 +1,68 @@
-"""HCTL-1100, compiled: the shaft as the encoder sees it, and the actual position."""
+"""The shaft of the HCTL-1100 as its encoder counts it, and the actual position; compiled."""
 
 from __future__ import annotations
 
 import math
 
-from stage.chips.hctl1100.state import NEVER, signed
+from stage.chips.hctl1100.state import NEVER, to_signed
 from stage.native import greatest, hot, least
 
-FASTEST = 1.0 / 3.0  # counts a clock: a state that is shorter than the filter's three clocks does not come through
-FAR = float(1 << 53)
+MAX_FILTERED_RATE = (
+    1.0 / 3.0
+)  # counts a clock: a state that is shorter than the filter's three clocks does not come through
+MAX_COUNT = float(1 << 53)
 
 
 @hot
-def raw(c):
-    """The encoder's count now."""
-    return _count_at(c, c.clock)
+def read_count(c):
+    """Return the raw count of the encoder at the present clock."""
+    return _compute_count_at(c, c.clock)
 
 
 @hot
-def _count_at(c, clock):
-    x = c.count - c.lost + heard(c) * (clock - c.seen)
-    return int(math.floor(least(greatest(x, -FAR), FAR)))
+def _compute_count_at(c, clock):
+    x = c.shaft_count - c.missed_counts + compute_filtered_rate(c) * (clock - c.shaft_clock)
+    return int(math.floor(least(greatest(x, -MAX_COUNT), MAX_COUNT)))
 
 
 @hot
-def heard(c):
-    """Counts a clock that come through the filter: all of them or, too fast, none."""
-    return c.rate if abs(c.rate) <= FASTEST else 0.0
+def compute_filtered_rate(c):
+    """Return the rate of the shaft if its counts pass the input filter, in counts per clock; 0 if they come too fast."""
+    return c.shaft_rate if abs(c.shaft_rate) <= MAX_FILTERED_RATE else 0.0
 
 
 @hot
 def set_shaft(c, count, rate):
     """Put the shaft at `count + rate * (clock - now)` from now on."""
-    c.lost = lost(c)
-    c.seen, c.count, c.rate = c.clock, count, rate
+    c.missed_counts = compute_missed_counts(c)
+    c.shaft_clock, c.shaft_count, c.shaft_rate = c.clock, count, rate
 
 
 @hot
-def lost(c):
-    """Counts that came too fast for the filter so far, plus minus minus: the shaft is so far ahead of the count."""
-    return least(greatest(c.lost + (c.rate - heard(c)) * (c.clock - c.seen), -FAR), FAR)
+def compute_missed_counts(c):
+    """Return the net number of counts that the input filter has dropped: the shaft is so far ahead of the raw count."""
+    missed = c.missed_counts + (c.shaft_rate - compute_filtered_rate(c)) * (c.clock - c.shaft_clock)
+    return least(greatest(missed, -MAX_COUNT), MAX_COUNT)
 
 
 @hot
-def actual(c):
-    """The actual position, 24 bits, sign extended."""
-    return signed(raw(c) - c.zero, 24)
+def compute_actual_position(c):
+    """Return the actual position: 24 bits, sign extended."""
+    return to_signed(read_count(c) - c.position_origin, 24)
 
 
 @hot
-def next_count(c, until):
-    """The clock after now at which the raw count changes, at most `until`."""
-    if heard(c) == 0.0:
+def find_next_count(c, until):
+    """Return the next clock at which the raw count changes, or NEVER if it does not change up to `until`."""
+    if compute_filtered_rate(c) == 0.0:
         return NEVER
-    now = raw(c)
-    if _count_at(c, until) == now:
+    now = read_count(c)
+    if _compute_count_at(c, until) == now:
         return NEVER
     low, high = c.clock, until
     while high - low > 1:
         middle = (low + high) // 2
-        if _count_at(c, middle) == now:
+        if _compute_count_at(c, middle) == now:
             low = middle
         else:
             high = middle

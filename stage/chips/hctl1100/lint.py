@@ -1,6 +1,6 @@
 """Lint of the HCTL-1100: the rules of its manual that a bus write breaks.
 
-`c` is the chip's record before the write, with access by name.
+`c` is the state of the chip before the write, a record.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ SET, NUMBER = maps.FLAG_WRITE.fields
 
 
 def lint_write(c: Any, read_encoder: Callable[[], int], address: int, value: int) -> Iterator[Finding]:
-    """Yield what is wrong with a write.
+    """Yield every rule that a write breaks, with a message.
 
     Args:
-        c: The chip's record before it.
-        read_encoder: Returns the encoder's raw count.
+        c: State of the chip before the write, a record.
+        read_encoder: Function that returns the encoder's raw count.
         address: Number of the register.
         value: The byte.
     """
@@ -78,7 +78,7 @@ def lint_write(c: Any, read_encoder: Callable[[], int], address: int, value: int
     elif address == maps.MODE:
         yield from _lint_mode(c, read_encoder, value)
     elif address == maps.TIMER:
-        yield from _lint_timer(value, state.control_mode(int(c["flag"])))
+        yield from _lint_timer(value, state.find_control_mode(int(c["flag_bits"])))
     elif r.legal and not r.allows(r.value(value)):
         message = f"{r.name} = {r.value(value)}: {r.title} takes {r.legal[0]} to {r.legal[1]}"
         yield VALUE_RANGE.at(r.name), message
@@ -87,6 +87,7 @@ def lint_write(c: Any, read_encoder: Callable[[], int], address: int, value: int
 
 
 def _lint_flag(c: Any, value: int) -> Iterator[Finding]:
+    """Check a write to R00."""
     number = NUMBER.of(value)
     bit, on = 1 << number, SET.of(value)
     if bit == state.F1:
@@ -95,57 +96,68 @@ def _lint_flag(c: Any, value: int) -> Iterator[Finding]:
     if bit > state.F5:
         yield NO_FLAG, f"{value:02X}h: there is no flag {number}"
         return
-    others = int(c["flag"]) & MODE_FLAGS & ~bit
+    others = int(c["flag_bits"]) & MODE_FLAGS & ~bit
     if on and bit & MODE_FLAGS and others:
         names = " and ".join(f"F{k}" for k in range(6) if (others | bit) >> k & 1)
         yield SEVERAL_MODE_FLAGS, f"{names} are set: only one of F0, F3 and F5 may be"
     if on and c["mode"] == state.CONTROL:
-        yield from _lint_control_mode(c, int(c["flag"]) | bit)
+        yield from _lint_control_mode(c, int(c["flag_bits"]) | bit)
 
 
 def _lint_mode(c: Any, read_encoder: Callable[[], int], value: int) -> Iterator[Finding]:
+    """Check a write to R05."""
     if value not in MODES.values:
         known = ", ".join(f"{v:02X}h {mode}" for v, mode in MODES.values.items())
         yield UNKNOWN_MODE, f"R05 = {value:02X}h is no mode: {known}"
         return
     if value in (RESET, INIT):
         return
-    begins = c["mode"] == state.IDLE and not c["limited"]
+    begins = c["mode"] == state.IDLE and not c["limit_triggered"]
     if c["mode"] != state.IDLE:
         yield NOT_IN_IDLE, f"R05 = {value:02X}h outside of Init/Idle: ignored"
-    if c["limited"]:
+    if c["limit_triggered"]:
         message = f"R05 = {value:02X}h while LIMIT has triggered: release the pin and write R07 first"
         yield LIMIT_TRIGGERED, message
     if begins and value == ALIGN:
         if not c["reg"][maps.RING]:
             yield ALIGN_WITHOUT_RING, "Align turns the motor by the commutator, whose ring R18 is 0"
-        if c["flag"] & MODE_FLAGS or c["command"] or state.signed(read_encoder() - int(c["zero"]), 24):
+        if (
+            c["flag_bits"] & MODE_FLAGS
+            or c["command"]
+            or state.to_signed(read_encoder() - int(c["position_origin"]), 24)
+        ):
             yield ALIGN_FROM_ELSEWHERE, "Align begins with F0, F3, F5 clear and both positions 0"
     elif begins:
-        yield from _lint_control_mode(c, int(c["flag"]))
+        yield from _lint_control_mode(c, int(c["flag_bits"]))
     if begins:
         yield from _lint_commutator(c)
 
 
 def _lint_control_mode(c: Any, flags: int) -> Iterator[Finding]:
-    """Yield what is wrong with the registers of a control mode that begins, the one that `flags` select."""
+    """Check the registers of the control mode that begins, the one that `flags` select."""
     reg = c["reg"]
-    if flags & state.F0 and not (reg[maps.FRACTION] or reg[maps.WHOLE]):
+    if flags & state.F0 and not (reg[maps.ACCELERATION_FRACTION] or reg[maps.ACCELERATION_WHOLE]):
         yield NO_ACCELERATION, "a trapezoid with acceleration 0 (R27, R26) does not move and never ends"
     if flags & state.F0 and not reg[maps.MAX_VELOCITY]:
         yield NO_MAX_VELOCITY, "a trapezoid with maximum velocity 0 (R28) does not move and never ends"
-    yield from _lint_timer(int(reg[maps.TIMER]), state.control_mode(flags))
+    yield from _lint_timer(int(reg[maps.TIMER]), state.find_control_mode(flags))
 
 
 def _lint_timer(t: int, mode: int) -> Iterator[Finding]:
-    if t < state.MIN_T[mode]:
-        message = f"T = {t:02X}h is below {state.MIN_T[mode]:02X}h, the least for {state.CONTROL_MODES[mode]} control"
+    """Check that the timer value is large enough for a control mode."""
+    if t < state.MIN_TIMER_VALUES[mode]:
+        message = f"T = {t:02X}h is below {state.MIN_TIMER_VALUES[mode]:02X}h, the least for {state.CONTROL_MODES[mode]} control"
         yield SAMPLE_TOO_SHORT, message
 
 
 def _lint_commutator(c: Any) -> Iterator[Finding]:
+    """Check that the registers of the commutator agree with each other."""
     reg = c["reg"]
-    ring, offset, max_advance = int(reg[maps.RING]), state.signed(int(reg[maps.OFFSET]), 8), int(reg[maps.MAX_ADVANCE])
+    ring, offset, max_advance = (
+        int(reg[maps.RING]),
+        state.to_signed(int(reg[maps.OFFSET]), 8),
+        int(reg[maps.MAX_ADVANCE]),
+    )
     phases = 4 if c["status"] & state.FOUR else 3
     if ring and phases * (int(reg[maps.X]) + int(reg[maps.Y])) != ring:
         message = f"the ring R18 = {ring} is not {phases} (X + Y) = {phases} ({reg[maps.X]} + {reg[maps.Y]})"
@@ -156,21 +168,25 @@ def _lint_commutator(c: Any) -> Iterator[Finding]:
 
 
 def _lint_data_in_control(c: Any, address: int, value: int) -> Iterator[Finding]:
-    """Yield what is wrong with the moment of a write in a control mode, and with the step of a velocity."""
-    mode = state.control_mode(int(c["flag"]))
+    """Check the moment of a write in a control mode, and the step of a velocity."""
+    mode = state.find_control_mode(int(c["flag_bits"]))
     if mode == state.TRAPEZOID and address in PROFILE_DATA:
         message = f"R{address:02X} is written while PROF is high: the profile in progress takes it"
         yield PROFILE_IN_PROGRESS, message
-    if address in COMMANDS[mode] and c["clock"] < c["computing"]:
-        when = f"wait until R0F has counted down by {state.MIN_T[mode]}"
+    if address in COMMANDS[mode] and c["clock"] < c["computing_until"]:
+        when = f"wait until R0F has counted down by {state.MIN_TIMER_VALUES[mode]}"
         yield SAMPLE_IN_COMPUTATION, f"R{address:02X} is written while the sample is computed: {when}"
     if address == maps.INTEGRAL_VELOCITY and mode == state.INTEGRAL:
-        step = state.signed(value, 8) - state.signed(int(c["reg"][address]), 8)
-        if c["stopped"]:
+        step = state.to_signed(value, 8) - state.to_signed(int(c["reg"][address]), 8)
+        if c["stop_triggered"]:
             message = "R3C is written while STOP has triggered: it stays 0. Release the pin and write R07 first"
             yield STOP_TRIGGERED, message
         elif abs(step) > 127:
             yield VELOCITY_STEP, f"R3C changes by {step}: successive command velocities may differ by 127"
-    if address in COMMANDS[mode] and c["given"] == c["next"] and int(c["gave"]) >> state.GIVERS.index(address) & 1:
+    if (
+        address in COMMANDS[mode]
+        and c["command_sample_end"] == c["sample_end"]
+        and int(c["command_writes"]) >> state.COMMAND_ADDRESSES.index(address) & 1
+    ):
         message = f"R{address:02X} is written twice in one sample: the later command counts, and the sheet allows one"
         yield TWICE_IN_SAMPLE, message

@@ -18,7 +18,7 @@ PRESET_HIGH, PRESET_MIDDLE, PRESET_LOW = 0x15, 0x16, 0x17
 RING, PHASE_TIMER, X, Y, OFFSET, MAX_ADVANCE = 0x18, 0x19, 0x1A, 0x1B, 0x1C, 0x1F
 ZERO, POLE, GAIN = 0x20, 0x21, 0x22
 PROPORTIONAL_LOW, PROPORTIONAL_HIGH = 0x23, 0x24
-FRACTION, WHOLE, MAX_VELOCITY = 0x26, 0x27, 0x28
+ACCELERATION_FRACTION, ACCELERATION_WHOLE, MAX_VELOCITY = 0x26, 0x27, 0x28
 FINAL_LOW, FINAL_MIDDLE, FINAL_HIGH = 0x29, 0x2A, 0x2B
 VELOCITY_LOW, VELOCITY_HIGH, INTEGRAL_VELOCITY = 0x34, 0x35, 0x3C
 ADDRESSES = 64
@@ -29,9 +29,16 @@ SEVEN_BITS = (0, 0x7F)
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number of two or three registers, the high one first. One `unit` is `scale` of it.
+    """A number that two or three registers hold, the high byte first.
 
-    waits: a write of the low byte takes the others along; latched: a read of it keeps the others.
+    Attributes:
+        title: Name in words.
+        addresses: Addresses of the registers, that of the high byte first.
+        unit: Unit of the number.
+        scale: Value of the number that is 1 unit.
+        signed: Whether the number is in two's complement.
+        waits: Whether the upper bytes wait until the low byte is written.
+        latched: Whether a read of the low byte latches the upper bytes.
     """
 
     title: str
@@ -48,11 +55,18 @@ class Quantity:
         return self.addresses[-1]
 
     def shift(self, address: int) -> int:
-        """Where a register's byte stands in the number."""
+        """Return the number of the lowest bit of a register's byte in the number."""
         return 8 * (len(self.addresses) - 1 - self.addresses.index(address))
 
     def of(self, bytes_: dict[int, int]) -> str:
-        """The number that the bytes, by address, make."""
+        """Describe the number that bytes make.
+
+        Args:
+            bytes_: Address -> byte.
+
+        Returns:
+            For example "command position = 4112 counts".
+        """
         word = sum(bytes_[a] << self.shift(a) for a in self.addresses)
         top = 1 << 8 * len(self.addresses)
         number = word - top if self.signed and word >= top // 2 else word
@@ -67,7 +81,9 @@ PRESET_POSITION = Quantity(
 PROPORTIONAL_VELOCITY = Quantity(
     "proportional command velocity", (PROPORTIONAL_HIGH, PROPORTIONAL_LOW), "counts/sample", scale=16
 )
-ACCELERATION = Quantity("acceleration", (WHOLE, FRACTION), "counts/sample2", scale=256, signed=False)
+ACCELERATION = Quantity(
+    "acceleration", (ACCELERATION_WHOLE, ACCELERATION_FRACTION), "counts/sample2", scale=256, signed=False
+)
 FINAL_POSITION = Quantity("final position", (FINAL_HIGH, FINAL_MIDDLE, FINAL_LOW), "counts")
 ACTUAL_VELOCITY = Quantity("actual velocity", (VELOCITY_HIGH, VELOCITY_LOW), "counts/sample")
 QUANTITIES = {
@@ -142,8 +158,8 @@ def _register(number: int, access: str, title: str, **more: object) -> Register:
     return Register(f"R{number:02X}", number, 8, access, title, **{"evidence": "D", **more})  # type: ignore[arg-type]
 
 
-def _part(number: int, access: str, part: str, **more: object) -> Register:
-    """A register that is a part of a number."""
+def _part_of_number(number: int, access: str, part: str, **more: object) -> Register:
+    """Return a register that is one byte of a number."""
     q = QUANTITIES[number]
     return _register(number, access, f"{q.title}, {part}", unit=q.unit, **more)
 
@@ -159,17 +175,17 @@ MAP = RegisterMap(
         _register(PORT, "RW", "motor command port, 80h is 0; written in init/idle only", reset=0x80),
         _register(PWM, "RW", "PWM motor command; written in init/idle only", signed=True, legal=(-100, 100), unit="%",
                   evidence="M"),
-        _part(COMMAND_HIGH, "RW", "high byte; waits for R0E"),
-        _part(COMMAND_MIDDLE, "RW", "middle byte; waits for R0E"),
-        _part(COMMAND_LOW, "RW", "low byte; its write latches all three"),
+        _part_of_number(COMMAND_HIGH, "RW", "high byte; waits for R0E"),
+        _part_of_number(COMMAND_MIDDLE, "RW", "middle byte; waits for R0E"),
+        _part_of_number(COMMAND_LOW, "RW", "low byte; its write latches all three"),
         _register(TIMER, "RW", "sample timer: written T, read the running count; a sample is 16 (T + 1) clocks", evidence="S",
                   reset=0x40),
-        _part(ACTUAL_HIGH, "R", "high byte, as latched"),
-        _part(ACTUAL_MIDDLE, "RW", "middle byte, as latched; any write clears the position"),
-        _part(ACTUAL_LOW, "R", "low byte; its read latches the other two"),
-        _part(PRESET_HIGH, "W", "high byte; init/idle only"),
-        _part(PRESET_MIDDLE, "W", "middle byte; init/idle only"),
-        _part(PRESET_LOW, "W", "low byte; its write loads all three"),
+        _part_of_number(ACTUAL_HIGH, "R", "high byte, as latched"),
+        _part_of_number(ACTUAL_MIDDLE, "RW", "middle byte, as latched; any write clears the position"),
+        _part_of_number(ACTUAL_LOW, "R", "low byte; its read latches the other two"),
+        _part_of_number(PRESET_HIGH, "W", "high byte; init/idle only"),
+        _part_of_number(PRESET_MIDDLE, "W", "middle byte; init/idle only"),
+        _part_of_number(PRESET_LOW, "W", "low byte; its write loads all three"),
         _register(RING, "RW", "commutator: ring", legal=SEVEN_BITS, unit="counts"),
         _register(PHASE_TIMER, "W", "commutator: velocity timer of the phase advance, 16 (R19 + 1) clocks"),
         _register(X, "RW", "commutator: X, one phase alone", legal=SEVEN_BITS, unit="counts"),
@@ -179,16 +195,16 @@ MAP = RegisterMap(
         _register(ZERO, "RW", "filter: zero A, in 1/256", reset=0xE5),
         _register(POLE, "RW", "filter: pole B, in 1/256", reset=0x40),
         _register(GAIN, "RW", "filter: gain K, in 1/4", reset=0x40),
-        _part(PROPORTIONAL_LOW, "RW", "low byte: 12.4, fraction in b3..0; acts at once"),
-        _part(PROPORTIONAL_HIGH, "RW", "high byte; acts at once", signed=True),
-        _part(FRACTION, "RW", "fraction /256"),
-        _part(WHOLE, "RW", "whole", legal=SEVEN_BITS),
+        _part_of_number(PROPORTIONAL_LOW, "RW", "low byte: 12.4, fraction in b3..0; acts at once"),
+        _part_of_number(PROPORTIONAL_HIGH, "RW", "high byte; acts at once", signed=True),
+        _part_of_number(ACCELERATION_FRACTION, "RW", "fraction /256"),
+        _part_of_number(ACCELERATION_WHOLE, "RW", "whole", legal=SEVEN_BITS),
         _register(MAX_VELOCITY, "RW", "maximum velocity", legal=SEVEN_BITS, unit="counts/sample"),
-        _part(FINAL_LOW, "RW", "low byte"),
-        _part(FINAL_MIDDLE, "RW", "middle byte"),
-        _part(FINAL_HIGH, "RW", "high byte"),
-        _part(VELOCITY_LOW, "R", "low byte; in proportional velocity mode only"),
-        _part(VELOCITY_HIGH, "R", "high byte"),
+        _part_of_number(FINAL_LOW, "RW", "low byte"),
+        _part_of_number(FINAL_MIDDLE, "RW", "middle byte"),
+        _part_of_number(FINAL_HIGH, "RW", "high byte"),
+        _part_of_number(VELOCITY_LOW, "R", "low byte; in proportional velocity mode only"),
+        _part_of_number(VELOCITY_HIGH, "R", "high byte"),
         _register(INTEGRAL_VELOCITY, "RW", "integral command velocity", signed=True, unit="counts/sample"),
     ),
     (FLAG_WRITE, MODE_WRITE),
@@ -197,16 +213,22 @@ MAP = RegisterMap(
 MINIMUM_T = {"position": 0x07, "proportional velocity": 0x07, "trapezoid": 0x0F, "integral velocity": 0x0F}
 """Table 4 of the data sheet: the smallest T of each control mode, and how far the timer counts before commands may be written."""
 
-TOP = 1 << 23  # counts; positions are -TOP to TOP - 1
+POSITION_BOUND = 1 << 23  # counts; positions are -TOP to TOP - 1
 
 
 @dataclass(frozen=True)
 class Number:
-    """Bus addresses of a number's bytes in the order in which they are written, the high one first; least and most."""
+    """A number that a host writes as one, in one or several registers.
+
+    Attributes:
+        addresses: Bus addresses of its bytes, in the order in which the host writes them: the high byte first.
+        minimum: Smallest value.
+        maximum: Largest value.
+    """
 
     addresses: tuple[int, ...]
-    least: int
-    most: int
+    minimum: int
+    maximum: int
 
 
 NUMBERS = {
@@ -214,9 +236,9 @@ NUMBERS = {
     "zero": Number((ZERO,), 0, 0xFF),
     "pole": Number((POLE,), 0, 0xFF),
     "gain": Number((GAIN,), 0, 0xFF),
-    "command_position": Number(COMMAND_POSITION.addresses, -TOP, TOP - 1),
-    "preset_position": Number(PRESET_POSITION.addresses, -TOP, TOP - 1),
-    "final_position": Number(FINAL_POSITION.addresses, -TOP, TOP - 1),
+    "command_position": Number(COMMAND_POSITION.addresses, -POSITION_BOUND, POSITION_BOUND - 1),
+    "preset_position": Number(PRESET_POSITION.addresses, -POSITION_BOUND, POSITION_BOUND - 1),
+    "final_position": Number(FINAL_POSITION.addresses, -POSITION_BOUND, POSITION_BOUND - 1),
     "acceleration": Number(ACCELERATION.addresses, 0, 0x7FFF),
     "maximum_velocity": Number((MAX_VELOCITY,), 0, 0x7F),
     "proportional_velocity": Number(PROPORTIONAL_VELOCITY.addresses, -0x8000, 0x7FFF),
@@ -227,7 +249,11 @@ NUMBERS = {
 other velocities in counts per sample; motor_command in hundredths of full drive, in Init/Idle only."""
 
 
-def after_reset(name: str) -> int:
-    """Return the value after a reset of a number of one byte, by its name in NUMBERS."""
+def find_reset_value(name: str) -> int:
+    """Return the value that a one-byte number has after a reset.
+
+    Args:
+        name: Its name in NUMBERS.
+    """
     (address,) = NUMBERS[name].addresses
     return next(r.reset for r in MAP.registers if r.number == address) or 0

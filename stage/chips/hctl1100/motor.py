@@ -1,4 +1,4 @@
-"""HCTL-1100, compiled: the motor command at its two ports, the 8-bit port R08 and the PWM port R09."""
+"""The motor command of the HCTL-1100 at its two ports, the 8-bit port R08 and the PWM port R09; compiled."""
 
 from __future__ import annotations
 
@@ -10,70 +10,74 @@ PWM_PERIOD = 100  # clocks
 
 
 @hot
-def clipped(c, value):
-    """A motor command as the ports can hold it; F2 leaves one sign."""
-    return least(greatest(value, 0 if c.flag & F2 else -128), 127)
+def clip_command(c, value):
+    """Limit a motor command to what the ports hold, -128 to 127, or 0 to 127 if F2 selects unipolar commands."""
+    return least(greatest(value, 0 if c.flag_bits & F2 else -128), 127)
 
 
 @hot
-def _drive(c, value):
+def _drive_motor(c, value):
     """Drive the motor with a command from now on."""
-    if c.status & INHIBIT and c.drive * value < 0:
-        c.dead = c.clock + PWM_PERIOD
-    c.drive = value
+    if c.status & INHIBIT and c.motor_command * value < 0:
+        c.pulse_off_until = c.clock + PWM_PERIOD
+    c.motor_command = value
 
 
 @hot
-def command(c, value):
-    """Put a command on both ports."""
+def set_command(c, value):
+    """Put a motor command on both ports."""
     c.port = c.pwm = value
-    _drive(c, value)
+    _drive_motor(c, value)
 
 
 @hot
-def to_port(c, value):
-    """A write to R08."""
+def write_port(c, value):
+    """Execute a write to the motor port R08."""
     c.port = value
-    _drive(c, value)
+    _drive_motor(c, value)
 
 
 @hot
-def to_pwm(c, value):
-    """A write to R09."""
+def write_pwm(c, value):
+    """Execute a write to the PWM port R09."""
     c.pwm = value
-    _drive(c, value)
+    _drive_motor(c, value)
 
 
 @hot
-def share(drive):
-    """The part of full drive that a command is, in hundredths: the PWM is full at 100 and beyond."""
+def clip_to_full_drive(drive):
+    """Limit a motor command to +-100, hundredths of full drive: the PWM is fully on at 100 and above."""
     return least(greatest(drive, -FULL_DRIVE), FULL_DRIVE)
 
 
 @hot
-def spend(c, until):
-    """The motor is driven until then."""
-    live = until - greatest(c.clock, least(c.dead, until))
-    c.moment += share(c.drive) * live
+def accumulate_drive(c, until):
+    """Add the motor command, times the clocks up to `until`, to the integral that gives the mean for the stage."""
+    live = until - greatest(c.clock, least(c.pulse_off_until, until))
+    c.drive_integral += clip_to_full_drive(c.motor_command) * live
 
 
 @hot
-def _on(c):
-    """Clocks of a PWM period for which PULSE is on."""
-    return abs(share(c.pwm))
+def _compute_pulse_width(c):
+    """Return for how many clocks of each PWM period PULSE is on."""
+    return abs(clip_to_full_drive(c.pwm))
 
 
 @hot
-def pins(c):
-    """SIGN and PULSE: on for the command's share of every period of 100 clocks, from its start on, the first period at clock 0."""
+def compute_pins(c):
+    """Compute the levels of SIGN and PULSE.
+
+    PULSE is on from the start of each period of 100 clocks, for as many clocks as the command has hundredths. The first period
+    begins at clock 0.
+    """
     word = SIGN if c.pwm < 0 else 0
-    return word | (PULSE_ON if c.clock % PWM_PERIOD < _on(c) and c.clock >= c.dead else 0)
+    return word | (PULSE_ON if c.clock % PWM_PERIOD < _compute_pulse_width(c) and c.clock >= c.pulse_off_until else 0)
 
 
 @hot
-def next_edge(c):
-    """The clock after now at which PULSE may turn on or off, were there no sample and no bus write."""
-    on, period_start = _on(c), c.clock - c.clock % PWM_PERIOD
-    if on == 0 or (on == PWM_PERIOD and c.clock >= c.dead):
+def find_next_pulse_edge(c):
+    """Return the next clock at which PULSE may change, if no sample and no bus write comes before it."""
+    on, period_start = _compute_pulse_width(c), c.clock - c.clock % PWM_PERIOD
+    if on == 0 or (on == PWM_PERIOD and c.clock >= c.pulse_off_until):
         return NEVER
     return period_start + on if c.clock < period_start + on else period_start + PWM_PERIOD

@@ -1,4 +1,4 @@
-"""HCTL-1100, compiled: the record that holds a chip, its pins, and the numbers that all of its parts share."""
+"""State of the HCTL-1100 as a record for compiled code, its pins, and the numbers that all of its modules share."""
 
 from __future__ import annotations
 
@@ -11,64 +11,64 @@ NEVER = 1 << 62
 IDLE, ALIGN, CONTROL = range(3)
 POSITION, PROPORTIONAL, TRAPEZOID, INTEGRAL = range(4)
 CONTROL_MODES = ("position", "proportional velocity", "trapezoid", "integral velocity")
-MIN_T = tuple(maps.MINIMUM_T[name] for name in CONTROL_MODES)
+MIN_TIMER_VALUES = tuple(maps.MINIMUM_T[name] for name in CONTROL_MODES)
 
 STATE = record(
     [
         ("clock", "i8"),  # reference clocks since power-up
         ("inputs", "i8"),  # INPUTS
         ("mode", "i8"),  # IDLE, ALIGN, CONTROL
-        ("flag", "i8"),  # R00 without F1
-        ("status", "i8"),  # what can be written of R07
-        ("limited", "i8"),  # LIMIT has triggered
-        ("stopped", "i8"),  # STOP has triggered
+        ("flag_bits", "i8"),  # R00 without F1
+        ("status", "i8"),  # the writable bits of R07
+        ("limit_triggered", "i8"),  # LIMIT has triggered
+        ("stop_triggered", "i8"),  # STOP has triggered
         # sample timer
-        ("period", "i8"),  # T of the count in progress
-        ("next", "i8"),  # the clock at which it ends
-        ("held", "i8"),  # SYNC holds it
-        ("computing", "i8"),  # the clock up to which the law of this sample computes
-        ("given", "i8"),  # the clock at which the sample ends whose command was written last
-        ("gave", "i8"),  # and where, see GIVERS: bits
+        ("period", "i8"),  # T of the period in progress
+        ("sample_end", "i8"),  # the clock at which the period ends
+        ("timer_stopped", "i8"),  # SYNC holds it at 0
+        ("computing_until", "i8"),  # the clock up to which the chip computes the control law of this sample
+        ("command_sample_end", "i8"),  # the `sample_end` of the sample in which a command was written last
+        ("command_writes", "i8"),  # the addresses written in it, bits as in COMMAND_ADDRESSES
         # command position and how it moves
         ("command", "i8"),  # counts, sign extended
         ("fraction", "i8"),  # 256ths of counts
         ("velocity", "i8"),  # 256ths of counts a sample
-        ("high", "i8"),  # R0C, waits for R0E
-        ("middle", "i8"),  # R0D, waits for R0E
+        ("command_high", "i8"),  # R0C, waits for R0E
+        ("command_middle", "i8"),  # R0D, waits for R0E
         # actual position
-        ("zero", "i8"),  # the raw count where it is 0
-        ("latch", "i8"),  # counts, as the read of R14 found them
+        ("position_origin", "i8"),  # the raw count at which it is 0
+        ("position_latch", "i8"),  # counts, latched by the last read of R14
         ("preset_high", "i8"),  # R15, waits for R17
         ("preset_middle", "i8"),  # R16, waits for R17
         # what the control law remembers
         ("error", "i8"),  # X(n - 1), counts
         ("output", "i8"),  # MC(n - 1)
-        ("last", "i8"),  # the raw count at the last sample
-        ("speed", "i8"),  # counts of the sample before it
+        ("last_count", "i8"),  # the raw count at the last sample
+        ("actual_velocity", "i8"),  # counts during the sample before
         # motor command
         ("port", "i8"),  # R08 - 80h
         ("pwm", "i8"),  # R09
-        ("drive", "i8"),  # the one given last
-        ("dead", "i8"),  # the clock up to which PULSE is off after a reversal
-        ("moment", "i8"),  # hundredths of full drive times clocks, since the last drive_input
+        ("motor_command", "i8"),  # the last command
+        ("pulse_off_until", "i8"),  # the clock up to which PULSE is off after a reversal
+        ("drive_integral", "i8"),  # hundredths of full drive times clocks, since the last call of `drive_input`
         # align, commutator
-        ("aligning", "i8"),  # samples of Align to come
-        ("home", "i8"),  # the raw count at which the ring is 0
-        ("ring", "i8"),  # where the ring is held
-        # shaft: at count + rate * (clock - seen)
-        ("seen", "i8"),  # clock
-        ("count", "f8"),  # counts of the encoder
-        ("rate", "f8"),  # counts a clock
-        ("lost", "f8"),  # counts that came too fast for the filter, plus minus minus
+        ("aligning", "i8"),  # samples of Align that remain
+        ("ring_origin", "i8"),  # the raw count at which the ring is 0
+        ("ring_position", "i8"),  # count at which F4 holds the ring
+        # shaft: at shaft_count + shaft_rate * (clock - shaft_clock)
+        ("shaft_clock", "i8"),  # clock
+        ("shaft_count", "f8"),  # counts of the encoder
+        ("shaft_rate", "f8"),  # counts a clock
+        ("missed_counts", "f8"),  # net number of counts that came too fast for the filter
         ("reg", "i8", (maps.ADDRESSES,)),  # what is stored as it was written, by address
     ]
 )
-"""One chip."""
+"""State of one chip."""
 
 LIMIT, STOP, INDEX, SYNC = (1 << k for k in range(4))
 INPUTS = {"limit": LIMIT, "stop": STOP, "index": INDEX, "sync": SYNC}
-GIVERS = (maps.COMMAND_LOW, maps.PROPORTIONAL_LOW, maps.PROPORTIONAL_HIGH, maps.INTEGRAL_VELOCITY)
-"""Addresses whose write is a new command; a bit of `gave` each."""
+COMMAND_ADDRESSES = (maps.COMMAND_LOW, maps.PROPORTIONAL_LOW, maps.PROPORTIONAL_HIGH, maps.INTEGRAL_VELOCITY)
+"""Addresses whose write is a new command; each has a bit in `command_writes`."""
 PROF, INIT, SIGN, PULSE_ON, PHA, PHB, PHC, PHD = (1 << k for k in range(8))
 OUTPUTS = {
     "prof": PROF, "init": INIT, "sign": SIGN, "pulse": PULSE_ON, "pha": PHA, "phb": PHB, "phc": PHC, "phd": PHD,
@@ -95,19 +95,24 @@ EDGE = record(
         ("rate", "f8"),  # commanded velocity, counts a clock
     ]
 )
-"""A chip from one of its changes on, for recordings."""
+"""State of a chip from one of its changes on, for journals and recordings."""
 
 
 @hot
-def signed(value, bits):
-    """The low bits of a number as two's complement."""
+def to_signed(value, bits):
+    """Return the low bits of a number as two's complement.
+
+    Args:
+        value: The number.
+        bits: Number of bits.
+    """
     half = 1 << (bits - 1)
     return ((value + half) & (2 * half - 1)) - half
 
 
 @hot
-def control_mode(flags):
-    """The control mode that the flags choose. Of several flags F0 goes before F3, F3 before F5."""
+def find_control_mode(flags):
+    """Return the control mode that the flags select. F0 takes precedence over F3, and F3 over F5."""
     if flags & F0:
         return TRAPEZOID
     if flags & F3:

@@ -1,4 +1,4 @@
-"""HCTL-1100, compiled: the sample timer and the SYNC pin.
+"""The sample timer of the HCTL-1100 and its SYNC pin, compiled.
 
     T T-1 ... 1 0 | T T-1 ...
 
@@ -11,46 +11,46 @@ from stage.chips.hctl1100.maps import TIMER as T
 from stage.chips.hctl1100.state import IDLE, NEVER, SYNC
 from stage.native import hot
 
-STEP = 16  # clocks
+CLOCKS_PER_COUNT = 16  # clocks
 
 
 @hot
-def start(c):
-    """Begin to count down from what R0F was given last."""
+def start_period(c):
+    """Begin to count down from the value that R0F holds."""
     c.period = c.reg[T]
-    c.next = c.clock + STEP * (c.period + 1)
+    c.sample_end = c.clock + CLOCKS_PER_COUNT * (c.period + 1)
 
 
 @hot
-def idle_to(c, until):
-    """Reload as often as it comes up to `until`: nothing else happens at a sample of Init/Idle."""
-    if until >= c.next:
+def run_idle(c, until):
+    """Reload the timer as often as it ends up to `until`. In Init/Idle a sample does nothing else."""
+    if until >= c.sample_end:
         c.period = c.reg[T]
-        period = STEP * (c.period + 1)
-        c.next += ((until - c.next) // period + 1) * period
+        period = CLOCKS_PER_COUNT * (c.period + 1)
+        c.sample_end += ((until - c.sample_end) // period + 1) * period
 
 
 @hot
-def skip(c, samples):
-    """The samples of `samples` whole periods have come and gone."""
-    rest = samples * STEP * (c.period + 1)
+def skip_samples(c, samples):
+    """Let a number of whole periods pass, in which nothing changes."""
+    rest = samples * CLOCKS_PER_COUNT * (c.period + 1)
     c.clock += rest
-    c.next += rest
-    c.computing += rest
+    c.sample_end += rest
+    c.computing_until += rest
 
 
 @hot
-def running_count(c):
-    """Return what R0F reads."""
-    return 0 if c.held else (c.next - 1 - c.clock) // STEP
+def read_timer(c):
+    """Return the running count that R0F reads."""
+    return 0 if c.timer_stopped else (c.sample_end - 1 - c.clock) // CLOCKS_PER_COUNT
 
 
 @hot
-def obey_sync(c):
-    """SYNC holds the timer at 0 in Init/Idle; it counts again when the pin, or Init/Idle, ends."""
+def apply_sync(c):
+    """Stop the timer at 0 while SYNC is asserted in Init/Idle; start it again when the pin or the mode ends."""
     hold = c.mode == IDLE and c.inputs & SYNC
-    if hold and not c.held:
-        c.held, c.next = 1, NEVER
-    elif c.held and not hold:
-        c.held = 0
-        start(c)
+    if hold and not c.timer_stopped:
+        c.timer_stopped, c.sample_end = 1, NEVER
+    elif c.timer_stopped and not hold:
+        c.timer_stopped = 0
+        start_period(c)

@@ -163,10 +163,10 @@ class Hctl1100Driver(Driver):
     def _check_goal(self, goal: int) -> None:
         """Raise ArgumentError for the end of a line, in counts, that the command position does not hold."""
         number = NUMBERS["command_position"]
-        if not number.least <= goal <= number.most:
+        if not number.minimum <= goal <= number.maximum:
             raise ArgumentError(
-                f"a line to {goal} counts on axis {self.axis.name}: the command position goes from {number.least} to "
-                f"{number.most}. Shorten the line, or clear the position first (R13)."
+                f"a line to {goal} counts on axis {self.axis.name}: the command position goes from {number.minimum} to "
+                f"{number.maximum}. Shorten the line, or clear the position first (R13)."
             )
 
     def _check(self, pulses: int, speeds: Speeds) -> None:
@@ -222,7 +222,7 @@ class Hctl1100Driver(Driver):
         port = self._prepare_for(speeds)
         self._leave_limit(direction)
         final = NUMBERS["final_position"]
-        counts = (final.most if direction > 0 else final.least) - port.commanded()
+        counts = (final.maximum if direction > 0 else final.minimum) - port.commanded()
         start_trapezoid(port, counts, speeds.drive, speeds.drive / speeds.up)
 
     def hold_still(self) -> None:
@@ -436,7 +436,7 @@ def _rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:
     """Compute command positions relative to the start (samples, axes): a trapezoid along the line, whose rates are the longest
     axis'."""
     max_distance = max(abs(d) for d in distances) or 1
-    maximum = NUMBERS["integral_velocity"].most / sample
+    maximum = NUMBERS["integral_velocity"].maximum / sample
     if not 0 < speeds.drive <= maximum:
         raise ArgumentError(
             f"drive speed {speeds.drive:g} counts/s: more than 0, up to {maximum:g} at this sample time."

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stage.chips.hctl1100.maps import FLAG, MINIMUM_T, NUMBERS, after_reset
+from stage.chips.hctl1100.maps import FLAG, MINIMUM_T, NUMBERS, find_reset_value
 from stage.errors import ArgumentError, ExceededLimit
 from stage.firmware.axis import Axis
 from stage.firmware.hctl1100.port import FLAGS, LIMIT, MARGIN, PROFILE, STOP, Port
@@ -32,10 +32,10 @@ SPEED_SAMPLES = 3  # samples: positions are whole counts, and a slow profile mov
 class Tuning:
     """Filter D(z) = K/4 (z - A/256) / (z + B/256) and sample timer T; by default as after a reset."""
 
-    gain: int = after_reset("gain")
-    zero: int = after_reset("zero")
-    pole: int = after_reset("pole")
-    timer: int = after_reset("timer")
+    gain: int = find_reset_value("gain")
+    zero: int = find_reset_value("zero")
+    pole: int = find_reset_value("pole")
+    timer: int = find_reset_value("timer")
 
 
 @dataclass(frozen=True)
@@ -393,9 +393,9 @@ def acceleration_word(port: Port, acceleration: float) -> int:
 def _round_to_register(port: Port, name: str, requested: float, scale: float, what: str, unit: str) -> int:
     rate = requested * scale
     number, value = NUMBERS[name], round(rate) if math.isfinite(rate) else 0
-    if value == 0 or not number.least <= value <= number.most:
+    if value == 0 or not number.minimum <= value <= number.maximum:
         raise ArgumentError(
             f"{requested:g} {unit} are {value} in the register of {name} at samples of {port.sample * 1e6:g} us: "
-            f"{max(number.least, 1)} to {number.most} it holds. Choose another rate, or another T."
-        ).with_limit(ExceededLimit(what, requested, max(number.least, 1) / scale, number.most / scale))
+            f"{max(number.minimum, 1)} to {number.maximum} it holds. Choose another rate, or another T."
+        ).with_limit(ExceededLimit(what, requested, max(number.minimum, 1) / scale, number.maximum / scale))
     return value

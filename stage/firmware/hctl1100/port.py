@@ -28,9 +28,9 @@ from stage.chips.hctl1100.maps import (
     STATUS,
     TIMER,
     Quantity,
-    after_reset,
+    find_reset_value,
 )
-from stage.chips.hctl1100.state import signed
+from stage.chips.hctl1100.state import to_signed
 from stage.errors import ArgumentError, RunTimeout, unknown_name_error
 from stage.firmware.axis import Axis
 
@@ -56,7 +56,7 @@ class Port:
     def __init__(self, axis: Axis):
         if not isinstance(getattr(axis, "chip", None), HCTL1100):
             raise ArgumentError(f"{axis!r} has no HCTL1100: make the stage with chips=HCTL1100.")
-        self.axis, self.chip, self.t = axis, axis.chip, after_reset("timer")
+        self.axis, self.chip, self.t = axis, axis.chip, find_reset_value("timer")
 
     @property
     def count(self) -> float:
@@ -74,8 +74,8 @@ class Port:
             number = NUMBERS.get(name)
             if number is None:
                 raise ArgumentError(f"{name} is nothing to load: {', '.join(NUMBERS)}.")
-            if not number.least <= value <= number.most or int(value) != value:
-                raise ArgumentError(f"{name}={value!r}: a whole number from {number.least} to {number.most}.")
+            if not number.minimum <= value <= number.maximum or int(value) != value:
+                raise ArgumentError(f"{name}={value!r}: a whole number from {number.minimum} to {number.maximum}.")
         for name, value in values.items():
             for cycle in self.chip.register_cycles(name, value):
                 self.chip.write(*cycle)
@@ -84,7 +84,7 @@ class Port:
     def _read(self, number: Quantity) -> int:
         """A signed number, its low byte first."""
         value = sum(self.chip.read(a) << number.shift(a) for a in reversed(number.addresses))
-        return signed(value, 8 * len(number.addresses))
+        return to_signed(value, 8 * len(number.addresses))
 
     def position(self) -> int:
         """Read the actual position, counts."""
@@ -96,7 +96,7 @@ class Port:
 
     def commanded_velocity(self) -> int:
         """Read the command velocity of integral velocity mode, counts per sample."""
-        return signed(self.chip.read(INTEGRAL_VELOCITY), 8)
+        return to_signed(self.chip.read(INTEGRAL_VELOCITY), 8)
 
     def final_position(self) -> int:
         """Read the end of the latest trapezoid, counts."""
