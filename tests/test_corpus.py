@@ -105,9 +105,9 @@ assert not COMPILED
 settle = core._settle
 def settle_by_the_clock(c):
     settle(c)
-    c.quiet = min(c.quiet, c.clock + 1000)
+    c.quiet_until = min(c.quiet_until, c.clock + 1000)
 for module, name, wrong in (
-    (drive, "pulses_ahead", lambda c, x: 1),
+    (drive, "count_pulses_to_event", lambda c, x: 1),
     (core, "_settle", settle_by_the_clock),
 ):
     right = getattr(module, name)

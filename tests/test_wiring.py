@@ -237,7 +237,7 @@ def commanded(*options):
 def test_the_commands_connect_chips_as_the_stage_does():
     stage = commanded("--chips", "x=mcx514,y=mcx512", "--multichip", "x, y")
     assert ("multichip lines", "x, y") in stage.snapshot().header.parts
-    assert [int(chip.state["heard"]) & 1 for chip in stage.chips] == [1, 1], "there are wires"
+    assert [int(chip.state["wire_word"]) & 1 for chip in stage.chips] == [1, 1], "there are wires"
     follower = commanded("--chips", "x=pcl240ms,y=pcl240mk", "--syni", "y=x")
     assert follower.axes["y"].chip.syni is follower.axes["x"].chip
     both = commanded("--model", "xyz", "--chips", "pcl240k", "--syni", "y=x, z=x")

@@ -64,10 +64,11 @@ def counted_core() -> Work:
 
     counting(core, "_settle", calls=1)
     for module, name in (
-        (drive, "note"), (timer, "note"), (split_pulse, "note"), (plan, "_write"), (interpolation, "tick"),
+        (drive, "note_event"), (timer, "note_event"), (split_pulse, "note_event"), (plan, "_append_open_piece"),
+        (interpolation, "make_tick"),
     ):  # fmt: skip
         counting(module, name, steps=1)
-    for module, name in ((linear, "step"), (circular, "step"), (circular, "_nearest")):
+    for module, name in ((linear, "step_line"), (circular, "step_arc"), (circular, "_find_nearest_coordinate")):
         counting(module, name)
     return work
 
@@ -169,18 +170,20 @@ class NovaFamily(Family):
         if self.new and address & BYTES:
             return None
         lowest = next((j for j in range(chip.AXES) if c["selected"] >> j & 1), 0)
-        return values[f"RR3-{c['pages'] >> lowest & 1}" if n == 3 and self.new else f"RR{n}"]
+        return values[f"RR3-{c['status_pages'] >> lowest & 1}" if n == 3 and self.new else f"RR{n}"]
 
     def silent(self, chip: Chip) -> bool:
         """Nothing drives, and nothing can begin a drive by itself; or the emergency stop is there."""
         c = chip.state
         axes = [c["ax"][j] for j in range(chip.AXES)]
-        return bool(c["emg"]) or not (values_of(axes, "driving home interpolates sync triggered go"))
+        return bool(c["emg_pin"]) or not (
+            values_of(axes, "driving home_state interpolates enabled_sets due_sets launch_direction")
+        )
 
     def clocks(self, chip: Chip, clocks: int) -> int:
         """Ticks of an interpolation, timings and turns of a ring are work, one by one."""
         c = chip.state
-        busy = "timer sync split home"
+        busy = "timer_end enabled_sets split_running home_state"
         rings = self.new and any(c["ax"][j]["reg"][state.LX] != OFF for j in range(chip.AXES))
         works = rings or c["interpolating"] or values_of([c["ax"][j] for j in range(chip.AXES)], busy)
         return min(clocks, LONG) if works else clocks

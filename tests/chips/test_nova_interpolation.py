@@ -270,10 +270,10 @@ def counted(finish, looked, longest=0, fine=1):
     """What the chip reckons of a line: its ticks that move one axis, two, three of those looked at."""
     chip = MCX514()
     queue, ip = chip.state["queue"][0], chip.state["ip"]
-    queue["axes"], queue["vector"], queue["fine"] = len(finish), looked, fine
-    queue["longest"] = max(longest, *map(abs, finish))
+    queue["axis_count"], queue["vector_axes"], queue["inner_ticks"] = len(finish), looked, fine
+    queue["tick_count"] = max(longest, *map(abs, finish))
     queue["finish"][: len(finish)] = finish
-    return linear.ticks(ip, queue)
+    return linear.count_line_ticks(ip, queue)
 
 
 @pytest.mark.parametrize("count", [2, 3, 4])

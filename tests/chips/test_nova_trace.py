@@ -100,10 +100,10 @@ def test_whole_speeds_are_known_as_such_all_over_the_range():
         command(chip, 0x52)
         rows = chip._rows.copy()
         x = rows[0].ax[0]
-        pulses._look_back(x)
-        pulses._foresee(x, 1)
-        assert x.pps == pps
-        assert 0 <= x.rest < pps
+        pulses._clear_prediction(x)
+        pulses._predict_pulse(x, 1)
+        assert x.even_pps == pps
+        assert 0 <= x.even_rest < pps
 
 
 def test_a_long_drive_is_where_the_reciprocal_of_its_speed_puts_it_after_a_hundred_million_pulses():

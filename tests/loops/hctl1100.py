@@ -17,7 +17,7 @@ def play(c, moments, steps, noise):
     """In sample n, `moments[n]` clocks after it began, the host writes the command moved by steps[n]; the shaft follows the command
     of the sample before, off by noise[n]. Returns how many samples had another motor command than the law's, at any time."""
     command = before = output = corrupted = 0
-    begin = c.next
+    begin = c.sample_end
     for n in range(len(moments)):
         shaft = command + noise[n]
         core.set_shaft(c, 0, float(shaft), 0.0)
@@ -25,14 +25,14 @@ def play(c, moments, steps, noise):
         x = command - shaft
         output = _clipped((256 * K * x - A * K * before - 4 * B * output) >> 10)
         before = x
-        wrong = c.drive != output
+        wrong = c.motor_command != output
         command += steps[n]
         core.advance(c, begin + moments[n])
         for k in range(3):
             core.write(c, 0x0C + k, (command >> 8 * (2 - k)) & 0xFF)
-        wrong = wrong or c.drive != output
+        wrong = wrong or c.motor_command != output
         core.advance(c, begin + SAMPLE - 1)
-        wrong = wrong or c.drive != output
+        wrong = wrong or c.motor_command != output
         begin += SAMPLE
         corrupted += 1 if wrong else 0
     return corrupted

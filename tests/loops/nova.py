@@ -9,7 +9,7 @@ from stage.native import array_of, exported
 def one_by_one(x, out):
     """The clocks of the next pulses of a drive, each found alone. Returns how many there are."""
     k = 0
-    while k < len(out) and (x.fixed == 0 or x.done + k < x.output):
-        out[k] = x.origin + profile.clock_of(x, x.done + k + 1)
+    while k < len(out) and (x.fixed == 0 or x.pulses_done + k < x.output_pulses):
+        out[k] = x.origin + profile.find_clock_of_pulse(x, x.pulses_done + k + 1)
         k += 1
     return k

@@ -22,13 +22,13 @@ from stage.support.arguments import explain_arguments
 __all__ = ["MCX302", "MCX304", "MCX312", "MCX314AS", "MCX501", "MCX512", "MCX514", "Nova"]
 
 BYTES = 16
-_LATE = {"HM": ("mode", state.HM), "HV": ("reg", state.HV)}
-"""Where the older chips keep what commands from 60h on write."""
+_LATE_REGISTERS = {"HM": ("mode", state.HM), "HV": ("reg", state.HV)}
+"""Fields and indices of the registers that commands from 60h on write in the older chips."""
 AX1, AX2, AX3 = (MCX314AS_MAP.field("WR5", f"AX{k}") for k in (1, 2, 3))
 
 
 class Nova(Chip):
-    """Base of the family. Bus addresses: n = 0 to 7 is WRn (write), RRn (read), words of 16 bits."""
+    """Base of the NOVA chips. Bus address n, 0 to 7, is WRn for writes and RRn for reads, words of 16 bits."""
 
     CORE: ClassVar = core
     INPUTS: ClassVar = state.INPUTS
@@ -68,7 +68,7 @@ class Nova(Chip):
 
     @property
     def pins(self) -> Pins:
-        """The pins that are no axis': the emergency stop, the interrupts."""
+        """Pins that belong to no axis: the emergency stop and the interrupts."""
         return Pins(self, self.AXES, state.COMMON_INPUTS, state.COMMON_OUTPUTS)
 
     def net(self, axis: int = 0) -> int:
@@ -82,11 +82,11 @@ class Nova(Chip):
     def shaft_of(self, axis: int) -> tuple[float, float]:
         self._check_axis(axis)
         x = self.state["ax"][axis]
-        return float(x["shaft"]), float(x["shaft_rate"])
+        return float(x["shaft_edges"]), float(x["shaft_rate"])
 
     def set_input_word(self, axis: int, word: int) -> None:
         self._check_pins(axis)
-        if self._plain["fed"] >> axis & 1 and (word ^ self.input_word(axis)) & encoder.PINS:
+        if self._plain["encoder_axes"] >> axis & 1 and (word ^ self.input_word(axis)) & encoder.PINS:
             raise StageError(f"ECA and ECB of axis {axis} are those of its encoder, and cannot be driven by hand.")
         super().set_input_word(axis, word)
 
@@ -94,7 +94,7 @@ class Nova(Chip):
         if address >= BYTES:  # of the 8-bit bus only the low byte of WR0 acts
             if address != BYTES:
                 return ()
-            address, value = 0, int(self._plain["first"]) & 0xFF00 | value
+            address, value = 0, int(self._plain["command_high_byte"]) & 0xFF00 | value
         return lint_write(self.MAP, self._lint_state(), address, value)
 
     def _lint_state(self) -> LintState:
@@ -107,7 +107,9 @@ class Nova(Chip):
     @classmethod
     @explain_arguments
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
-        """Return WR6, WR7 if it has more than 16 bits, and the command that is its number (manual, data writing commands).
+        """Return the writes to WR6, to WR7 for a register of more than 16 bits, and the command that writes the register.
+
+        Source: manual, data writing commands.
 
         Args:
             name: Name of the register.
@@ -123,9 +125,9 @@ class Nova(Chip):
     @classmethod
     @explain_arguments
     def command_cycles(cls, symbol: str, axis: int = 0, datum: int | None = None) -> list[tuple[int, int]]:
-        """Return data to WR6 and WR7, then the code to WR0 with the axis' bit (manual, axis assignment).
+        """Return the writes of data to WR6 and WR7, then of the code to WR0 with the axis' bit.
 
-        WR1 to WR3, which each axis has, follow a NOP that selects it.
+        WR1 to WR3, which each axis has, follow a NOP that selects the axis. Source: manual, axis assignment.
 
         Args:
             symbol: Symbol of the command, or name of the word.
@@ -156,7 +158,7 @@ class Nova(Chip):
         return {name: core.value.with_gil(self.pointer, int(name[2]), name == "RR3-1") for name in words}
 
     def values_of(self, axis: int = 0) -> dict[str, int]:
-        """Words of an axis as if a host had selected it; registers as the reading commands say, or as they were written."""
+        """Return the words of an axis as if a host had selected it, and the registers as they read, or as they were written."""
         self._check_axis(axis)
         chip, map_, values = self.twin(), self.MAP, {}
         c: Any = chip.state
@@ -165,7 +167,7 @@ class Nova(Chip):
         for w in map_.words:
             n = w.address
             if n and w.written:
-                common = {4: "outputs4", 5: "outputs5", 6: "low", 7: "high"}
+                common = {4: "outputs4", 5: "outputs5", 6: "data_low", 7: "data_high"}
                 values[w.name] = int(c["ax"][axis]["wr"][n]) if n <= 3 else int(c[common[n]])
             elif n is not None and w.fields and not w.written:
                 values[w.name] = core.value.with_gil(chip.pointer, n, w.name == "RR3-1")
@@ -182,16 +184,16 @@ class Nova(Chip):
 
     @classmethod
     def _place(cls, name: str) -> tuple[str, int] | None:
-        """Find where in the state of an axis a register is kept that cannot be read.
+        """Find the place in the state of an axis that holds a register which cannot be read.
 
         Returns:
-            Field and place; None if it is kept nowhere as it was written.
+            Field and index; None if the state does not hold the register as it was written.
         """
         number = cls.MAP.register(name).number
         if number < state.REGISTERS:
             return "reg", number
         k = number - state.MODE_FIRST
-        return ("mode", k) if 0 <= k < state.MODES else _LATE.get(name)
+        return ("mode", k) if 0 <= k < state.MODES else _LATE_REGISTERS.get(name)
 
 
 class MCX514(Nova):
@@ -206,8 +208,8 @@ class MCX514(Nova):
 
     @property
     def linked(self) -> bool:
-        """The lines of multichip interpolation join it to other chips, see `Stage(multichip=...)`."""
-        return bool(self.state["heard"])
+        """Whether lines of multichip interpolation join the chip to others, see `Stage(multichip=...)`."""
+        return bool(self.state["wire_word"])
 
     def _interpolated(self) -> int:
         return int(self._plain["ax"][0]["mode"][state.IPM]) & 15
@@ -263,8 +265,13 @@ class MCX501(MCX514):
     MULTICHIP: ClassVar = False
 
 
-class _Erratum(Nova):
-    """MCX304, MCX302, MCX312. errata: as sold, with the S-curve failure of NOVA's notice; False is the mended chip."""
+class _ErratumChip(Nova):
+    """Base of the MCX304, MCX302 and MCX312.
+
+    Args:
+        clock_hz: Reference clock; default: that of the data sheet.
+        errata: Emulate the chip as it was sold, with the S-curve failure of NOVA's notice; False: a chip without it.
+    """
 
     INPUTS: ClassVar = state.INPUTS_300
     READING_ACTS: ClassVar = frozenset({3})  # RR3, the interrupt factors
@@ -281,20 +288,20 @@ class _Erratum(Nova):
         record["errata"] = self.errata
 
 
-class MCX304(_Erratum):
+class MCX304(_ErratumChip):
     """NOVA MCX304: four axes."""
 
     MAP: ClassVar = MCX304_MAP
 
 
-class MCX302(_Erratum):
+class MCX302(_ErratumChip):
     """NOVA MCX302: two axes."""
 
     MAP: ClassVar = MCX302_MAP
     AXES: ClassVar = 2
 
 
-class MCX312(_Erratum):
+class MCX312(_ErratumChip):
     """NOVA MCX312: two axes, interpolation."""
 
     MAP: ClassVar = MCX312_MAP

@@ -1,5 +1,4 @@
-"""Bus cycles of the NOVA chips in words: `X: set drive speed V = 4000`, `X: logical position counter LP = -20 pulses`; their
-journals: `X Y DV <- 8000 (drive speed)`, `X relative position drive`."""
+"""Descriptions of bus cycles of the NOVA chips, `X: set drive speed V = 4000`, and of their journals, `X Y DV <- 8000`."""
 
 from __future__ import annotations
 
@@ -7,7 +6,7 @@ from typing import Any
 
 from stage.chips import describe
 from stage.chips.describe import Fields, Statement, bits, line
-from stage.chips.nova.registers.common import AXES, axis_names
+from stage.chips.nova.registers.common import AXES, name_axes
 from stage.chips.nova.registers.mcx300 import RESET
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.register_map import Command, Register, RegisterMap, Word
@@ -16,16 +15,16 @@ BYTES = 16  # byte addresses of the 8-bit bus begin here
 _PATTERN = {"BP_ENABLED": True, "BP_DISABLED": False}
 _PAGE = {"RR3P0": False, "RR3P1": True}
 CODE, AXIS = MCX514_MAP.field("WR0", "CODE"), MCX514_MAP.field("WR0", "AXIS")
-_WRITING = ("data write", "mode write")
+WRITING_KINDS = ("data write", "mode write")
 
 
-def resets(map_: RegisterMap, value: int) -> bool:
-    """Return whether a word to WR0 is the reset of a chip that has no command for it."""
+def is_reset(map_: RegisterMap, value: int) -> bool:
+    """Return whether a word to WR0 is the reset of a chip that has no reset command."""
     return value == RESET and not any(c.symbol == "RST" for c in map_.commands)
 
 
 class Decoder(describe.Decoder):
-    """The commands to one axis of a chip, with the data that they take."""
+    """Decoder of journals: the commands to one axis of a chip, with their data."""
 
     def __init__(self, map_: RegisterMap, axis: int = 0):
         self._map, self._bit = map_, 1 << axis
@@ -58,39 +57,43 @@ class Decoder(describe.Decoder):
         self._selected = axes or self._selected
         if axes and not axes & self._bit:
             return []
-        words = f"{axis_names(axes)} {self._meaning(command, value)}".strip()
-        if command is None or command.kind not in _WRITING:
+        words = f"{name_axes(axes)} {self._meaning(command, value)}".strip()
+        if command is None or command.kind not in WRITING_KINDS:
             return [Statement(clock, "command", f"{value:04X}", words)]
         r = self._map.register(command.symbol)
         return [Statement(clock, "register", f"{value:04X}", words, r.name, self._data(r))]
 
     def _data(self, r: Register) -> int:
-        """What a command writes into a register."""
+        """Return the value that a command writes into a register."""
         return r.value(self._words[7] << 16 | self._words[6])
 
     def _meaning(self, command: Command | None, value: int) -> str:
-        if resets(self._map, value):
+        if is_reset(self._map, value):
             return "reset"
         if command is None:
             return "no command"
-        if command.kind in _WRITING:
+        if command.kind in WRITING_KINDS:
             r = self._map.register(command.symbol)
             return f"{r.name} <- {self._data(r)} ({r.text})"
-        return _verb(command, value)
+        return _describe_command(command, value)
 
 
 class Listener:
-    """The bus cycles of a NOVA chip in words.
+    """Descriptions of the bus cycles of a NOVA chip.
 
-    Addresses 16 to 31 are bytes of WR0 to WR7 and RR0 to RR7, as on the 8-bit bus. The contents of RR6 and RR7 have words if the
+    Addresses 16 to 31 are the bytes of WR0 to WR7 and RR0 to RR7 on the 8-bit bus. The contents of RR6 and RR7 are described if the
     listener has seen the command that filled them.
+
+    Args:
+        map_: Register map of the chip.
+        record: State of the chip.
     """
 
     def __init__(self, map_: RegisterMap, record: Any):
         self._map, self._there = map_, (1 << map_.axes) - 1
-        self._selected, self._pages = int(record["selected"]), int(record["pages"])
+        self._selected, self._pages = int(record["selected"]), int(record["status_pages"])
         self._pattern = bool(record["ip"]["writing"])
-        self._first = int(record["first"])
+        self._first = int(record["command_high_byte"])
         self._by_axis = [[int(w) for w in x["wr"]] for x in record["ax"]]
         self._common = [0, 0, 0, 0, *(int(record[name]) for name in ("outputs4", "outputs5", "low", "high"))]
         self._reading: tuple[str, Register | Word, int] | None = None  # axis, what, its bytes
@@ -100,7 +103,12 @@ class Listener:
         self._fields = {p.name: Fields(p) for p in map_.places if p.fields}
 
     def write(self, address: int, value: int) -> str:
-        """One write cycle to WRn, n = `address`."""
+        """Describe a write cycle to WRn.
+
+        Args:
+            address: n, or 16 and above for bytes.
+            value: The word or byte.
+        """
         if address >= BYTES:
             return self._write_byte(address - BYTES, value & 0xFF)
         n, value = address & 7, value & 0xFFFF
@@ -113,7 +121,7 @@ class Listener:
             for k, words in enumerate(self._by_axis):
                 if self._selected >> k & 1:
                     words[n] = value
-            return self._fields[f"WR{n}"].tell(f"{axis_names(self._selected)}: WR{n} ({self._titles[n]})", value)
+            return self._fields[f"WR{n}"].tell(f"{name_axes(self._selected)}: WR{n} ({self._titles[n]})", value)
         self._common[n] = value
         if n >= 6:
             return f"data {'31..16' if n == 7 else '15..0'} = {value:04X}h"
@@ -121,7 +129,7 @@ class Listener:
         return fields.tell(f"WR{n}", value) if fields else f"WR{n} is not used on the {self._map.chip}"
 
     def _write_byte(self, at: int, value: int) -> str:
-        """A byte of WRn: what the word says as it is then."""
+        """Describe a write of a byte: the word that the register holds after it."""
         n, high = at >> 1 & 7, at & 1
         old = self._first if n == 0 else self._by_axis[self._lowest][n] if n <= 3 else self._common[n]
         word = old & 0xFF | value << 8 if high else old & 0xFF00 | value
@@ -131,16 +139,16 @@ class Listener:
         return self.write(n, word)
 
     def _command(self, value: int) -> str:
-        """A word to WR0."""
+        """Describe a word to WR0."""
         c, axis_bits = self._map.by_code.get(CODE.of(value)), AXIS.of(value)
         axes = axis_bits & self._there if self._map.axes > 1 else 1
-        if resets(self._map, value) or (c is not None and c.symbol == "RST" and not axis_bits):
+        if is_reset(self._map, value) or (c is not None and c.symbol == "RST" and not axis_bits):
             self._reset()
             return "reset" if c is None or c.symbol != "RST" else c.title
         self._selected = axes or self._selected
-        names = axis_names(axes)
+        names = name_axes(axes)
         if axis_bits & ~axes:
-            names += f" (no {axis_names(axis_bits & ~axes)} on the {self._map.chip})"
+            names += f" (no {name_axes(axis_bits & ~axes)} on the {self._map.chip})"
         head = f"{names}: " if names else ""
         if c is None:
             return f"{head}{CODE.of(value):02X}h is no command of the {self._map.chip}"
@@ -153,17 +161,17 @@ class Listener:
         return self._obeyed(c, value, axes, head)
 
     def _obeyed(self, c: Command, value: int, axes: int, head: str) -> str:
-        if c.kind in _WRITING:
+        if c.kind in WRITING_KINDS:
             r = self._map.register(c.symbol)
             return self._text_of(f"{head}set {r.title} {r.name}", r, self._common[7] << 16 | self._common[6])
         if c.symbol in _PATTERN:
             self._pattern = _PATTERN[c.symbol]
         elif c.symbol in _PAGE:
             self._pages = self._pages | axes if _PAGE[c.symbol] else self._pages & ~axes
-        return head + _verb(c, value)
+        return head + _describe_command(c, value)
 
     def _answer(self, c: Command) -> str:
-        """A reading command: RR6 and RR7 hold its answer."""
+        """Note what a reading command fills RR6 and RR7 with."""
         name = c.symbol.removeprefix("R-")
         place = self._map.word(name) if name.startswith("WR") else self._map.register(name)
         axis = f"{AXES[self._lowest]}: " if c.axes else ""
@@ -175,7 +183,12 @@ class Listener:
         self._by_axis, self._common = [[0] * 4 for _ in self._by_axis], [0] * 8
 
     def read(self, address: int, value: int) -> str:
-        """One read cycle of RRn, n = `address`."""
+        """Describe a read cycle of RRn.
+
+        Args:
+            address: n, or 16 and above for bytes.
+            value: The word or byte.
+        """
         if address >= BYTES:
             n, high, width, value = address >> 1 & 7, address & 1, 1, value & 0xFF
         else:
@@ -193,7 +206,13 @@ class Listener:
         return fields.tell(head, value << 8 * high) if fields else f"{head} is not used on the {self._map.chip}"
 
     def _data(self, at: int, width: int, value: int) -> str:
-        """Bytes of RR6 and RR7, from byte `at`: the whole as soon as all were read."""
+        """Describe a read of RR6 and RR7: the whole value as soon as all of its bytes were read.
+
+        Args:
+            at: Number of the first byte.
+            width: Number of bytes.
+            value: The bytes.
+        """
         for k in range(width):
             self._bytes[at + k] = value >> 8 * k & 0xFF
         part = f"{8 * (at + width) - 1}..{8 * at} = {value:0{2 * width}X}h"
@@ -208,18 +227,24 @@ class Listener:
 
     @property
     def _lowest(self) -> int:
-        """The lowest selected axis: it answers."""
+        """Return the lowest selected axis, the one that answers reads."""
         return (self._selected & -self._selected).bit_length() - 1
 
     def _text_of(self, head: str, place: Register | Word, word: int) -> str:
-        """What a register or word holds, field by field or as a number."""
+        """Describe the contents of a register or word, field by field or as a number.
+
+        Args:
+            head: Words before the contents.
+            place: The register or word.
+            word: Its contents.
+        """
         word &= (1 << place.bits) - 1
         if place.fields or isinstance(place, Word):
             return self._fields[place.name].tell(f"{head} = {word:0{place.bits // 4}X}h", word)
         return line(f"{head} = {place.value(word)} {place.unit}".rstrip())
 
 
-def _verb(c: Command, value: int) -> str:
-    """Describe what a command does, and on what it chooses."""
+def _describe_command(c: Command, value: int) -> str:
+    """Describe what a command does, and on what."""
     names = [name for k, name in enumerate(c.chooses) if value & c.choice & 1 << k]
     return " ".join([c.title, *names])

@@ -26,7 +26,7 @@ RESET_WITH_MORE = Rule("reset-with-more", "WR0")
 UNKNOWN_COMMAND = Rule("unknown-command", "command list")
 ABSENT_AXES = Rule("absent-axes", "command list")
 AXES_MISSING = Rule("axes-missing", "command list")
-AXES_GIVEN = Rule("axes-given", "command list")
+UNNEEDED_AXES = Rule("axes-given", "command list")
 SEVERAL_AXES_READ = Rule("several-axes-read", "command list")
 NOT_MODELED = Rule("not-modeled", "command list")
 # WR1 to WR5, and the data of commands that write
@@ -37,7 +37,7 @@ ONE_AXIS_ONLY = Rule("one-axis-only", "mode writing commands")
 EXCLUSIVE_BITS = Rule("exclusive-bits", "mode writing commands")
 DATA_NOT_USED = Rule("data-not-used", "data reading commands")
 TP_IN_ABSOLUTE_DRIVE = Rule("tp-in-absolute-drive", "7.2.7")
-TP_TURNS_DRIVE = Rule("tp-turns-drive", "7.2.7")
+TP_REVERSES_DRIVE = Rule("tp-turns-drive", "7.2.7")
 # drive commands
 ALREADY_DRIVING = Rule("already-driving", "driving commands")
 PULSE_NUMBER = Rule("pulse-number", "7.2.7")
@@ -52,7 +52,7 @@ HELIX_PULSES_LOST = Rule("helix-pulses-lost", "interpolation commands")
 NO_OTHER_CHIP = Rule("no-other-chip", "IPM, MLT")
 ONLY_LINES = Rule("only-lines", "IPM, MLT")
 LINE_IN_PROGRESS = Rule("line-in-progress", "IPM, MLT")
-SLAVE_TOO_LATE = Rule("slave-too-late", "IPM, MLT")
+SLAVE_AFTER_START = Rule("slave-too-late", "IPM, MLT")
 
 CODE, AXIS = MCX514_MAP.field("WR0", "CODE"), MCX514_MAP.field("WR0", "AXIS")
 MLT, LMDF = MCX514_MAP.field("IPM", "MLT"), MCX514_MAP.field("IPM", "LMDF")
@@ -74,7 +74,13 @@ STOP3 = {state.F_STOP3: "STOP3 is active and enabled"}
 
 
 class LintState:
-    """The contents of a chip that its lint reads."""
+    """Contents of a chip that its lint reads.
+
+    Args:
+        record: State of the chip.
+        axes: Number of axes.
+        find_interpolated_axes: Function that returns the axes that IPM or WR5 select, as bits.
+    """
 
     def __init__(self, record: Any, axes: int, find_interpolated_axes: Callable[..., int]):
         """Look at a chip's record.
@@ -92,13 +98,13 @@ class LintState:
 
     @property
     def data(self) -> int:
-        """WR6 and WR7."""
-        return int(self._record["low"]) | int(self._record["high"]) << 16
+        """Data in WR6 and WR7, 32 bits."""
+        return int(self._record["data_low"]) | int(self._record["data_high"]) << 16
 
     @property
     def has_unused_data(self) -> bool:
         """Whether WR6 or WR7 was written after the last command."""
-        return bool(self._record["unused"])
+        return bool(self._record["has_unused_data"])
 
     @cached_property
     def driving(self) -> int:
@@ -128,12 +134,12 @@ class LintState:
     def full(self) -> bool:
         """Whether the next segment cannot be written yet (CNEXT = 0)."""
         queue = self._record["ip"]
-        return self.interpolating and bool(queue["waiting"] >= queue["depth"])
+        return self.interpolating and bool(queue["waiting_segments"] >= queue["queue_depth"])
 
     @property
     def bit_pattern(self) -> bool:
         """Whether WR2 to WR5 are the BP registers (36h)."""
-        return bool(self._record["ip"]["writing"])
+        return bool(self._record["ip"]["loads_pattern"])
 
     @property
     def interpolated(self) -> int:
@@ -145,13 +151,13 @@ class LintState:
         return self.interpolated
 
     def find_refusals(self, value: int) -> dict[int, str]:
-        """Try a drive command on a copy, and find the axes that it does not start although they have pulses to make.
+        """Try a drive command on a copy of the chip, and find the axes that it does not start although they have pulses to make.
 
         Args:
             value: The word to WR0.
 
         Returns:
-            Axis -> what RR2 says of it, in words.
+            Axis -> reason in RR2, in words.
         """
         rows = self.copy_record()
         core.write(rows, 0, value)
@@ -159,9 +165,9 @@ class LintState:
         reasons = REFUSALS | STOP3 if self._record["extended"] else REFUSALS
         for k in range(self._count):
             x, after = self._axes[k], rows[0]["ax"][k]
-            empty = after["fixed"] and after["output"] == 0
-            commanded = value >> 8 + k & 1 and not (x["held"] & 1 or empty or core.busy(rows, k))
-            texts = [text for bit, text in reasons.items() if int(after["causes"]) & bit]
+            empty = after["fixed"] and after["output_pulses"] == 0
+            commanded = value >> 8 + k & 1 and not (x["start_hold"] & 1 or empty or core.busy(rows, k))
+            texts = [text for bit, text in reasons.items() if int(after["stop_causes"]) & bit]
             if commanded and texts:
                 refusals[k] = ", ".join(texts)
         return refusals
@@ -180,12 +186,12 @@ class LintState:
     @property
     def linked(self) -> bool:
         """Whether wires join the chip to others."""
-        return bool(self._record["heard"])
+        return bool(self._record["wire_word"])
 
     @property
     def started(self) -> bool:
         """Whether the master of the wires has begun."""
-        return bool(self._record["heard"] & multichip.GO)
+        return bool(self._record["wire_word"] & multichip.GO)
 
     @property
     def drive_speed(self) -> tuple[int, ...]:
@@ -194,7 +200,7 @@ class LintState:
 
     @property
     def finish(self) -> tuple[int, ...]:
-        """TP of every axis: pulses, or the finish point."""
+        """TP of every axis: number of pulses, or finish point."""
         return tuple(int(x["reg"][state.TP]) for x in self._record["ax"])
 
     @property
@@ -220,18 +226,18 @@ class Mcx312LintState(LintState):
 
 
 class Mcx314asLintState(Mcx312LintState):
-    """The contents of a chip whose WR5 names three axes; a command of two does not look at the third."""
+    """Contents of a chip whose WR5 names three axes; a command of two axes ignores the third."""
 
     def interpolated_by(self, command: Command) -> int:
         return self._find_interpolated_axes(max(command.together))
 
 
 def lint_write(map_: RegisterMap, chip: Any, address: int, value: int) -> Iterator[Finding]:
-    """Yield what is wrong with a write.
+    """Yield every rule that a write breaks, with a message.
 
     Args:
         map_: Register map of the chip.
-        chip: What it holds before the write, a LintState.
+        chip: Contents of the chip before the write, a LintState.
         address: Number of the WR register.
         value: The word, 16 bits.
     """
@@ -246,7 +252,7 @@ def lint_write(map_: RegisterMap, chip: Any, address: int, value: int) -> Iterat
 
 
 def _lint_command(map_: RegisterMap, chip: Any, value: int) -> Iterator[Finding]:
-    """Yield what is wrong with a word to WR0."""
+    """Check a word to WR0."""
     if reserved := value & map_.mask("WR0", "zero"):
         yield RESERVED_BITS, f"WR0 = {value:04X}h: {_name_bits(reserved)} must be 0"
     if value & RESET:
@@ -279,20 +285,20 @@ def _lint_command(map_: RegisterMap, chip: Any, value: int) -> Iterator[Finding]
 
 
 def _lint_axes(map_: RegisterMap, c: Command, name: str, axes: int) -> Iterator[Finding]:
-    """Yield what is wrong with the axis bits of a command."""
+    """Check the axis bits of a command."""
     absent = axes >> map_.axes << map_.axes
     if absent:
         yield ABSENT_AXES, f"{name} to {_name_axes(absent)}: the {map_.chip} has {map_.axes} axes"
     if c.axes and not axes and map_.axes > 1:
         yield AXES_MISSING, f"{name} needs axis bits and has none"
     if not c.axes and axes and c.kind != "data read":
-        yield AXES_GIVEN, f"{name} carries no axis bits: {_name_axes(axes)} given"
+        yield UNNEEDED_AXES, f"{name} carries no axis bits: {_name_axes(axes)} given"
     if c.axes and c.kind == "data read" and axes & (axes - 1):
         yield SEVERAL_AXES_READ, f"{name} reads one axis: of {_name_axes(axes)} only the first is read"
 
 
 def _lint_data(r: Register, chip: Any, c: Command, axes: int) -> Iterator[Finding]:
-    """Yield what is wrong with the data of a command that writes register `r`."""
+    """Check the data of a command that writes register `r`."""
     word = chip.data & r.mask
     value = r.value(word)
     section = r.section or f"{c.kind[:4]} writing commands"
@@ -318,7 +324,7 @@ def _lint_data(r: Register, chip: Any, c: Command, axes: int) -> Iterator[Findin
 
 
 def _lint_pulses_in_motion(tp: Register, chip: Any, axes: int, value: int) -> Iterator[Finding]:
-    """Yield what is wrong with a value of TP that is written while axes drive."""
+    """Check a value of TP that is written while axes drive."""
     if axes & chip.relative and not tp.allows(value):
         yield VALUE_RANGE.at(tp.section), f"TP = {value} while driving: {tp.title} takes {tp.range[0]} to {tp.range[1]}"
     if moving := axes & chip.absolute:
@@ -326,11 +332,11 @@ def _lint_pulses_in_motion(tp: Register, chip: Any, axes: int, value: int) -> It
         yield TP_IN_ABSOLUTE_DRIVE, message
     if turned := sum(1 << k for k, old in enumerate(chip.finish) if axes & chip.relative & 1 << k and old * value < 0):
         why = "the direction cannot be changed, and the drive stops at once"
-        yield TP_TURNS_DRIVE, f"TP = {value} while {_name_axes(turned)} drives the other way: {why}"
+        yield TP_REVERSES_DRIVE, f"TP = {value} while {_name_axes(turned)} drives the other way: {why}"
 
 
 def _lint_pulse_numbers(map_: RegisterMap, chip: Any, name: str, axes: int) -> Iterator[Finding]:
-    """Yield the axes of a drive command whose TP is no number of pulses."""
+    """Check that TP of each axis of a drive command is a number of pulses."""
     tp = map_.register("TP")
     for k, value in enumerate(chip.finish[: map_.axes]):
         if (axes >> k & 1 or map_.axes == 1) and not tp.allows(value):
@@ -341,7 +347,7 @@ def _lint_pulse_numbers(map_: RegisterMap, chip: Any, name: str, axes: int) -> I
 
 
 def _lint_interpolation(chip: Any, c: Command, name: str) -> Iterator[Finding]:
-    """Yield what is wrong with an interpolation command."""
+    """Check an interpolation command."""
     axes = chip.interpolated_by(c)
     if (count := axes.bit_count()) not in c.together:
         yield NUMBER_OF_AXES, f"{name} with {count} axes chosen{': ' if axes else ''}{_name_axes(axes)}"
@@ -364,7 +370,7 @@ def _lint_interpolation(chip: Any, c: Command, name: str) -> Iterator[Finding]:
 
 
 def _lint_helix(chip: Any, name: str) -> Iterator[Finding]:
-    """Yield the axes along a helix that have more pulses than the helix has ticks."""
+    """Find the axes along a helix that have more pulses than the helix has ticks."""
     for k in [k for k in range(len(chip.finish)) if chip.interpolated >> k & 1][2:]:
         if (pulses := abs(chip.finish[k])) > chip.helix_ticks:
             limit = f"the {chip.helix_ticks} ticks of HLV make one pulse each at most"
@@ -373,7 +379,7 @@ def _lint_helix(chip: Any, name: str) -> Iterator[Finding]:
 
 
 def _lint_multichip(chip: Any, c: Command, name: str) -> Iterator[Finding]:
-    """Yield what is wrong with an interpolation command to a master or slave."""
+    """Check an interpolation command to a master or slave."""
     subject = f"{name} as {MLT.values[chip.role]} (MLT = {chip.role})" if chip.role < len(MLT.values) else name
     if chip.role == 1 and not chip.linked:
         why = "no other chip is wired to this one, which interpolates by itself; see Stage(multichip=...)"
@@ -389,7 +395,7 @@ def _lint_multichip(chip: Any, c: Command, name: str) -> Iterator[Finding]:
         why = "is refused: one after the other without a stop is not modeled"
         yield LINE_IN_PROGRESS, f"{subject} during a line of several chips {why}"
     elif chip.role == 2 and chip.started:
-        yield SLAVE_TOO_LATE, f"{subject} while the master interpolates is refused (MCERR): start slaves first"
+        yield SLAVE_AFTER_START, f"{subject} while the master interpolates is refused (MCERR): start slaves first"
 
 
 def _find_main_axis(chip: Any) -> int:
@@ -399,7 +405,7 @@ def _find_main_axis(chip: Any) -> int:
 
 
 def _lint_fields(place: Register | Word, word: int, section: str) -> Iterator[Finding]:
-    """Yield fields whose value means nothing."""
+    """Find the fields whose value means nothing."""
     for f in place.fields:
         if f.legal and not f.legal[0] <= f.of(word) <= f.legal[1]:
             yield FIELD_RANGE.at(section), f"{place.name} = {word:04X}h: {f.name} = {f.of(word)} ({f.text})"

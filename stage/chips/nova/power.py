@@ -1,4 +1,4 @@
-"""NOVA chips, compiled: what a reset does on all of them."""
+"""The part of a reset that is common to all NOVA chips, compiled."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from stage.native import hot
 
 
 @hot
-def clear(c):
-    """Registers, modes, counters and drives 0, X selected, the direction plus; the clock, the input pins and the pulse totals go
-    on."""
+def clear_state(c):
+    """Clear registers, modes, counters and drives, select axis X and the + direction.
+
+    The clock, the input pins and the pulse totals stay.
+    """
     for j in range(AXES):
         x = c.ax[j]
         for k in range(len(x.reg)):
@@ -20,15 +22,15 @@ def clear(c):
             x.wr[k] = 0
         for k in range(len(x.mode)):
             x.mode[k] = 0
-        x.driving = x.waiting = x.held = x.done = x.output = x.fixed = x.slow = 0
-        x.high, x.net_at_reset = 0, x.net
-        x.factors = x.fired = x.causes = 0
-        x.way = 1
+        x.driving = x.awaits_inpos = x.start_hold = x.pulses_done = x.output_pulses = x.fixed = x.stopping = 0
+        x.pulse_off_clock, x.net_at_reset = 0, x.net
+        x.events = x.new_events = x.stop_causes = 0
+        x.direction = 1
         x.phase = NO_PHASE
-        sync.reset(c, x)
-        home.reset(x)
-        external.reset(x)
-    interpolation.reset(c)
+        sync.reset_actions(c, x)
+        home.reset_search(x)
+        external.reset_external_drives(x)
+    interpolation.reset_interpolation(c)
     c.selected = 1
-    c.low = c.high = c.read_low = c.read_high = c.pages = c.outputs4 = c.outputs5 = 0
+    c.data_low = c.data_high = c.read_low = c.read_high = c.status_pages = c.outputs4 = c.outputs5 = 0
     c.stale = 1

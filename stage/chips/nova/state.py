@@ -1,4 +1,4 @@
-"""NOVA chips, compiled: the records that hold a chip and its axes, their pins, and the names of bits, taken from the maps."""
+"""State of the NOVA chips as records for compiled code: chip, axes, interpolation; their pins, and bits named after the maps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ DRAFTED = 4
 SYNC_SETS = 4
 FIRST_GENERATION, MCX514_TYPE = 0, 1
 NEVER = 1 << 60
-MAIN = 2  # of `interpolates`: the main axis
+MAIN = 2  # value of `interpolates`: the main axis
 MASTER, SLAVE = 1, 2  # MLT of IPM: this chip's role in an interpolation of several
 
 
@@ -25,7 +25,7 @@ def _places(map_: RegisterMap, names: str) -> tuple[int, ...]:
     return tuple(map_.register(name).number for name in names.split())
 
 
-# places in `reg`: the code of the command that writes it, the same on all chips as far as they share it
+# indices in `reg`: the code of the command that writes the register; chips that share a register share its code
 JK, DJ, AC, DC, SV, DV, TP, DP, CP, LP, RP, SP, SM, AO, LX, RX, MR0 = _places(
     MCX514_MAP, "JK DJ AC DC SV DV TP DP CP LP RP SP SM AO LX RX MR0"
 )
@@ -33,43 +33,43 @@ HV, IV, TM, SP1, SP2, TX, HLN, HLV = _places(MCX514_MAP, "HV IV TM SP1 SP2 TX HL
 R, K, A, D, V, P, C, EP, COMP_PLUS, COMP_MINUS, L = _places(MCX312_MAP, "R K A D V P C EP CP CM L")
 MODES = 16
 MODE_FIRST = MCX514_MAP.register("MRM").number
-# places in `mode`: the same, counted from 20h
+# indices in `mode`: the code of the command that writes the mode register, minus 20h
 MRM, P1M, P2M, H1M, H2M, FLM, S0M, IPM = (
     k - MODE_FIRST for k in _places(MCX514_MAP, "MRM P1M P2M H1M H2M FLM S0M IPM")
 )
 P3M = MCX512_MAP.register("P3M").number - MODE_FIRST
-HM, EM = H1M, MRM  # of the older chips; of EM the word in WR6, HM has that in WR7
+HM, EM = H1M, MRM  # of the older chips; EM holds the word in WR6, HM the word in WR7
 
 ACCELERATING, CONSTANT, DECELERATING, AREA_D, RUNAWAY = 1, 0, -1, 2, 3
-"""What a piece of a speed profile is. AREA_D: the acceleration reads 0 at the end of an S-curve; RUNAWAY: after the erratum."""
+"""Phases of a speed profile. AREA_D: the acceleration reads 0 at the end of an S-curve; RUNAWAY: no end (erratum)."""
 NO_PHASE = -9
-"""`phase` of an axis whose drive has no piece yet, or none any more."""
+"""`phase` of an axis without a drive."""
 
-_PROFILE = [  # of the drive in progress: pieces of a cubic in the clocks since `origin`
+_PROFILE = [  # of the drive in progress: pieces, each a cubic polynomial of the clocks since `origin`
     ("origin", "i8"),  # clock
-    ("pieces", "i8"),  # how many there are
-    ("end", "i8"),  # clocks after the origin at which the drive ends whatever its pulses
-    ("brake", "i8"),  # the piece that begins the automatic deceleration
+    ("pieces", "i8"),  # number of pieces
+    ("end_time", "i8"),  # clocks after the origin at which the drive ends, whatever number of pulses it has made
+    ("brake_piece", "i8"),  # number of the piece that begins the automatic deceleration
     # pieces; the last one lasts for ever
     ("from_clock", "i8", (MAX_PIECES,)),  # the first whole clock at or after `t`
-    ("from_pulse", "i8", (MAX_PIECES,)),  # pulses done where it begins, whole ones
-    ("kind", "i8", (MAX_PIECES,)),  # ACCELERATING ...
+    ("from_pulse", "i8", (MAX_PIECES,)),  # whole pulses that the drive has made where it begins
+    ("piece_phase", "i8", (MAX_PIECES,)),  # ACCELERATING ...
     ("t", "f8", (MAX_PIECES, 2)),  # clocks after the origin at which it begins
-    ("p", "f8", (MAX_PIECES, 2)),  # pulses done where it begins, beyond `from_pulse`
-    ("v", "f8", (MAX_PIECES, 2)),  # speed there, pulses a clock
-    ("a2", "f8", (MAX_PIECES, 2)),  # half its acceleration
+    ("p", "f8", (MAX_PIECES, 2)),  # the rest of the pulses where it begins: a fraction beyond `from_pulse`
+    ("v", "f8", (MAX_PIECES, 2)),  # speed where it begins, pulses per clock
+    ("a2", "f8", (MAX_PIECES, 2)),  # half of its acceleration
     ("j6", "f8", (MAX_PIECES, 2)),  # a sixth of its jerk
     # planner
-    ("cursor", "f8", (4, 2)),  # t, p, v, a where the next piece would begin
-    ("piece", "f8", (DRAFTED, 3, 2)),  # durations, accelerations, jerks of a change of speed that is drafted
-    ("course", "f8", (DRAFTED, 3, 2)),  # the same of one that is kept meanwhile
-    ("sv", "f8", (2,)),  # initial speed, pulses a clock
+    ("cursor", "f8", (4, 2)),  # time, place, speed and acceleration at the end of the plan so far
+    ("drafted_pieces", "f8", (DRAFTED, 3, 2)),  # durations, accelerations, jerks of a drafted change of speed
+    ("stored_draft", "f8", (DRAFTED, 3, 2)),  # the same of a draft that waits while others are tried
+    ("sv", "f8", (2,)),  # initial speed, pulses per clock
     ("dv", "f8", (2,)),  # drive speed
-    ("up", "f8", (2,)),  # acceleration, pulses a clock2
-    ("down", "f8", (2,)),  # deceleration
-    ("up_jerk", "f8", (2,)),  # pulses a clock3
-    ("down_jerk", "f8", (2,)),
-    ("finest", "f8", (2,)),  # acceleration below which the chip shows none (erratum)
+    ("acceleration", "f8", (2,)),  # acceleration, pulses per clock squared
+    ("deceleration", "f8", (2,)),  # deceleration
+    ("acceleration_jerk", "f8", (2,)),  # jerk of the acceleration, pulses per clock cubed
+    ("deceleration_jerk", "f8", (2,)),
+    ("min_visible_acceleration", "f8", (2,)),  # acceleration below which the chip reads 0 (erratum)
     ("curved", "i8"),  # S-curve
 ]
 """All floats are double-doubles (see double_double.py) in pulses and clocks."""
@@ -77,124 +77,123 @@ _PROFILE = [  # of the drive in progress: pieces of a cubic in the clocks since 
 AXIS = record(
     [
         # the drive in progress
-        ("driving", "i8"),  # there is one
-        ("waiting", "i8"),  # all pulses are out, INPOS is awaited
-        ("held", "i8"),  # a drive command waits for DFREE, START_FREE
-        ("way", "i8"),  # direction, 1 or -1
-        ("sense", "i8"),  # -1: the sign of TP is inverted, else 1
-        ("fixed", "i8"),  # it makes `output` pulses; else it goes on
-        ("output", "i8"),  # pulses it will make
-        ("done", "i8"),  # pulses of it that have begun
-        ("slow", "i8"),  # it brakes for a stop; of an axis that interpolates: 1 decelerating stop, 2 instant stop
-        ("absolute", "i8"),  # to an absolute position
-        ("total", "i8"),  # pulses ever
-        ("net", "i8"),  # the same, plus minus minus
-        ("net_at_reset", "i8"),  # where A and B of the pulse output begin a period
+        ("driving", "i8"),  # a drive is in progress
+        ("awaits_inpos", "i8"),  # all pulses are made, and the drive waits for INPOS
+        ("start_hold", "i8"),  # bit 0: drive start hold; above it the drive command that waits for its end
+        ("direction", "i8"),  # direction, 1 or -1
+        ("pulse_sign", "i8"),  # -1: the sign of TP is inverted, else 1
+        ("fixed", "i8"),  # the drive makes `output_pulses` and ends; else it has no end
+        ("output_pulses", "i8"),  # number of pulses of the drive
+        ("pulses_done", "i8"),  # pulses of the drive that have begun
+        ("stopping", "i8"),  # the drive brakes for a stop; during interpolation: 1 decelerating stop, 2 instant stop
+        ("absolute", "i8"),  # the drive goes to an absolute position
+        ("total", "i8"),  # pulses since power-up
+        ("net", "i8"),  # net pulses since power-up
+        ("net_at_reset", "i8"),  # `net` at the last reset, where A and B of the pulse output begin a period
         # interpolated pulses since the last drive_input
-        ("moment", "i8"),  # sum of their clocks, each with its sign
-        ("shift", "i8"),  # plus minus minus
-        ("since", "i8"),  # clock of the first
+        ("pulse_clock_sum", "i8"),  # sum of their clocks, negative for pulses in - direction
+        ("recent_net", "i8"),  # their net number
+        ("first_pulse_clock", "i8"),  # clock of the first of them
         ("inputs", "i8"),  # INPUTS now
-        ("level", "i8"),  # INPUTS after the filters
-        ("turned", "i8"),  # INPUTS that the chip reads as active high: the level bits of WR1, WR2
-        ("active", "i8"),  # INPUTS as the chip reads them: `level`, turned
-        ("phase", "i8"),  # kind of the piece seen last
-        ("factors", "i8"),  # RR1 of the MCX514, and SPLIT_START
-        ("fired", "i8"),  # those that the sync actions have not seen
-        ("causes", "i8"),  # RR2 of the MCX514
-        ("timer", "i8"),  # the clock at which it is up; 0: stopped
-        ("timer_from", "i8"),  # the clock at which it began
-        ("dcc", "i8"),  # the clock at which DCC ends
+        ("filtered_inputs", "i8"),  # INPUTS after the filters
+        ("active_high_inputs", "i8"),  # INPUTS that are active high, by the level bits of WR1 and WR2
+        ("active_inputs", "i8"),  # INPUTS that are active: `filtered_inputs`, inverted where they are active high
+        ("phase", "i8"),  # phase of the speed profile at the last check
+        ("events", "i8"),  # RR1 of the MCX514, and SPLIT_START
+        ("new_events", "i8"),  # events since the last check of the synchronous actions
+        ("stop_causes", "i8"),  # errors and finishing status, as RR2 of the MCX514
+        ("timer_end", "i8"),  # the clock at which the timer expires; 0: stopped
+        ("timer_start", "i8"),  # the clock at which the timer began
+        ("dcc_end", "i8"),  # the clock at which DCC ends
         # split pulses, see split_pulse.py
-        ("split", "i8"),  # they run
-        ("split_on", "i8"),  # the output is on
-        ("split_left", "i8"),  # how many to come
-        ("split_rise", "i8"),  # `total` at which the next begins
-        ("split_fall", "i8"),  # `total` at which it ends
+        ("split_running", "i8"),  # split pulses are enabled
+        ("split_output", "i8"),  # the split pulse output is on
+        ("split_pulses_left", "i8"),  # number of split pulses that remain
+        ("next_split_rise", "i8"),  # `total` at which the next split pulse begins
+        ("next_split_fall", "i8"),  # `total` at which the present split pulse ends
         # SYNC sets, bit 0 for SYNC0
-        ("sync", "i8"),  # enabled
-        ("triggered", "i8"),  # due
-        ("acted", "i8"),  # done at this clock
-        ("ports", "i8"),  # PIO levels seen last
-        ("exp", "i8"),  # levels of EXP+, EXP- seen last, see external.py
-        ("exp_drives", "i8"),  # which of them keeps a continuous drive on
+        ("enabled_sets", "i8"),  # sets that are enabled
+        ("due_sets", "i8"),  # sets that were activated and have not acted
+        ("finished_sets", "i8"),  # sets that have acted at this clock
+        ("last_port_levels", "i8"),  # PIO levels at the last check
+        ("last_exp_levels", "i8"),  # levels of EXP+ and EXP- at the last check, see external.py
+        ("exp_driving", "i8"),  # the pin that keeps a continuous drive in progress
         # home search, see home.py
-        ("home", "i8"),  # its state; 0: none
-        ("found", "i8"),  # what it met: LIMIT, SIGNAL of home.py
-        ("pause", "i8"),  # the clock at which the timer between steps is up
-        ("seeks", "i8"),  # it looks after the limits
-        ("creeps", "i8"),  # its drive runs at HV
-        ("go", "i8"),  # direction of the commanded drive
-        ("go_count", "i8"),  # pulses of it
+        ("home_state", "i8"),  # state of the home search; 0: none
+        ("home_trigger", "i8"),  # what ended the drive of a step: LIMIT or SIGNAL of home.py
+        ("pause_end", "i8"),  # the clock at which the pause between two steps ends
+        ("home_handles_limits", "i8"),  # the home search, not the drive, applies the limits
+        ("drives_at_hv", "i8"),  # the drive of the step runs at HV
+        ("launch_direction", "i8"),  # direction of the drive that a step has requested; 0: none
+        ("launch_pulses", "i8"),  # number of its pulses
         # comparisons
-        ("holds", "i8"),  # which hold now
-        ("compared", "i8"),  # RR3 of the older chips
+        ("true_comparisons", "i8"),  # comparisons that are true now
+        ("comparison_events", "i8"),  # RR3 of the older chips
         # interpolation
-        ("interpolates", "i8"),  # 1: takes part, 2: as the main axis
+        ("interpolates", "i8"),  # 1: the axis takes part in an interpolation; MAIN: as its main axis
         ("moves", "i8"),  # the segment moves the axis
         # scan and trace
-        ("high", "i8"),  # the clock at which a pulse goes off that the plan in force does not tell, see pulse_output.py
-        ("ahead", "i8"),  # pulses logged before they begin
-        ("due", "i8"),  # the clock at which the next pulse begins
-        ("at", "i8"),  # the piece in which it does
-        ("pps", "i8"),  # speed of that piece where its pulses come evenly, see trace.py
-        ("rest", "i8"),  # and the place in it
-        # WR1 to WR3 in plain terms
-        ("stops", "i8"),  # which of STOP0 to STOP2 stop, bit 0 for STOP0
-        ("limits", "i8"),  # LMT+, LMT- stop
-        ("limit_slow", "i8"),  # they decelerate
+        ("pulse_off_clock", "i8"),  # end of the present pulse if the plan does not contain it, see pulse_output.py
+        ("logged_pulses", "i8"),  # pulses that a trace has logged beyond `pulses_done`
+        ("next_pulse_clock", "i8"),  # the clock at which the next pulse begins
+        ("next_pulse_piece", "i8"),  # number of the piece in which it begins
+        ("even_pps", "i8"),  # speed of that piece if its pulses are evenly spaced, see trace.py
+        ("even_rest", "i8"),  # remainder of the even spacing, see trace.py
+        # settings of WR1 to WR3
+        ("stop_inputs", "i8"),  # STOP inputs that are enabled, bit 0 for STOP0
+        ("limits_stop", "i8"),  # LMT+ and LMT- stop the drive
+        ("limits_decelerate", "i8"),  # they stop it by a deceleration
         ("alarm_stops", "i8"),
-        ("inpos_waits", "i8"),
-        ("soft_plus", "i8"),  # the software limit + stops
+        ("inpos_enabled", "i8"),
+        ("soft_plus", "i8"),  # the software limit in + direction is enabled
         ("soft_minus", "i8"),
-        ("soft_rp", "i8"),  # software limits look at RP, EP
-        ("soft_instant", "i8"),  # they stop at once
-        ("manual", "i8"),  # deceleration begins at DP
-        ("asymmetric", "i8"),  # deceleration has registers of its own
+        ("soft_rp", "i8"),  # the software limits compare RP (EP) instead of LP
+        ("soft_instant", "i8"),  # the software limits stop at once
+        ("manual_deceleration", "i8"),  # deceleration begins at DP
+        ("asymmetric", "i8"),  # the deceleration has its own registers
         ("s_curve", "i8"),
-        ("prevents", "i8"),  # triangle prevention
-        ("clears", "i8"),  # STOP2 clears EP
-        ("swaps", "i8"),  # LMT+ and LMT- are exchanged
-        ("encoder", "i8"),  # 0 x4, 1 x2, 2 x1, 3 up / down
-        ("exchanges", "i8"),  # the encoder counts the other way round
-        # the shaft of its encoder, see encoder.py: at shaft + shaft_rate * (clock - seen)
-        ("seen", "i8"),
-        ("edge", "i8"),  # the edge that it has passed last
-        ("shaft", "f8"),  # edges
-        ("shaft_rate", "f8"),  # edges a clock
-        ("filtered", "i8"),  # INPUTS that have a filter
-        ("delay", "i8"),  # clocks of the filters ...
-        ("slow_delay", "i8"),  # ... and of those of STOP2, ECA, ECB
-        ("reg", "i8", (REGISTERS,)),  # by place, see above
+        ("prevents_triangle", "i8"),  # triangle prevention is on
+        ("stop2_clears_ep", "i8"),  # STOP2 clears EP
+        ("limits_swapped", "i8"),  # LMT+ and LMT- are exchanged
+        ("encoder_mode", "i8"),  # input mode: 0 x4, 1 x2, 2 x1, 3 up / down
+        ("encoder_reversed", "i8"),  # the encoder counts in the opposite direction
+        # the shaft of its encoder, see encoder.py: at shaft_edges + shaft_rate * (clock - shaft_clock)
+        ("shaft_clock", "i8"),
+        ("last_edge", "i8"),  # the last edge that the shaft has passed
+        ("shaft_edges", "f8"),  # edges of the encoder
+        ("shaft_rate", "f8"),  # edges per clock
+        ("inputs_with_filter", "i8"),  # INPUTS that have a filter
+        ("filter_delay", "i8"),  # delay of the filters, clocks
+        ("second_filter_delay", "i8"),  # delay of the filters of STOP2, ECA and ECB, clocks
+        ("reg", "i8", (REGISTERS,)),  # registers by the indices above
         ("mode", "i8", (MODES,)),  # mode registers 20h to 2Fh
         ("wr", "i8", (4,)),  # WR1 to WR3 under their own number
-        ("pending", "i8", (INPUT_PINS,)),  # clocks at which filtered inputs follow
-        ("pulse_until", "i8", (SYNC_SETS,)),  # clocks at which sync pulses on PIO end
+        ("filter_ends", "i8", (INPUT_PINS,)),  # clocks at which the filters pass a change of their inputs
+        ("pulse_until", "i8", (SYNC_SETS,)),  # clocks at which the sync pulses on PIO end
         *_PROFILE,
     ]
 )
-"""One axis."""
+"""State of one axis."""
 
 LINE, ARC, PATTERN, HELIX = range(1, 5)
-STAGES = 8  # of the pre-buffer; one more place holds the running segment
+STAGES = 8  # of the pre-buffer; the queue has one more place, for the running segment
 
 SEGMENT = record(
     [
         ("kind", "i8"),  # LINE, ARC, PATTERN, HELIX
-        ("axes", "i8"),  # how many take part; they have places 0, 1 ...
-        ("vector", "i8"),  # how many of them constant vector speed looks at, 0: off
-        ("fine", "i8"),  # inner ticks a tick: 8 where short-axis pulses are equalized, else 1
-        ("slows", "i8"),  # deceleration was enabled
-        ("longest", "i8"),  # ticks of a line; of a helix those in which the other axes make their pulses
-        ("turns", "i8"),  # of a helix, before the arc
-        ("mirror", "i8"),  # -1 clockwise
-        ("axis", "i8", (AXES,)),  # which axis has a place
+        ("axis_count", "i8"),  # number of axes that take part, places 0, 1 ...
+        ("vector_axes", "i8"),  # number of axes that constant vector speed considers; 0: off
+        ("inner_ticks", "i8"),  # inner ticks per tick: 8 if short-axis pulses are equalized, else 1
+        ("decelerates", "i8"),  # the segment ends with a deceleration
         (
-            "finish",
+            "tick_count",
             "i8",
-            (AXES,),
-        ),  # relative finish point, pulses; of a bit pattern + in the low, - in the high 16 bits
-        ("centre", "i8", (2,)),  # relative, pulses
+        ),  # ticks of a line; of a helix: those in which the axes beyond the circle make their pulses
+        ("rotations", "i8"),  # whole rotations of a helix before its arc
+        ("y_sign", "i8"),  # -1 for clockwise circles, else 1
+        ("axis_numbers", "i8", (AXES,)),  # number of the axis at each place
+        ("finish", "i8", (AXES,)),  # finish point, pulses; of a bit pattern + in the low, - in the high 16 bits
+        ("center", "i8", (2,)),  # relative, pulses
     ]
 )
 """One segment of an interpolation, as its command captured it."""
@@ -203,10 +202,10 @@ ARC_STATE = record(
     [
         ("x", "i8"),  # pulses from the centre
         ("y", "i8"),
-        ("off", "i8"),  # x^2 + y^2 - radius^2
+        ("radius_error", "i8"),  # x^2 + y^2 - radius^2
         ("octant", "i8"),  # of the next tick
-        ("passed", "i8"),  # octants entered
-        ("target", "i8"),  # how many it takes into the one of the finish point
+        ("octants_entered", "i8"),  # number of octants entered so far
+        ("octants_to_enter", "i8"),  # number of octants to enter up to that of the finish point
         ("goal_x", "i8"),  # finish point, pulses from the centre
         ("goal_y", "i8"),
     ]
@@ -215,50 +214,50 @@ ARC_STATE = record(
 
 INTERPOLATION = record(
     [
-        ("enabled", "i8"),  # deceleration at the end: 6Dh, 3Bh
-        ("interrupt", "i8"),  # it asserts the interrupt
-        ("main", "i8"),  # its main axis, whose profile makes the ticks
-        ("mask", "i8"),  # axes that take part, bit 0 for X
-        ("depth", "i8"),  # segments that can wait
-        ("head", "i8"),  # the running segment in `queue`
-        ("waiting", "i8"),  # segments behind it
-        ("began", "i8"),  # clock of the start
-        ("continuous", "i8"),  # there has been a second segment
-        ("stepped", "i8"),  # ticks come by command, or from the master
-        ("speed", "i8"),  # DV of the present plan
-        ("slow", "i8"),  # it brakes for a stop
-        ("ends", "i8"),  # the plan ends at SV
+        ("deceleration_enabled", "i8"),  # segments end with a deceleration (6Dh, 3Bh)
+        ("interrupt", "i8"),  # the interrupt of the interpolation is asserted
+        ("main_axis", "i8"),  # its main axis, whose profile makes the ticks
+        ("axis_mask", "i8"),  # axes that take part, bit 0 for X
+        ("queue_depth", "i8"),  # segments that can wait
+        ("queue_head", "i8"),  # the running segment in `queue`
+        ("waiting_segments", "i8"),  # segments behind the running one
+        ("start_clock", "i8"),  # clock of the start
+        ("continuous", "i8"),  # a second segment has been queued
+        ("single_stepped", "i8"),  # ticks come by command, or from the master
+        ("planned_speed", "i8"),  # drive speed of the present plan
+        ("stopping", "i8"),  # it brakes for a stop
+        ("plan_decelerates", "i8"),  # the plan ends with a deceleration to SV
         # the next tick, prepared
-        ("due", "i8"),  # its clock
-        ("watch", "i8"),  # ticks until a counter is compared
-        ("piece", "i8"),  # piece of the profile
-        ("last", "i8"),  # the segment ends with it
-        ("closing", "i8"),  # it has no pulses and ends it all
-        ("left", "i8"),  # ticks of the segment still to prepare
-        ("rotations", "i8"),  # turns that a helix has made
-        ("turns", "i8"),  # turns still to go
+        ("next_tick_clock", "i8"),  # its clock
+        ("ticks_until_check", "i8"),  # ticks until a counter must be compared
+        ("tick_piece", "i8"),  # the piece of the profile in which it begins
+        ("is_last_tick", "i8"),  # it is the last tick of the segment
+        ("ends_interpolation", "i8"),  # it has no pulses and ends the interpolation
+        ("ticks_left", "i8"),  # ticks of the segment still to prepare
+        ("finished_rotations", "i8"),  # rotations that the helix has made
+        ("rotations_left", "i8"),  # rotations that remain
         ("zone", "i8"),  # octant, for RR0
         # several chips, see multichip.py
-        ("role", "i8"),  # MASTER, SLAVE; 0: by itself
-        ("waits", "i8"),  # for the start of all
-        ("fixed", "i8"),  # its maximum finish point is TX
-        ("errors", "i8"),  # of RR2 as it began, a byte an axis
-        ("beat", "i8"),  # of a slave: clock of the last tick
-        ("gap", "i8"),  # clocks between the last two
+        ("role", "i8"),  # MASTER or SLAVE; 0: the chip interpolates alone
+        ("awaits_start", "i8"),  # it waits until all chips can start
+        ("uses_tx", "i8"),  # the maximum finish point is TX
+        ("errors_at_start", "i8"),  # errors of RR2 at the start, a byte per axis
+        ("last_tick_clock", "i8"),  # of a slave: clock of the last tick of the master
+        ("tick_interval", "i8"),  # clocks between the last two ticks
         # bit patterns of the MCX312
-        ("writing", "i8"),  # WR2 to WR5 load `loading`
-        ("stacked", "i8"),  # sets that wait for 34h
-        ("step", "i8", (AXES,)),  # which places of the segment make a pulse
-        ("toward", "i8", (AXES,)),  # in which direction, 1 or -1
-        ("error", "i8", (AXES,)),  # of the slower axes
-        ("inner", "i8", (AXES,)),  # ways in inner ticks
-        ("loading", "i8", (6,)),  # the bit pattern that is being written
+        ("loads_pattern", "i8"),  # writes to WR2 to WR5 go to `pattern_words`
+        ("stacked_sets", "i8"),  # sets of the pattern stack that wait for 34h
+        ("steps", "i8", (AXES,)),  # whether each place of the segment makes a pulse
+        ("directions", "i8", (AXES,)),  # direction of its pulses, 1 or -1
+        ("line_errors", "i8", (AXES,)),  # error terms of the slower axes of a line
+        ("inner_positions", "i8", (AXES,)),  # positions in inner ticks
+        ("pattern_words", "i8", (6,)),  # the bit pattern that is being written
         ("arc", ARC_STATE),  # the running circle
-        ("probe", ARC_STATE),  # one that looks ahead
-        ("stack", "i8", (3, 6)),  # the sets that wait
-        ("place", "f8", (2,)),  # where in the profile the next tick is, pulses
-        ("begun", "f8", (2,)),  # where the segment begins
-        ("ends_at", "f8", (2,)),  # where it ends, if it slows
+        ("scratch_arc", ARC_STATE),  # an arc for calculations ahead
+        ("pattern_stack", "i8", (3, 6)),  # the stacked sets
+        ("tick_place", "f8", (2,)),  # place of the next tick in the profile, pulses
+        ("segment_start", "f8", (2,)),  # place at which the segment begins
+        ("segment_end", "f8", (2,)),  # place at which the segment ends, if it decelerates
     ]
 )
 """The interpolation in progress."""
@@ -266,40 +265,40 @@ INTERPOLATION = record(
 STATE = record(
     [
         ("clock", "i8"),  # reference clocks since power-up
-        ("quiet", "i8"),  # the clock up to which nothing happens but pulses, if not stale
-        ("stale", "i8"),  # inputs or registers have changed since `quiet` was found
+        ("quiet_until", "i8"),  # the clock up to which only pulses happen, unless `stale`
+        ("stale", "i8"),  # inputs or registers have changed since `quiet_until` was computed
         ("variant", "i8"),  # FIRST_GENERATION, MCX514_TYPE
-        ("axes", "i8"),  # how many it has
-        ("errata", "i8"),  # as sold, with the S-curve failure
+        ("axes", "i8"),  # number of axes
+        ("errata", "i8"),  # the chip has the S-curve failure, as it was sold
         ("has_l", "i8"),  # MCX312, MCX314As: register L, interpolation
         ("extended", "i8"),  # MCX314As: EM, STOP3, lines of three axes
         ("selected", "i8"),  # axis bits, bit 0 for X
-        ("low", "i8"),  # WR6
-        ("high", "i8"),  # WR7
+        ("data_low", "i8"),  # WR6
+        ("data_high", "i8"),  # WR7
         ("read_low", "i8"),  # RR6
         ("read_high", "i8"),  # RR7
-        ("pages", "i8"),  # axes whose RR3 shows page 1
+        ("status_pages", "i8"),  # axes whose RR3 reads page 1
         ("outputs4", "i8"),  # WR4
         ("outputs5", "i8"),  # WR5
-        ("emg", "i8"),  # the pin EMG
+        ("emg_pin", "i8"),  # the pin EMG
         ("emergency", "i8"),  # the same after its filter
-        ("emg_pending", "i8"),  # the clock at which it follows the pin
-        ("total", "i8"),  # pulses ever, all axes
-        ("interpolating", "i8"),  # an interpolation is on
-        ("first", "i8"),  # high byte of WR0, waits for the low one
-        ("unused", "i8"),  # WR6 or WR7 was written after the last command
-        ("fed", "i8"),  # axes that have an encoder, bit 0 for X
+        ("emg_filter_end", "i8"),  # the clock at which the filter passes a change of the pin
+        ("total", "i8"),  # pulses since power-up, all axes
+        ("interpolating", "i8"),  # an interpolation is in progress
+        ("command_high_byte", "i8"),  # high byte of WR0, waits for the low one
+        ("has_unused_data", "i8"),  # WR6 or WR7 was written after the last command
+        ("encoder_axes", "i8"),  # axes that have an encoder, bit 0 for X
         # the wires to other chips, see multichip.py
-        ("heard", "i8"),  # what is on them
-        ("beats", "i8"),  # ticks that it has ever sent as a master
-        ("fails", "i8"),  # it tells the others of an error
-        ("failed", "i8"),  # MCERR
+        ("wire_word", "i8"),  # the word on the wires
+        ("master_ticks", "i8"),  # ticks that the chip has sent as a master since power-up
+        ("signals_failure", "i8"),  # the chip signals an error to the other chips
+        ("multichip_error", "i8"),  # MCERR
         ("ip", INTERPOLATION),
         ("queue", SEGMENT, (STAGES + 1,)),  # the running segment and those that wait, in a ring
         ("ax", AXIS, (AXES,)),
     ]
 )
-"""One chip."""
+"""State of one chip."""
 
 _SIGNALS = ("lmt_plus", "lmt_minus", "stop0", "stop1", "stop2", "inpos", "alarm", "eca", "ecb")
 INPUTS = {name: 1 << k for k, name in enumerate((*_SIGNALS, *(f"pio{i}" for i in range(8))))}
@@ -344,8 +343,8 @@ EDGE = record(
         ("inputs", "i8"),  # INPUTS
         ("outputs", "i8"),  # OUTPUTS
         ("counter", "i8"),  # LP
-        ("net", "i8"),  # pulses ever, plus minus minus
+        ("net", "i8"),  # pulses since power-up, plus minus minus
         ("rate", "f8"),  # pulses a clock
     ]
 )
-"""An axis from one of its changes on, for recordings."""
+"""State of an axis from one of its changes on, for journals and recordings."""

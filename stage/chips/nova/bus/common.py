@@ -1,4 +1,4 @@
-"""NOVA chips, compiled: what the buses of both generations share: parameters, from the register map, and status bits of a drive."""
+"""Shared parts of the buses of all NOVA chips, compiled: parameters from the register map, and status bits of a drive."""
 
 from __future__ import annotations
 
@@ -11,7 +11,15 @@ from stage.native import hot
 
 
 class Parameters(NamedTuple):
-    """Bit k of the first three: command code k writes a parameter; it has a sign; it has 16 bits. Values after a reset by code."""
+    """Parameters of a chip by command code. In the first three numbers bit k stands for command code k.
+
+    Attributes:
+        writes: Bits of the codes that write a parameter.
+        signed: Bits of the parameters with a sign.
+        short: Bits of the parameters of 16 bits.
+        places: Codes of the parameters that are not 0 after a reset.
+        values: Their values after a reset.
+    """
 
     writes: int
     signed: int
@@ -20,8 +28,8 @@ class Parameters(NamedTuple):
     values: tuple[int, ...]
 
 
-def parameters(map_: RegisterMap) -> Parameters:
-    """Return the parameters of a chip's map."""
+def list_parameters(map_: RegisterMap) -> Parameters:
+    """List the parameters of a chip's register map."""
     registers = [r for r in map_.registers if r.number < REGISTERS]
     after_reset = [r for r in registers if r.reset]
     return Parameters(
@@ -34,16 +42,22 @@ def parameters(map_: RegisterMap) -> Parameters:
 
 
 @hot
-def meant(word, signed, short):
-    """The number that a parameter's data mean: 32 bits, or the lower 16."""
+def to_parameter_value(word, signed, short):
+    """Convert the data of a command to the value of a parameter.
+
+    Args:
+        word: 32 bits of data.
+        signed: Whether the parameter has a sign.
+        short: Whether it has 16 bits.
+    """
     bits = 16 if short else 32
     word &= (1 << bits) - 1
     return word - (1 << bits) if signed and word >> (bits - 1) else word
 
 
 @hot
-def lowest(c):
-    """The lowest selected axis: it answers."""
+def find_lowest_axis(c):
+    """Return the lowest selected axis, the one that answers reads."""
     for j in range(AXES):
         if c.selected >> j & 1:
             return j
@@ -51,18 +65,18 @@ def lowest(c):
 
 
 @hot
-def busy(x):
-    """n-DRV."""
-    return x.driving or x.waiting or x.home or x.interpolates
+def is_busy(x):
+    """Return n-DRV: whether the axis drives, waits for INPOS, searches home or interpolates."""
+    return x.driving or x.awaits_inpos or x.home_state or x.interpolates
 
 
 @hot
-def phase_bits(c, x):
-    """ASND, CNST, DSND, AASND, ACNST, ADSND as bits 0 to 5."""
-    if not rates.runs(x):
+def compute_phase_bits(c, x):
+    """Compute ASND, CNST, DSND, AASND, ACNST and ADSND as bits 0 to 5."""
+    if not rates.has_profile(x):
         return 0
     n = c.clock - x.origin
-    phase = drive.phase_at(x, n)
+    phase = drive.find_phase(x, n)
     if phase in (CONSTANT, AREA_D):
         return 2
     if phase != ACCELERATING and phase != DECELERATING:
@@ -70,7 +84,7 @@ def phase_bits(c, x):
     bits = 1 if phase == ACCELERATING else 4
     if not x.curved:
         return bits | 16
-    j6 = x.j6[drive.piece_at(x, n), 0]
+    j6 = x.j6[drive.find_piece(x, n), 0]
     if j6 == 0.0:
         return bits | 16
     return bits | (8 if (j6 > 0.0) == (phase == ACCELERATING) else 32)

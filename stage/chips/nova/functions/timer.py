@@ -1,61 +1,64 @@
-"""NOVA MCX514, compiled: the timer. It counts up from 0, once every 16 clocks, to TM; then once more, or it stops.
+"""The timer of the MCX514, which counts from 0 to TM, once every 16 clocks, and then restarts or stops; compiled.
 
-Inferred: it counts up; TM holds from the start of a timing to its end; a start while it runs starts anew.
+Inferred: it counts up; a new TM acts from the next timing on; a start while it runs begins a new timing.
 """
 
 from __future__ import annotations
 
-from stage.chips.nova.motion.drive import note
+from stage.chips.nova.motion.drive import note_event
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.state import NEVER, TIMER, TM
 from stage.native import greatest, hot
 
-CLOCKS = 16  # of one count: a microsecond at 16 MHz
+CLOCKS_PER_COUNT = 16  # a microsecond at 16 MHz
 TMMD = MCX514_MAP.mask("WR3", "TMMD")
 
 
 @hot
-def _begin(x, clock):
-    x.timer_from, x.timer = clock, clock + CLOCKS * greatest(x.reg[TM], 1)
+def _begin_timing(x, clock):
+    """Begin a timing at a clock."""
+    x.timer_start, x.timer_end = clock, clock + CLOCKS_PER_COUNT * greatest(x.reg[TM], 1)
 
 
 @hot
-def start(c, x):
-    """73h: from 0 on, also while it runs."""
-    _begin(x, c.clock)
+def start_timer(c, x):
+    """Start the timer from 0 (73h), or start it again."""
+    _begin_timing(x, c.clock)
     c.stale = 1
 
 
 @hot
-def stop(c, x):
-    """74h."""
-    x.timer = 0
+def stop_timer(c, x):
+    """Stop the timer (74h)."""
+    x.timer_end = 0
     c.stale = 1
 
 
 @hot
-def reading(c, x):
-    """CT: counts since the start, 0 while the timer is stopped."""
-    return (c.clock - x.timer_from) // CLOCKS if x.timer else 0
+def read_timer(c, x):
+    """Return what CT reads: counts since the start, 0 while the timer is stopped."""
+    return (c.clock - x.timer_start) // CLOCKS_PER_COUNT if x.timer_end else 0
 
 
 @hot
-def step(c, x):
-    if x.timer and c.clock >= x.timer:
-        note(x, TIMER)
+def update_timer(c, x):
+    """Note the event TIMER if the timer has expired, and restart or stop it as TMMD says."""
+    if x.timer_end and c.clock >= x.timer_end:
+        note_event(x, TIMER)
         if x.wr[3] & TMMD:
-            _begin(x, x.timer)
+            _begin_timing(x, x.timer_end)
         else:
-            x.timer = 0
+            x.timer_end = 0
 
 
 @hot
-def next_count(c, x, count):
-    """The clock at which CT will be `count`, NEVER where it will not before the timer is up."""
-    at = x.timer_from + CLOCKS * count
-    return at if c.clock < at < x.timer else NEVER
+def find_clock_of_count(c, x, count):
+    """Return the clock at which CT will be `count`, NEVER if the timer expires before that."""
+    at = x.timer_start + CLOCKS_PER_COUNT * count
+    return at if c.clock < at < x.timer_end else NEVER
 
 
 @hot
-def next_event(x):
-    return x.timer if x.timer else NEVER
+def find_timer_end(x):
+    """Return the clock at which the timer expires, NEVER while it is stopped."""
+    return x.timer_end if x.timer_end else NEVER

@@ -1,7 +1,7 @@
-"""NOVA chips, compiled: circular interpolation, octant by octant, counter-clockwise about the centre.
+"""Circular interpolation of the NOVA chips, octant by octant, counter-clockwise about the center; compiled.
 
-In each octant the faster axis steps at every tick, the slower one when that leads nearer to the circle. The arc ends in the
-octant of the finish point, when the faster axis is where the finish point is, or where that octant ends.
+In each octant the faster axis steps at every tick, the slower one when that leads nearer to the circle. The arc ends in the octant
+of the finish point, when the faster axis has reached its coordinate of the finish point, or where that octant ends.
 """
 
 from __future__ import annotations
@@ -10,18 +10,18 @@ import math
 
 from stage.native import hot, least
 
-FAST = (1, 0, 0, 1, 1, 0, 0, 1)
+FAST_AXIS = (1, 0, 0, 1, 1, 0, 0, 1)
 """The faster axis of an octant; octants count counter-clockwise from +X."""
-AHEAD = (1, -1, -1, -1, -1, 1, 1, 1)
+FAST_DIRECTION = (1, -1, -1, -1, -1, 1, 1, 1)
 """The direction of its steps."""
-ASIDE = (-1, 1, -1, -1, 1, -1, 1, 1)
+SLOW_DIRECTION = (-1, 1, -1, -1, 1, -1, 1, 1)
 """The direction of the slower axis' steps."""
-NEAR = 4  # ticks beside the end of an octant that are made one by one
+OCTANT_END_TICKS = 4  # ticks next to the end of an octant, which are made one by one
 
 
 @hot
-def octant_of(x, y):
-    """The octant that a move counter-clockwise from a point runs in."""
+def find_octant(x, y):
+    """Return the octant in which a counter-clockwise motion from a point runs."""
     if x > 0 and y >= 0:
         return 1 if y >= x else 0
     if y > 0:
@@ -32,64 +32,67 @@ def octant_of(x, y):
 
 
 @hot
-def start(a, x, y, goal_x, goal_y):
-    """Begin an arc; a whole circle if the finish point is where it begins.
+def begin_arc(a, x, y, goal_x, goal_y):
+    """Begin an arc, or a whole circle if the finish point is the start.
 
     Args:
         a: State of the arc.
-        x: First coordinate of its begin, from the center.
+        x: First coordinate of the start, from the center.
         y: Second coordinate.
         goal_x: First coordinate of the finish point, from the center.
         goal_y: Second coordinate.
 
     Returns:
-        Whether it has a radius.
+        Whether the radius is not 0.
     """
     a.x, a.y, a.goal_x, a.goal_y = x, y, goal_x, goal_y
-    a.off = a.passed = 0
-    a.octant = octant_of(x, y)
-    last = 7 - octant_of(goal_x, -goal_y)  # a move to the finish point comes from there
-    a.target = (last - a.octant) & 7
-    if a.target == 0 and _to_go(a) <= 0:
-        a.target = 8
+    a.radius_error = a.octants_entered = 0
+    a.octant = find_octant(x, y)
+    last = 7 - find_octant(goal_x, -goal_y)  # a move to the finish point comes from there
+    a.octants_to_enter = (last - a.octant) & 7
+    if a.octants_to_enter == 0 and _count_steps_to_go(a) <= 0:
+        a.octants_to_enter = 8
     return x != 0 or y != 0
 
 
 @hot
-def _to_go(a):
-    """Steps of the present octant's faster axis until it is where the finish point is."""
+def _count_steps_to_go(a):
+    """Return how many steps the faster axis of the present octant must make to reach the finish point's coordinate."""
     o = a.octant
-    return ((a.goal_y - a.y) if FAST[o] else (a.goal_x - a.x)) * AHEAD[o]
+    return ((a.goal_y - a.y) if FAST_AXIS[o] else (a.goal_x - a.x)) * FAST_DIRECTION[o]
 
 
 @hot
-def arrived(a):
-    return a.passed > a.target or (a.passed == a.target and _to_go(a) <= 0)
+def has_arrived(a):
+    """Return whether the arc has reached its finish point."""
+    return a.octants_entered > a.octants_to_enter or (
+        a.octants_entered == a.octants_to_enter and _count_steps_to_go(a) <= 0
+    )
 
 
 @hot
-def step(a):
-    """One tick. Returns whether the slower axis steps, too."""
+def step_arc(a):
+    """Make one tick of an arc, and return whether the slower axis steps as well."""
     o = a.octant
-    fast = FAST[o]
+    fast = FAST_AXIS[o]
     u, v = (a.y, a.x) if fast else (a.x, a.y)
-    straight = a.off + 2 * u * AHEAD[o] + 1
-    bent = straight + 2 * v * ASIDE[o] + 1
-    u += AHEAD[o]
+    straight = a.radius_error + 2 * u * FAST_DIRECTION[o] + 1
+    bent = straight + 2 * v * SLOW_DIRECTION[o] + 1
+    u += FAST_DIRECTION[o]
     moves = abs(bent) < abs(straight)
     if moves:
-        v += ASIDE[o]
+        v += SLOW_DIRECTION[o]
         straight = bent
-    a.off = straight
+    a.radius_error = straight
     a.x, a.y = (v, u) if fast else (u, v)
-    a.octant = octant_of(a.x, a.y)
-    a.passed += (a.octant - o) & 7
+    a.octant = find_octant(a.x, a.y)
+    a.octants_entered += (a.octant - o) & 7
     return moves
 
 
 @hot
-def _root(n):
-    """The whole part of a square root."""
+def _compute_integer_root(n):
+    """Return the integer part of a square root."""
     r = int(math.sqrt(float(n)))
     while r * r > n:
         r -= 1
@@ -99,33 +102,39 @@ def _root(n):
 
 
 @hot
-def _nearest(u, square):
-    """The whole number v for which u^2 + v^2 is nearest to `square`."""
-    r = _root(square - u * u)
+def _find_nearest_coordinate(u, square):
+    """Return the integer v for which u^2 + v^2 is nearest to `square`."""
+    r = _compute_integer_root(square - u * u)
     return r + 1 if (r + 1) * (r + 1) + r * r < 2 * (square - u * u) else r
 
 
 @hot
-def ticks(a, square):
-    """Ticks of the arc `a` to its end, and how many of them move both axes. Inside of an octant it goes at once: there the
-    slower axis is where it is nearest to the circle."""
+def count_arc_ticks(a, square):
+    """Move an arc to its end, and count its ticks and those that move both axes.
+
+    Within an octant the slower axis is always where it is nearest to the circle, so the function skips most ticks.
+
+    Args:
+        a: State of the arc.
+        square: Square of the radius.
+    """
     count = both = 0
-    while not arrived(a):
+    while not has_arrived(a):
         o = a.octant
-        fast, ahead = FAST[o], AHEAD[o]
+        fast, ahead = FAST_AXIS[o], FAST_DIRECTION[o]
         u, v = (a.y, a.x) if fast else (a.x, a.y)
-        room = _root(square // 2) - abs(u) if u * ahead >= 0 else abs(u)
-        if a.passed == a.target:
-            room = least(room, _to_go(a))
-        if room > 2 * NEAR and abs(v) == _nearest(u, square):
-            jump = room - NEAR
+        room = _compute_integer_root(square // 2) - abs(u) if u * ahead >= 0 else abs(u)
+        if a.octants_entered == a.octants_to_enter:
+            room = least(room, _count_steps_to_go(a))
+        if room > 2 * OCTANT_END_TICKS and abs(v) == _find_nearest_coordinate(u, square):
+            jump = room - OCTANT_END_TICKS
             u += jump * ahead
-            new = _nearest(u, square) * (1 if v > 0 else -1)
+            new = _find_nearest_coordinate(u, square) * (1 if v > 0 else -1)
             count += jump
             both += abs(new - v)
-            a.off = u * u + new * new - square
+            a.radius_error = u * u + new * new - square
             a.x, a.y = (new, u) if fast else (u, new)
         else:
             count += 1
-            both += step(a)
+            both += step_arc(a)
     return count, both

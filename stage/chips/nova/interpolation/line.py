@@ -1,4 +1,4 @@
-"""NOVA chips, compiled: linear interpolation: the long axis steps at every tick, the others to where they are nearest the line."""
+"""Linear interpolation of the NOVA chips, compiled: the longest axis steps at every tick, the others near the line."""
 
 from __future__ import annotations
 
@@ -6,50 +6,68 @@ from stage.native import hot, least
 
 
 @hot
-def load(ip, g):
-    """Begin line `g`. Returns whether it has a tick."""
-    ip.left = g.longest * g.fine
-    for k in range(g.axes):
-        ip.error[k] = g.longest
-        ip.toward[k] = (1 if g.finish[k] > 0 else 0) - (1 if g.finish[k] < 0 else 0)
-    return ip.left > 0
+def begin_line(ip, g):
+    """Begin line `g`, and return whether it has a tick.
+
+    Args:
+        ip: State of the interpolation.
+        g: The segment.
+    """
+    ip.ticks_left = g.tick_count * g.inner_ticks
+    for k in range(g.axis_count):
+        ip.line_errors[k] = g.tick_count
+        ip.directions[k] = (1 if g.finish[k] > 0 else 0) - (1 if g.finish[k] < 0 else 0)
+    return ip.ticks_left > 0
 
 
 @hot
-def step(ip, g):
-    """The steps of the next tick. Returns whether it is the last one."""
-    for k in range(g.axes):
-        ip.error[k] += 2 * abs(g.finish[k])
-        ip.step[k] = 0
-        if ip.error[k] >= 2 * g.longest:
-            ip.error[k] -= 2 * g.longest
-            ip.step[k] = 1
-    ip.left -= 1
-    return ip.left == 0
+def step_line(ip, g):
+    """Prepare the steps of the next tick, and return whether it is the last one.
+
+    Args:
+        ip: State of the interpolation.
+        g: The segment.
+    """
+    for k in range(g.axis_count):
+        ip.line_errors[k] += 2 * abs(g.finish[k])
+        ip.steps[k] = 0
+        if ip.line_errors[k] >= 2 * g.tick_count:
+            ip.line_errors[k] -= 2 * g.tick_count
+            ip.steps[k] = 1
+    ip.ticks_left -= 1
+    return ip.ticks_left == 0
 
 
 @hot
-def ticks(ip, g):
-    """Count the ticks of the whole line that move one axis at most, two, and three of them."""
-    ticks_in_all = g.longest * g.fine
-    if not g.vector or g.axes == 1:
+def count_line_ticks(ip, g):
+    """Count the ticks of a line by the number of axes that they move.
+
+    Args:
+        ip: State of the interpolation.
+        g: The segment.
+
+    Returns:
+        Ticks that move one axis or none, two, and three of the axes that constant vector speed considers.
+    """
+    ticks_in_all = g.tick_count * g.inner_ticks
+    if not g.vector_axes or g.axis_count == 1:
         return ticks_in_all, 0, 0
-    looked, always = least(g.vector, g.axes), 0
+    looked, always = least(g.vector_axes, g.axis_count), 0
     a = b = 0  # the short ones, as far as there are two
     shorts = 0
     for k in range(looked):
         length = abs(g.finish[k])
-        if length == g.longest:
+        if length == g.tick_count:
             always += 1
         elif shorts == 0:
             a, shorts = length, 1
         else:
             b, shorts = length, shorts + 1
     if shorts == 3:
-        return _walked(ip, g, ticks_in_all)
-    both = meetings(a, b, g.longest) if shorts == 2 else 0
+        return _count_ticks_by_steps(ip, g, ticks_in_all)
+    both = count_common_ticks(a, b, g.tick_count) if shorts == 2 else 0
     alone = a + b - 2 * both  # ticks in which just one of the short ones steps
-    moved = ((g.longest - alone - both) * g.fine, alone * g.fine, both * g.fine)
+    moved = ((g.tick_count - alone - both) * g.inner_ticks, alone * g.inner_ticks, both * g.inner_ticks)
     if always == 0:
         return moved[0] + moved[1], moved[2], 0
     if always == 1:
@@ -58,39 +76,50 @@ def ticks(ip, g):
 
 
 @hot
-def _walked(ip, g, ticks_in_all):
-    """The same, tick by tick: three short axes, below a longer fourth one or a maximum of the host's."""
+def _count_ticks_by_steps(ip, g, ticks_in_all):
+    """Count the ticks as `count_line_ticks` does, by walking along the line.
+
+    Needed for three short axes, below a longer fourth axis or a maximum that the host has set.
+    """
     two = three = 0
-    for _ in range(ticks_in_all if load(ip, g) else 0):
-        step(ip, g)
-        moved = ip.step[0] + ip.step[1] + ip.step[2]
+    for _ in range(ticks_in_all if begin_line(ip, g) else 0):
+        step_line(ip, g)
+        moved = ip.steps[0] + ip.steps[1] + ip.steps[2]
         two += moved == 2
         three += moved == 3
     return ticks_in_all - two - three, two, three
 
 
 @hot
-def meetings(a, b, n):
-    """In how many of the `n` ticks of a line two axes step at once, which step in `a` and in `b` of them (0 <= a, b <= n).
+def count_common_ticks(a, b, n):
+    """Count the ticks of a line in which two axes step at once.
 
-    An axis steps in tick k where a k lies in [-h, a - h) modulo n, h = n // 2. So points of the lattice of all (a k, b k) modulo n
-    in a rectangle are counted: its columns lie e apart, and each begins `shift` higher than the one before, modulo `gap`.
+    An axis steps in tick k if a k lies in [-h, a - h) modulo n, with h = n // 2. So the function counts those points of the
+    lattice (a k, b k) modulo n that lie in a rectangle: its columns are e apart, and each begins `shift` above the one before,
+    modulo `gap`.
+
+    Args:
+        a: Steps of the first axis, 0 to n.
+        b: Steps of the second axis, 0 to n.
+        n: Ticks of the line.
     """
     if a == 0 or b == 0:
         return 0
-    e, inverse = _shared(a, n)
-    gap = n // e * _shared(b, e)[0]
+    e, inverse = _find_gcd_and_inverse(a, n)
+    gap = n // e * _find_gcd_and_inverse(b, e)[0]
     shift = b * inverse % gap
     first = -(n // 2 // e)  # the first column in the rectangle
     low = (-(n // 2) - 1 - first * shift) % gap
     down = (gap - shift) % gap
     columns = a // e
-    return _shared(b, e)[0] * (_floors(columns, gap, down, low + b) - _floors(columns, gap, down, low))
+    return _find_gcd_and_inverse(b, e)[0] * (
+        _sum_floors(columns, gap, down, low + b) - _sum_floors(columns, gap, down, low)
+    )
 
 
 @hot
-def _shared(a, n):
-    """The greatest common divisor e of two numbers, and what times a is e modulo n."""
+def _find_gcd_and_inverse(a, n):
+    """Return the greatest common divisor e of two numbers, and the factor by which `a` becomes e modulo n."""
     e, rest, u, v = a, n, 1, 0
     while rest:
         q = e // rest
@@ -100,8 +129,15 @@ def _shared(a, n):
 
 
 @hot
-def _floors(n, m, a, b):
-    """The sum of (a i + b) // m over i = 0 to n - 1, for 0 <= a < m and 0 <= b: Euclid's algorithm on the slope."""
+def _sum_floors(n, m, a, b):
+    """Compute the sum of (a i + b) // m over i = 0 to n - 1, by Euclid's algorithm on the slope.
+
+    Args:
+        n: Number of terms.
+        m: Divisor.
+        a: Slope, 0 to m - 1.
+        b: Offset, 0 or more.
+    """
     total = 0
     while n > 0:
         total += n * (n - 1) // 2 * (a // m) + n * (b // m)

@@ -1,6 +1,6 @@
-"""NOVA MCX312 and MCX314As, compiled: interpolation commands, WR5, and the three sets of a bit pattern that can be stacked.
+"""Interpolation commands of the MCX312 and MCX314As, WR5, and the stack of three bit pattern sets; compiled.
 
-The MCX314As has lines and patterns of three axes, too.
+The MCX314As also has lines and patterns of three axes.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from stage.chips.nova.state import ARC, CP, LINE, PATTERN, TP
 from stage.native import greatest, hot, least
 
 
-def _code(symbol: str) -> int:
+def _find_code(symbol: str) -> int:
     return MAP.command(symbol).code
 
 
 LINE_2, CIRCLE_CW, CIRCLE_CCW, PATTERN_2, BP_ON, BP_OFF, BP_STACK, BP_CLEAR, ONE_STEP, DEC_ON, DEC_OFF, CLEAR = (
-    _code(n) for n in (
+    _find_code(n) for n in (
         "IP_2ST", "IP_CW", "IP_CCW", "IP_2BP", "BP_ENABLED", "BP_DISABLED", "BP_STACK", "BP_CLR", "IP_1STEP",
         "IP_DEC_VALID", "IP_DEC_INVALID", "IP_INTRPT_CLR")
 )  # fmt: skip
@@ -26,62 +26,69 @@ LINE_3, PATTERN_3 = (MCX314AS_MAP.command(n).code for n in ("IP_3ST", "IP_3BP"))
 AX1 = MAP.bit("WR5", "AX1")  # the others lie behind, two bits each
 LSPD = MAP.bit("WR5", "LSPD")
 EXPLS, CMPLS = (MAP.mask("WR5", n) for n in ("EXPLS", "CMPLS"))
-VECTOR = (0, 2, 2, 3)
-"""How many axes constant vector speed looks at, by LSPD."""
-WORDS = 6  # of a set: + and - of three axes
+VECTOR_AXES = (0, 2, 2, 3)
+"""Number of axes that constant vector speed considers, by LSPD."""
+SET_WORDS = 6  # of a set: + and - of three axes
 I_DRV, CNEXT = MAP.masks("RR0", "I-DRV", "CNEXT")
 ZONE, BPSC = MAP.bit("RR0", "ZONE"), MAP.bit("RR0", "BPSC")
-SETS = 3
+MAX_SETS = 3
 
 
 @hot
-def command(c, code):
-    """30h to 3Dh."""
+def execute_command(c, code):
+    """Execute an interpolation command, 30h to 3Dh."""
     ip = c.ip
     if code in (LINE_2, CIRCLE_CW, CIRCLE_CCW, PATTERN_2):
-        _segment(c, code, 2)
+        _load_segment(c, code, 2)
     elif code in (LINE_3, PATTERN_3):
         if c.extended:
-            _segment(c, code, 3)
+            _load_segment(c, code, 3)
     elif code in (BP_ON, BP_OFF):
-        ip.writing = 1 if code == BP_ON else 0
+        ip.loads_pattern = 1 if code == BP_ON else 0
     elif code == BP_STACK:
-        _stack(c)
+        _stack_set(c)
     elif code == BP_CLEAR:
-        ip.stacked = 0
-        if _runs_pattern(c):
-            ip.waiting = 0
-            segment.extend(c)
+        ip.stacked_sets = 0
+        if _is_running_pattern(c):
+            ip.waiting_segments = 0
+            segment.update_pattern_end(c)
     elif code in (DEC_ON, DEC_OFF):
-        ip.enabled = 1 if code == DEC_ON else 0
+        ip.deceleration_enabled = 1 if code == DEC_ON else 0
     elif code == CLEAR:
         ip.interrupt = 0
     elif code == ONE_STEP and c.outputs5 & CMPLS:
-        interpolation.single_step(c)
+        interpolation.make_single_step(c)
     c.stale = 1
 
 
 @hot
-def _coordinate(value):
-    """32 bits with a sign, of which 31 are used."""
+def _to_coordinate(value):
+    """Convert a register to a finish point or center: 31 of its 32 bits, with a sign."""
     return (value + (1 << 30) & (1 << 31) - 1) - (1 << 30)
 
 
 @hot
-def _choose(c, g, axes, count):
-    """Segment `g` is one of the first `count` axes in `axes`, a word like WR5."""
-    g.axes = count
+def _select_axes(c, g, axes, count):
+    """Let the first axes of WR5 take part in a segment, and set its other fields to their defaults.
+
+    Args:
+        c: State of the chip.
+        g: The segment.
+        axes: Axis numbers, in a word like WR5.
+        count: Number of axes.
+    """
+    g.axis_count = count
     for k in range(count):
-        g.axis[k] = axes >> AX1 + 2 * k & 3
-    g.fine = g.mirror = 1
-    g.longest = g.turns = 0
-    g.vector = least(VECTOR[c.outputs5 >> LSPD & 3], count)
-    g.slows = c.ip.enabled
+        g.axis_numbers[k] = axes >> AX1 + 2 * k & 3
+    g.inner_ticks = g.y_sign = 1
+    g.tick_count = g.rotations = 0
+    g.vector_axes = least(VECTOR_AXES[c.outputs5 >> LSPD & 3], count)
+    g.decelerates = c.ip.deceleration_enabled
 
 
 @hot
-def _mask(c, axes, count):
-    """Their bits; 0 where the chip lacks one of them, or one comes twice."""
+def _find_axis_mask(c, axes, count):
+    """Return the bits of the first axes of WR5; 0 if the chip lacks one of them, or one comes twice."""
     mask = 0
     for k in range(count):
         j = axes >> AX1 + 2 * k & 3
@@ -92,94 +99,109 @@ def _mask(c, axes, count):
 
 
 @hot
-def _segment(c, code, count):
-    """30h to 35h."""
+def _load_segment(c, code, count):
+    """Execute a command of a segment, 30h to 35h: start it, queue it, or ignore it.
+
+    Args:
+        c: State of the chip.
+        code: Code of the command.
+        count: Number of axes.
+    """
     w, ip = c.outputs5, c.ip
-    mask, pattern = _mask(c, w, count), code in (PATTERN_2, PATTERN_3)
-    if not interpolation.may_take(c, mask, ip.depth if c.interpolating else 1):
+    mask, pattern = _find_axis_mask(c, w, count), code in (PATTERN_2, PATTERN_3)
+    if not interpolation.can_take_segment(c, mask, ip.queue_depth if c.interpolating else 1):
         return
-    if c.interpolating and (pattern or c.queue[ip.head].kind == PATTERN):
+    if c.interpolating and (pattern or c.queue[ip.queue_head].kind == PATTERN):
         return
     stepped = 2 if w & EXPLS else w & CMPLS
     if pattern:
-        sets, ip.stacked = ip.stacked, 0
+        sets, ip.stacked_sets = ip.stacked_sets, 0
         for k in range(sets):
             _submit_set(c, k, w, count, stepped)
             if not c.interpolating:
                 return
         return
-    g = c.queue[interpolation.place_for(c)]
-    _choose(c, g, w, count)
+    g = c.queue[interpolation.find_free_place(c)]
+    _select_axes(c, g, w, count)
     for k in range(count):
-        x = c.ax[g.axis[k]]
-        g.finish[k] = _coordinate(x.reg[TP])
+        x = c.ax[g.axis_numbers[k]]
+        g.finish[k] = _to_coordinate(x.reg[TP])
         if k < 2:
-            g.centre[k] = _coordinate(x.reg[CP])
-        g.longest = greatest(g.longest, abs(g.finish[k]))
+            g.center[k] = _to_coordinate(x.reg[CP])
+        g.tick_count = greatest(g.tick_count, abs(g.finish[k]))
     g.kind = LINE if code in (LINE_2, LINE_3) else ARC
-    g.mirror = -1 if code == CIRCLE_CW else 1
-    interpolation.submit(c, mask, g.axis[0], 1, stepped)
+    g.y_sign = -1 if code == CIRCLE_CW else 1
+    interpolation.submit_segment(c, mask, g.axis_numbers[0], 1, stepped)
 
 
 @hot
 def _submit_set(c, k, axes, count, stepped):
-    """Set `k` of the stack becomes a segment."""
-    ip, g = c.ip, c.queue[interpolation.place_for(c)]
-    _choose(c, g, axes, count)
+    """Make set `k` of the pattern stack a segment.
+
+    Args:
+        c: State of the chip.
+        k: Number of the set.
+        axes: Axis numbers, in a word like WR5.
+        count: Number of axes.
+        stepped: Whether single steps move it.
+    """
+    ip, g = c.ip, c.queue[interpolation.find_free_place(c)]
+    _select_axes(c, g, axes, count)
     g.kind = PATTERN
     for m in range(count):
-        g.finish[m] = ip.stack[k, 2 * m] | ip.stack[k, 2 * m + 1] << 16
+        g.finish[m] = ip.pattern_stack[k, 2 * m] | ip.pattern_stack[k, 2 * m + 1] << 16
     if c.interpolating:
-        g.slows = c.queue[ip.head].slows
-    interpolation.submit(c, _mask(c, axes, count), g.axis[0], SETS - 1, stepped)
-    segment.extend(c)
+        g.decelerates = c.queue[ip.queue_head].decelerates
+    interpolation.submit_segment(c, _find_axis_mask(c, axes, count), g.axis_numbers[0], MAX_SETS - 1, stepped)
+    segment.update_pattern_end(c)
 
 
 @hot
-def _runs_pattern(c):
-    return c.interpolating and c.queue[c.ip.head].kind == PATTERN
+def _is_running_pattern(c):
+    """Return whether a bit pattern is in progress."""
+    return c.interpolating and c.queue[c.ip.queue_head].kind == PATTERN
 
 
 @hot
-def _sets(c):
-    """BPSC."""
-    return c.ip.waiting + 1 if _runs_pattern(c) else c.ip.stacked
+def _count_sets(c):
+    """Return BPSC: the number of sets in progress or stacked."""
+    return c.ip.waiting_segments + 1 if _is_running_pattern(c) else c.ip.stacked_sets
 
 
 @hot
-def _stack(c):
-    """38h: behind the sets that wait, or straight behind the running one; a fourth is lost."""
+def _stack_set(c):
+    """Stack the pattern that was written (38h), or queue it behind the running set. A fourth set is lost."""
     ip = c.ip
-    if _sets(c) >= SETS:
+    if _count_sets(c) >= MAX_SETS:
         return
-    for m in range(WORDS):
-        ip.stack[ip.stacked, m] = ip.loading[m]
-    if _runs_pattern(c):
-        g, axes = c.queue[ip.head], 0
-        for k in range(g.axes):
-            axes |= g.axis[k] << AX1 + 2 * k
-        _submit_set(c, 0, axes, g.axes, ip.stepped)
+    for m in range(SET_WORDS):
+        ip.pattern_stack[ip.stacked_sets, m] = ip.pattern_words[m]
+    if _is_running_pattern(c):
+        g, axes = c.queue[ip.queue_head], 0
+        for k in range(g.axis_count):
+            axes |= g.axis_numbers[k] << AX1 + 2 * k
+        _submit_set(c, 0, axes, g.axis_count, ip.single_stepped)
     else:
-        ip.stacked += 1
+        ip.stacked_sets += 1
 
 
 @hot
-def load_pattern(c, k, value):
-    """BP1P, BP1M, BP2P, BP2M, BP3P, BP3M."""
-    c.ip.loading[k] = value
+def store_pattern_word(c, k, value):
+    """Store a word of the bit pattern: BP1P, BP1M, BP2P, BP2M, BP3P or BP3M."""
+    c.ip.pattern_words[k] = value
 
 
 @hot
-def takes_pattern(c):
-    """WR2 to WR5, on the MCX314As to WR7, are the bit pattern now."""
-    return c.ip.writing
+def is_loading_pattern(c):
+    """Return whether writes to WR2 and above go to the bit pattern."""
+    return c.ip.loads_pattern
 
 
 @hot
-def status_bits(c):
-    """RR0: I-DRV, CNEXT, ZONE, BPSC."""
+def compute_status_bits(c):
+    """Compute I-DRV, CNEXT, ZONE and BPSC, bits of RR0."""
     ip = c.ip
-    word = _sets(c) << BPSC
+    word = _count_sets(c) << BPSC
     if c.interpolating:
-        word |= I_DRV | (CNEXT if ip.waiting < ip.depth else 0) | ip.zone << ZONE
+        word |= I_DRV | (CNEXT if ip.waiting_segments < ip.queue_depth else 0) | ip.zone << ZONE
     return word

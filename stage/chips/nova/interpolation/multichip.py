@@ -1,14 +1,14 @@
-"""NOVA MCX514 and MCX512, compiled: one line by several chips, which their wires join (see stage/chips/links.py).
+"""Multichip interpolation of the MCX514 and MCX512: one line by several chips that wires join (stage/chips/links.py); compiled.
 
-Each chip that takes part interpolates its own axes, against the one largest finish point of all of them; the master's main axis
-makes the ticks, and the wires take them to the slaves, at their clock. The sheets' public text names the parts (IPM bits 11 and
-10, commands 60h and 7Ch, MCERR), and nothing more: what is here is what they need (inferred).
+Each chip that takes part interpolates its own axes, relative to the largest finish point of all chips. The main axis of the
+master makes the ticks, and the wires bring them to the slaves at the same clock. The public text of the sheets only names the
+parts (IPM bits 11 and 10, commands 60h and 7Ch, MCERR); the behavior is inferred.
 
-- A command 60h to 63h to a slave, or to a master that has wires, waits. As soon as a master waits the wires say GO, with the
-  largest finish point; all that wait take it, and begin at that clock. So slaves are commanded first.
-- A slave that comes too late is refused, MCERR.
-- What stops a slave, be it a limit, an error or the host, stops all of them at that clock, and is MCERR to the others; so is an
-  error of the master. A master that stops without an error, at once or by a ramp, ends all of them, and is none.
+- A command 60h to 63h to a slave, or to a master that has wires, waits. As soon as a master waits, the wires carry GO with the
+  largest finish point; all waiting chips take it and begin at that clock. So the host commands the slaves first.
+- A slave that is commanded after the start gets MCERR.
+- Whatever stops a slave (a limit, an error or the host) stops all chips at that clock, and gives the others MCERR; so does
+  an error of the master. A master that stops without an error, at once or by a ramp, ends the line on all without MCERR.
 """
 
 from __future__ import annotations
@@ -25,54 +25,68 @@ MCERR = MCX514_MAP.mask("RR3-1", "MCERR")
 
 
 @hot
-def role_of(c, word):
-    """Return the role that IPM gives the chip: a master without wires is by itself."""
+def find_role(c, word):
+    """Return the role that IPM gives the chip, MASTER, SLAVE or 0. A master without wires has none.
+
+    Args:
+        c: State of the chip.
+        word: IPM.
+    """
     role = word >> MLT & 3
-    return role if role == SLAVE or (role == MASTER and c.heard) else 0
+    return role if role == SLAVE or (role == MASTER and c.wire_word) else 0
 
 
 @hot
-def may_take(c, role):
-    """A line can be written now; a slave that comes after its master's start is told."""
+def can_take_line(c, role):
+    """Return whether a line can be written now. A slave that comes after the start of its master gets MCERR."""
     if c.interpolating:
-        interpolation.refuse(c)
+        interpolation.note_refused_segment(c)
         return False
-    c.failed = 1 if role == SLAVE and c.heard & GO else 0
-    return not c.failed
+    c.multichip_error = 1 if role == SLAVE and c.wire_word & GO else 0
+    return not c.multichip_error
 
 
 @hot
-def wait(c, mask, main, stepped, role, fixed):
-    """The line at the head of the queue waits for the start of all."""
+def await_start(c, mask, main, stepped, role, fixed):
+    """Let the line at the head of the queue wait until all chips can start.
+
+    Args:
+        c: State of the chip.
+        mask: Axes of the line, as bits.
+        main: Main axis.
+        stepped: Whether single steps move it.
+        role: MASTER or SLAVE.
+        fixed: Whether TX is the maximum finish point.
+    """
     ip = c.ip
-    interpolation.prepare(c, mask, main, 0, SLAVE if role == SLAVE else stepped)
-    ip.role, ip.waits, ip.fixed, ip.due = role, 1, fixed, NEVER
-    ip.beat = ip.gap = 0
-    c.interpolating, c.fails, c.stale = 1, 0, 1
+    interpolation.prepare_axes(c, mask, main, 0, SLAVE if role == SLAVE else stepped)
+    ip.role, ip.awaits_start, ip.uses_tx, ip.next_tick_clock = role, 1, fixed, NEVER
+    ip.last_tick_clock = ip.tick_interval = 0
+    c.interpolating, c.signals_failure, c.stale = 1, 0, 1
     for j in range(c.axes):
         c.ax[j].moves = 0
         if mask >> j & 1:
             c.ax[j].interpolates = 1
     if role == SLAVE:
-        c.queue[ip.head].slows = 0
+        c.queue[ip.queue_head].decelerates = 0
 
 
 @hot
-def _begin(c):
-    """All begin."""
-    ip, g = c.ip, c.queue[c.ip.head]
-    if not ip.fixed:
-        g.longest = greatest(g.longest, links.number(c.heard))
-    c.interpolating = ip.waits = 0
+def _begin_line(c):
+    """Begin the line at the clock at which all chips begin."""
+    ip, g = c.ip, c.queue[c.ip.queue_head]
+    if not ip.uses_tx:
+        g.tick_count = greatest(g.tick_count, links.number(c.wire_word))
+    c.interpolating = ip.awaits_start = 0
     for j in range(c.axes):
         c.ax[j].interpolates = 0
-    ip.errors, ip.beat = interpolation.errors(c), c.clock
+    ip.errors_at_start, ip.last_tick_clock = interpolation.collect_errors(c), c.clock
     c.stale = 1
-    interpolation.start(c)
+    interpolation.start_interpolation(c)
 
 
 @hot
-def hear(c, word, settle):
+def apply_wire_word(c, word, settle):
     """Apply a change of the wires.
 
     Args:
@@ -80,52 +94,58 @@ def hear(c, word, settle):
         word: The new word, see stage/chips/links.py.
         settle: Function that lets the chip do what is due.
     """
-    ip, old = c.ip, c.heard
-    c.heard = word
+    ip, old = c.ip, c.wire_word
+    c.wire_word = word
     if c.interpolating and ip.role:
-        if ip.waits:
+        if ip.awaits_start:
             if word & GO and not word & FAILURE:
-                _begin(c)
+                _begin_line(c)
         elif ip.role == SLAVE:
-            _ticks(c, links.pulses_since(word, old), settle)
+            _apply_master_ticks(c, links.pulses_since(word, old), settle)
             if c.interpolating and not word & (GO | FAILURE):
-                interpolation.end(c)
+                interpolation.end_interpolation(c)
         if c.interpolating and word & FAILURE:
-            c.failed = 1
-            interpolation.end(c)
+            c.multichip_error = 1
+            interpolation.end_interpolation(c)
     if word & FAILURE:
-        c.fails = 0
+        c.signals_failure = 0
     if c.stale:
         settle(c)
 
 
 @hot
-def _ticks(c, count, settle):
-    """Ticks of the master come."""
+def _apply_master_ticks(c, count, settle):
+    """Make the ticks that the master has sent.
+
+    Args:
+        c: State of the chip.
+        count: Number of ticks.
+        settle: Function that lets the chip do what is due.
+    """
     ip = c.ip
     for _ in range(count):
         if c.interpolating:
-            if c.clock > ip.beat:
-                ip.gap, ip.beat = c.clock - ip.beat, c.clock
-            interpolation.tick(c)
+            if c.clock > ip.last_tick_clock:
+                ip.tick_interval, ip.last_tick_clock = c.clock - ip.last_tick_clock, c.clock
+            interpolation.make_tick(c)
             if c.stale:
                 settle(c)
 
 
 @hot
-def says(c):
-    """Return what the chip drives onto the wires."""
-    levels = FAILURE if c.fails else 0
+def compute_wire_output(c):
+    """Compute the word that the chip drives onto the wires."""
+    levels = FAILURE if c.signals_failure else 0
     longest = 0
     if c.interpolating and c.ip.role:
         levels |= GO if c.ip.role == MASTER else 0
-        longest = c.queue[c.ip.head].longest
-    return links.share(levels, longest, c.beats)
+        longest = c.queue[c.ip.queue_head].tick_count
+    return links.share(levels, longest, c.master_ticks)
 
 
 @hot
-def silent(c):
-    """The clock up to which that does not change."""
+def find_wire_change(c):
+    """Return the clock up to which that word does not change."""
     if not (c.interpolating and c.ip.role):
         return NEVER
-    return c.quiet if c.quiet < c.ip.due else c.ip.due
+    return c.quiet_until if c.quiet_until < c.ip.next_tick_clock else c.ip.next_tick_clock

@@ -1,24 +1,24 @@
-"""NOVA chips, compiled: the counters of an axis, and the software limits that compare them."""
+"""The counters of an axis of a NOVA chip, and the software limits that compare them; compiled."""
 
 from __future__ import annotations
 
 from stage.chips.nova import state
 from stage.native import hot
 
-OFF = 0xFFFFFFFF
+NO_MAXIMUM = 0xFFFFFFFF
 PULSE = 1  # RR3 of the older chips
 
 
 @hot
-def _ring(value, maximum):
-    """A counter that counts up to `most` and then from 0 on; 32 bits with a sign where there is no ring."""
-    if maximum != OFF:
+def _wrap_counter(value, maximum):
+    """Return the value of a counter that wraps from `maximum` to 0, or at 32 bits with a sign if it has no maximum."""
+    if maximum != NO_MAXIMUM:
         return value % (maximum + 1)
     return (value + (1 << 31) & 0xFFFFFFFF) - (1 << 31)
 
 
 @hot
-def count(c, x, n):
+def add_pulses(c, x, n):
     """Count pulses that have begun.
 
     Args:
@@ -26,16 +26,18 @@ def count(c, x, n):
         x: State of the axis.
         n: Number of pulses.
     """
-    x.done += n
+    x.pulses_done += n
     x.total += n
     c.total += n
-    x.net += x.way * n
-    x.compared |= PULSE
-    x.reg[state.LP] = _ring(x.reg[state.LP] + x.way * n, x.reg[state.LX] if c.variant == state.MCX514_TYPE else OFF)
+    x.net += x.direction * n
+    x.comparison_events |= PULSE
+    x.reg[state.LP] = _wrap_counter(
+        x.reg[state.LP] + x.direction * n, x.reg[state.LX] if c.variant == state.MCX514_TYPE else NO_MAXIMUM
+    )
 
 
 @hot
-def count_encoder(c, x, n):
+def add_encoder_counts(c, x, n):
     """Count a movement of the encoder.
 
     Args:
@@ -43,28 +45,45 @@ def count_encoder(c, x, n):
         x: State of the axis.
         n: Counts, with their sign.
     """
-    x.reg[state.RP] = _ring(x.reg[state.RP] + n, x.reg[state.RX] if c.variant == state.MCX514_TYPE else OFF)
+    x.reg[state.RP] = _wrap_counter(
+        x.reg[state.RP] + n, x.reg[state.RX] if c.variant == state.MCX514_TYPE else NO_MAXIMUM
+    )
 
 
 @hot
-def limited(x):
-    """The counter that the software limits look at."""
+def read_limited_counter(x):
+    """Return the counter that the software limits compare, LP or RP."""
     return x.reg[state.RP] if x.soft_rp else x.reg[state.LP]
 
 
 @hot
-def beyond(c, x, direction):
-    """The software limit of a direction is enabled and passed: MCX514 LP > SP, LP < SM; before it LP >= C+, LP < C-."""
+def has_passed_soft_limit(c, x, direction):
+    """Return whether the software limit of a direction is enabled and passed.
+
+    The MCX514 compares LP > SP and LP < SM, the older chips LP >= C+ and LP < C-.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        direction: +1 or -1.
+    """
     if direction > 0:
         return x.soft_plus and (
-            limited(x) > x.reg[state.SP] if c.variant == state.MCX514_TYPE else limited(x) >= x.reg[state.SP]
+            read_limited_counter(x) > x.reg[state.SP]
+            if c.variant == state.MCX514_TYPE
+            else read_limited_counter(x) >= x.reg[state.SP]
         )
-    return x.soft_minus and limited(x) < x.reg[state.SM]
+    return x.soft_minus and read_limited_counter(x) < x.reg[state.SM]
 
 
 @hot
-def hardware_limit(x, direction):
-    """The limit switch of a direction is asserted."""
-    plus = state.LMT_MINUS if x.swaps else state.LMT_PLUS
-    minus = state.LMT_PLUS if x.swaps else state.LMT_MINUS
-    return x.active & (plus if direction > 0 else minus)
+def is_limit_asserted(x, direction):
+    """Return whether the limit switch of a direction is asserted.
+
+    Args:
+        x: State of the axis.
+        direction: +1 or -1.
+    """
+    plus = state.LMT_MINUS if x.limits_swapped else state.LMT_PLUS
+    minus = state.LMT_PLUS if x.limits_swapped else state.LMT_MINUS
+    return x.active_inputs & (plus if direction > 0 else minus)

@@ -1,7 +1,7 @@
 """Double-double arithmetic: a number as the exact sum of two floats, (high, low), with about 32 decimal digits.
 
-The ideal speed profile asks on which side of a clock a pulse falls, and at round speeds it falls on the clock itself: a float
-slips there, this does not. Algorithms of Dekker (1971) and Knuth (TAOCP 2, 4.2.2); IEEE arithmetic without fused operations.
+A speed profile must decide on which side of a clock a pulse falls. At round speeds it falls exactly on the clock, where floats err
+and double-doubles do not. Algorithms of Dekker (1971) and Knuth (TAOCP 2, 4.2.2); IEEE arithmetic without fused operations.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ ZERO = (0.0, 0.0)
 
 
 @hot
-def quick(a, b):
-    """a + b where |a| >= |b|."""
+def add_ordered_floats(a, b):
+    """Add two floats, |a| >= |b|, exactly."""
     s = a + b
     return s, b - (s - a)
 
 
 @hot
-def total(a, b):
-    """a + b of two floats."""
+def add_floats(a, b):
+    """Add two floats exactly."""
     s = a + b
     v = s - a
     return s, (a - (s - v)) + (b - v)
 
 
 @hot
-def product(a, b):
-    """a b of two floats."""
+def multiply_floats(a, b):
+    """Multiply two floats exactly."""
     p = a * b
     t = SPLITTER * a
     ah = t - (t - a)
@@ -44,17 +44,17 @@ def product(a, b):
 
 @hot
 def from_integer(i):
-    """A whole number, |i| < 2^62."""
+    """Convert an integer, |i| < 2^62."""
     h = float(i)
-    return quick(h, float(i - int(h)))
+    return add_ordered_floats(h, float(i - int(h)))
 
 
 @hot
 def add(a, b):
-    s, e = total(a[0], b[0])
-    t, f = total(a[1], b[1])
-    s, e = quick(s, e + t)
-    return quick(s, e + f)
+    s, e = add_floats(a[0], b[0])
+    t, f = add_floats(a[1], b[1])
+    s, e = add_ordered_floats(s, e + t)
+    return add_ordered_floats(s, e + f)
 
 
 @hot
@@ -69,13 +69,13 @@ def sub(a, b):
 
 @hot
 def mul(a, b):
-    p, e = product(a[0], b[0])
-    return quick(p, e + (a[0] * b[1] + a[1] * b[0]))
+    p, e = multiply_floats(a[0], b[0])
+    return add_ordered_floats(p, e + (a[0] * b[1] + a[1] * b[0]))
 
 
 @hot
-def times(a, x):
-    """a times a power of two, exactly."""
+def scale(a, x):
+    """Multiply by a power of two, exactly."""
     return a[0] * x, a[1] * x
 
 
@@ -85,30 +85,30 @@ def div(a, b):
     r = sub(a, mul((q, 0.0), b))
     p = r[0] / b[0]
     r = sub(r, mul((p, 0.0), b))
-    q, p = quick(q, p)
+    q, p = add_ordered_floats(q, p)
     return add((q, p), (r[0] / b[0], 0.0))
 
 
 @hot
-def root(a):
-    """Square root; 0 of what is not above 0."""
+def sqrt(a):
+    """Compute the square root; 0 for a number that is not positive."""
     if a[0] <= 0.0:
         return ZERO
     x = math.sqrt(a[0])
-    r = sub(a, product(x, x))
-    y = quick(x, r[0] / (2.0 * x))
+    r = sub(a, multiply_floats(x, x))
+    y = add_ordered_floats(x, r[0] / (2.0 * x))
     r = sub(a, mul(y, y))
     return add(y, (r[0] / (2.0 * x), 0.0))
 
 
 @hot
-def less(a, b):
+def is_less(a, b):
     return a[0] < b[0] or (a[0] == b[0] and a[1] < b[1])
 
 
 @hot
 def floor(a):
-    """The greatest whole number that is not above `a`, as an integer."""
+    """Return the greatest integer that is not above `a`."""
     h = math.floor(a[0])
     if h == a[0]:
         return int(h) + int(math.floor(a[1]))
@@ -116,5 +116,5 @@ def floor(a):
 
 
 @hot
-def least(a, b):
-    return a if less(a, b) else b
+def minimum(a, b):
+    return a if is_less(a, b) else b

@@ -1,9 +1,9 @@
-"""NOVA chips, compiled: planning the speed profile of a drive, from any speed and acceleration on.
+"""Planner of the speed profile of a NOVA drive, from any speed and acceleration on; compiled.
 
-A change of speed is jerk-limited: the acceleration goes at the jerk to the side of the goal, is held at its limit if it gets
-there, and returns to 0 just when the speed is reached; one that would overshoot is brought to 0 first. Linear ramps jump.
-A drive of so many pulses brakes as late as it can, so that its speed is the initial speed, and its acceleration 0, exactly at
-the last of them.
+A change of speed is limited in jerk: the acceleration rises at the jerk, stays at its limit if it reaches it, and returns to 0
+when the goal speed is reached. An acceleration that would overshoot the goal returns to 0 first. In linear ramps the
+acceleration jumps. A drive of a fixed number of pulses brakes as late as possible: at its last pulse the speed is the initial
+speed and the acceleration 0.
 
     linear                    S-curve                    a drive too short, AVTRI on
         ______ DV                 ______ DV                   ____  no DV: a quarter of the pulses up,
@@ -14,23 +14,24 @@ the last of them.
 from __future__ import annotations
 
 from stage.chips.nova.motion import double_double as dd
-from stage.chips.nova.motion.profile import NEVER, exactly, piece_at, time_in
+from stage.chips.nova.motion.profile import NEVER, compute_exact_place, compute_time_in_piece, find_piece
 from stage.chips.nova.state import ACCELERATING, AREA_D, CONSTANT, DECELERATING, MAX_PIECES, RUNAWAY
 from stage.native import hot
 
-T, PLACE, SPEED, RATE = range(4)  # rows of the cursor
-DURATION, FROM, JERK = range(3)  # columns of a piece
-DUST = 1e-25  # of a speed: what rounding leaves
+CURSOR_TIME, CURSOR_PLACE, CURSOR_SPEED, CURSOR_ACCELERATION = range(4)  # rows of the cursor
+DURATION, START_ACCELERATION, JERK = range(3)  # columns of a piece
+SPEED_ROUNDING = 1e-25  # of a speed: what rounding leaves
 
 
 @hot
-def pair(row):
-    """A double-double out of a record."""
+def read_pair(row):
+    """Return a double-double from two places of a record."""
     return row[0], row[1]
 
 
 @hot
-def put(row, x):
+def write_pair(row, x):
+    """Store a double-double in two places of a record."""
     row[0], row[1] = x
 
 
@@ -38,115 +39,138 @@ def put(row, x):
 
 
 @hot
-def _piece(x, k, duration, rate, jerk):
-    put(x.piece[k, DURATION], duration)
-    put(x.piece[k, FROM], rate)
-    put(x.piece[k, JERK], jerk)
+def _draft_piece(x, k, duration, rate, jerk):
+    """Store piece `k` of a draft, and return the number of the next piece: k if the duration is not positive."""
+    write_pair(x.drafted_pieces[k, DURATION], duration)
+    write_pair(x.drafted_pieces[k, START_ACCELERATION], rate)
+    write_pair(x.drafted_pieces[k, JERK], jerk)
     return k + 1 if duration[0] > 0.0 else k
 
 
 @hot
-def _signed(a, negative):
+def _read_drafted(pieces, k):
+    """Return the duration, the acceleration at the start and the jerk of piece `k` of a draft."""
+    return read_pair(pieces[k, DURATION]), read_pair(pieces[k, START_ACCELERATION]), read_pair(pieces[k, JERK])
+
+
+@hot
+def _negate_if(a, negative):
+    """Return -a if `negative`, else a."""
     return dd.neg(a) if negative else a
 
 
 @hot
-def draft(x, v, a, goal):
+def draft_speed_change(x, v, a, goal):
     """Draft the change to another speed.
 
     Args:
         x: State of the axis.
-        v: Speed, pulses per clock.
-        a: Acceleration.
+        v: Speed at the start, pulses per clock.
+        a: Acceleration at the start.
         goal: Speed at the end.
 
     Returns:
-        The number of pieces.
+        The number of pieces in the draft.
     """
     zero = dd.ZERO
     if not x.curved:
-        if dd.less(v, goal):
-            return _piece(x, 0, dd.div(dd.sub(goal, v), pair(x.up)), pair(x.up), zero)
-        return _piece(x, 0, dd.div(dd.sub(v, goal), pair(x.down)), dd.neg(pair(x.down)), zero)
+        if dd.is_less(v, goal):
+            return _draft_piece(
+                x, 0, dd.div(dd.sub(goal, v), read_pair(x.acceleration)), read_pair(x.acceleration), zero
+            )
+        return _draft_piece(
+            x, 0, dd.div(dd.sub(v, goal), read_pair(x.deceleration)), dd.neg(read_pair(x.deceleration)), zero
+        )
     k = 0
     falls = a[0] < 0.0
     if a[0] != 0.0:
-        jerk = pair(x.down_jerk) if falls else pair(x.up_jerk)
-        left = dd.times(dd.div(dd.mul(a, a), jerk), 0.5)
+        jerk = read_pair(x.deceleration_jerk) if falls else read_pair(x.acceleration_jerk)
+        left = dd.scale(dd.div(dd.mul(a, a), jerk), 0.5)
         settled = dd.sub(v, left) if falls else dd.add(v, left)
-        if not dd.less(goal, settled) if falls else not dd.less(settled, goal):
-            k = _piece(x, 0, dd.div(_signed(a, falls), jerk), a, _signed(jerk, not falls))
+        if not dd.is_less(goal, settled) if falls else not dd.is_less(settled, goal):
+            k = _draft_piece(x, 0, dd.div(_negate_if(a, falls), jerk), a, _negate_if(jerk, not falls))
             v, a = settled, zero
-    falls = dd.less(goal, v) if a[0] == 0.0 else falls
-    gap = _signed(dd.sub(goal, v), falls)
-    if a[0] == 0.0 and gap[0] <= DUST * goal[0]:
+    falls = dd.is_less(goal, v) if a[0] == 0.0 else falls
+    gap = _negate_if(dd.sub(goal, v), falls)
+    if a[0] == 0.0 and gap[0] <= SPEED_ROUNDING * goal[0]:
         return k
-    jerk, maximum = (pair(x.down_jerk), pair(x.down)) if falls else (pair(x.up_jerk), pair(x.up))
-    size = _signed(a, falls)
-    squares = dd.times(dd.mul(size, size), 0.5)
-    top = dd.root(dd.add(dd.mul(jerk, gap), squares))
+    jerk, maximum = (
+        (read_pair(x.deceleration_jerk), read_pair(x.deceleration))
+        if falls
+        else (read_pair(x.acceleration_jerk), read_pair(x.acceleration))
+    )
+    size = _negate_if(a, falls)
+    squares = dd.scale(dd.mul(size, size), 0.5)
+    top = dd.sqrt(dd.add(dd.mul(jerk, gap), squares))
     hold = zero
-    if dd.less(maximum, top):
+    if dd.is_less(maximum, top):
         top = maximum
         at_maximum = dd.sub(gap, dd.div(dd.sub(dd.mul(maximum, maximum), squares), jerk))
         hold = dd.div(at_maximum, maximum)
-    k = _piece(x, k, dd.div(dd.sub(top, size), jerk), a, _signed(jerk, falls))
-    k = _piece(x, k, hold, _signed(top, falls), zero)
-    return _piece(x, k, dd.div(top, jerk), _signed(top, falls), _signed(jerk, not falls))
+    k = _draft_piece(x, k, dd.div(dd.sub(top, size), jerk), a, _negate_if(jerk, falls))
+    k = _draft_piece(x, k, hold, _negate_if(top, falls), zero)
+    return _draft_piece(x, k, dd.div(top, jerk), _negate_if(top, falls), _negate_if(jerk, not falls))
 
 
 @hot
-def _after(duration, v, a, jerk):
-    """Return the distance and the speed of a piece.
+def _integrate_piece(duration, v, a, jerk):
+    """Return the distance of a piece, and the speed at its end.
 
-    They are duration (v + duration (a / 2 + duration jerk / 6)) and v + duration (a + duration jerk / 2).
+    The distance is duration (v + duration (a / 2 + duration jerk / 6)), the speed v + duration (a + duration jerk / 2).
+
+    Args:
+        duration: Clocks.
+        v: Speed at the start, pulses per clock.
+        a: Acceleration at the start.
+        jerk: Jerk.
     """
-    half = dd.times(dd.mul(duration, jerk), 0.5)
+    half = dd.scale(dd.mul(duration, jerk), 0.5)
     third = dd.div(half, (3.0, 0.0))
-    distance = dd.mul(duration, dd.add(v, dd.mul(duration, dd.add(dd.times(a, 0.5), third))))
+    distance = dd.mul(duration, dd.add(v, dd.mul(duration, dd.add(dd.scale(a, 0.5), third))))
     return distance, dd.add(v, dd.mul(duration, dd.add(a, half)))
 
 
 @hot
-def draft_brake(x, v, a):
-    """Draft the deceleration to the initial speed. At or below it only an acceleration that there is goes to 0.
+def draft_braking(x, v, a):
+    """Draft the deceleration to the initial speed. At or below that speed only the acceleration returns to 0.
 
     Args:
         x: State of the axis.
-        v: Speed, pulses per clock.
-        a: Acceleration.
+        v: Speed at the start, pulses per clock.
+        a: Acceleration at the start.
 
     Returns:
-        The number of pieces.
+        The number of pieces in the draft.
     """
     if not x.curved:
-        return draft(x, v, a, pair(x.sv)) if dd.less(pair(x.sv), v) else 0
+        return draft_speed_change(x, v, a, read_pair(x.sv)) if dd.is_less(read_pair(x.sv), v) else 0
     if a[0] == 0.0:
-        return draft(x, v, a, pair(x.sv)) if dd.less(pair(x.sv), v) else 0
+        return draft_speed_change(x, v, a, read_pair(x.sv)) if dd.is_less(read_pair(x.sv), v) else 0
     falls = a[0] < 0.0
-    jerk = pair(x.down_jerk) if falls else pair(x.up_jerk)
-    left = dd.times(dd.div(dd.mul(a, a), jerk), 0.5)
+    jerk = read_pair(x.deceleration_jerk) if falls else read_pair(x.acceleration_jerk)
+    left = dd.scale(dd.div(dd.mul(a, a), jerk), 0.5)
     settled = dd.sub(v, left) if falls else dd.add(v, left)
-    if dd.less(pair(x.sv), settled):
-        return draft(x, v, a, pair(x.sv))
-    return _piece(x, 0, dd.div(_signed(a, falls), jerk), a, _signed(jerk, not falls))
+    if dd.is_less(read_pair(x.sv), settled):
+        return draft_speed_change(x, v, a, read_pair(x.sv))
+    return _draft_piece(x, 0, dd.div(_negate_if(a, falls), jerk), a, _negate_if(jerk, not falls))
 
 
 @hot
-def braking_distance(x, v, a):
-    """Compute the pulses that the deceleration to the initial speed takes.
+def compute_braking_distance(x, v, a):
+    """Compute the distance that the deceleration to the initial speed takes.
 
     Args:
         x: State of the axis.
-        v: Speed, pulses per clock.
-        a: Acceleration.
+        v: Speed at the start, pulses per clock.
+        a: Acceleration at the start.
 
     Returns:
         Pulses, a double-double.
     """
     total = dd.ZERO
-    for k in range(draft_brake(x, v, a)):
-        distance, v = _after(pair(x.piece[k, DURATION]), v, pair(x.piece[k, FROM]), pair(x.piece[k, JERK]))
+    for k in range(draft_braking(x, v, a)):
+        duration, a, jerk = _read_drafted(x.drafted_pieces, k)
+        distance, v = _integrate_piece(duration, v, a, jerk)
         total = dd.add(total, distance)
     return total
 
@@ -155,155 +179,196 @@ def braking_distance(x, v, a):
 
 
 @hot
-def begin(x, clock, t, place, v, a):
+def begin_plan(x, clock, t, place, v, a):
     """Begin an empty plan.
 
     Args:
         x: State of the axis.
-        clock: Its origin.
-        t: Clocks after the origin at which its first piece begins.
-        place: Pulses there.
-        v: Speed there, pulses per clock.
-        a: Acceleration there.
+        clock: Origin of the plan, in reference clocks since power-up.
+        t: Clocks after the origin at which the first piece begins.
+        place: Pulses of the drive at that time.
+        v: Speed at that time, pulses per clock.
+        a: Acceleration at that time.
     """
-    x.origin, x.pieces, x.end, x.brake = clock, 0, NEVER, MAX_PIECES
-    put(x.cursor[T], t)
-    put(x.cursor[PLACE], place)
-    put(x.cursor[SPEED], v)
-    put(x.cursor[RATE], a)
+    x.origin, x.pieces, x.end_time, x.brake_piece = clock, 0, NEVER, MAX_PIECES
+    write_pair(x.cursor[CURSOR_TIME], t)
+    write_pair(x.cursor[CURSOR_PLACE], place)
+    write_pair(x.cursor[CURSOR_SPEED], v)
+    write_pair(x.cursor[CURSOR_ACCELERATION], a)
 
 
 @hot
-def _write(x, kind, a, jerk):
-    """A piece from the cursor on, without an end."""
+def _append_open_piece(x, kind, a, jerk):
+    """Append a piece without an end, from the cursor on.
+
+    Args:
+        x: State of the axis.
+        kind: Phase of the profile.
+        a: Acceleration at its start.
+        jerk: Jerk.
+    """
     s = x.pieces
-    t, place, v = pair(x.cursor[T]), pair(x.cursor[PLACE]), pair(x.cursor[SPEED])
-    put(x.t[s], t)
+    t, place, v = read_pair(x.cursor[CURSOR_TIME]), read_pair(x.cursor[CURSOR_PLACE]), read_pair(x.cursor[CURSOR_SPEED])
+    write_pair(x.t[s], t)
     x.from_clock[s] = -dd.floor(dd.add(dd.neg(t), (1e-15, 0.0)))
     x.from_pulse[s] = dd.floor(place)
-    put(x.p[s], dd.sub(place, dd.from_integer(x.from_pulse[s])))
-    put(x.v[s], v)
-    put(x.a2[s], dd.times(a, 0.5))
-    put(x.j6[s], dd.div(jerk, (6.0, 0.0)))
-    x.kind[s] = kind
+    write_pair(x.p[s], dd.sub(place, dd.from_integer(x.from_pulse[s])))
+    write_pair(x.v[s], v)
+    write_pair(x.a2[s], dd.scale(a, 0.5))
+    write_pair(x.j6[s], dd.div(jerk, (6.0, 0.0)))
+    x.piece_phase[s] = kind
     x.pieces = s + 1
 
 
 @hot
-def _go(x, kind, duration, a, jerk):
-    """A piece of this duration; the cursor moves to its end."""
+def _append_piece(x, kind, duration, a, jerk):
+    """Append a piece, and move the cursor to its end.
+
+    Args:
+        x: State of the axis.
+        kind: Phase of the profile.
+        duration: Clocks.
+        a: Acceleration at its start.
+        jerk: Jerk.
+    """
     if duration[0] <= 0.0:
         return
-    _write(x, kind, a, jerk)
-    distance, v = _after(duration, pair(x.cursor[SPEED]), a, jerk)
-    put(x.cursor[T], dd.add(pair(x.cursor[T]), duration))
-    put(x.cursor[PLACE], dd.add(pair(x.cursor[PLACE]), distance))
-    put(x.cursor[SPEED], v)
-    put(x.cursor[RATE], dd.add(a, dd.mul(jerk, duration)))
+    _append_open_piece(x, kind, a, jerk)
+    distance, v = _integrate_piece(duration, read_pair(x.cursor[CURSOR_SPEED]), a, jerk)
+    write_pair(x.cursor[CURSOR_TIME], dd.add(read_pair(x.cursor[CURSOR_TIME]), duration))
+    write_pair(x.cursor[CURSOR_PLACE], dd.add(read_pair(x.cursor[CURSOR_PLACE]), distance))
+    write_pair(x.cursor[CURSOR_SPEED], v)
+    write_pair(x.cursor[CURSOR_ACCELERATION], dd.add(a, dd.mul(jerk, duration)))
 
 
 @hot
-def _kind(a, jerk):
+def _find_piece_phase(a, jerk):
+    """Return the phase of a piece: ACCELERATING or DECELERATING."""
     return ACCELERATING if a[0] > 0.0 or (a[0] == 0.0 and jerk[0] > 0.0) else DECELERATING
 
 
 @hot
-def change(x, goal):
-    """Append the change from the cursor's speed to `goal`."""
-    for k in range(draft(x, pair(x.cursor[SPEED]), pair(x.cursor[RATE]), goal)):
-        duration, a, jerk = pair(x.piece[k, DURATION]), pair(x.piece[k, FROM]), pair(x.piece[k, JERK])
-        _go(x, _kind(a, jerk), duration, a, jerk)
-    put(x.cursor[SPEED], goal)
-    put(x.cursor[RATE], dd.ZERO)
+def append_speed_change(x, goal):
+    """Append the change from the cursor's speed to another speed."""
+    for k in range(
+        draft_speed_change(x, read_pair(x.cursor[CURSOR_SPEED]), read_pair(x.cursor[CURSOR_ACCELERATION]), goal)
+    ):
+        duration, a, jerk = _read_drafted(x.drafted_pieces, k)
+        _append_piece(x, _find_piece_phase(a, jerk), duration, a, jerk)
+    write_pair(x.cursor[CURSOR_SPEED], goal)
+    write_pair(x.cursor[CURSOR_ACCELERATION], dd.ZERO)
 
 
 @hot
-def brake(x):
-    """Append the automatic deceleration, and the initial speed for ever; it may have an area d."""
-    x.brake = x.pieces
-    n = draft_brake(x, pair(x.cursor[SPEED]), pair(x.cursor[RATE]))
+def append_braking(x):
+    """Append the automatic deceleration, and the initial speed without an end. The deceleration may have an area d."""
+    x.brake_piece = x.pieces
+    n = draft_braking(x, read_pair(x.cursor[CURSOR_SPEED]), read_pair(x.cursor[CURSOR_ACCELERATION]))
     for k in range(n):
-        duration, a, jerk = pair(x.piece[k, DURATION]), pair(x.piece[k, FROM]), pair(x.piece[k, JERK])
-        dull = pair(x.finest)
+        duration, a, jerk = _read_drafted(x.drafted_pieces, k)
+        dull = read_pair(x.min_visible_acceleration)
         if dull[0] > 0.0 and a[0] < 0.0 and jerk[0] > 0.0:
-            calm = dd.least(dd.div(dull, jerk), duration)
+            calm = dd.minimum(dd.div(dull, jerk), duration)
             before = dd.sub(duration, calm)
-            _go(x, DECELERATING, before, a, jerk)
-            _go(x, AREA_D, calm, dd.add(a, dd.mul(jerk, before)), jerk)
+            _append_piece(x, DECELERATING, before, a, jerk)
+            _append_piece(x, AREA_D, calm, dd.add(a, dd.mul(jerk, before)), jerk)
         else:
-            _go(x, _kind(a, jerk), duration, a, jerk)
-    if n and dd.less(pair(x.sv), pair(x.cursor[SPEED])):  # but for rounding it is there
-        put(x.cursor[SPEED], pair(x.sv))
-    put(x.cursor[RATE], dd.ZERO)
-    _on(x)
+            _append_piece(x, _find_piece_phase(a, jerk), duration, a, jerk)
+    if n and dd.is_less(read_pair(x.sv), read_pair(x.cursor[CURSOR_SPEED])):  # but for rounding it is there
+        write_pair(x.cursor[CURSOR_SPEED], read_pair(x.sv))
+    write_pair(x.cursor[CURSOR_ACCELERATION], dd.ZERO)
+    _append_constant_speed(x)
 
 
 @hot
-def _on(x):
-    """Go on at constant speed."""
-    _write(x, CONSTANT, dd.ZERO, dd.ZERO)
+def _append_constant_speed(x):
+    """Append a piece of constant speed without an end."""
+    _append_open_piece(x, CONSTANT, dd.ZERO, dd.ZERO)
 
 
 # --- whole plans; all begin at the cursor ---
 
 
 @hot
-def slow_down(x):
-    """A decelerating stop: to the initial speed, where the drive ends."""
-    if dd.less(pair(x.sv), pair(x.cursor[SPEED])) or x.cursor[RATE, 0] > 0.0:
-        change(x, pair(x.sv))
-    _on(x)
-    x.end = x.from_clock[x.pieces - 1]
+def plan_stop(x):
+    """Plan a decelerating stop: to the initial speed, at which the drive ends."""
+    if dd.is_less(read_pair(x.sv), read_pair(x.cursor[CURSOR_SPEED])) or x.cursor[CURSOR_ACCELERATION, 0] > 0.0:
+        append_speed_change(x, read_pair(x.sv))
+    _append_constant_speed(x)
+    x.end_time = x.from_clock[x.pieces - 1]
 
 
 @hot
-def run_away(x):
-    """The erratum: at this speed for ever."""
-    _write(x, RUNAWAY, dd.ZERO, dd.ZERO)
+def plan_runaway(x):
+    """Plan the runaway of the S-curve failure: the present speed without an end."""
+    _append_open_piece(x, RUNAWAY, dd.ZERO, dd.ZERO)
 
 
 @hot
-def cap(x, pulses):
-    """Triangle prevention: the speed at which accelerating and decelerating have taken half of the pulses of the drive."""
-    up, down, low = pair(x.up), pair(x.down), pair(x.sv)
+def compute_triangle_speed(x, pulses):
+    """Compute the speed that triangle prevention allows: that at which accelerating and decelerating take half of the pulses.
+
+    Args:
+        x: State of the axis.
+        pulses: Number of pulses of the drive.
+    """
+    up, down, low = read_pair(x.acceleration), read_pair(x.deceleration), read_pair(x.sv)
     square = dd.mul(dd.from_integer(pulses), dd.div(dd.mul(up, down), dd.add(up, down)))
-    return dd.root(dd.add(dd.mul(low, low), square))
+    return dd.sqrt(dd.add(dd.mul(low, low), square))
 
 
 @hot
-def _overshoot(x, t, v, a, jerk, room):
-    """Pulses by which the drive would pass its end if it braked t clocks into this piece."""
-    distance, speed = _after(t, v, a, jerk)
-    return dd.sub(dd.add(distance, braking_distance(x, speed, dd.add(a, dd.mul(jerk, t)))), room)
+def _compute_overshoot(x, t, v, a, jerk, room):
+    """Compute the distance by which a drive would pass its end if it braked t clocks after the start of a piece.
+
+    Args:
+        x: State of the axis.
+        t: Clocks, a double-double.
+        v: Speed at the start of the piece.
+        a: Acceleration at the start of the piece.
+        jerk: Jerk of the piece.
+        room: Pulses from the start of the piece to the end of the drive.
+    """
+    distance, speed = _integrate_piece(t, v, a, jerk)
+    return dd.sub(dd.add(distance, compute_braking_distance(x, speed, dd.add(a, dd.mul(jerk, t)))), room)
 
 
 @hot
-def _brake_time(x, max_time, v, a, jerk, room):
-    """Find the time in a piece at which to begin to brake, so that `room` pulses are needed from there."""
+def _find_brake_time(x, max_time, v, a, jerk, room):
+    """Find the time in a piece at which the drive must begin to brake so that it ends after `room` pulses.
+
+    Args:
+        x: State of the axis.
+        max_time: Duration of the piece.
+        v: Speed at the start of the piece.
+        a: Acceleration at the start of the piece.
+        jerk: Jerk of the piece.
+        room: Pulses from the start of the piece to the end of the drive.
+    """
     low, high = dd.ZERO, max_time
-    under, over = _overshoot(x, low, v, a, jerk, room), _overshoot(x, high, v, a, jerk, room)
+    under, over = _compute_overshoot(x, low, v, a, jerk, room), _compute_overshoot(x, high, v, a, jerk, room)
     side = 0
     for _ in range(200):
         width = dd.sub(high, low)
         if width[0] <= 1e-31 * high[0] or over[0] == under[0]:
             break
         middle = dd.sub(high, dd.div(dd.mul(over, width), dd.sub(over, under)))
-        off = _overshoot(x, middle, v, a, jerk, room)
+        off = _compute_overshoot(x, middle, v, a, jerk, room)
         if abs(off[0]) <= 1e-28:
             return middle
         if off[0] > 0.0:
             high, over = middle, off
-            under = dd.times(under, 0.5) if side > 0 else under
+            under = dd.scale(under, 0.5) if side > 0 else under
             side = 1
         else:
             low, under = middle, off
-            over = dd.times(over, 0.5) if side < 0 else over
+            over = dd.scale(over, 0.5) if side < 0 else over
             side = -1
     return low
 
 
 @hot
-def to_the_end(x, pulses, goal):
+def plan_fixed_drive(x, pulses, goal):
     """Plan a drive that ends after a number of pulses.
 
     Args:
@@ -311,68 +376,68 @@ def to_the_end(x, pulses, goal):
         pulses: Pulses of the drive from its start, a double-double.
         goal: Drive speed.
     """
-    v, a = pair(x.cursor[SPEED]), pair(x.cursor[RATE])
-    room = dd.sub(pulses, pair(x.cursor[PLACE]))
-    if not dd.less(braking_distance(x, v, a), room):
-        brake(x)
+    v, a = read_pair(x.cursor[CURSOR_SPEED]), read_pair(x.cursor[CURSOR_ACCELERATION])
+    room = dd.sub(pulses, read_pair(x.cursor[CURSOR_PLACE]))
+    if not dd.is_less(compute_braking_distance(x, v, a), room):
+        append_braking(x)
         return
-    n = draft(x, v, a, goal)
+    n = draft_speed_change(x, v, a, goal)
     for k in range(n):
         for part in range(3):
-            put(x.course[k, part], pair(x.piece[k, part]))
+            write_pair(x.stored_draft[k, part], read_pair(x.drafted_pieces[k, part]))
     for k in range(n):
-        duration, a, jerk = pair(x.course[k, DURATION]), pair(x.course[k, FROM]), pair(x.course[k, JERK])
-        if _overshoot(x, duration, v, a, jerk, room)[0] > 0.0:
-            _go(x, _kind(a, jerk), _brake_time(x, duration, v, a, jerk, room), a, jerk)
-            brake(x)
+        duration, a, jerk = _read_drafted(x.stored_draft, k)
+        if _compute_overshoot(x, duration, v, a, jerk, room)[0] > 0.0:
+            _append_piece(x, _find_piece_phase(a, jerk), _find_brake_time(x, duration, v, a, jerk, room), a, jerk)
+            append_braking(x)
             return
-        distance, v = _after(duration, v, a, jerk)
+        distance, v = _integrate_piece(duration, v, a, jerk)
         room = dd.sub(room, distance)
-        _go(x, _kind(a, jerk), duration, a, jerk)
-    put(x.cursor[SPEED], goal)
-    put(x.cursor[RATE], dd.ZERO)
-    _go(x, CONSTANT, dd.div(dd.sub(room, braking_distance(x, goal, dd.ZERO)), goal), dd.ZERO, dd.ZERO)
-    brake(x)
+        _append_piece(x, _find_piece_phase(a, jerk), duration, a, jerk)
+    write_pair(x.cursor[CURSOR_SPEED], goal)
+    write_pair(x.cursor[CURSOR_ACCELERATION], dd.ZERO)
+    _append_piece(x, CONSTANT, dd.div(dd.sub(room, compute_braking_distance(x, goal, dd.ZERO)), goal), dd.ZERO, dd.ZERO)
+    append_braking(x)
 
 
 @hot
-def for_ever(x, goal):
-    """A drive without an end: to the speed `goal`."""
-    change(x, goal)
-    _on(x)
+def plan_endless_drive(x, goal):
+    """Plan a drive without an end, at the speed `goal`."""
+    append_speed_change(x, goal)
+    _append_constant_speed(x)
 
 
 @hot
-def brake_at(x, pulses):
-    """Cut the plan where `pulses` of the drive are done, and brake to the initial speed from there (manual deceleration)."""
+def plan_braking_at(x, pulses):
+    """Cut the plan after a number of pulses of the drive, and brake to the initial speed from there (manual deceleration)."""
     s = x.pieces - 1
     while s > 0 and x.from_pulse[s] + (1 if x.p[s, 0] > 0.0 else 0) > pulses:
         s -= 1
-    distance = dd.sub(dd.from_integer(pulses - x.from_pulse[s]), pair(x.p[s]))
-    v, a2, j6 = pair(x.v[s]), pair(x.a2[s]), pair(x.j6[s])
-    t = (time_in(x, s, distance[0], 1e17), 0.0)
+    distance = dd.sub(dd.from_integer(pulses - x.from_pulse[s]), read_pair(x.p[s]))
+    v, a2, j6 = read_pair(x.v[s]), read_pair(x.a2[s]), read_pair(x.j6[s])
+    t = (compute_time_in_piece(x, s, distance[0], 1e17), 0.0)
     for _ in range(3):
         off = dd.sub(dd.mul(t, dd.add(v, dd.mul(t, dd.add(a2, dd.mul(t, j6))))), distance)
         slope = v[0] + t[0] * (2.0 * a2[0] + 3.0 * t[0] * j6[0])
         if slope > 0.0:
             t = dd.sub(t, dd.div(off, (slope, 0.0)))
-    a = dd.add(dd.times(a2, 2.0), dd.mul(t, dd.mul(j6, (6.0, 0.0))))
-    speed = dd.add(v, dd.mul(t, dd.add(dd.times(a2, 2.0), dd.mul(t, dd.mul(j6, (3.0, 0.0))))))
+    a = dd.add(dd.scale(a2, 2.0), dd.mul(t, dd.mul(j6, (6.0, 0.0))))
+    speed = dd.add(v, dd.mul(t, dd.add(dd.scale(a2, 2.0), dd.mul(t, dd.mul(j6, (3.0, 0.0))))))
     x.pieces = s + 1 if t[0] > 0.0 else s
-    put(x.cursor[T], dd.add(pair(x.t[s]), t))
-    put(x.cursor[PLACE], dd.from_integer(pulses))
-    put(x.cursor[SPEED], speed)
-    put(x.cursor[RATE], a if x.curved else dd.ZERO)
-    brake(x)
+    write_pair(x.cursor[CURSOR_TIME], dd.add(read_pair(x.t[s]), t))
+    write_pair(x.cursor[CURSOR_PLACE], dd.from_integer(pulses))
+    write_pair(x.cursor[CURSOR_SPEED], speed)
+    write_pair(x.cursor[CURSOR_ACCELERATION], a if x.curved else dd.ZERO)
+    append_braking(x)
 
 
 @hot
-def from_here(x, n):
+def begin_plan_at(x, n):
     """Begin a new plan `n` clocks after the origin, with the place, speed and acceleration that the drive has there."""
-    s = piece_at(x, n)
-    t = dd.sub(dd.from_integer(n), pair(x.t[s]))
-    place = dd.add(dd.from_integer(x.from_pulse[s]), exactly(x, s, n))
-    a2, j6 = pair(x.a2[s]), pair(x.j6[s])
-    v = dd.add(pair(x.v[s]), dd.mul(t, dd.add(dd.times(a2, 2.0), dd.mul(t, dd.mul(j6, (3.0, 0.0))))))
-    a = dd.add(dd.times(a2, 2.0), dd.mul(t, dd.mul(j6, (6.0, 0.0))))
-    begin(x, x.origin + n, dd.ZERO, place, v, a if x.curved else dd.ZERO)
+    s = find_piece(x, n)
+    t = dd.sub(dd.from_integer(n), read_pair(x.t[s]))
+    place = dd.add(dd.from_integer(x.from_pulse[s]), compute_exact_place(x, s, n))
+    a2, j6 = read_pair(x.a2[s]), read_pair(x.j6[s])
+    v = dd.add(read_pair(x.v[s]), dd.mul(t, dd.add(dd.scale(a2, 2.0), dd.mul(t, dd.mul(j6, (3.0, 0.0))))))
+    a = dd.add(dd.scale(a2, 2.0), dd.mul(t, dd.mul(j6, (6.0, 0.0))))
+    begin_plan(x, x.origin + n, dd.ZERO, place, v, a if x.curved else dd.ZERO)

@@ -1,7 +1,7 @@
-"""NOVA chips, compiled: position and speed of a drive's profile at a clock, and when its k-th pulse begins.
+"""Position and speed of a NOVA drive at a clock, and the clock at which its k-th pulse begins; compiled.
 
-The k-th pulse begins at the first whole clock at which the ideal position p has reached k. Floats find out as long as p is not
-next to a whole number; there, double-doubles decide. A profile that comes to k within SNAP below it has reached it.
+The k-th pulse begins at the first whole clock at which the ideal position p has reached k. Floats decide as long as p is not
+next to a whole number, double-doubles where it is. A position within PLACE_TOLERANCE below k counts as k.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from stage.chips.nova.motion import double_double as dd
 from stage.chips.nova.state import NEVER
 from stage.native import greatest, hot, least
 
-HZ = 16_000_000  # clocks in what the formulas call a second
-SNAP = 2.0**-50
-GUARD = 1e-6
+CLOCKS_PER_SECOND = 16_000_000  # clocks in what the formulas call a second
+PLACE_TOLERANCE = 2.0**-50
+ROUNDING_GUARD = 1e-6
 
 
 @hot
-def piece_at(x, n):
-    """The piece in force `n` clocks after the origin."""
+def find_piece(x, n):
+    """Return the number of the piece that is in force `n` clocks after the origin."""
     s = 0
     while s + 1 < x.pieces and x.from_clock[s + 1] <= n:
         s += 1
@@ -27,16 +27,16 @@ def piece_at(x, n):
 
 
 @hot
-def exactly(x, s, n):
-    """Compute the place at a clock.
+def compute_exact_place(x, s, n):
+    """Compute the place at a clock with double-doubles.
 
     Args:
         x: State of the axis.
         s: Number of the piece.
-        n: Clock after the origin.
+        n: Clocks after the origin.
 
     Returns:
-        Pulses since the begin of the piece, and the fraction it began with, as a double-double.
+        Pulses beyond the whole pulses at which the piece began, a double-double.
     """
     t = dd.sub(dd.from_integer(n), (x.t[s, 0], x.t[s, 1]))
     r = dd.add((x.a2[s, 0], x.a2[s, 1]), dd.mul(t, (x.j6[s, 0], x.j6[s, 1])))
@@ -45,13 +45,13 @@ def exactly(x, s, n):
 
 
 @hot
-def reached_in(x, s, n):
-    """Count the pulses of the drive that have begun.
+def count_begun_pulses_in(x, s, n):
+    """Count the pulses of the drive that have begun, if the piece is known.
 
     Args:
         x: State of the axis.
         s: Number of the piece.
-        n: Clock after the origin, in this piece.
+        n: Clocks after the origin, in this piece.
 
     Returns:
         Number of pulses.
@@ -60,48 +60,48 @@ def reached_in(x, s, n):
     r = x.p[s, 0] + t * (x.v[s, 0] + t * (x.a2[s, 0] + t * x.j6[s, 0]))
     k = math.floor(r)
     over = r - k
-    guard = GUARD + 1e-14 * abs(r)
+    guard = ROUNDING_GUARD + 1e-14 * abs(r)
     if guard < over < 1.0 - guard:
         return x.from_pulse[s] + int(k)
-    return x.from_pulse[s] + dd.floor(dd.add(exactly(x, s, n), (SNAP, 0.0)))
+    return x.from_pulse[s] + dd.floor(dd.add(compute_exact_place(x, s, n), (PLACE_TOLERANCE, 0.0)))
 
 
 @hot
-def reached(x, n):
-    """Pulses of the drive that have begun `n` clocks after the origin."""
-    return reached_in(x, piece_at(x, n), n)
+def count_begun_pulses(x, n):
+    """Count the pulses of the drive that have begun `n` clocks after the origin."""
+    return count_begun_pulses_in(x, find_piece(x, n), n)
 
 
 @hot
-def speed_at(x, n):
-    """Pulses per clock."""
-    s = piece_at(x, n)
+def compute_speed(x, n):
+    """Compute the speed `n` clocks after the origin, in pulses per clock."""
+    s = find_piece(x, n)
     t = (float(n) - x.t[s, 0]) - x.t[s, 1]
     return greatest(x.v[s, 0] + t * (2.0 * x.a2[s, 0] + 3.0 * t * x.j6[s, 0]), 0.0)
 
 
 @hot
-def acceleration_at(x, n):
-    """Pulses per clock^2, with its sign."""
-    s = piece_at(x, n)
+def compute_acceleration(x, n):
+    """Compute the acceleration `n` clocks after the origin, in pulses per clock squared, with its sign."""
+    s = find_piece(x, n)
     t = (float(n) - x.t[s, 0]) - x.t[s, 1]
     return 2.0 * x.a2[s, 0] + 6.0 * t * x.j6[s, 0]
 
 
 @hot
-def phase_at(x, n):
-    """ACCELERATING, CONSTANT, DECELERATING, ..."""
-    return x.kind[piece_at(x, n)]
+def find_phase(x, n):
+    """Return the phase `n` clocks after the origin: ACCELERATING, CONSTANT, DECELERATING ..."""
+    return x.piece_phase[find_piece(x, n)]
 
 
 @hot
-def time_in(x, s, distance, max_time):
-    """Compute the time in a piece until further pulses are done.
+def compute_time_in_piece(x, s, distance, max_time):
+    """Compute the time in a piece after which the drive has covered a distance.
 
     Args:
         x: State of the axis.
         s: Number of the piece.
-        distance: Pulses from its begin.
+        distance: Pulses from the begin of the piece.
         max_time: Clocks, the largest result.
 
     Returns:
@@ -131,10 +131,16 @@ def time_in(x, s, distance, max_time):
 
 
 @hot
-def _surely(x, s, distance):
-    """The clock after the origin at which `far` pulses of piece `s` are done, if floats can tell it; else -1.
+def _compute_clock_by_floats(x, s, distance):
+    """Compute the clock after the origin at which the drive has covered a distance, if floats are exact enough; else return -1.
 
-    Their error is below 1e-15 of the time, 1e-14 in a ramp; S-curves, and linear ramps close to standstill, are not looked at.
+    Their error is below 1e-15 of the time, in a ramp 1e-14. The function does not attempt S-curves, nor linear ramps near
+    standstill.
+
+    Args:
+        x: State of the axis.
+        s: Number of the piece.
+        distance: Pulses from the begin of the piece.
     """
     v, a2 = x.v[s, 0], x.a2[s, 0]
     if x.j6[s, 0] != 0.0 or v <= 0.0:
@@ -158,7 +164,7 @@ def _surely(x, s, distance):
 
 
 @hot
-def piece_of(x, s, k):
+def find_piece_of_pulse(x, s, k):
     """Find the piece in which a pulse of the drive begins.
 
     Args:
@@ -169,20 +175,20 @@ def piece_of(x, s, k):
     Returns:
         Number of the piece.
     """
-    while s + 1 < x.pieces and reached_in(x, s, x.from_clock[s + 1]) < k:
+    while s + 1 < x.pieces and count_begun_pulses_in(x, s, x.from_clock[s + 1]) < k:
         s += 1
     return s
 
 
 @hot
-def clock_of(x, k):
-    """Clocks after the origin at which the k-th pulse of the drive begins, NEVER if that is centuries ahead."""
-    return clock_in(x, piece_of(x, 0, k), k)
+def find_clock_of_pulse(x, k):
+    """Find the clock after the origin at which the k-th pulse of the drive begins, NEVER if that is centuries ahead."""
+    return find_clock_in_piece(x, find_piece_of_pulse(x, 0, k), k)
 
 
 @hot
-def clock_in(x, s, k):
-    """Compute the clock at which a pulse begins, where its piece is known.
+def find_clock_in_piece(x, s, k):
+    """Find the clock at which a pulse begins, if its piece is known.
 
     Args:
         x: State of the axis.
@@ -193,12 +199,12 @@ def clock_in(x, s, k):
         The clock after the origin.
     """
     distance = float(k - x.from_pulse[s]) - x.p[s, 0]
-    n = _surely(x, s, distance)
+    n = _compute_clock_by_floats(x, s, distance)
     if n >= 0:
         return n
     last = s + 1 == x.pieces
     max_time = 1e17 if last else (x.t[s + 1, 0] - x.t[s, 0]) + (x.t[s + 1, 1] - x.t[s, 1])
-    t = x.t[s, 0] + time_in(x, s, greatest(distance, 0.0), max_time)
+    t = x.t[s, 0] + compute_time_in_piece(x, s, greatest(distance, 0.0), max_time)
     if not t < 1e17:
         return NEVER
     n = int(math.ceil(t))
@@ -206,38 +212,46 @@ def clock_in(x, s, k):
     n = greatest(n, low)
     if not last:
         n = least(n, x.from_clock[s + 1])
-    while n > low and reached_in(x, s, n - 1) >= k:
+    while n > low and count_begun_pulses_in(x, s, n - 1) >= k:
         n -= 1
-    while reached_in(x, s, n) < k:
+    while count_begun_pulses_in(x, s, n) < k:
         n += 1
     return n
 
 
 @hot
-def _fast(x, n, pps):
-    """The current speed as the chip shows it, cut to whole pps, is at least `pps`."""
-    return speed_at(x, n) * HZ + 1e-6 >= pps
+def _is_speed_at_least(x, n, pps):
+    """Return whether the speed that the chip reads, cut to whole pps, is at least `pps` at clock `n` after the origin."""
+    return compute_speed(x, n) * CLOCKS_PER_SECOND + 1e-6 >= pps
 
 
 @hot
-def speed_passes(x, n, pps):
-    """The first clock after `n` at which the speed is no longer below `pps`, or no longer at or above it. NEVER if none.
+def find_speed_crossing(x, n, pps):
+    """Find the first clock at which the speed rises to a value or falls below it.
 
-    Both count from the origin. Within a piece the speed only rises or only falls.
+    Within a piece the speed only rises or only falls.
+
+    Args:
+        x: State of the axis.
+        n: Clocks after the origin at which the search begins.
+        pps: The value.
+
+    Returns:
+        Clocks after the origin, NEVER if there is no such clock.
     """
-    side = _fast(x, n, pps)
-    for s in range(piece_at(x, n) + 1, x.pieces):
+    side = _is_speed_at_least(x, n, pps)
+    for s in range(find_piece(x, n) + 1, x.pieces):
         end = x.from_clock[s]
-        if _fast(x, end - 1, pps) != side:
+        if _is_speed_at_least(x, end - 1, pps) != side:
             low, high = n, end - 1
             while high - low > 1:
                 middle = (low + high) // 2
-                if _fast(x, middle, pps) == side:
+                if _is_speed_at_least(x, middle, pps) == side:
                     low = middle
                 else:
                     high = middle
             return high
-        if _fast(x, end, pps) != side:
+        if _is_speed_at_least(x, end, pps) != side:
             return end
         n = end
     return NEVER

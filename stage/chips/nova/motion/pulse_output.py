@@ -1,4 +1,4 @@
-"""NOVA chips, compiled: the two pins that carry the pulses of an axis, PLS (nPP, nPLS, nPA) and DIR (nPM, nDIR, nPB).
+"""The two pins that carry the pulses of an axis of a NOVA chip, PLS (nPP, nPLS, nPA) and DIR (nPM, nDIR, nPB); compiled.
 
                         PLS                    DIR
     independent         pulses of + drives     pulses of - drives
@@ -13,7 +13,7 @@ pulse goes off; A and B begin a period at a reset.
 
 from __future__ import annotations
 
-from stage.chips.nova.motion.profile import clock_of, speed_at
+from stage.chips.nova.motion.profile import compute_speed, find_clock_of_pulse
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.state import DIR, MCX514_TYPE, PLS
@@ -28,40 +28,41 @@ MAX_PULSE_CLOCKS = float(1 << 40)
 
 
 @hot
-def half_period(rate):
-    """Return for how many clocks a pulse is on that begins at `rate` pulses a clock."""
+def compute_pulse_width(rate):
+    """Return the number of clocks for which a pulse is on that begins at `rate` pulses per clock."""
     return greatest(1, int(least(0.5 / rate, MAX_PULSE_CLOCKS))) if rate > 0.0 else 1
 
 
 @hot
-def pulse_end(x):
-    """Return the clock at which the pulse that began last goes off, or went off."""
-    if not x.driving or x.done <= x.from_pulse[0]:
-        return x.high
-    n = clock_of(x, x.done)
-    return x.origin + n + half_period(speed_at(x, n))
+def find_pulse_end(x):
+    """Return the clock at which the last pulse goes off or has gone off."""
+    if not x.driving or x.pulses_done <= x.from_pulse[0]:
+        return x.pulse_off_clock
+    n = find_clock_of_pulse(x, x.pulses_done)
+    return x.origin + n + compute_pulse_width(compute_speed(x, n))
 
 
 @hot
-def keep_pulse(x):
-    """Note when the present pulse goes off, before the plan that tells it is given up."""
-    x.high = pulse_end(x)
+def store_pulse_end(x):
+    """Store the clock at which the present pulse goes off, before the plan that contains it is replaced."""
+    x.pulse_off_clock = find_pulse_end(x)
 
 
 @hot
-def _mode(c, x):
+def _read_output_mode(c, x):
+    """Return the pulse output mode, INDEPENDENT to QUADRATURE_X2."""
     return x.wr[3] >> DPMD & 3 if c.variant == MCX514_TYPE else x.wr[2] >> PLSMD & 1
 
 
 @hot
-def _exchange(c, x, word):
-    """Return what the pins show of PLS and DIR: the same, or the one in place of the other."""
+def _exchange_pins(c, x, word):
+    """Exchange PLS and DIR in a word of output pins if the mode registers say so."""
     inverts = x.wr[3] & DPINV if c.variant == MCX514_TYPE else x.wr[3] & POINV and not c.extended
     return (PLS if word & DIR else 0) | (DIR if word & PLS else 0) if inverts else word
 
 
 @hot
-def levels(c, x, on):
+def compute_pulse_pins(c, x, on):
     """Compute the levels of PLS and DIR.
 
     Args:
@@ -70,28 +71,28 @@ def levels(c, x, on):
         on: Whether a pulse is on.
 
     Returns:
-        Bits of PLS and DIR, set where the pin is high.
+        Bits of PLS and DIR, set if the pin is high.
     """
-    mode, low = _mode(c, x), x.wr[3] & DP_L if c.variant == MCX514_TYPE else x.wr[2] & PLS_L
+    mode, low = _read_output_mode(c, x), x.wr[3] & DP_L if c.variant == MCX514_TYPE else x.wr[2] & PLS_L
     word = 0
     if mode == INDEPENDENT:
-        word = (DIR if x.way < 0 else PLS) if on else 0
+        word = (DIR if x.direction < 0 else PLS) if on else 0
     elif mode == PULSE_AND_DIRECTION:
         word = PLS if on else 0
     else:
         edge = x.net - x.net_at_reset
         if mode == QUADRATURE_X2:
-            edge = 2 * edge - (x.way if on else 0)
+            edge = 2 * edge - (x.direction if on else 0)
         word = (PLS if edge + 1 & 2 else 0) | (DIR if edge & 2 else 0)
     if low:
         word ^= PLS if mode == PULSE_AND_DIRECTION else PLS | DIR
     if mode == PULSE_AND_DIRECTION:
         plus_is_high = x.wr[3] & DIR_L_514 if c.variant == MCX514_TYPE else x.wr[2] & DIR_L_304
-        word |= DIR if (x.way < 0) != (plus_is_high != 0) else 0
-    return _exchange(c, x, word)
+        word |= DIR if (x.direction < 0) != (plus_is_high != 0) else 0
+    return _exchange_pins(c, x, word)
 
 
 @hot
-def resting_levels(c, x):
-    """Return what of PLS and DIR changes without a pulse."""
-    return 0 if _mode(c, x) >= QUADRATURE_X4 else levels(c, x, 0)
+def compute_resting_pins(c, x):
+    """Compute the levels of PLS and DIR without pulses; 0 in the quadrature modes, where only pulses change them."""
+    return 0 if _read_output_mode(c, x) >= QUADRATURE_X4 else compute_pulse_pins(c, x, 0)

@@ -1,98 +1,122 @@
-"""NOVA chips, compiled: speeds, accelerations and jerks, from registers and back."""
+"""Conversion of speeds, accelerations and jerks between registers of the NOVA chips and plans; compiled."""
 
 from __future__ import annotations
 
 from stage.chips.nova import state
 from stage.chips.nova.motion import double_double as dd
-from stage.chips.nova.motion.planner import put
-from stage.chips.nova.motion.profile import HZ, acceleration_at, speed_at
+from stage.chips.nova.motion.planner import write_pair
+from stage.chips.nova.motion.profile import CLOCKS_PER_SECOND, compute_acceleration, compute_speed
 from stage.native import greatest, hot, least
 
 RANGE = 8_000_000
 
 
 @hot
-def runs(x):
-    """The profile of the axis is in force: it drives, or is the main axis of an interpolation."""
+def has_profile(x):
+    """Return whether the profile of the axis is in force: it drives, or is the main axis of an interpolation."""
     return x.driving or x.interpolates == state.MAIN
 
 
 @hot
-def _ratio(a, b):
+def _divide_integers(a, b):
+    """Return the quotient of two integers as a double-double."""
     return dd.div(dd.from_integer(a), dd.from_integer(b))
 
 
 @hot
-def speed(c, x, value):
-    """A speed parameter in pulses per clock. What is out of range counts as the range's end: two pulses never begin at once."""
+def convert_speed(c, x, value):
+    """Convert a speed parameter to pulses per clock.
+
+    A value beyond its range counts as the end of the range, so that two pulses never begin at once.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        value: Value of the parameter.
+    """
     if c.variant == state.MCX514_TYPE:
-        return _ratio(least(greatest(value, 1), RANGE), HZ)
+        return _divide_integers(least(greatest(value, 1), RANGE), CLOCKS_PER_SECOND)
     fastest = RANGE // 1000
-    return dd.div(dd.from_integer(least(greatest(value, 1), fastest) * RANGE), dd.from_integer(HZ * _range(x)))
-
-
-@hot
-def _range(x):
-    """R in its range: multiples 1 to 500."""
-    return least(greatest(x.reg[state.R], RANGE // 500), RANGE)
-
-
-@hot
-def _rate(c, x, value):
-    """An acceleration parameter in pulses per clock^2."""
-    if c.variant == state.MCX514_TYPE:
-        return dd.div(_ratio(greatest(value, 1), HZ), dd.from_integer(HZ))
     return dd.div(
-        dd.div(dd.from_integer(125 * greatest(value, 1) * RANGE), dd.from_integer(HZ * _range(x))), dd.from_integer(HZ)
+        dd.from_integer(least(greatest(value, 1), fastest) * RANGE), dd.from_integer(CLOCKS_PER_SECOND * _clip_range(x))
     )
 
 
 @hot
-def _jerk(c, x, value):
-    """A jerk parameter in pulses per clock^3."""
-    if c.variant == state.MCX514_TYPE:
-        return dd.div(dd.div(_ratio(greatest(value, 1), HZ), dd.from_integer(HZ)), dd.from_integer(HZ))
-    up = dd.div(dd.from_integer(62_500_000 * RANGE), dd.from_integer(greatest(value, 1) * _range(x)))
-    return dd.div(dd.div(dd.div(up, dd.from_integer(HZ)), dd.from_integer(HZ)), dd.from_integer(HZ))
+def _clip_range(x):
+    """Return the register R, limited to its range: multiples 1 to 500."""
+    return least(greatest(x.reg[state.R], RANGE // 500), RANGE)
 
 
 @hot
-def speed_reading(c, x):
-    """CV: the current speed in the unit of the speed parameters."""
-    if not runs(x):
+def _convert_acceleration(c, x, value):
+    """Convert an acceleration parameter to pulses per clock squared."""
+    if c.variant == state.MCX514_TYPE:
+        return dd.div(_divide_integers(greatest(value, 1), CLOCKS_PER_SECOND), dd.from_integer(CLOCKS_PER_SECOND))
+    return dd.div(
+        dd.div(dd.from_integer(125 * greatest(value, 1) * RANGE), dd.from_integer(CLOCKS_PER_SECOND * _clip_range(x))),
+        dd.from_integer(CLOCKS_PER_SECOND),
+    )
+
+
+@hot
+def _convert_jerk(c, x, value):
+    """Convert a jerk parameter to pulses per clock cubed."""
+    if c.variant == state.MCX514_TYPE:
+        return dd.div(
+            dd.div(_divide_integers(greatest(value, 1), CLOCKS_PER_SECOND), dd.from_integer(CLOCKS_PER_SECOND)),
+            dd.from_integer(CLOCKS_PER_SECOND),
+        )
+    up = dd.div(dd.from_integer(62_500_000 * RANGE), dd.from_integer(greatest(value, 1) * _clip_range(x)))
+    return dd.div(
+        dd.div(dd.div(up, dd.from_integer(CLOCKS_PER_SECOND)), dd.from_integer(CLOCKS_PER_SECOND)),
+        dd.from_integer(CLOCKS_PER_SECOND),
+    )
+
+
+@hot
+def read_speed(c, x):
+    """Return what CV reads: the present speed in the unit of the speed parameters."""
+    if not has_profile(x):
         return 0
-    v = speed_at(x, c.clock - x.origin) * HZ
+    v = compute_speed(x, c.clock - x.origin) * CLOCKS_PER_SECOND
     if c.variant != state.MCX514_TYPE:
-        v *= _range(x) / RANGE
+        v *= _clip_range(x) / RANGE
     return int(v + 1e-6)
 
 
 @hot
-def rate_reading(c, x):
-    """CA: the current acceleration or deceleration in the unit of its parameter; without a sign."""
-    if not runs(x):
+def read_acceleration(c, x):
+    """Return what CA reads: the magnitude of the present acceleration in the unit of its parameter."""
+    if not has_profile(x):
         return 0
-    a = abs(acceleration_at(x, c.clock - x.origin)) * HZ * HZ
+    a = abs(compute_acceleration(x, c.clock - x.origin)) * CLOCKS_PER_SECOND * CLOCKS_PER_SECOND
     if c.variant != state.MCX514_TYPE:
-        a *= _range(x) / RANGE / 125.0
+        a *= _clip_range(x) / RANGE / 125.0
     return int(a + 1e-6)
 
 
 @hot
-def take_speed(c, x, value):
-    """The drive speed as it is now; HV in the slow steps of a home search."""
-    put(x.dv, speed(c, x, x.reg[state.HV] if x.creeps else value))
+def load_drive_speed(c, x, value):
+    """Set the drive speed of the plan; HV replaces the value during the slow steps of a home search.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        value: Value of DV or V.
+    """
+    write_pair(x.dv, convert_speed(c, x, x.reg[state.HV] if x.drives_at_hv else value))
 
 
 @hot
-def take_rates(c, x):
-    """Initial speed, accelerations and jerks, at the start of a drive."""
-    put(x.sv, speed(c, x, x.reg[state.SV]))
-    put(x.up, _rate(c, x, x.reg[state.AC]))
-    put(x.down, _rate(c, x, x.reg[state.DC] if x.asymmetric else x.reg[state.AC]))
+def load_rates(c, x):
+    """Set the initial speed, accelerations and jerks of the plan from the registers, at the start of a drive."""
+    write_pair(x.sv, convert_speed(c, x, x.reg[state.SV]))
+    write_pair(x.acceleration, _convert_acceleration(c, x, x.reg[state.AC]))
+    write_pair(x.deceleration, _convert_acceleration(c, x, x.reg[state.DC] if x.asymmetric else x.reg[state.AC]))
     jerk = x.reg[state.JK] if c.variant == state.MCX514_TYPE else x.reg[state.K]
     other = x.reg[state.DJ] if c.variant == state.MCX514_TYPE else x.reg[state.L] if c.has_l else jerk
-    put(x.up_jerk, _jerk(c, x, jerk))
-    put(x.down_jerk, _jerk(c, x, other if x.asymmetric else jerk))
+    write_pair(x.acceleration_jerk, _convert_jerk(c, x, jerk))
+    write_pair(x.deceleration_jerk, _convert_jerk(c, x, other if x.asymmetric else jerk))
     x.curved = x.s_curve
-    put(x.finest, _rate(c, x, 1) if c.errata and x.fixed else dd.ZERO)
+    write_pair(x.min_visible_acceleration, _convert_acceleration(c, x, 1) if c.errata and x.fixed else dd.ZERO)

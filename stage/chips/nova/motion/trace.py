@@ -1,86 +1,106 @@
-"""NOVA chips, compiled: the pulses of drives in the order of their clocks, for a trace; the changes of an axis, for waveforms.
+"""The pulses of NOVA drives in the order of their clocks, for traces, and the changes of an axis, for waveforms; compiled.
 
-At a constant speed of a whole number of pps the next pulse is HZ / pps clocks later: that is counted in whole numbers, as in
-Bresenham's line. `rest` is what the position at the clock of a pulse is ahead of it, in pulses / HZ, rounded down; where that has
-become less than nothing, the pulse is a clock later. So it falls where profile.py would find it.
+At a constant speed of a whole number of pulses per second the pulses are evenly spaced, CLOCKS_PER_SECOND / pps clocks apart,
+which integers count exactly as Bresenham's algorithm does: `even_rest` is the distance by which the position at the clock of a
+pulse exceeds its number, in pulses / CLOCKS_PER_SECOND, rounded down. If it falls below 0 the pulse comes one clock later. So
+each pulse has the clock that profile.py would compute.
 """
 
 from __future__ import annotations
 
 from stage.chips.nova.motion import double_double as dd
-from stage.chips.nova.motion.profile import HZ, SNAP, clock_in, clock_of, exactly, piece_at, piece_of
+from stage.chips.nova.motion.profile import (
+    CLOCKS_PER_SECOND,
+    PLACE_TOLERANCE,
+    compute_exact_place,
+    find_clock_in_piece,
+    find_clock_of_pulse,
+    find_piece,
+    find_piece_of_pulse,
+)
 from stage.chips.nova.state import CONSTANT, LP, NEVER
 from stage.native import greatest, hot, least
 
-UNEVEN = -1  # in place of pps: not a whole number, or a ramp
-STEPS_OF_RAMP = 128  # of its rate, in a piece
-ROOM = 8
-LONG = 1 << 38  # clocks; times pps it fits 63 bits
+NOT_EVEN = -1  # in place of pps: not a whole number, or a ramp
+RATE_STEPS_PER_PIECE = 128  # of its rate, in a piece
+EDGE_MARGIN = 8
+MAX_TRAIN_CLOCKS = 1 << 38  # clocks; times pps it fits 63 bits
 
 
 @hot
-def log(c, until, out, first, k):
-    """Log the pulses that the drives in progress begin, by clock, then axis.
+def log_pulses(c, until, out, first, k):
+    """Log the pulses of all drives in progress, ordered by clock, then by axis.
 
     Args:
         c: State of the chip.
         until: Clock at the end.
-        out: PULSE records.
-        first: First of the records that are in use.
-        k: Next free record.
+        out: PULSE records to fill.
+        first: Number of the first record of this stretch of time; other functions may have filled some.
+        k: Number of the next free record.
 
     Returns:
-        The next free record.
+        The number of the next free record.
     """
     begin = k
     for j in range(c.axes):
         x = c.ax[j]
-        _look_back(x)
+        _clear_prediction(x)
         if x.driving and not x.interpolates:
-            _foresee(x, 1)
+            _predict_pulse(x, 1)
     while k < len(out):
         a = 0
         for j in range(1, c.axes):
-            if c.ax[j].due < c.ax[a].due:
+            if c.ax[j].next_pulse_clock < c.ax[a].next_pulse_clock:
                 a = j
         x = c.ax[a]
-        if x.due > until:
+        if x.next_pulse_clock > until:
             break
-        if x.pps > 0:
+        if x.even_pps > 0:
             stop = until
             for j in range(c.axes):
                 if j != a:
-                    stop = least(stop, c.ax[j].due - (1 if j < a else 0))
-            k = _train(x, a, stop, out, k)
+                    stop = least(stop, c.ax[j].next_pulse_clock - (1 if j < a else 0))
+            k = _log_even_pulses(x, a, stop, out, k)
         else:
-            out[k].clock, out[k].axis, out[k].direction = x.due, a, x.way
+            out[k].clock, out[k].axis, out[k].direction = x.next_pulse_clock, a, x.direction
             k += 1
-            _foresee(x, 1)
+            _predict_pulse(x, 1)
     for j in range(c.axes):
-        _look_back(c.ax[j])
-        c.ax[j].due = 0
-    _merge(out, first, begin, k)
+        _clear_prediction(c.ax[j])
+        c.ax[j].next_pulse_clock = 0
+    _merge_by_clock(out, first, begin, k)
     return k
 
 
 @hot
-def _look_back(x):
-    """No pulse is foreseen."""
-    x.ahead = x.at = x.pps = x.rest = 0
-    x.due = NEVER
+def _clear_prediction(x):
+    """Clear the predicted next pulse of an axis."""
+    x.logged_pulses = x.next_pulse_piece = x.even_pps = x.even_rest = 0
+    x.next_pulse_clock = NEVER
 
 
 @hot
-def _train(x, a, until, out, k):
-    """Log the pulses of axis `a` from the one that is due up to `until`, as far as they come evenly. Returns the next k."""
-    due, rest, pps, direction = x.due, x.rest, x.pps, x.way
-    last = x.origin + x.from_clock[x.at + 1] if x.at + 1 < x.pieces else NEVER
-    n = 1 + (pps * least(least(until, last) - due, LONG) + rest) // HZ
+def _log_even_pulses(x, a, until, out, k):
+    """Log the evenly spaced pulses of one axis.
+
+    Args:
+        x: State of the axis.
+        a: Number of the axis.
+        until: Clock at the end.
+        out: PULSE records to fill.
+        k: Number of the next free record.
+
+    Returns:
+        The number of the next free record.
+    """
+    due, rest, pps, direction = x.next_pulse_clock, x.even_rest, x.even_pps, x.direction
+    last = x.origin + x.from_clock[x.next_pulse_piece + 1] if x.next_pulse_piece + 1 < x.pieces else NEVER
+    n = 1 + (pps * least(least(until, last) - due, MAX_TRAIN_CLOCKS) + rest) // CLOCKS_PER_SECOND
     n = least(n, len(out) - k)
     if x.fixed:
-        n = least(n, x.output - x.done - x.ahead + 1)
-    period = HZ // pps
-    part = HZ - period * pps
+        n = least(n, x.output_pulses - x.pulses_done - x.logged_pulses + 1)
+    period = CLOCKS_PER_SECOND // pps
+    part = CLOCKS_PER_SECOND - period * pps
     for i in range(k, k + n):
         e = out[i]
         e.clock, e.axis, e.direction = due, a, direction
@@ -89,51 +109,60 @@ def _train(x, a, until, out, k):
         if rest < 0:
             rest += pps
             due += 1
-    if due > last or (x.fixed and x.done + x.ahead + n > x.output):
-        _foresee(x, n)
+    if due > last or (x.fixed and x.pulses_done + x.logged_pulses + n > x.output_pulses):
+        _predict_pulse(x, n)
     else:
-        x.ahead, x.due, x.rest = x.ahead + n, due, rest
+        x.logged_pulses, x.next_pulse_clock, x.even_rest = x.logged_pulses + n, due, rest
     return k + n
 
 
 @hot
-def _foresee(x, n):
-    """The clock of the pulse `n` further ahead, NEVER if the drive is over then."""
-    x.ahead += n
-    x.due = NEVER
-    k = x.done + x.ahead
-    if x.fixed and k > x.output:
+def _predict_pulse(x, n):
+    """Predict the clock of the pulse that is `n` pulses ahead; NEVER if the drive ends before it."""
+    x.logged_pulses += n
+    x.next_pulse_clock = NEVER
+    k = x.pulses_done + x.logged_pulses
+    if x.fixed and k > x.output_pulses:
         return
-    s = x.at
+    s = x.next_pulse_piece
     if s + 1 < x.pieces:
-        x.at = piece_of(x, s, k)
-    clock = clock_in(x, x.at, k)
-    x.due = x.origin + clock
-    if x.at != s or x.pps != UNEVEN:
-        _even(x, x.at, k, clock)
+        x.next_pulse_piece = find_piece_of_pulse(x, s, k)
+    clock = find_clock_in_piece(x, x.next_pulse_piece, k)
+    x.next_pulse_clock = x.origin + clock
+    if x.next_pulse_piece != s or x.even_pps != NOT_EVEN:
+        _find_even_spacing(x, x.next_pulse_piece, k, clock)
 
 
 @hot
-def _even(x, s, k, clock):
-    """Set `pps` and `rest` if the pulses of piece `s` come evenly from the k-th on, which begins at this clock."""
-    x.pps = UNEVEN
+def _find_even_spacing(x, s, k, clock):
+    """Set `even_pps` and `even_rest` if the pulses of a piece are evenly spaced from a pulse on.
+
+    Args:
+        x: State of the axis.
+        s: Number of the piece.
+        k: Number of the pulse.
+        clock: Clocks after the origin at which it begins.
+    """
+    x.even_pps = NOT_EVEN
     if x.a2[s, 0] != 0.0 or x.j6[s, 0] != 0.0 or clock >= NEVER:
         return
-    hz = dd.from_integer(HZ)
+    hz = dd.from_integer(CLOCKS_PER_SECOND)
     speed = dd.mul((x.v[s, 0], x.v[s, 1]), hz)
     pps = dd.floor(dd.add(speed, (0.5, 0.0)))
     if pps < 1 or abs(dd.sub(speed, dd.from_integer(pps))[0]) > 1e-29 * pps:
         return
-    over = dd.add(dd.sub(exactly(x, s, clock), dd.from_integer(k - x.from_pulse[s])), (SNAP, 0.0))
+    over = dd.add(
+        dd.sub(compute_exact_place(x, s, clock), dd.from_integer(k - x.from_pulse[s])), (PLACE_TOLERANCE, 0.0)
+    )
     rest = dd.floor(dd.mul(over, hz))
-    x.pps = 0
+    x.even_pps = 0
     if 0 <= rest < pps:
-        x.pps, x.rest = pps, rest
+        x.even_pps, x.even_rest = pps, rest
 
 
 @hot
-def _merge(out, first, middle, end):
-    """Put out[middle:end], in order, among out[first:middle], in order: by clock, then axis."""
+def _merge_by_clock(out, first, middle, end):
+    """Merge the records from `middle` to `end` into those from `first` to `middle`. Both parts are ordered by clock, then axis."""
     if first == middle or middle == end:
         return
     for k in range(middle, end):
@@ -151,7 +180,7 @@ def write_edge(c, j, out, k, word, rate):
 
     Args:
         c: State of the chip.
-        j: Axis.
+        j: Number of the axis.
         out: EDGE records.
         k: Number of the record.
         word: Output pins.
@@ -167,23 +196,23 @@ def write_edge(c, j, out, k, word, rate):
 
 
 @hot
-def _next_step(x, n):
-    """The clock after the origin at which the rate of a ramp takes its next step."""
-    s = piece_at(x, n)
-    if x.kind[s] == CONSTANT or s + 1 >= x.pieces:
+def _find_next_rate_step(x, n):
+    """Find the clock after the origin at which the rate of a ramp, shown as steps, takes its next step."""
+    s = find_piece(x, n)
+    if x.piece_phase[s] == CONSTANT or s + 1 >= x.pieces:
         return 1 << 60
     begin = x.from_clock[s]
-    step = greatest(1, (x.from_clock[s + 1] - begin) // STEPS_OF_RAMP)
+    step = greatest(1, (x.from_clock[s + 1] - begin) // RATE_STEPS_PER_PIECE)
     return begin + ((n - begin) // step + 1) * step
 
 
 @hot
-def stop_at(c, j, every_pulse, pulse_end, until):
-    """Compute how far the chip can run so that no change of an axis is missed. A ramp shows as steps of its rate.
+def find_scan_stop(c, j, every_pulse, pulse_end, until):
+    """Find the clock up to which a scan can run without missing a change of an axis. A ramp counts as steps of its rate.
 
     Args:
         c: State of the chip.
-        j: Axis.
+        j: Number of the axis.
         every_pulse: Include the edges of the pulse output.
         pulse_end: Clock at which the present pulse goes off.
         until: Clock at the end.
@@ -195,7 +224,7 @@ def stop_at(c, j, every_pulse, pulse_end, until):
     if every_pulse and pulse_end > c.clock:
         until = least(until, pulse_end)
     if x.driving:
-        until = least(until, x.origin + _next_step(x, c.clock - x.origin))
-        if every_pulse and not (x.fixed and x.done >= x.output):
-            until = least(until, x.origin + clock_of(x, x.done + 1))
+        until = least(until, x.origin + _find_next_rate_step(x, c.clock - x.origin))
+        if every_pulse and not (x.fixed and x.pulses_done >= x.output_pulses):
+            until = least(until, x.origin + find_clock_of_pulse(x, x.pulses_done + 1))
     return until

@@ -16,17 +16,17 @@ Values = tuple[str, ...] | Mapping[int, str]
 """What the values of a field say: from 0 on, or by value."""
 
 
-def times(us: Iterable[int]) -> tuple[str, ...]:
+def format_times(us: Iterable[int]) -> tuple[str, ...]:
     """Microseconds in words."""
     return tuple(f"{t // 1000} ms" if t >= 1000 and t % 1000 == 0 else f"{t} us" for t in us)
 
 
-def axis_names(axes: int) -> str:
+def name_axes(axes: int) -> str:
     """Axes of a chip, bit 0 for X, by name."""
     return " ".join(a for k, a in enumerate(AXES) if axes >> k & 1)
 
 
-def bit(name: str, number: int, meaning: str, evidence: str = "C", values: Values = (), note: str = "",
+def make_bit(name: str, number: int, meaning: str, evidence: str = "C", values: Values = (), note: str = "",
         only: int | None = None) -> Field:  # fmt: skip
     """Return a field of one bit.
 
@@ -39,10 +39,10 @@ def bit(name: str, number: int, meaning: str, evidence: str = "C", values: Value
         note: Further text.
         only: The one axis on which it acts.
     """
-    return bits(name, number, number, meaning, evidence, values=values, note=note, only=only)
+    return make_bits(name, number, number, meaning, evidence, values=values, note=note, only=only)
 
 
-def bits(
+def make_bits(
     name: str, high: int, low: int, meaning: str, evidence: str = "C", legal: Range = None, values: Values = (), note: str = "",
     listed: bool = True, only: int | None = None,
 ) -> Field:  # fmt: skip
@@ -77,7 +77,7 @@ def bits(
     )
 
 
-def axis_bits(name: str, low: int, axes: int, says: str, evidence: str = "C") -> Field:
+def make_axis_bits(name: str, low: int, axes: int, says: str, evidence: str = "C") -> Field:
     """Return a field with a bit for each axis, X first.
 
     Args:
@@ -87,12 +87,12 @@ def axis_bits(name: str, low: int, axes: int, says: str, evidence: str = "C") ->
         says: Meaning of axes whose bits are 1, behind their names.
         evidence: Letter of EVIDENCE.
     """
-    values = {v: (axis_names(v) or "no axis") + says for v in range(1 << axes)}
+    values = {v: (name_axes(v) or "no axis") + says for v in range(1 << axes)}
     note = f"{', '.join(AXES[:axes])}{says}"
-    return bits(name, low + axes - 1, low, "", evidence, values=values, note=note, listed=False)
+    return make_bits(name, low + axes - 1, low, "", evidence, values=values, note=note, listed=False)
 
 
-def word(name: str, title: str, *fields: Field | Iterable[Field], access: str = "", note: str = "") -> Word:
+def make_word(name: str, title: str, *fields: Field | Iterable[Field], access: str = "", note: str = "") -> Word:
     """Return a word of 16 bits.
 
     Args:
@@ -110,10 +110,10 @@ def word(name: str, title: str, *fields: Field | Iterable[Field], access: str = 
 
 
 DATA_WRITTEN = (
-    word("WR6", "data, low word", bits("WD", 15, 0, "bits 15 to 0 of the next command's data")),
-    word("WR7", "data, high word", bits("WD", 15, 0, "bits 31 to 16 of the next command's data")),
+    make_word("WR6", "data, low word", make_bits("WD", 15, 0, "bits 15 to 0 of the next command's data")),
+    make_word("WR7", "data, high word", make_bits("WD", 15, 0, "bits 31 to 16 of the next command's data")),
 )
 DATA_READ = (
-    word("RR6", "data, low word", bits("RD", 15, 0, "bits 15 to 0 of what a command read")),
-    word("RR7", "data, high word", bits("RD", 15, 0, "bits 31 to 16 of what a command read")),
+    make_word("RR6", "data, low word", make_bits("RD", 15, 0, "bits 15 to 0 of what a command read")),
+    make_word("RR7", "data, high word", make_bits("RD", 15, 0, "bits 31 to 16 of what a command read")),
 )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from stage.chips.nova.registers.words514 import modes, words
+from stage.chips.nova.registers.words514 import list_modes, list_words
 from stage.chips.register_map import Command, Field, Register, RegisterMap, reads, writes
 
 JERK, RATE, SPEED = (1, 1_073_741_823), (1, 536_870_911), (1, 8_000_000)
@@ -16,7 +16,7 @@ POINT = (-1_073_741_823, 1_073_741_823)
 """Legal range of TP in interpolation, and of CP."""
 CONTINUOUS_SPEED = 4_000_000
 """Highest drive speed in continuous interpolation, pps."""
-OFF = 0xFFFF_FFFF
+NO_MAXIMUM = 0xFFFF_FFFF
 """LX, RX: no ring."""
 READ_CODES = {
     "LP": 0x30, "RP": 0x31, "MR0": 0x34, "MR1": 0x35, "MR2": 0x36, "MR3": 0x37, "TX": 0x39, "HLV": 0x3B, "MRM": 0x40,
@@ -27,7 +27,7 @@ NO_AXIS = ("TX", "HLN", "HLV", "CHLN", "IPM", "UI")
 """Registers of the chip, not of an axis: their commands carry no axis bits."""
 
 
-def _parameter(
+def _make_parameter(
     code: int, name: str, title: str, legal: tuple[int, int] | None = None, unit: str = "", reset: int = 0, bits: int = 32,
     evidence: str = "C", signed: bool = False, also: tuple[int, ...] = (), fields: tuple[Field, ...] = (),
     note: str = "", section: str = "",
@@ -43,36 +43,36 @@ _SPLIT = (
     Field("CYCLE", 15, 0, "cycle length", "C", legal=(2, 65535), note="2 to 65535 drive pulses"),
 )
 PARAMETERS = (
-    _parameter(0x00, "JK", "jerk", JERK, "pps/s2", 1),
-    _parameter(0x01, "DJ", "deceleration increasing rate", JERK, "pps/s2", 1, note="used with DSNDE"),
-    _parameter(0x02, "AC", "acceleration", RATE, "pps/s", 1),
-    _parameter(0x03, "DC", "deceleration", RATE, "pps/s", 1, note="used with DSNDE"),
-    _parameter(0x04, "SV", "initial speed", SPEED, "pps", 1),
-    _parameter(0x05, "DV", "drive speed", SPEED, "pps", 1, note="can be changed while driving"),
-    _parameter(0x06, "TP", "drive pulse number", (-2_147_483_646, 2_147_483_646), "pulses", evidence="S", signed=True,
+    _make_parameter(0x00, "JK", "jerk", JERK, "pps/s2", 1),
+    _make_parameter(0x01, "DJ", "deceleration increasing rate", JERK, "pps/s2", 1, note="used with DSNDE"),
+    _make_parameter(0x02, "AC", "acceleration", RATE, "pps/s", 1),
+    _make_parameter(0x03, "DC", "deceleration", RATE, "pps/s", 1, note="used with DSNDE"),
+    _make_parameter(0x04, "SV", "initial speed", SPEED, "pps", 1),
+    _make_parameter(0x05, "DV", "drive speed", SPEED, "pps", 1, note="can be changed while driving"),
+    _make_parameter(0x06, "TP", "drive pulse number", (-2_147_483_646, 2_147_483_646), "pulses", evidence="S", signed=True,
                note=f"or finish point (interpolation: {POINT[0]} to {POINT[1]}), or bit pattern; the other way stops a drive [I]",
                section="7.2.7"),
-    _parameter(0x07, "DP", "manual deceleration point", (0, 4_294_967_292), "pulses", evidence="S", note="used with MANLD",
+    _make_parameter(0x07, "DP", "manual deceleration point", (0, 4_294_967_292), "pulses", evidence="S", note="used with MANLD",
                section="7.2.8"),
-    _parameter(0x08, "CP", "circular center", POINT, "pulses", signed=True, note="relative"),
-    _parameter(0x09, "LP", "logical position counter", None, "pulses", signed=True),
-    _parameter(0x0A, "RP", "real position counter", None, "pulses", signed=True),
-    _parameter(0x0B, "SP", "software limit +", None, "pulses", signed=True),
-    _parameter(0x0C, "SM", "software limit -", None, "pulses", signed=True),
-    _parameter(0x0D, "AO", "acceleration counter offset", (-32768, 32767), "pulses", bits=16, signed=True),
-    _parameter(0x0E, "LX", "LP maximum of the ring", (1, 2_147_483_647), "pulses", OFF, also=(OFF,),
+    _make_parameter(0x08, "CP", "circular center", POINT, "pulses", signed=True, note="relative"),
+    _make_parameter(0x09, "LP", "logical position counter", None, "pulses", signed=True),
+    _make_parameter(0x0A, "RP", "real position counter", None, "pulses", signed=True),
+    _make_parameter(0x0B, "SP", "software limit +", None, "pulses", signed=True),
+    _make_parameter(0x0C, "SM", "software limit -", None, "pulses", signed=True),
+    _make_parameter(0x0D, "AO", "acceleration counter offset", (-32768, 32767), "pulses", bits=16, signed=True),
+    _make_parameter(0x0E, "LX", "LP maximum of the ring", (1, 2_147_483_647), "pulses", NO_MAXIMUM, also=(NO_MAXIMUM,),
                note="FFFFFFFFh: no ring"),
-    _parameter(0x0F, "RX", "RP maximum of the ring", (1, 2_147_483_647), "pulses", OFF, also=(OFF,),
+    _make_parameter(0x0F, "RX", "RP maximum of the ring", (1, 2_147_483_647), "pulses", NO_MAXIMUM, also=(NO_MAXIMUM,),
                note="FFFFFFFFh: no ring"),
-    *(_parameter(0x10 + m, f"MR{m}", f"multi-purpose register {m}", signed=True) for m in range(4)),
-    _parameter(0x14, "HV", "home search speed", SPEED, "pps", 1),
-    _parameter(0x15, "IV", "speed increasing / decreasing value", (1, 1_000_000), "pps", 1),
-    _parameter(0x16, "TM", "timer value", (1, 2_147_483_647), "us", 1, note="at 16 MHz"),
-    _parameter(0x17, "SP1", "split pulse cycle and width", None, "pulses", 0x0001_0002, fields=_SPLIT),
-    _parameter(0x18, "SP2", "split pulse count", (0, 65535), bits=16, note="0: endless"),
-    _parameter(0x19, "TX", "maximum finish point of interpolation", (1, 1_073_741_823), "pulses", 1, evidence="D"),
-    _parameter(0x1A, "HLN", "helical rotation number", (0, 65535), bits=16),
-    _parameter(0x1B, "HLV", "helical calculation value", (1, 2_147_483_646), reset=1,
+    *(_make_parameter(0x10 + m, f"MR{m}", f"multi-purpose register {m}", signed=True) for m in range(4)),
+    _make_parameter(0x14, "HV", "home search speed", SPEED, "pps", 1),
+    _make_parameter(0x15, "IV", "speed increasing / decreasing value", (1, 1_000_000), "pps", 1),
+    _make_parameter(0x16, "TM", "timer value", (1, 2_147_483_647), "us", 1, note="at 16 MHz"),
+    _make_parameter(0x17, "SP1", "split pulse cycle and width", None, "pulses", 0x0001_0002, fields=_SPLIT),
+    _make_parameter(0x18, "SP2", "split pulse count", (0, 65535), bits=16, note="0: endless"),
+    _make_parameter(0x19, "TX", "maximum finish point of interpolation", (1, 1_073_741_823), "pulses", 1, evidence="D"),
+    _make_parameter(0x1A, "HLN", "helical rotation number", (0, 65535), bits=16),
+    _make_parameter(0x1B, "HLV", "helical calculation value", (1, 2_147_483_646), reset=1,
                note="ticks, each of one pulse of Z and U at most [I]"),
 )  # fmt: skip
 PRESENT = (
@@ -88,7 +88,7 @@ PRESENT = (
 _PAGES = {"DV": "S", "TX": "D"}
 
 
-def _reading(registers: tuple[Register, ...]) -> tuple[Command, ...]:
+def _make_read_commands(registers: tuple[Register, ...]) -> tuple[Command, ...]:
     """30h to 49h."""
     present = {r.name for r in PRESENT}
     back = [r for r in registers if r.name in READ_CODES]
@@ -100,95 +100,95 @@ def _reading(registers: tuple[Register, ...]) -> tuple[Command, ...]:
     return tuple(sorted(found, key=lambda c: c.code))
 
 
-def _drive(code: int, symbol: str, title: str, starts: bool = False, note: str = "") -> Command:
+def _make_drive(code: int, symbol: str, title: str, starts: bool = False, note: str = "") -> Command:
     return Command(code, symbol, title, "drive", evidence="C", starts=starts, note=note)
 
 
-def _interpolation(code: int, symbol: str, title: str) -> Command:
+def _make_interpolation(code: int, symbol: str, title: str) -> Command:
     return Command(code, symbol, title, "interpolation", evidence="C", axes=False)
 
 
-def _segment(code: int, symbol: str, title: str, *axes: int, points: bool = True) -> Command:
+def _make_segment(code: int, symbol: str, title: str, *axes: int, points: bool = True) -> Command:
     """A segment, of so many of the axes that IPM chooses."""
-    return replace(_interpolation(code, symbol, title), starts=True, together=axes, points=points)
+    return replace(_make_interpolation(code, symbol, title), starts=True, together=axes, points=points)
 
 
-def _other(code: int, symbol: str, title: str, axes: bool = True) -> Command:
+def _make_command(code: int, symbol: str, title: str, axes: bool = True) -> Command:
     return Command(code, symbol, title, "other", evidence="C", axes=axes)
 
 
-def _sync(code: int, symbol: str, verb: str) -> Command:
+def _make_sync_command(code: int, symbol: str, verb: str) -> Command:
     note, chooses = "bits 0 to 3 of the code", tuple(f"SYNC{m}" for m in range(4))
     return Command(code, symbol, verb, "sync", evidence="C", choice=0x0F, note=note, chooses=chooses)
 
 
 _ACTIONS = (
-    _drive(0x50, "DRVRL", "relative position drive", True),
-    _drive(0x51, "DRVNR", "counter relative position drive", True, "the sign of TP inverted"),
-    _drive(0x52, "DRVVP", "+ direction continuous drive", True),
-    _drive(0x53, "DRVVM", "- direction continuous drive", True),
-    _drive(0x54, "DRVAB", "absolute position drive", True),
-    _drive(0x56, "DRVSBRK", "decelerating stop"),
-    _drive(0x57, "DRVFBRK", "instant stop"),
-    _drive(0x58, "DIRCP", "direction signal + (pulse and direction)"),
-    _drive(0x59, "DIRCM", "direction signal - (pulse and direction)"),
-    _drive(0x5A, "HMSRC", "automatic home search", True),
-    _segment(0x60, "LHK1", "1-axis linear interpolation (multichip)", 1),
-    _segment(0x61, "LHK2", "2-axis linear interpolation", 2),
-    _segment(0x62, "LHK3", "3-axis linear interpolation", 3),
-    _segment(0x63, "LHK4", "4-axis linear interpolation", 4),
-    _segment(0x64, "CHKCW", "CW circular interpolation", 2),
-    _segment(0x65, "CHKCCW", "CCW circular interpolation", 2),
-    _segment(0x66, "BHK2", "2-axis bit pattern interpolation", 2, points=False),
-    _segment(0x67, "BHK3", "3-axis bit pattern interpolation", 3, points=False),
-    _segment(0x68, "BHK4", "4-axis bit pattern interpolation", 4, points=False),
-    _segment(0x69, "HLCW", "CW helical interpolation", 3, 4),
-    _segment(0x6A, "HLCCW", "CCW helical interpolation", 3, 4),
-    _interpolation(0x6B, "HLPCW", "CW helical calculation"),
-    _interpolation(0x6C, "HLPCCW", "CCW helical calculation"),
-    _interpolation(0x6D, "DECEN", "deceleration enable"),
-    _interpolation(0x6E, "DECDIS", "deceleration disable"),
-    _interpolation(0x6F, "CLRSTEP", "interpolation interrupt clear, or single step"),
-    _other(0x70, "VINC", "speed increase by IV"),
-    _other(0x71, "VDEC", "speed decrease by IV"),
-    _other(0x72, "DCC", "deviation counter clear output"),
-    _other(0x73, "TMSTA", "timer start"),
-    _other(0x74, "TMSTP", "timer stop"),
-    _other(0x75, "SPSTA", "split pulse start"),
-    _other(0x76, "SPSTP", "split pulse stop"),
-    _other(0x77, "DHOLD", "drive start hold"),
-    _other(0x78, "DFREE", "drive start hold release"),
-    _other(0x79, "R2CLR", "error and finishing status clear (RR2)"),
-    _other(0x7A, "RR3P0", "RR3 shows page 0"),
-    _other(0x7B, "RR3P1", "RR3 shows page 1"),
-    _other(0x7C, "MFPC", "maximum finish point clear", axes=False),
-    _sync(0x80, "SYNCEN", "enable"),
-    _sync(0x90, "SYNCDIS", "disable"),
-    _sync(0xA0, "SYNCACT", "activate"),
-    _other(0xFF, "RST", "command reset", axes=False),
+    _make_drive(0x50, "DRVRL", "relative position drive", True),
+    _make_drive(0x51, "DRVNR", "counter relative position drive", True, "the sign of TP inverted"),
+    _make_drive(0x52, "DRVVP", "+ direction continuous drive", True),
+    _make_drive(0x53, "DRVVM", "- direction continuous drive", True),
+    _make_drive(0x54, "DRVAB", "absolute position drive", True),
+    _make_drive(0x56, "DRVSBRK", "decelerating stop"),
+    _make_drive(0x57, "DRVFBRK", "instant stop"),
+    _make_drive(0x58, "DIRCP", "direction signal + (pulse and direction)"),
+    _make_drive(0x59, "DIRCM", "direction signal - (pulse and direction)"),
+    _make_drive(0x5A, "HMSRC", "automatic home search", True),
+    _make_segment(0x60, "LHK1", "1-axis linear interpolation (multichip)", 1),
+    _make_segment(0x61, "LHK2", "2-axis linear interpolation", 2),
+    _make_segment(0x62, "LHK3", "3-axis linear interpolation", 3),
+    _make_segment(0x63, "LHK4", "4-axis linear interpolation", 4),
+    _make_segment(0x64, "CHKCW", "CW circular interpolation", 2),
+    _make_segment(0x65, "CHKCCW", "CCW circular interpolation", 2),
+    _make_segment(0x66, "BHK2", "2-axis bit pattern interpolation", 2, points=False),
+    _make_segment(0x67, "BHK3", "3-axis bit pattern interpolation", 3, points=False),
+    _make_segment(0x68, "BHK4", "4-axis bit pattern interpolation", 4, points=False),
+    _make_segment(0x69, "HLCW", "CW helical interpolation", 3, 4),
+    _make_segment(0x6A, "HLCCW", "CCW helical interpolation", 3, 4),
+    _make_interpolation(0x6B, "HLPCW", "CW helical calculation"),
+    _make_interpolation(0x6C, "HLPCCW", "CCW helical calculation"),
+    _make_interpolation(0x6D, "DECEN", "deceleration enable"),
+    _make_interpolation(0x6E, "DECDIS", "deceleration disable"),
+    _make_interpolation(0x6F, "CLRSTEP", "interpolation interrupt clear, or single step"),
+    _make_command(0x70, "VINC", "speed increase by IV"),
+    _make_command(0x71, "VDEC", "speed decrease by IV"),
+    _make_command(0x72, "DCC", "deviation counter clear output"),
+    _make_command(0x73, "TMSTA", "timer start"),
+    _make_command(0x74, "TMSTP", "timer stop"),
+    _make_command(0x75, "SPSTA", "split pulse start"),
+    _make_command(0x76, "SPSTP", "split pulse stop"),
+    _make_command(0x77, "DHOLD", "drive start hold"),
+    _make_command(0x78, "DFREE", "drive start hold release"),
+    _make_command(0x79, "R2CLR", "error and finishing status clear (RR2)"),
+    _make_command(0x7A, "RR3P0", "RR3 shows page 0"),
+    _make_command(0x7B, "RR3P1", "RR3 shows page 1"),
+    _make_command(0x7C, "MFPC", "maximum finish point clear", axes=False),
+    _make_sync_command(0x80, "SYNCEN", "enable"),
+    _make_sync_command(0x90, "SYNCDIS", "disable"),
+    _make_sync_command(0xA0, "SYNCACT", "activate"),
+    _make_command(0xFF, "RST", "command reset", axes=False),
 )
 
-_INTERPOLATES = ("CP", "TX", "IPM", "MFPC")
-_TURNS = ("HLN", "HLV", "CHLN", "HLCW", "HLCCW", "HLPCW", "HLPCCW")
+_NEEDS_INTERPOLATION = ("CP", "TX", "IPM", "MFPC")
+_NEEDS_HELICES = ("HLN", "HLV", "CHLN", "HLCW", "HLCCW", "HLPCW", "HLPCCW")
 """Registers and commands of interpolation, and of helices."""
 
 
-def _map(chip: str, axes: int, title: str) -> RegisterMap:
-    lacks = {*(_TURNS if axes < 3 else ()), *(_INTERPOLATES if axes < 2 else ())}
-    registers = tuple(r for r in (*PARAMETERS, *modes(axes), *PRESENT) if r.name not in lacks)
+def _make_map(chip: str, axes: int, title: str) -> RegisterMap:
+    lacks = {*(_NEEDS_HELICES if axes < 3 else ()), *(_NEEDS_INTERPOLATION if axes < 2 else ())}
+    registers = tuple(r for r in (*PARAMETERS, *list_modes(axes), *PRESENT) if r.name not in lacks)
 
     def has(c: Command) -> bool:
         if c.symbol in lacks or (c.kind == "interpolation" and axes < 2):
             return False
         return not c.together or min(c.together) <= axes
 
-    modes_of = {r.name for r in modes(axes)}
+    modes_of = {r.name for r in list_modes(axes)}
     present = {r.name for r in PRESENT}
     commands = (
         *(writes(r, axes=r.name not in NO_AXIS) for r in registers if r.name not in modes_of | present),
-        _other(0x1F, "NOP", "axis selection only"),
+        _make_command(0x1F, "NOP", "axis selection only"),
         *(writes(r, "mode write", axes=r.name not in NO_AXIS) for r in registers if r.name in modes_of),
-        *_reading(registers),
+        *_make_read_commands(registers),
         *(c for c in _ACTIONS if has(c)),
     )
     return RegisterMap(
@@ -196,14 +196,14 @@ def _map(chip: str, axes: int, title: str) -> RegisterMap:
         f"NOVA {chip} pulse generator {title}, 16-bit bus",
         "manual MCX514, 7.2.7 and 7.2.8 (data sheet) and other pages; working drivers; names of mode bits from memory",
         registers,
-        words(axes),
+        list_words(axes),
         commands,
         axes=axes,
     )
 
 
-MCX514_MAP = _map("MCX514", 4, "with interpolation, four axes")
-MCX512_MAP = _map("MCX512", 2, "with interpolation, two axes")
-MCX501_MAP = _map("MCX501", 1, "of one axis")
+MCX514_MAP = _make_map("MCX514", 4, "with interpolation, four axes")
+MCX512_MAP = _make_map("MCX512", 2, "with interpolation, two axes")
+MCX501_MAP = _make_map("MCX501", 1, "of one axis")
 GENERATION = (MCX514_MAP, MCX512_MAP, MCX501_MAP)
 """What the two smaller ones lack, and P3M, are of working drivers [C]; that they are alike otherwise is inferred."""
