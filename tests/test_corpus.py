@@ -81,11 +81,11 @@ import test_corpus as t
 from fuzzing.pcl240 import COMPILED, counted_core
 from stage.chips.pcl240 import motion
 assert not COMPILED
-cruise, span, pulses = motion._cruise, motion.span, motion._pulses_to_event
+cruise, span, pulses = motion._run_at_constant_speed, motion.run_to_event, motion._count_pulses_to_event
 for name, defect in (
-    ("_cruise", lambda c, until: cruise(c, min(until, c.clock + 1000))),
-    ("span", lambda c, n: span(c, min(n, 64))),
-    ("_pulses_to_event", lambda c, own: min(1, pulses(c, own))),
+    ("_run_at_constant_speed", lambda c, until: cruise(c, min(until, c.clock + 1000))),
+    ("run_to_event", lambda c, n: span(c, min(n, 64))),
+    ("_count_pulses_to_event", lambda c, own: min(1, pulses(c, own))),
 ):
     setattr(motion, name, defect)
     counted_core.cache_clear()
@@ -93,7 +93,7 @@ for name, defect in (
         t.replayed("bus")
     except t.Finding as finding:
         print("FOUND", finding)
-    motion._cruise, motion.span, motion._pulses_to_event = cruise, span, pulses
+    motion._run_at_constant_speed, motion.run_to_event, motion._count_pulses_to_event = cruise, span, pulses
 """
 
 PLANTED_NOVA = """

@@ -19,37 +19,39 @@ WRAP = 1 << 24  # pulses in which R0 comes round, and passes 0 and R6 again
 def counted_core() -> Work:
     """The core's functions between two events, wrapped once to be counted."""
     work = Work()
-    span, cruise, climb, took_step = motion.span, motion._cruise, motion._climb, motion.took_step
+    run_to_event, run_at_constant_speed = motion.run_to_event, motion._run_at_constant_speed
+    run_ramp_steps, finish_step = motion._run_ramp_steps, motion.finish_step
 
-    def counting_span(c, n):
+    def counting_run_to_event(c, n):
         work.spend()
         work.calls += 1
         speed = c.speed
-        ran = span(c, n)
+        ran = run_to_event(c, n)
         work.steps += c.speed != speed
         return ran
 
-    def counting_cruise(c, until):
+    def counting_run_at_constant_speed(c, until):
         work.calls += 1
-        cruise(c, until)
+        run_at_constant_speed(c, until)
 
-    def counting_climb(c, until):
+    def counting_run_ramp_steps(c, until):
         work.calls += 1
-        climb(c, until)
+        run_ramp_steps(c, until)
 
-    def counting_took_step(c):
-        work.spend()  # a climb's step is due; what counts is that one call takes many
-        took_step(c)
+    def counting_finish_step(c):
+        work.spend()  # the step is due; only the number of calls of run_ramp_steps counts
+        finish_step(c)
 
-    motion.span, core.span, motion._cruise = counting_span, counting_span, counting_cruise
-    motion._climb, motion.took_step = counting_climb, counting_took_step
+    motion.run_to_event = core.run_to_event = counting_run_to_event
+    motion._run_at_constant_speed = counting_run_at_constant_speed
+    motion._run_ramp_steps, motion.finish_step = counting_run_ramp_steps, counting_finish_step
     return work
 
 
 class Pcl240(Family):
     """Chips of the PCL-240 family: bytes at four addresses, and the steps that their cores may take."""
 
-    FREE: ClassVar = ("quiet",)
+    FREE: ClassVar = ("quiet_until",)
 
     def __init__(self, chip: type[Chip]):
         super().__init__(chip)
@@ -67,7 +69,7 @@ class Pcl240(Family):
         c, byte = chip.state, address & 3
         if not byte:
             return values["status"]
-        name = self.limits[int(c["selected"])][0] if c["extended"] and c["output"] & EXTENSION else "R0"
+        name = self.limits[int(c["selected_register"])][0] if c["extended"] and c["output_mode"] & EXTENSION else "R0"
         return None if c["collective"] else values[name] >> 8 * (byte - 1) & 0xFF
 
     def silent(self, chip: Chip) -> bool:

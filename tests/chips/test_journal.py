@@ -100,9 +100,9 @@ def test_a_collective_read_latches_in_a_replay_too():
     chip = PCL240MK()
     for address, value in ((0, 0xC0 | 0x20), (0, 0x80), (3, 1), (2, 2), (1, 3), (0, 0xA0)):
         chip.write(address, value)
-    journal, latched = chip.journal(), int(chip.state["latch"])
+    journal, latched = chip.journal(), int(chip.state["read_latch"])
     chip.read(3)
-    assert chip.state["latch"] != latched
+    assert chip.state["read_latch"] != latched
     twin, _ = replayed(chip, journal)
     assert twin.snapshot().record == chip.snapshot().record
 

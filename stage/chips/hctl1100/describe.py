@@ -76,7 +76,7 @@ class Listener:
         if r.access == "R":
             return line(f"{r.name} can only be read: nothing changes ({_find_title(r)})")
         if address == maps.FLAG:
-            return self._flag(r, value)
+            return self._describe_flag(r, value)
         if address == maps.MODE:
             self._idle = value in _IDLE or (self._idle and value not in MODES)
             return f"{r.title}: {MODES.get(value) or f'{value:02X}h is no mode of the {self._chip}'}"
@@ -84,9 +84,9 @@ class Listener:
             return self._set.tell("status", value, "; clears LIMIT and STOP if released")
         if address == maps.CLEAR:
             return f"{r.name}, any value: clears the {maps.QUANTITIES[address].title}"
-        return self._number(r, value)
+        return self._describe_number(r, value)
 
-    def _flag(self, r: Register, value: int) -> str:
+    def _describe_flag(self, r: Register, value: int) -> str:
         number = NUMBER.of(value)
         verb = SET.says(SET.of(value))
         f = next((f for f in r.fields if f.low == number), None)
@@ -96,11 +96,11 @@ class Listener:
             return f"{verb} F{number}: nothing changes, it can only be read ({f.meaning})"
         return line(f"{verb} F{number}: {f.meaning}")
 
-    def _number(self, r: Register, value: int) -> str:
+    def _describe_number(self, r: Register, value: int) -> str:
         """Describe a write to a register that is a number or one byte of it."""
         q = maps.QUANTITIES.get(r.number)
         if q is None:
-            return self._text_of(r, value, value if r.signed else value & STORED[r.number])
+            return self._describe_register(r, value, value if r.signed else value & STORED[r.number])
         preset = q is maps.PRESET_POSITION
         if self._idle or not preset:
             self._bytes[r.number] = value & STORED[r.number] if not q.waits else value
@@ -121,12 +121,12 @@ class Listener:
             return self._flags.tell("flags", value) if address == maps.FLAG else self._status.tell("status", value)
         q = maps.QUANTITIES.get(address)
         if q is None:
-            return self._text_of(r, value, value)
+            return self._describe_register(r, value, value)
         if not q.latched:
             return line(f"{r.name} = {value:02X}h: {r.text}")
-        return self._position(r, q, value)
+        return self._describe_latched_read(r, q, value)
 
-    def _position(self, r: Register, q: maps.Quantity, value: int) -> str:
+    def _describe_latched_read(self, r: Register, q: maps.Quantity, value: int) -> str:
         """Describe a read of a latched byte: the whole number with the last of its bytes, once the low byte was read."""
         if r.number == q.low:
             self._unread = set(q.addresses)
@@ -137,8 +137,8 @@ class Listener:
             return line(f"{r.name} = {value:02X}h: {q.of(self._bytes)}")
         return line(f"{r.name} = {value:02X}h: {r.text}")
 
-    def _text_of(self, r: Register, value: int, held: int) -> str:
-        number = f"{r.value(held)} {r.unit}".strip()
+    def _describe_register(self, r: Register, value: int, stored: int) -> str:
+        number = f"{r.value(stored)} {r.unit}".strip()
         return line(f"{r.name} = {value:02X}h ({number}): {r.text}")
 
 

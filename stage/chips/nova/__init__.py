@@ -98,9 +98,9 @@ class Nova(Chip):
         return lint_write(self.MAP, self._lint_state(), address, value)
 
     def _lint_state(self) -> LintState:
-        return LintState(self._plain, self.AXES, self._interpolated)
+        return LintState(self._plain, self.AXES, self._find_interpolated_axes)
 
-    def _interpolated(self) -> int:
+    def _find_interpolated_axes(self) -> int:
         """Return the axes that take part in interpolation, as bits."""
         return 0
 
@@ -176,14 +176,14 @@ class Nova(Chip):
             if (read := reads.get(r.name)) is not None:
                 core.write.with_gil(chip.pointer, 0, (select if read.axes else 0) | read.code)
                 values[r.name] = r.value(int(c["read_high"]) << 16 | int(c["read_low"]))
-            elif (place := self._place(r.name)) is not None:
+            elif (place := self._find_place(r.name)) is not None:
                 name, k = place
                 has_each_axis = map_.command(r.name).axes
                 values[r.name] = r.value(int(c["ax"][axis if has_each_axis else 0][name][k]))
         return values
 
     @classmethod
-    def _place(cls, name: str) -> tuple[str, int] | None:
+    def _find_place(cls, name: str) -> tuple[str, int] | None:
         """Find the place in the state of an axis that holds a register which cannot be read.
 
         Returns:
@@ -211,7 +211,7 @@ class MCX514(Nova):
         """Whether lines of multichip interpolation join the chip to others, see `Stage(multichip=...)`."""
         return bool(self.state["wire_word"])
 
-    def _interpolated(self) -> int:
+    def _find_interpolated_axes(self) -> int:
         return int(self._plain["ax"][0]["mode"][state.IPM]) & 15
 
     @exclusive
@@ -307,12 +307,12 @@ class MCX312(_ErratumChip):
     MAP: ClassVar = MCX312_MAP
     AXES: ClassVar = 2
 
-    def _interpolated(self) -> int:
+    def _find_interpolated_axes(self) -> int:
         word = int(self._plain["outputs5"])
         return 1 << AX1.of(word) | 1 << AX2.of(word)
 
     def _lint_state(self) -> LintState:
-        return Mcx312LintState(self._plain, self.AXES, self._interpolated)
+        return Mcx312LintState(self._plain, self.AXES, self._find_interpolated_axes)
 
     def _configure(self, record: Any) -> None:
         super()._configure(record)
@@ -326,12 +326,12 @@ class MCX314AS(Nova):
     INPUTS: ClassVar = state.INPUTS_314
     READING_ACTS: ClassVar = frozenset({3})  # RR3, the interrupt factors
 
-    def _interpolated(self, count: int = 3) -> int:
+    def _find_interpolated_axes(self, count: int = 3) -> int:
         axes = [f.of(int(self._plain["outputs5"])) for f in (AX1, AX2, AX3)]
         return sum(1 << j for j in {*axes[:count]})
 
     def _lint_state(self) -> LintState:
-        return Mcx314asLintState(self._plain, self.AXES, self._interpolated)
+        return Mcx314asLintState(self._plain, self.AXES, self._find_interpolated_axes)
 
     def _configure(self, record: Any) -> None:
         super()._configure(record)

@@ -92,7 +92,7 @@ class Listener:
     def __init__(self, map_: RegisterMap, record: Any):
         self._map, self._there = map_, (1 << map_.axes) - 1
         self._selected, self._pages = int(record["selected"]), int(record["status_pages"])
-        self._pattern = bool(record["ip"]["writing"])
+        self._pattern = bool(record["ip"]["loads_pattern"])
         self._first = int(record["command_high_byte"])
         self._by_axis = [[int(w) for w in x["wr"]] for x in record["ax"]]
         self._common = [0, 0, 0, 0, *(int(record[name]) for name in ("outputs4", "outputs5", "low", "high"))]
@@ -131,7 +131,7 @@ class Listener:
     def _write_byte(self, at: int, value: int) -> str:
         """Describe a write of a byte: the word that the register holds after it."""
         n, high = at >> 1 & 7, at & 1
-        old = self._first if n == 0 else self._by_axis[self._lowest][n] if n <= 3 else self._common[n]
+        old = self._first if n == 0 else self._by_axis[self._find_lowest_axis][n] if n <= 3 else self._common[n]
         word = old & 0xFF | value << 8 if high else old & 0xFF00 | value
         if n == 0 and high:
             self._first = word
@@ -153,28 +153,28 @@ class Listener:
         if c is None:
             return f"{head}{CODE.of(value):02X}h is no command of the {self._map.chip}"
         if c.kind == "data read":
-            return self._answer(c)
+            return self._note_reading(c)
         if c.axes and not axes:
             return f"to no axis, nothing happens: {c.title}"
         if c.symbol == "RST":
             return f"{head}nothing happens, it takes no axis bits: {c.title}"
-        return self._obeyed(c, value, axes, head)
+        return self._describe_executed(c, value, axes, head)
 
-    def _obeyed(self, c: Command, value: int, axes: int, head: str) -> str:
+    def _describe_executed(self, c: Command, value: int, axes: int, head: str) -> str:
         if c.kind in WRITING_KINDS:
             r = self._map.register(c.symbol)
-            return self._text_of(f"{head}set {r.title} {r.name}", r, self._common[7] << 16 | self._common[6])
+            return self._describe_contents(f"{head}set {r.title} {r.name}", r, self._common[7] << 16 | self._common[6])
         if c.symbol in _PATTERN:
             self._pattern = _PATTERN[c.symbol]
         elif c.symbol in _PAGE:
             self._pages = self._pages | axes if _PAGE[c.symbol] else self._pages & ~axes
         return head + _describe_command(c, value)
 
-    def _answer(self, c: Command) -> str:
+    def _note_reading(self, c: Command) -> str:
         """Note what a reading command fills RR6 and RR7 with."""
         name = c.symbol.removeprefix("R-")
         place = self._map.word(name) if name.startswith("WR") else self._map.register(name)
-        axis = f"{AXES[self._lowest]}: " if c.axes else ""
+        axis = f"{AXES[self._find_lowest_axis]}: " if c.axes else ""
         self._reading, self._bytes = (axis, place, c.bytes), {}
         return f"{axis}read {place.title} {name}"
 
@@ -197,8 +197,8 @@ class Listener:
             return self._data(2 * (n - 6) + high, width, value)
         name = f"RR{n}"
         if n == 3 and "RR3-1" in self._fields:
-            name += "-1" if self._pages >> self._lowest & 1 else "-0"
-        head = f"{AXES[self._lowest]}: " if 1 <= n <= 3 else ""
+            name += "-1" if self._pages >> self._find_lowest_axis & 1 else "-0"
+        head = f"{AXES[self._find_lowest_axis]}: " if 1 <= n <= 3 else ""
         head += name.replace("-", " page ")
         if width == 1:
             head += f" bits {8 * high + 7}..{8 * high}"
@@ -221,16 +221,16 @@ class Listener:
         axis, place, size = self._reading
         if at >= size or any(k not in self._bytes for k in range(size)):
             return f"{axis}{place.name} bits {part}"
-        return self._text_of(
+        return self._describe_contents(
             f"{axis}{place.title} {place.name}", place, sum(self._bytes[k] << 8 * k for k in range(size))
         )
 
     @property
-    def _lowest(self) -> int:
+    def _find_lowest_axis(self) -> int:
         """Return the lowest selected axis, the one that answers reads."""
         return (self._selected & -self._selected).bit_length() - 1
 
-    def _text_of(self, head: str, place: Register | Word, word: int) -> str:
+    def _describe_contents(self, head: str, place: Register | Word, word: int) -> str:
         """Describe the contents of a register or word, field by field or as a number.
 
         Args:

@@ -69,11 +69,11 @@ class I2C:
         Returns:
             The number of bytes acknowledged, including the address byte; 0 if no chip has the address.
         """
-        chip, first = self._addressed(address, False)
+        chip, first = self._find_chip(address, False)
         for k, value in enumerate(data):
             if not 0 <= value <= 0xFF:
                 raise ArgumentError(f"I2C byte {k} is {value}: a byte is 0 to 255.")
-        self._took(len(data) if chip else 0)
+        self._add_transfer_time(len(data) if chip else 0)
         if chip is None:
             return 0
         for k, value in enumerate(data):
@@ -90,11 +90,11 @@ class I2C:
         Returns:
             The bytes; FFh each if no chip has the address.
         """
-        chip, first = self._addressed(address, True)
-        self._took(count if chip else 0)
+        chip, first = self._find_chip(address, True)
+        self._add_transfer_time(count if chip else 0)
         return bytes(chip.read_byte((first + k) % BYTES) if chip else FREE for k in range(count))
 
-    def _addressed(self, address: int, read: bool) -> tuple[MCX514 | None, int]:
+    def _find_chip(self, address: int, read: bool) -> tuple[MCX514 | None, int]:
         """Return the chip that an address byte names, or None, and the number of the first byte."""
         if not 0 <= address <= 0xFF:
             raise ArgumentError(f"I2C address byte {address}: it is 0 to 255.")
@@ -105,6 +105,6 @@ class I2C:
             )
         return self.chips.get(address >> 5), address >> 1 & 15
 
-    def _took(self, count: int) -> None:
+    def _add_transfer_time(self, count: int) -> None:
         """Add the time of a transfer: start, address byte and data, each with its acknowledge, and stop."""
         self.seconds += (2 + 9 * (1 + count)) / self.hz

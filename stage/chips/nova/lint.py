@@ -107,48 +107,48 @@ class LintState:
         return bool(self._record["has_unused_data"])
 
     @cached_property
-    def driving(self) -> int:
+    def driving_axes(self) -> int:
         """Axes with n-DRV = 1."""
         return sum(1 << k for k, x in enumerate(self._axes) if x["driving"] or x["interpolates"])
 
     def _find_fixed_pulse_drives(self, absolute: int) -> int:
         axes = enumerate(self._axes)
-        return sum(1 << k for k, x in axes if self.driving >> k & 1 and x["fixed"] and x["absolute"] == absolute)
+        return sum(1 << k for k, x in axes if self.driving_axes >> k & 1 and x["fixed"] and x["absolute"] == absolute)
 
     @property
-    def relative(self) -> int:
+    def relative_drives(self) -> int:
         """Axes in relative or counter relative position driving (50h, 51h)."""
         return self._find_fixed_pulse_drives(0)
 
     @property
-    def absolute(self) -> int:
+    def absolute_drives(self) -> int:
         """Axes in absolute position driving (54h)."""
         return self._find_fixed_pulse_drives(1)
 
     @property
-    def interpolating(self) -> bool:
+    def is_interpolating(self) -> bool:
         """Whether an interpolation is in progress."""
         return bool(self._record["interpolating"])
 
     @property
-    def full(self) -> bool:
+    def is_queue_full(self) -> bool:
         """Whether the next segment cannot be written yet (CNEXT = 0)."""
         queue = self._record["ip"]
-        return self.interpolating and bool(queue["waiting_segments"] >= queue["queue_depth"])
+        return self.is_interpolating and bool(queue["waiting_segments"] >= queue["queue_depth"])
 
     @property
-    def bit_pattern(self) -> bool:
+    def is_loading_pattern(self) -> bool:
         """Whether WR2 to WR5 are the BP registers (36h)."""
         return bool(self._record["ip"]["loads_pattern"])
 
     @property
-    def interpolated(self) -> int:
+    def interpolated_axes(self) -> int:
         """Axes that IPM or WR5 choose."""
         return self._find_interpolated_axes()
 
     def interpolated_by(self, command: Command) -> int:
         """Return the axes that take part in an interpolation command, as bits."""
-        return self.interpolated
+        return self.interpolated_axes
 
     def find_refusals(self, value: int) -> dict[int, str]:
         """Try a drive command on a copy of the chip, and find the axes that it does not start although they have pulses to make.
@@ -184,12 +184,12 @@ class LintState:
         return int(self._axes[0]["mode"][state.IPM]) >> multichip.MLT & 3
 
     @property
-    def linked(self) -> bool:
+    def is_linked(self) -> bool:
         """Whether wires join the chip to others."""
         return bool(self._record["wire_word"])
 
     @property
-    def started(self) -> bool:
+    def has_master_started(self) -> bool:
         """Whether the master of the wires has begun."""
         return bool(self._record["wire_word"] & multichip.GO)
 
@@ -199,7 +199,7 @@ class LintState:
         return tuple(int(x["reg"][state.DV]) for x in self._record["ax"])
 
     @property
-    def finish(self) -> tuple[int, ...]:
+    def finish_points(self) -> tuple[int, ...]:
         """TP of every axis: number of pulses, or finish point."""
         return tuple(int(x["reg"][state.TP]) for x in self._record["ax"])
 
@@ -221,8 +221,8 @@ class Mcx312LintState(LintState):
         return ()
 
     @property
-    def finish(self) -> tuple[int, ...]:
-        return tuple(p - (p >> 31 << 32) for p in super().finish)
+    def finish_points(self) -> tuple[int, ...]:
+        return tuple(p - (p >> 31 << 32) for p in super().finish_points)
 
 
 class Mcx314asLintState(Mcx312LintState):
@@ -243,7 +243,7 @@ def lint_write(map_: RegisterMap, chip: Any, address: int, value: int) -> Iterat
     """
     if address == 0:
         yield from _lint_command(map_, chip, value)
-    elif address < 6 and not (chip.bit_pattern and address >= 2):
+    elif address < 6 and not (chip.is_loading_pattern and address >= 2):
         w = map_.word(f"WR{address}")
         if unused := value & ~w.used:
             message = f"{w.name} = {value:04X}h: the {map_.chip} has no {_name_bits(unused)} there"
@@ -273,7 +273,7 @@ def _lint_command(map_: RegisterMap, chip: Any, value: int) -> Iterator[Finding]
         yield from _lint_data(map_.register(c.symbol), chip, c, axes)
     if c.kind == "data read" and chip.has_unused_data:
         yield DATA_NOT_USED, f"{name} takes no data: what was written to WR6, WR7 is not used"
-    if c.starts and c.kind == "drive" and (moving := axes & chip.driving):
+    if c.starts and c.kind == "drive" and (moving := axes & chip.driving_axes):
         yield ALREADY_DRIVING, f"{name} while {_name_axes(moving)} is driving (n-DRV = 1)"
     if c.symbol in TP_DRIVES:
         yield from _lint_pulse_numbers(map_, chip, name, axes)
@@ -317,7 +317,7 @@ def _lint_data(r: Register, chip: Any, c: Command, axes: int) -> Iterator[Findin
         yield EXCLUSIVE_BITS.at(section), message
     if r.name == "TP":
         yield from _lint_pulses_in_motion(r, chip, axes, value)
-    if r.name == "DV" and chip.interpolating and axes & _find_main_axis(chip) and value > CONTINUOUS_SPEED:
+    if r.name == "DV" and chip.is_interpolating and axes & _find_main_axis(chip) and value > CONTINUOUS_SPEED:
         message = f"DV = {value} in continuous interpolation: {CONTINUOUS_SPEED} is the most"
         yield CONTINUOUS_TOO_FAST, message
     yield from _lint_fields(r, word, section)
@@ -325,12 +325,14 @@ def _lint_data(r: Register, chip: Any, c: Command, axes: int) -> Iterator[Findin
 
 def _lint_pulses_in_motion(tp: Register, chip: Any, axes: int, value: int) -> Iterator[Finding]:
     """Check a value of TP that is written while axes drive."""
-    if axes & chip.relative and not tp.allows(value):
+    if axes & chip.relative_drives and not tp.allows(value):
         yield VALUE_RANGE.at(tp.section), f"TP = {value} while driving: {tp.title} takes {tp.range[0]} to {tp.range[1]}"
-    if moving := axes & chip.absolute:
+    if moving := axes & chip.absolute_drives:
         message = f"TP written while {_name_axes(moving)} is in absolute position driving: it cannot be changed"
         yield TP_IN_ABSOLUTE_DRIVE, message
-    if turned := sum(1 << k for k, old in enumerate(chip.finish) if axes & chip.relative & 1 << k and old * value < 0):
+    if turned := sum(
+        1 << k for k, old in enumerate(chip.finish_points) if axes & chip.relative_drives & 1 << k and old * value < 0
+    ):
         why = "the direction cannot be changed, and the drive stops at once"
         yield TP_REVERSES_DRIVE, f"TP = {value} while {_name_axes(turned)} drives the other way: {why}"
 
@@ -338,7 +340,7 @@ def _lint_pulses_in_motion(tp: Register, chip: Any, axes: int, value: int) -> It
 def _lint_pulse_numbers(map_: RegisterMap, chip: Any, name: str, axes: int) -> Iterator[Finding]:
     """Check that TP of each axis of a drive command is a number of pulses."""
     tp = map_.register("TP")
-    for k, value in enumerate(chip.finish[: map_.axes]):
+    for k, value in enumerate(chip.finish_points[: map_.axes]):
         if (axes >> k & 1 or map_.axes == 1) and not tp.allows(value):
             yield (
                 PULSE_NUMBER,
@@ -353,15 +355,15 @@ def _lint_interpolation(chip: Any, c: Command, name: str) -> Iterator[Finding]:
         yield NUMBER_OF_AXES, f"{name} with {count} axes chosen{': ' if axes else ''}{_name_axes(axes)}"
     if chip.role:
         yield from _lint_multichip(chip, c, name)
-    if not chip.interpolating and (moving := axes & chip.driving):
+    if not chip.is_interpolating and (moving := axes & chip.driving_axes):
         yield AXIS_DRIVES, f"{name} while {_name_axes(moving)} is driving (n-DRV = 1)"
-    if chip.full and not (chip.role and chip.linked):  # lines of several chips do not queue
+    if chip.is_queue_full and not (chip.role and chip.is_linked):  # lines of several chips do not queue
         yield PRE_BUFFER_FULL, f"{name} while the pre-buffer is full: wait for CNEXT = 1"
     speed = sum(dv for k, dv in enumerate(chip.drive_speed) if _find_main_axis(chip) >> k & 1)
-    if chip.interpolating and speed > CONTINUOUS_SPEED:
+    if chip.is_interpolating and speed > CONTINUOUS_SPEED:
         message = f"{name} in continuous interpolation with DV = {speed}: {CONTINUOUS_SPEED} is the most"
         yield CONTINUOUS_TOO_FAST, message
-    for k, tp in enumerate(chip.finish):
+    for k, tp in enumerate(chip.finish_points):
         if axes >> k & 1 and c.points and not POINT[0] <= tp <= POINT[1]:
             message = f"{name} with TP = {tp} of {AXES[k]}: a finish point takes {POINT[0]} to {POINT[1]}"
             yield FINISH_POINT_RANGE, message
@@ -371,36 +373,36 @@ def _lint_interpolation(chip: Any, c: Command, name: str) -> Iterator[Finding]:
 
 def _lint_helix(chip: Any, name: str) -> Iterator[Finding]:
     """Find the axes along a helix that have more pulses than the helix has ticks."""
-    for k in [k for k in range(len(chip.finish)) if chip.interpolated >> k & 1][2:]:
-        if (pulses := abs(chip.finish[k])) > chip.helix_ticks:
+    for k in [k for k in range(len(chip.finish_points)) if chip.interpolated_axes >> k & 1][2:]:
+        if (pulses := abs(chip.finish_points[k])) > chip.helix_ticks:
             limit = f"the {chip.helix_ticks} ticks of HLV make one pulse each at most"
             lost = f"the other {pulses - chip.helix_ticks} are lost"
-            yield HELIX_PULSES_LOST, f"{name} with TP = {chip.finish[k]} of {AXES[k]}: {limit}; {lost}"
+            yield HELIX_PULSES_LOST, f"{name} with TP = {chip.finish_points[k]} of {AXES[k]}: {limit}; {lost}"
 
 
 def _lint_multichip(chip: Any, c: Command, name: str) -> Iterator[Finding]:
     """Check an interpolation command to a master or slave."""
     subject = f"{name} as {MLT.values[chip.role]} (MLT = {chip.role})" if chip.role < len(MLT.values) else name
-    if chip.role == 1 and not chip.linked:
+    if chip.role == 1 and not chip.is_linked:
         why = "no other chip is wired to this one, which interpolates by itself; see Stage(multichip=...)"
         yield NO_OTHER_CHIP, f"{subject}: {why}"
         return
     if not c.symbol.startswith("LHK"):
         why = "starts nothing: of several chips together only lines, 60h to 63h, are modeled"
         yield ONLY_LINES, f"{subject} {why}"
-    if not chip.linked:
+    if not chip.is_linked:
         why = "no other chip is wired to this one, and no pulse of a master will come; see Stage(multichip=...)"
         yield NO_OTHER_CHIP, f"{subject}: {why}"
     if chip.interpolating:
         why = "is refused: one after the other without a stop is not modeled"
         yield LINE_IN_PROGRESS, f"{subject} during a line of several chips {why}"
-    elif chip.role == 2 and chip.started:
+    elif chip.role == 2 and chip.has_master_started:
         yield SLAVE_AFTER_START, f"{subject} while the master interpolates is refused (MCERR): start slaves first"
 
 
 def _find_main_axis(chip: Any) -> int:
     """Find the main axis of the MCX514's interpolation, the lowest, as a bit."""
-    axes: int = chip.interpolated
+    axes: int = chip.interpolated_axes
     return axes & -axes
 
 

@@ -12,7 +12,7 @@ from stage.chips.chip import Chip
 from stage.chips.diagnostics import Finding
 from stage.chips.pcl240 import core, state
 from stage.chips.pcl240.describe import Decoder, Listener
-from stage.chips.pcl240.lint import Foresight, lint_command, lint_data
+from stage.chips.pcl240.lint import Predictions, lint_command, lint_data
 from stage.chips.pcl240.maps import (
     CONTROL,
     OPERATING_MODE,
@@ -35,8 +35,11 @@ MAX_START_DELAY_CLOCKS = 1 << 26
 
 
 class PCL240(Chip):
-    """Base of the family. Bus addresses: 0 command (write) and status (read); 1, 2, 3 the bytes of the selected
-    register, low to high (write), and of R0 (read), or of the selected register in the extension mode of MK and MS."""
+    """Base of the PCL-240 family.
+
+    Bus address 0 is the command for writes and the status for reads. Addresses 1, 2 and 3 are the bytes of the selected
+    register, low to high; reads return R0, or in the extension mode of MK and MS the selected register.
+    """
 
     CORE: ClassVar = core
     INPUTS: ClassVar = core.INPUTS
@@ -62,26 +65,33 @@ class PCL240(Chip):
     def _configure(self, record: Any) -> None:
         record["extended"], record["s_curves"] = self.EXTENDED, self.S_CURVES
         for k, r in enumerate(self.MAP.registers):
-            record["mask"][k] = r.writable
-        record["top_bit"] = (self.MAP.register("R6").mask + 1) // 2
+            record["writable_bits"][k] = r.writable
+        record["offset_sign_bit"] = (self.MAP.register("R6").mask + 1) // 2
 
     @classmethod
     def syno(cls, rows: np.ndarray) -> int:
-        """R7: the clock behind the multiplier is the reference clock over 8192 R7."""
+        """Return the address of R7: the clock behind the multiplier is the reference clock divided by 8192 R7."""
         at: int = rows["reg"][0, 7:8].ctypes.data
         return at
 
     @property
     def syni(self) -> PCL240 | None:
-        """The chip whose SYNO is connected to SYNI, so that this one counts its clock; None: its own.
+        """Chip whose SYNO is connected to SYNI, so that this chip counts its clock; None: its own clock.
 
-        Of a chip by itself it can be set: at each write and `advance` the leader's R7 is what it is then; copies are not connected,
-        and keep the R7 that they heard last. On a stage see `Stage(syni=...)`. Raises ArgumentError, StageError.
+        It can be set on a chip that belongs to no stage: each write and `advance` uses R7 of the leader at that time. Copies of
+        the chip are not connected, and keep the last R7 of the leader. On a stage see `Stage(syni=...)`. An assignment raises
+        ArgumentError or StageError.
         """
         return self._leader
 
     @syni.setter
     def syni(self, leader: PCL240 | None) -> None:
+        """Chip whose SYNO is connected to SYNI, so that this chip counts its clock; None: its own clock.
+
+        It can be set on a chip that belongs to no stage: each write and `advance` uses R7 of the leader at that time. Copies of
+        the chip are not connected, and keep the last R7 of the leader. On a stage see `Stage(syni=...)`. An assignment raises
+        ArgumentError or StageError.
+        """
         if self.attached:
             raise StageError('a chip of a stage is connected where the stage is made: Stage(syni={"y": "x"}).')
         fits = isinstance(leader, PCL240) and leader is not self and leader.clock_hz == self.clock_hz
@@ -90,10 +100,10 @@ class PCL240(Chip):
                 f"syni={leader!r}: another chip of the PCL-240 family with a clock of {self.clock_hz:,} Hz, or None."
             )
         self._leader = leader
-        self._hear()
+        self._update_syni()
 
-    def _hear(self) -> None:
-        """SYNI has the leader's R7 as it is now."""
+    def _update_syni(self) -> None:
+        """Bring the leader's present R7 to SYNI."""
         word = self.input_word(0) & state.ALL_INPUTS
         if self._leader is not None:
             word |= int(self._leader.state["reg"][7]) + 1 << state.SYNI
@@ -104,21 +114,22 @@ class PCL240(Chip):
 
     def _write(self, address: int, value: int, meant: tuple[int, int]) -> None:
         if self._leader is not None and not self.attached:
-            self._hear()
+            self._update_syni()
         super()._write(address, value, meant)
 
     def _until(self, clocks: int) -> int:
         until = super()._until(clocks)
         if self._leader is not None:
-            self._hear()
+            self._update_syni()
         return until
 
     @classmethod
     @explain_arguments
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
-        """Return a select command, then the register's bytes, high to low.
+        """Return a select command and the bytes of the register, high to low.
 
-        The silicon has no latch: a value that grows in motion is never below the old one on the way (data sheet, section 4).
+        The silicon has no latch: in this order a value that grows in motion is never below the old one in between (data sheet,
+        section 4).
 
         Args:
             name: Name of the register.
@@ -136,7 +147,7 @@ class PCL240(Chip):
 
     @classmethod
     def turns(cls, address: int, value: int) -> bool | None:
-        """Read the direction in a control mode."""
+        """Return the direction in a control mode command, True for minus; None for other writes."""
         return bool(value & state.MINUS) if address == 0 and value & state.GROUP == CONTROL else None
 
     def decoder(self, axis: int = 0) -> Decoder:
@@ -154,21 +165,21 @@ class PCL240(Chip):
     def lint(self, address: int, value: int) -> Iterator[Finding]:
         if address:
             return lint_data(self.MAP, self._plain, address, value)
-        foresight = Foresight(self._makes_pulses, self._predict_last_speed, self.clock_hz)
-        return lint_command(self.MAP, self._plain, foresight, value)
+        predictions = Predictions(self._makes_pulses, self._predict_last_speed, self.clock_hz)
+        return lint_command(self.MAP, self._plain, predictions, value)
 
     def _makes_pulses(self, command: int) -> bool:
-        """Return whether pulses come of this command, if nobody interferes."""
-        twin = copy.deepcopy(self._rows[self._i : self._i + 1])
-        core.write(twin, 0, command)
-        return bool(core.advance(twin, self.clock + MAX_START_DELAY_CLOCKS) > 0)
+        """Return whether a command leads to pulses, if no write and no input comes after it."""
+        rows = copy.deepcopy(self._rows[self._i : self._i + 1])
+        core.write(rows, 0, command)
+        return bool(core.advance(rows, self.clock + MAX_START_DELAY_CLOCKS) > 0)
 
     def _predict_last_speed(self, command: int) -> int | None:
-        """Return the speed steps at the end of the run that this command begins, if nobody interferes; None if it goes on."""
-        twin = copy.deepcopy(self._rows[self._i : self._i + 1])
-        core.write(twin, 0, command)
-        core.advance(twin, self.clock + MAX_MOVE_CLOCKS)
-        return None if core.busy(twin, 0) else int(twin[0]["speed"])
+        """Return the speed steps at the end of the run that a command begins; None if the run does not end by itself."""
+        rows = copy.deepcopy(self._rows[self._i : self._i + 1])
+        core.write(rows, 0, command)
+        core.advance(rows, self.clock + MAX_MOVE_CLOCKS)
+        return None if core.busy(rows, 0) else int(rows[0]["speed"])
 
 
 class PCL240K(PCL240):
@@ -181,8 +192,9 @@ class PCL240K(PCL240):
 
 
 class PCL240MK(PCL240):
-    """Nippon Pulse PCL-240MK: also R10 to R17, read-back, collective input and output, position counter, EZ counting and
-    the automatic ramp-down point."""
+    """Nippon Pulse PCL-240MK: also R10 to R17, read-back, collective transfers, position counter, EZ counting and automatic
+    ramp-down.
+    """
 
     MAP: ClassVar = PCL240MK_MAP
 

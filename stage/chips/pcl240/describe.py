@@ -1,5 +1,4 @@
-"""Bus cycles of the PCL-240 family in words: `select R0: down counter`, `R0 bits 7..0 = 00h: R0 = 1200h (4608)`; its journals:
-`start, ramp to FH1`, `R2 <- 8000 (FH1 speed)`."""
+"""Descriptions of bus cycles of the PCL-240 family, for example `select R0: down counter`, and of its journals."""
 
 from __future__ import annotations
 
@@ -13,38 +12,40 @@ from stage.chips.register_map import Register, RegisterMap
 
 SPEED = next(f for f in OPERATING_MODE.fields if f.name == "speed")
 _NONE = {CONTROL: "manual, plus", OUTPUT: "common pulses"}
-"""What a mode is whose bits are all 0."""
+"""Descriptions of modes whose bits are all 0."""
 
 
-def command_meaning(map_: RegisterMap, value: int) -> str:
+def describe_command(map_: RegisterMap, value: int) -> str:
     """Describe a command byte (address 0) of the PCL-240 family."""
     group = value & GROUP
     if group == OPERATE:
-        return _operating(value)
+        return _describe_operating_command(value)
     if group == SELECT:
-        return f"select {selected(map_, value).name}{', collective' if collective(map_, value) else ''}"
+        return (
+            f"select {find_selected_register(map_, value).name}{', collective' if is_collective(map_, value) else ''}"
+        )
     word = map_.word(WRITTEN[group])
     on = [f.name for f in word.fields if f.name != "group" and f.of(value)]
     return f"{word.name} mode: {', '.join(on) or _NONE[group]}"
 
 
-def selected(map_: RegisterMap, value: int) -> Register:
-    """The register that a select byte names; bits that the chip does not have do not count."""
-    number = value & (_mask(map_, "select", "extension") | REGISTER)
+def find_selected_register(map_: RegisterMap, value: int) -> Register:
+    """Return the register that a select byte names. Bits that the chip does not have are ignored."""
+    number = value & (_find_mask(map_, "select", "extension") | REGISTER)
     return next(r for r in map_.registers if r.number == number)
 
 
-def collective(map_: RegisterMap, value: int) -> bool:
+def is_collective(map_: RegisterMap, value: int) -> bool:
     """Return whether a select byte asks for collective transfers."""
-    return bool(value & _mask(map_, "select", "collective"))
+    return bool(value & _find_mask(map_, "select", "collective"))
 
 
-def speed_name(value: int) -> str:
-    """The speed that a start selects: FL, FH1 or FH2."""
+def name_speed(value: int) -> str:
+    """Return the name of the speed that a start selects: FL, FH1 or FH2."""
     return SPEED.values.get(SPEED.of(value), SPEED.values[0])
 
 
-def _operating(value: int) -> str:
+def _describe_operating_command(value: int) -> str:
     start, stop, ramp = value & START, value & STOP, value & RAMP
     irq = ", /INT at stop" if value & INT_AT_STOP else ""
     if stop and not start:
@@ -52,23 +53,23 @@ def _operating(value: int) -> str:
     if stop:
         return ("decelerating stop" if ramp else "stop") + irq
     if start:
-        return f"start, {'ramp to' if ramp else 'constant'} {speed_name(value)}{irq}"
+        return f"start, {'ramp to' if ramp else 'constant'} {name_speed(value)}{irq}"
     return "no operation" + (irq or ", clear /INT")
 
 
-def _mask(map_: RegisterMap, word: str, name: str) -> int:
-    """The mask of a field; 0 where the chip has no such field."""
+def _find_mask(map_: RegisterMap, word: str, name: str) -> int:
+    """Return the mask of a field; 0 if the chip has no such field."""
     return sum(f.mask for f in map_.word(word).fields if f.name == name)
 
 
 class Decoder(describe.Decoder):
-    """Register selects are folded into the writes; a register's last bytes may wait for what comes next."""
+    """Decoder of journals: a register with its select command and its bytes is one statement, so that the last bytes may wait."""
 
     def __init__(self, map_: RegisterMap):
         self._map = map_
         self._select, self._clock = SELECT, 0
         self._bytes: dict[int, int] = {}
-        self._held: dict[int, int] = {}
+        self._stored: dict[int, int] = {}
 
     def wrote(self, clock: int, address: int, value: int) -> list[Statement]:
         statements: list[Statement] = []
@@ -82,25 +83,25 @@ class Decoder(describe.Decoder):
         if value & GROUP == SELECT:
             self._select = value
         else:
-            statements.append(Statement(clock, "command", f"{value:02X}", command_meaning(self._map, value)))
+            statements.append(Statement(clock, "command", f"{value:02X}", describe_command(self._map, value)))
         return statements
 
     def lost(self, address: int, value: int) -> tuple[str, str]:
-        return f"{value:02X}", f"data to address {address}" if address else command_meaning(self._map, value)
+        return f"{value:02X}", f"data to address {address}" if address else describe_command(self._map, value)
 
     def reset(self) -> None:
-        self._held.clear()
+        self._stored.clear()
         self._select = SELECT
 
     def rest(self) -> list[Statement]:
         """The register whose bytes are there, if any."""
         if not self._bytes:
             return []
-        r, known, parts = selected(self._map, self._select), self._bytes, self._bytes
+        r, known, parts = find_selected_register(self._map, self._select), self._bytes, self._bytes
         self._bytes = {}
-        if collective(self._map, self._select):  # the upper bytes wait for the lowest, and stay for the next
-            self._held.update(parts)
-            known = self._held
+        if is_collective(self._map, self._select):  # the upper bytes wait for the lowest, and stay for the next
+            self._stored.update(parts)
+            known = self._stored
             if 1 not in parts:
                 return []
         value = sum(b << 8 * (a - 1) for a, b in known.items()) & r.mask
@@ -110,31 +111,35 @@ class Decoder(describe.Decoder):
 
 
 class Listener:
-    """The bus cycles of a PCL-240 in words.
+    """Descriptions of the bus cycles of a PCL-240 chip.
 
     The whole value of a register is described with its lowest byte, or with its highest if the bytes come in that order.
+
+    Args:
+        map_: Register map of the chip.
+        record: State of the chip.
     """
 
     def __init__(self, map_: RegisterMap, record: Any):
         self._map = map_
-        self._held = {r.name: int(record["reg"][k]) for k, r in enumerate(map_.registers)}
-        self._register = map_.registers[int(record["selected"])]
+        self._stored = {r.name: int(record["reg"][k]) for k, r in enumerate(map_.registers)}
+        self._register = map_.registers[int(record["selected_register"])]
         self._collective = bool(record["collective"])
-        self._waiting = {3: int(record["high"]), 2: int(record["middle"])}
-        self._latched = {a: int(record["latch"]) >> 8 * (a - 1) & 0xFF for a in (2, 3)}
+        self._waiting = {3: int(record["high_byte"]), 2: int(record["middle_byte"])}
+        self._latched = {a: int(record["read_latch"]) >> 8 * (a - 1) & 0xFF for a in (2, 3)}
         self._returned = map_.register("R0")
         self._last = 0  # address of the data write just before
         self._aged: dict[str, set[int]] = {name: set() for name in COUNTERS}
-        self._extension, self._external = (_mask(map_, "output", name) for name in ("extension", "external"))
-        self._output = int(record["output"])
+        self._extension, self._external = (_find_mask(map_, "output", name) for name in ("extension", "external"))
+        self._output = int(record["output_mode"])
         self._status = Fields(map_.word("status"))
         self._fields = {r.name: Fields(r) for r in map_.registers if r.fields}
 
     def write(self, address: int, value: int) -> str:
-        """One write cycle, address 0 to 3."""
+        """Describe a write cycle to address 0 to 3."""
         address, value = address & 3, value & 0xFF
         if address:
-            text = self._data(address, value)
+            text = self._describe_data(address, value)
             self._last = address
             return text
         self._last = 0
@@ -146,14 +151,14 @@ class Listener:
             for old in self._aged.values():
                 old.update((1, 2, 3))
         if self._extension and group == OPERATE and value & STOP and not starts:
-            self._held["R6"] = 0
-        meaning = command_meaning(self._map, value)
+            self._stored["R6"] = 0
+        meaning = describe_command(self._map, value)
         if group == SELECT:
-            self._register, self._collective = selected(self._map, value), collective(self._map, value)
+            self._register, self._collective = find_selected_register(self._map, value), is_collective(self._map, value)
             meaning += f": {self._register.title}"
         return line(meaning)
 
-    def _data(self, address: int, value: int) -> str:
+    def _describe_data(self, address: int, value: int) -> str:
         r = self._register
         text = bits(r.name, address - 1, value)
         if 8 * (address - 1) >= r.bits and not self._collective:
@@ -161,12 +166,12 @@ class Listener:
         if self._collective and address > 1:
             self._waiting[address] = value
             return f"{text}: waits for bits 7..0"
-        return self._whole(r, text) if self._store(r, address, value) else text
+        return self._describe_register(r, text) if self._store_byte(r, address, value) else text
 
-    def _store(self, r: Register, address: int, value: int) -> bool:
-        """Keep the byte; is it time to tell the whole?"""
+    def _store_byte(self, r: Register, address: int, value: int) -> bool:
+        """Store a byte of a register, and return whether to describe the whole value now."""
         aged = self._aged.get(r.name, set())
-        before = self._held[r.name]
+        before = self._stored[r.name]
         if self._collective:
             word = self._waiting[3] << 16 | self._waiting[2] << 8 | value
             aged.clear()
@@ -174,17 +179,17 @@ class Listener:
             shift = 8 * (address - 1)
             word = before & ~(0xFF << shift) | value << shift
             aged.discard(address)
-        self._held[r.name] = before & ~r.writable | word & r.writable
+        self._stored[r.name] = before & ~r.writable | word & r.writable
         climbs = address == (r.bits + 7) // 8 and self._last == address - 1
         return (address == 1 or climbs) and not aged and r.writable == r.mask
 
-    def _whole(self, r: Register, text: str) -> str:
-        value = self._held[r.name]
+    def _describe_register(self, r: Register, text: str) -> str:
+        value = self._stored[r.name]
         text = f"{text}: {r.name} = {value:X}h ({r.value(value)})"
         return self._fields[r.name].tell(text, value) if r.fields else text
 
     def read(self, address: int, value: int) -> str:
-        """One read cycle, address 0 to 3."""
+        """Describe a read cycle of address 0 to 3."""
         address, value = address & 3, value & 0xFF
         if not address:
             return self._status.tell("status", value)

@@ -1,6 +1,6 @@
 """Lint of the PCL-240 chips: the rules of their data sheets that a bus write breaks.
 
-`c` is the chip's record before the write, with access by name; `map_` is its register map. A start command has two groups of rules:
+`c` is the state of the chip before the write, a record; `map_` is its register map. A start command has two groups of rules:
 those that keep it from making pulses, and those about the way the pulses go, which are silent where none of the former is broken.
 """
 
@@ -87,11 +87,11 @@ _WORD = (1 << 24) - 1
 _RAMPING = ("R1", "R4", "R5", "R14", "R15")
 
 
-class Foresight(NamedTuple):
-    """Answers to what a command leads to, if nobody interferes.
+class Predictions(NamedTuple):
+    """Functions that predict the effect of a command if no write and no input comes after it.
 
     Attributes:
-        makes_pulses: Returns whether pulses come of the command.
+        makes_pulses: Returns whether the command leads to pulses.
         predict_last_speed: Returns the speed steps at the end of the run; None if it does not begin or does not end.
         clock_hz: Reference clock.
     """
@@ -102,7 +102,7 @@ class Foresight(NamedTuple):
 
 
 def lint_data(map_: RegisterMap, c: Any, address: int, value: int) -> Iterator[Finding]:
-    """Yield what is wrong with a byte to address 1, 2 or 3.
+    """Yield every rule that a byte to address 1, 2 or 3 breaks, with a message.
 
     Args:
         map_: Register map of the chip.
@@ -110,24 +110,24 @@ def lint_data(map_: RegisterMap, c: Any, address: int, value: int) -> Iterator[F
         address: Bus address.
         value: The byte.
     """
-    k = int(c["selected"])
+    k = int(c["selected_register"])
     r = map_.registers[k]
     shift = 8 * (address - 1)
     written, word = value << shift, int(c["reg"][k]) & ~(0xFF << shift) | value << shift
     if c["collective"]:
         if address != 1:
             return
-        written = word = int(c["high"]) << 16 | int(c["middle"]) << 8 | value
+        written = word = int(c["high_byte"]) << 16 | int(c["middle_byte"]) << 8 | value
     if lost := written & ~r.mask & ~_find_sign_extension(r.name, c, written):
         yield BITS_LOST, f"{r.name} is {r.bits} bits wide: {value:02X}h at address {address} loses bits {lost:06X}h"
     if fixed := written & r.mask & ~r.writable:
         yield READ_ONLY_BITS, f"{r.name} bits {fixed:06X}h are read only"
     if r.name in ("R14", "R15") and not c["s_curves"] and written & r.mask & SPAN:
         yield NO_S_CURVES, f"{r.name}: this chip has no S-curves; the value is stored and means nothing"
-    if c["running"] and c["preset"] and c["ramps"]:
+    if c["running"] and c["preset"] and c["uses_ramps"]:
         if r.name in ("R0", "R6"):
             yield TORN_BYTES, f"{r.name} written during a high-speed preset run: its bytes do not change together"
-        if r.name in _RAMPING and c["automatic"] and not c["manual"]:
+        if r.name in _RAMPING and c["automatic_ramp_down"] and not c["automatic_off"]:
             message = f"{r.name} written in motion switches the automatic ramp-down point off for this run"
             yield AUTOMATIC_POINT_ENDS, message
     # a register is complete with its low byte, which a host writes last, or whose high bytes are still 0
@@ -137,17 +137,17 @@ def lint_data(map_: RegisterMap, c: Any, address: int, value: int) -> Iterator[F
 
 def _find_sign_extension(name: str, c: Any, written: int) -> int:
     """Find the bits of a byte, or of a collective write, that only repeat the sign of R6 as an offset: none of them is lost."""
-    sign = _WORD & ~(int(c["top_bit"]) - 1)
+    sign = _WORD & ~(int(c["offset_sign_bit"]) - 1)
     return sign if name == "R6" and c["extended"] and written & sign == sign else 0
 
 
-def lint_command(map_: RegisterMap, c: Any, foresight: Foresight, value: int) -> Iterator[Finding]:
-    """Yield what is wrong with a byte to address 0.
+def lint_command(map_: RegisterMap, c: Any, predictions: Predictions, value: int) -> Iterator[Finding]:
+    """Yield every rule that a byte to address 0 breaks, with a message.
 
     Args:
         map_: Register map of the chip.
         c: State of the chip before the write.
-        foresight: Answers to what the command leads to.
+        predictions: Functions that predict the effect of the command.
         value: The byte.
     """
     word = map_.word(WRITTEN[value & GROUP])
@@ -165,8 +165,8 @@ def lint_command(map_: RegisterMap, c: Any, foresight: Foresight, value: int) ->
         yield UNKNOWN_MODE, f"operating mode {value:02X}h is in no table; {_describe_effect(c, value)}"
     if value & START and not value & STOP:
         if not c["running"]:
-            yield from _lint_start(c, foresight, value)
-        yield from _lint_rate(c, foresight.clock_hz, value)
+            yield from _lint_start(c, predictions, value)
+        yield from _lint_rate(c, predictions.clock_hz, value)
 
 
 def _lint_direction(c: Any, value: int) -> Iterator[Finding]:
@@ -185,7 +185,7 @@ def _describe_effect(c: Any, value: int) -> str:
     if value & STOP and value & START:
         if not c["running"]:
             return "nothing runs that it could stop"
-        ramps = value & RAMP or c["ramps"]
+        ramps = value & RAMP or c["uses_ramps"]
         return f"it acts as a {'decelerating stop (1Dh, 1Fh)' if ramps else 'stop at once'}"
     if value & STOP:
         return "it acts as the reset command" + (", with /INT" if value & INT_AT_STOP else "")
@@ -207,21 +207,21 @@ def _lint_rate(c: Any, hz: int, value: int) -> Iterator[Finding]:
     )
 
 
-def _lint_start(c: Any, foresight: Foresight, value: int) -> Iterator[Finding]:
-    """Yield what is wrong with a start command while nothing runs."""
+def _lint_start(c: Any, predictions: Predictions, value: int) -> Iterator[Finding]:
+    """Check a start command while no run is in progress."""
     registers = [int(v) for v in c["reg"]]
-    obstacles = list(_find_obstacles(c, registers, foresight, value))
+    obstacles = list(_find_obstacles(c, registers, predictions, value))
     yield from obstacles
     yield from _lint_registers(c, registers, value)
     if value & RAMP and not obstacles:
         yield from _lint_ramps(c, registers, value & SPEED)
-        yield from _lint_triangle(c, registers, value, foresight)
+        yield from _lint_triangle(c, registers, value, predictions)
 
 
-def _find_obstacles(c: Any, r: list[int], foresight: Foresight, value: int) -> Iterator[Finding]:
-    """Yield what keeps a start from making pulses, or ends them at speed 0.
+def _find_obstacles(c: Any, r: list[int], predictions: Predictions, value: int) -> Iterator[Finding]:
+    """Find what keeps a start from making pulses, or ends them at speed 0.
 
-    Ramps start from FL, and a decelerating stop ends there, whatever speed is selected: R1 may not be 0.
+    Ramps start from FL, and a decelerating stop ends there, whatever speed is selected, so R1 must not be 0.
     """
     if c["finishing"]:
         message = "start while the last pulse is still being completed is ignored: poll status bit 6"
@@ -230,9 +230,9 @@ def _find_obstacles(c: Any, r: list[int], foresight: Foresight, value: int) -> I
         yield NO_RESET_COMMAND, "start after a stop without the reset command 08h is ignored"
     if c["preset"] and r[0] == 0:
         yield NO_PULSES_LEFT, "start in preset mode with R0 = 0: no pulse, no /INT"
-    if c["seen"] & (EL_MINUS if c["minus"] else EL_PLUS):
+    if c["active_inputs"] & (EL_MINUS if c["minus"] else EL_PLUS):
         yield LIMIT_AHEAD, "start towards an asserted limit switch: no pulse comes; drive the other way"
-    if c["origin"] and c["seen"] & ORG:
+    if c["origin_return"] and c["active_inputs"] & ORG:
         logic = ", or clear R13 bit 23, which reads a high pin as ORG" if r[R13] & ORG_POSITIVE else ""
         yield STARTS_ON_ORG, f"origin return that starts on ORG: no pulse comes; leave ORG first{logic}"
     if c["multiplier"] < 2:
@@ -241,44 +241,51 @@ def _find_obstacles(c: Any, r: list[int], foresight: Foresight, value: int) -> I
         yield NO_MULTIPLIER, f"start with {place} = {c['multiplier']}: {why}"
     if zero := [k for k in sorted({1, _FH.get(value & SPEED, 1)}) if r[k] == 0]:
         message = f"start with {' and '.join(f'R{k} = 0' for k in zero)}: "
-        message += "the pulses end where a ramp leads to speed 0" if foresight.makes_pulses(value) else "no pulse comes"
+        message += (
+            "the pulses end where a ramp leads to speed 0" if predictions.makes_pulses(value) else "no pulse comes"
+        )
         yield (FL_IS_0, f"{message}; any data must be set on R1") if 1 in zero else (FH_IS_0, message)
 
 
 def _lint_registers(c: Any, r: list[int], value: int) -> Iterator[Finding]:
-    """Yield registers of a start that do not do what they are set for."""
+    """Find the registers of a start that do not have the effect for which they are set."""
     if value & RAMP and min(r[4], r[5]) < 2:
         yield RATE_BELOW_2, f"high-speed start with R4 = {r[4]}, R5 = {r[5]}: rates below 2 hold the speed"
-    if c["extended"] and c["origin"] and not r[R13] & EZ_RETURN and r[R13] & (MAX_EZ_COUNT << EZ_COUNT | EZ_FROM_FL):
+    if (
+        c["extended"]
+        and c["origin_return"]
+        and not r[R13] & EZ_RETURN
+        and r[R13] & (MAX_EZ_COUNT << EZ_COUNT | EZ_FROM_FL)
+    ):
         yield EZ_NOT_SELECTED, "R13 counts EZ, but its bit 21 is 0: the origin return ends at ORG"
 
 
-def _lint_triangle(c: Any, r: list[int], value: int, foresight: Foresight) -> Iterator[Finding]:
-    """Find an S-curve move that is too short for its FH, which nobody corrects, and stops above FL."""
-    fh, corrected = _FH.get(value & SPEED), c["automatic"] and not r[R14] & UNCORRECTED
+def _lint_triangle(c: Any, r: list[int], value: int, predictions: Predictions) -> Iterator[Finding]:
+    """Find an S-curve move that is too short for its FH, which the chip does not correct, and which stops above FL."""
+    fh, corrected = _FH.get(value & SPEED), c["automatic_ramp_down"] and not r[R14] & UNCORRECTED
     if not fh or not c["s_curves"] or r[R14] & LINEAR or not c["preset"] or corrected or r[fh] <= r[1]:
         return
-    height, rate, multiplier = r[fh] - r[1], r[4 if c["automatic"] else 5], int(c["multiplier"])
+    height, rate, multiplier = r[fh] - r[1], r[4 if c["automatic_ramp_down"] else 5], int(c["multiplier"])
     up, down = (s if 0 < 2 * s < height else height / 2 for s in (r[R14] & SPAN, r[R15] & SPAN))
     ramps = (height + 2 * up) * r[4] + (height + 2 * down) * rate
     if r[0] * 32768 * multiplier > (r[1] + r[fh]) * ramps:
         return
-    last = foresight.predict_last_speed(value)
+    last = predictions.predict_last_speed(value)
     allowed = min(_compute_steps_of_phase(LAST_PULSES * 8192 * multiplier, r[1], rate, down), height / 10)
     if last is None or last - r[1] <= allowed:
         return
-    last_pps, fl_pps = (k * foresight.clock_hz / (8192 * multiplier) for k in (last, r[1]))
+    last_pps, fl_pps = (k * predictions.clock_hz / (8192 * multiplier) for k in (last, r[1]))
     why = "FH correction is off (R14 bit 15)"
-    if not c["automatic"]:
+    if not c["automatic_ramp_down"]:
         why = "there is no FH correction without the automatic point"
     message = f"R0 = {r[0]} is too short for R{fh} = {r[fh]}, and {why}: "
     yield MOVE_TOO_SHORT, f"{message}it stops at {last_pps:,.0f} pps, FL is {fl_pps:,.0f} pps"
 
 
 def _compute_steps_of_phase(phase: float, fl: int, rate: int, span: float) -> float:
-    """Compute the speed steps above FL at which an S-curve that ends at FL has so much phase left.
+    """Compute the speed steps above FL at which an S-curve that ends at FL has a given phase left.
 
-    It is there rate sqrt(k span) clocks before its end, and runs at FL + k / 3 on average.
+    There it is rate sqrt(k span) clocks before its end, and runs at FL + k / 3 on average.
     """
     low, high = 0.0, 8191.0
     for _ in range(20):
@@ -288,18 +295,18 @@ def _compute_steps_of_phase(phase: float, fl: int, rate: int, span: float) -> fl
 
 
 def _lint_ramps(c: Any, r: list[int], select: int) -> Iterator[Finding]:
-    """Yield contradictions about the ramps of a high-speed start."""
+    """Find contradictions about the ramps of a high-speed start."""
     fh, extended = _FH.get(select), bool(c["extended"])
     if extended and fh and r[1] > r[fh]:
         yield FL_ABOVE_FH, f"R1 = {r[1]} is above R{fh} = {r[fh]}: the ramp leads down to FH"
-    if extended and c["automatic"] and not c["preset"]:
+    if extended and c["automatic_ramp_down"] and not c["preset"]:
         message = "automatic ramp-down without preset mode: there is no point to ramp down at"
         yield AUTOMATIC_WITHOUT_PRESET, message
     if extended and fh and r[1] != r[fh] and c["s_curves"] and r[R14] & LINEAR and (r[R14] | r[R15]) & SPAN:
         yield SPAN_OF_LINEAR_RAMP, "R14 bit 12 selects linear ramps: the spans of R14 and R15 mean nothing"
     if not c["preset"] or not fh or r[1] >= r[fh]:
         return
-    if not c["automatic"]:
+    if not c["automatic_ramp_down"]:
         if r[6] == 0:
             why, section = (". 08h clears R6 on this chip", "MS section 3-4") if extended else ("", "")
             message = f"R6 = 0 in a high-speed preset move: it stops without ramping down{why}"
@@ -309,11 +316,11 @@ def _lint_ramps(c: Any, r: list[int], select: int) -> Iterator[Finding]:
 
 
 def _lint_automatic_point(c: Any, r: list[int], fh: int) -> Iterator[Finding]:
-    """Yield what makes the automatic ramp-down point come too late, in a move that ramps up from FL to R`fh`."""
+    """Find what makes the automatic ramp-down point come too late, in a move that ramps up from FL to R`fh`."""
     height = r[fh] - r[1]
     linear = not c["s_curves"] or r[R14] & LINEAR
     up, down = (0 if linear or not 0 < 2 * s < height else s for s in (r[R14] & SPAN, r[R15] & SPAN))
-    offset = r[6] - 2 * int(c["top_bit"]) if r[6] & int(c["top_bit"]) else r[6]
+    offset = r[6] - 2 * int(c["offset_sign_bit"]) if r[6] & int(c["offset_sign_bit"]) else r[6]
     rising = (r[1] + r[fh]) * (height + 2 * up if up else 2 * height) * r[4] // (32768 * int(c["multiplier"]))
     if offset < 0 and -offset >= min(r[0], rising):
         message = f"R6 = {offset} as offset: the move ends before the automatic ramp-down begins"

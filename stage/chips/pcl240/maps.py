@@ -32,18 +32,22 @@ PHASES = {"hold": "hold", "fup": "up", "fkeep": "keep", "fdown": "down"}
 """Output pin -> phase of a run, see `Chip.PHASES`."""
 
 
-def _group(code: int) -> Field:
-    """The bits that tell the four bytes of address 0 apart."""
+def _make_group_field(code: int) -> Field:
+    """Return the field that distinguishes the four bytes of address 0."""
     return Field("group", 7, 6, f"{code >> 6:02b}", access="W", legal=(code >> 6, code >> 6))
 
 
-def _operating_mode(clears: str) -> Word:
-    """clears: what the reset command does besides."""
+def _make_operating_mode(clears: str) -> Word:
+    """Return the operating mode command.
+
+    Args:
+        clears: Further effect of the reset command, for its description.
+    """
     return Word(
         "operate",
         "operating mode selection, 00xx xxxx at address 0",
         (
-            _group(OPERATE),
+            _make_group_field(OPERATE),
             Field("int_at_stop", 5, 5, "/INT at stop", "S", "W", note="0 also clears a pending /INT [H]"),
             Field("start", 4, 4, "start, or a speed change while running", "S", "W"),
             Field(
@@ -72,13 +76,13 @@ def _operating_mode(clears: str) -> Word:
     )  # fmt: skip
 
 
-OPERATING_MODE = _operating_mode("")
-EXTENDED_OPERATING_MODE = _operating_mode(", clears R6")
+OPERATING_MODE = _make_operating_mode("")
+EXTENDED_OPERATING_MODE = _make_operating_mode(", clears R6")
 CONTROL_MODE = Word(
     "control",
     "control mode selection, 01xx xxxx at address 0",
     (
-        _group(CONTROL),
+        _make_group_field(CONTROL),
         Field("minus", 3, 3, "direction", "S", "W", values={0: "plus", 1: "minus"}),
         Field("preset", 2, 2, "stop when R0 reaches 0", "S", "W"),
         Field("sd", 1, 1, "SD+ and SD- slow a high-speed run", "I", "W"),
@@ -90,7 +94,7 @@ CONTROL_MODE = Word(
 REGISTER_SELECT = Word(
     "select",
     "register selection, 10xx xxxx at address 0",
-    (_group(SELECT), Field("register", 2, 0, "register", "I", "W", values={k: f"R{k}" for k in range(8)})),
+    (_make_group_field(SELECT), Field("register", 2, 0, "register", "I", "W", values={k: f"R{k}" for k in range(8)})),
     address=0,
     section="section 3 c",
 )
@@ -98,7 +102,7 @@ OUTPUT_MODE = Word(
     "output",
     "output pulse mode selection, 11xx xxxx at address 0",
     (
-        _group(OUTPUT),
+        _make_group_field(OUTPUT),
         Field("ots", 5, 5, "level of the OTS output", "I", "W", values={0: "low", 1: "high"}),
         Field("external", 4, 4, "R0 counts", "I", "W", values={0: "output pulses", 1: "rising edges of EXTP"}),
         Field("stored", 2, 1, "stored, no effect", "I", "W"),
@@ -132,12 +136,12 @@ STATUS = Word(
 )  # fmt: skip
 
 
-def _with(word: Word, *more: Field) -> Word:
-    """`word` with fields more, in the order of their bits."""
+def _add_fields(word: Word, *more: Field) -> Word:
+    """Return a copy of a word with further fields, in the order of their bits."""
     return replace(word, fields=tuple(sorted((*word.fields, *more), key=lambda f: -f.high)))
 
 
-EXTENDED_CONTROL_MODE = _with(
+EXTENDED_CONTROL_MODE = _add_fields(
     CONTROL_MODE,
     Field("position", 5, 5, "R10 counts output pulses", "H", "W"),
     Field("automatic", 4, 4, "automatic ramp-down point, R6 its offset", "S", "W", note="of preset runs with ramps"),
@@ -146,7 +150,7 @@ EXTENDED_SELECT = Word(
     "select",
     "register selection, 10xx xxxx at address 0",
     (
-        _group(SELECT),
+        _make_group_field(SELECT),
         Field(
             "collective", 5, 5, "collective transfers", "H", "W",
             note="the low byte's write transfers all bytes; the high byte's read latches all",
@@ -157,14 +161,20 @@ EXTENDED_SELECT = Word(
     address=0,
     section="section 3 c",
 )  # fmt: skip
-EXTENDED_OUTPUT_MODE = _with(
+EXTENDED_OUTPUT_MODE = _add_fields(
     OUTPUT_MODE,
     Field("extension", 3, 3, "extension mode: reads return", "H", "W", values={0: "R0", 1: "the selected register"}),
 )
 
 
-def _registers(rate_bits: int, point: Register, extended: bool) -> tuple[Register, ...]:
-    """R0 to R7. `point`: R6."""
+def _make_registers(rate_bits: int, point: Register, extended: bool) -> tuple[Register, ...]:
+    """Return R0 to R7.
+
+    Args:
+        rate_bits: Width of R4 and R5.
+        point: R6.
+        extended: Whether the chip has R10 to R17.
+    """
     speed, rate = (1, 8191), (2, (1 << rate_bits) - 1)
     access = "RW" if extended else "W"
     return (
@@ -188,12 +198,12 @@ _WIDE_POINT_OR_OFFSET = replace(
 )
 
 
-def _stored(high: int, low: int) -> Field:
+def _make_stored_field(high: int, low: int) -> Field:
     return Field("stored", high, low, "stored, no effect", "I")
 
 
-def _extension(s_curves: bool) -> tuple[Register, ...]:
-    """R10 to R17. On the MK the registers that only the MS has store what is written."""
+def _make_extension_registers(s_curves: bool) -> tuple[Register, ...]:
+    """Return R10 to R17. On the MK the registers that only the MS has store what is written."""
     seen = "S" if s_curves else "I"
     span = Field(
         "span", 11, 0, "speed steps of each curved end", "S", note="1 to 4095; 0 or above half the ramp: half the ramp"
@@ -206,8 +216,8 @@ def _extension(s_curves: bool) -> tuple[Register, ...]:
         else Field("fixed", 23, 23, "always 0", "S", "R")
     )
     monitor: tuple[Field, ...] = (Field("fixed", 20, 16, "always 0", "I", "R"),)
-    up: tuple[Field, ...] = (_stored(15, 0),)
-    down: tuple[Field, ...] = (_stored(11, 0),)
+    up: tuple[Field, ...] = (_make_stored_field(15, 0),)
+    down: tuple[Field, ...] = (_make_stored_field(11, 0),)
     if s_curves:
         up = (
             Field(
@@ -231,20 +241,20 @@ def _extension(s_curves: bool) -> tuple[Register, ...]:
         Register(
             "R12", 0x12, 24, "RW", "input logic", None,
             (
-                _stored(23, 13),
+                _make_stored_field(23, 13),
                 Field("ez_logic", 12, 12, "EZ logic", "I", values=logic, note=f"{turned}; that this bit selects the logic [S]"),
-                _stored(11, 0),
+                _make_stored_field(11, 0),
             ),
         ),
         Register(
             "R13", 0x13, 24 if s_curves else 23, "RW", "origin return", None,
             (
                 org,
-                _stored(22, 22),
+                _make_stored_field(22, 22),
                 Field("ez_return", 21, 21, "origin return ends at", "I", values={0: "ORG", 1: "EZ"}),
                 Field("ez_from_fl", 20, 20, "EZ counts from", "I", values={0: "ORG on", 1: "FL reached after ORG"}),
                 Field("ez_count", 19, 16, "EZ edges to let pass", "S", note="the return ends at the next one"),
-                _stored(15, 0),
+                _make_stored_field(15, 0),
             ),
         ),
         Register("R14", 0x14, 16, "RW", "acceleration", None, up, seen, note=note, tuned=spans),
@@ -252,7 +262,7 @@ def _extension(s_curves: bool) -> tuple[Register, ...]:
         Register("R16", 0x16, 24, "RW", "stored, no effect", evidence="I"),
         Register(
             "R17", 0x17, 24, "RW", "EZ monitor" if s_curves else "stored, no effect", None,
-            (_stored(23, 21), *monitor, _stored(15, 0)),
+            (_make_stored_field(23, 21), *monitor, _make_stored_field(15, 0)),
             seen,
         ),
     )  # fmt: skip
@@ -265,7 +275,7 @@ PCL240K_MAP = RegisterMap(
     "Nippon Pulse PCL-240K pulse generator, one axis, 8-bit bus",
     "data sheet PCL-240K, sections 3 and 4; PDIR as a pin is asserted while low (minus) [I]; "
     "R6 = 0, as /RESET leaves it, is no point [I]",
-    _registers(14, _POINT, extended=False),
+    _make_registers(14, _POINT, extended=False),
     (OPERATING_MODE, CONTROL_MODE, REGISTER_SELECT, OUTPUT_MODE, STATUS),
 )
 PCL240MK_MAP = RegisterMap(
@@ -273,7 +283,7 @@ PCL240MK_MAP = RegisterMap(
     "Nippon Pulse PCL-240MK pulse generator with automatic ramp-down and position counter, one axis, 8-bit bus",
     'data sheets PCL-240K and "Differences between PCL-240MK and PCL-240MS", vendor header 240MK; '
     "the range of R6 and the sign of its offset follow from its bits [I]",
-    (*_registers(14, _POINT_OR_OFFSET, extended=True), *_extension(s_curves=False)),
+    (*_make_registers(14, _POINT_OR_OFFSET, extended=True), *_make_extension_registers(s_curves=False)),
     EXTENDED_WORDS,
 )
 PCL240MS_MAP = RegisterMap(
@@ -281,6 +291,6 @@ PCL240MS_MAP = RegisterMap(
     "Nippon Pulse PCL-240MS pulse generator with S-curves, automatic ramp-down and position counter, one axis, 8-bit bus",
     'data sheets PCL-240K and "Differences between PCL-240MK and PCL-240MS", vendor header 240MK; '
     "the ranges of R4 and R5 follow from their bits [I]",
-    (*_registers(16, _WIDE_POINT_OR_OFFSET, extended=True), *_extension(s_curves=True)),
+    (*_make_registers(16, _WIDE_POINT_OR_OFFSET, extended=True), *_make_extension_registers(s_curves=True)),
     EXTENDED_WORDS,
 )

@@ -1,4 +1,4 @@
-"""PCL-240 family, compiled: step 3 of a tick. The speed to be reached, and the tick of the next speed step.
+"""Ramps of the PCL-240 family, step 3 of a tick: the speed to reach, and the tick of the next speed step; compiled.
 
 A linear ramp takes a step every R4 or R5 clocks; one down is over, and FDOWN falls, R5 - 1 clocks after its last step. An S-curve
 ramp of K steps with curved ends of S steps each takes its k-th step at t(k) clocks after its start, and is over at T:
@@ -21,51 +21,51 @@ NEVER = 1 << 40
 
 
 @hot
-def selected_speed(c):
-    """The speed register that the operating mode selects, or the corrected FH in its place."""
-    if c.select == c.top_select and c.select:
-        return c.top
-    if c.select == state.FH1:
+def read_selected_speed(c):
+    """Return the speed that the operating mode selects, or the corrected FH in its place."""
+    if c.speed_select == c.corrected_select and c.speed_select:
+        return c.corrected_speed
+    if c.speed_select == state.FH1:
         return c.reg[2]
-    if c.select == state.FH2:
+    if c.speed_select == state.FH2:
         return c.reg[3]
     return c.reg[1]
 
 
 @hot
-def slowed(c):
-    """SD enabled and the SD switch of the direction asserted."""
-    return c.sd_enable and c.seen & (state.SD_MINUS if c.minus else state.SD_PLUS)
+def is_slowed_by_sd(c):
+    """Return whether SD is enabled and the SD switch of the direction is asserted."""
+    return c.sd_enable and c.active_inputs & (state.SD_MINUS if c.minus else state.SD_PLUS)
 
 
 @hot
-def watching(c):
-    """The automatic ramp-down point is in force, in place of R0 < R6."""
-    return c.automatic and c.preset and c.ramps and not c.manual
+def is_ramp_down_automatic(c):
+    """Return whether the automatic ramp-down point is in force, in place of R0 < R6."""
+    return c.automatic_ramp_down and c.preset and c.uses_ramps and not c.automatic_off
 
 
 @hot
-def margin(c):
-    """Pulses by which R0 is above the automatic ramp-down point; its time has come at 0."""
+def compute_ramp_down_margin(c):
+    """Compute the number of pulses by which R0 is above the automatic ramp-down point."""
     offset = c.reg[6]
-    if offset & c.top_bit:
-        offset -= 2 * c.top_bit
-    return c.reg[0] - c.risen - offset
+    if offset & c.offset_sign_bit:
+        offset -= 2 * c.offset_sign_bit
+    return c.reg[0] - c.rise_pulses - offset
 
 
 @hot
-def goal_speed(c):
-    """Return the speed to which a ramp leads: FL or the selected register."""
-    if c.decel or c.down or c.homing or slowed(c):
+def find_goal_speed(c):
+    """Return the speed to which a ramp leads: FL or the selected speed."""
+    if c.stopping or c.ramp_down_due or c.passed_org or is_slowed_by_sd(c):
         return c.reg[1]
-    if c.preset and c.reg[0] < c.reg[6] and not watching(c):
+    if c.preset and c.reg[0] < c.reg[6] and not is_ramp_down_automatic(c):
         return c.reg[1]
-    return selected_speed(c)
+    return read_selected_speed(c)
 
 
 @hot
-def _root(x):
-    """Floor of the square root, x < 2^62."""
+def _compute_integer_root(x):
+    """Return the integer part of a square root, x < 2^62."""
     r = int(math.sqrt(float(x)))
     while r * r > x:
         r -= 1
@@ -75,17 +75,23 @@ def _root(x):
 
 
 @hot
-def correct_top(c):
-    """FH correction at the start of a preset run (data sheet MS, 3-4): a distance too short to reach FH takes a lower one.
+def correct_fh(c):
+    """Correct FH at the start of a preset run: a distance too short to reach FH gets a lower top speed.
 
-    The automatic ramp-down decelerates on R4, so R4 stands for R5, and cancels: with s = R14 + R15, m = max(R14, R15)
+    Source: data sheet MS, 3-4. The automatic ramp-down decelerates at R4, so R4 replaces R5. With s = R14 + R15, m = max(R14, R15):
+
         pulses for a trapezoid       (R2^2 - R1^2) R4 / (8192 R7)    or  (R1 + R2) (R2 - R1 + s) R4 / (16384 R7)
         pulses for a linear part     (R1 + m) (s + 2 m) R4 / (8192 R7)
         revised R2                   sqrt(8192 R0 R7 / R4 + R1^2)    or  (-s + sqrt((s - 2 R1)^2 + 65536 R0 R7 / R4)) / 2
     """
-    low, high, rate = c.reg[1], selected_speed(c), c.reg[4]
+    low, high, rate = c.reg[1], read_selected_speed(c), c.reg[4]
     if (
-        not (c.s_curves and watching(c) and (c.select == state.FH1 or c.select == state.FH2) and rate)
+        not (
+            c.s_curves
+            and is_ramp_down_automatic(c)
+            and (c.speed_select == state.FH1 or c.speed_select == state.FH2)
+            and rate
+        )
         or c.reg[state.R14] & state.UNCORRECTED
     ):
         return
@@ -96,136 +102,152 @@ def correct_top(c):
     if product * 16384 > ((high + low) * (high - low) * 2 if linear else (low + high) * (high - low + s)) * rate:
         return
     if linear or product * 8192 <= (low + m) * (s + 2 * m) * rate:
-        c.top = _root(8192 * product // rate + low * low)
+        c.corrected_speed = _compute_integer_root(8192 * product // rate + low * low)
     else:
-        c.top = (_root((s - 2 * low) ** 2 + 65536 * product // rate) - s) // 2
-    c.top_select = c.select
+        c.corrected_speed = (_compute_integer_root((s - 2 * low) ** 2 + 65536 * product // rate) - s) // 2
+    c.corrected_select = c.speed_select
 
 
 @hot
-def _curve_time(c, k):
-    """First whole clock at or after t(k); rate^2 K S stays below 2^60."""
+def _compute_curve_time(c, k):
+    """Compute the first whole clock at or after t(k). rate^2 K S stays below 2^60."""
     double = c.twice_span
     if 2 * k <= double:
-        square = c.rate * c.rate * k * double  # of t(k), twice
-        return _root((square + 1) // 2 - 1) + 1
-    if 2 * k <= 2 * c.steps - double:
-        return (c.rate * (double + 2 * k) + 3) // 4
-    total = (c.steps + double) * c.rate  # twice T
-    return (total - _root(2 * c.rate * c.rate * (c.steps - k) * double) + 1) // 2
+        square = c.ramp_rate * c.ramp_rate * k * double  # of t(k), twice
+        return _compute_integer_root((square + 1) // 2 - 1) + 1
+    if 2 * k <= 2 * c.ramp_steps - double:
+        return (c.ramp_rate * (double + 2 * k) + 3) // 4
+    total = (c.ramp_steps + double) * c.ramp_rate  # twice T
+    return (total - _compute_integer_root(2 * c.ramp_rate * c.ramp_rate * (c.ramp_steps - k) * double) + 1) // 2
 
 
 @hot
 def _start_ramp(c, goal, direction):
-    c.ramp, c.timer, c.goal = direction, 0, goal
-    c.curved = 1 if c.s_curves and not c.reg[state.R14] & state.LINEAR else 0
-    if c.curved:
-        c.steps = abs(goal - c.speed)
-        c.step = 0
-        c.rate_place = 4 if direction > 0 or c.down else 5
-        c.rate, c.twice_span = c.reg[c.rate_place], _twice_span(c)
-        next_step(c)
+    """Start a ramp.
+
+    Args:
+        c: State of the chip.
+        goal: Speed at its end, speed steps.
+        direction: 1 up, -1 down.
+    """
+    c.ramp_direction, c.ramp_clocks, c.ramp_goal = direction, 0, goal
+    c.curved_ramp = 1 if c.s_curves and not c.reg[state.R14] & state.LINEAR else 0
+    if c.curved_ramp:
+        c.ramp_steps = abs(goal - c.speed)
+        c.ramp_step = 0
+        c.rate_register = 4 if direction > 0 or c.ramp_down_due else 5
+        c.ramp_rate, c.twice_span = c.reg[c.rate_register], _compute_twice_span(c)
+        schedule_next_step(c)
 
 
 @hot
-def _twice_span(c):
-    """2 S by R14, R15 as they are now."""
-    span = c.reg[state.R14 if c.ramp > 0 else state.R15] & state.SPAN
-    return c.steps if span == 0 or 2 * span > c.steps else 2 * span
+def _compute_twice_span(c):
+    """Compute 2 S from R14 or R15 as they are now."""
+    span = c.reg[state.R14 if c.ramp_direction > 0 else state.R15] & state.SPAN
+    return c.ramp_steps if span == 0 or 2 * span > c.ramp_steps else 2 * span
 
 
 @hot
-def linear_rate(c, direction):
-    """R4, or R5; after the automatic ramp-down point R4 both ways."""
-    return c.reg[4] if direction > 0 or c.down else c.reg[5]
+def read_linear_rate(c, direction):
+    """Return the rate of a linear ramp: R4 or R5; after the automatic ramp-down point R4 in both directions."""
+    return c.reg[4] if direction > 0 or c.ramp_down_due else c.reg[5]
 
 
 @hot
-def next_step(c):
-    """When the S-curve takes its next step: upwards the k-th at t(k), downwards a clock after t(k - 1)."""
-    c.next = NEVER if c.rate < 2 else _step_time(c, c.step + 1)
+def schedule_next_step(c):
+    """Find when the S-curve takes its next step: upwards the k-th step at t(k), downwards a clock after t(k - 1)."""
+    c.next_step_time = NEVER if c.ramp_rate < 2 else _compute_step_time(c, c.ramp_step + 1)
 
 
 @hot
-def _step_time(c, k):
-    if c.ramp > 0:
-        return _curve_time(c, k)
-    return 1 + (_curve_time(c, k - 1) if k > 1 else 0)
+def _compute_step_time(c, k):
+    """Compute the clock of the ramp at which its k-th step comes."""
+    if c.ramp_direction > 0:
+        return _compute_curve_time(c, k)
+    return 1 + (_compute_curve_time(c, k - 1) if k > 1 else 0)
 
 
 @hot
-def took_step(c):
-    """The S-curve has made a step. Registers that were revised since the last act from here on: the count of the ramp's clocks
-    becomes the one at which the ramp, had it run with the new values all the time, makes this very step."""
-    c.step += 1
-    double = _twice_span(c)
-    if c.reg[c.rate_place] != c.rate or double != c.twice_span:
-        c.rate, c.twice_span = c.reg[c.rate_place], double
-        if c.rate:
-            c.timer = _step_time(c, c.step)
-    if c.step < c.steps:
-        next_step(c)
+def finish_step(c):
+    """Finish a step of the S-curve, and schedule the next one.
+
+    Registers that a host has revised since the last step act from here on. The clock of the ramp becomes the one at which a
+    ramp with the new values from its start would take this very step.
+    """
+    c.ramp_step += 1
+    double = _compute_twice_span(c)
+    if c.reg[c.rate_register] != c.ramp_rate or double != c.twice_span:
+        c.ramp_rate, c.twice_span = c.reg[c.rate_register], double
+        if c.ramp_rate:
+            c.ramp_clocks = _compute_step_time(c, c.ramp_step)
+    if c.ramp_step < c.ramp_steps:
+        schedule_next_step(c)
 
 
 @hot
-def _tail(c):
-    """Clocks for which FDOWN stays up after the last step of a ramp down, which ends as it would take another step: Tsd."""
-    if not c.curved:
-        return linear_rate(c, -1) - 1
-    return ((c.steps + c.twice_span) * c.rate + 1) // 2 - c.timer if c.rate else 0
+def _compute_fdown_tail(c):
+    """Compute for how many clocks FDOWN stays asserted after the last step of a ramp down."""
+    if not c.curved_ramp:
+        return read_linear_rate(c, -1) - 1
+    return ((c.ramp_steps + c.twice_span) * c.ramp_rate + 1) // 2 - c.ramp_clocks if c.ramp_rate else 0
 
 
 @hot
-def until_step(c, goal):
-    """Ticks for which step 3 surely changes nothing, plus one."""
+def count_ticks_to_step(c, goal):
+    """Count the ticks up to the next one in which step 3 may change something.
+
+    Args:
+        c: State of the chip.
+        goal: Speed to which the ramp leads.
+    """
     speed = c.speed
-    if not c.ramps:
-        return 1 if speed != selected_speed(c) or c.rising else NEVER
-    if c.rising != (1 if goal > speed else 0) or (c.decel and speed <= c.reg[1]):
+    if not c.uses_ramps:
+        return 1 if speed != read_selected_speed(c) or c.speed_rising else NEVER
+    if c.speed_rising != (1 if goal > speed else 0) or (c.stopping and speed <= c.reg[1]):
         return 1
-    if not c.down and watching(c) and margin(c) <= 0:
+    if not c.ramp_down_due and is_ramp_down_automatic(c) and compute_ramp_down_margin(c) <= 0:
         return 1
     if speed == goal:
-        return c.fall - c.clock if c.clock < c.fall else NEVER
-    if c.ramp != (1 if speed < goal else -1):
+        return c.fdown_end - c.clock if c.clock < c.fdown_end else NEVER
+    if c.ramp_direction != (1 if speed < goal else -1):
         return 1
-    if c.curved:
-        return greatest(1, c.next - c.timer) if c.goal == goal else 1
-    rate = linear_rate(c, c.ramp)
-    return greatest(1, rate - c.timer) if rate >= 2 else NEVER
+    if c.curved_ramp:
+        return greatest(1, c.next_step_time - c.ramp_clocks) if c.ramp_goal == goal else 1
+    rate = read_linear_rate(c, c.ramp_direction)
+    return greatest(1, rate - c.ramp_clocks) if rate >= 2 else NEVER
 
 
 @hot
-def step_speed(c):
-    """Step 3 of one tick."""
-    c.rising = 0
-    if not c.ramps:
-        c.speed = selected_speed(c)
-        c.ramp = c.fall = 0
+def update_speed(c):
+    """Update the speed: step 3 of a tick."""
+    c.speed_rising = 0
+    if not c.uses_ramps:
+        c.speed = read_selected_speed(c)
+        c.ramp_direction = c.fdown_end = 0
         return
-    if not c.down and watching(c) and margin(c) <= 0:
-        c.down = 1
-    goal = goal_speed(c)
+    if not c.ramp_down_due and is_ramp_down_automatic(c) and compute_ramp_down_margin(c) <= 0:
+        c.ramp_down_due = 1
+    goal = find_goal_speed(c)
     if c.speed == goal:
-        c.ramp = 0
+        c.ramp_direction = 0
     else:
         direction = 1 if c.speed < goal else -1
-        c.rising = 1 if direction > 0 else 0
-        c.fall = 0
-        first = c.ramp != direction or (c.curved and c.goal != goal)
+        c.speed_rising = 1 if direction > 0 else 0
+        c.fdown_end = 0
+        first = c.ramp_direction != direction or (c.curved_ramp and c.ramp_goal != goal)
         if first:
             _start_ramp(c, goal, direction)
-        c.timer += 1
-        if c.curved:
-            if c.timer >= c.next:
+        c.ramp_clocks += 1
+        if c.curved_ramp:
+            if c.ramp_clocks >= c.next_step_time:
                 c.speed += direction
-                took_step(c)
+                finish_step(c)
         else:
-            rate = linear_rate(c, direction)
-            if rate >= 2 and (c.timer >= rate or (first and direction < 0)):
+            rate = read_linear_rate(c, direction)
+            if rate >= 2 and (c.ramp_clocks >= rate or (first and direction < 0)):
                 c.speed += direction
-                c.timer = 0
+                c.ramp_clocks = 0
         if direction < 0 and c.speed == goal:
-            c.fall = c.clock + _tail(c)
-    if c.decel and c.speed <= c.reg[1]:
-        state.stop(c)
+            c.fdown_end = c.clock + _compute_fdown_tail(c)
+    if c.stopping and c.speed <= c.reg[1]:
+        state.stop_run(c)

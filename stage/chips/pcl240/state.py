@@ -1,4 +1,4 @@
-"""PCL-240 family, compiled: the record that holds a chip, its pins and register bits, and how a run ends."""
+"""State of a PCL-240 chip as a record for compiled code, its pins and register bits, and the begin and end of a run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stage.native import greatest, hot, least, record
 REGISTERS = len(MAP.registers)
 _PLACES = {r.name: k for k, r in enumerate(MAP.registers)}
 R10, R12, R13, R14, R15, R17 = (_PLACES[name] for name in ("R10", "R12", "R13", "R14", "R15", "R17"))
-"""Places in `reg`: R0 to R7, then R10 to R17 (octal numbers). R0 to R7 are at home under their own number."""
+"""Indices in `reg`: R0 to R7 under their own numbers, then R10 to R17 (octal numbers)."""
 COUNTER_MASK = MAP.register("R0").mask
 
 # The bits of the bytes of address 0, of the status byte and of registers. The MS has all that the others have.
@@ -37,76 +37,76 @@ EZ_SIGNAL = MAP.mask("R17", "ez")
 STATE = record(
     [
         ("clock", "i8"),  # reference clocks since power-up
-        ("phase", "i8"),  # of the pulse period: grows by `speed` a clock up to 8192 R7, where the next pulse begins
-        ("speed", "i8"),  # speed steps
-        ("timer", "i8"),  # clocks since the last step of a linear ramp, since the start of an S-curve ramp
-        ("ramp", "i8"),  # 1 up, -1 down, 0 none
-        ("running", "i8"),  # a run is on
-        ("finishing", "i8"),  # the run is over, but for the pulse in progress
-        ("armed", "i8"),  # a start acts: 08h came after the last stop
-        ("low", "i8"),  # POUT is low: a pulse is in progress
+        ("phase", "i8"),  # phase of the pulse period: grows by `speed` per clock; at 8192 R7 the next pulse begins
+        ("speed", "i8"),  # present speed, speed steps
+        ("ramp_clocks", "i8"),  # clocks since the last step of a linear ramp, since the start of an S-curve ramp
+        ("ramp_direction", "i8"),  # 1 up, -1 down, 0 none
+        ("running", "i8"),  # a run is in progress
+        ("finishing", "i8"),  # the run has ended except for the pulse in progress
+        ("armed", "i8"),  # a start command acts: 08h was written after the last stop
+        ("pout_low", "i8"),  # POUT is low: a pulse is in progress
         # operating-mode command
-        ("ramps", "i8"),  # high speed, with ramps
-        ("select", "i8"),  # speed register: FL, FH1, FH2
-        ("decel", "i8"),  # a decelerating stop was commanded
+        ("uses_ramps", "i8"),  # high-speed run, with ramps
+        ("speed_select", "i8"),  # selected speed register: FL, FH1, FH2
+        ("stopping", "i8"),  # a decelerating stop was commanded
         ("int_at_stop", "i8"),  # /INT at stop
         ("irq", "i8"),  # /INT is pending
         # control-mode command
-        ("origin", "i8"),  # origin return
+        ("origin_return", "i8"),  # origin return
         ("sd_enable", "i8"),  # SD slows a high-speed run
         ("preset", "i8"),  # stop when R0 reaches 0
         ("minus", "i8"),  # direction: 1 minus
-        ("automatic", "i8"),  # automatic ramp-down point
-        ("position", "i8"),  # R10 counts output pulses
+        ("automatic_ramp_down", "i8"),  # automatic ramp-down point
+        ("counts_position", "i8"),  # R10 counts output pulses
         # register select, output mode, bytes that wait
-        ("selected", "i8"),  # place in `reg`
-        ("output", "i8"),  # bits of the output mode
+        ("selected_register", "i8"),  # selected register, an index in `reg`
+        ("output_mode", "i8"),  # bits of the output mode
         ("collective", "i8"),  # transfers of all bytes at once
-        ("high", "i8"),  # bits 23..16, wait for the lowest byte
-        ("middle", "i8"),  # bits 15..8, wait for the lowest byte
-        ("latch", "i8"),  # the register as the high byte's read found it
+        ("high_byte", "i8"),  # bits 23..16, which wait for the lowest byte
+        ("middle_byte", "i8"),  # bits 15..8, which wait for the lowest byte
+        ("read_latch", "i8"),  # the register at the last read of its high byte
         # pins, pulses
-        ("inputs", "i8"),  # INPUTS now, and what SYNI brings
-        ("seen", "i8"),  # INPUTS as the chip reads them: R12 and R13 turn EZ and ORG round
-        ("sampled", "i8"),  # the same at the last clock
-        ("multiplier", "i8"),  # R7, of the leader where SYNI is connected
-        ("total", "i8"),  # pulses begun ever
-        ("net", "i8"),  # the same, plus minus minus
+        ("inputs", "i8"),  # INPUTS, and above them R7 of the leader, see SYNI
+        ("active_inputs", "i8"),  # INPUTS that are active: R12 and R13 can invert EZ and ORG
+        ("last_inputs", "i8"),  # `active_inputs` at the last clock
+        ("multiplier", "i8"),  # R7; that of the leader if SYNI is connected
+        ("total", "i8"),  # pulses since power-up
+        ("net", "i8"),  # net pulses since power-up
         # the S-curve ramp in progress, as it started
-        ("curved", "i8"),  # there is one
-        ("goal", "i8"),  # speed steps
-        ("steps", "i8"),  # steps of it in all
-        ("step", "i8"),  # steps taken
+        ("curved_ramp", "i8"),  # the ramp is an S-curve
+        ("ramp_goal", "i8"),  # speed steps
+        ("ramp_steps", "i8"),  # number of its steps
+        ("ramp_step", "i8"),  # number of steps taken
         ("twice_span", "i8"),  # 2 S of ramp.py, speed steps
-        ("rate", "i8"),  # clocks per speed step of its middle
-        ("rate_place", "i8"),  # place in `reg` of the rate, which may be revised
-        ("fall", "i8"),  # after a ramp down: the clock at which FDOWN falls; 0 once it cannot be up any more
-        ("next", "i8"),  # `timer` of its next step
+        ("ramp_rate", "i8"),  # clocks per speed step in its linear part
+        ("rate_register", "i8"),  # register of the rate, an index in `reg`: a host may revise it
+        ("fdown_end", "i8"),  # after a ramp down: the clock at which FDOWN falls; else 0
+        ("next_step_time", "i8"),  # `ramp_clocks` of its next step
         (
-            "quiet",
+            "quiet_until",
             "i8",
-        ),  # the clock up to which nothing happens but pulses, while inputs stay and nobody writes; 0: not known
+        ),  # the clock up to which only pulses happen if no input changes and nobody writes; 0: unknown
         # automatic ramp-down and FH correction of this run
-        ("rising", "i8"),  # step 3 of the last clock found goal > speed
-        ("risen", "i8"),  # pulses output while the speed rose
-        ("manual", "i8"),  # the automatic point is off for this run
-        ("down", "i8"),  # the automatic point has come
-        ("top", "i8"),  # corrected FH, speed steps ...
-        ("top_select", "i8"),  # ... in place of this speed register
+        ("speed_rising", "i8"),  # the speed was below its goal at the last clock
+        ("rise_pulses", "i8"),  # pulses output while the speed was rising
+        ("automatic_off", "i8"),  # the automatic ramp-down point is off for this run
+        ("ramp_down_due", "i8"),  # the automatic ramp-down point has been reached
+        ("corrected_speed", "i8"),  # corrected FH, speed steps
+        ("corrected_select", "i8"),  # the speed register that it replaces
         # origin return with EZ of this run
-        ("homing", "i8"),  # ORG was seen
-        ("counting", "i8"),  # EZ edges count
-        ("ez_left", "i8"),  # EZ edges to let pass
-        ("ez_running", "i8"),  # the first EZ edge has come
-        # what this variant has beyond the 240K: variants differ by data alone
+        ("passed_org", "i8"),  # ORG has been asserted
+        ("counts_ez", "i8"),  # edges of EZ are counted
+        ("ez_left", "i8"),  # number of EZ edges that remain
+        ("ez_started", "i8"),  # the first EZ edge has been counted
+        # the variant: chips of the family differ by data alone
         ("extended", "i8"),  # MK and MS
         ("s_curves", "i8"),  # MS; it has the EZ monitor, too
         ("reg", "i8", (REGISTERS,)),  # R0 to R7, R10 to R17
-        ("mask", "i8", (REGISTERS,)),  # what can be written to each
-        ("top_bit", "i8"),  # the sign of R6 as an offset
+        ("writable_bits", "i8", (REGISTERS,)),  # writable bits of each register
+        ("offset_sign_bit", "i8"),  # sign bit of R6 as an offset
     ]
 )
-"""One chip."""
+"""State of one chip."""
 
 EL_PLUS, EL_MINUS, SD_PLUS, SD_MINUS, ORG, INS, EXTP, EZ = (1 << k for k in range(8))
 INPUTS = {
@@ -133,7 +133,7 @@ OUTPUTS = {
     "irq": IRQ,
 }
 SYNI = WIRE_BIT
-"""Above this bit the word of inputs has what SYNI brings: R7 of the leader plus 1; 0 while it is not connected."""
+"""From this bit on `inputs` holds R7 of the leader plus 1; 0 while SYNI is not connected."""
 ALL_INPUTS = (1 << SYNI) - 1
 PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
 EDGE = record(
@@ -148,18 +148,18 @@ EDGE = record(
         ("rate", "f8"),  # pulses a clock
     ]
 )
-"""A chip from one of its changes on, for recordings."""
+"""State of a chip from one of its changes on, for journals and recordings."""
 
 
 @hot
-def reset(c):
-    """The /RESET pin: everything 0 except `armed`; the clock, the input pins and the pulse totals go on."""
-    c.phase = c.speed = c.timer = c.ramp = c.running = c.finishing = c.low = 0
+def reset_chip(c):
+    """Reset the chip as /RESET does: everything to 0 except `armed`. The clock, the input pins and the pulse totals stay."""
+    c.phase = c.speed = c.ramp_clocks = c.ramp_direction = c.running = c.finishing = c.pout_low = 0
     c.armed = 1
-    c.ramps = c.select = c.decel = c.int_at_stop = c.irq = 0
-    c.origin = c.sd_enable = c.preset = c.minus = c.automatic = c.position = 0
-    c.selected = c.output = c.collective = c.high = c.middle = c.latch = 0
-    begin(c)
+    c.uses_ramps = c.speed_select = c.stopping = c.int_at_stop = c.irq = 0
+    c.origin_return = c.sd_enable = c.preset = c.minus = c.automatic_ramp_down = c.counts_position = 0
+    c.selected_register = c.output_mode = c.collective = c.high_byte = c.middle_byte = c.read_latch = 0
+    begin_run(c)
     for k in range(REGISTERS):
         c.reg[k] = 0
     read_pins(c)
@@ -167,34 +167,34 @@ def reset(c):
 
 @hot
 def read_pins(c):
-    """Pins, R7, or the bits that say how pins are read, may have changed: what the chip makes of them from now on."""
+    """Update `active_inputs` and `multiplier` after a change of the pins, of R7, or of the bits that invert pins."""
     turned = (ORG if c.reg[R13] & ORG_POSITIVE else 0) | (EZ if c.reg[R12] & EZ_POSITIVE else 0)
-    c.seen = (c.inputs & ALL_INPUTS) ^ turned
+    c.active_inputs = (c.inputs & ALL_INPUTS) ^ turned
     c.multiplier = (c.inputs >> SYNI) - 1 if c.inputs >> SYNI else c.reg[7]
     c.phase = least(c.phase, greatest(8192 * c.multiplier - 1, 0))
 
 
 @hot
-def begin(c):
-    """Clear what one run does not take over from the last."""
-    c.phase = c.timer = c.ramp = c.curved = c.fall = 0
-    c.rising = c.risen = c.manual = c.down = c.top = c.top_select = 0
-    c.homing = c.counting = c.ez_left = c.ez_running = 0
+def begin_run(c):
+    """Clear the state that one run does not take over from the last."""
+    c.phase = c.ramp_clocks = c.ramp_direction = c.curved_ramp = c.fdown_end = 0
+    c.speed_rising = c.rise_pulses = c.automatic_off = c.ramp_down_due = c.corrected_speed = c.corrected_select = 0
+    c.passed_org = c.counts_ez = c.ez_left = c.ez_started = 0
 
 
 @hot
-def end(c):
-    """The operation is over: b6 falls, /INT if asked for."""
+def end_run(c):
+    """End the operation: status bit 6 falls, and /INT is asserted if the command asks for it."""
     c.finishing = 0
     if c.int_at_stop:
         c.irq = 1
 
 
 @hot
-def stop(c):
-    """Stop; a pulse in progress is completed first."""
-    c.running = c.armed = c.decel = c.ez_running = 0
-    if c.low:
+def stop_run(c):
+    """Stop the run. A pulse in progress is completed first."""
+    c.running = c.armed = c.stopping = c.ez_started = 0
+    if c.pout_low:
         c.finishing = 1
     else:
-        end(c)
+        end_run(c)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.chips.pcl240.describe import speed_name
+from stage.chips.pcl240.describe import name_speed
 from stage.chips.pcl240.maps import CONTROL, OPERATE, OUTPUT
 from stage.chips.pcl240.state import FL, GROUP, INT_AT_STOP, OUTPUT_BITS, RAMP, SPEED, START, STOP
 from stage.firmware import pattern
@@ -48,7 +48,7 @@ class Pattern(pattern.Pattern):
             if s.kind == "register":
                 values.setdefault(s.register, set()).add(s.value)
             elif s.kind == "command" and (byte := int(s.code, 16)) & START and byte & GROUP == OPERATE:
-                used.add(speed_name(byte))
+                used.add(name_speed(byte))
                 used |= {"FL"} if byte & RAMP else set()
         step = self.course.clock_hz / (8192.0 * max(next(iter(values.get("R7", {1}))), 1))
         names = {"FL": "R1", "FH1": "R2", "FH2": "R3"}
@@ -112,7 +112,7 @@ def _words(byte: int, halted: bool) -> str:
         return ("decelerating stop" if byte & RAMP else "stop") + irq
     if not start:
         return ""
-    speed = speed_name(byte)
+    speed = name_speed(byte)
     if halted:
         return (f"start, ramp to {speed}" if byte & RAMP and speed != "FL" else f"start, constant {speed}") + irq
     return (f"ramp to {speed}" if byte & RAMP else f"at once {speed}") + irq

@@ -38,7 +38,7 @@ def compute_offset(row: np.ndarray, chip: type[PCL240]) -> int:
     """
     emulated = _start(row, chip, int(row[6]), False)
     emulated.CORE.advance.c(emulated.pointer, MAX_CLOCKS)
-    return int(row[6]) - 1 - int(emulated.state["risen"])
+    return int(row[6]) - 1 - int(emulated.state["rise_pulses"])
 
 
 def _start(row: np.ndarray, chip: type[PCL240], r6: int, automatic: bool) -> PCL240:
