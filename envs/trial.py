@@ -119,7 +119,7 @@ class PulsePredictor:
         core = self.axis.chip.CORE
         rows = np.frombuffer(bytearray(self._fresh), core.STATE)
         replica = np.zeros(1, cores.CHIP)
-        cores.fill(replica[0], core, rows.ctypes.data)
+        cores.fill_chip_record(replica[0], core, rows.ctypes.data)
         until = round(seconds * self.axis.chip.clock_hz)
         net_pulses = play.predict_pulses(replica, ops, 1 << self.axis.index, self.axis.chip_axis, until)
         return None if net_pulses == play.STILL_BUSY else int(net_pulses)

@@ -45,7 +45,7 @@ def check(given, *more):
 
 PLAIN = {
     "clock_hz": (lambda v: PCL240K(clock_hz=v), (1, 100_000_000), (0, 100_000_001, 1.5)),
-    "clocks": (lambda v: PCL240K()._until(v), (0, MAX_CLOCKS), (-1, MAX_CLOCKS + 1)),
+    "clocks": (lambda v: PCL240K()._find_end_clock(v), (0, MAX_CLOCKS), (-1, MAX_CLOCKS + 1)),
     "microsteps": (lambda v: Drive(microsteps=v), (1, 256), (0, 257, True)),
     "bus_voltage of a drive": (lambda v: Drive(bus_voltage=v), (1e-9, 400), (0, 400.1)),
     "current": (lambda v: Drive(current=v), (1e-9, 2 * MOTOR.rated_current), (0, 2.01 * MOTOR.rated_current)),

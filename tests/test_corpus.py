@@ -55,7 +55,7 @@ def test_a_corpus_is_small_and_of_inputs_that_the_fuzzer_can_reach(target):
 def test_a_corpus_has_inputs_for_every_chip_of_a_known_family():
     seen = {path.read_bytes()[0] for path in inputs("bus")}
     assert seen >= {k for k, chip in enumerate(ORDER) if issubclass(CHIPS[chip], tuple(FAMILIES))}
-    assert set(ORDER) >= set(CHIPS.own)
+    assert set(ORDER) >= set(CHIPS.built_in)
 
 
 def test_every_model_of_the_corpus_is_refused_with_words_or_runs(monkeypatch):

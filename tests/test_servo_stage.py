@@ -14,7 +14,7 @@ from support.vcd_parser import parse
 
 from stage import ArgumentError, ModelError, Stage, StageError, faults
 from stage.chips import HCTL1100, PCL240K
-from stage.chips.entries import SHAFT, number
+from stage.chips.entries import SHAFT, bits_to_float
 from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo
 from stage.drives.motors import MOTORS, Drive
 from stage.recording.series import make_plot_title, select_series
@@ -270,7 +270,7 @@ def test_what_reached_a_chip_of_a_stage_brings_one_on_the_bench_to_the_same_stat
     distance = {"drive_integral"}
     for field in lone.state.dtype.names:
         assert field in distance or np.array_equal(lone.state[field], x.chip.state[field]), field
-    shafts = [number(e.a) for e in journal.entries if e.kind == SHAFT]
+    shafts = [bits_to_float(e.a) for e in journal.entries if e.kind == SHAFT]
     assert len(shafts) > 400, "one a physics step"
     assert abs(shafts[-1] - shafts[0]) > 1000
 

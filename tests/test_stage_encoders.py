@@ -16,7 +16,7 @@ from stage import ArgumentError, Fleet, Program, Stage, faults
 from stage.board import Board, NativeHost
 from stage.board.devices import HCTL2016, Encoder
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K
-from stage.chips.entries import SHAFT, number
+from stage.chips.entries import SHAFT, bits_to_float
 from stage.cli import main
 from stage.sim.encoder import choose_encoders, counts_per_unit
 
@@ -180,7 +180,7 @@ def test_a_journal_brings_a_chip_on_the_bench_to_the_same_state(fed):
     fed.place(y=0.02)
     fed.run(0.003)
     journal.close()
-    lone = x.chip.twin(journal.start.tobytes())
+    lone = x.chip.make_replica(journal.start.tobytes())
     for e in journal.entries:
         lone.CORE.run(lone._rows, e.clock)
         e.apply(lone.CORE, lone._rows)
@@ -188,7 +188,7 @@ def test_a_journal_brings_a_chip_on_the_bench_to_the_same_state(fed):
     internal = {"pulse_clock_sum", "recent_net", "first_pulse_clock"}
     for field in lone.state["ax"].dtype.names:
         assert field in internal or np.array_equal(lone.state["ax"][field], x.chip.state["ax"][field]), field
-    shafts = [(e.axis, number(e.a)) for e in journal.entries if e.kind == SHAFT]
+    shafts = [(e.axis, bits_to_float(e.a)) for e in journal.entries if e.kind == SHAFT]
     assert {axis for axis, _ in shafts} == {0, 1}
     edges = journal.course(every_pulse=True).edges
     a = (edges["inputs"] & MCX514.INPUTS["eca"] != 0).astype(int)

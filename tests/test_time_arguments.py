@@ -24,7 +24,7 @@ def stage():
     return Stage("xy", chips=PCL240K, visuals=False)
 
 
-@pytest.mark.parametrize("name", CHIPS.own)
+@pytest.mark.parametrize("name", CHIPS.built_in)
 def test_a_chip_advances_by_a_whole_number_of_clocks(name):
     """chip.advance(nan) raised a bare ValueError; a clock beyond 63 bits ran backwards"""
     chip = CHIPS[name]()
@@ -98,7 +98,7 @@ def test_a_long_advance_is_ended_by_ctrl_c_and_goes_on_from_there():
     chip.write(0x0F, 0)  # the shortest sample
     chip.write(0x05, 0x03)
     chip.set_shaft(0, 0.01)
-    before, twin = signal.signal(signal.SIGINT, signal.default_int_handler), chip.twin()
+    before, twin = signal.signal(signal.SIGINT, signal.default_int_handler), chip.make_replica()
     timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
     try:
         timer.start()

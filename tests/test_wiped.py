@@ -45,7 +45,7 @@ WAYS = {
     "clock": lambda s: s.axes["x"].chip.clock,
     "repr": repr,
     "chip snapshot": lambda s: s.axes["x"].chip.snapshot(),
-    "twin": lambda s: s.axes["x"].chip.twin().values(),
+    "twin": lambda s: s.axes["x"].chip.make_replica().values(),
     "journal": lambda s: (j := s.axes["x"].chip.journal(), s.run(0.01), j.close(), j.course().edges.tobytes())[3],
     "reset pin": lambda s: s.axes["x"].chip.reset(),
     "position": lambda s: s.axes["x"].position,

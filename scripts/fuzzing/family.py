@@ -68,7 +68,7 @@ class Family:
         chip = self.chip()
         if uncompiled:
             row: Any = Row(chip._rows[0])
-            chip._rows, chip._plain, chip._here = [row], row, row  # type: ignore[assignment]
+            chip._rows, chip._record, chip._address = [row], row, row  # type: ignore[assignment]
         return chip
 
     def state(self, chip: Chip) -> list:

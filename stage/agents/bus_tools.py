@@ -110,7 +110,7 @@ class BusTools:
         r = self._find_register(axis, name)
         value = self._context.driver(axis).read_register(r.name)
         answer = {"axis": axis, "register": r.name, "value": value, "hex": f"{value & r.mask:X}h", "title": r.title}
-        return answer | ({"says": Fields(r).tell(r.name, value & r.mask)} if r.fields else {})
+        return answer | ({"says": Fields(r).describe(r.name, value & r.mask)} if r.fields else {})
 
     def write_register(self, axis: str, name: str, value: int) -> dict[str, Any]:
         """Write a whole register by bus cycles. A value that the data sheet does not allow is refused."""
@@ -118,7 +118,7 @@ class BusTools:
         map_ = a.chip.MAP
         if "W" not in r.access:
             raise ArgumentError(f"{map_.chip} {r.name} ({r.title}) can only be read.")
-        cycles = a.chip.register_cycles(r.name, map_.checked(r.name, value), a.chip_axis)
+        cycles = a.chip.register_cycles(r.name, map_.check_value(r.name, value), a.chip_axis)
         for cycle in cycles:
             a.chip.write(*cycle)
         return {"axis": axis, "register": r.name, "value": value, "title": r.title, "cycles": len(cycles)}
@@ -234,7 +234,7 @@ def describe_entry(map_: RegisterMap, name: str) -> str:
             lines += [f"  {code:02X}h  {text}" for code, text in p.sends.items()]
     if (c := commands.get(name)) is not None:
         data, starts = f"; {c.bytes} bytes of data" if c.bytes else "", "; starts a drive" if c.starts else ""
-        lines.append(f"{c.symbol} {c.hex}: {c.kind}, {c.what}{data}{starts} [{c.evidence}]")
+        lines.append(f"{c.symbol} {c.hex}: {c.kind}, {c.description}{data}{starts} [{c.evidence}]")
     return "\n".join(lines)
 
 
@@ -245,7 +245,7 @@ def _describe_word(place: Register | Word, value: int) -> dict[str, Any]:
         for f in place.fields
         if f.silent is None or f.of(value) != f.silent
     ]
-    return {"value": f"{value:0{(place.bits + 3) // 4}X}h", "says": Fields(place).tell(place.name, value), "bits": bits}
+    return {"value": f"{value:0{(place.bits + 3) // 4}X}h", "says": Fields(place).describe(place.name, value), "bits": bits}
 
 
 def _check_addresses(chip: Chip, addresses: Iterable[int]) -> None:

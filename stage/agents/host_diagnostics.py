@@ -44,7 +44,7 @@ class HostDiagnostics:
     def _judge(self, address: int, value: int) -> bool:
         """Judge a write before it reaches the chip; False: the write is not lost."""
         if any(self.chip.lint(address, value)):
-            twin = self.chip.twin()
+            twin = self.chip.make_replica()
             for k in range(twin.AXES):
                 twin.set_input_word(k, twin.input_word(k) & self._mask)
             for rule, message in twin.lint(address, value):

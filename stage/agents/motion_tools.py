@@ -178,7 +178,7 @@ class MotionTools:
         """Raise ArgumentError for an axis that moves; forget earlier moves of the others."""
         for name in axes:
             a = self._context.axis(name)
-            if a.chip.twin().busy(a.chip_axis):  # a driver would need a bus cycle to find out
+            if a.chip.make_replica().busy(a.chip_axis):  # a driver would need a bus cycle to find out
                 raise ArgumentError(f"axis {name} is moving: wait_until_stopped waits for its end, and stop stops it.")
         for name in axes:
             self._stop_watching(name)
@@ -187,7 +187,7 @@ class MotionTools:
         """Describe why a move ended that the host started by bus cycles, by the status."""
         places = {p.name: p for p in self._context.axis(axis).chip.MAP.places}
         words = self._context.driver(axis).status_words()
-        return "; ".join(Fields(places[name]).tell(name, value) for name, value in words.items())
+        return "; ".join(Fields(places[name]).describe(name, value) for name, value in words.items())
 
     def _finish_watched(self, axis: str, reason: str, stop_command: str = "") -> dict[str, Any]:
         if axis not in self._watched:

@@ -95,7 +95,7 @@ class Board:
         chips = {stage.chips.index(axis.chip): axis.chip for axis in stage.axes.values()}
         self.places = layouts.assign_ports(chips, layout, _map_bases_to_chips(stage, base), stride)
         self.regions, self.port_table = layouts.make_port_table(self.places)
-        self._initial_chips = [place.chip.twin() for place in self.places]
+        self._initial_chips = [place.chip.make_replica() for place in self.places]
         self.trace = BusTrace(self, int(keep_cycles))
         stage.host = HostWaveforms(self)
         self.log: list[tuple[float, str]] = []

@@ -104,7 +104,7 @@ def make_default_layout(chip: Chip) -> Layout:
         if isinstance(chip, layout.kind):
             return layout
     if chip.LAYOUT:
-        layout = contract.loaded(type(chip), "LAYOUT", "its layout")
+        layout = contract.load_attribute(type(chip), "LAYOUT", "its layout")
         if not isinstance(layout, Layout):
             raise ArgumentError(f"{type(chip).__name__}: LAYOUT = {chip.LAYOUT!r} is no stage.board.layouts.Layout.")
         return layout

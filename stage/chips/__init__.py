@@ -1,10 +1,10 @@
-"""Emulated motion-control chips, register for register. They know neither MuJoCo nor each other.
+"""Emulated motion-control chips, register for register.
 
     from stage.chips import PCL240K, PCL240MK, PCL240MS, MCX514, MCX512, MCX501, MCX314AS, MCX304, MCX302, MCX312
     from stage.chips import HCTL1100
 
 A family is a register map (data), a state record and a compiled core; see chip.py for what they share. It is loaded when one of its
-chips is asked for.
+chips is first needed. The chips know neither MuJoCo nor each other.
 """
 
 from __future__ import annotations
@@ -35,16 +35,20 @@ CHIPS = Registry(FAMILIES, __name__)
 
 
 def __getattr__(name: str) -> Any:
-    if name in CHIPS.own:
+    if name in CHIPS.built_in:
         return CHIPS[name]
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def chip_class(chip: str | type[Chip]) -> type[Chip]:
-    """A chip class, by itself or by its name in any case, with or without hyphens.
+    """Return a chip class.
 
-    Raises ArgumentError with near misses for an unknown name, and for a class that is no chip; LoadError for a chip of another
-    package that cannot be imported.
+    Args:
+        chip: The class itself, or its name in any case, with or without hyphens.
+
+    Raises:
+        ArgumentError: The name is unknown (the message has near misses), or the class is no chip.
+        LoadError: The chip of another package cannot be imported.
     """
     if not isinstance(chip, str):
         if not (isinstance(chip, type) and issubclass(chip, Chip)):
@@ -53,7 +57,7 @@ def chip_class(chip: str | type[Chip]) -> type[Chip]:
         return chip
     if chip not in CHIPS:
         raise unknown_name_error("chip", chip.upper(), CHIPS)
-    CHIPS.tell_of_claims(chip)
+    CHIPS.warn_of_claims(chip)
     return CHIPS[chip]
 
 

@@ -1,8 +1,8 @@
-"""`Chip`: what all emulated chips have in common. A family adds its register map, its core and its lint.
+"""Base class of all emulated chips, to which a family adds its register map, its core and its lint.
 
     chip = PCL240K(clock_hz=4_915_200)
     chip.write(0, 0x81)          one bus cycle
-    chip.advance(1000)           1000 reference clocks; returns the pulses begun
+    chip.advance(1000)           1000 reference clocks; returns the number of pulses
     chip.pins.el_plus = True     True is asserted, whatever the polarity
 
 A chip of a stage shares the stage's clock: there a bus cycle takes bus time, and only the stage advances it.
@@ -47,7 +47,7 @@ MIN_PIECE_S, MAX_PIECE_S = 0.025, 0.1
 
 
 class Bus(Protocol):
-    """The stage or bench that a chip belongs to, which keeps its time."""
+    """Stage or bench that a chip belongs to, and that keeps its time."""
 
     def cycle(self) -> None:
         """Let the time of one bus cycle pass."""
@@ -56,11 +56,15 @@ class Bus(Protocol):
         """Bring the state of the chips up to date before somebody reads it between bus cycles."""
 
     def prepare_change(self) -> None:
-        """Prepare for a change of a chip's state between bus cycles. Raises StageError if it may not change now."""
+        """Prepare for a change of a chip's state between bus cycles.
+
+        Raises:
+            StageError: The state may not change now.
+        """
 
 
 class Snapshot(FiledSnapshot):
-    """All state of one chip, in bytes. It restores into a chip of the same kind: class, clock and options.
+    """All state of one chip. It can be restored into a chip of the same kind: class, clock and options.
 
     `save(path)` and `Snapshot.load(path)` keep it in a file.
     """
@@ -73,12 +77,12 @@ class Snapshot(FiledSnapshot):
 
     @property
     def record(self) -> bytes:
-        """The chip's state as bytes: a record of its core's STATE."""
+        """State of the chip as bytes, a record of its core's STATE."""
         return bytes(self.state)
 
 
 class Pins:
-    """Input and output pins by name; True = asserted. Inputs can be set, outputs only read."""
+    """Input and output pins by name. True means asserted. Inputs can be set, outputs only read."""
 
     _chip: Chip
     _axis: int
@@ -109,7 +113,7 @@ class Pins:
             bit = self._inputs[name]
             new = word | bit if value else word & ~bit
             if new != word:
-                chip._change()
+                chip._prepare_change()
                 chip.set_input_word(self._axis, new)
                 if chip.open_journal is not None:
                     chip.open_journal.note_input(chip.clock, self._axis, new)
@@ -218,9 +222,9 @@ class Chip:
         """The lint that reads a journal, where compiled code makes the bus cycles."""
         self.glitches: tuple[Callable[[int, int], bool], ...] = ()
         """Faults of the bus: each is called with (address, value) before every write; if it returns True, the write is lost."""
-        self._hold(np.zeros(1, self.CORE.STATE), 0)
-        self._configure(self._plain)
-        self.CORE.power_up.with_gil(self._here)
+        self._use_record(np.zeros(1, self.CORE.STATE), 0)
+        self._configure(self._record)
+        self.CORE.power_up.with_gil(self._address)
         minimum, maximum = self.CLOCK_RANGE
         if not minimum <= self.clock_hz <= maximum:
             message = (
@@ -236,7 +240,7 @@ class Chip:
         return self._diagnostics
 
     def _configure(self, record: Any) -> None:
-        """Fill the fields of the state that tell variants of a family apart."""
+        """Set the fields of the state that distinguish the variants of a family."""
 
     def lint(self, address: int, value: int) -> Iterable[Finding]:
         """Yield every rule of the data sheet that a write would break now. The chip does not change.
@@ -246,7 +250,7 @@ class Chip:
             value: Datum.
 
         Returns:
-            Pairs of a rule and a message; nothing for a write without mistakes.
+            Pairs of a rule and a message; none for a write without mistakes.
         """
         return ()
 
@@ -263,15 +267,17 @@ class Chip:
         self._check_axis(axis)
         return ""
 
-    def twin(self, state: bytes | None = None) -> Chip:
-        """Return another chip of the same kind that belongs to no stage and has no diagnostics.
+    def make_replica(self, state: bytes | None = None) -> Chip:
+        """Make another chip of the same kind that belongs to no stage and has no diagnostics.
 
         Args:
-            state: Bytes of a state; default: a copy of this chip's.
+            state: State of the replica, as bytes; default: the present state of this chip.
         """
-        twin = type(self)(**self.options())
-        twin._hold(np.frombuffer(bytearray(self.state.tobytes() if state is None else state), self.CORE.STATE), 0)
-        return twin
+        replica = type(self)(**self.options())
+        replica._use_record(
+            np.frombuffer(bytearray(self.state.tobytes() if state is None else state), self.CORE.STATE), 0
+        )
+        return replica
 
     def attach(self, bus: Bus, rows: np.ndarray | None = None) -> None:
         """Make the chip part of a stage or bench.
@@ -284,13 +290,13 @@ class Chip:
         if rows is not None:
             rows[0] = self._rows[self._i]
             self._alone = self._rows, self._i
-            self._hold(rows, 0)
+            self._use_record(rows, 0)
 
     def detach(self) -> None:
         """Separate the chip from its stage; its state is again what it was before `attach`."""
         self._bus = None
         if self._alone is not None:
-            self._hold(*self._alone)
+            self._use_record(*self._alone)
             self._alone = None
 
     def share(self, lock: Lock | None) -> None:
@@ -310,36 +316,34 @@ class Chip:
         """Whether the chip belongs to a stage or a bench."""
         return self._bus is not None
 
-    def _hold(self, rows: np.ndarray, i: int) -> None:
+    def _use_record(self, rows: np.ndarray, i: int) -> None:
         """Use record `i` of `rows` as the state."""
         self._rows, self._i = rows, i
-        self._here = rows.ctypes.data + i * rows.itemsize
-        self._plain = rows.view(without_attributes(rows.dtype))[i]
+        self._address = rows.ctypes.data + i * rows.itemsize
+        self._record = rows.view(without_attributes(rows.dtype))[i]
 
     @property
     def pointer(self) -> int:
-        """The address of the state, up to date, for compiled code.
-
-        `_here` is the same for bus cycles, which bring it up to date.
-        """
+        """Address of the state, up to date, for compiled code. `_address` is the same without the update, for bus cycles."""
         if self._bus is not None:
             self._bus.ensure_powered()
-        return self._here
+        return self._address
 
     @property
     def state(self) -> Any:
-        """The state, up to date: a record of CORE.STATE, in place, for tests and debuggers. `_plain` is the same for bus cycles."""
+        """State of the chip, up to date, a record of CORE.STATE. `_record` is the same without the update, for bus cycles."""
         if self._bus is not None:
             self._bus.ensure_powered()
-        return self._plain
+        return self._record
 
-    def _change(self) -> None:
+    def _prepare_change(self) -> None:
+        """Prepare the stage, if there is one, for a change of the state between bus cycles."""
         if self._bus is not None:
             self._bus.prepare_change()
 
     @property
     def pins(self) -> Pins:
-        """The pins of a one-axis chip. Raises StageError for a chip with several axes."""
+        """Pins of a chip with one axis. Raises StageError for a chip with several axes."""
         if self.AXES != 1:
             raise StageError(f"{type(self).__name__} has {self.AXES} axes: use chip.axes[i].pins")
         return self.axes[0].pins
@@ -369,7 +373,7 @@ class Chip:
         raise NotImplementedError(f"{cls.__name__} has no SYNO.")
 
     def net(self, axis: int = 0) -> int:
-        """Return the pulses begun since power-up, plus minus minus: what a drive has received. No register shows it.
+        """Return the net number of pulses since power-up, which a drive has received. No register shows it.
 
         Args:
             axis: Axis of the chip.
@@ -382,7 +386,7 @@ class Chip:
     def set_shaft(self, count: float, rate: float = 0.0, axis: int = 0) -> None:
         """Put the shaft of an encoder at `count + rate * (clock - now)` from now on.
 
-        The axis' counter follows as its mode says; the first call only says where the shaft is.
+        The counter of the axis follows as its mode says. The first call only sets where the shaft is.
 
         Args:
             count: Edges of the encoder, which the family rounds.
@@ -397,13 +401,13 @@ class Chip:
         if not (math.isfinite(count) and math.isfinite(rate)):
             raise ArgumentError(f"set_shaft({count!r}, {rate!r}): a shaft is at a finite count and has a finite rate.")
         self._check_axis(axis)
-        self._change()
+        self._prepare_change()
         self.CORE.set_shaft.with_gil(self.pointer, axis, float(count), float(rate))
         if self.open_journal is not None:
             self.open_journal.note_shaft(self.clock, axis, count, rate)
 
     def shaft_of(self, axis: int) -> tuple[float, float]:
-        """Return the last count and rate that `set_shaft` was given for an axis: edges, and edges per reference clock.
+        """Return the count and the rate of the last call of `set_shaft` for an axis: edges, and edges per reference clock.
 
         Args:
             axis: Axis of the chip.
@@ -416,7 +420,7 @@ class Chip:
 
         Args:
             name: Name of the register in the map.
-            value: Value, which is not checked; see `RegisterMap.checked`.
+            value: Value, which is not checked; see `RegisterMap.check_value`.
             axis: Axis of the chip, where each axis has the register.
 
         Returns:
@@ -445,14 +449,14 @@ class Chip:
             NotImplementedError: The family does not say how its commands are sent.
         """
         cls._check_axis(axis)
-        what, datum = cls.MAP.sent(symbol, datum)
+        what, datum = cls.MAP.find_sent(symbol, datum)
         if isinstance(what, Word) and what.address is not None:
             return [(what.address, what.fixed | datum)]
         raise NotImplementedError(f"{cls.__name__} does not say how its commands are sent.")
 
     @classmethod
     def rates(cls, edges: np.ndarray) -> np.ndarray:
-        """Return the magnitude of an axis' rate from each edge of its course on, in pulses per reference clock.
+        """Return the magnitude of an axis' rate from each edge of its waveforms on, in pulses per reference clock.
 
         Args:
             edges: EDGE records of the core, see `Journal.course`.
@@ -461,7 +465,7 @@ class Chip:
 
     @classmethod
     def running(cls, edges: np.ndarray) -> np.ndarray:
-        """Return whether an axis drives, from each edge of its course on (bool).
+        """Return whether an axis drives, from each edge of its waveforms on (bool).
 
         Args:
             edges: EDGE records of the core, see `Journal.course`.
@@ -469,8 +473,8 @@ class Chip:
         return cls.rates(edges) != 0
 
     @classmethod
-    def turns(cls, address: int, value: int) -> bool | None:
-        """Tell the direction that a bus write selects for the drives to come.
+    def read_direction(cls, address: int, value: int) -> bool | None:
+        """Return the direction that a bus write selects for the drives to come.
 
         Args:
             address: Bus address.
@@ -482,7 +486,7 @@ class Chip:
         return None
 
     def starts(self, address: int, value: int, axis: int = 0) -> bool:
-        """Tell whether a bus write would start a drive of a resting axis now. The chip does not change.
+        """Return whether a bus write would start a drive of a resting axis now. The chip does not change.
 
         Args:
             address: Bus address.
@@ -491,24 +495,24 @@ class Chip:
         """
         self._check_axis(axis)
         core, (at, bit) = self.CORE, self.BUSY
-        twin = np.frombuffer(bytearray(self.state.tobytes()), core.STATE)
-        address_of_twin, mask = twin.ctypes.data, bit << axis
+        replica = np.frombuffer(bytearray(self.state.tobytes()), core.STATE)
+        address_of_twin, mask = replica.ctypes.data, bit << axis
         if core.read.with_gil(address_of_twin, at) & mask:
             return False
         core.write.with_gil(address_of_twin, address & self.ADDRESS_MASK, value & self.DATA_MASK)
         return bool(core.read.with_gil(address_of_twin, at) & mask)
 
     def options(self) -> dict[str, Any]:
-        """Return the arguments of the chip: type(chip)(**chip.options()) is another of its kind."""
+        """Return the arguments with which another chip of the same kind can be made: `type(chip)(**chip.options())`."""
         return {"clock_hz": self.clock_hz}
 
     def kind(self) -> tuple:
-        """Return what two chips must have in common to take each other's state: class, clock and further options."""
+        """Return what two chips must have in common to exchange states: class, clock and further options."""
         return (type(self).__name__, *self.options().values())
 
     @cached_property
     def header(self) -> snapshots.Header:
-        """The description of the chip in its snapshots."""
+        """Description of the chip in its snapshots."""
         name, hz, *also = self.kind()
         options = "".join(f", {option}" for option in also)
         return snapshots.Header(
@@ -538,8 +542,14 @@ class Chip:
             raise make_cycle_error("write", address, value) from None
         self._write(*on_the_bus, (address, value))
 
-    def _write(self, address: int, value: int, meant: tuple[int, int]) -> None:
-        """Make a bus write cycle for a host that meant address and value `given`."""
+    def _write(self, address: int, value: int, requested: tuple[int, int]) -> None:
+        """Make a bus write cycle.
+
+        Args:
+            address: Address that the chip sees.
+            value: Value that the chip sees.
+            requested: Address and value that the host has asked for, before masking.
+        """
         lost = self.loses(address, value)
         if self._bus is not None:
             self._bus.cycle()
@@ -547,16 +557,16 @@ class Chip:
             if self.open_journal is not None:
                 self.open_journal.note_lost(self.clock, address, value)
             return
-        if (address, value) != meant:
-            self.diagnose(self.clock, address, value, [(BUS_WIDTH, describe_masked_write(meant, (address, value)))])
+        if (address, value) != requested:
+            self.diagnose(self.clock, address, value, [(BUS_WIDTH, describe_masked_write(requested, (address, value)))])
         if self.journal_lint is None:
             self.diagnose(self.clock, address, value, self.lint(address, value))
-        self.CORE.write.with_gil(self._here, address, value)
+        self.CORE.write.with_gil(self._address, address, value)
         if self.open_journal is not None:
             self.open_journal.note_write(self.clock, address, value)
 
     def loses(self, address: int, value: int) -> bool:
-        """Call every fault of the bus before a write, and tell whether one of them loses the write.
+        """Call every fault of the bus before a write, and return whether one of them loses the write.
 
         Args:
             address: Bus address.
@@ -596,13 +606,13 @@ class Chip:
             raise make_cycle_error("read", address) from None
         if self._bus is not None:
             self._bus.cycle()
-        value = int(self.CORE.read.with_gil(self._here, address))
+        value = int(self.CORE.read.with_gil(self._address, address))
         if self.open_journal is not None and address in self.READING_ACTS:
             self.open_journal.note_read(self.clock, address, value)
         return value
 
     def busy(self, axis: int = 0) -> bool:
-        """Read the status by one bus cycle, and tell whether a drive is in progress.
+        """Read the status by one bus cycle, and return whether a drive is in progress.
 
         Args:
             axis: Axis of the chip.
@@ -626,7 +636,7 @@ class Chip:
             ArgumentError: It is no such number, or leads beyond LAST_CLOCK.
             StageError: The chip shares the clock of a stage.
         """
-        until, advance, at = self._until(clocks), self.CORE.advance.c, self.pointer
+        until, advance, at = self._find_end_clock(clocks), self.CORE.advance.c, self.pointer
         if clocks <= SHORT_RUN_CLOCKS:
             return int(advance(at, until))
         return sum(int(advance(at, stop)) for stop in split_run(self.clock, until))
@@ -645,7 +655,7 @@ class Chip:
             ArgumentError: As `advance`; also if there are more pulses than memory holds.
             StageError: The chip shares the clock of a stage.
         """
-        until = self._until(clocks)
+        until = self._find_end_clock(clocks)
         if clocks <= SHORT_RUN_CLOCKS:
             return self._trace_piece(until)
         probe, pulses, stops = self._rows[self._i : self._i + 1].copy(), 0, []
@@ -666,12 +676,13 @@ class Chip:
         return out
 
     def _trace_piece(self, until: int) -> np.ndarray:
-        """Run up to a clock and return the pulses; how many there will be is tried on a copy."""
+        """Run up to a clock and return the pulses. A copy of the state runs first, to count them."""
         out = np.zeros(self.CORE.advance(self._rows[self._i : self._i + 1].copy(), until), self.CORE.PULSE)
         self.CORE.trace.c(self.pointer, until, out.ctypes.data, len(out))
         return out
 
-    def _until(self, clocks: int) -> int:
+    def _find_end_clock(self, clocks: int) -> int:
+        """Check a number of clocks to advance, and return the clock at the end."""
         if self._bus is not None:
             raise StageError("this chip belongs to a stage and shares its clock: use stage.step, run or run_until.")
         try:
@@ -688,8 +699,8 @@ class Chip:
     @exclusive
     def reset(self) -> None:
         """Assert the /RESET pin: registers and modes clear; the clock, the inputs and the diagnostics stay."""
-        self._change()
-        self.CORE.power_up.with_gil(self._here)
+        self._prepare_change()
+        self.CORE.power_up.with_gil(self._address)
         if self.open_journal is not None:
             self.open_journal.note_reset(self.clock)
 
@@ -702,11 +713,11 @@ class Chip:
         """Continue from a snapshot.
 
         Args:
-            snapshot: What `snapshot` of a chip of this kind has returned.
+            snapshot: Result of `snapshot` of a chip of this kind.
 
         Raises:
             ArgumentError: The snapshot is damaged, or of another kind of chip.
-            StageError: The chip belongs to a stage, which is to be restored as a whole.
+            StageError: The chip belongs to a stage, which must be restored as a whole.
         """
         if self._bus is not None:
             raise StageError("this chip belongs to a stage: restore the stage, so that all its parts agree.")
@@ -715,13 +726,13 @@ class Chip:
         self.diagnostics[:] = snapshot.diagnostics
 
     def __reduce__(self) -> tuple:
-        return _revived, (type(self), self.options(), self.snapshot())
+        return _rebuild_chip, (type(self), self.options(), self.snapshot())
 
     def __copy__(self) -> Chip:
         return self.__deepcopy__({})
 
     def __deepcopy__(self, memo: dict) -> Chip:
-        return _revived(type(self), self.options(), self.snapshot())
+        return _rebuild_chip(type(self), self.options(), self.snapshot())
 
     def input_word(self, axis: int) -> int:
         """Return the input pins of an axis, bits of INPUTS.
@@ -740,7 +751,7 @@ class Chip:
             word: Bits of INPUTS.
         """
         self._check_pins(axis)
-        self.CORE.set_input.with_gil(self._here, axis, word)
+        self.CORE.set_input.with_gil(self._address, axis, word)
 
     def output_word(self, axis: int) -> int:
         """Return the output pins of an axis, bits of OUTPUTS.
@@ -752,14 +763,13 @@ class Chip:
         return int(self.CORE.outputs.with_gil(self.pointer, axis))
 
     def journal(self, axis: int = 0) -> Journal:
-        """Begin to note the inputs of the chip, so that the course of an axis can be replayed exactly.
+        """Begin to record the inputs of the chip, from which the waveforms of an axis can be replayed exactly.
 
-        The journal notes bus writes, input changes, and the reads at READING_ACTS until its `close()`. A new journal
-        continues beside those
-        that are open.
+        The journal has bus writes, input changes, and the reads at READING_ACTS, up to its `close()`. Journals that are already
+        open continue as well.
 
         Args:
-            axis: Axis whose course the journal replays.
+            axis: Axis whose waveforms the journal replays.
 
         Raises:
             ArgumentError: The chip does not have this axis.
@@ -770,6 +780,7 @@ class Chip:
 
     @classmethod
     def _check_axis(cls, axis: int) -> None:
+        """Raise ArgumentError unless the chip has this axis."""
         if isinstance(axis, bool) or not isinstance(axis, int | np.integer) or not 0 <= axis < cls.AXES:
             axes = "one axis, 0" if cls.AXES == 1 else f"axes 0 to {cls.AXES - 1}"
             raise ArgumentError(f"axis={axis!r}: {add_article(cls.__name__)} has {axes}.")
@@ -779,7 +790,7 @@ class Chip:
         self._check_axis(axis)
 
     def decoder(self, axis: int = 0) -> Decoder:
-        """Return an object that puts the bus writes of a journal into words, as far as they concern an axis.
+        """Return an object that describes the bus writes of a journal, as far as they concern an axis.
 
         Args:
             axis: Axis of the chip.
@@ -787,17 +798,17 @@ class Chip:
         raise NotImplementedError
 
     def listener(self) -> Listener:
-        """Return an object that puts bus cycles into words from now on, beginning with what the chip holds now."""
+        """Return an object that describes bus cycles from now on, beginning with the present state of the chip."""
         raise NotImplementedError
 
     def values(self) -> dict[str, int]:
-        """Return what every register holds now, by its name: a debugger's view without bus cycles."""
+        """Return the present contents of every register by its name: a view for debuggers, without bus cycles."""
         raise NotImplementedError
 
     def values_of(self, axis: int = 0) -> dict[str, int]:
-        """Return what the registers and words of one axis hold now, by name, and those that all axes share.
+        """Return the present contents of the registers and words of one axis, by name, and of those that all axes share.
 
-        It needs no bus cycles, and has registers that cannot be read where the family keeps them.
+        It needs no bus cycles, and has registers that cannot be read if the state holds them.
 
         Args:
             axis: Axis of the chip.
@@ -809,7 +820,7 @@ class Chip:
         return self.values()
 
     def dump(self) -> str:
-        """Return the register map as text, with the values held now."""
+        """Return the register map as text, with the present values."""
         return dump(self.MAP, self.values())
 
     def __repr__(self) -> str:
@@ -830,9 +841,9 @@ def check_clock(until: int) -> None:
 
 
 def split_run(begin: int, until: int) -> Iterator[int]:
-    """Yield the clocks at which a long run of a chip comes back to Python, so that Ctrl-C works; the last is `until`.
+    """Yield the clocks at which a long run of a chip returns to Python, so that Ctrl-C works; the last one is `until`.
 
-    The pieces become longer or shorter until one takes some hundredths of a second of real time, whatever the chip does meanwhile.
+    The pieces become longer or shorter until one takes some hundredths of a second of real time.
 
     Args:
         begin: Clock at the begin of the run.
@@ -856,33 +867,34 @@ def make_cycle_error(what: str, *args: Any) -> ArgumentError:
 
     Args:
         what: Name of the method: "read", "write" ...
-        *given: Its arguments.
+        *args: Its arguments.
     """
     are = "address and value are whole numbers" if args[1:] else "an address is a whole number"
     return ArgumentError(f"{what}({', '.join(map(repr, args))}): {are}.")
 
 
-def describe_masked_write(meant: tuple[int, int], acts: tuple[int, int]) -> str:
-    """Describe what a write does whose address or value does not fit the bus.
+def describe_masked_write(requested: tuple[int, int], on_bus: tuple[int, int]) -> str:
+    """Describe the effect of a write whose address or value does not fit the bus.
 
     Args:
-        given: Address and value that the host meant.
-        acts: Address and value that the chip sees.
+        requested: Address and value that the host has asked for.
+        on_bus: Address and value that the chip sees.
     """
     parts = []
-    for what, wanted, got in zip(("address", "value"), meant, acts, strict=True):
+    for what, wanted, got in zip(("address", "value"), requested, on_bus, strict=True):
         if wanted != got:
             number = f"{wanted:02X}h" if isinstance(wanted, int) and wanted >= 0 else repr(wanted)
             parts.append(f"{what} {number} acts as {got:02X}h")
     is_whole = all(
         wanted == got or int(wanted) == wanted
-        for wanted, got in zip(meant, acts, strict=True)
+        for wanted, got in zip(requested, on_bus, strict=True)
         if not isinstance(wanted, str)
     )
     return f"{' and '.join(parts)}: the bus {'is no wider' if is_whole else 'has whole numbers'}"
 
 
-def _revived(cls: type[Chip], options: dict[str, Any], snapshot: Snapshot) -> Chip:
+def _rebuild_chip(cls: type[Chip], options: dict[str, Any], snapshot: Snapshot) -> Chip:
+    """Build a chip from the parts of its pickle."""
     chip = cls(**options)
     chip.restore(snapshot)
     return chip

@@ -1,6 +1,6 @@
-"""What a chip's class and its core must have, so that stages, boards, recordings and environments can use it.
+"""Contract of chips: what a class and its core must have, so that stages, boards, recordings and environments can use it.
 
-`check` is asked about a class once, when it is loaded by its name or when the first chip of it is made: before there is a stage.
+`check` runs once for each class, when the class is loaded by its name or when its first chip is made, before there is a stage.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from stage.errors import ArgumentError
 from stage.native import Exported, array_of
 
 _CHECKED: set[tuple[type, bool]] = set()
-RECORDS = {
+REQUIRED_RECORDS = {
     "STATE": ("the state of a chip, a record that begins with ('clock', 'i8')", ("clock",)),
     "PULSE": ("a pulse of `trace`", ("clock", "axis", "direction")),
     "EDGE": ("a change in a journal's course", ("clock", "inputs", "outputs", "counter", "net", "rate")),
 }
-"""The dtypes of a core: what each is of, and fields that it has at least."""
+"""Record types of a core: description, and the fields that each must have."""
 ANSWERS_OF_CHIPS: dict[str, tuple[Any, ...]] = {
     "power_up": (None,),
     "advance": ("i8", "i8"),
@@ -30,29 +30,29 @@ ANSWERS_OF_CHIPS: dict[str, tuple[Any, ...]] = {
     "mark": (None, "i8", "EDGE", "i8"),
     "scan": ("i8", "i8", "i8", "i8", "EDGE"),
 }
-"""As ANSWERS, what `Chip` and journals call; PULSE, EDGE: an array of these."""
-OF_ENCODERS: dict[str, tuple[Any, ...]] = {
+"""As ANSWERS, for functions that `Chip` and journals call; PULSE and EDGE stand for arrays of them."""
+ANSWERS_OF_ENCODER_CHIPS: dict[str, tuple[Any, ...]] = {
     "scan_shaft": ("i8", "i8", "i8", "i8", "EDGE", *(array_of(kind) for kind in ("i8", "i8", "f8", "f8", "i8"))),
 }
-"""As ANSWERS_OF_CHIPS, of a chip whose class says ENCODERS or SERVO."""
-CLOCKS = (1, 100_000_000)
+"""As ANSWERS_OF_CHIPS, for chips whose class has ENCODERS or SERVO."""
+CLOCK_RANGE_HZ = (1, 100_000_000)
 """Reference clocks that are emulated, Hz."""
-METHODS = {
+REQUIRED_METHODS = {
     "register_cycles": "the bus write cycles that put a value into a register",
     "decoder": "what a journal's writes say, for recordings",
     "listener": "what bus cycles say, for traces",
     "values": "what every register holds, for dumps",
 }
-"""Methods of `Chip` that each family has."""
+"""Methods of `Chip` that each family must have."""
 
 
 def check(chip: Any, base: type, methods: bool = True) -> None:
-    """Check that a class has what stages, boards, recordings and environments need of a chip.
+    """Check that a class has everything that stages, boards, recordings and environments need of a chip.
 
     Args:
         chip: The class.
         base: Chip.
-        methods: Check METHODS as well. A class that is not registered may do without them, as long as nobody asks for words.
+        methods: Check REQUIRED_METHODS as well. A class that is not registered may lack them as long as nobody needs descriptions.
 
     Raises:
         ArgumentError: The class is not derived from `base`, or lacks something; the message names it.
@@ -61,22 +61,27 @@ def check(chip: Any, base: type, methods: bool = True) -> None:
         return
     if not isinstance(chip, type) or not issubclass(chip, base):
         raise ArgumentError(f"{chip!r} is no class below stage.chips.Chip.")
-    problems = [*_of_class(chip), *_of_core(getattr(chip, "CORE", None), chip)]
-    problems += _of_methods(chip, base) if methods else []
+    problems = [*_check_class(chip), *_check_core(getattr(chip, "CORE", None), chip)]
+    problems += _check_methods(chip, base) if methods else []
     if problems:
         more = f" (and {len(problems) - 1} more: {'; '.join(problems[1:4])})" if problems[1:] else ""
         raise ArgumentError(f"{chip.__name__} breaks the contract of chips: {problems[0]}{more}. docs/your_own_chip.md")
     _CHECKED.add((chip, methods))
 
 
-def _names(dtype: np.dtype) -> Iterator[str]:
-    """Yield the names of all fields, also of records in it."""
+def _list_fields(dtype: np.dtype) -> Iterator[str]:
+    """Yield the names of all fields, also of records inside."""
     for name in dtype.names or ():
         yield name
-        yield from _names(dtype[name].base)
+        yield from _list_fields(dtype[name].base)
 
 
-def _of_class(chip: Any) -> list[str]:
+def _check_class(chip: Any) -> list[str]:
+    """List what is wrong with the attributes of a class."""
+    return _find_missing_attributes(chip) or [*_check_pins(chip), *_check_map(chip.MAP), *_check_numbers(chip)]
+
+
+def _find_missing_attributes(chip: Any) -> list[str]:
     problems = []
     for name, kind, what in (
         ("MAP", RegisterMap, "its RegisterMap"),
@@ -89,21 +94,26 @@ def _of_class(chip: Any) -> list[str]:
     ):
         if not isinstance(getattr(chip, name, None), kind) or getattr(chip, name, None) is None:
             problems.append(f"the class has no {name}, {what}")
-    if problems:
-        return problems
-    problems += _of_pins(chip) + _of_map(chip.MAP)
+    return problems
+
+
+def _check_numbers(chip: Any) -> list[str]:
+    """List what is wrong with the numbers of a class, and with its driver's name."""
     numbers = {name: getattr(chip, name) for name in ("AXES", "ADDRESSES", "ADDRESS_MASK", "DATA_MASK")}
-    if wrong := [f"{name} is {n!r}: a whole number, 1 or more" for name, n in numbers.items() if not _counts(n)]:
-        return problems + wrong
+    if wrong := [
+        f"{name} is {n!r}: a whole number, 1 or more" for name, n in numbers.items() if not _is_positive_integer(n)
+    ]:
+        return wrong
+    problems = []
     if chip.MAP.axes != chip.AXES:
         problems.append(f"AXES is {chip.AXES}, and its MAP is of {chip.MAP.axes}: RegisterMap(..., axes={chip.AXES})")
     if chip.ADDRESS_MASK < chip.ADDRESSES - 1:
         problems.append(f"ADDRESS_MASK {chip.ADDRESS_MASK:X}h does not reach all of its {chip.ADDRESSES} ADDRESSES")
-    if not _pair(chip.BUSY, int) or chip.BUSY[0] < 0 or chip.BUSY[1] < 1:
+    if not _is_pair(chip.BUSY, int) or chip.BUSY[0] < 0 or chip.BUSY[1] < 1:
         problems.append(f"BUSY is {chip.BUSY!r}: address, and the bit of axis 0, two numbers")
-    if not _pair(chip.COUNTER, str) or chip.COUNTER[1] < 1:
+    if not _is_pair(chip.COUNTER, str) or chip.COUNTER[1] < 1:
         problems.append(f"COUNTER is {chip.COUNTER!r}: a register's name, and its bits")
-    low, high = CLOCKS
+    low, high = CLOCK_RANGE_HZ
     if not low <= chip.DEFAULT_CLOCK_HZ <= high:
         problems.append(f"DEFAULT_CLOCK_HZ is {chip.DEFAULT_CLOCK_HZ}: {low} to {high:,} Hz")
     if chip.MICROSTEPS and (not isinstance(chip.MICROSTEPS, int) or not 1 <= chip.MICROSTEPS <= 256):
@@ -113,24 +123,25 @@ def _of_class(chip: Any) -> list[str]:
     return problems
 
 
-def _counts(number: Any) -> bool:
+def _is_positive_integer(number: Any) -> bool:
     return isinstance(number, int | np.integer) and not isinstance(number, bool) and int(number) >= 1
 
 
-def _pair(value: Any, first: type) -> bool:
+def _is_pair(value: Any, first: type) -> bool:
+    """Return whether a value is a tuple of something of type `first` and an integer."""
     return (
         isinstance(value, tuple) and [isinstance(v, k) for v, k in zip(value, (first, int), strict=False)] == [True] * 2
     )
 
 
-def _of_pins(chip: Any) -> list[str]:
+def _check_pins(chip: Any) -> list[str]:
     problems = []
     if twice := {name for name in chip.INPUTS if name in chip.OUTPUTS}:
         problems.append(f"pin {', '.join(sorted(twice))} is an input and an output")
     for what, pins in (("INPUTS", chip.INPUTS), ("OUTPUTS", chip.OUTPUTS)):
         used = 0
         for name, bit in pins.items():
-            if not _counts(bit):
+            if not _is_positive_integer(bit):
                 return [*problems, f"pin {name} has no bit: a number above 0"]
             if bit & used:
                 problems.append(f"pin {name} of {what} has a bit that another one has: {bit:X}h")
@@ -140,7 +151,7 @@ def _of_pins(chip: Any) -> list[str]:
     return problems
 
 
-def _of_map(map_: RegisterMap) -> list[str]:
+def _check_map(map_: RegisterMap) -> list[str]:
     problems, names = [], [r.name for r in map_.registers]
     problems += [f"its MAP has two registers {name}" for name in dict.fromkeys(names) if names.count(name) > 1]
     for r in map_.registers:
@@ -162,16 +173,16 @@ def _of_map(map_: RegisterMap) -> list[str]:
     return problems
 
 
-def loaded(chip: Any, attribute: str, what: str) -> Any:
-    """Load what a class names as "package.module:Name".
+def load_attribute(chip: Any, attribute: str, what: str) -> Any:
+    """Load the object that a class names as "package.module:Name".
 
     Args:
         chip: The class.
         attribute: Its attribute with the name.
-        what: What the name should be of, for the error.
+        what: Description of the object, for the error.
 
     Raises:
-        ArgumentError: It cannot be loaded.
+        ArgumentError: The object cannot be loaded.
     """
     where = getattr(chip, attribute)
     module, _, name = where.partition(":")
@@ -183,52 +194,70 @@ def loaded(chip: Any, attribute: str, what: str) -> Any:
         ) from error
 
 
-def _of_methods(chip: Any, base: Any) -> list[str]:
+def _check_methods(chip: Any, base: Any) -> list[str]:
     return [
         f"the class has no {name}(), {what}"
-        for name, what in METHODS.items()
+        for name, what in REQUIRED_METHODS.items()
         if getattr(getattr(chip, name), "__func__", getattr(chip, name))
         is getattr(getattr(base, name), "__func__", getattr(base, name))
     ]
 
 
-def _of_core(core: Any, chip: Any) -> list[str]:
+def _check_core(core: Any, chip: Any) -> list[str]:
+    """List what is wrong with the records and functions of a core."""
     if core is None:
         return []
+    return _find_missing_records(core) or [*_check_state(core), *_check_functions(core, chip)]
+
+
+def _find_missing_records(core: Any) -> list[str]:
     problems = []
-    for name, (what, fields) in RECORDS.items():
+    for name, (what, fields) in REQUIRED_RECORDS.items():
         present = getattr(core, name, None)
         if not isinstance(present, np.dtype) or not set(fields) <= set(present.names or ()):
-            problems.append(f"its core {_name(core)} has no dtype {name}, {what}, with the fields {', '.join(fields)}")
-    if problems:
-        return problems
-    for name in (n for n in _names(core.STATE) if hasattr(np.record, n)):
-        problems.append(
-            f"field {name!r} of STATE of {_name(core)} has the name of an attribute of NumPy's records: plain Python sees that"
-        )
-    kind, offset = core.STATE.fields["clock"][:2]
-    if offset or kind != np.dtype("i8"):
-        problems.append(f"STATE of {_name(core)} does not begin with ('clock', 'i8')")
-    if core.STATE.itemsize % 8:
-        problems.append(f"STATE of {_name(core)} has {core.STATE.itemsize} bytes: a multiple of 8, use 'i8' and 'f8'")
-    arrays = {name: array_of(getattr(core, name)) for name in ("PULSE", "EDGE")}
-    of_encoders = OF_ENCODERS if chip.ENCODERS or chip.SERVO else {}
-    for name, (result, *arguments) in (ANSWERS | ANSWERS_OF_CHIPS | OPTIONAL | of_encoders).items():
-        wanted = (core.STATE, *(arrays.get(a, a) for a in arguments))
-        present = getattr(core, name, None)
-        words = ", ".join([repr(result), "STATE", *(_argument(a, arrays) for a in arguments)])
-        if present is None and name in OPTIONAL:
-            continue
-        if present is None:
-            problems.append(f"its core {_name(core)} has no answer {name}, @exported({words})")
-        elif not isinstance(present, Exported) or present.result != result or present.arguments != wanted:
-            problems.append(f"the answer {name} of its core {_name(core)} is not declared @exported({words})")
+            problems.append(
+                f"its core {_name_core(core)} has no dtype {name}, {what}, with the fields {', '.join(fields)}"
+            )
     return problems
 
 
-def _argument(a: Any, arrays: Mapping[str, Any]) -> str:
+def _check_state(core: Any) -> list[str]:
+    problems = []
+    for name in (n for n in _list_fields(core.STATE) if hasattr(np.record, n)):
+        problems.append(
+            f"field {name!r} of STATE of {_name_core(core)} has the name of an attribute of NumPy's records: plain Python sees that"
+        )
+    kind, offset = core.STATE.fields["clock"][:2]
+    if offset or kind != np.dtype("i8"):
+        problems.append(f"STATE of {_name_core(core)} does not begin with ('clock', 'i8')")
+    if core.STATE.itemsize % 8:
+        problems.append(
+            f"STATE of {_name_core(core)} has {core.STATE.itemsize} bytes: a multiple of 8, use 'i8' and 'f8'"
+        )
+    return problems
+
+
+def _check_functions(core: Any, chip: Any) -> list[str]:
+    """List the functions that a core lacks, or that are declared with other types."""
+    problems = []
+    arrays = {name: array_of(getattr(core, name)) for name in ("PULSE", "EDGE")}
+    of_encoders = ANSWERS_OF_ENCODER_CHIPS if chip.ENCODERS or chip.SERVO else {}
+    for name, (result, *arguments) in (ANSWERS | ANSWERS_OF_CHIPS | OPTIONAL | of_encoders).items():
+        wanted = (core.STATE, *(arrays.get(a, a) for a in arguments))
+        present = getattr(core, name, None)
+        words = ", ".join([repr(result), "STATE", *(_format_argument(a, arrays) for a in arguments)])
+        if present is None and name in OPTIONAL:
+            continue
+        if present is None:
+            problems.append(f"its core {_name_core(core)} has no answer {name}, @exported({words})")
+        elif not isinstance(present, Exported) or present.result != result or present.arguments != wanted:
+            problems.append(f"the answer {name} of its core {_name_core(core)} is not declared @exported({words})")
+    return problems
+
+
+def _format_argument(a: Any, arrays: Mapping[str, Any]) -> str:
     return f"array_of({a})" if a in arrays else repr(a) if isinstance(a, str) else f"array_of({a.dtype.str[1:]!r})"
 
 
-def _name(core: Any) -> str:
+def _name_core(core: Any) -> str:
     return getattr(core, "__name__", repr(core))

@@ -1,17 +1,17 @@
 """The functions that every chip family gives to a stage.
 
-A family is a module of compiled functions, its *core*, over a record of its own, `STATE`, that begins with the chip's clock. Every
-loop accepts it without a new compilation: for a loop a chip is a CHIP record, with the addresses of the state, of the core's
-functions and of a table of its axes, of which it may have any number.
+A family is a module of compiled functions, its *core*, over a record `STATE` that begins with the chip's clock. Every loop
+accepts it without a new compilation: a loop sees a chip as a CHIP record, with the addresses of the state, of the core's
+functions, and of a table of its axes, whose number is not limited.
 
-A core has the functions below, over a state in place of a CHIP, `exported` as ANSWERS says. For `Chip` alone it
-has power_up(c), advance(c, until), trace, scan and mark, see stage/chips/pcl240/core.py; one that looks at
-encoders scan_shaft as well: as scan, while the shafts of `axes` are seen anew at `clocks`, in order and up to `until`, with these
-counts and rates, from number done[0] on, which goes up. It stops early as scan does: call again until done[0] is all of them and
-the clock is there. A chip that is the driver of its motor has those of OPTIONAL: with
-`current` it sets the current of the stage's motor, by `set_load` it sees the load. A chip that can be wired to others of its
-kind has `says`, `silent`, `heard` and `hear_wires`, see stage/chips/links.py; in its `scan_shaft` an axis below 0 is such a word,
-negated.
+A core has the functions below, over a state instead of a CHIP record, `exported` as ANSWERS says. For `Chip` alone it also has
+power_up(c), advance(c, until), trace, scan and mark, see stage/chips/pcl240/core.py. A core with encoder inputs has scan_shaft
+as well: it scans while the shafts of `axes` are set at `clocks`, in order and up to `until`, to these counts and rates,
+beginning with entry done[0], which it increases. It stops early as scan does; the caller repeats the call until done[0] is the
+number of entries and the clock is `until`. A chip that drives its motor itself has functions of OPTIONAL: `current` sets the
+current of the stage's motor, and `set_load` receives its load. A chip that can be wired to others of its kind has
+`wire_output`, `wire_output_until`, `wire_word` and `set_wire_word`, see stage/chips/links.py; in its `scan_shaft` an axis below
+0 is such a word, negated.
 """
 
 from __future__ import annotations
@@ -43,13 +43,12 @@ ANSWERS: dict[str, tuple[str | None, ...]] = {
 OPTIONAL: dict[str, tuple[str | None, ...]] = {
     "current": ("f8", "i8"),
     "set_load": ("i8", "i8", "f8", "f8"),
-    "says": ("i8",),
-    "silent": ("i8",),
-    "heard": ("i8",),
-    "hear_wires": (None, "i8"),
+    "wire_output": ("i8",),
+    "wire_output_until": ("i8",),
+    "wire_word": ("i8",),
+    "set_wire_word": (None, "i8"),
 }
-"""As ANSWERS, of a chip that is the motor's driver as well, or that can be wired to others of its kind; others do not have them,
-and a stage does not ask."""
+"""As ANSWERS, of chips that drive their motor themselves or that can be wired to others; other chips do not have them."""
 
 CHIP_AXIS = record(
     [
@@ -82,7 +81,7 @@ CHIP = record(
 """A chip for compiled code."""
 SLICE_END = record([("clocks", "i8"), ("rest", "i8")])
 """The end of a slice, from the window's begin: whole clocks, and the rest in shares of a PART."""
-PART = 1_000_000_000
+SLICE_REST_UNIT = 1_000_000_000
 CLOCK = record([("clock", "i8")])
 WIRE_BIT = 16
 """A word of inputs has above this bit what another chip's output drives there, plus 1; 0 where no chip does."""
@@ -92,12 +91,14 @@ SCAN_ROOM = 8
 
 _TYPES = {types: called(types[0], "i8", *types[1:]) for types in {*ANSWERS.values(), *OPTIONAL.values()}}
 _run, _set_shaft, _set, _window = (_TYPES[ANSWERS[name]] for name in ("run", "set_shaft", "set_input", "window"))
-_current, _load, _says, _silent, _heard, _hear_wires = (_TYPES[types] for types in OPTIONAL.values())
+_current, _load, _wire_output, _wire_output_until, _wire_word, _set_wire_word = (
+    _TYPES[types] for types in OPTIONAL.values()
+)
 _mean, _rate, _word = (_TYPES[ANSWERS[name]] for name in ("drive_input", "pulse_rate", "net"))
 
 
-def fill(row: Any, core: Any, at: int) -> None:
-    """Make a CHIP record that of a chip.
+def fill_chip_record(row: Any, core: Any, at: int) -> None:
+    """Fill a CHIP record.
 
     Args:
         row: The record.
@@ -113,13 +114,13 @@ def fill(row: Any, core: Any, at: int) -> None:
 
 @hot
 def axis_of(c, j):
-    """Return the axis of the stage that the chip's axis `j` is."""
+    """Return the number of the stage's axis that is axis `j` of the chip."""
     return array_at(c.table, c.axes, CHIP_AXIS)[j].axis
 
 
 @hot
 def clock(c):
-    """Return the ticks of the chip's reference clock since power-up."""
+    """Return the reference clocks since power-up."""
     return array_at(c.at, 1, CLOCK)[0].clock
 
 
@@ -131,27 +132,33 @@ def run(c, until):
 
 @hot
 def window(c, k):
-    """Let the chip run through slices k, k + 1 ...
+    """Let the chip run through the slices of a window from slice k on, in which its pins do not change.
 
-    of a window in which its pins do not change; mean counts and net go where the row says.
+    The mean counts and the net count go to the addresses in its CHIP record.
     """
     _window(c.window, (c.at, c.own, k))
 
 
 @hot
 def end_of_slice(end, begin, rest):
-    """Return the clock at the end of a slice of a window, from its SLICE_END."""
-    return begin + end.clocks + (1 if rest + end.rest >= PART else 0)
+    """Return the clock at the end of a slice of a window.
+
+    Args:
+        end: Its SLICE_END record.
+        begin: Clock at the begin of the window.
+        rest: Fraction of a clock at the begin of the window.
+    """
+    return begin + end.clocks + (1 if rest + end.rest >= SLICE_REST_UNIT else 0)
 
 
 @hot
-def through(state, row, k, run, net, drive_input):
-    """Run a window for a core: its answer to `window`.
+def run_window(state, row, k, run, net, drive_input):
+    """Run a window for a core that has no faster way: its function `window`.
 
     Args:
         state: State of the chip.
         row: Address of its CHIP record.
-        k: First slice.
+        k: Number of the first slice.
         run: The core's `run`.
         net: The core's `net`.
         drive_input: The core's `drive_input`.
@@ -216,59 +223,59 @@ def set_shaft(c, j, count, rate):
 
 @hot
 def current(c, j):
-    """Return the amplitude of the phase currents that the chip gives its motor, A. Call it only if `c.current` is not 0."""
+    """Return the amplitude of the phase currents that the chip drives into its motor, A. Call it only if `c.current` is not 0."""
     return _current(c.current, (c.at, j))
 
 
 @hot
 def set_load(c, j, angle, emf):
-    """Give the chip a sample of the motor's load, once a window. Call it only if `c.set_load` is not 0.
+    """Give the chip a sample of the load of its motor, once per window. Call it only if `c.set_load` is not 0.
 
     Args:
         c: CHIP record.
         j: Axis of the chip.
-        angle: How far the field is ahead of the rotor, electrical radians, not wrapped; below 0: behind.
+        angle: Angle by which the field leads the rotor, electrical radians, not wrapped; below 0 it lags.
         emf: Back EMF as a share of the supply.
 
     Returns:
-        Whether the chip has used the sample: only then a journal needs it.
+        Whether the chip has used the sample; only then journals need it.
     """
     return _load(c.set_load, (c.at, j, angle, emf))
 
 
 @hot
-def says(c):
-    """Return what the chip drives onto the wires between chips now. Call it only if `c.link` is not 0."""
-    return _says(c.says, (c.at,))
+def wire_output(c):
+    """Return the word that the chip drives onto the wires between chips now. Call it only if `c.link` is not 0."""
+    return _wire_output(c.wire_output, (c.at,))
 
 
 @hot
-def silent(c):
-    """Return the clock up to which that does not change, as long as the wires bring nothing."""
-    return _silent(c.silent, (c.at,))
+def wire_output_until(c):
+    """Return the clock up to which that word does not change, as long as the wires bring nothing new."""
+    return _wire_output_until(c.wire_output_until, (c.at,))
 
 
 @hot
-def heard(c):
-    """Return the word that the wires brought last, see `hear_wires`."""
-    return _heard(c.heard, (c.at,))
+def wire_word(c):
+    """Return the last word that the wires have brought, see `set_wire_word`."""
+    return _wire_word(c.wire_word, (c.at,))
 
 
 @hot
-def hear_wires(c, word):
+def set_wire_word(c, word):
     """Bring the chip a new word from the wires between chips: levels, a number, and a count of pulses."""
-    _hear_wires(c.hear_wires, (c.at, word))
+    _set_wire_word(c.set_wire_word, (c.at, word))
 
 
 @hot
 def net(c, j):
-    """Return the commanded position: net pulses since power-up; of a servo the encoder count of its command position."""
+    """Return the commanded position: net pulses since power-up; for a servo the encoder count of its command position."""
     return _word(c.net, (c.at, j))
 
 
 @hot
 def drive_input(c, j, before, ticks):
-    """Return what the drive receives: the mean of `net` over the last ticks; of a servo the motor command, -1 to 1.
+    """Return what the drive receives: the mean of `net` over the last ticks; for a servo the motor command, -1 to 1.
 
     Args:
         c: CHIP record.
@@ -281,13 +288,19 @@ def drive_input(c, j, before, ticks):
 
 @hot
 def pulse_rate(c, j, hz):
-    """Return how fast `net` moves now, per second."""
+    """Return the present rate of `net`, per second.
+
+    Args:
+        c: CHIP record.
+        j: Axis of the chip.
+        hz: Reference clock, Hz.
+    """
     return _rate(c.pulse_rate, (c.at, j, hz))
 
 
 @hot
 def counter(c, j):
-    """Return the register that counts the pulses for the host: R0, LP."""
+    """Return the register that counts pulses for the host: R0 or LP."""
     return _word(c.counter, (c.at, j))
 
 
@@ -310,8 +323,8 @@ def outputs(c, j):
 
 
 @hot
-def hear(c):
-    """Let the output of another chip, if one is wired to this chip, drive its input. Returns whether the input has changed."""
+def update_wired_input(c):
+    """Let the output of another chip drive an input of this chip, if it is wired so. Returns whether the input has changed."""
     if c.wire == 0:
         return False
     word = inputs(c, 0)
@@ -336,7 +349,7 @@ def busy(c, j):
 
 @hot
 def peek(c, address):
-    """Return what a host would read there now, without a bus cycle: nothing changes."""
+    """Return what a host would read at an address, without a bus cycle and its side effects."""
     return _word(c.peek, (c.at, address))
 
 

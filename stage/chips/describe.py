@@ -1,12 +1,12 @@
-"""The meaning of bus cycles, in words of the register map. Each family has two classes for it, in its describe.py.
+"""Descriptions of bus cycles in the words of the register map. Each family has two classes for it, in its describe.py.
 
     listener = chip.listener()     begins with the chip's present state: the last column of a bus trace
     listener.write(0, 0x85)        'select R5: deceleration rate'
     listener.read(0, 0xE8)         'status: operating, neither ramping up nor down, R0 = 0'
     decode(chip.decoder(), journal.entries)      a journal as commands and whole register values
 
-A listener describes each bus cycle, given those before it. It sees bus cycles only: after a reset pin or a lost write, get a new
-one from the chip. A decoder gives the commands and register values as a whole: all bytes of a register are one `Statement`.
+A listener describes each bus cycle. It sees bus cycles only: after a reset pin or a lost write, get a new one from the chip. A
+decoder returns commands and whole register values: all bytes of a register are one `Statement`.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ class Statement(NamedTuple):
 
 
 class Listener(Protocol):
-    """Descriptions of bus cycles: each a line of ASCII of at most LONGEST characters. A listener never raises."""
+    """Descriptions of bus cycles, each a line of ASCII of at most MAX_LINE_LENGTH characters. A listener never raises."""
 
     def write(self, address: int, value: int) -> str:
-        """Describe a write cycle, given those before it.
+        """Describe a write cycle that follows those before it.
 
         Args:
             address: Bus address.
@@ -59,7 +59,7 @@ class Listener(Protocol):
         """
 
     def read(self, address: int, value: int) -> str:
-        """Describe a read cycle.
+        """Describe a read cycle that follows the cycles before it.
 
         Args:
             address: Bus address.
@@ -68,36 +68,36 @@ class Listener(Protocol):
 
 
 class Decoder:
-    """Base class of decoders: journal entries become commands and whole register values, a part at a time."""
+    """Base class of decoders, which turn journal entries into commands and whole register values, a part at a time."""
 
-    def take(self, entries: Iterable[Entry]) -> list[Statement]:
+    def decode(self, entries: Iterable[Entry]) -> list[Statement]:
         """Decode further entries.
 
         Args:
-            entries: Entries of a journal, after those of the calls before.
+            entries: Entries of a journal, after those of earlier calls.
 
         Returns:
-            Commands and register values. The last writes may wait for what comes next, see `rest`.
+            Commands and register values. The last writes may wait for later ones, see `flush`.
         """
         statements: list[Statement] = []
         for e in entries:
             if e.kind == WRITE:
-                statements += self.wrote(e.clock, e.a, e.b)
+                statements += self.decode_write(e.clock, e.a, e.b)
             elif e.kind == RESET:
-                statements += self.rest()
+                statements += self.flush()
                 self.reset()
                 statements.append(Statement(e.clock, "reset", "/RESET", "reset pin"))
             elif e.kind == LOST:
-                code, meaning = self.lost(e.a, e.b)
+                code, meaning = self.describe_lost_write(e.a, e.b)
                 statements.append(Statement(e.clock, "lost", code, f"LOST: {meaning}"))
         return statements
 
-    def rest(self) -> list[Statement]:
-        """Return what still waited for further writes."""
+    def flush(self) -> list[Statement]:
+        """Return the statements of writes that still waited for later ones."""
         return []
 
-    def wrote(self, clock: int, address: int, value: int) -> list[Statement]:
-        """Decode a write, and what waited for it.
+    def decode_write(self, clock: int, address: int, value: int) -> list[Statement]:
+        """Decode a write, and the writes that waited for it.
 
         Args:
             clock: Reference clocks since power-up.
@@ -106,8 +106,8 @@ class Decoder:
         """
         raise NotImplementedError
 
-    def lost(self, address: int, value: int) -> tuple[str, str]:
-        """Return code and meaning of a write that did not arrive.
+    def describe_lost_write(self, address: int, value: int) -> tuple[str, str]:
+        """Return the code and the meaning of a write that did not arrive.
 
         Args:
             address: Bus address.
@@ -116,7 +116,7 @@ class Decoder:
         raise NotImplementedError
 
     def reset(self) -> None:
-        """Forget all writes: the reset pin was asserted."""
+        """Forget all writes, because the reset pin was asserted."""
 
 
 def decode(decoder: Decoder, entries: Iterable[Entry]) -> list[Statement]:
@@ -126,11 +126,11 @@ def decode(decoder: Decoder, entries: Iterable[Entry]) -> list[Statement]:
         decoder: A new decoder of the chip's family.
         entries: The journal's entries.
     """
-    return decoder.take(entries) + decoder.rest()
+    return decoder.decode(entries) + decoder.flush()
 
 
 class Fields:
-    """Descriptions of a register's or word's contents, field by field.
+    """Descriptions of the contents of a register or word, field by field.
 
     Args:
         place: The register or word.
@@ -143,8 +143,8 @@ class Fields:
         ]
         self._lines: dict[tuple[str, int, str], str] = {}
 
-    def tell(self, head: str, value: int, tail: str = "") -> str:
-        """Describe a value.
+    def describe(self, head: str, value: int, tail: str = "") -> str:
+        """Describe contents.
 
         Args:
             head: Words before the fields.
@@ -152,22 +152,22 @@ class Fields:
             tail: Words behind the fields.
 
         Returns:
-            `head`, the fields that have something to say, and `tail`. If all words are too long, the longest fields are
-            given by name.
+            `head`, the fields that have something to report, and `tail`. If the line is too long, the longest fields are given
+            by name.
         """
         known = self._lines.get((head, value, tail))
         if known is None:
             if len(self._lines) >= MAX_CACHED_LINES:
                 self._lines.clear()
             words = self._words(value, MAX_LINE_LENGTH - len(head) - len(tail) - 2)
-            known = self._lines[head, value, tail] = line(f"{head}: {words}{tail}")
+            known = self._lines[head, value, tail] = shorten_line(f"{head}: {words}{tail}")
         return known
 
     def _words(self, value: int, room: int) -> str:
         words, names = [], []
         for f, low, mask, sayings in self._fields:
             v = value >> low & mask
-            text = sayings.get(v) or (_number(f, v) if v and f.high > f.low else "")
+            text = sayings.get(v) or (_describe_number(f, v) if v and f.high > f.low else "")
             if text:
                 words.append(text)
                 names.append(text if not v else f.name if f.high == f.low else f"{f.name} {v:X}h")
@@ -181,12 +181,12 @@ class Fields:
         return (", " if length <= room else " ").join(words)
 
 
-def line(text: str) -> str:
-    """Return a text, cut where it is longer than a line of a trace."""
+def shorten_line(text: str) -> str:
+    """Return a text, cut if it is longer than a line of a trace."""
     return text if len(text) <= MAX_LINE_LENGTH else text[: MAX_LINE_LENGTH - 3] + "..."
 
 
-def bits(name: str, byte: int, value: int) -> str:
+def describe_byte(name: str, byte: int, value: int) -> str:
     """Describe one byte of a register.
 
     Args:
@@ -198,11 +198,11 @@ def bits(name: str, byte: int, value: int) -> str:
 
 
 def _list_meanings(f: Field, silent: bool) -> dict[int, str]:
-    """Return the words that the map has for the values of a field."""
+    """Return the words that the register map has for the values of a field."""
     values = f.values or {1: f.meaning}
     return {v: f.says(v) for v in values if not (silent and v == f.silent)}
 
 
-def _number(f: Field, v: int) -> str:
+def _describe_number(f: Field, v: int) -> str:
     subject = f.meaning or f.name
     return f"{subject} = {v}" if f.high - f.low < MAX_DECIMAL_BITS else f"{subject} = {v:X}h ({v})"

@@ -35,7 +35,7 @@ class Rule(NamedTuple):
     once: bool = False
 
     def at(self, section: str) -> Rule:
-        """Return this rule as another section of the data sheet states it; "" leaves the section as it is."""
+        """Return this rule with another section of the data sheet; "" leaves the section as it is."""
         return self._replace(source=section) if section else self
 
 
@@ -67,7 +67,12 @@ class Diagnostic(NamedTuple):
 
 
 def parse_diagnostics(data: Iterable[Any]) -> tuple[Diagnostic, ...]:
-    """Convert the diagnostics in a snapshot's file. Raises TypeError or ValueError if they are something else."""
+    """Convert the diagnostics in a snapshot's file.
+
+    Raises:
+        TypeError: The data are something else.
+        ValueError: The data are something else.
+    """
     diagnostics = tuple(Diagnostic(*fields) for fields in data)
     if any(list(map(type, d)) != [int, int, int, str, str, str] for d in diagnostics):
         raise TypeError("three whole numbers and three texts")
@@ -80,7 +85,7 @@ def list_rules(lint: ModuleType) -> list[Rule]:
 
 
 class JournalLint:
-    """The lint of a chip whose bus cycles compiled code makes: it reads the writes from a journal, when somebody asks for them."""
+    """Lint of a chip whose bus cycles compiled code makes. It reads the writes from a journal when diagnostics are requested."""
 
     def __init__(self, chip: Chip):
         self._chip = chip
@@ -98,10 +103,10 @@ class JournalLint:
         if not len(entries) and journal.until == chip.clock == int(journal.start["clock"]):
             return
         if (entries.packed()["kind"] == WRITE).any():
-            twin = chip.twin(journal.start.tobytes())
+            replica = chip.make_replica(journal.start.tobytes())
             for entry in entries:
-                chip.CORE.advance.c(twin.pointer, entry.clock)
+                chip.CORE.advance.c(replica.pointer, entry.clock)
                 if entry.kind == WRITE:
-                    chip.diagnose(entry.clock, entry.a, entry.b, twin.lint(entry.a, entry.b))
-                entry.apply(chip.CORE, twin.pointer)
+                    chip.diagnose(entry.clock, entry.a, entry.b, replica.lint(entry.a, entry.b))
+                entry.apply(chip.CORE, replica.pointer)
         journal.restart()

@@ -1,4 +1,4 @@
-"""The entries of a journal, packed: 32 bytes an event, so that millions of them need little memory."""
+"""Entries of a journal, packed into 32 bytes per event, so that millions of them need little memory."""
 
 from __future__ import annotations
 
@@ -37,19 +37,26 @@ AXIS = 32
 """Bit of a packed entry's second word from which on it is the axis."""
 
 
-def bits(number: float) -> int:
-    """Return a float64 as the whole number of the same bits, for an entry."""
+def float_to_bits(number: float) -> int:
+    """Return the integer with the same bits as a float64, for an entry."""
     return int(struct.unpack("q", struct.pack("d", number))[0])
 
 
-def number(bits: int) -> float:
-    """Return the float64 of these bits."""
+def bits_to_float(bits: int) -> float:
+    """Return the float64 with these bits."""
     return float(struct.unpack("d", struct.pack("q", bits))[0])
 
 
 class Entry(NamedTuple):
-    """One event between two ticks: its `Kind`, and numbers `a` and `b` whose meaning the kind says; `axis` is that of a SHAFT
-    or a LOAD."""
+    """One event between two ticks.
+
+    Attributes:
+        clock: Reference clocks since power-up.
+        kind: A `Kind`, which defines the meaning of a and b.
+        a: First number.
+        b: Second number.
+        axis: Axis of a SHAFT or a LOAD.
+    """
 
     clock: int
     kind: int
@@ -58,7 +65,7 @@ class Entry(NamedTuple):
     axis: int = 0
 
     def apply(self, core: Any, c: Any) -> None:
-        """Let the event happen to a chip.
+        """Apply the event to a chip.
 
         Args:
             core: Core of the chip's family.
@@ -73,9 +80,9 @@ class Entry(NamedTuple):
         elif kind == READ:
             function, args = core.read, (self.a,)
         elif kind == SHAFT:
-            function, args = core.set_shaft, (self.axis, number(self.a), number(self.b))
+            function, args = core.set_shaft, (self.axis, bits_to_float(self.a), bits_to_float(self.b))
         elif kind == LOAD:
-            function, args = core.set_load, (self.axis, number(self.a), number(self.b))
+            function, args = core.set_load, (self.axis, bits_to_float(self.a), bits_to_float(self.b))
         elif kind == WIRES:
             function, args = core.hear_wires, (self.a,)
         elif kind == RESET:
@@ -86,7 +93,7 @@ class Entry(NamedTuple):
 
 
 class Entries(Sequence[Entry]):
-    """A sequence that makes each `Entry` from the packed bytes when it is read."""
+    """Sequence of entries, packed, that unpacks each `Entry` when it is read."""
 
     def __init__(self) -> None:
         self._words = array("q")
@@ -116,7 +123,7 @@ class Entries(Sequence[Entry]):
 
     def __iter__(self) -> Iterator[Entry]:
         words = iter(self._words)
-        return map(_unpacked, zip(words, words, words, words, strict=True))
+        return map(_unpack, zip(words, words, words, words, strict=True))
 
     @overload
     def __getitem__(self, k: int) -> Entry: ...
@@ -133,9 +140,9 @@ class Entries(Sequence[Entry]):
                 part._words.frombytes(self.packed()[k].tobytes())
             return part
         at = range(len(self))[k] * 4
-        return _unpacked(self._words[at : at + 4])
+        return _unpack(self._words[at : at + 4])
 
 
-def _unpacked(words: Sequence[int]) -> Entry:
+def _unpack(words: Sequence[int]) -> Entry:
     clock, kind, a, b = words
     return Entry(clock, kind & (1 << AXIS) - 1, a, b, kind >> AXIS)

@@ -1,8 +1,8 @@
-"""A journal notes the bus cycles and input changes of a chip; a replay gives the chip's course, all that it did, to the clock.
+"""Journals of the bus cycles and input changes of a chip, and their replay to the waveforms of an axis, to the clock.
 
-A chip is deterministic, so all that it did follows from its state at the start and from its inputs. `Journal` keeps only these,
-a few bytes an event, for any number of pulses. `Journal.course()` replays them on a second chip and returns each change
-of speed and of every pin, to the clock. Waveforms and the drawings of operation patterns are made from it.
+A chip is deterministic, so everything that it does follows from its state at the start and from its inputs. `Journal` stores
+only these, a few bytes per event, for any number of pulses. `Journal.course()` replays them on a second chip and returns each
+change of speed and of every pin, to the clock. Waveforms and the drawings of operation patterns are made from it.
 """
 
 from __future__ import annotations
@@ -12,25 +12,24 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from stage.chips.entries import INPUT, LOST, READ, RESET, SHAFT, WIRES, WRITE, Entries, Entry, bits
+from stage.chips.entries import INPUT, LOST, READ, RESET, SHAFT, WIRES, WRITE, Entries, Entry, float_to_bits
 from stage.support.arguments import check_whole_number
 
 if TYPE_CHECKING:
     from stage.chips.chip import Chip
 
-CHUNK = 65536
-ROOM = 64  # edges: the least piece, as a scan writes several before it looks whether there is room
+PIECE_EDGES = 65536
+MIN_PIECE_EDGES = 64  # a scan may write several edges before it checks for free records
 
 
-class Course(NamedTuple):
-    """The course of one axis of a chip: everything that it did, to the clock.
+class Waveforms(NamedTuple):
+    """Waveforms of one axis of a chip: everything that it did, to the clock.
 
     Attributes:
         chip: Class of the chip.
         clock_hz: Reference clock.
-        edges: EDGE records of its core (clock, inputs, outputs, counter, net, rate in pulses per clock, and what the family
-            adds): one
-            for the start, one after each entry, one for every change in between, and one for the end.
+        edges: EDGE records of its core (clock, inputs, outputs, counter, net, rate in pulses per clock, and fields of the family):
+            one for the start, one after each entry, one for every change in between, and one for the end.
         entries: The journal's entries.
     """
 
@@ -60,7 +59,7 @@ class Course(NamedTuple):
 
 
 class Journal:
-    """The events of one chip from its creation to `close()`; its course is that of one axis of the chip."""
+    """Journal of the events of one chip, from its creation to `close()`; it replays the waveforms of one axis."""
 
     def __init__(self, chip: Chip, previous: Journal | None = None, axis: int = 0):
         self.chip, self._previous, self.axis = chip, previous, axis
@@ -90,7 +89,7 @@ class Journal:
 
     def note_shaft(self, clock: int, axis: int, count: float, rate: float) -> None:
         """Note the place and the rate of an encoder's shaft."""
-        self._note(clock, SHAFT, bits(count), bits(rate), axis)
+        self._note(clock, SHAFT, float_to_bits(count), float_to_bits(rate), axis)
 
     def extend(self, packed: np.ndarray) -> None:
         """Note PACKED records, in the order of their clocks."""
@@ -106,7 +105,7 @@ class Journal:
             self._previous._note(clock, kind, a, b, axis)
 
     def close(self) -> None:
-        """Stop noting; the course ends here."""
+        """Stop recording. The waveforms end here."""
         if self._end is not None:
             return
         self._end = self.chip.clock
@@ -121,25 +120,25 @@ class Journal:
 
     @property
     def start(self) -> np.record:
-        """The chip's state when the journal began, a record of its core's STATE."""
+        """State of the chip when the journal began, a record of its core's STATE."""
         return np.frombuffer(self._start, self.chip.CORE.STATE)[0]
 
     @property
     def until(self) -> int:
-        """The clock at which the course ends: that of `close()`, or the chip's now."""
+        """Clock at which the waveforms end: that of `close()`, or the chip's present clock."""
         return self.chip.clock if self._end is None else self._end
 
-    def course(self, every_pulse: bool = False) -> Course:
-        """Replay the journal.
+    def course(self, every_pulse: bool = False) -> Waveforms:
+        """Replay the journal, and return the waveforms of its axis.
 
         Args:
             every_pulse: Include the edges of the pulse output.
         """
         chip = self.chip
-        return Course(type(chip), chip.clock_hz, np.concatenate(list(self.pieces(every_pulse))), self.entries[:])
+        return Waveforms(type(chip), chip.clock_hz, np.concatenate(list(self.pieces(every_pulse))), self.entries[:])
 
-    def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
-        """Replay the journal a piece at a time: any length of run in the same memory.
+    def pieces(self, every_pulse: bool = False, size: int = PIECE_EDGES) -> Iterator[np.ndarray]:
+        """Replay the journal piece by piece, in bounded memory.
 
         Args:
             every_pulse: Include the edges of the pulse output.
@@ -152,7 +151,7 @@ class Journal:
 
 
 class Replay:
-    """The course of a journal, read while the journal grows."""
+    """Replay of a journal that is still growing."""
 
     def __init__(self, journal: Journal):
         self._journal = journal
@@ -161,11 +160,11 @@ class Replay:
 
     @property
     def state(self) -> bytes:
-        """The chip's state as far as the journal has been read: in the end the chip's own."""
+        """State of the chip at the end of what has been replayed, as bytes; in the end the chip's own state."""
         return self._rows.tobytes()
 
-    def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
-        """Replay what was noted since the last call. The first edge is the chip as it was there.
+    def pieces(self, every_pulse: bool = False, size: int = PIECE_EDGES) -> Iterator[np.ndarray]:
+        """Replay the entries since the last call. The first edge is the state at its end.
 
         Args:
             every_pulse: Include the edges of the pulse output.
@@ -174,7 +173,7 @@ class Replay:
         Raises:
             ArgumentError: `size` is below 64.
         """
-        check_whole_number("size", size, ROOM)
+        check_whole_number("size", size, MIN_PIECE_EDGES)
         return self._pieces(every_pulse, size)
 
     def _pieces(self, every_pulse: bool, size: int) -> Iterator[np.ndarray]:
@@ -186,10 +185,10 @@ class Replay:
         self._applied += len(entries)
         core.mark.c(chip, axis, at, size, 0)
         k = 1
-        for e, shafts in _between_shafts(entries):
+        for e, shafts in _split_at_shafts(entries):
             until, done[0] = end if e is None else e.clock, 0
             while clock[0] < until or done[0] < len(shafts[0]):
-                if size - k < ROOM:
+                if size - k < MIN_PIECE_EDGES:
                     yield out[:k].copy()
                     k = 0
                 args = chip, until, every_pulse, axis, at + k * row, size - k
@@ -208,13 +207,13 @@ class Replay:
         yield out[:k].copy()
 
 
-Shafts = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # clocks, axes, counts, rates
+ShaftEntries = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # clocks, axes, counts, rates
 
 
-NO_SHAFT: Shafts = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+NO_SHAFT: ShaftEntries = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
 
 
-def _between_shafts(entries: Entries) -> Iterator[tuple[Entry | None, Shafts]]:
+def _split_at_shafts(entries: Entries) -> Iterator[tuple[Entry | None, ShaftEntries]]:
     """Yield each entry, or None at the end, with the entries of shafts and wires before it.
 
     Shafts come every physics step, and wires with every pulse. For wires the word, negated, takes the place of the axis.

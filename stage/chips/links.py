@@ -1,10 +1,11 @@
-"""Wires between chips of one kind, compiled: chips that are linked run together, from one change on the wires to the next.
+"""Wires between chips of one kind, compiled: linked chips run together, from one change on the wires to the next.
 
-What all of them drive makes one word, of 63 bits: *levels*, which are on where any chip drives them (bit 0 is always on: there are
-wires); a *number*, the largest that any chip gives; and a count of *pulses*, those of all chips together. A chip's own share is
-its answer to `says`; `heard` is the word that it heard last, and `hear_wires` lets it hear another one, which its journal notes.
+The outputs of all chips together make one word of 63 bits: *levels*, which are on if any chip drives them (bit 0 is always on
+and means that there are wires); a *number*, the largest that any chip gives; and a count of *pulses*, the sum of all chips. The
+output of one chip is its `wire_output`. `wire_word` is the last word that it has received, and `set_wire_word` gives it a new
+one, which its journal notes.
 
-Nothing on the wires takes time: what a chip drives at a clock the others hear at that clock, after their own pulses of it.
+Signals on the wires take no time: the other chips receive them at the same clock, after their own pulses of that clock.
 """
 
 from __future__ import annotations
@@ -13,49 +14,55 @@ from stage.chips import cores
 from stage.chips.entries import WIRES
 from stage.native import greatest, hot, least
 
-LEVELS = 3
-"""Bits of the word that are levels; the lowest says that there are wires."""
-NUMBER, PULSES = LEVELS, 33
-"""Where the number and the count of pulses begin; both have 30 bits."""
+LEVEL_BITS = 3
+"""Number of bits that are levels; the lowest means that there are wires."""
+NUMBER_SHIFT, PULSES_SHIFT = LEVEL_BITS, 33
+"""Lowest bits of the number and of the count of pulses; both have 30 bits."""
 LINKED = 1
 _ALL = (1 << 30) - 1
-ROUNDS = 8  # of answers at one clock
+MAX_ROUNDS = 8  # of exchanges at one clock
 
 
 @hot
-def number(word):
+def read_number(word):
     """Return the number in a word."""
-    return word >> NUMBER & _ALL
+    return word >> NUMBER_SHIFT & _ALL
 
 
 @hot
-def pulses_since(word, old):
-    """Return the pulses that are in a word and not in an older one."""
-    return (word >> PULSES) - (old >> PULSES) & _ALL
+def count_new_pulses(word, old):
+    """Return the number of pulses that a word has more than an older one."""
+    return (word >> PULSES_SHIFT) - (old >> PULSES_SHIFT) & _ALL
 
 
 @hot
-def share(levels, number, pulses):
-    """Put together what a chip drives: levels, with LINKED or without; a number; pulses that it has ever driven."""
-    return levels | number << NUMBER | (pulses & _ALL) << PULSES
+def pack_word(levels, number, pulses):
+    """Pack the output of a chip into a word.
+
+    Args:
+        levels: Levels that it drives.
+        number: Its number.
+        pulses: Pulses that it has driven since power-up.
+    """
+    return levels | number << NUMBER_SHIFT | (pulses & _ALL) << PULSES_SHIFT
 
 
 @hot
-def _word(chips, link):
-    """Put together what all chips drive onto the wires."""
+def _combine_outputs(chips, link):
+    """Combine the outputs of all chips on the wires into one word."""
     levels, maximum, pulses = LINKED, 0, 0
     for i in range(len(chips)):
         if chips[i].link == link:
-            share_of_chip = cores.says(chips[i])
-            levels |= share_of_chip & (1 << LEVELS) - 1
-            maximum = greatest(maximum, number(share_of_chip))
-            pulses += share_of_chip >> PULSES
-    return share(levels, maximum, pulses)
+            share_of_chip = cores.wire_output(chips[i])
+            levels |= share_of_chip & (1 << LEVEL_BITS) - 1
+            maximum = greatest(maximum, read_number(share_of_chip))
+            pulses += share_of_chip >> PULSES_SHIFT
+    return pack_word(levels, maximum, pulses)
 
 
 @hot
-def exchange(chips, link, now, edges, n_edges):
-    """Bring every linked chip what is on the wires, until no chip drives anything new.
+def exchange_words(chips, link, now, edges, n_edges):
+    """Bring every linked chip the word on the wires, until no chip drives anything new.
 
     Args:
         chips: CHIP records.
@@ -65,16 +72,16 @@ def exchange(chips, link, now, edges, n_edges):
         n_edges: Number of them so far.
 
     Returns:
-        The number of edges.
+        The number of records.
     """
-    for _ in range(ROUNDS):
-        word, quiet = _word(chips, link), True
+    for _ in range(MAX_ROUNDS):
+        word, quiet = _combine_outputs(chips, link), True
         for i in range(len(chips)):
             c = chips[i]
-            if c.link != link or cores.heard(c) == word:
+            if c.link != link or cores.wire_word(c) == word:
                 continue
             quiet = False
-            cores.hear_wires(c, word)
+            cores.set_wire_word(c, word)
             if n_edges < len(edges):
                 e = edges[n_edges]
                 e.now, e.clock, e.axis, e.kind, e.a = now, cores.clock(c), cores.axis_of(c, 0), WIRES, word
@@ -85,7 +92,7 @@ def exchange(chips, link, now, edges, n_edges):
 
 
 @hot
-def run(chips, link, until, now, edges, n_edges):
+def run_linked_chips(chips, link, until, now, edges, n_edges):
     """Let the clocks of linked chips run up to a clock.
 
     Args:
@@ -97,19 +104,19 @@ def run(chips, link, until, now, edges, n_edges):
         n_edges: Number of them so far.
 
     Returns:
-        The number of edges.
+        The number of records.
     """
-    n_edges = exchange(chips, link, now, edges, n_edges)
+    n_edges = exchange_words(chips, link, now, edges, n_edges)
     while True:
         at, earliest = until, until
         for i in range(len(chips)):
             if chips[i].link == link:
                 earliest = least(earliest, cores.clock(chips[i]))
-                at = least(at, cores.silent(chips[i]))
+                at = least(at, cores.wire_output_until(chips[i]))
         if earliest >= until:
             return n_edges
         at = greatest(at, earliest + 1)
         for i in range(len(chips)):
             if chips[i].link == link:
                 cores.run(chips[i], at)
-        n_edges = exchange(chips, link, now, edges, n_edges)
+        n_edges = exchange_words(chips, link, now, edges, n_edges)

@@ -68,12 +68,12 @@ class Field:
 
     @property
     def mask(self) -> int:
-        """The bits of the field, in place."""
+        """Bits of the field, in place."""
         return ((1 << (self.high - self.low + 1)) - 1) << self.low
 
     @property
     def bits(self) -> str:
-        """The numbers of the bits, as text."""
+        """Numbers of the bits, as text."""
         return f"{self.high}" if self.high == self.low else f"{self.high}..{self.low}"
 
     def of(self, word: int) -> int:
@@ -85,7 +85,7 @@ class Field:
         return (word & self.mask) >> self.low
 
     def code(self, says: str) -> int:
-        """Return the bits, in place, of a value.
+        """Return the bits, in place, of the value with a meaning.
 
         Args:
             says: Meaning of the value in `values`.
@@ -93,7 +93,7 @@ class Field:
         Raises:
             ArgumentError: No value has this meaning; the message has near misses.
         """
-        return _look_up({text: v for v, text in self.values.items()}, says, f"value of {self.name}") << self.low
+        return _find_in_table({text: v for v, text in self.values.items()}, says, f"value of {self.name}") << self.low
 
     def says(self, value: int) -> str:
         """Return the meaning of a value in words.
@@ -159,7 +159,7 @@ class Register:
     @property
     def text(self) -> str:
         """Title and note."""
-        return _text(self.title, self.note)
+        return _join_note(self.title, self.note)
 
     @property
     def mask(self) -> int:
@@ -168,12 +168,12 @@ class Register:
 
     @property
     def range(self) -> tuple[int, int]:
-        """The smallest and the largest legal value; what the bits can hold if the data sheet has no range."""
+        """Smallest and largest legal value; the range of the bits if the data sheet has none."""
         half = (self.mask + 1) // 2
         return self.legal or ((-half, half - 1) if self.signed else (0, self.mask))
 
     def value(self, word: int) -> int:
-        """Return the number that the bits of a word mean.
+        """Return the number that the bits of a word represent.
 
         Args:
             word: Contents of the register.
@@ -182,7 +182,7 @@ class Register:
         return word - self.mask - 1 if self.signed and word > self.mask // 2 else word
 
     def allows(self, value: int) -> bool:
-        """Tell whether the data sheet allows a value.
+        """Return whether the data sheet allows a value.
 
         Args:
             value: Number, as `value` returns it.
@@ -191,12 +191,12 @@ class Register:
 
     @cached_property
     def writable(self) -> int:
-        """The bits that a write changes."""
+        """Bits that a write changes."""
         return self.mask & ~sum(f.mask for f in self.fields if f.access == "R")
 
     @cached_property
     def used(self) -> int:
-        """The bits that mean something."""
+        """Bits that have a meaning."""
         return sum(f.mask for f in self.fields) or self.mask
 
 
@@ -231,7 +231,7 @@ class Word:
 
     @cached_property
     def used(self) -> int:
-        """The bits that mean something."""
+        """Bits that have a meaning."""
         return sum(f.mask for f in self.fields)
 
     @property
@@ -241,7 +241,7 @@ class Word:
 
     @cached_property
     def fixed(self) -> int:
-        """The bits, in place, of fields that have one legal value: they tell words of one address apart."""
+        """Bits, in place, of fields with one legal value, which distinguish the words of one address."""
         return sum(f.legal[0] << f.low for f in self.fields if f.legal and f.legal[0] == f.legal[1])
 
 
@@ -287,18 +287,18 @@ class Command:
 
     @property
     def codes(self) -> tuple[int, ...]:
-        """Every code that is this command."""
+        """All codes of this command."""
         return tuple(self.code | k for k in range(1, self.choice + 1) if not k & ~self.choice) or (self.code,)
 
     @property
-    def what(self) -> str:
+    def description(self) -> str:
         """Title, note and unit."""
         choices = f" {self.chooses[0]} to {self.chooses[-1]}" if self.chooses else ""
-        return _text(self.title + choices, self.note) + (f" ({self.unit})" if self.unit else "")
+        return _join_note(self.title + choices, self.note) + (f" ({self.unit})" if self.unit else "")
 
     @property
     def hex(self) -> str:
-        """The code as data sheets print it."""
+        """Code as data sheets print it."""
         return f"{self.code:02X}h" if not self.choice else f"{self.codes[0]:02X}h..{self.codes[-1]:02X}h"
 
 
@@ -360,7 +360,7 @@ class RegisterMap:
         Raises:
             ArgumentError: There is none; the message has near misses.
         """
-        return _look_up(self._registers, _upper(name), f"{self.chip} register")
+        return _find_in_table(self._registers, _to_upper(name), f"{self.chip} register")
 
     def word(self, name: str) -> Word:
         """Return the word with a name.
@@ -368,7 +368,7 @@ class RegisterMap:
         Raises:
             ArgumentError: There is none; the message has near misses.
         """
-        return _look_up(self._words, name, f"{self.chip} word")
+        return _find_in_table(self._words, name, f"{self.chip} word")
 
     def command(self, symbol: str) -> Command:
         """Return the command with a symbol, in any case.
@@ -376,15 +376,15 @@ class RegisterMap:
         Raises:
             ArgumentError: There is none; the message has near misses.
         """
-        return _look_up(self._commands, _upper(symbol), f"{self.chip} command")
+        return _find_in_table(self._commands, _to_upper(symbol), f"{self.chip} command")
 
     @cached_property
     def by_code(self) -> dict[int, Command]:
-        """Every command code of the chip."""
+        """Command of each command code."""
         return {code: c for c in self.commands for code in c.codes}
 
-    def sent(self, symbol: str, datum: int | None = None) -> tuple[Command | Word, int]:
-        """Find what a host sends under a name, and check its datum; see `Chip.command_cycles`.
+    def find_sent(self, symbol: str, datum: int | None = None) -> tuple[Command | Word, int]:
+        """Find the command or word that a host sends under a name, and check its datum; see `Chip.command_cycles`.
 
         Args:
             symbol: Symbol of a command, or name of a word that a host writes, in any case.
@@ -400,7 +400,7 @@ class RegisterMap:
 
         words = {w.name.upper(): w for w in self.words if w.written}
         known: dict[str, Command | Word] = {**words, **{name.upper(): c for name, c in self._commands.items()}}
-        what = _look_up(known, _upper(symbol), f"{self.chip} command")
+        what = _find_in_table(known, _to_upper(symbol), f"{self.chip} command")
         if isinstance(what, Word):
             takes, mask = f"{what.bits} bits: {what.title}", (1 << what.bits) - 1
         elif what.choice:
@@ -429,8 +429,8 @@ class RegisterMap:
         Raises:
             ArgumentError: There is none; the message has near misses.
         """
-        fields = _look_up(self._fields, where, f"{self.chip} register or word")
-        return _look_up(fields, name, f"field of {self.chip} {where}")
+        fields = _find_in_table(self._fields, where, f"{self.chip} register or word")
+        return _find_in_table(fields, name, f"field of {self.chip} {where}")
 
     def mask(self, where: str, name: str) -> int:
         """Return the bits of a field, in place.
@@ -475,8 +475,8 @@ class RegisterMap:
     def _fields(self) -> dict[str, dict[str, Field]]:
         return {place.name: {f.name: f for f in place.fields} for place in self.places}
 
-    def checked(self, name: str, value: int) -> int:
-        """Return a value if the data sheet allows it.
+    def check_value(self, name: str, value: int) -> int:
+        """Check that the data sheet allows a value of a register, and return it.
 
         Args:
             name: Name of the register.
@@ -502,8 +502,8 @@ class RegisterMap:
         return int(value)
 
 
-def _upper(name: str) -> str:
-    """Return a name in capitals, as tables have it. Raises ArgumentError for what is no text."""
+def _to_upper(name: str) -> str:
+    """Return a name in capitals, as the tables have it. Raises ArgumentError if it is no text."""
     if isinstance(name, str):
         return name.upper()
     from stage.errors import ArgumentError
@@ -511,7 +511,8 @@ def _upper(name: str) -> str:
     raise ArgumentError(f"{name!r}: registers, words and commands are called by their names, as the map has them.")
 
 
-def _look_up(table: dict[str, T], name: str, kind: str) -> T:
+def _find_in_table(table: dict[str, T], name: str, kind: str) -> T:
+    """Return the entry of a table with a name, or raise ArgumentError with near misses."""
     if name not in table:
         from stage.errors import unknown_name_error
 
@@ -528,8 +529,10 @@ def as_html(map_: RegisterMap) -> str:
             html.folded(f"{place.name}: its bits", html.table(rows, ("bits", "field", "ev", "meaning"))) if rows else ""
         )
 
-    registers = [(r.name, r.bits, r.access, _legal(r), r.unit, r.evidence, _title(r)) for r in map_.registers]
-    commands = [(c.hex, c.symbol, c.kind, c.bytes or "", c.evidence, c.what) for c in map_.commands]
+    registers = [
+        (r.name, r.bits, r.access, _format_range(r), r.unit, r.evidence, _format_title(r)) for r in map_.registers
+    ]
+    commands = [(c.hex, c.symbol, c.kind, c.bytes or "", c.evidence, c.description) for c in map_.commands]
     head = ("register", "bits", "access", "legal", "unit", "ev", "title")
     parts = [html.heading(f"{map_.chip}: {map_.title}"), html.table(registers, head), *map(fields, map_.registers)]
     parts += [html.heading(f"{w.name}: {w.text}") + fields(w) for w in map_.words]
@@ -544,34 +547,36 @@ def dump(map_: RegisterMap, values: dict[str, int] | None = None) -> str:
 
     Args:
         map_: The map.
-        values: Register or word -> value; with it the table also shows what each field holds now.
+        values: Register or word -> value; with it the table also has the present value of each field.
     """
-    lines = [f"{map_.chip}: {map_.title}", f"source: {map_.source}", *_summary(map_), ""]
-    wide = max([18, *(len(_legal(r)) + 1 for r in map_.registers)])
+    lines = [f"{map_.chip}: {map_.title}", f"source: {map_.source}", *_summarize(map_), ""]
+    wide = max([18, *(len(_format_range(r)) + 1 for r in map_.registers)])
     head = f"{'register':9}{'bits':>5} {'acc':4}{'legal':>{wide}}  {'ev':3}{'title'}"
     lines += [head, "-" * len(head)]
     for r in map_.registers:
         now = f" = {r.value(values[r.name]) if r.signed else values[r.name]}" if values and r.name in values else ""
-        lines.append(f"{r.name:9}{r.bits:>5} {r.access:4}{_legal(r):>{wide}}  {r.evidence:3}{_title(r)}{now}")
+        lines.append(
+            f"{r.name:9}{r.bits:>5} {r.access:4}{_format_range(r):>{wide}}  {r.evidence:3}{_format_title(r)}{now}"
+        )
         for f in r.fields:
             fixed = " (read only)" if f.access == "R" and r.access != "R" else ""
-            lines.append(_field(f, values.get(r.name) if values else None) + fixed)
+            lines.append(_format_field(f, values.get(r.name) if values else None) + fixed)
     for w in map_.words:
         now = f" = {values[w.name]:0{w.bits // 4}X}h" if values and w.name in values else ""
         lines += ["", f"{w.name}: {w.text}{now}"]
-        lines += [_field(f, values.get(w.name) if values else None) for f in w.fields]
+        lines += [_format_field(f, values.get(w.name) if values else None) for f in w.fields]
     if map_.commands:
         wide = max(len(c.symbol) for c in map_.commands) + 2
         head = f"{'command':10}{'symbol':{wide}}{'kind':14}{'bytes':>5}  {'ev':3}{'title'}"
         lines += ["", head, "-" * len(head)]
     for c in map_.commands:
         alone = "" if c.axes else "; no axis bits"
-        lines.append(f"{c.hex:10}{c.symbol:{wide}}{c.kind:14}{c.bytes or '':>5}  {c.evidence:3}{c.what}{alone}")
-    lines += ["", "evidence: " + ", ".join(f"{k} {v}" for k, v in EVIDENCE.items() if k in _tags(map_))]
+        lines.append(f"{c.hex:10}{c.symbol:{wide}}{c.kind:14}{c.bytes or '':>5}  {c.evidence:3}{c.description}{alone}")
+    lines += ["", "evidence: " + ", ".join(f"{k} {v}" for k, v in EVIDENCE.items() if k in _list_evidence(map_))]
     return "\n".join(lines)
 
 
-def _summary(map_: RegisterMap) -> list[str]:
+def _summarize(map_: RegisterMap) -> list[str]:
     """Count registers, words and commands, and the letters of their evidence."""
     written = sum("W" in r.access for r in map_.registers)
     counted = (
@@ -586,23 +591,23 @@ def _summary(map_: RegisterMap) -> list[str]:
     return [f"{parts}; by evidence, which the end explains: {sure}"]
 
 
-def _text(title: str, note: str) -> str:
+def _join_note(title: str, note: str) -> str:
     return f"{title}: {note}" if note else title
 
 
-def _legal(r: Register) -> str:
+def _format_range(r: Register) -> str:
     return " or ".join([f"{r.legal[0]}..{r.legal[1]}", *map(str, r.also)]) if r.legal else "any"
 
 
-def _title(r: Register) -> str:
+def _format_title(r: Register) -> str:
     return r.text + (f"; {r.reset} after reset" if r.reset else "")
 
 
-def _field(f: Field, word: int | None) -> str:
+def _format_field(f: Field, word: int | None) -> str:
     now = "" if word is None else f" = {f.of(word)}"
     return f"  b{f.bits:<7}{f.name:14}{f.evidence:3}{f.text}{now}"
 
 
-def _tags(map_: RegisterMap) -> set[str]:
+def _list_evidence(map_: RegisterMap) -> set[str]:
     fields = {f.evidence for place in map_.places for f in place.fields}
     return fields | {r.evidence for r in map_.registers} | {c.evidence for c in map_.commands}

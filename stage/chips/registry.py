@@ -1,4 +1,4 @@
-"""`Registry`: every chip by name, those of PulseStage and those that installed packages bring.
+"""Registry of all chips by name, those of PulseStage and those of installed packages.
 
 A package names its chips in its pyproject.toml, and then they are known wherever a chip is given by its name:
 
@@ -25,12 +25,12 @@ from stage.errors import ArgumentError, LoadError, StageError, UnknownKey, unkno
 
 GROUP = "pulsestage.chips"
 """The entry points of a package that name chips."""
-OWN = "pulsestage"
+PACKAGE_NAME = "pulsestage"
 
 
 @dataclass(frozen=True)
-class Source:
-    """The origin of a chip.
+class ChipSource:
+    """Origin of a chip.
 
     Attributes:
         name: Name of the entry point.
@@ -47,8 +47,8 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Listed:
-    """A line of a list of chips.
+class ListedChip:
+    """Line of a list of chips.
 
     Attributes:
         name: Name of the chip.
@@ -64,14 +64,14 @@ class Listed:
 
 
 def key(name: str) -> str:
-    """Return the name of a chip as the registry has it: in any case, with or without hyphens."""
+    """Return a chip's name as the registry has it: capitals, without hyphens."""
     return name.upper().replace("-", "").replace("_", "")
 
 
 class Registry(MutableMapping[str, type[Chip]]):
-    """Chip classes by name: PulseStage's own, and those that installed packages bring.
+    """Chip classes by name: PulseStage's own, and those of installed packages.
 
-    Iteration gives every name, also those that cannot be loaded; `listed` says which these are.
+    Iteration gives every name, including those that cannot be loaded; `listed` tells which these are.
 
     Args:
         families: Package below `home` -> names of its classes.
@@ -79,7 +79,7 @@ class Registry(MutableMapping[str, type[Chip]]):
     """
 
     def __init__(self, families: Mapping[str, tuple[str, ...]], home: str):
-        self._own = {key(name): f"{home}.{family}:{name}" for family, names in families.items() for name in names}
+        self._families = {key(name): f"{home}.{family}:{name}" for family, names in families.items() for name in names}
         self._loaded: dict[str, type[Chip]] = {}
         self._told: set[str] = set()
 
@@ -103,8 +103,8 @@ class Registry(MutableMapping[str, type[Chip]]):
         return chip
 
     def __contains__(self, name: object) -> bool:
-        known = isinstance(name, str) and (key(name) in self._loaded or key(name) in self._own)
-        return known or (isinstance(name, str) and key(name) in _brought())
+        known = isinstance(name, str) and (key(name) in self._loaded or key(name) in self._families)
+        return known or (isinstance(name, str) and key(name) in _find_sources())
 
     def __setitem__(self, name: str, chip: type[Chip]) -> None:
         self._loaded[key(name)] = chip
@@ -124,77 +124,74 @@ class Registry(MutableMapping[str, type[Chip]]):
             raise UnknownKey("no class of a chip was set or loaded: PulseStage's own chips stay.") from None
 
     def __iter__(self) -> Iterator[str]:
-        return iter(dict.fromkeys((*self._own, *_brought(), *self._loaded)))
+        return iter(dict.fromkeys((*self._families, *_find_sources(), *self._loaded)))
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
 
     @property
-    def own(self) -> tuple[str, ...]:
-        """The names of PulseStage's own chips."""
-        return tuple(self._own)
+    def built_in(self) -> tuple[str, ...]:
+        """Names of PulseStage's own chips."""
+        return tuple(self._families)
 
-    def listed(self) -> list[Listed]:
-        """List every chip, PulseStage's own first; of those that cannot be loaded, say why.
-
-        Imports all packages that bring chips.
-        """
-        lines = [Listed(name, OWN, self[name]) for name in self._own]
-        for name, sources in sorted(_brought().items()):
+    def listed(self) -> list[ListedChip]:
+        """List every chip, PulseStage's own first, with the reason if one cannot be loaded. Imports all packages of chips."""
+        lines = [ListedChip(name, PACKAGE_NAME, self[name]) for name in self._families]
+        for name, sources in sorted(_find_sources().items()):
             packages = ", ".join(source.package for source in sources)
             try:
-                if name in self._own:
-                    raise ArgumentError(_stays(name, sources))
-                lines.append(Listed(name, packages, self[name]))
+                if name in self._families:
+                    raise ArgumentError(_describe_claim(name, sources))
+                lines.append(ListedChip(name, packages, self[name]))
             except StageError as error:
-                lines.append(Listed(name, packages, None, str(error)))
+                lines.append(ListedChip(name, packages, None, str(error)))
         return lines
 
-    def tell_of_claims(self, name: str) -> None:
+    def warn_of_claims(self, name: str) -> None:
         """Warn once, on stderr, if a package brings a chip under one of PulseStage's own names.
 
         Args:
             name: Name of the chip that is used.
         """
         name = key(name)
-        if name not in self._own or name in self._told:
+        if name not in self._families or name in self._told:
             return
         self._told.add(name)
-        if not _may_be_claimed(name):
+        if not _is_possibly_claimed(name):
             return
-        sources = _brought().get(name)
+        sources = _find_sources().get(name)
         if sources:
-            print(f"PulseStage: {_stays(name, sources)}", file=sys.stderr, flush=True)
+            print(f"PulseStage: {_describe_claim(name, sources)}", file=sys.stderr, flush=True)
 
     def _load(self, name: str) -> type[Chip]:
-        if name in self._own:
-            module, _, attribute = self._own[name].partition(":")
+        if name in self._families:
+            module, _, attribute = self._families[name].partition(":")
             return getattr(import_module(module), attribute)
-        if not (sources := _brought().get(name, [])):
+        if not (sources := _find_sources().get(name, [])):
             raise UnknownKey(str(unknown_name_error("chip", name, self)))
         if len(sources) > 1:
             raise ArgumentError(
                 f"chip {name}: {' and '.join(map(str, sources))} bring a chip of this name. Uninstall one of them."
             )
-        return _loaded(name, sources[0])
+        return _load_class(name, sources[0])
 
 
-def _brought() -> dict[str, list[Source]]:
-    """Find the chips that installed packages bring: name -> the packages."""
+def _find_sources() -> dict[str, list[ChipSource]]:
+    """Find the chips that installed packages bring: name -> their sources."""
     from importlib.metadata import entry_points  # 50 ms of a start that mostly needs PulseStage's own chips only
 
-    sources_by_name: dict[str, list[Source]] = {}
+    sources_by_name: dict[str, list[ChipSource]] = {}
     for point in entry_points(group=GROUP):
         package = f"{point.dist.name} {point.dist.version}" if point.dist is not None else "of unknown name"
-        source = Source(point.name, package, point.value)
+        source = ChipSource(point.name, package, point.value)
         sources = sources_by_name.setdefault(key(point.name), [])
         if source not in sources:
             sources.append(source)
     return sources_by_name
 
 
-def _may_be_claimed(name: str) -> bool:
-    """Search the files of installed packages for a chip of this name: some ms, where `_brought` takes 50."""
+def _is_possibly_claimed(name: str) -> bool:
+    """Return whether the files of installed packages may name a chip so: some ms, where `_find_sources` takes 50."""
     for folder in sys.path:
         for info in (*glob(join(escape(folder), "*.dist-info")), *glob(join(escape(folder), "*.egg-info"))):
             try:
@@ -207,12 +204,14 @@ def _may_be_claimed(name: str) -> bool:
     return False
 
 
-def _stays(name: str, sources: list[Source]) -> str:
+def _describe_claim(name: str, sources: list[ChipSource]) -> str:
+    """Describe that a package brings a chip under one of PulseStage's own names."""
     others = " and ".join(source.package for source in sources)
-    return f"{name} is one of PulseStage's own chips, and stays it, though {others} has one of this name: {_rename(sources)}"
+    advice = _advise_renaming(sources)
+    return f"{name} is one of PulseStage's own chips, and stays it, though {others} has one of this name: {advice}"
 
 
-def _loaded(name: str, source: Source) -> type[Chip]:
+def _load_class(name: str, source: ChipSource) -> type[Chip]:
     """Load the class that an entry point names. Raises LoadError or ArgumentError."""
     module, _, attribute = source.where.partition("[")[0].partition(":")  # behind "[" are extras, which pip looks at
     try:
@@ -227,13 +226,15 @@ def _loaded(name: str, source: Source) -> type[Chip]:
     try:
         contract.check(chip, Chip)
         if key(chip.__name__) != name:
+            advice = _advise_renaming([source])
             raise ArgumentError(
-                f"the class is called {chip.__name__}. Recordings and reports name chips by their classes: {_rename([source])}"
+                f"the class is called {chip.__name__}. Recordings and reports name chips by their classes: {advice}"
             )
     except ArgumentError as error:
         raise ArgumentError(f"chip {name} of {source} is refused: {error}") from None
     return chip
 
 
-def _rename(sources: list[Source]) -> str:
+def _advise_renaming(sources: list[ChipSource]) -> str:
+    """Return the advice to rename an entry point, for an error."""
     return f"give the entry point of {sources[0].package} another name, that of its class."

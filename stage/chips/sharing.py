@@ -1,8 +1,8 @@
-"""How threads share a stage: calls that no other thread cuts into while a session is open.
+"""Sharing of a stage between threads: calls that no other thread interrupts while a session is open.
 
-A stage, its chips, axes, drivers and boards have an attribute `lock`, None as long as one thread drives the stage. A session of
-stage.panel sets it: a re-entrant lock that each call below takes from its first bus cycle to its last, and gives away where it
-lets simulated time pass.
+A stage, its chips, axes, drivers and boards have an attribute `lock`, which is None as long as one thread drives the stage. A
+session of stage.panel sets it to a re-entrant lock. Each call below holds it from its first bus cycle to its last, and releases
+it while simulated time passes.
 
     @exclusive
     def move(self, pulses): ...          the whole method; `self.lock` is asked at each call
@@ -23,23 +23,23 @@ UNSHARED = nullcontext()
 
 
 class Lock(Protocol):
-    """What a session puts into `lock`: a context manager that the thread which has it may enter again."""
+    """Lock of an open session: a context manager that the thread which holds it may enter again."""
 
     def __enter__(self) -> Any: ...
 
     def __exit__(self, *exc: object) -> None: ...
 
     def acting_for_owner(self) -> AbstractContextManager[Any]:
-        """Let this thread act for the one that has the lock, and that waits for it: firmware that runs on a thread of its own."""
+        """Let this thread act for the owner of the lock, which waits for it: firmware runs on a thread of its own."""
 
 
 def exclusively(owner: Any) -> AbstractContextManager[Any]:
-    """Return the lock of what `owner` belongs to, or a context that does nothing where no session is open."""
+    """Return the lock of `owner`'s stage, or a context that does nothing while no session is open."""
     return getattr(owner, "lock", None) or UNSHARED
 
 
 def exclusive(function: Callable[Parameters, Returned]) -> Callable[Parameters, Returned]:
-    """Decorate a method, or a function of axes, to run as one piece; see the module."""
+    """Decorate a method, or a function of axes, so that no other thread interrupts it; see the module."""
 
     @wraps(function)
     def call(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Returned:
@@ -54,7 +54,7 @@ def exclusive(function: Callable[Parameters, Returned]) -> Callable[Parameters, 
 
 
 def _find_lock(values: Iterable[Any]) -> Lock | None:
-    """Return the lock of the first value that has one, or of what is in the first mapping of such values."""
+    """Return the lock of the first value that has one, also of values in the first mapping."""
     for value in values:
         if isinstance(value, Mapping):
             lock = _find_lock((*value.keys(), *value.values()))

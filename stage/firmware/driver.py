@@ -559,7 +559,7 @@ def driver_class(chip: type[Chip]) -> type[Driver]:
         raise ArgumentError(
             f"{add_article(chip.__name__)} has no driver: its class names one in DRIVER, as 'package.module:Class'."
         )
-    loaded = contract.loaded(chip, "DRIVER", "its driver")
+    loaded = contract.load_attribute(chip, "DRIVER", "its driver")
     if not isinstance(loaded, type) or not issubclass(loaded, Driver):
         raise ArgumentError(
             f"{chip.__name__}: DRIVER = {chip.DRIVER!r} is no class below stage.firmware.driver.Driver."

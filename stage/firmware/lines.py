@@ -220,7 +220,7 @@ class Line(ABC):
         for (chip, mine), fresh in zip(self._group_by_chip(), self._fresh, strict=True):
             rows = np.frombuffer(bytearray(fresh), chip.CORE.STATE)
             replica = np.zeros(1, cores.CHIP)
-            cores.fill(replica[0], chip.CORE, rows.ctypes.data)
+            cores.fill_chip_record(replica[0], chip.CORE, rows.ctypes.data)
             play.write_cycles(replica, ops, sum(1 << self.drivers[a].index for a in mine))
             pulses = np.empty(int(np.abs(distances[mine]).sum()), chip.CORE.PULSE)
             pulses = pulses[: chip.CORE.trace.c(rows.ctypes.data, MAX_CLOCKS, pulses.ctypes.data, len(pulses))]

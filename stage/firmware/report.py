@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from stage.chips.describe import Statement, decode
-from stage.chips.journal import Course
+from stage.chips.journal import Waveforms
 from stage.errors import RunTimeout
 from stage.firmware.axis import Axis
 from stage.firmware.stop_reasons import UNWANTED_REASONS
@@ -56,7 +56,7 @@ class Report:
     lost_steps: int | None
     stopped_by: str
     residual: int | None
-    course: Course = field(repr=False)
+    course: Waveforms = field(repr=False)
     statements: tuple[Statement, ...] = field(repr=False)
     unit: str = "m"
 
@@ -173,7 +173,7 @@ class Report:
         return draw(self, path, title, ax, overwrite)
 
 
-def compute_rates(course: Course) -> np.ndarray:
+def compute_rates(course: Waveforms) -> np.ndarray:
     """Return the pulse rate from each edge of a waveform on, pps; without a sign."""
     return course.chip.rates(course.edges) * course.clock_hz
 

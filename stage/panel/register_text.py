@@ -91,7 +91,7 @@ class FrontPanel:
                     yield c.kind, CommandButton(f"{c.symbol} {name}", title, c.symbol, 1 << k, c.evidence, words=title)
             else:
                 takes = 0 if "read" in c.kind else 8 * c.bytes
-                title = f"{c.hex}  {c.what}" + (f"; lacking: {c.lacking}" if c.lacking else "")
+                title = f"{c.hex}  {c.description}" + (f"; lacking: {c.lacking}" if c.lacking else "")
                 yield c.kind, CommandButton(c.symbol, title, c.symbol, None, c.evidence, takes, c.starts, c.title)
 
     def _sendable(self, button: CommandButton) -> bool:
@@ -384,7 +384,7 @@ def _help(kind: type[Chip], name: str) -> str:
     command = next((c for c in kind.MAP.commands if c.symbol == name.upper()), None)
     if command is not None and not isinstance(place, Register):
         takes = f"; takes {command.bytes} bytes" if command.bytes and "read" not in command.kind else ""
-        return f"{command.symbol} {command.hex}: {command.what}{takes}"
+        return f"{command.symbol} {command.hex}: {command.description}{takes}"
     if place is None:
         raise ArgumentError(f"{kind.MAP.chip} has nothing that is called {name!r}.{_near(kind, name)}")
     head = f"{place.name}: {place.text}"

@@ -195,13 +195,13 @@ class StateLanes:
         self._log_edges(out, edges)
         entries = self._journal.entries[self._entries_logged :]
         self._entries_logged += len(entries)
-        self._log_bus(out, self._decoder.take(entries))
+        self._log_bus(out, self._decoder.decode(entries))
         self._first = False
         return edges, first
 
     def end(self, out: Any) -> None:
         """Log a register write that nothing followed."""
-        self._log_bus(out, self._decoder.rest())
+        self._log_bus(out, self._decoder.flush())
 
     def _log_edges(self, out: Any, edges: np.ndarray) -> None:
         chip = self._axis.chip

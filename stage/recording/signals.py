@@ -177,7 +177,7 @@ def list_directions(chip: Any, journal: Journal) -> tuple[np.ndarray, np.ndarray
         return np.array([int(start["clock"])]), np.array([False])
     clocks, minus = [int(start["clock"])], [bool(start["minus"])]
     for e in journal.entries:
-        is_minus = False if e.kind == RESET else chip.turns(e.a, e.b) if e.kind == WRITE else None
+        is_minus = False if e.kind == RESET else chip.read_direction(e.a, e.b) if e.kind == WRITE else None
         if is_minus is not None:
             clocks.append(e.clock)
             minus.append(is_minus)

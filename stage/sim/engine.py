@@ -89,7 +89,7 @@ def _run_chips(h, stop):
             if _is_first_linked_chip(rows, i):
                 k = _run_linked(h, i, stop)
             continue
-        if cores.hear(c):
+        if cores.update_wired_input(c):
             journal_input(h, w.now, c, 0)
         if c.hz != hz:
             hz = c.hz
@@ -145,7 +145,7 @@ def _run_linked(h, first, stop):
                 if rows[i].link == link:
                     edge = least(edge, find_next_edge(axis_records, rows[i]))
             at = least(edge, now)
-            h.noted = links.run(rows, link, clock_at(at, hz), at, edges, h.noted)
+            h.noted = links.run_linked_chips(rows, link, clock_at(at, hz), at, edges, h.noted)
             if edge > now:
                 break
             for i in range(first, len(rows)):
@@ -405,4 +405,4 @@ def find_switch_levels(h):
     rows = chip_table(h)
     for i in range(len(rows)):
         if rows[i].link and _is_first_linked_chip(rows, i):
-            links.exchange(rows, rows[i].link, world(h).now, array_at(h.edges, 0, EDGE), 0)
+            links.exchange_words(rows, rows[i].link, world(h).now, array_at(h.edges, 0, EDGE), 0)

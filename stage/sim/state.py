@@ -177,7 +177,7 @@ class State:
         rows_of = dict(zip(chips, self.chips, strict=True))
         self.chip_axes = [np.zeros(chip.AXES, cores.CHIP_AXIS) for chip in chips]
         for chip, rows, axes, c in zip(chips, self.chips, self.chip_axes, self.chip_table, strict=True):
-            cores.fill(c, chip.CORE, rows.ctypes.data)
+            cores.fill_chip_record(c, chip.CORE, rows.ctypes.data)
             c.table = axes.ctypes.data
             c.hz, c.ticks = chip.clock_hz, w.h * chip.clock_hz
             c.slices, c.ends = w.slices, address_of(self._slice_ends(chip.clock_hz))
@@ -189,7 +189,7 @@ class State:
         """Return the SLICE_END records of a window, for chips with this reference clock."""
         if hz not in self.slice_ends:
             ns = [(k + 1) * self.dt // records.SLICES for k in range(records.SLICES)]
-            self.slice_ends[hz] = np.array([divmod(end * hz, cores.PART) for end in ns], cores.SLICE_END)
+            self.slice_ends[hz] = np.array([divmod(end * hz, cores.SLICE_REST_UNIT) for end in ns], cores.SLICE_END)
         return self.slice_ends[hz]
 
     def _set_axis_table(

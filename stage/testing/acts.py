@@ -209,7 +209,7 @@ def _convert_program(program: Program, chip: Chip) -> list[Act]:
 
 def count_clocks_to_end(chip: Chip, axis: int, seconds: float = 5.0) -> int:
     """Count the clocks until the drive of an axis ends, on a copy: a few more than needed."""
-    probe = chip.twin()
+    probe = chip.make_replica()
     step = max(chip.clock_hz // 200, 1)
     for _ in range(int(seconds * 200)):
         if not probe.CORE.busy.with_gil(probe.pointer, axis):
@@ -225,7 +225,7 @@ def find_pulse_clocks(chip: Chip, clocks: int) -> np.ndarray:
         StageError: As `check_trace_room`.
     """
     check_trace_room(chip, clocks)
-    return chip.twin().trace(clocks)["clock"] - chip.clock
+    return chip.make_replica().trace(clocks)["clock"] - chip.clock
 
 
 def check_trace_room(chip: Chip, clocks: int) -> None:
@@ -234,7 +234,7 @@ def check_trace_room(chip: Chip, clocks: int) -> None:
     Raises:
         StageError: It counts fewer.
     """
-    probe = chip.twin()
+    probe = chip.make_replica()
     nets = [probe.net(k) for k in range(chip.AXES)]
     pulses = probe.advance(clocks)
     counted = sum(abs(probe.net(k) - nets[k]) for k in range(chip.AXES if not chip.SERVO else 0))

@@ -72,7 +72,7 @@ class Trial:
 
     def draw_drives(self, chip: Chip, rng: np.random.Generator) -> list[Act]:
         """Draw drives of all axes that start now."""
-        return limit_pulses(draw_drives(chip, rng, chip.AXES), chip.twin())
+        return limit_pulses(draw_drives(chip, rng, chip.AXES), chip.make_replica())
 
     def start_move(self, rng: np.random.Generator, slow: bool = False) -> tuple[Chip, int, int]:
         """Start a move on a new chip.

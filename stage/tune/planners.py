@@ -208,7 +208,7 @@ class StepperPlanner(MovePlanner):
         for name, max_factor in self.trim_factors.items():
             registers[name] = round(registers[name] * max_factor ** parameters.get(name, 0.0))
         for name in self.driver.list_move_registers(shape == "s_curve"):
-            self.axis.chip.MAP.checked(name, registers[name])
+            self.axis.chip.MAP.check_value(name, registers[name])
         return MovePlan(registers, Speeds(start, drive, up, down, shape == "s_curve"))
 
     def write_move(self, program: Operations, plan: MovePlan, pulses: int) -> None:

@@ -19,10 +19,10 @@ def test_a_chip_is_found_by_its_name_in_any_case_with_hyphens_and_underscores(na
 
 @pytest.mark.parametrize("value", [1.5, 100.0000001, float("nan"), float("inf"), "many", None])
 def test_a_register_takes_no_fractions(value):
-    """PCL240K.MAP.checked("R4", 1.5); 100.0 is a whole number"""
-    assert PCL240K.MAP.checked("R4", 100.0) == 100
+    """PCL240K.MAP.check_value("R4", 1.5); 100.0 is a whole number"""
+    assert PCL240K.MAP.check_value("R4", 100.0) == 100
     with pytest.raises(ArgumentError, match=rf"cannot be {value!r}: it takes a whole number from 2 to 16383"):
-        PCL240K.MAP.checked("R4", value)
+        PCL240K.MAP.check_value("R4", value)
 
 
 def test_a_dump_marks_the_bits_that_can_only_be_read_where_others_of_the_register_are_written():
@@ -107,10 +107,10 @@ def test_a_chip_that_leaves_its_bus_is_as_it_was_before_and_alone():
 
 def test_the_same_bits_with_another_end_of_their_sentence_are_another_sentence():
     fields = Fields(PCL240K.MAP.word("status"))
-    said = fields.tell("status", 0xC0)
-    assert fields.tell("status", 0xC0, "; and more") == said + "; and more"
-    assert fields.tell("status", 0xC0) == said
-    assert fields.tell("read", 0xC0) == said.replace("status", "read", 1)
+    said = fields.describe("status", 0xC0)
+    assert fields.describe("status", 0xC0, "; and more") == said + "; and more"
+    assert fields.describe("status", 0xC0) == said
+    assert fields.describe("read", 0xC0) == said.replace("status", "read", 1)
 
 
 def test_a_twin_has_the_options_and_the_state_of_its_chip_and_none_of_its_notes():
@@ -118,7 +118,7 @@ def test_a_twin_has_the_options_and_the_state_of_its_chip_and_none_of_its_notes(
     chip.write(0, 0x85)
     chip.write(1, 7)
     assert chip.diagnostics, "its clock is too fast"
-    twin = chip.twin()
+    twin = chip.make_replica()
     assert (twin.options(), twin.state.tobytes()) == (chip.options(), chip.state.tobytes())
     assert [d.message for d in twin.diagnostics] == [d.message for d in PCL240K(clock_hz=20_000_000).diagnostics]
     twin.write(1, 9)

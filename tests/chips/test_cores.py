@@ -14,7 +14,7 @@ from stage.chips import CHIPS, FAMILIES, cores
 from stage.errors import ArgumentError, StageError
 from stage.native import Exported
 
-every_chip = pytest.mark.parametrize("name", CHIPS.own)
+every_chip = pytest.mark.parametrize("name", CHIPS.built_in)
 
 
 @every_chip
@@ -37,7 +37,7 @@ def test_a_state_begins_with_its_clock(name):
 
 def tell(chip):
     rows, out = np.zeros(1, cores.CHIP), np.zeros(5, np.int64)
-    cores.fill(rows[0], chip.CORE, chip.pointer)
+    cores.fill_chip_record(rows[0], chip.CORE, chip.pointer)
     told(rows, 0, out)
     return tuple(out.tolist())
 
@@ -101,9 +101,9 @@ COMMANDED = {"MCX514": 0x00FF, "MCX304": 0x8000, "MCX302": 0x8000, "MCX312": 0x8
 
 
 @pytest.mark.parametrize(
-    ("name", "reset"), [*((name, CHIPS[name].reset) for name in CHIPS.own),
+    ("name", "reset"), [*((name, CHIPS[name].reset) for name in CHIPS.built_in),
                         *((name, lambda chip, word=word: chip.write(0, word)) for name, word in COMMANDED.items())],
-    ids=[*CHIPS.own, *(f"{name} by a command" for name in COMMANDED)],
+    ids=[*CHIPS.built_in, *(f"{name} by a command" for name in COMMANDED)],
 )  # fmt: skip
 def test_after_a_reset_a_chip_goes_on_as_one_that_was_just_switched_on_whatever_it_did_before(name, reset):
     make = CHIPS[name]
@@ -178,7 +178,7 @@ def test_a_command_that_is_none_or_whose_datum_does_not_fit_is_refused(name, giv
         CHIPS[name].command_cycles(*given)
 
 
-@pytest.mark.parametrize("name", [name for name in CHIPS.own if not CHIPS[name].SERVO])
+@pytest.mark.parametrize("name", [name for name in CHIPS.built_in if not CHIPS[name].SERVO])
 def test_the_values_of_an_axis_are_those_that_were_written_to_it_and_to_no_other(name):
     """chip.values_of(axis): also of registers that no host can read; looking changes nothing"""
     chip, written = CHIPS[name](), {}
@@ -220,7 +220,7 @@ def test_a_restored_chip_has_the_diagnostics_of_its_snapshot():
     assert chip.diagnostics == noted
 
 
-@pytest.mark.parametrize("name", CHIPS.own)
+@pytest.mark.parametrize("name", CHIPS.built_in)
 def test_a_chip_sees_its_own_address_and_data_lines_only(name):
     """chip.write(0x40, 0x108) of a PCL-240 is chip.write(0, 8)"""
     near, far, draw = CHIPS[name](), CHIPS[name](), random.Random(1)

@@ -164,7 +164,7 @@ def test_after_the_reset_pin_words_go_to_x_and_data_are_0_in_the_decoded_writes_
     assert [s.partition(" (")[0] for s in y] == ["Y P <- 500", "WR2 <- 0001h", "reset pin", "X Y P <- 0"]
 
 
-@pytest.mark.parametrize("name", CHIPS.own)
+@pytest.mark.parametrize("name", CHIPS.built_in)
 def test_a_chip_says_at_which_of_its_addresses_reading_acts(name):
     acting = CHIPS[name].READING_ACTS
     assert acting.issubset(range(CHIPS[name].ADDRESS_MASK + 1))

@@ -320,7 +320,7 @@ def test_the_actual_position_is_told_with_the_last_of_its_latched_bytes():
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("name", CHIPS.own)
+@pytest.mark.parametrize("name", CHIPS.built_in)
 def test_any_cycle_gets_a_short_line_of_ascii(name, seed):
     """Also cycles at no address of the chip, and what no chip would return."""
     chip, rng = CHIPS[name](), random.Random(seed)
@@ -429,7 +429,7 @@ def _hctl1100_statement(make, rng):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("name", CHIPS.own)
+@pytest.mark.parametrize("name", CHIPS.built_in)
 def test_a_listener_that_starts_in_the_middle_says_what_one_from_power_up_says(name, seed):
     """Anywhere but between a NOVA command that reads data and the reads of RR6 and RR7: the chip does not hold that command."""
     chip, rng = CHIPS[name](), random.Random(seed)

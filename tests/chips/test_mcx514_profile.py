@@ -122,7 +122,7 @@ def test_the_deceleration_begins_after_the_pulses_of_the_manual_point():
     chip = MCX514()
     began = start(chip, LINEAR._replace(DP=200))
     command(chip, 0x7B)
-    last = int(chip.twin().trace(SECOND)["clock"][199])
+    last = int(chip.make_replica().trace(SECOND)["clock"][199])
     chip.advance(last - began - 1)
     assert chip.read(3) & (ASND | CNST | DSND) == CNST
     chip.advance(2)

@@ -262,7 +262,7 @@ def test_chln_counts_the_turns_of_a_helix():
     chip = prepared(X | Y | Z)
     helix(chip, (-100, 0), (0, 0), False, 60, turns=3)
     began = chip.clock
-    turn = len(ticks(chip.twin(), axes=X | Y | Z)[0]) / 3
+    turn = len(ticks(chip.make_replica(), axes=X | Y | Z)[0]) / 3
     for turns in (0, 1, 2):
         for part in (0.1, 0.9):
             chip.advance(began + int((turns + part) * turn * PERIOD) - chip.clock)

@@ -141,7 +141,7 @@ def test_a_journal_a_snapshot_and_a_copy_go_on_with_the_encoders_of_all_axes():
     for axis, rate in ((0, 0.02), (1, -0.01), (0, 0.03)):
         chip.set_shaft(5.5, rate, axis)
         chip.advance(700)
-    others = [copy.copy(chip), pickle.loads(pickle.dumps(chip)), chip.twin()]
+    others = [copy.copy(chip), pickle.loads(pickle.dumps(chip)), chip.make_replica()]
     journal.close()
     assert [e.axis for e in journal.entries if e.kind == SHAFT] == [0, 1, 0]
     for every_pulse in (False, True):

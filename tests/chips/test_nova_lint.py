@@ -21,15 +21,15 @@ every_chip = pytest.mark.parametrize("chip", MAPS, ids=lambda m: m.chip)
 class Contents:
     """What a chip holds before a write, as the lint reads it; a mask of axes has bit 0 for X."""
 
-    data = driving = relative = absolute = interpolated = role = helix_ticks = 0
-    has_unused_data = interpolating = full = bit_pattern = linked = started = False
-    drive_speed = finish = ()
+    data = driving_axes = relative_drives = absolute_drives = interpolated_axes = role = helix_ticks = 0
+    has_unused_data = is_interpolating = is_queue_full = is_loading_pattern = is_linked = has_master_started = False
+    drive_speed = finish_points = ()
 
     def __init__(self, **contents):
         vars(self).update(contents)
 
     def interpolated_by(self, command):
-        return self.interpolated
+        return self.interpolated_axes
 
     def find_refusals(self, value):
         return {}
@@ -63,27 +63,30 @@ MISTAKES = [
     ("axes for TX", MCX514_MAP, X | 0x19, data(5), "carries no axis bits: X given", 0x19, data(5)),
     ("axes for HLN", MCX514_MAP, X | Y | 0x1A, data(5), "carries no axis bits: X, Y given", 0x1A, data(5)),
     ("axes for IPM", MCX514_MAP, X | 0x2A, data(3), "carries no axis bits", 0x2A, data(3)),
-    ("axes for an interpolation", MCX514_MAP, X | 0x61, {"interpolated": 3}, "carries no axis bits", 0x61, {"interpolated": 3}),
-    ("axes for an interpolation of the MCX312", MCX312_MAP, Y | 0x30, {"interpolated": 3}, "carries no axis bits", 0x30,
-     {"interpolated": 3}),
+    ("axes for an interpolation", MCX514_MAP, X | 0x61, {"interpolated_axes": 3}, "carries no axis bits", 0x61,
+     {"interpolated_axes": 3}),
+    ("axes for an interpolation of the MCX312", MCX312_MAP, Y | 0x30, {"interpolated_axes": 3}, "carries no axis bits", 0x30,
+     {"interpolated_axes": 3}),
     ("an interpolation of a chip that has none", MCX304_MAP, 0x30, {}, "30h is no command of the MCX304", X | 0x20, {}),
     ("a reading code to write with", MCX514_MAP, X | 0x30, data(7), "takes no data: what was written to WR6", X | 0x09, data(7)),
     ("a reading code to write with on the MCX304", MCX304_MAP, X | 0x10, data(7), "takes no data", X | 0x09, data(7)),
     ("a reading of several axes", MCX514_MAP, X | Y | 0x30, {}, "reads one axis: of X, Y only the first", Y | 0x30, {}),
     ("JK above its range", MCX514_MAP, X, data(1_073_741_824), "JK = 1073741824: jerk takes 1 to 1073741823", X, data(1)),
     ("DV of 0", MCX514_MAP, X | 0x05, data(0), "DV = 0: .* takes 1 to 8000000", X | 0x05, data(8_000_000)),
-    ("a drive with TP below its range", MCX514_MAP, X | 0x50, {"finish": (-2_147_483_647, 0, 0, 0)},
+    ("a drive with TP below its range", MCX514_MAP, X | 0x50, {"finish_points": (-2_147_483_647, 0, 0, 0)},
      r"50h \(relative position drive\) with TP = -2147483647 of X: drive pulse number takes -2147483646 to 2147483646", X | 0x50,
-     {"finish": (-2_147_483_646, -2_147_483_647, 0, 0)}),
-    ("an absolute drive with TP above its range", MCX501_MAP, 0x54, {"finish": (2_147_483_647,)}, "with TP = 2147483647 of X",
-     0x52, {"finish": (2_147_483_647,)}),
-    ("TP below its range in a drive", MCX514_MAP, Y | 0x06, {**data(-2_147_483_648), "relative": 2, "finish": (0, -5, 0, 0)},
+     {"finish_points": (-2_147_483_646, -2_147_483_647, 0, 0)}),
+    ("an absolute drive with TP above its range", MCX501_MAP, 0x54, {"finish_points": (2_147_483_647,)},
+     "with TP = 2147483647 of X",
+     0x52, {"finish_points": (2_147_483_647,)}),
+    ("TP below its range in a drive", MCX514_MAP, Y | 0x06,
+     {**data(-2_147_483_648), "relative_drives": 2, "finish_points": (0, -5, 0, 0)},
      "TP = -2147483648 while driving: drive pulse number takes", Y | 0x06,
-     {**data(-2_147_483_646), "relative": 2, "finish": (0, -5, 0, 0)}),
+     {**data(-2_147_483_646), "relative_drives": 2, "finish_points": (0, -5, 0, 0)}),
     ("a helix with more pulses along its axis than ticks", MCX514_MAP, 0x69,
-     {"interpolated": 0b1101, "finish": (0, 0, 0, -333), "helix_ticks": 283},
+     {"interpolated_axes": 0b1101, "finish_points": (0, 0, 0, -333), "helix_ticks": 283},
      "with TP = -333 of U: the 283 ticks of HLV make one pulse each at most; the other 50 are lost", 0x6A,
-     {"interpolated": 0b1101, "finish": (900, 0, 900, -283), "helix_ticks": 283}),
+     {"interpolated_axes": 0b1101, "finish_points": (900, 0, 900, -283), "helix_ticks": 283}),
     ("LX above its range", MCX514_MAP, X | 0x0E, data(0x8000_0000), "LX = 2147483648", X | 0x0E, data(0xFFFF_FFFF)),
     ("CP below its range", MCX514_MAP, X | 0x08, data(-1_073_741_824), "CP = -1073741824", X | 0x08, data(-1_073_741_823)),
     ("a split pulse of width 0", MCX514_MAP, X | 0x17, data(0x0000_0005), "WIDTH = 0", X | 0x17, data(0x0001_0005)),
@@ -94,35 +97,41 @@ MISTAKES = [
     ("a mode bit that does not exist", MCX514_MAP, 0x2A, data(0x2023), "IPM = 2023h: it has no bits 13 and 5", 0x2A, data(3)),
     ("R below its range", MCX304_MAP, X, data(15_999), "R = 15999: .* takes 16000 to 8000000", X, data(16_000)),
     ("V above its range", MCX304_MAP, X | 0x05, data(8001), "V = 8001: .* takes 1 to 8000", X | 0x05, data(8000)),
-    ("a drive while driving", MCX514_MAP, X | Y | 0x52, {"driving": 2}, r"while Y is driving \(n-DRV = 1\)", X | 0x52,
-     {"driving": 2}),
-    ("a home search while driving", MCX304_MAP, X | 0x62, {"driving": 1}, "while X is driving", X | 0x26, {"driving": 1}),
-    ("TP in absolute driving", MCX514_MAP, X | 0x06, {**data(9), "absolute": 1}, "in absolute position driving: it cannot",
-     Y | 0x06, {**data(9), "absolute": 1}),
-    ("TP the other way", MCX514_MAP, Y | 0x06, {**data(-9), "relative": 2, "finish": (0, 5, 0, 0)}, "TP = -9 while Y drives",
-     Y | 0x06, {**data(0), "relative": 2, "finish": (0, 5, 0, 0)}),
+    ("a drive while driving", MCX514_MAP, X | Y | 0x52, {"driving_axes": 2}, r"while Y is driving \(n-DRV = 1\)", X | 0x52,
+     {"driving_axes": 2}),
+    ("a home search while driving", MCX304_MAP, X | 0x62, {"driving_axes": 1}, "while X is driving", X | 0x26,
+     {"driving_axes": 1}),
+    ("TP in absolute driving", MCX514_MAP, X | 0x06, {**data(9), "absolute_drives": 1}, "in absolute position driving: it cannot",
+     Y | 0x06, {**data(9), "absolute_drives": 1}),
+    ("TP the other way", MCX514_MAP, Y | 0x06, {**data(-9), "relative_drives": 2, "finish_points": (0, 5, 0, 0)},
+     "TP = -9 while Y drives",
+     Y | 0x06, {**data(0), "relative_drives": 2, "finish_points": (0, 5, 0, 0)}),
     ("a continuous interpolation above 4 Mpps", MCX514_MAP, 0x61,
-     {"interpolated": 6, "interpolating": True, "drive_speed": (1, 4_000_001, 1, 1)}, "with DV = 4000001: 4000000 is", 0x61,
-     {"interpolated": 6, "interpolating": True, "drive_speed": (5_000_000, 4_000_000, 5_000_000, 1)}),
+     {"interpolated_axes": 6, "is_interpolating": True, "drive_speed": (1, 4_000_001, 1, 1)}, "with DV = 4000001: 4000000 is",
+     0x61,
+     {"interpolated_axes": 6, "is_interpolating": True, "drive_speed": (5_000_000, 4_000_000, 5_000_000, 1)}),
     ("DV above 4 Mpps in a continuous interpolation", MCX514_MAP, X | 0x05,
-     {**data(4_000_001), "interpolated": 3, "interpolating": True}, "DV = 4000001 in continuous interpolation", X | 0x05,
-     {**data(4_000_000), "interpolated": 3, "interpolating": True}),
+     {**data(4_000_001), "interpolated_axes": 3, "is_interpolating": True}, "DV = 4000001 in continuous interpolation", X | 0x05,
+     {**data(4_000_000), "interpolated_axes": 3, "is_interpolating": True}),
     ("a speed beyond that of continuous interpolation, of another axis", MCX514_MAP, X | 0x05,
-     {**data(4_000_001), "interpolated": 3, "interpolating": True}, "DV = 4000001 in continuous interpolation", Y | 0x05,
-     {**data(4_000_001), "interpolated": 3, "interpolating": True}),
-    ("an interpolation with too many axes", MCX514_MAP, 0x61, {"interpolated": 7}, "with 3 axes chosen: X, Y, Z", 0x62,
-     {"interpolated": 7}),
-    ("an interpolation without axes", MCX514_MAP, 0x64, {}, "with 0 axes chosen", 0x64, {"interpolated": 0b1010}),
-    ("an interpolation while an axis drives", MCX514_MAP, 0x61, {"interpolated": 3, "driving": 2}, "while Y is driving", 0x61,
-     {"interpolated": 3, "driving": 4}),
-    ("a segment too many", MCX514_MAP, 0x61, {"interpolated": 3, "interpolating": True, "driving": 3, "full": True},
-     "pre-buffer is full", 0x61, {"interpolated": 3, "interpolating": True, "driving": 3}),
-    ("a finish point of 32 bits", MCX514_MAP, 0x61, {"interpolated": 3, "finish": (0, 1_073_741_824, 0, 0)}, "TP = 1073741824 of Y",
-     0x66, {"interpolated": 3, "finish": (0, 0x7FFF_FFFF, 0, 0)}),
-    ("a finish point of 32 bits, to plus", MCX514_MAP, 0x61, {"interpolated": 3, "finish": (1_073_741_824, 0, 0, 0)},
-     "TP = 1073741824 of X", 0x61, {"interpolated": 3, "finish": (POINT[1], POINT[0], POINT[0] - 1, 0)}),
-    ("a finish point of 32 bits, to minus", MCX514_MAP, 0x61, {"interpolated": 3, "finish": (POINT[0] - 1, 0, 0, 0)},
-     f"TP = {POINT[0] - 1} of X", 0x61, {"interpolated": 2 | 4, "finish": (POINT[1] + 1, POINT[0], POINT[1], 0)}),
+     {**data(4_000_001), "interpolated_axes": 3, "is_interpolating": True}, "DV = 4000001 in continuous interpolation", Y | 0x05,
+     {**data(4_000_001), "interpolated_axes": 3, "is_interpolating": True}),
+    ("an interpolation with too many axes", MCX514_MAP, 0x61, {"interpolated_axes": 7}, "with 3 axes chosen: X, Y, Z", 0x62,
+     {"interpolated_axes": 7}),
+    ("an interpolation without axes", MCX514_MAP, 0x64, {}, "with 0 axes chosen", 0x64, {"interpolated_axes": 0b1010}),
+    ("an interpolation while an axis drives", MCX514_MAP, 0x61, {"interpolated_axes": 3, "driving_axes": 2},
+     "while Y is driving", 0x61,
+     {"interpolated_axes": 3, "driving_axes": 4}),
+    ("a segment too many", MCX514_MAP, 0x61,
+     {"interpolated_axes": 3, "is_interpolating": True, "driving_axes": 3, "is_queue_full": True},
+     "pre-buffer is full", 0x61, {"interpolated_axes": 3, "is_interpolating": True, "driving_axes": 3}),
+    ("a finish point of 32 bits", MCX514_MAP, 0x61, {"interpolated_axes": 3, "finish_points": (0, 1_073_741_824, 0, 0)},
+     "TP = 1073741824 of Y",
+     0x66, {"interpolated_axes": 3, "finish_points": (0, 0x7FFF_FFFF, 0, 0)}),
+    ("a finish point of 32 bits, to plus", MCX514_MAP, 0x61, {"interpolated_axes": 3, "finish_points": (1_073_741_824, 0, 0, 0)},
+     "TP = 1073741824 of X", 0x61, {"interpolated_axes": 3, "finish_points": (POINT[1], POINT[0], POINT[0] - 1, 0)}),
+    ("a finish point of 32 bits, to minus", MCX514_MAP, 0x61, {"interpolated_axes": 3, "finish_points": (POINT[0] - 1, 0, 0, 0)},
+     f"TP = {POINT[0] - 1} of X", 0x61, {"interpolated_axes": 2 | 4, "finish_points": (POINT[1] + 1, POINT[0], POINT[1], 0)}),
 ]  # fmt: skip
 
 
@@ -157,20 +166,20 @@ def test_bits_that_a_register_does_not_have_are_named(chip, address, value, mess
 
 def test_wr2_to_wr5_take_anything_while_they_are_bp_registers():
     for address in range(2, 6):
-        assert said(MCX312_MAP, 0xFFFF, address, bit_pattern=True) == ""
+        assert said(MCX312_MAP, 0xFFFF, address, is_loading_pattern=True) == ""
     assert said(MCX312_MAP, 0x0C00, 2) != ""
 
 
 def test_a_write_with_several_mistakes_has_a_diagnostic_of_each():
     """WR0 with a reserved bit and a command of an absent axis; a mode with bits that are not there and a field out of range."""
-    assert list(find(MCX302_MAP, 0x1000 | X | U | 0x20, driving=1)) == [
+    assert list(find(MCX302_MAP, 0x1000 | X | U | 0x20, driving_axes=1)) == [
         "reserved-bits",
         "absent-axes",
         "already-driving",
     ]
-    drive = {"driving": 1, "finish": (-2_147_483_647, 0, 0, 0)}
+    drive = {"driving_axes": 1, "finish_points": (-2_147_483_647, 0, 0, 0)}
     assert list(find(MCX514_MAP, X | 0x50, **drive)) == ["already-driving", "pulse-number"]
-    line = {"interpolated": 7, "driving": 2, "finish": (0, POINT[1] + 1, 0, 0)}
+    line = {"interpolated_axes": 7, "driving_axes": 2, "finish_points": (0, POINT[1] + 1, 0, 0)}
     assert list(find(MCX514_MAP, 0x61, **line)) == ["number-of-axes", "axis-drives", "finish-point-range"]
     assert list(find(MCX312_MAP, 0x0208, 5)) == ["field-range"], "AX2 = 2"
     assert list(find(MCX312_MAP, 0x2208, 5)) == ["unused-bits", "field-range"]
@@ -179,7 +188,7 @@ def test_a_write_with_several_mistakes_has_a_diagnostic_of_each():
 @every_chip
 def test_every_command_with_legal_data_to_one_resting_axis_passes(chip):
     for c in chip.commands:
-        held = {"interpolated": {1: 1, 3: 7, 4: 15}.get((c.together or (2,))[0], 3)}
+        held = {"interpolated_axes": {1: 1, 3: 7, 4: 15}.get((c.together or (2,))[0], 3)}
         if c.kind in ("data write", "mode write"):
             r = chip.register(c.symbol)
             lows = sum(f.legal[0] << f.low for f in r.fields if f.legal)
@@ -194,8 +203,18 @@ def test_no_write_raises_and_every_diagnostic_has_a_message_and_a_section(chip):
     print(f"seed {seed}")
     rng = random.Random(seed)
     for _ in range(3000):
-        contents = {name: rng.getrandbits(4) for name in ("driving", "relative", "absolute", "interpolated")}
-        names = ("has_unused_data", "interpolating", "full", "bit_pattern", "linked", "started")
+        contents = {
+            name: rng.getrandbits(4)
+            for name in ("driving_axes", "relative_drives", "absolute_drives", "interpolated_axes")
+        }
+        names = (
+            "has_unused_data",
+            "is_interpolating",
+            "is_queue_full",
+            "is_loading_pattern",
+            "is_linked",
+            "has_master_started",
+        )
         contents |= {name: rng.random() < 0.5 for name in names}
         contents |= {"data": rng.getrandbits(32), "role": rng.randrange(4), "helix_ticks": rng.randrange(4000)}
         contents["drive_speed"] = [rng.getrandbits(24) for _ in range(4)]

@@ -131,9 +131,9 @@ def test_a_parameter_takes_the_range_of_the_page_and_nothing_else(chip, name, le
 
 
 def test_a_ring_maximum_may_also_be_switched_off():
-    assert MCX514_MAP.checked("LX", 0xFFFF_FFFF) == 0xFFFF_FFFF
+    assert MCX514_MAP.check_value("LX", 0xFFFF_FFFF) == 0xFFFF_FFFF
     with pytest.raises(ArgumentError, match=r"from 1 to 2147483647 or 4294967295 pulses"):
-        MCX514_MAP.checked("LX", 0)
+        MCX514_MAP.check_value("LX", 0)
 
 
 @nova_map

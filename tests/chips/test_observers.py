@@ -27,7 +27,7 @@ CHIP_OBSERVERS = {
     "listener": lambda chip, axis: chip.listener(),
     "decoder": lambda chip, axis: chip.decoder(axis),
     "diagnostics": lambda chip, axis: list(chip.diagnostics),
-    "twin": lambda chip, axis: chip.twin().advance(10_000),
+    "twin": lambda chip, axis: chip.make_replica().advance(10_000),
     "snapshot": lambda chip, axis: chip.snapshot(),
     "core": lambda chip, axis: [
         getattr(chip.CORE, name).with_gil(chip.pointer, axis) for name in ("counter", "status", "busy")
@@ -64,7 +64,7 @@ def look(chip, rng):
         assert chip.snapshot().record == before.record, f"{name} of {type(chip).__name__} changes the state"
 
 
-@pytest.mark.parametrize("name", CHIPS.own)
+@pytest.mark.parametrize("name", CHIPS.built_in)
 def test_observing_a_chip_leaves_its_bits_as_they_were_and_what_it_does_the_same(name):
     """values(), dump(), pins ... of a chip whose shaft turns: the next snapshot differed"""
     for seed in range(SEED, SEED + scaled(6)):

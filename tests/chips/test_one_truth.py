@@ -14,7 +14,7 @@ from stage.firmware.pcl240 import bus
 
 FIELDS = {
     f"{name} {place.name} {f.name}": f
-    for name, chip in ((name, CHIPS[name]) for name in CHIPS.own)
+    for name, chip in ((name, CHIPS[name]) for name in CHIPS.built_in)
     for place in chip.MAP.places
     for f in place.fields
 }

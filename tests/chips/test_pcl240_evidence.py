@@ -65,10 +65,10 @@ def test_the_ranges_are_those_of_the_data_sheets(chip):
     assert {r.name: r.legal for r in chip.MAP.registers if r.legal} == RANGES[chip]
     for name, (low, high) in RANGES[chip].items():
         for value in (low, high):
-            assert chip.MAP.checked(name, value) == value
+            assert chip.MAP.check_value(name, value) == value
         for value in (-1, high + 1):
             with pytest.raises(ArgumentError, match=f"{name} .*from {low} to {high}"):
-                chip.MAP.checked(name, value)
+                chip.MAP.check_value(name, value)
 
 
 @EACH

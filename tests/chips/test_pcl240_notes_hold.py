@@ -81,7 +81,7 @@ def test_a_start_that_is_noted_as_ignored_changes_nothing_and_one_without_a_note
         if chip.state["running"] or start & 3 == 2:
             continue
         chip.diagnostics.clear()
-        before = chip.values(), chip.twin()
+        before = chip.values(), chip.make_replica()
         commands(chip, start)
         said = " ".join(d.message for d in chip.diagnostics)
         if "ignored" in said:

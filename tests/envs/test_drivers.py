@@ -14,7 +14,7 @@ from stage.envs.registers import RegisterBox
 from stage.firmware.driver import driver_of
 from stage.sim.program import WRITE
 
-PULSING = [name for name in CHIPS.own if not CHIPS[name].SERVO]
+PULSING = [name for name in CHIPS.built_in if not CHIPS[name].SERVO]
 
 
 def driver(chip, axis="x"):

@@ -39,7 +39,7 @@ def test_every_action_is_legal_and_the_ends_are_the_ends(chip):
     for row in b.from_action(actions)[:200]:
         for name, value in b.to_dict(row).items():
             if name not in S_CURVES:
-                chip.MAP.checked(name, value)
+                chip.MAP.check_value(name, value)
             assert b.discrete.contains(row)
     assert (b.from_action(-np.ones(len(b))) == b.low).all()
     assert (b.from_action(np.ones(len(b))) == b.high).all()

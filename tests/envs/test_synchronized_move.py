@@ -72,7 +72,7 @@ def step_with_journals(env, action):
 
 @pytest.mark.parametrize("bus_cycle", [1e-6, 3.3e-5])
 @pytest.mark.parametrize("axes", ["xy", "zx"])
-@pytest.mark.parametrize("chip", [n for n in CHIPS.own if not CHIPS[n].SERVO and n not in SMALLER])
+@pytest.mark.parametrize("chip", [n for n in CHIPS.built_in if not CHIPS[n].SERVO and n not in SMALLER])
 def test_deviation_and_duration_are_those_of_the_pulses_that_the_chips_made(chip, axes, bus_cycle):
     env = SynchronizedMoveEnv(**SHORT, chip=chip, axes=axes, bus_cycle=bus_cycle, moves=3)
     env.reset(seed=7)
@@ -405,7 +405,7 @@ def test_it_is_registered_in_gymnasium():
     assert env.observation_space.shape == (15,)
 
 
-NOVA = [name for name in CHIPS.own if name.startswith("MCX") and name not in SMALLER]
+NOVA = [name for name in CHIPS.built_in if name.startswith("MCX") and name not in SMALLER]
 
 
 @pytest.mark.parametrize("s_curve", [False, True])

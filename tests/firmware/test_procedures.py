@@ -24,7 +24,7 @@ from stage.firmware.report import Procedure
 from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.sim import plant
 
-EVERY = list(CHIPS.own)
+EVERY = list(CHIPS.built_in)
 STEPPING = [name for name in EVERY if not CHIPS[name].SERVO]
 NEAR = 25e-6  # m: following error at rest, of a stepper under friction and of a servo within its deadband
 

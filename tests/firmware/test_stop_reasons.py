@@ -142,7 +142,7 @@ def test_an_axis_leaves_no_journal_open_when_its_driver_is_gone():
     assert x.chip.open_journal is None
 
 
-@pytest.mark.parametrize("name", [n for n in CHIPS.own if n.startswith("PCL")])
+@pytest.mark.parametrize("name", [n for n in CHIPS.built_in if n.startswith("PCL")])
 def test_an_origin_switch_that_does_not_let_go_is_no_origin(name):
     """ORG is asserted again when the axis has backed off: a switch whose contact is loose"""
     x = bench(CHIPS[name])

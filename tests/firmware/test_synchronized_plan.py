@@ -123,7 +123,7 @@ def test_every_planned_register_is_legal(distances, rate, fl, accel, decel, cloc
     for a in p.axes.values():
         assert set(a.registers) == {f"R{k}" for k in range(8)}
         for name, value in a.registers.items():
-            assert PCL240K.MAP.checked(name, value) == value
+            assert PCL240K.MAP.check_value(name, value) == value
         assert a.registers["R0"] == abs(a.distance)
         assert a.registers["R1"] <= a.registers["R2"]
         assert a.seconds <= p.seconds

@@ -231,7 +231,7 @@ def test_every_planned_register_is_legal_on_its_chip(axes, rate, fl, accel, s_cu
     assert p.distances == asked
     for n, a in p.axes.items():
         for name, value in a.registers.items():
-            assert kinds[n].MAP.checked(name, value) == value
+            assert kinds[n].MAP.check_value(name, value) == value
         assert a.registers["R0"] == abs(a.distance)
         assert a.registers["R1"] <= a.registers["R2"]
         assert not a.automatic or a.registers["R4"] == a.registers["R5"]

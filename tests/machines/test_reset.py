@@ -24,7 +24,7 @@ def read_visible(chip):
     return chip.values(), pins, [chip.read(a) for a in range(chip.ADDRESSES)]
 
 
-@pytest.mark.parametrize("name", CHIPS.own)
+@pytest.mark.parametrize("name", CHIPS.built_in)
 def test_after_a_reset_nothing_depends_on_the_time_before(name):
     cls, bus = CHIPS[name], bus_of(CHIPS[name])
     programs = st.tuples(st.one_of(bus.programs(cls), bus.starts(cls)), st.integers(0, 5000))

@@ -411,7 +411,7 @@ def test_only_a_program_from_power_up_on_a_reproducible_stage_is_written(write):
         write(panel(), shared(options=None), 0)
 
 
-@pytest.mark.parametrize("name", CHIPS.own)
+@pytest.mark.parametrize("name", CHIPS.built_in)
 def test_the_ports_in_c_reach_the_address_of_the_chip(name):
     """The second chip of two, each address of its bus: what its ports do on a board is that cycle."""
     stage = Stage("xy", chips=name, visuals=False)

@@ -21,19 +21,19 @@ DEFECTS = defects.DEFECTS
 MANY = scaled(1) if not FIXED else 1
 
 
-@pytest.mark.parametrize("name", CHIPS.own)
+@pytest.mark.parametrize("name", CHIPS.built_in)
 def test_every_chip_of_ours_passes(name):
     chip_conformance(name, seed=SEED, programs=MANY)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", CHIPS.own)
+@pytest.mark.parametrize("name", CHIPS.built_in)
 def test_every_chip_of_ours_passes_in_many_programs(name):
     chip_conformance(name, programs=max(60, EXAMPLES))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("chip", [TOY, TOY8, *CHIPS.own])
+@pytest.mark.parametrize("chip", [TOY, TOY8, *CHIPS.built_in])
 def test_uncompiled_code_gives_the_same_bits(chip):
     chip_conformance(chip, seed=SEED, programs=2, promises=["pins_by_name"], uncompiled=True)
 

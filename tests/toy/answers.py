@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stage.chips.cores import through
+from stage.chips.cores import run_window
 from stage.native import array_of, exported, least
 from toy import core, eight
 from toy.core import EDGE, MINUS, PLUS, PULSE, STATE
@@ -66,7 +66,7 @@ def the_end(c, j, before, ticks):
 
 @exported(None, STATE, "i8", "i8")
 def without_the_first_slice(c, row, k):
-    through(c, row, k + 1, core.run, core.net, core.drive_input)
+    run_window(c, row, k + 1, core.run, core.net, core.drive_input)
 
 
 @exported("i8", STATE, "i8")

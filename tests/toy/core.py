@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stage.chips.cores import through
+from stage.chips.cores import run_window
 from stage.native import array_of, exported, hot, least, record
 
 INPUTS = {"el_plus": 1, "el_minus": 2, "org": 4}
@@ -50,7 +50,7 @@ def run(c, until):
 
 @exported(None, STATE, "i8", "i8")
 def window(c, row, k):
-    through(c, row, k, run, net, drive_input)
+    run_window(c, row, k, run, net, drive_input)
 
 
 @exported(None, STATE, "i8", "f8", "f8")

@@ -86,7 +86,7 @@ class BeyondTheBus(TOY):
 
 class Turns(TOY):
     @classmethod
-    def turns(cls, address: int, value: int) -> bool | None:
+    def read_direction(cls, address: int, value: int) -> bool | None:
         return value == core.PLUS if address == 0 and value in (core.PLUS, core.MINUS) else None
 
 

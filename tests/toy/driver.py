@@ -13,7 +13,7 @@ from stage.sim.program import Operations
 
 class ToyDriver(Driver):
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
-        self.chip.MAP.checked(self._named("COUNT"), abs(pulses))
+        self.chip.MAP.check_value(self._named("COUNT"), abs(pulses))
         with Procedure(self.axis, "move") as p:
             self.write_move(ImmediateOperations(self.axis), {"RATE": round(speeds.start)}, pulses)
             wait_until_stopped([self.axis], timeout or 2 * abs(pulses) / speeds.start + 1)

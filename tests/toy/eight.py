@@ -1,6 +1,6 @@
 """The TOY8, compiled: eight axes as those of the TOY, on one chip."""
 
-from stage.chips.cores import through
+from stage.chips.cores import run_window
 from stage.native import array_of, exported, hot, least, record
 from toy.core import EDGE, EL_MINUS, EL_PLUS, INPUTS, MINUS, OUTPUTS, PLUS, PULSE, RATE
 
@@ -43,7 +43,7 @@ def run(c, until):
 
 @exported(None, STATE, "i8", "i8")
 def window(c, row, k):
-    through(c, row, k, run, net, drive_input)
+    run_window(c, row, k, run, net, drive_input)
 
 
 @exported(None, STATE, "i8", "f8", "f8")

@@ -18,7 +18,7 @@ class Decoder(describe.Decoder):
     def __init__(self, map_: RegisterMap):
         self._map = map_
 
-    def wrote(self, clock: int, address: int, value: int) -> list[Statement]:
+    def decode_write(self, clock: int, address: int, value: int) -> list[Statement]:
         return [
             Statement(
                 clock,
@@ -28,7 +28,7 @@ class Decoder(describe.Decoder):
             )
         ]
 
-    def lost(self, address: int, value: int) -> tuple[str, str]:
+    def describe_lost_write(self, address: int, value: int) -> tuple[str, str]:
         return f"{address} {value:04X}", meaning(self._map, address, value)
 
     def reset(self) -> None:

@@ -53,7 +53,7 @@ def show(chip, edge):
 def test_a_shaft_counts_as_its_edges_at_the_pins_do(chip, seed):
     """Every bit of the state is the same, but for what tells of the shaft; with N events, deviation and the emergency stop."""
     rng = np.random.default_rng(seed)
-    by_hand = chip.twin()
+    by_hand = chip.make_replica()
     count, seen, rate, edge = 0.0, 0, 0.0, 0
     chip.set_shaft(0)
     for c in (chip, by_hand):
@@ -231,7 +231,7 @@ def test_copies_snapshots_and_journals_go_on_to_the_same_bits(x):
     journal.close()
     edges = journal.course(every_pulse=True).edges
     a = (edges["inputs"] & x.chip.INPUTS["enca"] != 0).astype(int)
-    lone = x.chip.twin(journal.start.tobytes())
+    lone = x.chip.make_replica(journal.start.tobytes())
     for e in journal.entries:
         lone.CORE.run(lone._rows, e.clock)
         e.apply(lone.CORE, lone._rows)

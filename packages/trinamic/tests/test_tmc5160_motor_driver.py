@@ -105,7 +105,7 @@ def test_reports_explain_that_a_vertical_axis_falls_without_current(stage_, caps
     assert z.chip.explain_missing_current() == ""
     put(z.chip, CHOPCONF=0x10410150)
     assert z.chip.explain_missing_current().startswith("its power stage is off")
-    copy_ = z.chip.twin(z.chip.state.tobytes())
+    copy_ = z.chip.make_replica(z.chip.state.tobytes())
     copy_.write(0x6C, 0)
     assert copy_.explain_missing_current().startswith("its power stage is off"), "a twin knows that it was on"
 

@@ -161,7 +161,7 @@ def test_many_clocks_at_once_are_clock_by_clock(chip, seed):
         COOLCONF=int(rng.integers(0, 1 << 25)),
     )
     chip.set_load(int(rng.integers(0, 1025)))
-    twin = chip.twin()
+    twin = chip.make_replica()
     for _ in range(12):
         acts = [
             ("VMAX", int(rng.integers(0, 1 << 22))),

@@ -31,7 +31,7 @@ class ACME1000(Chip):
         return [(cls.MAP.register(name).number, value)]
 
     @classmethod
-    def turns(cls, address, value):
+    def read_direction(cls, address, value):
         return bool(value & core.MINUS) if address == 0 and value & core.GO else None
 
     def decoder(self, axis=0):
@@ -44,4 +44,4 @@ class ACME1000(Chip):
         return {r.name: core.peek.with_gil(self.pointer, r.number) for r in self.MAP.registers}
 
     def lint(self, address, value):
-        return words.lint(self._plain, address, value)
+        return words.lint(self._record, address, value)

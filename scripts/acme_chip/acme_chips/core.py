@@ -3,7 +3,7 @@
 import numpy as np
 
 from acme_chips.maps import MAP
-from stage.chips.cores import through
+from stage.chips.cores import run_window
 from stage.native import array_of, exported, greatest, hot, least, record
 
 INPUTS = {"el_plus": 1, "el_minus": 2, "org": 4}
@@ -143,7 +143,7 @@ def scan(c, until, every_pulse, axis, out):
 @exported(None, STATE, "i8", "i8")
 def window(c, row, k):
     """The slices of a physics step."""
-    through(c, row, k, run, net, drive_input)
+    run_window(c, row, k, run, net, drive_input)
 
 
 @exported("f8", STATE, "i8", "i8", "f8")

@@ -27,7 +27,7 @@ class AcmeDriver(Driver):
             raise self.build_s_curve_error()
         if not pulses:
             raise ArgumentError("pulses=0: a move has at least one; its sign is the direction.")
-        MAP.checked("COUNT", abs(pulses))
+        MAP.check_value("COUNT", abs(pulses))
         self._prepare(speeds, abs(pulses))
         self._send("MOVE+" if pulses > 0 else "MOVE-")
 
@@ -95,7 +95,7 @@ class AcmeDriver(Driver):
         if self.chip.busy():
             raise self.build_moving_error()
         for name, rate in (("START", speeds.start), ("DRIVE", speeds.drive)):
-            MAP.checked(name, round(rate))
+            MAP.check_value(name, round(rate))
         if speeds.start > speeds.drive:
             raise ArgumentError(f"start speed {speeds.start:g} pps is above the drive speed {speeds.drive:g}.")
         now = ImmediateOperations(self.axis)

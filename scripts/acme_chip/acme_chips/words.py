@@ -15,10 +15,10 @@ NO_PULSES = Rule("no-pulses", "section 3")
 NO_RAMP = Rule("no-ramp", "section 3")
 
 
-def wrote(address, value):
+def describe_write(address, value):
     """What a write cycle says."""
     if address == 0:
-        return MAP.by_code[value].title if value in MAP.by_code else Fields(CONTROL).tell("control", value)
+        return MAP.by_code[value].title if value in MAP.by_code else Fields(CONTROL).describe("control", value)
     return f"{NAMES[address]} <- {value}" if address in NAMES else "nothing is there"
 
 
@@ -26,21 +26,21 @@ class Listener:
     """Tells each bus cycle."""
 
     def write(self, address, value):
-        return wrote(address, value)
+        return describe_write(address, value)
 
     def read(self, address, value):
-        return FIELDS.tell("status", value) if address == 0 else f"{NAMES.get(address, 'nothing')} = {value}"
+        return FIELDS.describe("status", value) if address == 0 else f"{NAMES.get(address, 'nothing')} = {value}"
 
 
 class Decoder(describe.Decoder):
     """Tells the writes of a journal."""
 
-    def wrote(self, clock, address, value):
+    def decode_write(self, clock, address, value):
         kind, name = ("register", NAMES.get(address, "")) if address else ("command", "")
-        return [Statement(clock, kind, f"{address} {value:04X}", wrote(address, value), name, value)]
+        return [Statement(clock, kind, f"{address} {value:04X}", describe_write(address, value), name, value)]
 
-    def lost(self, address, value):
-        return f"{address} {value:04X}", wrote(address, value)
+    def describe_lost_write(self, address, value):
+        return f"{address} {value:04X}", describe_write(address, value)
 
 
 def lint(c, address, value):

@@ -108,8 +108,9 @@ class HCTL1100(Chip):
 
     @property
     def missed(self) -> float:
-        """Net number of counts that came faster than one in three clocks. The encoder's input filter drops them, so the shaft is so
-        far ahead of the count.
+        """Net number of counts that the encoder's input filter has dropped: the shaft is so far ahead of the count.
+
+        It drops counts that come faster than one in three clocks.
         """
         return core.compute_missed_counts.with_gil(self.pointer)
 
@@ -148,4 +149,4 @@ class HCTL1100(Chip):
         return Listener(self.MAP, self.state)
 
     def lint(self, address: int, value: int) -> Iterator[Finding]:
-        return lint_write(self._plain, lambda: self.encoder, address, value)
+        return lint_write(self._record, lambda: self.encoder, address, value)

@@ -8,7 +8,7 @@ The chip makes no pulses: for a stage `net` is the count that corresponds to the
 
 from __future__ import annotations
 
-from stage.chips.cores import scan_shafts, through
+from stage.chips.cores import run_window, scan_shafts
 from stage.chips.hctl1100 import bus, commutator, encoder, motor, state, timer
 from stage.chips.hctl1100 import filter as law
 from stage.chips.hctl1100.maps import ADDRESSES, PROPORTIONAL_HIGH, PROPORTIONAL_LOW, RING
@@ -161,7 +161,7 @@ def drive_input(c, j, before, ticks):
 @exported(None, STATE, "i8", "i8")
 def window(c, row, k):
     """Let the chip's clock run through the slices of a window, see stage/chips/cores.py."""
-    through(c, row, k, run, net, drive_input)
+    run_window(c, row, k, run, net, drive_input)
 
 
 @exported(None, STATE)

@@ -1,5 +1,4 @@
-"""Descriptions of bus cycles of the HCTL-1100, `R0E = 10h: command position = 4112 counts`, and of its journals:
-`set F0`, `control`, `R22 <- 64 (filter: gain K)`."""
+"""Descriptions of bus cycles of the HCTL-1100, for example `R0E = 10h: command position = 4112 counts`, and of its journals."""
 
 from __future__ import annotations
 
@@ -7,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from stage.chips import describe
-from stage.chips.describe import Fields, Statement, line
+from stage.chips.describe import Fields, Statement, shorten_line
 from stage.chips.hctl1100 import maps
 from stage.chips.hctl1100.state import IDLE, STORED
 from stage.chips.register_map import Register, RegisterMap
@@ -24,13 +23,13 @@ class Decoder(describe.Decoder):
     def __init__(self, map_: RegisterMap):
         self._registers = {r.number: r for r in map_.registers}
 
-    def wrote(self, clock: int, address: int, value: int) -> list[Statement]:
+    def decode_write(self, clock: int, address: int, value: int) -> list[Statement]:
         r = self._registers.get(address)
         kind = "command" if address in (maps.FLAG, maps.MODE) else "register"
         known = (r.name, r.value(value)) if r and kind == "register" else ("", 0)
         return [Statement(clock, kind, f"{address:02X} {value:02X}", self._meaning(address, value), *known)]
 
-    def lost(self, address: int, value: int) -> tuple[str, str]:
+    def describe_lost_write(self, address: int, value: int) -> tuple[str, str]:
         return f"{address:02X} {value:02X}", self._meaning(address, value)
 
     def _meaning(self, address: int, value: int) -> str:
@@ -74,14 +73,14 @@ class Listener:
         if r is None:
             return f"no register of the {self._chip} at {address:02X}h: nothing changes"
         if r.access == "R":
-            return line(f"{r.name} can only be read: nothing changes ({_find_title(r)})")
+            return shorten_line(f"{r.name} can only be read: nothing changes ({_find_title(r)})")
         if address == maps.FLAG:
             return self._describe_flag(r, value)
         if address == maps.MODE:
             self._idle = value in _IDLE or (self._idle and value not in MODES)
             return f"{r.title}: {MODES.get(value) or f'{value:02X}h is no mode of the {self._chip}'}"
         if address == maps.STATUS:
-            return self._set.tell("status", value, "; clears LIMIT and STOP if released")
+            return self._set.describe("status", value, "; clears LIMIT and STOP if released")
         if address == maps.CLEAR:
             return f"{r.name}, any value: clears the {maps.QUANTITIES[address].title}"
         return self._describe_number(r, value)
@@ -94,7 +93,7 @@ class Listener:
             return f"{verb} F{number}: no flag of the {self._chip}"
         if f.mask == self._known[maps.FLAG]:
             return f"{verb} F{number}: nothing changes, it can only be read ({f.meaning})"
-        return line(f"{verb} F{number}: {f.meaning}")
+        return shorten_line(f"{verb} F{number}: {f.meaning}")
 
     def _describe_number(self, r: Register, value: int) -> str:
         """Describe a write to a register that is a number or one byte of it."""
@@ -105,8 +104,8 @@ class Listener:
         if self._idle or not preset:
             self._bytes[r.number] = value & STORED[r.number] if not q.waits else value
         if q.waits and (r.number != q.low or (preset and not self._idle)):
-            return line(f"{r.name} = {value:02X}h: {r.text}")
-        return line(f"{r.name} = {value:02X}h: {q.of(self._bytes)}")
+            return shorten_line(f"{r.name} = {value:02X}h: {r.text}")
+        return shorten_line(f"{r.name} = {value:02X}h: {q.of(self._bytes)}")
 
     def read(self, address: int, value: int) -> str:
         """Describe a read cycle of register `address`, 0 to 63."""
@@ -115,15 +114,17 @@ class Listener:
         if r is None:
             return f"no register of the {self._chip} at {address:02X}h: reads {value:02X}h"
         if r.access == "W":
-            return line(f"{r.name} can only be written: reads {value:02X}h ({_find_title(r)})")
+            return shorten_line(f"{r.name} can only be written: reads {value:02X}h ({_find_title(r)})")
         if address in self._known:
             self._idle = bool(value & self._known[address])
-            return self._flags.tell("flags", value) if address == maps.FLAG else self._status.tell("status", value)
+            return (
+                self._flags.describe("flags", value) if address == maps.FLAG else self._status.describe("status", value)
+            )
         q = maps.QUANTITIES.get(address)
         if q is None:
             return self._describe_register(r, value, value)
         if not q.latched:
-            return line(f"{r.name} = {value:02X}h: {r.text}")
+            return shorten_line(f"{r.name} = {value:02X}h: {r.text}")
         return self._describe_latched_read(r, q, value)
 
     def _describe_latched_read(self, r: Register, q: maps.Quantity, value: int) -> str:
@@ -134,12 +135,12 @@ class Listener:
         self._unread.discard(r.number)
         self._bytes[r.number] = value
         if not self._unread and (fresh or r.number == q.addresses[0]):
-            return line(f"{r.name} = {value:02X}h: {q.of(self._bytes)}")
-        return line(f"{r.name} = {value:02X}h: {r.text}")
+            return shorten_line(f"{r.name} = {value:02X}h: {q.of(self._bytes)}")
+        return shorten_line(f"{r.name} = {value:02X}h: {r.text}")
 
     def _describe_register(self, r: Register, value: int, stored: int) -> str:
         number = f"{r.value(stored)} {r.unit}".strip()
-        return line(f"{r.name} = {value:02X}h ({number}): {r.text}")
+        return shorten_line(f"{r.name} = {value:02X}h ({number}): {r.text}")
 
 
 def _find_title(r: Register) -> str:

@@ -1,5 +1,7 @@
-"""NOVA MCX514, MCX512, MCX501, MCX314As, MCX304, MCX302, MCX312: one family, one core. Variants differ by
-their register maps and their bus."""
+"""NOVA MCX514, MCX512, MCX501, MCX314As, MCX304, MCX302, MCX312: one family with one core.
+
+The variants differ by their register maps and their bus.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +88,7 @@ class Nova(Chip):
 
     def set_input_word(self, axis: int, word: int) -> None:
         self._check_pins(axis)
-        if self._plain["encoder_axes"] >> axis & 1 and (word ^ self.input_word(axis)) & encoder.PINS:
+        if self._record["encoder_axes"] >> axis & 1 and (word ^ self.input_word(axis)) & encoder.PINS:
             raise StageError(f"ECA and ECB of axis {axis} are those of its encoder, and cannot be driven by hand.")
         super().set_input_word(axis, word)
 
@@ -94,11 +96,11 @@ class Nova(Chip):
         if address >= BYTES:  # of the 8-bit bus only the low byte of WR0 acts
             if address != BYTES:
                 return ()
-            address, value = 0, int(self._plain["command_high_byte"]) & 0xFF00 | value
+            address, value = 0, int(self._record["command_high_byte"]) & 0xFF00 | value
         return lint_write(self.MAP, self._lint_state(), address, value)
 
     def _lint_state(self) -> LintState:
-        return LintState(self._plain, self.AXES, self._find_interpolated_axes)
+        return LintState(self._record, self.AXES, self._find_interpolated_axes)
 
     def _find_interpolated_axes(self) -> int:
         """Return the axes that take part in interpolation, as bits."""
@@ -135,7 +137,7 @@ class Nova(Chip):
             datum: Its data.
         """
         cls._check_axis(axis)
-        what, datum = cls.MAP.sent(symbol, datum)
+        what, datum = cls.MAP.find_sent(symbol, datum)
         if isinstance(what, Word):
             cycles = super().command_cycles(symbol, axis, datum)
             return [*cls.command_cycles("NOP", axis), *cycles] if 1 <= cycles[0][0] <= 3 else cycles
@@ -160,7 +162,7 @@ class Nova(Chip):
     def values_of(self, axis: int = 0) -> dict[str, int]:
         """Return the words of an axis as if a host had selected it, and the registers as they read, or as they were written."""
         self._check_axis(axis)
-        chip, map_, values = self.twin(), self.MAP, {}
+        chip, map_, values = self.make_replica(), self.MAP, {}
         c: Any = chip.state
         select = 1 << axis << 8
         core.write.with_gil(chip.pointer, 0, select | map_.command("NOP").code)
@@ -212,7 +214,7 @@ class MCX514(Nova):
         return bool(self.state["wire_word"])
 
     def _find_interpolated_axes(self) -> int:
-        return int(self._plain["ax"][0]["mode"][state.IPM]) & 15
+        return int(self._record["ax"][0]["mode"][state.IPM]) & 15
 
     @exclusive
     def write_byte(self, address: int, value: int) -> None:
@@ -308,11 +310,11 @@ class MCX312(_ErratumChip):
     AXES: ClassVar = 2
 
     def _find_interpolated_axes(self) -> int:
-        word = int(self._plain["outputs5"])
+        word = int(self._record["outputs5"])
         return 1 << AX1.of(word) | 1 << AX2.of(word)
 
     def _lint_state(self) -> LintState:
-        return Mcx312LintState(self._plain, self.AXES, self._find_interpolated_axes)
+        return Mcx312LintState(self._record, self.AXES, self._find_interpolated_axes)
 
     def _configure(self, record: Any) -> None:
         super()._configure(record)
@@ -327,11 +329,11 @@ class MCX314AS(Nova):
     READING_ACTS: ClassVar = frozenset({3})  # RR3, the interrupt factors
 
     def _find_interpolated_axes(self, count: int = 3) -> int:
-        axes = [f.of(int(self._plain["outputs5"])) for f in (AX1, AX2, AX3)]
+        axes = [f.of(int(self._record["outputs5"])) for f in (AX1, AX2, AX3)]
         return sum(1 << j for j in {*axes[:count]})
 
     def _lint_state(self) -> LintState:
-        return Mcx314asLintState(self._plain, self.AXES, self._find_interpolated_axes)
+        return Mcx314asLintState(self._record, self.AXES, self._find_interpolated_axes)
 
     def _configure(self, record: Any) -> None:
         super()._configure(record)

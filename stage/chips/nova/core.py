@@ -7,7 +7,7 @@ has the drive of one axis, profile.py the clocks of its pulses, trace.py their o
 
 from __future__ import annotations
 
-from stage.chips.cores import through
+from stage.chips.cores import run_window
 from stage.chips.nova import state
 from stage.chips.nova.bus import mcx300 as bus304
 from stage.chips.nova.bus import mcx514 as bus514
@@ -166,7 +166,7 @@ def set_input(c, j, word):
 
 
 @exported("i8", STATE)
-def says(c):
+def wire_output(c):
     """Return what the chip drives onto the wires to others, see stage/chips/links.py."""
     if c.stale:
         _settle(c)
@@ -174,19 +174,19 @@ def says(c):
 
 
 @exported("i8", STATE)
-def silent(c):
+def wire_output_until(c):
     """The clock up to which that does not change."""
     return multichip.find_wire_change(c)
 
 
 @exported("i8", STATE)
-def heard(c):
+def wire_word(c):
     """Return the word that the wires brought last."""
     return c.wire_word
 
 
 @exported(None, STATE, "i8")
-def hear_wires(c, word):
+def set_wire_word(c, word):
     """Bring the chip a new word from the wires to other chips."""
     if c.stale:
         _settle(c)
@@ -390,7 +390,7 @@ def value(c, k, page):
 @exported(None, STATE, "i8", "i8")
 def window(c, row, k):
     """Let the chip's clock run through the slices of a window, see stage/chips/cores.py."""
-    through(c, row, k, run, net, drive_input)
+    run_window(c, row, k, run, net, drive_input)
 
 
 @exported(None, STATE)
@@ -556,7 +556,7 @@ def _apply_wire_word(c, every_pulse, axis, out, k, word):
     x = c.ax[axis]
     before, net_before = _compute_watched_outputs(c, axis, every_pulse, find_pulse_end(x)), x.net
     rate = pulse_rate(c, axis, 1.0)
-    hear_wires(c, word)
+    set_wire_word(c, word)
     now = pulse_rate(c, axis, 1.0)
     word = _compute_watched_outputs(c, axis, every_pulse, find_pulse_end(x))
     if word != before or now != rate or (every_pulse and x.net != net_before):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from stage.chips import describe
-from stage.chips.describe import Fields, Statement, bits, line
+from stage.chips.describe import Fields, Statement, describe_byte, shorten_line
 from stage.chips.nova.registers.common import AXES, name_axes
 from stage.chips.nova.registers.mcx300 import RESET
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
@@ -33,10 +33,10 @@ class Decoder(describe.Decoder):
     def reset(self) -> None:
         self._selected, self._words = 1, [0] * 8
 
-    def lost(self, address: int, value: int) -> tuple[str, str]:
+    def describe_lost_write(self, address: int, value: int) -> tuple[str, str]:
         return f"{value:04X}", f"data to WR{address & 7}"
 
-    def wrote(self, clock: int, address: int, value: int) -> list[Statement]:
+    def decode_write(self, clock: int, address: int, value: int) -> list[Statement]:
         n = address
         if address >= BYTES:
             n, high = (address - BYTES) >> 1, address & 1
@@ -95,7 +95,7 @@ class Listener:
         self._pattern = bool(record["ip"]["loads_pattern"])
         self._first = int(record["command_high_byte"])
         self._by_axis = [[int(w) for w in x["wr"]] for x in record["ax"]]
-        self._common = [0, 0, 0, 0, *(int(record[name]) for name in ("outputs4", "outputs5", "low", "high"))]
+        self._common = [0, 0, 0, 0, *(int(record[name]) for name in ("outputs4", "outputs5", "data_low", "data_high"))]
         self._reading: tuple[str, Register | Word, int] | None = None  # axis, what, its bytes
         self._bytes: dict[int, int] = {}  # of RR6 and RR7, as read
         self._sets = [w for w in map_.words if w.name.startswith("BP")]
@@ -113,7 +113,7 @@ class Listener:
             return self._write_byte(address - BYTES, value & 0xFF)
         n, value = address & 7, value & 0xFFFF
         if n == 0:
-            return line(self._command(value))
+            return shorten_line(self._command(value))
         if self._pattern and 2 <= n < 2 + len(self._sets):
             word = self._sets[n - 2]
             return f"{word.name} = {value:04X}h: {word.title}"
@@ -121,12 +121,12 @@ class Listener:
             for k, words in enumerate(self._by_axis):
                 if self._selected >> k & 1:
                     words[n] = value
-            return self._fields[f"WR{n}"].tell(f"{name_axes(self._selected)}: WR{n} ({self._titles[n]})", value)
+            return self._fields[f"WR{n}"].describe(f"{name_axes(self._selected)}: WR{n} ({self._titles[n]})", value)
         self._common[n] = value
         if n >= 6:
             return f"data {'31..16' if n == 7 else '15..0'} = {value:04X}h"
         fields = self._fields.get(f"WR{n}")
-        return fields.tell(f"WR{n}", value) if fields else f"WR{n} is not used on the {self._map.chip}"
+        return fields.describe(f"WR{n}", value) if fields else f"WR{n} is not used on the {self._map.chip}"
 
     def _write_byte(self, at: int, value: int) -> str:
         """Describe a write of a byte: the word that the register holds after it."""
@@ -135,7 +135,7 @@ class Listener:
         word = old & 0xFF | value << 8 if high else old & 0xFF00 | value
         if n == 0 and high:
             self._first = word
-            return f"{bits('WR0', high, value)}: waits for bits 7..0"
+            return f"{describe_byte('WR0', high, value)}: waits for bits 7..0"
         return self.write(n, word)
 
     def _command(self, value: int) -> str:
@@ -203,7 +203,7 @@ class Listener:
         if width == 1:
             head += f" bits {8 * high + 7}..{8 * high}"
         fields = self._fields.get(name)
-        return fields.tell(head, value << 8 * high) if fields else f"{head} is not used on the {self._map.chip}"
+        return fields.describe(head, value << 8 * high) if fields else f"{head} is not used on the {self._map.chip}"
 
     def _data(self, at: int, width: int, value: int) -> str:
         """Describe a read of RR6 and RR7: the whole value as soon as all of its bytes were read.
@@ -240,8 +240,8 @@ class Listener:
         """
         word &= (1 << place.bits) - 1
         if place.fields or isinstance(place, Word):
-            return self._fields[place.name].tell(f"{head} = {word:0{place.bits // 4}X}h", word)
-        return line(f"{head} = {place.value(word)} {place.unit}".rstrip())
+            return self._fields[place.name].describe(f"{head} = {word:0{place.bits // 4}X}h", word)
+        return shorten_line(f"{head} = {place.value(word)} {place.unit}".rstrip())
 
 
 def _describe_command(c: Command, value: int) -> str:

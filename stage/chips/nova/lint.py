@@ -273,15 +273,22 @@ def _lint_command(map_: RegisterMap, chip: Any, value: int) -> Iterator[Finding]
         yield from _lint_data(map_.register(c.symbol), chip, c, axes)
     if c.kind == "data read" and chip.has_unused_data:
         yield DATA_NOT_USED, f"{name} takes no data: what was written to WR6, WR7 is not used"
-    if c.starts and c.kind == "drive" and (moving := axes & chip.driving_axes):
+    if c.kind == "drive":
+        yield from _lint_drive(map_, chip, c, value)
+    if c.together:
+        yield from _lint_interpolation(chip, c, name)
+
+
+def _lint_drive(map_: RegisterMap, chip: Any, c: Command, value: int) -> Iterator[Finding]:
+    """Check a drive command, the word `value` to WR0."""
+    name, axes = f"{c.code:02X}h ({c.title})", AXIS.of(value)
+    if c.starts and (moving := axes & chip.driving_axes):
         yield ALREADY_DRIVING, f"{name} while {_name_axes(moving)} is driving (n-DRV = 1)"
     if c.symbol in TP_DRIVES:
         yield from _lint_pulse_numbers(map_, chip, name, axes)
-    if c.starts and c.kind == "drive" and (refusals := chip.find_refusals(value)):
+    if c.starts and (refusals := chip.find_refusals(value)):
         reasons = "; ".join(f"{_name_axes(1 << k)}: {why}" for k, why in refusals.items())
         yield STARTS_NO_DRIVE, f"{name} starts no drive: {reasons}"
-    if c.together:
-        yield from _lint_interpolation(chip, c, name)
 
 
 def _lint_axes(map_: RegisterMap, c: Command, name: str, axes: int) -> Iterator[Finding]:

@@ -112,13 +112,13 @@ class PCL240(Chip):
             if self.open_journal is not None:
                 self.open_journal.note_input(self.clock, 0, word)
 
-    def _write(self, address: int, value: int, meant: tuple[int, int]) -> None:
+    def _write(self, address: int, value: int, requested: tuple[int, int]) -> None:
         if self._leader is not None and not self.attached:
             self._update_syni()
-        super()._write(address, value, meant)
+        super()._write(address, value, requested)
 
-    def _until(self, clocks: int) -> int:
-        until = super()._until(clocks)
+    def _find_end_clock(self, clocks: int) -> int:
+        until = super()._find_end_clock(clocks)
         if self._leader is not None:
             self._update_syni()
         return until
@@ -146,7 +146,7 @@ class PCL240(Chip):
         return (edges["outputs"] & cls.OUTPUTS["hold"]) == 0
 
     @classmethod
-    def turns(cls, address: int, value: int) -> bool | None:
+    def read_direction(cls, address: int, value: int) -> bool | None:
         """Return the direction in a control mode command, True for minus; None for other writes."""
         return bool(value & state.MINUS) if address == 0 and value & state.GROUP == CONTROL else None
 
@@ -164,9 +164,9 @@ class PCL240(Chip):
 
     def lint(self, address: int, value: int) -> Iterator[Finding]:
         if address:
-            return lint_data(self.MAP, self._plain, address, value)
+            return lint_data(self.MAP, self._record, address, value)
         predictions = Predictions(self._makes_pulses, self._predict_last_speed, self.clock_hz)
-        return lint_command(self.MAP, self._plain, predictions, value)
+        return lint_command(self.MAP, self._record, predictions, value)
 
     def _makes_pulses(self, command: int) -> bool:
         """Return whether a command leads to pulses, if no write and no input comes after it."""
@@ -192,8 +192,9 @@ class PCL240K(PCL240):
 
 
 class PCL240MK(PCL240):
-    """Nippon Pulse PCL-240MK: also R10 to R17, read-back, collective transfers, position counter, EZ counting and automatic
-    ramp-down.
+    """Nippon Pulse PCL-240MK: the K with R10 to R17 and what they control.
+
+    It adds read-back, collective transfers, a position counter, EZ counting and the automatic ramp-down point.
     """
 
     MAP: ClassVar = PCL240MK_MAP

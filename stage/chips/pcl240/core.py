@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stage.chips.cores import through
+from stage.chips.cores import run_window
 from stage.chips.pcl240 import state
 from stage.chips.pcl240.bus import compute_outputs as output_word
 from stage.chips.pcl240.bus import read_byte, read_register, write_byte
@@ -217,7 +217,7 @@ def scan(c, until, every_pulse, axis, out):
 def window(c, row, k):
     """Let the chip's clock run through the slices of a window, see stage/chips/cores.py."""
     if not run_window_at_constant_speed(c, row, k):
-        through(c, row, k, run, net, drive_input)
+        run_window(c, row, k, run, net, drive_input)
 
 
 @exported(None, STATE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from stage.chips import describe
-from stage.chips.describe import Fields, Statement, bits, line
+from stage.chips.describe import Fields, Statement, describe_byte, shorten_line
 from stage.chips.pcl240.maps import CONTROL, COUNTERS, OPERATE, OPERATING_MODE, OUTPUT, SELECT, WRITTEN
 from stage.chips.pcl240.state import GROUP, INT_AT_STOP, RAMP, REGISTER, START, STOP
 from stage.chips.register_map import Register, RegisterMap
@@ -71,29 +71,29 @@ class Decoder(describe.Decoder):
         self._bytes: dict[int, int] = {}
         self._stored: dict[int, int] = {}
 
-    def wrote(self, clock: int, address: int, value: int) -> list[Statement]:
+    def decode_write(self, clock: int, address: int, value: int) -> list[Statement]:
         statements: list[Statement] = []
         if address:
             if address in self._bytes:
-                statements = self.rest()
+                statements = self.flush()
             self._bytes[address] = value
             self._clock = clock
             return statements
-        statements = self.rest()
+        statements = self.flush()
         if value & GROUP == SELECT:
             self._select = value
         else:
             statements.append(Statement(clock, "command", f"{value:02X}", describe_command(self._map, value)))
         return statements
 
-    def lost(self, address: int, value: int) -> tuple[str, str]:
+    def describe_lost_write(self, address: int, value: int) -> tuple[str, str]:
         return f"{value:02X}", f"data to address {address}" if address else describe_command(self._map, value)
 
     def reset(self) -> None:
         self._stored.clear()
         self._select = SELECT
 
-    def rest(self) -> list[Statement]:
+    def flush(self) -> list[Statement]:
         """The register whose bytes are there, if any."""
         if not self._bytes:
             return []
@@ -156,11 +156,11 @@ class Listener:
         if group == SELECT:
             self._register, self._collective = find_selected_register(self._map, value), is_collective(self._map, value)
             meaning += f": {self._register.title}"
-        return line(meaning)
+        return shorten_line(meaning)
 
     def _describe_data(self, address: int, value: int) -> str:
         r = self._register
-        text = bits(r.name, address - 1, value)
+        text = describe_byte(r.name, address - 1, value)
         if 8 * (address - 1) >= r.bits and not self._collective:
             return f"{text}: {r.name} has {r.bits} bits"
         if self._collective and address > 1:
@@ -186,15 +186,15 @@ class Listener:
     def _describe_register(self, r: Register, text: str) -> str:
         value = self._stored[r.name]
         text = f"{text}: {r.name} = {value:X}h ({r.value(value)})"
-        return self._fields[r.name].tell(text, value) if r.fields else text
+        return self._fields[r.name].describe(text, value) if r.fields else text
 
     def read(self, address: int, value: int) -> str:
         """Describe a read cycle of address 0 to 3."""
         address, value = address & 3, value & 0xFF
         if not address:
-            return self._status.tell("status", value)
+            return self._status.describe("status", value)
         r = self._register if self._output & self._extension else self._returned
-        text = bits(r.name, address - 1, value)
+        text = describe_byte(r.name, address - 1, value)
         if not self._collective:
             return text
         if address > 1:

@@ -385,7 +385,7 @@ class Hctl1100Driver(Driver):
             put("command_position", 0)
             put("final_position", counts)
             for name, rate in (("maximum_velocity", rates[0] * sample), ("acceleration", rates[1] * sample**2 * 256)):
-                put(name, int(np.clip(round(rate), 1, NUMBERS[name].most)))
+                put(name, int(np.clip(round(rate), 1, NUMBERS[name].maximum)))
         program.write(self.index, MODE, CONTROL)
 
     def search(self, settings: Any) -> Search:

@@ -86,7 +86,7 @@ class NovaDriver(Driver):
     def start(self, pulses: int, speeds: Speeds) -> None:
         if not pulses:
             raise ArgumentError("pulses=0: a drive has at least one; its sign is the direction.")
-        self.map.checked(self.DISTANCE_REGISTER, pulses if self.SIGNED else abs(pulses))
+        self.map.check_value(self.DISTANCE_REGISTER, pulses if self.SIGNED else abs(pulses))
         self._prepare(self._registers(speeds, abs(pulses)))
         self.goal = self.chip.net(self.axis.chip_axis) + pulses
         self.drive(ImmediateOperations(self.axis), pulses)

@@ -44,7 +44,7 @@ class NovaLine(Line):
         Raises:
             ArgumentError: It does not.
         """
-        driver.map.checked(driver.DISTANCE_REGISTER, pulses if driver.SIGNED else abs(pulses))
+        driver.map.check_value(driver.DISTANCE_REGISTER, pulses if driver.SIGNED else abs(pulses))
 
     def _set(self, program: Program, h: NovaDriver, name: str, column: int) -> None:
         """Add a register whose value is a column."""

@@ -87,7 +87,7 @@ class Port:
 
     def load(self, **values: int) -> None:
         """Write parameters and modes by name: SV, DV, TP, H1M, IPM ... Raises ArgumentError, before the first bus cycle."""
-        for name, value in [(n, self.map.checked(n, v)) for n, v in values.items()]:
+        for name, value in [(n, self.map.check_value(n, v)) for n, v in values.items()]:
             for cycle in self.chip.register_cycles(name, value, self.axis.chip_axis):
                 self.chip.write(*cycle)
 

@@ -212,13 +212,13 @@ class Port:
         Raises:
             ArgumentError: The data sheet does not allow the value.
         """
-        for cycle in self._chip.register_cycles(name, self._chip.MAP.checked(name, value)):
+        for cycle in self._chip.register_cycles(name, self._chip.MAP.check_value(name, value)):
             self._chip.write(*cycle)
 
     def write_registers(self, **values: int) -> None:
         """Write registers by name, in the order given; all are checked before the first is written."""
         for name, value in values.items():
-            self._chip.MAP.checked(name, value)
+            self._chip.MAP.check_value(name, value)
         for name, value in values.items():
             self.write_register(name, value)
 

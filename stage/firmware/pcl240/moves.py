@@ -86,7 +86,7 @@ def preset_move(
         control |= bus.AUTOMATIC
     else:
         profile = profile.within(count, fh2)
-        point = profile.down_point(count, fh2) if down_point is None else profile.chip.MAP.checked("R6", down_point)
+        point = profile.down_point(count, fh2) if down_point is None else profile.chip.MAP.check_value("R6", down_point)
     with Procedure(axis, "preset move" if high_speed else "constant-speed preset move") as p:
         prepare(p.port, profile, control)
         if profile.chip.S_CURVES and not fh_correction:

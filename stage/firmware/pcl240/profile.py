@@ -180,7 +180,7 @@ class Profile:
             if not 0 <= span <= SPAN:
                 raise ArgumentError(f"{name} span {span!r}: an S-curve's end takes 0 to 4095 speed steps.")
         for name, value in self.registers().items():
-            self.chip.MAP.checked(name, value)
+            self.chip.MAP.check_value(name, value)
 
     @classmethod
     @explain_arguments
@@ -218,7 +218,7 @@ class Profile:
             ArgumentError: A rate that the chip does not reach, an FL above a high rate, or a ramp that R4 or R5 cannot hold.
         """
         if multiplier is not None:
-            chip.MAP.checked("R7", multiplier)
+            chip.MAP.check_value("R7", multiplier)
         slowest = chip.MAP.register("R4").mask
         r7 = np.arange(2, 1024) if multiplier is None else np.array([multiplier])
         max_rate = pulse_rate(8191, int(r7[0]), clock_hz)
@@ -362,7 +362,7 @@ class Profile:
             Value of R6.
         """
         point = down_point(pulses, self.R1, max(self.high(fh2), self.R1), self.R4, self.R5, self.R7, self._down)
-        return self.chip.MAP.checked("R6", point)
+        return self.chip.MAP.check_value("R6", point)
 
     def within(self, pulses: int, fh2: bool = False) -> Profile:
         """Return an S-curve profile whose FH a preset move reaches: "revised R2" (data sheet MS, 3-4).

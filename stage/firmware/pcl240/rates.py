@@ -202,7 +202,7 @@ def curved_ramp_move(
     climb = sum(ramp_pulses(a, b, r, profile.R7) for (a, b), r in zip(pairwise(all_speeds), ramps, strict=True))
     fall = ramp_pulses(profile.R1, speeds[-1], profile.R5, profile.R7)
     _refuse_short_move(count, climb + fall + len(speeds) * POLL_DELAY_S * speeds[-1] * profile.step)
-    point = axis.chip.MAP.checked("R6", down_point(count, profile.R1, speeds[-1], 0, profile.R5, profile.R7))
+    point = axis.chip.MAP.check_value("R6", down_point(count, profile.R1, speeds[-1], 0, profile.R5, profile.R7))
     with Procedure(axis, "curved ramp") as p:
         prepare(p.port, replace(profile, R2=speeds[0], R4=ramps[0]), bus.PRESET | encode_direction(pulses))
         p.port.write_registers(R0=count, R6=point)
@@ -236,7 +236,7 @@ def _convert_rates(axis: Axis, profile: Profile, rates: Sequence[float]) -> list
             raise ArgumentError(
                 f"rate {rate!r} pps: with R7 = {profile.R7} this move makes {profile.fl:.0f} (FL) to {profile.step * 8191:.0f} pps."
             )
-    return [axis.chip.MAP.checked("R2", max(round(r / profile.step), profile.R1)) for r in rates]
+    return [axis.chip.MAP.check_value("R2", max(round(r / profile.step), profile.R1)) for r in rates]
 
 
 def _convert_pieces(axis: Axis, profile: Profile, pieces: Sequence[tuple[float, float]]) -> tuple[list[int], list[int]]:
@@ -248,7 +248,7 @@ def _convert_pieces(axis: Axis, profile: Profile, pieces: Sequence[tuple[float, 
     if min(steps) <= 0:
         raise ArgumentError(f"pieces={list(pieces)!r}: each rate must be above the one before it, the first above FL.")
     ramps = [
-        axis.chip.MAP.checked("R4", round(seconds * profile.clock_hz / count))
+        axis.chip.MAP.check_value("R4", round(seconds * profile.clock_hz / count))
         for count, (_, seconds) in zip(steps, pieces, strict=True)
     ]
     return speeds, ramps

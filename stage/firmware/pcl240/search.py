@@ -33,7 +33,7 @@ class FourRuns(Search):
             raise ArgumentError(
                 f"ez={ez!r}: {add_article(chip.MAP.chip)} does not count EZ: a PCL240MK or PCL240MS does."
             )
-        chip.MAP.checked("R7", settings.multiplier)
+        chip.MAP.check_value("R7", settings.multiplier)
         rates = {name: get_register_range(chip.MAP, name) for name in ("R1", "R2", "R4")}
         travel = {"leave": (0, settings.leave), "back_off": (1, settings.back_off), "sd": (0, 1)}
         self.choices = ParameterRanges(

@@ -58,7 +58,7 @@ def _check_scan_room(t: Trial, rng: np.random.Generator) -> None:
 
 
 def _require_same_settled_state(t: Trial, chip: Chip, state: bytes, when: str) -> None:
-    other = chip.twin(state)
+    other = chip.make_replica(state)
     for k in range(chip.AXES):
         other.output_word(k)
         chip.output_word(k)
@@ -66,8 +66,8 @@ def _require_same_settled_state(t: Trial, chip: Chip, state: bytes, when: str) -
 
 
 def _require_same_future(t: Trial, chip: Chip, state: bytes, rng: np.random.Generator) -> None:
-    one, other = chip.twin(), chip.twin(state)
-    acts = limit_pulses(t.draw_acts(rng, 10), chip.twin())
+    one, other = chip.make_replica(), chip.make_replica(state)
+    acts = limit_pulses(t.draw_acts(rng, 10), chip.make_replica())
     if perform_all(one, acts) != perform_all(other, acts) or read_visible_state(one) != read_visible_state(other):
         raise BrokenPromise("after a replay with every pulse it does not go on as the chip does")
 
@@ -75,14 +75,14 @@ def _require_same_future(t: Trial, chip: Chip, state: bytes, rng: np.random.Gene
 def _check_course_pins(t: Trial, rng: np.random.Generator) -> None:
     chip, axis, _ = t.start_move(rng)
     clocks, start = min(count_clocks_to_end(chip, axis), chip.clock_hz // 4), chip.clock
-    replica = chip.twin()
+    replica = chip.make_replica()
     journal = replica.journal(axis)
     replica.advance(clocks)
     fine, coarse = (journal.course(every).edges for every in (True, False))
     at = find_pulse_clocks(chip, clocks)
     likely = at[rng.integers(len(at), size=3)] if len(at) else at
     for n in sorted({clocks, *(int(k) for k in (*rng.integers(0, clocks, 4), *likely, *at[-1:]))}):
-        probe = chip.twin()
+        probe = chip.make_replica()
         probe.advance(n)
         edge, other = (e[np.searchsorted(e["clock"], start + n, side="right") - 1] for e in (fine, coarse))
         word = probe.output_word(axis)

@@ -36,7 +36,7 @@ def _check_course(t: Trial, rng: np.random.Generator, chip: Chip, axis: int, pul
         raise BrokenPromise(f"the driver's move of {pulses} pulses makes {len(at)} in {clocks} clocks")
     bits, count, net = t.kind.COUNTER[1], read_counter(chip, axis), chip.net(axis)
     for n in sorted({0, *(int(k) for k in rng.integers(0, at[-1], 6)), int(at[-1]) - 1}):
-        probe = chip.twin()
+        probe = chip.make_replica()
         probe.advance(n)
         pulse_count = int((at <= n).sum())
         if probe.net(axis) - net != direction * pulse_count:
@@ -47,7 +47,7 @@ def _check_course(t: Trial, rng: np.random.Generator, chip: Chip, axis: int, pul
         gone = (read_counter(probe, axis) - count) % (1 << bits)
         if gone not in (pulse_count, -pulse_count % (1 << bits)):
             raise BrokenPromise(f"counter has gone by {gone} when the trace lists {pulse_count} pulses")
-    rest = chip.twin()
+    rest = chip.make_replica()
     rest.advance(clocks + chip.clock_hz)
     if rest.busy(axis) or rest.CORE.busy.with_gil(rest.pointer, axis):
         raise BrokenPromise("it says that it drives a second after the end of a move")
@@ -76,7 +76,7 @@ def limit_switches(t: Trial) -> None:
     for rng in t.seeded_generators():
         for chip, axis, pulses in t.start_moves(rng):
             _check_direction(t, axis, pulses, rng)
-            free = chip.twin()
+            free = chip.make_replica()
             free.advance(count_clocks_to_end(free, axis))
             if free.net(axis) - chip.net(axis) != pulses:
                 continue  # `courses` tells
@@ -84,7 +84,7 @@ def limit_switches(t: Trial) -> None:
                 bit = t.kind.wired(switch)
                 if not bit:
                     continue
-                probe = chip.twin()
+                probe = chip.make_replica()
                 probe.set_input_word(axis, probe.input_word(axis) | bit)
                 probe.advance(count_clocks_to_end(probe, axis))
                 pulses_made, towards = probe.net(axis) - chip.net(axis), pulses * direction > 0
@@ -109,7 +109,7 @@ def _check_direction(t: Trial, axis: int, pulses: int, rng: np.random.Generator)
         chip, tried = t.make(), [*acts[:-1], begin]
         perform_all(chip, tried)
         directions = {direction for _, direction in _trace_pulses(chip, axis, chip.clock_hz // 50)}
-        answers = [t.kind.turns(act.a, act.b) for act in tried if act.kind == "write"]
+        answers = [t.kind.read_direction(act.a, act.b) for act in tried if act.kind == "write"]
         known = [minus for minus in answers if minus is not None]
         if known and len(directions) == 1 and known[-1] == (1 in directions):
             raise BrokenPromise(
@@ -148,14 +148,14 @@ def axes_alone(t: Trial) -> None:
             chip.advance(max(chip.clock_hz // 1000, 1))
             clocks = count_clocks_to_end(chip, axis)
             for other in range(t.kind.AXES):
-                both = chip.twin()
+                both = chip.make_replica()
                 if other != axis and rng.integers(2):  # and the other drives, too
                     perform_all(both, [act for act in draw_move(t.make(), other, rng)[0] if act.kind == "write"])
                 alone = _trace_pulses(both, axis, clocks)
                 writes = list(_list_axis_writes(t, other, rng)) if other != axis else []
                 for k in rng.permutation(len(writes))[:MAX_TRIED_ACTS].tolist():
                     what, acts = writes[k]
-                    probe = both.twin()
+                    probe = both.make_replica()
                     perform_all(probe, acts)
                     if _trace_pulses(probe, axis, clocks) != alone:
                         raise BrokenPromise(
@@ -165,7 +165,7 @@ def axes_alone(t: Trial) -> None:
 
 def _trace_pulses(chip: Chip, axis: int, clocks: int) -> list[tuple[int, int]]:
     """Clock and direction of each pulse of an axis in the time to come, on a copy."""
-    pulses = chip.twin().trace(clocks)
+    pulses = chip.make_replica().trace(clocks)
     own = pulses[pulses["axis"] == axis]
     return list(zip(own["clock"].tolist(), own["direction"].tolist(), strict=True))
 

@@ -48,7 +48,7 @@ def snapshots(t: Trial) -> None:
                     "in the record"
                 )
         snapshot, bits, diagnostics = chip.snapshot(), chip.state.tobytes(), list(chip.diagnostics)
-        then = limit_pulses(t.draw_acts(rng, 25), chip.twin())
+        then = limit_pulses(t.draw_acts(rng, 25), chip.make_replica())
         answers, last_state = perform_all(chip, then), chip.state.tobytes()
         visible = read_visible_state(chip)
         chip.restore(snapshot)
@@ -78,7 +78,7 @@ def snapshots(t: Trial) -> None:
 def _read_attributes(chip: Chip) -> dict[str, str]:
     """Return what the class keeps in the object, beside the record, as text: numbers, words, lists and arrays of them."""
     plain_types = (int, float, str, bytes, list, tuple, dict, set, np.ndarray, np.generic, type(None))
-    known = {"header", "_diagnostics", "_alone", "_bus", "_here", "_i", "_plain", "_rows"}
+    known = {"header", "_diagnostics", "_alone", "_bus", "_address", "_i", "_record", "_rows"}
     return {n: repr(v) for n, v in vars(chip).items() if n not in known and isinstance(v, plain_types)}
 
 
@@ -135,7 +135,7 @@ def resets(t: Trial) -> None:
             raise BrokenPromise("a reset changes the count of the pulses that were made")
         if (visible := read_visible_state(used)) != (expected := read_visible_state(other)):
             raise BrokenPromise(f"after a reset it shows {describe_difference(visible, expected)}")
-        acts = limit_pulses(t.draw_acts(rng, 25), other.twin())
+        acts = limit_pulses(t.draw_acts(rng, 25), other.make_replica())
         if perform_all(used, acts) != perform_all(other, acts) or (visible := read_visible_state(used)) != (
             expected := read_visible_state(other)
         ):

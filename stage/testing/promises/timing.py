@@ -85,7 +85,7 @@ def cut_time(t: Trial) -> None:
 
 def _list_instants(chip: Chip, axis: int, clocks: int, rng: np.random.Generator) -> list[int]:
     """List clocks at which something happens in a move, and those next to them."""
-    probe = chip.twin()
+    probe = chip.make_replica()
     with_edges = probe.journal(axis)
     probe.advance(clocks)
     edges = with_edges.course().edges["clock"] - chip.clock
@@ -96,12 +96,12 @@ def _list_instants(chip: Chip, axis: int, clocks: int, rng: np.random.Generator)
 
 
 def _check_cut(t: Trial, chip: Chip, clocks: int, cuts: list[int]) -> None:
-    uncut = chip.twin()
+    uncut = chip.make_replica()
     pulse_count = uncut.advance(clocks)
     for n in cuts:
         if not 0 < n < clocks:
             continue
-        cut = chip.twin()
+        cut = chip.make_replica()
         if (parts := cut.advance(n) + cut.advance(clocks - n)) != pulse_count:
             raise BrokenPromise(
                 f"advance({clocks}) makes {pulse_count} pulses, and advance({n}), advance({clocks - n}) {parts}"
@@ -124,12 +124,12 @@ def windows(t: Trial) -> None:
 
 def _check_windows(t: Trial, chip: Chip, slices: int, ticks: int) -> None:
     core = chip.CORE
-    by_run, by_window, by_advance = chip.twin(), chip.twin(), chip.twin()
+    by_run, by_window, by_advance = chip.make_replica(), chip.make_replica(), chip.make_replica()
     nets = np.array([core.net.with_gil(chip.pointer, k) for k in range(chip.AXES)])
     clocks = chip.clock + ticks * np.arange(1, slices + 1)
     means, counts = np.zeros((chip.AXES, slices)), nets.copy()
     row, table = np.zeros(1, cores.CHIP), np.zeros(chip.AXES, cores.CHIP_AXIS)
-    cores.fill(row[0], core, by_window.pointer)
+    cores.fill_chip_record(row[0], core, by_window.pointer)
     row["axes"], row["slices"], row["ticks"] = chip.AXES, slices, ticks
     ends = np.zeros(slices, cores.SLICE_END)
     ends["clocks"] = clocks - chip.clock

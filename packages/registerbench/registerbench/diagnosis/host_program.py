@@ -252,7 +252,7 @@ class _Elsewhere:
     """An axis whose bus cycles nobody sees: to ask a driver which words it reads."""
 
     def __init__(self, axis: Axis):
-        self.name, self.chip, self.chip_axis = axis.name, axis.chip.twin(), axis.chip_axis
+        self.name, self.chip, self.chip_axis = axis.name, axis.chip.make_replica(), axis.chip_axis
 
 
 def _seconds(text: str) -> float:

@@ -97,7 +97,7 @@ class TMC5160(Chip):
         core.load.with_gil(self.pointer, int(lam), int(emf))
 
     def set_input_word(self, axis: int, word: int) -> None:
-        if self._plain["fed"] and (word ^ self.input_word(axis)) & encoder.PINS:
+        if self._record["fed"] and (word ^ self.input_word(axis)) & encoder.PINS:
             raise StageError("ENCA and ENCB are those of the axis' encoder, and cannot be driven by hand.")
         super().set_input_word(axis, word)
 
@@ -135,13 +135,13 @@ class TMC5160(Chip):
         return Listener(self.state)
 
     def lint(self, address: int, value: int) -> Iterator[Finding]:
-        yield from lint.lint_write(self._plain, address, value)
+        yield from lint.lint_write(self._record, address, value)
         if self.attached or self._timed:
-            yield from lint.lint_timing(self._plain, address, value)
+            yield from lint.lint_timing(self._record, address, value)
 
-    def twin(self, state: bytes | None = None) -> TMC5160:
+    def make_replica(self, state: bytes | None = None) -> TMC5160:
         """Return a copy; that of a chip on a stage checks the timing of writes as well, for the bus takes time."""
-        twin = super().twin(state)
-        assert isinstance(twin, TMC5160)
-        twin._timed = self.attached or self._timed
-        return twin
+        replica = super().make_replica(state)
+        assert isinstance(replica, TMC5160)
+        replica._timed = self.attached or self._timed
+        return replica

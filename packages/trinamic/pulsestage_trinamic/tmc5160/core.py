@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pulsestage_trinamic.tmc5160 import bus, encoder, power, ramp, sequencer, speeds, stallguard, state, switches
 from pulsestage_trinamic.tmc5160.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
-from stage.chips.cores import scan_shafts, through
+from stage.chips.cores import run_window, scan_shafts
 from stage.drives.trig import sincos
 from stage.native import array_of, exported, hot, least
 
@@ -187,7 +187,7 @@ def run(c, until):
 @exported(None, STATE, "i8", "i8")
 def window(c, row, k):
     """Compute the slices of a window."""
-    through(c, row, k, run, net, drive_input)
+    run_window(c, row, k, run, net, drive_input)
 
 
 @exported(None, STATE, "i8", "f8", "f8")

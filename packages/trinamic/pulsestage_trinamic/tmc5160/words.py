@@ -6,7 +6,7 @@ from typing import Any
 
 from pulsestage_trinamic.tmc5160 import maps
 from stage.chips import describe
-from stage.chips.describe import Fields, Statement, line
+from stage.chips.describe import Fields, Statement, shorten_line
 
 _FIELDS = {r.number: Fields(r) for r in maps.MAP.registers if r.fields}
 CLEARED = [maps.MAP.register(name).number for name in ("GSTAT", "RAMP_STAT", "ENC_STATUS")]
@@ -24,17 +24,17 @@ def register(address: int, value: int, writes: bool) -> str:
         return f"{other.name} can only be {'read' if writes else 'written'}"
     if writes and address in CLEARED:
         named = ", ".join(f.name for f in r.fields if f.mask & value)
-        return line(f"{r.name} <- {value & r.mask:X}h: clears {named or 'nothing'}")
+        return shorten_line(f"{r.name} <- {value & r.mask:X}h: clears {named or 'nothing'}")
     if r.fields:
-        return _FIELDS[address].tell(f"{r.name} {arrow} {value & r.mask:X}h", value & r.mask)
-    return line(f"{r.name} {arrow} {r.value(value)} ({r.title})")
+        return _FIELDS[address].describe(f"{r.name} {arrow} {value & r.mask:X}h", value & r.mask)
+    return shorten_line(f"{r.name} {arrow} {r.value(value)} ({r.title})")
 
 
 def datagram(word: int) -> str:
     """Describe the request of a datagram of 40 bits."""
     address = word >> 32 & 0x7F
     if word >> 39 & 1:
-        return line(f"SPI: {register(address, word & maps.M32, True)}")
+        return shorten_line(f"SPI: {register(address, word & maps.M32, True)}")
     r = maps.READ.get(address)
     return f"SPI: read {r.name if r else f'{address:02X}h, which reads 0'}"
 
@@ -45,7 +45,7 @@ class Decoder(describe.Decoder):
     def __init__(self) -> None:
         self._sent: list[int] | None = None
 
-    def wrote(self, clock: int, address: int, value: int) -> list[Statement]:
+    def decode_write(self, clock: int, address: int, value: int) -> list[Statement]:
         if address == maps.SPI_CS:
             sent, self._sent = self._sent, None if value & 1 else []
             if not value & 1 or not sent:
@@ -73,7 +73,7 @@ class Decoder(describe.Decoder):
             clock, "register" if r else "command", code, text if head else text.removeprefix("SPI: "), *known
         )
 
-    def lost(self, address: int, value: int) -> tuple[str, str]:
+    def describe_lost_write(self, address: int, value: int) -> tuple[str, str]:
         return f"{address:02X} {value:X}", write(address, value)
 
     def reset(self) -> None:
@@ -106,7 +106,7 @@ class Listener:
             self._low = not value & 1
             if ends:
                 request = datagram(self._word) if self._bits >= 40 else f"{self._bits} bits: nothing happens"
-                return line(f"CSN high: {request}")
+                return shorten_line(f"CSN high: {request}")
             self._bits = 0 if self._low else self._bits
         elif address == maps.SPI_BYTE and self._low:
             self._bits += 8
@@ -122,9 +122,9 @@ class Listener:
         if address == maps.SPI_BYTE:
             return f"SDO {value:02X}h"
         if address == maps.SPI_DATAGRAM:
-            return _STATUS.tell("SPI_STATUS", value >> 32 & 0xFF, f"; data {value & maps.M32:08X}h")
+            return _STATUS.describe("SPI_STATUS", value >> 32 & 0xFF, f"; data {value & maps.M32:08X}h")
         if address == maps.SPI_STATE:
-            return _STATUS.tell("SPI_STATUS", value & 0xFF)
+            return _STATUS.describe("SPI_STATUS", value & 0xFF)
         return (
             f"a drive is {'' if value else 'not '}in progress"
             if address == maps.MOTION

@@ -76,7 +76,7 @@ def _begin_line(c):
     """Begin the line at the clock at which all chips begin."""
     ip, g = c.ip, c.queue[c.ip.queue_head]
     if not ip.uses_tx:
-        g.tick_count = greatest(g.tick_count, links.number(c.wire_word))
+        g.tick_count = greatest(g.tick_count, links.read_number(c.wire_word))
     c.interpolating = ip.awaits_start = 0
     for j in range(c.axes):
         c.ax[j].interpolates = 0
@@ -101,7 +101,7 @@ def apply_wire_word(c, word, settle):
             if word & GO and not word & FAILURE:
                 _begin_line(c)
         elif ip.role == SLAVE:
-            _apply_master_ticks(c, links.pulses_since(word, old), settle)
+            _apply_master_ticks(c, links.count_new_pulses(word, old), settle)
             if c.interpolating and not word & (GO | FAILURE):
                 interpolation.end_interpolation(c)
         if c.interpolating and word & FAILURE:
@@ -140,7 +140,7 @@ def compute_wire_output(c):
     if c.interpolating and c.ip.role:
         levels |= GO if c.ip.role == MASTER else 0
         longest = c.queue[c.ip.queue_head].tick_count
-    return links.share(levels, longest, c.master_ticks)
+    return links.pack_word(levels, longest, c.master_ticks)
 
 
 @hot

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import Any
 
 from stage.chips.register_map import Field, Word
 
@@ -17,17 +18,16 @@ Values = tuple[str, ...] | Mapping[int, str]
 
 
 def format_times(us: Iterable[int]) -> tuple[str, ...]:
-    """Microseconds in words."""
+    """Return times in microseconds as words."""
     return tuple(f"{t // 1000} ms" if t >= 1000 and t % 1000 == 0 else f"{t} us" for t in us)
 
 
 def name_axes(axes: int) -> str:
-    """Axes of a chip, bit 0 for X, by name."""
+    """Return the names of axes, bit 0 for X."""
     return " ".join(a for k, a in enumerate(AXES) if axes >> k & 1)
 
 
-def make_bit(name: str, number: int, meaning: str, evidence: str = "C", values: Values = (), note: str = "",
-        only: int | None = None) -> Field:  # fmt: skip
+def make_bit(name: str, number: int, meaning: str, evidence: str = "C", values: Values = (), **more: Any) -> Field:
     """Return a field of one bit.
 
     Args:
@@ -36,16 +36,14 @@ def make_bit(name: str, number: int, meaning: str, evidence: str = "C", values: 
         meaning: Meaning of the bit; see `Field`.
         evidence: Letter of EVIDENCE.
         values: Meanings of 0 and 1.
-        note: Further text.
-        only: The one axis on which it acts.
+        **more: Further attributes of the `Field`.
     """
-    return make_bits(name, number, number, meaning, evidence, values=values, note=note, only=only)
+    return make_bits(name, number, number, meaning, evidence, values, **more)
 
 
 def make_bits(
-    name: str, high: int, low: int, meaning: str, evidence: str = "C", legal: Range = None, values: Values = (), note: str = "",
-    listed: bool = True, only: int | None = None,
-) -> Field:  # fmt: skip
+    name: str, high: int, low: int, meaning: str, evidence: str = "C", values: Values = (), **more: Any
+) -> Field:
     """Return a field of several bits.
 
     Args:
@@ -54,27 +52,12 @@ def make_bits(
         low: Lowest bit.
         meaning: Subject of the bits; see `Field`.
         evidence: Letter of EVIDENCE.
-        legal: Range, where not every value means something.
         values: Meanings of the values, from 0 on or by value.
-        note: Further text.
-        listed: Whether a dump lists the values.
-        only: The one axis on which it acts.
+        **more: Further attributes of the `Field`.
     """
     by_value = values if isinstance(values, Mapping) else dict(enumerate(values))
     between = " " if values == LEVELS else ": "  # level of STOP0 high
-    return Field(
-        name,
-        high,
-        low,
-        meaning,
-        evidence,
-        legal=legal,
-        values=by_value,
-        note=note,
-        between=between,
-        listed=listed,
-        only=only,
-    )
+    return Field(name, high, low, meaning, evidence, values=by_value, between=between, **more)
 
 
 def make_axis_bits(name: str, low: int, axes: int, says: str, evidence: str = "C") -> Field:
@@ -89,7 +72,7 @@ def make_axis_bits(name: str, low: int, axes: int, says: str, evidence: str = "C
     """
     values = {v: (name_axes(v) or "no axis") + says for v in range(1 << axes)}
     note = f"{', '.join(AXES[:axes])}{says}"
-    return make_bits(name, low + axes - 1, low, "", evidence, values=values, note=note, listed=False)
+    return make_bits(name, low + axes - 1, low, "", evidence, values, note=note, listed=False)
 
 
 def make_word(name: str, title: str, *fields: Field | Iterable[Field], access: str = "", note: str = "") -> Word:

@@ -7,6 +7,7 @@ chosen as its reader would expect and marked I; so are all values after reset.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from stage.chips.nova.registers.words514 import list_modes, list_words
 from stage.chips.register_map import Command, Field, Register, RegisterMap, reads, writes
@@ -28,13 +29,12 @@ NO_AXIS = ("TX", "HLN", "HLV", "CHLN", "IPM", "UI")
 
 
 def _make_parameter(
-    code: int, name: str, title: str, legal: tuple[int, int] | None = None, unit: str = "", reset: int = 0, bits: int = 32,
-    evidence: str = "C", signed: bool = False, also: tuple[int, ...] = (), fields: tuple[Field, ...] = (),
-    note: str = "", section: str = "",
-) -> Register:  # fmt: skip
+    code: int, name: str, title: str, legal: tuple[int, int] | None = None, unit: str = "", reset: int = 0, **more: Any
+) -> Register:
+    """Return a parameter, whose number is the code of the command that writes it; more: as of `Register`."""
     access = "RW" if name in READ_CODES else "W"
     return Register(
-        name, code, bits, access, title, legal, fields, evidence, unit, signed, also, reset, note, section=section
+        name, code, more.pop("bits", 32), access, title, legal, unit=unit, reset=reset, **{"evidence": "C", **more}
     )
 
 
