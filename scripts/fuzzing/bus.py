@@ -169,17 +169,17 @@ class Run:
 
     def twin_advance(self, clocks: int, pulses: int) -> None:
         """The same clocks traced, where they are not too many, and once more in pieces: a cut is where the last pulse begins."""
-        chip, twin = self.chips
+        chip, replica = self.chips
         cuts = [clocks // 3]
         if clocks <= TRACED:
-            before, start = twin.snapshot(), twin.clock
-            pulse_clocks = twin.trace(clocks)["clock"]
+            before, start = replica.snapshot(), replica.clock
+            pulse_clocks = replica.trace(clocks)["clock"]
             demand(len(pulse_clocks) == pulses, f"{pulses} pulses in {clocks} clocks, {len(pulse_clocks)} traced")
-            demand(bool((pulse_clocks[1:] > pulse_clocks[:-1]).all()) or twin.AXES > 1, "pulses out of order")
+            demand(bool((pulse_clocks[1:] > pulse_clocks[:-1]).all()) or replica.AXES > 1, "pulses out of order")
             demand(not pulses or start < pulse_clocks[0] <= pulse_clocks[-1] <= start + clocks, "a pulse at no time")
-            demand(self.family.bits(chip) == self.family.bits(twin), "a trace ends in another state")
-            twin.restore(before)
+            demand(self.family.bits(chip) == self.family.bits(replica), "a trace ends in another state")
+            replica.restore(before)
             cuts += [int(clock) - start for clock in pulse_clocks[-1:]]
         pieces = np.diff([0, *sorted(cuts), clocks])
-        others = sum(twin.advance(int(piece)) for piece in pieces)
+        others = sum(replica.advance(int(piece)) for piece in pieces)
         demand(others == pulses, f"{pulses} pulses in {clocks} clocks, {others} in pieces of {pieces}")

@@ -35,9 +35,9 @@ def changed(rng: random.Random, data: bytes, other: bytes) -> bytes:
 class Watchdog(threading.Thread):
     """Ends the process when an input hangs, and leaves the input behind: compiled loops let other threads run."""
 
-    def __init__(self, found: Path):
+    def __init__(self, result: Path):
         super().__init__(daemon=True)
-        self.found, self.input, self.since = found, b"", time.monotonic()
+        self.result, self.input, self.since = result, b"", time.monotonic()
         self.over = threading.Event()
 
     def watch(self, data: bytes) -> None:
@@ -46,26 +46,26 @@ class Watchdog(threading.Thread):
     def run(self) -> None:
         while not self.over.wait(HANG / 10):
             if time.monotonic() - self.since > HANG:
-                left(self.found, "timeout", self.input)
+                left(self.result, "timeout", self.input)
                 os._exit(70)
 
 
-def left(found: Path, kind: str, data: bytes) -> None:
+def left(result: Path, kind: str, data: bytes) -> None:
     """Leave a finding's input where the next run begins with it."""
-    path = found / f"{kind}-{hashlib.sha1(data).hexdigest()}"
+    path = result / f"{kind}-{hashlib.sha1(data).hexdigest()}"
     path.write_bytes(data)
     print(f"{kind}: {path}", flush=True)
 
 
 def mutate_for(
-    check: Callable[[bytes], None], pool: list[bytes], seconds: float, seed: int, found: Path, most: int
+    check: Callable[[bytes], None], pool: list[bytes], seconds: float, seed: int, result: Path, maximum: int
 ) -> int:
     """Check all of `pool`, then for `seconds` inputs of it after one to six changes, at most `most` bytes long.
 
     Returns 1 at a finding, which is left in the folder `found`, else 0.
     """
     print(f"{len(pool)} inputs, then mutations by seed {seed}", flush=True)
-    rng, watchdog, end = random.Random(seed), Watchdog(found), math.inf
+    rng, watchdog, end = random.Random(seed), Watchdog(result), math.inf
     watchdog.start()
     fresh, status = iter(pool), 0
     while status == 0 and time.monotonic() < end:
@@ -74,13 +74,13 @@ def mutate_for(
             end = min(end, time.monotonic() + seconds)
             data = rng.choice(pool)
             for _ in range(rng.randint(1, 6)):
-                data = changed(rng, data, rng.choice(pool))[:most]
+                data = changed(rng, data, rng.choice(pool))[:maximum]
         watchdog.watch(data)
         try:
             check(data)
         except Exception:
             traceback.print_exc()
-            left(found, "crash", data)
+            left(result, "crash", data)
             status = 1
     watchdog.over.set()
     return status

@@ -159,9 +159,9 @@ class NovaFamily(Family):
         return [name if hasattr(pins, name) else FIRST_GENERATION[name] for name in names]
 
     def pins(self, chip: Chip) -> list[tuple[Pins, str]]:
-        found = [(axis.pins, name) for k, axis in enumerate(chip.axes) for name in self._pins(axis.pins, k)]
-        found[-1] = (Pins(chip, chip.AXES, state.COMMON_INPUTS, state.COMMON_OUTPUTS), "emg")
-        return found
+        result = [(axis.pins, name) for k, axis in enumerate(chip.axes) for name in self._pins(axis.pins, k)]
+        result[-1] = (Pins(chip, chip.AXES, state.COMMON_INPUTS, state.COMMON_OUTPUTS), "emg")
+        return result
 
     # --- what must hold ---
 

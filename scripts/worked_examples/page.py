@@ -18,7 +18,7 @@ def rows() -> list[tuple[Example, Number]]:
 
 
 def table(found: list[tuple[Example, Number]]) -> str:
-    """In Markdown, a table a sheet."""
+    """Return the tables as Markdown, one for each sheet."""
     lines: list[str] = []
     sheet = ""
     for example, emulated in found:

@@ -54,9 +54,9 @@ def test_cycles_of_an_axis_that_is_none_or_of_what_is_no_name_are_refused(kind):
             with pytest.raises(StageError, match="axis="):
                 kind.command_cycles(command.symbol, axis, 1)
     for name in (5, None, b"R0", ["R0"]):
-        for made in (lambda n: kind.register_cycles(n, 1), kind.command_cycles, kind.MAP.register, kind.MAP.command):
+        for look_up in (lambda n: kind.register_cycles(n, 1), kind.command_cycles, kind.MAP.register, kind.MAP.command):
             with pytest.raises(StageError, match="are called by their names"):
-                made(name)
+                look_up(name)
     for value in ("x", 1.5, None):
         with pytest.raises(StageError, match=f"^value={value!r}: a whole number"):
             kind.register_cycles(register, value)

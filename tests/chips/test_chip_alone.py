@@ -37,7 +37,7 @@ def test_a_dump_marks_the_bits_that_can_only_be_read_where_others_of_the_registe
     assert lines.index(marked[0]) < next(k for k, line in enumerate(lines) if line.startswith("B "))
 
 
-def test_whether_a_write_starts_an_axis_is_said_of_the_lines_that_the_chip_has():
+def test_starts_considers_only_the_address_and_data_lines_of_the_chip():
     """chip.starts(address, value): lines above those of the bus are not there"""
     chip = PCL240K()
     for name, value in {"R1": 100, "R2": 1000, "R4": 100, "R5": 100, "R7": 60}.items():
@@ -60,7 +60,7 @@ def test_whether_a_write_starts_an_axis_is_said_of_the_lines_that_the_chip_has()
         (MCX304, "C_DRV_P", {"R": 400_000, "SV": 100, "V": 100, "A": 100}),
     ],
 )
-def test_whether_a_write_starts_an_axis_is_said_of_that_axis(kind, run, registers):
+def test_starts_considers_only_the_axis_asked_about(kind, run, registers):
     chip = kind()
     for name, value in registers.items():
         for axis in (0, 2):
@@ -107,25 +107,25 @@ def test_a_chip_that_leaves_its_bus_is_as_it_was_before_and_alone():
 
 def test_the_same_bits_with_another_end_of_their_sentence_are_another_sentence():
     fields = Fields(PCL240K.MAP.word("status"))
-    said = fields.describe("status", 0xC0)
-    assert fields.describe("status", 0xC0, "; and more") == said + "; and more"
-    assert fields.describe("status", 0xC0) == said
-    assert fields.describe("read", 0xC0) == said.replace("status", "read", 1)
+    message = fields.describe("status", 0xC0)
+    assert fields.describe("status", 0xC0, "; and more") == message + "; and more"
+    assert fields.describe("status", 0xC0) == message
+    assert fields.describe("read", 0xC0) == message.replace("status", "read", 1)
 
 
-def test_a_twin_has_the_options_and_the_state_of_its_chip_and_none_of_its_notes():
+def test_a_replica_has_the_options_and_the_state_of_its_chip_but_no_diagnostics():
     chip = PCL240K(clock_hz=20_000_000)
     chip.write(0, 0x85)
     chip.write(1, 7)
     assert chip.diagnostics, "its clock is too fast"
-    twin = chip.make_replica()
-    assert (twin.options(), twin.state.tobytes()) == (chip.options(), chip.state.tobytes())
-    assert [d.message for d in twin.diagnostics] == [d.message for d in PCL240K(clock_hz=20_000_000).diagnostics]
-    twin.write(1, 9)
+    replica = chip.make_replica()
+    assert (replica.options(), replica.state.tobytes()) == (chip.options(), chip.state.tobytes())
+    assert [d.message for d in replica.diagnostics] == [d.message for d in PCL240K(clock_hz=20_000_000).diagnostics]
+    replica.write(1, 9)
     assert chip.values()["R5"] == 7
 
 
-def test_a_chip_of_ones_own_is_known_by_its_name_in_any_spelling_until_it_is_taken_away():
+def test_a_registered_chip_class_is_available_under_any_spelling_until_it_is_removed():
     CHIPS["my-Chip"] = PCL240K
     assert "MYCHIP" in CHIPS
     assert CHIPS["my_chip"] is PCL240K

@@ -32,10 +32,10 @@ def test_a_state_begins_with_its_clock(name):
     assert (kind, offset) == (np.dtype("i8"), 0)
     chip = CHIPS[name]()
     chip.advance(123)
-    assert tell(chip)[0] == 123
+    assert report(chip)[0] == 123
 
 
-def tell(chip):
+def report(chip):
     rows, out = np.zeros(1, cores.CHIP), np.zeros(5, np.int64)
     cores.fill_chip_record(rows[0], chip.CORE, chip.pointer)
     told(rows, 0, out)
@@ -43,14 +43,14 @@ def tell(chip):
 
 
 @every_chip
-def test_a_loop_is_told_by_a_row_of_any_family_what_the_core_says_itself(name):
+def test_a_chip_record_of_any_family_returns_what_its_core_returns(name):
     chip = CHIPS[name]()
     pin = next(iter(chip.INPUTS))
     setattr(chip.axes[0].pins, pin, True)
     chip.advance(1000)
     core, at = chip.CORE, chip._rows[0]
     expected = (1000, core.net(at, 0), chip.INPUTS[pin], core.outputs(at, 0), core.status(at, 0))
-    assert tell(chip) == expected
+    assert report(chip) == expected
 
 
 def test_a_stage_loads_no_family_that_it_does_not_use():
@@ -76,7 +76,7 @@ def move(chip, pulses):
 
 def go_on(chip, rng, acts):
     """Random bus cycles, pins and time; all that the chip said and did."""
-    cls, said = type(chip), []
+    cls, message = type(chip), []
     for _ in range(acts):
         what = rng.integers(0, 20)
         if what < 13:
@@ -87,13 +87,13 @@ def go_on(chip, rng, acts):
             )
         elif what < 16:
             begin, pulses = chip.clock, chip.trace(int(rng.integers(0, 5_000)))
-            said.append((pulses["clock"] - begin, pulses["axis"], pulses["direction"]))
+            message.append((pulses["clock"] - begin, pulses["axis"], pulses["direction"]))
         elif what < 19:
-            said.append(chip.read(rng.integers(0, cls.ADDRESSES)))
+            message.append(chip.read(rng.integers(0, cls.ADDRESSES)))
         else:
             setattr(chip.axes[rng.integers(0, cls.AXES)].pins, rng.choice(list(cls.INPUTS)), bool(rng.integers(0, 2)))
-        said.append([chip.output_word(axis) for axis in range(cls.AXES)])
-    return [*said, chip.values()], np.array([chip.net(k) for k in range(cls.AXES)])
+        message.append([chip.output_word(axis) for axis in range(cls.AXES)])
+    return [*message, chip.values()], np.array([chip.net(k) for k in range(cls.AXES)])
 
 
 COMMANDED = {"MCX514": 0x00FF, "MCX304": 0x8000, "MCX302": 0x8000, "MCX312": 0x8000}
@@ -105,7 +105,7 @@ COMMANDED = {"MCX514": 0x00FF, "MCX304": 0x8000, "MCX302": 0x8000, "MCX312": 0x8
                         *((name, lambda chip, word=word: chip.write(0, word)) for name, word in COMMANDED.items())],
     ids=[*CHIPS.built_in, *(f"{name} by a command" for name in COMMANDED)],
 )  # fmt: skip
-def test_after_a_reset_a_chip_goes_on_as_one_that_was_just_switched_on_whatever_it_did_before(name, reset):
+def test_after_a_reset_a_chip_behaves_like_one_that_was_just_switched_on(name, reset):
     make = CHIPS[name]
     for seed in range(SEED, SEED + 4):
         print("seed", seed)
@@ -123,9 +123,11 @@ def test_after_a_reset_a_chip_goes_on_as_one_that_was_just_switched_on_whatever_
         assert (used.diagnostics, used.clock) == (noted, other.clock), "the clock and what was noted stay"
         assert net != 0 == other.net()
         assert make.SERVO or used.net() == net, "pulses made stay made"
-        (mine, made), (its, its_made) = (go_on(chip, np.random.default_rng(seed + 1), 40) for chip in (used, other))
+        (mine, pulse_count), (its, its_made) = (
+            go_on(chip, np.random.default_rng(seed + 1), 40) for chip in (used, other)
+        )
         assert str(mine) == str(its)
-        assert make.SERVO or (made - its_made)[0] == net
+        assert make.SERVO or (pulse_count - its_made)[0] == net
 
 
 @every_chip
@@ -150,9 +152,9 @@ def test_every_command_of_a_chip_is_sent_as_its_listener_hears_it(name):
     for command in make.MAP.commands:
         takes = command.choice or (command.bytes if "read" not in command.kind else 0)
         cycles = make.command_cycles(command.symbol.lower(), axis, 1 if takes else None)
-        said = [listener.write(*cycle) for cycle in cycles][-1]
-        assert command.title in said or command.symbol.removeprefix("R-") in said, (command.symbol, said)
-        assert not command.axes or make.AXES == 1 or said.startswith("XYZU"[axis]), said
+        message = [listener.write(*cycle) for cycle in cycles][-1]
+        assert command.title in message or command.symbol.removeprefix("R-") in message, (command.symbol, message)
+        assert not command.axes or make.AXES == 1 or message.startswith("XYZU"[axis]), message
     for word in make.MAP.words:
         if word.written:
             for bits in (*word.sends, (1 << word.fields[-1].high + 1) - 1):
@@ -162,7 +164,7 @@ def test_every_command_of_a_chip_is_sent_as_its_listener_hears_it(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "given", "said"),
+    ("name", "arguments", "message"),
     [
         ("MCX514", ("DRVR",), "unknown MCX514 command 'DRVR'. Did you mean 'DRVRL'"),
         ("MCX514", ("DV",), "DV takes 32 bits of data: drive speed; none was given"),
@@ -173,9 +175,9 @@ def test_every_command_of_a_chip_is_sent_as_its_listener_hears_it(name):
         ("HCTL1100", ("mode", 0, 1.5), "1.5 was given"),
     ],
 )
-def test_a_command_that_is_none_or_whose_datum_does_not_fit_is_refused(name, given, said):
-    with pytest.raises(ArgumentError, match=said):
-        CHIPS[name].command_cycles(*given)
+def test_a_command_that_is_none_or_whose_datum_does_not_fit_is_refused(name, arguments, message):
+    with pytest.raises(ArgumentError, match=message):
+        CHIPS[name].command_cycles(*arguments)
 
 
 @pytest.mark.parametrize("name", [name for name in CHIPS.built_in if not CHIPS[name].SERVO])
@@ -189,13 +191,13 @@ def test_the_values_of_an_axis_are_those_that_were_written_to_it_and_to_no_other
             for cycle in chip.register_cycles(register.name, written[register.name], axis):
                 chip.write(*cycle)
     before = chip.state.tobytes()
-    here, there = chip.values_of(axis), chip.values_of(0)
+    values_of_axis, there = chip.values_of(axis), chip.values_of(0)
     assert chip.state.tobytes() == before
     written.pop("TX", None)  # what is read under this name is the longest way of the segment that runs
-    shown = {k: v for k, v in here.items() if k in written}
-    assert shown == {k: v for k, v in written.items() if k in shown}
-    assert len(shown) >= len(written) - 2, "EM and SM of the MCX314As are kept as what they mean"
-    assert axis == 0 or here != there
+    displayed = {k: v for k, v in values_of_axis.items() if k in written}
+    assert displayed == {k: v for k, v in written.items() if k in displayed}
+    assert len(displayed) >= len(written) - 2, "EM and SM of the MCX314As are kept as what they mean"
+    assert axis == 0 or values_of_axis != there
     with pytest.raises(ArgumentError, match="axis"):
         chip.values_of(chip.AXES)
 
@@ -221,21 +223,21 @@ def test_a_restored_chip_has_the_diagnostics_of_its_snapshot():
 
 
 @pytest.mark.parametrize("name", CHIPS.built_in)
-def test_a_chip_sees_its_own_address_and_data_lines_only(name):
+def test_a_chip_ignores_address_and_data_bits_beyond_its_lines(name):
     """chip.write(0x40, 0x108) of a PCL-240 is chip.write(0, 8)"""
-    near, far, draw = CHIPS[name](), CHIPS[name](), random.Random(1)
+    near, remote, draw = CHIPS[name](), CHIPS[name](), random.Random(1)
     beyond, full = near.ADDRESS_MASK + 1, near.DATA_MASK + 1
-    told, heard = near.listener(), far.listener()
+    told, received = near.listener(), remote.listener()
     for _ in range(150):
         address, value = draw.randrange(beyond), draw.randrange(full)
-        assert told.write(address, value) == heard.write(address, value + full)
-        assert told.read(address, value) == heard.read(address, value + full)
+        assert told.write(address, value) == received.write(address, value + full)
+        assert told.read(address, value) == received.read(address, value + full)
         near.write(address, value)
-        far.write(address + beyond * draw.randrange(3), value + full * draw.randrange(3))
-        assert near.read(address) == far.read(address + beyond)
-    assert near.state.tobytes() == far.state.tobytes()
-    said = [
+        remote.write(address + beyond * draw.randrange(3), value + full * draw.randrange(3))
+        assert near.read(address) == remote.read(address + beyond)
+    assert near.state.tobytes() == remote.state.tobytes()
+    message = [
         [(d.address, d.value, d.message) for d in chip.diagnostics if "acts as" not in d.message]
-        for chip in (near, far)
+        for chip in (near, remote)
     ]
-    assert said[0] == said[1]
+    assert message[0] == message[1]

@@ -123,9 +123,9 @@ def test_a_reference_clock_beyond_the_silicon_has_one_diagnostic(kind, minimum, 
 def test_a_write_that_does_not_fit_the_bus_has_a_diagnostic_of_what_the_chip_sees(kind, address, value, what):
     chip = kind()
     chip.write(address, value)
-    found = [d for d in chip.diagnostics if d.key == "bus-width"]
-    assert [d.message.split(":")[0] for d in found] == [what]
-    assert (found[0].address, found[0].value) == (address & kind.ADDRESS_MASK & 63, int(value) & kind.DATA_MASK)
+    result = [d for d in chip.diagnostics if d.key == "bus-width"]
+    assert [d.message.split(":")[0] for d in result] == [what]
+    assert (result[0].address, result[0].value) == (address & kind.ADDRESS_MASK & 63, int(value) & kind.DATA_MASK)
 
 
 def test_an_address_and_a_value_that_both_do_not_fit_have_one_diagnostic():
@@ -136,7 +136,7 @@ def test_an_address_and_a_value_that_both_do_not_fit_have_one_diagnostic():
 
 
 @LINTS
-def test_every_rule_has_a_key_of_its_own_a_section_and_a_place_that_yields_it(lint):
+def test_every_rule_has_a_unique_key_a_section_and_a_place_that_yields_it(lint):
     rules, source = list_rules(lint), inspect.getsource(lint)
     assert len({rule.key for rule in rules}) == len(rules) > 15
     assert all(re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", rule.key) and rule.source for rule in rules)

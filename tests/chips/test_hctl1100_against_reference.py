@@ -84,8 +84,8 @@ class Pair:
 
     def agree(self):
         chip, reference = self.chip, self.reference
-        held = {r.name: reference.look(r.number) for r in chip.MAP.registers if r.access != "W"}
-        assert {name: value for name, value in chip.values().items() if name in held} == held
+        previous = {r.name: reference.look(r.number) for r in chip.MAP.registers if r.access != "W"}
+        assert {name: value for name, value in chip.values().items() if name in previous} == previous
         assert {name: getattr(chip.pins, name) for name in chip.OUTPUTS} == reference.outputs
         assert (chip.clock, chip.encoder, chip.motor_command) == (
             reference.clock,
@@ -109,10 +109,10 @@ BY_PROPORTION = [(0x0F, 7), (0x22, 64), (0x23, 0), (0x24, 1), (0x00, 0x0B), (0x0
 @example(BY_INTEGRAL, [(1040, velocity(0))])  # the other mode's velocity, while the law is at work
 @example(BY_PROPORTION, [(1040, [(0x3C, 5)])])
 @given(traffic.starts(), st.lists(st.tuples(moments, st.one_of(traffic.commands(), shafts)), max_size=30))
-def test_a_control_mode_agrees_sample_by_sample_whatever_is_commanded_in_it(start, course):
+def test_a_control_mode_agrees_sample_by_sample_whatever_is_commanded_in_it(start, waveforms):
     pair = Pair()
     pair.write(start)
-    for clocks, what in course:
+    for clocks, what in waveforms:
         pair.advance(clocks)
         pair.agree()
         if isinstance(what, list):
@@ -129,12 +129,12 @@ def test_a_control_mode_agrees_sample_by_sample_whatever_is_commanded_in_it(star
         st.tuples(st.integers(0, 4000), traffic.mode_flags(), st.one_of(st.just((0, Fraction(0))), shafts)), max_size=30
     ),
 )
-def test_changing_the_mode_by_its_flags_agrees_sample_by_sample(start, course):
+def test_changing_the_mode_by_its_flags_agrees_sample_by_sample(start, waveforms):
     """Near rest, so that the filter shows what it remembers."""
     pair = Pair()
     pair.write([*start, *gains(200, 100, 9), *acceleration(0x3F), *velocity(5), (0x3C, 3), (0x13, 0)])
     pair.write(word(traffic.COMMAND, 2))
-    for clocks, writes, shaft in course:
+    for clocks, writes, shaft in waveforms:
         pair.advance(clocks)
         pair.agree()
         pair.set_shaft(pair.chip.encoder if shaft[1] else pair.chip.net(), shaft[1] / 64)
@@ -146,27 +146,27 @@ def test_changing_the_mode_by_its_flags_agrees_sample_by_sample(start, course):
 @given(st.lists(operations, max_size=25), st.data())
 def test_time_can_be_cut_and_state_copied_anywhere(program, data):
     """The same program with each wait in two, and another chip that takes the state over in between, ends in the same bits."""
-    whole, cut = HCTL1100(), HCTL1100()
+    uncut, cut = HCTL1100(), HCTL1100()
     for what, how in program:
         if what == "write":
-            for chip in (whole, cut):
+            for chip in (uncut, cut):
                 for address, value in how:
                     chip.write(address, value)
         elif what == "set_shaft":
-            for chip in (whole, cut):
+            for chip in (uncut, cut):
                 chip.set_shaft(*map(float, how))
         elif what == "pin":
-            for chip in (whole, cut):
+            for chip in (uncut, cut):
                 setattr(chip.pins, how, not getattr(chip.pins, how))
         elif what == "advance":
-            whole.advance(how)
+            uncut.advance(how)
             first = data.draw(st.integers(0, how))
             cut.advance(first)
             cut, before = HCTL1100(), cut
             cut.restore(before.snapshot())
             before.write(0x05, 0)
             cut.trace(how - first)
-        assert whole.snapshot() == cut.snapshot()
+        assert uncut.snapshot() == cut.snapshot()
 
 
 @pytest.mark.parametrize("unipolar", [False, True], ids=["bipolar", "unipolar"])

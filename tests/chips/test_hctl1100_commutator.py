@@ -10,11 +10,11 @@ from support.hctl1100_programs import ALIGN, COMMAND, IDLE, begin, clear_flags, 
 FOUR, FULL = 0x02, 0x04
 
 
-def commutator(x, y, phases=3, status=0, offset=0, most=0, timer=0):
+def commutator(x, y, phases=3, status=0, offset=0, maximum=0, timer=0):
     """A chip whose ring fits X and Y."""
     return bench(
         [(0x07, status | (FOUR if phases == 4 else 0)), (0x18, phases * (x + y)), (0x1A, x), (0x1B, y)],
-        [(0x1C, offset & 0xFF), (0x1F, most), (0x19, timer)],
+        [(0x1C, offset & 0xFF), (0x1F, maximum), (0x19, timer)],
     )
 
 
@@ -24,11 +24,11 @@ def phases(chip):
 
 def turn(chip, counts):
     """The phases at each of these counts."""
-    seen = []
+    observed = []
     for count in counts:
         chip.encoder = count
-        seen.append(phases(chip))
-    return seen
+        observed.append(phases(chip))
+    return observed
 
 
 def test_three_phases_follow_each_other_x_alone_and_y_together():
@@ -56,9 +56,9 @@ def test_full_counts_are_four_quadrature_counts():
 
 
 @pytest.mark.parametrize("offset", [-5, -1, 0, 1, 4])
-def test_the_offset_turns_the_cycle(offset):
-    plain, turned = commutator(x=2, y=1), commutator(x=2, y=1, offset=offset)
-    assert turn(turned, range(20)) == turn(plain, range(offset, 20 + offset))
+def test_the_offset_shifts_the_commutation_cycle(offset):
+    unmodified, turned = commutator(x=2, y=1), commutator(x=2, y=1, offset=offset)
+    assert turn(turned, range(20)) == turn(unmodified, range(offset, 20 + offset))
 
 
 def test_a_ring_of_0_drives_no_phase():
@@ -80,16 +80,16 @@ def test_index_resets_the_ring_when_it_becomes_asserted():
 
 
 @pytest.mark.parametrize(("rate", "shift"), [(0.0, 0), (0.01, 3), (-0.01, -3), (0.05, 8), (-0.05, -8)])
-def test_the_phase_advance_is_the_way_in_the_time_of_its_timer_and_no_more_than_the_maximum(rate, shift):
+def test_the_phase_advance_is_the_distance_in_the_time_of_its_timer_up_to_the_maximum(rate, shift):
     """Time 16 (19 + 1) = 320 clocks."""
-    chip = commutator(x=4, y=3, most=8, timer=19)
+    chip = commutator(x=4, y=3, maximum=8, timer=19)
     chip.set_shaft(0.5, rate)
-    plain = commutator(x=4, y=3)
-    plain.encoder = shift
-    assert phases(chip) == phases(plain)
+    unmodified = commutator(x=4, y=3)
+    unmodified.encoder = shift
+    assert phases(chip) == phases(unmodified)
 
 
-def test_holding_the_commutator_stops_the_ring_and_releasing_goes_on_from_there():
+def test_a_held_commutator_stops_and_resumes_from_its_count():
     chip = commutator(x=2, y=1)
     chip.encoder = 3
     chip.write(0x00, 0x0C)
@@ -101,7 +101,7 @@ def test_holding_the_commutator_stops_the_ring_and_releasing_goes_on_from_there(
     assert turn(chip, range(11, 17)) == ["B", "B", "BC", "C", "C", "AC"]
 
 
-def test_a_ring_of_full_counts_goes_on_from_where_it_was_held():
+def test_a_commutator_of_full_counts_resumes_from_its_held_count():
     chip = commutator(x=2, y=1, status=FULL)
     chip.encoder = 12
     chip.write(0x00, 0x0C)
@@ -110,7 +110,7 @@ def test_a_ring_of_full_counts_goes_on_from_where_it_was_held():
     assert turn(chip, range(39, 52)) == ["B"] * 8 + ["BC"] * 4 + ["C"]
 
 
-def test_index_resets_a_ring_that_is_held_and_it_goes_on_from_there():
+def test_index_resets_a_held_commutator_which_resumes_from_0():
     chip = commutator(x=2, y=1)
     chip.encoder = 3
     chip.write(0x00, 0x0C)
@@ -121,7 +121,7 @@ def test_index_resets_a_ring_that_is_held_and_it_goes_on_from_there():
     assert turn(chip, range(100, 106)) == ["A", "A", "AB", "B", "B", "BC"]
 
 
-def test_the_course_has_every_change_of_the_phases():
+def test_the_waveforms_have_every_change_of_the_phases():
     chip = commutator(x=2, y=1)
     chip.set_shaft(0.5, 0.01)
     journal = chip.journal()
@@ -191,27 +191,34 @@ def test_an_align_that_cannot_come_out_right_is_noted(first, message):
 
 
 def test_a_commutator_whose_offset_and_advance_leave_eight_bits_is_noted():
-    chip = commutator(x=20, y=10, offset=0, most=0)
+    chip = commutator(x=20, y=10, offset=0, maximum=0)
     tell(chip, begin("position"))
     assert "leaves -128 to 127" in chip.diagnostics[0].message
-    for x, y, offset, most, good in [
+    for x, y, offset, maximum, good in [
         (20, 10, -20, 10, True), (20, 10, -18, 10, True), (20, 10, -18, 11, False), (20, 10, -17, 10, False),
         (1, 0, -128, 4, True), (1, 0, -128, 5, False), (1, 0, 127, 0, False), (2, 0, -128, 9, True), (2, 0, -128, 10, False),
     ]:  # fmt: skip
-        chip = commutator(x=x, y=y, offset=offset, most=most)
+        chip = commutator(x=x, y=y, offset=offset, maximum=maximum)
         tell(chip, begin("position"))
-        assert (not chip.diagnostics) == good, (x, y, offset, most)
+        assert (not chip.diagnostics) == good, (x, y, offset, maximum)
 
 
-@pytest.mark.parametrize("way", [1, -1])
-@pytest.mark.parametrize("most", [0, 3, 5])
-def test_a_shaft_that_turns_too_fast_advances_the_phase_by_r1f_and_no_more_both_ways(way, most):
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("maximum", [0, 3, 5])
+def test_a_fast_shaft_advances_the_phase_by_at_most_r1f_in_both_directions(direction, maximum):
     """As an offset by R1F would, at rest."""
     for count in range(12):
         fast, still = bench(), bench()
-        for chip, offset in ((fast, 0), (still, way * most)):
-            for address, value in ((0x18, 12), (0x1A, 1), (0x1B, 3), (0x19, 255), (0x1F, most), (0x1C, offset & 0xFF)):
+        for chip, offset in ((fast, 0), (still, direction * maximum)):
+            for address, value in (
+                (0x18, 12),
+                (0x1A, 1),
+                (0x1B, 3),
+                (0x19, 255),
+                (0x1F, maximum),
+                (0x1C, offset & 0xFF),
+            ):
                 chip.write(address, value)
-        fast.set_shaft(float(count), way / 4)
+        fast.set_shaft(float(count), direction / 4)
         still.set_shaft(float(count), 0.0)
         assert [getattr(fast.pins, f"ph{k}") for k in "abcd"] == [getattr(still.pins, f"ph{k}") for k in "abcd"]

@@ -21,7 +21,7 @@ from stage.chips import HCTL1100
 from stage.chips.hctl1100 import core
 
 
-def course(chip, samples):
+def waveforms(chip, samples):
     """The command position after each sample."""
     at = []
     for _ in range(samples):
@@ -33,9 +33,9 @@ def course(chip, samples):
 # --- trapezoid ---
 
 
-def every_step(way, a, top):
+def every_step(direction, a, top):
     """The steps of a trapezoid in 256ths of counts, as the specification words them: faster if the rest allows to brake then."""
-    rest, v, steps = 256 * way, 0, []
+    rest, v, steps = 256 * direction, 0, []
     while True:
         faster = min(v + a, 256 * top)
         braking = sum(range(faster - a, 0, -a))
@@ -49,21 +49,21 @@ def every_step(way, a, top):
 @pytest.mark.parametrize("a", [40, 64, 100, 256, 300, 700])
 def test_every_short_trapezoid_brakes_no_step_later_and_no_step_sooner_than_it_must(a):
     """Its velocities on the way, and that it ends in the sample in which it must."""
-    for way in range(1, 30):
+    for direction in range(1, 30):
         for top in (1, 2, 5):
-            chip = trapezoid(way, a, top)
-            steps = every_step(way, a, top)
+            chip = trapezoid(direction, a, top)
+            steps = every_step(direction, a, top)
             at = [sum(steps[: k + 1]) // 256 for k in range(len(steps))]
-            found = course(chip, len(steps) - 1) if len(steps) > 1 else []
-            assert found == at[:-1], f"way {way}, top {top}"
+            result = waveforms(chip, len(steps) - 1) if len(steps) > 1 else []
+            assert result == at[:-1], f"way {direction}, top {top}"
             assert chip.pins.prof
             chip.advance(SAMPLE)
-            assert (chip.command_position, chip.pins.prof) == (way, False), f"way {way}, top {top}"
+            assert (chip.command_position, chip.pins.prof) == (direction, False), f"way {direction}, top {top}"
 
 
 def test_a_trapezoid_climbs_by_the_acceleration_cruises_and_brakes():
     chip = trapezoid(1000, a=512, top=10)
-    steps = np.diff([0, *course(chip, 120)])
+    steps = np.diff([0, *waveforms(chip, 120)])
     ramp = [2, 4, 6, 8, 10]
     assert steps[:5].tolist() == ramp
     assert (steps[5:90] == 10).all()
@@ -74,13 +74,13 @@ def test_a_trapezoid_climbs_by_the_acceleration_cruises_and_brakes():
 
 def test_a_short_move_is_a_triangle():
     chip = trapezoid(-60, a=256, top=127)
-    steps = -np.diff([0, *course(chip, 40)])
+    steps = -np.diff([0, *waveforms(chip, 40)])
     assert steps.max() < 10
     assert steps.sum() == 60
     assert chip.command_position == -60
 
 
-def test_the_profile_flag_falls_with_the_last_command_position_and_control_goes_on_there():
+def test_the_profile_flag_falls_at_the_last_command_position_where_control_continues():
     chip = trapezoid(50)
     assert chip.pins.prof
     while chip.pins.prof:
@@ -100,7 +100,7 @@ def test_the_flag_set_in_position_control_starts_the_profile_at_once():
     chip.advance(5 * SAMPLE)
     assert chip.command_position == 0
     chip.write(0x00, 0x08)
-    assert course(chip, 3) == [1, 3, 6]
+    assert waveforms(chip, 3) == [1, 3, 6]
 
 
 def test_a_move_to_where_it_is_ends_with_its_first_sample():
@@ -145,7 +145,7 @@ def test_integral_velocity_ramps_to_its_command_and_the_fractions_of_a_count_add
     chip = bench(acceleration(0x40), begin("integral"))
     chip.advance(16 * 20)
     chip.write(0x3C, 2)
-    at = course(chip, 12)
+    at = waveforms(chip, 12)
     assert at == [sum(min(64 * (k + 1), 512) for k in range(n)) // 256 for n in range(1, 13)]
 
 
@@ -159,13 +159,13 @@ def test_a_jump_of_the_command_velocity_by_more_than_127_is_noted_and_of_no_othe
         assert [d.message.split(":")[0] for d in chip.diagnostics] == ["R3C changes by -128"] * noted
 
 
-def test_stop_brakes_at_the_acceleration_and_holds_until_it_is_cleared_and_told_anew():
+def test_stop_brakes_at_the_acceleration_until_it_is_cleared_and_a_velocity_is_written():
     chip = moving(20, a=512)
     chip.advance(20 * SAMPLE)
     chip.pins.stop = True
     chip.pins.stop = False
     assert chip.read(0x07) & 0x40 == 0, "latched"
-    assert np.diff([chip.command_position, *course(chip, 12)]).tolist() == [18, 16, 14, 12, 10, 8, 6, 4, 2, 0, 0, 0]
+    assert np.diff([chip.command_position, *waveforms(chip, 12)]).tolist() == [18, 16, 14, 12, 10, 8, 6, 4, 2, 0, 0, 0]
     chip.advance(300)
     chip.write(0x3C, 5)
     assert "STOP has triggered" in chip.diagnostics[-1].message
@@ -299,12 +299,12 @@ def test_sign_reversal_inhibit_keeps_pulse_off_for_one_pwm_period(inhibit):
     assert chip.pins.pulse
     chip.write(0x09, -50 & 0xFF)
     assert chip.pins.sign
-    seen = []
+    observed = []
     for _ in range(220):
-        seen.append(chip.pins.pulse)
+        observed.append(chip.pins.pulse)
         chip.advance(1)
     period = [True] * 50 + [False] * 50
-    assert seen == (([False] * 100 if inhibit else period) + period + period)[:220]
+    assert observed == (([False] * 100 if inhibit else period) + period + period)[:220]
     assert mean_of(chip, 250, [(0, 0x09, 50)]) == pytest.approx(0.5 * (150 if inhibit else 250) / 250)
 
 
@@ -338,12 +338,14 @@ def test_the_mean_over_a_slice_is_that_of_every_clock_samples_inside_or_not():
         chip.advance(int(rng.integers(1000, 3000)))
         chip.set_shaft(float(rng.integers(-20, 20)), float(rng.normal(0, 0.02)))
         clocks = int(rng.integers(1, 2000))
-        twin = HCTL1100()
-        twin.restore(chip.snapshot())
+        replica = HCTL1100()
+        replica.restore(chip.snapshot())
         total = 0
         for _ in range(clocks):
-            total += max(-100, min(100, twin.motor_command)) if twin.clock >= twin.state["pulse_off_until"] else 0
-            twin.advance(1)
+            total += (
+                max(-100, min(100, replica.motor_command)) if replica.clock >= replica.state["pulse_off_until"] else 0
+            )
+            replica.advance(1)
         assert mean_of(chip, clocks) == pytest.approx(total / (100 * clocks), abs=1e-12)
 
 
@@ -358,18 +360,18 @@ def test_full_drive_is_100_and_beyond():
 def test_long_times_make_no_difference_where_nearly_nothing_happens(mode):
     """A shaft that creeps is not one at rest, nor is one that stands still again, nor a loop that goes through a velocity of 0."""
     for rate in (0.0, 1e-6, -3e-7):
-        whole, cut = (
+        uncut, cut = (
             bench(gains(100, 9, 7), acceleration(256), velocity(3), [(0x3C, 2)], begin(mode)) for _ in range(2)
         )
-        for chip in (whole, cut):
+        for chip in (uncut, cut):
             chip.set_shaft(0.5, rate)
             chip.advance(3 * SAMPLE + 300)
             chip.set_shaft(1.5, rate)
             chip.write(0x3C, 0xFE)
-        whole.advance(3000 * SAMPLE)
+        uncut.advance(3000 * SAMPLE)
         for _ in range(3000):
             cut.advance(SAMPLE)
-        assert whole.snapshot() == cut.snapshot()
+        assert uncut.snapshot() == cut.snapshot()
 
 
 class Motor:
@@ -436,15 +438,15 @@ def test_pulse_is_on_for_the_commands_share_of_each_period_of_100_clocks(command
     chip = bench([(0x09, command & 0xFF)])
     chip.advance(137)
     journal = chip.journal()
-    seen = []
+    observed = []
     for _ in range(300):
-        seen.append(chip.pins.pulse)
+        observed.append(chip.pins.pulse)
         chip.advance(1)
-    assert sum(seen) == 3 * min(abs(command), 100)
+    assert sum(observed) == 3 * min(abs(command), 100)
     assert chip.pins.sign == (command < 0)
-    course = journal.course(every_pulse=True)
-    level = np.repeat(course.pin("pulse"), np.diff(course.edges["clock"], append=chip.clock))
-    assert level[:300].tolist() == seen, "and so a waveform shows it"
+    waveforms = journal.course(every_pulse=True)
+    level = np.repeat(waveforms.pin("pulse"), np.diff(waveforms.edges["clock"], append=chip.clock))
+    assert level[:300].tolist() == observed, "and so a waveform shows it"
     assert len(journal.course().edges) <= 2, "which has no edges of it unless it is asked for pulses"
 
 

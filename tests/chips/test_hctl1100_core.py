@@ -19,7 +19,7 @@ def asked(rows, i, hz):
 
 
 def driven(rows, i, count, rate, word):
-    """As a stage does: the shaft, the pins, time."""
+    """Drive a chip as a stage does: the shaft, the pins, then time."""
     c = rows[i]
     core.set_shaft(c, 0, count, rate)
     core.set_input(c, 0, word)
@@ -72,7 +72,7 @@ def test_the_commanded_velocity_is_that_of_the_profile_or_of_the_command():
     assert not of(chip)[3], "F0 stays, but nothing is in progress"
 
 
-def test_a_stage_tells_shaft_and_pins_as_the_bench_does():
+def test_a_stage_sets_shaft_and_pins_as_the_bench_does():
     one, other = bench(begin("position")), bench(begin("position"))
     driven(one._rows, one._i, 12.5, 0.01, HCTL1100.INPUTS["index"])
     other.set_shaft(12.5, 0.01)
@@ -87,29 +87,29 @@ def test_time_at_rest_and_in_idle_costs_nothing():
     for writes in ([], begin("position"), begin("integral"), begin("proportional")):
         chip = bench(writes)
         chip.encoder = -1
-        begun = time.process_time()
+        start_s = time.process_time()
         chip.advance(1 << 45)
-        assert time.process_time() - begun < 5.0
+        assert time.process_time() - start_s < 5.0
         assert chip.clock == 1 << 45
         assert chip.read(0x0F) == 0x40 - (chip.clock % SAMPLE) // 16
 
 
-def test_bus_writes_are_said_in_words():
+def test_a_decoder_describes_bus_writes():
     chip = HCTL1100()
     journal = chip.journal()
     for address, value in ((0x00, 0x08), (0x00, 0x03), (0x05, 3), (0x05, 9), (0x22, 64), (0x3C, 0xFE), (0x0A, 1)):
         chip.write(address, value)
     chip.reset()
-    said = decode(chip.decoder(), journal.entries)
-    assert [s.meaning for s in said] == [
+    message = decode(chip.decoder(), journal.entries)
+    assert [s.meaning for s in message] == [
         "set F0", "clear F3", "control", "no mode", "R22 <- 64 (filter: gain K, in 1/4)",
         "R3C <- -2 (integral command velocity)", "no register at 0Ah", "reset pin",
     ]  # fmt: skip
-    assert [s.kind for s in said] == ["command"] * 4 + ["register"] * 3 + ["reset"]
-    assert str(said[0]) == "00 08  set F0"
+    assert [s.kind for s in message] == ["command"] * 4 + ["register"] * 3 + ["reset"]
+    assert str(message[0]) == "00 08  set F0"
 
 
-def test_a_lost_write_is_said_to_be_lost():
+def test_a_decoder_marks_a_lost_write():
     chip = HCTL1100()
     journal = chip.journal()
     chip.glitches = (lambda address, value: True,)

@@ -119,7 +119,7 @@ def test_a_soft_reset_keeps_flags_and_the_other_registers():
     assert position(chip) == 0
 
 
-def test_a_soft_reset_starts_the_sample_anew():
+def test_a_soft_reset_restarts_the_sample():
     chip = bench([(0x0F, 9)])
     chip.advance(5000)
     chip.write(0x05, RESET)
@@ -166,7 +166,7 @@ def test_reading_the_low_byte_latches_the_others():
     assert position(chip) == 0x654321
 
 
-def test_a_turning_shaft_is_seen_at_the_clock_of_the_read():
+def test_a_read_returns_the_position_of_a_turning_shaft_at_its_clock():
     chip = HCTL1100()
     chip.set_shaft(-10, 0.25)
     for _ in range(100):
@@ -230,9 +230,9 @@ def test_counts_faster_than_one_in_three_clocks_do_not_come_through_the_filter()
 @pytest.mark.parametrize("wrong", [float("nan"), float("inf")])
 def test_a_shaft_has_a_finite_place_and_rate(wrong):
     chip = HCTL1100()
-    for given in ((wrong, 0.0), (0.0, wrong)):
+    for shafts in ((wrong, 0.0), (0.0, wrong)):
         with pytest.raises(ArgumentError, match="finite"):
-            chip.set_shaft(*given)
+            chip.set_shaft(*shafts)
     chip.set_shaft(1e300, -1e290)
     chip.write(0x18, 9)
     chip.advance(1 << 40)
@@ -271,20 +271,20 @@ def test_writes_to_what_can_only_be_read_do_nothing(address):
     assert "can only be read" in chip.diagnostics[0].message
 
 
-def test_a_chip_makes_no_pulses_and_its_course_shows_the_commanded_motion():
+def test_a_servo_chip_makes_no_pulses_and_its_waveforms_have_the_commanded_motion():
     chip = trapezoid(100)
     journal = chip.journal()
     assert len(chip.trace(60 * SAMPLE)) == 0
     assert chip.command_position == 100
     assert not chip.busy()
     journal.close()
-    course = journal.course(every_pulse=True)
-    edges = course.edges
+    waveforms = journal.course(every_pulse=True)
+    edges = waveforms.edges
     assert edges["command"][[0, -1]].tolist() == [0, 100]
     of_samples = (edges["clock"] % SAMPLE == 0) | (edges["command"] == [0, *edges["command"][:-1]])
     assert of_samples.all(), "what lies between them is PULSE"
-    assert course.pin("prof")[0]
-    assert not course.pin("prof")[-1]
+    assert waveforms.pin("prof")[0]
+    assert not waveforms.pin("prof")[-1]
     moved = (edges["rate"][1:-1] * SAMPLE * 256).round().astype(int)
     assert 0 < moved.max() <= 8 * 256
     assert edges["motor"].max() > 0

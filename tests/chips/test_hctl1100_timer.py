@@ -52,12 +52,12 @@ def test_table_4_is_the_least_t_of_each_control_mode_and_a_smaller_one_is_noted_
 def test_the_timer_counts_down_from_t_to_0_and_reads_as_it_runs():
     chip = HCTL1100()
     chip.write(0x0F, 0x39)
-    seen = []
+    observed = []
     for _ in range(16 * (0x41 + 0x3A)):
-        seen.append(chip.read(0x0F))
+        observed.append(chip.read(0x0F))
         chip.advance(1)
     expected = [k for t in (0x40, 0x39) for k in range(t, -1, -1) for _ in range(16)]
-    assert seen == expected
+    assert observed == expected
     assert chip.read(0x0F) == 0x39
 
 
@@ -128,11 +128,11 @@ def test_a_command_position_written_before_the_timer_has_counted_down_by_the_min
 def test_a_command_velocity_written_too_early_acts_byte_by_byte_at_once():
     chip = bench([(0x0F, 0x39)], velocity(0x00F8), begin("proportional"))
     chip.advance(SAMPLE)
-    given = [chip.motor_command]
+    motor_commands = [chip.motor_command]
     for address, value in velocity(0x0108):
         chip.write(address, value)
-        given.append(chip.motor_command)
-    assert given == [127, 0x40 * 0x08 // 64, 127]
+        motor_commands.append(chip.motor_command)
+    assert motor_commands == [127, 0x40 * 0x08 // 64, 127]
     chip.advance(16 * 7)
     chip.write(0x23, 0)
     chip.write(0x24, 0)
@@ -158,9 +158,9 @@ def test_commands_in_the_safe_part_of_a_sample_never_disturb():
         for address, value in word(COMMAND, command):
             chip.write(address, value)
         chip.encoder = command - n % 7
-        held = chip.motor_command
+        previous = chip.motor_command
         chip.advance(16 * (0x3A - 7) - 1)
-        assert chip.motor_command == held
+        assert chip.motor_command == previous
         chip.advance(1)
         assert chip.motor_command == 0x40 * (n % 7) // 4
     assert not [d for d in chip.diagnostics if "while the sample is computed" in d.message]

@@ -18,17 +18,17 @@ def command(chip, code, value=0, axes=1):
     chip.write(0, axes << 8 | code)
 
 
-def replayed(chip, journal, seen=lambda twin: None):
+def replayed(chip, journal, observed=lambda replica: None):
     """A chip that lived through `journal`, and what `seen` said of it before each read and at the end."""
-    core, twin = chip.CORE, type(chip)(**chip.options())
-    twin._rows[0], said = journal.start, []
+    core, replica = chip.CORE, type(chip)(**chip.options())
+    replica._rows[0], message = journal.start, []
     for e in journal.entries:
-        twin.advance(e.clock - twin.clock)
+        replica.advance(e.clock - replica.clock)
         if e.kind == READ:
-            said.append(seen(twin))
-        e.apply(core, twin._rows)
-    twin.advance(chip.clock - twin.clock)
-    return twin, [*said, seen(twin)]
+            message.append(observed(replica))
+        e.apply(core, replica._rows)
+    replica.advance(chip.clock - replica.clock)
+    return replica, [*message, observed(replica)]
 
 
 def asking(make):
@@ -64,9 +64,9 @@ def test_the_interrupt_pin_in_a_replay_agrees_at_every_read_and_at_the_end(make)
             assert bool(chip.read(address)) or not pins[-1]
             assert not chip.pins.int0
             reads += 1
-    twin, said = replayed(chip, journal, lambda chip: chip.pins.int0)
-    assert said == [*pins, chip.pins.int0]
-    assert twin.snapshot().record == chip.snapshot().record
+    replica, message = replayed(chip, journal, lambda chip: chip.pins.int0)
+    assert message == [*pins, chip.pins.int0]
+    assert replica.snapshot().record == chip.snapshot().record
     assert sum(e.kind == READ for e in journal.entries) == reads
 
 
@@ -92,8 +92,8 @@ def test_a_byte_read_of_the_interrupt_factors_is_replayed_as_one():
     assert chip.pins.int0
     chip.read_byte(3)
     assert not chip.pins.int0
-    twin, _ = replayed(chip, journal)
-    assert twin.snapshot().record == chip.snapshot().record
+    replica, _ = replayed(chip, journal)
+    assert replica.snapshot().record == chip.snapshot().record
 
 
 def test_a_collective_read_latches_in_a_replay_too():
@@ -103,8 +103,8 @@ def test_a_collective_read_latches_in_a_replay_too():
     journal, latched = chip.journal(), int(chip.state["read_latch"])
     chip.read(3)
     assert chip.state["read_latch"] != latched
-    twin, _ = replayed(chip, journal)
-    assert twin.snapshot().record == chip.snapshot().record
+    replica, _ = replayed(chip, journal)
+    assert replica.snapshot().record == chip.snapshot().record
 
 
 def test_journals_of_one_chip_end_in_any_order_and_the_others_go_on():
@@ -130,7 +130,7 @@ def hear_a_switch(xy, closed, *others):
         journal.close()
 
 
-def test_journals_around_one_that_was_closed_hear_what_the_stage_tells(xy):
+def test_journals_continue_after_one_between_them_was_closed(xy):
     """a, b, c = (x.chip.journal() for _ in range(3)); b.close(); firmware.origin_return(x)"""
     x = xy.axes["x"]
     older, between, younger = (x.chip.journal() for _ in range(3))
@@ -138,7 +138,7 @@ def test_journals_around_one_that_was_closed_hear_what_the_stage_tells(xy):
     hear_a_switch(xy, between, younger, older)
 
 
-def test_a_course_ends_where_its_journal_was_closed_and_a_younger_one_hears_what_the_stage_tells(xy):
+def test_waveforms_end_where_their_journal_was_closed_and_a_newer_journal_continues(xy):
     x = xy.axes["x"]
     older, younger = x.chip.journal(), x.chip.journal()
     xy.run(0.01)
@@ -201,19 +201,19 @@ def test_entries_that_are_looked_at_can_still_grow():
     assert [e.clock for e in walk] == [1, 2]
 
 
-def test_pieces_of_any_size_are_the_course_though_all_was_written_at_one_clock():
+def test_pieces_of_any_size_make_up_the_waveforms_even_if_all_writes_have_one_clock():
     """list(journal.pieces(size=65)) of 300 writes without time between them"""
     chip = PCL240K()
     journal = chip.journal()
     for k in range(300):
         chip.write(1 + k % 3, k & 0xFF)
     chip.advance(10)
-    whole = journal.course().edges
-    assert len(whole) == 302
+    uncut = journal.course().edges
+    assert len(uncut) == 302
     for size in (64, 65, 66, 100, 301, 302):
         pieces = list(journal.pieces(size=size))
         assert max(map(len, pieces)) <= size
-        assert np.concatenate(pieces).tobytes() == whole.tobytes()
+        assert np.concatenate(pieces).tobytes() == uncut.tobytes()
 
 
 @pytest.mark.parametrize("size", [-1, 0, 1, 8, 63, 64.0, True, None])

@@ -30,15 +30,15 @@ def says(listener, cycle):
     return listener.write(address, value) if write else listener.read(address, value)
 
 
-def heard(chip, listener, cycle):
+def received(chip, listener, cycle):
     """Let the cycle happen; what the listener says of it."""
     return says(listener, happen(chip, cycle))
 
 
 def after(chip, *cycles):
-    """What is said of the last of the cycles."""
+    """Return the description of the last of several cycles."""
     listener = chip.listener()
-    return [heard(chip, listener, cycle) for cycle in cycles][-1]
+    return [received(chip, listener, cycle) for cycle in cycles][-1]
 
 
 # --- PCL-240 ---
@@ -63,22 +63,22 @@ def test_a_cycle_of_the_pcl240_says_what_it_means(cycle, sentence):
     assert after(PCL240K(), cycle) == sentence
 
 
-def test_a_status_byte_is_told_field_by_field():
+def test_a_status_byte_is_described_field_by_field():
     listener = PCL240K().listener()
     assert listener.read(0, 0xD8) == "status: operating, R0 < R6, R0 = 0"
     assert listener.read(0, 0x60) == "status: /INT pending, operating, neither ramping up nor down"
 
 
 @pytest.mark.parametrize("order", [(3, 2, 1), (1, 2, 3)])
-def test_a_register_is_told_whole_with_the_last_of_its_bytes(order):
+def test_the_value_of_a_register_is_described_with_the_last_of_its_bytes(order):
     chip = PCL240K()
     listener = chip.listener()
-    said = [heard(chip, listener, (W, a, 0x123400 >> 8 * (a - 1) & 0xFF)) for a in order]
-    assert said[-1].endswith(": R0 = 123400h (1192960)")
-    assert said[1] == "R0 bits 15..8 = 34h"
+    message = [received(chip, listener, (W, a, 0x123400 >> 8 * (a - 1) & 0xFF)) for a in order]
+    assert message[-1].endswith(": R0 = 123400h (1192960)")
+    assert message[1] == "R0 bits 15..8 = 34h"
 
 
-def test_a_byte_above_a_registers_width_is_told_to_have_no_place():
+def test_a_byte_above_the_width_of_a_register_is_described_so():
     assert after(PCL240K(), (W, 0, 0x81), (W, 3, 1)) == "R1 bits 23..16 = 01h: R1 has 13 bits"
 
 
@@ -86,28 +86,28 @@ def test_in_collective_mode_the_upper_bytes_wait():
     chip = PCL240MS()
     listener = chip.listener()
     cycles = [(W, 0, 0xA0), (W, 3, 0x01), (W, 2, 0x02), (W, 1, 0x03)]
-    assert [heard(chip, listener, c) for c in cycles] == [
+    assert [received(chip, listener, c) for c in cycles] == [
         "select R0, collective: down counter",
         "R0 bits 23..16 = 01h: waits for bits 7..0",
         "R0 bits 15..8 = 02h: waits for bits 7..0",
         "R0 bits 7..0 = 03h: R0 = 10203h (66051)",
     ]
-    assert [heard(chip, listener, (R, a, 0)) for a in (3, 2, 1)] == [
+    assert [received(chip, listener, (R, a, 0)) for a in (3, 2, 1)] == [
         "R0 bits 23..16 = 01h, latched",
         "R0 bits 15..8 = 02h",
         "R0 bits 7..0 = 03h: R0 = 10203h (66051), as latched",
     ]
 
 
-def test_in_extension_mode_a_read_tells_the_selected_register():
+def test_in_extension_mode_a_read_describes_the_selected_register():
     chip = PCL240MS()
     assert after(chip, (W, 0, 0x82), (W, 1, 0x3C), (R, 1, 0)) == "R0 bits 7..0 = 00h"
     assert after(chip, (W, 0, 0xC8), (R, 1, 0)) == "R2 bits 7..0 = 3Ch"
 
 
-def test_the_fields_of_a_register_are_told():
-    said = after(PCL240MS(), (W, 0, 0x94), (W, 3, 0), (W, 2, 0x10), (W, 1, 5))
-    assert said.endswith("R14 = 1005h (4101): linear ramps, speed steps of each curved end = 5h (5)")
+def test_the_fields_of_a_register_are_described():
+    message = after(PCL240MS(), (W, 0, 0x94), (W, 3, 0), (W, 2, 0x10), (W, 1, 5))
+    assert message.endswith("R14 = 1005h (4101): linear ramps, speed steps of each curved end = 5h (5)")
 
 
 def test_the_reset_command_clears_r6_where_the_chip_does():
@@ -117,7 +117,7 @@ def test_the_reset_command_clears_r6_where_the_chip_does():
 
 
 @pytest.mark.parametrize("code", [0x18, 0x1D], ids=hex)
-def test_a_command_with_start_and_stop_leaves_r6_as_it_is_told(code):
+def test_a_command_with_start_and_stop_leaves_the_described_r6_as_it_is(code):
     """A stop command of the extension mode clears R6; 18h and 1Dh are starts as well."""
     chip = PCL240MK()
     point = [(W, 0, 0x86), (W, 3, 0), (W, 2, 1), (W, 1, 0), (W, 0, code), (W, 0, 0x86), (W, 1, 5)]
@@ -125,17 +125,17 @@ def test_a_command_with_start_and_stop_leaves_r6_as_it_is_told(code):
     assert chip.values()["R6"] == 0x105
 
 
-def test_a_counter_is_not_told_whole_where_its_other_bytes_may_have_counted_on():
+def test_a_counter_has_no_described_value_if_its_other_bytes_may_have_changed():
     chip = PCL240K()
     listener = chip.listener()
     for cycle in [(W, 0, 0x80), (W, 3, 0), (W, 2, 1), (W, 1, 0), (W, 0, 0x87), (W, 1, 2), (W, 0, 0x81), (W, 2, 16)]:
-        heard(chip, listener, cycle)
-    heard(chip, listener, (W, 0, 0x10))
+        received(chip, listener, cycle)
+    received(chip, listener, (W, 0, 0x10))
     chip.advance(400)
     assert chip.values()["R0"] < 0x100
-    heard(chip, listener, (W, 0, 0x80))
-    assert heard(chip, listener, (W, 1, 5)) == "R0 bits 7..0 = 05h"
-    assert [heard(chip, listener, (W, a, 5)) for a in (3, 2, 1)][-1].endswith(": R0 = 50505h (328965)")
+    received(chip, listener, (W, 0, 0x80))
+    assert received(chip, listener, (W, 1, 5)) == "R0 bits 7..0 = 05h"
+    assert [received(chip, listener, (W, a, 5)) for a in (3, 2, 1)][-1].endswith(": R0 = 50505h (328965)")
 
 
 # --- NOVA ---
@@ -190,11 +190,11 @@ def test_a_write_to_a_nova_chip_says_what_it_means(make, cycles, sentence):
         (MCX514, 6, 0x1234, "data read, bits 15..0 = 1234h"),
     ],
 )
-def test_a_read_of_a_nova_chip_tells_the_fields_that_are_set(make, address, value, sentence):
+def test_a_read_of_a_nova_chip_describes_the_fields_that_are_set(make, address, value, sentence):
     assert make().listener().read(address, value) == sentence
 
 
-def test_rr3_of_the_mcx514_is_told_by_the_page_that_its_axis_shows():
+def test_rr3_of_the_mcx514_is_described_by_the_selected_page_of_its_axis():
     listener = MCX514().listener()
     assert listener.write(0, 0x027B) == "Y: RR3 shows page 1"
     assert listener.read(3, 0x20) == "Y: RR3 page 1: speed is constant"
@@ -202,7 +202,7 @@ def test_rr3_of_the_mcx514_is_told_by_the_page_that_its_axis_shows():
     assert listener.read(3, 0x20) == "X: RR3 page 0: level of INPOS high"
 
 
-def test_rr6_and_rr7_are_told_as_what_the_command_read():
+def test_rr6_and_rr7_are_described_as_the_register_that_the_command_read():
     chip = MCX304()
     cycles = [
         (W, 6, 0xFF00),
@@ -215,7 +215,7 @@ def test_rr6_and_rr7_are_told_as_what_the_command_read():
         (R, 6, 0),
     ]
     listener = chip.listener()
-    assert [heard(chip, listener, c) for c in cycles][3:] == [
+    assert [received(chip, listener, c) for c in cycles][3:] == [
         "Y: read logical position counter LP",
         "Y: LP bits 15..0 = FF00h",
         "Y: logical position counter LP = -256 pulses",
@@ -227,15 +227,15 @@ def test_rr6_and_rr7_are_told_as_what_the_command_read():
 def test_on_the_8_bit_bus_a_byte_says_what_its_word_is_then():
     chip = MCX514()
     listeners = [chip.listener()]
-    said = []
+    message = []
     for at, value in (
         (1, 0x01), (0, 0x50), (12, 0x0F), (13, 0x10), (4, 0x02), (5, 0x20), (1, 0x02), (0, 0x25), (5, 0x20),
     ):  # fmt: skip
         chip.write_byte(at, value)
-        (told,) = {listener.write(16 + at, value) for listener in listeners}
+        (expected,) = {listener.write(16 + at, value) for listener in listeners}
         listeners.append(chip.listener())
-        said.append(told)
-    assert said == [
+        message.append(expected)
+    assert message == [
         "WR0 bits 15..8 = 01h: waits for bits 7..0",
         "X: relative position drive",
         "data 15..0 = 000Fh",
@@ -251,18 +251,18 @@ def test_on_the_8_bit_bus_a_byte_says_what_its_word_is_then():
 
 
 @pytest.mark.parametrize(("make", "reset"), [(MCX514, 0x00FF), (MCX304, 0x8000), (MCX312, 0x8000)])
-def test_after_a_reset_command_a_nova_chip_is_told_as_after_power_up(make, reset):
+def test_after_a_reset_command_a_nova_chip_is_described_as_after_power_up(make, reset):
     chip = make()
     listener = chip.listener()
-    heard(chip, listener, (W, 6, 0x1234))
-    heard(chip, listener, (W, 7, 0x1234))
+    received(chip, listener, (W, 6, 0x1234))
+    received(chip, listener, (W, 7, 0x1234))
     if make is MCX514:
-        heard(chip, listener, (W, 0, 0x027B))
+        received(chip, listener, (W, 0, 0x027B))
     if make is MCX312:
-        heard(chip, listener, (W, 0, 0x0036))
+        received(chip, listener, (W, 0, 0x0036))
     reading = chip.MAP.command("R-LP").code
-    heard(chip, listener, (W, 0, 0x0200 | reading))
-    heard(chip, listener, (W, 0, reset))
+    received(chip, listener, (W, 0, 0x0200 | reading))
+    received(chip, listener, (W, 0, reset))
     new = make().listener()
     for cycle in [(R, 3, 1), (W, 3, 4), (R, 6, 0), *((W, k, 0x0123) for k in range(1, 8)), (W, 0, 0x0109)]:
         assert says(listener, cycle) == says(new, cycle)
@@ -303,17 +303,17 @@ def test_a_cycle_of_the_hctl1100_says_what_it_means(cycles, sentence):
     assert after(HCTL1100(), *cycles) == sentence
 
 
-def test_a_triggered_limit_is_told():
+def test_a_triggered_limit_is_described():
     chip = HCTL1100()
     chip.pins.limit = True
     assert after(chip, (R, 0x07, 0)) == "status: LIMIT has triggered, init/idle mode"
 
 
-def test_the_actual_position_is_told_with_the_last_of_its_latched_bytes():
+def test_the_actual_position_is_described_with_the_last_of_its_latched_bytes():
     chip = HCTL1100()
     chip.encoder = -5000
-    said = [after(chip, *[(R, a, 0) for a in order]) for order in ((0x14, 0x13, 0x12), (0x14, 0x12, 0x13))]
-    assert said == ["R12 = FFh: actual position = -5000 counts", "R13 = ECh: actual position = -5000 counts"]
+    message = [after(chip, *[(R, a, 0) for a in order]) for order in ((0x14, 0x13, 0x12), (0x14, 0x12, 0x13))]
+    assert message == ["R12 = FFh: actual position = -5000 counts", "R13 = ECh: actual position = -5000 counts"]
 
 
 # --- all of them ---
@@ -327,33 +327,33 @@ def test_any_cycle_gets_a_short_line_of_ascii(name, seed):
     listener = chip.listener()
     for _ in range(1000):
         write, address, value = rng.random() < 0.6, rng.randrange(-1, 70), rng.randrange(-1, 1 << 17)
-        said = says(listener, (write, address, value))
-        where = f"seed {seed}: {'write' if write else 'read'} {value:#x} at {address}: {said!r}"
-        assert 0 < len(said) <= MAX_LINE_LENGTH, where
-        assert said.isascii(), where
-        assert said.isprintable(), where
+        message = says(listener, (write, address, value))
+        where = f"seed {seed}: {'write' if write else 'read'} {value:#x} at {address}: {message!r}"
+        assert 0 < len(message) <= MAX_LINE_LENGTH, where
+        assert message.isascii(), where
+        assert message.isprintable(), where
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("make", PCL)
-def test_what_a_pcl240_register_is_told_to_hold_it_holds(make, seed):
-    chip, rng, told = make(), random.Random(seed), 0
+def test_a_pcl240_register_holds_the_value_that_the_listener_describes(make, seed):
+    chip, rng, expected = make(), random.Random(seed), 0
     listener = chip.listener()
     for _ in range(500):
         address = rng.randrange(4)
         value = rng.randrange(256)
         if address == 0 and rng.random() < 0.8:
             value = value & 0x3F | 0x80
-        said = heard(chip, listener, (W, address, value))
-        if found := re.search(r": (R\d+) = ([0-9A-F]+)h \((\d+)\)", said):
-            told += 1
-            assert chip.values()[found[1]] == int(found[2], 16) == int(found[3]), f"seed {seed}: {said}"
-    assert told > 30
+        message = received(chip, listener, (W, address, value))
+        if result := re.search(r": (R\d+) = ([0-9A-F]+)h \((\d+)\)", message):
+            expected += 1
+            assert chip.values()[result[1]] == int(result[2], 16) == int(result[3]), f"seed {seed}: {message}"
+    assert expected > 30
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("make", NOVA)
-def test_what_a_nova_register_is_told_to_hold_is_what_reads_back(make, seed):
+def test_a_nova_register_reads_back_the_value_that_the_listener_describes(make, seed):
     chip, rng = make(), random.Random(seed)
     listener = chip.listener()
     reads = {c.symbol for c in chip.MAP.commands if c.kind == "data read"}
@@ -365,28 +365,28 @@ def test_what_a_nova_register_is_told_to_hold_is_what_reads_back(make, seed):
         write, read = chip.MAP.command(r.name), chip.MAP.command(f"R-{r.name}")
         bits = 0x100 << axis if write.axes else 0
         cycles = [(W, 6, word & 0xFFFF), (W, 7, word >> 16), (W, 0, bits | write.code), (W, 0, bits | read.code)]
-        written = [heard(chip, listener, c) for c in cycles][2]
+        written = [received(chip, listener, c) for c in cycles][2]
         assert f" {r.name} = {r.value(chip.read(6) | chip.read(7) << 16)}" in written, f"seed {seed}"
-        heard(chip, listener, (R, 6, 0))
-        assert heard(chip, listener, (R, 7, 0)) == written.replace("set ", ""), f"seed {seed}"
+        received(chip, listener, (R, 6, 0))
+        assert received(chip, listener, (R, 7, 0)) == written.replace("set ", ""), f"seed {seed}"
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_what_the_hctl1100_is_told_to_hold_it_holds(seed):
-    chip, rng, told = HCTL1100(), random.Random(seed), 0
+def test_an_hctl1100_register_holds_the_value_that_the_listener_describes(seed):
+    chip, rng, expected = HCTL1100(), random.Random(seed), 0
     listener = chip.listener()
     for _ in range(500):
         address = rng.choice((0x0C, 0x0D, 0x0E, 0x15, 0x16, 0x17, 0x29, 0x2A, 0x2B, 0x05))
-        said = heard(chip, listener, (W, address, rng.randrange(4 if address == 0x05 else 256)))
-        if found := re.search(r": (.*) = (-?\d+) counts", said):
-            told += 1
-            places = {"command position": "R0C R0D R0E", "final position": "R2B R2A R29"}.get(found[1], "R12 R13 R14")
-            if found[1].startswith("preset"):
+        message = received(chip, listener, (W, address, rng.randrange(4 if address == 0x05 else 256)))
+        if result := re.search(r": (.*) = (-?\d+) counts", message):
+            expected += 1
+            places = {"command position": "R0C R0D R0E", "final position": "R2B R2A R29"}.get(result[1], "R12 R13 R14")
+            if result[1].startswith("preset"):
                 chip.read(0x14)
-            held = chip.values()
-            high, middle, low = (held[place] for place in places.split())
-            assert high << 16 | middle << 8 | low == int(found[2]) & 0xFFFFFF, f"seed {seed}: {said}"
-    assert told > 100
+            previous = chip.values()
+            high, middle, low = (previous[place] for place in places.split())
+            assert high << 16 | middle << 8 | low == int(result[2]) & 0xFFFFFF, f"seed {seed}: {message}"
+    assert expected > 100
 
 
 def program(make, rng):
@@ -438,7 +438,7 @@ def test_a_listener_that_starts_in_the_middle_says_what_one_from_power_up_says(n
         if rng.random() < 0.1:
             listeners.append(chip.listener())
         for cycle in part:
-            told = happen(chip, cycle)
-            said = {says(listener, told) for listener in listeners}
-            assert len(said) == 1, f"seed {seed}: of {told} they say {said}"
+            expected = happen(chip, cycle)
+            message = {says(listener, expected) for listener in listeners}
+            assert len(message) == 1, f"seed {seed}: of {expected} they say {message}"
     assert len(listeners) > 2

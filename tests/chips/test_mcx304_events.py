@@ -31,23 +31,23 @@ def relations(counter, plus, minus):
 @covers("MCX304 MCX302 MCX312", "CP", "CM", "C_DRV_P", "C_DRV_M", "R", "SV", "V", "LP")
 @FAMILY
 @pytest.mark.parametrize("example", range(3))
-def test_a_comparison_tells_at_the_clock_of_the_pulse_that_makes_it_true(example, make):
+def test_a_comparison_is_an_event_at_the_clock_of_the_pulse_that_makes_it_true(example, make):
     """Against the counter recomputed from the trace."""
     print("PULSESTAGE_SEED", SEED)
     rng = random.Random(SEED + example)
-    for way in (1, -1):
+    for direction in (1, -1):
         chip = make()
-        plus, minus, counter = rng.randint(-30, 30), rng.randint(-30, 30), -31 * way
+        plus, minus, counter = rng.randint(-30, 30), rng.randint(-30, 30), -31 * direction
         load(chip, LP=counter, CP=plus, CM=minus)
-        cruise(chip, way < 0)
+        cruise(chip, direction < 0)
         rr3(chip)
-        held = relations(counter, plus, minus)
+        previous = relations(counter, plus, minus)
         for clock in pulses(chip, 64 * 32):
-            counter += way
+            counter += direction
             now = relations(counter, plus, minus)
-            assert passes(chip, clock, rr3) == (0, PULSE | now & ~held)
-            held = now
-        assert counter == 33 * way
+            assert passes(chip, clock, rr3) == (0, PULSE | now & ~previous)
+            previous = now
+        assert counter == 33 * direction
 
 
 @covers("MCX304 MCX302 MCX312", "EP", "R-EP", "NOP")
@@ -67,7 +67,7 @@ def test_with_cmpsl_the_comparisons_follow_the_encoder(make):
 
 
 @FAMILY
-def test_only_enabled_factors_ask_for_an_interrupt_but_all_are_shown(make):
+def test_only_enabled_factors_cause_an_interrupt_but_rr3_has_all(make):
     for enabled in (0, PULSE << 8, D_END << 8, 0xFF00):
         chip = make()
         set_word(chip, 1, enabled)
@@ -104,5 +104,5 @@ def test_63h_puts_out_a_dcc_pulse_as_long_as_hm_says(code, make):
 def test_wr4_drives_four_general_outputs_of_each_axis(make):
     chip = make()
     chip.write(4, 0x8421)
-    found = [[getattr(axis.pins, f"out{i}") for i in range(8)].index(True) for axis in chip.axes]
-    assert found == [0, 1, 2, 3][: chip.AXES]
+    result = [[getattr(axis.pins, f"out{i}") for i in range(8)].index(True) for axis in chip.axes]
+    assert result == [0, 1, 2, 3][: chip.AXES]

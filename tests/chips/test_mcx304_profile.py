@@ -38,7 +38,7 @@ every_chip = pytest.mark.parametrize("cls", [MCX302, MCX304, MCX312], ids=lambda
 
 
 class Registers(NamedTuple):
-    """What the bus is told. P: None for a continuous drive."""
+    """Register values that the bus writes; P is None for a continuous drive."""
 
     R: int = 8_000_000
     K: int = 1010
@@ -67,11 +67,11 @@ class Registers(NamedTuple):
     def reference(self, *interventions) -> Drive:
         """Interventions with V in the chip's own units."""
         m = self.multiple
-        told = [
+        expected = [
             (clock, "DV", value[0] * m) if what == "V" else (clock, what, *value)
             for clock, what, *value in interventions
         ]
-        return self.move.reference(*told)
+        return self.move.reference(*expected)
 
 
 def start(chip, registers, axes=X, minus=False):
@@ -243,16 +243,16 @@ def test_a_new_drive_speed_acts_at_once_in_any_phase():
         assert_made(MCX304(errata=False), registers, [(clock, "V", v)])
 
 
-def test_a_decelerating_stop_goes_down_to_sv_from_any_phase_but_changes_nothing_where_an_s_curve_brakes_anyway():
+def test_a_decelerating_stop_brakes_to_sv_from_any_phase_except_during_s_curve_braking():
     for rng in examples(0.06):
         registers = random_registers(rng, fixed=rng.random() < 0.7)
-        plain = registers.reference()
-        clock = somewhere(rng, plain)
+        unmodified = registers.reference()
+        clock = somewhere(rng, unmodified)
         chip, stop = MCX304(errata=False), [(clock, "slow")]
-        if registers.s_curve and registers.P is not None and plain.phase(clock) == "decelerating":
+        if registers.s_curve and registers.P is not None and unmodified.phase(clock) == "decelerating":
             note = f"{registers} {stop} PULSESTAGE_SEED={SEED}"
             start(chip, registers)
-            assert_pulses([c for c, _ in played(chip, stop, plain.end_clock, intervene)], plain, note)
+            assert_pulses([c for c, _ in played(chip, stop, unmodified.end_clock, intervene)], unmodified, note)
         else:
             assert_made(chip, registers, stop)
 
@@ -268,9 +268,9 @@ def test_speed_acceleration_and_phase_read_as_the_profile_says():
     for rng in examples(0.08):
         registers = random_registers(rng)
         chip, drive = MCX304(errata=False), registers.reference()
-        looks = sorted(somewhere(rng, drive) for _ in range(8))
+        samples = sorted(somewhere(rng, drive) for _ in range(8))
         began = start(chip, registers)
-        for clock in looks:
+        for clock in samples:
             chip.advance(began + clock - chip.clock)
             note = f"{registers} at {clock}: {drive.phase(clock)} PULSESTAGE_SEED={SEED}"
             assert_shows(chip, registers, drive, clock, note)

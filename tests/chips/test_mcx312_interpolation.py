@@ -48,11 +48,11 @@ def sets(chip):
 
 def steps_of(chip, clocks=ENOUGH):
     """The steps of each tick that has pulses, and its clock since now."""
-    began, found = chip.clock, {}
+    began, result = chip.clock, {}
     for clock, axis, direction in chip.trace(clocks).tolist():
-        step = found.setdefault(clock - began, [0, 0])
+        step = result.setdefault(clock - began, [0, 0])
         step[axis] = direction
-    return list(found), [tuple(step) for step in found.values()]
+    return list(result), [tuple(step) for step in result.values()]
 
 
 @covers("MCX312", "P", "IP_2ST")
@@ -75,10 +75,10 @@ def test_circles_close_and_turn_as_the_order_of_the_axes_says(wr5):
         chip = prepared(wr5)
         put(chip, (0, 0), code, centre=(-40, 9))
         _, steps = steps_of(chip)
-        course = points(steps)
-        assert course[-1] == (0, 0)
-        assert max(circle_errors(course, (-40, 9))) <= 1
-        x, y = course[10]
+        waveforms = points(steps)
+        assert waveforms[-1] == (0, 0)
+        assert max(circle_errors(waveforms, (-40, 9))) <= 1
+        x, y = waveforms[10]
         left = 40 * (y - 9) + 9 * (x + 40) > 0  # of the radius to the start
         assert left == ((code == CCW) == (wr5 == X_Y))
 
@@ -113,7 +113,7 @@ def test_one_segment_can_be_written_ahead_and_follows_without_a_gap():
 
 
 @covers("MCX312", "IP_2ST", "IP_INTRPT_CLR")
-def test_the_interrupt_asks_when_the_next_segment_can_be_written():
+def test_the_interrupt_is_asserted_when_the_next_segment_can_be_written():
     chip = prepared(X_Y | CIINT)
     put(chip, (20, 5), LINE)
     put(chip, (20, 5), LINE)
@@ -190,7 +190,7 @@ def test_three_sets_run_lsb_first_and_a_fourth_is_lost():
 
 
 @covers("MCX312", "BP_STACK", "IP_2BP", "IP_INTRPT_CLR")
-def test_sets_are_refilled_while_it_runs_and_the_interrupt_asks_for_them():
+def test_the_interrupt_is_asserted_when_pattern_sets_can_be_refilled():
     chip = prepared(X_Y | BPINT)
     command(chip, BP_ON, 0)
     for words in WORDS[:2]:

@@ -66,11 +66,11 @@ def test_ct_counts_microseconds_from_the_start():
     load(chip, TM=50)
     chip.advance(777)
     command(chip, 0x73)
-    seen = []
+    observed = []
     for _ in range(50 * US):
-        seen.append(get(chip, READ["CT"]))
+        observed.append(get(chip, READ["CT"]))
         chip.advance(1)
-    assert seen == [clock // US for clock in range(50 * US)]
+    assert observed == [clock // US for clock in range(50 * US)]
 
 
 @covers("MCX514", "TMSTA", "TMSTP")
@@ -117,7 +117,7 @@ def test_a_new_tm_acts_from_the_next_timing_on():
     assert passes(chip, 130 * US, rr1) == (0, TIMER)
 
 
-def test_every_axis_has_a_timer_of_its_own():
+def test_every_axis_has_its_timer():
     chip = MCX514()
     load(chip, X, TM=10)
     load(chip, Y, TM=20)
@@ -150,20 +150,20 @@ def test_split_pulses_are_counted_in_drive_pulses_from_the_next_one_on(example):
     rr1(chip)
     command(chip, 0x75)
     assert not chip.axes[0].pins.split
-    begun = ended = 0
+    split_pulses = ends = 0
     for k, clock in enumerate(pulses(chip, 4000)[:70], 1):
         on, was = is_on(k, cycle, width, count), is_on(k - 1, cycle, width, count)
-        begun += on and not was
-        over = was and not on and begun == count
-        ended += over
+        split_pulses += on and not was
+        over = was and not on and split_pulses == count
+        ends += over
         if clock - 1 > chip.clock:
             chip.advance(clock - 1 - chip.clock)
             assert chip.axes[0].pins.split == was
         chip.advance(clock - chip.clock)
         assert chip.axes[0].pins.split == on, f"pulse {k}"
         assert rr1(chip) & (SPLTP | SPLTE) == (SPLTP if on and not was else 0) | (SPLTE if over else 0)
-        assert bool(page1(chip) & 0x800) == (not ended)
-    assert begun == count or count == 0
+        assert bool(page1(chip) & 0x800) == (not ends)
+    assert split_pulses == count or count == 0
 
 
 @covers("MCX514", "SPSTP")
@@ -199,7 +199,7 @@ def test_new_cycle_and_width_act_from_the_next_split_pulse_on():
 
 @covers("MCX514", "SP1", "SP2", "SPSTA")
 @pytest.mark.parametrize("after", [1, 2, 4], ids=["at its first pulse", "while it is on", "while it is off"])
-def test_75h_while_split_pulses_run_begins_anew_with_the_next_drive_pulse(after):
+def test_75h_while_split_pulses_run_restarts_them_at_the_next_drive_pulse(after):
     """The output goes off at once; width, cycle and count begin again. SPLTE comes at the end of the count, not before."""
     chip = MCX514()
     load(chip, SP1=3 << 16 | 5, SP2=2)
@@ -220,7 +220,7 @@ def test_75h_while_split_pulses_run_begins_anew_with_the_next_drive_pulse(after)
 
 
 @pytest.mark.parametrize("width", [3, 4, 9])
-def test_a_width_of_the_whole_cycle_or_more_still_leaves_the_output_off_for_a_pulse(width):
+def test_a_width_of_the_full_cycle_or_more_still_leaves_the_output_off_for_a_pulse(width):
     chip = MCX514()
     load(chip, SP1=width << 16 | 4)
     command(chip, 0x75)
@@ -232,7 +232,7 @@ def test_a_width_of_the_whole_cycle_or_more_still_leaves_the_output_off_for_a_pu
     assert shape == [1, 1, 1, 0] * 3
 
 
-def test_the_split_pulse_goes_on_over_the_next_drive():
+def test_split_pulses_continue_over_the_next_drive():
     chip = MCX514()
     load(chip, SP1=4 << 16 | 6, SP2=1, SV=1_000_000, DV=1_000_000, TP=3)
     command(chip, 0x75)
@@ -256,49 +256,49 @@ def mrm(*pairs):
 
 @covers("MCX514", "MRM", "MR0", "MR1", "MR2", "MR3", "R-MR0", "R-MR1", "R-MR2", "R-MR3", "R-LP")
 @pytest.mark.parametrize("example", range(8))
-def test_a_comparison_with_lp_tells_at_the_clock_of_the_pulse_that_makes_it_true(example):
+def test_a_comparison_with_lp_is_an_event_at_the_clock_of_its_pulse(example):
     """Against the counter recomputed from the trace, one pulse after the other."""
     rng = generator(100 + example)
     chip = MCX514()
     minus = rng.random() < 0.5
     begin = rng.choice([0, 100, -100, (1 << 31) - 20, -(1 << 31) + 20])
-    ring = rng.choice([0xFFFFFFFF, 0xFFFFFFFF, 30])
+    ring_length = rng.choice([0xFFFFFFFF, 0xFFFFFFFF, 30])
     conditions = rng.sample(range(4), 4)
-    levels = [rng.randint(0, 30) if ring == 30 else begin + rng.randint(-40, 40) for _ in range(4)]
-    load(chip, LX=ring, LP=0 if ring == 30 else begin)
+    levels = [rng.randint(0, 30) if ring_length == 30 else begin + rng.randint(-40, 40) for _ in range(4)]
+    load(chip, LX=ring_length, LP=0 if ring_length == 30 else begin)
     load(chip, **{f"MR{m}": level for m, level in enumerate(levels)}, MRM=mrm(*((LP, k) for k in conditions)))
     cruise(chip, 1_000_003, minus=minus)
     rr1(chip)
     counter = get_signed(chip, READ["LP"])
     levels = [get_signed(chip, READ[f"MR{m}"]) for m in range(4)]
-    held = [HOLDS[k](counter, level) for k, level in zip(conditions, levels, strict=True)]
+    previous = [HOLDS[k](counter, level) for k, level in zip(conditions, levels, strict=True)]
     for clock in pulses(chip, 100 * US):
         counter += -1 if minus else 1
-        counter = counter % 31 if ring == 30 else (counter + (1 << 31)) % (1 << 32) - (1 << 31)
+        counter = counter % 31 if ring_length == 30 else (counter + (1 << 31)) % (1 << 32) - (1 << 31)
         now = [HOLDS[k](counter, level) for k, level in zip(conditions, levels, strict=True)]
-        due = sum(CMR0 << m for m in range(4) if now[m] and not held[m])
+        due = sum(CMR0 << m for m in range(4) if now[m] and not previous[m])
         if clock - 1 > chip.clock:
             assert passes(chip, clock, lambda c: rr1(c) & 0xF) == (0, due), (counter, levels, conditions)
         else:
             chip.advance(1)
             assert rr1(chip) & 0xF == due
-        held = now
+        previous = now
 
 
 def test_a_comparison_with_rp_follows_the_encoder():
     chip = MCX514()
     load(chip, MR0=3, MRM=mrm((RP, AT_LEAST)))
     rr1(chip)
-    pins, seen = chip.axes[0].pins, []
+    pins, observed = chip.axes[0].pins, []
     for a, b in [(1, 0), (1, 1), (0, 1), (0, 0)]:
         pins.eca, pins.ecb = bool(a), bool(b)
         chip.advance(10)
-        seen.append((get_signed(chip, READ["RP"]), rr1(chip)))
-    assert seen == [(1, 0), (2, 0), (3, CMR0), (4, 0)]
+        observed.append((get_signed(chip, READ["RP"]), rr1(chip)))
+    assert observed == [(1, 0), (2, 0), (3, CMR0), (4, 0)]
 
 
 @pytest.mark.parametrize("s_curve", [False, True], ids=["linear", "S-curve"])
-def test_a_comparison_with_the_speed_tells_at_the_clock_at_which_cv_passes(s_curve):
+def test_a_comparison_with_the_speed_is_an_event_at_the_clock_at_which_cv_passes(s_curve):
     """Against CV, read at every clock from a chip beside it."""
     rng = generator(200 + s_curve)
     base, gain, clocks = (100_000, 100, 25_000) if s_curve else (50_000, 60_000, 9_000)
@@ -313,13 +313,13 @@ def test_a_comparison_with_the_speed_tells_at_the_clock_at_which_cv_passes(s_cur
         load(one, MRM=mrm((CV, AT_LEAST), (CV, ABOVE), (CV, EQUAL), (CV, BELOW)))
         command(one, 0x50)
         rr1(one)
-    due, held = {}, [True] * 4
+    due, previous = {}, [True] * 4
     for clock in range(clocks):
         speed = get(reader, READ["CV"])
         now = [HOLDS[m](speed, levels[m]) for m in range(4)]
-        if events := sum(CMR0 << m for m in range(4) if now[m] and not held[m]):
+        if events := sum(CMR0 << m for m in range(4) if now[m] and not previous[m]):
             due[clock] = events
-        held = now
+        previous = now
         reader.advance(1)
     assert sum(events.bit_count() for events in due.values()) >= 4
     for clock, events in due.items():
@@ -328,7 +328,7 @@ def test_a_comparison_with_the_speed_tells_at_the_clock_at_which_cv_passes(s_cur
     assert rr1(chip) & 0xF == 0
 
 
-def test_a_comparison_with_the_timer_tells_at_the_microsecond():
+def test_a_comparison_with_the_timer_is_an_event_at_its_microsecond():
     chip = MCX514()
     load(chip, TM=100, MR0=20, MR1=20, MR2=20, MR3=20)
     load(chip, MRM=mrm((CT, AT_LEAST), (CT, ABOVE), (CT, EQUAL), (CT, BELOW)))
@@ -340,7 +340,7 @@ def test_a_comparison_with_the_timer_tells_at_the_microsecond():
     assert passes(chip, 5 + 100 * US, rr1) == (0, TIMER | CMR0 << 3)
 
 
-def test_a_write_that_makes_a_comparison_true_tells_so_once():
+def test_a_write_that_makes_a_comparison_true_is_one_event():
     chip = MCX514()
     load(chip, MR0=10)
     assert rr1(chip) == 0
@@ -350,12 +350,12 @@ def test_a_write_that_makes_a_comparison_true_tells_so_once():
     assert rr1(chip) == 0
 
 
-def test_nothing_is_told_after_a_reset():
+def test_a_reset_causes_no_events():
     chip = MCX514()
     assert [word(chip, 1, 1 << j) for j in range(4)] == [0] * 4
 
 
-def test_an_event_asks_for_an_interrupt_only_where_wr1_enables_it():
+def test_an_event_causes_an_interrupt_only_if_wr1_enables_it():
     for enabled in (0, TIMER):
         chip = MCX514()
         set_word(chip, 1, enabled)

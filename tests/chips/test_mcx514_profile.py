@@ -151,7 +151,7 @@ def test_counter_relative_and_absolute_drives_are_the_same_drive():
         assert get_signed(chip, 0x30) == 300 + 400 * sign
 
 
-def test_axes_drive_side_by_side_each_by_its_own_parameters():
+def test_axes_drive_at_the_same_time_with_separate_parameters():
     chip = MCX514()
     prepare(chip, LINEAR, X)
     prepare(chip, CURVE, U)
@@ -199,8 +199,8 @@ DOUBLED = [(0, "accelerating"), (1, "constant"), (2, "decelerating")]
 @pytest.mark.parametrize(("index", "phase"), DOUBLED, ids=[phase for _, phase in DOUBLED])
 def test_a_new_drive_speed_acts_at_once_in_each_phase(index, phase, dv, s_curve):
     move = CURVE._replace(s_curve=s_curve)
-    plain = move.reference()
-    clock = next(int((p.t + p.length / 2) * SECOND) for p in plain.pieces if p.phase == phase)
+    unmodified = move.reference()
+    clock = next(int((p.t + p.length / 2) * SECOND) for p in unmodified.pieces if p.phase == phase)
     assert_made(MCX514(), move, [(clock, "DV", dv)])
 
 
@@ -211,7 +211,7 @@ def test_a_drive_speed_lowered_shortly_before_the_deceleration_point_still_lets_
 
 
 @pytest.mark.parametrize("clock", [2 * MS, 8 * MS], ids=["accelerating", "constant"])
-def test_writing_what_is_there_already_changes_nothing(clock):
+def test_writing_the_present_value_changes_nothing(clock):
     """In a short move with triangle prevention, too."""
     short = LINEAR._replace(P=48, DV=8000)
     assert short.reference((clock, "P", 48)).pulse_clocks() == short.reference().pulse_clocks()
@@ -219,7 +219,7 @@ def test_writing_what_is_there_already_changes_nothing(clock):
         assert_made(MCX514(), short, [(clock, what, value)])
 
 
-def test_triangle_prevention_holds_for_a_drive_speed_raised_on_the_way():
+def test_triangle_prevention_holds_for_a_drive_speed_raised_in_motion():
     for clock in (1, 2 * MS, 8 * MS):
         assert_made(MCX514(), LINEAR._replace(P=100, DV=4000), [(clock, "DV", 20_000)])
 
@@ -250,7 +250,7 @@ def test_the_end_of_a_counter_relative_drive_can_be_moved_too():
     assert_pulses([c for c, _ in pulses], LINEAR.reference((30 * MS, "P", 500)), "51h")
 
 
-def test_a_decelerating_stop_goes_down_to_sv_from_any_phase():
+def test_a_decelerating_stop_brakes_to_sv_from_any_phase():
     for rng in examples(0.1):
         move = random_move(rng)
         clock = somewhere(rng, move.reference())
@@ -339,8 +339,8 @@ def test_advancing_in_pieces_is_advancing_at_once():
             start(chip, move)
         cuts = sorted(rng.randint(0, drive.end_clock) for _ in range(rng.randint(1, 12)))
         pieces = [b - a for a, b in pairwise([0, *cuts, drive.end_clock + 5])]
-        whole = one.trace(sum(pieces))["clock"].tolist()
-        assert [c for n in pieces for c in many.trace(n)["clock"].tolist()] == whole, f"{move} {pieces}"
+        uncut = one.trace(sum(pieces))["clock"].tolist()
+        assert [c for n in pieces for c in many.trace(n)["clock"].tolist()] == uncut, f"{move} {pieces}"
         assert one.snapshot().record == many.snapshot().record, f"{move} {pieces}"
 
 
@@ -364,15 +364,15 @@ def test_speed_acceleration_and_phase_read_as_the_profile_says():
         if rng.random() < 0.5:
             interventions = [(somewhere(rng, drive), "DV", log_uniform(rng, int(move.SV) + 1, 3 * int(move.DV)))]
             drive = move.reference(*interventions)
-        looks = sorted(somewhere(rng, drive) for _ in range(8))
+        samples = sorted(somewhere(rng, drive) for _ in range(8))
         start(chip, move)
-        begun = chip.clock
-        for clock in looks:
+        start_clock = chip.clock
+        for clock in samples:
             while interventions and interventions[0][0] <= clock:
                 at, *what = interventions.pop()
-                chip.advance(begun + at - chip.clock)
+                chip.advance(start_clock + at - chip.clock)
                 intervene(chip, *what)
-            chip.advance(begun + clock - chip.clock)
+            chip.advance(start_clock + clock - chip.clock)
             assert_shows(chip, drive, clock, f"{move} at {clock}: {drive.phase(clock)} PULSESTAGE_SEED={SEED}")
 
 

@@ -38,9 +38,9 @@ RISES, FALLS, RISES_LOW, RISES_HIGH, FALLS_LOW, FALLS_HIGH = range(0xA, 0x10)
 RUNS_TIMER, RUNS_SPLIT = 0x400, 0x800  # RR3 page 1
 
 
-def mode(factor=0, action=0, own=0, others=0, every=False):
+def mode(factor=0, action=0, same_axis=0, others=0, every=False):
     """SmM. own: bit k - 1 for set m + k; others: bit k - 1 for SYNC0 of axis + k."""
-    return factor | action << 4 | own << 9 | others << 12 | (EVERY if every else 0)
+    return factor | action << 4 | same_axis << 9 | others << 12 | (EVERY if every else 0)
 
 
 def arm(chip, axes=X, m=0, **what):
@@ -73,13 +73,13 @@ def test_a_set_acts_at_the_clock_of_the_event_that_is_its_factor(factor, event):
     chip.advance(9)
     for code in (0x73, 0x75, 0x50):
         command(chip, code)
-    seen = chip.read(1)
-    while not seen & event and chip.clock < 5 * MS:
-        assert not seen & SYNC0
+    observed = chip.read(1)
+    while not observed & event and chip.clock < 5 * MS:
+        assert not observed & SYNC0
         chip.advance(1)
-        seen = chip.read(1)
-    assert seen & event
-    assert seen & SYNC0
+        observed = chip.read(1)
+    assert observed & event
+    assert observed & SYNC0
     assert get(chip, READ["MR0"]) == get(chip, READ["LP"])
 
 
@@ -91,7 +91,7 @@ def test_a_set_acts_at_the_start_of_the_split_pulse():
 
 
 @pytest.mark.parametrize(
-    ("factor", "begin", "end", "beside", "acts"),
+    ("factor", "begin", "end", "neighbor", "acts"),
     [
         (RISES, 0, 1, 0, True), (RISES, 0, 1, 1, True), (RISES, 1, 0, 0, False), (FALLS, 1, 0, 0, True),
         (FALLS, 1, 0, 1, True), (FALLS, 0, 1, 0, False), (RISES_LOW, 0, 1, 0, True), (RISES_LOW, 0, 1, 1, False),
@@ -100,11 +100,11 @@ def test_a_set_acts_at_the_start_of_the_split_pulse():
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("m", range(4))
-def test_a_set_acts_at_the_edge_of_its_input_and_with_the_level_beside_it(m, factor, begin, end, beside, acts):
+def test_a_set_acts_at_the_edge_of_its_input_with_the_level_of_the_paired_input(m, factor, begin, end, neighbor, acts):
     chip = MCX514()
     pins = chip.axes[0].pins
     setattr(pins, f"pio{m}", bool(begin))
-    setattr(pins, f"pio{m + 4}", bool(beside))
+    setattr(pins, f"pio{m + 4}", bool(neighbor))
     chip.advance(10)
     arm(chip, m=m, factor=factor)
     assert not acted(chip, m)
@@ -120,9 +120,9 @@ def test_lp_is_captured_at_the_clock_of_a_pio_edge(minus):
     cruise(chip, 333_333, minus=minus)
     chip.advance(7777)
     chip.axes[0].pins.pio2 = True
-    beside = copy.copy(chip)
+    neighbor = copy.copy(chip)
     chip.advance(100_000)
-    assert get_signed(chip, READ["MR2"]) == get_signed(beside, READ["LP"]) == chip_counts(7777, minus)
+    assert get_signed(chip, READ["MR2"]) == get_signed(neighbor, READ["LP"]) == chip_counts(7777, minus)
     chip.axes[0].pins.pio2 = False
     chip.advance(10)
     chip.axes[0].pins.pio2 = True
@@ -206,7 +206,7 @@ def test_a_sync_pulse_on_pio_m_lasts_two_clocks(m):
     ("action", "moved"),
     [(RELATIVE, 30), (COUNTER_RELATIVE, -30), (ABSOLUTE, 130), (RELATIVE_BY, -7), (ABSOLUTE_TO, 93)],
 )
-def test_a_drive_begins_at_the_clock_of_the_factor_and_goes_where_the_action_says(action, moved):
+def test_a_drive_by_an_action_begins_at_the_clock_of_the_factor(action, moved):
     chip = MCX514()
     load(chip, SV=1_000_000, DV=1_000_000, LP=-100, TP=30, MR1=-7, TM=5)
     arm(chip, m=1, factor=TIMER_UP, action=action)
@@ -218,18 +218,18 @@ def test_a_drive_begins_at_the_clock_of_the_factor_and_goes_where_the_action_say
     assert chip.read(0) & 1 == 0
 
 
-@pytest.mark.parametrize(("action", "way"), [(PLUS, 1), (MINUS, -1)])
-def test_a_continuous_drive_can_be_begun_and_stopped_by_sets(action, way):
+@pytest.mark.parametrize(("action", "direction"), [(PLUS, 1), (MINUS, -1)])
+def test_sets_can_start_and_stop_a_continuous_drive(action, direction):
     chip = MCX514()
     load(chip, SV=1_000_000, DV=1_000_000, TM=100)
     arm(chip, m=0, factor=TIMER_UP, action=action)
     command(chip, 0x73)
     chip.advance(200 * US)
-    assert (chip.net(0), chip.read(0) & 1) == (100 * way, 1)
+    assert (chip.net(0), chip.read(0) & 1) == (100 * direction, 1)
     arm(chip, m=1, factor=TIMER_UP, action=STOP)
     command(chip, 0x73)
     chip.advance(MS)
-    assert (chip.net(0), chip.read(0) & 1) == (200 * way, 0)
+    assert (chip.net(0), chip.read(0) & 1) == (200 * direction, 0)
     assert word(chip, 2) == 0x0100  # SYNC
 
 
@@ -312,7 +312,7 @@ def test_what_happened_before_a_set_was_enabled_does_not_make_it_act():
 @pytest.mark.parametrize("k", [1, 2, 3])
 def test_a_set_takes_another_of_its_axis_along(m, k):
     chip = MCX514()
-    arm(chip, m=m, own=1 << k - 1)
+    arm(chip, m=m, same_axis=1 << k - 1)
     arm(chip, m=(m + k) % 4, action=FROM_LP)
     load(chip, LP=5)
     activate(chip, m=m)
@@ -349,7 +349,7 @@ def test_two_axes_start_at_the_same_clock_where_a_third_passes_a_position():
     assert at[2] == []
 
 
-def test_sets_that_ask_for_each_other_act_once_at_a_clock():
+def test_sets_that_activate_each_other_act_once_at_a_clock():
     chip = MCX514()
     load(chip, X | Y | Z | U, IV=1, DV=1, TP=0, **{f"S{m}M": mode(DRIVE_END, FASTER, 7, 7, True) for m in range(4)})
     command(chip, 0x8F, X | Y | Z | U)
@@ -369,7 +369,7 @@ def busy():
     load(chip, X | Y, SV=1000, DV=300_000, AC=50_000_000, TP=500, TM=61, SP1=2 << 16 | 5, IV=777, P1M=0xFF00)
     load(chip, MR0=40, MR1=200_000, MR2=30, MR3=250_000, MRM=0x2 << 4 | 0x3 << 8 | 0xE << 12)
     arm(chip, m=0, factor=COMPARISON, action=SPLIT_ON, others=1)
-    arm(chip, m=1, factor=COMPARISON, action=FROM_CT, own=2, every=True)
+    arm(chip, m=1, factor=COMPARISON, action=FROM_CT, same_axis=2, every=True)
     arm(chip, m=3, factor=TIMER_UP, action=SLOWER, every=True)
     arm(chip, Y, m=0, factor=TIMER_UP, action=RELATIVE, every=True)
     arm(chip, Y, m=1, factor=SPLIT_PULSE, action=FASTER, every=True)
@@ -383,10 +383,10 @@ def busy():
 def test_a_run_cut_anywhere_is_the_same_run(example):
     print("PULSESTAGE_SEED", SEED)
     rng = random.Random(SEED + example)
-    whole, cut = busy(), busy()
+    uncut, cut = busy(), busy()
     clocks = rng.randint(20_000, 200_000)
-    begun = whole.advance(clocks)
-    assert begun > 0
+    start_clock = uncut.advance(clocks)
+    assert start_clock > 0
     left, pulses = clocks, 0
     while left:
         n = min(left, rng.choice([1, 2, rng.randint(1, 100), rng.randint(1, 30_000)]))
@@ -394,5 +394,5 @@ def test_a_run_cut_anywhere_is_the_same_run(example):
         if rng.random() < 0.2:
             cut = copy.copy(cut)
         left -= n
-    assert pulses == begun
-    assert cut.snapshot() == whole.snapshot()
+    assert pulses == start_clock
+    assert cut.snapshot() == uncut.snapshot()

@@ -45,9 +45,9 @@ def play(chip, program, cut):
             chip.set_input_word(a, b & 1 if a == chip.AXES else b)
         elif cut:
             chip.advance(a)
-            twin = type(chip)(**chip.options())
-            twin.restore(chip.snapshot())
-            chip = twin
+            replica = type(chip)(**chip.options())
+            replica.restore(chip.snapshot())
+            chip = replica
             chip.advance(b)
         else:
             chip.advance(a + b)
@@ -59,10 +59,10 @@ def test_nothing_raises_for_any_program_and_a_cut_run_is_the_same_run(make):
     @programs
     @given(st.lists(steps(make), max_size=40))
     def run(program):
-        whole, cut = play(make(), program, False), play(make(), program, True)
-        assert whole.snapshot() == cut.snapshot()
-        assert all(0 <= value <= 0xFFFF for value in whole.values().values())
-        assert [whole.read(n) for n in range(8)] == [cut.read(n) for n in range(8)]
+        uncut, cut = play(make(), program, False), play(make(), program, True)
+        assert uncut.snapshot() == cut.snapshot()
+        assert all(0 <= value <= 0xFFFF for value in uncut.values().values())
+        assert [uncut.read(n) for n in range(8)] == [cut.read(n) for n in range(8)]
 
     run()
 
@@ -73,16 +73,16 @@ def test_a_trace_has_the_pulses_that_advance_would_make(make):
     @given(st.lists(steps(make), max_size=30), st.integers(0, 500))
     def run(program, clocks):
         chip = play(make(), program, False)
-        twin = copy.copy(chip)
+        replica = copy.copy(chip)
         trace = chip.trace(clocks)
-        assert len(trace) == twin.advance(clocks)
-        assert chip.snapshot() == twin.snapshot()
+        assert len(trace) == replica.advance(clocks)
+        assert chip.snapshot() == replica.snapshot()
 
     run()
 
 
 @covers("MCX514", "DCC", "HMSRC", "TMSTA", "TMSTP", "SPSTA", "SPSTP", "SYNCEN", "SYNCDIS", "SYNCACT", "R-P2M", "P2M")
-def test_every_code_with_every_mode_is_taken():
+def test_every_command_code_is_accepted_in_every_mode():
     chip = MCX514()
     for value in (0, 0xFFFF, 0xA5A5, 0xFFFFFFFF, 0x5A5A5A5A, 0x00010001):
         for n in (1, 2, 3):

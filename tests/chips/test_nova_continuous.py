@@ -113,7 +113,7 @@ def stacked(chip):
     return chip.read(0) >> 12
 
 
-def test_the_pre_buffer_holds_eight_segments_behind_the_running_one():
+def test_the_pre_buffer_holds_eight_segments_after_the_running_one():
     chip = prepared()
     line(chip, (10, 4))
     for count in range(8):
@@ -207,11 +207,11 @@ def test_the_speed_of_continuous_interpolation_is_at_most_4_mpps():
 # Helices
 
 
-def helix(chip, centre, finish, clockwise, rise, turns=0):
+def helix(chip, centre, finish, clockwise, rise, revolutions=0):
     for axis, c, f in zip((X, Y), centre, finish, strict=True):
         load(chip, axis, CP=c, TP=f)
     load(chip, Z, TP=rise)
-    load(chip, HLN=turns)
+    load(chip, HLN=revolutions)
     command(chip, COUNT_CW if clockwise else COUNT_CCW, 0)
     assert chip.advance(SECOND) == 0, "the calculation makes no pulses"
     command(chip, HELIX_CW if clockwise else HELIX_CCW, 0)
@@ -235,45 +235,45 @@ def test_a_helix_is_an_arc_that_rises_evenly_and_ends_at_its_height(clockwise):
         assert not driving(chip), note
 
 
-def assert_helix(steps, centre, finish, clockwise, rise, note, turns=0):
-    course = points(steps)
-    assert course[-1][2] == rise, note
-    assert max(circle_errors(course, centre)) <= 1 + 1e-9, note
-    assert max(abs(a - f) for a, f in zip(course[-1], finish, strict=False)) <= 1, note
+def assert_helix(steps, centre, finish, clockwise, rise, note, revolutions=0):
+    waveforms = points(steps)
+    assert waveforms[-1][2] == rise, note
+    assert max(circle_errors(waveforms, centre)) <= 1 + 1e-9, note
+    assert max(abs(a - f) for a, f in zip(waveforms[-1], finish, strict=False)) <= 1, note
     # even in ticks, which are up to 1.1 degrees off the angle
-    pitch = abs(rise) * math.tau / (arc_angle(centre, finish, clockwise) + math.tau * turns)
+    pitch = abs(rise) * math.tau / (arc_angle(centre, finish, clockwise) + math.tau * revolutions)
     allowed = 1 + pitch * (0.01 + 1 / math.hypot(*centre))
-    assert max(helix_errors(course, centre, finish, clockwise, rise, turns)) <= allowed, note
+    assert max(helix_errors(waveforms, centre, finish, clockwise, rise, revolutions)) <= allowed, note
 
 
-def test_a_helix_of_several_turns_takes_the_pulses_of_each_turn_on_both_axes():
+def test_a_helix_of_several_rotations_makes_the_pulses_of_each_on_both_axes():
     axes = X | Y | Z | U
     chip = prepared(axes)
     load(chip, U, TP=-25)
-    helix(chip, (-100, 0), (0, 0), False, 60, turns=3)
+    helix(chip, (-100, 0), (0, 0), False, 60, revolutions=3)
     _, steps = ticks(chip, axes=axes)
-    course = points(steps)
-    assert angles(course, (-100, 0), False)[-1] == pytest.approx(3 * math.tau, abs=0.02)
-    assert course[-1] == (0, 0, 180, -75)
+    waveforms = points(steps)
+    assert angles(waveforms, (-100, 0), False)[-1] == pytest.approx(3 * math.tau, abs=0.02)
+    assert waveforms[-1] == (0, 0, 180, -75)
 
 
 @covers("MCX514", "CHLN", "HLN", "HLCCW", "HLPCCW")
-def test_chln_counts_the_turns_of_a_helix():
+def test_chln_counts_the_rotations_of_a_helix():
     chip = prepared(X | Y | Z)
-    helix(chip, (-100, 0), (0, 0), False, 60, turns=3)
+    helix(chip, (-100, 0), (0, 0), False, 60, revolutions=3)
     began = chip.clock
     turn = len(ticks(chip.make_replica(), axes=X | Y | Z)[0]) / 3
-    for turns in (0, 1, 2):
+    for revolutions in (0, 1, 2):
         for part in (0.1, 0.9):
-            chip.advance(began + int((turns + part) * turn * PERIOD) - chip.clock)
-            assert get(chip, 0x3A, 0) == turns
+            chip.advance(began + int((revolutions + part) * turn * PERIOD) - chip.clock)
+            assert get(chip, 0x3A, 0) == revolutions
 
 
 @covers("MCX514", "R-TX")
 def test_tx_reads_0_while_something_other_than_a_line_runs():
     chip = prepared(X | Y | Z)
     put(chip, 0x19, 12_345, 0)
-    helix(chip, (-100, 0), (0, 0), False, 60, turns=3)
+    helix(chip, (-100, 0), (0, 0), False, 60, revolutions=3)
     chip.advance(10 * PERIOD)
     assert driving(chip)
     assert get(chip, 0x39, 0) == 0
@@ -290,32 +290,32 @@ def test_advancing_in_pieces_is_advancing_at_once():
             for segment in segments:
                 write_segment(chip, segment)
         pieces = [rng.randint(1, 100 * PERIOD) for _ in range(20)]
-        whole = one.trace(sum(pieces))[["clock", "axis", "direction"]].tolist()
-        assert [p for n in pieces for p in many.trace(n)[["clock", "axis", "direction"]].tolist()] == whole, segments
+        uncut = one.trace(sum(pieces))[["clock", "axis", "direction"]].tolist()
+        assert [p for n in pieces for p in many.trace(n)[["clock", "axis", "direction"]].tolist()] == uncut, segments
         assert one.snapshot().record == many.snapshot().record, segments
 
 
 @pytest.mark.parametrize(
-    ("rise", "turns", "equalized"),
+    ("rise", "revolutions", "equalized"),
     [(100, 1, 0), (-283, 1, 0), (284, 3, 0), (333, 1, 0), (-325, 4, 0), (100, 1, 0x100), (-280, 3, 0x100)],
 )
-def test_an_axis_of_a_helix_makes_a_pulse_a_tick_at_most_and_what_is_lost_is_said(rise, turns, equalized):
+def test_lost_pulses_of_a_helix_axis_have_a_diagnostic(rise, revolutions, equalized):
     """333 pulses along a circle of 284 ticks made 284 and nobody said so; with equalized short axes (D8 of IPM) 100 made 13"""
     chip = prepared(X | Y | Z, ipm=equalized)
     load(chip, X, CP=0, TP=0)
     load(chip, Y, CP=50, TP=0)
     load(chip, Z, TP=rise)
-    load(chip, HLN=turns)
+    load(chip, HLN=revolutions)
     command(chip, COUNT_CCW, 0)
     calculated = get(chip, 0x3B)
     command(chip, HELIX_CCW, 0)
     chip.advance(ENOUGH)
-    most = min(abs(rise), calculated)
+    maximum = min(abs(rise), calculated)
     assert calculated == 284
-    assert chip.net(2) == (turns * most if rise > 0 else -turns * most)
-    said = [d.message for d in chip.diagnostics]
-    lost = abs(rise) - most
-    assert said == ([] if not lost else [
+    assert chip.net(2) == (revolutions * maximum if rise > 0 else -revolutions * maximum)
+    message = [d.message for d in chip.diagnostics]
+    lost = abs(rise) - maximum
+    assert message == ([] if not lost else [
         f"6Ah (CCW helical interpolation) with TP = {rise} of Z: the 284 ticks of HLV make one pulse each at most; "
         f"the other {lost} are lost"
     ])  # fmt: skip

@@ -43,9 +43,9 @@ REL, CREL, PLUS, MINUS, ABS, SLOW, STOP = 0x50, 0x51, 0x52, 0x53, 0x54, 0x56, 0x
 @pytest.fixture
 def chip():
     """An MCX514 with ramps of a tenth of a second between 1000 and 11000 pps on X, Y and Z."""
-    made = MCX514()
-    load(made, X | Y | Z, SV=1000, DV=11_000, AC=100_000, TP=3000)
-    return made
+    chip = MCX514()
+    load(chip, X | Y | Z, SV=1000, DV=11_000, AC=100_000, TP=3000)
+    return chip
 
 
 def wr(chip, n, value, axes=X):
@@ -58,9 +58,9 @@ def rr(chip, n, axis=X):
     return chip.read(n)
 
 
-def stopped_after(chip, most=10 * SECOND):
+def stopped_after(chip, maximum=10 * SECOND):
     """Clocks until X drives no more, to the clock."""
-    begin, step = chip.clock, most
+    begin, step = chip.clock, maximum
     probe = chip.snapshot()
     while step:
         before = chip.snapshot()
@@ -79,7 +79,7 @@ def stopped_after(chip, most=10 * SECOND):
 
 
 @covers("MCX514", "DRVRL", "DRVNR", "DRVAB", "DRVVP", "DRVVM", "TP", "R-LP")
-def test_each_drive_command_goes_its_way():
+def test_each_drive_command_moves_in_its_direction():
     ways = {REL: (3000, -3000), CREL: (-3000, 3000), ABS: (3000, -3000)}
     for code, (there, back) in ways.items():
         for tp, target in ((3000, there), (-3000, back)):
@@ -97,7 +97,7 @@ def test_each_drive_command_goes_its_way():
 
 
 @covers("MCX514", "LP", "DRVAB")
-def test_an_absolute_drive_goes_to_its_target_from_anywhere(chip):
+def test_an_absolute_drive_reaches_its_target_from_any_position(chip):
     load(chip, LP=-500, TP=700)
     command(chip, ABS)
     assert chip.advance(SECOND) == 1200
@@ -118,7 +118,7 @@ def test_a_command_to_several_axes_starts_them_at_the_same_clock(chip):
 
 
 @covers("MCX514", "DHOLD", "DFREE")
-def test_a_held_drive_begins_with_the_release(chip):
+def test_a_drive_in_start_hold_begins_at_the_release(chip):
     command(chip, 0x77, X | Y)
     command(chip, REL)
     chip.advance(1000)
@@ -140,7 +140,7 @@ def test_a_drive_command_while_driving_changes_nothing_and_is_noted(chip):
     assert chip.net(0) + chip.advance(SECOND) == 3000
 
 
-def test_no_pulse_is_asked_for_and_none_comes(chip):
+def test_a_drive_of_no_pulses_makes_none(chip):
     load(chip, TP=0)
     command(chip, REL)
     assert not driving(chip)
@@ -160,7 +160,7 @@ def test_events_come_at_start_constant_speed_and_end(chip):
     assert rr(chip, 1) == C_END | D_END
 
 
-def test_the_interrupt_pin_asks_for_enabled_factors_only(chip):
+def test_only_enabled_factors_assert_the_interrupt_pin(chip):
     wr(chip, 1, D_END)
     command(chip, REL)
     chip.advance(SECOND // 5)
@@ -181,9 +181,9 @@ def test_the_drive_ends_with_its_last_pulse(chip):
 
 
 def _twin(chip):
-    twin = type(chip)(**chip.options())
-    twin.restore(chip.snapshot())
-    return twin
+    replica = type(chip)(**chip.options())
+    replica.restore(chip.snapshot())
+    return replica
 
 
 # --- what stops a drive ---
@@ -191,7 +191,7 @@ def _twin(chip):
 
 @pytest.mark.parametrize("plus", [True, False], ids=["plus", "minus"])
 @covers("MCX514", "DRVVP", "DRVVM", "R2CLR")
-def test_a_limit_stops_its_own_direction_at_once_and_blocks_it_until_cleared(plus):
+def test_a_limit_stops_its_direction_at_once_and_blocks_it_until_cleared(plus):
     chip = MCX514()
     load(chip, SV=1000, DV=11_000, AC=100_000)
     wr(chip, 2, 1 << 11)
@@ -280,7 +280,7 @@ def test_alarm_and_emergency_stop_at_once(chip):
 
 @pytest.mark.parametrize("instant", [False, True], ids=["decelerating", "instant"])
 @covers("MCX514", "SP", "SM", "DRVVP", "DRVVM")
-def test_a_software_limit_stops_behind_its_value(instant):
+def test_a_software_limit_stops_the_axis_past_its_value(instant):
     for code, register, sign in ((PLUS, 0x0B, 1), (MINUS, 0x0C, -1)):
         chip = MCX514()
         load(chip, SV=1000, DV=11_000, AC=100_000)
@@ -344,9 +344,9 @@ def test_a_filtered_signal_acts_after_its_delay_and_a_short_one_never():
         assert not driving(chip), f"after {delay} clocks"
 
 
-@pytest.mark.parametrize("beside", [False, True], ids=["alone", "while another signal is in its filter"])
+@pytest.mark.parametrize("neighbor", [False, True], ids=["alone", "while another signal is in its filter"])
 @covers("MCX514", "FLM")
-def test_a_filter_forgets_a_glitch_whatever_other_signals_do(beside):
+def test_a_filter_forgets_a_glitch_whatever_other_signals_do(neighbor):
     """Glitches of all but the filter's time, each by itself; then the signal, which acts after the whole of that time"""
     chip = MCX514()
     load(chip, SV=1000, DV=1000, AC=1)
@@ -355,7 +355,7 @@ def test_a_filter_forgets_a_glitch_whatever_other_signals_do(beside):
         wr(chip, 2, 1 << 11)
         command(chip, 0x79)
         command(chip, MINUS if pin == "lmt_minus" else PLUS)
-        chip.axes[0].pins.stop2 = beside
+        chip.axes[0].pins.stop2 = neighbor
         for _ in range(5):
             setattr(pins, pin, True)
             chip.advance(63)
@@ -371,8 +371,8 @@ def test_a_filter_forgets_a_glitch_whatever_other_signals_do(beside):
         chip.advance(1000)
 
 
-@pytest.mark.parametrize("beside", [False, True], ids=["alone", "while another signal is in its filter"])
-def test_a_filter_of_the_mcx304_forgets_a_glitch_whatever_other_signals_do(beside):
+@pytest.mark.parametrize("neighbor", [False, True], ids=["alone", "while another signal is in its filter"])
+def test_a_filter_of_the_mcx304_forgets_a_glitch_whatever_other_signals_do(neighbor):
     """FE0 and FE1 with a delay of 512 us; STOP2 enters its filter later than LMT+"""
     chip = MCX304()
     load_304(chip, R=8_000_000, SV=100, V=100, A=100)
@@ -382,7 +382,7 @@ def test_a_filter_of_the_mcx304_forgets_a_glitch_whatever_other_signals_do(besid
     for _ in range(3):
         pins.lmt_plus = True
         chip.advance(delay - 1)
-        pins.stop2 = beside
+        pins.stop2 = neighbor
         pins.lmt_plus = False
         chip.advance(1)
     pins.lmt_plus = True
@@ -396,7 +396,7 @@ def test_a_filter_of_the_mcx304_forgets_a_glitch_whatever_other_signals_do(besid
 
 
 @covers("MCX514", "LX", "LP", "R-LP")
-def test_a_ring_counter_turns_over(chip):
+def test_a_counter_with_a_maximum_wraps_to_0(chip):
     put(chip, 0x0E, 999)
     load(chip, LP=990, TP=20)
     command(chip, REL)
@@ -511,7 +511,7 @@ LEVELS = {  # signal: (its level bit, its enable bit) in WR1 or WR2
 
 @pytest.mark.parametrize(("cls", "pin"), [(cls, pin) for cls, pins in LEVELS.items() for pin in pins])
 @pytest.mark.parametrize("high", [False, True], ids=["low active", "high active"])
-def test_a_level_bit_turns_its_signal_round(cls, pin, high):
+def test_a_level_bit_inverts_its_signal(cls, pin, high):
     """A pin that is set is low. A continuous drive goes on while the signal is not active, and ends when it becomes so."""
     chip = cls()
     word, level, enable = LEVELS[cls][pin]
@@ -549,7 +549,7 @@ def test_the_level_bit_of_inpos_says_which_level_ends_a_drive(cls, high):
 
 
 @covers("MCX514", "RR3P0", "RR3P1")
-def test_each_axis_shows_the_page_it_was_told(chip):
+def test_each_axis_shows_the_page_selected_for_it(chip):
     command(chip, 0x7B, Y)
     load(chip, Y, TP=3000)
     command(chip, REL, Y)
@@ -607,13 +607,13 @@ def test_every_byte_of_every_word_passes_the_8_bit_bus_as_the_word_does_whicheve
 
 @pytest.mark.parametrize("high_first", [False, True])
 def test_a_byte_written_alone_leaves_the_other_half_of_its_register(high_first):
-    words, octets, held = MCX514(), MCX514(), [0] * 8
+    words, octets, previous = MCX514(), MCX514(), [0] * 8
     for n in (*range(1, 8), *range(7, 0, -1)):
         value = 0x1234 * n & 0x5A5A
         for high in (high_first, not high_first):
             part = 0xFF00 if high else 0xFF
-            held[n] = held[n] & ~part | value & part
-            words.write(n, held[n])
+            previous[n] = previous[n] & ~part | value & part
+            words.write(n, previous[n])
             octets.write_byte(2 * n + high, (value & part) >> (8 if high else 0))
             assert octets.snapshot().record == words.snapshot().record, f"byte {2 * n + high}"
 
@@ -650,9 +650,9 @@ def test_a_pin_that_does_not_exist_is_an_error_with_the_names_that_do():
 
 @pytest.fixture
 def older():
-    made = MCX304()
-    load_304(made, X | Y, R=800_000, A=80, SV=100, V=1100, P=3000, AO=0)  # ramps of a tenth of a second to 11000 pps
-    return made
+    chip = MCX304()
+    load_304(chip, X | Y, R=800_000, A=80, SV=100, V=1100, P=3000, AO=0)  # ramps of a tenth of a second to 11000 pps
+    return chip
 
 
 def old_rr(chip, n, axis=X):
@@ -733,7 +733,7 @@ def test_s_curves_need_sacc(older):
 
 
 @covers("MCX514", "DIRCP", "DIRCM")
-def test_the_direction_signal_is_set_at_rest_and_a_drive_sets_its_own(chip):
+def test_a_direction_command_sets_the_signal_at_rest_and_a_drive_sets_it_again(chip):
     directions = []
     command(chip, 0x1F, 3)
     chip.write(3, 1 << 3)  # DPMD: pulse and direction
@@ -765,9 +765,9 @@ def test_the_level_of_each_limit_is_that_of_its_wire_and_rr2_reads_it_by_its_own
         assert bool(word & map_.mask("RR4", "X-LMT+")) == (not plus)
         assert bool(word & map_.mask("RR4", "X-LMT-")) == (not minus)
         chip.advance(1)
-        said = chip.read(2)
-        assert bool(said & map_.mask("RR2", "HLMT+")) == (plus != plus_high)
-        assert bool(said & map_.mask("RR2", "HLMT-")) == (minus != minus_high)
+        message = chip.read(2)
+        assert bool(message & map_.mask("RR2", "HLMT+")) == (plus != plus_high)
+        assert bool(message & map_.mask("RR2", "HLMT-")) == (minus != minus_high)
 
 
 @pytest.mark.parametrize("cls", [MCX304, MCX514], ids=lambda cls: cls.__name__)
@@ -789,9 +789,9 @@ def test_a_speed_of_0_counts_as_the_smallest(cls):
 
 @pytest.mark.parametrize("cls", [MCX304, MCX514])
 @pytest.mark.parametrize(
-    ("pin", "said"), [("lmt_plus", "LMT+ is active"), ("alarm", "ALARM is active"), ("emg", "EMG is active")]
+    ("pin", "message"), [("lmt_plus", "LMT+ is active"), ("alarm", "ALARM is active"), ("emg", "EMG is active")]
 )
-def test_a_drive_command_that_a_signal_refuses_says_so_and_another_does_not(cls, pin, said):
+def test_a_drive_command_that_a_signal_refuses_says_so_and_another_does_not(cls, pin, message):
     chip = cls()
     command(chip, NOP_304 if cls is MCX304 else NOP_514)
     chip.write(2, chip.MAP.mask("WR2", "ALM-E") | (chip.MAP.mask("WR2", "HLM-E") if cls is MCX514 else 0))
@@ -806,7 +806,7 @@ def test_a_drive_command_that_a_signal_refuses_says_so_and_another_does_not(cls,
     chip.advance(10)
     command(chip, plus)
     assert chip.advance(SECOND // 100) == 0
-    assert [said in d.message for d in chip.diagnostics] == [True], chip.diagnostics
+    assert [message in d.message for d in chip.diagnostics] == [True], chip.diagnostics
     setattr(pins, pin, False)
     chip.advance(10)
     chip.diagnostics.clear()

@@ -36,7 +36,7 @@ def set_mode(chip, mode, exchanged):
 
 
 def show(chip, edge):
-    """By hand, one edge at a time: A leads B forward."""
+    """Set the encoder pins one edge at a time; A leads B forward."""
     pins = chip.axes[0].pins
     pins.eca, pins.ecb = edge % 4 in (1, 2), edge % 4 in (2, 3)
 
@@ -66,7 +66,7 @@ def test_the_counter_of_a_shaft_is_that_of_its_edges_by_hand(make, mode):
                 assert fed.read(3) == by_hand.read(3), "the raw pins"
 
 
-def test_who_looks_meanwhile_changes_nothing():
+def test_reading_the_position_in_between_changes_nothing():
     """Not even in the up / down mode, while the shaft turns at any speed."""
     for rng in examples(1 / 25):
         mode = rng.randrange(4)
@@ -163,11 +163,11 @@ def test_a_journal_a_snapshot_and_a_copy_go_on_with_the_encoders_of_all_axes():
         assert other.snapshot().record == chip.snapshot().record
 
 
-def test_what_is_no_shaft_is_refused_and_its_pins_are_no_hands():
+def test_an_invalid_shaft_is_refused_and_encoder_pins_cannot_be_set():
     chip = MCX514()
-    for given in ((float("nan"),), (0, float("inf"))):
+    for shafts in ((float("nan"),), (0, float("inf"))):
         with pytest.raises(ArgumentError, match="finite count"):
-            chip.set_shaft(*given)
+            chip.set_shaft(*shafts)
     with pytest.raises(ArgumentError, match="axes 0 to 3"):
         chip.set_shaft(0, axis=4)
     chip.axes[0].pins.eca = True
@@ -209,8 +209,8 @@ CONDITIONS = (lambda a, b: a >= b, lambda a, b: a > b, lambda a, b: a == b, lamb
 class Shaft:
     """An encoder's shaft and the counter behind it, edge by edge."""
 
-    def __init__(self, mode, exchanged, ring=OFF):
-        self.mode, self.way, self.ring = mode, -1 if exchanged else 1, ring
+    def __init__(self, mode, exchanged, ring_length=OFF):
+        self.mode, self.direction, self.ring_length = mode, -1 if exchanged else 1, ring_length
         self.edge = self.counter = 0
         self.at = (0, 0.0, 0)
 
@@ -232,9 +232,9 @@ class Shaft:
             change = {1: 1, 2: -1}.get(passed % 4, 0) if forward else {3: 1, 0: -1}.get(passed % 4, 0)
         else:
             change = (1 if forward else -1) if passed % (1 << self.mode) == 0 else 0
-        self.counter += change * self.way
-        if change and self.ring != OFF:
-            self.counter %= self.ring + 1
+        self.counter += change * self.direction
+        if change and self.ring_length != OFF:
+            self.counter %= self.ring_length + 1
 
 
 def turning(rng):
@@ -245,24 +245,31 @@ def test_comparators_of_rp_fire_at_the_clock_of_every_model_edge():
     """Every mode, either way, with and without a ring, faster than an edge a clock, jumps of the shaft"""
     for rng in examples(1):
         mode, exchanged = rng.randrange(4), rng.randrange(2)
-        ring = rng.choice((OFF, OFF, 0, 1, 2, rng.randrange(3, 30), (1 << 31) - 1))
+        ring_length = rng.choice((OFF, OFF, 0, 1, 2, rng.randrange(3, 30), (1 << 31) - 1))
         condition, than = rng.randrange(4), rng.randrange(-12, 13)
-        chip, shaft = MCX514(), Shaft(mode, exchanged, ring)
+        chip, shaft = MCX514(), Shaft(mode, exchanged, ring_length)
         set_mode(chip, mode, exchanged)
-        put(chip, 0x0F, ring)
+        put(chip, 0x0F, ring_length)
         put(chip, MRM, 1 | condition << 2)  # MR0 with RP
         put(chip, MR0, than)
         chip.set_shaft(0)
         chip.read(1)
-        held = CONDITIONS[condition](0, than)
+        previous = CONDITIONS[condition](0, than)
         for _ in range(4):
             where = turning(rng)
             chip.set_shaft(*where)
             shaft.place(*where, chip.clock)
             for _ in range(120):
                 now = CONDITIONS[condition](shaft.counter, than)
-                assert chip.read(1) & RR1_CMR0 == (now and not held), (mode, exchanged, ring, condition, than, where)
-                held = now
+                assert chip.read(1) & RR1_CMR0 == (now and not previous), (
+                    mode,
+                    exchanged,
+                    ring_length,
+                    condition,
+                    than,
+                    where,
+                )
+                previous = now
                 chip.advance(1)
                 shaft.follow(chip.clock)
         assert real_position(chip) == shaft.counter
@@ -272,24 +279,24 @@ def test_comparators_of_rp_fire_at_the_clock_of_every_model_edge():
 @pytest.mark.parametrize("exchanged", [0, 1])
 def test_a_comparison_of_rp_that_holds_for_one_count_is_not_passed_over_in_a_long_advance(mode, exchanged):
     """Up to four counts in one advance; the ring turns over from 0 to 5"""
-    for ring, than, rate in itertools.product((OFF, 5), (5, 1, 0, -1), (1 / 48, -1 / 48)):
+    for ring_length, than, rate in itertools.product((OFF, 5), (5, 1, 0, -1), (1 / 48, -1 / 48)):
         for clocks in (60, 100, 150, 200):
-            chip, shaft = MCX514(), Shaft(mode, exchanged, ring)
+            chip, shaft = MCX514(), Shaft(mode, exchanged, ring_length)
             set_mode(chip, mode, exchanged)
-            put(chip, 0x0F, ring)
+            put(chip, 0x0F, ring_length)
             put(chip, MRM, 1)  # MR0: RP >= MR0
             put(chip, MR0, than)
             chip.set_shaft(0)
             chip.read(1)
             chip.set_shaft(0, rate)
             shaft.place(0, rate, chip.clock)
-            held, fired = than <= 0, False
+            previous, fired = than <= 0, False
             for clock in range(chip.clock + 1, chip.clock + clocks + 1):
                 shaft.follow(clock)
-                fired |= shaft.counter >= than and not held
-                held = shaft.counter >= than
+                fired |= shaft.counter >= than and not previous
+                previous = shaft.counter >= than
             chip.advance(clocks)
-            assert bool(chip.read(1) & RR1_CMR0) == fired, (ring, than, rate, clocks)
+            assert bool(chip.read(1) & RR1_CMR0) == fired, (ring_length, than, rate, clocks)
 
 
 def compare_ep(counter, plus, minus):
@@ -309,16 +316,16 @@ def test_comparisons_of_ep_change_at_the_clock_of_every_model_edge():
         put(chip, 0x0C, minus)
         chip.set_shaft(0)
         chip.read(3)
-        held = compare_ep(0, plus, minus)
+        previous = compare_ep(0, plus, minus)
         for _ in range(4):
             where = turning(rng)
             chip.set_shaft(*where)
             shaft.place(*where, chip.clock)
             for _ in range(120):
                 now = compare_ep(shaft.counter, plus, minus)
-                risen = sum(1 << k + 1 for k in range(4) if now[k] and not held[k])
+                risen = sum(1 << k + 1 for k in range(4) if now[k] and not previous[k])
                 assert chip.read(3) & 0x1E == risen, (mode, exchanged, plus, minus, where)
-                held = now
+                previous = now
                 chip.advance(1)
                 shaft.follow(chip.clock)
         assert real_position(chip) == shaft.counter
@@ -326,7 +333,7 @@ def test_comparisons_of_ep_change_at_the_clock_of_every_model_edge():
 
 @pytest.mark.parametrize("name", ["MCX514", "MCX512", "MCX501", "MCX304", "MCX302", "MCX312", "MCX314AS"])
 @pytest.mark.parametrize("mode", range(4), ids=["x4", "x2", "x1", "up-down"])
-def test_a_resting_chip_costs_nothing_while_its_shaft_turns(name, mode):
+def test_a_resting_chip_takes_no_time_while_its_shaft_turns(name, mode):
     """Each edge was an event as soon as something looked at RP: these hours of its time took half an hour of ours"""
     chip, hours = CHIPS[name](), (1 << 36) + 4000
     older = chip.VARIANT == MCX304.VARIANT

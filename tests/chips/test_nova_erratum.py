@@ -166,7 +166,7 @@ def runs_away(chip):
     return driving(chip) and chip.read(1) & ALL_SIX == 0 and chip.advance(20 * SECOND) > COURSE.P
 
 
-def begun(cls, name, area, sign=1, **options):
+def begin_drive(cls, name, area, sign=1, **options):
     """A drive with a request made in an area."""
     request = REQUESTS[name]
     chip = COURSE.begin(cls(**options), area, sign, wr1=request.wr1, wr2=request.wr2)
@@ -190,7 +190,7 @@ def ends(chip):
 @every_request
 @in_d
 def test_a_decelerating_stop_in_area_d_makes_pulses_for_ever(cls, name, area):
-    chip = begun(cls, name, area)
+    chip = begin_drive(cls, name, area)
     speed = COURSE.speed_in_d(COURSE.at(area))
     assert driving(chip)
     assert chip.read(1) & ALL_SIX == 0
@@ -202,7 +202,7 @@ def test_a_decelerating_stop_in_area_d_makes_pulses_for_ever(cls, name, area):
 @every_request
 @in_d
 def test_it_does_so_in_the_minus_direction(name, area):
-    chip = begun(MCX304, name, area, sign=-1)
+    chip = begin_drive(MCX304, name, area, sign=-1)
     assert runs_away(chip)
     assert get_signed(chip, 0x10) < -COURSE.P - 10_000
 
@@ -211,13 +211,13 @@ def test_it_does_so_in_the_minus_direction(name, area):
 @every_request
 @pytest.mark.parametrize("area", ["a", "b"])
 def test_before_the_deceleration_the_same_request_stops(cls, name, area):
-    assert 0 < ends(begun(cls, name, area)) < COURSE.P
+    assert 0 < ends(begin_drive(cls, name, area)) < COURSE.P
 
 
 @every_chip
 @pytest.mark.parametrize("area", ["c", "c last"])
 def test_a_stop_command_while_dsnd_is_1_changes_nothing(cls, area):
-    chip = begun(cls, "26h", area)
+    chip = begin_drive(cls, "26h", area)
     assert phases(chip) == DSND
     go(chip, COURSE.at("end") - 1)
     assert driving(chip)
@@ -229,7 +229,7 @@ def test_a_stop_command_while_dsnd_is_1_changes_nothing(cls, area):
 @lasting
 @pytest.mark.parametrize("area", ["c", "c last"])
 def test_a_level_asserted_before_area_d_acts_as_d_begins(cls, name, area):
-    chip = begun(cls, name, area)
+    chip = begin_drive(cls, name, area)
     assert phases(chip) == DSND
     go(chip, COURSE.at("c last"))
     assert phases(chip) == DSND
@@ -242,7 +242,7 @@ def test_a_level_asserted_before_area_d_acts_as_d_begins(cls, name, area):
 
 def test_a_level_that_is_gone_before_area_d_changes_nothing():
     for name, pin in {"limit": "lmt_plus", "STOP0": "stop0", "STOP2": "stop2"}.items():
-        chip = begun(MCX304, name, "c")
+        chip = begin_drive(MCX304, name, "c")
         go(chip, COURSE.at("c last"))
         setattr(chip.axes[0].pins, pin, False)
         assert ends(chip) == COURSE.P
@@ -251,7 +251,7 @@ def test_a_level_that_is_gone_before_area_d_changes_nothing():
 @every_chip
 @every_request
 def test_after_the_end_nothing_comes(cls, name):
-    assert ends(begun(cls, name, "end")) == COURSE.P
+    assert ends(begin_drive(cls, name, "end")) == COURSE.P
 
 
 @every_chip
@@ -266,7 +266,7 @@ def test_a_software_limit_that_the_drive_itself_passes_in_area_d_is_enough(cls, 
 
 
 @every_chip
-def test_a_software_limit_at_the_target_is_reached_too_late(cls):
+def test_a_software_limit_at_the_target_acts_after_the_end_of_the_drive(cls):
     chip = cls()
     COURSE.load(chip, wr2=SLMT_BOTH)
     put(chip, 0x0B, COURSE.P)
@@ -324,12 +324,12 @@ def test_another_axis_does_not_care(cls, area):
 
 @every_chip
 def test_rr1_shows_the_areas_of_figure_3(cls):
-    chip, seen = COURSE.begin(cls()), []
+    chip, observed = COURSE.begin(cls()), []
     for area in ("a", "b", "c", "c last", "d first", "d", "d last"):
         go(chip, COURSE.at(area))
-        seen.append(phases(chip))
+        observed.append(phases(chip))
     command(chip, STOP)
-    assert [*seen, phases(chip)] == [ASND, CNST, DSND, DSND, CNST, CNST, CNST, 0]
+    assert [*observed, phases(chip)] == [ASND, CNST, DSND, DSND, CNST, CNST, CNST, 0]
 
 
 @covers("MCX304 MCX302 MCX312", "CV", "CA")
@@ -371,7 +371,7 @@ def test_c_end_says_that_area_d_is_over(cls, away):
     assert driving(chip) == away
 
 
-def test_c_end_asks_for_an_interrupt_where_wr1_enables_it():
+def test_c_end_causes_an_interrupt_if_wr1_enables_it():
     for wr1, asks in ((0x2000, 1), (0xDF00, 0)):
         chip = COURSE.begin(MCX304(), "d", wr1=wr1)
         chip.read(3)
@@ -384,7 +384,7 @@ def test_c_end_asks_for_an_interrupt_where_wr1_enables_it():
 
 @every_chip
 def test_a_sudden_stop_ends_it(cls):
-    chip = begun(cls, "26h", "d")
+    chip = begin_drive(cls, "26h", "d")
     chip.advance(SECOND)
     command(chip, SUDDEN)
     assert not driving(chip)
@@ -443,14 +443,14 @@ def test_nothing_else_ends_it_or_changes_its_speed(name):
 
 def test_releasing_the_level_does_not_end_it():
     for name, pin in {"limit": "lmt_plus", "STOP1": "stop1"}.items():
-        chip = begun(MCX304, name, "d")
+        chip = begin_drive(MCX304, name, "d")
         chip.read(0)
         setattr(chip.axes[0].pins, pin, False)
         assert runs_away(chip)
 
 
 def test_after_a_sudden_stop_the_chip_drives_as_ever():
-    chip = begun(MCX304, "26h", "d")
+    chip = begin_drive(MCX304, "26h", "d")
     command(chip, SUDDEN)
     load_304(chip, LP=0)
     command(chip, 0x20)
@@ -463,18 +463,18 @@ def test_after_a_sudden_stop_the_chip_drives_as_ever():
 @every_chip
 @every_request
 @pytest.mark.parametrize("area", ["c", "c last", "d first", "d", "d last"])
-def test_a_mended_chip_ends_on_its_pulse(cls, name, area):
-    assert ends(begun(cls, name, area, errata=False)) <= COURSE.P
+def test_a_chip_without_the_erratum_ends_on_its_pulse(cls, name, area):
+    assert ends(begin_drive(cls, name, area, errata=False)) <= COURSE.P
     if area[0] == "d" or name == "26h":
-        assert ends(begun(cls, name, area, errata=False)) >= COURSE.P - 50
+        assert ends(begin_drive(cls, name, area, errata=False)) >= COURSE.P - 50
 
 
 @every_request
 @pytest.mark.parametrize("area", ["c", "c last", "d first", "d", "d last"])
 def test_an_mcx314as_which_the_notice_says_has_no_failure_ends_on_its_pulse(name, area):
     """What makes an MCX304 run away, in each case of the notice."""
-    assert ends(begun(MCX314AS, name, area)) == ends(begun(MCX304, name, area, errata=False)) <= COURSE.P
-    assert area[0] != "d" or runs_away(begun(MCX304, name, area))
+    assert ends(begin_drive(MCX314AS, name, area)) == ends(begin_drive(MCX304, name, area, errata=False)) <= COURSE.P
+    assert area[0] != "d" or runs_away(begin_drive(MCX304, name, area))
 
 
 OTHERS = {
@@ -487,9 +487,9 @@ OTHERS = {
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_drives_never_run_away(name):
-    drive, wr3, course = OTHERS[name]
+    drive, wr3, waveforms = OTHERS[name]
     chip = MCX304()
-    course.load(chip, wr3=wr3)
+    waveforms.load(chip, wr3=wr3)
     if name.startswith("linear"):
         load_304(chip, A=14, D=14)
     command(chip, drive)
@@ -508,11 +508,11 @@ def test_an_mcx514_or_mcx501_never_runs_away(make):
     assert_never_runs_away(chip, 0x56)
 
 
-def assert_never_runs_away(begun, stop):
+def assert_never_runs_away(begin_drive, stop):
     """A decelerating stop at 100 instants, ever closer to the end of a drive; or of 6 seconds, where it has none."""
-    last = int(copy.deepcopy(begun).trace(6 * SECOND)["clock"][-1])
+    last = int(copy.deepcopy(begin_drive).trace(6 * SECOND)["clock"][-1])
     for k in range(100):
-        chip = copy.deepcopy(begun)
+        chip = copy.deepcopy(begin_drive)
         go(chip, max(last - int(1.2**k), chip.clock))
         assert driving(chip)
         command(chip, stop)
@@ -524,17 +524,17 @@ def assert_never_runs_away(begun, stop):
 # The option
 
 
-def test_a_chip_is_as_sold_unless_told_otherwise():
+def test_a_chip_has_the_erratum_by_default():
     for cls in CHIPS:
         assert cls().errata is True
         assert cls(errata=False).errata is False
-    assert runs_away(begun(MCX304, "26h", "d"))
+    assert runs_away(begin_drive(MCX304, "26h", "d"))
 
 
-@pytest.mark.parametrize("twin", [copy.copy, copy.deepcopy, lambda chip: pickle.loads(pickle.dumps(chip))])
+@pytest.mark.parametrize("replica", [copy.copy, copy.deepcopy, lambda chip: pickle.loads(pickle.dumps(chip))])
 @pytest.mark.parametrize("errata", [True, False])
-def test_copies_and_pickles_keep_it(twin, errata):
-    chip = twin(COURSE.begin(MCX304(errata=errata), "d"))
+def test_copies_and_pickles_keep_it(replica, errata):
+    chip = replica(COURSE.begin(MCX304(errata=errata), "d"))
     assert chip.errata is errata
     command(chip, STOP)
     assert runs_away(chip) is errata
@@ -568,9 +568,9 @@ def test_a_snapshot_of_one_kind_is_refused_by_the_other(cls):
 @pytest.mark.parametrize("k", [1, 10, 100])
 def test_k_decides_how_many_bus_cycles_can_hit_area_d(k):
     """26h once in each microsecond of the end of a drive: 2 K of them do."""
-    course = Course(K=k, P=2000)
-    chip = course.begin(MCX304(), "c")
-    begin, end = chip.snapshot(), course.at("end")
+    waveforms = Course(K=k, P=2000)
+    chip = waveforms.begin(MCX304(), "c")
+    begin, end = chip.snapshot(), waveforms.at("end")
     hit = 0
     for cycle in range(2 * k + 20):
         chip.restore(begin)
@@ -583,8 +583,8 @@ def test_k_decides_how_many_bus_cycles_can_hit_area_d(k):
 def test_outside_area_d_no_stop_command_ever_runs_away_and_inside_every_one_does():
     hits = tried = 0
     for rng in examples(1.0):
-        made = random_drive(rng)
-        drive, m = made["drive"], made["m"]
+        drawn = random_drive(rng)
+        drive, m = drawn["drive"], drawn["m"]
         area = area_d(drive, m)
         inside = area is not None and rng.random() < 0.5
         clock = rng.randrange(*area) if inside else int(drive.end_clock * rng.random())
@@ -592,13 +592,13 @@ def test_outside_area_d_no_stop_command_ever_runs_away_and_inside_every_one_does
         if area is not None and abs(clock - area[0]) <= 1:
             continue  # within rounding of its beginning
         chip = MCX304()
-        load_304(chip, **made["told"])
-        set_wr3(chip, SACC | (DSNDE if made["asymmetric"] else 0), X, NOP_304)
+        load_304(chip, **drawn["told"])
+        set_wr3(chip, SACC | (DSNDE if drawn["asymmetric"] else 0), X, NOP_304)
         command(chip, 0x20)
         go(chip, clock)
         command(chip, STOP)
         go(chip, clock + int(drive.end_clock) + SECOND)
-        note = f"{made['told']} at {clock} of {drive.end_clock}, d {area} PULSESTAGE_SEED={SEED}"
+        note = f"{drawn['told']} at {clock} of {drive.end_clock}, d {area} PULSESTAGE_SEED={SEED}"
         assert driving(chip) == inside, note
         assert not inside or phases(chip) == 0, note
         hits, tried = hits + inside, tried + 1
@@ -607,7 +607,7 @@ def test_outside_area_d_no_stop_command_ever_runs_away_and_inside_every_one_does
 
 def random_drive(rng):
     sv, v = sorted((log_uniform(rng, 1, 8000), log_uniform(rng, 2, 8000)))
-    told = {
+    expected = {
         "R": rng.choice([8_000_000, 800_000, rng.randint(16_000, 8_000_000)]),
         "K": log_uniform(rng, 1, 65_535),
         "A": log_uniform(rng, 1, 8000),
@@ -617,15 +617,15 @@ def random_drive(rng):
         "P": log_uniform(rng, 1, 20_000),
         "AO": rng.choice([0, 0, 8, 60]),
     }
-    m, asymmetric = 8_000_000 / told["R"], rng.random() < 0.4
-    jerk = 62.5e6 * m / told["K"]
-    speeds = {"SV": sv * m, "DV": v * m, "AC": 125 * told["A"] * m, "DC": 125 * told["D"] * m}
-    drive = Drive(**speeds, JK=jerk, DJ=jerk, P=told["P"], AO=told["AO"], s_curve=True, asymmetric=asymmetric)
-    return {"told": told, "drive": drive, "m": m, "asymmetric": asymmetric}
+    m, asymmetric = 8_000_000 / expected["R"], rng.random() < 0.4
+    jerk = 62.5e6 * m / expected["K"]
+    speeds = {"SV": sv * m, "DV": v * m, "AC": 125 * expected["A"] * m, "DC": 125 * expected["D"] * m}
+    drive = Drive(**speeds, JK=jerk, DJ=jerk, P=expected["P"], AO=expected["AO"], s_curve=True, asymmetric=asymmetric)
+    return {"told": expected, "drive": drive, "m": m, "asymmetric": asymmetric}
 
 
 def area_d(drive, m):
-    """Its first clock, and the one after its last; None where it has none."""
+    """Return the first clock of area d and the first after it; None if there is none."""
     last = [piece for piece in drive.pieces if piece.a < 0 and piece.jerk > 0]
     if not last:
         return None

@@ -57,8 +57,8 @@ def steps(chip, clocks):
     return [(int(p["clock"]) - began, int(p["direction"])) for p in trace]
 
 
-def train(count, way, begin=0):
-    return [(begin + PERIOD * k, way) for k in range(1, count + 1)]
+def train(count, direction, begin=0):
+    return [(begin + PERIOD * k, direction) for k in range(1, count + 1)]
 
 
 @EVERY
@@ -98,24 +98,24 @@ def test_the_release_is_a_decelerating_stop():
     chip = ready(MCX514, "continuous")
     prepare(chip, move)
     set_pins(chip, plus=True)
-    made = steps(chip, 2_000_000)
+    pulse_count = steps(chip, 2_000_000)
     set_pins(chip, plus=False)
-    made += [(clock + 2_000_000, way) for clock, way in steps(chip, 4_000_000)]
+    pulse_count += [(clock + 2_000_000, direction) for clock, direction in steps(chip, 4_000_000)]
     reference = move.reference((2_000_000, "slow"))
-    assert [clock for clock, _ in made] == reference.pulse_clocks()
+    assert [clock for clock, _ in pulse_count] == reference.pulse_clocks()
     assert not driving(chip)
 
 
 @EVERY
-def test_a_handwheel_makes_one_drive_a_turn_either_way(make):
+def test_a_handwheel_makes_one_drive_per_turn_in_either_direction(make):
     chip = ready(make, "pulser", pulses=2)
     quarters = [(True, False), (True, True), (False, True), (False, False)]  # A, B low
-    for way in (+1, -1):
-        made = []
-        for plus, minus in quarters[::way] * 5:
+    for direction in (+1, -1):
+        pulse_count = []
+        for plus, minus in quarters[::direction] * 5:
             set_pins(chip, plus, minus)
-            made += steps(chip, 3 * PERIOD)
-        assert [step for _, step in made] == [way] * 10, "five turns of two pulses"
+            pulse_count += steps(chip, 3 * PERIOD)
+        assert [step for _, step in pulse_count] == [direction] * 10, "five turns of two pulses"
 
 
 @EVERY
@@ -152,17 +152,17 @@ def test_any_edges_drive_as_the_reference_says(make, every):
         mode, pulses, delay = rng.choice(MODES), rng.randint(0, 6), rng.random() < 0.4
         chip = ready(make, mode, pulses, delay)
         reference = External(mode, pulses, PERIOD, 8192 if delay else 0)
-        begin, told, made = chip.clock, [], []
+        begin, expected, pulse_count = chip.clock, [], []
         for _ in range(rng.randint(1, 25)):
             clocks = rng.choice([rng.randint(1, 300), rng.randint(1, 9000), rng.randint(1, 30_000)])
-            made += [(int(p["clock"]) - begin, int(p["direction"])) for p in chip.trace(clocks)]
+            pulse_count += [(int(p["clock"]) - begin, int(p["direction"])) for p in chip.trace(clocks)]
             pin, asserted = rng.choice(["plus", "minus"]), rng.random() < 0.5
-            told.append((chip.clock - begin, pin, asserted))
+            expected.append((chip.clock - begin, pin, asserted))
             set_pins(chip, **{pin: asserted})
             reference.edge(chip.clock - begin, f"exp_{pin}", asserted)
-        made += [(int(p["clock"]) - begin, int(p["direction"])) for p in chip.trace(50_000)]
-        note = f"{mode} {pulses} {delay} {told} PULSESTAGE_SEED={SEED}"
-        assert made == reference.pulses(chip.clock - begin), note
+        pulse_count += [(int(p["clock"]) - begin, int(p["direction"])) for p in chip.trace(50_000)]
+        note = f"{mode} {pulses} {delay} {expected} PULSESTAGE_SEED={SEED}"
+        assert pulse_count == reference.pulses(chip.clock - begin), note
 
 
 # Emergency stop, STOP2 and EP, outputs
@@ -277,22 +277,22 @@ def test_every_axis_of_an_interpolation_shows_the_phases_of_the_main_one():
         load(chip, axis, TP=value)
     command(chip, 0x6D, 0)
     command(chip, 0x61, 0)
-    seen = []
+    observed = []
     while driving(chip):
         chip.advance(20_000)
         phases = [tuple(getattr(chip.axes[k].pins, name) for name in ("asnd", "cnst", "dsnd")) for k in range(3)]
         assert phases[0] == phases[1]
         assert phases[2] == (False, False, False)
-        if not seen or seen[-1] != phases[0]:
-            seen.append(phases[0])
-    assert [phase.index(True) for phase in seen if any(phase)] == [0, 1, 2]
+        if not observed or observed[-1] != phases[0]:
+            observed.append(phases[0])
+    assert [phase.index(True) for phase in observed if any(phase)] == [0, 1, 2]
     start(chip, Move(SV=8000, DV=8000, P=5))
     assert chip.axes[0].pins.cnst
     assert not chip.axes[1].pins.cnst
 
 
 @EVERY
-def test_a_pin_that_was_released_late_stops_no_other_drive(make):
+def test_a_pin_released_after_its_drive_stops_no_other_drive(make):
     """A limit has ended the drive that the pin began; the next drive is a command's."""
     chip = ready(make, "continuous")
     set_pins(chip, plus=True)

@@ -23,29 +23,29 @@ BY_STOP1, BY_LIMIT, LIMIT_2 = 0x0004, 0x0008, 0x0040  # signals of steps 1 and 2
 HM_STEPS, HM_MINUS = 0x0055, 0x002A
 ENABLE_LIMITS, ENABLE_STOPS = 0x0800, 0x002A  # WR2
 E_EMG, E_HOME = 0x20, 0x40  # RR2
-both_ways = pytest.mark.parametrize("way", [1, -1], ids=["+", "-"])
+both_ways = pytest.mark.parametrize("direction", [1, -1], ids=["+", "-"])
 
 
-def switches(way, stop2=lambda q: q % 50 == 25):
+def switches(direction, stop2=lambda q: q % 50 == 25):
     """Pins by position."""
     return {
-        "stop0": lambda p: p * way >= 200,
-        "stop1": lambda p: 400 <= p * way <= 440,
-        "stop2": lambda p: stop2(p * way),
+        "stop0": lambda p: p * direction >= 200,
+        "stop1": lambda p: 400 <= p * direction <= 440,
+        "stop2": lambda p: stop2(p * direction),
         "lmt_plus": lambda p: p >= 1000,
         "lmt_minus": lambda p: p <= -1000,
     }
 
 
-def put_at(chip, start, way, **also):
+def put_at(chip, start, direction, **also):
     """Speeds (50,000 pps and HV 5,000 pps), the axis at q = `start`, its switches. Returns them."""
-    chip.place = start * way  # where net = 0 is
+    chip.place = start * direction  # where net = 0 is
     if isinstance(chip, MCX514):
         load(chip, SV=10_000, DV=50_000, HV=5_000, AC=50_000_000, **also)
         set_word(chip, 2, ENABLE_LIMITS)
     else:
         load(chip, R=800_000, SV=1000, V=5000, HV=500, A=8000, **also)
-    table = switches(way)
+    table = switches(direction)
     press(chip, table)
     return table
 
@@ -55,11 +55,11 @@ def press(chip, table):
         setattr(chip.axes[0].pins, pin, bool(at(chip.place + chip.net(0))))
 
 
-def search(chip, table, code=None, most=4000 * MS):
+def search(chip, table, code=None, maximum=4000 * MS):
     """Run a home search to its end, with the switches pressed at the pulses that reach them. The states that it had."""
     states = []
     command(chip, code or (0x5A if isinstance(chip, MCX514) else 0x62))
-    end = chip.clock + most
+    end = chip.clock + maximum
     while chip.read(0) & 1:
         assert chip.clock < end, states
         state = home_state(chip)
@@ -70,10 +70,10 @@ def search(chip, table, code=None, most=4000 * MS):
 
 
 def go_on(chip, table):
-    """To the next pulse that changes a switch, or a little further."""
+    """Advance to the next pulse that changes a switch, or a little further."""
     at, pressed = chip.place + chip.net(0), {pin: bool(is_on(chip.place + chip.net(0))) for pin, is_on in table.items()}
-    for clock, _, way in copy.copy(chip).trace(CHUNK).tolist():
-        at += way
+    for clock, _, direction in copy.copy(chip).trace(CHUNK).tolist():
+        at += direction
         if any(bool(is_on(at)) != pressed[pin] for pin, is_on in table.items()):
             chip.advance(clock - chip.clock)
             press(chip, table)
@@ -81,8 +81,8 @@ def go_on(chip, table):
     chip.advance(CHUNK)
 
 
-def h1m(way, steps=S1 | S2 | S3 | S4, more=0):
-    return steps | more | (S1_MINUS | S2_MINUS | S3_MINUS if way < 0 else 0)
+def h1m(direction, steps=S1 | S2 | S3 | S4, more=0):
+    return steps | more | (S1_MINUS | S2_MINUS | S3_MINUS if direction < 0 else 0)
 
 
 STARTS = {
@@ -99,12 +99,12 @@ HMST = {3: 3, 11: 8, 15: 12, 20: 15, 28: 20, 36: 25}
 @covers("MCX514", "HMSRC", "H1M", "HV", "TP")
 @both_ways
 @pytest.mark.parametrize("where", STARTS)
-def test_the_search_ends_at_the_same_pulse_wherever_it_starts(where, way):
+def test_the_search_ends_at_the_same_pulse_wherever_it_starts(where, direction):
     start, states = STARTS[where]
     chip = MCX514()
-    table = put_at(chip, start, way, H1M=h1m(way), TP=-25 * way)
+    table = put_at(chip, start, direction, H1M=h1m(direction), TP=-25 * direction)
     assert search(chip, table) == states
-    assert chip.place + chip.net(0) == 400 * way  # STOP1 at 400, STOP2 at 425, 25 back
+    assert chip.place + chip.net(0) == 400 * direction  # STOP1 at 400, STOP2 at 425, 25 back
     assert home_state(chip) == 0
     assert word(chip, 2) & 0xFF == 0
 
@@ -113,13 +113,13 @@ def test_the_search_ends_at_the_same_pulse_wherever_it_starts(where, way):
 @pytest.mark.parametrize("make", FAMILY)
 @both_ways
 @pytest.mark.parametrize("where", STARTS)
-def test_the_older_chips_search_the_same_way_with_states_of_their_own(where, way, make):
+def test_the_older_chips_search_alike_with_different_state_numbers(where, direction, make):
     start, states = STARTS[where]
     chip = make()
-    back = 0x80 if way > 0 else 0  # step 4 the other way
-    table = put_at(chip, start, way, HM=HM_STEPS | (HM_MINUS if way < 0 else 0) | back, P=25)
+    back = 0x80 if direction > 0 else 0  # step 4 the other way
+    table = put_at(chip, start, direction, HM=HM_STEPS | (HM_MINUS if direction < 0 else 0) | back, P=25)
     assert search(chip, table) == [HMST[state] for state in states]
-    assert chip.place + chip.net(0) == 400 * way
+    assert chip.place + chip.net(0) == 400 * direction
     assert word(chip, 3) & 0x180 == 0x180  # HMEND, D-END
     assert word(chip, 2) & 0x80 == 0
 
@@ -128,39 +128,39 @@ def test_the_older_chips_search_the_same_way_with_states_of_their_own(where, way
 def test_from_any_start_and_with_any_timer_the_search_finds_the_same_edge(example):
     print("PULSESTAGE_SEED", SEED)
     rng = random.Random(SEED + example)
-    way, timer = rng.choice([1, -1]), rng.choice([0, 0x80, 0x180])
+    direction, timer = rng.choice([1, -1]), rng.choice([0, 0x80, 0x180])
     chip = MCX514()
-    table = put_at(chip, rng.randint(-1100, 1100), way, H1M=h1m(way, S1 | S2), H2M=timer)
+    table = put_at(chip, rng.randint(-1100, 1100), direction, H1M=h1m(direction, S1 | S2), H2M=timer)
     states = search(chip, table)
     assert states[-1] == 20
     assert not set(states) - {3, 6, 11, 15, 18, 20}
-    assert chip.place + chip.net(0) == 400 * way
+    assert chip.place + chip.net(0) == 400 * direction
 
 
 @both_ways
-def test_step_2_against_step_1_finds_the_other_edge(way):
+def test_step_2_against_step_1_finds_the_other_edge(direction):
     chip = MCX514()
-    table = put_at(chip, 0, way, H1M=h1m(way, S1 | S2) ^ S2_MINUS)
+    table = put_at(chip, 0, direction, H1M=h1m(direction, S1 | S2) ^ S2_MINUS)
     assert search(chip, table) == [3, 20, 11, 15, 20]
-    assert chip.place + chip.net(0) == 440 * way
+    assert chip.place + chip.net(0) == 440 * direction
 
 
 @both_ways
-def test_the_limit_can_be_the_signal_of_steps_1_and_2(way):
+def test_the_limit_can_be_the_signal_of_steps_1_and_2(direction):
     chip = MCX514()
-    table = put_at(chip, 0, way, H1M=h1m(way, S1 | S2, BY_LIMIT | LIMIT_2))
+    table = put_at(chip, 0, direction, H1M=h1m(direction, S1 | S2, BY_LIMIT | LIMIT_2))
     set_word(chip, 2, ENABLE_LIMITS | ENABLE_STOPS)  # STOP0, STOP1 are passed: their steps do not wait for them
     assert search(chip, table) == [3, 15, 20]
-    assert chip.place + chip.net(0) == 1000 * way
-    assert word(chip, 2) == (0x1000 if way > 0 else 0x2000)  # no error
+    assert chip.place + chip.net(0) == 1000 * direction
+    assert word(chip, 2) == (0x1000 if direction > 0 else 0x2000)  # no error
 
 
 @both_ways
-def test_the_limit_can_be_the_signal_on_the_older_chips(way):
+def test_the_limit_can_be_the_signal_on_the_older_chips(direction):
     chip = MCX304()
-    table = put_at(chip, 0, way, HM=0x0005 | 0x0400 | (HM_MINUS if way < 0 else 0))
+    table = put_at(chip, 0, direction, HM=0x0005 | 0x0400 | (HM_MINUS if direction < 0 else 0))
     assert search(chip, table) == [3, 12, 15]
-    assert chip.place + chip.net(0) == 1000 * way
+    assert chip.place + chip.net(0) == 1000 * direction
 
 
 def test_stop1_can_be_the_signal_of_step_1():
@@ -256,10 +256,10 @@ def test_no_interpolation_begins_while_an_axis_searches_home_also_in_a_pause_of_
         interpolation.line(chip, (50, 30))
         assert not chip.read(0) & 0x02, "Y rests"
         go_on(chip, table)
-    made = chip.net(0)
+    pulses = chip.net(0)
     interpolation.line(chip, (50, 30))
     assert passes(chip, chip.clock + 20 * MS, home_state) == (23, 28)
-    assert (chip.net(0), chip.net(1)) == (made, 0)
+    assert (chip.net(0), chip.net(1)) == (pulses, 0)
 
 
 def test_a_pin_that_would_begin_a_drive_does_not_in_a_pause_of_a_search():
@@ -270,10 +270,10 @@ def test_a_pin_that_would_begin_a_drive_does_not_in_a_pause_of_a_search():
     command(chip, 0x5A)
     while home_state(chip) != 23:
         go_on(chip, table)
-    made = chip.net(0)
+    pulses = chip.net(0)
     pins.pio4 = False
     chip.advance(10 * MS)
-    assert (home_state(chip), chip.net(0)) == (23, made)
+    assert (home_state(chip), chip.net(0)) == (23, pulses)
 
 
 def test_dcc_after_step_3_holds_step_4_back():
@@ -364,9 +364,9 @@ def test_a_stop_ends_the_search_in_any_step(where, cause):
     assert home_state(chip) == 0
     chip.advance(10 * MS)
     assert chip.read(0) & 1 == 0
-    seen = word(chip, 1)
-    assert seen & H_END
-    assert seen & D_END
+    observed = word(chip, 1)
+    assert observed & H_END
+    assert observed & D_END
     assert word(chip, 2) & 0xFF == (E_EMG if cause == "EMG" else 0)
     assert get(chip, READ["LP"]) == 1 + chip.net(0)  # not cleared: it was not found
     assert chip.advance(2000 * MS) == 0
@@ -406,27 +406,27 @@ def test_an_alarm_between_two_steps_ends_the_search_where_it_is_enabled(wr2, sta
 
 
 @pytest.mark.parametrize("make", [MCX514, MCX304])
-def test_n_drv_is_1_from_the_command_to_the_end_and_the_end_is_told_once(make):
+def test_n_drv_is_1_during_the_search_and_its_end_is_one_event(make):
     chip = make()
     mode = {"H1M": h1m(1), "H2M": 0x80, "TP": 30} if make is MCX514 else {"HM": HM_STEPS, "P": 30}
     table = put_at(chip, 0, 1, **mode)
     word(chip, 1 if make is MCX514 else 3)
     command(chip, 0x5A if make is MCX514 else 0x62)
-    seen = word(chip, 1 if make is MCX514 else 3)
+    observed = word(chip, 1 if make is MCX514 else 3)
     if make is MCX514:
-        assert seen & D_STA
+        assert observed & D_STA
     d_end, h_end = (D_END, H_END) if make is MCX514 else (0x80, 0x100)
     for _ in range(100_000):
         running = chip.read(0) & 1
-        seen = word(chip, 1 if make is MCX514 else 3)
+        observed = word(chip, 1 if make is MCX514 else 3)
         if make is MCX304:
             assert chip.read(0) >> 8 & 1 == running  # n-HOM
         if not running:
             break
-        assert not seen & (d_end | h_end)
+        assert not observed & (d_end | h_end)
         go_on(chip, table)
-    assert seen & d_end
-    assert seen & h_end
+    assert observed & d_end
+    assert observed & h_end
 
 
 def test_a_search_without_steps_ends_at_once():
@@ -438,14 +438,14 @@ def test_a_search_without_steps_ends_at_once():
 
 @pytest.mark.parametrize("code", [0x50, 0x52, 0x54, 0x5A])
 def test_drive_commands_do_nothing_during_a_search(code):
-    chip, twin = MCX514(), MCX514()
-    for one in (chip, twin):
+    chip, replica = MCX514(), MCX514()
+    for one in (chip, replica):
         table = put_at(one, 0, 1, H1M=h1m(1), H2M=0x780, TP=30)
         command(one, 0x5A)
         while home_state(one) != 6:
             go_on(one, table)
     command(chip, code)
-    command(twin, 0x1F)
+    command(replica, 0x1F)
     chip.advance(50 * MS)
-    twin.advance(50 * MS)
-    assert chip.snapshot() == twin.snapshot()
+    replica.advance(50 * MS)
+    assert chip.snapshot() == replica.snapshot()

@@ -37,7 +37,7 @@ def test_a_move_over_the_wire_is_the_move_of_the_parallel_bus(make):
     assert not serial.diagnostics
 
 
-def test_a_transfer_runs_on_to_the_bytes_behind():
+def test_a_transfer_continues_with_the_following_bytes():
     chip = MCX514()
     bus = I2C({0: chip})
     order(bus, 0, 0x031F)
@@ -50,7 +50,7 @@ def test_a_transfer_runs_on_to_the_bytes_behind():
     assert bus.read(I2C.address(0, 15, read=True), 2)[1:] == bus.read(I2C.address(0, 0, read=True), 1), "behind 15 is 0"
 
 
-def test_the_low_byte_of_wr0_executes_with_the_high_byte_that_was_there():
+def test_the_low_byte_of_wr0_executes_with_the_high_byte_written_before():
     """WR0 in one transfer, low byte first, is a mistake that drivers make."""
     chip = MCX514()
     bus = I2C({0: chip})

@@ -59,10 +59,10 @@ def assert_line(chip, finish, axes, main=STEADY, ends=None):
     note = f"{finish} {axes:X}h {main} PULSESTAGE_SEED={SEED}"
     line(chip, finish, axes)
     when, steps = ticks(chip, axes=axes)
-    course, length = points(steps), max(map(abs, finish))
+    waveforms, length = points(steps), max(map(abs, finish))
     assert len(steps) == length, f"the long axis steps at every tick\n{note}"
-    assert course[-1] == tuple(finish), note
-    assert max(line_errors(course, finish)) <= Fraction(1, 2), note
+    assert waveforms[-1] == tuple(finish), note
+    assert max(line_errors(waveforms, finish)) <= Fraction(1, 2), note
     drive = main._replace(P=length).reference() if ends is None else ends
     assert_pulses(when, drive, note, None if drive.end_clock else when[-1])
     assert not driving(chip), note
@@ -207,7 +207,7 @@ def test_quarters_of_a_circle_end_on_the_axes(quarters, clockwise):
 
 
 @rotations
-def test_a_finish_behind_the_start_in_its_octant_is_nearly_a_full_turn(clockwise):
+def test_a_finish_point_before_the_start_in_its_octant_is_nearly_a_full_turn(clockwise):
     sign = 1 if clockwise else -1
     chip = prepared()
     arc(chip, (-500, -100), (0 + 5, sign * 20), clockwise)
@@ -224,16 +224,16 @@ def test_the_zone_is_the_octant():
     for clockwise in (False, True):
         chip = prepared()
         arc(chip, centre, (0, 0), clockwise)
-        at, seen = (0, 0), set()
+        at, observed = (0, 0), set()
         while driving(chip):
             zone = chip.read(0) >> 8 & 7
             x, y = at[0] - centre[0], at[1] - centre[1]
             if min(abs(x), abs(y), abs(abs(x) - abs(y))) > 2:
                 assert zone == octant_ahead(x, y, clockwise), f"at {at}"
-                seen.add(zone)
+                observed.add(zone)
             _, steps = ticks(chip, PERIOD)
             at = tuple(a + s for a, s in zip(at, steps[0], strict=True))
-        assert seen == set(range(8))
+        assert observed == set(range(8))
 
 
 # Constant vector speed
@@ -266,12 +266,12 @@ def assert_lengths(when, steps):
     assert when == [ceil_clock(t) for t in due]
 
 
-def counted(finish, looked, longest=0, fine=1):
-    """What the chip reckons of a line: its ticks that move one axis, two, three of those looked at."""
+def counted(finish, looked, max_length=0, fine=1):
+    """Return the tick counts of a line that the chip computes: those that move one axis, two, and three."""
     chip = MCX514()
     queue, ip = chip.state["queue"][0], chip.state["ip"]
     queue["axis_count"], queue["vector_axes"], queue["inner_ticks"] = len(finish), looked, fine
-    queue["tick_count"] = max(longest, *map(abs, finish))
+    queue["tick_count"] = max(max_length, *map(abs, finish))
     queue["finish"][: len(finish)] = finish
     return linear.count_line_ticks(ip, queue)
 
@@ -292,8 +292,8 @@ def test_the_length_of_a_line_of_constant_vector_speed_is_reckoned_as_its_ticks_
 def test_a_line_below_a_maximum_of_the_hosts_is_reckoned_as_its_ticks_are():
     longer = line_ticks((30, 20, 7, 100))
     moved = [sum(map(abs, step[:3])) for step in longer]
-    assert counted((30, 20, 7), 3, longest=100) == (sum(m < 2 for m in moved), moved.count(2), moved.count(3))
-    assert counted((30, 20), 2, longest=100, fine=8)[1] == 8 * sum(a and b for a, b, *_ in longer)
+    assert counted((30, 20, 7), 3, max_length=100) == (sum(m < 2 for m in moved), moved.count(2), moved.count(3))
+    assert counted((30, 20), 2, max_length=100, fine=8)[1] == 8 * sum(a and b for a, b, *_ in longer)
 
 
 def test_the_longest_line_of_three_axes_begins_at_once():

@@ -39,7 +39,7 @@ def assert_over(chip, axes=X | Y):
 # Ends
 
 
-def test_a_direction_command_in_mid_segment_turns_no_direction_signal():
+def test_a_direction_command_during_a_segment_changes_no_direction_signal():
     chip = prepared()
     set_wr(chip, 3, 1 << 3, X | Y)  # DPMD: pulse and direction
     line(chip, (50, -30))
@@ -90,7 +90,7 @@ def test_a_decelerating_stop_drops_the_segments_that_wait():
 
 
 @covers("MCX514", "LHK2", "DRVSBRK")
-def test_a_decelerating_stop_goes_on_into_the_next_segment():
+def test_a_decelerating_stop_continues_into_the_next_segment():
     chip = prepared(main=RAMP)
     for finish in ((2000, 0), (2000, 1000)):
         line(chip, finish)
@@ -116,9 +116,9 @@ def test_alarm_or_a_limit_of_any_axis_stops_all_at_once_and_its_status_says_so(a
     chip.advance(100 * PERIOD)
     setattr(chip.axes[axis].pins, pin, True)
     assert_over(chip)
-    found = [status(chip, 2, a) for a in (X, Y)]
-    assert found[axis] == cause
-    assert found[1 - axis] == 0
+    result = [status(chip, 2, a) for a in (X, Y)]
+    assert result[axis] == cause
+    assert result[1 - axis] == 0
 
 
 def test_emergency_stop_ends_the_axes_that_take_part():
@@ -331,7 +331,7 @@ def test_an_interpolation_does_not_start_while_an_axis_drives():
 
 
 @pytest.mark.parametrize(("bit", "waiting"), [(0x4000, 3), (0x8000, 7)])
-def test_int1_asks_when_segments_leave_the_pre_buffer_until_it_is_cleared(bit, waiting):
+def test_int1_is_asserted_when_segments_leave_the_pre_buffer_until_it_is_cleared(bit, waiting):
     chip = prepared(ipm=bit)
     for _ in range(9):
         line(chip, (10, 1))
@@ -386,7 +386,7 @@ def test_equalized_pulses_of_the_short_axis_come_evenly(finish):
 
 
 @covers("MCX514", "TX", "R-TX", "IPM")
-def test_a_maximum_finish_point_of_the_hosts_own_reads_back_whatever_is_drawn():
+def test_a_maximum_finish_point_set_by_the_host_reads_back():
     chip = prepared(ipm=0x1000)
     load(chip, X, TP=300)
     put(chip, 0x19, 5000, 0)
@@ -399,19 +399,19 @@ def test_an_equalized_circle_stays_within_one_lsb_and_closes():
     chip = prepared(ipm=0x100)
     arc(chip, (-120, 35), (0, 0), False)
     _, steps = ticks(chip)
-    course = points(steps)
-    assert course[-1] == (0, 0)
-    assert max(circle_errors(course, (-120, 35))) <= 1
+    waveforms = points(steps)
+    assert waveforms[-1] == (0, 0)
+    assert max(circle_errors(waveforms, (-120, 35))) <= 1
 
 
 def test_exchanged_axes_mirror_the_arc():
-    plain, exchanged = prepared(), prepared(ipm=0x10)
-    arc(plain, (-60, 20), (-60, 20 + round(math.hypot(60, 20))), False)
+    unmodified, exchanged = prepared(), prepared(ipm=0x10)
+    arc(unmodified, (-60, 20), (-60, 20 + round(math.hypot(60, 20))), False)
     arc(exchanged, (20, -60), (20 + round(math.hypot(60, 20)), -60), False)
-    assert [(y, x) for x, y in ticks(exchanged)[1]] == ticks(plain)[1]
+    assert [(y, x) for x, y in ticks(exchanged)[1]] == ticks(unmodified)[1]
 
 
-def test_a_whole_circle_of_the_largest_radius_is_planned_at_once():
+def test_a_full_circle_of_the_largest_radius_is_planned_quickly():
     chip = prepared(main=RAMP)
     command(chip, DECELERATE, 0)
     arc(chip, (1_073_741_823, -1_073_741_823), (0, 0), True)
@@ -442,22 +442,22 @@ def test_the_maximum_finish_point_makes_the_line_slower():
 
 
 def test_advancing_in_two_pieces_is_advancing_at_once_and_a_snapshot_in_between_changes_nothing():
-    whole, parts = prepared(main=RAMP), prepared(main=RAMP)
-    for chip in (whole, parts):
+    uncut, parts = prepared(main=RAMP), prepared(main=RAMP)
+    for chip in (uncut, parts):
         arc(chip, (-200, 77), (0, 0), True)
         command(chip, DECELERATE, 0)
         line(chip, (-300, 123))
     clocks = SECOND // 4
-    expected = whole.trace(clocks).tolist()
+    expected = uncut.trace(clocks).tolist()
     for n in (1, PERIOD, clocks // 3):
         one = MCX514()
         one.restore(parts.snapshot())
-        found = one.trace(n).tolist()
+        result = one.trace(n).tolist()
         two = MCX514()
         two.restore(one.snapshot())
-        found += two.trace(clocks - n).tolist()
-        assert found == expected
-        assert two.snapshot().record == whole.snapshot().record
+        result += two.trace(clocks - n).tolist()
+        assert result == expected
+        assert two.snapshot().record == uncut.snapshot().record
 
 
 def test_two_chips_interpolate_at_the_same_time_without_a_trace_of_each_other():
@@ -467,34 +467,37 @@ def test_two_chips_interpolate_at_the_same_time_without_a_trace_of_each_other():
         arc(first, (-90, 0), (0, 0), False)
         line(second, (400, -150))
     expected = [chip.trace(SECOND // 8).tolist() for chip in alone]
-    found: list[list] = [[], []]
+    result: list[list] = [[], []]
     for _ in range(50):
-        for chip, pulses in zip(together, found, strict=True):
+        for chip, pulses in zip(together, result, strict=True):
             pulses += chip.trace(SECOND // 400).tolist()
-    assert found == expected
+    assert result == expected
 
 
 def run(chip, clocks):
-    """As a stage does, which asks for the mean afterwards."""
+    """Run as a stage does, which reads the mean afterwards."""
     core.run(chip._rows[0], chip.clock + clocks)
 
 
 def test_the_mean_count_is_exact_where_pulses_are_interpolated():
-    chip, twin = (prepared(main=RAMP._replace(DV=90_000, AC=900_000)) for _ in range(2))
-    for c in (chip, twin):
+    chip, replica = (prepared(main=RAMP._replace(DV=90_000, AC=900_000)) for _ in range(2))
+    for c in (chip, replica):
         arc(c, (-300, 40), (0, 0), False)
     window = 7001
     while driving(chip):
         before, began = [chip.net(j) for j in range(2)], chip.clock
         run(chip, window)
-        pulses = twin.trace(window).tolist()
+        pulses = replica.trace(window).tolist()
         for j in range(2):
-            exact = before[j] + sum(way * (chip.clock - clock) for clock, axis, way in pulses if axis == j) / window
+            exact = (
+                before[j]
+                + sum(direction * (chip.clock - clock) for clock, axis, direction in pulses if axis == j) / window
+            )
             assert core.drive_input(chip._rows[0], j, before[j], window) == pytest.approx(exact, abs=1e-12)
         assert chip.clock == began + window
 
 
-def test_the_mean_count_knows_old_and_foreign_pulses_from_interpolated_ones():
+def test_the_mean_count_distinguishes_interpolated_pulses_from_others():
     chip = prepared()
     run(chip, ENOUGH)
     line(chip, (100, 0))

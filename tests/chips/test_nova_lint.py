@@ -19,7 +19,7 @@ every_chip = pytest.mark.parametrize("chip", MAPS, ids=lambda m: m.chip)
 
 
 class Contents:
-    """What a chip holds before a write, as the lint reads it; a mask of axes has bit 0 for X."""
+    """Contents of a chip before a write, as the lint reads them; a mask of axes has bit 0 for X."""
 
     data = driving_axes = relative_drives = absolute_drives = interpolated_axes = role = helix_ticks = 0
     has_unused_data = is_interpolating = is_queue_full = is_loading_pattern = is_linked = has_master_started = False
@@ -42,7 +42,7 @@ def find(chip, value, address=0, **contents):
     return {rule.key: message for rule, message in findings}
 
 
-def said(chip, value, address=0, **contents):
+def text(chip, value, address=0, **contents):
     """Return the messages of a write, or ""."""
     return "; ".join(find(chip, value, address, **contents).values())
 
@@ -136,11 +136,13 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(
-    ("chip", "value", "held", "message", "right", "right_held"), [m[1:] for m in MISTAKES], ids=[m[0] for m in MISTAKES]
+    ("chip", "value", "previous", "message", "right", "right_held"),
+    [m[1:] for m in MISTAKES],
+    ids=[m[0] for m in MISTAKES],
 )
-def test_a_mistake_has_a_diagnostic_and_the_right_write_has_none(chip, value, held, message, right, right_held):
-    assert re.search(message, said(chip, value, **held)), said(chip, value, **held)
-    assert said(chip, right, **right_held) == ""
+def test_a_mistake_has_a_diagnostic_and_the_right_write_has_none(chip, value, previous, message, right, right_held):
+    assert re.search(message, text(chip, value, **previous)), text(chip, value, **previous)
+    assert text(chip, right, **right_held) == ""
 
 
 @pytest.mark.parametrize(
@@ -161,13 +163,13 @@ def test_a_mistake_has_a_diagnostic_and_the_right_write_has_none(chip, value, he
     ],
 )
 def test_bits_that_a_register_does_not_have_are_named(chip, address, value, message):
-    assert message in said(chip, value, address)
+    assert message in text(chip, value, address)
 
 
 def test_wr2_to_wr5_take_anything_while_they_are_bp_registers():
     for address in range(2, 6):
-        assert said(MCX312_MAP, 0xFFFF, address, is_loading_pattern=True) == ""
-    assert said(MCX312_MAP, 0x0C00, 2) != ""
+        assert text(MCX312_MAP, 0xFFFF, address, is_loading_pattern=True) == ""
+    assert text(MCX312_MAP, 0x0C00, 2) != ""
 
 
 def test_a_write_with_several_mistakes_has_a_diagnostic_of_each():
@@ -188,13 +190,13 @@ def test_a_write_with_several_mistakes_has_a_diagnostic_of_each():
 @every_chip
 def test_every_command_with_legal_data_to_one_resting_axis_passes(chip):
     for c in chip.commands:
-        held = {"interpolated_axes": {1: 1, 3: 7, 4: 15}.get((c.together or (2,))[0], 3)}
+        previous = {"interpolated_axes": {1: 1, 3: 7, 4: 15}.get((c.together or (2,))[0], 3)}
         if c.kind in ("data write", "mode write"):
             r = chip.register(c.symbol)
             lows = sum(f.legal[0] << f.low for f in r.fields if f.legal)
-            held |= data(r.legal[0] if r.legal else lows)
+            previous |= data(r.legal[0] if r.legal else lows)
         for code in c.codes:
-            assert said(chip, code | (X if c.axes else 0), **held) == "", c
+            assert text(chip, code | (X if c.axes else 0), **previous) == "", c
 
 
 @every_chip
@@ -233,10 +235,10 @@ def test_every_parameter_takes_the_ends_of_its_range_and_nothing_beyond(chip):
         low, high = r.legal
         word, name = c.code | (X if c.axes else 0), f"{r.name} = "
         for value in (low, high, *r.also):
-            assert not said(chip, word, **data(value)).startswith(name), (r.name, value)
+            assert not text(chip, word, **data(value)).startswith(name), (r.name, value)
         for value in (low - 1, high + 1):
             if r.value(value & r.mask) == value:  # it fits the register
-                assert said(chip, word, **data(value)).startswith(name), (r.name, value)
+                assert text(chip, word, **data(value)).startswith(name), (r.name, value)
     assert looked >= 8
 
 
@@ -251,7 +253,7 @@ def test_reading_a_parameter_is_no_mistake_unless_data_was_written_for_it():
 
 
 @pytest.mark.parametrize(("make", "word", "enable", "drive"), [(MCX514, 2, 0x08, 0x52), (MCX304, 1, 0x08, 0x22)])
-def test_a_drive_that_an_active_stop_input_ends_at_once_is_told(make, word, enable, drive):
+def test_a_drive_that_an_active_stop_input_ends_at_once_has_a_diagnostic(make, word, enable, drive):
     for active, enabled, notes in ((True, enable, 1), (True, 0, 0), (False, enable, 0)):
         chip = make()
         chip.axes[0].pins.stop1 = active

@@ -313,7 +313,7 @@ def test_only_what_moves_an_axis_by_itself_starts_a_drive():
     assert {c.code for c in MCX312_MAP.commands if c.starts} == {0x20, 0x21, 0x22, 0x23, 0x62, 0x30, 0x32, 0x33, 0x34}
 
 
-def test_commands_of_the_whole_chip_carry_no_axis_bits():
+def test_commands_to_the_chip_carry_no_axis_bits():
     alone = {c.code for c in MCX514_MAP.commands if not c.axes}
     assert alone == {0x19, 0x1A, 0x1B, 0x2A, 0x39, 0x3A, 0x3B, 0x48, *range(0x60, 0x70), 0x7C, 0xFF}
     assert {c.code for c in MCX312_MAP.commands if not c.axes} == set(codes(INTERPOLATION_312))

@@ -15,7 +15,7 @@ EM, HV = 0x60, 0x61
 PERIOD = 2000  # clocks: 8000 pps
 
 
-def ready(wr5=0x24):
+def prepare(wr5=0x24):
     """All axes at 8000 pps; X, Y and Z interpolate."""
     chip = MCX314AS()
     load_304(chip, AXES, R=8_000_000, SV=8000, V=8000, A=400, AO=0)
@@ -44,7 +44,7 @@ def program(rng):
 
 
 def play(chip, steps):
-    seen = []
+    observed = []
     for what, a, b, value in steps:
         if what == "command":
             put(chip, a, value, b)
@@ -52,12 +52,12 @@ def play(chip, steps):
             command(chip, NOP_304, b)
             chip.write(a, value)
         else:
-            seen.append(chip.trace(a).tolist())
-            seen.append([chip.read(0) & 0xFF, *(chip.read(n) for n in (1, 2, 3, 6, 7))])
-    return seen
+            observed.append(chip.trace(a).tolist())
+            observed.append([chip.read(0) & 0xFF, *(chip.read(n) for n in (1, 2, 3, 6, 7))])
+    return observed
 
 
-def test_its_drives_are_those_of_a_mended_mcx304():
+def test_its_drives_are_those_of_an_mcx304_without_the_erratum():
     for rng in examples(0.6):
         steps = list(program(rng))
         assert play(MCX314AS(), steps) == play(MCX304(errata=False), steps), f"PULSESTAGE_SEED={SEED}\n{steps}"
@@ -70,34 +70,34 @@ def test_lines_of_three_axes_are_those_of_the_reference(wr5):
         axes = [wr5 >> 2 * k & 3 for k in range(3)]
         finish = [rng.choice([-1, 1]) * rng.randint(0, 400) for _ in axes]
         finish[0] = finish[0] or 7
-        chip = ready(wr5)
+        chip = prepare(wr5)
         for axis, value in zip(axes, finish, strict=True):
             load_304(chip, 1 << axis, P=value & 0xFFFFFFFF)
         command(chip, 0x31, 0)
         when, steps = ticks(chip, axes=AXES)
-        found = [tuple(step[a] for a in axes) for step in steps]
-        assert found == line_ticks(finish), f"{finish} PULSESTAGE_SEED={SEED}"
+        result = [tuple(step[a] for a in axes) for step in steps]
+        assert result == line_ticks(finish), f"{finish} PULSESTAGE_SEED={SEED}"
         assert when == [PERIOD * k for k in range(1, len(when) + 1)]
         assert not chip.diagnostics
 
 
 def test_with_constant_vector_speed_a_tick_of_three_axes_lasts_root_3_periods():
-    chip = ready(0x324)
+    chip = prepare(0x324)
     for axis, value in ((X, 300), (Y, 200), (Z, 77)):
         load_304(chip, axis, P=value)
     command(chip, 0x31, 0)
     when, steps = ticks(chip, axes=AXES)
-    far, due = mp.mpf(0), []
+    distance, due = mp.mpf(0), []
     for step in steps:
-        far += mp.sqrt(sum(map(abs, step)))
-        due.append(ceil_clock(PERIOD * far))
+        distance += mp.sqrt(sum(map(abs, step)))
+        due.append(ceil_clock(PERIOD * distance))
     assert when == due
 
 
 @covers("MCX314AS", "IP_3BP", "BP_ENABLED", "BP_STACK", "BP_DISABLED")
 def test_patterns_of_three_axes_are_those_of_the_reference():
     for rng in examples(0.1):
-        chip, words = ready(), [[], [], []]
+        chip, words = prepare(), [[], [], []]
         command(chip, 0x36, 0)
         for _ in range(rng.randint(1, 3)):
             for k, its in enumerate(words):
@@ -115,7 +115,7 @@ def test_patterns_of_three_axes_are_those_of_the_reference():
 
 @pytest.mark.parametrize("code", [0x30, 0x32, 0x33])
 def test_two_axes_of_it_interpolate_as_an_mcx312_does(code):
-    made = []
+    results = []
     for make, axes in ((MCX312, AXES), (MCX314AS, AXES)):
         chip = make()
         load_304(chip, axes & (1 << make.AXES) - 1, R=8_000_000, SV=8000, V=8000, A=400, AO=0)
@@ -124,20 +124,20 @@ def test_two_axes_of_it_interpolate_as_an_mcx312_does(code):
             put(chip, 0x08, c, axis)
             load_304(chip, axis, P=p & 0xFFFFFFFF)
         command(chip, code, 0)
-        made.append((chip.read(0) & 0x7F0F, chip.trace(2_000_000).tolist()))
-    assert made[0] == made[1]
+        results.append((chip.read(0) & 0x7F0F, chip.trace(2_000_000).tolist()))
+    assert results[0] == results[1]
 
 
 @pytest.mark.parametrize("wr5", [0x00, 0x04, 0x34 & 0x0F | 0x10, 0x05])
 def test_an_axis_that_comes_twice_starts_no_line(wr5):
-    chip = ready(wr5)
+    chip = prepare(wr5)
     load_304(chip, AXES, P=50)
     command(chip, 0x31, 0)
     assert not driving(chip)
 
 
 def test_stop3_stops_a_drive_and_rr1_and_rr4_show_it():
-    chip = ready()
+    chip = prepare()
     command(chip, NOP_304)
     chip.write(1, 0x0080)
     command(chip, 0x22)
@@ -158,7 +158,7 @@ def test_stop3_stops_a_drive_and_rr1_and_rr4_show_it():
 
 @covers("MCX314AS", "EM", "HV", "HOME_EXEC", "EP", "R-EP", "LP", "R-LP")
 def test_em_has_the_home_search_in_wr7_and_the_rest_in_wr6():
-    chip = ready()
+    chip = prepare()
     put(chip, 0x0A, 55)
     put(chip, 0x09, 66)
     put(chip, HV, 100)
@@ -174,7 +174,7 @@ def test_em_has_the_home_search_in_wr7_and_the_rest_in_wr6():
 
 
 def test_em_chooses_what_clears_ep():
-    chip = ready()
+    chip = prepare()
     put(chip, 0x0A, 55)
     put(chip, EM, 0x0001)
     command(chip, NOP_304)
@@ -186,7 +186,7 @@ def test_em_chooses_what_clears_ep():
 
 
 def test_out4_to_out7_are_bits_of_wr3_or_show_the_drive():
-    chip = ready()
+    chip = prepare()
     set_wr3(chip, 0x0500, nop=NOP_304)
     chip.write(4, 0x000A)
     assert [k for k in range(8) if getattr(chip.axes[0].pins, f"out{k}")] == [1, 3, 4, 6]
@@ -210,7 +210,7 @@ def test_its_synchronous_actions_are_not_modeled_and_each_write_says_so():
 @pytest.mark.parametrize(("ax1", "ax2"), [(a, b) for a in range(4) for b in range(4) if a != b])
 @pytest.mark.parametrize("ax3", range(4))
 def test_a_line_of_two_axes_ignores_the_third_of_wr5(ax1, ax2, ax3):
-    chip = ready(ax1 | ax2 << 2 | ax3 << 4)
+    chip = prepare(ax1 | ax2 << 2 | ax3 << 4)
     put(chip, 0x06, 300, 1 << ax1)
     put(chip, 0x06, -200, 1 << ax2)
     command(chip, 0x30, 0)
@@ -220,6 +220,6 @@ def test_a_line_of_two_axes_ignores_the_third_of_wr5(ax1, ax2, ax3):
 
 
 def test_a_line_of_three_axes_with_one_of_them_twice_is_noted():
-    chip = ready(0 | 1 << 2 | 0 << 4)
+    chip = prepare(0 | 1 << 2 | 0 << 4)
     command(chip, 0x31, 0)
     assert "with 2 axes chosen: X, Y" in chip.diagnostics[-1].message

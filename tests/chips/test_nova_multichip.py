@@ -79,7 +79,7 @@ def pass_clocks(stage, clocks):
     stage.run(clocks / SECOND)
 
 
-def made(journal, since):
+def pulse_count(journal, since):
     """(clock since then, direction) of a journal's pulses."""
     edges = journal.course(every_pulse=True).edges
     steps = np.diff(edges["net"], prepend=edges["net"][0])
@@ -90,7 +90,7 @@ def made(journal, since):
 # The pulses
 
 
-def random_speeds(rng, longest):
+def random_speeds(rng, max_length):
     sv = log_uniform(rng, 2_000, 20_000)
     return Move(
         SV=sv,
@@ -98,7 +98,7 @@ def random_speeds(rng, longest):
         AC=log_uniform(rng, 100_000, 20_000_000),
         JK=log_uniform(rng, 100_000_000, 0x3FFFFFFF),
         s_curve=rng.random() < 0.4,
-        P=longest,
+        P=max_length,
     )
 
 
@@ -111,29 +111,29 @@ def drawn(stage, rng):
         [rng.choice([-1, 1]) * log_uniform(rng, 1, reach) * (rng.random() < 0.85) for _ in range(n)] for n in counts
     ]
     finish[rng.randrange(len(finish))][0] = reach * rng.choice([-1, 1])
-    given = reach + rng.randint(0, 60) if rng.random() < 0.2 else 0
+    max_finish_point = reach + rng.randint(0, 60) if rng.random() < 0.2 else 0
     for chip in stage.chips:
         load(chip, IPM=0)
-        chip.write(6, given)
+        chip.write(6, max_finish_point)
         chip.write(7, 0)
-        command(chip, 0x19 if given else CLEAR_LONGEST, 0)
-    move = random_speeds(rng, max(reach, given))
+        command(chip, 0x19 if max_finish_point else CLEAR_LONGEST, 0)
+    move = random_speeds(rng, max(reach, max_finish_point))
     prepare(master, move)
     stage.run(rng.randint(1, 900) * 1e-7)
     journals = [[chip.journal(axis=j) for j in range(n)] for chip, n in zip(stage.chips, counts, strict=True)]
-    since = begin(stage, *finish, ipm=TX_GIVEN if given else 0)
+    since = begin(stage, *finish, ipm=TX_GIVEN if max_finish_point else 0)
     drive = move.reference()
     pass_clocks(stage, drive.end_clock + 200)
-    note = f"{finish} TX {given} {move} PULSESTAGE_SEED={SEED}"
+    note = f"{finish} TX {max_finish_point} {move} PULSESTAGE_SEED={SEED}"
     assert not any(driving(chip, ALL) for chip in stage.chips), note
     for group in journals:
         for journal in reversed(group):
             journal.close()
-    found = [[made(journal, since) for journal in group] for group in journals]
-    expected = pulses(finish, drive.pulse_times(), given)
+    result = [[pulse_count(journal, since) for journal in group] for group in journals]
+    expected = pulses(finish, drive.pulse_times(), max_finish_point)
     for i, chip in enumerate(expected):
         for j, axis in enumerate(chip):
-            assert found[i][j] == axis, f"chip {i} axis {j}: {first_difference(found[i][j], axis)}\n{note}"
+            assert result[i][j] == axis, f"chip {i} axis {j}: {first_difference(result[i][j], axis)}\n{note}"
 
 
 def first_difference(a, b):
@@ -189,7 +189,7 @@ def test_slaves_wait_for_their_master_and_all_are_driving_meanwhile(pair):
     assert not driving(master)
 
 
-def test_a_slave_that_comes_too_late_is_refused_and_says_so(pair):
+def test_a_slave_commanded_after_the_start_is_refused_with_mcerr(pair):
     stage, master, slave = pair
     ready(master, (20, 0, 0), MASTER)
     pass_clocks(stage, PERIOD)
@@ -220,14 +220,14 @@ def test_a_master_without_wires_interpolates_by_itself_and_a_slave_for_ever_wait
 
 
 @pytest.mark.parametrize(
-    ("code", "ipm", "said"),
+    ("code", "ipm", "message"),
     [(0x64, MASTER, "only lines"), (0x61, MASTER | 0x100, "exclude each other"), (0x61, 3 << 10, "MLT = 3")],
 )
 def test_what_is_not_modeled_of_several_chips_is_said(pair, code, ipm, said):
     _, master, _ = pair
     ready(master, (20, 7), ipm, go=False)
     command(master, code, 0)
-    assert said in " ".join(d.message for d in master.diagnostics)
+    assert message in " ".join(d.message for d in master.diagnostics)
     assert driving(master) == (code == 0x61)
 
 
@@ -339,11 +339,11 @@ def test_how_time_is_cut_and_who_copies_or_restores_it_does_not_matter(pair):
     before, twins = stage.snapshot(), [copy.deepcopy(stage), pickle.loads(pickle.dumps(stage))]
     stage.run(0.03)
     ends = [chip.state.tobytes() for chip in stage.chips]
-    for twin in twins:
+    for replica in twins:
         for part in (0.0011, 0.00000013, 0.0123, 0.01659987):
-            twin.run(part)
-        assert twin.now == stage.now
-        assert [chip.state.tobytes() for chip in twin.chips] == ends
+            replica.run(part)
+        assert replica.now == stage.now
+        assert [chip.state.tobytes() for chip in replica.chips] == ends
     stage.restore(before)
     stage.run(0.03)
     assert [chip.state.tobytes() for chip in stage.chips] == ends
@@ -358,13 +358,13 @@ def test_a_fleet_of_linked_stages_gives_the_bits_of_stages_alone(pair):
     stages = [copy.deepcopy(stage) for _ in range(3)]
     for k, other in enumerate(stages):
         other.run(0.001 * k)  # each is elsewhere on its line
-    begun = [other.snapshot() for other in stages]
+    snapshots = [other.snapshot() for other in stages]
     alone = []
     for other in stages:
         other.run(0.02)
         alone.append(other.snapshot().state.tobytes())
     for threads in (1, 2):
-        for other, snapshot in zip(stages, begun, strict=True):
+        for other, snapshot in zip(stages, snapshots, strict=True):
             other.restore(snapshot)
         fleet = Fleet(stages, threads)
         fleet.play([Program().wait(0.02)] * 3)
@@ -407,7 +407,7 @@ def older():
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"multichip": ["a0"]}, "on one chip"),
         ({"multichip": ["a0", "a1"], "chips": MCX501}, "an MCX501 has no lines of multichip interpolation"),
@@ -420,8 +420,8 @@ def older():
         ({"multichip": ["a0", "a2"], "chips": {"a0": MCX514, "a1": MCX514, "a2": older}}, "at 7 of 16,000,000 Hz"),
     ],
 )
-def test_a_wrong_option_is_refused(options, said):
-    with pytest.raises(ArgumentError, match=said):
+def test_a_wrong_option_is_refused(options, message):
+    with pytest.raises(ArgumentError, match=message):
         Stage(rail_model(3), **({"chips": MCX514} | options))
 
 

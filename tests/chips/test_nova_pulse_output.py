@@ -54,7 +54,7 @@ def levels(mode, negative, plus_is_high, exchanged, way, pulses, on):
     return (direction, pls) if exchanged else (pls, direction)
 
 
-def shown(chip, axis=0):
+def displayed(chip, axis=0):
     pins = chip.axes[axis].pins
     return pins.pls, pins.dir
 
@@ -63,20 +63,20 @@ def shown(chip, axis=0):
 @pytest.mark.parametrize("name", SECOND_GENERATION + OLDER)
 def test_pulses_and_direction_are_at_the_pins_as_the_mode_says(name, way):
     """pins.pls was never True, and pins.dir knew neither DIR-L nor DPMD nor DPINV"""
-    made, modes = (older, 2) if name in OLDER else (second_generation, 4)
+    make_chip, modes = (older, 2) if name in OLDER else (second_generation, 4)
     for mode, negative, plus_is_high, exchanged in itertools.product(range(modes), *[(False, True)] * 3):
         if exchanged and name == "MCX314AS":  # it has no POINV
             continue
-        chip = made(name, mode, negative, plus_is_high, exchanged)
-        assert shown(chip) == levels(mode, negative, plus_is_high, exchanged, 1, 0, False), "plus after a reset"
-        command(chip, (0x22 if way > 0 else 0x23) if made is older else 0x52 if way > 0 else 0x53)
+        chip = make_chip(name, mode, negative, plus_is_high, exchanged)
+        assert displayed(chip) == levels(mode, negative, plus_is_high, exchanged, 1, 0, False), "plus after a reset"
+        command(chip, (0x22 if way > 0 else 0x23) if make_chip is older else 0x52 if way > 0 else 0x53)
         begin = chip.clock
         for _ in range(5 * PERIOD):
             chip.advance(1)
             pulses, since = divmod(chip.clock - begin, PERIOD)
             on = pulses > 0 and since < PERIOD // 2
             expected = levels(mode, negative, plus_is_high, exchanged, way, pulses, on)
-            assert shown(chip) == expected, (mode, negative, plus_is_high, exchanged, chip.clock - begin)
+            assert displayed(chip) == expected, (mode, negative, plus_is_high, exchanged, chip.clock - begin)
 
 
 @covers("MCX514", "DRVRL")
@@ -114,22 +114,22 @@ def test_at_every_clock_the_pins_are_those_of_the_waveform(name):
         print("PULSESTAGE_SEED", seed)
         rng = random.Random(seed)
         mode = rng.randrange(4 if name == "MCX514" else 2)
-        made = second_generation if name == "MCX514" else older
-        chip = made(name, mode, rng.random() < 0.5, rng.random() < 0.5, rng.random() < 0.5)
+        make_chip = second_generation if name == "MCX514" else older
+        chip = make_chip(name, mode, rng.random() < 0.5, rng.random() < 0.5, rng.random() < 0.5)
         put(chip, 0x02, 200_000_000 if name == "MCX514" else 8000)
-        journal, seen = chip.journal(), []
+        journal, observed = chip.journal(), []
         for _ in range(12):
             drive_at_random(chip, rng)
             for _ in range(rng.randrange(1, 300)):
-                seen.append((chip.clock, *shown(chip)))
+                observed.append((chip.clock, *displayed(chip)))
                 chip.advance(1)
         journal.close()
         edges = journal.course(every_pulse=True).edges
-        at = edges["clock"].searchsorted([clock for clock, _, _ in seen], side="right") - 1
+        at = edges["clock"].searchsorted([clock for clock, _, _ in observed], side="right") - 1
         outputs, bits = edges["outputs"][at], chip.OUTPUTS
-        for (clock, pls, direction), word in zip(seen, outputs, strict=True):
-            assert (bool(word & bits["pls"]), bool(word & bits["dir"])) == (pls, direction), clock - seen[0][0]
-        changes += sum(before[1:] != after[1:] for before, after in itertools.pairwise(seen))
+        for (clock, pls, direction), word in zip(observed, outputs, strict=True):
+            assert (bool(word & bits["pls"]), bool(word & bits["dir"])) == (pls, direction), clock - observed[0][0]
+        changes += sum(before[1:] != after[1:] for before, after in itertools.pairwise(observed))
     assert changes > 50, "there were pulses to see"
 
 
@@ -140,15 +140,15 @@ def test_pulses_of_an_interpolation_are_at_the_pins_of_each_axis():
     chip.write(3, PULSE_AND_DIRECTION << 3)
     journal = chip.journal(1)
     line(chip, (8, -4))
-    begin, highs, ways = chip.clock, ([], []), set()
+    begin, highs, directions = chip.clock, ([], []), set()
     for _ in range(10 * 16):
         for axis in (0, 1):
             if chip.axes[axis].pins.pls:
                 highs[axis].append((chip.clock - begin) // 100)
-            ways.add((axis, chip.axes[axis].pins.dir))
+            directions.add((axis, chip.axes[axis].pins.dir))
         chip.advance(100)
-    assert (1, True) in ways
-    assert (0, True) not in ways
+    assert (1, True) in directions
+    assert (0, True) not in directions
     assert highs[0] == [16 * k + n for k in range(1, 9) for n in range(8)], "x at every tick of 1600 clocks, half of it"
     assert len(highs[1]) == 4 * 8
     edges = journal.course(every_pulse=True).edges

@@ -138,10 +138,10 @@ def test_overrides_and_stops_act_from_their_clock_on():
 
 
 def test_new_output_pulses_count_from_the_start_and_those_passed_end_the_drive():
-    plain = {**RAMP, "DV": 1000, "P": 100}
-    assert Drive(**plain, interventions=[(5 * MS, "P", 7)]).end_clock == 7 * MS
-    assert Drive(**plain, interventions=[(5 * MS, "P", 3)]).end_clock == 5 * MS
-    assert Drive(**plain, interventions=[(5 * MS, "P", 200)]).end_clock == 200 * MS
+    unmodified = {**RAMP, "DV": 1000, "P": 100}
+    assert Drive(**unmodified, interventions=[(5 * MS, "P", 7)]).end_clock == 7 * MS
+    assert Drive(**unmodified, interventions=[(5 * MS, "P", 3)]).end_clock == 5 * MS
+    assert Drive(**unmodified, interventions=[(5 * MS, "P", 200)]).end_clock == 200 * MS
     later = Drive(**RAMP, DV=5000, P=60, interventions=[(5 * MS, "P", 120)])
     assert later.pulse_clocks() == Drive(**RAMP, DV=5000, P=120).pulse_clocks()
 
@@ -189,14 +189,14 @@ def test_any_fixed_pulse_drive_keeps_its_limits_and_ends_at_sv():
                 assert abs(piece.acceleration(piece.length) - after.a) < mp.mpf("1e-20"), note
 
 
-def test_pulses_are_where_the_position_is_whole():
+def test_pulses_come_where_the_position_is_an_integer():
     print("PULSESTAGE_SEED", SEED)
     rng = random.Random(SEED)
     for _ in range(10):
         drive = Drive(**random_drive(rng))
         for k, clock in enumerate(drive.pulse_clocks(), 1):
-            (before, tau), (after, late) = drive._of(clock - 1), drive._of(clock)
-            assert before.position(tau) < k <= after.position(late) + mp.mpf("1e-20")
+            (before, tau), (after, delayed) = drive._of(clock - 1), drive._of(clock)
+            assert before.position(tau) < k <= after.position(delayed) + mp.mpf("1e-20")
 
 
 # Paths
@@ -213,9 +213,9 @@ def test_any_line_is_within_half_an_lsb():
     rng = random.Random(SEED)
     for _ in range(scaled(20)):
         finish = tuple(rng.randint(-300, 300) for _ in range(rng.randint(2, 4)))
-        course = points(line_ticks(finish))
-        assert course[-1] == finish
-        assert max(line_errors(course, finish)) <= Fraction(1, 2)
+        waveforms = points(line_ticks(finish))
+        assert waveforms[-1] == finish
+        assert max(line_errors(waveforms, finish)) <= Fraction(1, 2)
 
 
 def test_line_errors_are_measured_at_the_long_axis():
@@ -238,10 +238,10 @@ def test_a_circle_of_radius_3_by_hand():
 def random_arc(rng, least=3):
     radius, begin, end = least * (100 ** rng.random()), rng.random() * math.tau, rng.random() * math.tau
     centre = round(radius * math.cos(begin)), round(radius * math.sin(begin))
-    whole = rng.random() < 0.3
-    finish = (0, 0) if whole else (centre[0] + round(radius * math.cos(end)), centre[1] + round(radius * math.sin(end)))
+    uncut = rng.random() < 0.3
+    finish = (0, 0) if uncut else (centre[0] + round(radius * math.cos(end)), centre[1] + round(radius * math.sin(end)))
     off = abs(math.dist(finish, centre) - math.hypot(*centre))
-    if not whole and (max(map(abs, finish)) < 2 or off > 1):
+    if not uncut and (max(map(abs, finish)) < 2 or off > 1):
         return random_arc(rng, least)  # a step or a turn, as rounding has it; or rounded off the circle
     return centre, finish, rng.random() < 0.5
 
@@ -251,24 +251,24 @@ def test_any_arc_is_within_one_lsb_and_ends_at_its_finish():
     rng = random.Random(SEED)
     for _ in range(scaled(60)):
         centre, finish, clockwise = random_arc(rng)
-        course = points(circle_ticks(centre, finish, clockwise))
+        waveforms = points(circle_ticks(centre, finish, clockwise))
         note = f"{centre} {finish} {clockwise}"
-        assert max(circle_errors(course, centre)) <= 1, note
-        assert max(abs(a - b) for a, b in zip(course[-1], finish, strict=True)) <= (finish != (0, 0)), note
-        missed = angles(course, centre, clockwise)[-1] - arc_angle(centre, finish, clockwise)
+        assert max(circle_errors(waveforms, centre)) <= 1, note
+        assert max(abs(a - b) for a, b in zip(waveforms[-1], finish, strict=True)) <= (finish != (0, 0)), note
+        missed = angles(waveforms, centre, clockwise)[-1] - arc_angle(centre, finish, clockwise)
         assert abs(missed) * math.hypot(*centre) < 2, note
 
 
 @pytest.mark.parametrize("centre", [(1, 0), (0, -1), (1, 1), (-2, 0), (2, -1), (0, 3), (-2, -2)])
 def test_the_smallest_circles_close(centre):
     for clockwise in (False, True):
-        course = points(circle_ticks(centre, (0, 0), clockwise))
-        assert course[-1] == (0, 0)
-        assert max(circle_errors(course, centre)) <= 1
-        assert angles(course, centre, clockwise)[-1] == pytest.approx(math.tau)
+        waveforms = points(circle_ticks(centre, (0, 0), clockwise))
+        assert waveforms[-1] == (0, 0)
+        assert max(circle_errors(waveforms, centre)) <= 1
+        assert angles(waveforms, centre, clockwise)[-1] == pytest.approx(math.tau)
 
 
-def test_a_circle_off_its_centre_is_told():
+def test_a_circle_off_its_center_is_detected():
     assert max(circle_errors([(0, 1), (0, 2), (0, 3)], (-3, 0))) == pytest.approx(math.hypot(3, 3) - 3)
 
 

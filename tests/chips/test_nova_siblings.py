@@ -34,8 +34,8 @@ def program(rng, make):
 
 
 def play(chip, steps, axes):
-    """What it makes and shows."""
-    seen = []
+    """Play a program, and return what the chip outputs."""
+    observed = []
     for what, a, b, value in steps:
         if what == "command":
             put(chip, a, value, b)
@@ -46,12 +46,12 @@ def play(chip, steps, axes):
             word = chip.input_word(a)
             chip.set_input_word(a, word | b if value else word & ~b)
         else:
-            seen.append(chip.trace(a).tolist())
+            observed.append(chip.trace(a).tolist())
             command(chip, 0x1F, 1)
-            seen.append(
+            observed.append(
                 [chip.read(n) for n in (0, 1, 2, 3, 6, 7)] + [chip.output_word(j) & 0xFFFF for j in range(axes)]
             )
-    return seen
+    return observed
 
 
 @SMALLER

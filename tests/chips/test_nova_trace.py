@@ -20,11 +20,11 @@ def compare(chip, clocks):
     traced = chip.trace(clocks)
     for axis in range(chip.AXES):
         x = before[0].ax[axis]
-        own = traced["clock"][traced["axis"] == axis]
-        expected[axis] = np.zeros(len(own), np.int64)
+        own_pulses = traced["clock"][traced["axis"] == axis]
+        expected[axis] = np.zeros(len(own_pulses), np.int64)
         if x.driving:
-            assert one_by_one(x, expected[axis]) == len(own)
-        assert np.array_equal(own, expected[axis]), f"axis {axis}, {before[0].ax[axis].reg[:8]}"
+            assert one_by_one(x, expected[axis]) == len(own_pulses)
+        assert np.array_equal(own_pulses, expected[axis]), f"axis {axis}, {before[0].ax[axis].reg[:8]}"
     order = np.lexsort((traced["axis"], traced["clock"]))
     assert np.array_equal(order, np.arange(len(traced)))
     return len(traced)
@@ -49,7 +49,7 @@ def ramp(rng):
 
 
 def test_pulses_at_any_constant_speed_fall_where_each_would_alone():
-    seen = 0
+    observed = 0
     for rng in examples(0.2):
         chip = MCX514()
         for axes in (1, 2, 4, 8)[: rng.randint(1, 4)]:
@@ -58,38 +58,38 @@ def test_pulses_at_any_constant_speed_fall_where_each_would_alone():
             command(chip, rng.choice([0x50, 0x52, 0x53]), axes)
             chip.advance(rng.randint(0, 1000))
         for _ in range(3):
-            seen += compare(chip, rng.randint(1, 100_000))
-    assert seen > 1000
+            observed += compare(chip, rng.randint(1, 100_000))
+    assert observed > 1000
 
 
 @pytest.mark.parametrize("wr3", [0, 4], ids=["linear", "S-curve"])
 def test_so_they_do_after_ramps_of_any_kind_and_when_the_speed_is_changed(wr3):
-    seen = 0
+    observed = 0
     for rng in examples(1):
         chip = MCX514()
         set_wr3(chip, wr3)
         sv, dv, ac = ramp(rng)
         load(chip, 1, SV=sv, DV=dv, AC=ac, JK=rng.randint(1 << 24, 1 << 30), TP=rng.randint(1, 50_000))
         command(chip, rng.choice([0x50, 0x52, 0x53]))
-        seen += compare(chip, rng.randint(1, 200_000))
+        observed += compare(chip, rng.randint(1, 200_000))
         load(chip, 1, DV=speed(rng))
-        seen += compare(chip, rng.randint(1, 200_000))
-    assert seen > 1000
+        observed += compare(chip, rng.randint(1, 200_000))
+    assert observed > 1000
 
 
 def test_so_they_do_in_the_multiples_of_the_first_generation():
-    seen = 0
+    observed = 0
     for rng in examples(0.25):
         chip = MCX304()
         set_wr3(chip, 0, nop=NOP_304)
         r = rng.choice([16_000, 80_000, 800_000, 8_000_000, rng.randint(16_000, 8_000_000)])
         load_304(chip, 1, R=r, SV=rng.randint(1, 8000), V=rng.randint(1, 8000), A=rng.randint(1, 8000), P=30_000)
         command(chip, rng.choice([0x20, 0x22, 0x23]))
-        seen += compare(chip, rng.randint(1, 200_000))
-    assert seen > 1000
+        observed += compare(chip, rng.randint(1, 200_000))
+    assert observed > 1000
 
 
-def test_whole_speeds_are_known_as_such_all_over_the_range():
+def test_integer_speeds_are_recognized_over_the_full_range():
     """So the fast way is the one that is taken."""
     chip, seed = MCX514(), random.randrange(1 << 32)
     print("seed", seed)
@@ -118,12 +118,12 @@ def test_a_long_drive_is_where_the_reciprocal_of_its_speed_puts_it_after_a_hundr
 
 
 @pytest.mark.parametrize("cls", [MCX304, MCX514], ids=lambda cls: cls.__name__)
-def test_mode_words_are_told_of_the_axis_that_they_are_for(cls):
+def test_mode_words_are_described_for_the_axis_that_they_set(cls):
     """WR1 to WR3 belong to the axes that were selected last."""
     chip = cls()
     journal = chip.journal()
     command(chip, NOP_304 if cls is MCX304 else NOP_514, 2)
     for n in (1, 2, 3):
         chip.write(n, 0x0010 + n)
-    said = [[s.meaning for s in decode(chip.decoder(axis), journal.entries) if "<-" in s.meaning] for axis in (0, 1)]
-    assert said == [[], ["WR1 <- 0011h", "WR2 <- 0012h", "WR3 <- 0013h"]]
+    message = [[s.meaning for s in decode(chip.decoder(axis), journal.entries) if "<-" in s.meaning] for axis in (0, 1)]
+    assert message == [[], ["WR1 <- 0011h", "WR2 <- 0012h", "WR3 <- 0013h"]]

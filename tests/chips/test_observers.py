@@ -56,7 +56,7 @@ def act(chip, rng):
         chip.advance(rng.randrange(1, 3_000))
 
 
-def look(chip, rng):
+def observe(chip, rng):
     """Call each observer, in random order."""
     for name in rng.sample(sorted(CHIP_OBSERVERS), len(CHIP_OBSERVERS)):
         before = chip.snapshot()
@@ -70,13 +70,13 @@ def test_observing_a_chip_leaves_its_bits_as_they_were_and_what_it_does_the_same
     for seed in range(SEED, SEED + scaled(6)):
         print("PULSESTAGE_SEED", seed)
         observed, alone = CHIPS[name](), CHIPS[name]()
-        acts, looks = random.Random(seed), random.Random(seed + 1)
+        acts, samples = random.Random(seed), random.Random(seed + 1)
         for chip in (observed, alone):
             acts.seed(seed)
             for _ in range(60):
                 act(chip, acts)
-                if chip is observed and looks.random() < 0.3:
-                    look(chip, looks)
+                if chip is observed and samples.random() < 0.3:
+                    observe(chip, samples)
         assert observed.snapshot().record == alone.snapshot().record
         assert observed.diagnostics == alone.diagnostics
 
@@ -84,8 +84,8 @@ def test_observing_a_chip_leaves_its_bits_as_they_were_and_what_it_does_the_same
 @pytest.mark.parametrize("name", ["MCX514", "MCX512", "MCX304", "MCX314AS", "PCL240MS", "HCTL1100"])
 def test_observing_a_stage_leaves_its_bits_as_they_were(name):
     """repr, _repr_html_, positions, switches and the chips' values between runs of a stage whose shafts turn"""
-    given = {} if CHIPS[name].SERVO or not CHIPS[name].ENCODERS else {"encoders": {"x": 200_000, "y": -12_345}}
-    observed, alone = (Stage("xy", chips=CHIPS[name], visuals=False, **given) for _ in range(2))
+    options = {} if CHIPS[name].SERVO or not CHIPS[name].ENCODERS else {"encoders": {"x": 200_000, "y": -12_345}}
+    observed, alone = (Stage("xy", chips=CHIPS[name], visuals=False, **options) for _ in range(2))
     for k in range(6):
         for stage in (observed, alone):
             stage.data.qvel[:] = 0.1 - 0.03 * k  # pushed
@@ -94,6 +94,6 @@ def test_observing_a_stage_leaves_its_bits_as_they_were(name):
         repr(observed), observed._repr_html_(), observed.faults, observed.payload(), observed.time
         for axis in observed.axes.values():
             repr(axis), axis.position, axis.commanded, axis.lost_steps, axis.switches.as_dict(), repr(axis.pins)
-            look(axis.chip, random.Random(k))
+            observe(axis.chip, random.Random(k))
         for other in (observed, alone):
             assert other.snapshot().state.tobytes() == before.state.tobytes()

@@ -27,12 +27,12 @@ FOLDERS = [
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda f: f"{f.parent.name}/{f.name}")
 def test_a_family_types_no_mask_code_or_address_but_in_its_map(folder):
-    found = []
+    result = []
     for path in sorted(folder.rglob("*.py")):
         text = path.read_text()
         lines = text.splitlines()
         if path.name != "maps.py" and path.parent.name != "registers":
-            found += [
+            result += [
                 f"{path.name}:{node.lineno}: {typed}"
                 for node in ast.walk(ast.parse(text))
                 if isinstance(node, ast.Constant)
@@ -40,10 +40,10 @@ def test_a_family_types_no_mask_code_or_address_but_in_its_map(folder):
                 and (typed := lines[node.lineno - 1][node.col_offset : node.end_col_offset]).startswith("0x")
                 and node.value not in SHAPES
             ]
-    assert found == []
+    assert result == []
 
 
-def test_the_values_of_every_field_fit_its_bits_and_have_words_of_their_own():
+def test_the_values_of_every_field_fit_its_bits_and_have_distinct_meanings():
     for name in FIELDS:
         assert fits(name), name
 
@@ -61,7 +61,7 @@ def fits(name):
 
 
 @pytest.mark.parametrize(
-    ("f", "text", "said"),
+    ("f", "text", "message"),
     [
         (Field("D", 3, 3, "direction", values={0: "plus", 1: "minus"}), "direction: 0 plus, 1 minus", {1: "direction: minus"}),
         (Field("S", 2, 2, "", values={0: "linear", 1: "S-curve"}), "0 linear, 1 S-curve", {0: "linear", 1: "S-curve"}),
@@ -71,9 +71,9 @@ def fits(name):
         (Field("N", 7, 4, "count"), "count", {3: ""}),
     ],
 )  # fmt: skip
-def test_a_field_is_told_by_its_meaning_and_its_values(f, text, said):
+def test_a_field_is_described_by_its_meaning_and_its_values(f, text, message):
     assert f.text == text
-    assert {v: f.says(v) for v in said} == said
+    assert {v: f.says(v) for v in message} == message
 
 
 def test_a_value_is_found_by_its_words_in_place():

@@ -108,18 +108,18 @@ def test_while_the_last_pulse_is_completed_the_rate_is_that_of_the_run():
 
 
 @pytest.mark.parametrize(("control", "moves", "rests"), [(0x40, "pout", "pdir"), (0x48, "pdir", "pout")])
-def test_with_independent_pulses_a_course_shows_them_on_the_pin_of_their_direction(control, moves, rests):
+def test_independent_pulses_appear_in_waveforms_on_the_pin_of_their_direction(control, moves, rests):
     chip = running(0xC1, control)
     journal = chip.journal()
     chip.write(0, 0x11)
     pulses = chip.advance(500)
-    course = journal.course(every_pulse=True)
-    shown = course.pin(moves)
-    assert int((shown[1:] & ~shown[:-1]).sum()) == pulses > 0
-    assert not course.pin(rests).any()
+    waveforms = journal.course(every_pulse=True)
+    displayed = waveforms.pin(moves)
+    assert int((displayed[1:] & ~displayed[:-1]).sum()) == pulses > 0
+    assert not waveforms.pin(rests).any()
 
 
-def test_a_look_at_r0_tells_its_bytes_whatever_is_selected():
+def test_peek_returns_the_bytes_of_r0_whatever_register_is_selected():
     chip = running(0xC8, 0x91)
     for _, address, value in [*register(0, 0x123456), *commands(0x83)]:
         chip.write(address, value)

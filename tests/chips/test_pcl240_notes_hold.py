@@ -21,10 +21,10 @@ def test_a_constant_speed_run_that_never_uses_fl_needs_no_r1():
     chip = PCL240K()
     load(chip, R0=0xFFFFFF, R1=0, R2=4000, R7=20)
     commands(chip, 0x40, 0x11)
-    said = chip.diagnostics[-1].message
+    message = chip.diagnostics[-1].message
     assert chip.advance(10**6) == 24_414
-    assert "no pulse" not in said
-    assert "R1 = 0" in said, "it must be set, says the sheet"
+    assert "no pulse" not in message
+    assert "R1 = 0" in message, "it must be set, says the sheet"
 
 
 @ALL
@@ -56,17 +56,17 @@ def any_start(make, rng):
 @ALL
 def test_a_start_that_makes_no_pulse_is_noted_so_and_no_other(make):
     print(f"PULSESTAGE_SEED={SEED}")
-    rng, seen = random.Random(SEED), {False: 0, True: 0}
+    rng, observed = random.Random(SEED), {False: 0, True: 0}
     for _ in range(6 * EXAMPLES):
         chip, start = any_start(make, rng)
         chip.diagnostics.clear()
         about = chip.values()
         commands(chip, start)
-        said = " ".join(d.message for d in chip.diagnostics)
+        message = " ".join(d.message for d in chip.diagnostics)
         moves = chip.advance(LONG) > 0
-        assert moves != ("no pulse" in said), f"{about} {start:02X}h: {said!r}"
-        seen[moves] += 1
-    assert min(seen.values()) > EXAMPLES // 2
+        assert moves != ("no pulse" in message), f"{about} {start:02X}h: {message!r}"
+        observed[moves] += 1
+    assert min(observed.values()) > EXAMPLES // 2
 
 
 @ALL
@@ -83,17 +83,17 @@ def test_a_start_that_is_noted_as_ignored_changes_nothing_and_one_without_a_note
         chip.diagnostics.clear()
         before = chip.values(), chip.make_replica()
         commands(chip, start)
-        said = " ".join(d.message for d in chip.diagnostics)
-        if "ignored" in said:
+        message = " ".join(d.message for d in chip.diagnostics)
+        if "ignored" in message:
             ran = chip.trace(20_000), before[1].trace(20_000)
-            assert np.array_equal(*ran), f"{before[0]} {start:02X}h: {said!r}"
-        elif not said:
+            assert np.array_equal(*ran), f"{before[0]} {start:02X}h: {message!r}"
+        elif not message:
             assert chip.state["running"], f"{before[0]} {start:02X}h"
 
 
 @ALL
 def test_where_the_pulses_are_noted_to_end_they_end(make):
-    rng, ended = random.Random(SEED), 0
+    rng, endings = random.Random(SEED), 0
     for _ in range(6 * EXAMPLES):
         chip, start = any_start(make, rng)
         chip.diagnostics.clear()
@@ -102,14 +102,14 @@ def test_where_the_pulses_are_noted_to_end_they_end(make):
             continue
         chip.advance(1 << 32)
         if chip.CORE.pulse_rate(chip._rows, 0, 1.0) == 0.0 and not chip.pins.hold:
-            ended += chip.advance(1 << 40) == 0
+            endings += chip.advance(1 << 40) == 0
             assert chip.CORE.net(chip._rows, 0) != 0
-    assert ended
+    assert endings
 
 
 @pytest.mark.parametrize("make", [PCL240MK, PCL240MS])
 def test_a_move_that_is_noted_to_stop_without_ramping_down_never_ramps_down(make):
-    rng, seen = random.Random(SEED), 0
+    rng, observed = random.Random(SEED), 0
     for _ in range(5 * EXAMPLES):
         chip, _ = any_start(make, rng)
         load(
@@ -123,13 +123,13 @@ def test_a_move_that_is_noted_to_stop_without_ramping_down_never_ramps_down(make
         commands(chip, 0xC0, rng.choice([0x44, 0x54, 0x46, 0x5E]))
         chip.diagnostics.clear()
         commands(chip, 0x15)
-        said = " ".join(d.message for d in chip.diagnostics)
-        if "without ramping down" not in said and "before the automatic ramp-down begins" not in said:
+        message = " ".join(d.message for d in chip.diagnostics)
+        if "without ramping down" not in message and "before the automatic ramp-down begins" not in message:
             continue
         journal = chip.journal()
         chip.advance(1 << 34)
         journal.close()
         assert chip.pins.hold
-        assert not journal.course().pin("fdown").any(), f"{chip.values()}: {said!r}"
-        seen += 1
-    assert seen > EXAMPLES // 2
+        assert not journal.course().pin("fdown").any(), f"{chip.values()}: {message!r}"
+        observed += 1
+    assert observed > EXAMPLES // 2

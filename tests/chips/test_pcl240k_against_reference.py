@@ -37,15 +37,15 @@ random_programs = settings(
 
 @random_programs
 @given(chaotic_programs, st.booleans())
-def test_any_program_agrees_to_the_clock(program, look):
-    Pair(look).play(program)
+def test_any_program_agrees_to_the_clock(program, observe):
+    Pair(observe).play(program)
 
 
 @random_programs
 @given(real_programs, st.booleans())
-def test_programs_as_drivers_write_them_agree_to_the_clock(program, look):
+def test_programs_as_drivers_write_them_agree_to_the_clock(program, observe):
     """Without looks, nothing but pulses and the end is compared: a read must not be what makes the product right."""
-    Pair(look).play(program)
+    Pair(observe).play(program)
 
 
 @settings(random_programs, max_examples=max(EXAMPLES // 10, 10))
@@ -58,7 +58,7 @@ def test_registers_of_any_legal_value_agree_over_long_runs(program):
 @given(real_programs, st.lists(st.integers(1, 900), min_size=1, max_size=8))
 @example(driver_program(0, 32, (50, 500, 500), (2, 2), 17, 2, 68, 192, 21, [], []), [1, 1, 30, 900, 1])
 def test_advancing_in_pieces_is_advancing_at_once(program, pieces):
-    one, many = Pair(look=False), Pair(look=False)
+    one, many = Pair(observe=False), Pair(observe=False)
     for pair in (one, many):
         for operation in program:
             if operation[0] in ("advance", "trace"):
@@ -72,17 +72,17 @@ def test_the_same_trace_has_the_same_bytes_to_the_padding():
     chip = PCL240K()
     load_registers(chip, R0=500, R1=400, R7=2)
     commands(chip, 0x44, 0x10)
-    before, seen = chip.snapshot(), []
+    before, observed = chip.snapshot(), []
     for filler in (0x00, 0xFF):
         chip.restore(before)
         used = np.full(500 * chip.CORE.PULSE.itemsize, filler, np.uint8)
         del used  # memory that the trace is likely to be given
-        seen.append(chip.trace(1 << 20))
-    assert len(seen[0]) == 500
-    assert seen[0].tobytes() == seen[1].tobytes()
+        observed.append(chip.trace(1 << 20))
+    assert len(observed[0]) == 500
+    assert observed[0].tobytes() == observed[1].tobytes()
 
 
-def test_a_long_life_agrees():
+def test_a_long_random_program_agrees():
     entropy = SEED
     print("seed", entropy)
     rng = np.random.default_rng(entropy)
@@ -115,55 +115,52 @@ def test_a_preset_run_on_external_pulses_whose_counter_is_written_0_stops_at_its
 
 
 def facts(program):
-    """What a program does on the reference, stop by stop: a set of names."""
-    model, seen = ReferencePCL240K(), set()
+    """Return the names of the features that a program shows on the reference, stop by stop."""
+    model, observed = ReferencePCL240K(), set()
     for kind, *rest in program:
         moving = model.running
         if kind in ("advance", "trace"):
             for _ in range(*rest):
-                seen |= facts_of_a_tick(model)
+                observed |= facts_of_a_tick(model)
         elif kind == "pin":
             setattr(model.pins, *rest)
         else:
             getattr(model, kind)(*rest)
         if moving and kind in ("write", "reset"):
-            seen.add("written or reset in motion")
+            observed.add("written or reset in motion")
             if not model.running:
-                seen.add("stopped by a write" + (" inside a pulse" if model.finishing else ""))
-    return seen
+                observed.add("stopped by a write" + (" inside a pulse" if model.finishing else ""))
+    return observed
 
 
 def facts_of_a_tick(model):
     running, pending, counter, irq = model.running, model.stop_pending, model.registers[0], model.int_pending
     direction, out = model.tick(), model.outputs()
-    seen = {name for name in ("fup", "fdown") if out[name]}
+    observed = {name for name in ("fup", "fdown") if out[name]}
     if direction:
-        seen |= {"pulses", "plus" if direction > 0 else "minus"}
+        observed |= {"pulses", "plus" if direction > 0 else "minus"}
     if model.int_pending and not irq:
-        seen.add("/INT")
+        observed.add("/INT")
     if counter == 0 and model.registers[0]:
-        seen.add("counter wraps")
+        observed.add("counter wraps")
     if model.external and model.registers[0] != counter:
-        seen.add("counts EXTP")
+        observed.add("counts EXTP")
     if running and not model.running:
         limit = model.pins.el_minus if model.control & 8 else model.pins.el_plus
         if limit:
-            seen.add("stopped by EL")
+            observed.add("stopped by EL")
         elif model.control & 1 and model.pins.org:
-            seen.add("stopped by ORG")
+            observed.add("stopped by ORG")
         elif pending:
-            seen.add("decelerated to a stop")
+            observed.add("decelerated to a stop")
         else:
             assert model.registers[0] == 0, "a stop for which there is no reason"
-            seen.add("stopped at R0 = 0")
-    return seen
+            observed.add("stopped at R0 = 0")
+    return observed
 
 
 def census(strategy, programs=400):
-    """Of so many programs drawn with a fixed seed, how many show each fact.
-
-    The floors of the tests below are about half of the counts seen: other versions of Hypothesis draw otherwise.
-    """
+    """Count how many random programs of a fixed seed show each feature."""
     count = Counter()
 
     @seed(240)

@@ -77,9 +77,9 @@ def test_a_ramp_up_makes_the_pulses_of_its_staircase_exactly(fl, fh, up, down, m
     """Psu = (FH^2 - FL^2) R4 / (16384 R7), less (FH - FL) R4 / (16384 R7) for the steps."""
     chip = started(fl, fh, up, down, mult)
     psu = (fh**2 - fl**2) * up / (16384 * mult)
-    made = chip.advance((fh - fl) * up)
-    assert made == math.floor(exact_ramp_pulses(fl, fh, up, mult))
-    assert psu - (fh - fl) * up / (16384 * mult) - 1 < made <= psu
+    pulses = chip.advance((fh - fl) * up)
+    assert pulses == math.floor(exact_ramp_pulses(fl, fh, up, mult))
+    assert psu - (fh - fl) * up / (16384 * mult) - 1 < pulses <= psu
 
 
 @speeds
@@ -89,12 +89,12 @@ def test_a_ramp_down_makes_the_pulses_of_its_staircase_to_one(fl, fh, up, down, 
     chip.advance((fh - fl) * up + 1000)
     chip.write(0, 0x14)
     chip.advance(1)
-    made = chip.advance((fh - fl) * down)
-    assert 0 <= made - math.floor(exact_ramp_pulses(fl, fh, down, mult)) <= 1
+    pulses = chip.advance((fh - fl) * down)
+    assert 0 <= pulses - math.floor(exact_ramp_pulses(fl, fh, down, mult)) <= 1
 
 
 @speeds
-def test_equal_rates_make_equal_pulse_counts_both_ways(fl, fh, up, down, mult):
+def test_equal_rates_make_equal_pulse_counts_up_and_down(fl, fh, up, down, mult):
     chip = started(fl, fh, up, up, mult)
     rising = chip.advance((fh - fl) * up)
     chip.advance(8192 * mult)
@@ -148,16 +148,16 @@ def test_triangular_drive_peaks_once_below_fh_and_ends_on_its_last_pulse(fl, fh,
 
 
 @speeds
-def test_triangular_drive_with_equal_rates_is_its_own_mirror_image(fl, fh, up, down, mult):
+def test_a_triangular_drive_with_equal_rates_is_symmetric(fl, fh, up, down, mult):
     clocks, _ = triangle(fl, fh, up, up, mult)
     gaps = np.diff(clocks)
     half = len(gaps) // 2
     rising, falling = gaps[:half], gaps[::-1][:half]
-    late = 3 + math.ceil(up * fh / (8192 * mult))  # pulses: the step that the down point cuts short, and the phases
-    if half <= 2 * late:
+    delayed = 3 + math.ceil(up * fh / (8192 * mult))  # pulses: the step that the down point cuts short, and the phases
+    if half <= 2 * delayed:
         pytest.skip("the steps are longer than the ramps")
-    assert (falling[:-late] >= rising[late:] - 1).all(), "not faster than as many pulses from the start"
-    assert (falling[late:] <= rising[:-late] + 1).all(), "nor slower"
+    assert (falling[:-delayed] >= rising[delayed:] - 1).all(), "not faster than as many pulses from the start"
+    assert (falling[delayed:] <= rising[:-delayed] + 1).all(), "nor slower"
 
 
 def test_fh_minus_fl_of_nothing_is_a_run_at_fl():
@@ -172,7 +172,7 @@ def test_at_4_9152_mhz_r7_of_600_60_and_20_are_the_1x_10x_and_30x_modes(mult, pp
     assert chip.advance(4_915_200) == 8191 * pps_per_step
 
 
-def test_the_longest_preset_move_advances_in_milliseconds():
+def test_the_maximum_preset_move_advances_in_milliseconds():
     def seconds(r0):
         chip = started(50, 8000, 300, 300, 2, r0=r0, r6=120_000, control=0x44)
         begin = time.perf_counter()
@@ -185,11 +185,11 @@ def test_the_longest_preset_move_advances_in_milliseconds():
 
 def test_the_counter_wraps_below_zero_to_the_maximum():
     chip = started(500, 800, 30, 30, 2, r0=1, start=0x11)
-    seen = [counter(chip)]
+    observed = [counter(chip)]
     for _ in range(3):
         assert len(chip.trace(clocks_to_next_pulse(chip))) == 1
-        seen.append(counter(chip))
-    assert seen == [1, 0, 0xFFFFFF, 0xFFFFFE]
+        observed.append(counter(chip))
+    assert observed == [1, 0, 0xFFFFFF, 0xFFFFFE]
 
 
 def clocks_to_next_pulse(chip):

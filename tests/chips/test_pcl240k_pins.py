@@ -218,15 +218,15 @@ def test_fup_fkeep_and_fdown_are_high_one_at_a_time_and_bit_5_is_fkeep():
 
 def test_lt_is_high_while_the_counter_is_below_r6_and_zero_while_it_is_0_as_in_the_status():
     chip = started(*SLOW, r0=6, r6=4, control=0x44, start=0x11)
-    seen = []
+    observed = []
     while not chip.pins.hold:
         lt, zero = chip.pins.lt, chip.pins.zero
         assert lt == (counter(chip) < 4)
         assert zero == (counter(chip) == 0)
         assert (bool(chip.read(0) & 0x10), bool(chip.read(0) & 0x08)) == (lt, zero)
-        seen.append((lt, zero))
+        observed.append((lt, zero))
         chip.advance(1)
-    assert set(seen) == {(False, False), (True, False), (True, True)}
+    assert set(observed) == {(False, False), (True, False), (True, True)}
 
 
 @pytest.mark.parametrize(("fh", "start", "ends"), [(0, 0x11, 60), (3, 0x15, 21)], ids=["at rest", "about to ramp up"])

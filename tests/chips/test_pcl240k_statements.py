@@ -22,15 +22,15 @@ def test_a_start_with_an_empty_counter_makes_no_pulse_and_no_int():
 
 
 @pytest.mark.parametrize("interrupt", [0x1F, 0x1D, 0x08])
-def test_residual_pulses_are_kept_and_output_after_the_reset_command_and_a_start(interrupt):
+def test_residual_pulses_are_output_after_the_reset_command_and_a_start(interrupt):
     chip = started(*SLOW, r0=5000, r6=40, control=0x44, start=0x17)
-    made = chip.advance(60_000)
+    pulses = chip.advance(60_000)
     chip.write(0, interrupt)
-    made += chip.advance(100_000)
+    pulses += chip.advance(100_000)
     assert chip.pins.hold
-    assert counter(chip) == 5000 - made > 0
+    assert counter(chip) == 5000 - pulses > 0
     commands(chip, 0x08, 0x17)
-    assert made + chip.advance(FOREVER) == 5000
+    assert pulses + chip.advance(FOREVER) == 5000
     assert counter(chip) == 0
 
 
@@ -92,7 +92,7 @@ def test_a_start_while_the_last_pulse_is_being_completed_is_ignored():
     assert chip.advance(8192 * 2) == 100, "armed by 08h all the same"
 
 
-def test_int_comes_at_the_stop_when_d5_asks_for_it_and_is_cleared_by_a_00_command_without_d5():
+def test_int_is_asserted_at_the_stop_if_d5_is_set_and_cleared_by_a_00_command_without_d5():
     chip = started(*SLOW, r0=10, control=0x44, start=0x31)
     clocks_while(chip, lambda chip: not chip.pins.zero)
     assert chip.pins.pout
@@ -183,7 +183,7 @@ def test_dual_rate_14h_ramps_down_to_fl_and_keeps_running_until_15h_ramps_up_aga
     assert clocks_while(chip, "fup") == 750 * 20
 
 
-def test_after_a_constant_start_bit_2_turns_ramps_on():
+def test_after_a_constant_start_bit_2_enables_ramps():
     chip = started(50, 800, 20, 20, 2, start=0x10, fh2=2000)
     chip.advance(20_000)
     chip.write(0, 0x14)
@@ -271,15 +271,15 @@ def clocks_down(chip):
     ],
 )
 def test_bits_above_a_registers_width_are_dropped_and_its_top_bit_counts(name, bits, value, probe):
-    def seen(written):
+    def observed(written):
         chip = PCL240K()
         load_registers(chip, R0=8, R1=50, R2=400, R3=600, R4=3, R5=3, R6=0, R7=2)
         load_registers(chip, **{name: written})
         return probe(chip)
 
     dropped = 0xFFFFFF & -1 << bits
-    assert seen(value | dropped) == seen(value)
-    assert seen(value | 1 << bits - 1) != seen(value)
+    assert observed(value | dropped) == observed(value)
+    assert observed(value | 1 << bits - 1) != observed(value)
 
 
 def test_r0_has_24_bits():

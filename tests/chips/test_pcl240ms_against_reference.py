@@ -30,7 +30,7 @@ both_chips = pytest.mark.parametrize("name", PAIRS)
 
 
 def programs(part, share):
-    """As many random programs as this share of EXAMPLES, each with its random generator."""
+    """Yield random programs, this share of EXAMPLES, each with its random generator."""
     print("PULSESTAGE_SEED", SEED)
     rng = random.Random(SEED)
     for _ in range(max(int(EXAMPLES * share), 5)):
@@ -68,17 +68,20 @@ def test_advancing_in_pieces_is_advancing_at_once():
         assert one.snapshot().record == many.snapshot().record, program
 
 
-def test_every_speed_of_the_course_is_the_references_at_that_clock():
+def test_every_speed_of_the_waveforms_equals_the_reference_at_its_clock():
     for program, _ in programs(ANY_REAL_PROGRAM, 0.1):
         chip, model = pair("MS").chip, watched("MS", Speeds)
         journal = chip.journal()
         for player in (chip, model):
             follow(player, program)
-        course = journal.course()
-        last = np.flatnonzero(np.diff(course.edges["clock"], append=chip.clock + 1))  # of the edges at each clock
-        clocks, held = course.edges["clock"][last], np.diff(course.edges["clock"][last], append=chip.clock + 1)
-        product = np.repeat(course.edges["speed"][last].astype(int), held)
-        operating = ~np.repeat(course.pin("hold")[last], held)
+        waveforms = journal.course()
+        last = np.flatnonzero(np.diff(waveforms.edges["clock"], append=chip.clock + 1))  # of the edges at each clock
+        clocks, previous = (
+            waveforms.edges["clock"][last],
+            np.diff(waveforms.edges["clock"][last], append=chip.clock + 1),
+        )
+        product = np.repeat(waveforms.edges["speed"][last].astype(int), previous)
+        operating = ~np.repeat(waveforms.pin("hold")[last], previous)
         reference = np.array([model.speeds[clock] for clock in range(clocks[0], chip.clock + 1)])
         wrong = np.flatnonzero(operating & (product != reference))[:5]
         assert not wrong.size, f"clocks {wrong}: {product[wrong]}, reference {reference[wrong]}\n{program}"
@@ -93,18 +96,18 @@ def test_each_step_of_the_widest_s_curve_ramp_is_on_its_clock(rate, span, up):
     setup = [*enumerate((0, 1, 8191, 8191, rate, rate, 0, 1023)), (R14, span), (R15, span)]
     follow(chip, flatten([*(register(*s) for s in setup), [("write", 0, v) for v in (0x08, 0x40, 0x15)]]))
     follow(model, flatten([register(*s) for s in setup]))
-    longest = (8190 + 2 * 4095) * rate // 2 + 10
+    max_length = (8190 + 2 * 4095) * rate // 2 + 10
     if not up:
-        chip.advance(longest)
+        chip.advance(max_length)
         chip.write(0, 0x14)
     model.speed = 1 if up else 8191
     journal, began = chip.journal(), chip.clock
-    chip.advance(longest)
+    chip.advance(max_length)
     edges = journal.course().edges
     changes = np.flatnonzero(np.diff(edges["speed"].astype(np.int64))) + 1
     curve = SCurve(model, 8191 if up else 1, 1 if up else -1)
     due = [
-        bisect_left(range(longest), True, key=lambda c, k=k: curve.reached(c, k if up else k - 1)) + (not up)
+        bisect_left(range(max_length), True, key=lambda c, k=k: curve.reached(c, k if up else k - 1)) + (not up)
         for k in range(1, 8191)
     ]
     assert (edges["clock"][changes] - began).tolist() == due
@@ -145,9 +148,9 @@ class Speeds:
         super().__init__()
 
     def tick(self):
-        begun = super().tick()
+        pulse = super().tick()
         self.speeds[self.clock] = self.speed
-        return begun
+        return pulse
 
     def write(self, address, value):
         super().write(address, value)
@@ -164,9 +167,9 @@ class Facts:
     def tick(self):
         before = vars(self).copy()
         position, before["registers"] = self.registers[R10], None
-        begun = super().tick()
+        pulse = super().tick()
         if self.registers[R10] != position:
-            self.seen.add("position up" if begun > 0 else "position down")
+            self.seen.add("position up" if pulse > 0 else "position down")
         if self.ramped_down > before["ramped_down"]:
             self.seen.add("automatic point, offset " + ("-" if self.offset < 0 else "+" if self.offset else "0"))
             self.seen.add("automatic point in a ramp-up" if before["ramp"] > 0 else "automatic point at speed")
@@ -174,16 +177,16 @@ class Facts:
             self._note_the_ramp(before["s_curve"], before["ramp"])
         if before["running"] and not self.running:
             self._note_the_stop(before["ez_count"], before["ez_sample"])
-        return begun
+        return pulse
 
     def _note_the_ramp(self, before, ramp):
-        way, curve = "up" if self.ramp > 0 else "down", self.s_curve
+        direction, curve = "up" if self.ramp > 0 else "down", self.s_curve
         if curve is None:
-            self.seen.add(f"linear ramp {way}")
+            self.seen.add(f"linear ramp {direction}")
         elif curve is before:
             self.seen |= {"S-curve to its end"} if curve.k == curve.steps > 3 else set()
         elif curve.steps > 3:
-            self.seen.add(f"S-curve {way}, {'a' if curve.span2 < curve.steps else 'no'} linear part")
+            self.seen.add(f"S-curve {direction}, {'a' if curve.span2 < curve.steps else 'no'} linear part")
             self.seen |= {"S-curve down on R4"} if self.ramp < 0 and self.ramped_down else set()
             self.seen |= {"S-curve begun anew by its goal"} if before and ramp == self.ramp else set()
 

@@ -93,10 +93,10 @@ def test_the_fh_correction_makes_no_triangle_and_changes_no_register(r14):
         journal = chip.journal()
         chip.advance(FOREVER)
         assert [chip.values()[name] for name in NAMES[1:]] == before
-        course = journal.course()
-        speed = course.edges["speed"]
+        waveforms = journal.course()
+        speed = waveforms.edges["speed"]
         assert 400 < speed.max() < 800
-        assert (course.pin("fkeep") & (speed == speed.max())).any() == kept_at_top
+        assert (waveforms.pin("fkeep") & (speed == speed.max())).any() == kept_at_top
 
 
 @BOTH
@@ -147,7 +147,7 @@ def test_when_it_is_disabled_the_rule_r0_below_r6_is_back_and_the_deceleration_i
 
 @BOTH
 @pytest.mark.parametrize("name", SWITCH_OFF)
-def test_a_deceleration_already_begun_goes_on(make, name):
+def test_a_deceleration_in_progress_continues(make, name):
     chip, undisturbed = (begun(make, AUTOMATIC, 0x15, R0=4000) for _ in range(2))
     wait_for(chip, "fdown")
     chip.advance(3000)

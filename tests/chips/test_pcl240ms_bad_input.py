@@ -18,8 +18,8 @@ PRESET, MANUAL = 0x44, 0x40
 
 def notes(chip, *names):
     """Messages that mention all these names, in any case."""
-    said = [d.message for d in chip.diagnostics]
-    return [message for message in said if all(name.lower() in message.lower() for name in names)]
+    text = [d.message for d in chip.diagnostics]
+    return [message for message in text if all(name.lower() in message.lower() for name in names)]
 
 
 def noted(chip, *names, also=()):
@@ -42,7 +42,7 @@ def set_up(make, control, start, **registers):
 
 
 @BOTH
-def test_any_write_is_taken_and_no_register_ever_exceeds_its_width(make):
+def test_any_write_is_accepted_and_no_register_exceeds_its_width(make):
     print(f"PULSESTAGE_SEED={SEED}")
     chip = make()
     for _ in range(3000):
@@ -56,14 +56,14 @@ def test_any_write_is_taken_and_no_register_ever_exceeds_its_width(make):
 @BOTH
 @pytest.mark.parametrize(("address", "value"), [(1, 1 << 40), (1, -1), (5, 0x15), (-1, 0xFF), (1 << 40, 0x15)])
 def test_address_and_value_are_masked_to_2_and_8_bits(make, address, value):
-    chip, twin = make(), make()
-    for one in (chip, twin):
+    chip, replica = make(), make()
+    for one in (chip, replica):
         load(one, R0=0x123456, R1=50, R7=2)
         one.write(0, 0x80)
     chip.write(address, value)
-    twin.write(address & 3, value & 0xFF)
-    assert chip.values() == twin.values()
-    assert chip.trace(10_000).tolist() == twin.trace(10_000).tolist()
+    replica.write(address & 3, value & 0xFF)
+    assert chip.values() == replica.values()
+    assert chip.trace(10_000).tolist() == replica.trace(10_000).tolist()
 
 
 @BOTH
@@ -317,7 +317,7 @@ def test_an_s_curve_span_on_the_mk_is_noted_and_only_stored(name, value):
     assert chip.values()[name] == value
 
 
-def test_linear_ramps_chosen_on_the_mk_are_what_it_has():
+def test_selecting_linear_ramps_on_the_mk_changes_nothing():
     chip = PCL240MK()
     load(chip, R14=LINEAR | NO_CORRECTION, R15=0)
     assert chip.diagnostics == []
@@ -423,9 +423,9 @@ def test_an_ez_count_without_r13_bit_21_is_noted_at_an_origin_return(make, r13):
 def test_a_span_with_linear_ramps_selected_is_noted(r14, r15):
     chip = set_up(PCL240MS, MANUAL, 0x15, R14=LINEAR | r14, R15=r15)
     assert noted(chip, "R14")
-    twin = set_up(PCL240MS, MANUAL, 0x15, R14=LINEAR)
-    assert twin.diagnostics == []
-    assert (chip.trace(100_000) == twin.trace(100_000)).all(), "the span means nothing"
+    replica = set_up(PCL240MS, MANUAL, 0x15, R14=LINEAR)
+    assert replica.diagnostics == []
+    assert (chip.trace(100_000) == replica.trace(100_000)).all(), "the span means nothing"
 
 
 @pytest.mark.parametrize("r0", [300, 700, 1000])
@@ -440,12 +440,12 @@ def test_the_fh_correction_of_a_linear_ramp_ignores_the_spans(r0):
 
 
 @pytest.mark.parametrize(
-    ("r14", "r15", "said"), [(100, 300, True), (100, 0, True), (100, 4095, True), (300, 100, False), (0, 100, False)]
+    ("r14", "r15", "text"), [(100, 300, True), (100, 0, True), (100, 4095, True), (300, 100, False), (0, 100, False)]
 )
-def test_a_deceleration_span_above_the_acceleration_span_is_noted_with_the_automatic_point_on(r14, r15, said):
+def test_a_deceleration_span_above_the_acceleration_span_is_noted_with_the_automatic_point_on(r14, r15, text):
     for control, bits in ((AUTOMATIC, 0), (AUTOMATIC, NO_CORRECTION), (0x74, 0)):
         chip = set_up(PCL240MS, control, 0x15, R14=r14 | bits, R15=r15)
-        assert bool(notes(chip, "R14", "R15")) == bool(chip.diagnostics) == said
+        assert bool(notes(chip, "R14", "R15")) == bool(chip.diagnostics) == text
     assert set_up(PCL240MS, PRESET, 0x15, R14=r14, R15=r15).diagnostics == [], "automatic off: R6 is the host's"
 
 
@@ -627,10 +627,10 @@ def test_fl_may_be_as_high_as_fh_and_no_higher(make):
 
 
 @ALL
-@pytest.mark.parametrize(("fl", "fh", "start", "said"), [(50, 8191, 0x15, 1), (8191, 50, 0x11, 0), (50, 8191, 0x10, 0)])
-def test_an_output_beyond_the_silicon_is_noted_once(make, fl, fh, start, said):
+@pytest.mark.parametrize(("fl", "fh", "start", "text"), [(50, 8191, 0x15, 1), (8191, 50, 0x11, 0), (50, 8191, 0x10, 0)])
+def test_an_output_beyond_the_silicon_is_noted_once(make, fl, fh, start, text):
     """30 pps a step: 245,730 pps. With R7 = 19 it is 258,663."""
-    for r7, count in ((20, 0), (19, said)):
+    for r7, count in ((20, 0), (19, text)):
         chip = make()
         load(chip, R0=5000, R1=fl, R2=fh, R4=30, R5=30, R6=5000, R7=r7)
         for command in (0x40, start, start, 0x08, start):
@@ -656,10 +656,10 @@ def test_an_s_curve_triangle_that_nobody_corrects_and_that_stops_above_fl_is_not
     """FL 100 pps, FH 50,000 pps. What the note says is what happens."""
     sound = {"R1": 10, "R2": 5000, "R4": 1500, "R5": 1500, "R7": 60, "R0": 9000}
     chip = set_up(PCL240MS, AUTOMATIC, 0x15, **sound, R14=0x8000 | 500, R15=500)
-    said = notes(chip, "FH correction", "R14 bit 15", "FL is 100 pps")
-    assert len(said) == len(chip.diagnostics) == 1
+    text = notes(chip, "FH correction", "R14 bit 15", "FL is 100 pps")
+    assert len(text) == len(chip.diagnostics) == 1
     last = np.diff(chip.trace(FOREVER)["clock"][-2:])[0]
-    stops = float(said[0].split("stops at ")[1].split(" pps")[0].replace(",", ""))
+    stops = float(text[0].split("stops at ")[1].split(" pps")[0].replace(",", ""))
     assert stops > 1000
     assert stops == pytest.approx(chip.clock_hz / last, rel=0.01)
     for r14 in (500, 0x9000):

@@ -31,7 +31,7 @@ def seconds(stage, r14):
     return time.process_time() - begin
 
 
-def test_an_s_curve_costs_at_most_half_as_much_again_as_a_linear_ramp():
+def test_an_s_curve_takes_at_most_half_as_much_time_again_as_a_linear_ramp():
     stage = Stage("xyz", chips=PCL240MS, visuals=False)
     pairs = [(seconds(stage, 0), seconds(stage, LINEAR)) for _ in range(9)]
     curved, linear = (min(side) for side in zip(*pairs, strict=True))

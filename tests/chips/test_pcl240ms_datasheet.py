@@ -54,7 +54,7 @@ any_shape = over([*CURVED, *WITH_LINEAR], False, 3)
 
 
 @pytest.fixture(autouse=True)
-def tell(request):
+def report(request):
     print(request.node.callspec.params if hasattr(request.node, "callspec") else "", f"PULSESTAGE_SEED={SEED}")
 
 
@@ -96,32 +96,34 @@ def test_linear_ramps_take_the_time_of_an_s_curve_with_no_linear_part(r):
     assert slowing_down(r, LINEAR) == tsd(r)
 
 
-def until_the_end(course, clocks):
+def until_the_end(waveforms, clocks):
     """So many clocks of FDOWN, or those that are left: the last pulse, too, ends it."""
-    return min(clocks, course.end - course.clock[course.pin("fdown")][0])
+    return min(clocks, waveforms.end - waveforms.clock[waveforms.pin("fdown")][0])
 
 
 @curved
-def test_with_the_automatic_point_r4_stands_for_r5(r):
+def test_with_the_automatic_point_r4_replaces_r5(r):
     r0 = math.ceil(minimum_trapezoid(automatic(r))) + 50
-    course = Course(started(r, r0, r6=5))
-    assert course.clocks("fup") == tsu(r)
-    assert course.clocks("fdown") == until_the_end(course, tsd(automatic(r)) - 1), "the point was in its first clock"
+    waveforms = Course(started(r, r0, r6=5))
+    assert waveforms.clocks("fup") == tsu(r)
+    assert waveforms.clocks("fdown") == until_the_end(waveforms, tsd(automatic(r)) - 1), (
+        "the point was in its first clock"
+    )
 
 
 @with_linear
-def test_with_the_automatic_point_r4_stands_for_r5_with_a_linear_part_too(r):
+def test_with_the_automatic_point_r4_replaces_r5_also_with_a_linear_part(r):
     r = r._replace(R14=max(r.R14, r.R15))  # "typically"
     r0 = 2 * math.ceil(minimum_trapezoid_with_linear(automatic(r))) + 50
-    course = Course(started(r, r0, r6=5))
-    assert course.clocks("fup") == math.ceil(tsu_with_linear(r))
-    assert course.clocks("fdown") == until_the_end(course, math.ceil(tsd_with_linear(automatic(r))) - 1)
+    waveforms = Course(started(r, r0, r6=5))
+    assert waveforms.clocks("fup") == math.ceil(tsu_with_linear(r))
+    assert waveforms.clocks("fdown") == until_the_end(waveforms, math.ceil(tsd_with_linear(automatic(r))) - 1)
 
 
 def test_the_mk_takes_r4_for_r5_too():
-    course = Course(started(Registers(50, 800, 300, 200, 20), 5000, r6=5, cls=PCL240MK))
-    assert course.clocks("fup") == 750 * 300
-    assert course.clocks("fdown") == 750 * 300 - 1
+    waveforms = Course(started(Registers(50, 800, 300, 200, 20), 5000, r6=5, cls=PCL240MK))
+    assert waveforms.clocks("fup") == 750 * 300
+    assert waveforms.clocks("fdown") == 750 * 300 - 1
 
 
 # 3-4 minimum of pulses for a trapezoid. The speed rises in steps and so falls short of the sheet's curve by half a step on
@@ -181,9 +183,9 @@ def started_late(r, r0, **settings):
     return started(r, r0, -(r0 // 2) % (1 << 24), **settings)
 
 
-def linear_steps(course, rate):
+def linear_steps(waveforms, rate):
     """Steps of the ramp-up that take rate / 2 clocks."""
-    clocks, speeds = course.steps()
+    clocks, speeds = waveforms.steps()
     rising = np.diff(clocks[: np.argmax(speeds) + 1])
     return int((abs(rising - rate / 2) <= 1).sum())
 
@@ -212,9 +214,9 @@ def assert_peak(r, r0, peak, **settings):
     return chip
 
 
-def short_moves(least, most, count=8):
+def short_moves(least, maximum, count=8):
     """Random pulse counts above `least` up to `most`, both ends among them."""
-    low, high = math.floor(least) + 1, math.floor(most)
+    low, high = math.floor(least) + 1, math.floor(maximum)
     between = np.random.default_rng(SEED).integers(low, max(low, high) + 1, count)
     return [low, high, *(int(v) for v in between)] if low <= high else []
 
@@ -271,11 +273,11 @@ def test_no_fh_correction_when_bit_15_is_set_or_the_automatic_point_is_off(r):
 
 def at_fl(r, r6, r0, bits=0):
     """Pulses at FL at the end of a preset move; None if it does not end at FL."""
-    course = Course(started(r, r0, r6, control=PRESET, bits=bits))
-    assert course.pulses == r0
-    assert course.peak == r.R2
-    assert course.r0[-1] == 0
-    return int(course.r0[np.flatnonzero(course.speed > r.R1)[-1] + 1]) if course.speed[-1] == r.R1 else None
+    waveforms = Course(started(r, r0, r6, control=PRESET, bits=bits))
+    assert waveforms.pulses == r0
+    assert waveforms.peak == r.R2
+    assert waveforms.r0[-1] == 0
+    return int(waveforms.r0[np.flatnonzero(waveforms.speed > r.R1)[-1] + 1]) if waveforms.speed[-1] == r.R1 else None
 
 
 def assert_r6_is_right(r, psd, minimum, time):
@@ -302,13 +304,13 @@ def test_r6_with_a_linear_part(r):
 # 3-1, 3-2 the setting examples
 
 
-def assert_linear_between(low, high, rates, taken, clocks):
+def assert_linear_between(low, high, rates, steps_taken, clocks):
     """From `low` to `high` pps each step takes `clocks`; outside, the less the nearer to there."""
     inside = (rates >= low) & (rates < high)
     assert inside.sum() >= 1000
-    assert set(taken[inside]) == {clocks}
-    assert (np.diff(taken[rates < low]) < 0).all(), "curved below"
-    assert (np.diff(taken[rates >= high]) > 0).all(), "curved above"
+    assert set(steps_taken[inside]) == {clocks}
+    assert (np.diff(steps_taken[rates < low]) < 0).all(), "curved below"
+    assert (np.diff(steps_taken[rates >= high]) > 0).all(), "curved above"
 
 
 def test_example_of_3_1_r14_of_1000_at_x10_curves_100_to_10100_and_40000_to_50000_pps():

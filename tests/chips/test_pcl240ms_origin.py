@@ -160,7 +160,7 @@ def test_a_high_speed_run_ramps_down_to_fl_after_org_even_if_org_lets_go(make, c
 
 
 @BOTH
-def test_org_in_the_ramp_up_turns_it_into_a_ramp_down(make):
+def test_org_during_the_ramp_up_begins_a_ramp_down(make):
     chip = begun(make, 0x41, 0x15, R13=USES_EZ)
     chip.advance(9000)
     assert chip.pins.fup
@@ -245,16 +245,16 @@ def test_reset_command_and_decelerating_stop_still_stop(make):
 @BOTH
 def test_int_comes_at_the_stop_and_the_position_counter_counts_to_the_last_pulse(make):
     chip = begun(make, 0x69, 0x35, R13=USES_EZ | 2 << 16)
-    made = chip.advance(30_000)
+    pulses = chip.advance(30_000)
     chip.pins.org = True
     for last in (False, False, True):
-        made += chip.advance(20_000)
+        pulses += chip.advance(20_000)
         assert not chip.pins.irq
         chip.pins.ez = True
-        made += chip.advance(200)
+        pulses += chip.advance(200)
         assert chip.pins.irq == last
         chip.pins.ez = False
-    assert read_back(chip, "R10") == -made & 0xFFFFFF
+    assert read_back(chip, "R10") == -pulses & 0xFFFFFF
 
 
 @BOTH
@@ -340,7 +340,7 @@ def test_the_polarity_of_ez_chooses_which_edge_of_its_pin_counts(make, polarity)
         assert left is None or make is PCL240MK or count(chip) == left
 
 
-def test_a_chip_that_reads_org_the_wrong_way_round_sees_it_all_the_way_and_starts_no_return():
+def test_a_chip_with_inverted_org_logic_starts_no_origin_return():
     chip = begun(PCL240MS, 0x41, 0x08, R13=ORG_POSITIVE)
     assert chip.read(0) & 0x02, "nobody drives the pin"
     commands(chip, 0x15)

@@ -31,27 +31,27 @@ def random_moves():
 
 def assert_ended(move):
     """Makes a move; what every move must hold to."""
-    ended = made(move)
-    print(f"{move}\n{ended}, PULSESTAGE_SEED={SEED}")
-    assert ended.r0 == 0, "exactly at R0 = 0"
-    assert ended.pulses == move.r0, "and not one pulse more"
-    assert ended.peak <= max(move.fh, move.registers.R1)
-    if not excuse(move, ended):
-        assert ended.left < ROUNDING, "at FL, but for the rounding to whole pulses"
-    return ended
+    outcome = made(move)
+    print(f"{move}\n{outcome}, PULSESTAGE_SEED={SEED}")
+    assert outcome.r0 == 0, "exactly at R0 = 0"
+    assert outcome.pulses == move.r0, "and not one pulse more"
+    assert outcome.peak <= max(move.fh, move.registers.R1)
+    if not excuse(move, outcome):
+        assert outcome.left < ROUNDING, "at FL, but for the rounding to whole pulses"
+    return outcome
 
 
 def assert_right_to_a_pulse(move):
     """The last pulse comes when the ramp-down ends, later by what the ramp-up took longer."""
-    ended = assert_ended(move)
-    r, gain = move.registers, ended.peak - move.registers.R1
+    outcome = assert_ended(move)
+    r, gain = move.registers, outcome.peak - move.registers.R1
     difference = 0 if move.linear else (span_of(r.R14, gain) - span_of(r.R15, gain)) * r.R4  # clocks
-    expected = difference * (r.R1 + ended.peak - 1) / (16384 * r.R7)
-    if gain > 0 and ended.peak == move.fh:
-        assert ended.late - expected == pytest.approx(0, abs=ROUNDING)
+    expected = difference * (r.R1 + outcome.peak - 1) / (16384 * r.R7)
+    if gain > 0 and outcome.peak == move.fh:
+        assert outcome.late - expected == pytest.approx(0, abs=ROUNDING)
     elif gain > 0 and move.linear:
-        step = r.R4 * ended.peak / (8192 * r.R7)
-        assert -ROUNDING < ended.late < ROUNDING + step, "a triangle's top speed lasts less than a step"
+        step = r.R4 * outcome.peak / (8192 * r.R7)
+        assert -ROUNDING < outcome.late < ROUNDING + step, "a triangle's top speed lasts less than a step"
 
 
 def test_every_random_move_ends_at_r0_0_and_at_fl_or_with_a_tail_that_the_manual_allows():
@@ -66,14 +66,14 @@ def test_the_automatic_point_is_right_to_a_pulse():
 
 def test_with_r6_of_2_only_the_manuals_exceptions_end_above_fl():
     for move in random_moves():
-        ended = assert_ended(move._replace(offset=2))
-        assert ended.speed <= move.registers.R1 or excuse(move._replace(offset=2), ended)
+        outcome = assert_ended(move._replace(offset=2))
+        assert outcome.speed <= move.registers.R1 or excuse(move._replace(offset=2), outcome)
 
 
 @BITS
 @pytest.mark.parametrize("r0", [1, 2, 3, 4, 5, 6, 7, 16_777_214, 16_777_215])
 @pytest.mark.parametrize("registers", [SLOW, FAST, FAST._replace(R15=4000)], ids=["slow", "fast", "equal spans"])
-def test_the_shortest_and_the_longest_moves_end_so(registers, bits, r0):
+def test_minimum_and_maximum_moves_end_exactly(registers, bits, r0):
     assert_right_to_a_pulse(Move(PCL240MS, r0, registers, bits=bits))
     assert_right_to_a_pulse(Move(PCL240MK, r0, registers))
 
@@ -88,22 +88,22 @@ def test_moves_about_as_long_as_their_ramps_end_so(bits, r0):
 def test_an_offset_adds_pulses_at_fl_and_a_negative_one_takes_them_from_the_ramp():
     registers = Registers(50, 800, 300, 300, 20)
     for cls, bits in ((PCL240MK, 0), (PCL240MS, 0), (PCL240MS, LINEAR)):
-        late = [made(Move(cls, 5000, registers, offset, bits)).late for offset in (0, -300, -100, 5, 20, 1000)]
-        assert [v - late[0] for v in late[1:]] == pytest.approx([-300, -100, 5, 20, 1000], abs=1)
+        delayed = [made(Move(cls, 5000, registers, offset, bits)).late for offset in (0, -300, -100, 5, 20, 1000)]
+        assert [v - delayed[0] for v in delayed[1:]] == pytest.approx([-300, -100, 5, 20, 1000], abs=1)
 
 
 def test_r15_shorter_than_r14_leaves_pulses_at_fl():
     """The difference of the two ramps: (R1 + R2) (R14 - R15) R4 / (16384 R7)."""
-    ended = assert_ended(Move(PCL240MS, 5000, Registers(50, 800, 300, 300, 20, 300, 100)))
-    assert ended.speed == 50
-    assert ended.at_fl == pytest.approx(850 * 200 * 300 / (16384 * 20), abs=3)
+    outcome = assert_ended(Move(PCL240MS, 5000, Registers(50, 800, 300, 300, 20, 300, 100)))
+    assert outcome.speed == 50
+    assert outcome.at_fl == pytest.approx(850 * 200 * 300 / (16384 * 20), abs=3)
 
 
 def test_r15_longer_than_r14_ends_above_fl():
     """The same difference is missing."""
-    ended = assert_ended(Move(PCL240MS, 5000, Registers(50, 800, 300, 300, 20, 100, 300)))
-    assert ended.speed > 50
-    assert ended.left == pytest.approx(850 * 200 * 300 / (16384 * 20), abs=3)
+    outcome = assert_ended(Move(PCL240MS, 5000, Registers(50, 800, 300, 300, 20, 100, 300)))
+    assert outcome.speed > 50
+    assert outcome.left == pytest.approx(850 * 200 * 300 / (16384 * 20), abs=3)
 
 
 def test_fh_correction_brings_a_short_s_curve_move_to_fl_and_without_it_a_triangle_ends_above():

@@ -14,7 +14,7 @@ from stage.chips import PCL240K, PCL240MK, PCL240MS
 
 
 @BOTH
-def test_reset_clears_registers_modes_held_bytes_and_latch(make):
+def test_reset_clears_registers_modes_waiting_bytes_and_latch(make):
     chip = begun(make, 0x75, 0x35, **{name: 0x0A5A5A for name in NAMES} | {"R7": 2, "R1": 50})
     commands(chip, 0xE9, 0xA0)
     chip.read(3)
@@ -85,7 +85,7 @@ def as_written_for_an_mk(program, control=0):
 
 def life(make, program, **first):
     """The pulses of a program, and all that can be seen when time has passed or a pin has changed."""
-    chip, seen = make(), []
+    chip, observed = make(), []
     load(chip, **first)
     chip.write(0, 0x80)
     for kind, *rest in program:
@@ -95,9 +95,9 @@ def life(make, program, **first):
         if kind == "pin":
             setattr(chip.pins, *rest)
         else:
-            seen.append(chip.trace(*rest).tolist())
-        seen.append((chip.read(0), counter(chip), *(getattr(chip.pins, name) for name in PCL240K.OUTPUTS)))
-    return seen
+            observed.append(chip.trace(*rest).tolist())
+        observed.append((chip.read(0), counter(chip), *(getattr(chip.pins, name) for name in PCL240K.OUTPUTS)))
+    return observed
 
 
 same_programs = settings(max_examples=scaled(30), deadline=None, suppress_health_check=list(HealthCheck))
@@ -132,7 +132,7 @@ def test_with_the_fh_correction_on_only_short_automatic_moves_differ_from_the_mk
         assert len(ms) == len(mk) == r0
 
 
-def test_mk_software_that_knows_no_r14_gets_s_curves_on_the_ms_in_the_same_time():
+def test_mk_software_without_r14_gets_s_curves_on_the_ms_in_the_same_time():
     mk, ms = (begun(make, 0x40, 0x15) for make in (PCL240MK, PCL240MS))
     assert mk.trace(10_000).tolist() != ms.trace(10_000).tolist()
     assert clocks_while(mk, "fup") == clocks_while(ms, "fup") == 750 * 30 - 10_000

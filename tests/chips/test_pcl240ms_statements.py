@@ -38,7 +38,7 @@ def test_a_register_keeps_the_bits_of_its_width_and_reads_back_in_extension_mode
 
 
 @ALL
-def test_every_register_holds_its_own_value(make):
+def test_every_register_holds_a_separate_value(make):
     chip = make()
     print(f"PULSESTAGE_SEED={SEED}")
     values = {name: int(RNG.integers(1 << 24)) & kept(make, name) for name in BITS[make]}
@@ -96,8 +96,8 @@ def test_all_registers_are_0_at_power_up(make):
 @BOTH
 def test_r0_reads_back_live_in_extension_mode(make):
     chip = begun(make, start=0x11, R0=1000)
-    made = chip.advance(5000)
-    assert read_back(chip, "R0") == 1000 - made < 900
+    pulses = chip.advance(5000)
+    assert read_back(chip, "R0") == 1000 - pulses < 900
 
 
 @pytest.mark.parametrize(("make", "rate"), [(PCL240MK, 0x3FFF), (PCL240MS, 0xFFFF), (PCL240MS, 0x8000)])
@@ -158,7 +158,7 @@ def test_a_collective_write_holds_the_high_bytes_and_transfers_all_with_the_low_
 
 
 @BOTH
-def test_held_bytes_persist_across_transfers_and_selects(make):
+def test_waiting_bytes_persist_across_transfers_and_selects(make):
     chip = make()
     chip.write(0, 0xA0)
     chip.write(3, 0x12)
@@ -176,7 +176,7 @@ def test_held_bytes_persist_across_transfers_and_selects(make):
 
 
 @BOTH
-def test_held_bytes_are_0_at_power_up_and_after_reset(make):
+def test_waiting_bytes_are_0_at_power_up_and_after_reset(make):
     chip = make()
     chip.write(0, 0xA0)
     chip.write(1, 0x07)
@@ -203,7 +203,7 @@ def test_a_collective_write_changes_the_speed_once_and_byte_writes_tear_it(make)
 
 
 @BOTH
-def test_a_collective_read_latches_the_whole_value_at_the_read_of_the_high_byte(make):
+def test_a_collective_read_latches_all_bytes_at_the_read_of_the_high_byte(make):
     chip = begun(make, start=0x11, R0=0x010000)
     chip.write(0, 0xA0)
     high = chip.read(3)
@@ -233,7 +233,7 @@ def test_the_latch_of_a_collective_read_outlives_a_select_and_is_0_at_power_up(m
     assert counter(chip) == 0x123456, "extension mode off: R0 is latched"
 
 
-def test_the_k_knows_no_collective_input_and_output():
+def test_the_k_has_no_collective_transfers():
     chip = PCL240K()
     chip.write(0, 0xA0)
     chip.write(3, 0x12)
@@ -262,11 +262,11 @@ def test_r10_counts_every_output_pulse_by_direction_in_every_mode(make, control,
 @BOTH
 def test_r10_counts_an_origin_return_to_its_last_pulse(make):
     chip = begun(make, 0x69, 0x15, R10=1000)
-    made = chip.advance(30_000)
+    pulses = chip.advance(30_000)
     chip.pins.org = True
-    made += chip.advance(1000)
+    pulses += chip.advance(1000)
     assert not operating(chip)
-    assert read_back(chip, "R10") == (1000 - made) % 2**24
+    assert read_back(chip, "R10") == (1000 - pulses) % 2**24
 
 
 @BOTH
@@ -286,24 +286,24 @@ def test_r10_counts_only_while_control_bit_5_enables_it(make):
     assert chip.advance(10_000) > 400
     assert read_back(chip, "R10") == 100
     chip.write(0, 0x60)
-    made = chip.advance(10_000)
-    assert read_back(chip, "R10") == 100 + made
+    pulses = chip.advance(10_000)
+    assert read_back(chip, "R10") == 100 + pulses
     chip.write(0, 0x40)
     chip.advance(10_000)
-    assert read_back(chip, "R10") == 100 + made
+    assert read_back(chip, "R10") == 100 + pulses
 
 
 @BOTH
 def test_r10_counts_output_pulses_even_while_r0_counts_extp(make):
     chip = begun(make, 0x60, 0x08, R0=9)
     commands(chip, 0xD0, 0x11)
-    made = chip.advance(10_000)
+    pulses = chip.advance(10_000)
     chip.pins.extp = True
-    made += chip.advance(100)
+    pulses += chip.advance(100)
     chip.pins.extp = False
-    made += chip.advance(100)
+    pulses += chip.advance(100)
     assert chip.values()["R0"] == 8
-    assert chip.values()["R10"] == made
+    assert chip.values()["R10"] == pulses
 
 
 @BOTH
@@ -311,14 +311,14 @@ def test_r10_can_be_written_in_motion(make):
     chip = begun(make, 0x60, 0x11)
     chip.advance(10_000)
     load(chip, R10=0xFFFFFF)
-    made = chip.advance(10_000)
-    assert read_back(chip, "R10") == made - 1
+    pulses = chip.advance(10_000)
+    assert read_back(chip, "R10") == pulses - 1
 
 
 @ALL
 def test_control_bits_4_and_5_mean_nothing_on_the_k_and_much_on_mk_and_ms(make):
-    plain, both = (begun(make, control, 0x15, R0=3000) for control in (0x44, 0x74))
-    traces = [chip.trace(FOREVER)["clock"].tolist() for chip in (plain, both)]
+    unmodified, both = (begun(make, control, 0x15, R0=3000) for control in (0x44, 0x74))
+    traces = [chip.trace(FOREVER)["clock"].tolist() for chip in (unmodified, both)]
     assert [len(trace) for trace in traces] == [3000, 3000]
     assert (traces[0] == traces[1]) == (make is PCL240K)
 
@@ -330,29 +330,29 @@ def test_control_bits_4_and_5_mean_nothing_on_the_k_and_much_on_mk_and_ms(make):
 def test_residual_pulses_are_output_after_the_reset_command_r6_written_again_and_a_start(make):
     for r6, last in ((700, AT_FL), (0, AT_FH)):
         chip = begun(make, PLAIN, 0x15, R0=5000, R6=700)
-        made = chip.advance(60_000)
+        pulses = chip.advance(60_000)
         chip.write(0, 0x1F)
-        made += chip.advance(100_000)
-        assert counter(chip) == 5000 - made > 2000
+        pulses += chip.advance(100_000)
+        assert counter(chip) == 5000 - pulses > 2000
         chip.write(0, 0x08)
         if r6:
             load(chip, R6=r6)
         chip.write(0, 0x15)
         clocks = chip.trace(FOREVER)["clock"]
-        assert made + len(clocks) == 5000
+        assert pulses + len(clocks) == 5000
         assert set(np.diff(clocks[-5:])) <= set(last), "08h cleared R6: who does not write it again stops from FH"
 
 
 @BOTH
 def test_residual_pulses_under_the_automatic_point_ramp_down_again(make):
     chip = begun(make, AUTOMATIC, 0x15, R0=5000, R6=5)
-    made = chip.advance(60_000)
+    pulses = chip.advance(60_000)
     commands(chip, 0x08)
-    made += chip.advance(1000)
+    pulses += chip.advance(1000)
     load(chip, R6=5)
     commands(chip, 0x15)
     clocks = chip.trace(FOREVER)["clock"]
-    assert made + len(clocks) == 5000
+    assert pulses + len(clocks) == 5000
     assert min(np.diff(clocks[-3:])) >= 327
 
 
@@ -371,7 +371,7 @@ def test_linear_ramps_follow_a_rate_written_in_motion_at_once(make, r14):
     assert clocks_while(chip, "fdown") == 250 * 33 + 32
 
 
-def curve_with(name, value, ramp, taken):
+def curve_with(name, value, ramp, steps_taken):
     """Clocks between the speed steps of a curve up (15h) or down (14h); one of its registers is written after `taken` steps."""
     chip = begun(PCL240MS, start=0x14, R4=20, R5=20, R14=100, R15=100)
     if ramp == 0x14:
@@ -380,38 +380,38 @@ def curve_with(name, value, ramp, taken):
     journal = chip.journal()
     commands(chip, ramp)
     started = chip.state["speed"]
-    clocks_while(chip, lambda chip: abs(chip.state["speed"] - started) < taken)
+    clocks_while(chip, lambda chip: abs(chip.state["speed"] - started) < steps_taken)
     load(chip, **{name: value})
     chip.advance(100_000)
     edges = journal.course().edges
     return np.diff(edges["clock"][np.flatnonzero(np.diff(edges["speed"])) + 1])
 
 
-@pytest.mark.parametrize("taken", [1, 90, 300, 700])
+@pytest.mark.parametrize("steps_taken", [1, 90, 300, 700])
 @pytest.mark.parametrize(
     ("names", "ramp", "rate"), [(("R4", "R14"), 0x15, 40), (("R5", "R15"), 0x14, 40), (("R4", "R14"), 0x15, 7)]
 )
-def test_a_rate_revised_inside_an_s_curve_scales_the_times_of_the_steps_after_the_next(names, ramp, rate, taken):
+def test_a_rate_revised_inside_an_s_curve_scales_the_times_of_the_steps_after_the_next(names, ramp, rate, steps_taken):
     """R4 = 20, then `rate`: the step that was on its way comes as it would have; the curve keeps its shape."""
-    usual, revised = curve_with("R6", 0, ramp, taken), curve_with(names[0], rate, ramp, taken)
+    usual, revised = curve_with("R6", 0, ramp, steps_taken), curve_with(names[0], rate, ramp, steps_taken)
     assert len(usual) == len(revised) == 749
-    assert (revised[:taken] == usual[:taken]).all()
-    assert revised[taken:] == pytest.approx(usual[taken:] * rate / 20, abs=1 + rate / 20)
-    assert revised[taken:].sum() == pytest.approx(usual[taken:].sum() * rate / 20, abs=2 + rate / 20)
+    assert (revised[:steps_taken] == usual[:steps_taken]).all()
+    assert revised[steps_taken:] == pytest.approx(usual[steps_taken:] * rate / 20, abs=1 + rate / 20)
+    assert revised[steps_taken:].sum() == pytest.approx(usual[steps_taken:].sum() * rate / 20, abs=2 + rate / 20)
 
 
 @pytest.mark.parametrize(("name", "ramp"), [("R14", 0x15), ("R15", 0x14)])
-@pytest.mark.parametrize("taken", [1, 90, 300, 700])
-def test_a_span_revised_inside_an_s_curve_shapes_the_steps_after_the_next(name, ramp, taken):
-    usual, revised = curve_with("R6", 0, ramp, taken), curve_with(name, 40, ramp, taken)
+@pytest.mark.parametrize("steps_taken", [1, 90, 300, 700])
+def test_a_span_revised_inside_an_s_curve_shapes_the_steps_after_the_next(name, ramp, steps_taken):
+    usual, revised = curve_with("R6", 0, ramp, steps_taken), curve_with(name, 40, ramp, steps_taken)
     begun_so = curve_with(name, 40, ramp, 0)
-    assert (revised[:taken] == usual[:taken]).all()
-    assert (revised[taken:] == begun_so[taken:]).all()
+    assert (revised[:steps_taken] == usual[:steps_taken]).all()
+    assert (revised[steps_taken:] == begun_so[steps_taken:]).all()
 
 
 @BOTH
 @pytest.mark.parametrize("name", ["R2", "R3"])
-def test_the_selected_speed_register_written_in_motion_starts_a_ramp_of_its_own_length(make, name):
+def test_writing_the_selected_speed_in_motion_starts_a_ramp(make, name):
     chip = begun(make, start=0x15 if name == "R2" else 0x17, R2=400, R3=400, R4=20, R5=30)
     clocks_while(chip, "fup")
     load(chip, **{name: 900})
@@ -421,7 +421,7 @@ def test_the_selected_speed_register_written_in_motion_starts_a_ramp_of_its_own_
     assert chip.advance(8192 * 2 * 10) == 9000, "the other register has no influence"
 
 
-def test_a_new_goal_inside_an_s_curve_starts_a_curve_from_the_speed_there():
+def test_a_new_goal_inside_an_s_curve_starts_a_curve_from_the_present_speed():
     chip = begun(PCL240MS, R2=400, R4=20, R14=0)
     journal = chip.journal()
     chip.advance(4000)

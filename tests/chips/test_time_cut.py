@@ -23,27 +23,27 @@ OLDER = pytest.mark.parametrize("make", [MCX302, MCX304, MCX312, CHIPS["MCX314AS
 
 def cut_everywhere(chip, clocks):
     """Cut these clocks of a chip wherever possible. Returns what they make in one piece: the clocks of the pulses."""
-    start, whole, short = chip.clock, copy.copy(chip), copy.copy(chip)
-    pulses = whole.trace(clocks)["clock"] - start
-    ended = whole.snapshot()
+    start, uncut, short = chip.clock, copy.copy(chip), copy.copy(chip)
+    pulses = uncut.trace(clocks)["clock"] - start
+    end_snapshot = uncut.snapshot()
     for n in range(1, clocks + 1):
         cut = copy.copy(chip)
-        made = cut.advance(1) + cut.advance(n - 1)
+        pulse_count = cut.advance(1) + cut.advance(n - 1)
         short.advance(1)
-        assert made == (pulses <= n).sum(), f"cut after {n} clocks"
+        assert pulse_count == (pulses <= n).sum(), f"cut after {n} clocks"
         assert cut.snapshot().record == short.snapshot().record, f"cut after {n} clocks"
-        made += cut.advance(clocks - n)
-        assert made == len(pulses), f"cut after {n} clocks"
-        assert cut.snapshot().record == ended.record, f"cut after {n} clocks"
-    assert short.snapshot().record == ended.record
+        pulse_count += cut.advance(clocks - n)
+        assert pulse_count == len(pulses), f"cut after {n} clocks"
+        assert cut.snapshot().record == end_snapshot.record, f"cut after {n} clocks"
+    assert short.snapshot().record == end_snapshot.record
     return pulses.tolist()
 
 
 def ends_after(chip, period, pulses, clocks):
     """The run makes so many pulses, evenly, however it is cut, and none later."""
-    made = cut_everywhere(chip, clocks)
-    assert made == [period * k for k in range(1, pulses + 1)]
-    for n in (*made, clocks):
+    pulse_count = cut_everywhere(chip, clocks)
+    assert pulse_count == [period * k for k in range(1, pulses + 1)]
+    for n in (*pulse_count, clocks):
         cut = copy.copy(chip)
         assert cut.advance(1) + cut.advance(n - 1) + cut.advance(LONG) == pulses, f"cut after {n} clocks"
 
@@ -130,10 +130,10 @@ def cruising(make):
     return chip
 
 
-@pytest.mark.parametrize("way", [1, -1])
-def test_comparisons_become_true_at_the_clock_of_a_pulse(way):
+@pytest.mark.parametrize("direction", [1, -1])
+def test_comparisons_become_true_at_the_clock_of_a_pulse(direction):
     chip = cruising(MCX514)
-    load(chip, MR0=5 * way, MR1=5 * way, MR2=5 * way, MR3=5 * way, TP=10 * way)
+    load(chip, MR0=5 * direction, MR1=5 * direction, MR2=5 * direction, MR3=5 * direction, TP=10 * direction)
     chip.write(6, 0b1100_1000_0100_0000)  # LP >=, >, =, < MR
     command(chip, "MRM")
     command(chip, "DRVRL")
@@ -194,7 +194,7 @@ def test_the_hctl1100_samples_at_the_clock_at_which_its_timer_ends(mode, t):
     cut_everywhere(chip, 16 * (t + 1) * 3 + 20)
 
 
-def test_the_timer_of_the_hctl1100_ends_alike_in_idle_and_held_by_sync():
+def test_a_cut_changes_nothing_for_the_hctl1100_timer_in_idle_or_stopped_by_sync():
     chip = bench([(0x0F, 3)])
     cut_everywhere(chip, 200)
     chip.pins.sync = True

@@ -8,21 +8,17 @@ from reference.nova_profile import ceil_clock
 
 
 def pulses(finish, times, longest=None, until=None):
-    """Of each chip and axis the pulses (clock, direction) since the start.
-
-    finish: of each chip the finish points of its axes; times: when the main axis makes its pulses, clocks, exactly;
-    longest: a maximum finish point of the host's; until: the clock at which all of them are stopped.
-    """
-    most = max(longest or 0, *(abs(f) for chip in finish for f in chip))
-    made, at = [[[] for _ in chip] for chip in finish], [[0] * len(chip) for chip in finish]
-    for k, time in zip(range(1, most + 1), times, strict=False):
+    """Return the pulses (clock, direction) of each chip and axis since the start."""
+    maximum = max(longest or 0, *(abs(f) for chip in finish for f in chip))
+    pulse_count, at = [[[] for _ in chip] for chip in finish], [[0] * len(chip) for chip in finish]
+    for k, time in zip(range(1, maximum + 1), times, strict=False):
         clock = ceil_clock(time)
         if until is not None and clock > until:
             break
         for i, chip in enumerate(finish):
             for j, f in enumerate(chip):
-                place = (2 * abs(f) * k + most) // (2 * most) * (1 if f > 0 else -1)
+                place = (2 * abs(f) * k + maximum) // (2 * maximum) * (1 if f > 0 else -1)
                 if place != at[i][j]:
-                    made[i][j].append((clock, place - at[i][j]))
+                    pulse_count[i][j].append((clock, place - at[i][j]))
                 at[i][j] = place
-    return made
+    return pulse_count

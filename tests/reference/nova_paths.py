@@ -14,7 +14,7 @@ END = None  # of a bit pattern: both directions at once
 
 
 def points(ticks):
-    """Where each tick leads to."""
+    """Return the point to which each tick leads."""
     return list(accumulate(ticks, lambda at, step: tuple(a + s for a, s in zip(at, step, strict=True))))
 
 
@@ -22,7 +22,7 @@ def points(ticks):
 
 
 def line_errors(course, finish):
-    """Of each point, the largest distance of an axis to the ideal line at the long axis' position, exactly."""
+    """Return, for each point, the largest distance of an axis to the ideal line at that tick."""
     long = max(range(len(finish)), key=lambda axis: abs(finish[axis]))
     return [
         max(abs(c - Fraction(f * at[long], finish[long])) for c, f in zip(at, finish, strict=True)) for at in course
@@ -30,7 +30,7 @@ def line_errors(course, finish):
 
 
 def circle_errors(course, centre):
-    """Of each point, its distance to the circle through the start."""
+    """Return the distance of each point to the circle through the start."""
     radius = hypot(*centre)
     return [abs(hypot(x - centre[0], y - centre[1]) - radius) for x, y, *_ in course]
 
@@ -56,9 +56,9 @@ def arc_angle(centre, finish, clockwise):
 
 def helix_errors(course, centre, finish, clockwise, rise, turns=0):
     """Of each point (x, y, z), how far z is from the helix, which rises evenly with the angle by `rise` in all."""
-    whole = arc_angle(centre, finish, clockwise) + tau * turns
+    uncut = arc_angle(centre, finish, clockwise) + tau * turns
     turned = angles(course, centre, clockwise)
-    return [abs(z - rise * angle / whole) for (_, _, z), angle in zip(course, turned, strict=True)]
+    return [abs(z - rise * angle / uncut) for (_, _, z), angle in zip(course, turned, strict=True)]
 
 
 # Constructions

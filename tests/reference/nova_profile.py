@@ -279,9 +279,9 @@ class Drive:
         times, left = [], list(positions)
         for piece in self.pieces:
             reach = mp.inf if piece.length == mp.inf else piece.position(piece.length) + DUST
-            here = list(takewhile(lambda position, reach=reach: position <= reach, left))
-            times += [(piece.t + tau) * SECOND for tau in piece.times_of(here)]
-            left = left[len(here) :]
+            current = list(takewhile(lambda position, reach=reach: position <= reach, left))
+            times += [(piece.t + tau) * SECOND for tau in piece.times_of(current)]
+            left = left[len(current) :]
         assert not left, "some positions are never reached"
         return times
 

@@ -172,13 +172,13 @@ class ReferencePCL240K:
             self._stop()
         if self.running:
             self._origin_return()
-        begun = 0
+        start_clock = 0
         # R7 < 2 freezes the phase, and speed 0 or R7 < 2 never completes a pulse: step 2 is skipped as a whole
         if (self.running or self.finishing) and self.multiplier >= 2 and self.speed > 0:
-            begun = self._pulse_output()  # 2
+            start_clock = self._pulse_output()  # 2
         if self.running:
             self._speed_control()  # 3
-        return begun
+        return start_clock
 
     def _origin_return(self):
         if self.control & 1 and self.org:

@@ -96,7 +96,7 @@ def run(c, until):
 
 @exported("i8", STATE, "i8")
 def advance(c, until):
-    """As run; the pulses made."""
+    """Let the clock run up to `until`, and return the number of pulses."""
     before = c.net  # no pulse changes the direction: only a write does
     run(c, until)
     return abs(c.net - before)
@@ -104,7 +104,7 @@ def advance(c, until):
 
 @exported("i8", STATE, "i8", array_of(PULSE))
 def trace(c, until, out):
-    """As advance, and writes the pulses down."""
+    """Let the clock run as `advance` does, and write the pulses."""
     k = 0
     while c.way and c.clock < until:
         way, net = c.way, c.net
@@ -163,7 +163,7 @@ def power_up(c):
 
 @exported("i8", STATE, "i8")
 def peek(c, address):
-    """What a read would give."""
+    """Return what a read would return, without a bus cycle."""
     if address == 0:
         return status(c, 0)
     return c.reg[address] if address <= COUNT else 0
@@ -234,7 +234,7 @@ def status(c, j):
 
 @exported("i8", STATE, "i8")
 def busy(c, j):
-    """It drives."""
+    """Return whether a drive is in progress."""
     return 1 if c.way else 0
 
 
@@ -258,4 +258,4 @@ def pulse_rate(c, j, hz):
 
 @exported(None, STATE, "i8", "f8", "f8")
 def set_shaft(c, j, count, rate):
-    """It has no encoder."""
+    """Ignore the shaft: the chip has no encoder."""

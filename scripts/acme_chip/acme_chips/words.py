@@ -16,14 +16,14 @@ NO_RAMP = Rule("no-ramp", "section 3")
 
 
 def describe_write(address, value):
-    """What a write cycle says."""
+    """Describe a write cycle."""
     if address == 0:
         return MAP.by_code[value].title if value in MAP.by_code else Fields(CONTROL).describe("control", value)
     return f"{NAMES[address]} <- {value}" if address in NAMES else "nothing is there"
 
 
 class Listener:
-    """Tells each bus cycle."""
+    """Descriptions of bus cycles."""
 
     def write(self, address, value):
         return describe_write(address, value)
@@ -33,7 +33,7 @@ class Listener:
 
 
 class Decoder(describe.Decoder):
-    """Tells the writes of a journal."""
+    """Decoder of journals."""
 
     def decode_write(self, clock, address, value):
         kind, name = ("register", NAMES.get(address, "")) if address else ("command", "")

@@ -22,7 +22,7 @@ def test_a_move_takes_the_time_that_the_data_sheet_gives():
     assert not chip.diagnostics
 
 
-def test_it_goes_home_on_a_stage():
+def test_the_driver_finds_home_on_a_stage():
     stage = Stage("xy", chips="acme1000", visuals=False)
     stage.place(x=-0.11)
     report = firmware.home(stage.axes["x"])
