@@ -62,7 +62,16 @@ def table(maps: list[RegisterMap], tests: Tests) -> str:
         meaning = " / ".join(dict.fromkeys(implemented(m, c) for m in on))
         counts = sum((tests.get((m.chip, c.symbol), Counter()) for m in on), Counter())
         by = ", ".join(f"{name} ({n})" if n > 1 else name for name, n in sorted(counts.items())) or "-"
-        cells = [c.symbol, c.hex, c.what, str(c.bytes or ""), *([chips] if several else []), meaning, by, c.evidence]
+        cells = [
+            c.symbol,
+            c.hex,
+            c.description,
+            str(c.bytes or ""),
+            *([chips] if several else []),
+            meaning,
+            by,
+            c.evidence,
+        ]
         lines.append("| " + " | ".join(cells) + " |")
     used = {c.evidence for c in commands}
     return "\n".join([*lines, "", "Evidence: " + ", ".join(f"{k} {v}" for k, v in EVIDENCE.items() if k in used) + "."])

@@ -87,7 +87,7 @@ def register_map(map_: RegisterMap) -> str:
             text += ["| bits | field | evidence | |", "|---|---|---|---|"]
             text += [f"| {f.bits} | `{f.name}` | {f.evidence} | {_cell(f.text)} |" for f in place.fields]
     text += ["\n## Commands\n", "| code | command | evidence | |", "|---|---|---|---|"]
-    text += [f"| {c.hex} | `{c.symbol}` | {c.evidence} | {_cell(c.what)} |" for c in map_.commands]
+    text += [f"| {c.hex} | `{c.symbol}` | {c.evidence} | {_cell(c.description)} |" for c in map_.commands]
     return "\n".join(text) + "\n"
 
 

@@ -245,7 +245,11 @@ def _describe_word(place: Register | Word, value: int) -> dict[str, Any]:
         for f in place.fields
         if f.silent is None or f.of(value) != f.silent
     ]
-    return {"value": f"{value:0{(place.bits + 3) // 4}X}h", "says": Fields(place).describe(place.name, value), "bits": bits}
+    return {
+        "value": f"{value:0{(place.bits + 3) // 4}X}h",
+        "says": Fields(place).describe(place.name, value),
+        "bits": bits,
+    }
 
 
 def _check_addresses(chip: Chip, addresses: Iterable[int]) -> None:
