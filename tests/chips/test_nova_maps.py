@@ -124,10 +124,10 @@ def test_a_parameter_takes_the_range_of_the_page_and_nothing_else(chip, name, le
     for r in map(chip.register, name.split()):
         assert r.range == legal
         for value in legal:
-            assert chip.checked(r.name, value) == value == r.value(value & r.mask)
+            assert chip.check_value(r.name, value) == value == r.value(value & r.mask)
         for value in (legal[0] - 1, legal[1] + 1):
             with pytest.raises(ArgumentError, match=rf"{chip.chip} {r.name} .* from {legal[0]} to {legal[1]}"):
-                chip.checked(r.name, value)
+                chip.check_value(r.name, value)
 
 
 def test_a_ring_maximum_may_also_be_switched_off():
