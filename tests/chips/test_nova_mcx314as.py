@@ -196,7 +196,7 @@ def test_out4_to_out7_are_bits_of_wr3_or_show_the_drive():
 
 @covers("MCX314AS", "SM", "SYNC_ACT", "BR")
 def test_its_synchronous_actions_are_not_modeled_and_each_write_says_so():
-    chip = ready()
+    chip = prepare()
     put(chip, 0x64, 0x0001_0001)
     command(chip, 0x65)
     assert get(chip, 0x14) == 0

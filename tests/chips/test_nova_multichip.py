@@ -223,7 +223,7 @@ def test_a_master_without_wires_interpolates_by_itself_and_a_slave_for_ever_wait
     ("code", "ipm", "message"),
     [(0x64, MASTER, "only lines"), (0x61, MASTER | 0x100, "exclude each other"), (0x61, 3 << 10, "MLT = 3")],
 )
-def test_what_is_not_modeled_of_several_chips_is_said(pair, code, ipm, said):
+def test_what_is_not_modeled_of_several_chips_is_said(pair, code, ipm, message):
     _, master, _ = pair
     ready(master, (20, 7), ipm, go=False)
     command(master, code, 0)
