@@ -220,7 +220,7 @@ def test_no_write_raises_and_every_diagnostic_has_a_message_and_a_section(chip):
         contents |= {name: rng.random() < 0.5 for name in names}
         contents |= {"data": rng.getrandbits(32), "role": rng.randrange(4), "helix_ticks": rng.randrange(4000)}
         contents["drive_speed"] = [rng.getrandbits(24) for _ in range(4)]
-        contents["finish"] = [rng.getrandbits(32) - 2**31 for _ in range(4)]
+        contents["finish_points"] = [rng.getrandbits(32) - 2**31 for _ in range(4)]
         find(chip, rng.getrandbits(16), rng.choice((0, 0, 0, rng.randrange(8))), **contents)
 
 

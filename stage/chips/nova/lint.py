@@ -400,7 +400,7 @@ def _lint_multichip(chip: Any, c: Command, name: str) -> Iterator[Finding]:
     if not chip.is_linked:
         why = "no other chip is wired to this one, and no pulse of a master will come; see Stage(multichip=...)"
         yield NO_OTHER_CHIP, f"{subject}: {why}"
-    if chip.interpolating:
+    if chip.is_interpolating:
         why = "is refused: one after the other without a stop is not modeled"
         yield LINE_IN_PROGRESS, f"{subject} during a line of several chips {why}"
     elif chip.role == 2 and chip.has_master_started:
