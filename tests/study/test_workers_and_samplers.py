@@ -154,7 +154,7 @@ def test_a_study_of_an_empty_storage_is_none_to_read(tmp_path):
 
 
 class Sampler:
-    """Notes what it is asked."""
+    """Sampler that records its calls."""
 
     events = []  # noqa: RUF012
 
@@ -166,7 +166,7 @@ class Sampler:
 
 
 def test_each_trial_has_a_sampler_seeded_by_its_number(monkeypatch):
-    monkeypatch.setattr(Sampler, "said", [])
+    monkeypatch.setattr(Sampler, "events", [])
     sampler, trial = ByNumber(Sampler, 5), SimpleNamespace(number=3, params={})
     requested = [
         ("before_trial", ("study", trial)), ("infer_relative_search_space", ("study", trial)),
