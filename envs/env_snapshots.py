@@ -79,7 +79,7 @@ def restore_snapshot(task: Task, snapshot: Any) -> Any:
         ArgumentError: The snapshot is of another environment; nothing has changed.
         StageError: A stage is being recorded; nothing has changed.
     """
-    snapshots.check(snapshot, EnvSnapshot, make_header(task))
+    snapshots.check_restorable(snapshot, EnvSnapshot, make_header(task))
     if any(stage.recording is not None for stage in task.stages):
         raise StageError("time in a recording runs forward only: restore in an environment without record=.")
     episodes, more = pickle.loads(snapshot.state)

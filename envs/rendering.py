@@ -9,7 +9,7 @@ import numpy as np
 
 from stage import Stage
 from stage.errors import StageError, unknown_name_error
-from stage.support.opengl import check_window, renderer
+from stage.support.opengl import check_window, make_renderer
 
 if TYPE_CHECKING:
     from stage.recording import Recording
@@ -37,7 +37,7 @@ class OffScreen:
         if camera not in names:
             raise unknown_name_error("camera", camera, names)
         self._pose, self._camera = Pose(stage), camera
-        self._renderer = renderer(model, height, width)
+        self._renderer = make_renderer(model, height, width)
 
     def frame(self, qpos: np.ndarray | None = None) -> np.ndarray:
         """The stage as it is, or with its joints at `qpos`."""

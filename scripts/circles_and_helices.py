@@ -17,7 +17,7 @@ from stage import Stage
 from stage.chips import MCX514
 from stage.firmware.nova.draw import Arc, Helix, Line, Speed, draw
 from stage.firmware.nova.home import HomeReport, home_search
-from stage.support.pictures import GRID, INK, MUTED, bare
+from stage.support.pictures import GRID_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame
 
 MM = 320  # pulses
 STARTS = {"x": -0.101, "y": -0.0709, "z": 0.004}  # m: before ORG; on it; before it
@@ -153,7 +153,7 @@ def draw_in_space(ax: Any, run: Run) -> None:
     ax.view_init(26, -60)
     for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
         axis.pane.set_facecolor("#f6f8fa")
-        axis.pane.set_edgecolor(GRID)
+        axis.pane.set_edgecolor(GRID_COLOR)
 
 
 def draw_the_deviation(ax: Any, run: Run) -> None:
@@ -164,14 +164,14 @@ def draw_the_deviation(ax: Any, run: Run) -> None:
     middle = (edges[1:] + edges[:-1]) / 2
     ax.fill_between(middle, low, high, color="#b8cfe6", lw=0, label="carriages, least to most")
     angle, off = off_circle(run, "circle", "commanded")
-    ax.plot(angle, off * 1e6, color=INK, lw=0.8, label="pulses")
+    ax.plot(angle, off * 1e6, color=TEXT_COLOR, lw=0.8, label="pulses")
     ax.set_ylim(-75, 32)
     ax.set_yticks([-25, 0, 25], ["", "", ""])
     for r in (-25, 0, 25):
-        ax.text(np.radians(67), r, f"{r:+d}" if r else "0", color=MUTED, fontsize=8, ha="center", va="center",
+        ax.text(np.radians(67), r, f"{r:+d}" if r else "0", color=MUTED_COLOR, fontsize=8, ha="center", va="center",
                 bbox={"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8})  # fmt: skip
     ax.set_xticks(np.arange(0, 2 * np.pi, np.pi / 2), ["x+", "y+", "x-", "y-"])
-    ax.text(0, -75, "µm", color=MUTED, ha="center", va="center")
+    ax.text(0, -75, "µm", color=MUTED_COLOR, ha="center", va="center")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2, frameon=False, fontsize=9, handlelength=1.2)
 
 
@@ -189,10 +189,10 @@ def draw_the_home_search(places: Any, lanes: Any, run: Run) -> None:
         lanes.fill_between(t[rows], lane - 0.22, lane + 0.02, where=on, color=LAMP, lw=0, step="post")
         lanes.text(-0.01, lane + 0.3, name, color=colour, weight="bold", ha="right", va="center",
                    transform=lanes.get_yaxis_transform())  # fmt: skip
-        lanes.text(-0.01, lane - 0.1, "ORG", color=MUTED, fontsize=8, ha="right", va="center",
+        lanes.text(-0.01, lane - 0.1, "ORG", color=MUTED_COLOR, fontsize=8, ha="right", va="center",
                    transform=lanes.get_yaxis_transform())  # fmt: skip
-    places.axhline(0, color=INK, lw=0.8)
-    places.text(end, 0.8, "edge of ORG", color=MUTED, ha="right")
+    places.axhline(0, color=TEXT_COLOR, lw=0.8)
+    places.text(end, 0.8, "edge of ORG", color=MUTED_COLOR, ha="right")
     places.set(ylabel="from the edge (mm)", xlim=(0, end))
     places.tick_params(labelbottom=False)
     places.legend(frameon=False, ncols=3)
@@ -220,7 +220,7 @@ def draw_the_speed(ax: Any, run: Run) -> None:
     ):
         t, v = path_speed(run, name)
         ax.plot(t, v, color=COLOURS[name], lw=1.6, label=label)
-    ax.axhline(FINE.drive / MM, color=INK, lw=0.8, ls=(0, (2, 2)))
+    ax.axhline(FINE.drive / MM, color=TEXT_COLOR, lw=0.8, ls=(0, (2, 2)))
     ax.set(xlabel="time (s)", ylabel="speed on the path (mm/s)", ylim=(0, 68), xlim=(0, None))
     ax.legend(frameon=False, ncols=1, loc="upper right")
 
@@ -242,7 +242,7 @@ def picture(run: Run, path: Path) -> None:
         above, below = figure.subfigures(2, 1, height_ratios=(1.12, 1))
         parts = *above.subfigures(1, 3, width_ratios=(1.45, 1.35, 1)), *below.subfigures(1, 2, width_ratios=(1.75, 1))
         for part, title in zip(parts, TITLES, strict=True):
-            part.suptitle(title, x=0.02, ha="left", color=INK, fontsize=12, weight="bold")
+            part.suptitle(title, x=0.02, ha="left", color=TEXT_COLOR, fontsize=12, weight="bold")
         first, space, polar = (
             part.subplots(subplot_kw={"projection": kind})
             for part, kind in zip(parts, (None, "3d", "polar"), strict=False)
@@ -255,7 +255,7 @@ def picture(run: Run, path: Path) -> None:
         draw_the_home_search(places, lanes, run)
         draw_the_speed(speed, run)
         for ax in (first, places, lanes, speed):
-            bare(ax, grid=ax is not lanes, size=9)
+            remove_frame(ax, grid=ax is not lanes, size=9)
         names = {label: colour for label, colour in STATES.values() if label not in ("idle", "back to ORG")}
         keys = [Patch(color=colour, label=label) for label, colour in names.items()]
         keys.append(Patch(color=LAMP, label="ORG (STOP1)"))

@@ -12,7 +12,7 @@ import numpy as np
 
 from stage import ExtraMissing, Stage, firmware
 from stage.chips import PCL240MS
-from stage.support.extras import need
+from stage.support.extras import import_extra
 
 DRIFT = 1e-4  # m
 METHODS = {"ORG": None, "EZ, 2nd pulse": 2}
@@ -35,22 +35,22 @@ def places(stage, name, ez, drift, returns, rng):
 
 
 def draw(positions, path):
-    from stage.support.pictures import COLOURS, bare, figure, title
+    from stage.support.pictures import COLORS, make_figure, remove_frame, set_title
 
     rng = np.random.default_rng(0)
-    fig = figure(9, 3.6)
+    fig = make_figure(9, 3.6)
     panels = fig.subplots(1, 2)
     for ax, drift in zip(panels, (0.0, DRIFT), strict=True):
         for k, name in enumerate("xyz"):
-            for shift, method, colour in ((-0.16, "ORG", COLOURS[0]), (0.16, "EZ, 2nd pulse", COLOURS[1])):
+            for shift, method, colour in ((-0.16, "ORG", COLORS[0]), (0.16, "EZ, 2nd pulse", COLORS[1])):
                 ends = positions[name, method, drift]
                 ax.plot(
                     k + shift + rng.uniform(-0.08, 0.08, len(ends)), ends - np.median(ends), "o", ms=3, alpha=0.6,
                     color=colour, mec="none", label=method if k == 0 else None,
                 )  # fmt: skip
         ax.set_xticks(range(3), "xyz")
-        bare(ax)
-        title(ax, "The switch stays" if not drift else f"The switch drifts by ±{DRIFT * 1e3:g} mm")
+        remove_frame(ax)
+        set_title(ax, "The switch stays" if not drift else f"The switch drifts by ±{DRIFT * 1e3:g} mm")
         ax.set_ylabel("final position from the median, pulses")
         ax.grid(False, axis="x")
     fig.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=2, frameon=False, fontsize=9)
@@ -65,7 +65,7 @@ def main():
     args = parser.parse_args()
     if args.picture:
         try:
-            need("matplotlib", "the picture")
+            import_extra("matplotlib", "the picture")
         except ExtraMissing as missing:
             parser.exit(2, f"{missing}\n")
     stage, positions = Stage("xyz", chips=PCL240MS), {}

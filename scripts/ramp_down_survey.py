@@ -112,10 +112,10 @@ def reasons(runs):
 
 
 def draw(runs, path):
-    from stage.support.pictures import COLOURS, INK, MUTED, bare, figure, title
+    from stage.support.pictures import COLORS, MUTED_COLOR, TEXT_COLOR, make_figure, remove_frame, set_title
 
-    colors = dict(zip(SHAPES, (MUTED, COLOURS[0], COLOURS[2], COLOURS[1]), strict=False))
-    fig = figure(10, 3.9)
+    colors = dict(zip(SHAPES, (MUTED_COLOR, COLORS[0], COLORS[2], COLORS[1]), strict=False))
+    fig = make_figure(10, 3.9)
     left, right = fig.subplots(1, 2, width_ratios=(1.1, 1))
     for kind, color in colors.items():
         values = np.sort([e.at_fl for m, e in runs if shape(m) == kind and not excuse(m, e)])
@@ -125,20 +125,20 @@ def draw(runs, path):
     left.set_xscale("symlog", linthresh=1, linscale=0.5)
     left.set_xlim(0, None)
     left.set_ylim(0, 101)
-    left.set_xlabel("pulses at FL at the end", color=INK)
-    left.set_ylabel("% of the moves", color=INK)
-    left.legend(frameon=False, fontsize=8, labelcolor=INK, loc="lower right")
+    left.set_xlabel("pulses at FL at the end", color=TEXT_COLOR)
+    left.set_ylabel("% of the moves", color=TEXT_COLOR)
+    left.legend(frameon=False, fontsize=8, labelcolor=TEXT_COLOR, loc="lower right")
     alike = SHAPES[:3]
     delays = [[e.late for m, e in runs if shape(m) == k and not excuse(m, e)] for k in alike]
     right.hist(delays, np.linspace(-2, 4, 61), stacked=True, color=[colors[k] for k in alike], label=alike)
-    right.axvline(0, color=INK, linewidth=0.8, linestyle=(0, (4, 4)))
-    right.set_xlabel("pulses from the end of the ramp-down to the last pulse", color=INK)
-    right.set_ylabel("moves", color=INK)
-    right.legend(frameon=False, fontsize=8, labelcolor=INK, loc="upper right")
+    right.axvline(0, color=TEXT_COLOR, linewidth=0.8, linestyle=(0, (4, 4)))
+    right.set_xlabel("pulses from the end of the ramp-down to the last pulse", color=TEXT_COLOR)
+    right.set_ylabel("moves", color=TEXT_COLOR)
+    right.legend(frameon=False, fontsize=8, labelcolor=TEXT_COLOR, loc="upper right")
     for ax in (left, right):
-        bare(ax)
-    title(left, "How long the end at FL is")
-    title(right, "When the last pulse comes")
+        remove_frame(ax)
+    set_title(left, "How long the end at FL is")
+    set_title(right, "When the last pulse comes")
     fig.savefig(path, dpi=150)
 
 

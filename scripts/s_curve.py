@@ -27,7 +27,7 @@ from stage.chips import PCL240MS
 from stage.drives.dynamometer import compute_closed_form
 from stage.drives.motors import MOTORS
 from stage.firmware import Profile, Report
-from stage.support.pictures import HAIR, INK, MUTED, bare, title
+from stage.support.pictures import FRAME_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame, set_title
 
 FL, R7 = 200, 12  # pps; 50 pps a speed step
 AT_FL = 5  # pulses
@@ -75,7 +75,7 @@ SHAPES = (LINEAR, MIXED, CURVE)
 SLOW = RAMP * CURVE.peak  # s, the S-curve's ramp at the peak acceleration of the linear one
 
 DASHED: dict[str, Any] = {"lw": 1.6, "ls": (0, (4, 2))}
-MARK: dict[str, Any] = {"color": MUTED, "lw": 1, "ls": (0, (2, 2))}
+MARK: dict[str, Any] = {"color": MUTED_COLOR, "lw": 1, "ls": (0, (2, 2))}
 
 
 @dataclass(frozen=True)
@@ -291,17 +291,17 @@ def draw_the_mast(ax: Any) -> None:
     """A sketch of models/xy_mast.xml."""
     z = np.linspace(0, 1, 40)
     for lean, alpha in ((-0.22, 0.25), (0.22, 0.25), (0, 1)):
-        ax.plot(lean * z**2 * (3 - z) / 2, z, color=MUTED, lw=3, alpha=alpha, solid_capstyle="butt")
-        ax.add_patch(Rectangle((lean - 0.13, 1), 0.26, 0.2, color=INK, alpha=alpha, lw=0))
+        ax.plot(lean * z**2 * (3 - z) / 2, z, color=MUTED_COLOR, lw=3, alpha=alpha, solid_capstyle="butt")
+        ax.add_patch(Rectangle((lean - 0.13, 1), 0.26, 0.2, color=TEXT_COLOR, alpha=alpha, lw=0))
     ax.add_patch(Rectangle((-0.42, -0.12), 0.84, 0.12, color="#9aa4ae", lw=0))
     ax.add_patch(Rectangle((-0.6, -0.19), 1.2, 0.05, color="#c8ced5", lw=0))
-    ax.text(0, 1.3, f"0.5 kg, {mast()[0]:.1f} Hz", color=INK, ha="center")
+    ax.text(0, 1.3, f"0.5 kg, {mast()[0]:.1f} Hz", color=TEXT_COLOR, ha="center")
     ax.set(xlim=(-0.6, 0.6), ylim=(-0.2, 1.45), aspect="equal")
     ax.axis("off")
 
 
 def draw_the_ringing(ax: Any) -> None:
-    ax.axhspan(-BAND * 1e3, BAND * 1e3, color=HAIR, lw=0)
+    ax.axhspan(-BAND * 1e3, BAND * 1e3, color=FRAME_COLOR, lw=0)
     runs = camera_runs()
     for shape, ramp in ((LINEAR, RAMP), (CURVE, RAMP), (CURVE, SLOW)):
         r = runs[shape, ramp]
@@ -309,7 +309,7 @@ def draw_the_ringing(ax: Any) -> None:
             (r.seconds - r.stopped) * 1e3, r.bend * 1e3, color=shape.color, **(DASHED if ramp == SLOW else {"lw": 1.8})
         )
     ax.axvline(0, **MARK)
-    ax.text(-8, -0.77, "stop", color=MUTED, ha="right")
+    ax.text(-8, -0.77, "stop", color=MUTED_COLOR, ha="right")
     waits = [runs[shape, RAMP].quiet - runs[shape, RAMP].stopped for shape in (LINEAR, CURVE)]
     ax.text(995, 0.74, f"within ±{BAND * 1e3:g} mm after {waits[0]:.1f} s", color=LINEAR.color, ha="right")
     ax.text(995, -0.77, f"after {waits[1]:.1f} s; dashed: at once", color=CURVE.color, ha="right")
@@ -325,7 +325,7 @@ def draw_the_ringing_over_ramp_time(ax: Any) -> None:
     ax.axvspan(0, worse * 1e3, color=LINEAR.color, alpha=0.09, lw=0)
     ax.text(8, 0.018, "S-curve\nis worse", color=LINEAR.color)
     ax.axvline(RAMP * 1e3, **MARK)
-    ax.text(RAMP * 1e3 + 6, 4.4, "the moves on the left", color=MUTED)
+    ax.text(RAMP * 1e3 + 6, 4.4, "the moves on the left", color=MUTED_COLOR)
     ax.set(xlabel="ramp time (ms)", ylabel="ringing after the stop (mm)", xlim=(0, 600), yscale="log", ylim=(0.015, 7))
     ax.set_yticks([0.02, 0.1, 1, 5], ["0.02", "0.1", "1", "5"])
     ax.minorticks_off()
@@ -338,7 +338,7 @@ def draw_the_following_error(ax: Any) -> None:
             ends = f"{r.lost} steps lost" if r.lost else f"swings by {r.swing * 1e6:.1f} µm"
             ax.text(410, 92 if shape is LINEAR else 30, ends, color=shape.color, ha="right")
     ax.axvline(HARD_RAMP * 1e3, **MARK)
-    ax.text(HARD_RAMP * 1e3 + 5, 114, "end of the ramp", color=MUTED)
+    ax.text(HARD_RAMP * 1e3 + 5, 114, "end of the ramp", color=MUTED_COLOR)
     ax.set(xlabel="time (ms)", ylabel="following error (µm)", xlim=(0, 420), ylim=(-10, 122))
 
 
@@ -348,7 +348,7 @@ def draw_the_highest_rates(ax: Any) -> None:
         ax.plot(ramps, [v.rate / 1e3 for v in row], "o-", color=shape.color, lw=2, ms=5)
         for ramp, v in zip(ramps, row, strict=True):
             ax.plot([ramp] * len(v.lucky), np.array(v.lucky) / 1e3, "o", mfc="none", color=shape.color, ms=3.5, mew=0.8)
-    ax.text(168, 63, "hollow: kept by luck,\na lower rate is not", color=MUTED, ha="right")
+    ax.text(168, 63, "hollow: kept by luck,\na lower rate is not", color=MUTED_COLOR, ha="right")
     ax.set(xlabel="ramp time (ms)", ylabel="highest rate (kpps)", xlim=(0, 170), ylim=(60, 190))
 
 
@@ -366,7 +366,7 @@ def draw_the_thrust(ax: Any) -> None:
     rates = HARD_RATE * np.linspace(1e-3, 1.15, 600)
     ax.fill_between(rates / 1e3, pull_out(rates, 1), pull_out(rates, 4 / np.pi), color="#d5dbe1", lw=0)
     ax.plot(rates / 1e3, pull_out(rates, 1), color="#aab3bd", lw=1.2)
-    ax.text(4, 182, "what the motor has (pull-out)", color=MUTED)
+    ax.text(4, 182, "what the motor has (pull-out)", color=MUTED_COLOR)
     friction = model.dof_frictionloss[dof] + model.dof_damping[dof] * part * HARD_RATE * PULSE
     top = pull_out(np.array([HARD_RATE]), 1)[0]
     for shape, height in ((LINEAR, 40), (CURVE, 8)):
@@ -392,8 +392,8 @@ def draw(path: Path) -> None:
     with rc_context({"font.size": 10}):
         for ax, (text, panel) in zip(figure.subplots(2, 3).flat, PANELS, strict=True):
             panel(ax)
-            title(ax, text, 12)
-            bare(ax, size=9)
+            set_title(ax, text, 12)
+            remove_frame(ax, size=9)
         keys = [Line2D([], [], color=s.color, lw=2.5, label=s.name) for s in (LINEAR, CURVE)]
         keys.append(Line2D([], [], color=CURVE.color, label="S-curve, equal peak acceleration", **DASHED))
         keys.append(Line2D([], [], color=MIXED.color, lw=2.5, label="S-curve with linear part"))

@@ -22,8 +22,8 @@ from stage.firmware.hctl1100.model import Loop
 from stage.firmware.hctl1100.moves import MoveReport, Tuning, set_up, trapezoid
 from stage.firmware.hctl1100.port import CONTROL, FLAGS, RESET, SET, Port
 from stage.firmware.hctl1100.profile import circle, follow, off_circle, synchronize
-from stage.support.extras import need
-from stage.support.pictures import INK, MUTED, bare, title
+from stage.support.extras import import_extra
+from stage.support.pictures import MUTED_COLOR, TEXT_COLOR, remove_frame, set_title
 
 TUNING = Tuning()
 STEP = 0.25e-3  # s between samples of a recording: a physics step
@@ -182,7 +182,7 @@ def print_results(r: Results) -> None:
 def draw_the_move(ax: Any, t: Trapezoid) -> None:
     mm = 5e-3
     ax.plot(t.time, t.command * mm, color=LIGHT, lw=4, label="command position")
-    ax.plot(t.time, t.position * mm, color=INK, lw=1.3, label="carriage")
+    ax.plot(t.time, t.position * mm, color=TEXT_COLOR, lw=1.3, label="carriage")
     ax.axvspan(0, t.report.profile, ymax=0.03, color=LAMP, lw=0)
     ax.text(t.report.profile / 2, 6, "PROF", color=LAMP, ha="center", weight="bold")
     ax.set(xlabel="time (s)", ylabel="position (mm)", xlim=(t.time[0], t.report.settled + 0.08))
@@ -191,10 +191,10 @@ def draw_the_move(ax: Any, t: Trapezoid) -> None:
 
 def draw_the_error(ax: Any, t: Trapezoid) -> None:
     ax.plot(t.time, t.predicted, color=RED, lw=3, alpha=0.6, label="linear model")
-    ax.plot(t.time, t.error, color=INK, lw=0.9, label="simulated")
+    ax.plot(t.time, t.error, color=TEXT_COLOR, lw=0.9, label="simulated")
     ax.set(xlabel="time (s)", ylabel="following error (counts)", xlim=(t.time[0], t.report.settled + 0.08))
     said = f"apart by {100 * t.deviation:.1f} % at most"
-    ax.text(0.98, 0.95, said, transform=ax.transAxes, ha="right", va="top", color=MUTED)
+    ax.text(0.98, 0.95, said, transform=ax.transAxes, ha="right", va="top", color=MUTED_COLOR)
     ax.legend(frameon=False, loc="lower left")
 
 
@@ -227,8 +227,8 @@ def picture(r: Results, path: Path) -> None:
         titles = ("A trapezoid of 100 mm", "Its following error", "A line, commanded once a sample",
                   "A circle of 30 mm, three axes, commanded once a sample")  # fmt: skip
         for ax, text in zip((move, error, line, circle_axes), titles, strict=True):
-            title(ax, text)
-            bare(ax)
+            set_title(ax, text)
+            remove_frame(ax)
     figure.savefig(path, dpi=120)
     print(f"{path}: drawn")
 
@@ -238,7 +238,7 @@ if __name__ == "__main__":
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the picture")
     args = parser.parse_args()
     try:
-        need("scipy", "this example")
+        import_extra("scipy", "this example")
         results = simulate()
         print_results(results)
         if args.picture:

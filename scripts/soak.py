@@ -31,7 +31,7 @@ from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.errors import ArgumentError, StageError
 from stage.firmware import Profile
 from stage.firmware.pcl240 import bus
-from stage.support.files import writable, written
+from stage.support.files import check_writable, write_atomically
 
 AT_REST = 3.0  # pulses between the carriage and the pulses, at rest: friction and gravity against the motor's stiffness
 HOME_SPREAD = 1.0  # pulses, of the true position; Z, which hangs, comes to rest within its friction
@@ -341,14 +341,14 @@ def main(argv=None):
     parser.add_argument("--force", action="store_true", help="overwrite FILE")
     args = parser.parse_args(argv)
     if args.json:
-        writable(args.json, args.force)
+        check_writable(args.json, args.force)
     seed = int(np.random.SeedSequence().entropy % 2**32) if args.seed is None else args.seed
     print(f"seed {seed}, {args.hours:g} hours", flush=True)
     summary = soak(args.hours, seed, say=lambda text: print(text, flush=True))
     text = json.dumps(summary, indent=1)
     print(text)
     if args.json:
-        with written(args.json, args.force) as part:
+        with write_atomically(args.json, args.force) as part:
             part.write_text(text + "\n")
     return {"done": 0, "interrupted": 130}.get(summary["ended"], 1)
 

@@ -27,9 +27,9 @@ from stage.drives.dynamometer import (
     sweep_resonance,
 )  # fmt: skip
 from stage.drives.motors import MOTORS, Drive
-from stage.support.pictures import COLOURS, INK, MUTED, bare, title
+from stage.support.pictures import COLORS, MUTED_COLOR, TEXT_COLOR, remove_frame, set_title
 
-BLUE, RED, GREEN = COLOURS[:3]
+BLUE, RED, GREEN = COLORS[:3]
 MOTOR = replace(MOTORS["17HS4401"], core_loss_resistance=None)  # as the closed form of the page
 DRIVE = Drive(MOTOR)
 SMOOTH = Drive(MOTOR, detent=0.0)
@@ -59,13 +59,13 @@ def pull_out_follows_the_closed_form(ax):
     fine = np.linspace(1, 2400, 400)
     at_v, at_most = compute_closed_form(MOTOR, 24, 1.7, fine), compute_closed_form(MOTOR, 4 / np.pi * 24, 1.7, fine)
     ax.fill_between(fine, at_v, at_most, color="#cfe0f2", lw=0)
-    ax.plot(fine, compute_joint_bound(MOTOR, 24, 1.7, fine), color=MUTED, lw=1, ls=":")
+    ax.plot(fine, compute_joint_bound(MOTOR, 24, 1.7, fine), color=MUTED_COLOR, lw=1, ls=":")
     ax.plot(rpm, chopper, color=BLUE, lw=2)
-    ax.plot(spec, columns[1], "o", color=INK, ms=4)
-    ax.text(1480, 0.235, "closed form, V to 4/π V", color=MUTED, fontsize=8)
+    ax.plot(spec, columns[1], "o", color=TEXT_COLOR, ms=4)
+    ax.text(1480, 0.235, "closed form, V to 4/π V", color=MUTED_COLOR, fontsize=8)
     ax.text(2050, 0.165, "chopper", color=BLUE, fontsize=8)
-    ax.text(1130, 0.176, "ideal sine drive", color=INK, fontsize=8, ha="right")
-    ax.text(930, 0.238, "sine bound by V and I", color=MUTED, fontsize=8, ha="right")
+    ax.text(1130, 0.176, "ideal sine drive", color=TEXT_COLOR, fontsize=8, ha="right")
+    ax.text(930, 0.238, "sine bound by V and I", color=MUTED_COLOR, fontsize=8, ha="right")
     ax.set(xlabel="rpm", ylabel="pull-out torque (N m)", ylim=(0, 0.32), xlim=(0, 2400))
 
 
@@ -95,7 +95,7 @@ def the_rotor_rings_at_its_natural_frequency(ax):
 
 def full_steps_lose_torque_at_resonance(ax):
     rates = np.unique(np.r_[np.geomspace(60, 2000, 40), 180:280:5])
-    for microsteps, color in ((16, MUTED), (1, BLUE)):
+    for microsteps, color in ((16, MUTED_COLOR), (1, BLUE)):
         sweep = sweep_resonance(Drive(MOTOR, microsteps), rates)
         ax.plot(
             sweep.rate,
@@ -136,7 +136,7 @@ def slip_is_a_multiple_of_four_full_steps(ax):
     )
     seconds = np.arange(count_slices(1.2)) * SLICE_S
     counts = compute_mean_counts(np.where(seconds < 0.5, 300 / 60 * DRIVE.pulses_per_turn, 0.0))
-    for ms, color in ((1, MUTED), (4, GREEN), (8, BLUE), (12, RED)):
+    for ms, color in ((1, MUTED_COLOR), (4, GREEN), (8, BLUE), (12, RED)):
         load = np.where((seconds >= 0.1) & (seconds < 0.1 + ms * 1e-3), 0.5, 0.0)
         trace = simulate_motor(DRIVE, counts, ROTOR, load, viscous=1e-3, omega=300 * 2 * np.pi / 60)
         lag = compute_load_angle(DRIVE, trace) / (np.pi / 2)
@@ -182,7 +182,7 @@ def missed_steps_never_repair_themselves(ax):
         k = count_slices(ms * 1e-3)
         rotor, lost = trace["theta"][k] / STEP, count_lost_steps(DRIVE, trace[: k + 1])
         print(f"   {ms} ms: {trace['count'][k]:.0f} pulses, rotor at {rotor:.3f} full steps; lost_steps = {lost}")
-    ax.plot(seconds * 1e3, trace["count"] / DRIVE.microsteps, color=MUTED, lw=2, label="pulses")
+    ax.plot(seconds * 1e3, trace["count"] / DRIVE.microsteps, color=MUTED_COLOR, lw=2, label="pulses")
     ax.plot(seconds * 1e3, trace["theta"] / STEP, color=BLUE, lw=2, label="rotor")
     ax.axvspan(50, 58, color=RED, alpha=0.18, lw=0)
     ax.text(61, 8, "jammed", color=RED, fontsize=8)
@@ -218,8 +218,8 @@ if __name__ == "__main__":
     figure.get_layout_engine().set(w_pad=0.1, h_pad=0.12)
     for ax, (text, draw) in zip(figure.subplots(2, 3).flat, PANELS, strict=True):
         draw(ax)
-        title(ax, text)
-        bare(ax)
+        set_title(ax, text)
+        remove_frame(ax)
     path = sys.argv[1] if len(sys.argv) > 1 else "docs/pictures/stepper_behaviours.png"
     figure.savefig(path, dpi=140)
     print(f"{path}: drawn; {len(MOTORS)} motors known, this is the {MOTOR.name}")

@@ -166,40 +166,49 @@ def anything(moves, rng, number):
 
 
 def draw(requests, deviations, perfect, common, folder):
-    from stage.support.pictures import COLOURS, INK, MUTED, bare, figure, title
+    from stage.support.pictures import COLORS, MUTED_COLOR, TEXT_COLOR, make_figure, remove_frame, set_title
 
-    blue, orange = COLOURS[:2]
-    fig = figure(10, 3.9)
+    blue, orange = COLORS[:2]
+    fig = make_figure(10, 3.9)
     left, right = fig.subplots(1, 2, width_ratios=(1, 1.15))
     bins = np.geomspace(0.4, 1.2 * max(*common, 2), 46)
     left.hist(common, bins, color=orange, alpha=0.55, label="one R7 for both axes")
     left.hist(deviations, bins, color=blue, alpha=0.85, label="R7 free for each axis")
-    left.axvline(2, color=MUTED, linewidth=0.8, linestyle=(0, (4, 4)))
+    left.axvline(2, color=MUTED_COLOR, linewidth=0.8, linestyle=(0, (4, 4)))
     left.set_xscale("log")
     left.set_xticks((0.5, 1, 2, 5), ("0.5", "1", "2", "5"))
     left.minorticks_off()
     left.set_xlim(bins[0], bins[-1])
-    left.set_xlabel("largest distance from the line (pulses)", color=INK)
-    left.set_ylabel(f"moves of {len(deviations)}", color=INK)
+    left.set_xlabel("largest distance from the line (pulses)", color=TEXT_COLOR)
+    left.set_ylabel(f"moves of {len(deviations)}", color=TEXT_COLOR)
     ratio = [min(map(abs, d.values())) / max(map(abs, d.values())) for d in requests]
     right.scatter(ratio, deviations, s=14, color=blue, linewidths=0, label="planned, emulated")
     order = np.argsort(ratio)
     right.plot(
-        np.array(ratio)[order], np.array(perfect)[order], color=MUTED, linewidth=1, label="perfect axes, a common start"
+        np.array(ratio)[order],
+        np.array(perfect)[order],
+        color=MUTED_COLOR,
+        linewidth=1,
+        label="perfect axes, a common start",
     )
     x = np.linspace(0, 1, 100)
     right.plot(
-        x, (1 + x) / 2 / np.hypot(1, x), color=MUTED, linewidth=1, linestyle=(0, (2, 2)), label="half the staircase"
+        x,
+        (1 + x) / 2 / np.hypot(1, x),
+        color=MUTED_COLOR,
+        linewidth=1,
+        linestyle=(0, (2, 2)),
+        label="half the staircase",
     )
-    right.set_xlabel("ratio of the distances", color=INK)
-    right.set_ylabel("largest distance (pulses)", color=INK)
+    right.set_xlabel("ratio of the distances", color=TEXT_COLOR)
+    right.set_ylabel("largest distance (pulses)", color=TEXT_COLOR)
     right.set_ylim(0.45, 1.08)
     right.set_xlim(0, 1.01)
     for ax in (left, right):
-        ax.legend(frameon=False, fontsize=8, labelcolor=INK, loc="upper right" if ax is left else "lower right")
-        bare(ax)
-    title(left, "How far from the line, of all moves")
-    title(right, "How far, over the ratio")
+        ax.legend(frameon=False, fontsize=8, labelcolor=TEXT_COLOR, loc="upper right" if ax is left else "lower right")
+        remove_frame(ax)
+    set_title(left, "How far from the line, of all moves")
+    set_title(right, "How far, over the ratio")
     fig.savefig(f"{folder}/synchronized.png", dpi=150)
     Moves()({"x": 20_000, "y": -7_500}).plot(f"{folder}/synchronized_move.png", overwrite=True)
     Moves(PCL240MS, s_curve=True, automatic=True)({"x": 20_000, "y": -7_500}, accel=0.3).plot(

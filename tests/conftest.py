@@ -126,11 +126,11 @@ def pytest_runtest_makereport():
 
 def skipped_without_its_extra():
     """What needs a library that is not installed is skipped, and says which: the small installation is tested, too."""
-    from stage.support.extras import LIBRARIES, ExtraMissing, has
+    from stage.support.extras import LIBRARIES, ExtraMissing, is_installed
 
     try:
         return (yield)
     except ExtraMissing as missing:
-        if all(has(library) for library, (_, extra) in LIBRARIES.items() if extra == missing.extra):
+        if all(is_installed(library) for library, (_, extra) in LIBRARIES.items() if extra == missing.extra):
             raise
         pytest.skip(str(missing))

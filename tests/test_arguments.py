@@ -11,7 +11,7 @@ from stage.chips import CHIPS, PCL240K, chip_class
 from stage.drives.dc_motors import Servo
 from stage.errors import UnknownKey
 from stage.firmware import Profile
-from stage.support.arguments import WrongType, check_whole_number, explain_arguments
+from stage.support.arguments import WrongType, check_integer, explain_arguments
 from stage.tune import Task, tune
 
 WRONG = ("1", None, math.nan, math.inf, -1, -1.5, [], {}, object(), b"x", "nosuch", 3.5, True, ["q"], Decimal("NaN"))
@@ -179,10 +179,10 @@ def test_a_tuning_with_a_number_out_of_range_is_refused_by_its_name(name, value)
 @pytest.mark.parametrize("value", [True, False, 2.0, -1, 2, "3", None])
 def test_a_whole_number_is_an_int_from_its_bound_on(value):
     with pytest.raises(ArgumentError, match=r"^n=.*: a whole number, 3 or more\.$"):
-        check_whole_number("n", value, 3)
+        check_integer("n", value, 3)
     with pytest.raises(ArgumentError):
-        check_whole_number("n", True, 0)
-    check_whole_number("n", 3, 3)
+        check_integer("n", True, 0)
+    check_integer("n", 3, 3)
 
 
 @pytest.mark.parametrize("name", ["x\0", "x\0y", "\0", "\ud800", "x\ud800"])

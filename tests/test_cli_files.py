@@ -100,8 +100,8 @@ def test_ctrl_c_says_which_file_is_not_there(here, capsys, monkeypatch):
 def test_a_home_that_cannot_be_written_to_makes_matplotlib_say_nothing(tmp_path):
     """HOME=/read-only stage move x 100 --plot m.png"""
     program = (
-        "from stage.support.extras import need; "
-        "need('matplotlib.figure', 'drawing'); import os; print(os.environ['MPLCONFIGDIR'])"
+        "from stage.support.extras import import_extra; "
+        "import_extra('matplotlib.figure', 'drawing'); import os; print(os.environ['MPLCONFIGDIR'])"
     )
     env = {k: v for k, v in os.environ.items() if not k.startswith(("MPL", "XDG_"))} | {"HOME": os.devnull}
     done = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True, check=True)

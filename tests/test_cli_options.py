@@ -578,7 +578,7 @@ def test_there_is_a_screen_where_x_or_wayland_is(monkeypatch, display, wayland, 
     if not screen:
         with pytest.raises(StageError, match=r"no screen here for MuJoCo's viewer\. Do this\.$"):
             opengl.check_window("Do this.")
-    monkeypatch.setattr(opengl, "_glfw", lambda: "broken")
+    monkeypatch.setattr(opengl, "_find_glfw_failure", lambda: "broken")
     if screen:
         with pytest.raises(StageError, match="cannot open a window here: broken"):
             opengl.check_window("")

@@ -34,14 +34,14 @@ def files(folder):
 def test_without_a_name_they_are_listed_each_with_a_line(capsys):
     assert main(["example"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == list(examples.PLACES)
+    assert [line.split()[0] for line in lines] == list(examples.EXAMPLE_PATHS)
     assert all(line.endswith(".") and len(line.split()) > 4 for line in lines if "notebook" not in line)
 
 
-@pytest.mark.parametrize("name", examples.PLACES)
+@pytest.mark.parametrize("name", examples.EXAMPLE_PATHS)
 def test_an_example_is_copied_whole_and_nothing_that_was_built_of_it(name, tmp_path):
-    copied = examples.copy(name, tmp_path)
-    source = examples.place(name)
+    copied = examples.copy_example(name, tmp_path)
+    source = examples.find_example(name)
     assert copied.name.partition(".")[0] == name.partition(".")[0]
     if source.is_dir():
         there = files(copied)
@@ -63,25 +63,25 @@ def test_a_copy_replaces_nothing_unasked_and_a_slip_is_named(tmp_path, monkeypat
     assert main(["example", "stall", "--force"]) == 0
     assert main(["example", "stall", "--to", "nowhere"]) == 2
     with pytest.raises(ArgumentError, match="unknown example"):
-        examples.place("")
+        examples.find_example("")
     with pytest.raises(FileError, match="is no folder"):
-        examples.copy("stall", tmp_path / "stall.py")
+        examples.copy_example("stall", tmp_path / "stall.py")
 
 
 def test_a_wheel_has_them_beside_the_package(tmp_path, monkeypatch):
-    examples.install(tmp_path)
-    monkeypatch.setattr(examples, "ROOT", tmp_path / "no checkout")
-    monkeypatch.setattr(examples, "INSTALLED", tmp_path)
+    examples.install_examples(tmp_path)
+    monkeypatch.setattr(examples, "REPOSITORY", tmp_path / "no checkout")
+    monkeypatch.setattr(examples, "INSTALLED_EXAMPLES", tmp_path)
     (tmp_path / "to").mkdir()
-    assert examples.title("stall").startswith("A motor that is asked too much")
-    assert all(examples.copy(name, tmp_path / "to").exists() for name in examples.PLACES)
+    assert examples.read_title("stall").startswith("A motor that is asked too much")
+    assert all(examples.copy_example(name, tmp_path / "to").exists() for name in examples.EXAMPLE_PATHS)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", examples.PROGRAMS)
 def test_a_copied_program_needs_nothing_of_the_repository(name, tmp_path):
-    text = examples.place(name).read_text()
-    program = examples.copy(name, tmp_path)
+    text = examples.find_example(name).read_text()
+    program = examples.copy_example(name, tmp_path)
     asked = ["--help"] if "argparse" in text else []
     done = subprocess.run(
         [sys.executable, program.name, *asked], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
@@ -120,9 +120,9 @@ def test_the_version_is_the_same_wherever_it_stands():
 
 @pytest.mark.parametrize(("name", "ending"), [("home_and_move", ".py"), ("tour.ipynb", ""), ("acme_chip", "")])
 def test_a_copy_has_the_name_that_was_asked_for_and_stays_unless_it_is_to_be_replaced(name, ending, tmp_path):
-    copied = examples.copy(name, tmp_path)
+    copied = examples.copy_example(name, tmp_path)
     assert copied == tmp_path / f"{name}{ending}"
     assert [p.name for p in tmp_path.iterdir()] == [copied.name]
     with pytest.raises(FileError, match=r"exists\. Choose another folder, or give --force"):
-        examples.copy(name, tmp_path)
-    assert examples.copy(name, tmp_path, overwrite=True) == copied
+        examples.copy_example(name, tmp_path)
+    assert examples.copy_example(name, tmp_path, overwrite=True) == copied

@@ -17,7 +17,7 @@ from stage.drives.motors import Drive
 from stage.drives.picture import plot_pull_out
 from stage.recording import RecordingError
 from stage.recording.viewer import take_screenshot
-from stage.support.files import FileError, figure_format, is_stream, written
+from stage.support.files import FileError, find_figure_format, is_stream, write_atomically
 
 pytest.importorskip("matplotlib")
 
@@ -57,12 +57,12 @@ def test_a_drawing_stays_unless_overwriting_is_asked_for(stage, tmp_path):
 
 
 def test_a_figure_has_the_format_of_its_name_however_that_is_written():
-    assert [figure_format(name) for name in ("a.PNG", "a.Svg", "/dev/stdout")] == ["png", "svg", "png"]
+    assert [find_figure_format(name) for name in ("a.PNG", "a.Svg", "/dev/stdout")] == ["png", "svg", "png"]
     with pytest.raises(FileError, match="a figure is no 'foo'"):
-        figure_format("a.FOO")
+        find_figure_format("a.FOO")
     for name in ("a", "b.c/a"):
         with pytest.raises(FileError, match=r"the name has no ending, .*Name a file that ends in \.png, "):
-            figure_format(name)
+            find_figure_format(name)
 
 
 def test_a_drawing_that_cannot_be_written_says_so(stage, tmp_path):
@@ -105,7 +105,7 @@ def test_a_full_disk_is_named_and_leaves_what_was_there(tmp_path):
     path.write_text("mine")
 
     def write():
-        with written(path, True) as part:
+        with write_atomically(path, True) as part:
             part.write_text("half")
             raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -135,7 +135,7 @@ def test_a_device_takes_the_bytes_and_stays_a_device(tmp_path, capsys, force):
 def test_a_device_that_is_full_says_so(tmp_path):
     """stage move x 100 --force --vcd /dev/full"""
     device(tmp_path / "full", (1, 7))
-    with pytest.raises(FileError, match="No space left on device"), written(tmp_path / "full", True) as part:
+    with pytest.raises(FileError, match="No space left on device"), write_atomically(tmp_path / "full", True) as part:
         part.write_text("half")
     assert stat.S_ISCHR((tmp_path / "full").stat().st_mode)
 
@@ -158,7 +158,7 @@ def test_a_pipe_takes_the_bytes_and_stays_a_pipe(tmp_path, force):
     """mkfifo p; cat p & stage move x 100 --vcd p"""
     path = tmp_path / "p"
     with pipe(path) as end:
-        with written(path, force) as part:
+        with write_atomically(path, force) as part:
             part.write_bytes(b"bytes")
         assert os.read(end, 100) == b"bytes"
     assert stat.S_ISFIFO(path.stat().st_mode)
@@ -181,15 +181,15 @@ def test_a_link_is_followed_to_its_file(tmp_path):
     link, file = tmp_path / "x.vcd", tmp_path / "far" / "x.vcd"
     link.symlink_to(file)
     for text in ("new", "newer"):
-        with written(link, True) as part:
+        with write_atomically(link, True) as part:
             part.write_text(text)
         assert link.is_symlink()
         assert file.read_text() == text
-    with pytest.raises(FileError, match="exists"), written(link, False):
+    with pytest.raises(FileError, match="exists"), write_atomically(link, False):
         pass
     loop = tmp_path / "loop"
     loop.symlink_to(loop)
-    with pytest.raises(FileError, match="cannot be written"), written(loop, True):
+    with pytest.raises(FileError, match="cannot be written"), write_atomically(loop, True):
         pass
     assert file.read_text() == "newer"
 
@@ -204,13 +204,13 @@ def test_a_file_that_appears_meanwhile_stays(tmp_path, monkeypatch, links):
     if not links:
         monkeypatch.setattr(os, "link", refuse)
     path = tmp_path / "x.rrd"
-    with written(path, False) as part:
+    with write_atomically(path, False) as part:
         part.write_text("first")
     assert path.read_text() == "first"
     path.unlink()
 
     def second():
-        with written(path, False) as part:
+        with write_atomically(path, False) as part:
             part.write_text("mine")
             path.write_text("another's")
 
@@ -225,7 +225,7 @@ def test_the_bytes_are_on_the_disk_before_the_name_is(tmp_path, monkeypatch):
     synced, path = [], tmp_path / "x"
     monkeypatch.setattr(os, "fsync", lambda file: synced.append((os.fstat(file).st_ino, path.exists())))
     for overwrite in (False, True):
-        with written(path, overwrite) as part:
+        with write_atomically(path, overwrite) as part:
             part.write_text("all")
         assert synced == [(path.stat().st_ino, overwrite), (tmp_path.stat().st_ino, True)]
         synced.clear()
@@ -236,7 +236,7 @@ def test_a_file_that_is_replaced_keeps_its_mode_and_nobody_guesses_the_name_besi
     path = tmp_path / "x.vcd"
     path.write_text("old")
     path.chmod(0o640)
-    with written(path, True) as part:
+    with write_atomically(path, True) as part:
         assert stat.S_IMODE(part.parent.stat().st_mode) == 0o700
         assert part.name == path.name
         part.write_text("new")
@@ -249,7 +249,7 @@ def test_a_disk_is_no_place_for_a_file(tmp_path):
         os.mknod(tmp_path / "sda", stat.S_IFBLK | 0o600, os.makedev(7, 250))
     except OSError:
         pytest.skip("only root makes devices")
-    with pytest.raises(FileError, match="is a disk"), written(tmp_path / "sda", True):
+    with pytest.raises(FileError, match="is a disk"), write_atomically(tmp_path / "sda", True):
         pass
 
 
@@ -300,7 +300,7 @@ def test_an_open_file_gets_the_bytes_behind_its_own_however_it_is_named(tmp_path
         monkeypatch.chdir("/")
         for way in (f"/{name}", name):
             assert is_stream(way)
-            with written(way, False) as part:
+            with write_atomically(way, False) as part:
                 part.write_bytes(b"second\n")
     assert log.read_bytes() == b"first\nsecond\nsecond\n"
     assert not is_stream(log)

@@ -20,7 +20,7 @@ from stage.support import extras
 
 def missing():
     """Return why no GPU can be used here, or ""."""
-    if not (extras.has("numba_cuda") and extras.has("mujoco_warp")):
+    if not (extras.is_installed("numba_cuda") and extras.is_installed("mujoco_warp")):
         return "the extra gpu is not installed"
     try:
         physics.load_warp()
@@ -129,7 +129,7 @@ def test_without_a_gpu_the_error_says_so(stage, monkeypatch):
             return False
 
     monkeypatch.setattr(gpu_fleet, "cuda_tools", lambda: None)
-    monkeypatch.setattr(physics, "need", lambda module, what: Warp)
+    monkeypatch.setattr(physics, "import_extra", lambda module, purpose: Warp)
     with pytest.raises(GpuMissing, match="no NVIDIA GPU"):
         Fleet([stage], device="cuda", copies=2)
 

@@ -77,7 +77,7 @@ def test_tab_of_ipython_offers_the_axes(seen):
 def test_where_rerun_has_a_widget_the_dashboard_is_in_the_notebook_and_elsewhere_a_picture(seen, monkeypatch):
     bundle = seen["recording"]._repr_mimebundle_()
     assert {"text/plain", "text/html"} <= bundle.keys()
-    monkeypatch.setattr("stage.recording.viewer.has", lambda library: False)
+    monkeypatch.setattr("stage.recording.viewer.is_installed", lambda library: False)
     assert seen["recording"]._repr_mimebundle_().keys() == {"text/plain", "text/html"}
     monkeypatch.undo()
     pytest.importorskip("rerun_notebook")

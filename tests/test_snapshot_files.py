@@ -15,7 +15,7 @@ from stage import ArgumentError, Snapshot, Stage, firmware
 from stage.chips import PCL240K, PCL240MS
 from stage.chips.chip import Snapshot as ChipSnapshot
 from stage.support.files import FileError
-from stage.support.snapshot_files import LENGTHS, MAGIC, SUM, SnapshotError
+from stage.support.snapshot_files import DIGEST_BYTES, LENGTHS, MAGIC, SnapshotError
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def kept(moved, tmp_path_factory):
 
 def resealed(data: bytes) -> bytes:
     """With the sum of what it now has."""
-    return data[:-SUM] + hashlib.sha256(data[:-SUM]).digest()
+    return data[:-DIGEST_BYTES] + hashlib.sha256(data[:-DIGEST_BYTES]).digest()
 
 
 def with_head(data: bytes, **changes) -> bytes:
@@ -156,11 +156,11 @@ def test_what_is_no_snapshot_is_named_and_never_run(tmp_path, kept):
     [
         ({"version": 0}, "is of version 0 of a stage's state, and this PulseStage reads version 1: take it anew"),
         ({"version": 2}, "is of version 2 of a stage's state, and this PulseStage reads version 1: take it anew"),
-        ({"checksum": 1}, "what it says of itself does not fit its state"),
-        ({"parts": [["axes", "y"]]}, "what it says of itself does not fit its state"),
-        ({"parts": 7}, "what it says of itself does not fit its state"),
-        ({"noted": [[[1, 2, "x", 3, 4]]]}, "what it says of itself does not fit its state"),
-        ({"noted": [[[1, 2]]]}, "what it says of itself does not fit its state"),
+        ({"checksum": 1}, "its description does not fit its state"),
+        ({"parts": [["axes", "y"]]}, "its description does not fit its state"),
+        ({"parts": 7}, "its description does not fit its state"),
+        ({"noted": [[[1, 2, "x", 3, 4]]]}, "its description does not fit its state"),
+        ({"noted": [[[1, 2]]]}, "its description does not fit its state"),
     ],
 )
 def test_a_head_that_was_changed_with_its_sum_is_refused_too(kept, tmp_path, changes, said):

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure as Canvas
 from bench.figures import Curve
 from bench.report import Results
 from bench.targets import BY_FIGURE
-from stage.support.pictures import INK, MUTED, bare, title
+from stage.support.pictures import MUTED_COLOR, TEXT_COLOR, remove_frame, set_title
 
 OURS, OTHER, SECOND = "#17508f", "#d1571f", "#4aa8d8"
 BOUND: dict[str, Any] = {"color": OTHER, "lw": 1.6, "ls": (0, (4, 2))}
@@ -25,7 +25,7 @@ def bars(ax: Any, results: Results, rows: dict[str, str], unit: str) -> None:
     for y, key in enumerate(rows):
         f = results.figures[key]
         ax.barh(y, f.median, 0.6, color=OURS)
-        ax.plot([f.least, f.most], [y, y], color=INK, lw=1.4, solid_capstyle="butt")
+        ax.plot([f.least, f.most], [y, y], color=TEXT_COLOR, lw=1.4, solid_capstyle="butt")
         if target := BY_FIGURE.get(key):
             ax.plot([target.bound] * 2, [y - 0.42, y + 0.42], **BOUND)
     ax.set_yticks(range(len(rows)), rows.values())
@@ -38,7 +38,7 @@ def throughput(ax: Any, results: Results) -> None:
     rows |= {"vector.fleet_batch_1": "64 stages, 1 thread", "vector.fleet_batch_2": "2 threads"}
     rows |= {"vector.env_batch_1": "64 envs, 1 thread", "vector.env_batch_2": "2 threads"}
     bars(ax, results, rows, "throughput / bare mj_step or Batch")
-    ax.axvline(1, color=MUTED, lw=1)
+    ax.axvline(1, color=MUTED_COLOR, lw=1)
 
 
 def threads(ax: Any, results: Results) -> None:
@@ -54,10 +54,15 @@ def overhead(ax: Any, results: Results) -> None:
         ax.bar(x + shift, [f.median for f in found], 0.36, color=color, label=name)
         for at, f in zip(x + shift, found, strict=True):
             ax.plot(
-                [at, at], [max(f.least, 0), f.most], color=INK, lw=1.4, solid_capstyle="butt"
+                [at, at], [max(f.least, 0), f.most], color=TEXT_COLOR, lw=1.4, solid_capstyle="butt"
             )  # a difference; bars begin at 0
             ax.annotate(
-                f"{f.median:.3g}", (at, max(f.most, 0)), (0, 2), textcoords="offset points", ha="center", color=MUTED
+                f"{f.median:.3g}",
+                (at, max(f.most, 0)),
+                (0, 2),
+                textcoords="offset points",
+                ha="center",
+                color=MUTED_COLOR,
             )
     ax.set_xticks(x, [f"{k} step{'s' if k > 1 else ''}" for k in skips])
     ax.set(ylabel="overhead of an action (µs)")
@@ -135,12 +140,12 @@ def draw(results: Results, path: Path) -> None:
     with rc_context({"font.size": 10}):
         grid = canvas.subplots(down, across, squeeze=False).ravel()
         for ax, (text, panel) in zip(grid, panels, strict=False):
-            bare(ax, size=9)
+            remove_frame(ax, size=9)
             panel(ax, results)
-            title(ax, text, 12)
+            set_title(ax, text, 12)
         for k, ax in enumerate(grid[len(panels) :]):
             ax.axis("off")
             if not k:
-                ax.text(0, 0.97, HOW, transform=ax.transAxes, va="top", color=INK, fontsize=10, linespacing=1.6)
+                ax.text(0, 0.97, HOW, transform=ax.transAxes, va="top", color=TEXT_COLOR, fontsize=10, linespacing=1.6)
     canvas.savefig(path, dpi=140)
     print(f"{path}: drawn")

@@ -12,7 +12,7 @@ from typing import Any
 
 from stage.errors import ArgumentError, StageError
 from stage.sim.stage import Stage
-from stage.support.arguments import check_whole_number
+from stage.support.arguments import check_integer
 
 CHECK_INTERVAL_NS = 250_000_000  # simulated time between two looks at the wall clock
 CALL_LIMIT_S = 120.0  # simulated time that one call may take
@@ -39,7 +39,7 @@ class Budget:
     def __post_init__(self) -> None:
         for name in ("moves", "cycles"):
             if getattr(self, name) is not None:
-                check_whole_number(name, getattr(self, name), 0)
+                check_integer(name, getattr(self, name), 0)
         s = self.seconds
         if s is not None and (isinstance(s, bool) or not isinstance(s, int | float) or not 0 <= s < math.inf):
             raise ArgumentError(f"seconds={s!r} must be a number, 0 or more, or None for no limit.")

@@ -72,7 +72,7 @@ class Snapshot(FiledSnapshot):
     of: ClassVar = "a chip"
 
     @classmethod
-    def _noted_of(cls, data: Any) -> tuple:
+    def _decode_diagnostics(cls, data: Any) -> tuple:
         return parse_diagnostics(data)
 
     @property
@@ -516,7 +516,7 @@ class Chip:
         name, hz, *also = self.kind()
         options = "".join(f", {option}" for option in also)
         return snapshots.Header(
-            (("chip", f"{name} at {hz} Hz{options}"), ("layout of its state", snapshots.layout(self.CORE.STATE)))
+            (("chip", f"{name} at {hz} Hz{options}"), ("layout of its state", snapshots.hash_layout(self.CORE.STATE)))
         )
 
     @property
@@ -721,7 +721,7 @@ class Chip:
         """
         if self._bus is not None:
             raise StageError("this chip belongs to a stage: restore the stage, so that all its parts agree.")
-        snapshots.check(snapshot, Snapshot, self.header)
+        snapshots.check_restorable(snapshot, Snapshot, self.header)
         self._rows[self._i] = np.frombuffer(snapshot.record, self.CORE.STATE)[0]
         self.diagnostics[:] = snapshot.diagnostics
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from stage.chips.entries import INPUT, LOST, READ, RESET, SHAFT, WIRES, WRITE, Entries, Entry, float_to_bits
-from stage.support.arguments import check_whole_number
+from stage.support.arguments import check_integer
 
 if TYPE_CHECKING:
     from stage.chips.chip import Chip
@@ -173,7 +173,7 @@ class Replay:
         Raises:
             ArgumentError: `size` is below 64.
         """
-        check_whole_number("size", size, MIN_PIECE_EDGES)
+        check_integer("size", size, MIN_PIECE_EDGES)
         return self._pieces(every_pulse, size)
 
     def _pieces(self, every_pulse: bool, size: int) -> Iterator[np.ndarray]:

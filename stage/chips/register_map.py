@@ -526,7 +526,11 @@ def as_html(map_: RegisterMap) -> str:
     def fields(place: Register | Word) -> str:
         rows = [(f"b{f.bits}", f.name, f.evidence, f.text) for f in place.fields]
         return (
-            html.folded(f"{place.name}: its bits", html.table(rows, ("bits", "field", "ev", "meaning"))) if rows else ""
+            html.format_collapsible(
+                f"{place.name}: its bits", html.format_table(rows, ("bits", "field", "ev", "meaning"))
+            )
+            if rows
+            else ""
         )
 
     registers = [
@@ -534,11 +538,15 @@ def as_html(map_: RegisterMap) -> str:
     ]
     commands = [(c.hex, c.symbol, c.kind, c.bytes or "", c.evidence, c.description) for c in map_.commands]
     head = ("register", "bits", "access", "legal", "unit", "ev", "title")
-    parts = [html.heading(f"{map_.chip}: {map_.title}"), html.table(registers, head), *map(fields, map_.registers)]
-    parts += [html.heading(f"{w.name}: {w.text}") + fields(w) for w in map_.words]
+    parts = [
+        html.format_heading(f"{map_.chip}: {map_.title}"),
+        html.format_table(registers, head),
+        *map(fields, map_.registers),
+    ]
+    parts += [html.format_heading(f"{w.name}: {w.text}") + fields(w) for w in map_.words]
     if commands:
-        table = html.table(commands, ("code", "symbol", "kind", "bytes", "ev", "title"))
-        parts.append(html.folded(f"{len(commands)} commands", table))
+        table = html.format_table(commands, ("code", "symbol", "kind", "bytes", "ev", "title"))
+        parts.append(html.format_collapsible(f"{len(commands)} commands", table))
     return "".join(parts)
 
 

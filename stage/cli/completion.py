@@ -27,9 +27,9 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print what a shell reads to complete this command line."""
-    from stage.support.extras import need
+    from stage.support.extras import import_extra
 
-    print(need("argcomplete", "completion").shellcode(["stage"], shell=args.shell))
+    print(import_extra("argcomplete", "completion").shellcode(["stage"], shell=args.shell))
     return 0
 
 

@@ -12,7 +12,7 @@ from stage.cli.files import record_to_files
 from stage.cli.setup import make_stage
 from stage.cli.terminal import note, show_simulated_time
 from stage.errors import ArgumentError
-from stage.support.extras import has
+from stage.support.extras import is_installed
 from stage.units import POSITION_UNITS
 
 START_PLACES = (0.1962, -0.1435, 0.177)
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         low, high = group[0].travel
         place = round(0.5 * (low + high) + START_PLACES[k % len(START_PLACES)] * (high - low), 3)
         stage.place(**{axis.name: place for axis in group})
-    if has("rerun") and has_screen() and not args.no_view and not args.web:
+    if is_installed("rerun") and has_screen() and not args.no_view and not args.web:
         args.view = True
     with record_to_files(args, stage), show_simulated_time(stage):
         reports = make_moves(stage)

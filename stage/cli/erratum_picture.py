@@ -18,11 +18,11 @@ LANES = {"ASND": "asnd", "CNST": "cnst", "DSND": "dsnd", "n-DRV": "drive"}
 def draw(result: ErratumResult, path: str | None, overwrite: bool) -> Any:
     """Draw rate and position of both runs; beside them, close up, the rate and the bits of RR1 around area d."""
     from stage.support.files import save_figure
-    from stage.support.pictures import COLOURS, INK, MUTED, bare, figure, title
+    from stage.support.pictures import COLORS, MUTED_COLOR, TEXT_COLOR, make_figure, remove_frame, set_title
 
-    fig = figure(11, 6)
+    fig = make_figure(11, 6)
     (rate, close), (place, lanes) = fig.subplots(2, 2)
-    styles = ((COLOURS[0], 1.6, "26h in area d", 2), (MUTED, 3.0, "stop_by_speed", 1))
+    styles = ((COLORS[0], 1.6, "26h in area d", 2), (MUTED_COLOR, 3.0, "stop_by_speed", 1))
     areas, unit = _find_areas(result.recordings[0]), POSITION_UNITS[result.unit]
     for recording, (color, width, label, order) in zip(result.recordings, styles, strict=True):
         axis = next(iter(recording.axes))
@@ -34,20 +34,20 @@ def draw(result: ErratumResult, path: str | None, overwrite: bool) -> Any:
         place.plot(
             time, recording.column(f"{axis}/commanded") * unit.factor, color=color, linewidth=1, linestyle=(0, (2, 2))
         )
-    _draw_bits(lanes, result.recordings[0], COLOURS[0])
+    _draw_bits(lanes, result.recordings[0], COLORS[0])
     begin, end = areas["d"]
     for panel in (close, lanes):
         panel.set_xlim(begin - CLOSE_UP_S, end + CLOSE_UP_S)
-        panel.axvspan(begin, end, color=COLOURS[0], alpha=0.15, linewidth=0)
+        panel.axvspan(begin, end, color=COLORS[0], alpha=0.15, linewidth=0)
     rate.set_ylim(top=1.12 * pps.max())
     initial = float(np.interp(areas["a"][0] + 1e-3, time, pps))
     close.set_ylim(0.97 * initial, 1.08 * initial)
     letters = {area: sum(areas[area]) / 2 for area in "abc"} | ({} if result.mended else {"e": end + 0.9})
     for area, when in letters.items():
-        rate.annotate(area, (when, 0.98), xycoords=("data", "axes fraction"), ha="center", va="top", color=INK)
+        rate.annotate(area, (when, 0.98), xycoords=("data", "axes fraction"), ha="center", va="top", color=TEXT_COLOR)
     for area, when in {"c": begin - CLOSE_UP_S / 2, "d": (begin + end) / 2, "e": end + CLOSE_UP_S / 2}.items():
         if area in letters or area == "d":
-            close.annotate(area, (when, 0.92), xycoords=("data", "axes fraction"), ha="center", color=INK)
+            close.annotate(area, (when, 0.92), xycoords=("data", "axes fraction"), ha="center", color=TEXT_COLOR)
     rate.set(ylabel="pulse rate (pps)")
     close.set(ylabel="pulse rate (pps)")
     place.set(ylabel=f"position ({unit.symbol})", xlabel="time (s)")
@@ -59,8 +59,8 @@ def draw(result: ErratumResult, path: str | None, overwrite: bool) -> Any:
         lanes: "RR1 and n-DRV after 26h in area d",
     }
     for panel, text in titles.items():
-        bare(panel)
-        title(panel, text)
+        remove_frame(panel)
+        set_title(panel, text)
     lanes.grid(False, axis="y")
     rate.legend(frameon=False, fontsize=9, loc="center right")
     if path is not None:

@@ -26,18 +26,18 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Copy an example, or list them all."""
     from stage.support import examples
-    from stage.support.extras import has
+    from stage.support.extras import is_installed
 
     if args.name is None:
-        titles = {name: _describe(name) for name in examples.PLACES}
+        titles = {name: _describe(name) for name in examples.EXAMPLE_PATHS}
         tell(args, titles)
         width = max(map(len, titles))
         print("\n".join(f"{name:{width}}  {title}" for name, title in titles.items()))
         return 0
     name = args.name.removesuffix(".py")
-    copy = examples.copy(name, Path(args.to), args.force)
-    extra = examples.EXTRAS.get(name)
-    wrote(args, copy, _next_step(copy) + (f"; it {extra}" if extra and not has(extra.library) else ""))
+    copy = examples.copy_example(name, Path(args.to), args.force)
+    extra = examples.REQUIREMENTS.get(name)
+    wrote(args, copy, _next_step(copy) + (f"; it {extra}" if extra and not is_installed(extra.library) else ""))
     return 0
 
 
@@ -45,8 +45,8 @@ def _describe(name: str) -> str:
     """Return what an example shows, and the extra that it needs."""
     from stage.support import examples
 
-    extra = examples.EXTRAS.get(name)
-    return examples.title(name) + (f" It {extra}." if extra else "")
+    extra = examples.REQUIREMENTS.get(name)
+    return examples.read_title(name) + (f" It {extra}." if extra else "")
 
 
 def _next_step(copy: Path) -> str:

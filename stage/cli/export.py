@@ -32,13 +32,13 @@ def run(args: argparse.Namespace) -> int:
     """Write the columns, or list them."""
     from stage.recording import read
     from stage.recording.table import find_writer_name
-    from stage.support.files import FileError, writable
+    from stage.support.files import FileError, check_writable
 
     if args.output is not None:
         if os.path.realpath(args.output) == os.path.realpath(args.file):
             raise FileError(f"-o {args.output}: this is the recording itself. Name another file.")
         find_writer_name(args.output)
-        writable(args.output, args.force, ask="give --force")
+        check_writable(args.output, args.force, overwrite_hint="give --force")
     saved = read(args.file)
     tell(args, model=saved.model, axes=saved.axes, samples=len(saved), every=saved.every, columns=saved.units)
     if args.output is None:

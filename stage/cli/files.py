@@ -12,7 +12,7 @@ from typing import Any
 from stage.cli.commands import tell, wrote
 from stage.cli.terminal import note
 from stage.errors import ArgumentError
-from stage.support.extras import has, need
+from stage.support.extras import import_extra, is_installed
 
 FILE_OPTIONS = ("record", "vcd", "picture", "plot", "trace")
 """Options that name a file."""
@@ -37,14 +37,14 @@ def check_outputs(args: argparse.Namespace) -> None:
     if "record" in args:
         for name in ("web", "picture", "record"):  # who gave one of the others gave no --record
             if getattr(args, name, None):
-                need("rerun", f"--{name}")
+                import_extra("rerun", f"--{name}")
 
 
 def _check_viewers(args: argparse.Namespace) -> None:
     """Refuse --view without a screen, and a port that cannot serve --web."""
     web, view = getattr(args, "web", False), getattr(args, "view", False)
     if view:
-        need("rerun", "--view")
+        import_extra("rerun", "--view")
     if view and not web:
         from stage.recording.viewer import check_screen
 
@@ -79,17 +79,17 @@ def _check_separate(named: dict[str, str]) -> None:
 
 def _check_writable(named: dict[str, str], force: bool) -> None:
     """Refuse names with a wrong ending, and what cannot be written. Raises FileError, ArgumentError."""
-    from stage.support.files import PICTURE, RECORDING, WAVEFORMS, ends_as, figure_format, writable
+    from stage.support.files import PICTURE, RECORDING, WAVEFORMS, check_ending, check_writable, find_figure_format
 
     endings = {"record": RECORDING, "vcd": WAVEFORMS, "picture": PICTURE}
     for name, path in named.items():
         if path == "-":
             raise ArgumentError(f"--{name} -: standard output has what the command prints. Name a file.")
         if name == "plot":
-            figure_format(path)
+            find_figure_format(path)
         elif name in endings:
-            ends_as(path, *endings[name])
-        writable(path, force, ask="give --force")
+            check_ending(path, *endings[name])
+        check_writable(path, force, overwrite_hint="give --force")
 
 
 @contextmanager
@@ -107,7 +107,7 @@ def record_to_files(args: argparse.Namespace, stage: Any, plot_reports: bool = T
         The recording, or None.
     """
     usual = getattr(args, "default_record", "stage.rrd" if args.view or args.web or args.picture else None)
-    if usual and not (args.record or args.view or args.web or args.picture or has("rerun")):
+    if usual and not (args.record or args.view or args.web or args.picture or is_installed("rerun")):
         print(f"no {usual}: recordings need rerun: pip install 'pulsestage[rerun]'")
         usual = None
     rrd: str | None = args.record or (usual and find_free_name(usual, args.force))

@@ -14,7 +14,7 @@ from stage.cli.commands import add_command
 from stage.cli.options import TIME, number, port
 from stage.cli.setup import make_stage
 from stage.errors import ArgumentError
-from stage.support.extras import need
+from stage.support.extras import import_extra
 
 TOKEN_VARIABLE = "PULSESTAGE_TOKEN"
 MIN_TOKEN_LENGTH = 16
@@ -61,7 +61,7 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until the client goes, or until Ctrl-C or SIGTERM."""
-    need("mcp", "stage mcp")
+    import_extra("mcp", "stage mcp")
     from stage.agents.budget import Budget
     from stage.agents.server.sessions import Sessions, ToolboxFactory
 

@@ -33,16 +33,16 @@ def run(args: argparse.Namespace) -> int:
     """Write the model, or print it."""
     from stage.sim import plant
     from stage.sim.plant.new import NewAxis, new_model
-    from stage.support.files import MODEL, ends_as, writable, written
+    from stage.support.files import MODEL, check_ending, check_writable, write_atomically
 
     text = new_model([NewAxis.of(item) for item in args.axes.split(",")])
     if args.output in (None, "-"):
         tell(args, mjcf=text)
         print(text, end="")
         return 0
-    ends_as(args.output, *MODEL)
-    writable(args.output, args.force, ask="give --force")
-    with written(args.output, args.force) as part:
+    check_ending(args.output, *MODEL)
+    check_writable(args.output, args.force, overwrite_hint="give --force")
+    with write_atomically(args.output, args.force) as part:
         part.write_text(text, encoding="utf-8")
     model = plant.open_spec(args.output).compile()
     tell(args, axes=[a.name for a in plant.bind(model)])

@@ -245,12 +245,12 @@ def include(args: argparse.Namespace) -> int:
 
 def write_trace(args: argparse.Namespace, board: Any) -> None:
     """Write, or print, the bus cycles for --trace."""
-    from stage.support.files import written
+    from stage.support.files import write_atomically
 
     if args.trace == "-":
         print(board.trace.text())
     elif args.trace:
-        with written(args.trace, args.force) as part:
+        with write_atomically(args.trace, args.force) as part:
             part.write_text(board.trace.text() + "\n", encoding="utf-8", errors="backslashreplace")
         wrote(args, args.trace, f"{len(board.trace):,} lines of bus cycles")
 

@@ -116,11 +116,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write_files(args: argparse.Namespace, result: Any, folder: Path) -> None:
-    from stage.support.files import written
+    from stage.support.files import write_atomically
 
     texts = {"c": result.c_source(), "text": f"{result}\n", "json": json.dumps(result.json(), indent=1) + "\n"}
     for kind, text in texts.items():
-        with written(folder / FILES[kind], args.force) as part:
+        with write_atomically(folder / FILES[kind], args.force) as part:
             part.write_text(text, encoding="utf-8")
     files = [FILES[kind] for kind in texts]
     try:
@@ -133,7 +133,7 @@ def _write_files(args: argparse.Namespace, result: Any, folder: Path) -> None:
 
 def _check_folder(args: argparse.Namespace) -> Path | None:
     """Return the folder of --output, which is made if it is missing. Raises FileError for one that cannot be written to."""
-    from stage.support.files import FileError, writable
+    from stage.support.files import FileError, check_writable
 
     if args.output is None:
         return None
@@ -141,7 +141,7 @@ def _check_folder(args: argparse.Namespace) -> Path | None:
     if folder.exists() and not folder.is_dir():
         raise FileError(f"--output {folder}: there is a file of this name. Name a folder.")
     if not folder.exists():
-        writable(folder, False)
+        check_writable(folder, False)
         try:
             folder.mkdir()
         except OSError as error:
@@ -150,7 +150,7 @@ def _check_folder(args: argparse.Namespace) -> Path | None:
     if not os.access(folder, os.W_OK | os.X_OK):
         raise FileError(f"--output {folder}: you have no permission to write there. Choose another folder.")
     for name in FILES.values():
-        writable(folder / name, args.force, ask="give --force")
+        check_writable(folder / name, args.force, overwrite_hint="give --force")
     return folder
 
 

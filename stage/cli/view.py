@@ -10,7 +10,7 @@ from stage.cli import options
 from stage.cli.commands import add_command, tell, wrote
 from stage.cli.files import check_outputs
 from stage.errors import StageError, unknown_name_error
-from stage.support.extras import need
+from stage.support.extras import import_extra
 
 WIDTH_PX, HEIGHT_PX = 1600, 900
 ARROW_LENGTH = 0.16  # of the model's extent
@@ -81,9 +81,9 @@ def draw_model(model: Any, path: str, camera: str | None, overwrite: bool, key: 
 
     from stage.sim import plant
     from stage.support.files import save_figure
-    from stage.support.opengl import renderer
+    from stage.support.opengl import make_renderer
 
-    figures = need("matplotlib.figure", "drawing")
+    figures = import_extra("matplotlib.figure", "drawing")
     cameras = [model.camera(k).name for k in range(model.ncam)]
     if camera is not None and camera not in cameras:
         raise (
@@ -98,7 +98,7 @@ def draw_model(model: Any, path: str, camera: str | None, overwrite: bool, key: 
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0 if key is None else model.key(key).id)
     mujoco.mj_forward(model, data)
-    with renderer(model, HEIGHT_PX, WIDTH_PX) as picture:
+    with make_renderer(model, HEIGHT_PX, WIDTH_PX) as picture:
         picture.update_scene(data, camera or ("overview" if "overview" in cameras else _make_camera(model)))
         eye = picture.scene.camera[0]
         image = picture.render()

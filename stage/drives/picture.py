@@ -12,23 +12,23 @@ from stage.drives.motors import Drive, Motor, estimate_core_loss
 from stage.drives.published_curves import PUBLISHED_CURVES, PublishedCurve
 from stage.drives.spread import vary_motor
 from stage.support.files import save_figure
-from stage.support.pictures import COLOURS, INK, MUTED, bare, figure
+from stage.support.pictures import COLORS, MUTED_COLOR, TEXT_COLOR, make_figure, remove_frame
 
-ACCENT, BAND = COLOURS[0], "#cfe0f2"
+ACCENT, BAND = COLORS[0], "#cfe0f2"
 
 
 def _dress(ax: Any, drive: Drive, rpm_max: float, torque_max: float) -> None:
     """Dress the axes of the picture, with the pulse rate of the drive's microsteps below the speed."""
     ax.set_xlim(0, rpm_max)
     ax.set_ylim(0, torque_max)
-    ax.set_xlabel("speed (rpm)", color=INK)
-    ax.set_ylabel("pull-out torque (N m)", color=INK)
+    ax.set_xlabel("speed (rpm)", color=TEXT_COLOR)
+    ax.set_ylabel("pull-out torque (N m)", color=TEXT_COLOR)
     per_rpm = drive.pulses_per_turn / 60 / 1e3
     below: Any = ax.secondary_xaxis(-0.16, functions=(lambda rpm: rpm * per_rpm, lambda kpps: kpps / per_rpm))
-    below.set_xlabel(f"pulse rate at 1/{drive.microsteps} microsteps (kpps)", color=MUTED, fontsize=9)
-    below.tick_params(colors=MUTED, labelsize=8)
-    below.spines["bottom"].set_color(MUTED)
-    bare(ax, size=9)
+    below.set_xlabel(f"pulse rate at 1/{drive.microsteps} microsteps (kpps)", color=MUTED_COLOR, fontsize=9)
+    below.tick_params(colors=MUTED_COLOR, labelsize=8)
+    below.spines["bottom"].set_color(MUTED_COLOR)
+    remove_frame(ax, size=9)
 
 
 def _closed_forms(drive: Drive, rpm_max: float) -> tuple[Any, Any, Any, Any]:
@@ -54,21 +54,23 @@ def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None, overwri
     Raises:
         FileError: The file exists, unless `overwrite`.
     """
-    fig = figure(9, 5.2)
+    fig = make_figure(9, 5.2)
     ax = fig.subplots()
     rpm, at_v, saturated, both = _closed_forms(drive, table.rpm.max())
     ax.fill_between(rpm, at_v, saturated, color=BAND, linewidth=0, label="closed form, from V to 4/π V")
-    ax.plot(rpm, at_v, color=MUTED, linewidth=1.2, label="closed form at V: min($T_V$, $T_I$)")
-    ax.plot(rpm, both, color=MUTED, linewidth=1.2, linestyle=(0, (1, 1.5)), label="sine bound by V and I at once")
-    ax.plot(table.rpm, table.sine, "o", color=INK, markersize=3.4, clip_on=False, label="ideal sine drive, simulated")
+    ax.plot(rpm, at_v, color=MUTED_COLOR, linewidth=1.2, label="closed form at V: min($T_V$, $T_I$)")
+    ax.plot(rpm, both, color=MUTED_COLOR, linewidth=1.2, linestyle=(0, (1, 1.5)), label="sine bound by V and I at once")
+    ax.plot(
+        table.rpm, table.sine, "o", color=TEXT_COLOR, markersize=3.4, clip_on=False, label="ideal sine drive, simulated"
+    )
     ax.plot(table.rpm, table.chopper, color=ACCENT, linewidth=2.2, label="chopper drive, simulated")
     if drive.motor.name in PUBLISHED_CURVES:
         _draw_published(ax, PUBLISHED_CURVES[drive.motor.name], drive.motor)
     else:
         _draw_likely_loss(ax, drive, table.rpm)
     _dress(ax, drive, table.rpm.max(), 1.2 * max(table.chopper.max(), table.ideal_saturated.max()))
-    ax.set_title(f"{drive.motor.name}: pull-out torque", loc="left", color=INK, fontsize=12, weight="bold")
-    ax.set_title(f"{drive.bus_voltage:g} V, {drive.amplitude:g} A", loc="right", color=MUTED, fontsize=9)
+    ax.set_title(f"{drive.motor.name}: pull-out torque", loc="left", color=TEXT_COLOR, fontsize=12, weight="bold")
+    ax.set_title(f"{drive.bus_voltage:g} V, {drive.amplitude:g} A", loc="right", color=MUTED_COLOR, fontsize=9)
     handles, labels = ax.get_legend_handles_labels()
     places = (4, 3, *range(5, len(handles)), 1, 2, 0)
     order = [handles[k] for k in places], [labels[k] for k in places]
@@ -81,12 +83,12 @@ def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None, overwri
 def _draw_published(ax: Any, curve: PublishedCurve, motor: Motor) -> None:
     """Draw a published curve, and what the simulation makes of the motor at its settings."""
     comparison, settings = curve.compare(motor), f"{curve.bus_voltage:g} V, {curve.current:g} A"
-    ax.plot(comparison.rpm, comparison.published, "D", color=COLOURS[1], markersize=5, label=f"published, {settings}")
+    ax.plot(comparison.rpm, comparison.published, "D", color=COLORS[1], markersize=5, label=f"published, {settings}")
     ax.plot(
         comparison.rpm,
         comparison.simulated,
         "--",
-        color=COLOURS[1],
+        color=COLORS[1],
         linewidth=1.6,
         label=f"chopper drive, simulated, {settings}",
     )
@@ -100,4 +102,4 @@ def _draw_likely_loss(ax: Any, drive: Drive, rpm: np.ndarray) -> None:
         for loss in (likely.low, likely.high)
     )
     label = f"likely: core loss {likely.low:.2g} to {likely.high:.2g} N m s/rad"
-    ax.fill_between(rpm, low, high, color=COLOURS[1], alpha=0.25, linewidth=0, label=label)
+    ax.fill_between(rpm, low, high, color=COLORS[1], alpha=0.25, linewidth=0, label=label)

@@ -14,14 +14,14 @@ import numpy as np
 from stage.errors import ArgumentError
 from stage.firmware.driver import driver_class
 from stage.firmware.pattern import Note, Pattern
-from stage.support.extras import need
+from stage.support.extras import import_extra
 from stage.support.files import save_figure
-from stage.support.pictures import COLOURS, HAIR, INK, MUTED, bare
+from stage.support.pictures import COLORS, FRAME_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame
 
 if TYPE_CHECKING:
     from stage.firmware.report import Report
 
-LINE, FILL, MINUS_FILL = COLOURS[0], "#dbe8f5", "#e9e2f3"
+LINE, FILL, MINUS_FILL = COLORS[0], "#dbe8f5", "#e9e2f3"
 EVENT = "#a4502a"
 WIDTH, LEFT, RIGHT, TOP, BOTTOM = 9.2, 0.8, 1.15, 0.42, 0.46  # inches
 PANEL, LANE = 2.25, 0.2
@@ -49,7 +49,7 @@ def draw(
     Returns:
         The figure.
     """
-    Figure = need("matplotlib.figure", "drawing").Figure
+    Figure = import_extra("matplotlib.figure", "drawing").Figure
     if ax is not None and not hasattr(ax, "get_window_extent"):
         raise ArgumentError(f"ax={ax!r}: give axes of Matplotlib, or None.")
 
@@ -66,7 +66,7 @@ def draw(
         _draw_rate_panel(
             ax, pattern, t * scale, limits, notes, 72 * box.width / figure.dpi, 72 * box.height / figure.dpi
         )
-        ax.set_xlabel(f"time from the first start, {unit}", color=INK, fontsize=8.5)
+        ax.set_xlabel(f"time from the first start, {unit}", color=TEXT_COLOR, fontsize=8.5)
     else:
         lanes = pattern.list_lanes(pins)
         rows = _assign_note_rows(notes, limits, 72 * (WIDTH - LEFT - RIGHT))
@@ -79,7 +79,7 @@ def draw(
         _draw_rate_panel(top, pattern, t * scale, limits, notes, 72 * WIDTH * width, 72 * panel)
         top.tick_params(labelbottom=False, bottom=False)
         _draw_lanes(low, t * scale, limits, lanes)
-        low.set_xlabel(f"time from the first start, {unit}", color=INK, fontsize=8.5)
+        low.set_xlabel(f"time from the first start, {unit}", color=TEXT_COLOR, fontsize=8.5)
         _draw_heading(figure, report, title, height)
     if path is not None:
         save_figure(figure, path, 150, overwrite)
@@ -92,8 +92,8 @@ def _draw_heading(figure: Any, report: Report, title: str | None, height: float)
     summary = f"{_format_signed(report.pulses)} pulses, {report.duration:.3f} s, stopped by {report.stopped_by}"
     if report.lost_steps:
         summary += f", {report.lost_steps} steps lost"
-    figure.text(LEFT / WIDTH, y, name, color=INK, fontsize=11, weight="bold", va="center")
-    figure.text(1 - 0.12 / WIDTH, y, summary, color=MUTED, fontsize=8.5, ha="right", va="center")
+    figure.text(LEFT / WIDTH, y, name, color=TEXT_COLOR, fontsize=11, weight="bold", va="center")
+    figure.text(1 - 0.12 / WIDTH, y, summary, color=MUTED_COLOR, fontsize=8.5, ha="right", va="center")
 
 
 def _format_signed(n: int) -> str:
@@ -132,7 +132,7 @@ def _draw_rate_panel(
         ax.fill_between(t, np.where(part, rates, 0), step="post", color=colour, linewidth=0)
     for name, level in levels.items():
         if level <= 1.02 * peak:
-            ax.axhline(level, color=MUTED, linewidth=0.6, linestyle=(0, (5, 4)), zorder=1)
+            ax.axhline(level, color=MUTED_COLOR, linewidth=0.6, linestyle=(0, (5, 4)), zorder=1)
             _label_level(ax, level, f"{name}  {level:,.0f}")
     ax.step(t, rates, where="post", color=LINE, linewidth=1.3, zorder=3, solid_joinstyle="round")
     for when, rate in plateaus:
@@ -143,22 +143,22 @@ def _draw_rate_panel(
             textcoords="offset points",
             ha="center",
             fontsize=SIZE,
-            color=MUTED,
+            color=MUTED_COLOR,
         )
     for note, row in zip(notes, rows, strict=True):
         _draw_note(ax, note, _rate_at(report, t, note), (height - above + (row + first) * ROW) * scale)
-    ax.set_ylabel("pulse rate, pps", color=INK, fontsize=8.5, y=0.5 * (height - above) / height)
+    ax.set_ylabel("pulse rate, pps", color=TEXT_COLOR, fontsize=8.5, y=0.5 * (height - above) / height)
     ax.locator_params(axis="y", nbins=6)
     ticks = [v for v in ax.get_yticks() if v <= 1.02 * peak]
     ax.set_yticks(ticks, [f"{v:,.0f}" for v in ticks])
-    bare(ax, grid=False, size=SIZE)
+    remove_frame(ax, grid=False, size=SIZE)
     ax.spines["left"].set_bounds(0, max(peak, ticks[-1] if ticks else 0))
 
 
 def _label_level(ax: Any, level: float, text: str) -> None:
     ax.annotate(
         text, (1, level), xycoords=("axes fraction", "data"), xytext=(5, 0), textcoords="offset points", va="center",
-        fontsize=SIZE, color=MUTED, annotation_clip=False,
+        fontsize=SIZE, color=MUTED_COLOR, annotation_clip=False,
     )  # fmt: skip
 
 
@@ -207,9 +207,15 @@ def _assign_note_rows(notes: list[Note], limits: tuple[float, float], width: flo
 
 
 def _draw_note(ax: Any, note: Note, rate: float, y: float) -> None:
-    colour = EVENT if note.event else INK
+    colour = EVENT if note.event else TEXT_COLOR
     style = "-" if note.event else "-|>,head_width=0.16,head_length=0.32"
-    arrow = {"arrowstyle": style, "color": EVENT if note.event else MUTED, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0}
+    arrow = {
+        "arrowstyle": style,
+        "color": EVENT if note.event else MUTED_COLOR,
+        "linewidth": 0.6,
+        "shrinkA": 0,
+        "shrinkB": 0,
+    }
     ax.annotate("", (note.time, rate), (note.time, y), zorder=2, annotation_clip=False, arrowprops=arrow)
     if note.event:
         ax.plot([note.time], [rate], "o", color=EVENT, markersize=3, zorder=5, clip_on=False)
@@ -218,19 +224,19 @@ def _draw_note(ax: Any, note: Note, rate: float, y: float) -> None:
         if text:
             ax.annotate(
                 text, (note.time, y), xytext=(gap, -0.5), textcoords="offset points", va="center", fontsize=SIZE,
-                color=colour if bold or note.event else MUTED, weight="bold" if bold else "normal", annotation_clip=False,
+                color=colour if bold or note.event else MUTED_COLOR, weight="bold" if bold else "normal", annotation_clip=False,
             )  # fmt: skip
             gap += _measure_text_width(text, bold) + 3.5
 
 
 def _draw_lanes(ax: Any, t: np.ndarray, limits: tuple[float, float], lanes: list) -> None:
     for k, (on, _, colour) in enumerate(reversed(lanes)):
-        ax.axhline(k + 0.14, color=HAIR, linewidth=0.6, zorder=0)
+        ax.axhline(k + 0.14, color=FRAME_COLOR, linewidth=0.6, zorder=0)
         ax.fill_between(t, k + 0.14, k + 0.14 + 0.66 * on, step="post", color=colour, linewidth=0)
     labels = [label for _, label, _ in reversed(lanes)]
     ax.set_yticks([k + 0.45 for k in range(len(lanes))], labels)
     ax.set_ylim(0, len(lanes))
     ax.set_xlim(*limits)
-    bare(ax, grid=False, size=SIZE)
+    remove_frame(ax, grid=False, size=SIZE)
     ax.tick_params(axis="y", length=0)
     ax.spines["left"].set_visible(False)

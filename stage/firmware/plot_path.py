@@ -8,9 +8,9 @@ import numpy as np
 
 from stage.firmware.path import path_points
 from stage.firmware.plot import LINE, SIZE
-from stage.support.extras import need
+from stage.support.extras import import_extra
 from stage.support.files import save_figure
-from stage.support.pictures import INK, MUTED, bare
+from stage.support.pictures import MUTED_COLOR, TEXT_COLOR, remove_frame
 
 if TYPE_CHECKING:
     from stage.firmware.synchronized_report import SynchronizedReport
@@ -33,7 +33,7 @@ def draw(report: SynchronizedReport, path: Any = None, title: str | None = None,
     Returns:
         The figure.
     """
-    Figure = need("matplotlib.figure", "drawing").Figure
+    Figure = import_extra("matplotlib.figure", "drawing").Figure
 
     line = np.array(list(report.distances.values()), float)
     times, counts = path_points(list(report.paths.values()))
@@ -47,7 +47,9 @@ def draw(report: SynchronizedReport, path: Any = None, title: str | None = None,
     _draw_distance(off, report, times, counts, line)
     _draw_rates(rates, report)
     distances = ", ".join(f"{n} {d:+,}" for n, d in report.distances.items())
-    figure.suptitle(title or f"a:b move, {distances} pulses", x=0.01, ha="left", color=INK, fontsize=11, weight="bold")
+    figure.suptitle(
+        title or f"a:b move, {distances} pulses", x=0.01, ha="left", color=TEXT_COLOR, fontsize=11, weight="bold"
+    )
     if path is not None:
         save_figure(figure, path, 150, overwrite)
     return figure
@@ -63,7 +65,7 @@ def _draw_staircase(ax: Any, report: SynchronizedReport, counts: np.ndarray, lin
     ends = (foot[:, None] + unit[:, None] * np.array([-3, 3]) * MARGIN_PULSES).clip(
         np.minimum(line, 0)[:, None], np.maximum(line, 0)[:, None]
     )
-    ax.plot(*ends, color=MUTED, linewidth=1.2, label="the line")
+    ax.plot(*ends, color=MUTED_COLOR, linewidth=1.2, label="the line")
     ax.plot(x, y, color=LINE, linewidth=1.3, marker="o", markersize=3, label="the path, a dot a pulse")
     if report.deviation.pulses:
         label = f"farthest: {report.deviation.pulses:.2f} pulses"
@@ -73,11 +75,11 @@ def _draw_staircase(ax: Any, report: SynchronizedReport, counts: np.ndarray, lin
         lim(middle - MARGIN_PULSES, middle + MARGIN_PULSES)
     for axis, name in ((ax.xaxis, 0), (ax.yaxis, 1)):
         axis.set_major_locator(_make_locator())
-        axis.set_label_text(f"{list(report.paths)[name]} (pulses)", color=INK)
+        axis.set_label_text(f"{list(report.paths)[name]} (pulses)", color=TEXT_COLOR)
         axis.set_major_formatter(lambda v, _: f"{v:,.0f}")
     ax.set_aspect("equal")
-    ax.legend(loc="best", frameon=False, fontsize=8, labelcolor=INK)
-    bare(ax, size=SIZE)
+    ax.legend(loc="best", frameon=False, fontsize=8, labelcolor=TEXT_COLOR)
+    remove_frame(ax, size=SIZE)
 
 
 def _make_locator() -> Any:
@@ -96,7 +98,7 @@ def _draw_distance(
     else:
         along = np.clip(counts @ unit, 0, np.linalg.norm(line))
         off = np.linalg.norm(counts - along[:, None] * unit, axis=1)
-    ax.set_ylabel("from the line (pulses)", color=INK)
+    ax.set_ylabel("from the line (pulses)", color=TEXT_COLOR)
     scale, _ = _choose_time_unit(report)
     d = report.deviation
     if len(off) > 3 * BINS:
@@ -111,14 +113,14 @@ def _draw_distance(
     reach = max(1.25, 1.15 * d.pulses)
     ax.set_ylim(-reach if off.min() < 0 else 0, reach)
     for k in (-1, 0, 1):
-        ax.axhline(k, color=MUTED, linewidth=0.7, linestyle="-" if k == 0 else (0, (4, 4)), zorder=0)
+        ax.axhline(k, color=MUTED_COLOR, linewidth=0.7, linestyle="-" if k == 0 else (0, (4, 4)), zorder=0)
     ax.set_title(
         f"at most {d.pulses:.2f} pulses from the line, after {d.time * 1e3:,.4g} ms",
-        loc="right", color=MUTED, fontsize=9,
+        loc="right", color=MUTED_COLOR, fontsize=9,
     )  # fmt: skip
     ax.set_xlim(0, report.seconds * scale * 1.01)
     ax.tick_params(labelbottom=False)
-    bare(ax, grid=False, size=SIZE)
+    remove_frame(ax, grid=False, size=SIZE)
 
 
 def _draw_rates(ax: Any, report: SynchronizedReport) -> None:
@@ -133,13 +135,13 @@ def _draw_rates(ax: Any, report: SynchronizedReport) -> None:
         peak = max(peak, r.peak_rate)
     ax.set_xlim(0, report.seconds * scale * 1.01)
     ax.set_ylim(0, 1.08 * (peak or 1.0))
-    ax.set_xlabel(f"time from the first start command ({unit_name})", color=INK)
-    ax.set_ylabel("pulse rate (pps)", color=INK)
+    ax.set_xlabel(f"time from the first start command ({unit_name})", color=TEXT_COLOR)
+    ax.set_ylabel("pulse rate (pps)", color=TEXT_COLOR)
     ax.yaxis.set_major_formatter(lambda v, _: f"{v:,.0f}")
     ax.legend(
-        loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=len(report.axes), frameon=False, fontsize=8, labelcolor=INK,
+        loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=len(report.axes), frameon=False, fontsize=8, labelcolor=TEXT_COLOR,
     )  # fmt: skip
-    bare(ax, grid=False, size=SIZE)
+    remove_frame(ax, grid=False, size=SIZE)
 
 
 def _choose_time_unit(report: SynchronizedReport) -> tuple[float, str]:

@@ -124,10 +124,14 @@ class Report:
         return f"<Report {str(self).splitlines()[0]}, {self.pulses} pulses, {self.duration:.4f} s>"
 
     def _repr_html_(self) -> str:
-        written = html.table(
+        written = html.format_table(
             [(f"{t * 1e3:.4f}", code, said) for t, code, said in self.writes()], ("ms", "bytes", "meaning")
         )
-        return html.lines(str(self)) + html.picture(self.plot) + html.folded("what was written", written)
+        return (
+            html.format_preformatted(str(self))
+            + html.embed_figure(self.plot)
+            + html.format_collapsible("what was written", written)
+        )
 
     def json(self) -> dict[str, Any]:
         """Return everything as numbers and texts, as `--json` prints it: s, m (rad), pps; `writes` as (s, bytes, meaning)."""

@@ -97,7 +97,7 @@ class SynchronizedReport:
         return f"<SynchronizedReport {str(self).splitlines()[0]}>"
 
     def _repr_html_(self) -> str:
-        return html.lines(str(self)) + html.picture(self.plot)
+        return html.format_preformatted(str(self)) + html.embed_figure(self.plot)
 
     def json(self) -> dict[str, Any]:
         """Return everything as numbers and texts, as `--json` prints it: s, m, pulses from the line; those of a Report for each

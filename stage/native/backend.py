@@ -74,4 +74,4 @@ if find_spec("setuptools.command.bdist_wheel"):
             if not self.editable_mode:
                 from stage.support import examples
 
-                examples.install(Path(self.build_lib) / "stage" / examples.INSTALLED.name)
+                examples.install_examples(Path(self.build_lib) / "stage" / examples.INSTALLED_EXAMPLES.name)

@@ -25,7 +25,7 @@ from stage.errors import ArgumentError
 from stage.panel.sampler import MAX_AGE_S, Sampler, Trace
 from stage.recording.scene import to_time_column
 from stage.recording.sdk import release_streams, rr
-from stage.support.extras import need
+from stage.support.extras import import_extra
 from stage.support.identifiers import escape_name
 
 MIN_SPAN_S = 1e-3
@@ -218,7 +218,9 @@ def to_png(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
     units = list(dict.fromkeys(t.unit for t, _ in columns if not t.pin))
     pins = [(t, v) for t, v in columns if t.pin]
     heights = [3.0] * len(units) + [0.35] * len(pins)
-    figure = need("matplotlib.figure", "drawing").Figure(figsize=(9, sum(heights) * 0.75 + 0.8), layout="constrained")
+    figure = import_extra("matplotlib.figure", "drawing").Figure(
+        figsize=(9, sum(heights) * 0.75 + 0.8), layout="constrained"
+    )
     plots = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for plot, unit in zip(plots, units, strict=False):
         for t, v in columns:

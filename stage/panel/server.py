@@ -23,7 +23,7 @@ from stage.panel.fault_controls import FaultControls
 from stage.panel.sampler import Sampler
 from stage.panel.session import Session
 from stage.panel.stage_observer import StageObserver
-from stage.support.extras import need
+from stage.support.extras import import_extra
 
 _sites_lock = threading.Lock()
 _sites: list[Website] = []
@@ -126,7 +126,7 @@ class Panel:
         stage_options: dict[str, Any] | None = None,
         owns_session: bool = False,
     ):
-        need("nicegui", "the panel")
+        import_extra("nicegui", "the panel")
         import uvicorn
 
         self._site = website()

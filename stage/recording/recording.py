@@ -36,8 +36,16 @@ from stage.recording.table import Columns, Tabular
 from stage.recording.vcd import HostBus
 from stage.sim.records import SAMPLE
 from stage.support import html
-from stage.support.arguments import check_whole_number, explain_arguments
-from stage.support.files import RECORDING, WAVEFORMS, FileError, ends_as, is_stream, writable, written
+from stage.support.arguments import check_integer, explain_arguments
+from stage.support.files import (
+    RECORDING,
+    WAVEFORMS,
+    FileError,
+    check_ending,
+    check_writable,
+    is_stream,
+    write_atomically,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -277,8 +285,8 @@ class Recording(Tabular):
         if self._log is not None or self._is_closed:
             raise RecordingError(f"{self!r} {'goes to a file already' if self._log else 'is over: save it'}.")
         self.on_error = on_error  # type: ignore[assignment]
-        ends_as(path, *RECORDING, RecordingError)
-        self._log_path = writable(path, overwrite, RecordingError)
+        check_ending(path, *RECORDING, RecordingError)
+        self._log_path = check_writable(path, overwrite, RecordingError)
         self._flush_rows = max(1, round(seconds / self.every))
         try:
             self._log = RerunLog(self, self._log_path, overwrite or is_stream(self._log_path))
@@ -379,8 +387,8 @@ class Recording(Tabular):
         Raises:
             ArgumentError: A number is out of range; when the first piece is taken.
         """
-        check_whole_number("rows", rows, 1)
-        check_whole_number("begin", begin, 0)
+        check_integer("rows", rows, 1)
+        check_integer("begin", begin, 0)
         self._separate_fork()
         skipped = max(0, begin - self._spooled)
         for at in range(begin, self._spooled, rows):
@@ -491,9 +499,9 @@ class Recording(Tabular):
         """
         from stage.recording.rerun_log import write_rrd
 
-        ends_as(path, *RECORDING, RecordingError)
+        check_ending(path, *RECORDING, RecordingError)
         self.check_time()
-        with written(path, overwrite, RecordingError) as part:
+        with write_atomically(path, overwrite, RecordingError) as part:
             write_rrd(self, part)
         return Path(path)
 
@@ -517,7 +525,7 @@ class Recording(Tabular):
         return draw_recording(self, path, overwrite)
 
     def _repr_html_(self) -> str:
-        return html.lines(repr(self)) + (html.picture(self.plot) if len(self) else "")
+        return html.format_preformatted(repr(self)) + (html.embed_figure(self.plot) if len(self) else "")
 
     def _repr_mimebundle_(self, **_: Any) -> dict[str, Any]:
         """Return the dashboard for a notebook, where rerun's widget is installed, and the picture for other viewers."""
@@ -540,9 +548,9 @@ class Recording(Tabular):
         """
         from stage.recording.vcd import write_vcd
 
-        ends_as(path, *WAVEFORMS, RecordingError)
+        check_ending(path, *WAVEFORMS, RecordingError)
         self.check_time()
-        with written(path, overwrite, RecordingError) as part:
+        with write_atomically(path, overwrite, RecordingError) as part:
             write_vcd(self, part)
         return Path(path)
 

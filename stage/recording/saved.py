@@ -19,7 +19,7 @@ from stage.recording.recording import RecordingError, find_column_unit
 from stage.recording.rrd_process import DamagedFile, read_chunks
 from stage.recording.series import FORMAT, SERIES
 from stage.recording.table import Columns, Tabular
-from stage.support.extras import has, need
+from stage.support.extras import import_extra, is_installed
 from stage.support.foreign_files import open_regular
 from stage.support.identifiers import escape_name
 
@@ -198,8 +198,10 @@ def read(path: str | os.PathLike) -> Saved:
                 f"{path} is no recording: an .rrd file begins with {MAGIC.decode()}, and this does not. Give one that "
                 "Recording.save or --record has written."
             )
-    if not has("rerun"):
-        need("rerun", "reading a recording (.rrd)")  # raises ExtraMissing; the import itself takes half a second
+    if not is_installed("rerun"):
+        import_extra(
+            "rerun", "reading a recording (.rrd)"
+        )  # raises ExtraMissing; the import itself takes half a second
     entities: dict[str, dict[str, Any]] = {}
     try:
         for entity, batch in read_chunks(path):

@@ -1,10 +1,10 @@
 """rerun, for all that write or show recordings. It is an extra: whoever uses one of these without it gets ExtraMissing."""
 
-from stage.support.extras import Later
+from stage.support.extras import LazyModule
 
-rr = Later("rerun", "a recording (.rrd)")
-rrb = Later("rerun.blueprint", "a recording (.rrd)")
-experimental = Later("rerun.experimental", "a picture of a recording (.rrd)")
+rr = LazyModule("rerun", "a recording (.rrd)")
+rrb = LazyModule("rerun.blueprint", "a recording (.rrd)")
+experimental = LazyModule("rerun.experimental", "a picture of a recording (.rrd)")
 
 
 def release_streams() -> None:

@@ -17,8 +17,8 @@ import numpy as np
 
 from stage.errors import UnknownKey, unknown_name_error
 from stage.support.arguments import explain_arguments
-from stage.support.extras import need
-from stage.support.files import FileError, ends_as, written
+from stage.support.extras import import_extra
+from stage.support.files import FileError, check_ending, write_atomically
 
 if TYPE_CHECKING:
     import pandas
@@ -28,7 +28,7 @@ FORMATS = {".csv": "to_csv", ".parquet": "to_parquet", ".npz": "to_npz"}
 
 def find_writer_name(path: str | os.PathLike) -> str:
     """Return the method of `Tabular` that writes a file of this name. Raises FileError for an ending that is none of FORMATS."""
-    return FORMATS[ends_as(path, FORMATS, "a table")]
+    return FORMATS[check_ending(path, FORMATS, "a table")]
 
 
 class Columns(dict[str, np.ndarray]):
@@ -81,7 +81,7 @@ class Tabular:
             ArgumentError: An unknown column, with the near misses.
             ExtraMissing: There is no pandas (extra `data`).
         """
-        pandas = need("pandas", "a data frame")
+        pandas = import_extra("pandas", "a data frame")
         names = self._select_columns(columns)
         parts = [*self.parts(names)]
         columns_by_name = {name: np.concatenate([part[name] for part in parts]) for name in names}
@@ -109,11 +109,11 @@ class Tabular:
             ArgumentError: An unknown column.
             ExtraMissing: There is no pyarrow (extra `data`, and part of `rerun`).
         """
-        pyarrow = need("pyarrow", "a Parquet file")
-        parquet = need("pyarrow.parquet", "a Parquet file")
+        pyarrow = import_extra("pyarrow", "a Parquet file")
+        parquet = import_extra("pyarrow.parquet", "a Parquet file")
         names = self._select_columns(columns)
         schema = None
-        with written(path, overwrite, self.ERROR) as part:
+        with write_atomically(path, overwrite, self.ERROR) as part:
             writer = None
             try:
                 for piece in self.parts(names):
@@ -151,7 +151,10 @@ class Tabular:
             ArgumentError: An unknown column.
         """
         names = self._select_columns(columns)
-        with written(path, overwrite, self.ERROR) as part, part.open("w", newline="", encoding="utf-8") as file:
+        with (
+            write_atomically(path, overwrite, self.ERROR) as part,
+            part.open("w", newline="", encoding="utf-8") as file,
+        ):
             rows = csv.writer(file, lineterminator="\n")
             rows.writerow(names)
             for piece in self.parts(names):
@@ -178,7 +181,10 @@ class Tabular:
             ArgumentError: An unknown column.
         """
         names = self._select_columns(columns)
-        with written(path, overwrite, self.ERROR) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+        with (
+            write_atomically(path, overwrite, self.ERROR) as part,
+            zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive,
+        ):
             for name in names:  # one at a time: never all of them in memory
                 values = np.concatenate([piece[name] for piece in self.parts([name])])
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as file:

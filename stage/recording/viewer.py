@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING, Any
 from stage.errors import ArgumentError, StageError
 from stage.recording.sdk import experimental
 from stage.recording.web import HOST, PAGE, RECORDING, Server
-from stage.support.extras import has, need
-from stage.support.files import refuse_irregular, written
+from stage.support.extras import import_extra, is_installed
+from stage.support.files import refuse_irregular, write_atomically
 from stage.support.opengl import has_screen
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def find_executable() -> str:
         for name in ("Rerun.app/Contents/MacOS/Rerun", "rerun", "rerun.exe"):
             if (folder / name).is_file():
                 return str(folder / name)
-    need("rerun_cli", "looking at a recording")
+    import_extra("rerun_cli", "looking at a recording")
     raise ViewerError(
         f"the package rerun_cli in {', '.join(map(str, folders))} has no program of rerun. Install it anew."
     )
@@ -181,7 +181,7 @@ def take_screenshot(
         ViewerError: rerun's viewer is missing or failed.
     """
     rrd = _check_recording(rrd)
-    with written(Path(png).absolute(), overwrite) as part:
+    with write_atomically(Path(png).absolute(), overwrite) as part:
         _render(rrd, part, size, at, timeout)
     return Path(png).absolute()
 
@@ -333,7 +333,7 @@ def build_widget(recording: Recording) -> dict[str, Any]:
 
     It is empty where rerun's widget is not installed, and for recordings that are too long for a browser.
     """
-    if not (has("rerun") and has("rerun_notebook")) or not 0 < len(recording) <= MAX_WIDGET_SAMPLES:
+    if not (is_installed("rerun") and is_installed("rerun_notebook")) or not 0 < len(recording) <= MAX_WIDGET_SAMPLES:
         return {}
     import rerun_notebook
 

@@ -229,7 +229,7 @@ class Axis:
 
     def _repr_html_(self) -> str:
         values = [(name, value) for name, value in self.chip.values().items()]
-        registers = html.folded("registers", html.table(values, ("register", "value")))
+        registers = html.format_collapsible("registers", html.format_table(values, ("register", "value")))
         return format_axes_table([self]) + registers
 
 
@@ -303,4 +303,4 @@ def format_axes_table(axes: Iterable[Axis]) -> str:
                 on or "-",
             )
         )
-    return html.table(rows, ("axis", "chip", "drive", "position", "commanded", "lost steps", "switches"))
+    return html.format_table(rows, ("axis", "chip", "drive", "position", "commanded", "lost steps", "switches"))

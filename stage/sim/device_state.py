@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.support.snapshots import layout
+from stage.support.snapshots import hash_layout
 
 HEADER_PART = "devices on its bus"
 
@@ -41,7 +41,7 @@ class DeviceState:
         if not all(isinstance(array, np.ndarray) and array.flags.c_contiguous for array in arrays):
             raise ArgumentError(f"arrays={arrays!r}: give a list of contiguous NumPy arrays.")
         self._bytes += [array.reshape(-1).view(np.uint8) for array in arrays]
-        size, kinds = sum(array.nbytes for array in arrays), " ".join(layout(array.dtype) for array in arrays)
+        size, kinds = sum(array.nbytes for array in arrays), " ".join(hash_layout(array.dtype) for array in arrays)
         self._names.append(f"{name} ({size} bytes of layout {kinds})")
         self.words = sum(-(-len(own) // 8) for own in self._bytes)
 

@@ -31,11 +31,11 @@ class Snapshot(FiledSnapshot):
     of: ClassVar = "a stage"
 
     @classmethod
-    def _state_of(cls, data: bytes) -> np.ndarray:
+    def _decode_state(cls, data: bytes) -> np.ndarray:
         return np.frombuffer(data, "<f8")
 
     @classmethod
-    def _noted_of(cls, chips: Any) -> tuple:
+    def _decode_diagnostics(cls, chips: Any) -> tuple:
         return tuple(parse_diagnostics(chip) for chip in chips)
 
 
@@ -75,7 +75,7 @@ def describe_stage(
     parts.append(("bus cycle", f"{state.bus} ns"))
     parts.append(("mechanics of the model", mechanics))
     kinds = (records.WORLD, records.AXIS, records.SWITCH, DRIVE, *(rows.dtype for rows in state.chips))
-    layouts = " ".join(map(snapshots.layout, kinds))
+    layouts = " ".join(map(snapshots.hash_layout, kinds))
     parts.append(("layout of the state", f"{_digest(layouts.encode())} ({len(state.saved)} words)"))
     return snapshots.Header(tuple(parts))
 

@@ -546,7 +546,7 @@ class Stage:
                 mechanics of the model).
             StageError: A recording goes on.
         """
-        snapshots.check(snapshot, Snapshot, self._header)
+        snapshots.check_restorable(snapshot, Snapshot, self._header)
         if self.recording is not None:
             raise StageError("time in a recording runs forward only: close the recording before restoring a snapshot.")
         self.loop.check_state_allowed()
@@ -697,7 +697,7 @@ class Stage:
 
     def _repr_html_(self) -> str:
         more = f"; faults: {'; '.join(self.faults)}" if self.faults else ""
-        return html.heading(f"Stage at {self.time:.6f} s{more}") + format_axes_table(self._axes)
+        return html.format_heading(f"Stage at {self.time:.6f} s{more}") + format_axes_table(self._axes)
 
 
 def _make_snapshot(header: Header, state: np.ndarray, diagnostics: tuple) -> Snapshot:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError, StageError
-from stage.support.arguments import check_whole_number, explain_arguments
+from stage.support.arguments import check_integer, explain_arguments
 
 if TYPE_CHECKING:
     import optuna
@@ -44,7 +44,7 @@ def open_study(
     """
     from stage.study.storage import ByNumber, optuna, storage_at
 
-    check_whole_number("seed", seed, 0)
+    check_integer("seed", seed, 0)
     study = optuna.create_study(
         storage=storage_at(storage),
         sampler=ByNumber(sampler or optuna.samplers.TPESampler, seed),
@@ -109,8 +109,8 @@ def run(
     """
     if not callable(objective):
         raise ArgumentError(f"objective={objective!r}: give a function of a trial, as PresetMoves().")
-    check_whole_number("trials", trials, 1)
-    check_whole_number("workers", workers, 1)
+    check_integer("trials", trials, 1)
+    check_integer("workers", workers, 1)
     how = {"sampler": sampler, "pruner": pruner, "seed": seed}
     study = open_study(objective, storage, **how)  # type: ignore[arg-type]
     if finished(study) >= trials:

@@ -11,10 +11,10 @@ from typing import IO, Any
 import numpy as np
 
 from stage.errors import StageError
-from stage.support.extras import need
+from stage.support.extras import import_extra
 from stage.support.files import FileError
 
-need("optuna", "a study")
+import_extra("optuna", "a study")
 
 import optuna  # noqa: E402
 from optuna.storages.journal import JournalFileBackend  # noqa: E402

@@ -1,1 +1,1 @@
-"""What several packages share: files, arguments, extras, snapshots, pictures and processes."""
+"""Helpers that several packages share: files, arguments, extras, snapshots, pictures and processes."""

@@ -1,8 +1,8 @@
-"""Errors in words about arguments of a wrong type: `@explain_arguments` on a public function.
+"""Readable errors for arguments of a wrong type: decorate a public function with `@explain_arguments`.
 
-A call that goes well pays for one more call of Python, and no more. Where Python raises a TypeError or the like, the arguments are
-compared with their annotations, and the one that does not fit is named with what it may be. An error without such an argument
-stays as it is.
+A call that succeeds costs one additional Python call. If Python raises a TypeError or a similar error, the arguments are compared
+with their annotations, and a WrongType names the one that does not fit, and what it may be. If every argument fits, the original
+error is raised unchanged.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from typing import Any, ParamSpec, TypeVar
 from stage.errors import ArgumentError, find_similar_names
 
 Parameters = ParamSpec("Parameters")
-Returned = TypeVar("Returned")
+Result = TypeVar("Result")
 Constructed = TypeVar("Constructed")
-RAW = (TypeError, ValueError, AttributeError, KeyError, IndexError, ArithmeticError)
+PYTHON_ERRORS = (TypeError, ValueError, AttributeError, KeyError, IndexError, ArithmeticError)
 
 
 class WrongType(ArgumentError, TypeError):
-    """Error: an argument is of a wrong type, or there is none of that name. It is a TypeError as well."""
+    """Error: an argument has a wrong type, or no parameter has its name. It is a TypeError as well."""
 
 
-def explain_arguments(function: Callable[Parameters, Returned]) -> Callable[Parameters, Returned]:
-    """Decorate a function: what it raises for arguments that do not fit its annotations is a WrongType."""
+def explain_arguments(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+    """Decorate a function so that it raises WrongType for arguments that do not fit its annotations."""
 
     @wraps(function)
-    def call(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Returned:
+    def call(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
         __tracebackhide__ = True  # pytest shows who was called, and not this
         try:
             return function(*args, **kwargs)
         except ArgumentError:
             raise
-        except RAW as error:
+        except PYTHON_ERRORS as error:
             wrong = _describe_wrong(function, args, kwargs)
             if wrong is None:
                 raise
@@ -47,19 +47,19 @@ def explain_arguments(function: Callable[Parameters, Returned]) -> Callable[Para
 
 
 def check_timeout(timeout: float | None) -> None:
-    """Raise ArgumentError for a `timeout` that is no time: below 0, or not a number, which would never be over."""
+    """Raise ArgumentError unless `timeout` is None or a number of seconds of at least 0; NaN would never expire."""
     if timeout is not None and not timeout >= 0:
-        raise ArgumentError(f"timeout={timeout!r}: seconds, 0 or more; float('inf') waits for ever.")
+        raise ArgumentError(f"timeout={timeout!r}: must be 0 s or more; float('inf') waits for ever.")
 
 
-def check_whole_number(name: str, value: Any, least: int) -> None:
-    """Raise ArgumentError for what is no whole number from `least` on."""
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise ArgumentError(f"{name}={value!r}: a whole number, {least} or more.")
+def check_integer(name: str, value: Any, minimum: int) -> None:
+    """Raise ArgumentError unless `value` is an integer of at least `minimum`; `name` is the argument in the message."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
+        raise ArgumentError(f"{name}={value!r}: a whole number, {minimum} or more.")
 
 
 def explain_constructor(cls: type[Constructed]) -> type[Constructed]:
-    """Decorate a class: `explain_arguments` for its constructor; for dataclasses, above their own decorator."""
+    """Decorate a class: apply `explain_arguments` to its constructor. Put it above the decorator of a dataclass."""
     cls.__init__ = explain_arguments(cls.__init__)  # type: ignore[method-assign]
     return cls
 
@@ -70,7 +70,7 @@ def _signature(function: Callable) -> inspect.Signature:
 
 
 def _describe_wrong(function: Callable, args: tuple, kwargs: dict[str, Any]) -> WrongType | None:
-    """Return what is wrong with the arguments; None: nothing that annotations tell."""
+    """Describe the first argument that does not fit the signature of `function`; None if the annotations show no mistake."""
     signature = _signature(function)
     names = [name for name in signature.parameters if name not in ("self", "cls")]
     has_any_names = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
@@ -85,14 +85,14 @@ def _describe_wrong(function: Callable, args: tuple, kwargs: dict[str, Any]) -> 
         return None
     for name, value in bound.arguments.items():
         parameter = signature.parameters[name]
-        for label, each in _each(name, value, parameter.kind):
+        for label, each in _list_values(name, value, parameter.kind):
             if (words := _describe_expected(each, str(parameter.annotation))) is not None:
                 return WrongType(f"{label}={each!r}: {words}.")
     return None
 
 
-def _each(name: str, value: Any, kind: Any) -> list[tuple[str, Any]]:
-    """Return the values of a parameter, *values or **values, with their names."""
+def _list_values(name: str, value: Any, kind: Any) -> list[tuple[str, Any]]:
+    """List the name and the value of each argument that a parameter holds: several for *args and **kwargs."""
     if kind is inspect.Parameter.VAR_KEYWORD:
         return list(value.items())
     return [(name, each) for each in value] if kind is inspect.Parameter.VAR_POSITIONAL else [(name, value)]
@@ -102,7 +102,7 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, Real) and math.isfinite(value)
 
 
-def _is_whole(value: Any) -> bool:
+def _is_integer(value: Any) -> bool:
     return isinstance(value, Integral) or (_is_number(value) and float(value).is_integer())
 
 
@@ -110,10 +110,10 @@ def _is_iterable(value: Any) -> bool:
     return isinstance(value, Iterable) and not isinstance(value, str | bytes)
 
 
-Kind = tuple[Callable[[Any], bool], str]
-KINDS: dict[str, Kind] = {
+TypeCheck = tuple[Callable[[Any], bool], str]
+TYPE_CHECKS: dict[str, TypeCheck] = {
     "float": (_is_number, "a number"),
-    "int": (_is_whole, "a whole number"),
+    "int": (_is_integer, "a whole number"),
     "bool": (lambda v: isinstance(v, Integral), "True or False"),
     "str": (lambda v: isinstance(v, str), "a text"),
     "Axis": (lambda v: hasattr(v, "chip") and hasattr(v, "name"), "an axis, as stage.axes['x']"),
@@ -152,22 +152,22 @@ KINDS: dict[str, Kind] = {
     "Study": (lambda v: hasattr(v, "get_trials"), "a study of Optuna"),
     "Profile": (lambda v: type(v).__name__ == "Profile", "a Profile, as Profile.of(fh1=8000)"),
 }
-"""Name in an annotation -> whether a value is such, and what it is in words."""
+"""Type name in an annotation -> function that checks a value, and description of the type for errors."""
 
 
 def _describe_expected(value: Any, annotation: str) -> str | None:
-    """Return what a value should be, if it is none of an annotation's kinds; None: it is one, or nothing is known."""
-    kinds = [_find_kind(part) for part in _split_union(annotation)]
+    """Describe what a value should be if it fits no type of an annotation; None if it fits one, or if a type is unknown."""
+    kinds = [_find_type_check(part) for part in _split_union(annotation)]
     if any(kind is None for kind in kinds) or any(kind[0](value) for kind in kinds if kind):
         return None
     return " or ".join(dict.fromkeys(kind[1] for kind in kinds if kind))
 
 
-def _find_kind(part: str) -> Kind | None:
-    """Return the kind of a part of an annotation; that of a list with its elements."""
+def _find_type_check(part: str) -> TypeCheck | None:
+    """Find the check for one type of an annotation; the check of a list includes its elements."""
     name, _, inside = part.partition("[")
-    kind = KINDS.get(name.rpartition(".")[2])
-    each = KINDS.get(inside.removesuffix("]"))
+    kind = TYPE_CHECKS.get(name.rpartition(".")[2])
+    each = TYPE_CHECKS.get(inside.removesuffix("]"))
     if kind is None or each is None or name not in ("Sequence", "Iterable", "list"):
         return kind
     outer, inner = kind[0], each[0]
@@ -175,7 +175,7 @@ def _find_kind(part: str) -> Kind | None:
 
 
 def _split_union(annotation: str) -> list[str]:
-    """Split a union at its bars, except those in brackets."""
+    """Split a union of types at each |, except within brackets."""
     parts, depth = [""], 0
     for letter in annotation:
         depth += {"[": 1, "]": -1}.get(letter, 0)

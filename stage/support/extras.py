@@ -1,6 +1,6 @@
-"""Libraries that a small installation does not have, and the words for who needs one: `pip install 'pulsestage[rerun]'`.
+"""Optional libraries, which the extras of pyproject.toml install: `pip install 'pulsestage[rerun]'`.
 
-Whoever uses such a library gets it here, and so all say the same, and nothing is imported before it is used.
+Modules import such a library by `import_extra`, so that the error is the same everywhere and nothing is imported before its use.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from stage.errors import LoadError
 
 
 class Extra(NamedTuple):
-    """Title of a library, and the extra of pyproject.toml that has it."""
+    """Title of an optional library, and the extra of pyproject.toml that installs it."""
 
     title: str
     extra: str
@@ -44,10 +44,10 @@ LIBRARIES = {
 
 
 class ExtraMissing(LoadError):
-    """Error: something needs a library that is not installed.
+    """Error: an optional library is needed and not installed.
 
     Attributes:
-        extra: the extra that has it, for pip install 'pulsestage[EXTRA]'.
+        extra: Extra that installs the library, by pip install 'pulsestage[EXTRA]'.
     """
 
     def __init__(self, message: str, extra: str):
@@ -58,32 +58,37 @@ class ExtraMissing(LoadError):
         return type(self), (str(self), self.extra)
 
 
-def need(module: str, what: str, instead: str = "") -> Any:
-    """Import a module of a library of LIBRARIES.
+def import_extra(module: str, purpose: str, alternative: str = "") -> Any:
+    """Import a module of an optional library.
 
     Args:
-        module: Name of the module.
-        what: What needs it, for errors, as in "drawing".
-        instead: What works without it, for errors.
+        module: Name of the module; its top-level package is a key of LIBRARIES.
+        purpose: Feature that needs the module, for errors, as in "drawing".
+        alternative: Text for errors that says what works without the library.
+
+    Returns:
+        The module.
 
     Raises:
         ExtraMissing: The library is not installed.
-        LoadError: It cannot be loaded.
+        LoadError: The library is installed, but importing it fails.
     """
     if module.startswith("matplotlib"):
-        _give_matplotlib_a_folder()
+        _set_matplotlib_folder()
     try:
         return import_module(module)
     except ImportError as error:
         library = module.partition(".")[0]
         if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] == library:
             title, extra = LIBRARIES[library]
-            raise ExtraMissing(f"{what} needs {title}: pip install 'pulsestage[{extra}]'{instead}.", extra) from error
-        raise LoadError(f"{what}: {module} is installed and cannot be loaded: {error}.") from error
+            raise ExtraMissing(
+                f"{purpose} needs {title}: pip install 'pulsestage[{extra}]'{alternative}.", extra
+            ) from error
+        raise LoadError(f"{purpose}: {module} is installed and cannot be loaded: {error}.") from error
 
 
-def _give_matplotlib_a_folder() -> None:
-    """A home that cannot be written to makes matplotlib complain at its import: it gets a folder that goes at the end."""
+def _set_matplotlib_folder() -> None:
+    """Set a temporary MPLCONFIGDIR if the home folder is read-only, where importing matplotlib would print a warning."""
     if "MPLCONFIGDIR" in os.environ or "matplotlib" in sys.modules:
         return
     home = os.path.expanduser("~")
@@ -97,19 +102,19 @@ def _give_matplotlib_a_folder() -> None:
             return
 
 
-def has(library: str) -> bool:
+def is_installed(library: str) -> bool:
     """Check whether a library is installed, without importing it."""
     try:
         return find_spec(library) is not None
-    except (ValueError, ModuleNotFoundError):  # somebody has put None in its place, or blocks it
+    except (ValueError, ModuleNotFoundError):  # sys.modules has None for it, or a finder blocks it
         return False
 
 
-class Later:
-    """The module `module` of a library, imported by `need` for `what` when something of it is first used."""
+class LazyModule:
+    """Module of an optional library that `import_extra` imports at the first access to one of its attributes."""
 
-    def __init__(self, module: str, what: str):
-        self._module, self._what = module, what
+    def __init__(self, module: str, purpose: str):
+        self._module, self._what = module, purpose
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(need(self._module, self._what), name)
+        return getattr(import_extra(self._module, self._what), name)

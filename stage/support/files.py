@@ -1,7 +1,7 @@
 """Files that are written completely or not at all, and that replace another file only on request.
 
-A symbolic link is followed to the file that it names. A device or a pipe is written into, whatever `overwrite` says, as no data are
-lost. Only regular files are replaced.
+A symbolic link is followed to its target. Devices and pipes are written to whatever `overwrite` is, as no data are lost. Only
+regular files are replaced.
 """
 
 from __future__ import annotations
@@ -17,38 +17,38 @@ from pathlib import Path
 from typing import Any
 
 from stage.errors import StageError
-from stage.support.extras import need
+from stage.support.extras import import_extra
 
-PASSING = ("/dev/", "/proc/")  # a regular file named there, as /dev/stdout, is somebody's open file
+STREAM_FOLDERS = ("/dev/", "/proc/")  # a regular file named there, such as /dev/stdout, is an open file of a process
 
 
 RECORDING, WAVEFORMS = ((".rrd",), "a recording"), ((".vcd",), "a file of waveforms")
 PICTURE, MODEL = ((".png",), "a rendered picture"), ((".xml",), "a model")
 TRANSCRIPT, ENTRY = ((".jsonl",), "a transcript"), ((".bench",), "an entry")
-"""How such files end, and what they are: for `ends_as`."""
+"""Endings of a kind of file, and its name with an article: arguments of `check_ending`."""
 
 
 class FileError(StageError):
-    """A file cannot be written, or another one would be lost."""
+    """Error: a file cannot be written, or an existing file would be lost."""
 
 
-def path_of(path: Any, error: type[StageError] = FileError) -> Path:
-    """Return a path as a Path; raise `error` for what is none."""
+def to_path(path: Any, error: type[StageError] = FileError) -> Path:
+    """Convert a text or a path object to a Path; raise `error` for anything else."""
     try:
         return Path(path)
     except TypeError:
         raise error(f"{path!r} is no path: give a text, or a pathlib.Path.") from None
 
 
-def readable(path: Any, what: str, error: type[StageError] = FileError) -> Path:
-    """Return a path, if it is a regular file with something in it that can be read.
+def check_readable(path: Any, what: str, error: type[StageError] = FileError) -> Path:
+    """Check that a path is a regular, readable file that is not empty, and return it.
 
     Args:
         path: Path to check.
-        what: What should be there, for errors, as in "recording".
-        error: Type of the error for what is missing, a folder, a device or a pipe, empty, or cannot be read.
+        what: Kind of file, for errors, as in "recording".
+        error: Type of the error to raise for a missing or empty file, a folder, a device, a pipe, or missing permission.
     """
-    path = path_of(path, error)
+    path = to_path(path, error)
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -66,9 +66,9 @@ def readable(path: Any, what: str, error: type[StageError] = FileError) -> Path:
 
 
 def refuse_irregular(path: Path, what: str, error: type[StageError] = FileError) -> None:
-    """Raise `error` where a device, a pipe, a socket or a circle of links stands at `path`; what: should be there.
+    """Raise `error` if `path` is a device, a pipe, a socket or a loop of links; `what` is the kind of file expected there.
 
-    For readers that say in their own words what to do about a missing file or a folder.
+    A missing file and a folder pass: the caller has errors of its own for these.
     """
     try:
         mode = path.stat().st_mode
@@ -77,22 +77,25 @@ def refuse_irregular(path: Path, what: str, error: type[StageError] = FileError)
     except (OSError, ValueError) as why:
         raise error(f"{path} cannot be read: {getattr(why, 'strerror', None) or why}.") from why
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-        raise error(f"{path} is {_kind_in_words(mode)}, and no {what}. Name a regular file.")
+        raise error(f"{path} is {_describe_mode(mode)}, and no {what}. Name a regular file.")
 
 
-def writable(
-    path: str | os.PathLike, overwrite: bool, error: type[FileError] = FileError, ask: str = "say overwrite=True"
+def check_writable(
+    path: str | os.PathLike,
+    overwrite: bool,
+    error: type[FileError] = FileError,
+    overwrite_hint: str = "say overwrite=True",
 ) -> Path:
-    """Return the file that a path names, links followed, if it can be written and nothing would be lost.
+    """Check that a file can be written without losing another one, and return its path with links resolved.
 
     Args:
         path: Path to check.
-        overwrite: A file that exists may be lost.
-        error: Type of the error for what cannot be written.
-        ask: What a user has to do in order to overwrite, for errors.
+        overwrite: Allow an existing file to be replaced.
+        error: Type of the error to raise.
+        overwrite_hint: Text for errors that says how a user allows overwriting.
     """
-    path = path_of(path, error)
-    kind = _kind(path, error)
+    path = to_path(path, error)
+    kind = _read_mode(path, error)
     if kind is not None and stat.S_ISDIR(kind):
         raise error(f"{path} is a folder. Name a file in it.")
     if kind is not None and (stat.S_ISBLK(kind) or stat.S_ISSOCK(kind)):
@@ -102,7 +105,7 @@ def writable(
             raise error(f"{path} cannot be written: no permission. Choose another.")
         return path
     if kind is not None and not overwrite:
-        raise error(f"{path} exists. Choose another name, or {ask}.")
+        raise error(f"{path} exists. Choose another name, or {overwrite_hint}.")
     target = Path(os.path.realpath(path)) if path.is_symlink() else path
     if not target.parent.is_dir():
         raise error(f"{target.parent} is no folder. Make it first, or choose another.")
@@ -111,16 +114,16 @@ def writable(
     return target
 
 
-def ends_as(path: str | os.PathLike, endings: Iterable[str], what: str, error: type[FileError] = FileError) -> str:
-    """Return the ending of a path in small letters; that of a device, which may have any, is the first of `endings`.
+def check_ending(path: str | os.PathLike, endings: Iterable[str], what: str, error: type[FileError] = FileError) -> str:
+    """Check that a path has one of some endings, and return its ending in lower case.
 
     Args:
-        path: Path to check.
-        endings: Endings that are allowed.
-        what: What is written there, for errors, as in "a recording".
-        error: Type of the error for another ending, or none.
+        path: Path to check. A device or a pipe may have any name; the result is then the first of `endings`.
+        endings: Endings that are allowed, such as ".csv".
+        what: Kind of file with its article, for errors, as in "a recording".
+        error: Type of the error to raise for another ending, or for none.
     """
-    known, ending = list(endings), path_of(path, error).suffix.lower()
+    known, ending = list(endings), to_path(path, error).suffix.lower()
     if os.path.isdir(path):
         raise error(f"{path} is a folder. Name a file in it.")
     if ending in known:
@@ -132,22 +135,22 @@ def ends_as(path: str | os.PathLike, endings: Iterable[str], what: str, error: t
 
 
 def is_stream(path: str | os.PathLike) -> bool:
-    """Check whether `path` exists and bytes pass through it, as through a device, a pipe or /dev/stdout."""
+    """Check whether `path` is an existing device, pipe or open file such as /dev/stdout, which is written to and not replaced."""
     try:
         kind = os.stat(path).st_mode
     except (OSError, ValueError):
         return False
-    return not stat.S_ISDIR(kind) and (not stat.S_ISREG(kind) or os.path.abspath(path).startswith(PASSING))
+    return not stat.S_ISDIR(kind) and (not stat.S_ISREG(kind) or os.path.abspath(path).startswith(STREAM_FOLDERS))
 
 
 @contextmanager
-def written(path: str | os.PathLike, overwrite: bool, error: type[FileError] = FileError) -> Iterator[Path]:
-    """Yield a temporary name to write to, which becomes `path` when all went well, and is gone when not.
+def write_atomically(path: str | os.PathLike, overwrite: bool, error: type[FileError] = FileError) -> Iterator[Path]:
+    """Yield a temporary path to write to; rename it to `path` if the block succeeds, and delete it if the block fails.
 
-    The bytes are on the disk before the name is. A file that appears as `path` meanwhile stays, unless `overwrite`.
-    Raises `error` for what `writable` refuses and for every OSError inside.
+    The content is flushed to the disk before the rename. A file that appears at `path` meanwhile stays, unless `overwrite`.
+    Raises `error` for every path that `check_writable` refuses, and for every OSError within the block.
     """
-    target = writable(path, overwrite, error)
+    target = check_writable(path, overwrite, error)
     folder = None
     try:
         folder_of_target = None if is_stream(target) else target.parent  # a rename does not leave a file system
@@ -155,8 +158,8 @@ def written(path: str | os.PathLike, overwrite: bool, error: type[FileError] = F
         part = folder / target.name
         yield part
         if folder_of_target is None:
-            _pour(part, target)
-        elif not _placed(part, target, overwrite):
+            _copy_to_stream(part, target)
+        elif not _move_into_place(part, target, overwrite):
             raise error(f"{path} exists: it appeared meanwhile, and stays. Choose another name, or say overwrite=True.")
     except OSError as why:
         raise error(f"{path} cannot be written: {why.strerror or why}. Choose another folder.") from why
@@ -166,20 +169,20 @@ def written(path: str | os.PathLike, overwrite: bool, error: type[FileError] = F
 
 
 def save_figure(figure: Any, path: str | os.PathLike, dpi: int, overwrite: bool) -> None:
-    """Write a matplotlib figure, in the format that the name says. Raises FileError."""
-    kind = figure_format(path)
-    with written(path, overwrite) as part:
+    """Write a matplotlib figure in the format of the ending of `path`, with `dpi` pixels per inch. Raises FileError."""
+    kind = find_figure_format(path)
+    with write_atomically(path, overwrite) as part:
         figure.savefig(part, dpi=dpi, format=kind)
 
 
-def figure_format(path: str | os.PathLike) -> str:
-    """Return the format that matplotlib writes to `path`, PNG to a device; raise FileError where it knows none of that name."""
-    known = need("matplotlib.backend_bases", "drawing").FigureCanvasBase.get_supported_filetypes()
-    return ends_as(path, (".png", *sorted(f".{kind}" for kind in known if kind != "png")), "a figure")[1:]
+def find_figure_format(path: str | os.PathLike) -> str:
+    """Return the format in which matplotlib writes `path`: its ending, or "png" for a device. Raises FileError."""
+    known = import_extra("matplotlib.backend_bases", "drawing").FigureCanvasBase.get_supported_filetypes()
+    return check_ending(path, (".png", *sorted(f".{kind}" for kind in known if kind != "png")), "a figure")[1:]
 
 
-def _kind(path: Path, error: type[FileError]) -> int | None:
-    """Return the mode (of stat) of what exists at `path`; None if nothing does."""
+def _read_mode(path: Path, error: type[FileError]) -> int | None:
+    """Read the mode of `path` as `os.stat` has it; None if nothing exists there."""
     try:
         return path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError):
@@ -188,20 +191,20 @@ def _kind(path: Path, error: type[FileError]) -> int | None:
         raise error(f"{path} cannot be written: {getattr(why, 'strerror', None) or why}. Choose another name.") from why
 
 
-def _kind_in_words(mode: int) -> str:
-    """Return what a mode (of stat) that is no regular file's and no folder's stands for, with its article."""
+def _describe_mode(mode: int) -> str:
+    """Describe a mode of `os.stat` that is neither a regular file nor a folder, with its article."""
     kinds = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFBLK: "a disk", stat.S_IFCHR: "a device"}
     return kinds.get(stat.S_IFMT(mode), "no file")
 
 
-def _pour(part: Path, target: Path) -> None:
+def _copy_to_stream(part: Path, target: Path) -> None:
     """Copy the bytes of `part` into the device or pipe `target`."""
     with part.open("rb") as source, os.fdopen(os.open(target, os.O_WRONLY | os.O_APPEND), "wb") as sink:
         shutil.copyfileobj(source, sink)
 
 
-def _placed(part: Path, target: Path, overwrite: bool) -> bool:
-    """Give `part` the name `target`; False if something else has it and is not to be overwritten."""
+def _move_into_place(part: Path, target: Path, overwrite: bool) -> bool:
+    """Rename `part` to `target`; return False if `target` exists and `overwrite` is False."""
     _sync(part)
     if overwrite:
         with suppress(FileNotFoundError):
@@ -209,7 +212,7 @@ def _placed(part: Path, target: Path, overwrite: bool) -> bool:
         os.replace(part, target)
     else:
         try:
-            _name(part, target)
+            _rename_without_overwriting(part, target)
         except FileExistsError:
             return False
     with suppress(OSError):  # not every file system can sync a folder
@@ -217,8 +220,8 @@ def _placed(part: Path, target: Path, overwrite: bool) -> bool:
     return True
 
 
-def _name(part: Path, target: Path) -> None:
-    """Rename, but never over another file: FileExistsError."""
+def _rename_without_overwriting(part: Path, target: Path) -> None:
+    """Rename `part` to `target`; raise FileExistsError if `target` exists."""
     try:
         os.link(part, target)
     except OSError as why:

@@ -1,7 +1,7 @@
-"""Files that come from elsewhere: only regular files of bounded size are read, and what they hold is parsed within bounds.
+"""Readers of untrusted files: they read only regular files of bounded size, and parse their content within bounds.
 
-Every reader of such a file uses these functions, so that a device, a FIFO, a zip bomb or a document of 100,000 levels is refused in
-words before it costs time or memory. Nothing of a file is ever run.
+Every reader of such a file uses these functions, so that a device, a FIFO, a zip bomb or a document of 100,000 levels is refused
+with an explanation before it costs time or memory. No content of a file is ever executed.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from stage.errors import ArgumentError, StageError, add_article
-from stage.support.files import FileError, readable
+from stage.support.files import FileError, check_readable
 
 MAX_LEVELS = 64
-"""Lists and mappings inside each other in a document, at most."""
+"""Maximum depth of nested lists and mappings in a document."""
 MAX_INTEGER_BITS = 256
 MAX_DOCUMENT_BYTES = 1 << 20
-"""Of a document that people write, such as a layout."""
+"""Maximum size of a document that people write, such as a layout."""
 
 
 class DocumentError(ArgumentError):
-    """A text is no JSON or TOML, or is nested too deep, or has a number that is too long."""
+    """Error: a text is not JSON or TOML, is nested too deeply, or has a number that is too long."""
 
 
 def open_regular(path: str | os.PathLike, what: str, max_bytes: int, error: type[StageError] = FileError) -> BinaryIO:
-    """Open a regular file with something in it for reading.
+    """Open a regular file that is not empty for reading.
 
     Args:
-        path: the file.
-        what: it should be, as in "recording", for errors.
-        max_bytes: that it may have.
-        error: is raised for what is missing, no regular file, empty, too large or not to be read.
+        path: Path of the file.
+        what: Kind of file, for errors, as in "recording".
+        max_bytes: Maximum size of the file.
+        error: Type of the error to raise for a file that is missing, empty, too large, unreadable or not regular.
     """
-    path = readable(path, what, error)
+    path = check_readable(path, what, error)
     try:
         file = os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | getattr(os, "O_NONBLOCK", 0)), "rb")
     except OSError as why:
@@ -57,7 +57,7 @@ def open_regular(path: str | os.PathLike, what: str, max_bytes: int, error: type
 
 
 def read_bytes(path: str | os.PathLike, what: str, max_bytes: int, error: type[StageError] = FileError) -> bytes:
-    """Return all bytes of a regular file. Arguments and errors are those of `open_regular`."""
+    """Read all bytes of a regular file. Arguments and errors are those of `open_regular`."""
     try:
         with open_regular(path, what, max_bytes, error) as file:
             content = file.read(max_bytes + 1)
@@ -73,7 +73,7 @@ def read_bytes(path: str | os.PathLike, what: str, max_bytes: int, error: type[S
 def read_text(
     path: str | os.PathLike, what: str, max_bytes: int = MAX_DOCUMENT_BYTES, error: type[StageError] = FileError
 ) -> str:
-    """Return the text, in UTF-8, of a regular file. Arguments and errors are those of `open_regular`."""
+    """Read a regular file as text in UTF-8. Arguments and errors are those of `open_regular`."""
     try:
         return read_bytes(path, what, max_bytes, error).decode("utf-8")
     except UnicodeDecodeError as why:
@@ -81,26 +81,26 @@ def read_text(
 
 
 def parse_json(text: str | bytes, parse_constant: Callable[[str], Any] | None = None) -> Any:
-    """Return what a JSON document says.
+    """Parse a JSON document within the bounds of this module.
 
     Args:
-        text: the document, bytes in UTF-8; who calls bounds its length.
-        parse_constant: is called for NaN, Infinity and -Infinity, as that of `json.loads`; default: they are floats.
+        text: Document as text, or as bytes in UTF-8. The caller bounds its length.
+        parse_constant: Function that is called for NaN, Infinity and -Infinity, as in `json.loads`; default: they are floats.
 
     Raises:
-        DocumentError: It is no JSON, is nested deeper than 64 levels, or has an integer of more than 256 bits.
+        DocumentError: The document is not JSON, is nested deeper than 64 levels, or has an integer of more than 256 bits.
     """
 
     def parse() -> Any:
         document = text if isinstance(text, str) else text.decode("utf-8-sig")
         return json.loads(document, parse_constant=parse_constant)
 
-    return _parsed(parse)
+    return _parse_within_bounds(parse)
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return what a TOML document says. Raises DocumentError as `parse_json` does."""
-    return _parsed(lambda: tomllib.loads(text))
+    """Parse a TOML document within the bounds of this module. Raises DocumentError as `parse_json` does."""
+    return _parse_within_bounds(lambda: tomllib.loads(text))
 
 
 def read_members(
@@ -109,26 +109,26 @@ def read_members(
     max_bytes: int,
     error: Callable[[str], StageError],
     optional: Sequence[str] = (),
-    only: bool = False,
+    exact: bool = False,
 ) -> dict[str, bytes]:
-    """Return members of a zip archive by their names.
+    """Read members of a zip archive, and return their content by name.
 
     Args:
-        content: the archive.
-        names: members that are wanted; what is neither wanted nor optional is not read.
-        max_bytes: that they may have together when unpacked.
-        error: makes the error to raise from what is wrong with the archive, in words.
-        optional: members that need not be status.
-        only: refuse an archive with other members, or with one of them twice.
+        content: Bytes of the archive.
+        names: Members that must exist.
+        max_bytes: Maximum size of these members together when unpacked.
+        error: Function that makes the error to raise from a description of what is wrong with the archive.
+        optional: Members that are read if they exist; any further members are ignored.
+        exact: Refuse an archive that has further members, or one member twice.
 
     Raises:
-        StageError: What `error` has made: the archive or a member of it is damaged, missing, too large, encrypted, or packed by
-            another method than "stored" and "deflated", which are those that PulseStage writes.
+        StageError: Made by `error`: the archive or one of its members is damaged, missing, too large, encrypted, or packed by a
+            method other than "stored" and "deflated", which are those that PulseStage writes.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = (
-                archive.infolist() if only else [m for m in archive.infolist() if m.filename in (*names, *optional)]
+                archive.infolist() if exact else [m for m in archive.infolist() if m.filename in (*names, *optional)]
             )
             _check_members(members, names, optional, error)
             size = sum(member.file_size for member in members)
@@ -148,7 +148,7 @@ def _check_members(
     optional: Sequence[str],
     error: Callable[[str], StageError],
 ) -> None:
-    """Raise what `error` makes where one is missing, there twice or unexpected, or packed in another way."""
+    """Raise the error that `error` makes if a member is missing, duplicate, unexpected, or packed by another method."""
     present = [member.filename for member in members]
     if sorted(present) != sorted({*names, *(name for name in optional if name in present)}):
         raise error(f"it should hold {', '.join(names)}")
@@ -158,16 +158,16 @@ def _check_members(
 
 
 def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, error: Callable[[str], StageError]) -> bytes:
-    """Return the content of a member. Errors are those of `read_members`."""
+    """Read the content of a member. Errors are those of `read_members`."""
     with archive.open(member) as file:
         content = file.read(member.file_size + 1)
     if len(content) != member.file_size:
-        raise error(f"{member.filename} has not the length that it says")
+        raise error(f"{member.filename} does not have the length that the archive states")
     return content
 
 
 def parse_array(content: bytes) -> np.ndarray:
-    """Return the array of numbers that the bytes of an .npy file hold. Raises DocumentError; objects are never unpickled."""
+    """Parse the bytes of an .npy file into an array of numbers. Raises DocumentError; objects are never unpickled."""
     try:
         array = np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
     except (
@@ -186,13 +186,13 @@ def parse_array(content: bytes) -> np.ndarray:
     return array
 
 
-def _parsed(parse: Callable[[], Any]) -> Any:
-    """Return what `parse` returns, if it is within the bounds. Raises DocumentError."""
+def _parse_within_bounds(parse: Callable[[], Any]) -> Any:
+    """Return the document that `parse` returns if it is within the bounds. Raises DocumentError."""
     try:
         document = parse()
     except RecursionError:
-        raise DocumentError(_too_deep()) from None
-    except (ValueError, OverflowError) as why:  # of a syntax, of an encoding, of Python's limit of digits
+        raise DocumentError(_describe_depth_limit()) from None
+    except (ValueError, OverflowError) as why:  # wrong syntax or encoding, or more digits than Python converts
         raise DocumentError(str(why).partition("; use sys.")[0][:200]) from None
     values, level = [document], 0
     while values:
@@ -201,7 +201,7 @@ def _parsed(parse: Callable[[], Any]) -> Any:
         for value in values:
             if isinstance(value, dict | list):
                 if level > MAX_LEVELS:
-                    raise DocumentError(_too_deep())
+                    raise DocumentError(_describe_depth_limit())
                 inner += value.values() if isinstance(value, dict) else value
             elif isinstance(value, int) and value.bit_length() > MAX_INTEGER_BITS:
                 raise DocumentError(f"an integer in it has more than {MAX_INTEGER_BITS} bits")
@@ -209,5 +209,5 @@ def _parsed(parse: Callable[[], Any]) -> Any:
     return document
 
 
-def _too_deep() -> str:
+def _describe_depth_limit() -> str:
     return f"it is nested deeper than {MAX_LEVELS} levels"

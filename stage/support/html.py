@@ -13,30 +13,32 @@ from stage.support.extras import ExtraMissing
 CELL = 'style="text-align:left"'
 
 
-def table(rows: Iterable[Sequence[Any]], head: Sequence[Any] = ()) -> str:
-    """Return a table with `head` above its rows. Texts are escaped."""
-    above = f"<thead><tr>{''.join(f'<th {CELL}>{escape(str(h))}</th>' for h in head)}</tr></thead>" if head else ""
+def format_table(rows: Iterable[Sequence[Any]], headings: Sequence[Any] = ()) -> str:
+    """Format rows as a table with `headings` above its columns. Texts are escaped."""
+    above = (
+        f"<thead><tr>{''.join(f'<th {CELL}>{escape(str(h))}</th>' for h in headings)}</tr></thead>" if headings else ""
+    )
     body = "".join(f"<tr>{''.join(f'<td {CELL}>{escape(str(v))}</td>' for v in row)}</tr>" for row in rows)
     return f"<table>{above}<tbody>{body}</tbody></table>"
 
 
-def heading(text: str) -> str:
-    """Return a heading."""
+def format_heading(text: str) -> str:
+    """Format a heading."""
     return f"<div><b>{escape(text)}</b></div>"
 
 
-def folded(title: str, content: str) -> str:
-    """Return content that opens by a click on its title."""
+def format_collapsible(title: str, content: str) -> str:
+    """Format content that a click on its title shows and hides; `content` is HTML."""
     return f"<details><summary>{escape(title)}</summary>{content}</details>"
 
 
-def lines(text: str) -> str:
-    """Return preformatted text."""
+def format_preformatted(text: str) -> str:
+    """Format text as preformatted: line breaks and spaces stay."""
     return f"<pre>{escape(text)}</pre>"
 
 
-def picture(draw: Callable[[], Any]) -> str:
-    """Return the figure that `draw()` makes, in the page itself; a line that says what it needs where matplotlib is missing."""
+def embed_figure(draw: Callable[[], Any]) -> str:
+    """Draw a figure by `draw()` and return an image element that contains it; without matplotlib, a line that names the extra."""
     try:
         figure = draw()
     except ExtraMissing as missing:

@@ -1,7 +1,7 @@
-"""Names of models, axes and pins as identifiers: words that VCD, rerun's entity paths, C and file names can hold.
+"""Conversion of names of models, axes and pins to identifiers for VCD, rerun's entity paths, C and file names.
 
-An MJCF may call an axis anything: `Achse_ü`, `x 1`, `robot/x`. What a format cannot hold is escaped, never dropped, so that two
-names never become one, and `unescape_name` gives the name back.
+An MJCF may call an axis anything: `Achse_ü`, `x 1`, `robot/x`. Characters that a format does not allow are escaped, never dropped,
+so that two names never become one, and `unescape_name` restores the name.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ _ESCAPED = re.compile(r"_u([0-9a-f]+)_")
 def escape_name(name: str, reserved: Container[str] = ()) -> str:
     """Write a name with ASCII letters, digits and underscores only, not beginning with a digit.
 
-    A name that is such a word already stays as it is. Any other character becomes its code point between `_u` and `_`:
+    A name that has only these characters stays as it is. Any other character becomes its code point between `_u` and `_`:
     "x 1" is "x_u20_1". An underscore that would look like such an escape is escaped itself.
 
     Args:
         name: Any text.
-        reserved: Words that the format uses for something else: of a name that is one of them, the first letter is escaped.
+        reserved: Keywords of the format; if the name is one of them, its first letter is escaped.
     """
     word = _UNFIT.sub(lambda match: _escape(match[0]), name)
     return _escape(word[0]) + word[1:] if word in reserved else word

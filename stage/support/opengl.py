@@ -1,4 +1,4 @@
-"""OpenGL for MuJoCo's pictures and windows: chosen for this machine, with an error that says what is missing if there is none.
+"""Choice of OpenGL for MuJoCo's pictures and windows on this machine, with an error that says what is missing.
 
 Without MUJOCO_GL, MuJoCo chooses GLFW, which needs a screen. Without one its viewer ends the process, and so does the second
 renderer after a first one that failed. So EGL is used where there is no screen, GLFW is tested before MuJoCo uses it, and a library
@@ -21,29 +21,29 @@ from stage.errors import StageError
 if TYPE_CHECKING:
     import mujoco
 
-_failed: list[str] = []  # why this process cannot render
-_open: WeakSet = WeakSet()  # renderers
+_failures: list[str] = []  # why this process cannot render
+_open_renderers: WeakSet = WeakSet()  # renderers
 
 
 def has_screen() -> bool:
-    """Check whether a window could open here."""
+    """Check whether this machine has a screen on which a window can open."""
     if sys.platform in ("darwin", "win32"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def check_window(instead: str) -> None:
-    """Raise StageError where MuJoCo's viewer cannot open a window; `instead`: what to do then."""
+def check_window(alternative: str) -> None:
+    """Raise StageError if MuJoCo's viewer cannot open a window; `alternative` is a sentence that says what to do then."""
     if not has_screen():
-        raise StageError(f"there is no screen here for MuJoCo's viewer. {instead}")
-    if why := _glfw():
-        raise StageError(f"MuJoCo's viewer cannot open a window here: {why}. {instead}")
+        raise StageError(f"there is no screen here for MuJoCo's viewer. {alternative}")
+    if why := _find_glfw_failure():
+        raise StageError(f"MuJoCo's viewer cannot open a window here: {why}. {alternative}")
 
 
-def renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
-    """Return MuJoCo's renderer of pictures (pixels), without a screen by EGL unless MUJOCO_GL says otherwise.
+def make_renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
+    """Make MuJoCo's renderer for pictures of `width` x `height` pixels; without a screen by EGL unless MUJOCO_GL is set.
 
-    Raises StageError where there is no OpenGL, each time, and where the model's offscreen buffer is smaller than the picture.
+    Raises StageError if there is no OpenGL, or if the picture is larger than the model's offscreen buffer.
     """
     import mujoco
 
@@ -53,32 +53,32 @@ def renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
             f"a picture of {width} x {height} pixels is larger than the model's offscreen buffer of {buffer.offwidth} x "
             f'{buffer.offheight}: <visual><global offwidth="{width}" offheight="{height}"/></visual>.'
         )
-    if not _failed:
+    if not _failures:
         try:
             with _choose_context(mujoco.Renderer):
                 new_renderer = mujoco.Renderer(model, height, width)
-            if not _open:
-                atexit.register(_close)  # after MuJoCo's own, hence before it: EGL's display goes last
-            _open.add(new_renderer)
+            if not _open_renderers:
+                atexit.register(_close_renderers)  # after MuJoCo's own, hence before it: EGL's display goes last
+            _open_renderers.add(new_renderer)
             return new_renderer
         except Exception as error:  # PyOpenGL and MuJoCo have no common one
-            _failed.append(f"{type(error).__name__}: {error}")
+            _failures.append(f"{type(error).__name__}: {error}")
     raise StageError(
-        f"no OpenGL to render with ({_failed[0]}). Without a screen it takes EGL (Debian: libegl1), with MUJOCO_GL=osmesa, "
+        f"no OpenGL to render with ({_failures[0]}). Without a screen it takes EGL (Debian: libegl1), with MUJOCO_GL=osmesa, "
         "said before Python starts, OSMesa (Debian: libosmesa6); recordings need neither."
     )
 
 
-def _close() -> None:
-    for new_renderer in list(_open):
+def _close_renderers() -> None:
+    for new_renderer in list(_open_renderers):
         new_renderer.close()
 
 
 @contextmanager
 def _choose_context(cls: type) -> Iterator[None]:
-    """Let MuJoCo's renderer make its context by EGL in this block, if there is no screen and MUJOCO_GL does not say otherwise.
+    """Let MuJoCo's renderer create its context by EGL in this block, if there is no screen and MUJOCO_GL is not set.
 
-    Raises RuntimeError where GLFW would be used and does not work.
+    Raises RuntimeError if GLFW would be used and does not work.
     """
     setting = os.environ.get("MUJOCO_GL", "").lower().strip()
     module: Any = getattr(sys.modules[cls.__module__], "gl_context", None)
@@ -91,13 +91,13 @@ def _choose_context(cls: type) -> Iterator[None]:
         finally:
             module.GLContext = usual
         return
-    if sys.platform == "linux" and setting not in ("egl", "osmesa") and (why := _glfw()):
+    if sys.platform == "linux" and setting not in ("egl", "osmesa") and (why := _find_glfw_failure()):
         raise RuntimeError(why)
     yield
 
 
-def _glfw() -> str:
-    """Return why GLFW does not work here; "" where it does."""
+def _find_glfw_failure() -> str:
+    """Return the reason why GLFW does not work here; "" if it works."""
     try:
         import glfw
 

@@ -1,4 +1,4 @@
-"""Programs that are run for what they print, as compilers and addr2line: their output as text, whatever its encoding."""
+"""Runs of other programs, such as compilers and addr2line, with their output as text in any encoding."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import subprocess
 from collections.abc import Sequence
 
 ENCODING, ERRORS = "utf-8", "replace"
-"""How output of other programs is decoded: names of files and lines of sources may be in any encoding, and are shown only."""
+"""Decoding of the output of other programs: file names and source lines may have any encoding, and are only displayed."""
 
 
 def run_program(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
-    """Run a program to its end; return its exit code and output. Bytes that are not UTF-8 become U+FFFD."""
+    """Run a program and return its exit code and output. Bytes that are not UTF-8 become U+FFFD."""
     return subprocess.run(command, capture_output=True, encoding=ENCODING, errors=ERRORS, check=False)

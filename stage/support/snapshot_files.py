@@ -4,11 +4,11 @@
     format                  4 bytes, little-endian, as all numbers here
     length of the head      4 bytes
     length of the state     8 bytes
-    head                    JSON, UTF-8: what it is of, the parts of its header, what the chips have noted, its checksum
-    state                   as it lies in memory, little-endian
-    SHA-256                 of all before it
+    head                    JSON, UTF-8: kind of snapshot, parts of its header, diagnostics of the chips, checksum
+    state                   memory of the state, little-endian
+    SHA-256                 digest of all bytes before it
 
-Nothing of a file is ever run: there is no pickle in it. The sum finds damage; it does not say who wrote the file.
+No content of a file is ever executed: there is no pickle in it. The digest detects damage; it does not prove who wrote the file.
 """
 
 from __future__ import annotations
@@ -23,34 +23,34 @@ from typing import Any, Self
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.support.files import written
+from stage.support.files import write_atomically
 from stage.support.foreign_files import parse_json, read_bytes
 from stage.support.snapshots import VERSION, Header, Snapshot
 
 MAGIC = b"PulseStage snapshot\n"
 FORMAT = 1
 LENGTHS = struct.Struct("<IIQ")
-SUM = hashlib.sha256().digest_size
-LEAST = len(MAGIC) + LENGTHS.size + SUM
-LARGEST = 1 << 26
-"""Bytes of a file that is read."""
+DIGEST_BYTES = hashlib.sha256().digest_size
+MIN_FILE_BYTES = len(MAGIC) + LENGTHS.size + DIGEST_BYTES
+MAX_FILE_BYTES = 1 << 26
+"""Maximum size of a snapshot file that is read."""
 
 
 class SnapshotError(ArgumentError):
-    """A file is no snapshot, or a damaged one, or another kind of one."""
+    """Error: a file is not a snapshot, is damaged, or is a snapshot of another kind."""
 
 
 class FiledSnapshot(Snapshot):
-    """A snapshot that a file can hold. Classes below say how their state and what was noted go into one."""
+    """Snapshot that can be saved to a file. Subclasses convert their state and their diagnostics."""
 
     @classmethod
-    def _state_of(cls, data: bytes) -> Any:
-        """Return the state that `data` holds."""
+    def _decode_state(cls, data: bytes) -> Any:
+        """Convert the bytes of a file to a state."""
         return data
 
     @classmethod
-    def _noted_of(cls, description: Any) -> tuple:
-        """Return the diagnostics, from what JSON gave for them."""
+    def _decode_diagnostics(cls, description: Any) -> tuple:
+        """Convert a JSON value to the diagnostics of the chips."""
         raise NotImplementedError
 
     def save(self, path: str | os.PathLike, overwrite: bool = False) -> Path:
@@ -71,26 +71,26 @@ class FiledSnapshot(Snapshot):
         }
         head = json.dumps(description).encode()
         content = MAGIC + LENGTHS.pack(FORMAT, len(head), len(state)) + head + state
-        with written(path, overwrite) as part:
+        with write_atomically(path, overwrite) as part:
             part.write_bytes(content + hashlib.sha256(content).digest())
         return Path(path)
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> Self:
-        """Return the snapshot in a file that `save` has written; `restore` says whether it fits.
+        """Load a snapshot from a file that `save` has written. `restore` checks whether it fits.
 
         Raises:
-            SnapshotError: The file is missing, no regular file, no snapshot, larger than 64 MiB, damaged, of another format, or of
-                something else.
+            SnapshotError: The file is missing, not a regular file, not a snapshot, larger than 64 MiB, damaged, of another format,
+                or a snapshot of another kind of object.
         """
-        return cls.from_bytes(read_bytes(path, "snapshot", LARGEST, SnapshotError), str(path))
+        return cls.from_bytes(read_bytes(path, "snapshot", MAX_FILE_BYTES, SnapshotError), str(path))
 
     @classmethod
     def from_bytes(cls, data: bytes, name: str = "it") -> Self:
-        """Return the snapshot that the bytes of a file hold; `name` says in errors where they come from. Raises as `load`."""
+        """Parse the bytes of a snapshot file; `name` is their origin for errors. Raises the errors of `load`."""
         if not isinstance(data, bytes):
             raise SnapshotError(f"data={data!r}: give the bytes of a snapshot's file.")
-        description, state = _parts(name, data)
+        description, state = _split_file(name, data)
         if description["version"] != VERSION:
             raise SnapshotError(
                 f"{name} is of version {description['version']} of {description['of']}'s state, and this PulseStage reads version "
@@ -101,34 +101,39 @@ class FiledSnapshot(Snapshot):
         try:
             parts = tuple((str(what), str(which)) for what, which in description["parts"])
             snapshot = cls(
-                Header(parts), cls._state_of(state), cls._noted_of(description["noted"]), description["checksum"]
+                Header(parts),
+                cls._decode_state(state),
+                cls._decode_diagnostics(description["noted"]),
+                description["checksum"],
             )
             snapshot.checked()
         except (ArgumentError, KeyError, TypeError, ValueError) as error:
-            raise SnapshotError(_damaged(name, "what it says of itself does not fit its state")) from error
+            raise SnapshotError(_describe_damage(name, "its description does not fit its state")) from error
         return snapshot
 
 
-def _parts(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
-    """Return the description and the state in a file. Raises SnapshotError."""
+def _split_file(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
+    """Split the bytes of a file into its description and its state. Raises SnapshotError."""
     if not data.startswith(MAGIC):
         if data and MAGIC.startswith(data[: len(MAGIC)]):
-            raise SnapshotError(_damaged(name, "it ends in its first line"))
+            raise SnapshotError(_describe_damage(name, "it ends in its first line"))
         raise SnapshotError(
             f"{name} is no snapshot of PulseStage: it does not begin as one. Give what Snapshot.save has written."
         )
-    if len(data) < LEAST:
-        raise SnapshotError(_damaged(name, f"it has {len(data)} bytes, and the shortest has {LEAST}"))
+    if len(data) < MIN_FILE_BYTES:
+        raise SnapshotError(_describe_damage(name, f"it has {len(data)} bytes, and the shortest has {MIN_FILE_BYTES}"))
     form, head, state = LENGTHS.unpack_from(data, len(MAGIC))
     if form != FORMAT:
         raise SnapshotError(
             f"{name} is a snapshot of file format {form}, and this PulseStage reads format {FORMAT}: read it with the version that "
             "wrote it, or take it anew."
         )
-    if len(data) != LEAST + head + state:
-        raise SnapshotError(_damaged(name, f"it has {len(data)} bytes, and its beginning says {LEAST + head + state}"))
-    if hashlib.sha256(data[:-SUM]).digest() != data[-SUM:]:
-        raise SnapshotError(_damaged(name, "its SHA-256 is not that of its content"))
+    if len(data) != MIN_FILE_BYTES + head + state:
+        raise SnapshotError(
+            _describe_damage(name, f"it has {len(data)} bytes, and its beginning says {MIN_FILE_BYTES + head + state}")
+        )
+    if hashlib.sha256(data[:-DIGEST_BYTES]).digest() != data[-DIGEST_BYTES:]:
+        raise SnapshotError(_describe_damage(name, "its SHA-256 is not that of its content"))
     begin = len(MAGIC) + LENGTHS.size
     try:
         description = parse_json(data[begin : begin + head])
@@ -138,9 +143,9 @@ def _parts(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
         ):
             raise ValueError("no head")
     except ValueError as error:
-        raise SnapshotError(_damaged(name, "its head cannot be read")) from error
+        raise SnapshotError(_describe_damage(name, "its head cannot be read")) from error
     return description, data[begin + head : begin + head + state]
 
 
-def _damaged(name: str, why: str) -> str:
+def _describe_damage(name: str, why: str) -> str:
     return f"{name} is a damaged snapshot: {why}. Take it anew, or copy the file again."

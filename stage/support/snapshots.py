@@ -1,8 +1,8 @@
-"""The header of a snapshot, which says what it was taken of, and its checksum.
+"""Snapshots with a header, which describes the chip or stage that was captured, and a checksum.
 
-Compiled code trusts the state that it gets: a flipped bit may be an index. So a snapshot has a header, which says what it was
-taken of, and a checksum of header and state; both are compared before anything is restored. A pickled snapshot also has a checksum
-of all its bytes; a damaged one is refused when it is loaded.
+Compiled code trusts its state: a flipped bit may be an index. So a snapshot has a header that describes the captured object, and a
+checksum of header and state; both are compared before anything is restored. A pickled snapshot also has a checksum of all its
+bytes, and a damaged one is refused when it is loaded.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ import numpy as np
 from stage.errors import ArgumentError
 
 VERSION = 1
-"""Counted up when a state of before would mean something else now, though its layout is the same."""
+"""Version of the state; increased when the meaning of a state changes although its layout stays the same."""
 
 
 @dataclass(frozen=True)
 class Header:
-    """Description of what a snapshot was taken of: (what, which) in words, the coarsest difference first."""
+    """Description of the object of a snapshot as pairs of a property and its value, the most general property first."""
 
     parts: tuple[tuple[str, str], ...]
 
@@ -37,9 +37,9 @@ class Header:
 
 @dataclass(frozen=True, repr=False)
 class Snapshot:
-    """Base of the snapshots of chips and of stages; `of` says in words what can be restored from it.
+    """Base of the snapshots of chips and of stages; `of` is the kind of object that it restores, as in "a stage".
 
-    checksum: CRC-32 of header and state. It finds every flip of up to three bits, and of the rest all but one in 2^32.
+    `checksum` is the CRC-32 of header and state. It detects every flip of up to three bits, and all but one in 2^32 of the others.
     """
 
     of: ClassVar[str]
@@ -53,13 +53,13 @@ class Snapshot:
         return f"<Snapshot of {self.of}: {next(iter(of.values()), '')}; {len(bytes(self.state)):,} bytes>"
 
     def checked(self) -> None:
-        """Raise ArgumentError where header and state are not those that were taken."""
+        """Raise ArgumentError if header and state do not have the checksum of the original."""
         try:
             is_intact = self.checksum == zlib.crc32(self.state, self.header.checksum)
         except (TypeError, ValueError, AttributeError):
             is_intact = False
         if not is_intact:
-            raise _damaged(type(self))
+            raise _make_damage_error(type(self))
 
     def __reduce__(self) -> tuple:
         packed = pickle.dumps(tuple(getattr(self, field.name) for field in fields(self)))
@@ -75,18 +75,18 @@ def _unpacked(cls: type[Snapshot], version: int, packed: bytes, checksum: int) -
             f"this snapshot of {cls.of} is of format {version}, and this PulseStage reads format {VERSION}: take it anew."
         )
     if not isinstance(packed, bytes) or zlib.crc32(packed) != checksum:
-        raise _damaged(cls)
+        raise _make_damage_error(cls)
     return cls(*pickle.loads(packed))
 
 
-def _damaged(cls: type[Snapshot]) -> ArgumentError:
+def _make_damage_error(cls: type[Snapshot]) -> ArgumentError:
     return ArgumentError(
         f"this snapshot of {cls.of} is damaged: its checksum is not that of its state. Take it anew, or read it from a whole copy."
     )
 
 
-def check(snapshot: Any, cls: type[Snapshot], header: Header) -> None:
-    """Raise ArgumentError unless `snapshot` is an undamaged one of this class with an equal `header`."""
+def check_restorable(snapshot: Any, cls: type[Snapshot], header: Header) -> None:
+    """Raise ArgumentError unless `snapshot` is an undamaged instance of `cls` whose header equals `header`."""
     if not isinstance(snapshot, cls):
         what = f"a snapshot of {snapshot.of}" if isinstance(snapshot, Snapshot) else reprlib.repr(snapshot)
         raise ArgumentError(f"{what} cannot be restored into {cls.of}: give what its own snapshot() returned.")
@@ -108,15 +108,15 @@ def check(snapshot: Any, cls: type[Snapshot], header: Header) -> None:
 
 
 @cache
-def layout(dtype: np.dtype) -> str:
-    """Return a name for the layout of a record, another one for each layout."""
-    return hashlib.blake2b(repr(_fields(dtype)).encode(), digest_size=6).hexdigest()
+def hash_layout(dtype: np.dtype) -> str:
+    """Return a hash of the layout of a record type; two layouts have different hashes."""
+    return hashlib.blake2b(repr(_describe_dtype(dtype)).encode(), digest_size=6).hexdigest()
 
 
-def _fields(dtype: np.dtype) -> Any:
-    """Return all that says how a record lies in memory; NumPy's own text of it takes milliseconds."""
+def _describe_dtype(dtype: np.dtype) -> Any:
+    """Describe the memory layout of a record type by names, offsets and types; NumPy's own description takes milliseconds."""
     if dtype.subdtype:
-        return _fields(dtype.subdtype[0]), dtype.shape
+        return _describe_dtype(dtype.subdtype[0]), dtype.shape
     if dtype.fields:
-        return [(name, offset, _fields(kind)) for name, (kind, offset, *_) in dtype.fields.items()]
+        return [(name, offset, _describe_dtype(kind)) for name, (kind, offset, *_) in dtype.fields.items()]
     return dtype.str

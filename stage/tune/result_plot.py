@@ -10,7 +10,7 @@ import numpy as np
 from stage.sim.fleet import Fleet
 from stage.sim.program import Program
 from stage.support.files import save_figure
-from stage.support.pictures import COLOURS, MUTED, bare, figure, heading
+from stage.support.pictures import COLORS, MUTED_COLOR, add_heading, make_figure, remove_frame
 from stage.tune.planners import MovePlan
 from stage.tune.position_sampler import SAMPLE_INTERVAL_S, PositionSampler
 from stage.tune.task import MoveCase
@@ -19,7 +19,7 @@ from stage.units import DEVIATION_UNITS, POSITION_UNITS
 if TYPE_CHECKING:
     from stage.tune.result import TuningResult
 
-CURVE_COLOURS = {"formula": MUTED, "search": COLOURS[0]}
+CURVE_COLOURS = {"formula": MUTED_COLOR, "search": COLORS[0]}
 TOLERANCE_COLOUR = "#dbe8f5"
 
 
@@ -38,7 +38,7 @@ def plot_result(result: TuningResult, path: str | PathLike, overwrite: bool = Fa
     task = result.task
     axis: Any = task.stage.axes[task.axis]
     unit, small_unit = POSITION_UNITS[axis.unit], DEVIATION_UNITS[axis.unit]
-    fig = figure(9, 8.4)
+    fig = make_figure(9, 8.4)
     panels: Any = fig.subplots(4, 1, sharex=True)
     duration = 1.15 * max(answer.proof.max_time for answer in result.answers) + 0.01
     for answer in result.answers:
@@ -65,8 +65,8 @@ def plot_result(result: TuningResult, path: str | PathLike, overwrite: bool = Fa
     panels[3].legend(frameon=False, fontsize=9, loc="upper left")
     panels[0].set_ylim(top=1.3 * panels[0].get_ylim()[1])
     for panel in panels:
-        bare(panel)
-    heading(fig, f"Axis {task.axis}, {axis.chip.MAP.chip}: {result.describe_distance()} {task.payload_text}")
+        remove_frame(panel)
+    add_heading(fig, f"Axis {task.axis}, {axis.chip.MAP.chip}: {result.describe_distance()} {task.payload_text}")
     save_figure(fig, path, 130, overwrite)
 
 

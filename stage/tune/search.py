@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.support.extras import need
+from stage.support.extras import import_extra
 from stage.tune.formula import SAFETY_FACTOR
 from stage.tune.move_runner import MoveRunner
 from stage.tune.planners import MovePlan, MovePlanner
@@ -59,7 +59,7 @@ def import_optuna() -> Any:
     Raises:
         ExtraMissing: Optuna is not installed. The message says how to install it.
     """
-    optuna = need("optuna", "the search", "; or leave it at the formula: --by formula")
+    optuna = import_extra("optuna", "the search", "; or leave it at the formula: --by formula")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.errors import ArgumentError, StageError
-from stage.support.arguments import check_whole_number, explain_arguments
+from stage.support.arguments import check_integer, explain_arguments
 from stage.tune.formula import SAFETY_FACTOR
 from stage.tune.machines import Machine, draw_machines
 from stage.tune.move_runner import MoveRunner
@@ -68,11 +68,11 @@ def tune(
     """
     if by not in METHODS:
         raise ArgumentError(f"by={by!r}: search or formula.")
-    check_whole_number("trials", trials, 1)
-    check_whole_number("moves", moves, 1)
+    check_integer("trials", trials, 1)
+    check_integer("moves", moves, 1)
     if workers is not None:
-        check_whole_number("workers", workers, 1)
-    check_whole_number("seed", seed, 0)
+        check_integer("workers", workers, 1)
+    check_integer("seed", seed, 0)
     if by == "search":
         import_optuna()
     planner = create_planner(task)

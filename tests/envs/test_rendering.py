@@ -155,14 +155,14 @@ def test_a_picture_larger_than_the_models_buffer_is_refused_in_words():
     """gymnasium.make(..., model="small_buffer.xml", render_mode="rgb_array").render()"""
     import mujoco
 
-    from stage.support.opengl import renderer
+    from stage.support.opengl import make_renderer
 
     model = mujoco.MjModel.from_xml_string('<mujoco><visual><global offwidth="64" offheight="48"/></visual></mujoco>')
     with pytest.raises(StageError, match=r'larger than .* 64 x 48: <visual><global offwidth="640" offheight="480"/>'):
-        renderer(model, 480, 640)
+        make_renderer(model, 480, 640)
     for height, width in ((48, 65), (49, 64)):
         with pytest.raises(StageError, match=f"a picture of {width} x {height} pixels is larger"):
-            renderer(model, height, width)
+            make_renderer(model, height, width)
 
 
 @pytest.mark.skipif(not {"MUJOCO_GL", "DISPLAY"} & set(os.environ), reason="no GL on this machine")
@@ -281,7 +281,7 @@ def test_why_no_window_opens_is_explained_each_time_whatever_warnings_appear(mon
     monkeypatch.setitem(sys.modules, "glfw", glfw)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        assert [opengl._glfw() for _ in range(2)] == ["DISPLAY is missing"] * 2
+        assert [opengl._find_glfw_failure() for _ in range(2)] == ["DISPLAY is missing"] * 2
 
 
 @pytest.mark.parametrize(

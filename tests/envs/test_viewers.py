@@ -37,7 +37,7 @@ class Renderer:
 def test_a_picture_is_of_the_size_and_by_the_camera_that_were_requested_and_of_the_stage_or_of_joints_elsewhere(
     machine, monkeypatch
 ):
-    monkeypatch.setattr(rendering, "renderer", Renderer)
+    monkeypatch.setattr(rendering, "make_renderer", Renderer)
     camera = machine.model.camera(0).name
     created = rendering.viewer(machine, "rgb_array", camera, 64, 48)
     assert isinstance(created, rendering.OffScreen)

@@ -231,14 +231,14 @@ def test_a_notebook_gets_the_dashboard_of_what_is_neither_nothing_nor_too_much(m
         def save(self, path):
             raise InterruptedError("it is sent")
 
-    monkeypatch.setattr(viewer, "has", lambda library: True)
+    monkeypatch.setattr(viewer, "is_installed", lambda library: True)
     monkeypatch.setitem(sys.modules, "rerun_notebook", SimpleNamespace())
     for n in (0, viewer.MAX_WIDGET_SAMPLES + 1):
         assert viewer.build_widget(Run(n)) == {}
     for n in (1, viewer.MAX_WIDGET_SAMPLES):
         with pytest.raises(InterruptedError, match="it is sent"):
             viewer.build_widget(Run(n))
-    monkeypatch.setattr(viewer, "has", lambda library: library != "rerun_notebook")
+    monkeypatch.setattr(viewer, "is_installed", lambda library: library != "rerun_notebook")
     assert viewer.build_widget(Run(1)) == {}
 
 

@@ -62,7 +62,7 @@ def test_reruns_program_is_the_one_that_is_named_or_that_of_its_package(tmp_path
     monkeypatch.delenv("RERUN_CLI_PATH", raising=False)
     spec = SimpleNamespace(submodule_search_locations=[str(tmp_path / "none"), str(tmp_path)])
     monkeypatch.setattr(viewer, "find_spec", lambda name: spec)
-    monkeypatch.setattr(viewer, "need", lambda *_: None)
+    monkeypatch.setattr(viewer, "import_extra", lambda *_: None)
     with pytest.raises(ViewerError, match=rf"in {tmp_path}/none, {tmp_path} has no program of rerun\. Install it anew"):
         viewer.find_executable()
     for name in ("rerun.exe", "rerun", "Rerun.app/Contents/MacOS/Rerun"):

@@ -94,16 +94,16 @@ def play_suite(args: argparse.Namespace) -> int:
     """
     from registerbench import arena
     from registerbench.arena.suite_runner import get_player_name, make_header
-    from stage.support.files import ENTRY, TRANSCRIPT, ends_as, writable
+    from stage.support.files import ENTRY, TRANSCRIPT, check_ending, check_writable
 
     player, limits = _make_player(args), arena.Limits(args.most, args.patience, args.time)
     suite = arena.suite(args.suite, args.split, args.episodes)
     _check_options(args, len(suite.games))
     for path, kind in ((args.output, TRANSCRIPT), (args.entry, ENTRY)):
         if path is not None:
-            ends_as(path, *kind)
+            check_ending(path, *kind)
     if args.entry is not None:
-        writable(args.entry, args.force, ask="give --force")
+        check_writable(args.entry, args.force, overwrite_hint="give --force")
     name = args.name or (get_player_name(player) if args.mcp or args.command or args.endpoint else args.by or "formula")
     out = sys.stderr if args.mcp else sys.stdout
     with ExitStack() as stack:
@@ -209,9 +209,9 @@ def _make_player(args: argparse.Namespace) -> Any:
         raise ArgumentError(f"--{' and --'.join(named)}: one player at a time.")
     if args.mcp:
         from registerbench.arena.players.mcp_client import McpClientPlayer
-        from stage.support.extras import need
+        from stage.support.extras import import_extra
 
-        need("mcp", "stage agent --mcp")
+        import_extra("mcp", "stage agent --mcp")
         return McpClientPlayer()
     if args.command is not None:
         from registerbench.arena.players.command import CommandPlayer

@@ -130,11 +130,11 @@ def submit_entry(args: argparse.Namespace) -> int:
     """Play and pack."""
     import registerbench
     from registerbench.cards import find_card
-    from stage.support.files import ENTRY, ends_as, writable
+    from stage.support.files import ENTRY, check_ending, check_writable
 
     card = find_card(args.task)
-    ends_as(args.output, *ENTRY)
-    writable(args.output, args.force, ask="give --force")
+    check_ending(args.output, *ENTRY)
+    check_writable(args.output, args.force, overwrite_hint="give --force")
     progress = _Progress("played")
     entry = registerbench.play(
         args.policy, args.task, args.split, track=args.track, round_=args.round, settings=_settings(args.set, card.choices),

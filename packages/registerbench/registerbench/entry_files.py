@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.support.files import written
+from stage.support.files import write_atomically
 from stage.support.foreign_files import DocumentError, parse_json, read_bytes, read_members
 
 FORMAT_VERSION = 1
@@ -134,7 +134,7 @@ class Entry:
         unpack_entry(content)
         if len(content) > MAX_FILE_BYTES:
             raise ArgumentError(f"the entry has {len(content)} bytes, and a file at most {MAX_FILE_BYTES}.")
-        with written(path, overwrite) as part:
+        with write_atomically(path, overwrite) as part:
             part.write_bytes(content)
 
 
@@ -168,7 +168,7 @@ def write_archive(archive: str | os.PathLike, paths: Iterable[str | os.PathLike]
     Raises:
         FileError: The archive cannot be written.
     """
-    with written(archive, overwrite) as part, zipfile.ZipFile(part, "w") as packed:
+    with write_atomically(archive, overwrite) as part, zipfile.ZipFile(part, "w") as packed:
         for path in sorted(map(Path, paths)):
             packed.writestr(zipfile.ZipInfo(path.name, ZIP_DATE), path.read_bytes())
 
@@ -202,7 +202,7 @@ def unpack_entry(content: bytes, name: str = "the entry") -> Entry:
     def refuse(why: str) -> EntryError:
         return EntryError(f"{name} is not an entry of the benchmark: {why}. Get it again from where it came.")
 
-    raw = read_members(content, MEMBERS, MAX_UNPACKED_BYTES, refuse, only=True)
+    raw = read_members(content, MEMBERS, MAX_UNPACKED_BYTES, refuse, exact=True)
     header = _parse_header(raw.pop("entry.json"), name)
     if header.pop("checksum", None) != _compute_checksum(header, raw):
         raise EntryError(f"{name} is damaged or was changed by hand: its checksum does not match its content.")

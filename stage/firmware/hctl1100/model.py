@@ -23,7 +23,7 @@ import numpy as np
 from stage.chips.hctl1100.motor import FULL_DRIVE
 from stage.errors import StageError
 from stage.firmware.hctl1100.moves import Tuning
-from stage.support.extras import need
+from stage.support.extras import import_extra
 
 MARGIN = 60.0  # degrees
 RATTLE = 48.0  # units of motor command for one count
@@ -108,7 +108,7 @@ class Loop:
         Raises:
             ExtraMissing: scipy is missing.
         """
-        lfilter = need("scipy.signal", "the prediction").lfilter
+        lfilter = import_extra("scipy.signal", "the prediction").lfilter
         (b, a), (_, d) = self.plant, self.filter
         command = np.asarray(command, float)
         velocity_sign = np.sign(np.diff(command, prepend=command[0]))

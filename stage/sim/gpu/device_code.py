@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from stage import native
 from stage.chips import cores
-from stage.support.extras import need
+from stage.support.extras import import_extra
 
 FEATURE_NAME = "a fleet on a GPU"
 """For what the libraries are needed, in errors."""
@@ -57,8 +57,8 @@ def cuda_tools() -> Tools:
     Raises:
         ExtraMissing: numba-cuda is not installed.
     """
-    need("numba_cuda", FEATURE_NAME)
-    cuda = need("numba.cuda", FEATURE_NAME)
+    import_extra("numba_cuda", FEATURE_NAME)
+    cuda = import_extra("numba.cuda", FEATURE_NAME)
     extending, types = import_module("numba.cuda.extending"), import_module("numba.cuda.types")
     cgutils = import_module("numba.cuda.cgutils")
     ir: Any = import_module("llvmlite.ir")

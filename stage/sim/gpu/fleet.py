@@ -24,7 +24,7 @@ from stage.sim.gpu.physics import Physics, load_warp
 from stage.sim.program import Program
 from stage.sim.stage import Stage
 from stage.support.arguments import explain_arguments
-from stage.support.extras import need
+from stage.support.extras import import_extra
 
 KERNELS = ("stage.chips.pcl240.core", "stage.chips.hctl1100.core")
 """Cores of the families whose code has run on a GPU."""
@@ -59,7 +59,7 @@ class GpuFleet(fleet.Fleet):
         stage = stages[0]
         tools = cuda_tools()
         load_warp()
-        cuda: Any = need("numba.cuda", FEATURE_NAME)
+        cuda: Any = import_extra("numba.cuda", FEATURE_NAME)
         if not cuda.is_available():
             raise GpuMissing(
                 'device="cuda": numba-cuda finds no NVIDIA GPU, though warp does: its driver may be too old.'

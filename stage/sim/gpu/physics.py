@@ -11,7 +11,7 @@ import numpy as np
 
 from stage.errors import GpuMissing, ModelError
 from stage.sim.gpu.device_code import FEATURE_NAME
-from stage.support.extras import need
+from stage.support.extras import import_extra
 
 POSITIONS_TRIED = 41  # of each joint, where contacts and constraints are counted
 SPARE_CONTACTS, SPARE_CONSTRAINTS = 4, 8
@@ -23,8 +23,8 @@ def load_warp() -> Any:
     Raises:
         ExtraMissing: warp or mujoco-warp is not installed. GpuMissing: there is no GPU.
     """
-    warp = need("warp", FEATURE_NAME)
-    need("mujoco_warp", FEATURE_NAME)
+    warp = import_extra("warp", FEATURE_NAME)
+    import_extra("mujoco_warp", FEATURE_NAME)
     warp.config.quiet = True
     if not warp.is_cuda_available():
         raise GpuMissing(
@@ -51,7 +51,7 @@ class Physics:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, copies: int):
         self.warp = load_warp()
-        self._mujoco_warp: Any = need("mujoco_warp", FEATURE_NAME)
+        self._mujoco_warp: Any = import_extra("mujoco_warp", FEATURE_NAME)
         model = copy.copy(model)
         model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # mujoco-warp has no such flag
         contacts, constraints = count_constraints(model)

@@ -23,7 +23,7 @@ from registerbench.arena.results import GameResult, RunHeader, SuiteResult, summ
 from registerbench.arena.session import MAX_TOKENS, Limits
 from registerbench.versions import list_versions
 from stage.errors import ArgumentError
-from stage.support.files import FileError, writable
+from stage.support.files import FileError, check_writable
 from stage.support.foreign_files import open_regular, parse_json
 
 FORMAT_VERSION = 2
@@ -79,7 +79,7 @@ class TranscriptWriter:
         if resume and Path(path).exists():
             self._file, self.earlier_games = _reopen(Path(path), head)
             return
-        target = writable(path, overwrite, ask="give --force, or --resume to go on with it")
+        target = check_writable(path, overwrite, overwrite_hint="give --force, or --resume to go on with it")
         try:
             self._file = target.open("w", encoding="utf-8")
         except OSError as why:

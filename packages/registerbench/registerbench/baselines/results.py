@@ -49,7 +49,7 @@ from registerbench.baselines.runs import (
 from registerbench.statistics import compute_interval, compute_iqm
 from stage import Stage, firmware
 from stage.firmware.report import Report, compute_rates
-from stage.support.pictures import bare, title
+from stage.support.pictures import remove_frame, set_title
 
 BUDGET, SEEDS = 256, 10  # moves a seed; fewer seeds say nothing of who beats whom
 MM = 3.125e-3  # of a pulse
@@ -350,10 +350,10 @@ def draw(all_: MethodRuns, path: Path) -> None:
         ):
             draw_learning_curves(top, runs, payload)
             draw_moves(bottom, runs, payload, mass, all_.model)
-            title(top, f"{mass:g} kg: highest reward of a move so far", 12)
-            title(bottom, f"{mass:g} kg: the moves found", 12)
+            set_title(top, f"{mass:g} kg: highest reward of a move so far", 12)
+            set_title(bottom, f"{mass:g} kg: the moves found", 12)
             for ax in (top, bottom):
-                bare(ax, size=9)
+                remove_frame(ax, size=9)
         handles, labels = bottom.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)

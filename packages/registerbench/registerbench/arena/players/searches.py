@@ -12,7 +12,7 @@ import numpy as np
 
 from registerbench.arena.players.formula_and_random import formula
 from registerbench.arena.session import GameSession
-from stage.support.extras import need
+from stage.support.extras import import_extra
 
 MOVE_ARGUMENTS = ("start", "drive", "up", "down")
 FASTER_FACTORS = {"drive": 1.15, "up": 0.85, "down": 0.85, "start": 1.2}
@@ -70,7 +70,7 @@ def optuna(session: GameSession) -> None:
     if not _has_several_attempts(session):
         formula(session)
         return
-    library = need("optuna", "the player optuna")
+    library = import_extra("optuna", "the player optuna")
     library.logging.set_verbosity(library.logging.WARNING)
     first, limits = session.call("formula").data, _get_argument_limits(session)
     sampler = library.samplers.TPESampler(seed=sum(session.name.encode()), n_startup_trials=3)
