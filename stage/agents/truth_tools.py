@@ -34,7 +34,10 @@ class TruthTools:
             make(self.peek, axis, free=True),
             make(self.place, {**axis, "position": position}),
             make(self.load, {"mass": mass}),
-            make(self.mend, {"all": argument(Flag, "Clear all faults.", None)}),
+            make(
+                self.clear_faults,
+                {"all": argument(Flag, "true clears all faults that you made; default: only the last one.", None)},
+            ),
         ]
         return tools + [self._make_fault_tool(name, function) for name, function in fault_functions().items()]
 
@@ -65,12 +68,12 @@ class TruthTools:
         self._context.stage.set_payload(mass)
         return {"payload_kg": self._context.stage.payload()}
 
-    def mend(self, all: bool = False) -> dict[str, Any]:
-        """Clear the last fault, or all."""
-        standing = [f for f in self._faults if f.in_force]
-        if not standing:
+    def clear_faults(self, all: bool = False) -> dict[str, Any]:
+        """Clear the fault that was made last, or all faults that you made."""
+        active = [f for f in self._faults if f.in_force]
+        if not active:
             raise StageError("No fault that you made is in force.")
-        for fault in reversed(standing if all else standing[-1:]):
+        for fault in reversed(active if all else active[-1:]):
             fault.clear()
         return {"faults": list(self._context.stage.faults)}
 

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 def add(commands: Any) -> None:
     """Add the command."""
     p = add_command(
-        commands, "completion", run, "completion of commands and options for a shell",
-        "Print what makes a shell complete this command line with the Tab key.",
+        commands, "completion", run, "print a script that completes commands and options in a shell",
+        "Print the script that makes a shell complete this command line with the Tab key.",
         ('eval "$(stage completion bash)"', "in ~/.bashrc"),
         ('eval "$(stage completion zsh)"', "in ~/.zshrc"),
         ("stage completion fish | source", "in ~/.config/fish/config.fish"),

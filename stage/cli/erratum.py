@@ -45,7 +45,7 @@ def add(commands: Any) -> None:
         ("stage erratum --plot erratum.png", "both runs, drawn"),
         ("stage erratum --mended", "chips without the failure"),
     )  # fmt: skip
-    p.add_argument("--mended", action="store_true", help="chips without the failure (errata=False)")
+    p.add_argument("--mended", action="store_true", help="simulate chips without the failure (errata=False)")
     options.add_plot_option(p)
     options.add_stage_and_output_options(p, CHIPS)
 

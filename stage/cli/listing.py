@@ -12,14 +12,14 @@ from stage.cli.options import CHIPS
 def add(commands: Any) -> None:
     """Add the commands."""
     p = add_command(
-        commands, "list", list_kind, "the chips, motors and models that there are",
-        "List what --chips, --motor and --model take.",
+        commands, "list", list_kind, "list the available chips, motors or models",
+        "List the values of --chips, --motor or --model.",
         ("stage list motors", "names for --motor"),
         ("stage list models", "names for --model"),
     )  # fmt: skip
     p.add_argument("what", choices=tuple(KINDS))
     add_command(
-        commands, "chips", list_chips, "the chips that there are",
+        commands, "chips", list_chips, "list the available chips",
         "List every chip: PulseStage's own, and those of installed packages (docs/your_own_chip.md).",
         ("stage chips", "names for --chips, and where they come from"),
     )  # fmt: skip

@@ -36,12 +36,22 @@ def add(commands: Any) -> None:
     g = p.add_argument_group("agent")
     g.add_argument(
         "--mode", choices=("host", "truth"), default="host",
-        help="what it sees: what a host on the bus can see, or everything (default: host)",
+        help="what the agent sees: what a host on the bus can see, or everything (default: host)",
     )  # fmt: skip
-    g.add_argument("--moves", type=number, metavar="N", help="moves that a session may begin (default: any number)")
-    g.add_argument("--seconds", type=TIME, metavar="S", help="simulated seconds of a session (default: any number)")
-    g.add_argument("--cycles", type=number, metavar="N", help="bus cycles of a session (default: any number)")
-    g.add_argument("--no-snapshots", action="store_true", help="offer no snapshot, restore and branch: no way back")
+    g.add_argument(
+        "--moves", type=number, metavar="N", help="number of moves that a session may begin (default: no limit)"
+    )
+    g.add_argument(
+        "--seconds", type=TIME, metavar="S", help="simulated seconds that a session may use (default: no limit)"
+    )
+    g.add_argument(
+        "--cycles", type=number, metavar="N", help="number of bus cycles that a session may make (default: no limit)"
+    )
+    g.add_argument(
+        "--no-snapshots",
+        action="store_true",
+        help="leave out the tools snapshot, restore and branch, so that the agent cannot undo anything",
+    )
     g.add_argument("--folder", metavar="DIR", help="folder for recordings, in mode truth (default: none)")
     g.add_argument(
         "--patience", type=TIME, default=30.0, metavar="S", help="real seconds that a call may take (default: 30)"
@@ -50,11 +60,13 @@ def add(commands: Any) -> None:
     g.add_argument(
         "--http", action="store_true", help="streamable HTTP on 127.0.0.1 instead of standard input and output"
     )
-    g.add_argument("--port", type=port, default=7242, help="TCP port; 0: one that is free (default: 7242)")
-    g.add_argument("--sessions", type=number, default=64, metavar="N", help="sessions at a time, at most (default: 64)")
+    g.add_argument("--port", type=port, default=7242, help="TCP port; 0 chooses a free one (default: 7242)")
+    g.add_argument(
+        "--sessions", type=number, default=64, metavar="N", help="maximum number of sessions at a time (default: 64)"
+    )
     g.add_argument(
         "--idle", type=TIME, default=600.0, metavar="S",
-        help="end a session that has made no call for so many seconds (default: 600)",
+        help="end a session after this many seconds without a call (default: 600)",
     )  # fmt: skip
     options.add_stage_options(p.add_argument_group("stage"))
 

@@ -22,7 +22,7 @@ def add(commands: Any) -> None:
     )  # fmt: skip
     p.add_argument(
         "--axes", default="x:slide:300mm,y:slide:200mm", metavar="NAME:KIND:TRAVEL,...",
-        help="x:slide:300mm, or a:hinge:90deg, with the travel between the end limits; 360deg turns without end (default: "
+        help="x:slide:300mm, or a:hinge:90deg, with the travel between the end limits; 360deg turns endlessly (default: "
         "x:slide:300mm,y:slide:200mm)",
     )  # fmt: skip
     p.add_argument("-o", "--output", metavar="FILE.xml", help="file to write; - prints the model (default: -)")

@@ -62,7 +62,7 @@ def number(text: str) -> int:
     try:
         return int(text, 0)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number, such as 768 or 0x300") from None
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, such as 768 or 0x300") from None
 
 
 def count(text: str) -> int:
@@ -129,8 +129,8 @@ def add_stage_options(g: Any, chips: Sequence[str] = CHIPS) -> None:
     g.add_argument("--chips", default=chips[0], help=choices).known = chips
     g.add_argument("--motor", help="motor of every axis, see `stage list motors` (default: 17HS4401)")
     g.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
-    g.add_argument("--bus-voltage", type=VOLTAGE, default=24.0, help="supply of the drives, V (default: 24)")
-    g.add_argument("--bus-cycle", type=TIME, default=1e-6, help="seconds that a bus cycle takes (default: 1e-6)")
+    g.add_argument("--bus-voltage", type=VOLTAGE, default=24.0, help="supply voltage of the drives in V (default: 24)")
+    g.add_argument("--bus-cycle", type=TIME, default=1e-6, help="duration of a bus cycle in s (default: 1e-6)")
     g.add_argument(
         "--wiring", action="append", default=[], metavar="AXIS.SENSOR=LOGIC",
         help="logic of a sensor that is not negative: x.org=positive is high while it is on; ez is the index of the encoder",
@@ -170,7 +170,7 @@ def add_speed_options(p: argparse.ArgumentParser) -> None:
     g.add_argument("--fh1", type=RATE, help="FH1: rate of the move")
     g.add_argument("--fh2", type=RATE, help="FH2: second rate (PCL-240 family; default: twice FH1)")
     g.add_argument("--accel", type=DURATION, help="seconds from FL to the highest rate")
-    g.add_argument("--decel", type=DURATION, help="seconds from the highest rate to FL (default: as --accel)")
+    g.add_argument("--decel", type=DURATION, help="seconds from the highest rate to FL (default: the same as --accel)")
 
 
 def add_ramp_options(p: argparse.ArgumentParser) -> None:
@@ -198,7 +198,9 @@ def add_board_options(p: argparse.ArgumentParser) -> None:
     g.add_argument("--stride", type=number, help="ports from one chip to the next (default: the layout's)")
     g.add_argument("--clock", type=HERTZ, metavar="HZ", help="reference clock of the chips (default: the data sheet's)")
     g.add_argument("--trace", metavar="FILE.txt", help="write the bus cycles in words; - prints them")
-    g.add_argument("--keep", type=int, default=1_000_000, help="latest bus cycles to keep (default: 1,000,000)")
+    g.add_argument(
+        "--keep", type=int, default=1_000_000, help="number of the latest bus cycles to keep (default: 1,000,000)"
+    )
     g.add_argument(
         "--device", action="append", default=[], metavar="KIND:PORT",
         help="another device on the bus: hctl2000, hctl2016, hctl2020, ls7166 with the axis whose encoder it counts, "
@@ -224,11 +226,11 @@ def add_panel_options(p: argparse.ArgumentParser) -> None:
         help="show a live page in real time; the command begins when a browser shows it, and the page stays at the end; "
         "docs/panel.md",
     )  # fmt: skip
-    g.add_argument("--panel-port", type=port, default=7241, help="TCP port; 0: one that is free (default: 7241)")
+    g.add_argument("--panel-port", type=port, default=7241, help="TCP port; 0 chooses a free one (default: 7241)")
     add_page_options(g)
 
 
 def add_page_options(g: Any) -> None:
     """Add the options of every live page."""
-    g.add_argument("--no-browser", action="store_true", help="print the link, and open no browser")
+    g.add_argument("--no-browser", action="store_true", help="print the link instead of opening a browser")
     g.add_argument("--speed", type=float, default=1.0, help="simulated seconds per second, 0.001 to 1000 (default: 1)")

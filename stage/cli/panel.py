@@ -30,17 +30,17 @@ def add(commands: Any) -> None:
     )  # fmt: skip
     add_model_argument(p)
     g = p.add_argument_group("page")
-    g.add_argument("--port", type=port, default=7241, help="TCP port; 0: one that is free (default: 7241)")
+    g.add_argument("--port", type=port, default=7241, help="TCP port; 0 chooses a free one (default: 7241)")
     g.add_argument(
         "--host", default="127.0.0.1", metavar="ADDRESS",
         help="address to listen on; other than at 127.0.0.1, whoever has the link with its token can reach the page "
         "(default: 127.0.0.1)",
     )  # fmt: skip
     add_page_options(g)
-    g.add_argument("--paused", action="store_true", help="begin with time standing still")
+    g.add_argument("--paused", action="store_true", help="begin paused")
     g.add_argument(
         "--open", metavar="FILE",
-        help="continue from a file that the menu of the page has saved; it replaces MODEL and the options of the stage",
+        help="continue from a file that was saved from the menu of the page; it replaces MODEL and the options of the stage",
     )  # fmt: skip
     add_stage_options(p.add_argument_group("stage"))
 

@@ -60,7 +60,7 @@ def add(commands: Any) -> None:
     )  # fmt: skip
     g.add_argument(
         "--for", dest="seconds", type=TIME, metavar="SECONDS",
-        help="run it for so many simulated seconds: for firmware that never returns, such as a sketch",
+        help="run it for this many simulated seconds, for firmware that never returns, such as a sketch",
     )  # fmt: skip
     g.add_argument(
         "--cost", type=TIME, default=0.0, metavar="S",
@@ -69,7 +69,7 @@ def add(commands: Any) -> None:
     )  # fmt: skip
     g.add_argument(
         "--in-process", action="store_true",
-        help="run it in this process, for debuggers (default: in a process of its own; a crash ends only that)",
+        help="run it in this process, for debuggers (default: in a separate process, so that a crash ends only that one)",
     )  # fmt: skip
     g.add_argument("--isolated", action="store_true", help=argparse.SUPPRESS)  # what is the default now
     options.add_board_options(p)

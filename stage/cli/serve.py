@@ -33,11 +33,11 @@ def add(commands: Any) -> None:
         help="address to listen on (default: 127.0.0.1, this machine only)",
     )  # fmt: skip
     g.add_argument(
-        "--listen", type=port, default=7240, metavar="PORT", help="TCP port; 0: one that is free (default: 7240)"
+        "--listen", type=port, default=7240, metavar="PORT", help="TCP port; 0 chooses a free one (default: 7240)"
     )
     g.add_argument(
         "--fresh", action="store_true",
-        help="put the stage back to its start for each host (default: a host finds it as the one before has left it)",
+        help="reset the stage for each host (default: a host continues where the previous one stopped)",
     )  # fmt: skip
     options.add_board_options(p)
     options.add_panel_options(p)

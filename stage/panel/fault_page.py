@@ -163,10 +163,10 @@ class FaultPanel:
                 with ui.row().classes("items-center q-gutter-xs"):
                     ui.icon("warning", color="deep-orange")
                     ui.label(text)
-                    button = ui.button("mend", on_click=partial(run.io_bound, self.fault_controls.clear, active))
-                    button.props(f"dense flat no-caps data-test=mend aria-label={quote_label(text)}")
+                    button = ui.button("clear", on_click=partial(run.io_bound, self.fault_controls.clear, active))
+                    button.props(f"dense flat no-caps data-test=clear-fault aria-label={quote_label(text)}")
 
 
 def quote_label(text: str) -> str:
     """Return the label of a button that clears a fault, as the value of a prop."""
-    return '"mend ' + text.replace('"', "'") + '"'
+    return '"clear ' + text.replace('"', "'") + '"'

@@ -30,7 +30,7 @@ def make_box():
 
     yield make
     for box in created:
-        for name in ("mend",):
+        for name in ("clear_faults",):
             if name in box.tools:
                 box.call(name, {"all": True})
         box.close()

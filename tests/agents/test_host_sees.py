@@ -43,7 +43,9 @@ def test_truth_shows_them(make_box):
 
 def test_tools_of_truth_are_not_there_for_a_host(box):
     assert not [
-        name for name in box.tools if name.startswith("fault_") or name in ("truth", "peek", "place", "load", "mend")
+        name
+        for name in box.tools
+        if name.startswith("fault_") or name in ("truth", "peek", "place", "load", "clear_faults")
     ]
     assert "not known" in box.call("truth").text
 
@@ -109,8 +111,8 @@ def test_faults_are_tools_of_their_own(make_box):
         "axis x: org stuck open"
     ]
     assert box.call("fault_bus_voltage", {"axis": "x", "volts": 5}).ok is False or box.stage.faults
-    assert box.call("mend", {"all": True}).data["faults"] == []
-    assert "No fault that you made" in box.call("mend").text
+    assert box.call("clear_faults", {"all": True}).data["faults"] == []
+    assert "No fault that you made" in box.call("clear_faults").text
     assert "Did you mean 'org'" in box.call("fault_switch_stuck", {"axis": "x", "pin": "orgg", "closed": True}).text
 
 
@@ -118,8 +120,8 @@ def test_the_last_fault_is_repaired_first(make_box):
     box = make_box(mode="truth")
     box.call("fault_jam", {"axis": "x"})
     box.call("fault_phase_open", {"axis": "y", "phase": "b"})
-    assert box.call("mend").data["faults"] == ["axis x: jammed"]
-    assert box.call("mend").data["faults"] == []
+    assert box.call("clear_faults").data["faults"] == ["axis x: jammed"]
+    assert box.call("clear_faults").data["faults"] == []
 
 
 def test_two_faults_of_one_kind_are_repaired_to_what_was_before_both(make_box):
@@ -129,7 +131,7 @@ def test_two_faults_of_one_kind_are_repaired_to_what_was_before_both(make_box):
     for force in (5.0, 7.0):
         box.call("fault_jam", {"axis": "x", "force": force})
     assert box.stage.model.dof_frictionloss[dof] == friction + 12.0
-    box.call("mend", {"all": True})
+    box.call("clear_faults", {"all": True})
     assert box.stage.model.dof_frictionloss[dof] == friction
 
 

@@ -52,8 +52,8 @@ def survives(machine, drawn):
                 assert len(answer.data["error"]) < 3000
         assert box.call("budget").ok
     finally:
-        if "mend" in box.tools:
-            box.call("mend", {"all": True})
+        if "clear_faults" in box.tools:
+            box.call("clear_faults", {"all": True})
             box.call("load", {"mass": 0})
         box.close()
 

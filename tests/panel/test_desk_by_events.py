@@ -149,16 +149,16 @@ def test_faults_are_of_the_selected_axis_and_cleared_one_by_one(served, page):
         page.until(lambda n=before: len(hands.in_force) == n + 1)
         assert hands.in_force[-1].request == ("switch_stuck", axis, {"pin": pin, "closed": closed})
     texts = [created.text for created in hands.in_force]
-    page.until(lambda: len(page.all("mend")) == 3)
+    page.until(lambda: len(page.all("clear-fault")) == 3)
     listed = [e.text for e in page.find("in-force").descendants() if getattr(e, "text", "") in texts]
     assert listed == texts
     page.click("break")
     said = page.until(lambda: page.said)
     assert "is in force already" in said[0]
-    page.click("mend", 1)
+    page.click("clear-fault", 1)
     page.until(lambda: [created.text for created in hands.in_force] == [texts[0], texts[2]])
-    page.until(lambda: len(page.all("mend")) == 2)
-    assert page.all("mend")[1].props["aria-label"] == f"mend {texts[2]}".replace('"', "'")
+    page.until(lambda: len(page.all("clear-fault")) == 2)
+    assert page.all("clear-fault")[1].props["aria-label"] == f"clear {texts[2]}".replace('"', "'")
 
 
 def test_an_error_of_a_fault_is_at_its_field(served, page):

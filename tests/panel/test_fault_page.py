@@ -41,7 +41,7 @@ def break_it(bench, what, **choices):
 
 
 def clear(bench):
-    bench.browser.click("mend")
+    bench.browser.click("clear-fault")
     bench.browser.until(lambda: not faults(bench))
     bench.browser.until(lambda: not bench.browser.text("in-force"))
 

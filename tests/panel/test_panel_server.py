@@ -161,7 +161,7 @@ def test_a_wildcard_server_without_a_network_has_its_loopback_address(monkeypatc
 
 
 def test_a_text_with_quotes_is_one_property_value():
-    assert touch.quote_label('jammed by "x"') == "\"mend jammed by 'x'\""
+    assert touch.quote_label('jammed by "x"') == "\"clear jammed by 'x'\""
 
 
 @pytest.fixture

@@ -22,9 +22,9 @@ SAMPLE_INTERVAL_S = 2.5e-4
 def add(commands: Any) -> None:
     """Add the command."""
     p = add_command(
-        commands, "fault", run, "something breaks: a switch, a wire, the supply, the bus",
+        commands, "fault", run, "show the effect of a fault: a switch, a wire, the supply, the bus",
         "Run a program on a healthy stage and on a faulty one, and print what differs. Without a name: list the faults. "
-        "Recordings are of the faulty run. Exit code 0 if what is claimed happens.",
+        "Recordings show the faulty run. The exit code is 0 if the claimed effect occurs.",
         ("stage fault", "what can break"),
         ("stage fault jam --plot jam.png", "a healthy axis beside one that jams"),
         ("stage fault bounce --chips mcx514 --record bounce.rrd", "a switch that bounces; the faulty run is recorded"),
