@@ -93,8 +93,8 @@ def find_cause(chip: Any) -> str:
     homes_by_index = chip["extended"] and chip["reg"][bits.R13] & bits.EZ_RETURN
     if chip["preset"] and chip["reg"][0] == 0:
         return "R0 = 0"
-    if chip["origin"] and chip["seen"] & bits.ORG and not homes_by_index:
+    if chip["origin_return"] and chip["active_inputs"] & bits.ORG and not homes_by_index:
         return "ORG"
-    if chip["seen"] & (bits.EL_MINUS if chip["minus"] else bits.EL_PLUS):
+    if chip["active_inputs"] & (bits.EL_MINUS if chip["minus"] else bits.EL_PLUS):
         return "EL-" if chip["minus"] else "EL+"
-    return "EZ" if chip["homing"] and chip["seen"] & bits.EZ else ""
+    return "EZ" if chip["passed_org"] and chip["active_inputs"] & bits.EZ else ""
