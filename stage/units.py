@@ -83,7 +83,7 @@ def explain_number_error(text: str) -> str:
     """Explain what is wrong with a text that is not a number: a sentence after a space, or "" without an explanation."""
     repaired = text.strip().replace(",", ".")
     if text.count(",") == 1 and (identify_unit(repaired) or parse_quantity(repaired, {"": 1.0}) is not None):
-        return f" A decimal point, no comma: {repaired}."
+        return f" Use a decimal point: {repaired}."
     return ""
 
 

@@ -176,7 +176,7 @@ def test_a_hinge_is_told_in_its_own_unit(here, capsys):
     said = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "500", code=2).err
     assert "--from 500: axis x travels from -229.183 to 229.183 deg" in said
     said = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "5mm", code=2).err
-    assert "--from 5mm: a place on axis x is a number of deg, or in urad, mrad, rad, mdeg, deg." in said
+    assert "--from 5mm: give a position on axis x in deg, or with a unit: urad, mrad, rad, mdeg, deg." in said
 
 
 def test_a_fault_on_a_hinge_is_told_in_its_unit(here, capsys):

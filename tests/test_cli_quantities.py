@@ -28,13 +28,25 @@ def test_a_number_is_taken_with_and_without_its_unit(kind, text, value):
 @pytest.mark.parametrize(
     ("kind", "text", "said"),
     [
-        (RATE, "2kg", "'2kg' is no pulse rate. kg is a mass. Give a number, or one in pps, kpps."),
-        (TIME, "24V", "'24V' is no time. V is a voltage. Give a number, or one in ns, us, ms, s, min."),
-        (MASS, "2,5kg", "'2,5kg' is no mass. A decimal point, no comma: 2.5kg. Give a number, or one in g, kg."),
-        (VOLTAGE, "many", "'many' is no voltage. Give a number, or one in mV, V."),
-        (HERTZ, "1.5", "'1.5' is no whole number"),
-        (HERTZ, "inf", "'inf' is no whole number"),
-        (HERTZ, "nan", "'nan' is no whole number"),
+        (
+            RATE,
+            "2kg",
+            "'2kg' is not a pulse rate. kg is a unit of mass. Give a number, alone or with a unit: pps, kpps.",
+        ),
+        (
+            TIME,
+            "24V",
+            "'24V' is not a time. V is a unit of voltage. Give a number, alone or with a unit: ns, us, ms, s, min.",
+        ),
+        (
+            MASS,
+            "2,5kg",
+            "'2,5kg' is not a mass. Use a decimal point: 2.5kg. Give a number, alone or with a unit: g, kg.",
+        ),
+        (VOLTAGE, "many", "'many' is not a voltage. Give a number, alone or with a unit: mV, V."),
+        (HERTZ, "1.5", "'1.5' is not a whole number"),
+        (HERTZ, "inf", "'inf' is not a whole number"),
+        (HERTZ, "nan", "'nan' is not a whole number"),
     ],
 )
 def test_another_unit_is_named_for_what_it_is(kind, text, said):
@@ -68,20 +80,20 @@ def test_what_a_number_is_a_number_of():
         ("kg", "mass"), ("pps", "pulse rate"), ("ms", "time"), ("m", "length"), None, None, None,
     ]  # fmt: skip
     assert [explain_number_error(text) for text in ("10,5mm", "1,5", "a,b", "1,2,3")] == [
-        " A decimal point, no comma: 10.5mm.", " A decimal point, no comma: 1.5.", "", "",
+        " Use a decimal point: 10.5mm.", " Use a decimal point: 1.5.", "", "",
     ]  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        ("move x 10 mm", "stage move: unknown argument 'mm'. A number and its unit are one word: 10mm."),
+        ("move x 10 mm", "stage move: unknown argument 'mm'. Write a number and its unit without a space: 10mm."),
         ("move X 100", "stage: unknown axis 'X'. Did you mean 'x'\\? Known: x, y, z."),
-        ("move x 10,5mm", "stage: '10,5mm': .* A decimal point, no comma: 10.5mm."),
-        ("home x --from 10,5mm", "stage: --from 10,5mm: .* A decimal point, no comma: 10.5mm."),
+        ("move x 10,5mm", "stage: '10,5mm': .* Use a decimal point: 10.5mm."),
+        ("home x --from 10,5mm", "stage: --from 10,5mm: .* Use a decimal point: 10.5mm."),
         ("move x 100 --from -90cm", "stage: --from -90cm: axis x travels from -158 to 158 mm."),
         ("move x 100 --fl -5", "stage move: argument --fl: -5 must be greater than 0, and finite."),
-        ("move x 100 --fh1 2kg", "stage move: argument --fh1: '2kg' is no pulse rate. kg is a mass."),
+        ("move x 100 --fh1 2kg", "stage move: argument --fh1: '2kg' is not a pulse rate. kg is a unit of mass."),
         ("list", "stage list: the following arguments are required: what. Known: chips, motors, models."),
         ("completion", "stage completion: the following arguments are required: shell. Known: bash, zsh, fish."),
         ("registers", "stage registers: the following arguments are required: CHIP. Known: PCL240K, PCL240MK, "),

@@ -18,7 +18,7 @@ CHIPS = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", 
 
 
 class Quantity:
-    """Type of a number of one kind, a key of BESIDES; without a unit in SI, pps for a pulse rate."""
+    """Type of a number with a unit of one kind, a key of OTHER_FACTORS. Without a unit it is in SI, a pulse rate in pps."""
 
     def __init__(self, kind: str, positive: bool = False):
         self.kind, self.units, self.positive = kind, OTHER_FACTORS[kind], positive
@@ -29,9 +29,9 @@ class Quantity:
         value = parse_quantity(text, {"": 1.0} | self.units)
         if value is None:
             other = identify_unit(text)
-            hint = f" {other[0]} is a {other[1]}." if other else explain_number_error(text)
+            hint = f" {other[0]} is a unit of {other[1]}." if other else explain_number_error(text)
             raise argparse.ArgumentTypeError(
-                f"{text!r} is no {self.kind}.{hint} Give a number, or one in {', '.join(self.units)}."
+                f"{text!r} is not a {self.kind}.{hint} Give a number, alone or with a unit: {', '.join(self.units)}."
             )
         if self.positive and not 0 < value < math.inf:
             raise argparse.ArgumentTypeError(f"{text} must be greater than 0, and finite")
@@ -48,7 +48,7 @@ class IntegerQuantity(Quantity):
         except ValueError:
             value = super().__call__(text)
         if not math.isfinite(value) or value != round(value):
-            raise argparse.ArgumentTypeError(f"{text!r} is no whole number")
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number")
         return round(value)
 
 
@@ -209,7 +209,7 @@ def add_board_options(p: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     g.add_argument(
         "--encoder", action="append", default=[], metavar="AXIS=COUNTS",
-        help="an encoder for the chip's counter of the real position (RP or EP of the NOVA chips): counts per metre (rad on a "
+        help="an encoder for the chip's counter of the real position (RP or EP of the NOVA chips): counts per meter (rad on a "
         "hinge), x=200000, or per turn of the motor, x=2000/turn",
     )  # fmt: skip
     g.add_argument(

@@ -80,10 +80,12 @@ def _explain_left_over(parser: Parser, word: str, words: Sequence[str]) -> str:
     """Return what is wrong with a word that no argument takes."""
     options = list(dict.fromkeys(re.findall(r"--[a-z][\w-]*", parser.format_help())))
     if word == "--json" and word not in options:
-        return f"--json: `{parser.prog}` serves, or prints what a program or a shell reads. It has no JSON."
+        return (
+            f"--json: `{parser.prog}` has no JSON output: it serves clients, or prints text for a program or a shell."
+        )
     before = words[words.index(word) - 1] if word in words else ""
     if parse_quantity(before, {"": 1.0}) is not None and identify_unit(f"1{word}"):
-        return f"unknown argument {word!r}. A number and its unit are one word: {before}{word}."
+        return f"unknown argument {word!r}. Write a number and its unit without a space: {before}{word}."
     return _explain_unknown("option" if word.startswith("-") else "argument", word.strip(), options)
 
 

@@ -122,7 +122,7 @@ def parse_encoder(item: str) -> Any:
         counts = 0.0
     if not axis or not counts or not math.isfinite(counts) or (per and turn != "turn"):
         raise ArgumentError(
-            f"--encoder {item!r}: write AXIS=COUNTS, counts per metre other than 0, for example x=200000; or per turn of the "
+            f"--encoder {item!r}: write AXIS=COUNTS, counts per meter other than 0, for example x=200000; or per turn of the "
             "motor, x=2000/turn."
         )
     return Encoder(axis, per_turn=counts) if per else Encoder(axis, per_metre=counts)
@@ -263,7 +263,7 @@ def place_carriage(stage: Any, axis: Any, option: str, place: str | None) -> Non
     position = parse_position(place, axis.unit)
     if position is None:
         raise ArgumentError(
-            f"{option} {place}: a place on axis {axis.name} is a number of {unit.symbol}, or in "
+            f"{option} {place}: give a position on axis {axis.name} in {unit.symbol}, or with a unit: "
             f"{', '.join(POSITION_FACTORS[axis.unit])}.{explain_number_error(place)}"
         )
     slack = 1e-9 * (high - low)

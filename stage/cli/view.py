@@ -89,7 +89,7 @@ def draw_model(model: Any, path: str, camera: str | None, overwrite: bool, key: 
         raise (
             unknown_name_error("camera", camera, cameras)
             if cameras
-            else StageError(f"camera {camera!r}: the model has none.")
+            else StageError(f"camera {camera!r}: the model has no camera. Leave out --camera.")
         )
     buffer, lamp = model.vis.global_, model.vis.headlight
     buffer.offwidth, buffer.offheight = max(buffer.offwidth, WIDTH_PX), max(buffer.offheight, HEIGHT_PX)
