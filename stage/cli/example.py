@@ -12,14 +12,14 @@ from stage.cli.commands import add_command, tell, wrote
 def add(commands: Any) -> None:
     """Add the command."""
     p = add_command(
-        commands, "example", run, "a copy of an example: programs, drivers, chips, notebooks",
-        "Copy one of the examples of the documentation into a folder. Without a name: list them.",
-        ("stage example", "what there is"),
-        ("stage example home_and_move", "home_and_move.py, here"),
-        ("stage example drivers --to ~/firmware", "drivers in C, C++, Rust and Zig"),
+        commands, "example", run, "copy an example: programs, drivers, chips, notebooks",
+        "Copy one of the examples of the documentation into a folder. Without a name, list them.",
+        ("stage example", "list the examples"),
+        ("stage example home_and_move", "copy home_and_move.py to the current folder"),
+        ("stage example drivers --to ~/firmware", "copy the drivers in C, C++, Rust and Zig"),
     )  # fmt: skip
-    p.add_argument("name", nargs="?", metavar="NAME", help="for example stall (default: list them)")
-    p.add_argument("--to", default=".", metavar="FOLDER", help="folder for the copy (default: this one)")
+    p.add_argument("name", nargs="?", metavar="NAME", help="example to copy, such as stall (default: list them)")
+    p.add_argument("--to", default=".", metavar="FOLDER", help="folder for the copy (default: the current folder)")
     p.add_argument("--force", action="store_true", help="overwrite files that exist")
 
 

@@ -15,16 +15,18 @@ from stage.cli.commands import add_command, tell, wrote
 def add(commands: Any) -> None:
     """Add the command."""
     p = add_command(
-        commands, "export", run, "a recording as CSV, Parquet or NumPy columns",
-        "Read the columns of a recording (.rrd) and write them as a table, one row per sample, in SI units: docs/recording.md "
-        "says how exactly a recording keeps them. Without -o: list them.",
-        ("stage export demo.rrd", "the columns that there are"),
-        ("stage export demo.rrd -o demo.csv", "all of them"),
-        ("stage export demo.rrd -o demo.parquet --columns x/position,x/rate", "some of them"),
+        commands, "export", run, "write a recording as CSV, Parquet or NumPy columns",
+        "Write the columns of a recording (.rrd) as a table in SI units, one row per sample. Without -o, list the columns. "
+        "docs/recording.md says how exact they are.",
+        ("stage export demo.rrd", "list the columns"),
+        ("stage export demo.rrd -o demo.csv", "write all columns"),
+        ("stage export demo.rrd -o demo.parquet --columns x/position,x/rate", "write two columns and the time"),
     )  # fmt: skip
-    p.add_argument("file", metavar="FILE.rrd", help="a recording, of --record or Recording.save")
-    p.add_argument("-o", "--output", metavar="FILE", help="a name that ends in .csv, .parquet or .npz")
-    p.add_argument("--columns", metavar="NAME,...", help="only these, for example x/position,x/rate (default: all)")
+    p.add_argument("file", metavar="FILE.rrd", help="recording that --record or Recording.save has written")
+    p.add_argument("-o", "--output", metavar="FILE", help="file to write; its ending is .csv, .parquet or .npz")
+    p.add_argument(
+        "--columns", metavar="NAME,...", help="columns to write, for example x/position,x/rate (default: all)"
+    )
     options.add_force_option(p)
 
 

@@ -17,19 +17,21 @@ from stage.errors import ArgumentError, add_article
 def add(commands: Any) -> None:
     """Add the command."""
     p = add_command(
-        commands, "home", run, "origin return",
-        "Find the origin switch ORG: fast (slowed by SD), then back off and approach it again slowly.",
+        commands, "home", run, "find the origin switches of axes (origin return)",
+        "Find the origin switch ORG: approach it fast (SD slows the axis down), back off, and approach it again slowly.",
         ("stage home", "all axes, one after the other"),
         ("stage home x --from 62mm --plot home.png", "from 62 mm, drawn like the data sheet's operation patterns"),
-        ("stage home x --chips mcx514 --by index", "to the encoder's index pulse after the switch"),
+        ("stage home x --chips mcx514 --by index", "end at the encoder's index pulse after the switch"),
     )  # fmt: skip
     p.add_argument("axes", nargs="*", metavar="AXIS", help="axes to home, one after the other (default: all)")
     p.add_argument("--plus", action="store_true", help="search towards plus (default: towards minus)")
     p.add_argument("--constant", action="store_true", help="search at the constant rate FL (PCL-240 family)")
-    p.add_argument("--fast-only", action="store_true", help="do not back off and approach slowly (PCL-240 family)")
+    p.add_argument(
+        "--fast-only", action="store_true", help="end after the fast approach, without a second one (PCL-240 family)"
+    )
     p.add_argument(
         "--by", metavar="HOW",
-        help="where to end: at the switch, at the index pulse of the encoder after it, or by what else the chip has, such as stall",
+        help="where to end: switch, index (the encoder's index pulse after the switch), or a method of the chip, such as stall",
     )  # fmt: skip
     p.add_argument(
         "--ez", type=count, metavar="N", help="end at the N-th index pulse after ORG (N > 1: PCL240MK, PCL240MS)"

@@ -27,12 +27,12 @@ from stage.errors import ArgumentError, add_article
 def add(commands: Any) -> None:
     """Add the commands."""
     p = add_command(
-        commands, "move", move, "a move by pulses, or by a distance",
+        commands, "move", move, "move an axis by pulses or by a distance",
         "Move by a number of pulses, or by a distance, and stop on the last pulse. With a PCL-240 it is a preset move: R0 counts "
-        "the pulses down, and the ramp-down point R6 is by the data sheet's formula, or found by the chip itself where it can.",
-        ("stage move x 8000 --fh1 20000", "8000 pulses, at 20,000 pps"),
-        ("stage move x -10mm --chips hctl1100", "10 mm towards minus, by a servo"),
-        ("stage move x 8000 --chips pcl240ms --s-curve --plot s.png", "an S-curve, drawn"),
+        "the pulses down, and the ramp-down point R6 follows from the data sheet's formula, or the chip finds it itself.",
+        ("stage move x 8000 --fh1 20000", "move by 8000 pulses at 20,000 pps"),
+        ("stage move x -10mm --chips hctl1100", "move a servo axis 10 mm towards minus"),
+        ("stage move x 8000 --chips pcl240ms --s-curve --plot s.png", "draw a move with S-curve ramps"),
     )  # fmt: skip
     _add_axis_and_distance(p)
     p.add_argument("--constant", action="store_true", help="constant rate, no ramps (PCL-240 family)")
@@ -42,13 +42,14 @@ def add(commands: Any) -> None:
     options.add_plot_option(p)
     options.add_stage_and_output_options(p)
     p = add_command(
-        commands, "dual-rate", dual_rate, "FL to FH1 to FH2 and back in one move",
-        "Ramp to FH1, in motion on to FH2 (or down to it) and back, and stop on the last pulse. With --rates any order of the "
-        "three: FL,FH1 is the data sheet's dual rate mode (1), ramping up; FH1,FL its mode (2), ramping down. PCL-240 family.",
+        commands, "dual-rate", dual_rate, "change the rate within one move of an axis",
+        "Ramp to FH1, change to FH2 in motion, change back, and stop on the last pulse. --rates sets another order of FL, FH1 and "
+        "FH2: FL,FH1 is the data sheet's dual rate mode (1), which ramps up; FH1,FL is mode (2), which ramps down. Only the "
+        "PCL-240 family has these modes.",
         ("stage dual-rate x 40000 --fh1 10000 --fh2 20000", "two rates in one move"),
         ("stage dual-rate x 8000 --rates FL,FH1 --dwell 0.5", "dual rate mode (1): constant FL, then a ramp up to FH1"),
         ("stage dual-rate x 8000 --rates FH1,FL", "dual rate mode (2): FH1, then a ramp down to FL"),
-        ("stage dual-rate x 100mm --plot dual.png", "the same over 100 mm, drawn"),
+        ("stage dual-rate x 100mm --plot dual.png", "draw a move of 100 mm"),
     )  # fmt: skip
     _add_axis_and_distance(p)
     p.add_argument(
@@ -65,19 +66,21 @@ def add(commands: Any) -> None:
     options.add_plot_option(p)
     options.add_stage_and_output_options(p)
     p = add_command(
-        commands, "sync", sync, "several axes along a straight line, in the ratio a:b",
-        "Move several axes along a straight line: registers in the ratio of the distances, equal ramp times, one start after the "
-        "other; or the chip's own interpolation.",
-        ("stage sync x=20000 y=-7500", "two axes along a straight line"),
-        ("stage sync x=10mm y=-2mm z=1mm --rate 5000", "three axes, the longest at 5,000 pps"),
-        ("stage sync x=20000 y=-7500 --chips mcx514", "by the chip's own interpolation"),
+        commands, "sync", sync, "move several axes along a straight line",
+        "Move several axes along a straight line. Their rates are in the ratio of the distances, their ramps take equal times, and "
+        "they start one after the other. Chips with interpolation use it instead.",
+        ("stage sync x=20000 y=-7500", "move two axes"),
+        ("stage sync x=10mm y=-2mm z=1mm --rate 5000", "move three axes; the one with the most pulses at 5,000 pps"),
+        ("stage sync x=20000 y=-7500 --chips mcx514", "use the interpolation of the chip"),
     )  # fmt: skip
     p.add_argument(
         "distances", nargs="+", metavar="AXIS=DISTANCE", help="for example x=20000 y=-7500, or x=10mm y=-2mm"
     )
-    p.add_argument("--rate", dest="fh1", type=RATE, metavar="RATE", help="rate of the axis with the most pulses, pps")
-    p.add_argument("--fl", type=RATE, help="rate of that axis at the start and at the stop, pps")
-    p.add_argument("--accel", type=DURATION, help="seconds of the ramps")
+    p.add_argument(
+        "--rate", dest="fh1", type=RATE, metavar="RATE", help="rate of the axis with the most pulses, in pps"
+    )
+    p.add_argument("--fl", type=RATE, help="rate of that axis at its start and stop, in pps")
+    p.add_argument("--accel", type=DURATION, help="duration of the ramps, in s")
     options.add_ramp_options(p)
     options.add_plot_option(p)
     options.add_stage_and_output_options(p)

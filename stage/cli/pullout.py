@@ -16,13 +16,13 @@ from stage.cli.terminal import show_progress
 def add(commands: Any) -> None:
     """Add the command."""
     p = add_command(
-        commands, "pullout", run, "pull-out torque of a motor and drive over speed",
-        "Simulate the torque at which the motor slips, beside the closed form of an ideal drive.",
-        ("stage pullout --motor 17HS4401 --plot pullout.png", "the curve, drawn"),
-        ("stage pullout --bus-voltage 48", "with another supply"),
+        commands, "pullout", run, "simulate the pull-out torque of a motor over speed",
+        "Simulate the torque at which the motor slips at each speed, and print it next to the closed form of an ideal drive.",
+        ("stage pullout --motor 17HS4401 --plot pullout.png", "draw the curve"),
+        ("stage pullout --bus-voltage 48", "use a supply of 48 V"),
     )  # fmt: skip
-    p.add_argument("--motor", default="17HS4401", help="a stepper, see `stage list motors` (default: 17HS4401)")
-    p.add_argument("--bus-voltage", type=VOLTAGE, default=24.0, help="supply of the drive, V (default: 24)")
+    p.add_argument("--motor", default="17HS4401", help="stepper motor, see `stage list motors` (default: 17HS4401)")
+    p.add_argument("--bus-voltage", type=VOLTAGE, default=24.0, help="supply voltage of the drive, in V (default: 24)")
     p.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
     options.add_plot_option(p)
     options.add_force_option(p)

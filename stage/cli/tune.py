@@ -23,10 +23,10 @@ FILES = {"c": "tuned.h", "text": "tuned.txt", "json": "tuned.json", "picture": "
 def add(commands: Any) -> None:
     """Add the command."""
     p = add_command(
-        commands, "tune", run, "registers for an axis: formula, search, proof",
-        "Find the registers of one move of an axis: by the data sheet's formula, then by a search that keeps a margin. Prove them "
-        "on machines that the search has not seen, drawn from the evidence of motor, supply and friction. Print registers, bus "
-        "bytes and a C header.",
+        commands, "tune", run, "find the registers for a move of an axis, and prove them",
+        "Find the registers for one move of an axis: start from the data sheet's formula, then search for a faster move that keeps "
+        "a margin. Prove the result on random machines that the search did not use; their motor, supply and friction vary within "
+        "the evidence. Print the registers, the bytes on the bus and a C header.",
         ("stage tune xy --payload 2 --distance 100mm", "a PCL-240 on the X axis of xy: prints registers, bytes and C"),
         ("stage tune xy --payload 2 --distance 100mm -o tuned", "the same as files, with a picture"),
         ("stage tune my.xml --axis z --chips mcx514 --payload 0.5 --spare 0.2 --distance 20mm", ""),
@@ -34,17 +34,19 @@ def add(commands: Any) -> None:
         more="docs/tuning.md says how it works, and what the proof proves.",
     )  # fmt: skip
     options.add_model_argument(p)
-    p.add_argument("--axis", help="the axis (default: the first of the model)")
+    p.add_argument("--axis", help="axis to tune (default: the first one of the model)")
     p.add_argument("--distance", help="distance of the move: 100mm, -30deg, or pulses (counts of a servo)")
-    p.add_argument("--payload", type=MASS, default=0.0, metavar="KG", help="largest mass that it carries (default: 0)")
+    p.add_argument(
+        "--payload", type=MASS, default=0.0, metavar="KG", help="largest mass that the axis carries (default: 0)"
+    )
     p.add_argument(
         "--payload-on", metavar="NAME",
-        help="body or site that carries it (default: site work, if it rides on the axis, else what the axis moves)",
+        help="body or site that carries the payload (default: the site work if the axis moves it, else the body of the axis)",
     )  # fmt: skip
     p.add_argument(
         "--spare", default="30%", metavar="KG|PERCENT",
-        help="margin: additional mass with which no step may be lost; percent of the payload, or without a payload of what the "
-        "axis moves by itself (default: 30%%)",
+        help="margin: additional mass with which the axis must not lose a step; percent of the payload, or, without a payload, of "
+        "the mass that the axis itself moves (default: 30%%)",
     )  # fmt: skip
     p.add_argument(
         "--settle", nargs=2, metavar=("WITHIN", "FOR"),
@@ -55,15 +57,21 @@ def add(commands: Any) -> None:
     p.add_argument(
         "--site",
         metavar="NAME",
-        help="site or body whose position counts, such as a camera on a mast (default: the axis)",
+        help="site or body whose position has to settle, such as a camera on a mast (default: the axis)",
     )
     g = p.add_argument_group("search")
-    g.add_argument("--by", choices=("search", "formula"), default="search", help="formula: no search, needs no Optuna")
-    g.add_argument("--trials", type=int, default=200, help="sets of registers to try (default: 200)")
-    g.add_argument("--moves", type=int, default=96, help="machines of a proof, each makes a move (default: 96)")
-    g.add_argument("--seed", type=int, default=0, help="the same seed gives the same registers (default: 0)")
     g.add_argument(
-        "--workers", type=int, help="threads; the result does not depend on them (default: one per processor)"
+        "--by", choices=("search", "formula"), default="search", help="formula: no search, no Optuna (default: search)"
+    )
+    g.add_argument("--trials", type=int, default=200, help="number of register sets to try (default: 200)")
+    g.add_argument(
+        "--moves", type=int, default=96, help="number of machines in a proof; each makes one move (default: 96)"
+    )
+    g.add_argument(
+        "--seed", type=int, default=0, help="random seed; the same seed gives the same registers (default: 0)"
+    )
+    g.add_argument(
+        "--workers", type=int, help="number of threads; it does not change the result (default: one per processor)"
     )
     options.add_stage_options(p.add_argument_group("stage"))
     g = p.add_argument_group("output")

@@ -20,15 +20,17 @@ AMBIENT, DIFFUSE = 0.45, 0.35  # of the lamp at the eye: nothing is black
 def add(commands: Any) -> None:
     """Add the command."""
     p = add_command(
-        commands, "view", run, "look at a model in the MuJoCo viewer",
+        commands, "view", run, "show a model in MuJoCo's viewer, as text or as a picture",
         "Open a model in MuJoCo's viewer (needs a screen), or print its axes, or draw it.",
-        ("stage view xyz --text", "axes, travel, switches"),
-        ("stage view my.xml --picture my.png", "a picture with the axes' names"),
+        ("stage view xyz --text", "print axes, travel and switches"),
+        ("stage view my.xml --picture my.png", "draw the model with the names of its axes"),
     )  # fmt: skip
     options.add_model_argument(p)
-    p.add_argument("--text", action="store_true", help="print axes, travel and switches instead")
-    p.add_argument("--picture", metavar="FILE.png", help="draw it instead; needs no screen")
-    p.add_argument("--camera", metavar="NAME", help="a camera of the model (default: overview, or one that sees all)")
+    p.add_argument("--text", action="store_true", help="print axes, travel and switches instead of opening the viewer")
+    p.add_argument(
+        "--picture", metavar="FILE.png", help="draw the model instead of opening the viewer; needs no screen"
+    )
+    p.add_argument("--camera", metavar="NAME", help="camera for --picture (default: overview, or else a view of all)")
     options.add_force_option(p)
 
 
