@@ -1,7 +1,7 @@
 """`Bench`: chips on one bus and one time line, without a stage. Firmware runs on it unchanged, in milliseconds.
 
     bench = Bench(PCL240K())                                     one chip, its axis is "x"; or Bench(x=..., y=...)
-    bench.rail("x", at=9000, org=(None, 0), el_minus=(None, -1600))
+    bench.add_rail("x", at=9000, org=(None, 0), el_minus=(None, -1600))
     print(origin_return(bench.axes["x"]))
     bench.at(bench.time + 0.2, lambda: ...)                      an input edge, say
 

@@ -130,7 +130,7 @@ class Axis:
         gear: Rotor radians per joint unit.
         meters_per_pulse: Joint units per pulse (rad on a hinge).
         unit: "m", or "rad" on a hinge.
-        tandem: Names of the axes that drive the same load: a host moves and homes them together, see `firmware.square`.
+        tandem: Names of the axes that drive the same load: a host moves and homes them together, see `firmware.square_gantry`.
         wiring: Its sensors that are not of the logic of its chip after a reset, {"org": "positive"}.
         stage: The Stage that it belongs to.
         plant: Its parts of the model, a `stage.sim.plant.PlantAxis`.

@@ -1,5 +1,7 @@
-"""Promises of `firmware.square`: tandem axes come home to ORG at either end, at the speeds asked, and no way together is longer
-than the load bears."""
+"""Promises of `firmware.square_gantry`.
+
+Tandem axes move home to ORG at either end, at the requested speeds, and no common move is longer than the load bears.
+"""
 
 import numpy as np
 import pytest
@@ -61,7 +63,7 @@ def placed(gantry, millimetres):
 
 @pytest.mark.parametrize(("millimetres", "on"), [(62, False), (78, True)])
 def test_a_beam_is_squared_towards_org_at_either_end_from_before_it_and_from_on_it(gantry, ways, millimetres, on):
-    """firmware.square(y, w, direction=1)"""
+    """firmware.square_gantry(y, w, direction=1)"""
     direction, axes = placed(gantry, millimetres)
     assert {axis.switches.org for axis in axes} == {on}
     reports = firmware.square_gantry(*axes, direction=direction)
@@ -76,7 +78,7 @@ def test_a_beam_is_squared_towards_org_at_either_end_from_before_it_and_from_on_
 
 
 def test_a_tandem_axis_moves_alone_at_a_quarter_of_the_common_speed(gantry, ways, monkeypatch):
-    """firmware.square(y, w, speed=0.06, start_speed=0.02, accel=0.05)"""
+    """firmware.square_gantry(y, w, speed=0.06, start_speed=0.02, accel=0.05)"""
     direction, axes = placed(gantry, 67)
     homes, driver = [], type(tandem.driver_of(axes[0]))
     monkeypatch.setattr(driver, "home", lambda self, *arguments, **options: homes.append((arguments, options)))
