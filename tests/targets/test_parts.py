@@ -266,6 +266,7 @@ def test_the_gate_of_channel_2_starts_it_and_the_refresh_toggles():
     assert t.read(0x61) == 2 | 1 << 4 | 1 << 5
     now[0] = 1000
     t.write(0x61, 2)
+    assert t.read(0x61) & 0x2F == 0x22, "a gate that stays closed does not restart the channel"
     t.write(0x61, 1)
     assert t.read(0x61) & 0x2F == 1
     now[0] += 100
