@@ -16,6 +16,7 @@ from stage.errors import ArgumentError, NativeError, StageError
 from stage.testing import acts, chip_conformance, conformance, promises
 from stage.testing.child_process import NOT_FINISHED, run_bounded
 from stage.testing.conformance import NotConforming
+from stage.testing.trial import describe_difference
 
 DEFECTS = defects.DEFECTS
 MANY = scaled(1) if not FIXED else 1
@@ -202,3 +203,8 @@ def test_a_peek_that_changes_something_is_detected_also_where_reading_acts(addre
     )  # fmt: skip
     with pytest.raises(Looks, match=f"^after peek\\({address}h\\)$"):
         promises.bus._check_reads(SimpleNamespace(kind=None, require_same_bits=require_same_bits), chip)
+
+
+def test_a_difference_at_the_pins_alone_is_described():
+    one, other = (({"R1": 5}, [outputs], [0]) for outputs in (1, 3))
+    assert describe_difference(one, other) == "pins ([1], [0]), and after power-up ([3], [0])"
