@@ -99,7 +99,7 @@ def test_what_a_number_is_a_number_of():
         ("registers", "stage registers: the following arguments are required: CHIP. Known: PCL240K, PCL240MK, "),
         (
             "demo --port 9000",
-            "stage: --port 9000: --web serves the dashboard there. Give --web as well, or no --port.",
+            "stage: --port 9000: --web serves the dashboard there. Give --web as well, or leave out --port.",
         ),
     ],
 )

@@ -6,7 +6,7 @@ import pytest
 
 from stage.cli import main
 
-PCL240_ALONE = "it is of the PCL-240 family"
+PCL240_ALONE = "only the PCL-240 family does"
 REFUSALS = {
     "home q": ["unknown axis 'q'"],
     "move x 0": ["R0 counts 1 to 16777215"],

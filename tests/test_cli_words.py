@@ -103,9 +103,7 @@ def test_ctrl_c_writes_what_was_recorded(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(firmware, "move", interrupted)
     file = tmp_path / "x.vcd"
     assert main(["move", "x", "100mm", "--vcd", str(file)]) == 130
-    assert (
-        "interrupted after 0.05 s of simulated time: what was recorded until then is written" in capsys.readouterr().out
-    )
+    assert "interrupted after 0.05 s of simulated time; the recording up to then is written" in capsys.readouterr().out
     assert file.read_text().startswith("$")
 
 

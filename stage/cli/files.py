@@ -54,7 +54,9 @@ def _check_viewers(args: argparse.Namespace) -> None:
 
         check_port(args.port)
     elif getattr(args, "port_given", False) and hasattr(args, "web"):
-        raise ArgumentError(f"--port {args.port}: --web serves the dashboard there. Give --web as well, or no --port.")
+        raise ArgumentError(
+            f"--port {args.port}: --web serves the dashboard there. Give --web as well, or leave out --port."
+        )
 
 
 def _list_files(args: argparse.Namespace) -> dict[str, str]:
@@ -84,7 +86,7 @@ def _check_writable(named: dict[str, str], force: bool) -> None:
     endings = {"record": RECORDING, "vcd": WAVEFORMS, "picture": PICTURE}
     for name, path in named.items():
         if path == "-":
-            raise ArgumentError(f"--{name} -: standard output has what the command prints. Name a file.")
+            raise ArgumentError(f"--{name} -: the command prints its text to standard output. Give the name of a file.")
         if name == "plot":
             find_figure_format(path)
         elif name in endings:
@@ -108,7 +110,7 @@ def record_to_files(args: argparse.Namespace, stage: Any, plot_reports: bool = T
     """
     usual = getattr(args, "default_record", "stage.rrd" if args.view or args.web or args.picture else None)
     if usual and not (args.record or args.view or args.web or args.picture or is_installed("rerun")):
-        print(f"no {usual}: recordings need rerun: pip install 'pulsestage[rerun]'")
+        print(f"no {usual} is written: recordings need rerun. Install it with: pip install 'pulsestage[rerun]'")
         usual = None
     rrd: str | None = args.record or (usual and find_free_name(usual, args.force))
     check_outputs(argparse.Namespace(**vars(args) | {"record": rrd}))
@@ -119,7 +121,7 @@ def record_to_files(args: argparse.Namespace, stage: Any, plot_reports: bool = T
         except KeyboardInterrupt as error:
             stop = error
     if stop is not None:
-        written = ": what was recorded until then is written" if recording is not None else ""
+        written = "; the recording up to then is written" if recording is not None else ""
         print(f"interrupted after {stage.time:.2f} s of simulated time{written}")
         _show_reports(args, getattr(stop, "reports", []), plot_reports)
     if recording is not None:

@@ -177,9 +177,13 @@ def parse_speed_options(args: argparse.Namespace, axis: Any) -> Any:
     for name in ("fh2", "constant", "automatic", "fast_only"):
         if name in values and SPEED_OPTIONS[name] not in driver.OPTIONS:
             option = name.replace("_", "-")
-            raise ArgumentError(f"--{option}: {chip} has no such option; it is of the PCL-240 family. Leave it out.")
+            raise ArgumentError(
+                f"--{option}: {chip} does not have this option; only the PCL-240 family does. Leave it out."
+            )
     if values.get("s_curve", True) is not True and "s_curve_share" not in driver.OPTIONS:
-        raise ArgumentError(f"--s-curve {args.s_curve:g}: {chip} takes no shares. Give --s-curve alone.")
+        raise ArgumentError(
+            f"--s-curve {args.s_curve:g}: {chip} cannot set the share of an S-curve. Give --s-curve alone."
+        )
     options = {SPEED_OPTIONS[name]: value for name, value in values.items()} | {
         "automatic": getattr(args, "automatic", None)
     }

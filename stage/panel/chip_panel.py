@@ -90,7 +90,7 @@ class FieldControl:
             _show_lamp(element, self.field, value)
 
     def read(self) -> int:
-        """Return the value of the control, 0 of a lamp. Shows an error at a text that is no number, and raises ArgumentError."""
+        """Return the value of the control, 0 of a lamp. For a text that is not a number, show an error and raise ArgumentError."""
         if isinstance(self.element, ui.select | ui.checkbox):
             return int(self.element.value)
         if not isinstance(self.element, ui.input):

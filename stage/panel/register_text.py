@@ -147,23 +147,23 @@ def parse_number(text: str, bits: int) -> int:
     if len(typed) > MAX_INTEGER_LENGTH:
         raise ArgumentError(f"a number of {len(typed)} characters needs more than {bits} bits.")
     if (value := parse_integer(typed)) is None:
-        raise ArgumentError(_no_number(text, re.sub(r"^[-+]", "", typed)))
+        raise ArgumentError(_explain_invalid_number(text, re.sub(r"^[-+]", "", typed)))
     if not -(1 << bits - 1) <= value < 1 << bits:
         raise ArgumentError(f"{text.strip()} needs more than {bits} bits: {-(1 << bits - 1)} to {(1 << bits) - 1} fit.")
     return value
 
 
-def _no_number(text: str, digits: str) -> str:
+def _explain_invalid_number(text: str, digits: str) -> str:
     if not digits:
-        return "a number is missing: 100, 64h or 0x64, 0b1100100."
+        return "a number is missing: write for example 100, 64h, 0x64 or 0b1100100."
     if re.fullmatch(r"[0-9a-fA-F]+", digits):
-        return f"{text.strip()!r} is no decimal number. Did you mean {digits.upper()}h ({int(digits, 16)})?"
+        return f"{text.strip()!r} is not a decimal number. Did you mean {digits.upper()}h ({int(digits, 16)})?"
     if re.fullmatch(r"[0-9]*[.,][0-9]*", digits):
         return f"{text.strip()!r}: registers hold whole numbers. Did you mean {digits.replace(',', '.').partition('.')[0] or 0}?"
     near = digits.translate(str.maketrans("OoIl", "0011"))
     if re.fullmatch(INTEGER_PATTERN, near):
-        return f"{text.strip()!r} is no number. Did you mean {near}?"
-    return f"{text.strip()!r} is no number: 100, 64h or 0x64, 0b1100100."
+        return f"{text.strip()!r} is not a number. Did you mean {near}?"
+    return f"{text.strip()!r} is not a number: write for example 100, 64h, 0x64 or 0b1100100."
 
 
 def is_fixed(field: Field) -> bool:
@@ -340,7 +340,7 @@ def _hexadecimal(text: str) -> int:
     try:
         return int(text.strip().rstrip("hH").encode("ascii"), 16)
     except ValueError:
-        raise ArgumentError(f"{text.strip()!r} is no hexadecimal number, as 1F, 1Fh or 0x1F are.") from None
+        raise ArgumentError(f"{text.strip()!r} is not a hexadecimal number such as 1F, 1Fh or 0x1F.") from None
 
 
 def _address(kind: type[Chip], text: str) -> int:

@@ -395,7 +395,7 @@ def _time(value: Any) -> int:
 def _word(value: Any) -> int:
     """Return a chip's number, an address or a datum from JSON. Raises ValueError."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 1 << 32:
-        raise ValueError(f"{value!r:.60} is no number of 32 bits")
+        raise ValueError(f"{value!r:.60} is not a number of 32 bits")
     return value
 
 

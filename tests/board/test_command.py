@@ -64,9 +64,9 @@ def test_a_trace_of_the_name_minus_is_printed_and_other_files_of_that_name_are_r
     assert "x: start, constant FL" in message
     for option in ("--record", "--vcd", "--picture"):
         assert main(["run", built(), "--model", "xy", option, "-"]) == 2
-        assert f"{option} -: standard output has what the command prints" in capsys.readouterr().err
+        assert f"{option} -: the command prints its text to standard output" in capsys.readouterr().err
     assert main(["home", "x", "--plot", "-"]) == 2
-    assert "--plot -: standard output" in capsys.readouterr().err
+    assert "--plot -: the command prints" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

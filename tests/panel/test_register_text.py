@@ -42,12 +42,12 @@ def test_a_number_is_typed_as_sheets_and_programs_write_it(typed, value):
 @pytest.mark.parametrize(
     ("typed", "message"),
     [
-        ("", "a number is missing: 100, 64h or 0x64"),
+        ("", "a number is missing: write for example 100, 64h, 0x64"),
         ("-", "a number is missing"),
-        ("1F", r"'1F' is no decimal number. Did you mean 1Fh \(31\)\?"),
-        ("1O0", r"'1O0' is no number. Did you mean 100\?"),
+        ("1F", r"'1F' is not a decimal number. Did you mean 1Fh \(31\)\?"),
+        ("1O0", r"'1O0' is not a number. Did you mean 100\?"),
         ("12.5", r"registers hold whole numbers. Did you mean 12\?"),
-        ("abcx", "'abcx' is no number"),
+        ("abcx", "'abcx' is not a number"),
         ("8192", "8192 needs more than 13 bits: -4096 to 8191 fit"),
         ("-4097", "needs more than 13 bits"),
         ("9" * 5000, "a number of 5000 characters needs more than 13 bits"),  # x: R2 <- 999...: a bare ValueError
@@ -119,14 +119,14 @@ def test_an_address_that_the_chip_has_not_is_refused_of_reads_and_of_writes(line
 def test_digits_of_another_script_are_none(line):
     """x: R2 <- \u0663
     wrote 3; the agents' tools refuse it"""
-    with pytest.raises(ArgumentError, match=r"is no (hexadecimal )?number"):
+    with pytest.raises(ArgumentError, match=r"is not a (hexadecimal )?number"):
         parse_line(PCL240K, line)
 
 
 @pytest.mark.parametrize("typed", ["\u0663", "1\u0663.5", "1O\u0663", "\u00b2"])
 def test_nor_is_anything_with_them_proposed(typed):
     """x: R2 <- 1O\u0663"""
-    with pytest.raises(ArgumentError, match="is no number: 100, 64h"):
+    with pytest.raises(ArgumentError, match="is not a number: write for example 100, 64h"):
         parse_number(typed, 13)
     assert units.parse_integer(typed) is None
 
@@ -172,7 +172,7 @@ def test_a_line_of_the_console_becomes_bus_cycles(kind, line, cycles):
         (PCL240K, "R1 <- 1OO", "Did you mean 100"),
         (PCL240K, "read", "an address is missing, 0 to 3h"),
         (PCL240K, "2:", "the data are missing"),
-        (PCL240K, "x: 10", "'x' is no hexadecimal number"),
+        (PCL240K, "x: 10", "'x' is not a hexadecimal number"),
         (PCL240K, "operate", "takes 8 bits"),
         (PCL240MS, "R14.lin <- 1", "Did you mean 'linear'"),
         (MCX514, "drvl", "Did you mean DRVRL"),

@@ -56,7 +56,8 @@ def test_the_demo_makes_its_moves_and_says_what_a_recording_needs(small, tmp_pat
     """pip install pulsestage; stage demo"""
     done = small("from stage.cli import main; sys.exit(main(sys.argv[1:]))", "demo")
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith("no demo.rrd: recordings need rerun: pip install 'pulsestage[rerun]'\n")
+    hint = "no demo.rrd is written: recordings need rerun. Install it with: pip install 'pulsestage[rerun]'\n"
+    assert done.stdout.startswith(hint)
     assert list(tmp_path.iterdir()) == []
 
 
