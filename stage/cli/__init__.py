@@ -37,12 +37,12 @@ examples:
   stage fault                             the faults; `stage fault jam --plot jam.png` shows one
   stage export demo.rrd -o demo.csv       the columns of a recording as a table
   stage example                           the examples; `stage example stall` copies one
-  stage erratum                           the S-curve failure of the MCX304: pulses for ever, and a work-around
+  stage erratum                           the S-curve failure of the MCX304: endless pulses, and a work-around
   stage chips                             the chips, also those of other packages
   stage registers pcl240k                 the register map of a chip
   stage pullout --motor 17HS4401          the pull-out curve of a motor
 
-exit codes: 0 done as asked, 1 ran but not as asked (lost steps, limit switch), 2 wrong usage, 130 interrupted
+exit codes: 0 success, 1 the run failed (lost steps, limit switch), 2 wrong usage, 130 interrupted
 """
 
 

@@ -27,11 +27,11 @@ HEADINGS = ("axis", "procedure", "asked", "pulses", "s", "peak pps", "position",
 def add(commands: Any) -> None:
     """Add the command."""
     p = add_command(
-        commands, "demo", run, "origin return, dual-rate and a:b moves; writes demo.rrd",
+        commands, "demo", run, "home and move the axes of a stage, and write demo.rrd",
         "Home all axes, make a dual-rate move and an a:b move, print a table and write a recording.",
-        ("stage demo", "all of it on xyz; writes demo.rrd"),
-        ("stage demo --chips mcx514 --model xy --no-view", "with other chips, and without a window"),
-        ("stage demo --picture demo.png", "the dashboard as a picture; needs no screen"),
+        ("stage demo", "move the stage xyz and write demo.rrd"),
+        ("stage demo --chips mcx514 --model xy --no-view", "use other chips, and open no window"),
+        ("stage demo --picture demo.png", "draw the dashboard to a file; needs no screen"),
     )  # fmt: skip
     options.add_stage_and_output_options(p)
     p.set_defaults(default_record="demo.rrd")

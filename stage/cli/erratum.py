@@ -38,12 +38,12 @@ OBSERVATION_S = 2.0
 def add(commands: Any) -> None:
     """Add the command."""
     p = add_command(
-        commands, "erratum", run, "the S-curve failure of MCX304, MCX302 and MCX312, and a work-around",
-        "Command a decelerating stop at the end of an S-curve move. With the bare command 26h the chip makes pulses for ever, "
-        "and the carriage meets the hard stop; with a work-around of NOVA's notice it ends on its target. "
-        "Files of the second run have '-work-around' in their names. Exit code 0 if it is as claimed.",
-        ("stage erratum --plot erratum.png", "both runs, drawn"),
-        ("stage erratum --mended", "chips without the failure"),
+        commands, "erratum", run, "show the S-curve failure of MCX304, MCX302 and MCX312, and a work-around",
+        "Command a decelerating stop at the end of an S-curve move. After the bare command 26h the chip never stops "
+        "sending pulses, and the carriage meets the hard stop; with a work-around of NOVA's notice it stops on its target. "
+        "Files of the second run have '-work-around' in their names. Exit code 0 if both runs end so.",
+        ("stage erratum --plot erratum.png", "draw both runs"),
+        ("stage erratum --mended", "simulate chips without the failure"),
     )  # fmt: skip
     p.add_argument("--mended", action="store_true", help="simulate chips without the failure (errata=False)")
     options.add_plot_option(p)

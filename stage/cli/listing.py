@@ -21,15 +21,15 @@ def add(commands: Any) -> None:
     add_command(
         commands, "chips", list_chips, "list the available chips",
         "List every chip: PulseStage's own, and those of installed packages (docs/your_own_chip.md).",
-        ("stage chips", "names for --chips, and where they come from"),
+        ("stage chips", "print the names for --chips, and the package of each"),
     )  # fmt: skip
     p = add_command(
-        commands, "registers", list_registers, "the register map of a chip",
+        commands, "registers", list_registers, "print the register map of a chip",
         "Print a chip's registers, commands and status bits with the evidence for each.",
-        ("stage registers pcl240k", "the whole map"),
-        ("stage registers mcx514 | less", "page by page"),
+        ("stage registers pcl240k", "print the whole map"),
+        ("stage registers mcx514 | less", "read it page by page"),
     )  # fmt: skip
-    chip = p.add_argument("chip", metavar="CHIP", help="for example pcl240k; `stage chips` lists them all")
+    chip = p.add_argument("chip", metavar="CHIP", help="chip, such as pcl240k; `stage chips` lists them all")
     chip.known = CHIPS  # type: ignore[attr-defined]
 
 

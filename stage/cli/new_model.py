@@ -13,12 +13,12 @@ from stage.cli.commands import add_command, tell, wrote
 def add(commands: Any) -> None:
     """Add the command."""
     p = add_command(
-        commands, "new-model", run, "a commented MJCF of your own axes, to begin with",
-        "Write an MJCF that keeps the naming contract (docs/models.md): screws and tables with limit switches, hard stops and "
-        "motors, each on the one before. Change its numbers as you need them.",
-        ("stage new-model --axes x:slide:300mm -o my.xml", "one axis"),
-        ("stage new-model --axes x:slide:300mm,z:slide:80mm,a:hinge:360deg -o my.xml", "three, each on the one before"),
-        ("stage home --model my.xml", "and they go home"),
+        commands, "new-model", run, "write a commented MJCF of your own axes to start from",
+        "Write an MJCF that follows the naming contract (docs/models.md): screws and rotary tables with limit switches, hard stops "
+        "and motors. Each axis carries the next one. Change the numbers as you need.",
+        ("stage new-model --axes x:slide:300mm -o my.xml", "write a model of one axis"),
+        ("stage new-model --axes x:slide:300mm,z:slide:80mm,a:hinge:360deg -o my.xml", "write three axes"),
+        ("stage home --model my.xml", "home its axes"),
     )  # fmt: skip
     p.add_argument(
         "--axes", default="x:slide:300mm,y:slide:200mm", metavar="NAME:KIND:TRAVEL,...",

@@ -99,7 +99,9 @@ def add_stage_and_output_options(p: argparse.ArgumentParser, chips: Sequence[str
     add_stage_options(g, chips)
     g = p.add_argument_group("output")
     g.add_argument("--record", metavar="FILE.rrd", help="write a rerun recording")
-    g.add_argument("--picture", metavar="FILE.png", help="render the dashboard of the recording; needs no screen")
+    g.add_argument(
+        "--picture", metavar="FILE.png", help="render the dashboard of the recording to a file; needs no screen"
+    )
     g.add_argument("--vcd", metavar="FILE.vcd", help="write waveforms for GTKWave")
     add_force_option(g)
     g.add_argument("--view", action="store_true", help="open the recording in the rerun viewer")
@@ -133,7 +135,7 @@ def add_stage_options(g: Any, chips: Sequence[str] = CHIPS) -> None:
     g.add_argument("--bus-cycle", type=TIME, default=1e-6, help="duration of a bus cycle in s (default: 1e-6)")
     g.add_argument(
         "--wiring", action="append", default=[], metavar="AXIS.SENSOR=LOGIC",
-        help="logic of a sensor that is not negative: x.org=positive is high while it is on; ez is the index of the encoder",
+        help="logic of a sensor if it is not negative: x.org=positive is high while ORG is on; ez is the index of the encoder",
     )  # fmt: skip
     g.add_argument(
         "--multichip", metavar="AXIS,AXIS",
@@ -197,7 +199,7 @@ def add_board_options(p: argparse.ArgumentParser) -> None:
     g.add_argument("--base", type=number, help="first port of the first chip, such as 0x300 (default: the layout's)")
     g.add_argument("--stride", type=number, help="ports from one chip to the next (default: the layout's)")
     g.add_argument("--clock", type=HERTZ, metavar="HZ", help="reference clock of the chips (default: the data sheet's)")
-    g.add_argument("--trace", metavar="FILE.txt", help="write the bus cycles in words; - prints them")
+    g.add_argument("--trace", metavar="FILE.txt", help="write the bus cycles as text; - prints them")
     g.add_argument(
         "--keep", type=int, default=1_000_000, help="number of the latest bus cycles to keep (default: 1,000,000)"
     )

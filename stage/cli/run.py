@@ -33,12 +33,13 @@ MAX_DIAGNOSTICS = 10
 def add(commands: Any) -> None:
     """Add the commands."""
     p = add_command(
-        commands, "run", run, "firmware in C on an emulated board",
-        "Run firmware (a shared library, or a C or C++ source, which is built first) against the chips. Print what it logs, where "
-        "the axes end, and which of its writes the data sheet would call mistakes. Exit code 0 if it returns 0 and loses no step.",
-        ("stage run driver.c --chips pcl240mk", "built, and run against the chips"),
-        ("stage run driver.c --trace - --vcd bus.vcd", "bus cycles in words, and as waveforms"),
-        ("stage run mill.ino --for 2 --chips hctl1100", "an Arduino sketch, for 2 simulated seconds"),
+        commands, "run", run, "run firmware in C on an emulated board",
+        "Run firmware (a shared library, or a C or C++ source, which is built first) against the chips. Print its log, the final "
+        "positions of the axes, and bus writes that are mistakes according to the data sheet. Exit code 0 if it returns 0 and "
+        "loses no step.",
+        ("stage run driver.c --chips pcl240mk", "build a driver and run it against the chips"),
+        ("stage run driver.c --trace - --vcd bus.vcd", "print the bus cycles, and write them as waveforms"),
+        ("stage run mill.ino --for 2 --chips hctl1100", "run an Arduino sketch for 2 simulated seconds"),
     )  # fmt: skip
     p.add_argument(
         "firmware", nargs="+", metavar="FIRMWARE",
@@ -52,15 +53,18 @@ def add(commands: Any) -> None:
         help="platform of the sources: arduino (a .ino always is), avr, vxworks, dos, freertos; docs/porting.md",
     )
     g.add_argument(
-        "--timeout", type=TIME, default=60.0, help="simulated seconds after which it must return (default: 60)"
+        "--timeout",
+        type=TIME,
+        default=60.0,
+        help="simulated seconds within which the firmware must return (default: 60)",
     )
     g.add_argument(
         "--patience", type=TIME, default=20.0, metavar="S",
-        help="seconds of real time that it may compute without a bus cycle (default: 20)",
+        help="seconds of real time that the firmware may compute without a bus cycle (default: 20)",
     )  # fmt: skip
     g.add_argument(
         "--for", dest="seconds", type=TIME, metavar="SECONDS",
-        help="run it for this many simulated seconds, for firmware that never returns, such as a sketch",
+        help="stop the firmware after this many simulated seconds; needed if it never returns, like a sketch",
     )  # fmt: skip
     g.add_argument(
         "--cost", type=TIME, default=0.0, metavar="S",
@@ -69,31 +73,34 @@ def add(commands: Any) -> None:
     )  # fmt: skip
     g.add_argument(
         "--in-process", action="store_true",
-        help="run it in this process, for debuggers (default: in a separate process, so that a crash ends only that one)",
+        help="run the firmware in this process, for debuggers (default: in a separate one, so that a crash ends only that one)",
     )  # fmt: skip
     g.add_argument("--isolated", action="store_true", help=argparse.SUPPRESS)  # what is the default now
     options.add_board_options(p)
     options.add_panel_options(p)
     options.add_stage_and_output_options(p)
     add_command(
-        commands, "include", include, "the folder of pulsestage.h",
+        commands, "include", include, "print the folder of pulsestage.h",
         'Print the folder of the one header that firmware needs: cc -shared -fPIC -I"$(stage include)" driver.c -o driver.so',
-        ("stage include", "the folder"),
+        ("stage include", "print the folder"),
     )  # fmt: skip
 
 
 def _add_target_options(p: argparse.ArgumentParser) -> None:
     g = p.add_argument_group("programs of another processor (docs/targets.md)")
-    g.add_argument("--mcu", help="the processor: atmega2560 and other AVRs, cortex-m3, 8086")
+    g.add_argument("--mcu", help="processor of the program: atmega2560 or another AVR, cortex-m3, 8086")
     g.add_argument(
         "--map", action="append", default=[],
         help="memory-mapped registers, with or without --mcu: 0x40021000=0x300+0x40 puts the 40h ports from 300h on at 40021000h "
         "(docs/memory_mapped.md); for an AVR its pins: data=A,address=C:0-1,cs=B0,wr=G0,rd=G1,irq=D0",
     )  # fmt: skip
     g.add_argument(
-        "--mcu-clock", type=FREQUENCY, metavar="HZ", help="its clock, for example 16e6 (default: the usual one)"
+        "--mcu-clock",
+        type=FREQUENCY,
+        metavar="HZ",
+        help="clock of the processor, for example 16e6 (default: the usual one)",
     )
-    g.add_argument("--gdb", type=number, metavar="PORT", help="wait for GDB on 127.0.0.1")
+    g.add_argument("--gdb", type=number, metavar="PORT", help="wait for GDB on this port of 127.0.0.1")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -23,13 +23,13 @@ def add(commands: Any) -> None:
     """Add the command."""
     p = add_command(
         commands, "fault", run, "show the effect of a fault: a switch, a wire, the supply, the bus",
-        "Run a program on a healthy stage and on a faulty one, and print what differs. Without a name: list the faults. "
+        "Run a program on a healthy stage and on a faulty one, and print what differs. Without a name, list the faults. "
         "Recordings show the faulty run. The exit code is 0 if the claimed effect occurs.",
-        ("stage fault", "what can break"),
-        ("stage fault jam --plot jam.png", "a healthy axis beside one that jams"),
-        ("stage fault bounce --chips mcx514 --record bounce.rrd", "a switch that bounces; the faulty run is recorded"),
+        ("stage fault", "list the faults"),
+        ("stage fault jam --plot jam.png", "draw a healthy axis and one that jams"),
+        ("stage fault bounce --chips mcx514 --record bounce.rrd", "record the run with a switch that bounces"),
     )  # fmt: skip
-    p.add_argument("name", nargs="?", metavar="NAME", help="for example jam (default: list them all)")
+    p.add_argument("name", nargs="?", metavar="NAME", help="fault to show, such as jam (default: list them all)")
     options.add_plot_option(p)
     options.add_stage_and_output_options(p)
 
