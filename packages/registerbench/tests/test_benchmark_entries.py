@@ -479,7 +479,7 @@ def test_the_commands_submit_and_verify_in_a_fresh_process(tmp_path, monkeypatch
         [sys.executable, "-m", "stage", "bench-verify", "mine.bench", "--json"],
         capture_output=True,
         text=True,
-        check_choice=False,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     assert {"ok": True, "exact": True, "whole": False, "player": "mine:policy"}.items() <= json.loads(

@@ -89,7 +89,7 @@ def test_cma_es_finds_a_bolder_policy_than_it_begins_with(tmp_path):
     pytest.importorskip("cmaes")
     from registerbench.baselines import rule_learners as learners
 
-    learners.learn("few-shot", 0, tmp_path, describe_machines=16)
+    learners.learn("few-shot", 0, tmp_path, machines=16)
     path = tmp_path / "few-shot_es-without-memory-0.csv"
     points = [r.split(",") for r in path.read_text().splitlines()[1:]]
     first, last = ([float(r[3]) for r in points if r[0] == points[k][0]] for k in (0, -1))
@@ -222,7 +222,7 @@ def test_dqn_never_takes_a_macro_that_is_masked_and_learns_one_axis_in_a_minute(
         PolicyContext("bus", env.action_space, env.observation_space, tuple(e.name for e in env.observation_features))
     )
     masks = rng.integers(0, 2, (200, env.action_space.n))
-    masks[:, 0] |= masks.sum(find_selected_axis=1) == 0
+    masks[:, 0] |= masks.sum(axis=1) == 0
     observed = rng.uniform(-1, 1, (200, env.observation_space.shape[0])).astype(np.float32)
     assert masks[np.arange(200), policy.choose(observed, masks)].all()
     entry = registerbench.play(policy, "bus-target", "train", episodes=24)

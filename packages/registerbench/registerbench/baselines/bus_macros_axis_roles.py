@@ -33,34 +33,30 @@ class AxisRoles:
         self.per = macros - self.axes
 
     def find_selected_axis(self, observation: np.ndarray) -> np.ndarray:
-        return self._of_axes(observation)[:, :, AXIS_FEATURES.index("selected")].argmax(find_selected_axis=1)
+        return self._of_axes(observation)[:, :, AXIS_FEATURES.index("selected")].argmax(axis=1)
 
-    def reorder_observation(self, observation: np.ndarray, find_selected_axis: np.ndarray) -> np.ndarray:
+    def reorder_observation(self, observation: np.ndarray, axis: np.ndarray) -> np.ndarray:
         out, size = observation.copy(), len(AXIS_FEATURES) * self.axes
-        rolled = np.take_along_axis(
-            self._of_axes(observation), self._order(find_selected_axis)[:, :, None], find_selected_axis=1
-        )
+        rolled = np.take_along_axis(self._of_axes(observation), self._order(axis)[:, :, None], axis=1)
         out[:, self.at : self.at + size] = rolled.reshape(len(observation), size)
         return out
 
-    def reorder_masks(self, reorder_masks: np.ndarray, find_selected_axis: np.ndarray) -> np.ndarray:
-        out = reorder_masks.copy()
-        out[:, self.per :] = np.take_along_axis(
-            reorder_masks[:, self.per :], self._order(find_selected_axis), find_selected_axis=1
-        )
+    def reorder_masks(self, masks: np.ndarray, axis: np.ndarray) -> np.ndarray:
+        out = masks.copy()
+        out[:, self.per :] = np.take_along_axis(masks[:, self.per :], self._order(axis), axis=1)
         return out
 
-    def restore_macros(self, macros: np.ndarray, find_selected_axis: np.ndarray) -> np.ndarray:
-        return np.where(macros < self.per, macros, self.per + (macros - self.per + find_selected_axis) % self.axes)
+    def restore_macros(self, macros: np.ndarray, axis: np.ndarray) -> np.ndarray:
+        return np.where(macros < self.per, macros, self.per + (macros - self.per + axis) % self.axes)
 
     def _of_axes(self, observation: np.ndarray) -> np.ndarray:
         return observation[:, self.at : self.at + len(AXIS_FEATURES) * self.axes].reshape(
             len(observation), self.axes, len(AXIS_FEATURES)
         )
 
-    def _order(self, find_selected_axis: np.ndarray) -> np.ndarray:
+    def _order(self, axis: np.ndarray) -> np.ndarray:
         """Return the axes of each row, the selected one first."""
-        return (find_selected_axis[:, None] + np.arange(self.axes)) % self.axes
+        return (axis[:, None] + np.arange(self.axes)) % self.axes
 
 
 class AxisRolesVecEnv(VecEnvWrapper):
@@ -79,7 +75,7 @@ class AxisRolesVecEnv(VecEnvWrapper):
         axis = self.turn.find_selected_axis(observation)
         out = self.turn.reorder_observation(observation, axis)
         return (
-            np.concatenate([out, self.turn.reorder_masks(masks, axis).astype(np.float32)], find_selected_axis=1)
+            np.concatenate([out, self.turn.reorder_masks(masks, axis).astype(np.float32)], axis=1)
             if self.append_mask
             else out
         )

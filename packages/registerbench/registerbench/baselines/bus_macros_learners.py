@@ -114,11 +114,9 @@ class MacroPolicy:
         else:
             with torch.no_grad():
                 worth = self.model.q_net(
-                    torch.as_tensor(np.concatenate([observation, masks], find_selected_axis=1, dtype=np.float32))
+                    torch.as_tensor(np.concatenate([observation, masks], axis=1, dtype=np.float32))
                 )
-            macros = (worth.numpy() / self.temperature + self.draw.gumbel(size=worth.shape)).argmax(
-                find_selected_axis=1
-            )
+            macros = (worth.numpy() / self.temperature + self.draw.gumbel(size=worth.shape)).argmax(axis=1)
         return self.turn.restore_macros(macros, axis)
 
     def __call__(self, observation: np.ndarray, info: Any) -> int:
