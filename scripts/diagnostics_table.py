@@ -10,12 +10,13 @@ from collections import defaultdict
 from pathlib import Path
 from types import ModuleType
 
-from stage.chips import HCTL1100, MCX312, MCX514, PCL240MS
+from stage.chips import HCTL1100, MCX312, MCX514, PCL240MS, STEPDIR
 from stage.chips.diagnostics import list_rules
 from stage.chips.hctl1100 import lint as hctl1100_lint
 from stage.chips.nova import lint as nova_lint
 from stage.chips.pcl240 import lint as pcl240_lint
 from stage.chips.register_map import RegisterMap
+from stage.chips.stepdir import lint as stepdir_lint
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "diagnostics.md"
 BLOCK = re.compile(r"(<!-- sections: (\w+) -->\n).*?(<!-- end -->)", re.S)
@@ -23,6 +24,7 @@ FAMILIES = {
     "pcl240": (pcl240_lint, (PCL240MS.MAP,)),
     "nova": (nova_lint, (MCX514.MAP, MCX312.MAP)),
     "hctl1100": (hctl1100_lint, (HCTL1100.MAP,)),
+    "stepdir": (stepdir_lint, (STEPDIR.MAP,)),
 }
 
 

@@ -43,7 +43,10 @@ def test_every_help_ends_with_examples_that_are_right(name, capsys):
         ("moove x 10", "stage: unknown command 'moove'. Did you mean move? `stage --help` has examples."),
         ("move x 10 --recrd a.rrd", "stage move: unknown option '--recrd'. Did you mean --record"),
         ("move x 10 20", "stage move: unknown argument '20'. `stage move --help` has examples."),
-        ("list motor", "stage list: unknown name 'motor'. Did you mean motors? Known: chips, motors, models."),
+        (
+            "list motor",
+            "stage list: unknown name 'motor'. Did you mean motors? Known: chips, motors, power-stages, models.",
+        ),
         ("tune xy --by luck", "stage tune: unknown value of --by 'luck'. Known: search, formula."),
         ("move x 10 --microsteps a", "stage move: argument --microsteps: invalid int value: 'a'. `stage move --help`"),
         ("registers", "stage registers: the following arguments are required: CHIP."),

@@ -30,6 +30,7 @@ if not COMPILED:
 
 ORDER = (
     "PCL240K", "PCL240MK", "PCL240MS", "MCX514", "MCX304", "MCX302", "MCX312", "HCTL1100", "MCX512", "MCX501", "MCX314AS",
+    "STEPDIR",
 )  # fmt: skip
 """Chips by the first byte of an input. A new one goes to the end: inputs that were found stay those of their chip."""
 FAMILIES: dict[type[Chip], type[Family]] = {PCL240: Pcl240, Nova: NovaFamily, HCTL1100: HctlFamily}

@@ -1,7 +1,7 @@
 """Emulated motion-control chips, register for register.
 
     from stage.chips import PCL240K, PCL240MK, PCL240MS, MCX514, MCX512, MCX501, MCX314AS, MCX304, MCX302, MCX312
-    from stage.chips import HCTL1100
+    from stage.chips import HCTL1100, STEPDIR
 
 A family is a register map (data), a state record and a compiled core; see chip.py for what they share. It is loaded when one of its
 chips is first needed. The chips know neither MuJoCo nor each other.
@@ -21,11 +21,13 @@ if TYPE_CHECKING:
     from stage.chips.hctl1100 import HCTL1100
     from stage.chips.nova import MCX302, MCX304, MCX312, MCX314AS, MCX501, MCX512, MCX514
     from stage.chips.pcl240 import PCL240K, PCL240MK, PCL240MS
+    from stage.chips.stepdir import STEPDIR
 
 FAMILIES: dict[str, tuple[str, ...]] = {
     "pcl240": ("PCL240K", "PCL240MK", "PCL240MS"),
     "nova": ("MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", "MCX312"),
     "hctl1100": ("HCTL1100",),
+    "stepdir": ("STEPDIR",),
 }
 """The classes of each family, by its package; stages keep the families in this order."""
 
@@ -74,6 +76,7 @@ __all__ = [
     "PCL240K",
     "PCL240MK",
     "PCL240MS",
+    "STEPDIR",
     "Chip",
     "ChipAxis",
     "Diagnostic",

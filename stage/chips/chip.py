@@ -173,6 +173,8 @@ class Chip:
     IN_POSITION: ClassVar[float] = 4.0
     """Default tolerance, pulses: an axis so close to its goal has arrived."""
     DEFAULT_CLOCK_HZ: ClassVar[int]
+    MAX_CLOCK_HZ: ClassVar[int] = 100_000_000
+    """Fastest reference clock that is emulated, Hz."""
     CLOCK_RANGE: ClassVar[tuple[int, int]] = (1, 100_000_000)
     """The reference clocks, Hz, that its makers allow; with another one it works here and says so in `diagnostics`."""
     CLOCK_SOURCE: ClassVar[str] = "clock"
@@ -202,15 +204,17 @@ class Chip:
         """Power the chip up.
 
         Args:
-            clock_hz: Reference clock, 1 to 100,000,000 Hz; default: that of the data sheet.
+            clock_hz: Reference clock, 1 to MAX_CLOCK_HZ; default: that of the data sheet.
 
         Raises:
             ArgumentError: The clock is no whole number in this range, or the class breaks the contract of chips.
         """
         contract.check(type(self), Chip, methods=False)
         hz: Any = self.DEFAULT_CLOCK_HZ if clock_hz is None else clock_hz
-        if not isinstance(hz, int | float | np.number) or not 1 <= hz <= 100_000_000 or int(hz) != hz:
-            raise ArgumentError(f"clock_hz={clock_hz!r}: a reference clock is a whole number of 1 to 100,000,000 Hz.")
+        if not isinstance(hz, int | float | np.number) or not 1 <= hz <= self.MAX_CLOCK_HZ or int(hz) != hz:
+            raise ArgumentError(
+                f"clock_hz={clock_hz!r}: a reference clock is a whole number of 1 to {self.MAX_CLOCK_HZ:,} Hz."
+            )
         self.clock_hz = int(hz)
         self._diagnostics: list[Diagnostic] = []
         self.axes = tuple(ChipAxis(self, k) for k in range(self.AXES))
@@ -253,6 +257,15 @@ class Chip:
             Pairs of a rule and a message; none for a write without mistakes.
         """
         return ()
+
+    def fit_drive(self, drive: Any, axis: int = 0) -> None:
+        """Take from the drive of an axis what the chip needs to know about it: nothing, for most chips. A stage calls it once.
+
+        Args:
+            drive: `stage.drives.motors.Drive` or `Servo` of the axis.
+            axis: Axis of the chip.
+        """
+        self._check_axis(axis)
 
     def explain_missing_current(self, axis: int = 0) -> str:
         """Explain why the motor has no current.

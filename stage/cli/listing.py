@@ -12,8 +12,8 @@ from stage.cli.options import CHIPS
 def add(commands: Any) -> None:
     """Add the commands."""
     p = add_command(
-        commands, "list", list_kind, "list the available chips, motors or models",
-        "List the values of --chips, --motor or --model.",
+        commands, "list", list_kind, "list the available chips, motors, power stages or models",
+        "List the values of --chips, --motor, --drive or --model.",
         ("stage list motors", "names for --motor"),
         ("stage list models", "names for --model"),
     )  # fmt: skip
@@ -72,6 +72,27 @@ def _list_motors(args: argparse.Namespace) -> int:
     return 0
 
 
+def _list_power_stages(args: argparse.Namespace) -> int:
+    from stage.drives.power_stages import EVIDENCE, TIMES, find_power_stage, list_power_stages
+
+    power_stages = {name: find_power_stage(name) for name in list_power_stages()}
+    tell(args, power_stages)
+    for name, p in power_stages.items():
+        print(f"{name:10} {p.title}: {p.max_current:g} A, {p.min_supply:g} to {p.max_supply:g} V")
+        if p.mode_pins:
+            modes = ", ".join(f"{levels} 1/{n}" for n, levels in p.microsteps.items())
+            print(f"  {' '.join(p.mode_pins)}: {modes}")
+        for field, text in p.evidence.items():
+            letter, _, reason = text.partition(": ")
+            value = getattr(p, field)
+            shown = (
+                f"{value * 1e6:g} us" if field in TIMES else str(value) if isinstance(value, int | float | str) else ""
+            )
+            print(f"  {field:17}{shown:10}{letter:3}{reason}".rstrip())
+    print("evidence: " + ", ".join(f"{letter} {meaning}" for letter, meaning in EVIDENCE.items()))
+    return 0
+
+
 def _print_evidence(motor: Any) -> None:
     """Print each value of a motor with its unit, the letter of its evidence, and the reason."""
     from stage.drives.motors import UNITS
@@ -93,7 +114,7 @@ def _list_models(args: argparse.Namespace) -> int:
     return 0
 
 
-KINDS = {"chips": list_chips, "motors": _list_motors, "models": _list_models}
+KINDS = {"chips": list_chips, "motors": _list_motors, "power-stages": _list_power_stages, "models": _list_models}
 
 
 def list_registers(args: argparse.Namespace) -> int:

@@ -130,6 +130,11 @@ def add_stage_options(g: Any, chips: Sequence[str] = CHIPS) -> None:
     choices = f"chip of every axis: {', '.join(chips)}{others} (default: {chips[0]})"
     g.add_argument("--chips", default=chips[0], help=choices).known = chips
     g.add_argument("--motor", help="motor of every axis, see `stage list motors` (default: 17HS4401)")
+    g.add_argument(
+        "--drive",
+        metavar="POWER_STAGE",
+        help="power stage of every axis, see `stage list power-stages` (default: ideal)",
+    )
     g.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
     g.add_argument("--bus-voltage", type=VOLTAGE, default=24.0, help="supply voltage of the drives in V (default: 24)")
     g.add_argument("--bus-cycle", type=TIME, default=1e-6, help="duration of a bus cycle in s (default: 1e-6)")

@@ -20,20 +20,21 @@ def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
         visuals: Keep what is only for display.
     """
     from stage import Drive, Stage
-    from stage.chips import chip_class
+    from stage.sim.chips_and_drives import find_chip_class
 
-    motor = {} if args.motor is None else {"motor": args.motor}
+    chosen = {"motor": args.motor, "power_stage": args.drive}
+    parts: Any = {name: choice for name, choice in chosen.items() if choice is not None}
 
     def make_drive(chip: Any) -> Any:
         if chip.SERVO:
             return args.motor
-        return Drive(microsteps=args.microsteps, bus_voltage=args.bus_voltage, **motor)
+        return Drive(microsteps=args.microsteps, bus_voltage=args.bus_voltage, **parts)
 
     if "=" in args.chips:
-        chips: Any = {axis: chip_class(name) for axis, name in parse_chips(args.chips).items()}
+        chips: Any = {axis: find_chip_class(name) for axis, name in parse_chips(args.chips).items()}
         drives: Any = {axis: make_drive(chip) for axis, chip in chips.items()}
     else:
-        chips = chip_class(args.chips)
+        chips = find_chip_class(args.chips)
         drives = make_drive(chips)
     return Stage(
         args.model, chips=chips, drives=drives, bus_cycle=args.bus_cycle, clock=getattr(args, "clock", None),

@@ -10,6 +10,7 @@ from numbers import Real
 from typing import Any, ClassVar, NamedTuple
 
 from stage.drives import stepper
+from stage.drives.power_stages import IDEAL, PowerStage, find_power_stage
 from stage.errors import ArgumentError, unknown_name_error
 from stage.support.arguments import explain_constructor
 
@@ -258,12 +259,14 @@ class Drive:
         motor: A Motor or a preset's name.
         microsteps: Microsteps of a full step, 1 to 256.
         bus_voltage: Supply voltage, V, up to 400.
-        current: Amplitude of a phase's sine, A, up to twice the rated current; default: rated.
+        current: Amplitude of a phase's sine, A, up to twice the rated current; default: rated, or the most of the power stage.
         mode: "chopper", or "sine" for the ideal drive of the closed form.
         detent: Detent torque in place of the motor's own, N m; 0: none.
+        power_stage: A PowerStage or its name, which limits microsteps, supply and current and demands times of STEP/DIR edges.
+        drops_edges: STEP edges that break these times are lost; otherwise a diagnostic says what silicon may do.
 
     Raises:
-        ArgumentError: A value that no drive has.
+        ArgumentError: A value that no drive, or not this power stage, has.
     """
 
     PRESETS: ClassVar = MOTORS
@@ -277,6 +280,8 @@ class Drive:
     current: float | None = None
     mode: str = "chopper"
     detent: float | None = None
+    power_stage: PowerStage = IDEAL
+    drops_edges: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "motor", find_motor(self.motor))
@@ -291,11 +296,32 @@ class Drive:
             )
         if self.mode not in MODES:
             raise unknown_name_error("drive mode", self.mode, MODES)
+        object.__setattr__(self, "power_stage", find_power_stage(self.power_stage))
+        self._check_power_stage()
+
+    def _check_power_stage(self) -> None:
+        """Raise ArgumentError for microsteps, a supply or a current that the power stage does not have."""
+        power_stage = self.power_stage
+        if self.microsteps not in power_stage.microsteps:
+            raise ArgumentError(
+                f"microsteps={self.microsteps}: {power_stage.title} has {', '.join(map(str, power_stage.microsteps))}."
+            )
+        if not power_stage.min_supply <= self.bus_voltage <= power_stage.max_supply:
+            raise ArgumentError(
+                f"bus_voltage={self.bus_voltage:g}: {power_stage.title} works from {power_stage.min_supply:g} to "
+                f"{power_stage.max_supply:g} V."
+            )
+        if self.current is not None and self.current > power_stage.max_current:
+            raise ArgumentError(
+                f"current={self.current:g}: {power_stage.title} gives up to {power_stage.max_current:g} A."
+            )
 
     @property
     def amplitude(self) -> float:
         """Amplitude of the phase current, A."""
-        return self.motor.rated_current if self.current is None else self.current
+        if self.current is not None:
+            return self.current
+        return min(self.motor.rated_current, self.power_stage.max_current)
 
     @property
     def detent_torque(self) -> float:
@@ -310,7 +336,8 @@ class Drive:
     @property
     def title(self) -> str:
         """Motor and settings, for people."""
-        return f"{self.motor.name}, 1/{self.microsteps} steps"
+        power_stage = "" if self.power_stage.name == IDEAL.name else f", {self.power_stage.name}"
+        return f"{self.motor.name}, 1/{self.microsteps} steps{power_stage}"
 
     @property
     def pulses_per_turn(self) -> int:

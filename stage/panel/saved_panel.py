@@ -74,9 +74,11 @@ def _describe_drives(options: dict[str, Any], by_axis: dict[str, str] | None) ->
     """Return Python that makes the drives of these options, as stage.cli.setup does; "" for the usual ones."""
     from stage.chips import chip_class
 
-    motor = f"motor={options['motor']!r}, " if options["motor"] is not None else ""
-    stepper = f"Drive({motor}microsteps={options['microsteps']}, bus_voltage={options['bus_voltage']!r})"
-    is_usual = not motor and options["microsteps"] == 16 and options["bus_voltage"] == 24.0
+    named = {"motor": options["motor"], "power_stage": options["drive"]}
+    parts = "".join(f"{name}={value!r}, " for name, value in named.items() if value is not None)
+    stepper = f"Drive({parts}microsteps={options['microsteps']}, bus_voltage={options['bus_voltage']!r})"
+    motor = options["motor"]
+    is_usual = not parts and options["microsteps"] == 16 and options["bus_voltage"] == 24.0
     is_servo = {axis: chip_class(name).SERVO for axis, name in (by_axis or {"": options["chips"]}).items()}
     if is_usual or (all(is_servo.values()) and not motor):
         return ""
@@ -230,8 +232,8 @@ PROGRAM_FORMATS: dict[str, Callable[[Any, Any, int], str]] = {
 
 FORMAT = 1
 STAGE_OPTIONS: dict[str, type | tuple[type, ...]] = {
-    "model": str, "chips": str, "motor": (str, type(None)), "microsteps": int, "bus_voltage": (int, float),
-    "bus_cycle": (int, float), "wiring": list, "multichip": (str, type(None)), "syni": list,
+    "model": str, "chips": str, "motor": (str, type(None)), "drive": (str, type(None)), "microsteps": int,
+    "bus_voltage": (int, float), "bus_cycle": (int, float), "wiring": list, "multichip": (str, type(None)), "syni": list,
 }  # fmt: skip
 """The options of `stage panel` that say what the stage is made of, and their types."""
 RECORDED = ("position", "commanded", "following_error", "rate", "lost_steps")
@@ -356,7 +358,7 @@ def read(path: str | os.PathLike) -> SavedPanel:
         )
         options = document["made"]
         if options is not None:
-            options = {name: options[name] for name in STAGE_OPTIONS}
+            options = {name: options.get(name) for name in STAGE_OPTIONS}
             for name, kind in STAGE_OPTIONS.items():
                 if not _is_option(options[name], kind):
                     raise refuse(f"{name}, of what the stage is made of, is {options[name]!r:.60}")

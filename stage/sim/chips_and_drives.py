@@ -13,11 +13,12 @@ import numpy as np
 from stage.chips import CHIPS, PCL240K, Chip, ChipAxis, chip_class
 from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, find_dc_motor
 from stage.drives.motors import MOTORS, Drive, Motor, find_motor
+from stage.drives.power_stages import PowerStage, find_power_stage, is_power_stage, list_power_stages
 from stage.errors import ArgumentError, ModelError, unknown_name_error
 from stage.sim import plant
 
 ChipChoice = type[Chip] | str | Callable[[], Chip] | Mapping[str, Any]
-DriveChoice = Drive | Servo | Motor | DCMotor | str | Mapping[str, Any] | None
+DriveChoice = Drive | Servo | Motor | DCMotor | PowerStage | str | Mapping[str, Any] | None
 
 
 def choose_chips_and_drives(
@@ -127,7 +128,22 @@ def _resolve_chip_names(chips: Any) -> Any:
     """Return chips with their names replaced by classes."""
     if isinstance(chips, Mapping):
         return {axis: _resolve_chip_names(chip) for axis, chip in chips.items()}
-    return chip_class(chips) if isinstance(chips, str) else chips
+    return find_chip_class(chips) if isinstance(chips, str) else chips
+
+
+def find_chip_class(name: str) -> type[Chip]:
+    """Return the chip class of a name, in any case.
+
+    Raises:
+        ArgumentError: There is none; of the name of a power stage the message says where that belongs.
+        LoadError: The package of the chip cannot be imported.
+    """
+    if name not in CHIPS and is_power_stage(name):
+        raise ArgumentError(
+            f"{name.upper()} is a power stage, no chip: chips='stepdir', drives={name.lower()!r} "
+            f"(--chips stepdir --drive {name.lower()})."
+        )
+    return chip_class(name)
 
 
 def _make_chip_axes(chips: Any, names: list[str], clock: int | None) -> list[ChipAxis]:
@@ -158,6 +174,17 @@ def _find_any_motor(name: str) -> Motor | DCMotor:
     return DC_MOTORS[name] if name in DC_MOTORS else find_motor(name)
 
 
+def _make_drive(choice: Any, motor: str) -> Drive:
+    """Make the drive of a stepper's axis from a motor or a power stage, or their names; `motor` is that of the model."""
+    if choice is None:
+        return Drive(find_motor(motor))
+    if isinstance(choice, PowerStage) or (choice not in MOTORS and is_power_stage(choice)):
+        return Drive(find_motor(motor), power_stage=find_power_stage(choice))
+    if isinstance(choice, str) and choice not in MOTORS:
+        raise unknown_name_error("motor or power stage", choice, (*MOTORS, *list_power_stages()))
+    return Drive(find_motor(choice))
+
+
 def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Servo:
     """Choose the drive of an axis for its chip, as requested or as the model names it; the spec gets the actuator that it needs."""
     choice, named = drives.get(axis) if isinstance(drives, Mapping) else drives, plant.find_motor_names(spec).get(axis)
@@ -172,9 +199,8 @@ def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Serv
     if not servo:
         plant.fit_actuator(spec, axis, None)
         if not isinstance(choice, Drive):
-            choice = Drive(
-                find_motor(choice if choice is not None else named if named and named not in DC_MOTORS else "17HS4401")
-            )
+            own = named if named and named not in DC_MOTORS else "17HS4401"
+            choice = _make_drive(choice, own)
         return replace(choice, microsteps=chip.MICROSTEPS) if chip.MICROSTEPS else choice
     constants = plant.read_dc_constants(spec, axis)
     if isinstance(choice, Servo):

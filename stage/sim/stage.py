@@ -166,6 +166,8 @@ class Stage:
         self.loop = Loop(self.state, self.chips, self._power_up)
         for chip, rows in zip(self.chips, self.state.chips, strict=True):
             chip.attach(self.loop, rows)
+        for chip_axis, drive in zip(chip_axes, drives, strict=True):
+            chip_axis.chip.fit_drive(drive, chip_axis.index)
         axes = zip(self._plant, chip_axes, drives, strict=True)
         self._axes = [
             Axis(self, k, p, chip_axis, drive, self._positive[k]) for k, (p, chip_axis, drive) in enumerate(axes)

@@ -9,10 +9,20 @@ import inspect
 import pytest
 
 from stage import Stage, StageError
-from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX501, MCX512, MCX514, PCL240K, PCL240MK, PCL240MS
+from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX501, MCX512, MCX514, PCL240K, PCL240MK, PCL240MS, STEPDIR
 
-CHIPS = (PCL240K, PCL240MK, PCL240MS, MCX302, MCX304, MCX312, MCX501, MCX512, MCX514, HCTL1100)
-OTHERS = {"address": 0, "value": 0x11, "word": 0, "count": 0.0, "rate": 0.0, "name": "", "symbol": "", "datum": None}
+CHIPS = (PCL240K, PCL240MK, PCL240MS, MCX302, MCX304, MCX312, MCX501, MCX512, MCX514, HCTL1100, STEPDIR)
+OTHERS = {
+    "address": 0,
+    "value": 0x11,
+    "word": 0,
+    "count": 0.0,
+    "rate": 0.0,
+    "name": "",
+    "symbol": "",
+    "datum": None,
+    "drive": None,
+}
 OF_THE_CLASS = {"register_cycles", "command_cycles"}  # they need a name, too
 COMMON = {"input_word", "output_word", "set_input_word"}
 """Under AXES they have the pins that are no axis', where the chip has such."""

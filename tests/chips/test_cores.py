@@ -49,7 +49,7 @@ def test_a_chip_record_of_any_family_returns_what_its_core_returns(name):
     setattr(chip.axes[0].pins, pin, True)
     chip.advance(1000)
     core, at = chip.CORE, chip._rows[0]
-    expected = (1000, core.net(at, 0), chip.INPUTS[pin], core.outputs(at, 0), core.status(at, 0))
+    expected = (1000, core.net(at, 0), chip.input_word(0), core.outputs(at, 0), core.status(at, 0))
     assert report(chip) == expected
 
 
@@ -69,6 +69,10 @@ def move(chip, pulses):
         servo_programs.move(chip, pulses)
     elif "nova" in chip.CORE.__name__:
         nova_programs.move(chip, pulses)
+    elif "stepdir" in chip.CORE.__name__:
+        for name, value in {"START": 1000, "RATE": 16_000, "STEPS": abs(pulses)}.items():
+            chip.write(*chip.register_cycles(name, value)[0])
+        chip.write(*chip.command_cycles("MOVE-" if pulses < 0 else "MOVE+")[0])
     else:
         programs.start_preset(chip, abs(pulses), pulses < 0)
     chip.advance(chip.clock_hz // 20)

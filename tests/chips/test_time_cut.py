@@ -13,7 +13,7 @@ from support.nova_programs import command, load
 from support.pcl240k_bench import commands
 from support.pcl240ms_bench import load as load_registers
 
-from stage.chips import CHIPS, HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
+from stage.chips import CHIPS, HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS, STEPDIR
 
 LONG = 1 << 40
 """Clocks, days: what has not ended by then goes on for ever."""
@@ -203,8 +203,19 @@ def test_a_cut_changes_nothing_for_the_hctl1100_timer_in_idle_or_stopped_by_sync
     cut_everywhere(chip, 200)
 
 
+@pytest.mark.parametrize("curved", [0, 40])
+def test_a_move_of_the_step_timer_ends_at_its_last_step_however_time_is_cut(curved):
+    chip = STEPDIR(clock_hz=1_000_000)
+    registers = {"START": 20_000, "RATE": 100_000, "UP": 60, "DOWN": 40, "CURVED": curved, "STEPS": 12}
+    for name, value in registers.items():
+        chip.write(*chip.register_cycles(name, value)[0])
+    chip.write(*chip.command_cycles("MOVE-")[0])
+    assert len(cut_everywhere(chip, 200)) == 12
+    assert chip.trace(200)["direction"].tolist() == [-1] * 12
+
+
 def test_every_family_is_cut():
-    cut = {PCL240K, PCL240MK, PCL240MS, MCX302, MCX304, MCX312, MCX514, CHIPS["MCX314AS"], HCTL1100}
+    cut = {PCL240K, PCL240MK, PCL240MS, MCX302, MCX304, MCX312, MCX514, CHIPS["MCX314AS"], HCTL1100, STEPDIR}
     assert all(cls in cut or issubclass(cls, MCX514) for cls in map(CHIPS.get, CHIPS.built_in)), (
         "smaller ones of a generation share its core"
     )

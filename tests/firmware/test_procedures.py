@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stage import ArgumentError, Drive, RunTimeout, Stage, StageError, faults, firmware
-from stage.chips import CHIPS, HCTL1100, MCX304, MCX312, MCX501, MCX514, PCL240K, PCL240MK, PCL240MS
+from stage.chips import CHIPS, HCTL1100, MCX304, MCX312, MCX501, MCX514, PCL240K, PCL240MK, PCL240MS, STEPDIR
 from stage.firmware import Bench
 from stage.firmware.driver import (
     SETTLING_TIME_S,
@@ -73,7 +73,7 @@ def test_homings_that_a_chip_has_are_by_the_switch_and_by_the_index(stage, monke
     )
     for by in driver.list_homing_methods():
         firmware.home(axis, 1, by=by, timeout=9.0)
-    assert asked == [(1, False, 9.0), (1, True, 9.0)][: 1 if type(axis.chip) is PCL240K else 2]
+    assert asked == [(1, False, 9.0), (1, True, 9.0)][: 1 if type(axis.chip) in (PCL240K, STEPDIR) else 2]
     firmware.home(axis, 1, by=driver.list_homing_methods()[-1], index=len(asked) == 2)
     with pytest.raises(ArgumentError, match=r"home by 'nose': an? \w+ cannot; it homes by switch"):
         firmware.home(axis, by="nose")

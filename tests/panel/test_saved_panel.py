@@ -28,7 +28,7 @@ from stage.panel.server import Panel
 from stage.panel.session import FREE, Session
 
 STAGE_OPTIONS = {"model": "xy", "chips": "pcl240ms", "motor": None, "microsteps": 16, "bus_voltage": 24.0, "bus_cycle": 1e-6,
-        "wiring": [], "multichip": None, "syni": []}  # fmt: skip
+        "drive": None, "wiring": [], "multichip": None, "syni": []}  # fmt: skip
 MOVE = ((0, 0x08), (1, 50), (2, 2000), (4, 300), (5, 300), (7, 300), (0, 9000))
 
 

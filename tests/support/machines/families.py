@@ -17,9 +17,10 @@ host is a value with
 from stage.chips.hctl1100 import HCTL1100
 from stage.chips.nova import Nova
 from stage.chips.pcl240 import PCL240
-from support.machines import hctl1100_bus, nova_bus, pcl240_bus
+from stage.chips.stepdir import STEPDIR
+from support.machines import hctl1100_bus, nova_bus, pcl240_bus, stepdir_bus
 
-FAMILIES = {PCL240: pcl240_bus, Nova: nova_bus, HCTL1100: hctl1100_bus}
+FAMILIES = {PCL240: pcl240_bus, Nova: nova_bus, HCTL1100: hctl1100_bus, STEPDIR: stepdir_bus}
 
 
 def bus_of(cls):

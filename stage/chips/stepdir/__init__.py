@@ -1,0 +1,109 @@
+"""A STEP/DIR axis: the lines of a power stage, driven by firmware that makes its own steps.
+
+    axis = STEPDIR()
+    axis.pins.dir = False
+    axis.pins.step = True             a rising edge: one step plus
+    axis.advance(2_000)               2 us of a clock of 1 GHz
+    axis.pins.step = False
+
+A host without firmware writes the registers of a step timer, which then drives the lines: see maps.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from stage.chips.chip import Chip
+from stage.chips.diagnostics import Diagnostic
+from stage.chips.stepdir import core
+from stage.chips.stepdir.describe import Decoder, Listener
+from stage.chips.stepdir.lint import describe_violation, lint_write
+from stage.chips.stepdir.maps import ADDRESS_MASK, CONTROL_ADDRESS, DATA_MASK, MAP
+from stage.chips.stepdir.state import ENABLE, TIMES
+from stage.support.arguments import explain_arguments
+
+__all__ = ["STEPDIR"]
+
+
+class STEPDIR(Chip):
+    """STEP, DIR and ENABLE of one axis' power stage, the axis' switches, and a step timer for hosts without firmware.
+
+    All pins are True when asserted; polarity belongs to the wires. ENABLE is asserted from power-up on, as most power stages are
+    enabled while nothing is connected to this pin. Edges are exact to a clock of 1 ns.
+    """
+
+    MAP: ClassVar = MAP
+    CORE: ClassVar = core
+    INPUTS: ClassVar = core.INPUTS
+    OUTPUTS: ClassVar = core.OUTPUTS
+    PHASES: ClassVar = {"up": "up", "down": "down", "busy": "keep"}
+    DEFAULT_CLOCK_HZ: ClassVar = 1_000_000_000
+    MAX_CLOCK_HZ: ClassVar = 1_000_000_000
+    CLOCK_RANGE: ClassVar = (1, 1_000_000_000)
+    ADDRESSES: ClassVar = ADDRESS_MASK + 1
+    ADDRESS_MASK: ClassVar = ADDRESS_MASK
+    DATA_MASK: ClassVar = DATA_MASK
+    BUSY: ClassVar = (CONTROL_ADDRESS, MAP.mask("status", "busy"))
+    COUNTER: ClassVar = ("POSITION", 32)
+    DRIVER: ClassVar = "stage.firmware.stepdir.driver:StepDirDriver"
+
+    power_stage = "power stage"
+    """Name of the power stage that demands the times between edges, for diagnostics."""
+
+    def _configure(self, record: Any) -> None:
+        record["hz"], record["inputs"], record["counts_disabled"] = self.clock_hz, ENABLE, 1
+
+    @property
+    def diagnostics(self) -> list[Diagnostic]:
+        """Messages about writes, and one about each kind of time between edges that was too short for the power stage."""
+        diagnostics = super().diagnostics
+        c = self.state
+        for which in range(TIMES):
+            if c["violations"][which]:
+                observed_s, required_s = (int(c[name][which]) / self.clock_hz for name in ("shortest", "required"))
+                finding = describe_violation(which, observed_s, required_s, self.power_stage, bool(c["drops_edges"]))
+                self.diagnose(int(c["first_violation"][which]), 0, 0, [finding])
+        return diagnostics
+
+    @classmethod
+    @explain_arguments
+    def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
+        cls._check_axis(axis)
+        return [(cls.MAP.register(name).number, value)]
+
+    @classmethod
+    @explain_arguments
+    def command_cycles(cls, symbol: str, axis: int = 0, datum: int | None = None) -> list[tuple[int, int]]:
+        cls._check_axis(axis)
+        what, datum = cls.MAP.find_sent(symbol, datum)
+        return [(CONTROL_ADDRESS, getattr(what, "code", datum))]
+
+    @classmethod
+    def read_direction(cls, address: int, value: int) -> bool | None:
+        return bool(value & core.MINUS) if address == CONTROL_ADDRESS and value & core.GO else None
+
+    def fit_drive(self, drive: Any, axis: int = 0) -> None:
+        """Take the amplitude of the phase currents, and the times that the power stage demands, from the drive of the axis."""
+        self._check_axis(axis)
+        power_stage, c = drive.power_stage, self._record
+        c["amplitude"], c["drops_edges"] = drive.amplitude, drive.drops_edges
+        c["counts_disabled"] = power_stage.counts_disabled
+        c["required"] = [round(seconds * self.clock_hz) for seconds in power_stage.times]
+        self.power_stage = power_stage.title
+
+    def explain_missing_current(self, axis: int = 0) -> str:
+        self._check_axis(axis)
+        return "" if self.pins.enable else "ENABLE is not asserted"
+
+    def lint(self, address: int, value: int) -> Any:
+        return lint_write(self._record, address, value)
+
+    def decoder(self, axis: int = 0) -> Decoder:
+        self._check_axis(axis)
+        return Decoder()
+
+    def listener(self) -> Listener:
+        return Listener()
+
+    def values(self) -> dict[str, int]:
+        return {r.name: r.value(core.peek.with_gil(self.pointer, r.number)) for r in self.MAP.registers}

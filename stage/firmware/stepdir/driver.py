@@ -1,0 +1,249 @@
+"""The driver of STEP/DIR axes: it writes rates, ramps and steps to the step timer, as firmware sets up its timer interrupt."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+from stage.chips.journal import Journal
+from stage.chips.stepdir.core import AT_ONCE, SLOW
+from stage.chips.stepdir.maps import CONTROL_ADDRESS, END_REASONS, MAP
+from stage.errors import ArgumentError, ExceededLimit
+from stage.firmware import pattern
+from stage.firmware.driver import (
+    SETTLING_TIME_S,
+    Driver,
+    ImmediateOperations,
+    Speeds,
+    select_moving,
+    wait_until_stopped,
+)
+from stage.firmware.lines import Line
+from stage.firmware.pattern import BLUE, GREEN, GREY, RED
+from stage.firmware.report import Procedure, Report
+from stage.firmware.search import Search
+from stage.firmware.stepdir.line import Bresenham
+from stage.firmware.stepdir.search import OrgSearch
+from stage.firmware.stop_reasons import ANOTHER_AXIS
+from stage.firmware.synchronized_report import EarlyStopHandler, LineObserver, SynchronizedReport
+from stage.sim.program import Operations
+
+END = MAP.field("status", "end")
+HALT_TIMEOUT_S = 60.0
+HOME_RATE_PPS = 400.0
+"""Rate of the last approach to ORG; slow, so that the motor does not ring when the switch trips."""
+BACK_OFF_STEPS = 400
+MAX_BACK_OFFS = 200
+
+
+class Pattern(pattern.Pattern):
+    """Signals of a STEP/DIR axis that a drawing of a report shows."""
+
+    LANES = (
+        ("up", "UP", BLUE), ("down", "DOWN", BLUE), ("busy", "BUSY", GREY), ("dir", "DIR", GREY), ("org", "ORG", GREEN),
+        ("el_plus", "EL+", RED), ("el_minus", "EL-", RED),
+    )  # fmt: skip
+    ALWAYS = ("up", "down", "busy")
+
+
+class StepDirDriver(Driver):
+    """Driver of one STEP/DIR axis."""
+
+    PATTERN: ClassVar = Pattern
+    DONE: ClassVar = END_REASONS[1]
+    HOME_REASONS: ClassVar = ("ORG",)
+    HOMINGS: ClassVar = ("switch",)
+    INDEX_PULSES: ClassVar = 0
+    FINISH: ClassVar = "STEPS"
+    OPTIONS: ClassVar = frozenset({"s_curve_share", "constant", "approach"})
+
+    # --- now ---
+
+    def start(self, pulses: int, speeds: Speeds) -> None:
+        if not pulses:
+            raise ArgumentError("pulses=0: a move has at least one step; its sign is the direction.")
+        MAP.check_value("STEPS", abs(pulses))
+        self._write_registers({**self._registers(speeds), "STEPS": abs(pulses), "EVENTS": 0})
+        self.goal = self.chip.net() + pulses
+        self._send("MOVE", pulses)
+
+    def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
+        with Procedure(self.axis, "move") as procedure:
+            self.start(pulses, speeds)
+            reason = self.wait(estimate_seconds(pulses, speeds) if timeout is None else timeout)
+            self.axis.wait(SETTLING_TIME_S)
+            return procedure.report(reason, pulses)
+
+    def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
+        with Procedure(self.axis, "origin return") as procedure:
+            self._write_registers(
+                {**self._registers(speeds._replace(s_curve=False)), "STEPS": BACK_OFF_STEPS, "EVENTS": 0}
+            )
+            reason = self._search(direction, timeout)
+            if reason in ("", "ORG"):
+                approach = speeds.approach if speeds.approach is not None else min(HOME_RATE_PPS, speeds.drive)
+                reason = self._approach(direction, round(approach), timeout) if approach else "ORG"
+            self.axis.wait(SETTLING_TIME_S)
+            return procedure.report(reason)
+
+    def _search(self, direction: int, timeout: float) -> str:
+        """Run to ORG unless the axis is there, and return what has ended the run."""
+        return "" if self._is_at_origin() else self._run_to_end("HOME", direction, timeout)
+
+    def _approach(self, direction: int, rate: int, timeout: float) -> str:
+        """Back off from ORG and approach it slowly; return what has ended the last run."""
+        for _ in range(MAX_BACK_OFFS):
+            if not self._is_at_origin():
+                break
+            if (reason := self._run_to_end("MOVE", -direction, timeout)) != self.DONE:
+                return reason
+        self._write_registers({"START": rate, "RATE": rate})
+        return self._run_to_end("HOME", direction, timeout)
+
+    def _is_at_origin(self) -> bool:
+        return bool(self.chip.read(CONTROL_ADDRESS) & MAP.mask("status", "org"))
+
+    def _run_to_end(self, command: str, direction: int, timeout: float) -> str:
+        self._send(command, direction)
+        wait_until_stopped([self.axis], timeout)
+        reason = self._read_end_reason()
+        self.axis.wait(SETTLING_TIME_S)
+        return reason
+
+    def run(self, direction: int, speeds: Speeds) -> None:
+        self._write_registers(self._registers(speeds))
+        self._send("RUN", direction)
+
+    def slow_down(self) -> None:
+        """Command a stop with the ramp down, and do not wait."""
+        self.chip.write(CONTROL_ADDRESS, SLOW)
+
+    def halt(self, at_once: bool = False) -> None:
+        self.chip.write(CONTROL_ADDRESS, AT_ONCE if at_once else SLOW)
+        wait_until_stopped([self.axis], HALT_TIMEOUT_S)
+
+    def is_stop_command(self, address: int, value: int) -> bool:
+        return address == CONTROL_ADDRESS and bool(value & (AT_ONCE | SLOW))
+
+    def stopped_by(self) -> str:
+        reason = self._read_end_reason()
+        return reason if reason in ("EL+", "EL-", "ORG") else ""
+
+    def _read_end_reason(self) -> str:
+        return END_REASONS[END.of(self.chip.read(CONTROL_ADDRESS))]
+
+    def read_register(self, name: str) -> int:
+        register = MAP.register(name)
+        return register.value(self.chip.read(register.number))
+
+    def _registers(self, speeds: Speeds) -> dict[str, int]:
+        """Compute the registers of speeds. Raises ArgumentError for rates that the step timer does not make."""
+        for name, field, rate in (("START", "start_speed", speeds.start), ("RATE", "speed", speeds.drive)):
+            low, high = MAP.register(name).range
+            if not low <= rate <= high:
+                raise ArgumentError(
+                    f"{field} of {rate:g} pps: the step timer makes {low:,} to {high:,} steps per second."
+                ).with_limit(ExceededLimit(field, rate, low, high))
+        if speeds.start > speeds.drive:
+            raise ArgumentError(
+                f"start speed {speeds.start:g} pps is above the drive speed {speeds.drive:g} pps: ramps lead up."
+            ).with_limit(ExceededLimit("start_speed", speeds.start, 0, speeds.drive))
+        start = speeds.drive if speeds.constant else speeds.start
+        registers = self.formula(start, speeds.drive, speeds.up, speeds.down, 1)
+        share = 0.5 if speeds.s_curve is True else float(speeds.s_curve)
+        return {**registers, "CURVED": round(100 * share)}
+
+    def _write_registers(self, values: Mapping[str, int]) -> None:
+        """Write registers. Raises StageError for an axis that moves."""
+        if self.chip.busy():
+            raise self.build_moving_error()
+        now = ImmediateOperations(self.axis)
+        for name, value in values.items():
+            now.register(self.index, self.chip, name, value)
+
+    def _send(self, command: str, direction: int) -> None:
+        self.chip.write(CONTROL_ADDRESS, find_command(command, direction))
+
+    @classmethod
+    def line(
+        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
+    ) -> SynchronizedReport:
+        """Move axes along a straight line: the steps of the shorter ones are spread among those of the longest by Bresenham's rule.
+
+        Args:
+            drivers: Drivers by the names of their axes.
+            pulses: Signed steps of each axis.
+            speeds: Rates and ramps of the longest axis.
+            timeout: Simulated seconds to wait; None: half as much again as the line can take, and one.
+
+        Returns:
+            A report of all axes.
+
+        Raises:
+            ArgumentError: The step timers cannot make it.
+            StageError: An axis moves already.
+            RunTimeout: An axis still moved after `timeout`.
+        """
+        moving: dict[str, Any] = select_moving(drivers, pulses)
+        events = max(abs(pulses[name]) for name in moving)
+        MAP.check_value("STEPS", events)
+        procedures = {name: Procedure(driver.axis, "line") for name, driver in moving.items()}
+        with LineObserver(procedures, {name: pulses[name] for name in moving}) as observer:
+            for name, driver in moving.items():
+                driver._write_registers({**driver._registers(speeds), "STEPS": abs(pulses[name]), "EVENTS": events})
+            for name, driver in moving.items():
+                driver._send("MOVE", pulses[name])
+                observer.note_start(name)
+            early_stop = EarlyStopHandler(observer, moving)
+            axes = [driver.axis for driver in moving.values()]
+            with observer.attach_reports_to_timeout():
+                limit_s = estimate_seconds(events, speeds) if timeout is None else timeout
+                wait_until_stopped(axes, limit_s, on_poll=early_stop)
+            axes[0].wait(SETTLING_TIME_S)
+            reasons = {}
+            for name, driver in moving.items():
+                journal = observer.watch[name].journal
+                reasons[name] = driver.explain_end(observer.has_arrived(name), journal)
+                if name in early_stop.stopped:
+                    reasons[name] = ANOTHER_AXIS
+            return observer.report(reasons)
+
+    def explain_end(self, done: bool, journal: Journal | None = None) -> str:
+        return self._read_end_reason()
+
+    # --- as programs ---
+
+    def list_move_registers(self, s_curve: bool | None) -> tuple[str, ...]:
+        return ("START", "RATE", "UP", "DOWN", *(("CURVED",) if s_curve else ()))
+
+    def formula(
+        self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
+    ) -> dict[str, int]:
+        values = {"START": fl, "RATE": fh, "UP": 1e6 * up, "DOWN": 1e6 * down, **({"CURVED": 50.0} if s_curve else {})}
+        ranges = {name: MAP.register(name).range for name in values}
+        return {name: min(max(round(value), ranges[name][0]), ranges[name][1]) for name, value in values.items()}
+
+    def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
+        for name, value in {**values, "STEPS": abs(pulses)}.items():
+            program.register(self.index, self.chip, name, value)
+        program.command(self.index, find_command("MOVE", pulses))
+
+    def write_stop(self, program: Operations) -> None:
+        program.command(self.index, AT_ONCE)
+
+    def search(self, settings: Any) -> Search:
+        return OrgSearch(self, settings)
+
+    def lines(self, drivers: Sequence[Driver], settings: Any) -> Line:
+        return Bresenham(drivers, settings)
+
+
+def find_command(command: str, direction: int) -> int:
+    """Return the code of a command of the step timer: "MOVE", "RUN" or "HOME" in the direction of a sign."""
+    return MAP.command(f"{command}{'+' if direction > 0 else '-'}").code
+
+
+def estimate_seconds(pulses: int, speeds: Speeds) -> float:
+    """Estimate a generous time for a move: half as much again as it takes at the slower of its rates, and one second."""
+    slowest = max(1.0, min(speeds.start or speeds.drive, speeds.drive))
+    return 1.5 * abs(pulses) / slowest + 3.0 * (speeds.up + speeds.down) + 1.0

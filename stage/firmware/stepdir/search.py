@@ -1,0 +1,84 @@
+"""The origin return of a STEP/DIR axis as a program: leave ORG, run to it, back off, approach it slowly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stage.chips.stepdir.core import AT_ONCE
+from stage.chips.stepdir.maps import CONTROL_ADDRESS, MAP
+from stage.errors import ArgumentError
+from stage.firmware.parameter_ranges import ParameterRanges, get_register_range
+from stage.firmware.search import Search, SearchResult
+from stage.sim.program import Program
+
+if TYPE_CHECKING:
+    from stage.firmware.stepdir.driver import StepDirDriver
+
+ORG, END_LIMITS = MAP.mask("status", "org"), MAP.mask("status", "plus_limit") | MAP.mask("status", "minus_limit")
+POSITION = MAP.register("POSITION")
+PHASES = ("leave", "search", "back_off", "approach")
+
+
+class OrgSearch(Search):
+    """Origin return by four moves of the step timer, towards minus."""
+
+    def __init__(self, driver: StepDirDriver, settings: Any):
+        if settings.ez:
+            raise ArgumentError(f"ez={settings.ez!r}: a STEP/DIR axis has no input for an encoder's index pulse.")
+        self.driver, self.settings, self.marks = driver, settings, {}
+        ranges = {name: get_register_range(MAP, name) for name in ("START", "RATE", "UP", "DOWN")}
+        travel = {"leave": (1, max(1, settings.leave)), "back_off": (1, max(1, settings.back_off))}
+        self.choices = ParameterRanges(
+            {**ranges, "approach": get_register_range(MAP, "RATE"), **travel}, cubed=("leave",)
+        )
+        self.program(self.choices.low)
+
+    def find_nearest_row(
+        self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int
+    ) -> list[int]:
+        registers = self.driver.formula(fl, fh, ramp, ramp, leave)
+        return self._round_to_ranges({**registers, "approach": approach, "leave": leave, "back_off": back_off})
+
+    def program(self, row: Sequence[int] | np.ndarray) -> Program:
+        values = self.choices.to_dict(row)
+        program = Program()
+        for name in ("START", "RATE", "UP", "DOWN"):
+            self._set(program, name, values[name])
+        self._move(program, "leave", "MOVE+", values["leave"])
+        self._move(program, "search", "HOME-", 0)
+        self._move(program, "back_off", "MOVE+", values["back_off"])
+        self._set(program, "START", values["approach"])
+        self._set(program, "RATE", values["approach"])
+        self._move(program, "approach", "HOME-", 0)
+        return program
+
+    def _set(self, program: Program, name: str, value: int) -> None:
+        program.register(self.driver.index, self.driver.chip, name, value)
+
+    def _move(self, program: Program, phase: str, command: str, steps: int) -> None:
+        """Add one move, a wait for its end, and reads of the status and the position."""
+        index = self.driver.index
+        self._set(program, "STEPS", steps)
+        program.command(index, MAP.command(command).code)
+        self._note_result_index(f"{phase} time", program).until_stopped([index], self.settings.limit)
+        program.command(index, AT_ONCE).wait(self.settings.settle)
+        self._note_result_index(f"{phase} status", program).read(index, CONTROL_ADDRESS)
+        self._note_result_index(f"{phase} position", program).read(index, POSITION.number)
+
+    def read_results(self, results: np.ndarray, rows: np.ndarray) -> SearchResult:
+        columns = {name: results[:, at] for name, at in self.marks.items()}
+        timed_out = np.any([columns[f"{phase} time"] < 0 for phase in PHASES], axis=0)
+        at_origin = {phase: columns[f"{phase} status"] & ORG != 0 for phase in PHASES}
+        at_limit = np.any([columns[f"{phase} status"] & END_LIMITS != 0 for phase in PHASES], axis=0)
+        released = ~at_origin["back_off"]
+        searched = _signed(columns["leave position"] - columns["search position"])
+        home = ~timed_out & ~at_limit & released & at_origin["approach"]
+        return SearchResult(timed_out, home, ~timed_out & at_limit, released, searched, np.zeros(len(rows), np.int64))
+
+
+def _signed(difference: np.ndarray) -> np.ndarray:
+    """Return differences of 32-bit positions as signed numbers."""
+    return (difference + (1 << 31)) % (1 << 32) - (1 << 31)

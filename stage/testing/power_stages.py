@@ -1,0 +1,91 @@
+"""`power_stage_conformance`: what every power stage promises, for the tests of a package that brings one."""
+
+from __future__ import annotations
+
+from stage.chips.stepdir import STEPDIR
+from stage.drives.motors import Drive
+from stage.drives.power_stages import TIMES, PowerStage, find_power_stage
+
+REST_NS = 1_000_000_000
+"""Time between two trials, longer than any that a power stage may demand."""
+
+
+def power_stage_conformance(power_stage: str | PowerStage) -> None:
+    """Check a power stage: its evidence, a drive at each of its microsteps, its current, and each time that it demands.
+
+    An edge at exactly the shortest time has no diagnostic, one that comes a nanosecond earlier has that of its time, and with
+    `drops_edges` it is lost.
+
+    Args:
+        power_stage: Power stage or its name; that of a package has to be installed.
+
+    Raises:
+        AssertionError: A promise is broken; the message names it.
+        ArgumentError: There is no such power stage.
+    """
+    power_stage = find_power_stage(power_stage)
+    _check_evidence(power_stage)
+    supply = min(max(24.0, power_stage.min_supply), power_stage.max_supply)
+    for microsteps, levels in power_stage.microsteps.items():
+        drive = Drive(power_stage=power_stage, microsteps=microsteps, bus_voltage=supply)
+        assert drive.amplitude <= power_stage.max_current, f"{power_stage.name}: a current above max_current"
+        if power_stage.mode_pins:
+            assert power_stage.find_microsteps(levels) == microsteps, f"{power_stage.name}: {levels} selects twice"
+    for which, seconds in enumerate(power_stage.times):
+        _check_time(power_stage, which, round(seconds * 1e9), supply)
+
+
+def _check_evidence(power_stage: PowerStage) -> None:
+    """Check that evidence names fields of the power stage, and letters."""
+    for name, source in power_stage.evidence.items():
+        assert hasattr(power_stage, name), f"{power_stage.name}: evidence of {name}, which is no field"
+        assert source[:1] in ("S", "I"), f"{power_stage.name}: evidence of {name} begins with S or I, not {source!r}"
+
+
+def _check_time(power_stage: PowerStage, which: int, min_time_ns: int, supply: float) -> None:
+    """Check that a time is demanded to the nanosecond."""
+    microsteps = min(power_stage.microsteps)
+    name = f"{power_stage.name}: {TIMES[which]} of {getattr(power_stage, TIMES[which]):g} s"
+    assert min_time_ns == round(getattr(power_stage, TIMES[which]) * 1e9), f"{name} is not demanded"
+    for drops_edges in (False, True):
+        drive = Drive(power_stage=power_stage, microsteps=microsteps, bus_voltage=supply, drops_edges=drops_edges)
+        for short in (0, 1) if min_time_ns else (0,):
+            axis = STEPDIR()
+            axis.fit_drive(drive)
+            steps = _make_step(axis, which, min_time_ns - short)
+            keys = [diagnostic.key for diagnostic in axis.diagnostics]
+            expected = [f"{TIMES[which].replace('_', '-')}-time"] if short else []
+            assert keys == expected, f"{name}: {short} ns less gives {keys}"
+            assert steps == (0 if short and drops_edges else 1), f"{name}: {short} ns less makes {steps} steps"
+
+
+def _make_step(axis: STEPDIR, which: int, time_ns: int) -> int:
+    """Make one step in which one time is as long as given and all others are long, and return the steps counted."""
+    times = [REST_NS] * len(TIMES)
+    times[which] = time_ns
+    high, low, setup, hold, enable_setup = times
+    axis.pins.enable = False
+    axis.advance(REST_NS)
+    axis.pins.dir = True
+    axis.advance(REST_NS)
+    if which == 1:  # STEP has been low for a short time only after another edge
+        axis.pins.step = True
+        axis.advance(REST_NS)
+        axis.pins.enable = True
+        axis.advance(REST_NS)
+        axis.pins.step = False
+        axis.advance(low)
+    else:
+        axis.pins.enable = True
+        axis.advance(enable_setup)
+        if which == 2:
+            axis.pins.dir = False
+            axis.advance(setup)
+    before = axis.net()
+    axis.pins.step = True
+    axis.advance(min(high, hold))
+    if which == 3:
+        axis.pins.dir = not axis.pins.dir
+        axis.advance(REST_NS)
+    axis.pins.step = False
+    return abs(axis.net() - before)
