@@ -37,25 +37,25 @@ def x(stage_):
     return stage_.axes["x"]
 
 
-def put(chip, **registers):
+def write_registers(chip, **registers):
     for name, value in registers.items():
         for cycle in chip.register_cycles(name, value):
             chip.write(*cycle)
 
 
-def pull_out(x, **registers):
-    """N m at which the motor loses its first step, at 4 turns a second: the load grows slowly."""
+def measure_pull_out_torque(x, **registers):
+    """Raise the load slowly at 4 turns per second and return the torque in N m at which the motor loses its first step."""
     stage_, dof = x.stage, x.plant.dof
-    put(x.chip, CHOPCONF=0x100100C3, VMAX=286_331, AMAX=2000, **registers)
+    write_registers(x.chip, CHOPCONF=0x100100C3, VMAX=286_331, AMAX=2000, **registers)
     stage_.run(0.02)
-    put(x.chip, RAMPMODE=1)
+    write_registers(x.chip, RAMPMODE=1)
     stage_.run(0.4)
     damping = stage_.model.dof_damping[dof] + x.drive.motor.core_loss_damping * x.gear**2
-    own = stage_.model.dof_frictionloss[dof] + damping * stage_.data.qvel[dof]
-    load = own
+    resistance = stage_.model.dof_frictionloss[dof] + damping * stage_.data.qvel[dof]
+    load = resistance
     while not x.lost_steps:
         load *= 1.002
-        stage_.data.qfrc_applied[dof] = own - load
+        stage_.data.qfrc_applied[dof] = resistance - load
         stage_.run(0.002)
     stage_.data.qfrc_applied[dof] = 0.0
     return load / abs(x.gear)
@@ -70,13 +70,13 @@ def pull_out(x, **registers):
 )
 def test_currents_by_registers_change_the_pull_out_torque_by_the_closed_form(x, scaler, irun):
     current = (scaler or 256) / 256 * (irun + 1) / 32 * 0.325 / 0.1
-    measured = pull_out(x, GLOBALSCALER=scaler, IHOLD_IRUN=irun << 8)
+    measured = measure_pull_out_torque(x, GLOBALSCALER=scaler, IHOLD_IRUN=irun << 8)
     assert x.chip.amplitude == pytest.approx(current)
     assert measured == pytest.approx(x.drive.motor.torque_constant * current, rel=0.03)
 
 
-def test_a_motor_without_current_stands_while_the_position_counts(x):
-    put(x.chip, VMAX=100_000, AMAX=2000, RAMPMODE=1)
+def test_a_motor_without_current_does_not_move_while_xactual_counts(x):
+    write_registers(x.chip, VMAX=100_000, AMAX=2000, RAMPMODE=1)
     x.stage.run(0.1)
     assert x.chip.values()["XACTUAL"] > 600
     assert abs(x.position) < 2e-5
@@ -84,7 +84,7 @@ def test_a_motor_without_current_stands_while_the_position_counts(x):
 
 
 def test_reports_explain_that_a_vertical_axis_falls_without_current(stage_, capsys):
-    """z of xyz, whose power stage nobody has switched on, falls onto its hard stop at -45 mm while x moves as it should."""
+    """Axis z, whose power stage is off, falls onto its hard stop at -45 mm while x moves as commanded."""
     xyz = Stage("xyz", chips="tmc5160", visuals=False)
     x, z = xyz.axes["x"], xyz.axes["z"]
     firmware.move(x, 10e-3)
@@ -100,18 +100,20 @@ def test_reports_explain_that_a_vertical_axis_falls_without_current(stage_, caps
     printed = capsys.readouterr().out
     assert f"z has lost steps without current: {never[2:]}.\n" in printed
     assert "x has lost" not in printed
-    put(z.chip, CHOPCONF=0x100100C3, IHOLD_IRUN=31 << 8 | 31)
+    write_registers(z.chip, CHOPCONF=0x100100C3, IHOLD_IRUN=31 << 8 | 31)
     xyz.run(0.01)
     assert z.chip.explain_missing_current() == ""
-    put(z.chip, CHOPCONF=0x10410150)
+    write_registers(z.chip, CHOPCONF=0x10410150)
     assert z.chip.explain_missing_current().startswith("its power stage is off")
     copy_ = z.chip.make_replica(z.chip.state.tobytes())
     copy_.write(0x6C, 0)
-    assert copy_.explain_missing_current().startswith("its power stage is off"), "a twin knows that it was on"
+    assert copy_.explain_missing_current().startswith("its power stage is off"), "a replica remembers that it was on"
 
 
 def test_load_lowers_the_result_of_stallguard_and_a_stall_makes_it_0(x):
-    put(x.chip, CHOPCONF=0x100100C3, GLOBALSCALER=134, IHOLD_IRUN=31 << 8, VMAX=715_828, AMAX=30_000, RAMPMODE=1)
+    write_registers(
+        x.chip, CHOPCONF=0x100100C3, GLOBALSCALER=134, IHOLD_IRUN=31 << 8, VMAX=715_828, AMAX=30_000, RAMPMODE=1
+    )
     x.stage.run(0.5)
     free = x.chip.read(0x6F) & 0x3FF
     x.stage.data.qfrc_applied[x.plant.dof] = -0.5 * x.drive.motor.torque_constant * 1.7 * abs(x.gear)
@@ -121,7 +123,7 @@ def test_load_lowers_the_result_of_stallguard_and_a_stall_makes_it_0(x):
     emf = x.drive.motor.torque_constant * 2 * np.pi * 10 / 24
     assert free == pytest.approx(1023 * emf, rel=0.15)
     assert 0 < loaded < 0.7 * free
-    put(x.chip, SW_MODE=0x400, TCOOLTHRS=40)
+    write_registers(x.chip, SW_MODE=0x400, TCOOLTHRS=40)
     x.stage.data.qfrc_applied[x.plant.dof] = -2 * x.drive.motor.torque_constant * 1.7 * abs(x.gear)
     x.stage.run(0.05)
     x.stage.data.qfrc_applied[x.plant.dof] = 0.0
@@ -129,39 +131,39 @@ def test_load_lowers_the_result_of_stallguard_and_a_stall_makes_it_0(x):
     assert x.chip.read(0x6F) >> 24 & 1
 
 
-def stalls(x, tries):
-    """Where the carriage is 5 mm from the zeros that so many tries have found."""
-    found = []
-    for k in range(tries):
+def measure_stall_positions(x, count):
+    """Home by stall `count` times and return the positions (m) of the carriage 5 mm from each zero."""
+    positions = []
+    for k in range(count):
         report = firmware.home(x, by="stall", speed=0.03)
         assert report.ok
         assert report.stopped_by == "stall"
         firmware.move(x, 5e-3)
-        found.append(x.position)
+        positions.append(x.position)
         firmware.move(x, pulses=331 * k + 1)
-    return np.array(found)
+    return np.array(positions)
 
 
 def test_homing_by_stall_repeats(x):
     x.stage.place(x=-0.150)
-    put(x.chip, GCONF=4)
-    found = stalls(x, 3)
-    assert np.ptp(found) <= 256 * x.meters_per_pulse
-    held = {name: x.chip.values()[name] for name in ("GCONF", "TCOOLTHRS", "SW_MODE", "RAMPMODE")}
-    assert held == {"GCONF": 4, "TCOOLTHRS": 0, "SW_MODE": 3, "RAMPMODE": 0}, (
+    write_registers(x.chip, GCONF=4)
+    positions = measure_stall_positions(x, 3)
+    assert np.ptp(positions) <= 256 * x.meters_per_pulse
+    registers = {name: x.chip.values()[name] for name in ("GCONF", "TCOOLTHRS", "SW_MODE", "RAMPMODE")}
+    assert registers == {"GCONF": 4, "TCOOLTHRS": 0, "SW_MODE": 3, "RAMPMODE": 0}, (
         "StealthChop as before, and switches that stop"
     )
 
 
 @pytest.mark.slow
-def test_homing_by_stall_repeats_within_a_full_step_in_50_tries(x):
+def test_homing_by_stall_repeats_within_a_full_step_in_50_runs(x):
     x.stage.place(x=-0.150)
-    found = stalls(x, 50)
-    assert np.ptp(found) <= 256 * x.meters_per_pulse
+    positions = measure_stall_positions(x, 50)
+    assert np.ptp(positions) <= 256 * x.meters_per_pulse
 
 
-def test_a_short_turns_the_power_stage_off_until_it_is_switched_off(x):
-    put(x.chip, CHOPCONF=0x100100C3, IHOLD_IRUN=31 << 8 | 31)
+def test_a_short_disables_the_power_stage_until_it_is_switched_off_and_on(x):
+    write_registers(x.chip, CHOPCONF=0x100100C3, IHOLD_IRUN=31 << 8 | 31)
     x.stage.run(0.001)
     drive = x.stage.state.drives[0]
     assert drive.current == pytest.approx(3.25)
@@ -173,25 +175,25 @@ def test_a_short_turns_the_power_stage_off_until_it_is_switched_off(x):
     x.pins.s2ga = False
     x.stage.run(0.001)
     assert drive.current == 0
-    put(x.chip, CHOPCONF=0)
-    put(x.chip, CHOPCONF=0x100100C3, GSTAT=2)
+    write_registers(x.chip, CHOPCONF=0)
+    write_registers(x.chip, CHOPCONF=0x100100C3, GSTAT=2)
     x.stage.run(0.001)
     assert drive.current == pytest.approx(3.25)
     assert not x.chip.read(0x01) & 2
 
 
-def test_a_copy_of_a_stage_goes_on_alike(x):
-    put(x.chip, CHOPCONF=0x100100C3, IHOLD_IRUN=31 << 8, VMAX=300_000, AMAX=3000, RAMPMODE=1)
+def test_a_restored_stage_continues_to_the_same_state(x):
+    write_registers(x.chip, CHOPCONF=0x100100C3, IHOLD_IRUN=31 << 8, VMAX=300_000, AMAX=3000, RAMPMODE=1)
     x.stage.run(0.1)
-    kept = x.stage.snapshot()
+    snapshot = x.stage.snapshot()
     x.stage.run(0.1)
     then = x.position, x.chip.state.tobytes()
-    x.stage.restore(kept)
+    x.stage.restore(snapshot)
     x.stage.run(0.1)
     assert (x.position, x.chip.state.tobytes()) == then
 
 
-def test_a_journal_replays_what_the_load_has_done(x):
+def test_a_journal_replays_the_stall_that_the_load_caused(x):
     """A stall stops the replay as it has stopped the axis: the samples of the load are in the journal."""
     x.stage.place(x=-0.155)
     firmware.move(x, pulses=2000)
@@ -204,7 +206,7 @@ def test_a_journal_replays_what_the_load_has_done(x):
     assert edges["net"][0] == begin
 
 
-def test_a_board_shows_it_as_spi(stage_):
+def test_a_board_maps_the_chip_as_an_spi_device(stage_):
     stage_.reset()
     board = Board(stage_)
     answer = []
@@ -218,8 +220,8 @@ def test_a_board_shows_it_as_spi(stage_):
     assert "SPI: read IOIN" in board.trace.text()
 
 
-def spi(board, datagrams, reads):
-    """SPI of a host that reads each answer, or only writes; 12 clocks a bus cycle of 1 us."""
+def send_spi_datagrams(board, datagrams, reads):
+    """Send SPI datagrams, reading each answer or not, and return the diagnostics; a bus cycle of 1 us has 12 clocks."""
     for _ in range(datagrams):
         board.out8(0x300, 0)
         for byte in (0x6F, 0, 0, 0, 0):
@@ -230,18 +232,18 @@ def spi(board, datagrams, reads):
     return [d.message for d in board.stage.chips[0].diagnostics]
 
 
-def test_spi_that_is_faster_than_the_silicon_is_told_once(stage_):
+def test_spi_faster_than_the_data_sheet_allows_is_diagnosed_once(stage_):
     """Page 25: SCK low and high >= tCLK + 10 ns, CSN high >= 2 tCLK + 10 ns"""
     stage_.reset()
-    assert spi(Board(copy.copy(stage_)), 3, reads=True) == []
-    (said,) = spi(Board(copy.copy(stage_)), 3, reads=False)
-    assert said.startswith("SCK is too fast: 8 bits in 12 clocks, 8.00 MHz; ")
-    assert "so 5.36 MHz at most" in said
+    assert send_spi_datagrams(Board(copy.copy(stage_)), 3, reads=True) == []
+    (message,) = send_spi_datagrams(Board(copy.copy(stage_)), 3, reads=False)
+    assert message.startswith("SCK is too fast: 8 bits in 12 clocks, 8.00 MHz; ")
+    assert "so 5.36 MHz at most" in message
     quick = Stage("xy", chips={"x": "tmc5160"}, bus_cycle=1e-7, visuals=False)
     quick.axes["x"].chip.write(0x81, 0)
-    said = spi(Board(quick), 2, reads=True)
-    assert "SDI 00h while CSN is high" in said[0]
-    assert [message.split(":")[0] for message in said[1:]] == [
+    messages = send_spi_datagrams(Board(quick), 2, reads=True)
+    assert "SDI 00h while CSN is high" in messages[0]
+    assert [message.split(":")[0] for message in messages[1:]] == [
         "SCK is too fast",
         "CSN is high too short between datagrams",
     ]
@@ -253,7 +255,7 @@ def test_spi_that_is_faster_than_the_silicon_is_told_once(stage_):
 
 
 @pytest.mark.parametrize("id_", ["RegisterTuning", "RegisterBus", "SynchronizedMove"])
-def test_environments_know_it(id_):
+def test_environments_accept_the_tmc5160(id_):
     env = gymnasium.make(f"stage/{id_}-v0", chip="tmc5160", model="xy")
     env.reset(seed=1)
     env.action_space.seed(1)
@@ -263,69 +265,71 @@ def test_environments_know_it(id_):
 
 
 @pytest.mark.parametrize(
-    ("id_", "said"),
+    ("id_", "message"),
     [("OriginReturn", "a TMC5160 has no ORG: .* the end limits"), ("ServoTuning", "a TMC5160 .* closes no loop")],
 )
-def test_what_it_cannot_is_said_in_words(id_, said):
-    with pytest.raises(ArgumentError, match=said):
+def test_environments_that_the_chip_does_not_support_are_refused(id_, message):
+    with pytest.raises(ArgumentError, match=message):
         gymnasium.make(f"stage/{id_}-v0", chip="tmc5160", model="xy")
 
 
 @pytest.fixture(scope="module")
-def both():
+def tmc_stage():
     return Stage("xy", chips="tmc5160", drives=SMOOTH, visuals=False)
 
 
 @pytest.mark.parametrize(
     ("x", "y", "speed"), [(16_000, -5_840, 200_000), pytest.param(-300, 20_000, 200_000, marks=pytest.mark.slow)]
 )
-def test_axes_on_a_line_keep_the_ratio_to_two_steps_of_256(both, x, y, speed):
+def test_axes_on_a_line_keep_the_ratio_to_two_steps_of_256(tmc_stage, x, y, speed):
     """The chip does not interpolate: velocities and accelerations are in the ratio of the distances."""
-    both.reset()
-    unit = both.axes["x"].meters_per_pulse
-    report = firmware.line({"x": x, "y": y}, both, pulses=True, speed=speed * unit)
+    tmc_stage.reset()
+    unit = tmc_stage.axes["x"].meters_per_pulse
+    report = firmware.line({"x": x, "y": y}, tmc_stage, pulses=True, speed=speed * unit)
     assert report.ok
     assert report.distances == {"x": x, "y": y}
     assert report.deviation.pulses <= 2.0
     assert report.skew <= 3e-6
     assert report.carriage_deviation <= 4e-5
-    assert [axis.chip.values()["XACTUAL"] for axis in both.axes.values()] == [x, y]
+    assert [axis.chip.values()["XACTUAL"] for axis in tmc_stage.axes.values()] == [x, y]
     assert all(r.stopped_by == "position reached" for r in report.axes.values())
 
 
-def test_an_axis_that_keeps_still_on_a_line_has_its_power_stage_on(both):
-    both.reset()
-    report = firmware.line({"x": 3000, "y": 0}, both, pulses=True)
+def test_a_line_switches_on_the_power_stage_of_an_axis_at_rest(tmc_stage):
+    tmc_stage.reset()
+    report = firmware.line({"x": 3000, "y": 0}, tmc_stage, pulses=True)
     assert (report.ok, report.distances) == (True, {"x": 3000})
-    assert both.axes["y"].chip.values()["CHOPCONF"] & 15, "TOFF 0 is off: a load would pull the axis away"
+    assert tmc_stage.axes["y"].chip.values()["CHOPCONF"] & 15, "TOFF 0 is off: a load would pull the axis away"
 
 
-def test_ramps_of_a_line_are_both_as_long_as_the_longer(both):
-    took = []
+def test_both_ramps_of_a_line_last_as_long_as_the_longer_one(tmc_stage):
+    ramp_seconds = []
     for up, down in ((0.05, 0.2), (0.2, 0.05)):
-        both.reset()
-        drivers = {name: driver_of(axis) for name, axis in both.axes.items()}
-        asked = Speeds(start=2000.0, drive=60_000.0, up=up, down=down)
-        took.append(drivers["x"].line(drivers, {"x": 16_000, "y": 8000}, asked).seconds)
-    assert took[0] == took[1] > 16_000 / 60_000 + 0.15
+        tmc_stage.reset()
+        drivers = {name: driver_of(axis) for name, axis in tmc_stage.axes.items()}
+        speeds = Speeds(start=2000.0, drive=60_000.0, up=up, down=down)
+        ramp_seconds.append(drivers["x"].line(drivers, {"x": 16_000, "y": 8000}, speeds).seconds)
+    assert ramp_seconds[0] == ramp_seconds[1] > 16_000 / 60_000 + 0.15
 
 
-def test_a_line_that_cannot_be_is_refused(both):
-    both.reset()
+def test_a_line_beyond_the_limits_of_the_chip_is_refused(tmc_stage):
+    tmc_stage.reset()
     with pytest.raises(ArgumentError, match="drive speed 800000 pps: up to 75"):
-        firmware.line({"x": 1000, "y": 1000}, both, pulses=True, speed=800_000 * both.axes["x"].meters_per_pulse)
+        firmware.line(
+            {"x": 1000, "y": 1000}, tmc_stage, pulses=True, speed=800_000 * tmc_stage.axes["x"].meters_per_pulse
+        )
     with pytest.raises(ArgumentError, match="s_curve=True: a TMC5160 has linear ramps only"):
-        firmware.line({"x": 1000, "y": 1000}, both, pulses=True, s_curve=True)
-    both.axes["y"].chip.write(0x20, 1)
+        firmware.line({"x": 1000, "y": 1000}, tmc_stage, pulses=True, s_curve=True)
+    tmc_stage.axes["y"].chip.write(0x20, 1)
     for name, value in {"CHOPCONF": 0x100100C3, "AMAX": 1000, "VMAX": 1000}.items():
-        put(both.axes["y"].chip, **{name: value})
-    both.run(0.01)
+        write_registers(tmc_stage.axes["y"].chip, **{name: value})
+    tmc_stage.run(0.01)
     with pytest.raises(StageError, match="axis y is moving"):
-        firmware.line({"x": 1000, "y": 1000}, both, pulses=True)
+        firmware.line({"x": 1000, "y": 1000}, tmc_stage, pulses=True)
 
 
-def test_sensors_of_negative_logic_are_told_by_the_polarity_bits_and_their_lack_is_found():
-    """pol_stop_l, pol_stop_r, pol_N; after a reset the inputs are high while they are active."""
+def test_negative_logic_sensors_need_the_polarity_bits_for_homing():
+    """The bits are pol_stop_l, pol_stop_r and pol_N; after a reset the inputs are active high."""
     sensors = {"el_minus": "negative", "el_plus": "negative", "ez": "negative"}
     stage = Stage("xy", chips={"x": "tmc5160"}, wiring={"x": sensors}, visuals=False)
     x = stage.axes["x"]
@@ -337,36 +341,36 @@ def test_sensors_of_negative_logic_are_told_by_the_polarity_bits_and_their_lack_
         assert (report.ok, report.stopped_by) == (True, {"switch": "REFL", "index": "ENCN"}[by])
     assert -0.15 < x.position < -0.144
     assert firmware.move(x, 1e-3).ok
-    x.wiring = {}  # a driver that does not know
+    x.wiring = {}  # the driver assumes positive logic again
     assert firmware.home(x).stopped_by != "REFL" or abs(x.position + 0.15) > 1e-3
     usual = Stage("xy", chips={"x": "tmc5160"}, wiring={"x": dict.fromkeys(sensors, "positive")}, visuals=False)
     assert usual.axes["x"].wiring == {}
     assert not usual.axes["x"].chip.pins.refl
 
 
-def test_a_move_takes_no_heed_of_a_second_slope_that_somebody_has_left(x):
+def test_a_move_ignores_leftover_values_of_v1_a1_and_d1(x):
     usual = firmware.move(x, pulses=20_000).duration
-    put(x.chip, V1=30_000, A1=200, D1=150)
+    write_registers(x.chip, V1=30_000, A1=200, D1=150)
     assert firmware.move(x, pulses=-20_000).duration == pytest.approx(usual, rel=1e-3)
 
 
-@pytest.mark.parametrize(("way", "limit"), [(1, "EL+"), (-1, "EL-")])
-def test_a_move_into_an_end_limit_says_which(x, way, limit):
-    x.stage.place(x=x.travel[way > 0] - way * 0.012)
-    report = firmware.move(x, pulses=way * 100_000)
+@pytest.mark.parametrize(("direction", "limit"), [(1, "EL+"), (-1, "EL-")])
+def test_a_move_into_an_end_limit_says_which(x, direction, limit):
+    x.stage.place(x=x.travel[direction > 0] - direction * 0.012)
+    report = firmware.move(x, pulses=direction * 100_000)
     assert (report.stopped_by, report.ok) == (limit, False)
 
 
-def test_an_axis_that_is_stopped_at_once_makes_no_ramp(x):
-    driver, went = driver_of(x), []
+def test_halt_at_once_stops_an_axis_without_a_ramp(x):
+    driver, braking_steps = driver_of(x), []
     for at_once in (False, True):
         driver.run(1, Speeds(start=1000.0, drive=100_000.0, up=0.1, down=0.1))
         x.stage.run(0.2)
         began = x.chip.values()["XACTUAL"]
         driver.halt(at_once)
-        went.append(x.chip.values()["XACTUAL"] - began)
-    assert went[0] > 3000
-    assert 0 <= went[1] < 500
+        braking_steps.append(x.chip.values()["XACTUAL"] - began)
+    assert braking_steps[0] > 3000
+    assert 0 <= braking_steps[1] < 500
     assert x.chip.values()["SW_MODE"] == driver.switches(3), "the polarity is again that of the sensors"
 
 
@@ -379,7 +383,7 @@ def test_a_motor_gets_no_more_than_the_sense_resistors_allow():
     assert driver_of(stage.axes["x"]).currents() == current_registers(0.325 / 0.22, 0.22)
 
 
-def test_homing_by_what_a_chip_cannot_is_refused(stage_):
+def test_homing_by_an_unsupported_method_is_refused(stage_):
     with pytest.raises(ArgumentError, match="home by 'smell': a TMC5160 cannot; it homes by switch or index or stall"):
         firmware.home(stage_.axes["x"], by="smell")
     with pytest.raises(ArgumentError, match=r"home by 'stall' and to an index pulse .* give one of the two"):
@@ -484,13 +488,13 @@ def test_rate_order_and_mode_of_spi_are_those_of_the_sketch(stage_, tmp_path):
 
 
 @pytest.mark.slow
-def test_it_keeps_every_promise_often_and_as_plain_python():
+def test_the_chip_conforms_in_100_programs_and_uncompiled():
     chip_conformance("tmc5160", seed=5, programs=100)
     chip_conformance("tmc5160", seed=5, programs=2, uncompiled=True)
 
 
 @pytest.mark.slow
-def test_installed_by_pip_it_is_known(tmp_path):
+def test_the_package_installed_by_pip_registers_the_chip(tmp_path):
     """pip install ./packages/trinamic; stage move x 10mm --chips tmc5160"""
     ignored = shutil.ignore_patterns("__pycache__", "_native.so", "*.egg-info", "build")
     project = shutil.copytree(PROJECT, tmp_path / "trinamic", ignore=ignored)
@@ -526,14 +530,14 @@ def test_installed_by_pip_it_is_known(tmp_path):
 
 
 @pytest.mark.slow
-def test_waveforms_and_recordings_know_it(tmp_path, capsys):
+def test_the_command_line_writes_waveforms_and_recordings_of_the_chip(tmp_path, capsys):
     move = ["move", "x", "1mm", "--chips", "tmc5160", "--model", "xy"]
     assert main([*move, "--vcd", str(tmp_path / "x.vcd"), "--record", str(tmp_path / "x.rrd")]) == 0
     assert "5120 of 5120" in capsys.readouterr().out
 
 
 def test_another_motor_has_the_current_that_the_chip_gives_it(x):
-    put(x.chip, CHOPCONF=0x100100C3, GLOBALSCALER=134, IHOLD_IRUN=31 << 8)
+    write_registers(x.chip, CHOPCONF=0x100100C3, GLOBALSCALER=134, IHOLD_IRUN=31 << 8)
     x.stage.run(0.01)
     current = float(x.read_drive()[0].current)
     assert current == pytest.approx(x.chip.amplitude)

@@ -11,7 +11,7 @@ from stage.tune.planners import create_planner
 
 @pytest.mark.parametrize(("limited", "other"), [("x", "y"), ("y", "x")])
 def test_a_limit_that_ends_one_axis_of_a_line_slows_the_other_down(limited, other):
-    """The chip does not interpolate: the rest of it is not the line that was asked for."""
+    """The chip does not interpolate, so the other axis cannot finish the line."""
     stage = Stage("xy", chips="tmc5160", visuals=False)
     edge = next(s.touch for s in stage.axes[limited].plant.switches if s.pin == "el_plus")
     speed, accel, before = 20e-3, 0.1, 3e-3
@@ -25,7 +25,7 @@ def test_a_limit_that_ends_one_axis_of_a_line_slows_the_other_down(limited, othe
 
 
 def test_each_axis_of_a_broken_line_slows_down_once(monkeypatch):
-    """Three axes that come to rest one after the other: all of them say what has ended them."""
+    """Three axes come to rest one after the other, and each report names the cause."""
     stage = Stage("xyz", chips="tmc5160", visuals=False)
     driver = driver_class(type(stage.axes["x"].chip))
     slowed, slow_down = [], driver.slow_down
@@ -43,6 +43,8 @@ def test_the_formula_of_a_tuned_move_keeps_to_the_registers_and_its_waits_are_in
     plans = create_planner(task)
     for name, value in plans.build_formula_plan().registers.items():
         assert chip.MAP.register(name).allows(value)
-    shown = bus_listing.list_bus_cycles(task, bus_listing.build_program(plans, plans.build_formula_plan(), task.pulses))
-    assert "send(address, value)" in format_c_header("x", "", [], [], shown, chip)
-    assert "50000}, /* CHOPCONF" in format_c_header("x", "", [], [], shown, chip)
+    cycles = bus_listing.list_bus_cycles(
+        task, bus_listing.build_program(plans, plans.build_formula_plan(), task.pulses)
+    )
+    assert "send(address, value)" in format_c_header("x", "", [], [], cycles, chip)
+    assert "50000}, /* CHOPCONF" in format_c_header("x", "", [], [], cycles, chip)

@@ -23,17 +23,17 @@ def chip():
     return chip_class("tmc5160")()
 
 
-def test_an_agent_reads_its_registers(stage_):
+def test_an_agent_reads_a_register_of_the_chip(stage_):
     from stage.agents import Toolbox
 
     box = Toolbox(stage_)
-    said = box.call("read_register", {"axis": "x", "name": "XACTUAL"})
-    assert said.ok
-    assert said.data["value"] == driver_of(stage_.axes["x"]).get("XACTUAL")
+    result = box.call("read_register", {"axis": "x", "name": "XACTUAL"})
+    assert result.ok
+    assert result.data["value"] == driver_of(stage_.axes["x"]).get("XACTUAL")
     box.close()
 
 
-def put(chip, **registers):
+def write_registers(chip, **registers):
     for name, value in registers.items():
         for cycle in chip.register_cycles(name, value):
             chip.write(*cycle)
@@ -42,7 +42,7 @@ def put(chip, **registers):
 TURN = "A4000003E8 A50000C350 A6000001F4 A700030D40 A8000002BC AA00000578 AB0000000A A000000000 ADFFFF3800"
 
 
-def test_the_turn_of_the_data_sheet_takes_the_clocks_of_the_page(chip):
+def test_the_example_turn_of_the_data_sheet_takes_its_published_clocks(chip):
     for datagram in TURN.split():
         chip.transfer(bytes.fromhex(datagram))
     begin = chip.clock
@@ -61,16 +61,16 @@ def test_the_turn_of_the_data_sheet_takes_the_clocks_of_the_page(chip):
     assert values["MSCNT"] == 0
 
 
-def test_an_answer_comes_one_datagram_later_with_the_status_of_its_time(chip):
-    put(chip, XACTUAL=0x123456, XTARGET=0x123456)
+def test_spi_answers_come_one_datagram_later_with_the_current_status(chip):
+    write_registers(chip, XACTUAL=0x123456, XTARGET=0x123456)
     sent = (0x2100000000, 0x2100000000, 0xA700ABCDEF, 0xA700123456, 0xFF00000000)
     answers = [chip.transfer40(word) for word in sent]
     assert [a & 0xFFFFFFFF for a in answers] == [0, 0x123456, 0x123456, 0x00ABCDEF, 0x00123456]
     assert answers[0] >> 32 == 0x31
 
 
-def test_the_bytes_of_a_datagram_are_those_of_a_whole_one(chip):
-    def clocked(*sent):
+def test_a_datagram_sent_byte_by_byte_equals_one_of_40_bits(chip):
+    def transfer_bytes(*sent):
         chip.write(0x80, 0)
         answer = []
         for byte in sent:
@@ -79,18 +79,18 @@ def test_the_bytes_of_a_datagram_are_those_of_a_whole_one(chip):
         chip.write(0x80, 1)
         return bytes(answer)
 
-    assert clocked(0x90, 0, 0x06, 0x1F, 0x0A)[0] == 0x31
-    assert clocked(0x6F, 0, 0, 0, 0) == bytes.fromhex("3100061F0A")
+    assert transfer_bytes(0x90, 0, 0x06, 0x1F, 0x0A)[0] == 0x31
+    assert transfer_bytes(0x6F, 0, 0, 0, 0) == bytes.fromhex("3100061F0A")
     assert chip.values()["IHOLD_IRUN"] == 0x61F0A
-    short = clocked(0x90, 1, 2, 3)
-    assert clocked(0x04, 0, 0, 0, 0)[:4] == short, "what was too short has changed nothing"
+    short = transfer_bytes(0x90, 1, 2, 3)
+    assert transfer_bytes(0x04, 0, 0, 0, 0)[:4] == short, "a datagram that is too short changes nothing"
     assert "a datagram of 32 bits" in chip.diagnostics[-1].message
-    chained = clocked(0xEE, 0x90, 0, 0, 0x1F, 0x10)
-    assert chained[5] == 0xEE, "what is shifted through comes out 40 clocks later"
+    chained = transfer_bytes(0xEE, 0x90, 0, 0, 0x1F, 0x10)
+    assert chained[5] == 0xEE, "a byte that is shifted through comes out 40 clocks later"
     assert chip.values()["IHOLD_IRUN"] == 0x1F10
 
 
-def test_by_its_name_it_moves_a_stage_and_sets_the_current_of_the_motor(stage_):
+def test_a_stage_with_the_chip_moves_and_sets_the_motor_current(stage_):
     stage_.reset()
     x = stage_.axes["x"]
     drive = stage_.state.drives[x.index]
@@ -107,14 +107,14 @@ def test_by_its_name_it_moves_a_stage_and_sets_the_current_of_the_motor(stage_):
     assert drive.current == 0
 
 
-def test_it_goes_home_to_a_switch_and_to_a_stall(stage_):
+def test_homing_by_switch_and_by_stall_finds_the_origin(stage_):
     stage_.reset()
     stage_.place(x=-0.14)
     x = stage_.axes["x"]
     home = firmware.home(x)
     assert (home.ok, home.stopped_by) == (True, "REFL")
     assert x.chip.values()["XACTUAL"] == 0
-    assert x.chip.values()["SW_MODE"] & 3 == 3, "both stops act, whoever drives it next"
+    assert x.chip.values()["SW_MODE"] & 3 == 3, "both stops stay enabled after homing"
     assert x.position == pytest.approx(-0.15, abs=1e-4)
     firmware.home(x, by="stall", speed=0.03)
     first = x.position
@@ -136,16 +136,16 @@ def test_the_command_line_takes_it(capsys):
 
 
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 60))])
-def test_many_clocks_at_once_are_clock_by_clock(chip, seed):
-    """`leap` against `tick`, which is taken where an access is fresh."""
+def test_advancing_many_clocks_equals_single_clocks(chip, seed):
+    """Compare `leap` with `tick`, which the core uses after a fresh access."""
     rng = np.random.default_rng(seed)
-    put(
+    write_registers(
         chip,
         CHOPCONF=0x100100C3 | int(rng.integers(0, 9)) << 24 * int(rng.integers(2)),
         IHOLD_IRUN=0x61F0A,
         SW_MODE=int(rng.integers(0, 4096)),
     )
-    put(
+    write_registers(
         chip,
         VSTART=int(rng.integers(0, 1000)) * int(rng.integers(2)),
         VSTOP=int(rng.integers(10, 100_000)),
@@ -161,7 +161,7 @@ def test_many_clocks_at_once_are_clock_by_clock(chip, seed):
         COOLCONF=int(rng.integers(0, 1 << 25)),
     )
     chip.set_load(int(rng.integers(0, 1025)))
-    twin = chip.make_replica()
+    replica = chip.make_replica()
     for _ in range(12):
         acts = [
             ("VMAX", int(rng.integers(0, 1 << 22))),
@@ -171,14 +171,14 @@ def test_many_clocks_at_once_are_clock_by_clock(chip, seed):
         name, value = acts[int(rng.integers(3))]
         pins = int(rng.integers(0, 4)) if rng.integers(4) == 0 else 0
         clocks = int(rng.integers(1, 2500))
-        for c in (chip, twin):
-            put(c, **{name: value, "RAMP_STAT": 0x40})
+        for c in (chip, replica):
+            write_registers(c, **{name: value, "RAMP_STAT": 0x40})
             c.set_input_word(0, pins)
         chip.advance(clocks)
         for _ in range(clocks):
-            twin.state["fresh"] = 1
-            twin.advance(1)
-        assert chip.state.tobytes() == twin.state.tobytes()
+            replica.state["fresh"] = 1
+            replica.advance(1)
+        assert chip.state.tobytes() == replica.state.tobytes()
 
 
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 300))])
@@ -190,34 +190,34 @@ def test_ramp_times_and_step_counts_are_those_of_the_formulas(chip, seed):
     vmax = int(rng.integers(v1 + 1000, 2_000_000))
     vstop = int(rng.integers(max(10, vstart), 5000))
     a1, amax, dmax, d1 = (int(rng.integers(2000, 65_536)) for _ in range(4))
-    ways = [(v1**2 - vstart**2) / (256 * a1), (vmax**2 - v1**2) / (256 * amax), 0.0]
-    ways += [(vmax**2 - v1**2) / (256 * dmax), (v1**2 - vstop**2) / (256 * d1)]
-    ways[2] = float(rng.integers(1000, 50_000))
-    target = math.ceil(sum(ways)) * (1 if seed % 2 else -1)
-    put(chip, VSTART=vstart, V1=v1, VMAX=vmax, VSTOP=vstop, A1=a1, AMAX=amax, DMAX=dmax, D1=d1)
-    put(chip, XTARGET=target & 0xFFFFFFFF)
+    distances = [(v1**2 - vstart**2) / (256 * a1), (vmax**2 - v1**2) / (256 * amax), 0.0]
+    distances += [(vmax**2 - v1**2) / (256 * dmax), (v1**2 - vstop**2) / (256 * d1)]
+    distances[2] = float(rng.integers(1000, 50_000))
+    target = math.ceil(sum(distances)) * (1 if seed % 2 else -1)
+    write_registers(chip, VSTART=vstart, V1=v1, VMAX=vmax, VSTOP=vstop, A1=a1, AMAX=amax, DMAX=dmax, D1=d1)
+    write_registers(chip, XTARGET=target & 0xFFFFFFFF)
     clocks = [-(-(v1 - vstart) * 2**17 // a1), -(-(vmax - v1) * 2**17 // amax), 0, 0, 0]
     clocks[3:] = [-(-(vmax - v1) * 2**17 // dmax), -(-(v1 - vstop) * 2**17 // d1)]
     for k in (0, 1):
         chip.advance(clocks[k])
         values = chip.values()
         assert abs(values["VACTUAL"]) == (v1, vmax)[k]
-        assert abs(values["XACTUAL"]) == pytest.approx(sum(ways[: k + 1]), abs=1.01)
-    edges = course(chip)
+        assert abs(values["XACTUAL"]) == pytest.approx(sum(distances[: k + 1]), abs=1.01)
+    edges = record_edges(chip)
     clock, rate, net = (edges[name] for name in ("clock", "rate", "net"))
     fast, speed = clock > sum(clocks[:2]), np.abs(rate) * 2**24
     brakes = int(clock[fast & (speed < vmax)][0])
     slow = int(clock[(clock > brakes) & (speed <= vstop)][0])
     end = int(clock[(clock > brakes) & (speed == 0)][0])
-    left = abs(target) - sum(ways[:2]) - (brakes - sum(clocks[:2])) * vmax / 2**24
-    assert left == pytest.approx(sum(ways[3:]), abs=2.5)
+    left = abs(target) - sum(distances[:2]) - (brakes - sum(clocks[:2])) * vmax / 2**24
+    assert left == pytest.approx(sum(distances[3:]), abs=2.5)
     assert slow - brakes == pytest.approx(sum(clocks[3:]), abs=3)
     assert net[-1] == target
     assert 0 < (end - slow) * vstop / 2**24 <= 1.3
 
 
-def course(chip):
-    """Its edges up to the end of its drive."""
+def record_edges(chip):
+    """Advance the chip until its move ends and return the edges of that move."""
     journal = chip.journal()
     while chip.busy():
         chip.advance(100_000)
@@ -226,8 +226,8 @@ def course(chip):
 
 
 @pytest.mark.parametrize("shaft", [0, 1])
-def test_the_rate_of_the_field_has_the_direction_in_which_it_turns(chip, shaft):
-    put(chip, CHOPCONF=0x10000003, GCONF=shaft << 4, AMAX=60_000, VMAX=100_000, RAMPMODE=1)
+def test_the_sign_of_the_pulse_rate_is_the_direction_of_the_field(chip, shaft):
+    write_registers(chip, CHOPCONF=0x10000003, GCONF=shaft << 4, AMAX=60_000, VMAX=100_000, RAMPMODE=1)
     chip.advance(500_000)
     before = chip.net()
     chip.advance(120_000)
@@ -239,21 +239,21 @@ def test_the_rate_of_the_field_has_the_direction_in_which_it_turns(chip, shaft):
 
 def test_current_falls_in_the_clocks_of_the_data_sheet(chip):
     """Page 75: 31 to 16 with IHOLDDELAY 4 takes 4 x 15 x 2^18 clocks after standstill and TPOWERDOWN."""
-    put(chip, CHOPCONF=0x100100C3, IHOLD_IRUN=4 << 16 | 31 << 8 | 16, TPOWERDOWN=3)
-    whole = 2**20 + (3 + 15 * 4) * 2**18
-    chip.advance(whole - 1)
+    write_registers(chip, CHOPCONF=0x100100C3, IHOLD_IRUN=4 << 16 | 31 << 8 | 16, TPOWERDOWN=3)
+    delay_clocks = 2**20 + (3 + 15 * 4) * 2**18
+    chip.advance(delay_clocks - 1)
     assert chip.read(0x6F) >> 16 & 31 == 17
     chip.advance(1)
     assert chip.read(0x6F) >> 16 & 31 == 16
     assert chip.amplitude == pytest.approx(17 / 32 * 0.325 / 0.1)
-    put(chip, VMAX=100_000, AMAX=1000, RAMPMODE=1)
+    write_registers(chip, VMAX=100_000, AMAX=1000, RAMPMODE=1)
     chip.advance(100_000)
     assert chip.read(0x6F) >> 16 & 31 == 31, "the first step is made with IRUN"
 
 
 @pytest.mark.parametrize(("lam", "sgt", "result"), [(0, 0, 511), (512, 0, 255), (1023, 0, 0), (1024, 10, 80)])
-def test_stallguard_has_the_numbers_of_the_page(chip, lam, sgt, result):
-    put(chip, CHOPCONF=0x100100C3, COOLCONF=sgt << 16, VMAX=71_583, AMAX=60_000, RAMPMODE=1)
+def test_stallguard_results_match_the_data_sheet(chip, lam, sgt, result):
+    write_registers(chip, CHOPCONF=0x100100C3, COOLCONF=sgt << 16, VMAX=71_583, AMAX=60_000, RAMPMODE=1)
     chip.set_load(lam, 512)
     chip.advance(400_000)
     assert chip.read(0x6F) & 0x3FF == result
@@ -261,46 +261,46 @@ def test_stallguard_has_the_numbers_of_the_page(chip, lam, sgt, result):
 
 
 @pytest.mark.parametrize("shaft", [0, 1])
-def test_a_load_that_holds_the_rotor_back_is_seen_whichever_way_the_field_turns(chip, shaft):
+def test_stallguard_measures_a_lagging_rotor_in_both_directions(chip, shaft):
     """The field is 30 electrical degrees ahead: half of what StallGuard shows without load."""
-    put(chip, CHOPCONF=0x100100C3, GCONF=shaft << 4, VMAX=71_583, AMAX=60_000, RAMPMODE=1)
+    write_registers(chip, CHOPCONF=0x100100C3, GCONF=shaft << 4, VMAX=71_583, AMAX=60_000, RAMPMODE=1)
     chip.advance(200_000)
     ahead = math.radians(-30 if shaft else 30)
-    seen = []
+    results = []
     for angle in (0.0, ahead):
         for _ in range(40):
             chip.CORE.set_load(chip.state, 0, angle, 0.5)
             chip.advance(10_000)
-        seen.append(chip.read(0x6F) & 0x3FF)
-    assert seen == pytest.approx([511, 255], abs=2)
+        results.append(chip.read(0x6F) & 0x3FF)
+    assert results == pytest.approx([511, 255], abs=2)
 
 
-def test_edges_of_a_course_have_the_counter_as_it_is_read(chip):
-    put(chip, VMAX=100_000, AMAX=60_000, XTARGET=-300, D1=100, DMAX=60_000, VSTOP=10)
-    edges = course(chip)
+def test_recorded_edges_hold_the_counter_as_a_host_reads_it(chip):
+    write_registers(chip, VMAX=100_000, AMAX=60_000, XTARGET=-300, D1=100, DMAX=60_000, VSTOP=10)
+    edges = record_edges(chip)
     assert chip.CORE.counter.c(chip.pointer, 0) == edges["counter"][-1] == 2**32 - 300
 
 
-def test_flags_that_are_cleared_are_named(chip):
-    told = chip.listener().write
-    assert told(0x01, 5) == "GSTAT <- 5h: clears reset, uv_cp"
-    assert told(0x01, 0) == "GSTAT <- 0h: clears nothing"
+def test_the_description_of_a_write_names_the_flags_it_clears(chip):
+    describe_write = chip.listener().write
+    assert describe_write(0x01, 5) == "GSTAT <- 5h: clears reset, uv_cp"
+    assert describe_write(0x01, 0) == "GSTAT <- 0h: clears nothing"
 
 
 def test_each_mistake_has_a_diagnostic(chip):
-    def said(**registers):
+    def collect_messages(**registers):
         chip.diagnostics.clear()
-        put(chip, **registers)
+        write_registers(chip, **registers)
         return " ".join(d.message for d in chip.diagnostics)
 
-    assert "TOFF = 0" in said(RAMPMODE=1)
-    put(chip, RAMPMODE=3, CHOPCONF=0x100100C3, VMAX=1000, RAMP_STAT=0x80)
-    assert "AMAX = 0" in said(RAMPMODE=2)
-    put(chip, RAMPMODE=0, AMAX=100)
-    assert "D1 = 0" in said(XTARGET=100)
-    assert "the data sheet allows 32 to 255" in said(GLOBALSCALER=7)
-    assert "do not use the soft stop" in said(SW_MODE=0xC00)
-    assert "not modeled" in said(MSLUT3=1)
+    assert "TOFF = 0" in collect_messages(RAMPMODE=1)
+    write_registers(chip, RAMPMODE=3, CHOPCONF=0x100100C3, VMAX=1000, RAMP_STAT=0x80)
+    assert "AMAX = 0" in collect_messages(RAMPMODE=2)
+    write_registers(chip, RAMPMODE=0, AMAX=100)
+    assert "D1 = 0" in collect_messages(XTARGET=100)
+    assert "the data sheet allows 32 to 255" in collect_messages(GLOBALSCALER=7)
+    assert "do not use the soft stop" in collect_messages(SW_MODE=0xC00)
+    assert "not modeled" in collect_messages(MSLUT3=1)
     chip.write(0x0F, 1)
     assert "no register at 0Fh" in chip.diagnostics[-1].message
     chip.transfer40(0x2700000000)
@@ -326,30 +326,30 @@ def test_a_reset_value_is_no_mistake_where_another_value_is_not_modeled(chip):
         chip.diagnostics.clear()
 
 
-def test_it_goes_home_to_the_index_pulse_from_anywhere(stage_, capsys):
-    """And by the command line to a stall"""
+def test_homing_to_the_index_pulse_finds_the_same_position_from_any_start(stage_, capsys):
+    """The command line also homes by stall."""
     stage_.reset()
-    x, found = stage_.axes["x"], []
+    x, positions = stage_.axes["x"], []
     for place, mode in ((-0.1495, 0), (-0.1485, 1 << 10)):
         stage_.place(x=place)
-        put(x.chip, ENCMODE=mode)
+        write_registers(x.chip, ENCMODE=mode)
         report = firmware.home(x, index=True)
         assert x.chip.values()["ENCMODE"] == mode, "decimal as before, and no event clears a counter"
         assert (report.ok, report.stopped_by) == (True, "ENCN")
         assert x.chip.values()["XACTUAL"] == 0
-        found.append(x.position)
-    assert found[0] == pytest.approx(found[1], abs=4 * x.meters_per_pulse + 1e-6)
-    assert -0.15 < found[0] < -0.15 + 51_200 * x.meters_per_pulse
+        positions.append(x.position)
+    assert positions[0] == pytest.approx(positions[1], abs=4 * x.meters_per_pulse + 1e-6)
+    assert -0.15 < positions[0] < -0.15 + 51_200 * x.meters_per_pulse
     assert main("home x --by stall --chips tmc5160 --model xy --from -149".split()) == 0
     assert "stopped by stall" in capsys.readouterr().out
 
 
 def test_rates_beyond_its_registers_are_refused_in_a_move_and_clipped_for_a_search(stage_):
-    """stage tune asks for more than there is; firmware.move(axis, 1e-3, accel=1e-3)"""
+    """The formula of `stage tune` clips; firmware.move(axis, 1e-3, accel=1e-3) raises."""
     stage_.reset()
     driver = driver_of(stage_.axes["x"])
-    made = driver.formula(1e6, 9e6, 1e-3, 1e-3, 1000)
-    assert made == {"VSTART": 1 << 17, "AMAX": 0xFFFF, "VMAX": 1 << 20, "DMAX": 0xFFFF, "VSTOP": 1 << 17}
+    registers = driver.formula(1e6, 9e6, 1e-3, 1e-3, 1000)
+    assert registers == {"VSTART": 1 << 17, "AMAX": 0xFFFF, "VMAX": 1 << 20, "DMAX": 0xFFFF, "VSTOP": 1 << 17}
     with pytest.raises(
         ArgumentError, match=r"AMAX = \d+: a TMC5160 takes 0 to 65535\. At 12,000,000 Hz a velocity of 1 is 0\.7153"
     ):

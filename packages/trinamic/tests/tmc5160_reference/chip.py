@@ -36,7 +36,7 @@ class Reference(Driver):
         self.diag0_toggle = False
         self.answer = None
         self.touched = True
-        self.speed_seen = 0
+        self.checked_speed = 0
         self.reset_driver()
 
     # Bus [1], [2]
@@ -73,7 +73,7 @@ class Reference(Driver):
         return (live[name]() if name in live else self.r[name]) & mask
 
     def transfer(self, datagram):
-        """40 bits in, 40 out."""
+        """Exchange one SPI datagram of 40 bits and return the reply."""
         first = self.answer is None  # choice: "the status of that moment" is that of the first datagram's begin
         out = self.spi_status() << 32 if first else self.answer
         address, data = datagram >> 32 & 0x7F, datagram & 0xFFFFFFFF
@@ -90,7 +90,7 @@ class Reference(Driver):
         return int("".join(str(int(bit) & 1) for bit in bits), 2)
 
     def _ioin(self):
-        """Choice: raw levels are those of the pins now, not of the last clock."""
+        """Return IOIN. Choice: it shows the present levels of the pins, not those of the last clock."""
         order = ("REFL_STEP", "REFR_DIR", "ENCB_DCEN_CFG4", "ENCA_DCIN_CFG5", "DRV_ENN", "ENCN_DCO_CFG6")
         return 0x30000000 | sum(self.pins[name] << bit for bit, name in enumerate(order))
 
@@ -104,14 +104,14 @@ class Reference(Driver):
         return self.r["RAMP_STAT"] & CLEARABLE["RAMP_STAT"] | sum(1 << bit for bit, on in bits.items() if on)
 
     def set_pin(self, name, level):
-        """Acts from the next clock on."""
+        """Set the level of an input pin, effective from the next clock on."""
         if name not in self.pins:
             raise KeyError(f"no input pin {name!r}; there are {', '.join(PINS)}")
         self.pins[name] = bool(level)
         self.touched = True
 
     def set_load(self, lam, emf):
-        """LAM, EMF of section 6, 0..1024 each."""
+        """Set LAM and EMF of section 6, 0 to 1024 each."""
         self.lam, self.emf = lam, emf
 
     # One clock [4.2]
@@ -126,7 +126,7 @@ class Reference(Driver):
             self._inputs()  # 1
         stepped = False
         drives = False if self.gated() else self._speed()  # 2 to 5
-        if self.touched or self.q >> 17 != self.speed_seen:
+        if self.touched or self.q >> 17 != self.checked_speed:
             self.thresholds()
         if drives:
             stepped = self._drive()  # 6
@@ -162,7 +162,7 @@ class Reference(Driver):
         self.faults_clock()
 
     def _speed(self):
-        """Steps 3 to 5. Returns whether the clock goes on to step 6."""
+        """Perform steps 3 to 5 of a clock and return whether step 6 follows."""
         if self.zw > 0:
             self.zw -= 1
             return False
@@ -199,20 +199,20 @@ class Reference(Driver):
 
     def _start(self):
         self.q = min(self.r["VSTART"], self.r["VMAX"]) << 17
-        if 256 * (self._way() - 1) < self._need(self.q):
+        if 256 * (self._steps_to_target() - 1) < self._need(self.q):
             self.q = min(self.q, self._z())
 
     def _position(self, started):
         if self.dir != self._wanted():  # the target is behind or here
             if self.q <= self._z():
-                if self._way() > 0:
+                if self._steps_to_target() > 0:
                     self.r["RAMP_STAT"] |= 0x1000  # second_move
                 self._halt()
                 return False
             self.brk = True
             self.q = self._brake(self.q)
             return True
-        room = 256 * (self._way() - 1)
+        room = 256 * (self._steps_to_target() - 1)
         new = self.q
         if not self.brk:
             new, rate = self._toward(self.q)
@@ -236,7 +236,7 @@ class Reference(Driver):
         return False
 
     def _drive(self):
-        """Step 6. Returns whether a step was made."""
+        """Perform step 6 of a clock and return whether the motor made a step."""
         self.ph += self.q
         stepped = self.ph >= FULL
         if stepped:
@@ -270,7 +270,7 @@ class Reference(Driver):
         return max(self.r["VSTOP"], 1) << 17
 
     def _toward(self, q):
-        """Speed one clock nearer VMAX, and the rate."""
+        """Return the speed one clock nearer to VMAX, and the rate."""
         goal, q1 = self.r["VMAX"] << 17, self._q1()
         low = q1 > 0 and (q < q1 or (q > goal and q == q1))
         rate = self.r["A1"] if low else self.r["AMAX"]
@@ -295,7 +295,7 @@ class Reference(Driver):
         return max(q - self._brake_rate(q), *bounds)
 
     def _need(self, q):
-        """Braking distance in 1/256 step, rounded up."""
+        """Return the braking distance in 1/256 step, rounded up."""
         z, q1 = self._z(), self._q1()
         if q <= z:
             return 0
@@ -309,14 +309,14 @@ class Reference(Driver):
     def _distance(self):
         return signed(self.r["XTARGET"] - self.r["XACTUAL"])
 
-    def _way(self):
+    def _steps_to_target(self):
         return abs(self._distance())
 
     def _reached(self):
         return self.r["XACTUAL"] == self.r["XTARGET"]
 
     def _wanted(self):
-        """Wanted direction of the start rule, whatever VMAX."""
+        """Return the direction that the start rule demands, regardless of VMAX."""
         mode = self.r["RAMPMODE"]
         if mode == 0:
             distance = self._distance()
@@ -327,7 +327,7 @@ class Reference(Driver):
         return self.dir or self._wanted()
 
     def _stop(self, side):
-        """The stop function of this direction is enabled and its switch active."""
+        """Return whether the stop of this direction is enabled and its switch active."""
         return bool(self.r["SW_MODE"] >> (0 if side == LEFT else 1) & 1) and self.sides[side]
 
     def _note_arrival(self):

@@ -1,4 +1,4 @@
-"""Hands on a TMC5160 reference: registers by name, waits in clocks."""
+"""Helpers that operate a TMC5160 reference: registers by name, waits in clocks."""
 
 from tmc5160_reference.chip import Reference
 from tmc5160_reference.registers import ADDRESS
@@ -6,39 +6,39 @@ from tmc5160_reference.registers import ADDRESS
 PLUS, MINUS, HOLD = 1, 2, 3  # RAMPMODE
 
 
-def ready(**registers):
+def create_reference(**registers):
     chip = Reference(12_000_000)
-    put(chip, CHOPCONF=0x10000003, **registers)
+    write_registers(chip, CHOPCONF=0x10000003, **registers)
     return chip
 
 
-def put(chip, **registers):
+def write_registers(chip, **registers):
     for name, value in registers.items():
         chip.write(ADDRESS[name], value)
 
 
-def get(chip, name):
+def read_register(chip, name):
     return chip.read(ADDRESS[name])
 
 
-def bit(chip, number, name="RAMP_STAT"):
-    return get(chip, name) >> number & 1
+def read_bit(chip, number, name="RAMP_STAT"):
+    return read_register(chip, name) >> number & 1
 
 
-def speed(chip):
+def read_speed(chip):
     return chip.q >> 17
 
 
-def until(chip, met, limit=150_000):
-    """The clock after which it is met."""
+def tick_until(chip, condition, limit=150_000):
+    """Tick until condition() holds and return the clock; fail after `limit` clocks."""
     for _ in range(limit):
         chip.tick()
-        if met():
+        if condition():
             return chip.clock
     raise AssertionError(f"not met in {limit} clocks: q {chip.q}, dir {chip.dir}, {chip.steps[-3:]}")
 
 
-def glide(chip, v, direction=1):
-    """At this speed in hold mode, with all that follows from it."""
+def set_steady_speed(chip, v, direction=1):
+    """Set the internal speed v in hold mode, and let the thresholds follow."""
     chip.q, chip.dir = v << 17, direction if v else 0
-    put(chip, RAMPMODE=HOLD)
+    write_registers(chip, RAMPMODE=HOLD)

@@ -11,13 +11,13 @@ FAULTS = (*SHORTS, "ot", "otpw", "ola", "olb", "uv_cp")
 
 
 def signed(word, bits=32):
-    """Two's complement."""
+    """Return the word as a signed number in two's complement."""
     half = 1 << (bits - 1)
     return (word + half) % (2 * half) - half
 
 
 def sine(index):
-    """CUR_A of the default table at MSCNT = index [6 sequencer]."""
+    """Return CUR_A of the default table at MSCNT = index [6 sequencer]."""
     index %= 1024
     if index >= 512:
         return -sine(index - 512) - 1
@@ -58,7 +58,7 @@ class Driver:
     # Sequencer
 
     def sequence(self, direction):
-        """One step of the table; returns whether MSCNT >> 8 changed: a full step."""
+        """Advance the table by one step and return whether MSCNT >> 8 changed: a full step."""
         before = self.mscnt
         if self.r["GCONF"] & 0x10:  # shaft
             direction = -direction
@@ -92,7 +92,7 @@ class Driver:
             self.current = self.irun
 
     def current_clock(self):
-        """After the clock's step, if any."""
+        """Advance the current control by one clock, after the step of that clock."""
         if self.phase == "run" and self.since >= self.standstill_limit() + (self.r["TPOWERDOWN"] << 18):
             self.phase = "down"
             self._load_period()
@@ -103,7 +103,7 @@ class Driver:
                 self._load_period()
 
     def _load_period(self):
-        """Choice: IHOLDDELAY is looked at here only, so the period in progress keeps its length."""
+        """Load the delay period. Choice: IHOLDDELAY is read only here, so a period in progress keeps its length."""
         self.down_timer = 0
         self.down_period = self.ihold_delay << 18
         if self.down_period == 0:
@@ -130,8 +130,8 @@ class Driver:
         return min(INFINITE, ((1 << 24) // speed) >> self.mres)
 
     def thresholds(self):
-        """After step 5 of a clock, and after a write."""
-        self.speed_seen = self.q >> 17
+        """Update the speed thresholds, after step 5 of a clock and after a write."""
+        self.checked_speed = self.q >> 17
         tstep = self.tstep()
         for name in self.states:
             limit = self.r[name]
@@ -172,7 +172,7 @@ class Driver:
             self.sg_result, self.stalled = 0, False
 
     def measure(self):
-        """At a full step. Returns whether there is a new SG_RESULT."""
+        """Measure the load at a full step and return whether there is a new SG_RESULT."""
         if self.stealth or not self.driver_on:
             return False
         raw = 1023 * self.emf * (1024 - self.lam) >> 20
@@ -212,14 +212,14 @@ class Driver:
         return not (off or any(self.shorted.values()) or self.overheated or self.faults["uv_cp"])
 
     def set_fault(self, name, present):
-        """Injected; acts from the next clock on."""
+        """Set or clear a fault, effective from the next clock on."""
         if name not in self.faults:
             raise KeyError(f"no fault {name!r}; there are {', '.join(FAULTS)}")
         self.faults[name] = bool(present)
         self.touched = True
 
     def shorts_released(self):
-        """A short is forgotten with the driver switched off; one still there is seen again when it is on."""
+        """Clear the short flags while the driver is off; a short that persists is detected again when it is on."""
         if self.sampled["DRV_ENN"] or self.toff == 0:
             self.shorted = dict.fromkeys(SHORTS, False)
 
@@ -278,8 +278,8 @@ class Driver:
         if self.r["ENCMODE"] & 0x400:
             unit = 10000
         step = signed(constant >> 16, 16) * unit + (constant & 0xFFFF)
-        whole, self.fraction = divmod(self.r["X_ENC"] * unit + self.fraction + direction * step, unit)
-        self.r["X_ENC"] = whole & 0xFFFFFFFF
+        count, self.fraction = divmod(self.r["X_ENC"] * unit + self.fraction + direction * step, unit)
+        self.r["X_ENC"] = count & 0xFFFFFFFF
 
     def deviation(self):
         if abs(signed(self.r["X_ENC"] - self.r["XACTUAL"])) > self.r["ENC_DEVIATION"]:
