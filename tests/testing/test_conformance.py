@@ -44,7 +44,9 @@ def test_a_chip_that_differs_uncompiled_is_detected():
     with pytest.raises(
         NotConforming, match=r"compiled = uncompiled\n    but: in program 0, act 0, compiled code leaves"
     ):
-        chip_conformance(defects.Elsewhere, seed=SEED, programs=1, promises=["pins_by_name"], uncompiled=True)
+        chip_conformance(
+            defects.UncompiledClockDiffers, seed=SEED, programs=1, promises=["pins_by_name"], uncompiled=True
+        )
 
 
 test_toy = chip_conformance.tests(TOY, seed=SEED, programs=2)
@@ -102,10 +104,10 @@ def test_a_move_of_a_test_has_no_more_pulses_than_its_register_holds(monkeypatch
 
 
 def test_a_core_that_never_answers_is_a_broken_promise_and_the_others_are_tried():
-    """chip_conformance(Endless, limit=0.5), where reads of one address never return"""
+    """chip_conformance(EndlessRead, limit=0.5), where reads of one address never return"""
     began = time.monotonic()
     with pytest.raises(NotConforming, match=r"TOY|seed=") as error:
-        chip_conformance(defects.Endless, seed=SEED, programs=1, promises=["reads", "pins_by_name"], limit=0.5)
+        chip_conformance(defects.EndlessRead, seed=SEED, programs=1, promises=["reads", "pins_by_name"], limit=0.5)
     assert error.value.broken.keys() == {"reads"}
     assert error.value.broken["reads"].startswith("it has not ended after 0.5 s: does the core loop without end?")
     assert time.monotonic() - began < 20
@@ -113,7 +115,7 @@ def test_a_core_that_never_answers_is_a_broken_promise_and_the_others_are_tried(
 
 def test_a_core_that_ends_its_process_is_a_broken_promise():
     with pytest.raises(NotConforming) as error:
-        chip_conformance(defects.Wild, seed=SEED, programs=1, promises=["reads", "pins_by_name"])
+        chip_conformance(defects.CrashingRead, seed=SEED, programs=1, promises=["reads", "pins_by_name"])
     assert error.value.broken.keys() == {"reads"}
     assert (
         "its process was ended by SIGSEGV: does the core write or read beyond an array?" in error.value.broken["reads"]
@@ -143,7 +145,7 @@ def test_a_core_that_cannot_be_compiled_is_reported_once():
         def c(self):
             raise NativeError("core.py, line 5: what changes is a field of the record")
 
-    broken = type("TOY", (TOY,), {"CORE": defects.a_core(power_up=Answer())})
+    broken = type("TOY", (TOY,), {"CORE": defects.build_core(power_up=Answer())})
     with pytest.raises(NotConforming, match=r"TOY: core\.py, line 5") as error:
         chip_conformance(broken)
     assert list(error.value.broken) == ["has_what_every_chip_has"]
@@ -153,12 +155,14 @@ def test_a_failure_of_uncompiled_code_is_reported_with_its_place():
     with pytest.raises(
         NotConforming, match=r"as plain Python it fails: IndexError: beyond \(File \".*defects.py\", line \d+, in "
     ):
-        chip_conformance(defects.Beyond, seed=SEED, programs=1, promises=["pins_by_name"], uncompiled=True)
+        chip_conformance(
+            defects.UncompiledIndexError, seed=SEED, programs=1, promises=["pins_by_name"], uncompiled=True
+        )
 
 
 def test_a_driver_that_reads_the_wiring_of_its_axis_gets_the_default():
     """write_move(...) sets polarities by self.axis.wiring: '_BareAxis' object has no attribute 'wiring'"""
-    chip_conformance(defects.Polite, seed=SEED, programs=1, promises=["courses"])
+    chip_conformance(defects.ChecksWiring, seed=SEED, programs=1, promises=["courses"])
 
 
 def test_a_limit_is_a_time_or_none():

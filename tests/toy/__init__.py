@@ -1,6 +1,6 @@
-"""An exercise: a family of chips that PulseStage does not know. Two registers and three commands an axis, of one axis or of eight.
+"""A family of chips outside the product: two registers and three commands per axis, with one axis or eight.
 
-map, core, words and driver are all in this folder; `Stage(chips=TOY)` and the rest take the class as it is.
+The register map, core, words and driver are all in this folder; `Stage(chips=TOY)` takes the class as it is.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from toy.words import Decoder, Listener
 
 
 class TOY(Chip):
-    """RATE pulses a second, COUNT of them, plus or minus."""
+    """A chip that emits COUNT pulses at RATE pps in the plus or minus direction."""
 
     MAP: ClassVar = MAP
     CORE: ClassVar = core
@@ -31,8 +31,8 @@ class TOY(Chip):
 
     @classmethod
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
-        own = name if cls.AXES == 1 or name[-1].isdigit() else f"{name}{axis}"
-        return [(cls.MAP.register(own).number, value)]
+        register_name = name if cls.AXES == 1 or name[-1].isdigit() else f"{name}{axis}"
+        return [(cls.MAP.register(register_name).number, value)]
 
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder(self.MAP)
@@ -45,7 +45,7 @@ class TOY(Chip):
 
 
 class TOY8(TOY):
-    """Eight of them on one chip."""
+    """A chip with eight axes like that of the TOY."""
 
     MAP: ClassVar = MAP8
     CORE: ClassVar = eight

@@ -1,4 +1,4 @@
-"""Answers of a core with one defect each, compiled: see defects.py."""
+"""Compiled functions of a core with one defect each; defects.py builds chips from them."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ from toy.core import EDGE, MINUS, PLUS, PULSE, STATE
 
 
 @exported(None, STATE, "i8")
-def forgets_the_phase(c, until):
-    """Where time is cut, the next pulse is a whole period away."""
-    if c.way and c.due <= until:
+def run_restarting_the_period(c, until):
+    """Run to a clock and restart the period there, so the next pulse comes a full period later."""
+    if c.direction and c.due <= until:
         n = least(c.left, 1 + (until - c.due) // (c.hz // c.rate))
         c.left -= n
-        c.net += n * c.way
+        c.net += n * c.direction
         c.due = until + c.hz // c.rate
         if c.left == 0:
-            c.way = 0
+            c.direction = 0
     c.clock = until
 
 
 @exported("i8", STATE, "i8")
-def forgets_the_phase_too(c, until):
+def advance_restarting_the_period(c, until):
     before = c.net
-    forgets_the_phase(c, until)
+    run_restarting_the_period(c, until)
     return abs(c.net - before)
 
 
 @exported("i8", STATE, "i8")
-def late_by_a_clock(c, until):
-    """A pulse that is due at the very end of the time waits for the next piece of time."""
+def advance_deferring_a_pulse_at_the_end(c, until):
+    """Advance, but defer a pulse that is due exactly at the end to the next call."""
     before = c.net
     core.run(c, until - 1)
-    if c.way and c.due == until:
+    if c.direction and c.due == until:
         c.due += 1
         c.clock = until
     else:
@@ -42,17 +42,17 @@ def late_by_a_clock(c, until):
 
 
 @exported("i8", STATE, "i8")
-def one_at_most(c, until):
+def advance_counting_one_pulse(c, until):
     before = c.net
     core.run(c, until)
     return 1 if c.net != before else 0
 
 
 @exported("i8", STATE, "i8", array_of(PULSE))
-def the_other_way(c, until, out):
+def trace_with_reversed_direction(c, until, out):
     k = 0
-    while c.way and c.due <= until:
-        out[k].clock, out[k].axis, out[k].direction = c.due, 0, -c.way
+    while c.direction and c.due <= until:
+        out[k].clock, out[k].axis, out[k].direction = c.due, 0, -c.direction
         k += 1
         core.run(c, c.due)
     c.clock = until
@@ -60,46 +60,46 @@ def the_other_way(c, until, out):
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
-def the_end(c, j, before, ticks):
+def drive_input_at_the_end(c, j, before, ticks):
     return 1.0 * c.net
 
 
 @exported(None, STATE, "i8", "i8")
-def without_the_first_slice(c, row, k):
+def window_skipping_the_first_slice(c, row, k):
     run_window(c, row, k + 1, core.run, core.net, core.drive_input)
 
 
 @exported("i8", STATE, "i8")
-def never_busy(c, j):
+def busy_always_false(c, j):
     return 0
 
 
 @exported("i8", STATE, "i8")
-def counts_twice(c, j):
+def counter_doubled(c, j):
     return 2 * c.left
 
 
 @exported(None, STATE)
-def keeps_the_rate(c):
-    c.left = c.way = c.due = 0
+def power_up_keeping_the_rate(c):
+    c.left = c.direction = c.due = 0
 
 
 @exported("i8", STATE, "i8")
-def clears_what_it_reads(c, address):
+def read_clearing_the_count(c, address):
     value = core.peek(c, address)
-    if address == 2 and not c.way:
+    if address == 2 and not c.direction:
         c.left = 0
     return value
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
-def sees_no_end(c, until, every_pulse, axis, out):
+def scan_finding_no_edges(c, until, every_pulse, axis, out):
     core.run(c, until)
     return 0
 
 
 @exported(None, STATE, "i8", "i8")
-def takes_all_lines(c, address, value):
+def write_without_masking(c, address, value):
     if address == 1:
         c.rate = value
     elif address == 2:
@@ -109,57 +109,57 @@ def takes_all_lines(c, address, value):
 
 
 @exported("f8", STATE, "i8", "f8")
-def half_the_rate(c, j, hz):
+def pulse_rate_halved(c, j, hz):
     return 0.5 * core.pulse_rate(c, j, hz)
 
 
 @exported(None, STATE)
-def clears_the_count(c):
+def power_up_clearing_net(c):
     core.power_up(c)
     c.net = 0
 
 
 @exported("i8", STATE, "i8")
-def wider_than_the_bus(c, address):
-    return core.peek(c, address) | 0x10000 if c.way else core.peek(c, address)
+def read_wider_than_the_bus(c, address):
+    return core.peek(c, address) | 0x10000 if c.direction else core.peek(c, address)
 
 
 @exported(None, eight.STATE, "i8")
-def leaves_what_is_due_at_the_end(c, until):
+def run_omitting_pulses_at_the_end(c, until):
     for j in range(eight.AXES):
         x = c.ax[j]
-        if x.way == 0 or x.due != until:
+        if x.direction == 0 or x.due != until:
             eight.run_axis(c, x, until)
     c.clock = until
 
 
 @exported("i8", eight.STATE, "i8")
-def counts_plus_only(c, until):
-    made = 0
+def advance_counting_plus_only(c, until):
+    pulse_count = 0
     for j in range(eight.AXES):
         before = c.ax[j].net
         eight.run_axis(c, c.ax[j], until)
-        made += c.ax[j].net - before if c.ax[j].net > before else 0
+        pulse_count += c.ax[j].net - before if c.ax[j].net > before else 0
     c.clock = until
-    return made
+    return pulse_count
 
 
 @exported(None, eight.STATE, "i8", "i8")
-def all_axes_at_once(c, j, word):
+def set_input_of_all_axes(c, j, word):
     for k in range(eight.AXES):
         eight.set_input(c, k, word)
 
 
 @exported("i8", eight.STATE, "i8")
-def looks_and_touches(c, address):
-    """The last axis loses its next pulse."""
+def peek_delaying_the_last_axis(c, address):
+    """Read without side effects, except that the next pulse of the last axis comes one clock later."""
     if address == 2 * eight.AXES:
         c.ax[eight.AXES - 1].due += 1
     return eight.peek(c, address)
 
 
 @exported("i8", eight.STATE, "i8", "i8", "i8", array_of(eight.EDGE))
-def sees_pulses_and_no_ends(c, until, every_pulse, axis, out):
+def scan_omitting_ends_of_moves(c, until, every_pulse, axis, out):
     if every_pulse:
         return eight.scan(c, until, every_pulse, axis, out)
     eight.run(c, until)
@@ -167,23 +167,23 @@ def sees_pulses_and_no_ends(c, until, every_pulse, axis, out):
 
 
 @exported(None, STATE, "i8", "i8")
-def only_keeps(c, j, word):
-    """The input pins change, and a drive goes on."""
+def set_input_without_stopping(c, j, word):
+    """Set the input pins without stopping a move at a limit."""
     c.inputs = word
 
 
 @exported(None, eight.STATE, "i8", "i8")
-def stops_all(c, address, value):
-    """A stop of any axis is one of all."""
+def write_stopping_all_axes(c, address, value):
+    """Write a register; a stop command of one axis stops all axes."""
     eight.write(c, address, value)
     if address == 0 and value % 16 not in (PLUS, MINUS):
         for j in range(eight.AXES):
-            c.ax[j].way = 0
+            c.ax[j].direction = 0
 
 
 @exported("i8", eight.STATE, "i8", array_of(PULSE))
-def one_a_clock(c, until, out):
-    """Of pulses of one clock only one is told."""
+def trace_one_pulse_per_clock(c, until, out):
+    """Trace pulses, listing only one of those with the same clock."""
     k = eight.trace(c, until, out)
     n = 0
     for m in range(k):
@@ -194,8 +194,8 @@ def one_a_clock(c, until, out):
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
-def one_too_many(c, until, every_pulse, axis, out):
-    """Full is when one more has been written."""
+def scan_beyond_the_array(c, until, every_pulse, axis, out):
+    """Scan for edges, writing one edge beyond the array when it is full."""
     k = core.scan(c, until, every_pulse, axis, out)
     if k >= len(out) - 1:
         core.mark(c, axis, out, len(out))

@@ -1,4 +1,4 @@
-"""The TOY, compiled: constant rate, no ramps; between two events pulses follow in closed form."""
+"""The compiled core of the TOY: constant rate, no ramps, pulses between two events in closed form."""
 
 import numpy as np
 
@@ -17,9 +17,9 @@ STATE = record(
         ("inputs", "i8"),  # pins
         ("rate", "i8"),  # RATE, pps
         ("left", "i8"),  # COUNT, pulses
-        ("way", "i8"),  # 1, -1; 0 at rest
+        ("direction", "i8"),  # 1, -1; 0 at rest
         ("due", "i8"),  # clock of the next pulse
-        ("net", "i8"),  # pulses ever, plus minus minus
+        ("net", "i8"),  # pulses since power-up: plus pulses less minus pulses
     ]
 )
 PULSE = np.dtype((np.record, np.dtype([("clock", "i8"), ("axis", "i1"), ("direction", "i1")], align=True)))
@@ -33,18 +33,18 @@ def _period(c):
 
 @exported(None, STATE)
 def power_up(c):
-    c.rate = c.left = c.way = c.due = 0
+    c.rate = c.left = c.direction = c.due = 0
 
 
 @exported(None, STATE, "i8")
 def run(c, until):
-    if c.way and c.due <= until:
+    if c.direction and c.due <= until:
         n = least(c.left, 1 + (until - c.due) // _period(c))
         c.left -= n
-        c.net += n * c.way
+        c.net += n * c.direction
         c.due += n * _period(c)
         if c.left == 0:
-            c.way = 0
+            c.direction = 0
     c.clock = until
 
 
@@ -55,7 +55,7 @@ def window(c, row, k):
 
 @exported(None, STATE, "i8", "f8", "f8")
 def set_shaft(c, j, count, rate):
-    """It has no encoder."""
+    """Ignore the shaft: the chip has no encoder."""
 
 
 @exported("i8", STATE, "i8")
@@ -70,7 +70,7 @@ def drive_input(c, j, before, ticks):
 
 @exported("f8", STATE, "i8", "f8")
 def pulse_rate(c, j, hz):
-    return 1.0 * c.rate if c.way else 0.0
+    return 1.0 * c.rate if c.direction else 0.0
 
 
 @exported("i8", STATE, "i8")
@@ -84,30 +84,30 @@ def inputs(c, j):
 
 
 @hot
-def _blocked(c, way):
-    return c.inputs & (EL_PLUS if way > 0 else EL_MINUS)
+def _blocked(c, direction):
+    return c.inputs & (EL_PLUS if direction > 0 else EL_MINUS)
 
 
 @exported(None, STATE, "i8", "i8")
 def set_input(c, j, word):
     c.inputs = word
-    if c.way and _blocked(c, c.way):
-        c.way = 0
+    if c.direction and _blocked(c, c.direction):
+        c.direction = 0
 
 
 @exported("i8", STATE, "i8")
 def outputs(c, j):
-    return 1 if c.way else 0
+    return 1 if c.direction else 0
 
 
 @exported("i8", STATE, "i8")
 def status(c, j):
-    return 1 if c.way else 0
+    return 1 if c.direction else 0
 
 
 @exported("i8", STATE, "i8")
 def busy(c, j):
-    return 1 if c.way else 0
+    return 1 if c.direction else 0
 
 
 @exported("i8", STATE, "i8")
@@ -116,7 +116,7 @@ def peek(c, address):
         return c.rate
     if address == COUNT:
         return c.left
-    return 1 if c.way else 0
+    return 1 if c.direction else 0
 
 
 @exported("i8", STATE, "i8")
@@ -131,10 +131,10 @@ def write(c, address, value):
     elif address == COUNT:
         c.left = value
     elif address == 0:
-        c.way = 1 if value == PLUS else (-1 if value == MINUS else 0)
-        if c.left == 0 or c.rate == 0 or _blocked(c, c.way):
-            c.way = 0
-        if c.way:
+        c.direction = 1 if value == PLUS else (-1 if value == MINUS else 0)
+        if c.left == 0 or c.rate == 0 or _blocked(c, c.direction):
+            c.direction = 0
+        if c.direction:
             c.due = c.clock + _period(c)
 
 
@@ -148,8 +148,8 @@ def advance(c, until):
 @exported("i8", STATE, "i8", array_of(PULSE))
 def trace(c, until, out):
     k = 0
-    while c.way and c.due <= until:
-        out[k].clock, out[k].axis, out[k].direction = c.due, 0, c.way
+    while c.direction and c.due <= until:
+        out[k].clock, out[k].axis, out[k].direction = c.due, 0, c.direction
         k += 1
         run(c, c.due)
     c.clock = until
@@ -160,13 +160,13 @@ def trace(c, until, out):
 def mark(c, axis, out, k):
     e = out[k]
     e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, c.inputs, outputs(c, 0), c.left, c.net
-    e.rate = c.rate / c.hz if c.way else 0.0
+    e.rate = c.rate / c.hz if c.direction else 0.0
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan(c, until, every_pulse, axis, out):
     k = 0
-    while c.way and k < len(out) - 1:
+    while c.direction and k < len(out) - 1:
         following = c.due if every_pulse else c.due + (c.left - 1) * _period(c)
         if following > until:
             break

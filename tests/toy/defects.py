@@ -1,4 +1,4 @@
-"""A TOY with one defect each: what `chip_conformance` has to find."""
+"""Toy chips with one defect each, which `chip_conformance` must detect."""
 
 from __future__ import annotations
 
@@ -15,83 +15,87 @@ from toy import TOY, TOY8, answers, core, eight, maps
 from toy.driver import ToyDriver
 
 
-def a_core(**answers: Any) -> Any:
+def build_core(**answers: Any) -> Any:
     return SimpleNamespace(**{**vars(core), **answers})
 
 
-def with_core(**answers: Any) -> type:
-    return type("TOY", (TOY,), {"CORE": a_core(**answers)})
+def build_toy(**answers: Any) -> type:
+    return type("TOY", (TOY,), {"CORE": build_core(**answers)})
 
 
-def with_eight(**answers: Any) -> type:
+def build_toy8(**answers: Any) -> type:
     return type("TOY8", (TOY8,), {"CORE": SimpleNamespace(**{**vars(eight), **answers})})
 
 
-class Remembers(TOY):  # outside its record
+class UnsavedCounter(TOY):
+    """A chip with a counter outside its record, which a snapshot loses."""
+
     def __init__(self, **options: Any):
         super().__init__(**options)
-        self.kept = SimpleNamespace(last=0)
+        self.unsaved = SimpleNamespace(last=0)
 
     def write(self, address: int, value: int) -> None:
-        self.kept.last += 1
+        self.unsaved.last += 1
         super().write(address, value)
 
     def values(self) -> dict[str, int]:
-        return super().values() | {"RATE": self.kept.last}
+        return super().values() | {"RATE": self.unsaved.last}
 
 
-class PoliteDriver(ToyDriver):
-    """Sets polarities by the wiring of the axis."""
+class WiringCheckDriver(ToyDriver):
+    """A driver that requires an axis with default wiring."""
 
     def write_move(self, program: Any, values: Any, pulses: int) -> None:
         assert not dict(self.axis.wiring)
         super().write_move(program, values, pulses)
 
 
-class Polite(TOY):
-    DRIVER: ClassVar = "toy.defects:PoliteDriver"
+class ChecksWiring(TOY):
+    DRIVER: ClassVar = "toy.defects:WiringCheckDriver"
 
 
-class Raises(TOY):
+class RaisingLint(TOY):
     def lint(self, address: int, value: int) -> tuple[()]:
         if address & 3 == 0:
             maps.MAP.by_code[value]
         return ()
 
 
-class TakesAllLines(TOY):
-    CORE: ClassVar = a_core(write=answers.takes_all_lines)
+class UnmaskedDataLines(TOY):
+    CORE: ClassVar = build_core(write=answers.write_without_masking)
 
     def write(self, address: int, value: int) -> None:
         self.CORE.write(self.state, int(address) & 3, int(value) & 0xFFFFF)
 
 
-class Shared(TOY):  # all chips of the class share it
+class SharedCounter(TOY):
+    """A chip whose reads depend on a counter that all chips of the class share."""
+
     numbers = count()
 
     def read(self, address: int) -> int:
         return super().read(address) ^ (next(self.numbers) & 1)
 
 
-class Silent(TOY):
+class EmptyDescriptions(TOY):
     def listener(self) -> Any:
         return SimpleNamespace(write=lambda address, value: "", read=lambda address, value: "")
 
 
-class BeyondTheBus(TOY):
+class AddressBeyondTheBus(TOY):
     @classmethod
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
         return [(cls.MAP.register(name).number + 8, value)]
 
 
-class Turns(TOY):
+class ReversedDirection(TOY):
     @classmethod
     def read_direction(cls, address: int, value: int) -> bool | None:
         return value == core.PLUS if address == 0 and value in (core.PLUS, core.MINUS) else None
 
 
-class OneAxisShown(TOY8):
-    """An axis' registers have one name, and values() shows those of axis 0 for every axis."""
+class FirstAxisValuesOnly(TOY8):
+    """A chip whose values() returns the registers of axis 0 for every axis."""
 
     MAP: ClassVar = replace(maps.MAP, axes=TOY8.AXES)
 
@@ -100,14 +104,14 @@ class OneAxisShown(TOY8):
         return [(cls.MAP.register(name).number + 2 * axis, value)]
 
 
-class Unsent(TOY):
+class UnknownCommand(TOY):
     @classmethod
     def command_cycles(cls, symbol: str, axis: int = 0, datum: int | None = None) -> list[tuple[int, int]]:
         return [(0, {}[symbol])]
 
 
-class Latches(TOY):
-    """Nothing shows it yet, but it is lost in a copy."""
+class UnsavedLatch(TOY):
+    """A chip with an attribute that no register shows and that a copy loses."""
 
     latch = 0
 
@@ -116,8 +120,8 @@ class Latches(TOY):
         super().write(address, value)
 
 
-class Narrow(TOY):
-    """A snapshot of another chip is restored without the highest bit of a register."""
+class TruncatedRestore(TOY):
+    """A chip that loses the highest bit of RATE when it restores a snapshot of another chip."""
 
     def restore(self, snapshot: Any) -> None:
         super().restore(snapshot)
@@ -125,32 +129,32 @@ class Narrow(TOY):
             self.state["rate"] &= 0x7FFF
 
 
-class Endless(TOY):
-    """A read never returns."""
+class EndlessRead(TOY):
+    """A chip whose read never returns."""
 
     def read(self, address: int) -> int:
         while True:
             pass
 
 
-class Wild(TOY):
-    """A read ends the process, as a core does that reads beyond an array."""
+class CrashingRead(TOY):
+    """A chip whose read ends the process, as a core does that reads beyond an array."""
 
     def read(self, address: int) -> int:
-        faulthandler.disable()  # no dump among the tests' lines
+        faulthandler.disable()  # no traceback in the output of the tests
         os.kill(os.getpid(), signal.SIGSEGV)
         return 0
 
 
-class Elsewhere(TOY):
-    """As plain Python its clock is another one."""
+class UncompiledClockDiffers(TOY):
+    """A chip whose clock rate differs when its code runs uncompiled."""
 
     def _configure(self, record: Any) -> None:
         record["hz"] = self.clock_hz if COMPILED else self.clock_hz + 1
 
 
-class Beyond(TOY):
-    """As plain Python an index is seen to be too large."""
+class UncompiledIndexError(TOY):
+    """A chip whose uncompiled code raises IndexError."""
 
     def _configure(self, record: Any) -> None:
         super()._configure(record)
@@ -158,10 +162,12 @@ class Beyond(TOY):
             raise IndexError("beyond")
 
 
-FORGETS = {"run": answers.forgets_the_phase, "advance": answers.forgets_the_phase_too}
+PERIOD_RESTARTS = {"run": answers.run_restarting_the_period, "advance": answers.advance_restarting_the_period}
 
 
-class AnyPin(TOY):  # a misspelt pin is set, and nobody is told
+class AcceptsUnknownPin(TOY):
+    """A chip that silently accepts a misspelled pin."""
+
     def __init__(self, **options: Any):
         super().__init__(**options)
         pins = type(self.axes[0].pins)
@@ -176,51 +182,74 @@ class AnyPin(TOY):  # a misspelt pin is set, and nobody is told
 
 
 DEFECTS: dict[str, tuple[type, str, str]] = {
-    "any pin can be set": (AnyPin, "pins_by_name", "pin no_such_pin, no input, can be set"),
-    "time cut": (with_core(**FORGETS), "cut_time", "the state differs in due|makes .* pulses, and"),
-    "cut at a pulse": (with_core(advance=answers.late_by_a_clock), "cut_time", "the state differs in due"),
-    "advance counts wrong": (with_core(advance=answers.one_at_most), "traced", "says 1 pulses, and the axes' net go by"),
-    "trace's direction": (with_core(trace=answers.the_other_way), "traced", "net of axis 0 goes from"),
-    "the end for the mean": (with_core(drive_input=answers.the_end), "drive_inputs", "and the mean of the .* pulses"),
-    "a slice left out": (with_core(window=answers.without_the_first_slice), "windows", "window gives the means"),
-    "never busy": (with_core(busy=answers.never_busy), "courses", "its core says at rest"),
-    "the counter": (with_core(counter=answers.counts_twice), "courses", "counter has gone by"),
-    "a reset that keeps": (with_core(power_up=answers.keeps_the_rate), "resets", "RATE .*, and after power-up 0"),
-    "a read that clears": (with_core(read=answers.clears_what_it_reads), "reads", "changes left"),
-    "a course without end": (with_core(scan=answers.sees_no_end), "journals", "the course shows"),
-    "state beside the record": (Remembers, "snapshots", "restored, after .* acts it shows"),
-    "a bit lost by a snapshot": (Narrow, "snapshots", "with the most in every register, .* the state differs in rate"),
-    "a lint that raises": (Raises, "diagnostics", "raises KeyError"),
-    "20 data lines": (TakesAllLines, "bus_lines", "a read of address 1h gives|reads"),
-    "shared by all": (Shared, "determinism", "beside another chip"),
+    "any pin can be set": (AcceptsUnknownPin, "pins_by_name", "pin no_such_pin, no input, can be set"),
+    "a period restarted when time is divided": (
+        build_toy(**PERIOD_RESTARTS), "cut_time", "the state differs in due|makes .* pulses, and"),
+    "time divided at a pulse": (
+        build_toy(advance=answers.advance_deferring_a_pulse_at_the_end), "cut_time", "the state differs in due"),
+    "advance counts wrong": (
+        build_toy(advance=answers.advance_counting_one_pulse), "traced",
+        "says 1 pulses, and the axes' net go by"),
+    "trace's direction": (build_toy(trace=answers.trace_with_reversed_direction), "traced", "net of axis 0 goes from"),
+    "the final position instead of the mean": (
+        build_toy(drive_input=answers.drive_input_at_the_end), "drive_inputs", "and the mean of the .* pulses"),
+    "a slice left out": (
+        build_toy(window=answers.window_skipping_the_first_slice), "windows", "window gives the means"),
+    "never busy": (build_toy(busy=answers.busy_always_false), "courses", "its core says at rest"),
+    "the counter": (build_toy(counter=answers.counter_doubled), "courses", "counter has gone by"),
+    "a reset that keeps": (
+        build_toy(power_up=answers.power_up_keeping_the_rate), "resets", "RATE .*, and after power-up 0"),
+    "a read that clears": (build_toy(read=answers.read_clearing_the_count), "reads", "changes left"),
+    "a waveform without end": (build_toy(scan=answers.scan_finding_no_edges), "journals", "the course shows"),
+    "state outside the record": (UnsavedCounter, "snapshots", "restored, after .* acts it shows"),
+    "a bit lost by a snapshot": (
+        TruncatedRestore, "snapshots", "with the most in every register, .* the state differs in rate"),
+    "a lint that raises": (RaisingLint, "diagnostics", "raises KeyError"),
+    "20 data lines": (UnmaskedDataLines, "bus_lines", "a read of address 1h gives|reads"),
+    "shared by all": (SharedCounter, "determinism", "beside another chip"),
     "two pins, one bit": (
         type("TOY", (TOY,), {"INPUTS": {**TOY.INPUTS, "sd": TOY.INPUTS["org"]}}),
         "has_what_every_chip_has", "pin sd of INPUTS has a bit that another one has"),
-    "no words": (Silent, "words", "says ''"),
-    "a cycle beside the bus": (BeyondTheBus, "register_cycles", "is not on the bus"),
-    "half the rate": (with_core(pulse_rate=answers.half_the_rate), "drive_inputs", "pulse_rate is .* a second, and"),
-    "a reset that counts anew": (with_core(power_up=answers.clears_the_count), "resets", "changes the count"),
+    "no words": (EmptyDescriptions, "words", "says ''"),
+    "a cycle beyond the bus": (AddressBeyondTheBus, "register_cycles", "is not on the bus"),
+    "half the rate": (
+        build_toy(pulse_rate=answers.pulse_rate_halved), "drive_inputs", "pulse_rate is .* a second, and"),
+    "a reset that clears the pulse count": (
+        build_toy(power_up=answers.power_up_clearing_net), "resets", "changes the count"),
     "a read beyond the data lines": (
-        with_core(read=answers.wider_than_the_bus, peek=answers.wider_than_the_bus), "reads", r"read\(0h\) gives 65537"),
-    "what is due at the end": (with_eight(run=answers.leaves_what_is_due_at_the_end), "windows", "after run and advance"),
-    "minus not counted": (with_eight(advance=answers.counts_plus_only), "traced", "and the axes' net go by"),
-    "inputs of all axes": (with_eight(set_input=answers.all_axes_at_once), "pins_by_name", "inputs of another axis"),
-    "a look that acts": (with_eight(peek=answers.looks_and_touches), "reads", r"after peek\(10h\), the state differs in ax"),
-    "no end in a coarse course": (with_eight(scan=answers.sees_pulses_and_no_ends), "journals", "output runs at another"),
+        build_toy(read=answers.read_wider_than_the_bus, peek=answers.read_wider_than_the_bus), "reads", r"read\(0h\) gives 65537"),
+    "a pulse due at the end": (
+        build_toy8(run=answers.run_omitting_pulses_at_the_end), "windows", "after run and advance"),
+    "minus not counted": (build_toy8(advance=answers.advance_counting_plus_only), "traced", "and the axes' net go by"),
+    "inputs of all axes": (
+        build_toy8(set_input=answers.set_input_of_all_axes), "pins_by_name", "inputs of another axis"),
+    "a peek that changes the state": (
+        build_toy8(peek=answers.peek_delaying_the_last_axis), "reads", r"after peek\(10h\), the state differs in ax"),
+    "no end in a waveform of edges": (
+        build_toy8(scan=answers.scan_omitting_ends_of_moves), "journals", "output runs at another"),
     "a switch that stops nothing": (
-        with_core(set_input=answers.only_keeps), "limit_switches", "goes on to its end, though el_(plus|minus) is asserted"),
+        build_toy(set_input=answers.set_input_without_stopping), "limit_switches",
+        "goes on to its end, though el_(plus|minus) is asserted"),
     "switches exchanged": (
         type("TOY", (TOY,), {"WIRING": {"el_plus": "el_minus", "el_minus": "el_plus"}}),
         "limit_switches", "goes on to its end, though el_plus is asserted"),
-    "the direction exchanged": (Turns, "limit_switches", "axis 0 goes (plus|minus), and `turns` says (plus|minus)"),
-    "a stop for all": (with_eight(write=answers.stops_all), "axes_alone", "the driver's stop of axis . changes the pulses"),
-    "values of one axis": (OneAxisShown, "axes_alone", "RATE = 1 written to axis 0 changes what values_of gives for another axis"),
-    "a trace that loses": (with_eight(trace=answers.one_a_clock), "traced", "says .* pulses, and trace lists"),
-    "a scan beyond its array": (with_core(scan=answers.one_too_many), "journals", "writes behind `out`, which holds 8"),
-    "a command that cannot be sent": (Unsent, "command_cycles", r"command_cycles\('.*'\), a command, raises KeyError"),
-    "an attribute beside the record": (Latches, "snapshots", "change its attribute 'latch' to .*: a snapshot does not have it"),
+    "the direction exchanged": (
+        ReversedDirection, "limit_switches", "axis 0 goes (plus|minus), and `turns` says (plus|minus)"),
+    "a stop for all": (
+        build_toy8(write=answers.write_stopping_all_axes), "axes_alone",
+        "the driver's stop of axis . changes the pulses"),
+    "values of one axis": (
+        FirstAxisValuesOnly, "axes_alone", "RATE = 1 written to axis 0 changes what values_of gives for another axis"),
+    "a trace that loses": (
+        build_toy8(trace=answers.trace_one_pulse_per_clock), "traced", "says .* pulses, and trace lists"),
+    "a scan beyond its array": (
+        build_toy(scan=answers.scan_beyond_the_array), "journals", "writes behind `out`, which holds 8"),
+    "a command that cannot be sent": (
+        UnknownCommand, "command_cycles", r"command_cycles\('.*'\), a command, raises KeyError"),
+    "an attribute outside the record": (
+        UnsavedLatch, "snapshots", "change its attribute 'latch' to .*: a snapshot does not have it"),
     "an interrupt at no pin": (
         type("TOY", (TOY,), {"IRQ": (0, 64)}), "has_what_every_chip_has", r"IRQ is \(0, 0x40\): .* bits of OUTPUTS"),
-    "an answer missing": (with_core(drive_input=None), "has_what_every_chip_has", "has no answer drive_input"),
+    "an answer missing": (build_toy(drive_input=None), "has_what_every_chip_has", "has no answer drive_input"),
 }  # fmt: skip
-"""Defect -> (the class, the promise that it breaks, words of the message)."""
+"""Defect -> (the class, the promise that it breaks, a regular expression of the message)."""

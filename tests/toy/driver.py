@@ -1,4 +1,4 @@
-"""Who speaks to a TOY."""
+"""The host driver of the TOY and the TOY8."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stage.sim.program import Operations
 
 class ToyDriver(Driver):
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
-        self.chip.MAP.check_value(self._named("COUNT"), abs(pulses))
+        self.chip.MAP.check_value(self._get_axis_name("COUNT"), abs(pulses))
         with Procedure(self.axis, "move") as p:
             self.write_move(ImmediateOperations(self.axis), {"RATE": round(speeds.start)}, pulses)
             wait_until_stopped([self.axis], timeout or 2 * abs(pulses) / speeds.start + 1)
@@ -27,17 +27,17 @@ class ToyDriver(Driver):
         self.write_move(ImmediateOperations(self.axis), {"RATE": round(speeds.start)}, direction * 0xFFFF)
 
     def halt(self, at_once: bool = False) -> None:
-        self.chip.write(0, self._code("STOP"))
+        self.chip.write(0, self._get_command_code("STOP"))
 
-    def _named(self, name: str) -> str:
-        """Of a chip of several axes the axis' own."""
+    def _get_axis_name(self, name: str) -> str:
+        """Return the name of this axis' register or command, with its index on a chip of several axes."""
         return name if self.chip.AXES == 1 else f"{name}{self.axis.chip_axis}"
 
-    def _code(self, symbol: str) -> int:
-        return self.chip.MAP.command(self._named(symbol)).code
+    def _get_command_code(self, symbol: str) -> int:
+        return self.chip.MAP.command(self._get_axis_name(symbol)).code
 
     def stopped_by(self) -> str:
-        if not self.chip.read(self.chip.MAP.register(self._named("COUNT")).number):
+        if not self.chip.read(self.chip.MAP.register(self._get_axis_name("COUNT")).number):
             return ""
         return "EL+" if self.axis.pins.el_plus else "EL-"
 
@@ -54,10 +54,10 @@ class ToyDriver(Driver):
     def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
         for name, value in {**values, "COUNT": abs(pulses)}.items():
             program.register(self.index, self.chip, name, value, self.axis.chip_axis)
-        program.command(self.index, self._code("PLUS" if pulses > 0 else "MINUS"))
+        program.command(self.index, self._get_command_code("PLUS" if pulses > 0 else "MINUS"))
 
     def write_stop(self, program: Operations) -> None:
-        program.command(self.index, self._code("STOP"))
+        program.command(self.index, self._get_command_code("STOP"))
 
     def search(self, settings: Any) -> NoReturn:
         raise ArgumentError("a TOY has no origin return.")

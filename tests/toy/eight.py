@@ -1,4 +1,4 @@
-"""The TOY8, compiled: eight axes as those of the TOY, on one chip."""
+"""The compiled core of the TOY8: eight axes like that of the TOY on one chip."""
 
 from stage.chips.cores import run_window
 from stage.native import array_of, exported, hot, least, record
@@ -7,7 +7,7 @@ from toy.core import EDGE, EL_MINUS, EL_PLUS, INPUTS, MINUS, OUTPUTS, PLUS, PULS
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE"]
 AXES = 8
 NEVER = 1 << 62
-AXIS = record([(name, "i8") for name in "inputs rate left way due net".split()])
+AXIS = record([(name, "i8") for name in "inputs rate left direction due net".split()])
 STATE = record([("clock", "i8"), ("hz", "i8"), ("ax", AXIS, (AXES,))])
 
 
@@ -20,18 +20,18 @@ def _period(c, x):
 def power_up(c):
     for j in range(AXES):
         x = c.ax[j]
-        x.rate = x.left = x.way = x.due = 0
+        x.rate = x.left = x.direction = x.due = 0
 
 
 @hot
 def run_axis(c, x, until):
-    if x.way and x.due <= until:
+    if x.direction and x.due <= until:
         n = least(x.left, 1 + (until - x.due) // _period(c, x))
         x.left -= n
-        x.net += n * x.way
+        x.net += n * x.direction
         x.due += n * _period(c, x)
         if x.left == 0:
-            x.way = 0
+            x.direction = 0
 
 
 @exported(None, STATE, "i8")
@@ -48,7 +48,7 @@ def window(c, row, k):
 
 @exported(None, STATE, "i8", "f8", "f8")
 def set_shaft(c, j, count, rate):
-    """It has no encoder."""
+    """Ignore the shaft: the chip has no encoder."""
 
 
 @exported("i8", STATE, "i8")
@@ -63,7 +63,7 @@ def drive_input(c, j, before, ticks):
 
 @exported("f8", STATE, "i8", "f8")
 def pulse_rate(c, j, hz):
-    return 1.0 * c.ax[j].rate * abs(c.ax[j].way)
+    return 1.0 * c.ax[j].rate * abs(c.ax[j].direction)
 
 
 @exported("i8", STATE, "i8")
@@ -77,33 +77,33 @@ def inputs(c, j):
 
 
 @hot
-def _blocked(x, way):
-    return x.inputs & (EL_PLUS if way > 0 else EL_MINUS)
+def _blocked(x, direction):
+    return x.inputs & (EL_PLUS if direction > 0 else EL_MINUS)
 
 
 @exported(None, STATE, "i8", "i8")
 def set_input(c, j, word):
     x = c.ax[j]
     x.inputs = word
-    if x.way and _blocked(x, x.way):
-        x.way = 0
+    if x.direction and _blocked(x, x.direction):
+        x.direction = 0
 
 
 @exported("i8", STATE, "i8")
 def outputs(c, j):
-    return abs(c.ax[j].way)
+    return abs(c.ax[j].direction)
 
 
 @exported("i8", STATE, "i8")
 def busy(c, j):
-    return abs(c.ax[j].way)
+    return abs(c.ax[j].direction)
 
 
 @exported("i8", STATE, "i8")
 def status(c, j):
     word = 0
     for k in range(AXES):
-        word |= abs(c.ax[k].way) << k
+        word |= abs(c.ax[k].direction) << k
     return word
 
 
@@ -124,11 +124,11 @@ def read(c, address):
 def write(c, address, value):
     x = c.ax[(value >> 4 if address == 0 else (address - 1) // 2) % AXES]
     if address == 0:
-        what = value % 16
-        x.way = 1 if what == PLUS else (-1 if what == MINUS else 0)
-        if x.left == 0 or x.rate == 0 or x.rate > c.hz or _blocked(x, x.way):
-            x.way = 0
-        if x.way:
+        command = value % 16
+        x.direction = 1 if command == PLUS else (-1 if command == MINUS else 0)
+        if x.left == 0 or x.rate == 0 or x.rate > c.hz or _blocked(x, x.direction):
+            x.direction = 0
+        if x.direction:
             x.due = c.clock + _period(c, x)
     elif address % 2 == RATE:
         x.rate = value
@@ -138,13 +138,13 @@ def write(c, address, value):
 
 @exported("i8", STATE, "i8")
 def advance(c, until):
-    made = 0
+    pulse_count = 0
     for j in range(AXES):
         before = c.ax[j].net
         run_axis(c, c.ax[j], until)
-        made += abs(c.ax[j].net - before)
+        pulse_count += abs(c.ax[j].net - before)
     c.clock = until
-    return made
+    return pulse_count
 
 
 @exported("i8", STATE, "i8", array_of(PULSE))
@@ -153,11 +153,11 @@ def trace(c, until, out):
     while True:
         due, first = NEVER, 0
         for j in range(AXES):
-            if c.ax[j].way and c.ax[j].due < due:
+            if c.ax[j].direction and c.ax[j].due < due:
                 due, first = c.ax[j].due, j
         if due > until:
             break
-        out[k].clock, out[k].axis, out[k].direction = due, first, c.ax[first].way
+        out[k].clock, out[k].axis, out[k].direction = due, first, c.ax[first].direction
         k += 1
         run_axis(c, c.ax[first], due)
     c.clock = until
@@ -168,13 +168,13 @@ def trace(c, until, out):
 def mark(c, axis, out, k):
     e, x = out[k], c.ax[axis]
     e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, x.inputs, outputs(c, axis), x.left, x.net
-    e.rate = x.rate / c.hz if x.way else 0.0
+    e.rate = x.rate / c.hz if x.direction else 0.0
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan(c, until, every_pulse, axis, out):
     k, x = 0, c.ax[axis]
-    while x.way and k < len(out) - 1:
+    while x.direction and k < len(out) - 1:
         following = x.due if every_pulse else x.due + (x.left - 1) * _period(c, x)
         if following > until:
             break

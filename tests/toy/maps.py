@@ -1,4 +1,4 @@
-"""The register map of the TOY as data."""
+"""The register maps of the TOY and the TOY8."""
 
 from stage.chips.register_map import Command, Register, RegisterMap
 

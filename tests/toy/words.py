@@ -7,7 +7,7 @@ from stage.chips.describe import Statement
 from stage.chips.register_map import RegisterMap
 
 
-def meaning(map_: RegisterMap, address: int, value: int) -> str:
+def describe_write(map_: RegisterMap, address: int, value: int) -> str:
     if address == 0:
         return map_.by_code[value].title if value in map_.by_code else "nothing"
     name = next((r.name for r in map_.registers if r.number == address), "nothing")
@@ -24,15 +24,15 @@ class Decoder(describe.Decoder):
                 clock,
                 "register" if address else "command",
                 f"{address} {value:04X}",
-                meaning(self._map, address, value),
+                describe_write(self._map, address, value),
             )
         ]
 
     def describe_lost_write(self, address: int, value: int) -> tuple[str, str]:
-        return f"{address} {value:04X}", meaning(self._map, address, value)
+        return f"{address} {value:04X}", describe_write(self._map, address, value)
 
     def reset(self) -> None:
-        """It keeps nothing."""
+        """Do nothing: the decoder has no state."""
 
 
 class Listener:
@@ -40,7 +40,7 @@ class Listener:
         self._map = map_
 
     def write(self, address: int, value: int) -> str:
-        return meaning(self._map, address, value)
+        return describe_write(self._map, address, value)
 
     def read(self, address: int, value: int) -> str:
         return f"{address}: {value}"
