@@ -1,4 +1,4 @@
-"""BusMacros: a phrase of bus cycles an action, masked where it has no effect; levels up to both axes from an unknown place."""
+"""BusMacros: each action is a macro of bus cycles, masked where it has no effect; levels go up to two axes."""
 
 import gymnasium
 import numpy as np
@@ -9,25 +9,25 @@ from stage import ArgumentError
 from stage.envs.bus_macros import LEVELS, MAX_BEFORE_ORIGIN, Config
 
 FULL = 120 * 0.01 + 30.0 * 0.05
-"""What is left of the cost at an episode's begin."""
+"""The cost that an episode can still incur at its begin."""
 
 
-def make(**settings):
+def make_env(**settings):
     return gymnasium.make("stage/BusMacros-v1", disable_env_checker=True, **{"model": "xy"} | settings).unwrapped
 
 
 @pytest.fixture(scope="module")
 def env():
-    return make()
+    return make_env()
 
 
-def act(env, *names):
-    """The results of these macros."""
+def play_macros(env, *names):
+    """Play the named macros and return the result of each step."""
     return [env.step(env.macros.index(name)) for name in names]
 
 
 def play_episode(env, policy, **reset):
-    """(sum of rewards, steps, last info) of an episode."""
+    """Play an episode and return the sum of rewards, the number of steps and the last info."""
     total, steps, over = 0.0, 0, False
     env.reset(**{"seed": 1} | reset)
     while not over:
@@ -46,7 +46,7 @@ def play_episode(env, policy, **reset):
         ("axes", {"x": -96, "y": 64}),
     ],
 )
-def test_the_longest_distances_first_lead_to_the_target_in_both_directions(env, level, targets):
+def test_the_largest_macros_first_reach_the_target_in_both_directions(env, level, targets):
     total, steps, info = play_episode(env, env.scripted_action, options={"level": level, "targets": targets})
     assert info["score"]["success"]
     assert info["score"]["moves"] == steps
@@ -59,8 +59,8 @@ def test_the_longest_distances_first_lead_to_the_target_in_both_directions(env, 
 @pytest.mark.parametrize(
     "chip", ["PCL240K", *(pytest.param(c, marks=pytest.mark.slow) for c in ("PCL240MS", "MCX514"))]
 )
-def test_from_an_unknown_place_the_origin_is_sought_first(chip):
-    env = make(chip=chip, axes=("x",))
+def test_from_an_unknown_position_a_policy_must_return_to_the_origin_first(chip):
+    env = make_env(chip=chip, axes=("x",))
     sides = set()
     for seed in (0, 1, 2, 8):
         env.reset(seed=seed, options={"targets": {"x": 320}})
@@ -75,38 +75,38 @@ def test_from_an_unknown_place_the_origin_is_sought_first(chip):
     assert sides == {True, False}, "before ORG and on it"
 
 
-def test_an_origin_return_that_begins_on_org_finds_nothing_and_one_that_left_it_does(env):
+def test_an_origin_return_fails_on_the_origin_switch_and_succeeds_after_leaving_it(env):
     for seed in range(20):
         env.reset(seed=seed)
         if env._task.axis_states[0, 0]["org"] and env.stage.axes["x"].position < env._task.origin[0] - 500 * 3.125e-6:
             break
-    act(env, "home")
+    play_macros(env, "home")
     assert not env._task.axis_states[0, 0]["known"], "the backing off is too short"
-    act(env, "rates usual", f"distance {env._task.config.grid[-1]}", "plus", "wait", "read", "home")
+    play_macros(env, "rates usual", f"distance {env._task.config.grid[-1]}", "plus", "wait", "read", "home")
     assert env._task.axis_states[0, 0]["known"]
     assert env._task.config.grid[-1] > MAX_BEFORE_ORIGIN
 
 
-def test_what_has_no_effect_is_masked_and_does_nothing_if_it_is_done(env):
+def test_a_macro_without_effect_is_masked_and_does_nothing_when_played(env):
     _, info = env.reset(seed=3, options={"level": "target"})
     names, allowed = np.array(env.macros), info["action_mask"]
     assert allowed.dtype == np.int8
     assert not any(name.startswith("select") for name in names[allowed != 0]), "x is alone"
     assert {"plus", "minus", "home", "wait", "read"} & set(names[allowed != 0]) == set()
     before = env.stage.time
-    ((_, reward, *_, info),) = act(env, "plus")
+    ((_, reward, *_, info),) = play_macros(env, "plus")
     assert info["masked"]
     assert reward == info["reward_parts"]["cost"] == -0.01
     assert env.stage.time == before
-    *_, (*_, info) = act(env, "rates usual", "distance 16", "plus")
+    *_, (*_, info) = play_macros(env, "rates usual", "distance 16", "plus")
     assert not info["masked"]
     assert set(names[info["action_mask"] != 0]) == {"wait", "read"}
     assert np.array_equal(env.action_masks(), info["action_mask"] != 0)
-    *_, (*_, info) = act(env, "wait", "read")
+    *_, (*_, info) = play_macros(env, "wait", "read")
     assert "read" not in names[info["action_mask"] != 0]
 
 
-def test_there_is_always_something_to_do_and_a_vector_has_the_masks_of_all():
+def test_every_mask_allows_a_macro_and_a_vector_stacks_the_masks():
     envs = gymnasium.make_vec(
         "stage/BusMacros-v1", num_envs=3, vectorization_mode="vector_entry_point", model="xy", mixed=True
     )
@@ -124,18 +124,18 @@ def test_there_is_always_something_to_do_and_a_vector_has_the_masks_of_all():
         envs.step(np.full(3, 99))
 
 
-def test_an_end_limit_is_a_damage_once_for_as_long_as_the_axis_stands_there(env):
+def test_an_end_limit_counts_as_damage_once_until_the_axis_leaves_it(env):
     env.reset(seed=1, options={"level": "move"})
     x = env.stage.axes["x"]
     near = next(s.touch for s in x.plant.switches if s.pin == "el_plus")
     env.stage.place(x=near - 100 * x.meters_per_pulse)
-    reported = act(env, "rates gentle", "distance 1024", "plus", "wait", "read")
+    reported = play_macros(env, "rates gentle", "distance 1024", "plus", "wait", "read")
     assert x.switches.el_plus
     assert x.lost_steps == 0
     assert sum(info["reward_parts"]["damage"] for *_, info in reported) == -0.5
 
 
-def test_stable_baselines_requests_the_masks():
+def test_stable_baselines_reads_the_action_masks():
     sb3 = pytest.importorskip("stage.envs.sb3", reason="extra rl is not installed")
     envs = sb3.StageVecEnv("stage/BusMacros-v1", 2, model="xy")
     envs.seed(1)
@@ -145,9 +145,9 @@ def test_stable_baselines_requests_the_masks():
     assert envs.has_attr("action_masks")
 
 
-def test_to_give_up_is_no_cheaper_than_to_fail_at_the_end():
-    """Masked actions again and again, or a step lost at once, which ends an episode below the level "origin"."""
-    env = make(level="target")
+def test_giving_up_early_costs_no_less_than_failing_at_the_end():
+    """A host repeats masked actions, or loses a step at once, which ends an episode below the level "origin"."""
+    env = make_env(level="target")
     idle = env.macros.index("home")
     spun, steps, info = play_episode(env, lambda: idle)
     assert steps == 120
@@ -164,17 +164,17 @@ def test_to_give_up_is_no_cheaper_than_to_fail_at_the_end():
     assert lost < spun - 0.4, "damage, and farther away"
 
 
-def test_a_host_reads_before_it_knows(env):
+def test_an_observation_changes_only_after_the_host_has_read_the_chip(env):
     env.reset(seed=4, options={"level": "target", "targets": {"x": 512}})
     names = [e.name for e in env.observation_features]
     left = names.index("left")
-    observed = [out[0][left] for out in act(env, "rates usual", "distance 256", "plus", "wait", "read")]
+    observed = [out[0][left] for out in play_macros(env, "rates usual", "distance 256", "plus", "wait", "read")]
     assert len(set(observed[:4])) == 1
     assert observed[4] == pytest.approx(observed[0] / 2)
     assert not any(e.who == "truth" for e in env.observation_features)
 
 
-def test_levels_targets_and_grids_that_are_none_are_refused(env):
+def test_invalid_levels_targets_and_grids_are_refused(env):
     for options, text in (
         ({"level": 4}, "option level=4: 0 to 3, or move"), ({"targets": {"x": 1 << 20}}, "option targets="),
         ({"targets": {"q": 16}}, "axis 'q'"), ({"level": 3, "targets": {"x": -16}}, "1 to 2720"),
@@ -189,7 +189,7 @@ def test_levels_targets_and_grids_that_are_none_are_refused(env):
         with pytest.raises(ArgumentError, match=text):
             Config(**settings)
     with pytest.raises(ArgumentError, match="no stepper's slide"):
-        make(chip="HCTL1100", model="xyz_servo")
+        make_env(chip="HCTL1100", model="xyz_servo")
     assert Config().level == LEVELS[-1]
 
 
@@ -212,8 +212,8 @@ AT_GOAL = {"off": (0, 0), "rest": (0, 0), "busy": (0, 0), "known": (1, 1), "lost
         ("origin", {"lost": (4, -8)}, True),
     ],
 )
-def test_success_is_all_of_it_by_all_axes_that_take_part(env, monkeypatch, level, how, success):
-    """Pulses off the target; of the place to which the motor pulls; still driving; origin known; full steps lost."""
+def test_success_needs_every_condition_on_every_axis_that_takes_part(env, monkeypatch, level, how, success):
+    """The cases: pulses off the target, rest position off, still driving, origin known, full steps lost."""
     env.reset(seed=1, options={"level": level})
     task, real, created = env._task, env._task.fleet.truth, AT_GOAL | how
     task.axis_states["known"][0] = created["known"]
@@ -231,11 +231,11 @@ def test_success_is_all_of_it_by_all_axes_that_take_part(env, monkeypatch, level
         return results
 
     monkeypatch.setattr(task.fleet, "truth", truth)
-    info = act(env, "rates usual")[0][4]
+    info = play_macros(env, "rates usual")[0][4]
     assert info["success"] == success
 
 
-def test_the_first_lost_step_of_an_episode_costs_and_no_other(env, monkeypatch):
+def test_only_the_first_lost_step_of_an_episode_costs(env, monkeypatch):
     env.reset(seed=1, options={"level": "origin"})
     task, real, lost = env._task, env._task.fleet.truth, iter([(0, 4), (0, 8), (0, 0), (12, 0)])
 
@@ -245,20 +245,20 @@ def test_the_first_lost_step_of_an_episode_costs_and_no_other(env, monkeypatch):
         return results
 
     monkeypatch.setattr(task.fleet, "truth", truth)
-    steps = act(env, "rates usual", "rates bold", "rates usual", "rates bold")
+    steps = play_macros(env, "rates usual", "rates bold", "rates usual", "rates bold")
     assert [s[4]["reward_parts"]["damage"] for s in steps] == [-0.5, 0, 0, 0]
     assert [s[4]["lost_steps"] for s in steps] == [4, 8, 0, 12]
     assert task.axis_states["lost"][0].tolist() == [12, 8], "the most of each"
 
 
-def test_who_waits_no_longer_than_his_patience_does_not_know_that_it_has_stopped():
-    env = make(level="move", patience=0.01)
+def test_a_wait_cut_short_by_patience_leaves_the_axis_running():
+    env = make_env(level="move", patience=0.01)
     env.reset(seed=1, options={"targets": {"x": 1024}})
-    observed = act(env, "rates gentle", "distance 1024", "plus", "wait")
+    observed = play_macros(env, "rates gentle", "distance 1024", "plus", "wait")
     running = [e.name for e in env.observation_features].index("running")
     assert [s[0][running] for s in observed] == [0, 0, 1, 1]
     over = False
     while not over:
-        observation, _, over, _, info = act(env, "wait")[0]
+        observation, _, over, _, info = play_macros(env, "wait")[0]
         assert over or observation[running]
     assert info["success"]

@@ -1,4 +1,4 @@
-"""Ways to a good reward without the work, each as the policy that took it: they no longer pay."""
+"""Policies that once earned a good reward without solving the task, and no longer do."""
 
 import math
 from functools import cache
@@ -14,19 +14,19 @@ from stage.firmware.driver import driver_of
 
 SHORT = {"model": "xy", "axes": ("x",), "time_limit": 1.0, "waits": (0.1,), "cycles": 120}
 FULL = -(0.1 * 1.0 + 0.05 * 64)
-"""What every failure costs under these settings."""
+"""The cost of every failure under these settings."""
 
 
-def make(id_, **settings):
+def make_env(id_, **settings):
     return gymnasium.make(id_, disable_env_checker=True, **settings).unwrapped
 
 
-def vector(id_, n, **settings):
+def make_vector(id_, n, **settings):
     return gymnasium.make_vec(id_, num_envs=n, vectorization_mode="vector_entry_point", **settings).unwrapped
 
 
-def bus_cycles(fh, pulses):
-    """A preset move towards plus, at FH1 from the start."""
+def list_move_writes(fh, pulses):
+    """List the writes of a preset move toward plus that starts at FH1."""
     registers = {0: pulses, 2: fh, 7: 30}
     for number, value in registers.items():
         yield (rb.WRITE, 0, 0, 0x80 | number)
@@ -34,8 +34,8 @@ def bus_cycles(fh, pulses):
     yield from ((rb.WRITE, 0, 0, command) for command in (0x08, 0x44, 0x11))
 
 
-def total(env, first=(), then=(rb.WAIT, 0, 0, 0)):
-    """(sum of rewards, seconds, steps lost) of an episode of these actions, and one of them again and again."""
+def play_total(env, first=(), then=(rb.WAIT, 0, 0, 0)):
+    """Play the actions, then repeat one to the end; return the sum of rewards, the seconds and the lost steps."""
     env.reset(seed=1, options={"target": {"x": 1000}})
     actions, reward, over = iter(first), 0.0, False
     while not over:
@@ -44,28 +44,28 @@ def total(env, first=(), then=(rb.WAIT, 0, 0, 0)):
     return reward, info["elapsed"], info["lost_steps"]
 
 
-def test_spinning_the_bus_or_waiting_pays_no_better_than_acting():
+def test_idle_bus_reads_and_waits_pay_no_better_than_acting():
     """env.step([READ, 0, 0, 0]) 2000 times: over in 2 ms with -0.0002, where waiting cost 2.9 and a random policy 5.5."""
-    env = make("stage/RegisterBus-v0", **SHORT)
-    spun, seconds, _ = total(env, then=(rb.READ, 0, 0, 0))
+    env = make_env("stage/RegisterBus-v0", **SHORT)
+    spun, seconds, _ = play_total(env, then=(rb.READ, 0, 0, 0))
     assert seconds < 1e-3
-    waited, _, _ = total(env)
+    waited, _, _ = play_total(env)
     assert spun == pytest.approx(FULL, abs=1e-9)
     assert waited == pytest.approx(FULL, abs=1e-4), "but for the way to the nearest tooth"
     idle = max(spun, waited)
-    half, _, lost = total(env, bus_cycles(100, 500))
+    half, _, lost = play_total(env, list_move_writes(100, 500))
     assert lost == 0
     assert half > idle + 0.01, "a move that ends half way"
-    slipped, _, lost = total(env, bus_cycles(8000, 1000))
+    slipped, _, lost = play_total(env, list_move_writes(8000, 1000))
     assert lost > 0
     assert slipped > idle - 0.01, "a try that loses steps costs but its way, here a little backwards"
-    done, _, lost = total(env, bus_cycles(100, 1000))
+    done, _, lost = play_total(env, list_move_writes(100, 1000))
     assert lost == 0
     assert done > 9
 
 
-def played(env, choose, options):
-    """(plain sum of rewards, the sum with each discounted, what it is worth: the sum of its parts at the end, success)."""
+def play_policy(env, choose, options):
+    """Play a policy; return its sum of rewards, the discounted sum, the sum of its final parts, and success."""
     env.reset(seed=1, options=options)
     basic = discounted = 0.0
     weight, over, t = 1.0, False, 0
@@ -84,28 +84,28 @@ SOLVES = "solves"
 def play_registers(discount, seconds):
     """Return the totals of a host that solves RegisterBus, and of those that fail, by player."""
     settings = {"model": "xy", "axes": ("x",), "waits": (seconds,), "time_limit": 10.0}
-    env = make("stage/RegisterBus-v0", discount=discount, **settings)
+    env = make_env("stage/RegisterBus-v0", discount=discount, **settings)
     env.action_space.seed(1)
     drawn = [env.action_space.sample() for _ in range(2000)]
     wait, read = np.array((rb.WAIT, 0, 0, 0)), np.array((rb.READ, 0, 0, 0))
 
-    def moved(fh, pulses, then=wait):
-        actions = [*map(np.array, bus_cycles(fh, pulses)), *[wait] * round(6.0 / seconds)]
+    def play_move(fh, pulses, then=wait):
+        actions = [*map(np.array, list_move_writes(fh, pulses)), *[wait] * round(6.0 / seconds)]
         return lambda t: actions[t] if t < len(actions) else then
 
     players = {
-        SOLVES: moved(100, 8000),
-        "spins": lambda t: read, "waits": lambda t: wait, "random": lambda t: drawn[t], "half way": moved(100, 4000),
-        "half way, then spins": moved(100, 4000, read), "loses steps": moved(8000, 8000),
-        "goes far beyond, then spins": moved(100, 60_000, read),
+        SOLVES: play_move(100, 8000),
+        "spins": lambda t: read, "waits": lambda t: wait, "random": lambda t: drawn[t], "half way": play_move(100, 4000),
+        "half way, then spins": play_move(100, 4000, read), "loses steps": play_move(8000, 8000),
+        "goes far beyond, then spins": play_move(100, 60_000, read),
     }  # fmt: skip
-    return {name: played(env, choose, {"target": {"x": 8000}}) for name, choose in players.items()}
+    return {name: play_policy(env, choose, {"target": {"x": 8000}}) for name, choose in players.items()}
 
 
 @cache
 def play_macros(discount, level):
     """Return the totals of a host that solves BusMacros, and of those that fail, by player."""
-    env = make("stage/BusMacros-v1", discount=discount, level=level)
+    env = make_env("stage/BusMacros-v1", discount=discount, level=level)
     rng = np.random.default_rng(1)
     drawn, wait = rng.integers(env.action_space.n, size=120), env.macros.index("wait")
     masks = rng.permuted(np.tile(np.arange(env.action_space.n), (120, 1)), axis=1)
@@ -114,7 +114,7 @@ def play_macros(discount, level):
         "waits": lambda t: wait, "random": lambda t: int(drawn[t]),
         "legal": lambda t: next(a for a in masks[t] if env.action_masks()[a]),
     }  # fmt: skip
-    return {name: played(env, choose, {}) for name, choose in players.items()}
+    return {name: play_policy(env, choose, {}) for name, choose in players.items()}
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def play_macros(discount, level):
     + [(play_macros, level, 0) for level in ("target", "axes", "origin")],
 )
 @pytest.mark.parametrize("discount", DISCOUNTS)
-def test_no_discount_makes_a_failure_pay_more_than_to_solve_it(discount, play, setting, ceiling):
+def test_no_discount_makes_a_failure_pay_more_than_a_success(discount, play, setting, ceiling):
     # discount 0.99, target 8000: 2000 reads once got +13.79 and the solution +13.14; 120 waits of macros got +0.445
     worth = {name: totals[0] for name, totals in play(1.0, setting).items()}
     failures = play(discount, setting) | {}
@@ -139,12 +139,12 @@ def test_no_discount_makes_a_failure_pay_more_than_to_solve_it(discount, play, s
 
 @pytest.mark.parametrize("id_", ["RegisterBus-v0", "BusMacros-v1"])
 @pytest.mark.parametrize("discount", [2, 1e9, 1.0001, 0.0, -0.5, float("nan"), "0.9", True])
-def test_a_discount_that_is_none_is_refused_in_words(id_, discount):
+def test_an_invalid_discount_is_refused_with_an_explanation(id_, discount):
     with pytest.raises(ArgumentError, match=r"discount=.*: a number, more than 0, up to 1\."):
-        make(f"stage/{id_}", discount=discount)
+        make_env(f"stage/{id_}", discount=discount)
 
 
-def test_a_move_that_holds_at_one_angle_of_the_rotor_does_not_hold_at_all():
+def test_a_move_that_succeeds_at_only_one_rotor_angle_fails():
     """`formula` 10,500 to 33,000 pps in 10 ms, found by a search: each of its moves began at one and the same angle."""
     settings = {
         "model": "xy",
@@ -154,7 +154,7 @@ def test_a_move_that_holds_at_one_angle_of_the_rotor_does_not_hold_at_all():
         "settle": 0.02,
         "moves": 2,
     }
-    envs = vector("stage/RegisterTuning-v0", 12, **settings)
+    envs = make_vector("stage/RegisterTuning-v0", 12, **settings)
     envs.reset(seed=1)
     task = envs._task
     lucky = driver_of(task.axis).formula(10_500, 33_000, 0.01, 0.01, 800, False)
@@ -167,15 +167,15 @@ def test_a_move_that_holds_at_one_angle_of_the_rotor_does_not_hold_at_all():
     envs.reset(seed=1, options={"angle": luck})
     assert not (envs.step(rows)[4]["reward_parts"]["lost"] < 0).any(), "with the angle of one's choice it always holds"
     assert (envs.step(rows)[4]["reward_parts"]["lost"] < 0).any(), "and the next move is at another"
-    one = make("stage/RegisterTuning-v0", **settings)
+    one = make_env("stage/RegisterTuning-v0", **settings)
     drawn = [one.reset(seed=seed)[1]["angle"] for seed in (3, 3, 4)]
     assert drawn[0] == drawn[1] != drawn[2], "by the seed"
 
 
 @pytest.mark.parametrize("id_", ["RegisterBus", "SynchronizedMove"])
-def test_the_rotors_stand_anywhere_at_the_start_by_the_seed(id_):
+def test_the_seed_draws_the_start_angle_of_each_rotor(id_):
     """Both began at one angle whatever the seed, RegisterBus at 0: a rate that holds there alone was as good as one that holds."""
-    envs = vector(f"stage/{id_}-v0", 16, model="xy")
+    envs = make_vector(f"stage/{id_}-v0", 16, model="xy")
 
     def angles(seed):
         envs.reset(seed=seed)
@@ -191,9 +191,9 @@ def test_the_rotors_stand_anywhere_at_the_start_by_the_seed(id_):
     assert (angles(100) != first).all()
 
 
-def test_a_servo_that_is_inside_at_the_last_sample_alone_is_not_at_rest():
+def test_a_servo_inside_the_deadband_only_at_the_last_sample_is_not_settled():
     """R22 = 34, R20 = 69, R21 = 10, T = 7: it swings by 26 counts, and is 2 counts off when the time is up."""
-    env = make("stage/ServoTuning-v0", payloads=(0.0, 0.0), distances=(200, 200), limit=0.2, rest=0.1)
+    env = make_env("stage/ServoTuning-v0", payloads=(0.0, 0.0), distances=(200, 200), limit=0.2, rest=0.1)
     env.reset(seed=0)
     results = False
     for angle in np.linspace(0, 1, 4):
@@ -207,12 +207,12 @@ def test_a_servo_that_is_inside_at_the_last_sample_alone_is_not_at_rest():
     assert results, "the last look was inside once at least: that is the cheat"
 
 
-def test_what_swings_is_judged_and_not_what_carries_it():
+def test_vibration_is_judged_at_the_swinging_body_and_not_at_its_carriage():
     """xy_mast: by the carriage linear ramps were as good as S-curves, which keep the camera more quiet by far."""
     vibration, reward = {}, {}
     for point in ("tool", None):
         for s_curve in (False, True):
-            env = make("stage/RegisterTuning-v0", model="xy_mast", chip="PCL240MS", s_curve=s_curve, judge_at=point)
+            env = make_env("stage/RegisterTuning-v0", model="xy_mast", chip="PCL240MS", s_curve=s_curve, judge_at=point)
             env.reset(seed=1, options={"distance": 8000, "payload": 0.0, "angle": 0.3})
             ramps = driver_of(env.stage.axes["x"]).formula(500, 15000, 0.15, 0.15, 8000, s_curve)
             _, reward[point, s_curve], _, _, info = env.step(env._task.registers.to_action(ramps))
@@ -227,7 +227,7 @@ def test_what_swings_is_judged_and_not_what_carries_it():
 
 @pytest.mark.parametrize("weight", ["lost_weight", "time_weight", "success_weight", "progress_weight"])
 @pytest.mark.parametrize("value", [float("nan"), -1.0, float("-inf")])
-def test_a_weight_that_pays_for_damage_is_refused(weight, value):
+def test_a_negative_damage_weight_is_refused(weight, value):
     """gymnasium.make("stage/RegisterBus-v0", lost_weight=-1): a step lost was worth something."""
     with pytest.raises(ArgumentError, match=f"{weight}="):
         rb.Config(**{weight: value})

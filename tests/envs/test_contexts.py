@@ -1,4 +1,4 @@
-"""Hidden machines at the ends of what may be drawn, and faults that come and go on one machine."""
+"""Hidden machines at the limits of their ranges, and faults that come and go on one machine."""
 
 import numpy as np
 import pytest
@@ -14,26 +14,26 @@ PARTS = {"payload": 1.0, "friction": 3.0, "supply": 0.5, "current": 0.8, "loss":
 ENDS = {"payload": (2.0, 2.0), "friction": (0.5, 2.0)}
 
 
-def machine():
+def create_machine():
     stage = Stage("xy", visuals=False)
     return stage, stage.axes["x"], faulty.FaultyAxis.from_stage(stage, "x")
 
 
 @pytest.mark.parametrize("end", [0.5, 2.0])
-def test_a_number_of_a_machine_may_be_set_up_to_both_ends(end):
+def test_a_parameter_of_a_machine_can_be_set_to_both_limits(end):
     context = np.zeros((), contexts.CONTEXT)
     contexts.draw_context(np.random.default_rng(1), ENDS, context, {"friction": end})
     assert (context["payload"], context["friction"]) == (2.0, end), "of a range of one number that number is drawn"
 
 
-def test_nothing_may_be_set_where_it_is_in_the_range():
+def test_a_parameter_can_be_set_to_0_where_its_range_includes_0():
     context = np.zeros((), contexts.CONTEXT)
     ends = {"payload": (0.0, 5.0), "drift": (0.0, 0.1)}
     contexts.draw_context(np.random.default_rng(1), ends, context, {"payload": 0, "drift": 0.0})
     assert (context["payload"], context["drift"]) == (0.0, 0.0)
 
 
-def test_what_is_set_changes_nothing_that_is_drawn():
+def test_a_fixed_parameter_does_not_change_the_draws_of_the_others():
     drawn = []
     for requested in ({}, {"payload": 1.0}, {"friction": 1.0, "supply": 1.0}):
         context = np.zeros((), contexts.CONTEXT)
@@ -51,27 +51,27 @@ def test_what_is_set_changes_nothing_that_is_drawn():
 
 
 @pytest.mark.parametrize("wrong", [True, "1", np.nan, 0.49, 2.01])
-def test_what_is_no_number_of_a_machine_is_refused(wrong):
+def test_an_invalid_parameter_of_a_machine_is_refused(wrong):
     with pytest.raises(ArgumentError, match="option friction="):
         contexts.draw_context(np.random.default_rng(1), ENDS, np.zeros((), contexts.CONTEXT), {"friction": wrong})
 
 
-def test_a_range_of_one_number_is_scaled_to_its_least():
+def test_a_range_of_one_number_is_scaled_to_its_minimum():
     context = np.zeros(2, contexts.CONTEXT)
     context["payload"], context["friction"], context["fault"] = 2.0, (0.5, 2.0), (0, 7)
     assert contexts.scale_contexts(ENDS, context).tolist() == [[-1, -1, 0], [-1, 1, 1]]
 
 
 @pytest.mark.parametrize("wrong", [True, "1", np.nan, -1, 9])
-def test_an_option_that_is_no_number_of_its_range_is_refused(wrong):
+def test_a_reset_option_outside_its_range_is_refused(wrong):
     assert read_option({"payload": 0}, "payload", 1.0, (0.0, 8.0)) == 0
     assert read_option({"payload": 8}, "payload", 1.0, (0.0, 8.0)) == 8
     with pytest.raises(ArgumentError, match="option payload="):
         read_option({"payload": wrong}, "payload", 1.0, (0.0, 8.0))
 
 
-def test_a_machine_is_what_its_context_says_and_its_torque_constant_is_that_of_its_motor():
-    stage, x, _ = machine()
+def test_a_machine_has_the_parameters_of_its_context_and_the_torque_constant_of_its_motor():
+    stage, x, _ = create_machine()
     x.faults.bus_voltage = 36.0
     context = np.zeros((), contexts.CONTEXT)
     for name, value in PARTS.items():
@@ -94,8 +94,8 @@ def test_a_machine_is_what_its_context_says_and_its_torque_constant_is_that_of_i
 
 
 @pytest.mark.parametrize("fault", ["jam", "org open", "org closed", "phase open", "bounce"])
-def test_a_fault_is_gone_with_the_next_one_and_with_none(fault):
-    stage, x, parts = machine()
+def test_a_fault_is_cleared_by_the_next_fault_and_by_none(fault):
+    stage, x, parts = create_machine()
     row, dof = stage.state.switch_table[x.switches.row("org")], x.plant.dof
 
     def observed():
@@ -116,8 +116,8 @@ def test_a_fault_is_gone_with_the_next_one_and_with_none(fault):
     assert observed() == healthy
 
 
-def test_a_switch_that_was_stuck_before_stays_so_without_a_fault():
-    stage, x, _ = machine()
+def test_a_switch_stuck_before_the_episode_stays_stuck_without_a_fault():
+    stage, x, _ = create_machine()
     row = stage.state.switch_table[x.switches.row("org")]
     row["forced"] = 1
     parts = faulty.FaultyAxis.from_stage(stage, "x")
@@ -127,14 +127,14 @@ def test_a_switch_that_was_stuck_before_stays_so_without_a_fault():
     assert row["forced"] == 1
 
 
-def test_a_supply_sags_from_what_it_is():
-    stage, x, parts = machine()
+def test_a_supply_fault_scales_the_present_supply_voltage():
+    stage, x, parts = create_machine()
     x.faults.bus_voltage = 36.0
     parts.apply(stage, "sag")
     assert x.faults.bus_voltage == pytest.approx(0.6 * 36.0)
 
 
-def test_bearings_bind_on_a_screw_that_turns_the_other_direction_too(tmp_path):
+def test_binding_bearings_also_act_on_a_left_handed_screw(tmp_path):
     stage = Stage(mirrored(tmp_path), visuals=False)
     parts, dof = faulty.FaultyAxis.from_stage(stage, "x"), stage.axes["x"].plant.dof
     was = stage.model.dof_frictionloss[dof]
@@ -142,7 +142,7 @@ def test_bearings_bind_on_a_screw_that_turns_the_other_direction_too(tmp_path):
     assert stage.model.dof_frictionloss[dof] > was
 
 
-def test_a_score_in_columns_is_of_those_alone_whose_episode_ends_now():
+def test_a_vector_scores_only_episodes_that_end_in_this_step():
     for hidden in (frozenset(), frozenset({"score"})):
         results = Results(
             3, make_result_dtype(("time",), (Feature("duration", HOST, "s", kind=float), SCORE_FEATURE)), hidden

@@ -1,4 +1,4 @@
-"""docs/envs_tasks.md, "Definitions": numbers of the page are those of the code, and no weight of a reward is missing."""
+"""The numbers of "Definitions" in docs/envs_tasks.md match the code, and no weight of a reward is missing."""
 
 import re
 from ast import literal_eval
@@ -11,8 +11,8 @@ from stage.envs import bus_macros, drifting_home, few_shot, macros, one_shot, sy
 from stage.firmware.driver import Speeds
 
 PAGE = (Path(__file__).parents[2] / "docs" / "envs_tasks.md").read_text()
-WHOLE = PAGE.partition("## Definitions\n")[2].partition("\n## Splits")[0]
-COMMON, *PARTS = re.split(r"^### ", WHOLE, flags=re.M)
+DEFINITIONS = PAGE.partition("## Definitions\n")[2].partition("\n## Splits")[0]
+COMMON, *PARTS = re.split(r"^### ", DEFINITIONS, flags=re.M)
 SECTIONS = {part.partition("\n")[0].rpartition(" ")[2]: part for part in PARTS}
 CODE = {
     "FewShotTuning": [few_shot.Config(), few_shot.RATES, {"error": one_shot.Config().error}],
@@ -22,12 +22,12 @@ CODE = {
 }
 
 
-def reported(text):
-    """(name, value) of what stands as `name=value`."""
+def parse_assignments(text):
+    """List (name, value) of each `name=value` in the text."""
     return [(name, literal_eval(value)) for name, value in re.findall(r"`(\w+)=([^`]+)`", text)]
 
 
-def of(name, places):
+def get_code_value(name, places):
     for place in places:
         values = place if isinstance(place, dict) else vars(place)
         if name in values:
@@ -35,14 +35,18 @@ def of(name, places):
     raise AssertionError(f"{name} is nowhere in the code")
 
 
-def test_each_task_is_defined():
+def test_the_page_defines_each_task():
     assert SECTIONS.keys() == CODE.keys()
 
 
 @pytest.mark.parametrize("task", CODE)
 def test_numbers_of_a_definition_are_the_code_s_defaults(task):
     two = ("memory", "answer")  # both values are told
-    results = [(name, value, of(name, CODE[task])) for name, value in reported(SECTIONS[task]) if name not in two]
+    results = [
+        (name, value, get_code_value(name, CODE[task]))
+        for name, value in parse_assignments(SECTIONS[task])
+        if name not in two
+    ]
     assert len(results) > 8
     assert [row for row in results if row[1] != row[2]] == []
 
@@ -52,14 +56,14 @@ def test_no_weight_of_a_reward_is_missing_in_a_definition(task):
     config = CODE[task][0]
     custom = {f.name for f in fields(config)} & set(type(config).__annotations__)
     weights = {name for name in custom if name.endswith("_weight")}
-    assert weights <= dict(reported(SECTIONS[task])).keys()
+    assert weights <= dict(parse_assignments(SECTIONS[task])).keys()
 
 
-def test_the_usual_time_is_that_of_the_driver_s_speeds():
-    assert dict(reported(COMMON)) == {"start": Speeds().start, "drive": Speeds().drive, "up": Speeds().up}
+def test_the_reference_time_of_the_page_follows_from_the_driver_speeds():
+    assert dict(parse_assignments(COMMON)) == {"start": Speeds().start, "drive": Speeds().drive, "up": Speeds().up}
 
 
-def test_figures_that_follow_from_settings_are_right():
+def test_derived_figures_of_the_page_are_correct():
     c, b = drifting_home.Config(), bus_macros.Config()
     worst = (
         4 * c.limit * c.time_weight

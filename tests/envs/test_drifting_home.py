@@ -1,4 +1,4 @@
-"""DriftingHome: origin returns on a machine that drifts and may be broken; the report of a fault pays where there is one."""
+"""Tests of DriftingHome: origin returns on a drifting machine, and rewards for reports of faults."""
 
 import gymnasium
 import numpy as np
@@ -10,11 +10,11 @@ from stage.envs import contexts, faulty
 from stage.envs.drifting_home import Config, action_of
 
 GOOD = action_of()
-"""The usual rates, from plus of ORG."""
+"""The action of the default rates, which approaches ORG from the plus side."""
 BROKEN = Config.FAULTS
 
 
-def make(**settings):
+def make_env(**settings):
     return gymnasium.make(
         "stage/DriftingHome-v1",
         disable_env_checker=True,
@@ -24,11 +24,11 @@ def make(**settings):
 
 @pytest.fixture(scope="module")
 def env():
-    return make()
+    return make_env()
 
 
 def play_episode(env, policy, **reset):
-    """(sum of rewards, infos) of an episode."""
+    """Play an episode and return the sum of rewards and the infos."""
     env.reset(**{"seed": 1} | reset)
     total, infos, over = 0.0, [], False
     while not over:
@@ -38,7 +38,7 @@ def play_episode(env, policy, **reset):
     return total, infos
 
 
-def test_a_healthy_machine_is_returned_to_its_origin_again_and_again(env):
+def test_a_healthy_machine_returns_to_its_origin_repeatedly(env):
     total, infos = play_episode(env, env.scripted_action, options={"fault": "none"})
     assert len(infos) == env._task.config.returns
     assert all(info["home"] and abs(info["error"]) < 12 and not info["lost_steps"] for info in infos)
@@ -49,8 +49,8 @@ def test_a_healthy_machine_is_returned_to_its_origin_again_and_again(env):
 
 
 @pytest.mark.parametrize("reach", [0.004, 0.02])
-def test_the_time_to_beat_is_that_of_the_usual_rates_from_near_and_far(reach):
-    env = make(reach=reach)
+def test_the_reference_time_is_that_of_the_default_rates_at_any_reach(reach):
+    env = make_env(reach=reach)
     _, infos = play_episode(env, env.scripted_action, seed=4, options={"fault": "none"})
     assert all(info["start"] > env._task.origin for info in infos), "plus of ORG: one search and back"
     assert abs(infos[-1]["score"]["regret"]) < 0.1
@@ -59,7 +59,7 @@ def test_the_time_to_beat_is_that_of_the_usual_rates_from_near_and_far(reach):
 @pytest.mark.parametrize(
     "fault", ["org closed", *(pytest.param(n, marks=pytest.mark.slow) for n in BROKEN if n != "org closed")]
 )
-def test_a_fault_is_noticed_by_what_a_return_found_and_its_report_pays(env, fault):
+def test_a_fault_shows_in_the_result_of_a_return_and_reporting_it_pays(env, fault):
     total, infos = play_episode(
         env, env.scripted_action, options={"fault": fault, "current": 0.6, "friction": 1.9, "payload": 4.0}
     )
@@ -77,9 +77,9 @@ def test_a_fault_is_noticed_by_what_a_return_found_and_its_report_pays(env, faul
     assert silent < total
 
 
-def test_a_report_without_a_fault_is_dearer_than_the_worst_that_could_come():
-    """A report at once would end an episode for a fixed price."""
-    env = make(limit=0.05, settle=0.01)
+def test_reporting_a_missing_fault_costs_more_than_any_episode():
+    """An immediate report would otherwise end an episode at a fixed price."""
+    env = make_env(limit=0.05, settle=0.01)
     reported, (info,) = play_episode(env, lambda: action_of(report=True), options={"fault": "none"})
     assert info["reported"]
     assert not info["score"]["success"]
@@ -91,8 +91,8 @@ def test_a_report_without_a_fault_is_dearer_than_the_worst_that_could_come():
     assert delayed < worst - 4, "nor is it cheaper at the end"
 
 
-def test_one_failure_alone_is_no_proof_of_a_switch_that_is_stuck(env):
-    """From the far side of ORG the chip refuses a return that does not leave it first, as with a switch that is stuck closed."""
+def test_one_failed_return_does_not_prove_a_stuck_switch(env):
+    """A return from the far side of ORG is refused as with a switch that is stuck closed."""
     text = []
     for fault in ("none", "org closed"):
         env.reset(seed=2, options={"fault": fault, "start": env._task.origin - 0.003})
@@ -102,8 +102,8 @@ def test_one_failure_alone_is_no_proof_of_a_switch_that_is_stuck(env):
     assert env.step(action_of(leave=1500))[4]["home"]
 
 
-def test_the_origin_walks_and_what_was_counted_shows_it():
-    env = make(limit=3.0, returns=6, walk=1e-4, noise=0.0, bounces=(0.0, 0.0))
+def test_the_origin_drifts_and_the_counters_show_the_drift():
+    env = make_env(limit=3.0, returns=6, walk=1e-4, noise=0.0, bounces=(0.0, 0.0))
     env.reset(seed=4, options={"fault": "none", "current": 0.8, "friction": 1.0})
     off, shifts = [], []
     at = [e.name for e in env.observation_features].index("last_off")
@@ -115,11 +115,11 @@ def test_the_origin_walks_and_what_was_counted_shows_it():
     assert np.allclose(off[1:], np.diff(shifts), atol=1.5e-5)
 
 
-def test_a_fault_is_of_its_episode_and_leaves_nothing_over(env):
+def test_a_fault_ends_with_its_episode(env):
     model, axis = env.stage.model, env.stage.axes["x"]
     row, dof = axis.switches.row("org"), axis.plant.dof
 
-    def machine():
+    def read_machine():
         switch = env.stage.state.switch_table[row]
         return (
             switch["forced"],
@@ -130,12 +130,12 @@ def test_a_fault_is_of_its_episode_and_leaves_nothing_over(env):
         )
 
     env.reset(seed=3, options={"fault": "none"})
-    healthy = machine()
+    healthy = read_machine()
     for fault in BROKEN:
         env.reset(seed=3, options={"fault": fault})
-        assert machine() != healthy
+        assert read_machine() != healthy
         env.reset(seed=3, options={"fault": "none"})
-        assert machine() == healthy
+        assert read_machine() == healthy
 
 
 def return_to(monkeypatch, env, pulses_off):
@@ -153,7 +153,7 @@ def return_to(monkeypatch, env, pulses_off):
 
 
 @pytest.mark.parametrize(("off", "missed"), [(-63, False), (63, False), (-65, True), (65, True)])
-def test_a_return_that_a_chip_calls_one_is_none_with_the_carriage_elsewhere(env, monkeypatch, off, missed):
+def test_a_return_far_from_the_origin_fails_although_the_chip_reports_success(env, monkeypatch, off, missed):
     info, config = return_to(monkeypatch, env, off), env._task.config
     assert info["home"]
     assert info["error"] == pytest.approx(off)
@@ -163,7 +163,7 @@ def test_a_return_that_a_chip_calls_one_is_none_with_the_carriage_elsewhere(env,
 
 @pytest.mark.parametrize(("off", "success"), [(-13, False), (-11, True), (11, True), (13, False)])
 def test_success_is_within_the_tolerance_on_either_side(monkeypatch, off, success):
-    score = return_to(monkeypatch, make(returns=1), off)["score"]
+    score = return_to(monkeypatch, make_env(returns=1), off)["score"]
     assert score["success"] == success
     assert np.isfinite(score["time"]) == success
 
@@ -177,10 +177,10 @@ def test_a_start_is_a_number_between_the_end_limits(env):
             env.reset(options={"start": wrong})
 
 
-def test_splits_have_faults_of_their_own_and_most_machines_none():
+def test_each_split_draws_its_listed_faults_and_mostly_healthy_machines():
     drawn = {}
     for split in ("train", "faults"):
-        env = make(split=split)
+        env = make_env(split=split)
         drawn[split] = [env.reset(seed=seed)[1]["fault"] for seed in range(24)]
         assert 9 <= drawn[split].count(0) <= 20
     names = {split: {faulty.NAMES[k] for k in results if k} for split, results in drawn.items()}
@@ -198,7 +198,7 @@ def test_splits_have_faults_of_their_own_and_most_machines_none():
 @pytest.mark.slow
 @pytest.mark.parametrize("chip", ["PCL240MS", "MCX514"])
 def test_the_same_policy_returns_with_every_chip(chip):
-    env = make(chip=chip, returns=3)
+    env = make_env(chip=chip, returns=3)
     for seed in (1, 2):
         _, infos = play_episode(env, env.scripted_action, seed=seed, options={"fault": "none"})
         assert infos[-1]["score"]["success"], seed

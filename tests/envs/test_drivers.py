@@ -1,4 +1,4 @@
-"""Drivers: every chip that makes pulses can be tuned and sent home, with registers that its data sheet allows."""
+"""Host drivers: every pulse chip can be tuned and homed with registers that its data sheet allows."""
 
 from types import SimpleNamespace
 
@@ -17,13 +17,13 @@ from stage.sim.program import WRITE
 PULSING = [name for name in CHIPS.built_in if not CHIPS[name].SERVO]
 
 
-def driver(chip, axis="x"):
+def create_driver(chip, axis="x"):
     return driver_of(Stage("xyz", chips=CHIPS[chip], visuals=False).axes[axis])
 
 
 @pytest.mark.parametrize("chip", PULSING)
 def test_the_formulas_registers_of_every_chip_are_those_that_tune_it_and_legal(chip):
-    h = driver(chip)
+    h = create_driver(chip)
     for s_curve in (None, False, True):
         if s_curve and chip in ("PCL240K", "PCL240MK"):
             with pytest.raises(ArgumentError, match="linear ramps only"):
@@ -37,7 +37,7 @@ def test_the_formulas_registers_of_every_chip_are_those_that_tune_it_and_legal(c
 
 @pytest.mark.parametrize("chip", PULSING)
 def test_programs_of_moves_are_alike_whatever_their_registers(chip):
-    h = driver(chip)
+    h = create_driver(chip)
     box = RegisterBox.of_registers(h.chip.MAP, h.list_move_registers(None))
 
     def move(row, pulses):
@@ -52,7 +52,7 @@ def test_programs_of_moves_are_alike_whatever_their_registers(chip):
 @pytest.mark.parametrize("chip", PULSING)
 @pytest.mark.parametrize("axis", ["x", "z"])
 def test_programs_of_searches_keep_their_marks_whatever_is_selected(chip, axis):
-    search = driver(chip, axis).search(Config())
+    search = create_driver(chip, axis).search(Config())
     saved = dict(search.marks)
     for row in (search.choices.low, [maximum for _, maximum in search.choices.ranges.values()]):
         program = search.program(row)
@@ -60,8 +60,8 @@ def test_programs_of_searches_keep_their_marks_whatever_is_selected(chip, axis):
         assert max(saved.values()) < len(program)
 
 
-def test_the_driver_of_a_servos_chip_stops_it_and_refuses_what_is_of_pulses():
-    h, p = driver("HCTL1100"), Program()
+def test_a_servo_driver_stops_the_axis_and_refuses_pulse_procedures():
+    h, p = create_driver("HCTL1100"), Program()
     h.write_stop(p)
     assert p.ops == [(WRITE, 0, 0x05, 0x01)]
     for requested in (
@@ -78,7 +78,7 @@ def test_the_driver_of_a_servos_chip_stops_it_and_refuses_what_is_of_pulses():
 
 
 @pytest.mark.parametrize("name", ["RegisterTuning", "OriginReturn", "SynchronizedMove"])
-def test_the_tasks_of_pulses_refuse_a_servos_chip_when_they_are_made(name):
+def test_pulse_tasks_refuse_a_servo_chip(name):
     with pytest.raises(ArgumentError, match="chip HCTL1100"):
         gymnasium.make(f"stage/{name}-v0", chip="HCTL1100")
 

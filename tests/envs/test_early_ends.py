@@ -1,4 +1,4 @@
-"""RegisterTuning with early_ends: a move that fails is over at once; every other is as without, to the bit."""
+"""RegisterTuning with early_ends: a failed move ends at once, and every other move is unchanged to the bit."""
 
 import gymnasium
 import numpy as np
@@ -7,10 +7,10 @@ import pytest
 import stage.envs  # noqa: F401 registers the ids
 
 LIMIT = 0.4  # s
-LOST, ENDED = 5.0, 5.0  # weights
+LOST_WEIGHT, UNFINISHED_WEIGHT = 5.0, 5.0  # weights
 
 
-def make(early_ends, **settings):
+def make_env(early_ends, **settings):
     env = gymnasium.make_vec(
         "stage/RegisterTuning-v0",
         early_ends=early_ends,
@@ -26,25 +26,25 @@ def make(early_ends, **settings):
 @pytest.mark.parametrize(
     "chip", ["PCL240K", "MCX514", *(pytest.param(c, marks=pytest.mark.slow) for c in ("PCL240MS", "MCX304"))]
 )
-def test_good_moves_are_the_same_and_all_others_cost_the_time_of_the_limit(chip):
-    old, new, kinds = make(False, chip=chip), make(True, chip=chip), set()
+def test_early_ends_keep_good_moves_and_charge_failed_moves_the_time_limit(chip):
+    old, new, kinds = make_env(False, chip=chip), make_env(True, chip=chip), set()
     for _ in range(8):
         actions = old.action_space.sample()
         (_, was, *_, old_info), (_, now, *_, info) = old.step(actions), new.step(actions)
-        lost = was < -LOST  # a step, or the carriage is not yet where the pulses say
+        lost = was < -LOST_WEIGHT  # a step, or the carriage is not yet where the pulses say
         good = old_info["finished"] & ~lost
         assert (now[good] == was[good]).all()
         assert (info["duration"][good] == old_info["duration"][good]).all()
-        assert (now[good] > -LOST).all()
-        assert (now[~good] <= -LIMIT - min(LOST, ENDED)).all()
+        assert (now[good] > -LOST_WEIGHT).all()
+        assert (now[~good] <= -LIMIT - min(LOST_WEIGHT, UNFINISHED_WEIGHT)).all()
         assert (info["duration"][~good] == LIMIT).all()
         kinds |= set(zip(old_info["finished"].tolist(), good.tolist(), strict=True))
     assert (False, False) in kinds, "there were moves that do not end"
     assert (True, True) in kinds, "there were good moves"
 
 
-def test_a_move_that_cannot_end_in_time_takes_no_time_of_the_stage():
-    env = make(True)
+def test_a_move_that_cannot_end_in_time_is_not_simulated():
+    env = make_env(True)
     stages, slow = env.unwrapped.stages, np.full((8, len(env.single_action_space.low)), -1.0, np.float32)
     started = [s.now for s in stages]
     env.unwrapped._task.actions[...] = slow
@@ -53,8 +53,8 @@ def test_a_move_that_cannot_end_in_time_takes_no_time_of_the_stage():
     assert not env.unwrapped._task.results["info"]["finished"].any()
 
 
-def test_a_move_that_loses_a_step_ends_there():
-    def lost_of(early_ends):
+def test_a_move_ends_when_it_loses_a_step():
+    def lose_a_step(early_ends):
         env = gymnasium.make(
             "stage/RegisterTuning-v0", early_ends=early_ends, model="xy", distances=(9000, 9000), limit=1.0
         ).unwrapped
@@ -66,7 +66,7 @@ def test_a_move_that_loses_a_step_ends_there():
         task.play()
         return env.stage.time, task.results["info"][0]
 
-    (whole, was), (short, now) = lost_of(False), lost_of(True)
+    (full_time, was), (early_time, now) = lose_a_step(False), lose_a_step(True)
     assert was["lost_steps"] != 0
     assert now["lost_steps"] != 0
-    assert short < 0.5 * whole
+    assert early_time < 0.5 * full_time

@@ -1,4 +1,4 @@
-"""Snapshots of environments: an episode goes on from one to the bit, here or in another, as often as wanted."""
+"""Snapshots of environments: an episode continues from one to the bit, in any environment and any number of times."""
 
 import pickle
 
@@ -29,42 +29,42 @@ BRIEF = (
     "stage/BusMacros-v1",
     "stage/DriftingHome-v1",
 )
-"""Those of every day: bus cycles, an equipped machine, several tries, macros, a fault."""
+"""The cases of the everyday suite: bus cycles, an equipped machine, several attempts, macros, a fault."""
 
 
-def make(id_, **settings):
+def make_env(id_, **settings):
     return gymnasium.make(id_, disable_env_checker=True, **SHORT[id_] | settings).unwrapped
 
 
-def vector(id_, n, **settings):
+def make_vector(id_, n, **settings):
     return gymnasium.make_vec(
         id_, num_envs=n, vectorization_mode="vector_entry_point", **SHORT[id_] | settings
     ).unwrapped
 
 
-def basic(text):
-    """All that an environment says, as what compares by ==."""
+def to_comparable(text):
+    """Convert the results of an environment to values that compare by ==."""
     if isinstance(text, dict):
-        return {k: basic(v) for k, v in text.items()}
+        return {k: to_comparable(v) for k, v in text.items()}
     if isinstance(text, tuple | list):
-        return [basic(v) for v in text]
+        return [to_comparable(v) for v in text]
     return (text.dtype.str, text.tolist()) if isinstance(text, np.ndarray) else text
 
 
 def play_episode(env, actions):
-    """What so many steps say, over the end of an episode and the next one's draws."""
+    """Play the actions, across the end of an episode and the draws of the next, and return all results."""
     text = []
     for action in actions:
         if env._over:
-            text.append(basic(env.reset()))
-        text.append(basic(env.step(action)))
+            text.append(to_comparable(env.reset()))
+        text.append(to_comparable(env.step(action)))
     return text
 
 
 @pytest.mark.parametrize("id_", [*BRIEF, *(pytest.param(k, marks=pytest.mark.slow) for k in SHORT if k not in BRIEF)])
 def test_an_episode_continues_from_a_snapshot_to_the_bit(id_):
     assert set(SHORT) == set(stage.envs.IDS)
-    env, other = make(id_), make(id_)
+    env, other = make_env(id_), make_env(id_)
     env.reset(seed=5)
     env.action_space.seed(5)
     actions = [env.action_space.sample() for _ in range(4)]
@@ -81,18 +81,18 @@ def test_an_episode_continues_from_a_snapshot_to_the_bit(id_):
 
 @pytest.mark.parametrize("id_", ["stage/RegisterBus-v0", "stage/RegisterTuning-v0"])
 def test_a_vector_continues_from_a_snapshot_to_the_bit(id_):
-    envs, other = vector(id_, 2), vector(id_, 2, threads=1)
+    envs, other = make_vector(id_, 2), make_vector(id_, 2, threads=1)
     envs.reset(seed=5)
     envs.action_space.seed(5)
     actions = [envs.action_space.sample() for _ in range(3)]
     envs.step(actions[0])
     saved = envs.snapshot()
-    expected = [basic(envs.step(a)) for a in actions[1:]]
+    expected = [to_comparable(envs.step(a)) for a in actions[1:]]
     other.restore(saved)
-    assert [basic(other.step(a)) for a in actions[1:]] == expected
+    assert [to_comparable(other.step(a)) for a in actions[1:]] == expected
 
 
-def drawn(task):
+def read_task_state(task):
     """Return the state that a task has of its stages."""
     return {
         name: value.copy()
@@ -102,37 +102,37 @@ def drawn(task):
 
 
 @pytest.mark.parametrize("id_", SHORT)
-def test_what_a_reset_draws_or_clears_is_saved_by_a_snapshot(id_):
-    env = make(id_)
+def test_a_snapshot_contains_everything_that_a_reset_draws_or_clears(id_):
+    env = make_env(id_)
     env.reset(seed=5)
     env.action_space.seed(5)
     env.step(env.action_space.sample())
-    saved, before, result = env.snapshot(), drawn(env._task), env._task.results.rows.tobytes()
+    saved, before, result = env.snapshot(), read_task_state(env._task), env._task.results.rows.tobytes()
     env.reset(seed=6)
     env._task.results.rows[:] = np.zeros((), env._task.results.rows.dtype)
-    changed = [name for name, value in drawn(env._task).items() if value.tobytes() != before[name].tobytes()]
+    changed = [name for name, value in read_task_state(env._task).items() if value.tobytes() != before[name].tobytes()]
     assert "observations" in changed
     env.restore(saved)
-    again = drawn(env._task)
+    again = read_task_state(env._task)
     assert env._task.results.rows.tobytes() == result
     assert [name for name in changed if again[name].tobytes() != before[name].tobytes()] == []
 
 
 def test_a_vector_that_continues_from_a_snapshot_draws_its_next_episodes_from_it_too():
     id_ = "stage/FewShotTuning-v1"
-    first = vector(id_, 2)
+    first = make_vector(id_, 2)
     first.reset(seed=5)
     saved, drawn_next = first.snapshot(), []
     for _ in range(2):
-        other = vector(id_, 2)
+        other = make_vector(id_, 2)
         other.restore(saved)
-        drawn_next.append(basic(other.reset()))
-    assert drawn_next[0] == drawn_next[1] == basic(first.reset())
+        drawn_next.append(to_comparable(other.reset()))
+    assert drawn_next[0] == drawn_next[1] == to_comparable(first.reset())
 
 
-def test_a_search_plans_ahead_and_then_acts_as_if_it_had_not():
-    """The use on the page: each candidate from the same moment, then the best of them, with the reward that was foreseen."""
-    env, plainly = make("stage/RegisterTuning-v0"), make("stage/RegisterTuning-v0")
+def test_a_search_that_restores_snapshots_gets_the_predicted_reward():
+    """The search of the documentation tries each candidate from the same snapshot and then plays the best."""
+    env, plainly = make_env("stage/RegisterTuning-v0"), make_env("stage/RegisterTuning-v0")
     for e in (env, plainly):
         e.reset(seed=8)
     env.action_space.seed(8)
@@ -142,12 +142,12 @@ def test_a_search_plans_ahead_and_then_acts_as_if_it_had_not():
         foreseen.append(env.step(action)[1])
     env.restore(saved)
     best = candidates[int(np.argmax(foreseen))]
-    assert basic(env.step(best)) == basic(plainly.step(best))
+    assert to_comparable(env.step(best)) == to_comparable(plainly.step(best))
     assert env.step(best)[1] != max(foreseen), "the next move is another"
 
 
 def test_a_vector_gives_no_snapshot_before_each_of_its_stages_has_an_episode():
-    envs = vector("stage/RegisterTuning-v0", 2)
+    envs = make_vector("stage/RegisterTuning-v0", 2)
     envs.reset(seed=1, options={"reset_mask": np.array([True, False])})
     with pytest.raises(ArgumentError, match=r"no episode .*call reset\(\) first"):
         envs.snapshot()
@@ -155,28 +155,28 @@ def test_a_vector_gives_no_snapshot_before_each_of_its_stages_has_an_episode():
     envs.restore(envs.snapshot())
 
 
-def test_a_snapshot_that_does_not_belong_here_is_refused_and_changes_nothing(tmp_path):
+def test_a_snapshot_of_another_environment_is_refused_and_changes_nothing(tmp_path):
     id_ = "stage/RegisterBus-v0"
-    env = make(id_)
+    env = make_env(id_)
     with pytest.raises(ArgumentError, match=r"no episode .*call reset\(\) first"):
         env.snapshot()
     env.reset(seed=1)
     saved = env.snapshot()
     with pytest.raises(ArgumentError, match=r"another's: setting lost_weight: 0\.05 there, 0\.5 here"):
-        make(id_, lost_weight=0.5).restore(saved)
+        make_env(id_, lost_weight=0.5).restore(saved)
     with pytest.raises(ArgumentError, match="another's: environment: RegisterBus there, RegisterTuning here"):
-        make("stage/RegisterTuning-v0").restore(saved)
+        make_env("stage/RegisterTuning-v0").restore(saved)
     with pytest.raises(ArgumentError, match="another's: stages: 1 there, 2 here"):
-        vector(id_, 2).restore(saved)
+        make_vector(id_, 2).restore(saved)
     with pytest.raises(ArgumentError, match="snapshot of a stage cannot be restored into an environment"):
         env.restore(env.stage.snapshot())
     damaged = env.snapshot()
     object.__setattr__(damaged, "state", damaged.state[:-1] + b"\x00")
     with pytest.raises(ArgumentError, match="damaged"):
         env.restore(damaged)
-    recorded = make(id_, record=str(tmp_path / "{}.rrd"))
+    recorded = make_env(id_, record=str(tmp_path / "{}.rrd"))
     recorded.reset(seed=1)
     with pytest.raises(StageError, match="without record="):
         recorded.restore(recorded.snapshot())
     with pytest.raises(ArgumentError, match="call reset"):
-        vector(id_, 2).snapshot()
+        make_vector(id_, 2).snapshot()

@@ -1,4 +1,4 @@
-"""Faults of hidden machines: every task has some that its learner has not seen, and they change nothing but the machine."""
+"""Faults of hidden machines: every task holds some back from training, and they change only the machine."""
 
 from importlib import import_module
 
@@ -19,10 +19,10 @@ SHORT = {
     "stage/DriftingHome-v1": {"returns": 2, "limit": 1.0, "settle": 0.01},
     "stage/BusMacros-v1": {"level": "axes"},
 }
-GIVEN = {"payload": 1.0, "friction": 1.0, "supply": 1.0, "current": 0.8, "loss": 1.0, "inductance": 1.0}
+HEALTHY = {"payload": 1.0, "friction": 1.0, "supply": 1.0, "current": 0.8, "loss": 1.0, "inductance": 1.0}
 
 
-def make(id_, **settings):
+def make_env(id_, **settings):
     return gymnasium.make(id_, disable_env_checker=True, **{"model": "xy", **SHORT[id_]} | settings).unwrapped
 
 
@@ -31,8 +31,8 @@ def faults(id_):
 
 
 @pytest.mark.parametrize("id_", SHORT)
-def test_the_split_faults_has_faults_that_train_has_not_and_all_else_is_the_same(id_):
-    train, test = make(id_), make(id_, split="faults")
+def test_the_split_faults_differs_from_train_only_in_its_faults(id_):
+    train, test = make_env(id_), make_env(id_, split="faults")
     observed = {name: set() for name in ("train", "faults")}
     for seed in range(40 if id_ == "stage/DriftingHome-v1" else 16):
         (first, a), (second, b) = (env.reset(seed=seed) for env in (train, test))
@@ -48,12 +48,12 @@ def test_the_split_faults_has_faults_that_train_has_not_and_all_else_is_the_same
 
 
 @pytest.mark.parametrize("fault", faulty.HAMPERING)
-def test_a_machine_that_is_hampered_loses_steps_where_a_healthy_one_does_not_and_still_makes_the_usual_moves(fault):
-    env = make("stage/FewShotTuning-v1", proofs=0)
+def test_a_hampered_machine_loses_steps_in_fast_moves_and_makes_moderate_ones(fault):
+    env = make_env("stage/FewShotTuning-v1", proofs=0)
     moves = {"brisk": action_of(1500, 96_000, 0.025, 0.025), "usual": action_of(1000, 16_000, 0.15, 0.15)}
     saved = {}
     for name in ("none", fault):
-        env.reset(seed=1, options={**GIVEN, "fault": name, "distance": 2000})
+        env.reset(seed=1, options={**HEALTHY, "fault": name, "distance": 2000})
         for what, action in moves.items():
             *_, info = env.step(action)
             saved[name, what] = info["kept"]
@@ -61,9 +61,9 @@ def test_a_machine_that_is_hampered_loses_steps_where_a_healthy_one_does_not_and
     assert saved == {("none", "brisk"): True, ("none", "usual"): True, (fault, "brisk"): False, (fault, "usual"): True}
 
 
-def test_what_was_left_on_the_table_is_on_top_of_the_payload_and_of_the_margin_of_a_proof():
-    env = make("stage/FewShotTuning-v1", payload_on="y")
-    env.reset(seed=1, options={**GIVEN, "fault": "overload"})
+def test_the_overload_fault_adds_to_the_payload_and_to_the_margin_of_a_proof():
+    env = make_env("stage/FewShotTuning-v1", payload_on="y")
+    env.reset(seed=1, options={**HEALTHY, "fault": "overload"})
     task, stage = env._task, env.stage
     assert stage.payload("y") == pytest.approx(1.0 + 12.0)
     for more, kg in ((0.5, 13.5), (0.0, 13.0)):
@@ -71,8 +71,8 @@ def test_what_was_left_on_the_table_is_on_top_of_the_payload_and_of_the_margin_o
         assert stage.payload("y") == pytest.approx(kg)
 
 
-def test_a_fault_of_a_machine_with_two_axes_is_on_one_of_them_and_only_where_it_takes_part():
-    env = make("stage/BusMacros-v1", split="faults")
+def test_a_fault_of_a_two_axis_machine_acts_on_one_axis_that_takes_part():
+    env = make_env("stage/BusMacros-v1", split="faults")
     dofs = [env.stage.axes[name].plant.dof for name in ("x", "y")]
     hit = []
     for level, n in (("axes", 12), ("target", 6)):
@@ -86,10 +86,10 @@ def test_a_fault_of_a_machine_with_two_axes_is_on_one_of_them_and_only_where_it_
     assert {tuple(h) for h in hit[12:]} == {(True, False)}
 
 
-def test_the_contact_of_org_bounces_and_an_origin_is_reached_all_the_same():
-    env = make("stage/BusMacros-v1", level="origin", axes=("x",))
+def test_a_bouncing_origin_switch_still_permits_an_origin_return():
+    env = make_env("stage/BusMacros-v1", level="origin", axes=("x",))
     for fault in ("none", "bounce"):
-        _, info = env.reset(seed=3, options={**GIVEN, "fault": fault, "targets": {"x": 64}})
+        _, info = env.reset(seed=3, options={**HEALTHY, "fault": fault, "targets": {"x": 64}})
         switch = env.stage.state.switch_table[env.stage.axes["x"].switches.row("org")]
         assert switch["bounce"] == (1_000_000 if fault == "bounce" else 0)
         over = False
@@ -99,7 +99,7 @@ def test_the_contact_of_org_bounces_and_an_origin_is_reached_all_the_same():
         assert info["score"]["success"]
 
 
-def test_a_fault_of_an_episode_leaves_what_was_broken_before():
+def test_a_fault_of_an_episode_leaves_earlier_faults_in_place():
     machine = Stage("xy", visuals=False)
     x = machine.axes["x"]
     x.faults.open_phases = stepper.B
@@ -110,14 +110,14 @@ def test_a_fault_of_an_episode_leaves_what_was_broken_before():
     assert x.faults.open_phases == stepper.B
 
 
-def test_a_fault_that_a_task_does_not_have_is_named():
+def test_an_unknown_fault_is_named_in_the_error():
     with pytest.raises(ArgumentError, match="unknown fault of this task, in faults, 'jam'"):
-        make("stage/BusMacros-v1", faults=("jam",))
+        make_env("stage/BusMacros-v1", faults=("jam",))
     with pytest.raises(ArgumentError, match="unknown option fault 'org open'"):
-        make("stage/FewShotTuning-v1").reset(options={"fault": "org open"})
+        make_env("stage/FewShotTuning-v1").reset(options={"fault": "org open"})
     with pytest.raises(ArgumentError, match=r"faults=\(\): some of binding, sag, overload; or say healthy=1.0"):
-        make("stage/FewShotTuning-v1", faults=())
-    env = make("stage/OneShotTuning-v1", faults=("sag",), healthy=0.5)
+        make_env("stage/FewShotTuning-v1", faults=())
+    env = make_env("stage/OneShotTuning-v1", faults=("sag",), healthy=0.5)
     drawn = [env.reset(seed=seed)[1]["fault"] for seed in range(16)]
     assert {faulty.NAMES[k] for k in drawn} == {"none", "sag"}
     assert 4 <= drawn.count(0) <= 12

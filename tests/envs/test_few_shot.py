@@ -1,4 +1,4 @@
-"""FewShotTuning: a hidden machine an episode, whose tries count for the next, and a proof; splits name where machines come from."""
+"""FewShotTuning: each episode has a hidden machine, several attempts and a proof; splits name the ranges."""
 
 import threading
 
@@ -18,12 +18,12 @@ WILD = action_of(6000, 60_000, 0.01, 0.01)
 SHORT = {"model": "xy", "distances": (800, 2000), "tries": 3, "proofs": 2, "settle": 0.02}
 
 
-def make(**settings):
+def make_env(**settings):
     return gymnasium.make("stage/FewShotTuning-v1", disable_env_checker=True, **SHORT | settings).unwrapped
 
 
-def episode(env, actions, **reset):
-    """(rewards, infos) of these tries."""
+def play_attempts(env, actions, **reset):
+    """Play these attempts and return the rewards and the infos."""
     env.reset(**{"seed": 1} | reset)
     out = [env.step(a) for a in actions]
     assert [o[2] for o in out] == [False] * (len(out) - 1) + [True]
@@ -32,11 +32,11 @@ def episode(env, actions, **reset):
 
 @pytest.fixture(scope="module")
 def env():
-    return make()
+    return make_env()
 
 
-def test_what_was_gained_and_holds_is_the_logarithm_of_the_time_saved(env):
-    rewards, infos = episode(env, (USUAL, BRISK, USUAL))
+def test_the_gain_of_a_proven_move_is_the_logarithm_of_the_time_ratio(env):
+    rewards, infos = play_attempts(env, (USUAL, BRISK, USUAL))
     assert infos[-1]["proved"] == infos[-1]["best"] == infos[1]["best"] < infos[0]["best"]
     assert rewards.sum() == pytest.approx(np.log(2 * infos[0]["usual"] / infos[-1]["proved"]))
     assert rewards[0] == pytest.approx(np.log(2), abs=0.1), "the usual speeds take the usual time"
@@ -45,8 +45,8 @@ def test_what_was_gained_and_holds_is_the_logarithm_of_the_time_saved(env):
     assert env._task.best_time[0] == infos[1]["duration"], "nor is it the best that the host has seen"
 
 
-def test_a_try_that_does_not_hold_in_the_proof_is_taken_back_and_the_next_best_is_proved(monkeypatch):
-    env = make()
+def test_an_attempt_that_fails_the_proof_is_withdrawn_and_the_next_best_is_proved(monkeypatch):
+    env = make_env()
     hold, requested = FewShotTuning._keep_step, []
 
     def only_the_second(task, which, rows):
@@ -54,7 +54,7 @@ def test_a_try_that_does_not_hold_in_the_proof_is_taken_back_and_the_next_best_i
         return hold(task, which, rows) & (len(requested) > 1)
 
     monkeypatch.setattr(FewShotTuning, "_keep_step", only_the_second)
-    rewards, infos = episode(env, (USUAL, BRISK, WILD))
+    rewards, infos = play_attempts(env, (USUAL, BRISK, WILD))
     assert requested == [infos[1]["registers"].tolist(), infos[0]["registers"].tolist()]
     assert not infos[2]["kept"]
     assert infos[2]["reward_parts"]["damage"] == -0.05
@@ -62,14 +62,14 @@ def test_a_try_that_does_not_hold_in_the_proof_is_taken_back_and_the_next_best_i
     assert infos[2]["proved"] == infos[0]["best"]
     assert rewards.sum() == pytest.approx(np.log(2 * infos[0]["usual"] / infos[0]["best"]) - 0.05)
     monkeypatch.setattr(FewShotTuning, "_keep_step", lambda task, which, rows: np.zeros_like(which))
-    rewards, infos = episode(env, (USUAL, BRISK, BRISK))
+    rewards, infos = play_attempts(env, (USUAL, BRISK, BRISK))
     assert rewards.sum() == pytest.approx(0)
     assert infos[-1]["proved"] == np.inf
 
 
-def test_where_the_last_try_is_the_answer_nothing_that_came_before_counts(monkeypatch):
-    env = make(answer="last")
-    rewards, infos = episode(env, (BRISK, WILD, USUAL))
+def test_only_the_last_attempt_counts_when_it_is_the_answer(monkeypatch):
+    env = make_env(answer="last")
+    rewards, infos = play_attempts(env, (BRISK, WILD, USUAL))
     worth = [np.log(2 * i["usual"] / i["best"]) for i in infos]
     assert rewards[:2] == pytest.approx([worth[0], -worth[0] - 0.05]), "what the try before was worth is lost"
     assert infos[-1]["best"] == infos[0]["best"] < infos[-1]["proved"], "the best try is not the answer"
@@ -78,21 +78,23 @@ def test_where_the_last_try_is_the_answer_nothing_that_came_before_counts(monkey
     monkeypatch.setattr(
         FewShotTuning, "_keep_step", lambda task, which, rows: requested.append(rows) or np.zeros_like(which)
     )
-    rewards, infos = episode(env, (USUAL, USUAL, BRISK))
+    rewards, infos = play_attempts(env, (USUAL, USUAL, BRISK))
     assert [len(requested), rewards.sum(), infos[-1]["proved"]] == [1, pytest.approx(0), np.inf], (
         "nor proved in its place"
     )
 
 
-def test_a_move_without_margin_does_not_hold_in_the_proof():
-    """A move that just holds with this payload fails with 300 kg more in the proof."""
-    rewards, infos = episode(make(margin=300.0), (BRISK, BRISK, BRISK), options={"current": 0.7, "payload": 2.0})
+def test_a_move_without_margin_fails_the_proof():
+    """A move that barely succeeds with this payload fails with 300 kg more in the proof."""
+    rewards, infos = play_attempts(
+        make_env(margin=300.0), (BRISK, BRISK, BRISK), options={"current": 0.7, "payload": 2.0}
+    )
     assert infos[0]["kept"]
     assert infos[-1]["proved"] == np.inf
     assert rewards.sum() == pytest.approx(0)
 
 
-def test_the_machine_is_the_one_that_was_drawn_and_stays_so_for_all_attempts(env):
+def test_the_drawn_machine_stays_the_same_for_all_attempts(env):
     arguments = {
         "payload": 3.0,
         "friction": 1.5,
@@ -164,15 +166,15 @@ def test_a_motor_of_another_inductance_has_its_time_constant_at_once():
     ],
 )
 def test_loss_and_inductance_take_torque_at_speed_and_a_low_current_takes_it_at_any(machine, lost):
-    env = make(distances=(8000, 8000), proofs=0)
+    env = make_env(distances=(8000, 8000), proofs=0)
     nominal = {"payload": 2.0, "friction": 1.0, "supply": 1.0, "current": 1.0, "loss": 1.0, "inductance": 1.0}
     moves = {"fast": action_of(3000, 60_000, 0.02, 0.02), "steep": action_of(3000, 24_000, 0.01, 0.01)}
     env.reset(seed=1, options={**nominal, "switch": 0.5, "drift": 0.0, **machine})
     assert {name: bool(env.step(action)[4]["lost_steps"]) for name, action in moves.items()} == lost
 
 
-def test_a_host_sees_its_attempts_and_nothing_of_the_machine(env):
-    blind = make(truth=False)
+def test_a_host_observes_its_attempts_but_not_the_machine(env):
+    blind = make_env(truth=False)
     text = []
     for payload in (0.0, 5.0):
         first, info = blind.reset(seed=3, options={"payload": payload})
@@ -199,8 +201,8 @@ def test_a_host_sees_its_attempts_and_nothing_of_the_machine(env):
     assert wild[best] == observed[best]
 
 
-def test_with_the_last_try_alone_a_policy_has_to_remember_and_without_an_encoder_nobody_knows(env):
-    last, none = make(memory="last"), make(encoder=False)
+def test_memory_last_shows_only_the_last_attempt_and_no_encoder_hides_lost_steps(env):
+    last, none = make_env(memory="last"), make_env(encoder=False)
     assert last.observation_space.shape == (12,)
     for e in (env, last, none):
         e.reset(seed=4)
@@ -212,7 +214,7 @@ def test_with_the_last_try_alone_a_policy_has_to_remember_and_without_an_encoder
     assert dark[2] == 1, "no try is known to have kept step"
 
 
-def test_every_split_draws_where_it_says_and_a_setting_comes_before_it():
+def test_every_split_draws_from_its_ranges_and_settings_override_it():
     train = contexts.SPLITS["train"]
     for name, differs in contexts.SPLITS.items():
         config = Config(split=name)
@@ -230,11 +232,11 @@ def test_every_split_draws_where_it_says_and_a_setting_comes_before_it():
     assert contexts.get_ranges(Config(split="heavy", payloads=(7.0, 8.0)))["payload"] == (7.0, 8.0)
     with pytest.raises(ArgumentError, match=r"split 'hevy'.*Did you mean 'heavy'"):
         Config(split="hevy")
-    env = make(split="heavy")
+    env = make_env(split="heavy")
     with pytest.raises(ArgumentError, match=r"option payload=1: from 5\.0 to 10\.0"):
         env.reset(options={"payload": 1})
     with pytest.raises(ArgumentError, match="axis x: it is no stepper's slide"):
-        make(chip="HCTL1100")
+        make_env(chip="HCTL1100")
 
 
 @pytest.mark.parametrize(
@@ -246,10 +248,10 @@ def test_every_split_draws_where_it_says_and_a_setting_comes_before_it():
     ],
 )
 def test_the_same_action_is_the_same_move_with_a_chip_or_unknown_model(split, chip, judged):
-    env = make(split=split, model=None, tries=1, proofs=0)
+    env = make_env(split=split, model=None, tries=1, proofs=0)
     assert type(env.stage.axes["x"].chip).__name__ == chip
     assert env._task.judged == judged
-    _, (info,) = episode(env, (USUAL,), options={"distance": 2000})
+    _, (info,) = play_attempts(env, (USUAL,), options={"distance": 2000})
     assert info["kept"]
     assert info["duration"] == pytest.approx(info["usual"], rel=0.08)
 
@@ -277,7 +279,7 @@ def test_every_action_is_registers_of_every_chip(chip):
 def test_a_step_lost_and_an_end_limit_are_damage_alike(monkeypatch, how, damage, limits):
     from stage.envs.trial import MoveOutcomes
 
-    env = make(tries=2, proofs=0, damage_weight=0.5)
+    env = make_env(tries=2, proofs=0, damage_weight=0.5)
     env.reset(seed=1)
     created = {"finished": True, "stopped": False, "lost": False} | {k: v for k, v in how.items() if k != "kept"}
     reported = MoveOutcomes(*(np.array([v]) for v in (0.1, *created.values(), 0.0, 0.0, 0.0)))

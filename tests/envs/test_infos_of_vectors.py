@@ -1,4 +1,4 @@
-"""Infos of a vector in which one stage begins an episode while another goes on."""
+"""Infos of a vector in which one stage begins an episode while another continues."""
 
 import gymnasium
 import numpy as np
@@ -15,7 +15,7 @@ SHORT = {
 
 
 @pytest.mark.parametrize("id_", SHORT)
-def test_what_a_beginning_episode_and_a_step_both_tell_is_reported_of_both_stages(id_):
+def test_an_info_entry_of_both_reset_and_step_is_reported_for_both_stages(id_):
     kind = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "NextStep"}
     envs = gymnasium.make_vec(id_, 2, **kind, **SHORT[id_]).unwrapped
     actions = np.zeros(envs.action_space.shape, np.float32)
@@ -25,16 +25,16 @@ def test_what_a_beginning_episode_and_a_step_both_tell_is_reported_of_both_stage
     *_, finished, cut, _ = envs.step(actions)
     assert (finished | cut).tolist() == [False, True]
     *_, infos = envs.step(actions)
-    goes_on, begins = (info_of(infos, k) for k in (0, 1))
+    continuing, begins = (info_of(infos, k) for k in (0, 1))
     named = "distances" if "distances" in begins else "distance"
     assert np.array_equal(begins[named], envs._task.reset_info(1)[named])
     assert set(begins) == set(envs._task.reset_info(1)), "of a beginning what a reset tells, and no more"
-    assert set(begins) < set(goes_on)
+    assert set(begins) < set(continuing)
     assert infos[f"_{named}"].tolist() == [True, True]
     assert infos["_cause"].tolist() == [True, False]
 
 
-def test_columns_of_one_name_are_joined_and_all_others_stay():
+def test_info_columns_of_the_same_name_are_joined():
     second, others = np.array([False, True, False]), np.array([True, False, True])
     infos = {"a": np.array([0, 5, 0]), "_a": second, "b": np.array([0, 7, 0]), "_b": second}
     columns = {"a": np.array([3, 0, 4]), "_a": others.copy(), "c": np.array([1, 0, 2]), "_c": others}

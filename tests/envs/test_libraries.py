@@ -43,7 +43,7 @@ def test_the_program_of_the_page_runs_and_prints_what_the_page_says(library, tmp
     assert agree(message, BLOCKS[library].prints), message
 
 
-def test_cleanrls_script_is_reported_the_id_alone(tmp_path):
+def test_the_cleanrl_script_runs_with_only_the_environment_id_changed(tmp_path):
     for name in ("torch", "tyro", "tensorboard"):
         pytest.importorskip(name, reason="extra libraries is not installed")
     if not CLEANRL.is_file():

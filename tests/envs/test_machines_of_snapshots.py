@@ -1,4 +1,4 @@
-"""A snapshot of an environment brings its machine along: payload, friction, drive, switches and faults, wherever it is restored."""
+"""A snapshot of an environment contains its machine: payload, friction, drive, switches and faults."""
 
 import gymnasium
 import numpy as np
@@ -20,12 +20,12 @@ SHORT = {
 }
 
 
-def make(id_):
+def make_env(id_):
     return gymnasium.make(id_, disable_env_checker=True, **SHORT[id_]).unwrapped
 
 
-def machine(stage_):
-    """All of a machine that an environment may have drawn."""
+def read_machine(stage_):
+    """Read every parameter of a machine that an environment may draw."""
     model, state = stage_.model, stage_.state
     arrays = {
         name: getattr(model, name)
@@ -49,22 +49,22 @@ def machine(stage_):
 
 @pytest.mark.parametrize("id_", SHORT)
 @pytest.mark.parametrize("seed", [1, 4])
-def test_the_machine_of_a_snapshot_is_put_on_wherever_it_is_restored(id_, seed):
+def test_restoring_a_snapshot_restores_its_machine_in_any_environment(id_, seed):
     assert id_ in stage.envs.IDS
-    env, other = make(id_), make(id_)
+    env, other = make_env(id_), make_env(id_)
     env.reset(seed=seed)
     if env.action_space.shape:
         env.step(np.zeros(env.action_space.shape, np.float32))  # the next return, try or move is drawn
-    drawn = machine(env.stage)
+    drawn = read_machine(env.stage)
     saved = env.snapshot()
     other.reset(seed=seed + 1)
-    if drawn == machine(other.stage):
+    if drawn == read_machine(other.stage):
         pytest.fail("both drew the same machine, and nothing is shown")
     other.restore(saved)
-    assert machine(other.stage) == drawn
+    assert read_machine(other.stage) == drawn
     env.reset(seed=seed + 2)
     env.restore(saved)
-    assert machine(env.stage) == drawn
+    assert read_machine(env.stage) == drawn
 
 
 @pytest.mark.parametrize("id_", ["stage/RegisterTuning-v0", "stage/FewShotTuning-v1"])

@@ -1,4 +1,4 @@
-"""What the tuning tasks make of the ends of an action, and what they tell of a payload that is known badly."""
+"""Rates that the tuning tasks decode from extreme actions, and payloads that they declare with an error."""
 
 from types import SimpleNamespace
 
@@ -9,29 +9,29 @@ from stage.envs.few_shot import MIN_RAMP_S, RATES, FewShotTuning
 from stage.envs.one_shot import OneShotTuning
 
 
-def rates(*action, distance=16_000):
+def decode_rates(*action, distance=16_000):
     return FewShotTuning.rates(None, np.array(action), distance)  # type: ignore[arg-type]
 
 
-def test_the_ends_of_an_action_are_those_of_the_rates():
-    assert rates(-1, -1, -1, -1) == pytest.approx([low for low, _ in RATES.values()])
-    assert rates(1, 1, 1, 1, distance=10**6) == pytest.approx([high for _, high in RATES.values()])
+def test_the_limits_of_an_action_are_the_limits_of_the_rates():
+    assert decode_rates(-1, -1, -1, -1) == pytest.approx([low for low, _ in RATES.values()])
+    assert decode_rates(1, 1, 1, 1, distance=10**6) == pytest.approx([high for _, high in RATES.values()])
 
 
-def test_who_requests_a_start_above_the_drive_rate_drives_a_little_faster_than_that():
-    start, drive, *_ = rates(1, -1, -1, -1)
+def test_a_start_rate_above_the_drive_rate_raises_the_drive_rate():
+    start, drive, *_ = decode_rates(1, -1, -1, -1)
     assert (start, drive) == pytest.approx((6000, 6300))
 
 
-def test_ramps_that_do_not_fit_are_as_steep_and_meet_on_the_way():
-    start, top, up, down = rates(-1, 1, 1, 1, distance=1600)
+def test_ramps_too_long_for_the_distance_keep_their_slope_at_a_lower_top_rate():
+    start, top, up, down = decode_rates(-1, 1, 1, 1, distance=1600)
     assert (start + top) / 2 * (up + down) == pytest.approx(1600)
     assert (top - start) / up == pytest.approx((60_000 - 200) / 0.3)
     assert up == down
-    assert rates(1, 1, 1, -1, distance=20)[3] == MIN_RAMP_S
+    assert decode_rates(1, 1, 1, -1, distance=20)[3] == MIN_RAMP_S
 
 
-def test_a_declared_payload_is_within_what_may_be_however_badly_it_is_known():
+def test_a_declared_payload_stays_in_its_range_despite_its_error():
     requested = []
     context = np.array([(5.0,)], [("payload", float)])
     task = SimpleNamespace(

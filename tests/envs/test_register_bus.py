@@ -1,4 +1,4 @@
-"""RegisterBus: a host's own byte sequence reaches the goal, bus cycle by bus cycle."""
+"""RegisterBus: the byte sequence of a host reaches the goal, bus cycle by bus cycle."""
 
 import time
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.filterwarnings("error")
 WAITS = rb.Config.waits
 
 
-def make(**settings):
+def make_env(**settings):
     return gymnasium.make("stage/RegisterBus-v0", disable_env_checker=True, **settings).unwrapped
 
 
@@ -63,7 +63,7 @@ class HostAxis:
 
 
 class Host:
-    """A scripted host: knows nothing but what the environment's bus tells."""
+    """A scripted host that sees only what the bus of the environment returns."""
 
     def __init__(self, env):
         self.env, self.info, self.steps = env, {}, []
@@ -86,8 +86,8 @@ class Host:
         return bool(self.steps) and (self.steps[-1][2] or self.steps[-1][3])
 
 
-def sequence(pulses, chip):
-    """The writes of the firmware's preset move, from its journal, as (address, byte)."""
+def list_move_writes(pulses, chip):
+    """List the writes (address, byte) of the firmware's preset move, from its journal."""
     axis = firmware.Bench(chip()).axes["x"]
     journal = axis.chip.journal()
     firmware.preset_move(axis, pulses)
@@ -97,11 +97,11 @@ def sequence(pulses, chip):
 
 @pytest.mark.parametrize("chip", [PCL240K, PCL240MK, PCL240MS])
 def test_the_bytes_of_a_preset_move_reach_the_target_without_a_lost_step(chip):
-    env = make(chip=chip)
+    env = make_env(chip=chip)
     _, info = env.reset(seed=4)
     host = Host(env)
     for k, pulses in enumerate(info["target"]):
-        for address, byte in sequence(int(pulses), chip):
+        for address, byte in list_move_writes(int(pulses), chip):
             host.act(rb.WRITE, k, address, byte)
     host.wait_out(rb.WAIT + 2)
     _, _, terminated, truncated, last = host.steps[-1]
@@ -122,16 +122,16 @@ class Words:
                 self.host.act(rb.WRITE, self.index, address, word & 0xFFFF)
         self.host.act(rb.WRITE, self.index, 0, axes << 8 | self.map.command(symbol).code)
 
-    def long(self, symbol, axes):
-        """What a data-reading command says, as a signed number."""
+    def read_signed(self, symbol, axes):
+        """Send a data-reading command and return its result as a signed number."""
         self.command(symbol, axes)
         low, high = (self.host.act(rb.READ, self.index, address)["value"] for address in (6, 7))
         return (high << 16 | low) - (high >> 15 << 32)
 
 
 @pytest.mark.parametrize("chip", [MCX514, MCX304])
-def test_the_words_of_a_move_of_every_axis_reach_the_targets_through_one_nova_chip(chip):
-    env = make(chip=chip)
+def test_commands_to_one_nova_chip_move_every_axis_to_its_target(chip):
+    env = make_env(chip=chip)
     _, info = env.reset(seed=4)
     host = Host(env)
     nova = Words(host, 0, env.stage.axes["x"].chip)
@@ -149,14 +149,14 @@ def test_the_words_of_a_move_of_every_axis_reach_the_targets_through_one_nova_ch
     assert host.steps[-1][0][:16].tolist() == [1] * 3 + [0] * 13
     while host.act(rb.READ, 0, 0)["value"] & 0b111:
         host.act(rb.WAIT + 2)
-    assert [nova.long("R-LP", 1 << k) for k in range(3)] == info["target"].tolist()
+    assert [nova.read_signed("R-LP", 1 << k) for k in range(3)] == info["target"].tolist()
     host.wait_out(rb.WAIT + 2)
     _, _, terminated, truncated, last = host.steps[-1]
     assert (terminated, truncated, last["success"], last["lost_steps"]) == (True, False, True, 0)
 
 
 def test_a_chip_of_several_axes_is_observed_once_and_then_its_axes():
-    env = make(chip=MCX302, truth=True)
+    env = make_env(chip=MCX302, truth=True)
     first, info = env.reset(seed=0)
     assert env.action_space.nvec.tolist() == [6, 2, 8, 65536], "X and Y share a chip, Z has the other"
     block = 16 + 7 + 8
@@ -164,7 +164,7 @@ def test_a_chip_of_several_axes_is_observed_once_and_then_its_axes():
     host = Host(env)
     second = Words(host, 1, env.stage.axes["z"].chip)
     second.command("LP", 1, -2)
-    assert second.long("R-LP", 1) == -2
+    assert second.read_signed("R-LP", 1) == -2
     observed = host.steps[-1][0]
     targets = observed[[block, block + 5, 2 * block + 10]]
     assert targets == pytest.approx(info["target"] / 8000, abs=1e-6)
@@ -177,7 +177,7 @@ def test_a_chip_of_several_axes_is_observed_once_and_then_its_axes():
 
 
 def test_a_live_observation_of_a_nova_chip_clears_nothing():
-    env = make(chip=MCX514, live=True)
+    env = make_env(chip=MCX514, live=True)
     env.reset(seed=0)
     host = Host(env)
     nova = Words(host, 0, env.stage.axes["x"].chip)
@@ -195,7 +195,7 @@ def test_a_live_observation_of_a_nova_chip_clears_nothing():
 
 
 def test_a_live_observation_leaves_the_factors_of_an_mcx304_for_the_host_to_read():
-    env = make(chip=MCX304, live=True)
+    env = make_env(chip=MCX304, live=True)
     env.reset(seed=0)
     host = Host(env)
     nova = Words(host, 0, env.stage.axes["x"].chip)
@@ -211,7 +211,7 @@ def test_a_live_observation_leaves_the_factors_of_an_mcx304_for_the_host_to_read
 
 
 def go_home(host):
-    """The firmware's origin return, by hand: leave ORG if on it, fast to ORG, back off, slowly to ORG again."""
+    """Return to the origin as the firmware does: leave ORG, search fast, back off, search slowly."""
     for axis in host.axes:
         port, profile = bus.Port(axis), firmware.Profile.of(fl=1000, fh1=16_000, accel=0.15)
 
@@ -252,7 +252,7 @@ def go_home(host):
     ids=["before ORG", "on ORG", "near and far"],
 )
 def test_a_scripted_host_finds_home(start):
-    env = make(goal="home")
+    env = make_env(goal="home")
     env.reset(seed=1, options={"start": start})
     host = Host(env)
     with pytest.raises(EpisodeOver):
@@ -265,7 +265,7 @@ def test_a_scripted_host_finds_home(start):
 
 
 def test_one_command_to_a_nova_chip_sends_all_its_axes_home():
-    env = make(chip=MCX514, goal="home", axes=("x", "y"))
+    env = make_env(chip=MCX514, goal="home", axes=("x", "y"))
     env.reset(seed=1, options={"start": {"x": -0.119, "y": -0.071}})
     host = Host(env)
     nova = Words(host, 0, env.stage.axes["x"].chip)
@@ -279,8 +279,8 @@ def test_one_command_to_a_nova_chip_sends_all_its_axes_home():
     assert host.info["success"]
 
 
-def test_steps_lost_on_the_way_home_are_repaired_by_it():
-    env = make(goal="home", axes=("x",))
+def test_an_origin_return_corrects_steps_lost_before_it():
+    env = make_env(goal="home", axes=("x",))
     env.reset(seed=1, options={"start": {"x": -0.119}})
     axis = env.stage.axes["x"]
     env.stage.data.qpos[axis.plant.qpos] += 64 * axis.meters_per_pulse  # a tooth of the motor
@@ -291,8 +291,8 @@ def test_steps_lost_on_the_way_home_are_repaired_by_it():
     assert host.info["lost_steps"] == 4
 
 
-def test_what_a_host_reads_is_what_the_chip_says_and_the_observation_keeps_it():
-    env = make(axes=("x", "z"))
+def test_a_read_returns_the_value_of_the_chip_and_stays_in_the_observation():
+    env = make_env(axes=("x", "z"))
     env.reset(seed=0)
     host = Host(env)
     chip = env.stage.axes["z"].chip
@@ -312,8 +312,8 @@ def test_what_a_host_reads_is_what_the_chip_says_and_the_observation_keeps_it():
     assert host.steps[-1][0][33] == 0
 
 
-def test_freshness_fades_with_age_and_is_0_before_the_first_read():
-    env = make(axes=("x",))
+def test_freshness_decays_with_age_and_is_0_before_the_first_read():
+    env = make_env(axes=("x",))
     first, _ = env.reset(seed=0)
     host = Host(env)
     assert first[11:15].tolist() == [0, 0, 0, 0]
@@ -325,8 +325,8 @@ def test_freshness_fades_with_age_and_is_0_before_the_first_read():
     assert host.steps[-1][0][14] == 1
 
 
-def test_live_observations_cost_no_bus_cycle_and_know_the_counter_in_motion():
-    env, slow = make(axes=("x",), live=True), make(axes=("x",))
+def test_live_observations_show_the_moving_counter_without_a_bus_cycle():
+    env, slow = make_env(axes=("x",), live=True), make_env(axes=("x",))
     for e in (env, slow):
         e.reset(seed=0)
     host, blind = Host(env), Host(slow)
@@ -345,8 +345,8 @@ def test_live_observations_cost_no_bus_cycle_and_know_the_counter_in_motion():
     assert env.stage.time == slow.stage.time
 
 
-def test_truth_shows_what_no_host_knows():
-    env = make(axes=("x",), truth=True)
+def test_truth_adds_entries_that_no_host_can_observe():
+    env = make_env(axes=("x",), truth=True)
     first, _ = env.reset(seed=0, options={"target": {"x": 4000}})
     assert first.shape == (24,)
     assert first[15:20] == pytest.approx([0.5, 0, 0, 0, -0.5], abs=1e-3)
@@ -364,8 +364,8 @@ def test_truth_shows_what_no_host_knows():
     assert observed[19] == pytest.approx((128 - 4000) / 8000, abs=1e-3)
 
 
-def test_a_wait_lasts_as_long_as_it_says_and_a_bus_cycle_as_long_as_one():
-    env = make(axes=("x",), bus_cycle=2e-6, waits=(1e-5, 2.0))
+def test_a_wait_action_takes_its_time_and_a_bus_action_one_bus_cycle():
+    env = make_env(axes=("x",), bus_cycle=2e-6, waits=(1e-5, 2.0))
     env.reset(seed=0)
     host = Host(env)
     assert env.action_space.nvec.tolist() == [4, 1, 4, 256]
@@ -374,18 +374,18 @@ def test_a_wait_lasts_as_long_as_it_says_and_a_bus_cycle_as_long_as_one():
     assert host.steps[-1][4]["reward_parts"]["time"] == pytest.approx(-0.2)
 
 
-def test_progress_telescopes_so_that_the_way_does_not_matter():
-    env = make(axes=("x",), waits=(0.05, 0.2))
+def test_the_progress_rewards_of_a_path_depend_only_on_its_ends():
+    env = make_env(axes=("x",), waits=(0.05, 0.2))
     env.reset(seed=0, options={"target": {"x": 2000}})
     host, task = Host(env), env._task
     start = task.episodes["potential"][0]
     assert start == pytest.approx(-(2000 - 4) / 8000)
-    for address, byte in sequence(-1000, PCL240K):  # the wrong way first
+    for address, byte in list_move_writes(-1000, PCL240K):  # the wrong way first
         host.act(rb.WRITE, 0, address, byte)
     for _ in range(4):
         host.act(rb.WAIT + 1)
     assert task.episodes["potential"][0] < start
-    for address, byte in sequence(3000, PCL240K):
+    for address, byte in list_move_writes(3000, PCL240K):
         host.act(rb.WRITE, 0, address, byte)
     host.wait_out(rb.WAIT)
     assert host.info["success"]
@@ -394,8 +394,8 @@ def test_progress_telescopes_so_that_the_way_does_not_matter():
     assert total == pytest.approx(-start - 0.1 * host.info["elapsed"] + rb.Config.success_weight)
 
 
-def too_fast(env):
-    """An episode in which the motor does not follow."""
+def play_too_fast_move(env):
+    """Play an episode in which the motor does not follow and return its host."""
     env.reset(seed=0, options={"target": {"x": 2000}})
     host = Host(env)
     for address, byte in [(0, 0x80), (3, 0), (2, 2000 >> 8), (1, 2000 & 0xFF)]:
@@ -408,14 +408,14 @@ def too_fast(env):
 
 
 def test_steps_lost_in_one_episode_cost_as_much_in_the_next():
-    env = make(axes=("x",), cycles=10_000)
-    first, second = ([step[1] for step in too_fast(env).steps] for _ in range(2))
+    env = make_env(axes=("x",), cycles=10_000)
+    first, second = ([step[1] for step in play_too_fast_move(env).steps] for _ in range(2))
     assert first == second
 
 
 def test_lost_steps_cost_and_bar_success():
-    env = make(axes=("x",), cycles=10_000)
-    host = too_fast(env)
+    env = make_env(axes=("x",), cycles=10_000)
+    host = play_too_fast_move(env)
     assert env.stage.axes["x"].lost_steps > 0
     assert not host.info["success"]
     parts = [step[4]["reward_parts"]["lost"] for step in host.steps]
@@ -424,9 +424,9 @@ def test_lost_steps_cost_and_bar_success():
     assert sum(parts) == pytest.approx(-rb.Config.lost_weight * dear), "the first of an episode cost"
 
 
-def test_no_more_than_so_many_lost_steps_cost_and_what_could_have_been_lost_is_paid_at_the_end():
-    """Dragged by 40 full steps, by 40 more, back and on again, in an episode of 8 cycles"""
-    env = make(axes=("x",), cycles=8, lost_weight=0.5, time_weight=0.25, time_limit=20.0)
+def test_the_cost_of_lost_steps_is_capped_and_settled_at_the_end():
+    """The rotor is dragged by 40 full steps, by 40 more, back and on again, in 8 cycles."""
+    env = make_env(axes=("x",), cycles=8, lost_weight=0.5, time_weight=0.25, time_limit=20.0)
     env.reset(seed=0, options={"target": {"x": 2000}})
     axis, tooth = env.stage.axes["x"], 64 * env.stage.axes["x"].meters_per_pulse
     paid = []
@@ -437,7 +437,7 @@ def test_no_more_than_so_many_lost_steps_cost_and_what_could_have_been_lost_is_p
     assert paid == pytest.approx([-20, -12, 0, 0, 0, 0, 0, 0])
     assert (finished, cut) == (False, True)
     assert info["reward_parts"]["failed"] == pytest.approx(-0.25 * (20.0 - info["elapsed"]))
-    few = make(axes=("x",), cycles=2, lost_weight=0.5, time_weight=0.0)
+    few = make_env(axes=("x",), cycles=2, lost_weight=0.5, time_weight=0.0)
     few.reset(seed=0)
     few.stage.data.qpos[few.stage.axes["x"].plant.qpos] += 10 * tooth
     for _ in range(2):
@@ -445,18 +445,18 @@ def test_no_more_than_so_many_lost_steps_cost_and_what_could_have_been_lost_is_p
     assert info["reward_parts"]["failed"] == pytest.approx(-0.5 * (64 - 40))
 
 
-def test_an_episode_is_over_when_its_time_is():
-    env = make(axes=("x",), time_limit=0.2)
+def test_an_episode_ends_at_its_time_limit():
+    env = make_env(axes=("x",), time_limit=0.2)
     env.reset(seed=0)
     assert [env.step(np.array([rb.WAIT + 3, 0, 0, 0]))[3] for _ in range(2)] == [False, True]
 
 
-def test_a_carriage_that_slipped_to_its_target_has_not_made_it():
-    env = make(axes=("x",))
+def test_a_carriage_that_slipped_to_its_target_is_no_success():
+    env = make_env(axes=("x",))
     env.reset(seed=0, options={"target": {"x": 2000}})
     host, axis = Host(env), env.stage.axes["x"]
     tooth = 64 * axis.meters_per_pulse  # an electrical period, four full steps
-    for address, byte in sequence(2000 - 64, PCL240K):
+    for address, byte in list_move_writes(2000 - 64, PCL240K):
         host.act(rb.WRITE, 0, address, byte)
     for nudge, lost, error, part in ((0, 0, 64, 0), (tooth, 4, 0, -0.2), (-tooth, 0, 64, 0), (tooth, 4, 0, 0)):
         env.stage.data.qpos[axis.plant.qpos] += nudge
@@ -468,12 +468,12 @@ def test_a_carriage_that_slipped_to_its_target_has_not_made_it():
         assert sum(s[4]["reward_parts"]["lost"] for s in host.steps[-5:]) == pytest.approx(part)
 
 
-def test_a_carriage_that_friction_holds_off_its_target_by_more_than_the_tolerance_has_not_made_it():
-    """make(tolerance=0.001): all its pulses are out, and it stands a few hundredths of a pulse beside"""
-    env = make(axes=("x",), tolerance=0.001)
+def test_a_carriage_held_by_friction_beyond_the_tolerance_is_no_success():
+    """All pulses are out, and the carriage stops a few hundredths of a pulse off; tolerance is 0.001."""
+    env = make_env(axes=("x",), tolerance=0.001)
     env.reset(seed=0, options={"target": {"x": 2000}})
     host = Host(env)
-    for address, byte in sequence(2000, PCL240K):
+    for address, byte in list_move_writes(2000, PCL240K):
         host.act(rb.WRITE, 0, address, byte)
     for _ in range(3):
         host.act(rb.WAIT + 3)
@@ -482,9 +482,9 @@ def test_a_carriage_that_friction_holds_off_its_target_by_more_than_the_toleranc
     assert 0.001 < host.info["error"] < 1
 
 
-def test_a_carriage_held_at_its_target_while_its_field_stands_elsewhere_has_not_made_it():
-    """`_arrived` without `abs(rest - goal) <= rule.near`: success for a carriage that its motor will pull away."""
-    env = make(axes=("x",))
+def test_a_carriage_at_its_target_with_the_field_elsewhere_is_no_success():
+    """The motor would pull the carriage away, so the rest position of the field counts as well."""
+    env = make_env(axes=("x",))
     env.reset(seed=0, options={"target": {"x": 8}})
     host, axis = Host(env), env.stage.axes["x"]
     jam = faults.jam(axis)
@@ -495,7 +495,7 @@ def test_a_carriage_held_at_its_target_while_its_field_stands_elsewhere_has_not_
             assert (host.info["lost_steps"], host.info["success"]) == (0, False)
         assert host.info["error"] == pytest.approx(error, abs=3)
         jam.clear()
-    for address, byte in sequence(8, PCL240K):
+    for address, byte in list_move_writes(8, PCL240K):
         host.act(rb.WRITE, 0, address, byte)
     for _ in range(2):
         if not host.over:
@@ -504,7 +504,7 @@ def test_a_carriage_held_at_its_target_while_its_field_stands_elsewhere_has_not_
 
 
 def test_passing_the_target_is_not_reaching_it():
-    env = make(axes=("x",))
+    env = make_env(axes=("x",))
     env.reset(seed=0, options={"target": {"x": 22}})
     host = Host(env)
     for address, byte in [(0, 0x81), (1, 1), (0, 0x87), (1, 30), (0, 0x10)]:  # FL, 20 pps
@@ -521,24 +521,24 @@ def test_passing_the_target_is_not_reaching_it():
 
 
 def test_time_and_cycles_end_an_episode():
-    env = make(axes=("x",), time_limit=0.25)
+    env = make_env(axes=("x",), time_limit=0.25)
     env.reset(seed=0)
     ends = [env.step(np.array([rb.WAIT + 3, 0, 0, 0]))[2:4] for _ in range(3)]
     assert ends == [(False, False), (False, False), (False, True)]
-    env = make(axes=("x",), cycles=3)
+    env = make_env(axes=("x",), cycles=3)
     env.reset(seed=0)
     ends = [env.step(np.array([rb.READ, 0, 0, 0]))[2:4] for _ in range(3)]
     assert ends == [(False, False), (False, False), (False, True)]
 
 
 def test_targets_and_places_are_drawn_over_their_ranges():
-    env = make()
+    env = make_env()
     targets = np.array([env.reset(seed=s)[1]["target"] for s in range(60)])
     assert (np.abs(targets) >= 400).all()
     assert (np.abs(targets) <= 8000).all()
     assert (targets > 0).any(axis=0).all()
     assert (targets < 0).any(axis=0).all()
-    home = make(goal="home")
+    home = make_env(goal="home")
     places = []
     for s in range(60):
         home.reset(seed=s)
@@ -546,7 +546,7 @@ def test_targets_and_places_are_drawn_over_their_ranges():
     assert np.ptp(places, axis=0) == pytest.approx([0.28, 0.18, 0.07], abs=0.03)
 
 
-def same(a, b):
+def is_identical(a, b):
     return all(np.array_equal(x, y) for x, y in zip(a[:4], b[:4], strict=True)) and repr(a[4]) == repr(b[4])
 
 
@@ -554,18 +554,18 @@ def same(a, b):
     "form", [list, tuple, np.int8, np.uint8, np.int64, ">i8"], ids=lambda f: getattr(f, "__name__", f)
 )
 def test_integers_of_any_form_are_an_action(form):
-    env, basic = make(), make()
+    env, basic = make_env(), make_env()
     for e in (env, basic):
         e.reset(seed=2)
     action = [rb.WRITE, 2, 3, 77]
     arguments = form(action) if form in (list, tuple) else np.array(action, form)
-    assert same(env.step(arguments), basic.step(np.array(action)))
+    assert is_identical(env.step(arguments), basic.step(np.array(action)))
 
 
 @pytest.mark.parametrize("place", range(4))
 @pytest.mark.parametrize("value", [-1, 256])
 def test_a_number_out_of_range_is_refused(place, value):
-    env = make()
+    env = make_env()
     env.reset(seed=2)
     action = np.array([rb.WRITE, 0, 0, 0])
     action[place] = value
@@ -576,7 +576,7 @@ def test_a_number_out_of_range_is_refused(place, value):
 
 @pytest.mark.parametrize("goal", rb.GOALS)
 def test_a_journal_changes_nothing(goal):
-    """Stages with a journal are played by Python, the others compiled."""
+    """Python plays stages with a journal; compiled code plays the others."""
     settings = {"axes": ("x", "z"), "goal": goal, "truth": True, "cycles": 40, "threads": 2}
     envs, basic = make_vec(3, **settings), make_vec(3, **settings)
     journal = envs.stages[1].axes["x"].chip.journal()
@@ -585,7 +585,7 @@ def test_a_journal_changes_nothing(goal):
         e.action_space.seed(8)
     for _ in range(60):
         actions = basic.action_space.sample()
-        assert same(envs.step(actions), basic.step(actions))
+        assert is_identical(envs.step(actions), basic.step(actions))
     assert journal.entries
 
 
@@ -596,11 +596,11 @@ def test_one_thread_and_many_give_the_same_bits():
     one.action_space.seed(9)
     for _ in range(40):
         actions = one.action_space.sample()
-        assert same(one.step(actions), many.step(actions))
+        assert is_identical(one.step(actions), many.step(actions))
 
 
-def fastest(rounds, *works):
-    """Least seconds that 20 calls of each took, in turns."""
+def time_fastest(rounds, *works):
+    """Return the minimum seconds of 20 calls of each function, measured alternately."""
     took = np.full(len(works), np.inf)
     for _ in range(rounds):
         for k, work in enumerate(works):
@@ -613,20 +613,20 @@ def fastest(rounds, *works):
 
 @pytest.mark.skipif(not COMPILED, reason="plain Python is slow")
 @pytest.mark.parametrize("steps", [1, 4])
-def test_a_step_costs_less_beside_its_physics_than_ten_calls_of_numpy(steps):
-    env = make(waits=(steps * 2.5e-4,), cycles=10**9, time_limit=1e6)
+def test_a_step_adds_less_time_to_the_physics_than_ten_numpy_calls(steps):
+    env = make_env(waits=(steps * 2.5e-4,), cycles=10**9, time_limit=1e6)
     env.reset(seed=0)
     bare, action, one = Stage("xyz", visuals=False), np.array([rb.WAIT, 0, 0, 0]), np.ones(1)
     works = lambda: env.step(action), lambda: bare.step(steps), lambda: [np.where(one, one, one) for _ in range(10)]
     for _ in range(6):  # somebody else may use the machine
-        ours, physics, ten = fastest(50, *works)
+        ours, physics, ten = time_fastest(50, *works)
         if ours - physics < ten:
             return
     pytest.fail(f"{ours} s for 20 steps, {physics} s of them physics; ten calls of NumPy take {ten} s")
 
 
-def test_every_axis_can_be_a_chip_of_its_own_or_left_alone():
-    env = make(axes=("z", "x"))
+def test_each_axis_can_have_a_separate_chip_or_stay_unused():
+    env = make_env(axes=("z", "x"))
     assert list(env.stage.axes) == ["z", "x"]
     assert env.action_space.nvec.tolist() == [6, 2, 4, 256]
     assert env.observation_space.shape == (2 * 16 + 4,)
@@ -650,9 +650,9 @@ def test_every_axis_can_be_a_chip_of_its_own_or_left_alone():
         ({"goal": "home", "tolerance": 7000.0, "distances": (8000, 8000)}, "no place to start from"),
     ],
 )
-def test_settings_that_cannot_be_are_named(settings, message):
+def test_invalid_settings_are_named_in_the_error(settings, message):
     with pytest.raises(ArgumentError, match=message):
-        make(**settings)
+        make_env(**settings)
 
 
 @pytest.mark.parametrize(
@@ -666,31 +666,31 @@ def test_settings_that_cannot_be_are_named(settings, message):
         ({"start": {"x": "far"}}, "places are metres"),
     ],
 )
-def test_options_that_cannot_be_are_named(options, message):
+def test_invalid_options_are_named_in_the_error(options, message):
     with pytest.raises(ArgumentError, match=message):
-        make().reset(options=options)
+        make_env().reset(options=options)
     with pytest.raises(ArgumentError, match="has no target"):
-        make(goal="home").reset(options={"target": {"x": 100}})
+        make_env(goal="home").reset(options={"target": {"x": 100}})
 
 
-def test_on_a_screw_that_turns_the_other_direction_the_target_lies_the_other_direction(tmp_path):
+def test_a_left_handed_screw_reverses_the_side_of_the_target(tmp_path):
     from support.mirrored import mirrored
 
-    env = make(model=mirrored(tmp_path), axes=("x",))
+    env = make_env(model=mirrored(tmp_path), axes=("x",))
     task, goals = env._task, {}
     for pulses in (500, -500):
         env.reset(seed=1, options={"target": {"x": pulses}, "start": {"x": 0.01}})
         goals[pulses] = float(task.axis_states[0, 0]["goal"])
     assert goals[500] == pytest.approx(0.01 - 500 * task.per_pulse[0])
     assert goals[-500] == pytest.approx(0.01 + 500 * task.per_pulse[0])
-    straight = make(axes=("x",), model="xy")._task
+    straight = make_env(axes=("x",), model="xy")._task
     assert task.full_step[0] == pytest.approx(-straight.full_step[0])
     assert abs(straight.full_step[0]) == pytest.approx(16 * straight.per_pulse[0])
 
 
-def test_there_is_room_up_to_the_nearer_of_both_end_limits():
-    """z of xyz, put at power-up nearer to one of them; less the electrical turn, 64 pulses, in which it may begin"""
-    task = make(axes=("z",))._task
+def test_targets_reach_up_to_the_nearer_end_limit():
+    """Axis z of xyz starts nearer to one end limit; the electrical turn of 64 pulses is subtracted."""
+    task = make_env(axes=("z",))._task
     for side, maximum in (((-3064.0, 20_000.0), 2700), ((-20_000.0, 3064.0), 2700), ((-9000.0, 9000.0), 8000)):
         task._find_limits = lambda axis, side=side, p=task.per_pulse[0], at=task.power_up[0]: tuple(
             at + p * np.array(side)
@@ -699,8 +699,8 @@ def test_there_is_room_up_to_the_nearer_of_both_end_limits():
         assert task.distances == pytest.approx((400, maximum), abs=1)
 
 
-def test_after_a_journal_is_closed_cycles_are_made_as_before():
-    env = make(model="xy", axes=("x",))
+def test_bus_cycles_are_unchanged_after_a_journal_is_closed():
+    env = make_env(model="xy", axes=("x",))
     env.reset(seed=1)
     with env.stage.record():
         env.step(np.array([rb.WAIT, 0, 0, 0]))
@@ -710,13 +710,13 @@ def test_after_a_journal_is_closed_cycles_are_made_as_before():
 
 
 @pytest.mark.parametrize("wrong", [{"target": {"x": True}}, {"start": {"x": False}}, {"target": {"x": 500.0}}])
-def test_an_option_that_is_no_number_of_its_kind_is_refused(wrong):
+def test_an_option_of_the_wrong_type_is_refused(wrong):
     with pytest.raises(ArgumentError, match="pulses are whole numbers, places are metres"):
-        make(model="xy", axes=("x",)).reset(options=wrong)
+        make_env(model="xy", axes=("x",)).reset(options=wrong)
 
 
-def test_a_stage_that_is_home_already_is_not_drawn():
-    env = make(goal="home", tolerance=3000.0, distances=(4000, 8000))
+def test_a_start_already_at_the_goal_is_not_drawn():
+    env = make_env(goal="home", tolerance=3000.0, distances=(4000, 8000))
     for seed in range(10):
         env.reset(seed=seed)
         for axis, origin in zip(env._task.axes, env._task.origin, strict=True):

@@ -13,7 +13,7 @@ R07, R12, R14 = 0x07, 0x12, 0x14
 BLOCK = 8 + 63 + 64  # bits of R07, the other addresses, freshness of all
 
 
-def make(**settings):
+def make_env(**settings):
     return gymnasium.make("stage/RegisterBus-v0", disable_env_checker=True, **SETTINGS, **settings).unwrapped
 
 
@@ -35,7 +35,7 @@ class Bus:
 
 
 def test_trapezoids_of_two_servos_reach_their_targets():
-    env = make()
+    env = make_env()
     _, info = env.reset(seed=3)
     hosts = [Bus(env, k) for k in range(2)]
     for host, counts in zip(hosts, info["target"].tolist(), strict=True):
@@ -50,8 +50,8 @@ def test_trapezoids_of_two_servos_reach_their_targets():
 
 
 @pytest.mark.parametrize("model", ["xyz_servo", "xyz"])
-def test_the_default_tolerance_leaves_room_for_the_weight_that_a_filter_without_integral_holds(model):
-    """As made without a setting: three axes, targets as far as Z has room."""
+def test_the_default_tolerance_covers_the_gravity_error_of_a_filter_without_integral(model):
+    """The default settings use three axes, with targets limited by the travel of Z."""
     env = gymnasium.make("stage/RegisterBus-v0", disable_env_checker=True, model=model, chip="HCTL1100").unwrapped
     assert env._task.distances == (400, 7199)
     _, info = env.reset(seed=1, options={"target": {"x": 900, "y": -1200, "z": 700}})
@@ -68,7 +68,7 @@ def test_the_default_tolerance_leaves_room_for_the_weight_that_a_filter_without_
 
 
 def test_addresses_and_values_are_those_of_the_chips_bus():
-    env = make(truth=True)
+    env = make_env(truth=True)
     first, info = env.reset(seed=0)
     assert env.action_space.nvec.tolist() == [6, 2, 64, 256]
     assert first.shape == (2 * (BLOCK + 5) + 4,)
@@ -82,7 +82,7 @@ def test_addresses_and_values_are_those_of_the_chips_bus():
 
 
 def test_a_live_observation_latches_nothing():
-    env = make(live=True)
+    env = make_env(live=True)
     env.reset(seed=0)
     env.stage.axes["x"].chip.write(0x13, 0)
     env.stage.place(x=0.01)
@@ -96,7 +96,7 @@ def test_a_live_observation_latches_nothing():
     assert host.read(0x13) == env.stage.axes["x"].chip.encoder >> 8 & 0xFF
 
 
-def test_a_vector_of_them_gives_the_bits_of_single_ones():
+def test_a_vector_of_servo_environments_gives_the_same_bits_as_single_ones():
     envs = gymnasium.make_vec(
         "stage/RegisterBus-v0", num_envs=3, vectorization_mode="vector_entry_point", threads=2, **SETTINGS
     )
@@ -106,13 +106,13 @@ def test_a_vector_of_them_gives_the_bits_of_single_ones():
     actions[:4, :, 0], actions[:4, :, 2], actions[:4, :, 3] = rb.WRITE, 0x05, 0x03
     vector = [observed, *(envs.step(a)[0] for a in actions)]
     for k in range(3):
-        env = make()
+        env = make_env()
         one, _ = env.reset(seed=5 + k)
         singles = [one, *(env.step(a[k])[0] for a in actions)]
         assert all((a == b[k]).all() for a, b in zip(singles, vector, strict=True))
     envs.close()
 
 
-def test_targets_that_have_no_room_are_refused_in_counts():
+def test_targets_beyond_the_travel_are_refused_in_counts():
     with pytest.raises(ArgumentError, match=r"there is room for 1999[89] pulses"):
         gymnasium.make("stage/RegisterBus-v0", **{**SETTINGS, "distances": (400, 30_000)})

@@ -27,27 +27,27 @@ TUNED = {
 }
 
 
-def make(**settings):
+def make_env(**settings):
     return gymnasium.make("stage/RegisterTuning-v0", disable_env_checker=True, **SHORT | settings).unwrapped
 
 
-def one_move(values, **settings):
-    """(environment, info) after one move with these registers."""
-    env = make(**settings)
+def make_one_move(values, **settings):
+    """Make one move with these registers and return the environment and the info."""
+    env = make_env(**settings)
     env.reset(seed=1, options={"distance": DISTANCE, "payload": 0.0})
     return env, env.step(env._task.registers.to_action(values))[4]
 
 
 @pytest.mark.parametrize(("chip", "s_curve"), TUNED, ids=lambda x: getattr(x, "__name__", f"{x}"))
-def test_each_family_is_tuned_by_its_own_registers(chip, s_curve):
-    env = make(chip=chip, s_curve=s_curve)
+def test_each_chip_family_is_tuned_by_its_registers(chip, s_curve):
+    env = make_env(chip=chip, s_curve=s_curve)
     assert env._task.registers.names == tuple(TUNED[chip, s_curve].split())
     assert env.action_space.shape == (len(env._task.registers),)
 
 
-def test_a_chip_without_s_curves_is_refused_them():
+def test_s_curves_are_refused_for_a_chip_without_them():
     with pytest.raises(ArgumentError, match="PCL240K has linear ramps only"):
-        make(chip=PCL240K, s_curve=True)
+        make_env(chip=PCL240K, s_curve=True)
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,10 @@ def test_a_chip_without_s_curves_is_refused_them():
 )
 def test_registers_are_rates_by_the_data_sheet(chip, values, curved):
     """SV 800, DV 20,000 pps at 200,000 pps/s; and a jerk of 8,000,000 pps/s2."""
-    (_, straight), (env, bent) = one_move(values, chip=chip), one_move(values | curved, chip=chip, s_curve=True)
+    (_, straight), (env, bent) = (
+        make_one_move(values, chip=chip),
+        make_one_move(values | curved, chip=chip, s_curve=True),
+    )
     ramp = (20_000 - 800) / 200_000
     on_top = (DISTANCE - 2 * ramp * (20_000 + 800) / 2) / 20_000
     assert straight["finished"]
@@ -75,7 +78,7 @@ def test_registers_are_rates_by_the_data_sheet(chip, values, curved):
 
 @pytest.mark.parametrize("axis", ["x", "z"])
 def test_the_axis_of_a_chip_that_moves_is_the_one_requested(axis):
-    env = make(chip=MCX514, axis=axis)
+    env = make_env(chip=MCX514, axis=axis)
     env.reset(seed=1, options={"distance": DISTANCE})
     env._task.prepare_next = lambda: None
     env.step(env._task.registers.to_action({"SV": 800, "DV": 8000, "AC": 100_000}))
@@ -84,7 +87,7 @@ def test_the_axis_of_a_chip_that_moves_is_the_one_requested(axis):
 
 
 def test_an_end_limit_stops_a_nova_move_and_costs():
-    env = make(chip=MCX514)
+    env = make_env(chip=MCX514)
     env.reset(seed=1, options={"distance": DISTANCE})
     axis = env.stage.axes["x"]
     axis.switches.stick("el_plus", True)
@@ -100,20 +103,20 @@ def test_an_end_limit_stops_a_nova_move_and_costs():
     ids=lambda x: getattr(x, "__name__", f"{x}"),
 )
 def test_the_formulas_registers_for_a_chip_make_the_move_without_a_loss(chip, s_curve):
-    env = make(chip=chip, s_curve=s_curve)
+    env = make_env(chip=chip, s_curve=s_curve)
     values = compute_registers(env.stage.axes["x"], DISTANCE, s_curve=s_curve)
-    _, info = one_move(values, chip=chip, s_curve=s_curve)
+    _, info = make_one_move(values, chip=chip, s_curve=s_curve)
     assert info["finished"]
     assert info["lost_steps"] == 0
-    _, slow = one_move(compute_registers(env.stage.axes["x"], DISTANCE, 2.0, s_curve), chip=chip, s_curve=s_curve)
+    _, slow = make_one_move(compute_registers(env.stage.axes["x"], DISTANCE, 2.0, s_curve), chip=chip, s_curve=s_curve)
     assert slow["duration"] > info["duration"] - 0.01
 
 
-def test_a_carriage_that_its_motor_does_not_bring_along_costs_a_lost_step():
-    """`lost` without `abs(commanded - position) > ALLOWED`: a move whose carriage stayed behind was as good as another."""
+def test_a_carriage_that_lags_its_motor_costs_a_lost_step():
+    """The position error of the carriage counts as well as the lost steps of the rotor."""
     parts = {}
     for jammed in (False, True):
-        env = make(distances=(30, 30), moves=1)
+        env = make_env(distances=(30, 30), moves=1)
         env.reset(seed=1)
         if jammed:
             faults.jam(env.stage.axes["x"])
@@ -123,8 +126,8 @@ def test_a_carriage_that_its_motor_does_not_bring_along_costs_a_lost_step():
     assert parts == {False: 0.0, True: -env._task.config.lost_weight}
 
 
-def test_an_observation_begins_with_where_distance_and_payload_lie_in_their_ranges():
-    env = make()
+def test_an_observation_begins_with_distance_and_payload_scaled_to_their_ranges():
+    env = make_env()
     for distance, payload, observed in (
         (1600, 0.0, (-1, -1)),
         (8000, 1.0, (1, 1)),
@@ -135,18 +138,18 @@ def test_an_observation_begins_with_where_distance_and_payload_lie_in_their_rang
 
 
 @pytest.mark.parametrize("distance", [1600.5, "1600", True, 1599, float("nan"), np.bool_(True), None])
-def test_a_distance_is_a_integer_of_pulses_in_its_range(distance):
-    env = make()
+def test_a_distance_is_an_integer_number_of_pulses_in_its_range(distance):
+    env = make_env()
     with pytest.raises(ArgumentError, match=r"option distance=.*: a whole number from 1600 to 8000\."):
         env.reset(seed=1, options={"distance": distance})
     env.reset(seed=1, options={"distance": 1601.0})
     assert env.step(np.zeros(env.action_space.shape, np.float32))[4]["distance"] == 1601
 
 
-def test_a_move_is_judged_at_a_site_or_body_of_ones_choice_that_the_axis_carries():
-    """A model without a site work: judge_at names what there is, or the axis itself is judged."""
+def test_judge_at_selects_a_site_or_body_that_the_axis_carries():
+    """The model has no site named work: judge_at names another point, or the axis itself is judged."""
     judged = {
-        (model, axis): make(model=model, axis=axis)._task.judged
+        (model, axis): make_env(model=model, axis=axis)._task.judged
         for model, axis in (("xyz", "x"), ("xyz", "z"), ("xy_mast", "x"), ("xy", "y"))
     }
     assert judged == {
@@ -158,9 +161,9 @@ def test_a_move_is_judged_at_a_site_or_body_of_ones_choice_that_the_axis_carries
     spec = plant.open_spec("xy")
     for site in list(spec.sites):
         spec.delete(site)
-    env = make(model=spec)
+    env = make_env(model=spec)
     assert env._task.point == 0
-    body = make(model=spec, judge_at="y")
+    body = make_env(model=spec, judge_at="y")
     info = {}
     for e in (env, body):
         e.reset(seed=2, options={"distance": 1600})
@@ -168,11 +171,11 @@ def test_a_move_is_judged_at_a_site_or_body_of_ones_choice_that_the_axis_carries
     assert info[env]["vibration"] == pytest.approx(info[body]["vibration"], rel=0.2)
     assert info[env]["vibration"] != info[body]["vibration"]
     with pytest.raises(ArgumentError, match=r"judge_at that axis x carries, 'z'.* Known: x, y\."):
-        make(model=spec, judge_at="z")
+        make_env(model=spec, judge_at="z")
     with pytest.raises(ArgumentError, match=r"judge_at that axis x carries, 'tool'.* Known: work, x, y\."):
-        make(model="xyz", judge_at="tool")
+        make_env(model="xyz", judge_at="tool")
     with pytest.raises(ArgumentError, match="judge_at=3"):
-        make(judge_at=3)
+        make_env(judge_at=3)
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -181,7 +184,7 @@ def test_a_move_begins_with_the_rotor_at_its_angle_and_half_the_distance_before_
     for part in (Path(__file__).parents[2] / "models").glob("*.xml"):
         sign = "" if direction > 0 else "-"
         (tmp_path / part.name).write_text(part.read_text().replace('joint="x" gear="', f'joint="x" gear="{sign}'))
-    env = make(model=str(tmp_path / "xy.xml"))
+    env = make_env(model=str(tmp_path / "xy.xml"))
     x = env.stage.axes["x"]
     turn = 2 * np.pi / (x.drive.motor.rotor_teeth * abs(x.gear))
     middle = 0.5 * (x.travel[0] + x.travel[1])
@@ -193,12 +196,12 @@ def test_a_move_begins_with_the_rotor_at_its_angle_and_half_the_distance_before_
         assert begin == pytest.approx(middle - 0.5 * direction * DISTANCE * x.meters_per_pulse, abs=turn)
     travel = x.travel[1] - x.travel[0]
     room = int(min(0.95 * travel, travel - 2 * turn) / x.meters_per_pulse)
-    assert make(distances=(room, room))._task.config.distances == (room, room)
+    assert make_env(distances=(room, room))._task.config.distances == (room, room)
     with pytest.raises(ArgumentError, match=f"has room for {room} pulses"):
-        make(distances=(room, room + 1))
+        make_env(distances=(room, room + 1))
 
 
-def test_of_a_body_and_a_site_of_one_name_the_body_carries_and_the_site_is_judged():
+def test_a_shared_name_means_the_body_for_payloads_and_the_site_for_judging():
     from stage import Stage
     from stage.envs.task import find_carrier, find_judged_point
     from stage.sim import plant
@@ -222,7 +225,7 @@ def test_of_a_body_and_a_site_of_one_name_the_body_carries_and_the_site_is_judge
         (False, False, 9.0, (-0.2, 0, -50, -3), (0.5, 0, 1, 0)),
     ],
 )
-def test_a_move_costs_what_was_seen_of_it(monkeypatch, finished, lost, vibration, parts, observed):
+def test_the_reward_of_a_move_is_computed_from_its_result(monkeypatch, finished, lost, vibration, parts, observed):
     from stage.envs.trial import MoveOutcomes
 
     created = {"lost_weight": 7.0, "vibration_weight": 0.5, "limit_weight": 3.0, "limit": 0.4}
@@ -249,8 +252,10 @@ def test_a_move_costs_what_was_seen_of_it(monkeypatch, finished, lost, vibration
         (0.1, 400, 0.0, -4, (True, False, True)),
     ],
 )
-def test_a_move_is_finished_stopped_or_late_and_has_lost_its_place_on_either_side(took, pulses, off, steps, observed):
-    """took: s until its chip had stopped, negative where it had not"""
+def test_a_move_is_classified_as_finished_stopped_or_timed_out_with_lost_steps_of_both_signs(
+    took, pulses, off, steps, observed
+):
+    """The parameter took is the time in s until the chip stopped, negative if it never did."""
     from stage.sim.fleet import Played
 
     env = gymnasium.make("stage/RegisterTuning-v0", model="xy", disable_env_checker=True).unwrapped

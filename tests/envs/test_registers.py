@@ -11,14 +11,14 @@ from stage.firmware.pcl240.driver import S_CURVES
 from stage.firmware.pcl240.driver import TUNED as REGISTERS
 
 
-def box(chip):
+def create_registers(chip):
     return RegisterBox.of_registers(chip.MAP, REGISTERS + (S_CURVES if chip.S_CURVES else ()))
 
 
 @pytest.mark.parametrize("chip", [pytest.param(PCL240K, marks=pytest.mark.slow), PCL240MS])
-def test_every_value_of_every_register_comes_back_exactly(chip):
+def test_every_register_value_survives_the_round_trip_through_an_action(chip):
     # of a long register every day some 20,000 over its whole range; PULSESTAGE_EXAMPLES=... for each
-    b = box(chip)
+    b = create_registers(chip)
     for k, name in enumerate(b.names):
         span = b.high[k] - b.low[k] + 1
         every = 1 if not FIXED else max(span // 20_000, 1)
@@ -32,9 +32,9 @@ def test_every_value_of_every_register_comes_back_exactly(chip):
 
 
 @pytest.mark.parametrize("chip", [PCL240K, PCL240MS])
-def test_every_action_is_legal_and_the_ends_are_the_ends(chip):
+def test_every_action_gives_a_legal_value_and_its_limits_the_register_limits(chip):
     print(f"PULSESTAGE_SEED={SEED}")
-    b = box(chip)
+    b = create_registers(chip)
     actions = np.random.default_rng(SEED).uniform(-1, 1, (5000, len(b))).astype(np.float32)
     for row in b.from_action(actions)[:200]:
         for name, value in b.to_dict(row).items():
@@ -45,22 +45,22 @@ def test_every_action_is_legal_and_the_ends_are_the_ends(chip):
     assert (b.from_action(np.ones(len(b))) == b.high).all()
 
 
-def test_a_row_of_many_is_that_row_alone():
-    b = box(PCL240MS)
+def test_a_batch_of_actions_decodes_like_single_actions():
+    b = create_registers(PCL240MS)
     actions = np.random.default_rng(SEED).uniform(-1, 1, (257, len(b))).astype(np.float32)
     rows = b.from_action(actions)
     assert all((b.from_action(actions[k]) == rows[k]).all() for k in range(len(rows)))
 
 
-def test_small_speeds_have_as_much_room_as_large_ones():
-    b = box(PCL240K)
+def test_actions_scale_speeds_logarithmically():
+    b = create_registers(PCL240K)
     middle = b.to_dict(b.from_action(np.zeros(len(b))))
     assert middle["R1"] == 91, "the root of 8191"
     assert middle["R6"] == 131072, "an eighth of its range"
 
 
 def test_values_out_of_range_and_registers_without_one_are_refused():
-    b = box(PCL240K)
+    b = create_registers(PCL240K)
     with pytest.raises(ArgumentError, match=r"R4 2\.\.16383"):
         b.to_action({"R1": 1, "R2": 1, "R4": 1, "R5": 2, "R6": 0, "R7": 2})
     with pytest.raises(ArgumentError, match="R10 has no legal range"):

@@ -1,4 +1,4 @@
-"""The records of a step: a row as Python's own values, columns as Gymnasium's vectors want them."""
+"""The records of a step: rows as Python values, and columns in the form of Gymnasium's vectors."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def results():
     return created
 
 
-def test_a_row_holds_plain_numbers_and_arrays_of_its_own(results):
+def test_a_row_holds_python_numbers_and_copied_arrays(results):
     reward, terminated, truncated, info = results.read_row(1)
     assert (reward, terminated, truncated) == (-7.0, True, False)
     assert [type(info[name]) for name in ("duration", "finished", "lost_steps")] == [float, bool, int]
@@ -29,14 +29,14 @@ def test_a_row_holds_plain_numbers_and_arrays_of_its_own(results):
     assert info["registers"].tolist() == [3, 4]
 
 
-def test_a_stage_that_diverged_is_cut_off_and_pays_for_nothing_else(results):
+def test_a_diverged_stage_is_truncated_with_only_its_divergence_cost(results):
     reward, terminated, truncated, info = results.read_row(2)
     assert (reward, terminated, truncated) == (DIVERGED, False, True)
     assert info["reward_parts"] == {"time": 0.0, "lost": 0.0, "diverged": DIVERGED}
     assert info["cause"] == "diverged"
 
 
-def test_columns_are_masked_by_who_took_part(results):
+def test_result_columns_are_masked_by_the_stages_that_took_part(results):
     active = np.array([True, False, True])
     info = results.read_columns(active)
     assert info["registers"].tolist() == [[1, 2], [0, 0], [5, 6]]

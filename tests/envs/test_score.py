@@ -1,4 +1,4 @@
-"""Scores: at the end of an episode, by the same names in every task that has one, on one environment and in a vector."""
+"""Scores at the end of an episode: the same names in every task, in one environment and in a vector."""
 
 import gymnasium
 import numpy as np
@@ -14,15 +14,15 @@ TASKS = {
     "stage/DriftingHome-v1": {"model": "xy", "returns": 2, "limit": 0.1, "settle": 0.01},
     "stage/BusMacros-v1": {"model": "xy", "level": "move", "macros": 6},
 }
-"""The tasks of the benchmark, short."""
+"""The tasks of the benchmark with settings for short episodes."""
 
 
-def test_every_id_of_the_benchmark_is_here():
+def test_the_tasks_tested_here_are_all_of_the_benchmark():
     assert set(TASKS) == {id_ for id_ in stage.envs.IDS if id_.endswith("-v1")}
 
 
 @pytest.mark.parametrize("id_", TASKS)
-def test_a_score_comes_at_the_end_alone_and_says_the_same_of_every_task(id_):
+def test_a_score_is_reported_only_at_the_end_with_the_same_names_in_every_task(id_):
     envs = gymnasium.make_vec(id_, num_envs=2, vectorization_mode="vector_entry_point", **TASKS[id_]).unwrapped
     envs.reset(seed=1)
     scores, steps = {}, 0
@@ -49,7 +49,7 @@ def test_a_score_comes_at_the_end_alone_and_says_the_same_of_every_task(id_):
     assert scores[0]["moves"] == scores[0]["steps"]
 
 
-def test_a_host_is_not_reported_its_score():
+def test_without_truth_an_info_contains_no_score():
     env = gymnasium.make(
         "stage/OneShotTuning-v1", disable_env_checker=True, truth=False, **TASKS["stage/OneShotTuning-v1"]
     )
@@ -60,7 +60,7 @@ def test_a_host_is_not_reported_its_score():
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_what_diverged_came_to_nothing():
+def test_a_diverged_episode_scores_no_success():
     env = gymnasium.make(
         "stage/OneShotTuning-v1", disable_env_checker=True, **TASKS["stage/OneShotTuning-v1"]
     ).unwrapped

@@ -1,4 +1,4 @@
-"""Settings: every number of every environment is checked, and a payload goes on any model that keeps the naming contract."""
+"""Every numeric setting of every environment is checked, and any model of the naming contract carries a payload."""
 
 from dataclasses import fields
 from importlib import import_module
@@ -12,21 +12,19 @@ from stage import ArgumentError
 from stage.envs.settings import Boolean, Name, Names, Number, Range, _kinds
 from stage.sim import plant
 
-FRAME_INTERVAL = {
-    id_: import_module("stage.envs." + where.split(":")[0]).Config for id_, where in stage.envs.IDS.items()
-}
+CONFIGS = {id_: import_module("stage.envs." + where.split(":")[0]).Config for id_, where in stage.envs.IDS.items()}
 UNCHECKED = {"model", "chip"}
-"""What the stage checks."""
+"""Settings that the stage checks, not the environment."""
 
 
-def make(id_, **settings):
+def make_env(id_, **settings):
     return gymnasium.make(id_, disable_env_checker=True, **settings).unwrapped
 
 
-@pytest.mark.parametrize("id_", FRAME_INTERVAL)
-def test_no_setting_takes_what_is_no_number_or_out_of_range(id_):
+@pytest.mark.parametrize("id_", CONFIGS)
+def test_every_setting_refuses_non_numbers_and_values_out_of_range(id_):
     """gymnasium.make("stage/RegisterTuning-v0", lost_weight=float("nan")), and lost_weight=-1: taken, rewards are nan."""
-    config = FRAME_INTERVAL[id_]
+    config = CONFIGS[id_]
     kinds = dict(_kinds(config))
     assert {f.name for f in fields(config)} - set(kinds) <= UNCHECKED
     for name, kind in kinds.items():
@@ -73,9 +71,9 @@ def test_no_setting_takes_what_is_no_number_or_out_of_range(id_):
         ("stage/ServoTuning-v0", {"rest": 1e-4}, "rest=0.0001: a number, 0.001 or more"),
     ],
 )  # fmt: skip
-def test_settings_that_name_or_count_wrongly_are_named(id_, settings, message):
+def test_settings_with_unknown_names_or_wrong_lengths_are_refused(id_, settings, message):
     with pytest.raises(ArgumentError, match=message):
-        make(id_, **settings)
+        make_env(id_, **settings)
 
 
 def without_work():
@@ -87,21 +85,21 @@ def without_work():
 @pytest.mark.parametrize("id_", ["stage/RegisterTuning-v0", "stage/OriginReturn-v0"])
 def test_a_model_without_a_site_work_carries_its_payload(id_):
     """gymnasium.make("stage/RegisterTuning-v0", model=spec_without_the_site_work).reset(): no site 'work' to put a payload on."""
-    env = make(id_, model=without_work(), axis="y", payloads=(2.0, 2.0))
+    env = make_env(id_, model=without_work(), axis="y", payloads=(2.0, 2.0))
     env.reset(seed=1)
     model = env.stage.model
     moved = model.body(int(model.jnt_bodyid[env.stage.axes["y"].joint])).name
     assert env.stage.payload(moved) == 2.0, "on the body that the axis moves"
     tool = model.body(int(model.site("tool").bodyid[0])).name
     for named in ("tool", tool):
-        env = make(id_, model=without_work(), axis="y", payloads=(2.0, 2.0), payload_on=named)
+        env = make_env(id_, model=without_work(), axis="y", payloads=(2.0, 2.0), payload_on=named)
         env.reset(seed=1)
         assert env.stage.payload(tool) == 2.0, "on the body, or that of the site, that was named"
 
 
-@pytest.mark.parametrize("id_", FRAME_INTERVAL)
-def test_the_ends_of_a_setting_are_in_it(id_):
-    for name, kind in _kinds(FRAME_INTERVAL[id_]):
+@pytest.mark.parametrize("id_", CONFIGS)
+def test_the_kind_of_a_setting_accepts_its_limits_and_nothing_beyond(id_):
+    for name, kind in _kinds(CONFIGS[id_]):
         if isinstance(kind, Number):
             low = kind.low + (1 if kind.whole else 1e-9) if kind.above else kind.low
             beyond = kind.low if kind.above else kind.low - (1 if kind.whole else 1e-9)
@@ -122,9 +120,9 @@ def test_the_ends_of_a_setting_are_in_it(id_):
         ("stage/RegisterTuning-v0", {"distances": (1, 1), "moves": 1}, {"distances": (0, 1), "moves": 0, "settle": 0}),
     ],
 )  # fmt: skip
-def test_a_setting_goes_as_far_as_it_should(id_, settings, wrong):
+def test_a_setting_accepts_its_limits_and_refuses_values_beyond_them(id_, settings, wrong):
     for name, value in settings.items():
-        assert getattr(FRAME_INTERVAL[id_](**{name: value}), name) == value
+        assert getattr(CONFIGS[id_](**{name: value}), name) == value
     for name, value in wrong.items():
         with pytest.raises(ArgumentError, match=f"{name}="):
-            FRAME_INTERVAL[id_](**{name: value})
+            CONFIGS[id_](**{name: value})

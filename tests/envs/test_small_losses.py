@@ -1,4 +1,4 @@
-"""One full step lost, either way, is one too many; and what one episode has seen is not the next one's."""
+"""One lost full step counts in either direction, and no state of an episode leaks into the next."""
 
 import gymnasium
 import numpy as np
@@ -36,7 +36,7 @@ LOSSES = {
 }
 
 
-def make(id_, **settings):
+def make_env(id_, **settings):
     return gymnasium.make(id_, disable_env_checker=True, **settings).unwrapped
 
 
@@ -45,7 +45,7 @@ def make(id_, **settings):
 def test_one_full_step_lost_in_either_direction_costs_as_losing_steps_does(id_, lost, monkeypatch):
     settings, part, costs = LOSSES[id_]
     assert id_ in stage.envs.IDS
-    env = make(id_, **settings)
+    env = make_env(id_, **settings)
     env.reset(seed=3)
     task, real = env._task, env._task.fleet.truth
     axis = getattr(task, "axis", None) or task.axes[1]
@@ -88,7 +88,7 @@ SHORT = {
 
 
 def play_episode(env, seed, **options):
-    """What an episode's first steps say, of the usual host or of the middle of all actions."""
+    """Play the first steps of an episode with the scripted host or the middle action; return the results."""
     text = [*env.reset(seed=seed, options=options)]
     for _ in range(3):
         try:
@@ -103,10 +103,10 @@ def play_episode(env, seed, **options):
 
 
 @pytest.mark.parametrize("id_", SHORT)
-def test_nothing_that_an_episode_has_left_is_in_the_next(id_):
-    """Whatever stands in the numbers of a task when an episode begins."""
+def test_no_state_of_an_episode_leaks_into_the_next(id_):
+    """The records of a task are filled with arbitrary values before an episode begins."""
     assert set(SHORT) == set(stage.envs.IDS)
-    env, fresh = make(id_, **SHORT[id_]), make(id_, **SHORT[id_])
+    env, fresh = make_env(id_, **SHORT[id_]), make_env(id_, **SHORT[id_])
     options = {"start": 5e-4} if id_ in ("stage/OriginReturn-v0", "stage/DriftingHome-v1") else {}
     env.reset(seed=9)
     task = env._task
@@ -120,7 +120,7 @@ def test_nothing_that_an_episode_has_left_is_in_the_next(id_):
 
 
 def test_the_spread_of_returns_is_of_one_episode_and_none_after_its_first():
-    env = make("stage/OriginReturn-v0", model="xy", returns=2, drift=4e-4)
+    env = make_env("stage/OriginReturn-v0", model="xy", returns=2, drift=4e-4)
     start = env._task.origin + 2e-3
     spreads = []
     for seed, returns in ((1, 2), (2, 1)):
@@ -146,7 +146,7 @@ def test_the_spread_of_returns_is_of_one_episode_and_none_after_its_first():
     ],
 )
 def test_a_list_or_letters_are_the_same_setting_and_snapshots_of_both_are_each_other_s(id_, name, same):
-    envs = [make(id_, model="xy", **{name: value}) for value in same]
+    envs = [make_env(id_, model="xy", **{name: value}) for value in same]
     envs[0].reset(seed=1)
     saved = envs[0].snapshot()
     for env in envs:
@@ -157,13 +157,13 @@ def test_a_list_or_letters_are_the_same_setting_and_snapshots_of_both_are_each_o
 
 @pytest.mark.parametrize("rate", [3333.0, 4500.0, 7777.7])
 def test_a_rate_that_is_fixed_is_that_rate_to_the_last_bit(rate):
-    env = make("stage/SynchronizedMove-v0", model="xy", distances=(300, 900), rate=rate)
+    env = make_env("stage/SynchronizedMove-v0", model="xy", distances=(300, 900), rate=rate)
     for seed in range(3):
         assert env.reset(seed=seed)[1]["rate"] == rate
 
 
 def test_a_fault_reported_before_any_return_takes_the_time_of_the_formula():
-    env = make("stage/DriftingHome-v1", model="xy", returns=3, limit=0.1)
+    env = make_env("stage/DriftingHome-v1", model="xy", returns=3, limit=0.1)
     for seed, start in ((1, 0.02), (2, 0.05)):
         env.reset(seed=seed, options={"fault": "jam", "start": start})
         task = env._task

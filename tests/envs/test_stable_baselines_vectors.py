@@ -1,4 +1,4 @@
-"""The vector as Stable-Baselines3 wants it, on a base class that does here what SB3's own does: so it is tried without SB3, too."""
+"""Tests of the vector for Stable-Baselines3 on a stand-in of its base class, so that they run without SB3."""
 
 import copy
 import importlib
@@ -19,7 +19,7 @@ FEW = {"model": "xy", "distances": (300, 900), "tries": 1, "proofs": 0, "settle"
 
 
 class VecEnv:
-    """Stand-in of stable_baselines3's VecEnv, as far as its subclasses need it."""
+    """A stand-in of stable_baselines3's VecEnv with what its subclasses need."""
 
     def __init__(self, num_envs, observation_space, action_space):
         self.num_envs, self.observation_space, self.action_space = num_envs, observation_space, action_space
@@ -49,7 +49,7 @@ class VecEnv:
 
 @pytest.fixture
 def sb3(monkeypatch):
-    """The module, on that class."""
+    """The module `stable_baselines` loaded on the stand-in."""
     present = ModuleType("stable_baselines3.common.vec_env")
     present.VecEnv = VecEnv
     for name in ("stable_baselines3", "stable_baselines3.common"):
@@ -61,22 +61,22 @@ def sb3(monkeypatch):
     return importlib.import_module("stage.envs.sb3")
 
 
-def scalar(seed, id_=ID, options=None, **settings):
+def make_single(seed, id_=ID, options=None, **settings):
     env = gymnasium.make(id_, disable_env_checker=True, **settings or SHORT).unwrapped
     return env, *env.reset(seed=seed, options=options)
 
 
-def basic(info):
-    return {k: basic(v) if isinstance(v, dict) else np.asarray(v).tolist() for k, v in info.items()}
+def to_comparable(info):
+    return {k: to_comparable(v) if isinstance(v, dict) else np.asarray(v).tolist() for k, v in info.items()}
 
 
-def test_a_vector_for_stable_baselines_says_what_as_many_scalar_environments_say_over_an_end(sb3):
+def test_a_stable_baselines_vector_equals_single_environments_across_an_episode_end(sb3):
     envs = sb3.StageVecEnv(ID, 3, **SHORT)
     envs.seed(5)
     observed = envs.reset()
-    ones = [scalar(5 + k) for k in range(3)]
+    ones = [make_single(5 + k) for k in range(3)]
     assert (observed == [one[1] for one in ones]).all()
-    assert [basic(info) for info in envs.reset_infos] == [basic(one[2]) for one in ones]
+    assert [to_comparable(info) for info in envs.reset_infos] == [to_comparable(one[2]) for one in ones]
     assert envs._spread_seeds == [None] * 3, "a seed is for one reset"
     rng = np.random.default_rng(2)
     for step in (1, 2, 3):
@@ -89,19 +89,19 @@ def test_a_vector_for_stable_baselines_says_what_as_many_scalar_environments_say
         for k, (info, out) in enumerate(zip(infos, text, strict=True)):
             last = info.pop("terminal_observation", None)
             assert info.pop("TimeLimit.truncated") is (step == 2), "the moves are up, and the task is not done"
-            assert basic(info) == basic(out[4])
+            assert to_comparable(info) == to_comparable(out[4])
             if step == 2:
                 assert (last == out[0]).all()
                 started, reported = ones[k][0].reset()
                 assert (observed[k] == started).all()
-                assert basic(envs.reset_infos[k]) == basic(reported)
+                assert to_comparable(envs.reset_infos[k]) == to_comparable(reported)
             else:
                 assert last is None
                 assert (observed[k] == out[0]).all()
     envs.close()
 
 
-def test_an_end_by_the_task_is_no_time_limit_to_stable_baselines(sb3):
+def test_a_terminated_episode_is_no_time_limit_to_stable_baselines(sb3):
     envs = sb3.StageVecEnv("stage/FewShotTuning-v1", 2, **FEW)
     envs.seed(1)
     envs.reset()
@@ -116,15 +116,15 @@ def test_options_of_stable_baselines_are_for_each_environment_and_for_one_reset(
     envs.seed(7)
     envs.set_options([{"distance": 400}, {"payload": 2.5}, {}])
     observed = envs.reset()
-    ones = [scalar(7 + k, options=o) for k, o in enumerate(({"distance": 400}, {"payload": 2.5}, {}))]
+    ones = [make_single(7 + k, options=o) for k, o in enumerate(({"distance": 400}, {"payload": 2.5}, {}))]
     assert (observed == [one[1] for one in ones]).all()
-    assert [basic(info) for info in envs.reset_infos] == [basic(one[2]) for one in ones]
+    assert [to_comparable(info) for info in envs.reset_infos] == [to_comparable(one[2]) for one in ones]
     assert not any(envs._check_options)
     envs.reset()
     assert [info["distance"] for info in envs.reset_infos] == [one[0].reset()[1]["distance"] for one in ones]
 
 
-def test_stable_baselines_requests_attributes_and_rows_of_those_that_it_names(sb3):
+def test_stable_baselines_gets_attributes_of_the_selected_environments(sb3):
     envs = sb3.StageVecEnv("stage/FewShotTuning-v1", 3, 1, **FEW)
     envs.seed(3)
     envs.reset()
@@ -161,12 +161,12 @@ def test_masks_are_rows_to_stable_baselines(sb3):
         (ID, {**SHORT, "actions": "registers"}, "counts choices from 0.*use actions='box'"),
     ],
 )
-def test_what_stable_baselines_cannot_have_is_refused(sb3, id_, settings, says):
+def test_settings_unsupported_by_stable_baselines_are_refused(sb3, id_, settings, says):
     with pytest.raises(ArgumentError, match=says):
         sb3.StageVecEnv(id_, 2, **settings)
 
 
-def test_a_vector_of_others_is_none_of_stages(sb3, monkeypatch):
+def test_a_vector_of_another_package_is_refused(sb3, monkeypatch):
     def make_vec(id_, num_envs, **settings):
         created.append((id_, num_envs, settings))
         return gymnasium.vector.VectorEnv()

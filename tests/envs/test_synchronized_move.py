@@ -1,4 +1,4 @@
-"""stage/SynchronizedMove-v0: what is special to it. What every environment promises is in test_common.py."""
+"""Tests special to stage/SynchronizedMove-v0; test_common.py has those of every environment."""
 
 import gymnasium
 import numpy as np
@@ -26,22 +26,22 @@ NOTHING = np.zeros(12, np.float32)
 LINE = {"x": 3000, "y": -1130}
 
 
-def one_move(action=NOTHING, seed=1, options=None, **settings):
-    """(environment, info of the step, reward) after one move."""
+def make_one_move(action=NOTHING, seed=1, options=None, **settings):
+    """Make one move and return the environment, the info of the step and the reward."""
     env = SynchronizedMoveEnv(**(SHORT | settings))
     env.reset(seed=seed, options=options)
     _, reward, _, _, info = env.step(action)
     return env, info, reward
 
 
-def as_action(chip, rows):
-    """Registers of each axis, as mappings, as an action of actions="box"."""
+def encode_registers(chip, rows):
+    """Encode the registers of each axis (mappings) as an action of actions="box"."""
     box = RegisterBox.of_registers(chip.MAP, REGISTERS)
     return np.concatenate([box.to_action({n: row[n] for n in REGISTERS}) for row in rows])
 
 
-def task(number=1, **settings):
-    """Rules alone, with `number` moves drawn."""
+def build_rules(number=1, **settings):
+    """Build the rules of the task alone, with `number` moves drawn."""
     created = SynchronizedMove(number, Config(**settings))
     for k in range(number):
         created.rngs[k] = np.random.default_rng(k)
@@ -50,13 +50,13 @@ def task(number=1, **settings):
 
 
 SMALLER = ("MCX501", "MCX512")
-"""They draw a line as an MCX514 does, or, of axes of several chips, refuse it as it does."""
+"""Chips that draw or refuse a line exactly as an MCX514 does."""
 STARTS = {"PCL240": (0x11, 0x15), "MCX514": (0x61,), "MCX3": (0x25, 0x30)}
 """Codes of the commands that start axes, by how the chip's name begins."""
 
 
 def step_with_journals(env, action):
-    """(info, pulses of each axis, clocks from the first start command to the last pulse)."""
+    """Step and return the info, the pulses of each axis, and the clocks from the first start command to the last pulse."""
     chips, began = env.stage.chips, env.stage.chips[0].clock
     journals = [c.journal() for c in chips]
     info = env.step(action)[-1]
@@ -73,7 +73,7 @@ def step_with_journals(env, action):
 @pytest.mark.parametrize("bus_cycle", [1e-6, 3.3e-5])
 @pytest.mark.parametrize("axes", ["xy", "zx"])
 @pytest.mark.parametrize("chip", [n for n in CHIPS.built_in if not CHIPS[n].SERVO and n not in SMALLER])
-def test_deviation_and_duration_are_those_of_the_pulses_that_the_chips_made(chip, axes, bus_cycle):
+def test_deviation_and_duration_follow_from_the_emitted_pulses(chip, axes, bus_cycle):
     env = SynchronizedMoveEnv(**SHORT, chip=chip, axes=axes, bus_cycle=bus_cycle, moves=3)
     env.reset(seed=7)
     rng = np.random.default_rng(7)
@@ -93,7 +93,7 @@ def test_the_planners_registers_as_an_action_keep_the_planners_line():
     env = SynchronizedMoveEnv(**SHORT, actions="box")
     env.reset(seed=1, options={"distances": LINE})
     begin = {n: env.stage.axes[n].position for n in LINE}
-    info = env.step(as_action(chip, rows))[4]
+    info = env.step(encode_registers(chip, rows))[4]
     assert info["registers"].tolist() == [[r[n] for n in REGISTERS] for r in rows]
     assert info["deviation"] == pytest.approx(created.deviation, abs=0.01)
     stage = Stage("xyz", chips=chip)
@@ -106,7 +106,7 @@ def test_the_planners_registers_as_an_action_keep_the_planners_line():
 
 def test_registers_as_integers_are_the_registers_written():
     rows = [[60, 800, 300, 310, 400, 30], [20, 300, 800, 820, 120, 30]]
-    env, info, _ = one_move(np.array(rows).ravel(), actions="registers", options={"distances": LINE})
+    env, info, _ = make_one_move(np.array(rows).ravel(), actions="registers", options={"distances": LINE})
     assert info["registers"].tolist() == rows
     for name, row in zip("xy", rows, strict=True):
         values = env.stage.axes[name].chip.values()
@@ -117,7 +117,7 @@ def test_registers_as_integers_are_the_registers_written():
 
 @pytest.mark.parametrize("axes", ["xy", "xyz"])
 def test_no_correction_is_the_data_sheets_answer_in_the_ratio_of_the_distances(axes):
-    rules = task(15, axes=axes, distances=(2_000, 20_000))
+    rules = build_rules(15, axes=axes, distances=(2_000, 20_000))
     created = rules.to_registers(np.zeros((15, 6 * len(axes)), np.float32))
     assert (created == rules.data_sheet()).all()
     for row, d in zip(created.astype(float), np.abs(rules.distances), strict=True):
@@ -132,8 +132,8 @@ def test_no_correction_is_the_data_sheets_answer_in_the_ratio_of_the_distances(a
         assert (abs(point - (high**2 - low**2) * down / (16384 * r7) - 5 * rho) <= 2).all()
 
 
-def test_each_number_of_a_correction_moves_its_own_register_by_no_more_than_its_reach():
-    rules = task(8)
+def test_each_correction_changes_one_register_by_at_most_its_reach():
+    rules = build_rules(8)
     basic = rules.to_registers(np.zeros((8, 12), np.float32))
     worth = rules.line.worth(basic, rules.requested_lines)
     for k in range(12):
@@ -146,21 +146,21 @@ def test_each_number_of_a_correction_moves_its_own_register_by_no_more_than_its_
             if register == 5:  # the other registers are worked out for the new R7
                 continue
             assert (change[:, 1 - axis] == 0).all()
-            own_values = change[:, axis, register]
+            changes = change[:, axis, register]
             assert (np.delete(change[:, axis], register, axis=1) == 0).all()
-            assert (np.sign(own_values) == sign).all()
-            assert (abs(own_values) * worth[:, axis, register] <= np.maximum(5.0, worth[:, axis, register])).all()
+            assert (np.sign(changes) == sign).all()
+            assert (abs(changes) * worth[:, axis, register] <= np.maximum(5.0, worth[:, axis, register])).all()
 
 
 def test_a_small_number_leaves_the_multiplier_alone():
-    rules = task(8)
+    rules = build_rules(8)
     action = np.zeros((8, 12), np.float32)
     action[:, [5, 11]] = 0.49
     assert (rules.to_registers(action) == rules.data_sheet()).all()
 
 
-def test_the_observation_foretells_how_far_the_followers_pulses_are_off_their_share():
-    rules = task(30)
+def test_the_observation_predicts_the_deviation_of_the_follower_pulses():
+    rules = build_rules(30)
     errors, rows = (
         rules.line.compute_share_errors(rules.requested_lines),
         rules.line.rows(rules.data_sheet(), rules.requested_lines),
@@ -180,7 +180,7 @@ def test_the_observation_foretells_how_far_the_followers_pulses_are_off_their_sh
 
 def test_corrections_against_the_observed_errors_bring_the_path_closer_to_the_line():
     """A policy without learning: R1 against the error after the ramp-up, R2 against that at the ramp-down."""
-    rules = task(60)
+    rules = build_rules(60)
     errors, zeros = rules.line.compute_share_errors(rules.requested_lines), np.zeros((60, 2, 6))
     action = zeros.copy()
     action[:, :, 0], action[:, :, 1] = -errors[:, :, 0] / 4, -errors[:, :, 1] / 4
@@ -194,7 +194,7 @@ def test_corrections_against_the_observed_errors_bring_the_path_closer_to_the_li
 
 
 def test_the_reward_is_the_sum_of_its_parts_in_their_units():
-    _, info, reward = one_move(path_weight=2.0, carriage_weight=3.0, time_weight=0.5)
+    _, info, reward = make_one_move(path_weight=2.0, carriage_weight=3.0, time_weight=0.5)
     parts = info["reward_parts"]
     assert reward == pytest.approx(sum(parts.values()), abs=1e-12)
     assert parts["path"] == -2.0 * info["deviation"]
@@ -203,10 +203,10 @@ def test_the_reward_is_the_sum_of_its_parts_in_their_units():
     assert parts["lost"] == parts["limit"] == 0
 
 
-def test_a_move_far_off_its_line_costs_no_more_than_the_bounds_of_its_parts():
-    """x at 8,000 pps and y at 1,000 pps: `far` pulses, and a millimetre"""
+def test_the_cost_of_a_large_deviation_is_bounded():
+    """Axis x runs at 8,000 pps and y at 1,000 pps, which deviates by about a millimeter."""
     action = np.array([200, 400, 200, 200, 50, 30, 25, 50, 200, 200, 20, 30])
-    _, info, _ = one_move(
+    _, info, _ = make_one_move(
         action, actions="registers", options={"distances": LINE}, path_weight=2.0, carriage_weight=3.0
     )
     assert info["finished"]
@@ -215,8 +215,8 @@ def test_a_move_far_off_its_line_costs_no_more_than_the_bounds_of_its_parts():
     assert (info["reward_parts"]["path"], info["reward_parts"]["carriages"]) == (-2.0 * 20, -3.0 * 10)
 
 
-def test_a_carriage_beyond_an_end_of_the_line_is_as_far_from_it_as_from_that_end():
-    env, _, _ = one_move(options={"distances": LINE})
+def test_deviation_beyond_an_end_of_the_line_is_measured_to_that_end():
+    env, _, _ = make_one_move(options={"distances": LINE})
     created = env._task
     samples, columns = created.config.looks, created._sample_slices
     results = np.zeros((1, columns[0].start + samples * columns[0].step - 1), np.int64)
@@ -228,7 +228,7 @@ def test_a_carriage_beyond_an_end_of_the_line_is_as_far_from_it_as_from_that_end
         assert created._measure_carriages(results)[0] == pytest.approx(off * length, abs=1e-9)
 
 
-def test_an_end_limit_ends_the_episode_of_its_stage_alone():
+def test_an_end_limit_ends_only_the_episode_of_its_stage():
     envs = SynchronizedMoveVectorEnv(num_envs=3, **SHORT, moves=4)
     envs.reset(seed=3)
     stage, sign = envs.stages[1], np.sign(envs._task.distances[1, 0])
@@ -245,7 +245,7 @@ def test_an_end_limit_ends_the_episode_of_its_stage_alone():
 
 
 def test_a_motor_that_stalls_costs_the_lost_weight():
-    _, info, _ = one_move(
+    _, info, _ = make_one_move(
         rate=(8_000.0, 300_000.0), accel=0.003, options={"rate": 300_000.0}, distances=(8_000, 20_000)
     )
     assert info["finished"]
@@ -255,7 +255,7 @@ def test_a_motor_that_stalls_costs_the_lost_weight():
 
 def test_a_move_that_takes_too_long_is_not_finished():
     action = np.array([1, 10, 2, 2, 0, 1023] * 2)
-    env, info, _ = one_move(action, actions="registers", limit=0.2)
+    env, info, _ = make_one_move(action, actions="registers", limit=0.2)
     assert not info["finished"]
     assert info["duration"] == 0.2
     assert env.stage.time < 0.3
@@ -263,14 +263,14 @@ def test_a_move_that_takes_too_long_is_not_finished():
         env.step(action)
 
 
-def test_the_first_observation_of_an_episode_knows_of_no_move_before():
+def test_the_first_observation_of_an_episode_contains_no_previous_move():
     env = SynchronizedMoveEnv(**SHORT, moves=2)
     for _ in range(2):
         assert not env.reset(seed=1)[0][-4:].any()
         assert env.step(NOTHING)[0][-1] == 1
 
 
-def test_every_move_of_an_episode_starts_at_rest_around_the_middle():
+def test_every_move_of_an_episode_starts_at_rest_near_the_middle():
     env = SynchronizedMoveEnv(**SHORT, moves=3)
     observation, _ = env.reset(seed=5)
     assert (observation[-4:] == 0).all()
@@ -348,18 +348,18 @@ def test_settings_that_make_no_sense_are_refused(settings, text):
         SynchronizedMoveEnv(**settings)
 
 
-def test_distances_up_to_nearly_the_travel_of_the_shortest_axis_are_taken():
-    """95 % of y's travel in xy, 216 mm at 3.125 um a pulse"""
+def test_distances_up_to_95_percent_of_the_smallest_travel_are_accepted():
+    """The travel of axis y in xy is 216 mm, at 3.125 um per pulse."""
     y = Stage("xy", visuals=False).axes["y"]
-    most = int(0.95 * (y.travel[1] - y.travel[0]) / y.meters_per_pulse)
-    assert SynchronizedMoveEnv(model="xy", distances=(5, most))._task.config.distances[1] == most
-    with pytest.raises(ArgumentError, match=f"axis y has room for {most} pulses"):
-        SynchronizedMoveEnv(model="xy", distances=(5, most + 1))
+    max_distance = int(0.95 * (y.travel[1] - y.travel[0]) / y.meters_per_pulse)
+    assert SynchronizedMoveEnv(model="xy", distances=(5, max_distance))._task.config.distances[1] == max_distance
+    with pytest.raises(ArgumentError, match=f"axis y has room for {max_distance} pulses"):
+        SynchronizedMoveEnv(model="xy", distances=(5, max_distance + 1))
 
 
 def test_s_curves_ramp_in_the_same_time_and_keep_the_line():
-    _, straight, _ = one_move(chip="PCL240MS")
-    env, curved, _ = one_move(chip="PCL240MS", s_curve=True)
+    _, straight, _ = make_one_move(chip="PCL240MS")
+    env, curved, _ = make_one_move(chip="PCL240MS", s_curve=True)
     assert (straight["registers"] == curved["registers"]).all()
     assert curved["duration"] == pytest.approx(straight["duration"], rel=0.01)
     assert curved["duration"] != straight["duration"]
@@ -428,9 +428,9 @@ def test_interpolation_keeps_half_a_pulse_whatever_is_selected(chip, axes, s_cur
 
 @pytest.mark.parametrize("s_curve", [False, True])
 @pytest.mark.parametrize(("chip", "axes"), [("MCX304", "xyz"), ("MCX302", "xy"), ("MCX302", "xz"), ("MCX312", "xyz")])
-def test_ranges_in_the_ratio_of_the_distances_stray_as_perfect_axes_do(chip, axes, s_curve):
+def test_ranges_in_the_ratio_of_the_distances_deviate_like_ideal_axes(chip, axes, s_curve):
     """The chips of two axes each are released a bus cycle apart."""
-    rules = task(20, chip=chip, axes=axes, s_curve=s_curve)
+    rules = build_rules(20, chip=chip, axes=axes, s_curve=s_curve)
     created = rules.to_registers(np.zeros((20, *rules.action_space.shape), np.float32))
     assert (created == rules.data_sheet()).all()
     rules.make_programs()
@@ -445,7 +445,7 @@ def test_ranges_in_the_ratio_of_the_distances_stray_as_perfect_axes_do(chip, axe
 
 
 def test_very_different_distances_still_have_legal_ranges():
-    rules = task(1, chip="MCX304", distances=(1, 20_000))
+    rules = build_rules(1, chip="MCX304", distances=(1, 20_000))
     for d in ([20_000, 1], [20_000, 300], [3, 2], [1, 1]):
         rules.distances[0] = d
         (registers,) = rules.data_sheet()
@@ -458,7 +458,7 @@ def test_very_different_distances_still_have_legal_ranges():
 
 @pytest.mark.parametrize("s_curve", [False, True])
 def test_counts_of_the_ratio_move_an_axis_by_no_more_than_reach_pulses(s_curve):
-    rules = task(8, chip="MCX304", s_curve=s_curve)
+    rules = build_rules(8, chip="MCX304", s_curve=s_curve)
     basic, (n, m) = rules.data_sheet(), rules.line.shape
     worth = rules.line.worth(basic, rules.requested_lines)
     for k in range(n * m):
@@ -467,8 +467,8 @@ def test_counts_of_the_ratio_move_an_axis_by_no_more_than_reach_pulses(s_curve):
             action = np.zeros((8, n * m), np.float32)
             action[:, k] = sign
             change = rules.to_registers(action) - basic
-            own_values = np.delete(change.reshape(8, -1), k, axis=1)
-            assert (own_values == 0).all()
+            changes = np.delete(change.reshape(8, -1), k, axis=1)
+            assert (changes == 0).all()
             count = worth[:, axis, register]
             if np.isfinite(count).all():
                 assert (abs(change[:, axis, register]) * count <= np.maximum(4.0 + count / 2, count)).all()
@@ -477,7 +477,7 @@ def test_counts_of_the_ratio_move_an_axis_by_no_more_than_reach_pulses(s_curve):
 
 
 def test_no_correction_takes_fl_above_fh():
-    created = task(4, rate=2000.0, fl=2000.0, accel=0.01, reach=20.0)
+    created = build_rules(4, rate=2000.0, fl=2000.0, accel=0.01, reach=20.0)
     shape = (4, *created.line.shape)
     corrections = np.zeros(shape)
     corrections[:, :, 0], corrections[:, :, 1] = 1.0, -1.0
@@ -485,7 +485,7 @@ def test_no_correction_takes_fl_above_fh():
     assert (sheet[:, :, 0] <= sheet[:, :, 1]).all()
     assert (corrected[:, :, 1] < sheet[:, :, 1]).any()
     assert (corrected[:, :, 0] <= corrected[:, :, 1]).all()
-    chip = task(4, chip="MCX514", rate=2000.0, fl=2000.0, accel=0.01)
+    chip = build_rules(4, chip="MCX514", rate=2000.0, fl=2000.0, accel=0.01)
     bent = chip.line.apply_corrections(chip.requested_lines, np.tile([1.0, -1.0, 0.0], (4, 1, 1)))
     assert (bent[:, :, 1] < chip.data_sheet()[:, :, 1]).all()
     assert (bent[:, :, 0] == bent[:, :, 1]).all()
@@ -512,7 +512,7 @@ def test_after_the_last_move_of_an_episode_the_next_is_not_drawn_yet():
 
 def test_the_data_sheets_ramp_down_point_is_some_pulses_before_the_end_in_the_ratio_of_the_distances():
     """5 pulses of the longest axis at FL, one at least, and never more than the axis makes."""
-    line = task(2).line
+    line = build_rules(2).line
     requested = LineMoves(np.array([[8000, 10], [4, 3]]), np.array([8000.0, 8000.0]))
     low, high, _, down, point, r7 = np.moveaxis(line.data_sheet(requested), 2, 0)
     fall = np.floor((high + low) * np.maximum(high - low, 1) * down / (16384.0 * r7))
@@ -520,8 +520,8 @@ def test_the_data_sheets_ramp_down_point_is_some_pulses_before_the_end_in_the_ra
     assert point[1].tolist() == [4, 3]
 
 
-def test_the_last_pulse_of_registers_of_ones_own_is_as_long_as_the_slower_rate_makes_it():
-    line = task(1).line
+def test_the_last_pulse_lasts_one_period_of_the_slower_rate():
+    line = build_rules(1).line
     registers = np.tile(line.low, (1, 2, 1))
     registers[:, :, :2], registers[:, :, 5] = [[400, 8]], 1000
     seconds = line.last_pulse(registers)
@@ -530,7 +530,7 @@ def test_the_last_pulse_of_registers_of_ones_own_is_as_long_as_the_slower_rate_m
 
 
 def test_corrections_of_interpolation_are_factors():
-    rules = task(6, chip="MCX514")
+    rules = build_rules(6, chip="MCX514")
     basic = rules.data_sheet()
     assert basic.shape == (6, 1, 3)
     for k in range(3):
@@ -544,7 +544,7 @@ def test_corrections_of_interpolation_are_factors():
 @pytest.mark.parametrize("chip", NOVA)
 def test_the_duration_of_the_formulas_registers_is_that_of_the_formula(chip):
     distances = {"x": 3000, "y": -2000}
-    _, info, _ = one_move(
+    _, info, _ = make_one_move(
         np.zeros(3 if chip in ("MCX514", "MCX312", "MCX314AS") else 8, np.float32),
         options={"distances": distances},
         chip=chip,
@@ -578,10 +578,10 @@ def test_chips_that_cannot_be_synchronized_are_refused():
         line_of([driver_of(axis) for axis in alone.axes.values()], Config())
 
 
-def test_a_screw_that_turns_the_other_direction_is_no_way_off_the_line(tmp_path):
-    """gear="-628.3185307" of axis x: the carriages keep to the line that the pulses draw"""
+def test_a_left_handed_screw_keeps_the_carriages_on_the_line(tmp_path):
+    """The gear of axis x is -628.3185307; the carriages stay on the line of the pulses."""
     (env, other, _), (_, usual, _) = (
-        one_move(options={"distances": LINE}, model=model) for model in (mirrored(tmp_path), "xy")
+        make_one_move(options={"distances": LINE}, model=model) for model in (mirrored(tmp_path), "xy")
     )
     assert env.stage.axes["x"].gear < 0
     assert other["carriage_deviation"] == pytest.approx(usual["carriage_deviation"], abs=2e-5)

@@ -1,4 +1,4 @@
-"""What a renderer and a window are asked to show, with neither GL nor a screen."""
+"""Calls to the renderer and the viewer window, tested without OpenGL and without a screen."""
 
 import sys
 from types import ModuleType, SimpleNamespace
@@ -19,24 +19,22 @@ def machine():
 
 
 class Renderer:
-    """Notes what it is shown."""
+    """A renderer that records its calls."""
 
     def __init__(self, model, height, width):
-        self.said = [(model, height, width)]
+        self.events = [(model, height, width)]
 
     def update_scene(self, data, camera):
-        self.said.append((data.qpos.tolist(), data.geom_xpos.sum(), camera))
+        self.events.append((data.qpos.tolist(), data.geom_xpos.sum(), camera))
 
     def render(self):
         return "a picture"
 
     def close(self):
-        self.said.append("closed")
+        self.events.append("closed")
 
 
-def test_a_picture_is_of_the_size_and_by_the_camera_that_were_requested_and_of_the_stage_or_of_joints_elsewhere(
-    machine, monkeypatch
-):
+def test_a_picture_has_the_requested_size_camera_and_joint_positions(machine, monkeypatch):
     monkeypatch.setattr(rendering, "make_renderer", Renderer)
     camera = machine.model.camera(0).name
     created = rendering.viewer(machine, "rgb_array", camera, 64, 48)
@@ -44,7 +42,7 @@ def test_a_picture_is_of_the_size_and_by_the_camera_that_were_requested_and_of_t
     before = machine.data.qpos.copy()
     assert created.frame() == created.frame(np.array([0.01, -0.02])) == "a picture"
     created.close()
-    size, current, elsewhere, closed = created._renderer.said
+    size, current, elsewhere, closed = created._renderer.events
     assert size == (machine.model, 48, 64)
     assert (current[0], current[2]) == (before.tolist(), camera)
     assert (elsewhere[0], elsewhere[2]) == ([0.01, -0.02], camera)
@@ -57,22 +55,22 @@ def test_a_picture_is_of_the_size_and_by_the_camera_that_were_requested_and_of_t
 
 @pytest.fixture
 def window(monkeypatch):
-    """MuJoCo's viewer, noting what it is asked."""
-    said, asked = [], []
+    """A stand-in of MuJoCo's viewer that records its calls."""
+    events, checked = [], []
     present = ModuleType("mujoco.viewer")
-    handle = SimpleNamespace(sync=lambda: said.append("synced"), close=lambda: said.append("closed"))
-    present.launch_passive = lambda model, data: (said.append((model, data)), handle)[1]
+    handle = SimpleNamespace(sync=lambda: events.append("synced"), close=lambda: events.append("closed"))
+    present.launch_passive = lambda model, data: (events.append((model, data)), handle)[1]
     monkeypatch.setitem(sys.modules, "mujoco.viewer", present)
     monkeypatch.setattr(mujoco, "viewer", present, raising=False)
-    monkeypatch.setattr(rendering, "check_window", asked.append)
-    return SimpleNamespace(said=said, asked=asked, module=present)
+    monkeypatch.setattr(rendering, "check_window", checked.append)
+    return SimpleNamespace(events=events, checked=checked, module=present)
 
 
-def test_a_window_shows_the_model_posed_and_is_brought_up_to_date_with_each_frame(machine, window):
+def test_a_window_shows_the_joint_positions_of_each_frame(machine, window):
     created = rendering.viewer(machine, "human", "overview", 64, 48)
     assert isinstance(created, rendering.OnScreen)
-    assert window.asked == ["Use render_mode='rgb_array', or record."]
-    ((model, data),) = window.said
+    assert window.checked == ["Use render_mode='rgb_array', or record."]
+    ((model, data),) = window.events
     assert (model, data) == (machine.model, created._pose.data)
     assert data.qpos.tolist() == machine.data.qpos.tolist()
     assert created.frame(np.array([0.01, 0.02])) is None
@@ -80,10 +78,10 @@ def test_a_window_shows_the_model_posed_and_is_brought_up_to_date_with_each_fram
     created.frame()
     assert data.qpos.tolist() == machine.data.qpos.tolist()
     created.close()
-    assert window.said[1:] == ["synced", "synced", "closed"]
+    assert window.events[1:] == ["synced", "synced", "closed"]
 
 
-def test_a_window_that_does_not_open_says_why_and_what_to_do(machine, window):
+def test_a_window_that_cannot_open_explains_the_cause_and_the_remedy(machine, window):
     def refuse(model, data):
         raise RuntimeError("no display")
 
