@@ -3,5 +3,5 @@
 import sys
 from pathlib import Path
 
-HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE.parents[2] / "tests")]  # for fake_model; for support and test_docs
+TESTS_FOLDER = Path(__file__).parent
+sys.path[:0] = [str(TESTS_FOLDER), str(TESTS_FOLDER.parents[2] / "tests")]  # for fake_model; for support and test_docs

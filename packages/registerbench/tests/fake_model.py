@@ -22,23 +22,23 @@ def calls(*pairs, tokens=10):
 
 
 def says(text):
-    """A reply that calls nothing."""
+    """Return a reply that calls no tool."""
     return {"choices": [{"message": {"role": "assistant", "content": text}}], "usage": {"total_tokens": 1}}
 
 
 class FakeModel:
-    """replies: one after the other, each a dict, a status, bytes, or a function of the request's body. Use as a context manager.
+    """An OpenAI-compatible server for tests, as a context manager. Each reply is a dict, a status, bytes or a function of the body.
 
-    Attributes: url; asked: the bodies of the requests; heads: their headers."""
+    Attributes: url; requests: the bodies of the requests; heads: their headers."""
 
     def __init__(self, *replies):
-        self.asked, self.heads, left = [], [], list(replies)
+        self.requests, self.heads, left = [], [], list(replies)
         outer = self
 
         class Handler(BaseHTTPRequestHandler):
             def do_POST(self):
                 body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-                outer.asked.append(body)
+                outer.requests.append(body)
                 outer.heads.append(dict(self.headers))
                 reply = left.pop(0) if left else says("nothing more")
                 reply = reply(body) if callable(reply) else reply

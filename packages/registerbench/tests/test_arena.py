@@ -1,4 +1,4 @@
-"""Games, transcripts, entries, and the players that are shipped."""
+"""Tests of games, transcripts, entries and the shipped players."""
 
 import json
 from importlib.util import find_spec
@@ -39,22 +39,24 @@ def test_every_task_of_the_bench_is_played_by_tools(task):
     assert played.entry.track == "tools"
 
 
-def test_what_the_formula_does_by_tools_it_does_without_them():
+def test_the_formula_scores_the_same_with_and_without_tools():
     by_tools = play(suite("one-shot", episodes=3), make_player("formula"))
     alone = registerbench.play("formula", "one-shot", episodes=3)
     assert [r.score["return"] for r in by_tools.games] == pytest.approx(alone.scores["return"].tolist(), rel=1e-6)
 
 
-def test_a_player_that_leaves_early_is_scored_and_the_entry_stands():
+def test_a_player_that_leaves_early_is_scored_and_its_entry_is_valid():
     played = play(suite("bus-target", episodes=1), lambda table: table.call("act", {"macro": "rates usual"}))
     assert played.games[0].score["given_up"] > 10
     assert registerbench.verify(played.entry).exact
 
 
-@pytest.mark.parametrize("given", [{}, {"start": 1, "drive": 2, "up": 1, "down": 1}, {"start": "NaN"}, {"macro": "x"}])
-def test_an_action_that_is_none_does_nothing(given):
+@pytest.mark.parametrize(
+    "arguments", [{}, {"start": 1, "drive": 2, "up": 1, "down": 1}, {"start": "NaN"}, {"macro": "x"}]
+)
+def test_an_invalid_action_does_nothing(arguments):
     def act(table):
-        answer = table.call("act", given)
+        answer = table.call("act", arguments)
         assert not answer.ok
         assert "act" in answer.text or "start" in answer.text
 
@@ -70,23 +72,23 @@ def test_every_shipped_player_plays_a_task_and_a_set_up(name):
     assert play(suite("diagnosis:late"), make_player(name), name).value >= -0.5
 
 
-def test_the_technician_finds_and_mends(delayed):
+def test_the_technician_diagnoses_and_repairs_a_ramp_down_point_error(delayed):
     assert delayed.value > 0.97
     assert delayed.games[0].score["runs"] == 3
 
 
 @pytest.mark.slow
-def test_the_technician_finds_and_mends_all_ten():
+def test_the_technician_diagnoses_and_repairs_all_ten_setups():
     assert play(suite("diagnosis"), make_player("technician")).value > 0.97
 
 
-def test_a_game_has_so_many_calls_and_no_more():
-    def ask(table: GameSession):
+def test_a_game_ends_at_its_maximum_number_of_calls():
+    def query_budget(table: GameSession):
         while not table.over:
             table.call("budget")
         assert "a game has no more" in table.call("finish").text
 
-    assert len(play(suite("diagnosis:late"), ask, limits=Limits(max_calls=5)).games[0].calls) == 5
+    assert len(play(suite("diagnosis:late"), query_budget, limits=Limits(max_calls=5)).games[0].calls) == 5
 
 
 # --- words ---
@@ -98,7 +100,7 @@ NO_SUITES = (
 
 
 @pytest.mark.parametrize(("name", "message"), NO_SUITES)
-def test_a_suite_that_is_none_is_refused(name, message):
+def test_an_unknown_suite_is_refused(name, message):
     with pytest.raises(ArgumentError, match=message):
         suite(name)
     assert "diagnosis" in list_suites()
@@ -112,7 +114,7 @@ def test_a_suite_that_is_none_is_refused(name, message):
         ("json:nothing", "has no 'nothing'"),
     ],
 )
-def test_a_player_that_is_none_is_refused(name, message):
+def test_an_invalid_player_is_refused(name, message):
     with pytest.raises(ArgumentError, match=message):
         make_player(name)
 
@@ -151,18 +153,18 @@ def test_the_command_plays_and_replays(tmp_path, capsys, monkeypatch):
 
 FREE = {"budget", "describe", "diagnostics", "picture", "registers", "report", "trace"}
 MOVES = {"home", "line", "move", "start"}
-"""Tools of every toolbox that cost nothing, and that count as moves."""
+"""Tools of every toolbox: FREE cost nothing, MOVES count as moves."""
 
 
 @pytest.mark.parametrize("task", ["one-shot", "few-shot", "bus-target", "home", "line"])
-def test_in_an_episode_of_a_task_only_acting_is_a_move(task):
+def test_only_the_tool_act_counts_as_a_move_in_a_task(task):
     game = next(iter(suite(task, episodes=1)))
     tools = game.calls.tools.values()
     assert {t.name for t in tools if t.free} == {"task", "observe", "formula"}
     assert {t.name for t in tools if t.moves} == {"act"}
 
 
-def test_in_a_broken_set_up_reading_the_program_and_measuring_are_free_and_a_run_is_not():
+def test_only_runs_count_in_a_broken_setup_and_reading_or_measuring_is_free():
     tools = next(iter(suite("diagnosis:late"))).calls.tools.values()
     more = {"task", "program", "write_program", "measure", "service", "answer", "finish"}
     assert {t.name for t in tools if t.free} == FREE | more
@@ -177,7 +179,7 @@ def test_in_a_broken_set_up_reading_the_program_and_measuring_are_free_and_a_run
         ("bench-submit random -o a", "Name a file that ends in .bench."),
     ],
 )
-def test_what_is_played_is_not_lost_to_a_name(argv, message, tmp_path, monkeypatch, capsys):
+def test_a_bad_output_name_is_refused_before_a_game_is_played(argv, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(argv.split()) == 2
     assert message in capsys.readouterr().err

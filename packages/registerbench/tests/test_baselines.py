@@ -1,4 +1,4 @@
-"""The baselines run, keep to their budgets, and the formula is a good engineer's answer."""
+"""Tests of the baselines: they run within their budgets, and the formula loses no steps."""
 
 import importlib
 
@@ -20,7 +20,7 @@ EXTRAS = {
 SEARCHES = ("search_randomly", *EXTRAS)
 
 
-def search_of(name):
+def load_search(name):
     for extra in EXTRAS.get(name, ()):
         pytest.importorskip(extra, reason=f"{name} needs {extra}: pip install 'pulsestage[rl]'")
     module = "sb3_searches" if "stable_baselines3" in EXTRAS.get(name, ()) else "searches"
@@ -29,7 +29,7 @@ def search_of(name):
 
 def results(name, seed, budget=10, lanes=4):
     with MoveTuning(0.5, budget, distance=2000, lanes=lanes, seed=seed) as moves:
-        search_of(name)(moves, seed)
+        load_search(name)(moves, seed)
         return moves.log
 
 
@@ -50,7 +50,7 @@ SLOW = pytest.mark.slow
         pytest.param(PAYLOADS["heavy"], DISTANCE, marks=SLOW),
     ],
 )
-def test_the_formula_loses_no_step_whatever_the_place_and_the_payloads_tolerance(payload, distance, axis):
+def test_the_formula_loses_no_step_at_any_position_within_the_payload_tolerance(payload, distance, axis):
     axis.stage.set_payload(payload)
     r = compute_registers(axis, distance)
     (log,) = prove([[r[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")]], payload, distance, repeats=scaled(5))
@@ -58,7 +58,7 @@ def test_the_formula_loses_no_step_whatever_the_place_and_the_payloads_tolerance
     assert not any(log.lost)
 
 
-def test_the_formula_takes_the_time_that_it_says(axis):
+def test_the_formula_predicts_the_duration_of_its_move(axis):
     p = plan_profile(Load.from_axis(axis), DISTANCE)
     ramps = formula.np.array([p.accel(), p.decel()])
     created = (p.fl + p.fh1) / 2 * ramps.sum()
@@ -69,7 +69,7 @@ def test_the_formula_takes_the_time_that_it_says(axis):
 
 
 def test_no_other_top_rate_makes_the_formulas_move_shorter(axis):
-    """The thrust, friction and mass are written out once more."""
+    """The test computes thrust, friction and mass independently."""
     load, safety = Load.from_axis(axis), formula.SAFETY_FACTOR
     best = plan_profile(load, DISTANCE)
     low = best.fl / load.pulses_per_metre
@@ -78,11 +78,11 @@ def test_no_other_top_rate_makes_the_formulas_move_shorter(axis):
         thrust, drag = float(load.compute_max_thrust(np.array(top))) / safety, load.friction + load.damping * top
         up, down = (thrust - drag) / load.mass, (thrust + drag) / load.mass
         ramps = (top**2 - low**2) * (0.5 / up + 0.5 / down)
-        way = DISTANCE / load.pulses_per_metre
-        return np.inf if up <= 0 or ramps > way else (top - low) * (1 / up + 1 / down) + (way - ramps) / top
+        distance = DISTANCE / load.pulses_per_metre
+        return np.inf if up <= 0 or ramps > distance else (top - low) * (1 / up + 1 / down) + (distance - ramps) / top
 
-    chosen = seconds(best.fh1 / load.pulses_per_metre)
-    assert chosen <= min(seconds(best.fh1 / load.pulses_per_metre * k) for k in np.linspace(0.7, 1.3, 61)) * 1.001
+    predicted_s = seconds(best.fh1 / load.pulses_per_metre)
+    assert predicted_s <= min(seconds(best.fh1 / load.pulses_per_metre * k) for k in np.linspace(0.7, 1.3, 61)) * 1.001
 
 
 def test_a_heavier_load_or_a_larger_safety_factor_makes_the_formulas_move_slower(axis):
@@ -100,7 +100,7 @@ def test_the_formula_refuses_what_the_motor_cannot_move(axis):
         plan_profile(Load.from_axis(axis), DISTANCE, safety_factor=100.0)
 
 
-def test_knobs_at_zero_are_the_formula_and_each_does_what_it_is_called(axis):
+def test_knobs_at_zero_give_the_formula_and_each_changes_its_named_rate(axis):
     knobs = formula_knobs.FormulaKnobs(axis, DISTANCE)
     middle = knobs.registers(np.zeros(5))
     assert middle == compute_registers(axis, DISTANCE)
@@ -146,7 +146,7 @@ def test_any_choice_makes_legal_registers(space, chip):
 
 
 @pytest.mark.parametrize("name", SEARCHES)
-def test_a_search_spends_its_budget_and_no_move_more(name):
+def test_a_search_spends_exactly_its_budget(name):
     log = results(name, seed=1)
     assert len(log) == 10
     assert {len(getattr(log, f)) for f in MoveLog.__dataclass_fields__} == {10}
@@ -154,7 +154,7 @@ def test_a_search_spends_its_budget_and_no_move_more(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SEARCHES)
-def test_a_seed_gives_the_same_search_again_and_another_seed_another(name):
+def test_equal_seeds_give_equal_searches_and_different_seeds_different_ones(name):
     assert results(name, seed=3) == results(name, seed=3)
     assert results(name, seed=3).registers != results(name, seed=4).registers
 
@@ -166,7 +166,7 @@ def test_a_search_that_begins_with_the_formula_makes_its_move_first(name, axis):
     assert results(name, seed=0).registers[0] == [first[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")]
 
 
-def test_the_learning_curve_is_the_highest_reward_so_far_of_a_move_that_kept_step():
+def test_the_learning_curve_is_the_running_maximum_reward_of_moves_without_lost_steps():
     log = MoveLog()
     for reward, duration, saved in ((-9, 1, False), (-3, 3, True), (-1, 9, False), (-4, 2, True), (-2, 5, True)):
         log.append_move(reward, duration, 0, 0.0, saved, [1], (2000, 0.5, 0.0))
@@ -174,15 +174,15 @@ def test_the_learning_curve_is_the_highest_reward_so_far_of_a_move_that_kept_ste
     assert log.ranking == [4, 1, 3]
 
 
-def test_a_move_that_kept_step_by_luck_is_not_proven(axis):
+def test_a_move_that_succeeded_only_once_fails_the_proof(axis):
     reckless, r = {"R1": 8000, "R2": 8000, "R4": 20, "R5": 20, "R6": 4000, "R7": 30}, compute_registers(axis, 2000)
     rows = [[a[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")] for a in (reckless, r)]
     assert best(prove(rows[:1], 0.5, 2000, repeats=8)) is None
     assert best(prove(rows, 0.5, 2000, repeats=8)) == 1
 
 
-def test_proofs_have_from_none_to_the_full_margin_and_the_same_draws_for_all(axis):
-    """With just the whole margin a move was proven that lost steps with the payload itself."""
+def test_proofs_draw_the_margin_from_none_to_full_equally_for_all_candidates(axis):
+    """A proof with only the full margin would accept a move that loses steps with the payload itself."""
     axis.stage.set_payload(3.0)
     r = compute_registers(axis, 2000)
     row = [r[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")]
@@ -194,7 +194,7 @@ def test_proofs_have_from_none_to_the_full_margin_and_the_same_draws_for_all(axi
     assert len({drawn[2] for drawn in first.drawn}) == 32
 
 
-def test_every_second_move_of_a_test_goes_the_other_direction_and_the_rest_is_as_the_environment_has_it(axis):
+def test_test_moves_alternate_in_direction_and_otherwise_follow_the_environment(axis):
     created = {"budget": 8, "space": "registers", "distance": 2000, "lanes": 4, "seed": 5}
     logs = []
     for both_directions in (False, True):
@@ -213,7 +213,7 @@ def test_every_second_move_of_a_test_goes_the_other_direction_and_the_rest_is_as
 
 
 @pytest.mark.slow
-def test_a_baseline_takes_a_model_and_a_proof_a_margin():
+def test_a_baseline_accepts_a_model_and_a_margin():
     """python -m registerbench.baselines.formula --model xy --margin 100: of xyz, and with the payload alone"""
     with MoveTuning(0.5, 1, distance=2000, lanes=1, model="xy") as moves:
         assert list(moves.axis.stage.axes) == list(moves.env.unwrapped.stages[0].axes) == ["x", "y"]
@@ -241,7 +241,7 @@ def test_stable_baselines3_accepts_the_vector_environment():
         assert len(moves.log) == 6
 
 
-def test_an_agent_that_has_tools_alone_improves_a_move():
+def test_an_agent_with_only_tools_improves_a_move():
     tuned = tool_loop.TuningSession(0.5, distance=4000, budget=12)
     tool_loop.technician(tuned)
     assert len(tuned.log) == 12
@@ -249,7 +249,7 @@ def test_an_agent_that_has_tools_alone_improves_a_move():
     assert "All 12 moves are spent" in tuned.box.call("attempt").text
 
 
-def test_an_agent_with_empty_registers_learns_what_came_of_it():
+def test_an_agent_with_empty_registers_is_informed_of_the_result():
     tuned = tool_loop.TuningSession(0.5, distance=500, budget=1)
     assert "from 1 to 8191" in tuned.box.call("write_register", {"axis": "x", "name": "R2", "value": "0h"}).text
     assert tuned.box.call("attempt").data["all_pulses_made"] is False
@@ -257,10 +257,10 @@ def test_an_agent_with_empty_registers_learns_what_came_of_it():
 
 
 @pytest.mark.slow
-def test_an_answer_holds_with_the_margin_and_is_the_best_by_its_mean_not_by_one_lucky_move(axis):
-    """A move that was lucky once is ranked first."""
-    made = [compute_registers(axis, 2000, safety_factor=safety) for safety in (1.5, 3.0)]
-    rows = [[a[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")] for a in made]
+def test_the_answer_passes_the_margin_and_has_the_best_mean_reward(axis):
+    """The candidates are ordered so that a move that was lucky once comes first."""
+    plans = [compute_registers(axis, 2000, safety_factor=safety) for safety in (1.5, 3.0)]
+    rows = [[a[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")] for a in plans]
     means = [np.mean(log.reward) for log in prove(rows, 0.5, 2000, repeats=4, margin=move_tuning.MARGIN, needed=2)]
     rows = [rows[k] for k in np.argsort(means)]
     which, again = move_tuning.answer(rows, 0.5, 2000, repeats=4)

@@ -15,7 +15,7 @@ from stage.envs import contexts
 
 @pytest.fixture
 def played(monkeypatch, tmp_path):
-    """played(arguments) -> (code, what `play` was given, what the entry's `write` was given)."""
+    """A function from arguments to the exit code and the arguments of `play` and of the entry's `write`."""
     monkeypatch.chdir(tmp_path)
 
     def run(*typed, episodes=64):
@@ -34,7 +34,7 @@ def played(monkeypatch, tmp_path):
     return run
 
 
-def test_what_was_not_set_is_the_default(played, capsys):
+def test_options_that_are_not_set_have_their_defaults(played, capsys):
     code, (of, how), (path, force) = played("random", "-o", "a.bench")
     assert (code, of, path, force) == (0, ("random", "few-shot", "train"), "a.bench", False)
     assert how == {
@@ -45,7 +45,7 @@ def test_what_was_not_set_is_the_default(played, capsys):
     assert "can stand in no table" not in text
 
 
-def test_every_option_is_for_what_its_help_says(played, capsys):
+def test_every_option_reaches_the_setting_that_its_help_describes(played, capsys):
     code, (of, how), (path, force) = played(
         "mine:policy", "-o", "b.bench", "--task", "few-shot-wide", "--split", "loose", "--track", "truth", "--round", "2027",
         "--set", "memory=last", "--name", "me", "--run", "4", "--notes", "by hand", "--cost", "moves=3", "--cost", "tokens=1e6",
@@ -60,7 +60,7 @@ def test_every_option_is_for_what_its_help_says(played, capsys):
 
 
 @pytest.mark.parametrize("cost", ["moves=-1", "=3", "moves=", "moves=nan", "moves=1e16"])
-def test_a_cost_that_is_none_is_refused(played, capsys, cost):
+def test_an_invalid_cost_is_refused(played, capsys, cost):
     assert played("random", "-o", "a.bench", "--cost", cost) == (2,)
     assert f"--cost {cost}: NAME=NUMBER, from 0 up" in capsys.readouterr().err
 
@@ -70,7 +70,7 @@ def test_a_mean_is_of_finite_numbers_alone():
     assert _means(entry) == {"a": 2.5, "b": None}
 
 
-def test_a_replay_has_the_tolerance_that_was_requested_and_its_code(monkeypatch, capsys):
+def test_a_replay_uses_the_requested_tolerance_and_returns_its_exit_code(monkeypatch, capsys):
     requested = []
 
     class Verdict(SimpleNamespace):
@@ -103,7 +103,7 @@ def test_a_table_in_json_has_its_rows(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("name", CARDS)
-def test_a_card_says_in_words_which_machines_each_split_has(name, capsys):
+def test_a_card_describes_the_machines_of_each_split(name, capsys):
     card = CARDS[name]
     config = card.make_env("train", "host", {})._task.config
     for split in card.splits:
@@ -113,8 +113,8 @@ def test_a_card_says_in_words_which_machines_each_split_has(name, capsys):
         for of, (ranges, unit) in contexts.KINDS.items():
             ends = dict(card.settings).get(ranges, requested.get(ranges)) if ranges in requested else None
             assert (f"{of} {ends[0]:g} to {ends[1]:g} {unit}" in text) if ends else f"{of} " not in text
-        own_values = [fault for fault in requested.get("faults", ()) if fault in config.FAULTS]
-        assert text.endswith(f"a fault: {', '.join(own_values)}") if own_values else "fault" not in text
+        faults = [fault for fault in requested.get("faults", ()) if fault in config.FAULTS]
+        assert text.endswith(f"a fault: {', '.join(faults)}") if faults else "fault" not in text
     assert main(["bench", name]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert all(f"{split} {card.describe_machines(split)}" in printed for split in card.splits)

@@ -61,7 +61,7 @@ def test_a_digest_distinguishes_observations_of_one_content_by_type_and_shape_an
     assert digest_observation(zeros) == 13031525093526981456
 
 
-def test_an_episode_without_a_score_has_what_it_has():
+def test_an_episode_without_a_score_reports_its_available_fields():
     rewards = np.array([1.0, 2.0])
     assert score_episode(rewards, {}) == {"return": 3.0, "moves": 2.0}
     assert score_episode(rewards, {"proved": 0.5}) == {"return": 3.0, "time": 0.5, "success": 1.0, "moves": 2.0}
@@ -69,7 +69,7 @@ def test_an_episode_without_a_score_has_what_it_has():
     assert score_episode(rewards, {"proved": 0.5, "score": {"time": 7.0}}) == {"return": 3.0, "time": 7.0}
 
 
-def test_the_middle_half_of_few_numbers_is_of_all():
+def test_the_middle_half_of_few_numbers_includes_all():
     assert statistics.compute_iqm([1.0]) == 1.0
     assert statistics.compute_iqm([0.0, 1.0, 5.0]) == 2.0
     assert statistics.compute_iqm([0.0, 1.0, 3.0, 100.0]) == 2.0
@@ -82,7 +82,7 @@ def test_an_interval_of_a_lower_level_lies_within_that_of_a_higher():
     assert wide[0] < low < high < wide[1]
 
 
-def test_rows_part_by_tracks_splits_and_tasks_and_the_best_stands_first():
+def test_tables_separate_tracks_splits_and_tasks_and_list_the_best_first():
     some = [
         entry("b", 1.0),
         entry("a", 2.0),
@@ -102,7 +102,7 @@ def test_rows_part_by_tracks_splits_and_tasks_and_the_best_stands_first():
     ]
 
 
-def test_each_round_has_a_table_of_its_own_and_nobody_beats_a_player_of_another():
+def test_each_round_has_a_separate_table_without_comparisons_across_rounds():
     some = [entry("a", 1.0), entry("b", 0.0), entry("c", 9.0, round="2027"), entry("d", 8.0, round="2027")]
     open_, other = sorted(statistics.format_tables(some).split("\n\n**"), key=lambda text: "2027" in text)
     assert "home, train, round open** (track host)" in open_
@@ -114,7 +114,7 @@ def test_each_round_has_a_table_of_its_own_and_nobody_beats_a_player_of_another(
     assert not c.beats(a)
 
 
-def test_an_entry_of_a_part_or_of_other_episodes_than_its_round_s_stands_in_no_table():
+def test_partial_entries_and_entries_of_other_episodes_are_left_out_of_tables():
     with pytest.raises(
         ArgumentError, match=r"a on home train, run 2: the entry has 2 of the 64 test episodes of the round 'open'"
     ):
@@ -134,7 +134,7 @@ def test_the_success_of_a_player_is_that_of_all_its_runs_and_of_none_where_a_tas
     assert statistics.compute_rows([entry()])[0].success is None
 
 
-def test_a_long_table_has_regret_where_there_was_success_and_the_means_of_damage_and_steps():
+def test_a_long_table_lists_regret_for_successes_and_mean_damage_and_steps():
     scores = {
         "return": np.zeros(64), "success": np.repeat([1, 0], 32), "regret": np.repeat([0.25, np.inf], 32),
         "lost_steps": np.repeat([3, 0], 32), "limits": np.repeat([1, 0], 32), "moves": np.full(64, 8),
@@ -151,7 +151,7 @@ def test_a_long_table_has_regret_where_there_was_success_and_the_means_of_damage
     assert statistics.compute_rows([entry(scores=none)])[0].regret is None
 
 
-def test_who_beats_another_in_the_middle_half_and_is_lower_in_the_mean_is_reported_so():
+def test_a_player_better_by_middle_half_but_worse_by_mean_is_marked():
     bold = np.repeat([2.0, -9.0], [56, 8])
     message = statistics.format_tables([entry("bold", scores={"return": bold}), entry("safe", 1.0), entry("bad", -5.0)])
     assert "| safe (lower in the mean), bad |" in message

@@ -1,4 +1,4 @@
-"""RegisterBench: an entry is data alone, is replayed bit for bit, and whatever was changed in it is found and named."""
+"""Tests of entries: plain data that replays bit for bit, and in which every change is detected and named."""
 
 import contextlib
 import dataclasses
@@ -52,35 +52,35 @@ def entry():
 
 
 @pytest.fixture(scope="module")
-def packed(entry):
+def packed_entry(entry):
     return entry.pack()
 
 
-def changed(entry, name, at, value):
+def change_entry(entry, name, at, value):
     name = {"seen": "observation_digests"}.get(name, name)
     array = getattr(entry, name).copy()
     array[at] = value
     return dataclasses.replace(entry, **{name: array})
 
 
-def repacked(content, **members):
-    """The file with other members, its checksum made anew where entry.json is a dict."""
+def repack(content, **members):
+    """Replace members of the file, or keys of entry.json by `header`, and compute the checksum again."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         raw = {name: archive.read(name) for name in archive.namelist()}
-    said = json.loads(raw.pop("entry.json")) | members.pop("said", {})
-    del said["checksum"]
+    header = json.loads(raw.pop("entry.json")) | members.pop("header", {})
+    del header["checksum"]
     raw |= members
-    said["checksum"] = entry_files._compute_checksum(
-        said, {name: raw.get(name, b"") for name in entry_files.ARRAY_MEMBERS}
+    header["checksum"] = entry_files._compute_checksum(
+        header, {name: raw.get(name, b"") for name in entry_files.ARRAY_MEMBERS}
     )
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
-        for name, member in {"entry.json": json.dumps(said).encode(), **raw}.items():
+        for name, member in {"entry.json": json.dumps(header).encode(), **raw}.items():
             archive.writestr(member and name, member)
     return file.getvalue()
 
 
-def test_what_was_played_is_replayed_bit_for_bit_without_the_policy(entry, tmp_path):
+def test_an_entry_is_replayed_bit_for_bit_without_the_policy(entry, tmp_path):
     path = tmp_path / "random.bench"
     entry.write(path)
     verdict = registerbench.verify(path)
@@ -92,8 +92,12 @@ def test_what_was_played_is_replayed_bit_for_bit_without_the_policy(entry, tmp_p
         entry.write(path)
 
 
-def test_the_same_player_gives_the_same_bytes_and_another_run_of_it_others(entry, packed):
-    assert registerbench.play("random", "brief", notes="by hand").pack() == packed == unpack_entry(packed).pack()
+def test_the_same_player_gives_the_same_bytes_and_another_run_of_it_others(entry, packed_entry):
+    assert (
+        registerbench.play("random", "brief", notes="by hand").pack()
+        == packed_entry
+        == unpack_entry(packed_entry).pack()
+    )
     assert not np.array_equal(registerbench.play("random", "brief", run=1, episodes=1).actions, entry.actions[:2])
 
 
@@ -109,7 +113,7 @@ def test_the_same_player_gives_the_same_bytes_and_another_run_of_it_others(entry
     ],
 )
 def test_a_changed_action_reward_observation_or_end_is_detected_and_named(entry, name, at, value, says):
-    verdict = registerbench.verify(changed(entry, name, at, value))
+    verdict = registerbench.verify(change_entry(entry, name, at, value))
     assert not verdict.ok
     assert re.search(says, str(verdict)), verdict
     assert "made with these versions on such a processor" in str(verdict)
@@ -122,15 +126,15 @@ def test_a_changed_score_is_detected_and_one_that_does_not_exist(entry):
     assert "glory in the entry, return" in str(registerbench.verify(dataclasses.replace(entry, scores=other)))
 
 
-def test_a_tolerance_distinguishes_near_from_equal(entry):
-    near = changed(changed(entry, "rewards", 2, entry.rewards[2] + 1e-9), "seen", 0, 7)
+def test_a_tolerance_distinguishes_close_from_equal_results(entry):
+    near = change_entry(change_entry(entry, "rewards", 2, entry.rewards[2] + 1e-9), "seen", 0, 7)
     assert not registerbench.verify(near).ok
     verdict = registerbench.verify(near, tolerance=1e-6)
     assert verdict.ok
     assert not verdict.exact
     assert "equal within 1e-06, not bit for bit" in str(verdict)
     assert "1 of 9 observations are not the same bits" in str(verdict)
-    maximum = registerbench.verify(changed(near, "rewards", 0, entry.rewards[0] + 1e-3), tolerance=1)
+    maximum = registerbench.verify(change_entry(near, "rewards", 0, entry.rewards[0] + 1e-3), tolerance=1)
     assert maximum.largest_difference == pytest.approx(1e-3), "and not the last difference"
     distance = registerbench.verify(near, tolerance=1e-12)
     assert not distance.ok
@@ -144,8 +148,8 @@ def test_other_versions_are_reported_as_a_possible_cause_and_only_of_what_differ
     elsewhere = dataclasses.replace(entry, versions={**entry.versions, "mujoco": "3.0.0", "processor": "Z80"})
     assert registerbench.verify(elsewhere).exact
     assert "mujoco" not in str(registerbench.verify(elsewhere))
-    said = str(registerbench.verify(changed(elsewhere, "rewards", 0, 9.0)))
-    assert re.search(r"may be the cause:\n  mujoco: 3\.0\.0 there, \S+ here\n  processor: Z80 there", said)
+    message = str(registerbench.verify(change_entry(elsewhere, "rewards", 0, 9.0)))
+    assert re.search(r"may be the cause:\n  mujoco: 3\.0\.0 there, \S+ here\n  processor: Z80 there", message)
 
 
 @pytest.mark.parametrize(
@@ -171,7 +175,7 @@ def test_an_entry_of_other_episodes_is_refused(entry, changes, says):
         registerbench.verify(other)
 
 
-def test_a_part_of_the_episodes_is_reported_to_be_one(entry):
+def test_an_entry_with_some_of_the_episodes_is_reported_as_partial(entry):
     verdict = registerbench.verify(
         registerbench.play("random", "brief", "heavy", episodes=1, settings={"memory": "last"})
     )
@@ -180,7 +184,7 @@ def test_a_part_of_the_episodes_is_reported_to_be_one(entry):
     assert "can stand in no table" in str(verdict)
 
 
-def test_actions_of_another_type_or_beyond_the_space_are_refused(entry, packed):
+def test_actions_of_another_type_or_beyond_the_space_are_refused(entry, packed_entry):
     doubles = dataclasses.replace(entry, actions=entry.actions.astype(np.float64))
     with pytest.raises(
         EntryError, match=r"actions of type float64 and shape \(4,\) in the entry, and brief takes float32"
@@ -188,22 +192,22 @@ def test_actions_of_another_type_or_beyond_the_space_are_refused(entry, packed):
         registerbench.verify(unpack_entry(doubles.pack()))
     for bad in (2.0, np.nan):
         with pytest.raises(EntryError, match=r"action 1, .* is not in Box"):
-            registerbench.verify(changed(entry, "actions", (1, 2), bad))
+            registerbench.verify(change_entry(entry, "actions", (1, 2), bad))
     with pytest.raises(EntryError, match="one of the types <f4"):
-        unpack_entry(repacked(packed, said={"actions": ["|O", [4]]}))
+        unpack_entry(repack(packed_entry, header={"actions": ["|O", [4]]}))
     with pytest.raises(EntryError, match="one of the types <f4"):
-        unpack_entry(repacked(packed, said={"actions": ["<f4,(1000000000,)f8", [4]]}))
+        unpack_entry(repack(packed_entry, header={"actions": ["<f4,(1000000000,)f8", [4]]}))
 
 
-def test_a_file_that_is_cut_off_anywhere_or_has_a_bit_changed_is_refused_or_the_same(entry, packed):
+def test_a_file_that_is_cut_off_anywhere_or_has_a_bit_changed_is_refused_or_the_same(entry, packed_entry):
     draw = np.random.default_rng(20)
-    for at in draw.integers(0, len(packed), 40).tolist():
+    for at in draw.integers(0, len(packed_entry), 40).tolist():
         with pytest.raises(EntryError):
-            unpack_entry(packed[:at])
-        flipped = bytearray(packed)
+            unpack_entry(packed_entry[:at])
+        flipped = bytearray(packed_entry)
         flipped[at] ^= 1 << int(draw.integers(8))
         with contextlib.suppress(EntryError):
-            assert unpack_entry(bytes(flipped)).pack() == packed, "a date of the archive, which nobody reads"
+            assert unpack_entry(bytes(flipped)).pack() == packed_entry, "a date of the archive, which nobody reads"
 
 
 @pytest.mark.parametrize(
@@ -211,37 +215,42 @@ def test_a_file_that_is_cut_off_anywhere_or_has_a_bit_changed_is_refused_or_the_
     [
         (lambda p: b"", "is not an entry of the benchmark"),
         (lambda p: b"\x80\x04\x95 a pickle", "is not an entry of the benchmark"),
-        (lambda p: repacked(p, extra=b"x"), "it should hold entry.json, steps"),
+        (lambda p: repack(p, extra=b"x"), "it should hold entry.json, steps"),
         (
-            lambda p: repacked(p, said={"format": [entry_files.FORMAT_NAME, 2]}),
+            lambda p: repack(p, header={"format": [entry_files.FORMAT_NAME, 2]}),
             "has format 2, and this PulseStage reads format 1",
         ),
-        (lambda p: repacked(p, said={"format": "zip"}), "lacks the format of an entry"),
-        (lambda p: repacked(p, said={"more": 1}), "entry.json must have the keys actions"),
-        (lambda p: repacked(p, said={"seeds": [-1]}), "seeds must be one or more integers"),
-        (lambda p: repacked(p, said={"player": "\x1b[2J"}), "cannot be printed"),
-        (lambda p: repacked(p, said={"cost": {"moves": float("nan")}}), "NaN is not a number"),
-        (lambda p: repacked(p, said={"versions": {"mujoco": 3}}), "versions must have texts"),
-        (lambda p: repacked(p, steps=b"\xff" * 24), "one step or more"),
-        (lambda p: repacked(p, rewards=b"\0" * 8), "rewards has 8 bytes, and 6 steps in 3 episodes require 48"),
+        (lambda p: repack(p, header={"format": "zip"}), "lacks the format of an entry"),
+        (lambda p: repack(p, header={"more": 1}), "entry.json must have the keys actions"),
+        (lambda p: repack(p, header={"seeds": [-1]}), "seeds must be one or more integers"),
+        (lambda p: repack(p, header={"player": "\x1b[2J"}), "cannot be printed"),
+        (lambda p: repack(p, header={"cost": {"moves": float("nan")}}), "NaN is not a number"),
+        (lambda p: repack(p, header={"versions": {"mujoco": 3}}), "versions must have texts"),
+        (lambda p: repack(p, steps=b"\xff" * 24), "one step or more"),
+        (lambda p: repack(p, rewards=b"\0" * 8), "rewards has 8 bytes, and 6 steps in 3 episodes require 48"),
         (lambda p: p.replace(b"entry.json", b"../../x.js"), "it should hold entry.json"),
-        (lambda p: archive(**{"entry.json": b"[" * 100_000}), "entry.json cannot be read"),
-        (lambda p: archive(actions=b"\0" * (entry_files.MAX_UNPACKED_BYTES + 1)), "when unpacked, and at most"),
-        (lambda p: archive(**{"entry.json": b" " * (entry_files.MAX_HEADER_BYTES + 1)}), "at most 1048576 are read"),
+        (lambda p: pack_archive(**{"entry.json": b"[" * 100_000}), "entry.json cannot be read"),
+        (lambda p: pack_archive(actions=b"\0" * (entry_files.MAX_UNPACKED_BYTES + 1)), "when unpacked, and at most"),
+        (
+            lambda p: pack_archive(**{"entry.json": b" " * (entry_files.MAX_HEADER_BYTES + 1)}),
+            "at most 1048576 are read",
+        ),
     ],
 )
-def test_foreign_and_hostile_files_are_refused_in_words(packed, content, says):
+def test_foreign_and_hostile_files_are_refused_with_an_explanation(packed_entry, content, says):
     with pytest.raises(EntryError, match=re.escape(says)):
-        unpack_entry(content(packed))
+        unpack_entry(content(packed_entry))
 
 
-def test_an_entry_has_short_texts_costs_from_nothing_up_a_return_and_a_step_an_episode(packed, entry, monkeypatch):
+def test_an_entry_has_short_texts_costs_from_nothing_up_a_return_and_a_step_an_episode(
+    packed_entry, entry, monkeypatch
+):
     names = list(entry.scores)
     fine = unpack_entry(
-        repacked(packed, said={"notes": "x" * entry_files.MAX_TEXT_LENGTH, "cost": {"moves": 0, "tokens": 1e15}})
+        repack(packed_entry, header={"notes": "x" * entry_files.MAX_TEXT_LENGTH, "cost": {"moves": 0, "tokens": 1e15}})
     )
     assert (len(fine.notes), fine.cost) == (4000, {"moves": 0, "tokens": 1e15})
-    for said, why in (
+    for header, why in (
         ({"notes": "x" * 4001}, "notes is longer than 4000 characters"),
         ({"cost": {"moves": -1}}, "cost must have numbers from 0 to 1e15"),
         ({"cost": {"moves": 1.1e15}}, "cost must have numbers from 0 to 1e15"),
@@ -252,15 +261,17 @@ def test_an_entry_has_short_texts_costs_from_nothing_up_a_return_and_a_step_an_e
         ({"run": True}, "run must be of type int"),
     ):
         with pytest.raises(EntryError, match=re.escape(why)):
-            unpack_entry(repacked(packed, said=said))
+            unpack_entry(repack(packed_entry, header=header))
     with pytest.raises(EntryError, match="one step or more"):
-        unpack_entry(repacked(packed, steps=np.array([0, 4, 2], "<i8").tobytes()))
-    monkeypatch.setattr(entry_files, "MAX_FILE_BYTES", len(packed) - 1)
-    with pytest.raises(ArgumentError, match=f"the entry has {len(packed)} bytes, and a file at most {len(packed) - 1}"):
+        unpack_entry(repack(packed_entry, steps=np.array([0, 4, 2], "<i8").tobytes()))
+    monkeypatch.setattr(entry_files, "MAX_FILE_BYTES", len(packed_entry) - 1)
+    with pytest.raises(
+        ArgumentError, match=f"the entry has {len(packed_entry)} bytes, and a file at most {len(packed_entry) - 1}"
+    ):
         entry.write("never.bench")
 
 
-def archive(**members):
+def pack_archive(**members):
     """Pack an archive with these members, the others empty."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as created:
@@ -269,8 +280,8 @@ def archive(**members):
     return file.getvalue()
 
 
-def test_a_bomb_that_lies_about_its_size_is_not_unpacked(packed):
-    lying = bytearray(archive(actions=b"\0" * (1 << 20)))
+def test_an_archive_with_a_false_size_is_not_unpacked(packed_entry):
+    lying = bytearray(pack_archive(actions=b"\0" * (1 << 20)))
     at = lying.index((1 << 20).to_bytes(4, "little"), lying.index(b"PK\1\2"))
     lying[at : at + 4] = (24).to_bytes(4, "little")
     with pytest.raises(EntryError):
@@ -288,26 +299,26 @@ def test_a_huge_file_is_not_read(tmp_path):
 
 
 class Watching:
-    """A policy that notes what it is shown."""
+    """A policy that records its contexts and observations."""
 
     def __init__(self):
-        self.observation_digests, self.begun, self.cost = [], [], {"tokens": 12}
+        self.observation_digests, self.contexts, self.cost = [], [], {"tokens": 12}
 
     def reset(self, context):
-        self.begun.append(context)
+        self.contexts.append(context)
 
     def __call__(self, observation, info):
         self.observation_digests.append((observation.shape, set(info)))
         return np.zeros(4)
 
 
-def test_a_policy_sees_what_its_track_shows():
+def test_a_policy_observes_only_the_entries_of_its_track():
     host, truth = Watching(), Watching()
     registerbench.play(host, "brief", episodes=2)
     entry = registerbench.play(truth, "brief", track="truth", episodes=1)
-    assert len(host.begun) == 2
-    assert host.begun[0].env is None
-    assert host.begun[0].feature_names[0] == "distance"
+    assert len(host.contexts) == 2
+    assert host.contexts[0].env is None
+    assert host.contexts[0].feature_names[0] == "distance"
     assert all(
         "distance" in names and not {"payload", "lost_steps", "reward_parts"} & names
         for _, names in host.observation_digests
@@ -333,7 +344,7 @@ def test_a_player_with_tools_sees_what_a_host_sees():
     assert not {"payload", "current", "reward_parts", "score"} & tools.observation_digests[-1][1]
 
 
-def test_moves_of_the_test_are_counted_whatever_is_stated():
+def test_test_moves_are_counted_regardless_of_the_stated_cost():
     entry = registerbench.play("random", "brief", episodes=1, cost={"test_moves": 99, "moves": 5})
     assert entry.cost == {"test_moves": 2, "moves": 5}
     custom = Watching()
@@ -342,7 +353,7 @@ def test_moves_of_the_test_are_counted_whatever_is_stated():
     )
 
 
-def test_what_a_player_chose_comes_before_the_settings_of_the_card():
+def test_settings_of_a_player_override_those_of_the_card():
     card = dataclasses.replace(BRIEF, choices={"tries": (1, 2)})
     env = card.make_env("heavy", "host", {"tries": 1})
     assert (env.config.tries, env.config.split, env.config.truth, env.config.proofs) == (1, "heavy", "info", 1)
@@ -351,7 +362,7 @@ def test_what_a_player_chose_comes_before_the_settings_of_the_card():
 
 
 @pytest.mark.parametrize("episodes", [0, -1, 4])
-def test_as_many_episodes_are_played_as_there_are_one_at_least(episodes):
+def test_an_invalid_number_of_episodes_is_refused(episodes):
     with pytest.raises(ArgumentError, match=f"episodes={episodes}: give a number from 1 to 3"):
         registerbench.play("random", "brief", episodes=episodes)
 
@@ -365,9 +376,7 @@ def test_who_waits_is_reported_of_each_episode_that_is_done(entry):
     assert replayed[-1] == (3, 3)
 
 
-def test_a_policy_that_is_a_class_is_made_and_recorded_actions_of_unlike_episodes_are_distinguished(
-    tmp_path, monkeypatch
-):
+def test_a_policy_class_is_instantiated_and_recorded_actions_follow_their_episodes(tmp_path, monkeypatch):
     (tmp_path / "mine_class.py").write_text(
         "class Policy:\n    def __call__(self, observation, info):\n        return [0.0, 0.3, 0.0, 0.0]\n"
     )
@@ -392,7 +401,7 @@ def test_a_policy_that_is_a_class_is_made_and_recorded_actions_of_unlike_episode
         RecordedActions(str(path))
 
 
-def test_shipped_players_are_as_bold_as_their_task_wants():
+def test_shipped_players_use_the_boldness_that_their_task_requires_by_default():
     from registerbench.policies import make_player
     from registerbench.shipped_policies import compute_bold_action
     from stage.envs.few_shot import action_of
@@ -436,7 +445,7 @@ def test_the_shipped_search_closes_in_on_what_a_machine_holds_and_doubts_its_luc
     assert careful[-1] == pytest.approx(max(b for b in careful if b < 3.0) / 1.1), "its last try is its answer"
 
 
-def test_recorded_actions_are_played_and_have_to_be_as_many_as_there_are_steps(entry, tmp_path):
+def test_recorded_actions_are_replayed_and_their_number_must_match_the_steps(entry, tmp_path):
     path = tmp_path / "moves.npz"
     np.savez(path, actions=entry.actions.reshape(3, 2, 4))
     again = registerbench.play(str(path), "brief", name="random", notes="by hand")
@@ -458,7 +467,7 @@ def test_an_action_that_the_task_does_not_take_is_refused():
         registerbench.play(lambda observation, info: "up", "brief", episodes=1)
 
 
-def test_a_round_has_seeds_of_its_own_for_each_split():
+def test_a_round_has_separate_seeds_for_each_split():
     drawn = {(s, r): list_test_seeds(BRIEF, s, r) for s in BRIEF.splits for r in ("2027", "2028")}
     every = [seed for some in drawn.values() for seed in some]
     assert len(set(every)) == 12
@@ -472,9 +481,9 @@ def test_the_commands_submit_and_verify_in_a_fresh_process(tmp_path, monkeypatch
     (tmp_path / "mine.py").write_text("def policy(observation, info):\n    return [0.0, 0.3, 0.0, 0.0]\n")
     monkeypatch.syspath_prepend(tmp_path)
     assert main(["bench-submit", "mine:policy", "-o", "mine.bench", "--episodes", "1", "--cost", "moves=3"]) == 0
-    said = capsys.readouterr().out
-    assert "mine:policy, few-shot train: 1 episodes, 8 steps" in said
-    assert "mine.bench: written" in said
+    printed = capsys.readouterr().out
+    assert "mine:policy, few-shot train: 1 episodes, 8 steps" in printed
+    assert "mine.bench: written" in printed
     done = subprocess.run(
         [sys.executable, "-m", "stage", "bench-verify", "mine.bench", "--json"],
         capture_output=True,
@@ -487,7 +496,7 @@ def test_the_commands_submit_and_verify_in_a_fresh_process(tmp_path, monkeypatch
     ).items()
 
 
-def test_what_it_took_is_reported_by_option_and_may_be_nothing(tmp_path, monkeypatch):
+def test_the_option_cost_states_the_costs_including_zero(tmp_path, monkeypatch):
     """stage bench-submit random --cost moves=3 --cost tokens=0"""
     monkeypatch.chdir(tmp_path)
     cost = ["--cost", "moves=3", "--cost", "tokens=0"]
@@ -496,9 +505,9 @@ def test_what_it_took_is_reported_by_option_and_may_be_nothing(tmp_path, monkeyp
     assert saved.cost == {"moves": 3, "tokens": 0, "test_moves": len(saved.rewards)}
 
 
-def test_the_commands_say_what_is_wrong(entry, tmp_path, monkeypatch, capsys):
+def test_the_commands_explain_invalid_arguments(entry, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    changed(entry, "rewards", 0, 9.0).write("changed.bench")
+    change_entry(entry, "rewards", 0, 9.0).write("changed.bench")
     assert main(["bench-verify", "changed.bench"]) == 1
     assert "DIFFERS first in episode 0, step 0, reward: 9.0 in the entry" in capsys.readouterr().out
     for argv, says in (
@@ -529,7 +538,7 @@ def test_the_list_of_tasks_names_splits_and_players(capsys):
     assert "formula" in reported["players"]
 
 
-def test_the_middle_half_is_averaged_and_its_interval_holds_the_truth():
+def test_the_interval_of_the_middle_half_mean_contains_the_true_value():
     assert statistics.compute_iqm(np.array([-1e9, 1, 2, 3, 4, 5, 6, 1e9])) == 3.5
     draw = np.random.default_rng(5)
     holding = 0
@@ -544,7 +553,7 @@ def test_the_middle_half_is_averaged_and_its_interval_holds_the_truth():
 
 
 def test_complete_runs_are_drawn_so_that_the_luck_of_training_is_in_the_interval():
-    """a run plays all episodes: of a good one and a bad one a quarter of all draws has the good one alone"""
+    """Each run plays all episodes; of a good and a bad run, a quarter of the draws has only the good one."""
     assert statistics.compute_interval(np.repeat([[0.0], [1.0]], 64, axis=1), draws=200) == (0.0, 1.0)
 
 
@@ -563,7 +572,7 @@ def test_an_interval_may_be_of_the_mean():
     assert statistics.compute_interval(one_bad, statistic=np.mean) == (-3.0, 0.0)
 
 
-def test_a_table_says_who_beats_whom_by_intervals_that_part(entry, tmp_path, monkeypatch, capsys):
+def test_a_table_lists_players_whose_intervals_do_not_overlap(entry, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
     def like(player, run, returns, **cost):
@@ -577,12 +586,12 @@ def test_a_table_says_who_beats_whom_by_intervals_that_part(entry, tmp_path, mon
     files_ += [like("few", k, (9.0, 9.1, 9.2), moves=100) for k in range(9)]
     files_ += [like("many", k, (9.0, 9.1, 9.2), moves=100) for k in range(10)]
     assert main(["bench-table", *files_]) == 0
-    said = capsys.readouterr().out
-    assert re.search(r"\| few \| 9 x 3 .* \| too few runs: 10 are needed \|", said), "a learner"
-    assert re.search(r"\| many \| 10 x 3 .* \| best, wide, worst \|", said)
-    assert "| best | 2 x 3 | 3.100 (" in said
-    assert re.search(r"\| best .* \| worst \|\n\| wide .* \| - \|\n\| worst .* \| - \|", said)
-    assert "steps lost" not in said
+    printed = capsys.readouterr().out
+    assert re.search(r"\| few \| 9 x 3 .* \| too few runs: 10 are needed \|", printed), "a learner"
+    assert re.search(r"\| many \| 10 x 3 .* \| best, wide, worst \|", printed)
+    assert "| best | 2 x 3 | 3.100 (" in printed
+    assert re.search(r"\| best .* \| worst \|\n\| wide .* \| - \|\n\| worst .* \| - \|", printed)
+    assert "steps lost" not in printed
     assert main(["bench-table", *files_, "--long"]) == 0
     assert "steps lost" in capsys.readouterr().out
     assert main(["bench-table", files_[0], files_[0]]) == 2

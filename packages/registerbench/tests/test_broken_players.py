@@ -1,4 +1,4 @@
-"""Players that hang, fail or speak nonsense: the run goes on, and says what went wrong; nobody gets a score without a word."""
+"""Players that hang, fail or send nonsense: the run continues and explains what went wrong."""
 
 import asyncio
 import http.server
@@ -17,11 +17,11 @@ from registerbench.arena.players.endpoint import EndpointPlayer
 from stage.cli import main
 
 SHORT = Limits(patience=0.15)
-LATE = ["agent", "diagnosis:late"]
+AGENT_COMMAND = ["agent", "diagnosis:late"]
 
 
-def finished(player, limits=SHORT):
-    """Why its one game was ended; in time."""
+def get_end_reason(player, limits=SHORT):
+    """Play one game and return the reason for its end; fail if it takes too long."""
     started = time.monotonic()
     came = play(suite("diagnosis:late"), player, "slow", limits)
     assert time.monotonic() - started < 3
@@ -37,11 +37,11 @@ def finished(player, limits=SHORT):
     "words", [["sleep", "1000"], ["sh", "-c", "sleep 1000; true"],
               ["sh", "-c", 'while true; do echo \'{"call": "program"}\'; done']]
 )  # fmt: skip
-def test_a_command_that_hangs_or_never_reads_is_left(words):
-    assert "timed out" in finished(CommandPlayer(words), Limits(patience=0.15, max_calls=10**6))
+def test_a_command_that_hangs_or_never_reads_is_abandoned(words):
+    assert "timed out" in get_end_reason(CommandPlayer(words), Limits(patience=0.15, max_calls=10**6))
 
 
-def test_a_function_that_hangs_is_left_and_the_next_game_is_played():
+def test_a_function_that_hangs_is_abandoned_and_the_next_game_is_played():
     def hangs(table):
         table.call("program")
         if table.name.endswith("polarity"):
@@ -54,16 +54,16 @@ def test_a_function_that_hangs_is_left_and_the_next_game_is_played():
     assert not came.is_valid
 
 
-def test_a_game_has_its_time_too():
+def test_a_game_has_a_time_limit():
     def dawdles(table):
         while not table.over:
             table.call("task")
             time.sleep(0.05)
 
-    assert finished(dawdles, Limits(time=0.2)) == "timed out: its calls took 0.2 s in all"
+    assert get_end_reason(dawdles, Limits(time=0.2)) == "timed out: its calls took 0.2 s in all"
 
 
-def test_a_function_that_ignores_the_end_is_ended():
+def test_a_function_that_ignores_the_end_of_a_game_is_terminated():
     def ignores(table):
         while True:
             table.call("budget")
@@ -73,7 +73,7 @@ def test_a_function_that_ignores_the_end_is_ended():
     assert came.trouble_counts["calls after the end"]
 
 
-def test_the_time_of_the_simulation_is_not_the_players():
+def test_simulation_time_does_not_count_against_the_player():
     def waits(table):
         table.call("wait", {"seconds": 6})
         table.call("wait", {"seconds": 6})
@@ -96,20 +96,20 @@ class Drips(http.server.BaseHTTPRequestHandler):
         pass
 
 
-def test_an_endpoint_that_drips_bytes_is_left():
+def test_an_endpoint_that_sends_single_bytes_is_abandoned():
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Drips) as server:
         server.done = threading.Event()
         threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
         try:
-            assert "timed out" in finished(EndpointPlayer(f"http://127.0.0.1:{server.server_port}/v1", "m"))
+            assert "timed out" in get_end_reason(EndpointPlayer(f"http://127.0.0.1:{server.server_port}/v1", "m"))
         finally:
             server.done.set()
             server.shutdown()
 
 
 @pytest.mark.slow
-def test_a_client_that_hangs_is_left():
-    command = [sys.executable, "-m", "stage", *LATE, "--mcp", "--patience", "0.3"]
+def test_a_client_that_hangs_is_abandoned():
+    command = [sys.executable, "-m", "stage", *AGENT_COMMAND, "--mcp", "--patience", "0.3"]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as p:
@@ -118,11 +118,11 @@ def test_a_client_that_hangs_is_left():
 
 
 @pytest.mark.parametrize("values", ["nan", "0", "-1", "inf"])
-def test_limits_are_limits(values, capsys):
+def test_invalid_limits_are_refused(values, capsys):
     for name in ("--patience", "--time"):
-        assert main([*LATE, name, values]) == 2
+        assert main([*AGENT_COMMAND, name, values]) == 2
         assert "seconds, more than 0" in capsys.readouterr().err
-    assert main([*LATE, "--most", "0"]) == 2
+    assert main([*AGENT_COMMAND, "--most", "0"]) == 2
 
 
 # --- who is broken ---
@@ -142,14 +142,14 @@ BROKEN = (
 
 
 @pytest.mark.parametrize(("arguments", "code", "message"), BROKEN)
-def test_a_broken_player_gets_no_score_without_a_word(arguments, code, message, capsys):
-    assert main([*LATE, *arguments]) == code
+def test_a_broken_player_is_explained_along_with_its_score(arguments, code, message, capsys):
+    assert main([*AGENT_COMMAND, *arguments]) == code
     err = capsys.readouterr().err
     assert message in err
     assert "Traceback" not in err
 
 
-def test_a_function_of_somebodys_own_that_fails_ends_its_game(tmp_path, monkeypatch, capsys):
+def test_a_failing_user_function_ends_its_game(tmp_path, monkeypatch, capsys):
     (tmp_path / "fails_now.py").write_text(
         "def play(table):\n    table.call('program')\n    if 'forgotten' in table.name:\n        raise KeyError('x')\n"
         "async def later(table):\n    table.call('program')\n"
@@ -159,7 +159,7 @@ def test_a_function_of_somebodys_own_that_fails_ends_its_game(tmp_path, monkeypa
     out, err = capsys.readouterr()
     assert "3 of 10 games" in out
     assert "stage: diagnosis:forgotten: failed: KeyError: 'x'" in err
-    assert main([*LATE, "--by", "fails_now:later"]) == 0
+    assert main([*AGENT_COMMAND, "--by", "fails_now:later"]) == 0
     assert "1 calls" in capsys.readouterr().out
 
 
@@ -172,7 +172,7 @@ def test_a_function_without_await_may_be_async():
 
 
 @pytest.mark.parametrize("tokens", ["12", -1, 1.5, True, [1], 1 << 60])
-def test_tokens_that_are_none_are_not_counted_and_told(tokens):
+def test_invalid_token_counts_are_ignored_and_reported(tokens):
     with FakeModel(calls(("finish", {}), tokens=tokens)) as model:
         came = play(suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
     assert came.tokens == 0
@@ -180,21 +180,21 @@ def test_tokens_that_are_none_are_not_counted_and_told(tokens):
 
 
 @pytest.mark.parametrize("tokens", [0, 1, (1 << 40) - 1])
-def test_a_integer_of_tokens_is_counted_none_too(tokens):
+def test_an_integer_token_count_is_added_including_zero(tokens):
     with FakeModel(calls(("finish", {}), tokens=tokens)) as model:
         came = play(suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
     assert (came.tokens, came.trouble_counts["tokens that are no whole number, and are not counted"]) == (tokens, 0)
 
 
-def nested(depth):
+def nest_lists(depth):
     value = []
     for _ in range(depth):
         value = [value]
     return value
 
 
-@pytest.mark.parametrize("values", [{b"x": 1}, {"text": nested(100_000)}, {(1, 2): 3}])
-def test_arguments_that_are_no_json_are_refused(values):
+@pytest.mark.parametrize("values", [{b"x": 1}, {"text": nest_lists(100_000)}, {(1, 2): 3}])
+def test_arguments_that_json_cannot_hold_are_refused(values):
     def odd(table):
         assert "cannot be written as JSON" in table.call("write_program", values).text
         table.call("task")
@@ -204,7 +204,7 @@ def test_arguments_that_are_no_json_are_refused(values):
     json.dumps(came.games[0].calls)
 
 
-def test_json_that_is_nested_deeply_ends_nothing():
+def test_deeply_nested_json_does_not_end_the_game():
     code = "import sys; input(); print('{\"call\": \"task\", \"arguments\": ' + '[' * 900 + ']' * 900 + '}', flush=True); input()"
     came = play(suite("diagnosis:late"), CommandPlayer([sys.executable, "-c", code]))
     assert came.games[0].valid_calls == 0

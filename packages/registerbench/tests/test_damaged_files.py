@@ -1,4 +1,4 @@
-"""Entries, transcripts and recorded actions come from strangers: a damaged one is read, or refused in words, within seconds."""
+"""Damaged entries, transcripts and recorded actions are read or refused with an explanation within seconds."""
 
 import io
 import json
@@ -22,11 +22,11 @@ READERS = {
     ".jsonl": read_transcript,
     ".npz": lambda path: RecordedActions(str(path)),
 }
-"""The ending of each format, and what reads it."""
+"""File extension -> the function that reads the format."""
 
 
 def refuses(path, which):
-    """Return whether a file is refused in words; fail if its reader fails otherwise."""
+    """Return whether a file is refused with an explanation; fail on any other error."""
     text = ""
     try:
         READERS[path.suffix](path)

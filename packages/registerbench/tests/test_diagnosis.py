@@ -1,4 +1,4 @@
-"""The broken set-ups: each fails as its customer says, and is well again when the cause is mended, and by nothing else."""
+"""Tests of the broken setups: each fails as described and works again only when its cause is repaired."""
 
 import pytest
 
@@ -31,7 +31,7 @@ def case():
         c.box.close()
 
 
-def test_there_are_ten_and_each_cause_has_one():
+def test_each_of_the_ten_causes_has_one_setup():
     assert sorted(s.cause for s in SETUPS.values()) == sorted(CAUSES)
     assert len(SETUPS) == 10
     assert set(BETTER) | {s.name for s in SETUPS.values() if s.cause in WORK} == set(SETUPS)
@@ -41,7 +41,7 @@ LONG = [name if name in ("late", "forgotten") else pytest.param(name, marks=pyte
 
 
 @pytest.mark.parametrize("name", LONG)
-def test_it_fails_as_the_customer_says_and_works_when_repaired(case, name):
+def test_a_setup_fails_as_described_and_works_when_repaired(case, name):
     c = case(name)
     assert c.box.call("run").ok
     assert c.why_not()
@@ -54,7 +54,7 @@ def test_it_fails_as_the_customer_says_and_works_when_repaired(case, name):
     assert c.score() == c.score()
 
 
-def test_work_on_what_is_intact_repairs_nothing(case):
+def test_service_of_an_intact_part_repairs_nothing(case):
     c = case("supply")
     for work, cause in SERVICES.items():
         if cause != c.setup.cause:
@@ -62,8 +62,8 @@ def test_work_on_what_is_intact_repairs_nothing(case):
     assert not c.score().repaired
 
 
-def test_a_base_holds_for_its_own_program(case):
-    """A program with a wrong base, and then one without"""
+def test_a_base_address_applies_only_to_the_program_that_sets_it(case):
+    """A program with a wrong base runs first, then one without."""
     c = case("address")
     c.box.call("run")
     lines = c.box.call("program").text.splitlines()
@@ -72,7 +72,7 @@ def test_a_base_holds_for_its_own_program(case):
     assert c.score().repaired
 
 
-def test_an_agent_is_reported_nothing_of_the_machine_that_a_host_cannot_see(case):
+def test_an_agent_receives_no_machine_state_that_a_host_cannot_read(case):
     c = case("slip")
     message = "".join(c.box.call(name).text for name in ("describe", "run", "measure", "diagnostics"))
     assert "truth" not in c.box.tools
@@ -91,7 +91,7 @@ def test_runs_are_counted_and_the_first_answer_counts(case):
     assert c.over
 
 
-def test_an_agent_that_spends_everything_is_scored_all_the_same(case):
+def test_an_agent_that_exhausts_its_budget_is_still_scored(case):
     c = case("late")
     c.box.meter.ns = 10**15
     assert "of simulated time are spent" in c.box.call("run").text
@@ -99,7 +99,7 @@ def test_an_agent_that_spends_everything_is_scored_all_the_same(case):
     assert c.score().repaired
 
 
-def test_a_program_writes_into_the_air_where_no_chip_is(case):
+def test_writes_to_an_address_without_a_chip_have_no_effect(case):
     c = case("address")
     c.box.call("write_program", {"text": c._text.replace("304h", "340h")})
     assert "answers FFh for ever" in c.box.call("run").text
@@ -132,6 +132,6 @@ def test_a_line_that_cannot_be_read_is_reported_with_its_number(case, line, mess
     assert c.box.call("program").text == c.setup.program
 
 
-def test_a_case_that_is_none_is_refused():
+def test_an_unknown_setup_is_refused():
     with pytest.raises(ArgumentError, match="Did you mean 'supply'"):
         Case("suply")

@@ -1,4 +1,4 @@
-"""What the score of a broken set-up is worth: nothing is had without finding and mending, and work costs."""
+"""Scores of broken setups: they require a diagnosis and a repair, and work costs."""
 
 import re
 
@@ -21,8 +21,8 @@ def score(name, act):
         case.box.close()
 
 
-def crawl(box):
-    """Every high speed becomes the chip's low one, and the host waits as long as it may."""
+def reduce_speeds(box):
+    """Replace every high speed by the low one, with the longest waits."""
     text = box.call("program").text
     text = re.sub(r"operate 15h", "operate 10h", text)
     text = re.sub(r"R2 <- \d+", "R2 <- 340", text)
@@ -32,19 +32,19 @@ def crawl(box):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_who_does_nothing_gets_nothing(name):
+def test_a_player_that_does_nothing_scores_zero(name):
     assert score(name, lambda box: None).value == 0
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_who_crawls_repairs_nothing(name):
-    got = score(name, crawl)
+def test_reducing_all_speeds_repairs_nothing(name):
+    got = score(name, reduce_speeds)
     assert not got.repaired
     assert got.value == 0
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_who_names_all_causes_gets_nothing(name):
+def test_naming_all_causes_scores_zero(name):
     def all_causes(box):
         for cause in CAUSES:
             box.call("answer", {"cause": cause})
@@ -53,7 +53,7 @@ def test_who_names_all_causes_gets_nothing(name):
     assert got.value == (0.5 if SETUPS[name].cause == next(iter(CAUSES)) else -0.5)
 
 
-def test_as_many_wrong_as_right_guesses_are_nothing():
+def test_equal_numbers_of_wrong_and_right_guesses_score_zero():
     right, wrong = (
         score("polarity", lambda box, c=c: box.call("answer", {"cause": c})).value for c in list(CAUSES)[:2]
     )
@@ -61,7 +61,7 @@ def test_as_many_wrong_as_right_guesses_are_nothing():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_who_orders_all_services_gets_nothing(name):
+def test_ordering_all_services_scores_zero(name):
     def all_services(box):
         for work in SERVICES:
             assert box.call("service", {"work": work}).ok
@@ -69,22 +69,22 @@ def test_who_orders_all_services_gets_nothing(name):
     assert score(name, all_services).value == 0
 
 
-LATE = ("R6 <- 320 ", "R6 <- 3200")
+RAMP_DOWN_FIX = ("R6 <- 320 ", "R6 <- 3200")
 TWICE = (r"(?s)x: R0 <- 8000           # once more.*?wait 0.2\n", "")  # one long move in place of two
 Y_TOO = "wait 0.2\ny: operate 08h\ny: R0 <- 99\ny: R1 <- 340\ny: R7 <- 204\ny: control 44h\ny: operate 10h\nuntil y stopped 1"
-NOT_ASKED = (
+UNREQUESTED = (
     ("reset", (("R0 <- 8000           # 25", "R0 <- 16000  # 50"), TWICE), "it rests at 2 places, and 3"),
     ("wide", (("84 2: 41 1: 10", "R4 <- 1000"),), "its ramp up takes"),
-    ("late", (LATE, ("R2 <- 8160", "R2 <- 1360")), "it takes more than"),
-    ("late", (LATE, ("R6 <- 3200\n", "R6 <- 12000\n")), "it takes more than"),
-    ("late", (LATE, ("wait 0.2", "wait 0.02")), "places, and 2 are wanted"),
-    ("late", (LATE, ("R0 <- 16000", "R0 <- 15970")), "mm is wanted"),
+    ("late", (RAMP_DOWN_FIX, ("R2 <- 8160", "R2 <- 1360")), "it takes more than"),
+    ("late", (RAMP_DOWN_FIX, ("R6 <- 3200\n", "R6 <- 12000\n")), "it takes more than"),
+    ("late", (RAMP_DOWN_FIX, ("wait 0.2", "wait 0.02")), "places, and 2 are wanted"),
+    ("late", (RAMP_DOWN_FIX, ("R0 <- 16000", "R0 <- 15970")), "mm is wanted"),
     ("address", (("base x 304h", "base x 300h"), ("wait 0.2", Y_TOO)), "y moves"),
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "changes", "why"), NOT_ASKED)
-def test_what_is_not_requested_is_not_repaired(name, changes, why):
+@pytest.mark.parametrize(("name", "changes", "why"), UNREQUESTED)
+def test_a_program_that_does_other_work_than_requested_is_no_repair(name, changes, why):
     case = Case(name)
     text = case.setup.program
     for was, becomes in changes:
@@ -95,28 +95,28 @@ def test_what_is_not_requested_is_not_repaired(name, changes, why):
     case.box.close()
 
 
-def test_a_program_that_goes_round_a_broken_machine_does_not_repair_it():
-    """Another program than that which came, at half the rate: the machine is as weak as it was."""
+def test_a_slower_program_does_not_repair_a_weak_supply():
+    """The program runs at half the rate, and the machine stays as weak as before."""
 
     def slower(box):
-        crawl(box)
+        reduce_speeds(box)
         box.call("answer", {"cause": "supply too low"})
 
     got = score("supply", slower)
     assert (got.found, got.repaired, got.value) == (1, False, 0.5)
 
 
-def test_work_costs():
-    def mend(box, *more):
+def test_services_moves_and_waits_cost():
+    def repair_supply(box, *more):
         for work in more:
             box.call("service", {"work": work})
         box.call("service", {"work": "set the supply of the drives to what is on the nameplate"})
 
     works = [w for w, cause in SERVICES.items() if not cause]
-    assert score("supply", lambda box: mend(box, *works[:2])).value == 0.25
+    assert score("supply", lambda box: repair_supply(box, *works[:2])).value == 0.25
 
     def busy(box):
-        mend(box)
+        repair_supply(box)
         for _ in range(3):
             box.call("move", {"axis": "x", "pulses": 10})
         box.call("wait", {"seconds": 20})
@@ -135,13 +135,13 @@ def test_nothing_counts_after_finish():
 
 
 @pytest.mark.slow
-def test_the_technician_is_near_one_on_all():
+def test_the_technician_scores_almost_one_on_all_setups():
     came = play(suite("diagnosis"), make_player("technician"))
     assert all(r.score["value"] > 0.95 for r in came.games)
 
 
 def direction(stops, rate=1000.0, aside=0.0, lost=0.0, start=0.0, rest=100, ramps=()):
-    """Samples of a way at `rate`, a pulse a millimetre, with rests of 0.2 s; ramps: s up to that rate, of each way."""
+    """Return samples of legs at `rate`, 1 pulse per mm, with rests of 0.2 s; ramps: s to reach the rate, per leg."""
     observed, t, x = [Sample(0.0, start, start, 0.0, 0.0, False)], 0.0, start
     for stop, ramp in zip(stops, (*ramps, *[0.0] * len(stops)), strict=False):
         begin = t
@@ -169,7 +169,7 @@ def direction(stops, rate=1000.0, aside=0.0, lost=0.0, start=0.0, rest=100, ramp
         (direction((0.05, 0.0), lost=4), "steps are lost"),
     ],
 )
-def test_a_trial_sees_what_is_wrong(observed, why):
+def test_a_trial_detects_each_fault_of_a_motion(observed, why):
     assert len(rests_of(observed))
     results = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(observed, 0.0, 1e-3)
     assert results.startswith(why) if why else not results
@@ -202,8 +202,8 @@ def test_a_trial_measures_either_side_and_the_first_ramp_alone(observed, how, st
     assert results.startswith(why) if why else not results, results
 
 
-def test_the_second_leg_is_judged_by_itself():
-    """The second leg is too slow, although the first is as fast as it should be."""
+def test_the_second_leg_is_judged_separately():
+    """The second leg is too slow, although the first has the right speed."""
     present, back = direction((0.05,)), direction((0.0,), rate=800, start=0.05)
     last = present[-1].time
     observed = [*present, *(s._replace(time=s.time + last + 2e-3) for s in back)]
@@ -214,7 +214,7 @@ def test_the_second_leg_is_judged_by_itself():
 @pytest.mark.parametrize(
     ("back", "why"), [(1000.0, ""), (800.0, "way 2 has 800 pulses"), (1300.0, "way 2 has 1300 pulses")]
 )
-def test_each_leg_has_its_own_rate_seen_from_the_rest_before_it(back, why):
+def test_each_leg_is_judged_by_the_rate_since_the_rest_before_it(back, why):
     out, home = direction((0.05,)), direction((0.0,), rate=back, start=0.05)
     observed = out + [s._replace(time=s.time + out[-1].time) for s in home[1:]]
     results = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(observed, 0.0, 1e-3)

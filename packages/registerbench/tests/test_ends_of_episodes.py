@@ -1,4 +1,4 @@
-"""Episodes of the bench end what they began, and a player's seed is its run."""
+"""Episodes of the bench close what they open, and the run seeds the player."""
 
 import pytest
 
@@ -66,7 +66,7 @@ def test_a_player_that_draws_is_seeded_by_its_run_and_plays_the_round_that_was_r
     assert created.seeds == (drawn(BRIEF, "heavy", "2031")[0],)
 
 
-def test_what_a_policy_says_of_its_cost_comes_before_what_was_said_of_it_and_what_was_counted_before_both():
+def test_counted_costs_override_those_of_the_policy_which_override_stated_costs():
     def frugal(observation, info):
         return [0.0] * 4
 

@@ -1,4 +1,4 @@
-"""The learners of the benchmark: what a policy may know, masks that hold, and that they learn."""
+"""Tests of the learners of the benchmark: observations, action masks and learning progress."""
 
 import dataclasses
 from pathlib import Path
@@ -24,8 +24,8 @@ def rules():
 NAMES = ("distance", "kept")
 
 
-def boldness(rules, kind, w, *saved):
-    """Logarithm of the boldness of each try, after tries that kept step or did not."""
+def compute_boldness(rules, kind, w, *saved):
+    """Return the logarithm of the boldness of each attempt, after attempts that kept step (True) or did not."""
     rule, tried = kind(w, NAMES), []
     usual = rules.compute_bold_actions(np.ones(1))[0, 2]
     per = (rules.compute_bold_actions(np.full(1, np.e))[0, 2] - usual).item()
@@ -35,18 +35,18 @@ def boldness(rules, kind, w, *saved):
     return pytest.approx(tried, abs=1e-5)
 
 
-def test_a_policy_without_memory_does_the_same_whatever_its_attempts_have_revealed(rules):
+def test_a_policy_without_memory_ignores_the_results_of_its_attempts(rules):
     w = (0.2, 0.4, 0.8)
-    assert boldness(rules, rules.ScheduledRule, w, True, True) == [0.4, 0.5, 0.6]
-    assert boldness(rules, rules.ScheduledRule, w, False, True) == [0.4, 0.5, 0.6]
+    assert compute_boldness(rules, rules.ScheduledRule, w, True, True) == [0.4, 0.5, 0.6]
+    assert compute_boldness(rules, rules.ScheduledRule, w, False, True) == [0.4, 0.5, 0.6]
 
 
-def test_a_policy_with_memory_goes_up_until_it_loses_steps_and_then_between(rules):
+def test_a_policy_with_memory_grows_bolder_until_it_loses_steps_and_then_bisects(rules):
     kind, w = rules.RememberingRule, (0.6, 0.0, 0.2, 0.25, 0.1)
-    assert boldness(rules, kind, w, True, True) == [0.6, 0.8, 1.0]
-    assert boldness(rules, kind, w, False, False) == [0.6, 0.2, -0.2]
-    assert boldness(rules, kind, w, True, False, True) == [0.6, 0.8, 0.65, 0.65 + 0.15 / 4]
-    assert boldness(rules, kind, w, *[True] * 7) == [0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 1.7], "back at last"
+    assert compute_boldness(rules, kind, w, True, True) == [0.6, 0.8, 1.0]
+    assert compute_boldness(rules, kind, w, False, False) == [0.6, 0.2, -0.2]
+    assert compute_boldness(rules, kind, w, True, False, True) == [0.6, 0.8, 0.65, 0.65 + 0.15 / 4]
+    assert compute_boldness(rules, kind, w, *[True] * 7) == [0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 1.7], "back at last"
     rule = kind(w, NAMES)
     for observed in (0.0, 1.0, 0.0):  # the same try, once so and once so
         rule(np.array([[0.5, observed]]))
@@ -59,7 +59,7 @@ def test_a_policy_with_memory_goes_up_until_it_loses_steps_and_then_between(rule
     ("task", "player"),
     [("few-shot-wide", "es with memory"), ("one-shot", "es"), ("line", "es"), ("home", "es")],
 )
-def test_the_policy_of_the_bench_plays_as_the_one_that_learned(rules, task, player):
+def test_the_shipped_policy_plays_like_the_trained_one(rules, task, player):
     from registerbench.baselines import rule_learners as learners
 
     kind = rules.RULES[task, player]
@@ -101,7 +101,7 @@ def test_cma_es_finds_a_bolder_policy_than_it_begins_with(tmp_path):
     assert entry.scores["return"][: learners.EPISODES] == pytest.approx(last, abs=1e-3), "the curve's end is the entry"
 
 
-def test_a_rule_earns_on_a_table_what_its_attempts_are_worth_there(rules):
+def test_a_rule_earns_the_tabulated_rewards_of_its_attempts(rules):
     from registerbench.baselines.boldness_table import BOLDNESS, BoldnessTable
 
     edge = np.array([2.0, 4.0])
@@ -123,7 +123,7 @@ def test_a_rule_earns_on_a_table_what_its_attempts_are_worth_there(rules):
     assert table.take_machines(1).play(rules.RememberingRule, w) == table.play(rules.RememberingRule, w)[:1]
 
 
-def test_memory_pays_where_the_last_try_is_the_answer_by_more_than_the_intervals():
+def test_memory_improves_the_last_attempt_by_more_than_the_intervals():
     published = registerbench.read_entries(
         Path(__file__).parents[1] / "docs" / "data" / "entries" / "few-shot-wide.zip"
     )
@@ -143,8 +143,8 @@ def test_the_page_has_the_table_of_the_published_curves(curves):
     assert curves.format_table(curves.read(curves.DATA)) in (curves.DOCS / "benchmark.md").read_text()
 
 
-def test_of_published_curves_the_processor_s_time_grows_and_has_what_was_tried_in_it(curves):
-    """few-shot-wide: a run's table is some 20 s, from the first point on"""
+def test_processor_time_of_published_curves_increases_and_includes_all_trials(curves):
+    """The table of a run of few-shot-wide takes about 20 s, included from the first point on."""
     for task, players in curves.read(curves.DATA).items():
         for player, runs in players.items():
             for run, points in runs.items():
@@ -185,7 +185,7 @@ def test_axes_are_ordered_by_their_role_and_macros_are_those_of_the_environment_
     ]
 
 
-def test_to_a_learner_the_way_of_an_axis_is_worth_as_much_with_a_second_axis_as_without():
+def test_the_progress_reward_of_an_axis_is_independent_of_a_second_axis():
     pytest.importorskip("sb3_contrib")
     from registerbench.baselines import bus_macros_learners as learners
 
@@ -201,7 +201,7 @@ def test_to_a_learner_the_way_of_an_axis_is_worth_as_much_with_a_second_axis_as_
     assert progress("axes", x=2048, y=0) == pytest.approx(alone, abs=1e-3)
 
 
-def test_a_learner_that_is_stopped_says_what_it_saved_and_ends_as_shells_have_it(capsys):
+def test_a_stopped_learner_reports_its_saved_file_and_the_exit_code_of_a_signal(capsys):
     from registerbench.baselines import explain_interrupt
 
     with pytest.raises(SystemExit) as stopped, explain_interrupt("two runs are kept."):

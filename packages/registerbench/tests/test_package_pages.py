@@ -1,4 +1,4 @@
-"""README.md and docs/ of this package do what they say, as the core's tests/test_docs.py has it for its own pages."""
+"""Tests that the examples in README.md and docs/ of this package work, as tests/test_docs.py does for the core."""
 
 import importlib
 import re

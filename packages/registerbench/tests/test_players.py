@@ -1,4 +1,4 @@
-"""Players from outside: commands that speak JSON lines, OpenAI-compatible endpoints, clients of the Model Context Protocol."""
+"""Tests of external players: JSON-lines commands, OpenAI-compatible endpoints, Model Context Protocol clients."""
 
 import asyncio
 import http.server
@@ -27,12 +27,12 @@ print(json.dumps({"done": True, "tokens": 5}), flush=True)
 """
 
 
-def command(code, **how):
+def create_command_player(code, **how):
     return CommandPlayer([sys.executable, "-c", code], **how)
 
 
 def test_a_command_that_speaks_json_lines_plays():
-    played = play(suite("diagnosis:late"), command(SOLVES), "mine")
+    played = play(suite("diagnosis:late"), create_command_player(SOLVES), "mine")
     assert played.value == 1.0
     assert played.tokens == 12
     assert replay(played).is_same
@@ -42,8 +42,8 @@ def test_a_command_that_speaks_json_lines_plays():
     "code", ["", "print('hello')", "import sys; sys.exit(3)", "print('[1, 2]', flush=True)", "while True: print('{}', flush=True)",
              "print('x' * 3_000_000, flush=True)", "import os; os.close(1); input(); input()"]
 )  # fmt: skip
-def test_a_command_that_speaks_nonsense_is_scored_as_it_is(code):
-    played = play(suite("diagnosis:late"), command(code), "odd")
+def test_a_command_with_invalid_output_is_scored_normally(code):
+    played = play(suite("diagnosis:late"), create_command_player(code), "odd")
     assert played.value == 0.0
 
 
@@ -57,8 +57,8 @@ def test_a_command_that_does_not_exist_is_reported():
 # --- endpoints ---
 
 
-def mend(body):
-    """Act as a model that has read the program."""
+def reply_with_repair(body):
+    """Return the reply of a model that has read the program and repairs it."""
     program = next(m["content"] for m in body["messages"] if m["role"] == "tool")
     return calls(
         ("write_program", {"text": program.replace("R6 <- 320 ", "R6 <- 3200")}),
@@ -68,36 +68,36 @@ def mend(body):
 
 
 def test_a_model_at_an_endpoint_plays():
-    with FakeModel(calls(("program", {})), says("let me see"), mend) as model:
+    with FakeModel(calls(("program", {})), says("let me see"), reply_with_repair) as model:
         played = play(suite("diagnosis:late"), EndpointPlayer(model.url, "fake", "secret"))
     assert (played.player, played.value, played.tokens) == ("fake", 1.0, 21)
     assert model.heads[0]["Authorization"] == "Bearer secret"
-    assert model.asked[0]["tools"][0]["type"] == "function"
-    assert model.asked[-1]["messages"][0]["content"].startswith("You act by calling tools")
+    assert model.requests[0]["tools"][0]["type"] == "function"
+    assert model.requests[-1]["messages"][0]["content"].startswith("You act by calling tools")
     assert replay(played).is_same
 
 
-def test_what_a_model_gets_wrong_it_is_taught():
+def test_errors_of_a_model_are_explained_to_it():
     wrong = calls(("runn", {}), ("service", '{"work": '), ("answer", '["x"]'), ("answer", {"cause": "late"}))
     with FakeModel(wrong, calls(("finish", {}))) as model:
         play(suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
-        message = [m["content"] for m in model.asked[1]["messages"] if m["role"] == "tool"]
+        message = [m["content"] for m in model.requests[1]["messages"] if m["role"] == "tool"]
     assert all(text.startswith("error: ") for text in message)
     assert "Did you mean 'run'" in message[0]
     assert "should be an object" in message[1]
 
 
-def test_a_model_that_calls_nothing_is_left_alone():
+def test_a_model_that_calls_no_tool_ends_its_game():
     with FakeModel() as model:
         played = play(suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
     assert played.value == 0.0
-    assert len(model.asked) == 3
+    assert len(model.requests) == 3
 
 
-def test_an_endpoint_may_be_busy_for_a_while():
+def test_a_busy_endpoint_is_tried_again():
     with FakeModel(503, 429, calls(("finish", {}))) as model:
         assert play(suite("diagnosis:late"), EndpointPlayer(model.url, "fake", pause=0.0)).games[0].calls
-    assert len(model.asked) == 3
+    assert len(model.requests) == 3
 
 
 NO_REPLIES = (
@@ -107,7 +107,7 @@ NO_REPLIES = (
 
 
 @pytest.mark.parametrize(("reply", "message"), NO_REPLIES)
-def test_an_endpoint_that_is_none_is_reported(reply, message):
+def test_an_invalid_endpoint_reply_is_reported(reply, message):
     with FakeModel(reply) as model, pytest.raises(StageError, match=message):
         play(suite("diagnosis:late"), EndpointPlayer(model.url, "fake", pause=0.0))
 
@@ -149,8 +149,8 @@ def test_a_client_of_the_protocol_plays_a_game(tmp_path):
     assert results.result.calls == 4
 
 
-def test_the_key_goes_to_the_address_that_was_set_and_to_no_other():
-    """An endpoint that answers 302: the request, with its key, is not sent on"""
+def test_the_api_key_is_sent_only_to_the_configured_address():
+    """The endpoint answers 302; the request with its key is not forwarded."""
     came = []
 
     class Elsewhere(http.server.BaseHTTPRequestHandler):

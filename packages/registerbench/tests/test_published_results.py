@@ -1,4 +1,4 @@
-"""docs/results.md: its verdicts, the command that makes it, and that every number of it comes from data/results.parquet."""
+"""Tests of docs/results.md: its verdicts, its command, and its numbers from data/results.parquet."""
 
 import importlib
 import re
@@ -45,8 +45,8 @@ def all_():
     return MethodRuns.read(DATA)
 
 
-def test_a_formula_is_beaten_by_an_interval_of_rewards_above_0_of_ten_seeds_or_more_that_all_found_an_answer(results):
-    """Five verdicts were of time alone, and other ones by the reward by which the answers are chosen."""
+def test_a_method_beats_the_formula_with_ten_seeds_and_a_positive_reward_interval(results):
+    """Verdicts must compare rewards in new moves, not times or the rewards of the selection."""
     created = [run("formula", reward=-0.44, duration=0.43)]
     for method, rewards, durations in (
         ("CMA-ES", np.linspace(-0.41, -0.40, 10), [0.45] * 10),  # better by reward, slower
@@ -120,18 +120,18 @@ def test_runs_come_back_from_their_file_and_equal_ones_give_equal_bytes(tmp_path
         ),
     ],
 )
-def test_made_by_is_the_command_that_makes_the_page(created, options, results):
-    """`--model xy --payload 2` was missing."""
+def test_the_page_states_the_command_that_generates_it(created, options, results):
+    """The command includes non-default options such as `--model xy --payload 2`."""
     message = results.format_command(MethodRuns(16, 2, **created))
     assert message == f"python -m registerbench.baselines.results {options}--budget 16 --seeds 2"
 
 
-def test_the_page_is_what_the_published_moves_say(all_, results):
+def test_the_page_follows_from_the_published_moves(all_, results):
     assert PAGE.read_text() == results.format_page(all_)
 
 
 def test_each_published_answer_follows_from_its_proofs(all_):
-    """Written out once more: the first HELD that hold, of these the highest mean reward."""
+    """The test selects independently: of the first HELD that pass, the highest mean reward."""
     answers = 0
     for r in all_.runs:
         ranked = [k for k in np.argsort(-np.array(r.search.reward), kind="stable") if r.search.kept_step[k]]
@@ -149,7 +149,7 @@ def test_each_published_answer_follows_from_its_proofs(all_):
 
 
 def test_the_table_is_recomputed_from_the_rows_by_pandas(all_):
-    """Of each method: the mean reward and time of each seed's answer in new moves, the middle half of the seeds."""
+    """The table lists for each method the mean reward and time in new moves, for the middle half of the seeds."""
     pandas = pytest.importorskip("pandas")
     table = pandas.read_parquet(DATA)
     new = table[(table.part == "test") & (table.context == "new")]

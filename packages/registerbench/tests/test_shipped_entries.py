@@ -1,4 +1,4 @@
-"""Entries that are published: each is replayed, bit for bit, a few episodes every day and all of them in the long checks."""
+"""Published entries: the everyday suite replays a few episodes bit for bit, the slow one all of them."""
 
 import argparse
 import dataclasses
@@ -25,17 +25,17 @@ ENTRIES = {
     for name, entry in registerbench.read_entries(archive).items()
 }
 SAME = ("mujoco", "numpy", "system", "physics")
-"""Versions with which an entry promises its bits."""
+"""Version keys that must match for an entry to replay to the same bits."""
 FEW = 2  # episodes
 TASKS = ("line", "one-shot", "few-shot", "bus-target", "bus-axes")
 DAILY = [
     min((n for n, e in ENTRIES.items() if e.task == task), key=lambda n: len(ENTRIES[n].rewards)) for task in TASKS
 ]
-"""One with the fewest steps of each task."""
+"""The entry with the fewest steps of each task."""
 
 
-def part(entry: Entry, episodes: int) -> Entry:
-    """The first episodes of an entry."""
+def take_first_episodes(entry: Entry, episodes: int) -> Entry:
+    """Return an entry with only the first episodes."""
     steps = int(entry.steps[:episodes].sum())
     return dataclasses.replace(
         entry, seeds=entry.seeds[:episodes], steps=entry.steps[:episodes], actions=entry.actions[:steps],
@@ -61,14 +61,14 @@ def test_files_are_named_by_what_is_in_them_and_every_task_that_was_played_has_t
     assert all("random" in players for players in played.values()), played
 
 
-def test_the_page_has_the_tables_that_the_published_entries_make():
+def test_the_tables_of_the_page_follow_from_the_published_entries():
     page = (FOLDER.parents[1] / "benchmark.md").read_text()
     for table in statistics.format_tables(ENTRIES.values(), long=True).split("\n\n"):
         assert f"\n{table}\n" in page, table
 
 
-def made_by_the_commands_of_the_page():
-    """(task, split, round, "learned" or a player's name) of commands of the cost table that write entries; of all players: ""."""
+def list_documented_entries():
+    """List (task, split, round, player) of the commands in the cost table; player is "learned", a name, or "" for all."""
     parser = argparse.ArgumentParser()
     for name, usual in (("tasks", []), ("splits", ["train"]), ("players", [""])):
         parser.add_argument(f"--{name}", nargs="+", default=usual)
@@ -86,24 +86,24 @@ def made_by_the_commands_of_the_page():
     return created
 
 
-def test_each_published_entry_is_made_by_a_command_of_the_page():
-    created = made_by_the_commands_of_the_page()
+def test_each_published_entry_is_generated_by_a_command_of_the_page():
+    created = list_documented_entries()
     for name, e in ENTRIES.items():
         who = {"learned"} if e.cost.get("moves") else {"", e.player}
         assert {(e.task, e.split, e.round, name) for name in who} & created, name
 
 
 @pytest.mark.parametrize("name", DAILY)
-def test_a_published_entry_of_each_task_is_what_was_played(name):
+def test_the_first_episodes_of_a_published_entry_of_each_task_are_replayed(name):
     entry = ENTRIES[name]
     bits_are_promised(entry)
-    verdict = registerbench.verify(part(entry, FEW))
+    verdict = registerbench.verify(take_first_episodes(entry, FEW))
     assert verdict.exact, verdict
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ENTRIES)
-def test_a_published_entry_is_what_was_played_to_its_last_episode(name):
+def test_every_published_entry_is_replayed_completely(name):
     bits_are_promised(ENTRIES[name])
     verdict = registerbench.verify(FOLDER / name)
     assert verdict.exact, verdict
@@ -111,7 +111,7 @@ def test_a_published_entry_is_what_was_played_to_its_last_episode(name):
 
 
 def test_a_published_entry_with_one_other_action_is_detected():
-    entry = part(ENTRIES["line.zip/line-train-random-0.bench"], 1)
+    entry = take_first_episodes(ENTRIES["line.zip/line-train-random-0.bench"], 1)
     bits_are_promised(entry)
     actions = entry.actions.copy()
     actions[0, 0] = np.float32(-0.9)
@@ -119,7 +119,7 @@ def test_a_published_entry_with_one_other_action_is_detected():
 
 
 @pytest.mark.slow
-def test_the_bits_do_not_depend_on_what_numpy_makes_of_the_processor():
+def test_results_do_not_depend_on_the_cpu_features_that_numpy_uses():
     """`stage bench-verify bus-target.zip/bus-target-train-scripted-0.bench`, on processors with AVX-512 and without."""
     path = FOLDER / "bus-target.zip" / "bus-target-train-scripted-0.bench"
     bits_are_promised(registerbench.read_entry(path))

@@ -1,4 +1,4 @@
-"""Splits of a card: machines on which something comes out that does not on those of train."""
+"""Tests that every split of a card changes the result compared with train."""
 
 from functools import cache
 from itertools import product
@@ -16,13 +16,13 @@ EPISODES = 8
 
 
 def created(card, split):
-    """Make an environment whether the card offers it or not."""
+    """Create an environment for any split, whether the card offers it or not."""
     return gymnasium.make(card.id, disable_env_checker=True, **{**card.settings, "split": split}).unwrapped
 
 
 @cache
-def outcome(task, split, player, seed):
-    """(sum of rewards, observations) of a test episode."""
+def play_outcome(task, split, player, seed):
+    """Play a test episode and return the sum of rewards and the observations."""
     env = created(CARDS[task], split)
     observation, _ = env.reset(seed=seed)
     env.action_space.seed(seed)
@@ -48,7 +48,7 @@ SPLITS = [
 @pytest.mark.parametrize(("task", "split"), SPLITS)
 def test_every_split_of_a_card_changes_what_comes_out(task, split):
     for seed, player in product(range(FIRST_TEST_SEED, FIRST_TEST_SEED + EPISODES), ("scripted", "random")):
-        train, test = (outcome(task, name, player, seed)[0] for name in ("train", split))
+        train, test = (play_outcome(task, name, player, seed)[0] for name in ("train", split))
         if abs(train - test) > LAST_FIGURE:
             return
     pytest.fail(f"{split}: all {EPISODES} returns are those of train")
@@ -58,7 +58,7 @@ def test_every_split_of_a_card_changes_what_comes_out(task, split):
 def test_looseness_changes_no_bit_of_these_tasks_and_they_do_not_offer_it(task):
     assert "loose" not in CARDS[task].splits
     (train, observed), (test, also) = (
-        outcome(task, split, "scripted", FIRST_TEST_SEED) for split in ("train", "loose")
+        play_outcome(task, split, "scripted", FIRST_TEST_SEED) for split in ("train", "loose")
     )
     assert train == test
     assert (observed == also).all()

@@ -1,4 +1,4 @@
-"""The shipped technician decides by what a program did, what diagnostics say, and where the scales stand."""
+"""Tests of how the shipped technician decides from results, diagnostics and scale readings."""
 
 from types import SimpleNamespace
 
@@ -11,12 +11,12 @@ from stage.agents.tool import Answer
 WELL = "the program came to its end"
 GAVE_UP = "line 9: x did not stop, and the host gave up"
 FULL_MOVE, SHORT_MOVE = [(0, 0), (-4, 0)], [(0, 0), (-2.9, 0)]
-"""What the scales show before and after the slow move of 4 mm."""
+"""Scale readings before and after the slow move of 4 mm."""
 PROGRAM = SETUPS["late"].program
 
 
 class ScriptedTable:
-    """A table whose answers are written here; it keeps the calls."""
+    """A table with scripted answers that records its calls."""
 
     tools = ({"name": "program"}, {"name": "run"})
 
@@ -51,7 +51,7 @@ class ScriptedTable:
         ({"places": [(1.5, 50), (0.02, 0), *SHORT_MOVE]}, "slipping coupling"),
     ],
 )
-def test_each_sign_leads_to_its_cause_and_the_work_or_program_that_mends_it(how, cause):
+def test_each_symptom_leads_to_its_cause_and_its_repair(how, cause):
     table = ScriptedTable(**{"program": PROGRAM, **how})
     technician.play(table)
     assert cause in CAUSES
@@ -81,7 +81,7 @@ def test_a_repaired_program_differs_in_the_lines_that_were_wrong(name, cause, re
     assert all(text in new for text in added)
 
 
-def test_a_reset_command_stands_before_each_move_and_never_after_the_registers():
+def test_a_reset_command_is_inserted_before_the_registers_of_each_move():
     parts = "x: R0 <- 16000\nx: R6 <- 3200\nx: operate 15h\n"
     repaired = technician.PROGRAM_REPAIRS["missing reset command"](parts + "x: operate 08h\n" + parts)
     assert repaired == "x: operate 08h\n" + parts + "x: operate 08h\n" + parts

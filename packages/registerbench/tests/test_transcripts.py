@@ -1,4 +1,4 @@
-"""Transcripts: what they claim is computed again, a part is no suite, and a run that broke off goes on."""
+"""Tests of transcripts: claims are recomputed, partial suites are marked, and interrupted runs continue."""
 
 import dataclasses
 import json
@@ -24,7 +24,7 @@ from stage.errors import ArgumentError, StageError
 
 
 def samples(table):
-    """A player that costs nothing."""
+    """Sample the tools that cost nothing."""
     table.call("program")
     table.count_tokens(7)
 
@@ -77,7 +77,7 @@ def test_a_transcript_that_was_changed_differs(delayed, tmp_path, was, becomes, 
     assert " to 0.9" not in reported
 
 
-def test_what_nobody_can_verify_is_reported_as_claimed(three, tmp_path, capsys):
+def test_unverifiable_fields_are_reported_as_claimed(three, tmp_path, capsys):
     file = tmp_path / "t.jsonl"
     write_transcript(three, file)
     rows = lines(file)
@@ -90,7 +90,7 @@ def test_what_nobody_can_verify_is_reported_as_claimed(three, tmp_path, capsys):
 
 
 def test_a_part_is_never_reported_as_the_suite(three, delayed, tmp_path, capsys):
-    """The games of a part are counted, and it has no score of the suite."""
+    """A partial transcript counts its games and has no score of the suite."""
     for came, message in ((three, "3 of 10 games of diagnosis: "), (delayed, "1 of 10 games of diagnosis: ")):
         assert message in str(came)
         assert "a part, and no score of the suite" in str(came)
@@ -152,16 +152,18 @@ def test_calls_after_the_end_or_beyond_the_limit_are_detected(tmp_path):
 
 
 HEAD = '{"format": ["PulseStage transcript", 2], "suite": "diagnosis"'
-WHOLE = HEAD + ', "split": "", "round": "", "player": "", "games": [], "of": 10, "most": 1, "patience": 1, "time": 1}\n'
+HEAD_LINE = (
+    HEAD + ', "split": "", "round": "", "player": "", "games": [], "of": 10, "most": 1, "patience": 1, "time": 1}\n'
+)
 OTHERS = (
     "", "{}", "[]\n", HEAD.replace("2]", "1]") + "}", HEAD + "}", "\0" * 50, "[" * 5000, "null\n", '"format"\n',
-    WHOLE + '{"call": "x"}\n', WHOLE + "[1]\n", WHOLE + '{"score": {}}\n', WHOLE.replace('"most": 1', '"most": -1'),
-    WHOLE + "[" * 5000 + "\n",
+    HEAD_LINE + '{"call": "x"}\n', HEAD_LINE + "[1]\n", HEAD_LINE + '{"score": {}}\n', HEAD_LINE.replace('"most": 1', '"most": -1'),
+    HEAD_LINE + "[" * 5000 + "\n",
 )  # fmt: skip
 
 
 @pytest.mark.parametrize("text", OTHERS)
-def test_any_other_file_is_refused_in_words(tmp_path, text):
+def test_a_file_that_is_no_transcript_is_refused_with_an_explanation(tmp_path, text):
     file = tmp_path / "other.jsonl"
     file.write_text(text)
     with pytest.raises(ArgumentError, match="no transcript"):
@@ -170,7 +172,7 @@ def test_any_other_file_is_refused_in_words(tmp_path, text):
 
 
 @pytest.mark.parametrize(("k", "key", "value"), [(0, "round", "mine"), (0, "split", "train"), (2, "ok", 1)])
-def test_what_a_suite_does_not_have_is_refused(three, tmp_path, k, key, value):
+def test_games_that_a_suite_does_not_contain_are_refused(three, tmp_path, k, key, value):
     write_transcript(three, tmp_path / "t.jsonl")
     rows = lines(tmp_path / "t.jsonl")
     rows[k][key] = value
@@ -178,7 +180,7 @@ def test_what_a_suite_does_not_have_is_refused(three, tmp_path, k, key, value):
     assert main(["agent-replay", str(tmp_path / "t.jsonl")]) == 2
 
 
-def test_other_limits_than_the_usual_are_reported():
+def test_limits_other_than_the_defaults_are_reported():
     assert "up to 9 calls a game, and 400 are usual" in str(
         play(suite("diagnosis:late"), samples, "l", Limits(max_calls=9))
     )
@@ -193,8 +195,8 @@ def test_a_transcript_of_the_bench_is_replayed_too(tmp_path):
 # --- runs that break off ---
 
 
-def breaks(at):
-    """A player that cannot go on at its game `at`."""
+def create_breaking_player(at):
+    """Return a player that raises an error in game `at`."""
     games = []
 
     def one(table):
@@ -211,7 +213,7 @@ def test_a_run_that_breaks_off_leaves_its_games_and_continues(tmp_path):
     games, file = suite("diagnosis", episodes=4), tmp_path / "t.jsonl"
     with TranscriptWriter(file, make_header(games, "p", Limits())) as writer:
         with pytest.raises(Interrupted, match=r"^game 3 of 4, diagnosis:wide: the endpoint is out of money$") as error:
-            play(games, breaks(3), "p", report_progress=writer.write_game)
+            play(games, create_breaking_player(3), "p", report_progress=writer.write_game)
         assert len(error.value.result.games) == 2
     results = replay(file)
     assert not results.is_same
@@ -220,7 +222,7 @@ def test_a_run_that_breaks_off_leaves_its_games_and_continues(tmp_path):
         file.read_text() + '{"game": "diagnosis:wide", "seed": null}\n{"call": "pro'
     )  # killed while it wrote
     assert "2 of its 4 games" in replay(file).missing_part
-    later = breaks(0)
+    later = create_breaking_player(0)
     with TranscriptWriter(file, make_header(games, "p", Limits()), resume=True) as writer:
         came = play(games, later, "p", report_progress=writer.write_game, earlier_games=writer.earlier_games)
         writer.write_summary(came)
@@ -256,7 +258,7 @@ def test_the_command_continues_where_it_broke_off(tmp_path, capsys, monkeypatch)
     assert main(["bench-verify", "e.bench"]) == 0
 
 
-def test_what_was_played_before_must_come_out_the_same(tmp_path, three):
+def test_continuing_requires_the_earlier_games_to_replay_identically(tmp_path, three):
     file = tmp_path / "t.jsonl"
     write_transcript(three, file)
     rows = lines(file)[:-1]
@@ -269,10 +271,10 @@ def test_what_was_played_before_must_come_out_the_same(tmp_path, three):
         play(suite("diagnosis", episodes=3), samples, "looks", earlier_games=writer.earlier_games)
 
 
-def test_an_end_amid_a_game_is_none(tmp_path):
-    """A transcript whose last game has lost the line of its score"""
+def test_a_transcript_that_ends_within_a_game_is_refused(tmp_path):
+    """The last game of the transcript lacks the line of its score."""
     games, file = suite("diagnosis", episodes=2), tmp_path / "t.jsonl"
-    write_transcript(play(games, breaks(0), "p"), file)
+    write_transcript(play(games, create_breaking_player(0), "p"), file)
     lines = file.read_text().splitlines(keepends=True)
     scores = [k for k, line in enumerate(lines) if "score" in json.loads(line)]
     file.write_text("".join(lines[: scores[-1]] + lines[scores[-1] + 1 :]))
@@ -282,7 +284,7 @@ def test_an_end_amid_a_game_is_none(tmp_path):
         read_transcript(file)
 
 
-def test_what_is_written_of_a_game_is_on_the_disk_when_the_next_begins(tmp_path, monkeypatch, three):
+def test_a_game_is_flushed_to_disk_before_the_next_begins(tmp_path, monkeypatch, three):
     synced = []
     monkeypatch.setattr(transcript.os, "fsync", lambda number: synced.append((tmp_path / "t.jsonl").stat().st_size))
     with TranscriptWriter(tmp_path / "t.jsonl", three.head) as writer:
