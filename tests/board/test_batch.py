@@ -106,7 +106,7 @@ def test_a_read_until_ends_after_its_number_of_reads(boards):
     assert board.cycles == before + 7 + 1
 
 
-def test_it_waits_for_the_interrupt_line_to_the_ns(boards):
+def test_a_batch_waits_for_the_interrupt_line_to_the_nanosecond(boards):
     batched, single = boards
     asserted = together(batched, [*move(50, interrupts=True), (UNTIL_LINE, 1_000_000)])[-1]
     assert asserted == 1
@@ -137,11 +137,11 @@ def test_a_wait_for_the_interrupt_line_ends_after_its_limit(boards):
         (UNTIL8, PORT, 0, 1, -1),
     ],
 )  # fmt: skip
-def test_a_wrong_entry_is_found_before_a_batch_begins(row):
+def test_a_wrong_entry_is_detected_before_a_batch_begins(row):
     assert find_first_invalid(entries((IN8, PORT), row, (IN8, PORT))) == 1
 
 
-def test_picoseconds_of_computing_that_are_left_over_are_carried_on(boards):
+def test_fractions_of_a_nanosecond_of_computing_time_are_carried_over(boards):
     """NativeHost(cost=0.3e-9): 300 ps a block, one between two reads: ten of them are 3 ns"""
     board = boards[0]
     host, blocks = board.link._rows[0], np.zeros(1, np.int64)

@@ -106,9 +106,9 @@ def test_hosts_in_c_and_python_and_direct_access_give_the_same_bits(chips, monke
         for name, column in expected.columns.items():
             assert column.tobytes() == recording.columns[name].tobytes() == from_c.columns[name].tobytes(), name
         for name, journal in expected.journals.items():
-            course = journal.course().edges.tobytes()
-            assert recording.journals[name].course().edges.tobytes() == course
-            assert from_c.journals[name].course().edges.tobytes() == course
+            edges = journal.course().edges.tobytes()
+            assert recording.journals[name].course().edges.tobytes() == edges
+            assert from_c.journals[name].course().edges.tobytes() == edges
         assert any(chip.diagnostics for chip in reference.chips), "the program is meant to have mistakes in it"
 
 

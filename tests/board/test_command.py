@@ -137,7 +137,7 @@ def test_firmware_that_never_returns_is_run_for_so_long(capsys):
 
 @needs_rerun
 @pytest.mark.parametrize("isolated", [["--in-process"], []], ids=["thread", "process"])
-def test_a_run_ended_by_sigterm_reports_its_state_and_writes_its_files(isolated, tmp_path, monkeypatch, capsys):
+def test_a_run_stopped_by_sigterm_reports_its_state_and_writes_its_files(isolated, tmp_path, monkeypatch, capsys):
     # timeout 60 stage run driver.c --record run.rrd; exit code 143 without a word, and no run.rrd
     source = """#include <signal.h>
     #include <stdlib.h>

@@ -153,7 +153,7 @@ def test_bytes_of_an_ls7166_come_and_go_from_the_lowest_and_begin_again():
     assert b.registers["pr"] == 0x332244
 
 
-def test_modem_lines_loop_back_or_show_a_ready_peer():
+def test_modem_lines_loop_back_or_show_a_connected_peer():
     """MCR 00h to FFh: DTR is DSR, RTS is CTS, OUT1 is RI, OUT2 is DCD"""
     for mcr in range(256):
         b = uart((4, mcr))

@@ -135,7 +135,7 @@ def test_an_interrupt_of_a_device_comes_at_its_nanosecond_within_a_delay(adc):
     assert not board.interrupt
 
 
-def test_a_device_in_python_pulls_the_line_now_or_from_a_time_on_until_it_lets_go():
+def test_a_python_device_asserts_its_line_at_once_or_at_a_time_until_it_releases_it():
     board = Board(Stage("xy", visuals=False))
     device = board.add_device(
         0x500, read=lambda port: device.pull(False) or 7, write=lambda port, value: device.pull(at=0.002)
@@ -183,7 +183,7 @@ def test_snapshots_carry_the_state_of_devices_and_say_whose_they_are(adc):
 
 
 def test_an_exception_of_a_device_comes_out_as_it_is(adc):
-    class Mine(Exception):
+    class DeviceError(Exception):
         pass
 
     library = firmware("PULSESTAGE_MAIN { for (;;) ps_in8(0x500); }")
@@ -193,11 +193,11 @@ def test_an_exception_of_a_device_comes_out_as_it_is(adc):
         def read(port, calls=calls):
             calls.append(port)
             if len(calls) == 5:
-                raise Mine("broken")
+                raise DeviceError("broken")
             return 1
 
         board.add_device(0x500, read=read)
-        with NativeHost(library, board, isolated=isolated) as h, pytest.raises(Mine, match="broken"):
+        with NativeHost(library, board, isolated=isolated) as h, pytest.raises(DeviceError, match="broken"):
             h.run(timeout=1)
         assert (len(calls), board.cycles) == (5, 5)
         assert board.in8(0x500) == 1, "the board goes on"
@@ -219,7 +219,7 @@ def test_after_a_crash_devices_stand_where_the_firmware_left_them(adc):
 
 
 @pytest.mark.parametrize("answer", [256, -1, None, "x", 1.5])
-def test_a_read_that_returns_no_byte_is_refused_in_words(answer):
+def test_a_device_read_that_returns_no_byte_is_refused(answer):
     board = Board(Stage("xy", visuals=False))
     board.add_device(0x500, read=lambda port: answer, name="odd")
     with pytest.raises(ArgumentError, match=rf"odd: its read\(500h\) returned {answer!r}; .* 0 to FFh"):
@@ -282,7 +282,7 @@ def test_devices_and_chips_share_no_port_and_say_who_has_it(adc):
     assert board.port_table.nbytes < 2000
 
 
-def test_a_device_answers_cycles_and_makes_none():
+def test_a_device_answers_bus_cycles_but_cannot_start_any():
     board = Board(Stage("xy", visuals=False))
     board.add_device(0x500, read=lambda port: board.in8(0x300), name="loop")
     with pytest.raises(StageError, match="loop answers a bus cycle"):
@@ -397,7 +397,7 @@ def test_what_is_no_device_in_c_is_refused_with_what_to_write(adc, tmp_path):
         (lambda: Board(Stage("xy", visuals=False), devices=[Device()]), r"board\.attach_device\(device, ports\)"),
     ],
 )
-def test_what_a_device_cannot_be_is_refused_in_words(wrong, message):
+def test_invalid_devices_are_refused_with_an_explanation(wrong, message):
     """Encoder("x", per_turn="2000"), adc.pull(at=math.nan), Board(stage, devices=[UART()])"""
     with pytest.raises(ArgumentError, match=message):
         wrong()

@@ -170,7 +170,7 @@ host.run(timeout=1e8, max_cycles=1 << 60)
 """
 
 
-def has_ended(pid: int) -> bool:
+def is_terminated(pid: int) -> bool:
     """No such process, or a dead one that nobody has waited for."""
     try:
         os.kill(pid, 0)
@@ -190,15 +190,15 @@ def test_isolated_firmware_ends_when_its_parent_is_killed(tmp_path):
     child = int(parent.stdout.readline())
     try:
         time.sleep(0.5)
-        assert not has_ended(child)
+        assert not is_terminated(child)
         parent.kill()
         parent.wait()
         until = time.monotonic() + 10
-        while not has_ended(child) and time.monotonic() < until:
+        while not is_terminated(child) and time.monotonic() < until:
             time.sleep(0.05)
-        assert has_ended(child)
+        assert is_terminated(child)
     finally:
-        if not has_ended(child):
+        if not is_terminated(child):
             os.kill(child, signal.SIGKILL)
 
 

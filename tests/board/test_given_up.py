@@ -179,7 +179,7 @@ def test_writes_leave_the_engine_room_for_what_it_notes_within_a_step():
     assert used < room - records.EDGES_A_WINDOW, f"{room} records, {used + 1} used"
 
 
-def test_hooks_work_after_firmware_was_given_up_in_its_hook():
+def test_hooks_work_after_firmware_was_abandoned_within_a_hook():
     b, calls = board(), []
     for register, value in ((0, 5), (1, 100), (7, 300)):
         b.out8(0x300, 0x80 | register)
@@ -203,7 +203,7 @@ def test_hooks_work_after_firmware_was_given_up_in_its_hook():
     assert (calls, b.interrupt) == (["called"], False)
 
 
-def test_a_hook_in_python_that_takes_itself_away_is_called_once_and_one_that_stays_outlives_firmware():
+def test_a_python_hook_that_removes_itself_runs_once_and_others_outlive_the_firmware():
     b = board()
     calls = []
 
@@ -244,7 +244,7 @@ def test_the_patience_of_a_host_is_the_documented_one():
 
 
 @pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
-def test_a_log_without_a_text_is_an_error_in_words(isolated):
+def test_a_log_call_without_text_is_explained(isolated):
     h = run_on(board(), "PULSESTAGE_MAIN { ps_in8(0x300); ps_log(0); return 0; }", isolated)
     with pytest.raises(HostError, match=r"ps_log\(0\), at 0\.000001 s: a null pointer is no text"):
         h.run()
@@ -377,16 +377,16 @@ def test_a_bus_cycle_in_a_handler_of_signals_is_an_error_in_words_wherever_the_s
 
 def test_too_many_windows_end_the_run_with_exit_code_1(capfd):
     # for (k = 0; k < 257; k++) ps_window(0x300, 4);
-    asks = "PULSESTAGE_MAIN { for (int k = 0; k < 257; k++) ps_window(0x300, 4); return 0; }"
+    source = "PULSESTAGE_MAIN { for (int k = 0; k < 257; k++) ps_window(0x300, 4); return 0; }"
     if not windows.is_supported():
         pytest.skip("windows are for Linux on x86-64")
-    assert main(["run", str(firmware(asks)), "--model", "xy"]) == 1
+    assert main(["run", str(firmware(source)), "--model", "xy"]) == 1
     message = capfd.readouterr()
     assert re.search(
         r"stage: ps_window\(0x300, 0x4\): \d+ windows and pieces of memory: .* keep the pointer; at 0\.0", message.err
     )
     assert "position mm" in message.out
-    assert main(["run", str(firmware(asks.replace("257", "3"))), "--model", "xy"]) == 0
+    assert main(["run", str(firmware(source.replace("257", "3"))), "--model", "xy"]) == 0
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells who debugs whom")

@@ -12,31 +12,31 @@ from stage.errors import ArgumentError
 
 
 def host(body: str, isolated: bool = False, **options) -> NativeHost:
-    """Firmware on a board of its own."""
+    """Build firmware and return its host on a new board."""
     return NativeHost(firmware(body), Board(Stage("xy", chips=PCL240K, visuals=False)), isolated=isolated, **options)
 
 
 def collect_results(h: NativeHost) -> tuple:
-    """All that a run leaves: state, trace, log."""
+    """Return the results of a run: state, trace, log and number of cycles."""
     return h.board.stage.snapshot().state.tobytes(), h.board.trace.lines().tobytes(), h.board.log, h.board.cycles
 
 
-def said(h: NativeHost) -> list[str]:
+def read_log_texts(h: NativeHost) -> list[str]:
     return [text for _, text in h.log]
 
 
-def interrupts(h: NativeHost) -> list[tuple[int, str]]:
-    """The calls of hooks, with their ns, and their ends."""
+def list_hook_calls(h: NativeHost) -> list[tuple[int, str]]:
+    """List (ns, text) of each begin and end of a hook."""
     return [(round(c.seconds * 1e9), c.meaning.removeprefix("interrupt: ")) for c in h.board.trace if c.port is None]
 
 
-def everywhere(body: str, code: int = 0, piece: float = 0.000123457) -> NativeHost:
-    """A run, which leaves the same in process, in pieces, and in a process of its own."""
-    h, pieces, in_process_of_its_own = host(body), host(body), host(body, isolated=True)
-    assert h.run(timeout=1).code == in_process_of_its_own.run(timeout=1).code == code
+def run_in_every_mode(body: str, code: int = 0, piece: float = 0.000123457) -> NativeHost:
+    """Run firmware in process, in pieces and in a child process; require equal results and return the first host."""
+    h, pieces, in_child_process = host(body), host(body), host(body, isolated=True)
+    assert h.run(timeout=1).code == in_child_process.run(timeout=1).code == code
     while pieces.run_for(piece) is None:
         pass
-    assert collect_results(h) == collect_results(pieces) == collect_results(in_process_of_its_own)
+    assert collect_results(h) == collect_results(pieces) == collect_results(in_child_process)
     return h
 
 
@@ -61,13 +61,13 @@ PULSESTAGE_MAIN
 
 
 def test_a_timer_calls_at_its_ns_without_drift_and_what_its_flag_cannot_hold_is_missed():
-    h = everywhere(TICKS, 10)
-    assert said(h) == ["9", "10"]
-    calls = [(ns, what) for ns, what in interrupts(h) if "called" in what]
+    h = run_in_every_mode(TICKS, 10)
+    assert read_log_texts(h) == ["9", "10"]
+    calls = [(ns, what) for ns, what in list_hook_calls(h) if "called" in what]
     delayed = [551 if k == 4 else 1 + 100 * k for k in (1, 2, 3, 4, 6, 7, 8, 9, 10, 11)]
     assert [ns for ns, _ in calls] == [1000 * us for us in delayed]
     assert calls[3][1] == "timer 0 is called (1 tick was missed)"
-    assert interrupts(h)[1] == (101_000, "timer 0 returns")
+    assert list_hook_calls(h)[1] == (101_000, "timer 0 returns")
 
 
 LEVELS = r"""
@@ -101,12 +101,12 @@ PULSESTAGE_MAIN
 
 
 def test_a_higher_level_interrupts_a_hook_of_a_lower_one_and_the_same_level_waits():
-    h = everywhere(LEVELS, 15)
-    assert said(h) == [
+    h = run_in_every_mode(LEVELS, 15)
+    assert read_log_texts(h) == [
         "low high /high /low high /same ",
         "three main still disabled four three four three waits three ",
     ]
-    assert interrupts(h)[1] == (1_050_000, "timer 7 is called")
+    assert list_hook_calls(h)[1] == (1_050_000, "timer 7 is called")
 
 
 LINES = r"""
@@ -144,9 +144,9 @@ PULSESTAGE_MAIN
 
 
 def test_each_chip_has_a_line_with_a_level_and_all_of_them_together_one_more():
-    h = everywhere(LINES, piece=0.00123457)
-    assert said(h) == ["300", "304", "304 done", "300 done", "any"]
-    assert [what for _, what in interrupts(h)][:2] == ["line 0 is called", "line 1 is called"]
+    h = run_in_every_mode(LINES, piece=0.00123457)
+    assert read_log_texts(h) == ["300", "304", "304 done", "300 done", "any"]
+    assert [what for _, what in list_hook_calls(h)][:2] == ["line 0 is called", "line 1 is called"]
 
 
 STUCK = r"""
@@ -189,7 +189,7 @@ PULSESTAGE_MAIN
         (7, HostError, r"ps_raise\(8\): software interrupts are 0 to 7"),
     ],
 )
-def test_storms_and_what_makes_no_sense_are_errors_in_words(case, error, message, monkeypatch):
+def test_interrupt_storms_and_invalid_calls_are_explained(case, error, message, monkeypatch):
     monkeypatch.setenv("STUCK", str(case))
     h = host(STUCK, isolated=case in (0, 2, 3))
     with pytest.raises(error, match=rf"(?s){message}"):
@@ -238,10 +238,10 @@ PULSESTAGE_MAIN
 
 
 def test_a_hook_left_by_longjmp_is_over_and_interrupts_go_on():
-    h = everywhere(JUMPS, 7)
-    assert all(text.endswith("level 0") for text in said(h)), said(h)
-    assert len(said(h)) == 5
-    ends = [what for _, what in interrupts(h) if "called" not in what]
+    h = run_in_every_mode(JUMPS, 7)
+    assert all(text.endswith("level 0") for text in read_log_texts(h)), read_log_texts(h)
+    assert len(read_log_texts(h)) == 5
+    ends = [what for _, what in list_hook_calls(h) if "called" not in what]
     assert ends == ["timer 0 is over: a jump has left its hook"] * 6 + [
         "timer 1 is over: a jump has left its hook", "timer 0 is over: a jump has left its hook",
     ]  # fmt: skip
@@ -286,8 +286,8 @@ PULSESTAGE_MAIN
 
 
 def test_coroutines_on_several_stacks_make_bus_cycles():
-    h = everywhere(STACKS, 3, piece=0.00123457)
-    assert said(h) == ["task 1", "task 2"]
+    h = run_in_every_mode(STACKS, 3, piece=0.00123457)
+    assert read_log_texts(h) == ["task 1", "task 2"]
     lines = h.board.trace.lines()["port"].tolist()
     assert lines[1:] == [0x301, 0x305] * 400
     h.board.out8(0x301, 1)
@@ -325,9 +325,9 @@ def test_computing_takes_its_cost_and_timers_come_in_the_middle_of_it(tmp_path):
         assert h.run(timeout=1).code == 0
         left.append(collect_results(h))
     assert left[0] == left[1]
-    flag, counted = map(int, said(h))
+    flag, counted = map(int, read_log_texts(h))
     assert flag == 1002, "the tick at 1000 us, its cycle, and that of ps_micros"
-    assert interrupts(h)[0] == (1_000_050, "timer 0 is called"), "a period from where it was set, after one block"
+    assert list_hook_calls(h)[0] == (1_000_050, "timer 0 is called"), "a period from where it was set, after one block"
     assert counted - flag == pytest.approx(123 + 1 + 1000 * 0.05, abs=5)
     with pytest.raises(ArgumentError, match=r"cost=2: simulated seconds a basic block"):
         NativeHost(source, board, cost=2)
@@ -407,8 +407,8 @@ def test_a_hook_that_lowers_its_level_is_over():
     """ps_level(3) and ps_level(2) in hooks of level 3; then interrupts 3, 2 and 7 of levels 3, 3 and 4 while all are disabled"""
     host = NativeHost(firmware(SOURCE), Board(Stage("xy", visuals=False)), isolated=False)
     assert host.run().code == 0
-    said = [text.split() for _, text in host.log]
-    assert said == [["stays", "/stays", "two", "main", "lowers", "/lowers", "main"], ["seven", "two", "three"]]
+    words = [text.split() for _, text in host.log]
+    assert words == [["stays", "/stays", "two", "main", "lowers", "/lowers", "main"], ["seven", "two", "three"]]
     ends = [c.meaning.removeprefix("interrupt: ") for c in host.board.trace if c.direction == "i"]
     assert ends[:3] == [
         "software interrupt 0 returns", "software interrupt 2 returns",

@@ -300,7 +300,7 @@ def test_a_fork_does_not_control_the_firmware_of_its_parent():
     # host.run_for(1e-5); if not os.fork(): host.run()
     h = host("PULSESTAGE_MAIN { for (int k = 0; k < 100; k++) ps_in8(0x300); return 7; }", isolated=True)
     assert h.run_for(1e-5) is None
-    said, pattern = os.pipe()
+    reader, pattern = os.pipe()
     if not (child := os.fork()):
         try:
             try:
@@ -313,7 +313,9 @@ def test_a_fork_does_not_control_the_firmware_of_its_parent():
         finally:
             os._exit(0)
     os.waitpid(child, 0)
-    assert os.read(said, 1000).startswith(b"7 firmware.so stands in the middle of its run, and this process is a fork")
+    assert os.read(reader, 1000).startswith(
+        b"7 firmware.so stands in the middle of its run, and this process is a fork"
+    )
     if not (child := os.fork()):
         try:
             h.close()
@@ -322,7 +324,7 @@ def test_a_fork_does_not_control_the_firmware_of_its_parent():
     os.waitpid(child, 0)
     result = h.run()
     assert (result.code, result.cycles, h.board.stage.now) == (7, 100, 100_000)
-    os.close(said), os.close(pattern)
+    os.close(reader), os.close(pattern)
 
 
 def test_a_full_disk_is_reported_before_firmware_runs(monkeypatch, tmp_path, capfd):
@@ -336,9 +338,9 @@ def test_a_full_disk_is_reported_before_firmware_runs(monkeypatch, tmp_path, cap
     with monkeypatch.context() as patched:
         patched.setattr(os, "posix_fallocate", full)
         assert main(["run", str(library), "--model", "xy"]) == 2
-    said = capfd.readouterr().err
+    message = capfd.readouterr().err
     assert re.search(
-        r"needs \d+\.\d MB in \S*, mostly for the trace, .*: No space left on device\. .* TMPDIR .*--keep", said
+        r"needs \d+\.\d MB in \S*, mostly for the trace, .*: No space left on device\. .* TMPDIR .*--keep", message
     )
     assert not list(tmp_path.glob("pulsestage-run-*/*"))
     with monkeypatch.context() as patched:

@@ -68,10 +68,10 @@ def in_pieces(h: NativeHost) -> NativeHost:
 
 
 def test_firmware_gives_the_same_bits_in_every_run_in_pieces_and_isolated():
-    complete, again, in_process_of_its_own = host(THREE), host(THREE), host(THREE, isolated=True)
-    for h in (complete, again, in_process_of_its_own):
+    complete, again, in_child_process = host(THREE), host(THREE), host(THREE, isolated=True)
+    for h in (complete, again, in_child_process):
         assert h.run().code == 7
-    assert collect_results(complete) == collect_results(again) == collect_results(in_process_of_its_own)
+    assert collect_results(complete) == collect_results(again) == collect_results(in_child_process)
     pieces = host(THREE)
     while pieces.run_for(0.0123457) is None:
         pass

@@ -20,7 +20,7 @@ from stage import Stage
 from stage.board import Board, HostError, NativeHost, scratch
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="no /proc here")
-STANDS = "PULSESTAGE_MAIN { ps_in8(0x300); ps_delay_us(1000000); return 0; }"
+DELAY_SOURCE = "PULSESTAGE_MAIN { ps_in8(0x300); ps_delay_us(1000000); return 0; }"
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def mapped(pid: int | str, name: str) -> set[Path]:
 
 @pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
 def test_the_loaded_copy_exists_until_the_host_is_closed(isolated, folder):
-    library = firmware(STANDS)
+    library = firmware(DELAY_SOURCE)
     with NativeHost(library, Board(Stage("xy", visuals=False)), isolated=isolated) as host:
         assert host.run_for(0.1) is None
         pid = host._runner._child.pid if isolated else "self"
@@ -91,7 +91,7 @@ def test_no_file_stays_when_the_program_ends_or_is_killed(isolated, end, tmp_pat
     program, temporary = tmp_path / "program.py", tmp_path / "tmp"
     program.write_text(textwrap.dedent(PROGRAM))
     temporary.mkdir()
-    arguments = [sys.executable, str(program), str(firmware(STANDS)), isolated, str(end)]
+    arguments = [sys.executable, str(program), str(firmware(DELAY_SOURCE)), isolated, str(end)]
     environment = os.environ | {"TMPDIR": str(temporary)}
     with subprocess.Popen(
         arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, text=True

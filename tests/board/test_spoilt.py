@@ -50,7 +50,7 @@ PULSESTAGE_MAIN
     return 0;
 }
 """
-SAID = "has written over the memory by which its process tells what happens on the bus, and was ended"
+MESSAGE = "has written over the memory by which its process tells what happens on the bus, and was ended"
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def test_garbage_in_the_shared_memory_is_an_error_in_words(pattern, what, crashe
     stage.reset()
     b = Board(stage)
     with NativeHost(firmware(SPOILS), b, isolated=True, patience=2) as host:
-        with pytest.raises(HostError, match=SAID) as failed:
+        with pytest.raises(HostError, match=MESSAGE) as failed:
             host.run()
         assert "-fsanitize=address" in str(failed.value)
         assert "the stage stands at 0.000000 s, after 0 bus cycles" in str(failed.value)
@@ -93,7 +93,7 @@ def test_stage_run_ends_with_1_and_without_a_traceback(monkeypatch, capfd):
         monkeypatch.setenv(f"SPOIL_{name}", value)
     assert main(["run", str(firmware(SPOILS)), "--model", "xy", "--patience", "2"]) == 1
     output = capfd.readouterr()
-    assert SAID in output.err
+    assert MESSAGE in output.err
     assert len(re.findall("^stage: ", output.err, re.M)) == 1
     assert "Traceback" not in output.err
 

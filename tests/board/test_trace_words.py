@@ -130,7 +130,7 @@ def test_a_storm_says_whose_hook_it_is_and_why_it_comes_again(board, source, per
     assert message in board.link.hooks.describe_storm(source)
 
 
-def test_a_message_ends_with_the_last_cycles_if_there_were_any(board):
+def test_a_message_ends_with_the_last_cycles_of_a_run_that_made_cycles(board):
     assert board.trace.format_ending(2) == "It has made no bus cycle."
     for port in (0x300, 0x304, 0x308):
         board.in8(port)

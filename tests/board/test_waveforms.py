@@ -216,7 +216,7 @@ def test_the_waveform_of_a_cycle_has_the_documented_times():
     assert list(polls) == [(7000, "POLLS", 1), (9000, "POLLS", 0)]
 
 
-def test_polling_that_goes_on_is_recorded_and_earlier_polling_is_not():
+def test_a_recording_contains_ongoing_polling_but_not_earlier_polling():
     """three ports are read by turns, then a mark; two of them go on; then another mark, and one more"""
     board = Board(Stage("xy", visuals=False))
     for port in (0x300, 0x304, 0x308) * 3:

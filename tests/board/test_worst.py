@@ -83,12 +83,12 @@ import pytest
 pytestmark = [pytest.mark.stage("xy"), pytest.mark.firmware({library!r}, patience=0.3)]
 
 @pytest.mark.parametrize("what", {names!r})
-def test_worst(what, host, monkeypatch):
+def test_the_worst_firmware_ends_with_a_clear_error(what, host, monkeypatch):
     monkeypatch.setenv("WORST", what)
     host.close()
     assert host.run(timeout=0.05).code == 0
 
-def test_after(host, stage):
+def test_a_run_after_the_worst_firmware_works(host, stage):
     assert host.run().code == 0
     assert stage.now == 1000
 """
@@ -105,6 +105,8 @@ def test_in_a_pytest_session_each_fails_with_its_message_and_the_later_tests_pas
     assert done.returncode == 1
     for name, (code, message) in ROWS.items():
         outcome = "FAILED" if code else "PASSED"
-        assert re.search(rf"^{outcome} \S*test_worst\[{name}\]", done.stdout, re.M), (name, done.stdout[-3000:])
+        assert re.search(
+            rf"^{outcome} \S*test_the_worst_firmware_ends_with_a_clear_error\[{name}\]", done.stdout, re.M
+        ), (name, done.stdout[-3000:])
         assert not code or message in done.stdout
-    assert re.search(r"^PASSED \S*test_after", done.stdout, re.M)
+    assert re.search(r"^PASSED \S*test_a_run_after_the_worst_firmware_works", done.stdout, re.M)

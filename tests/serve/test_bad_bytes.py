@@ -101,8 +101,8 @@ def bad(rng: random.Random) -> bytes:
     return bytes(frame)
 
 
-def years(frame: bytes) -> bool:
-    """Whether what it asks for is no mistake, but takes longer than a test has."""
+def takes_too_long(frame: bytes) -> bool:
+    """Return whether a valid frame requests more time than a test has."""
     _, kind, _ = HEAD.unpack_from(frame)
     if kind != client.BATCH or (len(frame) - HEAD.size) % client.ENTRY.size:
         return False
@@ -120,7 +120,7 @@ def test_a_frame_that_is_answered_by_an_error_has_changed_nothing(served, seed):
         for _ in range(60):
             opened.settimeout(10)
             frame, before = bad(rng), served.state()
-            if years(frame):
+            if takes_too_long(frame):
                 continue
             if HEAD.unpack_from(frame)[1] == client.RETURN:  # which is answered only if it is wrong, as it is here
                 frame = frame[:4] + struct.pack("<I", client.RETURN) + frame[8:]
@@ -136,7 +136,7 @@ def test_a_frame_that_is_answered_by_an_error_has_changed_nothing(served, seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_bytes_of_chance_and_halves_of_frames_end_their_connection_only(served, seed):
+def test_random_bytes_and_partial_frames_end_only_their_connection(served, seed):
     print("seed", seed)
     rng, before = random.Random(seed), served.state()
     for n in range(20):
@@ -165,7 +165,7 @@ def test_another_protocol_is_refused_and_disconnected(served, text):
     serves(served)
 
 
-def test_who_sends_a_byte_now_and_then_is_sent_away(board, monkeypatch):
+def test_a_client_that_sends_single_bytes_is_disconnected(board, monkeypatch):
     monkeypatch.setattr(server, "PATIENCE_S", 0.1)
     with serving(board) as served:
         for greet, text in ((False, b""), (False, GREETING[:20]), (True, b"\x10")):
@@ -187,7 +187,7 @@ def test_who_sends_a_byte_now_and_then_is_sent_away(board, monkeypatch):
             assert host.in8(0x500) == 0xFF, "a host that was greeted and sends nothing may wait as long as it likes"
 
 
-def test_a_hook_may_fail_in_any_bytes(board):
+def test_a_hook_error_may_contain_any_bytes(board):
     with serving(board) as served, wire(served) as opened:
         opened.sendall(HEAD.pack(16, client.TIMER, 1) + client.TIMING.pack(0, 1, 1000))
         assert reply(opened)[0] == client.TIMER

@@ -113,7 +113,7 @@ def test_only_a_complete_greeting_is_accepted(served):
         )
 
 
-def test_who_comes_to_a_full_house_is_closed_at_once(board, monkeypatch):
+def test_a_connection_beyond_the_limit_is_closed_at_once(board, monkeypatch):
     monkeypatch.setattr(server, "MAX_CONNECTIONS", 2)
     with (
         serving(board) as served,
@@ -124,7 +124,7 @@ def test_who_comes_to_a_full_house_is_closed_at_once(board, monkeypatch):
         assert reply(third) == (client.ERROR, b"")
 
 
-def test_with_fresh_a_recording_keeps_hosts_that_drive_away(board):
+def test_a_recording_with_fresh_refuses_driving_hosts(board):
     """Server(board, fresh=True) while the stage is recorded: the host is told, and another may look"""
     board.out8(0x300, 0x08)
     with serving(board, fresh=True) as served:
@@ -195,13 +195,13 @@ def test_a_server_refuses_ports_that_do_not_exist(board):
 @pytest.mark.parametrize(
     "option", [("--record", "x.rrd"), ("--vcd", "x.vcd"), ("--view",), ("--web",), ("--picture", "x.png")]
 )
-def test_fresh_and_whatever_records_exclude_each_other(option, capsys):
+def test_fresh_and_recording_options_exclude_each_other(option, capsys):
     """stage serve --fresh --record x.rrd"""
     nowhere = ["--bind", "192.0.2.1"]  # of no machine: whoever is not refused does not serve either
     assert main(["serve", "--fresh", *nowhere, *option]) == 2
     assert "--fresh puts the stage back to its start for each host" in capsys.readouterr().err
 
 
-def test_a_batch_of_no_run_says_so():
+def test_a_batch_outside_a_run_is_refused():
     with pytest.raises(ValueError, match=r"."):
         client.Batch().in8(0x300).run()

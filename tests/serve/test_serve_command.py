@@ -64,7 +64,7 @@ def test_stage_serve_runs_until_a_signal_and_writes_its_files(tmp_path, capsys):
     assert main(["serve", "--trace", files[1]]) == 2, "files that exist are not written over"
 
 
-def test_who_lets_others_reach_it_is_warned(capsys):
+def test_listening_on_other_addresses_prints_a_warning(capsys):
     assert served(free_port(), "--bind", "0.0.0.0") == 0
     assert "warning: other machines may reach 0.0.0.0, and there is no password" in capsys.readouterr().err
 
@@ -74,7 +74,7 @@ def test_a_name_of_this_machine_needs_no_warning(capsys):
     assert "warning" not in capsys.readouterr().err
 
 
-def test_wrong_options_are_errors_in_words(capsys):
+def test_wrong_options_are_refused_with_an_explanation(capsys):
     with pytest.raises(SystemExit, match="2"):
         main(["serve", "--model", "xy", "--listen", "99999"])
     assert "0 (one that is free) to 65535" in capsys.readouterr().err

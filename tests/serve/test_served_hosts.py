@@ -37,7 +37,7 @@ def head_and_body(opened):
     return kind, number, body
 
 
-def test_a_reply_has_the_number_of_its_request_and_so_has_an_error(served):
+def test_replies_and_errors_carry_the_number_of_their_request(served):
     """STATUS as number 7, an unknown frame as 8, a batch that is refused as 9, two frames in one piece as 10 and 11"""
     with wire(served) as opened:
         opened.sendall(frame(client.STATUS, number=7) + frame(77, number=8) + frame(client.BATCH, b"!", number=9))
@@ -172,7 +172,7 @@ def test_the_number_of_greeted_hosts_is_limited(board, monkeypatch):
         raise AssertionError("one is gone, and nobody may come")
 
 
-def test_so_many_connections_are_open_and_the_next_is_closed(board, monkeypatch):
+def test_the_number_of_open_connections_is_limited(board, monkeypatch):
     monkeypatch.setattr(server, "MAX_CONNECTIONS", 2)
     with serving(board) as served, wire(served), wire(served, greet=False) as second:
         second.sendall(GREETING[:5])
@@ -216,7 +216,7 @@ def test_time_is_counted_from_the_first_byte_of_the_frame_that_waits(monkeypatch
     assert (connection.since, connection.is_awaited()) == (None, False)
 
 
-def test_versions_are_named_each_at_its_side(served):
+def test_a_version_error_names_the_versions_of_both_sides(served):
     with wire(served, greet=False) as opened:
         opened.sendall(frame(client.HELLO, client.GREETING.pack(client.MAGIC, 9, client.DRIVE), number=3))
         kind, number, body = head_and_body(opened)
@@ -226,7 +226,7 @@ def test_versions_are_named_each_at_its_side(served):
         assert opened.recv(1) == b"", "and is sent away"
 
 
-def test_a_greeting_is_as_long_as_it_is(served):
+def test_a_greeting_of_any_other_length_is_refused(served):
     for body in (
         b"",
         client.MAGIC,

@@ -23,9 +23,9 @@ class Frames:
     """A machine, and frames to it by their names."""
 
     def __init__(self, board, **options):
-        self.told, self.called = [], []
+        self.reports, self.called = [], []
         self.machine = Machine(
-            board, hook=self.called.append, report=lambda seconds, text: self.told.append((seconds, text)), **options
+            board, hook=self.called.append, report=lambda seconds, text: self.reports.append((seconds, text)), **options
         )
 
     def __getattr__(self, name):
@@ -58,7 +58,7 @@ def test_about_has_units_ports_and_the_bus_cycle():
     assert about["bus_cycle_ns"] == 1100
 
 
-def test_every_timer_and_the_line_are_let_go(frames):
+def test_timers_and_the_interrupt_line_are_released_after_a_host(frames):
     """all four timers and the hook of the line; then the host is gone"""
     for n in range(client.TIMERS):
         frames.TIMER(client.TIMING.pack(n, 1, 1_000_000))
@@ -187,7 +187,7 @@ def test_names_and_lines_have_a_maximum_size(frames):
     with pytest.raises(ArgumentError, match=r"PIN: a name that is no UTF-8\."):
         frames.PIN(b"x.\xff")
     frames.LOG(b"l" * MAX_LINE_BYTES)
-    assert len(frames.told[-1][1]) == MAX_LINE_BYTES
+    assert len(frames.reports[-1][1]) == MAX_LINE_BYTES
     with pytest.raises(ArgumentError, match=r"LOG: 65,537 bytes; a line has up to 65,536"):
         frames.LOG(b"l" * (MAX_LINE_BYTES + 1))
 
@@ -197,15 +197,15 @@ def test_a_log_line_is_reported_with_its_time(board):
     for k in range(7):
         frames.delay(10)
         frames.LOG(b"a\tline %d\r\n" % k)
-    assert [text for _, text in frames.told] == [f"a\tline {k}" for k in range(7)]
-    assert [seconds for seconds, _ in frames.told] == pytest.approx([1e-5 * (k + 1) for k in range(7)], abs=1e-12)
+    assert [text for _, text in frames.reports] == [f"a\tline {k}" for k in range(7)]
+    assert [seconds for seconds, _ in frames.reports] == pytest.approx([1e-5 * (k + 1) for k in range(7)], abs=1e-12)
     assert [text for _, text in board.log] == ["a\tline 2", "a\tline 3", "a\tline 4", "a\tline 5", "a\tline 6"][
         -len(board.log) :
     ]
     assert 4 <= len(board.log) <= 5
 
 
-def test_words_that_are_none_of_a_frame_are_named_with_those_that_are(frames):
+def test_unknown_words_of_a_frame_are_named_with_the_known_ones(frames):
     with pytest.raises(ArgumentError, match=r"HOOK: 2; it takes one of 0, 1\."):
         frames.HOOK(client.WORD.pack(2))
     with pytest.raises(ArgumentError, match=r"HOOK: no u32; it takes one of 0, 1\."):
@@ -236,7 +236,7 @@ def test_words_that_are_none_of_a_frame_are_named_with_those_that_are(frames):
         ),
     ],
 )
-def test_an_entry_that_cannot_be_done_is_named_by_its_place_and_its_limits(frames, entry, words):
+def test_an_invalid_entry_is_reported_with_its_index_and_limits(frames, entry, words):
     """two that are right, then this one: nothing of the batch is done"""
     before = frames.STATUS()
     right = (client.IN8, 0x500, 0)
@@ -246,7 +246,7 @@ def test_an_entry_that_cannot_be_done_is_named_by_its_place_and_its_limits(frame
     assert frames.STATUS() == before
 
 
-def test_an_entry_at_its_limit_is_done(frames):
+def test_an_entry_at_its_limit_is_accepted(frames):
     """the largest values, the last port, no time at all"""
     assert frames.batch(
         (client.OUT8, LAST_PORT, 255), (client.OUT16, 0x500, 65535), (client.OUT32, 0x500, (1 << 32) - 1),

@@ -145,7 +145,7 @@ def test_the_words_of_an_error_are_the_servers_and_no_bytes_of_the_answers_befor
         assert str(failed.value) == "the interrupt hook of the host failed: no!!"
 
 
-def test_a_batch_of_no_connection_says_so():
+def test_a_batch_without_a_connection_is_refused():
     batch = Batch().in8(PORT)
     with pytest.raises(ValueError, match=r"this batch belongs to no connection: client\.batch\(\) makes one"):
         batch.run()

@@ -98,7 +98,7 @@ def again(served):
 
 
 @pytest.mark.parametrize("what", ["the host goes", "the server stops"])
-def test_a_delay_of_years_ends_when_nobody_waits_for_it(board, what):
+def test_a_very_long_delay_ends_when_its_host_disconnects(board, what):
     with serving(board) as served:
         host, watcher = served.host(), served.host(observe=True)
 
@@ -144,7 +144,7 @@ def test_pins_switches_and_reset(served):
             host.stick("x.alarm", True)
 
 
-def test_states_have_names(served):
+def test_snapshots_are_saved_and_restored_by_name(served):
     with served.host() as host:
         start_a_move(host)
         host.snapshot("moving")
@@ -268,7 +268,7 @@ def test_a_host_that_disconnects_in_its_hook_is_released(served):
         next_host.delay_us(1000)
 
 
-def test_a_host_that_sends_no_frame_in_its_hook_is_let_go(served):
+def test_a_host_that_sends_no_frame_in_its_hook_is_disconnected(served):
     host = served.host()
     host.on_interrupt(lambda: host._wire.sendall(client.HEAD.pack(client.MAX_BODY + 1, client.BATCH, 1)))
     start_a_move(host, 10, interrupt=True)
@@ -352,7 +352,7 @@ def _greets(served, version, role=0):
         Other(wire)
 
 
-def test_no_more_than_so_many_hosts_are_connected(served):
+def test_the_number_of_connected_hosts_is_limited(served):
     hosts = [served.host(observe=True) for _ in range(server.MAX_HOSTS)]
     with pytest.raises(ServerError, match="16 hosts are connected, and no more can be"):
         served.host(observe=True)
@@ -361,7 +361,7 @@ def test_no_more_than_so_many_hosts_are_connected(served):
         host.close()
 
 
-def test_an_address_where_nobody_is_or_that_is_none_is_an_error_in_words(served):
+def test_an_unreachable_or_invalid_address_is_explained(served):
     with pytest.raises(ConnectionRefusedError, match=r"nobody listens at 127\.0\.0\.1, port 1\. Start a server there"):
         client.connect(":1")
     with pytest.raises(ValueError, match="'here:there': an address is HOST:PORT"):

@@ -196,7 +196,7 @@ def test_a_driver_that_nobody_changed_ends_at_the_same_pulse():
     ],
 )
 @needs_simavr
-def test_a_map_that_is_none_is_refused(pins, pattern):
+def test_an_invalid_memory_map_is_refused(pins, pattern):
     with pytest.raises(ArgumentError, match=pattern):
         faults(0, pins)
 
@@ -225,7 +225,7 @@ def test_a_port_that_the_avr_does_not_have_is_named(tmp_path):
         ({"mcu": "atmega2560", "gdb": 80}, "gdb=80: a TCP port"),
     ],
 )
-def test_options_that_make_no_sense_are_refused(options, pattern):
+def test_inconsistent_options_are_refused(options, pattern):
     with pytest.raises(ArgumentError, match=pattern):
         TargetHost(DATA / "faults.avr.elf", board_of(), map=PINS, **options)
 
@@ -286,7 +286,7 @@ def command(gdb: socket.socket, text: str) -> bytes:
 
 @needs_simavr
 @pytest.mark.slow
-def test_a_debugger_finds_it_before_its_first_instruction():
+def test_a_debugger_attaches_before_the_first_instruction():
     """A breakpoint at main: the program halts there, time stands still, and it goes on."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -27,7 +27,7 @@ def faults(case: int, *more: str, isolated: bool = False, **options) -> TargetHo
 
 
 @pytest.mark.parametrize("isolated", [False, True])
-def test_what_the_program_says_at_its_end_is_the_code(isolated):
+def test_the_exit_value_of_the_program_is_the_exit_code(isolated):
     h = faults(9, isolated=isolated)
     assert [h.run().code, h.run().code] == [9, 9], "the second from its entry again"
 
@@ -187,7 +187,7 @@ def test_a_driver_that_nobody_changed_ends_at_the_same_pulse():
         (("irq",), "say once irq=0"),
     ],
 )
-def test_a_map_that_is_none_is_refused(maps, pattern):
+def test_an_invalid_memory_map_is_refused(maps, pattern):
     board = Board(Stage("xy", chips=PCL240K, visuals=False))
     with pytest.raises(ArgumentError, match=pattern):
         TargetHost(DATA / "faults.m3.elf", board, mcu="cortex-m3", map=maps, isolated=False)

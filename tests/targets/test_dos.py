@@ -14,7 +14,7 @@ CARRY, ZERO = 1, 0x40
 
 
 class PC:
-    """Registers, memory and what was asked of it."""
+    """A stand-in of a PC with registers and memory that records the calls of the emulated DOS."""
 
     prefix = 0x1000
 
@@ -22,9 +22,9 @@ class PC:
         self.words = {**dict.fromkeys(("ax", "bx", "cx", "dx", "ds", "es"), 0), "eflags": 2}
         self.set(**registers)
         self.memory = bytearray(1 << 20)
-        self.said, self.ended, self.fault, self.watched = "", None, "", 0
+        self.printed, self.exit_code, self.fault, self.watched = "", None, "", 0
         self.record = SimpleNamespace(cycles=0, hz=4_772_727, due=None)
-        self.stands = False
+        self.stopped = False
 
     def get(self, name):
         if name[1] in "hl":
@@ -50,7 +50,7 @@ class PC:
         self.memory[at : at + len(content)] = content
 
     def fail(self, fault):
-        self.fault, self.stands = fault, True
+        self.fault, self.stopped = fault, True
 
     def vector(self, n):
         return struct.unpack("<HH", self.read(0, 4 * n, 4))
@@ -59,10 +59,10 @@ class PC:
         self.watched += 1
 
     def say(self, text):
-        self.said += text
+        self.printed += text
 
     def end(self, code):
-        self.ended = code
+        self.exit_code = code
 
     def serve(self, number, **registers):
         self.set(**registers)
@@ -75,7 +75,7 @@ def test_programs_end_with_their_code():
     """INT 20h; INT 21h with AH = 0, 31h, 4Ch"""
     for number, ah, code in ((0x20, 0x4C, 0), (0x21, 0, 0), (0x21, 0x31, 7), (0x21, 0x4C, 7)):
         pc = PC(ax=ah << 8 | 7)
-        assert (pc.serve(number), pc.ended) == ({}, code)
+        assert (pc.serve(number), pc.exit_code) == ({}, code)
 
 
 def test_text_is_printed_by_character_up_to_a_dollar_sign_and_by_length():
@@ -86,17 +86,17 @@ def test_text_is_printed_by_character_up_to_a_dollar_sign_and_by_length():
                               (0x21, {"ax": 0x06FF, "dx": 0x3142}), (0x10, {"ax": 0x0E43}),
                               (0x21, {"ax": 0x0900, "dx": 0x123, "ds": 0x2000})):  # fmt: skip
         assert pc.serve(number, **registers) is not None
-    assert pc.said == "A\xffBCcafé"
+    assert pc.printed == "A\xffBCcafé"
     pc.serve(0x10, ax=0x0243)
-    assert pc.said == "A\xffBCcafé", "the cursor is moved, and nothing said"
+    assert pc.printed == "A\xffBCcafé", "the cursor is moved, and nothing said"
     for handle in (1, 2):
         assert pc.serve(0x21, ax=0x4000, bx=handle, cx=5, dx=0x123, eflags=2 | CARRY) == {"ax": 5, "eflags": 2}
-    assert pc.said.endswith("café$café$")
+    assert pc.printed.endswith("café$café$")
     assert pc.serve(0x21, ax=0x4000, bx=3, eflags=2) == {"ax": 6, "eflags": 2 | CARRY}, "no such handle"
-    assert pc.said.endswith("café$café$")
+    assert pc.printed.endswith("café$café$")
 
 
-def test_nobody_is_at_the_keyboard():
+def test_the_keyboard_has_no_input():
     """AH = 6 with DL = FFh, 0Bh; INT 16h"""
     assert PC(ax=0x0655, dx=0x12FF).serve(0x21) == {"ax": 0x0600, "eflags": 2 | ZERO}
     assert PC(ax=0x0B55).serve(0x21) == {"ax": 0x0B00}
@@ -105,7 +105,7 @@ def test_nobody_is_at_the_keyboard():
     assert PC(ax=0x0255).serve(0x16) == {"ax": 0x0200}, "no shift key is down"
     for number, ah in ((0x16, 0), (0x16, 0x10), *((0x21, ah) for ah in (1, 7, 8, 0x0A, 0x3F))):
         pc = PC(ax=ah << 8)
-        assert (pc.serve(number), pc.stands) == ({}, True)
+        assert (pc.serve(number), pc.stopped) == ({}, True)
         assert pc.fault.startswith("it waits for a key"), ah
 
 
@@ -160,4 +160,4 @@ def test_supported_options_work_and_others_are_refused(number, ax, bx, changes):
 def test_refusals_set_carry_and_an_unknown_function_ends_the_program():
     assert PC(ax=0x3D00).serve(0x21) == {"ax": 2, "eflags": 2 | CARRY}
     pc = PC(ax=0x5F00)
-    assert (pc.serve(0x21), pc.stands, "function 5Fh" in pc.fault) == ({}, True, True)
+    assert (pc.serve(0x21), pc.stopped, "function 5Fh" in pc.fault) == ({}, True, True)

@@ -135,7 +135,7 @@ def test_a_port_that_is_in_use_is_refused_before_anything_runs():
             TargetHost(DATA / "faults.com", board_of(), mcu="8086", gdb=port)
 
 
-def test_a_loop_is_interrupted_and_a_fault_can_be_looked_at():
+def test_a_debugger_interrupts_a_loop_and_inspects_a_fault():
     with debugged(8) as (_, gdb, ends):
         gdb.send("c")
         time.sleep(0.05)
@@ -181,7 +181,7 @@ def test_a_program_of_dos_is_at_linear_addresses():
     ("name", "mcu", "maps", "symbol"),
     [("faults.m3.elf", "cortex-m3", (WINDOW,), "application"), ("faults.com", "8086", (), None)],
 )
-def test_gdb_itself(name, mcu, maps, symbol):
+def test_gdb_debugs_a_program(name, mcu, maps, symbol):
     port, ends = free_port(), []
     h = TargetHost(DATA / name, board_of(9), mcu=mcu, map=maps, isolated=False, gdb=port)
     thread = threading.Thread(target=lambda: ends.append(h.run(timeout=1)), daemon=True)

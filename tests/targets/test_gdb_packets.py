@@ -139,7 +139,7 @@ def test_breakpoints_of_code_are_set_once_and_others_are_not_known(gdb):
     [("qC", "QC1"), ("qAttached", "1"), ("qfThreadInfo", "m1"), ("qsThreadInfo", "l"), ("vCont?", "vCont;c;C;s;S"), ("Hg0", "OK"),
      ("T1", "OK"), ("qOffsets", ""), ("vMustReplyEmpty", ""), ("QStartNoAckMode", "OK"), ("X0,0:", "")],
 )  # fmt: skip
-def test_a_question_has_its_answer_and_what_is_not_known_an_empty_one(gdb, requested, answer):
+def test_known_queries_are_answered_and_unknown_ones_get_an_empty_reply(gdb, requested, answer):
     assert gdb.ask(requested) == answer
 
 
@@ -163,7 +163,7 @@ def test_the_end_of_a_program_is_reported_with_a_byte(gdb, code, message):
     assert gdb.wire.recv(100) == b"", "and the connection is over"
 
 
-def test_who_kills_a_program_ends_it(gdb):
+def test_the_kill_packet_ends_the_program(gdb):
     assert gdb.ask("k") is None
     assert gdb.engine.done == [("end", 0)]
 

@@ -85,7 +85,7 @@ def test_the_boards_line_comes_into_what_is_of_a_lower_priority_alone(custom, ru
     assert n.next(0, 0) == (FIRST + 3 if comes else None)
 
 
-def test_what_else_the_private_registers_hold():
+def test_the_remaining_private_registers_hold_their_values():
     now = [(1 << 32) + 7]
     n = Nvic(lambda: now[0], 3)
     assert [n.read(at) for at in (0x1004, 0, 0xED00, 0xED0C, 0xE01C, 0xED10, 0xED08)] == [
@@ -106,7 +106,7 @@ def test_what_else_the_private_registers_hold():
     assert (n.read(0xED04), n.next(0, 0)) == (0, None)
 
 
-def test_what_may_come_by_mask_base_priority_and_what_runs():
+def test_pending_interrupts_are_filtered_by_masks_base_priority_and_running_priority():
     n = Nvic(lambda: 0, 3)
     line = FIRST + 3
     n.level = True
@@ -286,7 +286,7 @@ class Bare(Pc):
         self.words = {"eflags": 0x302, "sp": 0x100, "ss": 0x50, "cs": 0x1000, "ip": 0x123}
         self.memory = bytearray(1 << 20)
         self._board = SimpleNamespace(ports={0x50: "a device"})
-        self.asked, self.fault = [], ""
+        self.accesses, self.fault = [], ""
 
     def get(self, name):
         return self.words[name]
@@ -305,23 +305,23 @@ class Bare(Pc):
         self.watched = True
 
     def _on_board(self, port, size, value):
-        self.asked.append((port, size, value))
+        self.accesses.append((port, size, value))
         return 0x77
 
 
 def test_ports_below_100h_are_the_board_s_where_it_has_some_and_else_the_pc_s():
     pc = Bare()
     assert [pc._access_internal_port(0, port, 1, -1) for port in (0x50, 0x3F, 0x44, 0x60, 0x22, 0x1F)] == [0x77] * 6
-    assert pc.asked == [(port, 1, -1) for port in (0x50, 0x3F, 0x44, 0x60, 0x22, 0x1F)]
-    pc.asked.clear()
+    assert pc.accesses == [(port, 1, -1) for port in (0x50, 0x3F, 0x44, 0x60, 0x22, 0x1F)]
+    pc.accesses.clear()
     pc._access_internal_port(0, 0x50, 2, 0x1234)
-    assert pc.asked == [(0x50, 2, 0x1234)], "a word of the board is one cycle"
-    pc.asked.clear()
+    assert pc.accesses == [(0x50, 2, 0x1234)], "a word of the board is one cycle"
+    pc.accesses.clear()
     pc._access_internal_port(0, 0x21, 1, 0x5A)
     assert pc._access_internal_port(0, 0x21, 1, -1) == 0x5A
     pc._access_internal_port(0, 0x21, 2, 0x3C00)
     assert pc._access_internal_port(0, 0x21, 1, -1) == 0, "a word is two bytes, the low one first"
-    assert pc.asked == [(0x22, 1, 0x3C)]
+    assert pc.accesses == [(0x22, 1, 0x3C)]
     assert pc._access_internal_port(0, 0x20, 2, -1) == 0
     assert pc._access_internal_port(0, 0x21, 2, -1) == 0x7700
     for port, value in ((0x43, 0x34), (0x40, 0x10), (0x40, 0x20)):
@@ -412,7 +412,7 @@ class Cpu:
         self.memory = bytearray(1 << 16)
         self.uc = SimpleNamespace(mem_read=lambda at, size: self.memory[at : at + size])
         self.record = SimpleNamespace(cycles=250, hz=100)
-        self.said, self.code = "", None
+        self.printed, self.code = "", None
 
     def get(self, name):
         return getattr(self, name)
@@ -424,7 +424,7 @@ class Cpu:
         return int.from_bytes(self.memory[at : at + 4], "little")
 
     def say(self, text):
-        self.said += text
+        self.printed += text
 
     def end(self, code):
         self.code = code
@@ -439,17 +439,17 @@ def test_semihosting_prints_reads_the_clock_and_ends():
     cpu = Cpu()
     cpu.memory[0x100:0x120] = struct.pack("<4I", 1, 0x200, 5, 0).ljust(32, b"\0")
     cpu.memory[0x200:0x220] = b"a text of more than 16 by\xe9s\0xyz"
-    assert [cpu.request(3, 0x201), cpu.said] == [0, " "]
-    cpu.said = ""
-    assert [cpu.request(4, 0x200), cpu.said] == [0, "a text of more than 16 byés"]
-    cpu.said = ""
-    assert [cpu.request(5, 0x100), cpu.said] == [0, "a tex"]
-    cpu.said, cpu.memory[0x108:0x10C] = "", struct.pack("<I", 9000)
+    assert [cpu.request(3, 0x201), cpu.printed] == [0, " "]
+    cpu.printed = ""
+    assert [cpu.request(4, 0x200), cpu.printed] == [0, "a text of more than 16 byés"]
+    cpu.printed = ""
+    assert [cpu.request(5, 0x100), cpu.printed] == [0, "a tex"]
+    cpu.printed, cpu.memory[0x108:0x10C] = "", struct.pack("<I", 9000)
     cpu.request(5, 0x100)
-    assert len(cpu.said) == 4096
-    cpu.said, cpu.memory[0x1000:0x8000] = "", b"z" * 0x7000
+    assert len(cpu.printed) == 4096
+    cpu.printed, cpu.memory[0x1000:0x8000] = "", b"z" * 0x7000
     cpu.request(4, 0x1000)
-    assert len(cpu.said) == 4096, "a text without an end"
+    assert len(cpu.printed) == 4096, "a text without an end"
     assert [cpu.request(what) for what in (1, 9, 0x10, 0x11, 2, 0x0C, 0x13, 0x16, 0x15, 0x77)] == [
         1, 1, 250, 2, 0, 0, 0, 0, 0xFFFFFFFF, 0xFFFFFFFF,
     ]  # fmt: skip
@@ -503,21 +503,21 @@ def test_memory_that_holds_windows_is_known_to_the_byte():
 def test_a_line_without_an_end_is_printed_in_pieces():
     class Says(Engine):
         def __init__(self):
-            self._line, self.said = "", []
+            self._line, self.printed = "", []
 
         def _note(self, line):
-            self.said.append(line)
+            self.printed.append(line)
 
     engine = Says()
     engine.say("one\r\ntwo ")
-    assert engine.said == ["one"]
+    assert engine.printed == ["one"]
     engine.say("x" * 1000)
-    assert engine.said == ["one", "two " + "x" * 1000]
+    assert engine.printed == ["one", "two " + "x" * 1000]
     engine.flush()
-    assert len(engine.said) == 2
+    assert len(engine.printed) == 2
 
 
-def test_a_processor_is_known_in_any_case():
+def test_processor_names_are_case_insensitive():
     assert [mcus.check_mcu(name) for name in ("ATmega2560", "Cortex-M3")] == ["atmega2560", "cortex-m3"]
 
 

@@ -129,7 +129,7 @@ def test_the_clock_says_how_long_an_instruction_takes(tmp_path):
 
 
 @needs_unicorn
-def test_what_a_program_says_last_needs_no_end_of_line(tmp_path):
+def test_the_last_output_of_a_program_needs_no_line_end(tmp_path):
     h = com(tmp_path, f"B402 B24F CD21 B24B CD21 {EXIT}")
     h.run()
     assert [text for _, text in h.board.log] == ["OK"]

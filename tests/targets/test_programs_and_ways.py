@@ -19,7 +19,7 @@ def test_all_programs_of_the_page_of_ports_are_in_it():
 
 
 @pytest.mark.parametrize(("program", "lines", "changes", "targets", "test"), ROWS, ids=[row[0] for row in ROWS])
-def test_a_row_is_true(program, lines, changes, targets, test):
+def test_each_row_of_the_table_of_programs_holds(program, lines, changes, targets, test):
     source = FIRMWARE / program
     assert len(source.read_text().splitlines()) == int(lines)
     assert changes.startswith("0"), "no line is changed"
