@@ -377,7 +377,7 @@ def test_the_divisor_of_a_uart_is_two_bytes_that_are_written_one_by_one():
 
 
 def test_an_overrun_interrupts_before_the_line_status_is_read():
-    """Without a FIFO the second byte overruns the first; with one the 17th: IER = 04h, and the line is asserted at that time"""
+    """The second byte overruns without a FIFO, the 17th with one; with IER = 04h the line is asserted at that time."""
     for fcr, maximum in ((0, 1), (1, 16)):
         b = uart((1, 4), (4, 8), fcr=fcr)
         feed(b, maximum + 1)

@@ -103,7 +103,7 @@ def test_firmware_that_sleeps_in_real_time_is_reported_once_in_the_log(call):
 @needs_traps
 @pytest.mark.parametrize("flags", [("-fno-plt", "-nostartfiles"), ("-Wl,-z,lazy",), ("-Wl,-z,now",)], ids=" ".join)
 def test_a_sleep_is_reported_in_whichever_table_the_linker_has_put_the_call(flags):
-    """With -fno-plt there is no table of calls, and usleep is among the other addresses."""
+    """The option -fno-plt leaves no table of calls, so usleep is among the other addresses."""
     board = Board(Stage("xy", visuals=False))
     NativeHost(firmware(f"{HEADERS}PULSESTAGE_MAIN {{ usleep(1); return 0; }}", *flags), board).run()
     assert [text.partition(" ")[0] for _, text in board.log] == ["usleep(1)"]
