@@ -50,10 +50,10 @@ def pytest_collect_directory(path, parent):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Those of slow_tests.txt are slow. A line of which a whole file has no test is an error: it has another name now."""
+    """Mark the tests of slow_tests.txt as slow, and refuse a line without a test: it has another name now."""
     if "PYTEST_XDIST_WORKER" in os.environ:
         items.sort(key=lambda item: item.path.parts)  # the same in every worker
-    seen, files = set(), set()
+    matched_lines, files = set(), set()
     for item in items:
         file = item.nodeid.partition("::")[0]
         files.add(file)
@@ -61,16 +61,16 @@ def pytest_collection_modifyitems(config, items):
             begin, _, end = line.partition("*")
             if item.nodeid.startswith(begin) and item.nodeid.endswith(end):
                 item.add_marker("slow")
-                seen.add(line)
+                matched_lines.add(line)
     if not any("::" in arg for arg in config.args):
         for file in files:
             for line in SLOW.get(file, ()):
-                if line not in seen:
+                if line not in matched_lines:
                     raise pytest.UsageError(f"tests/slow_tests.txt: there is no test {line}")
 
 
 def pytest_collection_finish():
-    """What the session keeps to its end is no rubbish: a gc.collect() of a test then need not look at all of it."""
+    """Exclude the collected tests from later garbage collections, which makes gc.collect() in a test faster."""
     gc.collect()
     gc.freeze()
 
@@ -81,7 +81,7 @@ settings.load_profile("stage")
 
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch):
-    """For what MuJoCo warns of, as a simulation that diverges: it writes MUJOCO_LOG.TXT into the working directory."""
+    """Change to a temporary folder: MuJoCo writes MUJOCO_LOG.TXT into the working directory when it warns."""
     monkeypatch.chdir(tmp_path)
 
 
@@ -102,12 +102,12 @@ def xy(fresh):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup():
-    return (yield from skipped_without_its_extra())
+    return (yield from skip_without_library())
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call():
-    return (yield from skipped_without_its_extra())
+    return (yield from skip_without_library())
 
 
 REQUIRED = tuple(filter(None, os.environ.get("PULSESTAGE_REQUIRE", "").split(",")))
@@ -124,8 +124,8 @@ def pytest_runtest_makereport():
     return report
 
 
-def skipped_without_its_extra():
-    """What needs a library that is not installed is skipped, and says which: the small installation is tested, too."""
+def skip_without_library():
+    """Skip a test whose optional library is not installed, with its name, so that a small installation passes."""
     from stage.support.extras import LIBRARIES, ExtraMissing, is_installed
 
     try:

@@ -27,7 +27,7 @@ from stage.testing.acts import draw_move
 
 
 @pytest.fixture(autouse=True)
-def acme_is_there(monkeypatch, tmp_path):
+def install_acme_chip(monkeypatch, tmp_path):
     acme(monkeypatch, tmp_path / "site")
 
 
@@ -42,13 +42,13 @@ def test_it_keeps_every_promise_of_a_chip():
     chip_conformance("acme1000", seed=SEED, programs=2)
 
 
-def test_a_chip_whose_starts_go_less_far_is_asked_for_no_more():
-    """By the range of its driver's FINISH; a move of 60 to 400 pulses else"""
+def test_a_drawn_move_stays_within_the_range_of_the_count_register():
+    """Compare the full range with a COUNT register that ends at 50; otherwise a move has 60 to 400 pulses."""
     kind = chip_class("acme1000")
     few = tuple(replace(r, legal=(0, 50)) if r.name == "COUNT" else r for r in kind.MAP.registers)
     short = type("SHORT", (kind,), {"MAP": replace(kind.MAP, registers=few)})
-    asked = [draw_move(chip(), 0, np.random.default_rng(1))[1] for chip in (kind, short)]
-    assert asked[0] > 50 == asked[1]
+    distances = [draw_move(chip(), 0, np.random.default_rng(1))[1] for chip in (kind, short)]
+    assert distances[0] > 50 == distances[1]
 
 
 def test_it_takes_as_many_pulses_down_as_it_took_up():
@@ -67,14 +67,14 @@ def test_a_move_whose_count_is_set_to_0_is_over():
     for name, value in {"START": 1000, "DRIVE": 3000, "SLOPE": 20, "COUNT": 900}.items():
         chip.write(chip.MAP.register(name).number, value)
     chip.write(0, chip.MAP.command("MOVE+").code)
-    made = chip.advance(chip.clock_hz // 10)
-    assert made > 0
+    pulses = chip.advance(chip.clock_hz // 10)
+    assert pulses > 0
     chip.write(chip.MAP.register("COUNT").number, 0)
     assert (chip.busy(), chip.advance(chip.clock_hz)) == (False, 0)
-    assert chip.net() == made
+    assert chip.net() == pulses
 
 
-def test_it_moves_jogs_and_goes_home(stage_):
+def test_an_axis_moves_jogs_and_returns_to_the_origin(stage_):
     stage_.reset()
     stage_.place(x=-0.115)
     x = stage_.axes["x"]
@@ -101,9 +101,9 @@ def test_board_trace_and_command_line_know_it(stage_, capsys, tmp_path):
     assert main(["sync", "x=100", "y=200", "--chips", "acme1000", "--model", "xy"]) == 2
     assert "an ACME1000 draws no lines" in capsys.readouterr().err
     assert main(["fault", "lost-write", "--chips", "acme1000", "--model", "xy"]) == 0
-    said = capsys.readouterr().out
-    assert "happened as claimed" in said
-    assert re.search(r"^diagnostics +0 +1$", said, re.M), (
+    output = capsys.readouterr().out
+    assert "happened as claimed" in output
+    assert re.search(r"^diagnostics +0 +1$", output, re.M), (
         "its count is used up, and the lint sees that no pulse will come"
     )
 
@@ -111,11 +111,11 @@ def test_board_trace_and_command_line_know_it(stage_, capsys, tmp_path):
 @pytest.mark.parametrize("distance", ["10mm", "-10mm"])
 def test_its_registers_are_tuned_for_either_direction(capsys, distance):
     """stage tune xy --axis x --chips acme1000 --distance -10mm"""
-    given = ["--chips", "acme1000", "--distance", distance, "--trials", "4", "--seed", "1"]
-    assert main(["tune", "xy", "--axis", "x", *given]) == 0
-    said = capsys.readouterr().out
-    assert "START" in said
-    assert "SLOPE" in said
+    options = ["--chips", "acme1000", "--distance", distance, "--trials", "4", "--seed", "1"]
+    assert main(["tune", "xy", "--axis", "x", *options]) == 0
+    output = capsys.readouterr().out
+    assert "START" in output
+    assert "SLOPE" in output
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_environments_know_it(id_):
 
 
 @pytest.mark.parametrize("id_", ["SynchronizedMove", "ServoTuning"])
-def test_what_it_cannot_is_said_in_words(id_):
+def test_environments_refuse_a_chip_without_lines_or_closed_loop(id_):
     with pytest.raises(ArgumentError, match=r"an ACME1000 .*(draws no lines|closes no loop)"):
         gymnasium.make(f"stage/{id_}-v0", chip="acme1000", model="xy")
 
@@ -147,8 +147,8 @@ def test_a_chip_that_lacks_an_answer_is_refused_with_its_name(monkeypatch, tmp_p
     monkeypatch.syspath_prepend(tmp_path)
     chips = {name: f"half_chips:{name}" for name in ("HALF", "LOOKS", "OTHER", "NONE")}
     installed(monkeypatch, tmp_path / "half", "half-chips", **chips)
-    said = r"chip HALF of package half-chips 1.0 .* is refused: HALF breaks the contract of chips: its core .* has no answer window"
-    with pytest.raises(ArgumentError, match=said):
+    text = r"chip HALF of package half-chips 1.0 .* is refused: HALF breaks the contract of chips: its core .* has no answer window"
+    with pytest.raises(ArgumentError, match=text):
         Stage("xy", chips="half")
     with pytest.raises(
         ArgumentError, match=r"no answer scan_shaft, @exported\('i8', STATE, .*array_of\(EDGE\), array_of\('i8'\)"
@@ -196,7 +196,7 @@ def test_installed_from_a_wheel_and_editable_in_a_fresh_environment(tmp_path):
     assert "building the native library of acme_chips" in run(*move).stderr, "of what the core imports"
 
 
-def test_an_old_setuptools_is_told_with_what_to_install(monkeypatch):
+def test_an_old_setuptools_is_refused_with_the_command_to_install(monkeypatch):
     """pip install --no-build-isolation ./scripts/acme_chip: No module named 'setuptools.command.bdist_wheel'"""
     monkeypatch.delitem(sys.modules, "stage.native.packing", raising=False)
     monkeypatch.setitem(sys.modules, "setuptools.command.bdist_wheel", None)

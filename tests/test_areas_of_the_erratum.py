@@ -11,13 +11,13 @@ PINS = {"asnd": "01100000", "cnst": "00010001", "dsnd": "00001100"}
 
 
 @pytest.mark.parametrize(("more", "end"), [("", 7.0), ("10", 9.0)], ids=["up to the last edge", "and on"])
-def test_each_area_ends_where_its_pin_goes_off_or_with_the_last_edge(more, end):
+def test_each_area_ends_where_its_pin_falls_or_at_the_last_edge(more, end):
     def pin(name):
         return np.array([bit == "1" for bit in PINS[name] + (more if name == "cnst" else "0" * len(more))])
 
-    course = SimpleNamespace(seconds=np.arange(8.0 + len(more)), pin=pin)
+    waveform = SimpleNamespace(seconds=np.arange(8.0 + len(more)), pin=pin)
     recording = SimpleNamespace(
-        journals={"x": SimpleNamespace(course=lambda: course)}, axes={"x": None, "y": None}, began=2.0
+        journals={"x": SimpleNamespace(course=lambda: waveform)}, axes={"x": None, "y": None}, began=2.0
     )
-    found = {"a": (1.0, 3.0), "b": (3.0, 4.0), "c": (4.0, 6.0), "d": (7.0, end)}
-    assert _areas(recording) == {area: (first + 2.0, last + 2.0) for area, (first, last) in found.items()}
+    expected = {"a": (1.0, 3.0), "b": (3.0, 4.0), "c": (4.0, 6.0), "d": (7.0, end)}
+    assert _areas(recording) == {area: (first + 2.0, last + 2.0) for area, (first, last) in expected.items()}

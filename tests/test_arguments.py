@@ -29,7 +29,7 @@ def recording(stage):
     return recording
 
 
-MADE = {
+CALLS = {
     "start rate": lambda v: Profile.of(fl=v),
     "high rate": lambda v: Profile.of(fh1=v),
     "ramp": lambda v: Profile.of(accel=v),
@@ -41,16 +41,16 @@ MADE = {
 """Public calls that tests/test_public_arguments.py does not make."""
 
 
-@pytest.mark.parametrize("name", MADE)
-def test_an_argument_of_a_wrong_kind_is_taken_or_refused_in_words(name):
+@pytest.mark.parametrize("name", CALLS)
+def test_an_argument_of_a_wrong_type_raises_only_errors_of_the_stage(name):
     for value in WRONG:
         with suppress(StageError):
-            MADE[name](value)
+            CALLS[name](value)
 
 
-def test_what_was_typed_is_told_with_what_is_allowed(stage, recording):
+def test_an_error_names_the_wrong_argument_and_what_is_allowed(stage, recording):
     """stage.run("1"); Stage(chip=...); Profile.of(fh=8000); recording.columns["x/pos"]; recording.to_pandas("x/position")"""
-    for call, kind, said in (
+    for call, kind, message in (
         (lambda: stage.run("1"), TypeError, "seconds='1': a number."),
         (lambda: Stage("xy", chip=PCL240K), TypeError, "Stage has no argument 'chip'. Did you mean 'chips'"),
         (lambda: Profile.of(fh=8000), TypeError, "Profile.of has no argument 'fh'. Did you mean "),
@@ -64,7 +64,7 @@ def test_what_was_typed_is_told_with_what_is_allowed(stage, recording):
         with pytest.raises(StageError) as caught:
             call()
         assert isinstance(caught.value, kind)
-        assert str(caught.value).startswith(said), str(caught.value)
+        assert str(caught.value).startswith(message), str(caught.value)
     assert list(recording.to_pandas("x/position")) == ["x/position"]
     assert issubclass(UnknownKey, KeyError)
     assert stage.axes.get("q") is None
@@ -73,7 +73,7 @@ def test_what_was_typed_is_told_with_what_is_allowed(stage, recording):
         stage.axes["q"]
 
 
-def test_an_error_of_somebody_elses_stays_as_it_is(stage):
+def test_an_error_in_user_code_is_not_replaced(stage):
     """A condition of one's own with a slip in it"""
 
     def condition():
@@ -109,7 +109,7 @@ def failing(
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("arguments", "message"),
     [
         ({"flag": 0.5}, "flag=0.5: True or False."),
         ({"flag": "yes"}, "flag='yes': True or False."),
@@ -121,19 +121,19 @@ def failing(
         ({"x": 1.0, "y": "far"}, "y='far': a number."),
     ],
 )
-def test_the_argument_that_does_not_fit_is_named_with_what_it_may_be(given, said):
+def test_the_argument_that_does_not_fit_is_named_with_what_it_may_be(arguments, message):
     with pytest.raises(WrongType) as caught:
-        failing(**given)
-    assert str(caught.value) == said
+        failing(**arguments)
+    assert str(caught.value) == message
     assert str(caught.value.__cause__) == "as Python says it"
 
 
 @pytest.mark.parametrize(
-    "given", [{}, {"flag": 1, "number": 2}, {"many": [1, 2.0]}, {"table": {}, "number": None}, {"x": 1, "y": 2.5}]
+    "arguments", [{}, {"flag": 1, "number": 2}, {"many": [1, 2.0]}, {"table": {}, "number": None}, {"x": 1, "y": 2.5}]
 )
-def test_where_all_arguments_fit_the_error_is_pythons(given):
+def test_where_all_arguments_fit_the_error_is_pythons(arguments):
     with pytest.raises(TypeError, match="as Python says it") as caught:
-        failing(**given)
+        failing(**arguments)
     assert not isinstance(caught.value, WrongType)
 
 
@@ -149,7 +149,7 @@ def test_of_values_that_follow_each_other_the_one_that_does_not_fit_is_named():
 
 
 @pytest.mark.parametrize("counts", [float("nan"), float("inf"), "a", None, 2000.5, True, 3])
-def test_counts_that_no_encoder_has_are_told_in_words(counts):
+def test_impossible_encoder_counts_are_refused(counts):
     """Servo(counts=float("nan")): a bare ValueError"""
     with pytest.raises(ArgumentError, match=r"counts=.*: an encoder has a whole number of counts a turn"):
         Servo(counts=counts)
@@ -163,7 +163,7 @@ def test_a_servo_says_which_arguments_it_has():
         Servo(motor=["14201S003"])
 
 
-def test_the_payload_of_what_is_no_body_is_told_in_words():
+def test_a_payload_of_something_that_is_no_body_is_refused():
     """stage.payload(3): a page of MuJoCo's"""
     with pytest.raises(ArgumentError, match=r"body=3: a text or None"):
         Stage("xy", visuals=False).payload(3)
@@ -177,7 +177,7 @@ def test_a_tuning_with_a_number_out_of_range_is_refused_by_its_name(name, value)
 
 
 @pytest.mark.parametrize("value", [True, False, 2.0, -1, 2, "3", None])
-def test_a_whole_number_is_an_int_from_its_bound_on(value):
+def test_check_whole_number_takes_integers_from_the_lower_bound(value):
     with pytest.raises(ArgumentError, match=r"^n=.*: a whole number, 3 or more\.$"):
         check_integer("n", value, 3)
     with pytest.raises(ArgumentError):

@@ -34,16 +34,16 @@ def stage(xy):
     return xy
 
 
-def check(given, *more):
+def check(changes, *more):
     _check(
         {"x": 1},
         {},
-        *{"rate": 100.0, "fl": 10.0, "accel": 1.0, "decel": 1.0, "bus_delay": 0.0, **given}.values(),
+        *{"rate": 100.0, "fl": 10.0, "accel": 1.0, "decel": 1.0, "bus_delay": 0.0, **changes}.values(),
         *more,
     )
 
 
-PLAIN = {
+BOUNDS = {
     "clock_hz": (lambda v: PCL240K(clock_hz=v), (1, 100_000_000), (0, 100_000_001, 1.5)),
     "clocks": (lambda v: PCL240K()._find_end_clock(v), (0, MAX_CLOCKS), (-1, MAX_CLOCKS + 1)),
     "microsteps": (lambda v: Drive(microsteps=v), (1, 256), (0, 257, True)),
@@ -122,9 +122,9 @@ ON_A_STAGE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", PLAIN)
+@pytest.mark.parametrize("name", BOUNDS)
 def test_a_range_has_its_ends(name):
-    call, inside, outside = PLAIN[name]
+    call, inside, outside = BOUNDS[name]
     for value in inside:
         call(value)
     for value in outside:
@@ -159,15 +159,15 @@ def test_a_port_is_1_to_65535(tmp_path):
             make_web_server(tmp_path / "a.rrd", port)
 
 
-def test_a_condition_has_until_the_end_of_its_time(stage):
-    """It is looked at once more when the time is over, and not at all after it holds."""
-    looked = []
-    assert stage.run_until(lambda: looked.append(stage.now) or stage.now >= 10, timeout=1e-8, poll=4e-9) == 1e-8
-    assert looked == [0, 4, 8, 10]
-    looked.clear()
+def test_run_until_polls_its_condition_once_more_at_the_timeout(stage):
+    """Call the condition at the timeout too, and never again once it is true."""
+    poll_times = []
+    assert stage.run_until(lambda: poll_times.append(stage.now) or stage.now >= 10, timeout=1e-8, poll=4e-9) == 1e-8
+    assert poll_times == [0, 4, 8, 10]
+    poll_times.clear()
     with pytest.raises(StageError, match="did not come true"):
-        stage.run_until(lambda: looked.append(stage.now), timeout=0)
-    assert looked == [10]
+        stage.run_until(lambda: poll_times.append(stage.now), timeout=0)
+    assert poll_times == [10]
 
 
 def test_time_of_a_stage_is_rounded_to_a_nanosecond(stage):

@@ -27,7 +27,7 @@ def check_words():
         ('def move(distance):\n    """Move an axis."""\n    return untold + hold', []),
     ],
 )
-def test_names_of_weak_words_and_weak_openings_are_found(check_words, source, lines):
+def test_weak_names_and_weak_openings_are_reported(check_words, source, lines):
     assert [line for line, _ in check_words.find_offenders(source)] == lines
 
 

@@ -26,7 +26,7 @@ def core(**change):
 
 
 @pytest.mark.parametrize(
-    ("lacks", "said"),
+    ("lacks", "message"),
     [
         ({"BUSY": ("status", "busy")}, "BUSY is .*address, and the bit of axis 0"),
         ({"BUSY": (0,)}, "BUSY is"),
@@ -79,8 +79,8 @@ def core(**change):
         ),
     ],
 )
-def test_what_a_class_has_wrong_is_named(lacks, said):
-    with pytest.raises(ArgumentError, match=f"BAD breaks the contract of chips: .*{said}"):
+def test_what_a_class_has_wrong_is_named(lacks, message):
+    with pytest.raises(ArgumentError, match=f"BAD breaks the contract of chips: .*{message}"):
         contract.check(type("BAD", (PCL240K,), lacks), Chip)
 
 
@@ -95,7 +95,7 @@ def test_what_a_class_has_wrong_is_named(lacks, said):
         mapped(registers=(*REGISTERS, Register("P", 5, 8, "RW", "p", (-128, 255)))),
     ],
 )
-def test_what_just_fits_is_taken(has):
+def test_values_at_the_bounds_are_accepted(has):
     contract.check(type("GOOD", (PCL240K,), has), Chip)
 
 
@@ -107,12 +107,12 @@ class NoStop(Pcl240Driver):
     def write_stop(self, program): ...
 
 
-class Plain(Pcl240Driver):
+class DriverWithoutPolarity(Pcl240Driver):
     INVERTIBLE_SENSORS = ()
 
 
 @pytest.mark.parametrize(
-    ("driver", "said"),
+    ("driver", "message"),
     [
         ("nowhere.driver:X", "DRIVER = 'nowhere.driver:X', its driver, cannot be loaded: ModuleNotFoundError"),
         ("stage.firmware.pcl240.driver:X", "cannot be loaded: AttributeError: .*'X'"),
@@ -120,21 +120,21 @@ class Plain(Pcl240Driver):
         (f"{__name__}:NoStop", r"its driver NoStop has no halt\(\), write_stop\(\)"),
     ],
 )
-def test_a_driver_that_is_none_is_told(driver, said):
+def test_a_wrong_driver_is_refused_with_its_reason(driver, message):
     bench = firmware.Bench(x=type("BAD", (PCL240K,), {"DRIVER": driver})())
-    with pytest.raises(ArgumentError, match=f"BAD: .*{said}"):
+    with pytest.raises(ArgumentError, match=f"BAD: .*{message}"):
         firmware.move(bench.axes["x"], pulses=10)
 
 
-def test_a_layout_that_is_none_is_told(monkeypatch):
+def test_a_wrong_layout_is_refused_with_its_name(monkeypatch):
     monkeypatch.setattr(layouts, "LAYOUTS", {})  # a shipped family has its own
     with pytest.raises(ArgumentError, match=r"LAYOUT = 'stage.board.layouts:BYTE' is no stage.board.layouts.Layout"):
         layouts.make_default_layout(type("BAD", (PCL240K,), {"LAYOUT": "stage.board.layouts:BYTE"})())
 
 
-def test_a_driver_that_says_nothing_of_polarity_refuses_sensors_of_positive_logic():
-    plain = type("PLAIN", (PCL240K,), {"DRIVER": f"{__name__}:Plain"})
-    stage = Stage("xy", chips={"x": plain}, wiring={"x": {"org": "positive"}}, visuals=False)
+def test_a_driver_without_invertible_sensors_refuses_positive_logic():
+    chip = type("PLAIN", (PCL240K,), {"DRIVER": f"{__name__}:DriverWithoutPolarity"})
+    stage = Stage("xy", chips={"x": chip}, wiring={"x": {"org": "positive"}}, visuals=False)
     with pytest.raises(ArgumentError, match=r"axis x: org is of positive logic, and a PCL240K cannot read it so. Wire"):
         firmware.move(stage.axes["x"], pulses=10)
 
@@ -155,7 +155,7 @@ def test_a_byte_cycle_of_a_wide_bus_with_what_is_no_number_is_refused(cycle):
         getattr(MCX514(), cycle[0])(*cycle[1:])
 
 
-def test_a_fraction_and_what_is_too_wide_are_told_apart():
+def test_a_fraction_and_a_wide_address_give_different_diagnostics():
     chip = PCL240K()
     chip.write(1, 3.7)
     chip.write(5, 0)
@@ -165,13 +165,13 @@ def test_a_fraction_and_what_is_too_wide_are_told_apart():
     ]
 
 
-def test_all_that_is_wrong_is_counted_and_the_first_four_are_told():
+def test_an_error_counts_all_mistakes_and_names_the_first_four():
     lacks = {"BUSY": (-1, 1), "COUNTER": ("R0", 0), "MICROSTEPS": 257, "DRIVER": "x", "DEFAULT_CLOCK_HZ": 0}
     with pytest.raises(ArgumentError) as caught:
         contract.check(type("BAD", (PCL240K,), lacks), Chip)
-    said = str(caught.value)
-    assert "BUSY is" in said.partition(" (and 4 more: ")[0]
-    assert [name in said.partition(" (and 4 more: ")[2] for name in ("COUNTER", "DEFAULT_CLOCK_HZ", "MICROSTEPS", "DRIVER")] == [
+    message = str(caught.value)
+    assert "BUSY is" in message.partition(" (and 4 more: ")[0]
+    assert [name in message.partition(" (and 4 more: ")[2] for name in ("COUNTER", "DEFAULT_CLOCK_HZ", "MICROSTEPS", "DRIVER")] == [
         True, True, True, False,
     ]  # fmt: skip
 

@@ -17,7 +17,7 @@ from stage.cli import demo, main
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
+def work_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -29,8 +29,8 @@ def out(capsys, *argv, code=0):
     return capsys.readouterr()
 
 
-def seconds(*command):
-    """Of the processor, which do not count how busy the machine is; by the clock where the system does not tell."""
+def measure_seconds(*command):
+    """Return the processor time of a command, which other load does not change, or else its wall time."""
     before, begin = os.times(), time.perf_counter()
     subprocess.run(command, check=True, capture_output=True)
     after, took = os.times(), time.perf_counter() - begin
@@ -40,119 +40,119 @@ def seconds(*command):
 
 def test_help_comes_at_once_and_importing_is_cheap():
     python = sys.executable
-    assert min(seconds(python, "-m", "stage", "--help") for _ in range(3)) < 0.5
-    assert min(seconds(python, "-c", "import stage") for _ in range(3)) < 1.0
+    assert min(measure_seconds(python, "-m", "stage", "--help") for _ in range(3)) < 0.5
+    assert min(measure_seconds(python, "-c", "import stage") for _ in range(3)) < 1.0
 
 
-def test_a_second_start_takes_less_than_two_seconds(here):
+def test_a_second_start_takes_less_than_two_seconds(work_folder):
     command = (sys.executable, "-c", "from stage import Stage; Stage('xyz').run(0.1)")
-    seconds(*command)
-    assert min(seconds(*command) for _ in range(3)) < 2.0
+    measure_seconds(*command)
+    assert min(measure_seconds(*command) for _ in range(3)) < 2.0
 
 
 @needs_rerun
-def test_the_demo_homes_moves_and_writes_a_recording(here, capsys):
+def test_the_demo_homes_moves_and_writes_a_recording(work_folder, capsys):
     """stage demo"""
-    said = out(capsys, "demo").out
-    assert re.search(r"\d s of simulated time in [\d.]+ s of wall time", said)
-    assert said.count("ORG") >= 3
-    assert "NO" not in said.split()
-    assert (here / "demo.rrd").stat().st_size > 100_000
+    output = out(capsys, "demo").out
+    assert re.search(r"\d s of simulated time in [\d.]+ s of wall time", output)
+    assert output.count("ORG") >= 3
+    assert "NO" not in output.split()
+    assert (work_folder / "demo.rrd").stat().st_size > 100_000
     assert rerun_cli("rrd", "verify", "demo.rrd").returncode == 0
 
 
-def test_a_move_lists_its_bytes_and_draws_itself(here, capsys):
-    said = out(capsys, "move", "x", "1600", "--fh1", "8000", "--plot", "move.png").out
-    assert "1600 of 1600" in said
-    assert "start, ramp to FH1" in said
-    assert (here / "move.png").read_bytes().startswith(b"\x89PNG")
+def test_a_move_lists_its_bytes_and_draws_itself(work_folder, capsys):
+    output = out(capsys, "move", "x", "1600", "--fh1", "8000", "--plot", "move.png").out
+    assert "1600 of 1600" in output
+    assert "start, ramp to FH1" in output
+    assert (work_folder / "move.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_distance_towards_minus_is_typed_as_it_is(here, capsys):
+def test_a_distance_towards_minus_is_typed_as_it_is(work_folder, capsys):
     """stage move y -0.5mm"""
     assert "-160 of -160" in out(capsys, "move", "y", "-0.5mm").out
     assert "'-2furlongs'" in out(capsys, "move", "y", "-2furlongs", code=2).err
 
 
-def test_home_starts_where_it_is_told(here, capsys):
-    said = out(capsys, "home", "y", "--from", "-60").out
-    assert "stopped by ORG" in said
-    assert "from -60.0000 mm" in said
+def test_home_starts_at_the_position_of_its_option(work_folder, capsys):
+    output = out(capsys, "home", "y", "--from", "-60").out
+    assert "stopped by ORG" in output
+    assert "from -60.0000 mm" in output
 
 
-def test_a_home_that_loses_steps_on_its_way_ends_with_code_1(here, capsys):
+def test_an_origin_return_that_loses_steps_ends_with_code_1(work_folder, capsys):
     fast = ["--fh1", "60000", "--fh2", "60000", "--accel", "0.15", "--fast-only"]
-    said = out(capsys, "home", "x", "--from", "-60", *fast, code=1).out
-    assert "stopped by ORG" in said
-    assert int(re.search(r"lost steps (-?\d+)", said)[1]) != 0
+    output = out(capsys, "home", "x", "--from", "-60", *fast, code=1).out
+    assert "stopped by ORG" in output
+    assert int(re.search(r"lost steps (-?\d+)", output)[1]) != 0
 
 
 @needs_rerun
-def test_dual_rate_and_sync_do_as_asked(here, capsys):
+def test_dual_rate_and_sync_make_the_requested_pulses(work_folder, capsys):
     assert "12000 of 12000" in out(capsys, "dual-rate", "x", "12000").out
-    said = out(capsys, "sync", "x=4000", "y=-1500", "--record", "s.rrd", "--vcd", "s.vcd").out
-    assert "pulses from the line" in said
-    assert (here / "s.rrd").exists()
-    assert (here / "s.vcd").read_text().startswith("$")
+    output = out(capsys, "sync", "x=4000", "y=-1500", "--record", "s.rrd", "--vcd", "s.vcd").out
+    assert "pulses from the line" in output
+    assert (work_folder / "s.rrd").exists()
+    assert (work_folder / "s.vcd").read_text().startswith("$")
 
 
-def test_a_move_that_loses_steps_ends_with_code_1_and_says_so(here, capsys):
-    said = out(capsys, "move", "x", "16000", "--fh1", "150000", "--fh2", "150000", "--accel", "0.02", code=1).out
-    assert "NOT as asked" in said
+def test_a_move_that_loses_steps_ends_with_code_1_and_says_so(work_folder, capsys):
+    output = out(capsys, "move", "x", "16000", "--fh1", "150000", "--fh2", "150000", "--accel", "0.02", code=1).out
+    assert "NOT as asked" in output
 
 
 def test_registers_prints_the_map_with_evidence(capsys):
-    said = out(capsys, "registers", "pcl240k").out
+    output = out(capsys, "registers", "pcl240k").out
     for word in ("R0", "R7", "2..1023", "inferred", "no_int"):
-        assert word in said
+        assert word in output
 
 
-def test_pullout_prints_a_table_and_draws(here, capsys):
+def test_pullout_prints_a_table_and_draws(work_folder, capsys):
     """stage pullout --motor 17HS4401 --bus-voltage 24 --plot pullout.png"""
-    said = out(capsys, "pullout", "--motor", "17HS4401", "--bus-voltage", "24", "--plot", "pullout.png").out
-    assert "N m" in said
-    assert (here / "pullout.png").exists()
+    output = out(capsys, "pullout", "--motor", "17HS4401", "--bus-voltage", "24", "--plot", "pullout.png").out
+    assert "N m" in output
+    assert (work_folder / "pullout.png").exists()
 
 
-def test_view_without_a_screen_says_what_to_do(here, capsys):
+def test_view_without_a_screen_says_what_to_do(work_folder, capsys):
     assert "no screen" in out(capsys, "view", code=2).err
     assert "el_plus" in out(capsys, "view", "--text").out
 
 
 @needs_rerun
-def test_nothing_is_overwritten_unasked(here, capsys):
-    (here / "mine.rrd").write_text("precious")
-    said = out(capsys, "move", "x", "100", "--record", "mine.rrd", code=2).err
-    assert said == "stage: mine.rrd exists. Choose another name, or give --force.\n"
-    assert (here / "mine.rrd").read_text() == "precious"
+def test_nothing_is_overwritten_unasked(work_folder, capsys):
+    (work_folder / "mine.rrd").write_text("precious")
+    output = out(capsys, "move", "x", "100", "--record", "mine.rrd", code=2).err
+    assert output == "stage: mine.rrd exists. Choose another name, or give --force.\n"
+    assert (work_folder / "mine.rrd").read_text() == "precious"
     out(capsys, "move", "x", "100", "--record", "mine.rrd", "--force")
-    assert (here / "mine.rrd").read_bytes()[:3] == b"RRF"
+    assert (work_folder / "mine.rrd").read_bytes()[:3] == b"RRF"
 
 
-def test_the_demo_overwrites_no_file_and_takes_the_next_name(here, capsys):
+def test_the_demo_overwrites_no_file_and_takes_the_next_name(work_folder, capsys):
     """stage demo --no-view"""
-    (here / "demo.rrd").write_text("precious")
+    (work_folder / "demo.rrd").write_text("precious")
     assert "demo-2.rrd: " in out(capsys, "demo", "--no-view", "--model", "xy").out
-    assert (here / "demo.rrd").read_text() == "precious"
-    (here / "mine.rrd").write_text("precious")
+    assert (work_folder / "demo.rrd").read_text() == "precious"
+    (work_folder / "mine.rrd").write_text("precious")
     assert "exists" in out(capsys, "demo", "--no-view", "--record", "mine.rrd", code=2).err
-    assert (here / "mine.rrd").read_text() == "precious"
+    assert (work_folder / "mine.rrd").read_text() == "precious"
     assert "demo.rrd: " in out(capsys, "demo", "--no-view", "--force", "--model", "xy").out
-    assert (here / "demo.rrd").read_bytes()[:3] == b"RRF"
+    assert (work_folder / "demo.rrd").read_bytes()[:3] == b"RRF"
 
 
 @needs_rerun
-def test_a_picture_overwrites_no_recording(here, capsys, monkeypatch):
+def test_a_picture_overwrites_no_recording(work_folder, capsys, monkeypatch):
     """stage move x 100 --picture q.png"""
     from stage.recording import viewer
 
     drawn = []
     monkeypatch.setattr(viewer, "take_screenshot", lambda rrd, png, overwrite: drawn.append((rrd, png, overwrite)))
-    (here / "stage.rrd").write_text("precious")
+    (work_folder / "stage.rrd").write_text("precious")
     out(capsys, "move", "x", "100", "--picture", "q.png")
     assert drawn == [("stage-2.rrd", "q.png", False)]
-    assert (here / "stage.rrd").read_text() == "precious"
-    assert (here / "stage-2.rrd").read_bytes()[:3] == b"RRF"
+    assert (work_folder / "stage.rrd").read_text() == "precious"
+    assert (work_folder / "stage-2.rrd").read_bytes()[:3] == b"RRF"
 
 
 HINGE = """
@@ -167,27 +167,27 @@ HINGE = """
 """
 
 
-def test_a_hinge_is_told_in_its_own_unit(here, capsys):
+def test_positions_of_a_hinge_are_printed_in_degrees(work_folder, capsys):
     """stage move x 1544 --model hinge.xml"""
-    (here / "hinge.xml").write_text(HINGE)
-    said = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "0.1rad").out
-    assert re.search(r"from 5\.7296 deg to 179\.\d{4} deg, lost", said)
+    (work_folder / "hinge.xml").write_text(HINGE)
+    output = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "0.1rad").out
+    assert re.search(r"from 5\.7296 deg to 179\.\d{4} deg, lost", output)
     assert "from 5.0000 deg to" in out(capsys, "move", "x", "10", "--model", "hinge.xml", "--from", "5").out
-    said = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "500", code=2).err
-    assert "--from 500: axis x travels from -229.183 to 229.183 deg" in said
-    said = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "5mm", code=2).err
-    assert "--from 5mm: give a position on axis x in deg, or with a unit: urad, mrad, rad, mdeg, deg." in said
+    output = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "500", code=2).err
+    assert "--from 500: axis x travels from -229.183 to 229.183 deg" in output
+    output = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "5mm", code=2).err
+    assert "--from 5mm: give a position on axis x in deg, or with a unit: urad, mrad, rad, mdeg, deg." in output
 
 
-def test_a_fault_on_a_hinge_is_told_in_its_unit(here, capsys):
+def test_a_fault_on_a_hinge_is_reported_in_degrees(work_folder, capsys):
     """stage fault lost-write --model hinge.xml"""
-    (here / "hinge.xml").write_text(HINGE)
-    said = out(capsys, "fault", "lost-write", "--model", "hinge.xml", "--plot", "f.png").out
-    assert re.search(r"^carriage moved, deg +206\.\d{4} +4\.\d{4}$", said, re.M)
-    assert re.search(r"^diagnostics +(\d+) +\1$", said, re.M), (
+    (work_folder / "hinge.xml").write_text(HINGE)
+    output = out(capsys, "fault", "lost-write", "--model", "hinge.xml", "--plot", "f.png").out
+    assert re.search(r"^carriage moved, deg +206\.\d{4} +4\.\d{4}$", output, re.M)
+    assert re.search(r"^diagnostics +(\d+) +\1$", output, re.M), (
         "a PCL-240 does not complain of a distance that it has from before"
     )
-    assert ", mm" not in said
+    assert ", mm" not in output
 
 
 @pytest.mark.parametrize("unit", ["m", "rad"])
@@ -204,31 +204,31 @@ def test_the_table_of_the_erratum_has_the_unit_of_its_axis(unit):
 
 @pytest.mark.parametrize("command", [("move", "x", "100"), ("fault", "jam"), ("erratum",)])
 @pytest.mark.parametrize("other", ["a.rrd", "./a.rrd", "link.rrd"])
-def test_one_file_for_two_outputs_is_refused_before_the_work(here, capsys, monkeypatch, command, other):
+def test_one_file_for_two_outputs_is_refused_before_the_work(work_folder, capsys, monkeypatch, command, other):
     """stage move x 100 --record a.rrd --vcd a.rrd"""
-    (here / "link.rrd").symlink_to("a.rrd")
+    (work_folder / "link.rrd").symlink_to("a.rrd")
     monkeypatch.setattr("stage.sim.stage.Stage.record", None)
-    said = out(capsys, *command, "--record", "a.rrd", "--vcd", other, "--force", code=2).err
-    assert said == f"stage: --record and --vcd both write {other}. Give each a file of its own.\n"
-    assert not (here / "a.rrd").exists()
+    output = out(capsys, *command, "--record", "a.rrd", "--vcd", other, "--force", code=2).err
+    assert output == f"stage: --record and --vcd both write {other}. Give each a file of its own.\n"
+    assert not (work_folder / "a.rrd").exists()
 
 
 @pytest.fixture
-def shell(here):
-    """Run a line of bash in which `stage` is this package's; its exit code and what it says to stderr."""
+def shell(work_folder):
+    """Return a function that runs a line of bash with this package's `stage` and returns exit code and stderr."""
 
     def run(line):
         line = line.replace("stage ", f"{sys.executable} -m stage ")
-        ended = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False, timeout=120)
-        return ended.returncode, ended.stderr
+        completed = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False, timeout=120)
+        return completed.returncode, completed.stderr
 
     return run
 
 
-def test_a_reader_that_goes_away_takes_no_recording_with_it(here, shell):
+def test_a_closed_pipe_does_not_lose_the_recording(work_folder, shell):
     """PYTHONUNBUFFERED=1 stage demo --no-view --record x.rrd | true"""
     assert shell("set -o pipefail; PYTHONUNBUFFERED=1 stage move x 40 --record x.rrd | true") == (0, "")
-    assert (here / "x.rrd").read_bytes()[:3] == b"RRF"
+    assert (work_folder / "x.rrd").read_bytes()[:3] == b"RRF"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="OSMesa is Linux's")
@@ -241,51 +241,51 @@ def test_a_library_that_is_missing_is_named(program):
         f"try:\n    {program}\nexcept ImportError as error:\n    print(type(error), error)",
     ]
     environment = os.environ | {"MUJOCO_GL": "osmesa", "PYOPENGL_PLATFORM": "osmesa"}
-    said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
-    if said:  # or OSMesa is here
-        assert "LoadError" in said
-        assert "glGetError" in said
-        assert "MUJOCO_GL=osmesa" in said
+    output = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    if output:  # or OSMesa is here
+        assert "LoadError" in output
+        assert "glGetError" in output
+        assert "MUJOCO_GL=osmesa" in output
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
-def test_what_cannot_be_printed_is_said_and_the_files_are_written(here, shell):
+def test_a_full_standard_output_is_reported_and_files_are_written(work_folder, shell):
     """stage move x 100 --vcd x.vcd > /dev/full; stage --help > /dev/full"""
     full = (2, "stage: nothing can be printed: No space left on device.\n")
     assert shell("stage move x 100 --vcd x.vcd > /dev/full") == full
-    assert (here / "x.vcd").read_text().startswith("$")
+    assert (work_folder / "x.vcd").read_text().startswith("$")
     assert shell("stage --help > /dev/full") == full
 
 
-def test_without_a_command_the_help_is_shown(capsys):
+def test_without_a_command_the_help_is_printed(capsys):
     assert "usage: stage" in out(capsys, code=2).out
 
 
 @pytest.mark.parametrize(
     "chip", ["pcl240k", "pcl240mk", "pcl240ms", "mcx514", "mcx304", "mcx302", "mcx312", "hctl1100"]
 )
-def test_the_command_line_does_the_same_with_every_chip(here, capsys, chip):
+def test_the_command_line_does_the_same_with_every_chip(work_folder, capsys, chip):
     """stage move x 10mm --chips hctl1100; stage home; stage sync"""
-    given = ["--chips", chip, "--model", "xy"]
-    text = out(capsys, "move", "x", "2mm", *given).out
+    options = ["--chips", chip, "--model", "xy"]
+    text = out(capsys, "move", "x", "2mm", *options).out
     assert "x: done, stopped by" in text
     assert float(re.search(r"to (\S+) mm", text)[1]) == pytest.approx(2, abs=0.02)
-    assert "x: done, stopped by ORG" in out(capsys, "home", "x", "--from", "-117", *given).out
-    text = out(capsys, "sync", "x=2mm", "y=-1mm", *given).out
+    assert "x: done, stopped by ORG" in out(capsys, "home", "x", "--from", "-117", *options).out
+    text = out(capsys, "sync", "x=2mm", "y=-1mm", *options).out
     assert "synchronized move: done" in text
     assert re.search(r"on y: done", text)
 
 
 @pytest.mark.parametrize("chip", ["mcx304", "hctl1100"])
-def test_faults_are_shown_with_other_chips_too(here, capsys, chip):
+def test_faults_are_demonstrated_with_other_chips(work_folder, capsys, chip):
     """stage fault bounce --chips mcx304 --plot f.png"""
     text = out(capsys, "fault", "bounce", "--chips", chip, "--model", "xy", "--plot", "f.png").out
     assert "happened as claimed" in text
-    assert (here / "f.png").stat().st_size > 10_000
+    assert (work_folder / "f.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("chip", ["mcx304", pytest.param("hctl1100", marks=pytest.mark.slow)])
-def test_the_demo_is_any_chips(here, capsys, chip):
+def test_the_demo_runs_with_other_chips(work_folder, capsys, chip):
     """stage demo --chips mcx514"""
     text = out(capsys, "demo", "--no-view", "--model", "xy", "--chips", chip).out
     rows = [line for line in text.splitlines() if line[:1] in "xy" and line[1:2] == " "]
@@ -293,7 +293,7 @@ def test_the_demo_is_any_chips(here, capsys, chip):
     assert all(row.endswith("yes") for row in rows)
     assert sum("origin return" in row for row in rows) == 2
     assert sum("line" in row for row in rows) == 2
-    assert (here / "demo.rrd").stat().st_size > 100_000
+    assert (work_folder / "demo.rrd").stat().st_size > 100_000
 
 
 def test_a_demo_keeps_to_the_travel_of_each_axis():

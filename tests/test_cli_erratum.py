@@ -14,7 +14,7 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "erratum.md"
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
+def work_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -44,20 +44,20 @@ def out(capsys, *argv, code=0):
     return capsys.readouterr()
 
 
-def figures(said):
-    """The table: name -> (with 26h, with stop_by_speed)."""
-    rows = [re.split(r" {2,}", line) for line in said.splitlines()]
+def parse_figures(output):
+    """Parse the printed table into name -> (value with 26h, value with stop_by_speed)."""
+    rows = [re.split(r" {2,}", line) for line in output.splitlines()]
     return {row[0]: tuple(row[1:]) for row in rows if len(row) == 3 and row[0]}
 
 
 @pytest.mark.parametrize(
     "chip", ["mcx304", *(pytest.param(chip, marks=pytest.mark.slow) for chip in ("mcx302", "mcx312"))]
 )
-def test_the_bare_command_runs_into_the_hard_stop_and_the_work_around_ends_on_target(here, once, capsys, chip):
-    said = out(capsys, "--chips", chip).out
-    table = figures(said)
-    assert said.startswith(f"{chip.upper()}: ")
-    assert said.rstrip().endswith("as claimed")
+def test_the_erratum_ends_at_the_hard_stop_and_its_remedy_on_target(work_folder, once, capsys, chip):
+    output = out(capsys, "--chips", chip).out
+    table = parse_figures(output)
+    assert output.startswith(f"{chip.upper()}: ")
+    assert output.rstrip().endswith("as claimed")
     assert table["ASND CNST DSND then"] == ("0 0 0", "0 1 0")
     assert table["n-DRV 2 s later"] == ("1", "0")
     assert table["26h given"] == ("yes", "no")
@@ -70,67 +70,67 @@ def test_the_bare_command_runs_into_the_hard_stop_and_the_work_around_ends_on_ta
     assert lost > 100
 
 
-def test_the_page_has_the_figures(here, once, capsys):
-    table = figures(out(capsys).out)
+def test_the_page_has_the_figures(work_folder, once, capsys):
+    table = parse_figures(out(capsys).out)
     rows = re.findall(r"^\| (.+) \| (.+) \| (.+) \|$", PAGE.read_text(), re.M)
-    told = {
-        re.sub(r"(pulses past the target), .*", r"\1", name): said
-        for name, *said in rows
+    documented = {
+        re.sub(r"(pulses past the target), .*", r"\1", name): figures_of_row
+        for name, *figures_of_row in rows
         if name in table or "past" in name
     }
-    assert len(told) == 6
-    for name, said in told.items():
-        for number, written in zip(table[name], said, strict=True):
+    assert len(documented) == 6
+    for name, figures_of_row in documented.items():
+        for number, written in zip(table[name], figures_of_row, strict=True):
             assert agree(number, written), name
 
 
-def test_mended_chips_end_on_target_either_way(here, once, capsys):
-    said = out(capsys, "--mended").out
-    assert said.startswith("MCX304, mended: ")
-    table = figures(said)
+def test_corrected_chips_end_on_target_with_both_commands(work_folder, once, capsys):
+    output = out(capsys, "--mended").out
+    assert output.startswith("MCX304, mended: ")
+    table = parse_figures(output)
     for row in ("pulses past the target", "lost steps", "n-DRV 2 s later"):
         assert table[row] == ("0", "0")
     assert table["position, mm"][0] == table["position, mm"][1]
-    assert said.rstrip().endswith("as claimed")
+    assert output.rstrip().endswith("as claimed")
 
 
 @pytest.mark.parametrize("vcd", [(), pytest.param(("--vcd", "e.vcd"), marks=pytest.mark.slow)], ids=["", "vcd"])
-def test_it_draws_itself_and_records_both_runs(here, capsys, monkeypatch, vcd):
+def test_it_draws_itself_and_records_both_runs(work_folder, capsys, monkeypatch, vcd):
     monkeypatch.setattr(erratum, "OBSERVATION_S", 1.0)
     drawn = []
     draw = erratum_picture.draw
     monkeypatch.setattr(
-        erratum_picture, "draw", lambda shown, *where: drawn.append((shown, draw(shown, *where))) or drawn[0][1]
+        erratum_picture, "draw", lambda result, *args: drawn.append((result, draw(result, *args))) or drawn[0][1]
     )
-    said = out(capsys, "--plot", "e.png", "--record", "e.rrd", *vcd).out
-    assert (here / "e.png").read_bytes().startswith(b"\x89PNG")
-    ((shown, figure),) = drawn
-    failed = shown.recordings[0]
+    output = out(capsys, "--plot", "e.png", "--record", "e.rrd", *vcd).out
+    assert (work_folder / "e.png").read_bytes().startswith(b"\x89PNG")
+    ((result, figure),) = drawn
+    failed = result.recordings[0]
     stop = next(e.clock for e in failed.journals["x"].entries if e.kind == WRITE and e.a == 0 and e.b & 0xFF == 0x26)
     shaded = figure.axes[1].patches[0]  # area d, which 26h ends in the failed run
     assert shaded.get_x() + shaded.get_width() == pytest.approx(failed.seconds("x", stop), abs=1e-4)
     for name in ("e.rrd", "e-work-around.rrd"):
-        assert (here / name).read_bytes()[:3] == b"RRF"
-        assert f"{name}: " in said
+        assert (work_folder / name).read_bytes()[:3] == b"RRF"
+        assert f"{name}: " in output
     for name in ("e.vcd", "e-work-around.vcd") if vcd else ():
-        assert (here / name).read_text().startswith("$")
+        assert (work_folder / name).read_text().startswith("$")
 
 
 @needs_rerun
-def test_nothing_is_overwritten_unasked(here, capsys):
-    (here / "e-work-around.rrd").write_text("precious")
+def test_nothing_is_overwritten_unasked(work_folder, capsys):
+    (work_folder / "e-work-around.rrd").write_text("precious")
     assert "exists" in out(capsys, "--record", "e.rrd", code=2).err
-    assert (here / "e-work-around.rrd").read_text() == "precious"
-    assert not (here / "e.rrd").exists()
+    assert (work_folder / "e-work-around.rrd").read_text() == "precious"
+    assert not (work_folder / "e.rrd").exists()
 
 
 @pytest.mark.parametrize("chip", ["pcl240k", "mcx514"])
-def test_other_chips_are_refused_by_name(here, capsys, chip):
+def test_other_chips_are_refused_by_name(work_folder, capsys, chip):
     assert "one of MCX302, MCX304, MCX312" in out(capsys, "--chips", chip, code=2).err
 
 
-def test_what_is_not_as_claimed_is_said_so(here, once, capsys, monkeypatch):
-    """A work-around that does nothing."""
+def test_a_result_that_differs_from_the_claim_ends_with_code_1(work_folder, once, capsys, monkeypatch):
+    """Replace the work-around by the faulty command."""
     monkeypatch.setattr(erratum, "_stop_by_speed", erratum._stop_by_26h)
     assert out(capsys, code=1).out.rstrip().endswith("NOT as claimed")
 

@@ -1,4 +1,4 @@
-"""Files that commands write and read: what cannot be, is said before the work, each in its own words."""
+"""Files that commands write and read: impossible ones are refused before the work begins."""
 
 import json
 import os
@@ -13,13 +13,13 @@ from stage.cli import main
 
 
 @pytest.fixture(autouse=True)
-def here(tmp_path, monkeypatch):
+def work_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ("--record x.mp4", "stage: x.mp4: a recording is no 'mp4'. Name a file that ends in .rrd.\n"),
         ("--record x", "stage: x: the name has no ending, and that says the format. Name a file that ends in .rrd.\n"),
@@ -33,24 +33,24 @@ def here(tmp_path, monkeypatch):
         ("--plot nowhere/a.png", "stage: nowhere is no folder. Make it first, or choose another.\n"),
     ],
 )
-def test_a_file_of_another_kind_is_refused_before_the_run(options, said, here, capsys, monkeypatch):
+def test_a_file_of_another_kind_is_refused_before_the_run(options, message, work_folder, capsys, monkeypatch):
     """stage move x 100 --record x.mp4 wrote an .rrd named so"""
     monkeypatch.setattr(firmware, "move", None)
     assert main(["move", "x", "100", *options.split()]) == 2
-    assert capsys.readouterr().err.startswith(said)
-    assert not list(here.iterdir())
+    assert capsys.readouterr().err.startswith(message)
+    assert not list(work_folder.iterdir())
 
 
-def test_a_new_model_is_printed_where_its_file_is_a_dash(here, capsys):
+def test_a_new_model_is_printed_where_its_file_is_a_dash(work_folder, capsys):
     """stage new-model -o - wrote a file named -"""
     assert main(["new-model", "-o", "-"]) == 0
     assert capsys.readouterr().out.startswith("<!-- A stage for PulseStage")
     assert main(["new-model", "-o", "my"]) == 2
     assert "Name a file that ends in .xml" in capsys.readouterr().err
-    assert not list(here.iterdir())
+    assert not list(work_folder.iterdir())
 
 
-def test_a_picture_of_a_model_is_checked_before_it_is_drawn(here, capsys):
+def test_a_picture_of_a_model_is_checked_before_it_is_drawn(work_folder, capsys):
     assert main(["view", "xy", "--picture", "a.gif"]) == 2
     assert "a rendered picture is no 'gif'" in capsys.readouterr().err
 
@@ -66,7 +66,7 @@ def interrupted(monkeypatch):
     monkeypatch.setattr("stage.firmware.pcl240.bus.Port.wait_until_stopped", wait)
 
 
-def test_ctrl_c_draws_what_there_is_and_says_so(interrupted, here, capsys):
+def test_ctrl_c_draws_the_move_until_then_and_reports_the_interrupt(interrupted, work_folder, capsys):
     """stage move x 100mm --plot m.png, and Ctrl-C: nothing was said, and nothing drawn"""
     assert main(["move", "x", "100mm", "--plot", "m.png"]) == 130
     out, err = capsys.readouterr()
@@ -74,10 +74,10 @@ def test_ctrl_c_draws_what_there_is_and_says_so(interrupted, here, capsys):
     assert "preset move on x: NOT as asked, stopped by Ctrl-C" in out
     assert "m.png: drawn" in out
     assert err == "stage: interrupted.\n"
-    assert (here / "m.png").read_bytes().startswith(b"\x89PNG")
+    assert (work_folder / "m.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_ctrl_c_leaves_the_facts_so_far(interrupted, capsys):
+def test_ctrl_c_prints_the_json_of_the_move_until_then(interrupted, capsys):
     """stage move x 100mm --json, and Ctrl-C"""
     assert main(["move", "x", "100mm", "--json"]) == 130
     out, err = capsys.readouterr()
@@ -86,7 +86,7 @@ def test_ctrl_c_leaves_the_facts_so_far(interrupted, capsys):
     assert json.loads(err) == {"error": "interrupted.", "type": "KeyboardInterrupt"}
 
 
-def test_ctrl_c_says_which_file_is_not_there(here, capsys, monkeypatch):
+def test_ctrl_c_names_the_file_that_was_not_written(work_folder, capsys, monkeypatch):
     """stage pullout --plot p.png, and Ctrl-C"""
 
     def stop(*_, **__):

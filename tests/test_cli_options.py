@@ -27,18 +27,18 @@ from stage.support.files import FileError
 
 
 @pytest.fixture(scope="module")
-def made():
+def shared_stage():
     return Stage("xy", visuals=False)
 
 
 @pytest.fixture
-def bench(made, monkeypatch, tmp_path):
-    """The commands get this stage; no file of a test lies about."""
-    made.reset()
+def bench(shared_stage, monkeypatch, tmp_path):
+    """Make the commands use one reset stage in a temporary folder."""
+    shared_stage.reset()
     monkeypatch.chdir(tmp_path)
     for module in (home, move):
-        monkeypatch.setattr(module, "make_stage", lambda args: made)
-    return made
+        monkeypatch.setattr(module, "make_stage", lambda args: shared_stage)
+    return shared_stage
 
 
 def parsers():
@@ -46,20 +46,20 @@ def parsers():
     return commands.choices
 
 
-def test_each_default_is_the_one_that_its_help_tells():
-    told = 0
+def test_each_help_text_states_the_actual_default():
+    checked = 0
     for name, parser in parsers().items():
         for action in parser._actions:
-            said = re.search(r"\(default: ([\w.,-]+)\)", action.help or "")
-            if said and (action.type in (int, float) or isinstance(action.type, Quantity)) and action.dest != "start":
-                told += 1
-                assert float(said[1].replace(",", "")) == action.default, (name, action.dest)
-    assert told >= 30
+            match = re.search(r"\(default: ([\w.,-]+)\)", action.help or "")
+            if match and (action.type in (int, float) or isinstance(action.type, Quantity)) and action.dest != "start":
+                checked += 1
+                assert float(match[1].replace(",", "")) == action.default, (name, action.dest)
+    assert checked >= 30
 
 
 def test_what_the_commands_do_without_options():
     p = build_parser()
-    asked = vars(p.parse_args(["move", "x", "100"]))
+    options = vars(p.parse_args(["move", "x", "100"]))
     expected = {
         "model": "xyz",
         "chips": "PCL240K",
@@ -68,11 +68,11 @@ def test_what_the_commands_do_without_options():
         "bus_cycle": 1e-6,
         "port": 9090,
     }
-    assert expected.items() <= asked.items()
+    assert expected.items() <= options.items()
     assert not any(
-        asked[k] for k in ("constant", "force", "view", "web", "automatic", "s_curve", "motor", "fl", "start")
+        options[k] for k in ("constant", "force", "view", "web", "automatic", "s_curve", "motor", "fl", "start")
     )
-    assert (asked["axis"], asked["distance"]) == ("x", "100")
+    assert (options["axis"], options["distance"]) == ("x", "100")
     assert p.parse_args(["run", "a.c"]).timeout == 60
     assert p.parse_args(["run", "a.c"]).keep == 1_000_000
     assert p.parse_args(["demo"]).default_record == "demo.rrd"
@@ -99,10 +99,10 @@ def report(**more):
 
 
 def test_an_encoder_counts_a_metre_or_a_turn_of_the_motor():
-    made = setup.parse_encoder("y=-200000")
-    assert (made.axis, made.per_metre, made.per_turn) == ("y", -200_000.0, None)
-    made = setup.parse_encoder("x=2000/turn")
-    assert (made.axis, made.per_metre, made.per_turn) == ("x", None, 2000.0)
+    setting = setup.parse_encoder("y=-200000")
+    assert (setting.axis, setting.per_metre, setting.per_turn) == ("y", -200_000.0, None)
+    setting = setup.parse_encoder("x=2000/turn")
+    assert (setting.axis, setting.per_metre, setting.per_turn) == ("x", None, 2000.0)
     for wrong in ("x=0", "=5", "x=", "x=2000/revolution", "x=inf", "x=many"):
         with pytest.raises(ArgumentError, match="write AXIS=COUNTS"):
             setup.parse_encoder(wrong)
@@ -173,7 +173,7 @@ def test_speeds_are_as_the_options_say_and_else_the_usual_ones(bench, monkeypatc
     assert args[0] == {"x": 5, "y": 4} if command == "sync" else args[0].name == "x"
 
 
-def test_home_of_other_chips_goes_by_what_they_have(monkeypatch, capsys):
+def test_home_refuses_an_index_pulse_that_the_chip_cannot_count(monkeypatch, capsys):
     assert main(["home", "x", "--by", "index", "--ez", "2", "--model", "xy", "--chips", "mcx514"]) == 2
     assert "--ez 2: an MCX514 ends at ORG, or at index pulse 1 after it." in capsys.readouterr().err
 
@@ -234,13 +234,13 @@ def test_distances_are_typed_in_units_of_the_axis(bench):
 
 def test_two_outputs_may_share_a_device_and_no_file(tmp_path):
     kinds = ("record", "vcd", "picture", "plot", "trace")
-    given = argparse.Namespace(**dict.fromkeys(kinds), force=False, web=False)
-    given.vcd = given.trace = "/dev/null"
-    files.check_outputs(given)
-    given.vcd, given.trace = str(tmp_path / "a"), str(tmp_path / "b" / ".." / "a")
+    args = argparse.Namespace(**dict.fromkeys(kinds), force=False, web=False)
+    args.vcd = args.trace = "/dev/null"
+    files.check_outputs(args)
+    args.vcd, args.trace = str(tmp_path / "a"), str(tmp_path / "b" / ".." / "a")
     (tmp_path / "b").mkdir()
     with pytest.raises(FileError, match="--vcd and --trace both write"):
-        files.check_outputs(given)
+        files.check_outputs(args)
 
 
 def test_a_usual_name_is_the_next_that_is_free_and_with_force_always_itself(bench, monkeypatch):
@@ -269,20 +269,22 @@ def test_a_usual_name_is_the_next_that_is_free_and_with_force_always_itself(benc
 
 
 @pytest.mark.parametrize(
-    ("typed", "said"),
+    ("typed", "message"),
     [
         (["move", "x", "1", "--chips", "x=pcl240k,x=mcx304"], "axis x already has pcl240k"),
         (["run", "a.c", "--place", "x=1", "--place", "x=2", "--model", "xy"], "axis x already has a place"),
     ],
 )
-def test_what_is_typed_twice_or_is_nothing_is_refused(capsys, typed, said):
+def test_what_is_typed_twice_or_is_nothing_is_refused(capsys, typed, message):
     assert main(typed) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_a_report_of_mistakes_has_the_first_of_each_kind_and_strays_by_their_times(capsys):
-    said = [Diagnostic(clock, 0, 0x11, text, "page") for clock, text in ((5, "a"), (7, "b"), (9, "a"), (11, "a"))]
-    chip = SimpleNamespace(diagnostics=said, clock_hz=1)
+    diagnostics = [
+        Diagnostic(clock, 0, 0x11, text, "page") for clock, text in ((5, "a"), (7, "b"), (9, "a"), (11, "a"))
+    ]
+    chip = SimpleNamespace(diagnostics=diagnostics, clock_hz=1)
     stray = SimpleNamespace(times=3)
     stage = SimpleNamespace(axes={}, chips=[chip])
     print_report(SimpleNamespace(stage=stage, strays=[stray, SimpleNamespace(times=4)], name_chip=lambda k: "x"))
@@ -335,30 +337,30 @@ def test_a_dual_rate_move_prints_the_speeds_that_the_registers_reach(bench, monk
 
 
 def test_the_board_of_run_lies_where_the_options_say(monkeypatch):
-    asked = []
+    calls = []
 
-    def board(*given, **more):
-        asked.append((given[1:], more))
+    def board(*args, **more):
+        calls.append((args[1:], more))
         raise ArgumentError("enough")
 
     monkeypatch.setattr("stage.board.Board", board)
     where = "--layout pcl240-card --base 0x2A0 --stride 16 --keep 77 --model xy --device uart:0x3F8 --device latch:7"
     assert main(["run", "a.c", *where.split()]) == 2
-    assert asked == [(("pcl240-card", 0x2A0, 16), {"keep_cycles": 77, "devices": ["uart:0x3F8", "latch:7"]})]
+    assert calls == [(("pcl240-card", 0x2A0, 16), {"keep_cycles": 77, "devices": ["uart:0x3F8", "latch:7"]})]
 
 
 @pytest.mark.parametrize(("lost", "code"), [(4, 1), (0, 0)])
 def test_a_firmware_that_loses_steps_ends_with_1(monkeypatch, lost, code):
-    asked = []
+    timeouts = []
     done = SimpleNamespace(code=0, seconds=0.0, cycles=0)
-    host = SimpleNamespace(path=SimpleNamespace(name="a"), run=lambda timeout: asked.append(timeout) or done)
+    host = SimpleNamespace(path=SimpleNamespace(name="a"), run=lambda timeout: timeouts.append(timeout) or done)
     stage = SimpleNamespace(axes={"x": SimpleNamespace(lost_steps=lost)})
     monkeypatch.setattr("stage.cli.setup.make_stage", lambda args: stage)
     monkeypatch.setattr("stage.cli.run.print_report", lambda *_: None)
     monkeypatch.setattr("stage.board.Board", lambda *_, **__: SimpleNamespace(log=[], stage=stage))
     monkeypatch.setattr("stage.board.NativeHost", lambda *_, **__: host)
     assert main(["run", "a.c", "--timeout", "1.5"]) == code
-    assert asked == [1.5]
+    assert timeouts == [1.5]
 
 
 @pytest.mark.parametrize(
@@ -398,11 +400,11 @@ def test_the_version_is_the_package_s(capsys):
         ("--record a.rrd", None),
     ],
 )
-def test_a_recording_is_opened_where_asked(bench, monkeypatch, options, expected):
+def test_options_choose_the_viewer_of_a_recording(bench, monkeypatch, options, expected):
     opened = []
-    monkeypatch.setattr(viewer, "open_viewer", lambda *given: opened.append(("viewer", *given)))
+    monkeypatch.setattr(viewer, "open_viewer", lambda *args: opened.append(("viewer", *args)))
     monkeypatch.setattr(viewer, "check_screen", lambda what: opened.append("screen"))
-    monkeypatch.setattr(viewer, "serve_web", lambda *given: opened.append(("web", *given)))
+    monkeypatch.setattr(viewer, "serve_web", lambda *args: opened.append(("web", *args)))
     monkeypatch.setattr(firmware, "move", lambda axis, *_, **__: axis.wait(1e-3) or report())
     assert main(["move", "x", "10", *options.split()]) == 0
     screen = ["screen"] if expected and expected[0] == "viewer" else []
@@ -414,21 +416,21 @@ def test_a_recording_is_opened_where_asked(bench, monkeypatch, options, expected
     ("options", "screen", "viewed"),
     [("", True, True), ("", False, False), ("--no-view", True, False), ("--web", True, False), ("--view", False, True)],
 )
-def test_the_demo_opens_the_viewer_where_there_is_a_screen(bench, monkeypatch, options, screen, viewed):
-    seen = []
+def test_the_demo_opens_the_viewer_if_a_screen_exists(bench, monkeypatch, options, screen, viewed):
+    calls = []
 
     def recorded(args, stage):
-        seen.append((args.view, [round(axis.position, 6) for axis in stage.axes.values()]))
+        calls.append((args.view, [round(axis.position, 6) for axis in stage.axes.values()]))
         raise ArgumentError("enough")
 
     monkeypatch.setattr("stage.support.opengl.has_screen", lambda: screen)
     monkeypatch.setattr("stage.cli.demo.make_stage", lambda args: bench)
     monkeypatch.setattr("stage.cli.demo.record_to_files", recorded)
     assert main(["demo", *options.split()]) == 2
-    assert seen == [(viewed, [0.062, -0.031])], "where the carriages happen to stand"
+    assert calls == [(viewed, [0.062, -0.031])], "where the carriages happen to stand"
 
 
-def made_report(axis, procedure="move", asked=5, **fields):
+def make_report(axis, procedure="move", asked=5, **fields):
     values = {
         "axis": axis, "procedure": procedure, "asked": asked, "pulses": 5, "duration": 0.1, "peak_rate": 1e3, "position": 1e-3,
         "unit": "m", "lost_steps": 0, "ok": True, "stopped_by": "ORG" if asked is None else "R0 = 0",
@@ -440,7 +442,7 @@ def made_report(axis, procedure="move", asked=5, **fields):
 def test_a_demo_of_which_one_move_fails_ends_with_1(bench, monkeypatch, capsys, ends, code):
     monkeypatch.setattr("stage.cli.demo.make_stage", lambda args: bench)
     monkeypatch.setattr("stage.cli.demo.record_to_files", lambda args, stage: contextlib.nullcontext())
-    monkeypatch.setattr("stage.cli.demo.make_moves", lambda stage: [made_report("x", ok=end) for end in ends])
+    monkeypatch.setattr("stage.cli.demo.make_moves", lambda stage: [make_report("x", ok=end) for end in ends])
     assert main(["demo", "--no-view"]) == code
 
 
@@ -454,22 +456,22 @@ def test_a_demo_of_which_one_move_fails_ends_with_1(bench, monkeypatch, capsys, 
         ({"ok": False}, "NO"),
     ],
 )
-def test_the_table_of_the_demo_says_which_moves_did_not_do_as_asked(fields, good):
-    """A home that an end limit ended is no home, though nothing was lost"""
-    row = demo.format_row(made_report("y", **fields))
+def test_the_table_of_the_demo_marks_moves_that_missed_their_target(fields, good):
+    """Count an origin return that ended at a limit switch as missed, though no step was lost."""
+    row = demo.format_row(make_report("y", **fields))
     assert (row[0], row[2], row[-1]) == ("y", "to ORG" if "asked" in fields else "+5", good)
 
 
 def test_the_demo_homes_moves_at_two_rates_and_draws_a_line(bench, monkeypatch, capsys):
     line = SimpleNamespace(
-        axes={n: made_report(n, "line") for n in "xy"}, deviation=SimpleNamespace(pulses=0.82), skew=1.25e-6
+        axes={n: make_report(n, "line") for n in "xy"}, deviation=SimpleNamespace(pulses=0.82), skew=1.25e-6
     )
-    monkeypatch.setattr(firmware, "home", lambda axis, **_: made_report(axis.name, "origin return", None))
-    monkeypatch.setattr("stage.firmware.procedures.two_rates", lambda axis, **_: made_report(axis.name, "two rates"))
-    monkeypatch.setattr(firmware, "move", lambda axis, **_: made_report(axis.name))
+    monkeypatch.setattr(firmware, "home", lambda axis, **_: make_report(axis.name, "origin return", None))
+    monkeypatch.setattr("stage.firmware.procedures.two_rates", lambda axis, **_: make_report(axis.name, "two rates"))
+    monkeypatch.setattr(firmware, "move", lambda axis, **_: make_report(axis.name))
     monkeypatch.setattr(firmware, "line", lambda *_, **__: line)
-    made = [(r.axis, r.procedure) for r in demo.make_moves(bench)]
-    assert made == [
+    moves = [(r.axis, r.procedure) for r in demo.make_moves(bench)]
+    assert moves == [
         ("y", "origin return"),
         ("x", "origin return"),
         ("x", "two rates"),
@@ -482,7 +484,7 @@ def test_the_demo_homes_moves_at_two_rates_and_draws_a_line(bench, monkeypatch, 
 
 def test_a_demo_of_axes_that_draw_no_line_together_says_so(monkeypatch, capsys):
     stage = Stage("xy", chips={"x": "PCL240K", "y": "MCX304"}, visuals=False)
-    monkeypatch.setattr(firmware, "home", lambda axis, **_: made_report(axis.name, "origin return", None))
+    monkeypatch.setattr(firmware, "home", lambda axis, **_: make_report(axis.name, "origin return", None))
     assert [r.procedure for r in demo.make_moves(stage)] == ["origin return"] * 2 + ["dual-rate move", "move"]
     assert "no straight line: MCX304 and PCL240K draw no line together" in capsys.readouterr().out
 
@@ -492,9 +494,9 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_progress_is_told_on_a_terminal_and_in_no_pipe(monkeypatch):
+def test_progress_is_printed_on_a_terminal_but_not_in_a_pipe(monkeypatch):
     """stage pullout on a terminal: one line that counts up"""
-    for screen, told in (
+    for screen, expected in (
         (Terminal(), "writing ...\n\rpull-out   0%\rpull-out  50%\rpull-out 100%\n"),
         (io.StringIO(), ""),
     ):
@@ -502,7 +504,7 @@ def test_progress_is_told_on_a_terminal_and_in_no_pipe(monkeypatch):
         terminal.note("writing ...")
         for done in (0, 0.5, 1.0):
             terminal.show_progress("pull-out", done)
-        assert screen.getvalue() == told
+        assert screen.getvalue() == expected
 
 
 MOVED = {"n-DRV 2 s later": 0, "pulses past the target": 0, "lost steps": 0}
@@ -510,7 +512,7 @@ RAN_AWAY = {"n-DRV 2 s later": 1, "pulses past the target": 9000, "lost steps": 
 
 
 @pytest.mark.parametrize(
-    ("mended", "bare", "guarded", "claimed"),
+    ("corrected", "bare", "guarded", "claimed"),
     [
         (False, RAN_AWAY, MOVED, True),
         (True, MOVED, MOVED, True),
@@ -521,27 +523,27 @@ RAN_AWAY = {"n-DRV 2 s later": 1, "pulses past the target": 9000, "lost steps": 
         *((True, MOVED | {name: RAN_AWAY[name]}, MOVED, False) for name in MOVED),
     ],
 )
-def test_the_erratum_is_as_claimed_where_all_its_figures_are(mended, bare, guarded, claimed):
-    assert ErratumResult("MCX304", mended, (bare, guarded), (None, None)).as_claimed == claimed
+def test_the_erratum_is_as_claimed_where_all_its_figures_are(corrected, bare, guarded, claimed):
+    assert ErratumResult("MCX304", corrected, (bare, guarded), (None, None)).as_claimed == claimed
 
 
-def test_pullout_measures_the_drive_that_was_asked_for(monkeypatch, capsys, tmp_path):
-    asked = []
+def test_pullout_measures_the_drive_of_its_options(monkeypatch, capsys, tmp_path):
+    calls = []
     monkeypatch.setattr(
-        "stage.drives.dynamometer.tabulate_pull_out", lambda drive, progress: asked.append(drive) or "table"
+        "stage.drives.dynamometer.tabulate_pull_out", lambda drive, progress: calls.append(drive) or "table"
     )
-    monkeypatch.setattr("stage.drives.picture.plot_pull_out", lambda *given, **how: asked.append((given[2], how)))
+    monkeypatch.setattr("stage.drives.picture.plot_pull_out", lambda *args, **how: calls.append((args[2], how)))
     plot = str(tmp_path / "p.png")
     assert main(["pullout", "--motor", "17HS15-1504S", "--bus-voltage", "36", "--microsteps", "8", "--plot", plot]) == 0
     likely = "its core loss is likely 0.00023 to 0.00072 N m s/rad"
     table, _, sentence, drawn = capsys.readouterr().out.splitlines()
     assert (table, drawn) == ("table", f"{plot}: drawn")
     assert sentence.startswith(f"No pull-out curve of the 17HS15-1504S is at hand: {likely}, simulated with ")
-    assert (asked[0].motor.name, asked[0].bus_voltage, asked[0].microsteps) == ("17HS15-1504S", 36, 8)
-    assert asked[1] == (plot, {"overwrite": False})
+    assert (calls[0].motor.name, calls[0].bus_voltage, calls[0].microsteps) == ("17HS15-1504S", 36, 8)
+    assert calls[1] == (plot, {"overwrite": False})
 
 
-def test_view_prints_the_axes_of_the_model_that_was_asked_for(capsys):
+def test_view_prints_the_axes_of_the_selected_model(capsys):
     assert main(["view", "xy", "--text"]) == 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["axis", "x", "y"]
 
@@ -559,9 +561,9 @@ def test_fault_lists_them_all_and_what_does_not_happen_as_claimed_ends_with_1(mo
             lambda *_, d=demo: demonstrations.DemoResult("jam", d, ({"n": 1}, {"n": 2}), (None, None)),
         )
         assert main(["fault", "jam"]) == code
-        said = capsys.readouterr().out.splitlines()
-        assert (said[0], said[-1]) == ("jam: a claim", says)
-        assert "How a host can detect it: a notice" in said
+        lines = capsys.readouterr().out.splitlines()
+        assert (lines[0], lines[-1]) == ("jam: a claim", says)
+        assert "How a host can detect it: a notice" in lines
 
 
 @pytest.mark.skipif(sys.platform in ("darwin", "win32"), reason="there is a screen always")
@@ -569,7 +571,7 @@ def test_fault_lists_them_all_and_what_does_not_happen_as_claimed_ends_with_1(mo
     ("display", "wayland", "screen"),
     [(None, None, False), ("", "", False), (":0", None, True), (None, "wayland-0", True)],
 )
-def test_there_is_a_screen_where_x_or_wayland_is(monkeypatch, display, wayland, screen):
+def test_a_screen_exists_with_x11_or_wayland(monkeypatch, display, wayland, screen):
     for name, value in (("DISPLAY", display), ("WAYLAND_DISPLAY", wayland)):
         monkeypatch.delenv(name, raising=False)
         if value is not None:

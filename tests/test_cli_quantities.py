@@ -20,13 +20,13 @@ from stage.units import explain_number_error, identify_unit
         (MASS, "500g", 0.5), (FREQUENCY, "16MHz", 16e6), (HERTZ, "4.9152MHz", 4_915_200), (HERTZ, "0x10", 16),
     ],
 )  # fmt: skip
-def test_a_number_is_taken_with_and_without_its_unit(kind, text, value):
+def test_a_quantity_is_parsed_with_and_without_its_unit(kind, text, value):
     """stage move x 100 --fh1 1000pps --accel 100ms --bus-voltage 24V"""
     assert kind(text) == pytest.approx(value)
 
 
 @pytest.mark.parametrize(
-    ("kind", "text", "said"),
+    ("kind", "text", "message"),
     [
         (
             RATE,
@@ -49,9 +49,9 @@ def test_a_number_is_taken_with_and_without_its_unit(kind, text, value):
         (HERTZ, "nan", "'nan' is not a whole number"),
     ],
 )
-def test_another_unit_is_named_for_what_it_is(kind, text, said):
+def test_another_unit_is_named_for_what_it_is(kind, text, message):
     """stage move x 100 --fh1 2kg"""
-    with pytest.raises(argparse.ArgumentTypeError, match=re.escape(said)):
+    with pytest.raises(argparse.ArgumentTypeError, match=re.escape(message)):
         kind(text)
 
 
@@ -60,7 +60,7 @@ def test_every_option_that_is_a_quantity_takes_its_units(monkeypatch):
         package_commands, "find_commands", dict
     )  # those of installed packages are no matter of the core
     commands = next(a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction)).choices
-    plain = {
+    unitless_options = {
         option
         for p in commands.values()
         for a in p._actions
@@ -68,7 +68,7 @@ def test_every_option_that_is_a_quantity_takes_its_units(monkeypatch):
         for option in a.option_strings
         if option[:2] == "--"
     }
-    assert plain == {"--speed", "--s-curve"}, "what has no unit"
+    assert unitless_options == {"--speed", "--s-curve"}, "what has no unit"
     line = "move x 100 --fl 500pps --fh1 2kpps --accel 50ms --decel 0.1s --bus-voltage 36V --bus-cycle 2us"
     args = build_parser().parse(line.split())
     assert (args.fl, args.fh1, args.accel, args.decel, args.bus_voltage) == (500, 2000, 0.05, 0.1, 36)
@@ -85,7 +85,7 @@ def test_what_a_number_is_a_number_of():
 
 
 @pytest.mark.parametrize(
-    ("typed", "said"),
+    ("typed", "message"),
     [
         ("move x 10 mm", "stage move: unknown argument 'mm'. Write a number and its unit without a space: 10mm."),
         ("move X 100", "stage: unknown axis 'X'. Did you mean 'x'\\? Known: x, y, z."),
@@ -103,7 +103,7 @@ def test_what_a_number_is_a_number_of():
         ),
     ],
 )
-def test_a_slip_is_told_with_what_was_meant(typed, said, capsys, tmp_path, monkeypatch):
+def test_a_typing_error_is_answered_with_the_likely_correction(typed, message, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     try:
         code = main(typed.split())
@@ -111,18 +111,18 @@ def test_a_slip_is_told_with_what_was_meant(typed, said, capsys, tmp_path, monke
         code = end.code
     out, err = capsys.readouterr()
     assert code == 2
-    assert re.match(said, err), err
+    assert re.match(message, err), err
     assert not out
 
 
 def test_a_distance_without_a_unit_may_have_been_millimetres(capsys):
     """stage tune --distance 40"""
     assert main(["tune", "--distance", "40", "--by", "formula"]) == 2
-    assert "too short a move" in (said := capsys.readouterr().err)
-    assert "--distance 40 is 40 pulses: did you mean 40mm?" in said
+    assert "too short a move" in (message := capsys.readouterr().err)
+    assert "--distance 40 is 40 pulses: did you mean 40mm?" in message
 
 
-def test_a_move_beyond_the_end_limits_is_warned_of_and_made(capsys):
+def test_a_move_beyond_the_end_limits_runs_with_a_warning(capsys):
     """stage move x 8000 --from 148"""
     assert main(["move", "x", "8000", "--from", "148"]) == 1
     out, err = capsys.readouterr()
@@ -132,7 +132,7 @@ def test_a_move_beyond_the_end_limits_is_warned_of_and_made(capsys):
     assert capsys.readouterr().err == ""
 
 
-def test_the_warning_knows_a_screw_that_turns_the_other_way(tmp_path, capsys):
+def test_the_travel_warning_respects_a_left_hand_screw(tmp_path, capsys):
     """stage move x 25mm --from 148, of an axis on which pulses towards plus go to minus"""
     options = ["--from", "148", "--model", mirrored(tmp_path)]
     assert main(["move", "x", "25mm", *options]) == 1
@@ -149,7 +149,7 @@ def test_the_help_names_every_model_that_ships():
         assert ", ".join(plant.list_model_names()) in " ".join(commands[name].format_help().split()), name
 
 
-def test_a_counter_that_went_below_nothing_is_told_with_its_sign():
+def test_a_negative_residual_is_printed_with_its_sign():
     """R0 16777008, of a move without a distance towards minus"""
     from stage import firmware
 

@@ -94,7 +94,7 @@ def test_wrong_usage_ends_with_2_and_names_the_help(line, capsys):
     assert "--help" in capsys.readouterr().err
 
 
-def test_an_axis_that_leaves_the_other_of_a_pair_behind_warns_with_the_command_for_both(tmp_path, monkeypatch, capsys):
+def test_moving_one_axis_of_a_gantry_warns_with_the_command_for_both(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     main(["move", "y", "200", "--model", "gantry"])
     assert "which stays behind" in (error := capsys.readouterr().err)

@@ -36,31 +36,31 @@ def test_after_ctrl_c_only_a_command_that_draws_its_reports_does(block, drawn, t
     assert "interrupted after 0.00 s" in capsys.readouterr().out
 
 
-def test_each_shell_is_completed_in_its_own_words(capsys):
+def test_completion_scripts_differ_by_shell(capsys):
     pytest.importorskip("argcomplete")
-    said = []
+    scripts = []
     for shell in ("bash", "zsh", "fish"):
         assert main(["completion", shell]) == 0
-        said.append(capsys.readouterr().out)
-    assert "complete --command stage" in said[2] or "complete -c stage" in said[2]
-    assert said[2] not in said[:2]
+        scripts.append(capsys.readouterr().out)
+    assert "complete --command stage" in scripts[2] or "complete -c stage" in scripts[2]
+    assert scripts[2] not in scripts[:2]
 
 
 @pytest.mark.parametrize("overwrite", [None, True])
-def test_a_picture_of_two_runs_replaces_a_file_only_where_asked(overwrite, monkeypatch):
-    asked = []
+def test_a_plot_of_two_runs_overwrites_a_file_only_on_request(overwrite, monkeypatch):
+    calls = []
     for module in (erratum_picture, picture):
-        monkeypatch.setattr(module, "draw", lambda shown, path, over: asked.append((path, over)))
-    for shown in (
+        monkeypatch.setattr(module, "draw", lambda result, path, over: calls.append((path, over)))
+    for result in (
         ErratumResult("MCX304", False, ({}, {}), (None, None)),
         DemoResult("jam", DEMOS["jam"], ({}, {}), (None, None)),
     ):
-        shown.plot("a.png") if overwrite is None else shown.plot("a.png", overwrite)
-        shown.plot()
-    assert asked == [("a.png", bool(overwrite)), (None, False)] * 2
+        result.plot("a.png") if overwrite is None else result.plot("a.png", overwrite)
+        result.plot()
+    assert calls == [("a.png", bool(overwrite)), (None, False)] * 2
 
 
-def test_what_was_printed_is_flushed_where_asked_and_at_the_end():
+def test_output_is_flushed_on_request_and_at_the_end():
     class Stream:
         done = 0
 

@@ -16,7 +16,7 @@ from stage.sim import plant
     ("what", "names"),
     [("motors", [*MOTORS, *DC_MOTORS]), ("models", plant.list_model_names()), ("chips", ["PCL240K", "MCX514"])],
 )
-def test_list_names_what_there_is(what, names, capsys):
+def test_list_prints_the_motors_models_and_chips(what, names, capsys):
     # stage list motors
     assert main(["list", what]) == 0
     listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
@@ -37,7 +37,7 @@ def test_a_model_is_drawn_with_the_names_of_its_axes(tmp_path, capsys):
     assert "front" in capsys.readouterr().err
 
 
-def test_a_shell_is_told_what_may_come_next(tmp_path):
+def test_shell_completion_proposes_commands_options_and_files(tmp_path):
     """stage hom<Tab>; stage home --mo<Tab>; stage view xy_<Tab>; stage export <Tab> in a folder with a recording"""
     for name in ("a.rrd", "b.txt"):
         (tmp_path / name).touch()

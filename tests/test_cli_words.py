@@ -24,20 +24,20 @@ def lines_of(epilog):
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_help_ends_with_examples_that_are_right(name, capsys):
     """stage move --help"""
-    shown = lines_of(COMMANDS[name].epilog)
-    assert shown
-    assert any(f"stage {name}" in line for line in shown)
-    for line in shown:
+    examples = lines_of(COMMANDS[name].epilog)
+    assert examples
+    assert any(f"stage {name}" in line for line in examples)
+    for line in examples:
         typed = line.split("  ")[0].split("$(")[-1].split(")")[0].split(" | ")[0]
         args = build_parser().parse(shlex.split(typed)[1:])
         assert args.run is not None, line
     with pytest.raises(SystemExit):
         main([name, "--help"])
-    assert all(line in capsys.readouterr().out for line in shown[:1])
+    assert all(line in capsys.readouterr().out for line in examples[:1])
 
 
 @pytest.mark.parametrize(
-    ("typed", "said"),
+    ("typed", "message"),
     [
         ("move", "stage move: the following arguments are required: AXIS, DISTANCE. `stage move --help` has examples."),
         ("moove x 10", "stage: unknown command 'moove'. Did you mean move? `stage --help` has examples."),
@@ -52,13 +52,13 @@ def test_every_help_ends_with_examples_that_are_right(name, capsys):
         ("registers", "stage registers: the following arguments are required: CHIP."),
     ],
 )
-def test_wrong_usage_is_told_in_one_line(typed, said, capsys):
+def test_wrong_usage_is_reported_in_one_line(typed, message, capsys):
     with pytest.raises(SystemExit) as end:
         main(shlex.split(typed))
     assert end.value.code == 2
-    told = capsys.readouterr().err
-    assert told.startswith(said)
-    assert told.count("\n") == 1
+    error = capsys.readouterr().err
+    assert error.startswith(message)
+    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize("chip", ["pcl240k", "mcx514", "hctl1100"])
@@ -80,7 +80,7 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_a_terminal_sees_how_far_the_simulated_time_is(monkeypatch):
+def test_a_terminal_displays_the_simulated_time(monkeypatch):
     stage = SimpleNamespace(data=SimpleNamespace(time=1.25))
     monkeypatch.setattr(terminal, "FIRST_UPDATE_S", 0.01)
     monkeypatch.setattr(sys, "stderr", screen := Terminal())
@@ -127,7 +127,7 @@ def without_origin(tmp_path_factory):
 
 
 @pytest.mark.parametrize("chips", ["pcl240k", "mcx514", "hctl1100"])
-def test_an_axis_without_origin_switch_is_not_sent_to_look_for_it(chips, without_origin, capsys):
+def test_home_refuses_an_axis_without_an_origin_switch(chips, without_origin, capsys):
     """stage home a --model a.xml, of a model with a_unfitted "... org": it ran for ever"""
     assert main(["home", "a", "--model", without_origin, "--chips", chips]) == 2
     assert capsys.readouterr().err.startswith(

@@ -36,8 +36,8 @@ def replayed(target):
     return check
 
 
-def uncompiled(program):
-    """What a program prints that runs the chips as plain Python."""
+def run_uncompiled(program):
+    """Run a program in Python with numba disabled and return its standard output."""
     return subprocess.run(
         [sys.executable, "-c", program], env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
         cwd=Path(__file__).parent, capture_output=True, text=True, check=True,
@@ -53,8 +53,8 @@ def test_a_corpus_is_small_and_of_inputs_that_the_fuzzer_can_reach(target):
 
 
 def test_a_corpus_has_inputs_for_every_chip_of_a_known_family():
-    seen = {path.read_bytes()[0] for path in inputs("bus")}
-    assert seen >= {k for k, chip in enumerate(ORDER) if issubclass(CHIPS[chip], tuple(FAMILIES))}
+    kinds = {path.read_bytes()[0] for path in inputs("bus")}
+    assert kinds >= {k for k, chip in enumerate(ORDER) if issubclass(CHIPS[chip], tuple(FAMILIES))}
     assert set(ORDER) >= set(CHIPS.built_in)
 
 
@@ -70,7 +70,7 @@ def test_every_bus_input_of_the_corpus_keeps_the_promises_compiled_or_not_to_the
     """Compiled beside a twin; uncompiled with a bound on the work of each advance."""
     check = replayed("bus")
     assert min(check.counts[what] for what in ("bus cycles", "input edges", "clocks", "pulses")) > 0
-    other = uncompiled(
+    other = run_uncompiled(
         "import json, test_corpus as t; c = t.replayed('bus'); print(json.dumps([c.digest.hexdigest(), c.counts]))"
     )
     assert json.loads(other.splitlines()[-1]) == [check.digest.hexdigest(), check.counts]
@@ -144,8 +144,8 @@ except t.Finding as finding:
 
 @pytest.mark.parametrize(("program", "defects"), [(PLANTED, 3), (PLANTED_NOVA, 2), (PLANTED_HCTL, 1)])
 def test_a_core_that_works_by_the_clock_or_by_the_pulse_is_a_finding(program, defects):
-    found = [line for line in uncompiled(program).splitlines() if line.startswith("FOUND")]
-    assert ["calls for" in line for line in found] == [True] * defects
+    findings = [line for line in run_uncompiled(program).splitlines() if line.startswith("FOUND")]
+    assert ["calls for" in line for line in findings] == [True] * defects
 
 
 def test_a_chip_that_breaks_a_promise_is_a_finding(monkeypatch):
@@ -155,7 +155,7 @@ def test_a_chip_that_breaks_a_promise_is_a_finding(monkeypatch):
         check(bytes([0, 0xDF]))
 
 
-def test_a_chip_whose_course_depends_on_how_its_time_is_cut_is_a_finding(monkeypatch):
+def test_a_chip_whose_state_depends_on_the_lengths_of_advances_is_a_finding(monkeypatch):
     check, advance = Bus(), PCL240K.advance
 
     def forgetful(self, clocks):
@@ -214,10 +214,10 @@ mutation.mutate_for(lambda data: time.sleep(60 * data.count(b"x")), [b"ab", b"xy
 """
 
 
-def test_an_input_that_hangs_ends_the_run_and_is_left_behind(tmp_path):
+def test_an_input_that_hangs_ends_the_run_and_is_saved(tmp_path):
     command = [sys.executable, "-c", HANGING, str(tmp_path)]
-    ended = subprocess.run(command, cwd=fuzz.ROOT / "scripts", stdout=subprocess.PIPE, timeout=50)
-    assert ended.returncode == 70
+    completed = subprocess.run(command, cwd=fuzz.ROOT / "scripts", stdout=subprocess.PIPE, timeout=50)
+    assert completed.returncode == 70
     (left,) = tmp_path.glob("timeout-*")
     assert b"x" in left.read_bytes()
 

@@ -34,8 +34,8 @@ ELSEWHERE = ("stage demo", "stage erratum", "stage fault ", "stage pullout", "st
 
 
 @pytest.fixture(autouse=True)
-def acme_is_installed(tmp_path_factory, monkeypatch, request):
-    """For the page about chips of one's own."""
+def install_acme_chip(tmp_path_factory, monkeypatch, request):
+    """Install the example chip for the page about writing a chip."""
     if "acme1000" in request.node.name or "your_own_chip" in request.node.name:
         acme(monkeypatch, tmp_path_factory.mktemp("site"))
 
@@ -51,8 +51,8 @@ class Block(NamedTuple):
 
 def text_at(page: str, place: int) -> str:
     """The block of text, fenced or indented, that follows a place of a page after an empty line; "" if none does."""
-    found = TEXT.match(page, place)
-    return (found["fenced"] or re.sub(r"^ {4}", "", found["indented"], flags=re.M)) if found else ""
+    match = TEXT.match(page, place)
+    return (match["fenced"] or re.sub(r"^ {4}", "", match["indented"], flags=re.M)) if match else ""
 
 
 def blocks(page: Path) -> list[Block]:
@@ -65,8 +65,8 @@ def blocks(page: Path) -> list[Block]:
 
 def commands(page: Path, packages: bool = False) -> list[str]:
     """Return the command lines in indented blocks, without comments; those that packages bring are tested by these packages."""
-    found = [m[1].strip() for m in re.finditer(r"^ {4}(stage [^#\n]*)", page.read_text(), re.M)]
-    return [line for line in found if packages or line.split()[1] not in KNOWN_PACKAGES]
+    lines = [m[1].strip() for m in re.finditer(r"^ {4}(stage [^#\n]*)", page.read_text(), re.M)]
+    return [line for line in lines if packages or line.split()[1] not in KNOWN_PACKAGES]
 
 
 LONG = ("envs_sync", "sweep")  # pages whose programs take seconds
@@ -94,12 +94,12 @@ def test_python_blocks_run_and_print_what_the_page_says(page, tmp_path, monkeypa
             if first.startswith(("import ", "from ")):
                 names = {"__name__": page.stem}
             exec(compile("\n" * block.line + block.code, page, "exec"), names)
-        said = capsys.readouterr().out
+        output = capsys.readouterr().out
         if block.prints:
-            assert agree(said, block.prints), f"{page.name}:{block.line} prints\n{said}"
+            assert agree(output, block.prints), f"{page.name}:{block.line} prints\n{output}"
 
 
-def test_a_changed_word_or_number_of_a_page_would_be_seen():
+def test_agree_detects_a_changed_word_unit_or_number():
     assert agree("data sheet: 2.05 pulses, -3 steps", "data sheet: 2.06 pulses,  -3 steps\n")
     assert not agree("data sheet: 2.05 pulses", "data sheet: 2.15 pulses")
     assert not agree("data sheet: 2.05 pulses", "data sheet: 2.05 um")
@@ -170,9 +170,9 @@ def test_files_and_links_that_a_page_names_exist(page):
     text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
     for link, anchor in re.findall(r"\]\(([^)#\s]*)(?:#([^)]*))?\)", text):
         if not link.startswith("http"):
-            there = (page.parent / link).resolve() if link else page
-            assert there.exists(), link
-            assert not anchor or anchor in headings(there), f"{link}#{anchor}"
+            linked = (page.parent / link).resolve() if link else page
+            assert linked.exists(), link
+            assert not anchor or anchor in headings(linked), f"{link}#{anchor}"
     for file in re.findall(r"\b(?:stage|scripts|tests|envs|models)/[\w/]+\.(?:py|xml)\b", text):
         assert (ROOT / file).exists(), file
 

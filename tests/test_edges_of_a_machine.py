@@ -18,7 +18,7 @@ def stage(xy):
 
 @pytest.fixture(scope="module")
 def mirrored():
-    """Its screw of x has a left-hand thread."""
+    """Stage whose screw of x has a left-hand thread."""
     spec = plant.open_spec("xy")
     next(a for a in spec.actuators if a.name == "x").gear[0] *= -1
     return Stage(spec, visuals=False)

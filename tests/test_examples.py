@@ -20,8 +20,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 
-def was_made(file):
-    """Whether a file was built of the sources, or lies in a folder that was."""
+def is_build_product(file):
+    """Return whether a file, or a folder above it, was built from the sources."""
     return any(
         fnmatch(part, pattern) for part in file.parts for pattern in ("__pycache__", "_native.so*", "*.egg-info")
     )
@@ -39,14 +39,14 @@ def test_without_a_name_they_are_listed_each_with_a_line(capsys):
 
 
 @pytest.mark.parametrize("name", examples.EXAMPLE_PATHS)
-def test_an_example_is_copied_whole_and_nothing_that_was_built_of_it(name, tmp_path):
+def test_a_copy_of_an_example_has_all_sources_and_no_build_products(name, tmp_path):
     copied = examples.copy_example(name, tmp_path)
     source = examples.find_example(name)
     assert copied.name.partition(".")[0] == name.partition(".")[0]
     if source.is_dir():
-        there = files(copied)
-        assert {f for f in files(source) if not was_made(Path(f))} == there
-        assert there
+        copies = files(copied)
+        assert {f for f in files(source) if not is_build_product(Path(f))} == copies
+        assert copies
     else:
         assert copied.read_bytes() == source.read_bytes()
 
@@ -68,7 +68,7 @@ def test_a_copy_replaces_nothing_unasked_and_a_slip_is_named(tmp_path, monkeypat
         examples.copy_example("stall", tmp_path / "stall.py")
 
 
-def test_a_wheel_has_them_beside_the_package(tmp_path, monkeypatch):
+def test_a_wheel_contains_the_examples(tmp_path, monkeypatch):
     examples.install_examples(tmp_path)
     monkeypatch.setattr(examples, "REPOSITORY", tmp_path / "no checkout")
     monkeypatch.setattr(examples, "INSTALLED_EXAMPLES", tmp_path)
@@ -82,14 +82,14 @@ def test_a_wheel_has_them_beside_the_package(tmp_path, monkeypatch):
 def test_a_copied_program_needs_nothing_of_the_repository(name, tmp_path):
     text = examples.find_example(name).read_text()
     program = examples.copy_example(name, tmp_path)
-    asked = ["--help"] if "argparse" in text else []
+    options = ["--help"] if "argparse" in text else []
     done = subprocess.run(
-        [sys.executable, program.name, *asked], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
+        [sys.executable, program.name, *options], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_the_page_for_an_index_has_no_relative_link_and_the_repository_keeps_its_own():
+def test_the_page_for_the_package_index_has_absolute_links_only():
     readme = (ROOT / "README.md").read_text()
     page = index_page.make_index_page(readme, PROJECT["urls"]["Source"], "v1.2.3")
     links = re.findall(r"\]\(([^)]*)\)", re.sub(r"^```.*?^```", "", page, flags=re.M | re.S))
@@ -110,7 +110,7 @@ def test_code_and_links_that_lead_elsewhere_stay_as_they_are():
     assert f"[![j]({raw}/k.png)](https://github.com/o/n/blob/v1/l)" in page, "a picture that is a link"
 
 
-def test_the_version_is_the_same_wherever_it_stands():
+def test_citation_package_and_changelog_have_the_same_version():
     cited = (ROOT / "CITATION.cff").read_text()
     assert f"\nversion: {PROJECT['version']}\n" in cited
     assert stage.__version__ == PROJECT["version"]
@@ -119,7 +119,7 @@ def test_the_version_is_the_same_wherever_it_stands():
 
 
 @pytest.mark.parametrize(("name", "ending"), [("home_and_move", ".py"), ("tour.ipynb", ""), ("acme_chip", "")])
-def test_a_copy_has_the_name_that_was_asked_for_and_stays_unless_it_is_to_be_replaced(name, ending, tmp_path):
+def test_a_copy_is_overwritten_only_on_request(name, ending, tmp_path):
     copied = examples.copy_example(name, tmp_path)
     assert copied == tmp_path / f"{name}{ending}"
     assert [p.name for p in tmp_path.iterdir()] == [copied.name]

@@ -37,7 +37,7 @@ def hurry(axis):
     return firmware.move(axis, distance=0.02, speed=0.1, accel=0.01)
 
 
-def test_a_small_motor_loses_the_steps_that_a_large_one_keeps_until_it_is_cleared(xyz):
+def test_a_motor_that_is_too_small_loses_steps_until_the_fault_is_cleared(xyz):
     x = xyz.axes["x"]
     hurry(x)
     assert x.lost_steps == 0
@@ -193,8 +193,8 @@ def test_a_stage_with_a_device_on_its_bus_has_it_in_its_snapshots_with_any_motor
 
 
 @pytest.mark.parametrize("name", [SMALL, "17HS19-2004S1"])
-def test_from_the_change_on_the_currents_are_those_of_the_new_motor(xyz, name):
-    """What a slice leaves of a current, and adds to it, is worked out of the motor's resistance and inductance."""
+def test_the_currents_follow_the_resistance_and_inductance_of_the_new_motor(xyz, name):
+    """Check the decay and the gain of a current per slice, which depend on resistance and inductance."""
     x = xyz.axes["x"]
     start_preset(x.chip, 10_000)
     xyz.run(0.05)

@@ -12,13 +12,13 @@ TIME = np.arange(0.0, 1.0, 0.1)
 
 
 def recording(org_from, begins=0.2):
-    """Of an axis x that goes at 1 m/s; ORG is on from a time on."""
+    """Return a stand-in for a recording of axis x at 1 m/s, with ORG on from `org_from` in s."""
     edges = np.zeros(len(TIME), [("inputs", "i8"), ("outputs", "i8")])
     edges["inputs"] = org_from <= TIME
-    course = SimpleNamespace(edges=edges, seconds=TIME)
+    waveform = SimpleNamespace(edges=edges, seconds=TIME)
     chip = SimpleNamespace(wired=lambda pin: 1, OUTPUTS={})
     return SimpleNamespace(
-        axes={"x": SimpleNamespace(chip=chip)}, journals={"x": SimpleNamespace(course=lambda: course)}, began=0.0,
+        axes={"x": SimpleNamespace(chip=chip)}, journals={"x": SimpleNamespace(course=lambda: waveform)}, began=0.0,
         notes=[SimpleNamespace(time=begins, text="axis x: jammed: begins")],
         column=lambda name: TIME if name in ("time", "x/position") else 4 * TIME,
     )  # fmt: skip
@@ -40,7 +40,7 @@ def test_lengths_are_in_thousandths_and_counts_as_they_are():
 
 
 @pytest.mark.parametrize(("draws", "moment"), [(("position", "org"), 0.6), (("position", "lost_steps"), 0.2)])
-def test_a_close_up_lies_around_the_first_edge_of_a_switch_or_the_fault_s_beginning(draws, moment):
-    shown = drawn(draws, (-0.1, 0.3))
-    assert shown.axes[0].get_xlim() == pytest.approx((moment - 0.1, moment + 0.3))
-    assert "Axis x: jammed" in [text.get_text() for text in shown.texts]
+def test_a_close_up_shows_the_first_edge_of_a_switch_or_the_begin_of_the_fault(draws, moment):
+    figure = drawn(draws, (-0.1, 0.3))
+    assert figure.axes[0].get_xlim() == pytest.approx((moment - 0.1, moment + 0.3))
+    assert "Axis x: jammed" in [text.get_text() for text in figure.texts]

@@ -159,21 +159,21 @@ def test_axes_on_two_chips_are_started_by_two_commands():
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_a_cleared_stage_is_as_good_as_new(xyz, name):
-    def course():
+def test_after_a_fault_is_cleared_a_move_gives_the_same_bits_as_before(xyz, name):
+    def run_move():
         xyz.reset()
         start_preset(xyz.axes["x"].chip, 3000)
         xyz.run(0.4)
         return bits(xyz)
 
-    before = course()
+    before = run_move()
     fault = EVERY[name](xyz)
     assert xyz.faults == (fault.text,)
-    assert course() != before or name in ("stuck open", "bounce", "vane missing"), "it did something in this course"
+    assert run_move() != before or name in ("stuck open", "bounce", "vane missing"), "it did something in this course"
     fault.clear()
     fault.clear()
     assert not fault.in_force
-    assert course() == before
+    assert run_move() == before
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -361,7 +361,7 @@ def test_a_switch_that_sticks_in_a_move_stops_the_chip_within_the_pulse(xyz):
         assert x.read_drive()[1] - pulses <= 1
 
 
-def test_mending_a_switch_inside_a_step_finds_the_edge_in_the_rest_of_it(xyz):
+def test_clearing_a_stuck_switch_inside_a_step_keeps_a_later_edge_of_that_step(xyz):
     """Stuck open across its edge, a switch that is mended afterwards trips at once; mended before, at its own moment."""
     x = xyz.axes["x"]
     run_into(x, "el_plus")
@@ -378,11 +378,11 @@ def test_mending_a_switch_inside_a_step_finds_the_edge_in_the_rest_of_it(xyz):
         fault = faults.switch_stuck(axis, "el_plus", False)
         stage.run(when - stage.time)
         fault.clear()
-        mended = axis.chip.clock
+        clear_clock = axis.chip.clock
         stage.run(0.1)
         journal.close()
         clocks, _ = edges_of(journal, "el_plus")
-        assert clocks[0] == (mended if expected is None else expected)
+        assert clocks[0] == (clear_clock if expected is None else expected)
 
 
 @pytest.mark.parametrize(("seconds", "toggles"), [(2e-3, 6), (1e-4, 8), (1e-2, 2), (5e-7, 4)])
@@ -565,7 +565,7 @@ def test_a_doubled_payload_is_a_stage_with_twice_the_payload(xyz):
     assert xyz.payload() == 1.0
 
 
-def test_a_payload_on_a_named_body_is_cleared_there(xyz):
+def test_clearing_a_payload_fault_restores_the_mass_of_the_named_body(xyz):
     stage = copy.deepcopy(xyz)
     body = next(
         stage.model.body(k).name for k in range(1, stage.model.nbody) if stage.payload(stage.model.body(k).name) == 0

@@ -41,7 +41,7 @@ def drawings(stage):
     }
 
 
-def test_a_drawing_stays_unless_overwriting_is_asked_for(stage, tmp_path):
+def test_a_drawing_is_overwritten_only_on_request(stage, tmp_path):
     for name, draw in drawings(stage).items():
         path = tmp_path / f"{name}.png"
         if name == "report":
@@ -73,7 +73,7 @@ def test_a_drawing_that_cannot_be_written_says_so(stage, tmp_path):
         report.plot(tmp_path)
 
 
-def test_a_screenshot_stays_unless_overwriting_is_asked_for(tmp_path):
+def test_a_screenshot_is_overwritten_only_on_request(tmp_path):
     rrd, png = tmp_path / "x.rrd", tmp_path / "x.png"
     rrd.write_bytes(b"")
     png.write_text("mine")
@@ -100,7 +100,7 @@ def test_a_command_overwrites_with_force(tmp_path, monkeypatch):
     assert sorted(f.name for f in tmp_path.iterdir()) == ["x.png", "x.rrd", "x.vcd"]
 
 
-def test_a_full_disk_is_named_and_leaves_what_was_there(tmp_path):
+def test_a_full_disk_is_reported_and_leaves_the_old_file_unchanged(tmp_path):
     path = tmp_path / "x.bin"
     path.write_text("mine")
 
@@ -231,7 +231,7 @@ def test_the_bytes_are_on_the_disk_before_the_name_is(tmp_path, monkeypatch):
         synced.clear()
 
 
-def test_a_file_that_is_replaced_keeps_its_mode_and_nobody_guesses_the_name_beside_it(tmp_path):
+def test_a_replaced_file_keeps_its_mode_and_is_written_in_a_private_folder(tmp_path):
     """ln -s /etc/passwd .x.1234.part.vcd; stage move x 100 --vcd x.vcd"""
     path = tmp_path / "x.vcd"
     path.write_text("old")
@@ -266,7 +266,7 @@ def room(size):
         sys.dont_write_bytecode = wrote
 
 
-def test_a_study_on_a_full_disk_keeps_what_was_recorded_and_goes_on_later(tmp_path):
+def test_a_study_on_a_full_disk_keeps_its_trials_and_continues_later(tmp_path):
     pytest.importorskip("optuna")
     from stage.study import finished, read_study, run, suggest
 
@@ -290,7 +290,7 @@ def test_file_errors_are_stage_errors():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc")
-def test_an_open_file_gets_the_bytes_behind_its_own_however_it_is_named(tmp_path, monkeypatch):
+def test_an_open_file_descriptor_is_appended_to_under_any_of_its_paths(tmp_path, monkeypatch):
     """stage ... > log, with /dev/stdout as the file to write: what the log has already stays"""
     log = tmp_path / "log"
     with log.open("wb") as open_file:
@@ -298,9 +298,9 @@ def test_an_open_file_gets_the_bytes_behind_its_own_however_it_is_named(tmp_path
         open_file.flush()
         name = f"proc/self/fd/{open_file.fileno()}"
         monkeypatch.chdir("/")
-        for way in (f"/{name}", name):
-            assert is_stream(way)
-            with write_atomically(way, False) as part:
+        for path in (f"/{name}", name):
+            assert is_stream(path)
+            with write_atomically(path, False) as part:
                 part.write_bytes(b"second\n")
     assert log.read_bytes() == b"first\nsecond\nsecond\n"
     assert not is_stream(log)

@@ -81,7 +81,7 @@ def test_a_program_does_what_a_python_driver_does_to_the_bit(first):
         assert all(axis.chip.diagnostics == [] for axis in stage.axes.values())
 
 
-def test_a_wait_whose_limit_a_poll_meets_exactly_ends_there_compiled_and_in_python(first):
+def test_a_timeout_at_the_instant_of_a_poll_ends_both_players_at_that_poll(first):
     """a bus cycle of 1 us and polls of 250 us: the fourth poll is 754 us after the begin"""
     p = Program().command(0, 0x08)
     for name, value in {"R1": 1000, "R2": 1000, "R7": 12}.items():
@@ -270,17 +270,17 @@ def test_without_visuals_the_physics_is_the_same(first):
 
 @pytest.mark.usefixtures("elsewhere")
 @pytest.mark.filterwarnings("ignore:Attach conflict")
-def test_where_an_inertia_hangs_on_visuals_they_stay():
+def test_visual_geoms_that_define_an_inertia_are_not_removed():
     """A part attached to another model keeps its own compiler settings, out of our reach."""
     part = mujoco.MjSpec.from_file(str(resources.files("stage.models") / "xy.xml"))
     part.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     for key in list(part.keys):
         part.delete(key)
-    whole = mujoco.MjSpec()
-    whole.option.timestep = part.option.timestep  # that of the whole counts; left alone, it is 2 ms
-    whole.visual.map.znear, whole.visual.map.zfar = part.visual.map.znear, part.visual.map.zfar
-    whole.attach(part, prefix="left_", frame=whole.worldbody.add_frame())
-    assert Stage(whole, visuals=False).model.ngeom == Stage(whole).model.ngeom > 100
+    assembly = mujoco.MjSpec()
+    assembly.option.timestep = part.option.timestep  # that of the whole counts; left alone, it is 2 ms
+    assembly.visual.map.znear, assembly.visual.map.zfar = part.visual.map.znear, part.visual.map.zfar
+    assembly.attach(part, prefix="left_", frame=assembly.worldbody.add_frame())
+    assert Stage(assembly, visuals=False).model.ngeom == Stage(assembly).model.ngeom > 100
     part = mujoco.MjSpec.from_file(str(resources.files("stage.models") / "xy.xml"))
     part.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     carriage = part.body("x")  # what it says of its inertia counts for nothing here

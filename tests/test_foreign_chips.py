@@ -53,7 +53,7 @@ def test_environments_take_it(toy_package):
     env.close()
 
 
-def test_without_packages_an_unknown_name_is_told_with_those_that_are_known(toy_package):
+def test_an_unknown_chip_is_refused_with_a_list_of_known_names(toy_package):
     with pytest.raises(ArgumentError, match=r"unknown chip 'TOYS'. Did you mean 'TOY'\? Known: .*PCL240K.*TOY"):
         chip_class("toys")
 
@@ -62,8 +62,8 @@ def test_a_package_that_cannot_be_loaded_is_named_and_all_else_works(toy_package
     (tmp_path / "broken_chips.py").write_text("import nothing_of_this_name\n")
     monkeypatch.syspath_prepend(tmp_path)
     installed(monkeypatch, tmp_path / "more", "broken-chips", "0.3", BROKEN="broken_chips:BROKEN", GONE="toy:GONE")
-    said = r"chip BROKEN of package broken-chips 0\.3 .* cannot be loaded: ModuleNotFoundError: No module named 'nothing_of_this"
-    with pytest.raises(LoadError, match=said):
+    message = r"chip BROKEN of package broken-chips 0\.3 .* cannot be loaded: ModuleNotFoundError: No module named 'nothing_of_this"
+    with pytest.raises(LoadError, match=message):
         chip_class("broken")
     with pytest.raises(LoadError, match=r"chip GONE of package broken-chips .* cannot be loaded: AttributeError"):
         Stage("xy", chips="gone")
@@ -85,17 +85,17 @@ def test_a_name_that_two_packages_bring_is_refused_and_one_of_ours_stays_ours(mo
     monkeypatch.setattr(CHIPS, "_told", set())
     assert chip_class("pcl240ms") is chip_class("PCL-240MS") is PCL240MS
     assert chip_class("pcl240k").__name__ == "PCL240K"
-    told = capsys.readouterr().err.splitlines()
-    said = (
+    errors = capsys.readouterr().err.splitlines()
+    message = (
         "PulseStage: PCL240MS is one of PulseStage's own chips, and stays it, though one 1.0 has one of this name: give"
     )
-    assert [line.startswith(said) for line in told] == [True], "once, where the name is used"
+    assert [line.startswith(message) for line in errors] == [True], "once, where the name is used"
     lines = {line.name: line for line in CHIPS.listed() if line.problem}
     assert lines.keys() == {"TOY", "PCL240MS"}
     assert "is one of PulseStage's own" in lines["PCL240MS"].problem
 
 
-def test_a_package_that_is_found_twice_is_one_and_one_that_exits_is_told(monkeypatch, tmp_path):
+def test_a_package_installed_twice_counts_once_and_one_that_exits_is_reported(monkeypatch, tmp_path):
     """Installed in the system and once more in a virtual environment that sees it; and `raise SystemExit(0)` in a module"""
     (tmp_path / "quitting_chips.py").write_text("raise SystemExit(0)\n")
     monkeypatch.syspath_prepend(tmp_path)
@@ -107,7 +107,7 @@ def test_a_package_that_is_found_twice_is_one_and_one_that_exits_is_told(monkeyp
         chip_class("quits")
 
 
-def test_nothing_is_read_and_nothing_loaded_before_a_name_is_asked_for():
+def test_a_built_in_chip_is_created_without_reading_package_metadata():
     code = (
         "import stage, stage.chips, sys; stage.chips.chip_class('pcl240k'); print('importlib.metadata' in sys.modules)"
     )
@@ -115,7 +115,7 @@ def test_nothing_is_read_and_nothing_loaded_before_a_name_is_asked_for():
     assert out.strip() == "False"
 
 
-def test_each_axis_has_its_own_chip_on_the_command_line(toy_package, capsys):
+def test_the_command_line_assigns_a_chip_to_each_axis(toy_package, capsys):
     chips = ["--model", "xy", "--chips", "x=toy,y=pcl240ms"]
     assert main(["move", "y", "100", *chips]) == 0
     assert main(["move", "x", "100", *chips]) == 0
@@ -128,11 +128,11 @@ def test_each_axis_has_its_own_chip_on_the_command_line(toy_package, capsys):
 
 def test_names_have_the_article_that_they_are_spoken_with():
     names = "PCL240K MCX304 HCTL1100 ACME1000 TMC5160 8254 LS7166 TOY atmega328p cortex-m4 8AXIS XR2206".split()
-    said = " ".join(add_article(name).split()[0] for name in names)
-    assert said == "a an an an a an an a an a an an"
+    articles = " ".join(add_article(name).split()[0] for name in names)
+    assert articles == "a an an an a an an a an a an an"
 
 
-def test_a_claim_to_one_of_our_names_is_told_also_of_an_old_installation(monkeypatch, tmp_path, capsys):
+def test_an_egg_info_package_that_claims_a_built_in_name_is_reported(monkeypatch, tmp_path, capsys):
     """setup.py develop leaves NAME.egg-info where pip leaves NAME.dist-info"""
     installed(monkeypatch, tmp_path, "elder", PCL240MS="toy:TOY")
     (tmp_path / "elder-1.0.dist-info").rename(tmp_path / "elder.egg-info")

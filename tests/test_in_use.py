@@ -33,7 +33,7 @@ def bits(stage):
 
 # --- threads ---
 
-WAYS = {
+OPERATIONS = {
     "step": lambda s: s.step(),
     "run": lambda s: s.run(1e-3),
     "run_until": lambda s: s.run_until(lambda: s.time > 0.1, timeout=1),
@@ -50,12 +50,12 @@ WAYS = {
 
 
 @pytest.mark.skipif(not COMPILED, reason="uncompiled, threads take turns by themselves")
-@pytest.mark.parametrize("direction", WAYS)
+@pytest.mark.parametrize("direction", OPERATIONS)
 def test_a_stage_in_use_says_so_and_stays_as_it_was(xy, direction):
     start_preset(xy.axes["x"].chip, 1000)
     before = bits(xy)
     with xy.loop.claimed(), pytest.raises(StageError, match="in use"):
-        WAYS[direction](xy)
+        OPERATIONS[direction](xy)
     assert bits(xy) == before
     xy.run(1e-3)
 
@@ -104,8 +104,8 @@ def test_a_board_has_one_host_at_a_time(xy):
     assert board.link.record["inside"] == 0
 
 
-def test_a_hook_may_run_the_stage():
-    """What Python does in the middle of a bus cycle: an interrupt hook that waits, a fault that delays a write."""
+def test_an_interrupt_hook_may_run_the_stage_inside_a_bus_cycle():
+    """Run Python within a bus cycle: an interrupt hook that waits, and a fault that delays a write."""
     stage = Stage("xy", chips=PCL240K, visuals=False)
     board, calls = Board(stage), []
 
@@ -286,7 +286,7 @@ in_pieces = pytest.mark.skipif(not COMPILED, reason="uncompiled, a piece between
 
 @contextmanager
 def interrupted(after=0.2):
-    """What is done within this context is interrupted by KeyboardInterrupt, and that at once."""
+    """Raise KeyboardInterrupt `after` seconds in the body, and check that it ends within 5 s."""
 
     def interrupt(*_):
         raise KeyboardInterrupt

@@ -14,7 +14,7 @@ NESTED = (
     '<worldbody><replicate count="1000" offset="1 0 0"><replicate count="1000" offset="0 1 0"><geom size=".1"/>'
     "</replicate></replicate></worldbody>"
 )
-TOO_LARGE = {
+OVERSIZED_MODELS = {
     "nested replicates": (NESTED, "1,001,003 elements at its <geom>"),
     "replicate": ('<worldbody><replicate count="20001"><site/></replicate></worldbody>', "elements at its <site>"),
     "composite": (
@@ -74,9 +74,9 @@ def write_model(folder, body, name="model.xml"):
     return path
 
 
-@pytest.mark.parametrize("what", TOO_LARGE)
+@pytest.mark.parametrize("what", OVERSIZED_MODELS)
 def test_a_model_beyond_the_bounds_is_refused_at_once(what, tmp_path):
-    body, message = TOO_LARGE[what]
+    body, message = OVERSIZED_MODELS[what]
     began = time.process_time()
     with pytest.raises(ModelError, match=message):
         Stage(write_model(tmp_path, body))

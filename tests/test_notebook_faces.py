@@ -10,7 +10,7 @@ from stage.chips import MCX304, PCL240K
 
 
 @pytest.fixture(scope="module")
-def seen():
+def displayed_objects():
     """Objects by name, after a short run of two axes."""
     stage = Stage("xy", chips=PCL240K, visuals=False)
     with stage.record() as recording:
@@ -35,29 +35,29 @@ SAYS = {
 
 
 @pytest.mark.parametrize("name", SAYS)
-def test_a_notebook_shows_it_as_html_that_is_whole(seen, name):
-    shown = seen[name]._repr_html_()
-    assert [part for part in SAYS[name] if part not in shown] == []
-    whole = re.sub(r"(<img[^>]*)>", r"\1/>", shown)  # all that HTML leaves open and XML does not
-    ElementTree.fromstring(f"<body>{whole}</body>")
+def test_the_html_representation_is_well_formed(displayed_objects, name):
+    html = displayed_objects[name]._repr_html_()
+    assert [part for part in SAYS[name] if part not in html] == []
+    xml = re.sub(r"(<img[^>]*)>", r"\1/>", html)  # all that HTML leaves open and XML does not
+    ElementTree.fromstring(f"<body>{xml}</body>")
 
 
 @pytest.mark.parametrize("name", [*SAYS, "snapshot"])
-def test_a_prompt_prints_a_line(seen, name):
-    assert len(repr(seen[name])) < 130
-    assert "\n" not in repr(seen[name])
+def test_the_repr_is_one_short_line(displayed_objects, name):
+    assert len(repr(displayed_objects[name])) < 130
+    assert "\n" not in repr(displayed_objects[name])
 
 
-def test_a_stage_says_what_is_broken_in_it(seen):
+def test_a_stage_says_what_is_broken_in_it(displayed_objects):
     from stage import faults
 
-    with faults.jam(seen["axis"]):
-        assert "faults: axis x: " in seen["stage"]._repr_html_()
+    with faults.jam(displayed_objects["axis"]):
+        assert "faults: axis x: " in displayed_objects["stage"]._repr_html_()
 
 
-def test_tab_offers_the_axes_and_nobody_adds_one(seen):
+def test_tab_offers_the_axes_and_nobody_adds_one(displayed_objects):
     """stage.axes[<Tab>"""
-    axes = seen["axes"]
+    axes = displayed_objects["axes"]
     assert axes._ipython_key_completions_() == ["x", "y"] == list(axes)
     assert [a.name for a in reversed(axes.values())] == ["y", "x"]
     assert "z" not in axes
@@ -65,30 +65,32 @@ def test_tab_offers_the_axes_and_nobody_adds_one(seen):
         axes["z"] = axes["x"]
 
 
-def test_tab_of_ipython_offers_the_axes(seen):
+def test_tab_of_ipython_offers_the_axes(displayed_objects):
     completer = pytest.importorskip("IPython.core.completer")
-    ip = completer.IPCompleter(namespace={"stage": seen["stage"]}, use_jedi=False)
+    ip = completer.IPCompleter(namespace={"stage": displayed_objects["stage"]}, use_jedi=False)
     ip.use_jedi = False
     with completer.provisionalcompleter():
         offered = {c.text.strip("'\"]") for c in ip.completions('stage.axes["', len('stage.axes["'))}
     assert {"x", "y"} <= offered
 
 
-def test_where_rerun_has_a_widget_the_dashboard_is_in_the_notebook_and_elsewhere_a_picture(seen, monkeypatch):
-    bundle = seen["recording"]._repr_mimebundle_()
+def test_where_rerun_has_a_widget_the_dashboard_is_in_the_notebook_and_elsewhere_a_picture(
+    displayed_objects, monkeypatch
+):
+    bundle = displayed_objects["recording"]._repr_mimebundle_()
     assert {"text/plain", "text/html"} <= bundle.keys()
     monkeypatch.setattr("stage.recording.viewer.is_installed", lambda library: False)
-    assert seen["recording"]._repr_mimebundle_().keys() == {"text/plain", "text/html"}
+    assert displayed_objects["recording"]._repr_mimebundle_().keys() == {"text/plain", "text/html"}
     monkeypatch.undo()
     pytest.importorskip("rerun_notebook")
     assert "application/vnd.jupyter.widget-view+json" in bundle
 
 
-def test_without_matplotlib_the_page_says_what_the_picture_needs(seen, monkeypatch):
+def test_without_matplotlib_the_page_says_what_the_picture_needs(displayed_objects, monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    shown = seen["recording"]._repr_html_()
-    assert "drawing needs matplotlib: pip install &#x27;pulsestage[plot]&#x27;." in shown
-    assert "samples of x, y" in shown
+    html = displayed_objects["recording"]._repr_html_()
+    assert "drawing needs matplotlib: pip install &#x27;pulsestage[plot]&#x27;." in html
+    assert "samples of x, y" in html

@@ -13,12 +13,12 @@ PICTURES = {"firmware": 1, "register_tuning": 1, "tour": 4}
 each = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
-def test_there_are_the_three():
+def test_exactly_three_notebooks_exist():
     assert {path.stem for path in NOTEBOOKS} == PICTURES.keys()
 
 
 @each
-def test_a_notebook_is_kept_without_outputs_and_its_cells_have_names_that_stay(path):
+def test_a_notebook_has_no_stored_outputs_and_each_cell_has_its_id(path):
     notebook = json.loads(path.read_text())
     code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     assert len(code) > 3
@@ -39,9 +39,9 @@ def test_a_notebook_runs_and_shows_its_pictures(path, tmp_path):
     pytest.importorskip("pandas")
     notebook = nbformat.read(path, as_version=4)
     client.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    shown = [data for cell in notebook.cells for output in cell.get("outputs", []) if (data := output.get("data"))]
+    outputs = [data for cell in notebook.cells for output in cell.get("outputs", []) if (data := output.get("data"))]
     pictures = [
-        d for d in shown if "image/png" in d or re.search(r'src="data:image/png;base64,', d.get("text/html", ""))
+        d for d in outputs if "image/png" in d or re.search(r'src="data:image/png;base64,', d.get("text/html", ""))
     ]
     assert len(pictures) >= PICTURES[path.stem]
     assert path.stem != "firmware" or "R2 is 13 bits wide" in str(notebook.cells[-1].outputs), "the mistake is told"

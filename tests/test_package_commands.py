@@ -43,7 +43,7 @@ def test_a_command_of_a_package_is_a_command_of_stage(greeting, capsys):
     assert "stage greet 3  three times" in capsys.readouterr().out
 
 
-def test_it_is_listed_and_one_that_cannot_be_loaded_is_told_and_hinders_no_other(greeting, capsys):
+def test_help_lists_commands_of_packages_and_reports_those_that_cannot_load(greeting, capsys):
     with pytest.raises(SystemExit):
         main(["--help"])
     out, err = capsys.readouterr()
@@ -51,7 +51,7 @@ def test_it_is_listed_and_one_that_cannot_be_loaded_is_told_and_hinders_no_other
     assert "package greetings 1.0: `stage grumble` cannot be loaded: RuntimeError: no network card." in err
 
 
-def test_a_command_of_ours_stays_ours_and_looks_at_no_package(greeting, capsys):
+def test_a_built_in_command_takes_precedence_over_one_of_a_package(greeting, capsys):
     assert main(["list", "models"]) == 0
     assert capsys.readouterr().err == ""
     with pytest.raises(SystemExit):

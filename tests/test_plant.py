@@ -21,7 +21,7 @@ from stage.sim.plant.problems import Problems
 ROOT = Path(__file__).parent.parent
 
 
-def own_xml():
+def read_example_xml():
     """The stage of scripts/own_stage.py, which the documentation points to."""
     text = (ROOT / "scripts" / "own_stage.py").read_text()
     return text.split('XML = """')[1].split('"""')[0]
@@ -33,18 +33,18 @@ def bind(xml):
 
 def test_a_users_mjcf_makes_a_stage_from_a_path_a_spec_or_a_model(tmp_path):
     path = tmp_path / "own.xml"
-    path.write_text(own_xml())
-    for source in (path, str(path), mujoco.MjSpec.from_string(own_xml())):
+    path.write_text(read_example_xml())
+    for source in (path, str(path), mujoco.MjSpec.from_string(read_example_xml())):
         stage = Stage(source)
         stage.run(0.01)
         assert list(stage.axes) == ["x"]
-    with_room = own_xml().replace("<option", '<size nuserdata="400"/><option')
+    with_room = read_example_xml().replace("<option", '<size nuserdata="400"/><option')
     stage = Stage(mujoco.MjModel.from_xml_string(with_room))
     stage.run(0.01)
 
 
 def test_the_userdata_of_a_model_is_left_alone():
-    spec = mujoco.MjSpec.from_string(own_xml().replace("<option", '<size nuserdata="7"/><option'))
+    spec = mujoco.MjSpec.from_string(read_example_xml().replace("<option", '<size nuserdata="7"/><option'))
     stage = Stage(spec)
     stage.data.userdata[:7] = np.arange(7)
     stage.run(0.1)
@@ -53,7 +53,7 @@ def test_the_userdata_of_a_model_is_left_alone():
 
 def test_a_compiled_model_without_room_says_how_much_it_needs():
     with pytest.raises(ModelError, match=r'<size nuserdata="\d+"/>'):
-        Stage(mujoco.MjModel.from_xml_string(own_xml()))
+        Stage(mujoco.MjModel.from_xml_string(read_example_xml()))
 
 
 @pytest.mark.parametrize(
@@ -74,15 +74,24 @@ def test_a_compiled_model_without_room_says_how_much_it_needs():
     ],
 )  # fmt: skip
 def test_what_breaks_the_contract_is_named_with_axis_and_line(old, new, message, line):
-    assert old in own_xml()
+    assert old in read_example_xml()
     with pytest.raises(ModelError, match=message) as caught:
-        bind(own_xml().replace(old, new, 1).replace('joint="x"', 'joint="xx"' if "joint name" in old else 'joint="x"'))
+        bind(
+            read_example_xml()
+            .replace(old, new, 1)
+            .replace('joint="x"', 'joint="xx"' if "joint name" in old else 'joint="x"')
+        )
     assert line in "\n".join(caught.value.missing)
     assert line in str(caught.value)
 
 
 def test_a_switch_at_the_wrong_end_is_noticed():
-    swapped = own_xml().replace("x_el_plus", "x_tmp").replace("x_el_minus", "x_el_plus").replace("x_tmp", "x_el_minus")
+    swapped = (
+        read_example_xml()
+        .replace("x_el_plus", "x_tmp")
+        .replace("x_el_minus", "x_el_plus")
+        .replace("x_tmp", "x_el_minus")
+    )
     with pytest.raises(ModelError, match="wrong end") as caught:
         bind(swapped)
     for side in ("plus", "minus"):
@@ -90,7 +99,7 @@ def test_a_switch_at_the_wrong_end_is_noticed():
 
 
 def test_all_problems_are_reported_at_once():
-    xml = own_xml().replace('name="x_org"', 'name="a"').replace('name="x_el_plus"', 'name="b"')
+    xml = read_example_xml().replace('name="x_org"', 'name="a"').replace('name="x_el_plus"', 'name="b"')
     with pytest.raises(ModelError) as caught:
         bind(xml)
     assert len(caught.value.missing) == 2
@@ -104,7 +113,7 @@ def test_a_model_without_axes_says_what_an_axis_is():
 
 def test_a_hinge_can_be_an_axis():
     xml = (
-        own_xml()
+        read_example_xml()
         .replace('type="slide" axis="1 0 0"', 'type="hinge" axis="0 0 1"')
         .replace('armature="2.2"', 'armature="1e-4"')
     )
@@ -329,7 +338,7 @@ def test_every_fault_is_reported_with_what_where_and_the_line(changes, message, 
 
 
 def test_a_joint_of_another_kind_gets_one_error_alone():
-    """It has no range, no switches and no such motor: consequences, all of them."""
+    """Replace a slide by a ball, which has neither range nor switches nor motor: consequences, not errors."""
     ball = ('type="slide" axis="1 0 0" range="-0.057 0.057" limited="false" damping="60" frictionloss="4" armature="3.711"',
             'type="ball"')  # fmt: skip
     error = complaint(edited(ball, (MOTOR, '<motor name="x" joint="x" gear="1 0 0"/>')))
@@ -437,7 +446,7 @@ def test_a_time_step_near_the_maximum_loses_no_steps():
 
 
 def test_the_time_step_proposed_is_well_below_the_maximum():
-    """Of 5, 2.5 and 1 times a power of ten the first that is no more than 0.7 times the longest"""
+    """Expect the largest of 5, 2.5 and 1 times a power of ten that is at most 0.7 of the maximum."""
     parts = []
     for mass in np.geomspace(0.02, 0.4, 6):
         light = documented().replace('armature="3.711"', 'armature="0.001"').replace('mass="2"', f'mass="{mass}"')
@@ -604,7 +613,7 @@ def test_a_line_that_mends_two_axes_is_proposed_once():
 
 
 def test_the_line_to_add_names_the_geoms_that_the_file_has():
-    """Without its sensor the contract proposed geom2="x_org_switch" where the file has x_org_beam, and took a_org for a slip"""
+    """Remove a sensor: the contract proposed geom2="x_org_switch" where the file has x_org_beam, and took a_org for a slip"""
     text = new_model([NewAxis.of("x:slide:300mm"), NewAxis.of("a:hinge:90deg")])
     lines = [line for line in text.splitlines() if '<contact name="x_org"' not in line]
     with pytest.raises(ModelError) as caught:
@@ -715,7 +724,7 @@ def test_a_joint_without_an_armature_is_an_axis_if_no_motor_is_named():
 
 
 def test_a_shipped_model_that_is_edited_is_read_again(tmp_path, monkeypatch):
-    """In a checkout; reading takes a hundred times as long as a copy of what was read"""
+    """Edit a model of a checkout; models are cached because reading takes a hundred times as long as copying."""
     for file in files("stage.models").iterdir():
         if file.name.endswith(".xml"):
             (tmp_path / file.name).write_text(file.read_text())

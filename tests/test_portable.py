@@ -10,7 +10,7 @@ import pytest
 from stage.support import portable
 
 ROOT = Path(__file__).parents[1]
-OWN = (
+PORTABLE_FUNCTIONS = (
     "log log2 log10 log1p exp exp2 expm1 power float_power cbrt sin cos tan arcsin arccos arctan arctan2 sinh cosh tanh "
     "geomspace logspace"
 )
@@ -18,15 +18,15 @@ OWN = (
 
 
 @pytest.mark.parametrize("name", ["log", "log1p", "exp", "cbrt"])
-def test_each_number_of_an_array_is_the_c_library_s_wherever_it_stands(name):
-    mine, plain = getattr(portable, name), getattr(math, name)
+def test_functions_of_arrays_give_the_values_of_the_c_library(name):
+    portable_function, reference = getattr(portable, name), getattr(math, name)
     values = np.random.default_rng(7).uniform(1e-3, 500.0, (9, 8))
-    wanted = [[plain(v) for v in row] for row in values.tolist()]
-    assert mine(values).tolist() == wanted
-    assert mine(values[:, ::3]).tolist() == [row[::3] for row in wanted]
-    assert mine(values.T).T.tolist() == wanted
-    assert mine(float(values[0, 0])) == wanted[0][0]
-    assert np.allclose(mine(values), getattr(np, name)(values), rtol=1e-14)
+    wanted = [[reference(v) for v in row] for row in values.tolist()]
+    assert portable_function(values).tolist() == wanted
+    assert portable_function(values[:, ::3]).tolist() == [row[::3] for row in wanted]
+    assert portable_function(values.T).T.tolist() == wanted
+    assert portable_function(float(values[0, 0])) == wanted[0][0]
+    assert np.allclose(portable_function(values), getattr(np, name)(values), rtol=1e-14)
 
 
 def test_ends_are_as_numpy_has_them():
@@ -46,9 +46,9 @@ def test_powers_and_spaces_of_equal_ratios():
     x, e = np.linspace(0, 3, 7), np.array([1.0, 3.0, 1 / 3, 1.0, 3.0, 1 / 3, 1.0])
     assert portable.power(x, e).tolist() == [math.pow(a, b) for a, b in zip(x.tolist(), e.tolist(), strict=True)]
     assert portable.power(2.0, x).shape == (7,)
-    found = portable.geomspace(0.003, 0.8, 50)
-    assert found == pytest.approx(np.geomspace(0.003, 0.8, 50), rel=1e-13)
-    assert (found[0], found[-1]) == (0.003, 0.8)
+    values = portable.geomspace(0.003, 0.8, 50)
+    assert values == pytest.approx(np.geomspace(0.003, 0.8, 50), rel=1e-13)
+    assert (values[0], values[-1]) == (0.003, 0.8)
 
 
 @pytest.mark.parametrize(
@@ -60,5 +60,7 @@ def test_no_environment_takes_what_numpy_has_for_one_processor_alone(path):
         for n in ast.walk(ast.parse(path.read_text()))
         if isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name)
     ]
-    names = {f"np.{n.attr} in line {n.lineno}" for n in used if n.value.id == "np" and n.attr in OWN.split()}
+    names = {
+        f"np.{n.attr} in line {n.lineno}" for n in used if n.value.id == "np" and n.attr in PORTABLE_FUNCTIONS.split()
+    }
     assert not names

@@ -57,6 +57,6 @@ def test_a_package_uses_public_names_alone(file):
     assert find_private_imports(file.read_text()) == []
 
 
-def test_a_private_import_is_found():
+def test_a_private_import_is_reported():
     source = "from stage import Stage\ndef f():\n    from stage.sim.engine import run\n"
     assert find_private_imports(source) == ["stage.sim.engine.run"]

@@ -51,8 +51,8 @@ VALID = {"axis": lambda s: s.axes["x"], "axes": lambda s: s.axes, "stage": lambd
 def functions_of_modules():
     """Yield (name, function or class) for every public one of the modules."""
     for module_name, module in MODULES.items():
-        own = [n for n, o in vars(module).items() if not n.startswith("_") and inspect.getmodule(o) is module]
-        for name in getattr(module, "__all__", own):
+        public_names = [n for n, o in vars(module).items() if not n.startswith("_") and inspect.getmodule(o) is module]
+        for name in getattr(module, "__all__", public_names):
             value = getattr(module, name)
             if callable(value) and not (inspect.isclass(value) and issubclass(value, BaseException)):
                 yield f"{module_name}.{name}", value
@@ -74,11 +74,11 @@ def wrong_calls(function, stage):
             for p in parameters:
                 if p is not wrong and (p.default is not p.empty or p.kind in (p.VAR_POSITIONAL, p.VAR_KEYWORD)):
                     continue
-                given = value if p is wrong else VALID.get(p.name, lambda s: 1)(stage)
+                argument = value if p is wrong else VALID.get(p.name, lambda s: 1)(stage)
                 if p.kind in (p.VAR_POSITIONAL, p.POSITIONAL_ONLY):
-                    args.append(given)
+                    args.append(argument)
                 else:
-                    kwargs["x" if p.kind is p.VAR_KEYWORD else p.name] = given
+                    kwargs["x" if p.kind is p.VAR_KEYWORD else p.name] = argument
             yield wrong.name, args, kwargs
 
 

@@ -40,15 +40,15 @@ def graph(quick):
         ("tests/test_cli.py", "tests/test_cli.py"),
     ],
 )
-def test_a_changed_file_is_tested_by_the_files_that_import_it_most_directly(quick, graph, change, near):
-    chosen = quick.select_tests({ROOT / change}, graph)
-    assert ROOT / near in chosen[:15]
+def test_the_tests_that_import_a_changed_file_directly_come_first(quick, graph, change, near):
+    selected = quick.select_tests({ROOT / change}, graph)
+    assert ROOT / near in selected[:15]
 
 
 def test_a_chip_of_another_family_and_the_panel_are_not_tested_after_a_change_that_they_do_not_import(quick, graph):
-    chosen = quick.select_tests({ROOT / "envs/origin_return.py"}, graph)
-    assert ROOT / "tests/envs/test_origin_return.py" in chosen
-    assert not [path for path in chosen if path.parent.name in ("chips", "panel")]
+    selected = quick.select_tests({ROOT / "envs/origin_return.py"}, graph)
+    assert ROOT / "tests/envs/test_origin_return.py" in selected
+    assert not [path for path in selected if path.parent.name in ("chips", "panel")]
 
 
 @pytest.mark.parametrize(("seconds_left", "count"), [(-1, 0), (600, 1)])

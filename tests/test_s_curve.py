@@ -47,7 +47,7 @@ def test_the_camera_swings_freely_at_9_9_hz_damped_by_one_percent_and_drags_noth
     assert all(axis.lost_steps == 0 for axis in stage.axes.values())
 
 
-def test_the_mast_bends_along_the_axis_that_moves_and_lags_behind_it():
+def test_a_positive_bend_of_the_mast_points_ahead_of_the_moving_axis():
     stage = Stage("xy_mast")
     for axis in ("x", "y"):
         before = stage.data.site("camera").xpos.copy()
@@ -125,15 +125,15 @@ def test_after_a_hard_ramp_the_carriage_swings_a_third_as_much_or_less():
     assert curve.worst_error < linear.worst_error
 
 
-def test_the_highest_rate_is_found_to_one_percent_and_islands_of_luck_are_not_taken_for_it(monkeypatch):
+def test_the_highest_rate_is_exact_to_one_percent_and_excludes_isolated_successes(monkeypatch):
     monkeypatch.setattr(s, "keeps_step", lambda shape, rate, ramp: rate < 91_234 or 95_000 < rate < 100_000)
-    found = s.highest_rate(LINEAR, 0.05)
-    assert 91_234 / 1.01 < found.rate < 91_234
-    assert found.lucky
-    assert all(95_000 < rate < 100_000 for rate in found.lucky)
+    result = s.highest_rate(LINEAR, 0.05)
+    assert 91_234 / 1.01 < result.rate < 91_234
+    assert result.lucky
+    assert all(95_000 < rate < 100_000 for rate in result.lucky)
 
 
-def test_the_page_tells_what_is_measured():
+def test_the_figures_of_the_page_match_the_simulation():
     page = (ROOT / "docs" / "s_curve.md").read_text()
     rows = re.findall(
         r"^\| (linear|S-curve, linear part|S-curve) \| (\d+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$",

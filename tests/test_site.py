@@ -34,7 +34,7 @@ def test_every_page_is_in_the_navigation_and_every_entry_is_a_page(site):
     assert set(named) == {p for p in pages if not p.startswith("files/")}
 
 
-def test_every_link_and_picture_of_the_site_is_there(site):
+def test_every_relative_link_of_the_site_leads_to_a_file(site):
     for page in (site / "pages").rglob("*.md"):
         text = re.sub(r"^(`{3,}).*?^\1", "", page.read_text(), flags=re.M | re.S)
         for link in re.findall(r"\]\(([^)\s#]+)[^)]*\)", text):
@@ -52,7 +52,7 @@ def test_the_reference_has_every_chip_with_its_registers_and_every_command(site)
     assert "::: stage.sim.stage.Stage" in (reference / "stage.md").read_text()
 
 
-def test_every_picture_of_the_gallery_says_how_it_was_made(site):
+def test_every_picture_of_the_gallery_names_its_command(site):
     gallery = (site / "pages" / "gallery.md").read_text()
     assert gallery.count("[![") == gallery.count("## ")
     for entry in gallery.split("\n## ")[1:]:

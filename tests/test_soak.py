@@ -23,9 +23,9 @@ TIMELESS = ("simulated_hours", "rounds", "moves", "pulses", "homings", "worst_at
 def test_a_minute_of_random_moves_lose_no_step_and_no_pulse(seed, tmp_path, capsys):
     path = tmp_path / "soak.json"
     code = soak.main(["--hours", str(MINUTES / 60), "--json", str(path), *seed])
-    said = capsys.readouterr().out
-    assert code == 0, said
-    assert said.startswith("seed "), "a failure can be repeated"
+    output = capsys.readouterr().out
+    assert code == 0, output
+    assert output.startswith("seed "), "a failure can be repeated"
     summary = json.loads(path.read_text())
     assert summary["moves"] > (5 if seed else 2), "a random minute may have few and long ones"
     assert summary["homings"] >= 2
@@ -43,8 +43,8 @@ def test_the_same_seed_is_the_same_day(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def begun():
-    """A run with its first rounds behind it, a snapshot of its stage, and what it has counted."""
+def soak_after_two_rounds():
+    """Soak run after two rounds, with a snapshot of its stage and a copy of its counts."""
     run = soak.Soak(3)
     run.round()  # origin returns
     run.round()
@@ -53,22 +53,22 @@ def begun():
 
 
 @pytest.fixture
-def run(begun):
-    run, snapshot, counted = begun
+def run(soak_after_two_rounds):
+    run, snapshot, counted = soak_after_two_rounds
     run.stage.restore(snapshot)
     vars(run).update(copy.deepcopy(counted))
     return run
 
 
-def test_a_carriage_that_is_not_where_its_pulses_are_is_found(run):
+def test_a_position_that_disagrees_with_the_pulses_is_detected(run):
     run.stage.place(x=run.axes[0].position + 16 * run.axes[0].meters_per_pulse)
     run.stage.run(0.2)
     with pytest.raises(soak.Fault, match=r"axis x: .* pulses from where it should be"):
         run.check(run.fleet.truth()[0], "planted")
 
 
-def test_lost_steps_are_found(run, monkeypatch):
-    """X is held against its motor for a while, as if it had jammed."""
+def test_lost_steps_are_detected(run, monkeypatch):
+    """Hold X against its motor by friction, as if it were jammed."""
     x = run.axes[0]
     friction = run.stage.model.dof_frictionloss.copy()
     friction[run.stage.model.jnt_dofadr[x.joint]] = 1e5
@@ -82,7 +82,7 @@ def test_lost_steps_are_found(run, monkeypatch):
         go_on()
 
 
-def test_a_pulse_that_nobody_asked_for_is_found(run):
+def test_a_pulse_outside_any_move_is_detected(run):
     run.axes[1].chip.write(0, 0x08)
     run.axes[1].chip.write(0, 0x40)
     run.axes[1].chip.write(0, 0x10)
@@ -92,13 +92,13 @@ def test_a_pulse_that_nobody_asked_for_is_found(run):
         run.move()
 
 
-def test_an_origin_that_wanders_is_found(run):
+def test_an_origin_that_drifts_is_detected(run):
     run.homes["z"] += 2 * soak.HOME_SPREAD
     with pytest.raises(soak.Fault, match="pulses from the first"):
         run.home(run.axes[2])
 
 
-def test_a_process_that_grows_is_found(run):
+def test_growth_of_the_process_memory_is_detected(run):
     run.memory = [(k / 100, 200 + 0.2 * k) for k in range(100)]
     grown, allowed = run.growth()
     assert grown > allowed
@@ -108,13 +108,13 @@ def test_a_process_that_grows_is_found(run):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-def test_ctrl_c_ends_it_with_the_summary_so_far():
-    def hear():  # a suite that a shell runs in the background is deaf to it, and so would be its children
+def test_ctrl_c_ends_the_run_and_prints_its_summary():
+    def enable_interrupts():  # a shell's background jobs ignore SIGINT, and their children inherit that
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
     command = [sys.executable, "-u", str(SCRIPT), "--seed", "5"]
     pipe = subprocess.PIPE
-    process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, preexec_fn=hear)
+    process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, preexec_fn=enable_interrupts)
     assert "seed 5, 24 hours" in process.stdout.readline()
     time.sleep(1.5)
     process.send_signal(signal.SIGINT)

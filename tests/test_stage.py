@@ -437,7 +437,7 @@ def test_a_refused_stage_gives_the_callers_chip_back():
     assert stage.axes["x"].chip.values()["R1"] == chip.values()["R1"] == 77
 
 
-def test_a_recording_has_every_step_at_most_and_each_begins_at_its_first(xyz):
+def test_a_recording_interval_is_rounded_to_at_least_one_physics_step(xyz):
     for every, steps in ((1e-9, 1), (0.3e-3, 1), (0.45e-3, 2), (1e-3, 4)):
         with xyz.record(every) as recording:
             xyz.step(3)

@@ -192,7 +192,7 @@ def test_the_index_pulse_of_the_encoder_is_stop2(make_stage_of):
 
 
 def test_an_index_pulse_within_one_step_has_its_full_width():
-    """It lasts INDEX and the hysteresis at the speed of the rotor, which here runs free."""
+    """Expect the width of INDEX and its hysteresis at the speed of the rotor, which runs free."""
     motor = replace(MOTORS["17HS4401"], core_loss_resistance=None)
     stage = Stage("xy", chips=PCL240MK, drives=motor, visuals=False)
     y = stage.axes["y"]
@@ -214,8 +214,8 @@ def test_an_index_pulse_within_one_step_has_its_full_width():
 
 @pytest.mark.parametrize("cls", [MCX514, MCX304, MCX302])
 @pytest.mark.parametrize("name", "xz")
-def test_a_limit_stops_an_axis_at_the_very_pulse(make_stage_of, cls, name):
-    """As many pulses as a chip on the bench makes up to the clock of the edge; that one, not told of the edge, goes on."""
+def test_a_limit_switch_stops_an_axis_at_the_pulse_of_its_edge(make_stage_of, cls, name):
+    """Count as many pulses as a chip on the bench makes up to the clock of the edge; that one, not told of the edge, goes on."""
     stage = make_stage_of(cls)
     axis = stage.axes[name]
     stage.place(**{name: touch(axis, "el_plus") - 2e-3 * np.sign(axis.gear)})
@@ -233,21 +233,21 @@ def test_a_limit_stops_an_axis_at_the_very_pulse(make_stage_of, cls, name):
     started = lone.net(axis.chip_axis)
     lone_pulses = lone.trace(edge.clock - lone.clock + 160_000)
     lone_pulses = lone_pulses[lone_pulses["axis"] == axis.chip_axis]
-    made_pulses = axis.chip.net(axis.chip_axis)
-    assert made_pulses > 100
-    assert made_pulses - started == (lone_pulses["clock"] <= edge.clock).sum() < len(lone_pulses)
+    pulses = axis.chip.net(axis.chip_axis)
+    assert pulses > 100
+    assert pulses - started == (lone_pulses["clock"] <= edge.clock).sum() < len(lone_pulses)
     command(axis.chip, "NOP", 1 << axis.chip_axis)
     cause = axis.chip.read(2) if cls is MCX514 else axis.chip.read(1)
     assert cause & 0x1000, "ended by LMT+"
     if cls is MCX514 or axis.pins.lmt_plus:  # there the error stays; Z swings back over its switch
         run_on(axis.chip, 1 << axis.chip_axis)
         stage.run(0.01)
-        assert axis.chip.net(axis.chip_axis) == made_pulses, "plus stays blocked"
+        assert axis.chip.net(axis.chip_axis) == pulses, "plus stays blocked"
     if cls is MCX514:
         command(axis.chip, "R2CLR", 1 << axis.chip_axis)
     run_on(axis.chip, 1 << axis.chip_axis, minus=True)
     stage.run(0.05)
-    assert axis.chip.net(axis.chip_axis) < made_pulses, "the way back is open"
+    assert axis.chip.net(axis.chip_axis) < pulses, "the way back is open"
 
 
 # --- determinism ---

@@ -25,7 +25,7 @@ def stage():
 
 
 @pytest.mark.parametrize("name", CHIPS.built_in)
-def test_a_chip_advances_by_a_whole_number_of_clocks(name):
+def test_advance_takes_an_integer_number_of_clocks_only(name):
     """chip.advance(nan) raised a bare ValueError; a clock beyond 63 bits ran backwards"""
     chip = CHIPS[name]()
     chip.advance(100)
@@ -92,13 +92,13 @@ def test_a_shaft_is_at_a_number(number):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends itself SIGINT")
-def test_a_long_advance_is_ended_by_ctrl_c_and_goes_on_from_there():
+def test_ctrl_c_interrupts_a_long_advance_and_the_chip_continues_exactly():
     """A servo's samples for weeks of its time: minutes of ours, in one call that nothing could end"""
     chip = HCTL1100()
     chip.write(0x0F, 0)  # the shortest sample
     chip.write(0x05, 0x03)
     chip.set_shaft(0, 0.01)
-    before, twin = signal.signal(signal.SIGINT, signal.default_int_handler), chip.make_replica()
+    before, replica = signal.signal(signal.SIGINT, signal.default_int_handler), chip.make_replica()
     timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
     try:
         timer.start()
@@ -110,8 +110,8 @@ def test_a_long_advance_is_ended_by_ctrl_c_and_goes_on_from_there():
     assert 0 < chip.clock < MAX_CLOCKS
     for stop in (chip.clock, chip.clock + 5000):
         chip.advance(stop - chip.clock)
-        twin.advance(stop - twin.clock)
-        assert chip.snapshot().record == twin.snapshot().record
+        replica.advance(stop - replica.clock)
+        assert chip.snapshot().record == replica.snapshot().record
 
 
 def test_pulses_that_no_memory_holds_are_refused_before_any_is_traced():

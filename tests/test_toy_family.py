@@ -51,20 +51,20 @@ def test_snapshots_recordings_and_fleets_take_it(stage_, tmp_path):
     assert recording.columns["x/pulses"][-1] == 400
     recording.to_vcd(tmp_path / "toy.vcd")
     recording.save(tmp_path / "toy.rrd")
-    ended = x.position
+    end_position = x.position
     stage_.restore(before)
     x.chip.write(0, 1)
     stage_.run(0.25)
-    assert x.position == ended
+    assert x.position == end_position
     stage_.restore(before)
     Fleet([stage_], 1).play([Program().command(0, 1).wait(0.25)])
-    assert x.position == pytest.approx(ended, abs=1e-9)
+    assert x.position == pytest.approx(end_position, abs=1e-9)
     mixed = Stage("xy", chips={"x": TOY, "y": PCL240K}, visuals=False)
     assert firmware.move(mixed.axes["x"], pulses=100).ok
     assert firmware.move(mixed.axes["y"], pulses=100).ok
 
 
-def test_a_board_has_ports_for_it_and_tells_its_words(stage_):
+def test_a_board_decodes_the_registers_of_a_new_family_in_its_trace(stage_):
     board = Board(stage_)
     board.out16(min(board.ports) + 2, 500)
     board.out8(min(board.ports), 2)

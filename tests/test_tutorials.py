@@ -36,18 +36,18 @@ def test_a_tutorial_that_is_followed_word_for_word_does_what_it_says(page, tmp_p
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    names, said = {"__name__": "tutorial"}, ""
+    names, output = {"__name__": "tutorial"}, ""
     for step in steps(page):
         if step.file:
             Path(step.file).write_text(step.text)
         elif step.kind == "python":
             Path("my.xml").unlink(missing_ok=True)
             exec(compile("\n" * step.line + step.text, page, "exec"), names)
-            said = capsys.readouterr().out
+            output = capsys.readouterr().out
         elif step.kind == "typed":
-            said = "".join(typed(line.strip(), capsys) for line in step.text.splitlines())
+            output = "".join(typed(line.strip(), capsys) for line in step.text.splitlines())
         elif step.shows:
             where = f"{page.name}:{step.line}"
-            assert agree("\n".join(said.splitlines()[: len(step.text.splitlines())]), step.text), (
-                f"{where} prints\n{said}"
+            assert agree("\n".join(output.splitlines()[: len(step.text.splitlines())]), step.text), (
+                f"{where} prints\n{output}"
             )

@@ -25,11 +25,11 @@ def test_the_program_runs(tmp_path):
 def test_a_strict_checker_takes_it_without_a_word(checker, options, tmp_path):
     """mypy --strict user_program.py; pyright user_program.py"""
     pytest.importorskip(checker)
-    own = {
+    checker_options = {
         "mypy": ["--ignore-missing-imports", "--cache-dir", str(tmp_path)],
         "pyright": ["--pythonpath", sys.executable],
     }
-    options = [*options, *own[checker]]
+    options = [*options, *checker_options[checker]]
     command = [sys.executable, "-m", checker, *options, str(PROGRAM)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -99,12 +99,12 @@ def load(chip, **values):
             chip.write(1 + k, value >> 8 * k & 0xFF)
 
 
-def fields(pulses):
-    """Without the padding between the fields, which is anything."""
+def pack_fields(pulses):
+    """Concatenate the bytes of the fields without the padding between them, which is undefined."""
     return b"".join(pulses[name].tobytes() for name in pulses.dtype.names)
 
 
-def whole_moves():
+def run_preset_moves():
     """Preset moves of the three chips: linear and S-curves, R6 and the automatic point, with FH correction and without."""
     for make in (PCL240K, PCL240MK, PCL240MS):
         kinds = [{}] if make is PCL240K else [{}, {"R14": 0x1000}, {"R14": 30, "R15": 50}, {"R14": 0x8000}]
@@ -121,7 +121,7 @@ def whole_moves():
             chip.write(0, 0x15)  # to FH1 in motion
             started = np.concatenate([started, chip.trace(20_000), chip.trace(20_000_000)])
             assert len(started) == pulses
-            yield fields(started) + bytes(chip.read(a) for a in range(4)) + chip.snapshot().record
+            yield pack_fields(started) + bytes(chip.read(a) for a in range(4)) + chip.snapshot().record
 
 
 def runs_with_switches():
@@ -147,11 +147,11 @@ def runs_with_switches():
                     setattr(chip.pins, stop, on)
                 texts.append(chip.trace(10_000))
         assert chip.pins.hold, f"{make.__name__} {stop}"
-        yield b"".join(map(fields, texts)) + chip.snapshot().record
+        yield b"".join(map(pack_fields, texts)) + chip.snapshot().record
 
 
-def a_course():
-    """The journal of a move, replayed to the clock."""
+def replay_journal():
+    """Record the journal of a move and return its replay, with and without every pulse, as bytes."""
     chip = PCL240MS()
     load(chip, R0=60, R1=50, R2=150, R4=120, R5=90, R7=15)
     observed = []
@@ -184,7 +184,7 @@ def moves_of_several_axes():
         texts = [chip.trace(20_000)]
         nova.load(chip, 3, **{names[1]: values[1] * 6 // 10})
         texts.append(chip.trace(30_000))
-        yield b"".join(map(fields, texts)) + bytes(chip.read(k) & 0xFF for k in range(8)) + chip.snapshot().record
+        yield b"".join(map(pack_fields, texts)) + bytes(chip.read(k) & 0xFF for k in range(8)) + chip.snapshot().record
         nova.command(chip, "DRVSBRK" if of_514 else "STOP_DEC", 1)
         texts = [chip.trace(60_000)]
         nova.command(chip, "DRVVP" if of_514 else "C_DRV_P", 1)
@@ -194,7 +194,7 @@ def moves_of_several_axes():
         assert not chip.axes[0].pins.drive
         assert not chip.axes[1].pins.drive
         journal.close()
-        yield b"".join(map(fields, texts)) + chip.snapshot().record
+        yield b"".join(map(pack_fields, texts)) + chip.snapshot().record
         for every_pulse in (of_514,) if FIXED else (False, True):
             yield np.concatenate(list(journal.pieces(every_pulse, size=100))).tobytes()
     stage = Stage("xyz", chips={"x": MCX514, "y": MCX514, "z": PCL240K}, visuals=False)
@@ -316,8 +316,8 @@ def a_line_by_two_chips():
 
 SCENES = (
     on_a_board,
-    whole_moves,
-    a_course,
+    run_preset_moves,
+    replay_journal,
     runs_with_switches,
     over_a_switch,
     over_an_index_mark,
@@ -330,8 +330,8 @@ SCENES = (
 )
 
 
-def bits():
-    """What every scene leaves behind, as a hash of it."""
+def hash_scenes():
+    """Run every scene and return the hash of its result by name."""
     text = {}
     for scene in SCENES:
         parts = (part if isinstance(part, bytes) else part.encode() for part in scene())
@@ -352,11 +352,11 @@ def test_one_switch_says_whether_hot_functions_are_compiled():
 
 def test_compiled_and_uncompiled_make_the_same_bits():
     other = subprocess.run(
-        [sys.executable, "-c", "import json, test_uncompiled as t; print(json.dumps([t.COMPILED, t.bits()]))"],
+        [sys.executable, "-c", "import json, test_uncompiled as t; print(json.dumps([t.COMPILED, t.hash_scenes()]))"],
         env={**os.environ, "NUMBA_DISABLE_JIT": "1" if COMPILED else "0"},
         cwd=Path(__file__).parent, capture_output=True, text=True, check=True,
     ).stdout  # fmt: skip
-    assert json.loads(other) == [not COMPILED, bits()]
+    assert json.loads(other) == [not COMPILED, hash_scenes()]
 
 
 def test_a_program_of_a_driver_in_python_makes_the_same_bits():

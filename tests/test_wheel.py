@@ -24,7 +24,7 @@ firmware.preset_move(stage.axes["x"], 8000).plot("move.png")
 
 
 @pytest.mark.parametrize("library", ["mujoco", "rerun-sdk"])
-def test_where_we_use_a_library_s_inner_parts_the_next_version_is_not_taken_untried(library):
+def test_libraries_with_private_parts_in_use_have_an_upper_version_bound(library):
     # pip install pulsestage, the day after rerun-sdk 0.42 comes out
     every = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["rerun"]]
     (needed,) = (need for need in every if re.match(rf"{library}\b", need))
@@ -53,17 +53,22 @@ def test_the_libraries_for_reinforcement_learning_are_installed_every_night_and_
     assert f"| CleanRL | {cleanrl[:7]} |" in (ROOT / "docs" / "rl_libraries.md").read_text()
 
 
-def test_every_file_of_the_packages_goes_into_the_wheel():
+def test_the_wheel_contains_every_file_of_the_packages():
     # pip install pulsestage; stage run sketch.ino: Arduino.h was not there
     assert PACKAGES["packages"]["find"]["include"] == ["stage", "stage.*"]
-    found = {file.parent.relative_to(ROOT) for file in (ROOT / "stage").rglob("__init__.py")}
-    folders = {".".join(folder.parts): ROOT / folder for folder in found}
+    package_folders = {file.parent.relative_to(ROOT) for file in (ROOT / "stage").rglob("__init__.py")}
+    folders = {".".join(folder.parts): ROOT / folder for folder in package_folders}
     folders |= {name: ROOT / folder for name, folder in PACKAGES["package-dir"].items()}
-    taken = {file for folder in folders.values() for file in folder.glob("*.py")}
-    taken |= {f for name, ways in PACKAGES["package-data"].items() for way in ways for f in folders[name].glob(way)}
-    there = {f for top in ("stage", "envs", "models") for f in (ROOT / top).rglob("*") if f.is_file()}
-    made = {f for f in there if "__pycache__" in f.parts or f.name.startswith("_native.so")}
-    assert {str(f.relative_to(ROOT)) for f in there - taken - made} == set()
+    packaged = {file for folder in folders.values() for file in folder.glob("*.py")}
+    packaged |= {
+        f
+        for name, patterns in PACKAGES["package-data"].items()
+        for pattern in patterns
+        for f in folders[name].glob(pattern)
+    }
+    source_files = {f for top in ("stage", "envs", "models") for f in (ROOT / top).rglob("*") if f.is_file()}
+    built = {f for f in source_files if "__pycache__" in f.parts or f.name.startswith("_native.so")}
+    assert {str(f.relative_to(ROOT)) for f in source_files - packaged - built} == set()
 
 
 @pytest.mark.slow

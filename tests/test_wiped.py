@@ -32,7 +32,7 @@ def recorded(stage):
     return recording.columns["x/pulses"].tolist()
 
 
-WAYS = {
+OPERATIONS = {
     "step": lambda s: s.step(3),
     "run": lambda s: s.run(0.0123),
     "run_until": lambda s: s.run_until(lambda: s.time > 0.01, timeout=1),
@@ -67,16 +67,16 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize("direction", WAYS)
+@pytest.mark.parametrize("direction", OPERATIONS)
 def test_after_mj_reset_data_it_is_as_after_a_reset(xy, direction):
     """mujoco.mj_resetData(stage.model, stage.data); firmware.preset_move: "pulses 0 of 1000, stopped by R0 = 0\""""
     start_preset(xy.axes["x"].chip, 1000)
     xy.run(0.02)
     xy.reset()
-    expected = WAYS[direction](xy), bits(xy)
+    expected = OPERATIONS[direction](xy), bits(xy)
     xy.reset()
     wipe(xy)
-    assert (WAYS[direction](xy), bits(xy)) == expected
+    assert (OPERATIONS[direction](xy), bits(xy)) == expected
 
 
 def test_without_bus_time_as_well():

@@ -74,8 +74,8 @@ def test_the_sensors_of_an_hctl1100_can_be_of_positive_logic_all_the_same():
 
 
 @pytest.mark.parametrize("sensors", [{"org": "positive"}, LIMITS], ids=["org", "limits"])
-def test_an_hctl1100_is_not_driven_with_such_a_sensor(sensors):
-    """It took EL- for ORG, and a lost LIMIT for a drive that may go on: 5 mm ended behind EL+, and it said that all was well."""
+def test_an_hctl1100_refuses_sensors_of_positive_logic(sensors):
+    """Refuse sensors that the chip cannot read: it took EL- for ORG, and a move of 5 mm ended behind EL+ without an error."""
     _, x = make_wired_stage(HCTL1100, sensors)
     for drive in (firmware.home, lambda axis: firmware.move(axis, 5e-3)):
         with pytest.raises(ArgumentError, match="is of positive logic, and an HCTL1100 cannot read it so"):
@@ -184,8 +184,8 @@ def started(stage):
         axis.chip.write(0, 0x10)
 
 
-def test_a_follower_on_a_stage_counts_its_leaders_clock_live():
-    """Its own R7 is 0, and does nothing: it makes the leader's pulses, and twice as many when the leader's R7 is halved."""
+def test_a_follower_chip_counts_the_clock_of_its_leader():
+    """Set R7 of the follower to 0, without effect: it makes the leader's pulses, and twice as many at half the leader's R7."""
     stage = Stage("xy", chips=PCL240K, syni={"y": "x"}, visuals=False)
     x, y = (stage.axes[name].chip for name in "xy")
     assert y.syni is x

@@ -24,7 +24,7 @@ def rows(page):
 
 
 def test_every_number_of_the_sheets_is_what_the_chips_do(rows):
-    differ = {f"{e.sheet}, {e.place}: {e.says}": (e.number, found) for e, found in rows if not e.agrees(found)}
+    differ = {f"{e.sheet}, {e.place}: {e.says}": (e.number, result) for e, result in rows if not e.agrees(result)}
     assert not differ
     assert len(rows) >= 55
 
@@ -36,6 +36,6 @@ def test_the_page_is_that_of_today(page, rows):
     )
 
 
-def test_a_number_that_differs_is_told(page, rows):
-    example, found = rows[0]
-    assert "**differs** by more than 0" in page.table([(example, found + 1)])
+def test_a_number_that_differs_from_the_data_sheet_is_marked(page, rows):
+    example, result = rows[0]
+    assert "**differs** by more than 0" in page.table([(example, result + 1)])
