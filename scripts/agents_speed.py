@@ -31,10 +31,10 @@ def measure_calls(times: int = 300) -> dict[str, float]:
     microseconds = {}
     for name, arguments in CALLS.items():
         box.call(name, arguments)
-        begun = perf_counter()
+        start = perf_counter()
         for _ in range(times):
             box.call(name, arguments)
-        microseconds[name] = (perf_counter() - begun) / times * 1e6
+        microseconds[name] = (perf_counter() - start) / times * 1e6
     return microseconds
 
 
@@ -65,9 +65,9 @@ def at_once(sessions: int, calls: int) -> float:
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     command: list[Any] = [sys.executable, __file__, "--as-clients", server.address, sessions, calls]
-    begun = perf_counter()
+    start = perf_counter()
     subprocess.run([str(word) for word in command], check=True, env={**os.environ, "PULSESTAGE_TOKEN": server.token})
-    took = perf_counter() - begun
+    took = perf_counter() - start
     left = len(open_sessions)
     server.stop()
     thread.join()

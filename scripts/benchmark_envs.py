@@ -146,9 +146,9 @@ def markdown(rows, first, n):
     return f"| {first} | {n} | {' | '.join(cells)} |"
 
 
-def print_row(rows, id_, n, settings, most_sync):
+def print_row(rows, id_, n, settings, max_sync):
     """Print a line; returns KiB a stage."""
-    kinds = [k for k in ("ours", "sync", "bare") if n >= ENOUGH and (k != "sync" or n <= most_sync)]
+    kinds = [k for k in ("ours", "sync", "bare") if n >= ENOUGH and (k != "sync" or n <= max_sync)]
     kib = {kind: memory(kind, id_, n, settings) for kind in kinds}
     cells = {name: " ".join(format_spread(values)) for name, values in rows.items()}
     print(

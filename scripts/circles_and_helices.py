@@ -24,7 +24,7 @@ STARTS = {"x": -0.101, "y": -0.0709, "z": 0.004}  # m: before ORG; on it; before
 CORNER = (-35 * MM, -17 * MM)  # where the contour begins, from the middle of the work
 MIDDLE = (118 * MM, 68 * MM, 1 * MM)  # of the work, from home
 CIRCLE, TURN = 12.5, 6.0  # mm, radii
-PITCH, TURNS = 4, 4  # mm, rotations
+PITCH, REVOLUTIONS = 4, 4  # mm, rotations
 FAST = Speed(24_000, acceleration=120_000)
 FINE = Speed(12_000, jerk=1_000_000)  # 37.5 mm/s on the path
 COLOURS = {"circle": "#17508f", "uneven": "#8fb3d9", "helix": "#d1571f", "contour": "#2a8c55"}
@@ -35,7 +35,7 @@ BINS = 120  # of the angle about the circle
 
 
 class Run(NamedTuple):
-    """What happened. parts: begin and end of each in s, by name; columns: of the recording; edges: where ORG trips, m."""
+    """Results of a run. parts: begin and end of each in s, by name; columns: of the recording; edges: where ORG trips, m."""
 
     stage: Stage
     homes: dict[str, HomeReport]
@@ -75,8 +75,8 @@ def run() -> Run:
         part("circle", Arc((0, r)))
         part("uneven", Arc((0, r)), speed=Speed(FINE.drive, jerk=FINE.jerk, even=False))
         part("to the helix", Line(36 * MM, r - round(TURN * MM)), speed=FAST)
-        part("helix", Helix((0, round(TURN * MM)), (PITCH * MM,), TURNS), axes=(x, y, z))
-        away = CORNER[0] + 6 * MM - 18 * MM, CORNER[1] + round(TURN * MM), -PITCH * TURNS * MM
+        part("helix", Helix((0, round(TURN * MM)), (PITCH * MM,), REVOLUTIONS), axes=(x, y, z))
+        away = CORNER[0] + 6 * MM - 18 * MM, CORNER[1] + round(TURN * MM), -PITCH * REVOLUTIONS * MM
         part("to the contour", Line(*away), axes=(x, y, z), speed=FAST)
         part("contour", *rounded(70 * MM, 34 * MM, 6 * MM))
     edges = {n: next(s.touch for s in a.plant.switches if s.pin == "org") for n, a in stage.axes.items()}

@@ -43,8 +43,8 @@ def covered(folder: Path) -> Tests:
     return matches
 
 
-def implemented(map_: RegisterMap, command: Command) -> str:
-    """What the table says of a command on one chip."""
+def describe_support(map_: RegisterMap, command: Command) -> str:
+    """Describe for the table whether a chip supports a command."""
     if map_.chip not in CHIPS:
         return "no chip yet"
     return command.lacking.partition(":")[0] or "yes"
@@ -59,7 +59,7 @@ def table(maps: list[RegisterMap], tests: Tests) -> str:
     for c in commands:
         on = [m for m in maps if c in m.commands]
         chips = "all" if len(on) == len(maps) else ", ".join(m.chip for m in on)
-        meaning = " / ".join(dict.fromkeys(implemented(m, c) for m in on))
+        meaning = " / ".join(dict.fromkeys(describe_support(m, c) for m in on))
         counts = sum((tests.get((m.chip, c.symbol), Counter()) for m in on), Counter())
         by = ", ".join(f"{name} ({n})" if n > 1 else name for name, n in sorted(counts.items())) or "-"
         cells = [

@@ -34,11 +34,11 @@ BUDGET = 3000  # events of one guided input: a long ramp is nothing new after th
 
 @dataclass(frozen=True)
 class Target:
-    """What takes the inputs, a class `name` of `module`, and how atheris is to look at it."""
+    """Class `name` of `module` that takes the inputs, with the way in which atheris measures its coverage."""
 
     module: str
     name: str
-    most_bytes: int
+    max_bytes: int
     instrumented: str  # the package whose branches count
     before: tuple[str, ...] = ()  # compiled functions cannot be instrumented: these modules are loaded before
     uncompiled: bool = False  # guided as plain Python, and then compiled with mutations
@@ -78,7 +78,7 @@ def _inside(target: str, run: str, chip: str | None) -> list[str]:
 
 def guided(target: str, seconds: int, chip: str | None) -> int:
     options = [
-        *(f"-max_total_time={seconds}", "-timeout=60", f"-max_len={TARGETS[target].most_bytes}", "-len_control=0"),
+        *(f"-max_total_time={seconds}", "-timeout=60", f"-max_len={TARGETS[target].max_bytes}", "-len_control=0"),
         *(
             "-print_final_stats=1",
             f"-artifact_prefix={FINDINGS / target}/",
@@ -106,7 +106,7 @@ def inside(target: str, run: str, options: list[str], chip: str | None) -> int:
         seconds, seed = map(int, options)
         pool = [f.read_bytes() for f in inputs_of(target)]
         try:
-            return mutate_for(source.load()(counts, **only), pool, seconds, seed, FINDINGS / target, source.most_bytes)
+            return mutate_for(source.load()(counts, **only), pool, seconds, seed, FINDINGS / target, source.max_bytes)
         finally:
             counts.save()
     import atheris

@@ -24,7 +24,7 @@ HELP = "G0 and G1 (X Y Z in mm, F in mm/min), G4 (P ms, S s), G28, G90, G91, G92
 
 
 class Refused(Exception):
-    """What the sender reads behind `error:`."""
+    """Error whose text the sender reads after `error:`."""
 
 
 class Controller:
@@ -135,14 +135,14 @@ class Controller:
 
 
 def parse(text: str) -> tuple[str, dict[str, float | None]]:
-    """The command of a line, and its other words."""
-    found, left = WORD.findall(text), WORD.sub("", text).strip()
-    if left or not found or found[0][0] not in "GM" or not found[0][1]:
+    """Parse a line into its command and a mapping of its other words."""
+    tokens, left = WORD.findall(text), WORD.sub("", text).strip()
+    if left or not tokens or tokens[0][0] not in "GM" or not tokens[0][1]:
         raise Refused(f"{text!r} is no command")
-    words = {letter: float(value) if value else None for letter, value in found[1:]}
-    if len(words) < len(found) - 1:
+    words = {letter: float(value) if value else None for letter, value in tokens[1:]}
+    if len(words) < len(tokens) - 1:
         raise Refused(f"{text!r}: a letter comes twice")
-    return f"{found[0][0]}{float(found[0][1]):g}", words
+    return f"{tokens[0][0]}{float(tokens[0][1]):g}", words
 
 
 def number(words: dict[str, float | None], letter: str, usual: float | None = None) -> float:

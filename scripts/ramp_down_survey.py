@@ -13,7 +13,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests"))
-from support.pcl240ms_bench import excuse, made, random_move, span_of  # noqa: E402
+from support.pcl240ms_bench import excuse, random_move, run_move, span_of  # noqa: E402
 
 SHAPES = "linear", "S, no linear part", "S with linear part", "S, R15 shorter", "S, R15 longer"
 TOPS = "trapezoid", "FH corrected", "triangle"
@@ -60,7 +60,7 @@ def quantiles(values, percents, digits=0):
 def survey(count, seed):
     rng = np.random.default_rng(seed)
     moves = [random_move(rng)._replace(offset=0) for _ in range(count)]
-    endings = [made(move) for move in moves]
+    endings = [run_move(move) for move in moves]
     exact = sum(e.r0 == 0 and e.pulses == m.r0 for m, e in zip(moves, endings, strict=True))
     runs = [(m, e) for m, e in zip(moves, endings, strict=True) if e.peak > m.registers.R1]
     print(
@@ -86,7 +86,7 @@ def print_group(name, group):
     if not group:
         return
     above = f"{np.mean([ends_above(m, e) for m, e in group]):.0%}"
-    delays = quantiles([e.late for _, e in group], (10, 50, 90), 1)
+    delays = quantiles([e.delay for _, e in group], (10, 50, 90), 1)
     row(name, f"{len(group):,}", quantiles([e.at_fl for _, e in group], (50, 90, 100)), delays, above)
 
 
@@ -95,7 +95,7 @@ def reasons(runs):
     row("ends above FL", "R6 = 0", "R6 = 2", "pulses of the ramp left: median / 90 % / maximum")
     row("---", *["--:"] * 3)
     above = [(m, e, excuse(m, e) or ROUNDING) for m, e in runs if ends_above(m, e)]
-    two = [(m, made(m._replace(offset=2))) for m, _ in runs]
+    two = [(m, run_move(m._replace(offset=2))) for m, _ in runs]
     still = Counter(excuse(m, e) or ROUNDING for m, e in two if ends_above(m, e))
     for why, moves in Counter(why for *_, why in above).most_common():
         lefts = quantiles([e.left for _, e, reason in above if reason == why], (50, 90, 100), 2)
@@ -129,7 +129,7 @@ def draw(runs, path):
     left.set_ylabel("% of the moves", color=TEXT_COLOR)
     left.legend(frameon=False, fontsize=8, labelcolor=TEXT_COLOR, loc="lower right")
     alike = SHAPES[:3]
-    delays = [[e.late for m, e in runs if shape(m) == k and not excuse(m, e)] for k in alike]
+    delays = [[e.delay for m, e in runs if shape(m) == k and not excuse(m, e)] for k in alike]
     right.hist(delays, np.linspace(-2, 4, 61), stacked=True, color=[colors[k] for k in alike], label=alike)
     right.axvline(0, color=TEXT_COLOR, linewidth=0.8, linestyle=(0, (4, 4)))
     right.set_xlabel("pulses from the end of the ramp-down to the last pulse", color=TEXT_COLOR)

@@ -140,9 +140,9 @@ def run_circle(sync: bool, leader_only: bool, tuning: Tuning = TUNING) -> tuple[
     c = recording.columns
     radius = RADIUS * stage.axes["x"].meters_per_pulse
     places = np.stack([c[f"{name}/position"] - s for name, s in zip("xyz", start, strict=True)], axis=1)
-    turns = np.unwrap(np.arctan2(places[:, 0], radius - places[:, 1:].sum(axis=1) * np.sqrt(0.5))) / (2 * np.pi)
+    revolutions = np.unwrap(np.arctan2(places[:, 0], radius - places[:, 1:].sum(axis=1) * np.sqrt(0.5))) / (2 * np.pi)
     torn = sum("while the sample is computed" in d.message for port in ports for d in port.chip.diagnostics)
-    return turns, off_circle(places, radius) * 1e6, torn
+    return revolutions, off_circle(places, radius) * 1e6, torn
 
 
 CIRCLES = {
@@ -193,8 +193,8 @@ def draw_the_error(ax: Any, t: Trapezoid) -> None:
     ax.plot(t.time, t.predicted, color=RED, lw=3, alpha=0.6, label="linear model")
     ax.plot(t.time, t.error, color=TEXT_COLOR, lw=0.9, label="simulated")
     ax.set(xlabel="time (s)", ylabel="following error (counts)", xlim=(t.time[0], t.report.settled + 0.08))
-    said = f"apart by {100 * t.deviation:.1f} % at most"
-    ax.text(0.98, 0.95, said, transform=ax.transAxes, ha="right", va="top", color=MUTED_COLOR)
+    caption = f"apart by {100 * t.deviation:.1f} % at most"
+    ax.text(0.98, 0.95, caption, transform=ax.transAxes, ha="right", va="top", color=MUTED_COLOR)
     ax.legend(frameon=False, loc="lower left")
 
 
@@ -206,8 +206,8 @@ def draw_the_lines(ax: Any, lines: dict[str, tuple[np.ndarray, np.ndarray]]) -> 
 
 
 def draw_the_circles(ax: Any, circles: dict[str, tuple[np.ndarray, np.ndarray, int]]) -> None:
-    for name, (turns, off, _) in reversed(circles.items()):
-        ax.plot(turns * 360, off, color=CIRCLES[name][2], lw=0.9, label=f"{name}: {off.max():.0f} µm at most")
+    for name, (revolutions, off, _) in reversed(circles.items()):
+        ax.plot(revolutions * 360, off, color=CIRCLES[name][2], lw=0.9, label=f"{name}: {off.max():.0f} µm at most")
     ax.set(xlabel="angle (degrees)", ylabel="distance from the circle (µm)", xlim=(0, 360), xticks=range(0, 361, 90))
     ax.set(yscale="log", ylim=(1, 2e4))
     ax.legend(frameon=False, loc="upper right")

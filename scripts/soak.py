@@ -71,18 +71,18 @@ class Move:
         free = room[1] - place if plus else place - room[0]
         self.count = int(max(2, min(free, max_pulses) * rng.uniform(0.001, 1)))
         self.direction = 1 if plus else -1
-        self.way = str(rng.choice(["preset", "preset", "constant", "dual", "stop", "go on", "continuous"]))
+        self.kind = str(rng.choice(["preset", "preset", "constant", "dual", "stop", "go on", "continuous"]))
         self.pause = rng.uniform(0.02, 0.4)
-        self.highest = max(self.profile.fh1, self.profile.fh2) if self.way == "dual" else top
+        self.highest = max(self.profile.fh1, self.profile.fh2) if self.kind == "dual" else top
         min_seconds = self.count / self.highest
         self.when = rng.uniform(0.05, 0.9) * min_seconds
-        if self.way == "constant" and top > SLOW:
-            self.way = "preset"
-        if self.way == "continuous":
+        if self.kind == "constant" and top > SLOW:
+            self.kind = "preset"
+        if self.kind == "continuous":
             self.when = (self.count - 5) / top - 1.2 * self.profile.decel(self.fh2)
             if self.when < 0.02:
-                self.way = "preset"
-        if self.way == "dual":  # without a curve: the ramp-down begins early enough for either rate
+                self.kind = "preset"
+        if self.kind == "dual":  # without a curve: the ramp-down begins early enough for either rate
             self.profile = self.profile.shaped(False) if kind.S_CURVES else self.profile
 
     def load(self, program):
@@ -90,15 +90,17 @@ class Move:
         chip, k, kind = self.chip, self.k, type(self.chip)
         profile, fh2 = self.profile, self.fh2
         control = bus.CONTROL | (0 if self.direction > 0 else bus.MINUS) | (bus.POSITION if kind.EXTENDED else 0)
-        self.start = bus.START["FH2" if fh2 else "FH1"] if self.way == "constant" else bus.RAMP["FH2" if fh2 else "FH1"]
-        if self.way == "dual":
+        self.start = (
+            bus.START["FH2" if fh2 else "FH1"] if self.kind == "constant" else bus.RAMP["FH2" if fh2 else "FH1"]
+        )
+        if self.kind == "dual":
             point = max(profile.down_point(self.count, False), profile.down_point(self.count, True))
-        elif kind.EXTENDED and self.same_ramps and self.way != "continuous":
+        elif kind.EXTENDED and self.same_ramps and self.kind != "continuous":
             control, point = control | bus.AUTOMATIC, 2
         else:
             profile = profile.within(self.count, fh2)
             point = profile.down_point(self.count, fh2)
-        if self.way != "continuous":
+        if self.kind != "continuous":
             control |= bus.PRESET
         self.point = point
         program.command(k, bus.RESET)
@@ -109,15 +111,15 @@ class Move:
     def events(self):
         """(seconds after the start, commands) of what happens in motion."""
         slow = bus.SLOW_DOWN["FH2" if self.fh2 else "FH1"]
-        if self.way == "dual":
+        if self.kind == "dual":
             return [(self.when, bus.RAMP["FH1" if self.fh2 else "FH2"])]
-        if self.way in ("stop", "go on", "continuous"):
+        if self.kind in ("stop", "go on", "continuous"):
             return [(self.when, slow)]
         return []
 
     def __str__(self):
         return (
-            f"{self.axis.name} {type(self.chip).__name__} {self.way} {self.direction * self.count:+d} pulses, "
+            f"{self.axis.name} {type(self.chip).__name__} {self.kind} {self.direction * self.count:+d} pulses, "
             f"{'FH2' if self.fh2 else 'FH1'}, at {self.when:.4f} s; {self.profile}"
         )
 
@@ -145,7 +147,7 @@ class Soak:
         self.stage = Stage("xyz", chips=dict(zip("xyz", chips, strict=True)), visuals=False)
         self.fleet = Fleet([self.stage], threads=1)
         self.axes = list(self.stage.axes.values())
-        self.rounds = self.moves = self.stops = self.list_homing_methods = 0
+        self.rounds = self.moves = self.stops = self.homings = 0
         self.pulses = self.redrawn = 0
         self.worst = self.worst_home = 0.0
         self.expected = [0] * len(self.axes)  # net pulses since power-up
@@ -188,7 +190,7 @@ class Soak:
         stopped = [len(program)]
         program.until_stopped(mask, 8 * MAX_SECONDS, poll=2e-3)
         for m in moves:
-            if m.way == "go on":
+            if m.kind == "go on":
                 program.wait(m.pause).command(m.k, bus.RESET)
                 program.register(m.k, m.chip, "R6", m.point)  # on MK and MS the reset command clears it
                 program.command(m.k, m.start)
@@ -203,28 +205,30 @@ class Soak:
         def value(at):
             return int(results[at[0]] << 16 | results[at[1]] << 8 | results[at[2]])
 
-        said = "; ".join(map(str, moves))
+        description = "; ".join(map(str, moves))
         if played.diverged[0]:
-            raise Fault(f"the simulation diverged: {said}")
+            raise Fault(f"the simulation diverged: {description}")
         if any(results[at] < 0 for at in stopped):
-            raise Fault(f"an axis still runs: {said}")
+            raise Fault(f"an axis still runs: {description}")
         truth = self.fleet.truth()[0]
         for m in moves:
             left = value(places[m.k])
-            pulses_made = (m.count - left) & MASK
-            if m.way in ("preset", "constant", "dual", "go on") and left:
+            pulses = (m.count - left) & MASK
+            if m.kind in ("preset", "constant", "dual", "go on") and left:
                 raise Fault(f"R0 = {left} at the end of {m}")
-            if pulses_made > m.count:
+            if pulses > m.count:
                 raise Fault(f"R0 = {left}: more pulses than asked for: {m}")
-            self.expected[m.k] += m.direction * pulses_made
-            self.position[m.k] += m.direction * pulses_made
-            self.pulses += pulses_made
-            self.stops += m.way in ("stop", "go on", "continuous")
+            self.expected[m.k] += m.direction * pulses
+            self.position[m.k] += m.direction * pulses
+            self.pulses += pulses
+            self.stops += m.kind in ("stop", "go on", "continuous")
         self.moves += len(moves)
         for k, at in more.items():
             if value(at) != self.position[k] & MASK:
-                raise Fault(f"axis {self.axes[k].name}: R10 = {value(at)}, expected {self.position[k] & MASK}: {said}")
-        self.check(truth, said)
+                raise Fault(
+                    f"axis {self.axes[k].name}: R10 = {value(at)}, expected {self.position[k] & MASK}: {description}"
+                )
+        self.check(truth, description)
 
     def draw(self, k):
         """A move of axis k at random; again where the registers cannot hold it."""
@@ -242,35 +246,37 @@ class Soak:
             clock_hz=axis.chip.clock_hz, chip=type(axis.chip),
         )  # fmt: skip
         report = firmware.origin_return(axis, profile=fast)
-        said = f"origin return of {axis.name} with {fast}"
+        description = f"origin return of {axis.name} with {fast}"
         if not report.ok or report.stopped_by != "ORG":
-            raise Fault(f"{said}: {report}")
+            raise Fault(f"{description}: {report}")
         if axis.chip.diagnostics:
-            raise Fault(f"{said}: {axis.chip.diagnostics}")
+            raise Fault(f"{description}: {axis.chip.diagnostics}")
         self.stage.run(0.25)
-        self.list_homing_methods += 1
+        self.homings += 1
         k = axis.index
         self.expected[k] += report.pulses
         self.position[k] = 0
-        self.check(self.fleet.truth()[0], said)
+        self.check(self.fleet.truth()[0], description)
         place = axis.position / axis.meters_per_pulse
         off = abs(place - self.homes.setdefault(axis.name, place))
         self.worst_home = max(self.worst_home, off)
         if off > HOME_SPREAD:
-            raise Fault(f"{said}: {off:.2f} pulses from the first, allowed are {HOME_SPREAD}")
+            raise Fault(f"{description}: {off:.2f} pulses from the first, allowed are {HOME_SPREAD}")
 
-    def check(self, truth, said):
-        """Every axis is where its pulses, counted here, say that it is."""
+    def check(self, truth, description):
+        """Check that pulses, steps and position of every axis agree with the pulses counted so far."""
         for axis, t, expected in zip(self.axes, truth, self.expected, strict=True):
             if t["lost_steps"]:
-                raise Fault(f"axis {axis.name} lost {t['lost_steps']} steps: {said}")
+                raise Fault(f"axis {axis.name} lost {t['lost_steps']} steps: {description}")
             if t["pulses"] != expected:
-                raise Fault(f"axis {axis.name}: {t['pulses']} pulses since power-up, expected {expected}: {said}")
+                raise Fault(
+                    f"axis {axis.name}: {t['pulses']} pulses since power-up, expected {expected}: {description}"
+                )
             off = abs(t["position"] / axis.meters_per_pulse - expected)
             self.worst = max(self.worst, off)
             if off > AT_REST:
                 raise Fault(
-                    f"axis {axis.name}: {off:.2f} pulses from where it should be, allowed are {AT_REST}: {said}"
+                    f"axis {axis.name}: {off:.2f} pulses from where it should be, allowed are {AT_REST}: {description}"
                 )
 
     def growth(self):
@@ -284,7 +290,7 @@ class Soak:
     def line(self):
         wall = time.perf_counter() - self.began
         return (
-            f"{self.hours:8.3f} h simulated  {wall:7.1f} s  {self.moves:6d} moves  {self.list_homing_methods:4d} homings  "
+            f"{self.hours:8.3f} h simulated  {wall:7.1f} s  {self.moves:6d} moves  {self.homings:4d} homings  "
             f"worst {self.worst:.2f}, home {self.worst_home:.2f} pulses  {resident():.1f} MiB"
         )
 
@@ -297,7 +303,7 @@ class Soak:
             "chips": {a.name: type(a.chip).__name__ for a in self.axes},
             "rounds": self.rounds, "moves": self.moves, "stops_in_motion": self.stops,
             "redrawn": self.redrawn, "pulses": self.pulses,
-            "homings": self.list_homing_methods, "worst_at_rest_pulses": self.worst, "worst_home_pulses": self.worst_home,
+            "homings": self.homings, "worst_at_rest_pulses": self.worst, "worst_home_pulses": self.worst_home,
             "allowed_pulses": [AT_REST, HOME_SPREAD],
             "memory_mib": resident(), "memory_growth_mib": grown, "memory_growth_allowed_mib": allowed,
         }  # fmt: skip
@@ -313,14 +319,14 @@ def resident():
 
 
 def soak(hours, seed, say=print):
-    """Run; returns the summary, whose "ended" is "done", "interrupted", or what failed."""
+    """Run for simulated hours and return the summary, whose "ended" is "done", "interrupted" or the failure."""
     run = Soak(seed)
-    said, outcome = time.perf_counter(), "done"
+    last_report, outcome = time.perf_counter(), "done"
     try:
         while run.hours < hours:
             run.round()
-            if time.perf_counter() - said >= REPORT_EVERY:
-                said = time.perf_counter()
+            if time.perf_counter() - last_report >= REPORT_EVERY:
+                last_report = time.perf_counter()
                 say(run.line())
         grown, allowed = run.growth()
         if grown > allowed:

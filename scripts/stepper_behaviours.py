@@ -57,8 +57,11 @@ def pull_out_follows_the_closed_form(ax):
         f"chopper / that bound: {min(chopper / both):.3f}, the least; chopper / 4/pi V: {max(chopper / saturated):.3f}"
     )
     fine = np.linspace(1, 2400, 400)
-    at_v, at_most = compute_closed_form(MOTOR, 24, 1.7, fine), compute_closed_form(MOTOR, 4 / np.pi * 24, 1.7, fine)
-    ax.fill_between(fine, at_v, at_most, color="#cfe0f2", lw=0)
+    at_v, at_fundamental = (
+        compute_closed_form(MOTOR, 24, 1.7, fine),
+        compute_closed_form(MOTOR, 4 / np.pi * 24, 1.7, fine),
+    )
+    ax.fill_between(fine, at_v, at_fundamental, color="#cfe0f2", lw=0)
     ax.plot(fine, compute_joint_bound(MOTOR, 24, 1.7, fine), color=MUTED_COLOR, lw=1, ls=":")
     ax.plot(rpm, chopper, color=BLUE, lw=2)
     ax.plot(spec, columns[1], "o", color=TEXT_COLOR, ms=4)

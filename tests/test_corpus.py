@@ -49,7 +49,7 @@ def test_a_corpus_is_small_and_of_inputs_that_the_fuzzer_can_reach(target):
     sizes = [path.stat().st_size for path in inputs(target)]
     assert 10 <= len(sizes) <= 64
     assert sum(sizes) <= 60_000
-    assert max(sizes) <= fuzz.TARGETS[target].most_bytes
+    assert max(sizes) <= fuzz.TARGETS[target].max_bytes
 
 
 def test_a_corpus_has_inputs_for_every_chip_of_a_known_family():
@@ -226,5 +226,5 @@ def test_mutations_of_the_corpus_keep_the_promises(tmp_path):
     seed = random.randrange(1 << 32)  # mutate_for prints it
     pool = [path.read_bytes() for path in inputs("bus")]
     check = Bus()
-    assert mutate_for(check, pool, 0.5, seed, tmp_path, fuzz.TARGETS["bus"].most_bytes) == 0, list(tmp_path.iterdir())
+    assert mutate_for(check, pool, 0.5, seed, tmp_path, fuzz.TARGETS["bus"].max_bytes) == 0, list(tmp_path.iterdir())
     assert check.counts["inputs"] > len(pool)

@@ -31,11 +31,11 @@ def test_every_number_of_the_sheets_is_what_the_chips_do(rows):
 
 def test_the_page_is_that_of_today(page, rows):
     text = (ROOT / "docs" / "worked_examples.md").read_text()
-    assert page.between(text, page.table(rows)) == text, (
+    assert page.between(text, page.format_tables(rows)) == text, (
         "python scripts/worked_examples --markdown docs/worked_examples.md"
     )
 
 
 def test_a_number_that_differs_from_the_data_sheet_is_marked(page, rows):
     example, result = rows[0]
-    assert "**differs** by more than 0" in page.table([(example, result + 1)])
+    assert "**differs** by more than 0" in page.format_tables([(example, result + 1)])

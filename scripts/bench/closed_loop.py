@@ -19,8 +19,8 @@ STEPS = 2000
 
 
 def measure(run: Run) -> Iterator[Figure]:
-    yield from beside_bare(run, moving_stage(), "", "")
-    yield from beside_bare(run, moving_stage(visuals=False), "_fast", "visuals=False: ")
+    yield from compare_with_mj_step(run, moving_stage(), "", "")
+    yield from compare_with_mj_step(run, moving_stage(visuals=False), "_fast", "visuals=False: ")
     curved, linear = _ramps(run)
     yield Figure.of("closed_loop.s_curve", "S-curve move / linear move (PCL240MS), time", "ratio", curved / linear)
     axis = moving_stage().axes["x"]
@@ -29,8 +29,8 @@ def measure(run: Run) -> Iterator[Figure]:
     yield Figure.of("closed_loop.bus", "bus cycles from Python, on a stage", "1/s", cycles / t["read"])
 
 
-def beside_bare(run: Run, stage: Stage, suffix: str, words: str) -> Iterator[Figure]:
-    """A stage, recorded or not, beside mj_step on its own model."""
+def compare_with_mj_step(run: Run, stage: Stage, suffix: str, words: str) -> Iterator[Figure]:
+    """Compare a stage, recorded or not, with mj_step on the same model."""
     bare, start = Bare(stage, STEPS), stage.snapshot()
     recording = None
 

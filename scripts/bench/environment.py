@@ -24,8 +24,8 @@ DT = 2.5e-4  # s, of the shipped models
 WAIT = np.array([2, 0, 0, 0])  # an action
 
 
-class PlainEnv(MujocoEnv):
-    """What anybody would write first: torques, positions and velocities, a reward, an info."""
+class BaselineEnv(MujocoEnv):
+    """Baseline environment of Gymnasium: torques as actions, positions and velocities, a reward, an info."""
 
     def __init__(self, model: str, frame_skip: int):
         super().__init__(model, frame_skip, None)
@@ -54,19 +54,19 @@ def measure(run: Run) -> Iterator[Figure]:
         works = {
             "ours": ours(k, n, start),
             "physics": (lambda: moving.restore(start), lambda n=n, k=k: moving.step(n * k)),
-            "plain": plain(k, n, bare),
+            "plain": make_baseline(k, n, bare),
             "bare": (bare.reset, lambda n=n, k=k: bare.step(n * k)),
         }
         t = {name: seconds / n * 1e6 for name, seconds in race(works, run.rounds, run.pick(25, 7)).items()}
-        over, plain_over = t["ours"] - t["physics"], t["plain"] - t["bare"]
+        over, baseline_overhead = t["ours"] - t["physics"], t["plain"] - t["bare"]
         yield Figure.of(
             f"environment.overhead_{k}",
             f"overhead / MujocoEnv's, {k} step{'s' if k > 1 else ''} an action",
             "ratio",
-            over / plain_over,
+            over / baseline_overhead,
         )
         yield Figure.of(f"environment.ours_{k}", "  ours", "us", over)
-        yield Figure.of(f"environment.plain_{k}", "  MujocoEnv's", "us", plain_over)
+        yield Figure.of(f"environment.plain_{k}", "  MujocoEnv's", "us", baseline_overhead)
         yield Figure.of(f"environment.time_{k}", "  whole step / MujocoEnv's", "ratio", t["ours"] / t["plain"])
 
 
@@ -87,9 +87,9 @@ def ours(k: int, n: int, start: Any) -> tuple[Callable[[], None], Callable[[], N
     return prepare, work
 
 
-def plain(k: int, n: int, bare: Bare) -> tuple[Callable[[], None], Callable[[], None]]:
+def make_baseline(k: int, n: int, bare: Bare) -> tuple[Callable[[], None], Callable[[], None]]:
     """The same for the plain environment, under the mean torques of that move."""
-    env = PlainEnv(model_path(), k)
+    env = BaselineEnv(model_path(), k)
     torque = bare.torque.astype(np.float32)
 
     def work() -> None:

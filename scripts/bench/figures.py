@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Run:
-    """How a benchmark runs: rounds of each comparison; `quick` leaves long ones short."""
+    """Settings of a benchmark: rounds of each comparison; `quick` shortens long ones."""
 
     rounds: int = 7
     quick: bool = False
@@ -99,10 +99,10 @@ class Target:
         """Say whether a value meets the target, or by how much it misses it."""
         if self.met(value):
             return "met"
-        apart = abs(value - self.bound)
-        part = f" ({apart / abs(self.bound):.0%})" if self.bound and apart < abs(self.bound) else ""
+        distance = abs(value - self.bound)
+        part = f" ({distance / abs(self.bound):.0%})" if self.bound and distance < abs(self.bound) else ""
         times = f" ({value / self.bound:.1f} times)" if self.bound > 0 and value >= 2 * self.bound else ""
-        return f"missed by {number(apart)}{part}{times}"
+        return f"missed by {number(distance)}{part}{times}"
 
 
 def number(value: float) -> str:

@@ -18,7 +18,7 @@ CRUISE = ((0x26, 0x30), (0x27, 0), (0x00, 0x0D), (0x3C, 1))  # integral velocity
 SECONDS = 20.0
 
 
-def tell(chip: HCTL1100, *writes: tuple[int, int]) -> None:
+def write_all(chip: HCTL1100, *writes: tuple[int, int]) -> None:
     for address, value in writes:
         chip.write(address, value)
 
@@ -28,7 +28,7 @@ def servo_stage() -> Stage:
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     for axis in stage.axes.values():
         stage.place(**{axis.name: 0.8 * axis.travel[0]})
-        tell(axis.chip, (0x13, 0), *LOOP, *CRUISE)
+        write_all(axis.chip, (0x13, 0), *LOOP, *CRUISE)
     stage.run(SETTLED)
     return stage
 
@@ -41,7 +41,7 @@ def measure(run: Run) -> Iterator[Figure]:
     )
     yield Figure.of("hctl1100.rate", "  of HCTL1100, physics steps", "1/s", STEPS / t["servo"])
     chip = HCTL1100()
-    tell(chip, *LOOP)
+    write_all(chip, *LOOP)
     chip.set_shaft(0, 1 / SAMPLE)  # a shaft that runs away: the command changes at each sample
     start, clocks = chip.snapshot(), round(SECONDS * chip.clock_hz)
     t = race({"loop": (lambda: chip.restore(start), lambda: chip.advance(clocks))}, run.rounds, run.pick(15, 5))

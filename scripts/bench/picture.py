@@ -50,9 +50,9 @@ def overhead(ax: Any, results: Results) -> None:
     skips = [k for k in (1, 4, 40) if f"environment.ours_{k}" in results.figures]
     x = np.arange(len(skips))
     for shift, kind, color, name in ((-0.2, "ours", OURS, "RegisterBus"), (0.2, "plain", OTHER, "MujocoEnv")):
-        found = [results.figures[f"environment.{kind}_{k}"] for k in skips]
-        ax.bar(x + shift, [f.median for f in found], 0.36, color=color, label=name)
-        for at, f in zip(x + shift, found, strict=True):
+        figures = [results.figures[f"environment.{kind}_{k}"] for k in skips]
+        ax.bar(x + shift, [f.median for f in figures], 0.36, color=color, label=name)
+        for at, f in zip(x + shift, figures, strict=True):
             ax.plot(
                 [at, at], [max(f.least, 0), f.most], color=TEXT_COLOR, lw=1.4, solid_capstyle="butt"
             )  # a difference; bars begin at 0

@@ -34,8 +34,8 @@ class Results:
             for key in [k for k in table if subject_of(k) == subject]:
                 del table[key]
 
-    def add(self, found: Figure | Curve) -> None:
-        (self.figures if isinstance(found, Figure) else self.curves)[found.key] = found
+    def add(self, figure: Figure | Curve) -> None:
+        (self.figures if isinstance(figure, Figure) else self.curves)[figure.key] = figure
 
     def of(self, subject: str) -> list[Figure]:
         return [f for f in self.figures.values() if subject_of(f.key) == subject]
@@ -55,11 +55,11 @@ class Results:
     @classmethod
     def load(cls, path: Path) -> Results:
         """The results that `save` wrote."""
-        results, found = cls(), json.loads(path.read_text())
-        results.titles, results.machines = found["titles"], found["machines"]
-        for key, f in found["figures"].items():
+        results, content = cls(), json.loads(path.read_text())
+        results.titles, results.machines = content["titles"], content["machines"]
+        for key, f in content["figures"].items():
             results.figures[key] = Figure.of(key, f["name"], f["unit"], f["values"], f["note"])
-        for key, c in found["curves"].items():
+        for key, c in content["curves"].items():
             results.curves[key] = Curve.of(**c)
         return results
 
@@ -96,8 +96,8 @@ def verdicts(results: Results) -> Iterator[str]:
     """Every target, a line each."""
     for target in TARGETS:
         f = results.figures.get(target.figure)
-        said = "not measured" if f is None else f"{number(f.median):>8}  {target.verdict(f.median)}"
-        yield f"  {target.name:34}{target!s:>10}  {said}"
+        verdict = "not measured" if f is None else f"{number(f.median):>8}  {target.verdict(f.median)}"
+        yield f"  {target.name:34}{target!s:>10}  {verdict}"
 
 
 def write_markdown(results: Results, path: Path) -> None:
@@ -114,9 +114,9 @@ def markdown(results: Results) -> str:
     lines = ["| target | bound | measured, median (least .. most) | |", "|---|---|---|---|"]
     for target in TARGETS:
         f = results.figures.get(target.figure)
-        measured, said = ("-", "not measured") if f is None else (spread(f), target.verdict(f.median))
+        measured, verdict = ("-", "not measured") if f is None else (spread(f), target.verdict(f.median))
         lines.append(f"| {target.name} | {target.kind.replace('>=', '≥').replace('<=', '≤')} {number(target.bound)} "
-                     f"| {measured} | {said} |")  # fmt: skip
+                     f"| {measured} | {verdict} |")  # fmt: skip
     for subject, title in results.titles.items():
         lines += ["", f"**{title}**", "", "| | median (least .. most) | |", "|---|---|---|"]
         lines += [f"| {f.name.strip()} | {spread(f)} {f.unit} | {f.note} |" for f in results.of(subject)]

@@ -24,28 +24,28 @@ def timed(work: Work, clock: Callable[[], float] = time.perf_counter) -> float:
     return clock() - begin
 
 
-def race(works: Mapping[str, tuple[Work, Work]], rounds: int, turns: int = 5) -> dict[str, np.ndarray]:
+def race(works: Mapping[str, tuple[Work, Work]], rounds: int, calls: int = 5) -> dict[str, np.ndarray]:
     """Seconds of a turn of each work, a value a round: name -> (rounds,).
 
     works: name -> (prepare, work), prepare is not timed. In a round every work has `turns` turns, interleaved; the round's
     value is their median. Who comes first goes round. A first turn of each, which may have to compile, does not count.
     """
     names = list(works)
-    seconds = {name: np.zeros((rounds, turns)) for name in names}
+    seconds = {name: np.zeros((rounds, calls)) for name in names}
     for prepare, work in works.values():
         prepare()
         work()
-    for turn in range(rounds * turns):
+    for turn in range(rounds * calls):
         first = turn % len(names)
         for name in names[first:] + names[:first]:
             prepare, work = works[name]
             prepare()
-            seconds[name][divmod(turn, turns)] = timed(work)
+            seconds[name][divmod(turn, calls)] = timed(work)
     return {name: np.median(s, axis=1) for name, s in seconds.items()}
 
 
-def nothing() -> None:
-    """To prepare nothing."""
+def do_nothing() -> None:
+    """Do nothing, where a comparison needs no preparation."""
 
 
 def resident() -> int:

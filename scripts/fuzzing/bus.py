@@ -108,7 +108,7 @@ class Run:
                 continue
             self.check()
         if self.journal:
-            self.family.check_course(self.chip, self.journal, self.pulses)
+            self.family.check_waveform(self.chip, self.journal, self.pulses)
 
     def write(self, kind: int, low: int) -> None:
         for address, value in self.family.writes(kind, low, self.take):
@@ -122,7 +122,7 @@ class Run:
         self.counts["bus cycles"] += 1
         words = [self.family.read(chip, address) for chip in self.chips]
         demand(0 <= words[0] <= self.chip.DATA_MASK, f"{words[0]} read at {address}")
-        right = self.family.said(self.chip, self.values, address)
+        right = self.family.predict_read(self.chip, self.values, address)
         demand(right is None or words[0] == right, f"{words[0]} read at {address}, where {right} is")
         demand(words[0] == words[-1], f"{words[0]} read at {address}, {words[-1]} by the twin")
 
@@ -157,7 +157,7 @@ class Run:
         demand(chip.clock == start + clocks, "time did not pass as asked")
         demand(pulses == 0 if silent else pulses >= 0, f"{pulses} pulses in {clocks} clocks{' of silence' * silent}")
         if work:
-            allowed = family.most_work(chip, pulses)
+            allowed = family.compute_max_work(chip, pulses)
             demand(
                 work.calls <= allowed,
                 f"{work.calls} calls for {work.steps} steps in {clocks} clocks: at most {allowed}",
@@ -165,10 +165,10 @@ class Run:
         else:
             demand(spent < SECONDS_PER_ADVANCE, f"{clocks} clocks took {spent:.1f} s")
         if len(self.chips) == 2:
-            self.twin_advance(clocks, pulses)
+            self.advance_replica(clocks, pulses)
         self.check()
 
-    def twin_advance(self, clocks: int, pulses: int) -> None:
+    def advance_replica(self, clocks: int, pulses: int) -> None:
         """The same clocks traced, where they are not too many, and once more in pieces: a cut is where the last pulse begins."""
         chip, replica = self.chips
         cuts = [clocks // 3]

@@ -108,15 +108,15 @@ class Family:
         chip.write(address, value)
 
     def read(self, chip: Chip, address: int) -> int:
-        """One bus read cycle."""
+        """Make one bus read cycle."""
         return chip.read(address)
 
-    def said(self, chip: Chip, values: Values, address: int) -> int | None:
-        """Return what a bus read says now, if that follows from the debugger's view, `values`."""
+    def predict_read(self, chip: Chip, values: Values, address: int) -> int | None:
+        """Return the value that a bus read must give now, or None where `values`, the debugger's view, leaves it open."""
         return None
 
     def silent(self, chip: Chip) -> bool:
-        """No pulse may begin before the next write or edge."""
+        """Return whether no pulse may begin before the next write or edge."""
         return False
 
     def check(self, chip: Chip, values: Values) -> None:
@@ -132,26 +132,26 @@ class Family:
                 raise Finding(f"{name} is {chip.state[name]}")
 
     def clocks(self, chip: Chip, clocks: int) -> int:
-        """Return how far an advance goes that was to be of so many clocks."""
+        """Return the clocks of the next advance, of which `clocks` were requested."""
         return clocks
 
-    def end_of_course(self, chip: Chip) -> dict[str, int]:
-        """Return the chip's own values of what the last edge of its course says."""
+    def read_end_values(self, chip: Chip) -> dict[str, int]:
+        """Read from the chip the values that the last edge of its waveform must have."""
         words = {"outputs": chip.output_word(0), "inputs": chip.input_word(0)}
         return {"clock": chip.clock, "net": chip.net(0), **words}
 
-    def check_course(self, chip: Chip, journal: Journal, pulses: int) -> None:
+    def check_waveform(self, chip: Chip, journal: Journal, pulses: int) -> None:
         """Replay the journal of a whole compiled input, and compare its end with the chip."""
         edges = np.concatenate(
             list(journal.pieces(every_pulse=pulses <= self.FEW and chip.clock < self.FEW_CLOCKS, size=1024))
         )
         demand(bool((edges["clock"][1:] >= edges["clock"][:-1]).all()), "a course that runs back")
-        is_at = self.end_of_course(chip)
+        is_at = self.read_end_values(chip)
         ends_at = {name: int(edges[-1][name]) for name in is_at}
         for end in (is_at, ends_at):
             end["outputs"] &= ~self.PULSED
         demand(ends_at == is_at, f"a course that ends with {ends_at}, a chip with {is_at}")
 
-    def most_work(self, chip: Chip, pulses: int) -> int:
-        """The calls that `work` may have counted in one advance."""
+    def compute_max_work(self, chip: Chip, pulses: int) -> int:
+        """Return the maximum number of calls that `work` may count in one advance."""
         raise NotImplementedError

@@ -41,7 +41,7 @@ class HctlFamily(Family):
     def __init__(self, chip: type[Chip]):
         super().__init__(chip)
         self.work = None if COMPILED else counted_core()
-        self.most_samples = 0
+        self.max_samples = 0
 
     def edge(self, chip: Any, low: int) -> None:
         """An input pin, or from 8 on the shaft: eight speeds from where it is, or eight jumps."""
@@ -76,7 +76,7 @@ class HctlFamily(Family):
 
     # --- what must hold ---
 
-    def said(self, chip: Chip, values: Values, address: int) -> int | None:
+    def predict_read(self, chip: Chip, values: Values, address: int) -> int | None:
         return values.get(f"R{address & 0x3F:02X}")
 
     def silent(self, chip: Chip) -> bool:
@@ -89,13 +89,13 @@ class HctlFamily(Family):
             clocks = min(clocks, self.FEW_CLOCKS)  # each count is an edge of the course, the phases'
         clocks = clocks if idle else min(clocks, LONG)
         min_clocks = CLOCKS_PER_COUNT * (min(int(c["period"]), int(c["reg"][T])) + 1)
-        self.most_samples = 0 if idle else clocks // min_clocks + 2
+        self.max_samples = 0 if idle else clocks // min_clocks + 2
         return clocks
 
-    def end_of_course(self, chip: Any) -> dict[str, int]:
+    def read_end_values(self, chip: Any) -> dict[str, int]:
         """Return the chip's own values."""
-        return super().end_of_course(chip) | {"command": chip.command_position, "motor": chip.motor_command}
+        return super().read_end_values(chip) | {"command": chip.command_position, "motor": chip.motor_command}
 
-    def most_work(self, chip: Any, pulses: int) -> int:
+    def compute_max_work(self, chip: Any, pulses: int) -> int:
         """Samples of the loop, each once; in Init/Idle none."""
-        return self.most_samples
+        return self.max_samples

@@ -165,7 +165,7 @@ class NovaFamily(Family):
 
     # --- what must hold ---
 
-    def said(self, chip: Chip, values: Values, address: int) -> int | None:
+    def predict_read(self, chip: Chip, values: Values, address: int) -> int | None:
         c, n = chip.state, address & 7
         if self.new and address & BYTES:
             return None
@@ -188,11 +188,11 @@ class NovaFamily(Family):
         works = rings or c["interpolating"] or values_of([c["ax"][j] for j in range(chip.AXES)], busy)
         return min(clocks, LONG) if works else clocks
 
-    def end_of_course(self, chip: Chip) -> dict[str, int]:
+    def read_end_values(self, chip: Chip) -> dict[str, int]:
         """Return the chip's own values. PLS and DIR carry pulses, which a course has as entries of their own."""
-        return super().end_of_course(chip) | {"counter": int(chip.state["ax"][0]["reg"][state.LP])}
+        return super().read_end_values(chip) | {"counter": int(chip.state["ax"][0]["reg"][state.LP])}
 
-    def most_work(self, chip: Chip, pulses: int) -> int:
+    def compute_max_work(self, chip: Chip, pulses: int) -> int:
         """Return the most rounds of events.
 
         An event that is noted may cause one, a segment of a speed profile, a tick of an interpolation, a turn of a ring counter

@@ -64,7 +64,7 @@ class Pcl240(Family):
         value = take(3)
         return [(0, 0x80 | low), (3, value >> 16), (2, value >> 8 & 0xFF), (1, value & 0xFF)]
 
-    def said(self, chip: Chip, values: Values, address: int) -> int | None:
+    def predict_read(self, chip: Chip, values: Values, address: int) -> int | None:
         """A byte of the status or of a register; what a collective read has latched is not in view."""
         c, byte = chip.state, address & 3
         if not byte:
@@ -76,11 +76,11 @@ class Pcl240(Family):
         """A chip at rest, or at a limit of its direction."""
         return chip.pins.hold or (chip.pins.el_minus if chip.state["minus"] else chip.pins.el_plus)
 
-    def end_of_course(self, chip: Chip) -> dict[str, int]:
+    def read_end_values(self, chip: Chip) -> dict[str, int]:
         """Return the chip's own values."""
-        return super().end_of_course(chip) | {"counter": int(chip.state["reg"][0])}
+        return super().read_end_values(chip) | {"counter": int(chip.state["reg"][0])}
 
-    def most_work(self, chip: Chip, pulses: int) -> int:
+    def compute_max_work(self, chip: Chip, pulses: int) -> int:
         """Return two calls an event, a climb and a span.
 
         Events are the steps of the speed that no climb took, three each time that R0 comes round (below R6, 0, wrapped), some

@@ -35,7 +35,7 @@ class Row:
 
     def __init__(self, record: Any):
         for name in record.dtype.names:
-            setattr(self, name, _own(record[name]))
+            setattr(self, name, _copy_as_python(record[name]))
 
     def fits(self) -> bool:
         """Compiled, a word has 64 bits."""
@@ -67,12 +67,12 @@ def _fill(to: Any, row: Row) -> None:
             to[name] = value
 
 
-def _own(value: Any) -> Any:
+def _copy_as_python(value: Any) -> Any:
     if value.dtype.names:
         return Row(value) if value.ndim == 0 else [Row(inner) for inner in value]
     if value.ndim < 2:
         return value.tolist()
-    return Table(_own(inner) for inner in value)
+    return Table(_copy_as_python(inner) for inner in value)
 
 
 def _fits(value: Any) -> bool:

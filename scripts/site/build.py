@@ -47,7 +47,7 @@ def main() -> None:
         else:
             (PAGES / package.name).mkdir()
         shutil.copy(package / "README.md", PAGES / package.name / "index.md")
-    made = reference.write(PAGES)
+    reference_pages = reference.write(PAGES)
     gallery.write(ROOT, PAGES)
     linked: set[Path] = set()
     for page in sorted(PAGES.rglob("*.md")):
@@ -55,7 +55,7 @@ def main() -> None:
     for file in sorted(linked):
         _show(file)
     _link_source()
-    _configure(made)
+    _configure(reference_pages)
     print(f"{OUT}: {len(list(PAGES.rglob('*.md')))} pages")
 
 
@@ -138,10 +138,10 @@ def _link_source() -> None:
         (package / part.name).symlink_to(part)
 
 
-def _configure(made: dict[str, list[tuple[str, str]]]) -> None:
+def _configure(reference_pages: dict[str, list[tuple[str, str]]]) -> None:
     """zensical.toml, with the pages of the reference in its `nav`."""
     text = (ROOT / "scripts" / "site" / "zensical.toml").read_text()
-    for group, pages in made.items():
+    for group, pages in reference_pages.items():
         listed = "".join(f'      {{ "{title}" = "{path}" }},\n' for title, path in pages)
         text = text.replace(f'{{ "{group}" = [] }}', f'{{ "{group}" = [\n{listed}    ] }}')
     tomllib.loads(text)

@@ -39,8 +39,8 @@ class Wrong(Exception):
     """A page does not do what it says."""
 
 
-class Person:
-    """Somebody new in an environment of their own."""
+class TutorialReader:
+    """Reader of a tutorial, with a fresh virtual environment and a working folder."""
 
     def __init__(self, home: Path, wheel: Path, page: Path):
         self.page, self.bin, self.folder = page, home / "venv" / "bin", home / "work"
@@ -115,7 +115,7 @@ def main() -> int:
         print(f"{'page':24}{'install':>10}{'first result':>14}{'slowest step':>14}{'whole page':>12}")
         for page in named:
             with tempfile.TemporaryDirectory() as home:
-                person = Person(Path(home), wheel, page)
+                person = TutorialReader(Path(home), wheel, page)
                 begin = time.perf_counter()
                 try:
                     person.follow()

@@ -19,22 +19,22 @@ ELSEWHERE = {
 
 
 class Picture(NamedTuple):
-    """file: in docs/pictures; says: its alternative text; page: in docs, or README.md; made: the command."""
+    """file: in docs/pictures; says: its alternative text; page: in docs, or README.md; command: draws the picture."""
 
     file: Path
     says: str
     page: Path
-    made: str
+    command: str
 
 
 def pictures(root: Path) -> list[Picture]:
-    """Every picture that a page shows, once, in the order of the pages."""
-    found: dict[Path, Picture] = {}
+    """List every picture of the pages once, in the order of the pages."""
+    pictures_by_file: dict[Path, Picture] = {}
     for page in [root / "README.md", *sorted((root / "docs").rglob("*.md"))]:
         for says, link in PICTURE.findall(page.read_text()):
             file = (page.parent / link).resolve()
-            found.setdefault(file, Picture(file, says, page, find_command(root, file)))
-    return list(found.values())
+            pictures_by_file.setdefault(file, Picture(file, says, page, find_command(root, file)))
+    return list(pictures_by_file.values())
 
 
 def find_command(root: Path, file: Path) -> str:
@@ -57,8 +57,8 @@ def write(root: Path, pages: Path) -> None:
     text = ["# Gallery\n", "Every picture is made by a command. Its page says what it shows.\n"]
     for p in pictures(root):
         page = "index.md" if p.page.name == "README.md" else p.page.relative_to(root / "docs").as_posix()
-        made = f"`{p.made}`" if p.made else ""
+        command = f"`{p.command}`" if p.command else ""
         text.append(f"## {p.file.stem.replace('_', ' ')}\n")
         text.append(f"[![{p.says}]({os.path.relpath(p.file, root / 'docs')})]({page})\n")
-        text.append(f"{p.says}: [{page.removesuffix('.md')}]({page}). {made}\n")
+        text.append(f"{p.says}: [{page.removesuffix('.md')}]({page}). {command}\n")
     (pages / "gallery.md").write_text("\n".join(text))

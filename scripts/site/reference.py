@@ -24,24 +24,24 @@ def write(pages: Path) -> dict[str, list[tuple[str, str]]]:
     folder = pages / "reference"
     folder.mkdir(exist_ok=True)
     (folder / "command_line.md").write_text(command_line())
-    made: dict[str, list[tuple[str, str]]] = {"Register maps": [], "Python": []}
+    pages_by_section: dict[str, list[tuple[str, str]]] = {"Register maps": [], "Python": []}
     for line in CHIPS.listed():
         if line.chip is not None and line.package == "pulsestage":
             name = line.name.lower()
             (folder / f"map_{name}.md").write_text(register_map(line.chip.MAP))
-            made["Register maps"].append((line.name, f"reference/map_{name}.md"))
+            pages_by_section["Register maps"].append((line.name, f"reference/map_{name}.md"))
     for package in PACKAGES:
         path = f"reference/{package.replace('.', '_')}.md"
         (pages / path).write_text(python(package))
-        made["Python"].append((package, path))
-    return made
+        pages_by_section["Python"].append((package, path))
+    return pages_by_section
 
 
 def python(package: str) -> str:
     """A page for mkdocstrings: the module's own text, and each public name where it is defined."""
     module = importlib.import_module(package)
     text = [f"# {package}\n", f"::: {package}\n    options:\n      members: []\n      show_root_heading: false\n"]
-    for name in public(module):
+    for name in list_public_names(module):
         thing = getattr(module, name)
         where = getattr(thing, "__module__", None)
         if inspect.ismodule(thing):
@@ -51,8 +51,8 @@ def python(package: str) -> str:
     return "\n".join(text)
 
 
-def public(module: Any) -> list[str]:
-    """Its public names, in its own order."""
+def list_public_names(module: Any) -> list[str]:
+    """Return the public names of a module, in the order of `__all__` or of its definitions."""
     if hasattr(module, "__all__"):
         return list(module.__all__)
     return [

@@ -16,15 +16,15 @@ notice = partial(example, "MCX302, 304, 312 notice")
 SPEEDS = {"SV": 1000, "DV": 10_000, "AC": 100_000, "TP": 0}
 
 
-def port(chip: type[Nova], **values: int) -> Port:
-    """A port whose chip knows its speeds."""
-    made = Port(Bench(chip()).axes["x"])
-    made.load(**values)
-    return made
+def make_port(chip: type[Nova], **values: int) -> Port:
+    """Return the port of a fresh chip, with registers loaded by name."""
+    axis_port = Port(Bench(chip()).axes["x"])
+    axis_port.load(**values)
+    return axis_port
 
 
-def drive(p: Port, command: str, seconds: float = 5) -> int:
-    """What LP has changed when a drive has ended."""
+def measure_drive(p: Port, command: str, seconds: float = 5) -> int:
+    """Run a drive command until the axis stops, and return the change of LP in pulses."""
     before = p.position()
     p.command(command)
     p.wait_until_stopped(seconds)
@@ -39,20 +39,20 @@ MOVES = (
 )
 for says, pulses, values, command in MOVES:
     mcx514("7.2.7", says, pulses, "pulses")(
-        lambda values=values, command=command: drive(port(MCX514, **SPEEDS | values), command)
+        lambda values=values, command=command: measure_drive(make_port(MCX514, **SPEEDS | values), command)
     )
 
 
 @mcx514("7.2.7", "relative drive of 5000, TP = 200 written after 300: pulses made after it", 0)
 def _passed() -> int:
-    p = port(MCX514, **SPEEDS | {"TP": 5000})
+    p = make_port(MCX514, **SPEEDS | {"TP": 5000})
     p.command("DRVRL")
     while p.position() < 300:
         p.axis.wait(1e-4)
-    made = p.position()
+    pulses_before = p.position()
     p.load(TP=200)
     p.wait_until_stopped(5)
-    return p.position() - made
+    return p.position() - pulses_before
 
 
 @mcx514("7.2.7", "drives of TP = 2,147,483,646 and of the next number: the largest without a diagnostic", 2_147_483_646)
@@ -75,7 +75,7 @@ def _largest() -> int:
     "the look after a pulse",
 )
 def _manual() -> int:
-    p = port(MCX514, **SPEEDS | {"TP": 2000, "DP": 1500})
+    p = make_port(MCX514, **SPEEDS | {"TP": 2000, "DP": 1500})
     p.mode(WR3=p.map.mask("WR3", "MANLD"))
     p.command("DRVRL")
     while not p.axis.pins.dsnd:
@@ -92,7 +92,7 @@ STOP0, LIMIT, SOFT, S_CURVE = (
 
 def drives_on(act: Callable[[Port], None], wr2: int = 0, wr3: int = S_CURVE, start: str = "F_DRV_P") -> int:
     """n-DRV of an MCX304 two seconds after `act` at the end of a deceleration, in area d of the notice's figure 3."""
-    p = port(MCX304, **FAST, P=40_000, CP=1_000_000)
+    p = make_port(MCX304, **FAST, P=40_000, CP=1_000_000)
     p.mode(WR1=STOP0, WR2=wr2, WR3=wr3)
     p.command(start)
     if start == "F_DRV_P":

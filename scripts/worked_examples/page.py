@@ -17,15 +17,15 @@ def rows() -> list[tuple[Example, Number]]:
     return [(example, example.measure()) for example in EXAMPLES]
 
 
-def table(found: list[tuple[Example, Number]]) -> str:
+def format_tables(examples: list[tuple[Example, Number]]) -> str:
     """Return the tables as Markdown, one for each sheet."""
     lines: list[str] = []
     sheet = ""
-    for example, emulated in found:
+    for example, emulated in examples:
         if example.sheet != sheet:
             sheet = example.sheet
             lines += ["", f"## {sheet}", "", "| place | what | sheet | emulated | |", "|---|---|---|---|---|"]
-        number, displayed = (said(n, example.unit) for n in (example.number, emulated))
+        number, displayed = (format_number(n, example.unit) for n in (example.number, emulated))
         differs = "" if number == displayed else f"within {example.within:g}: {example.why}"
         if not example.agrees(emulated):
             differs = f"**differs** by more than {example.within:g}"
@@ -33,8 +33,8 @@ def table(found: list[tuple[Example, Number]]) -> str:
     return "\n".join(lines[1:]) + "\n"
 
 
-def said(number: Number, unit: str) -> str:
-    """A number as the page has it: whole numbers in full, times in ms or us, other numbers with six digits."""
+def format_number(number: Number, unit: str) -> str:
+    """Format a number for the page: whole numbers in full, times in ms or us, other numbers with six digits."""
     if unit == "s":
         number, unit = (number * 1e3, "ms") if number >= 0.01 else (number * 1e6, "us")
     integer = float(number) == round(number)
@@ -42,6 +42,6 @@ def said(number: Number, unit: str) -> str:
 
 
 def between(page: str, text: str) -> str:
-    """A page with `text` between its markers."""
+    """Return the page with `text` between its markers."""
     before, rest = page.split(BEGIN)
     return before + BEGIN + "\n" + text + "\n" + END + rest.split(END)[1]

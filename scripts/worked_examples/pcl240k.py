@@ -45,7 +45,7 @@ def _none() -> int:
 
 
 @sheet("4, R0", "R0 after one pulse more than it held, manual mode", 0xFFFFFF)
-def _around() -> int:
+def _counter_below_zero() -> int:
     chip = started(MANUAL, FH1, R0=1, R1=1, R2=1, R7=600)
     chip.advance(2 * CLOCK + 1)
     chip.write(0, RESET)
@@ -129,7 +129,7 @@ def _tail() -> int:
 
 
 @sheet("4, R6", "R6 > R0 before a high-speed start: the highest rate is FL's", 1000, "pps", 0.1, A_CLOCK)
-def _too_late() -> float:
+def _ramp_down_point_above_r0() -> float:
     chip = started(PRESET, FH1_RAMPS, R0=500, R6=501, **RAMP)
     return CLOCK / int(intervals(chip.trace(CLOCK)).min())
 

@@ -1,4 +1,4 @@
-"""Toolboxes at power-up; the stages are made once a module."""
+"""Toolboxes at power-up, whose stages are created once a process."""
 
 import pytest
 
@@ -9,7 +9,7 @@ _stages = {}
 
 
 def a_box(chips="PCL240K", mode="host", model="xy", **how):
-    """A toolbox of a stage at power-up."""
+    """Return a toolbox of a stage at power-up."""
     if (model, chips) not in _stages:
         _stages[model, chips] = Stage(model, chips=chips, visuals=False)
     stage = _stages[model, chips]
@@ -19,7 +19,7 @@ def a_box(chips="PCL240K", mode="host", model="xy", **how):
 
 @pytest.fixture
 def make_box():
-    """`make_box(chips, mode, budget=...)`; all are closed at the end."""
+    """Return `make_box(chips, mode, budget=...)`; the toolboxes are closed at the end."""
     created = []
 
     def make(*args, **how):

@@ -19,11 +19,11 @@ from stage.errors import StageError
 ID = b"mcp-session-id"
 
 
-class App:
-    """Stand-in of the protocol: it notes requests, and opens a session for each that has none."""
+class ProtocolStub:
+    """Stand-in for the MCP protocol that records requests and opens a session for each request without one."""
 
     def __init__(self):
-        self.came, self.made = [], 0
+        self.came, self.session_count = [], 0
 
     async def __call__(self, scope, receive, send):
         self.came.append((scope.get("method", scope["type"]), dict(scope.get("headers", ()))))
@@ -33,13 +33,13 @@ class App:
             return
         headers = []
         if ID not in dict(scope.get("headers", ())):
-            self.made += 1
-            headers = [(b"content-type", b"x"), (b"Mcp-Session-Id", b"s%d" % self.made)]
+            self.session_count += 1
+            headers = [(b"content-type", b"x"), (b"Mcp-Session-Id", b"s%d" % self.session_count)]
         await send({"type": "http.response.start", "status": 200, "headers": headers})
 
 
-class Held:
-    """Stand-in of the sessions."""
+class SessionsStub:
+    """Stand-in for the sessions."""
 
     def __init__(self, limit=3):
         self.limit, self.closed, self.with_stage = limit, [], set()
@@ -53,11 +53,11 @@ class Held:
 
 @pytest.fixture
 def door():
-    """`door(method, session)`: what was sent; door.app, door.sessions."""
-    app, sessions = App(), Held()
+    """Return `door(method, session)`, which sends a request to a Gate and returns the messages; door.app, door.sessions."""
+    app, sessions = ProtocolStub(), SessionsStub()
     created = Gate(app, "t", sessions)
 
-    def ask(method="POST", session=None, kind="http", token="Bearer t", **more):
+    def send_request(method="POST", session=None, kind="http", token="Bearer t", **more):
         sent = []
 
         async def send(message):
@@ -72,15 +72,15 @@ def door():
         asyncio.run(created(scope, receive, send))
         return sent
 
-    ask.app, ask.sessions = app, sessions
-    return ask
+    send_request.app, send_request.sessions = app, sessions
+    return send_request
 
 
 def finished(door):
     return [headers[ID].decode() for method, headers in door.app.came if method == "DELETE"]
 
 
-def test_of_silent_sessions_the_one_that_spoke_longest_ago_goes_when_there_are_too_many(door):
+def test_beyond_the_limit_the_longest_idle_session_ends(door):
     for _ in range(3):
         door()
     assert finished(door) == []
@@ -104,7 +104,7 @@ def test_a_session_that_has_a_stage_is_none_of_the_silent_ones(door):
     assert finished(door) == ["s2"]
 
 
-def test_a_session_that_is_made_room_for_ends_as_if_its_client_had_requested_it(door):
+def test_a_session_that_is_evicted_gets_the_delete_request_of_its_client(door):
     for _ in range(4):
         door()
     (headers,) = [headers for method, headers in door.app.came if method == "DELETE"]

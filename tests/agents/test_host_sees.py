@@ -26,22 +26,22 @@ CALLS = [
 ]
 
 
-def test_a_host_is_not_reported_of_lost_steps(box):
-    said = everything(box, CALLS)
+def test_host_mode_hides_lost_steps(box):
+    output = everything(box, CALLS)
     assert box.stage.axes["x"].lost_steps
-    assert not [word for word in HIDDEN if word in said]
+    assert not [word for word in HIDDEN if word in output]
     assert box.call("report").data["as_asked"]  # the chip made its pulses
 
 
-def test_truth_shows_them(make_box):
+def test_truth_mode_reports_lost_steps(make_box):
     box = make_box(mode="truth")
-    said = everything(box, CALLS)
-    assert "lost_steps" in said
+    output = everything(box, CALLS)
+    assert "lost_steps" in output
     assert not box.call("report").data["as_asked"]
     assert box.call("truth").data["axes"]["x"]["lost_steps"]
 
 
-def test_tools_of_truth_are_not_there_for_a_host(box):
+def test_host_mode_lacks_the_tools_that_read_or_change_the_true_state(box):
     assert not [
         name
         for name in box.tools
@@ -68,7 +68,7 @@ def test_a_mistake_that_follows_from_a_hidden_pin_is_not_reported(make_box):
         assert any("limit switch" in d.message for d in box.stage.axes["x"].chip.diagnostics)
 
 
-def test_a_mistake_of_its_own_is_reported(box):
+def test_diagnostics_of_the_host_s_own_writes_are_reported(box):
     box.call("write_bytes", {"axis": "x", "address": 0, "values": ["44h", "15h"]})
     assert "R0 = 0" in box.call("diagnostics").text
 
@@ -105,7 +105,7 @@ def test_a_drawing_for_a_host_has_the_lanes_that_registers_show(box):
     assert hide_truth(report).lost_steps is None
 
 
-def test_faults_are_tools_of_their_own(make_box):
+def test_truth_mode_has_a_tool_for_each_fault(make_box):
     box = make_box(mode="truth")
     assert box.call("fault_switch_stuck", {"axis": "x", "pin": "org", "closed": False}).data["faults"] == [
         "axis x: org stuck open"

@@ -97,7 +97,7 @@ def test_every_tool_is_called_by_its_schema(served):
     served.talk(work)
 
 
-def test_sessions_have_stages_of_their_own_and_end_with_their_clients(served):
+def test_each_session_has_a_separate_stage_and_ends_with_its_client(served):
     async def work():
         async with served.client() as one, served.client() as other:
             await one.call_tool("move", {"axis": "x", "pulses": 400})
@@ -151,7 +151,7 @@ def test_no_other_resource_can_be_read(served, uri):
 
 
 @pytest.mark.parametrize(
-    ("name", "given", "message"),
+    ("name", "arguments", "message"),
     [
         ("tune_mvoe", {}, "Did you mean 'tune_move'"),
         ("tune_move", {"axis": "q"}, "Known: x, y"),
@@ -159,12 +159,12 @@ def test_no_other_resource_can_be_read(served, uri):
         ("tune_move", {"distance": "\n"}, "printable"),
     ],
 )
-def test_prompts_refuse_in_words(served, name, given, message):
+def test_prompts_refuse_in_words(served, name, arguments, message):
     from mcp.shared.exceptions import MCPError
 
     async def work(client):
         with pytest.raises(MCPError, match=message):
-            await client.get_prompt(name, given)
+            await client.get_prompt(name, arguments)
 
     served.talk(work)
 
@@ -172,7 +172,7 @@ def test_prompts_refuse_in_words(served, name, given, message):
 # --- who comes in ---
 
 
-def test_a_client_with_two_lines_is_there_until_both_have_broken():
+def test_a_client_with_two_streams_is_connected_until_both_have_closed():
     gone, scope = [], {"type": "http", "method": "GET"}
     scope["headers"] = [(b"authorization", b"Bearer t"), (b"mcp-session-id", b"a")]
 
@@ -200,10 +200,12 @@ def requested(served, method="POST", **headers):
     return httpx2.request(method, served.server.address, json=body, headers=head)
 
 
-@pytest.mark.parametrize("given", ["", "Bearer nonsense", "Bearer", "Basic x", "Bearer \u00e9".encode("latin1")])
-def test_without_the_token_nobody_comes_in(served, given):
+@pytest.mark.parametrize(
+    "authorization", ["", "Bearer nonsense", "Bearer", "Basic x", "Bearer \u00e9".encode("latin1")]
+)
+def test_a_request_without_the_token_is_unauthorized(served, authorization):
     empties(served)
-    refused = requested(served, Authorization=given)
+    refused = requested(served, Authorization=authorization)
     assert refused.status_code == 401
     assert "Authorization: Bearer" in refused.text
     assert len(served.sessions) == 0
@@ -228,7 +230,7 @@ def test_a_request_is_of_bounded_size(served):
     assert httpx2.post(served.server.address, content=b"[" * 1_000_000, headers=head).status_code == 413
 
 
-def test_a_session_that_was_ended_says_so(served):
+def test_a_call_in_a_closed_session_is_refused(served):
     async def work(client):
         await client.call_tool("budget", {})
         served.sessions.close_all()
@@ -317,14 +319,14 @@ def test_the_command_says_what_is_wrong(capsys):
 
 @given(data=st.data())
 @settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck))
-def test_whatever_is_called_over_the_protocol_the_server_lives(served, data):
+def test_random_calls_never_crash_the_server(served, data):
     drawn = data.draw(st.lists(calls(served.maker.catalog.tools), min_size=20, max_size=20))
 
     async def work(client):
         for name, arguments in drawn:
-            given = arguments if isinstance(arguments, dict) else {"axis": repr(arguments)}
+            fields = arguments if isinstance(arguments, dict) else {"axis": repr(arguments)}
             answer = await client.call_tool(
-                name, {k: v for k, v in given.items() if v == v and v not in (math.inf, -math.inf)}
+                name, {k: v for k, v in fields.items() if v == v and v not in (math.inf, -math.inf)}
             )
             assert "Traceback" not in answer.content[0].text
             assert "PulseStage itself has failed" not in answer.content[0].text
@@ -370,7 +372,7 @@ def test_a_call_of_the_wrong_form_is_a_tool_error_too(served, params):
     assert "called by its name" in text or "should be an object" in text
 
 
-def test_a_call_that_is_cancelled_ends_and_the_next_is_made(served):
+def test_a_cancelled_call_ends_and_the_next_call_works(served):
     import httpx2
 
     head = opened(served)
@@ -420,16 +422,16 @@ def test_a_flood_of_sessions_without_a_call_keeps_no_one_out():
 
 
 @pytest.mark.parametrize(
-    ("name", "given"), [("find_lost_steps", {}), ("tune_move", {"distance": "5mm"}), ("bring_up_axis", {})]
+    ("name", "arguments"), [("find_lost_steps", {}), ("tune_move", {"distance": "5mm"}), ("bring_up_axis", {})]
 )
-def test_prompts_name_tools_and_prompts_that_exist(served, name, given):
+def test_prompts_name_tools_and_prompts_that_exist(served, name, arguments):
     async def work(client):
         tools = [t.name for t in (await client.list_tools()).tools]
-        requested = (await client.get_prompt(name, {"axis": "Y", **given})).messages[0].content.text
+        requested = (await client.get_prompt(name, {"axis": "Y", **arguments})).messages[0].content.text
         known = {*tools, *[p.name for p in (await client.list_prompts()).prompts]}
         assert "axis y" in requested
         assert set(re.findall(r"`(\w+)`", requested)) <= known
-        assert "5mm" in requested or not given
+        assert "5mm" in requested or not arguments
         assert not (await client.list_resource_templates()).resource_templates
 
     served.talk(work)

@@ -12,11 +12,11 @@ from stage.firmware import procedures
 from stage.firmware.driver import DEFAULT_RAMP_S
 
 
-class Noting:
-    """A driver that does nothing but note what it is told."""
+class RecordingDriver:
+    """Driver that only records its calls."""
 
     def __init__(self, fails=()):
-        self.told, self._fails = [], fails
+        self.calls, self._fails = [], fails
 
     def list_homing_methods(self):
         return ("switch", "index")
@@ -26,7 +26,7 @@ class Noting:
 
     def __getattr__(self, name):
         def noted(*arguments):
-            self.told.append((name, *arguments))
+            self.calls.append((name, *arguments))
             if name != "halt":
                 raise StageError("noted.")
 
@@ -34,13 +34,13 @@ class Noting:
 
 
 def noted_of(box):
-    driver = box._drivers["x"] = Noting()
+    driver = box._drivers["x"] = RecordingDriver()
 
     def created(name, **arguments):
-        driver.told.clear()
+        driver.calls.clear()
         answer = box.call(name, {"axis": "x", **arguments})
         assert answer.ok or answer.text == "noted.", answer.text
-        return driver.told[0]
+        return driver.calls[0]
 
     created.box = box
     return created
@@ -84,7 +84,7 @@ def test_speeds_are_pulses_a_second_and_ramps_seconds(requested):
     assert "is too slow; the least is 3.125e-08 m/s, 0.01 pulses a second" in refused.text
 
 
-def test_an_origin_return_goes_the_way_and_to_what_was_requested(make_box):
+def test_home_passes_direction_method_speed_and_timeout_to_the_driver(make_box):
     requested = noted_of(make_box("MCX514"))
     assert requested("home")[:3] == ("home_by", "switch", -1)
     assert requested("home", direction="plus", by="INDEX")[:3] == ("home_by", "index", 1)
@@ -98,7 +98,7 @@ def test_a_stop_is_with_a_ramp_unless_it_is_at_once(requested):
     assert requested("stop", at_once=True) == ("halt", True)
 
 
-def test_a_start_that_failed_is_none_that_somebody_waits_for(requested):
+def test_a_failed_start_leaves_no_move_to_wait_for(requested):
     requested("start", pulses=100)
     del requested.box._drivers["x"]
     assert requested.box.call("wait_until_stopped", {"axis": "x"}).data["at_rest"]
@@ -126,7 +126,7 @@ def test_a_line_has_its_speeds_its_curve_and_its_timeout(make_box, monkeypatch):
     assert how == {"speed": 0.02, "s_curve": True, "timeout": 4.0, "accel": 0.2}
 
 
-def test_a_line_is_as_asked_where_all_its_axes_are(make_box):
+def test_a_line_succeeds_only_if_all_its_axes_do(make_box):
     box = make_box()
     assert box.call("line", {"distances": {"x": "1mm", "y": "1mm"}}).data["as_asked"]
     report = box.report
@@ -163,8 +163,8 @@ def test_an_axis_that_moves_is_not_moved_otherwise(make_box):
     assert not finished["as_asked"]
 
 
-def test_a_move_that_made_all_its_pulses_was_not_stopped_by_the_host(make_box):
-    """A stop that comes after the last pulse."""
+def test_a_stop_after_the_last_pulse_is_not_the_end_of_the_move(make_box):
+    """Send a stop command after the last pulse."""
     box = make_box()
     assert box.call("start", {"axis": "x", "pulses": 200}).ok
     assert box.call("wait", {"seconds": 1.0}).ok
@@ -174,7 +174,7 @@ def test_a_move_that_made_all_its_pulses_was_not_stopped_by_the_host(make_box):
     assert "stopped by the host" not in finished["stopped_by"]
 
 
-def test_axes_that_drive_one_load_are_squared_the_way_and_in_the_time_that_was_said(monkeypatch):
+def test_home_squares_a_gantry_with_the_requested_direction_and_timeout(monkeypatch):
     box, requested = Toolbox(Stage("gantry", visuals=False)), []
     monkeypatch.setattr(motion_tools, "square_gantry_at_speeds", lambda *arguments: requested.append(arguments) or [])
     for axis, arguments in (("y", {}), ("w", {"direction": "plus", "timeout": 7, "speed": 0.05})):

@@ -28,7 +28,7 @@ def figures(monkeypatch):
 LINE = {"distances": {"x": "0.2mm", "y": "-0.5mm"}, "accel": 0.01}
 
 
-def test_a_host_s_drawing_is_of_what_a_host_knows_and_another_s_of_all(make_box, figures):
+def test_the_picture_in_host_mode_hides_the_true_state(make_box, figures):
     for mode in ("host", "truth"):
         box = make_box(mode=mode)
         box.call("move", {"axis": "x", "pulses": 40, "accel": 0.01})
@@ -45,7 +45,7 @@ def test_a_host_s_drawing_is_of_what_a_host_knows_and_another_s_of_all(make_box,
             assert figure.pins is None
 
 
-def test_of_a_line_a_host_sees_the_axis_that_goes_farthest(make_box, figures):
+def test_the_picture_of_a_line_shows_the_axis_with_the_most_pulses(make_box, figures):
     box = make_box()
     box.call("line", LINE)
     assert box.call("picture").text.startswith("synchronized move on axis y")
@@ -70,5 +70,5 @@ def test_a_write_that_was_lost_is_a_command_to_a_host_and_all_else_stays(make_bo
     assert list(observed[1:]) == others
 
 
-def test_before_any_move_there_is_nothing_to_draw(box):
+def test_a_picture_before_any_move_is_refused(box):
     assert "no move to draw yet" in box.call("picture").text

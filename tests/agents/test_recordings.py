@@ -73,7 +73,7 @@ def test_time_in_a_recording_runs_forward_only(recording):
     assert "runs forward only" in recording.call("restore", {"name": "power-up"}).text
 
 
-def test_a_profile_begins_at_nothing_wherever_the_counter_stands(make_box):
+def test_recorded_pulses_of_a_move_begin_at_zero(make_box):
     box = make_box()
     for pulses in (1000, -300):
         box.call("move", {"axis": "x", "pulses": pulses})

@@ -25,11 +25,11 @@ def maker():
 
 @pytest.fixture
 def served(maker):
-    """`served(handler, key=..., **params)`: what a handler answers to the session `key`."""
+    """Return `served(handler, key=..., **params)`, which calls a protocol handler for the session `key`."""
     sessions = Sessions(maker)
     created = Protocol(maker, sessions, lambda ctx: ctx.key, sessionless=True, threads=2)
 
-    def ask(handler, /, key="a", **params):
+    def send_request(handler, /, key="a", **params):
         async def work():
             created._limiter, created._call_locks = None, {} if not keep else created._call_locks
             return await getattr(created, handler)(SimpleNamespace(key=key), SimpleNamespace(**params))
@@ -37,8 +37,8 @@ def served(maker):
         keep = params.pop("keep", False)
         return asyncio.run(work())
 
-    ask.protocol, ask.sessions = created, sessions
-    yield ask
+    send_request.protocol, send_request.sessions = created, sessions
+    yield send_request
     sessions.close_all()
 
 
@@ -69,7 +69,7 @@ def test_a_call_without_a_session_learns_how_to_open_one(served):
     assert len(served.sessions) == 0
 
 
-def test_a_call_is_made_in_the_session_that_asks(served):
+def test_a_call_runs_in_the_session_of_its_client(served):
     served("_call_tool", key="a", name="move", arguments={"axis": "x", "pulses": 30, "accel": 0.01})
     for key, moves in (("a", 1), ("b", 0)):
         message = served("_call_tool", key=key, name="budget", arguments=None)
@@ -125,7 +125,7 @@ def test_every_prompt_is_listed_with_its_arguments_and_their_defaults(served):
         served("_get_prompt", name="tune_moves", arguments={})
 
 
-def test_without_a_stage_there_are_no_prompts_and_no_pages(served):
+def test_without_a_stage_no_prompts_and_no_resources_are_listed(served):
     served.protocol._factory = SimpleNamespace(catalog=SimpleNamespace(axes=(), stage=None))
     assert served("_list_prompts").prompts == []
     assert served("_list_resources").resources == []

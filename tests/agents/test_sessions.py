@@ -28,7 +28,7 @@ def clock():
     return Clock()
 
 
-def test_each_session_has_a_stage_of_its_own(maker):
+def test_each_session_has_a_separate_stage(maker):
     sessions = Sessions(maker)
     sessions.box("a").call("move", {"axis": "x", "pulses": 500})
     assert sessions.box("a").stage.axes["x"].chip.net() == 500
@@ -82,7 +82,7 @@ def test_a_session_does_not_live_for_ever(maker, clock):
     assert sessions.close_due() == 1
 
 
-def test_there_are_only_so_many(maker, clock):
+def test_sessions_beyond_the_limit_are_refused_until_one_is_idle(maker, clock):
     sessions = Sessions(maker, limit=2, idle_s=60, clock=clock)
     sessions.box("a"), sessions.box("b")
     with pytest.raises(StageError, match="2 sessions are open"):

@@ -39,16 +39,16 @@ def refuse(kind, value):
     return str(refused.value)
 
 
-WHOLE_NUMBERS = [(n, 31) for n in (31, 31.0, "31", " 31 ", "1Fh", "1fH", "0x1F", "0X1f", "0b11111", "+0x1F")]
-WHOLE_NUMBERS += [("-31", -31), ("-1Fh", -31), ("-0b11", -3), ("1_000", 1000), (2**63 - 1, 2**63 - 1)]
+SPELLINGS_OF_31 = [(n, 31) for n in (31, 31.0, "31", " 31 ", "1Fh", "1fH", "0x1F", "0X1f", "0b11111", "+0x1F")]
+SPELLINGS_OF_31 += [("-31", -31), ("-1Fh", -31), ("-0b11", -3), ("1_000", 1000), (2**63 - 1, 2**63 - 1)]
 
 
-@pytest.mark.parametrize(("written", "value"), WHOLE_NUMBERS)
+@pytest.mark.parametrize(("written", "value"), SPELLINGS_OF_31)
 def test_integers_are_understood_as_agents_write_them(written, value):
     assert parse(integer(), written) == value
 
 
-NOT_WHOLE = [
+INVALID_INTEGERS = [
     ("1F", "Did you mean '1Fh' (31)?"), ("²", "Did you mean '2'?"), ("٣١", "Did you mean '31'?"), ("3.5", "is not a whole number"),
     (3.5, "should be a valid integer"), (True, "true is not a number"), (math.nan, "finite number"), (math.inf, "finite number"),
     ([1], "should be a valid integer"), (-1, "greater than or equal to 0"), (65536, "less than or equal to 65535"),
@@ -57,13 +57,13 @@ NOT_WHOLE = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("written", "sentence"), NOT_WHOLE)
+@pytest.mark.parametrize(("written", "sentence"), INVALID_INTEGERS)
 def test_what_is_no_integer_of_the_range_is_refused_in_words(written, sentence):
     assert sentence in refuse(REGISTER, written)
 
 
 @pytest.mark.parametrize("much", [2**63, -(2**63), str(2**63)])
-def test_an_integer_has_at_most_64_bits(much):
+def test_an_integer_beyond_64_bits_is_refused(much):
     assert "9223372036854775807" in refuse(integer(), much)
 
 
@@ -82,10 +82,10 @@ def test_what_is_no_length_up_to_a_kilometer_is_refused(written):
 
 
 @pytest.mark.parametrize(
-    ("written", "meant"), [("10 \u00b5m", "10 um"), ("10 \u03bcm", "10 um"), ("\u22125mm", "-5mm")]
+    ("written", "suggestion"), [("10 \u00b5m", "10 um"), ("10 \u03bcm", "10 um"), ("\u22125mm", "-5mm")]
 )
-def test_signs_of_other_keyboards_are_answered_with_what_was_probably_meant(written, meant):
-    assert f"Did you mean '{meant}'" in refuse(Length, written)
+def test_unicode_signs_are_answered_with_their_ascii_spelling(written, suggestion):
+    assert f"Did you mean '{suggestion}'" in refuse(Length, written)
 
 
 def test_names_are_known_in_any_case_and_similar_names_are_listed():

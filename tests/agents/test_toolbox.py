@@ -149,18 +149,18 @@ def test_a_budget_of_nothing_is_spent_from_the_beginning(make_box):
     assert box.call("budget").data["used"] == {"moves": 0, "seconds": 0.0, "cycles": 0}
 
 
-def test_as_many_cycles_and_moves_are_made_as_there_are(make_box):
+def test_a_budget_limits_moves_and_bus_cycles_of_tools(make_box):
     box = make_box(budget=Budget(moves=1, cycles=3))
     assert box.call("write_bytes", {"axis": "x", "address": 0, "values": [0x44, 0x50, 0x44]}).ok
     assert box.call("budget").data["left"] == {"moves": 1, "seconds": None, "cycles": 0}
-    box.stage.axes["x"].chip.write(0, 0x44)  # by whoever has the stage beside the tools: not counted
+    box.stage.axes["x"].chip.write(0, 0x44)  # from outside the tools: not counted
     assert box.call("budget").data["used"]["cycles"] == 3
     box = make_box(budget=Budget(moves=1))
     assert box.call("move", {"axis": "x", "pulses": 100}).ok
     assert "All 1 moves are spent" in box.call("move", {"axis": "x", "pulses": 100}).text
 
 
-def test_time_that_was_taken_back_is_spent_and_each_call_has_its_own(make_box):
+def test_restored_time_stays_spent_and_each_call_has_a_limit(make_box):
     box = make_box(budget=Budget(seconds=1.0))
     box.meter.call_limit_s = 0.7
     assert box.call("wait", {"seconds": 0.6}).ok
@@ -187,8 +187,8 @@ def test_a_call_that_was_cancelled_is_the_last_that_is(box):
     box.meter.end()
 
 
-def test_what_a_branch_leaves_behind_is_its_own(box):
-    """Report, drivers and trace, too; a branch that is gone to is no longer one of the others."""
+def test_each_branch_has_its_report_drivers_and_trace(box):
+    """Switch between two branches and compare their reports and lists of other branches."""
     box.call("move", {"axis": "x", "pulses": 200})
     first = box.call("report").data
     assert box.call("branch", {"name": "b"}).data["others"] == ["main"]
@@ -244,7 +244,7 @@ def test_a_call_takes_no_more_than_so_much_time(box):
     assert "One call may take 0.01 s" in box.call("move", {"axis": "x", "pulses": 10_000}).text
 
 
-def test_an_error_in_a_move_brings_the_report_so_far(box):
+def test_an_error_in_a_move_includes_the_report_until_then(box):
     answer = box.call("move", {"axis": "x", "pulses": 10_000, "timeout": 0.05})
     assert answer.data["report"]["stopped_by"] == "timeout"
     assert answer.data["report"]["counted_pulses"] > 0
@@ -271,7 +271,7 @@ def test_snapshots_are_bounded_and_named(box):
     assert "with which the session began" in box.call("snapshot", {"name": "power-up"}).text
 
 
-def test_a_session_that_ended_says_so(box):
+def test_a_call_on_a_closed_toolbox_is_refused(box):
     box.close()
     box.close()
     assert "This session has ended" in box.call("budget").text
@@ -300,15 +300,15 @@ def test_a_picture_is_a_png(box):
     assert drawn.png[:8] == b"\x89PNG\r\n\x1a\n"
 
 
-MADE_WRONG = [
+WRONG_CONSTRUCTIONS = [
     (("stage",), "give a Stage"),
     ((None, "god"), "should be host or truth"),
     ((None, "host", 3), "give Budget"),
 ]
 
 
-@pytest.mark.parametrize(("args", "message"), MADE_WRONG)
-def test_toolboxes_are_made_of_what_they_need(args, message, box):
+@pytest.mark.parametrize(("args", "message"), WRONG_CONSTRUCTIONS)
+def test_a_toolbox_with_wrong_arguments_is_refused(args, message, box):
     with pytest.raises(ArgumentError, match=message):
         Toolbox(*(box.stage if a is None else a for a in args))
 
@@ -346,8 +346,8 @@ def test_names_are_listed_in_the_order_of_the_axes_whatever_chips_they_have():
 
 
 @pytest.mark.parametrize("chips", [("PCL240K", "MCX514"), ("MCX514", "PCL240K")])
-def test_each_axis_can_be_asked_to_go_home_as_it_can(chips):
-    """home y by index, beside an x whose PCL240K knows the switch alone"""
+def test_the_schema_of_home_has_the_methods_of_all_axes(chips):
+    """Offer the index method of y although the PCL240K of x supports the switch only."""
     box = Toolbox(Stage("xy", chips=dict(zip("xy", chips, strict=True)), visuals=False))
     assert box.tools["home"].schema()["properties"]["by"]["enum"] == ["switch", "index"]
 

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from loops.rows import told
+from loops.rows import describe_axis
 from support import nova_programs, programs, servo_programs
 from support.examples import SEED
 
@@ -38,7 +38,7 @@ def test_a_state_begins_with_its_clock(name):
 def report(chip):
     rows, out = np.zeros(1, cores.CHIP), np.zeros(5, np.int64)
     cores.fill_chip_record(rows[0], chip.CORE, chip.pointer)
-    told(rows, 0, out)
+    describe_axis(rows, 0, out)
     return tuple(out.tolist())
 
 
@@ -231,11 +231,11 @@ def test_a_chip_ignores_address_and_data_bits_beyond_its_lines(name):
     """chip.write(0x40, 0x108) of a PCL-240 is chip.write(0, 8)"""
     near, remote, draw = CHIPS[name](), CHIPS[name](), random.Random(1)
     beyond, full = near.ADDRESS_MASK + 1, near.DATA_MASK + 1
-    told, received = near.listener(), remote.listener()
+    local, forwarded = near.listener(), remote.listener()
     for _ in range(150):
         address, value = draw.randrange(beyond), draw.randrange(full)
-        assert told.write(address, value) == received.write(address, value + full)
-        assert told.read(address, value) == received.read(address, value + full)
+        assert local.write(address, value) == forwarded.write(address, value + full)
+        assert local.read(address, value) == forwarded.read(address, value + full)
         near.write(address, value)
         remote.write(address + beyond * draw.randrange(3), value + full * draw.randrange(3))
         assert near.read(address) == remote.read(address + beyond)

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from support.hctl1100_bench import SAMPLE, bench, position, tell
+from support.hctl1100_bench import SAMPLE, bench, position, write_all
 from support.hctl1100_programs import ALIGN, COMMAND, IDLE, begin, clear_flags, word
 
 FOUR, FULL = 0x02, 0x04
@@ -138,7 +138,7 @@ def test_the_waveforms_have_every_change_of_the_phases():
 
 def aligning(phases=3):
     chip = commutator(x=2, y=1, phases=phases)
-    tell(chip, clear_flags(), [(0x13, 0)], word(COMMAND, 0), [(0x05, ALIGN)])
+    write_all(chip, clear_flags(), [(0x13, 0)], word(COMMAND, 0), [(0x05, ALIGN)])
     assert not chip.diagnostics
     return chip
 
@@ -184,7 +184,7 @@ def test_align_can_be_left():
 )
 def test_an_align_that_cannot_come_out_right_is_noted(first, message):
     chip = commutator(x=2, y=1)
-    tell(chip, first)
+    write_all(chip, first)
     chip.diagnostics.clear()
     chip.write(0x05, ALIGN)
     assert re.search(message, chip.diagnostics[0].message)
@@ -192,14 +192,14 @@ def test_an_align_that_cannot_come_out_right_is_noted(first, message):
 
 def test_a_commutator_whose_offset_and_advance_leave_eight_bits_is_noted():
     chip = commutator(x=20, y=10, offset=0, maximum=0)
-    tell(chip, begin("position"))
+    write_all(chip, begin("position"))
     assert "leaves -128 to 127" in chip.diagnostics[0].message
     for x, y, offset, maximum, good in [
         (20, 10, -20, 10, True), (20, 10, -18, 10, True), (20, 10, -18, 11, False), (20, 10, -17, 10, False),
         (1, 0, -128, 4, True), (1, 0, -128, 5, False), (1, 0, 127, 0, False), (2, 0, -128, 9, True), (2, 0, -128, 10, False),
     ]:  # fmt: skip
         chip = commutator(x=x, y=y, offset=offset, maximum=maximum)
-        tell(chip, begin("position"))
+        write_all(chip, begin("position"))
         assert (not chip.diagnostics) == good, (x, y, offset, maximum)
 
 

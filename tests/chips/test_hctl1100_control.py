@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from support.examples import SEED
-from support.hctl1100_bench import SAMPLE, bench, moving, tell, trapezoid
+from support.hctl1100_bench import SAMPLE, bench, moving, trapezoid, write_all
 from support.hctl1100_programs import (
     COMMAND,
     CONTROL,
@@ -134,7 +134,7 @@ def test_new_data_while_the_profile_runs_is_noted():
     chip = trapezoid(1000)
     chip.advance(SAMPLE + 16 * 20)
     assert not chip.diagnostics
-    tell(chip, word(FINAL, 2000))
+    write_all(chip, word(FINAL, 2000))
     assert len([d for d in chip.diagnostics if "while PROF is high" in d.message]) == 3
 
 
@@ -263,7 +263,7 @@ def test_unipolar_commands_have_one_sign():
     chip = bench(word(COMMAND, -5), [(0x05, IDLE), (0x00, 0x0A), (0x05, CONTROL)])
     chip.advance(SAMPLE)
     assert (chip.motor_command, chip.read(0x08)) == (0, 0x80)
-    tell(chip, [(0x05, IDLE)], word(COMMAND, 500), [(0x05, CONTROL)])
+    write_all(chip, [(0x05, IDLE)], word(COMMAND, 500), [(0x05, CONTROL)])
     chip.advance(SAMPLE)
     assert (chip.motor_command, chip.read(0x08)) == (127, 0xFF)
 
@@ -397,7 +397,7 @@ def test_the_loop_closes_round_a_motor_in_every_control_mode():
     motor.run(1000)
     assert not chip.pins.prof
     assert abs(motor.at - 3000) < 5
-    tell(chip, [(0x3C, 5), (0x00, 0x0D)])
+    write_all(chip, [(0x3C, 5), (0x00, 0x0D)])
     motor.run(400)
     assert motor.velocity == pytest.approx(5, abs=0.3)
     assert abs(motor.at - chip.command_position) < 40
@@ -405,10 +405,10 @@ def test_the_loop_closes_round_a_motor_in_every_control_mode():
     motor.run(400)
     assert abs(motor.velocity) < 0.3
     chip.pins.stop = False
-    tell(chip, [(0x00, 0x05), (0x07, 0x00)], word(COMMAND, 2000))
+    write_all(chip, [(0x00, 0x05), (0x07, 0x00)], word(COMMAND, 2000))
     motor.run(400)
     assert abs(motor.at - 2000) < 5
-    tell(chip, velocity(-6 * 16), [(0x00, 0x0B)])
+    write_all(chip, velocity(-6 * 16), [(0x00, 0x0B)])
     motor.run(400)
     assert -6 <= motor.velocity < -2, "the gain alone leaves an error"
     chip.pins.limit = True
@@ -426,7 +426,7 @@ def test_a_mode_that_is_entered_from_proportional_velocity_remembers_nothing_of_
     chip = bench(gains(200, 200, k), velocity(2000), begin("proportional"))
     chip.advance(SAMPLE)
     assert chip.motor_command == min(127, k * 2000 // 64)
-    tell(chip, [(0x00, 0x03), (0x00, MODE_FLAGS[mode])])
+    write_all(chip, [(0x00, 0x03), (0x00, MODE_FLAGS[mode])])
     for _ in range(3):
         chip.advance(SAMPLE)
         assert chip.motor_command == 0

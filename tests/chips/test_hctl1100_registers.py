@@ -1,7 +1,7 @@
 """HCTL-1100: bus, flags, status, resets and the positions."""
 
 import pytest
-from support.hctl1100_bench import SAMPLE, bench, commanded, position, tell, trapezoid
+from support.hctl1100_bench import SAMPLE, bench, commanded, position, trapezoid, write_all
 from support.hctl1100_programs import ALIGN, COMMAND, CONTROL, IDLE, PRESET, RESET, begin, word
 
 from stage import ArgumentError
@@ -72,7 +72,7 @@ def test_two_mode_flags_are_noted_and_the_first_of_f0_f3_f5_acts():
     chip = bench([(0x00, 0x0D), (0x00, 0x0B)])
     assert chip.diagnostics[0].message == "F3 and F5 are set: only one of F0, F3 and F5 may be"
     assert chip.read(0x00) == 0x2A
-    tell(chip, [(0x3C, 1), (0x27, 1), (0x05, CONTROL)])
+    write_all(chip, [(0x3C, 1), (0x27, 1), (0x05, CONTROL)])
     chip.advance(SAMPLE)
     assert chip.command_position == 0, "proportional velocity moves no command position"
 
@@ -190,11 +190,11 @@ def test_any_write_to_the_middle_byte_clears_the_position_any_time():
 def test_a_preset_loads_with_its_low_byte_and_in_idle_only():
     chip = HCTL1100()
     chip.encoder = 99
-    tell(chip, word(PRESET, -123_456)[:2])
+    write_all(chip, word(PRESET, -123_456)[:2])
     assert position(chip) == 99
-    tell(chip, word(PRESET, -123_456)[2:])
+    write_all(chip, word(PRESET, -123_456)[2:])
     assert position(chip) == -123_456
-    tell(chip, begin("position"), word(PRESET, 5))
+    write_all(chip, begin("position"), word(PRESET, 5))
     assert position(chip) == -123_456
     assert [d.message for d in chip.diagnostics] == [
         f"R{a} is written outside of Init/Idle: ignored" for a in (15, 16, 17)
@@ -246,7 +246,7 @@ def test_a_shaft_has_a_finite_place_and_rate(wrong):
 
 def test_the_command_position_is_latched_by_its_low_byte():
     chip = HCTL1100()
-    tell(chip, word(COMMAND, -2)[:2])
+    write_all(chip, word(COMMAND, -2)[:2])
     assert commanded(chip) == 0
     chip.write(0x0E, 0xFE)
     assert commanded(chip) == -2

@@ -15,9 +15,10 @@ from support.nova_bench import (
     U,
     X,
     Y,
-    assert_made,
+    assert_move_matches_reference,
     assert_pulses,
     command,
+    draw_clock,
     driving,
     examples,
     get,
@@ -29,7 +30,6 @@ from support.nova_bench import (
     prepare,
     random_move,
     set_wr3,
-    somewhere,
     start,
 )
 
@@ -85,7 +85,7 @@ named = pytest.mark.parametrize("move", NAMED.values(), ids=NAMED)
 @pytest.mark.parametrize("minus", [False, True], ids=["plus", "minus"])
 def test_named_drives_are_the_references(move, minus):
     chip = MCX514()
-    assert_made(chip, move, minus=minus)
+    assert_move_matches_reference(chip, move, minus=minus)
     assert get_signed(chip, 0x30) == (-move.P if minus else move.P)
 
 
@@ -114,7 +114,7 @@ def test_a_drive_of_no_pulses_ends_at_once():
 
 def test_any_fixed_pulse_drive_is_the_references():
     for rng in examples(0.15):
-        assert_made(MCX514(), random_move(rng, fixed=True), minus=rng.random() < 0.5)
+        assert_move_matches_reference(MCX514(), random_move(rng, fixed=True), minus=rng.random() < 0.5)
 
 
 @covers("MCX514", "DP")
@@ -181,14 +181,14 @@ def test_a_new_drive_speed_acts_at_once_in_any_phase(kind):
         move = random_move(rng)
         interventions, drive = [], move.reference()
         for _ in range(rng.randint(1, 3)):
-            clock = somewhere(rng, drive)
+            clock = draw_clock(rng, drive)
             if interventions and clock < interventions[-1][0]:
                 continue
             low, high = (drive.DV, 3 * drive.DV) if kind == "up" else (move.SV, drive.DV)
             interventions.append((clock, "DV", log_uniform(rng, int(low), int(high))))
             drive = move.reference(*interventions)
         until = None if move.P else interventions[-1][0] + 1000 * SECOND // int(drive.DV)
-        assert_made(MCX514(), move, interventions, until=until)
+        assert_move_matches_reference(MCX514(), move, interventions, until=until)
 
 
 DOUBLED = [(0, "accelerating"), (1, "constant"), (2, "decelerating")]
@@ -201,13 +201,13 @@ def test_a_new_drive_speed_acts_at_once_in_each_phase(index, phase, dv, s_curve)
     move = CURVE._replace(s_curve=s_curve)
     unmodified = move.reference()
     clock = next(int((p.t + p.length / 2) * SECOND) for p in unmodified.pieces if p.phase == phase)
-    assert_made(MCX514(), move, [(clock, "DV", dv)])
+    assert_move_matches_reference(MCX514(), move, [(clock, "DV", dv)])
 
 
 def test_a_drive_speed_lowered_shortly_before_the_deceleration_point_still_lets_the_drive_end_at_sv():
     """The point lies where the S-curve to the new speed is about to flatten."""
     move = Move(SV=13, DV=46, AC=246, DC=246, JK=4589, DJ=1835, P=22, s_curve=True, asymmetric=True)
-    assert_made(MCX514(), move, [(5_492_589, "DV", 25)])
+    assert_move_matches_reference(MCX514(), move, [(5_492_589, "DV", 25)])
 
 
 @pytest.mark.parametrize("clock", [2 * MS, 8 * MS], ids=["accelerating", "constant"])
@@ -216,19 +216,21 @@ def test_writing_the_present_value_changes_nothing(clock):
     short = LINEAR._replace(P=48, DV=8000)
     assert short.reference((clock, "P", 48)).pulse_clocks() == short.reference().pulse_clocks()
     for what, value in (("P", short.P), ("DV", short.DV)):
-        assert_made(MCX514(), short, [(clock, what, value)])
+        assert_move_matches_reference(MCX514(), short, [(clock, what, value)])
 
 
 def test_triangle_prevention_holds_for_a_drive_speed_raised_in_motion():
     for clock in (1, 2 * MS, 8 * MS):
-        assert_made(MCX514(), LINEAR._replace(P=100, DV=4000), [(clock, "DV", 20_000)])
+        assert_move_matches_reference(MCX514(), LINEAR._replace(P=100, DV=4000), [(clock, "DV", 20_000)])
 
 
 def test_a_new_output_pulse_number_acts_at_once():
     for rng in examples(0.1):
         move = random_move(rng, fixed=True)._replace(DP=None)
-        clock = somewhere(rng, move.reference())
-        assert_made(MCX514(), move, [(clock, "P", log_uniform(rng, 1, 4000))], minus=rng.random() < 0.5)
+        clock = draw_clock(rng, move.reference())
+        assert_move_matches_reference(
+            MCX514(), move, [(clock, "P", log_uniform(rng, 1, 4000))], minus=rng.random() < 0.5
+        )
 
 
 @pytest.mark.parametrize("passed", [1, 50, 99])
@@ -237,7 +239,7 @@ def test_a_target_already_passed_stops_the_drive_at_once(minus, passed):
     move = LINEAR
     clock = move.reference().pulse_clocks()[99] + 7
     chip = MCX514()
-    assert_made(chip, move, [(clock, "P", passed)], minus=minus)
+    assert_move_matches_reference(chip, move, [(clock, "P", passed)], minus=minus)
     assert abs(get_signed(chip, 0x30)) == 100
 
 
@@ -253,8 +255,8 @@ def test_the_end_of_a_counter_relative_drive_can_be_moved_too():
 def test_a_decelerating_stop_brakes_to_sv_from_any_phase():
     for rng in examples(0.1):
         move = random_move(rng)
-        clock = somewhere(rng, move.reference())
-        drive = assert_made(MCX514(), move, [(clock, "slow")])
+        clock = draw_clock(rng, move.reference())
+        drive = assert_move_matches_reference(MCX514(), move, [(clock, "slow")])
         assert drive.end_clock is not None
 
 
@@ -268,14 +270,14 @@ def test_a_decelerating_stop_ends_the_creep_at_sv(move):
     drive = move.reference()
     creep = drive.pieces[-1]
     for clock in (int(creep.t * SECOND) - 10, int(creep.t * SECOND) + 5 * MS):
-        stopped = assert_made(MCX514(), move, [(clock, "slow")])
+        stopped = assert_move_matches_reference(MCX514(), move, [(clock, "slow")])
         assert stopped.end_clock < drive.end_clock
 
 
 def test_an_instant_stop_ends_the_drive_at_its_clock_in_any_phase():
     for rng in examples(0.06):
         move = random_move(rng)
-        clock = somewhere(rng, move.reference())
+        clock = draw_clock(rng, move.reference())
         chip = MCX514()
         start(chip, move)
         pulses = [c for c, _ in played(chip, [(clock, "stop")], clock)]
@@ -290,7 +292,7 @@ def test_an_instant_stop_ends_the_drive_at_its_clock_in_any_phase():
 def test_both_stops_act_in_each_phase(phase, what, s_curve):
     move = CURVE._replace(s_curve=s_curve)
     clock = next(int((p.t + p.length / 2) * SECOND) for p in move.reference().pieces if p.phase == phase)
-    assert_made(MCX514(), move, [(clock, what)])
+    assert_move_matches_reference(MCX514(), move, [(clock, what)])
 
 
 @covers("MCX514", "IV", "VINC", "VDEC")
@@ -362,9 +364,9 @@ def test_speed_acceleration_and_phase_read_as_the_profile_says():
         chip, drive = MCX514(), move.reference()
         interventions = []
         if rng.random() < 0.5:
-            interventions = [(somewhere(rng, drive), "DV", log_uniform(rng, int(move.SV) + 1, 3 * int(move.DV)))]
+            interventions = [(draw_clock(rng, drive), "DV", log_uniform(rng, int(move.SV) + 1, 3 * int(move.DV)))]
             drive = move.reference(*interventions)
-        samples = sorted(somewhere(rng, drive) for _ in range(8))
+        samples = sorted(draw_clock(rng, drive) for _ in range(8))
         start(chip, move)
         start_clock = chip.clock
         for clock in samples:

@@ -45,8 +45,8 @@ from support.nova_interpolation_bench import (
     arc,
     assert_circular,
     assert_even,
-    chosen,
     line,
+    list_axes,
     prepared,
     random_axes,
     rotations,
@@ -57,7 +57,7 @@ from support.nova_interpolation_bench import (
 
 
 def send_bits(chip, words, axes=X | Y):
-    for axis, word in zip(chosen(axes), words, strict=True):
+    for axis, word in zip(list_axes(axes), words, strict=True):
         load(chip, axis, TP=word)
     command(chip, BIT_PATTERN[len(words)], 0)
 

@@ -40,8 +40,8 @@ from support.nova_interpolation_bench import (
     arc,
     assert_circular,
     assert_even,
-    chosen,
     line,
+    list_axes,
     prepared,
     random_axes,
     rotations,
@@ -99,7 +99,7 @@ def test_a_line_to_where_it_is_ends_at_once():
 
 def test_counters_stand_at_the_finish_point():
     chip, axes = prepared(Y | Z | U), Y | Z | U
-    for axis in chosen(axes):
+    for axis in list_axes(axes):
         load(chip, axis, LP=100)
     line(chip, (30, -50, 7), axes)
     chip.advance(ENOUGH)

@@ -42,13 +42,13 @@ def programs(part, share):
 def test_programs_as_drivers_write_them_agree_to_the_clock(name, about):
     """Without looks, nothing but pulses, reads and the end is compared: a read must not be what makes the product right."""
     for program, rng in programs(REAL_PROGRAMS[about], 0.08):
-        play(name, program, look=rng.random() < 0.5)
+        play(name, program, compare_each=rng.random() < 0.5)
 
 
 @both_chips
 def test_any_program_agrees_to_the_clock(name):
     for program, rng in programs(CHAOTIC_PROGRAM, 0.12):
-        play(name, program, look=rng.random() < 0.5)
+        play(name, program, compare_each=rng.random() < 0.5)
 
 
 @both_chips

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from support.examples import scaled
 from support.pcl240k_bench import SEED
-from support.pcl240ms_bench import LINEAR, NO_CORRECTION, Move, Registers, excuse, made, random_move, span_of
+from support.pcl240ms_bench import LINEAR, NO_CORRECTION, Move, Registers, excuse, random_move, run_move, span_of
 
 from stage.chips import PCL240MK, PCL240MS
 
@@ -31,7 +31,7 @@ def random_moves():
 
 def assert_ended(move):
     """Makes a move; what every move must hold to."""
-    outcome = made(move)
+    outcome = run_move(move)
     print(f"{move}\n{outcome}, PULSESTAGE_SEED={SEED}")
     assert outcome.r0 == 0, "exactly at R0 = 0"
     assert outcome.pulses == move.r0, "and not one pulse more"
@@ -48,10 +48,10 @@ def assert_right_to_a_pulse(move):
     difference = 0 if move.linear else (span_of(r.R14, gain) - span_of(r.R15, gain)) * r.R4  # clocks
     expected = difference * (r.R1 + outcome.peak - 1) / (16384 * r.R7)
     if gain > 0 and outcome.peak == move.fh:
-        assert outcome.late - expected == pytest.approx(0, abs=ROUNDING)
+        assert outcome.delay - expected == pytest.approx(0, abs=ROUNDING)
     elif gain > 0 and move.linear:
         step = r.R4 * outcome.peak / (8192 * r.R7)
-        assert -ROUNDING < outcome.late < ROUNDING + step, "a triangle's top speed lasts less than a step"
+        assert -ROUNDING < outcome.delay < ROUNDING + step, "a triangle's top speed lasts less than a step"
 
 
 def test_every_random_move_ends_at_r0_0_and_at_fl_or_with_a_tail_that_the_manual_allows():
@@ -88,7 +88,7 @@ def test_moves_about_as_long_as_their_ramps_end_so(bits, r0):
 def test_an_offset_adds_pulses_at_fl_and_a_negative_one_takes_them_from_the_ramp():
     registers = Registers(50, 800, 300, 300, 20)
     for cls, bits in ((PCL240MK, 0), (PCL240MS, 0), (PCL240MS, LINEAR)):
-        delayed = [made(Move(cls, 5000, registers, offset, bits)).late for offset in (0, -300, -100, 5, 20, 1000)]
+        delayed = [run_move(Move(cls, 5000, registers, offset, bits)).delay for offset in (0, -300, -100, 5, 20, 1000)]
         assert [v - delayed[0] for v in delayed[1:]] == pytest.approx([-300, -100, 5, 20, 1000], abs=1)
 
 

@@ -55,20 +55,22 @@ def test_a_slice_at_full_voltage_is_the_exact_solution_of_the_phase():
         assert d.current_a == pytest.approx(i, rel=1e-12)
 
 
-@pytest.mark.parametrize("turns_per_second", [-12.0, 0.5, 3.0, 12.0])
+@pytest.mark.parametrize("revolutions_per_second", [-12.0, 0.5, 3.0, 12.0])
 @pytest.mark.parametrize("angle", [-1.2, 0.0, 0.3, 1.5])
-def test_a_sine_drive_with_enough_voltage_makes_the_torque_of_its_load_angle_at_any_speed(turns_per_second, angle):
+def test_a_sine_drive_with_enough_voltage_makes_the_torque_of_its_load_angle_at_any_speed(
+    revolutions_per_second, angle
+):
     """The current follows the pulses without delay, so the torque is K I sin(load angle)."""
     d = record(Drive(detent=0.0, mode="sine"))
-    omega, theta = 2 * math.pi * turns_per_second, 0.4
+    omega, theta = 2 * math.pi * revolutions_per_second, 0.4
     middles = (np.arange(stepper.SLICES) + 0.5 - stepper.SLICES / 2) * H
     counts = ((theta + omega * middles) * d.teeth + angle - d.offset) / d.per_pulse
     torque = stepper.compute_mean_torque(d, counts, stepper.SLICES, theta, omega, H)
     assert torque == pytest.approx(RATED * math.sin(angle), abs=1e-9 * RATED)
 
 
-def course(speed, lag, h, seconds):
-    """Rotor angle and commanded phase in the middle of each slice, at a constant speed (rad/s) and load angle."""
+def compute_angles_and_phases(speed, lag, h, seconds):
+    """Return rotor angle and commanded phase in the middle of each slice, at a constant speed (rad/s) and load angle."""
     theta = speed * h * (np.arange(round(seconds / h)) + 0.5)
     return theta, 50 * theta + lag
 
@@ -78,7 +80,7 @@ def reference(drive, speed, lag, seconds, pieces):
     to reach its target with the voltage that it needs, as far as the bus goes."""
     m, v, h = drive.motor, drive.bus_voltage, H / pieces
     km, current = m.torque_constant, np.array([drive.amplitude, 0.0])
-    thetas, phis = course(speed, lag, h, seconds)
+    thetas, phis = compute_angles_and_phases(speed, lag, h, seconds)
     torques = np.zeros(len(thetas))
     for k, (theta, phi) in enumerate(zip(thetas, phis, strict=True)):
         wave = np.array([math.cos(phi), math.sin(phi)])
@@ -95,7 +97,7 @@ def reference(drive, speed, lag, seconds, pieces):
 
 def simulated(drive, speed, lag, seconds, h=H):
     d = record(drive)
-    thetas, phis = course(speed, lag, h, seconds)
+    thetas, phis = compute_angles_and_phases(speed, lag, h, seconds)
     torques = [stepper.compute_slice_torque(d, p / d.per_pulse, t, speed, h) for t, p in zip(thetas, phis, strict=True)]
     return np.mean(torques[len(torques) // 2 :])
 
@@ -129,13 +131,13 @@ def test_a_chopper_agrees_as_well_but_for_a_command_that_acts_half_a_slice_later
 
 
 def test_power_from_the_bus_is_copper_loss_plus_mechanical_power_plus_the_change_of_the_field():
-    """In sine mode above its corner the voltage is known from outside: V cos(phi), V sin(phi)."""
+    """Use sine mode above the corner speed, where the voltages are V cos(phi) and V sin(phi)."""
     drive, speed = Drive(detent=0.0, mode="sine"), rpm(1500)
     d = record(drive)
     electrical = copper = mechanical = 0.0
     field = -MOTOR.inductance / 2 * (d.current_a**2 + d.current_b**2)
     h = H / 8
-    for theta, phi in zip(*course(speed, 2.6, h, 0.01), strict=True):
+    for theta, phi in zip(*compute_angles_and_phases(speed, 2.6, h, 0.01), strict=True):
         a, b = d.current_a, d.current_b
         mechanical += stepper.compute_slice_torque(d, phi / d.per_pulse, theta, speed, h) * speed * h
         ia, ib = (a + d.current_a) / 2, (b + d.current_b) / 2
@@ -151,7 +153,7 @@ def test_a_chopper_never_uses_more_than_the_bus_voltage_nor_more_than_the_set_cu
     d = record(SMOOTH)
     km, r, inductance = MOTOR.torque_constant, MOTOR.resistance, MOTOR.inductance
     decay = 1 - math.exp(-H * r / inductance)
-    for theta, phi in zip(*course(rpm(speed), 1.5, H, 0.02), strict=True):
+    for theta, phi in zip(*compute_angles_and_phases(rpm(speed), 1.5, H, 0.02), strict=True):
         before = np.array([d.current_a, d.current_b])
         stepper.compute_slice_torque(d, phi / d.per_pulse, theta, rpm(speed), H)
         after = np.array([d.current_a, d.current_b])

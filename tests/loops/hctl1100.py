@@ -14,8 +14,8 @@ def _clipped(value):
 
 @exported("i8", core.STATE, array_of("i8"), array_of("i8"), array_of("i8"))
 def play(c, moments, steps, noise):
-    """In sample n, `moments[n]` clocks after it began, the host writes the command moved by steps[n]; the shaft follows the command
-    of the sample before, off by noise[n]. Returns how many samples had another motor command than the law's, at any time."""
+    """Write a new command `moments[n]` clocks into each sample n, moved by steps[n]; the shaft follows the command
+    of the sample before, off by noise[n]. Return how many samples had another motor command than that of the control law."""
     command = before = output = corrupted = 0
     begin = c.sample_end
     for n in range(len(moments)):

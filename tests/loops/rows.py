@@ -75,16 +75,16 @@ def summed(room):
 
 @exported("f8", "f8")
 def on_the_stack(x):
-    """2 * 5 * x, by way of two arrays of its own."""
-    here, there = room(ROWS, COLUMNS), room(ROWS, COLUMNS)
+    """Return 2 * 5 * x, computed in two arrays on the stack."""
+    first, second = room(ROWS, COLUMNS), room(ROWS, COLUMNS)
     for i in range(ROWS):
         for k in range(COLUMNS):
-            here[i, k], there[i, k] = x, -1.0
-    return summed(here) + 10.0 + summed(there)
+            first[i, k], second[i, k] = x, -1.0
+    return summed(first) + 10.0 + summed(second)
 
 
 @exported(None, cores.CHIP, "i8", array_of("i8"))
-def told(c, axis, out):
-    """What a loop is told of a chip's axis."""
+def describe_axis(c, axis, out):
+    """Write clock, net pulses, inputs, outputs and status of an axis of a chip to `out`."""
     out[0], out[1], out[2] = cores.clock(c), cores.net(c, axis), cores.inputs(c, axis)
     out[3], out[4] = cores.outputs(c, axis), cores.status(c, axis)

@@ -330,11 +330,11 @@ def test_a_full_disk_during_a_build_is_reported(tmp_path, monkeypatch):
     with pytest.raises(NativeError, match=r"could not be written to .*toy: No space left on device\. Make room there"):
         build.build("toy")
     monkeypatch.undo()
-    assert "could not be written: No space left on device. Make room there." in emitted_to("/dev/full")
+    assert "could not be written: No space left on device. Make room there." in run_emit_to("/dev/full")
 
 
-def emitted_to(place):
-    """What a process says that emits nothing but keeps it at a place."""
+def run_emit_to(place):
+    """Run a process that writes an object file to `place`, and return its error output."""
     program = (
         "import multiprocessing as m, sys\nfrom pathlib import Path\nfrom stage.native import emit\n"
         f"emit.emit = lambda *_: b'made'\nemit.write_object = lambda path, made: Path({place!r}).write_bytes(made)\n"
@@ -443,7 +443,7 @@ def test_a_missing_package_is_named():
 
 
 def test_a_library_is_linked_by_the_first_compiler_installed(tmp_path, monkeypatch):
-    """On a machine that has gcc and no cc; then on one that has neither."""
+    """Simulate a machine with gcc but no cc, then one with neither."""
     from importlib import util
 
     from stage.native import build

@@ -21,8 +21,8 @@ HANDED_OUT = {
 }
 
 
-def use(part):
-    """What one does with each of them."""
+def use_part(part):
+    """Use a part of a stage in its usual way and return the result."""
     if isinstance(part, Board):
         return part.in8(0x300)
     if isinstance(part, Fleet):
@@ -41,7 +41,7 @@ def test_what_a_stage_handed_out_works_when_nobody_else_keeps_the_stage(what):
     gc.collect()
     rubbish = [np.full(50_000, 7.0) for _ in range(40)]  # takes the place of what was freed
     assert gone() is not None
-    use(part)
+    use_part(part)
     del rubbish, part
     gc.collect()
     assert gone() is None, "and nothing keeps it longer"

@@ -33,34 +33,36 @@ def _as_at_first(served, page):
     served.panel.fault_controls.set_payload(0.0)
 
 
-def of(served, look):
-    return served.session.do(look)
+def call_on_stage(served, action):
+    return served.session.do(action)
 
 
 def pushes(served):
-    return of(served, lambda stage: [float(stage.data.qfrc_applied[a.plant.dof]) for a in stage.axes.values()])
+    return call_on_stage(
+        served, lambda stage: [float(stage.data.qfrc_applied[a.plant.dof]) for a in stage.axes.values()]
+    )
 
 
 # --- axes ---
 
 
 def test_a_card_of_each_axis_has_its_motor_its_place_and_its_switches(served, page):
-    of(served, lambda stage: stage.place(x=0.0123, y=stage.axes["y"].travel[1] * 0.985))
+    call_on_stage(served, lambda stage: stage.place(x=0.0123, y=stage.axes["y"].travel[1] * 0.985))
     served.panel.observer.request_registers(0, 0)
-    of(served, served.panel.observer.observe)
-    live, look = live_of(page), served.panel.observer
+    call_on_stage(served, served.panel.observer.observe)
+    live, observer = live_of(page), served.panel.observer
     texts = {e.props.get("data-test"): now() for e, now in live._texts.values()}
     lamps = {e.props.get("data-test"): now() for e, now in live._lamps.values()}
     assert lamps["switch-y-el_plus"]
     for name, axis in served.session.stage.axes.items():
-        observed = look.axes[name]
+        observed = observer.axes[name]
         assert texts[f"motor-{name}"] == axis.drive.motor.name
         assert texts[f"place-{name}"] == format_position(
             axis.unit, observed.position, observed.commanded, observed.lost
         )
         assert {s: lamps[f"switch-{name}-{s}"] for s in axis.switches.as_dict()} == observed.switches
     assert texts["place-x"] != texts["place-y"]
-    pins = look.chips[0, 0]
+    pins = observer.chips[0, 0]
     for pin, on in (pins.inputs | pins.outputs).items():
         assert lamps[f"pin-0-{pin}"] == on
 
@@ -87,14 +89,14 @@ def test_load_and_supply_are_what_the_sliders_say_and_every_page_follows(served,
     for one in (page, second):
         one.until(lambda o=one: o.text("payload-value") == "payload 0.5 kg" and o.find("payload").value == 0.5)
         one.until(lambda o=one: o.text("supply-value") == "supply 20 V" and o.find("supply").value == 20)
-    assert of(served, lambda stage: stage.payload()) == 0.5
-    assert of(served, lambda stage: [a.faults.bus_voltage for a in stage.axes.values()]) == [20, 20]
+    assert call_on_stage(served, lambda stage: stage.payload()) == 0.5
+    assert call_on_stage(served, lambda stage: [a.faults.bus_voltage for a in stage.axes.values()]) == [20, 20]
     page.fire("supply", "change", 24)
     page.until(lambda: not served.panel.fault_controls.in_force)
-    assert of(served, lambda stage: [a.faults.bus_voltage for a in stage.axes.values()]) == [24, 24]
+    assert call_on_stage(served, lambda stage: [a.faults.bus_voltage for a in stage.axes.values()]) == [24, 24]
     page.fire("payload", "change", -1)
     page.until(lambda: page.said)
-    assert of(served, lambda stage: stage.payload()) == 0.5
+    assert call_on_stage(served, lambda stage: stage.payload()) == 0.5
 
 
 @pytest.mark.parametrize(("button", "force"), [("push-plus", 2.5), ("push-minus", -2.5)])
@@ -137,26 +139,26 @@ def test_an_impossible_force_is_an_error_at_its_field_until_the_next_attempt(ser
 
 
 def test_faults_are_of_the_selected_axis_and_cleared_one_by_one(served, page):
-    hands = served.panel.fault_controls
+    fault_controls = served.panel.fault_controls
     page.put("breaking", "switch_stuck")
     for axis, pin, closed in (("x", "org", "no"), ("y", "el_plus", "yes"), ("y", "org", "yes")):
         page.put("hands-axis", axis)
         page.put("breaking", "switch_stuck")
         page.put("break-pin", pin)
         page.put("break-closed", closed)
-        before = len(hands.in_force)
+        before = len(fault_controls.in_force)
         page.click("break")
-        page.until(lambda n=before: len(hands.in_force) == n + 1)
-        assert hands.in_force[-1].request == ("switch_stuck", axis, {"pin": pin, "closed": closed})
-    texts = [created.text for created in hands.in_force]
+        page.until(lambda n=before: len(fault_controls.in_force) == n + 1)
+        assert fault_controls.in_force[-1].request == ("switch_stuck", axis, {"pin": pin, "closed": closed})
+    texts = [created.text for created in fault_controls.in_force]
     page.until(lambda: len(page.all("clear-fault")) == 3)
     listed = [e.text for e in page.find("in-force").descendants() if getattr(e, "text", "") in texts]
     assert listed == texts
     page.click("break")
-    said = page.until(lambda: page.said)
-    assert "is in force already" in said[0]
+    messages = page.until(lambda: page.said)
+    assert "is in force already" in messages[0]
     page.click("clear-fault", 1)
-    page.until(lambda: [created.text for created in hands.in_force] == [texts[0], texts[2]])
+    page.until(lambda: [created.text for created in fault_controls.in_force] == [texts[0], texts[2]])
     page.until(lambda: len(page.all("clear-fault")) == 2)
     assert page.all("clear-fault")[1].props["aria-label"] == f"clear {texts[2]}".replace('"', "'")
 
@@ -189,7 +191,7 @@ def test_a_line_of_the_console_is_sent_to_the_selected_chip(served, page):
         page.put("console-target", index)
         line(page, f"R1 <- {value}")
         page.until(lambda: typed(page) == "")
-    assert of(served, lambda stage: [chip.values_of(0)["R1"] for chip in stage.chips]) == [123, 321]
+    assert call_on_stage(served, lambda stage: [chip.values_of(0)["R1"] for chip in stage.chips]) == [123, 321]
 
 
 def test_a_line_that_is_wrong_stays_and_says_so_until_escape(served, page):
@@ -295,8 +297,8 @@ def test_cycles_are_made_in_order_and_reads_are_returned_and_traced(served, page
         ("R", 0),
     ]
     assert served.panel.observer.number > number
-    assert result == of(served, lambda stage: [stage.chips[1].read(address) for address in (1, 0)])
-    assert of(served, lambda stage: [chip.values_of(0)["R1"] for chip in stage.chips]) == [0, 7]
+    assert result == call_on_stage(served, lambda stage: [stage.chips[1].read(address) for address in (1, 0)])
+    assert call_on_stage(served, lambda stage: [chip.values_of(0)["R1"] for chip in stage.chips]) == [0, 7]
 
 
 def test_a_refused_cycle_is_reported(served, page, monkeypatch):

@@ -111,5 +111,5 @@ def test_a_wrong_byte_is_the_chips_diagnostic(bench):
     browser.until(lambda: "diagnostics (" in browser.text("diagnostics"))
     browser.until(lambda: "! " in browser.text("trace"))
     browser.click("diagnostics")
-    said = bench.stage(lambda stage: stage.chips[0].diagnostics[-1].message)
-    browser.until(lambda: said in browser.text("diagnosed"))
+    message = bench.stage(lambda stage: stage.chips[0].diagnostics[-1].message)
+    browser.until(lambda: message in browser.text("diagnosed"))

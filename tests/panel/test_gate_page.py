@@ -21,20 +21,20 @@ def second(bench, open_browser):
     return second
 
 
-def received(bench):
-    """What the server has taken for an order: the bus cycles of the panel, and whether time stands still."""
+def get_effects(bench):
+    """Return the effects of accepted commands: the bus cycles of the panel, and whether time is paused."""
     return bench.panel.observer.traces[0].lines_after(0), bench.session.paused
 
 
 def test_forged_clicks_and_messages_of_an_observer_do_nothing(bench, second):
-    before = received(bench)
+    before = get_effects(bench)
     for name in ("play", "command-0-operate-8", "go-move", "reset"):
         second.driver.execute_script(FORGED, second.find(name))
     second.driver.execute_script(RAW, second.find("play"))
     second.click("view-top")  # what is no order is heard
     second.click("controls")  # and in order: all before has come
     second.until(lambda: second.text("controls") != "Take the controls")
-    assert received(bench) == before
+    assert get_effects(bench) == before
     second.driver.execute_script(RAW, second.find("play"))
     second.until(lambda: bench.session.paused)  # the same message is an order now
     second.click("play")

@@ -141,8 +141,8 @@ def test_a_port_that_cannot_be_had_says_what_to_do(served):
             server._listen("127.0.0.1", port)
 
 
-@pytest.mark.parametrize(("host", "own"), [("0.0.0.0", "127.0.0.1"), ("::", "::1"), ("192.0.2.7", "192.0.2.7")])
-def test_a_wildcard_server_without_a_network_has_its_loopback_address(monkeypatch, host, own):
+@pytest.mark.parametrize(("host", "reachable"), [("0.0.0.0", "127.0.0.1"), ("::", "::1"), ("192.0.2.7", "192.0.2.7")])
+def test_a_wildcard_server_without_a_network_has_its_loopback_address(monkeypatch, host, reachable):
     class Nowhere:
         def __init__(self, family, kind):
             assert (family == socket.AF_INET6) == (":" in host)
@@ -157,7 +157,7 @@ def test_a_wildcard_server_without_a_network_has_its_loopback_address(monkeypatc
             raise OSError("there is no network")
 
     monkeypatch.setattr(server.socket, "socket", Nowhere)
-    assert server._find_reachable_host(host) == own
+    assert server._find_reachable_host(host) == reachable
 
 
 def test_a_text_with_quotes_is_one_property_value():

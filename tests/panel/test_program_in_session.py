@@ -134,21 +134,21 @@ def test_a_program_that_is_to_end_does_at_once_whatever_it_waits_for(session, st
         session.take_over()
         until(lambda: session.view.time > 0)
     session.paused = state == "paused"
-    ended = []
+    end_times = []
 
     def drive():
         try:
             session.stage.run(600.0)
         except ActionStopped:
-            ended.append(time.monotonic())
+            end_times.append(time.monotonic())
 
     driver = Driver(drive)
     time.sleep(0.05)
     begin = time.monotonic()
     session.end_program()
     driver.result(5)
-    assert ended
-    assert ended[0] - begin < 2
+    assert end_times
+    assert end_times[0] - begin < 2
 
 
 def test_dismissed_it_is_refused_and_the_session_lets_time_pass(session):

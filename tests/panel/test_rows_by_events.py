@@ -70,14 +70,14 @@ class RowOnPage:
 @pytest.fixture
 def make_row(page):
     """made(place): a row; it is taken away again."""
-    all_made = []
+    rows = []
 
     def make(place):
-        all_made.append(RowOnPage(page, place))
-        return all_made[-1]
+        rows.append(RowOnPage(page, place))
+        return rows[-1]
 
     yield make
-    for one in all_made:
+    for one in rows:
         page.within(one.box.delete)
 
 

@@ -247,15 +247,15 @@ def test_another_file_is_refused(tmp_path, file):
 
 
 @pytest.mark.parametrize(
-    ("option", "said"),
+    ("option", "expected"),
     [
         ({}, "Stage('xy', chips='pcl240ms')"),
         ({"bus_voltage": 48.0}, "Stage('xy', chips='pcl240ms', drives=Drive(microsteps=16, bus_voltage=48.0))"),
         ({"microsteps": 8}, "Stage('xy', chips='pcl240ms', drives=Drive(microsteps=8, bus_voltage=24.0))"),
     ],
 )
-def test_a_program_makes_its_stage_with_the_options_of_the_panel(option, said):
-    assert saved_panel.stage_of(STAGE_OPTIONS | option) == said
+def test_a_program_makes_its_stage_with_the_options_of_the_panel(option, expected):
+    assert saved_panel.stage_of(STAGE_OPTIONS | option) == expected
 
 
 def shared(sent=(), start=0, options=STAGE_OPTIONS, payloads=None):

@@ -345,11 +345,11 @@ def test_recovery_goes_back_half_a_second_and_pauses(session):
 @PAUSED
 @pytest.mark.parametrize("how", ["back", "reset", "restore", "recover"])
 def test_restoring_a_time_ends_the_action(session, how):
-    kept = session.do(lambda stage: stage.snapshot())
+    saved = session.do(lambda stage: stage.snapshot())
     session.paused = False
     move = session.act("wait", lambda stage: stage.run(1e6))
     until(lambda: session.view.action == "wait" and session.view.time > 0)
-    {"back": lambda: session.go_back(0.0), "reset": session.reset, "restore": lambda: session.restore(kept),
+    {"back": lambda: session.go_back(0.0), "reset": session.reset, "restore": lambda: session.restore(saved),
      "recover": session.recover}[how]()  # fmt: skip
     with pytest.raises(ActionStopped):
         move.result(5)

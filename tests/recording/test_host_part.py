@@ -9,13 +9,13 @@ from stage.recording.vcd import HostBus
 
 class Host:
     def __init__(self):
-        self.at, self.asked = 0, []
+        self.at, self.requests = 0, []
 
     def get_position(self):
         return self.at
 
     def changes(self, *arguments):
-        self.asked.append(arguments)
+        self.requests.append(arguments)
         return ["changes"]
 
 
@@ -31,7 +31,7 @@ def test_a_part_begins_and_ends_at_the_positions_of_the_bus_trace():
     host.at, stage.now = 9, 30
     assert part.until == 20, "it was closed then"
     part.changes("writer", 1, 2)
-    assert host.asked == [("writer", 3, None, 1, 2), ("writer", 3, 7, 1, 2)]
+    assert host.requests == [("writer", 3, None, 1, 2), ("writer", 3, 7, 1, 2)]
 
 
 def test_a_board_that_comes_during_the_recording_is_in_it_and_one_that_comes_after_is_not():
@@ -44,7 +44,7 @@ def test_a_board_that_comes_during_the_recording_is_in_it_and_one_that_comes_aft
     assert during.changes("writer", 0, 1) == ["changes"]
     during.close()
     assert during.changes("writer", 0, 1) == ["changes"]
-    assert stage.host.asked == [("writer", None, None, 0, 1), ("writer", None, 5, 0, 1)]
+    assert stage.host.requests == [("writer", None, None, 0, 1), ("writer", None, 5, 0, 1)]
     nobody = HostBus(SimpleNamespace(host=None, now=4))
     assert nobody.changes("writer", 0, 1) == []
     nobody.close()

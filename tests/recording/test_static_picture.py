@@ -25,7 +25,7 @@ class Run:
             for name, (chip, unit) in axes.items()
         }
         self.n, self.began, self.duration = n, 1.0, n / 1000
-        self.given = {name.replace("__", "/"): values for name, values in columns.items()}
+        self.values_by_column = {name.replace("__", "/"): values for name, values in columns.items()}
 
     def __len__(self):
         return self.n
@@ -34,7 +34,7 @@ class Run:
         if name == "time":
             return 1.0 + np.arange(1, self.n + 1) / 1000
         pin = name.rpartition("/")[2] in {**PCL240K.INPUTS}
-        return np.asarray(self.given.get(name, np.zeros(self.n, bool if pin else float)))
+        return np.asarray(self.values_by_column.get(name, np.zeros(self.n, bool if pin else float)))
 
 
 SLIDE, HINGE, SERVO = (PCL240K, "m"), (PCL240K, "rad"), (HCTL1100, "m")

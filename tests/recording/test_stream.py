@@ -94,10 +94,10 @@ def test_of_a_kill_in_the_middle_of_a_write_rerun_mends_the_file(tmp_path, cut):
         recording.flush()
         torn = path.read_bytes()[: complete + cut]
     path.write_bytes(torn)
-    mended = tmp_path / "mended.rrd"
-    assert rerun_cli("rrd", "merge", path, "-o", mended).returncode == 0
-    assert rerun_cli("rrd", "verify", mended).returncode == 0
-    times = read_rrd(mended)["/axes/x/position"]["Scalars:scalars"][0]
+    repaired = tmp_path / "mended.rrd"
+    assert rerun_cli("rrd", "merge", path, "-o", repaired).returncode == 0
+    assert rerun_cli("rrd", "verify", repaired).returncode == 0
+    times = read_rrd(repaired)["/axes/x/position"]["Scalars:scalars"][0]
     assert times.max() * 1e-9 >= 0.49
 
 

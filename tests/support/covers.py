@@ -14,16 +14,20 @@ from stage.chips import Chip, chip_class
 
 
 def covers(chips: str, *symbols: str) -> Callable:
-    """Raises ArgumentError, when the test is collected, for a chip or symbol that does not exist."""
+    """Return a decorator that checks that a test writes these commands of these chips.
+
+    Raises:
+        ArgumentError: At collection, if a chip or symbol does not exist.
+    """
     codes = {cls: {s: cls.MAP.command(s).codes for s in symbols} for cls in map(chip_class, chips.split())}
 
     def decorate(test: Callable) -> Callable:
         @functools.wraps(test)
         def watched(*args, **kwargs):
-            seen: dict[type[Chip], set[int]] = defaultdict(set)
-            with mock.patch.object(Chip, "_write", _spy(seen)):
+            written_codes: dict[type[Chip], set[int]] = defaultdict(set)
+            with mock.patch.object(Chip, "_write", _spy(written_codes)):
                 test(*args, **kwargs)
-            written = {cls: seen[cls] for cls in codes if cls in seen}
+            written = {cls: written_codes[cls] for cls in codes if cls in written_codes}
             assert written, f"this test claims to cover commands of {chips} and wrote none"
             for cls, its in written.items():
                 missing = [symbol for symbol, of in codes[cls].items() if its.isdisjoint(of)]
@@ -36,13 +40,13 @@ def covers(chips: str, *symbols: str) -> Callable:
     return decorate
 
 
-def _spy(seen: dict[type[Chip], set[int]]) -> Callable:
-    """`Chip._write`, but the codes of the commands written are noted: words at address 0, bytes at 16 of an 8-bit bus."""
+def _spy(written_codes: dict[type[Chip], set[int]]) -> Callable:
+    """Wrap `Chip._write` to record the codes of written commands: words at address 0, bytes at 16 of an 8-bit bus."""
     write = Chip._write
 
-    def spy(self, address, value, given):
+    def spy(self, address, value, provided):
         if int(address) in (0, 16) and not int(value) & 0xF000:
-            seen[type(self)].add(int(value) & 0xFF)
-        return write(self, address, value, given)
+            written_codes[type(self)].add(int(value) & 0xFF)
+        return write(self, address, value, provided)
 
     return spy

@@ -12,9 +12,11 @@ JUNK = st.one_of(
 )  # fmt: skip
 
 
-WHOLE = st.integers(-(2**33), 2**33)
+INTEGERS = st.integers(-(2**33), 2**33)
 PATTERNS = {
-    INTEGER_PATTERN: st.one_of(*(WHOLE.map(lambda n, form=form: form.format("-" * (n < 0), abs(n))) for form in FORMS)),
+    INTEGER_PATTERN: st.one_of(
+        *(INTEGERS.map(lambda n, form=form: form.format("-" * (n < 0), abs(n))) for form in FORMS)
+    ),
     LENGTH_PATTERN: st.tuples(st.floats(-10, 10), st.sampled_from(["", "mm", " um", "m", "deg"])).map(
         lambda two: f"{two[0]}{two[1]}"
     ),

@@ -12,11 +12,11 @@ LEAST = 0x0F  # counts of the timer after which commands may be written in any c
 def bench(*writes, clock_hz=None):
     """A chip that was told these lists of writes."""
     chip = HCTL1100(clock_hz)
-    tell(chip, *writes)
+    write_all(chip, *writes)
     return chip
 
 
-def tell(chip, *writes):
+def write_all(chip, *writes):
     for some in writes:
         for address, value in some:
             chip.write(address, value)

@@ -50,9 +50,9 @@ def commutators(draw) -> Writes:
     """A commutator, mostly as the manual wants it."""
     four, full = draw(st.booleans()), draw(st.booleans())
     x, y = draw(st.integers(0, 12)), draw(st.integers(0, 12))
-    ring = draw(st.one_of(st.just((4 if four else 3) * (x + y)), st.integers(0, 0x7F)))
+    ring_counts = draw(st.one_of(st.just((4 if four else 3) * (x + y)), st.integers(0, 0x7F)))
     return [
-        (0x07, four << 1 | full << 2 | draw(st.integers(0, 1))), (0x18, ring), (0x1A, x), (0x1B, y),
+        (0x07, four << 1 | full << 2 | draw(st.integers(0, 1))), (0x18, ring_counts), (0x1A, x), (0x1B, y),
         (0x1C, draw(byte)), (0x1F, draw(st.integers(0, 0x7F))), (0x19, draw(byte)),
     ]  # fmt: skip
 

@@ -32,8 +32,8 @@ class Served:
         from mcp import Client
         from mcp.client.streamable_http import streamable_http_client
 
-        given = {"Authorization": f"Bearer {self.server.token}", **(headers or {})}
-        http = httpx2.AsyncClient(headers=given, timeout=60)
+        all_headers = {"Authorization": f"Bearer {self.server.token}", **(headers or {})}
+        http = httpx2.AsyncClient(headers=all_headers, timeout=60)
         return Client(streamable_http_client(self.server.address, http_client=http))
 
     def close(self):

@@ -12,7 +12,7 @@ from reference.nova_profile import SECOND, Drive, ceil_clock
 
 from support.examples import EXAMPLES, SEED
 
-MOST = 100_000  # pulses, or twice as many: a slow S-curve to a high speed would make millions
+MAX_PULSES = 100_000  # pulses, or twice as many: a slow S-curve to a high speed would make millions
 ROUNDING = 1e-9  # clocks; a pulse due this near to a whole clock may be rounded to the clock beside
 X, Y, Z, U = 1, 2, 4, 8
 DATA_514 = dict(JK=0x00, DJ=0x01, AC=0x02, DC=0x03, SV=0x04, DV=0x05, TP=0x06, DP=0x07, CP=0x08, LP=0x09, AO=0x0D)
@@ -166,13 +166,13 @@ def log_uniform(rng, low, high):
     return min(high, int(low * ((high + 1) / low) ** rng.random()))
 
 
-def somewhere(rng, drive, most_pulses=2000):
-    """A clock in a phase of a drive, each as likely as the other; not after more than MOST pulses."""
-    piece = rng.choice([p for p in drive.pieces if (drive.end is None or p.t < drive.end) and p.p < MOST])
-    longest = min(piece.length, most_pulses / piece.v)
-    while piece.position(longest) > 2 * MOST:
-        longest /= 2
-    until = piece.t + longest
+def draw_clock(rng, drive, most_pulses=2000):
+    """Draw a clock in a random phase of a drive, all equally likely, within MAX_PULSES pulses."""
+    piece = rng.choice([p for p in drive.pieces if (drive.end is None or p.t < drive.end) and p.p < MAX_PULSES])
+    max_seconds = min(piece.length, most_pulses / piece.v)
+    while piece.position(max_seconds) > 2 * MAX_PULSES:
+        max_seconds /= 2
+    until = piece.t + max_seconds
     if drive.end is not None:
         until = min(until, drive.end)
     low, high = ceil_clock(piece.t * SECOND), int(until * SECOND)
@@ -204,7 +204,7 @@ def assert_pulses(clocks, drive, note, until=None):
     assert len(clocks) == len(due), f"{len(clocks)} pulses, due {len(due)}\n{note}"
 
 
-def assert_made(chip, move, interventions=(), minus=False, until=None):
+def assert_move_matches_reference(chip, move, interventions=(), minus=False, until=None):
     """Start a move on a fresh MCX514 and compare it to the end with the reference."""
     drive = move.reference(*interventions)
     note = f"{move} {interventions} PULSESTAGE_SEED={SEED}"

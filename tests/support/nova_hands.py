@@ -64,12 +64,12 @@ def cruise(chip, pps=1_000_000, minus=False, axes=X):
     command(chip, 0x53 if minus else 0x52, axes)
 
 
-def passes(chip, clock, look):
-    """Return the results of `look` one clock before `clock`, and at it."""
+def passes(chip, clock, read):
+    """Return the results of `read` one clock before `clock`, and at it."""
     chip.advance(clock - 1 - chip.clock)
-    before = look(chip)
+    before = read(chip)
     chip.advance(1)
-    return before, look(chip)
+    return before, read(chip)
 
 
 def pulses(chip, clocks):

@@ -28,27 +28,27 @@ def prepared(axes=X | Y, main=STEADY, ipm=0):
     return chip
 
 
-def chosen(axes):
-    """Axis bits, the lowest first."""
+def list_axes(axes):
+    """List the bits of the selected axes, the lowest first."""
     return [axis for axis in AXES if axes & axis]
 
 
 def line(chip, finish, axes=X | Y):
     """Write a straight segment and its command."""
-    for axis, value in zip(chosen(axes), finish, strict=True):
+    for axis, value in zip(list_axes(axes), finish, strict=True):
         load(chip, axis, TP=value)
     command(chip, LINEAR[len(finish)], 0)
 
 
 def arc(chip, centre, finish, clockwise, axes=X | Y):
-    for axis, c, f in zip(chosen(axes), centre, finish, strict=True):
+    for axis, c, f in zip(list_axes(axes), centre, finish, strict=True):
         load(chip, axis, CP=c, TP=f)
     command(chip, CW if clockwise else CCW, 0)
 
 
 def ticks(chip, clocks=ENOUGH, axes=X | Y):
     """Let it run: the clock since now of each tick, and the steps of the axes in it."""
-    began, numbers = chip.clock, [AXES.index(axis) for axis in chosen(axes)]
+    began, numbers = chip.clock, [AXES.index(axis) for axis in list_axes(axes)]
     trace = chip.trace(clocks)
     pulses = zip((trace["clock"] - began).tolist(), trace["axis"].tolist(), trace["direction"].tolist(), strict=True)
     when, steps = [], []
@@ -72,15 +72,15 @@ def random_axes(rng, count):
 
 def assert_circular(steps, centre, finish, clockwise, note):
     assert steps, note
-    course, radius = points(steps), math.hypot(*centre)
-    assert max(circle_errors(course, centre)) <= 1 + 1e-9, note
+    path, radius = points(steps), math.hypot(*centre)
+    assert max(circle_errors(path, centre)) <= 1 + 1e-9, note
     if finish == (0, 0):
-        assert course[-1] == (0, 0), f"a closed circle ends where it began\n{note}"
-    assert_ends(course[-1], centre, finish, clockwise, note)
+        assert path[-1] == (0, 0), f"a closed circle ends where it began\n{note}"
+    assert_ends(path[-1], centre, finish, clockwise, note)
     # the finish point is rounded, the end is beside it: some 3 LSB of arc
-    missed = angles(course, centre, clockwise)[-1] - arc_angle(centre, finish, clockwise)
+    missed = angles(path, centre, clockwise)[-1] - arc_angle(centre, finish, clockwise)
     assert abs(missed) * radius < 3, f"{missed} rad, {len(steps)} ticks\n{note}"
-    assert_the_faster_axis_steps(steps, course, centre, clockwise, note)
+    assert_the_faster_axis_steps(steps, path, centre, clockwise, note)
 
 
 def assert_ends(at, centre, finish, clockwise, note):
@@ -91,9 +91,9 @@ def assert_ends(at, centre, finish, clockwise, note):
     assert max(abs(a - f) for a, f in zip(at, finish, strict=True)) <= 1, f"ends at {at}\n{note}"
 
 
-def assert_the_faster_axis_steps(steps, course, centre, clockwise, note):
+def assert_the_faster_axis_steps(steps, path, centre, clockwise, note):
     at = (0, 0)
-    for k, (step, after) in enumerate(zip(steps, course, strict=True), 1):
+    for k, (step, after) in enumerate(zip(steps, path, strict=True), 1):
         x, y = (a - c for a, c in zip(at, centre, strict=True))
         if abs(abs(x) - abs(y)) > 2:  # at a border between octants either axis may
             fast, ahead, _ = OCTANTS[octant_ahead(x, y, clockwise)]

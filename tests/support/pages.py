@@ -34,13 +34,13 @@ def steps(page: Path) -> list[Step]:
     return [Step(m[1] or "typed", m[2] or m[3], text[: m.start()].count("\n") + 1) for m in FENCE.finditer(text)]
 
 
-def agree(said: str, expected: str) -> bool:
+def agree(printed_text: str, expected: str) -> bool:
     """Compare what is printed with what a page says: the same words and whole numbers, and decimals that are near.
 
     A decimal may differ by what rounding to the last digit of either explains, or by 0.2 %, as another processor's arithmetic does.
     """
-    printed, on_page = (NUMBER.findall(text) for text in (said, expected))
-    words = NUMBER.sub("#", said).split() == NUMBER.sub("#", expected).split()
+    printed, on_page = (NUMBER.findall(text) for text in (printed_text, expected))
+    words = NUMBER.sub("#", printed_text).split() == NUMBER.sub("#", expected).split()
     return words and all(_is_same_number(a, b) for a, b in zip(printed, on_page, strict=True))
 
 

@@ -195,10 +195,10 @@ def say(operation):
 
 
 class Pair:
-    """Product and reference side by side. With `look` all that can be seen is compared after every operation."""
+    """Product and reference side by side. With `compare_each` all readable values are compared after every operation."""
 
-    def __init__(self, look=True, chip=PCL240K, model=ReferencePCL240K):
-        self.chip, self.model, self.look, self.log = chip(), model(), look, []
+    def __init__(self, compare_each=True, chip=PCL240K, model=ReferencePCL240K):
+        self.chip, self.model, self.compare_each, self.log = chip(), model(), compare_each, []
 
     def play(self, program):
         for operation in program:
@@ -221,19 +221,19 @@ class Pair:
         else:  # write, reset
             for chip in (self.chip, self.model):
                 getattr(chip, kind)(*rest)
-        if self.look:
+        if self.compare_each:
             self.compare()
 
     def compare(self):
         chip, model = self.chip, self.model
         self.agree("clock", chip.clock, model.clock)
-        seen = {"status": chip.read(0), "counter": tuple(chip.read(a) for a in (1, 2, 3))}
-        seen |= {name: bool(getattr(chip.pins, name)) for name in OUTPUTS}
+        observed = {"status": chip.read(0), "counter": tuple(chip.read(a) for a in (1, 2, 3))}
+        observed |= {name: bool(getattr(chip.pins, name)) for name in OUTPUTS}
         expected = model.state()
-        seen |= chip.values()
+        observed |= chip.values()
         expected |= model.values()
-        differ = [name for name in expected if seen[name] != expected[name]]
-        self.agree(" ".join(differ), [seen[n] for n in differ], [expected[n] for n in differ])
+        differ = [name for name in expected if observed[name] != expected[name]]
+        self.agree(" ".join(differ), [observed[n] for n in differ], [expected[n] for n in differ])
 
     def agree(self, what, product, reference):
         assert product == reference, "\n".join([f"{what}: product {product}, reference {reference}", *self.log])

@@ -16,7 +16,7 @@ from stage.chips import PCL240MK, PCL240MS
 
 LINEAR, NO_CORRECTION = 0x1000, 0x8000  # bits of R14
 AUTOMATIC = 0x54  # control mode: preset, automatic ramp-down point
-LONGEST = 1 << 45
+MAX_CLOCKS = 1 << 45
 
 
 class Registers(NamedTuple):
@@ -128,9 +128,9 @@ def step_clocks(gain: int, span: float, rate: int) -> np.ndarray:
     """Return the times at which a ramp makes its steps, in clocks from its start, the 0 of the start first."""
     k = np.arange(gain + 1)
     end = (gain + 2 * span) * rate / 2
-    late = end - rate * np.sqrt((gain - k) * span)
+    falling = end - rate * np.sqrt((gain - k) * span)
     return np.select(
-        [k <= span, k <= gain - span], [rate * np.sqrt(k * span), rate * span + (k - span) * rate / 2], late
+        [k <= span, k <= gain - span], [rate * np.sqrt(k * span), rate * span + (k - span) * rate / 2], falling
     )
 
 
@@ -155,7 +155,7 @@ def started(r: Registers, r0=0xFFFFFF, r6=0, control=AUTOMATIC, start=0x15, bits
     return chip
 
 
-class Course:
+class RecordedMove:
     """A preset move that was just started, to its end: clock (0 at the start), speed and R0 after each change; `end`: the
     clock of its last pulse."""
 
@@ -164,15 +164,15 @@ class Course:
         for _ in range(64):
             if not chip.read(0) & 0x40:
                 break
-            chip.advance(LONGEST)
+            chip.advance(MAX_CLOCKS)
         assert not chip.read(0) & 0x40, "it never ends"
         journal.close()
-        course = journal.course()
-        edges = course.edges
+        waveform = journal.course()
+        edges = waveform.edges
         last = np.flatnonzero(edges["speed"])[-1] + 1
         self.clock = edges["clock"][:last] - edges["clock"][0]
         self.speed, self.r0 = edges["speed"][:last], edges["counter"][:last]
-        self.pin = lambda name: course.pin(name)[:last]
+        self.pin = lambda name: waveform.pin(name)[:last]
         self.pulses = abs(int(edges["net"][-1] - edges["net"][0]))
         self.end = int(edges["clock"][edges["counter"] == 0][0] - edges["clock"][0])
 
@@ -190,7 +190,7 @@ class Course:
         return int(self.speed.max())
 
 
-def random_registers(rng, linear: bool, least=200, most=2_000_000) -> Registers:
+def random_registers(rng, linear: bool, min_pulses=200, max_pulses=2_000_000) -> Registers:
     """Legal ones, both ramps together of some `least` to `most` pulses, S-curves with or without a linear part."""
     while True:
         fl, fh = sorted(rng.integers(1, 8192, 2))
@@ -205,7 +205,7 @@ def random_registers(rng, linear: bool, least=200, most=2_000_000) -> Registers:
         if not linear and rng.random() < 0.5:
             down = 0
         r = r._replace(R14=up, R15=down)
-        if all(least <= minimum_trapezoid(x) <= most for x in (r, automatic(r))):
+        if all(min_pulses <= minimum_trapezoid(x) <= max_pulses for x in (r, automatic(r))):
             return r
 
 
@@ -243,7 +243,7 @@ class Move(NamedTuple):
         return corrected_r2(r._replace(R14=0, R15=0) if self.linear else r, self.r0)
 
 
-class Ended(NamedTuple):
+class MoveEnd(NamedTuple):
     """End of a move. `r0`, `speed`: at its last pulse; `at_fl`: pulses at FL after the ramp-down; `left`: pulses that the
     rest of the ramp-down would have taken until FL; `own`: those that its last step takes, at FL."""
 
@@ -253,12 +253,12 @@ class Ended(NamedTuple):
     peak: int
     at_fl: int
     left: float
-    own: float
+    last_step: float
 
     @property
-    def late(self) -> float:
+    def delay(self) -> float:
         """Pulses from the end of the whole ramp-down, its last step at FL included, to the last pulse; negative before it."""
-        return self.at_fl - self.own - self.left
+        return self.at_fl - self.last_step - self.left
 
 
 def random_move(rng) -> Move:
@@ -282,43 +282,43 @@ def random_move(rng) -> Move:
     )
 
 
-def made(move: Move) -> Ended:
+def run_move(move: Move) -> MoveEnd:
     """Run a move on a fresh chip."""
     r = move.registers
     width = 20 if move.cls is PCL240MK else 24
     control = AUTOMATIC | (0x08 if move.minus else 0)
     chip = started(r, move.r0, move.offset % (1 << width), control, bits=move.bits, cls=move.cls)
-    course = Course(chip)
-    speed, peak = int(course.speed[-1]), course.peak
-    above = np.flatnonzero(course.speed > r.R1)
+    recorded = RecordedMove(chip)
+    speed, peak = int(recorded.speed[-1]), recorded.peak
+    above = np.flatnonzero(recorded.speed > r.R1)
     at_fl = 0
     if speed <= r.R1:
-        at_fl = int(course.r0[above[-1] + 1]) if len(above) else move.r0
-    return Ended(chip.values()["R0"], course.pulses, speed, peak, at_fl, *ramp_down(move, course))
+        at_fl = int(recorded.r0[above[-1] + 1]) if len(above) else move.r0
+    return MoveEnd(chip.values()["R0"], recorded.pulses, speed, peak, at_fl, *ramp_down(move, recorded))
 
 
-def ramp_down(move: Move, course: Course) -> tuple[float, float]:
+def ramp_down(move: Move, recorded: RecordedMove) -> tuple[float, float]:
     """Pulses that the ramp-down still lacked at the last pulse, and those of its last step."""
-    r, peak = move.registers, course.peak
+    r, peak = move.registers, recorded.peak
     gain = peak - r.R1
     if gain <= 0:
         return 0.0, 0.0
     due = np.arange(gain + 1) * r.R4 if move.linear else step_clocks(gain, span_of(r.R15, gain), r.R4)
-    falling = np.flatnonzero(course.speed == peak)[-1] + 1
-    gone = course.end - course.clock[falling] if falling < len(course.speed) else 0
-    clocks = np.clip(due[1:] - np.maximum(due[:-1], gone), 0, None) * (course.speed[-1] > r.R1)
+    falling = np.flatnonzero(recorded.speed == peak)[-1] + 1
+    gone = recorded.end - recorded.clock[falling] if falling < len(recorded.speed) else 0
+    clocks = np.clip(due[1:] - np.maximum(due[:-1], gone), 0, None) * (recorded.speed[-1] > r.R1)
     pulses = clocks * (peak - np.arange(1, gain + 1)) / (8192 * r.R7)
     return float(pulses[:-1].sum()), float((due[-1] - due[-2]) * r.R1 / (8192 * r.R7))
 
 
-def excuse(move: Move, ended: Ended) -> str:
+def excuse(move: Move, end: MoveEnd) -> str:
     """Why the move may end above FL with more of its ramp-down left than rounding makes; empty if it may not."""
     r, gain = move.registers, move.fh - move.registers.R1
     if move.offset < 0:
         return "R6 is negative: a later start"
     if move.linear:
         return ""
-    if not move.correction and ended.peak < move.fh:
+    if not move.correction and end.peak < move.fh:
         return "triangle, FH correction off"
     if span_of(r.R15, gain) > span_of(r.R14, gain):
         return "ramp-down longer than ramp-up, R15 > R14"

@@ -43,7 +43,7 @@ def read_back(chip, name):
 
 
 def kept(make, name):
-    """The bits of a register that a write can set."""
+    """Return the mask of the bits of a register that a write can set."""
     return (1 << BITS[make][name]) - 1 & ~READ_ONLY.get(name, 0)
 
 

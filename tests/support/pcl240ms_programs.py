@@ -310,19 +310,19 @@ LARGE_CORRECTION = story(  # a start with FH correction; the offset delays the a
 # Product and reference
 
 
-def pair(name, look=True):
-    return Pair(look, *PAIRS[name])
+def pair(name, compare_each=True):
+    return Pair(compare_each, *PAIRS[name])
 
 
-def play(name, program, look=True):
+def play(name, program, compare_each=True):
     """Play a program on both; one on which they differ is cut down first, so that the failure is a short one."""
-    if differ(name, program, look):
-        pair(name, look).play(shortened(program, lambda shorter: differ(name, shorter, look)))
+    if differ(name, program, compare_each):
+        pair(name, compare_each).play(shortened(program, lambda shorter: differ(name, shorter, compare_each)))
 
 
-def differ(name, program, look):
+def differ(name, program, compare_each):
     try:
-        pair(name, look).play(program)
+        pair(name, compare_each).play(program)
     except Exception:  # a crash is a difference, too
         return True
     return False

@@ -56,20 +56,20 @@ def make_bench(axes=1, mjcf=ONE_AXIS):
 
 
 def feed(recording, n, rng=None):
-    """n rows of a plausible motion, in buffers as the engine would fill them."""
+    """Feed n rows of a plausible motion into the buffers of a recording, as the engine does."""
     rows = len(recording.samples)
     done = 0
     while done < n:
         free = min(rows - recording.filled, n - done)
-        here = slice(recording.filled, recording.filled + free)
+        rows_to_fill = slice(recording.filled, recording.filled + free)
         t = (len(recording) + 1 + np.arange(free)) * recording.every
-        s = recording.samples[here]
+        s = recording.samples[rows_to_fill]
         s["time"] = t[:, None]
         s["position"] = (0.1 * np.sin(t))[:, None]
         s["commanded"] = s["position"] + 1e-6 * np.cos(7 * t)[:, None]
         s["rate"] = np.abs(32_000 * np.cos(t))[:, None]
         s["counter"] = (1e6 - 32_000 * np.sin(t)).astype(int)[:, None]
-        recording.positions[here] = 0.1 * np.sin(t)[:, None]
+        recording.positions[rows_to_fill] = 0.1 * np.sin(t)[:, None]
         recording.take(recording.filled + free)
         done += free
 

@@ -23,7 +23,7 @@ class Served:
         return connect(self.address, **options)
 
     def state(self) -> tuple:
-        """All that a host may leave behind."""
+        """Return all state that a host can change."""
         stage = self.board.stage
         return (
             stage.snapshot().state.tobytes(),

@@ -33,7 +33,7 @@ class Visitor:
     async def _come(self) -> None:
         enqueue = self.client.outbox.enqueue_message
 
-        def hear(kind: str, data: Any, target: str) -> None:
+        def handle_message(kind: str, data: Any, target: str) -> None:
             if kind == "notify":
                 self.said.append(data["message"])
             if kind == "download":
@@ -43,15 +43,15 @@ class Visitor:
                 self._loop.call_later(0.005, self.client.handle_javascript_response, answer)
             enqueue(kind, data, target)
 
-        self.client.outbox.enqueue_message = hear  # type: ignore[method-assign]
+        self.client.outbox.enqueue_message = handle_message  # type: ignore[method-assign]
         await self.client.handle_handshake(self._socket, self._socket, None, self._socket, None)
 
     def within(self, what: Callable[[], Any]) -> Any:
         """`what()` in the server's loop; what it gives, or what its coroutine gives."""
 
         async def call() -> Any:
-            found = what()
-            return await found if asyncio.iscoroutine(found) else found
+            result = what()
+            return await result if asyncio.iscoroutine(result) else result
 
         return asyncio.run_coroutine_threadsafe(call(), self._loop).result(20)
 

@@ -37,16 +37,16 @@ def moves(stage: Stage) -> float:
     line: list[tuple[float, str, str]] = report.writes()
     speed: float = report.peak_rate + report.average_rate
     ok: bool = report.ok and not x.lost_steps and bool(line)
-    ways: dict[str, bool] = x.switches.as_dict()
-    text: str = f"{report} {report.listing()} {x!r} {ways}"
+    switches: dict[str, bool] = x.switches.as_dict()
+    text: str = f"{report} {report.listing()} {x!r} {switches}"
     stage.place(x=0.01, y=-0.01)
     profile = firmware.Profile.of(fl=1000, fh1=10_000)
     preset = firmware.preset_move(x, 1000, profile)
     both = firmware.line({"x": 1e-3, "y": -1e-3}, stage)
     skew: float = both.skew
     homed = firmware.home(x)
-    beside: tuple[str, ...] = x.tandem
-    squared = [] if not beside else firmware.square_gantry(x, *(stage.axes[name] for name in beside))
+    tandem_axes: tuple[str, ...] = x.tandem
+    squared = [] if not tandem_axes else firmware.square_gantry(x, *(stage.axes[name] for name in tandem_axes))
     x.switches.stick("org", True)
     x.switches.stick("org", None)
     level: bool = x.pins.org
@@ -70,10 +70,10 @@ def snapshots(stage: Stage, folder: Path) -> int:
     with stage.record(1e-3) as recording:
         stage.run(0.01)
     stage.restore(before)
-    kept: Recording = recording
-    rows: np.ndarray = kept.column("x/position")
-    names: dict[str, str] = kept.units
-    vcd: Path = kept.to_vcd(folder / "x.vcd", overwrite=True)
+    saved: Recording = recording
+    rows: np.ndarray = saved.column("x/position")
+    names: dict[str, str] = saved.units
+    vcd: Path = saved.to_vcd(folder / "x.vcd", overwrite=True)
     return len(rows) + len(names) + vcd.stat().st_size
 
 

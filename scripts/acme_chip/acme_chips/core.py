@@ -126,7 +126,7 @@ def mark(c, axis, out, k):
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan(c, until, every_pulse, axis, out):
-    """As advance, and marks each change of speed and outputs, with `every_pulse` each pulse; stops when `out` is full."""
+    """Advance and mark each change of speed and outputs, with `every_pulse` each pulse, until `out` is full."""
     k = 0
     while c.clock < until and k < len(out) - 1:
         word, speed, net = outputs(c, 0), c.speed, c.net

@@ -34,27 +34,27 @@ class AcmeDriver(Driver):
     def move(self, pulses, speeds, timeout=None):
         with Procedure(self.axis, "move") as p:
             self.start(pulses, speeds)
-            longest = 1.5 * abs(pulses) / speeds.start + speeds.up + speeds.down + 1
-            ended = self.wait(longest if timeout is None else timeout)
+            max_seconds = 1.5 * abs(pulses) / speeds.start + speeds.up + speeds.down + 1
+            stop_cause = self.wait(max_seconds if timeout is None else timeout)
             self.axis.wait(SETTLING_TIME_S)
-            return p.report(ended, pulses)
+            return p.report(stop_cause, pulses)
 
     def home(self, direction, speeds, index=False, timeout=60.0):
         if index:
             raise ArgumentError("index=True: an ACME1000 does not see an encoder's index pulse.")
         with Procedure(self.axis, "home") as p:
             self._prepare(speeds._replace(s_curve=False), BACK)
-            ended = ""
+            stop_cause = ""
             if not self.chip.read(0) & ORG:
-                ended = self._go("HOME+" if direction > 0 else "HOME-", timeout)
+                stop_cause = self._go("HOME+" if direction > 0 else "HOME-", timeout)
             for _ in range(200):  # out of ORG again
-                if ended or not self.chip.read(0) & ORG:
+                if stop_cause or not self.chip.read(0) & ORG:
                     break
                 self.chip.write(MAP.register("COUNT").number, BACK)
-                ended = self._go("MOVE-" if direction > 0 else "MOVE+", timeout)
-            ended = ended or self._go("CREEP+" if direction > 0 else "CREEP-", timeout)
+                stop_cause = self._go("MOVE-" if direction > 0 else "MOVE+", timeout)
+            stop_cause = stop_cause or self._go("CREEP+" if direction > 0 else "CREEP-", timeout)
             self.axis.wait(SETTLING_TIME_S)
-            return p.report("ORG" if self.chip.read(0) & ORG else ended or "EL")
+            return p.report("ORG" if self.chip.read(0) & ORG else stop_cause or "EL")
 
     def run(self, direction, speeds):
         self._prepare(speeds, 1)
@@ -109,9 +109,9 @@ class AcmeDriver(Driver):
     def _go(self, symbol, timeout):
         self._send(symbol)
         wait_until_stopped([self.axis], timeout)
-        ended = self.stopped_by()
+        stop_cause = self.stopped_by()
         self.axis.wait(SETTLING_TIME_S)
-        return ended
+        return stop_cause
 
 
 class Return(Search):
@@ -122,9 +122,9 @@ class Return(Search):
             raise ArgumentError(f"ez={settings.ez!r}: an ACME1000 does not see an encoder's index pulse.")
         self.driver, self.settings, self.marks = driver, settings, {}
         rates = {name: get_register_range(MAP, name) for name in ("START", "DRIVE", "SLOPE")}
-        ways = {"leave": (1, settings.leave), "back_off": (1, settings.back_off)}
+        directions = {"leave": (1, settings.leave), "back_off": (1, settings.back_off)}
         self.choices = ParameterRanges(
-            {**rates, "approach": get_register_range(MAP, "START"), **ways}, cubed=("leave",)
+            {**rates, "approach": get_register_range(MAP, "START"), **directions}, cubed=("leave",)
         )
         self.program(self.choices.low)
 
@@ -151,11 +151,13 @@ class Return(Search):
         self._note_result_index(name, p).read(a, 0)
 
     def read_results(self, results, rows):
-        said = {name: results[:, at] for name, at in self.marks.items()}
-        timed_out = np.any([said[f"{name} time"] < 0 for name in ("leave", "search", "back", "approach")], axis=0)
-        at_org = {name: said[name] & ORG != 0 for name in ("search", "back", "approach")}
+        values = {name: results[:, at] for name, at in self.marks.items()}
+        timed_out = np.any([values[f"{name} time"] < 0 for name in ("leave", "search", "back", "approach")], axis=0)
+        at_org = {name: values[name] & ORG != 0 for name in ("search", "back", "approach")}
         released = ~at_org["back"]
-        met = np.any([said[name] & (PLUS_LIMIT | MINUS_LIMIT) != 0 for name in ("leave", "search", "approach")], axis=0)
+        met = np.any(
+            [values[name] & (PLUS_LIMIT | MINUS_LIMIT) != 0 for name in ("leave", "search", "approach")], axis=0
+        )
         none = np.zeros(len(rows), np.int64)
         return SearchResult(
             timed_out, ~timed_out & released & at_org["approach"], ~timed_out & met, released, none, none

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from stage.chips.entries import RESET, WRITE
-from support.machines.chip_machine import Course, differences
+from support.machines.chip_machine import Interval, differences
 
 
-class BenchTwin:
-    """Replays the journal of `chip` as it grows. host: what the host knows when the journal begins, see families.py."""
+class JournalReplay:
+    """Replay of the journal of `chip` as it grows. host: what the host knows when the journal begins, see families.py."""
 
     def __init__(self, chip, host):
         self.chip, self.host = chip, host
@@ -33,10 +33,10 @@ class BenchTwin:
         clocks = clock - self.lone.clock
         if not clocks:
             return
-        course = Course(self.host, self.lone, clocks)
-        course.end(self.lone, self.lone.advance(clocks))
-        self.host.check_course(course, self.lone)
-        self.host = self.host.advanced(course.inputs)
+        interval = Interval(self.host, self.lone, clocks)
+        interval.end(self.lone, self.lone.advance(clocks))
+        self.host.check_interval(interval, self.lone)
+        self.host = self.host.advanced(interval.inputs)
 
     def differences(self):
         """List the differences between the chip and the one on the bench."""

@@ -16,8 +16,8 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from support.machines.families import bus_of, host_of
 
 
-class Course:
-    """A time in which the pins stay as they are: what was seen before it, and what came of it.
+class Interval:
+    """Interval of time in which the input pins stay constant: the observation before it and the pulses in it.
 
     pulses: of all axes; moved: plus minus minus, axis by axis; traced: the pulses one by one, or None.
     """
@@ -26,12 +26,12 @@ class Course:
         self.host, self.clocks, self.clock = host, clocks, chip.clock
         words = [chip.input_word(j) for j in range(chip.AXES)]
         self.inputs = [{name: bool(word & bit) for name, bit in chip.INPUTS.items()} for word in words]
-        self.seen = host.seen(chip)
+        self.observation = host.observe(chip)
         self._net = _net(chip)
         self.pulses, self.traced = 0, None
 
     def end(self, chip, pulses, traced=None):
-        """The time has passed; `moved` is known from now on."""
+        """Record the end of the interval, which defines `moved`."""
         self.pulses, self.traced = pulses, traced
         self.moved = [int(now - before) for now, before in zip(_net(chip), self._net, strict=True)]
 
@@ -47,15 +47,15 @@ class ChipMachine(RuleBasedStateMachine):
 
     def __init__(self):
         super().__init__()
-        self.chip, self.twin, self.host, self.bus = self.CHIP(), self.CHIP(), host_of(self.CHIP), bus_of(self.CHIP)
+        self.chip, self.replica, self.host, self.bus = self.CHIP(), self.CHIP(), host_of(self.CHIP), bus_of(self.CHIP)
         self.saved: list = []
-        self.last: Course | None = None
+        self.last: Interval | None = None
 
     def _program(self, writes):
         self.last = None
         for address, value in writes:
             refused = self.host.refuses(self.chip)
-            for chip in (self.chip, self.twin):
+            for chip in (self.chip, self.replica):
                 self.host.put(chip, address, value)
             assert self.host.refuses(self.chip) or not refused, "a start towards an asserted limit was not refused"
             self.host = self.host.written(address, value)
@@ -69,10 +69,10 @@ class ChipMachine(RuleBasedStateMachine):
         """A run as a driver starts it, then some of its time."""
         self._program(data.draw(self.bus.starts(self.CHIP)))
         self._begin(n + more)
-        self._end(self.chip.advance(n) + self.chip.advance(more), self.twin.advance(n + more))
+        self._end(self.chip.advance(n) + self.chip.advance(more), self.replica.advance(n + more))
 
     def _begin(self, clocks):
-        self.last = Course(self.host, self.chip, clocks)
+        self.last = Interval(self.host, self.chip, clocks)
 
     def _end(self, pulses, twins, traced=None):
         assert pulses == twins, "n then m made other pulses than n + m"
@@ -85,7 +85,7 @@ class ChipMachine(RuleBasedStateMachine):
         self.last = None
         address = data.draw(st.sampled_from(self.host.ADDRESSES))
         before = copy.copy(self.chip)
-        assert self.chip.read(address) == self.twin.read(address)
+        assert self.chip.read(address) == self.replica.read(address)
         if address not in self.CHIP.READING_ACTS:
             assert not differences(self.chip, before), "reading changed something"
 
@@ -94,7 +94,7 @@ class ChipMachine(RuleBasedStateMachine):
         self.last = None
         axis, name = self._an_input(data, tuple(self.CHIP.INPUTS))
         level = data.draw(st.booleans())
-        for chip in (self.chip, self.twin):
+        for chip in (self.chip, self.replica):
             setattr(chip.axes[axis].pins, name, level)
 
     def _an_input(self, data, names):
@@ -105,48 +105,48 @@ class ChipMachine(RuleBasedStateMachine):
         """An input changes for some clocks and changes back."""
         axis, name = self._an_input(data, (*self.CHIP.INPUTS, *self.host.BLINKING))
         was = getattr(self.chip.axes[axis].pins, name)
-        for chip in (self.chip, self.twin):
+        for chip in (self.chip, self.replica):
             setattr(chip.axes[axis].pins, name, not was)
             chip.advance(between)
-        self.host = self.host.advanced(Course(self.host, self.chip, between).inputs)
-        for chip in (self.chip, self.twin):
+        self.host = self.host.advanced(Interval(self.host, self.chip, between).inputs)
+        for chip in (self.chip, self.replica):
             setattr(chip.axes[axis].pins, name, was)
         self._begin(n)
-        self._end(self.chip.advance(n), self.twin.advance(n))
+        self._end(self.chip.advance(n), self.replica.advance(n))
 
     @rule(data=st.data(), cuts=st.lists(st.floats(0, 1), max_size=4))
     def advance(self, data, cuts):
         n = data.draw(self.bus.clocks())
         self._begin(n)
         at = [0, *sorted(int(n * c) for c in cuts), n]
-        self._end(self.chip.advance(n), sum(self.twin.advance(int(k)) for k in np.diff(at)))
+        self._end(self.chip.advance(n), sum(self.replica.advance(int(k)) for k in np.diff(at)))
 
     @rule(step=st.one_of(st.integers(1, 30), st.integers(1, 2000)), times=st.integers(2, 200))
     def creep(self, step, times):
         """Pulse by pulse, so that pieces of time end just before and just after every event."""
         self._begin(step * times)
-        self._end(sum(self.chip.advance(step) for _ in range(times)), self.twin.advance(step * times))
+        self._end(sum(self.chip.advance(step) for _ in range(times)), self.replica.advance(step * times))
 
     @rule(first=st.integers(0, 3), past=st.integers(-8, 8))
     def end_close_to_an_event(self, first, past):
         """Advance to some ticks before or after a pin changes: the twin cruises, but not past it; a trace never cruises."""
-        n = (clocks_to_a_change(self.chip, self.host.PULSE_PINS) or 0) + past
+        n = (count_clocks_to_a_change(self.chip, self.host.PULSE_PINS) or 0) + past
         if n < first:
             return
         self._begin(n)
         traced = self.chip.trace(n)
-        self._end(len(traced), self.twin.advance(first) + self.twin.advance(n - first), traced)
+        self._end(len(traced), self.replica.advance(first) + self.replica.advance(n - first), traced)
 
     @rule(n=st.integers(0, 100_000))
     def trace(self, n):
         self._begin(n)
         traced = self.chip.trace(n)
-        self._end(len(traced), self.twin.advance(n), traced)
+        self._end(len(traced), self.replica.advance(n), traced)
 
     @rule()
     def reset(self):
         self.last = None
-        for chip in (self.chip, self.twin):
+        for chip in (self.chip, self.replica):
             chip.reset()
         self.host = self.host.reset()
 
@@ -160,8 +160,8 @@ class ChipMachine(RuleBasedStateMachine):
         self.last = None
         snapshot, self.host = data.draw(st.sampled_from(self.saved))
         self.chip.restore(snapshot)
-        self.twin = self.CHIP()
-        self.twin.restore(snapshot)
+        self.replica = self.CHIP()
+        self.replica.restore(snapshot)
 
     @rule(data=st.data())
     def detour(self, data):
@@ -186,8 +186,8 @@ class ChipMachine(RuleBasedStateMachine):
 
     @invariant()
     def n_then_m_is_n_plus_m_and_snapshots_are_invisible(self):
-        assert not differences(self.chip, self.twin)
-        assert len(self.chip.diagnostics) == len(self.twin.diagnostics)
+        assert not differences(self.chip, self.replica)
+        assert len(self.chip.diagnostics) == len(self.replica.diagnostics)
 
     @invariant()
     def what_holds_at_any_moment(self):
@@ -203,15 +203,15 @@ class ChipMachine(RuleBasedStateMachine):
     @invariant()
     def what_holds_of_a_time_without_edges_and_writes(self):
         if self.last is not None:
-            self.last.host.check_course(self.last, self.chip)
+            self.last.host.check_interval(self.last, self.chip)
 
     @invariant()
-    def time_passes_as_asked(self):
+    def time_passes_as_requested(self):
         if self.last is not None:
             assert self.chip.clock == self.last.clock + self.last.clocks
 
     @invariant()
-    def traced_pulses_are_in_order_in_time_and_sum_up_to_the_way(self):
+    def traced_pulses_are_in_order_and_sum_up_to_the_moved_pulses(self):
         if (b := self.last) is None or b.traced is None:
             return
         if not b.host.MAKES_PULSES:
@@ -219,27 +219,27 @@ class ChipMachine(RuleBasedStateMachine):
             return
         assert (np.diff(b.traced["clock"]) >= 0).all()
         for axis, moved in enumerate(b.moved):
-            own = b.traced[b.traced["axis"] == axis]
-            assert int(own["direction"].sum(dtype=np.int64)) == moved
-            assert (abs(own["direction"]) == 1).all()
-            assert (np.diff(own["clock"]) > 0).all(), "two pulses of an axis at once"
-            assert ((b.clock < own["clock"]) & (own["clock"] <= self.chip.clock)).all()
+            pulses_of_axis = b.traced[b.traced["axis"] == axis]
+            assert int(pulses_of_axis["direction"].sum(dtype=np.int64)) == moved
+            assert (abs(pulses_of_axis["direction"]) == 1).all()
+            assert (np.diff(pulses_of_axis["clock"]) > 0).all(), "two pulses of an axis at once"
+            assert ((b.clock < pulses_of_axis["clock"]) & (pulses_of_axis["clock"] <= self.chip.clock)).all()
         assert set(b.traced["axis"].tolist()) <= set(range(self.CHIP.AXES))
 
 
-def clocks_to_a_change(chip, apart, most=1 << 22):
-    """Clocks until an output pin changes, these apart, by doubling and bisection; None if none does in `most`."""
+def count_clocks_to_a_change(chip, ignored, max_clocks=1 << 22):
+    """Return the clocks until an output pin changes that is not `ignored`, by bisection; None if none does in `max_clocks`."""
     probe, start = type(chip)(), chip.snapshot()
 
     def pins_after(clocks):
         probe.restore(start)
         probe.advance(clocks)
-        return [getattr(a.pins, name) for a in probe.axes for name in chip.OUTPUTS if name not in apart]
+        return [getattr(a.pins, name) for a in probe.axes for name in chip.OUTPUTS if name not in ignored]
 
     now, n = pins_after(0), 1
     while pins_after(n) == now:
         n *= 2
-        if n > most:
+        if n > max_clocks:
             return None
     low = n // 2
     while n - low > 1:

@@ -14,7 +14,7 @@ from support import hctl1100_programs as traffic
 
 Writes = traffic.Writes
 F0, F1, F3, F5 = 0x01, 0x02, 0x08, 0x20
-LONGEST_SAMPLE = 16 * 256  # clocks
+MAX_SAMPLE_CLOCKS = 16 * 256  # clocks
 LIMIT, STOP, INIT, PROFILE = 0x80, 0x40, 0x20, 0x10  # of R07
 
 
@@ -80,32 +80,34 @@ class HctlHost:
         count, rate = chip.shaft
         assert rate or chip.encoder == math.floor(count - chip.missed), "a shaft that stands is where it was seen"
 
-    def seen(self, chip) -> dict:
+    def observe(self, chip) -> dict:
         """Record what `check_course` needs of the moment before time passes."""
         return {"values": chip.values(), "command": chip.command_position, "motor": chip.motor_command}
 
-    def check_course(self, before, chip) -> None:
+    def check_interval(self, before, chip) -> None:
         """Assert what holds after a time in which the pins stayed as they were."""
-        was, now = before.seen["values"], chip.values()
+        was, now = before.observation["values"], chip.values()
         assert before.pulses == 0
-        apart = {"R00", "R07", "R08", "R09", "R0C", "R0D", "R0E", "R0F", "R34", "R35", "R3C"}
+        excluded = {"R00", "R07", "R08", "R09", "R0C", "R0D", "R0E", "R0F", "R34", "R35", "R3C"}
         if chip.shaft[1]:
-            apart.add("R14")
-        assert {k: v for k, v in now.items() if k not in apart} == {k: v for k, v in was.items() if k not in apart}
+            excluded.add("R14")
+        assert {k: v for k, v in now.items() if k not in excluded} == {
+            k: v for k, v in was.items() if k not in excluded
+        }
         assert now["R00"] == was["R00"] or now["R00"] == was["R00"] & ~F0, "time clears F0 and nothing else"
         assert now["R07"] & ~PROFILE == was["R07"] & ~PROFILE
         if was["R00"] & F1:
             assert (chip.command_position, chip.motor_command, now["R00"]) == (
-                before.seen["command"],
-                before.seen["motor"],
+                before.observation["command"],
+                before.observation["motor"],
                 was["R00"],
             )
         if not was["R00"] & (F0 | F5) or was["R00"] & (F0 | F3) == F3:
-            assert chip.command_position == before.seen["command"], "only a profile moves the command position"
+            assert chip.command_position == before.observation["command"], "only a profile moves the command position"
         if was["R00"] & F0:
-            self._check_trapezoid(was, now, before.seen["command"], chip.command_position)
+            self._check_trapezoid(was, now, before.observation["command"], chip.command_position)
         assert 0 <= now["R0F"] <= 255
-        if before.clocks >= LONGEST_SAMPLE and not was["R00"] & F1:
+        if before.clocks >= MAX_SAMPLE_CLOCKS and not was["R00"] & F1:
             assert now["R08"] == chip.motor_command + 0x80
             assert now["R09"] == chip.motor_command & 0xFF, "from its first sample on a mode drives both ports"
 
@@ -140,6 +142,6 @@ def clocks() -> st.SearchStrategy[int]:
 
 
 def cruise(cls, axis: int, plus: bool) -> Writes:
-    """Integral velocity from where the shaft is, one count a sample: 1923 counts per second after reset."""
-    here = [*traffic.word(traffic.COMMAND, 0), (0x13, 0)]
-    return [*here, *traffic.acceleration(16), *traffic.begin("integral"), (0x3C, 1 if plus else 0xFF)]
+    """Return the writes of integral velocity from the present position, one count a sample: 1923 counts/s after reset."""
+    at_position = [*traffic.word(traffic.COMMAND, 0), (0x13, 0)]
+    return [*at_position, *traffic.acceleration(16), *traffic.begin("integral"), (0x3C, 1 if plus else 0xFF)]

@@ -16,7 +16,7 @@ Writes = list[tuple[int, int]]
 BYTES = 16  # from here on: byte addresses of the 8-bit bus of the MCX514
 SECOND = 16_000_000  # clocks; 1 pps is the slowest there is
 ERRORS_304 = 0x00BF  # of RR2
-ENDED_304 = 0xC000  # of RR1: by ALARM, by EMG
+MCX304_STOP_CAUSES = 0xC000  # of RR1: by ALARM, by EMG
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class NovaHost:
         pins = ["lmt_plus", "lmt_minus"]
         if self.mcx514 and w3 & 0x1000:
             pins.reverse()
-        return {way for way, pin in zip((1, -1), pins, strict=True) if on and inputs[j][pin]}
+        return {direction for direction, pin in zip((1, -1), pins, strict=True) if on and inputs[j][pin]}
 
     # --- what it may expect ---
 
@@ -140,60 +140,60 @@ class NovaHost:
     def check(self, chip) -> None:
         """Assert what holds at any moment."""
         status = chip.read(0)
-        look = copy.copy(chip)
+        chip_copy = copy.copy(chip)
         for j, axis in enumerate(chip.axes):
             driving = bool(status >> j & 1)
             assert axis.pins.drive == driving, "n-DRV of RR0 agrees with its pin"
             assert driving or not (axis.pins.asnd or axis.pins.cnst or axis.pins.dsnd), "a speed without a drive"
-            errors = self._errors(look, j)
+            errors = self._errors(chip_copy, j)
             assert bool(status >> 4 + j & 1) == bool(errors), (
                 f"axis {j}: n-ERR of RR0 agrees with the errors {errors:04X}"
             )
 
-    def _errors(self, look, j: int) -> int:
+    def _errors(self, chip_copy, j: int) -> int:
         """The error bits of an axis; they answer for the axis that is selected."""
         if self.mcx514:
-            look.write(0, 0x1F | 0x100 << j)
-            return look.read(2) & 0xFF
-        look.write(0, 0x0F | 0x100 << j)
-        return look.read(2) & ERRORS_304 | look.read(1) & ENDED_304
+            chip_copy.write(0, 0x1F | 0x100 << j)
+            return chip_copy.read(2) & 0xFF
+        chip_copy.write(0, 0x0F | 0x100 << j)
+        return chip_copy.read(2) & ERRORS_304 | chip_copy.read(1) & MCX304_STOP_CAUSES
 
-    def seen(self, chip) -> dict:
+    def observe(self, chip) -> dict:
         """Record what `check_course` needs of the moment before time passes."""
         return {"lp": self._positions(chip), "driving": chip.read(0) & 0xF}
 
     def _positions(self, chip) -> list[int]:
         """LP of each axis, as the bus reads it."""
-        look, found = copy.copy(chip), []
+        chip_copy, positions = copy.copy(chip), []
         for j in range(len(self.axes)):
-            look.write(0, (0x30 if self.mcx514 else 0x10) | 0x100 << j)
-            position = look.read(6) | look.read(7) << 16
-            found.append(position - (position >> 31 << 32))
-        return found
+            chip_copy.write(0, (0x30 if self.mcx514 else 0x10) | 0x100 << j)
+            position = chip_copy.read(6) | chip_copy.read(7) << 16
+            positions.append(position - (position >> 31 << 32))
+        return positions
 
-    def check_course(self, course, chip) -> None:
+    def check_interval(self, interval, chip) -> None:
         """Assert what holds after a time in which the pins stayed as they were. course: a `Course`."""
-        driving, still = course.seen["driving"], chip.read(0) & 0xF
-        way = sum(abs(n) for n in course.moved)
-        assert way <= course.pulses, "no way without pulses"
-        assert (way - course.pulses) % 2 == 0
+        driving, still = interval.observation["driving"], chip.read(0) & 0xF
+        total_pulses = sum(abs(n) for n in interval.moved)
+        assert total_pulses <= interval.pulses, "no way without pulses"
+        assert (total_pulses - interval.pulses) % 2 == 0
         if not (self.acts or self.interpolates):
-            assert way == course.pulses, "a drive goes one way"
+            assert total_pulses == interval.pulses, "a drive goes one way"
         if not (driving or self.acts):
-            assert course.pulses == 0, "pulses without n-DRV"
+            assert interval.pulses == 0, "pulses without n-DRV"
         for j, (moved, before, now) in enumerate(
-            zip(course.moved, course.seen["lp"], self._positions(chip), strict=True)
+            zip(interval.moved, interval.observation["lp"], self._positions(chip), strict=True)
         ):
             ring = self.axes[j].ring
             if not self.acts and (ring <= 0x7FFFFFFF or ring == 0xFFFFFFFF):
-                around = 1 << 32 if ring == 0xFFFFFFFF else ring + 1
-                assert (now - before - moved) % around == 0, f"axis {j}: pulses out are the change of LP"
-            if course.pulses == 0 and not self.acts:
+                modulus = 1 << 32 if ring == 0xFFFFFFFF else ring + 1
+                assert (now - before - moved) % modulus == 0, f"axis {j}: pulses out are the change of LP"
+            if interval.pulses == 0 and not self.acts:
                 assert now == before
-            for forbidden in self.forbidden(course.inputs, j):
+            for forbidden in self.forbidden(interval.inputs, j):
                 assert moved * forbidden <= 0, f"axis {j}: {moved} pulses towards an asserted limit"
-            assert abs(moved) <= course.clocks // 2 + 1, "faster than 8 Mpps"
-            if driving & still & 1 << j and course.clocks > SECOND and not self._waits(j):
+            assert abs(moved) <= interval.clocks // 2 + 1, "faster than 8 Mpps"
+            if driving & still & 1 << j and interval.clocks > SECOND and not self._waits(j):
                 assert moved, f"axis {j}: n-DRV, but no pulse in a second"
 
     def _waits(self, j: int) -> bool:
@@ -390,14 +390,14 @@ def _interpolations(draw, cls) -> Writes:
 
 
 def programs(cls) -> st.SearchStrategy[Writes]:
-    """Any of them; what the chip then does by itself comes less often, for little can be expected of it."""
-    found = [starts(cls)] * 3 + [changes_on_the_fly(cls)] * 4 + [register_loads(cls), commands(cls), raw_words()]
-    found.append(_home_searches(cls))
+    """Return a strategy for bus programs of any kind, autonomous ones less often: they allow few expectations."""
+    strategies = [starts(cls)] * 3 + [changes_on_the_fly(cls)] * 4 + [register_loads(cls), commands(cls), raw_words()]
+    strategies.append(_home_searches(cls))
     if issubclass(cls, MCX514):
-        found += [_actions(cls), raw_bytes()] + [_interpolations(cls)] * (cls.AXES > 1)
+        strategies += [_actions(cls), raw_bytes()] + [_interpolations(cls)] * (cls.AXES > 1)
     elif issubclass(cls, (MCX312, MCX314AS)):
-        found.append(_interpolations(cls))
-    return st.one_of(found)
+        strategies.append(_interpolations(cls))
+    return st.one_of(strategies)
 
 
 def clocks() -> st.SearchStrategy[int]:

@@ -89,13 +89,13 @@ class Pcl240Host:
         assert chip.values()["status"] == self.status(chip.pins.as_dict()), "the status byte agrees with the pins"
         assert not (chip.pins.hold and chip.pins.pout), "HOLD before the last pulse is complete"
 
-    def seen(self, chip) -> dict:
+    def observe(self, chip) -> dict:
         """Record what `check_course` needs of the moment before time passes."""
         return {"registers": chip.values(), "hold": chip.pins.hold}
 
-    def check_course(self, before, chip) -> None:
+    def check_interval(self, before, chip) -> None:
         """Assert what holds after a time in which the pins stayed as they were. before: a `Course`."""
-        (inputs,), registers, values = before.inputs, before.seen["registers"], chip.values()
+        (inputs,), registers, values = before.inputs, before.observation["registers"], chip.values()
         if before.clocks:
             fell = (registers["R0"] - values["R0"]) % COUNTER
             assert fell == self.counted(before.pulses, inputs) % COUNTER, "pulses out are the change of the counter"
@@ -106,8 +106,8 @@ class Pcl240Host:
         if before.pulses:
             assert before.moved == [before.pulses * self.direction], "pulses go the way that was asked for"
             assert not inputs[self.limit()], f"{before.pulses} pulses towards an asserted limit"
-            assert not before.seen["hold"], f"{before.pulses} pulses while HOLD is asserted"
-        assert chip.pins.hold or not before.seen["hold"], "HOLD ends by itself"
+            assert not before.observation["hold"], f"{before.pulses} pulses while HOLD is asserted"
+        assert chip.pins.hold or not before.observation["hold"], "HOLD ends by itself"
 
 
 def host(cls) -> Pcl240Host:

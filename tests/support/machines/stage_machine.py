@@ -19,7 +19,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from stage import Fleet, Program, Stage
 from stage.chips import HCTL1100, MCX514, PCL240K, PCL240MK, PCL240MS
-from support.machines.bench_twin import BenchTwin
+from support.machines.bench_twin import JournalReplay
 from support.machines.families import bus_of, host_of
 
 ARRANGEMENTS = {
@@ -92,7 +92,7 @@ class StageMachine(RuleBasedStateMachine):
     def power_up(self, data):
         order = data.draw(st.sampled_from(orders(self.ARRANGEMENT)))
         self.stage = copy.deepcopy(first(self.ARRANGEMENT, tuple(self.classes)))
-        self.twin = copy.deepcopy(first(self.ARRANGEMENT, order))
+        self.replica = copy.deepcopy(first(self.ARRANGEMENT, order))
         self.hosts = self.new_hosts()
         self.note()
 
@@ -101,9 +101,9 @@ class StageMachine(RuleBasedStateMachine):
 
     def note(self):
         """Begin the journals anew: they run forward only."""
-        self.benches = [BenchTwin(chip, host) for chip, host in zip(self.stage.chips, self.hosts, strict=True)]
+        self.benches = [JournalReplay(chip, host) for chip, host in zip(self.stage.chips, self.hosts, strict=True)]
 
-    def tell(self, name, writes):
+    def write_registers(self, name, writes):
         """Bus writes to the chip of an axis, of the stage and of its twin."""
         k = self.stage.chips.index(self.stage.axes[name].chip)
         for address, value in writes:
@@ -112,12 +112,12 @@ class StageMachine(RuleBasedStateMachine):
             self.hosts[k] = self.hosts[k].written(address, value)
 
     def both(self):
-        return self.stage, self.twin
+        return self.stage, self.replica
 
     @rule(name=axes, data=st.data())
     def write(self, name, data):
         cls = self.classes[name]
-        self.tell(name, data.draw(bus_of(cls).programs(cls)))
+        self.write_registers(name, data.draw(bus_of(cls).programs(cls)))
 
     @rule(name=axes, address=addresses)
     def read(self, name, address):
@@ -127,16 +127,16 @@ class StageMachine(RuleBasedStateMachine):
     @rule(seconds=spans, cuts=st.lists(st.floats(0, 1), max_size=4))
     def run(self, seconds, cuts):
         self.stage.run(seconds)
-        whole, at = round(seconds * 1e9), 0
-        for cut in [*sorted(int(whole * c) for c in cuts), whole]:
-            self.twin.run((cut - at) * 1e-9)
+        nanoseconds, at = round(seconds * 1e9), 0
+        for cut in [*sorted(int(nanoseconds * c) for c in cuts), nanoseconds]:
+            self.replica.run((cut - at) * 1e-9)
             at = cut
 
     @rule(n=st.integers(0, 40), m=st.integers(0, 40))
     def step(self, n, m):
         self.stage.step(n + m)
-        self.twin.step(n)
-        self.twin.step(m)
+        self.replica.step(n)
+        self.replica.step(m)
 
     @rule(data=st.data(), name=axes)
     def place(self, data, name):
@@ -145,11 +145,11 @@ class StageMachine(RuleBasedStateMachine):
         for stage in self.both():
             stage.place(**{name: q})
 
-    @rule(data=st.data(), name=axes, held=st.sampled_from([True, False, None]))
-    def stick_a_switch(self, data, name, held):
+    @rule(data=st.data(), name=axes, is_closed=st.sampled_from([True, False, None]))
+    def stick_a_switch(self, data, name, is_closed):
         pin = data.draw(st.sampled_from(dir(self.stage.axes[name].switches)))
         for stage in self.both():
-            stage.axes[name].switches.stick(pin, held)
+            stage.axes[name].switches.stick(pin, is_closed)
 
     @rule(data=st.data(), seconds=st.floats(0.005, 0.03), cuts=st.lists(st.floats(0, 1), max_size=4))
     def move_over_switches(self, data, seconds, cuts):
@@ -157,12 +157,12 @@ class StageMachine(RuleBasedStateMachine):
         for name, axis in self.stage.axes.items():
             touch = data.draw(st.sampled_from([s.touch for s in axis.plant.switches]))
             plus, before = data.draw(st.booleans()), data.draw(st.floats(-1e-4, 2e-4))
-            way = (1 if plus else -1) * np.sign(axis.gear)
-            q = float(np.clip(touch - way * before, *axis.travel))
+            direction = (1 if plus else -1) * np.sign(axis.gear)
+            q = float(np.clip(touch - direction * before, *axis.travel))
             for stage in self.both():
                 stage.place(**{name: q})
             cls = self.classes[name]
-            self.tell(name, bus_of(cls).cruise(cls, axis.chip_axis, plus))
+            self.write_registers(name, bus_of(cls).cruise(cls, axis.chip_axis, plus))
         self.run(seconds, cuts)
 
     @rule(mass=st.floats(0, 10))
@@ -186,7 +186,7 @@ class StageMachine(RuleBasedStateMachine):
 
     @rule()
     def snapshot(self):
-        self.saved.append((self.stage.snapshot(), self.twin.snapshot(), list(self.hosts)))
+        self.saved.append((self.stage.snapshot(), self.replica.snapshot(), list(self.hosts)))
 
     @precondition(lambda self: self.saved)
     @rule(data=st.data())
@@ -225,24 +225,24 @@ class StageMachine(RuleBasedStateMachine):
             chip = list(self.stage.axes.values())[a].chip
             b, c = b & chip.ADDRESS_MASK, c & chip.DATA_MASK
             program.write(a, b, c) if kind == "write" else program.read(a, b)
-        made = []
+        slices = []
         for threads in (1, 3):
             fleet = Fleet([copy.deepcopy(self.stage) for _ in range(3)], threads)
             played = fleet.play([program] * 3)
-            made += [(bits(s), played.results[k].tobytes()) for k, s in enumerate(fleet.stages)]
+            slices += [(bits(s), played.results[k].tobytes()) for k, s in enumerate(fleet.stages)]
             fleet.close()
-        assert all(m == made[0] for m in made)
+        assert all(m == slices[0] for m in slices)
 
     # --- invariants ---
 
     @invariant()
     def n_then_m_is_n_plus_m_the_order_of_axes_means_nothing_and_snapshots_are_invisible(self):
-        assert bits(self.stage) == bits(self.twin)
+        assert bits(self.stage) == bits(self.replica)
 
     @invariant()
     def a_chip_on_the_bench_that_saw_the_same_edges_holds_the_same_state(self):
         """So the chips of one stage do not influence each other, nor does anything else but the journal, which has the shafts of
-        servos, too. What the hosts expect of their chips holds on the way, see `BenchTwin`, and now."""
+        servos, too. What the hosts expect of their chips holds on the way, see `JournalReplay`, and now."""
         for bench in self.benches:
             bench.catch_up()
             assert not bench.differences(), bench.chip
