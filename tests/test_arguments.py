@@ -97,7 +97,7 @@ def test_an_error_in_user_code_is_not_replaced(stage):
 
 
 @explain_arguments
-def failing(
+def raise_type_error(
     flag: "bool" = True,
     number: "float | None" = None,
     many: "Sequence[int]" = (),  # noqa: F821
@@ -123,7 +123,7 @@ def failing(
 )
 def test_the_argument_that_does_not_fit_is_named_with_what_it_may_be(arguments, message):
     with pytest.raises(WrongType) as caught:
-        failing(**arguments)
+        raise_type_error(**arguments)
     assert str(caught.value) == message
     assert str(caught.value.__cause__) == "as Python says it"
 
@@ -133,7 +133,7 @@ def test_the_argument_that_does_not_fit_is_named_with_what_it_may_be(arguments, 
 )
 def test_where_all_arguments_fit_the_error_is_pythons(arguments):
     with pytest.raises(TypeError, match="as Python says it") as caught:
-        failing(**arguments)
+        raise_type_error(**arguments)
     assert not isinstance(caught.value, WrongType)
 
 

@@ -16,11 +16,11 @@ from stage.firmware.pcl240.driver import Pcl240Driver
 REGISTERS = PCL240K.MAP.registers
 
 
-def mapped(**change):
+def change_map(**change):
     return {"MAP": dataclasses.replace(PCL240K.MAP, **change)}
 
 
-def core(**change):
+def change_core(**change):
     """That of the PCL240K, with something else in it."""
     return SimpleNamespace(**vars(PCL240K.CORE) | change)
 
@@ -51,30 +51,36 @@ def core(**change):
         ({"MICROSTEPS": 2.5}, "MICROSTEPS is 2.5"),
         ({"DRIVER": "package.module"}, "DRIVER is 'package.module': write 'package.module:Class'"),
         ({"ENCODERS": True}, "has no answer scan_shaft"),
-        ({"CORE": core(STATE=np.dtype([("clock", "i8"), ("x", "i4")]))}, "has 12 bytes: a multiple of 8"),
-        ({"CORE": core(STATE=np.dtype([("x", "i8"), ("clock", "i8")]))}, r"does not begin with \('clock', 'i8'\)"),
+        ({"CORE": change_core(STATE=np.dtype([("clock", "i8"), ("x", "i4")]))}, "has 12 bytes: a multiple of 8"),
         (
-            {"CORE": core(STATE=np.dtype([("clock", "i8"), ("ax", [("data", "i8")], (2,))]))},
+            {"CORE": change_core(STATE=np.dtype([("x", "i8"), ("clock", "i8")]))},
+            r"does not begin with \('clock', 'i8'\)",
+        ),
+        (
+            {"CORE": change_core(STATE=np.dtype([("clock", "i8"), ("ax", [("data", "i8")], (2,))]))},
             "field 'data' of STATE .* has the name of an attribute of NumPy's records",
         ),
-        ({"CORE": core(STATE=np.dtype([("clock", "f8")]))}, r"does not begin with \('clock', 'i8'\)"),
+        ({"CORE": change_core(STATE=np.dtype([("clock", "f8")]))}, r"does not begin with \('clock', 'i8'\)"),
         (
-            mapped(registers=(*REGISTERS, Register("P", 5, 8, "RW", "p", (-129, 0)))),
+            change_map(registers=(*REGISTERS, Register("P", 5, 8, "RW", "p", (-129, 0)))),
             "P takes -129 to 0, and 8 bits do not",
         ),
         ({"PHASES": {"upp": "up"}}, "PHASES names 'upp', and OUTPUTS has no such pin"),
-        (mapped(registers=(*REGISTERS, REGISTERS[0])), "its MAP has two registers R0"),
+        (change_map(registers=(*REGISTERS, REGISTERS[0])), "its MAP has two registers R0"),
         (
-            mapped(registers=(*REGISTERS, Register("P", 5, 8, "RW", "p", (0, 256)))),
+            change_map(registers=(*REGISTERS, Register("P", 5, 8, "RW", "p", (0, 256)))),
             "P takes 0 to 256, and 8 bits do not",
         ),
-        (mapped(words=(Word("w", "w", (Field("f", 1, 2, "f"),)),)), r"field f of w has bits 1..2: the higher first"),
         (
-            mapped(words=(Word("w", "w", (Field("e", 3, 0, "e"), Field("f", 4, 3, "f"))),)),
+            change_map(words=(Word("w", "w", (Field("f", 1, 2, "f"),)),)),
+            r"field f of w has bits 1..2: the higher first",
+        ),
+        (
+            change_map(words=(Word("w", "w", (Field("e", 3, 0, "e"), Field("f", 4, 3, "f"))),)),
             "field f of w has bits that another one has: 4..3",
         ),
         (
-            mapped(words=(Word("w", "w", (Field("e", 3, 0, "e"), Field("g", 7, 4, "g"), Field("f", 0, 0, "f"))),)),
+            change_map(words=(Word("w", "w", (Field("e", 3, 0, "e"), Field("g", 7, 4, "g"), Field("f", 0, 0, "f"))),)),
             "field f of w has bits that another one has: 0",
         ),
     ],
@@ -92,7 +98,7 @@ def test_what_a_class_has_wrong_is_named(lacks, message):
         {"DEFAULT_CLOCK_HZ": 100_000_000},
         {"ADDRESSES": 4, "ADDRESS_MASK": 3},
         {"INPUTS": {"a": 1, "b": 2}},
-        mapped(registers=(*REGISTERS, Register("P", 5, 8, "RW", "p", (-128, 255)))),
+        change_map(registers=(*REGISTERS, Register("P", 5, 8, "RW", "p", (-128, 255)))),
     ],
 )
 def test_values_at_the_bounds_are_accepted(has):

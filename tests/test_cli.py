@@ -24,7 +24,7 @@ def work_folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def out(capsys, *argv, code=0):
+def run_command(capsys, *argv, code=0):
     assert main(list(argv)) == code
     return capsys.readouterr()
 
@@ -53,7 +53,7 @@ def test_a_second_start_takes_less_than_two_seconds(work_folder):
 @needs_rerun
 def test_the_demo_homes_moves_and_writes_a_recording(work_folder, capsys):
     """stage demo"""
-    output = out(capsys, "demo").out
+    output = run_command(capsys, "demo").out
     assert re.search(r"\d s of simulated time in [\d.]+ s of wall time", output)
     assert output.count("ORG") >= 3
     assert "NO" not in output.split()
@@ -62,7 +62,7 @@ def test_the_demo_homes_moves_and_writes_a_recording(work_folder, capsys):
 
 
 def test_a_move_lists_its_bytes_and_draws_itself(work_folder, capsys):
-    output = out(capsys, "move", "x", "1600", "--fh1", "8000", "--plot", "move.png").out
+    output = run_command(capsys, "move", "x", "1600", "--fh1", "8000", "--plot", "move.png").out
     assert "1600 of 1600" in output
     assert "start, ramp to FH1" in output
     assert (work_folder / "move.png").read_bytes().startswith(b"\x89PNG")
@@ -70,74 +70,76 @@ def test_a_move_lists_its_bytes_and_draws_itself(work_folder, capsys):
 
 def test_a_distance_towards_minus_is_typed_as_it_is(work_folder, capsys):
     """stage move y -0.5mm"""
-    assert "-160 of -160" in out(capsys, "move", "y", "-0.5mm").out
-    assert "'-2furlongs'" in out(capsys, "move", "y", "-2furlongs", code=2).err
+    assert "-160 of -160" in run_command(capsys, "move", "y", "-0.5mm").out
+    assert "'-2furlongs'" in run_command(capsys, "move", "y", "-2furlongs", code=2).err
 
 
 def test_home_starts_at_the_position_of_its_option(work_folder, capsys):
-    output = out(capsys, "home", "y", "--from", "-60").out
+    output = run_command(capsys, "home", "y", "--from", "-60").out
     assert "stopped by ORG" in output
     assert "from -60.0000 mm" in output
 
 
 def test_an_origin_return_that_loses_steps_ends_with_code_1(work_folder, capsys):
     fast = ["--fh1", "60000", "--fh2", "60000", "--accel", "0.15", "--fast-only"]
-    output = out(capsys, "home", "x", "--from", "-60", *fast, code=1).out
+    output = run_command(capsys, "home", "x", "--from", "-60", *fast, code=1).out
     assert "stopped by ORG" in output
     assert int(re.search(r"lost steps (-?\d+)", output)[1]) != 0
 
 
 @needs_rerun
 def test_dual_rate_and_sync_make_the_requested_pulses(work_folder, capsys):
-    assert "12000 of 12000" in out(capsys, "dual-rate", "x", "12000").out
-    output = out(capsys, "sync", "x=4000", "y=-1500", "--record", "s.rrd", "--vcd", "s.vcd").out
+    assert "12000 of 12000" in run_command(capsys, "dual-rate", "x", "12000").out
+    output = run_command(capsys, "sync", "x=4000", "y=-1500", "--record", "s.rrd", "--vcd", "s.vcd").out
     assert "pulses from the line" in output
     assert (work_folder / "s.rrd").exists()
     assert (work_folder / "s.vcd").read_text().startswith("$")
 
 
 def test_a_move_that_loses_steps_ends_with_code_1_and_says_so(work_folder, capsys):
-    output = out(capsys, "move", "x", "16000", "--fh1", "150000", "--fh2", "150000", "--accel", "0.02", code=1).out
+    output = run_command(
+        capsys, "move", "x", "16000", "--fh1", "150000", "--fh2", "150000", "--accel", "0.02", code=1
+    ).out
     assert "NOT as asked" in output
 
 
 def test_registers_prints_the_map_with_evidence(capsys):
-    output = out(capsys, "registers", "pcl240k").out
+    output = run_command(capsys, "registers", "pcl240k").out
     for word in ("R0", "R7", "2..1023", "inferred", "no_int"):
         assert word in output
 
 
 def test_pullout_prints_a_table_and_draws(work_folder, capsys):
     """stage pullout --motor 17HS4401 --bus-voltage 24 --plot pullout.png"""
-    output = out(capsys, "pullout", "--motor", "17HS4401", "--bus-voltage", "24", "--plot", "pullout.png").out
+    output = run_command(capsys, "pullout", "--motor", "17HS4401", "--bus-voltage", "24", "--plot", "pullout.png").out
     assert "N m" in output
     assert (work_folder / "pullout.png").exists()
 
 
 def test_view_without_a_screen_says_what_to_do(work_folder, capsys):
-    assert "no screen" in out(capsys, "view", code=2).err
-    assert "el_plus" in out(capsys, "view", "--text").out
+    assert "no screen" in run_command(capsys, "view", code=2).err
+    assert "el_plus" in run_command(capsys, "view", "--text").out
 
 
 @needs_rerun
 def test_nothing_is_overwritten_unasked(work_folder, capsys):
     (work_folder / "mine.rrd").write_text("precious")
-    output = out(capsys, "move", "x", "100", "--record", "mine.rrd", code=2).err
+    output = run_command(capsys, "move", "x", "100", "--record", "mine.rrd", code=2).err
     assert output == "stage: mine.rrd exists. Choose another name, or give --force.\n"
     assert (work_folder / "mine.rrd").read_text() == "precious"
-    out(capsys, "move", "x", "100", "--record", "mine.rrd", "--force")
+    run_command(capsys, "move", "x", "100", "--record", "mine.rrd", "--force")
     assert (work_folder / "mine.rrd").read_bytes()[:3] == b"RRF"
 
 
 def test_the_demo_overwrites_no_file_and_takes_the_next_name(work_folder, capsys):
     """stage demo --no-view"""
     (work_folder / "demo.rrd").write_text("precious")
-    assert "demo-2.rrd: " in out(capsys, "demo", "--no-view", "--model", "xy").out
+    assert "demo-2.rrd: " in run_command(capsys, "demo", "--no-view", "--model", "xy").out
     assert (work_folder / "demo.rrd").read_text() == "precious"
     (work_folder / "mine.rrd").write_text("precious")
-    assert "exists" in out(capsys, "demo", "--no-view", "--record", "mine.rrd", code=2).err
+    assert "exists" in run_command(capsys, "demo", "--no-view", "--record", "mine.rrd", code=2).err
     assert (work_folder / "mine.rrd").read_text() == "precious"
-    assert "demo.rrd: " in out(capsys, "demo", "--no-view", "--force", "--model", "xy").out
+    assert "demo.rrd: " in run_command(capsys, "demo", "--no-view", "--force", "--model", "xy").out
     assert (work_folder / "demo.rrd").read_bytes()[:3] == b"RRF"
 
 
@@ -149,7 +151,7 @@ def test_a_picture_overwrites_no_recording(work_folder, capsys, monkeypatch):
     drawn = []
     monkeypatch.setattr(viewer, "take_screenshot", lambda rrd, png, overwrite: drawn.append((rrd, png, overwrite)))
     (work_folder / "stage.rrd").write_text("precious")
-    out(capsys, "move", "x", "100", "--picture", "q.png")
+    run_command(capsys, "move", "x", "100", "--picture", "q.png")
     assert drawn == [("stage-2.rrd", "q.png", False)]
     assert (work_folder / "stage.rrd").read_text() == "precious"
     assert (work_folder / "stage-2.rrd").read_bytes()[:3] == b"RRF"
@@ -170,19 +172,19 @@ HINGE = """
 def test_positions_of_a_hinge_are_printed_in_degrees(work_folder, capsys):
     """stage move x 1544 --model hinge.xml"""
     (work_folder / "hinge.xml").write_text(HINGE)
-    output = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "0.1rad").out
+    output = run_command(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "0.1rad").out
     assert re.search(r"from 5\.7296 deg to 179\.\d{4} deg, lost", output)
-    assert "from 5.0000 deg to" in out(capsys, "move", "x", "10", "--model", "hinge.xml", "--from", "5").out
-    output = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "500", code=2).err
+    assert "from 5.0000 deg to" in run_command(capsys, "move", "x", "10", "--model", "hinge.xml", "--from", "5").out
+    output = run_command(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "500", code=2).err
     assert "--from 500: axis x travels from -229.183 to 229.183 deg" in output
-    output = out(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "5mm", code=2).err
+    output = run_command(capsys, "move", "x", "1544", "--model", "hinge.xml", "--from", "5mm", code=2).err
     assert "--from 5mm: give a position on axis x in deg, or with a unit: urad, mrad, rad, mdeg, deg." in output
 
 
 def test_a_fault_on_a_hinge_is_reported_in_degrees(work_folder, capsys):
     """stage fault lost-write --model hinge.xml"""
     (work_folder / "hinge.xml").write_text(HINGE)
-    output = out(capsys, "fault", "lost-write", "--model", "hinge.xml", "--plot", "f.png").out
+    output = run_command(capsys, "fault", "lost-write", "--model", "hinge.xml", "--plot", "f.png").out
     assert re.search(r"^carriage moved, deg +206\.\d{4} +4\.\d{4}$", output, re.M)
     assert re.search(r"^diagnostics +(\d+) +\1$", output, re.M), (
         "a PCL-240 does not complain of a distance that it has from before"
@@ -208,7 +210,7 @@ def test_one_file_for_two_outputs_is_refused_before_the_work(work_folder, capsys
     """stage move x 100 --record a.rrd --vcd a.rrd"""
     (work_folder / "link.rrd").symlink_to("a.rrd")
     monkeypatch.setattr("stage.sim.stage.Stage.record", None)
-    output = out(capsys, *command, "--record", "a.rrd", "--vcd", other, "--force", code=2).err
+    output = run_command(capsys, *command, "--record", "a.rrd", "--vcd", other, "--force", code=2).err
     assert output == f"stage: --record and --vcd both write {other}. Give each a file of its own.\n"
     assert not (work_folder / "a.rrd").exists()
 
@@ -258,7 +260,7 @@ def test_a_full_standard_output_is_reported_and_files_are_written(work_folder, s
 
 
 def test_without_a_command_the_help_is_printed(capsys):
-    assert "usage: stage" in out(capsys, code=2).out
+    assert "usage: stage" in run_command(capsys, code=2).out
 
 
 @pytest.mark.parametrize(
@@ -267,11 +269,11 @@ def test_without_a_command_the_help_is_printed(capsys):
 def test_the_command_line_does_the_same_with_every_chip(work_folder, capsys, chip):
     """stage move x 10mm --chips hctl1100; stage home; stage sync"""
     options = ["--chips", chip, "--model", "xy"]
-    text = out(capsys, "move", "x", "2mm", *options).out
+    text = run_command(capsys, "move", "x", "2mm", *options).out
     assert "x: done, stopped by" in text
     assert float(re.search(r"to (\S+) mm", text)[1]) == pytest.approx(2, abs=0.02)
-    assert "x: done, stopped by ORG" in out(capsys, "home", "x", "--from", "-117", *options).out
-    text = out(capsys, "sync", "x=2mm", "y=-1mm", *options).out
+    assert "x: done, stopped by ORG" in run_command(capsys, "home", "x", "--from", "-117", *options).out
+    text = run_command(capsys, "sync", "x=2mm", "y=-1mm", *options).out
     assert "synchronized move: done" in text
     assert re.search(r"on y: done", text)
 
@@ -279,7 +281,7 @@ def test_the_command_line_does_the_same_with_every_chip(work_folder, capsys, chi
 @pytest.mark.parametrize("chip", ["mcx304", "hctl1100"])
 def test_faults_are_demonstrated_with_other_chips(work_folder, capsys, chip):
     """stage fault bounce --chips mcx304 --plot f.png"""
-    text = out(capsys, "fault", "bounce", "--chips", chip, "--model", "xy", "--plot", "f.png").out
+    text = run_command(capsys, "fault", "bounce", "--chips", chip, "--model", "xy", "--plot", "f.png").out
     assert "happened as claimed" in text
     assert (work_folder / "f.png").stat().st_size > 10_000
 
@@ -287,7 +289,7 @@ def test_faults_are_demonstrated_with_other_chips(work_folder, capsys, chip):
 @pytest.mark.parametrize("chip", ["mcx304", pytest.param("hctl1100", marks=pytest.mark.slow)])
 def test_the_demo_runs_with_other_chips(work_folder, capsys, chip):
     """stage demo --chips mcx514"""
-    text = out(capsys, "demo", "--no-view", "--model", "xy", "--chips", chip).out
+    text = run_command(capsys, "demo", "--no-view", "--model", "xy", "--chips", chip).out
     rows = [line for line in text.splitlines() if line[:1] in "xy" and line[1:2] == " "]
     assert len(rows) == 6
     assert all(row.endswith("yes") for row in rows)

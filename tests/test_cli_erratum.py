@@ -39,7 +39,7 @@ def once(monkeypatch):
     monkeypatch.setattr(erratum, "_move", known)
 
 
-def out(capsys, *argv, code=0):
+def run_erratum(capsys, *argv, code=0):
     assert main(["erratum", *argv]) == code
     return capsys.readouterr()
 
@@ -54,7 +54,7 @@ def parse_figures(output):
     "chip", ["mcx304", *(pytest.param(chip, marks=pytest.mark.slow) for chip in ("mcx302", "mcx312"))]
 )
 def test_the_erratum_ends_at_the_hard_stop_and_its_remedy_on_target(work_folder, once, capsys, chip):
-    output = out(capsys, "--chips", chip).out
+    output = run_erratum(capsys, "--chips", chip).out
     table = parse_figures(output)
     assert output.startswith(f"{chip.upper()}: ")
     assert output.rstrip().endswith("as claimed")
@@ -71,7 +71,7 @@ def test_the_erratum_ends_at_the_hard_stop_and_its_remedy_on_target(work_folder,
 
 
 def test_the_page_has_the_figures(work_folder, once, capsys):
-    table = parse_figures(out(capsys).out)
+    table = parse_figures(run_erratum(capsys).out)
     rows = re.findall(r"^\| (.+) \| (.+) \| (.+) \|$", PAGE.read_text(), re.M)
     documented = {
         re.sub(r"(pulses past the target), .*", r"\1", name): figures_of_row
@@ -85,7 +85,7 @@ def test_the_page_has_the_figures(work_folder, once, capsys):
 
 
 def test_corrected_chips_end_on_target_with_both_commands(work_folder, once, capsys):
-    output = out(capsys, "--mended").out
+    output = run_erratum(capsys, "--mended").out
     assert output.startswith("MCX304, mended: ")
     table = parse_figures(output)
     for row in ("pulses past the target", "lost steps", "n-DRV 2 s later"):
@@ -102,7 +102,7 @@ def test_it_draws_itself_and_records_both_runs(work_folder, capsys, monkeypatch,
     monkeypatch.setattr(
         erratum_picture, "draw", lambda result, *args: drawn.append((result, draw(result, *args))) or drawn[0][1]
     )
-    output = out(capsys, "--plot", "e.png", "--record", "e.rrd", *vcd).out
+    output = run_erratum(capsys, "--plot", "e.png", "--record", "e.rrd", *vcd).out
     assert (work_folder / "e.png").read_bytes().startswith(b"\x89PNG")
     ((result, figure),) = drawn
     failed = result.recordings[0]
@@ -119,20 +119,20 @@ def test_it_draws_itself_and_records_both_runs(work_folder, capsys, monkeypatch,
 @needs_rerun
 def test_nothing_is_overwritten_unasked(work_folder, capsys):
     (work_folder / "e-work-around.rrd").write_text("precious")
-    assert "exists" in out(capsys, "--record", "e.rrd", code=2).err
+    assert "exists" in run_erratum(capsys, "--record", "e.rrd", code=2).err
     assert (work_folder / "e-work-around.rrd").read_text() == "precious"
     assert not (work_folder / "e.rrd").exists()
 
 
 @pytest.mark.parametrize("chip", ["pcl240k", "mcx514"])
 def test_other_chips_are_refused_by_name(work_folder, capsys, chip):
-    assert "one of MCX302, MCX304, MCX312" in out(capsys, "--chips", chip, code=2).err
+    assert "one of MCX302, MCX304, MCX312" in run_erratum(capsys, "--chips", chip, code=2).err
 
 
 def test_a_result_that_differs_from_the_claim_ends_with_code_1(work_folder, once, capsys, monkeypatch):
     """Replace the work-around by the faulty command."""
     monkeypatch.setattr(erratum, "_stop_by_speed", erratum._stop_by_26h)
-    assert out(capsys, code=1).out.rstrip().endswith("NOT as claimed")
+    assert run_erratum(capsys, code=1).out.rstrip().endswith("NOT as claimed")
 
 
 def test_the_overview_has_a_line_for_it(capsys):

@@ -41,14 +41,14 @@ def bench(shared_stage, monkeypatch, tmp_path):
     return shared_stage
 
 
-def parsers():
+def list_parsers():
     commands = next(a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction))
     return commands.choices
 
 
 def test_each_help_text_states_the_actual_default():
     checked = 0
-    for name, parser in parsers().items():
+    for name, parser in list_parsers().items():
         for action in parser._actions:
             match = re.search(r"\(default: ([\w.,-]+)\)", action.help or "")
             if match and (action.type in (int, float) or isinstance(action.type, Quantity)) and action.dest != "start":
@@ -91,7 +91,7 @@ def test_the_bench_options_make_the_stage():
     assert (x.drive.motor.name, x.drive.microsteps, x.drive.bus_voltage) == ("17HS15-1504S", 8, 36)
 
 
-def report(**more):
+def make_move_report(**more):
     drawn = lambda path, overwrite: None  # noqa: E731
     return SimpleNamespace(
         **{"ok": True, "plot": drawn, "listing": str, "stopped_by": "ORG", "lost_steps": 0, "plan": ""} | more
@@ -114,7 +114,7 @@ def note_calls(monkeypatch, name, **values):
 
     def procedure(*args, **kwargs):
         calls.append((args, kwargs))
-        return report(**values)
+        return make_move_report(**values)
 
     monkeypatch.setattr(firmware, name, procedure)
     return calls
@@ -199,7 +199,7 @@ def test_a_plot_alone_has_as_many_samples_as_it_needs(bench, monkeypatch):
 def test_home_draws_the_first_axis(bench, monkeypatch):
     drawn = []
     monkeypatch.setattr(
-        firmware, "home", lambda axis, *_, **__: report(plot=lambda path, overwrite: drawn.append(axis.name))
+        firmware, "home", lambda axis, *_, **__: make_move_report(plot=lambda path, overwrite: drawn.append(axis.name))
     )
     assert main(["home", "y", "x", "--plot", "a.png"]) == 0
     assert drawn == ["y"]
@@ -316,7 +316,7 @@ def test_a_run_gives_the_signal_that_ends_it_back(bench):
     ],
 )
 def test_home_ends_with_1_if_one_axis_is_not_at_home(bench, monkeypatch, ends, code):
-    reports = iter([report(stopped_by=by, lost_steps=lost) for by, lost in ends])
+    reports = iter([make_move_report(stopped_by=by, lost_steps=lost) for by, lost in ends])
     monkeypatch.setattr("stage.firmware.pcl240.driver.origin_return", lambda *_, **__: next(reports))
     assert main(["home"]) == code
 
@@ -326,7 +326,7 @@ def test_a_dual_rate_move_prints_the_speeds_that_the_registers_reach(bench, monk
 
     def two_rates(axis, *, pulses, speed, dwell, rates):
         calls.append((axis.name, pulses, speed, dwell, rates, axis.position))
-        return report(ok=False)
+        return make_move_report(ok=False)
 
     monkeypatch.setattr("stage.firmware.procedures.two_rates", two_rates)
     speeds = Speeds(700, 9000, 0.2, 0.4, second=15_000)
@@ -405,7 +405,7 @@ def test_options_choose_the_viewer_of_a_recording(bench, monkeypatch, options, e
     monkeypatch.setattr(viewer, "open_viewer", lambda *args: opened.append(("viewer", *args)))
     monkeypatch.setattr(viewer, "check_screen", lambda what: opened.append("screen"))
     monkeypatch.setattr(viewer, "serve_web", lambda *args: opened.append(("web", *args)))
-    monkeypatch.setattr(firmware, "move", lambda axis, *_, **__: axis.wait(1e-3) or report())
+    monkeypatch.setattr(firmware, "move", lambda axis, *_, **__: axis.wait(1e-3) or make_move_report())
     assert main(["move", "x", "10", *options.split()]) == 0
     screen = ["screen"] if expected and expected[0] == "viewer" else []
     assert opened == screen + ([expected] if expected else [])

@@ -16,7 +16,7 @@ from stage.cli.parser import Parser
 COMMANDS = next(a.choices for a in build_parser()._actions if getattr(a, "choices", None))
 
 
-def lines_of(epilog):
+def parse_examples(epilog):
     assert epilog.startswith("examples:\n")
     return [line.strip() for line in epilog.split("\n\n")[0].splitlines()[1:]]
 
@@ -24,7 +24,7 @@ def lines_of(epilog):
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_help_ends_with_examples_that_are_right(name, capsys):
     """stage move --help"""
-    examples = lines_of(COMMANDS[name].epilog)
+    examples = parse_examples(COMMANDS[name].epilog)
     assert examples
     assert any(f"stage {name}" in line for line in examples)
     for line in examples:

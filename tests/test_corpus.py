@@ -23,14 +23,14 @@ from stage.chips.journal import Journal
 CORPUS = Path(__file__).parent / "corpus"
 
 
-def inputs(target):
+def list_inputs(target):
     return sorted((CORPUS / target).iterdir())
 
 
-def replayed(target):
+def replay_corpus(target):
     """The corpus of one target, checked; the check that it went through."""
     check = fuzz.TARGETS[target].load()()
-    for path in inputs(target):
+    for path in list_inputs(target):
         print(path.name)
         check(path.read_bytes())
     return check
@@ -46,32 +46,32 @@ def run_uncompiled(program):
 
 @pytest.mark.parametrize("target", fuzz.TARGETS)
 def test_a_corpus_is_small_and_of_inputs_that_the_fuzzer_can_reach(target):
-    sizes = [path.stat().st_size for path in inputs(target)]
+    sizes = [path.stat().st_size for path in list_inputs(target)]
     assert 10 <= len(sizes) <= 64
     assert sum(sizes) <= 60_000
     assert max(sizes) <= fuzz.TARGETS[target].max_bytes
 
 
 def test_a_corpus_has_inputs_for_every_chip_of_a_known_family():
-    kinds = {path.read_bytes()[0] for path in inputs("bus")}
+    kinds = {path.read_bytes()[0] for path in list_inputs("bus")}
     assert kinds >= {k for k, chip in enumerate(ORDER) if issubclass(CHIPS[chip], tuple(FAMILIES))}
     assert set(ORDER) >= set(CHIPS.built_in)
 
 
 def test_every_model_of_the_corpus_is_refused_with_words_or_runs(monkeypatch):
     monkeypatch.chdir(os.curdir)  # the target changes it
-    counts = replayed("mjcf").counts
-    assert counts["inputs"] == len(inputs("mjcf"))
+    counts = replay_corpus("mjcf").counts
+    assert counts["inputs"] == len(list_inputs("mjcf"))
     assert counts["refused"] >= 5
     assert counts["models that loaded"] >= 2
 
 
 def test_every_bus_input_of_the_corpus_keeps_the_promises_compiled_or_not_to_the_same_bits():
     """Compiled beside a twin; uncompiled with a bound on the work of each advance."""
-    check = replayed("bus")
+    check = replay_corpus("bus")
     assert min(check.counts[what] for what in ("bus cycles", "input edges", "clocks", "pulses")) > 0
     other = run_uncompiled(
-        "import json, test_corpus as t; c = t.replayed('bus'); print(json.dumps([c.digest.hexdigest(), c.counts]))"
+        "import json, test_corpus as t; c = t.replay_corpus('bus'); print(json.dumps([c.digest.hexdigest(), c.counts]))"
     )
     assert json.loads(other.splitlines()[-1]) == [check.digest.hexdigest(), check.counts]
 
@@ -90,7 +90,7 @@ for name, defect in (
     setattr(motion, name, defect)
     counted_core.cache_clear()
     try:
-        t.replayed("bus")
+        t.replay_corpus("bus")
     except t.Finding as finding:
         print("FOUND", finding)
     motion._run_at_constant_speed, motion.run_to_event, motion._count_pulses_to_event = cruise, span, pulses
@@ -115,7 +115,7 @@ for module, name, wrong in (
     counted_core.cache_clear()
     check = t.Bus()
     try:
-        for path in t.inputs("bus"):
+        for path in t.list_inputs("bus"):
             if path.name.startswith("nova"):
                 check(path.read_bytes())
     except t.Finding as finding:
@@ -134,7 +134,7 @@ def twice(c, until, sample=core._sample):
     sample(c, until)
 core._sample = twice
 try:
-    for path in t.inputs("bus"):
+    for path in t.list_inputs("bus"):
         if path.name.startswith("hctl1100"):
             check(path.read_bytes())
 except t.Finding as finding:
@@ -224,7 +224,7 @@ def test_an_input_that_hangs_ends_the_run_and_is_saved(tmp_path):
 
 def test_mutations_of_the_corpus_keep_the_promises(tmp_path):
     seed = random.randrange(1 << 32)  # mutate_for prints it
-    pool = [path.read_bytes() for path in inputs("bus")]
+    pool = [path.read_bytes() for path in list_inputs("bus")]
     check = Bus()
     assert mutate_for(check, pool, 0.5, seed, tmp_path, fuzz.TARGETS["bus"].max_bytes) == 0, list(tmp_path.iterdir())
     assert check.counts["inputs"] > len(pool)

@@ -49,21 +49,21 @@ class Block(NamedTuple):
     prints: str
 
 
-def text_at(page: str, place: int) -> str:
+def find_text_at(page: str, place: int) -> str:
     """The block of text, fenced or indented, that follows a place of a page after an empty line; "" if none does."""
     match = TEXT.match(page, place)
     return (match["fenced"] or re.sub(r"^ {4}", "", match["indented"], flags=re.M)) if match else ""
 
 
-def blocks(page: Path) -> list[Block]:
+def find_code_blocks(page: Path) -> list[Block]:
     text = page.read_text()
     return [
-        Block(text[: m.start("code")].count("\n"), m["code"], m["why"] or "", text_at(text, m.end()))
+        Block(text[: m.start("code")].count("\n"), m["code"], m["why"] or "", find_text_at(text, m.end()))
         for m in PYTHON.finditer(text)
     ]
 
 
-def commands(page: Path, packages: bool = False) -> list[str]:
+def find_commands(page: Path, packages: bool = False) -> list[str]:
     """Return the command lines in indented blocks, without comments; those that packages bring are tested by these packages."""
     lines = [m[1].strip() for m in re.finditer(r"^ {4}(stage [^#\n]*)", page.read_text(), re.M)]
     return [line for line in lines if packages or line.split()[1] not in KNOWN_PACKAGES]
@@ -74,13 +74,13 @@ LONG = ("envs_sync", "sweep")  # pages whose programs take seconds
 
 @pytest.mark.parametrize(
     "page",
-    [pytest.param(p, marks=pytest.mark.slow if p.stem in LONG else ()) for p in PAGES if blocks(p)],
+    [pytest.param(p, marks=pytest.mark.slow if p.stem in LONG else ()) for p in PAGES if find_code_blocks(p)],
     ids=lambda page: page.stem,
 )
 def test_python_blocks_run_and_print_what_the_page_says(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names: dict = {}
-    for block in blocks(page):
+    for block in find_code_blocks(page):
         if block.why:
             continue
         first = block.code.partition("\n")[0]
@@ -124,7 +124,7 @@ def test_commands_print_what_the_page_says(page, capsys):
     text = page.read_text()
     for m in re.finditer(r"^`stage ([^`]+)`[^\n]*:\n", text, re.M):
         assert main(shlex.split(m[1])) == 0
-        assert capsys.readouterr().out.strip() == text_at(text, m.end()).strip(), m[1]
+        assert capsys.readouterr().out.strip() == find_text_at(text, m.end()).strip(), m[1]
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_commands_print_what_the_page_says(page, capsys):
     [
         pytest.param(c, marks=marks)
         for page in PAGES
-        for c in commands(page)
+        for c in find_commands(page)
         if not any(word in c.split() for word in WATCHED)
         for marks in [(pytest.mark.slow,) * c.startswith(ELSEWHERE) + (needs_rerun,) * ("--record" in c)]
     ],
@@ -152,7 +152,7 @@ def test_commands_that_a_page_names_exist_with_their_options(page):
 def check_commands(page: Path, packages: bool = False) -> None:
     """Check that commands, programs and targets that a page names exist with their options; packages: also what packages bring."""
     text = page.read_text()
-    for command in [*commands(page, packages), *re.findall(r"`(stage [a-z][^`]*)`", text)]:
+    for command in [*find_commands(page, packages), *re.findall(r"`(stage [a-z][^`]*)`", text)]:
         if command.split()[1] in KNOWN_PACKAGES and not packages:
             continue
         build_parser().parse_args(shlex.split(command)[1:])  # ends the program with its usage if it does not know them
@@ -172,12 +172,12 @@ def test_files_and_links_that_a_page_names_exist(page):
         if not link.startswith("http"):
             linked = (page.parent / link).resolve() if link else page
             assert linked.exists(), link
-            assert not anchor or anchor in headings(linked), f"{link}#{anchor}"
+            assert not anchor or anchor in list_heading_anchors(linked), f"{link}#{anchor}"
     for file in re.findall(r"\b(?:stage|scripts|tests|envs|models)/[\w/]+\.(?:py|xml)\b", text):
         assert (ROOT / file).exists(), file
 
 
-def headings(page: Path) -> set[str]:
+def list_heading_anchors(page: Path) -> set[str]:
     """GitHub's names for the headings of a page."""
     return {
         re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in re.findall(r"^#+ (.*)$", page.read_text(), re.M)

@@ -16,7 +16,7 @@ LOSSLESS = replace(MOTORS["17HS4401"], core_loss_resistance=None)
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "models.md"
 
 
-def frictionless(drive, integrator="implicitfast"):
+def make_frictionless_stage(drive, integrator="implicitfast"):
     """The page's one axis, without friction, its bumpers out of the way."""
     text = re.search(r"```xml\n(.*?)```", PAGE.read_text(), re.S)[1]
     for old, new in ((' damping="60" frictionloss="4"', ""), ('pos="0.091', 'pos="1'), ('pos="-0.091', 'pos="-1')):
@@ -27,7 +27,7 @@ def frictionless(drive, integrator="implicitfast"):
     return Stage(spec, drives=drive)
 
 
-def energies(stage, potential, seconds):
+def measure_energies(stage, potential, seconds):
     """Kinetic energy of what moves and `potential` of the rotor's angle, J, looked at every 10 ms."""
     x = stage.axes["x"]
     mass, out = float(stage.model.dof_M0[0]), []
@@ -41,21 +41,21 @@ def energies(stage, potential, seconds):
 @pytest.mark.parametrize("speed", [0.02, 0.05])
 def test_an_unpowered_axis_glides_over_its_detents_without_gaining_energy(speed, payload):
     """faults.phase_open(x, "a"); faults.phase_open(x, "b"); stage.data.qvel[0] = 0.02; stage.run(4): 24 % more energy."""
-    stage = frictionless(Drive(LOSSLESS))
+    stage = make_frictionless_stage(Drive(LOSSLESS))
     x = stage.axes["x"]
     stage.set_payload(payload, "carriage")
     faults.phase_open(x, "a")
     faults.phase_open(x, "b")
     stage.data.qvel[0] = speed
     detent, teeth = x.drive.detent_torque, x.drive.motor.rotor_teeth
-    observed = energies(stage, lambda angle: -detent / (4 * teeth) * np.cos(4 * teeth * angle), 4.0)
+    observed = measure_energies(stage, lambda angle: -detent / (4 * teeth) * np.cos(4 * teeth * angle), 4.0)
     assert observed[-20:].mean() == pytest.approx(observed[:20].mean(), rel=1e-4)
 
 
 @pytest.mark.parametrize("mode", ["chopper", "sine"])
 def test_a_powered_axis_that_was_pushed_keeps_its_amplitude(mode):
     """Stage(one_axis_without_friction); stage.data.qvel[0] = 0.05; stage.run(4): it slipped, and ran away to 800 rad."""
-    stage = frictionless(Drive(LOSSLESS, mode=mode))
+    stage = make_frictionless_stage(Drive(LOSSLESS, mode=mode))
     x = stage.axes["x"]
     stage.data.qvel[0] = 0.05
 
@@ -77,12 +77,12 @@ def test_a_powered_axis_that_was_pushed_keeps_its_amplitude(mode):
 def test_an_unpowered_axis_loses_the_energy_of_its_core_loss_and_no_other(integrator):
     """Speed falls by exp(-b t / J), the energy by its square, with every integrator that a stage takes."""
     motor = Motor("lossy", 2.0, 1.6, 3.0e-3, 0.56, 0.0, 82e-7, core_loss_resistance=400.0)
-    stage = frictionless(Drive(motor), integrator)
+    stage = make_frictionless_stage(Drive(motor), integrator)
     x = stage.axes["x"]
     faults.phase_open(x, "a")
     faults.phase_open(x, "b")
     stage.data.qvel[0] = 0.05
-    energy = energies(stage, lambda angle: 0.0, 0.2)
+    energy = measure_energies(stage, lambda angle: 0.0, 0.2)
     time = 0.01 * np.arange(1, len(energy) + 1)
     damping, inertia = motor.torque_constant**2 / 400.0, float(stage.model.dof_M0[0]) / x.gear**2
     first = 0.5 * float(stage.model.dof_M0[0]) * 0.05**2
@@ -94,7 +94,7 @@ def test_an_unpowered_axis_loses_the_energy_of_its_core_loss_and_no_other(integr
 def test_an_axis_rings_at_its_natural_frequency(detent):
     """sqrt(stiffness / mass) / 2 pi, stiffness Nr (Km I + 4 Td) gear^2 on a full step (spec/drives.md, 2)."""
     drive = Drive(LOSSLESS, detent=detent)
-    stage = frictionless(drive)
+    stage = make_frictionless_stage(drive)
     x, mass = stage.axes["x"], float(stage.model.dof_M0[0])
     stiffness = 50 * (LOSSLESS.torque_constant * 1.7 + 4 * detent) * x.gear**2
     expected = math.sqrt(stiffness / mass) / (2 * math.pi)
@@ -114,7 +114,7 @@ def test_an_axis_rings_at_its_natural_frequency(detent):
 @pytest.mark.parametrize("payload", [0.0, 2.0])
 def test_the_swing_of_an_unforced_axis_never_grows(payload):
     """Amplitudes of a second, then of later ones: with friction each is less; here none is there to hide a gain."""
-    stage = frictionless(Drive(LOSSLESS))
+    stage = make_frictionless_stage(Drive(LOSSLESS))
     stage.set_payload(payload, "carriage")
     stage.data.qvel[0] = 0.03
     swings = []

@@ -27,7 +27,7 @@ def is_build_product(file):
     )
 
 
-def files(folder):
+def list_files(folder):
     return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
 
 
@@ -44,8 +44,8 @@ def test_a_copy_of_an_example_has_all_sources_and_no_build_products(name, tmp_pa
     source = examples.find_example(name)
     assert copied.name.partition(".")[0] == name.partition(".")[0]
     if source.is_dir():
-        copies = files(copied)
-        assert {f for f in files(source) if not is_build_product(Path(f))} == copies
+        copies = list_files(copied)
+        assert {f for f in list_files(source) if not is_build_product(Path(f))} == copies
         assert copies
     else:
         assert copied.read_bytes() == source.read_bytes()

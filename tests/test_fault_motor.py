@@ -28,28 +28,28 @@ def xyz(fresh):
     assert fresh.faults == (), "a test left a fault behind"
 
 
-def state(stage):
+def get_state_bits(stage):
     return stage.snapshot().state.tobytes()
 
 
-def hurry(axis):
+def move_fast(axis):
     """A move that asks for more than the small motor has."""
     return firmware.move(axis, distance=0.02, speed=0.1, accel=0.01)
 
 
 def test_a_motor_that_is_too_small_loses_steps_until_the_fault_is_cleared(xyz):
     x = xyz.axes["x"]
-    hurry(x)
+    move_fast(x)
     assert x.lost_steps == 0
-    as_it_was = state(xyz)
+    as_it_was = get_state_bits(xyz)
     with faults.motor(x, SMALL) as fault:
         assert xyz.faults == (fault.text,) == (f"axis x: motor {SMALL} in place of 17HS4401",)
         xyz.reset()
-        hurry(x)
+        move_fast(x)
         assert x.lost_steps > 100
     xyz.reset()
-    hurry(x)
-    assert state(xyz) == as_it_was
+    move_fast(x)
+    assert get_state_bits(xyz) == as_it_was
 
 
 @pytest.mark.parametrize(("model", "chip", "name"), [("xyz", PCL240K, SMALL), ("xyz_servo", HCTL1100, "14204S004")])
@@ -58,7 +58,7 @@ def test_power_up_is_that_of_a_stage_built_with_the_motor(model, chip, name):
     stage = Stage(model, chips=chip, visuals=False)
     faults.motor(stage.axes["x"], name)
     stage.reset()
-    assert state(stage) == state(built)
+    assert get_state_bits(stage) == get_state_bits(built)
     for field in ("dof_armature", "dof_M0", "dof_invweight0", "actuator_gainprm"):
         assert np.array_equal(getattr(stage.model, field), getattr(built.model, field))
 
@@ -125,10 +125,10 @@ def test_a_change_amid_a_move_makes_no_jump_and_no_other_axis_sees_it(xyz):
 def test_a_snapshot_of_another_motor_is_refused_until_that_motor_is_back(xyz):
     x, before = xyz.axes["x"], xyz.snapshot()
     with faults.motor(x, SMALL):
-        between, now = xyz.snapshot(), state(xyz)
+        between, now = xyz.snapshot(), get_state_bits(xyz)
         with pytest.raises(ArgumentError, match=f"drive of axis x: 17HS4401, .* there, {SMALL}, .* here"):
             xyz.restore(before)
-        assert state(xyz) == now
+        assert get_state_bits(xyz) == now
         xyz.restore(between)
     with pytest.raises(ArgumentError, match=f"drive of axis x: {SMALL}, .* there, 17HS4401"):
         xyz.restore(between)
@@ -142,11 +142,11 @@ def test_copies_have_it_and_go_on_bit_for_bit(xyz, copied):
         assert replica.faults == xyz.faults
         assert replica.axes["x"].drive == Drive(SMALL)
         for stage in (xyz, replica):
-            hurry(stage.axes["x"])
-        assert state(replica) == state(xyz)
+            move_fast(stage.axes["x"])
+        assert get_state_bits(replica) == get_state_bits(xyz)
         for stage in (xyz, replica):
             stage.reset()
-        assert state(replica) == state(xyz)
+        assert get_state_bits(replica) == get_state_bits(xyz)
 
 
 def test_a_supply_that_fell_and_a_load_stay_what_they_are(xyz):
@@ -168,10 +168,10 @@ def test_a_supply_that_fell_and_a_load_stay_what_they_are(xyz):
     ],
 )
 def test_a_motor_that_does_not_fit_is_refused_and_nothing_has_changed(xyz, argument, message):
-    before = state(xyz), xyz.header, xyz.model.dof_armature.tolist()
+    before = get_state_bits(xyz), xyz.header, xyz.model.dof_armature.tolist()
     with pytest.raises(ArgumentError, match=message):
         faults.motor(xyz.axes["x"], argument)
-    assert (state(xyz), xyz.header, xyz.model.dof_armature.tolist()) == before
+    assert (get_state_bits(xyz), xyz.header, xyz.model.dof_armature.tolist()) == before
 
 
 def test_every_preset_can_take_the_place_of_every_other(xyz):

@@ -11,7 +11,7 @@ pytest.importorskip("matplotlib")
 TIME = np.arange(0.0, 1.0, 0.1)
 
 
-def recording(org_from, begins=0.2):
+def make_recording(org_from, begins=0.2):
     """Return a stand-in for a recording of axis x at 1 m/s, with ORG on from `org_from` in s."""
     edges = np.zeros(len(TIME), [("inputs", "i8"), ("outputs", "i8")])
     edges["inputs"] = org_from <= TIME
@@ -24,23 +24,23 @@ def recording(org_from, begins=0.2):
     )  # fmt: skip
 
 
-def drawn(draws, close_up=None, unit="m"):
+def draw_result(draws, close_up=None, unit="m"):
     demo = Demo("", "", lambda stage, strike: {}, lambda h, f: True, draws, close_up)
-    return DemoResult("jam", demo, ({}, {}), (recording(0.4), recording(0.6)), unit).plot()
+    return DemoResult("jam", demo, ({}, {}), (make_recording(0.4), make_recording(0.6)), unit).plot()
 
 
 def test_lengths_are_in_thousandths_and_counts_as_they_are():
-    position, steps = drawn(("position", "lost_steps")).axes
+    position, steps = draw_result(("position", "lost_steps")).axes
     assert position.lines[0].get_ydata() == pytest.approx(1e3 * TIME)
     assert position.get_ylabel() == "position, mm"
     assert steps.lines[0].get_ydata() == pytest.approx(4 * TIME)
-    hinge = drawn(("position", "lost_steps"), unit="rad").axes[0]
+    hinge = draw_result(("position", "lost_steps"), unit="rad").axes[0]
     assert hinge.get_ylabel() == "position, deg"
     assert hinge.lines[0].get_ydata() == pytest.approx(np.degrees(TIME))
 
 
 @pytest.mark.parametrize(("draws", "moment"), [(("position", "org"), 0.6), (("position", "lost_steps"), 0.2)])
 def test_a_close_up_shows_the_first_edge_of_a_switch_or_the_begin_of_the_fault(draws, moment):
-    figure = drawn(draws, (-0.1, 0.3))
+    figure = draw_result(draws, (-0.1, 0.3))
     assert figure.axes[0].get_xlim() == pytest.approx((moment - 0.1, moment + 0.3))
     assert "Axis x: jammed" in [text.get_text() for text in figure.texts]

@@ -50,23 +50,23 @@ def xyz(fresh):
     assert fresh.faults == (), "a test left a fault behind"
 
 
-def bits(stage):
+def get_state_bits(stage):
     return stage.snapshot().state.tobytes()
 
 
-def touch(axis, pin):
+def find_switch_position(axis, pin):
     return next(s.touch for s in axis.plant.switches if s.pin == pin)
 
 
 def run_into(axis, pin, ahead=5e-5):
     """At 400 pps, which rings no carriage, towards a switch in plus that is `ahead` m away."""
-    axis.stage.place(**{axis.name: touch(axis, pin) - ahead})
+    axis.stage.place(**{axis.name: find_switch_position(axis, pin) - ahead})
     load_registers(axis.chip, R0=100_000, R1=20, R2=20, R4=300, R5=300, R6=0, R7=30)
     for command in (0x44, 0x10):
         axis.chip.write(0, command)
 
 
-def edges_of(journal, pin):
+def find_edges(journal, pin):
     """(clock, level) of each change of an input in a journal."""
     profile = journal.course()
     level = profile.pin(pin)
@@ -164,7 +164,7 @@ def test_after_a_fault_is_cleared_a_move_gives_the_same_bits_as_before(xyz, name
         xyz.reset()
         start_preset(xyz.axes["x"].chip, 3000)
         xyz.run(0.4)
-        return bits(xyz)
+        return get_state_bits(xyz)
 
     before = run_move()
     fault = EVERY[name](xyz)
@@ -179,7 +179,7 @@ def test_after_a_fault_is_cleared_a_move_gives_the_same_bits_as_before(xyz, name
 @pytest.mark.parametrize("name", EVERY)
 def test_a_fault_without_duration_changes_no_bit(xyz, name):
     x = xyz.axes["x"]
-    xyz.place(x=touch(x, "el_plus") - 0.0011)  # the faults come while EL+ does not swing about its edge
+    xyz.place(x=find_switch_position(x, "el_plus") - 0.0011)  # the faults come while EL+ does not swing about its edge
     start_preset(x.chip, 3000)
     replica = copy.deepcopy(xyz)
     for seconds in (0.02, 0.1000713, 0.1400001):
@@ -189,7 +189,7 @@ def test_a_fault_without_duration_changes_no_bit(xyz, name):
             pass
     for stage in (xyz, replica):
         stage.run(0.3)
-    assert bits(xyz) == bits(replica)
+    assert get_state_bits(xyz) == get_state_bits(replica)
 
 
 @pytest.mark.parametrize("name", [name for name in MACHINES if name != "motor"])  # over that one there is no restore
@@ -200,16 +200,16 @@ def test_snapshots_leave_the_machines_faults_alone(xyz, name):
         xyz.run(0.0501)
         before = xyz.snapshot()
         xyz.run(0.2)
-        first = bits(xyz)
+        first = get_state_bits(xyz)
         xyz.restore(before)
         xyz.run(0.2)
-        assert bits(xyz) == first
+        assert get_state_bits(xyz) == first
         xyz.restore(healthy)
         assert len(xyz.faults) == 1
         start_preset(xyz.axes["x"].chip, 3000)
         xyz.run(0.0501)
         xyz.run(0.2)
-        assert bits(xyz) == first, "from a snapshot of the healthy stage, the fault is there again"
+        assert get_state_bits(xyz) == first, "from a snapshot of the healthy stage, the fault is there again"
 
 
 @pytest.mark.parametrize("copy_stage", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
@@ -220,9 +220,9 @@ def test_copies_have_the_machines_faults_and_keep_them(xyz, name, copy_stage):
     with EVERY[name](xyz) as fault:
         replica = copy_stage(xyz)
         xyz.run(0.2)
-        after = bits(xyz)
+        after = get_state_bits(xyz)
     replica.run(0.2)
-    assert bits(replica) == after
+    assert get_state_bits(replica) == after
     assert replica.faults == (fault.text,)
 
 
@@ -238,7 +238,7 @@ def test_the_contact_of_a_copy_bounces_at_each_edge_as_the_first_one_does(xyz, c
         journal.close()
         return [(e.clock, e.b & x.chip.INPUTS["org"]) for e in journal.entries]
 
-    xyz.place(x=touch(xyz.axes["x"], "org") - 2e-3)
+    xyz.place(x=find_switch_position(xyz.axes["x"], "org") - 2e-3)
     with faults.bounce(xyz.axes["x"], "org", 2e-3, 6):
         replica = copy_stage(xyz)
         edges = passes(xyz)
@@ -251,7 +251,7 @@ def test_switches_stick_from_the_moment_at_which_a_snapshot_is_restored(xyz):
     x = xyz.axes["x"]
     for pin, asserted in (("el_plus", True), ("el_minus", False)):
         xyz.reset()
-        xyz.place(x=touch(x, "el_plus") + 5e-5)
+        xyz.place(x=find_switch_position(x, "el_plus") + 5e-5)
         xyz.run(0.01)
         assert getattr(x.switches, pin) is asserted
         snapshot = xyz.snapshot()
@@ -289,7 +289,7 @@ OF_ONE_THING = {
 }  # fmt: skip
 
 
-def broken(stage):
+def get_fault_state(stage):
     """All of the machine that faults change."""
     return (
         [(a.faults.bus_voltage, a.faults.open_phases, a.drive) for a in stage.axes.values()], stage.payload(), stage.faults,
@@ -304,19 +304,19 @@ def test_faults_of_one_thing_are_cleared_in_any_order_as_if_they_had_not_been(th
     stage, other = Stage("xy", visuals=False), Stage("xy", visuals=False)
     for s in (stage, other):
         s.set_payload(1.0)
-    healthy = broken(stage)
+    healthy = get_fault_state(stage)
     for order in permutations(range(len(makes))):
         created, left = [make(stage) for make in makes], list(range(len(makes)))
         for k in order:
             created[k].clear()
             left.remove(k)
             rest = [makes[j](other) for j in left]
-            assert broken(stage)[:2] == broken(other)[:2], (order, k)
-            assert broken(stage)[3:] == broken(other)[3:], (order, k)
+            assert get_fault_state(stage)[:2] == get_fault_state(other)[:2], (order, k)
+            assert get_fault_state(stage)[3:] == get_fault_state(other)[3:], (order, k)
             assert stage.faults == tuple(created[j].text for j in left)
             for fault in reversed(rest):
                 fault.clear()
-        assert broken(stage) == healthy, order
+        assert get_fault_state(stage) == healthy, order
 
 
 def test_a_cleared_fault_is_the_only_one_that_a_recording_says_was_cleared(xyz):
@@ -343,7 +343,7 @@ def test_a_switch_sticks_at_the_nanosecond_inside_a_physics_step(xyz):
         xyz.run(0.0000123)
     assert not x.chip.pins.el_minus
     journal.close()
-    clocks, levels = edges_of(journal, "el_minus")
+    clocks, levels = find_edges(journal, "el_minus")
     assert levels.tolist() == [True, False]
     assert clocks.tolist() == [int(t * x.chip.clock_hz) for t in (0.0201234567, 0.0201357567)]
 
@@ -369,7 +369,7 @@ def test_clearing_a_stuck_switch_inside_a_step_keeps_a_later_edge_of_that_step(x
     journal = replica.axes["x"].chip.journal()
     replica.run(0.1)
     journal.close()
-    (clock,), _ = edges_of(journal, "el_plus")
+    (clock,), _ = find_edges(journal, "el_plus")
     moment = clock / x.chip.clock_hz
     early = copy.deepcopy(xyz)
     for stage, when, expected in ((early, moment - 20e-6, clock), (xyz, moment + 20e-6, None)):
@@ -381,7 +381,7 @@ def test_clearing_a_stuck_switch_inside_a_step_keeps_a_later_edge_of_that_step(x
         clear_clock = axis.chip.clock
         stage.run(0.1)
         journal.close()
-        clocks, _ = edges_of(journal, "el_plus")
+        clocks, _ = find_edges(journal, "el_plus")
         assert clocks[0] == (clear_clock if expected is None else expected)
 
 
@@ -406,7 +406,7 @@ def test_a_contact_bounces_as_its_docstring_says_and_rests_on_its_new_level(xyz,
         cuts = np.sort(np.random.default_rng(seed).integers(0, 100_000_000, 300))
         for length in np.diff([0, *cuts, 100_000_000]):
             replica.run(length * 1e-9)
-        assert bits(replica) == bits(xyz), "however time is cut"
+        assert get_state_bits(replica) == get_state_bits(xyz), "however time is cut"
 
 
 def test_a_snapshot_within_a_bounce_continues_to_bounce(xyz):
@@ -433,7 +433,7 @@ def test_a_bounce_in_progress_is_completed_when_the_fault_is_cleared(xyz):
         xyz.run_until(lambda: x.switches.el_plus, timeout=0.2, poll=1e-4)
     xyz.run(0.02)
     journal.close()
-    assert len(edges_of(journal, "el_plus")[0]) == 7
+    assert len(find_edges(journal, "el_plus")[0]) == 7
     assert x.switches.el_plus
 
 
@@ -445,14 +445,14 @@ def test_a_switch_works_again_when_its_carriage_was_put_elsewhere_in_the_middle_
             run_into(x, "el_plus")
             xyz.run_until(lambda: x.switches.el_plus, timeout=0.1, poll=1e-4)
             xyz.run(2e-3)  # its last pulse is complete, and the contact still bounces
-    xyz.place(x=touch(x, "el_plus") - 1e-3)
+    xyz.place(x=find_switch_position(x, "el_plus") - 1e-3)
     xyz.run(0.01)
     assert not x.switches.el_plus, "what was left of the bounce is gone"
 
 
 def test_every_contact_of_the_machine_may_bounce_as_fast_as_it_can(xyz):
     """More edges than a window has ever had: none is lost, none is written where it does not belong."""
-    xyz.place(**{name: touch(axis, "org") + 0.005 for name, axis in xyz.axes.items()})
+    xyz.place(**{name: find_switch_position(axis, "org") + 0.005 for name, axis in xyz.axes.items()})
     each = [faults.bounce(a, pin, 1e-6, 8) for a in xyz.axes.values() for pin in a.switches.as_dict()]
     with xyz.record() as recording:
         for axis in xyz.axes.values():
@@ -464,7 +464,7 @@ def test_every_contact_of_the_machine_may_bounce_as_fast_as_it_can(xyz):
     recording.check_time()
     for name, journal in recording.journals.items():
         assert journal.course().edges["inputs"][-1] == xyz.axes[name].chip.input_word(0)
-        assert len(edges_of(journal, "org")[0]) <= 9 * 4
+        assert len(find_edges(journal, "org")[0]) <= 9 * 4
 
 
 def test_a_vane_serves_the_switches_of_its_kind(xyz):
@@ -472,9 +472,9 @@ def test_a_vane_serves_the_switches_of_its_kind(xyz):
     with faults.vane_missing(y, "el_plus") as fault:
         assert "el_plus and el_minus" in fault.text
         for pin, observed in (("el_plus", False), ("el_minus", False), ("org", True), ("sd_plus", True)):
-            xyz.place(y=touch(y, pin) + (1e-3 if pin.endswith("plus") else -1e-3))
+            xyz.place(y=find_switch_position(y, pin) + (1e-3 if pin.endswith("plus") else -1e-3))
             assert y.switches.as_dict()[pin] is observed
-    xyz.place(y=touch(y, "el_plus") + 1e-3)
+    xyz.place(y=find_switch_position(y, "el_plus") + 1e-3)
     assert y.switches.el_plus
 
 
@@ -539,7 +539,7 @@ def test_a_supply_that_falls_at_power_up_is_a_stage_with_that_supply(xyz):
             stage.reset()
             start_preset(stage.axes["x"].chip, 20_000)
             stage.run(0.5)
-        assert bits(xyz) == bits(lower)
+        assert get_state_bits(xyz) == get_state_bits(lower)
 
 
 # --- mechanics ---
@@ -561,7 +561,7 @@ def test_a_doubled_payload_is_a_stage_with_twice_the_payload(xyz):
         for stage in (xyz, replica):
             start_preset(stage.axes["x"].chip, 8000)
             stage.run(0.5)
-        assert bits(xyz) == bits(replica)
+        assert get_state_bits(xyz) == get_state_bits(replica)
     assert xyz.payload() == 1.0
 
 
@@ -831,11 +831,11 @@ def test_every_fault_has_a_section_with_its_command_in_the_docs():
     ],
 )
 def test_errors_say_what_is_allowed_and_break_nothing(xyz, make, message):
-    before = bits(xyz)
+    before = get_state_bits(xyz)
     with pytest.raises(ArgumentError, match=message):
         make(xyz)
     assert xyz.faults == ()
-    assert bits(xyz) == before
+    assert get_state_bits(xyz) == before
 
 
 def test_limits_of_a_faults_arguments_are_accepted_and_a_supply_names_that_of_all_axes(xyz):
@@ -878,7 +878,7 @@ def test_a_switch_that_sticks_while_it_bounces_bounces_no_more(xyz):
 def test_a_switch_releases_25_um_after_the_place_where_it_trips(xyz):
     # planted: no switch hysteresis
     x, at = xyz.axes["x"], {}
-    xyz.place(x=touch(x, "el_plus") - 3e-5)
+    xyz.place(x=find_switch_position(x, "el_plus") - 3e-5)
     load_registers(x.chip, R1=1, R2=1, R4=300, R5=300, R6=0, R7=12)
     for on, direction in ((True, 0x44), (False, 0x4C)):  # plus, minus: 50 pps, 0.16 mm/s
         load_registers(x.chip, R0=40)
@@ -887,7 +887,7 @@ def test_a_switch_releases_25_um_after_the_place_where_it_trips(xyz):
         xyz.run_until(lambda on=on: x.switches.el_plus is on, timeout=1, poll=2.5e-4)
         at[on] = x.position
         xyz.run_until(lambda: x.chip.pins.hold, timeout=1, poll=1e-2)
-    assert at[True] == pytest.approx(touch(x, "el_plus"), abs=4e-6)
+    assert at[True] == pytest.approx(find_switch_position(x, "el_plus"), abs=4e-6)
     assert at[True] - at[False] == pytest.approx(25e-6, abs=4e-6)
 
 

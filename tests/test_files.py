@@ -27,7 +27,7 @@ def stage():
     return Stage("xyz", visuals=False)
 
 
-def drawings(stage):
+def make_drawing_functions(stage):
     """Name -> a function of a path and `overwrite` that draws to it."""
     from stage.drives.dynamometer import tabulate_pull_out
 
@@ -42,7 +42,7 @@ def drawings(stage):
 
 
 def test_a_drawing_is_overwritten_only_on_request(stage, tmp_path):
-    for name, draw in drawings(stage).items():
+    for name, draw in make_drawing_functions(stage).items():
         path = tmp_path / f"{name}.png"
         if name == "report":
             draw(path)
@@ -115,7 +115,7 @@ def test_a_full_disk_is_reported_and_leaves_the_old_file_unchanged(tmp_path):
     assert path.read_text() == "mine"
 
 
-def device(path, number=(1, 3)):
+def make_null_device(path, number=(1, 3)):
     """/dev/null under another name, so that a failure costs nothing."""
     try:
         os.mknod(path, stat.S_IFCHR | 0o666, os.makedev(*number))
@@ -126,7 +126,7 @@ def device(path, number=(1, 3)):
 @pytest.mark.parametrize("force", [[], ["--force"]])
 def test_a_device_takes_the_bytes_and_stays_a_device(tmp_path, capsys, force):
     """stage move x 100 --force --vcd /dev/null"""
-    device(tmp_path / "null")
+    make_null_device(tmp_path / "null")
     assert main(["move", "x", "100", *force, "--vcd", str(tmp_path / "null")]) == 0
     assert stat.S_ISCHR((tmp_path / "null").stat().st_mode)
     assert [f.name for f in tmp_path.iterdir()] == ["null"]
@@ -134,14 +134,14 @@ def test_a_device_takes_the_bytes_and_stays_a_device(tmp_path, capsys, force):
 
 def test_a_device_that_is_full_says_so(tmp_path):
     """stage move x 100 --force --vcd /dev/full"""
-    device(tmp_path / "full", (1, 7))
+    make_null_device(tmp_path / "full", (1, 7))
     with pytest.raises(FileError, match="No space left on device"), write_atomically(tmp_path / "full", True) as part:
         part.write_text("half")
     assert stat.S_ISCHR((tmp_path / "full").stat().st_mode)
 
 
 @contextmanager
-def pipe(path):
+def make_pipe(path):
     """A pipe at `path` with room for a small recording; its end to read from."""
     os.mkfifo(path)
     end = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
@@ -157,7 +157,7 @@ def pipe(path):
 def test_a_pipe_takes_the_bytes_and_stays_a_pipe(tmp_path, force):
     """mkfifo p; cat p & stage move x 100 --vcd p"""
     path = tmp_path / "p"
-    with pipe(path) as end:
+    with make_pipe(path) as end:
         with write_atomically(path, force) as part:
             part.write_bytes(b"bytes")
         assert os.read(end, 100) == b"bytes"
@@ -168,7 +168,7 @@ def test_a_pipe_takes_the_bytes_and_stays_a_pipe(tmp_path, force):
 def test_a_recording_streams_into_a_pipe(stage, tmp_path):
     """mkfifo p; cat p > x.rrd & python -c 'stage.record(path="p")'"""
     path = tmp_path / "p"
-    with pipe(path) as end:
+    with make_pipe(path) as end:
         with stage.record(path=path):
             stage.run(0.01)
         assert os.read(end, 3) == b"RRF"
@@ -254,7 +254,7 @@ def test_a_disk_is_no_place_for_a_file(tmp_path):
 
 
 @contextmanager
-def room(size):
+def limit_file_size(size):
     """A disk with room for files of so many bytes."""
     before, wrote = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
@@ -278,7 +278,7 @@ def test_a_study_on_a_full_disk_keeps_its_trials_and_continues_later(tmp_path):
     for more in (1, 30, 100):  # in the middle of a line
         before = finished(read_study(place))
         full = pytest.raises(FileError, match=r"File too large.*What was recorded before is safe")
-        with full, room(place.stat().st_size + more):
+        with full, limit_file_size(place.stat().st_size + more):
             run(objective, place, before + 1)
         assert finished(read_study(place)) == before
         assert finished(run(objective, place, before + 1)) == before + 1

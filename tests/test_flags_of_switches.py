@@ -45,7 +45,7 @@ MODEL = """
 </mujoco>"""
 
 
-def stage_of(joint, size, beam, aside=0.0, turned=0.0, step=0.00025, travel=None):
+def make_stage(joint, size, beam, aside=0.0, turned=0.0, step=0.00025, travel=None):
     """Return a stage of one axis.
 
     Args:
@@ -69,12 +69,12 @@ def stage_of(joint, size, beam, aside=0.0, turned=0.0, step=0.00025, travel=None
     return Stage(mujoco.MjSpec.from_string(xml))
 
 
-def stage_with_flag(joint, width, step=0.00025, travel=None):
+def make_stage_with_flag(joint, width, step=0.00025, travel=None):
     """Return a stage of one axis whose flag is `width` m wide, and the joint position where the beam leaves it towards plus."""
     beam = min(width / 4, 0.0005)
     length = width / 2 - beam
     size = (length, 0.0005, 0.004) if joint == "slide" else (0.006, length, 0.0005)
-    stage = stage_of(joint, size, beam, step=step, travel=travel)
+    stage = make_stage(joint, size, beam, step=step, travel=travel)
     return stage, width / 2 if joint == "slide" else math.asin(width / 2 / RADIUS)
 
 
@@ -123,7 +123,7 @@ class Passage:
             assert abs(off) <= self.axis.meters_per_pulse, f"{what}: {off / self.axis.meters_per_pulse:.2f} pulses off"
 
 
-def pass_by(stage, start, speed, until, accel=0.05):
+def drive_past_switch(stage, start, speed, until, accel=0.05):
     stage.reset()
     stage.place(a=start)
     return Passage(stage).drive(speed, until, accel).end()
@@ -138,12 +138,12 @@ def test_a_flag_of_any_width_is_detected_from_edge_to_edge(joint, ramp):
         speed = rng.uniform(0.02, 0.17) if joint == "slide" else rng.uniform(0.8, 6.0)
         crossing = 100e-6 * 10 ** rng.uniform(0, 2)
         width = max(speed * crossing * (1 if joint == "slide" else RADIUS), 4e-6)
-        stage, edge = stage_with_flag(joint, width)
+        stage, edge = make_stage_with_flag(joint, width)
         for direction in (1, -1):
             accel = 0.2 if ramp else 0.05
             start = edge + speed * accel / 2 * (rng.uniform(0.2, 0.9) if ramp else 1.5)
             end = edge + 4 * HYSTERESIS + speed * 2e-3
-            passage = pass_by(stage, -direction * start, direction * speed, direction * end, accel)
+            passage = drive_past_switch(stage, -direction * start, direction * speed, direction * end, accel)
             what = f"{joint}, {width * 1e6:.1f} um, {direction * speed:.4f}, {'ramp' if ramp else 'constant'}, from {start:.5f}"
             passage.assert_edges([-direction * edge, direction * (edge + HYSTERESIS)], what)
 
@@ -151,8 +151,8 @@ def test_a_flag_of_any_width_is_detected_from_edge_to_edge(joint, ramp):
 @pytest.mark.parametrize(("width", "speed"), [(400e-6, 0.17), (150e-6, 0.17), (60e-6, 0.1)])
 @pytest.mark.parametrize("direction", [1, -1])
 def test_a_short_flag_is_detected_as_long_as_the_carriage_needs_to_cross_it(width, speed, direction):
-    stage, edge = stage_with_flag("slide", width)
-    passage = pass_by(stage, -direction * 0.015, direction * speed, direction * 0.005)
+    stage, edge = make_stage_with_flag("slide", width)
+    passage = drive_past_switch(stage, -direction * 0.015, direction * speed, direction * 0.005)
     (begins, _), (ends, _) = passage.edges
     assert (ends - begins) * speed == pytest.approx(width + HYSTERESIS, abs=2 * passage.axis.meters_per_pulse)
     passage.assert_edges([-direction * edge, direction * (edge + HYSTERESIS)])
@@ -162,10 +162,10 @@ def test_a_short_flag_is_detected_as_long_as_the_carriage_needs_to_cross_it(widt
 def test_a_flag_may_begin_and_end_within_one_physics_step(joint):
     step = 0.0005
     speed = 0.17 if joint == "slide" else 4.0
-    stage, edge = stage_with_flag(joint, 40e-6 if joint == "slide" else 80e-6, step)
+    stage, edge = make_stage_with_flag(joint, 40e-6 if joint == "slide" else 80e-6, step)
     within = 0
     for k in range(6):
-        passage = pass_by(stage, -speed / 20 - k * speed * step / 6, speed, 10 * speed * step)
+        passage = drive_past_switch(stage, -speed / 20 - k * speed * step / 6, speed, 10 * speed * step)
         passage.assert_edges([-edge, edge + HYSTERESIS])
         begins, ends = (int(time / step) for time, _ in passage.edges)
         within += begins == ends
@@ -202,7 +202,7 @@ def test_a_table_homes_to_the_same_pulse_from_everywhere():
 @pytest.mark.parametrize("joint", BODY)
 def test_a_reversal_inside_a_flag_leaves_it_where_it_was_entered(joint):
     speed = 0.05 if joint == "slide" else 1.5
-    stage, edge = stage_with_flag(joint, 0.02)
+    stage, edge = make_stage_with_flag(joint, 0.02)
     for direction in (1, -1):
         stage.reset()
         stage.place(a=-direction * (edge + speed * 0.1))
@@ -215,7 +215,7 @@ def test_a_reversal_inside_a_flag_leaves_it_where_it_was_entered(joint):
 @pytest.mark.parametrize("joint", BODY)
 def test_an_axis_that_begins_on_its_flag_leaves_it_at_either_edge(joint):
     speed = 0.02 if joint == "slide" else 0.8
-    stage, edge = stage_with_flag(joint, 0.002)
+    stage, edge = make_stage_with_flag(joint, 0.002)
     for direction in (1, -1):
         stage.reset()
         stage.place(a=0.2 * direction * edge)
@@ -228,8 +228,8 @@ def test_an_axis_that_begins_on_its_flag_leaves_it_at_either_edge(joint):
 
 @pytest.mark.parametrize("direction", [1, -1])
 def test_a_table_without_end_meets_its_flag_at_each_turn(direction):
-    stage, edge = stage_with_flag("hinge", 200e-6)
-    passage = pass_by(stage, -direction * 1.0, direction * 6.0, direction * (6 * math.pi + 1.0), 0.1)
+    stage, edge = make_stage_with_flag("hinge", 200e-6)
+    passage = drive_past_switch(stage, -direction * 1.0, direction * 6.0, direction * (6 * math.pi + 1.0), 0.1)
     revolutions = [2 * math.pi * k for k in range(4)]
     passage.assert_edges(
         [direction * place for turn in revolutions for place in (turn - edge, turn + edge + HYSTERESIS)]
@@ -239,8 +239,8 @@ def test_a_table_without_end_meets_its_flag_at_each_turn(direction):
 @pytest.mark.parametrize("direction", [1, -1])
 def test_a_joint_beyond_its_range_detects_its_flag_as_well(direction):
     """range="-1.5 1.5", and a table that nothing stops"""
-    stage, edge = stage_with_flag("hinge", 400e-6, travel=1.5)
-    passage = pass_by(stage, -direction * 1.0, direction * 6.0, direction * (2 * math.pi + 1.0), 0.1)
+    stage, edge = make_stage_with_flag("hinge", 400e-6, travel=1.5)
+    passage = drive_past_switch(stage, -direction * 1.0, direction * 6.0, direction * (2 * math.pi + 1.0), 0.1)
     passage.assert_edges(
         [direction * place for turn in (0, 2 * math.pi) for place in (turn - edge, turn + edge + HYSTERESIS)]
     )
@@ -250,14 +250,14 @@ def test_a_slanted_flag_has_an_edge_on_each_side():
     """A square of 0.6 mm, turned by 30 degrees; the beam, 0.05 mm thick, passes 0.2 mm beside its center: one face is met at 30
     degrees, the other at 60, and the place where the contact's direction changes is not in the middle."""
     half, beam, aside, turned = 0.3e-3, 0.05e-3, 0.2e-3, math.pi / 6
-    stage = stage_of("slide", (half, half, 0.004), beam, aside=aside, turned=turned)
+    stage = make_stage("slide", (half, half, 0.004), beam, aside=aside, turned=turned)
     by_x = (half + beam - aside * math.sin(turned)) / math.cos(turned)  # the beam's x as it leaves the face in plus
     by_y = (aside * math.cos(turned) - half - beam) / math.sin(turned)
     low, high = -by_x, -by_y  # of the joint: the vane moves
     for speed in (0.17, 0.05):
-        passage = pass_by(stage, low - speed * 0.04, speed, high + 0.002)
+        passage = drive_past_switch(stage, low - speed * 0.04, speed, high + 0.002)
         passage.assert_edges([low, high + HYSTERESIS])
-        passage = pass_by(stage, high + speed * 0.04, -speed, low - 0.002)
+        passage = drive_past_switch(stage, high + speed * 0.04, -speed, low - 0.002)
         passage.assert_edges([high, low - HYSTERESIS])
 
 
@@ -266,7 +266,7 @@ def test_a_slanted_flag_has_an_edge_on_each_side():
 def test_a_switch_that_was_moved_trips_where_it_is_now(joint, moved):
     """stage.model.geom("beam").pos is changed on a stage that is built, as environments do"""
     width, speed = 0.2e-3, 0.1 if joint == "slide" else 2.0
-    stage, edge = stage_with_flag(joint, width)
+    stage, edge = make_stage_with_flag(joint, width)
     if joint == "slide":
         stage.model.geom("beam").pos[0] += moved
         low, high = moved - edge, moved + edge
@@ -276,12 +276,14 @@ def test_a_switch_that_was_moved_trips_where_it_is_now(joint, moved):
         low, high = middle - reach, middle + reach
     for direction in (1, -1):
         near, leaves = (low, high) if direction > 0 else (high, low)
-        passage = pass_by(stage, near - direction * speed * 0.2, direction * speed, leaves + direction * speed * 0.01)
+        passage = drive_past_switch(
+            stage, near - direction * speed * 0.2, direction * speed, leaves + direction * speed * 0.01
+        )
         passage.assert_edges([near, leaves + direction * HYSTERESIS])
 
 
 def test_a_snapshot_between_the_two_edges_of_one_physics_step_keeps_the_second():
-    stage, _ = stage_with_flag("slide", 40e-6, step=0.0005)
+    stage, _ = make_stage_with_flag("slide", 40e-6, step=0.0005)
     for k in range(12):
         stage.reset()
         stage.place(a=-0.008 - k * 1e-5)
@@ -293,7 +295,7 @@ def test_a_snapshot_between_the_two_edges_of_one_physics_step_keeps_the_second()
     driver_of(replica.axes["a"]).run(1, Speeds(500.0, 0.17 / replica.axes["a"].meters_per_pulse, 0.05, 0.05))
     replica.run(0.5 * (begins + ends) - replica.time)
     assert replica.axes["a"].switches.org
-    other, _ = stage_with_flag("slide", 40e-6, step=0.0005)
+    other, _ = make_stage_with_flag("slide", 40e-6, step=0.0005)
     other.restore(replica.snapshot())
     for again in (replica, other):
         again.run(ends - again.time - 1e-6)
@@ -304,7 +306,7 @@ def test_a_snapshot_between_the_two_edges_of_one_physics_step_keeps_the_second()
 
 
 def test_a_stuck_switch_that_is_cleared_after_a_short_flag_reports_no_edge():
-    stage, edge = stage_with_flag("slide", 100e-6)
+    stage, edge = make_stage_with_flag("slide", 100e-6)
     a = stage.axes["a"]
     stage.place(a=-0.005)
     fault = faults.switch_stuck(a, "org", False)
@@ -315,9 +317,9 @@ def test_a_stuck_switch_that_is_cleared_after_a_short_flag_reports_no_edge():
 
 
 def test_a_contact_that_bounces_on_a_short_flag_comes_to_rest_open():
-    stage, edge = stage_with_flag("slide", 200e-6)
+    stage, edge = make_stage_with_flag("slide", 200e-6)
     with faults.bounce(stage.axes["a"], "org", seconds=5e-3, toggles=4):
-        passage = pass_by(stage, -0.015, 0.1, 0.01)
+        passage = drive_past_switch(stage, -0.015, 0.1, 0.01)
     levels = [on for _, on in passage.edges]
     assert levels == [k % 2 == 0 for k in range(10)], "an edge and four toggles for each end of the flag"
     passage.edges = passage.edges[:1]
@@ -326,23 +328,23 @@ def test_a_contact_that_bounces_on_a_short_flag_comes_to_rest_open():
 
 def test_a_flag_much_narrower_than_the_travel_is_detected():
     """8 um of 200 mm: a carriage at 80 mm/s needs 100 us to cross it"""
-    stage, edge = stage_with_flag("slide", 8e-6)
-    pass_by(stage, -0.005, 0.08, 0.002).assert_edges([-edge, edge + HYSTERESIS])
+    stage, edge = make_stage_with_flag("slide", 8e-6)
+    drive_past_switch(stage, -0.005, 0.08, 0.002).assert_edges([-edge, edge + HYSTERESIS])
 
 
 @pytest.mark.parametrize("travel", [5.0, 20.0], ids="{:g} m to each side".format)
 def test_a_short_flag_of_a_long_slide_trips_at_its_edges(travel):
-    stage, edge = stage_with_flag("slide", 10e-6, travel=travel)
-    pass_by(stage, -0.005, 0.08, 0.002).assert_edges([-edge, edge + HYSTERESIS])
+    stage, edge = make_stage_with_flag("slide", 10e-6, travel=travel)
+    drive_past_switch(stage, -0.005, 0.08, 0.002).assert_edges([-edge, edge + HYSTERESIS])
 
 
 @pytest.mark.parametrize("travel", [7.0, 180.0], ids="{:g} rad to each side".format)
 @pytest.mark.parametrize("revolution", [0, 1])
 def test_a_short_flag_of_a_table_trips_at_its_edges_for_any_range(travel, revolution):
     """range="-180 180" of a joint without limits is in radians, though the model's angles are in degrees"""
-    stage, edge = stage_with_flag("hinge", 20e-6, travel=travel)
+    stage, edge = make_stage_with_flag("hinge", 20e-6, travel=travel)
     place = 2 * math.pi * revolution
-    passage = pass_by(stage, place - 0.1, 2.0, place + 0.1, 0.02)
+    passage = drive_past_switch(stage, place - 0.1, 2.0, place + 0.1, 0.02)
     passage.assert_edges([place - edge, place + edge + HYSTERESIS])
 
 
@@ -355,23 +357,25 @@ def test_a_short_flag_near_an_end_of_the_travel_is_detected(joint, share):
     speed, run_up = (0.08, 0.02) if joint == "slide" else (2.0, 0.1)
     for side in (1, -1):
         low, high = sorted((side * ends, side * (ends - travel)))
-        stage, edge = stage_with_flag(joint, 30e-6, travel=(low, high))
-        passage = pass_by(stage, -side * run_up, side * speed, side * (edge + 4 * HYSTERESIS + speed * 2e-3), 0.02)
+        stage, edge = make_stage_with_flag(joint, 30e-6, travel=(low, high))
+        passage = drive_past_switch(
+            stage, -side * run_up, side * speed, side * (edge + 4 * HYSTERESIS + speed * 2e-3), 0.02
+        )
         passage.assert_edges([-side * edge, side * (edge + HYSTERESIS)], f"{joint}, {low} to {high}")
 
 
 def test_a_flag_on_both_sides_of_the_place_where_a_turn_begins_is_one_flag():
-    stage, edge = stage_with_flag("hinge", 2e-3, travel=(0.3e-3, 2 * math.pi + 0.3e-3))
-    pass_by(stage, 0.3, -2.0, -0.1, 0.02).assert_edges([edge, -edge - HYSTERESIS])
+    stage, edge = make_stage_with_flag("hinge", 2e-3, travel=(0.3e-3, 2 * math.pi + 0.3e-3))
+    drive_past_switch(stage, 0.3, -2.0, -0.1, 0.02).assert_edges([edge, -edge - HYSTERESIS])
 
 
 def test_a_flag_beyond_the_travel_is_no_flag_of_it():
     with pytest.raises(ModelError, match=r"cannot reach it: nearest at -0\.0003, "):
-        stage_with_flag("slide", 100e-6, travel=(-0.2003, -0.0003))
+        make_stage_with_flag("slide", 100e-6, travel=(-0.2003, -0.0003))
 
 
 def test_a_hinge_without_range_is_answered_with_the_line_of_a_hinge():
     with pytest.raises(
         ModelError, match=r'has no range[^$]*<joint name="a" type="hinge" axis="0 0 1" range="-3.1416 3.1416"'
     ):
-        stage_with_flag("hinge", 1e-3, travel=(0.0, 0.0))
+        make_stage_with_flag("hinge", 1e-3, travel=(0.0, 0.0))

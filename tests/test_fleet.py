@@ -24,12 +24,12 @@ def first():
     return Stage("xyz", chips={"x": PCL240MS, "z": PCL240K}, visuals=False)
 
 
-def stages(first, n=N):
+def copy_stages(first, n=N):
     first.reset()
     return [copy.deepcopy(first) for _ in range(n)]
 
 
-def program(first, k):
+def make_program(first, k):
     """Both axes move, each in its own way and until it stops, while the host reads."""
     p = Program()
     registers = {
@@ -53,26 +53,26 @@ def program(first, k):
     return p.until_stopped([0, 1], 2.0).measure(0.003).read(0, 0)
 
 
-def everything(fleet, played):
+def get_all_results(fleet, played):
     states = [s.snapshot().state.tobytes() for s in fleet.stages]
     return states, played.results.tobytes(), played.extremes.tobytes(), fleet.truth().tobytes()
 
 
 def test_any_number_of_threads_gives_the_same_bits(first):
-    programs = [program(first, k) for k in range(N)]
+    programs = [make_program(first, k) for k in range(N)]
     observed = set()
     for threads in (1, 2, 3):
-        fleet = Fleet(stages(first), threads)
-        observed.add(str(everything(fleet, fleet.play(programs))))
+        fleet = Fleet(copy_stages(first), threads)
+        observed.add(str(get_all_results(fleet, fleet.play(programs))))
         fleet.close()
     assert len(observed) == 1
 
 
 def test_a_program_does_what_a_python_driver_does_to_the_bit(first):
-    fleet = Fleet(stages(first), 1)
-    played = fleet.play([program(first, k) for k in range(N)])
-    for k, stage in enumerate(stages(first)):
-        ops = np.array(program(first, k).ops)
+    fleet = Fleet(copy_stages(first), 1)
+    played = fleet.play([make_program(first, k) for k in range(N)])
+    for k, stage in enumerate(copy_stages(first)):
+        ops = np.array(make_program(first, k).ops)
         results, extremes = np.zeros(len(ops), np.int64), np.full((3, 2), np.inf) * [1, -1]
         assert play.play_in_python(stage, ops, results, extremes) == play.PLAYED
         assert (results == played.results[k][: len(ops)]).all()
@@ -87,15 +87,15 @@ def test_a_timeout_at_the_instant_of_a_poll_ends_both_players_at_that_poll(first
     for name, value in {"R1": 1000, "R2": 1000, "R7": 12}.items():
         p.register(0, first.axes["x"].chip, name, value)
     p.command(0, 0x40).command(0, 0x10).until_stopped([0], 754e-6, 250e-6)
-    fleet, (driven,) = Fleet(stages(first, 1), 1), stages(first, 1)
+    fleet, (driven,) = Fleet(copy_stages(first, 1), 1), copy_stages(first, 1)
     results = np.zeros(len(p), np.int64)
     assert play.play_in_python(driven, np.array(p.ops), results, np.zeros((3, 2))) == play.PLAYED
     assert fleet.play([p]).results[0][len(p) - 1] == results[-1] == -754_000
 
 
 def test_the_truth_is_what_the_stages_say(first):
-    fleet = Fleet(stages(first), 1)
-    fleet.play([program(first, k) for k in range(N)])
+    fleet = Fleet(copy_stages(first), 1)
+    fleet.play([make_program(first, k) for k in range(N)])
     for row, stage in zip(fleet.truth(), fleet.stages, strict=True):
         for t, axis in zip(row, stage.axes.values(), strict=True):
             assert (t["position"], t["commanded"], t["lost_steps"]) == (axis.position, axis.commanded, axis.lost_steps)
@@ -105,16 +105,19 @@ def test_the_truth_is_what_the_stages_say(first):
 
 
 def test_a_stage_that_is_recorded_makes_the_same_bits(first):
-    reference, watched = Fleet(stages(first), 1), Fleet(stages(first), 1)
-    programs = [program(first, k) for k in range(N)]
+    reference, watched = Fleet(copy_stages(first), 1), Fleet(copy_stages(first), 1)
+    programs = [make_program(first, k) for k in range(N)]
     with watched.stages[2].record() as recording:
-        assert everything(watched, watched.play(programs))[1:] == everything(reference, reference.play(programs))[1:]
+        assert (
+            get_all_results(watched, watched.play(programs))[1:]
+            == get_all_results(reference, reference.play(programs))[1:]
+        )
     assert (watched.stages[2].data.qpos == reference.stages[2].data.qpos).all()
     assert recording.duration > 0.02
 
 
 def test_a_wait_that_takes_too_long_ends_and_says_so(first):
-    fleet = Fleet(stages(first, 2), 1)
+    fleet = Fleet(copy_stages(first, 2), 1)
     p = Program().register(0, first.axes["x"].chip, "R1", 500).register(0, first.axes["x"].chip, "R7", 100)
     p.command(0, 0x40).command(0, 0x10).until_stopped([0], 0.01)
     played = fleet.play([p, Program()])
@@ -124,9 +127,9 @@ def test_a_wait_that_takes_too_long_ends_and_says_so(first):
 
 @pytest.mark.usefixtures("elsewhere")
 def test_a_stage_that_diverges_does_not_stop_the_others(first):
-    fleet = Fleet(stages(first), 2)
+    fleet = Fleet(copy_stages(first), 2)
     fleet.stages[1].data.qfrc_applied[:] = 1e30
-    played = fleet.play([program(first, k) for k in range(N)])
+    played = fleet.play([make_program(first, k) for k in range(N)])
     assert played.diverged.tolist() == [k == 1 for k in range(N)]
     assert (fleet.truth()["counter"][[0, 2, 3, 4]] == 0).all()
 
@@ -146,10 +149,10 @@ def test_a_stage_that_diverges_while_a_program_waits_for_a_stop_ends_it(bus_cycl
 
 
 def test_a_fleet_is_pickled_with_its_stages(first):
-    fleet = Fleet(stages(first, 2), 1)
+    fleet = Fleet(copy_stages(first, 2), 1)
     replica = pickle.loads(pickle.dumps(fleet))
-    programs = [program(first, k) for k in range(2)]
-    assert everything(fleet, fleet.play(programs)) == everything(replica, replica.play(programs))
+    programs = [make_program(first, k) for k in range(2)]
+    assert get_all_results(fleet, fleet.play(programs)) == get_all_results(replica, replica.play(programs))
 
 
 def test_what_a_fleet_cannot_be_is_refused(first):
@@ -217,10 +220,10 @@ def test_a_stage_is_in_a_fleet_once(first):
 
 
 def test_a_stage_that_another_thread_runs_is_not_played(first):
-    fleet = Fleet(stages(first, 2), 1)
+    fleet = Fleet(copy_stages(first, 2), 1)
     with fleet.stages[1].loop.claimed(), pytest.raises(StageError, match=r"stage 1 of the fleet.*in use"):
-        fleet.play([program(first, 0)] * 2)
-    fleet.play([program(first, 0)] * 2)
+        fleet.play([make_program(first, 0)] * 2)
+    fleet.play([make_program(first, 0)] * 2)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
@@ -241,7 +244,7 @@ def test_a_fleet_plays_in_a_child_of_fork():
 
 
 def test_a_payload_makes_the_axis_heavier_and_stays_over_a_reset(first):
-    stage = stages(first, 1)[0]
+    stage = copy_stages(first, 1)[0]
     masses = {}
     for payload in (0.0, 6.0, 0.0):
         stage.set_payload(payload)
@@ -261,8 +264,8 @@ def test_a_payload_makes_the_axis_heavier_and_stays_over_a_reset(first):
 
 
 def test_without_visuals_the_physics_is_the_same(first):
-    bare, full = stages(first, 1)[0], Stage("xyz", chips={"x": PCL240MS, "z": PCL240K})
-    ops = np.array(program(first, 1).ops)
+    bare, full = copy_stages(first, 1)[0], Stage("xyz", chips={"x": PCL240MS, "z": PCL240K})
+    ops = np.array(make_program(first, 1).ops)
     for stage in (bare, full):
         play.play_in_python(stage, ops, np.zeros(len(ops), np.int64), np.zeros((3, 2)))
     assert bare.snapshot().state.tobytes() == full.snapshot().state.tobytes()
@@ -293,7 +296,7 @@ def test_visual_geoms_that_define_an_inertia_are_not_removed():
 
 
 def test_a_position_reading_is_in_pm_and_extremes_are_of_measured_time_alone(first):
-    fleet = Fleet(stages(first, 2), 1)
+    fleet = Fleet(copy_stages(first, 2), 1)
     x, z = fleet.stages[0].axes.values()
     fleet.stages[0].place(x=0.0123, z=-0.01)
     played = fleet.play([Program().wait(1.3e-4).sample_position(0).sample_position(1), Program()])
@@ -311,7 +314,7 @@ def test_a_position_reading_is_in_pm_and_extremes_are_of_measured_time_alone(fir
 
 def test_what_a_point_travels_is_the_diagonal_of_its_box_by_python_as_by_compiled_code(first):
     """Program().measure(seconds, 1 + site), or - body"""
-    one, other = Fleet(stages(first, 1), 1), Fleet(stages(first, 1), 1)
+    one, other = Fleet(copy_stages(first, 1), 1), Fleet(copy_stages(first, 1), 1)
     model = one.stages[0].model
     site, x = 1 + model.site("work").id, one.stages[0].axes["x"]
     body = int(model.jnt_bodyid[x.joint])
@@ -354,7 +357,7 @@ def test_a_register_is_written_by_a_program_as_its_family_takes_it():
 
 
 def test_a_closed_fleet_plays_again_and_stops_are_waited_for_axis_by_axis(first):
-    fleet = Fleet(stages(first, 2), 2)
+    fleet = Fleet(copy_stages(first, 2), 2)
     p = Program().until_stopped([0, 1], 1).until_stopped([], 1)
     for _ in range(2):
         took = fleet.play([p, p]).results
@@ -368,7 +371,7 @@ def test_a_program_that_keeps_step_ends_at_the_first_one_lost_compiled_or_not(fi
     """Program().until_stopped([0], 2.0, keep_step=True)"""
 
     def played(fl, keep_step, recorded=False, poll=2.5e-4):
-        fleet = Fleet(stages(first, 1), threads=1)
+        fleet = Fleet(copy_stages(first, 1), threads=1)
         axis, p = fleet.stages[0].axes["x"], Program().command(0, 0x08)
         for name, value in {"R0": 4000, "R1": fl, "R2": fl, "R7": 120}.items():
             p.register(0, axis.chip, name, value)

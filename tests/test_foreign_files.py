@@ -38,7 +38,7 @@ DOCUMENT = {"format": 1, "made": OPTIONS, "payloads": {"x": 0.5}, "faults": [["m
         "start": 0, "program": [[0, 0, 3, 17], [1000, 1, 0, None]]}  # fmt: skip
 
 
-def elf():
+def make_elf():
     """A program of 64 bytes for an ARM, with a section of its own."""
     head = struct.pack("<16sHHIIIIIHHHHHH", b"\x7fELF\1\1\1", 2, 40, 1, 0x41, 52, 148, 0, 52, 32, 1, 40, 2, 1)
     segment = struct.pack("<IIIIIIII", 1, 84, 0, 0, 64, 64, 5, 4)
@@ -60,7 +60,7 @@ def intact(tmp_path_factory):
         ".zip": zipped({"panel.json": json.dumps(DOCUMENT), "start.snapshot": snapshot, "now.snapshot": snapshot}),
         ".toml": TOML,
         ".json": JSON,
-        ".elf": elf(),
+        ".elf": make_elf(),
     }
 
 
@@ -170,7 +170,7 @@ def test_only_regular_files_of_bounded_size_are_opened(ending, kind, tmp_path):
 
 def test_an_elf_file_whose_symbol_has_a_name_without_an_end_is_refused(tmp_path):
     """The section of 64 bytes becomes a table of symbols, whose names lie at the end of the file"""
-    content = bytearray(elf())
+    content = bytearray(make_elf())
     struct.pack_into("<IIIIIIIIII", content, 188, 1, 2, 0, 0, 84, 16, 1, 0, 1, 16)
     struct.pack_into("<I", content, 84, 227 - 84)
     content[227] = 1
@@ -265,7 +265,7 @@ def test_what_is_no_json_is_refused(content):
         parse_json(content)
 
 
-def changed_byte(content, mark, at, value):
+def change_byte(content, mark, at, value):
     """The archive with another byte in the record of each member in its directory."""
     changed, k = bytearray(content), -1
     while (k := content.find(mark, k + 1)) >= 0:
@@ -279,8 +279,8 @@ def test_an_archive_with_what_pulsestage_does_not_pack_is_refused_before_it_is_u
     for content, says in (
         (zipped({"a": b"x"}, zipfile.ZIP_LZMA), "packed in another way"),
         (zipped({"a": b"x"}, zipfile.ZIP_BZIP2), "packed in another way"),
-        (changed_byte(intact, b"PK\1\2", 8, 1), "packed in another way"),
-        (changed_byte(intact, b"PK\1\2", 10, 99), "packed in another way"),
+        (change_byte(intact, b"PK\1\2", 8, 1), "packed in another way"),
+        (change_byte(intact, b"PK\1\2", 10, 99), "packed in another way"),
         (zipped({"a": b"x" * 1001}), "has 1,001 bytes when unpacked, and at most 1,000"),
         (zipped({"b": b"x"}), "it should hold a"),
         (intact[:-30], "no zip archive"),

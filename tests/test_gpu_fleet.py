@@ -18,7 +18,7 @@ from stage.sim.gpu import physics
 from stage.support import extras
 
 
-def missing():
+def find_reason_to_skip():
     """Return why no GPU can be used here, or ""."""
     if not (extras.is_installed("numba_cuda") and extras.is_installed("mujoco_warp")):
         return "the extra gpu is not installed"
@@ -31,7 +31,7 @@ def missing():
 
 LEAST_SHARE = 0.97
 """Share of axes that are the same; float32 lets others meet a switch a pulse earlier or later."""
-WHY_NOT = missing()
+WHY_NOT = find_reason_to_skip()
 on_a_gpu = pytest.mark.skipif(WHY_NOT != "", reason=f"needs a GPU: {WHY_NOT}")
 
 
@@ -40,7 +40,7 @@ def stage():
     return Stage("xyz", chips=PCL240K, visuals=False)
 
 
-def random_moves(stage, copies, rng, steepest):
+def draw_programs(stage, copies, rng, steepest):
     """Return a program for each copy: a random move of each axis at once, ramps up to `steepest` pulses/s^2; and a look at it."""
     drivers = [driver_of(axis) for axis in stage.axes.values()]
     programs = []
@@ -56,7 +56,7 @@ def random_moves(stage, copies, rng, steepest):
     return programs
 
 
-def chips_of(fleet):
+def get_chip_states(fleet):
     return [[rows.tobytes() for rows in stage.state.chips] for stage in fleet.stages]
 
 
@@ -141,7 +141,7 @@ def test_without_a_gpu_the_error_says_so(stage, monkeypatch):
 def test_copies_on_a_gpu_do_what_stages_on_processors_do(stage):
     seed, n = 5, 70
     print("seed", seed)
-    programs = random_moves(stage, n, np.random.default_rng(seed), 4e5)
+    programs = draw_programs(stage, n, np.random.default_rng(seed), 4e5)
     on_gpu, on_cpu = Fleet([stage], device="cuda", copies=n), Fleet([copy.deepcopy(stage) for _ in range(n)])
     for _ in range(2):  # the second play goes on from where the first ended, within a physics step
         played, wanted = on_gpu.play(programs), on_cpu.play(programs)
@@ -153,7 +153,7 @@ def test_copies_on_a_gpu_do_what_stages_on_processors_do(stage):
         assert np.quantile(np.abs(played.extremes - wanted.extremes), LEAST_SHARE) < 20e-6
         assert not played.diverged.any()
         chips = [[row.tobytes() for row in rows] for rows in on_gpu.records()["chip"]]
-        same = np.mean([a == b for a, b in zip(chain(*chips), chain(*chips_of(on_cpu)), strict=True)])
+        same = np.mean([a == b for a, b in zip(chain(*chips), chain(*get_chip_states(on_cpu)), strict=True)])
         print("chips the same to the bit", same)  # others were stopped by a switch, a clock earlier or later
         assert same > LEAST_SHARE
 
@@ -181,7 +181,7 @@ def test_servos_on_a_gpu_come_to_where_they_come_on_processors():
 @on_a_gpu
 def test_reset_puts_every_copy_back(stage):
     fleet = Fleet([stage], device="cuda", copies=11)
-    programs = random_moves(stage, 11, np.random.default_rng(2), 4e5)
+    programs = draw_programs(stage, 11, np.random.default_rng(2), 4e5)
     fleet.play(programs)
     truth = fleet.truth()
     fleet.reset()
@@ -253,7 +253,7 @@ def test_a_model_that_mujoco_warp_refuses_is_refused(stage, monkeypatch):
 def test_ten_thousand_random_moves_lose_the_same_steps(stage):
     seed, n = 7, 3334
     print("seed", seed)
-    programs = random_moves(stage, n, np.random.default_rng(seed), 3e6)
+    programs = draw_programs(stage, n, np.random.default_rng(seed), 3e6)
     on_gpu, on_cpu = Fleet([stage], device="cuda", copies=n), Fleet([copy.deepcopy(stage) for _ in range(n)])
     played, wanted = on_gpu.play(programs), on_cpu.play(programs)
     truth, true = on_gpu.truth(), on_cpu.truth()

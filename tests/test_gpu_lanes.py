@@ -109,7 +109,7 @@ def play_by_lanes(stage, ops):
     return results[0], extremes[0], truth[0], records
 
 
-def steppers(rng):
+def make_stepper_program(rng):
     stage = Stage("xyz", chips={"x": PCL240K, "y": PCL240MS, "z": PCL240K}, visuals=False)
     place = {"x": 0.1497, "y": 0.0, "z": -0.0139}
     stage.place(**place)  # beside EL+ of x and ORG of z
@@ -126,7 +126,7 @@ def steppers(rng):
     return stage, p.until_stopped([0, 2], 0.01, keep_step=True).measure(0.0).write(0, 0, 8)
 
 
-def servos(rng):
+def make_servo_program(rng):
     stage = Stage("xyz", chips=HCTL1100, visuals=False)
     p = Program()
     for axis in stage.axes.values():
@@ -137,7 +137,7 @@ def servos(rng):
 
 
 @pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("make", [steppers, servos])
+@pytest.mark.parametrize("make", [make_stepper_program, make_servo_program])
 def test_a_lane_does_what_the_engine_does_to_the_bit(make, seed):
     print("seed", seed)
     stage, program = make(np.random.default_rng(seed))

@@ -27,7 +27,7 @@ def callbacks_of_mujoco():
     mujoco.set_mjcb_control(None)
 
 
-def bits(stage):
+def get_state_bits(stage):
     return stage.snapshot().state.tobytes()
 
 
@@ -53,10 +53,10 @@ OPERATIONS = {
 @pytest.mark.parametrize("direction", OPERATIONS)
 def test_a_stage_in_use_says_so_and_stays_as_it_was(xy, direction):
     start_preset(xy.axes["x"].chip, 1000)
-    before = bits(xy)
+    before = get_state_bits(xy)
     with xy.loop.claimed(), pytest.raises(StageError, match="in use"):
         OPERATIONS[direction](xy)
-    assert bits(xy) == before
+    assert get_state_bits(xy) == before
     xy.run(1e-3)
 
 
@@ -90,7 +90,7 @@ def test_two_threads_on_one_stage_do_no_harm(xy):
     replica = copy.deepcopy(xy)
     xy.run(0.01)
     replica.run(0.01)
-    assert bits(xy) == bits(replica)
+    assert get_state_bits(xy) == get_state_bits(replica)
 
 
 def test_a_board_has_one_host_at_a_time(xy):
@@ -133,7 +133,7 @@ def test_an_interrupt_hook_may_run_the_stage_inside_a_bus_cycle():
 # --- MuJoCo's callbacks ---
 
 
-def failing(after):
+def make_failing_control(after):
     left = [after]
 
     def control(model, data):
@@ -149,7 +149,7 @@ def test_a_callback_that_raises_is_a_simulation_error_and_the_stage_as_before_th
     start_preset(xy.axes["x"].chip, 1000)
     replica = copy.deepcopy(xy)
     with xy.record() as recording:
-        control = failing(10)
+        control = make_failing_control(10)
         mujoco.set_mjcb_control(control)
         with pytest.raises(SimulationError, match="ZeroDivisionError: mine") as caught:
             xy.run(0.1)
@@ -161,10 +161,10 @@ def test_a_callback_that_raises_is_a_simulation_error_and_the_stage_as_before_th
     with replica.record():
         replica.run(xy.time - replica.time)
     assert 9 <= xy.state.world[0].steps <= 10
-    assert bits(xy) == bits(replica)
+    assert get_state_bits(xy) == get_state_bits(replica)
     xy.run(0.1)
     replica.run(0.1)
-    assert bits(xy) == bits(replica), "and goes on"
+    assert get_state_bits(xy) == get_state_bits(replica), "and goes on"
 
 
 def test_a_callback_that_does_nothing_changes_nothing(xy):
@@ -176,7 +176,7 @@ def test_a_callback_that_does_nothing_changes_nothing(xy):
         mujoco.set_mjcb_control(lambda m, d: observed.append(d.time))
     mujoco.set_mjcb_control(None)
     assert len(observed) >= 200
-    assert bits(xy) == bits(replica)
+    assert get_state_bits(xy) == get_state_bits(replica)
 
 
 MOVED = {
@@ -194,14 +194,14 @@ def test_a_callback_that_raises_while_the_stage_is_moved_is_a_simulation_error_t
     """mujoco.set_mjcb_control(f), f raises: stage.place(x=0.05) raised a bare ZeroDivisionError, with the carriage at 0.05"""
     began = xy.snapshot()
     xy.run(0.01)
-    before, armature = bits(xy), xy.model.dof_armature.copy()
+    before, armature = get_state_bits(xy), xy.model.dof_armature.copy()
     observed = xy.data.sensordata.copy(), xy.data.site_xpos.copy()
-    mujoco.set_mjcb_control(failing(0))
+    mujoco.set_mjcb_control(make_failing_control(0))
     for _ in range(3):
         with pytest.raises(SimulationError, match=r"ZeroDivisionError: mine \(at 0.01.*Nothing has changed") as caught:
             MOVED[direction](xy, began)
         assert isinstance(caught.value.__cause__, ZeroDivisionError)
-        assert bits(xy) == before
+        assert get_state_bits(xy) == before
         assert np.array_equal(xy.model.dof_armature, armature)
         assert all(np.array_equal(a, b) for a, b in zip((xy.data.sensordata, xy.data.site_xpos), observed, strict=True))
     mujoco.set_mjcb_control(None)
@@ -210,14 +210,14 @@ def test_a_callback_that_raises_while_the_stage_is_moved_is_a_simulation_error_t
 
 
 def test_ctrl_c_in_a_callback_while_the_stage_is_moved_is_ctrl_c(xy):
-    def interrupted(model, data):
+    def interrupt_body(model, data):
         raise KeyboardInterrupt
 
-    before = bits(xy)
-    mujoco.set_mjcb_control(interrupted)
+    before = get_state_bits(xy)
+    mujoco.set_mjcb_control(interrupt_body)
     with pytest.raises(KeyboardInterrupt):
         xy.place(x=0.05)
-    assert bits(xy) == before
+    assert get_state_bits(xy) == before
 
 
 def test_a_callback_that_does_nothing_places_the_carriage_where_it_would_be(xy):
@@ -227,7 +227,7 @@ def test_a_callback_that_does_nothing_places_the_carriage_where_it_would_be(xy):
     xy.place(x=0.05)
     mujoco.set_mjcb_control(None)
     assert observed == [0.05]
-    assert bits(xy) == bits(replica)
+    assert get_state_bits(xy) == get_state_bits(replica)
 
 
 @pytest.mark.parametrize("name", callbacks.NAMES)
@@ -270,7 +270,7 @@ def test_ctrl_c_in_a_callback_is_ctrl_c(xy):
 def test_a_fleet_and_a_board_report_a_callback_that_raises(xy):
     fleet, board = Fleet([copy.deepcopy(xy) for _ in range(3)], 2), Board(Stage("xy", chips=PCL240K, visuals=False))
     for work in (lambda: fleet.play([Program().wait(0.01)] * 3), lambda: board.delay_us(10_000)):
-        mujoco.set_mjcb_control(failing(5))
+        mujoco.set_mjcb_control(make_failing_control(5))
         with pytest.raises(SimulationError, match="mine"):
             work()
         mujoco.set_mjcb_control(None)
@@ -285,7 +285,7 @@ in_pieces = pytest.mark.skipif(not COMPILED, reason="uncompiled, a piece between
 
 
 @contextmanager
-def interrupted(after=0.2):
+def interrupt_body(after=0.2):
     """Raise KeyboardInterrupt `after` seconds in the body, and check that it ends within 5 s."""
 
     def interrupt(*_):
@@ -310,7 +310,7 @@ def test_ctrl_c_ends_a_long_run_and_the_stage_continues(xy, recorded):
     Ctrl-C."""
     start_preset(xy.axes["x"].chip, 20000)
     replica, recording = copy.deepcopy(xy), xy.record() if recorded else None
-    with interrupted():
+    with interrupt_body():
         xy.run(1e6)
     xy.run(0.01)
     if recording is not None:
@@ -319,7 +319,7 @@ def test_ctrl_c_ends_a_long_run_and_the_stage_continues(xy, recorded):
         recording.check_time()
         replica.record()
     replica.run(xy.time - replica.time)
-    assert bits(xy) == bits(replica)
+    assert get_state_bits(xy) == get_state_bits(replica)
 
 
 LONG = {
@@ -340,7 +340,7 @@ def test_ctrl_c_ends_a_long_program_of_a_fleet_and_its_stages_continue(what, thr
     for stage in fleet.stages:
         start_preset(stage.axes["x"].chip, 20000)
     replica = copy.deepcopy(fleet.stages[0])
-    with interrupted():
+    with interrupt_body():
         fleet.play([LONG[what]] * n)
     assert 0.1 < fleet.stages[0].time < 1e6
     before = [stage.now for stage in fleet.stages]
@@ -349,7 +349,7 @@ def test_ctrl_c_ends_a_long_program_of_a_fleet_and_its_stages_continue(what, thr
     fleet.play([Program().wait(0.25)] * n)
     if what == "wait":
         replica.run(fleet.stages[0].time - replica.time)
-        assert bits(fleet.stages[0]) == bits(replica)
+        assert get_state_bits(fleet.stages[0]) == get_state_bits(replica)
     fleet.close()
 
 
@@ -367,7 +367,7 @@ def test_a_second_ctrl_c_leaves_a_fleet_that_plays_on(monkeypatch):
         time.sleep(seconds)
 
     monkeypatch.setattr(fleet_module, "time", SimpleNamespace(sleep=interrupted_once))
-    with interrupted():
+    with interrupt_body():
         fleet.play([Program().wait(1e6)] * 3)
     began = [stage.now for stage in fleet.stages]
     fleet.play([Program().wait(0.01)] * 3)
@@ -402,12 +402,12 @@ def test_ctrl_c_ends_a_long_delay_of_a_board_and_its_stage_continues(xy):
     """Board(Stage("xyz")).delay_us(10**9)
     Ctrl-C: it had not ended after 40 s."""
     board, replica = Board(xy), copy.deepcopy(xy)
-    with interrupted():
+    with interrupt_body():
         board.delay_us(10**12)
     assert 0.1 < xy.time < 1e6
     board.delay_us(250_000)
     replica.run(xy.time - replica.time)
-    assert bits(xy) == bits(replica)
+    assert get_state_bits(xy) == get_state_bits(replica)
 
 
 def test_a_long_delay_is_as_long_as_it_says_whatever_hooks_take_of_it(xy):
@@ -419,7 +419,7 @@ def test_a_long_delay_is_as_long_as_it_says_whatever_hooks_take_of_it(xy):
         board.delay_us(us)
         assert board.stage.now == ends
         replica.run_to(board.stage.now)
-        assert bits(board.stage) == bits(replica)
+        assert get_state_bits(board.stage) == get_state_bits(replica)
 
 
 # --- indices ---

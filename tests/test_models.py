@@ -26,11 +26,11 @@ def axes(model):
     return plant.bind(model)
 
 
-def rotor_inertia(axis):
+def find_rotor_inertia(axis):
     return (DC_MOTORS[axis.motor] if axis.servo else find_motor(axis.motor)).rotor_inertia
 
 
-def put(model, data, **positions):
+def set_positions(model, data, **positions):
     mujoco.mj_resetData(model, data)
     for name, q in positions.items():
         data.qpos[model.joint(name).qposadr[0]] = q
@@ -66,7 +66,7 @@ def test_xyz_servo_is_xyz_with_other_motors():
 def test_steppers_and_servos_have_the_same_screw(name):
     models = [plant.open_spec(name).compile() for name in ("xyz", "xyz_servo")]
     both = [next(a for a in plant.bind(m) if a.name == name) for m in models]
-    screws = [m.dof_armature[a.dof] / a.gear**2 - rotor_inertia(a) for m, a in zip(models, both, strict=True)]
+    screws = [m.dof_armature[a.dof] / a.gear**2 - find_rotor_inertia(a) for m, a in zip(models, both, strict=True)]
     assert screws[0] == pytest.approx(screws[1], rel=1e-3)
 
 
@@ -106,7 +106,7 @@ def test_travel_and_order_of_switches(axes):
 def test_screws_have_10_mm_lead_and_the_motors_rotor_is_in_the_armature(model, axes):
     for a in axes:
         assert 2 * np.pi / a.gear == pytest.approx(0.010)
-        rotor = rotor_inertia(a) * a.gear**2
+        rotor = find_rotor_inertia(a) * a.gear**2
         assert rotor < model.dof_armature[a.dof] < 3 * rotor, "rotor and screw"
 
 
@@ -115,7 +115,7 @@ def test_switches_exert_no_force_over_the_full_travel(model, axes):
     for a in axes:
         stops = {g for w in ("plus", "minus") for g in (model.geom(f"{a.name}_bumper_{w}").id,)}
         for q in np.linspace(*a.travel, 200):
-            put(model, data, **{a.name: q})
+            set_positions(model, data, **{a.name: q})
             pushing = [c for c in data.contact[: data.ncon] if c.efc_address >= 0]
             assert all(stops & {int(c.geom1), int(c.geom2)} for c in pushing)
 
@@ -125,7 +125,7 @@ def test_a_sensor_reads_the_distance_before_the_touch(model, axes):
     for a in axes:
         for s in a.switches:
             for away in (5e-3, 1e-3, 1e-5, -1e-5, -1e-3):
-                put(model, data, **{a.name: s.touch + away / s.slope})
+                set_positions(model, data, **{a.name: s.touch + away / s.slope})
                 assert data.sensordata[s.found] > 0
                 assert data.sensordata[s.dist] == pytest.approx(away, abs=1e-9)
 
@@ -135,7 +135,7 @@ def test_hard_stops_hold_the_motors_full_thrust_within_a_millimetre(model, axes)
         for direction in (1, -1):
             data = mujoco.MjData(model)
             end = max(s.touch * direction for s in a.switches if s.pin in ("el_plus", "el_minus")) * direction
-            put(model, data, **{a.name: end})
+            set_positions(model, data, **{a.name: end})
             data.qfrc_applied[a.dof] = 250 * direction
             mujoco.mj_step(model, data, 4000)
             q = data.qpos[a.qpos] * direction
@@ -170,7 +170,7 @@ def test_limits_and_origin_stay_asserted_up_to_the_hard_stop(model, axes):
             for s in a.switches:
                 if s.pin.endswith(side) or (s.pin == "org" and side == "minus"):
                     for q in np.linspace(s.touch, end, 50)[1:]:
-                        put(model, data, **{a.name: q})
+                        set_positions(model, data, **{a.name: q})
                         assert data.sensordata[s.found] > 0
                         assert data.sensordata[s.dist] < 0
 
@@ -182,7 +182,7 @@ def test_a_carriage_that_runs_into_its_stop_at_300_mm_per_s_is_caught_within_two
         for direction in (1, -1):
             data = mujoco.MjData(model)
             limit = max(s.touch * direction for s in a.switches if s.pin in ("el_plus", "el_minus"))
-            put(model, data, **{a.name: limit * direction})
+            set_positions(model, data, **{a.name: limit * direction})
             data.qvel[a.dof] = 0.3 * direction
             deepest = 0.0
             for _ in range(400):
@@ -195,7 +195,7 @@ def test_a_carriage_that_runs_into_its_stop_at_300_mm_per_s_is_caught_within_two
 
 def test_the_screws_in_the_armature_are_screws(model, axes):
     for a in axes:
-        screw = model.dof_armature[a.dof] / a.gear**2 - rotor_inertia(a)
+        screw = model.dof_armature[a.dof] / a.gear**2 - find_rotor_inertia(a)
         assert 1e-6 < screw < 6e-6, "kg m2, of a screw of 10 mm diameter and its coupling"
 
 
@@ -229,7 +229,7 @@ def test_it_has_the_parts_that_pictures_and_recordings_use(name):
 def test_the_tool_reaches_down_to_the_work_without_touching_it():
     model = plant.open_spec("xyz").compile()
     data = mujoco.MjData(model)
-    put(model, data, z=-0.045)
+    set_positions(model, data, z=-0.045)
     clearance = data.site("tool").xpos - data.site("work").xpos
     assert clearance[:2] == pytest.approx([0, 0], abs=1e-9)
     assert 0 < clearance[2] < 0.005

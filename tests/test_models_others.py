@@ -65,7 +65,7 @@ def test_a_revolution_is_57600_pulses_and_is_reported_in_degrees():
     assert re.search(r"from 0\.0000 deg to (359\.99|360\.00)\d\d deg,", str(report))
 
 
-def racking(stage):
+def get_racking_angle(stage):
     return np.degrees(stage.data.joint("racking").qpos[0])
 
 
@@ -85,9 +85,9 @@ def test_a_gantry_is_squared_from_anywhere_with_any_chip(chips, y, w):
     stage.run(0.1)
     reports = firmware.square_gantry(*(stage.axes[name] for name in ("y", "w")))
     assert [(r.axis, r.stopped_by, r.lost_steps) for r in reports] == [("y", "ORG", 0), ("w", "ORG", 0)]
-    assert abs(racking(stage)) < 2e-3
+    assert abs(get_racking_angle(stage)) < 2e-3
     assert firmware.line({"y": 80e-3, "w": 80e-3}, stage).axes["y"].lost_steps == 0
-    assert abs(racking(stage)) < 2e-3
+    assert abs(get_racking_angle(stage)) < 2e-3
 
 
 def test_tandem_axes_know_each_other_and_form_a_group():
@@ -153,7 +153,7 @@ def test_moving_one_of_two_tandem_axes_is_reported(capsys):
 def test_one_motor_of_a_gantry_alone_racks_the_beam_and_slips():
     stage = Stage("gantry", visuals=False)
     assert firmware.move(stage.axes["y"], 3e-3).ok
-    assert abs(racking(stage)) > 0.2
+    assert abs(get_racking_angle(stage)) > 0.2
     assert firmware.move(stage.axes["y"], 37e-3).lost_steps
 
 
@@ -183,7 +183,7 @@ def test_a_line_that_leaves_a_tandem_axis_out_is_reported(capsys):
 )
 def test_tandem_axes_are_side_by_side(old, new, tmp_path):
     """stage view --text gantry.xml, with a tandem of axes across each other, or of other screws"""
-    file = copied("gantry", tmp_path)
+    file = copy_model("gantry", tmp_path)
     assert old in file.read_text()
     file.write_text(file.read_text().replace(old, new))
     with pytest.raises(
@@ -206,7 +206,7 @@ def test_tandem_axes_are_side_by_side(old, new, tmp_path):
 )
 def test_view_says_all_that_is_wrong_with_a_model(old, new, message, tmp_path, capsys):
     """stage view --text my.xml"""
-    file = copied("gantry", tmp_path)
+    file = copy_model("gantry", tmp_path)
     texts = {f: f.read_text() for f in tmp_path.glob("*.xml")}
     changed = [f for f, text in texts.items() if old in text]
     assert changed, old
@@ -218,7 +218,7 @@ def test_view_says_all_that_is_wrong_with_a_model(old, new, message, tmp_path, c
     assert code == (0 if "no actuator" in message else 2)
 
 
-def copied(model, folder):
+def copy_model(model, folder):
     """A shipped model, to be changed."""
     for f in MODELS.glob("*.xml"):
         shutil.copy(f, folder)

@@ -145,7 +145,7 @@ def test_slides_move_in_the_direction_of_their_names_and_the_others_in_different
 
 
 def test_a_new_slide_has_rotor_and_screw_in_its_armature_and_a_new_hinge_the_rotor_alone():
-    short, long, hinge = (plant_of(axis) for axis in ("x:slide:100mm", "x:slide:1m", "a:hinge:90deg"))
+    short, long, hinge = (get_gear_and_armature(axis) for axis in ("x:slide:100mm", "x:slide:1m", "a:hinge:90deg"))
     rotor = MOTORS["17HS4401"].rotor_inertia
     assert hinge == (10.0, pytest.approx(rotor * 10.0**2))
     screw = 0.5 * 7850 * math.pi * 0.005**4  # of steel, 10 mm thick, kg m2 a metre
@@ -154,7 +154,7 @@ def test_a_new_slide_has_rotor_and_screw_in_its_armature_and_a_new_hinge_the_rot
         assert armature == pytest.approx((rotor + screw * length) * gear**2, rel=1e-3)
 
 
-def plant_of(axis):
+def get_gear_and_armature(axis):
     """Gear and armature of the one axis of a model."""
     model = make_spec(axis).compile()
     return float(model.actuator_gear[0][0]), float(model.dof_armature[0])

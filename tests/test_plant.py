@@ -159,19 +159,19 @@ def test_the_example_program_runs():
 # --- the complete model of docs/models.md, and everything that can be wrong with it ---
 
 
-def documented():
+def read_documented_xml():
     return (ROOT / "docs" / "models.md").read_text().split("```xml\n")[1].split("```")[0]
 
 
-def edited(*changes):
-    xml = documented()
+def edit_documented_xml(*changes):
+    xml = read_documented_xml()
     for old, new in changes:
         assert xml.count(old) == 1, f"{xml.count(old)} times in docs/models.md: {old}"
         xml = xml.replace(old, new)
     return xml
 
 
-def complaint(xml, axes=("x",)):
+def get_model_error(xml, axes=("x",)):
     with pytest.raises(ModelError) as caught:
         plant.bind(mujoco.MjModel.from_xml_string(xml), axes)
     return caught.value
@@ -181,7 +181,7 @@ def test_the_model_in_the_documentation_is_complete_and_homes(tmp_path):
     from stage import firmware
 
     path = tmp_path / "one_axis.xml"
-    path.write_text(documented())
+    path.write_text(read_documented_xml())
     stage = Stage(path)
     (axis,) = plant.bind(stage.model)
     touches = {s.pin: s.touch for s in axis.switches}
@@ -193,7 +193,7 @@ def test_the_model_in_the_documentation_is_complete_and_homes(tmp_path):
 
 
 def test_what_bind_finds_is_where_mujoco_puts_it():
-    model = mujoco.MjModel.from_xml_string(documented())
+    model = mujoco.MjModel.from_xml_string(read_documented_xml())
     (axis,) = plant.bind(model)
     assert (axis.joint, axis.qpos, axis.dof, axis.actuator) == (0, 0, 0, 0)
     assert axis.travel == (-0.057, 0.057)
@@ -206,7 +206,7 @@ def test_what_bind_finds_is_where_mujoco_puts_it():
 
 
 def test_sensors_may_report_more_fields_than_required():
-    xml = edited(
+    xml = edit_documented_xml(
         ('geom2="org_beam" num="1" data="found dist"', 'geom2="org_beam" num="1" data="found force dist normal"')
     )
     s = plant.bind(mujoco.MjModel.from_xml_string(xml))[0].switches[-1]
@@ -214,7 +214,7 @@ def test_sensors_may_report_more_fields_than_required():
 
 
 def test_a_motor_may_be_left_handed():
-    xml = edited(('gear="628.3185307"', 'gear="-628.3185307"'))
+    xml = edit_documented_xml(('gear="628.3185307"', 'gear="-628.3185307"'))
     assert plant.bind(mujoco.MjModel.from_xml_string(xml))[0].gear == pytest.approx(-2 * np.pi / 0.01)
 
 
@@ -246,7 +246,7 @@ def test_the_origin_may_be_a_short_vane_narrower_than_the_scan():
     beam = 'name="org_beam" class="beam" pos="-0.0755 0.05 0"', 'name="org_beam" class="beam" pos="-0.0311 0.08 0"'
     pair = 'geom1="vane" geom2="org_beam"/>', 'geom1="tab" geom2="org_beam"/>'
     sensor = '<contact name="x_org" geom1="vane"', '<contact name="x_org" geom1="tab"'
-    s = plant.bind(mujoco.MjModel.from_xml_string(edited(narrow, beam, pair, sensor)))[0].switches[-1]
+    s = plant.bind(mujoco.MjModel.from_xml_string(edit_documented_xml(narrow, beam, pair, sensor)))[0].switches[-1]
     assert s.touch == pytest.approx(-0.0306, abs=1e-9), "its edge on the plus side"
     assert s.slope == pytest.approx(1)
 
@@ -331,7 +331,7 @@ EL = 'name="el_plus_beam" class="beam" pos="0.0805 0.05 0"'
     }.values(),
 )  # fmt: skip
 def test_every_fault_is_reported_with_what_where_and_the_line(changes, message, line):
-    error = complaint(edited(*changes))
+    error = get_model_error(edit_documented_xml(*changes))
     assert re.search(message, str(error)), str(error)
     assert line in "\n".join(error.missing), error.missing
     assert all(text in str(error) for text in error.missing)
@@ -341,27 +341,31 @@ def test_a_joint_of_another_kind_gets_one_error_alone():
     """Replace a slide by a ball, which has neither range nor switches nor motor: consequences, not errors."""
     ball = ('type="slide" axis="1 0 0" range="-0.057 0.057" limited="false" damping="60" frictionloss="4" armature="3.711"',
             'type="ball"')  # fmt: skip
-    error = complaint(edited(ball, (MOTOR, '<motor name="x" joint="x" gear="1 0 0"/>')))
+    error = get_model_error(edit_documented_xml(ball, (MOTOR, '<motor name="x" joint="x" gear="1 0 0"/>')))
     assert str(error).count("axis x: ") == 1
     assert "no range" not in str(error)
 
 
 @pytest.mark.parametrize("flag", ["contact", "constraint", "sensor"])
 def test_switches_need_contacts_and_sensors(flag):
-    error = complaint(edited(("<option ", f'<option><flag {flag}="disable"/></option><option ')))
+    error = get_model_error(edit_documented_xml(("<option ", f'<option><flag {flag}="disable"/></option><option ')))
     assert 'Remove contact="disable", constraint="disable" and sensor="disable"' in str(error)
 
 
 def test_an_unfitted_switch_is_not_required():
-    xml = edited((ORG, ""), ('<text name="x_motor"', '<text name="x_unfitted" data="org"/><text name="x_motor"'))
+    xml = edit_documented_xml(
+        (ORG, ""), ('<text name="x_motor"', '<text name="x_unfitted" data="org"/><text name="x_motor"')
+    )
     assert "org" not in [s.pin for s in plant.bind(mujoco.MjModel.from_xml_string(xml))[0].switches]
 
 
 def test_a_joint_without_a_motor_is_an_axis_only_when_named():
-    xml = edited(('<joint name="x"', '<joint name="tilt" type="hinge" axis="0 1 0" stiffness="1e6"/><joint name="x"'))
+    xml = edit_documented_xml(
+        ('<joint name="x"', '<joint name="tilt" type="hinge" axis="0 1 0" stiffness="1e6"/><joint name="x"')
+    )
     model = mujoco.MjModel.from_xml_string(xml)
     assert [a.name for a in plant.bind(model)] == ["x"]
-    error = complaint(xml, ["tilt"])
+    error = get_model_error(xml, ["tilt"])
     assert "axis tilt: no actuator 'tilt'" in str(error)
     assert error.missing == ('<motor name="tilt" joint="tilt" gear="628.3185307"/>',)
 
@@ -371,15 +375,15 @@ def test_axes_can_be_selected_where_another_joint_has_a_servo():
         "</body>\n  </worldbody>",
         '<body><joint name="hand" type="slide"/><geom size="0.01" mass="1"/></body></body>\n  </worldbody>',
     )
-    xml = edited(hand, (MOTOR, MOTOR + '<position name="hand" joint="hand" kp="9"/>'))
+    xml = edit_documented_xml(hand, (MOTOR, MOTOR + '<position name="hand" joint="hand" kp="9"/>'))
     assert [a.name for a in plant.bind(mujoco.MjModel.from_xml_string(xml), ["x"])] == ["x"]
-    assert "if 'hand' is no axis of a chip, name those that are" in str(complaint(xml, None))
+    assert "if 'hand' is no axis of a chip, name those that are" in str(get_model_error(xml, None))
 
 
 def test_a_loose_part_is_no_hard_stop():
     part = '<body pos="0.078 0 0"><freejoint/><geom name="part" type="sphere" size="0.002" mass="0.01"/></body>'
     pair = '<pair geom1="carriage" geom2="part"/>'
-    xml = edited(
+    xml = edit_documented_xml(
         ('<body name="carriage">', part + '<body name="carriage">'), ("</contact>\n  <act", pair + "</contact>\n  <act")
     )
     assert plant.bind(mujoco.MjModel.from_xml_string(xml))
@@ -387,7 +391,9 @@ def test_a_loose_part_is_no_hard_stop():
 
 def test_a_slip_between_actuator_and_joint_is_pointed_out():
     with pytest.raises(ModelError, match=r"no axis: .* Actuator 'X' and joint 'x': a slip\? Joints: x; actuators: X\."):
-        plant.find_axis_names(mujoco.MjModel.from_xml_string(edited((MOTOR, MOTOR.replace('name="x"', 'name="X"')))))
+        plant.find_axis_names(
+            mujoco.MjModel.from_xml_string(edit_documented_xml((MOTOR, MOTOR.replace('name="x"', 'name="X"'))))
+        )
 
 
 def test_the_error_for_a_missing_file_names_the_shipped_model_of_that_name(tmp_path):
@@ -396,13 +402,13 @@ def test_the_error_for_a_missing_file_names_the_shipped_model_of_that_name(tmp_p
 
 
 def test_a_compile_error_of_mujoco_has_the_models_name():
-    spec = mujoco.MjSpec.from_string(edited(('geom2="org_beam"/>', 'geom2="orb_beam"/>')))
+    spec = mujoco.MjSpec.from_string(edit_documented_xml(('geom2="org_beam"/>', 'geom2="orb_beam"/>')))
     with pytest.raises(ModelError, match=r"(?s)cannot compile the model 'one axis': .*orb_beam"):
         plant.compile_spec(plant.open_spec(spec), 3)
 
 
 def test_userdata_begins_after_that_of_the_model_and_the_source_is_unchanged():
-    spec = mujoco.MjSpec.from_string(edited(("<option ", '<size nuserdata="7"/><option ')))
+    spec = mujoco.MjSpec.from_string(edit_documented_xml(("<option ", '<size nuserdata="7"/><option ')))
     model, offset = plant.compile_spec(plant.open_spec(spec), 5)
     assert (model.nuserdata, offset, spec.nuserdata) == (12, 7, 7)
     assert plant.compile_spec(plant.open_spec(model), 5)[1] == 7
@@ -417,8 +423,8 @@ def test_a_timestep_that_is_no_time_is_refused(timestep):
         Stage(spec)
 
 
-def with_step(step, xml=None):
-    xml = documented() if xml is None else xml
+def make_spec_with_step(step, xml=None):
+    xml = read_documented_xml() if xml is None else xml
     option = '<option timestep="0.00025" integrator="implicitfast"/>'
     assert option in xml
     return mujoco.MjSpec.from_string(xml.replace(option, f'<option timestep="{step}"/>' if step else ""))
@@ -428,7 +434,7 @@ def with_step(step, xml=None):
 def test_a_step_that_is_too_long_for_a_stepper_is_refused_with_the_line_to_add(step):
     """Stage("no_option_timestep.xml"): MuJoCo's 2 ms were taken, and a move lost 156 steps"""
     with pytest.raises(ModelError, match=r"too long: axis x on its 17HS4401 oscillates at up to 180 Hz") as caught:
-        Stage(with_step(step))
+        Stage(make_spec_with_step(step))
     assert caught.value.missing == ('<option timestep="0.00025"/>',)
     assert ("where a model says nothing" in str(caught.value)) is (step != 0.001)
 
@@ -438,7 +444,7 @@ def test_a_time_step_near_the_maximum_loses_no_steps():
     from stage import firmware
 
     for step in (0.00088, 0.0005):
-        x = Stage(with_step(step), visuals=False).axes["x"]
+        x = Stage(make_spec_with_step(step), visuals=False).axes["x"]
         x.stage.place(x=-0.03)
         firmware.preset_move(x, 16_000)
         assert x.lost_steps == 0
@@ -449,9 +455,11 @@ def test_the_time_step_proposed_is_well_below_the_maximum():
     """Expect the largest of 5, 2.5 and 1 times a power of ten that is at most 0.7 of the maximum."""
     parts = []
     for mass in np.geomspace(0.02, 0.4, 6):
-        light = documented().replace('armature="3.711"', 'armature="0.001"').replace('mass="2"', f'mass="{mass}"')
+        light = (
+            read_documented_xml().replace('armature="3.711"', 'armature="0.001"').replace('mass="2"', f'mass="{mass}"')
+        )
         with pytest.raises(ModelError, match="a time step of") as caught:
-            Stage(with_step(0.001, light))
+            Stage(make_spec_with_step(0.001, light))
         maximum = float(re.search(r"takes steps of (\S+) s at most", str(caught.value))[1])
         step = float(re.search('timestep="(.*?)"', caught.value.missing[0])[1])
         parts.append(step / maximum)
@@ -460,13 +468,13 @@ def test_the_time_step_proposed_is_well_below_the_maximum():
 
 
 def test_how_long_a_step_may_be_depends_on_the_motor_and_on_what_it_moves():
-    light = documented().replace('armature="3.711"', 'armature="0.01"').replace('mass="2"', 'mass="0.001"')
+    light = read_documented_xml().replace('armature="3.711"', 'armature="0.01"').replace('mass="2"', 'mass="0.001"')
     with pytest.raises(ModelError, match=r"a time step of 0\.00025 s is too long") as caught:
-        Stage(with_step(0.00025, light.replace('data="17HS4401"', 'data="none"').replace("x_motor", "note")))
+        Stage(make_spec_with_step(0.00025, light.replace('data="17HS4401"', 'data="none"').replace("x_motor", "note")))
     (line,) = caught.value.missing
-    Stage(with_step(re.search(r'"(.+)"', line)[1], light.replace("x_motor", "note")), visuals=False).run(0.01)
-    Stage(with_step(0.001, documented().replace('mass="2"', 'mass="9"')), visuals=False)
-    Stage(with_step(0.001), drives="SS2422-5041", visuals=False)
+    Stage(make_spec_with_step(re.search(r'"(.+)"', line)[1], light.replace("x_motor", "note")), visuals=False).run(0.01)
+    Stage(make_spec_with_step(0.001, read_documented_xml().replace('mass="2"', 'mass="9"')), visuals=False)
+    Stage(make_spec_with_step(0.001), drives="SS2422-5041", visuals=False)
 
 
 def test_a_step_that_is_too_long_for_a_dc_motor_is_refused():
@@ -631,12 +639,12 @@ def test_the_line_to_add_names_the_geoms_that_the_file_has():
 def test_the_index_pulse_is_where_the_model_says_else_half_a_turn_from_the_origin_switch(revolutions):
     """<custom><numeric name="x_index" data="0.3"/></custom>"""
     numeric = f'<numeric name="x_index" data="{revolutions}"/><text name="x_motor"'
-    (argument,) = plant.bind(mujoco.MjModel.from_xml_string(edited(('<text name="x_motor"', numeric))))[:1]
+    (argument,) = plant.bind(mujoco.MjModel.from_xml_string(edit_documented_xml(('<text name="x_motor"', numeric))))[:1]
     assert argument.index == revolutions
-    (axis,) = plant.bind(mujoco.MjModel.from_xml_string(documented()))[:1]
+    (axis,) = plant.bind(mujoco.MjModel.from_xml_string(read_documented_xml()))[:1]
     touch = next(s.touch for s in axis.switches if s.pin == "org")
     assert axis.index == pytest.approx((touch * axis.gear / (2 * np.pi) + 0.5) % 1.0)
-    (other,) = plant.bind(mujoco.MjModel.from_xml_string(documented().replace('gear="', 'gear="-')))[:1]
+    (other,) = plant.bind(mujoco.MjModel.from_xml_string(read_documented_xml().replace('gear="', 'gear="-')))[:1]
     assert other.index == pytest.approx((touch * other.gear / (2 * np.pi) + 0.5) % 1.0) == pytest.approx(1 - axis.index)
 
 
@@ -696,7 +704,7 @@ def test_each_kind_of_file_that_is_no_model_has_a_separate_error(tmp_path, monke
 
 def test_a_switch_of_either_side_is_detected_from_the_same_distance():
     """The pair's margin and gap show a vane 10 mm before the touch, whichever way the joint comes."""
-    switches = {s.pin: s for s in plant.bind(mujoco.MjModel.from_xml_string(documented()))[0].switches}
+    switches = {s.pin: s for s in plant.bind(mujoco.MjModel.from_xml_string(read_documented_xml()))[0].switches}
     observed = {pin: s.lookahead for pin, s in switches.items()}
     assert observed == pytest.approx(dict.fromkeys(observed, 0.01), rel=1e-3)
     assert {pin: s.slope for pin, s in switches.items()} == pytest.approx(
@@ -718,7 +726,7 @@ def test_a_line_to_add_names_a_geom_only_where_it_is_unambiguous(named, geoms):
 
 
 def test_a_joint_without_an_armature_is_an_axis_if_no_motor_is_named():
-    xml = edited(('armature="3.711"', 'armature="0"'), ('<text name="x_motor" data="17HS4401"/>', ""))
+    xml = edit_documented_xml(('armature="3.711"', 'armature="0"'), ('<text name="x_motor" data="17HS4401"/>', ""))
     stage = Stage(mujoco.MjSpec.from_string(xml), visuals=False)
     assert stage.model.dof_armature[stage.axes["x"].plant.dof] == 0
 
@@ -740,7 +748,7 @@ def test_the_cache_of_measured_models_is_bounded(monkeypatch):
     monkeypatch.setattr(contract, "_bound", {})
     monkeypatch.setattr(contract, "MAX_BOUND_PLANTS", 2)
     for k in range(4):
-        model = mujoco.MjModel.from_xml_string(edited(('damping="60"', f'damping="{60 + k}"')))
+        model = mujoco.MjModel.from_xml_string(edit_documented_xml(('damping="60"', f'damping="{60 + k}"')))
         assert plant.bind(model) is plant.bind(model)
         assert 1 <= len(contract._bound) <= 2
 
@@ -757,7 +765,7 @@ def test_a_dc_motor_with_a_bias_or_a_state_is_none_for_a_servo():
 def test_inertias_from_geoms_are_from_geoms_without_visuals_too(tmp_path):
     """<compiler inertiafromgeom="true"/> and a body that says another inertia, which then counts for nothing"""
     path = tmp_path / "own.xml"
-    text = documented().replace("<worldbody>", '<compiler inertiafromgeom="true"/><worldbody>', 1)
+    text = read_documented_xml().replace("<worldbody>", '<compiler inertiafromgeom="true"/><worldbody>', 1)
     words_read = (
         '<inertial pos="0 0 0" mass="77" diaginertia="1 1 1"/><geom size="0.02" contype="0" conaffinity="0" mass="3"/>'
     )

@@ -48,7 +48,7 @@ VALID = {"axis": lambda s: s.axes["x"], "axes": lambda s: s.axes, "stage": lambd
 """Values of required arguments by their names; 1 for any other."""
 
 
-def functions_of_modules():
+def list_functions():
     """Yield (name, function or class) for every public one of the modules."""
     for module_name, module in MODULES.items():
         public_names = [n for n, o in vars(module).items() if not n.startswith("_") and inspect.getmodule(o) is module]
@@ -58,14 +58,14 @@ def functions_of_modules():
                 yield f"{module_name}.{name}", value
 
 
-def methods_of(value):
+def list_methods(value):
     """Yield (name, method) for every public method of an object."""
     for name in dir(type(value)):
         if not name.startswith("_") and inspect.isroutine(getattr(value, name)):
             yield f"{type(value).__name__}.{name}", getattr(value, name)
 
 
-def wrong_calls(function, stage):
+def make_wrong_calls(function, stage):
     """Yield (parameter, args, kwargs) with one wrong value among arguments that are right as far as their names tell."""
     parameters = [p for p in inspect.signature(function).parameters.values() if p.name not in ("self", "cls")]
     for wrong in parameters:
@@ -84,7 +84,7 @@ def wrong_calls(function, stage):
 
 def assert_refuses_in_words(name, function, stage):
     with contextlib.redirect_stdout(io.StringIO()):
-        for parameter, args, kwargs in wrong_calls(function, stage):
+        for parameter, args, kwargs in make_wrong_calls(function, stage):
             try:
                 function(*args, **kwargs)
             except (StageError, AssertionError):
@@ -108,20 +108,20 @@ TAKES_SECONDS = {"stage.firmware.origin_return", "Report"}
 """Where many of the wrong values are right for some argument, and each of them homes an axis or draws a picture."""
 
 
-def marked(names):
+def mark_slow_names(names):
     """Return the names as parameters of a test, those that take seconds for the slow suite."""
     return [pytest.param(n, id=n, marks=pytest.mark.slow if n in TAKES_SECONDS else ()) for n in names]
 
 
-FUNCTIONS = {name: function for name, function in functions_of_modules() if name not in NOT_CALLED_BY_USERS}
+FUNCTIONS = {name: function for name, function in list_functions() if name not in NOT_CALLED_BY_USERS}
 
 
-@pytest.mark.parametrize("name", marked(FUNCTIONS))
+@pytest.mark.parametrize("name", mark_slow_names(FUNCTIONS))
 def test_a_public_function_refuses_a_wrong_argument_in_words(name, stage):
     assert_refuses_in_words(name, FUNCTIONS[name], stage)
 
 
-def recorded(stage):
+def make_recording(stage):
     with stage.record() as recording:
         stage.run(0.002)
     return recording
@@ -130,7 +130,7 @@ def recorded(stage):
 OBJECTS = {
     "Stage": lambda s: s,
     "Axis": lambda s: s.axes["x"],
-    "Recording": recorded,
+    "Recording": make_recording,
     "Program": lambda s: Program(),
     "Snapshot": lambda s: s.snapshot(),
     "Fleet": lambda s: Fleet([s]),
@@ -141,19 +141,19 @@ OBJECTS = {
 }
 
 
-@pytest.mark.parametrize("kind", marked(OBJECTS))
+@pytest.mark.parametrize("kind", mark_slow_names(OBJECTS))
 def test_a_method_refuses_a_wrong_argument_in_words(kind, stage):
     value = OBJECTS[kind](stage)
-    for name, method in methods_of(value):
+    for name, method in list_methods(value):
         if name not in NOT_CALLED_BY_USERS:
             assert_refuses_in_words(name, method, stage)
 
 
 def test_the_names_left_out_exist():
-    known = {name for name, _ in functions_of_modules()} | {
+    known = {name for name, _ in list_functions()} | {
         f"{type(value).__name__}.{name}"
         for stage in [Stage("xy", visuals=False)]
-        for value in (stage, recorded(stage), Toolbox(stage))
+        for value in (stage, make_recording(stage), Toolbox(stage))
         for name in dir(value)
     }
     assert set(NOT_CALLED_BY_USERS) <= known

@@ -37,21 +37,21 @@ def xyz(fresh):
             axis.switches.stick(name, None)
 
 
-def bits(stage):
+def get_state_bits(stage):
     return stage.snapshot().state.tobytes()
 
 
-def touch(axis, switch):
+def find_switch_position(axis, switch):
     return next(s.touch for s in axis.plant.switches if s.pin == switch)
 
 
-def moving(stage):
+def start_all_axes(stage):
     for k, axis in enumerate(stage.axes.values()):
         servo.move(axis.chip, (3000 + 500 * k) * (-1) ** k)
     return stage
 
 
-def off(axis):
+def compute_following_error(axis):
     """Counts between the carriage and where it is told to be."""
     return abs(axis.position - axis.commanded) / axis.meters_per_pulse
 
@@ -68,7 +68,9 @@ def test_a_trapezoid_and_its_carriage_end_at_the_final_position(xyz):
     for axis in xyz.axes.values():
         assert axis.chip.command_position == 4000
         assert axis.commanded == pytest.approx(4000 * axis.meters_per_pulse, abs=1e-12)
-        assert off(axis) < 10, "what friction and, on Z, weight hold against a filter without an integral"
+        assert compute_following_error(axis) < 10, (
+            "what friction and, on Z, weight hold against a filter without an integral"
+        )
         assert axis.lost_steps == 0
         assert axis.chip.diagnostics == []
 
@@ -79,11 +81,11 @@ def test_the_loop_resists_a_push_and_returns(xyz):
     xyz.run(0.05)
     xyz.data.qfrc_applied[x.plant.dof] = 50.0
     xyz.run(0.2)
-    pushed = off(x)
+    pushed = compute_following_error(x)
     xyz.data.qfrc_applied[x.plant.dof] = 0.0
     xyz.run(0.2)
     assert 5 < pushed < 200
-    assert off(x) < pushed
+    assert compute_following_error(x) < pushed
     assert xyz.axes["y"].chip.motor_command == 0, "an axis in Init/Idle is left alone"
 
 
@@ -98,7 +100,7 @@ def test_without_control_z_sinks_and_with_control_it_does_not(xyz):
 
 
 def test_the_chip_sees_the_shaft_where_it_is_at_any_moment(xyz):
-    moving(xyz)
+    start_all_axes(xyz)
     for seconds in (0.01, 0.0123457, 0.05, 0.000001, 0.1):
         xyz.run(seconds)
         for axis in xyz.axes.values():
@@ -149,7 +151,7 @@ def test_switches_are_wired_to_limit_and_stop(xyz, switch, pin):
     direction = 1 if switch == "el_plus" else -1
     for axis in xyz.axes.values():
         for on in (False, True):
-            xyz.place(**{axis.name: touch(axis, switch) + direction * (1e-3 if on else -1e-3)})
+            xyz.place(**{axis.name: find_switch_position(axis, switch) + direction * (1e-3 if on else -1e-3)})
             assert getattr(axis.switches, switch) == on
             assert getattr(axis.pins, pin) == on
         xyz.place(**{axis.name: 0.0})
@@ -161,7 +163,7 @@ def test_either_of_two_switches_on_a_pin_asserts_it_and_it_lets_go_with_the_last
     x = xyz.axes["x"]
     x.switches.stick("el_plus", True)
     assert x.pins.limit
-    xyz.place(x=touch(x, "el_minus") - 1e-3)
+    xyz.place(x=find_switch_position(x, "el_minus") - 1e-3)
     assert x.pins.limit
     x.switches.stick("el_plus", None)
     assert x.pins.limit, "EL- is still on"
@@ -173,7 +175,7 @@ def test_either_of_two_switches_on_a_pin_asserts_it_and_it_lets_go_with_the_last
 def test_limit_ends_every_mode_on_the_clock_of_the_edge(xyz, name, plus):
     axis = xyz.axes[name]
     direction = 1 if plus else -1
-    xyz.place(**{name: touch(axis, "el_plus" if plus else "el_minus") - direction * 2e-3})
+    xyz.place(**{name: find_switch_position(axis, "el_plus" if plus else "el_minus") - direction * 2e-3})
     axis.chip.write(0x13, 0)
     servo.move(axis.chip, 800 * direction)
     with xyz.record() as recorded:
@@ -189,14 +191,14 @@ def test_limit_ends_every_mode_on_the_clock_of_the_edge(xyz, name, plus):
 
 def test_stop_at_org_ends_integral_velocity(xyz):
     x = xyz.axes["x"]
-    xyz.place(x=touch(x, "org") + 3e-3)
+    xyz.place(x=find_switch_position(x, "org") + 3e-3)
     x.chip.write(0x13, 0)
     servo.control(x.chip)
     servo.run_on(x.chip, -4)
     xyz.run_until(lambda: x.pins.stop, timeout=1)
     xyz.run(0.3)
     assert abs(xyz.data.qvel[x.plant.dof]) < 1e-3
-    assert touch(x, "org") - 3e-3 < x.position < touch(x, "org")
+    assert find_switch_position(x, "org") - 3e-3 < x.position < find_switch_position(x, "org")
 
 
 def test_the_index_pulse_of_the_encoder_is_index(xyz):
@@ -256,7 +258,7 @@ def test_what_reached_a_chip_of_a_stage_brings_one_on_the_bench_to_the_same_stat
     """The shaft is in the journal, too."""
     x = xyz.axes["x"]
     journal = x.chip.journal()
-    xyz.place(x=touch(x, "sd_plus"))
+    xyz.place(x=find_switch_position(x, "sd_plus"))
     servo.move(x.chip, 2500)
     xyz.run(0.1234567)
     assert x.chip.read(0x14) == x.chip.values()["R14"]
@@ -282,7 +284,7 @@ def test_a_replay_equals_a_chip_that_receives_the_shaft_step_by_step(xyz, every_
     journal = x.chip.journal()
     servo.move(x.chip, 1500)
     xyz.run(0.05)
-    xyz.place(x=touch(x, "el_plus") - 1e-4)
+    xyz.place(x=find_switch_position(x, "el_plus") - 1e-4)
     xyz.run(0.0300001)
     journal.close()
     core, rows = HCTL1100.CORE, np.frombuffer(bytearray(journal.start.tobytes()), HCTL1100.CORE.STATE)
@@ -326,7 +328,7 @@ def test_a_stage_placed_by_hand_inside_a_physics_step_continues(xyz):
     for stage in (xyz, replica):
         servo.control(stage.axes["x"].chip)
         stage.run(0.02)
-    assert bits(xyz) == bits(replica)
+    assert get_state_bits(xyz) == get_state_bits(replica)
 
 
 # --- which motor, which model ---
@@ -339,7 +341,7 @@ def test_any_model_takes_it_and_closes_the_loop(model):
         servo.move(axis.chip, 1000)
     stage.run(0.5)
     for axis in stage.axes.values():
-        assert off(axis) < 40
+        assert compute_following_error(axis) < 40
         assert axis.drive.motor.name == "14201S003", "the default, where the model names a stepper"
 
 
@@ -369,13 +371,13 @@ def test_steppers_and_servos_share_a_stage():
     servo.move(x.chip, 2000)
     start_preset(z.chip, 1600)
     stage.run(0.8)
-    assert off(x) < 30
+    assert compute_following_error(x) < 30
     assert z.position == pytest.approx(1600 * z.meters_per_pulse, abs=2 * z.meters_per_pulse)
     gain = stage.model.actuator_gaintype[[a.plant.actuator for a in (x, z)]]
     assert gain.tolist() == [mujoco.mjtGain.mjGAIN_DCMOTOR, mujoco.mjtGain.mjGAIN_FIXED]
 
 
-def compiled(name):
+def compile_model(name):
     spec = open_spec(name)
     spec.nuserdata = 4000
     return spec.compile()
@@ -383,7 +385,7 @@ def compiled(name):
 
 @pytest.mark.parametrize(("model", "chips", "has"), [("xyz", HCTL1100, "<motor>"), ("xyz_servo", PCL240K, "<dcmotor>")])
 def test_an_mjmodel_with_the_other_actuator_is_refused_and_left_alone(model, chips, has):
-    created = compiled(model)
+    created = compile_model(model)
     before = created.dof_armature.copy()
     with pytest.raises(ModelError, match=f"axis x: .* has a {has}: pass its path or MjSpec"):
         Stage(created, chips=chips)
@@ -391,10 +393,10 @@ def test_an_mjmodel_with_the_other_actuator_is_refused_and_left_alone(model, chi
 
 
 def test_an_mjmodel_with_the_right_actuator_works():
-    x = Stage(compiled("xyz_servo"), chips=HCTL1100).axes["x"]
+    x = Stage(compile_model("xyz_servo"), chips=HCTL1100).axes["x"]
     servo.move(x.chip, 500)
     x.wait(0.3)
-    assert off(x) < 30
+    assert compute_following_error(x) < 30
 
 
 @pytest.mark.parametrize(
@@ -466,19 +468,19 @@ def test_a_jam_holds_what_the_motor_can_push(xyz):
 
 
 def test_a_dc_motor_has_no_phase_to_open(xyz):
-    x, before = xyz.axes["x"], bits(xyz)
+    x, before = xyz.axes["x"], get_state_bits(xyz)
     with pytest.raises(ArgumentError, match="axis x has a DC motor, 14201S003, without phases: bus_voltage"):
         faults.phase_open(x, "a")
     assert not xyz.faults
-    assert bits(xyz) == before
+    assert get_state_bits(xyz) == before
 
 
 def test_switches_on_one_pin_fail_one_by_one(xyz):
     x = xyz.axes["x"]
     with faults.switch_stuck(x, "el_plus", closed=False):
-        xyz.place(x=touch(x, "el_plus") + 1e-3)
+        xyz.place(x=find_switch_position(x, "el_plus") + 1e-3)
         assert not x.pins.limit
-        xyz.place(x=touch(x, "el_minus") - 1e-3)
+        xyz.place(x=find_switch_position(x, "el_minus") - 1e-3)
         assert x.pins.limit
     with faults.vane_missing(x, "el_minus"):
         assert not x.pins.limit
@@ -501,7 +503,7 @@ def recorded(tmp_path_factory):
     """X, a servo, moves and then runs into EL+; Z, a stepper, moves; the files of it."""
     stage = Stage("xyz_servo", chips=MIXED, visuals=False)
     x = stage.axes["x"]
-    stage.place(x=touch(x, "el_plus") - 0.02)
+    stage.place(x=find_switch_position(x, "el_plus") - 0.02)
     with stage.record() as recording:
         start_preset(stage.axes["z"].chip, 1500)
         x.chip.write(0x13, 0)
@@ -606,7 +608,7 @@ def test_columns_are_those_of_the_truth(recorded):
 def test_a_streamed_file_is_that_of_save(tmp_path):
     """But for what is written in one piece at the end."""
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
-    stage.place(x=touch(stage.axes["x"], "el_plus") - 5e-3)
+    stage.place(x=find_switch_position(stage.axes["x"], "el_plus") - 5e-3)
     with stage.record(path=tmp_path / "streamed.rrd") as recording:
         servo.control(stage.axes["x"].chip)
         servo.run_on(stage.axes["x"].chip, 4)

@@ -21,14 +21,14 @@ def site(tmp_path_factory):
     return out
 
 
-def entries(nav):
+def list_entries(nav):
     for entry in nav:
         for at in entry.values():
-            yield from entries(at) if isinstance(at, list) else [at]
+            yield from list_entries(at) if isinstance(at, list) else [at]
 
 
 def test_every_page_is_in_the_navigation_and_every_entry_is_a_page(site):
-    named = list(entries(tomllib.loads((site / "zensical.toml").read_text())["project"]["nav"]))
+    named = list(list_entries(tomllib.loads((site / "zensical.toml").read_text())["project"]["nav"]))
     pages = {p.relative_to(site / "pages").as_posix() for p in (site / "pages").rglob("*.md")}
     assert len(named) == len(set(named))
     assert set(named) == {p for p in pages if not p.startswith("files/")}

@@ -27,7 +27,7 @@ def xy(module_stage):
     return module_stage
 
 
-def changed_spec(change):
+def change_spec(change):
     spec = plant.open_spec("xy")
     change(spec)
     return spec
@@ -41,7 +41,7 @@ def halve_step(spec):
     spec.option.timestep = 1.25e-4
 
 
-def flipped(data: bytes, bit: int) -> bytes:
+def flip_bit(data: bytes, bit: int) -> bytes:
     other = bytearray(data)
     other[bit // 8] ^= 1 << bit % 8
     return bytes(other)
@@ -56,8 +56,8 @@ def flipped(data: bytes, bit: int) -> bytes:
         "bus": (lambda: Stage("xy", bus_cycle=0, visuals=False), "bus cycle: 0 ns there, 1000 ns here"),
         "chips": (lambda: Stage("xy", chips=PCL240MS, visuals=False), "chip of axis x: PCL240MS at .* there, PCL240K at"),
         "axes": (lambda: Stage("xy", chips={"y": PCL240K}, visuals=False), "axes: y there, x, y here"),
-        "mechanics": (lambda: Stage(changed_spec(damp), visuals=False), "mechanics of the model: "),
-        "time step": (lambda: Stage(changed_spec(halve_step), visuals=False), "time step: 125000 ns there, 250000 ns here"),
+        "mechanics": (lambda: Stage(change_spec(damp), visuals=False), "mechanics of the model: "),
+        "time step": (lambda: Stage(change_spec(halve_step), visuals=False), "time step: 125000 ns there, 250000 ns here"),
     }.values(),
 )  # fmt: skip
 def test_a_snapshot_of_another_stage_is_refused_and_says_what_differs(xy, other, says):
@@ -135,7 +135,7 @@ def test_no_flipped_bit_of_a_state_gets_into_a_stage_or_a_chip(xy):
     for who, full in [(who, who.snapshot()) for who in (xy, *chips)]:
         data = bytes(full.state)
         for bit in rng.integers(0, 8 * len(data), 200):
-            state = flipped(data, int(bit))
+            state = flip_bit(data, int(bit))
             other = replace(full, state=np.frombuffer(state) if who is xy else state)
             with pytest.raises(ArgumentError, match="is damaged"):
                 who.restore(other)
@@ -164,7 +164,7 @@ def test_a_pickled_snapshot_with_a_flipped_bit_is_refused(xy):
         inside = rng.integers(8 * state, 8 * (state + len(bytes(full.state))), 200)
         for bit in (*inside, *rng.integers(0, 8 * len(packed), 200)):
             try:
-                other = pickle.loads(flipped(packed, int(bit)))
+                other = pickle.loads(flip_bit(packed, int(bit)))
                 who.restore(other)
             except Exception as error:
                 refused += isinstance(error, ArgumentError)

@@ -9,7 +9,7 @@ from stage.chips import HCTL1100, PCL240K, PCL240MS
 from stage.firmware.driver import Speeds, driver_of
 
 
-def imbalance(stage):
+def compute_imbalance(stage):
     """Return the largest force, N or N m, by which mass times acceleration differs from the sum of all forces on a joint."""
     model, data = stage.model, stage.data
     product = np.zeros(model.nv)
@@ -23,7 +23,7 @@ def test_forces_balance_in_every_step_also_where_friction_holds_a_carriage(model
     firmware.move(stage.axes["x"], 1e-3)
     for _ in range(800):
         stage.step(1)
-        assert imbalance(stage) < 1e-2
+        assert compute_imbalance(stage) < 1e-2
 
 
 @pytest.mark.parametrize(("model", "chips", "max_iterations"), [("xyz", PCL240K, 0.7), ("xyz_servo", HCTL1100, 1.2)])

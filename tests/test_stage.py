@@ -30,13 +30,13 @@ def xyz(fresh):
             axis.switches.stick(name, None)
 
 
-def moving(stage, pulses=3000):
+def start_all_axes(stage, pulses=3000):
     for k, axis in enumerate(stage.axes.values()):
         start_preset(axis.chip, pulses + 100 * k, minus=bool(k % 2))
     return stage
 
 
-def bits(stage):
+def get_state_bits(stage):
     return stage.snapshot().state.tobytes()
 
 
@@ -51,17 +51,17 @@ def test_a_preset_move_ends_on_its_pulse_and_the_carriage_follows(xyz):
 
 
 def test_n_steps_then_m_are_n_plus_m(xyz):
-    moving(xyz)
+    start_all_axes(xyz)
     replica = copy.deepcopy(xyz)
     xyz.step(700)
     replica.step(211)
     replica.step(489)
-    assert bits(xyz) == bits(replica)
+    assert get_state_bits(xyz) == get_state_bits(replica)
 
 
 def test_cutting_time_anywhere_changes_nothing(xyz):
     """Nanosecond cuts inside physics steps, as bus cycles make them, leave every bit as it was."""
-    moving(xyz)
+    start_all_axes(xyz)
     replica = copy.deepcopy(xyz)
     xyz.run(0.05)
     seed = SEED
@@ -70,32 +70,32 @@ def test_cutting_time_anywhere_changes_nothing(xyz):
     for length in np.diff([0, *cuts, 50_000_000]):
         replica.run(length * 1e-9)
     assert replica.time == xyz.time
-    assert bits(xyz) == bits(replica)
+    assert get_state_bits(xyz) == get_state_bits(replica)
 
 
 @pytest.mark.parametrize("cut", [0.02, 0.0200001, 0.020137])
 def test_snapshot_and_restore_continue_bit_for_bit(xyz, cut):
-    moving(xyz)
+    start_all_axes(xyz)
     xyz.run(cut)
     before = xyz.snapshot()
     xyz.run(0.1)
-    after = bits(xyz)
+    after = get_state_bits(xyz)
     xyz.restore(before)
-    assert bits(xyz) == before.state.tobytes()
+    assert get_state_bits(xyz) == before.state.tobytes()
     xyz.run(0.1)
-    assert bits(xyz) == after
+    assert get_state_bits(xyz) == after
 
 
 @pytest.mark.parametrize("copy_stage", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
 def test_copies_continue_bit_for_bit_and_independently(xyz, copy_stage):
-    moving(xyz)
+    start_all_axes(xyz)
     xyz.run(0.020137)
     replica = copy_stage(xyz)
-    before = bits(xyz)
+    before = get_state_bits(xyz)
     replica.run(0.1)
-    assert bits(xyz) == before
+    assert get_state_bits(xyz) == before
     xyz.run(0.1)
-    assert bits(xyz) == bits(replica)
+    assert get_state_bits(xyz) == get_state_bits(replica)
 
 
 def test_a_restored_stage_has_the_diagnostics_of_then(xyz):
@@ -111,10 +111,10 @@ def test_a_restored_stage_has_the_diagnostics_of_then(xyz):
 
 
 def test_reset_is_power_up(xyz):
-    first = bits(xyz)
-    moving(xyz).run(0.1)
+    first = get_state_bits(xyz)
+    start_all_axes(xyz).run(0.1)
     xyz.reset()
-    assert bits(xyz) == first
+    assert get_state_bits(xyz) == first
     assert xyz.time == 0
 
 
@@ -207,7 +207,7 @@ def test_place_makes_no_jump(xyz):
 def test_a_placed_carriage_is_at_rest_after_any_motion(xyz):
     """stage.run(0.1); stage.place(x=0.05) in the middle of a move: the carriage is at rest, as put there by hand"""
     x, y = xyz.axes["x"], xyz.axes["y"]
-    moving(xyz, 16_000).run(0.3)
+    start_all_axes(xyz, 16_000).run(0.3)
     going = abs(xyz.data.qvel.copy())
     xyz.place(x=0.05)
     assert min(going[x.plant.dof], going[y.plant.dof]) > 0.01
@@ -217,7 +217,7 @@ def test_a_placed_carriage_is_at_rest_after_any_motion(xyz):
 
 @pytest.mark.usefixtures("elsewhere")
 def test_a_diverging_simulation_names_time_and_axis_and_keeps_the_state_before(xyz):
-    moving(xyz).run(0.0201)
+    start_all_axes(xyz).run(0.0201)
     replica = copy.deepcopy(xyz)
     xyz.data.qfrc_applied[xyz.model.joint("y").dofadr[0]] = 1e15
     with pytest.raises(SimulationError, match="axis 'y'") as caught:
@@ -265,7 +265,7 @@ def test_the_torque_of_a_step_is_that_of_the_rotor_in_the_middle_of_each_slice(x
 
 @pytest.mark.usefixtures("elsewhere")
 def test_a_recording_of_a_diverging_run_holds_all_that_came_before(xyz):
-    moving(xyz)
+    start_all_axes(xyz)
     with xyz.record() as recording:
         xyz.run(0.02)
         xyz.data.qfrc_applied[xyz.model.joint("y").dofadr[0]] = 1e15
@@ -306,7 +306,7 @@ def test_bad_arguments_are_named_with_the_near_misses(make, message):
 
 
 def test_arguments_of_a_stage_are_checked_and_leave_it_as_it_was(xyz):
-    before = bits(xyz)
+    before = get_state_bits(xyz)
     for wrong in (
         lambda: xyz.step(-1),
         lambda: xyz.step(1.5),
@@ -335,7 +335,7 @@ def test_arguments_of_a_stage_are_checked_and_leave_it_as_it_was(xyz):
         xyz.axes["x"].chip.advance(1)
     with pytest.raises(ArgumentError, match="cannot be restored"):
         xyz.restore(Stage("xy").snapshot())
-    assert bits(xyz) == before
+    assert get_state_bits(xyz) == before
 
 
 def test_fewer_axes_can_be_driven(fresh):

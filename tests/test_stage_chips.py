@@ -40,7 +40,7 @@ def make_stage_of():
     return make
 
 
-def bits(stage):
+def get_state_bits(stage):
     return stage.snapshot().state.tobytes()
 
 
@@ -48,17 +48,17 @@ def touch(axis, switch):
     return next(s.touch for s in axis.plant.switches if s.pin == switch)
 
 
-def stopped(stage, *names):
+def make_stop_condition(stage, *names):
     """A condition; it costs no bus cycles."""
     return lambda: not any(getattr(stage.axes[n].pins, "drive", False) for n in names)
 
 
-def pulses_of(stage):
+def get_net_pulses(stage):
     """Pulses, and the counts that servos are told."""
     return [a.chip.net(a.chip_axis) for a in stage.axes.values()]
 
 
-def set_off(stage):
+def start_all_axes(stage):
     """Every axis moves, each by its own number of pulses."""
     for k, axis in enumerate(stage.axes.values()):
         pulses = (1500 + 100 * k) * (-1) ** k
@@ -71,7 +71,7 @@ def set_off(stage):
     return stage
 
 
-def bench_pulses(journal, cls):
+def replay_on_bench(journal, cls):
     """The pulses that a chip on the bench makes under what reached the chip of a stage."""
     lone, traces = cls(), []
     lone._rows[0] = journal.start
@@ -120,9 +120,9 @@ def test_axes_are_assigned_to_a_chip_in_the_order_of_the_mapping(make_stage_of):
 
 @EVERY
 def test_every_axis_makes_the_pulses_commanded_and_its_carriage_follows(make_stage_of, chips):
-    stage = set_off(make_stage_of(chips))
+    stage = start_all_axes(make_stage_of(chips))
     stage.run(0.6)
-    for k, (net, axis) in enumerate(zip(pulses_of(stage), stage.axes.values(), strict=True)):
+    for k, (net, axis) in enumerate(zip(get_net_pulses(stage), stage.axes.values(), strict=True)):
         assert net == (1500 + 100 * k) * (-1) ** k, axis.name
         assert axis.commanded == pytest.approx(net * axis.meters_per_pulse, abs=1.001 * axis.meters_per_pulse)
         near = 40 if axis.chip.SERVO else 2  # the filter of a servo has no integral, and screws have friction
@@ -136,7 +136,7 @@ def test_an_axis_of_a_chip_moves_alone(make_stage_of, name):
     axis = stage.axes[name]
     move(axis.chip, 800, 1 << axis.chip_axis)
     stage.run(0.4)
-    assert {n: p for n, p in zip(stage.axes, pulses_of(stage), strict=True) if p} == {name: 800}
+    assert {n: p for n, p in zip(stage.axes, get_net_pulses(stage), strict=True) if p} == {name: 800}
     assert all(abs(a.position) < 1e-5 for n, a in stage.axes.items() if n != name)
 
 
@@ -148,11 +148,11 @@ def test_axes_of_one_chip_that_start_at_one_command_step_at_the_same_clocks(make
     move(chip, 300, 0b111)
     stage.run(0.3)
     journal.close()
-    pulses = bench_pulses(journal, MCX514)
+    pulses = replay_on_bench(journal, MCX514)
     clocks = [pulses["clock"][pulses["axis"] == j].tolist() for j in range(3)]
     assert len(clocks[0]) == 300
     assert clocks[0] == clocks[1] == clocks[2]
-    assert pulses_of(stage) == [300] * 3
+    assert get_net_pulses(stage) == [300] * 3
 
 
 # --- switches ---
@@ -221,7 +221,7 @@ def test_a_limit_switch_stops_an_axis_at_the_pulse_of_its_edge(make_stage_of, cl
     stage.place(**{name: touch(axis, "el_plus") - 2e-3 * np.sign(axis.gear)})
     journal = axis.chip.journal()
     run_on(axis.chip, 1 << axis.chip_axis)
-    stage.run_until(stopped(stage, name), timeout=2)
+    stage.run_until(make_stop_condition(stage, name), timeout=2)
     stage.run(0.01)
     journal.close()
     edge = next(e for e in journal.entries if e.kind == INPUT and e.b & axis.chip.INPUTS["lmt_plus"])
@@ -255,17 +255,17 @@ def test_a_limit_switch_stops_an_axis_at_the_pulse_of_its_edge(make_stage_of, cl
 
 @EVERY
 def test_n_steps_then_m_are_n_plus_m(make_stage_of, chips):
-    stage = set_off(make_stage_of(chips))
+    stage = start_all_axes(make_stage_of(chips))
     replica = copy.deepcopy(stage)
     stage.step(700)
     replica.step(211)
     replica.step(489)
-    assert bits(stage) == bits(replica)
+    assert get_state_bits(stage) == get_state_bits(replica)
 
 
 @EVERY
 def test_cutting_time_anywhere_changes_nothing(make_stage_of, chips):
-    stage = set_off(make_stage_of(chips))
+    stage = start_all_axes(make_stage_of(chips))
     replica = copy.deepcopy(stage)
     stage.run(0.05)
     seed = SEED
@@ -273,33 +273,33 @@ def test_cutting_time_anywhere_changes_nothing(make_stage_of, chips):
     cuts = np.sort(np.random.default_rng(seed).integers(0, 50_000_000, 400))
     for length in np.diff([0, *cuts, 50_000_000]):
         replica.run(length * 1e-9)
-    assert bits(stage) == bits(replica)
+    assert get_state_bits(stage) == get_state_bits(replica)
 
 
 @EVERY
 @pytest.mark.parametrize("cut", [0.02, 0.020137])
 def test_snapshot_and_restore_continue_bit_for_bit(make_stage_of, chips, cut):
-    stage = set_off(make_stage_of(chips))
+    stage = start_all_axes(make_stage_of(chips))
     stage.run(cut)
     before = stage.snapshot()
     stage.run(0.1)
-    after = bits(stage)
+    after = get_state_bits(stage)
     stage.restore(before)
     stage.run(0.1)
-    assert bits(stage) == after
+    assert get_state_bits(stage) == after
 
 
 @EVERY
 @pytest.mark.parametrize("copy_stage", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
 def test_copies_continue_bit_for_bit_and_independently(make_stage_of, chips, copy_stage):
-    stage = set_off(make_stage_of(chips))
+    stage = start_all_axes(make_stage_of(chips))
     stage.run(0.020137)
     replica = copy_stage(stage)
-    before = bits(stage)
+    before = get_state_bits(stage)
     replica.run(0.1)
-    assert bits(stage) == before
+    assert get_state_bits(stage) == before
     stage.run(0.1)
-    assert bits(stage) == bits(replica)
+    assert get_state_bits(stage) == get_state_bits(replica)
     assert [(type(a.chip), a.chip_axis) for a in replica.axes.values()] == [
         (type(a.chip), a.chip_axis) for a in stage.axes.values()
     ]
@@ -309,7 +309,7 @@ def test_copies_continue_bit_for_bit_and_independently(make_stage_of, chips, cop
 # --- fleets ---
 
 
-def program(stage, k):
+def make_program(stage, k):
     """Every axis moves until it stops, in its own way, while the host reads."""
     p, chips = Program(), {}
     for axis in stage.axes.values():
@@ -320,7 +320,7 @@ def program(stage, k):
         elif axis.chip.SERVO:
             servo.move(chips[axis.name], 300 + 50 * k)
         else:
-            load(chips[axis.name], 1 << axis.chip_axis, **speeds(axis.chip), **{"LP": k})
+            load(chips[axis.name], 1 << axis.chip_axis, **choose_speeds(axis.chip), **{"LP": k})
             target, start = ("TP", "DRVRL") if isinstance(axis.chip, MCX514) else ("P", "F_DRV_P")
             load(chips[axis.name], 1 << axis.chip_axis, **{target: 300 + 50 * k})
             command(chips[axis.name], start, 1 << axis.chip_axis)
@@ -329,11 +329,11 @@ def program(stage, k):
     return p.until_stopped([0, 1, 2], 2.0).measure(0.003).read(0, 0)
 
 
-def speeds(chip):
+def choose_speeds(chip):
     return {"SV": 500, "DV": 9000, "AC": 60_000} if isinstance(chip, MCX514) else {"SV": 500, "V": 8000, "A": 400}
 
 
-def everything(fleet, played):
+def get_all_results(fleet, played):
     states = [s.snapshot().state.tobytes() for s in fleet.stages]
     return states, played.results.tobytes(), played.extremes.tobytes(), fleet.truth().tobytes()
 
@@ -341,12 +341,12 @@ def everything(fleet, played):
 @EVERY
 def test_any_number_of_threads_gives_the_same_bits_as_a_python_driver(make_stage_of, chips):
     first = make_stage_of(chips)
-    programs = [program(first, k) for k in range(3)]
+    programs = [make_program(first, k) for k in range(3)]
     observed = set()
     for threads in (1, 3):
         fleet = Fleet([copy.deepcopy(first) for _ in programs], threads)
         played = fleet.play(programs)
-        observed.add(str(everything(fleet, played)))
+        observed.add(str(get_all_results(fleet, played)))
         fleet.close()
     assert len(observed) == 1
     for k, p in enumerate(programs):
@@ -354,13 +354,13 @@ def test_any_number_of_threads_gives_the_same_bits_as_a_python_driver(make_stage
         results = np.zeros(len(ops), np.int64)
         assert play.play_in_python(stage, ops, results, np.full((stage.model.nq, 2), np.inf) * [1, -1]) == play.PLAYED
         assert (results == played.results[k][: len(ops)]).all()
-        assert bits(stage) == bits(fleet.stages[k])
-        assert pulses_of(stage) == [300 + 50 * k] * 3
+        assert get_state_bits(stage) == get_state_bits(fleet.stages[k])
+        assert get_net_pulses(stage) == [300 + 50 * k] * 3
 
 
 def test_the_truth_of_an_axis_is_what_its_chip_says(make_stage_of):
     fleet = Fleet([copy.deepcopy(make_stage_of(MIXED))], 1)
-    fleet.play([program(fleet.stages[0], 3)])
+    fleet.play([make_program(fleet.stages[0], 3)])
     for t, axis in zip(fleet.truth()[0], fleet.stages[0].axes.values(), strict=True):
         assert (t["position"], t["commanded"], t["pulses"]) == (axis.position, axis.commanded, 450)
         assert t["counter"] == (0 if axis.name == "z" else 453), "PCL-240: what is left; LP: where it is"
@@ -370,15 +370,15 @@ def test_the_truth_of_an_axis_is_what_its_chip_says(make_stage_of):
 def test_the_stages_of_a_fleet_may_have_different_chips(make_stage_of):
     stages = [make_stage_of(chips) for chips in (MCX514, MIXED, {n: ALL[n] for n in "xyz"}, PCL240K)]
     fleet = Fleet([copy.deepcopy(stage) for stage in stages], 2)
-    programs = [program(stage, 2) for stage in fleet.stages]
+    programs = [make_program(stage, 2) for stage in fleet.stages]
     played = fleet.play(programs)
     for stage, ours, p, results in zip(stages, fleet.stages, programs, played.results, strict=True):
         by_hand = np.zeros(len(p), np.int64)
         ops = np.array(p.ops, np.int64)
         assert play.play_in_python(stage, ops, by_hand, np.full((stage.model.nq, 2), np.inf) * [1, -1]) == play.PLAYED
         assert (results[: len(p)] == by_hand).all()
-        assert bits(stage) == bits(ours)
-        assert pulses_of(stage) == [400] * 3
+        assert get_state_bits(stage) == get_state_bits(ours)
+        assert get_net_pulses(stage) == [400] * 3
 
 
 # --- recordings ---
@@ -389,7 +389,7 @@ def recorded(make_stage_of, tmp_path_factory):
     """A stage of an MCX514 and a PCL240K that moves under a recording, and the files of it."""
     stage = make_stage_of(MIXED)
     with stage.record() as recording:
-        set_off(stage)
+        start_all_axes(stage)
         stage.run(0.5)
     folder = tmp_path_factory.mktemp("recorded")
     return stage, recording, recording.save(folder / "a.rrd"), recording.to_vcd(folder / "a.vcd")
@@ -402,7 +402,7 @@ PULSE_OUTPUTS = {"x": "PLS", "y": "DIR"}
 def test_the_waveforms_show_every_pulse(recorded):
     stage, _, _, path = recorded
     vcd = parse(path)
-    nets = dict(zip(stage.axes, pulses_of(stage), strict=True))
+    nets = dict(zip(stage.axes, get_net_pulses(stage), strict=True))
     assert nets == {"x": 1500, "y": -1600, "z": 1700}
     for name in "xy":
         assert len(vcd.edges(f"{name}.{PULSE_OUTPUTS[name]}", 1)) == abs(nets[name])
@@ -413,7 +413,7 @@ def test_the_waveforms_show_every_pulse(recorded):
 def test_the_pulses_of_the_waveforms_are_those_of_the_bench_to_the_clock(recorded):
     _, recording, _, path = recorded
     vcd = parse(path)
-    pulses = bench_pulses(recording.journals["x"], MCX514)
+    pulses = replay_on_bench(recording.journals["x"], MCX514)
     for axis, name in enumerate("xy"):
         clocks = pulses["clock"][pulses["axis"] == axis]
         assert len(clocks) > 1000

@@ -35,7 +35,7 @@ def fed(encoder_stage):
     return encoder_stage
 
 
-def logical_position(chip, axes=1):
+def read_logical_position(chip, axes=1):
     chip.write(0, axes << 8 | 0x30)
     value = chip.read(6) | chip.read(7) << 16
     return value - (1 << 32) if value >> 31 else value
@@ -46,7 +46,7 @@ def finish(stage, chip, axis=0):
     stage.run(0.3)
 
 
-def nearest(axis, per_metre):
+def compute_count(axis, per_metre):
     return math.floor(axis.position * per_metre + 0.5)
 
 
@@ -56,10 +56,10 @@ def test_after_a_move_rp_is_the_true_position_in_counts(fed):
     nova.move(x.chip, 800)
     nova.move(x.chip, 600, axes=2)
     finish(fed, x.chip)
-    assert real_position(x.chip) == nearest(x, PER_METRE) == pytest.approx(800, abs=4)
-    assert real_position(x.chip, 2) == nearest(y, -100_000) == pytest.approx(-600 * 100 / 320, abs=3)
+    assert real_position(x.chip) == compute_count(x, PER_METRE) == pytest.approx(800, abs=4)
+    assert real_position(x.chip, 2) == compute_count(y, -100_000) == pytest.approx(-600 * 100 / 320, abs=3)
     fed.place(x=0.0123)
-    assert real_position(x.chip) == nearest(x, PER_METRE) == 3936, "the hand that moves it is seen, too"
+    assert real_position(x.chip) == compute_count(x, PER_METRE) == 3936, "the hand that moves it is seen, too"
 
 
 def test_in_motion_it_counts_with_a_counter_on_the_bus(fed):
@@ -82,7 +82,7 @@ def test_what_a_jammed_motor_loses_is_the_difference_of_lp_and_rp(fed):
         nova.move(x.chip, 1600)
         finish(fed, x.chip)
     fed.run(0.1)
-    assert logical_position(x.chip) == 1600
+    assert read_logical_position(x.chip) == 1600
     assert x.lost_steps >= 60
     assert real_position(x.chip) == pytest.approx(1600 - 16 * x.lost_steps, abs=32)
 

@@ -13,7 +13,7 @@ from stage.cli import main
 PAGES = sorted((Path(__file__).resolve().parents[1] / "docs" / "tutorials").glob("*.md"))
 
 
-def typed(command, capsys):
+def run_typed_command(command, capsys):
     words = shlex.split(command)
     if words[0] == "stage":
         assert main(words[1:]) == 0, command
@@ -45,7 +45,7 @@ def test_a_tutorial_that_is_followed_word_for_word_does_what_it_says(page, tmp_p
             exec(compile("\n" * step.line + step.text, page, "exec"), names)
             output = capsys.readouterr().out
         elif step.kind == "typed":
-            output = "".join(typed(line.strip(), capsys) for line in step.text.splitlines())
+            output = "".join(run_typed_command(line.strip(), capsys) for line in step.text.splitlines())
         elif step.shows:
             where = f"{page.name}:{step.line}"
             assert agree("\n".join(output.splitlines()[: len(step.text.splitlines())]), step.text), (

@@ -33,7 +33,7 @@ def make_stage():
     return Stage("xyz", chips={"x": PCL240MS, "y": PCL240K}, visuals=False)
 
 
-def go(chip, r2, minus=False):
+def start_move(chip, r2, minus=False):
     """At r2 x 120 pps, at once."""
     p = Program()
     for name, value in {"R2": r2, "R7": 5}.items():
@@ -44,23 +44,23 @@ def go(chip, r2, minus=False):
         chip.write(address, value)
 
 
-def over_a_switch():
+def move_over_a_switch():
     """X runs over its SD switch and back; the edges and samples of its recording."""
     stage = make_stage()
     x = stage.axes["x"]
     sd = next(s.touch for s in x.plant.switches if s.pin == "sd_plus")
     stage.place(x=sd - 5e-5)
     with stage.record(every=5e-4) as recorded:
-        go(x.chip, 40)
+        start_move(x.chip, 40)
         stage.run_until(lambda: x.chip.pins.sd_plus, timeout=0.05)
         x.chip.write(0, 0x08)
-        go(x.chip, 40, minus=True)
+        start_move(x.chip, 40, minus=True)
         stage.run_until(lambda: not x.chip.pins.sd_plus, timeout=0.05)
     assert recorded.columns["x/sd_plus"].any()
     return stage.snapshot().state.tobytes(), *(recorded.columns[name].tobytes() for name in sorted(recorded.columns))
 
 
-def over_an_index_mark():
+def turn_over_an_index_mark():
     """X turns over the index pulse of its encoder, forth and back; when the chip saw it."""
     stage = make_stage()
     x = stage.axes["x"]
@@ -68,7 +68,7 @@ def over_an_index_mark():
     observed = []
     for minus in (False, True):
         stage.place(x=(stage.state.axis_table["index_at"][0] + (0.007 if minus else -0.007)) * turn)
-        go(x.chip, 60, minus)
+        start_move(x.chip, 60, minus)
         for on in (True, False):
             stage.run_until(lambda on=on: x.chip.pins.ez == on, timeout=0.05, poll=1e-4)
             observed.append(stage.time)
@@ -77,7 +77,7 @@ def over_an_index_mark():
     return str(observed), stage.snapshot().state.tobytes()
 
 
-def every_operation():
+def play_every_operation():
     """A host's program: write, read, wait, poll until stopped or out of patience, measure, look."""
     fleet = Fleet([make_stage()], threads=1)
     chip = fleet.stages[0].axes["x"].chip
@@ -124,7 +124,7 @@ def run_preset_moves():
             yield pack_fields(started) + bytes(chip.read(a) for a in range(4)) + chip.snapshot().record
 
 
-def runs_with_switches():
+def run_with_switches():
     """Origin returns to ORG and to EZ, a slow-down, an end limit, a decelerating stop, pulses counted from outside."""
     for make, control, r13, stop in (
         (PCL240K, 0x43, None, "org"), (PCL240MS, 0x61, 0x210000, "ez"), (PCL240MS, 0x69, 0x310000, "ez"),
@@ -167,7 +167,7 @@ def replay_journal():
     return observed
 
 
-def moves_of_several_axes():
+def move_several_axes():
     """NOVA chips: linear ramps and S-curves of two axes, a new speed in motion, a decelerating stop, a limit, a journal."""
     for make in (MCX514, MCX302):
         of_514 = make is MCX514
@@ -208,7 +208,7 @@ def moves_of_several_axes():
     yield stage.snapshot().state.tobytes()
 
 
-def a_closed_loop():
+def run_closed_loop():
     """A servo holds, moves, runs into its limit; a stepper beside it; journals and a program on a fleet."""
     stage = Stage("xyz_servo", chips={"x": HCTL1100, "y": PCL240K}, visuals=False)
     x = stage.axes["x"]
@@ -235,7 +235,7 @@ def a_closed_loop():
     yield played.results.tobytes() + fleet.truth().tobytes()
 
 
-def an_encoder_counts():
+def count_encoder():
     """RP of an MCX514 follows the carriage, by two; a comparator on it stops the drive; the journal."""
     stage = Stage("xyz", chips=MCX514, encoders={"x": 320_000, "y": -5e5}, visuals=False)
     x = stage.axes["x"]
@@ -255,7 +255,7 @@ def an_encoder_counts():
     yield np.concatenate(list(journal.pieces(every_pulse=True, size=100))).tobytes()
 
 
-def on_a_board():
+def run_on_a_board():
     """A host behind ports: moves, polls, stray ports, interrupts, a write that gets lost; and one that may run ahead."""
     for lazy in (False, True):
         stage = Stage("xyz", chips={"x": PCL240K, "y": PCL240MS}, visuals=False)
@@ -288,13 +288,13 @@ def on_a_board():
             yield recorded.columns[name].tobytes()
 
 
-def what_reads_return():
+def read_all_addresses():
     """An int, and not a number of NumPy's."""
     for chip in (PCL240MS(), MCX302(), MCX514(), HCTL1100()):
         yield repr([chip.read(address) for address in range(chip.ADDRESSES)])
 
 
-def a_line_by_two_chips():
+def draw_line_by_two_chips():
     """X and Y on one MCX514, the master, Z on another."""
     one, two = (lambda: MCX514()), (lambda: MCX514())
     chips = {"x": one, "y": one, "z": two}
@@ -315,18 +315,18 @@ def a_line_by_two_chips():
 
 
 SCENES = (
-    on_a_board,
+    run_on_a_board,
     run_preset_moves,
     replay_journal,
-    runs_with_switches,
-    over_a_switch,
-    over_an_index_mark,
-    every_operation,
-    moves_of_several_axes,
-    a_closed_loop,
-    an_encoder_counts,
-    what_reads_return,
-    a_line_by_two_chips,
+    run_with_switches,
+    move_over_a_switch,
+    turn_over_an_index_mark,
+    play_every_operation,
+    move_several_axes,
+    run_closed_loop,
+    count_encoder,
+    read_all_addresses,
+    draw_line_by_two_chips,
 )
 
 
@@ -396,10 +396,10 @@ def test_by_hand_a_stage_that_diverges_ends_its_program():
 
 def test_room_for_few_samples_and_edges_loses_none(monkeypatch):
     """The loop returns when its room is full, and goes on."""
-    full = over_a_switch()
+    full = move_over_a_switch()
     monkeypatch.setattr(recording, "ROWS", 7)
     monkeypatch.setattr(stage_state, "EDGES", 8 * 2)  # that is: full with the first edge
-    assert over_a_switch() == full
+    assert move_over_a_switch() == full
 
 
 def test_a_diverging_stage_says_so():

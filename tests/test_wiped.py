@@ -16,7 +16,7 @@ from stage.envs import register_bus as rb
 from stage.sim import plant
 
 
-def bits(stage):
+def get_state_bits(stage):
     return stage.snapshot().state.tobytes()
 
 
@@ -26,7 +26,7 @@ def wipe(stage):
     mujoco.mj_resetData(stage.model, stage.data)
 
 
-def recorded(stage):
+def record_pulses(stage):
     with stage.record() as recording:
         stage.run(0.01)
     return recording.columns["x/pulses"].tolist()
@@ -58,9 +58,9 @@ OPERATIONS = {
     "place": lambda s: s.place(y=0.01),
     "time": lambda s: s.time,
     "snapshot": lambda s: s.snapshot().state.tobytes(),
-    "copy": lambda s: bits(copy.deepcopy(s)),
-    "pickle": lambda s: bits(pickle.loads(pickle.dumps(s))),
-    "record": recorded,
+    "copy": lambda s: get_state_bits(copy.deepcopy(s)),
+    "pickle": lambda s: get_state_bits(pickle.loads(pickle.dumps(s))),
+    "record": record_pulses,
     "move": lambda s: str(firmware.preset_move(s.axes["x"], 200)),
     "fleet": lambda s: Fleet([s], 1).play([Program().write(0, 0, 0x44).read(0, 0).wait(1e-3)]).results.tolist(),
     "truth": lambda s: Fleet([s], 1).truth().tobytes(),
@@ -73,18 +73,18 @@ def test_after_mj_reset_data_it_is_as_after_a_reset(xy, direction):
     start_preset(xy.axes["x"].chip, 1000)
     xy.run(0.02)
     xy.reset()
-    expected = OPERATIONS[direction](xy), bits(xy)
+    expected = OPERATIONS[direction](xy), get_state_bits(xy)
     xy.reset()
     wipe(xy)
-    assert (OPERATIONS[direction](xy), bits(xy)) == expected
+    assert (OPERATIONS[direction](xy), get_state_bits(xy)) == expected
 
 
 def test_without_bus_time_as_well():
     stage = Stage("xy", chips=PCL240K, bus_cycle=0, visuals=False)
-    power_up = bits(stage)
+    power_up = get_state_bits(stage)
     wipe(stage)
     stage.axes["x"].chip.read(0)
-    assert bits(stage) == power_up
+    assert get_state_bits(stage) == power_up
 
 
 @pytest.mark.parametrize("bus_cycle", [1e-6, 0])
@@ -98,7 +98,7 @@ def test_a_board_works_as_well(bus_cycle):
     boards[1].in8(0x300)
     for board in boards:
         board.delay_us(500)
-    assert bits(boards[0].stage)[:64] == bits(boards[1].stage)[:64]
+    assert get_state_bits(boards[0].stage)[:64] == get_state_bits(boards[1].stage)[:64]
     assert boards[0].stage.axes["x"].chip.values() == boards[1].stage.axes["x"].chip.values()
 
 

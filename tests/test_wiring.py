@@ -47,10 +47,10 @@ def test_firmware_with_a_wrong_polarity_bit_does_not_find_home(chips, sensors, b
         result = firmware.home(x, timeout=4.0).stopped_by
     except RunTimeout:
         result = "never"
-    assert result != by or abs(x.position - org_of(x)) > 20e-6
+    assert result != by or abs(x.position - find_org_position(x)) > 20e-6
 
 
-def org_of(axis):
+def find_org_position(axis):
     return next(s.touch for s in axis.plant.switches if s.pin == "org")
 
 
@@ -177,7 +177,7 @@ def test_a_wiring_that_cannot_be_is_refused(argument, message):
 # SYNO and SYNI
 
 
-def started(stage):
+def start_all_axes(stage):
     for axis in stage.axes.values():
         load(axis.chip, R0=0xFFFFFF, R1=100, R2=800, R4=300, R5=300)
         axis.chip.write(0, 0x40)
@@ -190,7 +190,7 @@ def test_a_follower_chip_counts_the_clock_of_its_leader():
     x, y = (stage.axes[name].chip for name in "xy")
     assert y.syni is x
     load(x, R7=60)
-    started(stage)
+    start_all_axes(stage)
     stage.run(0.1)
     assert y.net() == x.net() == 100
     load(x, R7=30)
@@ -210,7 +210,7 @@ def test_a_recording_replays_a_follower():
     y = stage.axes["y"].chip
     journal = y.journal()
     load(stage.axes["x"].chip, R7=60)
-    started(stage)
+    start_all_axes(stage)
     stage.run(0.02)
     load(stage.axes["x"].chip, R7=20)
     stage.run(0.02)
@@ -230,17 +230,17 @@ def test_the_commands_option_says_how_it_is_written(item, message):
     assert parse_wiring(["x.org=positive", "x.ez=negative"]) == {"x": {"org": "positive", "ez": "negative"}}
 
 
-def commanded(*options):
+def make_stage_from_options(*options):
     return make_stage(build_parser().parse_args(["move", "x", "1", "--model", "xy", *options]), visuals=False)
 
 
 def test_the_commands_connect_chips_as_the_stage_does():
-    stage = commanded("--chips", "x=mcx514,y=mcx512", "--multichip", "x, y")
+    stage = make_stage_from_options("--chips", "x=mcx514,y=mcx512", "--multichip", "x, y")
     assert ("multichip lines", "x, y") in stage.snapshot().header.parts
     assert [int(chip.state["wire_word"]) & 1 for chip in stage.chips] == [1, 1], "there are wires"
-    follower = commanded("--chips", "x=pcl240ms,y=pcl240mk", "--syni", "y=x")
+    follower = make_stage_from_options("--chips", "x=pcl240ms,y=pcl240mk", "--syni", "y=x")
     assert follower.axes["y"].chip.syni is follower.axes["x"].chip
-    both = commanded("--model", "xyz", "--chips", "pcl240k", "--syni", "y=x, z=x")
+    both = make_stage_from_options("--model", "xyz", "--chips", "pcl240k", "--syni", "y=x, z=x")
     assert {both.axes[name].chip.syni for name in "yz"} == {both.axes["x"].chip}
 
 
@@ -256,4 +256,4 @@ def test_the_commands_connect_chips_as_the_stage_does():
 )
 def test_wires_between_chips_that_are_none_are_refused(options, message):
     with pytest.raises(ArgumentError, match=message):
-        commanded("--chips", "x=mcx514,y=mcx512", *options)
+        make_stage_from_options("--chips", "x=mcx514,y=mcx512", *options)

@@ -12,7 +12,7 @@ from stage.sim import faults
 HIDDEN = ("lost_steps", "load_angle", "position", "el_plus", "peak_rate")
 
 
-def everything(box, calls):
+def call_all(box, calls):
     return "\n".join(json.dumps(box.call(*call).data) for call in calls)
 
 
@@ -27,7 +27,7 @@ CALLS = [
 
 
 def test_host_mode_hides_lost_steps(box):
-    output = everything(box, CALLS)
+    output = call_all(box, CALLS)
     assert box.stage.axes["x"].lost_steps
     assert not [word for word in HIDDEN if word in output]
     assert box.call("report").data["as_asked"]  # the chip made its pulses
@@ -35,7 +35,7 @@ def test_host_mode_hides_lost_steps(box):
 
 def test_truth_mode_reports_lost_steps(make_box):
     box = make_box(mode="truth")
-    output = everything(box, CALLS)
+    output = call_all(box, CALLS)
     assert "lost_steps" in output
     assert not box.call("report").data["as_asked"]
     assert box.call("truth").data["axes"]["x"]["lost_steps"]

@@ -41,7 +41,7 @@ def served():
     assert len(served.sessions) == 0
 
 
-def empties(served):
+def assert_all_sessions_end(served):
     """The last session ends."""
     end = time.monotonic() + 60
     while len(served.sessions) and time.monotonic() < end:
@@ -106,7 +106,7 @@ def test_each_session_has_a_separate_stage_and_ends_with_its_client(served):
             assert used == [1, 0]
 
     asyncio.run(work())
-    empties(served)
+    assert_all_sessions_end(served)
 
 
 def test_a_picture_comes_as_an_image(served):
@@ -191,7 +191,7 @@ def test_a_client_with_two_streams_is_connected_until_both_have_closed():
     asyncio.run(work())
 
 
-def requested(served, method="POST", **headers):
+def send_request(served, method="POST", **headers):
     import httpx2
 
     head = {"Accept": "application/json, text/event-stream", "Authorization": f"Bearer {served.server.token}"}
@@ -204,23 +204,23 @@ def requested(served, method="POST", **headers):
     "authorization", ["", "Bearer nonsense", "Bearer", "Basic x", "Bearer \u00e9".encode("latin1")]
 )
 def test_a_request_without_the_token_is_unauthorized(served, authorization):
-    empties(served)
-    refused = requested(served, Authorization=authorization)
+    assert_all_sessions_end(served)
+    refused = send_request(served, Authorization=authorization)
     assert refused.status_code == 401
     assert "Authorization: Bearer" in refused.text
     assert len(served.sessions) == 0
 
 
 def test_pages_of_other_sites_are_refused(served):
-    assert requested(served, Host="evil.example").status_code >= 400
-    assert requested(served, Origin="http://evil.example").status_code >= 400
+    assert send_request(served, Host="evil.example").status_code >= 400
+    assert send_request(served, Origin="http://evil.example").status_code >= 400
 
 
 def test_a_request_without_a_session_has_to_open_one(served):
-    message = requested(served, **{"MCP-Protocol-Version": "2025-11-25"})
+    message = send_request(served, **{"MCP-Protocol-Version": "2025-11-25"})
     assert message.status_code == 400
-    assert requested(served, **{"mcp-session-id": "f" * 32}).status_code == 404
-    empties(served)
+    assert send_request(served, **{"mcp-session-id": "f" * 32}).status_code == 404
+    assert_all_sessions_end(served)
 
 
 def test_a_request_is_of_bounded_size(served):
@@ -263,7 +263,7 @@ asyncio.run(work())
         assert process.stdout.readline() == "moved\n"
         assert len(served.sessions) == 1
         process.send_signal(signal.SIGKILL)
-    empties(served)
+    assert_all_sessions_end(served)
 
 
 @pytest.mark.slow
@@ -343,7 +343,7 @@ def test_fifty_sessions_at_once_are_served_and_leave_nothing_over():
     assert "50 sessions at once" in done.stdout
 
 
-def opened(served):
+def open_session(served):
     """A session by hand: its headers."""
     import httpx2
 
@@ -366,7 +366,7 @@ def test_a_call_of_the_wrong_form_is_a_tool_error_too(served, params):
     import httpx2
 
     body = {"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": params}
-    message = httpx2.post(served.server.address, json=body, headers=opened(served), timeout=60).json()
+    message = httpx2.post(served.server.address, json=body, headers=open_session(served), timeout=60).json()
     assert message["result"]["isError"]
     text = message["result"]["content"][0]["text"]
     assert "called by its name" in text or "should be an object" in text
@@ -375,7 +375,7 @@ def test_a_call_of_the_wrong_form_is_a_tool_error_too(served, params):
 def test_a_cancelled_call_ends_and_the_next_call_works(served):
     import httpx2
 
-    head = opened(served)
+    head = open_session(served)
 
     def post(number, method, params):
         body = {"jsonrpc": "2.0", "id": number, "method": method, "params": params}
@@ -405,14 +405,14 @@ def test_a_flood_of_sessions_without_a_call_keeps_no_one_out():
     flooded = Served()
     flooded.sessions.limit = 3
     try:
-        busy = opened(flooded)
+        busy = open_session(flooded)
         body = {"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": {"name": "budget", "arguments": {}}}
 
         def call(head):
             return httpx2.post(flooded.server.address, json=body, headers=head, timeout=60)
 
         assert call(busy).status_code == 200
-        flood = [opened(flooded) for _ in range(12)]
+        flood = [open_session(flooded) for _ in range(12)]
         assert [call(head).status_code for head in (flood[0], flood[5])] == [404, 404]
         assert call(flood[-1]).json()["result"]["isError"] is False
         assert call(busy).json()["result"]["isError"] is False

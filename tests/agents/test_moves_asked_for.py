@@ -33,7 +33,7 @@ class RecordingDriver:
         return noted
 
 
-def noted_of(box):
+def make_recorder(box):
     driver = box._drivers["x"] = RecordingDriver()
 
     def created(name, **arguments):
@@ -49,7 +49,7 @@ def noted_of(box):
 @pytest.fixture
 def requested(make_box):
     """asked(tool, arguments) -> what the driver was told, on an axis of 3.125 um a pulse."""
-    return noted_of(make_box())
+    return make_recorder(make_box())
 
 
 PULSE = 3.125e-6  # m
@@ -85,7 +85,7 @@ def test_speeds_are_pulses_a_second_and_ramps_seconds(requested):
 
 
 def test_home_passes_direction_method_speed_and_timeout_to_the_driver(make_box):
-    requested = noted_of(make_box("MCX514"))
+    requested = make_recorder(make_box("MCX514"))
     assert requested("home")[:3] == ("home_by", "switch", -1)
     assert requested("home", direction="plus", by="INDEX")[:3] == ("home_by", "index", 1)
     assert requested("home")[4] == 60.0

@@ -17,7 +17,7 @@ def recording(make_box, tmp_path):
         box.stage.recording.close()
 
 
-def a_recording(box):
+def record_move(box):
     assert box.call("record", {"on": True}).ok
     assert box.call("move", {"axis": "x", "pulses": 1000}).ok
     return box.call("record", {"on": False})
@@ -35,7 +35,7 @@ def test_a_host_reads_the_profile_of_its_last_move(make_box):
 
 
 def test_who_sees_the_truth_records_it(recording):
-    finished = a_recording(recording)
+    finished = record_move(recording)
     assert finished.data["seconds"] > 0.1
     columns = recording.recordings.last()["columns"]
     assert columns
@@ -43,7 +43,7 @@ def test_who_sees_the_truth_records_it(recording):
 
 
 def test_files_are_written_into_the_folder_only(recording, tmp_path):
-    a_recording(recording)
+    record_move(recording)
     assert recording.call("save_recording", {"name": "a.vcd"}).data["bytes"] > 100
     assert (tmp_path / "given" / "a.vcd").is_file()
     (tmp_path / "given" / "link.vcd").symlink_to(tmp_path / "outside.vcd")
@@ -90,7 +90,7 @@ def test_a_column_is_thinned_to_so_many_with_both_its_ends():
 
 def test_a_session_writes_so_many_files_and_no_more(recording, monkeypatch):
     monkeypatch.setattr("stage.agents.recording_tools.MAX_FILES", 2)
-    a_recording(recording)
+    record_move(recording)
     assert [recording.call("save_recording", {"name": f"{k}.vcd"}).ok for k in range(3)] == [True, True, False]
     assert "A session writes at most 2 files" in recording.call("save_recording", {"name": "4.vcd"}).text
 

@@ -27,7 +27,7 @@ def parse(kind, value):
     return Tool("tool", "", dict, {"a": argument(kind, "")}).parse({"a": value})["a"]
 
 
-def schema_of(kind):
+def make_schema(kind):
     return Tool("tool", "", dict, {"a": argument(kind, "")}).schema()["properties"]["a"]
 
 
@@ -116,8 +116,8 @@ def test_a_flag_may_be_written_as_text(written, value):
 
 def test_the_ends_of_a_range_are_allowed_as_the_schema_says():
     closed, above = number(ge=0.5, le=2.0), number(gt=0.5, le=2.0)
-    assert schema_of(closed)["minimum"] == schema_of(above)["exclusiveMinimum"] == 0.5
-    assert schema_of(closed)["maximum"] == schema_of(above)["maximum"] == 2.0
+    assert make_schema(closed)["minimum"] == make_schema(above)["exclusiveMinimum"] == 0.5
+    assert make_schema(closed)["maximum"] == make_schema(above)["maximum"] == 2.0
     assert (parse(closed, 0.5), parse(closed, "2"), parse(above, 0.500001)) == (0.5, 2, 0.500001)
     assert "a: 0.5 should be greater than 0.5." in refuse(above, 0.5)
     assert "a: 0.499 should be greater than or equal to 0.5." in refuse(closed, 0.499)
@@ -126,7 +126,7 @@ def test_the_ends_of_a_range_are_allowed_as_the_schema_says():
 
 def test_a_list_has_as_many_items_as_its_schema_says_and_one_value_is_a_list():
     values = list_of(integer(0, 255))
-    assert schema_of(values)["maxItems"] == MAX_LIST_ITEMS
+    assert make_schema(values)["maxItems"] == MAX_LIST_ITEMS
     assert parse(values, [1] * MAX_LIST_ITEMS) == [1] * MAX_LIST_ITEMS
     assert f"at most {MAX_LIST_ITEMS} items" in refuse(values, [1] * (MAX_LIST_ITEMS + 1))
     assert parse(values, "15h") == [0x15]

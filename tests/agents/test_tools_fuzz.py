@@ -26,12 +26,12 @@ def machine(request):
 @pytest.fixture(scope="module")
 def tools(machine):
     """Tools of a machine."""
-    box = opened(machine)
+    box = make_toolbox(machine)
     box.close()
     return box.tools
 
 
-def opened(machine):
+def make_toolbox(machine):
     stage, mode = machine
     stage.reset()
     box = Toolbox(stage, mode, Budget(moves=6, seconds=2.0, cycles=20_000))
@@ -39,8 +39,8 @@ def opened(machine):
     return box
 
 
-def survives(machine, drawn):
-    box = opened(machine)
+def assert_calls_survive(machine, drawn):
+    box = make_toolbox(machine)
     try:
         for name, arguments in drawn:
             answer = box.call(name, arguments)
@@ -58,17 +58,17 @@ def survives(machine, drawn):
         box.close()
 
 
-def fuzzed(examples):
+def make_fuzz_test(examples):
     @given(data=st.data())
     @settings(max_examples=examples, **QUICK)
     def test(machine, tools, data):
-        survives(machine, data.draw(st.lists(calls(tools), min_size=AT_ONCE, max_size=AT_ONCE)))
+        assert_calls_survive(machine, data.draw(st.lists(calls(tools), min_size=AT_ONCE, max_size=AT_ONCE)))
 
     return test
 
 
-test_hundreds_of_calls_are_answered = fuzzed(DAILY)
-test_ten_thousand_calls_are_answered = pytest.mark.slow(fuzzed(ALL))
+test_hundreds_of_calls_are_answered = make_fuzz_test(DAILY)
+test_ten_thousand_calls_are_answered = pytest.mark.slow(make_fuzz_test(ALL))
 
 
 @given(data=st.data())
