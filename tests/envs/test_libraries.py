@@ -8,12 +8,13 @@ from pathlib import Path
 
 import pytest
 from support.pages import agree
-from test_docs import ROOT, blocks
+from test_docs import ROOT, find_code_blocks
 
 PAGE = ROOT / "docs" / "rl_libraries.md"
 CLEANRL = Path(os.environ.get("PULSESTAGE_CLEANRL", ""))  # of a checkout: its scripts are in no package
 BLOCKS = {
-    re.search(r"^(?:import|from) (stable_baselines3|torchrl|ray|minari)", b.code, re.M)[1]: b for b in blocks(PAGE)
+    re.search(r"^(?:import|from) (stable_baselines3|torchrl|ray|minari)", b.code, re.M)[1]: b
+    for b in find_code_blocks(PAGE)
 }
 OF_1_X = ("lambda obs: np.clip(obs, -10, 10))", "lambda obs: np.clip(obs, -10, 10), None)")
 
