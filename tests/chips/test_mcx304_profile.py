@@ -19,6 +19,7 @@ from support.nova_bench import (
     Y,
     assert_pulses,
     command,
+    draw_clock,
     driving,
     examples,
     get_signed,
@@ -27,7 +28,6 @@ from support.nova_bench import (
     played,
     put,
     set_wr3,
-    somewhere,
 )
 
 from stage.chips import MCX302, MCX304, MCX312
@@ -238,7 +238,7 @@ def test_four_axes_drive_side_by_side():
 def test_a_new_drive_speed_acts_at_once_in_any_phase():
     for rng in examples(0.08):
         registers = random_registers(rng)
-        clock = somewhere(rng, registers.reference())
+        clock = draw_clock(rng, registers.reference())
         v = rng.choice([log_uniform(rng, registers.SV, 8000), rng.randint(registers.SV, 8000)])
         assert_made(MCX304(errata=False), registers, [(clock, "V", v)])
 
@@ -247,7 +247,7 @@ def test_a_decelerating_stop_brakes_to_sv_from_any_phase_except_during_s_curve_b
     for rng in examples(0.06):
         registers = random_registers(rng, fixed=rng.random() < 0.7)
         unmodified = registers.reference()
-        clock = somewhere(rng, unmodified)
+        clock = draw_clock(rng, unmodified)
         chip, stop = MCX304(errata=False), [(clock, "slow")]
         if registers.s_curve and registers.P is not None and unmodified.phase(clock) == "decelerating":
             note = f"{registers} {stop} PULSESTAGE_SEED={SEED}"
@@ -260,7 +260,7 @@ def test_a_decelerating_stop_brakes_to_sv_from_any_phase_except_during_s_curve_b
 def test_a_sudden_stop_ends_the_drive_at_its_clock():
     for rng in examples(0.04):
         registers = random_registers(rng)
-        clock = somewhere(rng, registers.reference())
+        clock = draw_clock(rng, registers.reference())
         assert_made(MCX304(errata=False), registers, [(clock, "stop")])
 
 
@@ -268,7 +268,7 @@ def test_speed_acceleration_and_phase_read_as_the_profile_says():
     for rng in examples(0.08):
         registers = random_registers(rng)
         chip, drive = MCX304(errata=False), registers.reference()
-        samples = sorted(somewhere(rng, drive) for _ in range(8))
+        samples = sorted(draw_clock(rng, drive) for _ in range(8))
         began = start(chip, registers)
         for clock in samples:
             chip.advance(began + clock - chip.clock)

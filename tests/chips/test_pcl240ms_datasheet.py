@@ -8,7 +8,7 @@ from support.pcl240k_bench import SEED, clocks_while
 from support.pcl240ms_bench import (
     LINEAR,
     NO_CORRECTION,
-    Course,
+    RecordedMove,
     Registers,
     automatic,
     corrected_r2,
@@ -104,7 +104,7 @@ def until_the_end(waveforms, clocks):
 @curved
 def test_with_the_automatic_point_r4_replaces_r5(r):
     r0 = math.ceil(minimum_trapezoid(automatic(r))) + 50
-    waveforms = Course(started(r, r0, r6=5))
+    waveforms = RecordedMove(started(r, r0, r6=5))
     assert waveforms.clocks("fup") == tsu(r)
     assert waveforms.clocks("fdown") == until_the_end(waveforms, tsd(automatic(r)) - 1), (
         "the point was in its first clock"
@@ -115,13 +115,13 @@ def test_with_the_automatic_point_r4_replaces_r5(r):
 def test_with_the_automatic_point_r4_replaces_r5_also_with_a_linear_part(r):
     r = r._replace(R14=max(r.R14, r.R15))  # "typically"
     r0 = 2 * math.ceil(minimum_trapezoid_with_linear(automatic(r))) + 50
-    waveforms = Course(started(r, r0, r6=5))
+    waveforms = RecordedMove(started(r, r0, r6=5))
     assert waveforms.clocks("fup") == math.ceil(tsu_with_linear(r))
     assert waveforms.clocks("fdown") == until_the_end(waveforms, math.ceil(tsd_with_linear(automatic(r))) - 1)
 
 
 def test_the_mk_takes_r4_for_r5_too():
-    waveforms = Course(started(Registers(50, 800, 300, 200, 20), 5000, r6=5, cls=PCL240MK))
+    waveforms = RecordedMove(started(Registers(50, 800, 300, 200, 20), 5000, r6=5, cls=PCL240MK))
     assert waveforms.clocks("fup") == 750 * 300
     assert waveforms.clocks("fdown") == 750 * 300 - 1
 
@@ -131,7 +131,7 @@ def test_the_mk_takes_r4_for_r5_too():
 
 
 def reaches_fh(r, r0, r6=0, **settings):
-    return Course(started(r, int(r0), int(r6), **settings)).peak == r.R2
+    return RecordedMove(started(r, int(r0), int(r6), **settings)).peak == r.R2
 
 
 @curved
@@ -196,11 +196,11 @@ def test_a_move_beyond_the_minimum_for_a_linear_part_has_one_and_below_it_has_no
     least, longer = int(minimum_linear(automatic(r))), max(spans)
     assert least == minimum_linear(automatic(r)), "so that R0 can be just this"
     for r0 in (least // 10, least // 2, least):
-        low = Course(started_late(r, r0))
+        low = RecordedMove(started_late(r, r0))
         assert low.peak == revised_r2(automatic(r), r0) <= r.R1 + 2 * longer
         assert spans[0] < longer or linear_steps(low, r.R4) <= 1
     for r0 in (least + 1, least * 6 // 5, 3 * least):
-        high = Course(started_late(r, r0))
+        high = RecordedMove(started_late(r, r0))
         assert high.peak >= r.R1 + 2 * longer
         assert linear_steps(high, r.R4) == pytest.approx(high.peak - r.R1 - 2 * spans[0], abs=4)
 
@@ -210,7 +210,7 @@ def test_a_move_beyond_the_minimum_for_a_linear_part_has_one_and_below_it_has_no
 
 def assert_peak(r, r0, peak, **settings):
     chip = started_late(r, r0, **settings)
-    assert Course(chip).peak == peak, r0
+    assert RecordedMove(chip).peak == peak, r0
     return chip
 
 
@@ -264,8 +264,8 @@ def test_no_fh_correction_when_bit_15_is_set_or_the_automatic_point_is_off(r):
     r0 = int(0.8 * minimum_trapezoid(automatic(r)))
     revised = revised_r2(automatic(r), r0)
     assert reaches_fh(r, r0, control=PRESET)
-    assert Course(started(r, r0)).peak == revised
-    assert Course(started(r, r0, bits=NO_CORRECTION)).peak > revised
+    assert RecordedMove(started(r, r0)).peak == revised
+    assert RecordedMove(started(r, r0, bits=NO_CORRECTION)).peak > revised
 
 
 # 3-4 R6 with the automatic point off
@@ -273,7 +273,7 @@ def test_no_fh_correction_when_bit_15_is_set_or_the_automatic_point_is_off(r):
 
 def at_fl(r, r6, r0, bits=0):
     """Pulses at FL at the end of a preset move; None if it does not end at FL."""
-    waveforms = Course(started(r, r0, r6, control=PRESET, bits=bits))
+    waveforms = RecordedMove(started(r, r0, r6, control=PRESET, bits=bits))
     assert waveforms.pulses == r0
     assert waveforms.peak == r.R2
     assert waveforms.r0[-1] == 0
@@ -315,7 +315,7 @@ def assert_linear_between(low, high, rates, steps_taken, clocks):
 
 def test_example_of_3_1_r14_of_1000_at_x10_curves_100_to_10100_and_40000_to_50000_pps():
     r = Registers(10, 5000, 20_000, 3000, 60, R14=1000, R15=7)
-    clocks, speeds = Course(started(r, 1_000_000, math.ceil(r6_with_linear(r)), control=PRESET)).steps()
+    clocks, speeds = RecordedMove(started(r, 1_000_000, math.ceil(r6_with_linear(r)), control=PRESET)).steps()
     rates = np.r_[r.R1, speeds] * CLOCK_HZ / (8192 * r.R7)
     top = np.argmax(rates)
     assert (rates[0], rates[top]) == (100, 50_000)
@@ -324,7 +324,7 @@ def test_example_of_3_1_r14_of_1000_at_x10_curves_100_to_10100_and_40000_to_5000
 
 def test_example_of_3_2_r15_of_1000_at_x20_curves_500_to_20500_and_80000_to_100000_pps():
     r = Registers(25, 5000, 3000, 20_000, 30, R14=7, R15=1000)
-    clocks, speeds = Course(started(r, 2_000_000, math.ceil(r6_with_linear(r)) + 5, control=PRESET)).steps()
+    clocks, speeds = RecordedMove(started(r, 2_000_000, math.ceil(r6_with_linear(r)) + 5, control=PRESET)).steps()
     rates = speeds * CLOCK_HZ / (8192 * r.R7)
     top = np.argmax(rates)
     assert (rates[-1], rates[top]) == (500, 100_000)
@@ -405,6 +405,6 @@ def test_acceleration_starts_at_0_grows_evenly_stays_and_falls_to_0_again():
 
 def test_ms_and_mk_ramp_alike_with_linear_ramps():
     r = Registers(50, 800, 300, 200, 20, 100, 100)
-    courses = [Course(started(r, 5000, bits=bits, cls=c)) for c, bits in ((PCL240MS, LINEAR), (PCL240MK, 0))]
+    courses = [RecordedMove(started(r, 5000, bits=bits, cls=c)) for c, bits in ((PCL240MS, LINEAR), (PCL240MK, 0))]
     assert (courses[0].clock == courses[1].clock).all()
     assert (courses[0].speed == courses[1].speed).all()
