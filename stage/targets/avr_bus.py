@@ -28,8 +28,8 @@ KEYS = ("data", "address", "cs", "wr", "rd", "irq", "base")
 PIN_ALL, DIRECTION_ALL = 8, 9
 """The simavr IRQs of a port's levels and directions."""
 Pin = tuple[int, int]
-_ONE = re.compile(r"([A-HJ-L])([0-7])")
-_RANGE = re.compile(r"([A-HJ-L]):([0-7])-([0-7])")
+_PIN_PATTERN = re.compile(r"([A-HJ-L])([0-7])")
+_PIN_RANGE_PATTERN = re.compile(r"([A-HJ-L]):([0-7])-([0-7])")
 
 
 class Pins(NamedTuple):
@@ -80,6 +80,9 @@ class AvrBus:
 def parse_pins(texts: str | Sequence[str]) -> Pins:
     """Parse the description of a bus.
 
+    Args:
+        texts: One description in the form above, for example FORM.
+
     Raises:
         ArgumentError: The text has another form, or uses a pin twice.
     """
@@ -89,7 +92,7 @@ def parse_pins(texts: str | Sequence[str]) -> Pins:
             f"--map: an AVR's bus is its pins; say once which: --map {FORM} (given: {', '.join(texts) or 'none'})."
         )
     text = texts[0]
-    parts = _split(text)
+    parts = _split_description(text)
     if parts["data"] not in PORTS or len(parts["data"]) != 1:
         raise ArgumentError(f"--map {text!r}: data={parts['data']} is no port; ports are {', '.join(PORTS)}.")
     single = {key: _parse_pin(text, key, parts[key]) for key in ("cs", "wr", "rd", "irq") if key in parts}
@@ -107,7 +110,7 @@ def parse_pins(texts: str | Sequence[str]) -> Pins:
     return Pins(data, address, single.get("cs"), single["wr"], single["rd"], single.get("irq"), base)
 
 
-def _split(text: str) -> dict[str, str]:
+def _split_description(text: str) -> dict[str, str]:
     """Split a description into values by key."""
     parts: dict[str, str] = {}
     for part in text.split(","):
@@ -124,7 +127,7 @@ def _split(text: str) -> dict[str, str]:
 
 
 def _parse_pin(text: str, key: str, value: str) -> Pin:
-    match = _ONE.fullmatch(value)
+    match = _PIN_PATTERN.fullmatch(value)
     if match is None:
         raise ArgumentError(f"--map {text!r}: {key}={value} is no pin, for example {key}=B0.")
     return PORTS.index(match[1]), int(match[2])
@@ -133,7 +136,7 @@ def _parse_pin(text: str, key: str, value: str) -> Pin:
 def _parse_address(text: str, value: str) -> tuple[Pin, ...]:
     pins: list[Pin] = []
     for part in value.split("+"):
-        match = _RANGE.fullmatch(part)
+        match = _PIN_RANGE_PATTERN.fullmatch(part)
         if match is None:
             pins.append(_parse_pin(text, "address", part))
             continue

@@ -17,7 +17,7 @@ from stage.board.errors import LibraryError
 from stage.board.windows import Window
 from stage.errors import ArgumentError
 from stage.targets.elf import ARM, Elf, check_arm
-from stage.targets.gdb import DebugServer, cortex_registers
+from stage.targets.gdb import DebugServer, make_cortex_registers
 from stage.targets.nvic import Nvic
 from stage.targets.processor_core import wait
 from stage.targets.unicorn_engine import INVALID_INSTRUCTION, PAGE_SIZE, Engine, Registers
@@ -49,7 +49,7 @@ _EXCEPTIONS = {
 }
 """Exceptions as Unicorn numbers them."""
 _SEMIHOSTING, _WFI = b"\xab\xbe", (b"\x30\xbf", b"\x20\xbf")
-HOW = "arm-none-eabi-gcc -mcpu={mcu} -mthumb -T script.ld ..."
+BUILD_COMMAND = "arm-none-eabi-gcc -mcpu={mcu} -mthumb -T script.ld ..."
 MODELS = {"cortex-m0": 7, "cortex-m3": 8, "cortex-m4": 9}
 
 
@@ -86,36 +86,42 @@ class Cortex(Engine):
     def __init__(self, program: CortexProgram, board: Board):
         import unicorn
 
-        self._elf = Elf(program.path, ARM, program.mcu, HOW.format(mcu=program.mcu))
-        check_arm(self._elf, program.mcu, HOW)
+        self._elf = Elf(program.path, ARM, program.mcu, BUILD_COMMAND.format(mcu=program.mcu))
+        check_arm(self._elf, program.mcu, BUILD_COMMAND)
         hz = program.hz or DEFAULT_HZ
         mode = unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS
         super().__init__(program.path, board, unicorn.UC_ARCH_ARM, mode, hz * UNITS, MODELS[program.mcu])
         t = self.record
-        t.each, t.byte, t.flags, t.mask, t.on = INSTRUCTION_UNITS, BYTE_UNITS, self.number("primask"), 1, 0
+        t.each, t.byte, t.flags, t.mask, t.on = (
+            INSTRUCTION_UNITS,
+            BYTE_UNITS,
+            self.find_register_number("primask"),
+            1,
+            0,
+        )
         t.watched = program.irq is not None
-        self._interrupted = self._registers("control sp xpsr r0 r1 r2 r3 r12 lr")
-        self._entry = self._registers("sp ipsr lr pc")
-        self._mode = self._registers("ipsr")
-        self._exit = self._registers("sp xpsr r0 r1 r2 r3 r12 lr pc")
-        self._masks = self._registers("primask basepri pc")
-        self._map(program.windows)
+        self._interrupted = self._group_registers("control sp xpsr r0 r1 r2 r3 r12 lr")
+        self._entry = self._group_registers("sp ipsr lr pc")
+        self._mode = self._group_registers("ipsr")
+        self._exit = self._group_registers("sp xpsr r0 r1 r2 r3 r12 lr pc")
+        self._masks = self._group_registers("primask basepri pc")
+        self._map_memory(program.windows)
         self.nvic = Nvic(lambda: int(t.cycles) // UNITS, program.irq)
-        self.nvic.vectors = self._load()
+        self.nvic.vectors = self._load_segments()
         self.semihosting = Semihosting(self)
-        self.uc.hook_add(unicorn.UC_HOOK_INTR, self._note_exception)
+        self.uc.hook_add(unicorn.UC_HOOK_INTR, self._store_exception)
         self._raised = 0
         if program.gdb:
-            self.gdb = DebugServer(self, cortex_registers(self), program.gdb)
-        self._update()
+            self.gdb = DebugServer(self, make_cortex_registers(self), program.gdb)
+        self._update_interrupt_fields()
 
     # --- memory ---
 
-    def word(self, address: int) -> int:
+    def read_word(self, address: int) -> int:
         """Return 32 bits of memory."""
         return int.from_bytes(self.uc.mem_read(address, 4), "little")
 
-    def _map(self, windows: tuple[Window, ...]) -> None:
+    def _map_memory(self, windows: tuple[Window, ...]) -> None:
         import unicorn
 
         self._windows_of_board = windows
@@ -135,7 +141,7 @@ class Cortex(Engine):
         self.map_windows(windows)
         self.uc.mmio_map(PRIVATE, PRIVATE_SIZE, self._read_private, None, self._write_private, None)
 
-    def _load(self) -> int:
+    def _load_segments(self) -> int:
         """Load the segments into memory; return the address of the vector table."""
         import unicorn
 
@@ -158,66 +164,70 @@ class Cortex(Engine):
     def main(self) -> int:
         """Run the program from its reset vector; return its exit code."""
         vectors = self.nvic.vectors
-        self.set(msp=self.word(vectors), sp=self.word(vectors), lr=RESET, xpsr=_THUMB)
-        self._pc = self.word(vectors + 4) & ~1
+        self.set(msp=self.read_word(vectors), sp=self.read_word(vectors), lr=RESET, xpsr=_THUMB)
+        self._pc = self.read_word(vectors + 4) & ~1
         self.set(pc=self._pc | 1)
         return super().main()
 
-    def start_address(self) -> int:
+    def get_start_address(self) -> int:
         """Return the program counter with bit 0 set for Thumb, as Unicorn requires."""
         return self._pc | 1
 
-    def address(self) -> int:
+    def get_program_counter(self) -> int:
         """Return the program counter."""
         return self._pc
 
-    def go_to(self, address: int) -> None:
+    def set_program_counter(self, address: int) -> None:
         """Set the program counter, for a debugger."""
         self._pc = address & ~1
 
-    def halted(self) -> None:
+    def handle_debugger_stop(self) -> None:
         """Store the program counter when a debugger stops the processor."""
         self._pc = self.get("pc") & ~1
 
-    def place(self) -> str:
+    def describe_location(self) -> str:
         """Return the source line of the program counter."""
-        return self._elf.where(self.get("pc") & ~1)
+        return self._elf.describe_address(self.get("pc") & ~1)
 
-    def _note_exception(self, _uc: Any, number: int, _user: Any) -> None:
+    def _store_exception(self, _uc: Any, number: int, _user: Any) -> None:
         self._raised = number
         self.uc.emu_stop()
 
-    def stopped(self) -> None:
+    def handle_stop(self) -> None:
         """Handle a stop of Unicorn: enter or leave the exception that caused it, or wait for an interrupt."""
         number, self._raised = self._raised, 0
         primask, basepri, pc = self._masks.get()
         self._pc = pc & ~1
         t = self.record
         if number:
-            self._handle(number)
-        elif t.cycles < t.alarm and not self.nvic.waiting() and bytes(self.uc.mem_read(self._pc - 2, 2)) in _WFI:
-            if not t.watched and not self.nvic.ticks():
+            self._handle_exception(number)
+        elif (
+            t.cycles < t.alarm
+            and not self.nvic.has_waiting_exception()
+            and bytes(self.uc.mem_read(self._pc - 2, 2)) in _WFI
+        ):
+            if not t.watched and not self.nvic.is_systick_running():
                 raise self.make_error("it sleeps for ever: no interrupt is on that could wake it")
             wait.c(t.own)
         if t.cycles >= t.alarm:
-            self.nvic.tick()
+            self.nvic.pend_systick()
         self.nvic.level = bool(t.raised)
-        while (exception := self.nvic.next(primask, basepri)) is not None:
-            self._enter(exception)
-        self._update()
+        while (exception := self.nvic.find_next_exception(primask, basepri)) is not None:
+            self._enter_exception(exception)
+        self._update_interrupt_fields()
 
-    def _handle(self, number: int) -> None:
+    def _handle_exception(self, number: int) -> None:
         """Handle an exception that Unicorn reports."""
         if number == _EXIT:
-            self._leave(self._pc)
+            self._leave_exception(self._pc)
         elif number == _SVC:
-            self._enter(11)
+            self._enter_exception(11)
         elif number != _BREAKPOINT:
             raise self.make_error(self._describe_exception(number))
         elif bytes(self.uc.mem_read(self._pc, 2)) != _SEMIHOSTING:
             raise self.make_error("a breakpoint")
         else:
-            self.semihosting.serve()
+            self.semihosting.execute_request()
             self._pc += 2
 
     def _describe_fault(self, error: Any) -> str:
@@ -232,15 +242,15 @@ class Cortex(Engine):
         if number == _NO_CODE and window is not None:
             words = f"it jumps into the window {window}, where the chips are and no code"
         if number in (_NO_CODE, _NO_THUMB):
-            words += f" (lr is {self._elf.where(self.get('lr') & ~1)})"
+            words += f" (lr is {self._elf.describe_address(self.get('lr') & ~1)})"
         return words
 
-    def _enter(self, number: int) -> None:
+    def _enter_exception(self, number: int) -> None:
         """Push a frame to the stack and begin the routine of an exception."""
-        routine = self.word(self.nvic.vectors + 4 * number)
+        routine = self.read_word(self.nvic.vectors + 4 * number)
         if not routine & 1:
             raise self.make_error(f"exception {number} comes, and its vector is {routine:X}h, which is no routine")
-        handler = bool(self.nvic.before())
+        handler = bool(self.nvic.get_active_exception())
         control, sp, xpsr, *words = self._interrupted.get()
         process = not handler and control & 2
         padded = sp & 4
@@ -250,32 +260,32 @@ class Cortex(Engine):
         back = _RETURN | (0x11 if handler else 0x1D if process else 0x19)
         self._entry.set(begin, number, back, routine)
         self._pc = routine & ~1
-        self.nvic.entered(number)
+        self.nvic.enter_exception(number)
 
-    def _leave(self, value: int) -> None:
+    def _leave_exception(self, value: int) -> None:
         """Return from an exception after a jump to EXC_RETURN."""
-        self.nvic.left(self.nvic.before())
-        self._mode.set(0 if value & 8 else self.nvic.before())
+        self.nvic.leave_exception(self.nvic.get_active_exception())
+        self._mode.set(0 if value & 8 else self.nvic.get_active_exception())
         if value & 8:
             control = self.get("control")
             if bool(control & 2) != (value & 0xC == 0xC):
                 self.set(control=control ^ 2)
         sp = self.get("sp")
         *words, pc, xpsr = _FRAME.unpack(self.uc.mem_read(sp, _FRAME.size))
-        xpsr_now = xpsr & ~0x3FF | (0 if value & 8 else self.nvic.before())
+        xpsr_now = xpsr & ~0x3FF | (0 if value & 8 else self.nvic.get_active_exception())
         self._pc = pc & ~1
         self._exit.set(sp + _FRAME.size + (4 if xpsr & 0x200 else 0), xpsr_now, *words, self._pc | 1)
 
-    def _registers(self, names: str) -> Registers:
-        return Registers(self._lib, self.handle, [self.number(name) for name in names.split()])
+    def _group_registers(self, names: str) -> Registers:
+        return Registers(self._lib, self.handle, [self.find_register_number(name) for name in names.split()])
 
     # --- its own devices ---
 
-    def _update(self) -> None:
+    def _update_interrupt_fields(self) -> None:
         """Pass the state of the interrupt controller to compiled code."""
         t = self.record
-        t.alarm = self.nvic.alarm() * UNITS
-        t.line, t.device_waits = self.nvic.line_may_come(), self.nvic.waiting()
+        t.alarm = self.nvic.find_next_systick_cycle() * UNITS
+        t.line, t.device_waits = self.nvic.can_line_interrupt(), self.nvic.has_waiting_exception()
         t.due = t.cycles
 
     def _read_private(self, _uc: Any, offset: int, size: int, _user: Any) -> int:
@@ -284,10 +294,10 @@ class Cortex(Engine):
 
     def _write_private(self, _uc: Any, offset: int, size: int, value: int, _user: Any) -> None:
         if offset < 0x80:  # ITM, the first stimulus port
-            self.say(value.to_bytes(size, "little").decode("latin1"))
+            self.log_text(value.to_bytes(size, "little").decode("latin1"))
         elif self.nvic.write(offset & ~3, value << 8 * (offset & 3), size, offset & 3):
             self.fail("it has asked for a reset (AIRCR)")
-        self._update()
+        self._update_interrupt_fields()
 
 
 _OPEN, _CLOSE, _CHAR, _TEXT, _WRITE, _IS_TTY, _LENGTH = 0x01, 0x02, 0x03, 0x04, 0x05, 0x09, 0x0C
@@ -307,39 +317,39 @@ class Semihosting:
     def __init__(self, cpu: Any):
         self._cpu = cpu
 
-    def serve(self) -> None:
+    def execute_request(self) -> None:
         """Execute one request."""
         cpu = self._cpu
         what, about = cpu.get("r0"), cpu.get("r1")
         answer = 0
         if what == _CHAR:
-            cpu.say(chr(cpu.uc.mem_read(about, 1)[0]))
+            cpu.log_text(chr(cpu.uc.mem_read(about, 1)[0]))
         elif what == _TEXT:
-            cpu.say(self._text(about))
+            cpu.log_text(self._read_text(about))
         elif what == _WRITE:
-            at, size = cpu.word(about + 4), cpu.word(about + 8)
-            cpu.say(bytes(cpu.uc.mem_read(at, min(size, MAX_TEXT))).decode("latin1"))
+            at, size = cpu.read_word(about + 4), cpu.read_word(about + 8)
+            cpu.log_text(bytes(cpu.uc.mem_read(at, min(size, MAX_TEXT))).decode("latin1"))
         elif what in (_OPEN, _IS_TTY):
             answer = 1
         elif what == _CLOCK:
-            answer = self._hundredths()
+            answer = self._count_hundredths()
         elif what == _TIME:
-            answer = self._hundredths() // 100
+            answer = self._count_hundredths() // 100
         elif what == _END:
             cpu.end(0 if about == APPLICATION_ENDS else 1)
         elif what == _END_WITH:
-            code = cpu.word(about + 4)
+            code = cpu.read_word(about + 4)
             cpu.end(code - (1 << 32) if code >> 31 else code)
         elif what not in (_CLOSE, _LENGTH, _ERROR, _HEAP):
             answer = _FAILED
         cpu.set(r0=answer)
 
-    def _text(self, address: int) -> str:
+    def _read_text(self, address: int) -> str:
         text = b""
         while b"\0" not in text and len(text) < MAX_TEXT:
             text += bytes(self._cpu.uc.mem_read(address + len(text), 16))
         return text.split(b"\0")[0].decode("latin1")
 
-    def _hundredths(self) -> int:
+    def _count_hundredths(self) -> int:
         t = self._cpu.record
         return int(t.cycles) * 100 // int(t.hz)

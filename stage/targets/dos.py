@@ -28,7 +28,7 @@ class Dos:
     def __init__(self, pc: Any):
         self._pc = pc
         self._functions: dict[int, Callable[[], None]] = {
-            0x00: lambda: pc.end(0), 0x02: self._print_character, 0x06: self._console, 0x09: self._print_text,
+            0x00: lambda: pc.end(0), 0x02: self._print_character, 0x06: self._use_console, 0x09: self._print_text,
             0x0B: lambda: pc.set(al=0), 0x25: self._set_vector, 0x2A: lambda: pc.set(cx=1995, dx=0x0701, al=6),
             0x2C: self._read_time, 0x30: lambda: pc.set(ax=0x0005, bx=0, cx=0), 0x35: self._read_vector,
             0x40: self._write, 0x44: self._read_device, 0x48: lambda: self._refuse(NO_MEMORY, bx=0),
@@ -40,7 +40,11 @@ class Dos:
         }  # fmt: skip
 
     def serve(self, number: int) -> None:
-        """Execute software interrupt `number`, for which the program has installed no routine."""
+        """Execute a software interrupt for which the program has installed no routine.
+
+        Args:
+            number: Number of the interrupt; AH selects its function.
+        """
         pc, ah = self._pc, self._pc.get("ah")
         if number == 0x21:
             function = self._functions.get(ah)
@@ -51,7 +55,7 @@ class Dos:
         elif number == 0x20:
             pc.end(0)
         elif number == 0x10 and ah == 0x0E:
-            pc.say(chr(pc.get("al")))
+            pc.log_text(chr(pc.get("al")))
         elif number == 0x15 and ah == 0x86:
             self._delay()
         elif number == 0x16:
@@ -62,9 +66,9 @@ class Dos:
             pc.set(ax=0x0020 if number == 0x11 else 640)
 
     def _print_character(self) -> None:
-        self._pc.say(chr(self._pc.get("dx") & 0xFF))
+        self._pc.log_text(chr(self._pc.get("dx") & 0xFF))
 
-    def _console(self) -> None:
+    def _use_console(self) -> None:
         if self._pc.get("dx") & 0xFF != 0xFF:
             self._print_character()
         else:
@@ -73,15 +77,15 @@ class Dos:
     def _print_text(self) -> None:
         pc, dx = self._pc, self._pc.get("dx")
         text = pc.read(pc.get("ds"), dx, min(0x10000 - dx, MAX_TEXT))
-        pc.say(text.split(b"$")[0].decode("cp437"))
+        pc.log_text(text.split(b"$")[0].decode("cp437"))
 
     def _set_vector(self) -> None:
         pc = self._pc
         pc.write(0, 4 * pc.get("al"), struct.pack("<HH", pc.get("dx"), pc.get("ds")))
-        pc.watch_timer()
+        pc.schedule_timer_interrupt()
 
     def _read_vector(self) -> None:
-        offset, segment = self._pc.vector(self._pc.get("al"))
+        offset, segment = self._pc.read_vector(self._pc.get("al"))
         self._pc.set(bx=offset, es=segment)
 
     def _read_time(self) -> None:
@@ -100,7 +104,7 @@ class Dos:
             self._refuse(NO_HANDLE)
             return
         size = pc.get("cx")
-        pc.say(pc.read(pc.get("ds"), pc.get("dx"), size).decode("cp437"))
+        pc.log_text(pc.read(pc.get("ds"), pc.get("dx"), size).decode("cp437"))
         pc.set(ax=size)
         self._succeed()
 

@@ -54,7 +54,7 @@ class Segment(NamedTuple):
     content: bytes
 
 
-def machine_of(path: Path) -> str:
+def read_machine_name(path: Path) -> str:
     """Return the name of the machine for which an ELF file was built, or "" for other files. Raises FileError."""
     head = read_elf_head(_read(path)[:ELF_HEAD_SIZE])
     return MACHINES.get(head[1], f"machine {head[1]}") if head else ""
@@ -72,6 +72,8 @@ class Elf:
     Attributes:
         flags, entry: Fields of the ELF header.
         segments: Segments to load.
+        attributes: Arm's build attributes by tag name.
+        device_name: The processor's name as avr-gcc has stored it, or "".
         symbols: Addresses by name.
 
     Raises:
@@ -84,7 +86,7 @@ class Elf:
         from elftools.elf.elffile import ELFFile
 
         self.path, content = path, _read(path)
-        machine_name = machine_of(path)
+        machine_name = read_machine_name(path)
         if not machine_name:
             raise LibraryError(f"{path} is no ELF file: {mcu} runs what its linker makes, for example by {how}.")
         if machine_name != MACHINES[machine]:
@@ -111,30 +113,39 @@ class Elf:
     def _find_section(self, name: str) -> Any:
         return next((section for section in self._sections if section.name == name), None)
 
-    def section(self, name: str) -> bytes:
-        """Return the content of a section, or b"" if there is none."""
+    def read_section(self, name: str) -> bytes:
+        """Return the content of a section, or b"" if the file has none of this name.
+
+        Args:
+            name: Name of the section, for example ".mmcu".
+        """
         section = self._find_section(name)
         return b"" if section is None or section["sh_type"] == "SHT_NOBITS" else bytes(section.data())
 
     def is_writable(self, begin: int, size: int) -> bool:
-        """Tell whether the program has variables in this range of addresses."""
+        """Tell whether the program has variables in a range of addresses.
+
+        Args:
+            begin: First address.
+            size: Number of bytes.
+        """
         wanted = _WRITABLE | _ALLOCATED
         return any(
             s["sh_flags"] & wanted == wanted and begin <= s["sh_addr"] < begin + size and s["sh_size"]
             for s in self._sections
         )
 
-    def where(self, address: int) -> str:
-        """Return an address in hexadecimal with its symbol and, if known, its file and line."""
+    def describe_address(self, address: int) -> str:
+        """Return an address in hexadecimal with its symbol and, if known, its source file and line."""
         words = f"{address:04X}h"
         k = bisect_right(self._functions, (address, chr(0x10FFFF))) - 1
         if k >= 0:
             begin, name = self._functions[k]
-            line = self._line(address)
+            line = self._find_source_line(address)
             words += f" ({name}{f'+{address - begin:X}h' if address > begin else ''}{f', {line}' if line else ''})"
         return words
 
-    def _line(self, address: int) -> str:
+    def _find_source_line(self, address: int) -> str:
         for tool in filter(shutil.which, ADDR2LINE):
             done = run_program([tool, "-e", str(self.path), hex(address)])
             line = done.stdout.strip().split(" (")[0]
@@ -184,10 +195,7 @@ class Elf:
         section = self._find_section(".note.gnu.avr.deviceinfo")
         for note in section.iter_notes() if section is not None else ():
             record = bytes(note["n_descdata"])
-            names_at, offset = (
-                32,
-                int.from_bytes(record[28:32], "little"),
-            )  # behind six sizes of memories, and two words
+            names_at, offset = 32, int.from_bytes(record[28:32], "little")  # behind six memory sizes and two words
             if len(record) > names_at:
                 return record[names_at + offset :].split(b"\0")[0].decode("ascii", "replace").lower()
         return ""
@@ -196,8 +204,8 @@ class Elf:
 # --- AVR ---
 
 
-def avr_architecture(mcu: str) -> int:
-    """Return the number of an AVR's architecture in avr-gcc, which the ELF flags contain."""
+def get_avr_architecture(mcu: str) -> int:
+    """Return the number of an AVR's architecture in avr-gcc; the flags of its ELF files contain the number."""
     if mcu.startswith(_SMALL):
         return 25
     if mcu == "at90usb162":
@@ -210,30 +218,39 @@ def avr_architecture(mcu: str) -> int:
 
 
 def check_avr(elf: Elf, mcu: str, how: str) -> None:
-    """Raise LibraryError if a program was built for another AVR."""
-    name, number = avr_name(elf), elf.flags & _ARCHITECTURE
-    wanted = avr_architecture(mcu)
-    other_name = name in AVRS and _family(name) != _family(mcu)
+    """Check that a program was built for this AVR, or for one that runs the same programs.
+
+    Args:
+        elf: The program.
+        mcu: Name of the AVR.
+        how: Command that builds a program, for the message.
+
+    Raises:
+        LibraryError: The program was built for another AVR.
+    """
+    name, number = read_avr_name(elf), elf.flags & _ARCHITECTURE
+    wanted = get_avr_architecture(mcu)
+    other_name = name in AVRS and _strip_variant_letters(name) != _strip_variant_letters(mcu)
     if number > _UNKNOWN_ARCHITECTURE and (number != wanted or other_name):
         target = f"{name} (architecture avr{number})" if name else f"an AVR of the architecture avr{number}"
         hint = f"Run it with --mcu {name}, or build it" if name in AVRS else "Build it"
         raise LibraryError(f"{elf.path} was built for {target}, and {mcu} is an avr{wanted}. {hint} by {how}.")
 
 
-def _family(name: str) -> str:
+def _strip_variant_letters(name: str) -> str:
     """Return a processor's name without the letters of variants that run the same programs."""
     return re.sub(r"(p|a|pa|l)$", "", name)
 
 
-def avr_name(elf: Elf) -> str:
-    """Return the processor's name, for example atmega2560, or "" if the file has none."""
+def read_avr_name(elf: Elf) -> str:
+    """Return the name of the processor for which a program was built, for example atmega2560, or "" if the file has none."""
     return read_mmcu(elf).get(_NAME_TAG, b"").split(b"\0")[0].decode("ascii", "replace").lower() or elf.device_name
 
 
 def read_mmcu(elf: Elf) -> dict[int, bytes]:
-    """Return the values by tag that AVR_MCU(...) of simavr's header has stored in the section .mmcu."""
+    """Return the values, by tag, that the macro AVR_MCU(...) of simavr's header has stored in the section .mmcu."""
     contents = [s.content for s in elf.segments if 0x910000 <= s.used_at < 0x920000]
-    content = elf.section(".mmcu") or (contents[0] if contents else b"")
+    content = elf.read_section(".mmcu") or (contents[0] if contents else b"")
     tags: dict[int, bytes] = {}
     at = 0
     while at + 2 <= len(content) and content[at]:
@@ -247,7 +264,16 @@ def read_mmcu(elf: Elf) -> dict[int, bytes]:
 
 
 def check_arm(elf: Elf, mcu: str, how: str) -> None:
-    """Raise LibraryError if a program has instructions that this Cortex-M lacks."""
+    """Check that a Cortex-M has all instructions that a program was built for.
+
+    Args:
+        elf: The program.
+        mcu: Name of the processor.
+        how: Command that builds a program, for the message; it contains {mcu}.
+
+    Raises:
+        LibraryError: The program needs another processor or a floating-point unit.
+    """
     tags = elf.attributes
     arch, profile = tags.get("TAG_CPU_ARCH", 0), chr(tags.get("TAG_CPU_ARCH_PROFILE", ord("M")))
     floats = tags.get("TAG_FP_ARCH")

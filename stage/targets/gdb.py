@@ -57,30 +57,42 @@ class DebugRegisters:
             f'{architecture}</architecture><feature name="{feature}">{xml}</feature></target>'
         )
 
-    def value(self, n: int) -> int:
-        """Return the value of register `n`."""
+    def read(self, n: int) -> int:
+        """Read a register.
+
+        Args:
+            n: Number of the register in GDB's order.
+
+        Returns:
+            Value of the register; 0 for one that the processor does not have.
+        """
         if n >= len(self._names):
             return 0
-        return int(self._cpu.address() if self._names[n] == self._pc else self._cpu.get(self._names[n]))
+        return int(self._cpu.get_program_counter() if self._names[n] == self._pc else self._cpu.get(self._names[n]))
 
-    def change(self, n: int, value: int) -> None:
-        """Set register `n`."""
+    def write(self, n: int, value: int) -> None:
+        """Write a register, unless the processor does not have it.
+
+        Args:
+            n: Number of the register in GDB's order.
+            value: The new value.
+        """
         if n >= len(self._names):
             return
         if self._names[n] == self._pc:
-            self._cpu.go_to(value)
+            self._cpu.set_program_counter(value)
         else:
             self._cpu.set(**{self._names[n]: value})
 
 
-def cortex_registers(cpu: Any) -> DebugRegisters:
+def make_cortex_registers(cpu: Any) -> DebugRegisters:
     """Create the registers of a Cortex-M."""
     names = [*(f"r{n}" for n in range(13)), "sp", "lr", "pc", "xpsr"]
     return DebugRegisters(cpu, "arm", "org.gnu.gdb.arm.m-profile", names, {"sp": "data_ptr", "pc": "code_ptr"}, "pc")
 
 
-def pc_registers(cpu: Any) -> DebugRegisters:
-    """Create the registers of an 8086; eip is the linear address 16 * cs + ip, as for memory."""
+def make_pc_registers(cpu: Any) -> DebugRegisters:
+    """Create the registers of an 8086; eip is the linear address 16 * cs + ip, in which GDB counts memory, too."""
     floats = tuple((f"st{n}", 80, "i387_ext") for n in range(8))
     controls = tuple((f"f{name}", 32, "int") for name in "ctrl stat tag iseg ioff oseg ooff op".split())
     names = "eax ecx edx ebx esp ebp esi edi eip eflags cs ss ds es fs gs".split()
@@ -97,8 +109,8 @@ class DebugServer:
         port: TCP port.
 
     Attributes:
-        halted: The program is halted until the debugger continues it.
-        steps: The program executes a single instruction.
+        is_halted: Whether the program is halted until the debugger continues it.
+        is_single_step: Whether the program executes one instruction only, and halts again.
     """
 
     def __init__(self, engine: Any, registers: DebugRegisters, port: int):
@@ -107,9 +119,9 @@ class DebugServer:
         self._received = b""
         self._acknowledges = True
         self._breakpoints: dict[int, int] = {}
-        self._skipped: int | None = None  # the breakpoint from which it goes on
+        self._skipped: int | None = None  # breakpoint at which the program was halted, and from which it continues
         self._runs = threading.Event()
-        self.halted, self.steps, self._reported = True, False, True
+        self.is_halted, self.is_single_step, self._reported = True, False, True
         self._signal = TRAP
         self._commands: dict[str, Callable[[str], str]] = {
             "g": self._read_all, "G": self._write_all, "p": self._read_register, "P": self._write_register,
@@ -118,35 +130,42 @@ class DebugServer:
 
     # --- calls of the engine ---
 
-    def before(self) -> None:
-        """Serve the debugger while the program is halted, before the engine runs."""
+    def prepare_engine_run(self) -> None:
+        """Wait for a debugger before the first run, and answer its commands while the program is halted."""
         if self._socket is None and self._port:
             self._accept()
-        if self.halted:
+        if self.is_halted:
             self._serve()
         if self._socket is not None:
-            address = self._engine.address()
+            address = self._engine.get_program_counter()
             self._skipped = address if address in self._breakpoints else None
             self._runs.set()
 
-    def after(self) -> bool:
-        """Return, after the engine has stopped, whether the debugger stopped it, so that the processor has nothing else
-        to handle."""
+    def finish_engine_run(self) -> bool:
+        """Take note that the engine has stopped.
+
+        Returns:
+            Whether the debugger has stopped it, so that the engine must not look for another reason.
+        """
         self._runs.clear()
-        if self.steps:
-            self.steps, self.halted, self._signal = False, True, TRAP
+        if self.is_single_step:
+            self.is_single_step, self.is_halted, self._signal = False, True, TRAP
             return False
-        return self.halted
+        return self.is_halted
 
     def report_failure(self) -> None:
-        """Report a fault, so that the debugger can examine a program that cannot continue."""
+        """Tell the debugger that the program cannot continue, and let it examine the program."""
         self._runs.clear()
         if self._socket is not None:
-            self.halted, self._reported, self._signal = True, False, SEGMENTATION
+            self.is_halted, self._reported, self._signal = True, False, SEGMENTATION
             self._serve()
 
     def report_end(self, code: int) -> None:
-        """Report the exit code of the program to the debugger."""
+        """Tell the debugger that the program has ended, and close the connection.
+
+        Args:
+            code: Exit code of the program.
+        """
         self._runs.clear()
         if self._socket is not None:
             self._send(f"W{code & 0xFF:02x}")
@@ -160,10 +179,10 @@ class DebugServer:
             self._socket, _ = server.accept()
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._port = 0  # one debugger a run
-        threading.Thread(target=self._watch, args=(self._socket,), daemon=True).start()
+        threading.Thread(target=self._watch_for_ctrl_c, args=(self._socket,), daemon=True).start()
 
-    def _watch(self, connection: socket.socket) -> None:
-        """Stop the program when the debugger sends Ctrl-C, or is gone."""
+    def _watch_for_ctrl_c(self, connection: socket.socket) -> None:
+        """Stop the program when the debugger sends Ctrl-C or disconnects."""
         while self._socket is connection:
             if not self._runs.wait(POLL_INTERVAL_S):
                 continue
@@ -176,15 +195,15 @@ class DebugServer:
                 return
 
     def _halt(self, signal: int) -> None:
-        self.halted, self._reported, self._signal = True, False, signal
+        self.is_halted, self._reported, self._signal = True, False, signal
         self._engine.uc.emu_stop()
 
     def _close(self) -> None:
         if self._socket is not None:
             self._socket.close()
-        self._socket, self.halted = None, False
+        self._socket, self.is_halted = None, False
         for address in list(self._breakpoints):
-            self._remove(address)
+            self._remove_breakpoint(address)
 
     def _send(self, text: str) -> None:
         if self._socket is not None:
@@ -219,7 +238,7 @@ class DebugServer:
         if not self._reported:
             self._send(f"S{self._signal:02x}")
             self._reported = True
-        while self.halted and (command := self._receive()) is not None:
+        while self.is_halted and (command := self._receive()) is not None:
             if command != CTRL_C and (reply := self._answer(command)) is not None:
                 self._send(reply)
 
@@ -230,7 +249,7 @@ class DebugServer:
         kind, rest = command[:1], command[1:]
         if kind in "cs" or command.startswith("vCont;"):
             one = kind == "s" or command.startswith("vCont;s")
-            self.halted, self.steps, self._reported = False, one, False
+            self.is_halted, self.is_single_step, self._reported = False, one, False
             return None
         if kind == "k":
             self._close()
@@ -262,36 +281,36 @@ class DebugServer:
         return _REPLIES.get(command, "OK" if command[0] in "HT" else "")
 
     def _read_all(self, _rest: str) -> str:
-        return "".join(self._format(n) for n in range(len(self._registers.sizes)))
+        return "".join(self._format_register(n) for n in range(len(self._registers.sizes)))
 
     def _write_all(self, rest: str) -> str:
         for n, size in enumerate(self._registers.sizes):
-            self._registers.change(n, int.from_bytes(bytes.fromhex(rest[: 2 * size]), "little"))
+            self._registers.write(n, int.from_bytes(bytes.fromhex(rest[: 2 * size]), "little"))
             rest = rest[2 * size :]
         return "OK"
 
     def _read_register(self, rest: str) -> str:
-        return self._format(int(rest, 16))
+        return self._format_register(int(rest, 16))
 
     def _write_register(self, rest: str) -> str:
         number, value = rest.split("=")
-        self._registers.change(int(number, 16), int.from_bytes(bytes.fromhex(value), "little"))
+        self._registers.write(int(number, 16), int.from_bytes(bytes.fromhex(value), "little"))
         return "OK"
 
-    def _format(self, n: int) -> str:
+    def _format_register(self, n: int) -> str:
         size = self._registers.sizes[n]
-        return (self._registers.value(n) & (1 << 8 * size) - 1).to_bytes(size, "little").hex()
+        return (self._registers.read(n) & (1 << 8 * size) - 1).to_bytes(size, "little").hex()
 
     def _read_memory(self, rest: str) -> str:
         at, size = _parse_range(rest)
-        if self._engine.in_window(at, size):
+        if self._engine.overlaps_window(at, size):
             return _ERROR
         return bytes(self._engine.uc.mem_read(at, min(size, MAX_READ))).hex()
 
     def _write_memory(self, rest: str) -> str:
         where, content = rest.split(":")
         at, size = _parse_range(where)
-        if self._engine.in_window(at, size):
+        if self._engine.overlaps_window(at, size):
             return _ERROR
         self._engine.uc.mem_write(at, bytes.fromhex(content))
         return "OK"
@@ -302,27 +321,27 @@ class DebugServer:
         if kind not in "01":
             return ""
         if at not in self._breakpoints:
-            self._breakpoints[at] = self._engine.watch(at, self._reach)
+            self._breakpoints[at] = self._engine.hook_address(at, self._halt_at_breakpoint)
         return "OK"
 
     def _clear_breakpoint(self, rest: str) -> str:
         kind, address = rest.split(",")[:2]
         if kind not in "01":
             return ""
-        self._remove(int(address, 16))
+        self._remove_breakpoint(int(address, 16))
         return "OK"
 
-    def _remove(self, address: int) -> None:
+    def _remove_breakpoint(self, address: int) -> None:
         if address in self._breakpoints:
             self._engine.uc.hook_del(self._breakpoints.pop(address))
 
-    def _reach(self, _uc: Any, address: int, size: int, _user: Any) -> None:
+    def _halt_at_breakpoint(self, _uc: Any, address: int, size: int, _user: Any) -> None:
         """Halt before the instruction at a breakpoint, unless the program continues from there."""
         skipped, self._skipped = self._skipped, None
         if address == skipped or address not in self._breakpoints:
             return
         self._engine.uncount_instruction(size)
-        self.steps = False
+        self.is_single_step = False
         self._halt(TRAP)
 
 

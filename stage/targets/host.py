@@ -75,7 +75,7 @@ class TargetHost(Host):
 
 
 def _check_free(port: int) -> None:
-    """Raise ArgumentError if a port is in use. Emulators notice that only while they run, and simavr then waits
+    """Raise ArgumentError if a TCP port is in use. Emulators notice that only during the run, and simavr then waits
     forever."""
     with socket.socket() as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

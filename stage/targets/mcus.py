@@ -22,7 +22,7 @@ X86 = ("8086",)
 SIMAVR = "simavr (Debian: apt install libsimavr2)"
 PYELFTOOLS = "pyelftools (pip install 'pulsestage[targets]')"
 UNICORN = "Unicorn (pip install 'pulsestage[targets]')"
-_NAMES = ("libsimavr.so.2", "libsimavr.so.1", "libsimavr.so", "libsimavr.dylib")
+_SIMAVR_FILES = ("libsimavr.so.2", "libsimavr.so.1", "libsimavr.so", "libsimavr.dylib")
 
 
 class NoEmulatorError(StageError):
@@ -34,7 +34,7 @@ def load_simavr() -> ctypes.CDLL:
     """Load the library of simavr. Raises NoEmulatorError if simavr or pyelftools is missing."""
     if importlib.util.find_spec("elftools") is None:
         raise NoEmulatorError(f"there is no {PYELFTOOLS}: install it.")
-    for name in (*_NAMES, ctypes.util.find_library("simavr")):
+    for name in (*_SIMAVR_FILES, ctypes.util.find_library("simavr")):
         if name:
             try:
                 return ctypes.CDLL(name)
@@ -63,8 +63,14 @@ def check_unicorn() -> None:
 
 
 def check_mcu(mcu: str) -> str:
-    """Return the name of a processor in lower case. Raises ArgumentError for an unknown one and lists the known
-    ones."""
+    """Return the name of a processor in lower case.
+
+    Args:
+        mcu: Name in any case.
+
+    Raises:
+        ArgumentError: The processor is unknown; the message lists the known ones.
+    """
     name = str(mcu).lower()
     if name in AVRS or name in CORTEX or name in X86:
         return name

@@ -7,10 +7,10 @@ from collections.abc import Callable
 SYSTICK, PENDSV, SVC, FIRST = 15, 14, 11, 16
 IRQS = 240
 NEVER = 1 << 60
-_LOWEST = 256  # the priority of what is no exception
+_LOWEST = 256  # priority of code outside exceptions
 _CONTROL, _RELOAD, _VALUE, _CALIBRATION = 0xE010, 0xE014, 0xE018, 0xE01C
 _ICSR, _VTOR, _AIRCR, _SHPR, _CPUID, _CYCLES = 0xED04, 0xED08, 0xED0C, 0xED18, 0xED00, 0x1004
-_STIMULUS = 0  # of ITM; 1: there is room
+_STIMULUS = 0  # stimulus port of ITM; reads as 1: there is room
 _RESET = 4
 
 
@@ -18,7 +18,7 @@ class Nvic:
     """Interrupt controller and SysTick.
 
     Args:
-        now: Function that returns the processor's cycles.
+        now: Function that returns the number of clock cycles that the processor has run.
         irq: Number of the interrupt that the board's line is wired to, or None.
 
     Attributes:
@@ -39,78 +39,89 @@ class Nvic:
 
     # --- exceptions ---
 
-    def next(self, primask: int, basepri: int) -> int | None:
-        """Return the exception that the processor takes now, or None.
+    def find_next_exception(self, primask: int, basepri: int) -> int | None:
+        """Return the number of the exception that the processor takes now, or None if it takes none.
 
         Args:
             primask: Register PRIMASK of the processor.
             basepri: Register BASEPRI of the processor.
         """
-        if primask & 1 or not (candidates := self._candidates()):
+        if primask & 1 or not (candidates := self._list_candidates()):
             return None
         priority, number = min((self._priority.get(n, 0), n) for n in candidates)
-        return None if priority >= self._running() or (basepri and priority >= basepri) else number
+        return None if priority >= self._get_active_priority() or (basepri and priority >= basepri) else number
 
-    def _waiting(self) -> set[int]:
-        """Return the pending and enabled exceptions of the processor itself."""
+    def _list_waiting_exceptions(self) -> set[int]:
+        """Return the exceptions, other than that of the board's line, that are pending and enabled."""
         return {n for n in self._pending if n < FIRST or n in self._enabled}
 
-    def _candidates(self) -> set[int]:
+    def _list_candidates(self) -> set[int]:
         line = FIRST + self._irq if self._irq is not None else None
         may_come = self.level and line in self._enabled and line not in self._active
-        return self._waiting() | ({line} if line is not None and may_come else set())
+        return self._list_waiting_exceptions() | ({line} if line is not None and may_come else set())
 
-    def _running(self) -> int:
+    def _get_active_priority(self) -> int:
         return min((self._priority.get(n, 0) for n in self._active), default=_LOWEST)
 
-    def entered(self, number: int) -> None:
-        """Record that the routine of an exception has begun."""
+    def enter_exception(self, number: int) -> None:
+        """Mark an exception as active: its routine begins.
+
+        Args:
+            number: Number of the exception.
+        """
         self._pending.discard(number)
         self._active.append(number)
 
-    def left(self, number: int) -> None:
-        """Record that the routine of an exception has returned."""
+    def leave_exception(self, number: int) -> None:
+        """Mark an exception as no longer active: its routine has returned.
+
+        Args:
+            number: Number of the exception.
+        """
         if number in self._active:
             self._active.remove(number)
 
-    def before(self) -> int:
+    def get_active_exception(self) -> int:
         """Return the exception whose routine is running, or 0."""
         return self._active[-1] if self._active else 0
 
-    def waiting(self) -> bool:
-        """Tell whether an exception of the processor itself is pending and has a sufficient priority."""
-        return min((self._priority.get(n, 0) for n in self._waiting()), default=_LOWEST) < self._running()
+    def has_waiting_exception(self) -> bool:
+        """Tell whether an exception other than that of the board's line is pending and has a sufficient priority."""
+        return (
+            min((self._priority.get(n, 0) for n in self._list_waiting_exceptions()), default=_LOWEST)
+            < self._get_active_priority()
+        )
 
-    def line_may_come(self) -> bool:
+    def can_line_interrupt(self) -> bool:
         """Tell whether the interrupt of the board's line is enabled and has a higher priority than the running
         routine."""
         if self._irq is None or FIRST + self._irq not in self._enabled or FIRST + self._irq in self._active:
             return False
-        return self._priority.get(FIRST + self._irq, 0) < self._running()
+        return self._priority.get(FIRST + self._irq, 0) < self._get_active_priority()
 
     # --- SysTick ---
 
-    def ticks(self) -> bool:
-        """Tell whether SysTick counts and interrupts."""
+    def is_systick_running(self) -> bool:
+        """Tell whether SysTick counts and may interrupt."""
         return self._control & 3 == 3 and self._reload > 0
 
-    def alarm(self) -> int:
-        """Return the cycle at which SysTick interrupts next."""
-        if not self.ticks():
+    def find_next_systick_cycle(self) -> int:
+        """Return the cycle of the processor at which SysTick interrupts next, or NEVER."""
+        if not self.is_systick_running():
             return NEVER
         return self._started + ((self._now() - self._started) // (self._reload + 1) + 1) * (self._reload + 1)
 
-    def tick(self) -> None:
+    def pend_systick(self) -> None:
         """Pend SysTick: its counter has reached zero."""
-        if self.ticks():
+        if self.is_systick_running():
             self._pending.add(SYSTICK)
 
-    def _value(self) -> int:
+    def _read_systick_count(self) -> int:
         if not self._control & 1:
             return 0
         return self._reload - (self._now() - self._started) % (self._reload + 1)
 
-    def _flag(self) -> int:
+    def _read_and_clear_countflag(self) -> int:
         """Read and clear COUNTFLAG: whether the counter has reached zero since the last read."""
         if not self._control & 1 or not self._reload:
             return 0
@@ -121,34 +132,38 @@ class Nvic:
     # --- registers ---
 
     def read(self, at: int) -> int:
-        """Return a 32-bit register, by its offset."""
+        """Return a register of 32 bits.
+
+        Args:
+            at: Offset of the register from E0000000h, a multiple of 4.
+        """
         values = {_RELOAD: self._reload, _VTOR: self.vectors, _CPUID: 0x412FC231, _AIRCR: 0xFA050000, _STIMULUS: 1}
         if at == _CONTROL:
-            return self._control | self._flag()
+            return self._control | self._read_and_clear_countflag()
         if at == _VALUE:
-            return self._value()
+            return self._read_systick_count()
         if at == _ICSR:
-            return self.before() | (PENDSV in self._pending) << 28 | (SYSTICK in self._pending) << 26
+            return self.get_active_exception() | (PENDSV in self._pending) << 28 | (SYSTICK in self._pending) << 26
         if at == _CYCLES:
             return self._now() & 0xFFFFFFFF
         for begin, end, numbers in (
             (0xE100, 0xE200, self._enabled), (0xE200, 0xE300, self._pending), (0xE300, 0xE320, self._active),
         ):  # fmt: skip
             if begin <= at < end:
-                return self._bits(set(numbers), at & 0x1C)
-        if (first := self._first_priority(at)) is not None:
+                return self._pack_register_bits(set(numbers), at & 0x1C)
+        if (first := self._find_first_priority(at)) is not None:
             return sum(self._priority.get(first + k, 0) << 8 * k for k in range(4))
         return values.get(at, self._other.get(at, 0))
 
     @staticmethod
-    def _first_priority(at: int) -> int | None:
+    def _find_first_priority(at: int) -> int | None:
         """Return the first exception whose priority a register contains, or None."""
         if 0xE400 <= at < 0xE400 + IRQS:
             return FIRST + at - 0xE400
         return 4 + at - _SHPR if _SHPR <= at < _SHPR + 12 else None
 
     @staticmethod
-    def _bits(numbers: set[int], at: int) -> int:
+    def _pack_register_bits(numbers: set[int], at: int) -> int:
         return sum(1 << n - FIRST - at * 8 for n in numbers if 0 <= n - FIRST - at * 8 < 32)
 
     def write(self, at: int, value: int, size: int, byte: int) -> bool:
@@ -169,7 +184,7 @@ class Nvic:
             numbers = {FIRST + (at & 0x1C) * 8 + k for k in range(32) if value >> k & 1}
             which = self._enabled if at < 0xE200 else self._pending
             (which.difference_update if at & 0x80 else which.update)(numbers)
-        elif (first := self._first_priority(at)) is not None:
+        elif (first := self._find_first_priority(at)) is not None:
             for k in range(byte, byte + size):
                 self._priority[first + k] = value >> 8 * k & 0xFF
         elif at == _ICSR:

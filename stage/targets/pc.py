@@ -19,8 +19,8 @@ from stage.board.errors import LibraryError
 from stage.support.files import FileError, refuse_irregular
 from stage.support.foreign_files import read_bytes
 from stage.targets import dos
-from stage.targets.elf import MAX_SIZE, machine_of
-from stage.targets.gdb import DebugServer, pc_registers
+from stage.targets.elf import MAX_SIZE, read_machine_name
+from stage.targets.gdb import DebugServer, make_pc_registers
 from stage.targets.pc_timer import HZ as TIMER_HZ
 from stage.targets.pc_timer import Timers
 from stage.targets.processor_core import poll_from_python, wait
@@ -30,14 +30,14 @@ DEFAULT_HZ = 4_772_727
 INSTRUCTION_CYCLES, BYTE_CYCLES = 8, 4
 MEMORY = 0x110000
 ROM, STUBS = 0xF000, 0x100  # segment; offset of the routine of interrupt 0, a byte each
-TICK = bytes.fromhex("50 CD 1C B0 20 E6 20 58 CF")
+TIMER_ROUTINE = bytes.fromhex("50 CD 1C B0 20 E6 20 58 CF")
 """The timer's routine: int 1Ch, end of interrupt, iret."""
-TICK_AT = 0x10
+TIMER_ROUTINE_AT = 0x10
 SOURCES = (".asm", ".c", ".cc", ".cpp", ".cxx", ".h", ".ino", ".rs", ".s")
-"""Suffixes of source files. Any file could be a .COM, which has no header, so the name has to tell."""
-LOAD = 0x1000  # segment of the program's prefix
+"""Suffixes of source files. A .COM has no header, so that only the name can show that a file is none."""
+PREFIX_SEGMENT = 0x1000  # segment of the program's prefix
 INTERNAL_PORTS = 0x100  # ports below are the PC's own
-NOBODY = 0xFF
+OPEN_BUS = 0xFF
 MAX_COM_SIZE = 0xFE00
 _PORT_FUNCTION = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 _IF = 0x200
@@ -72,7 +72,7 @@ class Pc(Engine):
     """
 
     REGISTER_PREFIX = "UC_X86_REG_"
-    prefix = LOAD
+    prefix = PREFIX_SEGMENT
 
     def __init__(self, program: PcProgram, board: Board):
         import unicorn
@@ -80,55 +80,73 @@ class Pc(Engine):
         super().__init__(program.path, board, unicorn.UC_ARCH_X86, unicorn.UC_MODE_16, program.hz or DEFAULT_HZ)
         self._irq = program.irq
         t = self.record
-        t.each, t.byte, t.flags, t.mask, t.on = INSTRUCTION_CYCLES, BYTE_CYCLES, self.number("eflags"), _IF, _IF
+        t.each, t.byte, t.flags, t.mask, t.on = (
+            INSTRUCTION_CYCLES,
+            BYTE_CYCLES,
+            self.find_register_number("eflags"),
+            _IF,
+            _IF,
+        )
         t.watched, t.edge = program.irq is not None, 1
         self.uc.mem_map(0, MEMORY)
         self._masked, self._in_service = 0xFF & ~(1 | (1 << program.irq if program.irq else 0)), 0
         self.timers = Timers(lambda: int(t.cycles) * TIMER_HZ // int(t.hz))
         self._tick_pending = 0
         self._load_bios()
-        self._load(program.path)
+        self._load_program(program.path)
         self.dos = dos.Dos(self)
-        self.uc.hook_add(unicorn.UC_HOOK_INTR, self._interrupt)
+        self.uc.hook_add(unicorn.UC_HOOK_INTR, self._handle_interrupt)
         self.hook_ports(_PORT_FUNCTION(self._access_internal_port), INTERNAL_PORTS)
         self._call: int | None = None
         if program.gdb:
-            self.gdb = DebugServer(self, pc_registers(self), program.gdb)
-        self._set_line()
+            self.gdb = DebugServer(self, make_pc_registers(self), program.gdb)
+        self._update_line_mask()
 
     # --- memory ---
 
     def read(self, segment: int, offset: int, size: int) -> bytes:
-        """Read memory."""
+        """Read memory.
+
+        Args:
+            segment: Segment of the first byte.
+            offset: Offset of the first byte, taken modulo 65536.
+            size: Number of bytes.
+        """
         return bytes(self.uc.mem_read((segment << 4) + (offset & 0xFFFF), size))
 
     def write(self, segment: int, offset: int, content: bytes) -> None:
-        """Write memory."""
+        """Write memory.
+
+        Args:
+            segment: Segment of the first byte.
+            offset: Offset of the first byte, taken modulo 65536.
+            content: The bytes.
+        """
         self.uc.mem_write((segment << 4) + (offset & 0xFFFF), content)
 
     # --- before the program runs ---
 
     def _load_bios(self) -> None:
         for n in range(256):
-            self.write(0, 4 * n, struct.pack("<HH", *self.default_vector(n)))
+            self.write(0, 4 * n, struct.pack("<HH", *self.get_default_vector(n)))
         self.write(ROM, STUBS, b"\xcf" * 256)
-        self.write(ROM, TICK_AT, TICK)
+        self.write(ROM, TIMER_ROUTINE_AT, TIMER_ROUTINE)
 
     @staticmethod
-    def default_vector(n: int) -> tuple[int, int]:
+    def get_default_vector(n: int) -> tuple[int, int]:
         """Return offset and segment of the default routine of an interrupt."""
-        return (TICK_AT if n == 8 else STUBS + n), ROM
+        return (TIMER_ROUTINE_AT if n == 8 else STUBS + n), ROM
 
-    def vector(self, n: int) -> tuple[int, int]:
+    def read_vector(self, n: int) -> tuple[int, int]:
         """Return offset and segment of the current routine of an interrupt."""
         offset, segment = struct.unpack("<HH", self.read(0, 4 * n, 4))
         return offset, segment
 
-    def _load(self, path: Path) -> None:
+    def _load_program(self, path: Path) -> None:
         refuse_irregular(path, "program")
         if not path.is_file():
             raise FileError(f"{path}: there is no such file.")
-        if machine := machine_of(path):
+        if machine := read_machine_name(path):
             raise LibraryError(f"{path} was built for {machine} (ELF), and an 8086 runs a .COM or an .EXE of DOS.")
         if path.suffix.lower() in SOURCES:
             raise LibraryError(
@@ -139,22 +157,30 @@ class Pc(Engine):
         prefix = bytearray(256)
         prefix[:4] = struct.pack("<HH", 0x20CD, 0xA000)  # int 20h; the end of memory
         prefix[0x80:0x82] = b"\0\r"
-        self.write(LOAD, 0, bytes(prefix))
+        self.write(PREFIX_SEGMENT, 0, bytes(prefix))
         if content[:2] in (b"MZ", b"ZM"):
             self._load_exe(path, content)
             return
         if not 0 < len(content) <= MAX_COM_SIZE:
             raise LibraryError(f"{path} has {len(content):,} bytes: a .COM has 1 to 65,024.")
-        self.write(LOAD, 0x100, content)
-        self.write(LOAD, 0xFFFE, b"\0\0")
-        self.set(cs=LOAD, ds=LOAD, es=LOAD, ss=LOAD, sp=0xFFFE, ip=0x100, eflags=_IF | 2)
+        self.write(PREFIX_SEGMENT, 0x100, content)
+        self.write(PREFIX_SEGMENT, 0xFFFE, b"\0\0")
+        self.set(
+            cs=PREFIX_SEGMENT,
+            ds=PREFIX_SEGMENT,
+            es=PREFIX_SEGMENT,
+            ss=PREFIX_SEGMENT,
+            sp=0xFFFE,
+            ip=0x100,
+            eflags=_IF | 2,
+        )
 
     def _load_exe(self, path: Path, content: bytes) -> None:
         if len(content) < 0x1C:
             raise LibraryError(f"{path} is cut off: an .EXE has a head of 28 bytes.")
         last, pages, relocations, head, _, _, ss, sp, _, ip, cs, table = struct.unpack_from("<12H", content, 2)
         size = pages * 512 - (512 - last if last else 0) - head * 16
-        begin = LOAD + 0x10
+        begin = PREFIX_SEGMENT + 0x10
         image = bytearray(content[head * 16 : head * 16 + size])
         if size <= 0 or len(image) < size or size > 0x80000 or table + 4 * relocations > len(content):
             raise LibraryError(
@@ -167,13 +193,13 @@ class Pc(Engine):
                 raise LibraryError(f"{path} is damaged: relocation {k} points behind its end.")
             struct.pack_into("<H", image, at, (struct.unpack_from("<H", image, at)[0] + begin) & 0xFFFF)
         self.write(begin, 0, bytes(image))
-        self.set(cs=begin + cs, ip=ip, ss=begin + ss, sp=sp, ds=LOAD, es=LOAD, eflags=_IF | 2)
+        self.set(cs=begin + cs, ip=ip, ss=begin + ss, sp=sp, ds=PREFIX_SEGMENT, es=PREFIX_SEGMENT, eflags=_IF | 2)
 
     # --- interrupts ---
 
-    def _interrupt(self, _uc: Any, number: int, _user: Any) -> None:
+    def _handle_interrupt(self, _uc: Any, number: int, _user: Any) -> None:
         """Handle INT n, or an exception of the processor."""
-        if self.vector(number) != self.default_vector(number):
+        if self.read_vector(number) != self.get_default_vector(number):
             self._call = number
             self.uc.emu_stop()
         elif number == 0:
@@ -183,26 +209,26 @@ class Pc(Engine):
         else:
             self.dos.serve(number)
 
-    def start_address(self) -> int:
+    def get_start_address(self) -> int:
         """Return the linear address of CS:IP."""
         return (self.get("cs") << 4) + self.get("ip")
 
-    def go_to(self, address: int) -> None:
+    def set_program_counter(self, address: int) -> None:
         """Set the program counter, for a debugger."""
         self.set(ip=address - (self.get("cs") << 4) & 0xFFFF)
 
-    def place(self) -> str:
+    def describe_location(self) -> str:
         """Return CS:IP and the offset that appears in the linker's map."""
         cs, ip = self.get("cs"), self.get("ip")
-        return f"{cs:04X}:{ip:04X} (offset {((cs - LOAD) << 4) + ip:X}h of its segment)"
+        return f"{cs:04X}:{ip:04X} (offset {((cs - PREFIX_SEGMENT) << 4) + ip:X}h of its segment)"
 
-    def stopped(self) -> None:
+    def handle_stop(self) -> None:
         """Handle a stop of Unicorn: enter a software interrupt, wait at HLT, update the timer and poll the board's
         line."""
         t = self.record
         if self._call is not None:
             number, self._call = self._call, None
-            self._enter(number)
+            self._enter_interrupt(number)
             return
         halted = self.read(self.get("cs"), self.get("ip") - 1, 1) == b"\xf4" and not t.raised and t.cycles < t.alarm
         if halted and not self.get("eflags") & _IF:
@@ -210,17 +236,17 @@ class Pc(Engine):
         if halted:
             wait.c(t.own)
         if t.cycles >= t.alarm:
-            self._tick()
-        self._serve_line()
+            self._pend_timer_interrupt()
+        self._serve_interrupts()
 
-    def _enter(self, number: int) -> None:
+    def _enter_interrupt(self, number: int) -> None:
         """Begin the routine of an interrupt."""
         flags, sp = self.get("eflags"), (self.get("sp") - 6) & 0xFFFF
         self.write(self.get("ss"), sp, struct.pack("<HHH", self.get("ip"), self.get("cs"), flags & 0xFFFF))
-        offset, segment = self.vector(number)
+        offset, segment = self.read_vector(number)
         self.set(sp=sp, eflags=flags & ~0x300, cs=segment, ip=offset)
 
-    def _serve_line(self) -> None:
+    def _serve_interrupts(self) -> None:
         t = self.record
         if not self.get("eflags") & _IF:
             t.device_waits = self._tick_pending
@@ -228,29 +254,29 @@ class Pc(Engine):
         if self._tick_pending and not self._masked & 1 and not self._in_service & 1:
             self._tick_pending = 0
             self._in_service |= 1
-            self._enter(8)
+            self._enter_interrupt(8)
         elif t.raised and t.line and self._irq:
             t.raised = 0
             self._in_service |= 1 << self._irq
-            self._enter(8 + self._irq)
+            self._enter_interrupt(8 + self._irq)
         t.device_waits = self._tick_pending if not self._masked & 1 and not self._in_service else 0
-        self._set_line()
+        self._update_line_mask()
 
-    def _set_line(self) -> None:
-        """Pass to compiled code whether the board's line may interrupt."""
+    def _update_line_mask(self) -> None:
+        """Update the record's field that tells compiled code whether the board's line may interrupt."""
         if self._irq:
             lower = (2 << self._irq) - 1
             self.record.line = not self._masked >> self._irq & 1 and not self._in_service & lower
             self.record.due = self.record.cycles
 
-    def _tick(self) -> None:
+    def _pend_timer_interrupt(self) -> None:
         """Record that channel 0 has reached zero."""
         self._tick_pending = self.record.device_waits = 1
-        self.watch_timer()
+        self.schedule_timer_interrupt()
 
-    def watch_timer(self) -> None:
-        """Schedule the next interrupt of channel 0, if the program has installed a routine for it."""
-        is_used = any(self.vector(n) != self.default_vector(n) for n in (0x08, 0x1C))
+    def schedule_timer_interrupt(self) -> None:
+        """Schedule the next interrupt of timer channel 0, if the program has installed a routine for it."""
+        is_used = any(self.read_vector(n) != self.get_default_vector(n) for n in (0x08, 0x1C))
         t = self.record
         t.alarm = -(-self.timers.next_tick() * int(t.hz) // TIMER_HZ) if is_used else NEVER
         t.due = t.cycles
@@ -273,13 +299,13 @@ class Pc(Engine):
                 answer = self._access_internal_port(own, port, 1, low)
                 return answer | self._access_internal_port(own, port + 1, 1, high) << 8
             if on_board or not (port in (0x20, 0x21, 0x61) or 0x40 <= port <= 0x43):
-                return self._on_board(port, size, value)
+                return self._make_board_cycle(port, size, value)
             return self._write_internal_port(port, value) if value >= 0 else self._read_internal_port(port)
         except Exception as error:  # it would be lost in C
             self.fail(str(error))
-            return NOBODY
+            return OPEN_BUS
 
-    def _on_board(self, port: int, size: int, value: int) -> int:
+    def _make_board_cycle(self, port: int, size: int, value: int) -> int:
         link = self._board.link
         what = (OUT8 if size == 1 else OUT16) if value >= 0 else (IN8 if size == 1 else IN16)
         poll_from_python.c(self.record.own)
@@ -294,7 +320,7 @@ class Pc(Engine):
     def _write_internal_port(self, port: int, value: int) -> int:
         if port not in (0x20, 0x21):
             self.timers.write(port, value)
-            self.watch_timer()
+            self.schedule_timer_interrupt()
             return 0
         if port == 0x21:
             self._masked = value
@@ -303,5 +329,5 @@ class Pc(Engine):
         elif value >= 0x60:
             self._in_service &= ~(1 << (value & 7))
         self.record.device_waits = self._tick_pending if not self._masked & 1 and not self._in_service & 1 else 0
-        self._set_line()
+        self._update_line_mask()
         return 0

@@ -32,8 +32,12 @@ class Channel:
     latched: int = -1
     half: int = 0
 
-    def count(self, now: int) -> int:
-        """Return the count at a time, as it is read."""
+    def compute_count(self, now: int) -> int:
+        """Compute the count, as the processor reads it.
+
+        Args:
+            now: Time in timer clocks.
+        """
         passed = now - self.started
         if self.mode in (2, 6):
             return (self.reload - passed % self.reload) & 0xFFFF
@@ -41,8 +45,12 @@ class Channel:
             return (self.reload - 2 * passed % self.reload) & 0xFFFE
         return (self.reload - passed) & 0xFFFF
 
-    def output(self, now: int) -> bool:
-        """Return the level of the output pin at a time."""
+    def compute_output(self, now: int) -> bool:
+        """Compute the level of the output pin.
+
+        Args:
+            now: Time in timer clocks.
+        """
         passed = now - self.started
         if self.mode in (3, 7):
             return passed % self.reload < (self.reload + 1) // 2
@@ -67,15 +75,19 @@ class Timers:
         return c.started + ((self._now() - c.started) // c.reload + 1) * c.reload
 
     def read(self, port: int) -> int:
-        """Read a port: a byte of a counter, or at 61h the output of channel 2 in bit 5 and the refresh toggle in bit
-        4."""
+        """Read a port.
+
+        Args:
+            port: 40h to 42h for the next byte of a counter, 43h, or 61h for the output of channel 2 in bit 5 and the refresh
+                toggle in bit 4.
+        """
         now = self._now()
         if port == 0x61:
-            return self._gate | self.channels[2].output(now) << 5 | (now // 18 & 1) << 4
+            return self._gate | self.channels[2].compute_output(now) << 5 | (now // 18 & 1) << 4
         if port == 0x43:
             return 0xFF
         c = self.channels[port - 0x40]
-        value = c.latched if c.latched >= 0 else c.count(now)
+        value = c.latched if c.latched >= 0 else c.compute_count(now)
         if c.access == 3:
             c.half ^= 1
             if c.half:
@@ -86,7 +98,12 @@ class Timers:
         return value & 0xFF if c.access == 1 else value >> 8
 
     def write(self, port: int, value: int) -> None:
-        """Write a port: a byte of a counter, a control word, or at 61h the gate of channel 2."""
+        """Write a port.
+
+        Args:
+            port: 40h to 42h for the next byte of a reload value, 43h for a control word, or 61h for the gate of channel 2.
+            value: The byte.
+        """
         now = self._now()
         if port == 0x61:
             if value & 1 and not self._gate & 1:
@@ -96,7 +113,7 @@ class Timers:
             if value >> 6 < 3:
                 c = self.channels[value >> 6]
                 if value >> 4 & 3 == _LATCHES:
-                    c.latched = c.count(now)
+                    c.latched = c.compute_count(now)
                 else:
                     c.access, c.mode, c.half, c.latched = value >> 4 & 3, value >> 1 & 7, 0, -1
         else:

@@ -27,7 +27,7 @@ from stage.targets import avr_core, mcus
 from stage.targets.avr_bus import AvrBus, Pins
 from stage.targets.elf import AVR, Elf, check_avr, read_mmcu
 
-HOW = "avr-gcc -mmcu={mcu} -Os -g firmware.c -o firmware.elf"
+BUILD_COMMAND = "avr-gcc -mmcu={mcu} -Os -g firmware.c -o firmware.elf"
 DEFAULT_HZ = 16_000_000
 QUANTUM_S, LINE_QUANTUM_S = 50e-6, 2e-6
 """Time between two ticks; with an interrupt line, which is polled in each."""
@@ -96,22 +96,24 @@ class AvrProgram:
 
 
 class _Library:
-    """Library of simavr, with its messages redirected to this module. In a separate process its output, allocation and
-    GDB server are changed too.
+    """Library of simavr, loaded once a process, with its messages redirected to this module.
+
+    In the process of an isolated firmware its output, allocation and GDB server are redirected, too.
 
     Attributes:
-        c: The library.
+        instance: The one object of this class, or None before the first use.
+        library: The library, as ctypes has loaded it.
         messages: Level and text of each message.
-        runs: AVR record of the running program, or None.
+        running_record: AVR record of the running program, or None.
         gdb_port: TCP port of its GDB server.
     """
 
-    one: _Library | None = None
+    instance: _Library | None = None
 
     def __init__(self, isolated: bool) -> None:
-        self.c = mcus.load_simavr()
+        self.library = mcus.load_simavr()
         self.messages: list[tuple[int, str]] = []
-        self.runs: Any = None
+        self.running_record: Any = None
         self.gdb_port = 0
         self._reserves = {"malloc": 0, "calloc": 0}
         self._libc = libc = ctypes.CDLL(None)
@@ -124,46 +126,51 @@ class _Library:
 
             self._functions = {
                 **dict.fromkeys(("printf", "__printf_chk", "puts", "putchar"), self.no_op), "bind": _BIND(self._bind),
-                "malloc": _MALLOC(lambda size: self._allocate("malloc", size)),
-                "calloc": _CALLOC(lambda count, size: self._allocate("calloc", count * size)),
+                "malloc": _MALLOC(lambda size: self._allocate_with_reserve("malloc", size)),
+                "calloc": _CALLOC(lambda count, size: self._allocate_with_reserve("calloc", count * size)),
             }  # fmt: skip
-            redirect_calls(self.c._handle, self._functions)
-        self.c["avr_global_logger_set"](self._logger)
-        self.make, self.getirq = self.c["avr_make_mcu_by_name"], self.c["avr_io_getirq"]
-        self.make.restype = self.getirq.restype = ctypes.c_void_p
+            redirect_calls(self.library._handle, self._functions)
+        self.library["avr_global_logger_set"](self._logger)
+        self.make_avr, self.get_irq = self.library["avr_make_mcu_by_name"], self.library["avr_io_getirq"]
+        self.make_avr.restype = self.get_irq.restype = ctypes.c_void_p
 
     def _log(self, _avr: int, level: int, text: bytes, arguments: int) -> None:
         self._libc.vsnprintf(self._text, len(self._text), text, ctypes.c_void_p(arguments))
         message = _COLOR.sub("", self._text.value.decode(errors="replace")).strip()
         self.messages.append((level, message))
-        if self.runs is not None and any(key in message for key in _ENDS):
-            self.runs.ended = 1
+        if self.running_record is not None and any(key in message for key in _ENDS):
+            self.running_record.ended = 1
 
     def _bind(self, socket: int, address: int, size: int) -> int:
         """Bind simavr's GDB server, which would listen on all interfaces, to 127.0.0.1 and the chosen port."""
         ours = ctypes.string_at(address, 2) + struct.pack("!H", self.gdb_port) + bytes((127, 0, 0, 1)) + bytes(8)
         return int(self._libc.bind(socket, ours, size))
 
-    def _allocate(self, name: str, size: int) -> int | None:
+    def _allocate_with_reserve(self, name: str, size: int) -> int | None:
         room, self._reserves[name] = self._reserves[name], 0
         return self._libc.calloc(1, size + room)
 
-    def init(self, avr: int) -> None:
-        """Call avr_init, and allocate flash and RAM with reserve space: simavr reports a wild write but executes it all
-        the same."""
+    def init_avr(self, avr: int) -> None:
+        """Call avr_init, and allocate flash and RAM with reserve space behind them.
+
+        simavr reports a write behind the end of a memory, but executes it all the same.
+
+        Args:
+            avr: Address of the avr_t.
+        """
         self._reserves = dict.fromkeys(self._reserves, _ADDRESS_SPACE)
-        self.c["avr_init"](ctypes.c_void_p(avr))
+        self.library["avr_init"](ctypes.c_void_p(avr))
         self._reserves = dict.fromkeys(self._reserves, 0)
 
-    def address(self, name: str) -> int:
-        """Return the address of a function."""
-        return ctypes.cast(self.c[name], ctypes.c_void_p).value or 0
+    def find_function_address(self, name: str) -> int:
+        """Return the address of a function of the library by its name."""
+        return ctypes.cast(self.library[name], ctypes.c_void_p).value or 0
 
 
 def _open_library(isolated: bool) -> _Library:
-    if _Library.one is None:
-        _Library.one = _Library(isolated)
-    return _Library.one
+    if _Library.instance is None:
+        _Library.instance = _Library(isolated)
+    return _Library.instance
 
 
 class LoadedAvr:
@@ -175,7 +182,7 @@ class LoadedAvr:
 
     def __init__(self, program: AvrProgram, board: Board, isolated: bool):
         self.path, self._board, self._gdb = program.path, board, program.gdb
-        how = HOW.format(mcu=program.mcu)
+        how = BUILD_COMMAND.format(mcu=program.mcu)
         self._elf = Elf(program.path, AVR, program.mcu, how)
         check_avr(self._elf, program.mcu, how)
         self._simavr = _open_library(isolated)
@@ -184,35 +191,39 @@ class LoadedAvr:
                 f"gdb={program.gdb}: the server of simavr needs a process of its own on 64-bit Linux (isolated=True)."
             )
         self._simavr.messages.clear()
-        self._avr = self._simavr.make(program.mcu.encode())
+        self._avr = self._simavr.make_avr(program.mcu.encode())
         if not self._avr:
             raise StageError(f"this version of simavr does not know the {program.mcu}.")
-        self._simavr.init(self._avr)
+        self._simavr.init_avr(self._avr)
         hz = program.hz or self._read_clock() or DEFAULT_HZ
-        self._pc = self._find_places(hz)
-        self._vectors = Vectors(self._simavr.c, self._avr, _read_flash_size(self._avr))
+        self._pc = self._set_clock_and_find_pc(hz)
+        self._vectors = InterruptVectors(self._simavr.library, self._avr, _read_flash_size(self._avr))
         self._load_content()
-        self._c("avr_reset")
+        self._call_library("avr_reset")
         self._make_record(program.pins.irq, hz)
         self._bus = AvrBus(program.pins, self, board)
         if program.pins.irq:
-            self._simavr.c["avr_raise_irq"](ctypes.c_void_p(int(self.record.line_irq)), 1)
+            self._simavr.library["avr_raise_irq"](ctypes.c_void_p(int(self.record.line_irq)), 1)
         self._connect_serial_lines()
 
-    def _c(self, name: str, *arguments: Any) -> Any:
+    def _call_library(self, name: str, *arguments: Any) -> Any:
         """Call a function of simavr for this AVR."""
-        return self._simavr.c[name](ctypes.c_void_p(self._avr), *arguments)
+        return self._simavr.library[name](ctypes.c_void_p(self._avr), *arguments)
 
     def _read_clock(self) -> int:
         """Return the clock from AVR_MCU(...) of simavr's header, Hz, or 0."""
         return int.from_bytes(read_mmcu(self._elf).get(_CLOCK_TAG, b"")[:4], "little")
 
-    def _find_places(self, hz: int) -> int:
-        """Find clock and state in the avr_t and set the clock; return the address of the program counter."""
+    def _set_clock_and_find_pc(self, hz: int) -> int:
+        """Find clock and state in the avr_t, set the clock to `hz`, and return the address of the program counter."""
         head: Any = array_at(self._avr, _HEAD_SIZE, np.dtype("u1"))
         words, pointers = head.view("<u4"), head.view("<u8")
         clock = [k for k in range(8, 40) if words[k] == _BEGIN_HZ]
-        sleep = [k for k in range(len(pointers)) if pointers[k] == self._simavr.address("avr_callback_sleep_raw")]
+        sleep = [
+            k
+            for k in range(len(pointers))
+            if pointers[k] == self._simavr.find_function_address("avr_callback_sleep_raw")
+        ]
         if len(clock) != 1 or len(sleep) != 1:
             raise StageError(
                 "this version of simavr is not known (its avr_t is laid out in another way): 1.6 and 1.7 are."
@@ -231,16 +242,16 @@ class LoadedAvr:
             content = segment.content
             if segment.used_at >= EEPROM:
                 description = _Eeprom(content, segment.used_at - EEPROM, len(content))
-                self._c("avr_ioctl", _ioctl("eesp"), ctypes.byref(description))
+                self._call_library("avr_ioctl", _ioctl("eesp"), ctypes.byref(description))
             elif segment.at + len(content) > room:
                 raise LibraryError(
                     f"{self.path} has code up to {segment.at + len(content):X}h, and the flash ends at {room:X}h: it was linked "
                     "for another AVR?"
                 )
             else:
-                self._c("avr_loadcode", content, len(content), segment.at)
+                self._call_library("avr_loadcode", content, len(content), segment.at)
                 begin = begin if segment.at else content
-        self._no_routine = self._vectors.guard(begin)
+        self._missing_routine_at = self._vectors.end_run_at_missing_routines(begin)
 
     def _make_record(self, irq: tuple[int, int] | None, hz: int) -> None:
         """Create the AVR record. `irq` is the pin of the interrupt line, or None."""
@@ -248,27 +259,44 @@ class LoadedAvr:
         self._row = np.zeros(1, avr_core.AVR)
         t = self.record = self._row[0]
         t.own, t.avr, t.host, t.request = self._row.ctypes.data, self._avr, link.pointer, requests.request.address
-        t.run, t.raise_irq = library.address("avr_run"), library.address("avr_raise_irq")
-        t.status, t.read_memory = library.address("avr_cycle_timer_status"), library.address("avr_core_watch_read")
+        t.run, t.raise_irq = library.find_function_address("avr_run"), library.find_function_address("avr_raise_irq")
+        t.status, t.read_memory = (
+            library.find_function_address("avr_cycle_timer_status"),
+            library.find_function_address("avr_core_watch_read"),
+        )
         t.hz, t.watched, t.pc = hz, irq is not None, self._pc
         t.quantum = max(1, round((LINE_QUANTUM_S if irq else QUANTUM_S) * hz))
         t.stop = self._elf.symbols.get("__stop_program", self._elf.symbols.get("_exit", -1))
         t.line_irq = self.find_irq(*irq) if irq else 0
-        t.state, t.is_enabled = self._state_at, library.address("avr_is_interrupt_enabled")
+        t.state, t.is_enabled = self._state_at, library.find_function_address("avr_is_interrupt_enabled")
         t.vectors, t.n_vectors = self._vectors.addresses.ctypes.data, len(self._vectors.addresses)
         self._tick, self._sent = avr_core.end_quantum.pointer, avr_core.log_sent_byte.pointer
         t.timer = ctypes.cast(self._tick, ctypes.c_void_p).value
 
     def find_irq(self, port: int, number: int) -> int:
-        """Return a simavr IRQ of a port. `number` is a pin, PIN_ALL or DIRECTION_ALL."""
-        irq = self._simavr.getirq(ctypes.c_void_p(self._avr), _ioctl("iog" + avr_core.PORTS[port]), number)
+        """Return a simavr IRQ of a port.
+
+        Args:
+            port: Number of the port in PORTS.
+            number: A pin, 0 to 7, or PIN_ALL or DIRECTION_ALL.
+
+        Raises:
+            StageError: This AVR has no such port.
+        """
+        irq = self._simavr.get_irq(ctypes.c_void_p(self._avr), _ioctl("iog" + avr_core.PORTS[port]), number)
         if not irq:
             raise StageError(f"--map: this AVR has no port {avr_core.PORTS[port]}.")
         return int(irq)
 
     def notify(self, irq: int, function: Any, row: np.ndarray) -> None:
-        """Register a compiled function that simavr calls with a record when an IRQ changes."""
-        self._simavr.c["avr_irq_register_notify"](
+        """Register a compiled function that simavr calls when an IRQ changes.
+
+        Args:
+            irq: The simavr IRQ.
+            function: Pointer to the compiled function.
+            row: Array of one record that the function gets.
+        """
+        self._simavr.library["avr_irq_register_notify"](
             ctypes.c_void_p(irq), ctypes.cast(function, ctypes.c_void_p), ctypes.c_void_p(address_of(row))
         )
 
@@ -276,10 +304,10 @@ class LoadedAvr:
         """Connect the serial lines of the program to the log."""
         self._texts, self._serials = [], []
         for name in UARTS:
-            irq = self._simavr.getirq(ctypes.c_void_p(self._avr), _ioctl("uar" + name), UART_OUTPUT)
+            irq = self._simavr.get_irq(ctypes.c_void_p(self._avr), _ioctl("uar" + name), UART_OUTPUT)
             if irq:
                 flags = ctypes.c_uint32(0)
-                self._c("avr_ioctl", _ioctl("uas" + name), ctypes.byref(flags))
+                self._call_library("avr_ioctl", _ioctl("uas" + name), ctypes.byref(flags))
                 text = ctypes.create_string_buffer(LINE_SIZE)
                 row = np.array([(self.record.own, ctypes.addressof(text), LINE_SIZE, 0)], avr_core.SERIAL)
                 self._texts.append(text)
@@ -293,15 +321,17 @@ class LoadedAvr:
         t, library = self.record, self._simavr
         t.begin = self._board.stage.now
         t.when = t.quantum
-        self._c("avr_cycle_timer_register", ctypes.c_uint64(int(t.quantum)), self._tick, ctypes.c_void_p(int(t.own)))
+        self._call_library(
+            "avr_cycle_timer_register", ctypes.c_uint64(int(t.quantum)), self._tick, ctypes.c_void_p(int(t.own))
+        )
         if self._gdb:
             library.gdb_port = self._gdb
             self._state[0] = STOPPED
             print(f"GDB: target remote 127.0.0.1:{self._gdb}", file=sys.stderr, flush=True)
-            self._c("avr_gdb_init")
-        library.runs = t
+            self._call_library("avr_gdb_init")
+        library.running_record = t
         avr_core.run.c(t.own)
-        library.runs = None
+        library.running_record = None
         if t.asleep == avr_core.NOTHING_WAKES:
             library.messages.append((_ERROR, SLEEPS_FOR_EVER))
         elif t.ended and not any(key in text for _, text in library.messages for key in _ENDS):
@@ -319,9 +349,9 @@ class LoadedAvr:
             if match := _PC.search(text):
                 pc, message = int(match[1] or match[2], 16), text
                 break
-        if pc == self._no_routine:
-            pc = self._vectors.interrupted()
-            name = self._vectors.running()
+        if pc == self._missing_routine_at:
+            pc = self._vectors.read_return_address()
+            name = self._vectors.describe_running_interrupt()
             message = (
                 f"{name} has come and has no routine in the program: it would begin again with its memory as it is"
             )
@@ -330,14 +360,14 @@ class LoadedAvr:
                 message = f"{words} ({message})"
         board = self._board
         return (
-            f"{self.path.name}: {message}, at {self._elf.where(pc)}; at {board.stage.time:.6f} s, after {board.cycles:,} bus "
-            f"cycles. {board.trace.format_ending(12)}"
+            f"{self.path.name}: {message}, at {self._elf.describe_address(pc)}; at {board.stage.time:.6f} s, after "
+            f"{board.cycles:,} bus cycles. {board.trace.format_ending(12)}"
         )
 
     def close(self) -> None:
         """Free the avr_t."""
         if self._avr:
-            self._c("avr_terminate")
+            self._call_library("avr_terminate")
             self._avr = 0
 
 
@@ -360,7 +390,7 @@ _THREE_BYTES = 0x20000
 """Above this size a return address has three bytes."""
 
 
-class Vectors:
+class InterruptVectors:
     """Interrupt vectors of an AVR.
 
     Args:
@@ -373,7 +403,7 @@ class Vectors:
     """
 
     def __init__(self, c: Any, avr: int, flash: int):
-        self._c, self._avr, self._flash = c, avr, flash
+        self._library, self._avr, self._flash = c, avr, flash
         get = c["avr_get_interrupt_irq"]
         get.restype = ctypes.c_void_p
         irqs = {n: at for n in range(1, _MAX_VECTORS) if (at := get(ctypes.c_void_p(avr), ctypes.c_uint8(n)))}
@@ -384,31 +414,34 @@ class Vectors:
                 self.addresses = np.array([at - before for at in irqs.values()], "i8")
                 break
 
-    def guard(self, code: bytes) -> int:
-        """Make an interrupt without a routine end the run.
+    def end_run_at_missing_routines(self, code: bytes) -> int:
+        """Let the run end where the program has no routine for an interrupt.
+
+        Vectors of such interrupts lead to a jump to address 0, which would begin the program anew. An invalid instruction
+        takes the place of that jump.
 
         Args:
             code: The program, from address 0 on.
 
         Returns:
-            Address to which vectors without routines lead, or -1.
+            Address to which vectors without routines lead, or -1 if there is none.
         """
         size = 2 if self._flash <= _ONE_WORD else 4
         targets = {find_target(code, n * size, self._flash) for n in self._running}
         for place in sorted(targets):
             if place > 0 and find_target(code, place, self._flash) == 0:
-                self._c["avr_loadcode"](ctypes.c_void_p(self._avr), NO_INSTRUCTION, 2, place)
+                self._library["avr_loadcode"](ctypes.c_void_p(self._avr), NO_INSTRUCTION, 2, place)
                 return place
         return -1
 
-    def running(self) -> str:
-        """Return the interrupt whose routine is about to run, with its name in avr-libc."""
+    def describe_running_interrupt(self) -> str:
+        """Return the number of the interrupt whose routine is about to run, with the routine's name in avr-libc."""
         numbers = [n for n, at in self._running.items() if array_at(at, 1, np.dtype("u4"))[0]]
         return f"interrupt {numbers[0]} (__vector_{numbers[0]})" if numbers else "an interrupt"
 
-    def interrupted(self) -> int:
+    def read_return_address(self) -> int:
         """Return the address to which the interrupt routine would return."""
-        read = self._c["avr_core_watch_read"]
+        read = self._library["avr_core_watch_read"]
 
         def byte(at: int) -> int:
             return int(read(ctypes.c_void_p(self._avr), ctypes.c_uint16(at))) & 0xFF
@@ -419,7 +452,13 @@ class Vectors:
 
 
 def find_target(code: bytes, at: int, flash: int) -> int:
-    """Return the target of the jump at an address, or -1 if there is no jump."""
+    """Return the target of a jump instruction, or -1 if the instruction is no jump.
+
+    Args:
+        code: The program, from address 0 on.
+        at: Address of the instruction.
+        flash: Size of the flash in bytes, at whose end a relative jump wraps.
+    """
     words = np.frombuffer(code[at : at + 4].ljust(4, b"\0"), "<u2")
     if words[0] & 0xFE0E == _JMP:
         return 2 * (int(words[0] & 0x01F0) << 13 | int(words[0] & 1) << 16 | int(words[1]))

@@ -33,7 +33,7 @@ _MEMORY_ERRORS = (6, 7, 8, 12, 13, 14)
 
 
 class _Record(ctypes.Structure):
-    """MACHINE record as a structure that Python reads and writes quickly."""
+    """View of the MACHINE record as a ctypes structure, which Python reads and writes quickly."""
 
     _fields_ = tuple((name, ctypes.c_int64) for name in processor_core.MACHINE.names or ())
 
@@ -72,8 +72,9 @@ class Engine:
     Attributes:
         uc: Unicorn's object.
         record: MACHINE record.
-        ended: Whether the program has ended; `code` is its exit code.
-        fault: Error message from a callback of Unicorn, or "".
+        ended: Whether the program has ended.
+        code: Exit code of the program, once it has ended.
+        fault: Error message that a callback of Unicorn has set by `fail`, or "".
         gdb: Server for a debugger, or None.
     """
 
@@ -110,8 +111,8 @@ class Engine:
         self._functions: list[Any] = []
         self._line = ""
         self.hook(_CODE, processor_core.count_instruction.pointer)
-        self._touched: int | None = None
-        self.uc.hook_add(unicorn.UC_HOOK_MEM_INVALID, self._note_touched)
+        self._invalid_address: int | None = None
+        self.uc.hook_add(unicorn.UC_HOOK_MEM_INVALID, self._store_invalid_address)
 
     @property
     def handle(self) -> Any:
@@ -120,18 +121,18 @@ class Engine:
 
     # --- registers ---
 
-    def number(self, name: str) -> int:
+    def find_register_number(self, name: str) -> int:
         """Return the number of a register, for example "r0"."""
         return int(self._constants[self.REGISTER_PREFIX + name.upper()])
 
     def get(self, name: str) -> int:
         """Return the value of a register."""
-        return int(self.uc.reg_read(self.number(name)))
+        return int(self.uc.reg_read(self.find_register_number(name)))
 
     def set(self, **values: int) -> None:
         """Set registers."""
         for name, value in values.items():
-            self.uc.reg_write(self.number(name), value)
+            self.uc.reg_write(self.find_register_number(name), value)
 
     # --- calls of Unicorn ---
 
@@ -153,7 +154,12 @@ class Engine:
             raise HostError(f"Unicorn refuses a hook ({failed}).")
 
     def hook_ports(self, function: Any, below: int) -> None:
-        """Connect IN and OUT to the board, and ports below `below` to a ctypes function."""
+        """Connect the instructions IN and OUT to the board, and the lowest ports to a function.
+
+        Args:
+            function: The ctypes function for the processor's own ports: (record, port, size, value or -1) -> value.
+            below: Number of ports, from 0 on, that belong to the processor itself.
+        """
         self._functions.append(function)
         self.record.internal_port, self.record.n_internal_ports = _address(function), below
         self.hook(_INSN, processor_core.execute_in.pointer, _IN)
@@ -177,46 +183,62 @@ class Engine:
 
     # --- the log ---
 
-    def say(self, text: str) -> None:
-        """Add text of the program to the log, line by line."""
+    def log_text(self, text: str) -> None:
+        """Add text that the program prints to the board's log, line by line.
+
+        Args:
+            text: Any part of a line, or several lines. The last line waits for its end.
+        """
         *lines, self._line = (self._line + text.replace("\r", "")).split("\n")
         for line in lines:
-            self._note(line)
+            self._log_line(line)
         if len(self._line) > MAX_LINE:
-            self.flush()
+            self.flush_log_line()
 
-    def flush(self) -> None:
-        """Log the line that has not ended yet."""
+    def flush_log_line(self) -> None:
+        """Add the line that the program has not ended yet to the log."""
         if self._line:
-            self._note(self._line)
+            self._log_line(self._line)
         self._line = ""
 
-    def _note(self, line: str) -> None:
+    def _log_line(self, line: str) -> None:
         text = ctypes.create_string_buffer(line.encode())
         processor_core.poll_from_python.c(self.record.own)
         self._board.link.request(self._board.link.pointer, host_record.LOG, ctypes.addressof(text), 0)
 
     # --- for a debugger ---
 
-    def watch(self, address: int, function: Any) -> int:
-        """Register a function that Unicorn calls before the instruction at an address; return its number for
-        hook_del."""
+    def hook_address(self, address: int, function: Any) -> int:
+        """Register a function that Unicorn calls before the instruction at an address.
+
+        Args:
+            address: Linear address of the instruction.
+            function: Function of Unicorn's object, the address, the size of the instruction and user data.
+
+        Returns:
+            Number of the hook, which `hook_del` of Unicorn takes.
+        """
         return int(self.uc.hook_add(_CODE, function, begin=address, end=address))
 
     def uncount_instruction(self, size: int) -> None:
         """Subtract the cycles of a counted instruction of `size` bytes that does not run."""
         self.record.cycles -= self.record.each + self.record.byte * size
 
-    def in_window(self, at: int, size: int) -> bool:
-        """Tell whether a range of bytes overlaps pages with windows of the board."""
+    def overlaps_window(self, at: int, size: int) -> bool:
+        """Tell whether a range of bytes overlaps pages with windows of the board.
+
+        Args:
+            at: Address of the first byte.
+            size: Number of bytes.
+        """
         return any(page < at + size and at < page + PAGE_SIZE for page in self.window_pages)
 
-    def address(self) -> int:
+    def get_program_counter(self) -> int:
         """Return the program counter as a linear address."""
-        return self.start_address()
+        return self.get_start_address()
 
-    def halted(self) -> None:
-        """Update the state when a debugger stops the processor. The base does nothing."""
+    def handle_debugger_stop(self) -> None:
+        """Bring the state up to date after a debugger has stopped the processor. The base does nothing."""
 
     # --- it runs ---
 
@@ -233,7 +255,7 @@ class Engine:
             raise
         if self.gdb is not None:
             self.gdb.report_end(self.code)
-        self.flush()
+        self.flush_log_line()
         processor_core.poll_from_python.c(self.record.own)
         return self.code
 
@@ -241,67 +263,81 @@ class Engine:
         """Run until Unicorn stops, and handle the reason."""
         gdb = self.gdb
         if gdb is not None:
-            gdb.before()
+            gdb.prepare_engine_run()
         if self.ended:
             return
         try:
-            self.uc.emu_start(self.start_address(), 0xFFFFFFFF, 0, 1 if gdb is not None and gdb.steps else 0)
+            self.uc.emu_start(
+                self.get_start_address(), 0xFFFFFFFF, 0, 1 if gdb is not None and gdb.is_single_step else 0
+            )
         except self.error as error:
             if not self.ended and not self.fault:
                 raise self.make_error(self._describe_fault(error)) from None
-        debugged = gdb is not None and gdb.after()
+        debugged = gdb is not None and gdb.finish_engine_run()
         if self.record.outside:
             raise self.make_error(f"it touches address {int(self.record.outside) - 1:X}h, which no window has")
         if self.fault:
             raise self.make_error(self.fault)
         if debugged:
-            self.halted()
+            self.handle_debugger_stop()
         elif not self.ended:
             try:
-                self.stopped()
+                self.handle_stop()
             except self.error:  # an exception's frame, a text to print
                 raise self.make_error("its stack, or what it asks for, lies where there is no memory") from None
 
-    def _note_touched(self, uc: Any, access: int, address: int, size: int, value: int, data: Any) -> bool:
+    def _store_invalid_address(self, uc: Any, access: int, address: int, size: int, value: int, data: Any) -> bool:
         """Store the address of an access to unmapped memory, which ends the run."""
-        self._touched = address
+        self._invalid_address = address
         return False
 
     def _describe_fault(self, error: Any) -> str:
         words = INVALID.get(error.errno, f"Unicorn says {error}")
-        by_address = error.errno in _MEMORY_ERRORS and self._touched is not None
-        return f"{words}, address {self._touched:X}h" if by_address else words
+        by_address = error.errno in _MEMORY_ERRORS and self._invalid_address is not None
+        return f"{words}, address {self._invalid_address:X}h" if by_address else words
 
     def fail(self, fault: str) -> None:
-        """Stop Unicorn with an error message."""
+        """Stop Unicorn and let `main` raise an error; a callback of Unicorn cannot raise one itself.
+
+        Args:
+            fault: What the program did, for the error message.
+        """
         self.fault = fault
         self.uc.emu_stop()
 
-    def start_address(self) -> int:
+    def get_start_address(self) -> int:
         """Return the address at which Unicorn continues."""
         raise NotImplementedError
 
-    def stopped(self) -> None:
-        """Handle the reason for a stop of Unicorn: an interrupt, an alarm, or a wait for one."""
+    def handle_stop(self) -> None:
+        """Handle the reason for which Unicorn stopped: an interrupt, an alarm, or an instruction that waits for an interrupt."""
         raise NotImplementedError
 
-    def place(self) -> str:
-        """Return a description of the program counter."""
+    def describe_location(self) -> str:
+        """Describe the program counter, for an error message."""
         raise NotImplementedError
 
     def end(self, code: int) -> None:
-        """End the program with an exit code."""
+        """End the program.
+
+        Args:
+            code: Exit code of the program.
+        """
         self.ended, self.code = True, code
         self.uc.emu_stop()
 
     def make_error(self, what: str) -> HostError:
-        """Create the error of a program that cannot continue."""
+        """Create the error of a program that cannot continue, with its location and its last bus cycles.
+
+        Args:
+            what: What the program did, for the error message.
+        """
         board = self._board
-        self.flush()
+        self.flush_log_line()
         processor_core.poll_from_python.c(self.record.own)
         return HostError(
-            f"{self.path.name}: {what}, at {self.place()}; at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. Its "
-            f"last bus cycles:\n{board.trace.text(12)}"
+            f"{self.path.name}: {what}, at {self.describe_location()}; at {board.stage.time:.6f} s, after "
+            f"{board.cycles:,} bus cycles. Its last bus cycles:\n{board.trace.text(12)}"
         )
 
     def close(self) -> None:

@@ -85,12 +85,12 @@ class Mallinfo(ctypes.Structure):
 def test_a_wild_write_hits_memory_reserved_for_simavr():
     mallinfo = ctypes.CDLL(None).mallinfo2
     mallinfo.restype = Mallinfo
-    simavr = _Library.one = _Library(isolated=True)  # for ever: simavr calls its functions
-    avr = simavr.make(b"atmega328p")
+    simavr = _Library.instance = _Library(isolated=True)  # for ever: simavr calls its functions
+    avr = simavr.make_avr(b"atmega328p")
     before = mallinfo().bytes_in_use()
-    simavr.init(avr)
+    simavr.init_avr(avr)
     assert 2 * ADDRESS_SPACE < mallinfo().bytes_in_use() - before < 3 * ADDRESS_SPACE
-    simavr.c["avr_terminate"](ctypes.c_void_p(avr))
+    simavr.library["avr_terminate"](ctypes.c_void_p(avr))
 
 
 @needs_simavr
@@ -246,7 +246,7 @@ def test_a_file_of_another_machine_names_the_machine(tmp_path):
 
 def test_without_simavr_the_error_names_the_package(monkeypatch):
     mcus.load_simavr.cache_clear()
-    monkeypatch.setattr(mcus, "_NAMES", ("libnothing.so",))
+    monkeypatch.setattr(mcus, "_SIMAVR_FILES", ("libnothing.so",))
     monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
     try:
         with pytest.raises(mcus.NoEmulatorError, match="apt install libsimavr2"):

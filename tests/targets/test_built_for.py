@@ -10,7 +10,7 @@ from support.target_boards import board_of
 
 from stage.board import LibraryError
 from stage.targets import TargetHost, mcus
-from stage.targets.elf import ARM, AVR, Elf, avr_architecture, avr_name, check_arm, read_mmcu
+from stage.targets.elf import ARM, AVR, Elf, check_arm, get_avr_architecture, read_avr_name, read_mmcu
 
 DATA = Path(__file__).parent / "data"
 PINS = "data=A,address=C:0-3,cs=B0,wr=G0,rd=G1"
@@ -65,7 +65,7 @@ def test_architectures_and_names_are_those_of_the_compiler(tmp_path):
             subprocess.run(command, capture_output=True, check=False).returncode == 0
         ):  # a few the compiler does not have
             elf = Elf(built, AVR, mcu, "")
-            assert (elf.flags & 0x7F, avr_name(elf)) == (avr_architecture(mcu), mcu)
+            assert (elf.flags & 0x7F, read_avr_name(elf)) == (get_avr_architecture(mcu), mcu)
             known += 1
     assert known > 40
 
@@ -130,10 +130,10 @@ def test_floating_point_arguments_need_a_floating_point_unit(tag):
      ("atmega8", 4), ("atmega88pa", 4), ("atmega644p", 5)],
 )  # fmt: skip
 def test_each_mcu_has_the_architecture_that_avr_gcc_writes_for_it(mcu, architecture):
-    assert avr_architecture(mcu) == architecture
+    assert get_avr_architecture(mcu) == architecture
 
 
 def test_every_tag_of_mmcu_is_read_with_its_bytes():
     tags = {1: b"atmega2560\0", 2: (16_000_000).to_bytes(4, "little"), 7: b"\1"}
     content = b"".join(bytes([tag, len(value)]) + value for tag, value in tags.items()) + b"\0\0"
-    assert read_mmcu(SimpleNamespace(segments=[], section={".mmcu": content}.get)) == tags
+    assert read_mmcu(SimpleNamespace(segments=[], read_section={".mmcu": content}.get)) == tags

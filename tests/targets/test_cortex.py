@@ -115,13 +115,13 @@ def test_the_frame_of_an_exception_is_aligned_and_removed(cortex, odd):
     sp = 0x20001000 + odd
     cortex.set(msp=sp, sp=sp, lr=0x08000201, r0=7, xpsr=0x01000000)
     cortex._pc = 0x08000040
-    cortex._enter(SYSTICK)
+    cortex._enter_exception(SYSTICK)
     begin = 0x20001000 - 32
     assert (cortex.get("sp"), cortex.get("ipsr"), cortex._pc) == (begin, SYSTICK, 0x08000100)
-    assert [cortex.word(begin + 4 * k) for k in (0, 5, 6)] == [7, 0x08000201, 0x08000040]
-    assert cortex.word(begin + 28) >> 9 & 1 == (odd != 0)
+    assert [cortex.read_word(begin + 4 * k) for k in (0, 5, 6)] == [7, 0x08000201, 0x08000040]
+    assert cortex.read_word(begin + 28) >> 9 & 1 == (odd != 0)
     cortex.set(r0=0)
-    cortex._leave(cortex.get("lr"))
+    cortex._leave_exception(cortex.get("lr"))
     assert (cortex.get("sp"), cortex.get("ipsr"), cortex.get("r0"), cortex._pc) == (sp, 0, 7, 0x08000040)
 
 
@@ -212,9 +212,9 @@ def test_the_lowest_number_of_the_lowest_priority_comes_first():
     n.write(0xE200, 0b111000, 4, 0)
     assert n.read(0xE200) == 0b111000
     order = []
-    while (number := n.next(0, 0)) is not None:
-        n.entered(number)
-        n.left(number)
+    while (number := n.find_next_exception(0, 0)) is not None:
+        n.enter_exception(number)
+        n.leave_exception(number)
         order.append(number - FIRST)
     assert order == [4, 5, 3]
 
@@ -223,18 +223,18 @@ def test_a_higher_priority_preempts_and_others_wait():
     n = nvic(3, 4)
     n.write(0xED20, 0xC0 << 16, 1, 2)  # PendSV
     n.write(0xED04, 1 << 28, 4, 0)
-    assert n.next(1, 0) is None, "PRIMASK"
-    assert n.next(0, 0x40) is None, "BASEPRI"
-    assert n.next(0, 0) == PENDSV
-    n.entered(PENDSV)
+    assert n.find_next_exception(1, 0) is None, "PRIMASK"
+    assert n.find_next_exception(0, 0x40) is None, "BASEPRI"
+    assert n.find_next_exception(0, 0) == PENDSV
+    n.enter_exception(PENDSV)
     assert n.read(0xED04) & 0x1FF == PENDSV
     n.write(0xE200, 1 << 3, 4, 0)
-    assert n.next(0, 0) == FIRST + 3
-    n.entered(FIRST + 3)
+    assert n.find_next_exception(0, 0) == FIRST + 3
+    n.enter_exception(FIRST + 3)
     n.write(0xE200, 1 << 4, 4, 0)
-    assert n.next(0, 0) is None, "of the same priority"
-    n.left(FIRST + 3)
-    assert n.before() == PENDSV
+    assert n.find_next_exception(0, 0) is None, "of the same priority"
+    n.leave_exception(FIRST + 3)
+    assert n.get_active_exception() == PENDSV
 
 
 def test_systick_in_closed_form():
@@ -242,9 +242,9 @@ def test_systick_in_closed_form():
     n = Nvic(lambda: now[0], None)
     n.write(0xE014, 99, 4, 0)
     n.write(0xE010, 7, 4, 0)
-    assert n.alarm() == 100
+    assert n.find_next_systick_cycle() == 100
     now[0] = 130
-    assert (n.read(0xE018), n.alarm()) == (69, 200)
+    assert (n.read(0xE018), n.find_next_systick_cycle()) == (69, 200)
     assert [n.read(0xE010) >> 16, n.read(0xE010) >> 16] == [1, 0], "COUNTFLAG is cleared by the read"
-    n.tick()
-    assert n.next(0, 0) == SYSTICK
+    n.pend_systick()
+    assert n.find_next_exception(0, 0) == SYSTICK

@@ -52,13 +52,13 @@ class PC:
     def fail(self, fault):
         self.fault, self.stopped = fault, True
 
-    def vector(self, n):
+    def read_vector(self, n):
         return struct.unpack("<HH", self.read(0, 4 * n, 4))
 
-    def watch_timer(self):
+    def schedule_timer_interrupt(self):
         self.watched += 1
 
-    def say(self, text):
+    def log_text(self, text):
         self.printed += text
 
     def end(self, code):
@@ -111,7 +111,7 @@ def test_the_keyboard_has_no_input():
 
 def test_vectors_are_set_and_read_back():
     pc = PC(ax=0x251C, dx=0x1234, ds=0x5678)
-    assert (pc.serve(0x21), pc.vector(0x1C), pc.watched) == ({}, (0x1234, 0x5678), 1)
+    assert (pc.serve(0x21), pc.read_vector(0x1C), pc.watched) == ({}, (0x1234, 0x5678), 1)
     assert pc.serve(0x21, ax=0x351C) == {"bx": 0x1234, "es": 0x5678}
 
 

@@ -21,7 +21,7 @@ def arm():
 def test_an_address_is_named_by_the_function_before_it(arm, monkeypatch):
     monkeypatch.setattr(arm, "_functions", [(0x100, "first"), (0x120, "second")])
     for line in ("", "main.c:7"):
-        monkeypatch.setattr(arm, "_line", lambda at, line=line: line)
+        monkeypatch.setattr(arm, "_find_source_line", lambda at, line=line: line)
         end = f", {line})" if line else ")"
         for address, words in (
             (0x100, "(first"),
@@ -29,13 +29,13 @@ def test_an_address_is_named_by_the_function_before_it(arm, monkeypatch):
             (0x120, "(second"),
             (0x12345, "(second+12225h"),
         ):
-            assert arm.where(address) == f"{address:04X}h {words}{end}"
-        assert arm.where(0xFF) == "00FFh"
+            assert arm.describe_address(address) == f"{address:04X}h {words}{end}"
+        assert arm.describe_address(0xFF) == "00FFh"
 
 
 def test_a_function_of_thumb_begins_without_the_bit_of_its_state(arm):
     assert arm.symbols["reset"] % 2 == 1
-    assert "(reset" in arm.where(arm.symbols["reset"] - 1)
+    assert "(reset" in arm.describe_address(arm.symbols["reset"] - 1)
     assert all(name[0] != "$" for _, name in arm._functions), "marks of the assembler are no functions"
 
 

@@ -14,8 +14,8 @@ from stage.board.windows import Window
 from stage.errors import ArgumentError
 from stage.targets.cortex import Cortex
 from stage.targets.elf import check_avr
-from stage.targets.gdb import DebugServer, pc_registers
-from stage.targets.pc import LOAD, Pc
+from stage.targets.gdb import DebugServer, make_pc_registers
+from stage.targets.pc import PREFIX_SEGMENT, Pc
 from stage.targets.simavr import find_target
 
 
@@ -28,10 +28,10 @@ class ThreeRegisters:
     def __init__(self):
         self.values = [0x12345678, -2, 1 << 79]
 
-    def value(self, n):
+    def read(self, n):
         return self.values[n]
 
-    def change(self, n, value):
+    def write(self, n, value):
         self.values[n] = value
 
 
@@ -50,17 +50,17 @@ class Engine:
     def _write(self, at, content):
         self.memory[at - 0x100 : at - 0x100 + len(content)] = content
 
-    def in_window(self, at, size):
+    def overlaps_window(self, at, size):
         return at + size > 0x140
 
-    def watch(self, at, function):
+    def hook_address(self, at, function):
         self.done.append(("watch", at))
         return at + 1
 
     def uncount_instruction(self, size):
         self.done.append(("uncount", size))
 
-    def address(self):
+    def get_program_counter(self):
         return 0x110
 
     def end(self, code):
@@ -123,12 +123,12 @@ def test_breakpoints_of_code_are_set_once_and_others_are_not_known(gdb):
     assert gdb.engine.done == [("watch", 0x110), ("watch", 0x120)]
     assert [gdb.ask("z0,110,2"), gdb.ask("z0,110,2")] == ["OK"] * 2
     assert gdb.engine.done[2:] == [("hook_del", 0x111)]
-    gdb.server._reach(None, 0x110, 2, None)
+    gdb.server._halt_at_breakpoint(None, 0x110, 2, None)
     assert len(gdb.engine.done) == 3, "it is there no more"
-    gdb.server.halted, gdb.server.steps = False, True
-    gdb.server._reach(None, 0x120, 2, None)
+    gdb.server.is_halted, gdb.server.is_single_step = False, True
+    gdb.server._halt_at_breakpoint(None, 0x120, 2, None)
     assert gdb.engine.done[3:] == [("uncount", 2), "stop"]
-    assert (gdb.server.halted, gdb.server.steps, gdb.ask("?")) == (True, False, "S05")
+    assert (gdb.server.is_halted, gdb.server.is_single_step, gdb.ask("?")) == (True, False, "S05")
     assert gdb.ask("D") is None
     assert gdb.engine.done[5:] == [("hook_del", 0x121)], "who goes takes them along"
     assert gdb.wire.recv(100) == packet("OK")
@@ -146,14 +146,14 @@ def test_known_queries_are_answered_and_unknown_ones_get_an_empty_reply(gdb, req
 @pytest.mark.parametrize(("requested", "steps"), [("c", False), ("s", True), ("vCont;c", False), ("vCont;s:1", True)])
 def test_a_program_continues_or_makes_one_step(gdb, requested, steps):
     assert gdb.ask(requested) is None
-    assert (gdb.server.halted, gdb.server.steps) == (False, steps)
+    assert (gdb.server.is_halted, gdb.server.is_single_step) == (False, steps)
 
 
 def test_packets_are_acknowledged_until_the_debugger_disables_it(gdb):
     gdb.wire.sendall(b"+" + packet("qC") + packet("QStartNoAckMode") + packet("qAttached") + packet("c"))
     gdb.server._serve()
     assert gdb.wire.recv(1000) == b"+" + packet("QC1") + b"+" + packet("OK") + packet("1")
-    assert not gdb.server.halted
+    assert not gdb.server.is_halted
 
 
 @pytest.mark.parametrize(("code", "message"), [(0, "W00"), (3, "W03"), (255, "Wff"), (-1, "Wff"), (259, "W03")])
@@ -171,12 +171,15 @@ def test_the_kill_packet_ends_the_program(gdb):
 def test_a_pc_shows_registers_of_floating_point_that_it_does_not_have():
     requested = []
     cpu = SimpleNamespace(
-        address=lambda: 0x12345, get=lambda name: len(name), set=lambda **v: requested.append(v), go_to=requested.append
+        get_program_counter=lambda: 0x12345,
+        get=lambda name: len(name),
+        set=lambda **v: requested.append(v),
+        set_program_counter=requested.append,
     )
-    observed = pc_registers(cpu)
-    assert [observed.value(n) for n in range(len(observed.sizes))] == [3] * 8 + [0x12345, 6] + [2] * 6 + [0] * 16
+    observed = make_pc_registers(cpu)
+    assert [observed.read(n) for n in range(len(observed.sizes))] == [3] * 8 + [0x12345, 6] + [2] * 6 + [0] * 16
     for n in (0, 8, 15, 16, 31):
-        observed.change(n, 7)
+        observed.write(n, 7)
     assert requested == [{"eax": 7}, 7, {"gs": 7}]
     assert observed.sizes == (4,) * 16 + (10,) * 8 + (4,) * 8
 
@@ -193,7 +196,7 @@ def test_an_exe_is_loaded_to_its_last_byte(last, pages, size):
     head = b"MZ" + struct.pack("<12H", last, pages, 0, 2, 0, 0, 0x11, 0x200, 0, 0x33, 0x22, 0x1C) + b"\0" * 6
     content = head + bytes(k % 251 for k in range(size - len(head)))
     pc._load_exe(Path("x.exe"), content)
-    begin = LOAD + 0x10
+    begin = PREFIX_SEGMENT + 0x10
     assert done[0] == (begin, 0, content[32:])
     assert (done[1]["cs"], done[1]["ip"], done[1]["ss"], done[1]["sp"]) == (begin + 0x22, 0x33, begin + 0x11, 0x200)
     with pytest.raises(LibraryError, match="is cut off"):
@@ -209,15 +212,15 @@ def test_a_routine_returns_to_the_stack_and_the_mode_that_it_has_come_from(handl
     """thread on the main stack, on the process's; a handler; a stack that is not at a multiple of eight"""
     set_, frames, entered = [], [], []
     cpu = Cortex.__new__(Cortex)
-    cpu.word = {0x40 + 4 * 16: 0x201}.__getitem__
-    cpu.nvic = SimpleNamespace(vectors=0x40, before=lambda: handler, entered=entered.append)
+    cpu.read_word = {0x40 + 4 * 16: 0x201}.__getitem__
+    cpu.nvic = SimpleNamespace(vectors=0x40, get_active_exception=lambda: handler, enter_exception=entered.append)
     cpu._interrupted = SimpleNamespace(get=lambda: [control, sp, 0x40000000, 1, 2, 3, 4, 5, 6])
     cpu._entry = SimpleNamespace(set=lambda *argument: set_.append(argument))
     cpu.uc, cpu._pc = (
         SimpleNamespace(mem_write=lambda at, frame: frames.append((at, struct.unpack("<8I", frame)))),
         0x124,
     )
-    cpu._enter(16)
+    cpu._enter_exception(16)
     assert set_ == [(begin, 16, back, 0x201)]
     assert frames == [(begin, (1, 2, 3, 4, 5, 6, 0x124, 0x41000000 | (0x200 if sp & 4 else 0)))]
     assert (entered, cpu._pc) == ([16], 0x200)
@@ -227,7 +230,7 @@ def test_a_routine_returns_to_the_stack_and_the_mode_that_it_has_come_from(handl
 def test_a_window_on_private_registers_or_beyond_memory_is_refused(window):
     pytest.importorskip("unicorn")
     with pytest.raises(ArgumentError, match="a Cortex-M has no memory for it there"):
-        Cortex.__new__(Cortex)._map((Window(*window),))
+        Cortex.__new__(Cortex)._map_memory((Window(*window),))
 
 
 @pytest.mark.parametrize(
@@ -238,7 +241,7 @@ def test_a_window_on_private_registers_or_beyond_memory_is_refused(window):
 def test_a_program_of_a_variant_runs_and_one_of_another_processor_does_not(name, mcu, runs):
     """of the same architecture; one whose name is none that is known is taken by its architecture"""
     message = bytes([1, len(name) + 1]) + name.encode() + b"\0\0"
-    elf = SimpleNamespace(path=Path("x.elf"), flags=5, segments=[], section={".mmcu": message}.get, device_name="")
+    elf = SimpleNamespace(path=Path("x.elf"), flags=5, segments=[], read_section={".mmcu": message}.get, device_name="")
     if runs:
         check_avr(elf, mcu, "avr-gcc")
     else:

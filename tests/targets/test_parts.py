@@ -15,7 +15,7 @@ from stage.targets import avr_core, mcus
 from stage.targets.avr_bus import parse_pins
 from stage.targets.avr_core import PORTS
 from stage.targets.cortex import APPLICATION_ENDS, Semihosting
-from stage.targets.elf import ARM, AVR, Elf, machine_of
+from stage.targets.elf import ARM, AVR, Elf, read_machine_name
 from stage.targets.nvic import FIRST, NEVER, PENDSV, SVC, SYSTICK, Nvic
 from stage.targets.pc import Pc
 from stage.targets.pc_timer import FULL, Channel, Timers
@@ -36,19 +36,19 @@ def test_enable_pending_and_active_bits_of_every_word():
     for more in (0, 0x80, 0x100, 0x180):
         assert [n.read(at + more) for at in words] == [0x80000001, 1, 0, 1 << 15], hex(more)
     for irq in (0, 31, 32, 239):
-        assert n.next(0, 0) == FIRST + irq
-        n.entered(FIRST + irq)
+        assert n.find_next_exception(0, 0) == FIRST + irq
+        n.enter_exception(FIRST + irq)
         assert [n.read(at + 0x200) for at in words] == [
             sum(1 << irq - 32 * k for k in range(8) if 32 * k <= irq < 32 * k + 32 and at == 0xE100 + 4 * k)
             for at in words
         ], irq
-        n.left(FIRST + irq)
+        n.leave_exception(FIRST + irq)
     n.write(0xE180, 1, 4, 0)
     assert [n.read(at) for at in words] == [0x80000000, 1, 0, 1 << 15]
     n.write(0xE200, 0x80000003, 4, 0)
     n.write(0xE280, 2, 4, 0)
     assert n.read(0xE200) == 0x80000001
-    assert n.next(0, 0) == FIRST + 31, "IRQ 0 is pending and not enabled"
+    assert n.find_next_exception(0, 0) == FIRST + 31, "IRQ 0 is pending and not enabled"
     assert n.read(0xE320) == 0, "behind the active bits"
 
 
@@ -79,10 +79,10 @@ def test_the_boards_line_comes_into_what_is_of_a_lower_priority_alone(custom, ru
     n.write(0xE100, 0x18, 4, 0)
     n.write(0xE400, custom << 24, 4, 0)
     n.write(0xE404, running, 4, 0)
-    n.entered(FIRST + 4)
+    n.enter_exception(FIRST + 4)
     n.level = True
-    assert n.line_may_come() == comes
-    assert n.next(0, 0) == (FIRST + 3 if comes else None)
+    assert n.can_line_interrupt() == comes
+    assert n.find_next_exception(0, 0) == (FIRST + 3 if comes else None)
 
 
 def test_the_remaining_private_registers_hold_their_values():
@@ -99,39 +99,45 @@ def test_the_remaining_private_registers_hold_their_values():
     assert n.read(0xED04) == 0
     n.write(0xED04, 1 << 28 | 1 << 26, 4, 0)
     assert n.read(0xED04) == 1 << 28 | 1 << 26
-    assert n.next(0, 0) == PENDSV, "of equal priority the lower number"
+    assert n.find_next_exception(0, 0) == PENDSV, "of equal priority the lower number"
     n.write(0xED04, 1 << 27, 4, 0)
-    assert (n.read(0xED04), n.next(0, 0)) == (1 << 26, SYSTICK)
+    assert (n.read(0xED04), n.find_next_exception(0, 0)) == (1 << 26, SYSTICK)
     n.write(0xED04, 1 << 25, 4, 0)
-    assert (n.read(0xED04), n.next(0, 0)) == (0, None)
+    assert (n.read(0xED04), n.find_next_exception(0, 0)) == (0, None)
 
 
 def test_pending_interrupts_are_filtered_by_masks_base_priority_and_running_priority():
     n = Nvic(lambda: 0, 3)
     line = FIRST + 3
     n.level = True
-    assert (n.next(0, 0), n.line_may_come(), n.waiting()) == (None, False, False), "the line is not enabled"
+    assert (n.find_next_exception(0, 0), n.can_line_interrupt(), n.has_waiting_exception()) == (None, False, False), (
+        "the line is not enabled"
+    )
     n.write(0xE100, 1 << 3 | 1 << 4, 4, 0)
     n.write(0xE400, 0x40 << 24, 1, 3)
-    assert (n.next(0, 0), n.line_may_come(), n.waiting()) == (line, True, False)
-    assert [n.next(*masks) for masks in ((1, 0), (0, 0x40), (0, 0x41), (0, 0x30), (0xFE, 0))] == [
+    assert (n.find_next_exception(0, 0), n.can_line_interrupt(), n.has_waiting_exception()) == (line, True, False)
+    assert [n.find_next_exception(*masks) for masks in ((1, 0), (0, 0x40), (0, 0x41), (0, 0x30), (0xFE, 0))] == [
         None, None, line, None, line,
     ]  # fmt: skip
-    n.entered(line)
-    assert (n.next(0, 0), n.line_may_come()) == (None, False), "it runs"
+    n.enter_exception(line)
+    assert (n.find_next_exception(0, 0), n.can_line_interrupt()) == (None, False), "it runs"
     n.write(0xE404, 0x40, 1, 0)
     n.write(0xE200, 1 << 4, 4, 0)
-    assert (n.next(0, 0), n.waiting()) == (None, False), "of the same priority"
+    assert (n.find_next_exception(0, 0), n.has_waiting_exception()) == (None, False), "of the same priority"
     n.write(0xE404, 0x3F, 1, 0)
-    assert (n.next(0, 0), n.next(1, 0), n.waiting()) == (FIRST + 4, None, True)
+    assert (n.find_next_exception(0, 0), n.find_next_exception(1, 0), n.has_waiting_exception()) == (
+        FIRST + 4,
+        None,
+        True,
+    )
     n.write(0xE180, 1 << 4, 4, 0)
-    assert (n.next(0, 0), n.waiting()) == (None, False), "pending, not enabled"
+    assert (n.find_next_exception(0, 0), n.has_waiting_exception()) == (None, False), "pending, not enabled"
     n.write(0xED04, 1 << 28, 4, 0)
-    assert (n.next(0, 0), n.waiting()) == (PENDSV, True)
-    n.left(SVC)
-    assert n.before() == line, "what does not run does not end"
-    n.left(line)
-    assert n.before() == 0
+    assert (n.find_next_exception(0, 0), n.has_waiting_exception()) == (PENDSV, True)
+    n.leave_exception(SVC)
+    assert n.get_active_exception() == line, "what does not run does not end"
+    n.leave_exception(line)
+    assert n.get_active_exception() == 0
 
 
 def test_an_asserted_line_does_not_interrupt_its_routine():
@@ -139,47 +145,47 @@ def test_an_asserted_line_does_not_interrupt_its_routine():
     line = FIRST + 3
     n.write(0xE100, 1 << 3, 4, 0), n.write(0xE400, 0x40 << 24, 1, 3)
     n.level = True
-    assert n.next(0, 0) == line
-    n.entered(line)
+    assert n.find_next_exception(0, 0) == line
+    n.enter_exception(line)
     n.write(0xE400, 0x20 << 24, 1, 3)
     n._active.append(FIRST + 9)  # of a priority of its own
     n.write(0xE408, 0x80 << 8, 1, 1)
-    n.left(line), n.entered(line), n.write(0xE400, 0x10 << 24, 1, 3)
-    assert n.next(0, 0) is None
-    n.left(line)
-    assert n.next(0, 0) == line
+    n.leave_exception(line), n.enter_exception(line), n.write(0xE400, 0x10 << 24, 1, 3)
+    assert n.find_next_exception(0, 0) is None
+    n.leave_exception(line)
+    assert n.find_next_exception(0, 0) == line
 
 
 def test_systick_with_its_control_its_value_and_its_flag():
     now = [1000]
     n = Nvic(lambda: now[0], None)
     n.write(0xE010, 0xFFFF8, 4, 0)
-    assert (n.read(0xE010), n.read(0xE018), n.ticks(), n.alarm()) == (0, 0, False, NEVER)
+    assert (n.read(0xE010), n.read(0xE018), n.is_systick_running(), n.find_next_systick_cycle()) == (0, 0, False, NEVER)
     n.write(0xE010, 3, 4, 0)  # it counts, and has nothing to count
-    assert (n.ticks(), n.alarm(), n.read(0xE010)) == (False, NEVER, 3)
-    n.tick()
-    assert n.next(0, 0) is None
+    assert (n.is_systick_running(), n.find_next_systick_cycle(), n.read(0xE010)) == (False, NEVER, 3)
+    n.pend_systick()
+    assert n.find_next_exception(0, 0) is None
     n.write(0xE014, 0xFF000063, 4, 0)
     assert n.read(0xE014) == 99
     n.write(0xE018, 5, 4, 0)
     now[0] += 30
-    assert (n.read(0xE018), n.alarm()) == (69, 1100)
+    assert (n.read(0xE018), n.find_next_systick_cycle()) == (69, 1100)
     n.write(0xE010, 3, 4, 0)  # already on: it goes on
     assert n.read(0xE018) == 69
     now[0] += 70
-    assert (n.read(0xE018), n.alarm(), n.read(0xE010), n.read(0xE010)) == (99, 1200, 3 | 1 << 16, 3)
+    assert (n.read(0xE018), n.find_next_systick_cycle(), n.read(0xE010), n.read(0xE010)) == (99, 1200, 3 | 1 << 16, 3)
     now[0] += 250
     assert n.read(0xE010) == 3 | 1 << 16
     n.write(0xE018, 0, 4, 0)  # from here on
     assert (n.read(0xE018), n.read(0xE010)) == (99, 3)
     now[0] += 100
     n.write(0xE010, 1, 4, 0)  # no interrupt
-    assert (n.ticks(), n.read(0xE010)) == (False, 1 | 1 << 16)
+    assert (n.is_systick_running(), n.read(0xE010)) == (False, 1 | 1 << 16)
     n.write(0xE010, 2, 4, 0)
     now[0] += 500
     assert (n.read(0xE018), n.read(0xE010)) == (0, 2)
     n.write(0xE010, 3, 4, 0)
-    assert (n.read(0xE018), n.alarm(), n.read(0xE010)) == (99, now[0] + 100, 3)
+    assert (n.read(0xE018), n.find_next_systick_cycle(), n.read(0xE010)) == (99, now[0] + 100, 3)
 
 
 # --- a PC: timer and ports ---
@@ -195,18 +201,21 @@ def test_counters_and_outputs_of_the_8253_by_mode():
     ):
         c = Channel(mode=mode, reload=reload, started=100)
         at = [100, 101, 109, 110, 111, 112]
-        assert [c.count(t) for t in at] == counts, mode
-        assert [int(c.output(t)) for t in at] == outputs, mode
+        assert [c.compute_count(t) for t in at] == counts, mode
+        assert [int(c.compute_output(t)) for t in at] == outputs, mode
     c = Channel(mode=3, reload=9, started=0)
-    assert [int(c.output(t)) for t in range(9)] == [1, 1, 1, 1, 1, 0, 0, 0, 0]
+    assert [int(c.compute_output(t)) for t in range(9)] == [1, 1, 1, 1, 1, 0, 0, 0, 0]
     c = Channel(mode=3, reload=10, started=0)
-    assert [int(c.output(t)) for t in range(10)] == [1] * 5 + [0] * 5
+    assert [int(c.compute_output(t)) for t in range(10)] == [1] * 5 + [0] * 5
     for at in range(30):
         three, seven = (Channel(mode=mode, reload=9) for mode in (3, 7))
-        assert (three.count(at), three.output(at)) == (seven.count(at), seven.output(at))
-    assert all(Channel(mode=3, reload=9).count(t) % 2 == 0 for t in range(20))
-    assert Channel(mode=2, reload=FULL).count(0) == 0, "10000h in 16 bits"
-    assert Channel(mode=0, reload=FULL).count(0) == 0
+        assert (three.compute_count(at), three.compute_output(at)) == (
+            seven.compute_count(at),
+            seven.compute_output(at),
+        )
+    assert all(Channel(mode=3, reload=9).compute_count(t) % 2 == 0 for t in range(20))
+    assert Channel(mode=2, reload=FULL).compute_count(0) == 0, "10000h in 16 bits"
+    assert Channel(mode=0, reload=FULL).compute_count(0) == 0
 
 
 def test_the_bytes_of_a_counter_come_as_its_access_says():
@@ -301,10 +310,10 @@ class Bare(Pc):
         at = (segment << 4) + offset
         self.memory[at : at + len(content)] = content
 
-    def watch_timer(self):
+    def schedule_timer_interrupt(self):
         self.watched = True
 
-    def _on_board(self, port, size, value):
+    def _make_board_cycle(self, port, size, value):
         self.accesses.append((port, size, value))
         return 0x77
 
@@ -339,19 +348,19 @@ def test_ports_below_100h_are_the_board_s_where_it_has_some_and_else_the_pc_s():
     pc._access_internal_port(0, 0x61, 1, 3)
     assert pc._access_internal_port(0, 0x61, 1, -1) & 3 == 3
     pc.uc = SimpleNamespace(emu_stop=lambda: setattr(pc, "stands", True))
-    pc._on_board = None
+    pc._make_board_cycle = None
     assert (pc._access_internal_port(0, 0x50, 1, -1), pc.stands, "callable" in pc.fault) == (0xFF, True, True)
 
 
 def test_the_controller_serves_by_priority_until_the_end_of_interrupt():
     pc = Bare()
     r = pc.record
-    pc._set_line()
+    pc._update_line_mask()
     assert (bool(r.line), r.due) == (True, 0)
     for number in (8, 13):
         pc.write(0, 4 * number, struct.pack("<HH", 0x10 * number, 0x2000))
     r.raised = 1
-    pc._serve_line()
+    pc._serve_interrupts()
     assert (pc.words["cs"], pc.words["ip"], pc.words["sp"], r.raised, bool(r.line)) == (0x2000, 0xD0, 0xFA, 0, False)
     assert pc.words["eflags"] == 0x2, "neither interrupts nor single steps in its routine"
     assert struct.unpack("<HHH", pc.read(0x50, 0xFA, 6)) == (0x123, 0x1000, 0x302)
@@ -374,7 +383,7 @@ def test_the_controller_serves_by_priority_until_the_end_of_interrupt():
     assert r.line
     for lower, may in ((1 << 6, True), (1 << 5, False), (1 << 4, False), (1, False)):
         pc._in_service = lower
-        pc._set_line()
+        pc._update_line_mask()
         assert bool(r.line) == may, lower
 
 
@@ -384,8 +393,8 @@ def test_a_tick_comes_when_interrupts_are_on_and_it_is_neither_masked_nor_served
     ):  # fmt: skip
         pc = Bare()
         pc.words["eflags"], pc._masked, pc._in_service = flags, masked, served
-        pc._tick()
-        pc._serve_line()
+        pc._pend_timer_interrupt()
+        pc._serve_interrupts()
         assert (pc.words["sp"] == 0xFA, int(pc.record.device_waits)) == (comes, wanted), (flags, masked, served)
         pc._masked = 0
         pc.words["eflags"] = flags
@@ -393,11 +402,11 @@ def test_a_tick_comes_when_interrupts_are_on_and_it_is_neither_masked_nor_served
         assert int(pc.record.device_waits) == (not comes), (flags, masked, served)
     pc = Bare(irq=None)
     pc.record.raised = pc.record.line = 1
-    pc._serve_line()
+    pc._serve_interrupts()
     assert pc.words["sp"] == 0x100, "no wire, no interrupt"
     pc = Bare()
     pc.words["sp"] = 2
-    pc._enter(8)
+    pc._enter_interrupt(8)
     assert pc.words["sp"] == 0xFFFC
 
 
@@ -420,10 +429,10 @@ class Cpu:
     def set(self, r0):
         self.r0 = r0
 
-    def word(self, at):
+    def read_word(self, at):
         return int.from_bytes(self.memory[at : at + 4], "little")
 
-    def say(self, text):
+    def log_text(self, text):
         self.printed += text
 
     def end(self, code):
@@ -431,7 +440,7 @@ class Cpu:
 
     def request(self, what, about=0):
         self.r0, self.r1 = what, about
-        Semihosting(self).serve()
+        Semihosting(self).execute_request()
         return self.r0
 
 
@@ -475,7 +484,7 @@ def test_an_elf_file_says_its_machine_and_what_is_loaded(tmp_path):
     for content, machine in ((elf(), "ARM (32 bit)"), (elf(machine=999), "machine 999"), (b"\x7fELF", ""), (b"x" * 99, ""),
                              (b"\x7fELF\x01\x02\x01".ljust(18, b"\0") + b"\0\x04", "68000"), (elf()[:19], "")):  # fmt: skip
         file.write_bytes(content)
-        assert machine_of(file) == machine
+        assert read_machine_name(file) == machine
     rows = ((1, 148, 0x8000, 0x4000, 4, 4), (1, 152, 0x9000, 0x5000, 0, 9), (4, 148, 0xA000, 0x6000, 4, 4))
     file.write_bytes(elf(segments=rows) + b"code")
     matches = Elf(file, ARM, "cortex-m3", "a linker").segments
@@ -488,7 +497,7 @@ def test_an_elf_file_says_its_machine_and_what_is_loaded(tmp_path):
         with pytest.raises(LibraryError, match=pattern):
             Elf(file, ARM, "cortex-m3", "a linker")
     file.write_bytes(elf())
-    assert Elf(file, ARM, "cortex-m3", "a linker").where(0x1234) == "1234h"
+    assert Elf(file, ARM, "cortex-m3", "a linker").describe_address(0x1234) == "1234h"
 
 
 # --- an engine without its processor ---
@@ -496,7 +505,7 @@ def test_an_elf_file_says_its_machine_and_what_is_loaded(tmp_path):
 
 def test_memory_that_holds_windows_is_known_to_the_byte():
     engine = SimpleNamespace(window_pages=[0x1000, 0x5000])
-    inside = {at: Engine.in_window(engine, at, 2) for at in (0xFFE, 0xFFF, 0x1FFF, 0x2000, 0x4FFF, 0x6000)}
+    inside = {at: Engine.overlaps_window(engine, at, 2) for at in (0xFFE, 0xFFF, 0x1FFF, 0x2000, 0x4FFF, 0x6000)}
     assert inside == {0xFFE: False, 0xFFF: True, 0x1FFF: True, 0x2000: False, 0x4FFF: True, 0x6000: False}
 
 
@@ -505,15 +514,15 @@ def test_a_line_without_an_end_is_printed_in_pieces():
         def __init__(self):
             self._line, self.printed = "", []
 
-        def _note(self, line):
+        def _log_line(self, line):
             self.printed.append(line)
 
     engine = Says()
-    engine.say("one\r\ntwo ")
+    engine.log_text("one\r\ntwo ")
     assert engine.printed == ["one"]
-    engine.say("x" * 1000)
+    engine.log_text("x" * 1000)
     assert engine.printed == ["one", "two " + "x" * 1000]
-    engine.flush()
+    engine.flush_log_line()
     assert len(engine.printed) == 2
 
 

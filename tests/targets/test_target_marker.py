@@ -40,7 +40,7 @@ def test_the_marker_names_the_processor(pytester):
 
 def test_without_the_emulator_it_is_skipped(pytester, monkeypatch):
     mcus.load_simavr.cache_clear()
-    monkeypatch.setattr(mcus, "_NAMES", ())
+    monkeypatch.setattr(mcus, "_SIMAVR_FILES", ())
     monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
     (pytester.path / "faults.avr.elf").write_bytes(b"")
     pytester.makepyfile(TESTS)
