@@ -21,11 +21,11 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 VERSION, PORT, MAGIC = 1, 7240, b"PULSESTG"
 HEAD = struct.Struct("<III")
-"""Head of a frame: bytes that follow it; kind; a number of the host's, which the reply has, too."""
+"""Head of a frame: number of bytes that follow it, kind, and a number that the host chooses and the reply repeats."""
 MAX_BODY = 1 << 20
 HELLO, BATCH, LOG, HOOK, RETURN, RESET, SNAPSHOT, RESTORE, STATUS, POSITIONS, PIN, STICK, TIMER = range(1, 14)
 INTERRUPT, ERROR = 254, 255
-"""Kinds of frames. A reply has the kind of its request, or is an ERROR."""
+"""Kinds of frames. A reply has the kind of its request, or ERROR."""
 GREETING = struct.Struct("<8sII")
 """HELLO: MAGIC, VERSION, role."""
 DRIVE, OBSERVE = 0, 1
@@ -50,10 +50,10 @@ _R = TypeVar("_R")  # what one that reads returns
 
 
 class ServerError(RuntimeError):
-    """An error of the server, in words.
+    """Error that the server has sent.
 
     Attributes:
-        answers: Answers to the requests of the batch that were carried out before.
+        answers: Answers to the requests of the batch that were executed before the error.
     """
 
     def __init__(self, text: str, answers: tuple[int, ...] = ()):
@@ -110,7 +110,7 @@ def connect(address: str = "", *, observe: bool = False, timeout: float | None =
 
 
 class _Requests(Generic[_W, _R]):
-    """Requests of bus and time, by one name for each: a `Batch` gathers them, a `Client` makes them at once."""
+    """Requests of bus and time, a method each. A `Batch` collects them; a `Client` sends each at once."""
 
     def _write(self, what: int, a: int, b: int = 0) -> _W:
         raise NotImplementedError
@@ -119,7 +119,12 @@ class _Requests(Generic[_W, _R]):
         raise NotImplementedError
 
     def out8(self, port: int, value: int) -> _W:
-        """Make a write cycle of 8 bits."""
+        """Make a write cycle of 8 bits.
+
+        Args:
+            port: The port.
+            value: The value, 0 to 255.
+        """
         return self._write(OUT8, port, value)
 
     def in8(self, port: int) -> _R:
@@ -127,7 +132,12 @@ class _Requests(Generic[_W, _R]):
         return self._read(IN8, port)
 
     def out16(self, port: int, value: int) -> _W:
-        """Make a write cycle of 16 bits."""
+        """Make a write cycle of 16 bits.
+
+        Args:
+            port: The port of the low byte.
+            value: The value, 0 to 65535.
+        """
         return self._write(OUT16, port, value)
 
     def in16(self, port: int) -> _R:
@@ -135,7 +145,12 @@ class _Requests(Generic[_W, _R]):
         return self._read(IN16, port)
 
     def out32(self, port: int, value: int) -> _W:
-        """Make two write cycles of 16 bits, the low half first."""
+        """Make two write cycles of 16 bits, the low half first.
+
+        Args:
+            port: The port of the lowest byte.
+            value: The value of 32 bits.
+        """
         return self._write(OUT32, port, value)
 
     def in32(self, port: int) -> _R:
@@ -174,7 +189,18 @@ class _Requests(Generic[_W, _R]):
         return self._read(UNTIL8, port, value, times, every_us, mask)
 
     def until16(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> _R:
-        """Read 16 bits until a value comes; see `until8`."""
+        """Read 16 bits until (the value that was read & mask) == value.
+
+        Args:
+            port: The port of the low byte.
+            mask: The bits that count.
+            value: The value to wait for.
+            times: How many reads there are at most.
+            every_us: Time between two reads, us.
+
+        Returns:
+            The value that was read last.
+        """
         return self._read(UNTIL16, port, value, times, every_us, mask)
 
     def until_line(self, us: int) -> _R:
@@ -190,7 +216,22 @@ class Batch(_Requests["Batch", "Batch"]):
         self._reads: list[int] = []  # entries whose answers are returned
 
     def add(self, what: int, a: int = 0, b: int = 0, times: int = 0, every: int = 0, mask: int = 0) -> Batch:
-        """Add any request. Raises ValueError for a number that does not fit its field; the arguments are those of an ENTRY."""
+        """Add a request of any kind.
+
+        Args:
+            what: Kind of the request: IN8, OUT8, ...
+            a: First operand: a port, or a time in us or ns.
+            b: Second operand: a value.
+            times: Largest number of reads, for UNTIL8 and UNTIL16.
+            every: Time between two reads, us.
+            mask: The bits that count, for UNTIL8 and UNTIL16.
+
+        Returns:
+            This batch.
+
+        Raises:
+            ValueError: A number does not fit its field.
+        """
         try:
             entry = ENTRY.pack(what, times, every, mask, a, b)
         except struct.error:
@@ -331,7 +372,12 @@ class Client(_Requests[None, int]):
         return bool(ANSWER.unpack(self.request(PIN, name.encode()))[0])
 
     def stick(self, name: str, asserted: bool | None) -> None:
-        """Make a switch ("x.el_plus") stick asserted (True) or released (False); None clears the fault."""
+        """Make a switch stick, or clear this fault.
+
+        Args:
+            name: Axis and switch, for example "x.el_plus".
+            asserted: True sticks asserted, False sticks released, None clears the fault.
+        """
         self.request(STICK, WORD.pack(CLEARED if asserted is None else int(asserted)) + name.encode())
 
     # --- the wire ---

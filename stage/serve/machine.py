@@ -1,4 +1,4 @@
-"""`Machine`: carries out the frames of a host on a board, without sockets."""
+"""`Machine`: executes the frames of a host on a board. It knows nothing of sockets."""
 
 from __future__ import annotations
 
@@ -36,7 +36,11 @@ class BatchError(StageError):
 
 
 class _Buffers:
-    """Buffers for the entries and answers of a batch of up to `n`."""
+    """Buffers for the entries and answers of a batch.
+
+    Args:
+        n: Largest number of entries.
+    """
 
     def __init__(self, n: int):
         self.entries, self.answers = np.zeros(n, ENTRY), np.zeros(n, np.int64)
@@ -49,14 +53,14 @@ class Machine:
 
     Args:
         board: The board.
-        keep: Lines of the log that are kept.
-        pause: Function that is called periodically within a long batch; an error of it ends the batch.
-        hook: Function that is called while the interrupt line is asserted, and by timers, if the host has set them; with the number
-            that INTERRUPT has.
-        report: Function that gets each line that the host logs: seconds, text.
+        keep: Number of log lines that are kept.
+        pause: Function that is called periodically within a long batch; an error that it raises ends the batch.
+        hook: Function that is called while the interrupt line is asserted, and when a timer expires, if the host has asked for
+            it. Its argument is the source as a frame INTERRUPT names it.
+        report: Function that gets time (s) and text of each line that the host logs.
 
     Attributes:
-        handlers: Functions that carry out frames, by kind: body -> body of the reply.
+        handlers: Functions that execute frames, by kind. Each takes the body and returns the body of the reply.
     """
 
     def __init__(
@@ -73,13 +77,13 @@ class Machine:
         self._timers: dict[int, bytes] = {}
         self._snapshots: dict[str, Any] = {START: board.stage.snapshot()}
         self.handlers: dict[int, Callable[[bytes], bytes]] = {
-            client.BATCH: self._batch, client.LOG: self._log, client.HOOK: self._hook_on, client.RESET: self._reset,
+            client.BATCH: self._batch, client.LOG: self._log, client.HOOK: self._set_hook, client.RESET: self._reset,
             client.SNAPSHOT: self._snapshot, client.RESTORE: self._restore, client.STATUS: self._status,
             client.POSITIONS: self._positions, client.PIN: self._pin, client.STICK: self._stick,
             client.TIMER: self._timer,
         }  # fmt: skip
 
-    def about(self) -> bytes:
+    def describe_board(self) -> bytes:
         """Return a JSON description of the board for a host."""
         board = self.board
         chips = [
@@ -152,7 +156,7 @@ class Machine:
             del log[: len(log) - self._keep]
         return b""
 
-    def _hook_on(self, body: bytes) -> bytes:
+    def _set_hook(self, body: bytes) -> bytes:
         on = _parse_word("HOOK", body, (0, 1))
         self.board.on_interrupt(partial(self._hook, client.THE_LINE) if on else None)
         return b""
@@ -206,7 +210,7 @@ class Machine:
 
     def _pin(self, body: bytes) -> bytes:
         axis_name, name, of_switches = _split_place(_parse_text("PIN", body))
-        axis = self._axis(axis_name)
+        axis = self._find_axis(axis_name)
         if of_switches:
             axis.switches.row(name)  # raises for an unknown one
             return client.ANSWER.pack(getattr(axis.switches, name))
@@ -220,10 +224,10 @@ class Machine:
     def _stick(self, body: bytes) -> bytes:
         state = _parse_word("STICK", body[: client.WORD.size], (client.RELEASED, client.ASSERTED, client.CLEARED))
         axis, name, _ = _split_place(_parse_text("STICK", body[client.WORD.size :]))
-        self._axis(axis).switches.stick(name, None if state == client.CLEARED else state == client.ASSERTED)
+        self._find_axis(axis).switches.stick(name, None if state == client.CLEARED else state == client.ASSERTED)
         return b""
 
-    def _axis(self, name: str) -> Any:
+    def _find_axis(self, name: str) -> Any:
         axes = self.board.stage.axes
         if name not in axes:
             raise ArgumentError(f"{unknown_name_error('axis', name, axes)} Write AXIS.PIN or AXIS.switches.SWITCH.")
@@ -238,7 +242,7 @@ def _split_place(text: str) -> tuple[str, str, bool]:
 
 
 def describe_error(error: BaseException) -> str:
-    """Describe an error to a host."""
+    """Describe an error to a host: its text, and its type if it is none of the project's own."""
     return str(error) if isinstance(error, StageError | HostError) else f"{type(error).__name__}: {error}"
 
 
@@ -281,7 +285,7 @@ def _parse_text(frame: str, body: bytes) -> str:
 
 
 def _make_printable(line: str) -> str:
-    """Escape control characters other than tabs, which could affect a reader's terminal."""
+    """Escape control characters other than tabs, since they could affect the terminal that shows the line."""
     return "".join(c if c.isprintable() or c == "\t" else ascii(c)[1:-1] for c in line.rstrip("\r\n"))
 
 

@@ -1,11 +1,11 @@
-"""`Server`: connections and frames, by one thread and one selector; machine.py carries the frames out.
+"""`Server`: accepts connections and handles their frames, in one thread with one selector. machine.py executes the frames.
 
     server = Server(board, port=0)
     print(server.address)
     server.run()                          until server.stop(), from another thread or a signal handler
 
-One host drives, others may observe. A host that is gone leaves the stage as it is. Bytes that are no frame end their
-connection, and nothing else."""
+One host drives, others may observe. The stage keeps its state when a host disconnects. Bytes that are no frame end only
+the connection that sent them."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ from stage.serve.frames import FRAMES
 from stage.serve.machine import BatchError, Machine, describe_error
 
 MAX_HOSTS, MAX_CONNECTIONS = 16, 64
-"""Connections that were greeted; that are open."""
+"""Largest number of connections that have been greeted, and of all open connections."""
 PATIENCE_S = 10.0
-"""Real time in which a connection has to say hello, and a frame that has begun to arrive has to be complete."""
+"""Real time within which a connection has to send HELLO, and a frame whose first bytes have arrived has to be complete."""
 READ_SIZE = 1 << 18
 MAX_WAITING = client.MAX_BODY + client.HEAD.size + READ_SIZE
-"""Bytes of a connection that wait to be handled, or to be taken by the host: with more, nothing is read from it."""
+"""Received or outgoing bytes of a connection that may wait; the server reads no more while there are more."""
 _NAMES = {frame.kind: frame.name for frame in FRAMES}
 _FOR_OBSERVERS = frozenset(frame.kind for frame in FRAMES if frame.observes)
 
 
 class _GoneError(StageError):
-    """Error for a host or server that has ended while a frame is executed."""
+    """Error that ends a frame in progress because its host has disconnected or the server ends."""
 
 
 class _Connection:
     """Connection of a host.
 
     Attributes:
-        role: DRIVE or OBSERVE, None before HELLO.
+        role: DRIVE or OBSERVE; None before the connection has sent HELLO.
         received, outgoing: Bytes that are still to be handled or sent.
-        since: Time since when the server waits for a frame, or None.
-        closing: The connection closes after its outgoing bytes are sent.
-        gone: The other end has closed the connection.
+        since: Monotonic time, s, at which the server began to wait for the rest of a frame, or None.
+        closing: Whether the connection closes after its outgoing bytes are sent.
+        gone: Whether the other end has closed the connection.
     """
 
     def __init__(self, wire: socket.socket, name: str):
@@ -73,18 +73,18 @@ class _Connection:
         return kind, number, body
 
     def has_frame(self) -> bool:
-        """Tell whether the next frame is complete or known to be invalid."""
+        """Tell whether a whole frame has arrived, or a head that announces too long a frame."""
         if len(self.received) < client.HEAD.size:
             return False
         length = client.HEAD.unpack_from(self.received)[0]
         return length > client.MAX_BODY or len(self.received) >= client.HEAD.size + length
 
     def is_awaited(self) -> bool:
-        """Tell whether the rest of a frame or the greeting is still to come."""
+        """Tell whether the server waits for the greeting or the rest of a frame."""
         return self.role is None or len(self.received) > 0
 
-    def is_late(self) -> bool:
-        """Tell whether the host has exceeded the time limit for a frame."""
+    def is_overdue(self) -> bool:
+        """Tell whether the rest of a frame, or the greeting, has not arrived within PATIENCE_S."""
         return self.since is not None and time.monotonic() - self.since > PATIENCE_S
 
 
@@ -94,11 +94,11 @@ class Server:
     Args:
         board: A Board; nobody else drives it while `run` runs.
         bind: Address at which it listens.
-        port: TCP port; 0 is one that is free.
-        fresh: Whether each host gets the state that the board has now; otherwise that in which the last one left it.
-        keep: Lines of the log that are kept.
-        report: Function that gets lines for a terminal: hosts that come and go, lines that they log.
-        before_each: Function that is called before each request of the host that drives, and periodically within a batch; it may
+        port: TCP port; 0 chooses a free one.
+        fresh: Whether each host finds the board in its present state; otherwise in the state in which the last host left it.
+        keep: Number of log lines that are kept.
+        report: Function that gets lines for a terminal: which hosts connect and disconnect, and what they log.
+        before_each: Function that is called before each request of the driving host, and periodically within a batch. It may
             wait.
 
     Attributes:
@@ -144,7 +144,7 @@ class Server:
         """Serve until `stop` is called, then close all connections."""
         try:
             while not self._stopping:
-                self._handle_events(self._find_wait())
+                self._handle_events(self._compute_wait())
         finally:
             for connection in list(self._connections()):
                 self._close(connection)
@@ -153,7 +153,7 @@ class Server:
                 end.close()
 
     def stop(self) -> None:
-        """Make `run` return soon; a batch in progress ends early. Other threads and signal handlers may call this."""
+        """Make `run` return soon, even within a batch. Other threads and signal handlers may call this."""
         self._stopping = True
         with suppress(OSError):  # it has ended already
             self._notifier.send(b"!")
@@ -181,16 +181,19 @@ class Server:
             self._handle_frame(connection)
             self._update(connection)
 
-    def _is_ready(self, connection: _Connection) -> bool:
-        """Tell whether the server may handle a frame of this connection now."""
+    def _can_handle_frame(self, connection: _Connection) -> bool:
+        """Tell whether the server may handle a frame of this connection now.
+
+        It may not while too many bytes wait to be sent, or while the driving host's last frame is in progress.
+        """
         in_request = self._busy and not self._in_hook and connection is self._driver
         return len(connection.outgoing) < MAX_WAITING and not in_request
 
-    def _find_wait(self) -> float | None:
-        """Return the seconds until the server has to act without an event; None if there is nothing to do."""
+    def _compute_wait(self) -> float | None:
+        """Return the seconds until the server has to act even if no bytes arrive; None if it only waits for bytes."""
         waits = []
         for connection in self._connections():
-            if self._is_ready(connection) and not connection.closing and connection.has_frame():
+            if self._can_handle_frame(connection) and not connection.closing and connection.has_frame():
                 return 0.0
             if connection.since is not None:
                 waits.append(max(connection.since + PATIENCE_S - time.monotonic(), 0.0))
@@ -231,12 +234,12 @@ class Server:
             connection.gone = True
 
     def _update(self, connection: _Connection) -> None:
-        """Close a connection, or select the events that the server awaits from it."""
-        late = connection.is_late()
-        if late and not connection.closing and connection.is_awaited() and not connection.has_frame():
+        """Close a connection that has ended or is overdue; otherwise choose the events for which the server waits."""
+        overdue = connection.is_overdue()
+        if overdue and not connection.closing and connection.is_awaited() and not connection.has_frame():
             self._refuse(connection, f"no whole frame in {PATIENCE_S:g} s.")
             self._send(connection)
-        if connection.gone or (connection.closing and (late or not connection.outgoing)):
+        if connection.gone or (connection.closing and (overdue or not connection.outgoing)):
             self._close(connection)
             return
         if connection.since is not None and not connection.is_awaited():
@@ -265,7 +268,7 @@ class Server:
 
     def _handle_frame(self, connection: _Connection) -> None:
         """Handle the next frame of a connection if it is complete and permitted now."""
-        if connection.gone or connection.closing or not self._is_ready(connection):
+        if connection.gone or connection.closing or not self._can_handle_frame(connection):
             return
         try:
             frame = connection.take_frame()
@@ -295,11 +298,13 @@ class Server:
             reply = self._carry_out(connection, kind, body)
         except BatchError as error:
             done = len(error.answers) // client.ANSWER.size
-            self._put(connection, client.ERROR, number, client.WORD.pack(done) + error.answers + str(error).encode())
+            self._queue_frame(
+                connection, client.ERROR, number, client.WORD.pack(done) + error.answers + str(error).encode()
+            )
         except Exception as error:
-            self._put(connection, client.ERROR, number, client.WORD.pack(0) + describe_error(error).encode())
+            self._queue_frame(connection, client.ERROR, number, client.WORD.pack(0) + describe_error(error).encode())
         else:
-            self._put(connection, kind, number, reply)
+            self._queue_frame(connection, kind, number, reply)
 
     def _carry_out(self, connection: _Connection, kind: int, body: bytes) -> bytes:
         if connection is not self._driver:
@@ -344,14 +349,16 @@ class Server:
             self._driver = connection
             self._report(f"{connection.name} drives, at {self.machine.board.stage.time:.6f} s")
         connection.role = role
-        self._put(connection, client.HELLO, number, client.WORD.pack(client.VERSION) + self.machine.about())
+        self._queue_frame(
+            connection, client.HELLO, number, client.WORD.pack(client.VERSION) + self.machine.describe_board()
+        )
 
-    def _put(self, connection: _Connection, kind: int, number: int, body: bytes) -> None:
+    def _queue_frame(self, connection: _Connection, kind: int, number: int, body: bytes) -> None:
         connection.outgoing += client.HEAD.pack(len(body), kind, number) + body
 
     def _refuse(self, connection: _Connection, text: str, number: int = 0) -> None:
         """Send an error and close the connection."""
-        self._put(connection, client.ERROR, number, client.WORD.pack(0) + text.encode())
+        self._queue_frame(connection, client.ERROR, number, client.WORD.pack(0) + text.encode())
         connection.closing, connection.since = True, time.monotonic()
 
     # --- while a frame of the driver is being carried out ---
@@ -359,11 +366,11 @@ class Server:
     def _pause(self) -> None:
         """Handle events during a batch."""
         self._handle_events(0.0)
-        self._check_wanted()
+        self._check_host_present()
         self._before_each()
 
-    def _check_wanted(self) -> None:
-        """Raise _GoneError if no host waits for the rest of the frame."""
+    def _check_host_present(self) -> None:
+        """Raise _GoneError if the server ends, or the host that sent the frame in progress has disconnected."""
         if self._stopping:
             raise _GoneError("the server ends.")
         if self._driver is None or self._driver.gone:
@@ -375,13 +382,13 @@ class Server:
         driver = self._driver
         if driver is None:
             return
-        self._put(driver, client.INTERRUPT, 0, client.WORD.pack(source))
+        self._queue_frame(driver, client.INTERRUPT, 0, client.WORD.pack(source))
         self._send(driver)
         self._in_hook, self._returned, self._failed_hook = True, False, ""
         try:
             while not self._returned:
-                self._handle_events(self._find_wait())
-                self._check_wanted()
+                self._handle_events(self._compute_wait())
+                self._check_host_present()
         finally:
             self._in_hook = False
         if self._failed_hook:
@@ -389,7 +396,7 @@ class Server:
 
     def _end_hook(self, connection: _Connection, body: bytes) -> None:
         if connection is not self._driver or not self._in_hook:
-            self._put(connection, client.ERROR, 0, client.WORD.pack(0) + b"RETURN: no hook was called.")
+            self._queue_frame(connection, client.ERROR, 0, client.WORD.pack(0) + b"RETURN: no hook was called.")
             return
         self._returned, self._failed_hook = True, body[:1000].decode(errors="replace")
 

@@ -50,7 +50,7 @@ def test_about_has_units_ports_and_the_bus_cycle():
     """a hinge among the axes, chips from a port of their own on, a device, and a cycle that is no whole number of us"""
     stage = Stage("xya", chips=PCL240K, visuals=False, bus_cycle=1.1e-6)
     board = Board(stage, base=0x340, stride=16, devices=["ls7166:0x500:y"])
-    about = json.loads(Machine(board).about())
+    about = json.loads(Machine(board).describe_board())
     assert about["axes"] == {"x": "m", "y": "m", "a": "rad"}
     assert [chip["port"] for chip in about["chips"]] == [p.first for p in board.places] == [0x340, 0x350, 0x360]
     assert [chip["axes"] for chip in about["chips"]] == ["x", "y", "a"]
