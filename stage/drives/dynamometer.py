@@ -75,9 +75,9 @@ def compute_closed_form(motor: Motor | str, volts: float, current: float, rpm: F
 
 
 def compute_joint_bound(motor: Motor | str, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
-    """Compute the most torque of any sinusoidal current with |i| <= current and |v| <= volts at once, N m, shape of rpm.
+    """Compute the largest torque of any sinusoidal current with |i| <= current and |v| <= volts, N m, shape of rpm.
 
-    The motor's core loss is taken off.
+    The result is less the motor's core loss.
 
     In rotor coordinates the back-EMF E = Km w is real, v = Z i + E with Z = R + j Nr w L, and torque is Km Re i. The currents
     that V allows fill the circle of radius V / |Z| around -E / Z. Its rightmost point is T_V; where that point needs more
@@ -97,10 +97,18 @@ def compute_joint_bound(motor: Motor | str, volts: float, current: float, rpm: F
 
 
 def compute_natural_frequency(drive: Drive, inertia: float, half_step: bool = False) -> float:
-    """Small-angle natural frequency of the rotor at rest, Hz: sqrt(stiffness / inertia) / 2 pi (spec/drives.md, 2).
+    """Compute the natural frequency of small swings of the rotor at rest, Hz: sqrt(stiffness / inertia) / 2 pi.
 
-    The stiffness is Nr (Km I + 4 Td) on a full step, where the detent helps, and Nr (Km I - 4 Td) on a half step, where it
-    hurts. inertia: kg m^2, rotor included. Raises ArgumentError for one that is not above 0.
+    The stiffness is Nr (Km I + 4 Td) on a full step, where the detent torque adds to it, and Nr (Km I - 4 Td) on a half
+    step, where it subtracts (spec/drives.md, 2).
+
+    Args:
+        drive: Drive with its motor.
+        inertia: kg m^2, rotor included.
+        half_step: Whether the rotor stands on a half step.
+
+    Raises:
+        ArgumentError: The inertia is not above 0.
     """
     _check_inertia(drive, inertia)
     m = drive.motor
@@ -117,7 +125,10 @@ def _check_inertia(drive: Drive, inertia: float) -> None:
 
 @exported(None, stepper.DRIVE, array_of("f8"), array_of("f8"), *["f8"] * 5, array_of(TRACE))
 def _simulate_motor(d, counts, load, inertia, viscous, damper, theta, omega, trace):
-    """Leapfrog: the torque of a slice acts at the rotor's angle in its middle; friction stops a rotor but never turns it."""
+    """Integrate the rotor's motion by leapfrog, and write each slice into `trace`.
+
+    The torque of a slice acts at the rotor's angle in the middle of the slice. Friction can stop a rotor but never turns it.
+    """
     case = omega
     stepper.power_up(d, counts[0], d.per_pulse * counts[0] / d.teeth)
     for k in range(len(counts)):
@@ -137,9 +148,12 @@ def count_slices(seconds: float) -> int:
 
 
 def compute_mean_counts(rates: Floats) -> np.ndarray:
-    """Mean commanded count of each slice, (n,), of a chip that makes whole pulses at `rates` pps, (n,), one a slice.
+    """Compute the mean commanded count of each slice, (n,), for a chip that makes whole pulses.
 
-    The exact mean of the staircase: an average of a slice's ends alone would beat with the pulses.
+    The means are those of the staircase of pulses. Averages of the counts at the ends of a slice would beat with the pulses.
+
+    Args:
+        rates: Pulse rate in each slice, pps, (n,).
     """
     edges = (
         np.concatenate([[0.0], np.cumsum(np.asarray(rates, float) * SLICE_S)]) + 1e-6
@@ -234,7 +248,7 @@ def _check_speeds(rpm: Floats) -> np.ndarray:
 
 
 def _compute_damping(drive: Drive, inertia: float, ratio: float) -> float:
-    """Return the damping of the rotor's swing about its field that is `ratio` of critical, N m s/rad."""
+    """Return the damping, N m s/rad, that is `ratio` of the critical damping of the rotor's swing about its field."""
     check_in_range("damping_ratio", ratio, 0, 10, "times critical", zero=True)
     return 2 * ratio * inertia * 2 * math.pi * compute_natural_frequency(replace(drive, detent=0.0), inertia)
 
@@ -323,8 +337,7 @@ def count_steps_lost_in_start(
 def find_pull_in_rate(drive: Drive, inertia: float, load: float = 0.0, viscous: float = DEFAULT_DAMPING_N_M_S) -> float:
     """Find the pull-in rate, pps: up to it a motor starts at once, from rest, without losing a step. 0 if no rate does.
 
-    The search goes from 50 full steps a second up in steps of 3 %, then halves down to 0.2 %: so every slower rate tried starts as
-    well.
+    The search raises the rate from 50 full steps a second in steps of 3 % until a start fails, and then bisects to 0.2 %.
 
     Args:
         drive: Drive with its motor.
@@ -345,7 +358,9 @@ def find_pull_in_rate(drive: Drive, inertia: float, load: float = 0.0, viscous: 
 
 
 def simulate_ring_down(drive: Drive, inertia: float, microstep: int = 0, viscous: float = 0.0) -> float:
-    """Simulate the natural frequency, Hz: the rotor is let go 1/40 full step beside a microstep; mean of its zero crossings.
+    """Simulate the natural frequency of a rotor that is released 1/40 full step away from a microstep, Hz.
+
+    The frequency is the mean over the zero crossings of its swing.
 
     Args:
         drive: Drive with its motor.
@@ -354,7 +369,7 @@ def simulate_ring_down(drive: Drive, inertia: float, microstep: int = 0, viscous
         viscous: Damping, N m s/rad.
 
     Raises:
-        ArgumentError: The rotor does not ring twice.
+        ArgumentError: The rotor does not swing twice.
     """
     aside = math.pi / 2 / 40 / drive.motor.rotor_teeth
     rest = drive.per_pulse * microstep / drive.motor.rotor_teeth
@@ -397,8 +412,8 @@ def sweep_resonance(
 ) -> Resonance:
     """Simulate pull-out torque and speed ripple of a nearly bare rotor over the step rate.
 
-    A full-step drive shakes it at its step rate: where that meets the natural frequency torque is lost, down to 0 where the rotor
-    falls out of step unloaded.
+    A full-step drive excites the rotor at the step rate. Near the natural frequency it loses torque, down to 0 where the rotor
+    falls out of step without load.
 
     Args:
         drive: Drive with its motor.
@@ -425,14 +440,14 @@ def sweep_resonance(
 def tabulate_pull_out(
     drive: Drive, rpm: Floats | None = None, progress: Callable[[float], None] | None = None
 ) -> PullOut:
-    """Compute everything that the pull-out picture shows; print it for the rows.
+    """Compute the curves of the pull-out picture; `print` shows them as a table.
 
-    The ideal sine drive has 256 microsteps and no detent.
+    The ideal sine drive has 256 microsteps and no detent torque.
 
     Args:
         drive: Drive with its motor.
-        rpm: Speeds, (n,), default 50 to 2400.
-        progress: Called with the fraction done.
+        rpm: Speeds, (n,); default: 50 to 2400.
+        progress: Function that is called with the fraction done.
     """
     speeds = _check_speeds(rpm if rpm is not None else np.r_[50, 150:2401:75])
     sine = replace(drive, mode="sine", microsteps=256, detent=0.0)

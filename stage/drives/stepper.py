@@ -76,10 +76,10 @@ def count_lost_steps(d, count, theta):
 
 @hot
 def power_up(d, count, theta):
-    """Power up without a jump: put the field on the microstep nearest to the rotor, with the currents settled.
+    """Power up without a jump: put the field on the microstep nearest to the rotor, with the currents at their targets.
 
-    A choice: a real drive powers up on its home microstep and pulls the rotor there, by up to two full steps. The
-    currents are the targets, as if switched on long ago.
+    This is a simplification: a real drive powers up on its home microstep and pulls the rotor there, by up to two full
+    steps.
     """
     d.offset = math.floor(theta * d.teeth / d.per_pulse + 0.5) * d.per_pulse - d.per_pulse * count
     phi = d.offset + d.per_pulse * count
@@ -89,7 +89,12 @@ def power_up(d, count, theta):
 
 @hot
 def _compute_slice_constants(d, h):
-    """Compute what a slice of h seconds leaves of a current, what the bus voltage adds, and what back-EMF takes a (rad/s)."""
+    """Compute the constants of the currents' differential equation over a slice of h seconds.
+
+    Returns:
+        Share of a current that is left at the end, the current that the bus voltage adds, and the current that the back-EMF
+        takes for each rad/s.
+    """
     d.slice = h
     d.keep = math.exp(-h * d.resistance / d.inductance)
     d.reach = (1.0 - d.keep) * d.voltage / d.resistance
@@ -98,7 +103,7 @@ def _compute_slice_constants(d, h):
 
 @hot
 def _pull_out_voltage(d, omega):
-    """Return T_V: the largest torque that a voltage source of amplitude V holds at a speed (drives.md, 1)."""
+    """Return T_V: the largest torque that a voltage source of amplitude V sustains at a speed (spec/drives.md, 1)."""
     x = d.teeth * omega * d.inductance
     z2 = d.resistance * d.resistance + x * x
     return d.torque_constant * (d.voltage / math.sqrt(z2) - d.torque_constant * abs(omega) * d.resistance / z2)
@@ -112,10 +117,17 @@ def _is_sine_held(d, omega):
 
 @hot
 def _advance_slice(d, a, b, ta, tb, s, c, omega, sine_held):
-    """Compute the currents at the end of a slice that begins with a, b, and their means.
+    """Compute the currents at the end of a slice, and their means over it.
 
-    ta, tb: cosine and sine of the commanded phase; s, c: sine and cosine of the rotor's; held: of `_is_sine_held`. The mean of a
-    current is that of its ends, exact but for h R / (12 L) of its change.
+    The mean of a current is that of its two ends, which is exact but for h R / (12 L) of the change.
+
+    Args:
+        d: DRIVE record.
+        a, b: Currents at the beginning, A.
+        ta, tb: Cosine and sine of the commanded phase.
+        s, c: Sine and cosine of the rotor's phase.
+        omega: Speed of the rotor, rad/s.
+        sine_held: Result of `_is_sine_held`.
     """
     push = d.back * omega
     ia, ib = d.current * ta, d.current * tb
@@ -132,12 +144,13 @@ def _advance_slice(d, a, b, ta, tb, s, c, omega, sine_held):
 
 @hot
 def _place_targets(d, waves, counts, n, turn, omega):
-    """Write into `waves` the angles from the rotor to the targets of the currents, at the end of each slice.
+    """Write into `waves` the angles from the rotor to the targets of the currents at the end of each slice.
 
-    They are sine and cosine of that angle less that of the slice that ends in the middle of the window; in that one's place those
-    of `turn`.
+    Each entry is sine and cosine of that angle, relative to the angle of the slice that ends in the middle of the window. The
+    entry of that slice itself is sine and cosine of `turn`.
 
-    Returns whether these angles are small, and whether the bus voltage takes the currents from target to target.
+    Returns:
+        Whether these angles are small, and whether the bus voltage takes the currents from target to target.
     """
     per_pulse, middle = d.per_pulse, counts[MIDDLE_SLICE]
     allowed = d.reach - abs(d.back * omega) - d.current * (1.0 - d.keep)
@@ -153,7 +166,7 @@ def _place_targets(d, waves, counts, n, turn, omega):
 
 @hot
 def _follow_targets(d, waves, s, c, psi_s, psi_c, s4, c4, omega):
-    """Advance the currents of a chopper that reaches its target in every slice; no slice then waits for the one before.
+    """Advance the currents of a chopper that reaches its target in every slice, so that slices do not depend on each other.
 
     Args:
         d, omega: As `compute_mean_torque` takes them.
@@ -192,10 +205,15 @@ def _follow_targets(d, waves, s, c, psi_s, psi_c, s4, c4, omega):
 
 @hot
 def _follow_slices(d, waves, counts, n, s, c, turn_s, turn_c, omega, half):
-    """Advance the currents slice by slice, whatever the drive and however far its voltage goes; see `_follow_targets`.
+    """Advance the currents slice by slice, for every kind of drive and bus voltage; see `_follow_targets`.
 
-    s, c: sine and cosine of the rotor's phase at the window's begin; turn_s, turn_c: of what it turns in each slice; half:
-    electrical radians that it turns in half a slice. An open phase carries no current, whatever the drive wants.
+    An open phase carries no current, whatever the drive commands.
+
+    Args:
+        d, waves, counts, n, omega: As `compute_mean_torque` and `_place_targets` have them.
+        s, c: Sine and cosine of the rotor's phase at the beginning of the window.
+        turn_s, turn_c: Sine and cosine of the angle by which the rotor turns in each slice.
+        half: Electrical radians by which the rotor turns in half a slice.
     """
     for k in range(n):
         waves[SIN, k], waves[COS, k] = sincos(d.offset + d.per_pulse * counts[k])
@@ -226,7 +244,7 @@ def _follow_slices(d, waves, counts, n, s, c, turn_s, turn_c, omega, half):
 
 @hot
 def compute_mean_torque(d, counts, n, theta, omega, h, gain=0.0):
-    """Advance the currents by a window of SLICES slices of h seconds; returns the mean torque on the rotor, N m.
+    """Advance the currents by a window of SLICES slices of h seconds, and return the mean torque on the rotor, N m.
 
     The mean is that of the torques at the ends of the slices, the first and the last with half their weight: of what comes again
     each electrical turn it is exact. A leapfrog's speed is half a window old. The torque along a path of that speed comes late and

@@ -26,14 +26,14 @@ RELIABLE_SHARE = 0.8  # share of the travel beside an edge in which the sensor's
 
 @hot
 def measure_index_offset(t, q):
-    """Turns from the nearest index mark to the rotor, -0.5 to 0.5."""
+    """Return the turns from the nearest index mark to the rotor, -0.5 to 0.5."""
     angle = q * t.gear / TURN - t.index_at
     return angle - floor(angle + 0.5)
 
 
 @hot
 def _predict_index(world, axis, t, q, v, half):
-    """Predict when the index pulse begins and ends in this window, at its start; at most both."""
+    """Predict, at the start of a window, when the index pulse begins and ends in it; there are at most two such edges."""
     axis.index_edge = axis.index_end = NEVER
     speed = v * t.gear / TURN
     direction = 1.0 if speed >= 0.0 else -1.0
@@ -64,7 +64,10 @@ def _flag_edges(clockwork):
 
 @hot
 def _measure_travel_from(edge, q, turn):
-    """Return the joint travel from an edge to `q`; of a joint that turns without end, from the nearest of its repetitions."""
+    """Return the joint travel from an edge to `q`.
+
+    On a joint that turns endlessly the edge repeats after `turn`; the travel is then that from the nearest repetition.
+    """
     x = q - edge.at
     return x - turn * floor(x / turn + 0.5) if turn else x
 
@@ -82,7 +85,7 @@ def _find_nearest_edge(edges, t, q):
 
 @hot
 def _measure_distance_outside(edges, t, q):
-    """Return how far `q` is outside the flag of a switch, in joint travel; negative: so far inside."""
+    """Return the joint travel by which `q` is outside the flag of a switch; it is negative inside the flag."""
     e = edges[_find_nearest_edge(edges, t, q)]
     x = _measure_travel_from(e, q, t.turn)
     return x if e.slope > 0.0 else -x
@@ -92,8 +95,8 @@ def _measure_distance_outside(edges, t, q):
 def _correct_flag_shift(edges, s, t, q, dist):
     """Correct `s.shift` where the sensor's distance, read at joint position `q`, contradicts it.
 
-    Beside an edge the distance tells the place. Elsewhere (far away, or deep in the switch, where the contact's direction changes)
-    it only tells on which side of the edge the joint is, and the shift last found holds.
+    Near an edge the distance gives the position of the joint. Elsewhere (far away, or deep in the switch, where the contact's
+    direction changes) it only shows on which side of the edge the joint is, and the shift keeps its last value.
     """
     q -= s.shift
     e = edges[_find_nearest_edge(edges, t, q)]
@@ -115,7 +118,7 @@ def _correct_flag_shift(edges, s, t, q, dist):
 
 @hot
 def _place_flag_ahead(edges, s, t, q, v, dist):
-    """Correct `s.shift` if by it the joint, at whose position `q` the sensor first sees the vane, moves away from the flag."""
+    """Correct `s.shift` if the joint, at `q` when the sensor first detects the vane, would move away from the flag."""
     k, nearest = -1, UNREACHED
     for i in range(t.first_edge, t.end_edge):
         away = abs(_measure_travel_from(edges[i], q, t.turn))
@@ -160,9 +163,14 @@ def _measure_travel_to_change(edges, t, q, direction, gone, on):
 
 @hot
 def predict_switch(world, axis, clockwork, s, t, q, v):
-    """Predict when a switch will change between now and the window's end, at most twice. A bouncing contact comes to rest first.
+    """Predict when a switch will change between now and the window's end, at most twice.
 
-    q, v: Position of the axis' joint at the window's center, and its speed.
+    A contact that bounces comes to rest before the next change.
+
+    Args:
+        world, axis, clockwork, s, t: WORLD, AXIS, CLOCKWORK, SWITCH and the switch's row of SWITCH_TABLE.
+        q: Position of the axis' joint at the window's center.
+        v: Speed of the joint.
     """
     if s.toggles == 0:
         s.edge = s.next_edge = NEVER
@@ -186,7 +194,7 @@ def predict_switch(world, axis, clockwork, s, t, q, v):
 
 @hot
 def _schedule_next_toggle(s, t, now):
-    """Set, after an edge or a toggle that followed it, when the contact toggles next: ever sooner, the last at the bounce's end."""
+    """Set when a bouncing contact toggles next. The intervals become shorter, and the last toggle is at the end of the bounce."""
     if s.toggles == 0:
         s.toggles, s.until = t.toggles, now + t.bounce
     else:
@@ -197,9 +205,11 @@ def _schedule_next_toggle(s, t, now):
 
 @hot
 def predict_edges(h, moved):
-    """Predict, at a window's start, where each vane is, and when in this window its switch changes.
+    """Predict, at the start of a window, where each vane is and when its switch changes within the window.
 
-    `moved`: qpos has moved since the sensors were read, by one step of the present qvel.
+    Args:
+        h: HANDLE record.
+        moved: Whether qpos has moved by one step of the present qvel since the sensors were read.
     """
     axis_records, table, readings = axes(h), axis_table(h), sensordata(h)
     for a in range(len(axis_records)):
@@ -252,10 +262,10 @@ def predict_axis_edges(now, clock, axis, of_axis, records, rows, sensordata, q, 
 
 @hot
 def apply_switches(t, records, rows, word):
-    """Return the pin word of an axis with its switches as they are.
+    """Return the pin word of an axis with the bits of its switches set to their present levels.
 
-    Two that are wired to one pin assert it if either is on. A sensor of positive logic sets its pin, which is low then, while it is
-    off.
+    If two switches are wired to one pin, either of them asserts it. A sensor of positive logic sets its bit while
+    it is off, since its pin is low then.
     """
     on = off = 0
     for k in range(t.first_switch, t.end_switch):
@@ -266,13 +276,13 @@ def apply_switches(t, records, rows, word):
 
 @hot
 def apply_index_pulse(t, axis, word):
-    """Return the pin word of an axis with its index pulse as it is."""
+    """Return the pin word of an axis with the bit of its index pulse set to its present level."""
     return word | t.index_bit if axis.index_on != (t.positive & t.index_bit != 0) else word & ~t.index_bit
 
 
 @hot
 def process_axis_edges(axis, t, c, j, records, rows, now):
-    """Change the switches of chip axis `j` that change at `now`."""
+    """Apply the edges of chip axis `j` that occur at `now`, ns."""
     axis.next_edge = NEVER
     for k in range(t.first_switch, t.end_switch):
         s = records[k]
@@ -294,7 +304,7 @@ def process_axis_edges(axis, t, c, j, records, rows, now):
 
 @hot
 def find_next_edge(axis_records, c):
-    """Return when the next input of a chip changes."""
+    """Return the time, ns, at which the next input of a chip changes."""
     edge = axis_records[cores.axis_of(c, 0)].next_edge
     for j in range(1, c.axes):
         edge = least(edge, axis_records[cores.axis_of(c, j)].next_edge)
@@ -303,14 +313,14 @@ def find_next_edge(axis_records, c):
 
 @hot
 def journal_input(h, now, c, j):
-    """Note that the inputs of chip axis `j` have changed at `now` ns."""
+    """Write into the journal that the inputs of chip axis `j` have changed at `now` ns."""
     if has_edge_room(h):
         note_edge(h, now, c, cores.axis_of(c, j), INPUT, j, cores.inputs(c, j))
 
 
 @hot
 def process_edges(h, c, until):
-    """Run chip `c` through the edges of its switches up to `until` ns."""
+    """Advance chip `c` to `until` ns, and apply the edges of its switches on the way, each at its time."""
     axis_records, table = axes(h), axis_table(h)
     now = find_next_edge(axis_records, c)
     while now <= until:

@@ -42,19 +42,29 @@ cuda: Any = None
 
 
 def load_records(records, words, row, thread):
-    """Copy words of a lane to records of its own."""
+    """Copy a lane's words from the array of all lanes to records of its own."""
     for k in range(records.shape[0]):
         records[k] = words[row + k, thread]
 
 
 def store_records(records, words, row, thread):
-    """Copy a lane's own records to its words."""
+    """Copy a lane's own records back to its words in the array of all lanes."""
     for k in range(records.shape[0]):
         words[row + k, thread] = records[k]
 
 
 def run_chip(c, axes, table, switches, switch_table, world, dt, k, now, stop):
-    """Run a chip from `now` to `stop` ns, within a window, and its switches; k: the slice. Returns the slice that it is in then."""
+    """Run a chip and its switches from `now` to `stop` ns, within a window.
+
+    Args:
+        c, axes, table, switches, switch_table, world: Records of the lane, see `LaneLayout`.
+        dt: Length of a window, ns.
+        k: Slice of the window in which `now` is.
+        now, stop: Times in ns.
+
+    Returns:
+        The slice in which `stop` is.
+    """
     start, hz, edge = world.start, c.hz, find_next_edge(axes, c)
     clock, rest = clock_at(start, hz), start % SECOND * hz % SECOND
     while now < stop:
@@ -76,7 +86,7 @@ def run_chip(c, axes, table, switches, switch_table, world, dt, k, now, stop):
 
 
 def begin_operation(host, now, kind, a):
-    """Begin an operation at `now` ns: when it goes on, and what it will have seen."""
+    """Begin an operation at `now` ns: set when it ends, and reset the extremes that it measures."""
     host.started, host.begin, host.left, host.poll, host.until = 1, now, a, 0, now
     if kind in (WRITE, READ):
         host.until = now + BUS
@@ -87,7 +97,7 @@ def begin_operation(host, now, kind, a):
 
 
 def end_operation(host):
-    """Go on to the next operation."""
+    """Proceed to the next operation of the program."""
     host.started = 0
     host.op += 1
 
@@ -98,7 +108,7 @@ def read_point_coordinate(sites, bodies, copy, point, coordinate):
 
 
 def note_extremes(host, extremes, q, sites, bodies, copy, point):
-    """Note where the coordinates of a copy, and its measured point, are."""
+    """Update the extremes of a copy's joint positions and of its measured point."""
     for k in range(q.shape[0]):
         extremes[k, 0], extremes[k, 1] = min(extremes[k, 0], float(q[k])), max(extremes[k, 1], float(q[k]))
     if point:
@@ -112,13 +122,13 @@ def note_extremes(host, extremes, q, sites, bodies, copy, point):
 
 
 def measure_travel(host):
-    """Return the diagonal of the box that a measured point has kept to, pm."""
+    """Return the diagonal of the box around all positions of a measured point, pm."""
     x, y, z = host.x1 - host.x0, host.y1 - host.y0, host.z1 - host.z0
     return int(math.sqrt(x * x + y * y + z * z) * 1e12) if x >= 0.0 else 0
 
 
 def begin_window(world, host, c, axes, table, switches, switch_table, clockwork, sensordata, q, v):
-    """Begin the window after a physics step: edges to come, and shafts that chips look at."""
+    """Begin the window after a physics step: predict the edges, and pass the shafts to the chips that count them."""
     host.stepped = 0
     world.slice = 0
     world.start += clockwork.dt
@@ -136,11 +146,11 @@ def begin_window(world, host, c, axes, table, switches, switch_table, clockwork,
 
 
 def choose_polls(host, places, lane, end):
-    """Choose the next polls of a round, of each lane at most one.
+    """Choose the polls of the next round, at most one for each lane.
 
     Returns:
-        Time of the last of them, ns; their axes as bits; time and axis of this lane's poll, or -1; whether the next poll is beyond
-        the window's end.
+        Time of the last of these polls, ns; their axes as bits; time and axis of this lane's poll, or -1; whether the next
+        poll is beyond the end of the window.
     """
     now, lanes, polled, time, axis = host.until, 0, 0, -1, -1
     for k in range(host.poll, places.shape[0]):
@@ -158,7 +168,7 @@ def choose_polls(host, places, lane, end):
 
 
 def has_lost_a_step(c, drives, table, axis_numbers, mask, q, v, tau):
-    """Return whether one of the lane's axes in the mask has lost a step; tau: s, now, from the time of `q`."""
+    """Return whether one of the lane's axes in the mask has lost a step. `tau` is the time since that of `q`, s."""
     for j in range(c.axes):
         t = table[j]
         if mask >> axis_numbers[j] & 1:
