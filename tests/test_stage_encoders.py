@@ -18,7 +18,7 @@ from stage.board.devices import HCTL2016, Encoder
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K
 from stage.chips.entries import SHAFT, bits_to_float
 from stage.cli import main
-from stage.sim.encoder import choose_encoders, counts_per_unit
+from stage.sim.encoder import choose_encoders, list_counts_per_unit
 
 PER_METRE = 320_000  # as the pulses of the default drive
 LIKE = {"chips": MCX514, "visuals": False}
@@ -252,7 +252,7 @@ def test_the_marker_of_a_test_takes_encoders(request):
 def test_counts_a_turn_have_the_sign_of_the_gear():
     """Encoder("x", per_turn=2000) behind a gear of -100 rad/m, and one of counts a metre beside it"""
     plant = [SimpleNamespace(name=name, gear=gear) for name, gear in (("x", -100.0), ("y", 50.0), ("z", -100.0))]
-    counts = counts_per_unit([Encoder("x", per_turn=2000), Encoder("z", per_metre=7.0)], plant)
+    counts = list_counts_per_unit([Encoder("x", per_turn=2000), Encoder("z", per_metre=7.0)], plant)
     assert counts == [-2000 * 100 / (2 * math.pi), 0.0, 7.0]
 
 

@@ -235,15 +235,15 @@ class Recording(Tabular):
 
     def _spool(self) -> None:
         self.filled = 0  # first of all: the engine must never find a full buffer
-        self._disorder |= self._goes_back(ROWS)
-        rows = self._pack(ROWS).view(np.uint8).data
+        self._disorder |= self._has_backward_time(ROWS)
+        rows = self._pack_samples(ROWS).view(np.uint8).data
         try:
             self._file.seek(self._spooled * self._dtype.itemsize)
             while len(rows):
                 rows = rows[self._file.write(rows) :]
         except OSError as error:
             self.close()
-            self._fail(
+            self._report_failure(
                 f"the recording was closed after {len(self)} samples: its temporary file in {tempfile.gettempdir()} cannot "
                 f"grow ({error.strerror}). Set TMPDIR to a folder with more room, or record with a larger `every`.",
                 error,
@@ -300,9 +300,9 @@ class Recording(Tabular):
         self._separate_fork()
         if self._log is not None:
             self._flushed = len(self)
-            self._writing(self._log.take)
+            self._write_or_stop(self._log.take)
 
-    def _writing(self, write: Callable[[], None]) -> None:
+    def _write_or_stop(self, write: Callable[[], None]) -> None:
         try:
             write()
         except OSError as error:
@@ -310,14 +310,14 @@ class Recording(Tabular):
             if log is not None:
                 log.close()
             rest = "It ends with the last flush; recording.save(...) writes everything to another place."
-            self._fail(f"{_make_write_error(self._log_path, error)} {rest}", error)
+            self._report_failure(f"{_make_write_error(self._log_path, error)} {rest}", error)
 
-    def _fail(self, message: str, error: Exception) -> None:
+    def _report_failure(self, message: str, error: Exception) -> None:
         if self.on_error == "raise":
             raise RecordingError(message) from error
         warnings.warn(message, RecordingWarning, stacklevel=2)
 
-    def _pack(self, n: int) -> np.ndarray:
+    def _pack_samples(self, n: int) -> np.ndarray:
         rows = np.empty(n, self._dtype)
         rows["axes"] = self.samples[:n].view(_SAMPLE)
         rows["qpos"] = self.positions[:n]
@@ -351,7 +351,7 @@ class Recording(Tabular):
             self.host.close()
             self.flush()
             if self._log is not None:
-                self._writing(self._log.finish)
+                self._write_or_stop(self._log.finish)
                 self._log = None
 
     def _close_at_exit(self) -> None:
@@ -397,7 +397,7 @@ class Recording(Tabular):
             self._file.readinto(piece.view(np.uint8).data)
             yield piece
         if self.filled > skipped:
-            yield self._pack(self.filled)[skipped:]
+            yield self._pack_samples(self.filled)[skipped:]
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
@@ -405,14 +405,14 @@ class Recording(Tabular):
 
         They are read all at once: hours of samples take gigabytes; `column` reads one.
         """
-        return Columns(self._read(list(self.units)))
+        return Columns(self._read_columns(list(self.units)))
 
     @explain_arguments
     def column(self, name: str) -> np.ndarray:
         """Return one column, see `columns`. Raises ArgumentError with the near misses."""
         if name not in (units := self.units):
             raise unknown_name_error("column", name, units)
-        return self._read([name])[name]
+        return self._read_columns([name])[name]
 
     @property
     def units(self) -> dict[str, str]:
@@ -424,10 +424,10 @@ class Recording(Tabular):
         }
 
     def _parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
-        for piece in self.pieces() if len(self) else [self._pack(0)]:
-            yield {name: self._values(piece["axes"], name) for name in names}
+        for piece in self.pieces() if len(self) else [self._pack_samples(0)]:
+            yield {name: self._extract_column(piece["axes"], name) for name in names}
 
-    def _read(self, names: Sequence[str]) -> dict[str, np.ndarray]:
+    def _read_columns(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         out: dict[str, np.ndarray] = {}
         at = 0
         for part in self.parts(names):
@@ -438,10 +438,10 @@ class Recording(Tabular):
             at += len(part[names[0]])
         return out
 
-    def _values(self, samples: np.ndarray, name: str) -> np.ndarray:
+    def _extract_column(self, samples: np.ndarray, name: str) -> np.ndarray:
         if name == "time":
             return samples["time"][:, 0]
-        axis, column = self._split(name)
+        axis, column = self._split_column_name(name)
         s = samples[:, axis.index]
         if column == "following_error":
             return s["commanded"] - s["position"]
@@ -451,7 +451,7 @@ class Recording(Tabular):
         bit = (axis.chip.INPUTS if inputs else axis.chip.OUTPUTS)[column]
         return s["inputs" if inputs else "outputs"] & bit != 0
 
-    def _split(self, name: str) -> tuple[Any, str]:
+    def _split_column_name(self, name: str) -> tuple[Any, str]:
         axis, column = name.rsplit("/", 1)
         return self.axes[axis], column
 
@@ -470,7 +470,7 @@ class Recording(Tabular):
             raise unknown_name_error("axis", axis, self.axes)
         return clock / self.axes[axis].chip.clock_hz
 
-    def _goes_back(self, n: int) -> bool:
+    def _has_backward_time(self, n: int) -> bool:
         return bool(np.any(np.diff(self.samples["time"][:n, 0]) < 0))
 
     def check_time(self) -> None:
@@ -478,7 +478,7 @@ class Recording(Tabular):
         for name, journal in self.journals.items():
             clocks = journal.entries.packed()["clock"]
             ends = int(clocks.max(initial=0)) > journal.until
-            if self._disorder or ends or self._goes_back(self.filled) or np.any(np.diff(clocks) < 0):
+            if self._disorder or ends or self._has_backward_time(self.filled) or np.any(np.diff(clocks) < 0):
                 raise RecordingError(
                     f"the stage went back in time while it was recorded (axis {name}): restore, reset or copy a stage between "
                     "recordings, not inside one. Its samples are kept: recording.columns."

@@ -179,23 +179,23 @@ class Wires:
     """Wires of a stage that differ from the usual.
 
     Attributes:
-        turned: For each axis its sensors of the other logic than its chip's.
+        inverted: For each axis the sensors whose logic is the opposite of the one that its chip expects.
         leaders: Leader of each chip that follows one.
         linked: Chips that the lines of multichip interpolation join.
     """
 
-    turned: Sequence[Mapping[str, str]]
+    inverted: Sequence[Mapping[str, str]]
     leaders: Mapping[Chip, Chip]
     linked: Sequence[Chip]
 
-    def turned_pins(self, axis: int, chip: Chip) -> int:
-        """Return the input bits of a chip that the sensors of the other logic drive.
+    def find_inverted_pins(self, axis: int, chip: Chip) -> int:
+        """Return the input bits of a chip that sensors of the opposite logic drive.
 
         Args:
             axis: Index of the axis.
             chip: Its chip.
         """
         word = 0
-        for sensor in self.turned[axis]:
+        for sensor in self.inverted[axis]:
             word |= chip.wired(sensor)
         return word

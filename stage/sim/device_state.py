@@ -20,7 +20,7 @@ class DeviceState:
     """Arrays of the devices of one stage.
 
     Attributes:
-        words: How many words of 8 bytes all of them take; each array begins at a word of its own.
+        words: Number of words of 8 bytes that all arrays take; each array begins at a new word.
     """
 
     def __init__(self) -> None:
@@ -51,22 +51,37 @@ class DeviceState:
         return ((HEADER_PART, "; ".join(self._names)),) if self._names else ()
 
     def copy_to(self, words: np.ndarray) -> None:
-        """Copy all arrays into `words`."""
-        for array, place in zip(self._bytes, self._cut(words), strict=True):
+        """Copy all arrays into one array.
+
+        Args:
+            words: Array of `words` float64 or int64 values.
+        """
+        for array, place in zip(self._bytes, self._split_words(words), strict=True):
             place[:] = array
 
     def copy_from(self, words: np.ndarray) -> None:
-        """Copy all arrays back from `words`."""
-        for array, place in zip(self._bytes, self._cut(words), strict=True):
+        """Copy all arrays back from one array.
+
+        Args:
+            words: Array that `copy_to` has filled.
+        """
+        for array, place in zip(self._bytes, self._split_words(words), strict=True):
             array[:] = place
 
     def move_to(self, words: np.ndarray) -> list[np.ndarray]:
-        """Move the arrays into `words`, where they lie from now on; return their bytes there."""
+        """Move the memory of all arrays into one array.
+
+        Args:
+            words: Array of `words` float64 or int64 values, which the devices use from now on.
+
+        Returns:
+            The bytes of each array in `words`.
+        """
         self.copy_to(words)
-        self._bytes = self._cut(words)
+        self._bytes = self._split_words(words)
         return self._bytes
 
-    def _cut(self, words: np.ndarray) -> list[np.ndarray]:
+    def _split_words(self, words: np.ndarray) -> list[np.ndarray]:
         places, at, all_bytes = [], 0, words.view(np.uint8)
         for array in self._bytes:
             places.append(all_bytes[at : at + len(array)])

@@ -47,7 +47,7 @@ class Encoder:
         if self.zero is not None and not _is_finite(self.zero):
             raise ArgumentError(f"{self!r}: zero= is the position at which it counts 0, m (rad on a hinge).")
 
-    def counts(self, gear: float) -> float:
+    def compute_counts_per_unit(self, gear: float) -> float:
         """Return the counts per unit of the joint (m, rad).
 
         Args:
@@ -55,13 +55,23 @@ class Encoder:
         """
         return self.per_metre if self.per_metre is not None else (self.per_turn or 0.0) * gear / (2 * math.pi)
 
-    def row(self, stage: Stage) -> tuple[int, float, float]:
-        """Return the ENCODER record of stage.board for a stage: index of the axis, counts per unit, and zero."""
+    def make_record(self, stage: Stage) -> tuple[int, float, float]:
+        """Return the values of the ENCODER record of stage.board.
+
+        Args:
+            stage: Stage whose axis the encoder measures.
+
+        Returns:
+            Index of the axis, counts per unit of its joint, and the joint position at which the encoder counts 0.
+
+        Raises:
+            ArgumentError: The stage has no such axis.
+        """
         if self.axis not in stage.axes:
             raise unknown_name_error("axis", self.axis, stage.axes)
         axis = stage.axes[self.axis]
         gear = float(stage.state.axis_table[axis.index].gear)
-        return axis.index, self.counts(gear), axis.position if self.zero is None else self.zero
+        return axis.index, self.compute_counts_per_unit(gear), axis.position if self.zero is None else self.zero
 
     def __str__(self) -> str:
         per, unit = (self.per_metre, "metre") if self.per_metre is not None else (self.per_turn, "turn of the motor")
@@ -111,7 +121,7 @@ def choose_encoders(
     return tuple(chosen[name] for name in names if name in chosen)
 
 
-def counts_per_unit(encoders: Iterable[Encoder], plant: Sequence[PlantAxis]) -> list[float]:
+def list_counts_per_unit(encoders: Iterable[Encoder], plant: Sequence[PlantAxis]) -> list[float]:
     """Return for each axis the counts per unit of its joint; 0 where no chip counts any.
 
     Args:
@@ -119,7 +129,7 @@ def counts_per_unit(encoders: Iterable[Encoder], plant: Sequence[PlantAxis]) -> 
         plant: Axes of the model.
     """
     of = {e.axis: e for e in encoders}
-    return [of[p.name].counts(p.gear) if p.name in of else 0.0 for p in plant]
+    return [of[p.name].compute_counts_per_unit(p.gear) if p.name in of else 0.0 for p in plant]
 
 
 def _list_encoders(given: EncoderChoice) -> list[Encoder]:

@@ -81,7 +81,7 @@ class Fault:
             return
         with exclusively(self._stage):
             self.in_force = False
-            above = self._above()
+            above = self._list_dependent_faults()
             for fault in (*reversed(above), self):
                 fault._end()
             for fault in above:
@@ -89,8 +89,11 @@ class Fault:
             if self._stage is not None:
                 self._stage.note_fault(self, False)
 
-    def _above(self) -> list[Fault]:
-        """Return the later faults that have changed what this one or one of them had changed, in their order."""
+    def _list_dependent_faults(self) -> list[Fault]:
+        """Return the later faults in force that a clearing of this fault affects, in the order in which they were made.
+
+        They have changed a value that this fault, or another fault of the list, had changed before.
+        """
         if self._stage is None:
             return []
         active_faults, things, above = self._stage.active_faults, self._things, list[Fault]()

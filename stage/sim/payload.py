@@ -16,22 +16,22 @@ class Payloads:
     """Masses that a user has put on bodies.
 
     Attributes:
-        kg: Mass by the body's id.
-        own: Mass of each of these bodies itself.
+        kg: Mass of the payload by the body's id.
+        body_masses: Mass of each of these bodies without its payload, kg, by id.
     """
 
     def __init__(self) -> None:
         self.kg: dict[int, float] = {}
-        self.own: dict[int, float] = {}
+        self.body_masses: dict[int, float] = {}
         self._data: mujoco.MjData | None = None  # to work in: to make one takes most of the time
 
-    def put(self, model: Any, mass: float, body: str | None) -> None:
-        """Put a payload on a body in place of the former one; see `Stage.set_payload`.
+    def set_payload(self, model: Any, mass: float, body: str | None) -> None:
+        """Set the payload of a body in place of the former one; see `Stage.set_payload`.
 
         Args:
             model: Model of the stage.
             mass: kg.
-            body: Name of the body, or None.
+            body: Name of the body; None: that of the site `work`.
 
         Raises:
             ArgumentError: The mass is out of range, or there is no such body.
@@ -43,19 +43,19 @@ class Payloads:
             )
         if mass == self.kg.get(k, 0.0):
             return
-        own_mass = self.own.setdefault(k, float(model.body_mass[k]))
+        own_mass = self.body_masses.setdefault(k, float(model.body_mass[k]))
         self.kg[k] = float(mass)
         model.body_mass[k] = own_mass + mass
         if self._data is None:
             self._data = mujoco.MjData(model)
         mujoco.mj_setConst(model, self._data)
 
-    def on(self, model: Any, body: str | None) -> float:
+    def get_payload(self, model: Any, body: str | None) -> float:
         """Return the payload of a body, kg.
 
         Args:
             model: Model of the stage.
-            body: Name of the body, or None.
+            body: Name of the body; None: that of the site `work`.
 
         Raises:
             ArgumentError: There is no such body.

@@ -214,11 +214,11 @@ def predict_pulses(chip, ops, axes, axis, until):
     return STILL_BUSY if cores.busy(chip, axis) else cores.net(chip, axis)
 
 
-class _PythonPlayer:
-    """Plays the operations of a program on one stage, through its chips' own bus cycles.
+class _OperationRunner:
+    """Runner of a program's operations on one stage, through the bus cycles of its chips; a method for each operation.
 
     Attributes:
-        step_lost: Whether KEEP has ended the program.
+        step_lost: Whether an operation KEEP has ended the program because an axis has lost steps.
     """
 
     def __init__(self, stage: Any, extremes: np.ndarray):
@@ -234,7 +234,7 @@ class _PythonPlayer:
     def wait(self, ns: int, *_: int) -> None:
         self.stage.run_to(self.stage.now + ns)
 
-    def stop(self, mask: int, poll: int, limit: int, keep_step: bool = False) -> int:
+    def wait_for_stop(self, mask: int, poll: int, limit: int, keep_step: bool = False) -> int:
         stage, begin = self.stage, self.stage.now
         axes = [axis for k, axis in enumerate(self.axes) if mask >> k & 1]
         left = axes
@@ -247,15 +247,15 @@ class _PythonPlayer:
                 return int(begin - stage.now)
             stage.run_to(stage.now + poll)
 
-    def keep(self, mask: int, poll: int, limit: int) -> int:
-        return self.stop(mask, poll, limit, keep_step=True)
+    def wait_while_in_step(self, mask: int, poll: int, limit: int) -> int:
+        return self.wait_for_stop(mask, poll, limit, keep_step=True)
 
-    def _place(self, point: int) -> np.ndarray:
+    def _find_point_position(self, point: int) -> np.ndarray:
         data = self.stage.data
         return data.site_xpos[point - 1] if point > 0 else data.xpos[-point]
 
     def sample_position(self, axis: int, point: int, coordinate: int) -> int:
-        at = self._place(point)[coordinate] if point else self.axes[axis].position
+        at = self._find_point_position(point)[coordinate] if point else self.axes[axis].position
         return math.floor(at * 1e12)
 
     def measure(self, ns: int, point: int, _: int) -> int:
@@ -266,7 +266,10 @@ class _PythonPlayer:
             np.minimum(extremes[:, 0], stage.data.qpos, out=extremes[:, 0])
             np.maximum(extremes[:, 1], stage.data.qpos, out=extremes[:, 1])
             if point:
-                low, high = np.minimum(low, self._place(point)), np.maximum(high, self._place(point))
+                low, high = (
+                    np.minimum(low, self._find_point_position(point)),
+                    np.maximum(high, self._find_point_position(point)),
+                )
         x, y, z = (high - low).tolist()
         return int(math.sqrt(x**2 + y**2 + z**2) * 1e12) if x >= 0 else 0
 
@@ -283,9 +286,9 @@ def play_in_python(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: n
     Returns:
         PLAYED or DIVERGED.
     """
-    player = _PythonPlayer(stage, extremes)
+    player = _OperationRunner(stage, extremes)
     play_operation: dict[int, Any] = {
-        WRITE: player.write, READ: player.read, WAIT: player.wait, STOP: player.stop, KEEP: player.keep,
+        WRITE: player.write, READ: player.read, WAIT: player.wait, STOP: player.wait_for_stop, KEEP: player.wait_while_in_step,
         LOOK: player.sample_position, MEASURE: player.measure,
     }  # fmt: skip
     try:

@@ -136,7 +136,7 @@ class Stage:
         self._positive = choose_wiring(wiring, self._plant, chip_axes)
         fit_rotors(self.model, self._plant, chip_axes, drives)
         self._mechanics = compute_mechanics_digest(self.model)
-        self._wire(chip_axes, drives, bus, offset)
+        self._build_state(chip_axes, drives, bus, offset)
         for k, d in enumerate(drives):
             d.fill(self.state.drives[k])
         callbacks.forward_guarded(self.model, self.data)
@@ -146,8 +146,15 @@ class Stage:
         self.run_to(0)
         self._initial = self.snapshot()
 
-    def _wire(self, chip_axes: list[ChipAxis], drives: list[Drive | Servo], bus: int, offset: int) -> None:
-        """Lay the state out in userdata; connect the axes of the chips, one an axis of the stage."""
+    def _build_state(self, chip_axes: list[ChipAxis], drives: list[Drive | Servo], bus: int, offset: int) -> None:
+        """Lay the state out in userdata, and connect chips, drives and wires to it.
+
+        Args:
+            chip_axes: Axis of a chip for each axis of the stage.
+            drives: Drive of each axis.
+            bus: Duration of a bus cycle, ns.
+            offset: Word of userdata at which the state begins.
+        """
         self._inherited: list[str] = []  # the faults, in words, of the stage that this is a copy of
         self.active_faults: list[Any] = []
         """The faults of `stage.sim.faults` that were made here and are in force, in their order."""
@@ -158,7 +165,7 @@ class Stage:
             {chip_of[follower]: chip_of[leader] for follower, leader in self._followers},
             tuple(dict.fromkeys(chip_of[name] for name in self._linked)),
         )
-        per_unit = encoder.counts_per_unit(self._encoders, self._plant)
+        per_unit = encoder.list_counts_per_unit(self._encoders, self._plant)
         self.state = State(self.model, offset, self._plant, chip_axes, drives, bus, per_unit, wires)
         for follower, leader in wires.leaders.items():
             follower.syni = leader  # type: ignore[attr-defined]
@@ -227,7 +234,7 @@ class Stage:
         self.restore(self._initial)
         arrays = [getattr(data, name) for name in names]
         if any(not np.array_equal(a, b) for a, b in zip(places, arrays, strict=True)):
-            self._settle(zip(arrays, places, strict=True))
+            self._apply_positions(zip(arrays, places, strict=True))
 
     @explain_arguments
     @exclusive
@@ -339,7 +346,7 @@ class Stage:
         Raises:
             ArgumentError: The mass is out of range, or there is no such body.
         """
-        self._payloads.put(self.model, mass, body)
+        self._payloads.set_payload(self.model, mass, body)
 
     @explain_arguments
     def payload(self, body: str | None = None) -> float:
@@ -351,7 +358,7 @@ class Stage:
         Raises:
             ArgumentError: There is no such body.
         """
-        return self._payloads.on(self.model, body)
+        return self._payloads.get_payload(self.model, body)
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -444,10 +451,14 @@ class Stage:
         for name, q in positions.items():
             t = self.state.axis_table[self.axes[name].index]
             qpos[t.qpos], qvel[t.dof] = q, 0.0
-        self._settle([(self.data.qpos, qpos), (self.data.qvel, qvel)])
+        self._apply_positions([(self.data.qpos, qpos), (self.data.qvel, qvel)])
 
-    def _settle(self, changes: Iterable[tuple[np.ndarray, np.ndarray]]) -> None:
-        """Give arrays of MuJoCo new values, as carriages are placed, and find switch levels and edges again."""
+    def _apply_positions(self, changes: Iterable[tuple[np.ndarray, np.ndarray]]) -> None:
+        """Set positions or speeds of MuJoCo, and compute switch levels and edges again.
+
+        Args:
+            changes: Pairs of an array of MuJoCo and its new values.
+        """
 
         def put() -> None:
             for here, values in changes:
@@ -661,7 +672,7 @@ class Stage:
             "mechanics": self._mechanics,
             "axis_faults": [a.faults.copy() for a in self._axes],
             "faults": list(self.faults),
-            "payloads": (dict(self._payloads.kg), dict(self._payloads.own)),
+            "payloads": (dict(self._payloads.kg), dict(self._payloads.body_masses)),
         }
 
     def __getstate__(self) -> dict[str, Any]:
@@ -676,11 +687,11 @@ class Stage:
         self._plant, self._mechanics, self._encoders = s["plant"], s["mechanics"], s["encoders"]
         self._positive, self._followers, self._linked = s["positive"], s["followers"], s["linked"]
         chips = [cls(**options) for cls, options in s["chips"]]
-        self._wire([chips[k].axes[j] for k, j in s["wired"]], s["drives"], s["bus_ns"], s["offset"])
+        self._build_state([chips[k].axes[j] for k, j in s["wired"]], s["drives"], s["bus_ns"], s["offset"])
         for axis, faults in zip(self._axes, s["axis_faults"], strict=True):
             axis.faults.load(faults)
         self._inherited = s["faults"]
-        self._payloads.kg, self._payloads.own = s["payloads"]
+        self._payloads.kg, self._payloads.body_masses = s["payloads"]
         self._initial = s["initial"]
         self.restore(s["now"])
 

@@ -108,7 +108,7 @@ class State:
         self.model, self.data = model, mujoco.MjData(model)
         self.offset, self.bus, self.dt = offset, bus, round(model.opt.timestep * 1e9)
         chips = list_chips(chip_axes)
-        self._cut(len(plant), sum(len(p.switches) for p in plant), chips)
+        self._allocate_records(len(plant), sum(len(p.switches) for p in plant), chips)
         self._set_clockwork(sum(isinstance(drive, Servo) for drive in drives) + sum(map(bool, encoders)))
         self._set_chip_table(chips, wires.leaders, wires.linked)
         self._set_axis_table(plant, chip_axes, drives, chips, encoders, wires)
@@ -142,8 +142,8 @@ class State:
         self.edges = edges
         self.handle["edges"], self.handle["edge_room"] = edges.ctypes.data, len(edges)
 
-    def _cut(self, axes: int, switches: int, chips: Sequence[Chip]) -> None:
-        """Allocate the records in userdata, and make the tables."""
+    def _allocate_records(self, axes: int, switches: int, chips: Sequence[Chip]) -> None:
+        """Allocate the records in userdata and the tables of constants beside it."""
         self.userdata = self.data.userdata[self.offset :]
         left = self.userdata
 
@@ -180,12 +180,12 @@ class State:
             cores.fill_chip_record(c, chip.CORE, rows.ctypes.data)
             c.table = axes.ctypes.data
             c.hz, c.ticks = chip.clock_hz, w.h * chip.clock_hz
-            c.slices, c.ends = w.slices, address_of(self._slice_ends(chip.clock_hz))
+            c.slices, c.ends = w.slices, address_of(self._compute_slice_ends(chip.clock_hz))
             if chip in leaders:
                 c.wire = leaders[chip].syno(rows_of[leaders[chip]])
             c.link = 1 if chip in linked else 0
 
-    def _slice_ends(self, hz: int) -> np.ndarray:
+    def _compute_slice_ends(self, hz: int) -> np.ndarray:
         """Return the SLICE_END records of a window, for chips with this reference clock."""
         if hz not in self.slice_ends:
             ns = [(k + 1) * self.dt // records.SLICES for k in range(records.SLICES)]
@@ -215,7 +215,7 @@ class State:
             chip_axis_record.net = address_of(self.axes[k : k + 1]["count"])
             t.qpos, t.dof, t.actuator, t.gear = p.qpos, p.dof, p.actuator, p.gear
             t.index_bit, t.index_at = chip.wired("ez"), p.index
-            t.positive = wires.turned_pins(k, chip)
+            t.positive = wires.find_inverted_pins(k, chip)
             t.counts = drive.counts * p.gear / (2 * np.pi) if isinstance(drive, Servo) else encoders[k]
             t.first_switch, t.end_switch = first, first + len(p.switches)
             for row, s in zip(self.switch_table[first : t.end_switch], p.switches, strict=True):

@@ -153,7 +153,7 @@ class Device:
 
     def attach_to(self, board: Board, ports: Sequence[int]) -> None:
         """Attach this device to a board at these ports."""
-        rows = [e.row(board.stage) for e in self.encoders]
+        rows = [e.make_record(board.stage) for e in self.encoders]
         self.encoders = tuple(replace(e, zero=row[2]) for e, row in zip(self.encoders, rows, strict=True))
         self._encoders = np.array(rows, host_record.ENCODER)
         self._counts = np.zeros(len(self.encoders), np.int64)

@@ -104,7 +104,7 @@ def _list_undriven_joints(model: mujoco.MjModel) -> list[str]:
 
 
 class _Binder:
-    """Checks axes one by one and collects what is wrong."""
+    """Checker of the naming contract: binds the axes of a model one by one, and collects all problems."""
 
     def __init__(self, model: mujoco.MjModel, axes: list[str]):
         self.model, self.axes = model, axes
@@ -117,16 +117,16 @@ class _Binder:
         if self.model.opt.disableflags & (off.mjDSBL_CONTACT | off.mjDSBL_CONSTRAINT | off.mjDSBL_SENSOR):
             raise ModelError("switches are contact sensors, and the model's <option><flag/> disables contact, constraint "
                              'or sensor. Remove contact="disable", constraint="disable" and sensor="disable".')  # fmt: skip
-        bound = [self._axis(name) for name in self.axes]
-        tandems = self._tandems()
+        bound = [self._bind_axis(name) for name in self.axes]
+        tandems = self._find_tandem_axes()
         self.problems.check()
         return tuple(replace(a, tandem=tandems.get(a.name, ())) for a in bound if a is not None)
 
-    def _id(self, kind: Any, name: str) -> int:
+    def _find_id(self, kind: Any, name: str) -> int:
         return int(mujoco.mj_name2id(self.model, kind, name))
 
-    def _tandems(self) -> dict[str, tuple[str, ...]]:
-        """Return the other axes of the load that an axis drives, as one of them says in its text NAME_tandem."""
+    def _find_tandem_axes(self) -> dict[str, tuple[str, ...]]:
+        """Return for each axis the other axes that drive the same load; a text NAME_tandem of one of them names them."""
         tandems: dict[str, tuple[str, ...]] = {}
         if not any(name.endswith("_tandem") for name in self.texts):
             return tandems
@@ -151,19 +151,19 @@ class _Binder:
         return {a: tuple(b for b in others if b in self.axes) for a, others in tandems.items()}
 
     def _are_parallel(self, name: str, other: str) -> bool:
-        """Return whether two axes go the same way, as far for the same turn of their motors."""
+        """Return whether two joints have the same direction, and their motors move them equally far in a turn."""
         m, data = self.model, mujoco.MjData(self.model)
         mujoco.mj_kinematics(m, data)
-        one, two = (self._id(mujoco.mjtObj.mjOBJ_JOINT, a) for a in (name, other))
-        gears = [abs(float(m.actuator_gear[self._id(mujoco.mjtObj.mjOBJ_ACTUATOR, a)][0])) for a in (name, other)]
+        one, two = (self._find_id(mujoco.mjtObj.mjOBJ_JOINT, a) for a in (name, other))
+        gears = [abs(float(m.actuator_gear[self._find_id(mujoco.mjtObj.mjOBJ_ACTUATOR, a)][0])) for a in (name, other)]
         parallel = float(np.dot(data.xaxis[one], data.xaxis[two])) > MIN_PARALLEL_COSINE
         return bool(m.jnt_type[one] == m.jnt_type[two] and parallel and math.isclose(*gears, rel_tol=1e-3))
 
     # --- joint and actuator ---
 
-    def _axis(self, name: str) -> PlantAxis | None:
+    def _bind_axis(self, name: str) -> PlantAxis | None:
         m, obj = self.model, mujoco.mjtObj
-        joint, actuator = self._id(obj.mjOBJ_JOINT, name), self._id(obj.mjOBJ_ACTUATOR, name)
+        joint, actuator = self._find_id(obj.mjOBJ_JOINT, name), self._find_id(obj.mjOBJ_ACTUATOR, name)
         if joint < 0:
             self.problems.add(
                 name,
@@ -189,9 +189,9 @@ class _Binder:
         unfitted = self._read_unfitted(name)
         if not low < high:
             return None
-        scanned = self.switches.scanned(name, joint, low, high)
+        flag_distances = self.switches.measure_flag_distances(name, joint, low, high)
         switches_found = [
-            self.switches.find(name, pin, joint, low, high, scanned) for pin in PINS if pin not in unfitted
+            self.switches.find(name, pin, joint, low, high, flag_distances) for pin in PINS if pin not in unfitted
         ]
         switches = tuple(s for s in switches_found if s is not None)
         self.switches.check_order(name, switches)
@@ -233,7 +233,7 @@ class _Binder:
 
     def _index(self, name: str, gear: float, switches: Iterable[Switch]) -> float:
         m = self.model
-        k = self._id(mujoco.mjtObj.mjOBJ_NUMERIC, f"{name}_index")
+        k = self._find_id(mujoco.mjtObj.mjOBJ_NUMERIC, f"{name}_index")
         if k >= 0:
             index = float(m.numeric_data[m.numeric_adr[k]])
             if not abs(index) <= 1e6:

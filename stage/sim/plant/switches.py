@@ -1,4 +1,4 @@
-"""Finds the switches of an axis: where each trips, from which distance its sensor sees its vane, and whether it works."""
+"""Search for the switches of an axis: where each trips, from which distance its sensor detects its vane, and if it works."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class FlagEdge:
 
     Attributes:
         at: Joint position where the distance is 0.
-        slope: d dist / d q there: negative where the vane enters on the way to plus, positive where it leaves.
-        bend, noise: By how much the travel read from the sensor may miss the joint's, see above.
-        below, above: The travels read from the sensor, to minus and to plus, between which that holds.
+        slope: d dist / d q at the edge: negative if the vane enters the switch on the way to plus, positive if it leaves it.
+        bend, noise: Bounds of the error of the travel that is read from the sensor, see above.
+        below, above: Travels read from the sensor, to minus and to plus, between which these bounds hold.
     """
 
     at: float
@@ -73,21 +73,25 @@ class Switch:
 
 
 class SwitchFinder:
-    """Moves the axes of a model through their travel and measures; errors go to `problems`."""
+    """Finder of limit switches: moves the axes of a model through their travel and measures. Errors go to `problems`."""
 
     def __init__(self, model: mujoco.MjModel, problems: Problems, axes: Sequence[str]):
         self.model, self.data, self.problems, self.axes = model, mujoco.MjData(model), problems, axes
 
-    def _sensor(self, name: str) -> int:
+    def _find_sensor_id(self, name: str) -> int:
         return int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, name))
 
     @property
-    def _spoken_for(self) -> list[str]:
-        """Names that are right as they are: of the axes, and of their switches' sensors."""
+    def _known_sensor_names(self) -> list[str]:
+        """Names that are correct as they are, so that a misspelled sensor cannot mean them: axes, and their switches' sensors."""
         return [*self.axes, *(f"{axis}_{pin}" for axis in self.axes for pin in PINS)]
 
-    def _likely(self, axis: str, pin: str) -> tuple[str, str]:
-        """Return the model's geoms that are vane and switch by their names, for a line to add; "" where none or several may be."""
+    def _guess_flag_geoms(self, axis: str, pin: str) -> tuple[str, str]:
+        """Guess vane and switch of a pin from the names of the model's geoms, for the line of MJCF that an error suggests.
+
+        Returns:
+            Names of vane and switch; "" where no geom or several geoms have a matching name.
+        """
         m, begins = self.model, f"{axis}_{pin}_"
         geoms = (m.geom(k).name for k in range(m.ngeom))
         vanes: list[str] = []
@@ -97,9 +101,15 @@ class SwitchFinder:
         return vanes[0] if len(vanes) == 1 else "", switches[0] if len(switches) == 1 else ""
 
     def find(
-        self, axis: str, pin: str, joint: int, low: float, high: float, scanned: dict[tuple[int, int], np.ndarray]
+        self,
+        axis: str,
+        pin: str,
+        joint: int,
+        low: float,
+        high: float,
+        flag_distances: dict[tuple[int, int], np.ndarray],
     ) -> Switch | None:
-        """Measure the switch of an axis; None where it does not work, which is added to `problems`.
+        """Measure the switch of an axis.
 
         Args:
             axis: Name of the axis.
@@ -107,7 +117,10 @@ class SwitchFinder:
             joint: Id of the axis' joint.
             low: Least position of the joint.
             high: Greatest position of the joint.
-            scanned: Result of `scanned`.
+            flag_distances: Result of `measure_flag_distances`.
+
+        Returns:
+            The switch, or None if it does not work; `problems` then has the reason.
         """
         low, high, turn = self._limit_to_one_turn(joint, low, high)
         m, name, sensor = self.model, f"{axis}_{pin}", self._find_contact_sensor(axis, pin)
@@ -116,11 +129,11 @@ class SwitchFinder:
         vane, switch = int(m.sensor_objid[sensor]), int(m.sensor_refid[sensor])
         vane_name, switch_name = m.geom(vane).name, m.geom(switch).name
         pair, line = format_pair_line(vane_name, switch_name), format_sensor_line(axis, pin, vane_name, switch_name)
-        at = self._addresses(sensor)
+        at = self._find_field_addresses(sensor)
         if "FOUND" not in at or "DIST" not in at:
             self.problems.add(axis, f'sensor {name!r} needs data="found dist"', line)
             return None
-        edges = self._find_edges(joint, (vane, switch), low, high, scanned[vane, switch])
+        edges = self._find_edges(joint, (vane, switch), low, high, flag_distances[vane, switch])
         if isinstance(edges, str):
             self.problems.add(axis, f"switch {pin}: the vane {edges}")
             return None
@@ -128,8 +141,8 @@ class SwitchFinder:
         q, slope = entering[0] if entering and (pin.endswith("plus") or not leaving) else leaving[-1]
         found_address, dist = at["FOUND"], at["DIST"]
         ahead = q + MIN_LOOKAHEAD_M / slope
-        self._forward(joint, ahead)
-        is_seen, gap = self.data.sensordata[found_address] > 0, self._distance(joint, ahead, vane, switch)
+        self._compute_at(joint, ahead)
+        is_seen, gap = self.data.sensordata[found_address] > 0, self._measure_distance(joint, ahead, vane, switch)
         read = self.data.sensordata[dist]
         if not is_seen:
             text = f"sensor {name!r} does not see its vane {MIN_LOOKAHEAD_M * 1e3} mm before the touch: "
@@ -139,13 +152,13 @@ class SwitchFinder:
             text = f"sensor {name!r} reads {read * 1e3:.3f} mm where vane and switch are {gap * 1e3:.3f} mm apart"
             self.problems.add(axis, text, line)
             return None
-        if any(self._pushes(joint, end, {vane, switch}) for end in (q, low, high)):
+        if any(self._exerts_force(joint, end, {vane, switch}) for end in (q, low, high)):
             text = f"switch {pin} pushes its vane: the margin must be negative, the gap larger"
             self.problems.add(axis, text, pair)
             return None
         if pin.startswith("el"):
-            self._holds_to_the_stop(axis, pin, joint, found_address, dist, q, high if pin == "el_plus" else low)
-        lookahead = self._look_ahead(joint, found_address, q, slope, low, high)
+            self._check_held_to_hard_stop(axis, pin, joint, found_address, dist, q, high if pin == "el_plus" else low)
+        lookahead = self._measure_lookahead(joint, found_address, q, slope, low, high)
         rooms = _measure_free_travel([at for at, _ in edges], high - low)
         measured = [
             self._measure_edge(joint, found_address, dist, *edge, high - low, room)
@@ -158,9 +171,9 @@ class SwitchFinder:
     def _find_contact_sensor(self, axis: str, pin: str) -> int | None:
         """Return the id of a switch's sensor, if it is a contact sensor between two geoms."""
         m, obj, name = self.model, mujoco.mjtObj, f"{axis}_{pin}"
-        sensor = self._sensor(name)
+        sensor = self._find_sensor_id(name)
         if sensor < 0:
-            near = suggest_name(m, obj.mjOBJ_SENSOR, m.nsensor, name, self._spoken_for)
+            near = suggest_name(m, obj.mjOBJ_SENSOR, m.nsensor, name, self._known_sensor_names)
             text = f'no contact sensor {name!r}{near}; a switch not fitted is named in <text name="{axis}_unfitted" data="{pin}"/>'
         elif m.sensor_type[sensor] != mujoco.mjtSensor.mjSENS_CONTACT:
             text = f"sensor {name!r} is not a <contact> sensor"
@@ -168,24 +181,28 @@ class SwitchFinder:
             text = f"sensor {name!r} must name geom1 (vane) and geom2 (switch)"
         else:
             return sensor
-        self.problems.add(axis, text, format_sensor_line(axis, pin, *self._likely(axis, pin)))
+        self.problems.add(axis, text, format_sensor_line(axis, pin, *self._guess_flag_geoms(axis, pin)))
         return None
 
-    def _pushes(self, joint: int, q: float, pair: set[int]) -> bool:
-        """Return whether a pair of geoms exerts force with this joint at q."""
-        self._forward(joint, q)
-        return pair in self._pushing()
+    def _exerts_force(self, joint: int, q: float, pair: set[int]) -> bool:
+        """Return whether two geoms push each other with this joint at q."""
+        self._compute_at(joint, q)
+        return pair in self._list_pushing_pairs()
 
     def _limit_to_one_turn(self, joint: int, low: float, high: float) -> tuple[float, float, float]:
-        """Return the joint travel in which all edges are found, and after which travel they come again: 0 of no full turn."""
+        """Limit the travel of a hinge to one full turn.
+
+        Returns:
+            Least and greatest joint position, and the joint travel after which the edges repeat; 0 if they do not.
+        """
         hinge = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
         if not hinge or high - low <= FULL_TURN * (1 - MIN_FLAG_SHARE):
             return low, high, 0.0
         middle, half = 0.5 * (low + high), 0.5 * min(high - low, FULL_TURN)
         return middle - half, middle + half, FULL_TURN
 
-    def _addresses(self, sensor: int) -> dict[str, int]:
-        """Return field -> address in sensordata."""
+    def _find_field_addresses(self, sensor: int) -> dict[str, int]:
+        """Return the address in sensordata of each field of a contact sensor, by the field's name."""
         fields, offset, at = int(self.model.sensor_intprm[sensor][0]), int(self.model.sensor_adr[sensor]), {}
         for field, dim in _DATA_DIMS:
             if fields >> int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{field}")) & 1:
@@ -193,22 +210,31 @@ class SwitchFinder:
                 offset += dim
         return at
 
-    def _at(self, joint: int, q: float) -> None:
+    def _set_joint_position(self, joint: int, q: float) -> None:
         self.data.qpos[:] = self.model.qpos0
         self.data.qpos[self.model.jnt_qposadr[joint]] = q
 
-    def _forward(self, joint: int, q: float) -> None:
-        """Compute everything with this joint at q and the others at qpos0."""
-        self._at(joint, q)
+    def _compute_at(self, joint: int, q: float) -> None:
+        """Compute positions, contacts and sensors with this joint at q and the others at qpos0."""
+        self._set_joint_position(joint, q)
         callbacks.forward_guarded(self.model, self.data)
 
-    def _distance(self, joint: int, q: float, vane: int, switch: int) -> float:
-        self._at(joint, q)
+    def _measure_distance(self, joint: int, q: float, vane: int, switch: int) -> float:
+        self._set_joint_position(joint, q)
         mujoco.mj_kinematics(self.model, self.data)
         return mujoco.mj_geomDistance(self.model, self.data, vane, switch, flag_scan.MAX_DISTANCE_M, None)
 
-    def _far(self, joint: int, positions: np.ndarray, pairs: list[tuple[int, int]]) -> np.ndarray:
-        """Measure distances of pairs of geoms with this joint at `positions` and the others at qpos0, m, (positions, pairs)."""
+    def _measure_distances(self, joint: int, positions: np.ndarray, pairs: list[tuple[int, int]]) -> np.ndarray:
+        """Measure the distances of pairs of geoms over the travel of one joint; the other joints are at qpos0.
+
+        Args:
+            joint: Id of the joint.
+            positions: Positions of the joint, (positions,).
+            pairs: Ids of the geoms of each pair.
+
+        Returns:
+            Distances in m, (positions, pairs).
+        """
         out = np.empty((len(positions), len(pairs)))
         both = np.array(pairs, np.int32).reshape(-1, 2)
         self.data.qpos[:] = self.model.qpos0
@@ -218,7 +244,9 @@ class SwitchFinder:
         )  # fmt: skip
         return out
 
-    def scanned(self, axis: str, joint: int, low: float, high: float) -> dict[tuple[int, int], np.ndarray]:
+    def measure_flag_distances(
+        self, axis: str, joint: int, low: float, high: float
+    ) -> dict[tuple[int, int], np.ndarray]:
         """Measure the distance between vane and switch over the travel, for each sensor of the axis that names two geoms.
 
         Args:
@@ -226,10 +254,13 @@ class SwitchFinder:
             joint: Id of its joint.
             low: Least position of the joint.
             high: Greatest position of the joint.
+
+        Returns:
+            For each pair of vane and switch, by their ids: distances in m at the positions of `_make_scan_grid`.
         """
         low, high, _ = self._limit_to_one_turn(joint, low, high)
         m, geom = self.model, mujoco.mjtObj.mjOBJ_GEOM
-        sensors = [self._sensor(f"{axis}_{pin}") for pin in PINS]
+        sensors = [self._find_sensor_id(f"{axis}_{pin}") for pin in PINS]
         pairs = [
             (int(m.sensor_objid[s]), int(m.sensor_refid[s]))
             for s in sensors
@@ -237,25 +268,29 @@ class SwitchFinder:
         ]
         for vane, switch in pairs:  # MuJoCo's errors are exceptions in Python only
             mujoco.mj_geomDistance(m, self.data, vane, switch, flag_scan.MAX_DISTANCE_M, None)
-        return dict(zip(pairs, self._far(joint, _make_scan_grid(low, high), pairs).T, strict=True))
+        return dict(zip(pairs, self._measure_distances(joint, _make_scan_grid(low, high), pairs).T, strict=True))
 
-    def _pushing(self) -> list[set[int]]:
+    def _list_pushing_pairs(self) -> list[set[int]]:
         contact, count = self.data.contact, self.data.ncon
         if not count:
             return []
         return [set(pair) for pair in contact.geom[contact.efc_address >= 0].tolist()]
 
     def _find_edges(
-        self, joint: int, pair: tuple[int, int], low: float, high: float, scanned: np.ndarray
+        self, joint: int, pair: tuple[int, int], low: float, high: float, flag_distances: np.ndarray
     ) -> list[tuple[float, float]] | str:
-        """Return all edges of the flag from `low` to `high`, (joint position, d dist / d q) of each, or what is wrong with it."""
-        grid, dist = _make_scan_grid(low, high).tolist(), scanned.tolist()
-        for k in reversed((np.flatnonzero(_may_touch_between(scanned)) + 1).tolist()):
+        """Find all edges of the flag from `low` to `high`.
+
+        Returns:
+            Joint position and d dist / d q of each edge, or a text that says what is wrong with the flag.
+        """
+        grid, dist = _make_scan_grid(low, high).tolist(), flag_distances.tolist()
+        for k in reversed((np.flatnonzero(_may_touch_between(flag_distances)) + 1).tolist()):
             finer, near = self._refine_minimum(joint, pair, grid[k - 1], grid[k + 1], MIN_FLAG_SHARE * (high - low))
             grid[k : k + 1], dist[k : k + 1] = finer.tolist(), near.tolist()
         on = np.array(dist) <= 0
         changes = np.flatnonzero(on[:-1] != on[1:]).tolist()
-        entered = [(self._find_place(joint, pair, grid[k], grid[k + 1]), bool(on[k + 1])) for k in changes]
+        entered = [(self._find_zero_distance(joint, pair, grid[k], grid[k + 1]), bool(on[k + 1])) for k in changes]
         entered = [(at, entering) for at, entering in entered if low <= at <= high]
         if not entered:
             inside = [k for k, q in enumerate(grid) if low <= q <= high]
@@ -273,33 +308,53 @@ class SwitchFinder:
     def _refine_minimum(
         self, joint: int, pair: tuple[int, int], a: float, b: float, narrowest: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions between `a` and `b`, ever closer around where vane and switch are nearest, and their distances."""
+        """Refine the scan where a narrow vane may touch its switch between two positions.
+
+        Args:
+            joint: Id of the joint.
+            pair: Ids of vane and switch.
+            a: Joint position at which the search begins.
+            b: Joint position at which the search ends.
+            narrowest: Joint travel at which the search gives up.
+
+        Returns:
+            Joint positions around the least distance, and the distances there, m.
+        """
         while True:
             finer = np.linspace(a, b, 65)
-            near = self._far(joint, finer, [pair])[:, 0]
+            near = self._measure_distances(joint, finer, [pair])[:, 0]
             may_touch = np.flatnonzero(_may_touch_between(near))
             if (near <= 0).any() or not len(may_touch) or b - a < narrowest:
                 return finer[1:-1], near[1:-1]
             k = int(may_touch[np.argmin(near[may_touch + 1])])
             a, b = finer[k], finer[k + 2]
 
-    def _find_place(self, joint: int, pair: tuple[int, int], a: float, b: float) -> float:
-        """Return the joint position between `a` and `b` where the distance is 0."""
-        on = self._distance(joint, b, *pair) <= 0
+    def _find_zero_distance(self, joint: int, pair: tuple[int, int], a: float, b: float) -> float:
+        """Find by bisection the joint position between `a` and `b` at which the distance of vane and switch is 0."""
+        on = self._measure_distance(joint, b, *pair) <= 0
         while a < (q := 0.5 * (a + b)) < b:
-            a, b = (a, q) if (self._distance(joint, q, *pair) <= 0) == on else (q, b)
+            a, b = (a, q) if (self._measure_distance(joint, q, *pair) <= 0) == on else (q, b)
         return float(q)
 
     def _find_slope(
         self, joint: int, pair: tuple[int, int], at: float, entering: bool, span: float, room: float
     ) -> float:
-        """Return d dist / d q at an edge where the vane enters its switch on the way to plus, or leaves it; 0 if it grazes it.
+        """Find the slope of the distance at an edge of the flag.
 
-        span: Of the joint's travel; room: Joint travel from this edge to the nearest other one.
+        Args:
+            joint: Id of the joint.
+            pair: Ids of vane and switch.
+            at: Joint position of the edge.
+            entering: Whether the vane enters its switch there on the way to plus.
+            span: Joint travel of the axis.
+            room: Joint travel from this edge to the nearest other one.
+
+        Returns:
+            d dist / d q, or 0 if the vane only grazes the switch.
         """
 
         def distance(q: float) -> float:
-            return self._distance(joint, q, *pair)
+            return self._measure_distance(joint, q, *pair)
 
         steps = np.geomspace(min(1e-6 * span, 1e-2 * room), 1e-2 * span, 5)
         slopes = [float((distance(at + e) - distance(at - e)) / (2 * e)) for e in steps]
@@ -313,9 +368,16 @@ class SwitchFinder:
     def _measure_edge(
         self, joint: int, found_address: int, dist_address: int, at: float, slope: float, span: float, room: float
     ) -> FlagEdge:
-        """Find how far beside an edge the contact sensor tells the place, and how well.
+        """Measure how far from an edge the contact sensor's distance still gives the joint's position, and how exactly.
 
-        span, room: As of `_find_slope`.
+        Args:
+            joint: Id of the joint.
+            found_address: Address of the sensor's field `found` in sensordata.
+            dist_address: Address of its field `dist`.
+            at: Joint position of the edge.
+            slope: d dist / d q at the edge.
+            span: Joint travel of the axis.
+            room: Joint travel from this edge to the nearest other one.
         """
         noise, bend, limits = MIN_TRAVEL, 0.0, []
         nearest = min(MIN_FLAG_SHARE * span, 1e-4 * room)  # the first steps, up to 100 times as far, measure the noise
@@ -323,7 +385,7 @@ class SwitchFinder:
         for side in (-1, 1):
             limit = 0.0
             for step in steps:
-                self._forward(joint, at + side * step)
+                self._compute_at(joint, at + side * step)
                 if not self.data.sensordata[found_address] > 0:
                     break
                 sensed = float(self.data.sensordata[dist_address]) / slope
@@ -336,13 +398,15 @@ class SwitchFinder:
             limits.append(limit)
         return FlagEdge(at, slope, bend, noise, *limits)
 
-    def _look_ahead(self, joint: int, found_address: int, q: float, slope: float, low: float, high: float) -> float:
-        """Return the joint travel before the touch over which the sensor finds the vane."""
+    def _measure_lookahead(
+        self, joint: int, found_address: int, q: float, slope: float, low: float, high: float
+    ) -> float:
+        """Measure the joint travel before the touch over which the sensor detects the vane."""
         sign, near, unseen = (1.0 if slope > 0 else -1.0), MIN_LOOKAHEAD_M / abs(slope), 0.0
         room = high - q if slope > 0 else q - low
         for _ in range(24):
             x = 0.5 * (near + unseen) if unseen else min(2 * near, room)
-            self._forward(joint, q + sign * x)
+            self._compute_at(joint, q + sign * x)
             if not self.data.sensordata[found_address] > 0:
                 unseen = x
             elif not unseen and x >= room:
@@ -351,18 +415,18 @@ class SwitchFinder:
                 near = x
         return near
 
-    def _holds_to_the_stop(
+    def _check_held_to_hard_stop(
         self, axis: str, pin: str, joint: int, found_address: int, dist: int, touch: float, end: float
     ) -> None:
-        """Check that EL comes before the hard stop, and stays asserted up to it (or to the end of the range)."""
+        """Check that EL trips before the hard stop, and stays asserted up to the stop or the end of the range."""
         m = self.model
         roots = m.body_jntadr[m.body_rootid[m.geom_bodyid]]  # the first joint of what a geom belongs to; -1: none
         loose = (roots >= 0) & (m.jnt_type[roots] == mujoco.mjtJoint.mjJNT_FREE)  # lies about; no stop of this axis
-        self._forward(joint, float(m.qpos0[m.jnt_qposadr[joint]]))
-        always = self._pushing()
+        self._compute_at(joint, float(m.qpos0[m.jnt_qposadr[joint]]))
+        always = self._list_pushing_pairs()
         for q in np.linspace(touch, end, 25):
-            self._forward(joint, q)
-            stop = [sorted(p) for p in self._pushing() if p not in always and not any(loose[g] for g in p)]
+            self._compute_at(joint, q)
+            stop = [sorted(p) for p in self._list_pushing_pairs() if p not in always and not any(loose[g] for g in p)]
             if stop and q == touch:
                 geoms = " and ".join(repr(m.geom(g).name) for g in stop[0])
                 self.problems.add(axis, f"the hard stop ({geoms} touch) comes before {pin}, which trips at {touch:g}")
@@ -403,9 +467,11 @@ class SwitchFinder:
 
 
 def _limit_to_one_distance(edges: list[FlagEdge], closed: bool) -> tuple[FlagEdge, ...]:
-    """Return the edges with limits such that a distance beyond them belongs to no place beside either neighbor.
+    """Limit the trusted travel beside each edge, so that a sensor distance within it belongs to one edge only.
 
-    closed: The last edge and the first are neighbors, too.
+    Args:
+        edges: Edges from minus to plus.
+        closed: Whether the last edge and the first are neighbors, too.
     """
     for k in range(0 if closed else 1, len(edges) if len(edges) > 1 else 0):
         a, b = edges[k - 1], edges[k]
@@ -416,7 +482,7 @@ def _limit_to_one_distance(edges: list[FlagEdge], closed: bool) -> tuple[FlagEdg
 
 
 def _make_scan_grid(low: float, high: float) -> np.ndarray:
-    """Return SCAN positions from `low` to `high` and one beyond each: a narrow flag may lie beside the ends, too."""
+    """Return SCAN_POSITIONS joint positions from `low` to `high`, and one beyond each end for narrow flags beside the ends."""
     step = (high - low) / (SCAN_POSITIONS - 1)
     return np.concatenate(([low - step], np.linspace(low, high, SCAN_POSITIONS), [high + step]))
 
@@ -428,6 +494,13 @@ def _measure_free_travel(places: list[float], span: float) -> list[float]:
 
 
 def _may_touch_between(dist: np.ndarray) -> np.ndarray:
-    """Return for each distance but the first and the last whether a narrow vane may pass the switch beside its position unseen."""
+    """Return where a narrow vane may touch the switch between two scanned positions.
+
+    Args:
+        dist: Distances at the scanned positions.
+
+    Returns:
+        A mask of all positions but the first and the last.
+    """
     middle, sides = dist[1:-1], (dist[:-2], dist[2:])
     return (middle > 0) & (middle <= np.minimum(*sides)) & (2 * middle <= np.maximum(*sides))
