@@ -376,13 +376,13 @@ class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
         observations = task.observations.copy()
         self._over = ends[0] | ends[1]
         if mode == AutoresetMode.SAME_STEP and self._over.any():
-            infos = self._same_step(infos, observations)
+            infos = self._reset_finished_stages(infos, observations)
             task.update_observations()
             observations[self._over] = task.observations[self._over]
             self._over = np.zeros(self.num_envs, bool)
         return observations, rewards, ends[0], ends[1], infos
 
-    def _same_step(self, infos: dict[str, Any], observations: np.ndarray) -> dict[str, Any]:
+    def _reset_finished_stages(self, infos: dict[str, Any], observations: np.ndarray) -> dict[str, Any]:
         """Reset finished stages, and keep their last observation and info, as Gymnasium requires."""
         last = infos
         merged: dict[str, Any] = {}

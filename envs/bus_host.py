@@ -123,23 +123,23 @@ class BusHost(MachineTask[Any]):
             elif kind == "wait":
                 s["running"], s["fresh"] = played.results[rows, 0] < 0, 0
             elif kind == "read":
-                self._read(s, t[rows, axis], axis)
+                self._store_read_values(s, t[rows, axis], axis)
             else:
-                self._store_home(s, played.results[rows], t[rows, axis], axis)
+                self._store_home_results(s, played.results[rows], t[rows, axis], axis)
             self.axis_states[rows, axis] = s
 
-    def _read(self, s: np.ndarray, t: np.ndarray, axis: np.ndarray) -> None:
+    def _store_read_values(self, s: np.ndarray, t: np.ndarray, axis: np.ndarray) -> None:
         s["fresh"], s["seen"] = 1, t["pulses"]
         pins = np.array(self.wired)[axis]
         for j, name in enumerate(SWITCHES):
             s[name] = t["inputs"] & pins[:, j] != 0
 
-    def _store_home(self, s: np.ndarray, results: np.ndarray, t: np.ndarray, axis: np.ndarray) -> None:
+    def _store_home_results(self, s: np.ndarray, results: np.ndarray, t: np.ndarray, axis: np.ndarray) -> None:
         for a in np.unique(axis):
             mask = axis == a
             s["known"][mask] = self.book.ends_at_origin(int(a), results[mask])
         s["zero"], s["rates"], s["distance"] = t["pulses"], -1, -1
-        self._read(s, t, axis)
+        self._store_read_values(s, t, axis)
 
     def compute_observations(self) -> np.ndarray:
         c, s, e, every, used = self.config, self.axis_states, self.episodes, self.selected_state, self.uses_axis
@@ -162,9 +162,9 @@ class BusHost(MachineTask[Any]):
 
     def scripted_action(self) -> np.ndarray:
         """Return the next actions of a host that approaches the targets by long distances, one axis after the other."""
-        return np.array([self._next_action(k) for k in range(self.n)], np.int64)
+        return np.array([self._choose_action(k) for k in range(self.n)], np.int64)
 
-    def _next_action(self, k: int) -> int:
+    def _choose_action(self, k: int) -> int:
         c, selected = self.config, int(self.episodes[k]["selected"])
         at = {name: j for j, name in enumerate((*RATES, *c.grid, *OTHERS))}
         for a, s in enumerate(self.axis_states[k]):

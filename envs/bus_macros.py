@@ -136,9 +136,9 @@ class BusMacros(BusHost):
         m = len(self.axes)
         self.signed_pulse_m = np.array([a.meters_per_pulse * np.sign(a.gear) for a in self.axes])
         self.per_pulse = np.abs(self.signed_pulse_m)
-        self.full_step = np.array([0.5 * np.pi / (_motor(a).rotor_teeth * a.gear) for a in self.axes])
+        self.full_step = np.array([0.5 * np.pi / (_get_motor(a).rotor_teeth * a.gear) for a in self.axes])
         self.origin = np.array([OriginSwitch(first, a).position for a in self.axes])
-        self.turn = np.array([2 * np.pi / (_motor(a).rotor_teeth * abs(a.gear)) for a in self.axes])
+        self.turn = np.array([2 * np.pi / (_get_motor(a).rotor_teeth * abs(a.gear)) for a in self.axes])
         self.wired = [[a.chip.wired(pin) for pin in SWITCHES] for a in self.axes]
         self.prepare_machines()
         self.top = LEVELS.index(c.level)
@@ -171,7 +171,7 @@ class BusMacros(BusHost):
         axes["goal"] = (self.origin if level == 3 else at) + self.signed_pulse_m * axes["target"]
         axes["known"], axes["fresh"] = level < 3, 1
         e["level"], e["limits"], e["selected"] = level, 0, 0
-        self._place(k, at)
+        self._place_carriages(k, at)
         truth = self.fleet.truth()[k, self.index]
         e["began"] = e["before"] = int(truth["now"][0])
         for a, pins in enumerate(self.wired):
@@ -201,7 +201,7 @@ class BusMacros(BusHost):
         at = self.origin + self.signed_pulse_m * pulses
         return (np.floor(at / self.turn) + float(self.context[k]["switch"])) * self.turn
 
-    def _place(self, k: int, at: np.ndarray) -> None:
+    def _place_carriages(self, k: int, at: np.ndarray) -> None:
         stage = self.stages[k]
         self.apply_machine(k)
         stage.place(**{name: float(q) for name, q in zip(self.config.axes, at, strict=True)})
@@ -293,7 +293,7 @@ class BusMacros(BusHost):
         return total / used.sum(axis=1)
 
 
-def _motor(axis: Any) -> Any:
+def _get_motor(axis: Any) -> Any:
     return axis.drive.motor
 
 

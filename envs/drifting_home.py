@@ -177,7 +177,7 @@ class DriftingHome(MachineTask[Config]):
         self.draw_machine(k, options)
         self.bounce[k] = rng.uniform(*c.bounces)
         self.last[k], self.sums[k], self.shift[k], self.last_end[k] = 0.0, 0.0, 0.0, np.nan
-        self._begin(k, options)
+        self._begin_return(k, options)
 
     def make_fault_rng(self, k: int) -> np.random.Generator:
         """Return the generator of the stage itself: in this task every machine may have a fault."""
@@ -185,9 +185,9 @@ class DriftingHome(MachineTask[Config]):
 
     def prepare_next(self) -> None:
         for k in np.flatnonzero(self.converged & ~self.results["terminated"]):
-            self._begin(int(k), {})
+            self._begin_return(int(k), {})
 
-    def _begin(self, k: int, options: Mapping[str, Any]) -> None:
+    def _begin_return(self, k: int, options: Mapping[str, Any]) -> None:
         """Begin the next return: ORG drifts, and the carriage moves elsewhere."""
         c, rng, stage = self.config, self.rngs[k], self.stages[k]
         low, high = self.switch.low + LIMIT_CLEARANCE_M, self.switch.high - LIMIT_CLEARANCE_M
@@ -269,15 +269,25 @@ class DriftingHome(MachineTask[Config]):
             "lost_steps": lost, "start": self.place, "choices": rows,
         }  # fmt: skip
         good = self.converged
-        self._note(outcome, home, t, duration, good & returned)
+        self._store_last_return(outcome, home, t, duration, good & returned)
         bad = missed | (np.abs(error) > c.tolerance)
-        more = np.stack([duration, returned * self._usual(), bad, lost, end_limit], axis=1)
+        more = np.stack([duration, returned * self._compute_usual_times(), bad, lost, end_limit], axis=1)
         self.sums[good] += more[good]
         self.set_results(parts, info, reports, over & ~reports)
-        self._score(reports, broken)
+        self._score_episodes(reports, broken)
 
-    def _note(self, outcome: Any, home: np.ndarray, t: np.ndarray, duration: np.ndarray, good: np.ndarray) -> None:
-        """Note what the host knows of the last return, for the stages in `good`."""
+    def _store_last_return(
+        self, outcome: Any, home: np.ndarray, t: np.ndarray, duration: np.ndarray, good: np.ndarray
+    ) -> None:
+        """Store what the host can observe of the last return.
+
+        Args:
+            outcome: Outcomes of the returns, (n,).
+            home: Mask of the returns that ended at home.
+            t: TRUTH of the axis on each stage.
+            duration: Durations of the returns, s.
+            good: Mask of the stages whose return counts.
+        """
         travel_pulses = (self.switch.high - self.switch.low) / self.per_pulse
         known = home & ~np.isnan(self.last_end)
         counted = t["pulses"] + np.sign(self.axis.gear) * self.away / self.per_pulse
@@ -289,19 +299,19 @@ class DriftingHome(MachineTask[Config]):
         self.last[good] = np.clip(np.nan_to_num(np.stack(now, axis=1)), -1.0, 1.0)[good]
         self.last_end[good] = np.where(home, t["position"], np.nan)[good]
 
-    def _usual(self) -> np.ndarray:
-        """s, of a return from each place at the usual rates."""
+    def _compute_usual_times(self) -> np.ndarray:
+        """Compute the seconds that a return from each present position takes at the usual rates, (n,)."""
         u, settled = USUAL, 3 * self.config.settle
         distance = np.abs(self.place - self.origin) / self.per_pulse
         return (
             distance / u["search"] + u["ramp"] + u["back_off"] * (1 / (FL * u["search"]) + 1 / u["approach"]) + settled
         )
 
-    def _score(self, reports: np.ndarray, broken: np.ndarray) -> None:
+    def _score_episodes(self, reports: np.ndarray, broken: np.ndarray) -> None:
         seconds, usual, bad, lost, limits = self.sums.T
         returns = np.maximum(self.steps - reports, 1)
         success = np.where(broken, reports, ~reports & (bad == 0))
-        usual = np.where(usual > 0, usual, self._usual())
+        usual = np.where(usual > 0, usual, self._compute_usual_times())
         time = np.where(success, np.where(reports, np.maximum(seconds, usual), seconds / returns), np.inf)
         write_scores(self.results["score"], time, np.where(reports, usual, usual / returns), self.steps, lost, limits)
 
@@ -322,10 +332,10 @@ class DriftingHome(MachineTask[Config]):
         on_org = self.fleet.truth()["inputs"][:, self.axis.index] & self.axis.chip.wired("org") != 0
         failed = np.rint(self.last[:, -1] * self.config.returns)
         rows = zip(on_org.tolist(), failed.tolist(), strict=True)
-        return np.stack([self._host(*row) for row in rows])
+        return np.stack([self._choose_scripted_action(*row) for row in rows])
 
     @staticmethod
-    def _host(on_org: bool, often: float) -> np.ndarray:
+    def _choose_scripted_action(on_org: bool, often: float) -> np.ndarray:
         approach = USUAL["approach"] / (2 if often else 1)
         return action_of(leave=LEAVE if on_org else 0, approach=approach, report=often >= 2)
 

@@ -223,13 +223,13 @@ class FewShotTuning(MachineTask[Config]):
 
     def _place_next(self, k: int) -> None:
         """Place stage k for its next try, at the angle where ORG trips this time."""
-        self.angle[k] = self._angle(k)
-        self._place(self.stages[k], k, float(self.angle[k]))
+        self.angle[k] = self._draw_origin_angle(k)
+        self._place_carriages(self.stages[k], k, float(self.angle[k]))
 
-    def _angle(self, k: int) -> float:
+    def _draw_origin_angle(self, k: int) -> float:
         return float((self.context[k]["switch"] + self.context[k]["drift"] * self.rngs[k].uniform(-1, 1)) % 1.0)
 
-    def _place(self, stage: Stage, k: int, angle: float, more: float = 0.0) -> None:
+    def _place_carriages(self, stage: Stage, k: int, angle: float, more: float = 0.0) -> None:
         stage.restore(self.start)
         self.configure_stage(stage, k, more)
         stage.place(**{self.config.axis: self.trial.find_start(float(self.distance[k]), angle)})
@@ -285,9 +285,9 @@ class FewShotTuning(MachineTask[Config]):
         return np.maximum(portable.log(2 * self.usual) - portable.log(cost), 0.0)
 
     def make_programs(self) -> list[Program]:
-        return self._programs(self.to_registers(self.actions))
+        return self._make_programs_of_rows(self.to_registers(self.actions))
 
-    def _programs(self, rows: np.ndarray) -> list[Program]:
+    def _make_programs_of_rows(self, rows: np.ndarray) -> list[Program]:
         limits = (2 * self.usual).tolist()
         columns = zip(rows.tolist(), self.distance.tolist(), limits, strict=True)
         return [self.trial.program(dict(zip(self.names, row, strict=True)), d, limit) for row, d, limit in columns]
@@ -340,20 +340,20 @@ class FewShotTuning(MachineTask[Config]):
             left &= np.isfinite(cost)
             if not left.any():
                 break
-            proved_now = self._keep_step(left, self.rows[every, at])
+            proved_now = self._prove_moves(left, self.rows[every, at])
             proved[proved_now] = cost[proved_now]
             left &= ~proved_now
         return proved
 
-    def _keep_step(self, which: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def _prove_moves(self, which: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Return which stages keep step with these registers in `proofs` moves, `margin` kg heavier."""
         c, holds = self.config, which.copy()
-        programs = self._programs(np.where(which[:, None], rows, self.to_registers(self.actions)))
+        programs = self._make_programs_of_rows(np.where(which[:, None], rows, self.to_registers(self.actions)))
         for _ in range(c.proofs):
             if not holds.any():
                 break
             for k in np.flatnonzero(holds).tolist():
-                self._place(self.proof_fleet.stages[k], k, self._angle(k), c.margin)
+                self._place_carriages(self.proof_fleet.stages[k], k, self._draw_origin_angle(k), c.margin)
             played = self.proof_fleet.play([p if on else Program() for p, on in zip(programs, holds, strict=True)])
             t = self.proof_fleet.truth()[:, self.axis.index]
             holds &= self.trial.read_outcomes(played, t, self.distance, ENCODER_COUNT_M).in_step & ~played.diverged

@@ -42,7 +42,7 @@ class MacroTable:
         self.home_searches: list[Any] = []
         self._choices: list[np.ndarray] = []
         for axis in axes:
-            self._write(axis, patience, settle)
+            self._write_pages(axis, patience, settle)
         one = [*(f"rates {r}" for r in RATES), *(f"distance {d}" for d in self.grid), *OTHERS]
         self.macros_per_axis, m = len(one), len(axes)
         self.names = (*one, *(f"select {axis.name}" for axis in axes))
@@ -58,36 +58,36 @@ class MacroTable:
             if len(p):
                 row[: len(p)] = p.ops
 
-    def _write(self, axis: Any, patience: float, settle: float) -> None:
-        """Write the pages of an axis, in the order of its macros; the starts have one for each rates and distance."""
+    def _write_pages(self, axis: Any, patience: float, settle: float) -> None:
+        """Write the pages of an axis in the order of its macros. Starts of moves have one for each rate and distance."""
         driver, a, chip = driver_of(axis), axis.index, axis.chip
         rates = [(fl, fh, up, up) for fl, fh, up in RATES.values()]
         for speeds in rates:
             values = driver.formula(*speeds, self.grid[-1], s_curve=False)
-            self._add(self._registers(Program(), axis, values))
+            self._add_pages(self._write_registers(Program(), axis, values))
         for d in self.grid:
-            self._add(self._registers(Program(), axis, {driver.DISTANCE_REGISTER: d}))
+            self._add_pages(self._write_registers(Program(), axis, {driver.DISTANCE_REGISTER: d}))
         for sign in (1, -1):
             pages = []
             for speeds in rates:
                 for d in self.grid:
                     pages.append(p := Program())
                     driver.write_move(p, driver.formula(*speeds, d, s_curve=False), sign * d)
-            self._add(*pages)
+            self._add_pages(*pages)
         search = driver.search(HOMING)
         row = search.find_nearest_row(*SPEEDS_HOME, 0, HOMING.back_off)
         self.home_searches.append(search)
         self._choices.append(np.array([row]))
-        self._add(search.program(row))
-        self._add(Program().until_stopped([a], patience).wait(settle))
-        self._add(Program().read(a, chip.BUSY[0]))
+        self._add_pages(search.program(row))
+        self._add_pages(Program().until_stopped([a], patience).wait(settle))
+        self._add_pages(Program().read(a, chip.BUSY[0]))
 
-    def _add(self, *pages: Program) -> None:
+    def _add_pages(self, *pages: Program) -> None:
         self._first.append(len(self._pages))
         self._pages += pages
 
     @staticmethod
-    def _registers(p: Program, axis: Any, values: dict[str, int]) -> Program:
+    def _write_registers(p: Program, axis: Any, values: dict[str, int]) -> Program:
         for name, value in values.items():
             p.register(axis.index, axis.chip, name, value, axis.chip_axis)
         return p

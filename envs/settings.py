@@ -189,15 +189,15 @@ class Settings:
 
     def __post_init__(self) -> None:
         config: Any = type(self)
-        for name, kind in _kinds(config):
+        for name, kind in _list_setting_kinds(config):
             value = getattr(self, name)
             if value is not None or getattr(config, name) is not None:
                 kind.check(name, value)
 
 
 @cache
-def _kinds(config: type) -> list[tuple[str, Any]]:
-    """The settings of a Config that have a kind."""
+def _list_setting_kinds(config: type) -> list[tuple[str, Any]]:
+    """List name and kind of each setting of a Config that has a kind; a setting with several kinds occurs several times."""
     hints = get_type_hints(config, include_extras=True)
     parts = [
         (name, part) for name, hint in hints.items() for part in (hint, *get_args(hint))

@@ -137,13 +137,13 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         self.rate[k] = np.clip(Speeds().drive, *c.rates)
         self.ramp[k] = np.clip(Speeds().up, *c.ramps)
         self.angles[k] = rng.uniform(size=m)
-        self._place(self.stages[k], k)
+        self._place_carriages(self.stages[k], k)
         self._compute_formula(k)
 
     def prepare_next(self) -> None:
         """Each episode is one step."""
 
-    def _place(self, stage: Stage, k: int, more: float = 0.0) -> None:
+    def _place_carriages(self, stage: Stage, k: int, more: float = 0.0) -> None:
         stage.restore(self.start)
         self.configure_stage(stage, k, more)
         begin = zip(self.axes, self.start_positions, self.distances[k].tolist(), self.angles[k].tolist(), strict=True)
@@ -220,7 +220,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c: Any = self.config
         t, usual = truth[:, self.index], self.usual
-        lost, finished = t["lost_steps"], self._finished(t)
+        lost, finished = t["lost_steps"], self._find_finished_moves(t)
         deviation, duration = np.where(finished, self.path, np.inf), np.where(finished, self.seconds, c.limit)
         off_line, vibration = self._measure_carriages(played.results), played.results[:, -1] * 1e-12
         good = self.converged
@@ -228,7 +228,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         cost = duration + c.path_weight * deviation
         cost = cost + (c.carriage_weight * off_line + c.vibration_weight * vibration) / TENTH_MM
         cost = np.where(in_step, cost, np.inf)
-        proved = np.where(self._keep_step(in_step), cost, np.inf)
+        proved = np.where(self._prove_moves(in_step), cost, np.inf)
         gain = self._compute_value(cost)
         parts = {
             "gain": gain,
@@ -245,14 +245,21 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         damage = np.abs(lost).sum(axis=1), (~finished) * 1
         write_scores(self.results["score"], proved, self.formula[:, 2], self.steps, *damage)
 
-    def _finished(self, t: np.ndarray) -> np.ndarray:
+    def _find_finished_moves(self, t: np.ndarray) -> np.ndarray:
         return ((t["pulses"] == self.distances) & (t["busy"] == 0)).all(axis=1)
 
     def _compute_value(self, cost: np.ndarray) -> np.ndarray:
         return np.maximum(portable.log(2 * self.usual) - portable.log(cost), 0.0)
 
-    def _keep_step(self, which: np.ndarray) -> np.ndarray:
-        """Return which stages keep step with the same registers from other angles in `proofs` moves, `margin` kg heavier."""
+    def _prove_moves(self, which: np.ndarray) -> np.ndarray:
+        """Repeat moves with the same registers from other angles of the rotors, in `proofs` moves and `margin` kg heavier.
+
+        Args:
+            which: Mask of the stages to prove.
+
+        Returns:
+            Mask of the stages that keep step in all these moves.
+        """
         c: Any = self.config
         holds = which.copy()
         for _ in range(c.proofs):
@@ -260,12 +267,12 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
                 break
             for k in np.flatnonzero(holds).tolist():
                 self.angles[k] = self.rngs[k].uniform(size=len(self.axes))
-                self._place(self.proof_fleet.stages[k], k, c.margin)
+                self._place_carriages(self.proof_fleet.stages[k], k, c.margin)
             ops = self._played.copy()
             ops[~holds] = 0
             played = self.proof_fleet.play(ops)
             t = self.proof_fleet.truth()[:, self.index]
-            holds &= self._finished(t) & (t["lost_steps"] == 0).all(axis=1) & ~played.diverged
+            holds &= self._find_finished_moves(t) & (t["lost_steps"] == 0).all(axis=1) & ~played.diverged
         return holds
 
     def compute_observations(self) -> np.ndarray:

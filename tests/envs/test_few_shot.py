@@ -47,13 +47,13 @@ def test_the_gain_of_a_proven_move_is_the_logarithm_of_the_time_ratio(env):
 
 def test_an_attempt_that_fails_the_proof_is_withdrawn_and_the_next_best_is_proved(monkeypatch):
     env = make_env()
-    hold, requested = FewShotTuning._keep_step, []
+    hold, requested = FewShotTuning._prove_moves, []
 
     def only_the_second(task, which, rows):
         requested.append(rows[0].tolist())
         return hold(task, which, rows) & (len(requested) > 1)
 
-    monkeypatch.setattr(FewShotTuning, "_keep_step", only_the_second)
+    monkeypatch.setattr(FewShotTuning, "_prove_moves", only_the_second)
     rewards, infos = play_attempts(env, (USUAL, BRISK, WILD))
     assert requested == [infos[1]["registers"].tolist(), infos[0]["registers"].tolist()]
     assert not infos[2]["kept"]
@@ -61,7 +61,7 @@ def test_an_attempt_that_fails_the_proof_is_withdrawn_and_the_next_best_is_prove
     assert infos[2]["reward_parts"]["proof"] < 0
     assert infos[2]["proved"] == infos[0]["best"]
     assert rewards.sum() == pytest.approx(np.log(2 * infos[0]["usual"] / infos[0]["best"]) - 0.05)
-    monkeypatch.setattr(FewShotTuning, "_keep_step", lambda task, which, rows: np.zeros_like(which))
+    monkeypatch.setattr(FewShotTuning, "_prove_moves", lambda task, which, rows: np.zeros_like(which))
     rewards, infos = play_attempts(env, (USUAL, BRISK, BRISK))
     assert rewards.sum() == pytest.approx(0)
     assert infos[-1]["proved"] == np.inf
@@ -76,7 +76,7 @@ def test_only_the_last_attempt_counts_when_it_is_the_answer(monkeypatch):
     assert rewards.sum() == pytest.approx(np.log(2 * infos[0]["usual"] / infos[-1]["proved"]) - 0.05)
     requested: list = []
     monkeypatch.setattr(
-        FewShotTuning, "_keep_step", lambda task, which, rows: requested.append(rows) or np.zeros_like(which)
+        FewShotTuning, "_prove_moves", lambda task, which, rows: requested.append(rows) or np.zeros_like(which)
     )
     rewards, infos = play_attempts(env, (USUAL, USUAL, BRISK))
     assert [len(requested), rewards.sum(), infos[-1]["proved"]] == [1, pytest.approx(0), np.inf], (

@@ -9,7 +9,7 @@ import pytest
 
 import stage.envs
 from stage import ArgumentError
-from stage.envs.settings import Boolean, Name, Names, Number, Range, _kinds
+from stage.envs.settings import Boolean, Name, Names, Number, Range, _list_setting_kinds
 from stage.sim import plant
 
 CONFIGS = {id_: import_module("stage.envs." + where.split(":")[0]).Config for id_, where in stage.envs.IDS.items()}
@@ -25,7 +25,7 @@ def make_env(id_, **settings):
 def test_every_setting_refuses_non_numbers_and_values_out_of_range(id_):
     """gymnasium.make("stage/RegisterTuning-v0", lost_weight=float("nan")), and lost_weight=-1: taken, rewards are nan."""
     config = CONFIGS[id_]
-    kinds = dict(_kinds(config))
+    kinds = dict(_list_setting_kinds(config))
     assert {f.name for f in fields(config)} - set(kinds) <= UNCHECKED
     for name, kind in kinds.items():
         default = getattr(config, name, None)
@@ -99,7 +99,7 @@ def test_a_model_without_a_site_work_carries_its_payload(id_):
 
 @pytest.mark.parametrize("id_", CONFIGS)
 def test_the_kind_of_a_setting_accepts_its_limits_and_nothing_beyond(id_):
-    for name, kind in _kinds(CONFIGS[id_]):
+    for name, kind in _list_setting_kinds(CONFIGS[id_]):
         if isinstance(kind, Number):
             low = kind.low + (1 if kind.whole else 1e-9) if kind.above else kind.low
             beyond = kind.low if kind.above else kind.low - (1 if kind.whole else 1e-9)
