@@ -76,21 +76,21 @@ def door():
     return send_request
 
 
-def list_ended_sessions(door):
+def list_closed_sessions(door):
     return [headers[ID].decode() for method, headers in door.app.came if method == "DELETE"]
 
 
 def test_beyond_the_limit_the_longest_idle_session_ends(door):
     for _ in range(3):
         door()
-    assert list_ended_sessions(door) == []
+    assert list_closed_sessions(door) == []
     door(session="s1")
     door(session="unknown")
     door()
-    assert list_ended_sessions(door) == ["s2"]
+    assert list_closed_sessions(door) == ["s2"]
     door()
     door()
-    assert list_ended_sessions(door) == ["s2", "s3", "s1"]
+    assert list_closed_sessions(door) == ["s2", "s3", "s1"]
 
 
 def test_a_session_that_has_a_stage_is_none_of_the_silent_ones(door):
@@ -99,9 +99,9 @@ def test_a_session_that_has_a_stage_is_none_of_the_silent_ones(door):
     door.sessions.with_stage = {"s1", "s3"}
     for _ in range(2):
         door()
-    assert list_ended_sessions(door) == []
+    assert list_closed_sessions(door) == []
     door()
-    assert list_ended_sessions(door) == ["s2"]
+    assert list_closed_sessions(door) == ["s2"]
 
 
 def test_a_session_that_is_evicted_gets_the_delete_request_of_its_client(door):
@@ -128,7 +128,7 @@ def test_a_session_that_its_client_ends_is_closed_and_leaves_room(door):
     door("DELETE", "s1")
     assert door.sessions.closed == ["s1"]
     door()
-    assert list_ended_sessions(door) == ["s1"]
+    assert list_closed_sessions(door) == ["s1"]
     door("DELETE", "nobody's")
     assert door.sessions.closed == ["s1", "nobody's"]
 

@@ -7,7 +7,7 @@ host is a value with
     put(chip, address, value)         one bus write cycle
     written(address, value), reset(), advanced(inputs)      the host after a write, a reset, a time
     refuses(chip)                     no drive can begin now, whatever is written
-    check(chip), seen(chip), check_course(course, chip)     the family's invariants: at any moment, and of a time
+    check(chip), observe(chip), check_interval(interval, chip)     the family's invariants: at any moment, and of a time
     ADDRESSES                         where it reads
     BLINKING, PULSE_PINS              inputs that rather blink, outputs that say no more than that there are pulses
     MAKES_PULSES                      what the chip moves, it moves by pulses

@@ -81,7 +81,7 @@ class HctlHost:
         assert rate or chip.encoder == math.floor(count - chip.missed), "a shaft that stands is where it was seen"
 
     def observe(self, chip) -> dict:
-        """Record what `check_course` needs of the moment before time passes."""
+        """Return what `check_interval` needs of the moment before time passes."""
         return {"values": chip.values(), "command": chip.command_position, "motor": chip.motor_command}
 
     def check_interval(self, before, chip) -> None:

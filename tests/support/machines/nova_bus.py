@@ -159,7 +159,7 @@ class NovaHost:
         return chip_copy.read(2) & ERRORS_304 | chip_copy.read(1) & MCX304_STOP_CAUSES
 
     def observe(self, chip) -> dict:
-        """Record what `check_course` needs of the moment before time passes."""
+        """Return what `check_interval` needs of the moment before time passes."""
         return {"lp": self._positions(chip), "driving": chip.read(0) & 0xF}
 
     def _positions(self, chip) -> list[int]:

@@ -90,7 +90,7 @@ class Pcl240Host:
         assert not (chip.pins.hold and chip.pins.pout), "HOLD before the last pulse is complete"
 
     def observe(self, chip) -> dict:
-        """Record what `check_course` needs of the moment before time passes."""
+        """Return what `check_interval` needs of the moment before time passes."""
         return {"registers": chip.values(), "hold": chip.pins.hold}
 
     def check_interval(self, before, chip) -> None:

@@ -65,14 +65,14 @@ class StepDirHost:
         assert not (pins["up"] and pins["down"])
         assert pins["busy"] or not (pins["up"] or pins["down"])
 
-    def seen(self, chip) -> dict:
-        """Return what `check_course` needs of the moment before time passes."""
+    def observe(self, chip) -> dict:
+        """Return what `check_interval` needs of the moment before time passes."""
         return {"values": chip.values(), "net": chip.net()}
 
-    def check_course(self, before, chip) -> None:
+    def check_interval(self, before, chip) -> None:
         """Check what holds after a time in which the pins stayed as they were."""
-        position = chip.values()["POSITION"] - before.seen["values"]["POSITION"]
-        assert position == chip.net() - before.seen["net"]
+        position = chip.values()["POSITION"] - before.observation["values"]["POSITION"]
+        assert position == chip.net() - before.observation["net"]
         assert abs(position) == before.pulses, "a move has one direction"
 
 
