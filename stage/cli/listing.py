@@ -85,10 +85,10 @@ def _list_power_stages(args: argparse.Namespace) -> int:
         for field, text in p.evidence.items():
             letter, _, reason = text.partition(": ")
             value = getattr(p, field)
-            shown = (
+            value_text = (
                 f"{value * 1e6:g} us" if field in TIMES else str(value) if isinstance(value, int | float | str) else ""
             )
-            print(f"  {field:17}{shown:10}{letter:3}{reason}".rstrip())
+            print(f"  {field:17}{value_text:10}{letter:3}{reason}".rstrip())
     print("evidence: " + ", ".join(f"{letter} {meaning}" for letter, meaning in EVIDENCE.items()))
     return 0
 

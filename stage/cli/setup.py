@@ -22,8 +22,8 @@ def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
     from stage import Drive, Stage
     from stage.sim.chips_and_drives import find_chip_class
 
-    chosen = {"motor": args.motor, "power_stage": args.drive}
-    parts: Any = {name: choice for name, choice in chosen.items() if choice is not None}
+    selected = {"motor": args.motor, "power_stage": args.drive}
+    parts: Any = {name: choice for name, choice in selected.items() if choice is not None}
 
     def make_drive(chip: Any) -> Any:
         if chip.SERVO:

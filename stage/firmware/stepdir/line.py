@@ -45,10 +45,8 @@ class Bresenham(Line):
     def data_sheet(self, moves: LineMoves) -> np.ndarray:
         """Compute the registers of the longest axis for the rates and ramps of the settings."""
         settings, rows = self.settings, []
-        for peak, ramp, longest in zip(*self.compute_peaks(moves), moves.longest, strict=True):
-            registers = self.drivers[0].formula(
-                min(settings.fl, peak), peak, ramp, ramp, int(longest), settings.s_curve
-            )
+        for peak, ramp, events in zip(*self.compute_peaks(moves), moves.longest, strict=True):
+            registers = self.drivers[0].formula(min(settings.fl, peak), peak, ramp, ramp, int(events), settings.s_curve)
             rows.append([[registers[name] for name in self.names]])
         return np.array(rows, np.int64)
 
