@@ -120,12 +120,12 @@ def test_json_of_a_firmware_run_has_axes_log_and_diagnostics(capsys, tmp_path):
         ("move x 80 --json --plot a.foo", "a.foo: a figure is no 'foo'.", "FileError"),
         (
             "list --json",
-            "stage list: the following arguments are required: what. Known: chips, motors, models.",
+            "stage list: the following arguments are required: what. Known: chips, motors, power-stages, models.",
             "usage",
         ),
         (
             "serve --json",
-            "stage serve: --json: `stage serve` serves, or prints what a program or a shell reads",
+            "stage serve: --json: `stage serve` has no JSON output: it serves clients",
             "usage",
         ),
     ],

@@ -94,7 +94,7 @@ def test_what_a_number_is_a_number_of():
         ("move x 100 --from -90cm", "stage: --from -90cm: axis x travels from -158 to 158 mm."),
         ("move x 100 --fl -5", "stage move: argument --fl: -5 must be greater than 0, and finite."),
         ("move x 100 --fh1 2kg", "stage move: argument --fh1: '2kg' is not a pulse rate. kg is a unit of mass."),
-        ("list", "stage list: the following arguments are required: what. Known: chips, motors, models."),
+        ("list", "stage list: the following arguments are required: what. Known: chips, motors, power-stages, models."),
         ("completion", "stage completion: the following arguments are required: shell. Known: bash, zsh, fish."),
         ("registers", "stage registers: the following arguments are required: CHIP. Known: PCL240K, PCL240MK, "),
         (

@@ -200,7 +200,7 @@ def test_mutations_find_a_planted_defect_leave_the_input_and_the_counts(tmp_path
         counts.save()
         assert data.count(7) < 2
 
-    assert mutate_for(check, [b"abc", b"x\x07yz"], 30.0, seed=1, found=tmp_path, most=16) == 1
+    assert mutate_for(check, [b"abc", b"x\x07yz"], 30.0, seed=1, result=tmp_path, maximum=16) == 1
     (left,) = tmp_path.glob("crash-*")
     assert 2 <= left.read_bytes().count(7) <= 16
     assert read_counts(counts.path) == dict(counts)

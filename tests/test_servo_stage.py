@@ -410,7 +410,7 @@ def test_an_mjmodel_with_the_right_actuator_works():
         (MIXED, {"x": "14201S003", "z": Servo()}, "axis z: PCL240K drives a stepper"),
         (HCTL1100, {"q": Servo()}, "unknown axis 'q'"),
         (HCTL1100, "9233S031", "unknown DC motor '9233S031'. Did you mean '9233S013'"),
-        (PCL240K, "17HS4410", "unknown motor '17HS4410'. Did you mean '17HS4401'"),
+        (PCL240K, "17HS4410", "unknown motor or power stage '17HS4410'. Did you mean '17HS4401'"),
         (HCTL1100, 3, "unknown DC motor 3"),
     ],
 )

@@ -96,9 +96,9 @@ def _title(place: Register | Word) -> str:
 
 
 def _legal(r: Register) -> str:
-    from stage.chips.register_map import _legal as words
+    from stage.chips.register_map import _format_range as format_range
 
-    return _cell(words(r))
+    return _cell(format_range(r))
 
 
 def _cell(text: str) -> str:

@@ -84,7 +84,7 @@ class Entry(NamedTuple):
         elif kind == LOAD:
             function, args = core.set_load, (self.axis, bits_to_float(self.a), bits_to_float(self.b))
         elif kind == WIRES:
-            function, args = core.hear_wires, (self.a,)
+            function, args = core.set_wire_word, (self.a,)
         elif kind == RESET:
             function = core.power_up
         else:

@@ -228,9 +228,9 @@ def test_half_a_register_of_a_16_bit_chip_is_noted():
     board = Board(stage)
     board.out8(0x30C, 0x21)
     assert [c.port for c in board.strays] == [0x30C]
-    assert int(stage.chips[0].state["low"]) == 0xFF21, "the other half of the bus floats"
+    assert int(stage.chips[0].state["data_low"]) == 0xFF21, "the other half of the bus floats"
     board.out8(0x30D, 0x43)
-    assert int(stage.chips[0].state["low"]) == 0x43FF
+    assert int(stage.chips[0].state["data_low"]) == 0x43FF
     assert (board.in8(0x308), board.in8(0x309)) == (0xFF, 0xF7)
     board.out16(0x30C, 0x4321)
     low, high, *levels, complete = [c.meaning for c in board.trace]

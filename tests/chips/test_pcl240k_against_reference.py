@@ -58,7 +58,7 @@ def test_registers_of_any_legal_value_agree_over_long_runs(program):
 @given(real_programs, st.lists(st.integers(1, 900), min_size=1, max_size=8))
 @example(driver_program(0, 32, (50, 500, 500), (2, 2), 17, 2, 68, 192, 21, [], []), [1, 1, 30, 900, 1])
 def test_advancing_in_pieces_is_advancing_at_once(program, pieces):
-    one, many = Pair(observe=False), Pair(observe=False)
+    one, many = Pair(compare_each=False), Pair(compare_each=False)
     for pair in (one, many):
         for operation in program:
             if operation[0] in ("advance", "trace"):

@@ -773,7 +773,7 @@ def test_a_timeout_that_is_no_time_is_refused_before_the_first_bus_cycle(stage, 
             lambda: firmware.synchronized_move({"x": 100, "y": 100}, stage, timeout=timeout),
         ]  # fmt: skip
     for call in calls:
-        with pytest.raises(ArgumentError, match=r"timeout=.*: seconds, 0 or more; float\('inf'\) waits for ever\."):
+        with pytest.raises(ArgumentError, match=r"timeout=.*: must be 0 s or more; float\('inf'\) waits for ever\."):
             call()
     assert stage.now == 0
 

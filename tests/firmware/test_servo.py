@@ -38,15 +38,15 @@ def test_a_number_is_written_byte_by_byte_high_first_up_to_both_ends_of_its_rang
     x = stage.axes["x"]
     port, word = Port(x), NUMBERS[name]
     n = len(word.addresses)
-    for value in (word.least, word.most):
+    for value in (word.minimum, word.maximum):
         journal = x.chip.journal()
         port.load(**{name: value})
         journal.close()
         expected = zip(word.addresses, (value % 256**n).to_bytes(n, "big"), strict=True)
         assert [(e.a, e.b) for e in journal.entries] == list(expected)
         assert port.t == (value if name == "timer" else 0x40)
-    for value in (word.least - 1, word.most + 1):
-        with pytest.raises(ArgumentError, match=f"from {word.least} to {word.most}"):
+    for value in (word.minimum - 1, word.maximum + 1):
+        with pytest.raises(ArgumentError, match=f"from {word.minimum} to {word.maximum}"):
             port.load(**{name: value})
 
 

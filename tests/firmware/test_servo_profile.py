@@ -62,9 +62,9 @@ def test_sync_lets_the_samples_of_all_axes_begin_at_one_clock(stage):
         stage.run(137e-6)
         axis.chip.write(0x05, 0)
         ports.append(set_up(axis))
-    assert len({int(port.chip.state["next"]) for port in ports}) == 3
+    assert len({int(port.chip.state["sample_end"]) for port in ports}) == 3
     synchronize(ports)
-    assert len({int(port.chip.state["next"]) for port in ports}) == 1
+    assert len({int(port.chip.state["sample_end"]) for port in ports}) == 1
     stage.run(0.05)
     for port in ports:
         assert abs(port.commanded() - port.position()) <= 8, "gravity on Z"

@@ -24,7 +24,7 @@ def chip_before_a_sample():
         chip.write(address, value)
     chip.advance(2000)
     chip.write(0x05, 0x03)
-    chip.advance(int(chip.state["next"]) - chip.clock - 1)
+    chip.advance(int(chip.state["sample_end"]) - chip.clock - 1)
     return chip
 
 

@@ -111,7 +111,7 @@ def test_the_direction_is_that_of_the_last_write_and_plus_after_the_reset_pin():
     """minus at the start; a write that does not turn it; plus, minus, a reset"""
     start = np.array([(100, 1)], [("clock", "i8"), ("minus", "i8")])[0]
     turns = {1: None, 2: False, 3: True}
-    chip = SimpleNamespace(turns=lambda a, b: turns[b])
+    chip = SimpleNamespace(read_direction=lambda a, b: turns[b])
     entries = [
         SimpleNamespace(kind=kind, clock=clock, a=0, b=b)
         for kind, clock, b in ((WRITE, 110, 1), (WRITE, 120, 2), (WRITE, 130, 3), (RESET, 140, 3), (WRITE, 150, 3))

@@ -296,7 +296,7 @@ def test_the_report_has_the_last_log_lines_and_the_number_of_stray_cycles(stage)
     watch.stage, watch.board = stage, Board(stage)
     assert watch._describe_log() == ""
     for k in range(12):
-        watch.board.note(f"line {k}")
+        watch.board.add_log_line(f"line {k}")
         assert ("lines before" in watch._describe_log()) == (k >= 10)
     displayed = watch._describe_log().splitlines()
     assert displayed[:2] == ["log of the firmware:", "  ... 2 lines before"]

@@ -11,6 +11,7 @@ A host without firmware writes the registers of a step timer, which then drives 
 
 from __future__ import annotations
 
+from operator import index
 from typing import Any, ClassVar
 
 from stage.chips.chip import Chip
@@ -69,7 +70,7 @@ class STEPDIR(Chip):
     @explain_arguments
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
         cls._check_axis(axis)
-        return [(cls.MAP.register(name).number, value)]
+        return [(cls.MAP.register(name).number, index(value))]
 
     @classmethod
     @explain_arguments
