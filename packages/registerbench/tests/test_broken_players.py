@@ -24,7 +24,7 @@ def get_end_reason(player, limits=SHORT):
     """Play one game and return the reason for its end; fail if it takes too long."""
     started = time.monotonic()
     came = play(suite("diagnosis:late"), player, "slow", limits)
-    assert time.monotonic() - started < 3
+    assert time.monotonic() - started < 60  # the players hang for 1000 s
     assert not came.is_valid
     assert replay(came).is_same
     return came.games[0].end_reason
