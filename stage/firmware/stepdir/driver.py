@@ -200,13 +200,12 @@ class StepDirDriver(Driver):
                 limit_s = estimate_seconds(events, speeds) if timeout is None else timeout
                 wait_until_stopped(axes, limit_s, on_poll=early_stop)
             axes[0].wait(SETTLING_TIME_S)
-            reasons = {}
-            for name, driver in moving.items():
-                journal = observer.watch[name].journal
-                reasons[name] = driver.explain_end(observer.has_arrived(name), journal)
-                if name in early_stop.stopped:
-                    reasons[name] = ANOTHER_AXIS
-            return observer.report(reasons)
+            return observer.report(
+                {
+                    name: ANOTHER_AXIS if name in early_stop.stopped else driver._read_end_reason()
+                    for name, driver in moving.items()
+                }
+            )
 
     def explain_end(self, done: bool, journal: Journal | None = None) -> str:
         return self._read_end_reason()
