@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from stage import Drive, Stage
-from stage.drives.power_stages import A4988, POWER_STAGES, TB6600, TIMES, PowerStage, find_power_stage
+from stage.drives.power_stages import A4988, POWER_STAGES, TB6600, PowerStage, find_power_stage
 from stage.errors import ArgumentError, LoadError
 from stage.testing import power_stage_conformance
 
@@ -136,4 +136,3 @@ def test_the_conformance_suite_finds_a_time_that_nobody_demands():
     }
     with pytest.raises(AssertionError, match="enable_setup"):
         power_stage_conformance(Forgetful(**demanding))
-    assert len(TIMES) == len(A4988.times)
