@@ -358,6 +358,17 @@ def test_of_time_that_is_spent_nothing_is_left_and_no_minus_nothing(make_box):
     assert str(box.meter.left()["seconds"]) == "0.0"
 
 
+def test_the_trace_keeps_the_bus_cycles_before_a_restore(box):
+    box.call("snapshot", {"name": "start"})
+    box.call("write_bytes", {"axis": "x", "address": 0, "values": ["15h"]})
+    box.call("restore", {"name": "start"})
+    lines = box.call("trace", {"axis": "x"}).text.splitlines()
+    written = [k for k, line in enumerate(lines) if "start, ramp to FH1" in line]
+    restored = [k for k, line in enumerate(lines) if "the time went back" in line]
+    assert len(written) == len(restored) == 1
+    assert written < restored
+
+
 def test_a_restore_is_one_line_of_the_trace(box):
     box.call("move", {"axis": "x", "pulses": 20})
     box.call("restore", {"name": "power-up"})

@@ -99,3 +99,17 @@ def test_what_the_chip_cannot_make_is_worse_than_all_that_it_can():
     assert none
     assert {(trial.max_time, trial.failed_moves) for trial in none} == {(2 * LIMIT, 1 + len(CASES))}
     assert {trial.failed_moves for trial in made} == {len(CASES)}
+
+
+def test_trials_draw_their_parameters_from_minus_one_to_one(monkeypatch):
+    told, drawn = Told(lambda k, case: (0.3, True)), []
+    build_plan = told.planner.build_plan
+
+    def build_recorded_plan(center, parameters, shape):
+        drawn.extend(parameters.values())
+        return build_plan(center, parameters, shape)
+
+    monkeypatch.setattr(told.planner, "build_plan", build_recorded_plan)
+    told.search(48)
+    assert -1.0 <= min(drawn) < -0.9
+    assert 0.9 < max(drawn) <= 1.0
