@@ -95,6 +95,13 @@ def _add_target_options(p: argparse.ArgumentParser) -> None:
         "(docs/memory_mapped.md); for an AVR its pins: data=A,address=C:0-1,cs=B0,wr=G0,rd=G1,irq=D0",
     )  # fmt: skip
     g.add_argument(
+        "--pins",
+        action="append",
+        default=[],
+        help="pins of an AVR that drive STEP/DIR axes and read their switches: x.step=D2,x.dir=D5,x.enable=!B0,x.limit=!B1, or a "
+        "board: grbl, cnc-shield-v3, ramps (docs/step_dir.md)",
+    )  # fmt: skip
+    g.add_argument(
         "--mcu-clock",
         type=FREQUENCY,
         metavar="HZ",
@@ -222,7 +229,7 @@ def _host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:
     if args.mcu is None:
         from stage.board import NativeHost
 
-        for name, given in (("--mcu-clock", args.mcu_clock), ("--gdb", args.gdb)):
+        for name, given in (("--mcu-clock", args.mcu_clock), ("--gdb", args.gdb), ("--pins", args.pins)):
             if given:
                 raise ArgumentError(
                     f"{name}: only programs of other processors have it. Name the processor with --mcu."
@@ -236,8 +243,8 @@ def _host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:
     if len(args.firmware) > 1 or flags or args.platform or args.cost:
         raise ArgumentError("--mcu: give one program that is already built, without --cflags, --platform and --cost.")
     return TargetHost(
-        args.firmware[0], board, mcu=args.mcu, map=args.map, mcu_clock=args.mcu_clock, gdb=args.gdb, isolated=isolated,
-        patience=args.patience,
+        args.firmware[0], board, mcu=args.mcu, map=args.map, pins=args.pins, mcu_clock=args.mcu_clock, gdb=args.gdb,
+        isolated=isolated, patience=args.patience,
     )  # fmt: skip
 
 

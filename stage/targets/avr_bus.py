@@ -77,7 +77,7 @@ class AvrBus:
                 avr.notify(avr.find_irq(port, number), function, self._ports[k : k + 1])
 
 
-def parse_pins(texts: str | Sequence[str]) -> Pins:
+def parse_bus_pins(texts: str | Sequence[str]) -> Pins:
     """Parse the description of a bus.
 
     Args:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.board.bus.host_record import IN8, LOG, OUT8
+from stage.board.bus.host_record import IN8, LINES_SHIFT, LOG, OUT8, READ_LINES, SET_LINES, UNTIL
 from stage.native import array_at, called, exported, hot, record
 from stage.sim.handle import INTEGER
-from stage.targets.processor_core import PROCESSOR_FIELDS, advance_board, bus_cycle, request
+from stage.targets.processor_core import PROCESSOR_FIELDS, advance_board, bus_cycle, compute_time, request
 
 NO_PIN = -1
 PORTS = "ABCDEFGHJKL"
@@ -20,7 +20,7 @@ PIN = record([("port", "i8"), ("bit", "i8")])
 AVR = record(
     PROCESSOR_FIELDS
     + [(name, "i8") for name in "own avr run status raise_irq read_memory timer when quantum pc stop line_irq".split()]
-    + [(name, "i8") for name in "state is_enabled vectors n_vectors asleep".split()]
+    + [(name, "i8") for name in "state is_enabled vectors n_vectors asleep lines".split()]
 )
 """own              its own address
     avr, run ...     the avr_t, and the addresses of avr_run, avr_cycle_timer_status, avr_raise_irq, avr_core_watch_read, of `tick`
@@ -30,6 +30,7 @@ AVR = record(
     state            where simavr's state lies
     is_enabled       address of avr_is_interrupt_enabled; vectors: of the n_vectors addresses that it takes
     asleep           it slept at the last tick; 2: and no interrupt is enabled that could wake it
+    lines            address of its LINES record; 0: no STEP/DIR line is at its pins
 """
 BUS = record(
     [(name, "i8") for name in "avr select write read addresses n_addresses data_port data_irqs first".split()]
@@ -43,6 +44,16 @@ BUS = record(
 """
 PORT = record([("bus", "i8"), ("port", "i8")])
 """The port of a bus that a call of simavr is about."""
+DRIVEN_LINE = record([(name, "i8") for name in "port bit chip mask inverted released".split()])
+"""A line of an axis that the program drives: its pin; the number of its chip and the chip's input pins (bits); whether the pin
+is low while the line is asserted; the pins (bits) that are asserted while the pin is no output."""
+READ_LINE = record([(name, "i8") for name in "irq chip mask inverted level".split()])
+"""A line of an axis that the program reads: the simavr IRQ of its pin; chip, pins and inversion as in DRIVEN_LINE; the level of
+the pin."""
+LINES = record([(name, "i8") for name in "avr driven n_driven read n_read".split()])
+"""Lines of axes at the pins of an AVR, whose record is `avr`: addresses and numbers of DRIVEN_LINE and READ_LINE records."""
+LINE_PORT = record([(name, "i8") for name in "lines port levels outputs".split()])
+"""A port with driven lines: its number, the levels that the program drives, and which of its pins are outputs."""
 SERIAL = record([(name, "i8") for name in "avr text room length".split()])
 """A serial line, and the text since its last line end."""
 BYTE, STATE = np.dtype("u1"), np.dtype("u4")
@@ -119,6 +130,50 @@ def follow_directions(_irq, value, port):
 
 
 @hot
+def _drive_lines(port, levels, outputs):
+    """Pass new levels and directions of a port to the lines at its pins, at the cycle of the edge."""
+    lines = array_at(port.lines, 1, LINES)[0]
+    cpu = array_at(lines.avr, 1, AVR)[0]
+    changed = (levels ^ port.levels) | (outputs ^ port.outputs)
+    port.levels, port.outputs = levels, outputs
+    rows = array_at(lines.driven, lines.n_driven, DRIVEN_LINE)
+    for k in range(len(rows)):
+        row = rows[k]
+        if row.port != port.port or changed >> row.bit & 1 == 0:
+            continue
+        asserted = row.mask if levels >> row.bit & 1 != row.inverted else 0
+        if outputs >> row.bit & 1 == 0:
+            asserted = row.released
+        request(cpu, UNTIL, compute_time(cpu, count_cycles(cpu)), 0)
+        request(cpu, SET_LINES, row.chip, row.mask << LINES_SHIFT | asserted)
+
+
+@exported(None, "i8", "i4", LINE_PORT)
+def drive_line_levels(_irq, value, port):
+    """Take new levels that the program drives at a port with lines."""
+    _drive_lines(port, value & 0xFF, port.outputs)
+
+
+@exported(None, "i8", "i4", LINE_PORT)
+def drive_line_directions(_irq, value, port):
+    """Take new directions of the pins of a port with lines."""
+    _drive_lines(port, port.levels, value & 0xFF)
+
+
+@hot
+def _show_lines(cpu):
+    """Pass switches that have changed to the pins that the program reads."""
+    lines = array_at(cpu.lines, 1, LINES)[0]
+    rows = array_at(lines.read, lines.n_read, READ_LINE)
+    for k in range(len(rows)):
+        row = rows[k]
+        asserted = 1 if request(cpu, READ_LINES, row.chip, 0) & row.mask else 0
+        if asserted ^ row.inverted != row.level:
+            row.level = asserted ^ row.inverted
+            _raise_irq(cpu.raise_irq, (row.irq, row.level))
+
+
+@hot
 def _check_sleep(cpu):
     """Return 1 if an interrupt can wake the sleeping processor, otherwise NOTHING_WAKES."""
     vectors = array_at(cpu.vectors, cpu.n_vectors, INTEGER)
@@ -137,6 +192,8 @@ def end_quantum(_avr, when, cpu):
     if line != cpu.line:
         cpu.line = line
         _raise_irq(cpu.raise_irq, (cpu.line_irq, 1 - line))
+    if cpu.lines:
+        _show_lines(cpu)
     if cpu.pc and array_at(cpu.pc, 1, STATE)[0] == cpu.stop:
         cpu.code = (
             _read_memory(cpu.read_memory, (cpu.avr, 24)) & 0xFF

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from stage.board.board import Board
 from stage.board.host import Host
+from stage.board.pins import PinLine, parse_pins
 from stage.board.thread_runner import PATIENCE_S, Program
 from stage.board.windows import Window, parse_windows
 from stage.errors import ArgumentError
@@ -36,6 +37,7 @@ class TargetHost(Host):
         mcu: The processor, for example atmega2560, cortex-m3, 8086.
         map: How the board is wired to it, one text or several: an AVR's pins, see stage.targets.avr_bus; of a Cortex-M windows, see
             stage.board.windows; an 8086 has ports of its own.
+        pins: Pins of an AVR that are STEP/DIR lines and switches of axes, see stage.board.pins: one text or several.
         mcu_clock: Its clock, Hz; default: see docs/targets.md.
         gdb: TCP port, on 127.0.0.1, at which the processor waits for a GDB.
         isolated: Whether it runs in a process of its own, see stage.board.isolation.
@@ -47,13 +49,14 @@ class TargetHost(Host):
         LibraryError, FileError: No program of this processor.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  each is one property of the processor or of its wiring
         self,
         firmware: str | os.PathLike,
         board: Board,
         *,
         mcu: str,
         map: str | Sequence[str] = (),
+        pins: str | Sequence[str] = (),
         mcu_clock: float | None = None,
         gdb: int | None = None,
         isolated: bool = os.name == "posix",
@@ -70,7 +73,9 @@ class TargetHost(Host):
             _check_free(gdb)
         self.mcu = mcus.check_mcu(mcu)
         maps = [map] if isinstance(map, str) else list(map)
-        program = make_program(Path(firmware), self.mcu, maps, None if mcu_clock is None else round(mcu_clock), gdb)
+        chips = {name: axis.chip for name, axis in board.stage.axes.items()}
+        hz = None if mcu_clock is None else round(mcu_clock)
+        program = make_program(Path(firmware), self.mcu, maps, parse_pins(pins, chips), hz, gdb)
         super().__init__(program, board, isolated, DEBUG_PATIENCE_S if gdb else patience)
 
 
@@ -87,13 +92,16 @@ def _check_free(port: int) -> None:
             ) from None
 
 
-def make_program(path: Path, mcu: str, maps: list[str], hz: int | None, gdb: int | None) -> Program:
+def make_program(
+    path: Path, mcu: str, maps: list[str], lines: tuple[PinLine, ...], hz: int | None, gdb: int | None
+) -> Program:
     """Create a program for a processor.
 
     Args:
         path: The file.
         mcu: Name of the processor.
         maps: Wiring of the board to the processor, see `TargetHost`.
+        lines: Lines of axes at the pins of the processor.
         hz: Clock of the processor in Hz, or None.
         gdb: TCP port of a GDB server, or None.
 
@@ -101,11 +109,14 @@ def make_program(path: Path, mcu: str, maps: list[str], hz: int | None, gdb: int
         ArgumentError, NoEmulatorError: See `TargetHost`.
     """
     if mcu in mcus.AVRS:
-        from stage.targets.avr_bus import parse_pins
+        from stage.targets.avr_bus import parse_bus_pins
         from stage.targets.simavr import AvrProgram
 
         mcus.load_simavr()
-        return AvrProgram(path, mcu, parse_pins(maps), hz, gdb)
+        bus = parse_bus_pins(maps) if maps or not lines else None
+        return AvrProgram(path, mcu, bus, lines, hz, gdb)
+    if lines:
+        raise ArgumentError(f"--pins {lines[0]}: only an AVR's pins can be lines of an axis so far; {mcu} is none.")
     mcus.check_unicorn()
     if mcu in mcus.CORTEX:
         from stage.targets.cortex import CortexProgram

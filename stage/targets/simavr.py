@@ -21,15 +21,17 @@ from stage.board.board import Board
 from stage.board.bus import requests
 from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostError, LibraryError
+from stage.board.pins import PinLine
 from stage.errors import StageError
 from stage.native import address_of, array_at
 from stage.targets import avr_core, mcus
 from stage.targets.avr_bus import AvrBus, Pins
+from stage.targets.avr_lines import AvrLines
 from stage.targets.elf import AVR, Elf, check_avr, read_mmcu
 
 BUILD_COMMAND = "avr-gcc -mmcu={mcu} -Os -g firmware.c -o firmware.elf"
 DEFAULT_HZ = 16_000_000
-QUANTUM_S, LINE_QUANTUM_S = 50e-6, 2e-6
+QUANTUM_S, SWITCH_QUANTUM_S, LINE_QUANTUM_S = 50e-6, 10e-6, 2e-6
 """Time between two ticks; with an interrupt line, which is polled in each."""
 EEPROM, MEMORY = 0x810000, 0x800000
 LINE_SIZE = 256  # bytes of a line over UART
@@ -79,14 +81,16 @@ class AvrProgram:
     Attributes:
         path: The file.
         mcu: The AVR.
-        pins: The pins of its bus.
+        pins: The pins of its bus; None: it has none.
+        lines: Lines of axes at its pins.
         hz: Its clock; None: that of its .mmcu section, or 16 MHz.
         gdb: TCP port of a GDB server, or None.
     """
 
     path: Path
     mcu: str
-    pins: Pins
+    pins: Pins | None
+    lines: tuple[PinLine, ...]
     hz: int | None
     gdb: int | None
 
@@ -200,10 +204,13 @@ class LoadedAvr:
         self._vectors = InterruptVectors(self._simavr.library, self._avr, _read_flash_size(self._avr))
         self._load_content()
         self._call_library("avr_reset")
-        self._make_record(program.pins.irq, hz)
-        self._bus = AvrBus(program.pins, self, board)
-        if program.pins.irq:
-            self._simavr.library["avr_raise_irq"](ctypes.c_void_p(int(self.record.line_irq)), 1)
+        self._has_lines = bool(program.lines)
+        irq = program.pins.irq if program.pins else None
+        self._make_record(irq, hz)
+        self._bus = AvrBus(program.pins, self, board) if program.pins else None
+        self._lines = AvrLines(program.lines, self, board) if program.lines else None
+        if irq:
+            self.raise_irq(int(self.record.line_irq), 1)
         self._connect_serial_lines()
 
     def _call_library(self, name: str, *arguments: Any) -> Any:
@@ -265,7 +272,8 @@ class LoadedAvr:
             library.find_function_address("avr_core_watch_read"),
         )
         t.hz, t.watched, t.pc = hz, irq is not None, self._pc
-        t.quantum = max(1, round((LINE_QUANTUM_S if irq else QUANTUM_S) * hz))
+        quantum_s = LINE_QUANTUM_S if irq else SWITCH_QUANTUM_S if self._has_lines else QUANTUM_S
+        t.quantum = max(1, round(quantum_s * hz))
         t.stop = self._elf.symbols.get("__stop_program", self._elf.symbols.get("_exit", -1))
         t.line_irq = self.find_irq(*irq) if irq else 0
         t.state, t.is_enabled = self._state_at, library.find_function_address("avr_is_interrupt_enabled")
@@ -287,6 +295,10 @@ class LoadedAvr:
         if not irq:
             raise StageError(f"--map: this AVR has no port {avr_core.PORTS[port]}.")
         return int(irq)
+
+    def raise_irq(self, irq: int, level: int) -> None:
+        """Set the level of a simavr IRQ."""
+        self._simavr.library["avr_raise_irq"](ctypes.c_void_p(irq), level)
 
     def notify(self, irq: int, function: Any, row: np.ndarray) -> None:
         """Register a compiled function that simavr calls when an IRQ changes.

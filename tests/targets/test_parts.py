@@ -12,7 +12,7 @@ import pytest
 from stage.board import LibraryError
 from stage.errors import ArgumentError
 from stage.targets import avr_core, mcus
-from stage.targets.avr_bus import parse_pins
+from stage.targets.avr_bus import parse_bus_pins
 from stage.targets.avr_core import PORTS
 from stage.targets.cortex import APPLICATION_ENDS, Semihosting
 from stage.targets.elf import ARM, AVR, Elf, read_machine_name
@@ -544,11 +544,11 @@ def test_carriage_returns_of_a_serial_line_are_not_in_its_text():
 @pytest.mark.parametrize("data", ["AB", "I", "", "A0"])
 def test_the_data_lines_are_one_port(data):
     with pytest.raises(ArgumentError, match=f"data={data} is no port; ports are A, B, "):
-        parse_pins(f"data={data},wr=G0,rd=G1")
+        parse_bus_pins(f"data={data},wr=G0,rd=G1")
 
 
 def test_a_range_of_one_pin_is_that_pin():
-    one, same = (parse_pins(f"data=A,address={address},wr=G0,rd=G1") for address in ("C:3-3", "C3"))
+    one, same = (parse_bus_pins(f"data=A,address={address},wr=G0,rd=G1") for address in ("C:3-3", "C3"))
     assert one == same
     assert one.address == ((PORTS.index("C"), 3),)
-    assert parse_pins("data=A,address=C:0-1+D7,wr=G0,rd=G1").address == ((2, 0), (2, 1), (3, 7))
+    assert parse_bus_pins("data=A,address=C:0-1+D7,wr=G0,rd=G1").address == ((2, 0), (2, 1), (3, 7))

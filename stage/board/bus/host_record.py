@@ -31,6 +31,10 @@ LEVEL, RAISE = 18, 19
 UNTIL = 20
 """Emulated processors: advance the board to a time (a: ns of the stage); if `b`, answer whether the interrupt line then is
 asserted."""
+SET_LINES, READ_LINES = 21, 22
+"""Input pins of a chip, such as the STEP and DIR lines that a microcontroller drives, without a bus cycle: set the pins of a
+mask (a: the chip's number; b: the mask, shifted left by LINES_SHIFT, and the levels), or read the word of all of them."""
+LINES_SHIFT = 32
 WRONG_LEVEL = 64
 """Added to a refused request whose level is out of range."""
 (

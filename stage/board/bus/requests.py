@@ -9,7 +9,7 @@ from __future__ import annotations
 from stage.board.bus import host_record, interrupts, waiting
 from stage.board.bus.host_record import DEVICE, EIGHT, IN8, IN16, LAST_PORT, OUT, OUT16, STRAY, append_to_trace
 from stage.chips import cores
-from stage.chips.entries import LOST, READ, WRITE
+from stage.chips.entries import INPUT, LOST, READ, WRITE
 from stage.native import (
     array_at,
     enter_usual_float_mode,
@@ -337,6 +337,23 @@ def _control_time(host, code, a, b):
 
 
 @hot
+def _access_lines(host, code, chip, argument):
+    """Set or read the input pins of a chip at the host's time, and return their word."""
+    waiting.advance_chip(host, chip)
+    c = host_record.get_chip(host, chip)
+    word = cores.inputs(c, 0)
+    if code == host_record.SET_LINES:
+        mask = argument >> host_record.LINES_SHIFT
+        changed = word & ~mask | argument & mask
+        if changed != word:
+            cores.set_input(c, 0, changed)
+            if host.journals:
+                host_record.append_to_journal(host, INPUT, chip, 0, changed)
+        return changed
+    return word
+
+
+@hot
 def execute(host, code, a, b):
     """Execute one host request and return its result, or 0.
 
@@ -363,6 +380,8 @@ def execute(host, code, a, b):
         host.call_chip, host.call_value, host.call_address = code, a, b
         host_record.call_python(host, host_record.WINDOW_REQUEST)
         return host.call_value
+    if code in (host_record.SET_LINES, host_record.READ_LINES):
+        return _access_lines(host, code, a, b)
     if code == host_record.LOG:
         waiting.catch_up(host)
         host.call_value = a
