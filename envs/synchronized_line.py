@@ -46,7 +46,7 @@ from stage.envs.task import find_judged_point
 from stage.envs.trial import TENTH_MM, compute_move_time
 from stage.errors import ArgumentError
 from stage.firmware.driver import Speeds
-from stage.firmware.lines import LineMoves
+from stage.firmware.line_programs import LineMoves
 from stage.sim.fleet import Fleet, Played
 from stage.sim.program import MEASURE
 from stage.support import portable

@@ -55,8 +55,8 @@ from stage.envs.task import MoveTask
 from stage.envs.trial import StartPositions
 from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware.driver import driver_of
-from stage.firmware.lines import LineMoves, line_of
-from stage.firmware.path import path_deviation
+from stage.firmware.line_programs import LineMoves, line_of
+from stage.firmware.path_deviation import path_deviation
 from stage.sim.fleet import Played
 from stage.sim.program import LOOK, WAIT
 from stage.sim.records import clock_at

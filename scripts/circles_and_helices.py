@@ -15,8 +15,8 @@ import numpy as np
 
 from stage import Stage
 from stage.chips import MCX514
-from stage.firmware.nova.draw import Arc, Helix, Line, Speed, draw
-from stage.firmware.nova.home import HomeReport, home_search
+from stage.firmware.nova.home_search import HomeReport, home_search
+from stage.firmware.nova.path_interpolation import Arc, Helix, Line, Speed, draw
 from stage.support.pictures import GRID_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame
 
 MM = 320  # pulses

@@ -18,10 +18,10 @@ import numpy as np
 from stage import ExtraMissing, Stage
 from stage.chips import HCTL1100
 from stage.chips.hctl1100 import maps
-from stage.firmware.hctl1100.model import Loop
+from stage.firmware.hctl1100.chip_port import CONTROL, FLAGS, RESET, SET, Port
 from stage.firmware.hctl1100.moves import MoveReport, Tuning, set_up, trapezoid
-from stage.firmware.hctl1100.port import CONTROL, FLAGS, RESET, SET, Port
-from stage.firmware.hctl1100.profile import circle, follow, off_circle, synchronize
+from stage.firmware.hctl1100.position_streaming import circle, follow, off_circle, synchronize
+from stage.firmware.hctl1100.servo_loop_model import Loop
 from stage.support.extras import import_extra
 from stage.support.pictures import MUTED_COLOR, TEXT_COLOR, remove_frame, set_title
 

@@ -30,7 +30,7 @@ from stage import Fleet, Program, Stage, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.errors import ArgumentError, StageError
 from stage.firmware import Profile
-from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240 import chip_port
 from stage.support.files import check_writable, write_atomically
 
 AT_REST = 3.0  # pulses between the carriage and the pulses, at rest: friction and gravity against the motor's stiffness
@@ -89,30 +89,36 @@ class Move:
         """Write the registers and the mode; the start is another one."""
         chip, k, kind = self.chip, self.k, type(self.chip)
         profile, fh2 = self.profile, self.fh2
-        control = bus.CONTROL | (0 if self.direction > 0 else bus.MINUS) | (bus.POSITION if kind.EXTENDED else 0)
+        control = (
+            chip_port.CONTROL
+            | (0 if self.direction > 0 else chip_port.MINUS)
+            | (chip_port.POSITION if kind.EXTENDED else 0)
+        )
         self.start = (
-            bus.START["FH2" if fh2 else "FH1"] if self.kind == "constant" else bus.RAMP["FH2" if fh2 else "FH1"]
+            chip_port.START["FH2" if fh2 else "FH1"]
+            if self.kind == "constant"
+            else chip_port.RAMP["FH2" if fh2 else "FH1"]
         )
         if self.kind == "dual":
             point = max(profile.down_point(self.count, False), profile.down_point(self.count, True))
         elif kind.EXTENDED and self.same_ramps and self.kind != "continuous":
-            control, point = control | bus.AUTOMATIC, 2
+            control, point = control | chip_port.AUTOMATIC, 2
         else:
             profile = profile.within(self.count, fh2)
             point = profile.down_point(self.count, fh2)
         if self.kind != "continuous":
-            control |= bus.PRESET
+            control |= chip_port.PRESET
         self.point = point
-        program.command(k, bus.RESET)
+        program.command(k, chip_port.RESET)
         for name, value in (profile.registers() | {"R0": self.count, "R6": point}).items():
             program.register(k, chip, name, value)
-        program.command(k, bus.OUTPUT).command(k, control)
+        program.command(k, chip_port.OUTPUT).command(k, control)
 
     def events(self):
         """(seconds after the start, commands) of what happens in motion."""
-        slow = bus.SLOW_DOWN["FH2" if self.fh2 else "FH1"]
+        slow = chip_port.SLOW_DOWN["FH2" if self.fh2 else "FH1"]
         if self.kind == "dual":
-            return [(self.when, bus.RAMP["FH1" if self.fh2 else "FH2"])]
+            return [(self.when, chip_port.RAMP["FH1" if self.fh2 else "FH2"])]
         if self.kind in ("stop", "go on", "continuous"):
             return [(self.when, slow)]
         return []
@@ -127,14 +133,14 @@ class Move:
 def read_register(program, axis, chip, name):
     """Read R0, or another register of an MK or MS; returns the places of its three bytes in the results, high to low."""
     if name != "R0":
-        program.command(axis, bus.OUTPUT | bus.EXTENSION)
-        program.command(axis, bus.SELECT | bus.COLLECTIVE | chip.MAP.register(name).number)
+        program.command(axis, chip_port.OUTPUT | chip_port.EXTENSION)
+        program.command(axis, chip_port.SELECT | chip_port.COLLECTIVE | chip.MAP.register(name).number)
     places = []
     for address in (3, 2, 1):
         places.append(len(program))
         program.read(axis, address)
     if name != "R0":
-        program.command(axis, bus.SELECT).command(axis, bus.OUTPUT)
+        program.command(axis, chip_port.SELECT).command(axis, chip_port.OUTPUT)
     return places
 
 
@@ -191,7 +197,7 @@ class Soak:
         program.until_stopped(mask, 8 * MAX_SECONDS, poll=2e-3)
         for m in moves:
             if m.kind == "go on":
-                program.wait(m.pause).command(m.k, bus.RESET)
+                program.wait(m.pause).command(m.k, chip_port.RESET)
                 program.register(m.k, m.chip, "R6", m.point)  # on MK and MS the reset command clears it
                 program.command(m.k, m.start)
                 stopped.append(len(program))

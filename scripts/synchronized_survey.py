@@ -15,9 +15,9 @@ import numpy as np
 from stage import ArgumentError
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, plan, synchronized_move
-from stage.firmware.path import path_deviation
-from stage.firmware.pcl240.closed_form import bend, stretch
-from stage.firmware.pcl240.row_emulation import trace_row
+from stage.firmware.path_deviation import path_deviation
+from stage.firmware.pcl240.preset_move_closed_form import bend, stretch
+from stage.firmware.pcl240.register_row_emulation import trace_row
 
 DELAYS = (1e-6, 1e-5, 1e-4)
 

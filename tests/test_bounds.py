@@ -14,9 +14,9 @@ from stage.drives import dynamometer
 from stage.drives.dc_motors import MAX_COUNTS, Servo
 from stage.firmware import Bench, Profile
 from stage.firmware.axis import check_seconds
-from stage.firmware.hctl1100 import profile as servo_profile
+from stage.firmware.hctl1100 import position_streaming as servo_profile
+from stage.firmware.pcl240.line_plan import MAX_R0, _check, _check_distance, _share
 from stage.firmware.pcl240.moves import encode_offset
-from stage.firmware.pcl240.plan import MAX_R0, _check, _check_distance, _share
 from stage.recording.viewer import make_web_server
 from stage.sim import faults, records
 from stage.sim.fleet import MAX_TIME_NS, Fleet

@@ -11,7 +11,7 @@ import pytest
 from stage import Stage, firmware
 from stage.cli import main
 from stage.errors import ArgumentError, ModelError
-from stage.firmware.tandem import group_tandem_axes
+from stage.firmware.gantry_homing import group_tandem_axes
 from stage.sim import plant
 
 OTHERS = ("xya", "gantry")

@@ -10,7 +10,7 @@ from stage import ArgumentError, RunTimeout, Stage, firmware
 from stage.chips import HCTL1100, MCX304, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS, cores
 from stage.cli import build_parser
 from stage.cli.setup import make_stage, parse_wiring
-from stage.firmware.hctl1100.port import Port
+from stage.firmware.hctl1100.chip_port import Port
 from stage.sim.snapshot import Snapshot
 
 POSITIVE = {"org": "positive", "ez": "positive"}

@@ -11,7 +11,7 @@ from bench.figures import Figure, Run
 from bench.timing import race
 from stage.chips import PCL240K, PCL240MS
 from stage.firmware import Profile
-from stage.firmware.pcl240.bus import CONTROL, RAMP, RESET, SELECT, START
+from stage.firmware.pcl240.chip_port import CONTROL, RAMP, RESET, SELECT, START
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from reference.pcl240 import ReferencePCL240K

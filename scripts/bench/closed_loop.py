@@ -12,7 +12,7 @@ from bench.timing import nothing, race
 from stage import Stage
 from stage.chips import PCL240MS
 from stage.firmware import Port, Profile
-from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240 import chip_port
 
 TITLE = "Closed loop beside bare mj_step (xyz, three axes in motion)"
 STEPS = 2000
@@ -73,15 +73,15 @@ def _ramps(run: Run) -> tuple[np.ndarray, np.ndarray]:
         stage.reset()
         profile = Profile(500, 4000, 4000, 400, 400, 100, spans=spans, chip=PCL240MS)
         for port in ports:
-            port.command(bus.RESET)
+            port.command(chip_port.RESET)
             port.write_registers(**profile.registers())
-            port.command(bus.CONTROL)
-            port.command(bus.RAMP["FH1"])
+            port.command(chip_port.CONTROL)
+            port.command(chip_port.RAMP["FH1"])
 
     def work() -> None:
         stage.run(0.29)
         for port in ports:
-            port.command(bus.RAMP["FL"])
+            port.command(chip_port.RAMP["FL"])
         stage.run(0.29)
 
     works = {"curved": (lambda: start((0, 0)), work), "linear": (lambda: start(None), work)}

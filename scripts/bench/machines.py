@@ -12,7 +12,7 @@ import numpy as np
 from stage import Stage
 from stage.chips import PCL240K
 from stage.firmware import Port
-from stage.firmware.pcl240.bus import CONTROL, MINUS, RAMP, RESET
+from stage.firmware.pcl240.chip_port import CONTROL, MINUS, RAMP, RESET
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 SETTLED = 0.3  # s, ramps are over

@@ -11,7 +11,7 @@ from bench.machines import RATE, SETTLED, moving_stage
 from bench.timing import race
 from stage import Stage
 from stage.chips import MCX514, PCL240K
-from stage.firmware.pcl240.bus import CONTROL, RAMP, RESET, START
+from stage.firmware.pcl240.chip_port import CONTROL, RAMP, RESET, START
 
 TITLE = "NOVA chips beside PCL-240 at the same pulse rates"
 PCL_HZ, NOVA_HZ = PCL240K.DEFAULT_CLOCK_HZ, MCX514.DEFAULT_CLOCK_HZ

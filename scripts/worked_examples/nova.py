@@ -8,7 +8,7 @@ from functools import partial
 from stage.chips import MCX304, MCX514
 from stage.chips.nova import Nova
 from stage.firmware import Bench
-from stage.firmware.nova.port import Port
+from stage.firmware.nova.chip_port import Port
 from worked_examples.table import example, write
 
 mcx514 = partial(example, "MCX514")

@@ -15,10 +15,10 @@ from stage.chips.describe import Fields
 from stage.errors import ArgumentError, StageError
 from stage.firmware import procedures
 from stage.firmware.driver import DEFAULT_RAMP_S, SETTLING_TIME_S, Speeds, wait_until_stopped
-from stage.firmware.report import Procedure, Report
+from stage.firmware.gantry_homing import square_gantry_at_speeds
+from stage.firmware.move_report import Procedure, Report
 from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.firmware.synchronized_report import SynchronizedReport
-from stage.firmware.tandem import square_gantry_at_speeds
 
 DIRECTIONS = {"minus": -1, "plus": 1}
 MIN_RATE_PPS = 0.01

@@ -10,7 +10,7 @@ from stage.agents.context import ToolContext
 from stage.agents.host_diagnostics import find_readable_pins
 from stage.agents.tool import Picture, Tool
 from stage.errors import StageError
-from stage.firmware.report import Report
+from stage.firmware.move_report import Report
 
 DOTS_PER_INCH = 90
 
@@ -30,7 +30,7 @@ def make_picture_tool(context: ToolContext) -> Tool:
 def draw_report(report: Any, mode: str) -> Picture:
     """Draw a report; in host mode without lost steps, and with no other pins than registers show."""
     if isinstance(report, Report):
-        from stage.firmware.plot import draw
+        from stage.firmware.plot_move import draw
 
         pins = find_readable_pins(report.course.chip) if mode == "host" else None
         figure = draw(hide_truth(report) if mode == "host" else report, pins=pins)

@@ -17,7 +17,7 @@ from stage.agents.arguments import Flag, Text, argument
 from stage.agents.context import ToolContext
 from stage.agents.tool import Tool
 from stage.errors import ArgumentError, StageError
-from stage.firmware.report import Report
+from stage.firmware.move_report import Report
 from stage.firmware.synchronized_report import SynchronizedReport
 
 MAX_SAMPLES = 1000  # of a column in an answer

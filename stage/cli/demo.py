@@ -40,7 +40,7 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make the moves; exit code 0 if all went as asked."""
-    from stage.firmware.tandem import group_tandem_axes
+    from stage.firmware.gantry_homing import group_tandem_axes
     from stage.support.opengl import has_screen
 
     begin = time.perf_counter()
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
 def make_moves(stage: Any) -> list[Any]:
     """Make the moves of the demonstration; return their reports."""
     from stage.firmware.driver import Speeds
-    from stage.firmware.tandem import group_tandem_axes
+    from stage.firmware.gantry_homing import group_tandem_axes
 
     speeds = Speeds(START_PPS, DRIVE_PPS, 0.1, 0.1)
     reports: list[Any] = []

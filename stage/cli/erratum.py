@@ -156,14 +156,14 @@ def show(make: Callable[[], Any], records: tuple[Record | None, Record | None] =
 
 
 def _stop_by_26h(port: Any) -> bool:
-    from stage.firmware.nova import erratum
+    from stage.firmware.nova import s_curve_workarounds
 
-    port.command(erratum.DECELERATING_STOP)
+    port.command(s_curve_workarounds.DECELERATING_STOP)
     return True
 
 
 def _stop_by_speed(port: Any) -> bool:
-    from stage.firmware.nova.erratum import judgmental_speed, stop_by_speed
+    from stage.firmware.nova.s_curve_workarounds import judgmental_speed, stop_by_speed
 
     return stop_by_speed(port, judgmental_speed(MOVE["SV"], MOVE["V"]))
 
@@ -171,18 +171,18 @@ def _stop_by_speed(port: Any) -> bool:
 def _move(stage: Any, stop: Callable[[Any], bool]) -> Figures:
     """Drive an S-curve up to 5 mm before EL+, by bus cycles, call `stop(port)` once RR1 shows area d, and return figures."""
     from stage.cli.fault.programs import find_touch, first_axis
-    from stage.firmware.nova import erratum
+    from stage.firmware.nova import s_curve_workarounds
 
     x = first_axis(stage)
     end = find_touch(x, "el_plus")
     stage.place(**{x.name: end - TARGET_TO_LIMIT_M - PULSES * x.meters_per_pulse})
-    port = erratum.port_of(x)
+    port = s_curve_workarounds.port_of(x)
     port.load(**MOVE)
-    port.mode(WR2=erratum.LIMITS_DECELERATE, WR3=erratum.S_CURVE)
+    port.mode(WR2=s_curve_workarounds.LIMITS_DECELERATE, WR3=s_curve_workarounds.S_CURVE)
     port.start(PULSES)
-    while not port.word(1) & erratum.DSND:
+    while not port.word(1) & s_curve_workarounds.DSND:
         x.wait(1e-3)
-    while port.word(1) & erratum.DSND:
+    while port.word(1) & s_curve_workarounds.DSND:
         x.wait(5e-4)
     x.wait(1e-6 * MOVE["K"])  # area d lasts 2 K us
     left = PULSES - port.position()
@@ -195,7 +195,8 @@ def _move(stage: Any, stop: Callable[[Any], bool]) -> Figures:
         "pulses left in area d": left,
         "26h given": "yes" if given else "no",
         "ASND CNST DSND then": " ".join(
-            str(int(bool(status & bit))) for bit in (erratum.ASND, erratum.CNST, erratum.DSND)
+            str(int(bool(status & bit)))
+            for bit in (s_curve_workarounds.ASND, s_curve_workarounds.CNST, s_curve_workarounds.DSND)
         ),
         "n-DRV 2 s later": int(away),
         "speed, pps": speed,
@@ -204,6 +205,6 @@ def _move(stage: Any, stop: Callable[[Any], bool]) -> Figures:
         "beyond EL+, mm": max(x.position - end, 0.0) * 1e3,
         "lost steps": x.lost_steps,
     }
-    port.command(erratum.SUDDEN_STOP)
+    port.command(s_curve_workarounds.SUDDEN_STOP)
     x.wait(0.3)
     return figures

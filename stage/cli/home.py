@@ -45,7 +45,7 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Home axes, those of one load together; exit code 0 if each has found its origin and no step is lost."""
     from stage.firmware.driver import driver_of
-    from stage.firmware.tandem import group_tandem_axes
+    from stage.firmware.gantry_homing import group_tandem_axes
 
     stage = make_stage(args)
     groups = group_tandem_axes([find_axis(stage, name) for name in args.axes] or stage.axes.values())
@@ -86,7 +86,7 @@ def _home(args: argparse.Namespace, axis: Any) -> Any:
 
 def _home_together(args: argparse.Namespace, axes: list[Any], names: str) -> list[Any]:
     """Home axes that drive one load."""
-    from stage.firmware.tandem import square_gantry_at_speeds
+    from stage.firmware.gantry_homing import square_gantry_at_speeds
 
     for option in ("by", "ez", "constant", "fast_only", "fh2"):
         if getattr(args, option) not in (None, False):

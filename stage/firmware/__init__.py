@@ -16,18 +16,18 @@ from collections.abc import Callable
 
 from stage.errors import unknown_name_error
 from stage.firmware.axis import Axis
-from stage.firmware.bench import Bench
-from stage.firmware.pcl240.bus import Port
-from stage.firmware.pcl240.home import origin_return
+from stage.firmware.chip_bench import Bench
+from stage.firmware.gantry_homing import square_gantry
+from stage.firmware.move_report import Report
+from stage.firmware.pcl240.chip_port import Port
+from stage.firmware.pcl240.line_plan import Plan, plan
 from stage.firmware.pcl240.moves import continuous_move, external_count, interrupted_move, preset_move
-from stage.firmware.pcl240.plan import Plan, plan
-from stage.firmware.pcl240.profile import Profile
-from stage.firmware.pcl240.rates import curved_ramp_move, dual_rate_move, speed_change_move
-from stage.firmware.pcl240.synchronized import synchronized_move
+from stage.firmware.pcl240.origin_return import origin_return
+from stage.firmware.pcl240.rate_change_moves import curved_ramp_move, dual_rate_move, speed_change_move
+from stage.firmware.pcl240.speed_profile import Profile
+from stage.firmware.pcl240.synchronized_move import synchronized_move
 from stage.firmware.procedures import home, jog, line, move, stop
-from stage.firmware.report import Report
 from stage.firmware.synchronized_report import SynchronizedReport
-from stage.firmware.tandem import square_gantry
 
 PROCEDURES: dict[str, Callable] = {
     f.__name__: f

@@ -20,16 +20,16 @@ from stage.chips.entries import WRITE
 from stage.chips.sharing import Lock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError, add_article
 from stage.firmware.axis import Axis, check_origin
-from stage.firmware.pattern import Pattern
+from stage.firmware.operation_pattern import Pattern
 from stage.firmware.stop_reasons import STOP_COMMAND, UNKNOWN
 from stage.sim.program import Operations
 
 if TYPE_CHECKING:
     from stage.chips.journal import Journal
-    from stage.firmware.lines import Line
+    from stage.firmware.home_program import Search
+    from stage.firmware.line_programs import Line
+    from stage.firmware.move_report import Report
     from stage.firmware.parameter_ranges import ParameterRanges
-    from stage.firmware.report import Report
-    from stage.firmware.search import Search
     from stage.firmware.synchronized_report import SynchronizedReport
 
 DEFAULT_START_PPS, DEFAULT_DRIVE_PPS, DEFAULT_RAMP_S = 1_000.0, 16_000.0, 0.15

@@ -17,7 +17,7 @@ from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, add_article
 from stage.firmware.axis import Axes, Axis, check_direction, check_seconds, get_forward_direction
 from stage.firmware.driver import DEFAULT_RAMP_S, DUAL_RATE_ORDER, Driver, Speeds, driver_of, get_default_speeds
-from stage.firmware.report import Procedure, Report
+from stage.firmware.move_report import Procedure, Report
 from stage.firmware.synchronized_report import SynchronizedReport, select_axes
 from stage.support.arguments import check_timeout, explain_arguments
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from stage.errors import ArgumentError, RunTimeout, unknown_name_error
 from stage.firmware.axis import Axes, Axis
-from stage.firmware.path import Deviation, path_deviation, replay_pulses
-from stage.firmware.report import Procedure, Report
+from stage.firmware.move_report import Procedure, Report
+from stage.firmware.path_deviation import Deviation, path_deviation, replay_pulses
 from stage.support import html
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from stage.firmware.pcl240.plan import Plan
+    from stage.firmware.pcl240.line_plan import Plan
 
 
 @dataclass(frozen=True, repr=False)

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from stage.errors import ArgumentError, StageError, add_article
 from stage.firmware import procedures
 from stage.firmware.driver import Driver, driver_of
-from stage.firmware.report import Procedure
+from stage.firmware.move_report import Procedure
 from stage.panel.stage_thread import has_end_limits
 from stage.units import parse_integer
 

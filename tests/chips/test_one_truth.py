@@ -10,7 +10,7 @@ from stage.chips import CHIPS
 from stage.chips.pcl240 import state
 from stage.chips.register_map import Field
 from stage.errors import ArgumentError
-from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240 import chip_port
 
 FIELDS = {
     f"{name} {place.name} {f.name}": f
@@ -85,14 +85,33 @@ def test_a_value_is_found_by_its_words_in_place():
 
 def test_the_commands_of_the_pcl240_are_those_of_its_data_sheet():
     """The codes here are copied from section 3, not from the map."""
-    assert (bus.RESET, bus.SLOW_DOWN["FH1"], bus.SLOW_DOWN["FH2"], bus.INTERRUPT) == (0x08, 0x1D, 0x1F, 0x20)
-    assert bus.START == {"FL": 0x10, "FH1": 0x11, "FH2": 0x13}
-    assert bus.RAMP == {"FL": 0x14, "FH1": 0x15, "FH2": 0x17}
-    assert (bus.ORIGIN, bus.SD, bus.PRESET, bus.MINUS, bus.AUTOMATIC, bus.POSITION) == (1, 2, 4, 8, 0x10, 0x20)
-    assert (bus.CONTROL, bus.SELECT, bus.OUTPUT, bus.COLLECTIVE, bus.EXTENSION, bus.EXTERNAL) == (
-        0x40, 0x80, 0xC0, 0x20, 0x08, 0x10,
-    )  # fmt: skip
-    assert (bus.encode_index(1), bus.encode_index(16)) == (1 << 21 | 1 << 20, 1 << 21 | 1 << 20 | 15 << 16)
-    assert bus.EZ_SIGNAL == 1 << 20
-    assert (bus.UNCORRECTED, state.LINEAR, state.SPAN, state.COUNTER_MASK) == (0x8000, 0x1000, 0xFFF, 0xFFFFFF)
+    assert (
+        chip_port.RESET,
+        chip_port.SLOW_DOWN["FH1"],
+        chip_port.SLOW_DOWN["FH2"],
+        chip_port.INTERRUPT,
+    ) == (0x08, 0x1D, 0x1F, 0x20)
+    assert chip_port.START == {"FL": 0x10, "FH1": 0x11, "FH2": 0x13}
+    assert chip_port.RAMP == {"FL": 0x14, "FH1": 0x15, "FH2": 0x17}
+    assert (
+        chip_port.ORIGIN,
+        chip_port.SD,
+        chip_port.PRESET,
+        chip_port.MINUS,
+        chip_port.AUTOMATIC,
+        chip_port.POSITION,
+    ) == (1, 2, 4, 8, 0x10, 0x20)
+    assert (chip_port.CONTROL, chip_port.SELECT, chip_port.OUTPUT) == (0x40, 0x80, 0xC0)
+    assert (chip_port.COLLECTIVE, chip_port.EXTENSION, chip_port.EXTERNAL) == (0x20, 0x08, 0x10)
+    assert (chip_port.encode_index(1), chip_port.encode_index(16)) == (
+        1 << 21 | 1 << 20,
+        1 << 21 | 1 << 20 | 15 << 16,
+    )
+    assert chip_port.EZ_SIGNAL == 1 << 20
+    assert (chip_port.UNCORRECTED, state.LINEAR, state.SPAN, state.COUNTER_MASK) == (
+        0x8000,
+        0x1000,
+        0xFFF,
+        0xFFFFFF,
+    )
     assert (state.R10, state.R13, state.R14, state.R15, state.R17) == (8, 11, 12, 13, 15)

@@ -9,7 +9,7 @@ import pytest
 from stage import ArgumentError, Stage, faults, firmware
 from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.envs import register_bus as rb
-from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240 import chip_port
 from stage.native import COMPILED
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -213,10 +213,10 @@ def test_a_live_observation_leaves_the_factors_of_an_mcx304_for_the_host_to_read
 def go_home(host):
     """Return to the origin as the firmware does: leave ORG, search fast, back off, search slowly."""
     for axis in host.axes:
-        port, profile = bus.Port(axis), firmware.Profile.of(fl=1000, fh1=16_000, accel=0.15)
+        port, profile = chip_port.Port(axis), firmware.Profile.of(fl=1000, fh1=16_000, accel=0.15)
 
         def run(control, start, port=port, axis=axis):
-            port.command(bus.RESET)
+            port.command(chip_port.RESET)
             port.control(control)
             port.command(start)
             status = port.wait_until_stopped(20.0, 0.1)
@@ -224,22 +224,22 @@ def go_home(host):
             return status
 
         def leave(port=port, run=run, axis=axis):
-            port.command(bus.RESET)
+            port.command(chip_port.RESET)
             port.control(0)
-            port.command(bus.START["FL"])
+            port.command(chip_port.START["FL"])
             port.wait_until(lambda s: not s.org, 20.0, 1e-2)
             axis.wait(0.1)
-            port.command(bus.RESET)
+            port.command(chip_port.RESET)
             port.wait_until_stopped(1.0)
 
-        port.command(bus.RESET)
+        port.command(chip_port.RESET)
         port.write_registers(**{n: v for n, v in profile.registers().items() if n in "R1 R2 R4 R5 R7"})
         if port.status().org:
             leave()
-        run(bus.ORIGIN | bus.SD | bus.MINUS, bus.RAMP["FH1"])
+        run(chip_port.ORIGIN | chip_port.SD | chip_port.MINUS, chip_port.RAMP["FH1"])
         leave()
         port.write_register("R1", 20)
-        run(bus.ORIGIN | bus.MINUS, bus.START["FL"])
+        run(chip_port.ORIGIN | chip_port.MINUS, chip_port.START["FL"])
 
 
 @pytest.mark.parametrize(

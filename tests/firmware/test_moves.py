@@ -9,8 +9,8 @@ import pytest
 from stage import ArgumentError, RunTimeout, Stage, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, Profile
-from stage.firmware.pcl240 import bus
-from stage.firmware.report import Procedure
+from stage.firmware.move_report import Procedure
+from stage.firmware.pcl240 import chip_port
 
 
 @pytest.fixture
@@ -424,7 +424,7 @@ def test_a_move_that_sd_may_slow_or_whose_ramps_differ_has_its_ramp_down_point_f
         report = firmware.preset_move(Bench(x=kind()).axes["x"], 4000, profile, **options)
         assert report.ok
         modes = [int(s.code, 16) for s in report.statements if s.kind == "command" and int(s.code, 16) >> 6 == 1]
-        return {bool(mode & bus.AUTOMATIC) for mode in modes}
+        return {bool(mode & chip_port.AUTOMATIC) for mode in modes}
 
     even, uneven = (Profile.of(fh1=8000, accel=0.1, decel=decel, chip=kind) for decel in (0.1, 0.15))
     assert automatic(even) == {True}

@@ -6,7 +6,7 @@ from support.covers import covers
 
 from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import MCX304, MCX514
-from stage.firmware.nova.draw import Arc, Helix, Line, Speed, _words, draw
+from stage.firmware.nova.path_interpolation import Arc, Helix, Line, Speed, _words, draw
 
 RADIUS = 1600  # pulses
 SPEED = Speed(8_000)

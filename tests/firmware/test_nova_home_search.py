@@ -5,7 +5,7 @@ from support.covers import covers
 
 from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import MCX304, MCX514
-from stage.firmware.nova.home import home_search
+from stage.firmware.nova.home_search import home_search
 
 EDGE = 6e-6  # m: home is so near the edge of ORG, two pulses
 PULSE = 3.125e-6

@@ -5,7 +5,7 @@ import pytest
 from stage import ArgumentError
 from stage.chips import MCX304, MCX514
 from stage.firmware import Bench
-from stage.firmware.nova.port import Port
+from stage.firmware.nova.chip_port import Port
 
 
 @pytest.mark.parametrize("chip", [MCX304, MCX514])

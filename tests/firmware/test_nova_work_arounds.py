@@ -7,7 +7,7 @@ import pytest
 from stage import ArgumentError, RunTimeout
 from stage.chips import MCX302, MCX304, MCX312, MCX514, PCL240K
 from stage.firmware import Bench
-from stage.firmware.nova import erratum
+from stage.firmware.nova import s_curve_workarounds
 
 every_chip = pytest.mark.parametrize("cls", [MCX302, MCX304, MCX312], ids=lambda cls: cls.__name__)
 PULSES = 12_000
@@ -28,10 +28,10 @@ class Setup:
 
     def __init__(self, cls=MCX304, errata=True, wr1=0, wr2=0, **parameters):
         self.bench = Bench(x=cls(errata=errata))
-        self.driver = erratum.port_of(self.bench.axes["x"])
+        self.driver = s_curve_workarounds.port_of(self.bench.axes["x"])
         self.pins = self.driver.axis.pins
         self.driver.load(**{"R": 800_000, "K": K, "A": 8000, "SV": SV, "V": V, "AO": 0} | LIMITS | parameters)
-        self.driver.mode(WR1=wr1, WR2=wr2, WR3=erratum.S_CURVE)
+        self.driver.mode(WR1=wr1, WR2=wr2, WR3=s_curve_workarounds.S_CURVE)
 
     def start(self, pulses=PULSES):
         self.driver.start(pulses)
@@ -44,7 +44,7 @@ class Setup:
 
     def runs_away(self):
         self.bench.wait(2.5)  # longer than a whole drive
-        return self.driver.driving() and not self.driver.word(1) & erratum.PHASES
+        return self.driver.driving() and not self.driver.word(1) & s_curve_workarounds.PHASES
 
     def ended_at(self):
         self.driver.wait_until_stopped(5, poll=0.02)
@@ -56,22 +56,22 @@ class Setup:
 
 def bare(setup):
     """26h whenever it is asked for."""
-    setup.driver.command(erratum.DECELERATING_STOP)
+    setup.driver.command(s_curve_workarounds.DECELERATING_STOP)
     return True
 
 
 def by_flag(setup):
-    return erratum.stop_guarded(setup.flag)
+    return s_curve_workarounds.stop_guarded(setup.flag)
 
 
 def by_speed(setup):
-    return erratum.stop_by_speed(setup.driver, erratum.judgmental_speed(SV, V))
+    return s_curve_workarounds.stop_by_speed(setup.driver, s_curve_workarounds.judgmental_speed(SV, V))
 
 
 def asked(stop, when, cls=MCX304, pulses=PULSES, **options):
     """A drive, and a stop asked for `when` seconds after its start; whether 26h was given."""
     setup = Setup(cls, **options)
-    setup.flag = erratum.DecelerationFlag(setup.driver)
+    setup.flag = s_curve_workarounds.DecelerationFlag(setup.driver)
     setup.start(pulses)
     setup.run_to(when)
     return setup, stop(setup)
@@ -131,31 +131,34 @@ def when_done(pulses, count):
 @pytest.mark.parametrize("v", [101, 115, 116])
 def test_the_speed_criterion_works_if_area_d_covers_the_full_end_of_the_ramp(v):
     """V so near to SV that the deceleration is never above 125 m: area d begins at the judgmental speed."""
-    judgmental = erratum.judgmental_speed(SV, v)
+    judgmental = s_curve_workarounds.judgmental_speed(SV, v)
     for k in range(200):
         setup = Setup(K=65_535, V=v).start(2000)
         setup.run_to(1.2 + k * 4e-3)
-        erratum.stop_by_speed(setup.driver, judgmental)
+        s_curve_workarounds.stop_by_speed(setup.driver, judgmental)
         assert setup.ended_at() <= 2000
 
 
 def test_the_judgmental_speed_is_the_middle():
-    assert erratum.judgmental_speed(100, 1000) == 550
+    assert s_curve_workarounds.judgmental_speed(100, 1000) == 550
 
 
 def test_each_drive_needs_a_new_deceleration_flag():
     setup, _ = asked(by_flag, FULL / 2 + RAMP)  # in its deceleration: held back
     assert setup.ended_at() == PULSES
-    flag = erratum.DecelerationFlag(setup.driver)
+    flag = s_curve_workarounds.DecelerationFlag(setup.driver)
     setup.start()
     setup.run_to(RAMP + 1e-3)
-    assert erratum.stop_guarded(flag)
+    assert s_curve_workarounds.stop_guarded(flag)
     assert setup.ended_at() < 2 * PULSES
 
 
 # Case 2: a hardware limit that decelerates
 
-LIMIT_ROUTINES = {"interrupt": (erratum.limit_interrupt, erratum.C_END_ENABLE), "polling": (erratum.limit_poll, 0)}
+LIMIT_ROUTINES = {
+    "interrupt": (s_curve_workarounds.limit_interrupt, s_curve_workarounds.C_END_ENABLE),
+    "polling": (s_curve_workarounds.limit_poll, 0),
+}
 limit_routine = pytest.mark.parametrize("name", LIMIT_ROUTINES)
 
 
@@ -163,7 +166,7 @@ def with_limit(name, when, cls=MCX304, sign=1, routine=True, errata=True, begins
     """A drive whose limit is met `when` seconds after its start; where it was then; whether the routine gave 27h, which watches
     from `begins` seconds after the start on."""
     watch, wr1 = LIMIT_ROUTINES[name]
-    setup = Setup(cls, errata, wr1=wr1, wr2=erratum.LIMITS_DECELERATE)
+    setup = Setup(cls, errata, wr1=wr1, wr2=s_curve_workarounds.LIMITS_DECELERATE)
     setup.driver.word(3)
     setup.start(sign * PULSES)
     places = []
@@ -210,7 +213,7 @@ def test_the_routines_leave_a_drive_alone_that_ends_by_itself(name, when):
 def test_the_routines_leave_a_drive_alone_that_a_limit_ends_at_once(name):
     """At constant speed, V = SV, there is no deceleration to be seen: when the routine is called, the drive has ended."""
     watch, wr1 = LIMIT_ROUTINES[name]
-    setup = Setup(wr1=wr1, wr2=erratum.LIMITS_DECELERATE, V=SV)
+    setup = Setup(wr1=wr1, wr2=s_curve_workarounds.LIMITS_DECELERATE, V=SV)
     setup.driver.word(3)
     setup.start()
     setup.bench.at(setup.began + 0.1, lambda: setattr(setup.pins, "lmt_plus", True))
@@ -236,10 +239,10 @@ def test_a_chip_without_the_erratum_needs_no_routine(name):
     ids=["plus", "minus"],
 )
 def test_a_drive_beyond_a_software_limit_is_not_started(cls, pulses, limits):
-    setup = Setup(cls, wr2=erratum.SOFT_LIMITS, **limits).start(pulses)
+    setup = Setup(cls, wr2=s_curve_workarounds.SOFT_LIMITS, **limits).start(pulses)
     assert setup.runs_away()
-    setup = Setup(cls, wr2=erratum.SOFT_LIMITS, **limits)
-    assert not erratum.start_within_limits(setup.driver, pulses, limits["CM"], limits["CP"])
+    setup = Setup(cls, wr2=s_curve_workarounds.SOFT_LIMITS, **limits)
+    assert not s_curve_workarounds.start_within_limits(setup.driver, pulses, limits["CM"], limits["CP"])
     assert not setup.driver.driving()
     assert setup.driver.position() == 0
 
@@ -247,8 +250,8 @@ def test_a_drive_beyond_a_software_limit_is_not_started(cls, pulses, limits):
 @pytest.mark.parametrize("sign", [1, -1], ids=["plus", "minus"])
 def test_a_drive_to_a_software_limit_starts_and_stops_there(sign):
     limits = {"CP": PULSES if sign > 0 else 1, "CM": -PULSES}
-    setup = Setup(wr2=erratum.SOFT_LIMITS, **limits)
-    assert erratum.start_within_limits(setup.driver, sign * PULSES, limits["CM"], limits["CP"])
+    setup = Setup(wr2=s_curve_workarounds.SOFT_LIMITS, **limits)
+    assert s_curve_workarounds.start_within_limits(setup.driver, sign * PULSES, limits["CM"], limits["CP"])
     assert setup.ended_at() == sign * PULSES
 
 
@@ -256,7 +259,7 @@ def test_a_drive_to_a_software_limit_starts_and_stops_there(sign):
 
 
 def with_stop(k, when, cls=MCX304, routine=True, begins=0.0):
-    setup = Setup(cls, wr1=erratum.STOP_ENABLES[k]).start()
+    setup = Setup(cls, wr1=s_curve_workarounds.STOP_ENABLES[k]).start()
     places = []
 
     def touch():
@@ -266,7 +269,7 @@ def with_stop(k, when, cls=MCX304, routine=True, begins=0.0):
     setup.bench.at(setup.began + when, touch)
     setup.run_to(begins)
     watch = setup.driver.wait_until_stopped
-    return setup, places, watch(3, lambda: erratum.stop_signal_poll(setup.driver)) if routine else None
+    return setup, places, watch(3, lambda: s_curve_workarounds.stop_signal_poll(setup.driver)) if routine else None
 
 
 @every_chip
@@ -291,10 +294,10 @@ def test_the_stop_routine_leaves_a_drive_alone_that_ends_by_itself(when):
 
 def test_the_driver_writes_to_its_axis_only():
     chip = MCX304()
-    z = erratum.port_of(SimpleNamespace(name="z", chip=chip, chip_axis=2))
-    erratum.port_of(SimpleNamespace(name="x", chip=chip, chip_axis=0)).load(P=5)
+    z = s_curve_workarounds.port_of(SimpleNamespace(name="z", chip=chip, chip_axis=2))
+    s_curve_workarounds.port_of(SimpleNamespace(name="x", chip=chip, chip_axis=0)).load(P=5)
     z.load(R=800_000, SV=1000, V=1000, LP=-3)
-    z.mode(WR1=erratum.C_END_ENABLE)
+    z.mode(WR1=s_curve_workarounds.C_END_ENABLE)
     z.start(40)
     assert (z.driving(), z.speed()) == (True, 1000)
     assert set(chip.trace(16_000_000)["axis"]) == {2}
@@ -323,7 +326,7 @@ def test_errors_come_before_the_first_bus_cycle(act, message):
 @pytest.mark.parametrize("chip", [PCL240K, MCX514], ids=lambda cls: cls.__name__)
 def test_other_chips_are_refused(chip):
     with pytest.raises(ArgumentError, match="no MCX304, MCX302 or MCX312"):
-        erratum.port_of(Bench(x=chip()).axes["x"])
+        s_curve_workarounds.port_of(Bench(x=chip()).axes["x"])
 
 
 @pytest.mark.parametrize("stops", [True, False])
@@ -335,7 +338,7 @@ def test_a_stop_by_the_routine_is_reported_though_it_runs_again_afterwards(stops
         if len(samples) != 100:
             return False
         if stops:
-            setup.driver.command(erratum.DECELERATING_STOP)
+            setup.driver.command(s_curve_workarounds.DECELERATING_STOP)
         return stops
 
     assert setup.driver.wait_until_stopped(5, routine) is stops
@@ -365,16 +368,16 @@ def test_a_routine_ignores_a_runaway_of_another_cause():
     limited = with_limit("interrupt", FULL - AREA_D / 2, routine=False)[0]
     assert limited.runs_away()
     limited.driver.word(3)  # C-END is told once
-    assert not erratum.limit_interrupt(limited.driver)
-    assert not erratum.stop_signal_poll(limited.driver)
+    assert not s_curve_workarounds.limit_interrupt(limited.driver)
+    assert not s_curve_workarounds.stop_signal_poll(limited.driver)
     assert limited.runs_away()
-    assert erratum.limit_poll(limited.driver)
+    assert s_curve_workarounds.limit_poll(limited.driver)
     reported = Setup().start()
     reported.run_to(FULL - AREA_D / 2)
     assert bare(reported)
     assert reported.runs_away()
-    assert not erratum.limit_poll(reported.driver)
-    assert not erratum.stop_signal_poll(reported.driver)
+    assert not s_curve_workarounds.limit_poll(reported.driver)
+    assert not s_curve_workarounds.stop_signal_poll(reported.driver)
     assert reported.runs_away()
 
 
@@ -394,7 +397,7 @@ class Said:
         self.told.append(code)
 
 
-RUNS_AWAY = (erratum.C_END, erratum.STOPPED_BY_LIMIT, True)
+RUNS_AWAY = (s_curve_workarounds.C_END, s_curve_workarounds.STOPPED_BY_LIMIT, True)
 """What RR3 and RR1 say, and whether it drives."""
 
 
@@ -402,20 +405,27 @@ RUNS_AWAY = (erratum.C_END, erratum.STOPPED_BY_LIMIT, True)
     ("said", "stops"),
     [
         (RUNS_AWAY, True),
-        ((erratum.C_END | 0xF, erratum.STOPPED_BY_LIMIT & -erratum.STOPPED_BY_LIMIT, True), True),
-        ((0xFFFF & ~erratum.C_END, erratum.STOPPED_BY_LIMIT, True), False),
-        ((erratum.C_END, erratum.STOPPED_BY_LIMIT | erratum.DSND, True), False),
-        ((erratum.C_END, erratum.STOPPED_BY_LIMIT, False), False),
-        ((erratum.C_END, 0, True), False),
+        (
+            (
+                s_curve_workarounds.C_END | 0xF,
+                s_curve_workarounds.STOPPED_BY_LIMIT & -s_curve_workarounds.STOPPED_BY_LIMIT,
+                True,
+            ),
+            True,
+        ),
+        ((0xFFFF & ~s_curve_workarounds.C_END, s_curve_workarounds.STOPPED_BY_LIMIT, True), False),
+        ((s_curve_workarounds.C_END, s_curve_workarounds.STOPPED_BY_LIMIT | s_curve_workarounds.DSND, True), False),
+        ((s_curve_workarounds.C_END, s_curve_workarounds.STOPPED_BY_LIMIT, False), False),
+        ((s_curve_workarounds.C_END, 0, True), False),
         *(
-            ((erratum.C_END, erratum.STOPPED_BY_LIMIT | 1 << k, True), False)
+            ((s_curve_workarounds.C_END, s_curve_workarounds.STOPPED_BY_LIMIT | 1 << k, True), False)
             for k in range(16)
-            if erratum.PHASES >> k & 1
+            if s_curve_workarounds.PHASES >> k & 1
         ),
     ],
 )
 def test_each_branch_of_the_flow_chart_of_the_limit_interrupt_leaves_the_drive_alone(said, stops):
     """C-END, DSND, n-DRV, the limit's bits, the phases: 27h only where all of them say that it runs away"""
     port = Said(*said)
-    assert erratum.limit_interrupt(port) is stops
-    assert port.told == [erratum.SUDDEN_STOP] * stops
+    assert s_curve_workarounds.limit_interrupt(port) is stops
+    assert port.told == [s_curve_workarounds.SUDDEN_STOP] * stops

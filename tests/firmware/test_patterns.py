@@ -133,30 +133,32 @@ def test_a_picture_is_drawn_into_a_file_or_into_existing_axes(reports, tmp_path)
 
 def test_no_rate_is_labeled_while_the_axis_is_at_rest(reports):
     """firmware.interrupted_move(axis, 20_000).plot(): the pause is no stretch of constant rate"""
-    from stage.firmware import plot
+    from stage.firmware import plot_move
 
     for name in ("ramping_and_interrupting", "end_limit"):
         report = reports[name]
         t = report.course.seconds - report.began
-        assert all(rate > 0 for _, rate in plot._find_plateaus(report, {}, t, plot._compute_time_range(report, t))), (
-            name
-        )
+        assert all(
+            rate > 0 for _, rate in plot_move._find_plateaus(report, {}, t, plot_move._compute_time_range(report, t))
+        ), name
 
 
 def test_notes_never_overlap(reports, monkeypatch):
     """The rows of the notes: no text meets another, nor the line of a later one."""
-    from stage.firmware import plot
+    from stage.firmware import plot_move
     from stage.firmware.driver import driver_class
 
-    monkeypatch.setattr(plot, "_measure_text_width", cache(plot._measure_text_width))  # the same words stand in many
+    monkeypatch.setattr(
+        plot_move, "_measure_text_width", cache(plot_move._measure_text_width)
+    )  # the same words stand in many
     for report in reports.values():
         t = report.course.seconds - report.began
         notes = driver_class(report.course.chip).PATTERN(report).notes(t)
-        limits, width = plot._compute_time_range(report, t), 500.0
-        rows = plot._assign_note_rows(notes, limits, width)
+        limits, width = plot_move._compute_time_range(report, t), 500.0
+        rows = plot_move._assign_note_rows(notes, limits, width)
         at = [(n.time - limits[0]) / (limits[1] - limits[0]) * width for n in notes]
         for k, note in enumerate(notes):
-            end = at[k] + plot._measure_text_width(note.code, True) + plot._measure_text_width(note.words)
+            end = at[k] + plot_move._measure_text_width(note.code, True) + plot_move._measure_text_width(note.words)
             assert all(rows[k] > rows[j] for j in range(k + 1, len(notes)) if at[j] < end)
 
 

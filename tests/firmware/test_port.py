@@ -7,7 +7,7 @@ import pytest
 from stage import ArgumentError, RunTimeout, StageError, firmware
 from stage.chips import PCL240K, PCL240MK
 from stage.firmware import Bench, Port, Profile
-from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240 import chip_port
 
 
 def port(**options):
@@ -38,8 +38,8 @@ def test_the_status_is_named_by_the_register_map_and_readable():
     p = port()
     p.write_registers(R0=100, R1=500, R2=4000, R3=4000, R4=300, R5=300, R6=50, R7=300)
     assert str(p.status()) == "halted"
-    p.command(bus.CONTROL | bus.PRESET)
-    p.command(bus.RAMP["FH1"] | bus.INTERRUPT)
+    p.command(chip_port.CONTROL | chip_port.PRESET)
+    p.command(chip_port.RAMP["FH1"] | chip_port.INTERRUPT)
     assert str(p.status()) == "ramping up or down"
     status = p.wait_until_stopped(10)
     assert str(status) == "halted, R0 = 0, R0 < R6, /INT pending"
@@ -49,7 +49,7 @@ def test_the_status_is_named_by_the_register_map_and_readable():
 
 def test_reading_a_register_leaves_the_bus_as_it_was():
     p = Port(Bench(PCL240MK()).axes["x"])
-    p.command(bus.OUTPUT | bus.EXTERNAL)
+    p.command(chip_port.OUTPUT | chip_port.EXTERNAL)
     p.write_registers(R0=0x010203, R10=0x040506)
     assert p.read_register("R10") == 0x040506
     p.axis.chip.write(1, 0x77)  # R0 is selected, and byte by byte
@@ -66,8 +66,8 @@ def test_reading_a_register_leaves_the_bus_as_it_was():
 def test_a_bus_too_slow_to_read_the_counter_says_so_and_does_not_hang():
     p = port(bus_cycle=1e-3)
     p.write_registers(R0=0xFFFFFF, R1=8191, R2=8191, R7=2)
-    p.command(bus.CONTROL)
-    p.command(bus.START["FH1"])
+    p.command(chip_port.CONTROL)
+    p.command(chip_port.START["FH1"])
     with pytest.raises(StageError, match="bytes did not agree in 100 reads: the bus is too slow"):
         p.counter()
 
@@ -91,7 +91,7 @@ def test_a_timeout_says_what_the_chip_was_doing_and_carries_the_report():
     assert not report.ok
     with pytest.raises(StageError, match="axis x is moving: wait until it stops, or stop it with 08h"):
         firmware.preset_move(x, 10)
-    Port(x).command(bus.RESET)
+    Port(x).command(chip_port.RESET)
     Port(x).wait_until_stopped(1)
     assert firmware.preset_move(x, 10).ok
 

@@ -19,8 +19,8 @@ from stage.firmware.driver import (
     get_default_speeds,
     wait_until_stopped,
 )
+from stage.firmware.move_report import Procedure
 from stage.firmware.procedures import parse_speeds, two_rates
-from stage.firmware.report import Procedure
 from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.sim import plant
 

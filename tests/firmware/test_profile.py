@@ -11,7 +11,7 @@ from support.examples import SEED
 from stage import ArgumentError, firmware
 from stage.chips import PCL240K, PCL240MS
 from stage.firmware import Bench, Profile
-from stage.firmware.pcl240.profile import (
+from stage.firmware.pcl240.speed_profile import (
     down_point,
     is_triangular,
     pulse_rate,

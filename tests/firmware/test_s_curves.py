@@ -7,7 +7,7 @@ from support.examples import SEED
 from stage import ArgumentError, StageError, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, Port, Profile
-from stage.firmware.pcl240.closed_form import _mean_delay, twice_span
+from stage.firmware.pcl240.preset_move_closed_form import _mean_delay, twice_span
 
 SHAPES = [False, True, 0.2]
 

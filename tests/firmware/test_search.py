@@ -9,9 +9,9 @@ from stage.chips import MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.chips.pcl240.state import S_ORG, S_ZERO
 from stage.firmware import Bench
 from stage.firmware.driver import driver_of
-from stage.firmware.nova.search import HomeSearch
-from stage.firmware.pcl240 import home
-from stage.firmware.pcl240.search import FourRuns
+from stage.firmware.nova.home_program import HomeSearch
+from stage.firmware.pcl240 import origin_return
+from stage.firmware.pcl240.home_program import FourRuns
 from stage.sim.program import Program
 
 RESULTS = {"leave": 0, "search": 7000, "back off": 500, "approach": 480}  # pulses
@@ -120,7 +120,7 @@ def test_an_origin_return_to_the_index_pulse_counts_from_fl_on(ez):
         control=lambda _: None, command=lambda _: None, wait_until_stopped=lambda _: status, status=lambda: status,
     )  # fmt: skip
     run = SimpleNamespace(port=port, stop_reason=lambda: "EZ")
-    assert home._approach(run, -1, False, 1.0, ez) == "EZ"
+    assert origin_return._approach(run, -1, False, 1.0, ez) == "EZ"
     assert written == {"R13": value}
 
 

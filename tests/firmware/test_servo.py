@@ -9,11 +9,11 @@ from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import HCTL1100
 from stage.chips.hctl1100.maps import NUMBERS
 from stage.firmware.driver import Speeds
+from stage.firmware.hctl1100.chip_port import INIT, PROFILE, Port
 from stage.firmware.hctl1100.driver import _rows
-from stage.firmware.hctl1100.home import home, leave_limit
-from stage.firmware.hctl1100.model import Loop
+from stage.firmware.hctl1100.homing import home, leave_limit
 from stage.firmware.hctl1100.moves import Tuning, integral_velocity, proportional_velocity, set_up, step, trapezoid
-from stage.firmware.hctl1100.port import INIT, PROFILE, Port
+from stage.firmware.hctl1100.servo_loop_model import Loop
 
 COUNT = 5e-6  # m
 DEADBAND = 3

@@ -8,9 +8,9 @@ from stage import RunTimeout, Stage, faults, firmware
 from stage.chips import HCTL1100
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import Speeds, driver_of
-from stage.firmware.hctl1100.home import leave_limit
-from stage.firmware.hctl1100.port import Port
-from stage.firmware.report import Procedure
+from stage.firmware.hctl1100.chip_port import Port
+from stage.firmware.hctl1100.homing import leave_limit
+from stage.firmware.move_report import Procedure
 from stage.panel.procedure_forms import Jog
 from stage.panel.session import FREE, Session
 from stage.sim import plant

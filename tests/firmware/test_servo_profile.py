@@ -10,10 +10,10 @@ import pytest
 from stage import ArgumentError, Stage
 from stage.chips import HCTL1100
 from stage.chips.entries import WRITE
-from stage.firmware.hctl1100.model import Loop, design
+from stage.firmware.hctl1100.chip_port import Port
 from stage.firmware.hctl1100.moves import Tuning, set_up
-from stage.firmware.hctl1100.port import Port
-from stage.firmware.hctl1100.profile import circle, follow, off_circle, synchronize
+from stage.firmware.hctl1100.position_streaming import circle, follow, off_circle, synchronize
+from stage.firmware.hctl1100.servo_loop_model import Loop, design
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 

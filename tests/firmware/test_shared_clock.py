@@ -11,8 +11,8 @@ from stage import ArgumentError, Stage, StageError, firmware
 from stage.chips import PCL240K, PCL240MS
 from stage.cli import main
 from stage.firmware import Bench, Profile, plan
-from stage.firmware.pcl240 import bus, driver
-from stage.firmware.pcl240.bus import explain_silence
+from stage.firmware.pcl240 import chip_port, driver
+from stage.firmware.pcl240.chip_port import explain_silence
 
 HZ = 4_915_200
 GOOD = 2.0  # pulses from the line
@@ -129,8 +129,8 @@ def test_a_wait_for_pulses_that_cannot_come_says_what_is_missing():
     ):
         port = firmware.Port(axis)
         port.write_registers(R0=100, R1=100)
-        port.control(bus.PRESET)
-        port.command(bus.START["FL"])
+        port.control(chip_port.PRESET)
+        port.command(chip_port.START["FL"])
         with pytest.raises(StageError, match=message) as caught:
             port.wait_until_stopped(0.01)
         assert "more time" not in str(caught.value)

@@ -8,7 +8,7 @@ import pytest
 
 from stage import Stage, faults, firmware
 from stage.errors import RunTimeout
-from stage.firmware import tandem
+from stage.firmware import gantry_homing
 from stage.firmware.driver import Speeds
 from stage.sim import plant
 
@@ -42,14 +42,14 @@ def gantry(request):
 @pytest.fixture
 def ways(monkeypatch):
     """Record the calls of `line` by `square_gantry`: (ways, options) each. Half of PIECES are enough for half of the travel."""
-    observed, line = [], tandem.line
+    observed, line = [], gantry_homing.line
 
     def noted(distances, *axes, **options):
         observed.append((dict(distances), options))
         assert len(observed) <= PIECES, "it goes on for ever"
         return line(distances, *axes, **options)
 
-    monkeypatch.setattr(tandem, "line", noted)
+    monkeypatch.setattr(gantry_homing, "line", noted)
     return observed
 
 
@@ -80,15 +80,15 @@ def test_a_beam_is_squared_towards_org_at_either_end_from_before_it_and_from_on_
 def test_a_tandem_axis_moves_alone_at_a_quarter_of_the_common_speed(gantry, ways, monkeypatch):
     """firmware.square_gantry(y, w, speed=0.06, start_speed=0.02, accel=0.05)"""
     direction, axes = placed(gantry, 67)
-    homes, driver = [], type(tandem.driver_of(axes[0]))
+    homes, driver = [], type(gantry_homing.driver_of(axes[0]))
     monkeypatch.setattr(driver, "home", lambda self, *arguments, **options: homes.append((arguments, options)))
     asked = {"speed": 0.06, "start_speed": 0.02, "accel": 0.05}
-    tandem.square_gantry(*axes, direction=direction, **asked, timeout=7.0)
+    gantry_homing.square_gantry(*axes, direction=direction, **asked, timeout=7.0)
     assert [options for _, options in ways] == [asked] * len(ways)
     slow = 0.06 / 4 / axes[0].meters_per_pulse
     assert homes == [((direction, pytest.approx(Speeds(slow, slow, 0.05, 0.05))), {"timeout": 7.0})] * 2
     homes.clear()
-    tandem.square_gantry(*axes, direction=direction, speed=0.06, start_speed=0.002)
+    gantry_homing.square_gantry(*axes, direction=direction, speed=0.06, start_speed=0.002)
     assert [arguments[1].start for arguments, _ in homes] == pytest.approx([0.002 / axes[0].meters_per_pulse] * 2)
 
 
@@ -96,10 +96,10 @@ def test_speeds_in_pulses_are_those_of_the_first_axis(gantry, monkeypatch):
     direction, axes = placed(gantry, 67)
     observed = []
     monkeypatch.setattr(
-        tandem, "square_gantry", lambda *axes, **options: observed.append((axes, options)) or ["squared"]
+        gantry_homing, "square_gantry", lambda *axes, **options: observed.append((axes, options)) or ["squared"]
     )
     unit = axes[0].meters_per_pulse
-    assert tandem.square_gantry_at_speeds(axes, direction, Speeds(500, 6000, 0.1, 0.3), 9.0) == ["squared"]
+    assert gantry_homing.square_gantry_at_speeds(axes, direction, Speeds(500, 6000, 0.1, 0.3), 9.0) == ["squared"]
     wanted = {"direction": direction, "speed": 6000 * unit, "start_speed": 500 * unit, "accel": 0.1, "timeout": 9.0}
     assert observed == [(tuple(axes), pytest.approx(wanted))]
 

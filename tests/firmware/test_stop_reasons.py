@@ -8,8 +8,8 @@ from stage import Stage, faults, firmware
 from stage.chips import CHIPS, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, Profile
 from stage.firmware.driver import Speeds, driver_class, driver_of
-from stage.firmware.nova.port import Port
-from stage.firmware.pcl240 import bus
+from stage.firmware.nova.chip_port import Port
+from stage.firmware.pcl240 import chip_port
 
 BLIP_S = 20e-6  # less than the time between two looks of a host, more than a reference clock
 SLOW = Profile.of(fl=200, fh1=400)
@@ -79,7 +79,8 @@ def test_an_index_pulse_that_ends_before_the_next_poll_is_the_stop_reason():
 
 
 @pytest.mark.parametrize(
-    ("command", "reason"), [(bus.RESET, "reset command"), (bus.SLOW_DOWN["FH1"], "decelerating stop")]
+    ("command", "reason"),
+    [(chip_port.RESET, "reset command"), (chip_port.SLOW_DOWN["FH1"], "decelerating stop")],
 )
 def test_a_host_that_stops_a_move_is_the_reason_and_no_limit(command, reason):
     x = bench()
@@ -91,14 +92,14 @@ def test_a_host_that_stops_a_move_is_the_reason_and_no_limit(command, reason):
     driver = driver_of(x)
     driver.run(1, Speeds())
     x.wait(0.2)
-    driver_of(x).halt(at_once=command == bus.RESET)
+    driver_of(x).halt(at_once=command == chip_port.RESET)
     assert driver.stopped_by() == reason
 
 
 def test_a_stop_that_comes_with_the_last_pulse_leaves_the_move_done():
     x = bench()
     firmware.preset_move(x, 500, SLOW)
-    x.chip.write(0, bus.RESET)
+    x.chip.write(0, chip_port.RESET)
     assert driver_of(x).stopped_by() == "R0 = 0"
 
 
@@ -114,10 +115,10 @@ def test_a_move_whose_start_was_lost_on_the_bus_names_no_limit():
     """faults.lost_write: the chip stands, R0 is not 0, and no limit is on"""
     stage = Stage("xy", visuals=False)
     x = stage.axes["x"]
-    with faults.lost_write(x, 0, bus.RAMP["FH1"]):
+    with faults.lost_write(x, 0, chip_port.RAMP["FH1"]):
         report = firmware.preset_move(x, 300)
     driver = driver_of(x)
-    with faults.lost_write(x, 0, bus.RAMP["FH1"]):
+    with faults.lost_write(x, 0, chip_port.RAMP["FH1"]):
         driver.start(300, Speeds())
     assert driver.wait(1.0) == "unknown"
     assert (report.stopped_by, report.pulses, report.ok) == ("unknown", 0, False)

@@ -11,7 +11,7 @@ from support.programs import start_preset
 
 from stage import ArgumentError
 from stage.chips import PCL240K
-from stage.firmware.path import path_deviation, path_points, perfect_deviation, replay_pulses
+from stage.firmware.path_deviation import path_deviation, path_points, perfect_deviation, replay_pulses
 
 
 def slow_deviation(pulses, distances):

@@ -13,8 +13,8 @@ from support.examples import SEED, assert_axes_are_named, scaled
 from stage import ArgumentError, Stage
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, plan, synchronized_move
-from stage.firmware.pcl240.closed_form import bend, count, fill_motion
-from stage.firmware.pcl240.row_emulation import trace_row
+from stage.firmware.pcl240.preset_move_closed_form import bend, count, fill_motion
+from stage.firmware.pcl240.register_row_emulation import trace_row
 
 FAMILY = (PCL240K, PCL240MK, PCL240MS)
 SHAPES = {

@@ -8,7 +8,7 @@ import pytest
 from stage import Stage
 from stage.board import Board, HostTimeout, NativeHost
 from stage.chips import MCX304
-from stage.firmware.path import replay_pulses
+from stage.firmware.path_deviation import replay_pulses
 
 PULSES, SV = 40_000, 4000  # pps
 SHORT = 5e-3  # m from the target to EL+

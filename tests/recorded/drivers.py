@@ -13,14 +13,14 @@ from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX314AS, MCX501, MCX5
 from stage.errors import StageError
 from stage.firmware import Bench, Profile
 from stage.firmware.driver import ImmediateOperations, Speeds, driver_of, get_default_speeds
-from stage.firmware.lines import LineMoves, LineSettings, line_of
-from stage.firmware.nova import draw
-from stage.firmware.nova.port import Port as NovaPort
+from stage.firmware.gantry_homing import group_tandem_axes, square_gantry_at_speeds
+from stage.firmware.line_programs import LineMoves, LineSettings, line_of
+from stage.firmware.nova import path_interpolation
+from stage.firmware.nova.chip_port import Port as NovaPort
 from stage.firmware.parameter_ranges import get_register_range
-from stage.firmware.path import path_points, perfect_deviation
-from stage.firmware.pcl240 import closed_form as closed
-from stage.firmware.pcl240 import fit, row_emulation
-from stage.firmware.tandem import group_tandem_axes, square_gantry_at_speeds
+from stage.firmware.path_deviation import path_points, perfect_deviation
+from stage.firmware.pcl240 import follower_fit, register_row_emulation
+from stage.firmware.pcl240 import preset_move_closed_form as closed
 from stage.sim import plant
 from stage.sim.program import Program
 
@@ -362,7 +362,7 @@ def compare_paths():
 
 def compute_closed_forms():
     """Compute what rows of registers come to by the closed form, and on emulated chips."""
-    draw_, work, results = Draw("closed form"), np.zeros(1, fit.WORK), {}
+    draw_, work, results = Draw("closed form"), np.zeros(1, follower_fit.WORK), {}
     leader = None
     for k in range(36):
         size, fl, r7 = draw_.size(2, 6000), draw_.size(1, 3000), draw_.size(2, 400)
@@ -376,17 +376,17 @@ def compute_closed_forms():
         closed.fill_motion(r, c)
         times = [float(c[3]) * part for part in (0.01, 0.1, 0.37, 0.5, 0.8, 0.99, 1.0)]
         chip = PCL240MS if len(r) > 8 else PCL240MK
-        ticks = row_emulation.trace_row(r, chip, bool(k % 2 and fh > fl and r[6] > 1))
+        ticks = register_row_emulation.trace_row(r, chip, bool(k % 2 and fh > fl and r[6] > 1))
         results[k] = [
             c, [closed.count(r, c, t) for t in times], closed.first_pulse(r, c), closed.ramp_ticks(r, r[4]),
-            closed.stretch(r), r[8:], len(ticks), int(ticks.sum()), int(ticks[0]), row_emulation.compute_offset(r, chip),
+            closed.stretch(r), r[8:], len(ticks), int(ticks.sum()), int(ticks[0]), register_row_emulation.compute_offset(r, chip),
         ]  # fmt: skip
         if leader is not None and leader[0] >= size:
-            results[f"{k} follows"] = fit.estimate(leader, 4_915_200, r, 4_000_000, 3e-6 * (k % 4), work)
+            results[f"{k} follows"] = follower_fit.estimate(leader, 4_915_200, r, 4_000_000, 3e-6 * (k % 4), work)
         if leader is None or k % 6 == 0:
             leader = r
         out = np.full(3, 1e-5)
-        fit.misfits(
+        follower_fit.misfits(
             np.array([fh, fh + 0.5, 8191.0]),
             np.array([r7, r7, 2]),
             4_915_200,
@@ -438,9 +438,17 @@ def use_nova_ports():
     results["no nova"] = attempt(NovaPort, Bench(PCL240K()).axes["x"])
     b = Bench(MCX501())
     results["draw"] = [
-        attempt(draw.draw, [draw.Line(5, 5)], b.axes["x"], b.axes["x"], speed=draw.Speed(500)),
-        attempt(draw.draw, [draw.Line(5)], b.axes["x"], speed=draw.Speed(500)),
-        attempt(draw.draw, [draw.Line(5)], speed=draw.Speed(500)),
+        attempt(
+            path_interpolation.draw,
+            [path_interpolation.Line(5, 5)],
+            b.axes["x"],
+            b.axes["x"],
+            speed=path_interpolation.Speed(500),
+        ),
+        attempt(
+            path_interpolation.draw, [path_interpolation.Line(5)], b.axes["x"], speed=path_interpolation.Speed(500)
+        ),
+        attempt(path_interpolation.draw, [path_interpolation.Line(5)], speed=path_interpolation.Speed(500)),
     ]
     return results
 

@@ -7,15 +7,15 @@ from stage import Stage, firmware
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.errors import StageError
 from stage.firmware import Bench, Profile
-from stage.firmware.hctl1100 import home as servo_home
+from stage.firmware.hctl1100 import homing as servo_home
 from stage.firmware.hctl1100 import moves as servo
-from stage.firmware.hctl1100 import profile as follow
-from stage.firmware.hctl1100.model import Loop, design
-from stage.firmware.hctl1100.port import Port as ServoPort
-from stage.firmware.nova import draw, erratum
-from stage.firmware.nova.home import home_search
-from stage.firmware.pcl240 import bus, moves
-from stage.firmware.pcl240.bus import Port as PulsePort
+from stage.firmware.hctl1100 import position_streaming as follow
+from stage.firmware.hctl1100.chip_port import Port as ServoPort
+from stage.firmware.hctl1100.servo_loop_model import Loop, design
+from stage.firmware.nova import path_interpolation, s_curve_workarounds
+from stage.firmware.nova.home_search import home_search
+from stage.firmware.pcl240 import chip_port, moves
+from stage.firmware.pcl240.chip_port import Port as PulsePort
 
 
 def move_synchronized():
@@ -60,10 +60,10 @@ def use_pulse_ports():
         x = b.axes["x"]
         port = PulsePort(x)
         port.write_registers(R1=300, R2=900, R4=20, R5=20, R7=30, R0=70_000)
-        port.command(bus.OUTPUT | (bus.EXTERNAL if cls is PCL240MK else 0))
-        port.command(bus.OUTPUT)
-        port.control(bus.PRESET | bus.MINUS)
-        port.command(bus.RAMP["FH1"])
+        port.command(chip_port.OUTPUT | (chip_port.EXTERNAL if cls is PCL240MK else 0))
+        port.command(chip_port.OUTPUT)
+        port.control(chip_port.PRESET | chip_port.MINUS)
+        port.command(chip_port.RAMP["FH1"])
         results[cls.__name__] = [
             attempt(port.counter),
             attempt(port.wait_until_stopped, 0.02, 1e-3),
@@ -83,7 +83,7 @@ def use_pulse_ports():
             b.time,
             x.chip.dump().splitlines()[8:11],
         ]
-        port.command(bus.RESET)
+        port.command(chip_port.RESET)
         results[f"{cls.__name__} rest"] = [
             str(port.wait_until_stopped(0.1)),
             b.time,
@@ -96,11 +96,11 @@ def use_pulse_ports():
     slow = Bench(PCL240K(), bus_cycle=0.01)
     port = PulsePort(slow.axes["x"])
     port.write_registers(R1=3000, R7=10, R0=0xFFFFFF)
-    port.control(bus.PRESET)
-    port.command(bus.START["FL"])
+    port.control(chip_port.PRESET)
+    port.command(chip_port.START["FL"])
     results["slow bus"] = [attempt(port.counter), slow.time]
-    results["others"] = [attempt(bus.check, 5), attempt(bus.check, Bench(HCTL1100()).axes["x"])]
-    results["words"] = [str(bus._READ[v]) for v in (0x00, 0x40, 0x60, 0x88, 0xFF, 0x1E)]
+    results["others"] = [attempt(chip_port.check, 5), attempt(chip_port.check, Bench(HCTL1100()).axes["x"])]
+    results["words"] = [str(chip_port._READ[v]) for v in (0x00, 0x40, 0x60, 0x88, 0xFF, 0x1E)]
     return results
 
 
@@ -245,34 +245,39 @@ def run_nova_into_ends():
     ]
     stage.reset()
     stage.place(x=touch["el_plus"] - 0.1e-3)
-    path = [draw.Line(60, 20), draw.Arc((0, 40)), draw.Line(90, 0)]
+    path = [path_interpolation.Line(60, 20), path_interpolation.Arc((0, 40)), path_interpolation.Line(90, 0)]
     results["into an end"] = [
-        (attempt(draw.draw, path, y, x, speed=draw.Speed(4000, jerk=9_000_000))),
+        (attempt(path_interpolation.draw, path, y, x, speed=path_interpolation.Speed(4000, jerk=9_000_000))),
         x.chip.net(0),
         x.chip.net(1),
     ]
-    for bad in ([draw.Line(1, 2, 3)], [draw.Helix((0, 5), (1,))], [draw.Helix((0, 5), (1, 2))], []):
-        results[str(bad)] = attempt(draw.draw, bad, x, y, speed=draw.Speed(4000))
+    for bad in (
+        [path_interpolation.Line(1, 2, 3)],
+        [path_interpolation.Helix((0, 5), (1,))],
+        [path_interpolation.Helix((0, 5), (1, 2))],
+        [],
+    ):
+        results[str(bad)] = attempt(path_interpolation.draw, bad, x, y, speed=path_interpolation.Speed(4000))
     for bad in ({"direction": 0}, {"timer": 0.5001}, {"speed": 0}, {"offset": 1 << 33}):
         results[str(bad)] = attempt(home_search, x, **bad)
     b = Bench(MCX304())
-    port = erratum.port_of(b.axes["x"])
+    port = s_curve_workarounds.port_of(b.axes["x"])
     port.load(R=800_000, K=300, A=8000, SV=100, V=1500, AO=0)
-    port.mode(WR1=0x0100, WR3=erratum.S_CURVE)
-    flag = erratum.DecelerationFlag(port)
+    port.mode(WR1=0x0100, WR3=s_curve_workarounds.S_CURVE)
+    flag = s_curve_workarounds.DecelerationFlag(port)
     port.start(4000)
     flags = []
     for _ in range(6):
         b.wait(0.05)
         flag.interrupt()
         flags.append([flag.prohibits, port.word(1), b.axes["x"].chip.values_of(0)["WR1"]])
-    results["flag"] = [flags, erratum.stop_guarded(flag), erratum.judgmental_speed(100, 1501)]
+    results["flag"] = [flags, s_curve_workarounds.stop_guarded(flag), s_curve_workarounds.judgmental_speed(100, 1501)]
     b.wait(2.0)
     port.start(4000)
-    free = erratum.DecelerationFlag(port)
+    free = s_curve_workarounds.DecelerationFlag(port)
     b.wait(0.02)
-    results["free"] = [erratum.stop_guarded(free), free.prohibits, port.word(1)]
-    results["no erratum"] = attempt(erratum.port_of, x)
+    results["free"] = [s_curve_workarounds.stop_guarded(free), free.prohibits, port.word(1)]
+    results["no erratum"] = attempt(s_curve_workarounds.port_of, x)
     return results
 
 

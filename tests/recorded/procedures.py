@@ -11,12 +11,12 @@ from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL24
 from stage.errors import StageError
 from stage.firmware import Bench, Profile, plan
 from stage.firmware.driver import driver_of
-from stage.firmware.hctl1100 import home as servo_home
+from stage.firmware.hctl1100 import homing as servo_home
 from stage.firmware.hctl1100 import moves as servo
-from stage.firmware.hctl1100 import profile as follow
-from stage.firmware.nova import draw, erratum
-from stage.firmware.nova.home import home_search
-from stage.firmware.path import path_deviation, replay_pulses
+from stage.firmware.hctl1100 import position_streaming as follow
+from stage.firmware.nova import path_interpolation, s_curve_workarounds
+from stage.firmware.nova.home_search import home_search
+from stage.firmware.path_deviation import path_deviation, replay_pulses
 
 PCL = (PCL240K, PCL240MK, PCL240MS)
 CHIPS = (*PCL, MCX514, MCX304, MCX302, MCX312, HCTL1100)
@@ -215,25 +215,38 @@ def find_home(cls):
 def draw_paths():
     stage = Stage("xyz", chips=MCX514, visuals=False)
     x, y, z = stage.axes.values()
-    quick = draw.Speed(9000, 800, 200_000)
+    quick = path_interpolation.Speed(9000, 800, 200_000)
     paths = {
-        "circle": ([draw.Arc(centre=(0, 200))], (x, y), quick),
-        "three": ([draw.Line(300, 0), draw.Arc((0, 150), (150, 150)), draw.Line(0, 300)], (x, y), quick),
-        "clockwise s": (
-            [draw.Arc((100, 0), (200, 0), clockwise=True)],
+        "circle": ([path_interpolation.Arc(centre=(0, 200))], (x, y), quick),
+        "three": (
+            [
+                path_interpolation.Line(300, 0),
+                path_interpolation.Arc((0, 150), (150, 150)),
+                path_interpolation.Line(0, 300),
+            ],
             (x, y),
-            draw.Speed(6000, 500, 90_000, 5_000_000),
+            quick,
         ),
-        "helix": ([draw.Helix((0, 120), (60,), 2)], (x, y, z), quick),
-        "helix arc": ([draw.Helix((0, 120), (60,), 0, (120, 120), True)], (x, y, z), quick),
-        "line of three uneven": ([draw.Line(300, -100, 50)], (x, y, z), draw.Speed(5000, even=False)),
-        "many": ([draw.Line(60, 20), draw.Line(-20, 60)] * 6, (x, y), quick),
-        "bad": ([draw.Helix((0, 120), (60,), 2)], (x, y), quick),
+        "clockwise s": (
+            [path_interpolation.Arc((100, 0), (200, 0), clockwise=True)],
+            (x, y),
+            path_interpolation.Speed(6000, 500, 90_000, 5_000_000),
+        ),
+        "helix": ([path_interpolation.Helix((0, 120), (60,), 2)], (x, y, z), quick),
+        "helix arc": ([path_interpolation.Helix((0, 120), (60,), 0, (120, 120), True)], (x, y, z), quick),
+        "line of three uneven": (
+            [path_interpolation.Line(300, -100, 50)],
+            (x, y, z),
+            path_interpolation.Speed(5000, even=False),
+        ),
+        "many": ([path_interpolation.Line(60, 20), path_interpolation.Line(-20, 60)] * 6, (x, y), quick),
+        "bad": ([path_interpolation.Helix((0, 120), (60,), 2)], (x, y), quick),
         "none": ([], (x, y), quick),
-        "late": ([draw.Line(3000, 20)], (x, y), draw.Speed(500)),
+        "late": ([path_interpolation.Line(3000, 20)], (x, y), path_interpolation.Speed(500)),
     }
     return {
-        name: attempt(draw.draw, path, *axes, speed=speed, timeout=2.0) for name, (path, axes, speed) in paths.items()
+        name: attempt(path_interpolation.draw, path, *axes, speed=speed, timeout=2.0)
+        for name, (path, axes, speed) in paths.items()
     }
 
 
@@ -264,21 +277,28 @@ def stop_by_workarounds():
     results = {}
     for mended, after in itertools.product((False, True), (0.01, 0.05, 0.12)):
         b = Bench(MCX304(errata=not mended))
-        port = erratum.port_of(b.axes["x"])
+        port = s_curve_workarounds.port_of(b.axes["x"])
         port.load(R=800_000, K=2000, A=800, SV=100, V=1500, AO=0)
-        port.mode(WR2=erratum.LIMITS_DECELERATE, WR3=erratum.S_CURVE)
+        port.mode(WR2=s_curve_workarounds.LIMITS_DECELERATE, WR3=s_curve_workarounds.S_CURVE)
         port.start(2500)
         b.wait(after)
         texts = [
-            erratum.stop_by_speed(port, erratum.judgmental_speed(100, 1500)),
+            s_curve_workarounds.stop_by_speed(port, s_curve_workarounds.judgmental_speed(100, 1500)),
             port.word(1),
             port.speed(),
             port.position(),
         ]
-        texts += [erratum.limit_interrupt(port), erratum.limit_poll(port), erratum.stop_signal_poll(port)]
+        texts += [
+            s_curve_workarounds.limit_interrupt(port),
+            s_curve_workarounds.limit_poll(port),
+            s_curve_workarounds.stop_signal_poll(port),
+        ]
         b.wait(0.5)
         texts += [port.driving(), port.position(), port.errors(), port.word(0), port.word(2)]
-        texts += [erratum.start_within_limits(port, 10, -5, 10_000), erratum.start_within_limits(port, 10, -5, 12)]
+        texts += [
+            s_curve_workarounds.start_within_limits(port, 10, -5, 10_000),
+            s_curve_workarounds.start_within_limits(port, 10, -5, 12),
+        ]
         results[f"{mended} {after}"] = texts
     return results
 

@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 
 from stage.errors import ArgumentError
 from stage.firmware.driver import Driver, ImmediateOperations, Speeds, wait_until_stopped
-from stage.firmware.report import Procedure, Report
+from stage.firmware.move_report import Procedure, Report
 from stage.sim.program import Operations
 
 

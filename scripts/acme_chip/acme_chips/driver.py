@@ -7,9 +7,9 @@ import numpy as np
 from acme_chips.maps import MAP
 from stage.errors import ArgumentError
 from stage.firmware.driver import SETTLING_TIME_S, Driver, ImmediateOperations, Speeds, wait_until_stopped
+from stage.firmware.home_program import Search, SearchResult
+from stage.firmware.move_report import Procedure
 from stage.firmware.parameter_ranges import ParameterRanges, get_register_range
-from stage.firmware.report import Procedure
-from stage.firmware.search import Search, SearchResult
 from stage.sim.program import Program
 
 PLUS_LIMIT, MINUS_LIMIT, ORG = MAP.masks("status", "plus_limit", "minus_limit", "org")

@@ -47,7 +47,7 @@ class Nova(Chip):
     AXES: ClassVar = 4
     ENCODERS: ClassVar = True
     IRQ: ClassVar = (-1, sum(state.COMMON_OUTPUTS.values()))
-    DRIVER: ClassVar = "stage.firmware.nova.mcx300:FirstGenerationDriver"
+    DRIVER: ClassVar = "stage.firmware.nova.mcx300_driver:FirstGenerationDriver"
     VARIANT: ClassVar[int] = state.FIRST_GENERATION
     ADDRESS_MASK: ClassVar = 31
 
@@ -204,7 +204,7 @@ class MCX514(Nova):
     MAP: ClassVar = MCX514_MAP
     CLOCK_RANGE: ClassVar = (1, 20_000_000)
     VARIANT: ClassVar = state.MCX514_TYPE
-    DRIVER: ClassVar = "stage.firmware.nova.mcx514:Mcx514Driver"
+    DRIVER: ClassVar = "stage.firmware.nova.mcx514_driver:Mcx514Driver"
     MULTICHIP: ClassVar = True
     READING_ACTS: ClassVar = frozenset({1, BYTES | 2, BYTES | 3})  # RR1, the interrupt factors
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from stage.chips.hctl1100.maps import CLEAR, FLAG, MINIMUM_T, MODE, NUMBERS
 from stage.errors import ArgumentError, ExceededLimit, RunTimeout
-from stage.firmware import pattern
+from stage.firmware import operation_pattern
 from stage.firmware.axis import get_forward_direction, has_positive_logic
 from stage.firmware.driver import SETTLING_TIME_S, Driver, Speeds, select_moving
-from stage.firmware.hctl1100.home import home, leave_limit, stand
-from stage.firmware.hctl1100.model import POLE, Loop, design
+from stage.firmware.hctl1100.chip_port import CONTROL, FLAGS, IDLE, LIMIT, SET, STOP, Port
+from stage.firmware.hctl1100.homing import home, leave_limit, stand
 from stage.firmware.hctl1100.moves import (
     Tuning,
     acceleration_word,
@@ -30,13 +30,13 @@ from stage.firmware.hctl1100.moves import (
     trapezoid,
     velocity_word,
 )
-from stage.firmware.hctl1100.port import CONTROL, FLAGS, IDLE, LIMIT, SET, STOP, Port
-from stage.firmware.hctl1100.profile import follow, synchronize
-from stage.firmware.lines import compute_peak_rate
+from stage.firmware.hctl1100.position_streaming import follow, synchronize
+from stage.firmware.hctl1100.servo_loop_model import POLE, Loop, design
+from stage.firmware.home_program import Search
+from stage.firmware.line_programs import compute_peak_rate
+from stage.firmware.move_report import Procedure, Report
+from stage.firmware.operation_pattern import BLUE, GREEN, GREY, RED
 from stage.firmware.parameter_ranges import ParameterRanges
-from stage.firmware.pattern import BLUE, GREEN, GREY, RED
-from stage.firmware.report import Procedure, Report
-from stage.firmware.search import Search
 from stage.firmware.stop_reasons import ANOTHER_AXIS
 from stage.firmware.synchronized_report import LineObserver, SynchronizedReport
 from stage.sim.program import Operations
@@ -47,7 +47,7 @@ MAX_SAMPLES = 10_000_000  # of a line, whose command positions are computed befo
 LIMITS = {1: "el_plus", -1: "el_minus"}  # by the carriage's direction
 
 
-class Pattern(pattern.Pattern):
+class Pattern(operation_pattern.Pattern):
     """Signals and commands of an HCTL-1100 that a drawing of a report shows."""
 
     LANES = (

@@ -7,7 +7,7 @@
 
 Positions are counts of the encoder, rates counts/s. The chip has rates in counts per sample: they are rounded to what its
 registers hold, and the reports give the rounded rates. After each procedure the axis is in position control, or, if LIMIT has
-ended the procedure, in Init/Idle. See home.py for home, profile.py for motion commanded sample by sample.
+ended the procedure, in Init/Idle. See homing.py for home, position_streaming.py for motion commanded sample by sample.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ import numpy as np
 from stage.chips.hctl1100.maps import FLAG, MINIMUM_T, NUMBERS, find_reset_value
 from stage.errors import ArgumentError, ExceededLimit
 from stage.firmware.axis import Axis
-from stage.firmware.hctl1100.port import FLAGS, LIMIT, MARGIN, PROFILE, STOP, Port
-from stage.firmware.hctl1100.profile import follow, next_sample
+from stage.firmware.hctl1100.chip_port import FLAGS, LIMIT, MARGIN, PROFILE, STOP, Port
+from stage.firmware.hctl1100.position_streaming import follow, next_sample
 
 DWELL = 0.02  # s within the deadband: settled
 MAX_SAMPLE_CLOCKS = 16 * 256  # clocks of a sample

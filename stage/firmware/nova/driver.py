@@ -10,7 +10,7 @@ import numpy as np
 
 from stage.chips.journal import Journal
 from stage.errors import ArgumentError, ExceededLimit, add_article
-from stage.firmware import pattern
+from stage.firmware import operation_pattern
 from stage.firmware.axis import has_positive_logic
 from stage.firmware.driver import (
     SETTLING_TIME_S,
@@ -20,14 +20,14 @@ from stage.firmware.driver import (
     select_moving,
     wait_until_stopped,
 )
-from stage.firmware.lines import Line, LineMoves, LineSettings, line_of
-from stage.firmware.nova.line import InRatio, Interpolated, NovaLine
-from stage.firmware.nova.port import Port
-from stage.firmware.nova.search import HomeSearch
+from stage.firmware.home_program import Search
+from stage.firmware.line_programs import Line, LineMoves, LineSettings, line_of
+from stage.firmware.move_report import Procedure, Report
+from stage.firmware.nova.chip_port import Port
+from stage.firmware.nova.home_program import HomeSearch
+from stage.firmware.nova.line_programs import InRatio, Interpolated, NovaLine
+from stage.firmware.operation_pattern import AMBER, BLUE, GREEN, GREY, RED, VIOLET
 from stage.firmware.parameter_ranges import get_register_range
-from stage.firmware.pattern import AMBER, BLUE, GREEN, GREY, RED, VIOLET
-from stage.firmware.report import Procedure, Report
-from stage.firmware.search import Search
 from stage.firmware.stop_reasons import ANOTHER_AXIS, UNKNOWN, UNWANTED_REASONS
 from stage.firmware.synchronized_report import EarlyStopHandler, LineObserver, SynchronizedReport
 from stage.sim.program import Operations, Program
@@ -44,7 +44,7 @@ CAUSES = {
 """Bits that tell what has ended a drive, and a report's words for them."""
 
 
-class Pattern(pattern.Pattern):
+class Pattern(operation_pattern.Pattern):
     """Signals and commands of a NOVA chip that a drawing of a report shows."""
 
     LANES = (

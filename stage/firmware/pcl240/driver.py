@@ -1,4 +1,7 @@
-"""The PCL-240 family's driver: a chip an axis, registers of bytes; its moves are those of moves.py, home.py and synchronized.py."""
+"""Driver of the PCL-240 family, which has a chip for each axis and registers of bytes.
+
+Its moves are those of moves.py, origin_return.py and synchronized_move.py.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +11,18 @@ from typing import Any, ClassVar, cast
 
 from stage.chips.journal import Journal
 from stage.firmware.driver import DUAL_RATE_ORDER, Driver, Speeds
-from stage.firmware.pcl240 import bus, moves
-from stage.firmware.pcl240.bus import Port, require_clock
-from stage.firmware.pcl240.home import APPROACH, origin_return
-from stage.firmware.pcl240.line import RatioLine
-from stage.firmware.pcl240.pattern import Pattern
-from stage.firmware.pcl240.procedure import find_cause, find_stop_reason
-from stage.firmware.pcl240.profile import Profile, get_default_second_rate
-from stage.firmware.pcl240.rates import dual_rate_move
-from stage.firmware.pcl240.search import FourRuns
-from stage.firmware.pcl240.synchronized import synchronized_move
-from stage.firmware.report import Report
-from stage.firmware.search import Search
+from stage.firmware.home_program import Search
+from stage.firmware.move_report import Report
+from stage.firmware.pcl240 import chip_port, moves
+from stage.firmware.pcl240.chip_port import Port, require_clock
+from stage.firmware.pcl240.home_program import FourRuns
+from stage.firmware.pcl240.line_programs import RatioLine
+from stage.firmware.pcl240.operation_pattern import Pattern
+from stage.firmware.pcl240.origin_return import APPROACH, origin_return
+from stage.firmware.pcl240.rate_change_moves import dual_rate_move
+from stage.firmware.pcl240.speed_profile import Profile, get_default_second_rate
+from stage.firmware.pcl240.stop_reason import find_cause, find_stop_reason
+from stage.firmware.pcl240.synchronized_move import synchronized_move
 from stage.firmware.synchronized_report import SynchronizedReport
 from stage.sim.program import Operations
 
@@ -92,17 +95,17 @@ class Pcl240Driver(Driver):
 
     def run(self, direction: int, speeds: Speeds) -> None:
         self._watch()
-        moves.prepare(self.port, self.profile(speeds), bus.MINUS if direction < 0 else 0)
-        self.port.command(bus.RAMP["FH1"])
+        moves.prepare(self.port, self.profile(speeds), chip_port.MINUS if direction < 0 else 0)
+        self.port.command(chip_port.RAMP["FH1"])
 
     def halt(self, at_once: bool = False) -> None:
         if self.port.status().operating:
-            self.port.command(bus.RESET if at_once else bus.SLOW_DOWN["FH1"])
+            self.port.command(chip_port.RESET if at_once else chip_port.SLOW_DOWN["FH1"])
         self.port.wait_until_stopped(60.0)
-        self.port.command(bus.RESET)
+        self.port.command(chip_port.RESET)
 
     def is_stop_command(self, address: int, value: int) -> bool:
-        return address == 0 and value >> 6 == 0 and bool(value & bus.RESET)
+        return address == 0 and value >> 6 == 0 and bool(value & chip_port.RESET)
 
     def _forget(self) -> None:
         """Forget the run that this driver has begun."""
@@ -153,16 +156,18 @@ class Pcl240Driver(Driver):
 
     def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
         a, chip = self.index, self.chip
-        program.command(a, bus.RESET)
+        program.command(a, chip_port.RESET)
         if chip.S_CURVES and "R14" not in values:
             values = {**values, "R14": chip.LINEAR_RAMPS}
         for name, value in {**values, "R0": abs(pulses)}.items():
             program.register(a, chip, name, value)
-        minus = bus.MINUS if pulses < 0 else 0
-        program.command(a, bus.OUTPUT).command(a, bus.CONTROL | bus.PRESET | minus).command(a, bus.RAMP["FH1"])
+        minus = chip_port.MINUS if pulses < 0 else 0
+        program.command(a, chip_port.OUTPUT).command(a, chip_port.CONTROL | chip_port.PRESET | minus).command(
+            a, chip_port.RAMP["FH1"]
+        )
 
     def write_stop(self, program: Operations) -> None:
-        program.command(self.index, bus.RESET)
+        program.command(self.index, chip_port.RESET)
 
     def formula(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None

@@ -13,11 +13,11 @@ from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, StageError, add_article
 from stage.firmware.axis import Axis, check_direction, check_seconds
 from stage.firmware.driver import SETTLING_TIME_S
-from stage.firmware.pcl240 import bus
-from stage.firmware.pcl240.bus import Port, check, name_leader, require_clock
-from stage.firmware.pcl240.procedure import Procedure
-from stage.firmware.pcl240.profile import Profile
-from stage.firmware.report import Report
+from stage.firmware.move_report import Report
+from stage.firmware.pcl240 import chip_port
+from stage.firmware.pcl240.chip_port import Port, check, name_leader, require_clock
+from stage.firmware.pcl240.speed_profile import Profile
+from stage.firmware.pcl240.stop_reason import Procedure
 from stage.support.arguments import check_timeout, explain_arguments
 
 AUTOMATIC_OFFSET_PULSES = 2  # the counts of ramp-up and ramp-down differ by one or two, and this way FL is reached
@@ -80,17 +80,17 @@ def preset_move(
     if automatic is None:
         can_be_automatic = high_speed and profile.chip.EXTENDED and profile.R4 == profile.R5
         automatic = can_be_automatic and down_point is None and not slow_down
-    control = bus.PRESET | (bus.SD if slow_down else 0) | encode_direction(pulses)
+    control = chip_port.PRESET | (chip_port.SD if slow_down else 0) | encode_direction(pulses)
     if automatic:
         point = encode_offset(profile, AUTOMATIC_OFFSET_PULSES if down_point is None else down_point)
-        control |= bus.AUTOMATIC
+        control |= chip_port.AUTOMATIC
     else:
         profile = profile.within(count, fh2)
         point = profile.down_point(count, fh2) if down_point is None else profile.chip.MAP.check_value("R6", down_point)
     with Procedure(axis, "preset move" if high_speed else "constant-speed preset move") as p:
         prepare(p.port, profile, control)
         if profile.chip.S_CURVES and not fh_correction:
-            p.port.write_register("R14", profile.registers()["R14"] | bus.UNCORRECTED)
+            p.port.write_register("R14", profile.registers()["R14"] | chip_port.UNCORRECTED)
         p.port.write_register("R0", count)
         if high_speed:
             p.port.write_register("R6", point)
@@ -107,9 +107,9 @@ def start_preset(port: Port, profile: Profile, pulses: int) -> None:
     """
     count = check_pulses(pulses)
     profile = profile.within(count)
-    prepare(port, profile, bus.PRESET | encode_direction(pulses))
+    prepare(port, profile, chip_port.PRESET | encode_direction(pulses))
     port.write_registers(R0=count, R6=profile.down_point(count))
-    port.command(bus.RAMP["FH1"])
+    port.command(chip_port.RAMP["FH1"])
 
 
 def encode_offset(profile: Profile, offset: int) -> int:
@@ -174,12 +174,12 @@ def continuous_move(
     check_direction(direction)
     check_seconds(seconds)
     with Procedure(axis, "continuous move" if high_speed else "constant-speed continuous move") as p:
-        prepare(p.port, profile, (bus.SD if slow_down else 0) | encode_direction(direction))
+        prepare(p.port, profile, (chip_port.SD if slow_down else 0) | encode_direction(direction))
         p.port.command(_encode_start(high_speed, fh2, interrupt))
         axis.wait(seconds)
         if p.port.status().operating:
-            stop = bus.SLOW_DOWN["FH2" if fh2 else "FH1"] if high_speed and not immediate else bus.RESET
-            p.port.command(stop | (bus.INTERRUPT if interrupt else 0))
+            stop = chip_port.SLOW_DOWN["FH2" if fh2 else "FH1"] if high_speed and not immediate else chip_port.RESET
+            p.port.command(stop | (chip_port.INTERRUPT if interrupt else 0))
         return p.finish(2 * profile.decel(fh2) + 1)
 
 
@@ -224,21 +224,21 @@ def interrupted_move(
     point = profile.down_point(count, fh2)
     rate = "FH2" if fh2 else "FH1"
     with Procedure(axis, "interrupted move") as p:
-        prepare(p.port, profile, bus.PRESET | encode_direction(pulses))
+        prepare(p.port, profile, chip_port.PRESET | encode_direction(pulses))
         p.port.write_registers(R0=count, R6=point)
-        p.port.command(bus.RAMP[rate])
+        p.port.command(chip_port.RAMP[rate])
         axis.wait(after)
         if p.port.status().operating:
-            p.port.command(bus.SLOW_DOWN[rate] | bus.INTERRUPT)
+            p.port.command(chip_port.SLOW_DOWN[rate] | chip_port.INTERRUPT)
         p.port.wait_until_stopped(compute_time_limit(timeout, profile, count))
         if residual := p.port.counter():
             axis.wait(pause)
-            p.port.command(bus.RESET)
+            p.port.command(chip_port.RESET)
             rest = full_profile.within(residual, fh2)
             if rest != profile:
                 p.port.write_registers(**rest.registers())
             p.port.write_register("R6", rest.down_point(residual, fh2))
-            p.port.command(bus.RAMP[rate])
+            p.port.command(chip_port.RAMP[rate])
             p.port.wait_until_stopped(compute_time_limit(timeout, profile, residual))
         axis.wait(SETTLING_TIME_S)
         return p.report(p.stop_reason(), pulses)
@@ -285,9 +285,9 @@ def external_count(
         raise ArgumentError(f"rate={rate!r} Hz: EXTP is sampled by the clock; more than 0 and up to a quarter of it.")
     make_pulse = _take_pulses_of(source) if source is not None else lambda a: _make_square_pulse(a, rate)
     with Procedure(axis, "external count") as p:
-        prepare(p.port, profile, bus.PRESET | encode_direction(direction), output=bus.EXTERNAL)
+        prepare(p.port, profile, chip_port.PRESET | encode_direction(direction), output=chip_port.EXTERNAL)
         p.port.write_register("R0", count)
-        p.port.command(bus.START["FL"])
+        p.port.command(chip_port.START["FL"])
         end, more = axis.time + timeout, True
         while p.port.status().operating and axis.time < end and more:
             more = make_pulse(axis)
@@ -295,9 +295,9 @@ def external_count(
         # while the last pulse is completed EXTP goes on, and R0 through 0
         counted = status.zero or p.port.counter() > count
         if status.operating and not counted:
-            p.port.command(bus.RESET)
+            p.port.command(chip_port.RESET)
         p.port.wait_until_stopped(1 / profile.fl + 1)
-        p.port.command(bus.OUTPUT)
+        p.port.command(chip_port.OUTPUT)
         axis.wait(SETTLING_TIME_S)
         if status.operating and not counted:
             return p.report("timeout" if more else "reset command")
@@ -331,9 +331,9 @@ def prepare(port: Port, profile: Profile, control: int, output: int = 0) -> None
     """
     if port.status().operating:
         raise StageError(f"axis {port.axis.name} is moving: wait until it stops, or stop it with 08h.")
-    port.command(bus.RESET)
+    port.command(chip_port.RESET)
     port.write_registers(**profile.registers())
-    port.command(bus.OUTPUT | output)
+    port.command(chip_port.OUTPUT | output)
     port.control(control)
 
 
@@ -371,13 +371,13 @@ def check_pulses(pulses: int) -> int:
 
 def encode_direction(direction: int) -> int:
     """Return the direction bit of the control command for a direction or signed pulses."""
-    return bus.MINUS if direction < 0 else 0
+    return chip_port.MINUS if direction < 0 else 0
 
 
 def _encode_start(high_speed: bool, fh2: bool, interrupt: bool) -> int:
     """Return the start command."""
-    start = (bus.RAMP if high_speed else bus.START)["FH2" if fh2 else "FH1"]
-    return start | (bus.INTERRUPT if interrupt else 0)
+    start = (chip_port.RAMP if high_speed else chip_port.START)["FH2" if fh2 else "FH1"]
+    return start | (chip_port.INTERRUPT if interrupt else 0)
 
 
 def compute_time_limit(timeout: float | None, profile: Profile, count: int) -> float:

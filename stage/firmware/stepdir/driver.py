@@ -9,7 +9,7 @@ from stage.chips.journal import Journal
 from stage.chips.stepdir.core import AT_ONCE, SLOW
 from stage.chips.stepdir.maps import CONTROL_ADDRESS, END_REASONS, MAP
 from stage.errors import ArgumentError, ExceededLimit
-from stage.firmware import pattern
+from stage.firmware import operation_pattern
 from stage.firmware.driver import (
     SETTLING_TIME_S,
     Driver,
@@ -18,12 +18,12 @@ from stage.firmware.driver import (
     select_moving,
     wait_until_stopped,
 )
-from stage.firmware.lines import Line
-from stage.firmware.pattern import BLUE, GREEN, GREY, RED
-from stage.firmware.report import Procedure, Report
-from stage.firmware.search import Search
-from stage.firmware.stepdir.line import Bresenham
-from stage.firmware.stepdir.search import OrgSearch
+from stage.firmware.home_program import Search
+from stage.firmware.line_programs import Line
+from stage.firmware.move_report import Procedure, Report
+from stage.firmware.operation_pattern import BLUE, GREEN, GREY, RED
+from stage.firmware.stepdir.home_program import OrgSearch
+from stage.firmware.stepdir.line_programs import Bresenham
 from stage.firmware.stop_reasons import ANOTHER_AXIS
 from stage.firmware.synchronized_report import EarlyStopHandler, LineObserver, SynchronizedReport
 from stage.sim.program import Operations
@@ -36,7 +36,7 @@ BACK_OFF_STEPS = 400
 MAX_BACK_OFFS = 200
 
 
-class Pattern(pattern.Pattern):
+class Pattern(operation_pattern.Pattern):
     """Signals of a STEP/DIR axis that a drawing of a report shows."""
 
     LANES = (

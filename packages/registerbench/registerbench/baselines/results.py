@@ -48,7 +48,7 @@ from registerbench.baselines.runs import (
 )
 from registerbench.statistics import compute_interval, compute_iqm
 from stage import Stage, firmware
-from stage.firmware.report import Report, compute_rates
+from stage.firmware.move_report import Report, compute_rates
 from stage.support.pictures import remove_frame, set_title
 
 BUDGET, SEEDS = 256, 10  # moves a seed; fewer seeds say nothing of who beats whom

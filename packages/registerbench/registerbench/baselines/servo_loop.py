@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.errors import StageError
-from stage.firmware.hctl1100 import model
-from stage.firmware.hctl1100.model import MARGIN, POLE, RATTLE, Loop
+from stage.firmware.hctl1100 import servo_loop_model
 from stage.firmware.hctl1100.moves import Tuning
+from stage.firmware.hctl1100.servo_loop_model import MARGIN, POLE, RATTLE, Loop
 
 TIMER = 0x40  # as after a reset
 WITHIN = 3.0  # degrees, that a rounded gain may take of the margin
@@ -67,8 +67,12 @@ def compute_margins(loop: Loop) -> Design:
 
 
 def design(loop: Loop, margin: float = MARGIN, rattle: float = RATTLE) -> Design:
-    """Gain and zero for this plant, `stage.firmware.hctl1100.model.design`, and its margins; pole and T stay. Raises StageError."""
-    return compute_margins(replace(loop, tuning=model.design(loop, margin, rattle)))
+    """Return gain and zero for this plant and their margins; pole and T stay.
+
+    Raises:
+        StageError: No filter reaches the margin (see `stage.firmware.hctl1100.servo_loop_model.design`).
+    """
+    return compute_margins(replace(loop, tuning=servo_loop_model.design(loop, margin, rattle)))
 
 
 def registers(axis: Any, timer: int = TIMER) -> dict[str, int]:

@@ -30,9 +30,9 @@ from stage.envs.register_tuning import Config
 from stage.envs.trial import MAX_OFFSET_M, TENTH_MM
 from stage.errors import RunTimeout
 from stage.firmware import Port
-from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240 import chip_port
 from stage.firmware.pcl240.driver import TUNED as REGISTERS
-from stage.firmware.pcl240.profile import AT_FL, ramp_pulses
+from stage.firmware.pcl240.speed_profile import AT_FL, ramp_pulses
 
 TASK = """You tune a {chip} that drives a linear axis with a stepper motor. Make a preset move of {pulses} pulses (3.125 um
 each) with {payload:g} kg on the table as short as possible. It must lose no step, and the table should be quiet after the stop; the
@@ -67,16 +67,16 @@ class TuningSession:
 
     def _attempt(self) -> dict[str, Any]:
         stage, axis, port, c = self._stage, self._axis, self._port, Config()
-        port.command(bus.RESET)
+        port.command(chip_port.RESET)
         port.write_register("R0", self.distance)
-        port.command(bus.OUTPUT)
-        port.control(bus.PRESET)
+        port.command(chip_port.OUTPUT)
+        port.control(chip_port.PRESET)
         began = stage.time
-        port.command(bus.RAMP["FH1"])
+        port.command(chip_port.RAMP["FH1"])
         try:
-            port.wait_until_stopped(LIMIT, bus.QUICK)
+            port.wait_until_stopped(LIMIT, chip_port.QUICK)
         except RunTimeout:
-            port.command(bus.RESET)
+            port.command(chip_port.RESET)
         duration, places = stage.time - began, []
         while stage.time < began + duration + c.settle:
             stage.step()

@@ -29,9 +29,9 @@ from stage.firmware.driver import (
     select_moving,
     wait_until_stopped,
 )
-from stage.firmware.lines import LineMoves, LineSettings
+from stage.firmware.line_programs import LineMoves, LineSettings
+from stage.firmware.move_report import Procedure, Report
 from stage.firmware.parameter_ranges import get_register_range
-from stage.firmware.report import Procedure, Report
 from stage.firmware.stop_reasons import ANOTHER_AXIS
 from stage.firmware.synchronized_report import EarlyStopHandler, LineObserver, SynchronizedReport
 from stage.sim.program import Operations

@@ -13,7 +13,7 @@ import numpy as np
 
 from pulsestage_trinamic.tmc5160.state import STOP_L, STOP_R
 from stage.firmware.driver import Driver
-from stage.firmware.lines import Line, LineMoves
+from stage.firmware.line_programs import Line, LineMoves
 from stage.sim.program import Program
 
 NAMES = ("VSTART", "AMAX", "VMAX", "DMAX", "VSTOP")

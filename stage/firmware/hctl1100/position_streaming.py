@@ -18,7 +18,7 @@ import numpy as np
 
 from stage.chips.hctl1100.maps import TIMER
 from stage.errors import ArgumentError
-from stage.firmware.hctl1100.port import MARGIN, Port
+from stage.firmware.hctl1100.chip_port import MARGIN, Port
 
 
 @dataclass(frozen=True)

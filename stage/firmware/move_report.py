@@ -172,7 +172,7 @@ class Report:
         Raises:
             FileError: The file exists, and `overwrite` is False.
         """
-        from stage.firmware.plot import draw
+        from stage.firmware.plot_move import draw
 
         return draw(self, path, title, ax, overwrite)
 

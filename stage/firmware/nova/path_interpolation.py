@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
-from stage.firmware.nova.port import MAP, POLL, Port, inputs_514, mask, same_chip, stop
+from stage.firmware.nova.chip_port import MAP, POLL, Port, inputs_514, mask, same_chip, stop
 from stage.support.arguments import check_timeout
 
 CNEXT, DRIVING = MAP.mask("RR0", "CNEXT"), MAP.mask("RR0", "n-DRV")

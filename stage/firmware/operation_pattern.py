@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from stage.firmware.report import Report
+    from stage.firmware.move_report import Report
 
 BLUE, GREY, VIOLET, AMBER, GREEN, RED = "#5b8db8", "#9aa5b1", "#9b86bd", "#d9a441", "#4f9d69", "#c8553d"
 Lane = tuple[str, str, str]

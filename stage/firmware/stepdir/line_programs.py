@@ -9,7 +9,7 @@ import numpy as np
 
 from stage.chips.stepdir.maps import MAP
 from stage.firmware.driver import Driver
-from stage.firmware.lines import Line, LineMoves
+from stage.firmware.line_programs import Line, LineMoves
 from stage.firmware.parameter_ranges import get_register_range
 from stage.sim.program import Program
 

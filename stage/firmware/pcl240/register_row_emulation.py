@@ -1,11 +1,11 @@
-"""Rows of registers (see fit.py) on an emulated chip: their pulses, and the offset of their automatic ramp-down point."""
+"""Rows of registers (see follower_fit.py) on an emulated chip: their pulses, and the offset of their automatic ramp-down point."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from stage.chips.pcl240 import PCL240, PCL240K
-from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240 import chip_port
 
 NAMES = (*(f"R{k}" for k in range(8)), "R14", "R15")
 """Registers of a row in order; R14 and R15 on a chip with S-curves only."""
@@ -47,6 +47,6 @@ def _start(row: np.ndarray, chip: type[PCL240], r6: int, automatic: bool) -> PCL
     for name, value in zip(NAMES, [*row[:6].tolist(), r6, *row[7:].tolist()], strict=False):
         for cycle in emulated.register_cycles(name, value):
             emulated.write(*cycle)
-    emulated.write(0, bus.CONTROL | bus.PRESET | (bus.AUTOMATIC if automatic else 0))
-    emulated.write(0, (bus.RAMP if row[2] > row[1] else bus.START)["FH1"])
+    emulated.write(0, chip_port.CONTROL | chip_port.PRESET | (chip_port.AUTOMATIC if automatic else 0))
+    emulated.write(0, (chip_port.RAMP if row[2] > row[1] else chip_port.START)["FH1"])
     return emulated

@@ -10,8 +10,8 @@ import numpy as np
 from stage.chips.stepdir.core import AT_ONCE
 from stage.chips.stepdir.maps import CONTROL_ADDRESS, MAP
 from stage.errors import ArgumentError
+from stage.firmware.home_program import Search, SearchResult
 from stage.firmware.parameter_ranges import ParameterRanges, get_register_range
-from stage.firmware.search import Search, SearchResult
 from stage.sim.program import Program
 
 if TYPE_CHECKING:

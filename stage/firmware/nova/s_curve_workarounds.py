@@ -12,7 +12,7 @@ from stage.chips import MCX302, MCX304, MCX312
 from stage.chips.nova.registers.mcx300 import MCX304_MAP as MAP
 from stage.errors import ArgumentError
 from stage.firmware.axis import Axis
-from stage.firmware.nova.port import Port
+from stage.firmware.nova.chip_port import Port
 
 DECELERATING_STOP, SUDDEN_STOP = "STOP_DEC", "STOP_SUDDEN"
 ASND, CNST, DSND = (MAP.mask("RR1", name) for name in ("ASND", "CNST", "DSND"))

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.firmware.lines import Line, LineMoves
-from stage.firmware.pcl240 import bus
+from stage.firmware.line_programs import Line, LineMoves
+from stage.firmware.pcl240 import chip_port
 from stage.sim.program import Program
 
 if TYPE_CHECKING:
@@ -116,16 +116,16 @@ class RatioLine(Line):
         p, self._controls = Program(), []
         self._written = [f"R{k}" for k in range(8)] + (["R14", "R15"] if self.chip.S_CURVES else [])
         for a, h in enumerate(self.drivers):
-            p.command(h.index, bus.RESET).command(h.index, bus.OUTPUT)
+            p.command(h.index, chip_port.RESET).command(h.index, chip_port.OUTPUT)
             for column, name in enumerate(self._written):
                 p.register(h.index, self.chip, name, 0)
                 for k in range((self.chip.MAP.register(name).bits + 7) // 8):
                     self._add_slot(p, 1 + k, a * len(self._written) + column, 8 * k)
-            p.command(h.index, bus.CONTROL | bus.PRESET)
+            p.command(h.index, chip_port.CONTROL | chip_port.PRESET)
             self._controls.append(len(p) - 1)
         self._first = len(p)
         for h in self.drivers:
-            p.command(h.index, bus.START["FH1"])
+            p.command(h.index, chip_port.START["FH1"])
         self._template = np.array(p.ops, np.int64)
 
     def rows(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
@@ -133,7 +133,7 @@ class RatioLine(Line):
         r = registers
         columns = [moves.size, r[..., 0], r[..., 1], r[..., 1], *(r[..., k] for k in range(2, 6))]
         if len(self._written) > 8:
-            r14 = bus.UNCORRECTED | (0 if self.settings.s_curve else self.chip.LINEAR_RAMPS)
+            r14 = chip_port.UNCORRECTED | (0 if self.settings.s_curve else self.chip.LINEAR_RAMPS)
             columns += [np.full_like(r[..., 0], r14), np.zeros_like(r[..., 0])]
         return np.stack(columns, axis=2)
 
@@ -141,9 +141,9 @@ class RatioLine(Line):
         rows = self.rows(registers, moves)
         ops = self._fill_template(self._template, rows.reshape(len(rows), -1))
         for a, j in enumerate(self._controls):
-            ops[:, j, 3] |= np.where(moves.distances[:, a] < 0, bus.MINUS, 0)
+            ops[:, j, 3] |= np.where(moves.distances[:, a] < 0, chip_port.MINUS, 0)
         order = np.argsort(moves.size, axis=1, kind="stable")
-        ramps = np.where(rows[:, :, 2] > rows[:, :, 1], bus.RAMP["FH1"], bus.START["FH1"])
+        ramps = np.where(rows[:, :, 2] > rows[:, :, 1], chip_port.RAMP["FH1"], chip_port.START["FH1"])
         ops[:, self._first :, 1] = np.array([h.index for h in self.drivers])[order]
         ops[:, self._first :, 3] = np.take_along_axis(ramps, order, 1)
         return ops

@@ -9,9 +9,9 @@ import numpy as np
 
 from stage.chips.pcl240.state import COUNTER_MASK, S_OPERATING, S_ORG, S_ZERO
 from stage.errors import ArgumentError, add_article
+from stage.firmware.home_program import Search, SearchResult
 from stage.firmware.parameter_ranges import ParameterRanges, get_register_range
-from stage.firmware.pcl240 import bus
-from stage.firmware.search import Search, SearchResult
+from stage.firmware.pcl240 import chip_port
 from stage.sim.program import Program
 
 if TYPE_CHECKING:
@@ -53,40 +53,49 @@ class FourRuns(Search):
     def program(self, row: Sequence[int] | np.ndarray) -> Program:
         c, a, chip = self.settings, self.driver.index, self.driver.chip
         fl, fh, rate, approach, leave, back_off, sd = np.asarray(row).tolist()
-        p = Program().command(a, bus.RESET)
-        logic = bus.polarity(self.driver.axis)
+        p = Program().command(a, chip_port.RESET)
+        logic = chip_port.polarity(self.driver.axis)
         values = {"R1": fl, "R2": fh, "R4": rate, "R5": rate, "R7": c.multiplier, **logic}
         if chip.S_CURVES:
             values["R14"] = chip.LINEAR_RAMPS
         for name, value in values.items():
             p.register(a, chip, name, value)
-        p.command(a, bus.OUTPUT)
+        p.command(a, chip_port.OUTPUT)
         ramp_down = max(fh * fh - fl * fl, 0) * rate // (16384 * c.multiplier) + 5
         p.register(a, chip, "R6", min(leave // 2 + 2, ramp_down))
-        self._run(p, "leave", bus.PRESET, bus.RAMP["FH1"], leave, rest=c.settle if leave else 0.0)
-        self._run(p, "search", bus.ORIGIN | bus.MINUS | (bus.SD if sd else 0), bus.RAMP["FH1"], 0, c.settle)
-        self._run(p, "back off", bus.PRESET, bus.START["FL"], back_off, c.settle)
+        self._run(p, "leave", chip_port.PRESET, chip_port.RAMP["FH1"], leave, rest=c.settle if leave else 0.0)
+        self._run(
+            p,
+            "search",
+            chip_port.ORIGIN | chip_port.MINUS | (chip_port.SD if sd else 0),
+            chip_port.RAMP["FH1"],
+            0,
+            c.settle,
+        )
+        self._run(p, "back off", chip_port.PRESET, chip_port.START["FL"], back_off, c.settle)
         p.register(a, chip, "R1", approach)
         if c.ez:
-            p.register(a, chip, "R13", logic.get("R13", 0) | bus.encode_index(c.ez))
-        self._run(p, "approach", bus.ORIGIN | bus.MINUS, bus.START["FL"], 0, c.settle)
-        if c.ez and not bus.has_ez_monitor(
+            p.register(a, chip, "R13", logic.get("R13", 0) | chip_port.encode_index(c.ez))
+        self._run(p, "approach", chip_port.ORIGIN | chip_port.MINUS, chip_port.START["FL"], 0, c.settle)
+        if c.ez and not chip_port.has_ez_monitor(
             chip
         ):  # a start at speed step 1, taken back at once, is accepted: no end limit
-            p.register(a, chip, "R1", 1).command(a, bus.CONTROL | bus.MINUS).command(a, bus.START["FL"])
-            self._note_result_index("index", p).read(a, 0).command(a, bus.RESET).register(a, chip, "R1", approach)
+            p.register(a, chip, "R1", 1).command(a, chip_port.CONTROL | chip_port.MINUS).command(
+                a, chip_port.START["FL"]
+            )
+            self._note_result_index("index", p).read(a, 0).command(a, chip_port.RESET).register(a, chip, "R1", approach)
         elif c.ez:  # the index pulse, as R17 shows it: bit 20, in the high byte
-            p.command(a, bus.OUTPUT | bus.EXTENSION)
-            p.command(a, bus.SELECT | bus.COLLECTIVE | chip.MAP.register("R17").number)
-            self._note_result_index("index", p).read(a, 3).command(a, bus.OUTPUT)
+            p.command(a, chip_port.OUTPUT | chip_port.EXTENSION)
+            p.command(a, chip_port.SELECT | chip_port.COLLECTIVE | chip.MAP.register("R17").number)
+            self._note_result_index("index", p).read(a, 3).command(a, chip_port.OUTPUT)
         return p
 
     def _run(self, p: Program, name: str, control: int, start: int, r0: int, rest: float) -> None:
         a = self.driver.index
-        p.register(a, self.driver.chip, "R0", r0).command(a, bus.CONTROL | control).command(a, start)
-        self._note_result_index(f"{name} time", p).until_stopped([a], self.settings.limit).command(a, bus.RESET).wait(
-            rest
-        )
+        p.register(a, self.driver.chip, "R0", r0).command(a, chip_port.CONTROL | control).command(a, start)
+        self._note_result_index(f"{name} time", p).until_stopped([a], self.settings.limit).command(
+            a, chip_port.RESET
+        ).wait(rest)
         for address in (0, 3, 2, 1):
             self._note_result_index(f"{name} {address}", p).read(a, address)
 
@@ -101,7 +110,7 @@ class FourRuns(Search):
         on_org = {name: s & S_ORG != 0 for name, s in status.items()}
         arrived = on_org["approach"]
         if self.settings.ez:
-            at_index = bus.EZ_SIGNAL >> 16 if bus.has_ez_monitor(self.driver.chip) else S_OPERATING
+            at_index = chip_port.EZ_SIGNAL >> 16 if chip_port.has_ez_monitor(self.driver.chip) else S_OPERATING
             arrived = marked["index"] & at_index != 0
         released = ~on_org["back off"]
         short = (status["leave"] & S_ZERO == 0) | (status["back off"] & S_ZERO == 0)

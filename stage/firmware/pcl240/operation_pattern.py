@@ -7,8 +7,8 @@ import numpy as np
 from stage.chips.pcl240.describe import name_speed
 from stage.chips.pcl240.maps import CONTROL, OPERATE, OUTPUT
 from stage.chips.pcl240.state import FL, GROUP, INT_AT_STOP, OUTPUT_BITS, RAMP, SPEED, START, STOP
-from stage.firmware import pattern
-from stage.firmware.pattern import AMBER, BLUE, GREEN, GREY, RED, VIOLET, Note
+from stage.firmware import operation_pattern
+from stage.firmware.operation_pattern import AMBER, BLUE, GREEN, GREY, RED, VIOLET, Note
 
 LANES = (
     ("fup", "FUP", BLUE),
@@ -26,7 +26,7 @@ LANES = (
 )
 
 
-class Pattern(pattern.Pattern):
+class Pattern(operation_pattern.Pattern):
     """Signals and commands of a report about a PCL-240."""
 
     LANES = LANES

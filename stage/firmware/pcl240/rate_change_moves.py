@@ -14,12 +14,12 @@ from itertools import pairwise
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, ExceededLimit
 from stage.firmware.axis import Axis, check_direction, check_seconds
-from stage.firmware.pcl240 import bus
-from stage.firmware.pcl240.bus import Port, Status
+from stage.firmware.move_report import Report
+from stage.firmware.pcl240 import chip_port
+from stage.firmware.pcl240.chip_port import Port, Status
 from stage.firmware.pcl240.moves import check_pulses, choose_profile, compute_time_limit, encode_direction, prepare
-from stage.firmware.pcl240.procedure import Procedure
-from stage.firmware.pcl240.profile import Profile, down_point, ramp_pulses
-from stage.firmware.report import Report
+from stage.firmware.pcl240.speed_profile import Profile, down_point, ramp_pulses
+from stage.firmware.pcl240.stop_reason import Procedure
 from stage.support.arguments import explain_arguments
 
 MAX_RAMP_S = 60.0  # R4 and R5 make no more than 27
@@ -74,7 +74,7 @@ def dual_rate_move(
     if pulses is not None:
         speeds = [{"FL": profile.R1, "FH1": profile.R2, "FH2": profile.R3}[rate] for rate in rates]
         point = _find_down_point(profile, speeds, check_pulses(pulses), dwell)
-        control = bus.PRESET | encode_direction(pulses)
+        control = chip_port.PRESET | encode_direction(pulses)
     else:
         check_direction(direction)
         check_seconds(seconds or 0.0)
@@ -87,7 +87,7 @@ def dual_rate_move(
         if pulses is None and status.operating:
             axis.wait(seconds or 0.0)
             if p.port.status().operating:
-                p.port.command(bus.SLOW_DOWN["FH2" if rates[-1] == "FH2" else "FH1"])
+                p.port.command(chip_port.SLOW_DOWN["FH2" if rates[-1] == "FH2" else "FH1"])
                 return p.finish(MAX_RAMP_S)
         return p.finish(compute_time_limit(timeout, profile, check_pulses(pulses) if pulses else 1), pulses)
 
@@ -95,7 +95,7 @@ def dual_rate_move(
 def _check_rates(rates: Sequence[str]) -> list[str]:
     """Return the names of rates as a list. Raises ArgumentError for none, and for a name that is no rate."""
     for rate in rates:
-        if rate not in bus.RAMP:
+        if rate not in chip_port.RAMP:
             raise ArgumentError(f"rate {rate!r}: a chip has FL, FH1 and FH2.")
     if not rates:
         raise ArgumentError("rates is empty: give at least one of FL, FH1, FH2.")
@@ -105,7 +105,7 @@ def _check_rates(rates: Sequence[str]) -> list[str]:
 def _run_through_rates(p: Procedure, rates: list[str], dwell: float) -> Status:
     """Start at the first of the rates, and go through the others; return the last status, which may be that of a stop."""
     constant = rates[0] == "FL"
-    p.port.command(bus.START["FL"] if constant else bus.RAMP[rates[0]])
+    p.port.command(chip_port.START["FL"] if constant else chip_port.RAMP[rates[0]])
     status = _wait_for_rate(p.port)
     for rate in rates[1:]:
         p.axis.wait(dwell if status.operating else 0.0)
@@ -113,9 +113,9 @@ def _run_through_rates(p: Procedure, rates: list[str], dwell: float) -> Status:
         if not status.operating:
             break
         if constant:  # section 5 h, note: set bit 2 before the rate changes
-            p.port.command(bus.RAMP["FL"])
+            p.port.command(chip_port.RAMP["FL"])
         constant = False
-        p.port.command(bus.RAMP[rate])
+        p.port.command(chip_port.RAMP[rate])
         status = _wait_for_rate(p.port)
     return status
 
@@ -155,9 +155,9 @@ def speed_change_move(
     check_seconds(dwell)
     point = _find_down_point(profile, speeds, count, dwell)
     with Procedure(axis, "speed change in motion") as p:
-        prepare(p.port, replace(profile, R2=speeds[0]), bus.PRESET | encode_direction(pulses))
+        prepare(p.port, replace(profile, R2=speeds[0]), chip_port.PRESET | encode_direction(pulses))
         p.port.write_registers(R0=count, R6=point)
-        p.port.command(bus.RAMP["FH1"])
+        p.port.command(chip_port.RAMP["FH1"])
         for k, speed in enumerate(speeds[1:], 1):
             axis.wait(dwell if _wait_for_rate(p.port).operating else 0.0)
             if not p.port.status().operating:
@@ -204,9 +204,9 @@ def curved_ramp_move(
     _refuse_short_move(count, climb + fall + len(speeds) * POLL_DELAY_S * speeds[-1] * profile.step)
     point = axis.chip.MAP.check_value("R6", down_point(count, profile.R1, speeds[-1], 0, profile.R5, profile.R7))
     with Procedure(axis, "curved ramp") as p:
-        prepare(p.port, replace(profile, R2=speeds[0], R4=ramps[0]), bus.PRESET | encode_direction(pulses))
+        prepare(p.port, replace(profile, R2=speeds[0], R4=ramps[0]), chip_port.PRESET | encode_direction(pulses))
         p.port.write_registers(R0=count, R6=point)
-        p.port.command(bus.RAMP["FH1"])
+        p.port.command(chip_port.RAMP["FH1"])
         for k, (speed, ramp) in enumerate(zip(speeds[1:], ramps[1:], strict=True), 1):
             if not _wait_for_rate(p.port).operating:
                 break
@@ -224,7 +224,7 @@ def _change_speed(port: Port, k: int, speed: int) -> None:
     """Make the k-th change of speed: write the register not in use, FH2 and FH1 by turns, and ramp to it."""
     register, rate = ("R3", "FH2") if k % 2 else ("R2", "FH1")
     port.write_register(register, speed)
-    port.command(bus.RAMP[rate])
+    port.command(chip_port.RAMP[rate])
 
 
 def _convert_rates(axis: Axis, profile: Profile, rates: Sequence[float]) -> list[int]:

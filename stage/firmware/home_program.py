@@ -70,7 +70,7 @@ class Search(ABC):
         """
         raise ArgumentError(
             f"{type(self).__module__}.{type(self).__name__} makes no choices of rates: give those of "
-            f"{', '.join(self.choices.ranges)}. (Whose driver it is gives it a method `row`, see stage.firmware.search.Search.)"
+            f"{', '.join(self.choices.ranges)}. (A driver that offers such choices defines its own Search.find_nearest_row.)"
         )
 
     def _round_to_ranges(self, wanted: Mapping[str, float]) -> list[int]:

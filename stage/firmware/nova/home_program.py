@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.errors import ArgumentError, add_article
+from stage.firmware.home_program import Search, SearchResult
 from stage.firmware.parameter_ranges import ParameterRanges, get_register_range
-from stage.firmware.search import Search, SearchResult
 from stage.sim.program import Program
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ import numpy as np
 from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.errors import ArgumentError
-from stage.firmware.pcl240 import fit
-from stage.firmware.pcl240.closed_form import bend, stretch
+from stage.firmware.pcl240 import follower_fit
+from stage.firmware.pcl240.preset_move_closed_form import bend, stretch
 
 LONG = 500_000  # pulses
 LEADERS, LEADERS_LONG = 6, 60  # tried; more for a long move, in which small errors of the ratio add up
@@ -125,7 +125,7 @@ def search(
         ArgumentError: No registers make the ramps.
     """
     best: tuple[np.ndarray, dict[str, Candidates]] | None = None
-    least, work = np.inf, np.zeros(1, fit.WORK)
+    least, work = np.inf, np.zeros(1, follower_fit.WORK)
     for bare in _leaders(move, hz, widths, followers):
         rises: dict[str, np.ndarray] = {}
         for leader in _with_tails(bare, hz, widths.point):
@@ -133,11 +133,15 @@ def search(
             for name, (d, own_hz, (rate, point, size), lead, multiplier) in followers.items():
                 only = int(leader[7]) if multiplier == AS_LEADER else multiplier
                 if name not in rises:
-                    rises[name] = np.zeros((fit.MAX_CANDIDATES, size), np.int64)
-                    scores = np.empty(fit.MAX_CANDIDATES)
-                    fit.accelerations(leader, hz, d, own_hz, lead, move.share, rate, only, scores, rises[name], work)
-                candidates[name] = Candidates(np.zeros((fit.BEST, size), np.int64), np.empty(fit.BEST))
-                fit.decelerations(
+                    rises[name] = np.zeros((follower_fit.MAX_CANDIDATES, size), np.int64)
+                    scores = np.empty(follower_fit.MAX_CANDIDATES)
+                    follower_fit.accelerations(
+                        leader, hz, d, own_hz, lead, move.share, rate, only, scores, rises[name], work
+                    )
+                candidates[name] = Candidates(
+                    np.zeros((follower_fit.BEST, size), np.int64), np.empty(follower_fit.BEST)
+                )
+                follower_fit.decelerations(
                     leader, hz, own_hz, lead, move.automatic, rate, point, rises[name],
                     candidates[name].scores, candidates[name].registers, work,
                 )  # fmt: skip
@@ -184,7 +188,7 @@ def _leaders(move: LeaderMove, hz: int, widths: Widths, followers: Mapping[str, 
     for d, own_hz, _, _, multiplier in followers.values():
         misfit = np.zeros(len(pick))
         least = min(100.0, d / move.length * move.fh * 8192 * MAX_R7 / own_hz / 2)
-        fit.misfits(high[pick], r7[pick], hz, d / move.length, own_hz, least, MATCH / d, multiplier, misfit)
+        follower_fit.misfits(high[pick], r7[pick], hz, d / move.length, own_hz, least, MATCH / d, multiplier, misfit)
         off = np.maximum(off, misfit * d)
     best = pick[np.argsort(np.maximum(off, DRIFT) + error[pick], kind="stable")]
     unshifted = pick[shift[pick] == 0]

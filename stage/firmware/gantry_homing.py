@@ -15,8 +15,8 @@ from collections.abc import Iterable, Sequence
 from stage.errors import ArgumentError
 from stage.firmware.axis import check_direction
 from stage.firmware.driver import DEFAULT_RAMP_S, Speeds, driver_of
+from stage.firmware.move_report import Report
 from stage.firmware.procedures import line, parse_speeds
-from stage.firmware.report import Report
 from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.firmware.synchronized_report import SynchronizedReport
 from stage.sim.axis import Axis

@@ -13,11 +13,11 @@ from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, add_article
 from stage.firmware.axis import Axis, check_direction, check_origin
 from stage.firmware.driver import SETTLING_TIME_S
-from stage.firmware.pcl240 import bus
+from stage.firmware.move_report import Report
+from stage.firmware.pcl240 import chip_port
 from stage.firmware.pcl240.moves import check_pulses, choose_profile, encode_direction, prepare
-from stage.firmware.pcl240.procedure import Procedure
-from stage.firmware.pcl240.profile import Profile
-from stage.firmware.report import Report
+from stage.firmware.pcl240.speed_profile import Profile
+from stage.firmware.pcl240.stop_reason import Procedure
 from stage.support.arguments import check_timeout, explain_arguments
 
 BACK_OFF = 200  # pulses beyond the release of ORG
@@ -71,7 +71,7 @@ def origin_return(
     """
     check_timeout(timeout)
     check_origin(axis)
-    profile, logic = choose_profile(axis, profile), bus.polarity(axis)
+    profile, logic = choose_profile(axis, profile), chip_port.polarity(axis)
     if ez is not None:
         _check_index_number(axis, ez)
     check_direction(direction)
@@ -87,11 +87,11 @@ def origin_return(
         met = _leave(p, -direction, back_off, high_speed, timeout) if port.status().org else ""
         stopped_by = met or _approach(p, direction, high_speed, timeout, None if slow_approach else ez)
         if stopped_by == "ORG" and slow_approach:
-            port.command(bus.RESET)
+            port.command(chip_port.RESET)
             port.write_register("R1", max(1, min(round(approach / profile.step), profile.R1)))
             met = _leave(p, -direction, back_off, False, timeout)
             stopped_by = met or _approach(p, direction, False, timeout, ez)
-        port.command(bus.RESET)
+        port.command(chip_port.RESET)
         if port.extended and stopped_by in ("ORG", "EZ"):
             port.write_register("R10", 0)
         return p.report(stopped_by)
@@ -111,10 +111,10 @@ def _approach(p: Procedure, direction: int, high_speed: bool, timeout: float, ez
     """Run until ORG, an index pulse after it (`ez`), or the end limit stops the axis, and return which."""
     port = p.port
     if port.extended:
-        logic = bus.polarity(port.axis).get("R13", 0)
-        port.write_register("R13", logic | (bus.encode_index(ez) if ez else 0))
-    port.control(bus.ORIGIN | (bus.SD if high_speed else 0) | encode_direction(direction))
-    port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
+        logic = chip_port.polarity(port.axis).get("R13", 0)
+        port.write_register("R13", logic | (chip_port.encode_index(ez) if ez else 0))
+    port.control(chip_port.ORIGIN | (chip_port.SD if high_speed else 0) | encode_direction(direction))
+    port.command(chip_port.RAMP["FH1"] if high_speed else chip_port.START["FL"])
     port.wait_until_stopped(timeout)
     port.axis.wait(SETTLING_TIME_S)
     return p.stop_reason()
@@ -128,19 +128,19 @@ def _leave(p: Procedure, direction: int, back_off: int, high_speed: bool, timeou
     """
     port = p.port
     port.control(encode_direction(direction))
-    port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
+    port.command(chip_port.RAMP["FH1"] if high_speed else chip_port.START["FL"])
     port.wait_until(lambda s: not s.org or not s.operating, timeout, what="the release of ORG")
-    port.command(bus.SLOW_DOWN["FH1"] if high_speed else bus.RESET)
+    port.command(chip_port.SLOW_DOWN["FH1"] if high_speed else chip_port.RESET)
     port.wait_until_stopped(timeout)
     port.axis.wait(SETTLING_TIME_S)
-    port.command(bus.RESET)
+    port.command(chip_port.RESET)
     port.write_register("R0", back_off)
-    port.control(bus.PRESET | encode_direction(direction))
-    port.command(bus.START["FL"])
+    port.control(chip_port.PRESET | encode_direction(direction))
+    port.command(chip_port.START["FL"])
     status = port.wait_until_stopped(timeout)
     port.axis.wait(SETTLING_TIME_S)
     met = p.stop_reason()
-    port.command(bus.RESET)
+    port.command(chip_port.RESET)
     if not status.org:
         return ""
     return met if met in ("EL+", "EL-") else "HOME"

@@ -7,12 +7,12 @@ from typing import ClassVar, TypeVar
 
 from stage.errors import ArgumentError
 from stage.firmware.driver import SETTLING_TIME_S, Driver, Speeds
-from stage.firmware.nova.draw import Arc, Drawn, Speed, draw
+from stage.firmware.move_report import Procedure, Report
+from stage.firmware.nova.chip_port import inputs_514
 from stage.firmware.nova.driver import CAUSES, HOME_SPEED, SEARCHES, NovaDriver
-from stage.firmware.nova.home import home_search
-from stage.firmware.nova.port import inputs_514
+from stage.firmware.nova.home_search import home_search
+from stage.firmware.nova.path_interpolation import Arc, Drawn, Speed, draw
 from stage.firmware.parameter_ranges import get_register_range
-from stage.firmware.report import Procedure, Report
 from stage.sim.program import Operations, Program
 
 Ops = TypeVar("Ops", bound=Operations)

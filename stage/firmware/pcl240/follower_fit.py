@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.firmware.pcl240.closed_form import (
+from stage.firmware.pcl240.preset_move_closed_form import (
     NEVER,
     bend,
     count,

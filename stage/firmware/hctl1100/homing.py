@@ -21,8 +21,8 @@ from stage.chips.hctl1100.maps import MODE
 from stage.chips.sharing import exclusive
 from stage.errors import RunTimeout
 from stage.firmware.axis import check_direction
+from stage.firmware.hctl1100.chip_port import CONTROL, LIMIT, STOP, Port
 from stage.firmware.hctl1100.moves import acceleration_word, cruise, trapezoid, velocity_word
-from stage.firmware.hctl1100.port import CONTROL, LIMIT, STOP, Port
 
 PUSH = 15  # hundredths of full drive: out of a limit
 MAX_COUNTS = 4000  # counts: a limit switch is left before; two turns of the usual encoder

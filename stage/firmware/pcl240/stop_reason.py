@@ -14,15 +14,15 @@ from stage.chips.entries import RESET, WRITE
 from stage.chips.journal import Journal
 from stage.chips.pcl240 import state as bits
 from stage.chips.pcl240.maps import OPERATE
-from stage.firmware import report
+from stage.firmware import move_report
 from stage.firmware.axis import Axis
 from stage.firmware.driver import SETTLING_TIME_S
-from stage.firmware.pcl240.bus import Port, check
-from stage.firmware.report import Report
+from stage.firmware.move_report import Report
+from stage.firmware.pcl240.chip_port import Port, check
 from stage.firmware.stop_reasons import UNKNOWN
 
 
-class Procedure(report.Procedure):
+class Procedure(move_report.Procedure):
     """Observer of an axis whose chip is of the family. Raises ArgumentError for another."""
 
     def __init__(self, axis: Axis, name: str):

@@ -13,13 +13,13 @@ import numpy as np
 
 from stage.errors import ArgumentError
 from stage.firmware.driver import driver_class
-from stage.firmware.pattern import Note, Pattern
+from stage.firmware.operation_pattern import Note, Pattern
 from stage.support.extras import import_extra
 from stage.support.files import save_figure
 from stage.support.pictures import COLORS, FRAME_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame
 
 if TYPE_CHECKING:
-    from stage.firmware.report import Report
+    from stage.firmware.move_report import Report
 
 LINE, FILL, MINUS_FILL = COLORS[0], "#dbe8f5", "#e9e2f3"
 EVENT = "#a4502a"

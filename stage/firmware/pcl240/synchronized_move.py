@@ -15,12 +15,12 @@ from typing import Any
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, RunTimeout, add_article
 from stage.firmware.axis import Axes, Axis
-from stage.firmware.pcl240 import bus
-from stage.firmware.pcl240.bus import check, name_leader, require_clock
+from stage.firmware.pcl240 import chip_port
+from stage.firmware.pcl240.chip_port import check, name_leader, require_clock
+from stage.firmware.pcl240.line_plan import Plan, plan
 from stage.firmware.pcl240.moves import SETTLING_TIME_S
-from stage.firmware.pcl240.plan import Plan, plan
-from stage.firmware.pcl240.procedure import Procedure
-from stage.firmware.pcl240.profile import ACCEL, FH1, FL
+from stage.firmware.pcl240.speed_profile import ACCEL, FH1, FL
+from stage.firmware.pcl240.stop_reason import Procedure
 from stage.firmware.synchronized_report import LineObserver, SynchronizedReport, select_axes
 from stage.support.arguments import check_timeout, explain_arguments
 
@@ -99,13 +99,13 @@ def _run(axes: dict[str, Axis], line_plan: Plan, timeout: float | None) -> Synch
     watch = {n: Procedure(a, "synchronized move") for n, a in axes.items()}
     with LineObserver(watch, line_plan.distances) as line:
         for n, p in watch.items():
-            p.port.command(bus.RESET)
+            p.port.command(chip_port.RESET)
             p.port.write_registers(**line_plan.axes[n].registers)
-            p.port.command(bus.OUTPUT)
-            minus = bus.MINUS if line_plan.axes[n].distance < 0 else 0
-            p.port.control(bus.PRESET | minus | (bus.AUTOMATIC if line_plan.axes[n].automatic else 0))
+            p.port.command(chip_port.OUTPUT)
+            minus = chip_port.MINUS if line_plan.axes[n].distance < 0 else 0
+            p.port.control(chip_port.PRESET | minus | (chip_port.AUTOMATIC if line_plan.axes[n].automatic else 0))
         for n, p in watch.items():  # nothing between the starts but the bus
-            p.port.command(bus.RAMP["FH1"] if line_plan.axes[n].ramps else bus.START["FH1"])
+            p.port.command(chip_port.RAMP["FH1"] if line_plan.axes[n].ramps else chip_port.START["FH1"])
             line.note_start(n)
         with line.attach_reports_to_timeout():
             stopped_by = _wait(watch, line_plan, 1.5 * line_plan.seconds + 1 if timeout is None else timeout, line)
@@ -132,14 +132,16 @@ def _wait(watch: dict[str, Procedure], line_plan: Plan, patience: float, line: L
             broken = True
             for n, p in watch.items():
                 if n not in stopped_by:
-                    p.port.command(bus.SLOW_DOWN["FH1"])
+                    p.port.command(chip_port.SLOW_DOWN["FH1"])
         passed = clock.time - begin
         if passed >= patience:
             left = {n: watch[n].port.counter() for n in watch if n not in stopped_by}
             raise RunTimeout(
                 f"after {patience:.3f} s axes still operate; pulses left: {left}. Give more time, or stop them with 08h."
             )
-        poll = bus.POLL if line.carriages.worst is not None else max(bus.POLL, line_plan.seconds / MAX_POLLS)
+        poll = (
+            chip_port.POLL if line.carriages.worst is not None else max(chip_port.POLL, line_plan.seconds / MAX_POLLS)
+        )
         clock.wait(min(poll, patience - passed + 1e-6))
 
 
@@ -200,7 +202,7 @@ def _bus_delay(selected: dict[str, tuple[Axis, int]], names: Any) -> float:
     for n in names:
         axis = selected[n][0]
         before = axis.time
-        if bus.Port(axis).status().operating:
+        if chip_port.Port(axis).status().operating:
             raise ArgumentError(f"axis {n} is moving: wait until it stops, or stop it with 08h.")
         delay = axis.time - before
     return delay

@@ -20,7 +20,7 @@ from stage.chips.nova.registers.words514 import HOME_STATES
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
-from stage.firmware.nova.port import MAP, POLL, Port, inputs_514, mask, same_chip, stop
+from stage.firmware.nova.chip_port import MAP, POLL, Port, inputs_514, mask, same_chip, stop
 from stage.units import POSITION_UNITS
 
 HSST = MAP.field("RR3-0", "HSST")

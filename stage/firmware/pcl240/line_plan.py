@@ -1,8 +1,9 @@
-"""Registers for an a:b move: every axis at a rate in the ratio of the distances, ramps together, stops together.
+"""Plan of an a:b move: registers with which all axes start and stop together, at rates in the ratio of their distances.
 
-The data sheet's scheme (Q & A): FL and FH in the ratio a:b, equal ramp times. The longest axis is the leader: its registers come
-from the given rates and times (leader.py). Every other axis is a follower: its R7 is free, so it can choose from a thousand grids
-of rates (fit.py). The best registers of each follower are run on emulated chips, and those closest to the line are used.
+The data sheet's scheme (Q & A) demands FL and FH in the ratio a:b and equal ramp times. The longest axis is the leader: its
+registers come from the requested rates and times (leader_search.py). Every other axis is a follower: its R7 is free, so it can
+choose from a thousand grids of rates (follower_fit.py). `plan` runs the best registers of each follower on emulated chips and
+takes those whose pulses are closest to the line.
 """
 
 from __future__ import annotations
@@ -17,11 +18,10 @@ from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import LINEAR, SPAN
 from stage.errors import ArgumentError, ExceededLimit, add_article, unknown_name_error
-from stage.firmware.lines import MAX_RAMP_SHARE, compute_peak_rate
-from stage.firmware.path import path_deviation, perfect_deviation
-from stage.firmware.pcl240 import fit
-from stage.firmware.pcl240.closed_form import fill_motion
-from stage.firmware.pcl240.leader import (
+from stage.firmware.line_programs import MAX_RAMP_SHARE, compute_peak_rate
+from stage.firmware.path_deviation import path_deviation, perfect_deviation
+from stage.firmware.pcl240 import follower_fit
+from stage.firmware.pcl240.leader_search import (
     AS_LEADER,
     MAX_R7,
     MAX_SPEED,
@@ -34,8 +34,9 @@ from stage.firmware.pcl240.leader import (
     effective_steps,
     search,
 )
-from stage.firmware.pcl240.profile import ACCEL, FH1, FL, ramp_seconds
-from stage.firmware.pcl240.row_emulation import NAMES, compute_offset, trace_row
+from stage.firmware.pcl240.preset_move_closed_form import fill_motion
+from stage.firmware.pcl240.register_row_emulation import NAMES, compute_offset, trace_row
+from stage.firmware.pcl240.speed_profile import ACCEL, FH1, FL, ramp_seconds
 from stage.support.arguments import explain_arguments
 
 MAX_R0 = PCL240K.MAP.registers[0].mask
@@ -421,9 +422,12 @@ def _judge(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, 
         deviation = path_deviation(paths, [abs(d) for d in distances.values()]).pulses
     else:
         leader = order[-1]
-        squares, work = 0.0, np.zeros(1, fit.WORK)
+        squares, work = 0.0, np.zeros(1, follower_fit.WORK)
         for n in order[:-1]:
-            squares += fit.estimate(rows[leader], axes[leader].clock_hz, rows[n], axes[n].clock_hz, lead[n], work) ** 2
+            squares += (
+                follower_fit.estimate(rows[leader], axes[leader].clock_hz, rows[n], axes[n].clock_hz, lead[n], work)
+                ** 2
+            )
         deviation = float(np.sqrt(squares))
     top = axes[order[-1]].fh / abs(distances[order[-1]])
     error = max(abs(a.fh / abs(a.distance) / top - 1) for a in axes.values())

@@ -8,10 +8,10 @@ from typing import ClassVar, TypeVar
 from stage.chips.nova import MCX314AS
 from stage.chips.nova.registers.mcx300 import MCX304_MAP, RANGE
 from stage.firmware.driver import SETTLING_TIME_S, ImmediateOperations, Speeds, wait_until_stopped
+from stage.firmware.move_report import Procedure, Report
+from stage.firmware.nova.chip_port import level_bits
 from stage.firmware.nova.driver import HOME_SPEED, SEARCHES, NovaDriver
-from stage.firmware.nova.port import level_bits
 from stage.firmware.parameter_ranges import get_register_range
-from stage.firmware.report import Procedure, Report
 from stage.sim.program import Operations, Program
 
 Ops = TypeVar("Ops", bound=Operations)

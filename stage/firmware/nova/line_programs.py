@@ -9,7 +9,7 @@ import numpy as np
 
 from stage.chips.nova.registers.mcx300 import RANGE
 from stage.errors import ArgumentError, add_article
-from stage.firmware.lines import Line, LineMoves
+from stage.firmware.line_programs import Line, LineMoves
 from stage.firmware.parameter_ranges import get_register_range
 from stage.sim.program import Program
 
