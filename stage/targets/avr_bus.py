@@ -32,6 +32,11 @@ _PIN_PATTERN = re.compile(r"([A-HJ-L])([0-7])")
 _PIN_RANGE_PATTERN = re.compile(r"([A-HJ-L]):([0-7])-([0-7])")
 
 
+def encode_request(text: str) -> int:
+    """Return the number of a request to avr_ioctl, such as "iogA"."""
+    return int.from_bytes(text.encode(), "big")
+
+
 class Pins(NamedTuple):
     """Pins of a bus; each pin is the number of its port in PORTS and its bit."""
 

@@ -44,16 +44,21 @@ BUS = record(
 """
 PORT = record([("bus", "i8"), ("port", "i8")])
 """The port of a bus that a call of simavr is about."""
-DRIVEN_LINE = record([(name, "i8") for name in "port bit chip mask inverted released".split()])
-"""A line of an axis that the program drives: its pin; the number of its chip and the chip's input pins (bits); whether the pin
-is low while the line is asserted; the pins (bits) that are asserted while the pin is no output."""
-READ_LINE = record([(name, "i8") for name in "irq chip mask inverted level".split()])
-"""A line of an axis that the program reads: the simavr IRQ of its pin; chip, pins and inversion as in DRIVEN_LINE; the level of
-the pin."""
-LINES = record([(name, "i8") for name in "avr driven n_driven read n_read".split()])
-"""Lines of axes at the pins of an AVR, whose record is `avr`: addresses and numbers of DRIVEN_LINE and READ_LINE records."""
-LINE_PORT = record([(name, "i8") for name in "lines port levels outputs".split()])
-"""A port with driven lines: its number, the levels that the program drives, and which of its pins are outputs."""
+DRIVEN_LINE = record([(name, "i8") for name in "bit chip mask inverted released last".split()])
+"""A line of an axis that the program drives: the bit of its pin; the number of its chip and the chip's input pins (bits); whether
+the pin is low while the line is asserted; the pins (bits) that are asserted while the pin is no output; whether the next line of
+the port belongs to another chip."""
+LINE_PORT = record([(name, "i8") for name in "avr lines n_lines levels outputs".split()])
+"""A port with driven lines: its AVR; its DRIVEN_LINE records; the levels in its PORT register, and which pins are outputs."""
+READ_LINE = record([(name, "i8") for name in "irq port bit chip mask inverted level last".split()])
+"""A line of an axis that the program reads: the simavr IRQ of its pin; the PULLED_PORT of its pin and its bit there; chip, pins and
+inversion as in DRIVEN_LINE; the level of the pin; whether the next line is at another pin."""
+PULLED_PORT = record([(name, "i8") for name in "pulls request".split()])
+"""A port with read lines: simavr's avr_ioport_external_t, and the request that sets it."""
+PULL_VALUE = 15
+"""Position of the levels in avr_ioport_external_t; seven bits of a name and eight of a mask are in front of them."""
+LINES = record([(name, "i8") for name in "ports n_ports read n_read ioctl".split()])
+"""Lines at the pins of an AVR: LINE_PORT and READ_LINE records; the address of avr_ioctl."""
 SERIAL = record([(name, "i8") for name in "avr text room length".split()])
 """A serial line, and the text since its last line end."""
 BYTE, STATE = np.dtype("u1"), np.dtype("u4")
@@ -62,7 +67,7 @@ SLEEPING, DONE = 3, 6
 NOTHING_WAKES = 2
 LINE_END, CARRIAGE_RETURN = 10, 13
 _run, _raise_irq = called("i4", "i8"), called(None, "i8", "i4")
-_is_enabled = called("i4", "i8", "i8")
+_is_enabled, _ioctl = called("i4", "i8", "i8"), called("i4", "i8", "i4", "i8")
 _get_timer_status, _read_memory = called("i8", "i8", "i8", "i8"), called("i4", "i8", "i4")
 
 
@@ -130,47 +135,69 @@ def follow_directions(_irq, value, port):
 
 
 @hot
-def _drive_lines(port, levels, outputs):
-    """Pass new levels and directions of a port to the lines at its pins, at the cycle of the edge."""
-    lines = array_at(port.lines, 1, LINES)[0]
-    cpu = array_at(lines.avr, 1, AVR)[0]
-    changed = (levels ^ port.levels) | (outputs ^ port.outputs)
-    port.levels, port.outputs = levels, outputs
-    rows = array_at(lines.driven, lines.n_driven, DRIVEN_LINE)
-    for k in range(len(rows)):
-        row = rows[k]
-        if row.port != port.port or changed >> row.bit & 1 == 0:
-            continue
-        asserted = row.mask if levels >> row.bit & 1 != row.inverted else 0
-        if outputs >> row.bit & 1 == 0:
-            asserted = row.released
-        request(cpu, UNTIL, compute_time(cpu, count_cycles(cpu)), 0)
-        request(cpu, SET_LINES, row.chip, row.mask << LINES_SHIFT | asserted)
+def _drive_lines(port, changed):
+    """Pass the changed pins (bits) of a port to the lines at them, at the cycle of the edge."""
+    lines, mask, asserted = array_at(port.lines, port.n_lines, DRIVEN_LINE), 0, 0
+    for k in range(len(lines)):
+        line = lines[k]
+        if changed >> line.bit & 1:
+            mask |= line.mask
+            if port.outputs >> line.bit & 1 == 0:
+                asserted |= line.released
+            elif port.levels >> line.bit & 1 != line.inverted:
+                asserted |= line.mask
+        if mask and line.last:  # together, because the direction counts before a step at the same cycle
+            cpu = array_at(port.avr, 1, AVR)[0]
+            request(cpu, UNTIL, compute_time(cpu, count_cycles(cpu)), 0)
+            request(cpu, SET_LINES, line.chip, mask << LINES_SHIFT | asserted)
+            mask = asserted = 0
 
 
 @exported(None, "i8", "i4", LINE_PORT)
 def drive_line_levels(_irq, value, port):
-    """Take new levels that the program drives at a port with lines."""
-    _drive_lines(port, value & 0xFF, port.outputs)
+    """Take a new value of the PORT register of a port with lines."""
+    changed, port.levels = (value & 0xFF) ^ port.levels, value & 0xFF
+    _drive_lines(port, changed)
 
 
 @exported(None, "i8", "i4", LINE_PORT)
 def drive_line_directions(_irq, value, port):
     """Take new directions of the pins of a port with lines."""
-    _drive_lines(port, port.levels, value & 0xFF)
+    changed, port.outputs = (value & 0xFF) ^ port.outputs, value & 0xFF
+    _drive_lines(port, changed)
 
 
 @hot
 def _show_lines(cpu):
-    """Pass switches that have changed to the pins that the program reads."""
+    """Pass switches that have changed to the pins that the program reads.
+
+    simavr raises the level of an internal pull-up at each write to the PORT register. It keeps the level of an external one.
+    """
     lines = array_at(cpu.lines, 1, LINES)[0]
-    rows = array_at(lines.read, lines.n_read, READ_LINE)
+    rows, asserted = array_at(lines.read, lines.n_read, READ_LINE), 0
     for k in range(len(rows)):
         row = rows[k]
-        asserted = 1 if request(cpu, READ_LINES, row.chip, 0) & row.mask else 0
-        if asserted ^ row.inverted != row.level:
-            row.level = asserted ^ row.inverted
-            _raise_irq(cpu.raise_irq, (row.irq, row.level))
+        if request(cpu, READ_LINES, row.chip, 0) & row.mask:
+            asserted = 1
+        if row.last:
+            level, asserted = asserted ^ row.inverted, 0
+            if level != row.level:
+                row.level = level
+                port = array_at(row.port, 1, PULLED_PORT)[0]
+                port.pulls ^= 1 << (PULL_VALUE + row.bit)
+                _ioctl(lines.ioctl, (cpu.avr, port.request, row.port))
+                _raise_irq(cpu.raise_irq, (row.irq, level))
+
+
+@hot
+def _begin_lines(cpu):
+    """Release the lines that the program will drive, since no pin of a processor is an output after a reset, and pass the
+    switches to the pins that it reads."""
+    lines = array_at(cpu.lines, 1, LINES)[0]
+    ports = array_at(lines.ports, lines.n_ports, LINE_PORT)
+    for k in range(len(ports)):
+        _drive_lines(ports[k], 0xFF)
+    _show_lines(cpu)
 
 
 @hot
@@ -225,6 +252,8 @@ def log_sent_byte(_irq, value, serial):
 @exported("i8", AVR)
 def run(cpu):
     """Run until the program ends or cannot continue; return simavr's state."""
+    if cpu.lines:
+        _begin_lines(cpu)
     while not cpu.ended:
         state = _run(cpu.run, (cpu.avr,))
         if state >= DONE:

@@ -25,7 +25,7 @@ from stage.board.pins import PinLine
 from stage.errors import StageError
 from stage.native import address_of, array_at
 from stage.targets import avr_core, mcus
-from stage.targets.avr_bus import AvrBus, Pins
+from stage.targets.avr_bus import AvrBus, Pins, encode_request
 from stage.targets.avr_lines import AvrLines
 from stage.targets.elf import AVR, Elf, check_avr, read_mmcu
 
@@ -68,10 +68,6 @@ class _Eeprom(ctypes.Structure):
     """avr_eeprom_desc_t."""
 
     _fields_ = (("content", ctypes.c_char_p), ("offset", ctypes.c_uint16), ("size", ctypes.c_uint32))
-
-
-def _ioctl(text: str) -> int:
-    return int.from_bytes(text.encode(), "big")
 
 
 @dataclass(frozen=True)
@@ -249,7 +245,7 @@ class LoadedAvr:
             content = segment.content
             if segment.used_at >= EEPROM:
                 description = _Eeprom(content, segment.used_at - EEPROM, len(content))
-                self._call_library("avr_ioctl", _ioctl("eesp"), ctypes.byref(description))
+                self._call_library("avr_ioctl", encode_request("eesp"), ctypes.byref(description))
             elif segment.at + len(content) > room:
                 raise LibraryError(
                     f"{self.path} has code up to {segment.at + len(content):X}h, and the flash ends at {room:X}h: it was linked "
@@ -286,15 +282,23 @@ class LoadedAvr:
 
         Args:
             port: Number of the port in PORTS.
-            number: A pin, 0 to 7, or PIN_ALL or DIRECTION_ALL.
+            number: A pin, 0 to 7, or PIN_ALL, DIRECTION_ALL or PORT_REGISTER.
 
         Raises:
             StageError: This AVR has no such port.
         """
-        irq = self._simavr.get_irq(ctypes.c_void_p(self._avr), _ioctl("iog" + avr_core.PORTS[port]), number)
+        irq = self._simavr.get_irq(ctypes.c_void_p(self._avr), encode_request("iog" + avr_core.PORTS[port]), number)
         if not irq:
             raise StageError(f"--map: this AVR has no port {avr_core.PORTS[port]}.")
         return int(irq)
+
+    def find_function_address(self, name: str) -> int:
+        """Return the address of a function of simavr."""
+        return self._simavr.find_function_address(name)
+
+    def control_port(self, request: int, description: int) -> None:
+        """Call avr_ioctl with the address of a description."""
+        self._call_library("avr_ioctl", request, ctypes.c_void_p(description))
 
     def raise_irq(self, irq: int, level: int) -> None:
         """Set the level of a simavr IRQ."""
@@ -316,10 +320,10 @@ class LoadedAvr:
         """Connect the serial lines of the program to the log."""
         self._texts, self._serials = [], []
         for name in UARTS:
-            irq = self._simavr.get_irq(ctypes.c_void_p(self._avr), _ioctl("uar" + name), UART_OUTPUT)
+            irq = self._simavr.get_irq(ctypes.c_void_p(self._avr), encode_request("uar" + name), UART_OUTPUT)
             if irq:
                 flags = ctypes.c_uint32(0)
-                self._call_library("avr_ioctl", _ioctl("uas" + name), ctypes.byref(flags))
+                self._call_library("avr_ioctl", encode_request("uas" + name), ctypes.byref(flags))
                 text = ctypes.create_string_buffer(LINE_SIZE)
                 row = np.array([(self.record.own, ctypes.addressof(text), LINE_SIZE, 0)], avr_core.SERIAL)
                 self._texts.append(text)

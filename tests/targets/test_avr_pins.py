@@ -2,7 +2,10 @@
 
 import shutil
 import subprocess
+from collections.abc import Callable
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from stage import Stage
@@ -13,12 +16,17 @@ pytestmark = [
     pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}"),
     pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="there is no avr-gcc"),
 ]
-HEAD = """
+HEAD = r"""
 #include <avr/interrupt.h>
 #include <avr/io.h>
 #include <util/delay.h>
 
-static void step(uint8_t pins, uint16_t count)
+static inline void pulse_for_1_us(void)              /* D2; at 16 MHz SBI and 14 NOPs take 16 cycles */
+{
+    asm volatile("sbi %0, 2\n .rept 14\n nop\n .endr\n cbi %0, 2" : : "I"(_SFR_IO_ADDR(PORTD)));
+}
+
+static inline void step(uint8_t pins, uint16_t count)
 {
     while (count--) {
         PORTD |= pins; _delay_us(5); PORTD &= ~pins; _delay_us(195);
@@ -27,12 +35,15 @@ static void step(uint8_t pins, uint16_t count)
 """
 
 
+MM_A_STEP = 10 / 3200
+
+
 @pytest.fixture(scope="module")
-def build(tmp_path_factory):
-    """Build a program for an ATmega328P from HEAD and the text of the rest, and return its ELF."""
+def build(tmp_path_factory) -> Callable[..., Path]:
+    """Build a program of HEAD and the rest, and return its ELF."""
     folder = tmp_path_factory.mktemp("avr_pins")
 
-    def _build(text: str, mcu: str = "atmega328p"):
+    def _build(text: str, mcu: str = "atmega328p") -> Path:
         path = folder / f"{len(list(folder.iterdir()))}.elf"
         command = ["avr-gcc", f"-mmcu={mcu}", "-DF_CPU=16000000UL", "-Os", "-Wall", "-x", "c", "-", "-o", path]
         subprocess.run(command, input=HEAD + text, text=True, check=True)
@@ -41,14 +52,18 @@ def build(tmp_path_factory):
     return _build
 
 
-def make_host(elf, pins="grbl", axes="xyz", mcu="atmega328p", isolated=False, drives="ideal", **options) -> TargetHost:
-    stage = Stage(axes, chips="stepdir", drives=drives, **options)
+def make_host(elf, pins="grbl", mcu="atmega328p", drives="ideal", isolated=False, **positions) -> TargetHost:
+    stage = Stage("xyz", chips="stepdir", drives=drives, visuals=False)
+    stage.place(**positions)
     return TargetHost(elf, Board(stage), mcu=mcu, pins=pins, isolated=isolated)
 
 
 def count_steps(host) -> dict[str, int]:
     """Return the accepted steps of each axis, plus less minus."""
     return {name: axis.chip.net() for name, axis in host.board.stage.axes.items()}
+
+
+# --- lines that the program drives ---
 
 
 def test_each_rising_edge_at_a_step_pin_is_one_step(build):
@@ -65,3 +80,229 @@ def test_each_rising_edge_at_a_step_pin_is_one_step(build):
     with make_host(elf) as host:
         assert host.run(timeout=1).code == 3
         assert count_steps(host) == {"x": 40, "y": -60, "z": 7}
+
+
+def test_an_inverted_step_pin_steps_at_the_falling_edge(build):
+    elf = build("""
+        int main(void)
+        {
+            PORTD = 1 << 2; DDRD = 0xFC;
+            for (int k = 0; k < 5; k++) { PORTD &= ~(1 << 2); _delay_us(200); PORTD |= 1 << 2; _delay_us(200); }
+            PORTD &= ~(1 << 2);
+            return 0;
+        }""")
+    with make_host(elf, "x.step=!D2,x.dir=D5") as host:
+        host.run(timeout=1)
+        assert count_steps(host)["x"] == 6
+
+
+def test_pins_that_are_no_outputs_step_nothing(build):
+    elf = build(
+        "int main(void) { step(1 << 2, 20); DDRD = 1 << 2; step(1 << 2, 3); DDRD = 0; step(1 << 2, 5); return 0; }"
+    )
+    with make_host(elf) as host:
+        host.run(timeout=1)
+        assert count_steps(host)["x"] == 3
+
+
+@pytest.mark.parametrize(("pins", "steps"), [("x.enable=!B0", 0), ("x.enable=B0", 12)])
+def test_the_enable_pin_has_the_polarity_of_the_wire(build, pins, steps):
+    """A DRV8825 ignores steps while it is disabled."""
+    elf = build("int main(void) { DDRD = 0xFC; DDRB = PORTB = 1; _delay_us(10); step(1 << 2, 12); return 0; }")
+    with make_host(elf, f"x.step=D2,x.dir=D5,{pins}", drives="drv8825") as host:
+        host.run(timeout=1)
+        assert count_steps(host)["x"] == steps
+
+
+def test_a_power_stage_is_enabled_while_its_pin_is_no_output(build):
+    elf = build("int main(void) { DDRD = 0xFC; step(1 << 2, 12); return 0; }")
+    with make_host(elf, drives="drv8825") as host:
+        host.run(timeout=1)
+        assert count_steps(host)["x"] == 12
+
+
+def test_the_direction_counts_before_a_step_in_the_same_write(build):
+    elf = build("""
+        int main(void)
+        {
+            DDRD = 0xFC;
+            for (int k = 0; k < 9; k++) { PORTD = 1 << 5 | 1 << 2; _delay_us(100); PORTD = 0; _delay_us(100); }
+            return 0;
+        }""")
+    with make_host(elf) as host:
+        host.run(timeout=1)
+        assert count_steps(host)["x"] == -9
+
+
+def test_a_step_pulse_of_1_us_counts_and_a_drv8825_says_what_it_needs(build):
+    elf = build("""
+        int main(void)
+        {
+            DDRD = 0xFC;
+            for (int k = 0; k < 50; k++) { pulse_for_1_us(); _delay_us(100); }
+            return 0;
+        }""")
+    with make_host(elf) as host:
+        host.run(timeout=1)
+        assert count_steps(host)["x"] == 50
+        assert not host.board.stage.axes["x"].chip.diagnostics
+    with make_host(elf, drives="drv8825") as host:
+        host.run(timeout=1)
+        (diagnostic,) = host.board.stage.axes["x"].chip.diagnostics
+        assert diagnostic.message.startswith("STEP was high for 1 us; the Texas Instruments DRV8825 needs 1.9 us")
+
+
+def test_edges_come_at_the_cycle_of_their_instruction(build):
+    """Each round takes 16 cycles from SBI to CBI, 2 of CBI, 22 NOPs, and 2 of RJMP: 42 cycles at 16 MHz."""
+    elf = build(r"""
+        int main(void)
+        {
+            DDRD = 0xFC;
+            for (;;) { pulse_for_1_us(); asm volatile(".rept 22\n nop\n .endr"); }
+        }""")
+    with make_host(elf) as host:
+        journal = host.board.stage.axes["x"].chip.journal()
+        host.run_for(1e-3)
+        course = journal.course()
+        clocks, high = course.edges["clock"], course.pin("step").astype(int)
+        rises, falls = clocks[1:][np.diff(high) > 0], clocks[1:][np.diff(high) < 0]
+        assert len(rises) == pytest.approx(1e-3 / (42 / 16e6), abs=10)
+        assert set(np.diff(rises)) == {2625}
+        assert set(falls - rises[: len(falls)]) == {1000}
+
+
+# --- switches that the program reads ---
+
+
+def test_a_program_homes_on_the_limit_switch_of_the_stage(build):
+    elf = build("""
+        int main(void)
+        {
+            DDRD = 0xFC; PORTB = 1 << 1;             /* a pull-up for the switch */
+            PORTD |= 1 << 5;
+            while (PINB & 1 << 1) step(1 << 2, 1);
+            return 0;
+        }""")
+    with make_host(elf, x=-0.149) as host:
+        host.run(timeout=1)
+        axis = host.board.stage.axes["x"]
+        assert axis.switches.el_minus
+        assert axis.position * 1e3 == pytest.approx(-150, abs=4 * MM_A_STEP)
+        assert axis.lost_steps == 0
+
+
+@pytest.mark.parametrize("position", [0, -0.1505])
+def test_a_switch_keeps_its_level_while_the_program_writes_other_pins_of_its_port(build, position):
+    """The program counts how often the pin read low; at the end 100 writes to its port follow."""
+    elf = build("""
+        int main(void)
+        {
+            int low = 0;
+            DDRB = 1; PORTB = 1 << 1;
+            for (int k = 0; k < 100; k++) { PORTB ^= 1; low += !(PINB & 1 << 1); }
+            return low;
+        }""")
+    with make_host(elf, x=position) as host:
+        assert host.run(timeout=1).code == (100 if position else 0)
+
+
+@pytest.mark.parametrize(
+    ("setup", "routine"), [("PCICR = 1; PCMSK0 = 1 << 1;", "PCINT0_vect"), ("EICRA = 1; EIMSK = 1;", "INT0_vect")]
+)
+def test_a_switch_interrupts_at_both_of_its_edges(build, setup, routine):
+    """The pins B1 (a pin-change interrupt) and D2 (INT0, any edge) are wired to the limit. It opens again after the way back."""
+    elf = build(f"""
+        volatile int changes;
+        ISR({routine}) {{ changes++; }}
+        int main(void)
+        {{
+            DDRC = 3; PORTB = 1 << 1; PORTD = 1 << 2; {setup} sei();
+            PORTC = 1 << 1;
+            while (!changes) {{ PORTC |= 1; _delay_us(5); PORTC &= ~1; _delay_us(195); }}
+            PORTC = 0;
+            for (int k = 0; k < 100; k++) {{ PORTC |= 1; _delay_us(5); PORTC &= ~1; _delay_us(295); }}
+            return changes;
+        }}""")
+    pin = "B1" if routine == "PCINT0_vect" else "D2"
+    with make_host(elf, f"x.step=C0,x.dir=C1,x.limit=!{pin}", x=-0.1499) as host:
+        assert host.run(timeout=1).code == 2
+        assert host.board.stage.axes["x"].lost_steps == 0
+
+
+@pytest.mark.parametrize(
+    ("positions", "code"), [({}, 0), ({"x": -0.1505}, 1), ({"y": -0.1055}, 1), ({"x": -0.1505, "y": -0.1055}, 1)]
+)
+def test_limits_of_two_axes_may_share_a_pin(build, positions, code):
+    elf = build("int main(void) { PORTB = 1 << 1; _delay_us(100); return !(PINB & 1 << 1); }")
+    pins = "x.step=D2,x.dir=D5,y.step=D3,y.dir=D6,x.limit=!B1,y.limit=!B1"
+    with make_host(elf, pins, **positions) as host:
+        assert host.run(timeout=1).code == code
+
+
+@pytest.mark.parametrize(("x", "levels"), [(0, 0b00), (-0.1505, 0b01), (0.1505, 0b10)])
+def test_each_end_limit_may_have_a_pin_of_its_own(build, x, levels):
+    elf = build("int main(void) { return PINB >> 1 & 3; }")
+    with make_host(elf, "x.step=D2,x.dir=D5,x.limit_minus=B1,x.limit_plus=B2", x=x) as host:
+        assert host.run(timeout=1).code == levels
+
+
+def test_a_stuck_switch_is_a_stuck_pin(build):
+    elf = build("int main(void) { _delay_us(50); return !(PINB & 1 << 1); }")
+    with make_host(elf) as host:
+        host.board.stage.axes["x"].switches.stick("el_minus", True)
+        assert host.run(timeout=1).code == 1
+
+
+# --- runs ---
+
+
+RUN = """
+    int main(void)
+    {
+        DDRD = 0xFC; DDRB = 1; PORTB = 1 << 1;
+        step(1 << 2 | 1 << 3, 40);
+        PORTD |= 1 << 5;
+        while (PINB & 1 << 1) step(1 << 2, 1);
+        PORTD |= 1 << 2;                             /* the program ends with STEP high */
+        return 0;
+    }"""
+
+
+def run_and_read_state(host) -> tuple:
+    stage = host.board.stage
+    journal = stage.axes["x"].chip.journal()
+    result = host.run(timeout=1)
+    course = journal.course()
+    return result, stage.now, stage.data.qpos.tolist(), course.edges["clock"].tolist(), course.edges["inputs"].tolist()
+
+
+def test_isolated_and_in_process_runs_have_the_same_bits(build):
+    elf, states = build(RUN), []
+    for isolated in (False, True):
+        with make_host(elf, isolated=isolated, x=-0.1499) as host:
+            states.append(run_and_read_state(host))
+    assert states[0] == states[1]
+
+
+def test_a_run_in_pieces_has_the_same_bits(build):
+    elf, states = build(RUN), []
+    for pieces in (1, 29):
+        with make_host(elf, x=-0.1499) as host:
+            for _ in range(pieces - 1):
+                host.run_for(0.00037)
+            host.run(timeout=1)
+            states.append((host.board.stage.now, count_steps(host), host.board.stage.data.qpos.tolist()))
+    assert states[0] == states[1]
+
+
+def test_a_program_begins_again_after_a_restored_snapshot(build):
+    """Pins are no outputs when a program begins: STEP, which its last run has left high, is low again."""
+    with make_host(build(RUN), x=-0.1499) as host:
+        stage = host.board.stage
+        before = stage.snapshot()
+        first = run_and_read_state(host)
+        assert stage.axes["x"].chip.pins.step
+        stage.restore(before)
+        assert run_and_read_state(host) == first
+        host.run_for(1e-6)
+        assert not stage.axes["x"].chip.pins.step
