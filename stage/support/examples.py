@@ -38,6 +38,7 @@ NOTEBOOKS = ("tour", "register_tuning", "firmware")
 EXAMPLE_PATHS = {
     **{name: f"scripts/{name}.py" for name in PROGRAMS},
     "drivers": "scripts/firmware",
+    "gcode": "scripts/firmware/gcode",
     "acme_chip": "scripts/acme_chip",
     "tmc5160": "packages/trinamic",
     **{f"{name}.ipynb": f"docs/notebooks/{name}.ipynb" for name in NOTEBOOKS},
@@ -45,6 +46,7 @@ EXAMPLE_PATHS = {
 """Name of an example -> its file or folder in the repository."""
 FOLDER_TITLES = {
     "drivers": "Firmware in C, C++, Rust and Zig: drivers for several chips, a HAL, ports of other platforms, mistakes.",
+    "gcode": "A G-code interpreter for an ATmega328P that makes its own steps, built and in C.",
     "acme_chip": "A chip of one's own in a package of its own: docs/your_own_chip.md goes through it.",
     "tmc5160": "Trinamic's TMC5160 as a package: ramps, SPI, StallGuard.",
 }
