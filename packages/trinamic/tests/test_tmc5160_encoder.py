@@ -105,10 +105,10 @@ def test_a_shaft_counts_like_the_same_edges_at_the_encoder_pins(chip, seed):
     ("edges_per_turn", "constant", "mode"), [(4096, 12.5, 0), (1000, 0x33_0000 | 2000, DECIMAL), (16_384, 3.125, 0)]
 )
 def test_the_encoder_factors_of_the_data_sheet_count_51200_per_motor_turn(chip, edges_per_turn, constant, mode):
-    from pulsestage_trinamic.tmc5160.driver import encoder_registers
+    from pulsestage_trinamic.tmc5160.host_driver.driver import compute_encoder_registers
 
     wanted = {"ENC_CONST": constant if mode else round(constant * 65_536), "ENCMODE": mode}
-    assert encoder_registers(edges_per_turn) == wanted
+    assert compute_encoder_registers(edges_per_turn) == wanted
     write_registers(chip, **wanted)
     chip.set_shaft(0)
     for turns in (1, -3):
@@ -129,10 +129,10 @@ def test_a_journal_records_the_encoder_edges_of_a_shaft_that_rotates_without_the
 
 def test_a_negative_encoder_factor_counts_down_including_its_fraction(chip):
     """The factor -25.6 is 0xFFE6 with the decimal fraction 4000."""
-    from pulsestage_trinamic.tmc5160.driver import encoder_registers
+    from pulsestage_trinamic.tmc5160.host_driver.driver import compute_encoder_registers
 
-    assert encoder_registers(-2000) == {"ENC_CONST": 0xFFE6_0000 | 4000, "ENCMODE": DECIMAL}
-    write_registers(chip, **encoder_registers(-2000))
+    assert compute_encoder_registers(-2000) == {"ENC_CONST": 0xFFE6_0000 | 4000, "ENCMODE": DECIMAL}
+    write_registers(chip, **compute_encoder_registers(-2000))
     chip.set_shaft(0)
     chip.set_shaft(1)
     chip.advance(1)
@@ -144,12 +144,12 @@ def test_a_negative_encoder_factor_counts_down_including_its_fraction(chip):
 
 @pytest.mark.parametrize("edges", [0, 0.5, 1.99, True, math.nan, 3_400_000_000, 10**10, "many"])
 def test_an_encoder_resolution_without_a_valid_factor_is_refused(edges):
-    from pulsestage_trinamic.tmc5160.driver import encoder_registers
+    from pulsestage_trinamic.tmc5160.host_driver.driver import compute_encoder_registers
 
     with pytest.raises(ArgumentError, match="edges a turn"):
-        encoder_registers(edges)
-    assert encoder_registers(2)["ENC_CONST"] == 25_600 << 16
-    assert encoder_registers(3_300_000_000)["ENC_CONST"] == 1
+        compute_encoder_registers(edges)
+    assert compute_encoder_registers(2)["ENC_CONST"] == 25_600 << 16
+    assert compute_encoder_registers(3_300_000_000)["ENC_CONST"] == 1
 
 
 def test_x_enc_follows_the_position_of_the_carriage(x):
@@ -248,13 +248,13 @@ def test_copies_snapshots_and_journals_continue_to_the_same_bits(x):
         assert one.snapshot().state.tobytes() == after.state.tobytes()
 
 
-def test_encoder_pins_cannot_be_driven_by_hand_and_chips_without_an_encoder_refuse_a_shaft(chip):
+def test_encoder_pins_cannot_be_set_directly_and_chips_without_an_encoder_refuse_a_shaft(chip):
     chip.pins.enca = True
     chip.set_shaft(7.25)
     chip.advance(3)
     assert chip.values()["X_ENC"] == 0, "the first position of a shaft counts no edges"
     chip.pins.encn = True
-    with pytest.raises(StageError, match="cannot be driven by hand"):
+    with pytest.raises(StageError, match="cannot be set directly"):
         chip.pins.encb = not chip.pins.encb
     with pytest.raises(ArgumentError, match="finite"):
         chip.set_shaft(math.nan)

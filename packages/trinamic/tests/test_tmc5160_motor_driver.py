@@ -371,16 +371,16 @@ def test_halt_at_once_stops_an_axis_without_a_ramp(x):
         braking_steps.append(x.chip.values()["XACTUAL"] - began)
     assert braking_steps[0] > 3000
     assert 0 <= braking_steps[1] < 500
-    assert x.chip.values()["SW_MODE"] == driver.switches(3), "the polarity is again that of the sensors"
+    assert x.chip.values()["SW_MODE"] == driver.compute_sw_mode(3), "the polarity is again that of the sensors"
 
 
 def test_a_motor_gets_no_more_than_the_sense_resistors_allow():
     """TMC5160(rsense=0.22): a Drive of 1.7 A gets 1.48 A"""
     chip = chip_class("tmc5160")(rsense=0.22)
     stage = Stage("xy", chips={"x": chip}, drives=SMOOTH, visuals=False)
-    from pulsestage_trinamic.tmc5160.driver import current_registers
+    from pulsestage_trinamic.tmc5160.host_driver.driver import compute_current_registers
 
-    assert driver_of(stage.axes["x"]).currents() == current_registers(0.325 / 0.22, 0.22)
+    assert driver_of(stage.axes["x"]).compute_axis_current_registers() == compute_current_registers(0.325 / 0.22, 0.22)
 
 
 def test_homing_by_an_unsupported_method_is_refused(stage_):

@@ -29,7 +29,7 @@ def test_an_agent_reads_a_register_of_the_chip(stage_):
     box = Toolbox(stage_)
     result = box.call("read_register", {"axis": "x", "name": "XACTUAL"})
     assert result.ok
-    assert result.data["value"] == driver_of(stage_.axes["x"]).get("XACTUAL")
+    assert result.data["value"] == driver_of(stage_.axes["x"]).read_register("XACTUAL")
     box.close()
 
 

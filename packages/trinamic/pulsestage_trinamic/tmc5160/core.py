@@ -1,184 +1,204 @@
-"""TMC5160, compiled: time.
+"""Compiled core of the TMC5160: the functions of a chip on a stage, and the passing of its time.
 
-`tick` is one clock as the data sheet has it; `leap` makes many at once, in closed form, where nothing happens in between but steps.
+`_process_clock` processes one clock as the data sheet describes it. `_skip_uneventful_clocks` processes many clocks at once,
+in closed form, while nothing but steps happens.
 """
 
 from __future__ import annotations
 
-from pulsestage_trinamic.tmc5160 import bus, encoder, power, ramp, sequencer, speeds, stallguard, state, switches
+from pulsestage_trinamic.tmc5160 import (
+    bus,
+    encoder,
+    power_stage,
+    ramp,
+    sequencer,
+    speed_thresholds,
+    stallguard,
+    state,
+    switches,
+)
 from pulsestage_trinamic.tmc5160.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
 from stage.chips.cores import run_window, scan_shafts
 from stage.drives.trig import sincos
 from stage.native import array_of, exported, hot, least
 
-ROOM = 8
+SPARE_EDGES = 8  # entries of `out` that are still free when `scan` returns early
 M32 = (1 << 32) - 1
-MAX_LEAP_CLOCKS = 1 << 20  # clocks of a leap with changing speed: the way still fits 63 bits
-FINE = 1 << 13  # clocks of a ramp between two edges of a course
-WATCH, EACH, EDGES = 1, 2, 4  # a leap ends before a step to or from X_COMPARE; every step; every edge of the encoder
+MAX_RAMP_CLOCKS = 1 << 20  # clocks processed at once with changing speed: the distance still fits 63 bits
+EDGE_SPACING_CLOCKS = 1 << 13  # clocks between two EDGE records of a ramp
+STOP_BEFORE_COMPARE, STOP_AT_EACH_STEP, STOP_AT_EACH_EDGE = 1, 2, 4
+"""Flags of `_run_to_next_event`: it also ends before a step to or from X_COMPARE, at each step, at each edge of the encoder."""
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "current", "drive_input", "inputs", "mark",
-           "net", "outputs", "peek", "power_up", "pulse_rate", "read", "register", "run", "scan", "set_input", "set_load",
-           "scan_shaft", "set_shaft", "status", "trace", "window", "write"]  # fmt: skip
+           "net", "outputs", "peek", "power_up", "pulse_rate", "read", "get_register_value", "run", "scan", "set_fixed_load",
+           "set_input", "set_load", "scan_shaft", "set_shaft", "status", "trace", "window", "write"]  # fmt: skip
 
 
 @hot
-def _halt(c):
-    """Note that the speed is 0 for the thresholds of the next clock; those of this clock are done."""
-    ramp.halt(c)
+def _halt_and_renew_thresholds(c):
+    """Stop at once; the thresholds take the speed of 0 into account at the next clock, not at this one."""
+    ramp.halt_ramp(c)
     c.fresh = 1
 
 
 @hot
-def _tick(c):
-    """Process one clock."""
+def _process_clock(c):
+    """Process one clock in the order of the data sheet: inputs, ramp, step, flags, timers, faults."""
     c.clock += 1
     c.fresh = 0
-    switches.look(c)
-    encoder.look(c)
+    switches.process_clock(c)
+    encoder.process_clock(c)
     goes = False
-    if speeds.gated(c):
+    if speed_thresholds.is_emergency_stop_active(c):
         pass
     elif c.zw > 0:
         c.zw -= 1
     else:
-        goes = ramp.speed(c) and c.q > 0
-    stallguard.settle(c)
+        goes = ramp.update_speed(c) and c.q > 0
+    stallguard.update_after_change(c)
     if goes:
         c.ph += c.q
-        if c.ph >= state.STEP:
-            c.ph -= state.STEP
-            c.x = state.signed32(c.x + c.dir)
-            if stallguard.step(c):
-                _halt(c)
-        if c.dir and c.reg[state.RAMPMODE] == state.POSITION and c.x == c.target and c.q <= ramp.low(c):
-            _halt(c)
-    bus.arrived(c)
-    power.timers(c)
-    power.faults(c)
-    stallguard.blind(c)
-    if encoder.deviates(c):
+        if c.ph >= state.PHASE_PER_STEP:
+            c.ph -= state.PHASE_PER_STEP
+            c.x = state.to_signed32(c.x + c.dir)
+            if stallguard.make_measured_step(c):
+                _halt_and_renew_thresholds(c)
+        if c.dir and c.reg[state.RAMPMODE] == state.POSITION and c.x == c.target and c.q <= ramp.get_vstop_speed(c):
+            _halt_and_renew_thresholds(c)
+    bus.update_position_reached(c)
+    power_stage.process_standstill_timers(c)
+    power_stage.latch_faults(c)
+    stallguard.clear_result_if_unmeasured(c)
+    if encoder.is_deviation_exceeded(c):
         c.enc_flags |= encoder.DEVIATION
 
 
 @hot
-def _steps(c, delta, m):
-    """Count the steps that m clocks make."""
-    return (c.ph + m * c.q + delta * (m * (m + 1) // 2)) >> 41
+def _count_steps(c, speed_change, clocks):
+    """Return the number of steps in the next clocks if the speed changes by `speed_change` at each of them."""
+    return (c.ph + clocks * c.q + speed_change * (clocks * (clocks + 1) // 2)) >> 41
 
 
 @hot
-def _even(c, test, delta, m, step_limit, thresholds):
-    """Return whether only steps happen within m clocks."""
-    if _steps(c, delta, m) >= step_limit:
+def _has_only_steps(c, test, speed_change, clocks, step_limit, thresholds):
+    """Return whether nothing but steps happens within the next clocks: fewer than `step_limit`, and no threshold is passed."""
+    if _count_steps(c, speed_change, clocks) >= step_limit:
         return False
-    if thresholds and delta and speeds.speeds_at(c, c.q + delta * m) != c.speeds:
+    if (
+        thresholds
+        and speed_change
+        and speed_thresholds.find_passed_thresholds(c, c.q + speed_change * clocks) != c.speeds
+    ):
         return False
-    return ramp.holds(c, test, delta, m, _steps(c, delta, m - 1) if test == ramp.FALLING or test == ramp.SLOWING else 0)
+    past_steps = 0 if test == ramp.CALM else _count_steps(c, speed_change, clocks - 1)
+    return ramp.is_plan_valid(c, test, speed_change, clocks, past_steps)
 
 
 @hot
-def _limit_steps(c, watch):
+def _find_eventful_step(c, stop_flags):
     """Return the number of the step, counted from 1, at which something other than a step may happen."""
     ahead = ((c.target - c.x) * c.dir) & M32
     max_steps = ahead if ahead else 1 << 32
     if c.reg[state.RAMPMODE] == state.POSITION:
-        n = abs(ramp.away(c))
-        if ramp.wanted(c) != c.dir:
+        n = abs(ramp.compute_distance_to_target(c))
+        if ramp.find_requested_direction(c) != c.dir:
             max_steps = least(max_steps, (1 << 31) - n)
-    if stallguard.measures(c):
-        max_steps = least(max_steps, sequencer.steps_to_full(c))
+    if stallguard.is_measuring(c):
+        max_steps = least(max_steps, sequencer.count_steps_to_full_step(c))
     limit = c.reg[state.ENC_DEVIATION]
     if limit and not c.enc_flags & encoder.DEVIATION:
         max_steps = least(max_steps, limit - (c.x - c.enc) * c.dir + 1)
-    if watch & EACH:
+    if stop_flags & STOP_AT_EACH_STEP:
         return 1
-    if watch & WATCH:
+    if stop_flags & STOP_BEFORE_COMPARE:
         ahead = ((c.reg[state.X_COMPARE] - c.x) * c.dir) & M32
         max_steps = least(max_steps, ahead if ahead else 1)
     return max_steps
 
 
 @hot
-def _leap(c, until, watch):
-    """Process many clocks at once, up to `until`; return their number, or 0 where `_tick` has to process the next one."""
+def _skip_uneventful_clocks(c, until, stop_flags):
+    """Process many clocks at once, but not beyond `until`.
+
+    Returns the number of clocks, or 0 if `_process_clock` must process the next one.
+    """
     if c.fresh:
         return 0
-    m = least(until, power.next_timer(c)) - c.clock
-    if encoder.watched(c) or (c.fed and watch & EDGES):
-        m = least(m, encoder.next_edge(c) - c.clock - 1)
-        if m == 0:
+    clocks = least(until, power_stage.find_next_timer_clock(c)) - c.clock
+    if encoder.needs_each_edge(c) or (c.fed and stop_flags & STOP_AT_EACH_EDGE):
+        clocks = least(clocks, encoder.find_next_edge(c) - c.clock - 1)
+        if clocks == 0:
             return 0
-    if speeds.gated(c):
-        c.clock += m
-        return m
+    if speed_thresholds.is_emergency_stop_active(c):
+        c.clock += clocks
+        return clocks
     if c.zw > 0:
-        m = least(m, c.zw)
-        c.zw -= m
-        c.clock += m
-        return m
+        clocks = least(clocks, c.zw)
+        c.zw -= clocks
+        c.clock += clocks
+        return clocks
     if c.dir == 0:
-        if ramp.starts(c):
+        if ramp.starts_at_next_clock(c):
             return 0
-        c.clock += m
-        return m
-    test, delta, max_steps = ramp.plan(c)
+        c.clock += clocks
+        return clocks
+    test, speed_change, max_steps = ramp.plan_even_stretch(c)
     if test == ramp.CANNOT or max_steps == 0:
         return 0
-    m = least(m, max_steps)
-    m = least(m, MAX_LEAP_CLOCKS) if delta or c.q == 0 else least(m, ((1 << 61) - c.ph) // c.q)
-    step_limit = _limit_steps(c, watch)
+    clocks = least(clocks, max_steps)
+    clocks = least(clocks, MAX_RAMP_CLOCKS) if speed_change or c.q == 0 else least(clocks, ((1 << 61) - c.ph) // c.q)
+    step_limit = _find_eventful_step(c, stop_flags)
     thresholds = c.reg[state.TPWMTHRS] | c.reg[state.TCOOLTHRS] | c.reg[state.THIGH]
-    if not _even(c, test, delta, m, step_limit, thresholds):
+    if not _has_only_steps(c, test, speed_change, clocks, step_limit, thresholds):
         low = 0
-        while m - low > 1:
-            middle = (low + m) >> 1
-            if _even(c, test, delta, middle, step_limit, thresholds):
+        while clocks - low > 1:
+            middle = (low + clocks) >> 1
+            if _has_only_steps(c, test, speed_change, middle, step_limit, thresholds):
                 low = middle
             else:
-                m = middle
-        m = low
-    if m:
-        _go(c, delta, m)
-    return m
+                clocks = middle
+        clocks = low
+    if clocks:
+        _advance_by_steps_only(c, speed_change, clocks)
+    return clocks
 
 
 @hot
-def _go(c, delta, m):
-    """Process m clocks in which nothing but steps happens."""
-    k = _steps(c, delta, m)
+def _advance_by_steps_only(c, speed_change, clocks):
+    """Process clocks in which nothing but steps happens."""
+    k = _count_steps(c, speed_change, clocks)
     if k:
-        low, high = 0, m  # the clock of the last step
+        low, high = 0, clocks  # the clock of the last step
         while high - low > 1:
             middle = (low + high) >> 1
-            if _steps(c, delta, middle) >= k:
+            if _count_steps(c, speed_change, middle) >= k:
                 high = middle
             else:
                 low = middle
-        c.x = state.signed32(c.x + c.dir * k)
+        c.x = state.to_signed32(c.x + c.dir * k)
         c.reached = 0
-        sequencer.steps(c, k, c.clock + high)
-    c.ph = (c.ph + m * c.q + delta * (m * (m + 1) // 2)) & (state.STEP - 1)
-    c.q += delta * m
-    c.clock += m
+        sequencer.make_steps(c, k, c.clock + high)
+    c.ph = (c.ph + clocks * c.q + speed_change * (clocks * (clocks + 1) // 2)) & (state.PHASE_PER_STEP - 1)
+    c.q += speed_change * clocks
+    c.clock += clocks
 
 
 @hot
-def _on(c, until, watch):
+def _run_to_next_event(c, until, stop_flags):
     """Run to the next event, but not beyond `until`."""
-    if _leap(c, until, watch):
+    if _skip_uneventful_clocks(c, until, stop_flags):
         if c.fed:
-            encoder.catch_up(c)
-        power.timers(c)
+            encoder.count_passed_edges(c)
+        power_stage.process_standstill_timers(c)
     else:
-        _tick(c)
+        _process_clock(c)
 
 
 @exported(None, STATE, "i8")
 def run(c, until):
     """Let the chip's clock run up to `until`."""
     while c.clock < until:
-        _on(c, until, 0)
+        _run_to_next_event(c, until, 0)
 
 
 # --- the functions for a stage, see stage/chips/cores.py; the only axis is 0 ---
@@ -199,12 +219,12 @@ def set_shaft(c, j, count, rate):
 @exported("f8", STATE, "i8")
 def current(c, j):
     """Return the amplitude of the phase currents, A."""
-    return power.amplitude(c)
+    return power_stage.compute_current_amplitude(c)
 
 
 @exported("i8", STATE, "i8", "f8", "f8")
 def set_load(c, j, angle, emf):
-    """Take a sample of the load, and return whether it can change anything.
+    """Take a sample of the load, and return whether the chip's behavior can depend on it.
 
     Args:
         c: State of the chip.
@@ -216,13 +236,13 @@ def set_load(c, j, angle, emf):
     way = -c.dir if c.reg[state.GCONF] & state.SHAFT else c.dir
     sin *= way
     lam = 1024 if cos <= 0.0 else int(1024.0 * sin + 0.5) if sin > 0.0 else 0
-    return stallguard.sample_load(c, lam, int(1024.0 * (emf if emf < 1.0 else 1.0) + 0.5))
+    return stallguard.add_load_sample(c, lam, int(1024.0 * (emf if emf < 1.0 else 1.0) + 0.5))
 
 
 @exported(None, STATE, "i8", "i8")
-def load(c, lam, emf):
+def set_fixed_load(c, lam, emf):
     """Set the load, 0 to 1024 each, of a chip that is not on a stage."""
-    stallguard.load(c, lam, emf)
+    stallguard.set_fixed_load(c, lam, emf)
 
 
 @exported("i8", STATE, "i8")
@@ -238,16 +258,18 @@ def drive_input(c, j, before, ticks):
 
 
 @hot
-def _rate(c):
+def _compute_field_rate(c):
     """Return the rate of the field, 1/256 full steps a clock."""
     way = -c.dir if c.reg[state.GCONF] & state.SHAFT else c.dir
-    return 0.0 if speeds.gated(c) else way * float(c.q) * (1 << state.mres(c)) / float(state.STEP)
+    if speed_thresholds.is_emergency_stop_active(c):
+        return 0.0
+    return way * float(c.q) * (1 << state.get_step_shift(c)) / float(state.PHASE_PER_STEP)
 
 
 @exported("f8", STATE, "i8", "f8")
 def pulse_rate(c, j, hz):
     """Return the rate of the field, 1/256 full steps a second."""
-    return _rate(c) * hz
+    return _compute_field_rate(c) * hz
 
 
 @exported("i8", STATE, "i8")
@@ -277,43 +299,43 @@ def set_input(c, j, word):
 @exported("i8", STATE, "i8")
 def outputs(c, j):
     """Return the levels of the output pins, as bits of OUTPUTS."""
-    return bus.outputs(c)
+    return bus.compute_output_pins(c)
 
 
 @exported("i8", STATE, "i8")
 def status(c, j):
     """Return RAMP_STAT."""
-    return bus.ramp_stat(c)
+    return bus.compute_ramp_stat(c)
 
 
 @exported("i8", STATE, "i8")
 def busy(c, j):
     """Return whether a drive is in progress."""
-    return bus.drives(c)
+    return bus.is_drive_in_progress(c)
 
 
 @exported("i8", STATE, "i8")
 def peek(c, address):
     """Return the value that a read cycle would find, without its side effects."""
-    return bus.peek(c, address & 0xFF)
+    return bus.peek_address(c, address & 0xFF)
 
 
 @exported("i8", STATE, "i8")
 def read(c, address):
     """Make one read cycle on the bus."""
-    return bus.peek(c, address & 0xFF)
+    return bus.peek_address(c, address & 0xFF)
 
 
 @exported(None, STATE, "i8", "i8")
 def write(c, address, value):
     """Make one write cycle on the bus, between two clocks."""
-    bus.write(c, address & 0xFF, value)
+    bus.write_address(c, address & 0xFF, value)
 
 
 @exported("i8", STATE, "i8")
-def register(c, address):
+def get_register_value(c, address):
     """Return the value that a register holds, also of one that cannot be read."""
-    return bus.register(c, address)
+    return bus.get_register_value(c, address)
 
 
 @exported(None, STATE)
@@ -331,18 +353,21 @@ def advance(c, until):
     made = 0
     while c.clock < until:
         before = c.net
-        _on(c, until, 0)
+        _run_to_next_event(c, until, 0)
         made += abs(c.net - before)
     return made
 
 
 @exported("i8", STATE, "i8", array_of(PULSE))
 def trace(c, until, out):
-    """Advance, and fill `out` with the pulses (PULSE records); return how many records all pulses would take."""
+    """Run up to clock `until`, and write a PULSE record for each pulse to `out` while it has room.
+
+    Returns the number of pulses, which can exceed the size of `out`.
+    """
     made = 0
     while c.clock < until:
         before = c.net
-        _on(c, until, EACH)
+        _run_to_next_event(c, until, STOP_AT_EACH_STEP)
         way = 1 if c.net > before else -1
         for _ in range(abs(c.net - before)):
             if made < len(out):
@@ -359,25 +384,29 @@ def mark(c, axis, out, k):
     e.clock, e.inputs, e.outputs, e.counter, e.net, e.rate = (
         c.clock,
         c.inputs,
-        bus.outputs(c),
+        bus.compute_output_pins(c),
         c.x & M32,
         c.net,
-        _rate(c),
+        _compute_field_rate(c),
     )
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan(c, until, every_pulse, axis, out):
-    """Advance, and fill `out` (EDGE records) with the changes of speed and pins.
+    """Run up to clock `until`, and write an EDGE record for each change of speed or pins to `out`.
 
-    With `every_pulse`, every step and every edge of an encoder whose shaft is known gets a record. Returns the number of records.
-    Stops early when `out` is almost full: look at the clock and call again.
+    With `every_pulse`, each step and each edge of an encoder whose shaft is known gets a record as well. Returns the number of
+    records. Returns early when `out` is almost full; the caller then compares the clock with `until` and calls again.
     """
-    k = 0
-    while c.clock < until and k < len(out) - ROOM:
-        word, rate, at, pins = bus.outputs(c), _rate(c), c.x, c.inputs
-        _on(c, least(until, c.clock + FINE) if c.dir else until, EACH | EDGES if every_pulse else WATCH)
-        if bus.outputs(c) != word or _rate(c) != rate or (every_pulse and (c.x != at or c.inputs != pins)):
+    k, stop_flags = 0, STOP_AT_EACH_STEP | STOP_AT_EACH_EDGE if every_pulse else STOP_BEFORE_COMPARE
+    while c.clock < until and k < len(out) - SPARE_EDGES:
+        word, rate, at, pins = bus.compute_output_pins(c), _compute_field_rate(c), c.x, c.inputs
+        _run_to_next_event(c, least(until, c.clock + EDGE_SPACING_CLOCKS) if c.dir else until, stop_flags)
+        if (
+            bus.compute_output_pins(c) != word
+            or _compute_field_rate(c) != rate
+            or (every_pulse and (c.x != at or c.inputs != pins))
+        ):
             mark(c, axis, out, k)
             k += 1
     return k
@@ -388,5 +417,5 @@ def scan(c, until, every_pulse, axis, out):
     array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
 )  # fmt: skip
 def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
-    """Scan while the position of the shaft is sampled at `clocks`, see stage/chips/cores.py."""
+    """Scan while the position of the shaft changes at `clocks`, see stage/chips/cores.py."""
     return scan_shafts(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done, scan, set_shaft)

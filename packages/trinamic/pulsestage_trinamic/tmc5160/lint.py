@@ -1,4 +1,7 @@
-"""The lint of the TMC5160: rules of its data sheet that a bus write can break. `c` is the chip's record before the write."""
+"""Lint of the TMC5160: diagnostics for bus writes that break a rule of its data sheet.
+
+Each function gets `c`, the chip's record before the write.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from typing import Any
 from pulsestage_trinamic.tmc5160 import maps, state
 from stage.chips.diagnostics import Finding, Rule
 
-CLEAR = 10e-9  # s that each level of SCK and of CSN lasts in addition to its clocks
+SPI_MARGIN_S = 10e-9  # time that each level of SCK and of CSN lasts in addition to its clocks
 SHEET = "data sheet TMC5160 rev. 1.14, page "
 NOT_MODELED = Rule("not-modeled", "tmc5160_sheet.md of this package, section 10")
 NO_EFFECT = Rule("no-effect", "bus of this package")
@@ -39,12 +42,15 @@ UNMODELED_REGISTERS = {
 
 
 def lint_write(c: Any, address: int, value: int) -> Iterator[Finding]:
-    """Yield what is wrong with a write cycle.
+    """Yield the rules that a write cycle breaks, each with a message.
 
     Args:
         c: Record of the chip before the write.
         address: Address on the bus.
         value: Value written.
+
+    Yields:
+        The rule and a message with the values at fault.
     """
     if address < maps.REGISTERS:
         yield from _lint_register(c, address, value & maps.M32)
@@ -65,9 +71,9 @@ def lint_write(c: Any, address: int, value: int) -> Iterator[Finding]:
 
 
 def lint_timing(c: Any, address: int, value: int) -> Iterator[Finding]:
-    """Yield what is too fast for the silicon in a write to the SPI ports.
+    """Yield a finding if a write to the SPI ports comes too early for the silicon.
 
-    The time is known in whole clocks, so only what is certainly too fast is reported.
+    Times are known in whole clocks only, so a finding means that the write is certainly too early.
 
     Args:
         c: Record of the chip before the write.
@@ -76,14 +82,14 @@ def lint_timing(c: Any, address: int, value: int) -> Iterator[Finding]:
     """
     clock, hz = int(c["clock"]), int(c["hz"])
     if address == maps.SPI_CS and not value & 1 and c["csn"]:
-        passed, least = clock - int(c["risen"]), 2 + CLEAR * hz
+        passed, least = clock - int(c["risen"]), 2 + SPI_MARGIN_S * hz
         if passed + 1 <= least:
             message = f"CSN is high too short between datagrams: {passed} clocks; 2 tCLK + 10 ns at least"
             yield CSN_TOO_SHORT, message
     elif address in (maps.SPI_BYTE, maps.SPI_CS) and not c["csn"] and c["bits"]:
-        passed, least = clock - int(c["shifted"]), 8 * 2 * (1 + CLEAR * hz)
+        passed, least = clock - int(c["shifted"]), 8 * 2 * (1 + SPI_MARGIN_S * hz)
         if passed + 1 <= least:
-            frequency, max_frequency = 8 * hz / max(passed, 1) / 1e6, hz / (2 * (1 + CLEAR * hz)) / 1e6
+            frequency, max_frequency = 8 * hz / max(passed, 1) / 1e6, hz / (2 * (1 + SPI_MARGIN_S * hz)) / 1e6
             yield (
                 SCK_TOO_FAST,
                 f"SCK is too fast: 8 bits in {passed} clocks, {frequency:.2f} MHz; its low and high take tCLK + 10 ns each, so "
@@ -91,20 +97,20 @@ def lint_timing(c: Any, address: int, value: int) -> Iterator[Finding]:
             )
 
 
-def _lint_datagram(c: Any, word: int) -> Iterator[Finding]:
-    address = word >> 32 & 0x7F
-    if word >> 39 & 1:
-        yield from _lint_register(c, address, word & maps.M32)
-    elif address in maps.WRITTEN and address not in maps.READ:
-        yield WRITE_ONLY, f"a read of {maps.WRITTEN[address].name}, which can only be written, gives 0"
-    elif address not in maps.READ:
+def _lint_datagram(c: Any, datagram: int) -> Iterator[Finding]:
+    address = datagram >> 32 & 0x7F
+    if datagram >> 39 & 1:
+        yield from _lint_register(c, address, datagram & maps.M32)
+    elif address in maps.WRITABLE_REGISTERS and address not in maps.READABLE_REGISTERS:
+        yield WRITE_ONLY, f"a read of {maps.WRITABLE_REGISTERS[address].name}, which can only be written, gives 0"
+    elif address not in maps.READABLE_REGISTERS:
         yield NO_REGISTER, f"{address:02X}h, where there is no register, reads 0"
 
 
 def _lint_register(c: Any, address: int, value: int) -> Iterator[Finding]:
-    r = maps.WRITTEN.get(address)
-    if r is None and address in maps.READ:
-        yield READ_ONLY, f"{maps.READ[address].name} can only be read: nothing changes"
+    r = maps.WRITABLE_REGISTERS.get(address)
+    if r is None and address in maps.READABLE_REGISTERS:
+        yield READ_ONLY, f"{maps.READABLE_REGISTERS[address].name} can only be read: nothing changes"
     elif r is None:
         yield NO_REGISTER, f"no register at {address:02X}h: nothing changes"
     else:
@@ -120,7 +126,7 @@ def _lint_register(c: Any, address: int, value: int) -> Iterator[Finding]:
             yield from LINTS[address](c, value)
 
 
-def _reg(c: Any, address: int) -> int:
+def _get_register(c: Any, address: int) -> int:
     return int(c["reg"][address])
 
 
@@ -131,37 +137,37 @@ def _lint_mode(c: Any, value: int) -> Iterator[Finding]:
 
 
 def _lint_target(c: Any, value: int) -> Iterator[Finding]:
-    if _reg(c, state.RAMPMODE) == state.POSITION and value != int(c["x"]) & maps.M32:
+    if _get_register(c, state.RAMPMODE) == state.POSITION and value != int(c["x"]) & maps.M32:
         yield from _lint_motion(c, state.POSITION)
 
 
 def _lint_motion(c: Any, mode: int) -> Iterator[Finding]:
     """Yield the reasons why the motor will not move as requested."""
-    if not _reg(c, state.CHOPCONF) & 15:
+    if not _get_register(c, state.CHOPCONF) & 15:
         yield NO_CURRENT, "a motion while TOFF = 0: XACTUAL will count, the motor has no current. Write CHOPCONF"
     if int(c["inputs"]) & state.DRV_ENN:
         yield DRIVER_DISABLED, "a motion while DRV_ENN is high: XACTUAL will count, the motor has no current"
     if mode != state.POSITION:
-        if _reg(c, state.VMAX) and _reg(c, state.AMAX) == 0:
+        if _get_register(c, state.VMAX) and _get_register(c, state.AMAX) == 0:
             yield NO_MOTION, "a motion with AMAX = 0: the motor does not move"
         return
-    if _reg(c, state.VMAX) == 0:
+    if _get_register(c, state.VMAX) == 0:
         yield NO_MOTION, "a target with VMAX = 0: the motor does not move"
         return
-    if _reg(c, state.VSTART) == 0 and (_reg(c, state.A1) == 0 if _reg(c, state.V1) else _reg(c, state.AMAX) == 0):
-        name = "A1" if _reg(c, state.V1) else "AMAX"
+    if _get_register(c, state.VSTART) == 0 and (
+        _get_register(c, state.A1) == 0 if _get_register(c, state.V1) else _get_register(c, state.AMAX) == 0
+    ):
+        name = "A1" if _get_register(c, state.V1) else "AMAX"
         yield NO_MOTION, f"a motion with {name} = 0 and VSTART = 0: the motor does not start"
-    if _reg(c, state.D1) == 0:
+    if _get_register(c, state.D1) == 0:
         yield D1_IS_0, "a positioning with D1 = 0, which the data sheet forbids even with V1 = 0; it acts as 1"
-    if _reg(c, state.DMAX) == 0:
+    if _get_register(c, state.DMAX) == 0:
         yield DMAX_IS_0, "a positioning with DMAX = 0: it acts as 1, braking takes very long"
-    if _reg(c, state.VSTOP) == 0:
+    if _get_register(c, state.VSTOP) == 0:
         yield VSTOP_IS_0, "a positioning with VSTOP = 0, which the data sheet forbids; it acts as 1"
-    elif _reg(c, state.VSTOP) < _reg(c, state.VSTART):
-        message = (
-            f"VSTOP {_reg(c, state.VSTOP)} is below VSTART {_reg(c, state.VSTART)}: VSTOP >= VSTART is recommended"
-        )
-        yield VSTOP_BELOW_VSTART, message
+    elif _get_register(c, state.VSTOP) < _get_register(c, state.VSTART):
+        vstop, vstart = _get_register(c, state.VSTOP), _get_register(c, state.VSTART)
+        yield VSTOP_BELOW_VSTART, f"VSTOP {vstop} is below VSTART {vstart}: VSTOP >= VSTART is recommended"
 
 
 def _lint_switches(c: Any, value: int) -> Iterator[Finding]:

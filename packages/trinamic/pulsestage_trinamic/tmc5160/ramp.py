@@ -1,4 +1,7 @@
-r"""TMC5160, compiled: the six-point ramp. One clock as the page has it (`speed`), and many at once where nothing changes (`plan`).
+r"""Compiled ramp generator of the TMC5160: six points, see "Ramp Generator" of the data sheet.
+
+`update_speed` computes one clock as the data sheet describes it. `plan_even_stretch` finds how many clocks the same change of
+speed applies to. Speeds q are in 2^-17 of the velocity unit.
 
 v    VMAX  ______
 /      \\        AMAX, DMAX
@@ -13,240 +16,250 @@ from pulsestage_trinamic.tmc5160 import state
 from stage.native import greatest, hot, least
 
 CANNOT, CALM, FALLING, SLOWING = range(4)
-"""What `plan` found: a clock at a time; no test; a test that turns true but once; one that may turn true after each step."""
+"""Kinds of plans: CANNOT, the next clock must be processed by itself; CALM, nothing ends the stretch early; FALLING, the braking
+distance ends it, which only grows; SLOWING, the braking distance may end it after each step."""
 
 
 @hot
-def halt(c):
+def halt_ramp(c):
     c.q = c.dir = c.ph = c.brk = 0
     c.zw = 512 * c.reg[state.TZEROWAIT]
 
 
 @hot
-def _v1(c):
-    return c.reg[state.V1] << state.UNIT
+def _get_v1_speed(c):
+    return c.reg[state.V1] << state.SPEED_SHIFT
 
 
 @hot
-def _goal(c):
-    return c.reg[state.VMAX] << state.UNIT
+def _get_vmax_speed(c):
+    return c.reg[state.VMAX] << state.SPEED_SHIFT
 
 
 @hot
-def low(c):
-    return greatest(c.reg[state.VSTOP], 1) << state.UNIT
+def get_vstop_speed(c):
+    return greatest(c.reg[state.VSTOP], 1) << state.SPEED_SHIFT
 
 
 @hot
-def away(c):
+def compute_distance_to_target(c):
     """Return XTARGET - XACTUAL."""
-    return state.signed32(c.target - c.x)
+    return state.to_signed32(c.target - c.x)
 
 
 @hot
-def wanted(c):
+def find_requested_direction(c):
     """Return the direction in which mode and target request a motion."""
     mode = c.reg[state.RAMPMODE]
     if mode == state.POSITION:
-        n = away(c)
+        n = compute_distance_to_target(c)
         return 1 if n > 0 else -1 if n < 0 else 0
     return 1 if mode == state.PLUS else -1 if mode == state.MINUS else 0
 
 
 @hot
-def stopped(c, way):
+def is_stop_switch_active(c, direction):
     """Return whether the stop function of this direction is enabled and active."""
-    if way < 0:
+    if direction < 0:
         return c.reg[state.SW_MODE] & state.STOP_L and c.left
-    return way > 0 and c.reg[state.SW_MODE] & state.STOP_R and c.right
+    return direction > 0 and c.reg[state.SW_MODE] & state.STOP_R and c.right
 
 
 @hot
-def stalled(c):
+def is_stopped_by_stall(c):
     return c.events & state.EVENT_SG and c.reg[state.SW_MODE] & state.SG_STOP
 
 
 @hot
-def _rate_up(c, q):
-    return c.reg[state.A1] if c.reg[state.V1] and q < _v1(c) else c.reg[state.AMAX]
+def _get_acceleration(c, q):
+    return c.reg[state.A1] if c.reg[state.V1] and q < _get_v1_speed(c) else c.reg[state.AMAX]
 
 
 @hot
-def _rate_down(c, q):
+def _get_deceleration_to_vmax(c, q):
     """Return the deceleration towards a lower VMAX."""
-    return c.reg[state.A1] if c.reg[state.V1] and q <= _v1(c) else c.reg[state.AMAX]
+    return c.reg[state.A1] if c.reg[state.V1] and q <= _get_v1_speed(c) else c.reg[state.AMAX]
 
 
 @hot
-def _rate_brake(c, q):
-    return greatest(c.reg[state.D1] if c.reg[state.V1] and q <= _v1(c) else c.reg[state.DMAX], 1)
+def _get_braking_deceleration(c, q):
+    return greatest(c.reg[state.D1] if c.reg[state.V1] and q <= _get_v1_speed(c) else c.reg[state.DMAX], 1)
 
 
 @hot
-def _toward(c, q):
-    g, corner = _goal(c), _v1(c)
+def _compute_next_speed_to_vmax(c, q):
+    g, corner = _get_vmax_speed(c), _get_v1_speed(c)
     if q < g:
         top = least(g, corner) if c.reg[state.V1] and q < corner else g
-        return least(q + _rate_up(c, q), top)
+        return least(q + _get_acceleration(c, q), top)
     if q > g:
         floor = greatest(g, corner) if c.reg[state.V1] and q > corner else g
-        return greatest(q - _rate_down(c, q), floor)
+        return greatest(q - _get_deceleration_to_vmax(c, q), floor)
     return q
 
 
 @hot
-def _brake_floor(c, q):
-    corner, z = _v1(c), low(c)
+def _get_braking_end_speed(c, q):
+    corner, z = _get_v1_speed(c), get_vstop_speed(c)
     return greatest(z, corner) if c.reg[state.V1] and q > corner else z
 
 
 @hot
-def _brake(c, q):
-    return q if q <= low(c) else greatest(q - _rate_brake(c, q), _brake_floor(c, q))
+def _compute_next_braking_speed(c, q):
+    return q if q <= get_vstop_speed(c) else greatest(q - _get_braking_deceleration(c, q), _get_braking_end_speed(c, q))
 
 
 @hot
-def _over(a, b):
-    return (a + b - 1) // b
+def _divide_rounding_up(dividend, divisor):
+    return (dividend + divisor - 1) // divisor
 
 
 @hot
-def need(c, q):
-    """Return the braking distance in 1/256 step, rounded up."""
-    z = low(c)
+def compute_braking_distance(c, q):
+    """Return the distance in which the axis brakes from speed q to VSTOP, in 1/256 steps, rounded up."""
+    z = get_vstop_speed(c)
     if q <= z:
         return 0
-    corner, w, least_w = _v1(c), (q >> 9) + 1, z >> 9
+    corner, w, least_w = _get_v1_speed(c), (q >> 9) + 1, z >> 9
     max_speed = 8 + 2 * (w >> 24)
     fast, slow = greatest(c.reg[state.DMAX], 1), greatest(c.reg[state.D1], 1)
     if corner and q > corner and corner > z:
         w1 = corner >> 9
-        return max_speed + _over(w * w - w1 * w1, fast << 16) + _over(w1 * w1 - least_w * least_w, slow << 16)
-    return max_speed + _over(w * w - least_w * least_w, (slow if corner and q <= corner else fast) << 16)
+        return (
+            max_speed
+            + _divide_rounding_up(w * w - w1 * w1, fast << 16)
+            + _divide_rounding_up(w1 * w1 - least_w * least_w, slow << 16)
+        )
+    return max_speed + _divide_rounding_up(w * w - least_w * least_w, (slow if corner and q <= corner else fast) << 16)
 
 
 @hot
-def _short(c, n, q):
-    """Return whether a distance of n steps is too short to brake from this speed."""
-    return 256 * (n - 1) < need(c, q)
+def _is_too_short_to_brake(c, steps, q):
+    """Return whether this distance is too short to brake from speed q."""
+    return 256 * (steps - 1) < compute_braking_distance(c, q)
 
 
 @hot
-def starts(c):
-    """Return whether the axis stands still and moves at the next clock."""
-    s = wanted(c)
-    if s == 0 or c.reg[state.VMAX] == 0 or stopped(c, s) or stalled(c):
+def starts_at_next_clock(c):
+    """Return whether an axis at rest begins to move at the next clock."""
+    s = find_requested_direction(c)
+    if s == 0 or c.reg[state.VMAX] == 0 or is_stop_switch_active(c, s) or is_stopped_by_stall(c):
         return False
     if c.reg[state.RAMPMODE] != state.POSITION:
         return c.reg[state.AMAX] != 0
     if least(c.reg[state.VSTART], c.reg[state.VMAX]) > 0:
         return True
-    return _rate_up(c, 0) != 0
+    return _get_acceleration(c, 0) != 0
 
 
 @hot
-def speed(c):
-    """Compute steps 4 and 5 of a clock, and return whether the phase moves on."""
-    if stalled(c):
+def update_speed(c):
+    """Update the speed at a clock, and return whether the phase of the steps advances (tmc5160_sheet.md, steps 4 and 5)."""
+    if is_stopped_by_stall(c):
         if c.q > 0:
-            halt(c)
+            halt_ramp(c)
         return False
-    if c.dir != 0 and stopped(c, c.dir):
-        if not c.reg[state.SW_MODE] & state.SOFT_STOP or c.q <= low(c):
-            halt(c)
+    if c.dir != 0 and is_stop_switch_active(c, c.dir):
+        if not c.reg[state.SW_MODE] & state.SOFT_STOP or c.q <= get_vstop_speed(c):
+            halt_ramp(c)
             return False
-        c.q = _brake(c, c.q)
+        c.q = _compute_next_braking_speed(c, c.q)
         return True
-    mode, s = c.reg[state.RAMPMODE], wanted(c)
+    mode, s = c.reg[state.RAMPMODE], find_requested_direction(c)
     began = False
     if c.dir == 0:
-        if s == 0 or c.reg[state.VMAX] == 0 or stopped(c, s):
+        if s == 0 or c.reg[state.VMAX] == 0 or is_stop_switch_active(c, s):
             return False
         began = True
     if mode == state.POSITION:
-        return _positioning(c, s, began)
+        return _update_positioning(c, s, began)
     if mode in (state.PLUS, state.MINUS):
-        return _running(c, s, began)
+        return _update_velocity_mode(c, s, began)
     return True
 
 
 @hot
-def _rest(c, began):
-    """Process a speed of 0."""
-    if began:
+def _end_at_zero_speed(c, is_first_clock):
+    """End a motion whose speed has become 0, or one that could not begin; return False: the phase does not advance."""
+    if is_first_clock:
         c.dir = 0
     else:
-        halt(c)
+        halt_ramp(c)
     return False
 
 
 @hot
-def _running(c, s, began):
-    if began:
-        c.dir, c.ph, c.q = s, 0, 0
-    a, g = c.reg[state.AMAX], _goal(c)
-    if c.dir != s:
+def _update_velocity_mode(c, direction, is_first_clock):
+    if is_first_clock:
+        c.dir, c.ph, c.q = direction, 0, 0
+    a, g = c.reg[state.AMAX], _get_vmax_speed(c)
+    if c.dir != direction:
         c.q = greatest(c.q - a, 0)
     elif c.q < g:
         c.q = least(c.q + a, g)
     else:
         c.q = greatest(c.q - a, g)
-    return True if c.q > 0 else _rest(c, began)
+    return True if c.q > 0 else _end_at_zero_speed(c, is_first_clock)
 
 
 @hot
-def _positioning(c, s, began):
-    n = abs(away(c))
-    if began:
-        c.dir = s
-        c.q = least(c.reg[state.VSTART], c.reg[state.VMAX]) << state.UNIT
-        if _short(c, n, c.q):
-            c.q = least(c.q, low(c))
-    if c.dir != s:
-        if c.q <= low(c):
+def _update_positioning(c, direction, is_first_clock):
+    n = abs(compute_distance_to_target(c))
+    if is_first_clock:
+        c.dir = direction
+        c.q = least(c.reg[state.VSTART], c.reg[state.VMAX]) << state.SPEED_SHIFT
+        if _is_too_short_to_brake(c, n, c.q):
+            c.q = least(c.q, get_vstop_speed(c))
+    if c.dir != direction:
+        if c.q <= get_vstop_speed(c):
             if n > 0:
                 c.events |= state.SECOND_MOVE
-            halt(c)
+            halt_ramp(c)
             return False
         c.brk = 1
-        c.q = _brake(c, c.q)
+        c.q = _compute_next_braking_speed(c, c.q)
         return True
     q = c.q
     if not c.brk:
-        new = _toward(c, q)
-        if new > q and _short(c, n, new):
+        new = _compute_next_speed_to_vmax(c, q)
+        if new > q and _is_too_short_to_brake(c, n, new):
             new = q
-        if not (new < q and _rate_down(c, q) >= _rate_brake(c, q)) and _short(c, n, new):
+        if not (
+            new < q and _get_deceleration_to_vmax(c, q) >= _get_braking_deceleration(c, q)
+        ) and _is_too_short_to_brake(c, n, new):
             c.brk = 1
     else:
         new = q
     if c.brk:
-        new = _brake(c, q)
+        new = _compute_next_braking_speed(c, q)
     c.q = new
-    return True if new > 0 else _rest(c, began)
+    return True if new > 0 else _end_at_zero_speed(c, is_first_clock)
 
 
 # --- many clocks ---
 
 
 @hot
-def plan(c):
-    """Return (test, delta, clocks) of a stretch in which the speed changes evenly, of an axis that moves; see CANNOT."""
+def plan_even_stretch(c):
+    """Plan the next clocks of a moving axis in which its speed changes evenly.
+
+    Returns (kind of plan, see CANNOT; change of speed at each clock; number of clocks).
+    """
     q, mode = c.q, c.reg[state.RAMPMODE]
-    if stalled(c):
+    if is_stopped_by_stall(c):
         return CANNOT, 0, 0
-    if stopped(c, c.dir):
-        if not c.reg[state.SW_MODE] & state.SOFT_STOP or q <= low(c):
+    if is_stop_switch_active(c, c.dir):
+        if not c.reg[state.SW_MODE] & state.SOFT_STOP or q <= get_vstop_speed(c):
             return CANNOT, 0, 0
-        return _braking(c, q)
-    s = wanted(c)
+        return _plan_braking(c, q)
+    s = find_requested_direction(c)
     if mode == state.POSITION:
         if c.dir != s:
-            return (CANNOT, 0, 0) if q <= low(c) or not c.brk else _braking(c, q)
-        return _braking(c, q) if c.brk else _driving(c, q)
+            return (CANNOT, 0, 0) if q <= get_vstop_speed(c) or not c.brk else _plan_braking(c, q)
+        return _plan_braking(c, q) if c.brk else _plan_before_braking(c, q)
     if mode != state.PLUS and mode != state.MINUS:
         return CALM, 0, state.NEVER
-    a, g = c.reg[state.AMAX], _goal(c)
+    a, g = c.reg[state.AMAX], _get_vmax_speed(c)
     if a == 0 or (c.dir == s and q == g):
         return CALM, 0, state.NEVER
     if c.dir != s or (q > g and g == 0):
@@ -255,38 +268,40 @@ def plan(c):
 
 
 @hot
-def _braking(c, q):
-    """Plan the braking at the end of a positioning."""
-    if q <= low(c):
+def _plan_braking(c, q):
+    """Plan the clocks in which the axis brakes, at the end of a positioning or at a switch."""
+    if q <= get_vstop_speed(c):
         return CALM, 0, state.NEVER
-    rate = _rate_brake(c, q)
-    return CALM, -rate, (q - _brake_floor(c, q)) // rate
+    rate = _get_braking_deceleration(c, q)
+    return CALM, -rate, (q - _get_braking_end_speed(c, q)) // rate
 
 
 @hot
-def _driving(c, q):
-    """Plan a positioning before its braking."""
-    g, corner = _goal(c), _v1(c)
+def _plan_before_braking(c, q):
+    """Plan the clocks of a positioning before its braking begins."""
+    g, corner = _get_vmax_speed(c), _get_v1_speed(c)
     if q < g:
-        rate = _rate_up(c, q)
-        if rate == 0 or _short(c, abs(away(c)), _toward(c, q)):
+        rate = _get_acceleration(c, q)
+        if rate == 0 or _is_too_short_to_brake(
+            c, abs(compute_distance_to_target(c)), _compute_next_speed_to_vmax(c, q)
+        ):
             return FALLING, 0, state.NEVER
         top = least(g, corner) if corner and q < corner else g
         return FALLING, rate, (top - q) // rate
     if q > g:
-        rate = _rate_down(c, q)
+        rate = _get_deceleration_to_vmax(c, q)
         if rate == 0:
             return FALLING, 0, state.NEVER
         floor = greatest(g, corner) if corner and q > corner else g
         clocks = (q - greatest(floor, 1)) // rate
-        return (CALM if rate >= _rate_brake(c, q) else SLOWING), -rate, clocks
+        return (CALM if rate >= _get_braking_deceleration(c, q) else SLOWING), -rate, clocks
     return FALLING, 0, state.NEVER
 
 
 @hot
-def holds(c, test, delta, m, done):
-    """Return whether the test of `plan` holds for all of m clocks; done: the steps of the first m - 1 of them."""
+def is_plan_valid(c, test, speed_change, clocks, past_steps):
+    """Return whether a plan applies to all of these clocks; `past_steps` are the steps in all of them but the last."""
     if test == CALM:
         return True
-    n = abs(away(c)) - done
-    return not _short(c, n, c.q + delta * m if test == FALLING else c.q + delta)
+    n = abs(compute_distance_to_target(c)) - past_steps
+    return not _is_too_short_to_brake(c, n, c.q + speed_change * clocks if test == FALLING else c.q + speed_change)

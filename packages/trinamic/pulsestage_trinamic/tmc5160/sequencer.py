@@ -1,42 +1,42 @@
-"""TMC5160, compiled: the microstep sequencer, and its currents as they can be read."""
+"""Compiled microstep sequencer of the TMC5160: MSCNT, the position of the field, and the currents in MSCURACT."""
 
 from __future__ import annotations
 
-from pulsestage_trinamic.tmc5160 import power
+from pulsestage_trinamic.tmc5160 import power_stage
 from pulsestage_trinamic.tmc5160.state import (
     GCONF,
     NEVER,
     RUNS,
     SHAFT,
-    mres,
+    get_step_shift,
 )
 from stage.native import hot
 
 
 @hot
-def _up(c):
+def _is_counting_up(c):
     """Return whether the field turns towards greater MSCNT."""
     return (c.dir > 0) != ((c.reg[GCONF] & SHAFT) != 0)
 
 
 @hot
-def _stepped(c, k):
-    """Return the position of the sequencer after k steps, without wrapping."""
-    fine, at = mres(c), c.mscnt
+def _compute_position_after(c, steps):
+    """Return MSCNT after these steps, without wrapping at 1024."""
+    fine, at = get_step_shift(c), c.mscnt
     size = 1 << fine
     half = size >> 1
     if fine == 0:
-        return at + k if _up(c) else at - k
-    if _up(c):
-        return (((at + half) >> fine) << fine) + half + (k - 1) * size
-    return ((-((half - at) >> fine) - 1) << fine) + half - (k - 1) * size
+        return at + steps if _is_counting_up(c) else at - steps
+    if _is_counting_up(c):
+        return (((at + half) >> fine) << fine) + half + (steps - 1) * size
+    return ((-((half - at) >> fine) - 1) << fine) + half - (steps - 1) * size
 
 
 @hot
-def steps_to_full(c):
-    """Return the number of the step, counted from 1, that next changes MSCNT >> 8."""
-    size, first = 1 << mres(c), _stepped(c, 1)
-    if _up(c):
+def count_steps_to_full_step(c):
+    """Return the number of steps until MSCNT >> 8 changes, at least 1."""
+    size, first = 1 << get_step_shift(c), _compute_position_after(c, 1)
+    if _is_counting_up(c):
         end = ((c.mscnt >> 8) << 8) + 256
         return 1 if first >= end else 1 + (end - first + size - 1) // size
     end = (c.mscnt >> 8) << 8
@@ -44,42 +44,42 @@ def steps_to_full(c):
 
 
 @hot
-def steps(c, k, clock):
-    """Make k steps, the last one at `clock`."""
-    now = _stepped(c, k)
+def make_steps(c, steps, clock):
+    """Make steps, the last one at `clock`, and raise the current to IRUN."""
+    now = _compute_position_after(c, steps)
     c.net += now - c.mscnt
     c.mscnt = now & 1023
-    c.toggle ^= k & 1
+    c.toggle ^= steps & 1
     c.way = c.dir
     c.last = clock
     if c.current != RUNS:
         c.current, c.falls = RUNS, NEVER
-        c.cs = power.irun(c)
+        c.cs = power_stage.read_irun(c)
 
 
 @hot
-def sine(i):
-    """Return CUR_A of the default table at MSCNT = i."""
-    i &= 1023
-    if i >= 512:
-        return -sine_half(i - 512) - 1
-    return sine_half(i)
+def get_table_current(mscnt):
+    """Return CUR_A of the default microstep table."""
+    mscnt &= 1023
+    if mscnt >= 512:
+        return -_get_table_entry(mscnt - 512) - 1
+    return _get_table_entry(mscnt)
 
 
 @hot
-def sine_half(i):
-    """Return the entries 0 to 511 of the default table."""
-    return TABLE[511 - i if i > 255 else i]
+def _get_table_entry(entry):
+    """Return an entry, 0 to 511, of the default table: its first half wave."""
+    return SINE_TABLE[511 - entry if entry > 255 else entry]
 
 
-def _table():
+def _compute_sine_table():
     import math
 
-    found = []
+    entries = []
     for i in range(256):
         value = 248 * math.sin(2 * math.pi * i / 1024 + math.pi / 1024)
-        found.append(max(1, math.floor(value + 0.5)) - 1)
-    return tuple(found)
+        entries.append(max(1, math.floor(value + 0.5)) - 1)
+    return tuple(entries)
 
 
-TABLE = _table()
+SINE_TABLE = _compute_sine_table()

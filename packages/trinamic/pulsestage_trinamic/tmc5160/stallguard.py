@@ -1,60 +1,65 @@
-"""TMC5160, compiled: StallGuard2, which sees the load at each full step, and CoolStep, which follows it."""
+"""Compiled StallGuard2 and CoolStep of the TMC5160: the load measured at each full step, and the current that follows it."""
 
 from __future__ import annotations
 
-from pulsestage_trinamic.tmc5160 import power, sequencer, speeds, state
+from pulsestage_trinamic.tmc5160 import power_stage, sequencer, speed_thresholds, state
 from stage.native import hot, least
 
-PER_SGT, FULL_EMF, UNLOADED = 8, 1024, 1023  # of the model of StallGuard
+RESULT_PER_SGT, FULL_EMF, UNLOADED_RESULT = 8, 1024, 1023  # model of StallGuard, tmc5160_sheet.md, section 6
 
 
 @hot
-def measures(c):
+def is_measuring(c):
     """Return whether StallGuard measures at each full step."""
-    return power.on(c) and not speeds.stealth(c)
+    return power_stage.is_power_stage_on(c) and not speed_thresholds.is_stealth_chop_active(c)
 
 
 @hot
-def blind(c):
-    """Clear the result, because there are no measurements."""
-    if not measures(c):
+def clear_result_if_unmeasured(c):
+    """Clear the result while StallGuard does not measure."""
+    if not is_measuring(c):
         c.sg = c.stall = 0
 
 
 @hot
-def cools(c):
-    return c.reg[state.COOLCONF] & 15 and c.speeds & state.COOL and not c.speeds & state.HIGH and not speeds.stealth(c)
+def is_cool_step_active(c):
+    return (
+        c.reg[state.COOLCONF] & 15
+        and c.speeds & state.COOL
+        and not c.speeds & state.HIGH
+        and not speed_thresholds.is_stealth_chop_active(c)
+    )
 
 
 @hot
-def settle(c):
-    """Update thresholds and measurements after registers or faults may have changed."""
-    c.speeds = speeds.speeds_at(c, c.q)
-    blind(c)
-    cooling = 1 if cools(c) else 0
+def update_after_change(c):
+    """Update thresholds, StallGuard and CoolStep after the speed, registers or faults may have changed."""
+    c.speeds = speed_thresholds.find_passed_thresholds(c, c.q)
+    clear_result_if_unmeasured(c)
+    cooling = 1 if is_cool_step_active(c) else 0
     if c.cooling and not cooling:
         c.count = 0
         if c.current == state.RUNS:
-            c.cs = power.irun(c)
+            c.cs = power_stage.read_irun(c)
     c.cooling = cooling
 
 
 @hot
-def step(c):
-    """Process one step with its StallGuard measurement, and return whether a stall stops the motor."""
+def make_measured_step(c):
+    """Make one step, measure the load if it completes a full step, and return whether a stall stops the motor."""
     before = c.mscnt >> 8
-    sequencer.steps(c, 1, c.clock)
-    if c.mscnt >> 8 == before or not measures(c):
+    sequencer.make_steps(c, 1, c.clock)
+    if c.mscnt >> 8 == before or not is_measuring(c):
         return False
-    return _measure(c)
+    return _measure_load(c)
 
 
 @hot
-def _measure(c):
+def _measure_load(c):
     c.full += 1
     sgt = c.reg[state.COOLCONF] >> 16 & 127
-    raw = (UNLOADED * c.emf * (FULL_EMF - c.lam)) >> 20
-    value = raw + PER_SGT * (sgt - 128 if sgt > 63 else sgt)
+    raw = (UNLOADED_RESULT * c.emf * (FULL_EMF - c.lam)) >> 20
+    value = raw + RESULT_PER_SGT * (sgt - 128 if sgt > 63 else sgt)
     value = 0 if value < 0 else least(value, 1023)
     if c.reg[state.COOLCONF] & state.SFILT:
         c.total += value
@@ -66,41 +71,44 @@ def _measure(c):
     c.sg = value
     c.stall = 1 if value == 0 else 0
     if c.cooling:
-        _cool(c)
-    if c.stall and c.reg[state.SW_MODE] & state.SG_STOP and speeds.window(c):
+        _update_cool_step(c)
+    if c.stall and c.reg[state.SW_MODE] & state.SG_STOP and speed_thresholds.is_stall_stop_possible(c):
         c.events |= state.EVENT_SG
         return True
     return False
 
 
 @hot
-def _cool(c):
+def _update_cool_step(c):
     r = c.reg[state.COOLCONF]
     low, top = 32 * (r & 15), 32 * ((r & 15) + (r >> 8 & 15) + 1)
     if c.sg < low:
-        c.cs = least(power.irun(c), c.cs + (1 << (r >> 5 & 3)))
+        c.cs = least(power_stage.read_irun(c), c.cs + (1 << (r >> 5 & 3)))
         c.count = 0
     elif c.sg >= top:
         c.count += 1
         sedn = r >> 13 & 3
         if c.count >= (32 if sedn == 0 else 8 if sedn == 1 else 2 if sedn == 2 else 1):
             c.count = 0
-            bottom = power.irun(c) >> (2 if r >> 15 & 1 else 1)
+            bottom = power_stage.read_irun(c) >> (2 if r >> 15 & 1 else 1)
             c.cs = bottom if c.cs - 1 < bottom else c.cs - 1
     else:
         c.count = 0
 
 
 @hot
-def load(c, lam, emf):
-    """Set the load of a chip that is not on a stage; see LAM and EMF in the documentation."""
+def set_fixed_load(c, lam, emf):
+    """Set the load of a chip that is not on a stage; LAM and EMF are those of tmc5160_sheet.md, section 6."""
     c.lam, c.emf = lam, emf
 
 
 @hot
-def sample_load(c, lam, emf):
-    """Take a sample of the load; LAM and EMF are the means over a full step. Return whether the sample can change anything."""
-    if c.dir == 0 or not measures(c):
+def add_load_sample(c, lam, emf):
+    """Take a sample of the load, and return whether StallGuard measures it.
+
+    The measurement uses the means of LAM and EMF over a full step.
+    """
+    if c.dir == 0 or not is_measuring(c):
         return 0
     if c.load_of != c.full:
         c.load_of, c.load_n, c.load_sum, c.emf_sum = c.full, 0, 0, 0

@@ -1,4 +1,4 @@
-"""TMC5160, compiled: the record that holds a chip, its pins, and the numbers that all of its parts share."""
+"""State record of a TMC5160, its pins, and the constants that several modules share."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from stage.native import hot, record
 NEVER = 1 << 62
 POSITION, PLUS, MINUS, HOLD = range(4)  # RAMPMODE
 RUNS, FALLS, HOLDS = range(3)  # the current: at IRUN, on its way down, at IHOLD
-TSTEP_MOST = 0xFFFFF
-STEP = 1 << 41  # of the phase
-UNIT = 17  # q is in 2^-17 of the velocity unit
+MAX_TSTEP = 0xFFFFF
+PHASE_PER_STEP = 1 << 41  # of the phase
+SPEED_SHIFT = 17  # q is in 2^-17 of the velocity unit
 
 STATE = record(
     [
@@ -96,7 +96,7 @@ INPUTS = {
     "refl": REFL, "refr": REFR, "encb": ENCB, "enca": ENCA, "drv_enn": DRV_ENN, "encn": ENCN,
     "s2ga": S2GA, "s2gb": S2GB, "s2vsa": S2VSA, "s2vsb": S2VSB, "ot": OT, "otpw": OTPW, "ola": OLA, "olb": OLB, "uv_cp": UV_CP,
 }  # fmt: skip
-"""Pin levels, and faults of the power stage, which come only when they are set."""
+"""Pin levels, and faults of the power stage, which happen only if a user sets them."""
 SHORT_G, SHORT_VS = S2GA | S2GB, S2VSA | S2VSB
 DIAG0, DIAG1 = 1, 2
 OUTPUTS = {"diag0": DIAG0, "diag1": DIAG1}
@@ -141,13 +141,13 @@ EDGE = record(
 
 
 @hot
-def signed32(number):
+def to_signed32(number):
     """Return the low 32 bits of a number as a two's complement value."""
     return ((number + 0x80000000) & 0xFFFFFFFF) - 0x80000000
 
 
 @hot
-def mres(c):
-    """Return the shift of a step: a step is 2^mres of the 1024 table entries."""
+def get_step_shift(c):
+    """Return MRES, at most 8: a step advances MSCNT by 2^MRES."""
     power = c.reg[CHOPCONF] >> 24 & 15
     return 8 if power > 8 else power

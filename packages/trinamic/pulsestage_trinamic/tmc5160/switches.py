@@ -1,4 +1,4 @@
-"""TMC5160, compiled: reference switches with their latches."""
+"""Compiled reference switches of the TMC5160 with their latches."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from stage.native import hot
 
 
 @hot
-def levels(c):
-    """Return the levels (left, right) that follow from the pins and the polarity bits of SW_MODE."""
+def compute_levels(c):
+    """Return whether the left and the right switch are closed, from the pins and SW_MODE (polarity, swap_lr)."""
     mode = c.reg[state.SW_MODE]
     refl, refr = (1 if c.inputs & state.REFL else 0), (1 if c.inputs & state.REFR else 0)
     left, right = (refr, refl) if mode & state.SWAP else (refl, refr)
@@ -16,7 +16,7 @@ def levels(c):
 
 
 @hot
-def _latch(c, flag):
+def _latch_position(c, flag):
     c.latched = c.x
     c.events |= flag
     if c.reg[state.SW_MODE] & state.LATCH_ENCODER:
@@ -24,15 +24,15 @@ def _latch(c, flag):
 
 
 @hot
-def look(c):
-    """Sample the switches and process their edges, in step 1 of a clock."""
+def process_clock(c):
+    """Sample the switches at the beginning of a clock, and latch the position at their enabled edges."""
     mode = c.reg[state.SW_MODE]
-    left, right = levels(c)
+    left, right = compute_levels(c)
     if left != c.left:
         c.left = left
         if mode & (state.LATCH_L_ON if left else state.LATCH_L_OFF):
-            _latch(c, state.LATCHED_L)
+            _latch_position(c, state.LATCHED_L)
     if right != c.right:
         c.right = right
         if mode & (state.LATCH_R_ON if right else state.LATCH_R_OFF):
-            _latch(c, state.LATCHED_R)
+            _latch_position(c, state.LATCHED_R)

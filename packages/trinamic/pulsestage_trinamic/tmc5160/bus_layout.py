@@ -1,4 +1,4 @@
-"""How the TMC5160 lies on the bus of a host: two ports, as the SPI of a microcontroller shows them."""
+"""Bus layout of the TMC5160: the two ports by which a host reaches its SPI."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Description of the bus cycles of the TMC5160 in words: `VMAX <- 200000 (drive velocity)`, `SPI: read XACTUAL`."""
+"""Descriptions of the bus cycles of the TMC5160 in words: `VMAX <- 200000 (drive velocity)`, `SPI: read XACTUAL`."""
 
 from __future__ import annotations
 
@@ -13,16 +13,22 @@ CLEARED = [maps.MAP.register(name).number for name in ("GSTAT", "RAMP_STAT", "EN
 _STATUS = Fields(maps.MAP.word("SPI_STATUS"))
 
 
-def register(address: int, value: int, writes: bool) -> str:
-    """Describe a register with its value."""
-    r = (maps.WRITTEN if writes else maps.READ).get(address)
-    arrow = "<-" if writes else "="
+def describe_register(address: int, value: int, is_write: bool) -> str:
+    """Describe a read or write of a register with its value.
+
+    Args:
+        address: Number of the register.
+        value: Value that was read or written.
+        is_write: The host writes the register.
+    """
+    r = (maps.WRITABLE_REGISTERS if is_write else maps.READABLE_REGISTERS).get(address)
+    arrow = "<-" if is_write else "="
     if r is None:
-        other = (maps.READ if writes else maps.WRITTEN).get(address)
+        other = (maps.READABLE_REGISTERS if is_write else maps.WRITABLE_REGISTERS).get(address)
         if other is None:
-            return f"no register at {address:02X}h: {'nothing changes' if writes else 'reads 0'}"
-        return f"{other.name} can only be {'read' if writes else 'written'}"
-    if writes and address in CLEARED:
+            return f"no register at {address:02X}h: {'nothing changes' if is_write else 'reads 0'}"
+        return f"{other.name} can only be {'read' if is_write else 'written'}"
+    if is_write and address in CLEARED:
         named = ", ".join(f.name for f in r.fields if f.mask & value)
         return shorten_line(f"{r.name} <- {value & r.mask:X}h: clears {named or 'nothing'}")
     if r.fields:
@@ -30,12 +36,12 @@ def register(address: int, value: int, writes: bool) -> str:
     return shorten_line(f"{r.name} {arrow} {r.value(value)} ({r.title})")
 
 
-def datagram(word: int) -> str:
-    """Describe the request of a datagram of 40 bits."""
-    address = word >> 32 & 0x7F
-    if word >> 39 & 1:
-        return shorten_line(f"SPI: {register(address, word & maps.M32, True)}")
-    r = maps.READ.get(address)
+def describe_datagram(datagram: int) -> str:
+    """Describe a datagram of 40 bits that a host sends."""
+    address = datagram >> 32 & 0x7F
+    if datagram >> 39 & 1:
+        return shorten_line(f"SPI: {describe_register(address, datagram & maps.M32, True)}")
+    r = maps.READABLE_REGISTERS.get(address)
     return f"SPI: read {r.name if r else f'{address:02X}h, which reads 0'}"
 
 
@@ -65,34 +71,44 @@ class Decoder(describe.Decoder):
             )
         ]
 
-    def _describe_datagram(self, clock: int, code: str, word: int, short: str = "", head: str = "SPI: ") -> Statement:
-        text = short or datagram(word)
-        r = maps.WRITTEN.get(word >> 32 & 0x7F) if word >> 39 & 1 and not short else None
-        known = (r.name, r.value(word)) if r else ("", 0)
+    def _describe_datagram(
+        self, clock: int, code: str, datagram: int, description: str = "", prefix: str = "SPI: "
+    ) -> Statement:
+        text = description or describe_datagram(datagram)
+        r = maps.WRITABLE_REGISTERS.get(datagram >> 32 & 0x7F) if datagram >> 39 & 1 and not description else None
+        known = (r.name, r.value(datagram)) if r else ("", 0)
         return Statement(
-            clock, "register" if r else "command", code, text if head else text.removeprefix("SPI: "), *known
+            clock, "register" if r else "command", code, text if prefix else text.removeprefix("SPI: "), *known
         )
 
     def describe_lost_write(self, address: int, value: int) -> tuple[str, str]:
-        return f"{address:02X} {value:X}", write(address, value)
+        return f"{address:02X} {value:X}", describe_write(address, value)
 
     def reset(self) -> None:
         self._sent = None
 
 
-def write(address: int, value: int) -> str:
-    """Describe a write cycle by itself."""
+def describe_write(address: int, value: int) -> str:
+    """Describe a write cycle without knowledge of the cycles before it.
+
+    Args:
+        address: Address on the bus.
+        value: Written value.
+    """
     if address < maps.REGISTERS:
-        return register(address, value & maps.M32, True)
+        return describe_register(address, value & maps.M32, True)
     if address == maps.SPI_CS:
         return "CSN high: the end of a datagram" if value & 1 else "CSN low: a datagram begins"
     if address == maps.SPI_BYTE:
         return f"SDI {value & 0xFF:02X}h"
-    return datagram(value) if address == maps.SPI_DATAGRAM else f"nothing can be written at {address:02X}h"
+    return describe_datagram(value) if address == maps.SPI_DATAGRAM else f"nothing can be written at {address:02X}h"
 
 
 class Listener:
-    """Describer of single bus cycles, see `stage.chips.describe.Listener`; it begins with the state of the chip's record."""
+    """Describer of single bus cycles, see `stage.chips.describe.Listener`.
+
+    It follows the bytes of a datagram, beginning with those in the chip's record.
+    """
 
     def __init__(self, record: Any):
         self._bits = int(record["bits"])
@@ -100,23 +116,33 @@ class Listener:
         self._word = int(record["shift"])
 
     def write(self, address: int, value: int) -> str:
-        """Describe one write cycle."""
+        """Describe one write cycle.
+
+        Args:
+            address: Address on the bus.
+            value: Written value.
+        """
         if address == maps.SPI_CS:
             ends = self._low and value & 1
             self._low = not value & 1
             if ends:
-                request = datagram(self._word) if self._bits >= 40 else f"{self._bits} bits: nothing happens"
+                request = describe_datagram(self._word) if self._bits >= 40 else f"{self._bits} bits: nothing happens"
                 return shorten_line(f"CSN high: {request}")
             self._bits = 0 if self._low else self._bits
         elif address == maps.SPI_BYTE and self._low:
             self._bits += 8
             self._word = (self._word << 8 | value & 0xFF) & ((1 << 40) - 1)
-        return write(address, value)
+        return describe_write(address, value)
 
     def read(self, address: int, value: int) -> str:
-        """Describe one read cycle that returned `value`."""
+        """Describe one read cycle.
+
+        Args:
+            address: Address on the bus.
+            value: Value that was read.
+        """
         if address < maps.REGISTERS:
-            return register(address, value, False)
+            return describe_register(address, value, False)
         if address == maps.SPI_CS:
             return f"CSN is {'high' if value else 'low'}"
         if address == maps.SPI_BYTE:

@@ -2,7 +2,7 @@
 
 firmware.move(axis, 10e-3)                    m; switches the power stage on if it is off
 firmware.home(axis, by="stall")               against the end of travel, without a switch
-current_registers(1.7, 0.1)                   GLOBALSCALER and IHOLD_IRUN for 1.7 A at 0.1 ohm
+compute_current_registers(1.7, 0.1)           GLOBALSCALER and IHOLD_IRUN for 1.7 A at 0.1 ohm
 """
 
 from __future__ import annotations
@@ -13,12 +13,13 @@ from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 
-from pulsestage_trinamic.tmc5160 import homing, state
+from pulsestage_trinamic.tmc5160 import state
 from pulsestage_trinamic.tmc5160.encoder import DECIMAL
-from pulsestage_trinamic.tmc5160.homing import LEAST_VSTOP, STOPS
-from pulsestage_trinamic.tmc5160.line import NAMES, InRatio
+from pulsestage_trinamic.tmc5160.host_driver import homing
+from pulsestage_trinamic.tmc5160.host_driver.homing import MIN_VSTOP, STOP_AT_SWITCHES
+from pulsestage_trinamic.tmc5160.host_driver.straight_lines import RAMP_REGISTERS, ProportionalLine
 from pulsestage_trinamic.tmc5160.maps import M32, NUMBER
-from pulsestage_trinamic.tmc5160.power import FULL_SCALE
+from pulsestage_trinamic.tmc5160.power_stage import FULL_SCALE_V
 from stage.errors import ArgumentError, RunTimeout, add_article
 from stage.firmware.axis import is_sensor_inverted
 from stage.firmware.driver import (
@@ -38,48 +39,57 @@ from stage.sim.program import Operations
 
 CHOPCONF = 0x100100C3
 """SpreadCycle as in the data sheet's example, with interpolation: TOFF 3, HSTRT 4, HEND 1, TBL 2, MRES 0."""
-SWITCHED_ON = 0.05  # s until the rotor rests where the field is
+ROTOR_SETTLING_TIME_S = 0.05  # after power-on, until the rotor rests at the position of the field
 IHOLDDELAY, TPOWERDOWN = 6, 10
 
 
-def velocity(pps: float, hz: int) -> int:
-    """Convert steps a second to the velocity unit of the ramp generator, at least 1.
+def compute_velocity(pps: float, hz: int) -> int:
+    """Convert steps a second to the velocity unit of the ramp generator.
 
     Args:
         pps: Steps a second.
-        hz: Clock of the chip.
+        hz: Clock of the chip, Hz.
+
+    Returns:
+        Value for VSTART, VMAX or VSTOP, at least 1.
     """
     return max(round(pps * (1 << 24) / hz), 1)
 
 
-def acceleration(pps2: float, hz: int) -> int:
-    """Convert steps per s2 to the acceleration unit of the ramp generator, at least 1.
+def compute_acceleration(pps2: float, hz: int) -> int:
+    """Convert steps per s2 to the acceleration unit of the ramp generator.
 
     Args:
         pps2: Steps per s2.
-        hz: Clock of the chip.
+        hz: Clock of the chip, Hz.
+
+    Returns:
+        Value for AMAX or DMAX, at least 1.
     """
     return max(round(pps2 * (1 << 41) / hz**2), 1)
 
 
-def current_registers(amplitude: float, rsense: float, hold: float = 0.5) -> dict[str, int]:
+def compute_current_registers(amplitude: float, rsense_ohm: float, hold: float = 0.5) -> dict[str, int]:
     """Compute GLOBALSCALER, IHOLD_IRUN and TPOWERDOWN for a phase current.
 
     Args:
         amplitude: Amplitude of the phase current, A.
-        rsense: Sense resistors, ohm.
-        hold: Share of the current at standstill.
+        rsense_ohm: Resistance of each sense resistor, ohm.
+        hold: Share of the current that remains at standstill.
+
+    Returns:
+        Values of the three registers by name.
 
     Raises:
         ArgumentError: The sense resistors do not allow the current.
     """
-    share = amplitude * rsense / FULL_SCALE
+    share = amplitude * rsense_ohm / FULL_SCALE_V
     if not 0 < share <= 1.0:
         raise ArgumentError(
-            f"a current of {amplitude:g} A: sense resistors of {rsense:g} ohm allow above 0 and up to {FULL_SCALE / rsense:.3g} A. "
-            "Take others, TMC5160(rsense=...), or Drive(current=...)."
+            f"A current of {amplitude:g} A: sense resistors of {rsense_ohm:g} ohm allow above 0 and up to "
+            f"{FULL_SCALE_V / rsense_ohm:.3g} A. Take others, TMC5160(rsense=...), or Drive(current=...)."
         )
-    cs = min(31, max(0, round(256 * share) * 32 // 32 - 1))  # 31 but for very small currents
+    cs = min(31, max(0, round(256 * share) * 32 // 32 - 1))  # 31 except for very small currents
     scaler = min(256, max(32, round(256 * share * 32 / (cs + 1))))
     irun = min(31, max(0, round(share * 32 * 256 / scaler) - 1))
     ihold = max(0, round((irun + 1) * hold) - 1)
@@ -90,27 +100,27 @@ def current_registers(amplitude: float, rsense: float, hold: float = 0.5) -> dic
     }
 
 
-def encoder_registers(edges_per_turn: float, full_steps: int = 200) -> dict[str, int]:
-    """Compute ENC_CONST and ENCMODE by which X_ENC counts in the unit of XACTUAL.
+def compute_encoder_registers(edges_per_turn: float, full_steps: int = 200) -> dict[str, int]:
+    """Compute ENC_CONST and ENCMODE with which X_ENC counts in the unit of XACTUAL.
 
-    The decimal fraction is used where only that is exact; else ENC_CONST is the nearest binary one.
+    ENC_CONST has a binary fraction, or a decimal fraction if only that one is exact.
 
     Args:
-        edges_per_turn: Edges of an encoder on the motor, four a line; below 0 it turns the other way.
+        edges_per_turn: Edges of an encoder on the motor, four a line; negative if the encoder counts down.
         full_steps: Full steps of the motor in a turn.
 
     Returns:
-        The values of both registers by name.
+        Values of both registers by name.
 
     Raises:
         ArgumentError: No factor suits the encoder.
     """
     if isinstance(edges_per_turn, bool) or not isinstance(edges_per_turn, int | float) or not abs(edges_per_turn) >= 2:
-        raise ArgumentError(f"encoder_registers({edges_per_turn!r}): a number of edges a turn, four a line, 2 or more.")
+        raise ArgumentError(f"{edges_per_turn!r} edges a turn: an encoder has four edges a line, and 2 or more a turn.")
     factor = full_steps * 256 / edges_per_turn
     if not 2**-16 <= abs(factor) < 2**15:
         raise ArgumentError(
-            f"{edges_per_turn:g} edges a turn: {factor:g} steps an edge; ENC_CONST takes 0.000015 to 32,767, either sign."
+            f"{edges_per_turn:g} edges a turn: {factor:g} steps an edge; ENC_CONST takes 0.000015 to 32,767 of either sign."
         )
     parts = {DECIMAL: 10_000, 0: 65_536}
     mode = min(parts, key=lambda mode: (abs(factor * parts[mode] - round(factor * parts[mode])) > 1e-9, mode))
@@ -130,55 +140,59 @@ class Tmc5160Driver(Driver):
 
     # --- registers ---
 
-    def put(self, name: str, value: int) -> None:
-        """Write a register."""
-        self.chip.write(NUMBER[name], value & M32)
+    def write_register(self, name: str, value: int) -> None:
+        """Write a register.
 
-    def get(self, name: str) -> int:
-        """Read a register."""
-        return int(self.chip.MAP.register(name).value(self.chip.read(NUMBER[name])))
+        Args:
+            name: Name of the register, for example "VMAX".
+            value: Signed or unsigned value of up to 32 bits.
+        """
+        self.chip.write(NUMBER[name], value & M32)
 
     def read_register(self, name: str) -> int:
         r = self.chip.MAP.register(name)
         if "R" not in r.access:
             raise self.build_unreadable_register_error(r.name)
-        return self.get(r.name)
+        return int(r.value(self.chip.read(r.number)))
 
-    def switches(self, bits: int) -> int:
-        """Return SW_MODE with these bits and with the polarity of the axis' sensors as they are wired."""
+    def compute_sw_mode(self, bits: int) -> int:
+        """Return a value of SW_MODE: these bits, and the polarity bits that the wiring of the axis' sensors requires."""
         return (
             bits
             | (state.POL_L if is_sensor_inverted(self.axis, "el_minus") else 0)
             | (state.POL_R if is_sensor_inverted(self.axis, "el_plus") else 0)
         )
 
-    def currents(self) -> dict[str, int]:
-        """Return the registers that give the motor the current of its Drive, limited by the sense resistors."""
+    def compute_axis_current_registers(self) -> dict[str, int]:
+        """Compute the registers that give the motor the current of its Drive, at most what the sense resistors allow."""
         drive = getattr(self.axis, "drive", None)
-        max_amplitude = FULL_SCALE / self.chip.rsense
-        return current_registers(
+        max_amplitude = FULL_SCALE_V / self.chip.rsense
+        return compute_current_registers(
             min(drive.amplitude, max_amplitude) if drive is not None else max_amplitude, self.chip.rsense
         )
 
     def prepare(self) -> None:
         """Switch the power stage on if it is off, with the currents of the axis' Drive."""
-        if not self.get("CHOPCONF") & 15:
-            self._switch_on(ImmediateOperations(self.axis))
+        if not self.read_register("CHOPCONF") & 15:
+            self._write_switch_on_registers(ImmediateOperations(self.axis))
 
-    def switched_on(self) -> dict[str, int]:
-        """Return the registers that switch the power stage on."""
-        return {**self.currents(), "CHOPCONF": CHOPCONF}
+    def compute_switch_on_registers(self) -> dict[str, int]:
+        """Compute the registers that switch the power stage on."""
+        return {**self.compute_axis_current_registers(), "CHOPCONF": CHOPCONF}
 
-    def _switch_on(self, program: Operations) -> None:
-        for name, value in self.switched_on().items():
+    def _write_switch_on_registers(self, program: Operations) -> None:
+        for name, value in self.compute_switch_on_registers().items():
             program.register(self.index, self.chip, name, value)
-        program.wait(SWITCHED_ON)
+        program.wait(ROTOR_SETTLING_TIME_S)
 
-    def _speeds(self, speeds: Speeds) -> dict[str, int]:
-        """Return the registers for these speeds. Raises ArgumentError for values that the registers cannot hold."""
+    def _compute_checked_ramp_registers(self, speeds: Speeds) -> dict[str, int]:
+        """Compute the registers for these speeds. Raises ArgumentError for values that the registers cannot hold."""
         if speeds.s_curve:
             raise self.build_s_curve_error()
-        values, hz = self._wanted(speeds.start, speeds.drive, speeds.up, speeds.down), self.chip.clock_hz
+        values, hz = (
+            self._compute_ramp_registers(speeds.start, speeds.drive, speeds.up, speeds.down),
+            self.chip.clock_hz,
+        )
         for name, value in values.items():
             r = self.chip.MAP.register(name)
             if not r.allows(value):
@@ -191,46 +205,47 @@ class Tmc5160Driver(Driver):
     def list_move_registers(self, s_curve: bool | None) -> tuple[str, ...]:
         if s_curve:
             raise self.build_s_curve_error()
-        return NAMES
+        return RAMP_REGISTERS
 
     def formula(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
         """Return the registers for these rates and ramps, each limited to its legal range."""
         self.list_move_registers(s_curve)
-        ranges = {name: get_register_range(self.chip.MAP, name) for name in NAMES}
-        return {n: min(max(value, ranges[n][0]), ranges[n][1]) for n, value in self._wanted(fl, fh, up, down).items()}
+        ranges = {name: get_register_range(self.chip.MAP, name) for name in RAMP_REGISTERS}
+        registers = self._compute_ramp_registers(fl, fh, up, down)
+        return {name: min(max(value, ranges[name][0]), ranges[name][1]) for name, value in registers.items()}
 
-    def _wanted(self, fl: float, fh: float, up: float, down: float) -> dict[str, int]:
+    def _compute_ramp_registers(self, fl: float, fh: float, up: float, down: float) -> dict[str, int]:
         hz, rise = self.chip.clock_hz, max(fh - fl, 0.0)
-        start = velocity(fl, hz)
+        start = compute_velocity(fl, hz)
         return {
             "VSTART": start,
-            "AMAX": acceleration(rise / up, hz),
-            "VMAX": velocity(max(fh, fl), hz),
-            "DMAX": acceleration(rise / down, hz),
-            "VSTOP": max(start, LEAST_VSTOP),
+            "AMAX": compute_acceleration(rise / up, hz),
+            "VMAX": compute_velocity(max(fh, fl), hz),
+            "DMAX": compute_acceleration(rise / down, hz),
+            "VSTOP": max(start, MIN_VSTOP),
         }
 
     # --- moves ---
 
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
-        values = self._speeds(speeds)
-        self.check_still()
+        values = self._compute_checked_ramp_registers(speeds)
+        self.check_at_rest()
         with Procedure(self.axis, "move") as p:
-            self.start_with(values, pulses)
+            self.start_with_registers(values, pulses)
             expected_seconds = abs(pulses) / speeds.drive + speeds.up + speeds.down
             wait_until_stopped([self.axis], 1.5 * expected_seconds + 1 if timeout is None else timeout)
             met = self.explain_end(p.pulses_made == pulses)
-            self.stay()
+            self.hold_position()
             self.axis.wait(SETTLING_TIME_S)
             return p.report(met, pulses)
 
     def start(self, pulses: int, speeds: Speeds) -> None:
-        self.check_still()
-        self.start_with(self._speeds(speeds), pulses)
+        self.check_at_rest()
+        self.start_with_registers(self._compute_checked_ramp_registers(speeds), pulses)
 
-    def start_with(self, values: Mapping[str, int], pulses: int) -> None:
+    def start_with_registers(self, values: Mapping[str, int], pulses: int) -> None:
         """Start a move with these registers.
 
         Args:
@@ -239,71 +254,79 @@ class Tmc5160Driver(Driver):
         """
         self.prepare()
         self.goal = self.chip.net(self.axis.chip_axis) + pulses
-        self.put("XTARGET", self.aim(values, pulses))
+        self.write_register("XTARGET", self.prepare_target(values, pulses))
 
-    def aim(self, values: Mapping[str, int], pulses: int) -> int:
-        """Prepare a move with these registers, and return the XTARGET that starts it.
+    def prepare_target(self, values: Mapping[str, int], pulses: int) -> int:
+        """Prepare a move with these registers.
 
         Args:
             values: Registers of the ramp.
             pulses: Signed distance.
+
+        Returns:
+            The value of XTARGET that starts the move.
         """
-        goal = self.get("XACTUAL") + pulses
-        self.stay()
+        goal = self.read_register("XACTUAL") + pulses
+        self.hold_position()
         for name, value in {
             **values,
             "V1": 0,
             "D1": values["DMAX"],
-            "SW_MODE": self.switches(STOPS),
+            "SW_MODE": self.compute_sw_mode(STOP_AT_SWITCHES),
             "RAMP_STAT": state.EVENT_POS,
         }.items():
-            self.put(name, value)
-        self.put("RAMPMODE", state.POSITION)
+            self.write_register(name, value)
+        self.write_register("RAMPMODE", state.POSITION)
         return goal
 
-    def check_still(self) -> None:
-        """Raise StageError for an axis that moves."""
+    def check_at_rest(self) -> None:
+        """Raise StageError if the axis moves."""
         if self.is_running():
             raise self.build_moving_error()
 
-    def stay(self) -> None:
-        """Make the present position the target, so that nothing moves."""
-        self.put("RAMPMODE", state.HOLD)
-        self.put("XTARGET", self.get("XACTUAL"))
-        self.put("RAMPMODE", state.POSITION)
+    def hold_position(self) -> None:
+        """Make the present position the target, so that the axis stays there."""
+        self.write_register("RAMPMODE", state.HOLD)
+        self.write_register("XTARGET", self.read_register("XACTUAL"))
+        self.write_register("RAMPMODE", state.POSITION)
 
     def run(self, direction: int, speeds: Speeds) -> None:
-        values = self._speeds(speeds)
-        self.check_still()
+        values = self._compute_checked_ramp_registers(speeds)
+        self.check_at_rest()
         self.prepare()
-        self.run_with(direction, values, STOPS)
+        self.run_with_registers(direction, values, STOP_AT_SWITCHES)
 
-    def run_with(self, direction: int, values: Mapping[str, int], switches: int) -> None:
+    def run_with_registers(self, direction: int, values: Mapping[str, int], stop_bits: int) -> None:
         """Start a continuous motion with these registers.
 
         Args:
             direction: -1 or 1.
             values: Registers of the ramp.
-            switches: Bits of SW_MODE that enable stops.
+            stop_bits: Bits of SW_MODE that enable stops and latches.
         """
-        for name, value in {**values, "V1": 0, "D1": values["DMAX"], "SW_MODE": self.switches(switches)}.items():
-            self.put(name, value)
-        self.put("RAMPMODE", state.PLUS if direction > 0 else state.MINUS)
+        for name, value in {
+            **values,
+            "V1": 0,
+            "D1": values["DMAX"],
+            "SW_MODE": self.compute_sw_mode(stop_bits),
+        }.items():
+            self.write_register(name, value)
+        self.write_register("RAMPMODE", state.PLUS if direction > 0 else state.MINUS)
 
     def slow_down(self) -> None:
         """Command a decelerating stop, and do not wait."""
-        self.put("VMAX", 0)
+        self.write_register("VMAX", 0)
 
     def halt(self, at_once: bool = False) -> None:
-        if at_once:  # as the data sheet has it, page 83: the polarity makes a switch
-            self.put("SW_MODE", self.switches(STOPS) ^ (state.POL_L | state.POL_R))
+        if at_once:  # data sheet, page 83: an inverted polarity bit acts like a closed switch
+            self.write_register("SW_MODE", self.compute_sw_mode(STOP_AT_SWITCHES) ^ (state.POL_L | state.POL_R))
         self.slow_down()
         wait_until_stopped([self.axis], 60.0)
-        self.stay()
-        self.put("SW_MODE", self.switches(STOPS))
+        self.hold_position()
+        self.write_register("SW_MODE", self.compute_sw_mode(STOP_AT_SWITCHES))
 
     def stopped_by(self) -> str:
-        events = self.get("RAMP_STAT")
+        events = self.read_register("RAMP_STAT")
         if events & state.EVENT_SG:
             return "stall"
         return "EL-" if events & state.EVENT_L else "EL+" if events & state.EVENT_R else ""
@@ -314,24 +337,28 @@ class Tmc5160Driver(Driver):
         return self.home_by("index" if index else "switch", direction, speeds, timeout)
 
     def home_by(self, method: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:
-        values = self._speeds(speeds)
-        self.check_still()
+        values = self._compute_checked_ramp_registers(speeds)
+        self.check_at_rest()
         with Procedure(self.axis, "home") as p:
             self.prepare()
-            end_reason = homing.to_stall(self, direction, values, timeout) if method == "stall" else ""
-            end_reason = end_reason or homing.to_switch(self, direction, values, timeout)
+            end_reason = homing.home_to_stall(self, direction, values, timeout) if method == "stall" else ""
+            end_reason = end_reason or homing.home_to_switch(self, direction, values, timeout)
             if method == "index" and end_reason in self.HOME_REASONS:
-                end_reason = homing.to_index(self, -direction, values, timeout)
+                end_reason = homing.home_to_index(self, -direction, values, timeout)
             self.axis.wait(SETTLING_TIME_S)
             report = p.report(end_reason)
-        # zero is where the motor has stalled: steps lost before do not count
+        # the position of the stall is zero, so steps lost before do not count
         return replace(report, lost_steps=0) if end_reason == "stall" else report
 
     # --- as programs ---
 
     def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
-        self._switch_on(program)
-        more = {"D1": values.get("DMAX", 1), "SW_MODE": self.switches(STOPS), "XTARGET": pulses}
+        self._write_switch_on_registers(program)
+        more = {
+            "D1": values.get("DMAX", 1),
+            "SW_MODE": self.compute_sw_mode(STOP_AT_SWITCHES),
+            "XTARGET": pulses,
+        }
         for name, value in {**values, **more}.items():
             program.register(self.index, self.chip, name, value)
 
@@ -340,28 +367,30 @@ class Tmc5160Driver(Driver):
 
     def search(self, settings: Any) -> NoReturn:
         raise ArgumentError(
-            f"{add_article(self.chip.MAP.chip)} has no ORG: its two reference switches are the end limits, and an origin return is "
-            "to find ORG between them. firmware.home homes it by a switch, index or stall."
+            f"{add_article(self.chip.MAP.chip)} has no ORG: its two reference switches are the end limits, and an origin return "
+            "must find ORG between them. Use firmware.home, which homes it by a switch, an index pulse or a stall."
         )
 
     # --- lines ---
 
-    def lines(self, drivers: Sequence[Driver], settings: Any) -> InRatio:
-        """Return lines whose velocities and accelerations are in the ratio of the distances."""
-        return InRatio(drivers, settings)
+    def lines(self, drivers: Sequence[Driver], settings: Any) -> ProportionalLine:
+        """Return lines on which the velocities and accelerations of the axes have the ratio of their distances."""
+        return ProportionalLine(drivers, settings)
 
     @classmethod
     def line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
-        """Drive a straight line as `lines` computes it; both ramps have the longer of both durations."""
+        """Drive a straight line with the registers of `lines`; both ramps last as long as the longer one of `speeds`."""
         moving: dict[str, Any] = select_moving(dict(drivers), pulses)
         for driver in moving.values():
-            driver.check_still()
-        for driver in drivers.values():  # an axis that keeps still needs its power stage, too
+            driver.check_at_rest()
+        for driver in drivers.values():  # an axis that stays at rest needs its power stage as well
             driver.prepare()
         ramp = max(speeds.up, speeds.down)
-        line = InRatio(list(moving.values()), LineSettings(speeds.start, ramp, speeds.s_curve, axes=tuple(moving)))
+        line = ProportionalLine(
+            list(moving.values()), LineSettings(speeds.start, ramp, speeds.s_curve, axes=tuple(moving))
+        )
         if speeds.drive > line.fastest:
             raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {line.fastest:g} here.")
         moves = LineMoves(np.array([[pulses[n] for n in moving]]), np.array([speeds.drive]))
@@ -369,11 +398,11 @@ class Tmc5160Driver(Driver):
         wanted = {n: pulses[n] for n in moving}
         with LineObserver({n: Procedure(d.axis, "line") for n, d in moving.items()}, wanted) as together:
             goals = {
-                n: d.aim(dict(zip(line.names, row, strict=True)), wanted[n])
+                n: d.prepare_target(dict(zip(line.names, row, strict=True)), wanted[n])
                 for (n, d), row in zip(moving.items(), rows, strict=True)
             }
             for name, goal in goals.items():
-                moving[name].put("XTARGET", goal)
+                moving[name].write_register("XTARGET", goal)
                 together.note_start(name)
             expected_seconds = 1.5 * float(moves.longest[0]) / speeds.drive + 6 * ramp + 1
             breaker = EarlyStopHandler(together, moving)
@@ -389,6 +418,6 @@ class Tmc5160Driver(Driver):
                 for n, d in moving.items()
             }
             for driver in moving.values():
-                driver.stay()
+                driver.hold_position()
             next(iter(moving.values())).axis.wait(SETTLING_TIME_S)
             return together.report(end_reason)

@@ -1,7 +1,7 @@
-"""Straight lines of several axes with TMC5160.
+"""Registers of straight lines of several axes with TMC5160.
 
 The chip does not interpolate. The axes move together because their velocities and accelerations have the ratio of their
-distances, and because XTARGET, which starts each axis, is written to one right after the other.
+distances, and because the writes to XTARGET, which start them, come one right after the other.
 """
 
 from __future__ import annotations
@@ -16,24 +16,28 @@ from stage.firmware.driver import Driver
 from stage.firmware.line_programs import Line, LineMoves
 from stage.sim.program import Program
 
-NAMES = ("VSTART", "AMAX", "VMAX", "DMAX", "VSTOP")
-VELOCITIES, RATES = [0, 2, 4], [1, 3]  # of NAMES
-V, A = 1 << 24, 1 << 41  # units: fCLK / V steps/s, fCLK^2 / A steps/s2
+RAMP_REGISTERS = ("VSTART", "AMAX", "VMAX", "DMAX", "VSTOP")
+VELOCITY_COLUMNS, ACCELERATION_COLUMNS = [0, 2, 4], [1, 3]  # of RAMP_REGISTERS
+VELOCITY_UNIT, ACCELERATION_UNIT = 1 << 24, 1 << 41  # one unit: fCLK / 2^24 steps/s, fCLK^2 / 2^41 steps/s2
 
 
-class InRatio(Line):
-    """Registers of a line: each axis gets the registers NAMES of the longest axis, scaled by its share of the distance."""
+class ProportionalLine(Line):
+    """Registers of a line: each axis gets the RAMP_REGISTERS of the longest axis, scaled by its share of the distance."""
 
     def __init__(self, drivers: Sequence[Driver], settings: Any):
         names = drivers[0].list_move_registers(settings.s_curve)
         super().__init__(drivers, settings, len(drivers), names)
-        self.fastest = float(self.high[names.index("VMAX")] * self.hz / V)
+        self.fastest = float(self.high[names.index("VMAX")] * self.hz / VELOCITY_UNIT)
         self._write_template()
 
     def _write_template(self) -> None:
         p, count = Program(), len(self.drivers)
         for a, driver in enumerate(self.drivers):
-            for name, value in {**driver.switched_on(), "SW_MODE": driver.switches(STOP_L | STOP_R), "D1": 1}.items():
+            for name, value in {
+                **driver.compute_switch_on_registers(),
+                "SW_MODE": driver.compute_sw_mode(STOP_L | STOP_R),
+                "D1": 1,
+            }.items():
                 p.register(driver.index, driver.chip, name, value)
             for column, name in enumerate(self.names):
                 p.register(driver.index, driver.chip, name, 0)
@@ -44,18 +48,18 @@ class InRatio(Line):
         self._template = np.array(p.ops, np.int64)
 
     def data_sheet(self, moves: LineMoves) -> np.ndarray:
-        """The longest axis' registers by the formulas, rounded; of the others the nearest to their share of them."""
+        """Compute the registers of the longest axis by the formulas, rounded; other axes get the nearest values to their share."""
         c, (peak, ramp) = self.settings, self.compute_peaks(moves)
         low = np.minimum(c.fl, peak)
         lead = np.zeros((len(peak), len(self.names)))
-        lead[:, 0] = lead[:, 4] = low * V / self.hz
-        lead[:, 2] = peak * V / self.hz
-        lead[:, 1] = lead[:, 3] = (peak - low) / ramp * A / self.hz**2
+        lead[:, 0] = lead[:, 4] = low * VELOCITY_UNIT / self.hz
+        lead[:, 2] = peak * VELOCITY_UNIT / self.hz
+        lead[:, 1] = lead[:, 3] = (peak - low) / ramp * ACCELERATION_UNIT / self.hz**2
         rounded = np.maximum(np.rint(lead), 1.0)
         return self.clip_to_legal(moves.share[:, :, None] * rounded[:, None, :])
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        """Correct registers by a share of the counts that move the axis by `reach` steps along the line, at least one count.
+        """Correct the data sheet's registers; a correction of 1 moves the axis by `reach` steps along the line, or by one count.
 
         Args:
             moves: Lines, one a row.
@@ -76,19 +80,25 @@ class InRatio(Line):
             moves: Lines, one a row.
         """
         r = registers.astype(np.float64)
-        up, down = (self._seconds(r, start, rate) for start, rate in ((0, 1), (4, 3)))
-        gained, decelerated = (0.5 * (r[..., 2] - r[..., start]) * t * self.hz / V for start, t in ((0, up), (4, down)))
-        unit = self.hz / V
+        up, down = (self._compute_ramp_seconds(r, start, rate) for start, rate in ((0, 1), (4, 3)))
+        gained, decelerated = (
+            0.5 * (r[..., 2] - r[..., start]) * t * self.hz / VELOCITY_UNIT for start, t in ((0, up), (4, down))
+        )
+        unit = self.hz / VELOCITY_UNIT
         worth = [up * unit, gained / r[..., 1], moves.size / r[..., 2], decelerated / r[..., 3], down * unit]
         return np.maximum(np.stack(worth, axis=2), 1e-9)
 
-    def _seconds(self, r: np.ndarray, start: int, rate: int) -> np.ndarray:
-        """Compute the duration of a ramp between the columns `start` and VMAX."""
-        return np.maximum(r[..., 2] - r[..., start], 0.0) * (A / V) / (r[..., rate] * self.hz)
+    def _compute_ramp_seconds(self, registers: np.ndarray, start_column: int, acceleration_column: int) -> np.ndarray:
+        """Compute the duration of a ramp between the columns `start_column` and VMAX."""
+        return (
+            np.maximum(registers[..., 2] - registers[..., start_column], 0.0)
+            * (ACCELERATION_UNIT / VELOCITY_UNIT)
+            / (registers[..., acceleration_column] * self.hz)
+        )
 
     def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
-        r, unit = self.data_sheet(moves).astype(np.float64), self.hz / V
-        up, down = self._seconds(r, 0, 1), self._seconds(r, 4, 3)
+        r, unit = self.data_sheet(moves).astype(np.float64), self.hz / VELOCITY_UNIT
+        up, down = self._compute_ramp_seconds(r, 0, 1), self._compute_ramp_seconds(r, 4, 3)
         lag, less = 0.5 * (r[..., 2] - r[..., 0]) * unit * up, 0.5 * (r[..., 2] - r[..., 4]) * unit * down
         return self.compute_deviations(
             moves, r[..., 2] * unit, up, lag, less, 0.5 * (r[..., 2] + r[..., 4]) * unit * down

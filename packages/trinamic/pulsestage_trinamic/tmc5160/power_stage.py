@@ -1,103 +1,103 @@
-"""TMC5160, compiled: the power stage. Currents at work and at standstill, and faults."""
+"""Compiled power stage of the TMC5160: currents in motion and at standstill, and faults."""
 
 from __future__ import annotations
 
 from pulsestage_trinamic.tmc5160 import state
 from stage.native import hot, least
 
-FULL_SCALE = 0.325  # V at RSENSE, with CS = 31 and GLOBALSCALER = 256
-DELAY = 18  # times are in 2^18 clocks
+FULL_SCALE_V = 0.325  # V at RSENSE, with CS = 31 and GLOBALSCALER = 256
+DELAY_SHIFT = 18  # times are in 2^18 clocks
 
 
 @hot
-def on(c):
+def is_power_stage_on(c):
     """Return whether the power stage drives the motor."""
     enabled = c.reg[state.CHOPCONF] & 15 and not c.inputs & state.DRV_ENN
     return enabled and not (c.shorts or c.hot or c.inputs & state.UV_CP)
 
 
 @hot
-def irun(c):
+def read_irun(c):
     return c.reg[state.IHOLD_IRUN] >> 8 & 31
 
 
 @hot
-def ihold(c):
+def read_ihold(c):
     return c.reg[state.IHOLD_IRUN] & 31
 
 
 @hot
-def amplitude(c):
+def compute_current_amplitude(c):
     """Return the amplitude of the phase currents, A."""
-    if not on(c):
+    if not is_power_stage_on(c):
         return 0.0
     if c.current == state.HOLDS and c.cs == 0 and c.reg[state.GCONF] & state.EN_PWM and c.reg[state.PWMCONF] >> 20 & 3:
         return 0.0
     scale = c.reg[state.GLOBALSCALER]
-    return (256 if scale == 0 else scale) / 256.0 * (c.cs + 1) / 32.0 * FULL_SCALE / c.rsense
+    return (256 if scale == 0 else scale) / 256.0 * (c.cs + 1) / 32.0 * FULL_SCALE_V / c.rsense
 
 
 # --- time at standstill ---
 
 
 @hot
-def _limit(c):
+def _get_standstill_clocks(c):
     return 1 << (18 if c.reg[state.GCONF] & state.FAST_STANDSTILL else 20)
 
 
 @hot
-def stands(c):
+def is_at_standstill(c):
     """Return whether the motor stands still (DRV_STATUS bit 31, stst)."""
-    return c.clock - c.last >= _limit(c)
+    return c.clock - c.last >= _get_standstill_clocks(c)
 
 
 @hot
-def next_timer(c):
-    """Return the clock at which the standstill next changes something."""
-    stops = c.last + _limit(c)
+def find_next_timer_clock(c):
+    """Return the clock at which the next standstill timer ends, at least the next clock."""
+    stops = c.last + _get_standstill_clocks(c)
     at = state.NEVER
     if c.sg or c.stall or c.summed:
         at = stops
     if c.current == state.RUNS:
-        at = least(at, stops + (c.reg[state.TPOWERDOWN] << DELAY))
+        at = least(at, stops + (c.reg[state.TPOWERDOWN] << DELAY_SHIFT))
     elif c.current == state.FALLS:
         at = least(at, c.falls)
     return at if at > c.clock else c.clock + 1
 
 
 @hot
-def timers(c):
-    """Process the standstill timers: power-down, hold current and freewheeling follow from the time since the last step."""
-    stops = c.last + _limit(c)
+def process_standstill_timers(c):
+    """Process the standstill timers: clear the StallGuard result, and lower the current step by step after TPOWERDOWN."""
+    stops = c.last + _get_standstill_clocks(c)
     if c.clock >= stops and (c.sg or c.stall or c.summed):
         c.sg = c.stall = c.total = c.summed = 0
-    delay = (c.reg[state.IHOLD_IRUN] >> 16 & 15) << DELAY
-    if c.current == state.RUNS and c.clock >= stops + (c.reg[state.TPOWERDOWN] << DELAY):
+    delay = (c.reg[state.IHOLD_IRUN] >> 16 & 15) << DELAY_SHIFT
+    if c.current == state.RUNS and c.clock >= stops + (c.reg[state.TPOWERDOWN] << DELAY_SHIFT):
         c.current, c.falls = state.FALLS, c.clock + delay
     if c.current == state.FALLS and c.clock >= c.falls:
         if delay == 0:
-            c.cs = ihold(c)
-        elif c.cs != ihold(c):
-            c.cs += 1 if ihold(c) > c.cs else -1
+            c.cs = read_ihold(c)
+        elif c.cs != read_ihold(c):
+            c.cs += 1 if read_ihold(c) > c.cs else -1
         c.falls += delay
-        if c.cs == ihold(c):
+        if c.cs == read_ihold(c):
             c.current, c.falls = state.HOLDS, state.NEVER
 
 
 @hot
-def currents_written(c):
+def apply_current_registers(c):
     """Apply a write of IHOLD_IRUN."""
     if c.current == state.RUNS:
-        c.cs = irun(c)
+        c.cs = read_irun(c)
     elif c.current == state.HOLDS:
-        c.cs = ihold(c)
+        c.cs = read_ihold(c)
 
 
 # --- faults ---
 
 
 @hot
-def faults(c):
+def latch_faults(c):
     """Latch the faults that are present, and switch the power stage off."""
     chop = c.reg[state.CHOPCONF]
     if chop & 15 == 0 or c.inputs & state.DRV_ENN:
@@ -114,5 +114,5 @@ def faults(c):
         c.gstat |= 2
     if c.inputs & state.UV_CP:
         c.gstat |= 4
-    if on(c):
+    if is_power_stage_on(c):
         c.powered = 1
