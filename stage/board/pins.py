@@ -1,4 +1,4 @@
-"""`parse_pins`: which pins of a microcontroller are the STEP/DIR lines and the switches of axes, as text.
+"""`parse_pins`: which pins of a microcontroller, or signals of a capture, are the STEP/DIR lines and the switches of axes, as text.
 
     x.step=D2,x.dir=D5,x.enable=!B0,x.limit=!B1
 
@@ -35,7 +35,7 @@ PRESETS = {
     "x.limit_minus=!E5,x.limit_plus=!E4,y.limit_minus=!J1,y.limit_plus=!J0,z.limit_minus=!D3,z.limit_plus=!D2",
 }  # fmt: skip
 """Wiring of boards by name: grbl 1.1 on an Arduino Uno, the CNC Shield V3 without variable spindle, RAMPS 1.4 on an ATmega2560."""
-_ENTRY = re.compile(r"(?P<axis>[^.=]+)\.(?P<line>[a-z_]+)=(?P<invert>!?)(?P<pin>\w+)")
+_ENTRY = re.compile(r"(?P<axis>[^.=]+)\.(?P<line>[a-z_]+)=(?P<invert>!?)(?P<pin>[^\s,=!]+)")
 
 
 class PinLine(NamedTuple):
@@ -44,7 +44,7 @@ class PinLine(NamedTuple):
     Attributes:
         axis: Name of the axis.
         line: Name of the line, of DRIVEN or READ.
-        pin: Name of the pin, in upper case.
+        pin: Name of the pin, or of the signal of a capture.
         inverted: Whether the line is asserted while the pin is low.
     """
 
@@ -96,7 +96,7 @@ def _parse_entry(entry: str) -> PinLine:
         raise ArgumentError(f"--pins {entry!r}: write {FORM}, or one of {presets}.")
     if match["line"] not in DRIVEN | READ:
         raise ArgumentError(f"--pins {entry!r}: {unknown_name_error('line', match['line'], DRIVEN | READ)}")
-    return PinLine(match["axis"], match["line"], match["pin"].upper(), bool(match["invert"]))
+    return PinLine(match["axis"], match["line"], match["pin"], bool(match["invert"]))
 
 
 def _check_line(line: PinLine, chips: Mapping[str, Chip]) -> None:

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from stage.cli.parser import Parser
 
 MODULES = (
-    "demo", "home", "move", "tune", "mcp", "run", "serve", "panel", "fault", "erratum", "export", "example", "listing", "pullout",
-    "view", "new_model", "completion",
+    "demo", "home", "move", "tune", "mcp", "run", "replay", "serve", "panel", "fault", "erratum", "export", "example", "listing",
+    "pullout", "view", "new_model", "completion",
 )  # fmt: skip
 """Modules of this package that add commands, in the order of the help text."""
 
@@ -31,6 +31,7 @@ examples:
   stage sync x=20000 y=-7500              two axes along a straight line, in the ratio a:b
   stage tune xy --payload 2 --distance 100mm     registers for an axis: formula, search, proof
   stage run driver.c --chips pcl240mk     firmware in C drives the chips
+  stage replay capture.vcd --pins x.step=D2,x.dir=D5    the steps of a real controller, from a logic analyser
   stage panel xy                          a live stage in a browser
   stage mcp xy                            tools for agents, by the Model Context Protocol
   stage serve --chips mcx304              the chips behind a TCP port, for a host elsewhere

@@ -219,6 +219,11 @@ def add_board_options(p: argparse.ArgumentParser) -> None:
         help="an encoder for the chip's counter of the real position (RP or EP of the NOVA chips): counts per meter (rad on a "
         "hinge), x=200000, or per turn of the motor, x=2000/turn",
     )  # fmt: skip
+    add_place_option(g)
+
+
+def add_place_option(g: Any) -> None:
+    """Add --place."""
     g.add_argument(
         "--place", action="append", default=[], metavar="AXIS=PLACE",
         help="position at which a carriage starts, such as x=62mm; without a unit mm, degrees on a hinge",

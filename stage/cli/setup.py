@@ -48,6 +48,12 @@ def make_board(args: argparse.Namespace) -> Any:
     from stage.board import Board
 
     stage = make_stage(args)
+    place_carriages(args, stage)
+    return Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep, devices=args.device)
+
+
+def place_carriages(args: argparse.Namespace, stage: Any) -> None:
+    """Put carriages where --place puts them."""
     placed = set()
     for item in args.place:
         name, place = split_pair(item)
@@ -57,7 +63,6 @@ def make_board(args: argparse.Namespace) -> Any:
             raise ArgumentError(f"--place {item!r}: axis {name} already has a place. Give each axis once.")
         place_carriage(stage, find_axis(stage, name), f"--place {name}", place)
         placed.add(name)
-    return Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep, devices=args.device)
 
 
 # --- AXIS=VALUE ---

@@ -95,7 +95,7 @@ def parse_avr_pin(line: PinLine) -> tuple[int, int]:
     Raises:
         ArgumentError: It is no pin of an AVR.
     """
-    match = _PIN.fullmatch(line.pin)
+    match = _PIN.fullmatch(line.pin.upper())
     if match is None:
         raise ArgumentError(f"--pins {line}: {line.pin} is no pin of an AVR; pins are B0, D5 ...")
     return avr_core.PORTS.index(match[1]), int(match[2])

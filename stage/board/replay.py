@@ -1,0 +1,303 @@
+"""`replay_capture`: a logic analyser's capture of a real controller, played into STEP/DIR axes of a stage.
+
+stage = Stage("xyz", chips="stepdir", drives="drv8825")
+report = replay_capture(stage, "capture.vcd", "x.step=D2,x.dir=D5")
+print(report)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from stage.board.pins import DRIVEN, PinLine, parse_pins
+from stage.errors import ArgumentError
+from stage.firmware.axis import check_seconds
+from stage.recording.capture import Capture, CaptureError, read_capture
+from stage.sim.line_player import LINE_EDGE, LineObservation, play_lines
+from stage.support.arguments import explain_arguments
+from stage.units import DEVIATION_UNITS, POSITION_UNITS
+
+if TYPE_CHECKING:
+    from stage.sim.axis import Axis
+    from stage.sim.stage import Stage
+
+REST_S = 0.1
+"""Simulated time after the end of a capture in which the carriages come to rest, s."""
+LISTED_EDGES = 10
+
+
+class SwitchEdge(NamedTuple):
+    """An edge of a limit or origin switch of the stage.
+
+    Attributes:
+        time: Time since the begin of the capture, s.
+        switch: Name of the pin: el_plus, el_minus, org.
+        on: Whether the switch is asserted from then on.
+    """
+
+    time: float
+    switch: str
+    on: bool
+
+
+class SwitchComparison(NamedTuple):
+    """A switch line of the capture beside that of the stage.
+
+    Attributes:
+        line: Name of the line, such as limit_plus.
+        signal: Signal of the capture.
+        captured: Times at which the line was asserted in the capture, s.
+        simulated: Times at which it was asserted on the stage, s.
+    """
+
+    line: str
+    signal: str
+    captured: tuple[float, ...]
+    simulated: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class AxisReplay:
+    """Report of one axis.
+
+    Attributes:
+        axis: Name.
+        unit: "m", or "rad" on a hinge.
+        edges: Rising edges of STEP in the capture.
+        accepted: Steps that the power stage accepted.
+        start, position, commanded: Position of the carriage before and after, and according to the steps, m (rad on a hinge).
+        lost_steps: Full steps lost.
+        largest_error: Largest following error, m (rad on a hinge).
+        error_time: Its time since the begin of the capture, s.
+        switch_edges: Edges of the switches.
+        comparisons: Switch lines of the capture beside those of the stage.
+        violations: Times between edges that were too short for the power stage: a message, and how often, of each kind.
+    """
+
+    axis: str
+    unit: str
+    edges: int
+    accepted: int
+    start: float
+    position: float
+    commanded: float
+    lost_steps: int
+    largest_error: float
+    error_time: float
+    switch_edges: tuple[SwitchEdge, ...]
+    comparisons: tuple[SwitchComparison, ...]
+    violations: tuple[tuple[str, int], ...]
+
+    @property
+    def ok(self) -> bool:
+        """True if every edge was accepted, and no step was lost."""
+        return self.accepted == self.edges and not self.lost_steps
+
+    def __str__(self) -> str:
+        unit, deviation = POSITION_UNITS[self.unit], DEVIATION_UNITS[self.unit]
+        lines = [
+            f"{self.axis}: {self.accepted:,} of {self.edges:,} steps accepted, {self.lost_steps} full steps lost",
+            f"  from {unit.format(self.start)} to {unit.format(self.position)}, commanded {unit.format(self.commanded)}",
+            f"  largest following error {deviation.format(self.largest_error, '.1f')} at {self.error_time:.6f} s",
+        ]
+        for edge in self.switch_edges[:LISTED_EDGES]:
+            lines.append(f"  {edge.time:.6f} s: {edge.switch} {'on' if edge.on else 'off'}")
+        if (more := len(self.switch_edges) - LISTED_EDGES) > 0:
+            lines.append(f"  and {more} more edges of switches")
+        for c in self.comparisons:
+            lines.append(
+                f"  {c.line}: {_describe_times(c.captured)} in the capture ({c.signal}), {_describe_times(c.simulated)} on the "
+                "stage"
+            )
+        lines += [f"  {message} ({times} times)" for message, times in self.violations]
+        return "\n".join(lines)
+
+
+def _describe_times(times: Sequence[float]) -> str:
+    return f"asserted {len(times)} times, first at {times[0]:.6f} s," if times else "never asserted"
+
+
+@dataclass(frozen=True)
+class ReplayReport:
+    """Report of a capture that was played into a stage.
+
+    Attributes:
+        path: The file.
+        duration: From its first time to its last, s.
+        axes: Report of each axis that has a line.
+    """
+
+    path: str
+    duration: float
+    axes: tuple[AxisReplay, ...]
+
+    @property
+    def ok(self) -> bool:
+        """True if every edge was accepted, and no step was lost."""
+        return all(axis.ok for axis in self.axes)
+
+    def __str__(self) -> str:
+        return "\n".join([f"{self.path}: {self.duration:.6f} s", *map(str, self.axes)])
+
+    def json(self) -> dict[str, Any]:
+        """Return everything as numbers and texts, as `--json` prints it: s, m (rad)."""
+        axes = [vars(axis) | {"ok": axis.ok} for axis in self.axes]
+        return {"path": self.path, "duration": self.duration, "ok": self.ok, "axes": axes}
+
+
+class _LineChanges(NamedTuple):
+    """Changes of a line of an axis: times since the begin of the capture, ns, and whether it is asserted from then on."""
+
+    line: PinLine
+    times: np.ndarray
+    asserted: np.ndarray
+
+    def find_rising_edges(self) -> np.ndarray:
+        """Return the times at which the line became asserted; a level at the begin is no edge."""
+        before = np.concatenate([[self.asserted[0] if len(self.times) and not self.times[0] else False], self.asserted])
+        return self.times[self.asserted & ~before[:-1]]
+
+
+@explain_arguments
+def replay_capture(stage: Stage, path: str | PathLike, pins: str | Iterable[str], rest: float = REST_S) -> ReplayReport:
+    """Play the STEP, DIR and ENABLE edges of a capture into a stage, each at its nanosecond.
+
+    The levels at the begin of the capture are no edges. A signal that is unknown (x, z) keeps its level.
+
+    Args:
+        stage: Stage with STEP/DIR axes.
+        path: Capture, a VCD file.
+        pins: Which signal is which line, see stage.board.pins: x.step=D2,x.dir=D5,x.enable=!D8. Lines that a controller reads are
+            compared with the switches of the stage.
+        rest: Simulated time after the end of the capture, s.
+
+    Raises:
+        CaptureError: The file is no capture, has no edges, or not the signals that `pins` names.
+        ArgumentError: `pins` names no STEP line, or a line or axis that the stage does not have.
+    """
+    check_seconds(rest)
+    lines = parse_pins(pins, {name: axis.chip for name, axis in stage.axes.items()})
+    if not any(line.line == "step" for line in lines):
+        raise ArgumentError("--pins names no STEP line, so nothing would move: write x.step=D2,x.dir=D5.")
+    capture = read_capture(path)
+    changes, duration_ns = _decode_lines(capture, lines)
+    edges = _make_edges(stage, [c for c in changes if c.line.line in DRIVEN])
+    begin = stage.now
+    axes = [stage.axes[name] for name in dict.fromkeys(line.axis for line in lines)]
+    before = [
+        (a.position, a.lost_steps, int(a.chip.state["accepted"]), a.chip.state["violations"].copy()) for a in axes
+    ]
+    inputs = [axis.chip.input_word(axis.chip_axis) for axis in axes]
+    observation = play_lines(stage, edges, begin + duration_ns + round(rest * 1e9))
+    reports = tuple(
+        _report_axis(axis, [c for c in changes if c.line.axis == axis.name], observation, begin, word, *values)
+        for axis, word, values in zip(axes, inputs, before, strict=True)
+    )
+    return ReplayReport(str(path), duration_ns * 1e-9, reports)
+
+
+def _decode_lines(capture: Capture, lines: Sequence[PinLine]) -> tuple[list[_LineChanges], int]:
+    """Return the changes of each line, and the duration of the capture, ns."""
+    codes = [capture.find_signal(line.pin).code for line in lines]
+    names = {code: line.pin for code, line in zip(codes, lines, strict=True)}
+    for code, line in zip(codes, lines, strict=True):
+        if names[code] != line.pin:
+            raise CaptureError(
+                f"{capture.path}: {line.pin} and {names[code]} are the same signal. Give each line a signal of its own."
+            )
+    decoded = capture.decode(list(names.values()))
+    if not len(decoded.edges):
+        raise CaptureError(
+            f"{capture.path} is empty: it has no level of {', '.join(names.values())}. Capture while the machine moves."
+        )
+    line_changes, index = [], {code: k for k, code in enumerate(names)}
+    for code, line in zip(codes, lines, strict=True):
+        rows = decoded.edges[decoded.edges["signal"] == index[code]]
+        times = (rows["time"] - decoded.begin) * capture.unit_ns
+        line_changes.append(_LineChanges(line, times, rows["level"] != line.inverted))
+    return line_changes, (decoded.end - decoded.begin) * capture.unit_ns
+
+
+def _make_edges(stage: Stage, changes: Sequence[_LineChanges]) -> np.ndarray:
+    """Return LINE_EDGE records of driven lines in the order of their times; of one time STEP comes last."""
+    parts, is_step = [], []
+    for line, times, asserted in changes:
+        axis = stage.axes[line.axis]
+        step = line.line == "step"
+        played = ~asserted | (times > 0) if step else np.ones(len(times), bool)  # STEP high at the begin is no edge
+        part = np.zeros(int(played.sum()), LINE_EDGE)
+        mask = line.get_mask(axis.chip)
+        part["time"], part["axis"], part["pins"] = times[played] + stage.now, axis.index, mask
+        part["levels"] = np.where(asserted[played], mask, 0)
+        parts.append(part)
+        is_step.append(np.full(len(part), step))
+    edges, last = np.concatenate(parts), np.concatenate(is_step)
+    return edges[np.lexsort((last, edges["time"]))]
+
+
+def _report_axis(
+    axis: Axis, changes: Sequence[_LineChanges], observation: LineObservation, begin: int, inputs: int, *before: Any
+) -> AxisReplay:
+    """Return the report of an axis.
+
+    Args:
+        axis: The axis.
+        changes: Changes of its lines.
+        observation: Observations of the stage.
+        begin: Time at which the capture began, ns.
+        inputs: Its input pins then.
+        *before: Position, lost steps, accepted steps and violations then.
+    """
+    start, lost_steps, accepted, violations = before
+    state = axis.chip.state
+    edges = sum(len(c.find_rising_edges()) for c in changes if c.line.line == "step")
+    rows = observation.switch_edges[observation.switch_edges["axis"] == axis.index]
+    words, times = np.concatenate([[inputs], rows["inputs"]]), (rows["time"] - begin) * 1e-9
+    return AxisReplay(
+        axis.name, axis.unit, edges, int(state["accepted"]) - accepted, start, axis.position, axis.commanded,
+        axis.lost_steps - lost_steps, float(observation.largest_errors[axis.index]),
+        (int(observation.error_times[axis.index]) - begin) * 1e-9, tuple(_list_switch_edges(axis, words, times)),
+        tuple(_compare_switch(axis, c, words, times) for c in changes if c.line.line not in DRIVEN),
+        tuple(_count_violations(axis, state["violations"] - violations)),
+    )  # fmt: skip
+
+
+def _list_switch_edges(axis: Axis, words: np.ndarray, times: np.ndarray) -> Iterable[SwitchEdge]:
+    """Yield the edges of the switches of an axis.
+
+    Args:
+        axis: The axis.
+        words: Its input pins at the begin and after each edge.
+        times: Times of the edges since the begin, s.
+    """
+    for time, before, word in zip(times.tolist(), words[:-1].tolist(), words[1:].tolist(), strict=True):
+        for switch in axis.switches.as_dict():
+            bit = axis.chip.wired(switch)
+            if (before ^ word) & bit:
+                yield SwitchEdge(time, switch, bool(word & bit))
+
+
+def _compare_switch(axis: Axis, changes: _LineChanges, words: np.ndarray, times: np.ndarray) -> SwitchComparison:
+    """Compare a switch line of the capture with that of the stage; the other arguments are as of `_list_switch_edges`."""
+    on = (words & changes.line.get_mask(axis.chip)) != 0
+    return SwitchComparison(
+        changes.line.line,
+        changes.line.pin,
+        tuple((changes.find_rising_edges() * 1e-9).tolist()),
+        tuple(times[on[1:] & ~on[:-1]].tolist()),
+    )
+
+
+def _count_violations(axis: Axis, counts: np.ndarray) -> Iterable[tuple[str, int]]:
+    """Yield the message about each kind of time that was too short, and how often it was."""
+    from stage.chips.stepdir.lint import TIMES
+
+    for which, (rule, _) in TIMES.items():
+        if counts[which]:
+            message = next(d.message for d in axis.chip.diagnostics if d.key == rule.key)
+            yield message, int(counts[which])

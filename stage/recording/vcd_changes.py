@@ -1,0 +1,127 @@
+"""Value changes of a VCD file, decoded into an array: compiled."""
+
+from __future__ import annotations
+
+from stage.native import array_of, exported, hot, record
+
+CHANGE = record([(name, "i8") for name in "time signal level".split()])
+"""A change: time, in units of the file's timescale; index of the signal; its level, 0 or 1."""
+SUMMARY = record([(name, "i8") for name in "begin end n wrong".split()])
+"""First and last time of the file (-1: it has none); number of changes; place of the first byte that is not VCD, or -1."""
+HASH_SPACE = 1 << 55
+MAX_TIME = 1 << 59
+SPACE = 32
+HASH, DOLLAR, DOT, ZERO, NINE = (ord(c) for c in "#$.09")
+SCALARS, VECTORS = tuple(b"01xXzZuUwWlLhH-"), tuple(b"bBrRsS")
+LOW, HIGH = tuple(b"0lL"), tuple(b"1hH")
+COMMENT, END = tuple(b"$comment"), tuple(b"$end")
+
+
+@hot
+def hash_identifier(text, begin, end):
+    """Return a number for the identifier code of a signal, text[begin:end]."""
+    code = 0
+    for k in range(begin, end):
+        code = (code * 95 + int(text[k]) - SPACE) % HASH_SPACE
+    return code
+
+
+@hot
+def _skip_spaces(text, k):
+    while k < len(text) and text[k] <= SPACE:
+        k += 1
+    return k
+
+
+@hot
+def _find_word_end(text, k):
+    while k < len(text) and text[k] > SPACE:
+        k += 1
+    return k
+
+
+@hot
+def _is_word(text, begin, end, word):
+    """Return whether text[begin:end] is a word, a tuple of bytes."""
+    matching = 0
+    if end - begin == len(word):
+        for k in range(len(word)):
+            matching += text[begin + k] == word[k]
+    return matching == len(word)
+
+
+@hot
+def _parse_time(text, begin, end):
+    """Return the number in text[begin:end], which may have a fraction of zeros; -1 if it is none."""
+    value, digits, in_fraction = 0, 0, False
+    for k in range(begin, end):
+        c = int(text[k])
+        if c == DOT and not in_fraction:
+            in_fraction = True
+        elif in_fraction and c == ZERO:
+            continue
+        elif ZERO <= c <= NINE and not in_fraction and value < MAX_TIME // 10:
+            value, digits = 10 * value + c - ZERO, digits + 1
+        else:
+            return -1
+    return value if digits else -1
+
+
+@hot
+def _find_level(c):
+    """Return the level that a character stands for; -1 for an unknown one, at which a line keeps its level."""
+    return 0 if c in LOW else 1 if c in HIGH else -1
+
+
+@hot
+def _skip_command(text, begin, end):
+    """Return the end of a command such as $dumpvars; of a comment that of its $end."""
+    if not _is_word(text, begin, end, COMMENT):
+        return end
+    while begin < end and not _is_word(text, begin, end, END):
+        begin = _skip_spaces(text, end)
+        end = _find_word_end(text, begin)
+    return end
+
+
+@exported(None, array_of("u1"), "i8", array_of("i8"), array_of(CHANGE), SUMMARY)
+def decode_changes(text, k, codes, out, s):
+    """Decode the changes of some signals into `out`, as many as fit, and count all of them.
+
+    Args:
+        text: The file.
+        k: Place of the first byte after its declarations.
+        codes: `hash_identifier` of each signal, no two of them equal.
+        out: CHANGE records, or none.
+        s: SUMMARY, filled.
+    """
+    s.begin, s.end, s.n, s.wrong = -1, -1, 0, -1
+    k = _skip_spaces(text, k)
+    while k < len(text):
+        end, c = _find_word_end(text, k), int(text[k])
+        begin, level = k + 1, -1
+        if c == HASH:
+            time = _parse_time(text, begin, end)
+            if time < 0 or time < s.end:
+                s.wrong = k
+                return
+            s.begin = time if s.begin < 0 else s.begin
+            s.end = time
+        elif c == DOLLAR:
+            end = _skip_command(text, k, end)
+        elif c in SCALARS or c in VECTORS:
+            level = _find_level(c)
+            if c in VECTORS:
+                level = _find_level(int(text[end - 1]))
+                begin = _skip_spaces(text, end)
+                end = _find_word_end(text, begin)
+            code = hash_identifier(text, begin, end)
+            for i in range(len(codes)):
+                if codes[i] == code and level >= 0:
+                    if s.n < len(out):
+                        out[s.n].time, out[s.n].signal, out[s.n].level = s.end if s.end > 0 else 0, i, level
+                    s.n += 1
+        else:
+            s.wrong = k
+            return
+        k = _skip_spaces(text, end)

@@ -1,0 +1,104 @@
+"""Edges of input pins, such as the STEP and DIR lines of a host, applied at their nanosecond while a stage's time passes: compiled.
+
+On the way the stage is observed: every edge of its switches, and the largest following error of each axis.
+"""
+
+from __future__ import annotations
+
+from stage.chips import cores
+from stage.chips.entries import INPUT
+from stage.drives import drive
+from stage.native import array_at, exported, greatest, hot, least, record
+from stage.sim.edges import journal_input
+from stage.sim.engine import advance
+from stage.sim.handle import HANDLE, axis_table, chip_table, clockwork, drives, qpos, qvel, world
+from stage.sim.records import EDGE, EDGES_FULL, NEVER, REACHED, SAMPLES_FULL
+
+LINE_EDGE = record([(name, "i8") for name in "time axis pins levels".split()])
+"""An edge: time, ns since power-up; index of the axis; the input pins of its chip that change (bits), and their levels (bits)."""
+SWITCH_EDGE = record([(name, "i8") for name in "time axis inputs".split()])
+"""An edge of switches: time, ns; index of the axis; the input pins of its chip from then on."""
+OBSERVED_AXIS = record(
+    [("inputs", "i8"), ("switches", "i8"), ("largest_error", "f8"), ("error_time", "i8")],
+)
+"""An axis: its input pins now; those that its switches drive (bits); the largest following error (joint units); its time, ns."""
+LINE_PLAYER = record(
+    [(name, "i8") for name in "edges n_edges next has_journals axes switch_edges room n_switch_edges".split()]
+)
+"""Edges to play: address and number of LINE_EDGE records, and the next of them; whether chips keep journals. Observations: address
+of an OBSERVED_AXIS for each axis; address, room and number of SWITCH_EDGE records."""
+
+
+@hot
+def _observe_switches(h, p, first):
+    """Keep the edges of switches that the engine has noted, from note `first` on."""
+    notes = array_at(h.edges, h.edge_room, EDGE)
+    axes, switch_edges = array_at(p.axes, h.n_axes, OBSERVED_AXIS), array_at(p.switch_edges, p.room, SWITCH_EDGE)
+    for k in range(first, h.noted):
+        e = notes[k]
+        if e.kind != INPUT:
+            continue
+        axis = axes[e.axis]
+        changed = (axis.inputs ^ e.b) & axis.switches
+        axis.inputs = e.b
+        if changed and p.n_switch_edges < p.room:
+            out = switch_edges[p.n_switch_edges]
+            out.time, out.axis, out.inputs = e.now, e.axis, e.b
+            p.n_switch_edges += 1
+
+
+@hot
+def _observe_following_errors(h, p):
+    """Keep the largest following error of each axis at the end of a physics step."""
+    axes = array_at(p.axes, h.n_axes, OBSERVED_AXIS)
+    for a in range(h.n_axes):
+        t = axis_table(h)[a]
+        count = float(cores.net(chip_table(h)[t.chip], t.chip_axis))
+        position = qpos(h)[t.qpos] - qvel(h)[t.dof] * clockwork(h).half
+        error = abs(drive.compute_lag(drives(h)[a], count, position * t.gear) / t.gear)
+        if error > axes[a].largest_error:
+            axes[a].largest_error, axes[a].error_time = error, world(h).now
+
+
+@hot
+def _apply_edge(h, p, edge):
+    """Change the input pins of an axis now."""
+    t = axis_table(h)[edge.axis]
+    c = chip_table(h)[t.chip]
+    before = cores.inputs(c, t.chip_axis)
+    word = before & ~edge.pins | edge.levels & edge.pins
+    if word != before:
+        cores.set_input(c, t.chip_axis, word)
+        array_at(p.axes, h.n_axes, OBSERVED_AXIS)[edge.axis].inputs = word
+        if p.has_journals:
+            journal_input(h, world(h).now, c, t.chip_axis)
+
+
+@exported("i8", HANDLE, "i8", LINE_PLAYER)
+def play_line_edges(h, until, p):
+    """Let the stage's time pass up to `until` ns as `engine.advance` does, and apply every edge up to then at its time.
+
+    Returns:
+        Why it stopped, as `engine.advance`.
+    """
+    w, dt, edges = world(h), clockwork(h).dt, array_at(p.edges, p.n_edges, LINE_EDGE)
+    while True:
+        time = edges[p.next].time if p.next < p.n_edges else NEVER
+        start, noted = w.start, h.noted
+        status = advance(h, least(least(until, greatest(time, w.now)), w.start + dt))
+        if status not in (REACHED, SAMPLES_FULL, EDGES_FULL):
+            return status
+        _observe_switches(h, p, noted)
+        if w.start != start:
+            _observe_following_errors(h, p)
+        if status != REACHED:
+            return status
+        if time <= w.now:
+            if (
+                p.has_journals and h.noted >= h.edge_room - clockwork(h).most_edges
+            ):  # the engine needs that much in any step
+                return EDGES_FULL
+            _apply_edge(h, p, edges[p.next])
+            p.next += 1
+        elif w.now >= until:
+            return REACHED
