@@ -33,6 +33,9 @@ BUILD_COMMAND = "avr-gcc -mmcu={mcu} -Os -g firmware.c -o firmware.elf"
 DEFAULT_HZ = 16_000_000
 QUANTUM_S, SWITCH_QUANTUM_S, LINE_QUANTUM_S = 50e-6, 10e-6, 2e-6
 """Time between two ticks; with an interrupt line, which is polled in each."""
+RUN_CYCLES = 100
+EXTERNAL_INTERRUPTS = 8
+ANALOG_INPUTS = 8
 EEPROM, MEMORY = 0x810000, 0x800000
 LINE_SIZE = 256  # bytes of a line over UART
 UARTS = "0123"
@@ -41,6 +44,8 @@ STOPPED, DONE, CRASHED = 1, 6, 7
 _BEGIN_HZ = 1_000_000  # the clock of a new avr_t
 _HEAD_SIZE = 512  # bytes at the begin of an avr_t
 _SLEEP_TO_PC = 36
+_ANALOG_MODES, _ANALOG_INPUT, _INPUT_NUMBER = 64, 2, 19
+"""The multiplexer of the ADC as avr_adc_mux_t: its modes; the mode of a single input, and where its number stands."""
 _ERROR = 2
 _CLOCK_TAG = 2
 _ENDS = ("Invalid Opcode", "WATCHDOG: timer fired", "Resetting")
@@ -105,6 +110,7 @@ class _Library:
         library: The library, as ctypes has loaded it.
         messages: Level and text of each message.
         running_record: AVR record of the running program, or None.
+        run_cycles: Its run_cycle_count and run_cycle_limit: cycles that simavr runs on end.
         gdb_port: TCP port of its GDB server.
     """
 
@@ -114,6 +120,7 @@ class _Library:
         self.library = mcus.load_simavr()
         self.messages: list[tuple[int, str]] = []
         self.running_record: Any = None
+        self.run_cycles = np.zeros(2, "u8")
         self.gdb_port = 0
         self._reserves = {"malloc": 0, "calloc": 0}
         self._libc = libc = ctypes.CDLL(None)
@@ -140,6 +147,7 @@ class _Library:
         self.messages.append((level, message))
         if self.running_record is not None and any(key in message for key in _ENDS):
             self.running_record.ended = 1
+            self.run_cycles[0] = 0  # no further instruction
 
     def _bind(self, socket: int, address: int, size: int) -> int:
         """Bind simavr's GDB server, which would listen on all interfaces, to 127.0.0.1 and the chosen port."""
@@ -161,6 +169,13 @@ class _Library:
         self._reserves = dict.fromkeys(self._reserves, _ADDRESS_SPACE)
         self.library["avr_init"](ctypes.c_void_p(avr))
         self._reserves = dict.fromkeys(self._reserves, 0)
+
+    def get_size(self, avr: int) -> int:
+        """Return the size of the memory that simavr has allocated for an avr_t and its peripherals, bytes; 0 if unknown."""
+        if not hasattr(self._libc, "malloc_usable_size"):
+            return 0
+        self._libc.malloc_usable_size.restype = ctypes.c_size_t
+        return int(self._libc.malloc_usable_size(ctypes.c_void_p(avr)))
 
     def find_function_address(self, name: str) -> int:
         """Return the address of a function of the library by its name."""
@@ -198,15 +213,17 @@ class LoadedAvr:
         hz = program.hz or self._read_clock() or DEFAULT_HZ
         self._pc = self._set_clock_and_find_pc(hz)
         self._vectors = InterruptVectors(self._simavr.library, self._avr, _read_flash_size(self._avr))
+        self._disconnect_upper_analog_inputs()
         self._load_content()
         self._call_library("avr_reset")
         self._has_lines = bool(program.lines)
         irq = program.pins.irq if program.pins else None
         self._make_record(irq, hz)
         self._bus = AvrBus(program.pins, self, board) if program.pins else None
-        self._lines = AvrLines(program.lines, self, board) if program.lines else None
         if irq:
             self.raise_irq(int(self.record.line_irq), 1)
+        self._speed_up()
+        self._lines = AvrLines(program.lines, self, board) if program.lines else None
         self._connect_serial_lines()
 
     def _call_library(self, name: str, *arguments: Any) -> Any:
@@ -227,15 +244,40 @@ class LoadedAvr:
             for k in range(len(pointers))
             if pointers[k] == self._simavr.find_function_address("avr_callback_sleep_raw")
         ]
-        if len(clock) != 1 or len(sleep) != 1:
+        cycles = pointers[(clock[0] + 7) // 2 :][:2] if clock else pointers[:0]
+        if len(clock) != 1 or len(sleep) != 1 or cycles.tolist() != [1, 1]:
             raise StageError(
                 "this version of simavr is not known (its avr_t is laid out in another way): 1.6 and 1.7 are."
             )
         words[clock[0]] = hz
         pointers[sleep[0]] = ctypes.cast(self._simavr.no_op, ctypes.c_void_p).value  # it would sleep in real time
-        self._state = words[clock[0] - 1 : clock[0]]
+        self._state, self._run_cycles = words[clock[0] - 1 : clock[0]], cycles
         self._state_at = int(self._avr) + 4 * (clock[0] - 1)
         return int(self._avr) + sleep[0] * 8 + _SLEEP_TO_PC
+
+    def _speed_up(self) -> None:
+        """Take from simavr what it does after each instruction although nothing comes of it.
+
+        Up to the next timer it may run RUN_CYCLES instructions on end. GDB needs a check after each. A low pin of an external
+        interrupt, which simavr would poll in each cycle even if the interrupt is disabled, interrupts at its edge. Only the
+        interrupt line of the board, which is high at this moment, remains a level.
+        """
+        if not self._gdb:
+            self._run_cycles[1] = RUN_CYCLES
+        for number in range(EXTERNAL_INTERRUPTS):
+            irq = self._simavr.get_irq(ctypes.c_void_p(self._avr), encode_request("int "), number)
+            if irq and not array_at(int(irq) + _VALUE, 1, np.dtype("u4"))[0]:
+                self._call_library("avr_extint_set_strict_lvl_trig", ctypes.c_uint8(number), ctypes.c_uint8(0))
+
+    def _disconnect_upper_analog_inputs(self) -> None:
+        """Let the analog inputs from 8 on read 0, as the others do. simavr has values for eight of them and would read what
+        follows in memory."""
+        words: Any = array_at(self._avr, self._simavr.get_size(self._avr) // 8, np.dtype("u8"))
+        inputs = (_ANALOG_INPUT | np.arange(ANALOG_INPUTS) << _INPUT_NUMBER).astype("u8")
+        for at in np.flatnonzero(words == inputs[0]):
+            modes = words[at : at + _ANALOG_MODES]
+            if np.array_equal(modes[:ANALOG_INPUTS], inputs):
+                modes[(modes & ((1 << _INPUT_NUMBER) - 1) == _ANALOG_INPUT) & (modes > inputs[-1])] = 0
 
     def _load_content(self) -> None:
         room, begin = _read_flash_size(self._avr), b""
@@ -345,7 +387,7 @@ class LoadedAvr:
             self._state[0] = STOPPED
             print(f"GDB: target remote 127.0.0.1:{self._gdb}", file=sys.stderr, flush=True)
             self._call_library("avr_gdb_init")
-        library.running_record = t
+        library.running_record, library.run_cycles = t, self._run_cycles
         avr_core.run.c(t.own)
         library.running_record = None
         if t.asleep == avr_core.NOTHING_WAKES:

@@ -1,5 +1,6 @@
 """The pins of an AVR are STEP/DIR lines and switches of axes."""
 
+import ctypes
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -10,7 +11,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board
-from stage.targets import TargetHost, mcus
+from stage.targets import TargetHost, mcus, simavr
 
 pytestmark = [
     pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}"),
@@ -52,10 +53,10 @@ def build(tmp_path_factory) -> Callable[..., Path]:
     return _build
 
 
-def make_host(elf, pins="grbl", mcu="atmega328p", drives="ideal", isolated=False, **positions) -> TargetHost:
+def make_host(elf, pins="grbl", mcu="atmega328p", drives="ideal", isolated=False, map=(), **positions) -> TargetHost:
     stage = Stage("xyz", chips="stepdir", drives=drives, visuals=False)
     stage.place(**positions)
-    return TargetHost(elf, Board(stage), mcu=mcu, pins=pins, isolated=isolated)
+    return TargetHost(elf, Board(stage), mcu=mcu, map=map, pins=pins, isolated=isolated)
 
 
 def count_steps(host) -> dict[str, int]:
@@ -163,8 +164,8 @@ def test_edges_come_at_the_cycle_of_their_instruction(build):
     with make_host(elf) as host:
         journal = host.board.stage.axes["x"].chip.journal()
         host.run_for(1e-3)
-        course = journal.course()
-        clocks, high = course.edges["clock"], course.pin("step").astype(int)
+        waveforms = journal.course()
+        clocks, high = waveforms.edges["clock"], waveforms.pin("step").astype(int)
         rises, falls = clocks[1:][np.diff(high) > 0], clocks[1:][np.diff(high) < 0]
         assert len(rises) == pytest.approx(1e-3 / (42 / 16e6), abs=10)
         assert set(np.diff(rises)) == {2625}
@@ -240,7 +241,7 @@ def test_limits_of_two_axes_may_share_a_pin(build, positions, code):
 
 
 @pytest.mark.parametrize(("x", "levels"), [(0, 0b00), (-0.1505, 0b01), (0.1505, 0b10)])
-def test_each_end_limit_may_have_a_pin_of_its_own(build, x, levels):
+def test_each_end_limit_may_have_a_separate_pin(build, x, levels):
     elf = build("int main(void) { return PINB >> 1 & 3; }")
     with make_host(elf, "x.step=D2,x.dir=D5,x.limit_minus=B1,x.limit_plus=B2", x=x) as host:
         assert host.run(timeout=1).code == levels
@@ -272,8 +273,14 @@ def run_and_read_state(host) -> tuple:
     stage = host.board.stage
     journal = stage.axes["x"].chip.journal()
     result = host.run(timeout=1)
-    course = journal.course()
-    return result, stage.now, stage.data.qpos.tolist(), course.edges["clock"].tolist(), course.edges["inputs"].tolist()
+    waveforms = journal.course()
+    return (
+        result,
+        stage.now,
+        stage.data.qpos.tolist(),
+        waveforms.edges["clock"].tolist(),
+        waveforms.edges["inputs"].tolist(),
+    )
 
 
 def test_isolated_and_in_process_runs_have_the_same_bits(build):
@@ -306,3 +313,57 @@ def test_a_program_begins_again_after_a_restored_snapshot(build):
         assert run_and_read_state(host) == first
         host.run_for(1e-6)
         assert not stage.axes["x"].chip.pins.step
+
+
+# --- simavr itself ---
+
+
+def test_running_many_cycles_on_end_changes_no_bit(build, monkeypatch):
+    elf = build("""
+        volatile int ticks;
+        ISR(TIMER0_COMPA_vect) { ticks++; PORTD ^= 1 << 3; }
+        int main(void)
+        {
+            DDRD = 0xFC; PORTB = 1 << 1;
+            TCCR0A = 1 << WGM01; OCR0A = 99; TIMSK0 = 1 << OCIE0A; TCCR0B = 2; sei();
+            PORTD |= 1 << 5;
+            while (PINB & 1 << 1) step(1 << 2, 1);
+            return ticks;
+        }""")
+    states = []
+    for cycles in (1, simavr.RUN_CYCLES):
+        monkeypatch.setattr(simavr, "RUN_CYCLES", cycles)
+        with make_host(elf, x=-0.1499) as host:
+            states.append(run_and_read_state(host))
+    assert states[0] == states[1]
+
+
+@pytest.mark.parametrize(("irq", "polled"), [("", None), (",irq=D0", 0), (",irq=E5", 5), (",irq=B4", None)])
+def test_only_the_pin_of_the_interrupt_line_is_polled(build, irq, polled):
+    elf = build("int main(void) { return 0; }", "atmega2560")
+    with make_host(elf, "z.step=L3", "atmega2560", map=f"data=A,wr=G0,rd=G1{irq}") as host:
+        loaded = host._runner._program.load(host.board, False)
+        levels = [loaded._call_library("avr_extint_is_strict_lvl_trig", ctypes.c_uint8(n)) for n in range(8)]
+        loaded.close()
+    assert [n for n, level in enumerate(levels) if level] == [polled][polled is None :]
+
+
+def test_analog_inputs_above_7_read_0_like_the_others(build):
+    elf = build(
+        """
+        int main(void)
+        {
+            int sum = 0;
+            ADCSRA = 1 << ADEN | 7;
+            for (int k = 0; k < 16; k++) {
+                ADMUX = 1 << REFS0 | (k & 7); ADCSRB = k > 7 ? 1 << MUX5 : 0;
+                ADCSRA |= 1 << ADSC;
+                while (ADCSRA & 1 << ADSC);
+                sum += ADC;
+            }
+            return sum;
+        }""",
+        "atmega2560",
+    )
+    with make_host(elf, "z.step=L3", "atmega2560") as host:
+        assert host.run(timeout=1).code == 0
