@@ -7,7 +7,7 @@ import random
 import numpy as np
 import pytest
 from support.examples import SEED
-from vcd.reader import TokenKind, tokenize
+from vcd.reader import ScalarChange, TokenKind, VectorChange, tokenize
 
 from stage import ArgumentError, Drive, Stage, firmware
 from stage.board.replay import replay_capture
@@ -208,8 +208,10 @@ def test_the_decoder_agrees_with_the_reader_of_the_library(tmp_path):
     for token in tokenize(io.BytesIO(text.encode())):
         if token.kind is TokenKind.CHANGE_TIME:
             now = token.data
-        elif getattr(token.data, "id_code", "") in codes.values() and str(token.data.value) in "01":
-            expected.append((now, list(codes.values()).index(token.data.id_code), int(token.data.value)))
+        elif isinstance(token.data, ScalarChange | VectorChange) and str(token.data.value) in "01":
+            expected += [
+                (now, k, int(token.data.value)) for k, c in enumerate(codes.values()) if c == token.data.id_code
+            ]
     changes = read_capture(path).decode(list(codes))
     assert read_capture(path).unit_ns == 10_000
     assert changes.edges.tolist() == expected, f"seed {SEED}"
