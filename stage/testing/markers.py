@@ -16,7 +16,7 @@ from stage.testing.plugin import read_setting
 
 STAGE_ARGUMENTS = ("model", "chips", "drives", "bus_cycle", "clock", "visuals", "record", "encoders")
 BOARD_ARGUMENTS = ("layout", "base", "stride", "keep_cycles", "devices")
-FIRMWARE_ARGUMENTS = ("flags", "platform", "isolated", "patience", "cost", "mcu", "map", "mcu_clock")
+FIRMWARE_ARGUMENTS = ("flags", "platform", "isolated", "patience", "cost", "mcu", "map", "pins", "mcu_clock")
 
 
 def stage_arguments(node: pytest.Item) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from stage.targets import mcus
 
 pytest_plugins = ["pytester"]
 DATA = Path(__file__).parent / "data"
+GCODE = Path(__file__).parents[2] / "scripts" / "firmware" / "gcode" / "gcode.elf"
 TESTS = """
 import pytest
 
@@ -26,15 +27,23 @@ def test_it_is_unknown(host):
 @pytest.mark.firmware("faults.avr.elf", mcu="atmega2560", map=PINS, patience=5.0, mcu_clock=8e6)
 def test_after_a_failure_others_run(host):
     assert host.run().code == 0
+
+@pytest.mark.stage("xyz", chips="stepdir")
+@pytest.mark.firmware("gcode.elf", mcu="atmega328p", pins="grbl")
+def test_it_enables_motors_by_a_pin(host, stage):
+    assert host.run_for(0.01) is None
+    assert all(axis.chip.pins.enable for axis in stage.axes.values())
+    assert "PulseStage G-code 1" in str(host.log)
 """
 
 
 @pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
-def test_the_marker_names_the_processor(pytester):
-    (pytester.path / "faults.avr.elf").write_bytes((DATA / "faults.avr.elf").read_bytes())
+def test_the_marker_names_the_processor_and_its_pins(pytester):
+    for file in (DATA / "faults.avr.elf", GCODE):
+        (pytester.path / file.name).write_bytes(file.read_bytes())
     pytester.makepyfile(TESTS)
     result = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-p", "no:xdist", "-o", "addopts=")
-    result.assert_outcomes(passed=2, errors=1)
+    result.assert_outcomes(passed=3, errors=1)
     result.stdout.fnmatch_lines(["*mcu 'atmega2561x' is not known. Is it atmega2560[?]*"])
 
 
@@ -48,5 +57,5 @@ def test_without_the_emulator_it_is_skipped(pytester, monkeypatch):
         "-p", "no:cacheprovider", "-p", "no:xdist", "-o", "addopts=", "-rs", "-k", "runs"
     )
     mcus.load_simavr.cache_clear()
-    result.assert_outcomes(skipped=1, deselected=2)
+    result.assert_outcomes(skipped=1, deselected=3)
     result.stdout.fnmatch_lines(["*there is no simavr (Debian: apt install libsimavr2)*"])
