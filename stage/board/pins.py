@@ -14,15 +14,9 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from stage.chips import Chip
+from stage.chips.stepdir.lines import DRIVEN, READ
 from stage.errors import ArgumentError, unknown_name_error
 
-DRIVEN = {"step": ("step",), "dir": ("dir",), "enable": ("enable",)}
-"""Lines that the microcontroller drives -> input pins of the axis' chip."""
-READ = {
-    "limit": ("el_plus", "el_minus"), "limit_plus": ("el_plus",), "limit_minus": ("el_minus",), "origin": ("org",),
-    "probe": ("probe",),
-}  # fmt: skip
-"""Lines that the microcontroller reads -> pins of the axis' chip; the line is asserted while one of them is."""
 SHARED = ("enable", *READ)
 """Lines of several axes that may be on one pin."""
 FORM = "x.step=D2,x.dir=D5,x.enable=!B0,x.limit=!B1"

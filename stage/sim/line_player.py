@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from stage.chips.sharing import exclusively
 from stage.errors import ArgumentError
 from stage.native import address_of
 from stage.sim.line_edges import LINE_EDGE, LINE_PLAYER, OBSERVED_AXIS, SWITCH_EDGE, play_line_edges
@@ -60,7 +61,7 @@ def play_lines(stage: Stage, edges: np.ndarray, until: int) -> LineObservation:
     row["switch_edges"], row["room"] = switch_edges.ctypes.data, len(switch_edges)
     row["has_journals"] = any(chip.open_journal is not None for chip in stage.chips)
     where = address_of(row)
-    with stage.loop.advancing_by(lambda pointer, goal: play_line_edges.c(pointer, goal, where)):
+    with exclusively(stage), stage.loop.advancing_by(lambda pointer, goal: play_line_edges.c(pointer, goal, where)):
         stage.run_to(until)
     return LineObservation(
         switch_edges[: int(row["n_switch_edges"])], axes["largest_error"].copy(), axes["error_time"].copy()

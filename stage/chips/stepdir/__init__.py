@@ -1,10 +1,10 @@
 """A STEP/DIR axis: the lines of a power stage, driven by firmware that makes its own steps.
 
     axis = STEPDIR()
-    axis.pins.dir = False
-    axis.pins.step = True             a rising edge: one step plus
+    axis.dir = False
+    axis.step = True                  a rising edge: one step plus
     axis.advance(2_000)               2 us of a clock of 1 GHz
-    axis.pins.step = False
+    axis.step = False
 
 A host without firmware writes the registers of a step timer, which then drives the lines: see maps.py.
 """
@@ -18,6 +18,7 @@ from stage.chips.chip import Chip
 from stage.chips.diagnostics import Diagnostic
 from stage.chips.stepdir import core
 from stage.chips.stepdir.describe import Decoder, Listener
+from stage.chips.stepdir.lines import Line
 from stage.chips.stepdir.lint import describe_violation, lint_write
 from stage.chips.stepdir.maps import ADDRESS_MASK, CONTROL_ADDRESS, DATA_MASK, MAP
 from stage.chips.stepdir.state import ENABLE, TIMES
@@ -50,6 +51,10 @@ class STEPDIR(Chip):
 
     power_stage = "power stage"
     """Name of the power stage that demands the times between edges, for diagnostics."""
+
+    step, dir, enable = Line("step"), Line("dir"), Line("enable")
+    limit, limit_plus, limit_minus = Line("limit"), Line("limit_plus"), Line("limit_minus")
+    origin, probe = Line("origin"), Line("probe")
 
     def _configure(self, record: Any) -> None:
         record["hz"], record["inputs"], record["counts_disabled"] = self.clock_hz, ENABLE, 1

@@ -1,0 +1,37 @@
+"""Lines of a STEP/DIR axis by the names that firmware for machine tools uses, and the pins that they stand for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from stage.errors import StageError
+
+if TYPE_CHECKING:
+    from stage.chips.chip import Chip
+
+DRIVEN = {"step": ("step",), "dir": ("dir",), "enable": ("enable",)}
+"""Lines that a host drives -> input pins of the axis."""
+READ = {
+    "limit": ("el_plus", "el_minus"), "limit_plus": ("el_plus",), "limit_minus": ("el_minus",), "origin": ("org",),
+    "probe": ("probe",),
+}  # fmt: skip
+"""Lines that a host reads -> pins of the axis; the line is asserted while one of them is."""
+
+
+class Line:
+    """A line as an attribute of the chip: True while it is asserted. A line that a host drives can be set."""
+
+    def __init__(self, name: str):
+        self._name, self._pins = name, (DRIVEN | READ)[name]
+        self.__doc__ = f"Line `{name}`, True while it is asserted: pin {' or '.join(self._pins)}."
+
+    def __get__(self, chip: Chip | None, owner: type | None = None) -> Any:
+        if chip is None:
+            return self
+        return any(getattr(chip.pins, pin) for pin in self._pins)
+
+    def __set__(self, chip: Chip, is_asserted: bool) -> None:
+        if self._name not in DRIVEN:
+            pins = " and ".join(f"pins.{pin}" for pin in self._pins)
+            raise StageError(f"{self._name} is driven by the stage and can only be read; {pins} can be set for a test.")
+        setattr(chip.pins, self._name, is_asserted)

@@ -1,0 +1,106 @@
+"""Programs in Python that make the steps of STEP/DIR axes themselves."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError, Stage, StageError
+from stage.chips import STEPDIR
+from stage.sim.line_player import LINE_EDGE, play_lines
+
+
+@pytest.fixture(scope="module")
+def stage():
+    return Stage("xy", chips="stepdir", drives="a4988")
+
+
+def test_lines_are_attributes_of_the_chip():
+    chip = STEPDIR()
+    assert (chip.step, chip.dir, chip.enable, chip.limit, chip.probe) == (False, False, True, False, False)
+    chip.dir = chip.step = True
+    chip.enable = False
+    assert (chip.pins.step, chip.pins.dir, chip.pins.enable, chip.net()) == (True, True, False, -1)
+    for pin, line in {"el_plus": "limit_plus", "el_minus": "limit_minus", "org": "origin", "probe": "probe"}.items():
+        setattr(chip.pins, pin, True)
+        assert getattr(chip, line)
+        assert chip.limit == (line != "probe" and line != "origin")
+        setattr(chip.pins, pin, False)
+        assert not getattr(chip, line)
+
+
+@pytest.mark.parametrize("line", ["limit", "limit_plus", "limit_minus", "origin", "probe"])
+def test_a_line_that_the_stage_drives_cannot_be_set(line):
+    chip = STEPDIR()
+    with pytest.raises(StageError, match=f"{line} is driven by the stage and can only be read"):
+        setattr(chip, line, True)
+    assert chip.input_word(0) == STEPDIR.INPUTS["enable"]
+
+
+def test_pulses_are_those_of_a_loop_to_the_nanosecond(stage):
+    one, other = copy.deepcopy(stage), copy.deepcopy(stage)
+    one.axes["y"].chip.dir = other.axes["y"].chip.dir = True
+    one.axes["y"].pulse(300, rate=3000, high=4e-6)
+    for k in range(300):
+        other.run_to(round(k * 1e9 / 3000))
+        other.axes["y"].chip.step = True
+        other.run(4e-6)
+        other.axes["y"].chip.step = False
+    other.run_to(100_000_000)
+    assert one.now == other.now
+    assert one.axes["y"].chip.state.tobytes() == other.axes["y"].chip.state.tobytes()
+    assert np.array_equal(one.data.qpos, other.data.qpos)
+    assert one.axes["y"].chip.net() == -300
+
+
+def test_pulses_are_the_same_in_any_number_of_calls(stage):
+    one, other = copy.deepcopy(stage), copy.deepcopy(stage)
+    one.axes["x"].pulse(200_000, rate=500_000, high=1e-6)
+    for _ in range(20):
+        other.axes["x"].pulse(10_000, rate=500_000, high=1e-6)
+    assert one.axes["x"].chip.net() == 200_000
+    assert one.axes["x"].chip.state.tobytes() == other.axes["x"].chip.state.tobytes()
+
+
+def test_a_journal_has_each_edge_of_many(stage):
+    stage = copy.deepcopy(stage)
+    journal = stage.axes["x"].chip.journal()
+    stage.axes["x"].pulse(5000, rate=50_000)  # more edges than the engine has room to note
+    assert journal.course().edges["net"][-1] == 5000
+    assert len(journal.entries) == 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [({"count": -1}, "count=-1"), ({"count": 1.5}, "count=1.5"), ({"rate": 0}, "rate=0"), ({"high": 0}, "high=0"),
+     ({"rate": 1000, "high": 1e-3}, "less than a period"), ({"rate": float("nan")}, "rate=nan")],
+)  # fmt: skip
+def test_pulses_that_cannot_be_are_refused(stage, arguments, message):
+    before = stage.now
+    with pytest.raises(ArgumentError, match=message):
+        stage.axes["x"].pulse(**{"count": 1} | arguments)
+    assert stage.now == before
+
+
+def test_an_axis_without_a_step_line_is_refused():
+    with pytest.raises(ArgumentError, match="axis x has a PCL240K, which has no STEP line"):
+        Stage("xy").axes["x"].pulse(1)
+
+
+def test_edges_out_of_order_or_of_no_axis_are_refused(stage):
+    edges = np.zeros(2, LINE_EDGE)
+    edges["time"] = [2, 1]
+    with pytest.raises(ArgumentError, match="their times go back"):
+        play_lines(stage, edges, 10)
+    edges["time"], edges["axis"] = [1, 2], [0, 2]
+    with pytest.raises(ArgumentError, match="axes are given by their index, 0 to 1"):
+        play_lines(stage, edges, 10)
+
+
+def test_an_edge_whose_time_has_passed_comes_at_once(stage):
+    stage = copy.deepcopy(stage)
+    stage.run(1e-3)
+    edges = np.zeros(1, LINE_EDGE)
+    edges["pins"] = edges["levels"] = STEPDIR.INPUTS["step"]
+    play_lines(stage, edges, stage.now)
+    assert (stage.axes["x"].chip.net(), stage.now) == (1, 1_000_000)
