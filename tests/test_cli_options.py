@@ -353,7 +353,9 @@ def test_the_board_of_run_lies_where_the_options_say(monkeypatch):
 def test_a_firmware_that_loses_steps_ends_with_1(monkeypatch, lost, code):
     timeouts = []
     done = SimpleNamespace(code=0, seconds=0.0, cycles=0)
-    host = SimpleNamespace(path=SimpleNamespace(name="a"), run=lambda timeout: timeouts.append(timeout) or done)
+    host = SimpleNamespace(
+        path=SimpleNamespace(name="a"), run=lambda timeout: timeouts.append(timeout) or done, wiring_problems=()
+    )
     stage = SimpleNamespace(axes={"x": SimpleNamespace(lost_steps=lost)})
     monkeypatch.setattr("stage.cli.setup.make_stage", lambda args: stage)
     monkeypatch.setattr("stage.cli.run.print_report", lambda *_: None)

@@ -49,6 +49,8 @@ class Result:
 class Runner(Protocol):
     """Executor of firmware: `ThreadRunner` in this process, or `ProcessRunner` in a separate process."""
 
+    wiring_problems: tuple[str, ...]
+
     @property
     def running(self) -> bool:
         """True while the firmware has started and has not returned."""
@@ -99,6 +101,11 @@ class Host:
     def running(self) -> bool:
         """True while the firmware has started and has not returned; it is then paused in a bus cycle or delay."""
         return self._runner.running
+
+    @property
+    def wiring_problems(self) -> tuple[str, ...]:
+        """Sentences about lines of axes that seem to be at the wrong pins of a processor, as of the last pause or end."""
+        return self._runner.wiring_problems
 
     @property
     def log(self) -> list[tuple[float, str]]:

@@ -69,14 +69,16 @@ def parse_pins(texts: str | Iterable[str], chips: Mapping[str, Chip]) -> tuple[P
         ArgumentError: Another form, an unknown axis or line, an axis whose chip has no such line, or a pin that is used twice.
     """
     lines: dict[tuple[str, str], PinLine] = {}
-    for text in [texts] if isinstance(texts, str) else texts:
-        for entry in filter(None, (part.strip() for part in text.split(","))):
-            if entry in PRESETS:
-                preset = [_parse_entry(part) for part in PRESETS[entry].split(",")]
-                lines |= {(line.axis, line.line): line for line in preset if line.axis in chips}
-            else:
-                line = _parse_entry(entry)
-                lines[line.axis, line.line] = line
+    for entry in (part.strip() for text in ([texts] if isinstance(texts, str) else texts) for part in text.split(",")):
+        preset = [_parse_entry(part) for part in PRESETS[entry].split(",")] if entry in PRESETS else []
+        present = [line for line in preset if line.axis in chips]
+        if preset and not present:
+            axes = dict.fromkeys(line.axis for line in preset)
+            raise ArgumentError(
+                f"--pins {entry}: it wires the axes {', '.join(axes)}, and the stage has {', '.join(chips)}. Write its lines out: "
+                f"{FORM}."
+            )
+        lines |= {(line.axis, line.line): line for line in present or [_parse_entry(entry)]}
     for line in lines.values():
         _check_line(line, chips)
     _check_pins(lines.values())
@@ -98,10 +100,10 @@ def _check_line(line: PinLine, chips: Mapping[str, Chip]) -> None:
     if line.axis not in chips:
         raise ArgumentError(f"--pins {line}: {unknown_name_error('axis', line.axis, chips)}")
     chip = chips[line.axis]
-    if any(name not in chip.INPUTS for name in (DRIVEN | READ)[line.line]):
+    if any(name not in chip.INPUTS for name in ("step", *(DRIVEN | READ)[line.line])):
         raise ArgumentError(
-            f"--pins {line}: axis {line.axis} has a {type(chip).__name__}, which has no {line.line} line. STEP/DIR axes have: "
-            "--chips stepdir."
+            f"--pins {line}: axis {line.axis} has a {type(chip).__name__}, which makes its own steps. Make it a STEP/DIR axis: "
+            f"--chips stepdir."
         )
 
 
@@ -110,7 +112,8 @@ def _check_pins(lines: Iterable[PinLine]) -> None:
     users: dict[str, PinLine] = {}
     for line in lines:
         other = users.setdefault(line.pin, line)
-        if other is not line and (line.line != other.line or line.line not in SHARED):
+        is_shared = line.line in SHARED and (line.line, line.inverted) == (other.line, other.inverted)
+        if other is not line and not is_shared:
             raise ArgumentError(
                 f"--pins: pin {line.pin} is used twice, by {other} and {line}. Give each line its own pin."
             )

@@ -101,6 +101,7 @@ class ThreadRunner:
         self._thread: threading.Thread | None = None
         self._code: int | None = None
         self._unloadable: list[LoadedProgram] = []
+        self.wiring_problems: tuple[str, ...] = ()
         self._check()
 
     @property
@@ -135,6 +136,7 @@ class ThreadRunner:
             link.pause = None
             h = link.record  # another one if the firmware was given up
             h["lazy"], h["until"], h["max_cycles"] = 0, UNBOUNDED, UNBOUNDED
+        self.wiring_problems = getattr(self._loaded, "find_wiring_problems", tuple)()
         if link.error is not None:
             self.close()
         link.raise_error()
@@ -180,7 +182,7 @@ class ThreadRunner:
         return self._program.load(self._board, self.isolated)
 
     def _start(self) -> None:
-        loaded = self._load()
+        self._loaded = loaded = self._load()
         self._go, self._paused, self._code = threading.Semaphore(0), threading.Semaphore(0), None
         before = threading.stack_size(STACK_SIZE)
         try:

@@ -11,7 +11,7 @@ import threading
 import time
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -168,9 +168,9 @@ def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, terminat
             print(
                 f"{host.path.name} ran for {args.seconds:g} s, and {board.cycles:,} bus cycles, in {wall:.2f} s of wall time"
             )
-        print_report(board)
+        print_report(board, host.wiring_problems)
         if args.json:
-            tell(args, _collect_facts(board, result, error))
+            tell(args, _collect_facts(board, result, error) | {"wiring_problems": host.wiring_problems})
     if result is None:
         host.close()
     write_trace(args, board)
@@ -288,9 +288,11 @@ def _collect_facts(board: Any, result: Any, error: StageError | None) -> dict[st
     }  # fmt: skip
 
 
-def print_report(board: Any) -> None:
-    """Print where the axes are, diagnostics of the chips, and bus cycles that reached nothing."""
+def print_report(board: Any, wiring_problems: Sequence[str] = ()) -> None:
+    """Print where the axes are, lines at the wrong pins, diagnostics of the chips, and bus cycles that reached nothing."""
     _print_axes(board.stage)
+    for problem in wiring_problems:
+        print(problem)
     for axis in board.stage.axes.values():
         if axis.lost_steps and (reason := axis.chip.explain_missing_current(axis.chip_axis)):
             print(f"{axis.name} has lost steps without current: {reason}.")

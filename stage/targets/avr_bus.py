@@ -48,6 +48,11 @@ class Pins(NamedTuple):
     irq: Pin | None
     base: int | None
 
+    def list_all(self) -> set[Pin]:
+        """Return all pins of the bus."""
+        pins = (*self.address, self.cs, self.wr, self.rd, self.irq)
+        return {pin for pin in pins if pin} | {(self.data, bit) for bit in range(8)}
+
 
 class AvrBus:
     """Connection of an AVR's pins to the board.

@@ -48,8 +48,9 @@ DRIVEN_LINE = record([(name, "i8") for name in "bit chip mask inverted released 
 """A line of an axis that the program drives: the bit of its pin; the number of its chip and the chip's input pins (bits); whether
 the pin is low while the line is asserted; the pins (bits) that are asserted while the pin is no output; whether the next line of
 the port belongs to another chip."""
-LINE_PORT = record([(name, "i8") for name in "avr lines n_lines levels outputs".split()])
-"""A port with driven lines: its AVR; its DRIVEN_LINE records; the levels in its PORT register, and which pins are outputs."""
+LINE_PORT = record([(name, "i8") for name in "avr lines n_lines levels outputs once twice often".split()])
+"""A port: its AVR; its DRIVEN_LINE records; the levels in its PORT register, and which pins are outputs; which outputs have
+changed, once, twice, and more often."""
 READ_LINE = record([(name, "i8") for name in "irq port bit chip mask inverted level last".split()])
 """A line of an axis that the program reads: the simavr IRQ of its pin; the PULLED_PORT of its pin and its bit there; chip, pins and
 inversion as in DRIVEN_LINE; the level of the pin; whether the next line is at another pin."""
@@ -157,6 +158,10 @@ def _drive_lines(port, changed):
 def drive_line_levels(_irq, value, port):
     """Take a new value of the PORT register of a port with lines."""
     changed, port.levels = (value & 0xFF) ^ port.levels, value & 0xFF
+    toggled = changed & port.outputs
+    port.often |= toggled & port.twice
+    port.twice |= toggled & port.once
+    port.once |= toggled
     _drive_lines(port, changed)
 
 

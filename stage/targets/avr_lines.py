@@ -21,6 +21,15 @@ _PULL_MASK = 7
 """Position of the mask in avr_ioport_external_t."""
 PULLED_UP = ("enable",)
 """Lines that stay asserted while their pin is no output, as the power stage's own resistor keeps them."""
+MISSING_PINS = {
+    "atmega8 atmega48 atmega168 atmega328": "C7",
+    "atmega1280 atmega2560": "G6 G7",
+    "atmega1281": "G6 G7",
+    "atmega32u4": "C0 C1 C2 C3 C4 C5 E0 E1 E3 E4 E5 E7 F2 F3",
+}
+"""Pins of ports that a family, named by how its names begin, has only in part. simavr has the whole ports."""
+Place = tuple[int, int, PinLine]
+"""A line, behind the port and the bit of its pin."""
 
 
 class AvrLines:
@@ -32,46 +41,71 @@ class AvrLines:
         board: The board.
 
     Raises:
-        ArgumentError: A pin that no AVR has.
+        ArgumentError: A pin that this AVR does not have, or that is one of its bus.
     """
 
     def __init__(self, lines: Sequence[PinLine], avr: Any, board: Board):
         self._axes, self._chips = board.stage.axes, list(board.stage.chips)
-        places = [(*parse_avr_pin(line), line) for line in lines]
+        places = [(*parse_avr_pin(line, avr.mcu), line) for line in lines]
+        for port, bit, line in places:
+            _check_place(line, avr.has_port(port), (port, bit) in avr.bus_pins, avr.mcu)
+        self._places, self._bus_pins = places, avr.bus_pins
         self._connect_driven_lines(sorted(place for place in places if place[2].line in DRIVEN), avr)
         self._connect_read_lines(sorted(place for place in places if place[2].line not in DRIVEN), avr)
         tables = (value for table in (self._ports, self._read) for value in (table.ctypes.data, len(table)))
         self._row = np.array([(*tables, avr.find_function_address("avr_ioctl"))], avr_core.LINES)
         avr.record.lines = self._row.ctypes.data
 
+    def find_wiring_problems(self) -> tuple[str, ...]:
+        """Return a sentence about each STEP pin that never changed, if the program toggles other pins, or moves no axis."""
+        steps = [(port, bit, line) for port, bit, line in self._places if line.line == "step"]
+        used = {(port, bit) for port, bit, _ in self._places} | self._bus_pins
+        others = [pin for pin in self._list_pins("often") if pin not in used]
+        changed = set(self._list_pins("once"))
+        silent = [line for port, bit, line in steps if (port, bit) not in changed]
+        if not others and len(silent) < len(steps):
+            return ()
+        names = ", ".join(f"{avr_core.PORTS[port]}{bit}" for port, bit in others) or "no pin"
+        return tuple(
+            f"{line.axis}.step = {line.pin} never changed; the program toggles {names}. Name its STEP pin in --pins."
+            for line in silent
+        )
+
+    def _list_pins(self, field: str) -> list[tuple[int, int]]:
+        """Return port and bit of each pin that is set in a field of LINE_PORT."""
+        rows = zip(self._port_numbers, self._ports, strict=True)
+        return [(port, bit) for port, row in rows for bit in range(8) if int(row[field]) >> bit & 1]
+
     def _find_chip(self, line: PinLine) -> tuple[int, int]:
         """Return the number of a line's chip, and the bits of the chip's input pins."""
         chip = self._axes[line.axis].chip
         return self._chips.index(chip), line.get_mask(chip)
 
-    def _connect_driven_lines(self, places: Sequence[tuple[int, int, PinLine]], avr: Any) -> None:
-        ports = sorted({port for port, _, _ in places})
-        self._driven = [self._make_driven_rows([place for place in places if place[0] == port]) for port in ports]
-        self._ports = np.zeros(len(ports), avr_core.LINE_PORT)
+    def _connect_driven_lines(self, places: Sequence[Place], avr: Any) -> None:
+        """Watch all ports: pins without a line tell which one was meant, see `find_wiring_problems`."""
+        self._port_numbers = [port for port in range(len(avr_core.PORTS)) if avr.has_port(port)]
+        self._driven = [self._make_driven_rows([p for p in places if p[0] == port]) for port in self._port_numbers]
+        self._ports = np.zeros(len(self._driven), avr_core.LINE_PORT)
         self._functions = avr_core.drive_line_levels.pointer, avr_core.drive_line_directions.pointer
-        for k, (port, rows) in enumerate(zip(ports, self._driven, strict=True)):
-            self._ports[k] = (avr.record.own, rows.ctypes.data, len(rows), 0, 0)
+        for k, (port, rows) in enumerate(zip(self._port_numbers, self._driven, strict=True)):
+            row = self._ports[k]
+            row["avr"], row["lines"], row["n_lines"] = avr.record.own, rows.ctypes.data, len(rows)
             for number, function in zip((PORT_REGISTER, DIRECTION_ALL), self._functions, strict=True):
                 avr.notify(avr.find_irq(port, number), function, self._ports[k : k + 1])
 
-    def _make_driven_rows(self, places: Sequence[tuple[int, int, PinLine]]) -> np.ndarray:
+    def _make_driven_rows(self, places: Sequence[Place]) -> np.ndarray:
         """Return the DRIVEN_LINE records of a port, those of a chip one after the other."""
         rows = []
         for _, bit, line in places:
             chip, mask = self._find_chip(line)
             rows.append((chip, bit, mask, line.inverted, mask if line.line in PULLED_UP else 0))
         rows.sort()
-        ends = [*(rows[k][0] != rows[k + 1][0] for k in range(len(rows) - 1)), True]
+        ends = [*(rows[k][0] != rows[k + 1][0] for k in range(len(rows) - 1)), True][: len(rows)]
         return np.array(
             [(bit, chip, *rest, end) for (chip, bit, *rest), end in zip(rows, ends, strict=True)], avr_core.DRIVEN_LINE
         )
 
-    def _connect_read_lines(self, places: Sequence[tuple[int, int, PinLine]], avr: Any) -> None:
+    def _connect_read_lines(self, places: Sequence[Place], avr: Any) -> None:
         ports = sorted({port for port, _, _ in places})
         self._pulled = np.zeros(len(ports), avr_core.PULLED_PORT)
         self._read = np.zeros(len(places), avr_core.READ_LINE)
@@ -89,13 +123,23 @@ class AvrLines:
             avr.raise_irq(int(row["irq"]), int(row["level"]))
 
 
-def parse_avr_pin(line: PinLine) -> tuple[int, int]:
+def parse_avr_pin(line: PinLine, mcu: str) -> tuple[int, int]:
     """Return port and bit of a line's pin, as (1, 0) for B0.
 
     Raises:
-        ArgumentError: It is no pin of an AVR.
+        ArgumentError: It is no pin of an AVR, or this AVR does not have it.
     """
-    match = _PIN.fullmatch(line.pin.upper())
+    match = _PIN.fullmatch(line.pin)
     if match is None:
         raise ArgumentError(f"--pins {line}: {line.pin} is no pin of an AVR; pins are B0, D5 ...")
+    for families, pins in MISSING_PINS.items():
+        if mcu.startswith(tuple(families.split())) and line.pin in pins.split():
+            raise ArgumentError(f"--pins {line}: the {mcu} has no pin {line.pin}; port {match[1]} has others.")
     return avr_core.PORTS.index(match[1]), int(match[2])
+
+
+def _check_place(line: PinLine, has_port: bool, is_of_bus: bool, mcu: str) -> None:
+    if not has_port:
+        raise ArgumentError(f"--pins {line}: the {mcu} has no port {line.pin[0]}; take a pin that it has.")
+    if is_of_bus:
+        raise ArgumentError(f"--pins {line}: pin {line.pin} is used twice, also by --map. Give each line its own pin.")

@@ -193,9 +193,12 @@ class LoadedAvr:
 
     Attributes:
         record: AVR record of the processor.
+        mcu: Name of the processor.
+        bus_pins: Port and bit of each pin of its bus.
     """
 
     def __init__(self, program: AvrProgram, board: Board, isolated: bool):
+        self.mcu, self.bus_pins = program.mcu, program.pins.list_all() if program.pins else set()
         self.path, self._board, self._gdb = program.path, board, program.gdb
         how = BUILD_COMMAND.format(mcu=program.mcu)
         self._elf = Elf(program.path, AVR, program.mcu, how)
@@ -329,10 +332,17 @@ class LoadedAvr:
         Raises:
             StageError: This AVR has no such port.
         """
-        irq = self._simavr.get_irq(ctypes.c_void_p(self._avr), encode_request("iog" + avr_core.PORTS[port]), number)
+        irq = self._get_port_irq(port, number)
         if not irq:
             raise StageError(f"--map: this AVR has no port {avr_core.PORTS[port]}.")
         return int(irq)
+
+    def has_port(self, port: int) -> bool:
+        """Tell whether this AVR has a port, by its number in PORTS."""
+        return bool(self._get_port_irq(port, 0))
+
+    def _get_port_irq(self, port: int, number: int) -> int | None:
+        return self._simavr.get_irq(ctypes.c_void_p(self._avr), encode_request("iog" + avr_core.PORTS[port]), number)
 
     def find_function_address(self, name: str) -> int:
         """Return the address of a function of simavr."""
@@ -421,6 +431,10 @@ class LoadedAvr:
             f"{self.path.name}: {message}, at {self._elf.describe_address(pc)}; at {board.stage.time:.6f} s, after "
             f"{board.cycles:,} bus cycles. {board.trace.format_ending(12)}"
         )
+
+    def find_wiring_problems(self) -> tuple[str, ...]:
+        """Return sentences about lines of axes that seem to be at the wrong pins."""
+        return self._lines.find_wiring_problems() if self._lines else ()
 
     def close(self) -> None:
         """Free the avr_t."""

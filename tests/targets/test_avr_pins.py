@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 
 from stage import Stage
-from stage.board import Board
+from stage.board import Board, LibraryError
+from stage.board.pins import parse_pins
+from stage.chips import STEPDIR
+from stage.cli import main
+from stage.errors import ArgumentError
 from stage.targets import TargetHost, mcus, simavr
 
 pytestmark = [
@@ -367,3 +371,97 @@ def test_analog_inputs_above_7_read_0_like_the_others(build):
     )
     with make_host(elf, "z.step=L3", "atmega2560") as host:
         assert host.run(timeout=1).code == 0
+
+
+# --- wrong input ---
+
+
+@pytest.mark.parametrize(
+    ("pins", "message"),
+    [
+        ("x.step=D2,x.dir=D2", "--pins: pin D2 is used twice, by x.step=D2 and x.dir=D2. Give each line its own pin."),
+        ("x.step=D2,y.step=D2", "pin D2 is used twice, by x.step=D2 and y.step=D2"),
+        ("x.step=D2,x.limit=!B1,y.limit=B1", "pin B1 is used twice, by x.limit=!B1 and y.limit=B1"),
+        ("x.step=D2,x.limit=D2", "pin D2 is used twice"),
+        ("x.step=M2", "--pins x.step=M2: M2 is no pin of an AVR; pins are B0, D5 ..."),
+        ("x.step=L0", "--pins x.step=L0: the atmega328p has no port L; take a pin that it has."),
+        ("x.step=C7", "--pins x.step=C7: the atmega328p has no pin C7; port C has others."),
+        ("a.step=D2", "--pins a.step=D2: unknown axis 'a'. Known: x, y, z."),
+        ("x.stp=D2", "--pins 'x.stp=D2': unknown line 'stp'. Did you mean 'step'?"),
+        ("x.step:D2", "--pins 'x.step:D2': write x.step=D2,x.dir=D5,x.enable=!B0,x.limit=!B1, or one of grbl, "),
+        ("", "--pins '': write x.step=D2"),
+        ("ramps", "the atmega328p has no port F; take a pin that it has."),
+    ],
+)
+def test_pins_that_cannot_be_wired_are_explained(build, pins, message):
+    with pytest.raises(ArgumentError) as error:
+        make_host(build("int main(void) { return 0; }"), pins)
+    assert message in str(error.value)
+
+
+def test_only_axes_without_a_motion_chip_have_pins(build):
+    elf = build("int main(void) { return 0; }")
+    board = Board(Stage("xy", chips={"x": "stepdir", "y": "pcl240mk"}, visuals=False))
+    with pytest.raises(ArgumentError, match=r"axis y has a PCL240MK, which makes its own steps\. .* --chips stepdir\."):
+        TargetHost(elf, board, mcu="atmega328p", pins="grbl")
+    TargetHost(elf, board, mcu="atmega328p", pins="x.step=D2,x.dir=D5", isolated=False)
+
+
+def test_a_pin_of_the_bus_is_no_line_of_an_axis(build):
+    elf = build("int main(void) { return 0; }", "atmega2560")
+    with pytest.raises(ArgumentError, match=r"x\.step=G0: pin G0 is used twice, also by --map"):
+        make_host(elf, "x.step=G0", "atmega2560", map="data=A,wr=G0,rd=G1")
+
+
+def test_a_preset_counts_for_the_axes_that_the_stage_has(build):
+    elf = build("int main(void) { DDRD = 0xFC; step(1 << 2, 3); return 0; }")
+    board = Board(Stage("xy", chips="stepdir", visuals=False))
+    with TargetHost(elf, board, mcu="atmega328p", pins=["grbl", "x.step=D4"], isolated=False) as host:
+        host.run(timeout=1)
+        assert count_steps(host) == {"x": 0, "y": 0}
+    with pytest.raises(
+        ArgumentError, match=r"--pins grbl: it wires the axes x, y, z, and the stage has u\. Write its lines"
+    ):
+        parse_pins("grbl", {"u": STEPDIR()})
+
+
+def test_a_program_for_another_avr_is_refused(build):
+    with pytest.raises(LibraryError, match=r"was built for .*atmega328p.*, and atmega2560 is an avr6"):
+        make_host(build("int main(void) { return 0; }"), "ramps", "atmega2560")
+
+
+def test_other_processors_have_no_pins():
+    board = Board(Stage("xyz", chips="stepdir", visuals=False))
+    with pytest.raises(ArgumentError, match="only an AVR's pins can be lines of an axis so far; cortex-m3 is none"):
+        TargetHost("firmware.elf", board, mcu="cortex-m3", pins="grbl")
+
+
+@pytest.mark.parametrize("isolated", [False, True])
+def test_a_step_pin_that_never_changes_is_named_with_the_pins_that_do(build, isolated):
+    elf = build("int main(void) { DDRD = 0xFC; for (;;) step(1 << 3, 10); }")
+    with make_host(elf, "x.step=D2,x.dir=D5", isolated=isolated) as host:
+        host.run_for(0.01)
+        assert host.wiring_problems == (
+            "x.step = D2 never changed; the program toggles D3. Name its STEP pin in --pins.",
+        )
+    with make_host(elf, isolated=isolated) as host:
+        host.run_for(0.01)
+        assert not host.wiring_problems, "x and z stand still while y moves"
+
+
+def test_a_program_that_toggles_no_pin_is_reported(build):
+    elf = build("int main(void) { DDRD = 0xFC; PORTD = 1; return 0; }")
+    with make_host(elf, "x.step=D2,y.step=D3") as host:
+        host.run(timeout=1)
+        assert [*host.wiring_problems] == [
+            f"{axis}.step = {pin} never changed; the program toggles no pin. Name its STEP pin in --pins."
+            for axis, pin in (("x", "D2"), ("y", "D3"))
+        ]
+
+
+def test_the_command_reports_a_step_pin_that_never_changes(build, capsys):
+    elf = build("int main(void) { DDRD = 0xFC; step(1 << 3, 10); return 0; }")
+    assert (
+        main(["run", str(elf), "--mcu", "atmega328p", "--chips", "stepdir", "--pins", "x.step=D2", "--in-process"]) == 0
+    )
+    assert "x.step = D2 never changed; the program toggles D3" in capsys.readouterr().out

@@ -354,6 +354,7 @@ def _serve(pipe: Connection, board: ChildBoard, runner: ThreadRunner) -> None:
             code = runner.resume(go.until, go.max_cycles)
         except Exception as error:
             failure = (type(error).__name__, str(error))
-        pipe.send(PausedMessage(board.link.publish_state(), board.port_table, code, failure))
+        noted = board.link.publish_state()
+        pipe.send(PausedMessage(noted, board.port_table, code, failure, runner.wiring_problems))
         if failure is not None:
             os._exit(1)

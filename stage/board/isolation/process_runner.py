@@ -125,6 +125,7 @@ class ProcessRunner:
         self._child: starter.Process | None = None
         self._pipe: Any = None
         self._running = False
+        self.wiring_problems: tuple[str, ...] = ()
         self._owner = os.getpid()
         self._machine = b""  # what the child's stage is like
         self._error: BaseException | None = None
@@ -176,7 +177,7 @@ class ProcessRunner:
         except BaseException:
             self._end_child()
             raise
-        board.port_table[:] = message.ports
+        board.port_table[:], self.wiring_problems = message.ports, message.wiring_problems
         if message.error is not None:
             raise self._error or _make_error(*message.error)
         self._running = message.code is None

@@ -129,6 +129,7 @@ class PausedMessage(NamedTuple):
     ports: np.ndarray
     code: int | None
     error: tuple[str, str] | None
+    wiring_problems: tuple[str, ...]
 
 
 def _make_file(path: Path, size: int) -> None:
