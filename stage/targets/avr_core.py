@@ -20,7 +20,7 @@ PIN = record([("port", "i8"), ("bit", "i8")])
 AVR = record(
     PROCESSOR_FIELDS
     + [(name, "i8") for name in "own avr run status raise_irq read_memory timer when quantum pc stop line_irq".split()]
-    + [(name, "i8") for name in "state is_enabled vectors n_vectors asleep lines".split()]
+    + [(name, "i8") for name in "state is_enabled vectors n_vectors asleep interrupt_wait has_pending lines".split()]
 )
 """own              its own address
     avr, run ...     the avr_t, and the addresses of avr_run, avr_cycle_timer_status, avr_raise_irq, avr_core_watch_read, of `tick`
@@ -30,6 +30,7 @@ AVR = record(
     state            where simavr's state lies
     is_enabled       address of avr_is_interrupt_enabled; vectors: of the n_vectors addresses that it takes
     asleep           it slept at the last tick; 2: and no interrupt is enabled that could wake it
+    interrupt_wait   where simavr's interrupt_state lies; has_pending: address of avr_has_pending_interrupts
     lines            address of its LINES record; 0: no STEP/DIR line is at its pins
 """
 BUS = record(
@@ -62,13 +63,16 @@ LINES = record([(name, "i8") for name in "ports n_ports read n_read ioctl".split
 """Lines at the pins of an AVR: LINE_PORT and READ_LINE records; the address of avr_ioctl."""
 SERIAL = record([(name, "i8") for name in "avr text room length".split()])
 """A serial line, and the text since its last line end."""
-BYTE, STATE = np.dtype("u1"), np.dtype("u4")
+BYTE, STATE, WAIT = np.dtype("u1"), np.dtype("u4"), np.dtype("i1")
+ONE_MORE = -1
+"""Of interrupt_wait: after SEI and two instructions interrupts are served; 1: one waits."""
 SLEEPING, DONE = 3, 6
 """cpu_Sleeping, cpu_Done, and above: crashed."""
 NOTHING_WAKES = 2
 LINE_END, CARRIAGE_RETURN = 10, 13
 _run, _raise_irq = called("i4", "i8"), called(None, "i8", "i4")
 _is_enabled, _ioctl = called("i4", "i8", "i8"), called("i4", "i8", "i4", "i8")
+_has_pending = called("i4", "i8")
 _get_timer_status, _read_memory = called("i8", "i8", "i8", "i8"), called("i4", "i8", "i4")
 
 
@@ -256,11 +260,17 @@ def log_sent_byte(_irq, value, serial):
 
 @exported("i8", AVR)
 def run(cpu):
-    """Run until the program ends or cannot continue; return simavr's state."""
+    """Run until the program ends or cannot continue; return simavr's state.
+
+    An interrupt may follow the instruction after SEI; simavr would have it wait for one more.
+    """
     if cpu.lines:
         _begin_lines(cpu)
     while not cpu.ended:
         state = _run(cpu.run, (cpu.avr,))
+        wait = array_at(cpu.interrupt_wait, 1, WAIT)
+        if wait[0] == ONE_MORE:
+            wait[0] = 1 if _has_pending(cpu.has_pending, (cpu.avr,)) else 0
         if state >= DONE:
             return state
     return DONE

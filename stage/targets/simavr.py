@@ -24,10 +24,11 @@ from stage.board.errors import HostError, LibraryError
 from stage.board.pins import PinLine
 from stage.errors import StageError
 from stage.native import address_of, array_at
-from stage.targets import avr_core, mcus
+from stage.targets import avr_core, mcus, simavr_layout
 from stage.targets.avr_bus import AvrBus, Pins, encode_request
 from stage.targets.avr_lines import AvrLines
 from stage.targets.elf import AVR, Elf, check_avr, read_mmcu
+from stage.targets.simavr_overlay import TimerOverlay
 
 BUILD_COMMAND = "avr-gcc -mmcu={mcu} -Os -g firmware.c -o firmware.elf"
 DEFAULT_HZ = 16_000_000
@@ -219,6 +220,7 @@ class LoadedAvr:
         self._disconnect_upper_analog_inputs()
         self._load_content()
         self._call_library("avr_reset")
+        self._timers = TimerOverlay(self._simavr.library, self._avr)
         self._has_lines = bool(program.lines)
         irq = program.pins.irq if program.pins else None
         self._make_record(irq, hz)
@@ -318,6 +320,8 @@ class LoadedAvr:
         t.stop = self._elf.symbols.get("__stop_program", self._elf.symbols.get("_exit", -1))
         t.line_irq = self.find_irq(*irq) if irq else 0
         t.state, t.is_enabled = self._state_at, library.find_function_address("avr_is_interrupt_enabled")
+        t.interrupt_wait = self._avr + simavr_layout.get_offset(simavr_layout.AVR, "interrupt_wait")
+        t.has_pending = library.find_function_address("avr_has_pending_interrupts")
         t.vectors, t.n_vectors = self._vectors.addresses.ctypes.data, len(self._vectors.addresses)
         self._tick, self._sent = avr_core.end_quantum.pointer, avr_core.log_sent_byte.pointer
         t.timer = ctypes.cast(self._tick, ctypes.c_void_p).value

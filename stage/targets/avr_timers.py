@@ -1,0 +1,513 @@
+"""Timers of an AVR in normal and CTC mode, exact to the clock cycle, compiled. simavr calls these functions.
+
+simavr 1.6 computes when its timers overflow and match, and loses what the program changes in between: a compare value
+that was 0 at the start, a count written while the timer stands still, a flag that was set before its interrupt was
+enabled. Here a timer is a pair, its count and the tick (of the prescaler) at which it had that count. Each access brings
+the pair up to date, with all flags and output pins on the way, and one event of simavr is due at the next of them.
+
+Times follow the data sheet of the ATmega328P: registers are synchronous. IN and OUT access a register in their only cycle,
+all other instructions in their second. A read sees the value of that cycle; a write counts from the next cycle on. A
+match sets its flag one timer clock later. A write of the count suppresses matches during the following timer clock.
+
+In PWM modes, with an external or the asynchronous clock, a timer is simavr's: its own functions answer.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stage.native import array_at, called, exported, hot, record
+from stage.sim.handle import INTEGER
+
+SIMAVR = record(
+    [(name, "i8") for name in "avr cycle memory flash pc vectors n_vectors event".split()]
+    + [
+        (name, "i8")
+        for name in "watch_write watch_read raise_interrupt clear_interrupt raise_irq register cancel".split()
+    ]
+)
+"""avr                the avr_t
+    cycle, pc          addresses of its cycle and its program counter
+    memory, flash      its memories
+    vectors            address of n_vectors VECTOR records
+    event              address of `end_wait`
+    watch_write ...    addresses of avr_core_watch_write, avr_core_watch_read, avr_raise_interrupt, avr_clear_interrupt,
+                       avr_raise_irq, avr_cycle_timer_register, avr_cycle_timer_cancel
+"""
+VECTOR = record([(name, "i8") for name in "timer vector pending enable enable_mask flag flag_mask".split()])
+"""timer, vector      address of its TIMER and of the avr_int_vector_t; 0: the timer has no such interrupt
+    pending            address of the byte whose bit 0 says that simavr will serve it
+    enable, flag       registers with its enable bit and its flag, and the bits
+"""
+UNIT = record([(name, "i8") for name in "register high value matches vector mode pin irq".split()])
+"""register, high     address of OCR, low and high byte; 0: there is none
+    value, matches     what the counter is compared with, and how often it matched on the way to the present tick
+    vector             address of its VECTOR
+    mode, pin          register bits of the output mode and of the pin's level
+    irq                simavr IRQ of the output
+"""
+N_UNITS, CAPTURE = 4, 3
+"""Compare units A, B, C; ICR, which is one where it is the TOP value."""
+WIDTHS = 4  # register bits that select the mode, and those that select the clock
+TIMER = record(
+    [(name, "i8") for name in "own simavr units overflow capture originals n_originals read read_parameter".split()]
+    + [(name, "i8") for name in "count_low count_high icr_high strobes strobe_mask temp".split()]
+    + [(name, "i8") for name in "count tick shift runs top maximum is_blocked is_simavrs is_top_icr due".split()]
+    + [("asynchronous", "i8"), ("has_external_clock", "i8"), ("modes", "i8", (WIDTHS,)), ("clocks", "i8", (WIDTHS,))]
+    + [("kinds", "i8", (16,)), ("tops", "i8", (16,)), ("shifts", "i8", (16,))]
+)
+"""own, simavr        its own address, and that of the SIMAVR record
+    units              address of N_UNITS UNIT records
+    overflow, capture  addresses of VECTOR records
+    originals          address of n_originals ORIGINAL records: simavr's functions for its registers
+    read               simavr's function that reads the count, with its parameter
+    count_low ...      addresses of registers; strobes: the one with FOC bits, or 0; strobe_mask: its FOC bits,
+                       bit 7 that of unit A
+    temp               TEMP, the high byte of the next write and of the last read
+    count, tick        the count during a tick; a tick is a clock of the timer, counted from the first cycle
+    shift, runs        a tick has 1 << shift cycles; whether a clock is selected
+    top, maximum       the greatest count of the mode and of the counter
+    is_blocked         the count was written at `tick`: no match during it
+    is_simavrs         the mode or the clock is one that simavr emulates
+    due                cycle of the event that simavr has, or 0
+    asynchronous ...   register bits of AS2, of the mode and of the clock
+    kinds, tops        by the number of the mode; shifts: by the number of the clock, or EXTERNAL
+"""
+ORIGINAL = record([("register", "i8"), ("function", "i8"), ("parameter", "i8")])
+RESERVED, NORMAL, CTC = 0, 1, 2
+TOP_ICR = 2
+EXTERNAL = 0x80
+TOGGLE, SET = 1, 3
+OUTPUT = 0x100  # a simavr IRQ that drives its pin
+BYTE, WORD = np.dtype("u1"), np.dtype("u4")
+DATA_SIZE = 1 << 16
+_write_register, _read_register = called(None, "i8", "i4", "i4", "i8"), called("i4", "i8", "i4", "i8")
+_watch_write, _watch_read = called(None, "i8", "i4", "i4"), called("i4", "i8", "i4")
+_call_for_vector, _raise_irq = called("i4", "i8", "i8"), called(None, "i8", "i4")
+_register_event, _cancel_event = called(None, "i8", "i8", "i8", "i8"), called(None, "i8", "i8", "i8")
+
+
+@hot
+def _get_simavr(timer):
+    return array_at(timer.simavr, 1, SIMAVR)[0]
+
+
+@hot
+def _get_cycle(simavr):
+    return array_at(simavr.cycle, 1, INTEGER)[0]
+
+
+@hot
+def _get_access_cycle(simavr):
+    """Return the cycle in which the present instruction accesses a register."""
+    pc = np.int64(array_at(simavr.pc, 1, WORD)[0])
+    is_in_or_out = array_at(simavr.flash + pc + 1, 1, BYTE)[0] & 0xF0 == 0xB0
+    return _get_cycle(simavr) + (0 if is_in_or_out else 1)
+
+
+@hot
+def _peek(simavr, register):
+    return np.int64(array_at(simavr.memory, DATA_SIZE, BYTE)[register])
+
+
+@hot
+def _poke(simavr, register, value):
+    array_at(simavr.memory, DATA_SIZE, BYTE)[register] = value & 0xFF
+
+
+@hot
+def _read_bits(simavr, bits):
+    """Return the value of register bits, packed as simavr does: register, lowest bit, mask; 0 if there are none."""
+    if bits & 0x1FF == 0:
+        return np.int64(0)
+    return _peek(simavr, bits & 0x1FF) >> (bits >> 9 & 7) & (bits >> 12 & 0xFF)
+
+
+@hot
+def _read_selection(simavr, selection):
+    number = np.int64(0)
+    for k in range(WIDTHS):
+        number |= _read_bits(simavr, selection[k]) << k
+    return number
+
+
+@hot
+def _is_raised(simavr, vector):
+    return _peek(simavr, vector.flag) & vector.flag_mask != 0
+
+
+# --- time ---
+
+
+@hot
+def _count_on(timer, ticks):
+    """Count a number of ticks, at least 1."""
+    count = timer.count
+    if timer.is_blocked:
+        count = count + 1 & timer.maximum
+        ticks -= 1
+        timer.is_blocked = 0
+    if count > timer.top and ticks > timer.maximum - count:
+        ticks -= timer.maximum - count + 1
+        count = 0
+    if count > timer.top or timer.top == timer.maximum:
+        timer.count = count + ticks & timer.maximum
+    else:
+        timer.count = (count + ticks) % (timer.top + 1)
+
+
+@hot
+def _find_end(timer, value, is_match):
+    """Return the ticks until the count leaves a value, or 0 if it never has it."""
+    count, before = timer.count, 0
+    if timer.is_blocked:
+        if not is_match and count == value:
+            return 1
+        count, before = count + 1 & timer.maximum, 1
+    if value >= count and (count > timer.top or value <= timer.top):
+        return before + value - count + 1
+    if value > timer.top:
+        return 0
+    return before + (timer.maximum if count > timer.top else timer.top) - count + 1 + value + 1
+
+
+@hot
+def _count_matches(timer, value, is_match, ticks):
+    """Return how often the count leaves a value during a number of ticks."""
+    first = _find_end(timer, value, is_match)
+    if first == 0 or first > ticks:
+        return 0
+    return 1 + ((ticks - first) // (timer.top + 1) if value <= timer.top else 0)
+
+
+@hot
+def _drive_pin(simavr, unit, matches):
+    """Let the output of a unit follow a number of matches."""
+    mode = _read_bits(simavr, unit.mode)
+    if mode == 0:
+        return
+    output = OUTPUT if unit.pin else 0
+    if mode != TOGGLE:
+        _raise_irq(simavr.raise_irq, (unit.irq, output | (1 if mode == SET else 0)))
+    elif matches & 1:
+        _raise_irq(simavr.raise_irq, (unit.irq, output | (1 - _read_bits(simavr, unit.pin) if unit.pin else 1)))
+
+
+@hot
+def _set_flag(simavr, address):
+    """Set the flag of an interrupt, and raise it if it is enabled."""
+    if address:
+        vector = array_at(address, 1, VECTOR)[0]
+        if vector.vector and not _is_raised(simavr, vector):
+            _call_for_vector(simavr.raise_interrupt, (simavr.avr, vector.vector))
+
+
+@hot
+def _advance(timer, cycle):
+    """Bring a timer up to date, with all flags and outputs on the way."""
+    if timer.is_simavrs or not timer.runs:
+        return
+    simavr, tick = _get_simavr(timer), cycle >> timer.shift
+    ticks = tick - timer.tick
+    if ticks <= 0:
+        return
+    units = array_at(timer.units, N_UNITS, UNIT)
+    for k in range(N_UNITS):
+        exists = timer.is_top_icr if k == CAPTURE else units[k].register
+        units[k].matches = _count_matches(timer, units[k].value, 1, ticks) if exists else 0
+    overflows = _count_matches(timer, timer.maximum, 0, ticks)
+    _count_on(timer, ticks)
+    timer.tick = tick
+    for k in range(N_UNITS):
+        if units[k].matches:
+            _drive_pin(simavr, units[k], units[k].matches)
+            _set_flag(simavr, units[k].vector)
+    if overflows:
+        _set_flag(simavr, timer.overflow)
+
+
+@hot
+def _is_awaited(simavr, address):
+    """Tell whether the next event of an interrupt changes its flag."""
+    if address == 0:
+        return False
+    vector = array_at(address, 1, VECTOR)[0]
+    return vector.vector != 0 and not _is_raised(simavr, vector)
+
+
+@hot
+def _find_next_end(timer, simavr):
+    """Return the ticks until the next change of a flag or an output, or 0."""
+    units, best = array_at(timer.units, N_UNITS, UNIT), 0
+    for k in range(N_UNITS):
+        unit = units[k]
+        exists = timer.is_top_icr if k == CAPTURE else unit.register
+        if exists and (_is_awaited(simavr, unit.vector) or _read_bits(simavr, unit.mode)):
+            ticks = _find_end(timer, unit.value, 1)
+            if ticks and (best == 0 or ticks < best):
+                best = ticks
+    if _is_awaited(simavr, timer.overflow):
+        ticks = _find_end(timer, timer.maximum, 0)
+        if ticks and (best == 0 or ticks < best):
+            best = ticks
+    return best
+
+
+@hot
+def _schedule(timer):
+    """Tell simavr when the next event of an up-to-date timer is due."""
+    if timer.is_simavrs:
+        return
+    simavr = _get_simavr(timer)
+    ticks = _find_next_end(timer, simavr) if timer.runs else 0
+    due = timer.tick + ticks << timer.shift if ticks else 0
+    if due == timer.due:
+        return
+    timer.due = due
+    if due:
+        _register_event(simavr.register, (simavr.avr, due - _get_cycle(simavr), simavr.event, timer.own))
+    else:
+        _cancel_event(simavr.cancel, (simavr.avr, simavr.event, timer.own))
+
+
+@exported("i8", "i8", "i8", TIMER)
+def end_wait(_avr, when, timer):
+    """Handle the event of a timer."""
+    timer.due = 0
+    _advance(timer, when)
+    _schedule(timer)
+    return 0
+
+
+# --- registers ---
+
+
+@hot
+def _call_original(timer, simavr, register, value):
+    """Write a register as simavr does."""
+    originals = array_at(timer.originals, timer.n_originals, ORIGINAL)
+    for k in range(timer.n_originals):
+        if originals[k].register == register and originals[k].function:
+            _write_register(originals[k].function, (simavr.avr, register, value, originals[k].parameter))
+            return
+    _watch_write(simavr.watch_write, (simavr.avr, register, value))
+
+
+@hot
+def _find_top(timer):
+    units = array_at(timer.units, N_UNITS, UNIT)
+    return units[CAPTURE].value if timer.is_top_icr else units[0].value
+
+
+@hot
+def _select_mode(timer, simavr, cycle):
+    """Take mode and clock from the registers, from a cycle on."""
+    mode, clock = _read_selection(simavr, timer.modes), _read_selection(simavr, timer.clocks)
+    kind, shift = timer.kinds[mode], timer.shifts[clock]
+    is_external = shift & EXTERNAL != 0 or (timer.has_external_clock != 0 and clock >= 6)
+    is_known = kind in (RESERVED, NORMAL, CTC)
+    timer.is_simavrs = not is_known or is_external or _read_bits(simavr, timer.asynchronous) != 0
+    timer.is_top_icr = kind == CTC and timer.tops[mode] == TOP_ICR
+    timer.top = _find_top(timer) if kind == CTC else timer.maximum
+    timer.runs = clock != 0
+    if clock and not timer.is_simavrs:
+        timer.shift = shift
+        timer.tick = cycle >> shift
+
+
+@hot
+def _leave_simavr(timer, simavr):
+    """Take the count over from simavr and stop its timer; the registers keep their values."""
+    _read_register(timer.read, (simavr.avr, timer.count_low, timer.read_parameter))
+    timer.count = _peek(simavr, timer.count_low) | (_peek(simavr, timer.count_high) << 8 if timer.count_high else 0)
+    register = timer.clocks[0] & 0x1FF
+    value, mask = _peek(simavr, register), np.int64(0)
+    for k in range(WIDTHS):
+        bits = timer.clocks[k]
+        if bits & 0x1FF == register:
+            mask |= (bits >> 12 & 0xFF) << (bits >> 9 & 7)
+    _call_original(timer, simavr, register, value & ~mask)
+    _poke(simavr, register, value)
+    timer.due = 0
+
+
+@hot
+def _strobe_outputs(timer, simavr, value):
+    """Force matches of the outputs whose FOC bits are set. They set no flag."""
+    units = array_at(timer.units, N_UNITS, UNIT)
+    for k in range(CAPTURE):
+        if value >> (7 - k) & 1:
+            _drive_pin(simavr, units[k], 1)
+
+
+@exported(None, "i8", "i4", "i4", TIMER)
+def write_control(_avr, register, value, timer):
+    """Write TCCRnA, TCCRnB or ASSR."""
+    simavr, register, value = _get_simavr(timer), register & 0xFFFF, value & 0xFF
+    cycle = _get_access_cycle(simavr) + 1
+    _advance(timer, cycle)
+    strobes = np.int64(0)
+    if register == timer.strobes:
+        strobes, value = value & timer.strobe_mask, value & ~timer.strobe_mask
+    was_simavrs, before = timer.is_simavrs, _peek(simavr, register)
+    _poke(simavr, register, value)
+    _select_mode(timer, simavr, cycle)
+    if timer.is_simavrs or was_simavrs:
+        _poke(simavr, register, before)
+    if timer.is_simavrs:
+        if timer.due:
+            _cancel_event(simavr.cancel, (simavr.avr, simavr.event, timer.own))
+            timer.due = 0
+        _call_original(timer, simavr, register, value)
+        return
+    if was_simavrs:
+        _leave_simavr(timer, simavr)
+    _watch_write(simavr.watch_write, (simavr.avr, register, value))
+    _strobe_outputs(timer, simavr, strobes)
+    _schedule(timer)
+
+
+@exported(None, "i8", "i4", "i4", TIMER)
+def write_strobes(_avr, _register, value, timer):
+    """Write TCCRnC of a 16-bit timer, which reads as 0."""
+    if not timer.is_simavrs:
+        simavr = _get_simavr(timer)
+        _advance(timer, _get_access_cycle(simavr) + 1)
+        _strobe_outputs(timer, simavr, value & timer.strobe_mask)
+
+
+@exported(None, "i8", "i4", "i4", TIMER)
+def write_high_byte(_avr, _register, value, timer):
+    """Write a high byte, which waits in TEMP for its low byte."""
+    timer.temp = value & 0xFF
+
+
+@hot
+def _write_word(timer, simavr, register, high, value):
+    """Write a register, as simavr does where the timer is its own, and return its value."""
+    if high:
+        _poke(simavr, high, timer.temp)
+    if timer.is_simavrs:
+        _call_original(timer, simavr, register, value)
+    else:
+        _watch_write(simavr.watch_write, (simavr.avr, register, value))
+    return value | (timer.temp << 8 if high else 0)
+
+
+@exported(None, "i8", "i4", "i4", TIMER)
+def write_compare(_avr, register, value, timer):
+    """Write OCRnA, OCRnB, OCRnC or ICRn."""
+    simavr, register, value = _get_simavr(timer), register & 0xFFFF, value & 0xFF
+    _advance(timer, _get_access_cycle(simavr) + 1)
+    units = array_at(timer.units, N_UNITS, UNIT)
+    for k in range(N_UNITS):
+        if units[k].register == register:
+            units[k].value = _write_word(timer, simavr, register, units[k].high, value)
+    if timer.kinds[_read_selection(simavr, timer.modes)] == CTC:
+        timer.top = _find_top(timer)
+    _schedule(timer)
+
+
+@exported(None, "i8", "i4", "i4", TIMER)
+def write_count(_avr, register, value, timer):
+    """Write TCNTn."""
+    simavr, register, value = _get_simavr(timer), register & 0xFFFF, value & 0xFF
+    cycle = _get_access_cycle(simavr) + 1
+    _advance(timer, cycle)
+    count = _write_word(timer, simavr, register, timer.count_high, value)
+    if timer.is_simavrs:
+        return
+    timer.count, timer.is_blocked = count, 1
+    if timer.runs:
+        timer.tick = cycle >> timer.shift
+    _schedule(timer)
+
+
+@exported("i4", "i8", "i4", TIMER)
+def read_count(_avr, register, timer):
+    """Read the low byte of TCNTn; the high byte goes to TEMP."""
+    simavr, register = _get_simavr(timer), register & 0xFFFF
+    if timer.is_simavrs:
+        value = _read_register(timer.read, (simavr.avr, register, timer.read_parameter)) & 0xFF
+        if timer.count_high:
+            timer.temp = _peek(simavr, timer.count_high)
+        return value
+    _advance(timer, _get_access_cycle(simavr))
+    _schedule(timer)
+    _poke(simavr, register, timer.count)
+    timer.temp = timer.count >> 8
+    return _watch_read(simavr.watch_read, (simavr.avr, register)) & 0xFF
+
+
+@exported("i4", "i8", "i4", TIMER)
+def read_capture(_avr, register, timer):
+    """Read the low byte of ICRn; the high byte goes to TEMP."""
+    simavr, register = _get_simavr(timer), register & 0xFFFF
+    timer.temp = _peek(simavr, timer.icr_high)
+    return _watch_read(simavr.watch_read, (simavr.avr, register)) & 0xFF
+
+
+@exported("i4", "i8", "i4", TIMER)
+def read_high_byte(_avr, _register, timer):
+    """Read the high byte of TCNTn or ICRn, which is in TEMP."""
+    return np.int64(timer.temp)
+
+
+# --- interrupts ---
+
+
+@exported(None, "i8", "i4", "i4", SIMAVR)
+def write_enables(_avr, register, value, simavr):
+    """Write TIMSKn: an interrupt whose flag is set already comes at once."""
+    register = register & 0xFFFF
+    _watch_write(simavr.watch_write, (simavr.avr, register, value & 0xFF))
+    vectors = array_at(simavr.vectors, simavr.n_vectors, VECTOR)
+    for k in range(simavr.n_vectors):
+        vector = vectors[k]
+        if vector.enable == register and value & vector.enable_mask and _is_raised(simavr, vector):
+            _call_for_vector(simavr.raise_interrupt, (simavr.avr, vector.vector))
+
+
+@hot
+def _clear_flag(simavr, vector):
+    _poke(simavr, vector.flag, _peek(simavr, vector.flag) & ~vector.flag_mask)
+
+
+@exported("i4", "i8", "i4", SIMAVR)
+def read_flags(_avr, register, simavr):
+    """Read TIFRn."""
+    register = register & 0xFFFF
+    vectors = array_at(simavr.vectors, simavr.n_vectors, VECTOR)
+    for k in range(simavr.n_vectors):
+        if vectors[k].flag == register:
+            timer = array_at(vectors[k].timer, 1, TIMER)[0]
+            _advance(timer, _get_access_cycle(simavr))
+            _schedule(timer)
+    return _watch_read(simavr.watch_read, (simavr.avr, register)) & 0xFF
+
+
+@exported(None, "i8", "i4", "i4", SIMAVR)
+def write_flags(_avr, register, value, simavr):
+    """Write TIFRn: each 1 clears a flag."""
+    register = register & 0xFFFF
+    vectors = array_at(simavr.vectors, simavr.n_vectors, VECTOR)
+    for k in range(simavr.n_vectors):
+        vector = vectors[k]
+        if vector.flag == register and value & vector.flag_mask:
+            timer = array_at(vector.timer, 1, TIMER)[0]
+            _advance(timer, _get_access_cycle(simavr) + 1)
+            if array_at(vector.pending, 1, BYTE)[0] & 1:
+                _call_for_vector(simavr.clear_interrupt, (simavr.avr, vector.vector))
+            _clear_flag(simavr, vector)
+            _schedule(timer)
+
+
+@exported(None, "i8", "i4", VECTOR)
+def end_pending(_irq, value, vector):
+    """Clear the flag of an interrupt when its routine begins."""
+    if value == 0:
+        timer = array_at(vector.timer, 1, TIMER)[0]
+        simavr = _get_simavr(timer)
+        _advance(timer, _get_cycle(simavr))
+        _clear_flag(simavr, vector)
+        _schedule(timer)

@@ -1,0 +1,237 @@
+"""Structures of simavr 1.6, described by the offsets of their fields, and the check that the loaded library has them.
+
+simavr has no functions for what its timers are: registers, modes, prescalers, and who answers an access. The check makes
+an ATmega328P and compares what the structures must say then (registers of the data sheet, addresses that functions of
+the library return, the effect of instructions that it runs) with what they say. It reads memory through a pipe, which
+refuses an address without memory, so another layout is an error and not a crash.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from typing import Any
+
+import numpy as np
+
+from stage.errors import StageError
+from stage.native import array_at
+
+VERSION = "1.6"
+N_REGISTERS = 280
+
+
+def _describe(size: int, **fields: tuple[int, Any]) -> np.dtype:
+    """Return the type of a structure of a size in bytes, whose fields are pairs of an offset and a type."""
+    offsets, formats = zip(*fields.values(), strict=True)
+    return np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": size})
+
+
+REGISTER = _describe(40, read_parameter=(8, "i8"), read=(16, "i8"), write_parameter=(24, "i8"), write=(32, "i8"))
+"""Functions that answer accesses to a register."""
+AVR = _describe(
+    16016, name=(0, "i8"), cycle=(80, "i8"), cycle_limit=(96, "i8"), run=(160, "i8"), sleep=(168, "i8"),
+    flags=(192, ("u1", 8)), interrupt_wait=(200, "i1"), pc=(204, "u4"), registers=(216, (REGISTER, N_REGISTERS)),
+    flash=(11712, "i8"), data=(11720, "i8"), modules=(11728, "i8"),
+)  # fmt: skip
+"""An avr_t. interrupt_wait: below 0, instructions until interrupts are served; 1: one waits."""
+MODULE = _describe(72, next=(0, "i8"), avr=(8, "i8"), name=(32, "u4"), irq=(40, "i8"))
+VECTOR = _describe(104, number=(0, "u1"), enable=(4, "u4"), flag=(8, "u4"), irq=(16, "i8"), pending=(96, "u1"))
+COMPARE = _describe(
+    136, vector=(0, VECTOR), timer=(104, "i8"), low=(112, "u2"), high=(114, "u2"), mode=(116, "u4"), pin=(120, "u4")
+)
+TIMER = _describe(
+    896, module=(0, MODULE), count_low=(84, "u2"), icr_low=(86, "u2"), count_high=(88, "u2"), icr_high=(90, "u2"),
+    modes=(92, ("u4", 4)), kinds=(108, ("u4", 16)), asynchronous=(184, "u4"), clocks=(188, ("u4", 4)),
+    shifts=(204, ("u1", 16)), clock_pin=(224, "u4"), compare=(248, (COMPARE, 3)), overflow=(656, VECTOR), capture=(760, VECTOR),
+)  # fmt: skip
+IRQ_SIZE = 40
+REGISTER_BEGIN = 32  # address of the first register that has functions
+TIMER_NAMES = "0123456789"
+_OUTPUT_IRQ = 3
+_REGISTERS = {
+    "0": (0x46, 0, 0, 0x44, 0x45, 0x6E, 0x35, (0x47, 0x48)),
+    "1": (0x84, 0x85, 0x86, 0x80, 0x81, 0x6F, 0x36, (0x88, 0x8A)),
+    "2": (0xB2, 0, 0, 0xB0, 0xB1, 0x70, 0x37, (0xB3, 0xB4)),
+}
+"""Of an ATmega328P's timers: TCNT low and high, ICR, TCCRA, TCCRB, TIMSK, TIFR, OCRA and OCRB."""
+_SPL, _RAM_END = 0x5D, 0x8FF
+_NOP, _SEI, _JUMP_TO_ITSELF = 0x0000, 0x9478, 0xCFFF
+
+
+def get_offset(structure: np.dtype, field: str) -> int:
+    """Return where a field stands in a structure, in bytes."""
+    assert structure.fields is not None
+    return structure.fields[field][1]
+
+
+def get_register(bits: int) -> int:
+    """Return the address of the register of register bits, as simavr packs them."""
+    return int(bits) & 0x1FF
+
+
+def get_mask(bits: int) -> int:
+    """Return the bits of register bits, as simavr packs them."""
+    return (int(bits) >> 12 & 0xFF) << (int(bits) >> 9 & 7)
+
+
+def view(address: int, structure: np.dtype) -> Any:
+    """Return the structure at an address."""
+    return array_at(address, 1, structure)[0]
+
+
+def list_modules(avr: int) -> list[int]:
+    """Return the addresses of an AVR's modules, such as its timers. The layout of the library has been checked."""
+    modules, address = [], int(view(avr, AVR)["modules"])
+    while address:
+        modules.append(address)
+        address = int(view(address, MODULE)["next"])
+    return modules
+
+
+def list_timers(library: ctypes.CDLL, avr: int) -> list[int]:
+    """Return the addresses of an AVR's timers. The layout of the library has been checked."""
+    irqs = {find_irq(library, avr, f"tmr{name}") for name in TIMER_NAMES} - {0}
+    return [address for address in list_modules(avr) if int(view(address, MODULE)["irq"]) in irqs]
+
+
+def find_irq(library: ctypes.CDLL, avr: int, module: str) -> int:
+    """Return the address of the first simavr IRQ of a module, for example "tmr0", or 0."""
+    find = library["avr_io_getirq"]
+    find.restype = ctypes.c_void_p
+    return find(ctypes.c_void_p(avr), int.from_bytes(module.encode(), "big"), 0) or 0
+
+
+def find_output_irq(timer: int, unit: int) -> int:
+    """Return the simavr IRQ of a timer's compare output."""
+    return int(view(timer, MODULE)["irq"]) + (_OUTPUT_IRQ + unit) * IRQ_SIZE
+
+
+_checked: dict[int, str] = {}
+"""Misfit of each library that was checked, by its handle; empty: none."""
+
+
+def check_layout(library: ctypes.CDLL) -> None:
+    """Check that a library of simavr has the layout of version 1.6.
+
+    Args:
+        library: The library.
+
+    Raises:
+        StageError: It has another one.
+    """
+    name, handle = str(vars(library)["_name"]), library._handle
+    if handle not in _checked:
+        _checked[handle] = _find_misfit(library)
+    if misfit := _checked[handle]:
+        raise StageError(
+            f"{name} is simavr {_guess_version(library)}, and the exact timers need simavr {VERSION} (Debian: apt "
+            f"install libsimavr2): {misfit} is not where version {VERSION} has it."
+        )
+
+
+def _guess_version(library: ctypes.CDLL) -> str:
+    """Return the version of the library as words. The place of an interrupt's number tells 1.6 from what followed."""
+    avr = _make_atmega328p(library)
+    get = library["avr_get_interrupt_irq"]
+    get.restype = ctypes.c_void_p
+    irq = get(ctypes.c_void_p(avr), ctypes.c_uint8(1)) or 0
+    for before, words in ((16, "1.6, built in an unusual way"), (24, "1.7 or later")):
+        if _read(irq - before, 1) == b"\1":
+            return words
+    return "of an unknown version"
+
+
+def _make_atmega328p(library: ctypes.CDLL) -> int:
+    make = library["avr_make_mcu_by_name"]
+    make.restype = ctypes.c_void_p
+    avr = int(make(b"atmega328p") or 0)
+    library["avr_init"](ctypes.c_void_p(avr))
+    library["avr_reset"](ctypes.c_void_p(avr))
+    return avr
+
+
+def _read(address: int, size: int) -> bytes | None:
+    """Return memory at an address, or None if there is none."""
+    libc = ctypes.CDLL(None)
+    libc.write.restype, libc.write.argtypes = ctypes.c_ssize_t, (ctypes.c_int, ctypes.c_void_p, ctypes.c_size_t)
+    end, begin = os.pipe()
+    try:
+        return os.read(end, size) if libc.write(begin, address, size) == size else None
+    finally:
+        os.close(end)
+        os.close(begin)
+
+
+def _read_structure(address: int, structure: np.dtype) -> Any:
+    """Return a copy of the structure at an address, or None if there is no memory."""
+    content = _read(address, structure.itemsize) if address else None
+    return None if content is None else np.frombuffer(content, structure)[0]
+
+
+def _find_misfit(library: ctypes.CDLL) -> str:
+    """Return the name of a part of simavr that is not where version 1.6 has it, or an empty text."""
+    avr = _make_atmega328p(library)
+    try:
+        return _find_misfit_of_core(library, avr) or _find_misfit_of_timers(library, avr)
+    finally:
+        library["avr_terminate"](ctypes.c_void_p(avr))
+
+
+def _find_misfit_of_core(library: ctypes.CDLL, avr: int) -> str:
+    """Run three instructions and compare what they change."""
+    code = np.array([_NOP, _SEI, _NOP, _JUMP_TO_ITSELF], "<u2").tobytes()
+    library["avr_loadcode"](ctypes.c_void_p(avr), code, len(code), 0)
+    states = [_read_structure(avr, AVR)]
+    for _ in range(2):
+        library["avr_run"](ctypes.c_void_p(avr))
+        states.append(_read_structure(avr, AVR))
+    if any(state is None for state in states):
+        return "avr_t"
+    end = states[-1]
+    expected: dict[str, tuple[Any, Any]] = {
+        "mmcu": (_read(int(end["name"]), 9), b"atmega328"),
+        "cycle": ([int(s["cycle"]) for s in states], [0, 1, 2]),
+        "pc": ([int(s["pc"]) for s in states], [0, 2, 4]),
+        "sreg": ([int(s["flags"][7]) for s in states], [0, 0, 1]),
+        "interrupt_state": ([int(s["interrupt_wait"]) for s in states], [0, 0, -1]),
+        "run_cycle_limit": (int(end["cycle_limit"]), 1),
+        "run": (int(end["run"]), _find_address(library, "avr_callback_run_raw")),
+        "sleep": (int(end["sleep"]), _find_address(library, "avr_callback_sleep_raw")),
+        "flash": (_read(int(end["flash"]), len(code)), code),
+        "data": (_read(int(end["data"]) + _SPL, 2), _RAM_END.to_bytes(2, "little")),
+    }
+    return next((f"avr_t.{name}" for name, (value, wanted) in expected.items() if value != wanted), "")
+
+
+def _find_misfit_of_timers(library: ctypes.CDLL, avr: int) -> str:
+    """Compare the registers of each timer with the data sheet, and find the timer where its registers have functions."""
+    core = _read_structure(avr, AVR)
+    modules: dict[int, int] = {}
+    address = int(core["modules"])
+    while address:
+        module = _read_structure(address, MODULE)
+        if module is None or int(module["avr"]) != avr or len(modules) > N_REGISTERS:
+            return "the list of modules"
+        modules[int(module["irq"])] = address
+        address = int(module["next"])
+    for name, wanted in _REGISTERS.items():
+        address = modules.get(find_irq(library, avr, f"tmr{name}"), 0)
+        timer = _read_structure(address, TIMER)
+        if timer is None:
+            return f"timer {name}"
+        registers = (
+            int(timer["count_low"]), int(timer["count_high"]), int(timer["icr_low"]), get_register(timer["modes"][0]),
+            get_register(timer["clocks"][0]), get_register(timer["overflow"]["enable"]),
+            get_register(timer["overflow"]["flag"]), tuple(int(low) for low in timer["compare"]["low"][:2]),
+        )  # fmt: skip
+        functions = core["registers"][wanted[0] - REGISTER_BEGIN]
+        if registers != wanted or {int(functions["read_parameter"]), int(functions["write_parameter"])} != {address}:
+            return f"a register of timer {name}"
+        if any(int(at) != address for at in timer["compare"]["timer"]):
+            return f"a compare unit of timer {name}"
+    return ""
+
+
+def _find_address(library: ctypes.CDLL, name: str) -> int:
+    return ctypes.cast(library[name], ctypes.c_void_p).value or 0

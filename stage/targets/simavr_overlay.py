@@ -1,0 +1,174 @@
+"""`TimerOverlay`: connection of the exact timers of `avr_timers` to an AVR of simavr.
+
+simavr asks a function for each access to a register. The overlay puts its own functions there, keeps simavr's, and calls
+them where a timer's mode is one that simavr emulates.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+
+from stage.native import Exported, address_of
+from stage.targets import avr_timers, simavr_layout
+from stage.targets.avr_timers import CAPTURE, N_UNITS, ORIGINAL, SIMAVR, TIMER, UNIT, VECTOR
+from stage.targets.simavr_layout import get_mask, get_offset, get_register, view
+
+N_VECTORS = 5
+"""Interrupts of a timer: three compare units, overflow, capture."""
+_FUNCTIONS = {
+    "watch_write": "avr_core_watch_write", "watch_read": "avr_core_watch_read", "raise_interrupt": "avr_raise_interrupt",
+    "clear_interrupt": "avr_clear_interrupt", "raise_irq": "avr_raise_irq", "register": "avr_cycle_timer_register",
+    "cancel": "avr_cycle_timer_cancel",
+}  # fmt: skip
+
+
+class TimerOverlay:
+    """Exact timers of an AVR, which begin in the state after a reset.
+
+    Args:
+        library: Library of simavr.
+        avr: Address of the avr_t, after avr_reset.
+
+    Raises:
+        StageError: The library is not laid out as version 1.6 of simavr.
+    """
+
+    def __init__(self, library: ctypes.CDLL, avr: int):
+        simavr_layout.check_layout(library)
+        self._library, self._avr = library, view(avr, simavr_layout.AVR)
+        self._pointers: list[Any] = []
+        timers = [t for t in simavr_layout.list_timers(library, avr) if _is_known(view(t, simavr_layout.TIMER))]
+        self._simavr, self._timers = np.zeros(1, SIMAVR), np.zeros(len(timers), TIMER)
+        self._units = np.zeros((len(timers), N_UNITS), UNIT)
+        self._vectors = np.zeros((len(timers), N_VECTORS), VECTOR)
+        self._originals: list[np.ndarray] = []
+        self._fill_simavr(avr)
+        for k, address in enumerate(timers):
+            self._fill_timer(k, address)
+        for k, address in enumerate(timers):
+            self._connect(self._timers[k : k + 1], view(address, simavr_layout.TIMER))
+        self._connect_interrupts()
+
+    def _fill_simavr(self, avr: int) -> None:
+        row = self._simavr[0]
+        row["avr"] = avr
+        for name in ("cycle", "pc"):
+            row[name] = avr + get_offset(simavr_layout.AVR, name)
+        row["memory"], row["flash"] = self._avr["data"], self._avr["flash"]
+        row["vectors"], row["n_vectors"] = self._vectors.ctypes.data, self._vectors.size
+        row["event"] = self._get_address(avr_timers.end_wait)
+        for name, function in _FUNCTIONS.items():
+            row[name] = ctypes.cast(self._library[function], ctypes.c_void_p).value
+
+    def _get_address(self, function: Exported) -> int:
+        """Return the address of a compiled function, which simavr may call from now on."""
+        self._pointers.append(function.pointer)
+        return ctypes.cast(function.pointer, ctypes.c_void_p).value or 0
+
+    def _fill_timer(self, k: int, address: int) -> None:
+        timer, row = view(address, simavr_layout.TIMER), self._timers[k]
+        row["own"], row["simavr"] = address_of(self._timers[k : k + 1]), self._simavr.ctypes.data
+        row["units"] = self._units[k].ctypes.data
+        for name in ("count_low", "count_high", "icr_high", "asynchronous", "modes", "clocks", "shifts"):
+            row[name] = timer[name]
+        row["kinds"], row["tops"] = timer["kinds"] >> 24, timer["kinds"] & 0xFF
+        row["has_external_clock"] = get_register(timer["clock_pin"]) != 0
+        row["maximum"] = row["top"] = 0xFFFF if timer["count_high"] else 0xFF
+        row["strobes"], row["strobe_mask"] = _find_strobes(timer)
+        compare = address + get_offset(simavr_layout.TIMER, "compare")
+        places = [compare + n * simavr_layout.COMPARE.itemsize for n in range(CAPTURE)]
+        places += [address + get_offset(simavr_layout.TIMER, name) for name in ("overflow", "capture")]
+        vectors = [self._fill_vector(k, n, place) for n, place in enumerate(places)]
+        row["overflow"], row["capture"] = vectors[CAPTURE:]
+        for n, unit in enumerate(timer["compare"]):
+            pin = unit["pin"] if get_register(unit["pin"]) else 0
+            irq = simavr_layout.find_output_irq(address, n)
+            self._units[k, n] = unit["low"], unit["high"], 0, 0, vectors[n], unit["mode"], pin, irq
+        self._units[k, CAPTURE] = (timer["icr_low"], timer["icr_high"], 0, 0, row["capture"], 0, 0, 0)
+
+    def _fill_vector(self, k: int, n: int, address: int) -> int:
+        """Fill a record for an interrupt of a timer; return its address, or 0 if there is no such interrupt."""
+        vector, row = view(address, simavr_layout.VECTOR), self._vectors[k, n : n + 1]
+        if not vector["number"] or not get_register(vector["flag"]):
+            return 0
+        pending = address + get_offset(simavr_layout.VECTOR, "pending")
+        bits = [get(vector[name]) for name in ("enable", "flag") for get in (get_register, get_mask)]
+        row[0] = (self._timers[k]["own"], address, pending, *bits)
+        return address_of(row)
+
+    def _connect(self, row: np.ndarray, timer: Any) -> None:
+        """Answer accesses to the registers of a timer."""
+        control = {get_register(bits) for name in ("modes", "clocks") for bits in timer[name]}
+        control.add(get_register(timer["asynchronous"]))
+        writes = dict.fromkeys(control - {0}, avr_timers.write_control)
+        compares = [(unit["low"], unit["high"]) for unit in timer["compare"]] + [(timer["icr_low"], timer["icr_high"])]
+        writes |= {int(low): avr_timers.write_compare for low, _ in compares if low}
+        writes |= {int(high): avr_timers.write_high_byte for _, high in compares if high}
+        writes[int(timer["count_low"])] = avr_timers.write_count
+        if timer["count_high"]:
+            writes[int(timer["count_high"])] = avr_timers.write_high_byte
+            if row[0]["strobes"]:
+                writes[int(row[0]["strobes"])] = avr_timers.write_strobes
+        originals = np.zeros(len(writes), ORIGINAL)
+        for k, (register, function) in enumerate(writes.items()):
+            functions = self._avr["registers"][register - simavr_layout.REGISTER_BEGIN]
+            originals[k] = register, functions["write"], functions["write_parameter"]
+            functions["write"], functions["write_parameter"] = self._get_address(function), row[0]["own"]
+        self._originals.append(originals)
+        row["originals"], row["n_originals"] = originals.ctypes.data, len(originals)
+        self._connect_reads(row, timer)
+
+    def _connect_reads(self, row: np.ndarray, timer: Any) -> None:
+        functions = self._avr["registers"][int(timer["count_low"]) - simavr_layout.REGISTER_BEGIN]
+        row["read"], row["read_parameter"] = functions["read"], functions["read_parameter"]
+        reads = {int(timer["count_low"]): avr_timers.read_count}
+        if timer["count_high"]:
+            reads[int(timer["count_high"])] = avr_timers.read_high_byte
+        if timer["icr_high"]:
+            reads |= {
+                int(timer["icr_low"]): avr_timers.read_capture,
+                int(timer["icr_high"]): avr_timers.read_high_byte,
+            }
+        for register, function in reads.items():
+            functions = self._avr["registers"][register - simavr_layout.REGISTER_BEGIN]
+            functions["read"], functions["read_parameter"] = self._get_address(function), row[0]["own"]
+
+    def _connect_interrupts(self) -> None:
+        """Answer writes of enable bits and flags, and learn when simavr serves an interrupt."""
+        vectors = self._vectors.reshape(-1)
+        vectors = vectors[vectors["vector"] != 0]
+        for field, function in (("enable", avr_timers.write_enables), ("flag", avr_timers.write_flags)):
+            for register in {int(row[field]) for row in vectors} - {0}:
+                functions = self._avr["registers"][register - simavr_layout.REGISTER_BEGIN]
+                functions["write"], functions["write_parameter"] = self._get_address(function), self._simavr.ctypes.data
+                if field == "flag":
+                    functions["read"], functions["read_parameter"] = (
+                        self._get_address(avr_timers.read_flags), self._simavr.ctypes.data,
+                    )  # fmt: skip
+        pointer = avr_timers.end_pending.pointer
+        self._pointers.append(pointer)
+        for k in range(self._vectors.size):
+            row = self._vectors.reshape(-1)[k : k + 1]
+            if row[0]["vector"]:
+                irq = int(row[0]["vector"]) + get_offset(simavr_layout.VECTOR, "irq")
+                self._library["avr_irq_register_notify"](
+                    ctypes.c_void_p(irq), pointer, ctypes.c_void_p(address_of(row))
+                )
+
+
+def _is_known(timer: Any) -> bool:
+    """Tell whether a timer is one of the usual kind, with three bits that select its clock."""
+    return not get_register(timer["clocks"][3]) and bool(timer["count_low"])
+
+
+def _find_strobes(timer: Any) -> tuple[int, int]:
+    """Return the register with the FOC bits of a timer and the bits, or 0 and 0."""
+    mode, clock = get_register(timer["modes"][0]), get_register(timer["clocks"][0])
+    units = sum(0x80 >> k for k in range(CAPTURE) if timer["compare"][k]["low"])
+    if not timer["count_high"]:
+        mode_bits = sum(get_mask(bits) for bits in timer["modes"] if get_register(bits) == clock)
+        return (clock, units & ~mode_bits) if units & ~mode_bits else (0, 0)
+    return (clock + 1, units) if mode == clock - 1 else (0, 0)
