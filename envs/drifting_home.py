@@ -49,7 +49,7 @@ from stage.envs.origin_switch import OriginSwitch
 from stage.envs.results import SCORE_FEATURE, write_scores
 from stage.envs.settings import AxisName, Count, Number, Pair, Positive, Range, Seconds, Weight
 from stage.errors import ArgumentError
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 from stage.sim.fleet import Played
 from stage.sim.program import Program
 from stage.support import portable
@@ -158,7 +158,7 @@ class DriftingHome(MachineTask[Config]):
         self.axis = first.axes[c.axis]
         self.prepare_machines()
         self.switch = OriginSwitch(first, self.axis)
-        self.search = driver_of(self.axis).search(
+        self.search = get_driver(self.axis).search(
             SimpleNamespace(multiplier=30, leave=LEAVE, back_off=BACK_OFF[1], limit=c.limit, settle=c.settle, ez=0)
         )
         self.origin, self.per_pulse = self.switch.position, self.axis.meters_per_pulse

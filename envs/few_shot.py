@@ -48,7 +48,7 @@ from stage.envs.scaling import scale_log
 from stage.envs.settings import AxisName, Count, Counts, Flag, Number, Seconds, Weight, Word, read_option
 from stage.envs.task import find_judged_point
 from stage.envs.trial import MAX_OFFSET_M, TENTH_MM, Trial, compute_move_time
-from stage.firmware.driver import Speeds, driver_of
+from stage.firmware.driver import Speeds, get_driver
 from stage.sim.fleet import Fleet, Played
 from stage.sim.program import Program
 from stage.support import portable
@@ -165,7 +165,7 @@ class FewShotTuning(MachineTask[Config]):
     def prepare(self) -> None:
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
-        self.driver = driver_of(self.axis)
+        self.driver = get_driver(self.axis)
         self.judged, point = find_judged_point(first, c.axis, c.judge_at)
         self.trial = Trial(self.axis, point, c.settle, encoder=True)
         self.prepare_machines()

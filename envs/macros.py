@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 from stage.sim.program import Program
 
 RATES = {"gentle": (500.0, 2000.0, 0.05), "usual": (1000.0, 8000.0, 0.05), "bold": (4000.0, 30_000.0, 0.02)}
@@ -60,7 +60,7 @@ class MacroTable:
 
     def _write_pages(self, axis: Any, patience: float, settle: float) -> None:
         """Write the pages of an axis in the order of its macros. Starts of moves have one for each rate and distance."""
-        driver, a, chip = driver_of(axis), axis.index, axis.chip
+        driver, a, chip = get_driver(axis), axis.index, axis.chip
         rates = [(fl, fh, up, up) for fl, fh, up in RATES.values()]
         for speeds in rates:
             values = driver.formula(*speeds, self.grid[-1], s_curve=False)

@@ -53,7 +53,7 @@ from stage.envs.registers import RegisterBox
 from stage.envs.scaling import scale, scale_log
 from stage.envs.task import MoveTask, find_carrier
 from stage.errors import unknown_name_error
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 from stage.sim.fleet import Played
 from stage.sim.program import Program
 from stage.sim.records import INDEX
@@ -145,7 +145,7 @@ class OriginReturn(MoveTask[Config]):
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
         self.carrier = find_carrier(first, c.axis, c.payload_on)
-        self.search = driver_of(self.axis).search(c)
+        self.search = get_driver(self.axis).search(c)
         self.switch = OriginSwitch(first, self.axis)
         self.per_pulse = self.axis.meters_per_pulse
         self.origin = self._find_origin()

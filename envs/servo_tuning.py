@@ -33,7 +33,7 @@ from stage.envs.features import HOST, Feature
 from stage.envs.registers import RegisterBox
 from stage.envs.tuning import NEXT_MOVE, Tuning, describe_move_info
 from stage.errors import ArgumentError
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 from stage.sim.fleet import Played
 from stage.sim.program import Program
 
@@ -99,7 +99,7 @@ class ServoTuning(Tuning[Config]):
         return chip_class(self.config.chip)
 
     def make_register_box(self) -> RegisterBox:
-        self.driver = driver_of(self.axis)
+        self.driver = get_driver(self.axis)
         ranges = self.driver.get_filter_ranges(self.config.motion == "trapezoid").ranges
         return RegisterBox(list(ranges), ranges.values())
 

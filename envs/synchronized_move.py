@@ -54,9 +54,9 @@ from stage.envs.scaling import scale_log
 from stage.envs.task import MoveTask
 from stage.envs.trial import StartPositions
 from stage.errors import ArgumentError, unknown_name_error
-from stage.firmware.driver import driver_of
-from stage.firmware.line_programs import LineMoves, line_of
-from stage.firmware.path_deviation import path_deviation
+from stage.firmware.driver import get_driver
+from stage.firmware.line_programs import LineMoves, create_line_programs
+from stage.firmware.path_deviation import compute_path_deviation
 from stage.sim.fleet import Played
 from stage.sim.program import LOOK, WAIT
 from stage.sim.records import clock_at
@@ -168,7 +168,7 @@ class SynchronizedMove(MoveTask[Config]):
         self.axes = [first.axes[name] for name in c.axes]
         self.index = [a.index for a in self.axes]
         self.signed_pulse_m = np.array([a.meters_per_pulse * np.sign(a.gear) for a in self.axes])
-        self.line = line_of([driver_of(a) for a in self.axes], c)
+        self.line = create_line_programs([get_driver(a) for a in self.axes], c)
         self.hz = self.line.hz
         self.start_positions = [StartPositions(a) for a in self.axes]
         for starts in self.start_positions:
@@ -278,7 +278,7 @@ class SynchronizedMove(MoveTask[Config]):
             starts = [clock_at(now, self.hz) for now in began.tolist()]
             paths = self.line.pulses(moves[k], self.distances[k])
             paths = [t + (start - min(starts)) for t, start in zip(paths, starts, strict=True)]
-            self.path[k] = path_deviation([(t, 1) for t in paths], np.abs(self.distances[k])).pulses
+            self.path[k] = compute_path_deviation([(t, 1) for t in paths], np.abs(self.distances[k])).pulses
             self.seconds[k] = max(float(t[-1]) for t in paths) / self.hz
 
     def judge(self, played: Played, truth: np.ndarray) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from stage.chips import cores
 from stage.errors import ArgumentError
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 from stage.sim import play
 from stage.sim.fleet import Played
 from stage.sim.program import Program
@@ -135,7 +135,7 @@ class Trial(StartPositions):
 
     def __init__(self, axis: Axis, point: int, settle: float, encoder: bool = False):
         super().__init__(axis)
-        self.driver, self.point, self.settle, self.encoder = driver_of(axis), point, settle, encoder
+        self.driver, self.point, self.settle, self.encoder = get_driver(axis), point, settle, encoder
         self.predictor = PulsePredictor(axis)
         self.stop = self.rest = 0
 

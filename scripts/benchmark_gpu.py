@@ -13,7 +13,7 @@ import numpy as np
 
 from stage import Fleet, Program, Stage
 from stage.chips import HCTL1100, PCL240K
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 from stage.sim.gpu.fleet import STEPS_A_LAUNCH, GpuFleet
 
 DIFFERENT = 256
@@ -28,7 +28,7 @@ def stepper_programs(stage: Stage, rng: np.random.Generator) -> list[Program]:
     for _ in range(DIFFERENT):
         p = Program()
         for axis, reach in zip(stage.axes.values(), (30_000, 20_000, 10_000), strict=True):
-            driver = driver_of(axis)
+            driver = get_driver(axis)
             pulses = int(np.exp(rng.uniform(np.log(2000), np.log(reach)))) * int(rng.choice((-1, 1)))
             start, highest = rng.uniform(150, 900), np.exp(rng.uniform(np.log(1500), np.log(32_000)))
             seconds = (highest - start) / np.exp(rng.uniform(np.log(2e4), np.log(4e5)))
@@ -43,7 +43,7 @@ def servo_programs(stage: Stage, rng: np.random.Generator) -> list[Program]:
     for _ in range(DIFFERENT):
         p = Program()
         for axis in stage.axes.values():
-            driver = driver_of(axis)
+            driver = get_driver(axis)
             driver.write_servo_move(p, driver.compute_filter(), int(rng.integers(-8000, 8000)), (1e4, 1e5))
         programs.append(p.until_stopped([0, 1, 2], 1.0))
     return programs

@@ -15,8 +15,8 @@ import numpy as np
 
 from stage import Stage
 from stage.chips import MCX514
-from stage.firmware.nova.home_search import HomeReport, home_search
-from stage.firmware.nova.path_interpolation import Arc, Helix, Line, Speed, draw
+from stage.firmware.nova.home_search import HomeSearchReport, home_search
+from stage.firmware.nova.path_interpolation import ArcSegment, HelixSegment, LineSegment, PathSpeed, draw_path
 from stage.support.pictures import GRID_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame
 
 MM = 320  # pulses
@@ -25,8 +25,8 @@ CORNER = (-35 * MM, -17 * MM)  # where the contour begins, from the middle of th
 MIDDLE = (118 * MM, 68 * MM, 1 * MM)  # of the work, from home
 CIRCLE, TURN = 12.5, 6.0  # mm, radii
 PITCH, REVOLUTIONS = 4, 4  # mm, rotations
-FAST = Speed(24_000, acceleration=120_000)
-FINE = Speed(12_000, jerk=1_000_000)  # 37.5 mm/s on the path
+FAST = PathSpeed(24_000, acceleration=120_000)
+FINE = PathSpeed(12_000, jerk=1_000_000)  # 37.5 mm/s on the path
 COLOURS = {"circle": "#17508f", "uneven": "#8fb3d9", "helix": "#d1571f", "contour": "#2a8c55"}
 AXES = {"x": "#c23b3b", "y": "#2a8c55", "z": "#3b6fc2"}
 TRAVEL = "#aab4be"
@@ -38,18 +38,19 @@ class Run(NamedTuple):
     """Results of a run. parts: begin and end of each in s, by name; columns: of the recording; edges: where ORG trips, m."""
 
     stage: Stage
-    homes: dict[str, HomeReport]
+    homes: dict[str, HomeSearchReport]
     parts: dict[str, tuple[float, float]]
     columns: dict[str, np.ndarray]
     edges: dict[str, float]
     recording: Any
 
 
-def rounded(width: int, height: int, r: int) -> list[Line | Arc]:
+def rounded(width: int, height: int, r: int) -> list[LineSegment | ArcSegment]:
     """A rectangle with rounded corners, counter-clockwise from the left end of its lower side: eight segments."""
     return [
-        Line(width - 2 * r, 0), Arc((0, r), (r, r)), Line(0, height - 2 * r), Arc((-r, 0), (-r, r)),
-        Line(-(width - 2 * r), 0), Arc((0, -r), (-r, -r)), Line(0, -(height - 2 * r)), Arc((r, 0), (r, -r)),
+        LineSegment(width - 2 * r, 0), ArcSegment((0, r), (r, r)), LineSegment(0, height - 2 * r), ArcSegment((-r, 0), (-r, r)),
+        LineSegment(-(width - 2 * r), 0), ArcSegment((0, -r), (-r, -r)),
+        LineSegment(0, -(height - 2 * r)), ArcSegment((r, 0), (r, -r)),
     ]  # fmt: skip
 
 
@@ -60,9 +61,11 @@ def run() -> Run:
     x, y, z = (stage.axes[name] for name in "xyz")
     r, parts = round(CIRCLE * MM), {}
 
-    def part(name: str, *segments: Line | Arc | Helix, axes: Any = (x, y), speed: Speed = FINE) -> None:
+    def part(
+        name: str, *segments: LineSegment | ArcSegment | HelixSegment, axes: Any = (x, y), speed: PathSpeed = FINE
+    ) -> None:
         begin = stage.time
-        print(f"{name}: {draw(segments, *axes, speed=speed)}")
+        print(f"{name}: {draw_path(segments, *axes, speed=speed)}")
         parts[name] = begin, stage.time
         stage.run(0.1)
 
@@ -71,13 +74,13 @@ def run() -> Run:
         stage.run(0.1)
         parts["home"] = 0.0, stage.time
         print(*homes.values(), sep="\n")
-        part("to the circle", Line(MIDDLE[0] - 18 * MM, MIDDLE[1] - r, MIDDLE[2]), axes=(x, y, z), speed=FAST)
-        part("circle", Arc((0, r)))
-        part("uneven", Arc((0, r)), speed=Speed(FINE.drive, jerk=FINE.jerk, even=False))
-        part("to the helix", Line(36 * MM, r - round(TURN * MM)), speed=FAST)
-        part("helix", Helix((0, round(TURN * MM)), (PITCH * MM,), REVOLUTIONS), axes=(x, y, z))
+        part("to the circle", LineSegment(MIDDLE[0] - 18 * MM, MIDDLE[1] - r, MIDDLE[2]), axes=(x, y, z), speed=FAST)
+        part("circle", ArcSegment((0, r)))
+        part("uneven", ArcSegment((0, r)), speed=PathSpeed(FINE.drive, jerk=FINE.jerk, even=False))
+        part("to the helix", LineSegment(36 * MM, r - round(TURN * MM)), speed=FAST)
+        part("helix", HelixSegment((0, round(TURN * MM)), (PITCH * MM,), REVOLUTIONS), axes=(x, y, z))
         away = CORNER[0] + 6 * MM - 18 * MM, CORNER[1] + round(TURN * MM), -PITCH * REVOLUTIONS * MM
-        part("to the contour", Line(*away), axes=(x, y, z), speed=FAST)
+        part("to the contour", LineSegment(*away), axes=(x, y, z), speed=FAST)
         part("contour", *rounded(70 * MM, 34 * MM, 6 * MM))
     edges = {n: next(s.touch for s in a.plant.switches if s.pin == "org") for n, a in stage.axes.items()}
     return Run(stage, homes, parts, recording.columns, edges, recording)

@@ -18,14 +18,19 @@ import numpy as np
 from stage import ExtraMissing, Stage
 from stage.chips import HCTL1100
 from stage.chips.hctl1100 import maps
-from stage.firmware.hctl1100.chip_port import CONTROL, FLAGS, RESET, SET, Port
-from stage.firmware.hctl1100.moves import MoveReport, Tuning, set_up, trapezoid
-from stage.firmware.hctl1100.position_streaming import circle, follow, off_circle, synchronize
-from stage.firmware.hctl1100.servo_loop_model import Loop
+from stage.firmware.hctl1100.chip_port import CONTROL, MODE_FLAGS, RESET, SET_FLAG_BIT, Port
+from stage.firmware.hctl1100.moves import FilterTuning, ServoMoveReport, move_by_trapezoid, set_up_servo
+from stage.firmware.hctl1100.position_streaming import (
+    compute_circle_errors,
+    compute_circle_positions,
+    stream_positions,
+    synchronize_sample_timers,
+)
+from stage.firmware.hctl1100.servo_loop_model import ServoLoop
 from stage.support.extras import import_extra
 from stage.support.pictures import MUTED_COLOR, TEXT_COLOR, remove_frame, set_title
 
-TUNING = Tuning()
+TUNING = FilterTuning()
 STEP = 0.25e-3  # s between samples of a recording: a physics step
 COUNTS, VELOCITY, ACCELERATION = 20_000, 60_000, 600_000  # 100 mm at 0.3 m/s and 3 m/s2
 RADIUS, SECONDS = 6_000, 1.2  # of the circle: 30 mm
@@ -38,7 +43,7 @@ BLUE, LIGHT, ORANGE, RED = "#17508f", "#8fb3d9", "#e8b04a", "#d1571f"
 class Trapezoid(NamedTuple):
     """time: s from the profile's first sample; command, position: counts; error, predicted: counts, at the chip's samples."""
 
-    report: MoveReport
+    report: ServoMoveReport
     time: np.ndarray
     command: np.ndarray
     position: np.ndarray
@@ -66,7 +71,7 @@ def commands(port: Port, begin: int, samples: int) -> np.ndarray:
         chip.write(*cycle)
     clocks = 16 * (port.t + 1)
     chip.advance(16 * (maps.find_reset_value("timer") + 1))  # the sample of the reset ends
-    chip.write(maps.FLAG, SET | FLAGS["trapezoid"])
+    chip.write(maps.FLAG, SET_FLAG_BIT | MODE_FLAGS["trapezoid"])
     chip.write(maps.MODE, CONTROL)
     out = [chip.command_position]
     for _ in range(samples):
@@ -75,24 +80,24 @@ def commands(port: Port, begin: int, samples: int) -> np.ndarray:
     return np.array(out)
 
 
-def run_trapezoid(tuning: Tuning = TUNING, counts: int = COUNTS, name: str = "x") -> Trapezoid:
+def run_trapezoid(tuning: FilterTuning = TUNING, counts: int = COUNTS, name: str = "x") -> Trapezoid:
     """A move, and what the linear model says that it will be."""
     stage = a_stage(x=-0.05)
     axis = stage.axes[name]
-    port = set_up(axis, tuning)
+    port = set_up_servo(axis, tuning)
     stage.run(0.1)
     at, zero = port.commanded(), round(axis.commanded / axis.meters_per_pulse)
     with stage.record(every=STEP) as recording:
         while port.chip.read(maps.TIMER) < port.t // 2:  # the profile begins with the next sample
             stage.run(port.count)
         first = stage.time + (port.chip.read(maps.TIMER) + 0.5) * port.count
-        report = trapezoid(port, counts, velocity=VELOCITY, acceleration=ACCELERATION)
+        report = move_by_trapezoid(port, counts, velocity=VELOCITY, acceleration=ACCELERATION)
         stage.run(0.1)
     columns = recording.columns
     when = first + port.sample * np.arange(-1, int((stage.time - first) / port.sample) - 1)
     command = zero + commands(port, at, len(when) - 1) - at
     position = np.interp(when, columns["time"], columns[f"{name}/position"]) / axis.meters_per_pulse
-    predicted = Loop.of(axis, tuning).following_error(command)
+    predicted = ServoLoop.of(axis, tuning).following_error(command)
     return Trapezoid(report, when - first, command - zero, position - zero, command - position, predicted)
 
 
@@ -104,7 +109,7 @@ def run_line(early: bool) -> tuple[np.ndarray, np.ndarray]:
     """
     stage = a_stage(x=-0.05)
     axis = stage.axes["x"]
-    port = set_up(axis, TUNING)
+    port = set_up_servo(axis, TUNING)
     at = port.commanded()
     with stage.record(every=STEP) as recording:
         for k in range(1, LINE + 1):
@@ -117,7 +122,7 @@ def run_line(early: bool) -> tuple[np.ndarray, np.ndarray]:
     return c["time"] - c["time"][0], error
 
 
-def run_circle(sync: bool, leader_only: bool, tuning: Tuning = TUNING) -> tuple[np.ndarray, np.ndarray, int]:
+def run_circle(sync: bool, leader_only: bool, tuning: FilterTuning = TUNING) -> tuple[np.ndarray, np.ndarray, int]:
     """Run a circle of three axes. Without SYNC the chips keep the phases of their resets, PHASES.
 
     Returns:
@@ -127,22 +132,22 @@ def run_circle(sync: bool, leader_only: bool, tuning: Tuning = TUNING) -> tuple[
     for name, counts in PHASES.items():
         stage.run(counts * 16 / stage.axes[name].chip.clock_hz)
         stage.axes[name].chip.write(maps.MODE, RESET)  # a reset: its sample begins now
-    ports = [set_up(stage.axes[name], tuning) for name in "xyz"]
+    ports = [set_up_servo(stage.axes[name], tuning) for name in "xyz"]
     if sync:
-        synchronize(ports)
+        synchronize_sample_timers(ports)
     stage.run(0.2)
     for port in ports:
         port.chip.diagnostics.clear()
     start = [axis.position for axis in stage.axes.values()]
     with stage.record(every=STEP) as recording:
-        profile = circle(RADIUS, seconds=SECONDS, sample=ports[0].sample, axes=3)
-        follow(ports, profile, leader_only=leader_only)
+        profile = compute_circle_positions(RADIUS, seconds=SECONDS, sample=ports[0].sample, axes=3)
+        stream_positions(ports, profile, leader_only=leader_only)
     c = recording.columns
     radius = RADIUS * stage.axes["x"].meters_per_pulse
     places = np.stack([c[f"{name}/position"] - s for name, s in zip("xyz", start, strict=True)], axis=1)
     revolutions = np.unwrap(np.arctan2(places[:, 0], radius - places[:, 1:].sum(axis=1) * np.sqrt(0.5))) / (2 * np.pi)
     torn = sum("while the sample is computed" in d.message for port in ports for d in port.chip.diagnostics)
-    return revolutions, off_circle(places, radius) * 1e6, torn
+    return revolutions, compute_circle_errors(places, radius) * 1e6, torn
 
 
 CIRCLES = {
@@ -154,7 +159,7 @@ CIRCLES = {
 
 
 class Results(NamedTuple):
-    trapezoid: Trapezoid
+    move_by_trapezoid: Trapezoid
     lines: dict[str, tuple[np.ndarray, np.ndarray]]
     circles: dict[str, tuple[np.ndarray, np.ndarray, int]]
 

@@ -15,8 +15,8 @@ import numpy as np
 from stage import ArgumentError
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, plan, synchronized_move
-from stage.firmware.path_deviation import path_deviation
-from stage.firmware.pcl240.preset_move_closed_form import bend, stretch
+from stage.firmware.path_deviation import compute_path_deviation
+from stage.firmware.pcl240.preset_move_closed_form import compute_ramp_stretch, set_s_curve_registers
 from stage.firmware.pcl240.register_row_emulation import trace_row
 
 DELAYS = (1e-6, 1e-5, 1e-4)
@@ -40,7 +40,7 @@ class Moves:
         """Registers as fit.py takes them, with ramps of this shape."""
         share = float(self.shape.get("s_curve", 0.0))
         row = np.array([*registers, *[0] * (2 * self.chip.S_CURVES)])
-        bend(row, min(share, 0.5))
+        set_s_curve_registers(row, min(share, 0.5))
         return row
 
     def __str__(self):
@@ -65,12 +65,12 @@ def common_multiplier(moves, line_plan):
         ratio = abs(axis.distance) / abs(long.distance)
         low, high = (max(1, round(ratio * rate / step)) for rate in (long.fl, long.fh))
         row = moves.row(abs(axis.distance), low, high, high, 2, 2, 0, r7)
-        gain, limit = max(high - low, 1) * stretch(row), axis.chip.MAP.register("R4").mask
+        gain, limit = max(high - low, 1) * compute_ramp_stretch(row), axis.chip.MAP.register("R4").mask
         row[4], row[5] = (min(max(round(t * long.clock_hz / gain), 2), limit) for t in (long.accel, long.decel))
         down = (high + low) * gain * row[5] / (16384 * r7)
         row[6] = min(int(down) + max(1, round(5 * ratio)), abs(axis.distance))
         pulses.append((trace_row(row, axis.chip), 1))
-    return path_deviation(pulses, [abs(a.distance) for a in line_plan.axes.values()]).pulses
+    return compute_path_deviation(pulses, [abs(a.distance) for a in line_plan.axes.values()]).pulses
 
 
 def row(name, values, unit=""):

@@ -15,7 +15,7 @@ from stage.drives.dc_motors import MAX_COUNTS, Servo
 from stage.firmware import Bench, Profile
 from stage.firmware.axis import check_seconds
 from stage.firmware.hctl1100 import position_streaming as servo_profile
-from stage.firmware.pcl240.line_plan import MAX_R0, _check, _check_distance, _share
+from stage.firmware.pcl240.line_plan import MAX_R0, _check_distance, _check_rates_and_times, _get_curve_share
 from stage.firmware.pcl240.moves import encode_offset
 from stage.recording.viewer import make_web_server
 from stage.sim import faults, records
@@ -35,7 +35,7 @@ def stage(xy):
 
 
 def check(changes, *more):
-    _check(
+    _check_rates_and_times(
         {"x": 1},
         {},
         *{"rate": 100.0, "fl": 10.0, "accel": 1.0, "decel": 1.0, "bus_delay": 0.0, **changes}.values(),
@@ -68,7 +68,7 @@ BOUNDS = {
     "share of an S-curve": (
         lambda v: Profile.of(chip=PCL240MS).shaped(v), (0.5, 1e-3, True, False), (0, 0.51),
     ),
-    "share of a line's S-curve": (_share, (0.5, 1e-3, True, False), (0, 0.51)),
+    "share of a line's S-curve": (_get_curve_share, (0.5, 1e-3, True, False), (0, 0.51)),
     "pulses of a line": (lambda v: _check_distance("x", v), (MAX_R0, -MAX_R0), (MAX_R0 + 1, -MAX_R0 - 1, 0.5)),
     "fl of a line": (lambda v: check({"fl": v}), (1e-9, 100.0), (0, 100.1)),
     "ramp of a line": (lambda v: check({"decel": v}), (1e-9,), (0, math.inf)),
@@ -76,8 +76,9 @@ BOUNDS = {
     "R6 as an offset": (
         lambda v: encode_offset(Profile.of(chip=PCL240MK), v), (-(1 << 19), (1 << 19) - 1), (-(1 << 19) - 1, 1 << 19, 0.5),
     ),
-    "ramp of a circle": (lambda v: servo_profile.circle(9, seconds=0.4, sample=1e-2, ramp=v), (1e-3, 0.2), (0, 0.21)),
-    "axes of a circle": (lambda v: servo_profile.circle(9, seconds=0.4, sample=1e-2, axes=v), (2, 3), (1, 4)),
+    "ramp of a circle": (lambda v: servo_profile.compute_circle_positions(
+        9, seconds=0.4, sample=1e-2, ramp=v), (1e-3, 0.2), (0, 0.21)),
+    "axes of a circle": (lambda v: servo_profile.compute_circle_positions(9, seconds=0.4, sample=1e-2, axes=v), (2, 3), (1, 4)),
     "rate of a start": (lambda v: dynamometer.count_steps_lost_in_start(Drive(), v, 1e-4), (1.0,), (0, 1.1e7)),
     "rpm": (dynamometer._check_speeds, (1e-9, 20_000), (0, 20_001)),
     "low of a log range": (lambda v: values_of("R2", f"{v}:9:log"), (1, 9), (0, 10)),

@@ -20,7 +20,7 @@ from stage.cli.erratum import ErratumResult
 from stage.cli.fault import demonstrations
 from stage.cli.options import Quantity
 from stage.cli.run import print_report
-from stage.firmware.driver import Speeds, driver_of, get_default_speeds
+from stage.firmware.driver import Speeds, get_default_speeds, get_driver
 from stage.recording import viewer
 from stage.support import opengl
 from stage.support.files import FileError
@@ -333,7 +333,7 @@ def test_a_dual_rate_move_prints_the_speeds_that_the_registers_reach(bench, monk
     options = "--fl 700 --fh1 9000 --fh2 15000 --accel 0.2 --decel 0.4 --from -12.5"
     assert main(["dual-rate", "y", "3000", *options.split()]) == 1, "it did not go as asked"
     assert calls == [("y", 3000, speeds, 0.1, ["FH1", "FH2", "FH1"], pytest.approx(-0.0125))]
-    assert str(driver_of(bench.axes["y"]).profile(speeds)) in capsys.readouterr().out
+    assert str(get_driver(bench.axes["y"]).profile(speeds)) in capsys.readouterr().out
 
 
 def test_the_board_of_run_lies_where_the_options_say(monkeypatch):

@@ -11,7 +11,7 @@ from support.examples import SEED, scaled
 
 from stage import Stage, faults, firmware
 from stage.errors import ModelError
-from stage.firmware.driver import Speeds, driver_of
+from stage.firmware.driver import Speeds, get_driver
 
 HYSTERESIS = 25e-6  # m, rad on a hinge: docs/engine.md
 RADIUS = 0.08  # m, from the hinge to the beam
@@ -92,7 +92,7 @@ class Passage:
     def drive(self, speed, until, accel=0.05):
         """Run at `speed`, m/s or rad/s, until the joint has come to position `until`."""
         rate = abs(speed) / self.axis.meters_per_pulse
-        driver_of(self.axis).run(1 if speed > 0 else -1, Speeds(min(500.0, rate), rate, accel, accel))
+        get_driver(self.axis).run(1 if speed > 0 else -1, Speeds(min(500.0, rate), rate, accel, accel))
         self.observe(lambda q: q * speed >= until * speed)
         return self
 
@@ -207,7 +207,7 @@ def test_a_reversal_inside_a_flag_leaves_it_where_it_was_entered(joint):
         stage.reset()
         stage.place(a=-direction * (edge + speed * 0.1))
         passage = Passage(stage).drive(direction * speed, direction * 0.1 * edge)
-        driver_of(passage.axis).halt()
+        get_driver(passage.axis).halt()
         passage.drive(-direction * speed, -direction * (edge + speed * 0.01)).end()
         passage.assert_edges([-direction * edge, -direction * (edge + HYSTERESIS)])
 
@@ -292,7 +292,7 @@ def test_a_snapshot_between_the_two_edges_of_one_physics_step_keeps_the_second()
         (begins, _), (ends, _) = passage.edges
         if int(begins / 0.0005) == int(ends / 0.0005):
             break
-    driver_of(replica.axes["a"]).run(1, Speeds(500.0, 0.17 / replica.axes["a"].meters_per_pulse, 0.05, 0.05))
+    get_driver(replica.axes["a"]).run(1, Speeds(500.0, 0.17 / replica.axes["a"].meters_per_pulse, 0.05, 0.05))
     replica.run(0.5 * (begins + ends) - replica.time)
     assert replica.axes["a"].switches.org
     other, _ = make_stage_with_flag("slide", 40e-6, step=0.0005)

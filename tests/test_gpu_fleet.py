@@ -11,7 +11,7 @@ import pytest
 from stage import ArgumentError, Fleet, Program, Stage
 from stage.chips import HCTL1100, MCX514, PCL240K
 from stage.errors import GpuMissing, ModelError
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 from stage.sim import fleet as fleets
 from stage.sim.gpu import fleet as gpu_fleet
 from stage.sim.gpu import physics
@@ -42,7 +42,7 @@ def stage():
 
 def draw_programs(stage, copies, rng, steepest):
     """Return a program for each copy: a random move of each axis at once, ramps up to `steepest` pulses/s^2; and a look at it."""
-    drivers = [driver_of(axis) for axis in stage.axes.values()]
+    drivers = [get_driver(axis) for axis in stage.axes.values()]
     programs = []
     for _ in range(copies):
         p = Program()
@@ -167,7 +167,7 @@ def test_servos_on_a_gpu_come_to_where_they_come_on_processors():
     for _ in range(n):
         p = Program()
         for axis in stage.axes.values():
-            driver = driver_of(axis)
+            driver = get_driver(axis)
             driver.write_servo_move(p, driver.compute_filter(), int(rng.integers(-4000, 4000)), (2e4, 3e5))
         programs.append(p.until_stopped([0, 1, 2], 1.0).wait(0.2))
     on_gpu, on_cpu = Fleet([stage], device="cuda", copies=n), Fleet([copy.deepcopy(stage) for _ in range(n)])

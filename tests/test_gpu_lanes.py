@@ -14,7 +14,7 @@ import pytest
 
 from stage import Fleet, Program, Stage
 from stage.chips import HCTL1100, PCL240K, PCL240MS
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 from stage.sim.gpu.device_code import Tools
 from stage.sim.gpu.fleet import make_kernels
 from stage.sim.gpu.layout import LaneLayout
@@ -115,7 +115,7 @@ def make_stepper_program(rng):
     stage.place(**place)  # beside EL+ of x and ORG of z
     p = Program()
     for axis, (maximum, least) in zip(stage.axes.values(), ((150, 90), (60, 20), (60, 20)), strict=True):
-        driver = driver_of(axis)
+        driver = get_driver(axis)
         pulses = int(rng.integers(least, maximum))
         driver.write_move(p, driver.formula(800, 5000, 0.004, 0.003, pulses), pulses)
     p.until_stopped([0, 1, 2], 0.03, poll=float(rng.uniform(5e-5, 4e-4)))
@@ -130,7 +130,7 @@ def make_servo_program(rng):
     stage = Stage("xyz", chips=HCTL1100, visuals=False)
     p = Program()
     for axis in stage.axes.values():
-        driver = driver_of(axis)
+        driver = get_driver(axis)
         driver.write_servo_move(p, driver.compute_filter(), int(rng.integers(40, 90)), (2e4, 4e6))
     p.until_stopped([0, 1, 2], 0.01).measure(0.001, -1)
     return stage, p.read(0, 0x14).read(1, 0x13).sample_position(2)

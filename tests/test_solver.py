@@ -6,7 +6,7 @@ import pytest
 
 from stage import Stage, firmware
 from stage.chips import HCTL1100, PCL240K, PCL240MS
-from stage.firmware.driver import Speeds, driver_of
+from stage.firmware.driver import Speeds, get_driver
 
 
 def compute_imbalance(stage):
@@ -31,7 +31,7 @@ def test_the_solver_needs_few_iterations_while_carriages_move(model, chips, max_
     """Start the solver at zero acceleration; from the last step's it takes more than two iterations."""
     stage = Stage(model, chips=chips, visuals=False)
     for axis in stage.axes.values():
-        driver = driver_of(axis)
+        driver = get_driver(axis)
         driver.prepare()
         driver.run(1, Speeds(start=500, drive=2000))
     stage.run(0.3)

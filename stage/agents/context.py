@@ -7,7 +7,7 @@ from typing import Any
 from stage.agents.arguments import argument, choice
 from stage.agents.budget import Budget, Meter
 from stage.agents.host_diagnostics import HostDiagnostics
-from stage.firmware.driver import Driver, driver_of
+from stage.firmware.driver import Driver, get_driver
 from stage.panel.stage_observer import BusTrace
 from stage.sim.axis import Axis
 from stage.sim.stage import Stage
@@ -55,7 +55,7 @@ class ToolContext:
         """Return the driver of an axis: the same from call to call, for it remembers what it wrote."""
         axis = self.axis(name)
         if name not in self._drivers:
-            self._drivers[name] = driver_of(axis)
+            self._drivers[name] = get_driver(axis)
         return self._drivers[name]
 
     def trace_of(self, axis: str) -> BusTrace:

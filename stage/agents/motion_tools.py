@@ -16,7 +16,7 @@ from stage.errors import ArgumentError, StageError
 from stage.firmware import procedures
 from stage.firmware.driver import DEFAULT_RAMP_S, SETTLING_TIME_S, Speeds, wait_until_stopped
 from stage.firmware.gantry_homing import square_gantry_at_speeds
-from stage.firmware.move_report import Procedure, Report
+from stage.firmware.move_report import ProcedureObserver, Report
 from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.firmware.synchronized_report import SynchronizedReport
 
@@ -32,7 +32,7 @@ class MotionTools:
 
     def __init__(self, context: ToolContext):
         self._context = context
-        self._watched: dict[str, tuple[Procedure, int | None]] = {}
+        self._watched: dict[str, tuple[ProcedureObserver, int | None]] = {}
         self._stop_commands: dict[str, str] = {}  # with which a host has stopped an axis
 
     def tools(self) -> list[Tool]:
@@ -168,7 +168,7 @@ class MotionTools:
 
     def _watch(self, axis: str, procedure: str, pulses: int | None) -> None:
         self._stop_commands.pop(axis, None)
-        self._watched[axis] = Procedure(self._context.axis(axis), procedure).__enter__(), pulses
+        self._watched[axis] = ProcedureObserver(self._context.axis(axis), procedure).__enter__(), pulses
 
     def _stop_watching(self, axis: str) -> None:
         if axis in self._watched:

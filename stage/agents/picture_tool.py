@@ -30,10 +30,10 @@ def make_picture_tool(context: ToolContext) -> Tool:
 def draw_report(report: Any, mode: str) -> Picture:
     """Draw a report; in host mode without lost steps, and with no other pins than registers show."""
     if isinstance(report, Report):
-        from stage.firmware.plot_move import draw
+        from stage.firmware.plot_move import draw_operation_pattern
 
         pins = find_readable_pins(report.course.chip) if mode == "host" else None
-        figure = draw(hide_truth(report) if mode == "host" else report, pins=pins)
+        figure = draw_operation_pattern(hide_truth(report) if mode == "host" else report, pins=pins)
         text = f"{report.procedure} on axis {report.axis}: pulse rate over time, {report.duration:.4f} s"
     elif mode == "truth":
         figure, text = report.plot(), "a line: its distance from the straight one, and the rates"

@@ -130,12 +130,12 @@ def _draw_line(pulses: dict[Any, int], speeds: Any) -> Any:
 
 def _move_at_two_rates(group: list[Any], speeds: Any) -> list[Any]:
     """Move at two rates; tandem axes, and an axis that is too short for two, at one."""
-    from stage.firmware.procedures import two_rates
+    from stage.firmware.procedures import move_at_two_rates
 
     if len(group) == 1:
         pulses = find_pulses(group[0], LONG)
         try:
-            return [two_rates(group[0], pulses=pulses, speed=speeds.with_second(FAST_PPS), dwell=DWELL_S)]
+            return [move_at_two_rates(group[0], pulses=pulses, speed=speeds.with_second(FAST_PPS), dwell=DWELL_S)]
         except ArgumentError as error:
             note(f"no two rates: {error}")
     return _move(group, LONG, speeds)

@@ -163,9 +163,9 @@ def _stop_by_26h(port: Any) -> bool:
 
 
 def _stop_by_speed(port: Any) -> bool:
-    from stage.firmware.nova.s_curve_workarounds import judgmental_speed, stop_by_speed
+    from stage.firmware.nova.s_curve_workarounds import compute_judgmental_speed, stop_by_speed
 
-    return stop_by_speed(port, judgmental_speed(MOVE["SV"], MOVE["V"]))
+    return stop_by_speed(port, compute_judgmental_speed(MOVE["SV"], MOVE["V"]))
 
 
 def _move(stage: Any, stop: Callable[[Any], bool]) -> Figures:
@@ -176,7 +176,7 @@ def _move(stage: Any, stop: Callable[[Any], bool]) -> Figures:
     x = first_axis(stage)
     end = find_touch(x, "el_plus")
     stage.place(**{x.name: end - TARGET_TO_LIMIT_M - PULSES * x.meters_per_pulse})
-    port = s_curve_workarounds.port_of(x)
+    port = s_curve_workarounds.open_port(x)
     port.load(**MOVE)
     port.mode(WR2=s_curve_workarounds.LIMITS_DECELERATE, WR3=s_curve_workarounds.S_CURVE)
     port.start(PULSES)

@@ -44,7 +44,7 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Home axes, those of one load together; exit code 0 if each has found its origin and no step is lost."""
-    from stage.firmware.driver import driver_of
+    from stage.firmware.driver import get_driver
     from stage.firmware.gantry_homing import group_tandem_axes
 
     stage = make_stage(args)
@@ -66,15 +66,15 @@ def run(args: argparse.Namespace) -> int:
             print(*found, sep="\n")
         tell(args, reports=reports)
         draw_plot(args, reports[0].plot)
-    found = [r.stopped_by in driver_of(axis).HOME_REASONS for r, axis in zip(reports, axes, strict=True)]
+    found = [r.stopped_by in get_driver(axis).HOME_REASONS for r, axis in zip(reports, axes, strict=True)]
     return 0 if all(found) and not any(r.lost_steps for r in reports) else 1
 
 
 def _home(args: argparse.Namespace, axis: Any) -> Any:
     from stage import firmware
-    from stage.firmware.driver import driver_of
+    from stage.firmware.driver import get_driver
 
-    last = driver_of(axis).INDEX_PULSES
+    last = get_driver(axis).INDEX_PULSES
     if args.ez and args.ez > last:
         pulses = "1" if last == 1 else f"1 to {last}"
         raise ArgumentError(

@@ -102,22 +102,24 @@ def move(args: argparse.Namespace) -> int:
 
 def dual_rate(args: argparse.Namespace) -> int:
     """Move an axis at two rates; exit code 0 if it has moved as asked."""
-    from stage.firmware.driver import driver_of
-    from stage.firmware.procedures import two_rates
+    from stage.firmware.driver import get_driver
+    from stage.firmware.procedures import move_at_two_rates
 
     def run(axis: Any, pulses: int, speeds: Any) -> Any:
-        if "second" not in driver_of(axis).OPTIONS:
+        if "second" not in get_driver(axis).OPTIONS:
             raise ArgumentError(
                 f"dual-rate: {add_article(axis.chip.MAP.chip)} has one drive speed; FH1 and FH2 are of the PCL-240 family."
             )
-        return two_rates(axis, pulses=pulses, speed=speeds, dwell=args.dwell, rates=args.rates.upper().split(","))
+        return move_at_two_rates(
+            axis, pulses=pulses, speed=speeds, dwell=args.dwell, rates=args.rates.upper().split(",")
+        )
 
     return _run_on_axis(args, run)
 
 
 def _run_on_axis(args: argparse.Namespace, run: Any) -> int:
     """Call `run(axis, pulses, speeds)`, which returns a report."""
-    from stage.firmware.driver import driver_of
+    from stage.firmware.driver import get_driver
 
     stage = make_stage(args)
     axis = find_axis(stage, args.axis)
@@ -128,7 +130,7 @@ def _run_on_axis(args: argparse.Namespace, run: Any) -> int:
     with record_to_files(args, stage), show_simulated_time(stage):
         pulses, speeds = parse_distance(axis, args.distance), parse_speed_options(args, axis)
         warn_beyond_limits(args, axis, pulses)
-        if described := driver_of(axis).describe_speeds(speeds):
+        if described := get_driver(axis).describe_speeds(speeds):
             print(described)
         report = run(axis, pulses, speeds)
         print(report)
@@ -159,8 +161,8 @@ def _warn_of_tandem(args: argparse.Namespace, axis: Any, left: Sequence[str], it
 def sync(args: argparse.Namespace) -> int:
     """Move several axes along a line; exit code 0 if they have moved as asked."""
     from stage import firmware
-    from stage.firmware.driver import driver_of
-    from stage.firmware.procedures import check_one_kind
+    from stage.firmware.driver import get_driver
+    from stage.firmware.procedures import check_same_chip_kind
 
     stage = make_stage(args)
     pulses: dict[str, int] = {}
@@ -175,7 +177,7 @@ def sync(args: argparse.Namespace) -> int:
     for name in pulses:
         if left := [other for other in stage.axes[name].tandem if pulses.get(other) != pulses[name]]:
             _warn_of_tandem(args, stage.axes[name], left, args.distances)
-    check_one_kind({name: driver_of(stage.axes[name]) for name in pulses})
+    check_same_chip_kind({name: get_driver(stage.axes[name]) for name in pulses})
     speeds = parse_speed_options(args, stage.axes[next(iter(pulses))])
     with record_to_files(args, stage), show_simulated_time(stage):
         report = firmware.line(pulses, stage.axes, pulses=True, speed=speeds)

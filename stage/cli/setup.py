@@ -175,10 +175,10 @@ def parse_speed_options(args: argparse.Namespace, axis: Any) -> Any:
     Raises:
         ArgumentError: Its chip does not have what an option asks for.
     """
-    from stage.firmware.driver import driver_of
+    from stage.firmware.driver import get_driver
     from stage.firmware.procedures import parse_speeds
 
-    driver, chip = driver_of(axis), add_article(axis.chip.MAP.chip)
+    driver, chip = get_driver(axis), add_article(axis.chip.MAP.chip)
     values = {name: value for name in SPEED_OPTIONS if (value := getattr(args, name, None)) not in (None, False)}
     for name in ("fh2", "constant", "automatic", "fast_only"):
         if name in values and SPEED_OPTIONS[name] not in driver.OPTIONS:

@@ -179,12 +179,12 @@ def parse_spare(text: str, payload: float) -> float | None:
 
 def explain_unit(axis: Any, distance: str) -> str:
     """Return the sentence that proposes a unit for a distance without one, which is pulses; "" for one that has a unit."""
-    from stage.firmware.driver import driver_of
+    from stage.firmware.driver import get_driver
 
     distance = distance.strip()
     if parse_quantity(distance, {"": 1.0}) is None:
         return ""
-    pulses = "counts" if driver_of(axis).has_position_loop else "pulses"
+    pulses = "counts" if get_driver(axis).has_position_loop else "pulses"
     return f" --distance {distance} is {distance} {pulses}: did you mean {distance}{POSITION_UNITS[axis.unit].symbol}?"
 
 

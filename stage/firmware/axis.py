@@ -105,7 +105,7 @@ class HasAxes(Protocol):
         """Axes by name."""
 
 
-Axes = HasAxes | Mapping[str, Axis] | None
+AxesByName = HasAxes | Mapping[str, Axis] | None
 """Where axes are found by name."""
 
 

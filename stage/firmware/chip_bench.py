@@ -25,8 +25,8 @@ from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware.axis import check_seconds
 from stage.support.arguments import explain_arguments, explain_constructor
 
-NAMES = "xyzuvw"
-Span = tuple[int | None, int | None]
+DEFAULT_AXIS_NAMES = "xyzuvw"
+PositionSpan = tuple[int | None, int | None]
 
 
 class BenchAxis:
@@ -41,7 +41,7 @@ class BenchAxis:
     def __init__(self, bench: Bench, name: str, chip: Chip):
         self._bench, self.name, self.chip = bench, name, chip
         self._offset = -chip.net(self.chip_axis)
-        self._spans: dict[str, Span] = {}
+        self._spans: dict[str, PositionSpan] = {}
         self._bounds: list[int] = []
 
     @property
@@ -64,7 +64,7 @@ class BenchAxis:
         """Position of a rail's carriage, pulses."""
         return self._offset + self.chip.net(self.chip_axis)
 
-    def _place_on_rail(self, at: int, spans: dict[str, Span]) -> None:
+    def _place_on_rail(self, at: int, spans: dict[str, PositionSpan]) -> None:
         self._offset, self._spans = at - self.chip.net(self.chip_axis), spans
         self._bounds = [bound for span in spans.values() for bound in span if bound is not None]
         self._assert_switches()
@@ -129,10 +129,12 @@ class Bench(Bus):
         all_: dict[str, Any] = dict(named)
         if len(chips) == 1 and isinstance(chips[0], Mapping):
             all_ |= chips[0]
-        elif len(chips) > len(NAMES):
-            raise ArgumentError(f"{len(chips)} chips: there are names for {len(NAMES)}; give a mapping name -> chip.")
+        elif len(chips) > len(DEFAULT_AXIS_NAMES):
+            raise ArgumentError(
+                f"{len(chips)} chips: there are names for {len(DEFAULT_AXIS_NAMES)}; give a mapping name -> chip."
+            )
         else:
-            all_ |= zip(NAMES, chips, strict=False)
+            all_ |= zip(DEFAULT_AXIS_NAMES, chips, strict=False)
         if not all_:
             raise ArgumentError("a bench needs at least one chip: Bench(PCL240K()).")
         if not 0 <= bus_cycle <= 1:
@@ -188,7 +190,7 @@ class Bench(Bus):
         heapq.heappush(self._events, (round(seconds * 1e9), next(self._order), action))
 
     @explain_arguments
-    def add_rail(self, axis: str, at: int = 0, **spans: Span) -> None:
+    def add_rail(self, axis: str, at: int = 0, **spans: PositionSpan) -> None:
         """Put a carriage that never slips under an axis.
 
         Args:
@@ -226,6 +228,6 @@ class Bench(Bus):
         return self._start[name] + time * chip.clock_hz // 1_000_000_000
 
 
-def _is_within(place: Any, span: Span) -> Any:
+def _is_within(place: Any, span: PositionSpan) -> Any:
     low, high = span
     return (place >= (-np.inf if low is None else low)) & (place <= (np.inf if high is None else high))

@@ -20,14 +20,14 @@ from stage.chips.entries import WRITE
 from stage.chips.sharing import Lock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError, add_article
 from stage.firmware.axis import Axis, check_origin
-from stage.firmware.operation_pattern import Pattern
+from stage.firmware.operation_pattern import OperationPattern
 from stage.firmware.stop_reasons import STOP_COMMAND, UNKNOWN
 from stage.sim.program import Operations
 
 if TYPE_CHECKING:
     from stage.chips.journal import Journal
-    from stage.firmware.home_program import Search
-    from stage.firmware.line_programs import Line
+    from stage.firmware.home_program import HomeProgram
+    from stage.firmware.line_programs import LinePrograms
     from stage.firmware.move_report import Report
     from stage.firmware.parameter_ranges import ParameterRanges
     from stage.firmware.synchronized_report import SynchronizedReport
@@ -89,7 +89,7 @@ class Driver(ABC):
     Attributes: axis, chip; index: of the axis in programs, see `Program`.
     """
 
-    PATTERN: ClassVar[type[Pattern]] = Pattern
+    PATTERN: ClassVar[type[OperationPattern]] = OperationPattern
     """What a drawing of a report about this family's chips shows."""
     DONE: ClassVar[str] = "all pulses"
     """What a report says has ended a move that nothing else ended."""
@@ -460,7 +460,7 @@ class Driver(ABC):
         """Add the bus cycles by which a host ends a move that is over, or has taken too long."""
 
     @abstractmethod
-    def search(self, settings: Any) -> Search:
+    def search(self, settings: Any) -> HomeProgram:
         """Return the origin return of the axis as a program.
 
         Args:
@@ -470,7 +470,7 @@ class Driver(ABC):
             ArgumentError: The chip cannot do it.
         """
 
-    def lines(self, drivers: Sequence[Driver], settings: Any) -> Line:
+    def lines(self, drivers: Sequence[Driver], settings: Any) -> LinePrograms:
         """Return the straight lines of axes as programs.
 
         Args:
@@ -528,10 +528,10 @@ class Driver(ABC):
         return StageError(f"axis {self.axis.name} is moving: wait until it stops, or firmware.stop(axis).")
 
 
-D = TypeVar("D", bound=Driver)
+DriverType = TypeVar("DriverType", bound=Driver)
 
 
-def driver_of(axis: Axis) -> Driver:
+def get_driver(axis: Axis) -> Driver:
     """Return a driver of the axis.
 
     Args:
@@ -543,10 +543,10 @@ def driver_of(axis: Axis) -> Driver:
     chip = getattr(axis, "chip", None)
     if not isinstance(chip, Chip):
         raise ArgumentError(f"{axis!r} is no axis with a chip: give stage.axes['x'], or Bench(x=PCL240K()).axes['x'].")
-    return driver_class(type(chip))(axis)
+    return get_driver_class(type(chip))(axis)
 
 
-def driver_class(chip: type[Chip]) -> type[Driver]:
+def get_driver_class(chip: type[Chip]) -> type[Driver]:
     """Return the driver class for chips of a class.
 
     Args:
@@ -572,7 +572,7 @@ def driver_class(chip: type[Chip]) -> type[Driver]:
     return loaded
 
 
-def select_moving(drivers: Mapping[str, D], pulses: Mapping[str, int]) -> dict[str, D]:
+def select_moving(drivers: Mapping[str, DriverType], pulses: Mapping[str, int]) -> dict[str, DriverType]:
     """Return the drivers whose axes have pulses to make on a line; one is enough. Raises ArgumentError where none has."""
     moving = {name: driver for name, driver in drivers.items() if pulses[name]}
     if not moving:

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 
 from stage.errors import ArgumentError
 from stage.firmware.axis import check_direction
-from stage.firmware.driver import DEFAULT_RAMP_S, Speeds, driver_of
+from stage.firmware.driver import DEFAULT_RAMP_S, Speeds, get_driver
 from stage.firmware.move_report import Report
 from stage.firmware.procedures import line, parse_speeds
 from stage.firmware.stop_reasons import UNWANTED_REASONS
@@ -22,7 +22,7 @@ from stage.firmware.synchronized_report import SynchronizedReport
 from stage.sim.axis import Axis
 from stage.support.arguments import check_timeout
 
-SEARCH_PIECE_RATIO = 1 / 60  # of the travel: what the load bears if one axis alone goes so far
+SEARCH_STEP_RATIO = 1 / 60  # of the travel: what the load bears if one axis alone goes so far
 SOLO_SPEED_RATIO = 0.25  # of the speed, for an axis alone
 
 
@@ -55,7 +55,7 @@ def square_gantry(
         raise ArgumentError(f"{len(axes)} axes: tandem axes are two or more; use home for one.")
     check_direction(direction)
     check_timeout(timeout)
-    drivers = [driver_of(axis) for axis in axes]
+    drivers = [get_driver(axis) for axis in axes]
     for driver in drivers:
         driver.check_origin()
     named = {axis.name: axis for axis in axes}
@@ -63,7 +63,7 @@ def square_gantry(
     def move_together(distance: float) -> SynchronizedReport:
         return line(dict.fromkeys(named, distance), named, speed=speed, start_speed=start_speed, accel=accel)
 
-    piece = SEARCH_PIECE_RATIO * min(high - low for low, high in (axis.travel for axis in axes))
+    piece = SEARCH_STEP_RATIO * min(high - low for low, high in (axis.travel for axis in axes))
     while _is_on_origin(axes) and _is_unobstructed(move_together(-direction * piece)):
         pass
     while not _is_on_origin(axes) and _is_unobstructed(move_together(direction * piece)):

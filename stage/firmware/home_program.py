@@ -1,4 +1,4 @@
-"""`Search`: an origin return written as a program, which has no branches, and the meaning of its results."""
+"""`HomeProgram`: an origin return written as a program, which has no branches, and the meaning of its results."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stage.firmware.parameter_ranges import ParameterRanges
 from stage.sim.program import Program
 
 
-class SearchResult(NamedTuple):
+class HomeResults(NamedTuple):
     """Results of origin returns as a host knows them; arrays with the stage as their index, pulses or bool."""
 
     timed_out: np.ndarray
@@ -30,7 +30,7 @@ class SearchResult(NamedTuple):
     """Pulses by which the search went beyond ORG; 0 where the chip does not tell."""
 
 
-class Search(ABC):
+class HomeProgram(ABC):
     """One way to write an origin return, minus to ORG, as a program that cannot branch.
 
     Attributes:
@@ -79,7 +79,7 @@ class Search(ABC):
         return [int(min(max(round(wanted[name]), low), high)) for name, (low, high) in ranges]
 
     @abstractmethod
-    def read_results(self, results: np.ndarray, rows: np.ndarray) -> SearchResult:
+    def read_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
         """Decode the results of programs.
 
         Args:

@@ -1,4 +1,4 @@
-"""`Line`: how the drivers of several axes draw straight lines together, as programs.
+"""`LinePrograms`: how the drivers of several axes draw straight lines together, as programs.
 
     line = line_of(drivers, settings)       drivers of axes whose chips are of one kind
     line.names, line.shape                  what can be chosen: registers, and the shape of their array
@@ -95,7 +95,7 @@ class LineSettings(NamedTuple):
     axes: tuple[str, ...] = ()
 
 
-class Line(ABC):
+class LinePrograms(ABC):
     """Several axes with chips of one kind, under settings: fl (pps), accel (s), s_curve, reach (pulses), axes (names).
 
     Attributes:
@@ -247,7 +247,7 @@ class Line(ABC):
         return ops
 
 
-def line_of(drivers: Sequence[Driver], settings: Any) -> Line:
+def create_line_programs(drivers: Sequence[Driver], settings: Any) -> LinePrograms:
     """Return the line that drivers draw together.
 
     Args:

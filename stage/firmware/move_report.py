@@ -1,4 +1,4 @@
-"""`Report`: what a procedure did. Made by `Procedure`, which watches the chip from the first byte to the last."""
+"""`Report`: what a procedure did. Made by `ProcedureObserver`, which watches the chip from the first byte to the last."""
 
 from __future__ import annotations
 
@@ -172,9 +172,9 @@ class Report:
         Raises:
             FileError: The file exists, and `overwrite` is False.
         """
-        from stage.firmware.plot_move import draw
+        from stage.firmware.plot_move import draw_operation_pattern
 
-        return draw(self, path, title, ax, overwrite)
+        return draw_operation_pattern(self, path, title, ax, overwrite)
 
 
 def compute_rates(course: Waveforms) -> np.ndarray:
@@ -182,8 +182,8 @@ def compute_rates(course: Waveforms) -> np.ndarray:
     return course.chip.rates(course.edges) * course.clock_hz
 
 
-class Procedure:
-    """Observer of an axis: `with Procedure(axis, "preset move") as p: ...; return p.report(...)`.
+class ProcedureObserver:
+    """Observer of an axis: `with ProcedureObserver(axis, "preset move") as p: ...; return p.report(...)`.
 
     A RunTimeout that is raised within it carries the report so far, as `error.report`; a KeyboardInterrupt those of all axes that
     are observed, as `error.reports`.

@@ -1,4 +1,7 @@
-"""`Pattern`: the signals and commands of a family that a drawing of a move shows. Any chip has one; a family may add to it."""
+"""`OperationPattern`: the signals and commands that the plot of a move shows.
+
+The base class serves any chip; a family may define a subclass that shows more.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,11 @@ if TYPE_CHECKING:
     from stage.firmware.move_report import Report
 
 BLUE, GREY, VIOLET, AMBER, GREEN, RED = "#5b8db8", "#9aa5b1", "#9b86bd", "#d9a441", "#4f9d69", "#c8553d"
-Lane = tuple[str, str, str]
+PatternLane = tuple[str, str, str]
 """A pin, its label, its colour."""
 
 
-class Note(NamedTuple):
+class PatternNote(NamedTuple):
     """A line of text above the curve, with an arrow (what the host wrote) or a dot (what happened) at `time`."""
 
     time: float
@@ -24,13 +27,13 @@ class Note(NamedTuple):
     event: bool
 
 
-class Pattern:
+class OperationPattern:
     """Signals and commands of a report that a drawing shows; by default the outputs that change, and every command with its words.
 
     LANES: pins in the order of their lanes, from above. ALWAYS: pins that are shown even where they never change.
     """
 
-    LANES: ClassVar[tuple[Lane, ...]] = ()
+    LANES: ClassVar[tuple[PatternLane, ...]] = ()
     ALWAYS: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, report: Report):
@@ -62,7 +65,7 @@ class Pattern:
         """Return the rates that have a name, pps."""
         return {}
 
-    def notes(self, t: np.ndarray) -> list[Note]:
+    def notes(self, t: np.ndarray) -> list[PatternNote]:
         """Return notes of what the host wrote and of what happened.
 
         Args:
@@ -70,7 +73,7 @@ class Pattern:
         """
         report = self.report
         notes = [
-            Note(when, code.split(" ")[0] + "h" if len(code) == 2 else code, meaning, False)
+            PatternNote(when, code.split(" ")[0] + "h" if len(code) == 2 else code, meaning, False)
             for (when, code, meaning), s in zip(report.writes(), report.statements, strict=True)
             if s.kind == "command" and self.is_noteworthy(meaning) and when > -0.02 * max(report.duration, 1e-3)
         ]
@@ -80,10 +83,10 @@ class Pattern:
         """Return whether a command, by its meaning in words, gets a note."""
         return True
 
-    def describe_end(self) -> list[Note]:
+    def describe_end(self) -> list[PatternNote]:
         """Return a note of why the axis stopped."""
         report = self.report
         if not report.duration or report.stopped_by == "reset command":  # a note of its own
             return []
         why = "stop" if report.stopped_by == "decelerating stop" else report.stopped_by
-        return [Note(report.duration, "", why, True)]
+        return [PatternNote(report.duration, "", why, True)]

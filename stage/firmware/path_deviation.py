@@ -3,7 +3,7 @@
     path_deviation([x.trace(n), y.trace(n)], (20_000, -7_500))
 
 The path is the point (n_1, n_2, ...) of pulse counts. It moves in whole pulses, so even perfect axes stray: with rates
-exactly in ratio and a common start the first pulse of the slower axis comes a whole pulse late (`perfect_deviation`).
+exactly in ratio and a common start the first pulse of the slower axis comes a whole pulse late (`compute_perfect_deviation`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ REPLAY_CHUNK_TICKS = 1 << 24  # ticks replayed at a time
 ROUNDING_TOLERANCE = 1e-12  # relative, and pulses squared: rounding
 
 
-class Deviation(NamedTuple):
+class PathDeviation(NamedTuple):
     """Largest distance from the line, in pulses; its time, in the unit of the times that were passed; and the counts then."""
 
     pulses: float
@@ -86,7 +86,7 @@ def _pack_pulses(pulses: Sequence[Any], distances: Sequence[int], clock_hz: Any)
     return np.concatenate(times), np.concatenate(signs), starts, ends, np.asarray(distances, np.float64)
 
 
-def path_deviation(pulses: Sequence[Any], distances: Sequence[int], clock_hz: Any = None) -> Deviation:
+def compute_path_deviation(pulses: Sequence[Any], distances: Sequence[int], clock_hz: Any = None) -> PathDeviation:
     """Compute the largest distance of the point of pulse counts from the segment between 0 and `distances`, exact at every pulse.
 
     The time is linear in the pulses. Pulses at the same time count as one step.
@@ -110,15 +110,15 @@ def path_deviation(pulses: Sequence[Any], distances: Sequence[int], clock_hz: An
     counts = tuple(int(signs[a : a + k].sum(dtype=np.int64)) for a, k in zip(starts, counts_made, strict=True))
     if worst == 0.0:
         counts = (0,) * len(counts)
-    return Deviation(float(worst), float(when), counts)
+    return PathDeviation(float(worst), float(when), counts)
 
 
-def path_points(pulses: Sequence[Any], clock_hz: Any = None) -> tuple[np.ndarray, np.ndarray]:
+def compute_path_points(pulses: Sequence[Any], clock_hz: Any = None) -> tuple[np.ndarray, np.ndarray]:
     """Return the points of the path: the counts (n_1, n_2, ...) after every step, from the origin on.
 
     Args:
-        pulses: As of `path_deviation`.
-        clock_hz: As of `path_deviation`.
+        pulses: As of `compute_path_deviation`.
+        clock_hz: As of `compute_path_deviation`.
 
     Returns:
         Times (n,) and counts (n, axes).
@@ -134,10 +134,10 @@ def path_points(pulses: Sequence[Any], clock_hz: Any = None) -> tuple[np.ndarray
     return np.append(0.0, times[order][last]), np.concatenate([origin, at[last]])
 
 
-def perfect_deviation(distances: Sequence[int]) -> float:
+def compute_perfect_deviation(distances: Sequence[int]) -> float:
     """Compute the distance that perfect axes reach: started at once, constant rates exactly in ratio, the last pulses together."""
     perfect = [(np.arange(1, abs(d) + 1) / max(abs(d), 1), np.sign(d)) for d in distances]
-    return path_deviation(perfect, distances).pulses
+    return compute_path_deviation(perfect, distances).pulses
 
 
 def replay_pulses(journal: Journal) -> np.ndarray:
@@ -151,7 +151,7 @@ def replay_pulses(journal: Journal) -> np.ndarray:
     """
     core = journal.chip.CORE
     if journal.chip.SERVO:
-        return _list_counts(journal)
+        return _list_encoder_counts(journal)
     rows = np.frombuffer(bytearray(journal.start.tobytes()), core.STATE)
     clock = rows["clock"]
     begin = int(clock[0])
@@ -173,7 +173,7 @@ def replay_pulses(journal: Journal) -> np.ndarray:
     return pulses
 
 
-def _list_counts(journal: Journal) -> np.ndarray:
+def _list_encoder_counts(journal: Journal) -> np.ndarray:
     edges = journal.course().edges
     steps = np.diff(edges["net"])
     at = np.repeat(np.arange(1, len(edges)), np.abs(steps))

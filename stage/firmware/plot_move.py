@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.firmware.driver import driver_class
-from stage.firmware.operation_pattern import Note, Pattern
+from stage.firmware.driver import get_driver_class
+from stage.firmware.operation_pattern import OperationPattern, PatternNote
 from stage.support.extras import import_extra
 from stage.support.files import save_figure
 from stage.support.pictures import COLORS, FRAME_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from stage.firmware.move_report import Report
 
 LINE, FILL, MINUS_FILL = COLORS[0], "#dbe8f5", "#e9e2f3"
-EVENT = "#a4502a"
+EVENT_COLOR = "#a4502a"
 WIDTH, LEFT, RIGHT, TOP, BOTTOM = 9.2, 0.8, 1.15, 0.42, 0.46  # inches
 PANEL, LANE = 2.25, 0.2
 ROW, SIZE = 12.0, 7.5  # points: of a row of notes, of their letters
 
 
-def draw(
+def draw_operation_pattern(
     report: Report,
     path: Any = None,
     title: str | None = None,
@@ -53,7 +53,7 @@ def draw(
     if ax is not None and not hasattr(ax, "get_window_extent"):
         raise ArgumentError(f"ax={ax!r}: give axes of Matplotlib, or None.")
 
-    pattern = driver_class(report.course.chip).PATTERN(report)
+    pattern = get_driver_class(report.course.chip).PATTERN(report)
     t = report.course.seconds - report.began
     begin, end = _compute_time_range(report, t)
     t[0], t[-1] = min(t[0], begin), max(t[-1], end)  # nothing moves before and after
@@ -108,10 +108,10 @@ def _compute_time_range(report: Report, t: np.ndarray) -> tuple[float, float]:
 
 def _draw_rate_panel(
     ax: Any,
-    pattern: Pattern,
+    pattern: OperationPattern,
     t: np.ndarray,
     limits: tuple[float, float],
-    notes: list[Note],
+    notes: list[PatternNote],
     width: float,
     height: float,
 ) -> None:
@@ -146,7 +146,7 @@ def _draw_rate_panel(
             color=MUTED_COLOR,
         )
     for note, row in zip(notes, rows, strict=True):
-        _draw_note(ax, note, _rate_at(report, t, note), (height - above + (row + first) * ROW) * scale)
+        _draw_note(ax, note, _get_note_rate(report, t, note), (height - above + (row + first) * ROW) * scale)
     ax.set_ylabel("pulse rate, pps", color=TEXT_COLOR, fontsize=8.5, y=0.5 * (height - above) / height)
     ax.locator_params(axis="y", nbins=6)
     ticks = [v for v in ax.get_yticks() if v <= 1.02 * peak]
@@ -162,7 +162,7 @@ def _label_level(ax: Any, level: float, text: str) -> None:
     )  # fmt: skip
 
 
-def _rate_at(report: Report, t: np.ndarray, note: Note) -> float:
+def _get_note_rate(report: Report, t: np.ndarray, note: PatternNote) -> float:
     """Return the rate at which a note's arrow or dot meets the curve: the rate just before it, or the first rate."""
     k = int(np.searchsorted(t, note.time - 1e-9))
     before = float(report.rates[max(k - 1, 0)])
@@ -195,7 +195,7 @@ def _measure_text_width(text: str, bold: bool = False) -> float:
     return 1.04 * float(TextPath((0, 0), text, size=SIZE, prop=prop).get_extents().x1)
 
 
-def _assign_note_rows(notes: list[Note], limits: tuple[float, float], width: float) -> list[int]:
+def _assign_note_rows(notes: list[PatternNote], limits: tuple[float, float], width: float) -> list[int]:
     """A row for each note, so that no text meets another or the arrow of a later one: from the last to the first, each
     goes above all that begin within its length."""
     at = [(n.time - limits[0]) / (limits[1] - limits[0]) * width for n in notes]
@@ -206,19 +206,19 @@ def _assign_note_rows(notes: list[Note], limits: tuple[float, float], width: flo
     return rows
 
 
-def _draw_note(ax: Any, note: Note, rate: float, y: float) -> None:
-    colour = EVENT if note.event else TEXT_COLOR
+def _draw_note(ax: Any, note: PatternNote, rate: float, y: float) -> None:
+    colour = EVENT_COLOR if note.event else TEXT_COLOR
     style = "-" if note.event else "-|>,head_width=0.16,head_length=0.32"
     arrow = {
         "arrowstyle": style,
-        "color": EVENT if note.event else MUTED_COLOR,
+        "color": EVENT_COLOR if note.event else MUTED_COLOR,
         "linewidth": 0.6,
         "shrinkA": 0,
         "shrinkB": 0,
     }
     ax.annotate("", (note.time, rate), (note.time, y), zorder=2, annotation_clip=False, arrowprops=arrow)
     if note.event:
-        ax.plot([note.time], [rate], "o", color=EVENT, markersize=3, zorder=5, clip_on=False)
+        ax.plot([note.time], [rate], "o", color=EVENT_COLOR, markersize=3, zorder=5, clip_on=False)
     gap = 3.0
     for text, bold in ((note.code, True), (note.words, False)):
         if text:

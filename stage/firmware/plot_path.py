@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.firmware.path_deviation import path_points
+from stage.firmware.path_deviation import compute_path_points
 from stage.firmware.plot_move import LINE, SIZE
 from stage.support.extras import import_extra
 from stage.support.files import save_figure
@@ -15,13 +15,13 @@ from stage.support.pictures import MUTED_COLOR, TEXT_COLOR, remove_frame
 if TYPE_CHECKING:
     from stage.firmware.synchronized_report import SynchronizedReport
 
-COLOURS = (LINE, "#c05621", "#2f855a", "#6b46c1", "#b7791f", "#2b6cb0")
-WORST = "#c53030"
+AXIS_COLORS = (LINE, "#c05621", "#2f855a", "#6b46c1", "#b7791f", "#2b6cb0")
+WORST_POINT_COLOR = "#c53030"
 MARGIN_PULSES = 5.5  # pulses to either side of the farthest point
-BINS = 300
+RATE_BINS = 300
 
 
-def draw(report: SynchronizedReport, path: Any = None, title: str | None = None, overwrite: bool = False) -> Any:
+def draw_path(report: SynchronizedReport, path: Any = None, title: str | None = None, overwrite: bool = False) -> Any:
     """Draw a report of several axes, see `SynchronizedReport.plot`.
 
     Args:
@@ -36,7 +36,7 @@ def draw(report: SynchronizedReport, path: Any = None, title: str | None = None,
     Figure = import_extra("matplotlib.figure", "drawing").Figure
 
     line = np.array(list(report.distances.values()), float)
-    times, counts = path_points(list(report.paths.values()))
+    times, counts = compute_path_points(list(report.paths.values()))
     flat = len(line) == 2
     figure = Figure(figsize=(10.5, 4.6) if flat else (8, 5.2), layout="constrained")
     if flat:
@@ -69,8 +69,8 @@ def _draw_staircase(ax: Any, report: SynchronizedReport, counts: np.ndarray, lin
     ax.plot(x, y, color=LINE, linewidth=1.3, marker="o", markersize=3, label="the path, a dot a pulse")
     if report.deviation.pulses:
         label = f"farthest: {report.deviation.pulses:.2f} pulses"
-        ax.plot(*np.stack([foot, worst], axis=1), color=WORST, linewidth=1.6, label=label)
-        ax.plot(*worst, color=WORST, marker="o", markersize=5)
+        ax.plot(*np.stack([foot, worst], axis=1), color=WORST_POINT_COLOR, linewidth=1.6, label=label)
+        ax.plot(*worst, color=WORST_POINT_COLOR, marker="o", markersize=5)
     for lim, middle in ((ax.set_xlim, worst[0]), (ax.set_ylim, worst[1])):
         lim(middle - MARGIN_PULSES, middle + MARGIN_PULSES)
     for axis, name in ((ax.xaxis, 0), (ax.yaxis, 1)):
@@ -101,15 +101,15 @@ def _draw_distance(
     ax.set_ylabel("from the line (pulses)", color=TEXT_COLOR)
     scale, _ = _choose_time_unit(report)
     d = report.deviation
-    if len(off) > 3 * BINS:
-        cuts = np.unique(np.searchsorted(times, np.linspace(0, times[-1], BINS)))[:-1]
+    if len(off) > 3 * RATE_BINS:
+        cuts = np.unique(np.searchsorted(times, np.linspace(0, times[-1], RATE_BINS)))[:-1]
         low, high = np.minimum.reduceat(off, cuts), np.maximum.reduceat(off, cuts)
         ax.fill_between(times[cuts] * scale, low, high, step="post", color=LINE, alpha=0.55, linewidth=0)
     else:
         ax.step(times * scale, off, where="post", color=LINE, linewidth=0.7)
     at = off[np.searchsorted(times, d.time)] if d.pulses else 0.0
     if d.pulses:
-        ax.plot(d.time * scale, at, color=WORST, marker="o", markersize=5, zorder=3)
+        ax.plot(d.time * scale, at, color=WORST_POINT_COLOR, marker="o", markersize=5, zorder=3)
     reach = max(1.25, 1.15 * d.pulses)
     ax.set_ylim(-reach if off.min() < 0 else 0, reach)
     for k in (-1, 0, 1):
@@ -129,7 +129,7 @@ def _draw_rates(ax: Any, report: SynchronizedReport) -> None:
     peak = 0.0
     for k, (name, r) in enumerate(report.axes.items()):
         ax.step(
-            (r.course.seconds - first) * scale, r.rates, where="post", color=COLOURS[k % len(COLOURS)], linewidth=1.4,
+            (r.course.seconds - first) * scale, r.rates, where="post", color=AXIS_COLORS[k % len(AXIS_COLORS)], linewidth=1.4,
             label=f"{name}  {report.describe_rate(name)}",
         )  # fmt: skip
         peak = max(peak, r.peak_rate)

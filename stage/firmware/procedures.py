@@ -15,9 +15,9 @@ from typing import Any
 
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, add_article
-from stage.firmware.axis import Axes, Axis, check_direction, check_seconds, get_forward_direction
-from stage.firmware.driver import DEFAULT_RAMP_S, DUAL_RATE_ORDER, Driver, Speeds, driver_of, get_default_speeds
-from stage.firmware.move_report import Procedure, Report
+from stage.firmware.axis import AxesByName, Axis, check_direction, check_seconds, get_forward_direction
+from stage.firmware.driver import DEFAULT_RAMP_S, DUAL_RATE_ORDER, Driver, Speeds, get_default_speeds, get_driver
+from stage.firmware.move_report import ProcedureObserver, Report
 from stage.firmware.synchronized_report import SynchronizedReport, select_axes
 from stage.support.arguments import check_timeout, explain_arguments
 
@@ -59,11 +59,11 @@ def move(
     """
     check_timeout(timeout)
     options = {"speed": speed, "start_speed": start_speed, "accel": accel, "decel": decel, "s_curve": s_curve}
-    return driver_of(axis).move(convert_to_pulses(axis, distance, pulses), parse_speeds(axis, options), timeout)
+    return get_driver(axis).move(convert_to_pulses(axis, distance, pulses), parse_speeds(axis, options), timeout)
 
 
 @explain_arguments
-def two_rates(
+def move_at_two_rates(
     axis: Axis,
     distance: float | None = None,
     *,
@@ -83,7 +83,7 @@ def two_rates(
     Raises:
         ArgumentError, StageError, RunTimeout: As `move`.
     """
-    return driver_of(axis).two_rates(convert_to_pulses(axis, distance, pulses), speed, dwell, rates)
+    return get_driver(axis).two_rates(convert_to_pulses(axis, distance, pulses), speed, dwell, rates)
 
 
 @explain_arguments
@@ -122,7 +122,7 @@ def home(
     """
     check_direction(direction)
     check_timeout(timeout)
-    driver = driver_of(axis)
+    driver = get_driver(axis)
     wanted = parse_speeds(axis, {"speed": speed, "start_speed": start_speed, "accel": accel})
     if by is not None:
         driver.check_homing(by, index)
@@ -165,13 +165,13 @@ def jog(
         StageError: The axis moves already.
     """
     check_seconds(seconds)
-    driver, direction = driver_of(axis), get_forward_direction(axis)
+    driver, direction = get_driver(axis), get_forward_direction(axis)
     if speed is not None and speed < 0:
         direction = -direction
     options = {"speed": None if speed is None else abs(speed), "start_speed": start_speed, "accel": accel}
     wanted = parse_speeds(axis, options)
     driver.prepare()
-    with Procedure(axis, "jog") as p:
+    with ProcedureObserver(axis, "jog") as p:
         driver.run(direction, wanted)
         axis.wait(seconds)
         met = "" if driver.is_running() else driver.explain_end(False, p.journal)
@@ -182,14 +182,14 @@ def jog(
 @explain_arguments
 def stop(axis: Axis, at_once: bool = False) -> None:
     """Stop the axis, with a ramp or at once, and wait until it is at rest."""
-    driver_of(axis).halt(at_once)
+    get_driver(axis).halt(at_once)
 
 
 @explain_arguments
 @exclusive
 def line(
     distances: Mapping[str, float] | Mapping[Axis, float],
-    axes: Axes = None,
+    axes: AxesByName = None,
     *,
     pulses: bool = False,
     speed: float | Speeds | None = None,
@@ -225,10 +225,10 @@ def line(
     """
     check_timeout(timeout)
     selected = select_axes(distances, axes, "line")
-    drivers = {name: driver_of(axis) for name, (axis, _) in selected.items()}
+    drivers = {name: get_driver(axis) for name, (axis, _) in selected.items()}
     if not drivers:
         raise ArgumentError("no distances: give at least one axis a distance.")
-    check_one_kind(drivers)
+    check_same_chip_kind(drivers)
     counts = {
         name: convert_to_pulses(axis, None, d) if pulses else convert_to_pulses(axis, d, None)
         for name, (axis, d) in selected.items()
@@ -239,7 +239,7 @@ def line(
     return first.line(drivers, counts, parse_speeds(main_axis, options), timeout)
 
 
-def check_one_kind(drivers: Mapping[str, Driver]) -> None:
+def check_same_chip_kind(drivers: Mapping[str, Driver]) -> None:
     """Raise ArgumentError where the chips of a line's axes are of several kinds."""
     kinds = sorted({type(d).__name__: d.chip.MAP.chip for d in drivers.values()}.values())
     if len(kinds) > 1:
@@ -279,7 +279,7 @@ def parse_speeds(axis: Axis, options: Mapping[str, Any], in_pulses: bool = False
         )
         if "start_speed" not in given:
             made = made._replace(start=min(made.start, made.drive, made.second or math.inf))
-    driver_of(axis).check_speeds(made)
+    get_driver(axis).check_speeds(made)
     return made
 
 

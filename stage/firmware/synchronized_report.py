@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.errors import ArgumentError, RunTimeout, unknown_name_error
-from stage.firmware.axis import Axes, Axis
-from stage.firmware.move_report import Procedure, Report
-from stage.firmware.path_deviation import Deviation, path_deviation, replay_pulses
+from stage.firmware.axis import AxesByName, Axis
+from stage.firmware.move_report import ProcedureObserver, Report
+from stage.firmware.path_deviation import PathDeviation, compute_path_deviation, replay_pulses
 from stage.support import html
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class SynchronizedReport:
 
     axes: dict[str, Report]
     plan: Plan | None
-    deviation: Deviation
+    deviation: PathDeviation
     skew: float
     finish: float
     carriage_deviation: float | None
@@ -122,9 +122,9 @@ class SynchronizedReport:
         Raises:
             FileError: The file exists, and `overwrite` is False.
         """
-        from stage.firmware.plot_path import draw
+        from stage.firmware.plot_path import draw_path
 
-        return draw(self, path, title, overwrite)
+        return draw_path(self, path, title, overwrite)
 
 
 class LineObserver:
@@ -135,7 +135,7 @@ class LineObserver:
         distances: Signed pulses of each axis.
     """
 
-    def __init__(self, watch: Mapping[str, Procedure], distances: Mapping[str, int]):
+    def __init__(self, watch: Mapping[str, ProcedureObserver], distances: Mapping[str, int]):
         self.watch, self.distances = dict(watch), {n: d for n, d in distances.items() if n in watch}
         self._began: dict[str, float] = {}
         self._books = ExitStack()
@@ -199,7 +199,7 @@ class LineObserver:
             paths[n] = pulses["clock"] / p.axis.chip.clock_hz - origin, pulses["direction"].copy()
         ends = [t[-1] for t, _ in paths.values() if len(t)]
         return SynchronizedReport(
-            reports, plan, path_deviation(list(paths.values()), list(self.distances.values())),
+            reports, plan, compute_path_deviation(list(paths.values()), list(self.distances.values())),
             max(self._began.values()) - first, float(max(ends) - min(ends)) if ends else 0.0, self.carriages.worst, paths,
         )  # fmt: skip
 
@@ -251,7 +251,7 @@ class CarriageDeviationMeter:
             self.worst = max(self.worst or 0.0, float(np.linalg.norm(off - along * self._line)))
 
 
-def select_axes(distances: Mapping, axes: Axes, procedure: str) -> dict[str, tuple[Axis, Any]]:
+def select_axes(distances: Mapping, axes: AxesByName, procedure: str) -> dict[str, tuple[Axis, Any]]:
     """Find the axes of a procedure by their names.
 
     Args:

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from stage.errors import ArgumentError, StageError, add_article
 from stage.firmware import procedures
-from stage.firmware.driver import Driver, driver_of
-from stage.firmware.move_report import Procedure
+from stage.firmware.driver import Driver, get_driver
+from stage.firmware.move_report import ProcedureObserver
 from stage.panel.stage_thread import has_end_limits
 from stage.units import parse_integer
 
@@ -190,7 +190,7 @@ def speed_field(axis: Axis, name: str, title: str, default: str = "", missing: s
 
 def list_speed_fields(axis: Axis) -> list[Field]:
     """Return the fields of speed and ramp that an axis has."""
-    start = [] if driver_of(axis).has_position_loop else [speed_field(axis, "start_speed", "start speed")]
+    start = [] if get_driver(axis).has_position_loop else [speed_field(axis, "start_speed", "start speed")]
     return [speed_field(axis, "speed", "speed"), *start, RAMP_FIELD]
 
 
@@ -265,18 +265,18 @@ def begin_two_rates(stage: Stage, name: str, values: Values) -> Callable[[Stage]
     axis = stage.axes[name]
     distance, second = values["distance"], values["fast"] / (axis.meters_per_pulse or 1.0)
     speeds, dwell = procedures.parse_speeds(axis, values).with_second(second), values.get("dwell", 0.2)
-    return lambda stage: procedures.two_rates(axis, distance, speed=speeds, dwell=dwell)
+    return lambda stage: procedures.move_at_two_rates(axis, distance, speed=speeds, dwell=dwell)
 
 
 def has_two_rates(stage: Stage, name: str) -> bool:
     """Return whether the chip of an axis has two drive speeds; others would make a plain move of it."""
-    return "second" in driver_of(stage.axes[name]).OPTIONS
+    return "second" in get_driver(stage.axes[name]).OPTIONS
 
 
 def list_home_fields(stage: Stage, name: str) -> list[Field]:
     """Return the fields of an origin return."""
     axis, directions = stage.axes[name], tuple(DIRECTIONS)
-    homings = driver_of(axis).list_homing_methods()
+    homings = get_driver(axis).list_homing_methods()
     return [
         Field("direction", "origin lies", default=directions[0], choices=directions),
         Field("by", "by", default=homings[0], choices=homings),
@@ -308,7 +308,7 @@ def begin_line(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any
 
 def list_circle_pairs(stage: Stage) -> list[str]:
     """Return the pairs of axes with which a chip draws circles: "x y"."""
-    axes = [a for a in stage.axes.values() if type(driver_of(a)).circle is not Driver.circle]
+    axes = [a for a in stage.axes.values() if type(get_driver(a)).circle is not Driver.circle]
     return [f"{a.name} {b.name}" for a, b in combinations(axes, 2) if a.chip is b.chip and a.unit == b.unit]
 
 
@@ -324,7 +324,7 @@ def begin_circle(stage: Stage, name: str, values: Values) -> Callable[[Stage], A
     """Prepare a circle."""
     first, second = (stage.axes[n] for n in values["axes"].split())
     radius, speeds = procedures.convert_to_pulses(first, values["radius"], None), procedures.parse_speeds(first, values)
-    return lambda stage: driver_of(first).circle(driver_of(second), radius, speeds)
+    return lambda stage: get_driver(first).circle(get_driver(second), radius, speeds)
 
 
 FORMS: dict[str, ProcedureForm] = {
@@ -369,9 +369,9 @@ class Jog:
 
     def run(self, stage: Stage) -> Any:
         """Run until `release` or until something stops the axis; return a report. Raises StageError at an end limit."""
-        driver = driver_of(self.axis)
+        driver = get_driver(self.axis)
         driver.prepare()
-        with Procedure(self.axis, "jog") as p:
+        with ProcedureObserver(self.axis, "jog") as p:
             driver.run(self.direction, self._speeds)
             stage.run_until(lambda: self._released.is_set() or not driver.is_running(), 1e6)
             stopped_by = "" if driver.is_running() else driver.explain_end(False, p.journal)

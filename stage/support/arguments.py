@@ -127,7 +127,7 @@ TYPE_CHECKS: dict[str, TypeCheck] = {
     "list": (_is_iterable, "a list"),
     "PathLike": (lambda v: isinstance(v, PathLike), "a path"),
     "None": (lambda v: v is None, "None"),
-    "Axes": (
+    "AxesByName": (
         lambda v: v is None or hasattr(v, "axes") or isinstance(v, Mapping),
         "a stage, a bench, or a mapping such as stage.axes",
     ),

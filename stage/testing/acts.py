@@ -167,9 +167,9 @@ def draw_move(
     """
     if not chip.DRIVER:
         return [], 0
-    from stage.firmware.driver import driver_class
+    from stage.firmware.driver import get_driver_class
 
-    driver, program = driver_class(type(chip))(_BareAxis(chip, axis)), Program()  # type: ignore[arg-type]
+    driver, program = get_driver_class(type(chip))(_BareAxis(chip, axis)), Program()  # type: ignore[arg-type]
     if driver.has_position_loop:
         ranges = driver.get_filter_ranges(True).ranges
         values = {name: low + (high - low) // 4 for name, (low, high) in ranges.items()}
@@ -190,10 +190,10 @@ def list_stop_acts(chip: Chip, axis: int) -> list[Act]:
     """Return the writes with which the chip's host driver stops an axis; [] without a driver."""
     if not chip.DRIVER:
         return []
-    from stage.firmware.driver import driver_class
+    from stage.firmware.driver import get_driver_class
 
     program = Program()
-    driver_class(type(chip))(_BareAxis(chip, axis)).write_stop(program)  # type: ignore[arg-type]
+    get_driver_class(type(chip))(_BareAxis(chip, axis)).write_stop(program)  # type: ignore[arg-type]
     return _convert_program(program, chip)
 
 

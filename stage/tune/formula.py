@@ -27,7 +27,7 @@ from stage.drives.dynamometer import compute_closed_form, compute_natural_freque
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError
 from stage.firmware import Profile
-from stage.firmware.driver import Speeds, driver_of
+from stage.firmware.driver import Speeds, get_driver
 from stage.support import portable
 
 SAFETY_FACTOR = 1.5
@@ -188,4 +188,4 @@ def compute_registers(
         ArgumentError: No move of this length is possible.
     """
     p = plan_profile(Load.from_axis(axis), pulses, safety_factor)
-    return driver_of(axis).formula(p.fl, p.fh1, p.accel(), p.decel(), pulses, s_curve)
+    return get_driver(axis).formula(p.fl, p.fh1, p.accel(), p.decel(), pulses, s_curve)

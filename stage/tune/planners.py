@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.errors import ArgumentError, StageError
-from stage.firmware.driver import Speeds, driver_of
+from stage.firmware.driver import Speeds, get_driver
 from stage.sim.program import Operations
 from stage.support import portable
 from stage.tune.formula import SAFETY_FACTOR, Load, compute_speeds
@@ -56,7 +56,7 @@ class MovePlanner(ABC):
     def __init__(self, task: Task):
         self.task = task
         self.axis: Any = task.stage.axes[task.axis]
-        self.driver = driver_of(self.axis)
+        self.driver = get_driver(self.axis)
         self.unloaded = Load.from_axis(self.axis)
         self._top_speed: np.ndarray | None = None
 
@@ -249,7 +249,7 @@ class ServoPlanner(MovePlanner):
         if not hasattr(self, "_filter"):
             stage = self.task.copy_stage()
             stage.set_payload(self.task.payload, self.task.payload_body)
-            self._filter = driver_of(stage.axes[self.task.axis]).compute_filter()
+            self._filter = get_driver(stage.axes[self.task.axis]).compute_filter()
         return self._filter
 
     def compute_speeds(self, safety_factor: float, payload: float | None = None) -> Speeds:

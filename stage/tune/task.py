@@ -14,7 +14,7 @@ import numpy as np
 from stage import Stage
 from stage.envs.task import find_carrier, find_judged_point
 from stage.errors import ArgumentError, unknown_name_error
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 from stage.support.arguments import explain_constructor
 from stage.tune.machines import Machine, fit_machine
 from stage.units import DEVIATION_UNITS, POSITION_UNITS
@@ -136,7 +136,7 @@ class Task:
     @property
     def is_servo(self) -> bool:
         """Whether the axis' chip closes a position loop; its pulses are counts of an encoder then."""
-        return driver_of(self.stage.axes[self.axis]).has_position_loop
+        return get_driver(self.stage.axes[self.axis]).has_position_loop
 
     @property
     def pulses_per_electrical_turn(self) -> int:

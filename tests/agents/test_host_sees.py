@@ -6,7 +6,7 @@ import pytest
 
 from stage.agents.host_diagnostics import MAX_DIAGNOSTICS
 from stage.agents.picture_tool import hide_truth
-from stage.firmware.plot_move import draw
+from stage.firmware.plot_move import draw_operation_pattern
 from stage.sim import faults
 
 HIDDEN = ("lost_steps", "load_angle", "position", "el_plus", "peak_rate")
@@ -95,10 +95,10 @@ def test_a_drawing_for_a_host_has_the_lanes_that_registers_show(box):
     pytest.importorskip("matplotlib")
     box.call("home", {"axis": "x"})
     report = box.report
-    full = {t.get_text() for axes in draw(report).axes for t in axes.get_yticklabels()}
+    full = {t.get_text() for axes in draw_operation_pattern(report).axes for t in axes.get_yticklabels()}
     observed = {
         t.get_text()
-        for axes in draw(hide_truth(report), pins=box.diagnostics[0].readable).axes
+        for axes in draw_operation_pattern(hide_truth(report), pins=box.diagnostics[0].readable).axes
         for t in axes.get_yticklabels()
     }
     assert observed < full

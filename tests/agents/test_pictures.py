@@ -55,7 +55,7 @@ def test_the_picture_of_a_line_shows_the_axis_with_the_most_pulses(make_box, fig
 def test_of_a_line_the_truth_shows_how_straight_it_was(make_box, figures, monkeypatch):
     box = make_box(mode="truth")
     box.call("line", LINE)
-    monkeypatch.setattr(type(box.report), "plot", lambda report: plot_move.draw(report))
+    monkeypatch.setattr(type(box.report), "plot", lambda report: plot_move.draw_operation_pattern(report))
     assert box.call("picture").text == "a line: its distance from the straight one, and the rates"
     assert figures[-1].report is box.report
 

@@ -4,7 +4,7 @@ import pytest
 
 from stage import Stage
 from stage.agents import Budget
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 
 STOPS = {"PCL240K": ("1Dh", "08h"), "PCL240MS": ("1Dh", "08h"), "MCX514": None, "MCX304": None}
 
@@ -29,7 +29,7 @@ def test_a_stop_that_the_host_has_written_is_named(make_box, chips, k):
     if STOPS[chips]:
         box.call("write_bytes", {"axis": "x", "address": 0, "values": [STOPS[chips][k]]})
     else:
-        driver = driver_of(box.axis("x"))
+        driver = get_driver(box.axis("x"))
         box.call("command", {"axis": "x", "name": (driver.STOP, driver.SLOW_DOWN)[k]})
     message = box.call("wait_until_stopped", {"axis": "x"}).data
     assert message["stopped_by"].startswith("stopped by the host: ")
@@ -86,7 +86,7 @@ def test_the_last_recording_is_of_the_last_move(make_box):
 
 
 def test_another_axis_of_the_chip_is_not_stopped():
-    driver = driver_of(Stage("xy", chips="mcx304", visuals=False).axes["x"])
+    driver = get_driver(Stage("xy", chips="mcx304", visuals=False).axes["x"])
     code = driver.map.command(driver.STOP).code
     assert driver.is_stop_command(0, 0x100 | code)
     assert not driver.is_stop_command(0, 0x200 | code)

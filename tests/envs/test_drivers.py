@@ -11,14 +11,14 @@ from stage import ArgumentError, Program, Stage
 from stage.chips import CHIPS, PCL240K
 from stage.envs.origin_return import Config
 from stage.envs.registers import RegisterBox
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 from stage.sim.program import WRITE
 
 PULSING = [name for name in CHIPS.built_in if not CHIPS[name].SERVO]
 
 
 def create_driver(chip, axis="x"):
-    return driver_of(Stage("xyz", chips=CHIPS[chip], visuals=False).axes[axis])
+    return get_driver(Stage("xyz", chips=CHIPS[chip], visuals=False).axes[axis])
 
 
 @pytest.mark.parametrize("chip", PULSING)
@@ -87,6 +87,6 @@ def test_a_family_without_a_driver_is_named():
     chip = PCL240K()
     chip.__class__ = type("Z80", (PCL240K,), {"DRIVER": ""})
     with pytest.raises(ArgumentError, match="a Z80 has no driver: its class names one in DRIVER"):
-        driver_of(SimpleNamespace(chip=chip))
+        get_driver(SimpleNamespace(chip=chip))
     with pytest.raises(ArgumentError, match="no axis"):
-        driver_of(SimpleNamespace(chip="Z80"))
+        get_driver(SimpleNamespace(chip="Z80"))

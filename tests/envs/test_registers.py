@@ -7,12 +7,12 @@ from support.examples import FIXED, SEED
 from stage import ArgumentError
 from stage.chips import PCL240K, PCL240MS
 from stage.envs.registers import RegisterBox
-from stage.firmware.pcl240.driver import S_CURVES
-from stage.firmware.pcl240.driver import TUNED as REGISTERS
+from stage.firmware.pcl240.driver import S_CURVE_REGISTERS
+from stage.firmware.pcl240.driver import TUNED_REGISTERS as REGISTERS
 
 
 def create_registers(chip):
-    return RegisterBox.of_registers(chip.MAP, REGISTERS + (S_CURVES if chip.S_CURVES else ()))
+    return RegisterBox.of_registers(chip.MAP, REGISTERS + (S_CURVE_REGISTERS if chip.S_CURVES else ()))
 
 
 @pytest.mark.parametrize("chip", [pytest.param(PCL240K, marks=pytest.mark.slow), PCL240MS])
@@ -38,7 +38,7 @@ def test_every_action_gives_a_legal_value_and_its_limits_the_register_limits(chi
     actions = np.random.default_rng(SEED).uniform(-1, 1, (5000, len(b))).astype(np.float32)
     for row in b.from_action(actions)[:200]:
         for name, value in b.to_dict(row).items():
-            if name not in S_CURVES:
+            if name not in S_CURVE_REGISTERS:
                 chip.MAP.check_value(name, value)
             assert b.discrete.contains(row)
     assert (b.from_action(-np.ones(len(b))) == b.low).all()

@@ -15,11 +15,11 @@ from stage.envs.synchronized_move import (
     SynchronizedMoveVectorEnv,
 )
 from stage.errors import ArgumentError
-from stage.firmware.driver import driver_of
-from stage.firmware.line_programs import LineMoves, line_of
-from stage.firmware.path_deviation import path_deviation, perfect_deviation, replay_pulses
+from stage.firmware.driver import get_driver
+from stage.firmware.line_programs import LineMoves, create_line_programs
+from stage.firmware.path_deviation import compute_path_deviation, compute_perfect_deviation, replay_pulses
 from stage.firmware.pcl240 import register_row_emulation
-from stage.firmware.pcl240.driver import TUNED as REGISTERS
+from stage.firmware.pcl240.driver import TUNED_REGISTERS as REGISTERS
 
 SHORT = {"distances": (500, 3000), "rate": 16_000.0, "accel": 0.05}
 NOTHING = np.zeros(12, np.float32)
@@ -82,7 +82,7 @@ def test_deviation_and_duration_follow_from_the_emitted_pulses(chip, axes, bus_c
         action = rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
         info, paths, clocks = step_with_journals(env, action)
         assert [len(p) * int(p["direction"][0]) for p in paths] == info["distances"].tolist()
-        assert info["deviation"] == path_deviation(paths, info["distances"]).pulses
+        assert info["deviation"] == compute_path_deviation(paths, info["distances"]).pulses
         assert info["duration"] == clocks / env.stage.chips[0].clock_hz
 
 
@@ -435,7 +435,7 @@ def test_ranges_in_the_ratio_of_the_distances_deviate_like_ideal_axes(chip, axes
     assert (created == rules.data_sheet()).all()
     rules.make_programs()
     for row, d, path, rate in zip(created.astype(float), rules.distances, rules.path, rules.rate, strict=True):
-        assert path <= perfect_deviation(d) + 0.1
+        assert path <= compute_perfect_deviation(d) + 0.1
         m = 8_000_000 / row[:, 0]
         shares = np.abs(d) / np.abs(d).max()
         assert m / m.max() == pytest.approx(shares, rel=1e-5)
@@ -569,13 +569,13 @@ def test_an_end_limit_ends_a_line_of_a_nova_chip(chip):
 def test_chips_that_cannot_be_synchronized_are_refused():
     mixed = Stage("xyz", chips={"x": CHIPS["PCL240K"], "y": CHIPS["MCX514"], "z": CHIPS["MCX514"]}, visuals=False)
     with pytest.raises(ArgumentError, match="MCX514 and PCL240K cannot be synchronized"):
-        line_of([driver_of(mixed.axes[n]) for n in "xy"], Config())
-    hosts = [driver_of(Stage("xyz", chips=CHIPS["MCX514"], visuals=False).axes[n]) for n in "xy"]
+        create_line_programs([get_driver(mixed.axes[n]) for n in "xy"], Config())
+    hosts = [get_driver(Stage("xyz", chips=CHIPS["MCX514"], visuals=False).axes[n]) for n in "xy"]
     with pytest.raises(ArgumentError, match="on several MCX514"):
-        line_of(hosts, Config())
+        create_line_programs(hosts, Config())
     alone = Stage("xy", chips=CHIPS["MCX501"], visuals=False)
     with pytest.raises(ArgumentError, match="on several MCX501"):
-        line_of([driver_of(axis) for axis in alone.axes.values()], Config())
+        create_line_programs([get_driver(axis) for axis in alone.axes.values()], Config())
 
 
 def test_a_left_handed_screw_keeps_the_carriages_on_the_line(tmp_path):

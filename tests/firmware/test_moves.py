@@ -9,7 +9,7 @@ import pytest
 from stage import ArgumentError, RunTimeout, Stage, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, Profile
-from stage.firmware.move_report import Procedure
+from stage.firmware.move_report import ProcedureObserver
 from stage.firmware.pcl240 import chip_port
 
 
@@ -311,7 +311,7 @@ def test_external_pulses_may_come_from_a_generator(x):
 
 
 def test_the_average_rate_counts_pulses_of_both_directions(x):
-    with Procedure(x, "to and fro") as watched:
+    with ProcedureObserver(x, "to and fro") as watched:
         for pulses in (3000, -1000):
             firmware.preset_move(x, pulses, Profile.of(fl=1000, fh1=8000, accel=0.1))
         report = watched.report("R0 = 0")

@@ -6,10 +6,17 @@ from support.covers import covers
 
 from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import MCX304, MCX514
-from stage.firmware.nova.path_interpolation import Arc, Helix, Line, Speed, _words, draw
+from stage.firmware.nova.path_interpolation import (
+    ArcSegment,
+    HelixSegment,
+    LineSegment,
+    PathSpeed,
+    _encode_segment,
+    draw_path,
+)
 
 RADIUS = 1600  # pulses
-SPEED = Speed(8_000)
+SPEED = PathSpeed(8_000)
 CARRIAGE = 50e-6  # m, by which motors lag and ring: a full step
 AT_REST = 8e-6
 
@@ -22,7 +29,7 @@ def stage():
 def drawn(stage, segments, names="xy", speed=SPEED):
     """The report, and columns of a recording."""
     with stage.record() as recording:
-        report = draw(segments, *(stage.axes[n] for n in names), speed=speed)
+        report = draw_path(segments, *(stage.axes[n] for n in names), speed=speed)
         stage.run(0.3)
     return report, recording.columns
 
@@ -37,7 +44,7 @@ def off_circle(columns, what, scale, radius=RADIUS, turned=1):
 @pytest.mark.parametrize("clockwise", [False, True])
 @pytest.mark.parametrize("even", [False, True])
 def test_a_circle_ends_where_it_began_and_the_carriages_keep_its_radius(stage, clockwise, even):
-    report, columns = drawn(stage, [Arc((0, RADIUS), clockwise=clockwise)], speed=Speed(8_000, even=even))
+    report, columns = drawn(stage, [ArcSegment((0, RADIUS), clockwise=clockwise)], speed=PathSpeed(8_000, even=even))
     assert report.ok
     assert report.pulses == {"x": 0, "y": 0}
     assert abs(off_circle(columns, "pulses", 1)).max() <= 1
@@ -54,9 +61,9 @@ def test_a_circle_ends_where_it_began_and_the_carriages_keep_its_radius(stage, c
 
 def test_constant_vector_speed_makes_a_circle_last_as_long_as_its_steps_are(stage):
     """Ticks of both axes last sqrt(2) as long: of a circle's 4 sqrt(2) R ticks (8 - 4 sqrt(2)) R are such."""
-    slow = Speed(8_000, initial=8_000)
-    even, _ = drawn(stage, [Arc((0, RADIUS))], speed=slow)
-    plain, _ = drawn(stage, [Arc((0, RADIUS))], speed=Speed(8_000, initial=8_000, even=False))
+    slow = PathSpeed(8_000, initial=8_000)
+    even, _ = drawn(stage, [ArcSegment((0, RADIUS))], speed=slow)
+    plain, _ = drawn(stage, [ArcSegment((0, RADIUS))], speed=PathSpeed(8_000, initial=8_000, even=False))
     ticks, both = 4 * np.sqrt(2) * RADIUS, (8 - 4 * np.sqrt(2)) * RADIUS
     assert plain.seconds == pytest.approx(ticks / 8_000, abs=3e-3)
     assert even.seconds == pytest.approx((ticks + (np.sqrt(2) - 1) * both) / 8_000, abs=3e-3)
@@ -65,7 +72,7 @@ def test_constant_vector_speed_makes_a_circle_last_as_long_as_its_steps_are(stag
 @covers("MCX514", "HLN", "HLPCCW", "R-HLV", "HLV", "HLCCW")
 @pytest.mark.parametrize("rotations", [0, 1, 3])
 def test_a_helix_rises_evenly_and_each_revolution_closes(stage, rotations):
-    report, columns = drawn(stage, [Helix((0, RADIUS), (960,), rotations)], "xyz")
+    report, columns = drawn(stage, [HelixSegment((0, RADIUS), (960,), rotations)], "xyz")
     revolutions = max(rotations, 1)
     assert report.ok
     assert report.pulses == {"x": 0, "y": 0, "z": 960 * revolutions}
@@ -79,7 +86,7 @@ def test_a_helix_rises_evenly_and_each_revolution_closes(stage, rotations):
 
 @covers("MCX514", "CHKCCW", "LHK2", "DECDIS", "DECEN")
 def test_a_path_keeps_its_speed_from_segment_to_segment(stage):
-    path = [Line(3200, 0), Arc((0, 1600), (1600, 1600)), Line(0, 3200)]
+    path = [LineSegment(3200, 0), ArcSegment((0, 1600), (1600, 1600)), LineSegment(0, 3200)]
     report, columns = drawn(stage, path)
     assert report.ok
     assert (report.segments, report.pulses) == (3, {"x": 4800, "y": 4800})
@@ -97,7 +104,7 @@ def test_more_segments_than_the_pre_buffer_holds_are_fed_as_it_empties(stage):
     rng = np.random.default_rng(20)
     print("seed 20")
     corners = rng.integers(150, 400, (25, 2)) * rng.choice([-1, 1], (25, 2))
-    report, _ = drawn(stage, [Line(*map(int, p)) for p in corners], speed=Speed(3_000))
+    report, _ = drawn(stage, [LineSegment(*map(int, p)) for p in corners], speed=PathSpeed(3_000))
     assert report.ok
     assert report.pulses == dict(zip("xy", corners.sum(axis=0).tolist(), strict=True))
     assert not stage.chips[0].diagnostics
@@ -105,7 +112,10 @@ def test_more_segments_than_the_pre_buffer_holds_are_fed_as_it_empties(stage):
 
 @covers("MCX514", "CHKCW", "HLCW", "HLPCW")
 def test_clockwise_arcs_and_helices_have_the_opposite_direction(stage):
-    for segment in (Arc((0, 800), (800, 800), clockwise=True), Helix((0, 800), (300,), 0, (800, 800), clockwise=True)):
+    for segment in (
+        ArcSegment((0, 800), (800, 800), clockwise=True),
+        HelixSegment((0, 800), (300,), 0, (800, 800), clockwise=True),
+    ):
         report, columns = drawn(stage, [segment], "xyz")
         assert report.ok
         assert (report.pulses["x"], report.pulses["y"]) == (800, 800)
@@ -116,7 +126,14 @@ def test_clockwise_arcs_and_helices_have_the_opposite_direction(stage):
 @covers("MCX514", "LHK3", "CHKCCW", "HLCCW")
 def test_lines_of_three_axes_and_arcs_of_their_first_two_make_one_path(stage):
     report, _ = drawn(
-        stage, [Line(800, 400, -300), Arc((0, 800), (800, 800)), Helix((-800, 0), (500,), 2), Line(9, -900, 0)], "xyz"
+        stage,
+        [
+            LineSegment(800, 400, -300),
+            ArcSegment((0, 800), (800, 800)),
+            HelixSegment((-800, 0), (500,), 2),
+            LineSegment(9, -900, 0),
+        ],
+        "xyz",
     )
     assert report.ok
     assert report.pulses == {"x": 1609, "y": 300, "z": 700}
@@ -125,7 +142,7 @@ def test_lines_of_three_axes_and_arcs_of_their_first_two_make_one_path(stage):
 def test_a_limit_ends_the_path_and_what_waits_is_not_drawn(stage):
     x = stage.axes["x"]
     stage.place(x=x.travel[1] - 0.02)
-    report, _ = drawn(stage, [Line(32_000, 0)] + [Line(-2_000, 500)] * 12, speed=Speed(16_000))
+    report, _ = drawn(stage, [LineSegment(32_000, 0)] + [LineSegment(-2_000, 500)] * 12, speed=PathSpeed(16_000))
     assert not report.ok
     assert report.errors["x"] == ("HLMT+",)
     assert report.pulses["y"] == 0
@@ -135,47 +152,51 @@ def test_a_limit_ends_the_path_and_what_waits_is_not_drawn(stage):
 @pytest.mark.parametrize(
     ("segment", "names", "message"),
     [
-        (Line(1, 2, 3), "xy", "a finish point for each of 2 axes"),
-        (Helix((0, 9), (9,)), "xy", "`along` for each"),
-        (Helix((0, 9), ()), "xyz", "`along` for each"),
-        (Helix((0, 9), ()), "xy", "`along` for each of the axes but the first two; 2 axes"),
-        (Line(1), "x", "interpolates 2 to 4"),
-        (Arc((0, 2**31)), "xy", "CP"),
+        (LineSegment(1, 2, 3), "xy", "a finish point for each of 2 axes"),
+        (HelixSegment((0, 9), (9,)), "xy", "`along` for each"),
+        (HelixSegment((0, 9), ()), "xyz", "`along` for each"),
+        (HelixSegment((0, 9), ()), "xy", "`along` for each of the axes but the first two; 2 axes"),
+        (LineSegment(1), "x", "interpolates 2 to 4"),
+        (ArcSegment((0, 2**31)), "xy", "CP"),
     ],
 )
 def test_segments_that_do_not_suit_the_axes_are_refused(stage, segment, names, message):
     with pytest.raises(ArgumentError, match=message):
-        draw([segment], *(stage.axes[n] for n in names), speed=SPEED)
+        draw_path([segment], *(stage.axes[n] for n in names), speed=SPEED)
     assert not stage.chips[0].busy(0)
 
 
 def test_axes_of_other_chips_and_nothing_to_draw_are_refused(stage):
     x, y = stage.axes["x"], stage.axes["y"]
     with pytest.raises(ArgumentError, match="no segments"):
-        draw([], x, y, speed=SPEED)
+        draw_path([], x, y, speed=SPEED)
     with pytest.raises(ArgumentError, match="different axes of one MCX514"):
-        draw([Line(1, 1)], x, x, speed=SPEED)
+        draw_path([LineSegment(1, 1)], x, x, speed=SPEED)
     other = Stage("xyz", chips=MCX514, visuals=False)
     with pytest.raises(ArgumentError, match="different axes of one MCX514"):
-        draw([Line(1, 1)], x, other.axes["y"], speed=SPEED)
+        draw_path([LineSegment(1, 1)], x, other.axes["y"], speed=SPEED)
     old = Stage("xyz", chips=MCX304, visuals=False)
     with pytest.raises(ArgumentError, match="no MCX514"):
-        draw([Line(1, 1)], old.axes["x"], old.axes["y"], speed=SPEED)
+        draw_path([LineSegment(1, 1)], old.axes["x"], old.axes["y"], speed=SPEED)
 
 
 def test_a_path_beyond_its_timeout_is_stopped_with_an_error(stage):
     with pytest.raises(RunTimeout, match=r"0\.1 s"):
-        draw([Line(8000, 8000)], stage.axes["x"], stage.axes["y"], speed=Speed(1000), timeout=0.1)
+        draw_path([LineSegment(8000, 8000)], stage.axes["x"], stage.axes["y"], speed=PathSpeed(1000), timeout=0.1)
     assert not stage.chips[0].busy(0)
 
 
 def test_a_line_of_two_to_four_axes_is_one_command():
     """draw([Line(100, -200, 50, 9)], x, y, z, u, speed=...)"""
     for finish in ((100, -200), (100, -200, 50), (100, -200, 50, 9)):
-        assert _words(Line(*finish), len(finish)) == (f"LHK{len(finish)}", {}, [{"TP": v} for v in finish])
+        assert _encode_segment(LineSegment(*finish), len(finish)) == (
+            f"LHK{len(finish)}",
+            {},
+            [{"TP": v} for v in finish],
+        )
     for axes in (1, 5):
         with pytest.raises(ArgumentError, match=f"{axes} axes: an MCX514 interpolates 2 to 4"):
-            _words(Line(*[100] * axes), axes)
+            _encode_segment(LineSegment(*[100] * axes), axes)
 
 
 def test_a_helix_with_more_pulses_along_its_axis_than_ticks_is_refused_before_it_moves():
@@ -183,6 +204,10 @@ def test_a_helix_with_more_pulses_along_its_axis_than_ticks_is_refused_before_it
     stage = Stage("xyz", chips=MCX514, visuals=False)
     axes = list(stage.axes.values())
     with pytest.raises(ArgumentError, match="along=-333 of z: beside this circle an axis makes 284 pulses at most"):
-        draw([Helix(centre=(0, 50), along=(-333,))], *axes, speed=Speed(1000))
+        draw_path([HelixSegment(centre=(0, 50), along=(-333,))], *axes, speed=PathSpeed(1000))
     assert [axis.chip.net(axis.chip_axis) for axis in axes] == [0, 0, 0]
-    assert draw([Helix(centre=(0, 50), along=(284,))], *axes, speed=Speed(1000)).pulses == {"x": 0, "y": 0, "z": 284}
+    assert draw_path([HelixSegment(centre=(0, 50), along=(284,))], *axes, speed=PathSpeed(1000)).pulses == {
+        "x": 0,
+        "y": 0,
+        "z": 284,
+    }

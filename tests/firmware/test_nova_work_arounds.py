@@ -28,7 +28,7 @@ class Setup:
 
     def __init__(self, cls=MCX304, errata=True, wr1=0, wr2=0, **parameters):
         self.bench = Bench(x=cls(errata=errata))
-        self.driver = s_curve_workarounds.port_of(self.bench.axes["x"])
+        self.driver = s_curve_workarounds.open_port(self.bench.axes["x"])
         self.pins = self.driver.axis.pins
         self.driver.load(**{"R": 800_000, "K": K, "A": 8000, "SV": SV, "V": V, "AO": 0} | LIMITS | parameters)
         self.driver.mode(WR1=wr1, WR2=wr2, WR3=s_curve_workarounds.S_CURVE)
@@ -65,7 +65,7 @@ def by_flag(setup):
 
 
 def by_speed(setup):
-    return s_curve_workarounds.stop_by_speed(setup.driver, s_curve_workarounds.judgmental_speed(SV, V))
+    return s_curve_workarounds.stop_by_speed(setup.driver, s_curve_workarounds.compute_judgmental_speed(SV, V))
 
 
 def asked(stop, when, cls=MCX304, pulses=PULSES, **options):
@@ -131,7 +131,7 @@ def when_done(pulses, count):
 @pytest.mark.parametrize("v", [101, 115, 116])
 def test_the_speed_criterion_works_if_area_d_covers_the_full_end_of_the_ramp(v):
     """V so near to SV that the deceleration is never above 125 m: area d begins at the judgmental speed."""
-    judgmental = s_curve_workarounds.judgmental_speed(SV, v)
+    judgmental = s_curve_workarounds.compute_judgmental_speed(SV, v)
     for k in range(200):
         setup = Setup(K=65_535, V=v).start(2000)
         setup.run_to(1.2 + k * 4e-3)
@@ -140,7 +140,7 @@ def test_the_speed_criterion_works_if_area_d_covers_the_full_end_of_the_ramp(v):
 
 
 def test_the_judgmental_speed_is_the_middle():
-    assert s_curve_workarounds.judgmental_speed(100, 1000) == 550
+    assert s_curve_workarounds.compute_judgmental_speed(100, 1000) == 550
 
 
 def test_each_drive_needs_a_new_deceleration_flag():
@@ -156,8 +156,8 @@ def test_each_drive_needs_a_new_deceleration_flag():
 # Case 2: a hardware limit that decelerates
 
 LIMIT_ROUTINES = {
-    "interrupt": (s_curve_workarounds.limit_interrupt, s_curve_workarounds.C_END_ENABLE),
-    "polling": (s_curve_workarounds.limit_poll, 0),
+    "interrupt": (s_curve_workarounds.handle_limit_interrupt, s_curve_workarounds.C_END_ENABLE),
+    "polling": (s_curve_workarounds.handle_limit_timer, 0),
 }
 limit_routine = pytest.mark.parametrize("name", LIMIT_ROUTINES)
 
@@ -269,7 +269,11 @@ def with_stop(k, when, cls=MCX304, routine=True, begins=0.0):
     setup.bench.at(setup.began + when, touch)
     setup.run_to(begins)
     watch = setup.driver.wait_until_stopped
-    return setup, places, watch(3, lambda: s_curve_workarounds.stop_signal_poll(setup.driver)) if routine else None
+    return (
+        setup,
+        places,
+        watch(3, lambda: s_curve_workarounds.handle_stop_signal_timer(setup.driver)) if routine else None,
+    )
 
 
 @every_chip
@@ -294,8 +298,8 @@ def test_the_stop_routine_leaves_a_drive_alone_that_ends_by_itself(when):
 
 def test_the_driver_writes_to_its_axis_only():
     chip = MCX304()
-    z = s_curve_workarounds.port_of(SimpleNamespace(name="z", chip=chip, chip_axis=2))
-    s_curve_workarounds.port_of(SimpleNamespace(name="x", chip=chip, chip_axis=0)).load(P=5)
+    z = s_curve_workarounds.open_port(SimpleNamespace(name="z", chip=chip, chip_axis=2))
+    s_curve_workarounds.open_port(SimpleNamespace(name="x", chip=chip, chip_axis=0)).load(P=5)
     z.load(R=800_000, SV=1000, V=1000, LP=-3)
     z.mode(WR1=s_curve_workarounds.C_END_ENABLE)
     z.start(40)
@@ -326,7 +330,7 @@ def test_errors_come_before_the_first_bus_cycle(act, message):
 @pytest.mark.parametrize("chip", [PCL240K, MCX514], ids=lambda cls: cls.__name__)
 def test_other_chips_are_refused(chip):
     with pytest.raises(ArgumentError, match="no MCX304, MCX302 or MCX312"):
-        s_curve_workarounds.port_of(Bench(x=chip()).axes["x"])
+        s_curve_workarounds.open_port(Bench(x=chip()).axes["x"])
 
 
 @pytest.mark.parametrize("stops", [True, False])
@@ -368,16 +372,16 @@ def test_a_routine_ignores_a_runaway_of_another_cause():
     limited = with_limit("interrupt", FULL - AREA_D / 2, routine=False)[0]
     assert limited.runs_away()
     limited.driver.word(3)  # C-END is told once
-    assert not s_curve_workarounds.limit_interrupt(limited.driver)
-    assert not s_curve_workarounds.stop_signal_poll(limited.driver)
+    assert not s_curve_workarounds.handle_limit_interrupt(limited.driver)
+    assert not s_curve_workarounds.handle_stop_signal_timer(limited.driver)
     assert limited.runs_away()
-    assert s_curve_workarounds.limit_poll(limited.driver)
+    assert s_curve_workarounds.handle_limit_timer(limited.driver)
     reported = Setup().start()
     reported.run_to(FULL - AREA_D / 2)
     assert bare(reported)
     assert reported.runs_away()
-    assert not s_curve_workarounds.limit_poll(reported.driver)
-    assert not s_curve_workarounds.stop_signal_poll(reported.driver)
+    assert not s_curve_workarounds.handle_limit_timer(reported.driver)
+    assert not s_curve_workarounds.handle_stop_signal_timer(reported.driver)
     assert reported.runs_away()
 
 
@@ -427,5 +431,5 @@ RUNS_AWAY = (s_curve_workarounds.C_END, s_curve_workarounds.STOPPED_BY_LIMIT, Tr
 def test_each_branch_of_the_flow_chart_of_the_limit_interrupt_leaves_the_drive_alone(said, stops):
     """C-END, DSND, n-DRV, the limit's bits, the phases: 27h only where all of them say that it runs away"""
     port = Said(*said)
-    assert s_curve_workarounds.limit_interrupt(port) is stops
+    assert s_curve_workarounds.handle_limit_interrupt(port) is stops
     assert port.told == [s_curve_workarounds.SUDDEN_STOP] * stops

@@ -45,9 +45,9 @@ def phases(report):
 
 
 def notes(report):
-    from stage.firmware.driver import driver_class
+    from stage.firmware.driver import get_driver_class
 
-    return driver_class(report.course.chip).PATTERN(report).notes(report.course.seconds - report.began)
+    return get_driver_class(report.course.chip).PATTERN(report).notes(report.course.seconds - report.began)
 
 
 def test_the_page_is_what_the_code_does_now(reports):
@@ -146,14 +146,14 @@ def test_no_rate_is_labeled_while_the_axis_is_at_rest(reports):
 def test_notes_never_overlap(reports, monkeypatch):
     """The rows of the notes: no text meets another, nor the line of a later one."""
     from stage.firmware import plot_move
-    from stage.firmware.driver import driver_class
+    from stage.firmware.driver import get_driver_class
 
     monkeypatch.setattr(
         plot_move, "_measure_text_width", cache(plot_move._measure_text_width)
     )  # the same words stand in many
     for report in reports.values():
         t = report.course.seconds - report.began
-        notes = driver_class(report.course.chip).PATTERN(report).notes(t)
+        notes = get_driver_class(report.course.chip).PATTERN(report).notes(t)
         limits, width = plot_move._compute_time_range(report, t), 500.0
         rows = plot_move._assign_note_rows(notes, limits, width)
         at = [(n.time - limits[0]) / (limits[1] - limits[0]) * width for n in notes]

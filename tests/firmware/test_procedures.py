@@ -14,13 +14,13 @@ from stage.firmware.driver import (
     Driver,
     ImmediateOperations,
     Speeds,
-    driver_class,
-    driver_of,
     get_default_speeds,
+    get_driver,
+    get_driver_class,
     wait_until_stopped,
 )
-from stage.firmware.move_report import Procedure
-from stage.firmware.procedures import parse_speeds, two_rates
+from stage.firmware.move_report import ProcedureObserver
+from stage.firmware.procedures import move_at_two_rates, parse_speeds
 from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.sim import plant
 
@@ -67,7 +67,7 @@ def test_a_move_in_meters_reaches_and_reports_its_position(stage):
 def test_homings_that_a_chip_has_are_by_the_switch_and_by_the_index(stage, monkeypatch):
     """firmware.home(axis, by="index"); stage home x --by index"""
     axis, asked = stage.axes["x"], []
-    driver = driver_of(axis)
+    driver = get_driver(axis)
     monkeypatch.setattr(
         type(driver), "home", lambda self, direction, speeds, index, timeout: asked.append((direction, index, timeout))
     )
@@ -124,7 +124,7 @@ def test_home_begins_on_an_end_limit_as_well(stage, name):
 def test_a_move_is_started_first_and_awaited_later(stage):
     """driver.start(6400, Speeds()); driver.wait(5.0)"""
     x, samples = stage.axes["x"], []
-    driver = driver_of(x)
+    driver = get_driver(x)
     driver.start(6400, Speeds(drive=20_000))
     x.wait(0.02)
     assert x.chip.busy(x.chip_axis)
@@ -143,7 +143,7 @@ def test_a_move_is_started_first_and_awaited_later(stage):
 def test_a_driver_reports_the_stop_reason_of_its_last_run_only_after_the_stop(name):
     """driver.start(-300, Speeds()); driver.wait(5.0); driver.run(1, Speeds()); driver.stopped_by()"""
     x = Bench(x=CHIPS[name]()).axes["x"]
-    driver = driver_of(x)
+    driver = get_driver(x)
     driver.start(-300, Speeds())
     assert driver.stopped_by() == ""
     assert driver.wait(5.0) == driver.DONE
@@ -169,7 +169,9 @@ def test_ramps_last_the_requested_time(stage):
 @each
 def test_two_rates_are_two_where_the_chip_has_them_and_else_the_higher_one(stage):
     x = stage.axes["x"]
-    report = two_rates(x, pulses=16_000, speed=Speeds(drive=10_000, up=0.05, down=0.05).with_second(20_000), dwell=0.1)
+    report = move_at_two_rates(
+        x, pulses=16_000, speed=Speeds(drive=10_000, up=0.05, down=0.05).with_second(20_000), dwell=0.1
+    )
     assert report.ok
     assert report.peak_rate == pytest.approx(20_000, rel=0.05)
     at_first = np.diff(report.course.seconds)[np.abs(report.rates[:-1] - 10_000) < 50].sum()
@@ -201,7 +203,7 @@ def test_a_jog_without_a_speed_runs_towards_plus_and_one_of_0_s_stays(name):
 @pytest.mark.parametrize(("name", "least", "maximum"), [("MCX304", 20, 160_000), ("MCX514", 1, 8_000_000)])
 def test_a_nova_chip_moves_at_every_speed_that_it_says_it_makes_and_no_other(name, least, maximum):
     """firmware.move(axis, pulses=3, speed=..., start_speed=...) at the bounds"""
-    driver = driver_of(Bench(x=CHIPS[name]()).axes["x"])
+    driver = get_driver(Bench(x=CHIPS[name]()).axes["x"])
     for start, drive in [(least, least), (least, 1000), (1000, 1000), (1000, maximum)]:
         assert driver.move(3, Speeds(start, drive)).ok
     for start, drive, message in [
@@ -217,7 +219,7 @@ def test_a_nova_chip_moves_at_every_speed_that_it_says_it_makes_and_no_other(nam
 def test_a_line_of_nova_axes_refuses_impossible_lines_and_reports_stop_reasons(stage):
     """firmware.line({"x": 6e-3, "y": 2e-3}, stage) of axes that move, too fast, without time, onto a limit"""
     x, y = stage.axes["x"], stage.axes["y"]
-    driver_of(y).run(1, Speeds())
+    get_driver(y).run(1, Speeds())
     stage.run(0.01)
     with pytest.raises(StageError, match="axis y is moving"):
         firmware.line({"x": 1e-3, "y": 1e-3}, stage)
@@ -241,7 +243,7 @@ def test_a_line_of_nova_axes_refuses_impossible_lines_and_reports_stop_reasons(s
 def test_stop_ends_what_a_driver_has_started(stage):
     for at_once in (False, True):
         x = stage.axes["x"]
-        driver = driver_of(x)
+        driver = get_driver(x)
         driver.run(1, Speeds(500, 4000, 0.05, 0.05))
         stage.run(0.1)
         with pytest.raises(StageError, match="axis x is moving"):
@@ -267,7 +269,7 @@ def test_a_stop_at_once_makes_no_more_pulses_and_one_with_a_ramp_does(name):
         more = []
         for at_once in (True, False):
             x = Bench(x=CHIPS[name]()).axes["x"]
-            driver_of(x).run(direction, Speeds(500, 4000, 0.05, 0.05))
+            get_driver(x).run(direction, Speeds(500, 4000, 0.05, 0.05))
             x.wait(0.1)
             before = x.chip.net(x.chip_axis)
             firmware.stop(x, at_once)
@@ -283,7 +285,7 @@ def test_a_servo_stopped_at_once_holds_where_it_is_and_one_with_a_ramp_slows_dow
     for at_once in (True, False):
         stage.reset()
         x = stage.axes["x"]
-        driver_of(x).run(1, Speeds(500, 20_000, 0.05, 0.05))
+        get_driver(x).run(1, Speeds(500, 20_000, 0.05, 0.05))
         x.wait(0.1)
         before = x.position
         firmware.stop(x, at_once)
@@ -297,7 +299,7 @@ def test_the_drawing_of_a_run_has_the_command_that_stopped_it(stage):
     """firmware.jog(axis, 0.1, 0.02).plot()"""
     x = stage.axes["x"]
     report = firmware.jog(x, 0.05, 0.02, accel=0.2)
-    notes = driver_of(x).PATTERN(report).notes(report.course.seconds - report.began)
+    notes = get_driver(x).PATTERN(report).notes(report.course.seconds - report.began)
     assert [note.words for note in notes if "decelerating stop" in note.words] == ["X decelerating stop"]
 
 
@@ -425,7 +427,7 @@ def test_a_servo_jogs_a_table_round_past_its_home_switch():
 @pytest.mark.parametrize("met", UNWANTED_REASONS)
 def test_an_unintended_stop_reason_is_marked_in_the_report(met):
     x = Bench(x=PCL240K()).axes["x"]
-    with Procedure(x, "run") as p:
+    with ProcedureObserver(x, "run") as p:
         report = p.report(met)
     assert not report.ok
     assert (report.began, report.average_rate, report.peak_rate) == (0, 0, 0), "nothing ran"
@@ -435,7 +437,7 @@ def test_an_unintended_stop_reason_is_marked_in_the_report(met):
 
 def test_a_move_that_an_emergency_stop_ends_is_not_ok():
     x = Bench(x=MCX514()).axes["x"]
-    driver = driver_of(x)
+    driver = get_driver(x)
     driver.run(1, Speeds())
     x.wait(0.05)
     x.chip.pins.emg = True
@@ -577,7 +579,7 @@ def test_with_nothing_to_ramp_s_curves_are_constant_speed(chip):
 
 @pytest.mark.parametrize("name", EVERY)
 def test_the_class_of_a_chip_determines_its_driver(name):
-    assert driver_class(CHIPS[name]).__module__.startswith("stage.firmware.")
+    assert get_driver_class(CHIPS[name]).__module__.startswith("stage.firmware.")
 
 
 @each
@@ -585,7 +587,7 @@ def test_reports_of_every_chip_are_drawn(stage, tmp_path):
     report = firmware.move(stage.axes["x"], 3e-3)
     assert report.plot(tmp_path / "a.png") is not None
     assert (tmp_path / "a.png").stat().st_size > 10_000
-    pattern = driver_class(type(stage.axes["x"].chip)).PATTERN(report)
+    pattern = get_driver_class(type(stage.axes["x"].chip)).PATTERN(report)
     t = report.course.seconds - report.began
     notes = pattern.notes(t)
     assert any(not n.event for n in notes), "the start command"
@@ -597,7 +599,7 @@ def test_the_drawing_of_a_line_names_its_interpolation_and_leaves_out_what_was_o
     """firmware.line({"x": 3e-3, "y": 1e-3}, stage.axes).axes["x"].plot()"""
     axes = Stage("xy", chips=MCX514, visuals=False).axes
     report = firmware.line({"x": 3e-3, "y": 1e-3}, axes).axes["x"]
-    words = [n.words for n in driver_of(axes["x"]).PATTERN(report).notes(report.course.seconds - report.began)]
+    words = [n.words for n in get_driver(axes["x"]).PATTERN(report).notes(report.course.seconds - report.began)]
     assert "2-axis linear interpolation" in words
     assert not [w for w in words if "write" in w]
 
@@ -666,7 +668,7 @@ def test_a_wait_ends_at_its_time_and_polls_more_slowly_up_to_every_two_milliseco
 def test_a_wait_returns_within_two_milliseconds_of_the_end_of_a_long_move(name):
     """driver.start(4000, speeds); driver.wait(60.0); firmware.move(axis, pulses=-4000)"""
     x = Bench(x=CHIPS[name]()).axes["x"]
-    driver, slow = driver_of(x), Speeds(500, 500)
+    driver, slow = get_driver(x), Speeds(500, 500)
     driver.start(4000, slow)
     begin = x.time
     driver.wait(60.0)
@@ -696,7 +698,7 @@ def test_home_passes_its_timeout_to_the_driver(arguments):
 def test_ctrl_c_has_the_reports_of_all_axes_that_are_watched():
     bench = Bench(PCL240K(), PCL240K())
     x, y = bench.axes.values()
-    with pytest.raises(KeyboardInterrupt) as caught, Procedure(x, "outer"), Procedure(y, "inner"):
+    with pytest.raises(KeyboardInterrupt) as caught, ProcedureObserver(x, "outer"), ProcedureObserver(y, "inner"):
         raise KeyboardInterrupt
     assert [(r.procedure, r.axis, r.stopped_by) for r in caught.value.reports] == [
         ("outer", "x", "Ctrl-C"),
@@ -714,7 +716,7 @@ def test_operations_that_are_done_at_once_are_counted():
 def test_a_run_after_a_move_ends_at_its_limit_and_not_at_the_count_of_the_move():
     """driver.start(100, Speeds()); driver.run(-1, Speeds()) into the end limit, with R0 = 0 since the move"""
     bench = Bench(PCL240K())
-    driver = driver_of(bench.axes["x"])
+    driver = get_driver(bench.axes["x"])
     for direction, limit in ((-1, "EL-"), (1, "EL+")):
         driver.start(100 * direction, Speeds())
         assert driver.wait(5.0) == driver.DONE
@@ -728,7 +730,7 @@ def test_a_run_after_a_move_ends_at_its_limit_and_not_at_the_count_of_the_move()
 @pytest.mark.parametrize("name", STEPPING)
 def test_a_move_that_an_end_limit_ends_says_which(name, direction, limit):
     bench = Bench(x=CHIPS[name]())
-    driver = driver_of(bench.axes["x"])
+    driver = get_driver(bench.axes["x"])
     driver.start(direction * 5000, Speeds())
     bench.wait(0.05)
     switch = "el_plus" if direction > 0 else "el_minus"
@@ -738,7 +740,7 @@ def test_a_move_that_an_end_limit_ends_says_which(name, direction, limit):
 
 def test_a_line_of_a_pcl240_has_both_requested_ramps():
     bench = Bench(PCL240K(), PCL240K())
-    drivers = {name: driver_of(axis) for name, axis in bench.axes.items()}
+    drivers = {name: get_driver(axis) for name, axis in bench.axes.items()}
     plan = type(drivers["x"]).line(drivers, {"x": 6000, "y": -3000}, Speeds(1000, 8000, 0.1, 0.2)).plan
     for axis in plan.axes.values():
         assert axis.registers["R5"] == pytest.approx(2 * axis.registers["R4"], rel=0.01)
@@ -747,7 +749,7 @@ def test_a_line_of_a_pcl240_has_both_requested_ramps():
 @pytest.mark.parametrize("hz", [4_915_200, 2_000_000])
 def test_registers_by_formula_are_for_the_clock_of_the_chip(hz):
     x = Bench(PCL240MK(clock_hz=hz)).axes["x"]
-    made = driver_of(x).formula(500, 8000, 0.1, 0.2, 4000)
+    made = get_driver(x).formula(500, 8000, 0.1, 0.2, 4000)
     step = hz / (8192 * made["R7"])
     assert made["R1"] * step == pytest.approx(500, rel=1e-3)
     assert made["R2"] * step == pytest.approx(8000, rel=1e-3)
@@ -805,17 +807,17 @@ def test_a_family_refuses_the_options_of_another(chip, extra):
 def test_a_pcl240_obeys_the_options_of_its_family():
     """constant speed, a second rate, the chip's own ramp-down point, one approach of ORG, an index pulse"""
     x = Stage("xy", chips=PCL240MK, visuals=False).axes["x"]
-    assert driver_of(x).get_default_second_rate(10_000.0) == 20_000.0
-    assert driver_of(x).get_default_second_rate(2e6) == pytest.approx(
+    assert get_driver(x).get_default_second_rate(10_000.0) == 20_000.0
+    assert get_driver(x).get_default_second_rate(2e6) == pytest.approx(
         8191 * 4_915_200 / (8192 * 2)
     )  # the data sheet, equation 4
-    assert "FH2 20000.0 pps" in driver_of(x).describe_speeds(Speeds(second=20_000.0))
+    assert "FH2 20000.0 pps" in get_driver(x).describe_speeds(Speeds(second=20_000.0))
     flat = firmware.move(x, pulses=800, speed=Speeds(1000, 4000, constant=True))
     assert flat.procedure == "constant-speed preset move"
     assert set(np.unique(flat.rates.round(-2))) == {0.0, 4000.0}
     for automatic in (True, False):
         firmware.move(x, pulses=8000, speed=Speeds(automatic=automatic))
-        assert (driver_of(x).read_register("R6") == 2) == automatic
+        assert (get_driver(x).read_register("R6") == 2) == automatic
     returns = []
     for approach in (0.0, None):
         x.stage.place(x=0.02)

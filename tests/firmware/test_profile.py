@@ -12,30 +12,30 @@ from stage import ArgumentError, firmware
 from stage.chips import PCL240K, PCL240MS
 from stage.firmware import Bench, Profile
 from stage.firmware.pcl240.speed_profile import (
-    down_point,
-    is_triangular,
-    pulse_rate,
-    ramp_pulses,
-    ramp_seconds,
-    revised_high,
-    triangular_down_point,
+    compute_down_point,
+    compute_pulse_rate,
+    compute_ramp_pulses,
+    compute_ramp_seconds,
+    compute_revised_high_speed,
+    compute_triangular_down_point,
+    is_triangular_move,
 )
 
 
 def test_the_data_sheets_examples():
     """Section 4, R7: R7 = 600, 60, 20 are the 1x, 10x and 30x modes; section (6): 245,730 pps at most in 30x mode."""
-    assert [pulse_rate(1, r7) for r7 in (600, 60, 20)] == [1, 10, 30]
-    assert pulse_rate(8191, 20) == 245_730
+    assert [compute_pulse_rate(1, r7) for r7 in (600, 60, 20)] == [1, 10, 30]
+    assert compute_pulse_rate(8191, 20) == 245_730
 
 
 def test_formulas_of_section_4_and_q_and_a():
     r1, r2, r4, r5, r7 = 50, 800, 300, 200, 60
-    assert ramp_seconds(r1, r2, r4) == (r2 - r1) * r4 / 4_915_200
-    assert ramp_pulses(r1, r2, r5, r7) == (r2**2 - r1**2) * r5 / (16384 * r7)
-    assert triangular_down_point(1000, r4, r5) == 400
-    both = ramp_pulses(r1, r2, r4 + r5, r7)
-    assert is_triangular(math.floor(both), r1, r2, r4, r5, r7)
-    assert not is_triangular(math.ceil(both), r1, r2, r4, r5, r7)
+    assert compute_ramp_seconds(r1, r2, r4) == (r2 - r1) * r4 / 4_915_200
+    assert compute_ramp_pulses(r1, r2, r5, r7) == (r2**2 - r1**2) * r5 / (16384 * r7)
+    assert compute_triangular_down_point(1000, r4, r5) == 400
+    both = compute_ramp_pulses(r1, r2, r4 + r5, r7)
+    assert is_triangular_move(math.floor(both), r1, r2, r4, r5, r7)
+    assert not is_triangular_move(math.ceil(both), r1, r2, r4, r5, r7)
 
 
 def test_a_profile_takes_the_finest_steps_that_give_the_rates():
@@ -78,7 +78,7 @@ def test_a_preset_move_of_any_length_ends_at_fl(trial):
         *(int(rng.integers(2, 300)) for _ in range(2)),
         int(rng.integers(8, 200)),
     )
-    limit = ramp_pulses(p.R1, p.R2, p.R4 + p.R5, p.R7)
+    limit = compute_ramp_pulses(p.R1, p.R2, p.R4 + p.R5, p.R7)
     count = int(min(max(1, rng.uniform(0, 1.5) * limit), 300_000))
     report = firmware.preset_move(Bench(PCL240K()).axes["x"], count, p)
     assert report.ok
@@ -93,7 +93,7 @@ def test_a_preset_move_of_any_length_ends_at_fl(trial):
 
 def test_the_triangles_two_extra_pulses_are_what_it_takes():
     p = Profile(100, 4000, 8191, 60, 60, 60)
-    printed = int(triangular_down_point(400, p.R4, p.R5))
+    printed = int(compute_triangular_down_point(400, p.R4, p.R5))
     ends = {}
     for extra in (0, 2):
         report = firmware.preset_move(Bench(PCL240K()).axes["x"], 400, p, down_point=printed + extra)
@@ -101,7 +101,7 @@ def test_the_triangles_two_extra_pulses_are_what_it_takes():
         ends[extra] = int(speed[speed > 0][-1])
     assert ends[0] > p.R1
     assert ends[2] == p.R1
-    assert down_point(400, p.R1, p.R2, p.R4, p.R5, p.R7) == printed + 2
+    assert compute_down_point(400, p.R1, p.R2, p.R4, p.R5, p.R7) == printed + 2
 
 
 def test_the_high_rate_that_a_short_move_just_reaches_is_the_highest_whose_ramps_fit_into_its_pulses():
@@ -114,10 +114,10 @@ def test_the_high_rate_that_a_short_move_just_reaches_is_the_highest_whose_ramps
         up, down = [(None, None), (0, 0), (span, span), (span, other)][k % 4]
 
         def needed(rate, low=low, r4=r4, r5=r5, r7=r7, up=up, down=down):
-            return ramp_pulses(low, rate, r4, r7, up) + ramp_pulses(low, rate, r5, r7, down)
+            return compute_ramp_pulses(low, rate, r4, r7, up) + compute_ramp_pulses(low, rate, r5, r7, down)
 
         pulses = int(needed(high) * rng.uniform(0.01, 1.05)) + 1
-        made = revised_high(pulses, low, high, r4, r5, r7, up, down)
+        made = compute_revised_high_speed(pulses, low, high, r4, r5, r7, up, down)
         if (
             up == down or 2 * max(up, down) < made - low
         ):  # else without a linear part in one ramp, which the sheet leaves out

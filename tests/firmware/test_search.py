@@ -8,10 +8,10 @@ import pytest
 from stage.chips import MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.chips.pcl240.state import S_ORG, S_ZERO
 from stage.firmware import Bench
-from stage.firmware.driver import driver_of
-from stage.firmware.nova.home_program import HomeSearch
+from stage.firmware.driver import get_driver
+from stage.firmware.nova.home_program import HomeSearchProgram
 from stage.firmware.pcl240 import origin_return
-from stage.firmware.pcl240.home_program import FourRuns
+from stage.firmware.pcl240.home_program import FourRunHomeProgram
 from stage.sim.program import Program
 
 RESULTS = {"leave": 0, "search": 7000, "back off": 500, "approach": 480}  # pulses
@@ -19,7 +19,7 @@ RESULTS = {"leave": 0, "search": 7000, "back off": 500, "approach": 480}  # puls
 
 def search(kind, chip, ez=0):
     settings = SimpleNamespace(leave=1000, back_off=500, multiplier=60, settle=0.01, limit=2.0, ez=ez)
-    return kind(driver_of(Bench(chip()).axes["x"]), settings)
+    return kind(get_driver(Bench(chip()).axes["x"]), settings)
 
 
 def found(made, results, **chosen):
@@ -61,7 +61,7 @@ DIRECTIONS = {  # late, home, end_limit, released
 
 
 def test_every_stop_reason_of_an_origin_return_in_four_runs_is_reported():
-    reported = found(search(FourRuns, PCL240K), [r for (r, _), _ in DIRECTIONS.values()], back_off=500)
+    reported = found(search(FourRunHomeProgram, PCL240K), [r for (r, _), _ in DIRECTIONS.values()], back_off=500)
     for k, (name, (_, expected)) in enumerate(DIRECTIONS.items()):
         observed = [int(reported[what][k]) for what in ("timed_out", "home", "end_limit", "released")]
         assert all(e in (None, s) for s, e in zip(observed, expected, strict=True)), (name, observed)
@@ -74,7 +74,7 @@ def test_every_stop_reason_of_an_origin_return_in_four_runs_is_reported():
 )
 def test_of_an_origin_return_to_the_index_pulse_home_is_that_pulse(chip, bit):
     """The MK has no EZ monitor: that it accepts a start towards the end limit says that the limit did not end the return."""
-    runs = search(FourRuns, chip, ez=2)
+    runs = search(FourRunHomeProgram, chip, ez=2)
     results = [four_runs()[0] | {"index": index} for index in (bit, 0xFF & ~bit)]
     assert found(runs, results)["home"].tolist() == [True, False]
 
@@ -82,7 +82,7 @@ def test_of_an_origin_return_to_the_index_pulse_home_is_that_pulse(chip, bit):
 @pytest.mark.parametrize("chip", [MCX304, MCX514])
 @pytest.mark.parametrize("ez", [0, 1])
 def test_every_stop_reason_of_an_automatic_home_search_is_reported(chip, ez):
-    made = search(HomeSearch, chip, ez)
+    made = search(HomeSearchProgram, chip, ez)
     (mask, high), (error, _) = (made._bits[name] for name in (f"stop{ez + 1}", "error"))
     on, off = (mask, 0xFFFF & ~mask) if high else (0xFFFF & ~mask, mask)
     good = {name: 1000 for name in made.marks if "time" in name} | {
@@ -106,7 +106,7 @@ def test_every_stop_reason_of_an_automatic_home_search_is_reported(chip, ez):
 @pytest.mark.parametrize("ez", [1, 2, 16])
 def test_an_origin_return_to_the_index_pulse_counts_from_fl_on(ez):
     """R13: end at the ez-th EZ, counted from where the axis runs at FL; not from ORG on, at the speed of the search"""
-    made, chip = search(FourRuns, PCL240MK, ez), PCL240MK()
+    made, chip = search(FourRunHomeProgram, PCL240MK, ez), PCL240MK()
     value = 1 << 21 | 1 << 20 | (ez - 1) << 16
     assert value == PCL240MK.MAP.register("R13").mask & value
     wanted = Program().register(0, chip, "R13", value).ops
@@ -120,11 +120,13 @@ def test_an_origin_return_to_the_index_pulse_counts_from_fl_on(ez):
         control=lambda _: None, command=lambda _: None, wait_until_stopped=lambda _: status, status=lambda: status,
     )  # fmt: skip
     run = SimpleNamespace(port=port, stop_reason=lambda: "EZ")
-    assert origin_return._approach(run, -1, False, 1.0, ez) == "EZ"
+    assert origin_return._run_to_origin(run, -1, False, 1.0, ez) == "EZ"
     assert written == {"R13": value}
 
 
-@pytest.mark.parametrize(("kind", "chip"), [(FourRuns, PCL240K), (HomeSearch, MCX514), (HomeSearch, MCX304)])
+@pytest.mark.parametrize(
+    ("kind", "chip"), [(FourRunHomeProgram, PCL240K), (HomeSearchProgram, MCX514), (HomeSearchProgram, MCX304)]
+)
 def test_a_row_of_any_wishes_is_as_near_as_the_registers_may_be(kind, chip):
     """search.find_nearest_row(fl, fh, ramp, approach, leave, back_off)"""
     made = search(kind, chip)

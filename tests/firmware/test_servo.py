@@ -10,10 +10,17 @@ from stage.chips import HCTL1100
 from stage.chips.hctl1100.maps import NUMBERS
 from stage.firmware.driver import Speeds
 from stage.firmware.hctl1100.chip_port import INIT, PROFILE, Port
-from stage.firmware.hctl1100.driver import _rows
-from stage.firmware.hctl1100.homing import home, leave_limit
-from stage.firmware.hctl1100.moves import Tuning, integral_velocity, proportional_velocity, set_up, step, trapezoid
-from stage.firmware.hctl1100.servo_loop_model import Loop
+from stage.firmware.hctl1100.driver import _compute_line_rows
+from stage.firmware.hctl1100.homing import home_servo, leave_limit
+from stage.firmware.hctl1100.moves import (
+    FilterTuning,
+    move_by_step,
+    move_by_trapezoid,
+    run_integral_velocity,
+    run_proportional_velocity,
+    set_up_servo,
+)
+from stage.firmware.hctl1100.servo_loop_model import ServoLoop
 
 COUNT = 5e-6  # m
 DEADBAND = 3
@@ -83,7 +90,7 @@ def test_a_port_writes_and_reads_complete_numbers(stage):
 def test_set_up_loads_the_filter_and_holds_the_present_position(stage):
     stage.place(x=0.02)
     before = stage.axes["x"].position
-    port = set_up(stage.axes["x"], Tuning(gain=0x30, zero=0xE0, pole=0x20, timer=0x3F))
+    port = set_up_servo(stage.axes["x"], FilterTuning(gain=0x30, zero=0xE0, pole=0x20, timer=0x3F))
     stage.run(0.2)
     values = port.chip.values()
     assert [values[n] for n in ("R22", "R20", "R21")] == [0x30, 0xE0, 0x20]
@@ -94,11 +101,11 @@ def test_set_up_loads_the_filter_and_holds_the_present_position(stage):
 
 
 def test_an_error_equal_to_the_deadband_is_accepted(stage):
-    port = set_up(stage.axes["x"])
-    step(port, 200)
+    port = set_up_servo(stage.axes["x"])
+    move_by_step(port, 200)
     while (error := port.commanded() - port.position()) == 0:  # it oscillates by a count
         stage.run(0.001)
-    report = step(port, 0, deadband=abs(error), timeout=0.1)
+    report = move_by_step(port, 0, deadband=abs(error), timeout=0.1)
     assert report.ok
     assert report.settled < 1e-4, "from the first poll on"
 
@@ -106,10 +113,10 @@ def test_an_error_equal_to_the_deadband_is_accepted(stage):
 @pytest.mark.parametrize("name", ["x", "y"])
 @pytest.mark.parametrize("counts", [1, 50, -400])
 def test_a_step_settles_within_its_deadband(stage, name, counts):
-    port = set_up(stage.axes[name])
+    port = set_up_servo(stage.axes[name])
     stage.run(0.05)
     before = port.position()
-    report = step(port, counts, deadband=DEADBAND)
+    report = move_by_step(port, counts, deadband=DEADBAND)
     assert report.ok
     assert abs(report.error) <= DEADBAND
     assert abs(port.position() - before - counts) <= 2 * DEADBAND
@@ -120,11 +127,11 @@ def test_a_step_settles_within_its_deadband(stage, name, counts):
 def test_a_step_is_settled_when_it_has_come_to_stay_within_its_deadband(stage):
     """A loaded axis swings: leaving the deadband begins the wait anew."""
     stage.set_payload(10.0)
-    port = set_up(stage.axes["x"])
+    port = set_up_servo(stage.axes["x"])
     goal = stage.axes["x"].position + 400 * COUNT
     with stage.record(every=0.25e-3) as recording:
         begin = stage.time
-        report = step(port, 400, deadband=DEADBAND)
+        report = move_by_step(port, 400, deadband=DEADBAND)
     error = np.abs(recording.columns["x/position"] - goal) / COUNT
     time = recording.columns["time"] - begin
     outside = time[error > DEADBAND + 0.5]
@@ -135,10 +142,10 @@ def test_a_step_is_settled_when_it_has_come_to_stay_within_its_deadband(stage):
 @pytest.mark.parametrize("name", ["x", "y"])
 @pytest.mark.parametrize("counts", [2_000, -12_000])
 def test_a_trapezoid_shows_the_profile_flag_and_ends_within_its_deadband(stage, name, counts):
-    port = set_up(stage.axes[name])
+    port = set_up_servo(stage.axes[name])
     before, rates = port.commanded(), {"velocity": 40_000, "acceleration": 400_000}
     stage.run(0.05)
-    report = trapezoid(port, counts, **rates, deadband=DEADBAND)
+    report = move_by_trapezoid(port, counts, **rates, deadband=DEADBAND)
     assert report.ok
     assert not port.status() & PROFILE
     assert port.commanded() - before == counts
@@ -153,7 +160,7 @@ def test_a_trapezoid_shows_the_profile_flag_and_ends_within_its_deadband(stage, 
 
 
 def test_a_move_that_ends_outside_its_deadband_is_not_ok(stage):
-    report = step(set_up(stage.axes["x"]), 200, deadband=DEADBAND)
+    report = move_by_step(set_up_servo(stage.axes["x"]), 200, deadband=DEADBAND)
     assert report.ok
     for error in (DEADBAND, -DEADBAND):
         assert replace(report, error=error).ok
@@ -162,52 +169,52 @@ def test_a_move_that_ends_outside_its_deadband_is_not_ok(stage):
 
 
 def test_rates_that_the_chip_has_not_at_this_sample_time_are_refused(stage):
-    port = set_up(stage.axes["x"])
+    port = set_up_servo(stage.axes["x"])
     for rates in ({"velocity": 1e6}, {"velocity": 100}, {"acceleration": 1}, {"acceleration": 1e9}):
         with pytest.raises(ArgumentError, match="Choose another rate, or another T"):
-            trapezoid(port, 100, **rates)
+            move_by_trapezoid(port, 100, **rates)
     for rate in (127.4, -127.4):  # counts a sample; whole ones are held
-        assert integral_velocity(port, rate / port.sample, seconds=0.02).asked == pytest.approx(
+        assert run_integral_velocity(port, rate / port.sample, seconds=0.02).asked == pytest.approx(
             rate / port.sample, rel=0.01
         )
         for beyond in (1.02 * rate, 0.001 * rate):
             with pytest.raises(ArgumentError, match=r"in the register of integral_velocity .* 1 to 127"):
-                integral_velocity(port, beyond / port.sample)
+                run_integral_velocity(port, beyond / port.sample)
 
 
 def test_a_mode_that_is_none_is_refused(stage):
     with pytest.raises(ArgumentError, match="unknown control mode 'trapezium'"):
-        set_up(stage.axes["x"]).mode("trapezium")
+        set_up_servo(stage.axes["x"]).mode("trapezium")
 
 
 @pytest.mark.parametrize("rate", [float("nan"), float("inf")])
 def test_rates_that_are_no_finite_numbers_are_refused(stage, rate):
-    port = set_up(stage.axes["x"])
+    port = set_up_servo(stage.axes["x"])
     with pytest.raises(ArgumentError, match="counts/s are 0 in the register"):
-        trapezoid(port, 100, velocity=rate)
+        move_by_trapezoid(port, 100, velocity=rate)
     with pytest.raises(ArgumentError, match="counts/s2 are 0 in the register"):
-        trapezoid(port, 100, acceleration=rate)
+        move_by_trapezoid(port, 100, acceleration=rate)
 
 
 def test_a_port_that_never_sees_its_safe_part_says_so_instead_of_waiting_for_ever(stage):
     """T cannot be read back: a second port takes it to be as after a reset."""
-    set_up(stage.axes["x"], Tuning(timer=0))
+    set_up_servo(stage.axes["x"], FilterTuning(timer=0))
     with pytest.raises(ArgumentError, match="T cannot be read back"):
         Port(stage.axes["x"]).command(5)
 
 
 def test_a_deadband_that_no_loop_keeps_ends_in_a_timeout_and_without_a_motor_command(stage):
     """Gravity on Z: a filter without integral keeps an error."""
-    port = set_up(stage.axes["z"], Tuning(gain=2))
+    port = set_up_servo(stage.axes["z"], FilterTuning(gain=2))
     with pytest.raises(RunTimeout, match="rest within 0 counts"):
-        step(port, 10, deadband=0, timeout=0.2)
+        move_by_step(port, 10, deadband=0, timeout=0.2)
     assert port.status() & INIT
 
 
 @pytest.mark.parametrize("rate", [20_000, -6_000])
 def test_integral_velocity_reaches_its_rate_and_stops_in_position_control(stage, rate):
-    port = set_up(stage.axes["x"])
-    report = integral_velocity(port, rate, seconds=0.2)
+    port = set_up_servo(stage.axes["x"])
+    report = run_integral_velocity(port, rate, seconds=0.2)
     assert report.asked == pytest.approx(rate, rel=0.08), "whole counts a sample"
     assert report.reached == pytest.approx(report.asked, rel=0.01)
     assert report.ended == ""
@@ -219,10 +226,10 @@ def test_integral_velocity_reaches_its_rate_and_stops_in_position_control(stage,
 @pytest.mark.parametrize("rate", [20_000, -6_000])
 def test_proportional_velocity_falls_short_by_the_share_of_drag_and_friction(stage, rate):
     """K/4 (command - velocity) = motor command, and that holds the velocity against drag and friction."""
-    tuning = Tuning(gain=0x80)
-    port = set_up(stage.axes["x"], tuning)
-    report = proportional_velocity(port, rate, seconds=0.4)
-    loop = Loop.of(stage.axes["x"], tuning)
+    tuning = FilterTuning(gain=0x80)
+    port = set_up_servo(stage.axes["x"], tuning)
+    report = run_proportional_velocity(port, rate, seconds=0.4)
+    loop = ServoLoop.of(stage.axes["x"], tuning)
     per = tuning.gain / 4 * port.sample  # motor command for one count/s
     way = np.sign(rate)
     expected = (per * report.asked - way * loop.friction) * loop.gain / (1 + per * loop.gain)
@@ -235,39 +242,39 @@ def test_proportional_velocity_falls_short_by_the_share_of_drag_and_friction(sta
 
 
 def test_stop_brakes_integral_velocity_only(stage):
-    port = set_up(stage.axes["x"])
+    port = set_up_servo(stage.axes["x"])
     stage.axes["x"].switches.stick("org", True)
-    report = integral_velocity(port, 8_000, seconds=0.2)
+    report = run_integral_velocity(port, 8_000, seconds=0.2)
     assert report.ended == "STOP"
     assert abs(report.reached) < 100
     assert "ended by STOP" in str(report)
-    assert trapezoid(port, 500).ok
-    assert proportional_velocity(port, 8_000, seconds=0.2).reached > 6_000
+    assert move_by_trapezoid(port, 500).ok
+    assert run_proportional_velocity(port, 8_000, seconds=0.2).reached > 6_000
 
 
 def test_a_limit_ends_a_run_at_a_velocity(stage):
-    port = set_up(stage.axes["x"])
+    port = set_up_servo(stage.axes["x"])
     stage.axes["x"].switches.stick("el_plus", True)
-    assert integral_velocity(port, 8_000, seconds=0.1).ended == "LIMIT"
+    assert run_integral_velocity(port, 8_000, seconds=0.1).ended == "LIMIT"
     assert port.status() & INIT, "and is left so"
     stage.axes["x"].switches.stick("el_plus", None)
-    port = set_up(stage.axes["x"], Tuning(gain=0x80))
+    port = set_up_servo(stage.axes["x"], FilterTuning(gain=0x80))
     stage.axes["x"].switches.stick("el_plus", True)
-    report = proportional_velocity(port, 8_000, seconds=0.1)
+    report = run_proportional_velocity(port, 8_000, seconds=0.1)
     assert (report.ended, abs(report.reached) < 100) == ("LIMIT", True)
     assert port.status() & INIT
 
 
 def test_a_limit_ends_a_trapezoid_in_init_idle(stage):
-    port = set_up(stage.axes["x"])
+    port = set_up_servo(stage.axes["x"])
     stage.axes["x"].switches.stick("el_plus", True)
-    report = trapezoid(port, 4_000)
+    report = move_by_trapezoid(port, 4_000)
     assert report.limited
     assert not report.ok
     assert "LIMIT" in str(report)
     assert port.status() & INIT
     with pytest.raises(ArgumentError, match="stands on a limit switch"):
-        set_up(stage.axes["x"])
+        set_up_servo(stage.axes["x"])
 
 
 def test_an_axis_leaves_its_limit_switch_by_the_motor_command_of_the_host(stage):
@@ -290,7 +297,7 @@ def test_an_axis_leaves_its_limit_switch_by_the_motor_command_of_the_host(stage)
 def test_home_is_at_the_index_pulse_wherever_the_axis_begins(stage, name, sag, way):
     axis = stage.axes[name]
     stage.place(**{name: edge_of(axis) + way})
-    report = home(set_up(axis), deadband=sag)
+    report = home_servo(set_up_servo(axis), deadband=sag)
     port = Port(axis)
     stage.run(0.1)
     assert abs(port.position()) <= sag
@@ -304,7 +311,7 @@ def test_home_is_the_same_place_each_time(stage):
     axis, found = stage.axes["x"], []
     for k in range(4):
         stage.place(x=edge_of(axis) + 0.002 + 0.00037 * k)
-        home(set_up(axis))
+        home_servo(set_up_servo(axis))
         stage.run(0.1)
         found.append(axis.position)
     assert np.ptp(found) <= 3 * COUNT
@@ -313,38 +320,38 @@ def test_home_is_the_same_place_each_time(stage):
 def test_home_without_an_index_pulse_is_at_the_switch(stage):
     axis = stage.axes["x"]
     stage.place(x=edge_of(axis) + 0.002)
-    report = home(set_up(axis), index=False)
+    report = home_servo(set_up_servo(axis), index=False)
     assert report.index is None
     assert axis.position == pytest.approx(edge_of(axis), abs=30e-6)
 
 
 def test_a_search_that_comes_to_a_limit_ends_in_a_timeout(stage):
     axis = stage.axes["x"]
-    port = set_up(axis)
+    port = set_up_servo(axis)
     axis.switches.stick("el_minus", True)
     stage.run(1e-3)
     axis.switches.stick("el_minus", None)
     with pytest.raises(RunTimeout, match="the home switch did not come"):
-        home(port, timeout=0.2)
+        home_servo(port, timeout=0.2)
     assert port.status() & INIT
     with pytest.raises(ArgumentError, match=r"\+1 or -1"):
-        home(port, direction=0)
+        home_servo(port, direction=0)
 
 
 def test_a_home_search_without_an_index_pulse_ends_in_words_with_the_motor_off(stage):
     """home(port, turn=400): an encoder of fewer counts than that of the stage, whose index pulse is farther away"""
-    port = set_up(stage.axes["x"])
+    port = set_up_servo(stage.axes["x"])
     with pytest.raises(
         RunTimeout, match="x: no index pulse within 480 counts of the home switch; it is in Init/Idle now"
     ):
-        home(port, turn=400)
+        home_servo(port, turn=400)
     assert port.status() & INIT
 
 
 def test_a_line_may_be_as_fast_as_the_chip_counts_and_not_faster():
     """firmware.line({"x": 2e-3, "y": 1e-3}, stage.axes, speed=...), 127 counts a sample"""
     sample = 1 / 1024
-    rows = _rows([2000, 1000], Speeds(0, 127 / sample, 0.05, 0.05), sample)
+    rows = _compute_line_rows([2000, 1000], Speeds(0, 127 / sample, 0.05, 0.05), sample)
     assert rows[-1].tolist() == [2000, 1000]
     with pytest.raises(ArgumentError, match="more than 0, up to 130048 at this sample time"):
-        _rows([2000, 1000], Speeds(0, 128 / sample, 0.05, 0.05), sample)
+        _compute_line_rows([2000, 1000], Speeds(0, 128 / sample, 0.05, 0.05), sample)

@@ -7,10 +7,10 @@ import pytest
 from stage import RunTimeout, Stage, faults, firmware
 from stage.chips import HCTL1100
 from stage.errors import ArgumentError, StageError
-from stage.firmware.driver import Speeds, driver_of
+from stage.firmware.driver import Speeds, get_driver
 from stage.firmware.hctl1100.chip_port import Port
 from stage.firmware.hctl1100.homing import leave_limit
-from stage.firmware.move_report import Procedure
+from stage.firmware.move_report import ProcedureObserver
 from stage.panel.procedure_forms import Jog
 from stage.panel.session import FREE, Session
 from stage.sim import plant
@@ -69,9 +69,9 @@ def until(happened, seconds=20.0):
 
 
 def start_and_wait(axis, direction):
-    driver = driver_of(axis)
+    driver = get_driver(axis)
     driver.prepare()
-    with Procedure(axis, "start") as p:
+    with ProcedureObserver(axis, "start") as p:
         driver.start(round(direction * 5e-3 / axis.meters_per_pulse) * (-1 if axis.gear < 0 else 1), Speeds())
         return p.report(driver.wait(3.0))
 
@@ -203,7 +203,7 @@ def test_rates_that_the_chip_has_not_are_refused_before_an_axis_leaves_its_limit
         lambda: firmware.move(x, -20e-3, speed=1e3),
         lambda: firmware.jog(x, 0.1, -1e3),
         lambda: firmware.home(x, speed=1e3),
-        lambda: driver_of(x).start(-4000, Speeds(drive=1.0)),
+        lambda: get_driver(x).start(-4000, Speeds(drive=1.0)),
     )
     for call in calls:
         with pytest.raises(ArgumentError, match="Choose another rate, or another T"):
@@ -227,7 +227,7 @@ def test_the_limit_that_ends_a_drive_is_named_also_by_another_driver(stage, call
     assert report.stopped_by == end
     assert not report.ok
     assert abs(report.position - edge_of(x, ENDS[end][0])) < 1e-3
-    assert driver_of(x).stopped_by() == end
+    assert get_driver(x).stopped_by() == end
 
 
 def test_a_limit_that_was_left_is_named_by_the_drive_that_it_stopped(servo):
@@ -237,13 +237,13 @@ def test_a_limit_that_was_left_is_named_by_the_drive_that_it_stopped(servo):
     assert firmware.move(z, 5e-3).stopped_by == "EL+"
     servo.run(0.3)
     assert not z.switches.el_plus
-    assert driver_of(z).stopped_by() == "EL+"
+    assert get_driver(z).stopped_by() == "EL+"
 
 
 def test_a_limit_ends_a_drive_in_its_other_direction_too_and_is_named(servo):
     """LIMIT is one pin: EL+ that comes on stops a move towards minus."""
     x = servo.axes["x"]
-    driver = driver_of(x)
+    driver = get_driver(x)
     driver.start(-4000, Speeds())
     servo.run(0.1)
     with faults.switch_stuck(x, "el_plus", True):
@@ -300,7 +300,7 @@ def test_the_panel_stops_a_line_whose_host_waits_for_less_than_a_millisecond_at_
 
 def test_a_limit_that_no_drive_has_met_and_no_switch_shows_any_more_is_called_by_its_pin(servo):
     x = servo.axes["x"]
-    driver = driver_of(x)
+    driver = get_driver(x)
     driver.prepare()
     with faults.switch_stuck(x, "el_plus", True):
         servo.run(1e-3)

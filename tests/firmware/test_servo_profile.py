@@ -11,9 +11,14 @@ from stage import ArgumentError, Stage
 from stage.chips import HCTL1100
 from stage.chips.entries import WRITE
 from stage.firmware.hctl1100.chip_port import Port
-from stage.firmware.hctl1100.moves import Tuning, set_up
-from stage.firmware.hctl1100.position_streaming import circle, follow, off_circle, synchronize
-from stage.firmware.hctl1100.servo_loop_model import Loop, design
+from stage.firmware.hctl1100.moves import FilterTuning, set_up_servo
+from stage.firmware.hctl1100.position_streaming import (
+    compute_circle_errors,
+    compute_circle_positions,
+    stream_positions,
+    synchronize_sample_timers,
+)
+from stage.firmware.hctl1100.servo_loop_model import ServoLoop, design_filter
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 
@@ -34,26 +39,30 @@ def early(ports):
 
 @pytest.mark.parametrize("axes", [2, 3])
 def test_a_circle_lies_on_a_circle_from_rest_to_rest(axes):
-    points = circle(RADIUS, seconds=SECONDS, sample=520e-6, axes=axes)
-    assert abs(off_circle(points, RADIUS)).max() < 1e-6
+    points = compute_circle_positions(RADIUS, seconds=SECONDS, sample=520e-6, axes=axes)
+    assert abs(compute_circle_errors(points, RADIUS)).max() < 1e-6
     assert points[-1] == pytest.approx(np.zeros(axes), abs=1e-6)
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     assert steps.max() * len(points) == pytest.approx(2 * np.pi * RADIUS * SECONDS / (SECONDS - 0.2), rel=0.01)
     assert max(steps[0], steps[-1]) < 0.02 * steps.max()
     away = points + [3.0, 4.0, 12.0][:axes]
-    assert 0 < off_circle(away, RADIUS).max() <= 13.0
+    assert 0 < compute_circle_errors(away, RADIUS).max() <= 13.0
     if axes == 3:  # beside its plane
-        assert off_circle(points + np.array([0.0, 3.0, -3.0]), RADIUS) == pytest.approx(3 * math.sqrt(2), abs=1e-6)
+        assert compute_circle_errors(points + np.array([0.0, 3.0, -3.0]), RADIUS) == pytest.approx(
+            3 * math.sqrt(2), abs=1e-6
+        )
     for radius, number in ((RADIUS, 4), (float("nan"), 2)):
         with pytest.raises(ArgumentError, match="a finite radius, 2 or 3 axes"):
-            circle(radius, seconds=SECONDS, sample=520e-6, axes=number)
-    assert len(circle(RADIUS, seconds=0.4, sample=520e-6, ramp=0.2)) == 770, "half of the time is ramp"
+            compute_circle_positions(radius, seconds=SECONDS, sample=520e-6, axes=number)
+    assert len(compute_circle_positions(RADIUS, seconds=0.4, sample=520e-6, ramp=0.2)) == 770, (
+        "half of the time is ramp"
+    )
     for ramp in (0.0, -0.1, 0.201):
         with pytest.raises(ArgumentError, match=f"ramp={ramp}"):
-            circle(RADIUS, seconds=0.4, sample=520e-6, ramp=ramp)
+            compute_circle_positions(RADIUS, seconds=0.4, sample=520e-6, ramp=ramp)
     for sample in (0.0, -1e-3, float("nan")):
         with pytest.raises(ArgumentError, match=f"sample={sample}: .*a sample time above 0"):
-            circle(RADIUS, seconds=SECONDS, sample=sample)
+            compute_circle_positions(RADIUS, seconds=SECONDS, sample=sample)
 
 
 def test_sync_lets_the_samples_of_all_axes_begin_at_one_clock(stage):
@@ -61,26 +70,26 @@ def test_sync_lets_the_samples_of_all_axes_begin_at_one_clock(stage):
     for axis in stage.axes.values():
         stage.run(137e-6)
         axis.chip.write(0x05, 0)
-        ports.append(set_up(axis))
+        ports.append(set_up_servo(axis))
     assert len({int(port.chip.state["sample_end"]) for port in ports}) == 3
-    synchronize(ports)
+    synchronize_sample_timers(ports)
     assert len({int(port.chip.state["sample_end"]) for port in ports}) == 1
     stage.run(0.05)
     for port in ports:
         assert abs(port.commanded() - port.position()) <= 8, "gravity on Z"
-    other = set_up(stage.axes["x"], Tuning(timer=0x20))
+    other = set_up_servo(stage.axes["x"], FilterTuning(timer=0x20))
     with pytest.raises(ArgumentError, match="one sample time"):
-        synchronize([other, ports[1]])
+        synchronize_sample_timers([other, ports[1]])
 
 
 @pytest.mark.parametrize(("timer", "names"), [(0x20, "xyz"), (0x40, "xyz"), (0x40, "yx")])
 def test_a_profile_is_one_command_a_sample_each_in_the_safe_part(stage, timer, names):
-    ports = [set_up(stage.axes[n], Tuning(timer=timer)) for n in names]
-    synchronize(ports)
+    ports = [set_up_servo(stage.axes[n], FilterTuning(timer=timer)) for n in names]
+    synchronize_sample_timers(ports)
     begin = [port.commanded() for port in ports]
-    profile = circle(RADIUS, seconds=SECONDS, sample=ports[0].sample, axes=len(ports))
+    profile = compute_circle_positions(RADIUS, seconds=SECONDS, sample=ports[0].sample, axes=len(ports))
     journals = [port.chip.journal() for port in ports]
-    report = follow(ports, profile)
+    report = stream_positions(ports, profile)
     assert report.missed == 0
     assert report.commands == len(profile)
     assert report.seconds == pytest.approx(SECONDS, abs=2 * ports[0].sample)
@@ -95,37 +104,37 @@ def test_a_profile_is_one_command_a_sample_each_in_the_safe_part(stage, timer, n
 
 def test_a_host_that_is_too_slow_misses_samples_and_says_so():
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False, bus_cycle=80e-6)
-    ports = [set_up(stage.axes[n]) for n in "xyz"]
-    synchronize(ports)
+    ports = [set_up_servo(stage.axes[n]) for n in "xyz"]
+    synchronize_sample_timers(ports)
     profile = np.zeros((50, 3))
-    assert follow(ports, profile).missed > 20
+    assert stream_positions(ports, profile).missed > 20
     for arguments, where in [((5, 2), ports), ((5,), ports[:1]), ((5, 0), [])]:
         with pytest.raises(ArgumentError, match=r"\(samples, axes\)"):
-            follow(where, np.zeros(arguments))
+            stream_positions(where, np.zeros(arguments))
 
 
 def test_a_gain_that_is_designed_is_one_that_the_register_holds():
     """design(loop, rattle=1e6) of a motor that wants more than 255"""
-    weak = Loop(gain=400.0, tau=0.05, friction=0.0, tuning=Tuning(pole=64, timer=64))
-    gains = [design(weak, rattle=rattle).gain for rattle in (1e6, 48.0)]
+    weak = ServoLoop(gain=400.0, tau=0.05, friction=0.0, tuning=FilterTuning(pole=64, timer=64))
+    gains = [design_filter(weak, rattle=rattle).gain for rattle in (1e6, 48.0)]
     assert 192 < gains[0] <= 255
     assert gains[1] <= 192
 
 
 def test_without_a_common_sample_the_timer_of_each_chip_is_looked_at(stage, monkeypatch):
     """follow(ports, profile, leader_only=False)"""
-    ports, asked = [set_up(stage.axes[name]) for name in "xy"], []
+    ports, asked = [set_up_servo(stage.axes[name]) for name in "xy"], []
     monkeypatch.setattr(Port, "wait_for_the_safe_part", lambda port, mode="position": asked.append(port.axis.name))
     for alone, expected in ((True, ["x", "x"]), (False, ["x", "x", "y"] * 2)):
-        follow(ports, np.zeros((2, 2)), leader_only=alone)
+        stream_positions(ports, np.zeros((2, 2)), leader_only=alone)
         assert asked == expected
         asked.clear()
 
 
 def test_a_profile_of_fractions_is_rounded_to_the_nearest_count(stage):
-    port = set_up(stage.axes["x"])
+    port = set_up_servo(stage.axes["x"])
     begin, journal = port.commanded(), port.chip.journal()
-    follow([port], np.array([[0.6], [-0.6], [1.4], [2.7]]))
+    stream_positions([port], np.array([[0.6], [-0.6], [1.4], [2.7]]))
     written = [e.b for e in journal.entries if e.kind == WRITE and e.a == 0x0E]
     assert written == [begin + count & 0xFF for count in (1, -1, 1, 3)]
 
@@ -156,7 +165,9 @@ def test_commands_written_too_early_kick_the_axis_and_safe_ones_do_not():
 
 
 @pytest.mark.parametrize(
-    "tuning", [Tuning(), Tuning(gain=0x30, zero=0xF0, pole=0x00, timer=0x20)], ids=["after a reset", "other"]
+    "tuning",
+    [FilterTuning(), FilterTuning(gain=0x30, zero=0xF0, pole=0x00, timer=0x20)],
+    ids=["after a reset", "other"],
 )
 def test_the_following_error_of_a_trapezoid_is_the_linear_models_within_a_tenth(tuning):
     move = servo_moves.run_trapezoid(tuning)
@@ -173,7 +184,7 @@ def test_the_models_plant_is_the_differential_equation_sampled():
     """A constant motor command from rest: x = g u (t - tau (1 - exp(-t / tau)))."""
     from scipy.signal import dlsim
 
-    loop = Loop(gain=1260.0, tau=0.02, friction=0.0, tuning=Tuning())
+    loop = ServoLoop(gain=1260.0, tau=0.02, friction=0.0, tuning=FilterTuning())
     b, a = loop.plant
     t, x = dlsim((b, a, loop.sample), np.ones(400))
     expected = loop.gain * (t - loop.tau * (1 - np.exp(-t / loop.tau)))
@@ -182,7 +193,7 @@ def test_the_models_plant_is_the_differential_equation_sampled():
 
 def test_the_models_closed_loop_is_the_sum_over_its_samples():
     """Worked out sample by sample: filter, then plant with its two states."""
-    loop = Loop(gain=1260.0, tau=0.02, friction=1.5, tuning=Tuning())
+    loop = ServoLoop(gain=1260.0, tau=0.02, friction=1.5, tuning=FilterTuning())
     h, p, k, t = loop.sample, np.exp(-loop.sample / loop.tau), loop.tuning.gain / 4, loop.tuning
     command = np.cumsum(np.concatenate([[0], np.minimum(np.arange(1, 300) * 0.1, 12)]))
     x = v = e_before = u = 0.0
@@ -204,7 +215,7 @@ def test_the_models_masses_and_friction_are_those_of_the_machine(stage, name, pa
     """An open loop: half of full drive from rest, PWM port in Init/Idle; the way after 0.1 s."""
     axis = stage.axes[name]
     stage.set_payload(payload)
-    loop, before = Loop.of(axis, Tuning()), axis.position
+    loop, before = ServoLoop.of(axis, FilterTuning()), axis.position
     axis.chip.write(0x09, 50)
     stage.run(0.1)
     u = 50 - loop.friction

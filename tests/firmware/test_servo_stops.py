@@ -9,9 +9,9 @@ import pytest
 
 from stage import RunTimeout, Stage, StageError, firmware
 from stage.chips import HCTL1100
-from stage.firmware.driver import Speeds, driver_of
+from stage.firmware.driver import Speeds, get_driver
 from stage.firmware.hctl1100.driver import Hctl1100Driver
-from stage.firmware.hctl1100.moves import Tuning, proportional_velocity, set_up
+from stage.firmware.hctl1100.moves import FilterTuning, run_proportional_velocity, set_up_servo
 from stage.panel.session import FREE, Session
 
 COUNT = 5e-6  # m
@@ -49,7 +49,7 @@ def commanded_speed(axis):
 def test_a_stop_slows_a_trapezoid_down_with_its_ramp(stage, name, seconds, direction):
     """driver.start(5000, speeds); firmware.stop(axis)"""
     axis, speeds = stage.axes[name], Speeds(drive=10_000, up=0.1)
-    driver = driver_of(axis)
+    driver = get_driver(axis)
     driver.start(direction * 5000, speeds)
     stage.run(seconds)
     speed, net = commanded_speed(axis), axis.chip.net()
@@ -84,7 +84,7 @@ def test_stops_at_any_moment_of_any_trapezoid_end_before_its_end_and_write_no_da
         counts, drive = rng.randrange(1, 12_000), 10 ** rng.uniform(3.4, 4.7)
         up = drive / 10 ** rng.uniform(4.2, 5.7)
         direction = rng.choice((1, -1))
-        driver = driver_of(x)
+        driver = get_driver(x)
         driver.start(direction * counts, Speeds(drive=drive, up=up))
         begin = x.chip.net()
         stage.run(rng.uniform(0, 1.2 * (counts / drive + up)))
@@ -97,9 +97,9 @@ def test_stops_at_any_moment_of_any_trapezoid_end_before_its_end_and_write_no_da
 
 def test_a_sample_too_short_for_commands_stops_at_once(stage, monkeypatch):
     """T = 0Fh is legal for a trapezoid, and leaves no time to write in."""
-    monkeypatch.setattr(Hctl1100Driver, "tuning", Tuning(timer=0x0F))
+    monkeypatch.setattr(Hctl1100Driver, "tuning", FilterTuning(timer=0x0F))
     x = stage.axes["x"]
-    driver_of(x).start(8000, Speeds(drive=20_000, up=0.05))
+    get_driver(x).start(8000, Speeds(drive=20_000, up=0.05))
     stage.run(0.1)
     at = x.position
     firmware.stop(x)
@@ -110,7 +110,7 @@ def test_a_sample_too_short_for_commands_stops_at_once(stage, monkeypatch):
 
 def test_a_stop_at_once_holds_a_trapezoid_where_it_is(stage):
     x = stage.axes["x"]
-    driver_of(x).start(12_000, Speeds(drive=10_000))
+    get_driver(x).start(12_000, Speeds(drive=10_000))
     stage.run(0.4)
     at = x.position
     firmware.stop(x, at_once=True)
@@ -119,7 +119,7 @@ def test_a_stop_at_once_holds_a_trapezoid_where_it_is(stage):
 
 def test_a_stop_ends_proportional_velocity(stage):
     x = stage.axes["x"]
-    port = set_up(x)
+    port = set_up_servo(x)
     port.mode("proportional velocity")
     port.wait_for_the_safe_part("proportional velocity")
     port.load(proportional_velocity=6 * 16)
@@ -131,14 +131,14 @@ def test_a_stop_ends_proportional_velocity(stage):
     assert at > 1e-3
     stage.run(0.1)
     assert x.position == pytest.approx(at, abs=10 * COUNT)
-    assert proportional_velocity(port, 8000, seconds=0.05).ended == ""
+    assert run_proportional_velocity(port, 8000, seconds=0.05).ended == ""
 
 
 STARTS = {
-    "start": lambda axis: driver_of(axis).start(-500, Speeds()),
+    "start": lambda axis: get_driver(axis).start(-500, Speeds()),
     "move": lambda axis: firmware.move(axis, -1e-3),
     "jog": lambda axis: firmware.jog(axis, 0.1, -0.02),
-    "run": lambda axis: driver_of(axis).run(-1, Speeds()),
+    "run": lambda axis: get_driver(axis).run(-1, Speeds()),
     "home": lambda axis: firmware.home(axis),
     "line": lambda axis: firmware.line({"x": 1e-3, "y": 1e-3}, axis.stage),
 }
@@ -148,7 +148,7 @@ STARTS = {
 def test_a_moving_axis_refuses_other_procedures_and_continues(stage, call):
     """driver.start(4000, speeds); driver.start(-500, speeds)"""
     x = stage.axes["x"]
-    driver = driver_of(x)
+    driver = get_driver(x)
     driver.start(4000, Speeds(drive=10_000))
     stage.run(0.1)
     with pytest.raises(StageError, match=r"axis x is moving: wait until it stops, or firmware\.stop"):
@@ -165,7 +165,7 @@ def test_a_moving_axis_refuses_other_procedures_and_continues(stage, call):
 def test_a_running_axis_refuses_other_procedures_and_continues(stage, call):
     """driver.run(1, speeds); firmware.move(axis, -1e-3)"""
     x = stage.axes["x"]
-    driver = driver_of(x)
+    driver = get_driver(x)
     driver.run(1, Speeds(drive=10_000))
     stage.run(0.2)
     with pytest.raises(StageError, match="axis x is moving"):
@@ -180,7 +180,7 @@ def test_a_running_axis_refuses_other_procedures_and_continues(stage, call):
 def test_a_wait_that_is_too_short_leaves_the_move_as_it_is(stage):
     """driver.wait(0.01)"""
     x = stage.axes["x"]
-    driver = driver_of(x)
+    driver = get_driver(x)
     driver.start(4000, Speeds(drive=10_000))
     for _ in range(2):
         with pytest.raises(RunTimeout, match=r"axis x still drives after 0\.010 s"):

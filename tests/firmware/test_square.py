@@ -80,7 +80,7 @@ def test_a_beam_is_squared_towards_org_at_either_end_from_before_it_and_from_on_
 def test_a_tandem_axis_moves_alone_at_a_quarter_of_the_common_speed(gantry, ways, monkeypatch):
     """firmware.square_gantry(y, w, speed=0.06, start_speed=0.02, accel=0.05)"""
     direction, axes = placed(gantry, 67)
-    homes, driver = [], type(gantry_homing.driver_of(axes[0]))
+    homes, driver = [], type(gantry_homing.get_driver(axes[0]))
     monkeypatch.setattr(driver, "home", lambda self, *arguments, **options: homes.append((arguments, options)))
     asked = {"speed": 0.06, "start_speed": 0.02, "accel": 0.05}
     gantry_homing.square_gantry(*axes, direction=direction, **asked, timeout=7.0)

@@ -7,7 +7,7 @@ import pytest
 
 from stage import Drive, Stage, firmware
 from stage.errors import ArgumentError, StageError
-from stage.firmware.driver import Speeds, driver_of
+from stage.firmware.driver import Speeds, get_driver
 from stage.testing import assert_no_lost_steps
 
 
@@ -71,7 +71,7 @@ def test_a_jog_stops_with_the_ramp_down_and_a_stop_ends_a_run(stage):
     y = stage.axes["y"]
     assert firmware.jog(y, 0.2, -0.02).stopped_by == "decelerating stop"
     assert y.position < -0.003
-    driver = driver_of(y)
+    driver = get_driver(y)
     driver.run(1, Speeds())
     stage.run(0.05)
     with pytest.raises(StageError, match="axis y is moving"):
@@ -81,7 +81,7 @@ def test_a_jog_stops_with_the_ramp_down_and_a_stop_ends_a_run(stage):
 
 
 def test_a_snapshot_in_the_middle_of_a_pulse_continues_to_the_same_bits(stage):
-    driver_of(stage.axes["x"]).start(2000, Speeds())
+    get_driver(stage.axes["x"]).start(2000, Speeds())
     stage.run(0.0123456)
     other = copy.deepcopy(stage)
     for s in (stage, other):

@@ -7,7 +7,7 @@ import pytest
 from stage import Stage, faults, firmware
 from stage.chips import CHIPS, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, Profile
-from stage.firmware.driver import Speeds, driver_class, driver_of
+from stage.firmware.driver import Speeds, get_driver, get_driver_class
 from stage.firmware.nova.chip_port import Port
 from stage.firmware.pcl240 import chip_port
 
@@ -56,7 +56,7 @@ def test_a_limit_released_before_the_next_poll_is_the_stop_reason(direction, pin
     assert firmware.move(x, pulses=direction * 20_000).stopped_by == limit
     pulse_pin(x, pin, 0.1)
     assert firmware.line({x: direction * 20_000}, pulses=True).axes["x"].stopped_by == limit
-    driver = driver_of(x)
+    driver = get_driver(x)
     pulse_pin(x, pin, 0.1)
     driver.start(direction * 20_000, Speeds())
     assert driver.wait(5.0) == driver.stopped_by() == limit
@@ -89,10 +89,10 @@ def test_a_host_that_stops_a_move_is_the_reason_and_no_limit(command, reason):
     assert (report.stopped_by, report.ok) == (reason, False)
     write_at(x, 0.2, 0, command)
     assert firmware.jog(x, 0.5).stopped_by == reason
-    driver = driver_of(x)
+    driver = get_driver(x)
     driver.run(1, Speeds())
     x.wait(0.2)
-    driver_of(x).halt(at_once=command == chip_port.RESET)
+    get_driver(x).halt(at_once=command == chip_port.RESET)
     assert driver.stopped_by() == reason
 
 
@@ -100,7 +100,7 @@ def test_a_stop_that_comes_with_the_last_pulse_leaves_the_move_done():
     x = bench()
     firmware.preset_move(x, 500, SLOW)
     x.chip.write(0, chip_port.RESET)
-    assert driver_of(x).stopped_by() == "R0 = 0"
+    assert get_driver(x).stopped_by() == "R0 = 0"
 
 
 def test_an_active_limit_stops_moves_into_it_but_not_out_of_it():
@@ -117,7 +117,7 @@ def test_a_move_whose_start_was_lost_on_the_bus_names_no_limit():
     x = stage.axes["x"]
     with faults.lost_write(x, 0, chip_port.RAMP["FH1"]):
         report = firmware.preset_move(x, 300)
-    driver = driver_of(x)
+    driver = get_driver(x)
     with faults.lost_write(x, 0, chip_port.RAMP["FH1"]):
         driver.start(300, Speeds())
     assert driver.wait(1.0) == "unknown"
@@ -127,16 +127,16 @@ def test_a_move_whose_start_was_lost_on_the_bus_names_no_limit():
 def test_a_driver_that_has_started_nothing_names_no_limit():
     for direction in (1, -1):
         x = bench()
-        assert driver_of(x).stopped_by() == ""
-        other = driver_of(x)
+        assert get_driver(x).stopped_by() == ""
+        other = get_driver(x)
         other.start(direction * 300, Speeds())
         other.wait(5.0)
-        assert driver_of(x).stopped_by() == "R0 = 0"
+        assert get_driver(x).stopped_by() == "R0 = 0"
 
 
 def test_an_axis_leaves_no_journal_open_when_its_driver_is_gone():
     x = bench()
-    driver = driver_of(x)
+    driver = get_driver(x)
     driver.run(1, Speeds())
     assert x.chip.open_journal is not None
     del driver
@@ -157,7 +157,7 @@ def test_an_origin_switch_that_does_not_let_go_is_no_origin(name):
 @pytest.mark.parametrize("name", NOVA)
 def test_a_host_that_stops_a_nova_drive_is_the_reason(name):
     x = bench(CHIPS[name])
-    driver, chip = driver_of(x), x.chip
+    driver, chip = get_driver(x), x.chip
     stop = 1 << 8 | chip.MAP.command(driver.SLOW_DOWN).code
     write_at(x, 0.1, 0, stop)
     report = firmware.move(x, pulses=9000)
@@ -183,7 +183,7 @@ def test_a_software_limit_that_ends_a_nova_drive_is_the_reason(name, way):
     report = firmware.move(x, pulses=4000 * way)
     assert (report.stopped_by, report.ok) == (limit, False)
     assert firmware.move(x, pulses=-100 * way).stopped_by == "all pulses", "beyond the limit still, and on its way back"
-    jogged = driver_of(x)
+    jogged = get_driver(x)
     jogged.run(way, Speeds())
     assert not jogged.is_running()
     assert jogged.explain_end(False) == limit
@@ -218,9 +218,9 @@ def test_a_limit_that_ends_one_axis_of_a_line_slows_the_others_down(chip, limite
 def test_each_axis_of_a_broken_line_slows_down_once(monkeypatch):
     """Three axes that come to rest one after the other: all of them say what has ended them."""
     stage = Stage("xyz", chips="mcx304", visuals=False)
-    slowed, slow_down = [], driver_class(type(stage.axes["x"].chip)).slow_down
+    slowed, slow_down = [], get_driver_class(type(stage.axes["x"].chip)).slow_down
     monkeypatch.setattr(
-        driver_class(type(stage.axes["x"].chip)),
+        get_driver_class(type(stage.axes["x"].chip)),
         "slow_down",
         lambda driver: (slowed.append(driver.axis.name), slow_down(driver)),
     )
@@ -236,5 +236,5 @@ def test_a_home_search_that_a_host_stops_is_not_ok():
     x = bench(MCX514)
     write_at(x, 0.2, 0, 1 << 8 | MCX514.MAP.command("DRVFBRK").code)
     report = firmware.home(x, timeout=2.0)
-    assert report.stopped_by not in driver_of(x).HOME_REASONS
+    assert report.stopped_by not in get_driver(x).HOME_REASONS
     assert not report.ok

@@ -11,7 +11,12 @@ from support.programs import start_preset
 
 from stage import ArgumentError
 from stage.chips import PCL240K
-from stage.firmware.path_deviation import path_deviation, path_points, perfect_deviation, replay_pulses
+from stage.firmware.path_deviation import (
+    compute_path_deviation,
+    compute_path_points,
+    compute_perfect_deviation,
+    replay_pulses,
+)
 
 
 def slow_deviation(pulses, distances):
@@ -42,7 +47,7 @@ def test_it_agrees_with_a_slow_check_in_fractions(axes):
             signs = [(1 if d > 0 else -1) * rng.choice((1, 1, 1, -1)) for _ in times]
             pulses.append((times, signs))
         distance, where = slow_deviation(pulses, distances)
-        got = path_deviation(pulses, distances)
+        got = compute_path_deviation(pulses, distances)
         assert got.pulses == pytest.approx(distance, abs=1e-9)
         if distance:
             assert got.counts == where
@@ -52,30 +57,30 @@ def test_it_agrees_with_a_slow_check_in_fractions(axes):
 
 def test_a_path_on_its_line_has_distance_zero():
     times = np.arange(1, 101)
-    assert path_deviation([(times, 1), (times, -1)], (100, -100)) == (0.0, 0.0, (0, 0))
+    assert compute_path_deviation([(times, 1), (times, -1)], (100, -100)) == (0.0, 0.0, (0, 0))
 
 
 def test_one_axis_is_always_on_its_line():
-    assert path_deviation([(np.arange(1, 38), -1)], [-37]).pulses == 0
+    assert compute_path_deviation([(np.arange(1, 38), -1)], [-37]).pulses == 0
 
 
 def test_an_axis_that_moves_alone_leaves_the_line_by_its_share():
     x, y = (np.arange(1, 31), 1), (np.arange(101, 141), 1)  # all of x, then all of y: the corner of a 3:4 triangle
-    assert path_deviation([x, y], (30, 40)).pulses == pytest.approx(30 * 0.8)
-    assert path_deviation([x, y], (30, 40)).counts == (30, 0)
+    assert compute_path_deviation([x, y], (30, 40)).pulses == pytest.approx(30 * 0.8)
+    assert compute_path_deviation([x, y], (30, 40)).counts == (30, 0)
 
 
 def test_a_path_beyond_the_end_counts_with_its_distance_from_the_end():
-    assert path_deviation([(np.arange(1, 14), 1)], [10]).pulses == 3
+    assert compute_path_deviation([(np.arange(1, 14), 1)], [10]).pulses == 3
 
 
 def test_ticks_and_clocks_become_seconds():
     x, y = np.array([100, 200, 300]), np.array([150, 300, 450])
-    both = path_deviation([(x, 1), (y, 1)], (3, 3), clock_hz=(1000, 1500))
+    both = compute_path_deviation([(x, 1), (y, 1)], (3, 3), clock_hz=(1000, 1500))
     assert both.pulses == 0  # 100 ticks at 1000 Hz are 150 at 1500 Hz
-    ticks = path_deviation([(x, 1), (y, 1)], (3, 3))
+    ticks = compute_path_deviation([(x, 1), (y, 1)], (3, 3))
     assert ticks.pulses > 0
-    assert path_deviation([(x, 1), (y, 1)], (3, 3), clock_hz=1000).time == ticks.time / 1000
+    assert compute_path_deviation([(x, 1), (y, 1)], (3, 3), clock_hz=1000).time == ticks.time / 1000
 
 
 def test_it_reads_what_chips_trace():
@@ -83,16 +88,16 @@ def test_it_reads_what_chips_trace():
     start_preset(x, 3000)
     start_preset(y, 3000, minus=True)
     n = 10_000_000
-    assert path_deviation([x.trace(n), y.trace(n)], (3000, -3000), x.clock_hz).pulses == 0
+    assert compute_path_deviation([x.trace(n), y.trace(n)], (3000, -3000), x.clock_hz).pulses == 0
 
 
 @pytest.mark.parametrize(("distances", "distance"), [((1, 1), 0), ((2, 1), 1 / math.sqrt(5)), ((50_000, 100), 0.998)])
 def test_perfect_axes_are_a_staircase_off_the_line(distances, distance):
-    assert perfect_deviation(distances) == pytest.approx(distance, abs=1e-4)
+    assert compute_perfect_deviation(distances) == pytest.approx(distance, abs=1e-4)
 
 
 def test_points_are_the_path():
-    times, counts = path_points([([1, 2, 2], [1, 1, 1]), ([2, 5], [-1, -1])])
+    times, counts = compute_path_points([([1, 2, 2], [1, 1, 1]), ([2, 5], [-1, -1])])
     assert times.tolist() == [0, 1, 2, 5]
     assert counts.tolist() == [[0, 0], [1, 0], [3, -1], [3, -2]]
 
@@ -121,8 +126,8 @@ def test_a_journal_gives_back_every_pulse_of_its_chip():
 
 def test_refusals_say_what_to_do():
     with pytest.raises(ArgumentError, match="out of order"):
-        path_deviation([([2, 1], 1)], [2])
+        compute_path_deviation([([2, 1], 1)], [2])
     with pytest.raises(ArgumentError, match="0 axes of pulses and 0 distances"):
-        path_deviation([], [])
+        compute_path_deviation([], [])
     with pytest.raises(ArgumentError, match="1 axes of pulses and 2 distances: give one distance an axis"):
-        path_deviation([([1], 1)], [1, 1])
+        compute_path_deviation([([1], 1)], [1, 1])

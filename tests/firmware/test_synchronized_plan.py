@@ -15,9 +15,14 @@ from stage.chips import PCL240K
 from stage.firmware import Bench, plan, synchronized_move
 from stage.firmware.pcl240 import follower_fit, leader_search
 from stage.firmware.pcl240.leader_search import effective_steps
-from stage.firmware.pcl240.preset_move_closed_form import count, fill_motion, first_pulse, ramp_ticks
+from stage.firmware.pcl240.preset_move_closed_form import (
+    compute_ramp_ticks,
+    count_pulses,
+    fill_motion,
+    find_first_pulse_tick,
+)
 from stage.firmware.pcl240.register_row_emulation import trace_row
-from stage.firmware.pcl240.speed_profile import ramp_seconds
+from stage.firmware.pcl240.speed_profile import compute_ramp_seconds
 
 
 def log_uniform(low, high):
@@ -37,8 +42,8 @@ def test_the_closed_form_is_the_chip_to_the_clock():
         pulses, c = trace_row(r), np.zeros(4, np.int64)
         fill_motion(r, c)
         assert c[3] == pulses[-1], r
-        at = [int(count(r, c, float(t))) for t in pulses]
-        before = [int(count(r, c, float(t - 1))) for t in pulses]
+        at = [int(count_pulses(r, c, float(t))) for t in pulses]
+        before = [int(count_pulses(r, c, float(t - 1))) for t in pulses]
         assert at == list(range(1, len(pulses) + 1)), r
         assert before == list(range(len(pulses))), r
 
@@ -53,23 +58,23 @@ def farthest(leader, own, lead, corners=False, hz=4_915_200):
     ends = [
         t / hz - x
         for r, k, x in ((leader, c, 0), (own, o, lead))
-        for t in (ramp_ticks(r, r[4]), k[0], k[0] + ramp_ticks(r, r[5]))
+        for t in (compute_ramp_ticks(r, r[4]), k[0], k[0] + compute_ramp_ticks(r, r[5]))
     ]
-    ends += [end, first_pulse(own, o) / hz - lead + 1e-12]
+    ends += [end, find_first_pulse_tick(own, o) / hz - lead + 1e-12]
     for t in [t for t in ends if 0 <= t <= end] if corners else np.linspace(0, end, 2000):
-        n = count(own, o, (t + lead) * hz)
-        e = n - rho * count(leader, c, t * hz)
+        n = count_pulses(own, o, (t + lead) * hz)
+        e = n - rho * count_pulses(leader, c, t * hz)
         lo, hi = min(lo, e if n >= 1 else lo), max(hi, e)
     return max(1 - lo, hi + rho)
 
 
 def test_a_ramp_down_point_may_be_the_largest_that_r6_holds():
     row = np.array([20_000, 100, 1100, 1100, 100, 100, 0, 40])
-    needed = int(next(leader_search._with_tails(row, 4_915_200, 1 << 20))[6])
+    needed = int(next(leader_search._vary_tails(row, 4_915_200, 1 << 20))[6])
     assert needed > 100
-    assert next(leader_search._with_tails(row, 4_915_200, needed))[6] == needed
+    assert next(leader_search._vary_tails(row, 4_915_200, needed))[6] == needed
     with pytest.raises(ArgumentError, match=f"R6 counts to {needed - 1}: shorten decel or lower the rate"):
-        next(leader_search._with_tails(row, 4_915_200, needed - 1))
+        next(leader_search._vary_tails(row, 4_915_200, needed - 1))
 
 
 def test_a_longer_tail_at_a_slow_fl_is_not_tried_where_it_costs_time():
@@ -77,7 +82,7 @@ def test_a_longer_tail_at_a_slow_fl_is_not_tried_where_it_costs_time():
     tails = {}
     for fl in (1, 100):
         row = np.array([4000, fl, fl + 66, fl + 66, 100, 100, 0, 40])
-        points = [int(made[6]) for made in leader_search._with_tails(row, 4_915_200, 1 << 20)]
+        points = [int(made[6]) for made in leader_search._vary_tails(row, 4_915_200, 1 << 20)]
         tails[fl] = [point - points[0] + 5 for point in points]
     assert tails == {1: [5, 4, 6], 100: [5, 8, 11, 14, 4, 6, 9]}
 
@@ -86,7 +91,7 @@ def test_a_longer_tail_at_a_slow_fl_is_not_tried_where_it_costs_time():
 def test_an_estimate_equals_the_maximum_over_dense_samples(bent):
     """The estimate also holds for followers that fit badly: then the farthest moment is at an end of a ramp of theirs."""
     print("seed", SEED)
-    rng, work, short = random.Random(SEED), np.zeros(1, follower_fit.WORK), []
+    rng, work, short = random.Random(SEED), np.zeros(1, follower_fit.WORK_DTYPE), []
     for n in range(scaled(160)):
         d, fl, gain, r6 = rng.randint(3000, 9000), rng.randint(40, 200), rng.randint(200, 900), rng.randint(200, 900)
         up, down = rng.choices(range(40, 200), k=2)
@@ -99,7 +104,7 @@ def test_an_estimate_equals_the_maximum_over_dense_samples(bent):
         own = leader.copy()
         own[:7], own[7] = np.maximum(leader[:7] * off, 2), 80
         lead = rng.choice((0.0, 1e-4))
-        distance = follower_fit.estimate(leader, 4_915_200, own, 4_915_200, lead, work)
+        distance = follower_fit.estimate_line_distance(leader, 4_915_200, own, 4_915_200, lead, work)
         if n % 10 == 0:
             short.append(distance / farthest(leader, own, lead))
         assert distance > farthest(leader, own, lead, corners=True) - 1e-6
@@ -312,7 +317,7 @@ def test_what_registers_cannot_do_is_refused_with_the_reason(distances, options,
 def test_a_ramp_with_curved_ends_is_as_long_as_a_linear_one_of_its_effective_steps():
     for gain, share in ((1, 0.3), (2, 0.1), (3, 0.45), (40, 0.2), (41, 0.49)):
         span = max(round(share * gain), 1)
-        made = ramp_seconds(100, 100 + gain, 50, 4_915_200, min(span, gain // 2))
+        made = compute_ramp_seconds(100, 100 + gain, 50, 4_915_200, min(span, gain // 2))
         assert effective_steps(gain, share) * 50 / 4_915_200 == pytest.approx(made, rel=1e-9)
     assert [effective_steps(40, share) for share in (0, 0.5)] == [40, 40]
 
@@ -342,22 +347,22 @@ def test_a_plan_notes_an_fl_that_differs_from_its_share():
 def test_a_plan_does_not_depend_on_earlier_plans():
     """The room that is handed on holds another follower's times: R5, R6 and scores are those of fresh room."""
     leader = np.array([6400, 100, 1600, 1600, 600, 600, 700, 24])
-    hz, work = 4_915_200, np.zeros(1, follower_fit.WORK)
+    hz, work = 4_915_200, np.zeros(1, follower_fit.WORK_DTYPE)
 
     def rises(d, room):
         scores, kept = (
             np.empty(follower_fit.MAX_CANDIDATES),
             np.zeros((follower_fit.MAX_CANDIDATES, len(leader)), np.int64),
         )
-        follower_fit.accelerations(leader, hz, d, hz, 0.0, 0.0, 16_383, 0, scores, kept, room)
+        follower_fit.fit_accelerations(leader, hz, d, hz, 0.0, 0.0, 16_383, 0, scores, kept, room)
         return kept
 
     def falls(kept, room):
         scores, best = (
-            np.empty(follower_fit.BEST),
-            np.zeros((follower_fit.BEST, len(leader)), np.int64),
+            np.empty(follower_fit.MAX_BEST_ROWS),
+            np.zeros((follower_fit.MAX_BEST_ROWS, len(leader)), np.int64),
         )
-        follower_fit.decelerations(leader, hz, hz, 0.0, False, 16_383, 65_535, kept, scores, best, room)
+        follower_fit.fit_decelerations(leader, hz, hz, 0.0, False, 16_383, 65_535, kept, scores, best, room)
         return scores.tolist(), best.tolist()
 
     kept = rises(3000, work)

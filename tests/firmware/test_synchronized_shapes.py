@@ -13,7 +13,7 @@ from support.examples import SEED, assert_axes_are_named, scaled
 from stage import ArgumentError, Stage
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, plan, synchronized_move
-from stage.firmware.pcl240.preset_move_closed_form import bend, count, fill_motion
+from stage.firmware.pcl240.preset_move_closed_form import count_pulses, fill_motion, set_s_curve_registers
 from stage.firmware.pcl240.register_row_emulation import trace_row
 
 FAMILY = (PCL240K, PCL240MK, PCL240MS)
@@ -245,12 +245,12 @@ def test_the_closed_form_of_s_curves_is_the_chip_to_a_thousandth_of_a_pulse():
         r6 = rng.choice((0, rng.randint(1, 4000)))  # triangles and runs that never leave FL among them
         rates = rng.randint(2, 3000), rng.randint(2, 3000)
         r = np.array([rng.randint(1, 3000), fl, fh, fh, *rates, r6, rng.randint(2, 1023), 0, 0])
-        bend(r, rng.choice((0.02, 0.2, 0.4, 0.5)))
+        set_s_curve_registers(r, rng.choice((0.02, 0.2, 0.4, 0.5)))
         pulses, c = trace_row(r, PCL240MS), np.zeros(4, np.int64)
         fill_motion(r, c)
         assert abs(c[3] - pulses[-1]) <= 3, r
-        made = np.array([count(r, c, float(t)) for t in pulses])
-        before = np.array([count(r, c, float(t - 1)) for t in pulses])
+        made = np.array([count_pulses(r, c, float(t)) for t in pulses])
+        before = np.array([count_pulses(r, c, float(t - 1)) for t in pulses])
         n = np.arange(1, len(pulses) + 1)
         assert (made > n - 1e-3).all(), r
         assert (before < n + 1e-3).all(), r

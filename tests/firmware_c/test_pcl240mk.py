@@ -16,7 +16,7 @@ from stage import Stage
 from stage.board import Board, NativeHost
 from stage.board.library import find_compiler
 from stage.chips import PCL240MK
-from stage.firmware.path_deviation import path_deviation, replay_pulses
+from stage.firmware.path_deviation import compute_path_deviation, replay_pulses
 from stage.firmware.pcl240 import register_row_emulation
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "scripts" / "firmware"
@@ -109,7 +109,7 @@ def test_the_line_ends_on_its_pulses_and_no_step_is_lost(finished_run):
 
 
 def test_pulses_stay_within_two_of_the_line_and_end_together(finished_run):
-    max_distance = path_deviation(list(finished_run.paths.values()), list(LINE.values())).pulses
+    max_distance = compute_path_deviation(list(finished_run.paths.values()), list(LINE.values())).pulses
     ends = [seconds[-1] for seconds, _ in finished_run.paths.values()]
     print(f"{max_distance:.2f} pulses from the line, ends within {np.ptp(ends) * 1e3:.2f} ms")
     assert max_distance <= 2
@@ -167,7 +167,7 @@ def test_random_lines_stay_within_two_and_a_half_pulses(library):
             row = np.array([abs(move.pulses), s.R1, s.R2, s.R2, s.R4, s.R5, move.R6, s.R7], np.int64)
             started = order.index(k) * 1e-6
             paths.append((register_row_emulation.trace_row(row, PCL240MK) / PCL240MK.DEFAULT_CLOCK_HZ + started, 1))
-        max_distance.append(path_deviation(paths, np.abs(distances).tolist()).pulses)
+        max_distance.append(compute_path_deviation(paths, np.abs(distances).tolist()).pulses)
     print(f"median {np.median(max_distance):.2f}, largest {max(max_distance):.2f}")
     assert np.median(max_distance) <= 1.5
     assert max(max_distance) <= 2.5, "of 3000 the worst was 2.06"

@@ -50,7 +50,7 @@ def begin(stage, monkeypatch):
 
     for name in ("move", "two_rates", "home", "line"):
         monkeypatch.setattr(forms.procedures, name, noting(name))
-    real = forms.driver_of
+    real = forms.get_driver
 
     def driver_of(axis):
         return SimpleNamespace(axis=axis.name, circle=noting("circle"), homings=real(axis).list_homing_methods)

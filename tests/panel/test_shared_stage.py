@@ -10,7 +10,7 @@ from support.examples import SEED
 from stage import Stage, firmware
 from stage.chips.entries import WRITE
 from stage.errors import ArgumentError, StageError
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 from stage.panel.real_time_clock import SLICE_S
 from stage.panel.session import FREE, ActionStopped, Session
 
@@ -139,7 +139,7 @@ PROCEDURES = {
     "home": lambda x, y: firmware.home(x),
     "line": lambda x, y: firmware.line({x: 0.05, y: 0.03}),
     "jog": lambda x, y: firmware.jog(x, 60.0),
-    "two rates": lambda x, y: driver_of(x).two_rates(30_000, firmware.procedures.Speeds().with_second(24_000), 0.4),
+    "two rates": lambda x, y: get_driver(x).two_rates(30_000, firmware.procedures.Speeds().with_second(24_000), 0.4),
 }
 
 
@@ -180,7 +180,7 @@ def test_pause_and_stop_act_within_two_slices_of_a_procedure(chips, name, speed)
         session.paused = False
         session.speed = FREE
         session.stop().result(MAX_WAIT_S)
-        assert not any(session.do(lambda stage, a=a: driver_of(a).is_running()) for a in (x, y)) or chips == "hctl1100"
+        assert not any(session.do(lambda stage, a=a: get_driver(a).is_running()) for a in (x, y)) or chips == "hctl1100"
 
 
 def test_a_stop_with_a_ramp_begins_on_all_axes_at_the_same_time():
@@ -188,7 +188,7 @@ def test_a_stop_with_a_ramp_begins_on_all_axes_at_the_same_time():
     stage = Stage("xy", chips="pcl240ms", visuals=False)
     with Session(stage, speed=FREE) as session:
         for axis in stage.axes.values():
-            session.do(lambda stage, a=axis: driver_of(a).run(1, firmware.procedures.Speeds(up=0.3, down=0.3)))
+            session.do(lambda stage, a=axis: get_driver(a).run(1, firmware.procedures.Speeds(up=0.3, down=0.3)))
         session.do(lambda stage: session.run_unpaced(stage.run, 0.4))
         journals = session.do(lambda stage: [chip.journal() for chip in stage.chips])
         session.stop().result(MAX_WAIT_S)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from stage import Stage, firmware
-from stage.firmware.driver import Speeds, driver_of
+from stage.firmware.driver import Speeds, get_driver
 from stage.panel import tour as tours
 from stage.panel.session import FREE, Session
 from stage.panel.tour import MAX_RATES, QUIET_TIME_S, SAMPLE_TIME_S, SIMULTANEITY_S, STEPS, AxisRun, Tour
@@ -80,7 +80,7 @@ class Slices:
 
 def test_two_rates_and_a_line_complete_their_steps():
     stage = Stage("xy", visuals=False)
-    slices, (x, y) = Slices(stage), map(driver_of, stage.axes.values())
+    slices, (x, y) = Slices(stage), map(get_driver, stage.axes.values())
     tour = Tour(slices)
     for _ in range(4):
         tour.skip()

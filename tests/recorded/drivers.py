@@ -12,13 +12,13 @@ from stage import Stage, firmware
 from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX314AS, MCX501, MCX512, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.errors import StageError
 from stage.firmware import Bench, Profile
-from stage.firmware.driver import ImmediateOperations, Speeds, driver_of, get_default_speeds
+from stage.firmware.driver import ImmediateOperations, Speeds, get_default_speeds, get_driver
 from stage.firmware.gantry_homing import group_tandem_axes, square_gantry_at_speeds
-from stage.firmware.line_programs import LineMoves, LineSettings, line_of
+from stage.firmware.line_programs import LineMoves, LineSettings, create_line_programs
 from stage.firmware.nova import path_interpolation
 from stage.firmware.nova.chip_port import Port as NovaPort
 from stage.firmware.parameter_ranges import get_register_range
-from stage.firmware.path_deviation import path_points, perfect_deviation
+from stage.firmware.path_deviation import compute_path_points, compute_perfect_deviation
 from stage.firmware.pcl240 import follower_fit, register_row_emulation
 from stage.firmware.pcl240 import preset_move_closed_form as closed
 from stage.sim import plant
@@ -31,6 +31,12 @@ SENSORS = {
 }  # fmt: skip
 ALL = dict.fromkeys(("org", "ez", "el_plus", "el_minus"), "positive")
 SLOW = Speeds(800.0, 5000.0, 0.03, 0.05)
+
+
+RECORDED_CLASS_NAMES = {
+    "RatioLinePrograms": "RatioLine", "InterpolatedLinePrograms": "Interpolated", "RangeRatioLinePrograms": "InRatio",
+}  # fmt: skip
+"""Class of lines -> its name in the recorded data."""
 
 
 def is_refused(result):
@@ -85,7 +91,7 @@ def read_answers(cls):
     """Ask a driver one thing after the other: by steps, by names, by what it refuses."""
     stage = Stage("xy", cls, visuals=False)
     y = stage.axes["y"]
-    h, x = driver_of(y), driver_of(stage.axes["x"])
+    h, x = get_driver(y), get_driver(stage.axes["x"])
     polls = []
     results = {
         "usual": get_default_speeds(y.chip)[:5], "names": [h.DONE, h.DISTANCE_REGISTER, h.INVERTIBLE_SENSORS,
@@ -125,7 +131,7 @@ def run_into_ends(cls):
     """Run one driver into both ends, after a move the other way; and after a reset of the stage."""
     stage = Stage("xy", cls, visuals=False)
     y = stage.axes["y"]
-    h, results = driver_of(y), {}
+    h, results = get_driver(y), {}
     touch = {s.pin: s.touch for s in y.plant.switches}
     for direction, end in ((1, "el_plus"), (-1, "el_minus"), (1, "el_plus"))[: 2 if cls is HCTL1100 else 3]:
         stage.reset()
@@ -169,7 +175,7 @@ def move_at_other_clocks():
 def write_programs(cls):
     """Write programs and list choices of a driver of the second axis."""
     sensors = {k: v for k, v in SENSORS.get(cls, ALL).items() if k == "org"}
-    h = driver_of(Stage("xy", cls, wiring={"y": sensors}, visuals=False).axes["y"])
+    h = get_driver(Stage("xy", cls, wiring={"y": sensors}, visuals=False).axes["y"])
 
     def program(write, *args):
         p = Program()
@@ -223,11 +229,11 @@ def plan_lines(cls, curve):
     results = {}
     for name, moves in MOVES.items():
         stage = Stage("xyz", cls, visuals=False)
-        drivers = [driver_of(stage.axes[n]) for n in ("xyz" if name == "three" else "zy" if name == "one" else "xy")]
+        drivers = [get_driver(stage.axes[n]) for n in ("xyz" if name == "three" else "zy" if name == "one" else "xy")]
         args = LineSettings(600.0, 0.04, curve, 1.5, tuple(h.axis.name for h in drivers))._asdict()
         settings = SimpleNamespace(**args, multiplier_reach=40)
         try:
-            result = line_of(drivers, settings)
+            result = create_line_programs(drivers, settings)
         except StageError as error:
             results[name] = error
             continue
@@ -240,7 +246,8 @@ def plan_lines(cls, curve):
         ops = result.programs(changed, requested)
         times = result.pulses(ops[-1], distances[-1])
         results[name] = {
-            "is": [type(result).__name__, result.names, result.shape, result.fastest, result.low, result.high],
+            "is": [RECORDED_CLASS_NAMES[type(result).__name__], result.names, result.shape, result.fastest,
+                   result.low, result.high],
             "reach": [result.compute_peaks(requested), result.compute_peaks(steep)], "rows": rows,
             "steep": result.data_sheet(steep), "same": bool(
             (result.apply_corrections(requested, 0 * off) == rows).all()), "changed": changed,
@@ -354,15 +361,17 @@ def compare_paths():
     }  # fmt: skip
     for name, (pulses, distances) in paths.items():
         for hz in (None, 100, [10, 50, 2][: len(pulses)]):
-            results[f"{name} {hz}"] = attempt(firmware.path.path_deviation, pulses, distances, hz)
-            results[f"points {name} {hz}"] = attempt(path_points, pulses, hz)
-    results["perfect"] = [perfect_deviation(d) for d in ([3, 1], [-5, 2], [4, 4], [1, 0], [100, 99, -98], [7, 0, 0])]
+            results[f"{name} {hz}"] = attempt(firmware.path_deviation.compute_path_deviation, pulses, distances, hz)
+            results[f"points {name} {hz}"] = attempt(compute_path_points, pulses, hz)
+    results["perfect"] = [
+        compute_perfect_deviation(d) for d in ([3, 1], [-5, 2], [4, 4], [1, 0], [100, 99, -98], [7, 0, 0])
+    ]
     return results
 
 
 def compute_closed_forms():
     """Compute what rows of registers come to by the closed form, and on emulated chips."""
-    draw_, work, results = Draw("closed form"), np.zeros(1, follower_fit.WORK), {}
+    draw_, work, results = Draw("closed form"), np.zeros(1, follower_fit.WORK_DTYPE), {}
     leader = None
     for k in range(36):
         size, fl, r7 = draw_.size(2, 6000), draw_.size(1, 3000), draw_.size(2, 400)
@@ -371,22 +380,26 @@ def compute_closed_forms():
         row = [size, fl, fh, fh, up, down, draw_.choice(0, draw_.between(1, size), draw_.size(1, size)), r7]
         share = draw_.choice(0.0, 0.0, 0.5, 0.2, 0.4)
         r = np.array(row + [0, 0] * (k % 3 > 0), np.int64)
-        closed.bend(r, share)
+        closed.set_s_curve_registers(r, share)
         c = np.zeros(4, np.int64)
         closed.fill_motion(r, c)
         times = [float(c[3]) * part for part in (0.01, 0.1, 0.37, 0.5, 0.8, 0.99, 1.0)]
         chip = PCL240MS if len(r) > 8 else PCL240MK
         ticks = register_row_emulation.trace_row(r, chip, bool(k % 2 and fh > fl and r[6] > 1))
         results[k] = [
-            c, [closed.count(r, c, t) for t in times], closed.first_pulse(r, c), closed.ramp_ticks(r, r[4]),
-            closed.stretch(r), r[8:], len(ticks), int(ticks.sum()), int(ticks[0]), register_row_emulation.compute_offset(r, chip),
+            c, [closed.count_pulses(r, c, t) for t in times], closed.find_first_pulse_tick(r, c),
+            closed.compute_ramp_ticks(r, r[4]),
+            closed.compute_ramp_stretch(r), r[8:], len(ticks), int(ticks.sum()), int(ticks[0]),
+            register_row_emulation.compute_ramp_down_offset(r, chip),
         ]  # fmt: skip
         if leader is not None and leader[0] >= size:
-            results[f"{k} follows"] = follower_fit.estimate(leader, 4_915_200, r, 4_000_000, 3e-6 * (k % 4), work)
+            results[f"{k} follows"] = follower_fit.estimate_line_distance(
+                leader, 4_915_200, r, 4_000_000, 3e-6 * (k % 4), work
+            )
         if leader is None or k % 6 == 0:
             leader = r
         out = np.full(3, 1e-5)
-        follower_fit.misfits(
+        follower_fit.compute_rate_misfits(
             np.array([fh, fh + 0.5, 8191.0]),
             np.array([r7, r7, 2]),
             4_915_200,
@@ -439,16 +452,21 @@ def use_nova_ports():
     b = Bench(MCX501())
     results["draw"] = [
         attempt(
-            path_interpolation.draw,
-            [path_interpolation.Line(5, 5)],
+            path_interpolation.draw_path,
+            [path_interpolation.LineSegment(5, 5)],
             b.axes["x"],
             b.axes["x"],
-            speed=path_interpolation.Speed(500),
+            speed=path_interpolation.PathSpeed(500),
         ),
         attempt(
-            path_interpolation.draw, [path_interpolation.Line(5)], b.axes["x"], speed=path_interpolation.Speed(500)
+            path_interpolation.draw_path,
+            [path_interpolation.LineSegment(5)],
+            b.axes["x"],
+            speed=path_interpolation.PathSpeed(500),
         ),
-        attempt(path_interpolation.draw, [path_interpolation.Line(5)], speed=path_interpolation.Speed(500)),
+        attempt(
+            path_interpolation.draw_path, [path_interpolation.LineSegment(5)], speed=path_interpolation.PathSpeed(500)
+        ),
     ]
     return results
 

@@ -11,7 +11,7 @@ from stage.firmware.hctl1100 import homing as servo_home
 from stage.firmware.hctl1100 import moves as servo
 from stage.firmware.hctl1100 import position_streaming as follow
 from stage.firmware.hctl1100.chip_port import Port as ServoPort
-from stage.firmware.hctl1100.servo_loop_model import Loop, design
+from stage.firmware.hctl1100.servo_loop_model import ServoLoop, design_filter
 from stage.firmware.nova import path_interpolation, s_curve_workarounds
 from stage.firmware.nova.home_search import home_search
 from stage.firmware.pcl240 import chip_port, moves
@@ -99,7 +99,10 @@ def use_pulse_ports():
     port.control(chip_port.PRESET)
     port.command(chip_port.START["FL"])
     results["slow bus"] = [attempt(port.counter), slow.time]
-    results["others"] = [attempt(chip_port.check, 5), attempt(chip_port.check, Bench(HCTL1100()).axes["x"])]
+    results["others"] = [
+        attempt(chip_port.check_chip_family, 5),
+        attempt(chip_port.check_chip_family, Bench(HCTL1100()).axes["x"]),
+    ]
     results["words"] = [str(chip_port._READ[v]) for v in (0x00, 0x40, 0x60, 0x88, 0xFF, 0x1E)]
     return results
 
@@ -147,30 +150,32 @@ def run_servo_into_ends():
     x = stage.axes["x"]
     touch = {s.pin: s.touch for s in x.plant.switches}
     calls = {
-        "trapezoid": (lambda p: servo.trapezoid(p, 900, velocity=20_000)), "step": (lambda p: servo.step(p, 300)), "integral": (
-        lambda p: servo.integral_velocity(p, 9000, 0.1)), "proportional": (lambda p: servo.proportional_velocity(p, 9000, 0.1)),
-        "home": (lambda p: servo_home.home(p, 1, index=False)),
+        "trapezoid": (lambda p: servo.move_by_trapezoid(p, 900, velocity=20_000)),
+        "step": (lambda p: servo.move_by_step(p, 300)),
+        "integral": (lambda p: servo.run_integral_velocity(p, 9000, 0.1)),
+        "proportional": (lambda p: servo.run_proportional_velocity(p, 9000, 0.1)),
+        "home": (lambda p: servo_home.home_servo(p, 1, index=False)),
     }  # fmt: skip
     results = {}
     for name, call in calls.items():
         stage.reset()
         stage.place(x=touch["el_plus"] - 0.6e-3)
-        port = servo.set_up(x, servo.Tuning(gain=0x30, timer=0x20))
+        port = servo.set_up_servo(x, servo.FilterTuning(gain=0x30, timer=0x20))
         results[name] = [
             (attempt(call, port)),
             port.limited(),
             port.status(),
             x.position,
             stage.time,
-            attempt(servo.set_up, x),
+            attempt(servo.set_up_servo, x),
         ]
     results["wrong way"] = [attempt(servo_home.leave_limit, port, 1, timeout=0.05), x.position, port.status()]
     results["out"] = [attempt(servo_home.leave_limit, port, -1, push=20), x.position, port.status(), port.position()]
     stage.reset()
     stage.place(x=touch["org"] + 1e-3)
-    port = servo.set_up(x)
+    port = servo.set_up_servo(x)
     results["home"] = [
-        str(attempt(servo_home.home, port, -1, turn=2000, speed=6000)),
+        str(attempt(servo_home.home_servo, port, -1, turn=2000, speed=6000)),
         port.position(),
         x.position,
         stage.time,
@@ -196,18 +201,18 @@ def run_servo_into_ends():
     port.hold()
     results["another port"] = [other.t, attempt(other.command, 7), port.commanded()]
     results["words"] = [
-        servo.velocity_word(port, v, n, s)
+        servo.convert_velocity_to_register(port, v, n, s)
         for v, n, s in (
             (9000, "maximum_velocity", 1),
             (-9000, "integral_velocity", 1),
             (100, "proportional_velocity", 16),
         )
-    ] + [attempt(servo.acceleration_word, port, a) for a in (1e3, 4e5, 1e9)]
+    ] + [attempt(servo.convert_acceleration_to_register, port, a) for a in (1e3, 4e5, 1e9)]
     results["no servo"] = attempt(ServoPort, Bench(MCX304()).axes["x"])
     results["synchronize"] = attempt(
-        follow.synchronize, [port, servo.set_up(stage.axes["y"], servo.Tuning(timer=0x33))]
+        follow.synchronize_sample_timers, [port, servo.set_up_servo(stage.axes["y"], servo.FilterTuning(timer=0x33))]
     )
-    loop = Loop.of(x, servo.Tuning(gain=20, zero=0xF0, timer=0x30))
+    loop = ServoLoop.of(x, servo.FilterTuning(gain=20, zero=0xF0, timer=0x30))
     results["loop"] = [
         loop.gain,
         loop.tau,
@@ -217,7 +222,7 @@ def run_servo_into_ends():
         loop.filter,
         np.sort(np.abs(loop.poles)),
     ]
-    results["designed"] = [design(loop), design(loop, 45.0, 20.0), attempt(design, loop, 179.0)]
+    results["designed"] = [design_filter(loop), design_filter(loop, 45.0, 20.0), attempt(design_filter, loop, 179.0)]
     return results
 
 
@@ -245,23 +250,29 @@ def run_nova_into_ends():
     ]
     stage.reset()
     stage.place(x=touch["el_plus"] - 0.1e-3)
-    path = [path_interpolation.Line(60, 20), path_interpolation.Arc((0, 40)), path_interpolation.Line(90, 0)]
+    path = [
+        path_interpolation.LineSegment(60, 20),
+        path_interpolation.ArcSegment((0, 40)),
+        path_interpolation.LineSegment(90, 0),
+    ]
     results["into an end"] = [
-        (attempt(path_interpolation.draw, path, y, x, speed=path_interpolation.Speed(4000, jerk=9_000_000))),
+        (attempt(path_interpolation.draw_path, path, y, x, speed=path_interpolation.PathSpeed(4000, jerk=9_000_000))),
         x.chip.net(0),
         x.chip.net(1),
     ]
     for bad in (
-        [path_interpolation.Line(1, 2, 3)],
-        [path_interpolation.Helix((0, 5), (1,))],
-        [path_interpolation.Helix((0, 5), (1, 2))],
+        [path_interpolation.LineSegment(1, 2, 3)],
+        [path_interpolation.HelixSegment((0, 5), (1,))],
+        [path_interpolation.HelixSegment((0, 5), (1, 2))],
         [],
     ):
-        results[str(bad)] = attempt(path_interpolation.draw, bad, x, y, speed=path_interpolation.Speed(4000))
+        results[str(bad).replace("Segment", "")] = attempt(
+            path_interpolation.draw_path, bad, x, y, speed=path_interpolation.PathSpeed(4000)
+        )
     for bad in ({"direction": 0}, {"timer": 0.5001}, {"speed": 0}, {"offset": 1 << 33}):
         results[str(bad)] = attempt(home_search, x, **bad)
     b = Bench(MCX304())
-    port = s_curve_workarounds.port_of(b.axes["x"])
+    port = s_curve_workarounds.open_port(b.axes["x"])
     port.load(R=800_000, K=300, A=8000, SV=100, V=1500, AO=0)
     port.mode(WR1=0x0100, WR3=s_curve_workarounds.S_CURVE)
     flag = s_curve_workarounds.DecelerationFlag(port)
@@ -271,13 +282,17 @@ def run_nova_into_ends():
         b.wait(0.05)
         flag.interrupt()
         flags.append([flag.prohibits, port.word(1), b.axes["x"].chip.values_of(0)["WR1"]])
-    results["flag"] = [flags, s_curve_workarounds.stop_guarded(flag), s_curve_workarounds.judgmental_speed(100, 1501)]
+    results["flag"] = [
+        flags,
+        s_curve_workarounds.stop_guarded(flag),
+        s_curve_workarounds.compute_judgmental_speed(100, 1501),
+    ]
     b.wait(2.0)
     port.start(4000)
     free = s_curve_workarounds.DecelerationFlag(port)
     b.wait(0.02)
     results["free"] = [s_curve_workarounds.stop_guarded(free), free.prohibits, port.word(1)]
-    results["no erratum"] = attempt(s_curve_workarounds.port_of, x)
+    results["no erratum"] = attempt(s_curve_workarounds.open_port, x)
     return results
 
 
@@ -356,14 +371,18 @@ def follow_with_slow_hosts():
     results = {}
     for cycle in (1e-6, 4e-5, 2e-4):
         stage = Stage("xy", HCTL1100, bus_cycle=cycle, visuals=False)
-        ports = [servo.set_up(a, servo.Tuning(timer=0x60)) for a in stage.axes.values()]
+        ports = [servo.set_up_servo(a, servo.FilterTuning(timer=0x60)) for a in stage.axes.values()]
         polls, rows = [], np.outer(np.arange(30), [1, -2])
         for alone in (True, False):
             result = attempt(
-                follow.follow, ports, rows, leader_only=alone, on_row=lambda polls=polls, s=stage: polls.append(s.time)
+                follow.stream_positions,
+                ports,
+                rows,
+                leader_only=alone,
+                on_row=lambda polls=polls, s=stage: polls.append(s.time),
             )
             results[f"{cycle} {alone}"] = [read_report(result), len(polls), stage.time, [p.commanded() for p in ports]]
-        results[f"{cycle} of none"] = attempt(follow.follow, [], rows)
+        results[f"{cycle} of none"] = attempt(follow.stream_positions, [], rows)
     return results
 
 

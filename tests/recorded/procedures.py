@@ -10,13 +10,13 @@ from stage import Stage, firmware
 from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.errors import StageError
 from stage.firmware import Bench, Profile, plan
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 from stage.firmware.hctl1100 import homing as servo_home
 from stage.firmware.hctl1100 import moves as servo
 from stage.firmware.hctl1100 import position_streaming as follow
 from stage.firmware.nova import path_interpolation, s_curve_workarounds
 from stage.firmware.nova.home_search import home_search
-from stage.firmware.path_deviation import path_deviation, replay_pulses
+from stage.firmware.path_deviation import compute_path_deviation, replay_pulses
 
 PCL = (PCL240K, PCL240MK, PCL240MS)
 CHIPS = (*PCL, MCX514, MCX304, MCX302, MCX312, HCTL1100)
@@ -182,7 +182,7 @@ def run_every_procedure(cls):
             firmware.line, {"x": 100, "y": 0}, stage.axes, pulses=True, speed=0.02, start_speed=0.003
         ),
     }
-    driver = driver_of(x)
+    driver = get_driver(x)
     results["registers"] = [
         attempt(driver.formula, fl, fh, up, 0.5 * up, 2000, curve)
         for fl, fh, up, curve in itertools.product((500.0, 3000.0), (4000.0, 90_000.0), (0.02, 0.5), (None, True))
@@ -215,37 +215,37 @@ def find_home(cls):
 def draw_paths():
     stage = Stage("xyz", chips=MCX514, visuals=False)
     x, y, z = stage.axes.values()
-    quick = path_interpolation.Speed(9000, 800, 200_000)
+    quick = path_interpolation.PathSpeed(9000, 800, 200_000)
     paths = {
-        "circle": ([path_interpolation.Arc(centre=(0, 200))], (x, y), quick),
+        "circle": ([path_interpolation.ArcSegment(centre=(0, 200))], (x, y), quick),
         "three": (
             [
-                path_interpolation.Line(300, 0),
-                path_interpolation.Arc((0, 150), (150, 150)),
-                path_interpolation.Line(0, 300),
+                path_interpolation.LineSegment(300, 0),
+                path_interpolation.ArcSegment((0, 150), (150, 150)),
+                path_interpolation.LineSegment(0, 300),
             ],
             (x, y),
             quick,
         ),
         "clockwise s": (
-            [path_interpolation.Arc((100, 0), (200, 0), clockwise=True)],
+            [path_interpolation.ArcSegment((100, 0), (200, 0), clockwise=True)],
             (x, y),
-            path_interpolation.Speed(6000, 500, 90_000, 5_000_000),
+            path_interpolation.PathSpeed(6000, 500, 90_000, 5_000_000),
         ),
-        "helix": ([path_interpolation.Helix((0, 120), (60,), 2)], (x, y, z), quick),
-        "helix arc": ([path_interpolation.Helix((0, 120), (60,), 0, (120, 120), True)], (x, y, z), quick),
+        "helix": ([path_interpolation.HelixSegment((0, 120), (60,), 2)], (x, y, z), quick),
+        "helix arc": ([path_interpolation.HelixSegment((0, 120), (60,), 0, (120, 120), True)], (x, y, z), quick),
         "line of three uneven": (
-            [path_interpolation.Line(300, -100, 50)],
+            [path_interpolation.LineSegment(300, -100, 50)],
             (x, y, z),
-            path_interpolation.Speed(5000, even=False),
+            path_interpolation.PathSpeed(5000, even=False),
         ),
-        "many": ([path_interpolation.Line(60, 20), path_interpolation.Line(-20, 60)] * 6, (x, y), quick),
-        "bad": ([path_interpolation.Helix((0, 120), (60,), 2)], (x, y), quick),
+        "many": ([path_interpolation.LineSegment(60, 20), path_interpolation.LineSegment(-20, 60)] * 6, (x, y), quick),
+        "bad": ([path_interpolation.HelixSegment((0, 120), (60,), 2)], (x, y), quick),
         "none": ([], (x, y), quick),
-        "late": ([path_interpolation.Line(3000, 20)], (x, y), path_interpolation.Speed(500)),
+        "late": ([path_interpolation.LineSegment(3000, 20)], (x, y), path_interpolation.PathSpeed(500)),
     }
     return {
-        name: attempt(path_interpolation.draw, path, *axes, speed=speed, timeout=2.0)
+        name: attempt(path_interpolation.draw_path, path, *axes, speed=speed, timeout=2.0)
         for name, (path, axes, speed) in paths.items()
     }
 
@@ -277,21 +277,21 @@ def stop_by_workarounds():
     results = {}
     for mended, after in itertools.product((False, True), (0.01, 0.05, 0.12)):
         b = Bench(MCX304(errata=not mended))
-        port = s_curve_workarounds.port_of(b.axes["x"])
+        port = s_curve_workarounds.open_port(b.axes["x"])
         port.load(R=800_000, K=2000, A=800, SV=100, V=1500, AO=0)
         port.mode(WR2=s_curve_workarounds.LIMITS_DECELERATE, WR3=s_curve_workarounds.S_CURVE)
         port.start(2500)
         b.wait(after)
         texts = [
-            s_curve_workarounds.stop_by_speed(port, s_curve_workarounds.judgmental_speed(100, 1500)),
+            s_curve_workarounds.stop_by_speed(port, s_curve_workarounds.compute_judgmental_speed(100, 1500)),
             port.word(1),
             port.speed(),
             port.position(),
         ]
         texts += [
-            s_curve_workarounds.limit_interrupt(port),
-            s_curve_workarounds.limit_poll(port),
-            s_curve_workarounds.stop_signal_poll(port),
+            s_curve_workarounds.handle_limit_interrupt(port),
+            s_curve_workarounds.handle_limit_timer(port),
+            s_curve_workarounds.handle_stop_signal_timer(port),
         ]
         b.wait(0.5)
         texts += [port.driving(), port.position(), port.errors(), port.word(0), port.word(2)]
@@ -309,26 +309,28 @@ def stop_by_workarounds():
 def move_servos():
     stage = Stage("xy", chips=HCTL1100, visuals=False)
     x, y = stage.axes.values()
-    port, other = servo.set_up(x), servo.set_up(y)
-    circle = follow.circle(120, seconds=0.15, sample=port.sample, ramp=0.05)
+    port, other = servo.set_up_servo(x), servo.set_up_servo(y)
+    circle = follow.compute_circle_positions(120, seconds=0.15, sample=port.sample, ramp=0.05)
     results = {
-        "step": attempt(servo.step, port, 60),
-        "step late": attempt(servo.step, port, 60, timeout=0.01),
-        "trapezoid": attempt(servo.trapezoid, port, -900),
-        "trapezoid slow": attempt(servo.trapezoid, port, 300, velocity=8000, acceleration=90_000, deadband=6),
-        "too fast": attempt(servo.trapezoid, port, 300, velocity=8e6),
-        "proportional": attempt(servo.proportional_velocity, port, -6000, 0.1),
-        "integral": attempt(servo.integral_velocity, port, 6000, 0.1),
-        "integral bad": attempt(servo.integral_velocity, port, 6e6, 0.1),
-        "leave": attempt(servo_home.stand, port),
-        "home": attempt(servo_home.home, port, timeout=4.0),
-        "synchronize": attempt(follow.synchronize, [port, other]),
-        "follow": attempt(follow.follow, [port, other], circle),
-        "follow each": attempt(follow.follow, [port, other], circle[:200], leader_only=False),
-        "follow bad": attempt(follow.follow, [port, other], np.zeros((3, 3))),
-        "circles": [float(follow.off_circle(circle, 120).max()), float(np.abs(circle).sum()), len(circle)],
-        "circle of 3": attempt(follow.circle, 50, seconds=0.1, sample=port.sample, axes=3, revolutions=2, ramp=0.01),
-        "circle bad": attempt(follow.circle, 50, seconds=0.1, sample=port.sample, ramp=0.2),
+        "step": attempt(servo.move_by_step, port, 60),
+        "step late": attempt(servo.move_by_step, port, 60, timeout=0.01),
+        "trapezoid": attempt(servo.move_by_trapezoid, port, -900),
+        "trapezoid slow": attempt(servo.move_by_trapezoid, port, 300, velocity=8000, acceleration=90_000, deadband=6),
+        "too fast": attempt(servo.move_by_trapezoid, port, 300, velocity=8e6),
+        "proportional": attempt(servo.run_proportional_velocity, port, -6000, 0.1),
+        "integral": attempt(servo.run_integral_velocity, port, 6000, 0.1),
+        "integral bad": attempt(servo.run_integral_velocity, port, 6e6, 0.1),
+        "leave": attempt(servo_home.hold_once_at_rest, port),
+        "home": attempt(servo_home.home_servo, port, timeout=4.0),
+        "synchronize": attempt(follow.synchronize_sample_timers, [port, other]),
+        "follow": attempt(follow.stream_positions, [port, other], circle),
+        "follow each": attempt(follow.stream_positions, [port, other], circle[:200], leader_only=False),
+        "follow bad": attempt(follow.stream_positions, [port, other], np.zeros((3, 3))),
+        "circles": [float(follow.compute_circle_errors(circle, 120).max()), float(np.abs(circle).sum()), len(circle)],
+        "circle of 3": attempt(
+            follow.compute_circle_positions, 50, seconds=0.1, sample=port.sample, axes=3, revolutions=2, ramp=0.01
+        ),
+        "circle bad": attempt(follow.compute_circle_positions, 50, seconds=0.1, sample=port.sample, ramp=0.2),
         "where": [x.position, y.position, port.position(), other.position()],
     }
     return results
@@ -343,7 +345,7 @@ def measure_deviations():
         attempt(firmware.synchronized_move, {"x": a, "y": c}, b.axes, rate=4000, accel=0.02)
         for j in journals:
             j.close()
-        results[f"{a} {c}"] = str(path_deviation([replay_pulses(j) for j in journals], [a, c]))
+        results[f"{a} {c}"] = str(compute_path_deviation([replay_pulses(j) for j in journals], [a, c]))
     return results
 
 

@@ -7,14 +7,14 @@ from typing import Any, NoReturn
 
 from stage.errors import ArgumentError
 from stage.firmware.driver import Driver, ImmediateOperations, Speeds, wait_until_stopped
-from stage.firmware.move_report import Procedure, Report
+from stage.firmware.move_report import ProcedureObserver, Report
 from stage.sim.program import Operations
 
 
 class ToyDriver(Driver):
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
         self.chip.MAP.check_value(self._get_axis_name("COUNT"), abs(pulses))
-        with Procedure(self.axis, "move") as p:
+        with ProcedureObserver(self.axis, "move") as p:
             self.write_move(ImmediateOperations(self.axis), {"RATE": round(speeds.start)}, pulses)
             wait_until_stopped([self.axis], timeout or 2 * abs(pulses) / speeds.start + 1)
             self.axis.wait(0.05)

@@ -17,7 +17,7 @@ from stage.chips.describe import Statement
 from stage.cli import main
 from stage.drives.dynamometer import compute_natural_frequency
 from stage.errors import ArgumentError, StageError
-from stage.firmware.driver import ImmediateOperations, Speeds, driver_of
+from stage.firmware.driver import ImmediateOperations, Speeds, get_driver
 from stage.tune import MoveCase, Task, bus_listing, proof, tune
 from stage.tune.c_header import format_c_header
 from stage.tune.formula import Load, compute_speeds
@@ -160,7 +160,7 @@ def test_the_time_until_arrived_is_that_of_the_same_move_on_a_stage(task, tries)
     stage = task.copy_stage()
     axis = stage.axes["x"]
     goal = task.place_at_start(stage, MoveCase(PAYLOAD, 0.0, 1))
-    driver_of(axis).write_move(ImmediateOperations(axis), plan.registers, PULSES)
+    get_driver(axis).write_move(ImmediateOperations(axis), plan.registers, PULSES)
     begin, last = stage.time, 0.0
     while stage.time < begin + LIMIT:
         stage.run(5e-4)

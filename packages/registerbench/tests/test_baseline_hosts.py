@@ -45,9 +45,9 @@ def test_the_engineers_design_has_its_margin_and_settles_sooner_than_after_a_res
     pytest.importorskip("control", reason="extra servo is not installed")
     machine = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     machine.set_payload(payload)
-    loop = servo_loop.Loop.of(machine.axes["x"], servo_loop.Tuning(pole=servo_loop.POLE))
+    loop = servo_loop.ServoLoop.of(machine.axes["x"], servo_loop.FilterTuning(pole=servo_loop.DEFAULT_POLE))
     created = servo_loop.design(loop)
-    assert created.phase_margin == pytest.approx(servo_loop.MARGIN, abs=servo_loop.WITHIN)
+    assert created.phase_margin == pytest.approx(servo_loop.PHASE_MARGIN_DEGREES, abs=servo_loop.WITHIN)
     assert created.gain_margin > 2
     assert abs(servo_loop.replace(loop, tuning=created.tuning).poles).max() < 1
     after_reset = {"R22": 0x40, "R20": 0xE5, "R21": 0x40, "R0F": 0x40}

@@ -19,7 +19,7 @@ from stage.board import Board, NativeHost, build
 from stage.chips import chip_class
 from stage.cli import main
 from stage.cli.run import print_report as report
-from stage.firmware.driver import Speeds, driver_of
+from stage.firmware.driver import Speeds, get_driver
 from stage.testing import assert_no_lost_steps, chip_conformance
 
 PROJECT = Path(__file__).parents[1]
@@ -306,7 +306,7 @@ def test_both_ramps_of_a_line_last_as_long_as_the_longer_one(tmc_stage):
     ramp_seconds = []
     for up, down in ((0.05, 0.2), (0.2, 0.05)):
         tmc_stage.reset()
-        drivers = {name: driver_of(axis) for name, axis in tmc_stage.axes.items()}
+        drivers = {name: get_driver(axis) for name, axis in tmc_stage.axes.items()}
         speeds = Speeds(start=2000.0, drive=60_000.0, up=up, down=down)
         ramp_seconds.append(drivers["x"].line(drivers, {"x": 16_000, "y": 8000}, speeds).seconds)
     assert ramp_seconds[0] == ramp_seconds[1] > 16_000 / 60_000 + 0.15
@@ -362,7 +362,7 @@ def test_a_move_into_an_end_limit_says_which(x, direction, limit):
 
 
 def test_halt_at_once_stops_an_axis_without_a_ramp(x):
-    driver, braking_steps = driver_of(x), []
+    driver, braking_steps = get_driver(x), []
     for at_once in (False, True):
         driver.run(1, Speeds(start=1000.0, drive=100_000.0, up=0.1, down=0.1))
         x.stage.run(0.2)
@@ -380,7 +380,7 @@ def test_a_motor_gets_no_more_than_the_sense_resistors_allow():
     stage = Stage("xy", chips={"x": chip}, drives=SMOOTH, visuals=False)
     from pulsestage_trinamic.tmc5160.host_driver.driver import compute_current_registers
 
-    assert driver_of(stage.axes["x"]).compute_axis_current_registers() == compute_current_registers(0.325 / 0.22, 0.22)
+    assert get_driver(stage.axes["x"]).compute_axis_current_registers() == compute_current_registers(0.325 / 0.22, 0.22)
 
 
 def test_homing_by_an_unsupported_method_is_refused(stage_):

@@ -3,7 +3,7 @@
 import pytest
 
 from stage import Stage, firmware
-from stage.firmware.driver import driver_class
+from stage.firmware.driver import get_driver_class
 from stage.tune import Task, bus_listing
 from stage.tune.c_header import format_c_header
 from stage.tune.planners import create_planner
@@ -27,7 +27,7 @@ def test_a_limit_that_ends_one_axis_of_a_line_slows_the_other_down(limited, othe
 def test_each_axis_of_a_broken_line_slows_down_once(monkeypatch):
     """Three axes come to rest one after the other, and each report names the cause."""
     stage = Stage("xyz", chips="tmc5160", visuals=False)
-    driver = driver_class(type(stage.axes["x"].chip))
+    driver = get_driver_class(type(stage.axes["x"].chip))
     slowed, slow_down = [], driver.slow_down
     monkeypatch.setattr(driver, "slow_down", lambda self: (slowed.append(self.axis.name), slow_down(self)))
     edge = next(s.touch for s in stage.axes["x"].plant.switches if s.pin == "el_plus")

@@ -8,7 +8,7 @@ import pytest
 from stage import ArgumentError, Stage, firmware
 from stage.chips import chip_class
 from stage.cli import main
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 
 HZ = 12_000_000
 
@@ -29,7 +29,7 @@ def test_an_agent_reads_a_register_of_the_chip(stage_):
     box = Toolbox(stage_)
     result = box.call("read_register", {"axis": "x", "name": "XACTUAL"})
     assert result.ok
-    assert result.data["value"] == driver_of(stage_.axes["x"]).read_register("XACTUAL")
+    assert result.data["value"] == get_driver(stage_.axes["x"]).read_register("XACTUAL")
     box.close()
 
 
@@ -347,7 +347,7 @@ def test_homing_to_the_index_pulse_finds_the_same_position_from_any_start(stage_
 def test_rates_beyond_its_registers_are_refused_in_a_move_and_clipped_for_a_search(stage_):
     """The formula of `stage tune` clips; firmware.move(axis, 1e-3, accel=1e-3) raises."""
     stage_.reset()
-    driver = driver_of(stage_.axes["x"])
+    driver = get_driver(stage_.axes["x"])
     registers = driver.formula(1e6, 9e6, 1e-3, 1e-3, 1000)
     assert registers == {"VSTART": 1 << 17, "AMAX": 0xFFFF, "VMAX": 1 << 20, "DMAX": 0xFFFF, "VSTOP": 1 << 17}
     with pytest.raises(

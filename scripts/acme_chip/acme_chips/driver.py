@@ -7,8 +7,8 @@ import numpy as np
 from acme_chips.maps import MAP
 from stage.errors import ArgumentError
 from stage.firmware.driver import SETTLING_TIME_S, Driver, ImmediateOperations, Speeds, wait_until_stopped
-from stage.firmware.home_program import Search, SearchResult
-from stage.firmware.move_report import Procedure
+from stage.firmware.home_program import HomeProgram, HomeResults
+from stage.firmware.move_report import ProcedureObserver
 from stage.firmware.parameter_ranges import ParameterRanges, get_register_range
 from stage.sim.program import Program
 
@@ -32,7 +32,7 @@ class AcmeDriver(Driver):
         self._send("MOVE+" if pulses > 0 else "MOVE-")
 
     def move(self, pulses, speeds, timeout=None):
-        with Procedure(self.axis, "move") as p:
+        with ProcedureObserver(self.axis, "move") as p:
             self.start(pulses, speeds)
             max_seconds = 1.5 * abs(pulses) / speeds.start + speeds.up + speeds.down + 1
             stop_cause = self.wait(max_seconds if timeout is None else timeout)
@@ -42,7 +42,7 @@ class AcmeDriver(Driver):
     def home(self, direction, speeds, index=False, timeout=60.0):
         if index:
             raise ArgumentError("index=True: an ACME1000 does not see an encoder's index pulse.")
-        with Procedure(self.axis, "home") as p:
+        with ProcedureObserver(self.axis, "home") as p:
             self._prepare(speeds._replace(s_curve=False), BACK)
             stop_cause = ""
             if not self.chip.read(0) & ORG:
@@ -114,7 +114,7 @@ class AcmeDriver(Driver):
         return stop_cause
 
 
-class Return(Search):
+class Return(HomeProgram):
     """Leave ORG, search it, back off, approach it slowly: four drives, minus to ORG, without a branch."""
 
     def __init__(self, driver, settings):
@@ -159,6 +159,6 @@ class Return(Search):
             [values[name] & (PLUS_LIMIT | MINUS_LIMIT) != 0 for name in ("leave", "search", "approach")], axis=0
         )
         none = np.zeros(len(rows), np.int64)
-        return SearchResult(
+        return HomeResults(
             timed_out, ~timed_out & released & at_org["approach"], ~timed_out & met, released, none, none
         )

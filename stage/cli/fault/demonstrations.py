@@ -14,7 +14,7 @@ from typing import Any
 from stage.cli.fault import SAMPLE_INTERVAL_S, programs
 from stage.cli.terminal import note
 from stage.errors import unknown_name_error
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 from stage.units import DEVIATION_UNITS, POSITION_UNITS
 
 Figures = dict[str, Any]
@@ -153,7 +153,7 @@ def show(name: str, make: Callable[[], Any], record: Record | None = None, recor
     key = find_key(name)
     stage = make()
     demo, axis = DEMOS[key], programs.first_axis(stage)
-    if driver_of(axis).has_position_loop:
+    if get_driver(axis).has_position_loop:
         demo = demo.for_servo()
     note(f"{key}: the healthy run ...")
     with stage.record(SAMPLE_INTERVAL_S) if record_both else nullcontext() as healthy_recording:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from stage import faults, firmware
 from stage.errors import StageError, add_article
-from stage.firmware.driver import Speeds, driver_of
+from stage.firmware.driver import Speeds, get_driver
 
 if TYPE_CHECKING:
     from stage.cli.fault.demonstrations import Figures, MakeFault
@@ -61,7 +61,7 @@ def start_move(axis: Any, turns: float, *speeds: float) -> Callable[[], Figures]
         turns: Distance in turns of the motor.
         speeds: Arguments of `make_speeds`.
     """
-    driver = driver_of(axis)
+    driver = get_driver(axis)
     lost, worst, servo = axis.lost_steps, 0.0, driver.has_position_loop
     driver.start(pulses(axis, turns), make_speeds(axis, *speeds))
     start, net = axis.position, axis.chip.net(axis.chip_axis)
@@ -193,7 +193,7 @@ def start_skew(stage: Any, make_fault: MakeFault) -> Figures:
 def _find_axis_started_separately(stage: Any, axis: Any) -> Any:
     """Return an axis that a line with `axis` starts by another command. Raises StageError where there is none, with the reason."""
     chip = axis.chip.MAP.chip
-    if driver_of(axis).has_position_loop:
+    if get_driver(axis).has_position_loop:
         raise StageError(
             f"start-skew: no command starts the axes of a line with {chip}s: the host leads each by command positions, sample by "
             "sample. Show it with chips that make pulses."
@@ -214,7 +214,7 @@ def lost_write(stage: Any, make_fault: MakeFault) -> Figures:
     """Lose a write of the distance."""
     x = first_axis(stage)
     turns = min(5, 0.9 * (x.travel[1] - x.position) * abs(x.gear) / (2 * math.pi))
-    distance, register = pulses(x, turns), driver_of(x).DISTANCE_REGISTER
+    distance, register = pulses(x, turns), get_driver(x).DISTANCE_REGISTER
     written, nothing = (x.chip.register_cycles(register, value, x.chip_axis) for value in (distance, 0))
     address, value = next(cycle for cycle, other in zip(written, nothing, strict=True) if cycle != other)
     with make_fault(faults.lost_write, x, address, value):

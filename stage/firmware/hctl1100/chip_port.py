@@ -34,16 +34,16 @@ from stage.chips.hctl1100.state import to_signed
 from stage.errors import ArgumentError, RunTimeout, unknown_name_error
 from stage.firmware.axis import Axis
 
-POLL = 1e-3  # s between two looks
+POLL_INTERVAL_S = 1e-3  # s between two looks
 RESET, IDLE, ALIGN, CONTROL = (MODE_WRITE.fields[0].code(mode) for mode in ("reset", "Init/Idle", "Align", "control"))
-SET = FLAG_WRITE.fields[0].code("set")
-FLAGS = {
+SET_FLAG_BIT = FLAG_WRITE.fields[0].code("set")
+MODE_FLAGS = {
     mode: MAP.bit("R00", flag)
     for mode, flag in (("trapezoid", "f0"), ("proportional velocity", "f3"), ("integral velocity", "f5"))
 }
 """The flag of each control mode but position control."""
 LIMIT, STOP, INIT, PROFILE = (MAP.mask("R07", name) for name in ("limit", "stop", "init", "profile"))
-MARGIN = 3  # counts of the timer: so long before the sample's end no command is begun
+SAFE_MARGIN_COUNTS = 3  # counts of the timer: so long before the sample's end no command is begun
 MAX_TIMER_READS = 8  # at the timer, one after the other; two or three are enough
 
 
@@ -124,7 +124,7 @@ class Port:
         flags = self.chip.read(FLAG)
         if flags >> MAP.bit("R00", "f1") & 1:
             return ""
-        return next((name for name, flag in FLAGS.items() if flags >> flag & 1), "position")
+        return next((name for name, flag in MODE_FLAGS.items() if flags >> flag & 1), "position")
 
     def idle(self) -> None:
         """Enter Init/Idle: no motor command."""
@@ -147,11 +147,11 @@ class Port:
         self.axis.wait(self.sample)
 
     def _set_flags(self, name: str) -> None:
-        for flag in FLAGS.values():
-            if flag != FLAGS.get(name):
+        for flag in MODE_FLAGS.values():
+            if flag != MODE_FLAGS.get(name):
                 self.chip.write(FLAG, flag)
         if name != "position":
-            self.chip.write(FLAG, SET | FLAGS[name])
+            self.chip.write(FLAG, SET_FLAG_BIT | MODE_FLAGS[name])
 
     def hold(self) -> None:
         """Take position control at the present position, from any mode.
@@ -177,16 +177,16 @@ class Port:
             ArgumentError: T is so short that there is no such part, or is another than this port knows.
         """
         least = MINIMUM_T[mode]
-        if self.t < least + MARGIN:
+        if self.t < least + SAFE_MARGIN_COUNTS:
             raise ArgumentError(
                 f"axis {self.axis.name}: T = {self.t} leaves no time in a sample for commands of {mode} control: load "
-                f"{least + MARGIN} or more."
+                f"{least + SAFE_MARGIN_COUNTS} or more."
             )
         for _ in range(MAX_TIMER_READS):
             left = self.chip.read(TIMER)
             if self.t - left < least:
                 self.axis.wait((least - self.t + left) * self.count)
-            elif left < MARGIN:
+            elif left < SAFE_MARGIN_COUNTS:
                 self.axis.wait((left + 1 + least) * self.count)
             else:
                 return
@@ -200,7 +200,7 @@ class Port:
         self.wait_for_the_safe_part()
         self.load(command_position=position)
 
-    def wait_until(self, test: Callable[[], bool], timeout: float, what: str, poll: float = POLL) -> float:
+    def wait_until(self, test: Callable[[], bool], timeout: float, what: str, poll: float = POLL_INTERVAL_S) -> float:
         """Poll until a test is met.
 
         Args:

@@ -1,7 +1,8 @@
-"""The HCTL-1100's driver: a closed loop. A move is its trapezoidal profile, a line a profile of many axes sample by sample.
+"""Driver of the HCTL-1100, which closes a position loop over an encoder.
 
-Rates are counts of the encoder a second; a servo has no start speed. The filter and the sample timer are those of `Tuning`, loaded
-when the chip stands in Init/Idle, as after power-up.
+A move is the chip's trapezoidal profile. For a line the driver writes a command position to every axis in each sample. Rates are
+counts of the encoder per second; a servo has no start speed. The driver loads the filter and the sample timer of `FilterTuning`
+while the chip is in Init/Idle, as after power-up.
 """
 
 from __future__ import annotations
@@ -16,38 +17,38 @@ from stage.errors import ArgumentError, ExceededLimit, RunTimeout
 from stage.firmware import operation_pattern
 from stage.firmware.axis import get_forward_direction, has_positive_logic
 from stage.firmware.driver import SETTLING_TIME_S, Driver, Speeds, select_moving
-from stage.firmware.hctl1100.chip_port import CONTROL, FLAGS, IDLE, LIMIT, SET, STOP, Port
-from stage.firmware.hctl1100.homing import home, leave_limit, stand
+from stage.firmware.hctl1100.chip_port import CONTROL, IDLE, LIMIT, MODE_FLAGS, SET_FLAG_BIT, STOP, Port
+from stage.firmware.hctl1100.homing import hold_once_at_rest, home_servo, leave_limit
 from stage.firmware.hctl1100.moves import (
-    Tuning,
-    acceleration_word,
-    brake,
-    cruise,
+    FilterTuning,
+    brake_trapezoid,
+    convert_acceleration_to_register,
+    convert_velocity_to_register,
     load_filter,
-    set_up,
-    settle,
+    move_by_trapezoid,
+    set_up_servo,
     start_trapezoid,
-    trapezoid,
-    velocity_word,
+    wait_until_settled,
+    write_command_velocity,
 )
-from stage.firmware.hctl1100.position_streaming import follow, synchronize
-from stage.firmware.hctl1100.servo_loop_model import POLE, Loop, design
-from stage.firmware.home_program import Search
+from stage.firmware.hctl1100.position_streaming import stream_positions, synchronize_sample_timers
+from stage.firmware.hctl1100.servo_loop_model import DEFAULT_POLE, ServoLoop, design_filter
+from stage.firmware.home_program import HomeProgram
 from stage.firmware.line_programs import compute_peak_rate
-from stage.firmware.move_report import Procedure, Report
+from stage.firmware.move_report import ProcedureObserver, Report
 from stage.firmware.operation_pattern import BLUE, GREEN, GREY, RED
 from stage.firmware.parameter_ranges import ParameterRanges
 from stage.firmware.stop_reasons import ANOTHER_AXIS
 from stage.firmware.synchronized_report import LineObserver, SynchronizedReport
 from stage.sim.program import Operations
 
-PATIENCE = 5.0  # s, to come to rest
-DEADBAND = 10  # counts: a filter without an integral holds a weight by an error
+SETTLING_TIMEOUT_S = 5.0  # s, to come to rest
+DEADBAND_COUNTS = 10  # counts: a filter without an integral holds a weight by an error
 MAX_SAMPLES = 10_000_000  # of a line, whose command positions are computed before it begins
-LIMITS = {1: "el_plus", -1: "el_minus"}  # by the carriage's direction
+LIMIT_SWITCHES = {1: "el_plus", -1: "el_minus"}  # by the carriage's direction
 
 
-class Pattern(operation_pattern.Pattern):
+class Hctl1100Pattern(operation_pattern.OperationPattern):
     """Signals and commands of an HCTL-1100 that a drawing of a report shows."""
 
     LANES = (
@@ -62,12 +63,12 @@ class Pattern(operation_pattern.Pattern):
 class Hctl1100Driver(Driver):
     """Driver of the HCTL-1100. tuning: the filter, loaded when the chip is set up next."""
 
-    PATTERN: ClassVar = Pattern
+    PATTERN: ClassVar = Hctl1100Pattern
     DONE: ClassVar = "end of profile"
     has_position_loop: ClassVar = True
     DISTANCE_REGISTER: ClassVar = "final_position"
     INVERTIBLE_SENSORS: ClassVar = ("ez",)  # which only a homing to it looks at
-    tuning = Tuning()
+    tuning = FilterTuning()
 
     def __init__(self, axis: Any):
         super().__init__(axis)
@@ -92,7 +93,7 @@ class Hctl1100Driver(Driver):
             return self.port
         self.port.idle()
         if self.port.clear_status() & LIMIT:
-            self.port = set_up(self.axis, self.tuning)
+            self.port = set_up_servo(self.axis, self.tuning)
         else:
             load_filter(self.port, self.tuning)
             self.port.load(command_position=self.port.position())
@@ -104,8 +105,8 @@ class Hctl1100Driver(Driver):
         Raises ArgumentError, before anything moves, for rates that the chip does not have at this sample time.
         """
         port = self.prepare()
-        velocity_word(port, speeds.drive, "maximum_velocity", 1)
-        acceleration_word(port, speeds.drive / speeds.up)
+        convert_velocity_to_register(port, speeds.drive, "maximum_velocity", 1)
+        convert_acceleration_to_register(port, speeds.drive / speeds.up)
         return port
 
     def _is_moving(self, mode: str) -> bool:
@@ -129,7 +130,7 @@ class Hctl1100Driver(Driver):
         """Read which end limits are on, as directions of counts, by inputs of the host's own: the chip has one pin for both."""
         switches = getattr(self.axis, "switches", None)
         on = switches.as_dict() if switches is not None else {}
-        return {end * get_forward_direction(self.axis) for end, name in LIMITS.items() if on.get(name)}
+        return {end * get_forward_direction(self.axis) for end, name in LIMIT_SWITCHES.items() if on.get(name)}
 
     def _limit(self, direction: int) -> str:
         """Name the end limit that has triggered LIMIT; where both are on, or neither, that in the direction of the drive."""
@@ -140,9 +141,9 @@ class Hctl1100Driver(Driver):
     def _heading(self) -> int:
         """Return the direction of the latest drive, by the registers that it leaves: 1 or -1; 0 for no drive."""
         port, flags = self.port, self.chip.read(FLAG)
-        if flags >> FLAGS["trapezoid"] & 1:
+        if flags >> MODE_FLAGS["trapezoid"] & 1:
             ahead = port.final_position() - port.commanded()
-        elif flags >> FLAGS["integral velocity"] & 1:
+        elif flags >> MODE_FLAGS["integral velocity"] & 1:
             ahead = port.commanded_velocity()
         else:
             ahead = port.commanded() - port.position()
@@ -177,11 +178,11 @@ class Hctl1100Driver(Driver):
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
         self._check(pulses, speeds)
         port = self._prepare_for(speeds)
-        with Procedure(self.axis, "move") as p:
+        with ProcedureObserver(self.axis, "move") as p:
             maximum = 1.5 * (abs(pulses) / speeds.drive + speeds.up + speeds.down) + 1
-            done = trapezoid(
+            done = move_by_trapezoid(
                 port, self._counts_left(int(pulses)), velocity=speeds.drive, acceleration=speeds.drive / speeds.up,
-                deadband=DEADBAND, timeout=maximum if timeout is None else timeout,
+                deadband=DEADBAND_COUNTS, timeout=maximum if timeout is None else timeout,
             )  # fmt: skip
             return p.report(self.stopped_by() if done.limited else self.DONE, int(pulses))
 
@@ -189,16 +190,16 @@ class Hctl1100Driver(Driver):
         if index and has_positive_logic(self.axis, "ez"):
             raise self.build_inverted_sensor_error("ez")
         port = self._prepare_for(speeds)
-        with Procedure(self.axis, "origin return") as p:
+        with ProcedureObserver(self.axis, "origin return") as p:
             first = direction if port.status() & STOP else -direction  # out of the home switch
             if met := self._blocked_by(first):
                 return p.report(met)
             self._leave_limit(first)
             turn = getattr(getattr(self.axis, "drive", None), "counts", 2000)
             try:
-                home(
+                home_servo(
                     port, direction, speed=speeds.drive, acceleration=speeds.drive / speeds.up, index=bool(index), turn=turn,
-                    timeout=timeout, deadband=DEADBAND,
+                    timeout=timeout, deadband=DEADBAND_COUNTS,
                 )  # fmt: skip
             except RunTimeout:  # where an end limit has ended it
                 if not self.port.limited():
@@ -245,16 +246,16 @@ class Hctl1100Driver(Driver):
         if at_once or mode == "proportional velocity":
             port.hold()
         elif mode == "trapezoid":
-            brake(port)
+            brake_trapezoid(port)
         elif mode == "integral velocity":
-            cruise(port, 0)
-            stand(port)
-        settle(port, self.axis.time, 0, DEADBAND, PATIENCE)
+            write_command_velocity(port, 0)
+            hold_once_at_rest(port)
+        wait_until_settled(port, self.axis.time, 0, DEADBAND_COUNTS, SETTLING_TIMEOUT_S)
 
     def stopped_by(self) -> str:
         if self.port.limited():
             return self._limit(self._heading())
-        cruises = self.chip.read(FLAG) >> FLAGS["integral velocity"] & 1  # the one mode that obeys STOP
+        cruises = self.chip.read(FLAG) >> MODE_FLAGS["integral velocity"] & 1  # the one mode that obeys STOP
         return "ORG" if cruises and not self.port.status() & STOP else ""
 
     def status_words(self) -> dict[str, int]:
@@ -300,9 +301,12 @@ class Hctl1100Driver(Driver):
         ports = [driver.prepare() for driver in moving_drivers.values()]
         for (n, driver), port in zip(moving_drivers.items(), ports, strict=True):
             driver._check_goal(port.commanded() + pulses[n])
-        _rows([pulses[n] for n in moving_drivers], speeds, ports[0].sample)  # refuses before anything moves
+        _compute_line_rows(
+            [pulses[n] for n in moving_drivers], speeds, ports[0].sample
+        )  # refuses before anything moves
         with LineObserver(
-            {n: Procedure(d.axis, "line") for n, d in moving_drivers.items()}, {n: pulses[n] for n in moving_drivers}
+            {n: ProcedureObserver(d.axis, "line") for n, d in moving_drivers.items()},
+            {n: pulses[n] for n in moving_drivers},
         ) as line:
             line.note_start()
             met = {n: d._blocked_by(int(np.sign(pulses[n]))) for n, d in moving_drivers.items()}
@@ -310,9 +314,9 @@ class Hctl1100Driver(Driver):
                 return line.report({n: limit or ANOTHER_AXIS for n, limit in met.items()})
             with line.attach_reports_to_timeout():
                 goals = [d._counts_left(pulses[n]) + d.port.commanded() for n, d in moving_drivers.items()]
-            synchronize(ports)  # each holds where it is, which may be beside its command
+            synchronize_sample_timers(ports)  # each holds where it is, which may be beside its command
             left = [goal - port.commanded() for port, goal in zip(ports, goals, strict=True)]
-            rows = _rows(left, speeds, ports[0].sample)
+            rows = _compute_line_rows(left, speeds, ports[0].sample)
             line.note_start()
             begin = ports[0].axis.time
 
@@ -322,13 +326,13 @@ class Hctl1100Driver(Driver):
                     raise RunTimeout(f"the line was not drawn after {timeout:g} s; the axes are held where they are.")
 
             with line.attach_reports_to_timeout():
-                drawn = _draw(ports, rows, max(round(speeds.down / ports[0].sample), 1), check_progress)
+                drawn = _follow_line(ports, rows, max(round(speeds.down / ports[0].sample), 1), check_progress)
             ports[0].axis.wait(SETTLING_TIME_S)
             line.measure_carriages()
             reasons = {}
             for (n, driver), port, goal in zip(moving_drivers.items(), ports, goals, strict=True):
                 reasons[n] = driver.stopped_by() or (cls.DONE if drawn else ANOTHER_AXIS)
-                if reasons[n] == cls.DONE and abs(goal - port.position()) > DEADBAND:
+                if reasons[n] == cls.DONE and abs(goal - port.position()) > DEADBAND_COUNTS:
                     raise RunTimeout(
                         f"axis {n} is {goal - port.position()} counts from its end of the line: slower, or another filter."
                     )
@@ -362,7 +366,7 @@ class Hctl1100Driver(Driver):
 
     def compute_filter(self) -> dict[str, int]:
         """Compute the filter by frequency response, see `model.design`; pole and T as after a reset."""
-        t = design(Loop.of(self.axis, Tuning(pole=POLE)))
+        t = design_filter(ServoLoop.of(self.axis, FilterTuning(pole=DEFAULT_POLE)))
         return {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer}
 
     def write_servo_move(
@@ -381,25 +385,25 @@ class Hctl1100Driver(Driver):
             put("command_position", counts)
         else:
             sample = 16 * (values["R0F"] + 1) / self.chip.clock_hz
-            program.write(self.index, FLAG, SET | FLAGS["trapezoid"])
+            program.write(self.index, FLAG, SET_FLAG_BIT | MODE_FLAGS["trapezoid"])
             put("command_position", 0)
             put("final_position", counts)
             for name, rate in (("maximum_velocity", rates[0] * sample), ("acceleration", rates[1] * sample**2 * 256)):
                 put(name, int(np.clip(round(rate), 1, NUMBERS[name].maximum)))
         program.write(self.index, MODE, CONTROL)
 
-    def search(self, settings: Any) -> Search:
+    def search(self, settings: Any) -> HomeProgram:
         self._no("OriginReturn writes an origin return of pulses")
 
     def lines(self, drivers: Any, settings: Any) -> NoReturn:
         self._no("SynchronizedMove draws lines of pulses")
 
 
-class _LimitMet(Exception):
+class _EndLimitReached(Exception):
     """Signal that one axis of a line has met an end limit."""
 
 
-def _draw(ports: list[Port], rows: np.ndarray, braking: int, poll: Callable[[], None]) -> bool:
+def _follow_line(ports: list[Port], rows: np.ndarray, braking: int, poll: Callable[[], None]) -> bool:
     """Follow the rows of a line; where an end limit stops one axis, slow the others down along the line.
 
     Args:
@@ -418,21 +422,21 @@ def _draw(ports: list[Port], rows: np.ndarray, braking: int, poll: Callable[[], 
         sample += 1
         poll()
         if any(port.limited() for port in ports):
-            raise _LimitMet
+            raise _EndLimitReached
 
     try:
-        follow(ports, rows, on_row=poll_limits)
-    except _LimitMet:
+        stream_positions(ports, rows, on_row=poll_limits)
+    except _EndLimitReached:
         left = 1 - np.arange(1, braking + 1) / braking
         times = sample - 1 + 0.5 * braking * (1 - left**2)  # of the rows: one a sample at first, none at the end
         places = np.array([np.interp(times, np.arange(len(rows)), column) for column in rows.T]).T - rows[sample - 1]
         free = [k for k, port in enumerate(ports) if not port.limited()]
         if free:
-            follow([ports[k] for k in free], places[:, free], on_row=poll)
+            stream_positions([ports[k] for k in free], places[:, free], on_row=poll)
     return sample == len(rows)
 
 
-def _rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:
+def _compute_line_rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:
     """Compute command positions relative to the start (samples, axes): a trapezoid along the line, whose rates are the longest
     axis'."""
     max_distance = max(abs(d) for d in distances) or 1

@@ -22,18 +22,23 @@ from stage.chips.sharing import exclusive
 from stage.errors import RunTimeout
 from stage.firmware.axis import check_direction
 from stage.firmware.hctl1100.chip_port import CONTROL, LIMIT, STOP, Port
-from stage.firmware.hctl1100.moves import acceleration_word, cruise, trapezoid, velocity_word
+from stage.firmware.hctl1100.moves import (
+    convert_acceleration_to_register,
+    convert_velocity_to_register,
+    move_by_trapezoid,
+    write_command_velocity,
+)
 
-PUSH = 15  # hundredths of full drive: out of a limit
+PUSH_COMMAND = 15  # hundredths of full drive: out of a limit
 MAX_COUNTS = 4000  # counts: a limit switch is left before; two turns of the usual encoder
-SOON = 2e-4  # s between two looks at what should be seen soon
-BACK = 60  # counts before the index pulse, from where it is sought count by count
-STEP = 2e-3  # s for a count
+FAST_POLL_S = 2e-4  # s between two looks at what should be seen soon
+INDEX_RETREAT_COUNTS = 60  # counts before the index pulse, from where it is sought count by count
+CREEP_INTERVAL_S = 2e-3  # s for a count
 MAX_TURNS = 1.2  # of the motor, within which an index pulse must come
 
 
 @dataclass(frozen=True)
-class HomeReport:
+class ServoHomeReport:
     """Report of a home search. Counts are those from before the search.
 
     Attributes:
@@ -56,7 +61,7 @@ class HomeReport:
 
 
 @exclusive
-def home(
+def home_servo(
     port: Port,
     direction: int = -1,
     *,
@@ -66,7 +71,7 @@ def home(
     turn: int = 2000,
     deadband: int = 3,
     timeout: float = 20.0,
-) -> HomeReport:
+) -> ServoHomeReport:
     """Search home; the axis is then in position control at position 0.
 
     Args:
@@ -87,23 +92,23 @@ def home(
         RunTimeout: A step has no end, or LIMIT has ended it: the axis is then in Init/Idle.
     """
     check_direction(direction, ", where the home switch lies")
-    fast, begin = abs(velocity_word(port, speed, "integral_velocity", 1)), port.axis.time
+    fast, begin = abs(convert_velocity_to_register(port, speed, "integral_velocity", 1)), port.axis.time
     port.clear_status()
-    port.load(acceleration=acceleration_word(port, acceleration))
-    _to_switch(port, direction * fast, timeout)
-    _out_of_switch(port, -direction, speed, acceleration, turn, timeout)
-    switch = _to_switch(port, direction, timeout)
-    found = _to_index(port, direction, turn) if index else None
-    _preset(port, switch if found is None else found)
-    trapezoid(port, -port.commanded(), velocity=speed, acceleration=acceleration, deadband=deadband)
-    return HomeReport(
+    port.load(acceleration=convert_acceleration_to_register(port, acceleration))
+    _run_to_switch(port, direction * fast, timeout)
+    _back_out_of_switch(port, -direction, speed, acceleration, turn, timeout)
+    switch = _run_to_switch(port, direction, timeout)
+    found = _find_index_pulse(port, direction, turn) if index else None
+    _preset_position(port, switch if found is None else found)
+    move_by_trapezoid(port, -port.commanded(), velocity=speed, acceleration=acceleration, deadband=deadband)
+    return ServoHomeReport(
         port.axis.name, switch, found, port.axis.time - begin, port.axis.position, getattr(port.axis, "unit", "m")
     )
 
 
 @exclusive
 def leave_limit(
-    port: Port, direction: int, *, push: int = PUSH, max_counts: int = MAX_COUNTS, timeout: float = 2.0
+    port: Port, direction: int, *, push: int = PUSH_COMMAND, max_counts: int = MAX_COUNTS, timeout: float = 2.0
 ) -> None:
     """Drive an axis out of its limit switch in Init/Idle, where the chip closes no loop; then hold it.
 
@@ -125,7 +130,7 @@ def leave_limit(
     def is_released_or_out_of_reach() -> bool:
         return bool(port.clear_status() & LIMIT) or abs(port.position() - begin) > max_counts
 
-    port.wait_until(is_released_or_out_of_reach, timeout, "release of the limit switch", SOON)
+    port.wait_until(is_released_or_out_of_reach, timeout, "release of the limit switch", FAST_POLL_S)
     if port.limited():
         port.idle()
         raise RunTimeout(
@@ -135,16 +140,16 @@ def leave_limit(
     port.hold()
 
 
-def _to_switch(port: Port, velocity: int, timeout: float) -> int:
+def _run_to_switch(port: Port, velocity: int, timeout: float) -> int:
     """Run in integral velocity mode until STOP has triggered and the axis is at rest; return the position where STOP triggered."""
     port.load(integral_velocity=0)
     port.mode("integral velocity")
     if port.status() & STOP:
-        cruise(port, velocity)
-    port.wait_until(lambda: port.status() & (STOP | LIMIT) != STOP | LIMIT, timeout, "the home switch", SOON)
+        write_command_velocity(port, velocity)
+    port.wait_until(lambda: port.status() & (STOP | LIMIT) != STOP | LIMIT, timeout, "the home switch", FAST_POLL_S)
     _check_limit(port, "the home switch")
     at = port.position()
-    stand(port)
+    hold_once_at_rest(port)
     return at
 
 
@@ -156,7 +161,7 @@ def _check_limit(port: Port, what: str) -> None:
         )
 
 
-def stand(port: Port) -> None:
+def hold_once_at_rest(port: Port) -> None:
     """Take position control as soon as the command position has come to rest."""
     before = port.commanded() - 1
     while before != (now := port.commanded()):
@@ -165,21 +170,23 @@ def stand(port: Port) -> None:
     port.mode("position")
 
 
-def _out_of_switch(port: Port, direction: int, speed: float, acceleration: float, turn: int, timeout: float) -> None:
+def _back_out_of_switch(
+    port: Port, direction: int, speed: float, acceleration: float, turn: int, timeout: float
+) -> None:
     """Move back until STOP can be cleared, an eighth of a turn at a time: a trapezoid does not obey STOP."""
 
     def released() -> bool:
         if port.clear_status() & STOP:
             return True
-        trapezoid(port, direction * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
+        move_by_trapezoid(port, direction * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
         return port.limited()
 
-    port.wait_until(released, timeout, "release of the home switch", SOON)
+    port.wait_until(released, timeout, "release of the home switch", FAST_POLL_S)
     _check_limit(port, "release of the home switch")
-    trapezoid(port, direction * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
+    move_by_trapezoid(port, direction * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
 
 
-def _to_index(port: Port, direction: int, turn: int) -> int:
+def _find_index_pulse(port: Port, direction: int, turn: int) -> int:
     """Return the position at which the index pulse begins, approached from this direction."""
     pins = port.axis.chip.axes[port.axis.chip_axis].pins
     port.clear_status()
@@ -198,9 +205,9 @@ def _to_index(port: Port, direction: int, turn: int) -> int:
 
     found = creep(max_counts, port.sample)
     if found:
-        port.command(port.commanded() - direction * BACK)
-        port.axis.wait(BACK * STEP)
-        found = creep(2 * BACK, STEP)
+        port.command(port.commanded() - direction * INDEX_RETREAT_COUNTS)
+        port.axis.wait(INDEX_RETREAT_COUNTS * CREEP_INTERVAL_S)
+        found = creep(2 * INDEX_RETREAT_COUNTS, CREEP_INTERVAL_S)
     if not found:
         port.idle()
         raise RunTimeout(
@@ -209,7 +216,7 @@ def _to_index(port: Port, direction: int, turn: int) -> int:
     return port.position()
 
 
-def _preset(port: Port, origin: int) -> None:
+def _preset_position(port: Port, origin: int) -> None:
     """Make positions count from `origin` on. Only Init/Idle lets the host write them: the motor is off for a few bus cycles."""
     port.idle()
     port.load(preset_position=port.position() - origin)

@@ -20,16 +20,16 @@ import numpy as np
 from stage.chips.hctl1100.maps import FLAG, MINIMUM_T, NUMBERS, find_reset_value
 from stage.errors import ArgumentError, ExceededLimit
 from stage.firmware.axis import Axis
-from stage.firmware.hctl1100.chip_port import FLAGS, LIMIT, MARGIN, PROFILE, STOP, Port
-from stage.firmware.hctl1100.position_streaming import follow, next_sample
+from stage.firmware.hctl1100.chip_port import LIMIT, MODE_FLAGS, PROFILE, SAFE_MARGIN_COUNTS, STOP, Port
+from stage.firmware.hctl1100.position_streaming import stream_positions, wait_for_next_sample
 
-DWELL = 0.02  # s within the deadband: settled
+SETTLED_DWELL_S = 0.02  # s within the deadband: settled
 MAX_SAMPLE_CLOCKS = 16 * 256  # clocks of a sample
 SPEED_SAMPLES = 3  # samples: positions are whole counts, and a slow profile moves on by less in one sample
 
 
 @dataclass(frozen=True)
-class Tuning:
+class FilterTuning:
     """Filter D(z) = K/4 (z - A/256) / (z + B/256) and sample timer T; by default as after a reset."""
 
     gain: int = find_reset_value("gain")
@@ -39,7 +39,7 @@ class Tuning:
 
 
 @dataclass(frozen=True)
-class MoveReport:
+class ServoMoveReport:
     """Report of a step or a trapezoid. Counts, counts/s, seconds.
 
     Attributes:
@@ -93,7 +93,7 @@ class VelocityReport:
         return f"{self.axis}: {self.mode} velocity {self.asked:+.0f} counts/s asked, {self.reached:+.0f} reached{end}"
 
 
-def set_up(axis: Axis, tuning: Tuning | None = None) -> Port:
+def set_up_servo(axis: Axis, tuning: FilterTuning | None = None) -> Port:
     """Load filter and sample time; the axis is then in position control at its present position.
 
     Args:
@@ -108,7 +108,7 @@ def set_up(axis: Axis, tuning: Tuning | None = None) -> Port:
     """
     port = Port(axis)
     port.idle()
-    load_filter(port, tuning or Tuning())
+    load_filter(port, tuning or FilterTuning())
     if not port.clear_status() & LIMIT:
         raise ArgumentError(
             f"axis {axis.name} stands on a limit switch, where the chip takes no control mode: see leave_limit."
@@ -118,12 +118,12 @@ def set_up(axis: Axis, tuning: Tuning | None = None) -> Port:
     return port
 
 
-def load_filter(port: Port, tuning: Tuning) -> None:
+def load_filter(port: Port, tuning: FilterTuning) -> None:
     """Load the filter's numbers and T. Raises ArgumentError for values that the registers do not hold."""
     port.load(timer=tuning.timer, gain=tuning.gain, zero=tuning.zero, pole=tuning.pole)
 
 
-def step(port: Port, counts: int, *, deadband: int = 3, timeout: float = 2.0) -> MoveReport:
+def move_by_step(port: Port, counts: int, *, deadband: int = 3, timeout: float = 2.0) -> ServoMoveReport:
     """Command a position `counts` away, at once.
 
     Args:
@@ -140,10 +140,10 @@ def step(port: Port, counts: int, *, deadband: int = 3, timeout: float = 2.0) ->
     """
     begin = port.axis.time
     port.command(port.commanded() + counts)
-    return settle(port, begin, counts, deadband, timeout)
+    return wait_until_settled(port, begin, counts, deadband, timeout)
 
 
-def trapezoid(
+def move_by_trapezoid(
     port: Port,
     counts: int,
     *,
@@ -151,7 +151,7 @@ def trapezoid(
     acceleration: float = 400_000,
     deadband: int = 3,
     timeout: float = 10.0,
-) -> MoveReport:
+) -> ServoMoveReport:
     """Move by a trapezoidal profile.
 
     Args:
@@ -170,8 +170,8 @@ def trapezoid(
         RunTimeout: The axis does not settle.
     """
     begin, v, a = start_trapezoid(port, counts, velocity, acceleration)
-    profile_end(port, timeout)
-    return settle(port, begin, counts, deadband, timeout, (v, a, port.axis.time - begin))
+    wait_for_profile_end(port, timeout)
+    return wait_until_settled(port, begin, counts, deadband, timeout, (v, a, port.axis.time - begin))
 
 
 def start_trapezoid(port: Port, counts: int, velocity: float, acceleration: float) -> tuple[float, float, float]:
@@ -189,40 +189,43 @@ def start_trapezoid(port: Port, counts: int, velocity: float, acceleration: floa
     Raises:
         ArgumentError: The chip does not have these rates at this sample time.
     """
-    v, a = velocity_word(port, velocity, "maximum_velocity", 1), acceleration_word(port, acceleration)
+    v, a = (
+        convert_velocity_to_register(port, velocity, "maximum_velocity", 1),
+        convert_acceleration_to_register(port, acceleration),
+    )
     port.load(final_position=port.commanded() + counts, acceleration=a, maximum_velocity=v)
     begin = port.axis.time
     port.mode("trapezoid")
     return begin, v / port.sample, a / 256 / port.sample**2
 
 
-def brake(port: Port) -> None:
+def brake_trapezoid(port: Port) -> None:
     """Slow a trapezoid down to rest by its own acceleration; the axis is in position control then.
 
     The data of a profile may not be written while it runs. So the host ends the profile (F0) and commands the ramp itself: a
     position in each sample, from the command position on. A sample too short for that ends in a stop at once.
     """
-    if port.t < MINIMUM_T["trapezoid"] + MARGIN:
+    if port.t < MINIMUM_T["trapezoid"] + SAFE_MARGIN_COUNTS:
         port.hold()
         return
     acceleration, final = port.acceleration(), port.final_position()
-    next_sample(port, "trapezoid")
+    wait_for_next_sample(port, "trapezoid")
     before, since = port.commanded(), port.axis.time
     port.axis.wait(SPEED_SAMPLES * port.sample)
-    next_sample(port, "trapezoid")
+    wait_for_next_sample(port, "trapezoid")
     begin = port.commanded()
     speed = abs(begin - before) / round((port.axis.time - since) / port.sample)
     distance = min(speed**2 / (2 * acceleration), abs(final - begin))
     samples = math.ceil(2 * distance / speed) if speed else 0
     rest = 1 - np.arange(1, samples + 1) / max(samples, 1)
     positions = np.rint(np.copysign(distance, final - begin) * (1 - rest**2)).astype(int)
-    port.chip.write(FLAG, FLAGS["trapezoid"])
+    port.chip.write(FLAG, MODE_FLAGS["trapezoid"])
     if samples:
         port.load(command_position=begin + int(positions[0]))
-        follow([port], positions[1:, None] - positions[0])
+        stream_positions([port], positions[1:, None] - positions[0])
 
 
-def profile_end(port: Port, timeout: float) -> None:
+def wait_for_profile_end(port: Port, timeout: float) -> None:
     """Wait until the profile is over, or LIMIT has ended it.
 
     Args:
@@ -235,14 +238,14 @@ def profile_end(port: Port, timeout: float) -> None:
     port.wait_until(lambda: not port.status() & PROFILE or port.limited(), timeout, "the end of its profile")
 
 
-def settle(
+def wait_until_settled(
     port: Port,
     begin: float,
     counts: int,
     deadband: int,
     timeout: float,
     rates: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> MoveReport:
+) -> ServoMoveReport:
     """Wait until the axis has been within the deadband of its command for DWELL, or LIMIT has ended the move.
 
     Args:
@@ -268,13 +271,13 @@ def settle(
         limited = port.limited()
         if abs(error) > deadband:
             since = now
-        return limited or now - since >= DWELL
+        return limited or now - since >= SETTLED_DWELL_S
 
     port.wait_until(is_settled, timeout, f"rest within {deadband} counts")
-    return MoveReport(port.axis.name, counts, *rates, since - begin, error, deadband, limited)
+    return ServoMoveReport(port.axis.name, counts, *rates, since - begin, error, deadband, limited)
 
 
-def proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> VelocityReport:
+def run_proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> VelocityReport:
     """Turn by the velocity error alone, then stop: friction and drag leave a difference.
 
     Args:
@@ -288,7 +291,7 @@ def proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> Velo
     Raises:
         ArgumentError: The chip does not have this rate at this sample time.
     """
-    word = velocity_word(port, rate, "proportional_velocity", 16)
+    word = convert_velocity_to_register(port, rate, "proportional_velocity", 16)
     port.wait_for_the_safe_part()
     port.load(proportional_velocity=0)
     port.mode("proportional velocity")
@@ -298,7 +301,7 @@ def proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> Velo
         port.load(proportional_velocity=value)
 
     turn(word)
-    reached = _measure(port, seconds)
+    reached = _measure_mean_velocity(port, seconds)
     turn(0)
     port.axis.wait(port.sample)
     port.wait_until(lambda: not port.velocity() or port.limited(), 2.0, "rest")
@@ -308,7 +311,9 @@ def proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> Velo
     return VelocityReport(port.axis.name, "proportional", word / 16 / port.sample, reached, ended)
 
 
-def integral_velocity(port: Port, rate: float, seconds: float = 0.5, acceleration: float = 400_000) -> VelocityReport:
+def run_integral_velocity(
+    port: Port, rate: float, seconds: float = 0.5, acceleration: float = 400_000
+) -> VelocityReport:
     """Turn with ramps by a command position that moves on with each sample, then stop.
 
     Args:
@@ -323,18 +328,18 @@ def integral_velocity(port: Port, rate: float, seconds: float = 0.5, acceleratio
     Raises:
         ArgumentError: The chip does not have these rates at this sample time.
     """
-    word, ramp = start_cruise(port, rate, acceleration)
+    word, ramp = start_integral_velocity(port, rate, acceleration)
     port.axis.wait(ramp)
-    reached = _measure(port, seconds)
+    reached = _measure_mean_velocity(port, seconds)
     ended = "LIMIT" if port.limited() else "" if port.status() & STOP else "STOP"
     if ended != "LIMIT":
-        cruise(port, 0)
+        write_command_velocity(port, 0)
         port.axis.wait(ramp)
         port.mode("position")
     return VelocityReport(port.axis.name, "integral", word / port.sample, reached, ended)
 
 
-def start_cruise(port: Port, rate: float, acceleration: float) -> tuple[int, float]:
+def start_integral_velocity(port: Port, rate: float, acceleration: float) -> tuple[int, float]:
     """Begin to turn in integral velocity mode.
 
     Args:
@@ -348,21 +353,24 @@ def start_cruise(port: Port, rate: float, acceleration: float) -> tuple[int, flo
     Raises:
         ArgumentError: The chip does not have these rates at this sample time.
     """
-    word, a = velocity_word(port, rate, "integral_velocity", 1), acceleration_word(port, acceleration)
+    word, a = (
+        convert_velocity_to_register(port, rate, "integral_velocity", 1),
+        convert_acceleration_to_register(port, acceleration),
+    )
     port.clear_status()
     port.load(acceleration=a, integral_velocity=0)
     port.mode("integral velocity")
-    cruise(port, word)
+    write_command_velocity(port, word)
     return word, (abs(word) * 256 / a + 2) * port.sample
 
 
-def cruise(port: Port, velocity: int) -> None:
+def write_command_velocity(port: Port, velocity: int) -> None:
     """Write a new command velocity of integral velocity mode, counts per sample, in the safe part of a sample."""
     port.wait_for_the_safe_part("integral velocity")
     port.load(integral_velocity=velocity)
 
 
-def _measure(port: Port, seconds: float) -> float:
+def _measure_mean_velocity(port: Port, seconds: float) -> float:
     """Return the mean velocity over the second half of `seconds`, counts/s."""
     port.axis.wait(0.5 * seconds)
     begin, first = port.axis.time, port.position()
@@ -370,7 +378,7 @@ def _measure(port: Port, seconds: float) -> float:
     return (port.position() - first) / (port.axis.time - begin)
 
 
-def velocity_word(port: Port, rate: float, name: str, scale: int) -> int:
+def convert_velocity_to_register(port: Port, rate: float, name: str, scale: int) -> int:
     """Convert a velocity to the value of a register.
 
     Args:
@@ -385,7 +393,7 @@ def velocity_word(port: Port, rate: float, name: str, scale: int) -> int:
     return _round_to_register(port, name, rate, port.sample * scale, "speed", "counts/s")
 
 
-def acceleration_word(port: Port, acceleration: float) -> int:
+def convert_acceleration_to_register(port: Port, acceleration: float) -> int:
     """Convert an acceleration, counts/s2, to the value of R27:R26. Raises ArgumentError where that is 0, or too much."""
     return _round_to_register(port, "acceleration", acceleration, port.sample**2 * 256, "acceleration", "counts/s2")
 

@@ -18,11 +18,11 @@ import numpy as np
 
 from stage.chips.hctl1100.maps import TIMER
 from stage.errors import ArgumentError
-from stage.firmware.hctl1100.chip_port import MARGIN, Port
+from stage.firmware.hctl1100.chip_port import SAFE_MARGIN_COUNTS, Port
 
 
 @dataclass(frozen=True)
-class FollowReport:
+class StreamReport:
     """Report of a profile: commands written to each axis, samples that passed without a new one, seconds."""
 
     commands: int
@@ -33,7 +33,7 @@ class FollowReport:
         return f"{self.commands} commands in {self.seconds:.3f} s, {self.missed} samples missed"
 
 
-def synchronize(ports: Sequence[Port]) -> None:
+def synchronize_sample_timers(ports: Sequence[Port]) -> None:
     """Let the sample timers of all chips begin at one clock, by the line to their SYNC pins.
 
     The chips obey SYNC in Init/Idle only: the axes are without a motor command for a few bus cycles, and hold afterwards.
@@ -57,9 +57,9 @@ def synchronize(ports: Sequence[Port]) -> None:
         port.hold()
 
 
-def follow(
+def stream_positions(
     ports: Sequence[Port], profile: np.ndarray, *, leader_only: bool = True, on_row: Callable[[], None] | None = None
-) -> FollowReport:
+) -> StreamReport:
     """Write command positions relative to the present ones, one row per sample, in the safe part of it.
 
     A host too slow for the sample time misses samples: see the report.
@@ -83,7 +83,7 @@ def follow(
     main = ports[0]
     begin = main.axis.time
     for row in rows.tolist():
-        next_sample(main)
+        wait_for_next_sample(main)
         for port, value in zip(ports, row, strict=True):
             if not leader_only:
                 port.wait_for_the_safe_part()
@@ -91,24 +91,24 @@ def follow(
         if on_row is not None:
             on_row()
     seconds = main.axis.time - begin
-    return FollowReport(len(rows), max(round(seconds / main.sample) - len(rows), 0), seconds)
+    return StreamReport(len(rows), max(round(seconds / main.sample) - len(rows), 0), seconds)
 
 
-def next_sample(port: Port, mode: str = "position") -> None:
+def wait_for_next_sample(port: Port, mode: str = "position") -> None:
     """Wait for the safe part of the next sample, as a timer interrupt and a read of R0F would.
 
     Args:
         port: Port of the axis.
         mode: Control mode.
     """
-    port.axis.wait((port.chip.read(TIMER) + MARGIN) * port.count)
+    port.axis.wait((port.chip.read(TIMER) + SAFE_MARGIN_COUNTS) * port.count)
     port.wait_for_the_safe_part(mode)
 
 
-def circle(
+def compute_circle_positions(
     radius: float, *, seconds: float, sample: float, axes: int = 2, revolutions: int = 1, ramp: float = 0.2
 ) -> np.ndarray:
-    """Compute a profile for `follow`: a circle, from rest to rest.
+    """Compute a profile for `stream_positions`: a circle, from rest to rest.
 
     With two axes the circle lies in their plane, begins at the lowest point to the right, and goes counter-clockwise; with three
     it lies in the plane that contains the first axis and stands at 45 degrees to the others.
@@ -127,7 +127,7 @@ def circle(
     Raises:
         ArgumentError: A value is out of its range.
     """
-    if axes not in PLANES or not np.isfinite(radius) or not 0 < ramp <= 0.5 * seconds or not sample > 0:
+    if axes not in CIRCLE_PLANES or not np.isfinite(radius) or not 0 < ramp <= 0.5 * seconds or not sample > 0:
         raise ArgumentError(
             f"radius={radius}, axes={axes}, ramp={ramp}, seconds={seconds}, sample={sample}: a finite radius, 2 or 3 axes, a ramp "
             "of half the time at most, and a sample time above 0."
@@ -138,16 +138,16 @@ def circle(
         t < ramp, up**2 / (2 * ramp), np.where(left < ramp, seconds - ramp - left**2 / (2 * ramp), t - 0.5 * ramp)
     )
     angle = 2 * np.pi * revolutions * travel / (seconds - ramp)
-    right, forward = PLANES[axes]
+    right, forward = CIRCLE_PLANES[axes]
     return radius * (np.outer(np.sin(angle), right) + np.outer(1 - np.cos(angle), forward))
 
 
-HALF = np.sqrt(0.5)
-PLANES = {2: np.eye(2), 3: np.array([[1.0, 0.0, 0.0], [0.0, HALF, HALF]])}
+SQRT_HALF = np.sqrt(0.5)
+CIRCLE_PLANES = {2: np.eye(2), 3: np.array([[1.0, 0.0, 0.0], [0.0, SQRT_HALF, SQRT_HALF]])}
 """Unit vectors at the circle's lowest point, by the number of axes: along it, and to the centre."""
 
 
-def off_circle(places: np.ndarray, radius: float) -> np.ndarray:
+def compute_circle_errors(places: np.ndarray, radius: float) -> np.ndarray:
     """Compute how far positions are from the circle that begins at the origin.
 
     Args:
@@ -158,7 +158,7 @@ def off_circle(places: np.ndarray, radius: float) -> np.ndarray:
         Distances (n,).
     """
     places = np.asarray(places, float)
-    right, forward = PLANES[places.shape[1]]
+    right, forward = CIRCLE_PLANES[places.shape[1]]
     u, v = places @ right, places @ forward - radius
     above = places - np.outer(u, right) - np.outer(v + radius, forward)
     return np.sqrt((np.hypot(u, v) - radius) ** 2 + (above**2).sum(axis=1))

@@ -22,18 +22,18 @@ import numpy as np
 
 from stage.chips.hctl1100.motor import FULL_DRIVE
 from stage.errors import StageError
-from stage.firmware.hctl1100.moves import Tuning
+from stage.firmware.hctl1100.moves import FilterTuning
 from stage.support.extras import import_extra
 
-MARGIN = 60.0  # degrees
-RATTLE = 48.0  # units of motor command for one count
-POLE = 64  # as after a reset; the pole is at -1/4
-SHARE = 0.9  # of the highest crossover, from which on a zero is as good
-ZEROS = range(64, 256)
+PHASE_MARGIN_DEGREES = 60.0  # degrees
+MAX_RATTLE = 48.0  # units of motor command for one count
+DEFAULT_POLE = 64  # as after a reset; the pole is at -1/4
+MIN_CROSSOVER_RATIO = 0.9  # of the highest crossover, from which on a zero is as good
+CANDIDATE_ZEROS = range(64, 256)
 
 
 @dataclass(frozen=True)
-class Loop:
+class ServoLoop:
     """Plant and filter of a servo axis.
 
     Attributes:
@@ -47,11 +47,11 @@ class Loop:
     gain: float
     tau: float
     friction: float
-    tuning: Tuning
+    tuning: FilterTuning
     clock_hz: int = 2_000_000
 
     @classmethod
-    def of(cls, axis: Any, tuning: Tuning) -> Loop:
+    def of(cls, axis: Any, tuning: FilterTuning) -> ServoLoop:
         """Compute the model of a stage's axis from its data: masses with their present load, friction, motor, encoder.
 
         Args:
@@ -118,7 +118,7 @@ class Loop:
         return by_command + lfilter(np.convolve(b, d), closed, self.friction * velocity_sign)
 
 
-def design(loop: Loop, margin: float = MARGIN, rattle: float = RATTLE) -> Tuning:
+def design_filter(loop: ServoLoop, margin: float = PHASE_MARGIN_DEGREES, rattle: float = MAX_RATTLE) -> FilterTuning:
     """Choose gain and zero for this plant by frequency response; pole and T stay.
 
     For every zero that the register holds: the highest crossover frequency at which the phase margin is `margin` degrees, and the
@@ -140,7 +140,7 @@ def design(loop: Loop, margin: float = MARGIN, rattle: float = RATTLE) -> Tuning
     omega = np.geomspace(1.0, 0.9 * np.pi / loop.sample, 2000)
     z = np.exp(1j * omega * loop.sample)
     plant = np.polyval(loop.plant[0], z) / np.polyval(loop.plant[1], z)
-    for zero in ZEROS:
+    for zero in CANDIDATE_ZEROS:
         unit = replace(loop, tuning=replace(loop.tuning, gain=4, zero=zero))  # K/4 = 1
         response = plant * np.polyval(unit.filter[0], z) / np.polyval(unit.filter[1], z)
         phase = np.degrees(np.unwrap(np.angle(response))) + 180
@@ -153,4 +153,4 @@ def design(loop: Loop, margin: float = MARGIN, rattle: float = RATTLE) -> Tuning
     if not candidates:
         raise StageError(f"no zero gives a phase margin of {margin:g} degrees with a gain that the chip holds.")
     highest = max(crossover for crossover, _ in candidates)
-    return next(tuning for crossover, tuning in candidates if crossover > SHARE * highest)
+    return next(tuning for crossover, tuning in candidates if crossover > MIN_CROSSOVER_RATIO * highest)

@@ -19,25 +19,25 @@ from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
 from stage.errors import ArgumentError, RunTimeout, add_article
 from stage.firmware.axis import Axis, has_positive_logic
 
-POLL = 1e-3  # s between two looks
-LEVELS_514 = {
+POLL_INTERVAL_S = 1e-3  # s between two looks
+MCX514_LEVEL_BITS = {
     "org": ("WR2", "SP1-L"),
     "ez": ("WR2", "SP2-L"),
     "el_plus": ("WR2", "HLM-L"),
     "el_minus": ("WR2", "HLM-L"),
 }
-LEVELS_300 = {
+MCX300_LEVEL_BITS = {
     "org": ("WR1", "SP1-L"),
     "ez": ("WR1", "SP2-L"),
     "el_plus": ("WR2", "HLMT+"),
     "el_minus": ("WR2", "HLMT-"),
 }
 """Sensor -> the bit that says that it is high while it is on."""
-ERRORS = ("SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG", "HOME", "CERR")
+ERROR_BITS = ("SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG", "HOME", "CERR")
 """Error bits of RR2; the first generation has no CERR."""
 
 
-def level_bits(axis: Axis, word: str) -> int:
+def compute_logic_bits(axis: Axis, word: str) -> int:
     """Compute the bits of WR1 or WR2 that suit the wiring of an axis.
 
     Args:
@@ -48,7 +48,7 @@ def level_bits(axis: Axis, word: str) -> int:
         ArgumentError: Two sensors of different logic have one bit.
     """
     map_, bits = axis.chip.MAP, 0
-    levels = LEVELS_514 if isinstance(axis.chip, MCX514) else LEVELS_300
+    levels = MCX514_LEVEL_BITS if isinstance(axis.chip, MCX514) else MCX300_LEVEL_BITS
     for sensor, (place, name) in levels.items():
         if place != word or not has_positive_logic(axis, sensor):
             continue
@@ -63,9 +63,9 @@ def level_bits(axis: Axis, word: str) -> int:
     return bits
 
 
-def inputs_514(axis: Axis) -> int:
+def compute_mcx514_inputs(axis: Axis) -> int:
     """Compute WR2 of an MCX514: end limits stop, all sensors as they are wired."""
-    return MAP.mask("WR2", "HLM-E") | level_bits(axis, "WR2")
+    return MAP.mask("WR2", "HLM-E") | compute_logic_bits(axis, "WR2")
 
 
 class Port:
@@ -137,7 +137,7 @@ class Port:
     def errors(self) -> tuple[str, ...]:
         """Read the names of the error bits of RR2 that are set."""
         word, bits = self.word(2), {f.name: f.mask for f in self.map.word("RR2").fields}
-        return tuple(name for name in ERRORS if word & bits.get(name, 0))
+        return tuple(name for name in ERROR_BITS if word & bits.get(name, 0))
 
     def start(self, pulses: int) -> None:
         """Start a fixed-pulse drive of signed pulses. Raises ArgumentError for 0."""
@@ -150,7 +150,9 @@ class Port:
             self.load(P=abs(pulses))
             self.command("F_DRV_P" if pulses > 0 else "F_DRV_M")
 
-    def wait_until_stopped(self, timeout: float, routine: Callable[[], bool] | None = None, poll: float = POLL) -> bool:
+    def wait_until_stopped(
+        self, timeout: float, routine: Callable[[], bool] | None = None, poll: float = POLL_INTERVAL_S
+    ) -> bool:
         """Wait for n-DRV = 0.
 
         Args:
@@ -174,12 +176,12 @@ class Port:
             self.axis.wait(poll)
 
 
-def mask(word: str, *names: str) -> int:
+def get_bit_mask(word: str, *names: str) -> int:
     """Return bits of a word or mode register of an MCX514 by their names."""
     return sum(MAP.mask(word, name) for name in names)
 
 
-def same_chip(axes: tuple[Axis, ...]) -> list[Port]:
+def open_ports(axes: tuple[Axis, ...]) -> list[Port]:
     """Return the ports of axes in the order of the chip's.
 
     Args:
@@ -197,7 +199,7 @@ def same_chip(axes: tuple[Axis, ...]) -> list[Port]:
     return ports
 
 
-def stop(ports: list[Port]) -> None:
+def stop_axes(ports: list[Port]) -> None:
     """Stop the axes of ports at once."""
     for port in ports:
         port.command("DRVFBRK")

@@ -20,31 +20,31 @@ from stage.firmware.driver import (
     select_moving,
     wait_until_stopped,
 )
-from stage.firmware.home_program import Search
-from stage.firmware.line_programs import Line, LineMoves, LineSettings, line_of
-from stage.firmware.move_report import Procedure, Report
+from stage.firmware.home_program import HomeProgram
+from stage.firmware.line_programs import LineMoves, LinePrograms, LineSettings, create_line_programs
+from stage.firmware.move_report import ProcedureObserver, Report
 from stage.firmware.nova.chip_port import Port
-from stage.firmware.nova.home_program import HomeSearch
-from stage.firmware.nova.line_programs import InRatio, Interpolated, NovaLine
+from stage.firmware.nova.home_program import HomeSearchProgram
+from stage.firmware.nova.line_programs import InterpolatedLinePrograms, NovaLinePrograms, RangeRatioLinePrograms
 from stage.firmware.operation_pattern import AMBER, BLUE, GREEN, GREY, RED, VIOLET
 from stage.firmware.parameter_ranges import get_register_range
 from stage.firmware.stop_reasons import ANOTHER_AXIS, UNKNOWN, UNWANTED_REASONS
 from stage.firmware.synchronized_report import EarlyStopHandler, LineObserver, SynchronizedReport
 from stage.sim.program import Operations, Program
 
-Ops = TypeVar("Ops", bound=Operations)
+OperationsType = TypeVar("OperationsType", bound=Operations)
 
-SEARCHES = 3  # runs that an automatic search stands for: so many times `limit` it may take
-HOME_SPEED = 400.0  # pps; slow, so that the motor does not ring when the switch trips
-PATIENCE = 60.0  # s for a stop
-CAUSES = {
+SEARCH_TIME_FACTOR = 3  # runs that an automatic search stands for: so many times `limit` it may take
+HOME_SPEED_PPS = 400.0  # pps; slow, so that the motor does not ring when the switch trips
+STOP_TIMEOUT_S = 60.0  # s for a stop
+END_CAUSES = {
     "LMT+": "EL+", "LMT-": "EL-", "STOP1": "ORG", "STOP2": "EZ", "STOP0": "STOP0", "STOP3": "STOP3", "EMG": "EMG",
     "ALARM": "ALARM", "SYNC": "SYNC",
 }  # fmt: skip
 """Bits that tell what has ended a drive, and a report's words for them."""
 
 
-class Pattern(operation_pattern.Pattern):
+class NovaPattern(operation_pattern.OperationPattern):
     """Signals and commands of a NOVA chip that a drawing of a report shows."""
 
     LANES = (
@@ -61,7 +61,7 @@ class Pattern(operation_pattern.Pattern):
 class NovaDriver(Driver):
     """Common part of the family's drivers. The order of SPEEDS is initial speed, drive speed, acceleration."""
 
-    PATTERN: ClassVar = Pattern
+    PATTERN: ClassVar = NovaPattern
     INVERTIBLE_SENSORS: ClassVar = ("org", "ez", "el_plus", "el_minus")
     SPEEDS: ClassVar[tuple[str, str, str]]
     JERK: ClassVar[str]
@@ -92,7 +92,7 @@ class NovaDriver(Driver):
         self.drive(ImmediateOperations(self.axis), pulses)
 
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
-        with Procedure(self.axis, "move") as p:
+        with ProcedureObserver(self.axis, "move") as p:
             self.start(pulses, speeds)
             slowest = min(speeds.start, speeds.drive)
             max_seconds = 1.5 * abs(pulses) / slowest + 3 * (speeds.up + speeds.down) + 1
@@ -113,7 +113,7 @@ class NovaDriver(Driver):
     def halt(self, at_once: bool = False) -> None:
         if self.port.driving():
             self.port.command(self.STOP if at_once else self.SLOW_DOWN)
-        wait_until_stopped([self.axis], PATIENCE)
+        wait_until_stopped([self.axis], STOP_TIMEOUT_S)
 
     def is_stop_command(self, address: int, value: int) -> bool:
         codes = [self.map.command(name).code for name in (self.STOP, self.SLOW_DOWN)]
@@ -121,7 +121,7 @@ class NovaDriver(Driver):
 
     def stopped_by(self) -> str:
         word = self.port.word(int(self.END_WORD[2]))
-        return next((name for bit, name in CAUSES.items() if word & self._get_end_mask(bit)), "")
+        return next((name for bit, name in END_CAUSES.items() if word & self._get_end_mask(bit)), "")
 
     def explain_end(self, done: bool, journal: Journal | None = None) -> str:
         """Return what ended a drive; a software limit, which has no bit among the ends, is read from the errors of RR2.
@@ -205,7 +205,7 @@ class NovaDriver(Driver):
         settings = LineSettings(
             speeds.start, max(speeds.up, speeds.down), bool(speeds.s_curve), axes=tuple(moving_drivers)
         )
-        line_plan = cast("NovaLine", line_of(list(moving_drivers.values()), settings))
+        line_plan = cast(NovaLinePrograms, create_line_programs(list(moving_drivers.values()), settings))
         for n, driver in moving_drivers.items():
             line_plan.check_pulses(driver, pulses[n])
         if speeds.drive > line_plan.fastest:
@@ -218,7 +218,8 @@ class NovaDriver(Driver):
         axes = [d.axis for d in moving_drivers.values()]
         now = ImmediateOperations(*axes)
         with LineObserver(
-            {n: Procedure(d.axis, "line") for n, d in moving_drivers.items()}, {n: pulses[n] for n in moving_drivers}
+            {n: ProcedureObserver(d.axis, "line") for n, d in moving_drivers.items()},
+            {n: pulses[n] for n in moving_drivers},
         ) as together:
             for d in moving_drivers.values():
                 d.forget(now)
@@ -230,7 +231,7 @@ class NovaDriver(Driver):
             max_pulses = float(moves.longest[0])
             max_seconds = 1.5 * max_pulses / min(speeds.start, speeds.drive) + 6 * settings.accel + 1
             breaker = EarlyStopHandler(
-                together, {} if isinstance(line_plan, Interpolated) else moving_drivers
+                together, {} if isinstance(line_plan, InterpolatedLinePrograms) else moving_drivers
             )  # a chip ends its own
             with together.attach_reports_to_timeout():
                 wait_until_stopped(axes, max_seconds if timeout is None else timeout, on_poll=breaker)
@@ -248,7 +249,7 @@ class NovaDriver(Driver):
 
     # --- as operations ---
 
-    def command(self, p: Ops, symbol: str) -> Ops:
+    def command(self, p: OperationsType, symbol: str) -> OperationsType:
         """Add a command to this axis, or to the chip.
 
         Args:
@@ -258,7 +259,7 @@ class NovaDriver(Driver):
         c = self.map.command(symbol)
         return p.write(self.index, 0, (self.bit << 8 if c.axes else 0) | c.code)
 
-    def set(self, p: Ops, name: str, value: int) -> Ops:
+    def set(self, p: OperationsType, name: str, value: int) -> OperationsType:
         """Add the write of a parameter or mode of this axis, or of the chip.
 
         Args:
@@ -268,7 +269,7 @@ class NovaDriver(Driver):
         """
         return p.register(self.index, self.chip, name, value, self.axis.chip_axis)
 
-    def words(self, p: Ops, **words: int) -> Ops:
+    def words(self, p: OperationsType, **words: int) -> OperationsType:
         """Add the writes of WR1 to WR3 of this axis.
 
         Args:
@@ -285,7 +286,7 @@ class NovaDriver(Driver):
         return sum(self.map.mask(word, name) for name in names)
 
     @abstractmethod
-    def begin(self, p: Ops, s_curve: bool = False) -> Ops:
+    def begin(self, p: OperationsType, s_curve: bool = False) -> OperationsType:
         """Add the modes of a drive after power-up: ramps, and end limits that stop it.
 
         Args:
@@ -294,7 +295,7 @@ class NovaDriver(Driver):
         """
 
     @abstractmethod
-    def drive(self, p: Ops, pulses: int) -> Ops:
+    def drive(self, p: OperationsType, pulses: int) -> OperationsType:
         """Add the pulses and the start of a fixed-pulse drive.
 
         Args:
@@ -319,20 +320,20 @@ class NovaDriver(Driver):
         low, high = get_register_range(self.map, name)
         return int(np.clip(round(value), low, high))
 
-    def search(self, settings: Any) -> Search:
-        return HomeSearch(self, settings)
+    def search(self, settings: Any) -> HomeProgram:
+        return HomeSearchProgram(self, settings)
 
     # --- lines ---
 
     SIGNED: ClassVar[bool]
     """FINISH, the register of the finish point, has a sign, which is the direction."""
 
-    def lines(self, drivers: Sequence[Driver], settings: Any) -> Line:
+    def lines(self, drivers: Sequence[Driver], settings: Any) -> LinePrograms:
         """Return lines by the chip's interpolation where all axes are on one chip that has it; else by the ratio of speeds and
         accelerations."""
         if self.interpolates(cast(Any, drivers)):
-            return Interpolated(cast(Any, drivers), settings)
-        return InRatio(cast(Any, drivers), settings)
+            return InterpolatedLinePrograms(cast(Any, drivers), settings)
+        return RangeRatioLinePrograms(cast(Any, drivers), settings)
 
     @abstractmethod
     def interpolates(self, drivers: Sequence[NovaDriver]) -> bool:
@@ -346,7 +347,7 @@ class NovaDriver(Driver):
         """
 
     @abstractmethod
-    def interpolate(self, p: Ops, drivers: Sequence[NovaDriver]) -> Ops:
+    def interpolate(self, p: OperationsType, drivers: Sequence[NovaDriver]) -> OperationsType:
         """Choose axes, let the speed fall at the end, and start linear interpolation; finish points are set already.
 
         Args:
@@ -391,7 +392,7 @@ class NovaDriver(Driver):
         return has_positive_logic(self.axis, ("org", "ez")[k - 1])
 
     @abstractmethod
-    def forget(self, p: Ops) -> Ops:
+    def forget(self, p: OperationsType) -> OperationsType:
         """Add the command that clears the ends of drives before."""
 
     @abstractmethod

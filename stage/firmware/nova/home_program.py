@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.errors import ArgumentError, add_article
-from stage.firmware.home_program import Search, SearchResult
+from stage.firmware.home_program import HomeProgram, HomeResults
 from stage.firmware.parameter_ranges import ParameterRanges, get_register_range
 from stage.sim.program import Program
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from stage.firmware.nova.driver import NovaDriver
 
 
-class HomeSearch(Search):
+class HomeSearchProgram(HomeProgram):
     """Origin return by a fixed-pulse drive out of ORG, and the chip's automatic home search.
 
     The search leaves ORG, turns at end limits and approaches by itself.
@@ -63,20 +63,22 @@ class HomeSearch(Search):
         for address in (6, 7):
             self._note_result_index(f"{name} {address}", p).read(self.driver.index, address)
 
-    def read_results(self, results: np.ndarray, rows: np.ndarray) -> SearchResult:
+    def read_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
         marked = {name: results[:, at] for name, at in self.marks.items()}
         timed_out = np.any([marked[name] < 0 for name in marked if "time" in name], axis=0)
-        left, end_position = (_signed(marked[f"{name} 6"], marked[f"{name} 7"]) for name in ("left", "ended"))
+        left, end_position = (
+            _join_signed_words(marked[f"{name} 6"], marked[f"{name} 7"]) for name in ("left", "ended")
+        )
         flag = {name: (marked[name] & mask != 0) == high for name, (mask, high) in self._bits.items()}
         arrived = flag["stop2" if self.settings.ez else "stop1"]
         released = ~flag["error"]
         short = left != rows[:, list(self.choices.ranges).index("leave")]
         end_limit = ~timed_out & (short | ~arrived)
-        return SearchResult(
+        return HomeResults(
             timed_out, ~timed_out & released & arrived, end_limit, released, left - end_position, np.zeros(len(results))
         )
 
 
-def _signed(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def _join_signed_words(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return two words as a number of 32 bits with a sign."""
     return (high << 16 | low) - (high >> 15 << 32)

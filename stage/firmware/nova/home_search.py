@@ -20,17 +20,25 @@ from stage.chips.nova.registers.words514 import HOME_STATES
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
-from stage.firmware.nova.chip_port import MAP, POLL, Port, inputs_514, mask, same_chip, stop
+from stage.firmware.nova.chip_port import (
+    MAP,
+    POLL_INTERVAL_S,
+    Port,
+    compute_mcx514_inputs,
+    get_bit_mask,
+    open_ports,
+    stop_axes,
+)
 from stage.units import POSITION_UNITS
 
 HSST = MAP.field("RR3-0", "HSST")
-BACK = HSST.code("step 2 irregular: waits for the signal in the other direction")
+HSST_SEARCHES_BACK = HSST.code("step 2 irregular: waits for the signal in the other direction")
 """The end limit has come before the signal, and the chip looks for it on the way back."""
-TIMERS = (1e-3, 2e-3, 10e-3, 20e-3, 0.1, 0.2, 0.5, 1.0)  # s, HTM
+TIMER_CHOICES_S = (1e-3, 2e-3, 10e-3, 20e-3, 0.1, 0.2, 0.5, 1.0)  # s, HTM
 
 
 @dataclass(frozen=True)
-class HomeReport:
+class HomeSearchReport:
     """Report of an axis' home search.
 
     Attributes:
@@ -71,7 +79,7 @@ def home_search(
     timer: float = 0.1,
     timeout: float = 60.0,
     back: bool = True,
-) -> dict[str, HomeReport]:
+) -> dict[str, HomeSearchReport]:
     """Search home on axes of one MCX514, all at once.
 
     Args:
@@ -95,45 +103,45 @@ def home_search(
         ArgumentError: A value is out of its range.
         RunTimeout: The search took longer than `timeout`; the axes are stopped.
     """
-    ports = same_chip(axes)
+    ports = open_ports(axes)
     if direction not in (-1, 1):
         raise ArgumentError(f"direction={direction!r}: -1 or 1, where ORG lies.")
-    if timer not in TIMERS:
-        raise ArgumentError(f"timer={timer!r}: one of {', '.join(f'{t:g}' for t in TIMERS)} s.")
+    if timer not in TIMER_CHOICES_S:
+        raise ArgumentError(f"timer={timer!r}: one of {', '.join(f'{t:g}' for t in TIMER_CHOICES_S)} s.")
     steps = ["S1EN", "S2EN"] + ["S3EN"] * index + ["S4EN"] * bool(offset)
     direction_bits = [f"S{k}DR" for k in (1, 2, 3)] if direction < 0 else []
     words = {
         "SV": initial_speed, "DV": speed, "HV": home_speed, "AC": acceleration, "TP": offset,
-        "H1M": mask("H1M", *steps, *direction_bits) | 1 << MAP.bit("H1M", "S1G"),
-        "H2M": mask("H2M", "LCLR", "RCLR", "HTME") | TIMERS.index(timer) << MAP.bit("H2M", "HTM"),
+        "H1M": get_bit_mask("H1M", *steps, *direction_bits) | 1 << MAP.bit("H1M", "S1G"),
+        "H2M": get_bit_mask("H2M", "LCLR", "RCLR", "HTME") | TIMER_CHOICES_S.index(timer) << MAP.bit("H2M", "HTM"),
     }  # fmt: skip
     for port in ports:
         port.load(**words)
-        port.mode(WR2=inputs_514(port.axis), WR3=0)
+        port.mode(WR2=compute_mcx514_inputs(port.axis), WR3=0)
         port.command("R2CLR")
     begin = ports[0].axis.time
     together = sum(port.bit for port in ports)
     ports[0].chip.write(0, together << 8 | MAP.command("HMSRC").code)
     met: dict[str, tuple[str, ...]] = {}
-    histories = _watch(
-        ports, begin, timeout, None if back else lambda p: met.update({p.axis.name: _limit(p, direction)})
+    histories = _poll_home_states(
+        ports, begin, timeout, None if back else lambda p: met.update({p.axis.name: _stop_at_limit(p, direction)})
     )
     reports = {}
     for port, states in zip(ports, histories, strict=True):
         axis, errors = port.axis, met.get(port.axis.name) or port.errors()
-        reports[axis.name] = HomeReport(
+        reports[axis.name] = HomeSearchReport(
             axis.name, states, states[-1][0], errors, axis.position, getattr(axis, "unit", "m")
         )
     return reports
 
 
-def _limit(port: Port, direction: int) -> tuple[str, ...]:
+def _stop_at_limit(port: Port, direction: int) -> tuple[str, ...]:
     """Stop at the end limit, and name it."""
-    stop([port])
+    stop_axes([port])
     return ("HLMT-" if direction < 0 else "HLMT+",)
 
 
-def _watch(
+def _poll_home_states(
     ports: list[Port], begin: float, timeout: float, at_limit: Callable[[Port], None] | None
 ) -> list[tuple[tuple[float, int], ...]]:
     """Poll HSST until it is 0 on all axes.
@@ -153,12 +161,12 @@ def _watch(
             state = HSST.of(port.word(3))
             if not states or states[-1][1] != state:
                 states.append((port.axis.time - begin, state))
-                if at_limit is not None and state == HSST.of(BACK):
+                if at_limit is not None and state == HSST.of(HSST_SEARCHES_BACK):
                     at_limit(port)
         if ports[0].axis.time - begin > timeout:
-            stop(ports)
+            stop_axes(ports)
             raise RunTimeout(
                 f"axes {', '.join(p.axis.name for p in ports)} still searched home after {timeout} s; they are stopped."
             )
-        ports[0].axis.wait(POLL)
+        ports[0].axis.wait(POLL_INTERVAL_S)
     return [tuple(states) for states in histories]

@@ -9,14 +9,14 @@ import numpy as np
 
 from stage.chips.nova.registers.mcx300 import RANGE
 from stage.errors import ArgumentError, add_article
-from stage.firmware.line_programs import Line, LineMoves
+from stage.firmware.line_programs import LineMoves, LinePrograms
 from stage.firmware.parameter_ranges import get_register_range
 from stage.sim.program import Program
 
 if TYPE_CHECKING:
     from stage.firmware.nova.driver import NovaDriver
 
-FACTOR = 2.0  # a correction of 1 doubles a register of the main axis, of -1 halves it
+MAX_CORRECTION_FACTOR = 2.0  # a correction of 1 doubles a register of the main axis, of -1 halves it
 MAX_FINISH_POINT = (1 << 31) - 1  # pulses in interpolation
 MAX_SPEED = 8000  # of SV, V
 
@@ -31,7 +31,7 @@ class Ramps(NamedTuple):
     lag: np.ndarray
 
 
-class NovaLine(Line):
+class NovaLinePrograms(LinePrograms):
     """Common part of both ways to draw a line."""
 
     def check_pulses(self, driver: NovaDriver, pulses: int) -> None:
@@ -55,7 +55,7 @@ class NovaLine(Line):
             self._add_slot(program, 2, column, 16)
 
 
-class Interpolated(NovaLine):
+class InterpolatedLinePrograms(NovaLinePrograms):
     """Line by interpolation. One row: the speeds of the main axis, which are those of the longest one.
 
     The chip keeps all axes on the line, so only the speeds are to be chosen, at which the carriages can follow. Finish points are
@@ -99,7 +99,7 @@ class Interpolated(NovaLine):
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """Multiply the registers by factors from a half to two: nothing brings the axes off the line, so no count is worth a
         pulse."""
-        rows = self.clip_to_legal(self.data_sheet(moves) * FACTOR**corrections)
+        rows = self.clip_to_legal(self.data_sheet(moves) * MAX_CORRECTION_FACTOR**corrections)
         rows[:, :, 0] = np.minimum(rows[:, :, 0], rows[:, :, 1])
         return rows
 
@@ -114,7 +114,7 @@ class Interpolated(NovaLine):
         return np.full(len(self.drivers), self._first)
 
 
-class InRatio(NovaLine):
+class RangeRatioLinePrograms(NovaLinePrograms):
     """Line by ranges in the ratio of the distances. A row R, SV, V, A, with S-curves K, for each axis.
 
     The multiple 8,000,000 / R scales speeds, acceleration and jerk alike: with R in inverse ratio to the distances and all else

@@ -8,21 +8,21 @@ from typing import ClassVar, TypeVar
 from stage.chips.nova import MCX314AS
 from stage.chips.nova.registers.mcx300 import MCX304_MAP, RANGE
 from stage.firmware.driver import SETTLING_TIME_S, ImmediateOperations, Speeds, wait_until_stopped
-from stage.firmware.move_report import Procedure, Report
-from stage.firmware.nova.chip_port import level_bits
-from stage.firmware.nova.driver import HOME_SPEED, SEARCHES, NovaDriver
+from stage.firmware.move_report import ProcedureObserver, Report
+from stage.firmware.nova.chip_port import compute_logic_bits
+from stage.firmware.nova.driver import HOME_SPEED_PPS, SEARCH_TIME_FACTOR, NovaDriver
 from stage.firmware.parameter_ranges import get_register_range
 from stage.sim.program import Operations, Program
 
-Ops = TypeVar("Ops", bound=Operations)
+OperationsType = TypeVar("OperationsType", bound=Operations)
 
 HMST = MCX304_MAP.field("RR2", "HMST")
-BACK = HMST.code("step 2: waits for STOP1 in the other direction")
+HMST_SEARCHES_BACK = HMST.code("step 2: waits for STOP1 in the other direction")
 """Of HMST: the end limit has come before the signal, and the chip looks for it on the way back."""
-STEADY = 4
+FILTER_CODE = 4
 """Of FL, in the search at HV: an input counts when it was steady for 2 ms, so that a contact that bounces has one edge. That is
 less than a pulse at HV; at the drive speed it would be many, and there the inputs have no filter."""
-MULTIPLE = 20
+SPEED_MULTIPLE = 20
 """Of the first generation: R = 8,000,000 / 20, so that a unit of SV and V is 20 pps."""
 
 
@@ -34,7 +34,7 @@ class FirstGenerationDriver(NovaDriver):
 
     SPEEDS: ClassVar = ("SV", "V", "A")
     JERK: ClassVar = "K"
-    UNIT: ClassVar = MULTIPLE
+    UNIT: ClassVar = SPEED_MULTIPLE
     DISTANCE_REGISTER: ClassVar = "P"
     SIGNED: ClassVar = False
     STOP: ClassVar = "STOP_SUDDEN"
@@ -44,15 +44,15 @@ class FirstGenerationDriver(NovaDriver):
 
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
         registers = self._registers(speeds._replace(s_curve=False), 1)
-        with Procedure(self.axis, "origin return") as p:
+        with ProcedureObserver(self.axis, "origin return") as p:
             self._prepare(registers)
             now = ImmediateOperations(self.axis)
-            self.set(now, "HV", self.clip_to_legal("HV", HOME_SPEED / self.UNIT))
+            self.set(now, "HV", self.clip_to_legal("HV", HOME_SPEED_PPS / self.UNIT))
             self._to_signal(now, direction, timeout, SETTLING_TIME_S)
             address, stop1 = self._level(1)
             if (met := self.stopped_by()) in ("EL+", "EL-") and bool(self.chip.read(address) & stop1) != self.high(1):
                 return p.report(met)
-            self._begin_search(now, bool(index), direction, STEADY)
+            self._begin_search(now, bool(index), direction, FILTER_CODE)
             at_limit = self._watch(timeout)
             self.command(now, self.STOP).wait(2 * SETTLING_TIME_S)
             if at_limit:
@@ -71,19 +71,19 @@ class FirstGenerationDriver(NovaDriver):
         back: list[bool] = []
 
         def stop_at_limit() -> None:
-            if not back and self.port.word(2) & HMST.mask == BACK:
+            if not back and self.port.word(2) & HMST.mask == HMST_SEARCHES_BACK:
                 back.append(True)
                 self.port.command(self.STOP)
 
         wait_until_stopped([self.axis], timeout, on_poll=stop_at_limit)
         return bool(back)
 
-    def forget(self, p: Ops) -> Ops:
+    def forget(self, p: OperationsType) -> OperationsType:
         """Return the operations as they are: the end status of a drive stays until the next drive begins."""
         return p
 
-    def begin(self, p: Ops, s_curve: bool = False) -> Ops:
-        limits_ = level_bits(self.axis, "WR2")
+    def begin(self, p: OperationsType, s_curve: bool = False) -> OperationsType:
+        limits_ = compute_logic_bits(self.axis, "WR2")
         self.words(
             p,
             WR1=self._inputs(),
@@ -92,12 +92,12 @@ class FirstGenerationDriver(NovaDriver):
         )
         if isinstance(self.chip, MCX314AS):
             self.set(p, "EM", 0)
-        return self.set(self.set(p, "R", RANGE // MULTIPLE), "AO", 0)
+        return self.set(self.set(p, "R", RANGE // SPEED_MULTIPLE), "AO", 0)
 
     def _inputs(self, *more: str) -> int:
-        return self.mask("WR1", *more) | level_bits(self.axis, "WR1")
+        return self.mask("WR1", *more) | compute_logic_bits(self.axis, "WR1")
 
-    def drive(self, p: Ops, pulses: int) -> Ops:
+    def drive(self, p: OperationsType, pulses: int) -> OperationsType:
         return self.command(self.set(p, "P", abs(pulses)), "F_DRV_P" if pulses >= 0 else "F_DRV_M")
 
     def formula(
@@ -105,10 +105,14 @@ class FirstGenerationDriver(NovaDriver):
     ) -> dict[str, int]:
         """Compute A = (V - SV) / (125 m ta), K by the jerk 4 (V - SV) / ta^2; one ramp for both ways, the longer one."""
         seconds = max(up, down)
-        values = {"SV": fl / MULTIPLE, "V": fh / MULTIPLE, "A": (fh - fl) / seconds / (125 * MULTIPLE)}
+        values = {
+            "SV": fl / SPEED_MULTIPLE,
+            "V": fh / SPEED_MULTIPLE,
+            "A": (fh - fl) / seconds / (125 * SPEED_MULTIPLE),
+        }
         if s_curve:
             max_jerk = get_register_range(self.map, "K")[1]  # also where nothing is to be ramped
-            jerk = 62_500_000 * MULTIPLE * seconds**2 / (4 * (fh - fl)) if fh > fl else max_jerk
+            jerk = 62_500_000 * SPEED_MULTIPLE * seconds**2 / (4 * (fh - fl)) if fh > fl else max_jerk
             values |= {"A": get_register_range(self.map, "A")[1], "K": jerk}
         return {name: self.clip_to_legal(name, value) for name, value in values.items()}
 
@@ -116,7 +120,7 @@ class FirstGenerationDriver(NovaDriver):
         has_it = any(c.symbol == f"IP_{len(drivers)}ST" for c in self.map.commands)
         return has_it and len({id(h.chip) for h in drivers}) == 1
 
-    def interpolate(self, p: Ops, drivers: Sequence[NovaDriver]) -> Ops:
+    def interpolate(self, p: OperationsType, drivers: Sequence[NovaDriver]) -> OperationsType:
         places = (h.axis.chip_axis << self.map.bit("WR5", f"AX{k}") for k, h in enumerate(drivers, 1))
         p.write(self.index, 5, sum(places))
         return self.command(self.command(p, "IP_DEC_VALID"), f"IP_{len(drivers)}ST")
@@ -128,12 +132,12 @@ class FirstGenerationDriver(NovaDriver):
         self, p: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
     ) -> list[int]:
         if fast:
-            polls = [self._to_signal(p, direction, SEARCHES * limit, rest)]
+            polls = [self._to_signal(p, direction, SEARCH_TIME_FACTOR * limit, rest)]
         else:
             self.command(p, self.NOP)  # programs are alike: three operations
             p.wait(0).wait(0)
-            polls = [self._stopped(p, SEARCHES * limit, rest)]
-        return [*polls, self._search(p, index, SEARCHES * limit, rest, direction)]
+            polls = [self._stopped(p, SEARCH_TIME_FACTOR * limit, rest)]
+        return [*polls, self._search(p, index, SEARCH_TIME_FACTOR * limit, rest, direction)]
 
     def _to_signal(self, p: Operations, direction: int, limit: float, rest: float) -> int:
         """Drive until STOP1, or a limit, ends it; return the index of the poll for the stop."""

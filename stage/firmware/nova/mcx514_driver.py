@@ -7,17 +7,17 @@ from typing import ClassVar, TypeVar
 
 from stage.errors import ArgumentError
 from stage.firmware.driver import SETTLING_TIME_S, Driver, Speeds
-from stage.firmware.move_report import Procedure, Report
-from stage.firmware.nova.chip_port import inputs_514
-from stage.firmware.nova.driver import CAUSES, HOME_SPEED, SEARCHES, NovaDriver
+from stage.firmware.move_report import ProcedureObserver, Report
+from stage.firmware.nova.chip_port import compute_mcx514_inputs
+from stage.firmware.nova.driver import END_CAUSES, HOME_SPEED_PPS, SEARCH_TIME_FACTOR, NovaDriver
 from stage.firmware.nova.home_search import home_search
-from stage.firmware.nova.path_interpolation import Arc, Drawn, Speed, draw
+from stage.firmware.nova.path_interpolation import ArcSegment, PathReport, PathSpeed, draw_path
 from stage.firmware.parameter_ranges import get_register_range
 from stage.sim.program import Operations, Program
 
-Ops = TypeVar("Ops", bound=Operations)
+OperationsType = TypeVar("OperationsType", bound=Operations)
 
-TIMERS = 8  # HTM
+MAX_TIMER_CODES = 8  # HTM
 MASTER, SLAVE = 1, 2  # MLT
 
 
@@ -33,30 +33,30 @@ class Mcx514Driver(NovaDriver):
 
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
         registers = self._registers(speeds._replace(s_curve=False), 1)
-        with Procedure(self.axis, "origin return") as p:
+        with ProcedureObserver(self.axis, "origin return") as p:
             search_report = home_search(
-                self.axis, direction=direction, speed=registers["DV"], home_speed=round(HOME_SPEED),
+                self.axis, direction=direction, speed=registers["DV"], home_speed=round(HOME_SPEED_PPS),
                 initial_speed=registers["SV"], acceleration=registers["AC"], index=bool(index), timeout=timeout,
                 back=False,
             )[self.axis.name]  # fmt: skip
             self.axis.wait(SETTLING_TIME_S)
-            errors = [CAUSES.get(name.removeprefix("H"), name) for name in search_report.errors]
+            errors = [END_CAUSES.get(name.removeprefix("H"), name) for name in search_report.errors]
             return p.report(next(iter(errors), self.stopped_by() or "HOME"))
 
-    def circle(self, other: Driver, radius: int, speeds: Speeds) -> Drawn:
+    def circle(self, other: Driver, radius: int, speeds: Speeds) -> PathReport:
         registers = self._registers(speeds._replace(s_curve=False), 1)
         own_axes, others = self.axis.chip_axis, other.axis.chip_axis
         centre = (0, radius) if own_axes < others else (radius, 0)  # in the order of the chip's axes
-        speed = Speed(registers["DV"], registers["SV"], registers["AC"])
-        return draw([Arc(centre=centre)], self.axis, other.axis, speed=speed)
+        speed = PathSpeed(registers["DV"], registers["SV"], registers["AC"])
+        return draw_path([ArcSegment(centre=centre)], self.axis, other.axis, speed=speed)
 
-    def forget(self, p: Ops) -> Ops:
+    def forget(self, p: OperationsType) -> OperationsType:
         return self.command(p, "R2CLR")
 
-    def begin(self, p: Ops, s_curve: bool = False) -> Ops:
-        return self.words(p, WR2=inputs_514(self.axis), WR3=self.mask("WR3", "SACC") if s_curve else 0)
+    def begin(self, p: OperationsType, s_curve: bool = False) -> OperationsType:
+        return self.words(p, WR2=compute_mcx514_inputs(self.axis), WR3=self.mask("WR3", "SACC") if s_curve else 0)
 
-    def drive(self, p: Ops, pulses: int) -> Ops:
+    def drive(self, p: OperationsType, pulses: int) -> OperationsType:
         return self.command(self.set(p, "TP", pulses), "DRVRL")
 
     def formula(
@@ -78,7 +78,7 @@ class Mcx514Driver(NovaDriver):
             )
         return True
 
-    def interpolate(self, p: Ops, drivers: Sequence[NovaDriver]) -> Ops:
+    def interpolate(self, p: OperationsType, drivers: Sequence[NovaDriver]) -> OperationsType:
         """Start the line with this axis as the main one; of several chips its own is the master, and starts last.
 
         One axis alone makes a relative drive: LHK1 is for axes of several chips.
@@ -96,7 +96,7 @@ class Mcx514Driver(NovaDriver):
         return self.command(self.command(p, "DECEN"), f"LHK{len(main_chip)}")
 
     def choices(self) -> dict[str, tuple[int, int]]:
-        return {"step1": (0, 1), "timer": (0, TIMERS)}
+        return {"step1": (0, 1), "timer": (0, MAX_TIMER_CODES)}
 
     def write_home(
         self, p: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
@@ -107,7 +107,7 @@ class Mcx514Driver(NovaDriver):
         self.set(p, "H1M", self.mask("H1M", *steps) | stop1)
         length = (timer - 1) << self.map.bit("H2M", "HTM") if timer else 0
         self.set(p, "H2M", length | (self.mask("H2M", "HTME") if timer else 0))
-        self.command(p, "HMSRC").until_stopped([self.index], SEARCHES * limit)
+        self.command(p, "HMSRC").until_stopped([self.index], SEARCH_TIME_FACTOR * limit)
         at = len(p) - 1
         self.command(p, self.STOP).wait(rest)
         return [at]

@@ -18,7 +18,15 @@ from dataclasses import dataclass
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
-from stage.firmware.nova.chip_port import MAP, POLL, Port, inputs_514, mask, same_chip, stop
+from stage.firmware.nova.chip_port import (
+    MAP,
+    POLL_INTERVAL_S,
+    Port,
+    compute_mcx514_inputs,
+    get_bit_mask,
+    open_ports,
+    stop_axes,
+)
 from stage.support.arguments import check_timeout
 
 CNEXT, DRIVING = MAP.mask("RR0", "CNEXT"), MAP.mask("RR0", "n-DRV")
@@ -27,7 +35,7 @@ MAX_AXES = 4
 
 
 @dataclass(frozen=True)
-class Speed:
+class PathSpeed:
     """Speeds of the whole path.
 
     Attributes:
@@ -47,7 +55,7 @@ class Speed:
 
 
 @dataclass(frozen=True, init=False)
-class Line:
+class LineSegment:
     """Straight line to a point, of as many axes as there are."""
 
     finish: tuple[int, ...]
@@ -57,7 +65,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Arc:
+class ArcSegment:
     """Arc of the first two axes about a center to a finish point; to (0, 0), where it began, a whole circle."""
 
     centre: tuple[int, int]
@@ -66,7 +74,7 @@ class Arc:
 
 
 @dataclass(frozen=True)
-class Helix:
+class HelixSegment:
     """Turns of the first two axes about a center, while the other axes move in proportion.
 
     Attributes:
@@ -84,11 +92,11 @@ class Helix:
     clockwise: bool = False
 
 
-Segment = Line | Arc | Helix
+PathSegment = LineSegment | ArcSegment | HelixSegment
 
 
 @dataclass(frozen=True)
-class Drawn:
+class PathReport:
     """Report of a path.
 
     Attributes:
@@ -113,7 +121,7 @@ class Drawn:
 
 
 @exclusive
-def draw(segments: Sequence[Segment], *axes: Axis, speed: Speed, timeout: float = 60.0) -> Drawn:
+def draw_path(segments: Sequence[PathSegment], *axes: Axis, speed: PathSpeed, timeout: float = 60.0) -> PathReport:
     """Draw segments with two to four axes of one MCX514, one after the other without a stop.
 
     Args:
@@ -130,12 +138,12 @@ def draw(segments: Sequence[Segment], *axes: Axis, speed: Speed, timeout: float 
         RunTimeout: The path was not drawn after `timeout`; the axes are stopped.
     """
     check_timeout(timeout)
-    ports = same_chip(axes)
-    words = [_words(segment, len(ports)) for segment in segments]
+    ports = open_ports(axes)
+    words = [_encode_segment(segment, len(ports)) for segment in segments]
     if not words:
         raise ArgumentError("no segments: give a Line, an Arc or a Helix at least.")
-    _prepare(ports, speed)
-    words = [_with_calculation(ports, w) for w in words]
+    _write_path_modes(ports, speed)
+    words = [_add_helix_calculation(ports, w) for w in words]
     before, main = [port.value("R-LP") for port in ports], ports[0]
     main.command("DECDIS")
     begin = main.axis.time
@@ -144,9 +152,9 @@ def draw(segments: Sequence[Segment], *axes: Axis, speed: Speed, timeout: float 
         """Poll RR0 while the chip drives and these bits of RR0 have this value; return its next value."""
         while (status := main.chip.read(0)) & DRIVING and status & bits == value:
             if not main.axis.time - begin <= timeout:
-                stop(ports)
+                stop_axes(ports)
                 raise RunTimeout(f"the path was not drawn after {timeout} s; the axes are stopped.")
-            main.axis.wait(POLL)
+            main.axis.wait(POLL_INTERVAL_S)
         return status
 
     for k, (command, chip_words, axis_words) in enumerate(words):
@@ -159,7 +167,7 @@ def draw(segments: Sequence[Segment], *axes: Axis, speed: Speed, timeout: float 
             port.load(**values)
         main.command(command)
     wait_while(0, 0)
-    return Drawn(
+    return PathReport(
         seconds=main.axis.time - begin,
         pulses={p.axis.name: p.value("R-LP") - b for p, b in zip(ports, before, strict=True)},
         errors={p.axis.name: p.errors() for p in ports},
@@ -167,38 +175,38 @@ def draw(segments: Sequence[Segment], *axes: Axis, speed: Speed, timeout: float 
     )
 
 
-def _prepare(ports: list[Port], speed: Speed) -> None:
+def _write_path_modes(ports: list[Port], speed: PathSpeed) -> None:
     """Write the modes of the axes, the speeds of the main one, and which axes take part."""
     ports[0].load(SV=speed.initial, DV=speed.drive, AC=speed.acceleration, **({"JK": speed.jerk} if speed.jerk else {}))
-    curves = mask("WR3", "SACC") if speed.jerk else 0
+    curves = get_bit_mask("WR3", "SACC") if speed.jerk else 0
     for port in ports:
-        port.mode(WR2=inputs_514(port.axis), WR3=curves)
+        port.mode(WR2=compute_mcx514_inputs(port.axis), WR3=curves)
         port.command("R2CLR")
     even = (THREE_AXES if len(ports) > 2 else TWO_AXES) << MAP.bit("IPM", "SPD") if speed.even else 0
     ports[0].load(IPM=sum(port.bit for port in ports) | even)
 
 
-Words = tuple[str, dict[str, int], list[dict[str, int]]]
+SegmentWords = tuple[str, dict[str, int], list[dict[str, int]]]
 """A segment's command, the registers of the chip, and those of each axis."""
 
 
-def _words(segment: Segment, axes: int) -> Words:
+def _encode_segment(segment: PathSegment, axes: int) -> SegmentWords:
     if not 2 <= axes <= MAX_AXES:
         raise ArgumentError(f"{axes} axes: an MCX514 interpolates 2 to {MAX_AXES}.")
-    if isinstance(segment, Line):
+    if isinstance(segment, LineSegment):
         if len(segment.finish) != axes:
             raise ArgumentError(f"{segment}: a finish point for each of {axes} axes.")
         return f"LHK{axes}", {}, [{"TP": v} for v in segment.finish]
     rotation = "CW" if segment.clockwise else "CCW"
     points = [{"TP": f, "CP": c} for f, c in zip(segment.finish, segment.centre, strict=True)]
-    if isinstance(segment, Arc):
+    if isinstance(segment, ArcSegment):
         return f"CHK{rotation}", {}, points + [{} for _ in range(axes - 2)]
     if len(segment.along) != axes - 2 or axes < 3:
         raise ArgumentError(f"{segment}: `along` for each of the axes but the first two; {axes} axes are given.")
     return f"HL{rotation}", {"HLN": segment.rotations}, points + [{"TP": v} for v in segment.along]
 
 
-def _with_calculation(ports: list[Port], words: Words) -> Words:
+def _add_helix_calculation(ports: list[Port], words: SegmentWords) -> SegmentWords:
     """Add the result of the chip's helical calculation (6Bh, 6Ch) to a helix: the chip cannot calculate while it draws."""
     command, chip_words, axis_words = words
     if not command.startswith("HL"):

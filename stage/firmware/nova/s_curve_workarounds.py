@@ -26,7 +26,7 @@ LIMITS_DECELERATE = MAP.mask("WR2", "LMTMD")
 S_CURVE = MAP.mask("WR3", "SACC")
 
 
-def port_of(axis: Axis) -> Port:
+def open_port(axis: Axis) -> Port:
     """Return the port of an axis whose chip can have the failure. Raises ArgumentError for another chip."""
     if not isinstance(getattr(axis, "chip", None), (MCX304, MCX302, MCX312)):
         raise ArgumentError(f"{axis!r} has no MCX304, MCX302 or MCX312, and no other chip has this failure.")
@@ -72,7 +72,7 @@ def stop_guarded(flag: DecelerationFlag) -> bool:
     return True
 
 
-def judgmental_speed(initial: int, drive: int) -> float:
+def compute_judgmental_speed(initial: int, drive: int) -> float:
     """Compute the judgmental speed of case 1, (2): "middle one between initial speed and setting speed".
 
     Args:
@@ -91,7 +91,7 @@ def stop_by_speed(port: Port, judgmental: float) -> bool:
 
     Args:
         port: Port of the axis.
-        judgmental: Speed of `judgmental_speed`, in the unit of SV and V.
+        judgmental: Speed of `compute_judgmental_speed`, in the unit of SV and V.
 
     Returns:
         Whether 26h was written.
@@ -102,7 +102,7 @@ def stop_by_speed(port: Port, judgmental: float) -> bool:
     return True
 
 
-def limit_interrupt(port: Port) -> bool:
+def handle_limit_interrupt(port: Port) -> bool:
     """Handle the interrupt for C-END, which WR1 D13 enables (case 2, (1)); the numbers are those of the notice.
 
     It ends a drive that a limit has stopped; after 26h it does nothing.
@@ -128,7 +128,7 @@ def limit_interrupt(port: Port) -> bool:
     return True
 
 
-def limit_poll(port: Port) -> bool:
+def handle_limit_timer(port: Port) -> bool:
     """Handle the timer interrupt of case 2, (2).
 
     "always read out status of progress directional hardware limit (RR1/D12, D13) with timer interruption. If limit signal becomes
@@ -165,7 +165,7 @@ def start_within_limits(port: Port, pulses: int, low: int, high: int) -> bool:
     return True
 
 
-def stop_signal_poll(port: Port) -> bool:
+def handle_stop_signal_timer(port: Port) -> bool:
     """Handle the timer interrupt of case 4: as case 2, (2), with STOP0 to STOP2 (RR1 D8 to D10).
 
     Args:

@@ -43,19 +43,19 @@ INTERRUPT = bits.INT_AT_STOP
 __all__ = [
     "AUTOMATIC", "COLLECTIVE", "CONTROL", "EXTENSION", "EXTERNAL", "EZ_SIGNAL", "INTERRUPT", "MINUS", "ORIGIN",
     "OUTPUT", "POSITION", "PRESET", "Port", "RAMP", "RESET", "SD", "SELECT", "SLOW_DOWN", "START", "Status",
-    "UNCORRECTED", "encode_index", "explain_silence", "has_ez_monitor", "name_leader", "require_clock",
+    "UNCORRECTED", "describe_leader", "encode_index", "explain_silence", "has_ez_monitor", "require_clock",
 ]  # fmt: skip
 
-POLL = 1e-3  # s between two looks at the status byte of a run that takes long
-QUICK = 2e-4  # s, where a command follows at once
-READS = 100  # tries to read a counter that changes
+POLL_INTERVAL_S = 1e-3  # s between two looks at the status byte of a run that takes long
+FAST_POLL_S = 2e-4  # s, where a command follows at once
+MAX_COUNTER_READS = 100  # tries to read a counter that changes
 
 
-LEAST_MULTIPLIER = 2
+MIN_MULTIPLIER = 2
 """The smallest R7 that makes a clock."""
 
 
-def name_leader(axis: Axis) -> str:
+def describe_leader(axis: Axis) -> str:
     """Return the leader of an axis' chip in words: "axis x"."""
     leader = getattr(axis.chip, "syni", None)
     axes: Any = getattr(getattr(axis, "stage", None), "axes", {})
@@ -74,7 +74,7 @@ def read_leader_multiplier(axis: Axis) -> int | None:
 def require_clock(axis: Axis) -> int | None:
     """Return `read_leader_multiplier`. Raises StageError where the leader makes no clock."""
     multiplier = read_leader_multiplier(axis)
-    if multiplier is not None and multiplier < LEAST_MULTIPLIER:
+    if multiplier is not None and multiplier < MIN_MULTIPLIER:
         raise StageError(f"axis {axis.name} makes no pulses: {explain_silence(axis)}")
     return multiplier
 
@@ -82,18 +82,18 @@ def require_clock(axis: Axis) -> int | None:
 def explain_silence(axis: Axis) -> str:
     """Return why the axis' chip makes no pulses, whatever starts it; "" where it has a clock."""
     multiplier = read_leader_multiplier(axis)
-    if multiplier is not None and multiplier < LEAST_MULTIPLIER:
-        leader = name_leader(axis)
+    if multiplier is not None and multiplier < MIN_MULTIPLIER:
+        leader = describe_leader(axis)
         return (
             f"its chip counts the clock of {leader} (SYNI), whose R7 is {multiplier}, and R7 = 2 to 1023 make a clock. "
             f"Write the R7 of {leader}, move both together, or disconnect SYNI."
         )
-    if multiplier is None and (own := int(axis.chip.state["reg"][7])) < LEAST_MULTIPLIER:
+    if multiplier is None and (own := int(axis.chip.state["reg"][7])) < MIN_MULTIPLIER:
         return f"its R7 is {own}, and R7 = 2 to 1023 make a clock. Write R7."
     return ""
 
 
-def check(axis: Any) -> type[PCL240]:
+def check_chip_family(axis: Any) -> type[PCL240]:
     """Return the class of the axis' chip.
 
     Args:
@@ -113,7 +113,7 @@ def check(axis: Any) -> type[PCL240]:
     return type(chip)
 
 
-POLARITY = {"org": ("R13", "org_logic"), "ez": ("R12", "ez_logic")}
+POLARITY_FIELDS = {"org": ("R13", "org_logic"), "ez": ("R12", "ez_logic")}
 """Sensor -> the field that says that it is high while it is on."""
 
 
@@ -146,7 +146,7 @@ assert Status._fields == tuple(f.name for f in STATUS.fields)
 _READ = [Status(*(bool(word >> k & 1) for k in range(7, -1, -1))) for word in range(256)]  # firmware polls it
 
 
-def polarity(axis: Axis) -> dict[str, int]:
+def compute_polarity_bits(axis: Axis) -> dict[str, int]:
     """Compute the bits of R12 and R13 that suit the wiring of an axis.
 
     Args:
@@ -161,7 +161,7 @@ def polarity(axis: Axis) -> dict[str, int]:
     bits: dict[str, int] = {}
     for sensor in getattr(axis, "wiring", {}):
         map_ = axis.chip.MAP
-        name, field = POLARITY.get(sensor, ("", ""))
+        name, field = POLARITY_FIELDS.get(sensor, ("", ""))
         register = next((r for r in map_.registers if r.name == name), None)
         if register is None or field not in (f.name for f in register.fields):
             able = {"org": "; a PCL240MS can", "ez": "; a PCL240MK or PCL240MS can"}.get(sensor, "")
@@ -233,12 +233,13 @@ class Port:
             StageError: The bus is too slow for the pulse rate, so that they never agree.
         """
         read = self._chip.read
-        for _ in range(READS):
+        for _ in range(MAX_COUNTER_READS):
             high, middle, low = read(3), read(2), read(1)
             if (read(2), read(3)) == (middle, high):
                 return high << 16 | middle << 8 | low
         raise StageError(
-            f"axis {self.axis.name}: the counter's bytes did not agree in {READS} reads: the bus is too slow to read it in motion."
+            f"axis {self.axis.name}: the counter's bytes did not agree in {MAX_COUNTER_READS} reads: "
+            "the bus is too slow to read it in motion."
         )
 
     def read_register(self, name: str) -> int:
@@ -268,7 +269,7 @@ class Port:
         raw = self.read_register("R10")
         return raw - (1 << 24) if raw & 1 << 23 else raw
 
-    def wait_until_stopped(self, timeout: float, poll: float = POLL) -> Status:
+    def wait_until_stopped(self, timeout: float, poll: float = POLL_INTERVAL_S) -> Status:
         """Poll status bit 6, every `poll` seconds at first and ever more slowly in a long run, see `driver.compute_poll_interval`.
 
         Args:
@@ -284,7 +285,7 @@ class Port:
         return self.wait_until(lambda s: not s.operating, timeout, poll, "it to stop")
 
     def wait_until(
-        self, test: Callable[[Status], bool], timeout: float, poll: float = QUICK, what: str = "a change"
+        self, test: Callable[[Status], bool], timeout: float, poll: float = FAST_POLL_S, what: str = "a change"
     ) -> Status:
         """Poll until a test of the status is met.
 

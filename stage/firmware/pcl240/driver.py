@@ -11,29 +11,29 @@ from typing import Any, ClassVar, cast
 
 from stage.chips.journal import Journal
 from stage.firmware.driver import DUAL_RATE_ORDER, Driver, Speeds
-from stage.firmware.home_program import Search
+from stage.firmware.home_program import HomeProgram
 from stage.firmware.move_report import Report
 from stage.firmware.pcl240 import chip_port, moves
 from stage.firmware.pcl240.chip_port import Port, require_clock
-from stage.firmware.pcl240.home_program import FourRuns
-from stage.firmware.pcl240.line_programs import RatioLine
-from stage.firmware.pcl240.operation_pattern import Pattern
-from stage.firmware.pcl240.origin_return import APPROACH, origin_return
+from stage.firmware.pcl240.home_program import FourRunHomeProgram
+from stage.firmware.pcl240.line_programs import RatioLinePrograms
+from stage.firmware.pcl240.operation_pattern import Pcl240Pattern
+from stage.firmware.pcl240.origin_return import APPROACH_RATE_PPS, origin_return
 from stage.firmware.pcl240.rate_change_moves import dual_rate_move
 from stage.firmware.pcl240.speed_profile import Profile, get_default_second_rate
-from stage.firmware.pcl240.stop_reason import find_cause, find_stop_reason
+from stage.firmware.pcl240.stop_reason import find_present_stop_cause, find_stop_reason
 from stage.firmware.pcl240.synchronized_move import synchronized_move
 from stage.firmware.synchronized_report import SynchronizedReport
 from stage.sim.program import Operations
 
-TUNED = ("R1", "R2", "R4", "R5", "R6", "R7")
-S_CURVES = ("R14", "R15")
+TUNED_REGISTERS = ("R1", "R2", "R4", "R5", "R6", "R7")
+S_CURVE_REGISTERS = ("R14", "R15")
 
 
 class Pcl240Driver(Driver):
     """Driver of PCL-240K, PCL-240MK and PCL-240MS."""
 
-    PATTERN: ClassVar = Pattern
+    PATTERN: ClassVar = Pcl240Pattern
     DONE: ClassVar = "R0 = 0"
     DISTANCE_REGISTER: ClassVar = "R0"
     INVERTIBLE_SENSORS: ClassVar = ("org", "ez", "el_plus", "el_minus", "sd_plus", "sd_minus")
@@ -90,12 +90,12 @@ class Pcl240Driver(Driver):
         self._forget()
         return origin_return(
             self.axis, direction, self.profile(speeds), high_speed=not speeds.constant, slow_approach=speeds.approach != 0,
-            approach=speeds.approach or APPROACH, ez=index or None, timeout=timeout,
+            approach=speeds.approach or APPROACH_RATE_PPS, ez=index or None, timeout=timeout,
         )  # fmt: skip
 
     def run(self, direction: int, speeds: Speeds) -> None:
         self._watch()
-        moves.prepare(self.port, self.profile(speeds), chip_port.MINUS if direction < 0 else 0)
+        moves.write_move_setup(self.port, self.profile(speeds), chip_port.MINUS if direction < 0 else 0)
         self.port.command(chip_port.RAMP["FH1"])
 
     def halt(self, at_once: bool = False) -> None:
@@ -126,7 +126,9 @@ class Pcl240Driver(Driver):
         if self.port.status().operating:
             return ""
         self._close()
-        return find_stop_reason(self._journal) if self._journal is not None else find_cause(self.chip.state)
+        return (
+            find_stop_reason(self._journal) if self._journal is not None else find_present_stop_cause(self.chip.state)
+        )
 
     def read_register(self, name: str) -> int:
         r = self.chip.MAP.register(name)
@@ -152,7 +154,7 @@ class Pcl240Driver(Driver):
     def list_move_registers(self, s_curve: bool | None) -> tuple[str, ...]:
         if s_curve and not self.chip.S_CURVES:
             raise self.build_s_curve_error()
-        return TUNED + (S_CURVES if self.chip.S_CURVES and s_curve is not False else ())
+        return TUNED_REGISTERS + (S_CURVE_REGISTERS if self.chip.S_CURVES and s_curve is not False else ())
 
     def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
         a, chip = self.index, self.chip
@@ -174,11 +176,11 @@ class Pcl240Driver(Driver):
     ) -> dict[str, int]:
         p = Profile.of(fl, fh, fh, accel=up, decel=down, clock_hz=self.chip.clock_hz)
         result = {**p.registers(), "R6": p.down_point(pulses)}
-        curved = [name for name in S_CURVES if name in self.list_move_registers(s_curve)]
+        curved = [name for name in S_CURVE_REGISTERS if name in self.list_move_registers(s_curve)]
         return {**result, **dict.fromkeys(curved, 0)}  # curved throughout
 
-    def search(self, settings: Any) -> Search:
-        return FourRuns(self, settings)
+    def search(self, settings: Any) -> HomeProgram:
+        return FourRunHomeProgram(self, settings)
 
-    def lines(self, drivers: Sequence[Driver], settings: Any) -> RatioLine:
-        return RatioLine(cast(Any, drivers), settings)
+    def lines(self, drivers: Sequence[Driver], settings: Any) -> RatioLinePrograms:
+        return RatioLinePrograms(cast(Any, drivers), settings)

@@ -9,7 +9,7 @@ import numpy as np
 
 from stage.chips.pcl240.state import COUNTER_MASK, S_OPERATING, S_ORG, S_ZERO
 from stage.errors import ArgumentError, add_article
-from stage.firmware.home_program import Search, SearchResult
+from stage.firmware.home_program import HomeProgram, HomeResults
 from stage.firmware.parameter_ranges import ParameterRanges, get_register_range
 from stage.firmware.pcl240 import chip_port
 from stage.sim.program import Program
@@ -17,10 +17,10 @@ from stage.sim.program import Program
 if TYPE_CHECKING:
     from stage.firmware.pcl240.driver import Pcl240Driver
 
-RUNS = ("leave", "search", "back off", "approach")
+RUN_NAMES = ("leave", "search", "back off", "approach")
 
 
-class FourRuns(Search):
+class FourRunHomeProgram(HomeProgram):
     """Origin return in four runs: leave, search, back off, approach.
 
     The chip's status is read during the runs, but no decision depends on it.
@@ -54,7 +54,7 @@ class FourRuns(Search):
         c, a, chip = self.settings, self.driver.index, self.driver.chip
         fl, fh, rate, approach, leave, back_off, sd = np.asarray(row).tolist()
         p = Program().command(a, chip_port.RESET)
-        logic = chip_port.polarity(self.driver.axis)
+        logic = chip_port.compute_polarity_bits(self.driver.axis)
         values = {"R1": fl, "R2": fh, "R4": rate, "R5": rate, "R7": c.multiplier, **logic}
         if chip.S_CURVES:
             values["R14"] = chip.LINEAR_RAMPS
@@ -99,14 +99,14 @@ class FourRuns(Search):
         for address in (0, 3, 2, 1):
             self._note_result_index(f"{name} {address}", p).read(a, address)
 
-    def read_results(self, results: np.ndarray, rows: np.ndarray) -> SearchResult:
+    def read_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
         marked = {name: results[:, at] for name, at in self.marks.items()}
-        status = {name: marked[f"{name} 0"] for name in RUNS}
+        status = {name: marked[f"{name} 0"] for name in RUN_NAMES}
         counted = {
             name: -(marked[f"{name} 3"] << 16 | marked[f"{name} 2"] << 8 | marked[f"{name} 1"]) & COUNTER_MASK
             for name in ("search", "approach")
         }
-        timed_out = np.any([marked[f"{name} time"] < 0 for name in RUNS], axis=0)
+        timed_out = np.any([marked[f"{name} time"] < 0 for name in RUN_NAMES], axis=0)
         on_org = {name: s & S_ORG != 0 for name, s in status.items()}
         arrived = on_org["approach"]
         if self.settings.ez:
@@ -116,4 +116,4 @@ class FourRuns(Search):
         short = (status["leave"] & S_ZERO == 0) | (status["back off"] & S_ZERO == 0)
         end_limit = ~timed_out & (short | ~on_org["search"] | (released & ~arrived))
         overrun = counted["approach"] - rows[:, list(self.choices.ranges).index("back_off")]
-        return SearchResult(timed_out, ~timed_out & released & arrived, end_limit, released, counted["search"], overrun)
+        return HomeResults(timed_out, ~timed_out & released & arrived, end_limit, released, counted["search"], overrun)

@@ -14,7 +14,7 @@ from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.errors import ArgumentError
 from stage.firmware.pcl240 import follower_fit
-from stage.firmware.pcl240.preset_move_closed_form import bend, stretch
+from stage.firmware.pcl240.preset_move_closed_form import compute_ramp_stretch, set_s_curve_registers
 
 LONG = 500_000  # pulses
 LEADERS, LEADERS_LONG = 6, 60  # tried; more for a long move, in which small errors of the ratio add up
@@ -32,7 +32,7 @@ MIN_R7, MAX_R7 = _LEGAL["R7"]  # of the whole family
 MAX_SPEED = _LEGAL["R2"][1]
 
 
-class Widths(NamedTuple):
+class RegisterRanges(NamedTuple):
     """Ranges of a chip's registers: the largest R4 and R5, the largest ramp-down point, and the number of registers in a row."""
 
     rate: int
@@ -40,7 +40,7 @@ class Widths(NamedTuple):
     row: int
 
     @classmethod
-    def of(cls, chip: type[PCL240], automatic: bool) -> Widths:
+    def of(cls, chip: type[PCL240], automatic: bool) -> RegisterRanges:
         """Return the ranges of a chip.
 
         Args:
@@ -93,7 +93,7 @@ class Follower(NamedTuple):
 
     pulses: int
     clock_hz: int
-    widths: Widths
+    widths: RegisterRanges
     lead: float
     multiplier: int = 0
 
@@ -105,8 +105,8 @@ class Candidates(NamedTuple):
     scores: np.ndarray
 
 
-def search(
-    move: LeaderMove, hz: int, widths: Widths, followers: Mapping[str, Follower]
+def search_registers(
+    move: LeaderMove, hz: int, widths: RegisterRanges, followers: Mapping[str, Follower]
 ) -> tuple[np.ndarray, dict[str, Candidates]]:
     """Choose rows (see fit.py) of the leader and of its followers.
 
@@ -125,23 +125,23 @@ def search(
         ArgumentError: No registers make the ramps.
     """
     best: tuple[np.ndarray, dict[str, Candidates]] | None = None
-    least, work = np.inf, np.zeros(1, follower_fit.WORK)
-    for bare in _leaders(move, hz, widths, followers):
+    least, work = np.inf, np.zeros(1, follower_fit.WORK_DTYPE)
+    for bare in _list_leaders(move, hz, widths, followers):
         rises: dict[str, np.ndarray] = {}
-        for leader in _with_tails(bare, hz, widths.point):
+        for leader in _vary_tails(bare, hz, widths.point):
             candidates = {}
             for name, (d, own_hz, (rate, point, size), lead, multiplier) in followers.items():
                 only = int(leader[7]) if multiplier == AS_LEADER else multiplier
                 if name not in rises:
                     rises[name] = np.zeros((follower_fit.MAX_CANDIDATES, size), np.int64)
                     scores = np.empty(follower_fit.MAX_CANDIDATES)
-                    follower_fit.accelerations(
+                    follower_fit.fit_accelerations(
                         leader, hz, d, own_hz, lead, move.share, rate, only, scores, rises[name], work
                     )
                 candidates[name] = Candidates(
-                    np.zeros((follower_fit.BEST, size), np.int64), np.empty(follower_fit.BEST)
+                    np.zeros((follower_fit.MAX_BEST_ROWS, size), np.int64), np.empty(follower_fit.MAX_BEST_ROWS)
                 )
-                follower_fit.decelerations(
+                follower_fit.fit_decelerations(
                     leader, hz, own_hz, lead, move.automatic, rate, point, rises[name],
                     candidates[name].scores, candidates[name].registers, work,
                 )  # fmt: skip
@@ -157,7 +157,9 @@ def search(
     return best
 
 
-def _leaders(move: LeaderMove, hz: int, widths: Widths, followers: Mapping[str, Follower]) -> list[np.ndarray]:
+def _list_leaders(
+    move: LeaderMove, hz: int, widths: RegisterRanges, followers: Mapping[str, Follower]
+) -> list[np.ndarray]:
     """Return rows (R6 still 0) for the longest axis, most promising first.
 
     R7 and FH may be any that make the rate to 0.2 %: what counts is how well the followers' registers make their share of it.
@@ -188,7 +190,9 @@ def _leaders(move: LeaderMove, hz: int, widths: Widths, followers: Mapping[str, 
     for d, own_hz, _, _, multiplier in followers.values():
         misfit = np.zeros(len(pick))
         least = min(100.0, d / move.length * move.fh * 8192 * MAX_R7 / own_hz / 2)
-        follower_fit.misfits(high[pick], r7[pick], hz, d / move.length, own_hz, least, MATCH / d, multiplier, misfit)
+        follower_fit.compute_rate_misfits(
+            high[pick], r7[pick], hz, d / move.length, own_hz, least, MATCH / d, multiplier, misfit
+        )
         off = np.maximum(off, misfit * d)
     best = pick[np.argsort(np.maximum(off, DRIFT) + error[pick], kind="stable")]
     unshifted = pick[shift[pick] == 0]
@@ -198,7 +202,7 @@ def _leaders(move: LeaderMove, hz: int, widths: Widths, followers: Mapping[str, 
     table = np.stack([zero + move.length, low, high, high, up, down, zero, r7, *rest], axis=1).astype(np.int64)
     rows = [table[k] for k in dict.fromkeys([*best[: tried // 2], *spread])]
     for row in rows:
-        bend(row, move.share)
+        set_s_curve_registers(row, move.share)
     return rows
 
 
@@ -235,14 +239,15 @@ def _refuse_ramp(move: LeaderMove, hz: int, max_rate: int, step: np.ndarray, hig
     )
 
 
-def _with_tails(leader: np.ndarray, hz: int, max_rate: int) -> Iterator[np.ndarray]:
+def _vary_tails(leader: np.ndarray, hz: int, max_rate: int) -> Iterator[np.ndarray]:
     """Yield the leader with R6 for a few lengths of its last part at FL: for some the followers' whole pulses fit better."""
     if leader[2] == leader[1]:
         yield leader
         return
     gain = int(leader[2] - leader[1])
     rise, fall = (
-        leader[k] * (leader[1] * gain + gain * (gain - 1) / 2) / (8192 * leader[7]) * stretch(leader) for k in (4, 5)
+        leader[k] * (leader[1] * gain + gain * (gain - 1) / 2) / (8192 * leader[7]) * compute_ramp_stretch(leader)
+        for k in (4, 5)
     )
     fl, fh = (leader[k] * hz / (8192 * leader[7]) for k in (1, 2))
     patience = max(TAIL_SECONDS, TAIL_SHARE * leader[0] / fh)

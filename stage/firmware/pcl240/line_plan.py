@@ -19,7 +19,7 @@ from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import LINEAR, SPAN
 from stage.errors import ArgumentError, ExceededLimit, add_article, unknown_name_error
 from stage.firmware.line_programs import MAX_RAMP_SHARE, compute_peak_rate
-from stage.firmware.path_deviation import path_deviation, perfect_deviation
+from stage.firmware.path_deviation import compute_path_deviation, compute_perfect_deviation
 from stage.firmware.pcl240 import follower_fit
 from stage.firmware.pcl240.leader_search import (
     AS_LEADER,
@@ -30,19 +30,19 @@ from stage.firmware.pcl240.leader_search import (
     Candidates,
     Follower,
     LeaderMove,
-    Widths,
+    RegisterRanges,
     effective_steps,
-    search,
+    search_registers,
 )
 from stage.firmware.pcl240.preset_move_closed_form import fill_motion
-from stage.firmware.pcl240.register_row_emulation import NAMES, compute_offset, trace_row
-from stage.firmware.pcl240.speed_profile import ACCEL, FH1, FL, ramp_seconds
+from stage.firmware.pcl240.register_row_emulation import ROW_REGISTERS, compute_ramp_down_offset, trace_row
+from stage.firmware.pcl240.speed_profile import DEFAULT_RAMP_TIME_S, FH1, FL, compute_ramp_seconds
 from stage.support.arguments import explain_arguments
 
 MAX_R0 = PCL240K.MAP.registers[0].mask
-PLAYED = 2_000_000  # pulses: longer moves are judged by the closed form alone
-ON_THE_LINE = 2.0  # pulses
-OFF_THE_LINE = 5.0  # pulses: refused where shorter ramps would mend it
+MAX_EMULATED_PULSES = 2_000_000  # pulses: longer moves are judged by the closed form alone
+NOTED_DEVIATION_PULSES = 2.0  # pulses
+REFUSED_DEVIATION_PULSES = 5.0  # pulses: refused where shorter ramps would mend it
 
 
 @dataclass(frozen=True)
@@ -94,13 +94,13 @@ class AxisPlan:
     def accel(self) -> float:
         """Time from FL to FH, s."""
         r = self.registers
-        return ramp_seconds(r["R1"], r["R2"], r["R4"], self.clock_hz, self.span)
+        return compute_ramp_seconds(r["R1"], r["R2"], r["R4"], self.clock_hz, self.span)
 
     @property
     def decel(self) -> float:
         """Time from FH to FL, s."""
         r = self.registers
-        return ramp_seconds(r["R1"], r["R2"], r["R5"], self.clock_hz, self.span)
+        return compute_ramp_seconds(r["R1"], r["R2"], r["R5"], self.clock_hz, self.span)
 
     @property
     def offset(self) -> int:
@@ -147,7 +147,7 @@ class Plan:
     @property
     def perfect(self) -> float:
         """Deviation of axes with rates exactly in ratio and a common start, pulses: their path is a staircase too."""
-        return perfect_deviation(list(self.distances.values()))
+        return compute_perfect_deviation(list(self.distances.values()))
 
     def with_bus_delay(self, bus_delay: float) -> Plan:
         """Return the same registers with another time between start commands, and the deviation with it.
@@ -157,12 +157,12 @@ class Plan:
         """
         rows = {n: a.row for n, a in self.axes.items()}
         chips = {n: (a.chip, a.clock_hz) for n, a in self.axes.items()}
-        again = _judge(self.distances, rows, chips, any(a.automatic for a in self.axes.values()), bus_delay)
+        again = _evaluate_rows(self.distances, rows, chips, any(a.automatic for a in self.axes.values()), bus_delay)
         return replace(again, notes=self.notes)
 
     def __str__(self) -> str:
         width = max(4, *(len(n) for n in self.axes))
-        names = [n for n in NAMES if any(n in a.registers for a in self.axes.values())]
+        names = [n for n in ROW_REGISTERS if any(n in a.registers for a in self.axes.values())]
         head = f"{'axis':{width}} {'pulses':>10}" + "".join(f"{n:>9}" if n == "R0" else f"{n:>7}" for n in names)
         lines = [head + f"{'FL pps':>10}{'FH pps':>12}{'up ms':>9}{'down ms':>9}{'ends s':>9}"]
         for name, a in self.axes.items():
@@ -194,7 +194,7 @@ def plan(
     *,
     rate: float = FH1,
     fl: float = FL,
-    accel: float = ACCEL,
+    accel: float = DEFAULT_RAMP_TIME_S,
     decel: float | None = None,
     s_curve: bool | float = False,
     automatic: bool | None = None,
@@ -234,27 +234,27 @@ def plan(
     checked = {n: _check_distance(n, d) for n, d in distances.items()}
     moving = {n: d for n, d in checked.items() if d}
     decel = accel if decel is None else decel
-    _check(moving, distances, rate, fl, accel, decel, bus_delay)
-    kinds = {n: (_of_axis("chips", n, chips), int(_of_axis("clock_hz", n, clock_hz))) for n in moving}
+    _check_rates_and_times(moving, distances, rate, fl, accel, decel, bus_delay)
+    kinds = {n: (_get_axis_value("chips", n, chips), int(_get_axis_value("clock_hz", n, clock_hz))) for n in moving}
     automatic = bool(automatic)
-    share = _share(s_curve)
-    _offers({n: chip for n, (chip, _) in kinds.items()}, share > 0, automatic, accel, decel)
+    share = _get_curve_share(s_curve)
+    _check_ramp_support({n: chip for n, (chip, _) in kinds.items()}, share > 0, automatic, accel, decel)
     hz = {n: hz for n, (_, hz) in kinds.items()}
-    order = _order(moving)
-    leader_name, lead = order[-1], _leads(order, bus_delay)
+    order = _order_starts(moving)
+    leader_name, lead = order[-1], _compute_start_leads(order, bus_delay)
     move, notes = _shorten(abs(moving[leader_name]), rate, fl, accel, decel)
     only = dict.fromkeys(shared, AS_LEADER) | dict(multipliers or {})
     move = move._replace(share=share, automatic=automatic, multiplier=max(only.get(leader_name, 0), 0))
-    _reach(moving, leader_name, move, rate, hz)
+    _check_reachable_rates(moving, leader_name, move, rate, hz)
     _check_multipliers(moving, move, only, hz)
-    widths = {n: Widths.of(chip, automatic) for n, (chip, _) in kinds.items()}
+    widths = {n: RegisterRanges.of(chip, automatic) for n, (chip, _) in kinds.items()}
     followers = {n: Follower(abs(moving[n]), hz[n], widths[n], lead[n], only.get(n, 0)) for n in order[:-1]}
-    leader, candidates = search(move, hz[leader_name], widths[leader_name], followers)
+    leader, candidates = search_registers(move, hz[leader_name], widths[leader_name], followers)
     rows = {leader_name: leader} | {n: c.registers[0] for n, c in candidates.items()}
-    if sum(map(abs, moving.values())) <= PLAYED:
-        _play(rows, leader_name, kinds, followers, candidates)
-    line_plan = _judge(moving, rows, kinds, automatic, bus_delay)
-    return replace(line_plan, notes=(*notes, *_remarks(line_plan.axes, move, line_plan.deviation)))
+    if sum(map(abs, moving.values())) <= MAX_EMULATED_PULSES:
+        _choose_by_emulation(rows, leader_name, kinds, followers, candidates)
+    line_plan = _evaluate_rows(moving, rows, kinds, automatic, bus_delay)
+    return replace(line_plan, notes=(*notes, *_list_remarks(line_plan.axes, move, line_plan.deviation)))
 
 
 def _check_distance(name: str, d: Any) -> int:
@@ -270,7 +270,7 @@ def _check_distance(name: str, d: Any) -> int:
     return whole
 
 
-def _of_axis(what: str, name: str, values: Any) -> Any:
+def _get_axis_value(what: str, name: str, values: Any) -> Any:
     """Return the value of an axis, where there is one for each axis. Raises ArgumentError for a missing one."""
     if not isinstance(values, Mapping):
         return values
@@ -279,7 +279,7 @@ def _of_axis(what: str, name: str, values: Any) -> Any:
     return values[name]
 
 
-def _share(s_curve: bool | float) -> float:
+def _get_curve_share(s_curve: bool | float) -> float:
     """Return the share of the speed steps in each curved end: 0 for linear ramps, 0.5 for S-curves throughout."""
     if isinstance(s_curve, bool):
         return 0.5 if s_curve else 0.0
@@ -290,7 +290,7 @@ def _share(s_curve: bool | float) -> float:
     return float(s_curve)
 
 
-def _offers(chips: dict, s_curve: bool, automatic: bool, accel: float, decel: float) -> None:
+def _check_ramp_support(chips: dict, s_curve: bool, automatic: bool, accel: float, decel: float) -> None:
     """Raise ArgumentError for ramps that a chip does not have."""
     for name, chip in chips.items():
         if not (isinstance(chip, type) and issubclass(chip, PCL240)):
@@ -312,7 +312,9 @@ def _offers(chips: dict, s_curve: bool, automatic: bool, accel: float, decel: fl
         )
 
 
-def _check(moving: dict, distances: Any, rate: float, fl: float, accel: float, decel: float, bus_delay: float) -> None:
+def _check_rates_and_times(
+    moving: dict, distances: Any, rate: float, fl: float, accel: float, decel: float, bus_delay: float
+) -> None:
     """Raise ArgumentError for rates and times that no move has."""
     if not moving:
         raise ArgumentError(f"distances={dict(distances)!r}: nothing moves; give at least one axis pulses to make.")
@@ -341,7 +343,7 @@ def _shorten(length: int, rate: float, fl: float, accel: float, decel: float) ->
     return LeaderMove(length, peak, fl, accel * part, decel * part), [note]
 
 
-def _reach(moving: dict, leader: str, move: LeaderMove, rate: float, hz: dict) -> None:
+def _check_reachable_rates(moving: dict, leader: str, move: LeaderMove, rate: float, hz: dict) -> None:
     """Raise ArgumentError for rates that no registers make."""
     max_rate = hz[leader] * MAX_SPEED / (8192 * MIN_R7)
     if max(rate, move.fh) > max_rate:
@@ -380,7 +382,7 @@ def _check_multipliers(moving: dict, move: LeaderMove, only: Mapping[str, int], 
                 )
 
 
-def _play(
+def _choose_by_emulation(
     rows: dict, leader_name: str, kinds: dict, followers: dict[str, Follower], candidates: Mapping[str, Candidates]
 ) -> None:
     """Choose among the best followers by running emulated chips."""
@@ -391,16 +393,16 @@ def _play(
         d, hz, _, lead, _ = followers[name]
         for row in choice.registers[choice.scores < 1e17]:
             own = trace_row(row, kinds[name][0]) / hz - lead
-            deviation = path_deviation([(pulses, 1), (own, 1)], [leader[0], d]).pulses
+            deviation = compute_path_deviation([(pulses, 1), (own, 1)], [leader[0], d]).pulses
             if deviation < best - 1e-9:
                 best, rows[name] = deviation, row
 
 
-def _judge(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, bus_delay: float) -> Plan:
+def _evaluate_rows(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, bus_delay: float) -> Plan:
     """Return the plan that these rows of registers are. kinds: axis -> class of its chip, and its clock in Hz."""
-    order = _order(distances)
-    lead = _leads(order, bus_delay)
-    exact = sum(abs(d) for d in distances.values()) <= PLAYED
+    order = _order_starts(distances)
+    lead = _compute_start_leads(order, bus_delay)
+    exact = sum(abs(d) for d in distances.values()) <= MAX_EMULATED_PULSES
     axes, paths = {}, []
     for n, d in distances.items():
         row, (chip, hz) = rows[n], kinds[n]
@@ -413,19 +415,21 @@ def _judge(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, 
             c = np.zeros(4, np.int64)
             fill_motion(row, c)
             last = c[3]
-        named = dict(zip(NAMES, row.tolist(), strict=False))
+        named = dict(zip(ROW_REGISTERS, row.tolist(), strict=False))
         if by_itself:
-            named["R6"] = compute_offset(row, chip) & chip.MAP.register("R6").mask
+            named["R6"] = compute_ramp_down_offset(row, chip) & chip.MAP.register("R6").mask
         seconds = lead[order[0]] - lead[n] + float(last) / hz
         axes[n] = AxisPlan(d, named, hz, lead[n], seconds, chip, int(row[6]), by_itself)
     if exact:
-        deviation = path_deviation(paths, [abs(d) for d in distances.values()]).pulses
+        deviation = compute_path_deviation(paths, [abs(d) for d in distances.values()]).pulses
     else:
         leader = order[-1]
-        squares, work = 0.0, np.zeros(1, follower_fit.WORK)
+        squares, work = 0.0, np.zeros(1, follower_fit.WORK_DTYPE)
         for n in order[:-1]:
             squares += (
-                follower_fit.estimate(rows[leader], axes[leader].clock_hz, rows[n], axes[n].clock_hz, lead[n], work)
+                follower_fit.estimate_line_distance(
+                    rows[leader], axes[leader].clock_hz, rows[n], axes[n].clock_hz, lead[n], work
+                )
                 ** 2
             )
         deviation = float(np.sqrt(squares))
@@ -434,23 +438,23 @@ def _judge(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, 
     return Plan(axes, tuple(order), bus_delay, error, deviation, exact, max(a.seconds for a in axes.values()))
 
 
-def _order(distances: dict[str, int]) -> list[str]:
+def _order_starts(distances: dict[str, int]) -> list[str]:
     """Return the names in the order of the start commands, the longest axis last."""
     return sorted(distances, key=lambda n: abs(distances[n]))
 
 
-def _leads(order: list[str], bus_delay: float) -> dict[str, float]:
+def _compute_start_leads(order: list[str], bus_delay: float) -> dict[str, float]:
     """Return the seconds from each axis' start command to the last one."""
     return {n: float(bus_delay) * (len(order) - 1 - k) for k, n in enumerate(order)}
 
 
-def _remarks(axes: dict[str, AxisPlan], move: LeaderMove, deviation: float) -> list[str]:
+def _list_remarks(axes: dict[str, AxisPlan], move: LeaderMove, deviation: float) -> list[str]:
     """Return notes where registers could not do as requested. Raises ArgumentError where that takes the axes off the line."""
     notes = []
     for name, a in axes.items():
         own = abs(a.distance) / move.length
         gain = round((move.fh - move.fl) * own * 8192 * MAX_R7 / a.clock_hz)
-        max_rate = Widths.of(a.chip, a.automatic).rate
+        max_rate = RegisterRanges.of(a.chip, a.automatic).rate
         max_ramp = effective_steps(gain, move.share) * max_rate / a.clock_hz
         for word, wanted, actual in (("accel", move.up, a.accel), ("decel", move.down, a.decel)):
             if wanted > max_ramp and actual < 0.95 * wanted:
@@ -458,7 +462,7 @@ def _remarks(axes: dict[str, AxisPlan], move: LeaderMove, deviation: float) -> l
                     f"axis {name} cannot ramp for {word}={wanted:.3g} s: to {own * move.fh:.3g} pps it takes no more than about "
                     f"{max_ramp:.2g} s (R7 = {MAX_R7}, rate register {max_rate})"
                 )
-                if deviation > OFF_THE_LINE:
+                if deviation > REFUSED_DEVIATION_PULSES:
                     raise ArgumentError(
                         f"{reason}, and would be {deviation:.1f} pulses off the line. Shorten {word} to {max_ramp:.2g} s, raise "
                         f"the rate, or move {name} by itself."
@@ -468,7 +472,7 @@ def _remarks(axes: dict[str, AxisPlan], move: LeaderMove, deviation: float) -> l
             notes.append(
                 f"axis {name}: FL {a.fl:.4g} pps instead of {move.fl * own:.4g}: the nearest that keeps to the line"
             )
-    if deviation > ON_THE_LINE:
+    if deviation > NOTED_DEVIATION_PULSES:
         notes.append(
             f"the closest registers leave the line by {deviation:.1f} pulses: another rate or other ramps may come closer"
         )

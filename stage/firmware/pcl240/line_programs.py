@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.firmware.line_programs import Line, LineMoves
+from stage.firmware.line_programs import LineMoves, LinePrograms
 from stage.firmware.pcl240 import chip_port
 from stage.sim.program import Program
 
 if TYPE_CHECKING:
     from stage.firmware.pcl240.driver import Pcl240Driver
 
-SPEED = 8191  # most steps of R1, R2
-FINEST = 8000  # the longest axis' FH in the data sheet's answer: fine, with room to correct
-AT_FL = 5  # pulses of the longest axis at FL after its ramp-down
+MAX_SPEED_STEPS = 8191  # most steps of R1, R2
+FH_SPEED_STEPS = 8000  # the longest axis' FH in the data sheet's answer: fine, with room to correct
+TAIL_PULSES = 5  # pulses of the longest axis at FL after its ramp-down
 
 
-class RatioLine(Line):
+class RatioLinePrograms(LinePrograms):
     """Line by registers in the ratio of the distances. A row R1 R2 R4 R5 R6 R7 for each axis; R3 is R2.
 
     Start commands follow one another, the longest axis last.
@@ -27,7 +27,7 @@ class RatioLine(Line):
 
     def __init__(self, drivers: Sequence[Pcl240Driver], settings: Any):
         super().__init__(drivers, settings, len(drivers), drivers[0].list_move_registers(settings.s_curve)[:6])
-        self.fastest = self.hz * FINEST / (8192 * 2)
+        self.fastest = self.hz * FH_SPEED_STEPS / (8192 * 2)
         self._write_template()
 
     def data_sheet(self, moves: LineMoves) -> np.ndarray:
@@ -42,21 +42,21 @@ class RatioLine(Line):
             Registers (stages, axes, 6).
         """
         peak = self.compute_peaks(moves)[0]
-        return self._with(moves, self._finest(peak[:, None] * np.ones_like(moves.share), FINEST))
+        return self._with(moves, self._finest(peak[:, None] * np.ones_like(moves.share), FH_SPEED_STEPS))
 
     def _with(self, moves: LineMoves, r7: np.ndarray) -> np.ndarray:
         """Compute the registers of `data_sheet` with other multipliers (stages, axes)."""
         fl, max_rate = self.settings.fl, self.chip.MAP.register("R4").mask
         rho, (peak, ramp) = moves.share, self.compute_peaks(moves)
         step = self.hz / (8192.0 * r7)
-        high = np.clip(np.rint(rho * peak[:, None] / step), 1, SPEED)
+        high = np.clip(np.rint(rho * peak[:, None] / step), 1, MAX_SPEED_STEPS)
         low = np.clip(np.rint(rho * np.minimum(fl, peak)[:, None] / step), 1, high)
         gain = np.maximum(high - low, 1)
         lead = moves.of_leader(gain)
         clocks = lead * np.clip(np.rint(ramp[:, None] * self.hz / lead), 2, max_rate)
         rate = np.clip(np.rint(clocks / gain), 2, max_rate)
         fall = (high + low) * gain * rate / (16384.0 * r7)
-        point = np.minimum(np.floor(fall) + np.maximum(np.rint(AT_FL * rho), 1), moves.size)
+        point = np.minimum(np.floor(fall) + np.maximum(np.rint(TAIL_PULSES * rho), 1), moves.size)
         return self.clip_to_legal(np.stack([low, high, rate, rate, point, r7], axis=2))
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
@@ -75,7 +75,7 @@ class RatioLine(Line):
         c, a = self.settings, corrections
         peak = self.compute_peaks(moves)[0]
         r7 = self.data_sheet(moves)[:, :, 5] + np.rint(a[:, :, 5] * c.multiplier_reach)
-        corrected = self._with(moves, np.clip(r7, 2, self._finest(moves.share * peak[:, None], SPEED)))
+        corrected = self._with(moves, np.clip(r7, 2, self._finest(moves.share * peak[:, None], MAX_SPEED_STEPS)))
         counts = np.maximum(np.rint(c.reach / self.compute_pulses_per_count(corrected, moves)), 1)
         corrected[:, :, :5] += np.rint(a[:, :, :5] * counts).astype(np.int64)
         corrected = self.clip_to_legal(corrected)

@@ -15,9 +15,9 @@ from stage.firmware.axis import Axis, check_direction, check_seconds
 from stage.firmware.driver import SETTLING_TIME_S
 from stage.firmware.move_report import Report
 from stage.firmware.pcl240 import chip_port
-from stage.firmware.pcl240.chip_port import Port, check, name_leader, require_clock
+from stage.firmware.pcl240.chip_port import Port, check_chip_family, describe_leader, require_clock
 from stage.firmware.pcl240.speed_profile import Profile
-from stage.firmware.pcl240.stop_reason import Procedure
+from stage.firmware.pcl240.stop_reason import Pcl240Observer
 from stage.support.arguments import check_timeout, explain_arguments
 
 AUTOMATIC_OFFSET_PULSES = 2  # the counts of ramp-up and ramp-down differ by one or two, and this way FL is reached
@@ -87,8 +87,8 @@ def preset_move(
     else:
         profile = profile.within(count, fh2)
         point = profile.down_point(count, fh2) if down_point is None else profile.chip.MAP.check_value("R6", down_point)
-    with Procedure(axis, "preset move" if high_speed else "constant-speed preset move") as p:
-        prepare(p.port, profile, control)
+    with Pcl240Observer(axis, "preset move" if high_speed else "constant-speed preset move") as p:
+        write_move_setup(p.port, profile, control)
         if profile.chip.S_CURVES and not fh_correction:
             p.port.write_register("R14", profile.registers()["R14"] | chip_port.UNCORRECTED)
         p.port.write_register("R0", count)
@@ -107,7 +107,7 @@ def start_preset(port: Port, profile: Profile, pulses: int) -> None:
     """
     count = check_pulses(pulses)
     profile = profile.within(count)
-    prepare(port, profile, chip_port.PRESET | encode_direction(pulses))
+    write_move_setup(port, profile, chip_port.PRESET | encode_direction(pulses))
     port.write_registers(R0=count, R6=profile.down_point(count))
     port.command(chip_port.RAMP["FH1"])
 
@@ -173,8 +173,8 @@ def continuous_move(
     profile = choose_profile(axis, profile)
     check_direction(direction)
     check_seconds(seconds)
-    with Procedure(axis, "continuous move" if high_speed else "constant-speed continuous move") as p:
-        prepare(p.port, profile, (chip_port.SD if slow_down else 0) | encode_direction(direction))
+    with Pcl240Observer(axis, "continuous move" if high_speed else "constant-speed continuous move") as p:
+        write_move_setup(p.port, profile, (chip_port.SD if slow_down else 0) | encode_direction(direction))
         p.port.command(_encode_start(high_speed, fh2, interrupt))
         axis.wait(seconds)
         if p.port.status().operating:
@@ -223,8 +223,8 @@ def interrupted_move(
     check_seconds(pause)
     point = profile.down_point(count, fh2)
     rate = "FH2" if fh2 else "FH1"
-    with Procedure(axis, "interrupted move") as p:
-        prepare(p.port, profile, chip_port.PRESET | encode_direction(pulses))
+    with Pcl240Observer(axis, "interrupted move") as p:
+        write_move_setup(p.port, profile, chip_port.PRESET | encode_direction(pulses))
         p.port.write_registers(R0=count, R6=point)
         p.port.command(chip_port.RAMP[rate])
         axis.wait(after)
@@ -284,8 +284,8 @@ def external_count(
     if source is None and not 0 < rate <= axis.chip.clock_hz / 4:
         raise ArgumentError(f"rate={rate!r} Hz: EXTP is sampled by the clock; more than 0 and up to a quarter of it.")
     make_pulse = _take_pulses_of(source) if source is not None else lambda a: _make_square_pulse(a, rate)
-    with Procedure(axis, "external count") as p:
-        prepare(p.port, profile, chip_port.PRESET | encode_direction(direction), output=chip_port.EXTERNAL)
+    with Pcl240Observer(axis, "external count") as p:
+        write_move_setup(p.port, profile, chip_port.PRESET | encode_direction(direction), output=chip_port.EXTERNAL)
         p.port.write_register("R0", count)
         p.port.command(chip_port.START["FL"])
         end, more = axis.time + timeout, True
@@ -323,7 +323,7 @@ def _take_pulses_of(source: Callable[[Axis], bool] | Iterator) -> Callable[[Axis
     return lambda axis: next(source, StopIteration) is not StopIteration
 
 
-def prepare(port: Port, profile: Profile, control: int, output: int = 0) -> None:
+def write_move_setup(port: Port, profile: Profile, control: int, output: int = 0) -> None:
     """Write the reset command, the speed data, the output mode and the control mode (data sheet section 5 a).
 
     Raises:
@@ -344,7 +344,7 @@ def choose_profile(axis: Axis, profile: Profile | None) -> Profile:
         ArgumentError: The profile does not fit.
         StageError: The chip counts the clock of another chip (SYNI) that makes none.
     """
-    chip, multiplier = check(axis), require_clock(axis)
+    chip, multiplier = check_chip_family(axis), require_clock(axis)
     if profile is None:
         return Profile.of(clock_hz=axis.chip.clock_hz, chip=chip, multiplier=multiplier)
     if not isinstance(profile, Profile):
@@ -356,8 +356,8 @@ def choose_profile(axis: Axis, profile: Profile | None) -> Profile:
         )
     if multiplier not in (None, profile.R7):
         raise ArgumentError(
-            f"the profile has R7 = {profile.R7}, and axis {axis.name} counts the clock of {name_leader(axis)} (SYNI), which has "
-            f"R7 = {multiplier}: Profile.of(..., multiplier={multiplier})."
+            f"the profile has R7 = {profile.R7}, and axis {axis.name} counts the clock of "
+            f"{describe_leader(axis)} (SYNI), which has R7 = {multiplier}: Profile.of(..., multiplier={multiplier})."
         )
     return profile.on(chip)
 

@@ -8,9 +8,9 @@ from stage.chips.pcl240.describe import name_speed
 from stage.chips.pcl240.maps import CONTROL, OPERATE, OUTPUT
 from stage.chips.pcl240.state import FL, GROUP, INT_AT_STOP, OUTPUT_BITS, RAMP, SPEED, START, STOP
 from stage.firmware import operation_pattern
-from stage.firmware.operation_pattern import AMBER, BLUE, GREEN, GREY, RED, VIOLET, Note
+from stage.firmware.operation_pattern import AMBER, BLUE, GREEN, GREY, RED, VIOLET, PatternNote
 
-LANES = (
+PATTERN_LANES = (
     ("fup", "FUP", BLUE),
     ("fkeep", "FKEEP", BLUE),
     ("fdown", "FDOWN", BLUE),
@@ -26,10 +26,10 @@ LANES = (
 )
 
 
-class Pattern(operation_pattern.Pattern):
+class Pcl240Pattern(operation_pattern.OperationPattern):
     """Signals and commands of a report about a PCL-240."""
 
-    LANES = LANES
+    PATTERN_LANES = PATTERN_LANES
     ALWAYS = ("fup", "fkeep", "fdown", "hold")
 
     def is_relevant(self, pin: str) -> bool:
@@ -55,7 +55,7 @@ class Pattern(operation_pattern.Pattern):
         once = {n: values[r] for n, r in names.items() if n in used and len(values.get(r, ())) == 1}
         return {n: next(iter(v)) * step for n, v in once.items()}
 
-    def notes(self, t: np.ndarray) -> list[Note]:
+    def notes(self, t: np.ndarray) -> list[PatternNote]:
         """Return notes of what the host wrote to start, change or stop a run, of each ramp-down point, and of the end.
 
         Bytes that only prepare a start (reset command, control mode) or a change of speed (a register) stand in front of it.
@@ -65,7 +65,7 @@ class Pattern(operation_pattern.Pattern):
         """
         report, course = self.report, self.course
         hold, clocks = course.pin("hold"), course.edges["clock"]
-        notes: list[Note] = []
+        notes: list[PatternNote] = []
         ahead: list[str] = []
         for (when, code, _), s in zip(report.writes(), report.statements, strict=True):
             halted = bool(hold[max(int(np.searchsorted(clocks, s.clock)) - 1, 0)])
@@ -74,10 +74,10 @@ class Pattern(operation_pattern.Pattern):
                     ahead.append(f"{s.register} \N{LEFTWARDS ARROW} {s.value}")
                 continue
             if s.kind == "lost":
-                notes.append(Note(when, f"{code}h", "lost on the bus", False))
+                notes.append(PatternNote(when, f"{code}h", "lost on the bus", False))
                 continue
             byte = int(code, 16)
-            words = _words(byte, halted)
+            words = _describe_mode_command(byte, halted)
             if (
                 byte & (START | STOP | RAMP | SPEED) == START | RAMP | FL
                 and not halted
@@ -85,7 +85,7 @@ class Pattern(operation_pattern.Pattern):
             ):
                 words = "ramps on"
             if words:
-                notes.append(Note(when, " ".join([*ahead, f"{code}h"]), words, False))
+                notes.append(PatternNote(when, " ".join([*ahead, f"{code}h"]), words, False))
             if words or s.kind == "reset" or byte == STOP:
                 ahead.clear()
             group = byte & GROUP
@@ -93,14 +93,14 @@ class Pattern(operation_pattern.Pattern):
                 ahead = [a for a in ahead if a[0] != code[0]] + [f"{code}h"]  # the latest of a group counts
         falls = course.pin("fdown") & course.pin("lt") & ~hold
         for k in np.flatnonzero(falls[1:] & ~course.pin("lt")[:-1]) + 1:
-            notes.append(Note(float(t[k]), "", f"R0 < R6 = {course.edges['counter'][k] + 1:,d}", True))
+            notes.append(PatternNote(float(t[k]), "", f"R0 < R6 = {course.edges['counter'][k] + 1:,d}", True))
         return sorted([*notes, *self.describe_end()], key=lambda n: n.time)
 
-    def describe_end(self) -> list[Note]:
+    def describe_end(self) -> list[PatternNote]:
         return [n._replace(words="stop at FL") if n.words == "stop" else n for n in super().describe_end()]
 
 
-def _words(byte: int, halted: bool) -> str:
+def _describe_mode_command(byte: int, halted: bool) -> str:
     """Describe in few words what an operating-mode command does immediately."""
     if byte & GROUP != OPERATE:
         return ""

@@ -15,13 +15,13 @@ from stage.firmware.axis import Axis, check_direction, check_origin
 from stage.firmware.driver import SETTLING_TIME_S
 from stage.firmware.move_report import Report
 from stage.firmware.pcl240 import chip_port
-from stage.firmware.pcl240.moves import check_pulses, choose_profile, encode_direction, prepare
+from stage.firmware.pcl240.moves import check_pulses, choose_profile, encode_direction, write_move_setup
 from stage.firmware.pcl240.speed_profile import Profile
-from stage.firmware.pcl240.stop_reason import Procedure
+from stage.firmware.pcl240.stop_reason import Pcl240Observer
 from stage.support.arguments import check_timeout, explain_arguments
 
-BACK_OFF = 200  # pulses beyond the release of ORG
-APPROACH = 400.0  # pps; slow, so that the motor does not ring when the switch trips
+BACK_OFF_PULSES = 200  # pulses beyond the release of ORG
+APPROACH_RATE_PPS = 400.0  # pps; slow, so that the motor does not ring when the switch trips
 
 
 @explain_arguments
@@ -33,8 +33,8 @@ def origin_return(
     *,
     high_speed: bool = True,
     slow_approach: bool = True,
-    back_off: int = BACK_OFF,
-    approach: float = APPROACH,
+    back_off: int = BACK_OFF_PULSES,
+    approach: float = APPROACH_RATE_PPS,
     ez: int | None = None,
     timeout: float = 60.0,
 ) -> Report:
@@ -71,7 +71,7 @@ def origin_return(
     """
     check_timeout(timeout)
     check_origin(axis)
-    profile, logic = choose_profile(axis, profile), chip_port.polarity(axis)
+    profile, logic = choose_profile(axis, profile), chip_port.compute_polarity_bits(axis)
     if ez is not None:
         _check_index_number(axis, ez)
     check_direction(direction)
@@ -80,17 +80,17 @@ def origin_return(
         raise ArgumentError(
             f"approach={approach!r} pps: more than 0, up to {profile.step * 8191:.0f} with R7 = {profile.R7}."
         )
-    with Procedure(axis, "origin return" if high_speed else "constant-speed origin return") as p:
+    with Pcl240Observer(axis, "origin return" if high_speed else "constant-speed origin return") as p:
         port = p.port
-        prepare(port, profile, encode_direction(-direction))
+        write_move_setup(port, profile, encode_direction(-direction))
         port.write_registers(**logic)
-        met = _leave(p, -direction, back_off, high_speed, timeout) if port.status().org else ""
-        stopped_by = met or _approach(p, direction, high_speed, timeout, None if slow_approach else ez)
+        met = _leave_origin(p, -direction, back_off, high_speed, timeout) if port.status().org else ""
+        stopped_by = met or _run_to_origin(p, direction, high_speed, timeout, None if slow_approach else ez)
         if stopped_by == "ORG" and slow_approach:
             port.command(chip_port.RESET)
             port.write_register("R1", max(1, min(round(approach / profile.step), profile.R1)))
-            met = _leave(p, -direction, back_off, False, timeout)
-            stopped_by = met or _approach(p, direction, False, timeout, ez)
+            met = _leave_origin(p, -direction, back_off, False, timeout)
+            stopped_by = met or _run_to_origin(p, direction, False, timeout, ez)
         port.command(chip_port.RESET)
         if port.extended and stopped_by in ("ORG", "EZ"):
             port.write_register("R10", 0)
@@ -107,11 +107,11 @@ def _check_index_number(axis: Axis, ez: int) -> None:
         raise ArgumentError(f"ez={ez!r}: the origin return ends at the 1st to 16th index pulse after ORG.")
 
 
-def _approach(p: Procedure, direction: int, high_speed: bool, timeout: float, ez: int | None) -> str:
+def _run_to_origin(p: Pcl240Observer, direction: int, high_speed: bool, timeout: float, ez: int | None) -> str:
     """Run until ORG, an index pulse after it (`ez`), or the end limit stops the axis, and return which."""
     port = p.port
     if port.extended:
-        logic = chip_port.polarity(port.axis).get("R13", 0)
+        logic = chip_port.compute_polarity_bits(port.axis).get("R13", 0)
         port.write_register("R13", logic | (chip_port.encode_index(ez) if ez else 0))
     port.control(chip_port.ORIGIN | (chip_port.SD if high_speed else 0) | encode_direction(direction))
     port.command(chip_port.RAMP["FH1"] if high_speed else chip_port.START["FL"])
@@ -120,7 +120,7 @@ def _approach(p: Procedure, direction: int, high_speed: bool, timeout: float, ez
     return p.stop_reason()
 
 
-def _leave(p: Procedure, direction: int, back_off: int, high_speed: bool, timeout: float) -> str:
+def _leave_origin(p: Pcl240Observer, direction: int, back_off: int, high_speed: bool, timeout: float) -> str:
     """Run in `direction` until ORG is released, stop, and move `back_off` pulses further, at FL.
 
     Returns:

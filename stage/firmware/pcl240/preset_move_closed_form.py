@@ -12,13 +12,13 @@ import numpy as np
 from stage.chips.pcl240.state import LINEAR, SPAN, UNCORRECTED
 from stage.native import array_of, exported, hot
 
-NEVER = 1 << 60
+NEVER_TICKS = 1 << 60
 ZETA = 0.2078862249773546  # -zeta(-1/2), of the sum of square roots
-A_TICK = 1e-2
+TICK_TOLERANCE = 1e-2
 
 
 @hot
-def _steps(target, unit, first, sign, max_steps):
+def _count_speed_steps(target, unit, first, sign, max_steps):
     """Return the speed steps completed before a ramp of `unit` ticks per step, from speed `first` on, has gained `target` phase."""
     b = first - 0.5 * sign
     root = b * b + 2.0 * sign * (target / unit)
@@ -31,28 +31,28 @@ def _steps(target, unit, first, sign, max_steps):
 
 
 @hot
-def _ticks_to(target, unit, first, sign, max_steps):
+def _find_ticks_to_phase(target, unit, first, sign, max_steps):
     """Return the ticks after which a ramp that goes on at its last speed has gained `target` phase."""
-    j = _steps(target, unit, first, sign, max_steps)
+    j = _count_speed_steps(target, unit, first, sign, max_steps)
     gained = unit * (first * j + sign * (j * (j - 1) // 2))
     return j * unit - (gained - target) // (first + sign * j)
 
 
 @hot
-def curved(r):
+def has_s_curve_ramps(r):
     """Return whether the row's ramps are S-curves."""
     return len(r) > 8 and not r[8] & LINEAR
 
 
 @hot
-def twice_span(r14, steps):
+def compute_double_span(r14, steps):
     """Return twice the speed steps of a curved end of a ramp of `steps`."""
     span = r14 & SPAN
     return steps if span == 0 or 2 * span > steps else 2 * span
 
 
 @hot
-def bend(r, share):
+def set_s_curve_registers(r, share):
     """Set R14 and R15 for ramps from R1 to R2, where the chip has them: `share` of the steps in each curved end, up and down
     alike, 0 for linear ramps, 0.5 for no linear part. Without FH correction: FH is the plan's."""
     if len(r) <= 8:
@@ -63,34 +63,34 @@ def bend(r, share):
 
 
 @hot
-def stretch(r):
+def compute_ramp_stretch(r):
     """Return the factor by which the row's ramps last longer, and lose more, than linear ones at the same rate register: 1/2 to
     1."""
     steps = r[2] - r[1]
-    return 0.5 + 0.5 * twice_span(r[8], steps) / steps if curved(r) and steps > 0 else 1.0
+    return 0.5 + 0.5 * compute_double_span(r[8], steps) / steps if has_s_curve_ramps(r) and steps > 0 else 1.0
 
 
 @hot
-def ramp_ticks(r, rate):
+def compute_ramp_ticks(r, rate):
     """Return the ticks of a whole ramp with R4 or R5 = `rate`."""
     steps = r[2] - r[1]
-    return 0.5 * (steps + twice_span(r[8], steps)) * rate if curved(r) else 1.0 * steps * rate
+    return 0.5 * (steps + compute_double_span(r[8], steps)) * rate if has_s_curve_ramps(r) else 1.0 * steps * rate
 
 
 @hot
-def _roots(n):
+def _sum_square_roots(n):
     """Return 1 + sqrt 2 + ... + sqrt n, to a thousandth (Euler and Maclaurin)."""
     return np.sqrt(n) * (n / 1.5 + 0.5 + 1.0 / (24.0 * n)) - ZETA if n > 0 else 0.0
 
 
 @hot
-def _mean_delay(a, rate):
+def _compute_mean_step_delay(a, rate):
     """Return the mean of what a and a + 2 rate lack to a multiple of 4, in quarters."""
     return 0.125 * (-a % 4 + -(a + 2 * rate) % 4)
 
 
 @hot
-def _curve(steps, double, rate, t):
+def _compute_ramp_progress(steps, double, rate, t):
     """Return (speed steps taken, phase they have gained) `t` ticks after an S-curve ramp began. double: twice the span.
 
     The chip takes the k-th step at the first whole tick from t(k) on, see stage/chips/pcl240/ramp.py; where t(k) is a root, that
@@ -98,26 +98,26 @@ def _curve(steps, double, rate, t):
     """
     span, total, x = 0.5 * double, 0.5 * (steps + double), t / rate
     a, b = double // 2, steps - (double + 1) // 2  # the last step of the first curved end, and of the linear part
-    delay = _mean_delay(rate * double, rate) if b > a else 0.0
+    delay = _compute_mean_step_delay(rate * double, rate) if b > a else 0.0
     if x >= total:
         return steps, steps * t - 0.5 * rate * total * (steps + 1) - 0.5 * (a + steps - b) - delay * (b - a)
     if x <= span:
         j = int(x * x / span)
-        return j, j * t - rate * np.sqrt(span) * _roots(j) - 0.5 * j
-    sums = rate * np.sqrt(span) * _roots(a) + 0.5 * a
+        return j, j * t - rate * np.sqrt(span) * _sum_square_roots(j) - 0.5 * j
+    sums = rate * np.sqrt(span) * _sum_square_roots(a) + 0.5 * a
     j = min(max(int(2.0 * x - span), a), b)
     if x > 0.5 * steps:
         j = min(max(int(steps - (total - x) ** 2 / span), b), steps - 1)
     n = min(j, b) - a
     sums += n * (0.5 * rate * (span + a + 0.5 * (n + 1)) + delay)
     if j > b:
-        left = _roots(steps - b - 1) - _roots(steps - j - 1)
+        left = _sum_square_roots(steps - b - 1) - _sum_square_roots(steps - j - 1)
         sums += (j - b) * (rate * total + 0.5) - rate * np.sqrt(span) * left
     return j, j * t - sums
 
 
 @hot
-def _state(fl, fh, r14, up, down, c0, c1, c2, t):
+def _compute_s_curve_state(fl, fh, r14, up, down, c0, c1, c2, t):
     """Return (speed, phase) of S-curve ramps `t` ticks after the start.
 
     The arguments are scalars of a row and its motion: arrays are slow to pass.
@@ -128,8 +128,8 @@ def _state(fl, fh, r14, up, down, c0, c1, c2, t):
     if steps <= 0:
         return fl, c2 + u * fl
     rate = up if rising else down
-    double = twice_span(r14, steps)
-    j, gained = _curve(steps, double, rate, u)
+    double = compute_double_span(r14, steps)
+    j, gained = _compute_ramp_progress(steps, double, rate, u)
     if rising:
         return fl + j, u * fl + gained
     gained -= max(0.0, u - 0.5 * (steps + double) * rate)  # the mirror image: its first step at once, each one earlier
@@ -137,16 +137,16 @@ def _state(fl, fh, r14, up, down, c0, c1, c2, t):
 
 
 @hot
-def _tick_at(r, c, target, t):
+def _find_tick_at_phase(r, c, target, t):
     """Return the tick at which S-curve ramps have gained `target` phase: by Newton from `t` on, which is on the steep side of
     it."""
     for _ in range(60):
-        speed, gained = _state(r[1], r[2], r[8], r[4], r[5], c[0], c[1], c[2], t)
+        speed, gained = _compute_s_curve_state(r[1], r[2], r[8], r[4], r[5], c[0], c[1], c[2], t)
         step = (target - gained) / speed
         t += step
-        if abs(step) < A_TICK:
+        if abs(step) < TICK_TOLERANCE:
             break
-    return int(np.ceil(t - A_TICK))
+    return int(np.ceil(t - TICK_TOLERANCE))
 
 
 @hot
@@ -155,38 +155,38 @@ def _fill_curved_motion(r, c):
     d, fl, fh, m = r[0], r[1], r[2], 8192 * r[7]
     if fh > fl and r[6] > 0:
         point = (d - r[6] + 1) * m
-        c[0] = 0 if r[6] > d else _tick_at(r, c, point, point / fl)
-        c[1] = _state(fl, fh, r[8], r[4], r[5], c[0], fh, 0, max(c[0] - 1.0, 0.0))[0]
-        c[2] = int(phase(r, c, 1.0 * c[0]))
-    if c[0] == NEVER or d * m <= c[2]:
-        c[3] = _tick_at(r, c, d * m, d * m / fl)
+        c[0] = 0 if r[6] > d else _find_tick_at_phase(r, c, point, point / fl)
+        c[1] = _compute_s_curve_state(fl, fh, r[8], r[4], r[5], c[0], fh, 0, max(c[0] - 1.0, 0.0))[0]
+        c[2] = int(compute_phase(r, c, 1.0 * c[0]))
+    if c[0] == NEVER_TICKS or d * m <= c[2]:
+        c[3] = _find_tick_at_phase(r, c, d * m, d * m / fl)
     else:
-        c[3] = _tick_at(r, c, d * m, c[0] + 1.0)
+        c[3] = _find_tick_at_phase(r, c, d * m, c[0] + 1.0)
 
 
 @exported(None, array_of("i8"), array_of("i8"))
 def fill_motion(r, c):
     """Fill `c` from the row `r`: ticks to the ramp-down, speed and phase there, ticks to the last pulse."""
     d, fl, fh, up, down, m = r[0], r[1], r[2], r[4], r[5], 8192 * r[7]
-    c[0], c[1], c[2] = NEVER, fh, 0
-    if curved(r):
+    c[0], c[1], c[2] = NEVER_TICKS, fh, 0
+    if has_s_curve_ramps(r):
         _fill_curved_motion(r, c)
         return
     if fh > fl and r[6] > 0:
-        c[0] = 0 if r[6] > d else _ticks_to((d - r[6] + 1) * m, up, fl, 1, fh - fl)
+        c[0] = 0 if r[6] > d else _find_ticks_to_phase((d - r[6] + 1) * m, up, fl, 1, fh - fl)
         c[1] = fl + min(fh - fl, max(c[0] - 1, 0) // up)
-        c[2] = int(phase(r, c, c[0]))
-    if c[0] == NEVER or d * m <= c[2]:
-        c[3] = _ticks_to(d * m, up, fl, 1, fh - fl)
+        c[2] = int(compute_phase(r, c, c[0]))
+    if c[0] == NEVER_TICKS or d * m <= c[2]:
+        c[3] = _find_ticks_to_phase(d * m, up, fl, 1, fh - fl)
     elif c[1] <= fl:
         c[3] = c[0] - (c[2] - d * m) // fl
     else:
-        c[3] = c[0] + _ticks_to(d * m - c[2], down, c[1] - 1, -1, c[1] - 1 - fl)
+        c[3] = c[0] + _find_ticks_to_phase(d * m - c[2], down, c[1] - 1, -1, c[1] - 1 - fl)
 
 
 @hot
-def linear_phase(r, c, t):
-    """Return `phase` of linear ramps."""
+def compute_linear_phase(r, c, t):
+    """Return `compute_phase` of linear ramps."""
     if t <= c[0]:
         j = min(r[2] - r[1], int(t / r[4]))
         return r[4] * (r[1] * j + j * (j - 1) // 2) + (t - j * r[4]) * (r[1] + j)
@@ -198,25 +198,29 @@ def linear_phase(r, c, t):
 
 
 @hot
-def curved_phase(r, c, t):
-    """Return `phase` of S-curves."""
-    return _state(r[1], r[2], r[8], r[4], r[5], c[0], c[1], c[2], t)[1]
+def compute_s_curve_phase(r, c, t):
+    """Return `compute_phase` of S-curves."""
+    return _compute_s_curve_state(r[1], r[2], r[8], r[4], r[5], c[0], c[1], c[2], t)[1]
 
 
 @hot
-def phase(r, c, t):
+def compute_phase(r, c, t):
     """Return the phase gained `t` ticks after the start (a fraction between ticks); 8192 R7 make a pulse."""
-    return curved_phase(r, c, t) if curved(r) else linear_phase(r, c, t)
+    return compute_s_curve_phase(r, c, t) if has_s_curve_ramps(r) else compute_linear_phase(r, c, t)
 
 
 @hot
-def count(r, c, t):
+def count_pulses(r, c, t):
     """Return N: pulses made `t` ticks after the start, as a fraction."""
-    return phase(r, c, max(t, 0.0)) / (8192.0 * r[7])
+    return compute_phase(r, c, max(t, 0.0)) / (8192.0 * r[7])
 
 
 @hot
-def first_pulse(r, c):
+def find_first_pulse_tick(r, c):
     """Return the ticks to the first pulse; c[0] may be NEVER."""
     m = 8192 * r[7]
-    return _tick_at(r, c, m, m / r[1]) if curved(r) else _ticks_to(m, r[4], r[1], 1, r[2] - r[1])
+    return (
+        _find_tick_at_phase(r, c, m, m / r[1])
+        if has_s_curve_ramps(r)
+        else _find_ticks_to_phase(m, r[4], r[1], 1, r[2] - r[1])
+    )

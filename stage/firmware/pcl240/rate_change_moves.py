@@ -17,9 +17,15 @@ from stage.firmware.axis import Axis, check_direction, check_seconds
 from stage.firmware.move_report import Report
 from stage.firmware.pcl240 import chip_port
 from stage.firmware.pcl240.chip_port import Port, Status
-from stage.firmware.pcl240.moves import check_pulses, choose_profile, compute_time_limit, encode_direction, prepare
-from stage.firmware.pcl240.speed_profile import Profile, down_point, ramp_pulses
-from stage.firmware.pcl240.stop_reason import Procedure
+from stage.firmware.pcl240.moves import (
+    check_pulses,
+    choose_profile,
+    compute_time_limit,
+    encode_direction,
+    write_move_setup,
+)
+from stage.firmware.pcl240.speed_profile import Profile, compute_down_point, compute_ramp_pulses
+from stage.firmware.pcl240.stop_reason import Pcl240Observer
 from stage.support.arguments import explain_arguments
 
 MAX_RAMP_S = 60.0  # R4 and R5 make no more than 27
@@ -79,8 +85,8 @@ def dual_rate_move(
         check_direction(direction)
         check_seconds(seconds or 0.0)
         control = encode_direction(direction)
-    with Procedure(axis, "dual-rate move") as p:
-        prepare(p.port, profile, control)
+    with Pcl240Observer(axis, "dual-rate move") as p:
+        write_move_setup(p.port, profile, control)
         if pulses is not None:
             p.port.write_registers(R0=check_pulses(pulses), R6=point)
         status = _run_through_rates(p, rates, dwell)
@@ -102,7 +108,7 @@ def _check_rates(rates: Sequence[str]) -> list[str]:
     return list(rates)
 
 
-def _run_through_rates(p: Procedure, rates: list[str], dwell: float) -> Status:
+def _run_through_rates(p: Pcl240Observer, rates: list[str], dwell: float) -> Status:
     """Start at the first of the rates, and go through the others; return the last status, which may be that of a stop."""
     constant = rates[0] == "FL"
     p.port.command(chip_port.START["FL"] if constant else chip_port.RAMP[rates[0]])
@@ -154,8 +160,8 @@ def speed_change_move(
     speeds, count = _convert_rates(axis, profile, rates), check_pulses(pulses)
     check_seconds(dwell)
     point = _find_down_point(profile, speeds, count, dwell)
-    with Procedure(axis, "speed change in motion") as p:
-        prepare(p.port, replace(profile, R2=speeds[0]), chip_port.PRESET | encode_direction(pulses))
+    with Pcl240Observer(axis, "speed change in motion") as p:
+        write_move_setup(p.port, replace(profile, R2=speeds[0]), chip_port.PRESET | encode_direction(pulses))
         p.port.write_registers(R0=count, R6=point)
         p.port.command(chip_port.RAMP["FH1"])
         for k, speed in enumerate(speeds[1:], 1):
@@ -199,12 +205,16 @@ def curved_ramp_move(
     count = check_pulses(pulses)
     speeds, ramps = _convert_pieces(axis, profile, pieces)
     all_speeds = [profile.R1, *speeds]
-    climb = sum(ramp_pulses(a, b, r, profile.R7) for (a, b), r in zip(pairwise(all_speeds), ramps, strict=True))
-    fall = ramp_pulses(profile.R1, speeds[-1], profile.R5, profile.R7)
+    climb = sum(compute_ramp_pulses(a, b, r, profile.R7) for (a, b), r in zip(pairwise(all_speeds), ramps, strict=True))
+    fall = compute_ramp_pulses(profile.R1, speeds[-1], profile.R5, profile.R7)
     _refuse_short_move(count, climb + fall + len(speeds) * POLL_DELAY_S * speeds[-1] * profile.step)
-    point = axis.chip.MAP.check_value("R6", down_point(count, profile.R1, speeds[-1], 0, profile.R5, profile.R7))
-    with Procedure(axis, "curved ramp") as p:
-        prepare(p.port, replace(profile, R2=speeds[0], R4=ramps[0]), chip_port.PRESET | encode_direction(pulses))
+    point = axis.chip.MAP.check_value(
+        "R6", compute_down_point(count, profile.R1, speeds[-1], 0, profile.R5, profile.R7)
+    )
+    with Pcl240Observer(axis, "curved ramp") as p:
+        write_move_setup(
+            p.port, replace(profile, R2=speeds[0], R4=ramps[0]), chip_port.PRESET | encode_direction(pulses)
+        )
         p.port.write_registers(R0=count, R6=point)
         p.port.command(chip_port.RAMP["FH1"])
         for k, (speed, ramp) in enumerate(zip(speeds[1:], ramps[1:], strict=True), 1):

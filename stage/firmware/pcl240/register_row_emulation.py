@@ -7,7 +7,7 @@ import numpy as np
 from stage.chips.pcl240 import PCL240, PCL240K
 from stage.firmware.pcl240 import chip_port
 
-NAMES = (*(f"R{k}" for k in range(8)), "R14", "R15")
+ROW_REGISTERS = (*(f"R{k}" for k in range(8)), "R14", "R15")
 """Registers of a row in order; R14 and R15 on a chip with S-curves only."""
 MAX_CLOCKS = 1 << 44
 
@@ -24,27 +24,27 @@ def trace_row(row: np.ndarray, chip: type[PCL240] = PCL240K, automatic: bool = F
         Ticks from the start to each pulse (int64).
     """
     row = np.asarray(row, np.int64)
-    r6 = compute_offset(row, chip) & chip.MAP.register("R6").mask if automatic else int(row[6])
-    emulated = _start(row, chip, r6, automatic)
+    r6 = compute_ramp_down_offset(row, chip) & chip.MAP.register("R6").mask if automatic else int(row[6])
+    emulated = _start_chip(row, chip, r6, automatic)
     pulses = np.empty(int(row[0]), emulated.CORE.PULSE)
     emulated.CORE.trace.c(emulated.pointer, MAX_CLOCKS, pulses.ctypes.data, len(pulses))
     return pulses["clock"].copy()
 
 
-def compute_offset(row: np.ndarray, chip: type[PCL240]) -> int:
+def compute_ramp_down_offset(row: np.ndarray, chip: type[PCL240]) -> int:
     """Compute R6 with which the automatic ramp-down begins at the same pulse as without it (normative model, section 7).
 
     The automatic one begins once R0 <= pulses of the ramp-up + offset, the other once R0 < R6.
     """
-    emulated = _start(row, chip, int(row[6]), False)
+    emulated = _start_chip(row, chip, int(row[6]), False)
     emulated.CORE.advance.c(emulated.pointer, MAX_CLOCKS)
     return int(row[6]) - 1 - int(emulated.state["rise_pulses"])
 
 
-def _start(row: np.ndarray, chip: type[PCL240], r6: int, automatic: bool) -> PCL240:
+def _start_chip(row: np.ndarray, chip: type[PCL240], r6: int, automatic: bool) -> PCL240:
     """Start a chip just powered up on the preset move of a row, but with R6 = `r6`."""
     emulated = chip()
-    for name, value in zip(NAMES, [*row[:6].tolist(), r6, *row[7:].tolist()], strict=False):
+    for name, value in zip(ROW_REGISTERS, [*row[:6].tolist(), r6, *row[7:].tolist()], strict=False):
         for cycle in emulated.register_cycles(name, value):
             emulated.write(*cycle)
     emulated.write(0, chip_port.CONTROL | chip_port.PRESET | (chip_port.AUTOMATIC if automatic else 0))

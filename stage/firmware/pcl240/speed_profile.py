@@ -22,15 +22,15 @@ from stage.support.arguments import explain_arguments, explain_constructor
 
 FL, FH1, FH2 = DEFAULT_START_PPS, DEFAULT_DRIVE_PPS, 2 * DEFAULT_DRIVE_PPS
 """Default rates, pps: 3.125, 50 and 100 mm/s on the default stage, where 17HS4401 at 24 V pulls out far above."""
-ACCEL = DEFAULT_RAMP_S
+DEFAULT_RAMP_TIME_S = DEFAULT_RAMP_S
 """Default ramp, seconds from FL to the highest rate."""
 RATE_TOLERANCE, TIME_TOLERANCE = 2e-4, 1e-2
 """Within these relative errors finer speed steps are worth more than exact values."""
-AT_FL = 5  # pulses at FL after a ramp-down (data sheet section 4, R6)
+TAIL_PULSES = 5  # pulses at FL after a ramp-down (data sheet section 4, R6)
 LINEAR = PCL240.LINEAR_RAMPS
 
 
-def pulse_rate(speed: float, r7: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ) -> float:
+def compute_pulse_rate(speed: float, r7: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ) -> float:
     """Compute Fout = Rf clock / (8192 R7), pps (data sheet section 4, equation 4).
 
     Args:
@@ -41,7 +41,7 @@ def pulse_rate(speed: float, r7: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ) 
     return speed * clock_hz / (8192 * r7)
 
 
-def curve_steps(low: int, high: int, span: int | None = None) -> float:
+def compute_linear_ramp_steps(low: int, high: int, span: int | None = None) -> float:
     """Compute the speed steps of a linear ramp that takes as long as a ramp with curved ends.
 
     (K + 2 S) / 2 with K = high - low and S the span; 0 or above half the ramp means half of it (data sheet MS, 3-1).
@@ -55,7 +55,7 @@ def curve_steps(low: int, high: int, span: int | None = None) -> float:
     return float(height) if not span or 2 * span > height else (height + 2 * span) / 2
 
 
-def ramp_seconds(
+def compute_ramp_seconds(
     low: int, high: int, rate: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ, span: int | None = None
 ) -> float:
     """Compute Tsu, Tsd = (FH - FL) rate / clock, s (data sheet section 4, R4, and R5, equation 3).
@@ -69,10 +69,10 @@ def ramp_seconds(
         clock_hz: Reference clock, Hz.
         span: Speed steps of each curved end; None for linear ramps.
     """
-    return curve_steps(low, high, span) * rate / clock_hz
+    return compute_linear_ramp_steps(low, high, span) * rate / clock_hz
 
 
-def ramp_pulses(low: int, high: int, rate: float, r7: int, span: int | None = None) -> float:
+def compute_ramp_pulses(low: int, high: int, rate: float, r7: int, span: int | None = None) -> float:
     """Compute Psu, Psd = (FH^2 - FL^2) rate / (16384 R7), pulses (data sheet section 4, R6, and Q & A).
 
     An S-curve with a linear part makes (FL + FH) (FH - FL + 2 span) rate / (32768 R7) (data sheet MS, 3-4.2). This is the area of
@@ -85,17 +85,17 @@ def ramp_pulses(low: int, high: int, rate: float, r7: int, span: int | None = No
         r7: Multiplier R7.
         span: Speed steps of each curved end; None for linear ramps.
     """
-    return (high + low) * curve_steps(low, high, span) * rate / (16384 * r7)
+    return (high + low) * compute_linear_ramp_steps(low, high, span) * rate / (16384 * r7)
 
 
-def is_triangular(
+def is_triangular_move(
     r0: int, low: int, high: int, r4: int, r5: int, r7: int, up: int | None = None, down: int | None = None
 ) -> bool:
     """Return whether a move is too short to reach FH: R0 < Psu + Psd (Q & A; its 18384 is a misprint of 16384). up, down: spans."""
-    return r0 < ramp_pulses(low, high, r4, r7, up) + ramp_pulses(low, high, r5, r7, down)
+    return r0 < compute_ramp_pulses(low, high, r4, r7, up) + compute_ramp_pulses(low, high, r5, r7, down)
 
 
-def linear_part_pulses(low: int, r4: int, r5: int, r7: int, up: int, down: int) -> float:
+def compute_linear_part_pulses(low: int, r4: int, r5: int, r7: int, up: int, down: int) -> float:
     """Return the pulses above which a move too short for FH still has a linear part (data sheet MS, 3-4.2).
 
     The data sheet's three cases are one, by the longer span.
@@ -104,31 +104,31 @@ def linear_part_pulses(low: int, r4: int, r5: int, r7: int, up: int, down: int) 
     return (low + longer) * (other * (up + down) + 2 * of_longer * longer) / (8192 * r7)
 
 
-def revised_high(
+def compute_revised_high_speed(
     r0: int, low: int, high: int, r4: int, r5: int, r7: int, up: int | None = None, down: int | None = None
 ) -> int:
     """Compute the FH that a move of `r0` pulses just reaches, at most `high` ("revised R2", data sheet MS, 3-4.1 and 3-4.2)."""
-    if r0 > ramp_pulses(low, high, r4, r7, up) + ramp_pulses(low, high, r5, r7, down):
+    if r0 > compute_ramp_pulses(low, high, r4, r7, up) + compute_ramp_pulses(low, high, r5, r7, down):
         return high
     straight = up and down and 2 * max(up, down) < high - low
-    if straight and up and down and r0 > linear_part_pulses(low, r4, r5, r7, up, down):
+    if straight and up and down and r0 > compute_linear_part_pulses(low, r4, r5, r7, up, down):
         a, b = r4 * up + r5 * down, r4 + r5
         return min(high, (isqrt((a - b * low) ** 2 + b * r0 * r7 * 32768) - a) // b)
     return min(high, isqrt(r0 * r7 * 16384 // (r4 + r5) + low * low))
 
 
-def triangular_down_point(r0: int, r4: int, r5: int) -> float:
+def compute_triangular_down_point(r0: int, r4: int, r5: int) -> float:
     """Compute R6 = R0 R5 / (R4 + R5) for a triangular drive (Q & A)."""
     return r0 * r5 / (r4 + r5)
 
 
-def down_point(r0: int, low: int, high: int, r4: int, r5: int, r7: int, down: int | None = None) -> int:
+def compute_down_point(r0: int, low: int, high: int, r4: int, r5: int, r7: int, down: int | None = None) -> int:
     """Compute R6 for a move of `r0` pulses that ends at FL, whatever its length.
 
     Psd + 5 (section 4, R6), or the triangular drive's R0 R5 / (R4 + R5) + 2: rounding down takes up to one pulse, and R0 < R6 is
     met one pulse after R0 = R6. As printed, without the 2, the triangle ends a little above FL. An S-curve needs an FH that it
     reaches, see
-    `revised_high`.
+    `compute_revised_high_speed`.
 
     Args:
         r0: Pulses of the move.
@@ -139,14 +139,14 @@ def down_point(r0: int, low: int, high: int, r4: int, r5: int, r7: int, down: in
         r7: Multiplier R7.
         down: Speed steps of each curved end of an S-curve; None for linear ramps.
     """
-    if down is None and is_triangular(r0, low, high, r4, r5, r7):
-        return int(triangular_down_point(r0, r4, r5)) + 2
-    return int(ramp_pulses(low, high, r5, r7, down)) + AT_FL
+    if down is None and is_triangular_move(r0, low, high, r4, r5, r7):
+        return int(compute_triangular_down_point(r0, r4, r5)) + 2
+    return int(compute_ramp_pulses(low, high, r5, r7, down)) + TAIL_PULSES
 
 
 def get_default_second_rate(fh1: float, clock_hz: int, multiplier: int | None = None) -> float:
     """Return the usual FH2 beside an FH1, pps: twice as much, where the chip reaches that with R7 = `multiplier` (None: any)."""
-    return min(2 * fh1, pulse_rate(8191, multiplier or 2, clock_hz))
+    return min(2 * fh1, compute_pulse_rate(8191, multiplier or 2, clock_hz))
 
 
 @explain_constructor
@@ -189,7 +189,7 @@ class Profile:
         fl: float | None = None,
         fh1: float = FH1,
         fh2: float | None = None,
-        accel: float = ACCEL,
+        accel: float = DEFAULT_RAMP_TIME_S,
         decel: float | None = None,
         multiplier: int | None = None,
         clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ,
@@ -221,7 +221,7 @@ class Profile:
             chip.MAP.check_value("R7", multiplier)
         slowest = chip.MAP.register("R4").mask
         r7 = np.arange(2, 1024) if multiplier is None else np.array([multiplier])
-        max_rate = pulse_rate(8191, int(r7[0]), clock_hz)
+        max_rate = compute_pulse_rate(8191, int(r7[0]), clock_hz)
         fh2 = get_default_second_rate(fh1, clock_hz, multiplier) if fh2 is None else fh2
         fl = min(FL, fh1, fh2) if fl is None else fl
         decel = accel if decel is None else decel
@@ -290,7 +290,7 @@ class Profile:
         height = max(self.high(fh2) - self.R1, 0)
         span = 0 if s_curve is True or s_curve == 0.5 else max(1, round(s_curve * height))
         spans = None if s_curve is False else (span, span)
-        steps = curve_steps(self.R1, self.R1 + height, span if spans else None)
+        steps = compute_linear_ramp_steps(self.R1, self.R1 + height, span if spans else None)
         if not steps:
             return replace(self, spans=spans)
         r4, r5 = (max(2, round(t * self.clock_hz / steps)) for t in (self.accel(fh2), self.decel(fh2)))
@@ -322,7 +322,7 @@ class Profile:
     @property
     def step(self) -> float:
         """Rate of one speed step, pps."""
-        return pulse_rate(1, self.R7, self.clock_hz)
+        return compute_pulse_rate(1, self.R7, self.clock_hz)
 
     @property
     def fl(self) -> float:
@@ -345,11 +345,11 @@ class Profile:
 
     def accel(self, fh2: bool = False) -> float:
         """Return the time from FL to FH1, or FH2, s."""
-        return ramp_seconds(self.R1, self.high(fh2), self.R4, self.clock_hz, self._up)
+        return compute_ramp_seconds(self.R1, self.high(fh2), self.R4, self.clock_hz, self._up)
 
     def decel(self, fh2: bool = False) -> float:
         """Return the time from FH1, or FH2, to FL, s."""
-        return ramp_seconds(self.R1, self.high(fh2), self.R5, self.clock_hz, self._down)
+        return compute_ramp_seconds(self.R1, self.high(fh2), self.R5, self.clock_hz, self._down)
 
     def down_point(self, pulses: int, fh2: bool = False) -> int:
         """Compute R6 for a preset move. Raises ArgumentError where R6 cannot hold it.
@@ -361,7 +361,7 @@ class Profile:
         Returns:
             Value of R6.
         """
-        point = down_point(pulses, self.R1, max(self.high(fh2), self.R1), self.R4, self.R5, self.R7, self._down)
+        point = compute_down_point(pulses, self.R1, max(self.high(fh2), self.R1), self.R4, self.R5, self.R7, self._down)
         return self.chip.MAP.check_value("R6", point)
 
     def within(self, pulses: int, fh2: bool = False) -> Profile:
@@ -375,13 +375,15 @@ class Profile:
         """
         if self.spans is None or self.high(fh2) <= self.R1:
             return self
-        high = revised_high(pulses, self.R1, self.high(fh2), self.R4, self.R5, self.R7, self._up or 0, self._down or 0)
+        high = compute_revised_high_speed(
+            pulses, self.R1, self.high(fh2), self.R4, self.R5, self.R7, self._up or 0, self._down or 0
+        )
         high = max(high, self.R1)
         return replace(self, R3=high) if fh2 else replace(self, R2=high)
 
     def is_triangular(self, pulses: int, fh2: bool = False) -> bool:
         """Return whether a move of so many pulses is too short to reach FH1, or FH2."""
-        return is_triangular(pulses, self.R1, self.high(fh2), self.R4, self.R5, self.R7, self._up, self._down)
+        return is_triangular_move(pulses, self.R1, self.high(fh2), self.R4, self.R5, self.R7, self._up, self._down)
 
     def pulses_through(self, speeds: Iterable[int], dwell: float = 0.0) -> float:
         """Compute the pulses of a run from FL through several speeds, and then to FL again.
@@ -394,7 +396,7 @@ class Profile:
         for k, speed in enumerate(stops):
             low, high = sorted((speed_before, speed))
             rate, span = (self.R4, self._up) if speed > speed_before else (self.R5, self._down)
-            total += ramp_pulses(low, high, rate, self.R7, span)
+            total += compute_ramp_pulses(low, high, rate, self.R7, span)
             total += dwell * speed * self.step if k < len(stops) - 2 else 0.0
             speed_before = speed
         return total

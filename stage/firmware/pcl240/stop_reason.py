@@ -1,4 +1,4 @@
-"""`Procedure` of the PCL-240 family: it watches an axis, and finds in the chip's journal why a run ended.
+"""`Pcl240Observer` of the PCL-240 family: it watches an axis, and finds in the chip's journal why a run ended.
 
 A host can read R0 = 0 and ORG. An end limit has no status bit, and a carriage that rings has released a switch before the host
 polls. The journal has every bus write and every change of an input by the clock, so a copy of the chip stops where the chip did.
@@ -18,15 +18,15 @@ from stage.firmware import move_report
 from stage.firmware.axis import Axis
 from stage.firmware.driver import SETTLING_TIME_S
 from stage.firmware.move_report import Report
-from stage.firmware.pcl240.chip_port import Port, check
+from stage.firmware.pcl240.chip_port import Port, check_chip_family
 from stage.firmware.stop_reasons import UNKNOWN
 
 
-class Procedure(move_report.Procedure):
+class Pcl240Observer(move_report.ProcedureObserver):
     """Observer of an axis whose chip is of the family. Raises ArgumentError for another."""
 
     def __init__(self, axis: Axis, name: str):
-        check(axis)
+        check_chip_family(axis)
         super().__init__(axis, name)
         self.port = Port(axis)
 
@@ -66,7 +66,7 @@ def find_stop_reason(journal: Journal) -> str:
         core.advance(rows, journal.until if entry is None else entry.clock)
         if was_running and not chip["running"]:
             # inputs change with entries only: they are still as they were at the stop
-            reason = find_cause(chip) or ("decelerating stop" if slowing else "")
+            reason = find_present_stop_cause(chip) or ("decelerating stop" if slowing else "")
         if entry is None:
             break
         was_running = bool(chip["running"])
@@ -77,7 +77,7 @@ def find_stop_reason(journal: Journal) -> str:
         elif chip["running"]:
             reason, slowing = "", stops or (slowing and not starts)
         elif starts and not stops and chip["armed"]:
-            reason = find_cause(chip) or reason
+            reason = find_present_stop_cause(chip) or reason
     return "" if chip["running"] else reason
 
 
@@ -88,7 +88,7 @@ def _decode_command(entry: Any) -> tuple[bool, bool]:
     return bool(entry.b & bits.START), bool(entry.b & bits.STOP)
 
 
-def find_cause(chip: Any) -> str:
+def find_present_stop_cause(chip: Any) -> str:
     """Return what stops a chip, a record of its state, or keeps it from starting; "" for nothing but commands."""
     homes_by_index = chip["extended"] and chip["reg"][bits.R13] & bits.EZ_RETURN
     if chip["preset"] and chip["reg"][0] == 0:

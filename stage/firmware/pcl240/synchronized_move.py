@@ -14,17 +14,17 @@ from typing import Any
 
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, RunTimeout, add_article
-from stage.firmware.axis import Axes, Axis
+from stage.firmware.axis import AxesByName, Axis
 from stage.firmware.pcl240 import chip_port
-from stage.firmware.pcl240.chip_port import check, name_leader, require_clock
+from stage.firmware.pcl240.chip_port import check_chip_family, describe_leader, require_clock
 from stage.firmware.pcl240.line_plan import Plan, plan
 from stage.firmware.pcl240.moves import SETTLING_TIME_S
-from stage.firmware.pcl240.speed_profile import ACCEL, FH1, FL
-from stage.firmware.pcl240.stop_reason import Procedure
+from stage.firmware.pcl240.speed_profile import DEFAULT_RAMP_TIME_S, FH1, FL
+from stage.firmware.pcl240.stop_reason import Pcl240Observer
 from stage.firmware.synchronized_report import LineObserver, SynchronizedReport, select_axes
 from stage.support.arguments import check_timeout, explain_arguments
 
-WORTH_IT = 0.02  # pulses that a plan for the bus delay may be better than one for a common start
+MIN_DELAY_GAIN_PULSES = 0.02  # pulses that a plan for the bus delay may be better than one for a common start
 MAX_POLLS = 200  # at the status bytes of a long move
 
 
@@ -32,11 +32,11 @@ MAX_POLLS = 200  # at the status bytes of a long move
 @exclusive
 def synchronized_move(
     distances: Mapping[str, int] | Mapping[Axis, int] | Plan,
-    axes: Axes = None,
+    axes: AxesByName = None,
     *,
     rate: float = FH1,
     fl: float = FL,
-    accel: float = ACCEL,
+    accel: float = DEFAULT_RAMP_TIME_S,
     decel: float | None = None,
     s_curve: bool | float = False,
     automatic: bool | None = None,
@@ -74,9 +74,9 @@ def synchronized_move(
         distances, axes = axes, distances
     if isinstance(distances, Plan):
         selected = _select_axes(distances.distances, axes)
-        _same_chips(distances, selected)
+        _check_same_chips(distances, selected)
         _check_clocks(distances, selected)
-        line_plan = distances.with_bus_delay(_bus_delay(selected, distances.order))
+        line_plan = distances.with_bus_delay(_measure_bus_delay(selected, distances.order))
     else:
         selected = _select_axes(distances, axes)
         requested = {n: d for n, (_, d) in selected.items()}
@@ -84,19 +84,19 @@ def synchronized_move(
         clocks = {n: a.chip.clock_hz for n, (a, _) in selected.items()}
         wanted = partial(
             plan, requested, rate=rate, fl=fl, accel=accel, decel=decel, s_curve=s_curve, automatic=automatic,
-            chips=chips, clock_hz=clocks, **_clocks({n: a for n, (a, d) in selected.items() if d}),
+            chips=chips, clock_hz=clocks, **_find_clock_arguments({n: a for n, (a, d) in selected.items() if d}),
         )  # fmt: skip
         at_once = wanted()  # refuses before the first bus cycle
-        delay = _bus_delay(selected, at_once.order)
+        delay = _measure_bus_delay(selected, at_once.order)
         line_plan = at_once.with_bus_delay(delay)
-        if line_plan.deviation > at_once.deviation + WORTH_IT:
+        if line_plan.deviation > at_once.deviation + MIN_DELAY_GAIN_PULSES:
             line_plan = wanted(bus_delay=delay)
-    return _run({n: selected[n][0] for n in line_plan.order}, line_plan, timeout)
+    return _run_plan({n: selected[n][0] for n in line_plan.order}, line_plan, timeout)
 
 
-def _run(axes: dict[str, Axis], line_plan: Plan, timeout: float | None) -> SynchronizedReport:
+def _run_plan(axes: dict[str, Axis], line_plan: Plan, timeout: float | None) -> SynchronizedReport:
     """Write the registers, start the axes in the order of the plan, wait, and return the report."""
-    watch = {n: Procedure(a, "synchronized move") for n, a in axes.items()}
+    watch = {n: Pcl240Observer(a, "synchronized move") for n, a in axes.items()}
     with LineObserver(watch, line_plan.distances) as line:
         for n, p in watch.items():
             p.port.command(chip_port.RESET)
@@ -108,12 +108,16 @@ def _run(axes: dict[str, Axis], line_plan: Plan, timeout: float | None) -> Synch
             p.port.command(chip_port.RAMP["FH1"] if line_plan.axes[n].ramps else chip_port.START["FH1"])
             line.note_start(n)
         with line.attach_reports_to_timeout():
-            stopped_by = _wait(watch, line_plan, 1.5 * line_plan.seconds + 1 if timeout is None else timeout, line)
+            stopped_by = _wait_for_axes(
+                watch, line_plan, 1.5 * line_plan.seconds + 1 if timeout is None else timeout, line
+            )
         next(iter(axes.values())).wait(SETTLING_TIME_S)
         return line.report(stopped_by, line_plan)
 
 
-def _wait(watch: dict[str, Procedure], line_plan: Plan, patience: float, line: LineObserver) -> dict[str, str]:
+def _wait_for_axes(
+    watch: dict[str, Pcl240Observer], line_plan: Plan, patience: float, line: LineObserver
+) -> dict[str, str]:
     """Poll all axes until none operates; return why each stopped."""
     stopped_by: dict[str, str] = {}
     broken = False
@@ -140,7 +144,9 @@ def _wait(watch: dict[str, Procedure], line_plan: Plan, patience: float, line: L
                 f"after {patience:.3f} s axes still operate; pulses left: {left}. Give more time, or stop them with 08h."
             )
         poll = (
-            chip_port.POLL if line.carriages.worst is not None else max(chip_port.POLL, line_plan.seconds / MAX_POLLS)
+            chip_port.POLL_INTERVAL_S
+            if line.carriages.worst is not None
+            else max(chip_port.POLL_INTERVAL_S, line_plan.seconds / MAX_POLLS)
         )
         clock.wait(min(poll, patience - passed + 1e-6))
 
@@ -149,11 +155,11 @@ def _select_axes(distances: Mapping, axes: Any) -> dict[str, tuple[Axis, int]]:
     """Find the axes of a move, see `select_axes`. Raises ArgumentError for chips of another family, too."""
     selected = select_axes(distances, axes, "synchronized_move")
     for axis, _ in selected.values():
-        check(axis)
+        check_chip_family(axis)
     return selected
 
 
-def _same_chips(line_plan: Plan, selected: dict[str, tuple[Axis, int]]) -> None:
+def _check_same_chips(line_plan: Plan, selected: dict[str, tuple[Axis, int]]) -> None:
     for n, a in line_plan.axes.items():
         if type(selected[n][0].chip) is not a.chip:
             raise ArgumentError(
@@ -167,7 +173,7 @@ def _same_chips(line_plan: Plan, selected: dict[str, tuple[Axis, int]]) -> None:
             )
 
 
-def _clocks(moving: Mapping[str, Axis]) -> dict[str, Any]:
+def _find_clock_arguments(moving: Mapping[str, Axis]) -> dict[str, Any]:
     """Return the arguments `multipliers` and `shared` of `plan`. Raises StageError for a follower whose leader makes no clock."""
     multipliers: dict[str, int] = {}
     shared: set[str] = set()
@@ -183,7 +189,7 @@ def _clocks(moving: Mapping[str, Axis]) -> dict[str, Any]:
 
 def _check_clocks(line_plan: Plan, selected: dict[str, tuple[Axis, int]]) -> None:
     """Raise ArgumentError for a plan whose followers would hear another R7 than their own."""
-    clocks = _clocks({n: selected[n][0] for n in line_plan.axes})
+    clocks = _find_clock_arguments({n: selected[n][0] for n in line_plan.axes})
     for n, a in line_plan.axes.items():
         leaders = [m for m in line_plan.axes if selected[m][0].chip is getattr(selected[n][0].chip, "syni", None)]
         multiplier = (
@@ -191,12 +197,13 @@ def _check_clocks(line_plan: Plan, selected: dict[str, tuple[Axis, int]]) -> Non
         )
         if multiplier != a.registers["R7"]:
             raise ArgumentError(
-                f"the plan has R7 = {a.registers['R7']} for axis {n}, whose chip counts the clock of {name_leader(selected[n][0])} "
+                f"the plan has R7 = {a.registers['R7']} for axis {n}, whose chip counts the clock of "
+                f"{describe_leader(selected[n][0])} "
                 f"(SYNI) with R7 = {multiplier}: plan with {clocks}."
             )
 
 
-def _bus_delay(selected: dict[str, tuple[Axis, int]], names: Any) -> float:
+def _measure_bus_delay(selected: dict[str, tuple[Axis, int]], names: Any) -> float:
     """Read each axis' status, to check that it is at rest and to measure the time of a bus cycle, s."""
     delay = 0.0
     for n in names:

@@ -18,12 +18,12 @@ from stage.firmware.driver import (
     select_moving,
     wait_until_stopped,
 )
-from stage.firmware.home_program import Search
-from stage.firmware.line_programs import Line
-from stage.firmware.move_report import Procedure, Report
+from stage.firmware.home_program import HomeProgram
+from stage.firmware.line_programs import LinePrograms
+from stage.firmware.move_report import ProcedureObserver, Report
 from stage.firmware.operation_pattern import BLUE, GREEN, GREY, RED
-from stage.firmware.stepdir.home_program import OrgSearch
-from stage.firmware.stepdir.line_programs import Bresenham
+from stage.firmware.stepdir.home_program import OrgHomeProgram
+from stage.firmware.stepdir.line_programs import BresenhamLinePrograms
 from stage.firmware.stop_reasons import ANOTHER_AXIS
 from stage.firmware.synchronized_report import EarlyStopHandler, LineObserver, SynchronizedReport
 from stage.sim.program import Operations
@@ -36,7 +36,7 @@ BACK_OFF_STEPS = 400
 MAX_BACK_OFFS = 200
 
 
-class Pattern(operation_pattern.Pattern):
+class StepDirPattern(operation_pattern.OperationPattern):
     """Signals of a STEP/DIR axis that a drawing of a report shows."""
 
     LANES = (
@@ -49,7 +49,7 @@ class Pattern(operation_pattern.Pattern):
 class StepDirDriver(Driver):
     """Driver of one STEP/DIR axis."""
 
-    PATTERN: ClassVar = Pattern
+    PATTERN: ClassVar = StepDirPattern
     DONE: ClassVar = END_REASONS[1]
     HOME_REASONS: ClassVar = ("ORG",)
     HOMINGS: ClassVar = ("switch",)
@@ -68,14 +68,14 @@ class StepDirDriver(Driver):
         self._send("MOVE", pulses)
 
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
-        with Procedure(self.axis, "move") as procedure:
+        with ProcedureObserver(self.axis, "move") as procedure:
             self.start(pulses, speeds)
             reason = self.wait(estimate_seconds(pulses, speeds) if timeout is None else timeout)
             self.axis.wait(SETTLING_TIME_S)
             return procedure.report(reason, pulses)
 
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
-        with Procedure(self.axis, "origin return") as procedure:
+        with ProcedureObserver(self.axis, "origin return") as procedure:
             self._write_registers(
                 {**self._registers(speeds._replace(s_curve=False)), "STEPS": BACK_OFF_STEPS, "EVENTS": 0}
             )
@@ -162,7 +162,7 @@ class StepDirDriver(Driver):
             now.register(self.index, self.chip, name, value)
 
     def _send(self, command: str, direction: int) -> None:
-        self.chip.write(CONTROL_ADDRESS, find_command(command, direction))
+        self.chip.write(CONTROL_ADDRESS, encode_command(command, direction))
 
     @classmethod
     def line(
@@ -187,7 +187,7 @@ class StepDirDriver(Driver):
         moving: dict[str, Any] = select_moving(drivers, pulses)
         events = max(abs(pulses[name]) for name in moving)
         MAP.check_value("STEPS", events)
-        procedures = {name: Procedure(driver.axis, "line") for name, driver in moving.items()}
+        procedures = {name: ProcedureObserver(driver.axis, "line") for name, driver in moving.items()}
         with LineObserver(procedures, {name: pulses[name] for name in moving}) as observer:
             for name, driver in moving.items():
                 driver._write_registers({**driver._registers(speeds), "STEPS": abs(pulses[name]), "EVENTS": events})
@@ -225,19 +225,19 @@ class StepDirDriver(Driver):
     def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
         for name, value in {**values, "STEPS": abs(pulses)}.items():
             program.register(self.index, self.chip, name, value)
-        program.command(self.index, find_command("MOVE", pulses))
+        program.command(self.index, encode_command("MOVE", pulses))
 
     def write_stop(self, program: Operations) -> None:
         program.command(self.index, AT_ONCE)
 
-    def search(self, settings: Any) -> Search:
-        return OrgSearch(self, settings)
+    def search(self, settings: Any) -> HomeProgram:
+        return OrgHomeProgram(self, settings)
 
-    def lines(self, drivers: Sequence[Driver], settings: Any) -> Line:
-        return Bresenham(drivers, settings)
+    def lines(self, drivers: Sequence[Driver], settings: Any) -> LinePrograms:
+        return BresenhamLinePrograms(drivers, settings)
 
 
-def find_command(command: str, direction: int) -> int:
+def encode_command(command: str, direction: int) -> int:
     """Return the code of a command of the step timer: "MOVE", "RUN" or "HOME" in the direction of a sign."""
     return MAP.command(f"{command}{'+' if direction > 0 else '-'}").code
 

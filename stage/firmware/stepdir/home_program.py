@@ -10,7 +10,7 @@ import numpy as np
 from stage.chips.stepdir.core import AT_ONCE
 from stage.chips.stepdir.maps import CONTROL_ADDRESS, MAP
 from stage.errors import ArgumentError
-from stage.firmware.home_program import Search, SearchResult
+from stage.firmware.home_program import HomeProgram, HomeResults
 from stage.firmware.parameter_ranges import ParameterRanges, get_register_range
 from stage.sim.program import Program
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 ORG, END_LIMITS = MAP.mask("status", "org"), MAP.mask("status", "plus_limit") | MAP.mask("status", "minus_limit")
 POSITION = MAP.register("POSITION")
-PHASES = ("leave", "search", "back_off", "approach")
+PHASE_NAMES = ("leave", "search", "back_off", "approach")
 
 
-class OrgSearch(Search):
+class OrgHomeProgram(HomeProgram):
     """Origin return by four moves of the step timer, towards minus."""
 
     def __init__(self, driver: StepDirDriver, settings: Any):
@@ -68,17 +68,17 @@ class OrgSearch(Search):
         self._note_result_index(f"{phase} status", program).read(index, CONTROL_ADDRESS)
         self._note_result_index(f"{phase} position", program).read(index, POSITION.number)
 
-    def read_results(self, results: np.ndarray, rows: np.ndarray) -> SearchResult:
+    def read_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
         columns = {name: results[:, at] for name, at in self.marks.items()}
-        timed_out = np.any([columns[f"{phase} time"] < 0 for phase in PHASES], axis=0)
-        at_origin = {phase: columns[f"{phase} status"] & ORG != 0 for phase in PHASES}
-        at_limit = np.any([columns[f"{phase} status"] & END_LIMITS != 0 for phase in PHASES], axis=0)
+        timed_out = np.any([columns[f"{phase} time"] < 0 for phase in PHASE_NAMES], axis=0)
+        at_origin = {phase: columns[f"{phase} status"] & ORG != 0 for phase in PHASE_NAMES}
+        at_limit = np.any([columns[f"{phase} status"] & END_LIMITS != 0 for phase in PHASE_NAMES], axis=0)
         released = ~at_origin["back_off"]
-        searched = _signed(columns["leave position"] - columns["search position"])
+        searched = _wrap_to_signed(columns["leave position"] - columns["search position"])
         home = ~timed_out & ~at_limit & released & at_origin["approach"]
-        return SearchResult(timed_out, home, ~timed_out & at_limit, released, searched, np.zeros(len(rows), np.int64))
+        return HomeResults(timed_out, home, ~timed_out & at_limit, released, searched, np.zeros(len(rows), np.int64))
 
 
-def _signed(difference: np.ndarray) -> np.ndarray:
+def _wrap_to_signed(difference: np.ndarray) -> np.ndarray:
     """Return differences of 32-bit positions as signed numbers."""
     return (difference + (1 << 31)) % (1 << 32) - (1 << 31)

@@ -9,15 +9,15 @@ import numpy as np
 
 from stage.chips.stepdir.maps import MAP
 from stage.firmware.driver import Driver
-from stage.firmware.line_programs import Line, LineMoves
+from stage.firmware.line_programs import LineMoves, LinePrograms
 from stage.firmware.parameter_ranges import get_register_range
 from stage.sim.program import Program
 
-FACTOR = 2.0
+MAX_CORRECTION_FACTOR = 2.0
 """A correction of 1 doubles a register of the longest axis, of -1 halves it."""
 
 
-class Bresenham(Line):
+class BresenhamLinePrograms(LinePrograms):
     """Line whose axes all run the profile of the longest one, and spread their own steps among its steps.
 
     Only the rates and ramps are to be chosen, at which the carriages can follow: one row for all axes.
@@ -51,7 +51,7 @@ class Bresenham(Line):
         return np.array(rows, np.int64)
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        rows = self.clip_to_legal(self.data_sheet(moves) * FACTOR**corrections)
+        rows = self.clip_to_legal(self.data_sheet(moves) * MAX_CORRECTION_FACTOR**corrections)
         rows[:, :, 0] = np.minimum(rows[:, :, 0], rows[:, :, 1])
         return rows
 

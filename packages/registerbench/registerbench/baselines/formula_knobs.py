@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stage.firmware import Axis
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 from stage.tune.formula import Load, plan_profile
 
 
@@ -18,7 +18,7 @@ class FormulaKnobs:
     RANGES = (3.0, 1.3, 1.7, 1.7, 1.06)  # FL, FH, acceleration, deceleration, R6: from 1 / so much to so much
 
     def __init__(self, axis: Axis, pulses: int):
-        self.pulses, self.middle, self.driver = pulses, plan_profile(Load.from_axis(axis), pulses), driver_of(axis)
+        self.pulses, self.middle, self.driver = pulses, plan_profile(Load.from_axis(axis), pulses), get_driver(axis)
         self.ranges = self.RANGES if "R6" in self.driver.list_move_registers(s_curve=False) else self.RANGES[:3]
 
     def registers(self, knobs: np.ndarray) -> dict[str, int]:

@@ -27,7 +27,7 @@ from stage.chips import CHIPS, chip_class
 from stage.envs.base import StageVectorEnv
 from stage.envs.register_tuning import RegisterTuning
 from stage.envs.registers import RegisterBox
-from stage.firmware.driver import driver_of
+from stage.firmware.driver import get_driver
 
 DISTANCE = 32_000  # pulses, 100 mm on the default stage
 PAYLOADS = {"light": 0.5, "heavy": 10.0}  # kg on the table of the X axis
@@ -153,7 +153,7 @@ class MoveTuning:
         nominal.set_payload(payload, self.env.unwrapped.task_instance.carrier)
         self.axis = nominal.axes["x"]
         self.registers = RegisterBox.of_registers(
-            self.axis.chip.MAP, driver_of(self.axis).list_move_registers(s_curve=False)
+            self.axis.chip.MAP, get_driver(self.axis).list_move_registers(s_curve=False)
         )
         self.knobs = FormulaKnobs(self.axis, distance) if space == "knobs" else None
         self.size = len(self.knobs.ranges) if self.knobs else len(self.registers)

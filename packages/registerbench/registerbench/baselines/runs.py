@@ -34,7 +34,7 @@ from registerbench.baselines.move_tuning import (
     best,
     prove,
 )
-from stage.firmware.pcl240.driver import TUNED as REGISTERS
+from stage.firmware.pcl240.driver import TUNED_REGISTERS as REGISTERS
 
 FIRST_SEED = 1  # with seed 0 the settings were chosen
 TEST_SEED = 1_000  # of no search, and of no proof

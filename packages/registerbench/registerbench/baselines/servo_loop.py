@@ -22,8 +22,8 @@ import numpy as np
 
 from stage.errors import StageError
 from stage.firmware.hctl1100 import servo_loop_model
-from stage.firmware.hctl1100.moves import Tuning
-from stage.firmware.hctl1100.servo_loop_model import MARGIN, POLE, RATTLE, Loop
+from stage.firmware.hctl1100.moves import FilterTuning
+from stage.firmware.hctl1100.servo_loop_model import DEFAULT_POLE, MAX_RATTLE, PHASE_MARGIN_DEGREES, ServoLoop
 
 TIMER = 0x40  # as after a reset
 WITHIN = 3.0  # degrees, that a rounded gain may take of the margin
@@ -41,7 +41,7 @@ def control() -> Any:
 class Design(NamedTuple):
     """tuning; phase margin in degrees, gain margin, crossover in rad/s, as python-control says of the registers' values."""
 
-    tuning: Tuning
+    tuning: FilterTuning
     phase_margin: float
     gain_margin: float
     crossover: float
@@ -54,34 +54,34 @@ class Design(NamedTuple):
         )
 
 
-def open_loop(loop: Loop) -> Any:
+def open_loop(loop: ServoLoop) -> Any:
     """Filter times plant as a transfer function of python-control."""
     tf, h = control().tf, loop.sample
     return tf(*loop.filter, h) * tf(*loop.plant, h)
 
 
-def compute_margins(loop: Loop) -> Design:
+def compute_margins(loop: ServoLoop) -> Design:
     """The margins of a loop."""
     gain, phase, _, crossover = control().margin(open_loop(loop))
     return Design(loop.tuning, float(phase), float(gain), float(crossover))
 
 
-def design(loop: Loop, margin: float = MARGIN, rattle: float = RATTLE) -> Design:
+def design(loop: ServoLoop, margin: float = PHASE_MARGIN_DEGREES, rattle: float = MAX_RATTLE) -> Design:
     """Return gain and zero for this plant and their margins; pole and T stay.
 
     Raises:
         StageError: No filter reaches the margin (see `stage.firmware.hctl1100.servo_loop_model.design`).
     """
-    return compute_margins(replace(loop, tuning=servo_loop_model.design(loop, margin, rattle)))
+    return compute_margins(replace(loop, tuning=servo_loop_model.design_filter(loop, margin, rattle)))
 
 
 def registers(axis: Any, timer: int = TIMER) -> dict[str, int]:
     """Return R22, R20, R21 and R0F for an axis of a stage, with the payload that it carries."""
-    t = design(Loop.of(axis, Tuning(pole=POLE, timer=timer))).tuning
+    t = design(ServoLoop.of(axis, FilterTuning(pole=DEFAULT_POLE, timer=timer))).tuning
     return {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer}
 
 
-def plot(d: Design, loop: Loop, path: Path) -> None:
+def plot(d: Design, loop: ServoLoop, path: Path) -> None:
     """Draw the Bode diagram and the root locus."""
     from matplotlib import pyplot as plt
 
@@ -128,15 +128,15 @@ def main() -> None:
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--payload", type=float, default=0.0, metavar="KG", help="on the table")
-    parser.add_argument("--margin", type=float, default=MARGIN, metavar="DEGREES", help="phase margin")
+    parser.add_argument("--margin", type=float, default=PHASE_MARGIN_DEGREES, metavar="DEGREES", help="phase margin")
     parser.add_argument(
-        "--rattle", type=float, default=RATTLE, metavar="UNITS", help="motor command for one count, at most"
+        "--rattle", type=float, default=MAX_RATTLE, metavar="UNITS", help="motor command for one count, at most"
     )
     parser.add_argument("--plot", type=Path, metavar="PNG", help="Bode diagram and root locus")
     args = parser.parse_args()
     stage = Stage("xyz_servo", chips=HCTL1100)
     stage.set_payload(args.payload)
-    loop = Loop.of(stage.axes["x"], Tuning(pole=POLE, timer=TIMER))
+    loop = ServoLoop.of(stage.axes["x"], FilterTuning(pole=DEFAULT_POLE, timer=TIMER))
     try:
         by_reset, designed = compute_margins(loop), design(loop, args.margin, args.rattle)
     except StageError as error:

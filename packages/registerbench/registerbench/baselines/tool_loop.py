@@ -31,8 +31,8 @@ from stage.envs.trial import MAX_OFFSET_M, TENTH_MM
 from stage.errors import RunTimeout
 from stage.firmware import Port
 from stage.firmware.pcl240 import chip_port
-from stage.firmware.pcl240.driver import TUNED as REGISTERS
-from stage.firmware.pcl240.speed_profile import AT_FL, ramp_pulses
+from stage.firmware.pcl240.driver import TUNED_REGISTERS as REGISTERS
+from stage.firmware.pcl240.speed_profile import TAIL_PULSES, compute_ramp_pulses
 
 TASK = """You tune a {chip} that drives a linear axis with a stepper motor. Make a preset move of {pulses} pulses (3.125 um
 each) with {payload:g} kg on the table as short as possible. It must lose no step, and the table should be quiet after the stop; the
@@ -74,7 +74,7 @@ class TuningSession:
         began = stage.time
         port.command(chip_port.RAMP["FH1"])
         try:
-            port.wait_until_stopped(LIMIT, chip_port.QUICK)
+            port.wait_until_stopped(LIMIT, chip_port.FAST_POLL_S)
         except RunTimeout:
             port.command(chip_port.RESET)
         duration, places = stage.time - began, []
@@ -113,7 +113,7 @@ def technician(tuned: TuningSession, show: bool = False) -> None:
     """Search one coordinate after the other by tools, until the moves are spent or no step is left that is worth one."""
 
     def attempt(registers: dict[str, int]) -> float | None:
-        point = int(ramp_pulses(*(registers[n] for n in ("R1", "R2", "R5", "R7")))) + AT_FL
+        point = int(compute_ramp_pulses(*(registers[n] for n in ("R1", "R2", "R5", "R7")))) + TAIL_PULSES
         for name, value in {**registers, "R6": point}.items():
             tuned.box.call("write_register", {"axis": "x", "name": name, "value": value})
         answer = tuned.box.call("attempt")

@@ -242,10 +242,10 @@ def _until(words: list[str], stage: Stage) -> Callable[[Host], None]:
 
 
 def _status_names(axis: Axis) -> tuple[str, ...]:
-    from stage.firmware.driver import driver_of
+    from stage.firmware.driver import get_driver
 
     replica = _Elsewhere(axis)
-    return tuple(driver_of(replica).status_words())  # type: ignore[arg-type]
+    return tuple(get_driver(replica).status_words())  # type: ignore[arg-type]
 
 
 class _Elsewhere:

@@ -31,7 +31,7 @@ from stage.firmware.driver import (
     wait_until_stopped,
 )
 from stage.firmware.line_programs import LineMoves, LineSettings
-from stage.firmware.move_report import Procedure, Report
+from stage.firmware.move_report import ProcedureObserver, Report
 from stage.firmware.parameter_ranges import get_register_range
 from stage.firmware.stop_reasons import ANOTHER_AXIS
 from stage.firmware.synchronized_report import EarlyStopHandler, LineObserver, SynchronizedReport
@@ -232,7 +232,7 @@ class Tmc5160Driver(Driver):
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
         values = self._compute_checked_ramp_registers(speeds)
         self.check_at_rest()
-        with Procedure(self.axis, "move") as p:
+        with ProcedureObserver(self.axis, "move") as p:
             self.start_with_registers(values, pulses)
             expected_seconds = abs(pulses) / speeds.drive + speeds.up + speeds.down
             wait_until_stopped([self.axis], 1.5 * expected_seconds + 1 if timeout is None else timeout)
@@ -339,7 +339,7 @@ class Tmc5160Driver(Driver):
     def home_by(self, method: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:
         values = self._compute_checked_ramp_registers(speeds)
         self.check_at_rest()
-        with Procedure(self.axis, "home") as p:
+        with ProcedureObserver(self.axis, "home") as p:
             self.prepare()
             end_reason = homing.home_to_stall(self, direction, values, timeout) if method == "stall" else ""
             end_reason = end_reason or homing.home_to_switch(self, direction, values, timeout)
@@ -396,7 +396,7 @@ class Tmc5160Driver(Driver):
         moves = LineMoves(np.array([[pulses[n] for n in moving]]), np.array([speeds.drive]))
         rows = line.data_sheet(moves)[0].tolist()
         wanted = {n: pulses[n] for n in moving}
-        with LineObserver({n: Procedure(d.axis, "line") for n, d in moving.items()}, wanted) as together:
+        with LineObserver({n: ProcedureObserver(d.axis, "line") for n, d in moving.items()}, wanted) as together:
             goals = {
                 n: d.prepare_target(dict(zip(line.names, row, strict=True)), wanted[n])
                 for (n, d), row in zip(moving.items(), rows, strict=True)

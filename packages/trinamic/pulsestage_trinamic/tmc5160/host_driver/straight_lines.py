@@ -13,7 +13,7 @@ import numpy as np
 
 from pulsestage_trinamic.tmc5160.state import STOP_L, STOP_R
 from stage.firmware.driver import Driver
-from stage.firmware.line_programs import Line, LineMoves
+from stage.firmware.line_programs import LineMoves, LinePrograms
 from stage.sim.program import Program
 
 RAMP_REGISTERS = ("VSTART", "AMAX", "VMAX", "DMAX", "VSTOP")
@@ -21,7 +21,7 @@ VELOCITY_COLUMNS, ACCELERATION_COLUMNS = [0, 2, 4], [1, 3]  # of RAMP_REGISTERS
 VELOCITY_UNIT, ACCELERATION_UNIT = 1 << 24, 1 << 41  # one unit: fCLK / 2^24 steps/s, fCLK^2 / 2^41 steps/s2
 
 
-class ProportionalLine(Line):
+class ProportionalLine(LinePrograms):
     """Registers of a line: each axis gets the RAMP_REGISTERS of the longest axis, scaled by its share of the distance."""
 
     def __init__(self, drivers: Sequence[Driver], settings: Any):
