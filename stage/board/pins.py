@@ -22,13 +22,15 @@ SHARED = ("enable", *READ)
 FORM = "x.step=D2,x.dir=D5,x.enable=!B0,x.limit=!B1"
 PRESETS = {
     "grbl": "x.step=D2,y.step=D3,z.step=D4,x.dir=D5,y.dir=D6,z.dir=D7,x.enable=!B0,y.enable=!B0,z.enable=!B0,"
-    "x.limit=!B1,y.limit=!B2,z.limit=!B4,x.probe=!C5",
+    "x.limit=!B1,y.limit=!B2,z.limit=!B4,x.probe=!C5,y.probe=!C5,z.probe=!C5",
     "cnc-shield-v3": "x.step=D2,y.step=D3,z.step=D4,x.dir=D5,y.dir=D6,z.dir=D7,x.enable=!B0,y.enable=!B0,z.enable=!B0,"
     "x.limit=!B1,y.limit=!B2,z.limit=!B3",
-    "ramps": "x.step=F0,x.dir=F1,x.enable=!D7,y.step=F6,y.dir=F7,y.enable=!F2,z.step=L3,z.dir=L1,z.enable=!K0,"
-    "x.limit_minus=!E5,x.limit_plus=!E4,y.limit_minus=!J1,y.limit_plus=!J0,z.limit_minus=!D3,z.limit_plus=!D2",
+    "ramps": "x.step=F0,x.dir=!F1,x.enable=!D7,y.step=F6,y.dir=F7,y.enable=!F2,z.step=L3,z.dir=!L1,z.enable=!K0,"
+    "x.limit_minus=E5,x.limit_plus=E4,y.limit_minus=J1,y.limit_plus=J0,z.limit_minus=D3,z.limit_plus=D2",
 }  # fmt: skip
-"""Wiring of boards by name: grbl 1.1 on an Arduino Uno, the CNC Shield V3 without variable spindle, RAMPS 1.4 on an ATmega2560."""
+"""Wiring of boards by name: grbl 1.1 on an Arduino Uno, as its cpu_map.h has it (CNC Shield V3.10 and later); the CNC Shield V3.00,
+whose limit of z is at another pin; RAMPS 1.4 on an ATmega2560, with motors and normally closed switches as the stock configurations
+of Marlin and Klipper expect them: DIR is high for plus, but on y, and a switch opens its pin to high."""
 _ENTRY = re.compile(r"(?P<axis>[^.=]+)\.(?P<line>[a-z_]+)=(?P<invert>!?)(?P<pin>[^\s,=!]+)")
 
 

@@ -57,18 +57,20 @@ class AvrLines:
         avr.record.lines = self._row.ctypes.data
 
     def find_wiring_problems(self) -> tuple[str, ...]:
-        """Return a sentence about each STEP pin that never changed, if the program toggles other pins, or moves no axis."""
+        """Return a sentence about each STEP pin that never changed while the program toggled pins that are no lines."""
         steps = [(port, bit, line) for port, bit, line in self._places if line.line == "step"]
         used = {(port, bit) for port, bit, _ in self._places} | self._bus_pins
-        others = [pin for pin in self._list_pins("often") if pin not in used]
+        others = [f"{avr_core.PORTS[port]}{bit}" for port, bit in self._list_pins("often") if (port, bit) not in used]
         changed = set(self._list_pins("once"))
-        silent = [line for port, bit, line in steps if (port, bit) not in changed]
-        if not others and len(silent) < len(steps):
-            return ()
-        names = ", ".join(f"{avr_core.PORTS[port]}{bit}" for port, bit in others) or "no pin"
-        return tuple(
-            f"{line.axis}.step = {line.pin} never changed; the program toggles {names}. Name its STEP pin in --pins."
-            for line in silent
+        silent = [f"{line.axis}.step = {line.pin}" for port, bit, line in steps if (port, bit) not in changed]
+        if others:
+            advice = f"never changed; the program toggles {', '.join(others)}. Name its STEP pin in --pins."
+            return tuple(f"{name} {advice}" for name in silent)
+        is_still = silent and len(silent) == len(steps)
+        return (
+            (f"The program has made no step: {', '.join(silent)} never changed, nor did other pins.",)
+            if is_still
+            else ()
         )
 
     def _list_pins(self, field: str) -> list[tuple[int, int]]:

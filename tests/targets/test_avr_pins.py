@@ -449,14 +449,13 @@ def test_a_step_pin_that_never_changes_is_named_with_the_pins_that_do(build, iso
         assert not host.wiring_problems, "x and z stand still while y moves"
 
 
-def test_a_program_that_toggles_no_pin_is_reported(build):
+def test_a_program_that_makes_no_step_is_reported(build):
     elf = build("int main(void) { DDRD = 0xFC; PORTD = 1; return 0; }")
     with make_host(elf, "x.step=D2,y.step=D3") as host:
         host.run(timeout=1)
-        assert [*host.wiring_problems] == [
-            f"{axis}.step = {pin} never changed; the program toggles no pin. Name its STEP pin in --pins."
-            for axis, pin in (("x", "D2"), ("y", "D3"))
-        ]
+        assert host.wiring_problems == (
+            "The program has made no step: x.step = D2, y.step = D3 never changed, nor did other pins.",
+        )
 
 
 def test_the_command_reports_a_step_pin_that_never_changes(build, capsys):
