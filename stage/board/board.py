@@ -28,6 +28,7 @@ from stage.board.devices.user_devices import CDevice, DescribeCycle, PythonDevic
 from stage.board.errors import HostError
 from stage.board.interrupt_hooks import PYTHONS_TIMERS
 from stage.board.link import Link
+from stage.board.serial_line import SerialLine
 from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.board.waveforms import HostWaveforms
 from stage.chips.diagnostics import JournalLint
@@ -66,6 +67,7 @@ class Board:
         log: Lines that the firmware noted, (seconds, text).
         driver: The firmware, a NativeHost, that has begun and not returned, or None.
         link: The connection to compiled code, for runners of firmware.
+        serial: The serial line of its host, in memory.
 
     Raises:
         ArgumentError: A layout that does not fit the chips, ports that overlap or do not exist.
@@ -104,6 +106,7 @@ class Board:
         for chip in stage.chips:
             if self.LINTS and chip.journal_lint is None:
                 chip.journal_lint = JournalLint(chip)
+        self.serial = SerialLine(self)
         self.link = Link(self)
         if not isinstance(devices, Iterable):
             raise ArgumentError(f'devices={devices!r}: a list of texts, for example ["hctl2016:0x320:x"].')

@@ -22,7 +22,9 @@ from stage.board.board import Board
 from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostTimeout
 from stage.board.link import UNBOUNDED
+from stage.board.pacing import RealTimePace
 from stage.board.scratch import Scratch
+from stage.board.serial_line import SerialPort
 from stage.board.thread_runner import PATIENCE_S, LoadedProgram, Program, ThreadRunner
 from stage.chips.sharing import Lock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError
@@ -77,7 +79,12 @@ class Host:
     Attributes:
         path: File of the firmware.
         board: The Board that it drives.
+        serial: Other end of the firmware's serial line.
+        pacing: Pace of the run in wall-clock time, or None for as fast as possible.
+        serial_lack: Sentence about firmware that has no serial line.
     """
+
+    serial_lack = "it has no serial line."
 
     def __init__(self, program: Program, board: Board, isolated: bool, patience: float):
         self.path, self.board = program.path, board
@@ -89,6 +96,8 @@ class Host:
         else:
             self._runner = ThreadRunner(program, board, patience)
         self._start = (0, 0)  # time and cycles
+        self.serial = SerialPort(self)
+        self.pacing: RealTimePace | None = None
 
     @classmethod
     def _check(cls, board: Board, patience: float, example: str) -> None:
@@ -213,9 +222,30 @@ class Host:
                 )
             board.driver, self._start = self, (stage.now, board.cycles)
         self._cycle_limit = min(board.cycles + int(max_cycles), UNBOUNDED)
-        code = self._runner.resume(stage.now + ns, self._cycle_limit)
+        code = self._run_to(stage.now + ns)
         now, cycles = self._start
         return None if code is None else Result(code, (stage.now - now) * 1e-9, board.cycles - cycles)
+
+    def _run_to(self, end: int) -> int | None:
+        """Run the firmware until it returns, until the time `end` (ns), or until its serial line's other end has what it waits for.
+
+        Returns:
+            Exit code of the firmware, or None if it is paused.
+        """
+        board, serial, pacing = self.board, self.serial, self.pacing
+        while True:
+            serial.exchange()
+            until, begin = serial.choose_next_exchange(end), board.stage.now
+            if pacing is not None:
+                pacing.start(begin)
+                until = min(until, begin + pacing.SLICE_NS)
+            code = self._runner.resume(until, self._cycle_limit)
+            moved = serial.exchange()
+            if pacing is not None:
+                pacing.wait(board.stage.now)
+            is_over = board.stage.now >= end or board.cycles >= self._cycle_limit or serial.is_satisfied
+            if code is not None or is_over or not (moved or board.stage.now > begin):
+                return code
 
     def _make_timeout(self, what: str) -> HostTimeout:
         board = self.board

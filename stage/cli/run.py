@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from stage.cli import options
+from stage.cli import options, serial
 from stage.cli.commands import add_command, tell, warn, wrote
 from stage.cli.files import check_outputs, record_to_files
 from stage.cli.options import FREQUENCY, TIME, number
@@ -56,6 +56,7 @@ def add(commands: Any) -> None:
         "--timeout",
         type=TIME,
         default=60.0,
+        action=options.NotedAction,
         help="simulated seconds within which the firmware must return (default: 60)",
     )
     g.add_argument(
@@ -76,6 +77,7 @@ def add(commands: Any) -> None:
         help="run the firmware in this process, for debuggers (default: in a separate one, so that a crash ends only that one)",
     )  # fmt: skip
     g.add_argument("--isolated", action="store_true", help=argparse.SUPPRESS)  # what is the default now
+    serial.add_serial_options(p)
     options.add_board_options(p)
     options.add_panel_options(p)
     options.add_stage_and_output_options(p)
@@ -117,19 +119,31 @@ def run(args: argparse.Namespace) -> int:
         flags = tuple(shlex.split(args.cflags))
     except ValueError as failed:
         raise ArgumentError(f"--cflags {args.cflags!r}: {failed}.") from None
+    with serial.open_serial_end(args) as end:
+        return _run_with_serial_end(args, flags, end)
+
+
+def _run_with_serial_end(args: argparse.Namespace, flags: tuple[str, ...], end: Any) -> int:
+    """Make board and host, and run the firmware; return the exit code.
+
+    Args:
+        args: Options of the command.
+        flags: Options of the compiler.
+        end: Other end of the serial line, or None.
+    """
     with _compiler_warnings(args):
         board = make_board(args)
         host = _host(args, board, flags)
-    stage = board.stage
+    serial.prepare_host(args, host, end)
     terminated = threading.Event()
-    with show_panel(args, stage, Path(args.firmware[0]).name) as session:
-        code = _run(args, board, host, session, terminated)
+    with show_panel(args, board.stage, Path(args.firmware[0]).name) as session:
+        code = _run(args, board, host, session, end, terminated)
         if session is not None and not terminated.is_set():
             keep_panel(session)
     return code
 
 
-def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, terminated: threading.Event) -> int:
+def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, end: Any, terminated: threading.Event) -> int:
     """Run firmware, and print what came of it; return the exit code.
 
     Args:
@@ -137,25 +151,16 @@ def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, terminat
         board: Board that the firmware drives.
         host: Host that runs the firmware.
         session: Session of the page beside it, or None.
+        end: Other end of its serial line, or None.
         terminated: Event that SIGTERM sets.
     """
-    from stage.board import HostError, HostTimeout, StormError
-    from stage.errors import SimulationError
+    from stage.board import HostTimeout
 
     stage = board.stage
-    error: StageError | None = None
-    result = None
     begin = time.perf_counter()
     with record_to_files(args, stage):
         note(f"{host.path.name} runs ...")
-        try:
-            with _raise_at_sigterm(board, terminated), show_simulated_time(stage):
-                if session is not None:
-                    result = run_in_real_time(session, host, args.seconds, args.timeout)
-                else:
-                    result = host.run(timeout=args.timeout) if args.seconds is None else host.run_for(args.seconds)
-        except (HostTimeout, HostError, StormError, SimulationError) as failed:
-            error = failed  # recording and trace are wanted all the more
+        result, error = _run_to_end(args, board, host, session, end, terminated)
         wall = time.perf_counter() - begin
         for seconds, text in board.log:
             print(f"{seconds:12.6f}  {text}")
@@ -165,12 +170,15 @@ def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, terminat
                 f"cycles, in {wall:.2f} s of wall time"
             )
         elif error is None:
+            seconds = stage.time if args.seconds is None else args.seconds
             print(
-                f"{host.path.name} ran for {args.seconds:g} s, and {board.cycles:,} bus cycles, in {wall:.2f} s of wall time"
+                f"{host.path.name} ran for {seconds:g} s, and {board.cycles:,} bus cycles, in {wall:.2f} s of wall time"
             )
         print_report(board, host.wiring_problems)
+        serial.print_serial_report(args, host)
         if args.json:
-            tell(args, _collect_facts(board, result, error) | {"wiring_problems": host.wiring_problems})
+            facts = _collect_facts(board, result, error) | {"wiring_problems": host.wiring_problems}
+            tell(args, facts | serial.collect_serial_facts(args, host))
     if result is None:
         host.close()
     write_trace(args, board)
@@ -179,8 +187,31 @@ def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, terminat
         if isinstance(error, HostTimeout) and any(str(file).endswith(".ino") for file in args.firmware):
             print("A sketch never returns: --for 2 runs it for 2 s.", file=sys.stderr)
         return 1
-    done = result.code == 0 if result is not None else args.seconds is not None
+    done = result is None or result.code == 0
     return 0 if done and not any(a.lost_steps for a in stage.axes.values()) else 1
+
+
+def _run_to_end(
+    args: argparse.Namespace, board: Any, host: Any, session: Any, end: Any, terminated: threading.Event
+) -> tuple[Any, StageError | None]:
+    """Run firmware; return its result, or None, and the error that has ended it, or None.
+
+    Recording and trace are written after an error, too. Arguments are those of `_run`.
+    """
+    from stage.board import HostError, HostTimeout, StormError
+    from stage.errors import SimulationError
+
+    try:
+        with _raise_at_sigterm(board, terminated), show_simulated_time(board.stage):
+            if session is not None:
+                return run_in_real_time(session, host, args.seconds, serial.choose_timeout(args)), None
+            return serial.run_host(args, host, end), None
+    except (HostTimeout, HostError, StormError, SimulationError) as failed:
+        return None, failed
+    except KeyboardInterrupt:
+        if not serial.is_endless(args):
+            raise
+        return None, None
 
 
 @contextmanager

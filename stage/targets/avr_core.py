@@ -1,4 +1,4 @@
-"""AVR on simavr, compiled: its clock, its serial lines, and the pins that form its bus. simavr calls these functions.
+"""AVR on simavr, compiled: its clock, and the pins that form its bus. simavr calls these functions.
 
 A write cycle happens at the rising edge of /WR while /CS is low. A read cycle begins when /RD falls, and the data pins
 then carry the value. Pins that the program has not made outputs are pulled up.
@@ -61,15 +61,12 @@ PULL_VALUE = 15
 """Position of the levels in avr_ioport_external_t; seven bits of a name and eight of a mask are in front of them."""
 LINES = record([(name, "i8") for name in "ports n_ports read n_read ioctl".split()])
 """Lines at the pins of an AVR: LINE_PORT and READ_LINE records; the address of avr_ioctl."""
-SERIAL = record([(name, "i8") for name in "avr text room length".split()])
-"""A serial line, and the text since its last line end."""
-BYTE, STATE, WAIT = np.dtype("u1"), np.dtype("u4"), np.dtype("i1")
+STATE, WAIT = np.dtype("u4"), np.dtype("i1")
 ONE_MORE = -1
 """Of interrupt_wait: after SEI and two instructions interrupts are served; 1: one waits."""
 SLEEPING, DONE = 3, 6
 """cpu_Sleeping, cpu_Done, and above: crashed."""
 NOTHING_WAKES = 2
-LINE_END, CARRIAGE_RETURN = 10, 13
 _run, _raise_irq = called("i4", "i8"), called(None, "i8", "i4")
 _is_enabled, _ioctl = called("i4", "i8", "i8"), called("i4", "i8", "i4", "i8")
 _has_pending = called("i4", "i8")
@@ -242,20 +239,6 @@ def end_quantum(_avr, when, cpu):
         cpu.asleep = _check_sleep(cpu)
         cpu.ended |= cpu.asleep >> 1
     return cpu.when
-
-
-@exported(None, "i8", "i4", SERIAL)
-def log_sent_byte(_irq, value, serial):
-    """Collect a byte sent over a serial line, and log each complete line."""
-    cpu, text = array_at(serial.avr, 1, AVR)[0], array_at(serial.text, serial.room, BYTE)
-    if value != LINE_END and value != CARRIAGE_RETURN:
-        text[serial.length] = value
-        serial.length += 1
-    if (value == LINE_END or serial.length == serial.room - 1) and serial.length:
-        text[serial.length] = 0
-        serial.length = 0
-        advance_board(cpu, count_cycles(cpu))
-        request(cpu, LOG, serial.text, 0)
 
 
 @exported("i8", AVR)

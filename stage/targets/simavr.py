@@ -24,9 +24,10 @@ from stage.board.errors import HostError, LibraryError
 from stage.board.pins import PinLine
 from stage.errors import StageError
 from stage.native import address_of, array_at
-from stage.targets import avr_core, mcus, simavr_layout
+from stage.targets import avr_core, avr_uart, mcus, simavr_layout
 from stage.targets.avr_bus import AvrBus, Pins, encode_request
 from stage.targets.avr_lines import AvrLines
+from stage.targets.avr_uart import AvrUart
 from stage.targets.elf import AVR, Elf, check_avr, read_mmcu
 from stage.targets.simavr_overlay import TimerOverlay
 
@@ -38,9 +39,6 @@ RUN_CYCLES = 100
 EXTERNAL_INTERRUPTS = 8
 ANALOG_INPUTS = 8
 EEPROM, MEMORY = 0x810000, 0x800000
-LINE_SIZE = 256  # bytes of a line over UART
-UARTS = "0123"
-UART_OUTPUT = 1
 STOPPED, DONE, CRASHED = 1, 6, 7
 _BEGIN_HZ = 1_000_000  # the clock of a new avr_t
 _HEAD_SIZE = 512  # bytes at the begin of an avr_t
@@ -323,7 +321,7 @@ class LoadedAvr:
         t.interrupt_wait = self._avr + simavr_layout.get_offset(simavr_layout.AVR, "interrupt_wait")
         t.has_pending = library.find_function_address("avr_has_pending_interrupts")
         t.vectors, t.n_vectors = self._vectors.addresses.ctypes.data, len(self._vectors.addresses)
-        self._tick, self._sent = avr_core.end_quantum.pointer, avr_core.log_sent_byte.pointer
+        self._tick = avr_core.end_quantum.pointer
         t.timer = ctypes.cast(self._tick, ctypes.c_void_p).value
 
     def find_irq(self, port: int, number: int) -> int:
@@ -373,18 +371,23 @@ class LoadedAvr:
         )
 
     def _connect_serial_lines(self) -> None:
-        """Connect the serial lines of the program to the log."""
-        self._texts, self._serials = [], []
-        for name in UARTS:
-            irq = self._simavr.get_irq(ctypes.c_void_p(self._avr), encode_request("uar" + name), UART_OUTPUT)
-            if irq:
-                flags = ctypes.c_uint32(0)
-                self._call_library("avr_ioctl", encode_request("uas" + name), ctypes.byref(flags))
-                text = ctypes.create_string_buffer(LINE_SIZE)
-                row = np.array([(self.record.own, ctypes.addressof(text), LINE_SIZE, 0)], avr_core.SERIAL)
-                self._texts.append(text)
-                self._serials.append(row)
-                self.notify(irq, self._sent, row)
+        """Connect the serial lines of the program to the log, and the first of them to the board."""
+        self._uarts: list[AvrUart] = []
+        for name in avr_uart.NAMES:
+            irqs = self._simavr.get_irq(ctypes.c_void_p(self._avr), encode_request("uar" + name), 0)
+            if irqs:
+                self._call_library("avr_ioctl", encode_request("uas" + name), ctypes.byref(ctypes.c_uint32(0)))
+                self._uarts.append(AvrUart(name, self, int(irqs), self._board, connected=not self._uarts))
+
+    def start_timer(self, cycles: int, function: Any, address: int) -> None:
+        """Let simavr call a compiled function after a number of cycles.
+
+        Args:
+            cycles: Number of cycles from now.
+            function: Pointer to the function, which returns the cycle of its next call or 0.
+            address: Address of the record that the function gets.
+        """
+        self._call_library("avr_cycle_timer_register", ctypes.c_uint64(cycles), function, ctypes.c_void_p(address))
 
     # --- it runs ---
 
@@ -393,9 +396,9 @@ class LoadedAvr:
         t, library = self.record, self._simavr
         t.begin = self._board.stage.now
         t.when = t.quantum
-        self._call_library(
-            "avr_cycle_timer_register", ctypes.c_uint64(int(t.quantum)), self._tick, ctypes.c_void_p(int(t.own))
-        )
+        self.start_timer(int(t.quantum), self._tick, int(t.own))
+        for uart in self._uarts:
+            uart.start()
         if self._gdb:
             library.gdb_port = self._gdb
             self._state[0] = STOPPED
@@ -404,6 +407,8 @@ class LoadedAvr:
         library.running_record, library.run_cycles = t, self._run_cycles
         avr_core.run.c(t.own)
         library.running_record = None
+        for uart in self._uarts:
+            uart.finish()
         if t.asleep == avr_core.NOTHING_WAKES:
             library.messages.append((_ERROR, SLEEPS_FOR_EVER))
         elif t.ended and not any(key in text for _, text in library.messages for key in _ENDS):

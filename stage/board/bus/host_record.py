@@ -35,6 +35,10 @@ SET_LINES, READ_LINES = 21, 22
 """Input pins of a chip, such as the STEP and DIR lines that a microcontroller drives, without a bus cycle: set the pins of a
 mask (a: the chip's number; b: the mask, shifted left by LINES_SHIFT, and the levels), or read the word of all of them."""
 LINES_SHIFT = 32
+SEND_SERIAL, READ_SERIAL, SET_SERIAL_RATE = 23, 24, 25
+"""The serial line: send a byte (a); take a byte, look at it or count the bytes that have arrived (a: TAKE, PEEK or COUNT), which
+takes a bus cycle if there is none; set the rate (a: bits per second, 0: bytes take no time)."""
+TAKE, PEEK, COUNT = range(3)
 WRONG_LEVEL = 64
 """Added to a refused request whose level is out of range."""
 (
@@ -84,7 +88,7 @@ HOST = record(
     + [(name, "i8") for name in "hooks serving called stack_low stack_high stack_checks meter cost rest".split()]
     + [(name, "i8") for name in "irqs acts before userdata words journals".split()]
     + [(name, "i8") for name in "checked_chips call_chip call_address call_kind call_value reached".split()]
-    + [(name, "i8") for name in "devices n_devices answers faults".split()]
+    + [(name, "i8") for name in "devices n_devices answers faults serial".split()]
 )
 """A stage's handle, and
     inside                     whether a request is being answered, see stage.sim.handle; not while Python or a hook is called
@@ -112,6 +116,7 @@ HOST = record(
     devices, n_devices         DEVICE_TABLE
     answers                    the device whose own code runs (plus one, 0: none)
     faults                     how many faults were accesses to windows
+    serial                     the LINE of the serial line
 """
 
 DEVICE_TABLE = record([(name, "i8") for name in "state access pulls line counts encoders n_encoders".split()])

@@ -6,7 +6,7 @@ A host, in C or in Python, makes all its requests by one function, `request(host
 
 from __future__ import annotations
 
-from stage.board.bus import host_record, interrupts, waiting
+from stage.board.bus import host_record, interrupts, serial_core, waiting
 from stage.board.bus.host_record import DEVICE, EIGHT, IN8, IN16, LAST_PORT, OUT, OUT16, STRAY, append_to_trace
 from stage.chips import cores
 from stage.chips.entries import INPUT, LOST, READ, WRITE
@@ -354,6 +354,36 @@ def _access_lines(host, code, chip, argument):
 
 
 @hot
+def _access_serial(host, code, a):
+    """Send a byte over the serial line, read from it, or set its rate."""
+    line, now = array_at(host.serial, 1, serial_core.LINE)[0], host_record.get_now(host)
+    if code == host_record.SET_SERIAL_RATE:
+        serial_core.set_rate(line, now, a)
+        return 0
+    if code == host_record.SEND_SERIAL:
+        if line.is_open:
+            _send_serial(host, line, a & 0xFF)
+        return 0
+    if serial_core.count_arrived(line, now) <= 0:
+        _pass_poll(host)
+        now = host_record.get_now(host)
+    if a == host_record.COUNT:
+        return serial_core.count_arrived(line, now)
+    return serial_core.remove_byte(line, now) if a == host_record.TAKE else serial_core.peek_byte(line, now)
+
+
+@hot
+def _send_serial(host, line, value):
+    """Put a byte on the serial line, once its other end has made room."""
+    if line.sent - line.read >= serial_core.ROOM:
+        waiting.catch_up(host)
+        host_record.call_python(host, host_record.PAUSE)
+        host.quiet = 0
+    if serial_core.put_byte(line, value):
+        host.until, host.quiet = least(host.until, host_record.get_now(host)), 0
+
+
+@hot
 def execute(host, code, a, b):
     """Execute one host request and return its result, or 0.
 
@@ -380,8 +410,8 @@ def execute(host, code, a, b):
         host.call_chip, host.call_value, host.call_address = code, a, b
         host_record.call_python(host, host_record.WINDOW_REQUEST)
         return host.call_value
-    if code in (host_record.SET_LINES, host_record.READ_LINES):
-        return _access_lines(host, code, a, b)
+    if host_record.SET_LINES <= code <= host_record.SET_SERIAL_RATE:
+        return _access_lines(host, code, a, b) if code < host_record.SEND_SERIAL else _access_serial(host, code, a)
     if code == host_record.LOG:
         waiting.catch_up(host)
         host.call_value = a

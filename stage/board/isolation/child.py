@@ -85,6 +85,7 @@ class ChildLink(Link):
             places = places[n:]
         self.publish_devices()
         h = self.record
+        self.use_serial_rows(shared.serial)
         h["edges"], h["lines"], h["edge_room"] = shared.edges.ctypes.data, shared.cycles.ctypes.data, len(shared.edges)
 
     def find_checked_chips(self) -> int:

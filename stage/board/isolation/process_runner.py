@@ -234,6 +234,8 @@ class ProcessRunner:
         ours, theirs = Pipe()
         try:
             self._shared = SharedMemory(shared, board, create=True)
+            self._shared.serial[:] = board.serial.rows
+            board.link.use_serial_rows(self._shared.serial)
             with theirs:
                 self._child = starter.start(theirs.fileno(), " ".join(list_sanitizers(self._path)))
             self._pipe, self._messages = ours, _Messages(ours)

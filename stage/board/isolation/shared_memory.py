@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.board.board import Board
-from stage.board.bus import host_record
+from stage.board.bus import host_record, serial_core
 from stage.board.bus.interrupts import BACK, HIGHEST, LOWERED, SOURCE, SOURCES
 from stage.board.interrupt_hooks import PYTHONS_TIMERS
 from stage.board.link import NOTED
@@ -37,7 +37,7 @@ _GUARD_SIZE = 64  # random bytes behind each array
 _FIXED = (
     "mj_model mj_data world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata inertia sites bodies "
     "n_axes n_switches n_chips nq nv nu ns n_sites n_bodies bus own edges edge_room regions n_regions ports n_ports lines "
-    "line_room call irqs acts before userdata words journals devices n_devices"
+    "line_room call irqs acts before userdata words journals devices n_devices serial"
 ).split()
 """Fields of the child's HOST record that never change."""
 _LINE_BOUNDS = {
@@ -179,6 +179,7 @@ class SharedMemory:
         samples, positions: Buffers like those of a Recording.
         sources: Interrupt sources of the child.
         devices: State of the child's devices, as float64.
+        serial: LINE of the serial line, which both processes use.
     """
 
     def __init__(self, path: str | Path, board: Board, create: bool = False):
@@ -189,6 +190,7 @@ class SharedMemory:
             (SAMPLE, (SAMPLE_ROWS, axes)), (np.float64, (SAMPLE_ROWS, nq)), (without_attributes(SOURCE), (SOURCES,)),
             (np.int64, (1,)),
             (np.uint8, (TEXT_SIZE,)), (np.uint8, (CRASH_SIZE,)), (np.float64, (board.stage.device_state.words,)),
+            (serial_core.LINE, (1,)),
         ]  # fmt: skip
         lengths = [int(np.dtype(dtype).itemsize * np.prod(shape)) for dtype, shape in sizes]
         places = np.cumsum([0, *(-(-n // _ALIGNMENT) * _ALIGNMENT + _GUARD_SIZE for n in lengths)]).tolist()
@@ -199,7 +201,7 @@ class SharedMemory:
             self._map = _map_for_firmware(Path(path), places[-1])
         (
             self.record, self.edges, self.cycles, self.state, self.samples, self.positions, self.sources, used, text, crash,
-            self.devices,
+            self.devices, self.serial,
         ) = (
             np.asarray(self._map[at : at + n]).view(dtype).reshape(shape)
             for at, n, (dtype, shape) in zip(places, lengths, sizes, strict=False)

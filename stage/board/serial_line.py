@@ -1,0 +1,333 @@
+r"""`SerialLine`: the serial line of a host in memory; `SerialPort`: its other end in Python, `host.serial`.
+
+    host.serial.write("$H\n")
+    host.serial.read_until("ok", timeout=30)
+    host.serial.expect(r"MPos:(-?[0-9.]+)")
+
+Bytes move while the firmware is paused, at a simulated time, so that the same script gives the same bits each time. Ends outside
+simulated time (a pseudo-terminal, a TCP port) are in `stage.board.serial_ends`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, AnyStr, Protocol
+
+import numpy as np
+
+from stage.board.bus import serial_core
+from stage.board.bus.serial_core import NO_BYTE, ROOM
+from stage.errors import ArgumentError, RunTimeout, StageError
+from stage.native import address_of, without_attributes
+
+if TYPE_CHECKING:
+    from stage.board.board import Board
+    from stage.board.host import Host
+
+BUFFER_SIZE = 1 << 20
+"""Bytes of the firmware that a SerialPort keeps for its reader."""
+POLL_NS = 1_000_000
+"""Simulated time between two looks at what the firmware has sent."""
+EXCERPT_SIZE = 200
+"""Bytes of the firmware that a message shows."""
+
+
+class SerialLine:
+    """Serial line of a board's host: two circular buffers that compiled code reads and writes.
+
+    Args:
+        board: The board.
+
+    Attributes:
+        rows: Array of one LINE record; for firmware in a separate process in memory that both processes share.
+    """
+
+    def __init__(self, board: Board):
+        self._board = board
+        self.use_rows(np.zeros(1, serial_core.LINE))
+        self.record["pausing_byte"] = NO_BYTE
+
+    def use_rows(self, rows: np.ndarray) -> None:
+        """Use another array of one LINE record from now on; see `Link.use_serial_rows`."""
+        self.rows = rows
+        self.record = rows.view(without_attributes(serial_core.LINE))[0]
+
+    @property
+    def address(self) -> int:
+        """Address of the LINE record."""
+        return address_of(self.rows)
+
+    @property
+    def free(self) -> int:
+        """Number of bytes that can be fed now."""
+        return ROOM - self._count("fed", "removed")
+
+    def feed(self, content: bytes) -> None:
+        """Send bytes to the firmware, at most `free`."""
+        line, now = self.record, self._board.stage.now
+        if line["fed"] == line["removed"]:
+            line["due"] = max(int(line["due"]), now + int(line["byte_ns"]))
+        places = (int(line["fed"]) % ROOM + np.arange(len(content))) % ROOM
+        line["incoming"][places] = np.frombuffer(content, np.uint8)
+        line["fed"] += len(content)
+
+    def take(self) -> bytes:
+        """Take all bytes that the firmware has sent since the last call."""
+        line = self.record
+        count = self._count("sent", "read")
+        places = (int(line["read"]) % ROOM + np.arange(count)) % ROOM
+        content = line["outgoing"][places].tobytes()
+        line["read"] = line["sent"]
+        return content
+
+    def _count(self, total: str, removed: str) -> int:
+        """Count the bytes of a direction; firmware may have overwritten the record."""
+        return min(max(int(self.record[total]) - int(self.record[removed]), 0), ROOM)
+
+
+class SerialEnd(Protocol):
+    """Other end of a serial line, such as a pseudo-terminal."""
+
+    @property
+    def pausing_byte(self) -> int:
+        """Byte of the firmware after which `exchange` is called at once, or NO_BYTE."""
+        ...
+
+    @property
+    def is_over(self) -> bool:
+        """True when this end has nothing more to do, and the run ends."""
+        ...
+
+    def exchange(self, sent: bytes, now: int, room: int) -> bytes:
+        """Take bytes that the firmware has sent, and return bytes for it.
+
+        Args:
+            sent: Bytes of the firmware since the last call.
+            now: Time of the stage, ns.
+            room: Maximum number of bytes to return.
+        """
+        ...
+
+    def choose_next_exchange(self, now: int) -> int | None:
+        """Return the time of the stage (ns) at which `exchange` is to be called again, or None for any time."""
+        ...
+
+    def close(self) -> None:
+        """Close what this end has opened."""
+        ...
+
+
+class SerialPort:
+    """Other end of the serial line of a host's firmware.
+
+    Attributes:
+        received: Number of bytes that the firmware has sent so far.
+        written: Number of bytes that have been sent to the firmware so far.
+    """
+
+    def __init__(self, host: Host):
+        self._host = host
+        self._end: SerialEnd | None = None
+        self._unread, self._outgoing = bytearray(), bytearray()
+        self._find: Callable[[], Any] | None = None
+        self._pausing_byte = NO_BYTE
+        self.received = self.written = 0
+        self._line.record["is_open"] = 1
+
+    # --- for a person and for tests ---
+
+    def write(self, content: bytes | str) -> None:
+        """Send bytes to the firmware from now on, at the rate of its UART.
+
+        Args:
+            content: Bytes, or text, each of whose characters is a byte.
+
+        Raises:
+            ArgumentError: `content` is neither bytes nor text of such characters.
+            StageError: The firmware has no serial line.
+        """
+        self.check_is_wired()
+        self._outgoing += to_bytes(content, "write")
+        self.exchange()
+
+    def read(self) -> bytes:
+        """Return the bytes that the firmware has sent and that nobody has read, without letting time pass."""
+        content = bytes(self._unread)
+        self._unread.clear()
+        return content
+
+    def read_until(self, end: AnyStr, timeout: float = 1.0) -> AnyStr:
+        """Run the firmware until it sends `end`; return what it has sent up to there.
+
+        Args:
+            end: Text or bytes.
+            timeout: Maximum simulated time, s.
+
+        Returns:
+            All that nobody has read so far, up to and including `end`, as text or bytes like `end`.
+
+        Raises:
+            RunTimeout: The firmware has not sent `end` within `timeout`, or has returned before. Other errors are those of
+                `Host.run_for`.
+        """
+        wanted = to_bytes(end, "read_until")
+        self._run_until(lambda: wanted in self._unread, timeout, repr(end), wanted[-1] if wanted else NO_BYTE)
+        return self._take(self._unread.index(wanted) + len(wanted), end)
+
+    def expect(self, pattern: AnyStr | re.Pattern[AnyStr], timeout: float = 1.0) -> re.Match[AnyStr]:
+        """Run the firmware until what it sends matches a regular expression; read up to the end of the match.
+
+        Args:
+            pattern: Regular expression for text or bytes.
+            timeout: Maximum simulated time, s.
+
+        Returns:
+            The match.
+
+        Raises:
+            ArgumentError: `pattern` is no regular expression.
+            RunTimeout: Nothing has matched within `timeout`, or the firmware has returned before.
+        """
+        try:
+            compiled: re.Pattern[AnyStr] = re.compile(pattern)
+        except (re.error, TypeError) as error:
+            raise ArgumentError(f"expect({pattern!r}): no regular expression ({error}).") from None
+        kind = compiled.pattern
+
+        def search() -> re.Match[AnyStr] | None:
+            return compiled.search(from_bytes(bytes(self._unread), kind))
+
+        self._run_until(search, timeout, repr(kind))
+        match = search()
+        assert match is not None
+        self._take(match.end(), kind)
+        return match
+
+    # --- for the host and its commands ---
+
+    def connect(self, end: SerialEnd) -> None:
+        """Connect another end to the line, instead of Python.
+
+        Raises:
+            StageError: The firmware has no serial line, or the line has another end.
+        """
+        self.check_is_wired()
+        if self._end is not None:
+            raise StageError("this serial line has another end already: a line has two.")
+        self._end = end
+        self._unread.clear()
+
+    def check_is_wired(self) -> None:
+        """Raise StageError if the firmware has no serial line."""
+        if not self._line.record["is_wired"]:
+            raise StageError(f"{self._host.path.name}: {self._host.serial_lack}")
+
+    @property
+    def is_satisfied(self) -> bool:
+        """True when the other end has what it waited for, and the run ends."""
+        return (self._find is not None and bool(self._find())) or (self._end is not None and self._end.is_over)
+
+    def exchange(self) -> int:
+        """Move bytes between the firmware and the other end; return their number."""
+        line, end = self._line, self._end
+        sent = line.take()
+        self.received += len(sent)
+        if end is None:
+            self._unread += sent
+            del self._unread[:-BUFFER_SIZE]
+        else:
+            room = max(line.free - len(self._outgoing), 0)
+            self._outgoing += end.exchange(sent, self._host.board.stage.now, room)
+        content = bytes(self._outgoing[: line.free])
+        del self._outgoing[: len(content)]
+        if content:
+            line.feed(content)
+        self.written += len(content)
+        line.record["pausing_byte"] = self._pausing_byte if end is None else end.pausing_byte
+        return len(sent) + len(content)
+
+    def choose_next_exchange(self, until: int) -> int:
+        """Return the time (ns) up to which the firmware may run before the next exchange, at most `until`."""
+        now, next_exchange = self._host.board.stage.now, None
+        if self._end is not None:
+            next_exchange = self._end.choose_next_exchange(now)
+        elif self._find is not None or self._outgoing:
+            next_exchange = now + POLL_NS
+        return until if next_exchange is None else min(until, max(next_exchange, now))
+
+    def disconnect(self) -> None:
+        """Remove the end that is connected; Python is the other end again."""
+        self._end = None
+
+    # --- inside ---
+
+    @property
+    def _line(self) -> SerialLine:
+        return self._host.board.serial
+
+    def _run_until(self, find: Callable[[], Any], timeout: float, wanted: str, pausing_byte: int = NO_BYTE) -> None:
+        """Run the firmware until `find()` is true, which is asked every POLL_NS and after each `pausing_byte`.
+
+        Raises:
+            RunTimeout: It has not come true.
+        """
+        self.check_is_wired()
+        if self._end is not None:
+            raise StageError(
+                "something else is at the other end of this serial line: it reads what the firmware sends."
+            )
+        host, self._find, self._pausing_byte = self._host, find, pausing_byte
+        try:
+            self.exchange()
+            if find():
+                return
+            result = host.run_for(timeout)
+            if find():
+                return
+        finally:
+            self._find, self._pausing_byte = None, NO_BYTE
+            self.exchange()
+        when = f"within {timeout:g} s" if result is None else "before it returned"
+        raise RunTimeout(
+            f"{host.path.name} has not sent {wanted} over its serial line {when} (now {host.board.stage.time:.6f} s). "
+            f"{describe_ending(bytes(self._unread))}"
+        )
+
+    def _take(self, count: int, like: AnyStr) -> AnyStr:
+        content = bytes(self._unread[:count])
+        del self._unread[:count]
+        return from_bytes(content, like)
+
+
+def to_bytes(content: Any, name: str) -> bytes:
+    """Convert text or bytes to bytes.
+
+    Args:
+        content: Text of characters up to U+00FF, or bytes.
+        name: Name of the function, for the error.
+
+    Raises:
+        ArgumentError: It is neither.
+    """
+    if isinstance(content, str):
+        try:
+            return content.encode("latin-1")
+        except UnicodeEncodeError:
+            pass
+    elif isinstance(content, bytes | bytearray | memoryview):
+        return bytes(content)
+    raise ArgumentError(f"{name}({content!r}): bytes, or text whose characters are bytes, such as 'G0 X10\\n'.")
+
+
+def from_bytes(content: bytes, like: AnyStr) -> AnyStr:
+    """Convert bytes to the type of `like`."""
+    return content.decode("latin-1") if isinstance(like, str) else content
+
+
+def describe_ending(sent: bytes) -> str:
+    """Return a sentence about the last bytes that the firmware has sent."""
+    if not sent:
+        return "It has sent nothing."
+    text = sent[-EXCERPT_SIZE:].decode("latin-1")
+    return f"It has sent {'... ' if len(sent) > EXCERPT_SIZE else ''}{text!r}."

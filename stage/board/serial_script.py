@@ -1,0 +1,190 @@
+r"""`SerialScript`: a serial line's other end as a file of commands in simulated time.
+
+    expect "Grbl 1.1h"        wait until the firmware sends this
+    send $H                   send a line; what follows, and a line feed
+    timeout 30                simulated seconds that the next `expect` waits at most (default: 5)
+    expect ok
+    send "\x18"                text in quotes is sent as it is, with the escapes of Python
+    wait 500ms                let simulated time pass
+    at 12.5                   wait until this time of the run
+
+Each `expect` searches in what the firmware has sent since the end of the last match. The run is the same, bit for bit, each time.
+"""
+
+from __future__ import annotations
+
+import ast
+import os
+from collections.abc import Generator
+from dataclasses import dataclass
+from pathlib import Path
+
+from stage.board.bus.serial_core import NO_BYTE
+from stage.board.errors import HostError
+from stage.board.serial_line import SerialEnd, describe_ending, to_bytes
+from stage.errors import ArgumentError
+from stage.support.files import FileError
+from stage.support.foreign_files import read_text
+from stage.units import OTHER_FACTORS, parse_quantity
+
+TIMEOUT_S = 5.0
+MAX_BYTES = 1 << 24
+COMMANDS = ("send", "expect", "wait", "at", "timeout")
+
+
+@dataclass(frozen=True)
+class Command:
+    """One line of a script.
+
+    Attributes:
+        line: Number of the line.
+        name: One of COMMANDS.
+        text: Bytes of send and expect.
+        ns: Time of wait, at and timeout.
+    """
+
+    line: int
+    name: str
+    text: bytes = b""
+    ns: int = 0
+
+
+def read_script(path: str | os.PathLike) -> SerialScript:
+    """Read a script from a file.
+
+    Raises:
+        ArgumentError: A line is no command.
+        FileError: The file cannot be read.
+    """
+    name = Path(path).name
+    text = read_text(path, "serial script", MAX_BYTES, FileError)
+    commands = [parse_command(name, k, line) for k, line in enumerate(text.splitlines(), 1)]
+    return SerialScript(name, [command for command in commands if command is not None])
+
+
+def parse_command(name: str, number: int, line: str) -> Command | None:
+    """Parse a line of a script; return None for an empty line or a comment.
+
+    Args:
+        name: Name of the script, for errors.
+        number: Number of the line.
+        line: The line.
+
+    Raises:
+        ArgumentError: It is no command.
+    """
+    word, _, rest = line.strip().partition(" ")
+    rest = rest.strip()
+    if not word or word.startswith("#"):
+        return None
+    if word not in COMMANDS:
+        raise ArgumentError(
+            f"{name}:{number}: {word!r} is no command of a serial script; known are {', '.join(COMMANDS)}."
+        )
+    if word in ("send", "expect"):
+        return Command(number, word, text=_parse_text(f"{name}:{number}", word, rest))
+    seconds = parse_quantity(rest, {"": 1.0} | OTHER_FACTORS["time"])
+    if seconds is None or not 0 <= seconds < 1e9:
+        raise ArgumentError(
+            f"{name}:{number}: {line.strip()!r}: a simulated time is wanted, for example {word} 0.5 or {word} 500ms."
+        )
+    return Command(number, word, ns=round(seconds * 1e9))
+
+
+def _parse_text(place: str, word: str, rest: str) -> bytes:
+    """Return the bytes of a text, quoted or not."""
+    if rest[:1] not in ('"', "'"):
+        if not rest and word == "expect":
+            raise ArgumentError(f"{place}: what is expected? For example: expect ok")
+        return to_bytes(rest + "\n" if word == "send" else rest, place)
+    try:
+        text = ast.literal_eval(rest)
+    except (SyntaxError, ValueError):
+        text = None
+    if not isinstance(text, str) or (not text and word == "expect"):
+        raise ArgumentError(
+            f'{place}: {rest}: a text in quotes with the escapes of Python is wanted, for example "G0 X10\\n".'
+        )
+    return to_bytes(text, place)
+
+
+class SerialScript(SerialEnd):
+    """Other end of a serial line that executes commands.
+
+    Args:
+        name: Name of the script, for errors.
+        commands: The commands.
+    """
+
+    def __init__(self, name: str, commands: list[Command]):
+        self._name, self._unread = name, bytearray()
+        self._due: int | None = None
+        self._expected = b""
+        self._begin: int | None = None
+        self._is_over = False
+        self._steps = self._execute(commands)
+
+    @property
+    def pausing_byte(self) -> int:
+        """The last byte of what is expected."""
+        return self._expected[-1] if self._expected else NO_BYTE
+
+    @property
+    def is_over(self) -> bool:
+        """True when all commands have been executed."""
+        return self._is_over
+
+    def exchange(self, sent: bytes, now: int, room: int) -> bytes:
+        """Execute commands up to the time `now` (ns), and return what they send.
+
+        Raises:
+            HostError: The firmware has not sent in time what is expected.
+        """
+        self._unread += sent
+        self._begin = now if self._begin is None else self._begin
+        outgoing = b""
+        while len(outgoing) < room and not self._is_over:
+            self._now = now
+            step = next(self._steps, None)
+            if step is None:
+                self._is_over = True
+            elif not step:
+                break
+            else:
+                outgoing += step
+        return outgoing
+
+    def choose_next_exchange(self, now: int) -> int | None:
+        """Return the time (ns) at which a wait ends or an `expect` fails, or None."""
+        return self._due
+
+    def close(self) -> None:
+        """Do nothing: a script has opened nothing."""
+
+    def _execute(self, commands: list[Command]) -> Generator[bytes, None, None]:
+        """Yield what each command sends, or no bytes while it waits."""
+        timeout = round(TIMEOUT_S * 1e9)
+        for command in commands:
+            if command.name == "send":
+                yield command.text
+            elif command.name == "timeout":
+                timeout = command.ns
+            elif command.name == "expect":
+                yield from self._expect(command, self._now + timeout, timeout)
+            else:
+                self._due = command.ns + (self._now if command.name == "wait" else self._begin or 0)
+                while self._now < self._due:
+                    yield b""
+                self._due = None
+
+    def _expect(self, command: Command, deadline: int, timeout: int) -> Generator[bytes, None, None]:
+        self._expected, self._due = command.text, deadline
+        while (at := self._unread.find(command.text)) < 0:
+            if self._now >= deadline:
+                raise HostError(
+                    f"{self._name}:{command.line}: the firmware has not sent {command.text.decode('latin-1')!r} within "
+                    f"{timeout * 1e-9:g} s. {describe_ending(bytes(self._unread))}"
+                )
+            yield b""
+        del self._unread[: at + len(command.text)]
+        self._expected, self._due = b"", None

@@ -1,0 +1,131 @@
+"""Options of a serial line's other end and of the pace of a run: --serial, --serial-script, --realtime."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from stage.errors import ArgumentError
+
+ENDLESS_S = 999_999_999.0
+
+
+def add_serial_options(p: argparse.ArgumentParser) -> None:
+    """Add the options of a serial line and of the pace."""
+    g = p.add_argument_group("serial line (docs/serial.md)")
+    g.add_argument(
+        "--serial", metavar="END",
+        help="other end of the firmware's serial line, for a terminal program or a G-code sender: pty prints the path of a "
+        "pseudo-terminal, pty:LINK makes a link to it, tcp:5331 listens on 127.0.0.1; the run then lasts until Ctrl-C, --for or "
+        "--timeout. A person wants --realtime with it",
+    )  # fmt: skip
+    g.add_argument(
+        "--serial-script", metavar="FILE",
+        help="commands that play the other end in simulated time: send, expect, wait; the run ends with the script, unless --for "
+        "says how long it lasts",
+    )  # fmt: skip
+    g.add_argument(
+        "--realtime", action="store_true",
+        help="hold the run back to wall-clock time, and say how far it lagged behind (default: as fast as it can)",
+    )  # fmt: skip
+
+
+@contextmanager
+def open_serial_end(args: argparse.Namespace) -> Iterator[Any]:
+    """Open the other end of the serial line that the options name, for this block; yield it, or None.
+
+    Raises:
+        ArgumentError: There are two of them, or one that does not exist.
+        FileError: The script cannot be read.
+    """
+    if args.serial is not None and args.serial_script is not None:
+        raise ArgumentError("--serial and --serial-script: a serial line has one other end. Leave one of them out.")
+    end: Any = None
+    if args.serial_script is not None:
+        from stage.board.serial_script import read_script
+
+        end = read_script(args.serial_script)
+    elif args.serial is not None:
+        from stage.board.serial_ends import open_end
+
+        end = open_end(args.serial)
+        print(f"serial line: {end.describe()}", file=sys.stderr if args.json else sys.stdout, flush=True)
+    try:
+        yield end
+    finally:
+        if end is not None:
+            end.close()
+
+
+def is_endless(args: argparse.Namespace) -> bool:
+    """Tell whether the run lasts until somebody ends it."""
+    return args.serial is not None and args.seconds is None and not getattr(args, "timeout_given", False)
+
+
+def choose_timeout(args: argparse.Namespace) -> float:
+    """Return the simulated seconds within which the firmware must return."""
+    return ENDLESS_S if is_endless(args) else args.timeout
+
+
+def prepare_host(args: argparse.Namespace, host: Any, end: Any) -> None:
+    """Connect the other end of the serial line to a host, and give the host its pace."""
+    if end is not None:
+        host.serial.connect(end)
+    if args.realtime and not args.panel:  # the panel keeps its own
+        from stage.board.pacing import RealTimePace
+
+        host.pacing = RealTimePace()
+
+
+def run_host(args: argparse.Namespace, host: Any, end: Any) -> Any:
+    """Run firmware until it returns, for the time of --for, or until the script at its serial line is over.
+
+    Args:
+        args: Options of the command.
+        host: Host that runs the firmware.
+        end: Other end of its serial line, or None.
+
+    Returns:
+        The result of firmware that has returned, otherwise None.
+
+    Raises:
+        HostTimeout: Neither has happened within the timeout.
+    """
+    if args.serial_script is None:
+        return host.run_for(args.seconds) if args.seconds is not None else host.run(timeout=choose_timeout(args))
+    from stage.board import HostTimeout
+
+    stage, limit = host.board.stage, choose_timeout(args) if args.seconds is None else args.seconds
+    begin = stage.now
+    result = host.run_for(limit)
+    if result is not None or not end.is_over:
+        if result is None and args.seconds is None:
+            raise HostTimeout(
+                f"{args.serial_script} is not over after {limit:g} s of simulated time. --timeout allows more."
+            )
+        return result
+    host.serial.disconnect()
+    rest = 0.0 if args.seconds is None else limit - (stage.now - begin) * 1e-9
+    return host.run_for(rest) if rest > 0 else None
+
+
+def collect_serial_facts(args: argparse.Namespace, host: Any) -> dict[str, Any]:
+    """Return the facts of the serial line and the pace for --json."""
+    facts: dict[str, Any] = {}
+    if args.serial is not None or args.serial_script is not None:
+        facts["serial"] = {"received": host.serial.received, "sent": host.serial.written}
+    if args.realtime and host.pacing is not None:
+        facts["realtime"] = {"largest_lag_s": host.pacing.largest_lag_s, "final_lag_s": host.pacing.lag_s}
+    return facts
+
+
+def print_serial_report(args: argparse.Namespace, host: Any) -> None:
+    """Print how far a run has lagged behind wall-clock time."""
+    if args.realtime and host.pacing is not None:
+        print(
+            f"real time: the run was behind by {host.pacing.largest_lag_s * 1e3:.1f} ms at most, and by "
+            f"{host.pacing.lag_s * 1e3:.1f} ms at its end"
+        )

@@ -1,0 +1,139 @@
+"""Serial lines of an AVR on simavr, compiled: the log of what it sends, and the line to the board, byte by byte at its time.
+
+A character takes the bits that UBRR, U2X and the frame format of UCSRC say. A received byte reaches simavr's UART at the end of its
+stop bit; a sent one leaves at the end of its own. Bytes wait while the receiver is off.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stage.board.bus.host_record import HOST, LOG, READ_SERIAL, SEND_SERIAL, TAKE
+from stage.board.bus.serial_core import LINE
+from stage.native import array_at, called, exported, greatest, hot, record
+from stage.sim.handle import INTEGER
+from stage.targets.avr_core import AVR, count_cycles
+from stage.targets.processor_core import advance_board, request
+
+QUEUE = 64
+UART = record(
+    [(name, "i8") for name in "avr address text room length connected input register_timer deliver".split()]
+    + [
+        (name, "i8")
+        for name in "byte_cycles_at rxen u2x usbs ucsz ucsz2 ubrrl ubrrh upm idle receiving done queued first".split()
+    ]
+    + [("queue", "u1", (QUEUE,)), ("ends", "i8", (QUEUE,))]
+)
+"""avr, address       its AVR, and the address of this record
+    text, room, length  the text since its last line end; the size of the buffer, the bytes in it
+    connected          whether it is the board's serial line
+    input              simavr's IRQ that a received byte raises
+    register_timer, deliver   addresses of avr_cycle_timer_register and of `deliver_sent_byte`
+    byte_cycles_at     where simavr keeps the cycles of a character
+    rxen ... upm       bits of its registers, as simavr's avr_regbit_t; 0: there is none
+    idle               cycles between two looks for a byte while none is on its way
+    receiving          whether a byte is on its way
+    done               the cycle at which the last sent byte has left
+    queued, first      number of bytes that are being sent, and the place of the first of them
+    queue, ends        these bytes, and the cycles at which they have left
+"""
+BYTE = np.dtype("u1")
+LINE_END, CARRIAGE_RETURN = 10, 13
+_register_timer = called(None, "i8", "i8", "i8", "i8")
+_raise_irq, _read_memory = called(None, "i8", "i4"), called("i4", "i8", "i4")
+
+
+@hot
+def _read_bits(cpu, bits):
+    """Read bits of a register that an avr_regbit_t describes; 0 without one."""
+    if bits == 0:
+        return 0
+    return _read_memory(cpu.read_memory, (cpu.avr, bits & 0x1FF)) >> (bits >> 9 & 7) & (bits >> 12 & 0xFF)
+
+
+@hot
+def _count_character_cycles(cpu, uart):
+    """Return the cycles of a character: a start bit, 5 to 9 data bits, a parity bit if enabled, one or two stop bits."""
+    size = _read_bits(cpu, uart.ucsz) | _read_bits(cpu, uart.ucsz2) << 2
+    data = 9 if size == 7 else 5 + size if size < 4 else 8
+    bits = 2 + data + _read_bits(cpu, uart.upm) + _read_bits(cpu, uart.usbs)
+    divisor = _read_bits(cpu, uart.ubrrl) | _read_bits(cpu, uart.ubrrh) << 8
+    return bits * (divisor + 1) * (8 if _read_bits(cpu, uart.u2x) else 16)
+
+
+@hot
+def _get_line(cpu):
+    return array_at(array_at(cpu.host, 1, HOST)[0].serial, 1, LINE)[0]
+
+
+@exported(None, "i8", "i4", UART)
+def follow_sent_byte(_irq, value, uart):
+    """Collect a byte that the program sends for the log, and put it on the line to the board."""
+    cpu = array_at(uart.avr, 1, AVR)[0]
+    _log_byte(cpu, uart, value)
+    if uart.byte_cycles_at == 0:
+        return
+    duration = _count_character_cycles(cpu, uart)
+    array_at(uart.byte_cycles_at, 1, INTEGER)[0] = duration  # simavr counts a parity bit that is not there
+    if uart.connected and uart.queued < QUEUE:
+        now = count_cycles(cpu)
+        uart.done = greatest(uart.done, now) + duration
+        place = (uart.first + uart.queued) % QUEUE
+        uart.queue[place], uart.ends[place] = value, uart.done
+        uart.queued += 1
+        if uart.queued == 1:
+            _register_timer(uart.register_timer, (cpu.avr, uart.done - now, uart.deliver, uart.address))
+
+
+@hot
+def _log_byte(cpu, uart, value):
+    text = array_at(uart.text, uart.room, BYTE)
+    if value != LINE_END and value != CARRIAGE_RETURN:
+        text[uart.length] = value
+        uart.length += 1
+    if (value == LINE_END or uart.length == uart.room - 1) and uart.length:
+        text[uart.length] = 0
+        uart.length = 0
+        advance_board(cpu, count_cycles(cpu))
+        request(cpu, LOG, uart.text, 0)
+
+
+@exported("i8", "i8", "i8", UART)
+def deliver_sent_byte(_avr, when, uart):
+    """Pass a byte whose stop bit has ended to the board. Return the cycle at which the next one ends, or 0."""
+    cpu = array_at(uart.avr, 1, AVR)[0]
+    advance_board(cpu, when)
+    _send_first(cpu, uart)
+    return uart.ends[uart.first] if uart.queued else 0
+
+
+@hot
+def _send_first(cpu, uart):
+    byte = uart.queue[uart.first]
+    uart.first, uart.queued = (uart.first + 1) % QUEUE, uart.queued - 1
+    request(cpu, SEND_SERIAL, byte, 0)
+
+
+@exported(None, UART)
+def send_rest(uart):
+    """Pass the bytes that are still being sent to the board, at the end of a run."""
+    cpu = array_at(uart.avr, 1, AVR)[0]
+    while uart.queued:
+        _send_first(cpu, uart)
+
+
+@exported("i8", "i8", "i8", UART)
+def receive_byte(_avr, when, uart):
+    """Pass a byte from the board to the program when its stop bit has ended. Return the cycle of the next call."""
+    cpu = array_at(uart.avr, 1, AVR)[0]
+    line = _get_line(cpu)
+    duration = _count_character_cycles(cpu, uart)
+    is_on = _read_bits(cpu, uart.rxen)
+    if uart.receiving and is_on and line.fed > line.removed:
+        advance_board(cpu, when)
+        simavr_cycles = array_at(uart.byte_cycles_at, 1, INTEGER)
+        before, simavr_cycles[0] = simavr_cycles[0], 1  # its time on the line has passed
+        _raise_irq(cpu.raise_irq, (uart.input, request(cpu, READ_SERIAL, TAKE, 0)))
+        simavr_cycles[0] = before
+    uart.receiving = 1 if is_on and line.fed > line.removed else 0
+    return when + (duration if uart.receiving else uart.idle)

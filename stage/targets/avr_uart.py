@@ -1,0 +1,118 @@
+"""`AvrUart`: a serial line of a program on simavr, connected to the log and to the board.
+
+simavr has no functions for the rate of a UART. Its registers and the cycles of a character are read from the structure avr_uart_t
+of simavr 1.6 and 1.7, which `find_layout` verifies; with another layout the program's output still goes to the log.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stage.board.board import Board
+from stage.native import array_at
+from stage.targets import avr_serial
+
+NAMES = "0123"
+INPUT, OUTPUT = 0, 1
+"""simavr's IRQs of a UART: a byte for the program, a byte of the program."""
+LOG_LINE_SIZE = 256  # bytes of a line of the log
+IDLE_S = 50e-6
+"""Simulated time between two looks for a byte."""
+RESET_BYTE_US = 100
+"""Microseconds that simavr gives a character after a reset."""
+_IRQ_SIZE, _HOOK, _PARAMETER = 40, 32, 32
+"""Bytes of an avr_irq_t; where it has its first hook, and where a hook has its parameter."""
+_AVR, _IRQS, _NAME, _UCSRC = 8, 40, 72, 86
+_BITS = {"rxen": 88, "u2x": 96, "usbs": 100, "ucsz": 104, "ucsz2": 108, "ubrrl": 128, "ubrrh": 132}
+"""Bytes of an avr_uart_t: the avr_t, the IRQs and its name; UCSRC; the avr_regbit_t of bits of its registers."""
+_SEARCHED = slice(136, 624)
+"""Bytes of an avr_uart_t in which the cycles of a character are."""
+_UPM1 = 5
+"""Bit of UCSRC that enables parity."""
+
+
+@dataclass(frozen=True)
+class UartLayout:
+    """Place of what is needed in an avr_uart_t.
+
+    Attributes:
+        bits: The avr_regbit_t of each name of _BITS, and of upm.
+        byte_cycles_at: Address of the cycles of a character.
+    """
+
+    bits: dict[str, int]
+    byte_cycles_at: int
+
+
+def find_layout(irqs: int, avr: int, name: str, hz: int) -> UartLayout | None:
+    """Find registers and rate of a UART after a reset, or return None if the structure is not as expected.
+
+    Args:
+        irqs: Address of its IRQs.
+        avr: Address of the avr_t.
+        name: Its name, a digit.
+        hz: Clock of the AVR.
+    """
+    hook = _read_word(irqs + _HOOK)
+    uart = _read_word(hook + _PARAMETER) if hook else 0
+    if not uart or _read_word(uart + _AVR) != avr or _read_word(uart + _IRQS) != irqs:
+        return None
+    content: Any = array_at(uart, _SEARCHED.stop, np.dtype("u1"))
+    places = np.flatnonzero(content[_SEARCHED].view("<u8") == hz * RESET_BYTE_US // 1_000_000)
+    words = {key: int(content[at : at + 4].view("<u4")[0]) for key, at in _BITS.items()}
+    if content[_NAME] != ord(name) or len(places) != 1 or words["ubrrl"] >> 12 != 0xFF or words["rxen"] >> 12 != 1:
+        return None
+    ucsrc = int(content[_UCSRC : _UCSRC + 2].view("<u2")[0])
+    words["upm"] = ucsrc | _UPM1 << 9 | 1 << 12 if ucsrc else 0
+    return UartLayout(words, uart + _SEARCHED.start + 8 * int(places[0]))
+
+
+def _read_word(address: int) -> int:
+    return int(array_at(address, 1, np.dtype("u8"))[0])
+
+
+class AvrUart:
+    """Serial line of a program.
+
+    Args:
+        name: Name of the UART, a digit.
+        avr: A LoadedAvr after its reset.
+        irqs: Address of the IRQs of the UART.
+        board: The board.
+        connected: Whether it is the board's serial line, rather than for the log only.
+    """
+
+    def __init__(self, name: str, avr: Any, irqs: int, board: Board, connected: bool):
+        self._avr, record = avr, avr.record
+        self._text = ctypes.create_string_buffer(LOG_LINE_SIZE)
+        self._row = np.zeros(1, avr_serial.UART)
+        u = self._row[0]
+        u.avr, u.address = record.own, self._row.ctypes.data
+        u.text, u.room = ctypes.addressof(self._text), LOG_LINE_SIZE
+        u.input, u.idle = irqs + INPUT * _IRQ_SIZE, max(1, round(IDLE_S * record.hz))
+        u.register_timer = avr.find_function_address("avr_cycle_timer_register")
+        self._follow, self._receive = avr_serial.follow_sent_byte.pointer, avr_serial.receive_byte.pointer
+        self._deliver = avr_serial.deliver_sent_byte.pointer
+        u.deliver = ctypes.cast(self._deliver, ctypes.c_void_p).value
+        layout = find_layout(irqs, int(record.avr), name, int(record.hz))
+        if layout is not None:
+            u.connected, u.byte_cycles_at = connected, layout.byte_cycles_at
+            for key, word in layout.bits.items():
+                u[key] = word
+        if u.connected:
+            board.serial.record["is_wired"] = 1
+        avr.notify(irqs + OUTPUT * _IRQ_SIZE, self._follow, self._row)
+
+    def start(self) -> None:
+        """Begin to look for bytes from the board."""
+        u = self._row[0]
+        if u.connected:
+            self._avr.start_timer(int(u.idle), self._receive, int(u.address))
+
+    def finish(self) -> None:
+        """Pass the bytes that are still being sent to the board."""
+        avr_serial.send_rest.c(int(self._row[0].address))

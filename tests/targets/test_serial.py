@@ -1,0 +1,288 @@
+"""The serial line of firmware: its bytes take their time, and the same ones give the same run; ends outside come and go."""
+
+import json
+import os
+import random
+import re
+import select
+import socket
+import time
+from pathlib import Path
+
+import pytest
+from support.target_boards import board_of
+
+from stage.board.serial_ends import open_end
+from stage.board.serial_script import read_script
+from stage.cli import main
+from stage.errors import ArgumentError, RunTimeout, StageError
+from stage.targets import TargetHost, mcus
+
+DATA = Path(__file__).parent / "data"
+PINS = "data=A,address=C:0-3,cs=B0,wr=G0,rd=G1"
+RUN = ["run", str(DATA / "serial.avr.elf"), "--mcu", "atmega2560", "--map", PINS, "--chips", "pcl240k"]
+SPEED_115200, FRAME_8E2, OFF_10_MS, END = (bytes([code]) for code in (1, 2, 3, 4))
+BYTE_NS = {
+    "19200 8N1": 10 * 16 * 52 * 1e3 / 16,
+    "115200 8N1": 10 * 8 * 17 * 1e3 / 16,
+    "115200 8E2": 12 * 8 * 17 * 1e3 / 16,
+}
+"""Time of a character from the divisor of the data sheet's table, UBRR + 1, and the clock of 16 MHz."""
+needs_simavr = pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
+
+
+@pytest.fixture(params=[True, False], ids=["isolated", "in process"])
+def echo(request):
+    with TargetHost(DATA / "serial.avr.elf", board_of(), mcu="atmega2560", map=PINS, isolated=request.param) as host:
+        yield host
+
+
+@pytest.fixture
+def quick_echo():
+    with TargetHost(DATA / "serial.avr.elf", board_of(), mcu="atmega2560", map=PINS, isolated=False) as host:
+        yield host
+
+
+@needs_simavr
+def test_a_program_reads_what_is_written_and_answers(echo):
+    assert echo.serial.read_until("ready\r\n") == "ready\r\n"
+    echo.serial.write("one two")
+    assert echo.serial.read_until(b"two") == b"one two"
+    echo.serial.write("<MPos:-1.500>")
+    match = echo.serial.expect(r"MPos:([^>]+)>")
+    assert match[1] == "-1.500"
+    assert echo.serial.read() == b"", "what stands before the end of a match is read"
+    echo.serial.write(END)
+    assert echo.run(timeout=1).code == len("one two<MPos:-1.500>") + 1
+
+
+@needs_simavr
+def test_both_kinds_of_process_give_the_same_times():
+    times = []
+    for isolated in (True, False):
+        with TargetHost(DATA / "serial.avr.elf", board_of(), mcu="atmega2560", map=PINS, isolated=isolated) as host:
+            host.serial.read_until("ready")
+            host.serial.write("abc")
+            host.serial.expect("b")
+            host.serial.write(SPEED_115200 + b"def")
+            host.serial.read_until("f")
+            times.append((host.board.stage.now, host.log, host.board.stage.state.world.tobytes()))
+    assert times[0] == times[1]
+
+
+@needs_simavr
+@pytest.mark.parametrize(
+    ("settings", "answer", "rate"),
+    [
+        (b"", "ready\r\n", "19200 8N1"),
+        (SPEED_115200, "115200\n", "115200 8N1"),
+        (SPEED_115200 + FRAME_8E2, "8E2\n", "115200 8E2"),
+    ],
+)
+def test_each_byte_takes_its_bits_at_the_rate_of_the_program(quick_echo, settings, answer, rate):
+    serial, stage, count = quick_echo.serial, quick_echo.board.stage, 60
+    serial.write(settings)
+    serial.read_until(answer)
+    begin = stage.now
+    serial.write("a" * count)
+    serial.read_until("a" * count)
+    took = (stage.now - begin) / BYTE_NS[rate]
+    assert count + 1 <= took < count + 3, "to the program one behind the other, and the last one back"
+
+
+@needs_simavr
+def test_bytes_wait_until_the_program_has_turned_its_receiver_on(quick_echo):
+    quick_echo.serial.write("early")
+    assert quick_echo.serial.read_until("early") == "ready\r\nearly"
+    quick_echo.serial.write(OFF_10_MS + b"late")
+    assert quick_echo.serial.read_until("late") == "on\nlate"
+
+
+@needs_simavr
+def test_no_byte_is_lost_or_doubled(quick_echo):
+    seed = random.randrange(1 << 32)
+    content = bytes(byte for byte in random.Random(seed).randbytes(5200) if byte > 4)
+    assert len(content) > 4096, "more than the buffers between firmware and board have room for"
+    quick_echo.serial.write(SPEED_115200)
+    quick_echo.serial.read_until("115200\n")
+    quick_echo.serial.write(content + b"end")
+    assert quick_echo.serial.read_until(b"end", timeout=2) == content + b"end", f"seed {seed}"
+
+
+@needs_simavr
+def test_what_does_not_come_is_an_error_with_what_has_come(quick_echo):
+    with pytest.raises(
+        RunTimeout, match=r"has not sent 'Grbl' over its serial line within 0.02 s .* It has sent 'ready\\r\\n'"
+    ):
+        quick_echo.serial.read_until("Grbl", timeout=0.02)
+    quick_echo.serial.write(END)
+    with pytest.raises(RunTimeout, match=r"has not sent b'ok' over its serial line before it returned"):
+        quick_echo.serial.read_until(b"ok")
+    with pytest.raises(ArgumentError, match="no regular expression"):
+        quick_echo.serial.expect("(")
+    with pytest.raises(ArgumentError, match="bytes, or text whose characters are bytes"):
+        quick_echo.serial.write("\N{EURO SIGN}")
+
+
+# --- scripts ---
+
+
+def write_script(folder: Path, *lines: str) -> str:
+    path = folder / "job.txt"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return str(path)
+
+
+@needs_simavr
+def test_a_script_sends_expects_and_waits_in_simulated_time(tmp_path, capsys):
+    lines = (
+        "# a comment",
+        'expect "ready\\r\\n"',
+        "send hello",
+        "expect hello",
+        "wait 100ms",
+        "at 0.25",
+        'send "\\x04"',
+        "wait 1",
+    )
+    script = write_script(tmp_path, *lines)
+    assert main([*RUN, "--serial-script", script]) == 1, "a code other than 0"
+    output = capsys.readouterr().out
+    assert "serial.avr.elf returned 7 after 0.25" in output, (
+        "six bytes, and the one that ends it, at 0.25 s and a character"
+    )
+    assert re.search(r"^ +0\.00\d+  hello$", output, re.M)
+
+
+@needs_simavr
+def test_a_run_ends_with_its_script_unless_for_says_how_long_it_lasts(tmp_path, capsys):
+    script = write_script(tmp_path, "expect ready", "wait 20ms")
+    assert main([*RUN, "--serial-script", script]) == 0
+    assert re.search(r"ran for 0\.02\d+ s", capsys.readouterr().out)
+    assert main([*RUN, "--serial-script", script, "--for", "0.1"]) == 0
+    assert "ran for 0.1 s" in capsys.readouterr().out
+
+
+@needs_simavr
+def test_a_script_that_waits_in_vain_fails_at_its_line(tmp_path, capsys):
+    script = write_script(tmp_path, "expect ready", "timeout 30ms", "expect ok")
+    assert main([*RUN, "--serial-script", script]) == 1
+    error = capsys.readouterr().err
+    assert r"job.txt:3: the firmware has not sent 'ok' within 0.03 s. It has sent '\r\n'." in error
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("say hello", "job.txt:1: 'say' is no command of a serial script; known are send, expect, wait, at, timeout."),
+        ("wait long", "job.txt:1: 'wait long': a simulated time is wanted, for example wait 0.5 or wait 500ms."),
+        ("expect", "job.txt:1: what is expected? For example: expect ok"),
+        ('send "open', "job.txt:1: \"open: a text in quotes with the escapes of Python is wanted"),
+    ],
+)  # fmt: skip
+def test_a_line_that_is_no_command_is_refused(tmp_path, line, words):
+    with pytest.raises(ArgumentError, match=re.escape(words)):
+        read_script(write_script(tmp_path, line))
+
+
+def test_a_line_has_one_other_end(tmp_path, capsys):
+    script = write_script(tmp_path, "wait 1")
+    assert main([*RUN, "--serial-script", script, "--serial", "pty"]) == 2
+    assert "a serial line has one other end" in capsys.readouterr().err
+
+
+# --- ends outside simulated time ---
+
+
+class Client:
+    """A program that opens a pseudo-terminal, or connects to a port."""
+
+    def __init__(self, end):
+        self.socket = socket.create_connection(("127.0.0.1", end.port)) if hasattr(end, "port") else None
+        self.file = self.socket.fileno() if self.socket else os.open(end.path, os.O_RDWR | os.O_NOCTTY)
+
+    def read(self) -> bytes:
+        content = b""
+        while select.select([self.file], [], [], 0.05)[0] and (more := os.read(self.file, 4096)):
+            content += more
+        return content
+
+    def close(self):
+        self.socket.close() if self.socket else os.close(self.file)
+
+
+@pytest.fixture(params=["pty", "tcp:0"])
+def end(request):
+    opened = open_end(request.param)
+    yield opened
+    opened.close()
+
+
+@needs_simavr
+def test_a_sender_connects_again_while_the_run_continues(quick_echo, end):
+    quick_echo.serial.connect(end)
+    quick_echo.run_for(0.02)
+    for text in (b"first", b"second"):
+        client = Client(end)
+        quick_echo.run_for(0.01)
+        os.write(client.file, text)
+        quick_echo.run_for(0.05)
+        greeting = b"ready\r\n" if text == b"first" else b""
+        assert client.read() == greeting + text, "who connects first gets what was sent before"
+        os.write(client.file, b"lost")
+        client.close()
+        quick_echo.run_for(0.05)
+    assert quick_echo.serial.written == len("first" + "lost" + "second" + "lost")
+
+
+def test_a_link_leads_to_the_pseudo_terminal_while_it_is_open(tmp_path):
+    link = tmp_path / "board"
+    first = open_end(f"pty:{link}")
+    assert first.describe() == str(link)
+    assert link.resolve().is_char_device()
+    with pytest.raises(ArgumentError, match=r"--serial pty:.*board: File exists"):
+        open_end(f"pty:{link}")
+    first.close()
+    assert not link.is_symlink()
+
+
+def test_a_port_in_use_is_one_sentence():
+    first = open_end("tcp:0")
+    with pytest.raises(ArgumentError, match=rf"--serial tcp:{first.port}: Address already in use. Choose another port"):
+        open_end(f"tcp:{first.port}")
+    first.close()
+
+
+@pytest.mark.parametrize("text", ["usb", "pty:", "tcp:", "tcp:x", "tcp:65536"])
+def test_an_end_that_does_not_exist_is_refused(text):
+    with pytest.raises(ArgumentError, match=r"pty, pty:LINK .* or tcp:PORT"):
+        open_end(text)
+
+
+@needs_simavr
+def test_a_line_in_use_takes_no_second_end(quick_echo, end):
+    quick_echo.serial.connect(end)
+    with pytest.raises(StageError, match="has another end already"):
+        quick_echo.serial.connect(end)
+    with pytest.raises(StageError, match="something else is at the other end"):
+        quick_echo.serial.read_until("ready")
+
+
+@needs_simavr
+def test_a_run_in_real_time_takes_at_least_that_and_says_its_lag(tmp_path, capsys):
+    script = write_script(tmp_path, "wait 0.2")
+    begin = time.perf_counter()
+    assert main([*RUN, "--serial-script", script, "--realtime"]) == 0
+    assert time.perf_counter() - begin > 0.2
+    assert re.search(
+        r"real time: the run was behind by \d+\.\d ms at most, and by \d+\.\d ms at its end", capsys.readouterr().out
+    )
+
+
+@needs_simavr
+def test_json_has_the_bytes_and_the_lag(tmp_path, capsys):
+    script = write_script(tmp_path, "expect ready", "send hello", "expect hello")
+    assert main([*RUN, "--serial-script", script, "--realtime", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["serial"] == {"received": len("ready\r\nhello"), "sent": len("hello\n")}
+    assert 0 <= facts["realtime"]["final_lag_s"] <= facts["realtime"]["largest_lag_s"]
