@@ -6,23 +6,24 @@
     entry.write("random.bench")
     print(registerbench.verify("random.bench"))                   plays the actions again, without the policy
 
-cards.py holds the tasks and their test episodes, policies.py the kinds of policies, entry_files.py the file format. episodes.py
-plays, replay.py compares, and statistics.py decides whether one method beats another. arena/ measures agents, diagnosis/ has
-broken set-ups, and baselines/ made the published results.
+task_cards.py holds the tasks and their test episodes, policies.py the kinds of policies, entry_files.py the file format.
+episode_sequence.py plays episodes, entry_replay.py repeats and compares them, and score_statistics.py decides whether one
+method beats another. arena/ measures agents, diagnosis/ has broken set-ups, and baselines/ made the published results.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from registerbench.cards import CARDS, Card, list_test_seeds
     from registerbench.entry_files import Entry, read_entries, read_entry
-    from registerbench.episodes import play
-    from registerbench.replay import Verdict, verify
+    from registerbench.entry_replay import Verdict, verify
+    from registerbench.episode_sequence import play
+    from registerbench.task_cards import CARDS, Card, list_test_seeds
 
 _MODULES = {
-    "CARDS": "cards", "Card": "cards", "list_test_seeds": "cards", "Entry": "entry_files", "read_entry": "entry_files",
-    "read_entries": "entry_files", "play": "episodes", "Verdict": "replay", "verify": "replay",
+    "CARDS": "task_cards", "Card": "task_cards", "list_test_seeds": "task_cards",
+    "Entry": "entry_files", "read_entry": "entry_files", "read_entries": "entry_files",
+    "play": "episode_sequence", "Verdict": "entry_replay", "verify": "entry_replay",
 }  # fmt: skip
 __all__ = ["CARDS", "Card", "Entry", "Verdict", "list_test_seeds", "play", "read_entries", "read_entry", "verify"]
 

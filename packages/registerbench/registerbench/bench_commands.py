@@ -90,8 +90,8 @@ def add_bench_table(commands: Any) -> None:
 def print_tasks(args: argparse.Namespace) -> int:
     """The tasks, or one of them."""
     from registerbench import CARDS
-    from registerbench.cards import FIRST_TEST_SEED, TRACKS, find_card, list_test_seeds
     from registerbench.shipped_policies import COMMON_PLAYERS, TASK_PLAYERS
+    from registerbench.task_cards import FIRST_TEST_SEED, TRACKS, find_card, list_test_seeds
 
     selected = [find_card(args.task)] if args.task else list(CARDS.values())
     if args.json:
@@ -129,7 +129,7 @@ def print_tasks(args: argparse.Namespace) -> int:
 def submit_entry(args: argparse.Namespace) -> int:
     """Play and pack."""
     import registerbench
-    from registerbench.cards import find_card
+    from registerbench.task_cards import find_card
     from stage.support.files import ENTRY, check_ending, check_writable
 
     card = find_card(args.task)
@@ -137,15 +137,18 @@ def submit_entry(args: argparse.Namespace) -> int:
     check_writable(args.output, args.force, overwrite_hint="give --force")
     progress = _Progress("played")
     entry = registerbench.play(
-        args.policy, args.task, args.split, track=args.track, round_=args.round, settings=_settings(args.set, card.choices),
-        name=args.name, run=args.run_number, notes=args.notes, cost=_cost(args.cost), episodes=args.episodes,
+        args.policy, args.task, args.split, track=args.track, round_=args.round, settings=_parse_settings(args.set, card.choices),
+        name=args.name, run=args.run_number, notes=args.notes, cost=_parse_costs(args.cost), episodes=args.episodes,
         report_progress=progress,
     )  # fmt: skip
     progress.end()
     entry.write(args.output, args.force)
-    tell(args, file=args.output, player=entry.player, mean=_means(entry))
+    tell(args, file=args.output, player=entry.player, mean=_compute_means(entry))
     print(f"{entry.player}, {entry.task} {entry.split}: {len(entry.seeds)} episodes, {len(entry.rewards)} steps")
-    print(", ".join(f"{name} {value:.4g}" for name, value in _means(entry).items() if value is not None) + " (means)")
+    print(
+        ", ".join(f"{name} {value:.4g}" for name, value in _compute_means(entry).items() if value is not None)
+        + " (means)"
+    )
     if len(entry.seeds) < card.episodes:
         print(f"part of the {card.episodes} test episodes alone: this entry can stand in no table")
     print(f"{args.output}: written")
@@ -165,24 +168,24 @@ def verify_entry(args: argparse.Namespace) -> int:
 
 
 def print_tables(args: argparse.Namespace) -> int:
-    """Entries compared."""
-    from registerbench import read_entries, statistics
+    """Print the tables of entries, or their rows as JSON with --json."""
+    from registerbench import read_entries, score_statistics
 
     entries = [entry for path in args.files for entry in read_entries(path).values()]
     if args.json:
-        tell(args, statistics.compute_rows(entries))
-    print(statistics.format_tables(entries, args.long))
+        tell(args, score_statistics.compute_rows(entries))
+    print(score_statistics.format_tables(entries, args.long))
     return 0
 
 
-def _means(entry: Any) -> dict[str, float | None]:
+def _compute_means(entry: Any) -> dict[str, float | None]:
     """Return the mean of each score over the episodes; None where one is infinite."""
     import numpy as np
 
     return {name: float(v.mean()) if np.isfinite(v).all() else None for name, v in entry.scores.items()}
 
 
-def _settings(pairs: list[str], choices: Any) -> dict[str, Any]:
+def _parse_settings(pairs: list[str], choices: Any) -> dict[str, Any]:
     """NAME=VALUE, where VALUE is one of those that the card has. Raises ArgumentError."""
     selected = {}
     for pair in pairs:
@@ -193,7 +196,7 @@ def _settings(pairs: list[str], choices: Any) -> dict[str, Any]:
     return selected
 
 
-def _cost(pairs: list[str]) -> dict[str, float]:
+def _parse_costs(pairs: list[str]) -> dict[str, float]:
     cost = {}
     for pair in pairs:
         name, _, text = pair.partition("=")

@@ -15,17 +15,17 @@ from stage.envs import contexts
 def test_the_table_of_all_tasks_is_of_complete_episodes_and_names_its_splits(monkeypatch):
     monkeypatch.setattr(tasks, "LANES", 2)
     assert set(tasks.TASKS.values()) == {id_ for id_ in stage.envs.IDS if id_.endswith("-v1")}
-    assert {tasks.splits(id_) for id_ in tasks.TASKS.values()} == {tuple(contexts.SPLITS)}
-    totals, score = tasks.play("stage/BusMacros-v1", "scripted", 3, model="xy", level="move", macros=6)
+    assert {tasks.list_splits(id_) for id_ in tasks.TASKS.values()} == {tuple(contexts.SPLITS)}
+    totals, score = tasks.play_episodes("stage/BusMacros-v1", "scripted", 3, model="xy", level="move", macros=6)
     assert len(totals) == 3
     assert score["success"].all()
-    assert "| 3 of 3 |" in tasks.row("BusMacros", "train", "scripted", totals, score)
+    assert "| 3 of 3 |" in tasks.format_row("BusMacros", "train", "scripted", totals, score)
 
 
 @pytest.mark.slow
 def test_on_machines_that_differ_a_host_that_remembers_is_better_than_one_that_does_not():
-    fixed, _ = few_shot.play(few_shot.fixed(3.4), "weak", 16, few_shot.TEST)
-    search, times = few_shot.play(few_shot.search(3.4 / few_shot.STEP), "weak", 16, few_shot.TEST)
+    fixed, _ = few_shot.play_machines(few_shot.make_fixed_host(3.4), "weak", 16, few_shot.TEST)
+    search, times = few_shot.play_machines(few_shot.make_searching_host(3.4 / few_shot.STEP), "weak", 16, few_shot.TEST)
     assert (
         few_shot.compute_interval(search, statistic=np.mean)[0] > few_shot.compute_interval(fixed, statistic=np.mean)[1]
     )
@@ -35,7 +35,7 @@ def test_on_machines_that_differ_a_host_that_remembers_is_better_than_one_that_d
 def test_a_proof_of_a_move_is_over_many_angles():
     with move_tuning.MoveTuning(0.5, 4, "registers", 2000, lanes=2, model="xy", seed=move_tuning.PROOF_SEED) as moves:
         for _ in range(2):
-            moves.make_actions(np.zeros((2, moves.size)))
+            moves.make_moves_of_actions(np.zeros((2, moves.size)))
         assert len({angle for _, _, angle in moves.log.drawn}) == 4
 
 
@@ -46,16 +46,18 @@ def test_the_engineers_design_has_its_margin_and_settles_sooner_than_after_a_res
     machine = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     machine.set_payload(payload)
     loop = servo_loop.ServoLoop.of(machine.axes["x"], servo_loop.FilterTuning(pole=servo_loop.DEFAULT_POLE))
-    created = servo_loop.design(loop)
-    assert created.phase_margin == pytest.approx(servo_loop.PHASE_MARGIN_DEGREES, abs=servo_loop.WITHIN)
+    created = servo_loop.design_filter(loop)
+    assert created.phase_margin == pytest.approx(
+        servo_loop.PHASE_MARGIN_DEGREES, abs=servo_loop.MAX_MARGIN_LOSS_DEGREES
+    )
     assert created.gain_margin > 2
     assert abs(servo_loop.replace(loop, tuning=created.tuning).poles).max() < 1
     after_reset = {"R22": 0x40, "R20": 0xE5, "R21": 0x40, "R0F": 0x40}
-    designed = servo_loop.trial(payload, servo_loop.registers(machine.axes["x"]), moves=1)
-    assert designed["reward"] > servo_loop.trial(payload, after_reset, moves=1)["reward"]
+    designed = servo_loop.measure_moves(payload, servo_loop.design_registers(machine.axes["x"]), moves=1)
+    assert designed["reward"] > servo_loop.measure_moves(payload, after_reset, moves=1)["reward"]
 
 
 def test_without_python_control_the_baseline_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "control", None)
     with pytest.raises(StageError, match=r"pip install 'pulsestage\[servo\]'"):
-        servo_loop.control()
+        servo_loop.import_control()

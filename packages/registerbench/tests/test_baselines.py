@@ -7,7 +7,7 @@ import pytest
 from support.examples import scaled
 
 from registerbench.baselines import formula, formula_knobs, move_tuning, tool_loop
-from registerbench.baselines.move_tuning import DISTANCE, PAYLOADS, MoveLog, MoveTuning, best, prove
+from registerbench.baselines.move_tuning import DISTANCE, PAYLOADS, MoveLog, MoveTuning, find_best_proof, prove_rows
 from stage import Stage
 from stage.errors import ArgumentError
 from stage.tune.formula import Load, compute_registers, plan_profile
@@ -53,7 +53,7 @@ SLOW = pytest.mark.slow
 def test_the_formula_loses_no_step_at_any_position_within_the_payload_tolerance(payload, distance, axis):
     axis.stage.set_payload(payload)
     r = compute_registers(axis, distance)
-    (log,) = prove([[r[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")]], payload, distance, repeats=scaled(5))
+    (log,) = prove_rows([[r[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")]], payload, distance, repeats=scaled(5))
     assert len(log) == scaled(5)
     assert not any(log.lost)
 
@@ -63,7 +63,7 @@ def test_the_formula_predicts_the_duration_of_its_move(axis):
     ramps = formula.np.array([p.accel(), p.decel()])
     created = (p.fl + p.fh1) / 2 * ramps.sum()
     with MoveTuning(0.0, 1, distance=DISTANCE, lanes=1) as moves:
-        formula.search(moves)
+        formula.make_formula_move(moves)
         (duration,) = moves.log.duration
     assert duration == pytest.approx(ramps.sum() + (DISTANCE - created) / p.fh1, rel=0.01)
 
@@ -102,7 +102,7 @@ def test_the_formula_refuses_what_the_motor_cannot_move(axis):
 
 def test_knobs_at_zero_give_the_formula_and_each_changes_its_named_rate(axis):
     knobs = formula_knobs.FormulaKnobs(axis, DISTANCE)
-    middle = knobs.registers(np.zeros(5))
+    middle = knobs.compute_registers(np.zeros(5))
     assert middle == compute_registers(axis, DISTANCE)
 
     def rates(r):
@@ -110,7 +110,7 @@ def test_knobs_at_zero_give_the_formula_and_each_changes_its_named_rate(axis):
         return np.array([r["R1"] * step, r["R2"] * step, step / r["R4"], step / r["R5"], r["R6"]])
 
     for k, factor in enumerate(knobs.RANGES):
-        turned = rates(knobs.registers(np.eye(5)[k])) / rates(middle)
+        turned = rates(knobs.compute_registers(np.eye(5)[k])) / rates(middle)
         assert turned[k] == pytest.approx(factor, rel=0.03)
         others = [j for j in range(4) if j != k]
         assert turned[others] == pytest.approx(1, rel=0.03)
@@ -120,17 +120,17 @@ def test_knobs_at_zero_give_the_formula_and_each_changes_its_named_rate(axis):
 def test_a_nova_chip_is_tuned_by_three_knobs_and_its_formula_keeps_step(chip):
     with MoveTuning(0.5, 1, distance=2000, lanes=1, chip=chip) as moves:
         assert moves.size == 3
-        middle = moves.knobs.registers(np.zeros(3))
+        middle = moves.knobs.compute_registers(np.zeros(3))
         assert middle == compute_registers(moves.axis, 2000, s_curve=False)
         assert tuple(middle) == moves.registers.names
         for k, factor in enumerate(moves.knobs.ranges):
-            turned = moves.knobs.registers(np.eye(3)[k])
+            turned = moves.knobs.compute_registers(np.eye(3)[k])
             assert turned[moves.registers.names[k]] == pytest.approx(
                 factor * middle[moves.registers.names[k]], rel=0.02
             )
-        formula.search(moves)
+        formula.make_formula_move(moves)
     assert moves.log.registers == [list(middle.values())]
-    assert best(prove(moves.log.registers, 0.5, 2000, repeats=8, chip=chip)) == 0
+    assert find_best_proof(prove_rows(moves.log.registers, 0.5, 2000, repeats=8, chip=chip)) == 0
 
 
 @pytest.mark.parametrize("chip", ["PCL240K", "MCX514", "MCX304"])
@@ -140,7 +140,7 @@ def test_any_choice_makes_legal_registers(space, chip):
     with MoveTuning(10.0, 1, space, lanes=1, chip=chip) as moves:
         for choice in rng.choice([-1.0, 0.0, 1.0], (40, moves.size)):
             if moves.knobs:
-                moves.registers.to_action(moves.knobs.registers(choice))
+                moves.registers.to_action(moves.knobs.compute_registers(choice))
             else:
                 moves.registers.from_action(choice)
 
@@ -177,8 +177,8 @@ def test_the_learning_curve_is_the_running_maximum_reward_of_moves_without_lost_
 def test_a_move_that_succeeded_only_once_fails_the_proof(axis):
     reckless, r = {"R1": 8000, "R2": 8000, "R4": 20, "R5": 20, "R6": 4000, "R7": 30}, compute_registers(axis, 2000)
     rows = [[a[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")] for a in (reckless, r)]
-    assert best(prove(rows[:1], 0.5, 2000, repeats=8)) is None
-    assert best(prove(rows, 0.5, 2000, repeats=8)) == 1
+    assert find_best_proof(prove_rows(rows[:1], 0.5, 2000, repeats=8)) is None
+    assert find_best_proof(prove_rows(rows, 0.5, 2000, repeats=8)) == 1
 
 
 def test_proofs_draw_the_margin_from_none_to_full_equally_for_all_candidates(axis):
@@ -186,7 +186,7 @@ def test_proofs_draw_the_margin_from_none_to_full_equally_for_all_candidates(axi
     axis.stage.set_payload(3.0)
     r = compute_registers(axis, 2000)
     row = [r[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")]
-    first, second = prove([row, row], 2.0, 2000, repeats=32, margin=1.0, needed=2)
+    first, second = prove_rows([row, row], 2.0, 2000, repeats=32, margin=1.0, needed=2)
     assert first == second
     kg = [drawn[1] for drawn in first.drawn]
     assert 2.0 * (1 - move_tuning.TOLERANCE) < min(kg) < 2.2
@@ -200,8 +200,8 @@ def test_test_moves_alternate_in_direction_and_otherwise_follow_the_environment(
     for both_directions in (False, True):
         with MoveTuning(0.5, both_directions=both_directions, **created) as moves:
             action = moves.registers.to_action(compute_registers(axis, 2000, s_curve=False))
-            while moves.left:
-                moves.make_actions(np.tile(action, (4, 1)))
+            while moves.moves_left:
+                moves.make_moves_of_actions(np.tile(action, (4, 1)))
             assert (np.abs(moves.observation) <= 1).all()
         logs.append(moves.log)
     present, both = logs
@@ -218,11 +218,11 @@ def test_a_baseline_accepts_a_model_and_a_margin():
     with MoveTuning(0.5, 1, distance=2000, lanes=1, model="xy") as moves:
         assert list(moves.axis.stage.axes) == list(moves.env.unwrapped.stages[0].axes) == ["x", "y"]
         assert moves.axis.stage.payload() == 0.5
-        formula.search(moves)
+        formula.make_formula_move(moves)
     rows = moves.log.registers
-    assert best(prove(rows, 0.5, 2000, repeats=4, model="xy")) == 0
+    assert find_best_proof(prove_rows(rows, 0.5, 2000, repeats=4, model="xy")) == 0
     message = move_tuning.format_answer(moves.log, moves.registers.names, 0.5, 2000, model="xy", margin=100.0)
-    assert "none of the best 1 does so again and again" in message
+    assert "none of the best 1 keeps step in every repetition" in message
 
 
 def test_stable_baselines3_accepts_the_vector_environment():
@@ -243,7 +243,7 @@ def test_stable_baselines3_accepts_the_vector_environment():
 
 def test_an_agent_with_only_tools_improves_a_move():
     tuned = tool_loop.TuningSession(0.5, distance=4000, budget=12)
-    tool_loop.technician(tuned)
+    tool_loop.tune_by_coordinates(tuned)
     assert len(tuned.log) == 12
     assert max(tuned.log.reward) > tuned.log.reward[0] + 0.02
     assert "All 12 moves are spent" in tuned.box.call("attempt").text
@@ -261,9 +261,9 @@ def test_the_answer_passes_the_margin_and_has_the_best_mean_reward(axis):
     """The candidates are ordered so that a move that was lucky once comes first."""
     plans = [compute_registers(axis, 2000, safety_factor=safety) for safety in (1.5, 3.0)]
     rows = [[a[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")] for a in plans]
-    means = [np.mean(log.reward) for log in prove(rows, 0.5, 2000, repeats=4, margin=move_tuning.MARGIN, needed=2)]
+    means = [np.mean(log.reward) for log in prove_rows(rows, 0.5, 2000, repeats=4, margin=move_tuning.MARGIN, needed=2)]
     rows = [rows[k] for k in np.argsort(means)]
-    which, again = move_tuning.answer(rows, 0.5, 2000, repeats=4)
+    which, again = move_tuning.choose_answer(rows, 0.5, 2000, repeats=4)
     assert which == 1
     assert np.mean(again.reward) == max(means)
-    assert move_tuning.answer(rows, 0.5, 2000, repeats=4, margin=200.0) is None
+    assert move_tuning.choose_answer(rows, 0.5, 2000, repeats=4, margin=200.0) is None

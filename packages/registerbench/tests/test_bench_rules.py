@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from registerbench import statistics
-from registerbench.cards import CARDS, FIRST_TEST_SEED, SEED_LIMIT, find_card, list_test_seeds
-from registerbench.episodes import digest_observation, score_episode
-from registerbench.replay import Difference, Verdict, _is_earlier, _Replay
+from registerbench import score_statistics
+from registerbench.entry_replay import Difference, Verdict, _is_earlier, _Replay
+from registerbench.episode_sequence import digest_observation, score_episode
+from registerbench.task_cards import CARDS, FIRST_TEST_SEED, SEED_LIMIT, find_card, list_test_seeds
 from stage import ArgumentError
 
 
@@ -70,15 +70,15 @@ def test_an_episode_without_a_score_reports_its_available_fields():
 
 
 def test_the_middle_half_of_few_numbers_includes_all():
-    assert statistics.compute_iqm([1.0]) == 1.0
-    assert statistics.compute_iqm([0.0, 1.0, 5.0]) == 2.0
-    assert statistics.compute_iqm([0.0, 1.0, 3.0, 100.0]) == 2.0
+    assert score_statistics.compute_iqm([1.0]) == 1.0
+    assert score_statistics.compute_iqm([0.0, 1.0, 5.0]) == 2.0
+    assert score_statistics.compute_iqm([0.0, 1.0, 3.0, 100.0]) == 2.0
 
 
 def test_an_interval_of_a_lower_level_lies_within_that_of_a_higher():
     scores = np.random.default_rng(1).normal(size=(2, 16))
-    low, high = statistics.compute_interval(scores, 200, 0.5)
-    wide = statistics.compute_interval(scores, 200, 0.95)
+    low, high = score_statistics.compute_interval(scores, 200, 0.5)
+    wide = score_statistics.compute_interval(scores, 200, 0.95)
     assert wide[0] < low < high < wide[1]
 
 
@@ -91,7 +91,7 @@ def test_tables_separate_tracks_splits_and_tasks_and_list_the_best_first():
         entry("a", task="bus"),
         entry("a", 4.0, round="2027"),
     ]
-    rows = [(*r.table_key, r.player, r.value) for r in statistics.compute_rows(some)]
+    rows = [(*r.table_key, r.player, r.value) for r in score_statistics.compute_rows(some)]
     assert rows == [
         ("bus", "train", "host", "open", "a", 1.0),
         ("home", "train", "host", "2027", "a", 4.0),
@@ -104,12 +104,12 @@ def test_tables_separate_tracks_splits_and_tasks_and_list_the_best_first():
 
 def test_each_round_has_a_separate_table_without_comparisons_across_rounds():
     some = [entry("a", 1.0), entry("b", 0.0), entry("c", 9.0, round="2027"), entry("d", 8.0, round="2027")]
-    open_, other = sorted(statistics.format_tables(some).split("\n\n**"), key=lambda text: "2027" in text)
+    open_, other = sorted(score_statistics.format_tables(some).split("\n\n**"), key=lambda text: "2027" in text)
     assert "home, train, round open** (track host)" in open_
     assert "home, train, round 2027** (track host)" in other
     assert "| b |\n" in open_
     assert "| d |\n" in other
-    a, c = (next(r for r in statistics.compute_rows(some) if r.player == name) for name in "ac")
+    a, c = (next(r for r in score_statistics.compute_rows(some) if r.player == name) for name in "ac")
     assert c.low > a.high
     assert not c.beats(a)
 
@@ -118,20 +118,20 @@ def test_partial_entries_and_entries_of_other_episodes_are_left_out_of_tables():
     with pytest.raises(
         ArgumentError, match=r"a on home train, run 2: the entry has 2 of the 64 test episodes of the round 'open'"
     ):
-        statistics.compute_rows([entry(), entry(run=2, seeds=(FIRST_TEST_SEED, FIRST_TEST_SEED + 1))])
+        score_statistics.compute_rows([entry(), entry(run=2, seeds=(FIRST_TEST_SEED, FIRST_TEST_SEED + 1))])
     with pytest.raises(ArgumentError, match="the entry has others than the test episodes of the round '2027'"):
-        statistics.compute_rows([entry(round="2027", seeds=tuple(range(FIRST_TEST_SEED, FIRST_TEST_SEED + 64)))])
+        score_statistics.compute_rows([entry(round="2027", seeds=tuple(range(FIRST_TEST_SEED, FIRST_TEST_SEED + 64)))])
     with pytest.raises(ArgumentError, match="unknown task 'mine'"):
-        statistics.compute_rows([entry(task="mine", seeds=(1, 2))])
+        score_statistics.compute_rows([entry(task="mine", seeds=(1, 2))])
 
 
 def test_the_success_of_a_player_is_that_of_all_its_runs_and_of_none_where_a_task_has_none():
     runs = [
         entry(run=k, scores={"return": np.zeros(64), "success": np.tile(s, 32)}) for k, s in enumerate([(1, 1), (0, 1)])
     ]
-    assert statistics.compute_rows(runs)[0].success == 0.75
-    assert "| 75% |" in statistics.format_tables(runs)
-    assert statistics.compute_rows([entry()])[0].success is None
+    assert score_statistics.compute_rows(runs)[0].success == 0.75
+    assert "| 75% |" in score_statistics.format_tables(runs)
+    assert score_statistics.compute_rows([entry()])[0].success is None
 
 
 def test_a_long_table_lists_regret_for_successes_and_mean_damage_and_steps():
@@ -139,23 +139,27 @@ def test_a_long_table_lists_regret_for_successes_and_mean_damage_and_steps():
         "return": np.zeros(64), "success": np.repeat([1, 0], 32), "regret": np.repeat([0.25, np.inf], 32),
         "lost_steps": np.repeat([3, 0], 32), "limits": np.repeat([1, 0], 32), "moves": np.full(64, 8),
     }  # fmt: skip
-    (row,) = statistics.compute_rows([entry(scores=scores)])
+    (row,) = score_statistics.compute_rows([entry(scores=scores)])
     assert (row.regret, row.lost_steps, row.limits, row.moves) == (0.25, 1.5, 0.5, 8.0)
-    assert "| success | regret | steps lost | limits | steps | beats |" in statistics.format_tables(
+    assert "| success | regret | steps lost | limits | steps | beats |" in score_statistics.format_tables(
         [entry()], long=True
     )
-    assert "| 50% | 0.250 | 1.5 | 0.5 | 8.0 | - |" in statistics.format_tables([entry(scores=scores)], long=True)
-    assert "| - | - | - | - | - | - |" in statistics.format_tables([entry()], long=True), "a task that has none of them"
-    assert "regret" not in statistics.format_tables([entry(scores=scores)])
+    assert "| 50% | 0.250 | 1.5 | 0.5 | 8.0 | - |" in score_statistics.format_tables([entry(scores=scores)], long=True)
+    assert "| - | - | - | - | - | - |" in score_statistics.format_tables([entry()], long=True), (
+        "a task that has none of them"
+    )
+    assert "regret" not in score_statistics.format_tables([entry(scores=scores)])
     none = {**scores, "regret": np.full(64, np.inf)}
-    assert statistics.compute_rows([entry(scores=none)])[0].regret is None
+    assert score_statistics.compute_rows([entry(scores=none)])[0].regret is None
 
 
 def test_a_player_better_by_middle_half_but_worse_by_mean_is_marked():
     bold = np.repeat([2.0, -9.0], [56, 8])
-    message = statistics.format_tables([entry("bold", scores={"return": bold}), entry("safe", 1.0), entry("bad", -5.0)])
+    message = score_statistics.format_tables(
+        [entry("bold", scores={"return": bold}), entry("safe", 1.0), entry("bad", -5.0)]
+    )
     assert "| safe (lower in the mean), bad |" in message
-    (row,) = statistics.compute_rows([entry(scores={"return": bold})])
+    (row,) = score_statistics.compute_rows([entry(scores={"return": bold})])
     assert row.mean == bold.mean() == 0.625
     assert row.mean_low < row.mean < row.mean_high < row.low
 

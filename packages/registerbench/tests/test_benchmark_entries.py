@@ -17,10 +17,10 @@ import pytest
 
 import registerbench
 import stage.envs
-from registerbench import entry_files, statistics
-from registerbench.cards import CARDS, Card, list_test_seeds
+from registerbench import entry_files, score_statistics
 from registerbench.entry_files import EntryError, unpack_entry
 from registerbench.shipped_policies import BoldnessSearch, FinalTryBoldnessSearch, RandomPolicy
+from registerbench.task_cards import CARDS, Card, list_test_seeds
 from stage import ArgumentError
 from stage.cli import main
 from stage.envs import contexts
@@ -539,37 +539,38 @@ def test_the_list_of_tasks_names_splits_and_players(capsys):
 
 
 def test_the_interval_of_the_middle_half_mean_contains_the_true_value():
-    assert statistics.compute_iqm(np.array([-1e9, 1, 2, 3, 4, 5, 6, 1e9])) == 3.5
+    assert score_statistics.compute_iqm(np.array([-1e9, 1, 2, 3, 4, 5, 6, 1e9])) == 3.5
     draw = np.random.default_rng(5)
     holding = 0
     for _ in range(40):  # normal scores, of which the truth is 0
-        low, high = statistics.compute_interval(draw.normal(size=(4, 32)), draws=100)
+        low, high = score_statistics.compute_interval(draw.normal(size=(4, 32)), draws=100)
         holding += low < 0 < high
     assert 32 <= holding <= 40
     machines = np.tile(draw.normal(size=(1, 32)), (4, 1))
-    assert np.ptp(statistics.compute_interval(machines)) > 0.3, "four runs that do the same tell no more than one"
+    assert np.ptp(score_statistics.compute_interval(machines)) > 0.3, "four runs that do the same tell no more than one"
     one = draw.normal(size=(1, 32))
-    assert statistics.compute_interval(one) == statistics.compute_interval(one)
+    assert score_statistics.compute_interval(one) == score_statistics.compute_interval(one)
 
 
 def test_complete_runs_are_drawn_so_that_the_luck_of_training_is_in_the_interval():
     """Each run plays all episodes; of a good and a bad run, a quarter of the draws has only the good one."""
-    assert statistics.compute_interval(np.repeat([[0.0], [1.0]], 64, axis=1), draws=200) == (0.0, 1.0)
+    assert score_statistics.compute_interval(np.repeat([[0.0], [1.0]], 64, axis=1), draws=200) == (0.0, 1.0)
 
 
 def test_runs_and_machines_are_both_in_the_interval():
     draw = np.random.default_rng(2)
     runs, machines = draw.normal(size=(10, 1)), draw.normal(size=(1, 32))
     of_runs, of_machines, both = (
-        np.ptp(statistics.compute_interval(s)) for s in (np.tile(runs, 32), np.tile(machines, (10, 1)), runs + machines)
+        np.ptp(score_statistics.compute_interval(s))
+        for s in (np.tile(runs, 32), np.tile(machines, (10, 1)), runs + machines)
     )
     assert both > max(of_runs, of_machines)
 
 
 def test_an_interval_may_be_of_the_mean():
     one_bad = np.repeat([[0.0, -64.0]], [63, 1], axis=1)
-    assert statistics.compute_interval(one_bad) == (0.0, 0.0)
-    assert statistics.compute_interval(one_bad, statistic=np.mean) == (-3.0, 0.0)
+    assert score_statistics.compute_interval(one_bad) == (0.0, 0.0)
+    assert score_statistics.compute_interval(one_bad, statistic=np.mean) == (-3.0, 0.0)
 
 
 def test_a_table_lists_players_whose_intervals_do_not_overlap(entry, tmp_path, monkeypatch, capsys):
@@ -606,14 +607,14 @@ def test_rows_part_by_rounds_and_who_is_as_good_beats_nobody(entry):
         scores = {**entry.scores, "return": np.full(3, value)}
         return dataclasses.replace(entry, player=player, run=run, scores=scores, **changes)
 
-    one, other = statistics.compute_rows([like("a"), like("b")])
+    one, other = score_statistics.compute_rows([like("a"), like("b")])
     assert one.low == one.high == other.high
     assert not one.beats(other)
     assert not other.beats(one)
     drawn = tuple(list_test_seeds(BRIEF, "train", "second"))
-    rounds = statistics.compute_rows([like("a"), like("a", round="second", seeds=drawn)])
+    rounds = score_statistics.compute_rows([like("a"), like("a", round="second", seeds=drawn)])
     assert [(row.player, row.runs) for row in rounds] == [("a", 1), ("a", 1)]
-    (half,) = statistics.compute_rows([like("a", 0, cost={"moves": 0}), like("a", 1, cost={"moves": 100})])
+    (half,) = score_statistics.compute_rows([like("a", 0, cost={"moves": 0}), like("a", 1, cost={"moves": 100})])
     assert half.learned, "one run of it has learned"
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from registerbench.diagnosis import CAUSES, SERVICES, SETUPS, Case
-from registerbench.diagnosis.host_program import parse
+from registerbench.diagnosis.host_program import parse_program
 from stage.errors import ArgumentError
 
 BETTER = {
@@ -44,7 +44,7 @@ LONG = [name if name in ("late", "forgotten") else pytest.param(name, marks=pyte
 def test_a_setup_fails_as_described_and_works_when_repaired(case, name):
     c = case(name)
     assert c.box.call("run").ok
-    assert c.why_not()
+    assert c.explain_failure()
     if name in BETTER:
         assert c.box.call("write_program", {"text": c.box.call("program").text.replace(*BETTER[name])}).ok
     else:
@@ -82,9 +82,9 @@ def test_an_agent_receives_no_machine_state_that_a_host_cannot_read(case):
 def test_runs_are_counted_and_the_first_answer_counts(case):
     c = case("reset", runs=1)
     assert c.box.call("run").ok
-    assert "all 1 runs are made" in c.box.call("run").text
+    assert "All 1 runs are used" in c.box.call("run").text
     c.box.call("answer", {"cause": "supply too low"})
-    assert "you have answered already" in c.box.call("answer", {"cause": c.setup.cause}).text
+    assert "You have already answered" in c.box.call("answer", {"cause": c.setup.cause}).text
     assert c.score().value == -0.5
     assert not c.over
     c.box.call("finish")
@@ -126,7 +126,7 @@ def test_writes_to_an_address_without_a_chip_have_no_effect(case):
 def test_a_line_that_cannot_be_read_is_reported_with_its_number(case, line, message):
     c = case("reset")
     with pytest.raises(ArgumentError, match=message.replace("(", r"\(")):
-        parse("# first\n" + line, c.stage)
+        parse_program("# first\n" + line, c.stage)
     answer = c.box.call("write_program", {"text": "# first\n" + line})
     assert not answer.ok
     assert c.box.call("program").text == c.setup.program

@@ -6,7 +6,7 @@ import pytest
 
 from registerbench.arena import make_player, play, suite
 from registerbench.diagnosis import CAUSES, SERVICES, SETUPS, Case
-from registerbench.diagnosis.acceptance_trial import Sample, Trial, rests_of
+from registerbench.diagnosis.acceptance_trial import AcceptanceTrial, TrialSample, find_rests
 
 EVERY_DAY = ("polarity", "supply")
 NAMES = [name if name in EVERY_DAY else pytest.param(name, marks=pytest.mark.slow) for name in SETUPS]
@@ -91,7 +91,7 @@ def test_a_program_that_does_other_work_than_requested_is_no_repair(name, change
         assert re.search(was, text)
         text = re.sub(was, becomes, text)
     assert case.box.call("write_program", {"text": text}).ok
-    assert why in case.why_not()
+    assert why in case.explain_failure()
     case.box.close()
 
 
@@ -129,7 +129,7 @@ def test_nothing_counts_after_finish():
     case.box.call("finish")
     for name, arguments in (("answer", {"cause": "supply too low"}), ("write_program", {"text": ""}), ("run", {}),
                         ("service", {"work": "set the supply of the drives to what is on the nameplate"})):  # fmt: skip
-        assert "you have finished" in case.box.call(name, arguments).text
+        assert "You have finished" in case.box.call(name, arguments).text
     assert case.score().value == 0
     case.box.close()
 
@@ -141,18 +141,18 @@ def test_the_technician_scores_almost_one_on_all_setups():
 
 
 def direction(stops, rate=1000.0, aside=0.0, lost=0.0, start=0.0, rest=100, ramps=()):
-    """Return samples of legs at `rate`, 1 pulse per mm, with rests of 0.2 s; ramps: s to reach the rate, per leg."""
-    observed, t, x = [Sample(0.0, start, start, 0.0, 0.0, False)], 0.0, start
+    """Return samples of legs at `rate_pps`, 1 pulse per mm, with rests of 0.2 s; ramps: s to reach the rate, per leg."""
+    observed, t, x = [TrialSample(0.0, start, start, 0.0, 0.0, False)], 0.0, start
     for stop, ramp in zip(stops, (*ramps, *[0.0] * len(stops)), strict=False):
         begin = t
         while abs(stop - x) > 1e-9:
             now = rate * min((t - begin + 2e-3) / ramp, 1.0) if ramp else rate
             step = max(-now * 2e-6, min(now * 2e-6, stop - x))
             t, x = t + 2e-3, x + step
-            observed.append(Sample(t, x, x, 0.0, aside, True))
+            observed.append(TrialSample(t, x, x, 0.0, aside, True))
         for _ in range(rest):
             t += 2e-3
-            observed.append(Sample(t, x, x, lost, aside, False))
+            observed.append(TrialSample(t, x, x, lost, aside, False))
     return observed
 
 
@@ -170,8 +170,8 @@ def direction(stops, rate=1000.0, aside=0.0, lost=0.0, start=0.0, rest=100, ramp
     ],
 )
 def test_a_trial_detects_each_fault_of_a_motion(observed, why):
-    assert len(rests_of(observed))
-    results = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(observed, 0.0, 1e-3)
+    assert len(find_rests(observed))
+    results = AcceptanceTrial((0.05, 0.0), rate_pps=1000, max_seconds=1.0).explain_failure(observed, 0.0, 1e-3)
     assert results.startswith(why) if why else not results
 
 
@@ -181,7 +181,7 @@ def test_a_trial_detects_each_fault_of_a_motion(observed, why):
         (direction((0.05, -0.001)), {}, 0.0, "it rests at -1.000 mm, and 0 mm is wanted"),
         (direction((0.05, 0.00005)), {}, 0.0, ""),
         (direction((0.05, -0.00007)), {}, 0.0, "it rests at -0.070 mm"),
-        (direction((0.05, -0.00007)), {"within": 1e-4}, 0.0, ""),
+        (direction((0.05, -0.00007)), {"tolerance_m": 1e-4}, 0.0, ""),
         (direction((0.05, 0.0), aside=-1e-3), {}, 0.0, "y moves"),
         (direction((0.05, 0.0), aside=-2e-5), {}, 0.0, ""),
         (direction((0.05, 0.0), lost=-4), {}, 0.0, "steps are lost"),
@@ -190,15 +190,15 @@ def test_a_trial_detects_each_fault_of_a_motion(observed, why):
         (direction((0.05, 0.0), start=0.01), {"from_start": False}, 0.01, ""),
         (direction((0.05, 0.0), rest=40), {}, 0.0, "it rests at 0 places, and 2 are wanted"),
         (direction((0.05, 0.0), rest=52), {}, 0.0, ""),
-        (direction((0.05, 0.0)), {"ramp": 0.1}, 0.0, "its ramp up takes"),
-        (direction((0.05, 0.0), ramps=(0.08,)), {"ramp": 0.08}, 0.0, ""),
-        (direction((0.05, 0.0), ramps=(0.02, 0.08)), {"ramp": 0.08}, 0.0, "its ramp up takes"),
+        (direction((0.05, 0.0)), {"min_ramp_s": 0.1}, 0.0, "its ramp up takes"),
+        (direction((0.05, 0.0), ramps=(0.08,)), {"min_ramp_s": 0.08}, 0.0, ""),
+        (direction((0.05, 0.0), ramps=(0.02, 0.08)), {"min_ramp_s": 0.08}, 0.0, "its ramp up takes"),
         (direction((0.05, 0.0), rate=951), {}, 0.0, ""),
         (direction((0.05, 0.0), rate=1049), {}, 0.0, ""),
     ],
 )
 def test_a_trial_measures_either_side_and_the_first_ramp_alone(observed, how, start, why):
-    results = Trial((0.05, 0.0), rate=1000, seconds=1.0, **how).wrong(observed, start, 1e-3)
+    results = AcceptanceTrial((0.05, 0.0), rate_pps=1000, max_seconds=1.0, **how).explain_failure(observed, start, 1e-3)
     assert results.startswith(why) if why else not results, results
 
 
@@ -207,7 +207,7 @@ def test_the_second_leg_is_judged_separately():
     present, back = direction((0.05,)), direction((0.0,), rate=800, start=0.05)
     last = present[-1].time
     observed = [*present, *(s._replace(time=s.time + last + 2e-3) for s in back)]
-    results = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(observed, 0.0, 1e-3)
+    results = AcceptanceTrial((0.05, 0.0), rate_pps=1000, max_seconds=1.0).explain_failure(observed, 0.0, 1e-3)
     assert results.startswith("way 2 has 800 pulses a second")
 
 
@@ -217,5 +217,5 @@ def test_the_second_leg_is_judged_separately():
 def test_each_leg_is_judged_by_the_rate_since_the_rest_before_it(back, why):
     out, home = direction((0.05,)), direction((0.0,), rate=back, start=0.05)
     observed = out + [s._replace(time=s.time + out[-1].time) for s in home[1:]]
-    results = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(observed, 0.0, 1e-3)
+    results = AcceptanceTrial((0.05, 0.0), rate_pps=1000, max_seconds=1.0).explain_failure(observed, 0.0, 1e-3)
     assert results.startswith(why) if why else not results

@@ -3,9 +3,9 @@
 import pytest
 
 import registerbench
-from registerbench import episodes
-from registerbench.cards import CARDS, Card
-from registerbench.episodes import EpisodeSequence
+from registerbench import episode_sequence
+from registerbench.episode_sequence import EpisodeSequence
+from registerbench.task_cards import CARDS, Card
 from stage.envs.base import StageEnv
 
 BRIEF = Card(
@@ -44,10 +44,12 @@ def test_a_play_closes_its_environment_after_its_end_and_after_an_error(closed):
 
 
 def test_a_player_that_draws_is_seeded_by_its_run_and_plays_the_round_that_was_requested(monkeypatch):
-    requested, rounds, real, drawn = [], [], episodes.make_player, episodes.list_test_seeds
-    monkeypatch.setattr(episodes, "make_player", lambda *arguments: (requested.append(arguments), real(*arguments))[1])
+    requested, rounds, real, drawn = [], [], episode_sequence.make_player, episode_sequence.list_test_seeds
     monkeypatch.setattr(
-        episodes, "list_test_seeds", lambda *arguments: (rounds.append(arguments[1:]), drawn(*arguments))[1]
+        episode_sequence, "make_player", lambda *arguments: (requested.append(arguments), real(*arguments))[1]
+    )
+    monkeypatch.setattr(
+        episode_sequence, "list_test_seeds", lambda *arguments: (rounds.append(arguments[1:]), drawn(*arguments))[1]
     )
     created = registerbench.play(
         "random", "brief", "heavy", run=6, round_="2031", episodes=1, name="dice", notes="n", cost={"moves": 4}

@@ -9,9 +9,9 @@ import pytest
 
 import registerbench
 import stage.envs  # noqa: F401
-from registerbench.cards import CARDS
 from registerbench.policies import PolicyContext
-from registerbench.statistics import compute_rows
+from registerbench.score_statistics import compute_rows
+from registerbench.task_cards import CARDS
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_the_shipped_policy_plays_like_the_trained_one(rules, task, player):
     kind = rules.RULES[task, player]
     w = np.array(kind.BEGINS) + 0.1
     envs = learners.make_training_envs(task, 2, **learners.CHEAPER_SETTINGS.get(task, {}))
-    total, _, steps = learners.play(envs, kind, w, 5)
+    total, _, steps = learners.play_rule(envs, kind, w, 5)
     envs.close()
     card, policy = CARDS[task], learners.RulePolicy(kind, w.tolist())
     selected = {"memory": "last"} if "memory" in card.choices else {}
@@ -115,12 +115,15 @@ def test_a_rule_earns_the_tabulated_rewards_of_its_attempts(rules):
     answer = dataclasses.replace(table, last=True)
     assert answer.sum_rewards(np.array([at[2], at[1]])[:, None]) == pytest.approx([-2 * 0.05, worth[at[1], 1]])
     w = rules.RememberingRule.BEGINS
-    closed_in, blind = (answer.play(kind, kind.BEGINS) for kind in (rules.RememberingRule, rules.ScheduledRule))
+    closed_in, blind = (answer.play_rule(kind, kind.BEGINS) for kind in (rules.RememberingRule, rules.ScheduledRule))
     assert (closed_in > np.log(edge) - 0.2 - 5 * 0.05).all(), (
         "close to each machine's edge, after five tries that were lost"
     )
     assert blind[0] == blind[1] < closed_in[1], "the same for both"
-    assert table.take_machines(1).play(rules.RememberingRule, w) == table.play(rules.RememberingRule, w)[:1]
+    assert (
+        table.select_first_machines(1).play_rule(rules.RememberingRule, w)
+        == table.play_rule(rules.RememberingRule, w)[:1]
+    )
 
 
 def test_memory_improves_the_last_attempt_by_more_than_the_intervals():
@@ -140,12 +143,12 @@ def curves():
 
 
 def test_the_page_has_the_table_of_the_published_curves(curves):
-    assert curves.format_table(curves.read(curves.DATA)) in (curves.DOCS / "benchmark.md").read_text()
+    assert curves.format_table(curves.read_runs(curves.DATA)) in (curves.DOCS / "benchmark.md").read_text()
 
 
 def test_processor_time_of_published_curves_increases_and_includes_all_trials(curves):
     """The table of a run of few-shot-wide takes about 20 s, included from the first point on."""
-    for task, players in curves.read(curves.DATA).items():
+    for task, players in curves.read_runs(curves.DATA).items():
         for player, runs in players.items():
             for run, points in runs.items():
                 spent = [float(p["processor_s"]) for p in points]
@@ -163,7 +166,7 @@ def test_axes_are_ordered_by_their_role_and_macros_are_those_of_the_environment_
 
     def now(observed, mask):
         axis = turn.find_selected_axis(observed[None])
-        return axis, turn.observation_digests(observed[None], axis)[0], turn.reorder_masks(mask[None], axis)[0]
+        return axis, turn.reorder_observation(observed[None], axis)[0], turn.reorder_masks(mask[None], axis)[0]
 
     first, info = env.reset(seed=1, options={"targets": {"x": 16, "y": 16}})
     axis, x, x_mask = now(first, info["action_mask"])
@@ -216,7 +219,7 @@ def test_dqn_never_takes_a_macro_that_is_masked_and_learns_one_axis_in_a_minute(
     from registerbench.baselines import bus_macros_learners as learners
 
     learners.learn("dqn", 0, 0.3, "target", tmp_path)
-    policy, rng = learners.RulePolicy.load(tmp_path / "target-dqn-0.zip"), np.random.default_rng(0)
+    policy, rng = learners.MacroPolicy.load(tmp_path / "target-dqn-0.zip"), np.random.default_rng(0)
     env = gymnasium.make(learners.ID, disable_env_checker=True).unwrapped
     policy.reset(
         PolicyContext("bus", env.action_space, env.observation_space, tuple(e.name for e in env.observation_features))
@@ -224,6 +227,6 @@ def test_dqn_never_takes_a_macro_that_is_masked_and_learns_one_axis_in_a_minute(
     masks = rng.integers(0, 2, (200, env.action_space.n))
     masks[:, 0] |= masks.sum(axis=1) == 0
     observed = rng.uniform(-1, 1, (200, env.observation_space.shape[0])).astype(np.float32)
-    assert masks[np.arange(200), policy.choose(observed, masks)].all()
+    assert masks[np.arange(200), policy.choose_macros(observed, masks)].all()
     entry = registerbench.play(policy, "bus-target", "train", episodes=24)
     assert entry.scores["success"].mean() > 0.8

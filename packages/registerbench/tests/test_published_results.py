@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from registerbench.baselines import runs as published
+from registerbench.baselines import method_runs as published
+from registerbench.baselines.method_runs import MethodRun, MethodRuns
 from registerbench.baselines.move_tuning import MAX_HOLDING, REPEATS, MoveLog
-from registerbench.baselines.runs import MethodRun, MethodRuns
 
 DOCS = Path(__file__).parents[1] / "docs"
 DATA, PAGE = DOCS / "data" / "results.parquet", DOCS / "results.md"
@@ -35,8 +35,8 @@ def moves(*rewards, saved=True, duration=0.4, more=0.0):
 def run(method="CMA-ES", seed=1, reward=-0.4, duration=0.4, matches=True):
     created = MethodRun(method, "heavy", seed, moves(-0.3, -0.35))
     if matches:
-        created.proofs = {0: moves(-5.3, saved=False), 1: moves(*[-0.36] * 48)}
-        created.test = {context: moves(reward, duration=duration) for context in published.CONTEXTS}
+        created.proof_logs = {0: moves(-5.3, saved=False), 1: moves(*[-0.36] * 48)}
+        created.test_logs = {context: moves(reward, duration=duration) for context in published.TEST_CONTEXTS}
     return created
 
 
@@ -73,9 +73,9 @@ def test_an_answer_is_reported_by_its_test_and_not_by_its_proof():
     assert (created.answer, created.lucky_moves) == (1, 1)
     assert created.compute_mean("reward") == pytest.approx(-410)
     assert created.reward_excess == pytest.approx(50)
-    created.test[published.NEW] = moves(-0.4, -5.4)
-    created.test[published.NEW].kept_step[1] = False
-    assert created.count_lost(published.NEW) == 1
+    created.test_logs[published.NEW_MOVES] = moves(-0.4, -5.4)
+    created.test_logs[published.NEW_MOVES].kept_step[1] = False
+    assert created.count_lost(published.NEW_MOVES) == 1
     assert created.compute_mean("reward") == pytest.approx(-2900), "a lost step is paid for"
     assert created.compute_mean("reward", kept_step_only=True) == pytest.approx(-400)
 
@@ -83,9 +83,9 @@ def test_an_answer_is_reported_by_its_test_and_not_by_its_proof():
 def test_spare_ends_at_the_first_payload_with_which_a_step_was_lost():
     created = run()
     assert created.spare_payload == 3.0
-    created.test["+2 kg"] = moves(-5.4, saved=False)
+    created.test_logs["+2 kg"] = moves(-5.4, saved=False)
     assert created.spare_payload == 1.5
-    created.test["+0.5 kg"] = moves(-5.4, saved=False)
+    created.test_logs["+0.5 kg"] = moves(-5.4, saved=False)
     assert created.spare_payload == 0.0
 
 
@@ -102,9 +102,9 @@ def test_runs_come_back_from_their_file_and_equal_ones_give_equal_bytes(tmp_path
         assert (new.method, new.payload, new.seed, new.answer, new.lucky_moves) == (
             old.method, old.payload, old.seed, old.answer, old.lucky_moves,
         )  # fmt: skip
-        assert new.search.registers == old.search.registers
-        assert list(new.proofs) == list(old.proofs)
-        assert list(new.test) == list(old.test)
+        assert new.search_log.registers == old.search_log.registers
+        assert list(new.proof_logs) == list(old.proof_logs)
+        assert list(new.test_logs) == list(old.test_logs)
         assert new.compute_mean("reward") == pytest.approx(old.compute_mean("reward"), rel=1e-6, nan_ok=True)
 
 
@@ -134,16 +134,18 @@ def test_each_published_answer_follows_from_its_proofs(all_):
     """The test selects independently: of the first HELD that pass, the highest mean reward."""
     answers = 0
     for r in all_.runs:
-        ranked = [k for k in np.argsort(-np.array(r.search.reward), kind="stable") if r.search.kept_step[k]]
-        assert list(r.proofs) == ranked[: len(r.proofs)]
-        holding = {k: np.mean(log.reward) for k, log in r.proofs.items() if len(log) == REPEATS and all(log.kept_step)}
+        ranked = [k for k in np.argsort(-np.array(r.search_log.reward), kind="stable") if r.search_log.kept_step[k]]
+        assert list(r.proof_logs) == ranked[: len(r.proof_logs)]
+        holding = {
+            k: np.mean(log.reward) for k, log in r.proof_logs.items() if len(log) == REPEATS and all(log.kept_step)
+        }
         assert len(holding) <= MAX_HOLDING
         assert r.answer == (max(holding, key=holding.get) if holding else None)
-        assert {c: len(log) for c, log in r.test.items()} == (
-            {c: k.moves for c, k in published.CONTEXTS.items()} if holding else {}
+        assert {c: len(log) for c, log in r.test_logs.items()} == (
+            {c: k.moves for c, k in published.TEST_CONTEXTS.items()} if holding else {}
         )
-        registers = [log.registers for log in r.test.values()]
-        assert all(row == r.search.registers[r.answer] for rows in registers for row in rows)
+        registers = [log.registers for log in r.test_logs.values()]
+        assert all(row == r.search_log.registers[r.answer] for rows in registers for row in rows)
         answers += bool(holding)
     assert answers > 80
 
@@ -175,9 +177,11 @@ def test_no_search_and_no_proof_has_used_a_move_of_a_test_and_seed_0_is_not_amon
         return {tuple(row[1:]) for log in logs for row in log.drawn}
 
     assert {r.seed for r in all_.runs} == set(range(1, 11))
-    tests = drawn(log for r in all_.runs for log in r.test.values())
-    observations = drawn(log for r in all_.runs for log in (r.search, *r.proofs.values()))
+    tests = drawn(log for r in all_.runs for log in r.test_logs.values())
+    observations = drawn(log for r in all_.runs for log in (r.search_log, *r.proof_logs.values()))
     assert not tests & observations
-    new = next(r.test["new"] for r in all_.runs if r.test)
-    assert all(r.test["new"].drawn == new.drawn for r in all_.runs if r.test and r.payload == all_.runs[0].payload)
+    new = next(r.test_logs["new"] for r in all_.runs if r.test_logs)
+    assert all(
+        r.test_logs["new"].drawn == new.drawn for r in all_.runs if r.test_logs and r.payload == all_.runs[0].payload
+    )
     assert sum(d < 0 for d, *_ in new.drawn) == len(new) // 2

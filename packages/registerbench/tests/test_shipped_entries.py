@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import registerbench
-from registerbench import statistics
-from registerbench.cards import CARDS
+from registerbench import score_statistics
 from registerbench.entry_files import Entry
-from registerbench.versions import list_versions
+from registerbench.package_versions import list_versions
+from registerbench.task_cards import CARDS
 
 FOLDER = Path(__file__).parents[1] / "docs" / "data" / "entries"
 ENTRIES = {
@@ -63,7 +63,7 @@ def test_files_are_named_by_what_is_in_them_and_every_task_that_was_played_has_t
 
 def test_the_tables_of_the_page_follow_from_the_published_entries():
     page = (FOLDER.parents[1] / "benchmark.md").read_text()
-    for table in statistics.format_tables(ENTRIES.values(), long=True).split("\n\n"):
+    for table in score_statistics.format_tables(ENTRIES.values(), long=True).split("\n\n"):
         assert f"\n{table}\n" in page, table
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import stage.envs  # noqa: F401 registers the ids
-from registerbench.cards import CARDS, FIRST_TEST_SEED
+from registerbench.task_cards import CARDS, FIRST_TEST_SEED
 from stage.envs import contexts
 
 LAST_FIGURE = 1e-3  # of a return, in the tables

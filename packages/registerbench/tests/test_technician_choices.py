@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from registerbench.arena.players import technician
+from registerbench.arena.players import diagnosis_technician
 from registerbench.diagnosis import CAUSES, SETUPS
 from stage.agents.tool import Answer
 
@@ -41,7 +41,7 @@ class ScriptedTable:
 @pytest.mark.parametrize(
     ("how", "cause"),
     [
-        *[({"diagnostics": f"x: {sign}."}, cause) for sign, cause in technician.DIAGNOSTIC_SIGNS],
+        *[({"diagnostics": f"x: {sign}."}, cause) for sign, cause in diagnosis_technician.DIAGNOSTIC_SIGNS],
         ({"end_of_run": GAVE_UP}, "swapped limit switches"),
         ({"end_of_run": GAVE_UP, "program": "x: STOP_DEC\n" + PROGRAM}, "S-curve failure of the MCX304"),
         ({"places": [(0.5, 50)]}, "wrong base address"),
@@ -53,13 +53,13 @@ class ScriptedTable:
 )
 def test_each_symptom_leads_to_its_cause_and_its_repair(how, cause):
     table = ScriptedTable(**{"program": PROGRAM, **how})
-    technician.play(table)
+    diagnosis_technician.play_technician(table)
     assert cause in CAUSES
     assert table.argument("answer", "cause") == cause
     assert table.calls[-1] == ("finish", None)
-    assert ("service" in dict(table.calls)) == (cause in technician.SERVICES_BY_CAUSE)
-    if cause in technician.SERVICES_BY_CAUSE:
-        assert table.argument("service", "work") == technician.SERVICES_BY_CAUSE[cause]
+    assert ("service" in dict(table.calls)) == (cause in diagnosis_technician.SERVICES_BY_CAUSE)
+    if cause in diagnosis_technician.SERVICES_BY_CAUSE:
+        assert table.argument("service", "work") == diagnosis_technician.SERVICES_BY_CAUSE[cause]
         assert table.argument("write_program", "text") == table.answers["program"], "the customer's program is back"
 
 
@@ -74,7 +74,7 @@ def test_each_symptom_leads_to_its_cause_and_its_repair(how, cause):
 )  # fmt: skip
 def test_a_repaired_program_differs_in_the_lines_that_were_wrong(name, cause, removed, added):
     before = SETUPS[name].program
-    after = technician.PROGRAM_REPAIRS[cause](before)
+    after = diagnosis_technician.PROGRAM_REPAIRS[cause](before)
     gone = "\n".join(set(before.split("\n")) - set(after.split("\n")))
     new = "\n".join(set(after.split("\n")) - set(before.split("\n")))
     assert all(text in gone for text in removed)
@@ -83,10 +83,10 @@ def test_a_repaired_program_differs_in_the_lines_that_were_wrong(name, cause, re
 
 def test_a_reset_command_is_inserted_before_the_registers_of_each_move():
     parts = "x: R0 <- 16000\nx: R6 <- 3200\nx: operate 15h\n"
-    repaired = technician.PROGRAM_REPAIRS["missing reset command"](parts + "x: operate 08h\n" + parts)
+    repaired = diagnosis_technician.PROGRAM_REPAIRS["missing reset command"](parts + "x: operate 08h\n" + parts)
     assert repaired == "x: operate 08h\n" + parts + "x: operate 08h\n" + parts
     program = "x: operate 08h\nx: R6 <- 3200\nx: operate 08h  # too late\nx: operate 15h\n"
     assert (
-        technician.PROGRAM_REPAIRS["R6 missing after reset"](program)
+        diagnosis_technician.PROGRAM_REPAIRS["R6 missing after reset"](program)
         == "x: operate 08h\nx: R6 <- 3200\nx: operate 15h\n"
     )

@@ -16,9 +16,9 @@ from registerbench.arena import (
     transcript,
     write_transcript,
 )
-from registerbench.arena.replay import replay_game
-from registerbench.arena.session import Limits
+from registerbench.arena.game_session import Limits
 from registerbench.arena.suite_runner import make_header
+from registerbench.arena.transcript_replay import replay_game
 from stage.cli import main
 from stage.errors import ArgumentError, StageError
 

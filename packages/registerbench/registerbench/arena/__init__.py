@@ -5,18 +5,19 @@
     write_transcript(result, "technician.jsonl")
     assert replay("technician.jsonl").is_same     the same calls again, compared bit for bit
 
-games.py defines the games, session.py what a player sees of a game, and suite_runner.py plays a suite. results.py computes the
-scores; transcript.py and replay.py store games and repeat them. players/ has the players: shipped functions, commands that speak
-JSON lines, OpenAI-compatible endpoints, and clients of the Model Context Protocol. On the command line it is `stage agent`.
+games.py defines the games, game_session.py the interface of a player to a game, and suite_runner.py plays a suite.
+suite_results.py computes the scores; transcript.py and transcript_replay.py store games and repeat them. players/ has the
+players: shipped functions, commands that speak JSON lines, OpenAI-compatible endpoints, and clients of the Model Context
+Protocol. The command line offers all of this as `stage agent`.
 """
 
+from registerbench.arena.game_session import GameSession, Limits
 from registerbench.arena.games import Game, list_suites, suite
 from registerbench.arena.players import make_player
-from registerbench.arena.replay import TranscriptReplay, replay
-from registerbench.arena.results import GameResult, SuiteResult
-from registerbench.arena.session import GameSession, Limits
+from registerbench.arena.suite_results import GameResult, SuiteResult
 from registerbench.arena.suite_runner import Interrupted, make_header, play
 from registerbench.arena.transcript import TranscriptWriter, read_transcript, write_transcript
+from registerbench.arena.transcript_replay import TranscriptReplay, replay
 
 __all__ = [
     "Game",

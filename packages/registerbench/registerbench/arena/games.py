@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from registerbench.arena.tool_actions import make_tool_actions
-from registerbench.cards import CARDS, OPEN_ROUND
 from registerbench.diagnosis import SETUPS, Case
 from registerbench.entry_files import Entry
-from registerbench.episodes import EpisodeSequence
+from registerbench.episode_sequence import EpisodeSequence
+from registerbench.task_cards import CARDS, OPEN_ROUND
 from stage.agents import Tool
 from stage.agents.arguments import choose
 from stage.agents.tool import ToolSet
@@ -82,36 +82,39 @@ itself."""
 class BenchmarkGame(Game):
     """Test episode of a task. The games of a suite share one `EpisodeSequence`."""
 
-    def __init__(self, played: EpisodeSequence):
-        self._played, self.number = played, played.finished
-        self.name, self.seed = _list_episodes(played)[self.number]
-        self._actions = make_tool_actions(played)
-        played.begin()
-        arguments = self._actions.arguments()
+    def __init__(self, sequence: EpisodeSequence):
+        self._sequence, self.number = sequence, sequence.finished
+        self.name, self.seed = _list_episodes(sequence)[self.number]
+        self._actions = make_tool_actions(sequence)
+        sequence.begin()
+        arguments = self._actions.describe_arguments()
         self.calls = ToolSet(
             [
                 Tool("task", "What is to be done.", lambda: self.task, free=True),
-                Tool("observe", "What a host knows now, by name.", self._actions.observation, free=True),
+                Tool("observe", "What a host knows now, by name.", self._actions.name_observation, free=True),
                 Tool(
-                    "formula", "What the task's own rule would do now, as arguments of act.", self._formula, free=True
+                    "formula",
+                    "What the task's own rule would do now, as arguments of act.",
+                    self._call_formula,
+                    free=True,
                 ),
-                Tool("act", self._actions.text, self._act, arguments, moves=True),
+                Tool("act", self._actions.text, self._call_act, arguments, moves=True),
             ]
         )
-        self.task = TASK_TEXT.format(name=played.card.name, asked=played.card.asked, act=self._actions.text)
+        self.task = TASK_TEXT.format(name=sequence.card.name, asked=sequence.card.asked, act=self._actions.text)
 
     @property
     def over(self) -> bool:
-        return self._played.finished > self.number
+        return self._sequence.finished > self.number
 
-    def _formula(self) -> dict[str, Any]:
+    def _call_formula(self) -> dict[str, Any]:
         self._require_running()
-        return self._actions.formula()
+        return self._actions.choose_formula_arguments()
 
-    def _act(self, **arguments: Any) -> dict[str, Any]:
+    def _call_act(self, **arguments: Any) -> dict[str, Any]:
         self._require_running()
-        self._played.act(self._actions.make_action(**arguments))
-        return {"over": self.over, **self._actions.observation()}
+        self._sequence.act(self._actions.make_action(**arguments))
+        return {"over": self.over, **self._actions.name_observation()}
 
     def _require_running(self) -> None:
         if self.over:
@@ -120,11 +123,11 @@ class BenchmarkGame(Game):
     def score(self) -> dict[str, float]:
         left_steps = 0
         while not self.over:  # the rest of an episode that its player left is played with actions that do nothing
-            self._played.act(self._actions.idle())
+            self._sequence.act(self._actions.choose_idle_action())
             left_steps += 1
         return {
-            "value": self._played.scores[self.number]["return"],
-            **self._played.scores[self.number],
+            "value": self._sequence.scores[self.number]["return"],
+            **self._sequence.scores[self.number],
             "given_up": left_steps,
         }
 
@@ -144,17 +147,17 @@ class Suite:
         name: str,
         games: Sequence[tuple[str, int | None]],
         total_games: int,
-        make: Callable[[int], Game],
-        played: EpisodeSequence | None = None,
+        make_game: Callable[[int], Game],
+        sequence: EpisodeSequence | None = None,
     ):
-        self.name, self.games, self.total_games, self._make_game, self._played = (
+        self.name, self.games, self.total_games, self._make_game, self._sequence = (
             name,
             tuple(games),
             total_games,
-            make,
-            played,
+            make_game,
+            sequence,
         )
-        self.split, self.round = ("", "") if played is None else (played.split, played.round_)
+        self.split, self.round = ("", "") if sequence is None else (sequence.split, sequence.round_)
 
     def __iter__(self) -> Iterator[Game]:
         try:
@@ -165,8 +168,8 @@ class Suite:
                 finally:
                     game.close()
         finally:
-            if self._played is not None:
-                self._played.close()
+            if self._sequence is not None:
+                self._sequence.close()
 
     def build_entry(self, player: str, cost: dict[str, float], notes: str = "") -> Entry | None:
         """Build the entry of the benchmark, which `stage bench-verify` replays; return None for broken set-ups.
@@ -176,7 +179,7 @@ class Suite:
             cost: What the player spent, by name.
             notes: Text to store in the entry.
         """
-        return None if self._played is None else self._played.build_entry(player, 0, notes, cost)
+        return None if self._sequence is None else self._sequence.build_entry(player, 0, notes, cost)
 
 
 def list_suites() -> list[str]:
@@ -208,10 +211,10 @@ def suite(name: str, split: str = TRAIN, episodes: int | None = None, round_: st
         return Suite(name, [(f"{DIAGNOSIS}:{n}", None) for n in names], len(SETUPS), lambda k: DiagnosisGame(names[k]))
     if set_up:
         raise ArgumentError(f"suite {name!r}: {kind} has episodes, and no names in them; give episodes=1 for one.")
-    played = EpisodeSequence(kind, split, TRACK, round_, {}, episodes)
-    return Suite(kind, _list_episodes(played), played.card.episodes, lambda k: BenchmarkGame(played), played)
+    sequence = EpisodeSequence(kind, split, TRACK, round_, {}, episodes)
+    return Suite(kind, _list_episodes(sequence), sequence.card.episodes, lambda k: BenchmarkGame(sequence), sequence)
 
 
-def _list_episodes(played: EpisodeSequence) -> list[tuple[str, int | None]]:
+def _list_episodes(sequence: EpisodeSequence) -> list[tuple[str, int | None]]:
     """List the name and the seed of each episode."""
-    return [(f"{played.card.name}:{played.split}:{k}", seed) for k, seed in enumerate(played.seeds)]
+    return [(f"{sequence.card.name}:{sequence.split}:{k}", seed) for k, seed in enumerate(sequence.seeds)]

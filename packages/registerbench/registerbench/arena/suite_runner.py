@@ -9,10 +9,10 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from registerbench.arena.game_session import GameLeft, GameSession, Limits
 from registerbench.arena.games import Game, Suite
-from registerbench.arena.replay import replay_game
-from registerbench.arena.results import FAILED, GameResult, RunHeader, SuiteResult, make_result
-from registerbench.arena.session import GameLeft, GameSession, Limits
+from registerbench.arena.suite_results import FAILED, GameResult, RunHeader, SuiteResult, make_result
+from registerbench.arena.transcript_replay import replay_game
 from stage.errors import ArgumentError, StageError
 
 Player = Callable[[GameSession], Any]

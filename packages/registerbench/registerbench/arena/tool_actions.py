@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from registerbench.episodes import EpisodeSequence
+from registerbench.episode_sequence import EpisodeSequence
 from stage.agents.arguments import Flag, argument, choice, integer, list_of, number
 from stage.envs import drifting_home, few_shot
 from stage.errors import ArgumentError
@@ -53,11 +53,11 @@ class ToolActions:
 
     text: str
 
-    def __init__(self, played: EpisodeSequence):
-        self._played, self._env = played, played.env
-        self._names = [e.name for e in played.env.observation_features]
+    def __init__(self, sequence: EpisodeSequence):
+        self._sequence, self._env = sequence, sequence.env
+        self._names = [e.name for e in sequence.env.observation_features]
 
-    def arguments(self) -> dict[str, Any]:
+    def describe_arguments(self) -> dict[str, Any]:
         """Return the schema of the arguments of `act`, by name."""
         raise NotImplementedError
 
@@ -65,22 +65,22 @@ class ToolActions:
         """Make the environment's action of the arguments."""
         raise NotImplementedError
 
-    def formula(self) -> dict[str, Any]:
+    def choose_formula_arguments(self) -> dict[str, Any]:
         """Return what the task's scripted host would do now, as arguments of `act`."""
         raise NotImplementedError
 
-    def idle(self) -> Any:
+    def choose_idle_action(self) -> Any:
         """Return the action with which an episode goes on after its player has left."""
         return np.zeros(self._env.action_space.shape, self._env.action_space.dtype)
 
-    def observation(self) -> dict[str, Any]:
+    def name_observation(self) -> dict[str, Any]:
         """Return observation and info by name; several numbers of one name become a list."""
         numbers: dict[str, Any] = {}
-        for name, value in zip(self._names, self._played.observation.tolist(), strict=True):
+        for name, value in zip(self._names, self._sequence.observation.tolist(), strict=True):
             numbers.setdefault(name, []).append(round(value, 6))
         return {
             "observation": {name: v[0] if len(v) == 1 else v for name, v in numbers.items()},
-            "info": {name: to_json(v) for name, v in self._played.info.items()},
+            "info": {name: to_json(v) for name, v in self._sequence.info.items()},
         }
 
 
@@ -89,14 +89,14 @@ class MoveActions(ToolActions):
 
     text = "a whole move with these rates (pps) and ramps (s)."
 
-    def arguments(self) -> dict[str, Any]:
+    def describe_arguments(self) -> dict[str, Any]:
         titles = {"start": "start rate, pps", "drive": "drive rate, pps", "up": "ramp up, s", "down": "ramp down, s"}
         return {n: argument(number(ge=low, le=high), titles[n]) for n, (low, high) in few_shot.RATES.items()}
 
     def make_action(self, **values: Any) -> Any:
         return few_shot.action_of(**values)
 
-    def formula(self) -> dict[str, Any]:
+    def choose_formula_arguments(self) -> dict[str, Any]:
         return convert_action_to_rates(self._env.scripted_action().astype(float))
 
 
@@ -105,7 +105,7 @@ class HomeActions(ToolActions):
 
     text = "an origin return with these rates, or, with report=true, the report that the machine is broken, which ends the episode."
 
-    def arguments(self) -> dict[str, Any]:
+    def describe_arguments(self) -> dict[str, Any]:
         usual, (least, most) = drifting_home.USUAL, drifting_home.BACK_OFF
         titles = {"search": "rate, pps", "ramp": "ramps, s", "approach": "rate of the approach, pps"}
         ends = {name: number(ge=low, le=high) for name, (low, high) in drifting_home.RATES.items()}
@@ -120,7 +120,7 @@ class HomeActions(ToolActions):
     def make_action(self, **values: Any) -> Any:
         return drifting_home.action_of(**values)
 
-    def formula(self) -> dict[str, Any]:
+    def choose_formula_arguments(self) -> dict[str, Any]:
         return {**drifting_home.USUAL, "report": bool(self._env.scripted_action()[-1] > 0)}
 
 
@@ -129,7 +129,7 @@ class LineActions(ToolActions):
 
     text = "a straight line with this rate and ramp; corrections from -1 to 1 change the data sheet's registers, 0 leaves them."
 
-    def arguments(self) -> dict[str, Any]:
+    def describe_arguments(self) -> dict[str, Any]:
         rates, ramps = ([float(end) for end in ends] for ends in (self._env.config.rates, self._env.config.ramps))
         size = self._env.action_space.shape[0] - 2
         return {
@@ -150,7 +150,7 @@ class LineActions(ToolActions):
             action[2:] = corrections
         return action
 
-    def formula(self) -> dict[str, Any]:
+    def choose_formula_arguments(self) -> dict[str, Any]:
         rate, ramp, *_ = self._env.scripted_action().astype(float)
         c = self._env.config
         return {"rate": from_log_scale(rate, c.rates), "ramp": from_log_scale(ramp, c.ramps)}
@@ -161,20 +161,20 @@ class MacroActions(ToolActions):
 
     text = "a phrase of bus cycles on the axis that is selected; what has no effect now is told as masked."
 
-    def arguments(self) -> dict[str, Any]:
+    def describe_arguments(self) -> dict[str, Any]:
         return {"macro": argument(choice(tuple(self._env.macros)), "the phrase")}
 
     def make_action(self, **values: Any) -> Any:
         return np.int64(self._env.macros.index(values["macro"]))
 
-    def formula(self) -> dict[str, Any]:
+    def choose_formula_arguments(self) -> dict[str, Any]:
         return {"macro": self._env.macros[int(self._env.scripted_action())]}
 
-    def idle(self) -> Any:
-        return np.int64(int(np.argmax(np.asarray(self._played.info["action_mask"]) == 0)))
+    def choose_idle_action(self) -> Any:
+        return np.int64(int(np.argmax(np.asarray(self._sequence.info["action_mask"]) == 0)))
 
-    def observation(self) -> dict[str, Any]:
-        answer = super().observation()
+    def name_observation(self) -> dict[str, Any]:
+        answer = super().name_observation()
         mask = answer["info"].pop("action_mask")
         answer["has_an_effect"] = [name for name, on in zip(self._env.macros, mask, strict=True) if on]
         return answer
@@ -188,14 +188,14 @@ KINDS: dict[str, type[ToolActions]] = {
 """Kind of actions by the name of the card."""
 
 
-def make_tool_actions(played: EpisodeSequence) -> ToolActions:
-    """Make the conversion for the task that is played. Raises ArgumentError for a task without one."""
-    if played.card.name in KINDS:
-        return KINDS[played.card.name](played)
-    if isinstance(played.env.action_space, gymnasium.spaces.Discrete) and hasattr(played.env, "macros"):
-        return MacroActions(played)
+def make_tool_actions(sequence: EpisodeSequence) -> ToolActions:
+    """Make the conversion for the task that is sequence. Raises ArgumentError for a task without one."""
+    if sequence.card.name in KINDS:
+        return KINDS[sequence.card.name](sequence)
+    if isinstance(sequence.env.action_space, gymnasium.spaces.Discrete) and hasattr(sequence.env, "macros"):
+        return MacroActions(sequence)
     raise ArgumentError(
-        f"Task {played.card.name}: its actions have no form as a tool yet; give it one in {__name__}.KINDS."
+        f"Task {sequence.card.name}: its actions have no form as a tool yet; give it one in {__name__}.KINDS."
     )
 
 

@@ -18,10 +18,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
+from registerbench.arena.game_session import MAX_TOKENS, Limits
 from registerbench.arena.games import Suite, suite
-from registerbench.arena.results import GameResult, RunHeader, SuiteResult, summarize_result
-from registerbench.arena.session import MAX_TOKENS, Limits
-from registerbench.versions import list_versions
+from registerbench.arena.suite_results import GameResult, RunHeader, SuiteResult, summarize_result
+from registerbench.package_versions import list_versions
 from stage.errors import ArgumentError
 from stage.support.files import FileError, check_writable
 from stage.support.foreign_files import open_regular, parse_json

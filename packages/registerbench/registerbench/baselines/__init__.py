@@ -1,4 +1,4 @@
-"""Methods that the benchmark measures: the formula, searches, learners, and what made docs/results.md and docs/benchmark.md."""
+"""Methods that the benchmark measures (the formula, searches, learners), and the programs that write its results pages."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def explain_interrupt(saved: str) -> Iterator[None]:
-    """Turn Ctrl-C into a message that says what was saved, and exit with code 130 as shells do.
+    """Turn Ctrl-C into a message that states what is saved, and exit with code 130 as shells do.
 
     Args:
-        saved: What remains of the work so far, as a sentence.
+        saved: Sentence that states which results are saved.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""Trains the shipped player "trained": tables of numbers that turn an observation into an action, by the cross-entropy method.
+"""Training of the shipped player "trained" by the cross-entropy method: tables of weights from an observation to an action.
 
 python -m registerbench.baselines.agent_policy --generations 12 -o trained.json
 """
@@ -14,16 +14,21 @@ import gymnasium
 import numpy as np
 
 import stage.envs  # noqa: F401 (registers the environments)
-from registerbench.arena.players.trained import FEATURES, compute_action, compute_features
-from registerbench.cards import CARDS
+from registerbench.arena.players.trained_policy import FEATURES, compute_action, compute_features
+from registerbench.task_cards import CARDS
 
 TABLES, EACH, ELITE = 24, 4, 6
-MACHINES = TABLES * EACH  # each table plays some
-FIRST = (0.2, 0.9, 0.1, -0.1)  # of the last column: start, drive, up, down, all a little slower than the formula
+MACHINES = TABLES * EACH  # each table plays EACH machines
+FIRST = (0.2, 0.9, 0.1, -0.1)  # first constants of start, drive, up and down, all a little slower than the formula
 
 
 def name_features(observation: np.ndarray, names: list[str]) -> dict[str, Any]:
-    """Return one observation by names, as a tool gives it to a player."""
+    """Return one observation by names, as a tool gives it to a player.
+
+    Args:
+        observation: Features of one machine.
+        names: Names of the features; several of one name become a list.
+    """
     values: dict[str, Any] = {}
     for name, value in zip(names, observation.tolist(), strict=True):
         values.setdefault(name, []).append(value)
@@ -31,13 +36,16 @@ def name_features(observation: np.ndarray, names: list[str]) -> dict[str, Any]:
 
 
 def compute_returns(envs: Any, kind: str, tables: np.ndarray, seed: int) -> np.ndarray:
-    """Compute the return of each table: the mean over an episode on each of some machines.
+    """Compute the return of each table: the mean over one episode on each of its machines.
 
     Args:
         envs: Vector environment.
-        kind: Of the task.
+        kind: Name of the task.
         tables: Weights, (tables, ...).
-        seed: Of the machines.
+        seed: Seed of the first machine.
+
+    Returns:
+        Mean returns, (tables,).
     """
     tables = np.repeat(tables, EACH, axis=0)
     names, total = [e.name for e in envs.observation_features], np.zeros(MACHINES)
@@ -53,8 +61,16 @@ def compute_returns(envs: Any, kind: str, tables: np.ndarray, seed: int) -> np.n
             return total.reshape(TABLES, EACH).mean(axis=1)
 
 
-def train_table(kind: str, generations: int, start: np.ndarray | None = None) -> np.ndarray:
-    """Train the table of a task."""
+def train_table(kind: str, generations: int) -> np.ndarray:
+    """Train the table of a task.
+
+    Args:
+        kind: Name of the task.
+        generations: Number of generations.
+
+    Returns:
+        Mean of the tables after the last generation, (actions, features + 1).
+    """
     card = CARDS[kind]
     vector: Any = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "Disabled"}
     envs = gymnasium.make_vec(card.id, MACHINES, **vector, **card.settings, split="train", truth="info").unwrapped

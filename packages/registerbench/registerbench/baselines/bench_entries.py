@@ -1,11 +1,11 @@
-"""Entries of players that do not learn, for the benchmark's tables; those that are there are not played again.
+"""Entries of players that do not learn, for the benchmark's tables. Entries that exist are not played again.
 
 python -m registerbench.baselines.bench_entries -o entries
 python -m registerbench.baselines.bench_entries -o entries --tasks few-shot-wide --round 2026-11
 python -m registerbench.baselines.bench_entries -o entries --tasks few-shot --splits train weak --players formula search tpe cma-es
 stage bench-table entries/*.bench
 
-tpe and cma-es are few_shot_optuna.py (extra `rl`). What draws is played in `--runs` runs.
+The players tpe and cma-es are in few_shot_optuna.py (extra `rl`). Players that draw at random play `--runs` runs.
 """
 
 from __future__ import annotations
@@ -16,37 +16,39 @@ from typing import Any
 
 import registerbench
 from registerbench.baselines import explain_interrupt
-from registerbench.cards import CARDS, OPEN_ROUND
 from registerbench.shipped_policies import TASK_PLAYERS
+from registerbench.task_cards import CARDS, OPEN_ROUND
 
 DRAWN = ("random",)
 OPTUNA = {"tpe": "Tpe", "cma-es": "CmaEs"}
 
 
-def write_entry(policy: Any, task: str, split: str, folder: Path, method: str, run: int, **how: Any) -> None:
+def write_entry(policy: Any, task: str, split: str, folder: Path, method: str, run: int, **settings: Any) -> None:
     """Play the test episodes of a split, write the entry, and print its scores.
 
     Args:
-        policy: As `play` takes it.
+        policy: Policy or player, as `registerbench.play` takes it.
         task: Name of a card.
-        split: Of its machines.
-        folder: For the file.
-        method: In the name of the file.
+        split: Split of the machines.
+        folder: Folder of the file.
+        method: Name of the method, a part of the file name.
         run: Number of the training run.
-        **how: Other arguments of `play`.
+        **settings: Other arguments of `registerbench.play`.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    entry = registerbench.play(policy, task, split, run=run, **how)
+    entry = registerbench.play(policy, task, split, run=run, **settings)
     entry.write(folder / f"{task}-{split}-{method}-{run}.bench", overwrite=True)
     print(f"{task} {split} {entry.player} {run}: return {entry.scores['return'].mean():.3f}", flush=True)
 
 
 def list_players(task: str) -> list[str]:
+    """List the players that do not learn and can play a task."""
     shipped = list(TASK_PLAYERS.get(task, {})) or ["scripted"]
     return ["random", *shipped, *(OPTUNA if task == "few-shot" else ())]
 
 
 def get_policy(player: str) -> Any:
+    """Return the policy of a player, as `registerbench.play` takes it."""
     return f"registerbench.baselines.few_shot_optuna:{OPTUNA[player]}" if player in OPTUNA else player
 
 
@@ -75,5 +77,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    with explain_interrupt("entries that are written are kept, and the same command goes on after them."):
+    with explain_interrupt("the entries written so far are saved, and the same command continues after them."):
         main()

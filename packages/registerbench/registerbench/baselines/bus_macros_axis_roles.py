@@ -1,12 +1,12 @@
-"""What a learner on `stage/BusMacros-v1` sees and says: axes by their role, not by their name; the mask behind; easier episodes.
+"""Observations and macros of `stage/BusMacros-v1` for learners: axes by their role instead of their name, and easier episodes.
 
-turn = Turn([entry.name for entry in envs.observation_features], envs.single_action_space.n)
-axis = turn.axis(seen)                     which axis is selected, (n,)
-turn.seen(seen, axis)                      what is seen of each axis, that of the selected one first
-turn.masks(masks, axis)                    likewise the macros that select one: the last ones
-turn.back(macros, axis)                    macros of the environment again
+roles = AxisRoles([entry.name for entry in envs.observation_features], envs.single_action_space.n)
+axis = roles.find_selected_axis(observation)    index of the selected axis, (n,)
+roles.reorder_observation(observation, axis)    features of the selected axis first
+roles.reorder_masks(masks, axis)                the same order for the masks of the last macros, which select an axis
+roles.restore_macros(macros, axis)              converts macros back to those of the environment
 
-To a host all axes are alike: what it has learned of one it can do with each.
+A host treats all axes alike, so a learner can apply what it has learned on one axis to each of them.
 """
 
 from __future__ import annotations
@@ -24,46 +24,82 @@ EASIER: dict[str, dict[tuple[str, int | None], float]] = {
     "axes": {("axes", 0): 0.4, ("axes", 64): 0.1, ("target", None): 0.1},
     "origin": {("axes", None): 0.2, ("axes", 0): 0.1, ("origin", 1): 0.3},
 }
-"""Of a level the shares of other episodes: their level, and how near one axis has its target: 0, there; 1, at its origin."""
+"""Shares of easier episodes by level: (their level, index of the easier target of one axis or None) -> share.
+
+Index 0 is a target at the present position, 1 a target at the origin.
+"""
 
 
 class AxisRoles:
+    """Conversion between the axes of BusMacros in their fixed order and in an order that begins with the selected axis.
+
+    Args:
+        names: Names of the features of an observation.
+        macros: Number of macros.
+    """
+
     def __init__(self, names: Sequence[str], macros: int):
         self.axes, self.at, self.macros = list(names).count("used"), list(names).index("used"), macros
         self.per = macros - self.axes
 
     def find_selected_axis(self, observation: np.ndarray) -> np.ndarray:
-        return self._of_axes(observation)[:, :, AXIS_FEATURES.index("selected")].argmax(axis=1)
+        """Return the index of the selected axis in each observation, (n,)."""
+        return self._get_axis_features(observation)[:, :, AXIS_FEATURES.index("selected")].argmax(axis=1)
 
     def reorder_observation(self, observation: np.ndarray, axis: np.ndarray) -> np.ndarray:
+        """Return observations in which the features of the selected axis come first.
+
+        Args:
+            observation: Observations, (n, features).
+            axis: Index of the selected axis, (n,).
+        """
         out, size = observation.copy(), len(AXIS_FEATURES) * self.axes
-        rolled = np.take_along_axis(self._of_axes(observation), self._order(axis)[:, :, None], axis=1)
+        rolled = np.take_along_axis(
+            self._get_axis_features(observation), self._list_axes_from_selected(axis)[:, :, None], axis=1
+        )
         out[:, self.at : self.at + size] = rolled.reshape(len(observation), size)
         return out
 
     def reorder_masks(self, masks: np.ndarray, axis: np.ndarray) -> np.ndarray:
+        """Return action masks in which the macros that select an axis are in the order of the reordered axes.
+
+        Args:
+            masks: Action masks, (n, macros).
+            axis: Index of the selected axis, (n,).
+        """
         out = masks.copy()
-        out[:, self.per :] = np.take_along_axis(masks[:, self.per :], self._order(axis), axis=1)
+        out[:, self.per :] = np.take_along_axis(masks[:, self.per :], self._list_axes_from_selected(axis), axis=1)
         return out
 
     def restore_macros(self, macros: np.ndarray, axis: np.ndarray) -> np.ndarray:
+        """Convert macros of the reordered axes to those of the environment.
+
+        Args:
+            macros: Indices of macros, (n,).
+            axis: Index of the selected axis, (n,).
+        """
         return np.where(macros < self.per, macros, self.per + (macros - self.per + axis) % self.axes)
 
-    def _of_axes(self, observation: np.ndarray) -> np.ndarray:
+    def _get_axis_features(self, observation: np.ndarray) -> np.ndarray:
         return observation[:, self.at : self.at + len(AXIS_FEATURES) * self.axes].reshape(
             len(observation), self.axes, len(AXIS_FEATURES)
         )
 
-    def _order(self, axis: np.ndarray) -> np.ndarray:
+    def _list_axes_from_selected(self, axis: np.ndarray) -> np.ndarray:
         """Return the axes of each row, the selected one first."""
         return (axis[:, None] + np.arange(self.axes)) % self.axes
 
 
 class AxisRolesVecEnv(VecEnvWrapper):
-    """A StageVecEnv of BusMacros, with axes by their role. behind: the mask is part of what is seen, at the end."""
+    """Wrapper of a StageVecEnv of BusMacros that orders the axes by their role.
+
+    Args:
+        envs: The environments.
+        append_mask: Whether the action mask is appended to the observation.
+    """
 
     def __init__(self, envs: Any, append_mask: bool):
-        self.turn, self.append_mask = (
+        self.axis_roles, self.append_mask = (
             AxisRoles([e.name for e in envs.envs.observation_features], envs.action_space.n),
             append_mask,
         )
@@ -71,40 +107,46 @@ class AxisRolesVecEnv(VecEnvWrapper):
         super().__init__(envs, gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float32))
         self.selected = np.zeros(envs.num_envs, np.int64)
 
-    def _turned(self, observation: np.ndarray, masks: np.ndarray) -> np.ndarray:
-        axis = self.turn.find_selected_axis(observation)
-        out = self.turn.reorder_observation(observation, axis)
+    def _reorder(self, observation: np.ndarray, masks: np.ndarray) -> np.ndarray:
+        axis = self.axis_roles.find_selected_axis(observation)
+        out = self.axis_roles.reorder_observation(observation, axis)
         return (
-            np.concatenate([out, self.turn.reorder_masks(masks, axis).astype(np.float32)], axis=1)
+            np.concatenate([out, self.axis_roles.reorder_masks(masks, axis).astype(np.float32)], axis=1)
             if self.append_mask
             else out
         )
 
-    def _now(self, observation: np.ndarray) -> np.ndarray:
-        self.selected = self.turn.find_selected_axis(observation)
-        return self._turned(observation, self.venv.envs.action_masks())  # type: ignore[attr-defined]
+    def _select_axis_and_reorder(self, observation: np.ndarray) -> np.ndarray:
+        self.selected = self.axis_roles.find_selected_axis(observation)
+        return self._reorder(observation, self.venv.envs.action_masks())  # type: ignore[attr-defined]
 
     def reset(self) -> np.ndarray:
-        return self._now(self.venv.reset())
+        return self._select_axis_and_reorder(self.venv.reset())
 
     def step_async(self, actions: np.ndarray) -> None:
-        self.venv.step_async(self.turn.restore_macros(np.asarray(actions), self.selected))
+        self.venv.step_async(self.axis_roles.restore_macros(np.asarray(actions), self.selected))
 
     def step_wait(self) -> Any:
         observation, rewards, ends, infos = self.venv.step_wait()
         for k in np.flatnonzero(ends):
             last, mask = infos[k]["terminal_observation"], np.asarray(infos[k]["action_mask"])
-            infos[k]["terminal_observation"] = self._turned(last[None], mask[None])[0]
-        return self._now(observation), rewards, ends, infos
+            infos[k]["terminal_observation"] = self._reorder(last[None], mask[None])[0]
+        return self._select_axis_and_reorder(observation), rewards, ends, infos
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
         if method_name != "action_masks":
             return self.venv.env_method(method_name, *args, indices=indices, **kwargs)
-        return list(self.turn.reorder_masks(self.venv.envs.action_masks(), self.selected))  # type: ignore[attr-defined]
+        return list(self.axis_roles.reorder_masks(self.venv.envs.action_masks(), self.selected))  # type: ignore[attr-defined]
 
 
 class MixedLevelsVecEnv(VecEnvWrapper):
-    """Episodes of a level with easier ones among them, by EASIER."""
+    """Wrapper that mixes easier episodes into those of a level, with the shares of EASIER.
+
+    Args:
+        envs: Environments of the level.
+        level: Name of the level.
+        seed: Seed of the draws.
+    """
 
     def __init__(self, envs: Any, level: str, seed: int):
         super().__init__(envs)
@@ -114,8 +156,8 @@ class MixedLevelsVecEnv(VecEnvWrapper):
     def reset(self) -> np.ndarray:
         return self.venv.reset()
 
-    def options(self) -> dict[str, Any] | None:
-        """Return the options of the next episode; None: one of the level itself."""
+    def draw_options(self) -> dict[str, Any] | None:
+        """Draw the options of the next episode; None stands for an episode of the level itself."""
         at = self.rng.random()
         for (level, near), share in self.shares.items():
             at -= share
@@ -128,7 +170,7 @@ class MixedLevelsVecEnv(VecEnvWrapper):
     def step_wait(self) -> Any:
         observation, rewards, ends, infos = self.venv.step_wait()
         for k in np.flatnonzero(ends):
-            if options := self.options():
+            if options := self.draw_options():
                 which = np.arange(self.num_envs) == k
                 observation[k] = self.venv.envs.reset(options={**options, "reset_mask": which})[0][k]  # type: ignore[attr-defined]
         return observation, rewards, ends, infos

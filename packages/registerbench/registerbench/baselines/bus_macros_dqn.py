@@ -1,4 +1,4 @@
-"""Double DQN with an action mask, for bus_macros_learners.py: what is masked is never tried, never the best, and worth nothing."""
+"""Double DQN with an action mask for bus_macros_learners.py: a masked action is never tried and never the best one."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import NStepReplayBuffer
 from stable_baselines3.dqn.policies import DQNPolicy, QNetwork
 
-REPLAY = 5  # macros of a return
-EXPLORES = 32_768  # steps of each level in which exploration falls
-AGAIN, LAST = 0.3, 0.03  # chance of a random macro where a later level begins, and at the end
+RETURN_STEPS = 5  # macros in an n-step return
+EXPLORATION_STEPS = 32_768  # in each level, within which the exploration rate falls
+LEVEL_START_RATE, FINAL_RATE = 0.3, 0.03  # chance of a random macro at the start of a later level, and at the end
 
 
 class MaskedNetwork(QNetwork):
-    """Network that gives a masked action so low a value that nothing chooses it; the mask is part of the observation."""
+    """Network that gives masked actions a value that is never the highest. The observation ends with the mask."""
 
     def forward(self, obs: Any) -> torch.Tensor:
         values = super().forward(obs)
@@ -24,23 +24,26 @@ class MaskedNetwork(QNetwork):
 
 
 class MaskedPolicy(DQNPolicy):
+    """DQN policy with a MaskedNetwork."""
+
     def make_q_net(self) -> QNetwork:
         args = self._update_features_extractor(self.net_args, features_extractor=None)
         return MaskedNetwork(**args).to(self.device)
 
 
 class MaskedDQN(DQN):
-    """Explores among what is not masked, with chances from `first` down to LAST within EXPLORES steps after `begun`.
+    """Double DQN that explores only among unmasked actions.
 
-    Double: the network says what is best next, the one before it what that is worth. So values grow less by their own noise.
+    The exploration rate falls from `first` to FINAL_RATE within EXPLORATION_STEPS steps after `level_start`. Double: the
+    network chooses the best next action, and the target network estimates its value, which reduces overestimation.
     """
 
     draw = np.random.default_rng(0)
     level_start, first = 0, 1.0
 
     def start_level(self) -> None:
-        """Another level begins."""
-        self.level_start, self.first = self.num_timesteps, AGAIN
+        """Raise the exploration rate at the start of another level."""
+        self.level_start, self.first = self.num_timesteps, LEVEL_START_RATE
 
     def train(self, gradient_steps: int, batch_size: int = 256) -> None:
         for _ in range(gradient_steps):
@@ -58,8 +61,8 @@ class MaskedDQN(DQN):
 
     def _on_step(self) -> None:
         super()._on_step()
-        done = (self.num_timesteps - self.level_start) / EXPLORES
-        self.exploration_rate = max(self.first + (LAST - self.first) * done, LAST)
+        progress = (self.num_timesteps - self.level_start) / EXPLORATION_STEPS
+        self.exploration_rate = max(self.first + (FINAL_RATE - self.first) * progress, FINAL_RATE)
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
@@ -76,9 +79,16 @@ class MaskedDQN(DQN):
         return actions, actions
 
 
-def dqn(envs: Any, gamma: float, seed: int) -> MaskedDQN:
+def make_dqn(envs: Any, gamma: float, seed: int) -> MaskedDQN:
+    """Make an untrained model.
+
+    Args:
+        envs: Environments whose observations end with the mask.
+        gamma: Discount of a macro.
+        seed: Seed of the network and of the exploration.
+    """
     MaskedDQN.draw = np.random.default_rng(seed)
-    replay = {"n_steps": REPLAY, "gamma": gamma, "handle_timeout_termination": False}  # out of macros is failed
+    replay = {"n_steps": RETURN_STEPS, "gamma": gamma, "handle_timeout_termination": False}  # a timeout is a failure
     return MaskedDQN(
         MaskedPolicy, envs, buffer_size=300_000, learning_starts=4_000, batch_size=256, learning_rate=5e-4, gamma=gamma,
         replay_buffer_class=NStepReplayBuffer, replay_buffer_kwargs=replay, train_freq=4, gradient_steps=envs.num_envs,

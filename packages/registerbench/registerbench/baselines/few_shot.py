@@ -1,16 +1,16 @@
-"""Few tries on a machine that nobody knows: what memory is worth, without learning.
+"""Worth of memory on an unknown machine with few attempts, measured with hosts that do not learn.
 
 python -m registerbench.baselines.few_shot
 python -m registerbench.baselines.few_shot --splits train heavy weak --machines 64
 
-A boldness b makes a move of it: the usual rates times b, the usual ramps divided by b. Three hosts choose it:
-usual    1, always
-fixed    the same number for every try of every machine: the one of BOLDNESS that did best on machines of the split train
-search   begins STEP below that number; bolder by STEP after a try that kept step by the encoder; after one that did not, half way
-         (by ratio) back to the boldest that did, until that is CLOSE, and by RETREAT where none did, or where what once did has
-         failed since: it needs to remember two numbers
+A boldness b stands for a move with the usual rates times b and the usual ramps divided by b. Three hosts choose it:
+usual    always chooses 1
+fixed    chooses the same number for every attempt on every machine: the best of BOLDNESS on machines of the split train
+search   begins STEP below that number. After an attempt that kept step by the encoder it is bolder by STEP. After an attempt that
+         lost steps it goes half way (by ratio) back to the boldest success, until that is CLOSE. It retreats by RETREAT if no
+         attempt has succeeded, or if a boldness that succeeded has failed since. It needs to remember two numbers
 The table has the mean sum of rewards of an episode, log(2 x usual time / proved cost) - damage, with its 95 % interval by the
-bootstrap; on how many machines something was proved; and the median proved cost there.
+bootstrap; the number of machines with a proved answer; and the median proved cost on these.
 """
 
 from __future__ import annotations
@@ -21,52 +21,65 @@ from collections.abc import Callable
 import gymnasium
 import numpy as np
 
+from registerbench.score_statistics import compute_interval
 from registerbench.shipped_policies import compute_bold_action
-from registerbench.statistics import compute_interval
 from stage.envs.contexts import SPLITS
 
 BOLDNESS = (1.0, 2.0, 2.5, 3.0, 3.2, 3.4, 3.6, 4.0, 5.0)
 STEP, CLOSE, RETREAT = 1.12, 1.1, 1.4
-TRAIN, TEST = 0, 1_000_000  # seeds of the machines that `fixed` was chosen on, and of those that it is judged on
+TRAIN, TEST = 0, 1_000_000  # first seeds of the machines on which `fixed` is chosen, and of those that test all hosts
 LANES = 16
 
-Host = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""(boldness of the try before, whether it kept step) of each machine -> boldness of the next."""
+BoldnessHost = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Function (boldness of the last attempt, whether it kept step) of all machines -> boldness of the next attempt, (machines,)."""
 
 
-def fixed(boldness: float) -> Callable[[int], Host]:
-    return lambda n: lambda before, in_step: np.full(n, boldness)
+def make_fixed_host(boldness: float) -> Callable[[int], BoldnessHost]:
+    return lambda machines: lambda last_boldness, in_step: np.full(machines, boldness)
 
 
-def search(first: float) -> Callable[[int], Host]:
-    """A host that remembers, of each machine, the boldest try that kept step and the tamest that did not."""
+def make_searching_host(first: float) -> Callable[[int], BoldnessHost]:
+    """Make a host that remembers the boldest success and the tamest failure of each machine.
 
-    def make_host(n: int) -> Host:
-        good, bad = np.full(n, np.nan), np.full(n, np.inf)
+    Args:
+        first: Boldness of the first attempt.
 
-        def choose(before: np.ndarray, in_step: np.ndarray) -> np.ndarray:
-            if np.isnan(before).all():
-                return np.full(n, first)
-            good[in_step] = np.fmax(good, before)[in_step]
-            bad[~in_step] = np.fmin(bad, before)[~in_step]
-            good[good >= bad] = np.nan  # it was luck
-            half = np.sqrt(good * bad)
-            known = np.where(np.isinf(bad), good * STEP, np.where(half > good * CLOSE, half, good))
-            return np.where(np.isnan(good), bad / RETREAT, known)
+    Returns:
+        Function that makes the host for a number of machines.
+    """
+
+    def make_host(machines: int) -> BoldnessHost:
+        boldest_success, tamest_failure = np.full(machines, np.nan), np.full(machines, np.inf)
+
+        def choose(last_boldness: np.ndarray, in_step: np.ndarray) -> np.ndarray:
+            if np.isnan(last_boldness).all():
+                return np.full(machines, first)
+            boldest_success[in_step] = np.fmax(boldest_success, last_boldness)[in_step]
+            tamest_failure[~in_step] = np.fmin(tamest_failure, last_boldness)[~in_step]
+            boldest_success[boldest_success >= tamest_failure] = np.nan  # the success was luck
+            half = np.sqrt(boldest_success * tamest_failure)
+            known = np.where(
+                np.isinf(tamest_failure),
+                boldest_success * STEP,
+                np.where(half > boldest_success * CLOSE, half, boldest_success),
+            )
+            return np.where(np.isnan(boldest_success), tamest_failure / RETREAT, known)
 
         return choose
 
     return make_host
 
 
-def play(host: Callable[[int], Host], split: str, machines: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def play_machines(
+    host: Callable[[int], BoldnessHost], split: str, machines: int, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Play an episode on each machine.
 
     Args:
-        host: Player.
-        split: Of the machines.
-        machines: Their number.
-        seed: Of the first.
+        host: Function that makes the host for a number of machines.
+        split: Split of the machines.
+        machines: Number of machines.
+        seed: Seed of the first machine.
 
     Returns:
         Sums of rewards, and proved cost / usual time, (machines,) each.
@@ -97,13 +110,17 @@ def main() -> None:
     )
     parser.add_argument("--machines", type=int, default=32, metavar="N", help="how many")
     args = parser.parse_args()
-    scores = [play(fixed(b), "train", args.machines, TRAIN)[0].mean() for b in BOLDNESS]
+    scores = [play_machines(make_fixed_host(b), "train", args.machines, TRAIN)[0].mean() for b in BOLDNESS]
     best = BOLDNESS[int(np.argmax(scores))]
     print(f"on the split train, boldness {best:g} is the best of {', '.join(f'{b:g}' for b in BOLDNESS)}")
     print("| split | host | sum of rewards | proved | cost, usual times |\n|---|---|---|---|---|")
     for split in args.splits:
-        for name, host in {"usual": fixed(1.0), "fixed": fixed(best), "search": search(best / STEP)}.items():
-            totals, costs = play(host, split, args.machines, TEST)
+        for name, host in {
+            "usual": make_fixed_host(1.0),
+            "fixed": make_fixed_host(best),
+            "search": make_searching_host(best / STEP),
+        }.items():
+            totals, costs = play_machines(host, split, args.machines, TEST)
             low, high = compute_interval(totals, statistic=np.mean)
             proved = np.isfinite(costs)
             median = f"{np.median(costs[proved]):.3f}" if proved.any() else "-"

@@ -1,12 +1,12 @@
-"""PPO on `stage/FewShotTuning-v1`, with a memory and without one: what memory is worth to a learner from scratch.
+"""PPO on `stage/FewShotTuning-v1` with and without memory: the worth of memory to a learner from scratch.
 
 python -m registerbench.baselines.few_shot_learners learn none --seed 0 -o runs
 python -m registerbench.baselines.few_shot_learners learn recurrent --seed 0 -o runs
 python -m registerbench.baselines.few_shot_learners submit runs/recurrent-0.zip -o entries --splits train weak
 
-none       PPO that sees the distance and how many tries are left, so that each try is as if it were the first
-all        PPO that sees every try of the episode in its observation (memory="all")
-recurrent  recurrent PPO (an LSTM) that sees the last try alone (memory="last") and remembers the others itself
+none       PPO that observes only the distance and the number of attempts left, so it knows nothing of earlier attempts
+all        PPO that observes every attempt of the episode (memory="all")
+recurrent  recurrent PPO (an LSTM) that observes only the last attempt (memory="last") and remembers the others itself
 
 `learn` writes the policy and its curve, a CSV with a row a batch. `submit` plays the test episodes of splits and packs them, see
 docs/benchmark.md. Needs the extra `rl`.
@@ -26,16 +26,16 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
-from registerbench.baselines.learner_support import EpisodeRecorder, LearningCurve, make_parser, read_cost, save
+from registerbench.baselines.learner_support import EpisodeRecorder, LearningCurve, make_parser, read_cost, save_policy
 from stage.envs.sb3 import StageVecEnv
 
 ID, TASK = "stage/FewShotTuning-v1", "few-shot"
 METHODS = {"none": "last", "all": "all", "recurrent": "last"}
-"""Of a method the setting `memory` of its environment."""
+"""Setting `memory` of the environment by method."""
 VISIBLE_FEATURES = {"none": ("distance", "left")}
-"""Entries of the observation that a method sees, where not all."""
+"""Features that a method observes, if not all."""
 STEPS, LANES, BATCH = 16_384, 16, 512
-PROOFS = 2  # of training, which are cheaper; the test has the task's own number
+PROOFS = 2  # in training, to make it cheaper; tests use the task's own number
 SETTINGS: dict[str, Any] = {
     "n_steps": BATCH // LANES, "batch_size": 128, "n_epochs": 10, "learning_rate": 1e-3, "gamma": 1.0, "gae_lambda": 0.95,
     "device": "cpu",
@@ -47,18 +47,23 @@ NETS: dict[str, dict[str, Any]] = {
 }
 
 
-def columns(method: str, names: Any) -> np.ndarray:
-    """Return the numbers of an observation that the method sees.
+def find_visible_columns(method: str, names: Any) -> np.ndarray:
+    """Return the indices of the features that a method observes.
 
     Args:
         method: Name of the method.
-        names: Of the observation's features.
+        names: Names of all features of an observation.
     """
     return np.array([k for k, name in enumerate(names) if name in VISIBLE_FEATURES.get(method, names)])
 
 
 class SelectedColumns(VecEnvWrapper):
-    """Some columns of the observations."""
+    """Wrapper that keeps only some columns of the observations.
+
+    Args:
+        envs: The environments.
+        which: Indices of the columns.
+    """
 
     def __init__(self, envs: Any, which: np.ndarray):
         super().__init__(envs, gymnasium.spaces.Box(-1.0, 1.0, (len(which),), np.float32))
@@ -76,20 +81,35 @@ class SelectedColumns(VecEnvWrapper):
 
 
 def learn(method: str, seed: int, steps: int, folder: Path) -> None:
+    """Train a policy from scratch, and write it and its learning curve.
+
+    Args:
+        method: Name of the method.
+        seed: Seed of the run.
+        steps: Number of attempts.
+        folder: Folder of the files.
+    """
     torch.set_num_threads(1)
     raw = StageVecEnv(ID, LANES, threads=1, memory=METHODS[method], proofs=PROOFS)
-    envs = EpisodeRecorder(SelectedColumns(raw, columns(method, [e.name for e in raw.envs.observation_features])))
+    envs = EpisodeRecorder(
+        SelectedColumns(raw, find_visible_columns(method, [e.name for e in raw.envs.observation_features]))
+    )
     kind: Any = RecurrentPPO if method == "recurrent" else PPO
     policy = "MlpLstmPolicy" if method == "recurrent" else "MlpPolicy"
     model = kind(policy, envs, seed=seed, policy_kwargs=NETS[method], **SETTINGS)
     path = folder / f"{method}-{seed}"
     model.learn(steps, callback=LearningCurve(path.with_suffix(".csv"), BATCH))
     envs.close()
-    save(model, path, steps)
+    save_policy(model, path, steps)
 
 
 class FewShotPolicy:
-    """A learner's policy, for registerbench."""
+    """Learned policy on FewShotTuning, for `registerbench.play`.
+
+    Args:
+        method: Name of the method.
+        path: File of the model.
+    """
 
     def __init__(self, method: str, path: Path):
         self.method = method
@@ -97,7 +117,7 @@ class FewShotPolicy:
         self.model = kind.load(path, device="cpu")
 
     def reset(self, context: Any) -> None:
-        self.which, self.state = columns(self.method, context.feature_names), None
+        self.which, self.state = find_visible_columns(self.method, context.feature_names), None
 
     def __call__(self, observation: np.ndarray, info: Any) -> np.ndarray:
         begins = np.array([self.state is None])
@@ -106,15 +126,25 @@ class FewShotPolicy:
 
 
 def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> None:
+    """Play the test episodes of each split with a policy, and write the entries.
+
+    Args:
+        path: Policy that `learn` wrote.
+        splits: Names of the splits.
+        tasks: Not used: there is one task.
+        folder: Folder of the entries.
+    """
     torch.set_num_threads(1)
     method, run = path.stem.split("-")
     for split in splits:
-        how = {"settings": {"memory": METHODS[method]}, "name": f"ppo, memory {method}", "cost": read_cost(path)}
-        write_entry(FewShotPolicy(method, path), TASK, split, folder, f"ppo-{method}", int(run), **how)
+        settings = {"settings": {"memory": METHODS[method]}, "name": f"ppo, memory {method}", "cost": read_cost(path)}
+        write_entry(FewShotPolicy(method, path), TASK, split, folder, f"ppo-{method}", int(run), **settings)
 
 
 if __name__ == "__main__":
     parser = make_parser(__doc__, tuple(METHODS), STEPS, learn, submit, (TASK,))
     args = parser.parse_args()
-    with explain_interrupt("the curve so far, and what was written before; the same command learns the run anew."):
+    with explain_interrupt(
+        "the curve so far and earlier files are saved; the same command learns the whole run again."
+    ):
         args.run(args)

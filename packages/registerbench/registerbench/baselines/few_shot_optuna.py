@@ -1,11 +1,11 @@
-"""Optuna's samplers as hosts of `stage/FewShotTuning-v1`: each machine is a study of eight trials.
+"""Optuna's samplers as policies on `stage/FewShotTuning-v1`: each machine is a study of eight trials.
 
 stage bench-submit registerbench.baselines.few_shot_optuna:Tpe --name "Optuna TPE" -o tpe.bench
 python -m registerbench.baselines.bench_entries -o entries --players tpe cma-es
 
-A study begins at the formula's answer for the nominal machine with the heaviest load. Two factors on it are chosen: of the top
-rate, and of the ramps. A try costs its seconds; one that did not keep step by the encoder twice the usual ones, which is the
-most that a try may take. Needs the extra `rl`.
+A study begins at the formula's answer for the nominal machine with the heaviest load. It chooses two factors on this answer: one
+for the top rate, and one for the ramps. The cost of an attempt is its duration. An attempt that lost steps by the encoder costs
+twice the usual duration, which is the longest permitted one. Needs the extra `rl`.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ from stage.envs.few_shot import action_of
 from stage.tune.formula import Load, compute_speeds
 
 RANGES = {"rates": (0.5, 2.0), "ramps": (0.4, 2.5)}
-HEAVIEST = 5.5  # kg, of the split train with the margin
+MAX_PAYLOAD_KG = 5.5  # heaviest payload of the split train, with the margin
 
 
 class OptunaPolicy:
-    """A study an episode."""
+    """Policy that runs a study of Optuna in each episode."""
 
     def __init__(self) -> None:
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        self.load = Load.from_axis(Stage("xyz", visuals=False).axes["x"]).add_mass(HEAVIEST)
+        self.load = Load.from_axis(Stage("xyz", visuals=False).axes["x"]).add_mass(MAX_PAYLOAD_KG)
         self.episode = 0
 
-    def sampler(self, seed: int) -> optuna.samplers.BaseSampler:
+    def make_sampler(self, seed: int) -> optuna.samplers.BaseSampler:
+        """Make the sampler of a study."""
         raise NotImplementedError
 
     def reset(self, context: Any) -> None:
@@ -41,7 +42,7 @@ class OptunaPolicy:
         for k, name in enumerate(context.feature_names):
             where.setdefault(name, []).append(k)
         self.kept_indices, self.duration = where["kept"], where["duration"]
-        self.study = optuna.create_study(sampler=self.sampler(self.episode))
+        self.study = optuna.create_study(sampler=self.make_sampler(self.episode))
         self.study.enqueue_trial({"rates": 1.0, "ramps": 1.0})
         self.space = {n: optuna.distributions.FloatDistribution(*r, log=True) for n, r in RANGES.items()}
         self.trial: Any = None
@@ -59,10 +60,14 @@ class OptunaPolicy:
 
 
 class Tpe(OptunaPolicy):
-    def sampler(self, seed: int) -> optuna.samplers.BaseSampler:
+    """Policy with the tree-structured Parzen estimator."""
+
+    def make_sampler(self, seed: int) -> optuna.samplers.BaseSampler:
         return optuna.samplers.TPESampler(seed=seed, n_startup_trials=3)
 
 
 class CmaEs(OptunaPolicy):
-    def sampler(self, seed: int) -> optuna.samplers.BaseSampler:
+    """Policy with CMA-ES."""
+
+    def make_sampler(self, seed: int) -> optuna.samplers.BaseSampler:
         return optuna.samplers.CmaEsSampler(seed=seed, popsize=4, n_startup_trials=1)

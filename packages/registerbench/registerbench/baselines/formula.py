@@ -1,9 +1,10 @@
-"""The engineer's answer: registers from data sheets, without a single trial.
+"""An engineer's answer: registers from data sheets, without a single trial.
 
 python -m registerbench.baselines.formula --payload 10
 
-stage/tune/formula.py says how: mass, friction and thrust give rates and ramps. Here they become registers, by the chip's data
-sheet: of a PCL-240 R1, R2, R4, R5, R7, R6 (`firmware.Profile`), of other families their own (`stage.firmware.driver`).
+stage/tune/formula.py computes rates and ramps from mass, friction and thrust. This module converts them to registers by the
+chip's data sheet: R1, R2, R4, R5, R7 and R6 of a PCL-240 (`firmware.Profile`), or those of other families
+(`stage.firmware.driver`).
 """
 
 from __future__ import annotations
@@ -13,20 +14,31 @@ import numpy as np
 from registerbench.baselines.move_tuning import MoveTuning, format_answer, make_parser
 from stage.tune.formula import SAFETY_FACTOR, Load, compute_registers, plan_profile
 
-FACTORS = np.arange(2.0, 0.99, -0.05)  # safety factors that `boldest` tries
+SAFETY_FACTORS = np.arange(2.0, 0.99, -0.05)  # safety factors that `try_safety_factors` tries
 
 
-def search(moves: MoveTuning, seed: int = 0, safety: float = SAFETY_FACTOR) -> None:
-    """Make one move: the formula's."""
-    moves.make_actions(
+def make_formula_move(moves: MoveTuning, seed: int = 0, safety: float = SAFETY_FACTOR) -> None:
+    """Make the one move of the formula.
+
+    Args:
+        moves: Move that is tuned.
+        seed: Not used: the formula has no chance.
+        safety: Pull-out thrust divided by the thrust that the move uses.
+    """
+    moves.make_moves_of_actions(
         moves.registers.to_action(compute_registers(moves.axis, moves.distance, safety, s_curve=False))[None]
     )
 
 
-def boldest(moves: MoveTuning, seed: int = 0) -> None:
-    """Try the formula with one safety factor after the other, as an engineer with a machine does."""
-    for factor in FACTORS:
-        search(moves, safety=float(factor))
+def try_safety_factors(moves: MoveTuning, seed: int = 0) -> None:
+    """Make the formula's move with one safety factor after the other, as an engineer with a machine does.
+
+    Args:
+        moves: Move that is tuned.
+        seed: Not used: the formula has no chance.
+    """
+    for factor in SAFETY_FACTORS:
+        make_formula_move(moves, safety=float(factor))
 
 
 def main() -> None:
@@ -37,7 +49,7 @@ def main() -> None:
         load = Load.from_axis(moves.axis)
         print(f"moves {load.mass:.2f} kg, rotor and screw included; pull-in {load.pull_in_rate:.0f} pps")
         print(plan_profile(load, args.distance, args.safety))
-        search(moves, safety=args.safety)
+        make_formula_move(moves, safety=args.safety)
     print(
         format_answer(moves.log, moves.registers.names, args.payload, args.distance, args.chip, args.model, args.margin)
     )

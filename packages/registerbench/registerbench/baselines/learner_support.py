@@ -1,4 +1,4 @@
-"""What the learners of the benchmark's tasks share: their curves, and their command line."""
+"""Parts that the learners of the benchmark's tasks share: learning curves, and the command line."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 
 
 class EpisodeRecorder(VecEnvWrapper):
-    """Notes the sum of rewards and the success of each episode."""
+    """Wrapper that records the sum of rewards and the success of each episode in `done`."""
 
     def __init__(self, envs: Any):
         super().__init__(envs)
@@ -36,7 +36,14 @@ class EpisodeRecorder(VecEnvWrapper):
 
 
 class LearningCurve(BaseCallback):
-    """A row of the curve each `every` steps: steps, processor seconds, episodes, their mean sum of rewards and success."""
+    """Callback that writes a row of the learning curve each `every` steps.
+
+    A row has the steps, the processor seconds, and the number, mean return and success rate of the episodes since the last row.
+
+    Args:
+        path: CSV file.
+        every: Number of steps between two rows.
+    """
 
     NAMES = ("steps", "processor_s", "episodes", "return", "success")
 
@@ -61,27 +68,36 @@ class LearningCurve(BaseCallback):
 
 
 def read_cost(policy: Path) -> dict[str, float]:
-    """Return what a policy took to learn, from its curve: moves, and processor seconds."""
+    """Read from the learning curve of a policy how many moves and processor seconds its training took."""
     with policy.with_suffix(".csv").open() as file:
         *_, last = csv.DictReader(file)
     return {"moves": float(last["steps"]), "processor_s": float(last["processor_s"])}
 
 
-def compute_wilson_interval(won: int, of: int, z: float = 1.96) -> tuple[float, float]:
-    """Compute the share of successes and its interval by Wilson's score.
+def compute_wilson_interval(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
+    """Compute Wilson's score interval of a success rate.
 
     Args:
-        won: Successes.
-        of: Trials.
-        z: Of the normal distribution; 1.96 for 95 %.
+        successes: Number of successes.
+        trials: Number of trials.
+        z: Quantile of the normal distribution; 1.96 for 95 %.
+
+    Returns:
+        Lower and upper end, 0 to 1.
     """
-    share, more = won / of, z * z / of
-    half = z * np.sqrt(share * (1 - share) / of + more / (4 * of))
+    share, more = successes / trials, z * z / trials
+    half = z * np.sqrt(share * (1 - share) / trials + more / (4 * trials))
     return float((share + more / 2 - half) / (1 + more)), float((share + more / 2 + half) / (1 + more))
 
 
-def save(model: Any, path: Path, steps: int) -> None:
-    """Save a policy to a file of the learner's own, and the cost of its learning beside it."""
+def save_policy(model: Any, path: Path, steps: int) -> None:
+    """Save a model as a ZIP file, and print its path.
+
+    Args:
+        model: Model of Stable-Baselines3.
+        path: File without its suffix.
+        steps: Number of steps of its training.
+    """
     model.save(path.with_suffix(".zip"))
     print(f"{path}.zip: {steps} steps", flush=True)
 
@@ -96,17 +112,17 @@ def make_parser(
     levels: Sequence[str] = (),
     evaluate: Callable[[Path], None] | None = None,
 ) -> argparse.ArgumentParser:
-    """Return the parser of a learner: `learn METHOD`, `submit POLICY`, and `evaluate POLICY` where there is one.
+    """Make the parser of a learner with the commands `learn METHOD`, `submit POLICY` and, if given, `evaluate POLICY`.
 
     Args:
         doc: Description of the program.
-        methods: Names.
-        steps: Of learning; for a learner with levels, a factor of the steps of each.
-        learn: Called for `learn`.
-        submit: Called for `submit`.
-        tasks: Of the bench.
-        levels: Names, easiest first.
-        evaluate: Called for `evaluate`, or None.
+        methods: Names of the methods.
+        steps: Default number of steps; for a learner with levels, default factor on the steps of each level.
+        learn: Function for `learn`.
+        submit: Function for `submit`.
+        tasks: Names of the cards that `submit` can play.
+        levels: Names of the levels, the easiest first; empty for a learner without levels.
+        evaluate: Function for `evaluate`, or None.
     """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)

@@ -1,17 +1,17 @@
-"""Learning curves of every task of the bench, from scratch: learns them, keeps the raw runs, draws one picture.
+"""Learning curves of every task of the benchmark: runs the learners from scratch, packs their raw data, and draws one picture.
 
-python -m registerbench.baselines.learning_curves learn -o runs                  some hours of a processor; what is there is kept
-python -m registerbench.baselines.learning_curves learn -o quick --quick         a run and a generation of each task, some minutes
-python -m registerbench.baselines.learning_curves draw                           picture and table, from the published runs
-python -m registerbench.baselines.learning_curves draw --runs runs               from one's own, which are packed beside it
+python -m registerbench.baselines.learning_curves learn -o runs                  some hours of a processor; skips finished runs
+python -m registerbench.baselines.learning_curves learn -o quick --quick         one run and generation of each task, some minutes
+python -m registerbench.baselines.learning_curves draw                           picture and table of the published runs
+python -m registerbench.baselines.learning_curves draw --runs runs               packs and draws your own runs
 
-one-shot, few-shot, few-shot-wide, home, line   CMA-ES on a small rule, rule_learners.py. At each point its middle has played 32
-          test episodes, by which nothing is chosen: the interquartile mean of their returns, with its interval by the bootstrap
-          over whole runs and episodes
-bus       DQN with masks, bus_macros_learners.py: at each point the share of 64 machines of train, on which it does not learn,
-          that it solves: none before a run has come to a level, and a run that is done with it stays where it is. The interval
-          is by the bootstrap over runs
-Lines across are players that do not learn, on the same test episodes (data/entries). Needs the extras `rl` and `plot`.
+one-shot, few-shot, few-shot-wide, home, line   CMA-ES on a small rule, rule_learners.py. A point is the interquartile mean of
+          the returns of 32 test episodes with CMA-ES's mean, with its interval by the bootstrap over whole runs and episodes.
+          Nothing is chosen by these episodes
+bus       DQN with masks, bus_macros_learners.py. A point is the share of 64 machines of the split train, on which it does not
+          learn, that the policy solves. It is 0 before a run has reached a level, and constant after the level has ended. The
+          interval is by the bootstrap over runs
+Horizontal lines are players that do not learn, on the same test episodes (data/entries). Needs the extras `rl` and `plot`.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ import numpy as np
 
 import registerbench
 from registerbench.baselines import explain_interrupt
-from registerbench.cards import OPEN_ROUND
-from registerbench.statistics import compute_interval, compute_iqm
+from registerbench.score_statistics import compute_interval, compute_iqm
+from registerbench.task_cards import OPEN_ROUND
 from stage.support import pictures
 
 DOCS = Path(__file__).parents[2] / "docs"
 DATA, PICTURE = DOCS / "data" / "learning_curves.csv.gz", DOCS / "pictures" / "learning_curves.png"
-EPISODES = 32  # of a point
+EPISODES = 32  # test episodes of a point
 COLUMNS = ("task", "player", "run", "steps", "processor_s", "episode", "return", "success")
 RUNS = {"one-shot": 5, "few-shot": 5, "few-shot-wide": 10, "home": 5, "line": 5}
 BUS = {"origin": range(5)}
-"""Seeds of each level at which a curriculum ends; what ends at a later one has been through those before."""
+"""Seeds by the last level of the curriculum."""
 PANELS = {
     "one-shot": "T1 OneShotTuning", "few-shot": "T2 FewShotTuning, the best try counts",
     "few-shot-wide": "T2 FewShotTuning, wide, the last try counts", "home": "T3 DriftingHome", "bus": "T4 BusMacros",
@@ -46,7 +46,7 @@ PANELS = {
 OTHERS = {"formula": "-.", "scripted": "-.", "search": "--", "random": ":"}
 
 
-def learn(folder: Path, tasks: list[str], quick: bool) -> None:
+def learn_missing_runs(folder: Path, tasks: list[str], quick: bool) -> None:
     from registerbench.baselines import rule_learners as rules
 
     for task in (t for t in RUNS if t in tasks):
@@ -62,7 +62,7 @@ def learn(folder: Path, tasks: list[str], quick: bool) -> None:
 
 
 def collect_rows(folder: Path) -> Iterator[tuple]:
-    """Rows of all runs of a folder."""
+    """Yield the rows of all runs in a folder, with COLUMNS."""
     for path in sorted(folder.glob("*.csv")):
         with path.open() as file:
             rows = list(csv.DictReader(file))
@@ -77,14 +77,14 @@ def collect_rows(folder: Path) -> Iterator[tuple]:
                 yield "bus", level, run, r["steps"], r["processor_s"], "", r["return"], r["success"]
 
 
-def pack(folder: Path, path: Path) -> None:
+def pack_runs(folder: Path, path: Path) -> None:
     with path.open("wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
         text = "\n".join(",".join(map(str, row)) for row in (COLUMNS, *collect_rows(folder)))
         file.write((text + "\n").encode())
 
 
-def read(path: Path) -> dict[str, dict[str, dict[str, list[dict]]]]:
-    """Rows of each run of each player of each task."""
+def read_runs(path: Path) -> dict[str, dict[str, dict[str, list[dict]]]]:
+    """Read packed runs: task -> player -> run -> rows."""
     rows_by_task: dict[str, Any] = {}
     with gzip.open(path, "rt") as file:
         for row in csv.DictReader(file):
@@ -95,7 +95,15 @@ def read(path: Path) -> dict[str, dict[str, dict[str, list[dict]]]]:
 
 
 def collect_points(runs: dict[str, list[dict]], what: str = "return") -> tuple[np.ndarray, np.ndarray]:
-    """Return steps, and returns (or another column) of all runs and episodes there, (points, runs, episodes)."""
+    """Collect the points of a learning curve.
+
+    Args:
+        runs: Rows of each run of one player.
+        what: Name of the column.
+
+    Returns:
+        Mean steps of the runs, (points,), and values, (points, runs, episodes).
+    """
     every = []
     for rows in runs.values():
         at: dict[int, list[float]] = {}
@@ -108,14 +116,29 @@ def collect_points(runs: dict[str, list[dict]], what: str = "return") -> tuple[n
 
 
 def interpolate_levels(runs: dict[str, list[dict]]) -> tuple[np.ndarray, np.ndarray]:
-    """Steps, and the share that is solved by each run there, (points, runs, 1): none before a run has come to the level."""
+    """Interpolate the curves of BusMacros; a run has a share of 0 before it reaches the level.
+
+    Args:
+        runs: Rows of each run.
+
+    Returns:
+        Steps, (points,), and the share of solved machines, (points, runs, 1).
+    """
     curves = [np.array([(float(r["steps"]), float(r["success"])) for r in rows]).T for rows in runs.values()]
     at = np.unique(np.concatenate([c[0] for c in curves]))
     return at, np.stack([np.interp(at, *c, left=0.0) for c in curves], axis=1)[:, :, None]
 
 
 def read_other_players(task: str, episodes: int) -> dict[str, dict[str, np.ndarray]]:
-    """Return the scores of players that do not learn, on the test episodes of the curves."""
+    """Read the published scores of players that do not learn.
+
+    Args:
+        task: Name of a card.
+        episodes: Number of test episodes, from the first.
+
+    Returns:
+        Scores, (episodes,), by player and name of the score.
+    """
     scores_by_player = {}
     published = registerbench.read_entries(DOCS / "data" / "entries" / f"{task}.zip")
     for name in OTHERS:
@@ -126,13 +149,18 @@ def read_other_players(task: str, episodes: int) -> dict[str, dict[str, np.ndarr
 
 
 def format_spread(values: np.ndarray, of: Any = compute_iqm) -> str:
-    """Compute the IQM of returns, (runs, episodes), or another figure, with its interval."""
+    """Format the interquartile mean, or another statistic, with its 95 % interval.
+
+    Args:
+        values: Values, (runs, episodes).
+        of: Function that computes the statistic.
+    """
     low, high = compute_interval(values, statistic=of)
     return f"{of(values):.3f} ({low:.3f} to {high:.3f})"
 
 
 def format_table(rows_by_task: dict[str, dict[str, dict[str, list[dict]]]]) -> str:
-    """Markdown: what learners with test episodes reach at each point of their curves, and those who do not learn."""
+    """Format a Markdown table of the points of all curves that play test episodes, and of players that do not learn."""
     heads = (
         "task",
         "player",
@@ -193,8 +221,8 @@ def draw_panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) ->
     ax.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
 
 
-def draw(data: Path, picture: Path) -> None:
-    rows_by_task = read(data)
+def draw_curves(data: Path, picture: Path) -> None:
+    rows_by_task = read_runs(data)
     tasks = [task for task in PANELS if task in rows_by_task]
     columns = min(len(tasks), 3)
     rows = -(-len(tasks) // columns)
@@ -216,14 +244,14 @@ def main() -> None:
     p.add_argument("--tasks", nargs="+", choices=PANELS, default=list(PANELS))
     p.add_argument("--quick", action="store_true", help="a run and a generation of each")
     p.add_argument("-o", "--out", type=Path, required=True, metavar="FOLDER")
-    p.set_defaults(run=lambda a: learn(a.out, a.tasks, a.quick))
+    p.set_defaults(run=lambda a: learn_missing_runs(a.out, a.tasks, a.quick))
     p = commands.add_parser("draw")
-    p.add_argument("--runs", type=Path, metavar="FOLDER", help="of `learn`; they are packed into --data")
+    p.add_argument("--runs", type=Path, metavar="FOLDER", help="folder of `learn`, whose runs are packed into --data")
     p.add_argument("--data", type=Path, default=DATA, metavar="FILE.csv.gz")
     p.add_argument("--picture", type=Path, default=PICTURE, metavar="FILE.png")
-    p.set_defaults(run=lambda a: (a.runs and pack(a.runs, a.data), draw(a.data, a.picture)))
+    p.set_defaults(run=lambda a: (a.runs and pack_runs(a.runs, a.data), draw_curves(a.data, a.picture)))
     args = parser.parse_args()
-    with explain_interrupt("runs that are done are kept, and the same command goes on after them."):
+    with explain_interrupt("the finished runs are saved, and the same command continues after them."):
         args.run(args)
 
 

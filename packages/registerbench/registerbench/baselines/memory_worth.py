@@ -1,14 +1,14 @@
-"""What memory can be worth on FewShotTuning at most: every machine is tried at every boldness, and hosts are played on that table.
+"""Upper limit of the worth of memory on FewShotTuning: every machine is tried at every boldness, and hosts play on that table.
 
 python -m registerbench.baselines.memory_worth
 python -m registerbench.baselines.memory_worth --tasks few-shot-wide --machines 128
 
-With a table of boldness.py, of machines of train
-knows     has the best boldness of each machine: nobody is better
-blind     eight numbers, the same for all machines, the best that a search from STARTS places finds: it looks at nothing
-looks     the rule with memory of rules.py, its numbers by CMA-ES
-Of each the mean sum of rewards. What is chosen is chosen on the same machines, so each figure flatters. Needs the package cmaes
-(extra `rl`).
+The hosts play on a table of boldness_table.py, with machines of the split train:
+knows     knows the best boldness of each machine: no host can be better
+blind     uses the same eight numbers for all machines, the best that a search from STARTS sequences finds; it observes nothing
+looks     uses the rule with memory of rule_policies.py, whose numbers CMA-ES has found
+The printed figure is the mean sum of rewards of each. The numbers are chosen on the same machines, so each figure is
+optimistic. Needs the package cmaes (extra `rl`).
 """
 
 from __future__ import annotations
@@ -22,11 +22,13 @@ from registerbench.baselines import explain_interrupt
 from registerbench.baselines.boldness_table import BOLDNESS, BoldnessTable, learn_rule, measure_boldness_table
 from registerbench.baselines.rule_policies import ATTEMPTS, RememberingRule
 
-FROM, STARTS = 2000, 6
+FIRST_SEED, STARTS = 2000, 6
 
 
 def search_blindly(table: BoldnessTable) -> float:
-    def mean(attempts: list[int]) -> float:
+    """Return the highest mean reward of a fixed sequence of attempts, found by coordinate search from STARTS random sequences."""
+
+    def compute_mean_reward(attempts: list[int]) -> float:
         return float(table.sum_rewards(np.array(attempts)[:, None]).mean())
 
     rng, best = np.random.default_rng(0), -np.inf
@@ -34,8 +36,8 @@ def search_blindly(table: BoldnessTable) -> float:
         attempts, value, better = rng.integers(0, len(BOLDNESS), ATTEMPTS).tolist(), -np.inf, True
         while better:
             others = [[*attempts[:j], b, *attempts[j + 1 :]] for j in range(ATTEMPTS) for b in range(len(BOLDNESS))]
-            attempts = max(others, key=mean)
-            value, better = mean(attempts), mean(attempts) > value
+            attempts = max(others, key=compute_mean_reward)
+            value, better = compute_mean_reward(attempts), compute_mean_reward(attempts) > value
         best = max(best, value)
     return best
 
@@ -49,11 +51,11 @@ def main() -> None:
     args = parser.parse_args()
     print("| machines of | answer | knows | blind | looks |\n|---|---|---|---|---|")
     for task in args.tasks:
-        measured = measure_boldness_table(task, FROM, args.machines)
+        measured = measure_boldness_table(task, FIRST_SEED, args.machines)
         for last in (False, True):
             table = replace(measured, last=last)
-            remembering = table.play(
-                RememberingRule, RememberingRule.numbers(learn_rule(RememberingRule, table, 0))
+            remembering = table.play_rule(
+                RememberingRule, RememberingRule.scale_numbers(learn_rule(RememberingRule, table, 0))
             ).mean()
             print(
                 f"| {task} | {'the last try' if last else 'the best try'} | {table.worth.max(axis=0).mean():.3f} "
@@ -63,5 +65,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    with explain_interrupt("rows above are whole, nothing else is kept."):
+    with explain_interrupt("the rows above are complete; nothing else is saved."):
         main()

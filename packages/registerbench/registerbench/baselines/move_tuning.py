@@ -1,14 +1,14 @@
-"""One move that searches tune: making it with chosen registers, the log of moves, the proof of the best, and the command line.
+"""One move that searches tune: the moves with chosen registers, their log, the proof of the best ones, and the command line.
 
-The task is `stage/RegisterTuning-v0` with one distance and one payload, as on a bench: each move begins at another angle of the
-rotor, and its payload varies by up to 3 %. A move is an episode of one step, and a budget is a number of moves. A method
+The task is `stage/RegisterTuning-v0` with one distance and one payload, as on a test bench: each move begins at another angle of
+the rotor, and its payload varies by up to 3 %. A move is an episode of one step, and a budget is a number of moves. A method
 chooses an array in [-1, 1]^n, in one of two spaces:
 
 registers   the action of the environment: R1, R2, R4, R5, R6 and R7 of a PCL-240, each over its legal range
-knobs       factors on the formula's answer, where 0 means 1: FL, FH and acceleration, with a PCL-240 also deceleration and
-            ramp-down point; the chip's formulas turn them into registers (formula_knobs.py)
+knobs       factors on the formula's answer, where 0 means a factor of 1: FL, FH and acceleration, for a PCL-240 also deceleration
+            and ramp-down point; the chip's formulas convert them to registers (formula_knobs.py)
 
-Any chip that has a driver (`stage.firmware.driver`) can be tuned, for example with --chip MCX514.
+Any chip with a host driver (`stage.firmware.driver`) can be tuned, for example with --chip MCX514.
 """
 
 from __future__ import annotations
@@ -29,28 +29,30 @@ from stage.envs.register_tuning import RegisterTuning
 from stage.envs.registers import RegisterBox
 from stage.firmware.driver import get_driver
 
-DISTANCE = 32_000  # pulses, 100 mm on the default stage
+DISTANCE = 32_000  # pulses; 100 mm on the default stage
 PAYLOADS = {"light": 0.5, "heavy": 10.0}  # kg on the table of the X axis
-TURN = 64  # pulses of an electrical turn: distances vary by so many, and places by half as many, more and less
-TOLERANCE = 0.03  # of the payload
-LIMIT = 1.0  # s, a move may take; twice what the formula needs
+TURN = 64  # pulses of an electrical turn: distances vary by up to +-TURN, starting positions by up to +-TURN / 2
+TOLERANCE = 0.03  # share by which the payload varies
+LIMIT = 1.0  # s, longest duration of a move; twice what the formula needs
 BUDGET = 1_024  # moves
 LANES = 16  # moves made at once
 CHIP, MODEL = "PCL240K", "xyz"
-CANDIDATES, REPEATS, PROOF_SEED = 100, 48, 99  # a method's best moves that are tried again, and how often each
-MARGIN = 0.5  # kg: a proof's moves have from none to so much beyond the payload
-MAX_HOLDING = 5  # moves that hold, of which the best by its mean reward is the answer
+CANDIDATES, REPEATS, PROOF_SEED = 100, 48, 99  # number of best moves that a proof repeats, and repetitions of each
+MARGIN = 0.5  # kg: the moves of a proof carry from 0 to MARGIN beyond the payload
+MAX_HOLDING = 5  # moves that hold in their proof, of which the answer is the one with the highest mean reward
 SPACES = ("registers", "knobs")
 
 
 class BothDirectionsTuning(RegisterTuning):
-    """RegisterTuning in which every second machine moves in the minus direction; it tests answers, and no method plays it."""
+    """RegisterTuning in which every second machine moves in the minus direction; used to test answers, not to find them."""
 
     def draw_distance(self, k: int, options: Mapping[str, Any]) -> int:
         return super().draw_distance(k, options) * (-1 if k % 2 else 1)
 
 
 class BothDirectionsVectorEnv(StageVectorEnv):
+    """Vector environment of BothDirectionsTuning."""
+
     task = BothDirectionsTuning
 
 
@@ -65,7 +67,7 @@ class MoveLog:
         vibration: Peak-to-peak vibration after the stop, m.
         kept_step: Whether the move lost no step and made all its pulses.
         registers: Values of the tuned registers.
-        drawn: Distance in pulses, payload in kg, and angle of the rotor in electrical turns.
+        drawn: Randomly drawn distance in pulses, payload in kg, and angle of the rotor in electrical turns.
     """
 
     reward: list[float] = field(default_factory=list)
@@ -95,7 +97,7 @@ class MoveLog:
 
 
 class MoveTuning:
-    """One move with one payload, made again and again with other registers, `lanes` moves at a time.
+    """Move with one payload that is repeated with other registers, `lanes` moves at a time.
 
     Args:
         payload: Mass on the table, kg.
@@ -103,18 +105,18 @@ class MoveTuning:
         space: "registers" or "knobs".
         distance: Length of the move, pulses.
         lanes: Number of moves made at once.
-        seed: Seed of the draws.
+        seed: Seed of distances, payloads and rotor angles.
         chip: Name of the chip.
         model: Name of the model.
-        more: Mass that may come on top of the payload at random, kg.
-        min_distance: Pulses from which distances are drawn; None: nearly equal distances.
+        max_extra_kg: Largest random mass on top of the payload, kg.
+        min_distance: Shortest random distance, pulses; None: nearly equal distances.
         both_directions: Whether every second lane moves in the minus direction.
 
     Attributes:
         log: Moves so far.
-        size: Length of a choice.
+        size: Number of values in a choice.
         env: Vector environment.
-        registers: Its tuned registers.
+        registers: Registers that are tuned.
         axis: Axis that carries exactly the payload, for formulas.
     """
 
@@ -128,7 +130,7 @@ class MoveTuning:
         seed: int = 0,
         chip: str = CHIP,
         model: str = MODEL,
-        more: float = 0.0,
+        max_extra_kg: float = 0.0,
         min_distance: int | None = None,
         both_directions: bool = False,
     ):
@@ -138,7 +140,7 @@ class MoveTuning:
             "chip": chip,
             "s_curve": False,
             "distances": (min_distance or distance - TURN, distance + TURN),
-            "payloads": (payload * (1 - TOLERANCE), (payload + more) * (1 + TOLERANCE)),
+            "payloads": (payload * (1 - TOLERANCE), (payload + max_extra_kg) * (1 + TOLERANCE)),
             "moves": budget + lanes,
             "limit": LIMIT,
         }
@@ -148,7 +150,7 @@ class MoveTuning:
             else gymnasium.make_vec("stage/RegisterTuning-v0", lanes, "vector_entry_point", **settings)
         )
         self._seed = 1000 * seed
-        self.begin()
+        self.restart()
         nominal = Stage(model, chips=chip_class(chip))
         nominal.set_payload(payload, self.env.unwrapped.task_instance.carrier)
         self.axis = nominal.axes["x"]
@@ -158,17 +160,17 @@ class MoveTuning:
         self.knobs = FormulaKnobs(self.axis, distance) if space == "knobs" else None
         self.size = len(self.knobs.ranges) if self.knobs else len(self.registers)
 
-    def begin(self) -> None:
-        """Empty the log, and begin the same draws again."""
+    def restart(self) -> None:
+        """Empty the log, and restart the random draws with the same seed."""
         self.log = MoveLog()
         self.observation, _ = self.env.reset(seed=self._seed)
 
     @property
-    def left(self) -> int:
-        """Number of moves that may still be made."""
+    def moves_left(self) -> int:
+        """Number of moves left in the budget."""
         return self.budget - len(self.log)
 
-    def make(self, choices: np.ndarray) -> np.ndarray:
+    def make_moves(self, choices: np.ndarray) -> np.ndarray:
         """Make a move for each of up to `lanes` choices.
 
         Args:
@@ -179,21 +181,28 @@ class MoveTuning:
         """
         choices = np.clip(np.asarray(choices, float), -1, 1)
         if self.knobs:
-            choices = np.stack([self.registers.to_action(self.knobs.registers(row)) for row in choices])
-        return self.make_actions(choices)
+            choices = np.stack([self.registers.to_action(self.knobs.compute_registers(row)) for row in choices])
+        return self.make_moves_of_actions(choices)
 
-    def make_actions(self, actions: np.ndarray) -> np.ndarray:
-        """Make a move for each of the environment's actions, (k, registers), and return the rewards, (k,)."""
-        n = min(len(actions), self.left)
+    def make_moves_of_actions(self, actions: np.ndarray) -> np.ndarray:
+        """Make a move for each action of the environment.
+
+        Args:
+            actions: Actions, (k, registers).
+
+        Returns:
+            Rewards, (k,); NaN beyond the budget.
+        """
+        n = min(len(actions), self.moves_left)
         rewards = np.full(len(actions), np.nan)
         if n:
             rows = np.resize(actions[:n].astype(np.float32), (self.lanes, len(self.registers)))
             self.observation, new_rewards, _, _, info = self.env.step(rows)
             rewards[:n] = new_rewards[:n]
-            self._note(new_rewards[:n], info, n)
+            self._log_moves(new_rewards[:n], info, n)
         return rewards
 
-    def _note(self, rewards: np.ndarray, info: dict[str, Any], n: int) -> None:
+    def _log_moves(self, rewards: np.ndarray, info: dict[str, Any], n: int) -> None:
         parts = info["reward_parts"]
         kept_step = (parts["lost"] == 0) & (parts["limit"] == 0) & (info["cause"] != "diverged")
         columns = rewards, info["duration"], info["lost_steps"], info["vibration"], kept_step, info["registers"]
@@ -211,7 +220,7 @@ class MoveTuning:
         self.close()
 
 
-def prove(
+def prove_rows(
     rows: Sequence[Sequence[int]],
     payload: float,
     distance: int = DISTANCE,
@@ -221,10 +230,10 @@ def prove(
     margin: float = 0.0,
     needed: int = 1,
 ) -> list[MoveLog]:
-    """Make several moves with each row of registers, one row after the other, until `needed` rows hold.
+    """Repeat moves with each row of registers, one row after the other, until `needed` rows hold.
 
-    A row holds if it loses no step in `repeats` moves from different rotor angles, with up to `margin` kg more. The moves are
-    the same for all rows; a row ends with its first lost step.
+    A row holds if it loses no step in `repeats` moves from different rotor angles, with up to `margin` kg more. All rows make the
+    same moves; a row ends with its first lost step.
 
     Args:
         rows: Rows of registers.
@@ -234,33 +243,33 @@ def prove(
         chip: Name of the chip.
         model: Name of the model.
         margin: Mass beyond the payload, kg.
-        needed: Number of rows that have to hold.
+        needed: Number of rows that must hold.
 
     Returns:
-        The moves of each row that was tried.
+        The moves of each row that was repeated.
     """
     proofs: list[MoveLog] = []
     with MoveTuning(
-        payload, repeats, "registers", distance, seed=PROOF_SEED, chip=chip, model=model, more=margin
+        payload, repeats, "registers", distance, seed=PROOF_SEED, chip=chip, model=model, max_extra_kg=margin
     ) as moves:
         for row in rows:
-            moves.begin()
+            moves.restart()
             action = moves.registers.to_action(np.array(row))
-            while moves.left and all(moves.log.kept_step):
-                moves.make_actions(np.tile(action, (moves.lanes, 1)))
+            while moves.moves_left and all(moves.log.kept_step):
+                moves.make_moves_of_actions(np.tile(action, (moves.lanes, 1)))
             proofs.append(moves.log)
             if sum(all(log.kept_step) for log in proofs) == needed:
                 break
     return proofs
 
 
-def best(proofs: Sequence[MoveLog]) -> int | None:
+def find_best_proof(proofs: Sequence[MoveLog]) -> int | None:
     """Return the index of the row that holds with the highest mean reward in its proof; None if none holds."""
     holding = [k for k, log in enumerate(proofs) if all(log.kept_step)]
     return max(holding, key=lambda k: float(np.mean(proofs[k].reward)), default=None)
 
 
-def answer(
+def choose_answer(
     rows: Sequence[Sequence[int]],
     payload: float,
     distance: int = DISTANCE,
@@ -281,10 +290,10 @@ def answer(
         margin: Mass beyond the payload, kg.
 
     Returns:
-        Of the first MAX_HOLDING rows that hold, the index of the best and the moves of its proof; None if none holds.
+        Index of the best of the first MAX_HOLDING rows that hold, and the moves of its proof; None if no row holds.
     """
-    proofs = prove(rows, payload, distance, repeats, chip, model, margin, MAX_HOLDING)
-    which = best(proofs)
+    proofs = prove_rows(rows, payload, distance, repeats, chip, model, margin, MAX_HOLDING)
+    which = find_best_proof(proofs)
     return None if which is None else (which, proofs[which])
 
 
@@ -297,28 +306,38 @@ def format_answer(
     model: str = MODEL,
     margin: float = MARGIN,
 ) -> str:
-    """Format the answer of a method as one line; see `answer`."""
+    """Choose the answer of a method by `choose_answer`, and format it as one line.
+
+    Args:
+        log: Moves of the method.
+        names: Names of the registers.
+        payload: Mass on the table, kg.
+        distance: Length of the move, pulses.
+        chip: Name of the chip.
+        model: Name of the model.
+        margin: Mass beyond the payload, kg.
+    """
     candidates = log.ranking[:CANDIDATES]
     rows = [log.registers[k] for k in candidates]
-    proven = answer(rows, payload, distance, chip=chip, model=model, margin=margin) if rows else None
+    proven = choose_answer(rows, payload, distance, chip=chip, model=model, margin=margin) if rows else None
     if proven is None:
-        failed = f"none of the best {len(candidates)} does so again and again"
+        failed = f"none of the best {len(candidates)} keeps step in every repetition"
         return f"{len(log)} moves, {np.mean(log.kept_step):.0%} kept step; {failed}"
     k, again = candidates[proven[0]], proven[1]
     registers = " ".join(f"{n}={v}" for n, v in zip(names, log.registers[k], strict=True))
     return (
         f"{len(log)} moves, {np.mean(log.kept_step):.0%} kept step. "
-        f"Best that did in {len(again)} more with up to {margin:g} kg more: number {k + 1}, "
+        f"Best that kept step in {len(again)} repetitions with up to {margin:g} kg more: number {k + 1}, "
         f"{np.mean(again.duration):.4f} s, {np.mean(again.vibration) * 1e6:.1f} um vibration; {registers}"
     )
 
 
-def run(doc: str | None, searches: Mapping[str, Callable[[MoveTuning, int], None]]) -> None:
-    """Run the command line of searches: make the moves of one of them, and print the best.
+def run_command_line(doc: str | None, searches: Mapping[str, Callable[[MoveTuning, int], None]]) -> None:
+    """Run the command line of a module of searches: run one search, and print its answer.
 
     Args:
         doc: Description of the program.
-        searches: By name.
+        searches: Functions (moves, seed) by name.
     """
     parser = make_parser(doc)
     parser.add_argument("search", choices=searches)
@@ -336,20 +355,20 @@ def make_parser(doc: str | None, searches: bool = True, chips: bool = True) -> a
 
     Args:
         doc: Description of the program.
-        searches: Whether the program searches, and so has the options budget, seed and space.
+        searches: Whether to add the options --budget, --seed and --space of a search.
         chips: Whether the chip is an option.
     """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--payload", type=float, default=PAYLOADS["light"], metavar="KG", help="on the table")
-    parser.add_argument("--distance", type=int, default=DISTANCE, metavar="PULSES", help="of the move")
+    parser.add_argument("--payload", type=float, default=PAYLOADS["light"], metavar="KG", help="mass on the table")
+    parser.add_argument("--distance", type=int, default=DISTANCE, metavar="PULSES", help="length of the move")
     if chips:
         parser.add_argument("--chip", choices=CHIPS, default=CHIP)
-    parser.add_argument("--model", default=MODEL, metavar="NAME", help="of the stage, or an MJCF file")
+    parser.add_argument("--model", default=MODEL, metavar="NAME", help="model of the stage, or an MJCF file")
     parser.add_argument(
-        "--margin", type=float, default=MARGIN, metavar="KG", help="that the proof has beyond the payload"
+        "--margin", type=float, default=MARGIN, metavar="KG", help="largest mass beyond the payload in the proof"
     )
     if searches:
-        parser.add_argument("--budget", type=int, default=BUDGET, metavar="N", help="moves")
+        parser.add_argument("--budget", type=int, default=BUDGET, metavar="N", help="number of moves")
         parser.add_argument("--seed", type=int, default=0)
-        parser.add_argument("--space", choices=SPACES, default="knobs", help="what is chosen")
+        parser.add_argument("--space", choices=SPACES, default="knobs", help="space of the choices")
     return parser

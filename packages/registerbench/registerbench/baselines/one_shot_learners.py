@@ -3,9 +3,9 @@
 python -m registerbench.baselines.one_shot_learners learn sac --seed 0 -o runs
 python -m registerbench.baselines.one_shot_learners submit runs/one-shot_sac-0.zip -o entries
 
-Both learn from scratch what each distance and payload can bear; what is submitted is the policy at the end, at its mean. Learning
-has cheaper settings than the tests, as rule_learners.py. Nothing was chosen by test episodes. `learn` writes the policy and its
-curve, a CSV with a row each BATCH moves. Needs the extra `rl`.
+Both learn rates and ramps for each distance and payload from scratch. `submit` plays the mean action of the final policy. Training
+has cheaper settings than the tests, like rule_learners.py. Nothing was chosen by test episodes. `learn` writes the policy and its
+curve, a CSV file with a row for each BATCH moves. Needs the extra `rl`.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from stable_baselines3 import PPO, SAC
 
 from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
-from registerbench.baselines.learner_support import EpisodeRecorder, LearningCurve, make_parser, read_cost, save
+from registerbench.baselines.learner_support import EpisodeRecorder, LearningCurve, make_parser, read_cost, save_policy
 from registerbench.baselines.training_envs import CHEAPER_SETTINGS
 from stage.envs.sb3 import StageVecEnv
 
 ID, TASK = "stage/OneShotTuning-v1", "one-shot"
 KINDS: dict[str, Any] = {"ppo": PPO, "sac": SAC}
 STEPS, LANES, BATCH = 4_096, 16, 512
-SPREAD = -0.7  # logarithm of the first choices' standard deviation
+SPREAD = -0.7  # logarithm of the standard deviation of the first choices
 SETTINGS: dict[str, dict[str, Any]] = {
     "ppo": {"n_steps": BATCH // LANES, "batch_size": 128, "n_epochs": 10, "policy_kwargs": {"log_std_init": SPREAD}},
     "sac": {
@@ -40,6 +40,14 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 
 def learn(method: str, seed: int, steps: int, folder: Path) -> None:
+    """Train a policy from scratch, and write it and its learning curve.
+
+    Args:
+        method: "ppo" or "sac".
+        seed: Seed of the run.
+        steps: Number of moves.
+        folder: Folder of the files.
+    """
     torch.set_num_threads(1)
     envs = EpisodeRecorder(StageVecEnv(ID, LANES, threads=1, **CHEAPER_SETTINGS[TASK]))
     settings = {**SETTINGS[method], "learning_rate": 1e-3, "seed": seed, "device": "cpu"}
@@ -50,11 +58,16 @@ def learn(method: str, seed: int, steps: int, folder: Path) -> None:
     path = folder / f"{TASK}_{method}-{seed}"
     model.learn(steps, callback=LearningCurve(path.with_suffix(".csv"), BATCH))
     envs.close()
-    save(model, path, steps)
+    save_policy(model, path, steps)
 
 
 class OneShotPolicy:
-    """A learner's policy, for registerbench."""
+    """Learned policy on OneShotTuning, for `registerbench.play`.
+
+    Args:
+        method: "ppo" or "sac".
+        path: File of the model.
+    """
 
     def __init__(self, method: str, path: Path):
         self.model = KINDS[method].load(path, device="cpu")
@@ -64,6 +77,14 @@ class OneShotPolicy:
 
 
 def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> None:
+    """Play the test episodes of each split with a policy, and write the entries.
+
+    Args:
+        path: Policy that `learn` wrote.
+        splits: Names of the splits.
+        tasks: Not used: there is one task.
+        folder: Folder of the entries.
+    """
     torch.set_num_threads(1)
     method, run = path.stem.partition("_")[2].split("-")
     for split in splits:
@@ -75,5 +96,7 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> Non
 if __name__ == "__main__":
     parser = make_parser(__doc__, tuple(KINDS), STEPS, learn, submit, (TASK,))
     args = parser.parse_args()
-    with explain_interrupt("the curve so far, and what was written before; the same command learns the run anew."):
+    with explain_interrupt(
+        "the curve so far and earlier files are saved; the same command learns the whole run again."
+    ):
         args.run(args)

@@ -1,8 +1,8 @@
 """Comparison of all baselines: runs every method with its budget and seeds, for a light and a heavy payload, and writes the page.
 
-python -m registerbench.baselines.results                  docs/results.md, which says how long it takes, with picture and data
-python -m registerbench.baselines.results --draw           page and picture again, from data/results.parquet; seconds
-python -m registerbench.baselines.results --quick --out build/results      without PPO and SAC, 64 moves, one payload
+python -m registerbench.baselines.results                  writes docs/results.md, which states the duration, picture and data
+python -m registerbench.baselines.results --draw           writes page and picture from data/results.parquet in seconds
+python -m registerbench.baselines.results --quick --out build/results      no PPO and SAC, 64 moves, one payload
 python -m registerbench.baselines.results --model xy --payload 2 5 --out build/results
 
 Needs the extras `rl`, `plot` and `data`.
@@ -21,6 +21,20 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from registerbench.baselines import formula
+from registerbench.baselines.method_runs import (
+    BOLDEST,
+    EXTRA_PAYLOADS_KG,
+    FORMULA,
+    METHODS,
+    MIN_DISTANCE,
+    NEW_MOVES,
+    QUICK_METHODS,
+    SHORTER_MOVES,
+    TEST_CONTEXTS,
+    Method,
+    MethodRun,
+    MethodRuns,
+)
 from registerbench.baselines.move_tuning import (
     CANDIDATES,
     DISTANCE,
@@ -32,27 +46,13 @@ from registerbench.baselines.move_tuning import (
     REPEATS,
     TOLERANCE,
 )
-from registerbench.baselines.runs import (
-    BOLDEST,
-    CONTEXTS,
-    FORMULA,
-    HEAVIER,
-    METHODS,
-    MIN_DISTANCE,
-    NEW,
-    QUICK,
-    SHORTER,
-    Method,
-    MethodRun,
-    MethodRuns,
-)
-from registerbench.statistics import compute_interval, compute_iqm
+from registerbench.score_statistics import compute_interval, compute_iqm
 from stage import Stage, firmware
 from stage.firmware.move_report import Report, compute_rates
 from stage.support.pictures import remove_frame, set_title
 
-BUDGET, SEEDS = 256, 10  # moves a seed; fewer seeds say nothing of who beats whom
-MM = 3.125e-3  # of a pulse
+BUDGET, SEEDS = 256, 10  # moves for each seed; fewer seeds allow no verdict
+MM = 3.125e-3  # travel for one pulse, mm
 DOCS = Path(__file__).parents[2] / "docs"
 DRAWN = [m for m in METHODS if m.space == "knobs"]
 
@@ -65,7 +65,16 @@ def get_power_up_state(model: str) -> tuple[Stage, Any]:
 
 
 def repeat_move(registers: dict[str, int], payload: float, model: str = MODEL) -> Report:
-    """Make the move of an answer with the procedures of `stage.firmware`, and return its report with the waveform."""
+    """Repeat the move of an answer with `stage.firmware`.
+
+    Args:
+        registers: Registers of the answer by name.
+        payload: Mass on the table, kg.
+        model: Name of the model.
+
+    Returns:
+        The report with the waveform.
+    """
     stage, begin = get_power_up_state(model)
     stage.restore(begin)
     stage.set_payload(payload)
@@ -82,7 +91,12 @@ def select_runs(runs: list[MethodRun], payload: str, method: Method) -> list[Met
 
 
 def format_spread(values: list[float], form: str) -> str:
-    """Format the IQM, with its 95 % interval if there are several runs."""
+    """Format the interquartile mean, with its 95 % interval if there are several runs.
+
+    Args:
+        values: Value of each run; NaN for a run without an answer.
+        form: Format specification of a number.
+    """
     known = [v for v in values if v == v]
     if not known:
         return "none"
@@ -92,12 +106,17 @@ def format_spread(values: list[float], form: str) -> str:
 
 
 def count_losses(runs: list[MethodRun], context: str) -> str:
-    """Format the number of moves that lost steps in all tests, and the number of answers with such a move."""
-    lost = [r.count_lost(context) for r in runs if r.test]
+    """Format the number of moves that lost steps in all tests, and the number of answers with such a move.
+
+    Args:
+        runs: Runs of one method and payload.
+        context: Name of the test context.
+    """
+    lost = [r.count_lost(context) for r in runs if r.test_logs]
     if not lost:
         return "none"
     some = f", {np.count_nonzero(lost)} of {len(lost)} answers" if any(lost) and len(lost) > 1 else ""
-    return f"{sum(lost)} of {len(lost) * CONTEXTS[context].moves}{some}"
+    return f"{sum(lost)} of {len(lost) * TEST_CONTEXTS[context].moves}{some}"
 
 
 def format_table(runs: list[MethodRun], payload: str) -> list[str]:
@@ -113,13 +132,13 @@ def format_table(runs: list[MethodRun], payload: str) -> list[str]:
         none = sum(r.answer is None for r in rs)
         some = f", {none} of {len(rs)} found none" if none else ""
         lines.append(
-            f"| {method.name} | {len(rs[0].search)} | {'-' if method.fixed else len(rs)} "
+            f"| {method.name} | {len(rs[0].search_log)} | {'-' if method.fixed_moves else len(rs)} "
             f"| {format_spread([r.compute_mean('reward') for r in rs], '.1f')}{some} "
             f"| {format_spread([r.compute_mean('duration') for r in rs], '.1f')} "
             f"| {format_spread([r.compute_mean('vibration') for r in rs], '.0f')} "
-            f"| {count_losses(rs, NEW)} | {count_losses(rs, SHORTER)} "
+            f"| {count_losses(rs, NEW_MOVES)} | {count_losses(rs, SHORTER_MOVES)} "
             f"| {format_spread([r.spare_payload for r in rs], '.1f')} "
-            f"| {np.mean([r.kept_share for r in rs]):.0%} | {format_spread([r.lucky_moves for r in rs], '.0f')} |"
+            f"| {np.mean([r.kept_step_share for r in rs]):.0%} | {format_spread([r.lucky_moves for r in rs], '.0f')} |"
         )
     return lines
 
@@ -139,7 +158,14 @@ class GainOverFormula(NamedTuple):
 
 
 def compute_gain(runs: list[MethodRun], base: MethodRun, name: str, kept_step: bool = False) -> GainOverFormula:
-    """Compute the IQM of the gain in `reward` or `duration` over the runs that found an answer."""
+    """Compute the interquartile mean of the gain over the runs that found an answer.
+
+    Args:
+        runs: Runs of one method and payload.
+        base: Run of the formula.
+        name: "reward" or "duration".
+        kept_step: Whether to leave out the moves that lost steps.
+    """
     sign = 1 if name == "reward" else -1
     values = sign * np.array([r.compute_mean(name, kept_step) - base.compute_mean(name, kept_step) for r in runs])
     known = values[~np.isnan(values)]
@@ -171,13 +197,19 @@ def compute_gains(
 
 
 def describe_verdict(runs: list[MethodRun], payload: str, against: Method) -> str:
-    """Describe in a paragraph which methods beat the formula."""
+    """Describe in a paragraph which methods beat a formula.
+
+    Args:
+        runs: All runs.
+        payload: Name of the payload.
+        against: FORMULA or BOLDEST.
+    """
     (base,) = select_runs(runs, payload, against)
     if base.answer is None:
         return f"**{payload}**: {against.name} found no move that can be repeated."
     every = compute_gains(runs, payload, against)
 
-    def named(which: int, beats: bool, loses: bool) -> str:
+    def list_names(which: int, beats: bool, loses: bool) -> str:
         some = [m.name for m, g in every.items() if (g[which].beats, g[which].loses) == (beats, loses)]
         return ", ".join(some) or "none"
 
@@ -186,9 +218,10 @@ def describe_verdict(runs: list[MethodRun], payload: str, against: Method) -> st
     return (
         f"**{payload}, against {against.name}** ({base.compute_mean('reward'):.1f} ms, "
         f"time {base.compute_mean('duration'):.1f} ms): "
-        f"by reward it is beaten by {named(0, True, False)}; better than {named(0, False, True)}; open: {named(0, False, False)}. "
-        f"In time it is beaten by {named(1, True, False)}; better than {named(1, False, True)}; "
-        f"open: {named(1, False, False)}.{alone}"
+        f"by reward it is beaten by {list_names(0, True, False)}; better than {list_names(0, False, True)}; "
+        f"open: {list_names(0, False, False)}. "
+        f"In time it is beaten by {list_names(1, True, False)}; better than {list_names(1, False, True)}; "
+        f"open: {list_names(1, False, False)}.{alone}"
     )
 
 
@@ -210,7 +243,7 @@ def format_comparison(runs: list[MethodRun], payloads: dict[str, float]) -> list
 
 def describe_reward_excess(runs: list[MethodRun]) -> str:
     """Describe by how much the rewards in proofs exceed those in tests, leaving out the formula."""
-    excesses = [r.reward_excess for r in runs if r.test and r.method != FORMULA.name]
+    excesses = [r.reward_excess for r in runs if r.test_logs and r.method != FORMULA.name]
     (formula_excess, *_) = [r.reward_excess for r in runs if r.method == FORMULA.name]
     return (
         f"In its proof, by which it was\nchosen, an answer had {np.mean(excesses):.0f} ms more reward than in its test (median "
@@ -220,8 +253,8 @@ def describe_reward_excess(runs: list[MethodRun]) -> str:
 
 
 def describe_price_of_losses(runs: list[MethodRun]) -> str:
-    """Describe what a lost step costs, by the new moves that lost steps."""
-    logs = [r.test[NEW] for r in runs if r.test]
+    """Describe how much reward a lost step costs, from the new moves that lost steps."""
+    logs = [r.test_logs[NEW_MOVES] for r in runs if r.test_logs]
     lost = [(log.reward[k], log.drawn[k][0]) for log in logs for k in np.flatnonzero(~np.array(log.kept_step))]
     if not lost:
         return "Here no new move lost a step."
@@ -230,8 +263,8 @@ def describe_price_of_losses(runs: list[MethodRun]) -> str:
         f"Of the {len(lost)} new moves that lost steps {back} went in\n"
         "  the other direction, which no search and no proof has tried. Such a move has a reward of "
         f"{reward:.0f} s on average, 5 of them the price and\n  most of the rest its shaking: one in "
-        f"{CONTEXTS[NEW].moves} takes {-1e3 * reward / CONTEXTS[NEW].moves:.0f} ms off a mean. So losses, rare as they are, decide "
-        "who is ahead by reward."
+        f"{TEST_CONTEXTS[NEW_MOVES].moves} takes {-1e3 * reward / TEST_CONTEXTS[NEW_MOVES].moves:.0f} ms off a mean. So losses, "
+        "rare as they are, decide who is ahead by reward."
     )
 
 
@@ -254,11 +287,12 @@ def format_page(all_: MethodRuns) -> str:
         made_by=format_command(all_), distance=DISTANCE, mm=DISTANCE * MM, payloads=payloads, budget=all_.budget, seeds=all_.seeds,
         limit=LIMIT, tables="\n".join(tables), verdicts="\n".join(verdicts),
         comparison="\n".join(format_comparison(runs, payloads_)),
-        versions=versions, minutes=all_.took / 60, moves=sum(len(r.search) for r in runs),
-        more=sum(len(log) for r in runs for log in (*r.proofs.values(), *r.test.values())), safety=formula.SAFETY_FACTOR,
+        versions=versions, minutes=all_.took / 60, moves=sum(len(r.search_log) for r in runs),
+        more=sum(len(log) for r in runs for log in (*r.proof_logs.values(), *r.test_logs.values())), safety=formula.SAFETY_FACTOR,
         held=MAX_HOLDING, margin=MARGIN, tolerance=TOLERANCE, repeats=REPEATS, candidates=CANDIDATES, model=all_.model,
-        new=CONTEXTS[NEW].moves, shorter=CONTEXTS[SHORTER].moves, shortest=MIN_DISTANCE * MM,
-        each=CONTEXTS[f"+{HEAVIER[0]:g} kg"].moves, step=HEAVIER[0], most=HEAVIER[-1], flattered=describe_reward_excess(runs),
+        new=TEST_CONTEXTS[NEW_MOVES].moves, shorter=TEST_CONTEXTS[SHORTER_MOVES].moves, shortest=MIN_DISTANCE * MM,
+        each=TEST_CONTEXTS[f"+{EXTRA_PAYLOADS_KG[0]:g} kg"].moves, step=EXTRA_PAYLOADS_KG[0], most=EXTRA_PAYLOADS_KG[-1],
+        flattered=describe_reward_excess(runs),
         enough=SEEDS,
         priced=describe_price_of_losses(runs),
     )  # fmt: skip
@@ -349,7 +383,7 @@ def draw(all_: MethodRuns, path: Path) -> None:
             figure.subplots(2, len(payloads), squeeze=False).T, payloads.items(), strict=True
         ):
             draw_learning_curves(top, runs, payload)
-            draw_moves(bottom, runs, payload, mass, all_.model)
+            draw_move_rates(bottom, runs, payload, mass, all_.model)
             set_title(top, f"{mass:g} kg: highest reward of a move so far", 12)
             set_title(bottom, f"{mass:g} kg: the moves found", 12)
             for ax in (top, bottom):
@@ -368,7 +402,7 @@ def draw_learning_curves(ax: Any, runs: list[MethodRun], payload: str) -> None:
         own_runs = select_runs(runs, payload, method)
         if not own_runs:
             continue
-        curves = 1e3 * np.array([r.search.compute_curve() for r in own_runs])
+        curves = 1e3 * np.array([r.search_log.compute_curve() for r in own_runs])
         known = np.isfinite(curves).all(axis=0)
         at = np.arange(1, curves.shape[1] + 1)[known]
         ax.plot(at, np.median(curves[:, known], axis=0), color=method.color, lw=2)
@@ -378,7 +412,7 @@ def draw_learning_curves(ax: Any, runs: list[MethodRun], payload: str) -> None:
     ax.set(xlabel="moves made (median and span of the seeds)", ylabel="reward (ms)", xscale="log", xlim=(1, None))
 
 
-def draw_moves(ax: Any, runs: list[MethodRun], payload: str, mass: float, model: str) -> None:
+def draw_move_rates(ax: Any, runs: list[MethodRun], payload: str, mass: float, model: str) -> None:
     for method in (FORMULA, BOLDEST, *DRAWN):
         answered = [r for r in select_runs(runs, payload, method) if r.answer is not None]
         if not answered:
@@ -399,7 +433,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=SEEDS, metavar="N")
     parser.add_argument("--out", type=Path, default=DOCS, metavar="FOLDER", help="of page, picture and data")
     parser.add_argument("--keep", type=Path, metavar="FILE", help="keep the runs there, and go on with what is there")
-    parser.add_argument("--quick", action="store_true", help=f"{', '.join(QUICK)} alone, 64 moves, one payload")
+    parser.add_argument("--quick", action="store_true", help=f"{', '.join(QUICK_METHODS)} alone, 64 moves, one payload")
     parser.add_argument("--model", default=MODEL, metavar="NAME", help="of the stage, or an MJCF file")
     parser.add_argument("--payload", type=float, nargs="+", metavar="KG", help="on the table (default: 0.5 and 10)")
     parser.add_argument(

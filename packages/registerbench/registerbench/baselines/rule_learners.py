@@ -1,17 +1,17 @@
-"""Learners from scratch on the tasks with continuous actions: CMA-ES chooses the numbers of a small rule (rules.py).
+"""Learners from scratch on the tasks with continuous actions: CMA-ES chooses the numbers of a small rule (rule_policies.py).
 
 python -m registerbench.baselines.rule_learners learn one-shot -o runs
 python -m registerbench.baselines.rule_learners learn few-shot-wide --seeds 0 1 2 3 4 5 6 7 8 9 -o runs
 python -m registerbench.baselines.rule_learners submit runs/few-shot-wide_*.json -o entries --splits train nova
 
-A generation consists of POPULATION candidates, which play on the same machines of train (BUDGET); each generation of each run has
-machines of its own. The mean of CMA-ES's distribution after the last generation is the policy. Nothing is chosen by test episodes.
-Training has cheaper settings than the tests (training_envs.py). Before the first generation and after a quarter, half and all of
-them the mean plays test episodes, which gives the learning curve: a CSV file with a row for each episode.
+A generation consists of POPULATION candidates, which play on the same machines of the split train (BUDGET); each generation of each
+run has other machines. The policy is the mean of CMA-ES's distribution after the last generation. Nothing is chosen by test
+episodes. Training has cheaper settings than the tests (training_envs.py). The mean plays test episodes before the first generation
+and after a quarter, half and all of the generations. They form the learning curve: a CSV file with a row for each episode.
 
-few-shot and few-shot-wide are learned on a table (boldness_table.py): a run tries TABLE_MACHINES of train at every boldness, and
-CMA-ES chooses the numbers on that, with memory and without by the same tries. Points of the curve are rules that were learned of
-the first PARTS machines. A run that is there is not learned again. Needs the package cmaes (extra `rl`).
+The rules of few-shot and few-shot-wide learn on a table (boldness_table.py): a run tries TABLE_MACHINES machines of train at every
+boldness, and CMA-ES chooses the numbers of both rules, with and without memory, on this table. A point of the curve is the rule
+that was learned from the first TABLE_PARTS machines. A finished run is skipped. Needs the package cmaes (extra `rl`).
 """
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.boldness_table import learn_rule, measure_boldness_table
 from registerbench.baselines.rule_policies import RULES, BoldnessRule, Rule
 from registerbench.baselines.training_envs import CHEAPER_SETTINGS, make_training_envs
-from registerbench.cards import CARDS, FIRST_TEST_SEED, OPEN_ROUND
+from registerbench.task_cards import CARDS, FIRST_TEST_SEED, OPEN_ROUND
 
 BUDGET = {"one-shot": (12, 16), "line": (12, 8), "home": (8, 12)}
-"""Generations, and machines of each."""
+"""Number of generations, and number of machines in each, by task."""
 POPULATION = 8
 TABLE_MACHINES, TABLE_PARTS = 48, (12, 48)
-EPISODES = 32  # of a point of the curve
+EPISODES = 32  # test episodes of a point of the learning curve
 UNTRAINED_RESULTS: dict[tuple[str, type[Rule]], tuple[np.ndarray, np.ndarray]] = {}
 COLUMNS = ("steps", "processor_s", "episode", "return", "success")
 
 
-def play(envs: Any, kind: type[Rule], w: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, int]:
+def play_rule(envs: Any, rule_class: type[Rule], w: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, int]:
     """Play an episode on each of the machines of seeds seed, seed + 1, ...
 
     Args:
         envs: Vector environment.
-        kind: Class of the rule.
-        w: Its numbers.
-        seed: Of the first machine.
+        rule_class: Class of the rule.
+        w: Numbers of the rule.
+        seed: Seed of the first machine.
 
     Returns:
         Sums of rewards, successes, (n,) each, and the number of steps.
     """
     n = envs.num_envs
     observation, _ = envs.reset(seed=seed)
-    rule, steps = kind(w, [e.name for e in envs.observation_features], n), 0
+    rule, steps = rule_class(w, [e.name for e in envs.observation_features], n), 0
     total, won, over = np.zeros(n), np.zeros(n, bool), np.zeros(n, bool)
     while not over.all():
         observation, rewards, terminated, truncated, infos = envs.step(rule(observation))
@@ -68,7 +68,13 @@ def play(envs: Any, kind: type[Rule], w: np.ndarray, seed: int) -> tuple[np.ndar
 
 
 class RuleLearner:
-    """One training run of a rule, with its learning curve."""
+    """Training run of a rule, with its learning curve.
+
+    Args:
+        task: Name of a card.
+        player: Name of the player, see RULES.
+        seed: Seed of the run.
+    """
 
     def __init__(self, task: str, player: str, seed: int):
         self.kind, self.task, self.seed = RULES[task, player], task, seed
@@ -79,10 +85,11 @@ class RuleLearner:
         self.rows: list[tuple] = [COLUMNS]
 
     def add_curve_point(self, z: np.ndarray) -> float:
+        """Play the test episodes with these numbers, add them to the curve, and return the mean of their returns."""
         total, won = (
             self.play_untrained()
             if not z.any()
-            else play(self.testing, self.kind, self.kind.numbers(z), FIRST_TEST_SEED)[:2]
+            else play_rule(self.testing, self.kind, self.kind.scale_numbers(z), FIRST_TEST_SEED)[:2]
         )
         for k, (value, success) in enumerate(zip(total.tolist(), won.tolist(), strict=True)):
             self.rows.append((self.moves, f"{self.seconds:.1f}", FIRST_TEST_SEED + k, f"{value:.5f}", int(success)))
@@ -92,20 +99,26 @@ class RuleLearner:
         """Return the results of the rule before it has learned, which are the same for all seeds."""
         if (self.task, self.kind) not in UNTRAINED_RESULTS:
             begins = np.array(self.kind.BEGINS)
-            UNTRAINED_RESULTS[self.task, self.kind] = play(self.testing, self.kind, begins, FIRST_TEST_SEED)[:2]
+            UNTRAINED_RESULTS[self.task, self.kind] = play_rule(self.testing, self.kind, begins, FIRST_TEST_SEED)[:2]
         return UNTRAINED_RESULTS[self.task, self.kind]
 
-    def generation(self, search: Any, number: int) -> None:
+    def run_generation(self, search: Any, number: int) -> None:
+        """Play the candidates of a generation, and update CMA-ES.
+
+        Args:
+            search: CMA-ES.
+            number: Number of the generation.
+        """
         start_s, machines = time.process_time(), 1000 * (self.seed + 1) + self.machines * number
         candidates, worth = [search.ask() for _ in range(POPULATION)], []
         for z in candidates:
-            total, _, steps = play(self.learning, self.kind, self.kind.numbers(z), machines)
+            total, _, steps = play_rule(self.learning, self.kind, self.kind.scale_numbers(z), machines)
             worth.append(float(total.mean()))
             self.moves += steps
         search.tell([(z, -value) for z, value in zip(candidates, worth, strict=True)])
         self.seconds += time.process_time() - start_s
 
-    def learn(self, generations: int) -> np.ndarray:
+    def learn_numbers(self, generations: int) -> np.ndarray:
         """Search the numbers of the rule by CMA-ES."""
         from cmaes import CMA
 
@@ -113,25 +126,31 @@ class RuleLearner:
         search = CMA(mean=np.zeros(size), sigma=1.0, seed=self.seed, population_size=POPULATION)
         self.add_curve_point(search.mean)
         for k in range(generations):
-            self.generation(search, k)
+            self.run_generation(search, k)
             if k + 1 in (generations // 4, generations // 2, generations):
                 self.add_curve_point(search.mean)
         return search.mean
 
-    def learn_on(self, table: Any) -> np.ndarray:
-        """Search the numbers of the rule on a table, with more machines at each point of the curve."""
+    def learn_numbers_on_table(self, table: Any) -> np.ndarray:
+        """Search the numbers of the rule on a table, with more of its machines at each point of the curve."""
         self.add_curve_point(z := np.zeros(len(self.kind.BEGINS)))
         for machines in (m for m in TABLE_PARTS if m <= len(table.distance)):
-            start_s, part = time.process_time(), table.take_machines(machines)
+            start_s, part = time.process_time(), table.select_first_machines(machines)
             z = learn_rule(self.kind, part, self.seed)
             self.seconds += time.process_time() - start_s
             self.moves = part.moves
             self.add_curve_point(z)
         return z
 
-    def write(self, z: np.ndarray, path: Path) -> None:
+    def write_policy(self, z: np.ndarray, path: Path) -> None:
+        """Write the policy (JSON) and its learning curve (CSV), and print the points of the curve.
+
+        Args:
+            z: Numbers of CMA-ES.
+            path: File without its suffix.
+        """
         cost = {"moves": self.moves, "processor_s": round(self.seconds, 1)}
-        w = self.kind.numbers(z).round(4).tolist()
+        w = self.kind.scale_numbers(z).round(4).tolist()
         with path.with_suffix(".csv").open("w", newline="") as file:
             csv.writer(file).writerows(self.rows)
         path.with_suffix(".json").write_text(json.dumps({"w": w, "cost": cost}))
@@ -144,7 +163,15 @@ class RuleLearner:
 
 
 def learn(task: str, run: int, folder: Path, generations: int | None = None, machines: int = TABLE_MACHINES) -> None:
-    """Learn each rule of a task with CMA-ES, and write its numbers and its learning curve, unless they exist."""
+    """Learn each rule of a task with CMA-ES, and write its numbers and its learning curve, unless they exist.
+
+    Args:
+        task: Name of a card.
+        run: Number of the run, its seed.
+        folder: Folder of the files.
+        generations: Number of generations; None: that of BUDGET.
+        machines: Number of machines of the table, for a rule that learns on one.
+    """
     players = {player: folder / f"{task}_{player.replace(' ', '-')}-{run}" for t, player in RULES if t == task}
     folder.mkdir(parents=True, exist_ok=True)
     table, spent = None, 0.0
@@ -159,9 +186,9 @@ def learn(task: str, run: int, folder: Path, generations: int | None = None, mac
                 spent = time.process_time() - start_s
                 print(f"{task} {run}: tried {machines} machines, {spent:.1f} s", flush=True)
             learner.seconds = spent
-            learner.write(learner.learn_on(table), path)
+            learner.write_policy(learner.learn_numbers_on_table(table), path)
         else:
-            learner.write(learner.learn(generations or learner.generations), path)
+            learner.write_policy(learner.learn_numbers(generations or learner.generations), path)
         learner.close()
 
 
@@ -179,6 +206,14 @@ class RulePolicy:
 
 
 def submit(path: Path, splits: list[str], folder: Path, round_: str = OPEN_ROUND) -> None:
+    """Play the test episodes of each split with a policy, and write the entries.
+
+    Args:
+        path: Policy that `learn` wrote.
+        splits: Names of the splits.
+        folder: Folder of the entries.
+        round_: Round of the benchmark.
+    """
     stored, (task, _, name) = json.loads(path.read_text()), path.stem.partition("_")
     method, _, run = name.rpartition("-")
     player = method.replace("-", " ")
@@ -203,7 +238,7 @@ def main() -> None:
     p.add_argument("--round", default=OPEN_ROUND, metavar="WORD", help="whose test episodes (default: the open ones)")
     p.set_defaults(run=lambda a: [submit(path, a.splits, a.out, a.round) for path in a.policy])
     args = parser.parse_args()
-    with explain_interrupt("runs that are done are kept, and the same command goes on after them."):
+    with explain_interrupt("the finished runs are saved, and the same command continues after them."):
         args.run(args)
 
 

@@ -1,11 +1,10 @@
 """Small policies for the tasks of the benchmark, with a few numbers that a learner chooses (rule_learners.py).
 
-rule = RULES["few-shot-wide", "memory"](w, names, n)     w: its numbers; names: features of an observation; n: number of
-machines rule(observations)                                       actions, (n, ...), for observations, (n, ...): one call a
-step, from the first step of an episode on
+rule = RULES["few-shot-wide", "es with memory"](w, names, n)   w: numbers of the rule; names: features; n: number of machines
+actions = rule(observations)                                   (n, ...) each; one call for each step of an episode
 
-All rules see what a host sees. They begin in the middle of the allowed range, or at twice the usual speeds, and never see the
-answer of a formula.
+All rules observe only what a host can observe. They begin in the middle of the allowed range, or at twice the usual speeds, and
+never use the answer of a formula.
 """
 
 from __future__ import annotations
@@ -36,19 +35,23 @@ class Rule:
         self.w, self.names, self.attempts_made = np.asarray(w, float), list(names), 0
 
     @classmethod
-    def numbers(cls, z: np.ndarray) -> np.ndarray:
-        """Convert the numbers of CMA-ES to those of the rule: 0 stands for the initial ones, with a spread of 1."""
+    def scale_numbers(cls, z: np.ndarray) -> np.ndarray:
+        """Convert the numbers of CMA-ES to those of the rule.
+
+        Args:
+            z: Numbers with a standard deviation of 1 in the first generation; 0 stands for BEGINS.
+        """
         return np.array(cls.BEGINS) + np.array(cls.SCALES) * z
 
     def get_feature(self, name: str, observation: np.ndarray) -> np.ndarray:
         return observation[:, self.names.index(name)].astype(float)
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        action = self.choose(observation)
+        action = self.choose_actions(observation)
         self.attempts_made += 1
         return np.clip(action, -1.0, 1.0).astype(np.float32)
 
-    def choose(self, observation: np.ndarray) -> np.ndarray:
+    def choose_actions(self, observation: np.ndarray) -> np.ndarray:
         raise NotImplementedError
 
 
@@ -59,15 +62,15 @@ class LinearRule(Rule):
     ACTIONS: ClassVar[tuple[int, int]]
     """Number of actions that the rule computes, and number of all actions."""
 
-    def features(self, observation: np.ndarray) -> list[np.ndarray]:
+    def compute_features(self, observation: np.ndarray) -> list[np.ndarray]:
         raise NotImplementedError
 
-    def choose(self, observation: np.ndarray) -> np.ndarray:
+    def choose_actions(self, observation: np.ndarray) -> np.ndarray:
         used, every = self.ACTIONS
         out = np.zeros((len(observation), every))
-        out[:, :used] = np.stack([np.ones(len(observation)), *self.features(observation)], axis=1) @ self.w.reshape(
-            -1, used
-        )
+        out[:, :used] = np.stack(
+            [np.ones(len(observation)), *self.compute_features(observation)], axis=1
+        ) @ self.w.reshape(-1, used)
         return out
 
 
@@ -77,7 +80,7 @@ class OneShotRule(LinearRule):
     ACTIONS = 4, 4
     BEGINS, SCALES = (0.0,) * 12, (0.5,) * 4 + (0.25,) * 8
 
-    def features(self, observation: np.ndarray) -> list[np.ndarray]:
+    def compute_features(self, observation: np.ndarray) -> list[np.ndarray]:
         return [self.get_feature("distance", observation), self.get_feature("declared", observation)]
 
 
@@ -87,7 +90,7 @@ class LineRule(LinearRule):
     ACTIONS = 2, 14
     BEGINS, SCALES = (0.0,) * 6, (0.5,) * 2 + (0.25,) * 4
 
-    def features(self, observation: np.ndarray) -> list[np.ndarray]:
+    def compute_features(self, observation: np.ndarray) -> list[np.ndarray]:
         distances = np.abs(observation[:, [k for k, name in enumerate(self.names) if name == "distance"]])
         max_distance = distances.max(axis=1)
         return [np.log(max_distance) + 1.0, np.log(distances.min(axis=1) / max_distance) + 1.0]
@@ -102,7 +105,7 @@ class HomeRule(Rule):
 
     BEGINS, SCALES = (0.0,) * 7 + (-0.5, 0.0, 0.0, 0.0), (0.5,) * 7 + (0.3, 1.0, 0.5, 0.5)
 
-    def choose(self, observation: np.ndarray) -> np.ndarray:
+    def choose_actions(self, observation: np.ndarray) -> np.ndarray:
         search, ramp, approach, back_off, leave, asserted, slower, report, *signs = self.w
         failed, ones = self.get_feature("failed", observation), np.ones(len(observation))
         signals = failed, self.get_feature("last_end_limit", observation), self.get_feature("last_late", observation)
@@ -115,35 +118,54 @@ class HomeRule(Rule):
 
 
 def compute_bold_actions(boldness: np.ndarray) -> np.ndarray:
-    """Compute actions, (n, 4): the usual rates times a boldness each, the usual ramps divided by it."""
+    """Compute actions with the usual rates times a boldness and the usual ramps divided by it.
+
+    Args:
+        boldness: Boldness of each machine, (n,).
+
+    Returns:
+        Actions, (n, 4).
+    """
     return np.stack([compute_bold_action(b) for b in boldness.tolist()])
 
 
 class BoldnessRule(Rule):
     """Rule of few-shot that chooses one boldness for each attempt."""
 
-    def choose(self, observation: np.ndarray) -> np.ndarray:
+    def choose_actions(self, observation: np.ndarray) -> np.ndarray:
         return compute_bold_actions(
-            np.exp(self.boldness(self.get_feature("distance", observation), self.get_feature("kept", observation) > 0))
+            np.exp(
+                self.choose_log_boldness(
+                    self.get_feature("distance", observation), self.get_feature("kept", observation) > 0
+                )
+            )
         )
 
-    def boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
-        """Compute the logarithm of the next boldness, (n,); `in_step`: the last try kept step by the encoder."""
-        return np.clip(self.next(distance, in_step), np.log(TAMEST), np.log(BOLDEST))
+    def choose_log_boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
+        """Choose the logarithm of the next boldness within the permitted range.
 
-    def next(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
+        Args:
+            distance: Distance of each machine, (n,).
+            in_step: Whether the last attempt kept step by the encoder, (n,).
+
+        Returns:
+            Logarithms, (n,).
+        """
+        return np.clip(self.compute_log_boldness(distance, in_step), np.log(TAMEST), np.log(BOLDEST))
+
+    def compute_log_boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
         raise NotImplementedError
 
 
 class ScheduledRule(BoldnessRule):
-    """Rule w0 + w1 distance + w2 share of the attempts, which is the best that a policy can do without seeing the attempts.
+    """Rule w0 + w1 * distance + w2 * share of attempts made, which does not depend on the outcomes of the attempts.
 
-    It may go from tame to bold or the other way, so that the last attempt has the boldness it aims at.
+    The boldness can rise or fall during an episode, so that the last attempt has the boldness that the rule aims at.
     """
 
     BEGINS, SCALES = (0.7, 0.0, 0.0), (0.4, 0.2, 0.4)
 
-    def next(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
+    def compute_log_boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
         w = self.w
         return w[0] + w[1] * distance + w[2] * self.attempts_made / ATTEMPTS
 
@@ -161,8 +183,8 @@ class RememberingRule(BoldnessRule):
             np.zeros(n),
         )  # logarithms
 
-    def boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
-        self.last = super().boldness(distance, in_step)
+    def choose_log_boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
+        self.last = super().choose_log_boldness(distance, in_step)
         return self.last
 
     def update_bounds(self, in_step: np.ndarray) -> None:
@@ -170,7 +192,7 @@ class RememberingRule(BoldnessRule):
         self.tamest_failure = np.where(in_step, self.tamest_failure, np.minimum(self.tamest_failure, self.last))
         self.boldest_success = np.where(self.boldest_success >= self.tamest_failure, -np.inf, self.boldest_success)
 
-    def next(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
+    def compute_log_boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
         (first, slope), (up, share, back) = self.w[:2], np.abs(self.w[2:])
         down = 2 * up
         if not self.attempts_made:
@@ -197,4 +219,4 @@ RULES: dict[tuple[str, str], type[Rule]] = {
     ("home", "es"): HomeRule,
     ("line", "es"): LineRule,
 }
-"""By the name of the card, and of the player."""
+"""Classes of rules by (name of the card, name of the player)."""

@@ -3,8 +3,8 @@
 python -m registerbench.baselines.sb3_searches ppo --budget 1024 --seed 0
 python -m registerbench.baselines.sb3_searches sac --space registers
 
-PPO improves a policy of choices a batch of moves at a time; SAC learns what each choice is worth from all moves made so far. Their
-means begin in the middle, which of the knobs is the data sheet's answer.
+PPO improves a policy with each batch of moves; SAC learns the value of each choice from all moves so far. Their means begin in the
+middle, which is the formula's answer in the space of knobs.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO, SAC
 
-from registerbench.baselines.move_tuning import MoveTuning, run
+from registerbench.baselines.move_tuning import MoveTuning, run_command_line
 from stage.envs.sb3 import VecEnvAdapter
 
 torch.set_num_threads(1)  # the networks are small, and the stages need the processors
 
 BATCH = 32  # moves between two improvements of PPO
-SPREAD = -1.5  # logarithm of the first choices' standard deviation
+SPREAD = -1.5  # logarithm of the standard deviation of the first choices
 WORST, SCALE = -1.0, 5.0
-"""A learner's reward: SCALE x the environment's, which is cut off at WORST, where steps were lost."""
+"""A learner's reward is SCALE x max(reward of the environment, WORST); moves that lost steps have WORST."""
 
 
 class MovesVecEnv(VecEnvAdapter):
-    """`moves.lanes` environments; an action is a choice of `moves`, a reward is between SCALE x WORST and 0.
+    """Vector environment of Stable-Baselines3 whose actions are choices of a MoveTuning.
 
-    Closing it leaves the environment to `moves`.
+    Rewards are between SCALE x WORST and 0. `close` leaves the environment of the MoveTuning open.
     """
 
     def __init__(self, moves: MoveTuning):
@@ -39,7 +39,7 @@ class MovesVecEnv(VecEnvAdapter):
         return self.moves.observation
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict]]:
-        rewards = SCALE * np.maximum(np.nan_to_num(self.moves.make(self._actions)), WORST)
+        rewards = SCALE * np.maximum(np.nan_to_num(self.moves.make_moves(self._actions)), WORST)
         observation = self.moves.observation
         infos = [{"terminal_observation": row} for row in observation]
         return observation, rewards.astype(np.float32), np.ones(self.num_envs, bool), infos
@@ -49,7 +49,12 @@ class MovesVecEnv(VecEnvAdapter):
 
 
 def search_by_ppo(moves: MoveTuning, seed: int = 0) -> None:
-    """Make the choices of PPO."""
+    """Spend the budget on the choices of PPO.
+
+    Args:
+        moves: Move that is tuned.
+        seed: Seed of the learner.
+    """
     model = PPO(
         "MlpPolicy",
         MovesVecEnv(moves),
@@ -62,11 +67,16 @@ def search_by_ppo(moves: MoveTuning, seed: int = 0) -> None:
         seed=seed,
         device="cpu",
     )
-    model.learn(moves.left)
+    model.learn(moves.moves_left)
 
 
 def search_by_sac(moves: MoveTuning, seed: int = 0) -> None:
-    """Make the choices of SAC."""
+    """Spend the budget on the choices of SAC.
+
+    Args:
+        moves: Move that is tuned.
+        seed: Seed of the learner.
+    """
     model = SAC(
         "MlpPolicy",
         MovesVecEnv(moves),
@@ -81,8 +91,8 @@ def search_by_sac(moves: MoveTuning, seed: int = 0) -> None:
         device="cpu",
     )
     torch.nn.init.constant_(model.actor.log_std.bias, SPREAD)
-    model.learn(moves.left)
+    model.learn(moves.moves_left)
 
 
 if __name__ == "__main__":
-    run(__doc__, {"ppo": search_by_ppo, "sac": search_by_sac})
+    run_command_line(__doc__, {"ppo": search_by_ppo, "sac": search_by_sac})

@@ -1,13 +1,12 @@
-"""The engineer's answer to `stage/ServoTuning-v0`: gain, zero and pole by frequency response, without a trial on the machine.
+"""An engineer's answer to `stage/ServoTuning-v0`: gain, zero and pole by frequency response, without a trial on the machine.
 
 python -m registerbench.baselines.servo_loop --payload 10 --margin 50
 python -m registerbench.baselines.servo_loop --plot build/servo_loop.png       Bode and root locus, by python-control
 
-Of the machine's drawings (motor, masses, friction) it makes the plant as the chip samples it. Then, for every zero that the
-register holds, the highest crossover frequency at which the phase margin is what was asked for, and the gain that puts it there;
-the filter must not answer one count of the encoder by more of a motor command than the engineer allows: a coarse encoder makes a
-fast filter rattle. Of the zeros whose crossover is about the highest it takes the lowest: the stiffest at rest. Needs
-python-control (extra servo).
+The design derives the sampled plant from the machine's data: motor, masses, friction. For every value of the zero register, it
+computes the highest crossover frequency that has the required phase margin, and the gain for it. One count of the encoder must
+not change the motor command by more than --rattle, because a coarse encoder makes a fast filter rattle. Of the zeros with nearly
+the highest crossover, the design takes the lowest, which is the stiffest at rest. Needs python-control (extra servo).
 """
 
 from __future__ import annotations
@@ -25,21 +24,28 @@ from stage.firmware.hctl1100 import servo_loop_model
 from stage.firmware.hctl1100.moves import FilterTuning
 from stage.firmware.hctl1100.servo_loop_model import DEFAULT_POLE, MAX_RATTLE, PHASE_MARGIN_DEGREES, ServoLoop
 
-TIMER = 0x40  # as after a reset
-WITHIN = 3.0  # degrees, that a rounded gain may take of the margin
+TIMER = 0x40  # sample timer after a reset
+MAX_MARGIN_LOSS_DEGREES = 3.0  # by which a rounded gain may reduce the phase margin
 
 
-def control() -> Any:
-    """python-control, or what to do without it."""
+def import_control() -> Any:
+    """Import python-control. Raises StageError if it is not installed."""
     try:
         import control
     except ImportError as error:
-        raise StageError("this baseline needs python-control: pip install 'pulsestage[servo]'.") from error
+        raise StageError("This baseline needs python-control: pip install 'pulsestage[servo]'.") from error
     return control
 
 
-class Design(NamedTuple):
-    """tuning; phase margin in degrees, gain margin, crossover in rad/s, as python-control says of the registers' values."""
+class LoopDesign(NamedTuple):
+    """Servo loop with the margins that python-control computes for the registers' values.
+
+    Attributes:
+        tuning: Gain, zero, pole and sample timer.
+        phase_margin: Degrees.
+        gain_margin: Factor on the gain.
+        crossover: Crossover frequency, rad/s.
+    """
 
     tuning: FilterTuning
     phase_margin: float
@@ -54,38 +60,60 @@ class Design(NamedTuple):
         )
 
 
-def open_loop(loop: ServoLoop) -> Any:
-    """Filter times plant as a transfer function of python-control."""
-    tf, h = control().tf, loop.sample
+def make_open_loop(loop: ServoLoop) -> Any:
+    """Return the open loop, filter times plant, as a transfer function of python-control."""
+    tf, h = import_control().tf, loop.sample
     return tf(*loop.filter, h) * tf(*loop.plant, h)
 
 
-def compute_margins(loop: ServoLoop) -> Design:
-    """The margins of a loop."""
-    gain, phase, _, crossover = control().margin(open_loop(loop))
-    return Design(loop.tuning, float(phase), float(gain), float(crossover))
+def compute_margins(loop: ServoLoop) -> LoopDesign:
+    """Compute the margins of a loop."""
+    gain, phase, _, crossover = import_control().margin(make_open_loop(loop))
+    return LoopDesign(loop.tuning, float(phase), float(gain), float(crossover))
 
 
-def design(loop: ServoLoop, margin: float = PHASE_MARGIN_DEGREES, rattle: float = MAX_RATTLE) -> Design:
-    """Return gain and zero for this plant and their margins; pole and T stay.
+def design_filter(loop: ServoLoop, margin: float = PHASE_MARGIN_DEGREES, rattle: float = MAX_RATTLE) -> LoopDesign:
+    """Choose gain and zero for this plant; pole and sample timer stay.
+
+    Args:
+        loop: Servo loop with the plant.
+        margin: Phase margin, degrees.
+        rattle: Largest change of the motor command for one count of the encoder.
+
+    Returns:
+        The chosen tuning with its margins.
 
     Raises:
-        StageError: No filter reaches the margin (see `stage.firmware.hctl1100.servo_loop_model.design`).
+        StageError: No filter reaches the margin (see `stage.firmware.hctl1100.servo_loop_model.design_filter`).
     """
     return compute_margins(replace(loop, tuning=servo_loop_model.design_filter(loop, margin, rattle)))
 
 
-def registers(axis: Any, timer: int = TIMER) -> dict[str, int]:
-    """Return R22, R20, R21 and R0F for an axis of a stage, with the payload that it carries."""
-    t = design(ServoLoop.of(axis, FilterTuning(pole=DEFAULT_POLE, timer=timer))).tuning
+def design_registers(axis: Any, timer: int = TIMER) -> dict[str, int]:
+    """Design the filter for an axis of a stage and its payload.
+
+    Args:
+        axis: Axis of the stage.
+        timer: Sample timer R0F.
+
+    Returns:
+        R22, R20, R21 and R0F by name.
+    """
+    t = design_filter(ServoLoop.of(axis, FilterTuning(pole=DEFAULT_POLE, timer=timer))).tuning
     return {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer}
 
 
-def plot(d: Design, loop: ServoLoop, path: Path) -> None:
-    """Draw the Bode diagram and the root locus."""
+def draw_design(d: LoopDesign, loop: ServoLoop, path: Path) -> None:
+    """Draw the Bode diagram and the root locus.
+
+    Args:
+        d: Design to draw.
+        loop: Servo loop with the plant.
+        path: PNG file.
+    """
     from matplotlib import pyplot as plt
 
-    c, system = control(), open_loop(replace(loop, tuning=d.tuning))
+    c, system = import_control(), make_open_loop(replace(loop, tuning=d.tuning))
     figure, axes = plt.subplots(1, 3, figsize=(15, 5), layout="constrained")
     omega = np.geomspace(1.0, 0.95 * np.pi / loop.sample, 800)
     response = system(np.exp(1j * omega * loop.sample))
@@ -104,8 +132,18 @@ def plot(d: Design, loop: ServoLoop, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def trial(payload: float, values: dict[str, int], distance: int = 200, moves: int = 8) -> dict[str, float]:
-    """Compute the means over a few moves of the environment with these registers."""
+def measure_moves(payload: float, values: dict[str, int], distance: int = 200, moves: int = 8) -> dict[str, float]:
+    """Make a few moves of the environment with these registers, and compute means over them.
+
+    Args:
+        payload: Mass on the table, kg.
+        values: R22, R20, R21 and R0F by name.
+        distance: Length of a move, encoder counts.
+        moves: Number of moves.
+
+    Returns:
+        Means of reward, settled, overshoot and unrest by name.
+    """
     import gymnasium
 
     import stage.envs  # noqa: F401
@@ -138,17 +176,17 @@ def main() -> None:
     stage.set_payload(args.payload)
     loop = ServoLoop.of(stage.axes["x"], FilterTuning(pole=DEFAULT_POLE, timer=TIMER))
     try:
-        by_reset, designed = compute_margins(loop), design(loop, args.margin, args.rattle)
+        by_reset, designed = compute_margins(loop), design_filter(loop, args.margin, args.rattle)
     except StageError as error:
         sys.exit(str(error))
     for name, d in (("after a reset", by_reset), ("designed", designed)):
         t = d.tuning
         print(f"{name}: {d}")
-        means = trial(args.payload, {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer})
+        means = measure_moves(args.payload, {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer})
         print(f"  settles in {means['settled'] * 1e3:.0f} ms, {means['overshoot']:.1f} counts beyond the goal, unrest "
               f"{means['unrest']:.1f} counts; reward {means['reward']:.4f}")  # fmt: skip
     if args.plot:
-        plot(designed, loop, args.plot)
+        draw_design(designed, loop, args.plot)
         print(f"{args.plot}: drawn")
 
 

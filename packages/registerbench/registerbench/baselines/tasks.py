@@ -1,15 +1,14 @@
-"""The tasks of the benchmark, played at random and by their scripted hosts, on every split: the table of docs/envs_tasks.md.
+"""Table of docs/envs_tasks.md: the tasks of the benchmark, played at random and by their scripted hosts, on every split.
 
 python -m registerbench.baselines.tasks
 python -m registerbench.baselines.tasks --tasks BusMacros OneShotTuning --splits train heavy --episodes 64
 
-random     draws from the action space; in BusMacros from what is not masked
-scripted   `env.scripted_action()`: the engineer's formula at every try, the data sheet's registers, the usual rates; it does not
-           learn
+random     draws from the action space; in BusMacros only unmasked macros
+scripted   takes `env.scripted_action()`: the engineer's formula at every attempt, the data sheet's registers, or the usual rates;
+           it does not learn
 
-Episodes are those of the seeds from 1,000,000 on, the same for both. A row has the mean sum of rewards with its 95 % interval by
-the bootstrap, how many episodes were a success, and of these the median of time and regret; the mean of moves, and damage an
-episode: full steps lost, end limits hit.
+Both play the episodes of the seeds from 1,000,000 on. A row has the mean sum of rewards with its 95 % interval by the bootstrap;
+the number of successes with the median of their time and regret; and the means of moves, lost full steps and hit end limits.
 """
 
 from __future__ import annotations
@@ -34,22 +33,26 @@ HEAD = (
 )
 
 
-def splits(id_: str) -> tuple[str, ...]:
-    """The splits that a task has."""
+def list_splits(id_: str) -> tuple[str, ...]:
+    """List the splits of a task.
+
+    Args:
+        id_: Id of the environment.
+    """
     module, name = stage.envs.IDS[id_].split(":")
     task: Any = getattr(import_module(f"stage.envs.{module}"), name)
     (known,) = get_type_hints(task.Config, include_extras=True)["split"].__metadata__
     return tuple(known.known)
 
 
-def play(id_: str, player: str, episodes: int, **settings: Any) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def play_episodes(id_: str, player: str, episodes: int, **settings: Any) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Play episodes of an environment.
 
     Args:
-        id_: Of the environment.
+        id_: Id of the environment.
         player: "random" or "scripted".
-        episodes: Their number.
-        **settings: Of the environment.
+        episodes: Number of episodes.
+        **settings: Settings of the environment.
 
     Returns:
         Sums of rewards, and scores by name, (episodes,) each.
@@ -65,14 +68,14 @@ def play(id_: str, player: str, episodes: int, **settings: Any) -> tuple[np.ndar
         total, over = np.zeros(LANES), np.zeros(LANES, bool)
         scores_of_lane: list[Any] = [None] * LANES
         while not over.all():
-            _, rewards, terminated, truncated, info = envs.step(choose(envs, player, rng))
+            _, rewards, terminated, truncated, info = envs.step(choose_actions(envs, player, rng))
             total += np.where(over, 0.0, rewards)
             ends = (terminated | truncated) & ~over
             for k in np.flatnonzero(ends):
                 scores_of_lane[k] = [info["score"][name][k] for name in SCORE.names or ()]
             over |= ends
             if over.any() and not over.all():
-                # whoever is done begins an episode that does not count, so that all can step
+                # finished environments begin an episode that does not count, so that all can step
                 again = terminated | truncated
                 if again.any():
                     envs.reset(options={"reset_mask": again})
@@ -83,8 +86,14 @@ def play(id_: str, player: str, episodes: int, **settings: Any) -> tuple[np.ndar
     return np.concatenate(totals)[:episodes], {name: np.array(values) for name, values in columns}
 
 
-def choose(envs: Any, player: str, rng: np.random.Generator) -> np.ndarray:
-    """Choose the next actions of a player."""
+def choose_actions(envs: Any, player: str, rng: np.random.Generator) -> np.ndarray:
+    """Choose the next actions of a player.
+
+    Args:
+        envs: Vector environment.
+        player: "random" or "scripted".
+        rng: Generator for masked random actions.
+    """
     if player == "scripted":
         return np.asarray(envs.scripted_action())
     if hasattr(envs, "action_masks"):
@@ -92,8 +101,16 @@ def choose(envs: Any, player: str, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(envs.action_space.sample())
 
 
-def row(task: str, split: str, player: str, totals: np.ndarray, score: dict[str, np.ndarray]) -> str:
-    """Format a row of the table."""
+def format_row(task: str, split: str, player: str, totals: np.ndarray, score: dict[str, np.ndarray]) -> str:
+    """Format a row of the table.
+
+    Args:
+        task: Name of the task.
+        split: Name of the split.
+        player: Name of the player.
+        totals: Sums of rewards, (episodes,).
+        score: Scores by name, (episodes,) each.
+    """
     low, high = compute_interval(totals)
     won = score["success"].astype(bool)
     medians = [f"{np.median(score[name][won]):.3f}" if won.any() else "-" for name in ("time", "regret")]
@@ -117,7 +134,7 @@ def main() -> None:
     parser.add_argument("--players", choices=PLAYERS, nargs="+", default=PLAYERS, help="who plays")
     parser.add_argument("--episodes", type=int, default=32, metavar="N", help="of each row")
     args = parser.parse_args()
-    known = {name: splits(id_) for name, id_ in TASKS.items()}
+    known = {name: list_splits(id_) for name, id_ in TASKS.items()}
     for split in args.splits or ():
         if not any(split in known[name] for name in args.tasks):
             parser.error(
@@ -127,7 +144,10 @@ def main() -> None:
     for name in args.tasks:
         for split in [s for s in args.splits or known[name] if s in known[name]]:
             for player in args.players:
-                print(row(name, split, player, *play(TASKS[name], player, args.episodes, split=split)), flush=True)
+                print(
+                    format_row(name, split, player, *play_episodes(TASKS[name], player, args.episodes, split=split)),
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

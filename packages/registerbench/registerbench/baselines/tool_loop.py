@@ -1,9 +1,10 @@
-"""An agent tunes the registers of a move by calling tools, and nothing else: those of stage.agents, and one that makes the move.
+"""Agent that tunes the registers of a move only by calling tools: those of stage.agents, and one that makes the move.
 
 python -m registerbench.baselines.tool_loop --payload 10 --show
 
-`technician` is a scripted agent that reads nothing but answers: one register at a time, a step further as long as the score rises,
-then half the step. docs/agents.md says how a language model takes its place: `Tuned` has `task`, `box.tools` and `box.call`.
+`tune_by_coordinates` is a scripted agent that reads only the answers of tools. It changes one register at a time, by a further step
+while the score rises, then by smaller steps. docs/agents.md describes how a language model takes its place: a TuningSession has
+`task`, `box.tools` and `box.call`.
 """
 
 from __future__ import annotations
@@ -43,7 +44,19 @@ begins when R6 pulses are left. You have {moves} moves."""
 
 
 class TuningSession:
-    """An axis whose registers are tuned. box: the agent's tools; task: what it is told; log: the moves made."""
+    """Axis whose registers an agent tunes.
+
+    Args:
+        payload: Mass on the table, kg.
+        distance: Length of the move, pulses.
+        budget: Number of moves.
+        model: Name of the model.
+
+    Attributes:
+        box: Tools of the agent.
+        task: Task of the agent in words.
+        log: Moves so far.
+    """
 
     def __init__(self, payload: float, distance: int = DISTANCE, budget: int = 64, model: str = MODEL):
         self.distance, self.log = distance, MoveLog()
@@ -54,7 +67,7 @@ class TuningSession:
         attempt = Tool(
             "attempt",
             "Make the move with the registers as they are, and put the table back.",
-            self._attempt,
+            self._make_attempt,
             moves=True,
         )
         self.box = Toolbox(self._stage, "host", Budget(moves=budget), snapshots=False, more=[attempt])
@@ -63,9 +76,9 @@ class TuningSession:
             chip=chip.MAP.chip, pulses=distance, payload=payload, limit=LIMIT, names=", ".join(REGISTERS), clock=chip.clock_hz,
             moves=budget,
         )  # fmt: skip
-        self._put_back()
+        self._return_to_start()
 
-    def _attempt(self) -> dict[str, Any]:
+    def _make_attempt(self) -> dict[str, Any]:
         stage, axis, port, c = self._stage, self._axis, self._port, Config()
         port.command(chip_port.RESET)
         port.write_register("R0", self.distance)
@@ -88,13 +101,13 @@ class TuningSession:
         values = axis.chip.values()
         drawn = self.distance, stage.payload(), self._angle
         self.log.append_move(reward, duration, lost, vibration, in_step, [values[n] for n in REGISTERS], drawn)
-        self._put_back()
+        self._return_to_start()
         return {
             "move": len(self.log), "duration_s": round(duration, 6), "steps_lost": lost,
             "vibration_um": round(vibration * 1e6, 2), "all_pulses_made": all_pulses_made, "score": round(reward, 4),
         }  # fmt: skip
 
-    def _put_back(self) -> None:
+    def _return_to_start(self) -> None:
         low, high = self._axis.travel
         begin = (low + high - self.distance * self._axis.meters_per_pulse) / 2
         turn = TURN * self._axis.meters_per_pulse
@@ -104,24 +117,29 @@ class TuningSession:
         self._stage.run(0.05)
 
 
-FIRST = {"R1": 150, "R2": 4000, "R4": 150, "R5": 150, "R7": 45}
+FIRST_REGISTERS = {"R1": 150, "R2": 4000, "R4": 150, "R5": 150, "R7": 45}
 STEP_FACTORS = {"R4": -0.16, "R5": -0.16, "R2": 0.12, "R1": 0.3}
-SMALLEST = 0.02
+MIN_STEP_FACTOR = 0.02
 
 
-def technician(tuned: TuningSession, show: bool = False) -> None:
-    """Search one coordinate after the other by tools, until the moves are spent or no step is left that is worth one."""
+def tune_by_coordinates(session: TuningSession, show: bool = False) -> None:
+    """Change one register after the other by tools, until the moves are spent or all steps are smaller than MIN_STEP_FACTOR.
+
+    Args:
+        session: Axis whose registers are tuned.
+        show: Whether to print each attempt.
+    """
 
     def attempt(registers: dict[str, int]) -> float | None:
         point = int(compute_ramp_pulses(*(registers[n] for n in ("R1", "R2", "R5", "R7")))) + TAIL_PULSES
         for name, value in {**registers, "R6": point}.items():
-            tuned.box.call("write_register", {"axis": "x", "name": name, "value": value})
-        answer = tuned.box.call("attempt")
+            session.box.call("write_register", {"axis": "x", "name": name, "value": value})
+        answer = session.box.call("attempt")
         if show:
             print(json.dumps({**registers, "R6": point}), answer, sep="\n  ")
         return float(answer.data["score"]) if answer.ok else None
 
-    best, factors, queue = dict(FIRST), dict(STEP_FACTORS), list(STEP_FACTORS)
+    best, factors, queue = dict(FIRST_REGISTERS), dict(STEP_FACTORS), list(STEP_FACTORS)
     score = attempt(best)
     while queue and score is not None:
         name = queue[0]
@@ -134,26 +152,33 @@ def technician(tuned: TuningSession, show: bool = False) -> None:
         if now > score:
             best, score = tried, now
         else:
-            factors[name] /= -2 if factors[name] * STEP_FACTORS[name] > 0 else 2  # the other way, then less of it
-            if abs(factors[name]) < SMALLEST:
+            factors[name] /= (
+                -2 if factors[name] * STEP_FACTORS[name] > 0 else 2
+            )  # first the other direction, then half of the step
+            if abs(factors[name]) < MIN_STEP_FACTOR:
                 continue
         queue.append(name)
 
 
-def search(moves: MoveTuning, seed: int = 0) -> None:
-    """Let the technician search; its moves fill the log of `moves`."""
-    tuned = TuningSession(moves.payload, moves.distance, moves.budget, moves.model)
-    technician(tuned)
-    moves.log = tuned.log
+def search_by_technician(moves: MoveTuning, seed: int = 0) -> None:
+    """Tune by the scripted agent, and store its moves in the log.
+
+    Args:
+        moves: Move that is tuned.
+        seed: Not used: the agent has no chance.
+    """
+    session = TuningSession(moves.payload, moves.distance, moves.budget, moves.model)
+    tune_by_coordinates(session)
+    moves.log = session.log
 
 
 def main() -> None:
     parser: argparse.ArgumentParser = make_parser(__doc__, searches=False, chips=False)
     parser.add_argument("--budget", type=int, default=64, metavar="N", help="moves")
-    parser.add_argument("--show", action="store_true", help="every attempt, and what came of it")
+    parser.add_argument("--show", action="store_true", help="print every attempt and its result")
     args = parser.parse_args()
     tuned = TuningSession(args.payload, args.distance, args.budget, args.model)
-    technician(tuned, args.show)
+    tune_by_coordinates(tuned, args.show)
     print(format_answer(tuned.log, REGISTERS, args.payload, args.distance, model=args.model, margin=args.margin))
 
 

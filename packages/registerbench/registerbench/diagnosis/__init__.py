@@ -1,17 +1,17 @@
-"""Broken set-ups for agents to find and mend: a machine with a fault, or a host's program with a bug.
+"""Broken set-ups that agents diagnose and repair: a machine with a fault, or a host's program with a bug.
 
     case = Case("supply")
-    case.box.call("run")                                     the program, on the machine from power-up
+    case.box.call("run")                                     runs the program on the machine from power-up
     case.box.call("answer", {"cause": "supply too low"})
     case.box.call("service", {"work": "set the supply of the drives to what is on the nameplate"})
-    case.score()                                             found, mended, and what it took
+    case.score()                                             whether it is found and repaired, and at which cost
 
-setups.py has the ten; program.py the language of the host's programs; machine.py what breaks and mends machines; trial.py what a
-customer wants; case.py the tools and the score.
+broken_setups.py has the ten set-ups, host_program.py the language of the host's programs, machine_faults.py what breaks and repairs
+machines, acceptance_trial.py what a customer requires, and diagnosis_case.py the tools and the score.
 """
 
-from registerbench.diagnosis.case import Case, Score
-from registerbench.diagnosis.machine import SERVICES
-from registerbench.diagnosis.setups import CAUSES, SETUPS, Setup
+from registerbench.diagnosis.broken_setups import CAUSES, SETUPS, Setup
+from registerbench.diagnosis.diagnosis_case import Case, Score
+from registerbench.diagnosis.machine_faults import SERVICES
 
 __all__ = ["CAUSES", "SERVICES", "SETUPS", "Case", "Score", "Setup"]

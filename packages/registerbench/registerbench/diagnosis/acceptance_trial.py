@@ -1,7 +1,7 @@
-"""`Trial`: what a customer wants of a machine with its program, in numbers; and the watch that finds out whether it does so.
+"""Acceptance trial of a repaired set-up: a customer's requirements in numbers, and the observer that checks a run against them.
 
-The program is run from power-up. The carriage has to rest at the places that are wanted, one after the other, on time and at the
-speed that was asked for; who crawls there, stops short of it, loses steps or runs against an end has not delivered.
+The program runs from power-up. The carriage must rest at the required positions, one after the other, in time and at the
+required rate. A run fails if the carriage is slower, stops short of a position, loses steps or hits an end of its travel.
 """
 
 from __future__ import annotations
@@ -15,108 +15,133 @@ from registerbench.diagnosis.host_program import SAMPLE_INTERVAL_S
 from stage import Stage
 from stage.errors import RunTimeout
 
-WITHIN = 60e-6  # m, of the place that is wanted: a full step and what friction holds
-ASIDE = 30e-6  # m, by which an axis that has nothing to do may be shaken
-REST = 0.1  # s at each place
-FASTER, SLOWER = 1.05, 0.95  # of the rate that is wanted
-WINDOW = 5  # samples over which a rate is measured
-REACHED = 0.95  # of the rate of a leg: its ramp ends there
+POSITION_TOLERANCE_M = 60e-6  # a full step, and the distance that static friction can hold
+MAX_Y_TRAVEL_M = 30e-6  # vibration of the axis that must stand still
+MIN_REST_S = 0.1  # at each position
+MAX_RATE_RATIO, MIN_RATE_RATIO = 1.05, 0.95  # peak rate of a leg / required rate
+RATE_WINDOW_SAMPLES = 5  # a rate is measured over so many samples
+RAMP_END_RATIO = 0.95  # a ramp ends at this share of the peak rate of its leg
 
 
-class Sample(NamedTuple):
-    """State at a time: what was commanded and where x is, m; lost steps; travel of the other axis, m."""
+class TrialSample(NamedTuple):
+    """State of the stage at one time.
+
+    Attributes:
+        time: Simulated time, s.
+        commanded: Commanded position of x, m.
+        x_m: True position of x, m.
+        lost_steps: Lost full steps of x.
+        y_m: True position of y, m.
+        busy: Whether x or y drives.
+    """
 
     time: float
     commanded: float
-    x: float
-    lost: float
-    aside: float
+    x_m: float
+    lost_steps: float
+    y_m: float
     busy: bool
 
 
 @dataclass(frozen=True)
-class Trial:
-    """Requirements of the customer on a run.
+class AcceptanceTrial:
+    """Requirements of a customer on a run of the program.
 
     Attributes:
-        stops: Where x rests, one after the other, m.
-        from_start: They are seen from where x begins.
-        rate: At the top of each leg, pps.
-        seconds: For all.
-        ramp: Seconds that the first leg takes at least to reach its rate.
-        starts: Where x is put at power-up, a run for each.
-        within: m.
+        stops_m: Positions at which x must rest, one after the other, m.
+        rate_pps: Required peak rate of each leg, pps.
+        max_seconds: Time limit for the whole run, s.
+        min_ramp_s: Shortest permitted duration of the first leg's ramp up, s.
+        starts_m: Positions of x at power-up, a run for each, m.
+        from_start: Whether `stops_m` are relative to the start of the run; else to the middle of the travel.
+        tolerance_m: Permitted deviation from a position, m.
     """
 
-    stops: tuple[float, ...]
-    rate: float
-    seconds: float
-    ramp: float = 0.0
-    starts: tuple[float, ...] = (0.0,)
+    stops_m: tuple[float, ...]
+    rate_pps: float
+    max_seconds: float
+    min_ramp_s: float = 0.0
+    starts_m: tuple[float, ...] = (0.0,)
     from_start: bool = True
-    within: float = WITHIN
+    tolerance_m: float = POSITION_TOLERANCE_M
 
     def __str__(self) -> str:
-        places = ", ".join(f"{1e3 * s:g}" for s in self.stops)
+        places = ", ".join(f"{1e3 * s:g}" for s in self.stops_m)
         samples = "from where it begins" if self.from_start else "from the middle of its travel"
-        ramp = f", with ramps up of {self.ramp:g} s or more on the way to the first" if self.ramp else ""
+        ramp = f", with ramps up of {self.min_ramp_s:g} s or more on the way to the first" if self.min_ramp_s else ""
         return (
-            f"x comes to {places} mm {samples}, and rests {REST:g} s at each; within {1e3 * self.within:g} mm, "
-            f"at {self.rate:g} pulses a second{ramp}, all in {self.seconds:g} s from power-up; y stands still, and no step "
+            f"x comes to {places} mm {samples}, and rests {MIN_REST_S:g} s at each; within {1e3 * self.tolerance_m:g} mm, "
+            f"at {self.rate_pps:g} pulses a second{ramp}, all in {self.max_seconds:g} s from power-up; y stands still, and no step "
             "may be lost"
         )
 
-    def wrong(self, samples: list[Sample], start: float, per_pulse: float) -> str:
-        """Return why a run is not what the customer wants, or "".
+    def explain_failure(self, samples: list[TrialSample], start: float, meters_per_pulse: float) -> str:
+        """Explain why a run does not meet the requirements.
 
         Args:
-            samples: Of the run.
-            start: Where x began, m.
-            per_pulse: m.
+            samples: Samples of the run.
+            start: Position at which x began, m.
+            meters_per_pulse: Travel of x for one pulse, m.
+
+        Returns:
+            The first failed requirement in words; "" if the run meets all.
         """
-        rests = rests_of(samples)
-        wanted = [s + start * self.from_start for s in self.stops]
-        found = [samples[last].x for _, last in rests]
+        rests = find_rests(samples)
+        wanted = [s + start * self.from_start for s in self.stops_m]
+        found = [samples[last].x_m for _, last in rests]
         if len(found) != len(wanted):
             return f"it rests at {len(found)} places, and {len(wanted)} are wanted"
         for place, goal in zip(found, wanted, strict=True):
-            if abs(place - goal) > self.within:
+            if abs(place - goal) > self.tolerance_m:
                 return f"it rests at {1e3 * place:.3f} mm, and {1e3 * goal:g} mm is wanted"
-        if any(round(abs(samples[last].lost)) for _, last in rests):
+        if any(round(abs(samples[last].lost_steps)) for _, last in rests):
             return "steps are lost"
-        if max(abs(s.aside) for s in samples) > ASIDE:
+        if max(abs(s.y_m) for s in samples) > MAX_Y_TRAVEL_M:
             return "y moves"
-        return self._wrong_way(samples, rests, per_pulse)
+        return self._explain_leg_failure(samples, rests, meters_per_pulse)
 
-    def _wrong_way(self, samples: list[Sample], rests: list[tuple[int, int]], per_pulse: float) -> str:
-        """Return what is wrong with the rates and ramps between the stops, or ""."""
+    def _explain_leg_failure(
+        self, samples: list[TrialSample], rests: list[tuple[int, int]], meters_per_pulse: float
+    ) -> str:
+        """Explain which rate or ramp between the rests does not meet the requirements; "" if all do."""
         begins = 0
         for k, (first, last) in enumerate(rests):
             times = np.array([s.time for s in samples[begins : first + 1]])
             places = np.array([s.commanded for s in samples[begins : first + 1]])
-            if len(times) <= WINDOW:
+            if len(times) <= RATE_WINDOW_SAMPLES:
                 return "a way is too short to have a rate"
-            rates = np.abs((places[WINDOW:] - places[:-WINDOW]) / (times[WINDOW:] - times[:-WINDOW])) / per_pulse
+            rates = (
+                np.abs(
+                    (places[RATE_WINDOW_SAMPLES:] - places[:-RATE_WINDOW_SAMPLES])
+                    / (times[RATE_WINDOW_SAMPLES:] - times[:-RATE_WINDOW_SAMPLES])
+                )
+                / meters_per_pulse
+            )
             top = float(rates.max())
-            if not SLOWER * self.rate <= top <= FASTER * self.rate:
+            if not MIN_RATE_RATIO * self.rate_pps <= top <= MAX_RATE_RATIO * self.rate_pps:
                 return f"way {k + 1} has {top:.0f} pulses a second"
-            up = times[int(np.argmax(rates >= REACHED * top))] - times[int(np.argmax(rates > 0))]
-            if k == 0 and up < REACHED * self.ramp - 2 * WINDOW * SAMPLE_INTERVAL_S:
+            up = times[int(np.argmax(rates >= RAMP_END_RATIO * top))] - times[int(np.argmax(rates > 0))]
+            if k == 0 and up < RAMP_END_RATIO * self.min_ramp_s - 2 * RATE_WINDOW_SAMPLES * SAMPLE_INTERVAL_S:
                 return f"its ramp up takes {up:.3f} s"
             begins = last
         return ""
 
 
-class Watch:
-    """Looks at a stage while a program runs; its `look` raises RunTimeout when more than `seconds` have passed."""
+class TrialObserver:
+    """Observer that samples a stage while a program runs.
+
+    Args:
+        stage: Stage with the axes x and y.
+        seconds: Simulated time after which `sample` raises RunTimeout.
+    """
 
     def __init__(self, stage: Stage, seconds: float):
         self._stage, self._seconds = stage, seconds
-        self.samples: list[Sample] = []
+        self.samples: list[TrialSample] = []
         self.sample()
 
     def sample(self) -> None:
-        """Note what is so, every few milliseconds."""
+        """Append a sample if the last one is some milliseconds old. Raises RunTimeout after the permitted time."""
         now = self._stage.time
         if self.samples and now - self.samples[-1].time < 0.9 * SAMPLE_INTERVAL_S:
             return
@@ -124,16 +149,23 @@ class Watch:
             raise RunTimeout(f"it takes more than {self._seconds:g} s.")
         x, y = self._stage.axes["x"], self._stage.axes["y"]
         busy = x.chip.busy(x.chip_axis) or y.chip.busy(y.chip_axis)
-        self.samples.append(Sample(now, x.commanded, x.position, x.lost_steps, y.position, busy))
+        self.samples.append(TrialSample(now, x.commanded, x.position, x.lost_steps, y.position, busy))
 
 
-def rests_of(samples: list[Sample]) -> list[tuple[int, int]]:
-    """The first and last sample of each rest of REST or more, after x was told to move."""
+def find_rests(samples: list[TrialSample]) -> list[tuple[int, int]]:
+    """Find the rests of x that follow a commanded motion and last MIN_REST_S or longer.
+
+    Args:
+        samples: Samples of a run.
+
+    Returns:
+        Indices of the first and the last sample of each rest.
+    """
     rests: list[tuple[int, int]] = []
     first, gone = None, False
     for k, s in enumerate([*samples, samples[-1]._replace(busy=True)]):
         if s.busy:
-            if gone and first is not None and samples[k - 1].time - samples[first].time >= REST:
+            if gone and first is not None and samples[k - 1].time - samples[first].time >= MIN_REST_S:
                 rests.append((first, k - 1))
                 gone = False
             first = None

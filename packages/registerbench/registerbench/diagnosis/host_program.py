@@ -1,15 +1,15 @@
-"""A host's program as text: bus cycles in the language of the bus console, waits and polls, a line each.
+"""Program of a host as text: each line makes bus cycles in the language of the bus console, waits, or polls.
 
-    base x 300h                  where the host believes that the chip of x is; default where it really is
-    x: R0 <- 4000                a register, by the cycles of a driver
-    x: 84 2: 3A 1: 98            bytes: to address 0, then one to address 2 and one to address 1
-    x: operate 15h               a command or word by name
-    wait 0.05                    s
-    until x stopped 5            poll the status until the axis does not drive; the host gives up after 5 s
-    until x RR1.DSND 1 2         poll a bit of a status word until it is 1; gives up after 2 s
+    base x 300h                  port at which the host expects the chip of x; default: its real port
+    x: R0 <- 4000                write a register by the bus cycles of a host driver
+    x: 84 2: 3A 1: 98            write bytes: to address 0, then to address 2, then to address 1
+    x: operate 15h               write a command or word by name
+    wait 0.05                    wait, s
+    until x stopped 5            poll the status until the drive has ended; the host gives up after 5 s
+    until x RR1.DSND 1 2         poll a bit of a status word until it is 1; the host gives up after 2 s
     # a remark
 
-Whoever writes to a base where no chip is writes into the air, and reads FFh there.
+If no chip is at the base port, a write has no effect and a read returns FFh.
 """
 
 from __future__ import annotations
@@ -26,47 +26,59 @@ from stage.firmware import Axis
 from stage.firmware.driver import Driver
 from stage.panel.register_text import BusCycle, parse_line
 
-MAX_LINES = 200  # lines
-MAX_LINE_CHARACTERS = 200  # characters of a line
-FIRST, STRIDE = 0x300, 4  # the port of the first chip, and from one chip to the next, as on a PCL-240 card
-POLL = 5e-4  # s
-DONE = "the program came to its end"
-SAMPLE_INTERVAL_S = 2e-3  # s between two looks of who watches
+MAX_LINES = 200
+MAX_LINE_CHARACTERS = 200
+FIRST_PORT, PORTS_PER_CHIP = 0x300, 4  # as on a PCL-240 card
+POLL_INTERVAL_S = 5e-4
+COMPLETED = "the program came to its end"
+SAMPLE_INTERVAL_S = 2e-3  # simulated time between two samples of an observer
 
 
 @dataclass(frozen=True)
-class Line:
-    """A line that does something. do: it, on a host."""
+class ProgramLine:
+    """Line of a program that is not empty and no remark.
+
+    Attributes:
+        number: Number of the line in the text, from 1.
+        text: Text without the remark.
+        execute: Function that executes the line on a host.
+    """
 
     number: int
     text: str
-    do: Callable[[Host], None]
+    execute: Callable[[ProgramHost], None]
 
 
-class Host:
-    """Runs programs on a stage. driver: of an axis by its name; look: called every few milliseconds."""
+class ProgramHost:
+    """Host that runs programs on a stage.
+
+    Args:
+        stage: Stage with the chips.
+        driver: Function that returns the host driver of an axis by its name.
+        sample: Function that is called every few milliseconds of simulated time, for an observer.
+    """
 
     def __init__(self, stage: Stage, driver: Callable[[str], Driver], sample: Callable[[], None] | None = None):
         self.stage, self.driver, self._sample = stage, driver, sample
         self._base: dict[str, int] = {}
 
-    def run(self, lines: Iterable[Line]) -> dict[str, Any]:
-        """Run lines to the end, or until the host gives up a poll.
+    def run(self, lines: Iterable[ProgramLine]) -> dict[str, Any]:
+        """Run a program to its end, or until a poll times out.
 
         Args:
-            lines: Of a program.
+            lines: Lines of the program.
 
         Returns:
-            How the program ended, by name.
+            The values "ended" (COMPLETED, or the line and its error), "lines_done" and "time_s".
 
         Raises:
-            StageError: As the tools raise it.
+            StageError: A line failed for another reason than a timeout.
         """
         self._base.clear()
         done = 0
         for line in lines:
             try:
-                line.do(self)
+                line.execute(self)
             except RunTimeout as error:
                 return {
                     "ended": f"line {line.number}: {error}",
@@ -74,10 +86,10 @@ class Host:
                     "time_s": round(self.stage.time, 9),
                 }
             done += 1
-        return {"ended": DONE, "lines_done": done, "time_s": round(self.stage.time, 9)}
+        return {"ended": COMPLETED, "lines_done": done, "time_s": round(self.stage.time, 9)}
 
-    def base(self, axis: str, port: int) -> None:
-        """Set the port at which the host believes the chip of an axis.
+    def set_base_port(self, axis: str, port: int) -> None:
+        """Set the port at which the host expects the chip of an axis.
 
         Args:
             axis: Name of the axis.
@@ -85,16 +97,16 @@ class Host:
         """
         self._base[axis] = port
 
-    def cycle(self, axis: str, cycle: BusCycle) -> None:
-        """Make a bus cycle at the ports where the host believes the chip of an axis.
+    def make_bus_cycle(self, axis: str, cycle: BusCycle) -> None:
+        """Make a bus cycle at the port at which the host expects the chip of an axis.
 
         Args:
             axis: Name of the axis.
-            cycle: To make.
+            cycle: Bus cycle, with its address relative to the base port.
         """
         chip = self.stage.axes[axis].chip
         if axis in self._base:
-            k, offset = divmod(self._base[axis] + cycle.address - FIRST, STRIDE)
+            k, offset = divmod(self._base[axis] + cycle.address - FIRST_PORT, PORTS_PER_CHIP)
             if not 0 <= k < len(self.stage.chips):
                 self.stage.cycle()
                 return
@@ -106,38 +118,49 @@ class Host:
         else:
             chip.write(address, cycle.datum)
 
-    def wait_until(self, test: Callable[[], bool], limit: float, what: str) -> None:
-        """Poll until a test is true.
+    def wait_until(self, condition: Callable[[], bool], limit: float, description: str) -> None:
+        """Poll until a condition is true.
 
         Args:
-            test: Called after each poll.
-            limit: Simulated seconds.
-            what: The test in words.
+            condition: Function that is called at each poll.
+            limit: Timeout in simulated seconds.
+            description: The condition in words, for the error.
 
         Raises:
-            RunTimeout: The test was not true in time.
+            RunTimeout: The condition was not true in time.
         """
         begun = self.stage.time
-        while not test():
+        while not condition():
             if self.stage.time - begun >= limit:
-                raise RunTimeout(f"{what} did not come within {limit:g} s, and the host gave up.")
-            self.stage.run(POLL)
+                raise RunTimeout(f"{description} did not come within {limit:g} s, and the host gave up.")
+            self.stage.run(POLL_INTERVAL_S)
             if self._sample is not None:
                 self._sample()
 
     def wait(self, seconds: float) -> None:
-        """Let time pass."""
+        """Let simulated time pass, and call `sample` meanwhile.
+
+        Args:
+            seconds: Simulated time.
+        """
         until = self.stage.time + seconds
         while self._sample is not None and self.stage.time + SAMPLE_INTERVAL_S < until:
             self.stage.run(SAMPLE_INTERVAL_S)
             self._sample()
         self.stage.run(max(until - self.stage.time, 0.0))
 
-    def reads(self, axis: str) -> Axis:
-        """Return the axis whose chip answers where the host believes that of `axis`."""
+    def find_answering_axis(self, axis: str) -> Axis:
+        """Return the axis whose chip is at the port at which the host expects the chip of `axis`.
+
+        Args:
+            axis: Name of the axis.
+
+        Raises:
+            RunTimeout: No chip is at the port, so a poll never ends.
+        """
         if axis not in self._base:
             return self.stage.axes[axis]
-        k = (self._base[axis] - FIRST) // STRIDE
+        k = (self._base[axis] - FIRST_PORT) // PORTS_PER_CHIP
         found = [
             a for a in self.stage.axes.values() if 0 <= k < len(self.stage.chips) and a.chip is self.stage.chips[k]
         ]
@@ -146,12 +169,15 @@ class Host:
         return found[0]
 
 
-def parse(text: str, stage: Stage) -> list[Line]:
-    """Parse the lines of a program that do something.
+def parse_program(text: str, stage: Stage) -> list[ProgramLine]:
+    """Parse a program.
 
     Args:
-        text: Of the program.
-        stage: Whose axes it names.
+        text: Text of the program.
+        stage: Stage with the axes that the program names.
+
+    Returns:
+        Its lines without empty ones and remarks.
 
     Raises:
         ArgumentError: A line cannot be read; the message has its number.
@@ -166,96 +192,96 @@ def parse(text: str, stage: Stage) -> list[Line]:
         if not line:
             continue
         try:
-            lines.append(Line(number, line, _parsed(line, stage)))
+            lines.append(ProgramLine(number, line, _parse_line(line, stage)))
         except (ArgumentError, NotImplementedError) as error:
             raise ArgumentError(f"line {number}, {line[:60]!r}: {error}") from None
     return lines
 
 
-def _parsed(line: str, stage: Stage) -> Callable[[Host], None]:
+def _parse_line(line: str, stage: Stage) -> Callable[[ProgramHost], None]:
     word, _, rest = line.partition(" ")
     if word == "wait":
-        seconds = _seconds(rest)
+        seconds = _parse_seconds(rest)
         return lambda host: host.wait(seconds)
     if word == "base":
         axis, _, port = rest.partition(" ")
         name, number = choose("axis", axis, tuple(stage.axes)), parse_integer("port", port)
-        return lambda host: host.base(name, number)
+        return lambda host: host.set_base_port(name, number)
     if word == "until":
-        return _until(rest.split(), stage)
+        return _parse_until(rest.split(), stage)
     if ":" not in line:
         raise ArgumentError(
             "a line begins with an axis and a colon, or with wait, until or base, as in `x: operate 15h`."
         )
     axis, _, order = line.partition(":")
     name = choose("axis", axis.strip(), tuple(stage.axes))
-    cycles = _cycles(stage.axes[name], order.strip())
+    cycles = _parse_cycles(stage.axes[name], order.strip())
 
-    def send(host: Host) -> None:
+    def send(host: ProgramHost) -> None:
         for cycle in cycles:
-            host.cycle(name, cycle)
+            host.make_bus_cycle(name, cycle)
 
     return send
 
 
-def _cycles(axis: Axis, order: str) -> tuple[BusCycle, ...]:
-    """Parse what stands behind the colon: an order of the console, or bytes with their addresses among them."""
+def _parse_cycles(axis: Axis, text: str) -> tuple[BusCycle, ...]:
+    """Parse the text after the colon: an order of the bus console, or bytes with addresses."""
     kind = type(axis.chip)
-    if re.fullmatch(r"[0-9a-fA-F]{1,4}( [0-3]: ?[0-9a-fA-F]{1,4})+", order):
-        first, *others = re.split(r" (?=[0-3]:)", order)
+    if re.fullmatch(r"[0-9a-fA-F]{1,4}( [0-3]: ?[0-9a-fA-F]{1,4})+", text):
+        first, *others = re.split(r" (?=[0-3]:)", text)
         pairs = [("0", first), *(o.split(":") for o in others)]
         return tuple(BusCycle(False, int(a, 16), int(d, 16)) for a, d in pairs)
-    if "." in order.partition("<-")[0] and "<-" in order:
-        raise ArgumentError("write the whole register: what its other bits are, a program has to know.")
-    return parse_line(kind, order, axis.chip_axis).cycles
+    if "." in text.partition("<-")[0] and "<-" in text:
+        raise ArgumentError("Write the whole register: a program must know its other bits.")
+    return parse_line(kind, text, axis.chip_axis).cycles
 
 
-def _until(words: list[str], stage: Stage) -> Callable[[Host], None]:
+def _parse_until(words: list[str], stage: Stage) -> Callable[[ProgramHost], None]:
     usage = "as in `until x stopped 5` or `until x RR1.DSND 1 2`"
     if not words:
         raise ArgumentError(f"until: {usage}.")
     name = choose("axis", words[0], tuple(stage.axes))
     axis = stage.axes[name]
     if len(words) == 3 and words[1] == "stopped":
-        limit = _seconds(words[2])
+        limit = _parse_seconds(words[2])
 
-        def stopped(host: Host) -> None:
-            answers = host.reads(name)
+        def wait_until_stopped(host: ProgramHost) -> None:
+            answers = host.find_answering_axis(name)
             host.wait_until(lambda: not answers.chip.busy(answers.chip_axis), limit, "the end of the drive")
 
-        return stopped
+        return wait_until_stopped
     if len(words) != 4 or "." not in words[1] or words[2] not in ("0", "1"):
         raise ArgumentError(f"until {' '.join(words)}: {usage}.")
     where, _, bit = words[1].partition(".")
     field = axis.chip.MAP.field(where, bit)
-    wanted, limit = int(words[2]), _seconds(words[3])
+    wanted, limit = int(words[2]), _parse_seconds(words[3])
 
-    def shows(host: Host) -> None:
-        driver = host.driver(host.reads(name).name)
+    def wait_until_bit(host: ProgramHost) -> None:
+        driver = host.driver(host.find_answering_axis(name).name)
         host.wait_until(
             lambda: bool(field.of(driver.status_words()[where])) == bool(wanted), limit, f"{words[1]} = {wanted}"
         )
 
-    if where not in _status_names(axis):
-        raise ArgumentError(f"{where} is no status word that is polled here: {', '.join(_status_names(axis))}.")
-    return shows
+    if where not in _list_status_words(axis):
+        raise ArgumentError(f"{where} is no status word that is polled here: {', '.join(_list_status_words(axis))}.")
+    return wait_until_bit
 
 
-def _status_names(axis: Axis) -> tuple[str, ...]:
+def _list_status_words(axis: Axis) -> tuple[str, ...]:
     from stage.firmware.driver import get_driver
 
-    replica = _Elsewhere(axis)
+    replica = _UnobservedAxis(axis)
     return tuple(get_driver(replica).status_words())  # type: ignore[arg-type]
 
 
-class _Elsewhere:
-    """An axis whose bus cycles nobody sees: to ask a driver which words it reads."""
+class _UnobservedAxis:
+    """Axis with a replica of the chip, on which a host driver can read status words without bus cycles on the stage."""
 
     def __init__(self, axis: Axis):
         self.name, self.chip, self.chip_axis = axis.name, axis.chip.make_replica(), axis.chip_axis
 
 
-def _seconds(text: str) -> float:
+def _parse_seconds(text: str) -> float:
     try:
         value = float(text)
     except ValueError:

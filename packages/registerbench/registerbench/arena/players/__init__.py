@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from registerbench.arena.players import formula_and_random, searches, technician, trained
+from registerbench.arena.players import diagnosis_technician, formula_and_random, rate_searches, trained_policy
 from registerbench.arena.suite_runner import GuardedPlayer, Player
 from registerbench.policies import import_attribute
 from stage.errors import ArgumentError, unknown_name_error
 
 SHIPPED_PLAYERS: dict[str, Callable[[], Player]] = {
-    "formula": lambda: formula_and_random.formula,
+    "formula": lambda: formula_and_random.play_formula,
     "random": formula_and_random.RandomPlayer,
-    "coordinate": lambda: searches.coordinate,
-    "optuna": lambda: searches.optuna,
-    "trained": lambda: trained.play,
-    "technician": lambda: technician.play,
+    "coordinate": lambda: rate_searches.search_by_coordinate,
+    "optuna": lambda: rate_searches.search_by_optuna,
+    "trained": lambda: trained_policy.play_trained_policy,
+    "technician": lambda: diagnosis_technician.play_technician,
 }
 """Functions that make each shipped player, by name."""
 

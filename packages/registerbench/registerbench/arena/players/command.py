@@ -21,8 +21,8 @@ import threading
 from collections.abc import Sequence
 from typing import Any
 
-from registerbench.arena.results import FAILED
-from registerbench.arena.session import GameSession
+from registerbench.arena.game_session import GameSession
+from registerbench.arena.suite_results import FAILED
 from stage.errors import ArgumentError, StageError
 from stage.support.foreign_files import DocumentError, parse_json
 

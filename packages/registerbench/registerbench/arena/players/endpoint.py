@@ -9,7 +9,7 @@ import urllib.error
 import urllib.request
 from typing import Any
 
-from registerbench.arena.session import GameSession
+from registerbench.arena.game_session import GameSession
 from stage.errors import ArgumentError, StageError
 from stage.support.foreign_files import DocumentError, parse_json
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from registerbench.arena.session import GameSession
+from registerbench.arena.game_session import GameSession
 
 
-def formula(session: GameSession) -> None:
+def play_formula(session: GameSession) -> None:
     """Do what the tool `formula` proposes until the game is over; do nothing at a broken set-up, which has no formula."""
     while not session.over:
         answer = session.call("formula")

@@ -8,7 +8,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any, cast
 
-from registerbench.arena.session import GameSession
+from registerbench.arena.game_session import GameSession
 from stage.agents import Answer
 
 

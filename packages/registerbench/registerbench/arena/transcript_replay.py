@@ -6,9 +6,9 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from registerbench.arena.game_session import round_trip_json
 from registerbench.arena.games import Game
-from registerbench.arena.results import GameResult, SuiteResult, make_result, summarize_result
-from registerbench.arena.session import round_trip_json
+from registerbench.arena.suite_results import GameResult, SuiteResult, make_result, summarize_result
 from registerbench.arena.transcript import Transcript, read_transcript, rebuild_suite
 from stage.agents.arguments import format_value
 

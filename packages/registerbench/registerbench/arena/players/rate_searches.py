@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from registerbench.arena.players.formula_and_random import formula
-from registerbench.arena.session import GameSession
+from registerbench.arena.game_session import GameSession
+from registerbench.arena.players.formula_and_random import play_formula
 from stage.support.extras import import_extra
 
 MOVE_ARGUMENTS = ("start", "drive", "up", "down")
@@ -43,10 +43,10 @@ def _get_argument_limits(session: GameSession) -> dict[str, tuple[float, float]]
     return {name: (p["minimum"], p["maximum"]) for name, p in act["parameters"]["properties"].items()}
 
 
-def coordinate(session: GameSession) -> None:
+def search_by_coordinate(session: GameSession) -> None:
     """Search one rate or ramp at a time, beginning at the formula: a step further while it pays, then smaller steps."""
     if not _has_several_attempts(session):
-        formula(session)
+        play_formula(session)
         return
     limits, steps, turn = _get_argument_limits(session), dict(FASTER_FACTORS), list(FASTER_FACTORS)
     best = session.call("formula").data
@@ -65,10 +65,10 @@ def coordinate(session: GameSession) -> None:
         turn.append(turn.pop(0))
 
 
-def optuna(session: GameSession) -> None:
+def search_by_optuna(session: GameSession) -> None:
     """Search by Optuna's tree-structured Parzen estimator (TPE) around the formula, which is its first attempt."""
     if not _has_several_attempts(session):
-        formula(session)
+        play_formula(session)
         return
     library = import_extra("optuna", "the player optuna")
     library.logging.set_verbosity(library.logging.WARNING)

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from registerbench.arena.game_session import MAX_CALLS, Limits, round_trip_json
 from registerbench.arena.games import DIAGNOSIS
-from registerbench.arena.session import MAX_CALLS, Limits, round_trip_json
 from registerbench.entry_files import Entry
-from registerbench.statistics import compute_interval, compute_iqm
+from registerbench.score_statistics import compute_interval, compute_iqm
 
 FAILED = "failed"
 

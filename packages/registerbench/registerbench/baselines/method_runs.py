@@ -1,9 +1,9 @@
-"""The runs of results.py: a search, the proofs of its best moves, and the answer with its test. A Parquet file holds every move.
+"""Runs of the methods that results.py compares: a search, the proofs of its best moves, and a test of its answer.
 
     MethodRuns.read("data/results.parquet").runs[3].answer
 
-A test consists of moves that neither the search nor a proof has made: other rotor angles, other payloads, both directions,
-other distances, and payloads beyond the margin. Nothing is chosen by a test.
+A Parquet file stores every move. A test consists of moves that neither the search nor a proof has made: other rotor angles,
+other payloads, both directions, other distances, and payloads beyond the margin. Nothing is chosen by a test.
 """
 
 from __future__ import annotations
@@ -31,40 +31,40 @@ from registerbench.baselines.move_tuning import (
     MODEL,
     MoveLog,
     MoveTuning,
-    best,
-    prove,
+    find_best_proof,
+    prove_rows,
 )
 from stage.firmware.pcl240.driver import TUNED_REGISTERS as REGISTERS
 
-FIRST_SEED = 1  # with seed 0 the settings were chosen
-TEST_SEED = 1_000  # of no search, and of no proof
-NEW, SHORTER = "new", "shorter"
+FIRST_SEED = 1  # the settings were chosen with seed 0
+TEST_SEED = 1_000  # used by no search and no proof
+NEW_MOVES, SHORTER_MOVES = "new", "shorter"
 MIN_DISTANCE = 12_800  # pulses, 40 mm
-HEAVIER = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)  # kg on top of the payload
+EXTRA_PAYLOADS_KG = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)  # kg on top of the payload
 
 
 class TestContext(NamedTuple):
-    """Moves of a part of a test.
+    """Kind of moves in a test.
 
     Attributes:
         moves: Number of moves.
-        heavier: Mass that each move has on top of the payload, kg.
-        more: Mass that may come on top at random, kg.
-        min_distance: Pulses from which distances are drawn; None: nearly equal distances.
+        extra_kg: Constant mass on top of the payload, kg.
+        max_extra_kg: Largest random mass on top of that, kg.
+        min_distance: Shortest random distance, pulses; None: nearly equal distances.
     """
 
     moves: int
-    heavier: float = 0.0
-    more: float = 0.0
+    extra_kg: float = 0.0
+    max_extra_kg: float = 0.0
     min_distance: int | None = None
 
 
-CONTEXTS = {
-    NEW: TestContext(128, more=MARGIN),
-    SHORTER: TestContext(64, more=MARGIN, min_distance=MIN_DISTANCE),
-    **{f"+{kg:g} kg": TestContext(16, heavier=kg) for kg in HEAVIER},
+TEST_CONTEXTS = {
+    NEW_MOVES: TestContext(128, max_extra_kg=MARGIN),
+    SHORTER_MOVES: TestContext(64, max_extra_kg=MARGIN, min_distance=MIN_DISTANCE),
+    **{f"+{kg:g} kg": TestContext(16, extra_kg=kg) for kg in EXTRA_PAYLOADS_KG},
 }
-"""Of a test. In each every second move goes the other way."""
+"""Kinds of moves in a test, by name. Every second move goes in the minus direction."""
 
 
 @dataclass(frozen=True)
@@ -84,13 +84,14 @@ class Method:
     name: str
     search: Callable[[MoveTuning, int], None]
     color: str
-    fixed: int | None = None
+    fixed_moves: int | None = None
     space: str = "knobs"
     lanes: int = LANES
-    part: float = 1.0  # of the budget
+    budget_share: float = 1.0  # of the budget
 
-    def moves(self, budget: int) -> int:
-        return self.fixed or max(int(budget * self.part), 1)
+    def count_moves(self, budget: int) -> int:
+        """Return the number of moves that the method makes with a budget."""
+        return self.fixed_moves or max(int(budget * self.budget_share), 1)
 
 
 def load_search_lazily(name: str) -> Callable[[MoveTuning, int], None]:
@@ -98,74 +99,88 @@ def load_search_lazily(name: str) -> Callable[[MoveTuning, int], None]:
     return lambda moves, seed: getattr(import_module("registerbench.baselines.sb3_searches"), name)(moves, seed)
 
 
-FORMULA = Method("formula", formula.search, "#66717d", 1, "registers", 1)
-BOLDEST = Method("formula, boldest", formula.boldest, "#1d2733", len(formula.FACTORS), "registers", 1)
+FORMULA = Method("formula", formula.make_formula_move, "#66717d", 1, "registers", 1)
+BOLDEST = Method("formula, boldest", formula.try_safety_factors, "#1d2733", len(formula.SAFETY_FACTORS), "registers", 1)
 METHODS = (
     FORMULA,
     BOLDEST,
-    Method("agent loop", tool_loop.search, "#8a6bb8", 64, "registers", 1),
+    Method("agent loop", tool_loop.search_by_technician, "#8a6bb8", 64, "registers", 1),
     Method("random", searches.search_randomly, "#d9a441"),
     Method("CMA-ES", searches.search_by_cma_es, "#17508f", lanes=8),
     Method("PPO", load_search_lazily("search_by_ppo"), "#d1571f"),
     Method("SAC", load_search_lazily("search_by_sac"), "#4f9d69"),
-    Method("random, raw registers", searches.search_randomly, "#c9d1da", space="registers", part=1 / 4),
-    Method("CMA-ES, raw registers", searches.search_by_cma_es, "#9fc3e6", space="registers", lanes=8, part=1 / 4),
+    Method("random, raw registers", searches.search_randomly, "#c9d1da", space="registers", budget_share=1 / 4),
+    Method(
+        "CMA-ES, raw registers", searches.search_by_cma_es, "#9fc3e6", space="registers", lanes=8, budget_share=1 / 4
+    ),
 )
-QUICK = ("formula", "formula, boldest", "agent loop", "random", "CMA-ES")
+QUICK_METHODS = ("formula", "formula, boldest", "agent loop", "random", "CMA-ES")
 
 
 @dataclass(eq=False)
 class MethodRun:
-    """One run of a method.
+    """Run of a method with one payload and seed.
 
     Attributes:
         method: Name of the method.
         payload: Name of the payload.
         seed: Seed of the search.
-        search: Moves of the search.
-        proofs: Moves of the proof of each of the best moves, by the number of the move.
-        test: Moves of the answer's test, by context.
+        search_log: Moves of the search.
+        proof_logs: Moves of each proof, by the number of the move in the search that it repeats.
+        test_logs: Moves of the answer's test, by the name of the test context.
     """
 
     method: str
     payload: str
     seed: int
-    search: MoveLog
-    proofs: dict[int, MoveLog] = field(default_factory=dict)
-    test: dict[str, MoveLog] = field(default_factory=dict)
+    search_log: MoveLog
+    proof_logs: dict[int, MoveLog] = field(default_factory=dict)
+    test_logs: dict[str, MoveLog] = field(default_factory=dict)
 
     @classmethod
     def from_search(cls, method: str, payload: str, seed: int, search: MoveLog, mass: float, model: str) -> MethodRun:
+        """Make the run of a finished search: prove its best moves, and test the answer.
+
+        Args:
+            method: Name of the method.
+            payload: Name of the payload.
+            seed: Seed of the search.
+            search: Moves of the search.
+            mass: Payload, kg.
+            model: Name of the model.
+        """
         run = cls(method, payload, seed, search)
         ranked = search.ranking[:CANDIDATES]
         if ranked:
             rows = [search.registers[k] for k in ranked]
-            run.proofs = dict(
-                zip(ranked, prove(rows, mass, model=model, margin=MARGIN, needed=MAX_HOLDING), strict=False)
+            run.proof_logs = dict(
+                zip(ranked, prove_rows(rows, mass, model=model, margin=MARGIN, needed=MAX_HOLDING), strict=False)
             )
         if run.answer is not None:
-            run.test = make_test(search.registers[run.answer], mass, model)
+            run.test_logs = run_test(search.registers[run.answer], mass, model)
         return run
 
     @property
     def answer(self) -> int | None:
-        """Number of the move that is the answer; None if no move holds that was tried again."""
-        which = best(list(self.proofs.values()))
-        return None if which is None else list(self.proofs)[which]
+        """Number of the move that is the answer; None if no repeated move holds."""
+        which = find_best_proof(list(self.proof_logs.values()))
+        return None if which is None else list(self.proof_logs)[which]
 
     @property
     def registers(self) -> dict[str, int]:
-        return dict(zip(REGISTERS, self.search.registers[self.answer], strict=True)) if self.answer is not None else {}
+        return (
+            dict(zip(REGISTERS, self.search_log.registers[self.answer], strict=True)) if self.answer is not None else {}
+        )
 
     @property
     def lucky_moves(self) -> int:
         """Number of moves with a higher reward that are not the answer."""
-        return list(self.proofs).index(self.answer) if self.answer is not None else len(self.proofs)
+        return list(self.proof_logs).index(self.answer) if self.answer is not None else len(self.proof_logs)
 
     @property
-    def kept_share(self) -> float:
+    def kept_step_share(self) -> float:
         """Share of the moves of the search that kept step."""
-        return float(np.mean(self.search.kept_step))
+        return float(np.mean(self.search_log.kept_step))
 
     def compute_mean(self, name: str, kept_step_only: bool = False) -> float:
         """Compute the mean of a column over the new moves of the answer's test.
@@ -174,70 +189,77 @@ class MethodRun:
             name: "reward" (ms), "duration" (ms) or "vibration" (um).
             kept_step_only: Whether to leave out the moves that lost steps.
         """
-        if not self.test:
+        if not self.test_logs:
             return np.nan
-        log = self.test[NEW]
+        log = self.test_logs[NEW_MOVES]
         values = np.array(getattr(log, name))[log.kept_step if kept_step_only else slice(None)]
         return {"vibration": 1e6}.get(name, 1e3) * float(np.mean(values))
 
     def count_lost(self, context: str) -> int:
-        """Count the moves of its test that did not keep step."""
-        return self.test[context].kept_step.count(False)
+        """Count the moves of the test that did not keep step.
+
+        Args:
+            context: Name of the test context.
+        """
+        return self.test_logs[context].kept_step.count(False)
 
     @property
     def reward_excess(self) -> float:
-        """Reward, ms, by which the proof was better than the test."""
+        """Mean reward of the proof minus that of the test, ms."""
         return (
-            1e3 * float(np.mean(self.proofs[self.answer].reward)) - self.compute_mean("reward")
+            1e3 * float(np.mean(self.proof_logs[self.answer].reward)) - self.compute_mean("reward")
             if self.answer is not None
             else np.nan
         )
 
     @property
     def spare_payload(self) -> float:
-        """Mass on top of the payload, kg, up to which no move of the test lost a step."""
+        """Largest mass on top of the payload, kg, up to which no move of the test lost a step."""
         holding = 0.0
-        for kg in HEAVIER if self.test else ():
+        for kg in EXTRA_PAYLOADS_KG if self.test_logs else ():
             if self.count_lost(f"+{kg:g} kg"):
                 return holding
             holding = kg
-        return holding if self.test else np.nan
+        return holding if self.test_logs else np.nan
 
     @cached_property
     def table(self) -> pyarrow.Table:
         """Moves of the run, in order."""
-        parts = [("search", "", None, self.search)]
-        parts += [("proof", "", number, log) for number, log in self.proofs.items()]
-        parts += [("test", context, self.answer, log) for context, log in self.test.items()]
-        return pyarrow.concat_tables([rows(self, *part) for part in parts])
+        parts = [("search", "", None, self.search_log)]
+        parts += [("proof", "", number, log) for number, log in self.proof_logs.items()]
+        parts += [("test", context, self.answer, log) for context, log in self.test_logs.items()]
+        return pyarrow.concat_tables([make_table(self, *part) for part in parts])
 
 
-def make_test(registers: list[int], payload: float, model: str) -> dict[str, MoveLog]:
-    """Make the moves of the test with an answer; they are the same for every method.
+def run_test(registers: list[int], payload: float, model: str) -> dict[str, MoveLog]:
+    """Make the moves of the test with an answer; every method makes the same moves.
 
     Args:
         registers: Registers of the answer.
         payload: Mass on the table, kg.
         model: Name of the model.
+
+    Returns:
+        Moves by the name of the test context.
     """
     logs = {}
-    for seed, (name, c) in enumerate(CONTEXTS.items(), TEST_SEED):
+    for seed, (name, c) in enumerate(TEST_CONTEXTS.items(), TEST_SEED):
         settings: dict[str, Any] = {
             "seed": seed,
             "model": model,
-            "more": c.more,
+            "max_extra_kg": c.max_extra_kg,
             "min_distance": c.min_distance,
             "both_directions": True,
         }
-        with MoveTuning(payload + c.heavier, c.moves, "registers", **settings) as moves:
+        with MoveTuning(payload + c.extra_kg, c.moves, "registers", **settings) as moves:
             action = moves.registers.to_action(np.array(registers))
-            while moves.left:
-                moves.make_actions(np.tile(action, (moves.lanes, 1)))
+            while moves.moves_left:
+                moves.make_moves_of_actions(np.tile(action, (moves.lanes, 1)))
         logs[name] = moves.log
     return logs
 
 
-# The file: a row a move
+# The Parquet file has a row for each move.
 
 WORDS = pyarrow.dictionary(pyarrow.int8(), pyarrow.string())
 UNITS = {
@@ -251,7 +273,7 @@ SCHEMA = pyarrow.schema(
     [
         *((name, WORDS) for name in ("payload", "method", "part", "context")),
         ("seed", pyarrow.int16()),
-        ("of", pyarrow.int16()),  # the number of the move of the search whose registers these are
+        ("of", pyarrow.int16()),  # number of the move in the search that has these registers
         ("number", pyarrow.int16()),
         ("distance", pyarrow.int32()),
         *((name, pyarrow.float32()) for name in ("kg", "angle")),
@@ -265,7 +287,7 @@ BYTE_SPLIT_COLUMNS = ("kg", "angle", "reward", "duration_s", "vibration_um")
 DICTIONARY_COLUMNS = [f.name for f in SCHEMA if f.name not in BYTE_SPLIT_COLUMNS]
 
 
-def rows(run: MethodRun, part: str, context: str, number: int | None, log: MoveLog) -> pyarrow.Table:
+def make_table(run: MethodRun, part: str, context: str, number: int | None, log: MoveLog) -> pyarrow.Table:
     count = len(log)
     order = list(range(count))
     distance, kg, angle = zip(*log.drawn, strict=True)
@@ -279,8 +301,14 @@ def rows(run: MethodRun, part: str, context: str, number: int | None, log: MoveL
     return pyarrow.table([a.cast(f.type) for a, f in zip(arrays, SCHEMA, strict=True)], schema=SCHEMA)
 
 
-def make_log(columns: dict[str, list[Any]], begin: int, end: int) -> MoveLog:
-    """Make a log of the moves of these rows."""
+def make_move_log(columns: dict[str, list[Any]], begin: int, end: int) -> MoveLog:
+    """Make a log of the moves in a range of rows.
+
+    Args:
+        columns: Columns of the file.
+        begin: First row.
+        end: Row after the last one.
+    """
     c = {name: values[begin:end] for name, values in columns.items()}
     registers = [list(row) for row in zip(*(c[name] for name in REGISTERS), strict=True)]
     drawn = list(zip(c["distance"], c["kg"], c["angle"], strict=True))
@@ -290,7 +318,18 @@ def make_log(columns: dict[str, list[Any]], begin: int, end: int) -> MoveLog:
 
 @dataclass
 class MethodRuns:
-    """All runs of all methods; `took` is in seconds, `versions` has the versions of the packages."""
+    """All runs of all methods.
+
+    Attributes:
+        budget: Moves of a search.
+        seeds: Number of seeds.
+        payloads: Payloads, kg, by name.
+        model: Name of the model.
+        quick: Whether only the methods of QUICK_METHODS run.
+        took: Duration of all runs, s.
+        versions: Versions of the packages by name.
+        runs: The runs.
+    """
 
     budget: int
     seeds: int
@@ -313,18 +352,18 @@ class MethodRuns:
             if end < len(keys) and keys[end] == keys[begin] and (keys[end][3] == "search" or of[end] == of[begin]):
                 continue
             payload, method, seed, part, context = keys[begin]
-            log = make_log(columns, begin, end)
+            log = make_move_log(columns, begin, end)
             if part == "search":
                 all_.runs.append(MethodRun(method, payload, seed, log))
             elif part == "proof":
-                all_.runs[-1].proofs[of[begin]] = log
+                all_.runs[-1].proof_logs[of[begin]] = log
             else:
-                all_.runs[-1].test[context] = log
+                all_.runs[-1].test_logs[context] = log
             begin = end
         return all_
 
     def write(self, path: Path) -> None:
-        """Write the runs; equal runs give equal bytes."""
+        """Write the runs to a Parquet file; equal runs give equal bytes."""
         about = {
             name: getattr(self, name) for name in ("budget", "seeds", "payloads", "model", "quick", "took", "versions")
         }
@@ -340,7 +379,7 @@ class MethodRuns:
         )
 
     def run_all(self, keep: Path | None) -> None:
-        """Make the runs that are still missing.
+        """Make the missing runs.
 
         Args:
             keep: File to which all runs are written after each run, or None.
@@ -356,32 +395,32 @@ class MethodRuns:
         )
         self.versions = self.versions or {p: metadata.version(p) for p in packages}
         for payload, method in product(self.payloads, self.methods):
-            for seed in range(FIRST_SEED, FIRST_SEED + (1 if method.fixed else self.seeds)):
+            for seed in range(FIRST_SEED, FIRST_SEED + (1 if method.fixed_moves else self.seeds)):
                 if (payload, method.name, seed) not in done:
-                    self.run(payload, method, seed)
+                    self.run_method(payload, method, seed)
                     if keep:
                         self.write(keep)
 
     @property
     def methods(self) -> list[Method]:
-        return [m for m in METHODS if not self.quick or m.name in QUICK]
+        return [m for m in METHODS if not self.quick or m.name in QUICK_METHODS]
 
-    def run(self, payload: str, method: Method, seed: int) -> None:
+    def run_method(self, payload: str, method: Method, seed: int) -> None:
         began, mass = time.perf_counter(), self.payloads[payload]
         settings: dict[str, Any] = {"lanes": method.lanes, "seed": seed, "model": self.model}
-        with MoveTuning(mass, method.moves(self.budget), method.space, **settings) as moves:
+        with MoveTuning(mass, method.count_moves(self.budget), method.space, **settings) as moves:
             method.search(moves, seed)
         run = MethodRun.from_search(method.name, payload, seed, moves.log, mass, self.model)
         took = time.perf_counter() - began
         self.runs.append(run)
         self.took += took
         text = "none holds"
-        if run.test:
-            lost = f"{run.count_lost(NEW)} and {run.count_lost(SHORTER)} moves of the test lost"
+        if run.test_logs:
+            lost = f"{run.count_lost(NEW_MOVES)} and {run.count_lost(SHORTER_MOVES)} moves of the test lost"
             reward, duration = run.compute_mean("reward"), run.compute_mean("duration")
             text = f"{reward:.1f} ms, {duration:.1f} of it time; {lost}, {run.spare_payload:.1f} kg to spare"
         print(
-            f"{payload:6}{run.method:22} seed {seed}: {len(run.search):4} moves, {run.kept_share:4.0%} kept step, "
-            f"{len(run.proofs)} tried again; {text}; took {took:.0f} s",
+            f"{payload:6}{run.method:22} seed {seed}: {len(run.search_log):4} moves, {run.kept_step_share:4.0%} kept step, "
+            f"{len(run.proof_logs)} repeated; {text}; took {took:.0f} s",
             flush=True,
         )

@@ -1,12 +1,12 @@
-"""The ten set-ups: what the customer complains of, the host's program, what is broken, and what the machine shall do."""
+"""The ten broken set-ups, each with the customer's complaint, the host's program, the cause, and the acceptance trial."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from registerbench.diagnosis.acceptance_trial import Trial
-from registerbench.diagnosis.machine import slip, swap_limits, weak_supply
+from registerbench.diagnosis.acceptance_trial import AcceptanceTrial
+from registerbench.diagnosis.machine_faults import loosen_coupling, lower_supply_voltage, swap_limit_wires
 from stage import Stage
 
 CAUSES = {
@@ -21,30 +21,35 @@ CAUSES = {
     "slipping coupling": "not all of the motor's torque reaches the screw",
     "S-curve failure of the MCX304": "a decelerating stop at the end of an S-curve drive never ends",
 }
-"""What an agent can answer."""
+"""Causes that an agent can answer, with their descriptions."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """Broken set-up.
+    """Broken set-up: a machine and a host's program that do not meet the customer's requirements.
 
     Attributes:
-        equip: Breaks the machine at each power-up, until `cause` has been repaired.
-        program: Of the host.
-        trial: What the customer wants of the machine and its program.
+        name: Name of the set-up.
+        cause: Key of CAUSES.
+        complaint: Complaint of the customer.
+        program: Program of the host, see host_program.py.
+        trial: Requirements of the customer.
+        chips: Chips of the stage.
+        payload: Mass on the table, kg.
+        break_machine: Function that makes the fault at each power-up until it is repaired; None if the program is at fault.
     """
 
     name: str
     cause: str
     complaint: str
     program: str
-    trial: Trial
+    trial: AcceptanceTrial
     chips: str = "pcl240k"
     payload: float = 0.0
-    equip: Callable[[Stage], None] | None = None
+    break_machine: Callable[[Stage], None] | None = None
 
 
-REGISTERS = """\
+MOVE_REGISTERS = """\
 x: operate 08h          # reset command
 x: R0 <- 16000          # 50 mm
 x: R1 <- 340            # 1 kpps
@@ -54,13 +59,13 @@ x: R5 <- 157
 x: R6 <- 3200
 x: R7 <- 204
 """
-THERE = """\
+MOVE_OUT = """\
 x: control 44h          # preset, plus
 x: operate 15h          # start, ramp to FH1
 until x stopped 5
 wait 0.2
 """
-BACK = """\
+MOVE_BACK = """\
 x: operate 08h
 x: R0 <- 16000
 x: R6 <- 3200
@@ -69,9 +74,9 @@ x: operate 15h
 until x stopped 5
 wait 0.2
 """
-MOVE = REGISTERS + THERE + BACK
-FAST = Trial((0.05, 0.0), rate=24_000, seconds=2.6)
-SOFT = """\
+MOVE_OUT_AND_BACK = MOVE_REGISTERS + MOVE_OUT + MOVE_BACK
+FAST_TRIAL = AcceptanceTrial((0.05, 0.0), rate_pps=24_000, max_seconds=2.6)
+LONG_RAMP_REGISTERS = """\
 x: operate 08h
 x: R0 <- 16000          # 50 mm
 x: R1 <- 3
@@ -81,7 +86,7 @@ x: R5 <- 16000
 x: R6 <- 3400
 x: R7 <- 2              # steps of 300 pps
 """
-CURVE = """\
+S_CURVE_DRIVE = """\
 x: {start}
 until x RR1.DSND 1 4
 until x RR1.DSND 0 4
@@ -119,15 +124,16 @@ x: operate 10h
 until x stopped 20
 wait 0.2
 """,
-            Trial((-0.12, -0.11, -0.12), rate=8000, seconds=4.0, starts=(-0.1, -0.08), from_start=False, within=3e-4),
+            AcceptanceTrial((-0.12, -0.11, -0.12), rate_pps=8000, max_seconds=4.0, starts_m=(-0.1, -0.08), from_start=False,
+                            tolerance_m=3e-4),
             chips="pcl240ms",
         ),
         Setup(
             "forgotten",
             "R6 missing after reset",
             "x shall move 50 mm and back. Since the chip was replaced by its successor it ends with a bang, and stands elsewhere.",
-            REGISTERS + "x: operate 08h          # once more, to be sure\n" + THERE + BACK,
-            FAST,
+            MOVE_REGISTERS + "x: operate 08h          # once more, to be sure\n" + MOVE_OUT + MOVE_BACK,
+            FAST_TRIAL,
             chips="pcl240mk",
             payload=2.0,
         ),
@@ -135,8 +141,8 @@ wait 0.2
             "wide",
             "R4 wider than its register",
             "x shall move 50 mm and back with a long, soft ramp up. It starts with a jerk, hums, and stays where it is.",
-            SOFT + THERE + BACK.replace("R6 <- 3200", "R6 <- 3400"),
-            replace(FAST, ramp=0.24, seconds=3.2),
+            LONG_RAMP_REGISTERS + MOVE_OUT + MOVE_BACK.replace("R6 <- 3200", "R6 <- 3400"),
+            replace(FAST_TRIAL, min_ramp_s=0.24, max_seconds=3.2),
             payload=2.0,
         ),
         Setup(
@@ -161,50 +167,50 @@ x: operate 15h
 until x stopped 8
 wait 0.2
 """,
-            Trial((0.15, -0.15), rate=16_000, seconds=9.0, starts=(0.1,), from_start=False, within=1e-3),
-            equip=swap_limits,
+            AcceptanceTrial((0.15, -0.15), rate_pps=16_000, max_seconds=9.0, starts_m=(0.1,), from_start=False, tolerance_m=1e-3),
+            break_machine=swap_limit_wires,
         ),
         Setup(
             "late",
             "ramp-down point too late",
             "x shall move 50 mm with 2 kg on it, and back. It starts well, stops hard, and stands somewhere else.",
-            REGISTERS.replace("R6 <- 3200", "R6 <- 320 ") + THERE + BACK,
-            FAST,
+            MOVE_REGISTERS.replace("R6 <- 3200", "R6 <- 320 ") + MOVE_OUT + MOVE_BACK,
+            FAST_TRIAL,
             payload=2.0,
         ),
         Setup(
             "supply",
             "supply too low",
             "x shall move 50 mm and back. Slow moves are good, and on this one it stands still with a whine half way.",
-            MOVE,
-            FAST,
-            equip=weak_supply,
+            MOVE_OUT_AND_BACK,
+            FAST_TRIAL,
+            break_machine=lower_supply_voltage,
         ),
         Setup(
             "address",
             "wrong base address",
             "x shall move 50 mm and back. x stands still, and something else moves.",
-            "base x 304h             # the card, see its jumpers\n" + MOVE,
-            FAST,
+            "base x 304h             # the card, see its jumpers\n" + MOVE_OUT_AND_BACK,
+            FAST_TRIAL,
         ),
         Setup(
             "reset",
             "missing reset command",
             "x shall move 25 mm twice, with a pause, and back. It makes the first move, and not the second.",
-            (REGISTERS + THERE).replace("R0 <- 16000          # 50 mm", "R0 <- 8000           # 25 mm")
-            + "x: R0 <- 8000           # once more\nx: operate 15h\nuntil x stopped 5\nwait 0.2\n" + BACK,
-            replace(FAST, stops=(0.025, 0.05, 0.0), seconds=3.2),
+            (MOVE_REGISTERS + MOVE_OUT).replace("R0 <- 16000          # 50 mm", "R0 <- 8000           # 25 mm")
+            + "x: R0 <- 8000           # once more\nx: operate 15h\nuntil x stopped 5\nwait 0.2\n" + MOVE_BACK,
+            replace(FAST_TRIAL, stops_m=(0.025, 0.05, 0.0), max_seconds=3.2),
         ),
         Setup(
             "slip",
             "slipping coupling",
             "x shall move 50 mm with 2 kg on it, slowly, and back. The motor was changed yesterday; since then it comes short, at "
             "any speed.",
-            MOVE.replace("R2 <- 8160           # 24 kpps", "R2 <- 2720           # 8 kpps")
+            MOVE_OUT_AND_BACK.replace("R2 <- 8160           # 24 kpps", "R2 <- 2720           # 8 kpps")
             .replace("R4 <- 157", "R4 <- 60").replace("R5 <- 157", "R5 <- 60").replace("R6 <- 3200", "R6 <- 400 "),
-            Trial((0.05, 0.0), rate=8000, seconds=5.4),
+            AcceptanceTrial((0.05, 0.0), rate_pps=8000, max_seconds=5.4),
             payload=2.0,
-            equip=slip,
+            break_machine=loosen_coupling,
         ),
         Setup(
             "erratum",
@@ -221,8 +227,8 @@ x: AO <- 0
 x: WR2 0004h            # limits decelerate
 x: WR3 0004h            # S-curve
 x: P <- 40000           # 125 mm
-""" + CURVE.format(start="F_DRV_P") + CURVE.format(start="F_DRV_M"),
-            Trial((0.125, 0.0), rate=27_700, seconds=5.4, starts=(0.02,), within=1e-4),
+""" + S_CURVE_DRIVE.format(start="F_DRV_P") + S_CURVE_DRIVE.format(start="F_DRV_M"),
+            AcceptanceTrial((0.125, 0.0), rate_pps=27_700, max_seconds=5.4, starts_m=(0.02,), tolerance_m=1e-4),
             chips="mcx304",
         ),
     )

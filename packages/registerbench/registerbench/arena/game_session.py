@@ -1,4 +1,4 @@
-"""A game as its player sees it: the tools, the calls made so far, and limits of calls and time."""
+"""Interface between a game and its player: the tools, the log of calls, and limits of calls and time."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class GameLeft(BaseException):
 
 
 class GameSession:
-    """Game as its player sees it.
+    """Interface through which a player plays a game.
 
     Attributes:
         task: What is to be done, in words.

@@ -1,4 +1,4 @@
-"""What is broken in machines, each time that they are at power-up, and what a technician can be asked to do."""
+"""Faults of the machines of broken set-ups, made at each power-up, and the services of a technician that repair them."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ SERVICES = {
     "clean and grease the guides of x": "",
     "replace the ORG sensor of x": "",
 }
-"""What a technician can be asked to do, and which cause it mends."""
+"""Services of a technician, and the cause that each repairs; "" if it repairs none."""
 
 
-def swap_limits(stage: Stage) -> None:
+def swap_limit_wires(stage: Stage) -> None:
     """Exchange the wires of x's end limits."""
     axis = stage.axes["x"]
     rows = [axis.switches.row(pin) for pin in ("el_plus", "el_minus")]
@@ -26,36 +26,36 @@ def swap_limits(stage: Stage) -> None:
     stage.update_switches(axis)
 
 
-def straighten_limits(stage: Stage) -> None:
-    """Connect the wires of x's end limits as they should be."""
+def restore_limit_wires(stage: Stage) -> None:
+    """Connect the wires of x's end limits correctly again."""
     axis = stage.axes["x"]
     for pin in ("el_plus", "el_minus"):
         stage.state.switch_table[axis.switches.row(pin)].bit = axis.chip.wired(pin)
     stage.update_switches(axis)
 
 
-def weak_supply(stage: Stage) -> None:
-    """Lower the supply to a sixth."""
+def lower_supply_voltage(stage: Stage) -> None:
+    """Lower the supply voltage of all drives to a sixth."""
     for axis in stage.axes.values():
         axis.faults.bus_voltage = axis.drive.bus_voltage / 6
     stage.apply_faults()
 
 
-def full_supply(stage: Stage) -> None:
-    """Set the supply to what it should be."""
+def restore_supply_voltage(stage: Stage) -> None:
+    """Set the supply voltage of all drives to its nominal value."""
     for axis in stage.axes.values():
         axis.faults.bus_voltage = axis.drive.bus_voltage
     stage.apply_faults()
 
 
-def slip(stage: Stage) -> None:
-    """Let a fifteenth of the motor's torque reach the screw of x; the only rotor of the model is that on the screw."""
+def loosen_coupling(stage: Stage) -> None:
+    """Let only a fifteenth of the motor's torque reach the screw of x; the model has no rotor apart from the screw."""
     drive = stage.state.drives[stage.axes["x"].index]
     drive.torque_constant, drive.slice = drive.torque_constant / 15, 0.0
 
 
 REPAIRS: dict[str, Callable[[Stage], None]] = {
-    "swapped limit switches": straighten_limits,
-    "supply too low": full_supply,
+    "swapped limit switches": restore_limit_wires,
+    "supply too low": restore_supply_voltage,
 }
-"""What mending does that a reset does not."""
+"""Repairs that need more than a power-up without the fault, by cause."""

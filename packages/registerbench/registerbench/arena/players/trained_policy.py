@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from registerbench.arena.players.formula_and_random import formula
-from registerbench.arena.session import GameSession
+from registerbench.arena.game_session import GameSession
+from registerbench.arena.players.formula_and_random import play_formula
 from registerbench.arena.tool_actions import convert_action_to_rates
 
 FEATURES = {
@@ -24,11 +24,11 @@ FEATURES = {
 """Features of an observation in the order of a table's columns; a last column of ones follows them."""
 
 
-def play(session: GameSession) -> None:
+def play_trained_policy(session: GameSession) -> None:
     """Act by the table until the game is over."""
     kind = session.name.partition(":")[0]
     if kind not in FEATURES:
-        formula(session)
+        play_formula(session)
         return
     weights = np.array(json.loads(files(__package__).joinpath("trained.json").read_text(encoding="utf-8"))[kind])
     observation = session.call("observe").data["observation"]

@@ -9,8 +9,8 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from registerbench.arena.players.formula_and_random import formula
-from registerbench.arena.session import GameSession
+from registerbench.arena.game_session import GameSession
+from registerbench.arena.players.formula_and_random import play_formula
 
 DIAGNOSTIC_SIGNS = (
     ("bits wide", "R4 wider than its register"),
@@ -21,10 +21,10 @@ DIAGNOSTIC_SIGNS = (
 """Part of the text of a diagnostic, and the cause behind it."""
 
 
-def play(session: GameSession) -> None:
+def play_technician(session: GameSession) -> None:
     """Diagnose and repair a broken set-up; in an episode of a task, do what the formula does."""
     if "program" not in {t["name"] for t in session.tools}:
-        formula(session)
+        play_formula(session)
         return
     program = session.call("program").text
     end = session.call("run").data["ended"]
