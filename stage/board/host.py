@@ -21,8 +21,10 @@ from stage.board import library, windows
 from stage.board.board import Board
 from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostTimeout
+from stage.board.firmware_pins import parse_firmware_pins
 from stage.board.link import UNBOUNDED
 from stage.board.pacing import RealTimePace
+from stage.board.pins import PinLine
 from stage.board.scratch import Scratch
 from stage.board.serial_line import SerialPort
 from stage.board.thread_runner import PATIENCE_S, LoadedProgram, Program, ThreadRunner
@@ -262,11 +264,13 @@ class NativeProgram:
         path: Path of the library.
         windows: Windows of memory-mapped registers.
         cost: Simulated time that each basic block takes, ps; 0: the library does not count basic blocks.
+        lines: Lines of axes at its pins.
     """
 
     path: Path
     windows: tuple[windows.Window, ...] = ()
     cost: int = 0
+    lines: tuple[PinLine, ...] = ()
 
     def load(self, board: Board, isolated: bool) -> LoadedProgram:
         """Load a copy of the library for a board.
@@ -283,10 +287,10 @@ class NativeProgram:
         if isolated and IS_SUPPORTED:
             from stage.board.isolation.traps import TrappedLibrary
 
-            return TrappedLibrary(self.path, board.link, self.cost, self.windows)
+            return TrappedLibrary(self.path, board.link, self.cost, self.lines, self.windows)
         if self.windows:
             raise StageError(f"map={', '.join(map(str, self.windows))}: {windows.explain_missing(isolated)}")
-        return library.Library(self.path, board.link, self.cost)
+        return library.Library(self.path, board.link, self.cost, self.lines)
 
 
 class NativeHost(Host):
@@ -303,6 +307,7 @@ class NativeHost(Host):
         map: Windows of memory-mapped registers, see stage.board.windows: one, or a sequence.
         cost: Simulated seconds that each basic block of the firmware takes (default: none), see docs/interrupts.md; sources are
             built so that they count them.
+        pins: Pins of the firmware that are lines of STEP/DIR axes, see stage.board.pins: one text or several.
 
     Raises:
         ArgumentError: There is no such patience, window or cost.
@@ -310,7 +315,7 @@ class NativeHost(Host):
         CompileError, NoCompilerError: See `build`.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  each is one property of the firmware or of its wiring
         self,
         firmware: str | os.PathLike | Sequence[str | os.PathLike],
         board: Board,
@@ -321,6 +326,7 @@ class NativeHost(Host):
         patience: float = PATIENCE_S,
         map: windows.Windows = (),
         cost: float = 0.0,
+        pins: str | Sequence[str] = (),
     ):
         self._check(board, patience, "'driver.c'")
         if not (isinstance(cost, int | float) and (cost == 0 or 1e-12 <= cost <= 1)):
@@ -328,10 +334,11 @@ class NativeHost(Host):
                 f"cost={cost!r}: simulated seconds a basic block, 1e-12 to 1, for example 50e-9; 0 for none."
             )
         mapped = windows.parse_windows(map)
+        lines = parse_firmware_pins(pins, board.stage)
         self._scratch = Scratch() if library.are_sources(firmware) else None  # what is built goes with the host
         folder = self._scratch.path if self._scratch else None
         path = library.find_library(firmware, flags, platform, folder, metered=cost > 0)
-        super().__init__(NativeProgram(path, mapped, round(cost * 1e12)), board, isolated, patience)
+        super().__init__(NativeProgram(path, mapped, round(cost * 1e12), lines), board, isolated, patience)
 
 
 def to_nanoseconds(seconds: float, name: str) -> int:

@@ -175,6 +175,10 @@ class Hooks:
             host_record.ON_LINE: f"ps_on_line({a}, ...): this board has lines 0 to {lines - 1}, and software interrupts "
             f"PS_SOFTWARE(0) to PS_SOFTWARE({interrupts.SOFTWARE - 1})",
             host_record.LEVEL: f"ps_level({a}): levels are 0 to {interrupts.HIGHEST}",
+            **dict.fromkeys(
+                (host_record.SET_LINES, host_record.READ_LINES, host_record.WATCH_LINES),
+                f"lines of chip {a}: this stage has chips 0 to {len(self._link.stage.chips) - 1}",
+            ),
             host_record.RAISE: f"ps_raise({a}): software interrupts are 0 to {interrupts.SOFTWARE - 1}",
         }
         level_error = f"level {b} of {_name_request(code, a)}: levels of hooks are 1 to {interrupts.HIGHEST}"

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from stage.board import platforms
 from stage.board.bus.requests import REQUEST, restore_float_mode, set_usual_float_mode
 from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
+from stage.board.firmware_pins import make_line_table
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError, escape
 from stage.support.arguments import explain_arguments
@@ -27,6 +28,7 @@ from stage.support.processes import run_program
 
 if TYPE_CHECKING:
     from stage.board.link import Link
+    from stage.board.pins import PinLine
 
 ABI = 1
 SOURCES = (".c", ".cc", ".cpp", ".cxx", ".ino")
@@ -387,6 +389,7 @@ class Library:
         path: The library.
         link: Link of the board to which its requests go.
         cost: Picoseconds that each of its basic blocks takes; 0: it does not count them.
+        lines: Lines of axes at its pins.
 
     Attributes:
         copy: The file that is loaded.
@@ -397,7 +400,7 @@ class Library:
         LibraryError: It cannot be loaded, is no firmware, or does not count its basic blocks.
     """
 
-    def __init__(self, path: Path, link: Link, cost: int = 0):
+    def __init__(self, path: Path, link: Link, cost: int = 0, lines: Sequence[PinLine] = ()):
         self.path, self._link, self._cost = path, link, cost
         _check_sanitizers(path)
         self._scratch = Scratch()
@@ -429,6 +432,7 @@ class Library:
                 f"pulsestage.h defines, and build it so: {format_build_command(path)}"
             )
         self._set_meter(NO_LIMIT)
+        self._connect_lines(lines)
 
     def main(self) -> int:
         """Call its entry in this thread. Basic blocks that it runs while it is loaded and unloaded take no time."""
@@ -461,6 +465,21 @@ class Library:
             ) from None
         words[0], words[1] = 0, interval
         return ctypes.addressof(words)
+
+    def _connect_lines(self, lines: Sequence[PinLine]) -> None:
+        """Let the pins of the firmware drive and read lines of axes."""
+        self._link.irqs["watched"] = 0
+        if not lines:
+            return
+        self._lines = make_line_table(lines, self._link.stage)
+        try:
+            table = (ctypes.c_int64 * 2).in_dll(self._library, "pulsestage_pins")
+        except ValueError:
+            raise LibraryError(
+                f"{self.path} has no pins for --pins {lines[0]}: it was built with an older pulsestage.h. Build it again: "
+                f"{format_build_command(self.path)}"
+            ) from None
+        table[0], table[1] = self._lines.ctypes.data, len(self._lines)
 
     def _find_variable(self, kind: Any, name: str) -> Any:
         try:

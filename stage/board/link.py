@@ -90,7 +90,7 @@ class Link:
         self._acts = np.zeros(len(stage.chips), np.int64)
         for k, chip in enumerate(stage.chips):
             axis, bits = chip.IRQ
-            self.irqs[k] = (axis % (chip.AXES + 1), bits)
+            self.irqs[k] = (axis % (chip.AXES + 1), bits, 0, 0)
             self._acts[k] = np.uint64(sum(1 << a for a in chip.READING_ACTS)).astype(np.int64)
         words = stage.state.userdata
         self._before = np.zeros(len(words))

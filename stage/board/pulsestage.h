@@ -55,7 +55,7 @@ struct pulsestage_bus {
 };
 
 enum { PS_IN8, PS_OUT8, PS_IN16, PS_OUT16, PS_DELAY, PS_MICROS, PS_LOG, PS_HOOK, PS_LINE, PS_TIMER = 10, PS_ON_LINE, PS_SPEND,
-       PS_IN32, PS_OUT32, PS_WINDOW, PS_LEVEL = 18, PS_RAISE };
+       PS_IN32, PS_OUT32, PS_WINDOW, PS_LEVEL = 18, PS_RAISE, PS_SET_LINES = 21, PS_READ_LINES, PS_WATCH_LINES = 26 };
 
 #if defined(_MSC_VER)
 #define PULSESTAGE_SHARED __declspec(selectany) __declspec(dllexport)
@@ -184,6 +184,156 @@ static inline void ps_raise(int n) { ps_request(PS_RAISE, n, 0); }
 static inline int ps_level(int level) { return (int)ps_request(PS_LEVEL, level, 0); }
 static inline int ps_disable(void) { return ps_level(PS_HIGHEST); } /* a critical section: int before = ps_disable(); */
 static inline void ps_enable(int before) { ps_level(before); }      /* ...; ps_enable(before); they may be nested */
+
+/* Pins at the lines of STEP/DIR axes, see docs/step_dir.md: `stage run driver.c --chips stepdir --pins x.step=2,x.dir=5,x.limit=!9`. A pin
+ * is a number from 0 to 255; D2 in --pins is PS_PIN('D', 2). Each write, change of mode and read takes one bus cycle. A pin without a line
+ * reads 1 while it is an input.
+ *   ps_pin_write  drives a pin, which is an output from then on.
+ *   ps_pin_mode   PS_OUTPUT drives the level that was written last; PS_INPUT and PS_INPUT_PULLUP release the pin: STEP and DIR are not
+ *                 asserted then, ENABLE is.
+ *   ps_pin_read   the level of a switch; an output reads as it is driven.
+ *   ps_on_pin     calls a hook at the ns at which a switch changes the pin, as an interrupt of level 1; hook 0: no longer. */
+#define PS_PIN(letter, bit) (((letter) - 'A') * 8 + (bit))
+enum { PS_INPUT, PS_OUTPUT, PS_INPUT_PULLUP };
+enum { PS_CHANGE = 1, PS_FALLING, PS_RISING };
+#if !defined(PULSESTAGE_REMOTE)
+enum { PS_PINS = 256, PS_PIN_HOOKS = 32 };
+#define PS_WITH_CYCLE ((int64_t)1 << 32)
+struct pulsestage_line {
+    int64_t chip, pins;        /* number of the chip, and its input pins (bits) */
+    int32_t pin, is_number;    /* the pin; as a number of the board's pins, not of a port's bit */
+    int32_t inverted, driven;  /* asserted while the pin is low; an output of the firmware */
+    int32_t released, padding; /* asserted while the pin is no output */
+};
+struct pulsestage_pin_hook {
+    ps_hook hook;
+    void *argument;
+    int32_t pin, mode, level;
+};
+struct pulsestage_pins {
+    struct pulsestage_line *lines; /* sorted by chip */
+    int64_t n_lines;
+    uint32_t levels[PS_PINS / 32], outputs[PS_PINS / 32];
+    struct pulsestage_pin_hook hooks[PS_PIN_HOOKS];
+};
+extern struct pulsestage_pins pulsestage_pins;
+PULSESTAGE_SHARED struct pulsestage_pins pulsestage_pins = {0, 0, {0}, {0}, {{0, 0, 0, 0, 0}}};
+
+/* Drives the lines at pins `first` to `first` + 31 that have changed, all at the end of one bus cycle. */
+static inline void ps_drive_pins(int first, uint32_t changed, uint32_t levels, uint32_t outputs)
+{
+    int64_t cycle = PS_WITH_CYCLE, chip = -1, mask = 0, asserted = 0, k;
+    for (k = 0; k <= pulsestage_pins.n_lines; k++) {
+        const struct pulsestage_line *line = pulsestage_pins.lines + k;
+        const int is_end = k == pulsestage_pins.n_lines;
+        uint32_t bit;
+        if ((is_end || line->chip != chip) && mask) {
+            ps_request(PS_SET_LINES, chip | cycle, mask << 32 | asserted);
+            cycle = mask = asserted = 0;
+        }
+        if (is_end)
+            break;
+        chip = line->chip, bit = (uint32_t)(line->pin - first);
+        if (!line->driven || bit > 31 || !(changed >> bit & 1))
+            continue;
+        mask |= line->pins;
+        if (outputs >> bit & 1 ? (int32_t)(levels >> bit & 1) != line->inverted : line->released)
+            asserted |= line->pins;
+    }
+    if (cycle)
+        ps_micros();
+}
+/* The levels of input pins `first` to `first` + 31, those of `wanted` only; `cycle`: 0, or PS_WITH_CYCLE for one bus cycle. */
+static inline uint32_t ps_read_pins(int first, uint32_t wanted, int64_t cycle)
+{
+    uint32_t levels = wanted, known = 0;
+    int64_t k, chip = -1, word = 0;
+    for (k = 0; k < pulsestage_pins.n_lines; k++) {
+        const struct pulsestage_line *line = pulsestage_pins.lines + k;
+        const uint32_t place = (uint32_t)(line->pin - first), bit = place > 31 ? 0 : 1u << place & wanted;
+        if (line->driven || !bit)
+            continue;
+        if (line->chip != chip)
+            chip = line->chip, word = ps_request(PS_READ_LINES, chip | cycle, 0), cycle = 0;
+        if (!(known & bit))
+            levels = line->inverted ? levels | bit : levels & ~bit;
+        if (word & line->pins)
+            levels = line->inverted ? levels & ~bit : levels | bit;
+        known |= bit;
+    }
+    if (cycle)
+        ps_micros();
+    return levels;
+}
+static inline void ps_pin_mode(int pin, int mode)
+{
+    const uint32_t bit = 1u << (pin & 31), n = (uint32_t)pin / 32 % (PS_PINS / 32);
+    uint32_t *outputs = pulsestage_pins.outputs + n;
+    *outputs = mode == PS_OUTPUT ? *outputs | bit : *outputs & ~bit;
+    ps_drive_pins((int)n * 32, bit, pulsestage_pins.levels[n], *outputs);
+}
+static inline void ps_pin_write(int pin, int level)
+{
+    const uint32_t bit = 1u << (pin & 31), n = (uint32_t)pin / 32 % (PS_PINS / 32);
+    uint32_t *levels = pulsestage_pins.levels + n;
+    *levels = level ? *levels | bit : *levels & ~bit;
+    pulsestage_pins.outputs[n] |= bit;
+    ps_drive_pins((int)n * 32, bit, *levels, pulsestage_pins.outputs[n]);
+}
+static inline int ps_pin_read(int pin)
+{
+    const uint32_t bit = 1u << (pin & 31), n = (uint32_t)pin / 32 % (PS_PINS / 32);
+    const uint32_t levels = ps_read_pins((int)n * 32, bit & ~pulsestage_pins.outputs[n], PS_WITH_CYCLE);
+    return ((levels | (pulsestage_pins.levels[n] & pulsestage_pins.outputs[n])) & bit) != 0;
+}
+/* Watches the switches of a chip at pins with hooks, and acknowledges their change; 0 if there are none. */
+static inline int64_t ps_watch_pins_(int64_t chip)
+{
+    int64_t k, pins = 0;
+    for (k = 0; k < pulsestage_pins.n_lines; k++) {
+        const struct pulsestage_line *line = pulsestage_pins.lines + k;
+        for (int m = 0; m < PS_PIN_HOOKS; m++)
+            if (line->chip == chip && !line->driven && pulsestage_pins.hooks[m].hook && pulsestage_pins.hooks[m].pin == line->pin)
+                pins |= line->pins;
+    }
+    ps_request(PS_WATCH_LINES, chip, pins);
+    return pins;
+}
+static inline void ps_pins_changed_(void *chip)
+{
+    ps_watch_pins_((int64_t)(intptr_t)chip);
+    for (int m = 0; m < PS_PIN_HOOKS; m++) {
+        struct pulsestage_pin_hook *pin = pulsestage_pins.hooks + m;
+        const int32_t level = pin->hook ? (int32_t)ps_read_pins(pin->pin, 1, 0) : 0;
+        if (!pin->hook || level == pin->level)
+            continue;
+        pin->level = level;
+        if (pin->mode == PS_CHANGE || pin->mode == (level ? PS_RISING : PS_FALLING))
+            pin->hook(pin->argument);
+    }
+}
+static inline void ps_on_pin(int pin, int mode, ps_hook hook, void *argument)
+{
+    struct pulsestage_pin_hook *own = 0;
+    int64_t k;
+    for (int m = PS_PIN_HOOKS; m--;) {
+        struct pulsestage_pin_hook *other = pulsestage_pins.hooks + m;
+        if ((other->hook && other->pin == pin) || (!other->hook && (!own || !own->hook)))
+            own = other;
+    }
+    if (!own) {
+        ps_logf("ps_on_pin(%d, ...): %d pins have hooks, and there are no more", pin, PS_PIN_HOOKS);
+        return;
+    }
+    own->hook = hook, own->argument = argument, own->pin = pin, own->mode = mode;
+    own->level = hook ? (int32_t)ps_read_pins(pin, 1, 0) : 0;
+    for (k = 0; k < pulsestage_pins.n_lines; k++)
+        if (pulsestage_pins.lines[k].pin == pin && !pulsestage_pins.lines[k].driven) {
+            const int64_t chip = pulsestage_pins.lines[k].chip;
+            ps_on_line((int)chip, 1, ps_watch_pins_(chip) ? ps_pins_changed_ : 0, (void *)(intptr_t)chip);
+        }
+}
+#endif
 
 /* computing that takes time: ns pass, as in a delay */
 static inline void ps_spend_ns(uint64_t ns) { ps_request(PS_SPEND, (int64_t)ns, 0); }

@@ -100,8 +100,8 @@ def _add_target_options(p: argparse.ArgumentParser) -> None:
         "--pins",
         action="append",
         default=[],
-        help="pins of an AVR that drive STEP/DIR axes and read their switches: x.step=D2,x.dir=D5,x.enable=!B0,x.limit=!B1, or a "
-        "board: grbl, cnc-shield-v3, ramps (docs/step_dir.md)",
+        help="pins of firmware, or of an AVR, that drive STEP/DIR axes and read their switches: x.step=D2,x.dir=D5,x.limit=!B1, "
+        "or a board: grbl, cnc-shield-v3, ramps (docs/step_dir.md)",
     )  # fmt: skip
     g.add_argument(
         "--mcu-clock",
@@ -260,14 +260,14 @@ def _host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:
     if args.mcu is None:
         from stage.board import NativeHost
 
-        for name, given in (("--mcu-clock", args.mcu_clock), ("--gdb", args.gdb), ("--pins", args.pins)):
+        for name, given in (("--mcu-clock", args.mcu_clock), ("--gdb", args.gdb)):
             if given:
                 raise ArgumentError(
                     f"{name}: only programs of other processors have it. Name the processor with --mcu."
                 )
         return NativeHost(
             args.firmware, board, isolated=isolated, flags=flags, platform=args.platform, patience=args.patience, map=args.map,
-            cost=args.cost,
+            cost=args.cost, pins=args.pins,
         )  # fmt: skip
     from stage.targets import TargetHost
 

@@ -35,10 +35,15 @@ SET_LINES, READ_LINES = 21, 22
 """Input pins of a chip, such as the STEP and DIR lines that a microcontroller drives, without a bus cycle: set the pins of a
 mask (a: the chip's number; b: the mask, shifted left by LINES_SHIFT, and the levels), or read the word of all of them."""
 LINES_SHIFT = 32
+WITH_CYCLE = 1 << LINES_SHIFT
+"""Added to the number of the chip in SET_LINES and READ_LINES: one bus cycle passes first."""
 SEND_SERIAL, READ_SERIAL, SET_SERIAL_RATE = 23, 24, 25
 """The serial line: send a byte (a); take a byte, look at it or count the bytes that have arrived (a: TAKE, PEEK or COUNT), which
 takes a bus cycle if there is none; set the rate (a: bits per second, 0: bytes take no time)."""
 TAKE, PEEK, COUNT = range(3)
+WATCH_LINES = 26
+"""Have the line of a chip (a) be asserted from now on while input pins of a mask (b) have other levels than now; answered with all
+levels. A host acknowledges a change by the same request."""
 WRONG_LEVEL = 64
 """Added to a refused request whose level is out of range."""
 (
@@ -125,8 +130,9 @@ DEVICE_TABLE = record([(name, "i8") for name in "state access pulls line counts 
 ENCODER = record([("axis", "i8"), ("counts", "f8"), ("zero", "f8")])
 """On which axis an encoder is; counts per joint unit; the position at which it counts 0."""
 
-IRQ = record([("axis", "i8"), ("bits", "i8")])
-"""The outputs of a chip that pull the interrupt line (0: none), and the axis as whose they are read."""
+IRQ = record([(name, "i8") for name in "axis bits watched levels".split()])
+"""The outputs of a chip that pull the interrupt line (0: none), and the axis as whose they are read; the input pins that pull it
+while their levels are others than `levels`, see WATCH_LINES."""
 
 
 INSIDE = int(dict(HOST.fields or {})["inside"][1])

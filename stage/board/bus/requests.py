@@ -337,8 +337,14 @@ def _control_time(host, code, a, b):
 
 
 @hot
-def _access_lines(host, code, chip, argument):
-    """Set or read the input pins of a chip at the host's time, and return their word."""
+def _access_lines(host, code, where, argument):
+    """Set, read or watch the input pins of a chip at the host's time, after a bus cycle if asked for, and return their word."""
+    chip, has_cycle = where & ~host_record.WITH_CYCLE, where & host_record.WITH_CYCLE
+    if not 0 <= chip < host.n_chips:
+        _report_refusal(host, code, chip, 0)
+        return 0
+    if has_cycle:
+        waiting.pass_bus_cycle(host)
     waiting.advance_chip(host, chip)
     c = host_record.get_chip(host, chip)
     word = cores.inputs(c, 0)
@@ -349,7 +355,13 @@ def _access_lines(host, code, chip, argument):
             cores.set_input(c, 0, changed)
             if host.journals:
                 host_record.append_to_journal(host, INPUT, chip, 0, changed)
-        return changed
+        word = changed
+    elif code == host_record.WATCH_LINES:
+        irq = array_at(host.irqs, host.n_chips, host_record.IRQ)[chip]
+        irq.watched, irq.levels = argument, word
+        host.quiet = 0
+    if has_cycle:
+        waiting.call_hooks(host)
     return word
 
 
@@ -410,8 +422,9 @@ def execute(host, code, a, b):
         host.call_chip, host.call_value, host.call_address = code, a, b
         host_record.call_python(host, host_record.WINDOW_REQUEST)
         return host.call_value
-    if host_record.SET_LINES <= code <= host_record.SET_SERIAL_RATE:
-        return _access_lines(host, code, a, b) if code < host_record.SEND_SERIAL else _access_serial(host, code, a)
+    if host_record.SET_LINES <= code <= host_record.WATCH_LINES:
+        is_serial = host_record.SEND_SERIAL <= code <= host_record.SET_SERIAL_RATE
+        return _access_serial(host, code, a) if is_serial else _access_lines(host, code, a, b)
     if code == host_record.LOG:
         waiting.catch_up(host)
         host.call_value = a

@@ -98,7 +98,9 @@ def find_interrupt_mask(host):
     irqs, pulling = array_at(host.irqs, host.n_chips, host_record.IRQ), 0
     for k in range(host.n_chips):
         irq = irqs[k]
-        if irq.bits and cores.outputs(host_record.get_chip(host, k), irq.axis) & irq.bits:
+        c = host_record.get_chip(host, k)
+        is_pulling = irq.bits and cores.outputs(c, irq.axis) & irq.bits
+        if is_pulling or (irq.watched and (cores.inputs(c, 0) ^ irq.levels) & irq.watched):
             pulling |= 1 << k
     if host.n_devices:
         pulling |= host_record.find_interrupting_devices(host) << host.n_chips

@@ -29,6 +29,7 @@ from stage.board.isolation.traps.signals import (
 )
 from stage.board.library import Library
 from stage.board.link import Link
+from stage.board.pins import PinLine
 from stage.board.windows import Window
 from stage.errors import StageError
 
@@ -43,9 +44,9 @@ class TrappedLibrary(Library):
         StageError: The system allows no windows; see also `Library`.
     """
 
-    def __init__(self, path: Path, link: Link, cost: int, windows: tuple[Window, ...]):
+    def __init__(self, path: Path, link: Link, cost: int, lines: tuple[PinLine, ...], windows: tuple[Window, ...]):
         self._handlers = SignalHandlers()
-        super().__init__(path, link, cost)
+        super().__init__(path, link, cost, lines)
         observe_calls(self.handle)
         self._windows = link.windows = Windows(self, link)
         try:
