@@ -16,11 +16,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.native import array_at, called, exported, hot, record
+from stage.native import array_at, called, exported, greatest, hot, record
 from stage.sim.handle import INTEGER
 
 SIMAVR = record(
-    [(name, "i8") for name in "avr cycle memory flash pc vectors n_vectors event".split()]
+    [(name, "i8") for name in "avr cycle cycles_left response memory flash pc vectors n_vectors event".split()]
     + [
         (name, "i8")
         for name in "watch_write watch_read raise_interrupt clear_interrupt raise_irq register cancel".split()
@@ -28,6 +28,8 @@ SIMAVR = record(
 )
 """avr                the avr_t
     cycle, pc          addresses of its cycle and its program counter
+    cycles_left        address of the number of cycles that it still runs before it looks for events
+    response           cycles from an interrupt to the first instruction of its vector
     memory, flash      its memories
     vectors            address of n_vectors VECTOR records
     event              address of `end_wait`
@@ -51,7 +53,7 @@ N_UNITS, CAPTURE = 4, 3
 WIDTHS = 4  # register bits that select the mode, and those that select the clock
 TIMER = record(
     [(name, "i8") for name in "own simavr units overflow capture originals n_originals read read_parameter".split()]
-    + [(name, "i8") for name in "count_low count_high icr_high strobes strobe_mask temp".split()]
+    + [(name, "i8") for name in "count_low count_high strobes strobe_mask temp capture_irq capture_edge".split()]
     + [(name, "i8") for name in "count tick shift runs top maximum is_blocked is_simavrs is_top_icr due".split()]
     + [("asynchronous", "i8"), ("has_external_clock", "i8"), ("modes", "i8", (WIDTHS,)), ("clocks", "i8", (WIDTHS,))]
     + [("kinds", "i8", (16,)), ("tops", "i8", (16,)), ("shifts", "i8", (16,))]
@@ -63,6 +65,7 @@ TIMER = record(
     read               simavr's function that reads the count, with its parameter
     count_low ...      addresses of registers; strobes: the one with FOC bits, or 0; strobe_mask: its FOC bits,
                        bit 7 that of unit A
+    capture_irq        simavr IRQ of the capture pin; capture_edge: the register bit that selects the rising edge
     temp               TEMP, the high byte of the next write and of the last read
     count, tick        the count during a tick; a tick is a clock of the timer, counted from the first cycle
     shift, runs        a tick has 1 << shift cycles; whether a clock is selected
@@ -78,12 +81,13 @@ RESERVED, NORMAL, CTC = 0, 1, 2
 TOP_ICR = 2
 EXTERNAL = 0x80
 TOGGLE, SET = 1, 3
+IRQ_LEVEL = 20  # where an avr_irq_t has its level, before the functions that it notifies return
 OUTPUT = 0x100  # a simavr IRQ that drives its pin
 BYTE, WORD = np.dtype("u1"), np.dtype("u4")
 DATA_SIZE = 1 << 16
 _write_register, _read_register = called(None, "i8", "i4", "i4", "i8"), called("i4", "i8", "i4", "i8")
 _watch_write, _watch_read = called(None, "i8", "i4", "i4"), called("i4", "i8", "i4")
-_call_for_vector, _raise_irq = called("i4", "i8", "i8"), called(None, "i8", "i4")
+call_for_vector, _raise_irq = called("i4", "i8", "i8"), called(None, "i8", "i4")
 _register_event, _cancel_event = called(None, "i8", "i8", "i8", "i8"), called(None, "i8", "i8", "i8")
 
 
@@ -93,7 +97,8 @@ def _get_simavr(timer):
 
 
 @hot
-def _get_cycle(simavr):
+def get_cycle(simavr):
+    """Return the cycle at which the present instruction began."""
     return array_at(simavr.cycle, 1, INTEGER)[0]
 
 
@@ -102,38 +107,40 @@ def _get_access_cycle(simavr):
     """Return the cycle in which the present instruction accesses a register."""
     pc = np.int64(array_at(simavr.pc, 1, WORD)[0])
     is_in_or_out = array_at(simavr.flash + pc + 1, 1, BYTE)[0] & 0xF0 == 0xB0
-    return _get_cycle(simavr) + (0 if is_in_or_out else 1)
+    return get_cycle(simavr) + (0 if is_in_or_out else 1)
 
 
 @hot
-def _peek(simavr, register):
+def peek(simavr, register):
+    """Return the byte of a register as it is in memory."""
     return np.int64(array_at(simavr.memory, DATA_SIZE, BYTE)[register])
 
 
 @hot
-def _poke(simavr, register, value):
+def poke(simavr, register, value):
+    """Change the byte of a register in memory."""
     array_at(simavr.memory, DATA_SIZE, BYTE)[register] = value & 0xFF
 
 
 @hot
-def _read_bits(simavr, bits):
+def read_bits(simavr, bits):
     """Return the value of register bits, packed as simavr does: register, lowest bit, mask; 0 if there are none."""
     if bits & 0x1FF == 0:
         return np.int64(0)
-    return _peek(simavr, bits & 0x1FF) >> (bits >> 9 & 7) & (bits >> 12 & 0xFF)
+    return peek(simavr, bits & 0x1FF) >> (bits >> 9 & 7) & (bits >> 12 & 0xFF)
 
 
 @hot
 def _read_selection(simavr, selection):
     number = np.int64(0)
     for k in range(WIDTHS):
-        number |= _read_bits(simavr, selection[k]) << k
+        number |= read_bits(simavr, selection[k]) << k
     return number
 
 
 @hot
 def _is_raised(simavr, vector):
-    return _peek(simavr, vector.flag) & vector.flag_mask != 0
+    return peek(simavr, vector.flag) & vector.flag_mask != 0
 
 
 # --- time ---
@@ -183,14 +190,14 @@ def _count_matches(timer, value, is_match, ticks):
 @hot
 def _drive_pin(simavr, unit, matches):
     """Let the output of a unit follow a number of matches."""
-    mode = _read_bits(simavr, unit.mode)
+    mode = read_bits(simavr, unit.mode)
     if mode == 0:
         return
     output = OUTPUT if unit.pin else 0
     if mode != TOGGLE:
         _raise_irq(simavr.raise_irq, (unit.irq, output | (1 if mode == SET else 0)))
     elif matches & 1:
-        _raise_irq(simavr.raise_irq, (unit.irq, output | (1 - _read_bits(simavr, unit.pin) if unit.pin else 1)))
+        _raise_irq(simavr.raise_irq, (unit.irq, output | (1 - read_bits(simavr, unit.pin) if unit.pin else 1)))
 
 
 @hot
@@ -199,7 +206,7 @@ def _set_flag(simavr, address):
     if address:
         vector = array_at(address, 1, VECTOR)[0]
         if vector.vector and not _is_raised(simavr, vector):
-            _call_for_vector(simavr.raise_interrupt, (simavr.avr, vector.vector))
+            call_for_vector(simavr.raise_interrupt, (simavr.avr, vector.vector))
 
 
 @hot
@@ -242,7 +249,7 @@ def _find_next_end(timer, simavr):
     for k in range(N_UNITS):
         unit = units[k]
         exists = timer.is_top_icr if k == CAPTURE else unit.register
-        if exists and (_is_awaited(simavr, unit.vector) or _read_bits(simavr, unit.mode)):
+        if exists and (_is_awaited(simavr, unit.vector) or read_bits(simavr, unit.mode)):
             ticks = _find_end(timer, unit.value, 1)
             if ticks and (best == 0 or ticks < best):
                 best = ticks
@@ -265,7 +272,7 @@ def _schedule(timer):
         return
     timer.due = due
     if due:
-        _register_event(simavr.register, (simavr.avr, due - _get_cycle(simavr), simavr.event, timer.own))
+        _register_event(simavr.register, (simavr.avr, due - get_cycle(simavr), simavr.event, timer.own))
     else:
         _cancel_event(simavr.cancel, (simavr.avr, simavr.event, timer.own))
 
@@ -306,7 +313,7 @@ def _select_mode(timer, simavr, cycle):
     kind, shift = timer.kinds[mode], timer.shifts[clock]
     is_external = shift & EXTERNAL != 0 or (timer.has_external_clock != 0 and clock >= 6)
     is_known = kind in (RESERVED, NORMAL, CTC)
-    timer.is_simavrs = not is_known or is_external or _read_bits(simavr, timer.asynchronous) != 0
+    timer.is_simavrs = not is_known or is_external or read_bits(simavr, timer.asynchronous) != 0
     timer.is_top_icr = kind == CTC and timer.tops[mode] == TOP_ICR
     timer.top = _find_top(timer) if kind == CTC else timer.maximum
     timer.runs = clock != 0
@@ -319,16 +326,19 @@ def _select_mode(timer, simavr, cycle):
 def _leave_simavr(timer, simavr):
     """Take the count over from simavr and stop its timer; the registers keep their values."""
     _read_register(timer.read, (simavr.avr, timer.count_low, timer.read_parameter))
-    timer.count = _peek(simavr, timer.count_low) | (_peek(simavr, timer.count_high) << 8 if timer.count_high else 0)
+    timer.count = peek(simavr, timer.count_low) | (peek(simavr, timer.count_high) << 8 if timer.count_high else 0)
     register = timer.clocks[0] & 0x1FF
-    value, mask = _peek(simavr, register), np.int64(0)
+    value, mask = peek(simavr, register), np.int64(0)
     for k in range(WIDTHS):
         bits = timer.clocks[k]
         if bits & 0x1FF == register:
             mask |= (bits >> 12 & 0xFF) << (bits >> 9 & 7)
     _call_original(timer, simavr, register, value & ~mask)
-    _poke(simavr, register, value)
+    poke(simavr, register, value)
     timer.due = 0
+    if timer.capture_irq:
+        unit = array_at(timer.units, N_UNITS, UNIT)[CAPTURE]
+        unit.value = peek(simavr, unit.register) | peek(simavr, unit.high) << 8
 
 
 @hot
@@ -349,11 +359,11 @@ def write_control(_avr, register, value, timer):
     strobes = np.int64(0)
     if register == timer.strobes:
         strobes, value = value & timer.strobe_mask, value & ~timer.strobe_mask
-    was_simavrs, before = timer.is_simavrs, _peek(simavr, register)
-    _poke(simavr, register, value)
+    was_simavrs, before = timer.is_simavrs, peek(simavr, register)
+    poke(simavr, register, value)
     _select_mode(timer, simavr, cycle)
     if timer.is_simavrs or was_simavrs:
-        _poke(simavr, register, before)
+        poke(simavr, register, before)
     if timer.is_simavrs:
         if timer.due:
             _cancel_event(simavr.cancel, (simavr.avr, simavr.event, timer.own))
@@ -386,7 +396,7 @@ def write_high_byte(_avr, _register, value, timer):
 def _write_word(timer, simavr, register, high, value):
     """Write a register, as simavr does where the timer is its own, and return its value."""
     if high:
-        _poke(simavr, high, timer.temp)
+        poke(simavr, high, timer.temp)
     if timer.is_simavrs:
         _call_original(timer, simavr, register, value)
     else:
@@ -430,11 +440,11 @@ def read_count(_avr, register, timer):
     if timer.is_simavrs:
         value = _read_register(timer.read, (simavr.avr, register, timer.read_parameter)) & 0xFF
         if timer.count_high:
-            timer.temp = _peek(simavr, timer.count_high)
+            timer.temp = peek(simavr, timer.count_high)
         return value
     _advance(timer, _get_access_cycle(simavr))
     _schedule(timer)
-    _poke(simavr, register, timer.count)
+    poke(simavr, register, timer.count)
     timer.temp = timer.count >> 8
     return _watch_read(simavr.watch_read, (simavr.avr, register)) & 0xFF
 
@@ -442,9 +452,13 @@ def read_count(_avr, register, timer):
 @exported("i4", "i8", "i4", TIMER)
 def read_capture(_avr, register, timer):
     """Read the low byte of ICRn; the high byte goes to TEMP."""
-    simavr, register = _get_simavr(timer), register & 0xFFFF
-    timer.temp = _peek(simavr, timer.icr_high)
-    return _watch_read(simavr.watch_read, (simavr.avr, register)) & 0xFF
+    simavr, unit = _get_simavr(timer), array_at(timer.units, N_UNITS, UNIT)[CAPTURE]
+    if timer.is_simavrs:
+        timer.temp = peek(simavr, unit.high)
+    else:
+        poke(simavr, unit.register, unit.value)
+        timer.temp = unit.value >> 8
+    return _watch_read(simavr.watch_read, (simavr.avr, register & 0xFFFF)) & 0xFF
 
 
 @exported("i4", "i8", "i4", TIMER)
@@ -465,12 +479,12 @@ def write_enables(_avr, register, value, simavr):
     for k in range(simavr.n_vectors):
         vector = vectors[k]
         if vector.enable == register and value & vector.enable_mask and _is_raised(simavr, vector):
-            _call_for_vector(simavr.raise_interrupt, (simavr.avr, vector.vector))
+            call_for_vector(simavr.raise_interrupt, (simavr.avr, vector.vector))
 
 
 @hot
 def _clear_flag(simavr, vector):
-    _poke(simavr, vector.flag, _peek(simavr, vector.flag) & ~vector.flag_mask)
+    poke(simavr, vector.flag, peek(simavr, vector.flag) & ~vector.flag_mask)
 
 
 @exported("i4", "i8", "i4", SIMAVR)
@@ -497,7 +511,7 @@ def write_flags(_avr, register, value, simavr):
             timer = array_at(vector.timer, 1, TIMER)[0]
             _advance(timer, _get_access_cycle(simavr) + 1)
             if array_at(vector.pending, 1, BYTE)[0] & 1:
-                _call_for_vector(simavr.clear_interrupt, (simavr.avr, vector.vector))
+                call_for_vector(simavr.clear_interrupt, (simavr.avr, vector.vector))
             _clear_flag(simavr, vector)
             _schedule(timer)
 
@@ -508,6 +522,28 @@ def end_pending(_irq, value, vector):
     if value == 0:
         timer = array_at(vector.timer, 1, TIMER)[0]
         simavr = _get_simavr(timer)
-        _advance(timer, _get_cycle(simavr))
+        _advance(timer, get_cycle(simavr))
         _clear_flag(simavr, vector)
         _schedule(timer)
+
+
+@exported(None, "i8", "i4", SIMAVR)
+def respond(_irq, value, simavr):
+    """Let the time pass that the processor takes to call the routine of an interrupt."""
+    if value:
+        array_at(simavr.cycle, 1, INTEGER)[0] += simavr.response
+        left = array_at(simavr.cycles_left, 1, INTEGER)
+        left[0] = greatest(1, left[0] - simavr.response)
+
+
+@exported(None, "i8", "i4", TIMER)
+def capture_count(irq, level, timer):
+    """Copy the count to ICRn at an edge of the capture pin; simavr sets the flag."""
+    was_high = array_at(irq + IRQ_LEVEL, 1, WORD)[0] != 0
+    if timer.is_simavrs or timer.is_top_icr or was_high == (level != 0):
+        return
+    simavr = _get_simavr(timer)
+    if was_high == (read_bits(simavr, timer.capture_edge) == 0):
+        _advance(timer, get_cycle(simavr))
+        _schedule(timer)
+        array_at(timer.units, N_UNITS, UNIT)[CAPTURE].value = timer.count

@@ -30,9 +30,9 @@ def _describe(size: int, **fields: tuple[int, Any]) -> np.dtype:
 REGISTER = _describe(40, read_parameter=(8, "i8"), read=(16, "i8"), write_parameter=(24, "i8"), write=(32, "i8"))
 """Functions that answer accesses to a register."""
 AVR = _describe(
-    16016, name=(0, "i8"), cycle=(80, "i8"), cycle_limit=(96, "i8"), run=(160, "i8"), sleep=(168, "i8"),
-    flags=(192, ("u1", 8)), interrupt_wait=(200, "i1"), pc=(204, "u4"), registers=(216, (REGISTER, N_REGISTERS)),
-    flash=(11712, "i8"), data=(11720, "i8"), modules=(11728, "i8"),
+    16016, name=(0, "i8"), flash_end=(12, "u4"), cycle=(80, "i8"), cycles_left=(88, "i8"), cycle_limit=(96, "i8"),
+    run=(160, "i8"), sleep=(168, "i8"), flags=(192, ("u1", 8)), interrupt_wait=(200, "i1"), pc=(204, "u4"),
+    registers=(216, (REGISTER, N_REGISTERS)), flash=(11712, "i8"), data=(11720, "i8"), modules=(11728, "i8"),
 )  # fmt: skip
 """An avr_t. interrupt_wait: below 0, instructions until interrupts are served; 1: one waits."""
 MODULE = _describe(72, next=(0, "i8"), avr=(8, "i8"), name=(32, "u4"), irq=(40, "i8"))
@@ -43,18 +43,22 @@ COMPARE = _describe(
 TIMER = _describe(
     896, module=(0, MODULE), count_low=(84, "u2"), icr_low=(86, "u2"), count_high=(88, "u2"), icr_high=(90, "u2"),
     modes=(92, ("u4", 4)), kinds=(108, ("u4", 16)), asynchronous=(184, "u4"), clocks=(188, ("u4", 4)),
-    shifts=(204, ("u1", 16)), clock_pin=(224, "u4"), compare=(248, (COMPARE, 3)), overflow=(656, VECTOR), capture=(760, VECTOR),
+    shifts=(204, ("u1", 16)), clock_pin=(224, "u4"), capture_edge=(240, "u4"), compare=(248, (COMPARE, 3)),
+    overflow=(656, VECTOR), capture=(760, VECTOR),
 )  # fmt: skip
+UART = _describe(624, module=(0, MODULE), control=(84, "u2"), transmitter=(92, "u4"), empty=(344, VECTOR))
+"""A UART. empty: the interrupt of UDREn."""
 IRQ_SIZE = 40
 REGISTER_BEGIN = 32  # address of the first register that has functions
-TIMER_NAMES = "0123456789"
-_OUTPUT_IRQ = 3
+MODULE_NAMES = "0123456789"
+_CAPTURE_IRQ, _OUTPUT_IRQ = 2, 3
 _REGISTERS = {
     "0": (0x46, 0, 0, 0x44, 0x45, 0x6E, 0x35, (0x47, 0x48)),
     "1": (0x84, 0x85, 0x86, 0x80, 0x81, 0x6F, 0x36, (0x88, 0x8A)),
     "2": (0xB2, 0, 0, 0xB0, 0xB1, 0x70, 0x37, (0xB3, 0xB4)),
 }
 """Of an ATmega328P's timers: TCNT low and high, ICR, TCCRA, TCCRB, TIMSK, TIFR, OCRA and OCRB."""
+_UCSRB = 0xC1
 _SPL, _RAM_END = 0x5D, 0x8FF
 _NOP, _SEI, _JUMP_TO_ITSELF = 0x0000, 0x9478, 0xCFFF
 
@@ -89,9 +93,15 @@ def list_modules(avr: int) -> list[int]:
     return modules
 
 
-def list_timers(library: ctypes.CDLL, avr: int) -> list[int]:
-    """Return the addresses of an AVR's timers. The layout of the library has been checked."""
-    irqs = {find_irq(library, avr, f"tmr{name}") for name in TIMER_NAMES} - {0}
+def list_modules_of(library: ctypes.CDLL, avr: int, kind: str) -> list[int]:
+    """Return the addresses of an AVR's modules of a kind.
+
+    Args:
+        library: Library of simavr, whose layout has been checked.
+        avr: Address of the avr_t.
+        kind: Kind as simavr's requests name it: "tmr" or "uar".
+    """
+    irqs = {find_irq(library, avr, f"{kind}{name}") for name in MODULE_NAMES} - {0}
     return [address for address in list_modules(avr) if int(view(address, MODULE)["irq"]) in irqs]
 
 
@@ -105,6 +115,11 @@ def find_irq(library: ctypes.CDLL, avr: int, module: str) -> int:
 def find_output_irq(timer: int, unit: int) -> int:
     """Return the simavr IRQ of a timer's compare output."""
     return int(view(timer, MODULE)["irq"]) + (_OUTPUT_IRQ + unit) * IRQ_SIZE
+
+
+def find_capture_irq(timer: int) -> int:
+    """Return the simavr IRQ of a timer's capture pin."""
+    return int(view(timer, MODULE)["irq"]) + _CAPTURE_IRQ * IRQ_SIZE
 
 
 _checked: dict[int, str] = {}
@@ -173,7 +188,7 @@ def _find_misfit(library: ctypes.CDLL) -> str:
     """Return the name of a part of simavr that is not where version 1.6 has it, or an empty text."""
     avr = _make_atmega328p(library)
     try:
-        return _find_misfit_of_core(library, avr) or _find_misfit_of_timers(library, avr)
+        return _find_misfit_of_core(library, avr) or _find_misfit_of_modules(library, avr)
     finally:
         library["avr_terminate"](ctypes.c_void_p(avr))
 
@@ -191,11 +206,12 @@ def _find_misfit_of_core(library: ctypes.CDLL, avr: int) -> str:
     end = states[-1]
     expected: dict[str, tuple[Any, Any]] = {
         "mmcu": (_read(int(end["name"]), 9), b"atmega328"),
+        "flashend": (int(end["flash_end"]), 0x7FFF),
         "cycle": ([int(s["cycle"]) for s in states], [0, 1, 2]),
         "pc": ([int(s["pc"]) for s in states], [0, 2, 4]),
         "sreg": ([int(s["flags"][7]) for s in states], [0, 0, 1]),
         "interrupt_state": ([int(s["interrupt_wait"]) for s in states], [0, 0, -1]),
-        "run_cycle_limit": (int(end["cycle_limit"]), 1),
+        "run_cycle_count": ([int(end[name]) for name in ("cycles_left", "cycle_limit")], [1, 1]),
         "run": (int(end["run"]), _find_address(library, "avr_callback_run_raw")),
         "sleep": (int(end["sleep"]), _find_address(library, "avr_callback_sleep_raw")),
         "flash": (_read(int(end["flash"]), len(code)), code),
@@ -204,8 +220,8 @@ def _find_misfit_of_core(library: ctypes.CDLL, avr: int) -> str:
     return next((f"avr_t.{name}" for name, (value, wanted) in expected.items() if value != wanted), "")
 
 
-def _find_misfit_of_timers(library: ctypes.CDLL, avr: int) -> str:
-    """Compare the registers of each timer with the data sheet, and find the timer where its registers have functions."""
+def _find_misfit_of_modules(library: ctypes.CDLL, avr: int) -> str:
+    """Compare registers of timers and UART with the data sheet, and find each timer where its registers have functions."""
     core = _read_structure(avr, AVR)
     modules: dict[int, int] = {}
     address = int(core["modules"])
@@ -230,7 +246,10 @@ def _find_misfit_of_timers(library: ctypes.CDLL, avr: int) -> str:
             return f"a register of timer {name}"
         if any(int(at) != address for at in timer["compare"]["timer"]):
             return f"a compare unit of timer {name}"
-    return ""
+    uart = _read_structure(modules.get(find_irq(library, avr, "uar0"), 0), UART)
+    if uart is None or (int(uart["control"]), get_register(uart["transmitter"])) != (_UCSRB, _UCSRB):
+        return "the UART"
+    return "" if get_register(uart["empty"]["flag"]) == _UCSRB - 1 else "an interrupt of the UART"
 
 
 def _find_address(library: ctypes.CDLL, name: str) -> int:

@@ -1,4 +1,4 @@
-"""`TimerOverlay`: connection of the exact timers of `avr_timers` to an AVR of simavr.
+"""`SimavrOverlay`: connection of compiled functions to an AVR of simavr, in which that then follows the data sheet.
 
 simavr asks a function for each access to a register. The overlay puts its own functions there, keeps simavr's, and calls
 them where a timer's mode is one that simavr emulates.
@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 
 from stage.native import Exported, address_of
-from stage.targets import avr_timers, simavr_layout
+from stage.targets import avr_timers, avr_transmitter, simavr_layout
 from stage.targets.avr_timers import CAPTURE, N_UNITS, ORIGINAL, SIMAVR, TIMER, UNIT, VECTOR
 from stage.targets.simavr_layout import get_mask, get_offset, get_register, view
 
+RESPONSE, THREE_BYTE_FLASH = 4, 0x20000
+"""Cycles from an interrupt to its vector, and the size of the flash (bytes) from which the return address takes one more."""
 N_VECTORS = 5
 """Interrupts of a timer: three compare units, overflow, capture."""
 _FUNCTIONS = {
@@ -25,8 +27,8 @@ _FUNCTIONS = {
 }  # fmt: skip
 
 
-class TimerOverlay:
-    """Exact timers of an AVR, which begin in the state after a reset.
+class SimavrOverlay:
+    """Exact timers of an AVR, the response time of its interrupts, and the flags of its UARTs, from the state after a reset on.
 
     Args:
         library: Library of simavr.
@@ -40,7 +42,8 @@ class TimerOverlay:
         simavr_layout.check_layout(library)
         self._library, self._avr = library, view(avr, simavr_layout.AVR)
         self._pointers: list[Any] = []
-        timers = [t for t in simavr_layout.list_timers(library, avr) if _is_known(view(t, simavr_layout.TIMER))]
+        modules = simavr_layout.list_modules_of(library, avr, "tmr")
+        timers = [t for t in modules if _is_known(view(t, simavr_layout.TIMER))]
         self._simavr, self._timers = np.zeros(1, SIMAVR), np.zeros(len(timers), TIMER)
         self._units = np.zeros((len(timers), N_UNITS), UNIT)
         self._vectors = np.zeros((len(timers), N_VECTORS), VECTOR)
@@ -51,14 +54,17 @@ class TimerOverlay:
         for k, address in enumerate(timers):
             self._connect(self._timers[k : k + 1], view(address, simavr_layout.TIMER))
         self._connect_interrupts()
+        self._connect_responses(avr)
+        self._connect_uarts(avr)
 
     def _fill_simavr(self, avr: int) -> None:
         row = self._simavr[0]
         row["avr"] = avr
-        for name in ("cycle", "pc"):
+        for name in ("cycle", "cycles_left", "pc"):
             row[name] = avr + get_offset(simavr_layout.AVR, name)
         row["memory"], row["flash"] = self._avr["data"], self._avr["flash"]
         row["vectors"], row["n_vectors"] = self._vectors.ctypes.data, self._vectors.size
+        row["response"] = RESPONSE + (int(self._avr["flash_end"]) >= THREE_BYTE_FLASH)
         row["event"] = self._get_address(avr_timers.end_wait)
         for name, function in _FUNCTIONS.items():
             row[name] = ctypes.cast(self._library[function], ctypes.c_void_p).value
@@ -72,11 +78,13 @@ class TimerOverlay:
         timer, row = view(address, simavr_layout.TIMER), self._timers[k]
         row["own"], row["simavr"] = address_of(self._timers[k : k + 1]), self._simavr.ctypes.data
         row["units"] = self._units[k].ctypes.data
-        for name in ("count_low", "count_high", "icr_high", "asynchronous", "modes", "clocks", "shifts"):
+        for name in ("count_low", "count_high", "capture_edge", "asynchronous", "modes", "clocks", "shifts"):
             row[name] = timer[name]
         row["kinds"], row["tops"] = timer["kinds"] >> 24, timer["kinds"] & 0xFF
         row["has_external_clock"] = get_register(timer["clock_pin"]) != 0
         row["maximum"] = row["top"] = 0xFFFF if timer["count_high"] else 0xFF
+        if timer["icr_high"]:
+            row["capture_irq"] = simavr_layout.find_capture_irq(address)
         row["strobes"], row["strobe_mask"] = _find_strobes(timer)
         compare = address + get_offset(simavr_layout.TIMER, "compare")
         places = [compare + n * simavr_layout.COMPARE.itemsize for n in range(CAPTURE)]
@@ -148,15 +156,43 @@ class TimerOverlay:
                     functions["read"], functions["read_parameter"] = (
                         self._get_address(avr_timers.read_flags), self._simavr.ctypes.data,
                     )  # fmt: skip
-        pointer = avr_timers.end_pending.pointer
-        self._pointers.append(pointer)
         for k in range(self._vectors.size):
-            row = self._vectors.reshape(-1)[k : k + 1]
-            if row[0]["vector"]:
-                irq = int(row[0]["vector"]) + get_offset(simavr_layout.VECTOR, "irq")
-                self._library["avr_irq_register_notify"](
-                    ctypes.c_void_p(irq), pointer, ctypes.c_void_p(address_of(row))
-                )
+            vector = self._vectors.reshape(-1)[k : k + 1]
+            if vector[0]["vector"]:
+                irq = int(vector[0]["vector"]) + get_offset(simavr_layout.VECTOR, "irq")
+                self._notify(irq, avr_timers.end_pending, vector)
+        for k in range(len(self._timers)):
+            if self._timers[k]["capture_irq"]:
+                self._notify(int(self._timers[k]["capture_irq"]), avr_timers.capture_count, self._timers[k : k + 1])
+
+    def _connect_responses(self, avr: int) -> None:
+        get = self._library["avr_get_interrupt_irq"]
+        get.restype = ctypes.c_void_p
+        for number in range(1, 128):
+            if irq := get(ctypes.c_void_p(avr), ctypes.c_uint8(number)):
+                self._notify(irq + simavr_layout.IRQ_SIZE, avr_timers.respond, self._simavr)
+
+    def _connect_uarts(self, avr: int) -> None:
+        modules = simavr_layout.list_modules_of(self._library, avr, "uar")
+        self._uarts = np.zeros(len(modules), avr_transmitter.TRANSMITTER)
+        for k, address in enumerate(modules):
+            uart = view(address, simavr_layout.UART)
+            register = get_register(uart["transmitter"])
+            if not register or not uart["empty"]["number"]:
+                continue
+            functions = self._avr["registers"][register - simavr_layout.REGISTER_BEGIN]
+            flag, vector = uart["empty"]["flag"], address + get_offset(simavr_layout.UART, "empty")
+            self._uarts[k] = (
+                self._simavr.ctypes.data, functions["write"], functions["write_parameter"], uart["transmitter"], vector,
+                get_register(flag), get_mask(flag),
+            )  # fmt: skip
+            functions["write"] = self._get_address(avr_transmitter.write_transmitter)
+            functions["write_parameter"] = address_of(self._uarts[k : k + 1])
+
+    def _notify(self, irq: int, function: Exported, row: np.ndarray) -> None:
+        """Let simavr call a compiled function with a record when an IRQ changes."""
+        address = ctypes.c_void_p(self._get_address(function))
+        self._library["avr_irq_register_notify"](ctypes.c_void_p(irq), address, ctypes.c_void_p(address_of(row)))
 
 
 def _is_known(timer: Any) -> bool:

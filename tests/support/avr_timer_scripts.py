@@ -15,10 +15,14 @@ from pathlib import Path
 Step = tuple[str, int, int]
 RESULTS = 0x120  # address of the values read
 N_VECTORS = 26
-_BEGIN_CYCLES = 4 + 2  # jmp at the reset vector, X
+_BEGIN_CYCLES = 3 + 2
+"""Cycles of the jump at the reset vector, and of loading X."""
+_ACCESS_CYCLES = {"write": 2, "read": 1}
+"""Cycles from the begin of a step to that of its access, which takes one."""
+_STEP_CYCLES = {"write": 3, "read": 4}
 (TIFR0, TIFR1, TIFR2) = (0x35, 0x36, 0x37)
 (TIMSK0, TIMSK1, TIMSK2) = (0x6E, 0x6F, 0x70)
-PINB, DDRB, PINB_CYCLES = 0x23, 0x24, 2
+PINB, PIND = 0x23, 0x29
 TOV, OCFA, OCFB, ICF = 1, 2, 4, 0x20
 
 
@@ -36,7 +40,23 @@ def wait(cycles: int) -> Step:
 
 @dataclass(frozen=True)
 class Registers:
-    """Registers of a timer: low bytes; the high byte of a 16-bit register is at the next address."""
+    """Registers of a timer: low bytes; the high byte of a 16-bit register is at the next address.
+
+    Attributes:
+        number: Number of the timer.
+        a: TCCRnA.
+        b: TCCRnB.
+        count: TCNTn.
+        compare: OCRnA and OCRnB.
+        flags: TIFRn.
+        enables: TIMSKn.
+        vectors: Numbers of the interrupts of compare units A and B and of the overflow.
+        strobes: Register with the FOC bits.
+        output_register: PIN register of the output of unit A; the DDR register follows it.
+        output: Bit of that output.
+        shifts: Logarithm of the prescaler for each number of a clock.
+        icr: ICRn; 0: there is none.
+    """
 
     number: int
     a: int
@@ -45,14 +65,20 @@ class Registers:
     compare: tuple[int, int]
     flags: int
     enables: int
-    vectors: tuple[int, int, int]  # compare A, compare B, overflow
+    vectors: tuple[int, int, int]
     strobes: int
+    output_register: int
+    output: int
     shifts: tuple[int, ...]
     icr: int = 0
 
     @property
     def is_wide(self) -> bool:
         return self.number == 1
+
+    @property
+    def max(self) -> int:
+        return 0xFFFF if self.is_wide else 0xFF
 
     def write_word(self, register: int, value: int) -> list[Step]:
         high = [write(register + 1, value >> 8)] if self.is_wide else []
@@ -61,41 +87,59 @@ class Registers:
     def read_count(self) -> list[Step]:
         return [read(self.count), *([read(self.count + 1)] if self.is_wide else [])]
 
-    def select(self, ctc: bool, clock: int) -> list[Step]:
-        """Select normal or CTC mode and the clock (0: stopped)."""
+    def select(self, ctc: bool, clock: int, output_mode: int = 0) -> list[Step]:
+        """Select normal or CTC mode, the mode of output A (1: toggle, 2: clear, 3: set) and the clock (0: stopped)."""
         if self.is_wide:
-            return [write(self.a, 0), write(self.b, (8 if ctc else 0) | clock)]
-        return [write(self.a, 2 if ctc else 0), write(self.b, clock)]
+            return [write(self.a, output_mode << 6), write(self.b, (8 if ctc else 0) | clock)]
+        return [write(self.a, output_mode << 6 | (2 if ctc else 0)), write(self.b, clock)]
 
 
 _FAST, _SLOW = (0, 0, 3, 6, 8, 10), (0, 0, 3, 5, 6, 7, 8, 10)
 TIMERS = (
-    Registers(0, 0x44, 0x45, 0x46, (0x47, 0x48), TIFR0, TIMSK0, (14, 15, 16), 0x45, _FAST),
-    Registers(1, 0x80, 0x81, 0x84, (0x88, 0x8A), TIFR1, TIMSK1, (11, 12, 13), 0x82, _FAST, icr=0x86),
-    Registers(2, 0xB0, 0xB1, 0xB2, (0xB3, 0xB4), TIFR2, TIMSK2, (7, 8, 9), 0xB1, _SLOW),
+    Registers(0, 0x44, 0x45, 0x46, (0x47, 0x48), TIFR0, TIMSK0, (14, 15, 16), 0x45, PIND, 6, _FAST),
+    Registers(1, 0x80, 0x81, 0x84, (0x88, 0x8A), TIFR1, TIMSK1, (11, 12, 13), 0x82, PINB, 1, _FAST, icr=0x86),
+    Registers(2, 0xB0, 0xB1, 0xB2, (0xB3, 0xB4), TIFR2, TIMSK2, (7, 8, 9), 0xB1, PINB, 3, _SLOW),
 )
+
+
+def align_accesses(script: list[Step]) -> list[Step]:
+    """Return a script like another one whose timers run at an eighth of the clock, and whose accesses are between their clocks.
+
+    It gives the same on emulators that differ in the cycle of an access.
+    """
+    slow, time = [], _BEGIN_CYCLES
+    for name, a, b in script:
+        if name == "wait":
+            slow.append(wait(8 * a))
+            time += 8 * a
+            continue
+        is_clock = name == "write" and a in {r.b for r in TIMERS} and b & 7 == 1
+        pause = (4 - time - _ACCESS_CYCLES[name]) % 8
+        slow += [wait(pause), (name, a, b + 1 if is_clock else b)]
+        time += pause + _STEP_CYCLES[name]
+    return slow
 
 
 # --- as a program ---
 
 
-def assemble(script: list[Step], path: Path, counted_vector: int = 0) -> tuple[Path, int]:
+def assemble(script: list[Step], path: Path, vector: int = 0, routine: str = "inc r20") -> tuple[Path, int]:
     """Build a program of a script.
 
     Args:
         script: The steps.
         path: Path of the ELF without suffix.
-        counted_vector: Number of an interrupt that the program enables and whose routine it counts; 0: none.
-            The count, a byte, is the last of the results.
+        vector: Number of an interrupt that the program enables; 0: none.
+        routine: First instruction of its routine, which may change r20, the last of the results.
 
     Returns:
         The path of the ELF, and the number of results.
     """
     lines = ["    .global main", "main:"]
-    lines += [f"    jmp {'count' if n == counted_vector and n else 'start'}" for n in range(N_VECTORS)]
-    lines += ["count:", "    inc r20", "    reti", "start:"]
+    lines += [f"    jmp {'routine' if n == vector and n else 'start'}" for n in range(N_VECTORS)]
+    lines += ["routine:", f"    {routine}", "    reti", "start:"]
     lines += [f"    ldi r26, {RESULTS & 0xFF}", f"    ldi r27, {RESULTS >> 8}"]
-    lines += ["    sei"] if counted_vector else []
+    lines += ["    sei"] if vector else []
     for name, a, b in script:
         if name == "write":
             lines += [f"    ldi r16, {b}", f"    sts {a}, r16"]
@@ -137,11 +181,11 @@ class ReferenceTimer:
     temp: int = 0
     flags: int = 0
     is_blocked: bool = False
-    raised: list[int] = field(default_factory=lambda: [0] * 8)
+    output: int = 0
 
     @property
     def max(self) -> int:
-        return 0xFFFF if self.registers.is_wide else 0xFF
+        return self.registers.max
 
     @property
     def top(self) -> int:
@@ -167,9 +211,13 @@ class ReferenceTimer:
         raised |= TOV if count == self.max else 0
         is_end = count == self.max or (count == self.top and not self.is_blocked)
         self.count, self.is_blocked = 0 if is_end else count + 1, False
-        for bit in range(8):
-            self.raised[bit] += (raised & ~self.flags) >> bit & 1
         self.flags |= raised
+        if raised & OCFA:
+            self.match_output()
+
+    def match_output(self) -> None:
+        """Change output A as its mode says."""
+        self.output = (self.output, 1 - self.output, 0, 1)[self.a >> 6]
 
     def read(self, register: int) -> int:
         r = self.registers
@@ -182,7 +230,9 @@ class ReferenceTimer:
         for k, low in enumerate(r.compare):
             if register in (low, low + 1) and (r.is_wide or register == low):
                 return self.compare[k] >> 8 * (register - low) & 0xFF
-        return {r.count: self.count, r.flags: self.flags, r.a: self.a, r.b: self.b}[register]
+        if register == r.output_register:
+            return self.output << r.output
+        return {r.count: self.count, r.flags: self.flags, r.a: self.a, r.b: self.b, r.strobes: self.b}[register]
 
     def write(self, register: int, value: int) -> None:
         r = self.registers
@@ -201,36 +251,30 @@ class ReferenceTimer:
             self.a = value
         elif register == r.b:
             self.b = value if r.is_wide else value & 0x3F
-
-    def owns(self, register: int) -> bool:
-        r = self.registers
-        lows = [r.count, *r.compare, *([r.icr] if r.is_wide else [])]
-        return register in (r.a, r.b, r.flags, *lows, *((low + 1 for low in lows) if r.is_wide else ()))
+        if register == r.strobes and value & 0x80:
+            self.match_output()
 
 
-def run_on_reference(script: list[Step]) -> tuple[list[int], tuple[ReferenceTimer, ...]]:
-    """Return what a script's reads give, and the timers at its end."""
-    timers, values, time = tuple(map(ReferenceTimer, TIMERS)), [], 0
+def run_on_reference(script: list[Step], timer: Registers) -> list[int]:
+    """Return what a script's reads of a timer's registers and of its output give."""
+    reference, values, time = ReferenceTimer(timer), [], 0
 
-    def pass_cycles(n: int) -> None:
+    def pass_cycles(cycles: int) -> None:
         nonlocal time
-        for _ in range(n):
+        for _ in range(cycles):
             time += 1
-            for timer in timers:
-                timer.pass_clock(time)
+            reference.pass_clock(time)
 
-    pass_cycles(3 + 2)  # jmp, X
+    pass_cycles(_BEGIN_CYCLES)
     for name, a, b in script:
         if name == "wait":
             pass_cycles(a)
             continue
-        timer = next((t for t in timers if t.owns(a)), None)
-        pass_cycles(2 if name == "write" else 1)  # the second cycle of lds, and of sts after ldi
+        pass_cycles(_ACCESS_CYCLES[name])
         if name == "read":
-            values.append(timer.read(a) if timer else -1)
-            pass_cycles(1 + 2)
-        else:
-            pass_cycles(1)
-            if timer:
-                timer.write(a, b)
-    return values, timers
+            values.append(reference.read(a))
+        pass_cycles(1)
+        if name == "write":
+            reference.write(a, b)
+        pass_cycles(_STEP_CYCLES[name] - _ACCESS_CYCLES[name] - 1)
+    return values
