@@ -90,6 +90,7 @@ class Host:
 
     def __init__(self, program: Program, board: Board, isolated: bool, patience: float):
         self.path, self.board = program.path, board
+        board.serial.record["is_wired"] = 0
         self._runner: Runner
         if isolated:
             from stage.board.isolation.process_runner import ProcessRunner
@@ -339,6 +340,7 @@ class NativeHost(Host):
         folder = self._scratch.path if self._scratch else None
         path = library.find_library(firmware, flags, platform, folder, metered=cost > 0)
         super().__init__(NativeProgram(path, mapped, round(cost * 1e12), lines), board, isolated, patience)
+        board.serial.record["is_wired"] = 1
 
 
 def to_nanoseconds(seconds: float, name: str) -> int:

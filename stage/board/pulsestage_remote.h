@@ -155,6 +155,11 @@ static inline int64_t ps_request(int32_t what, int64_t a, int64_t b)
 {
     const char *text = (const char *)(intptr_t)a;
     size_t most = sizeof ps_remote.frame - PS_F_HEAD, length;
+    if (what >= PS_SEND_SERIAL && what <= PS_SERIAL_RATE) { /* nobody is at the other end of the line; to look takes time */
+        if (what == PS_READ_SERIAL)
+            ps_entry(PS_MICROS, 0, 0, 0, 0, 0);
+        return what == PS_READ_SERIAL && a != 2 ? -1 : 0;
+    }
     if (what > PS_LINE && what != PS_TIMER && (what < PS_SPEND || what > PS_OUT32))
         ps_fail("windows, levels, lines of single chips and software interrupts are there in process only, not over TCP.");
     if (what != PS_LOG && what != PS_HOOK && what != PS_TIMER)

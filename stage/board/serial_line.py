@@ -18,6 +18,7 @@ import numpy as np
 
 from stage.board.bus import serial_core
 from stage.board.bus.serial_core import NO_BYTE, ROOM
+from stage.board.devices.uart import UART
 from stage.errors import ArgumentError, RunTimeout, StageError
 from stage.native import address_of, without_attributes
 
@@ -43,6 +44,8 @@ class SerialLine:
         rows: Array of one LINE record; for firmware in a separate process in memory that both processes share.
     """
 
+    does_pause = True
+
     def __init__(self, board: Board):
         self._board = board
         self.use_rows(np.zeros(1, serial_core.LINE))
@@ -57,6 +60,20 @@ class SerialLine:
     def address(self) -> int:
         """Address of the LINE record."""
         return address_of(self.rows)
+
+    @property
+    def is_wired(self) -> bool:
+        """True if the firmware has a serial line."""
+        return bool(self.record["is_wired"])
+
+    @property
+    def pausing_byte(self) -> int:
+        """Byte after which the firmware pauses, or NO_BYTE."""
+        return int(self.record["pausing_byte"])
+
+    @pausing_byte.setter
+    def pausing_byte(self, value: int) -> None:
+        self.record["pausing_byte"] = value
 
     @property
     def free(self) -> int:
@@ -84,6 +101,35 @@ class SerialLine:
     def _count(self, total: str, removed: str) -> int:
         """Count the bytes of a direction; firmware may have overwritten the record."""
         return min(max(int(self.record[total]) - int(self.record[removed]), 0), ROOM)
+
+
+class UartLine:
+    """Serial line that a 16550 on the bus forms; its buffers are those of the device.
+
+    Args:
+        uart: The device.
+    """
+
+    pausing_byte = NO_BYTE
+
+    def __init__(self, uart: UART):
+        self._uart, self._sent_count = uart, uart.sent_count
+        self.is_wired, self.does_pause = True, False
+
+    @property
+    def free(self) -> int:
+        """Number of bytes that can be fed now."""
+        return self._uart.free
+
+    def feed(self, content: bytes) -> None:
+        """Send bytes to the firmware, at most `free`."""
+        self._uart.feed(content)
+
+    def take(self) -> bytes:
+        """Take all bytes that the firmware has sent since the last call."""
+        content = self._uart.read_sent(self._sent_count)
+        self._sent_count = self._uart.sent_count
+        return content
 
 
 class SerialEnd(Protocol):
@@ -132,8 +178,9 @@ class SerialPort:
         self._unread, self._outgoing = bytearray(), bytearray()
         self._find: Callable[[], Any] | None = None
         self._pausing_byte = NO_BYTE
+        self._uart_line: UartLine | None = None
         self.received = self.written = 0
-        self._line.record["is_open"] = 1
+        host.board.serial.record["is_open"] = 1
 
     # --- for a person and for tests ---
 
@@ -220,7 +267,7 @@ class SerialPort:
 
     def check_is_wired(self) -> None:
         """Raise StageError if the firmware has no serial line."""
-        if not self._line.record["is_wired"]:
+        if not self._line.is_wired:
             raise StageError(f"{self._host.path.name}: {self._host.serial_lack}")
 
     @property
@@ -244,7 +291,7 @@ class SerialPort:
         if content:
             line.feed(content)
         self.written += len(content)
-        line.record["pausing_byte"] = self._pausing_byte if end is None else end.pausing_byte
+        line.pausing_byte = self._pausing_byte if end is None else end.pausing_byte
         return len(sent) + len(content)
 
     def choose_next_exchange(self, until: int) -> int:
@@ -252,8 +299,8 @@ class SerialPort:
         now, next_exchange = self._host.board.stage.now, None
         if self._end is not None:
             next_exchange = self._end.choose_next_exchange(now)
-        elif self._find is not None or self._outgoing:
-            next_exchange = now + POLL_NS
+        if self._find is not None or self._outgoing or (self._end is not None and not self._line.does_pause):
+            next_exchange = min(now + POLL_NS, until if next_exchange is None else next_exchange)
         return until if next_exchange is None else min(until, max(next_exchange, now))
 
     def disconnect(self) -> None:
@@ -263,8 +310,14 @@ class SerialPort:
     # --- inside ---
 
     @property
-    def _line(self) -> SerialLine:
-        return self._host.board.serial
+    def _line(self) -> SerialLine | UartLine:
+        """The line of the first UART on the bus, otherwise that of the firmware's own."""
+        if self._uart_line is None:
+            uart = next((device for device in self._host.board.devices if isinstance(device, UART)), None)
+            if uart is None:
+                return self._host.board.serial
+            self._uart_line = UartLine(uart)
+        return self._uart_line
 
     def _run_until(self, find: Callable[[], Any], timeout: float, wanted: str, pausing_byte: int = NO_BYTE) -> None:
         """Run the firmware until `find()` is true, which is asked every POLL_NS and after each `pausing_byte`.

@@ -25,6 +25,12 @@ from stage.targets import mcus
 from stage.targets.nvic import IRQS
 
 EXAMPLE = "0x40021000=0x300+0x40"
+AVR_SERIAL_LACK = "this AVR has no UART, or simavr is of another version than 1.6, whose UART is known."
+CORTEX_SERIAL_LACK = (
+    "the UARTs of Cortex-M parts differ by manufacturer and are not emulated. Put a 16550 on the bus (--device uart:0x3F8) and "
+    "map its ports (--map 0x40013800=0x3F8+8)."
+)
+PC_SERIAL_LACK = "a PC's serial line is a 16550 on its bus. Add one: --device uart:0x3F8."
 DEBUG_PATIENCE_S = 1e9  # with a person at a debugger
 
 
@@ -77,6 +83,9 @@ class TargetHost(Host):
         hz = None if mcu_clock is None else round(mcu_clock)
         program = make_program(Path(firmware), self.mcu, maps, parse_pins(pins, chips), hz, gdb)
         super().__init__(program, board, isolated, DEBUG_PATIENCE_S if gdb else patience)
+        self.serial_lack = (
+            AVR_SERIAL_LACK if mcu in mcus.AVRS else CORTEX_SERIAL_LACK if mcu in mcus.CORTEX else PC_SERIAL_LACK
+        )
 
 
 def _check_free(port: int) -> None:

@@ -12,8 +12,11 @@ from pathlib import Path
 import pytest
 from support.target_boards import board_of
 
+from stage import Stage
+from stage.board import Board
 from stage.board.serial_ends import open_end
 from stage.board.serial_script import read_script
+from stage.chips import PCL240K
 from stage.cli import main
 from stage.errors import ArgumentError, RunTimeout, StageError
 from stage.targets import TargetHost, mcus
@@ -122,6 +125,42 @@ def test_what_does_not_come_is_an_error_with_what_has_come(quick_echo):
         quick_echo.serial.expect("(")
     with pytest.raises(ArgumentError, match="bytes, or text whose characters are bytes"):
         quick_echo.serial.write("\N{EURO SIGN}")
+
+
+PC_ECHO = bytes.fromhex(
+    "BAFB03 B083 EE BAF803 B001 EE 42 30C0 EE BAFB03 B003 EEBAFD03 EC A801 74F8 BAF803 EC 3C04 7403 EE EBED B8054C CD21"
+)
+"""Sets COM1 to 115200 baud, echoes each byte, and ends with code 5 after a byte 4."""
+
+
+@pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
+def test_a_pc_has_a_serial_line_if_a_16550_is_on_its_bus(tmp_path):
+    program = tmp_path / "echo.com"
+    program.write_bytes(PC_ECHO)
+    with (
+        TargetHost(program, board_of(), mcu="8086", isolated=False) as host,
+        pytest.raises(
+            StageError, match=r"echo.com: a PC's serial line is a 16550 on its bus. Add one: --device uart:0x3F8."
+        ),
+    ):
+        host.serial.write("hello")
+    board = Board(Stage("xy", chips=PCL240K, visuals=False), devices=["uart:0x3F8"])
+    with TargetHost(program, board, mcu="8086", isolated=False) as host:
+        host.serial.write("hello")
+        assert host.serial.read_until("hello") == "hello"
+        host.serial.write(END)
+        assert host.run(timeout=1).code == 5
+
+
+@pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
+def test_a_cortex_without_a_16550_says_how_it_gets_one():
+    with (
+        TargetHost(
+            DATA / "faults.m3.elf", board_of(), mcu="cortex-m3", map="0x40021000=0x300+0x40", isolated=False
+        ) as host,
+        pytest.raises(StageError, match=r"UARTs of Cortex-M parts .* not emulated. Put a 16550 on the bus"),
+    ):
+        host.serial.read_until("ready")
 
 
 # --- scripts ---

@@ -61,8 +61,7 @@ class UART(Compiled):
         if not isinstance(data, str | bytes | bytearray | memoryview):
             raise ArgumentError(f"{self.name}: feed({data!r}): bytes or text are wanted, for example b'ok\\r\\n'.")
         content, s = data.encode() if isinstance(data, str) else bytes(data), self.registers
-        self.CORE.access(self.state[0], self.stage.now, 0, 7, 0, 0)  # what has arrived by now has
-        waiting = int(s["fed"] - s["taken"])
+        waiting = uart_core.ROOM - self.free
         if waiting + len(content) > uart_core.ROOM:
             raise ArgumentError(
                 f"{self.name}: {waiting:,} bytes are still to arrive, and {len(content):,} more are too many: "
@@ -75,12 +74,26 @@ class UART(Compiled):
             s["fed"] += 1
 
     @property
+    def sent_count(self) -> int:
+        """Number of bytes that have left the transmitter so far."""
+        s, c = self.registers, self._character_ns
+        return int(s["written"]) - (-(-max(int(s["left"]) - self.stage.now, 0) // c) if c else 0)
+
+    @property
     def sent(self) -> bytes:
         """Bytes that have left the transmitter so far; if there are more than 4096, the last 4096."""
-        s, now = self.registers, self.stage.now
-        c = self._character_ns
-        end = int(s["written"]) - (-(-max(int(s["left"]) - now, 0) // c) if c else 0)
-        return self._written(max(0, end - uart_core.ROOM), end)
+        return self.read_sent(0)
+
+    def read_sent(self, begin: int) -> bytes:
+        """Return the bytes that have left the transmitter, from number `begin` on; at most the last 4096."""
+        end = self.sent_count
+        return self._written(max(begin, end - uart_core.ROOM), end)
+
+    @property
+    def free(self) -> int:
+        """Number of bytes that can be fed now."""
+        self.CORE.access(self.state[0], self.stage.now, 0, 7, 0, 0)  # what has arrived by now has
+        return uart_core.ROOM - int(self.registers["fed"] - self.registers["taken"])
 
     @property
     def baud(self) -> float:

@@ -1,5 +1,6 @@
-/* HardwareSerial.h on an emulated board: Serial prints to the log of the run, line by line, and reads what
- * -DPULSESTAGE_SERIAL_INPUT='"..."' or Serial.feed says. It takes no time; a look for a byte that is not there takes a bus cycle. */
+/* HardwareSerial.h on an emulated board: Serial prints to the log of the run, line by line, and to the serial line of the board
+ * (docs/serial.md). It reads what -DPULSESTAGE_SERIAL_INPUT='"..."' or Serial.feed says, and then what comes over that line, at the rate
+ * of Serial.begin. To print takes no time; a look for a byte that is not there takes a bus cycle. */
 #ifndef PULSESTAGE_HARDWARESERIAL_H
 #define PULSESTAGE_HARDWARESERIAL_H
 
@@ -35,7 +36,7 @@ class Print
     size_t print(unsigned long v, int base = 10) { return print(String(v, base)); }
     size_t print(long long v, int base = 10) { return print(String(long(v), base)); }
     size_t print(unsigned long long v, int base = 10) { return print(String((unsigned long)v, base)); }
-    size_t println() { return write(uint8_t('\n')); }
+    size_t println() { return write("\r\n"); }
     template <typename What> size_t println(const What &what) { return print(what) + println(); }
     template <typename What> size_t println(const What &what, int how) { return print(what, how) + println(); }
     size_t printf(const char *format, ...) __attribute__((format(printf, 2, 3)))
@@ -56,32 +57,32 @@ class Stream : public Print
     virtual int available() = 0;
     virtual int read() = 0;
     virtual int peek() = 0;
-    void setTimeout(unsigned long) {}
+    void setTimeout(unsigned long ms) { timeout_ms_ = ms; }
     String readStringUntil(char end)
     {
         String text;
-        for (int c; (c = read()) >= 0 && c != end;)
+        for (int c; (c = next()) >= 0 && c != end;)
             text += char(c);
         return text;
     }
     String readString()
     {
         String text;
-        for (int c; (c = read()) >= 0;)
+        for (int c; (c = next()) >= 0;)
             text += char(c);
         return text;
     }
     size_t readBytesUntil(char end, char *to, size_t n)
     {
         size_t k = 0;
-        for (int c; k < n && (c = read()) >= 0 && c != end;)
+        for (int c; k < n && (c = next()) >= 0 && c != end;)
             to[k++] = char(c);
         return k;
     }
     size_t readBytes(char *to, size_t n)
     {
         size_t k = 0;
-        for (int c; k < n && (c = read()) >= 0;)
+        for (int c; k < n && (c = next()) >= 0;)
             to[k++] = char(c);
         return k;
     }
@@ -89,39 +90,50 @@ class Stream : public Print
     float parseFloat() { return strtof(number(true).c_str(), nullptr); }
 
   private:
+    static bool is_digit(int c) { return c >= '0' && c <= '9'; }
     String number(bool point)
     {
         String text;
-        while (peek() >= 0 && !(peek() >= '0' && peek() <= '9') && peek() != '-')
+        int c;
+        while ((c = look()) >= 0 && !is_digit(c) && c != '-')
             read();
-        while ((peek() >= '0' && peek() <= '9') || (text.isEmpty() && peek() == '-') || (point && peek() == '.'))
+        while (c >= 0 && (is_digit(c) || (text.isEmpty() && c == '-') || (point && c == '.'))) {
             text += char(read());
+            c = look();
+        }
         return text;
     }
+    /* The next byte, for which they wait as long as setTimeout says; -1: none has come. */
+    int look()
+    {
+        int c = peek();
+        if (c >= 0)
+            return c;
+        const uint64_t end = ps_micros() + 1000 * uint64_t(timeout_ms_);
+        while ((c = peek()) < 0 && ps_micros() < end)
+            ps_delay_us(20);
+        return c;
+    }
+    int next() { return look() < 0 ? -1 : read(); }
+    unsigned long timeout_ms_ = 1000;
 };
 
 class HardwareSerial : public Stream
 {
   public:
-    void begin(unsigned long, int = 0) {}
+    void begin(unsigned long bits_per_second, int = 0) { ps_serial_rate(uint32_t(bits_per_second)); }
     void end() {}
     operator bool() const { return true; }
     using Print::write;
     size_t write(uint8_t c) override { return pulsestage::serial_line().send(char(c)), 1; }
     int available() override
     {
-        const size_t left = strlen(pulsestage::serial_line().left());
-        if (!left)
-            ps_micros();
-        return left < 63 ? int(left) : 63;
+        const int n = pulsestage::serial_line().available();
+        return n < 63 ? n : 63;
     }
     int availableForWrite() { return 63; }
     int read() override { return pulsestage::serial_line().take(); }
-    int peek() override
-    {
-        const char *left = pulsestage::serial_line().left();
-        return *left ? uint8_t(*left) : -1;
-    }
+    int peek() override { return pulsestage::serial_line().peek(); }
     /* What is received from now on; the text stays the caller's. */
     void feed(const char *text) { pulsestage::serial_line().input = text; }
 };

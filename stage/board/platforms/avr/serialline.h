@@ -1,5 +1,6 @@
-/* The serial port of an AVR: what is sent goes to the log of the run, line by line; what is received is a string,
- * -DPULSESTAGE_SERIAL_INPUT='"G1 X10\n"'. It takes no time. Included by avr/io.h and Arduino.h. */
+/* The serial port of an AVR: what is sent goes to the log of the run, line by line, and to the serial line of the board
+ * (docs/serial.md). What is received is a string, -DPULSESTAGE_SERIAL_INPUT='"G1 X10\n"', and then what comes over that line. To send
+ * takes no time. Included by avr/io.h and Arduino.h. */
 #ifndef PULSESTAGE_AVR_SERIAL_H
 #define PULSESTAGE_AVR_SERIAL_H
 
@@ -11,6 +12,7 @@ extern "C++" { /* also where a program in C is included */
 
 #include <pulsestage.h>
 #include <stdint.h>
+#include <string.h>
 
 #if !defined(PULSESTAGE_SERIAL_INPUT)
 #define PULSESTAGE_SERIAL_INPUT ""
@@ -26,6 +28,7 @@ struct SerialLine {
 
     void send(char c)
     {
+        ps_serial_write(uint8_t(c));
         if (c == '\r')
             return;
         if (c != '\n')
@@ -45,7 +48,13 @@ struct SerialLine {
             input = PULSESTAGE_SERIAL_INPUT;
         return input;
     }
-    int take() { return *left() ? uint8_t(*input++) : -1; }
+    int take() { return *left() ? uint8_t(*input++) : ps_serial_read(); }
+    int peek() { return *left() ? uint8_t(*input) : ps_serial_peek(); }
+    int available() /* a loop that waits for a byte lets time pass */
+    {
+        const size_t n = strlen(left());
+        return n ? int(n) : ps_serial_available();
+    }
 };
 
 inline __attribute__((visibility("hidden"))) SerialLine &serial_line()

@@ -1,4 +1,4 @@
-/* The serial port of an AVR, included by avr/io.h: UDR0 sends to the log and receives from PULSESTAGE_SERIAL_INPUT, at once. */
+/* The serial port of an AVR, included by avr/io.h: UDR0 sends and receives at once, see serialline.h. */
 #ifndef PULSESTAGE_AVR_UART_H
 #define PULSESTAGE_AVR_UART_H
 
@@ -20,9 +20,7 @@ struct UdrOf {
 struct UcsraOf {
     static uint8_t read()
     {
-        const bool there = *serial_line().left() != 0;
-        if (!there)
-            ps_micros(); /* a loop that waits for a byte goes on */
+        const bool there = serial_line().available() != 0;
         return uint8_t(there << 7 | 3 << 5);
     }
     static void write(uint8_t) {}
