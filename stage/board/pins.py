@@ -19,6 +19,8 @@ from stage.errors import ArgumentError, unknown_name_error
 
 SHARED = ("enable", *READ)
 """Lines of several axes that may be on one pin."""
+NO_PIN = "none"
+"""What an entry says in place of a pin to take a line out of a preset."""
 FORM = "x.step=D2,x.dir=D5,x.enable=!B0,x.limit=!B1"
 PRESETS = {
     "grbl": "x.step=D2,y.step=D3,z.step=D4,x.dir=D5,y.dir=D6,z.dir=D7,x.enable=!B0,y.enable=!B0,z.enable=!B0,"
@@ -57,12 +59,13 @@ class PinLine(NamedTuple):
         return sum(chip.INPUTS[name] for name in (DRIVEN | READ)[self.line])
 
 
-def parse_pins(texts: str | Iterable[str], chips: Mapping[str, Chip]) -> tuple[PinLine, ...]:
+def parse_pins(texts: str | Iterable[str], chips: Mapping[str, Chip], fold_case: bool = False) -> tuple[PinLine, ...]:
     """Parse the lines of axes at pins.
 
     Args:
         texts: One text or several: entries joined by commas, or names of PRESETS, of which the axes that the stage has count.
         chips: Chip of each axis by the axis' name.
+        fold_case: Whether d2 is D2, as at a processor; signals of a capture keep their case.
 
     Returns:
         The lines in the order of the text; an entry takes the place of that of a preset before it.
@@ -81,6 +84,9 @@ def parse_pins(texts: str | Iterable[str], chips: Mapping[str, Chip]) -> tuple[P
                 f"{FORM}."
             )
         lines |= {(line.axis, line.line): line for line in present or [_parse_entry(entry)]}
+    lines = {key: line for key, line in lines.items() if line.pin != NO_PIN}
+    if fold_case:
+        lines = {key: line._replace(pin=line.pin.upper()) for key, line in lines.items()}
     for line in lines.values():
         _check_line(line, chips)
     _check_pins(lines.values())

@@ -81,7 +81,7 @@ class TargetHost(Host):
         maps = [map] if isinstance(map, str) else list(map)
         chips = {name: axis.chip for name, axis in board.stage.axes.items()}
         hz = None if mcu_clock is None else round(mcu_clock)
-        program = make_program(Path(firmware), self.mcu, maps, parse_pins(pins, chips), hz, gdb)
+        program = make_program(Path(firmware), self.mcu, maps, parse_pins(pins, chips, fold_case=True), hz, gdb)
         super().__init__(program, board, isolated, DEBUG_PATIENCE_S if gdb else patience)
         self.serial_lack = (
             AVR_SERIAL_LACK if mcu in mcus.AVRS else CORTEX_SERIAL_LACK if mcu in mcus.CORTEX else PC_SERIAL_LACK

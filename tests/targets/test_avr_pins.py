@@ -383,6 +383,7 @@ def test_analog_inputs_above_7_read_0_like_the_others(build):
         ("x.step=D2,y.step=D2", "pin D2 is used twice, by x.step=D2 and y.step=D2"),
         ("x.step=D2,x.limit=!B1,y.limit=B1", "pin B1 is used twice, by x.limit=!B1 and y.limit=B1"),
         ("x.step=D2,x.limit=D2", "pin D2 is used twice"),
+        ("x.step=D2,x.dir=d2", "pin D2 is used twice"),
         ("x.step=M2", "--pins x.step=M2: M2 is no pin of an AVR; pins are B0, D5 ..."),
         ("x.step=L0", "--pins x.step=L0: the atmega328p has no port L; take a pin that it has."),
         ("x.step=C7", "--pins x.step=C7: the atmega328p has no pin C7; port C has others."),
@@ -423,6 +424,14 @@ def test_a_preset_counts_for_the_axes_that_the_stage_has(build):
         ArgumentError, match=r"--pins grbl: it wires the axes x, y, z, and the stage has u\. Write its lines"
     ):
         parse_pins("grbl", {"u": STEPDIR()})
+
+
+def test_a_preset_may_leave_a_line_out():
+    chips = {"x": STEPDIR()}
+    names = [line.line for line in parse_pins(["grbl", "x.enable=none,x.probe=none"], chips)]
+    assert names == ["step", "dir", "limit"]
+    (enable,) = (line for line in parse_pins("grbl,x.enable=none,x.enable=B3", chips) if line.line == "enable")
+    assert enable.pin == "B3", "the last entry counts"
 
 
 def test_a_program_for_another_avr_is_refused(build):
