@@ -5,8 +5,9 @@
     env = gymnasium.make("stage/RegisterTuning-v0")
     envs = gymnasium.make_vec("stage/RegisterTuning-v0", num_envs=64, vectorization_mode="vector_entry_point")
 
-One file each holds the rules (a Task, for any number of stages at once, see task.py) and its settings; base.py makes the scalar
-and the vector environment of it, with the same bits. A step's rewards, ends and info are one record a stage (results.py).
+One file each holds the rules (a Task, for any number of stages at once, see task.py) and its settings; stage_env.py makes the
+scalar and the vector environment of it, with the same bits. A step's rewards, ends and info are one record a stage
+(step_results.py).
 """
 
 from __future__ import annotations

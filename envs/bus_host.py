@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from stage.envs import contexts
-from stage.envs.features import HOST, Feature
-from stage.envs.machines import MachineTask
-from stage.envs.macros import OTHERS, RATES, MacroTable
+from stage.envs import machine_contexts
+from stage.envs.hidden_machines import MachineTask
+from stage.envs.macro_programs import OTHERS, RATES, MacroTable
+from stage.envs.observation_features import HOST, Feature
 from stage.native import record
-from stage.sim.fleet import Played
-from stage.support import portable
+from stage.sim.fleet import PlayedPrograms
+from stage.support import portable_math
 
 SWITCHES = ("org", "el_minus", "el_plus")
 AXIS = record(
@@ -61,7 +61,7 @@ class BusHost(MachineTask[Any]):
         Feature("level", HOST, "level / 3"),
         Feature("macros", HOST, "macros left / `macros`"),
         Feature("time", HOST, "time left / `time_limit`"),
-        *contexts.OBSERVATION,
+        *machine_contexts.OBSERVATION,
     )
 
     def layout(self) -> list[Feature]:
@@ -104,7 +104,7 @@ class BusHost(MachineTask[Any]):
 
     # --- what it remembers and sees ---
 
-    def _update_memory(self, played: Played, t: np.ndarray) -> None:
+    def _update_memory(self, played: PlayedPrograms, t: np.ndarray) -> None:
         """Update the host's memory after the macros that were played."""
         done = self._valid & self.converged
         for kind, mask in self.book.is_kind.items():
@@ -145,7 +145,11 @@ class BusHost(MachineTask[Any]):
         c, s, e, every, used = self.config, self.axis_states, self.episodes, self.selected_state, self.uses_axis
         distances_left = np.where(s["known"] != 0, s["target"] - (s["seen"] - s["zero"]), 0)
         left = distances_left[np.arange(self.n), e["selected"]]
-        log = np.sign(left) * portable.log1p(np.abs(left) / c.grid[0]) / portable.log1p(2 * c.longest / c.grid[0])
+        log = (
+            np.sign(left)
+            * portable_math.log1p(np.abs(left) / c.grid[0])
+            / portable_math.log1p(2 * c.longest / c.grid[0])
+        )
         one = [
             every["known"] != 0, every["running"] != 0, every["fresh"] != 0, *(every["rates"] == r for r in range(len(RATES))),
             *(every["distance"] == d for d in range(len(c.grid))), left / c.longest, log, *(every[name] for name in SWITCHES),

@@ -1,7 +1,7 @@
 """`stage/BusMacros-v1`: the agent is the host, but a whole phrase of bus cycles is one action. The raw bus is stage/RegisterBus-v0.
 
-An episode has one machine, hidden as in FewShotTuning (contexts.py), and a target for each axis that takes part. The host writes
-registers from a grid, starts, waits, and reads; what does nothing now is masked.
+An episode has one machine, hidden as in FewShotTuning (machine_contexts.py), and a target for each axis that takes part. The
+host writes registers from a grid, starts, waits, and reads; what does nothing now is masked.
 
 action        Discrete, `env.macros` has the names; on the axis that is selected
               rates r        write the registers of RATES[r]: gentle, usual, bold
@@ -52,19 +52,19 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 
-from stage.envs import contexts, faulty
-from stage.envs.base import StageEnv, StageVectorEnv
+from stage.envs import machine_contexts, machine_faults
 from stage.envs.bus_host import AXIS, EPISODE, SWITCHES, BusHost
-from stage.envs.features import HOST, TRUTH, Feature
-from stage.envs.machines import MachineSettings
-from stage.envs.macros import RATES, MacroTable
+from stage.envs.hidden_machines import MachineSettings
+from stage.envs.macro_programs import RATES, MacroTable
+from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.origin_switch import OriginSwitch
-from stage.envs.results import SCORE_FEATURE, write_scores
 from stage.envs.settings import Count, Discount, Each, Flag, Names, Number, Positive, Seconds, Weight, Word
-from stage.envs.trial import compute_move_time
+from stage.envs.single_moves import compute_move_time
+from stage.envs.stage_env import StageEnv, StageVectorEnv
+from stage.envs.step_results import SCORE_FEATURE, write_scores
 from stage.errors import ArgumentError, unknown_name_error
-from stage.sim.fleet import Played
-from stage.support import portable
+from stage.sim.fleet import PlayedPrograms
+from stage.support import portable_math
 
 LEVELS = ("move", "target", "axes", "origin")
 MAX_BEFORE_ORIGIN = 1_000  # pulses on the far side of ORG at which "origin" may begin, at most
@@ -74,7 +74,7 @@ MAX_BEFORE_ORIGIN = 1_000  # pulses on the far side of ORG at which "origin" may
 class Config(MachineSettings):
     """Settings of BusMacros, beside those of hidden machines."""
 
-    FAULTS = (*faulty.HAMPERING, "bounce")
+    FAULTS = (*machine_faults.HAMPERING, "bounce")
     level: Annotated[str, Word(LEVELS)] = "origin"
     mixed: Flag = False  # levels up to that one, drawn for each episode
     axes: Annotated[tuple[str, ...], Names(1)] = ("x", "y")
@@ -109,14 +109,14 @@ class Config(MachineSettings):
 
 class BusMacros(BusHost):
     Config = Config
-    OPTIONS = ("level", "targets", *contexts.OPTIONS)
+    OPTIONS = ("level", "targets", *machine_contexts.OPTIONS)
     """level: 0 to 3 or its name; targets: {axis: pulses, signed}; and parts of the machine."""
     PARTS = ("progress", "cost", "success", "damage", "failed")
     STATE = ("context", "axis_states", "episodes")
     INFO = (
         Feature("level", HOST, "level of the episode, 0 to 3", kind=int),
         Feature("action_mask", HOST, "int8, 1 for an action that has an effect", kind=np.int8),
-        *contexts.INFO,
+        *machine_contexts.INFO,
         Feature("elapsed", HOST, "s since the episode began", kind=float),
         Feature("masked", HOST, "the action had no effect", kind=bool),
         Feature("success", TRUTH, "every axis stands at its target", kind=bool),
@@ -221,7 +221,7 @@ class BusMacros(BusHost):
             **self.describe_machine(k),
         }
 
-    def judge(self, played: Played, truth: np.ndarray) -> None:
+    def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
         c, e, t = self.config, self.episodes, truth[:, self.index]
         self._update_memory(played, t)
         good, used, now = self.converged, self.uses_axis, t["now"][:, 0]
@@ -284,9 +284,9 @@ class BusMacros(BusHost):
         """Compute the potential of stages, (stages,), from about -1.5 to 0."""
         c, s, used = self.config, self.axis_states[which], self.uses_axis[which]
         beyond = np.maximum(np.abs(t["position"] - s["goal"]) / self.per_pulse - c.lag, 0.0) / c.tolerance
-        distance = portable.log1p(beyond) / portable.log1p((c.longest + MAX_BEFORE_ORIGIN) / c.tolerance) + 0.5 * (
-            s["known"] == 0
-        )
+        distance = portable_math.log1p(beyond) / portable_math.log1p(
+            (c.longest + MAX_BEFORE_ORIGIN) / c.tolerance
+        ) + 0.5 * (s["known"] == 0)
         total = np.zeros(len(s))
         for a in range(len(self.axes)):
             total -= distance[:, a] * used[:, a]

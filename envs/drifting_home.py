@@ -1,9 +1,9 @@
 """`stage/DriftingHome-v1`: return to the origin again and again on a machine that drifts and may be broken; say so if it is.
 
-An episode has one hidden machine (contexts.py), which may have one fault (faulty.py). ORG trips a little elsewhere at each
-return: it walks by up to `walk` from one to the next, its contact scatters by `noise`, and bounces for as long as is drawn for
-the machine. A step is one whole origin return, as one program of bus cycles, or the report of a fault, which ends the episode.
-What a return shows counts for the next.
+An episode has one hidden machine (machine_contexts.py), which may have one fault (machine_faults.py). ORG trips a little
+elsewhere at each return: it walks by up to `walk` from one to the next, its contact scatters by `noise`, and bounces for as
+long as is drawn for the machine. A step is one whole origin return, as one program of bus cycles, or the report of a fault,
+which ends the episode. What a return shows counts for the next.
 
 action        Box [-1, 1]^6: rate of the search (pps), its ramps (s), rate of the approach (pps), by their logarithms over
               RATES; pulses by which ORG is left before the search, by its cube root, and by which the host backs off before the
@@ -41,18 +41,18 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 
-from stage.envs import contexts, faulty
-from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.features import HOST, TRUTH, Feature
-from stage.envs.machines import MachineSettings, MachineTask
+from stage.envs import machine_contexts, machine_faults
+from stage.envs.hidden_machines import MachineSettings, MachineTask
+from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.origin_switch import OriginSwitch
-from stage.envs.results import SCORE_FEATURE, write_scores
 from stage.envs.settings import AxisName, Count, Number, Pair, Positive, Range, Seconds, Weight
+from stage.envs.stage_env import StageEnv, StageVectorEnv
+from stage.envs.step_results import SCORE_FEATURE, write_scores
 from stage.errors import ArgumentError
 from stage.firmware.driver import get_driver
-from stage.sim.fleet import Played
+from stage.sim.fleet import PlayedPrograms
 from stage.sim.program import Program
-from stage.support import portable
+from stage.support import portable_math
 
 RATES = {"search": (1000.0, 30_000.0), "ramp": (0.01, 0.2), "approach": (100.0, 4000.0)}  # pps, s, pps
 LEAVE, BACK_OFF = 9_600, (64, 1600)  # pulses, the most; least and most
@@ -67,7 +67,7 @@ NUMBERS_OF_LAST = 10  # numbers of an observation
 class Config(MachineSettings):
     """Settings of DriftingHome, beside those of hidden machines."""
 
-    FAULTS = faulty.DISABLING
+    FAULTS = machine_faults.DISABLING
     axis: AxisName = "x"
     healthy: Annotated[float, Number(high=1.0)] = 0.6  # share of machines without a fault
     walk: Annotated[float, Number(high=1e-3)] = 2e-5  # m
@@ -108,17 +108,17 @@ def action_of(
     Returns:
         An action, (6,) float32.
     """
-    low, high = portable.log(np.array(list(RATES.values()))).T
-    rates = 2 * (portable.log((search, ramp, approach)) - low) / (high - low) - 1
-    leave_share = 2 * portable.cbrt(leave / LEAVE) - 1
-    b0, b1 = portable.log(BACK_OFF)
-    back = 2 * (portable.log(back_off) - b0) / (b1 - b0) - 1
+    low, high = portable_math.log(np.array(list(RATES.values()))).T
+    rates = 2 * (portable_math.log((search, ramp, approach)) - low) / (high - low) - 1
+    leave_share = 2 * portable_math.cbrt(leave / LEAVE) - 1
+    b0, b1 = portable_math.log(BACK_OFF)
+    back = 2 * (portable_math.log(back_off) - b0) / (b1 - b0) - 1
     return np.clip([*rates, leave_share, back, 1.0 if report else -1.0], -1, 1).astype(np.float32)
 
 
 class DriftingHome(MachineTask[Config]):
     Config = Config
-    OPTIONS = ("start", *contexts.OPTIONS)
+    OPTIONS = ("start", *machine_contexts.OPTIONS)
     """start: m, of the first return; fault: a name, or "none"; and parts of the machine."""
     PARTS = ("time", "error", "missed", "damage", "report")
     STATE = ("context", "place", "shift", "last", "away", "last_end", "sums", "bounce")
@@ -137,10 +137,10 @@ class DriftingHome(MachineTask[Config]):
         Feature("last_overrun", HOST, "pulses of the approach beyond those of backing off / 64 (NOVA: 0)"),
         Feature("last_off", HOST, "counted pulses between this origin and the last one / 64"),
         Feature("failed", HOST, "number of last returns in a row that did not end at the origin / `returns`"),
-        *contexts.OBSERVATION,
+        *machine_contexts.OBSERVATION,
     )
     INFO = (
-        *contexts.INFO,
+        *machine_contexts.INFO,
         Feature("reported", HOST, "the step was a report", kind=bool),
         Feature("duration", HOST, "s", kind=float),
         Feature("error", TRUTH, "pulses between the carriage and where ORG trips", kind=float),
@@ -216,14 +216,14 @@ class DriftingHome(MachineTask[Config]):
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
         """Return the driver's search choices for actions, (n, choices)."""
-        low, high = portable.log(np.array(list(RATES.values()))).T
-        b0, b1 = portable.log(BACK_OFF)
+        low, high = portable_math.log(np.array(list(RATES.values()))).T
+        b0, b1 = portable_math.log(BACK_OFF)
         rows = []
         for action in np.asarray(actions, np.float64):
             u = (action + 1) / 2
-            search, ramp, approach = portable.exp(low + (high - low) * u[:3]).tolist()
+            search, ramp, approach = portable_math.exp(low + (high - low) * u[:3]).tolist()
             approach = min(approach, search)
-            leave, back_off = round(float(LEAVE * u[3] ** 3)), round(float(portable.exp(b0 + (b1 - b0) * u[4])))
+            leave, back_off = round(float(LEAVE * u[3] ** 3)), round(float(portable_math.exp(b0 + (b1 - b0) * u[4])))
             rows.append(self.search.find_nearest_row(max(FL * search, 100.0), search, ramp, approach, leave, back_off))
         return np.array(rows, np.int64)
 
@@ -236,7 +236,7 @@ class DriftingHome(MachineTask[Config]):
         rows, reports = self.to_registers(self.actions), self.reports
         return [Program() if told else self.search.program(row) for row, told in zip(rows, reports, strict=True)]
 
-    def judge(self, played: Played, truth: np.ndarray) -> None:
+    def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
         c, t, reports = self.config, truth[:, self.axis.index], self.reports
         rows, returned = self.to_registers(self.actions), ~reports
         width = max(self.search.marks.values()) + 1

@@ -25,7 +25,7 @@ reward        the sum of
               The usual time is that of the driver's usual speeds (1000 to 16,000 pps in 0.15 s), which every machine here can do.
 episode       `tries` tries, then terminated.
 score         time: s, the proved cost. formula: the engineer's (stage.tune.formula) for the split's heaviest payload, closed form.
-split         where machines come from, see contexts.py; a setting that is given comes before the split's.
+split         where machines come from, see machine_contexts.py; a setting that is given comes before the split's.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ import gymnasium
 import numpy as np
 
 from stage import Stage
-from stage.envs import contexts
-from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.features import HOST, TRUTH, Feature
-from stage.envs.machines import MachineSettings, MachineTask
-from stage.envs.results import SCORE_FEATURE, write_scores
+from stage.envs import machine_contexts
+from stage.envs.hidden_machines import MachineSettings, MachineTask
+from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.scaling import scale_log
 from stage.envs.settings import AxisName, Count, Counts, Flag, Number, Seconds, Weight, Word, read_option
+from stage.envs.single_moves import MAX_OFFSET_M, TENTH_MM, Trial, compute_move_time
+from stage.envs.stage_env import StageEnv, StageVectorEnv
+from stage.envs.step_results import SCORE_FEATURE, write_scores
 from stage.envs.task import find_judged_point
-from stage.envs.trial import MAX_OFFSET_M, TENTH_MM, Trial, compute_move_time
 from stage.firmware.driver import Speeds, get_driver
-from stage.sim.fleet import Fleet, Played
+from stage.sim.fleet import Fleet, PlayedPrograms
 from stage.sim.program import Program
-from stage.support import portable
+from stage.support import portable_math
 from stage.tune.formula import Load, compute_speeds
 
 RATES = {"start": (200.0, 6000.0), "drive": (2000.0, 60_000.0), "up": (0.01, 0.3), "down": (0.01, 0.3)}  # pps, s
@@ -92,13 +92,13 @@ def action_of(start: float, drive: float, up: float, down: float) -> np.ndarray:
     Returns:
         An action, (4,) float32.
     """
-    low, high = portable.log(np.array(list(RATES.values()))).T
-    return np.clip(2 * (portable.log((start, drive, up, down)) - low) / (high - low) - 1, -1, 1).astype(np.float32)
+    low, high = portable_math.log(np.array(list(RATES.values()))).T
+    return np.clip(2 * (portable_math.log((start, drive, up, down)) - low) / (high - low) - 1, -1, 1).astype(np.float32)
 
 
 class FewShotTuning(MachineTask[Config]):
     Config: ClassVar[type] = Config
-    OPTIONS: ClassVar[tuple[str, ...]] = ("distance", *contexts.OPTIONS)
+    OPTIONS: ClassVar[tuple[str, ...]] = ("distance", *machine_contexts.OPTIONS)
     """The move and the machine, in place of drawn ones."""
     PARTS = ("gain", "damage", "proof")
     STATE: ClassVar[tuple[str, ...]] = (
@@ -129,11 +129,11 @@ class FewShotTuning(MachineTask[Config]):
         Feature(
             "swing", HOST, "swing after the stop by the encoder: swing / (swing + 0.1 mm); 0 without an encoder", "try"
         ),
-        *contexts.OBSERVATION,
+        *machine_contexts.OBSERVATION,
     )
     INFO: ClassVar[tuple[Feature, ...]] = (
         Feature("distance", HOST, "pulses", kind=int),
-        *contexts.INFO,
+        *machine_contexts.INFO,
         Feature("registers", HOST, "registers that the chip's formulas compute from the action", kind=int),
         Feature("duration", HOST, "s", kind=float),
         Feature("usual", HOST, "s, time of the usual speeds", kind=float),
@@ -194,7 +194,7 @@ class FewShotTuning(MachineTask[Config]):
 
     def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
         c, rng = self.config, self.rngs[k]
-        distance = int(np.rint(portable.exp(rng.uniform(*portable.log(c.distances)))))
+        distance = int(np.rint(portable_math.exp(rng.uniform(*portable_math.log(c.distances)))))
         self.distance[k] = read_option(options, "distance", distance, c.distances)
         self.draw_machine(k, options)
         self.table[k], self.best_time[k], self.cost[k], self.damage[k] = 0.0, np.inf, np.inf, 0
@@ -254,8 +254,10 @@ class FewShotTuning(MachineTask[Config]):
         Returns:
             Start and drive rate, pps, and seconds of both ramps; of ramps that do not fit into the move, as much as fits.
         """
-        low, high = portable.log(np.array(list(RATES.values()))).T
-        start, drive, up, down = portable.exp(low + (high - low) * (np.asarray(action, np.float64) + 1) / 2).tolist()
+        low, high = portable_math.log(np.array(list(RATES.values()))).T
+        start, drive, up, down = portable_math.exp(
+            low + (high - low) * (np.asarray(action, np.float64) + 1) / 2
+        ).tolist()
         drive = max(drive, 1.05 * start)
         flat = (up + down) / (drive - start)  # s2 a pulse: both ramps are as steep as that, wherever they end
         top = min(drive, float(np.sqrt(start**2 + 2 * distance / flat)))
@@ -282,7 +284,7 @@ class FewShotTuning(MachineTask[Config]):
 
     def _compute_value(self, cost: np.ndarray) -> np.ndarray:
         """Return log(two usual times / cost); 0 for what costs more."""
-        return np.maximum(portable.log(2 * self.usual) - portable.log(cost), 0.0)
+        return np.maximum(portable_math.log(2 * self.usual) - portable_math.log(cost), 0.0)
 
     def make_programs(self) -> list[Program]:
         return self._make_programs_of_rows(self.to_registers(self.actions))
@@ -292,7 +294,7 @@ class FewShotTuning(MachineTask[Config]):
         columns = zip(rows.tolist(), self.distance.tolist(), limits, strict=True)
         return [self.trial.program(dict(zip(self.names, row, strict=True)), d, limit) for row, d, limit in columns]
 
-    def judge(self, played: Played, truth: np.ndarray) -> None:
+    def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
         c, t, usual = self.config, truth[:, self.axis.index], self.usual
         outcome = self.trial.read_outcomes(played, t, self.distance, ENCODER_COUNT_M)
         good = self.converged

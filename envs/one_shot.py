@@ -21,12 +21,12 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from stage.envs import contexts, few_shot
-from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.features import HOST, Feature
+from stage.envs import few_shot, machine_contexts
 from stage.envs.few_shot import FewShotTuning
+from stage.envs.observation_features import HOST, Feature
 from stage.envs.scaling import scale, scale_log
 from stage.envs.settings import Count, Number, Word, read_option
+from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.errors import ArgumentError
 
 
@@ -52,7 +52,7 @@ class OneShotTuning(FewShotTuning):
     OBSERVATION = (
         FewShotTuning.OBSERVATION[0],
         Feature("declared", HOST, "payload as declared, from -1 to 1 over `payloads`"),
-        *contexts.OBSERVATION,
+        *machine_contexts.OBSERVATION,
     )
     INFO = (Feature("declared", HOST, "kg; in the info of a reset"), *FewShotTuning.INFO)
 

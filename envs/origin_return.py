@@ -9,7 +9,7 @@ A step is one whole origin return of an axis that was powered up anywhere betwee
 
 with a rest of `settle` after each. The chip's status is read during the runs, but no decision depends on it.
 
-action        Box [-1, 1]^7, see registers.py; with actions="registers" the integers themselves, MultiDiscrete:
+action        Box [-1, 1]^7, see register_actions.py; with actions="registers" the integers themselves, MultiDiscrete:
               R1 FL and R2 FH1 of leaving, search and backing off, R4 their rate (R5 as well), approach (R1 of the approach),
               leave and back_off (pulses), sd (1 uses SD). A unit of R1, R2 and approach is clock / (8192 R7) pps, 20 by default.
               NOVA chips do search, backing off and approach by themselves, the automatic home search. MCX514, Box [-1, 1]^7: SV,
@@ -46,18 +46,18 @@ import numpy as np
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import settings
-from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.features import HOST, TRUTH, Feature
+from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.origin_switch import OriginSwitch
-from stage.envs.registers import RegisterBox
+from stage.envs.register_actions import RegisterBox
 from stage.envs.scaling import scale, scale_log
+from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.task import MoveTask, find_carrier
 from stage.errors import unknown_name_error
 from stage.firmware.driver import get_driver
-from stage.sim.fleet import Played
+from stage.sim.engine_records import INDEX
+from stage.sim.fleet import PlayedPrograms
 from stage.sim.program import Program
-from stage.sim.records import INDEX
-from stage.support import portable
+from stage.support import portable_math
 
 LIMIT_CLEARANCE_M = 5e-4  # m; no return starts nearer to an end limit
 MAX_ERROR_PULSES = 64.0  # pulses, of an error: an electrical period of a motor at 1/16 step
@@ -95,7 +95,7 @@ class Config(settings.Settings):
     limit_weight: settings.Weight = 2.0
     lost_weight: settings.Weight = 2.0
     bus_cycle: settings.Cycle = 1e-6  # s
-    truth: settings.TruthOption = True  # where what no host can see is shown: features.py
+    truth: settings.TruthOption = True  # where what no host can see is shown: observation_features.py
 
 
 class OriginReturn(MoveTask[Config]):
@@ -173,7 +173,7 @@ class OriginReturn(MoveTask[Config]):
         c, rng = self.config, self.rngs[k]
         payload, friction = (
             float(rng.uniform(*c.payloads)),
-            float(portable.exp(rng.uniform(*portable.log(c.frictions)))),
+            float(portable_math.exp(rng.uniform(*portable_math.log(c.frictions)))),
         )
         self.payload[k] = settings.read_option(options, "payload", payload, c.payloads)
         self.friction[k] = settings.read_option(options, "friction", friction, c.frictions)
@@ -218,7 +218,7 @@ class OriginReturn(MoveTask[Config]):
     def make_programs(self) -> list[Program]:
         return [self.search.program(row) for row in self.to_registers(self.actions)]
 
-    def judge(self, played: Played, truth: np.ndarray) -> None:
+    def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]
         rows = self.to_registers(self.actions)
         outcome = self.search.read_results(played.results, rows)

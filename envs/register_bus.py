@@ -17,7 +17,7 @@ observation   float32 in [-1, 1]; for every chip in turn
               value of the last read / the largest    1 if the last action was a read    time / time_limit    actions / cycles
               With live=True the addresses always show the present values (PCL-240: status and R0; NOVA: RR0 to RR7), the
               entries of age are 1, and no bus cycle is needed.
-              With truth=False the info has no truth either, see features.py.
+              With truth=False the info has no truth either, see observation_features.py.
 reward        the sum of
               progress   progress_weight x (potential now - potential before); the potential is - the mean of the axes' errors
                          beyond the tolerance / scale (distances[1], or with "home" the way from EL to EL), 0 at success
@@ -52,14 +52,14 @@ from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import register_bus_core as core
 from stage.envs import settings
-from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.features import HOST, TRUTH, Feature
-from stage.envs.results import DIVERGED
+from stage.envs.observation_features import HOST, TRUTH, Feature
+from stage.envs.single_moves import StartPositions
+from stage.envs.stage_env import StageEnv, StageVectorEnv
+from stage.envs.step_results import DIVERGED
 from stage.envs.task import Task
-from stage.envs.trial import StartPositions
 from stage.errors import ArgumentError, unknown_name_error
-from stage.sim import play
-from stage.support import portable
+from stage.sim import program_player
+from stage.support import portable_math
 
 WRITE, READ, WAIT = core.WRITE, core.READ, core.WAIT  # kinds of action; WAIT + k
 GOALS = ("position", "home")
@@ -88,7 +88,7 @@ class Config(settings.Settings):
     time_limit: settings.Seconds = 30.0  # s
     cycles: settings.Count = 2000  # actions
     live: settings.Flag = False
-    truth: settings.TruthOption = "info"  # where what no host can see is shown: features.py
+    truth: settings.TruthOption = "info"  # where what no host can see is shown: observation_features.py
     discount: settings.Discount = 1.0
     progress_weight: settings.Weight = 1.0
     time_weight: settings.Weight = 0.1
@@ -179,7 +179,7 @@ class RegisterBus(Task[Config]):
         self._write_rules()
         self.episodes, self.axis_states = np.zeros(n, core.EPISODE), np.zeros((n, m), core.AXIS)
         self.words = np.zeros((n, len(chips), chip.ADDRESSES), core.WORD)
-        self._truth = np.zeros((n, m), play.TRUTH)
+        self._truth = np.zeros((n, m), program_player.TRUTH)
         self._ops, self._values, self._status = (np.zeros(shape, np.int64) for shape in ((n, 1, 4), (n, 1), n))
         self._played_by_python = np.zeros(n, bool)
 
@@ -248,8 +248,8 @@ class RegisterBus(Task[Config]):
         if c.goal == "home":
             start, target = self._places(rng), np.zeros(m, np.int64)
         else:
-            low, high = portable.log(self.distances)
-            distance = np.rint(portable.exp(rng.uniform(low, high, m))).astype(np.int64)
+            low, high = portable_math.log(self.distances)
+            distance = np.rint(portable_math.exp(rng.uniform(low, high, m))).astype(np.int64)
             target = distance * rng.choice((-1, 1), m)
             start = (np.floor(self.power_up / self.turn) + rng.uniform(size=m)) * self.turn
         for j, q in self._by_axis("start", options, (int, float)):
@@ -314,7 +314,9 @@ class RegisterBus(Task[Config]):
         self._played_by_python[:] = False
         for k in watched:
             if self.active[k]:
-                self._status[k] = play.play_in_python(self.stages[k], self._ops[k], self._values[k], np.zeros((0, 2)))
+                self._status[k] = program_player.play_in_python(
+                    self.stages[k], self._ops[k], self._values[k], np.zeros((0, 2))
+                )
         self._conclude(0, self.n, False)
 
     def _step(self, begin: int, end: int) -> None:

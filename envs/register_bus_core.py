@@ -11,11 +11,11 @@ import math
 import numpy as np
 
 from stage.chips import cores
-from stage.envs import features
-from stage.envs.results import make_result_dtype
+from stage.envs import observation_features
+from stage.envs.step_results import make_result_dtype
 from stage.native import array_at, array_of, exported, greatest, hot, least, record
-from stage.sim import handle, program
-from stage.sim import play as player
+from stage.sim import program, stage_handle
+from stage.sim import program_player as player
 
 WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k
 HALF_AGE_NS = 1e6  # ns, at which freshness is one half
@@ -73,12 +73,16 @@ def width(addresses, bits):
 
 PARTS = ("progress", "time", "success", "lost", "failed")
 INFO = (
-    features.Feature("target", features.HOST, "signed pulses of each axis; in the info of a reset"),
-    features.Feature("elapsed", features.HOST, "s since the episode began", kind=float),
-    features.Feature("value", features.HOST, "value of this read, otherwise -1", kind=int),
-    features.Feature("success", features.TRUTH, "every axis stands at its goal", kind=bool),
-    features.Feature("error", features.TRUTH, "pulses, the largest of the axes' errors", kind=float),
-    features.Feature("lost_steps", features.TRUTH, "full steps, of all axes", kind=int),
+    observation_features.Feature(
+        "target", observation_features.HOST, "signed pulses of each axis; in the info of a reset"
+    ),
+    observation_features.Feature("elapsed", observation_features.HOST, "s since the episode began", kind=float),
+    observation_features.Feature("value", observation_features.HOST, "value of this read, otherwise -1", kind=int),
+    observation_features.Feature("success", observation_features.TRUTH, "every axis stands at its goal", kind=bool),
+    observation_features.Feature(
+        "error", observation_features.TRUTH, "pulses, the largest of the axes' errors", kind=float
+    ),
+    observation_features.Feature("lost_steps", observation_features.TRUTH, "full steps, of all axes", kind=int),
 )
 RESULT = make_result_dtype(PARTS, INFO)
 
@@ -90,7 +94,7 @@ FRAME = record(
 """Where the arrays lie, and their lengths. first: the first axis of each chip."""
 
 INTEGER, REAL, SMALL, FLAG = np.dtype("i8"), np.dtype("f8"), np.dtype("f4"), np.dtype("?")
-HANDLE, TRUTHS = handle.HANDLE, player.TRUTH
+HANDLE, TRUTHS = stage_handle.HANDLE, player.TRUTH
 
 
 @exported(None, FRAME, "i8", "i8")
@@ -116,7 +120,7 @@ def play(f, begin, end):
             op[1], op[2], op[3] = first[action[1]], action[2], action[3] if action[0] == WRITE else 0
         if not by_hand[k]:
             extremes = array_at(f.ops, (0, 2), REAL)
-            status[k] = player.play_one(handles[k], ops[k], values[k], extremes)
+            status[k] = player.play_program(handles[k], ops[k], values[k], extremes)
 
 
 @hot
@@ -206,7 +210,7 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out
 def _read_all_words(h, first, words, now):
     """Note the values at every address of the chips."""
     for i in range(len(words)):
-        chip = handle.chip_table(h)[handle.axis_table(h)[first[i]].chip]
+        chip = stage_handle.get_chip_table(h)[stage_handle.get_axis_table(h)[first[i]].chip]
         for j in range(words.shape[1]):
             words[i, j].seen, words[i, j].when = cores.peek(chip, j), now
 

@@ -4,7 +4,7 @@ A step is one whole move of a random distance with a random payload on the table
 move starts at rest from the same position, so steps are independent of each other. The chip is driven by its driver, see
 stage/firmware/driver.py.
 
-action        Box [-1, 1]^n, see registers.py; with actions="registers" the integers themselves, MultiDiscrete.
+action        Box [-1, 1]^n, see register_actions.py; with actions="registers" the integers themselves, MultiDiscrete.
               PCL-240: R1 FL, R2 FH1, R4, R5 rates, R6 ramp-down point, R7 multiplier; with S-curves R14 and R15, their spans
               MCX514: SV, DV, AC; with S-curves JK        MCX304, MCX302, MCX312: SV, V, A; with S-curves K; R is 400,000
 observation   float32, the task and the result of the last move:
@@ -31,13 +31,13 @@ import numpy as np
 
 from stage.chips import Chip, chip_class
 from stage.envs import settings
-from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.features import HOST, TRUTH, Feature
-from stage.envs.registers import RegisterBox
+from stage.envs.observation_features import HOST, TRUTH, Feature
+from stage.envs.register_actions import RegisterBox
+from stage.envs.single_moves import TENTH_MM, Trial
+from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.task import find_judged_point
-from stage.envs.trial import TENTH_MM, Trial
-from stage.envs.tuning import NEXT_MOVE, Tuning, describe_move_info
-from stage.sim.fleet import Played
+from stage.envs.tuning_task import NEXT_MOVE, Tuning, describe_move_info
+from stage.sim.fleet import PlayedPrograms
 from stage.sim.program import END, Program
 
 
@@ -62,7 +62,7 @@ class Config(settings.Settings):
     limit_weight: settings.Weight = 5.0
     bus_cycle: settings.Cycle = 1e-6  # s
     early_ends: settings.Flag = False  # of moves that fail: many more moves a second
-    truth: settings.TruthOption = True  # where what no host can see is shown: features.py
+    truth: settings.TruthOption = True  # where what no host can see is shown: observation_features.py
 
 
 class RegisterTuning(Tuning[Config]):
@@ -103,7 +103,7 @@ class RegisterTuning(Tuning[Config]):
             program.ops[0] = (END, 0, 0, 0)
         return program
 
-    def judge(self, played: Played, truth: np.ndarray) -> None:
+    def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]
         duration, finished, _, lost, vibration, *_ = self.trial.read_outcomes(played, t, self.distance)
         if c.early_ends:

@@ -20,7 +20,7 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
 from stage.envs import IDS
-from stage.envs.base import StageVectorEnv, info_of
+from stage.envs.stage_env import StageVectorEnv, info_of
 from stage.errors import ArgumentError, unknown_name_error
 
 PER_STAGE_METHODS = ("action_masks", "scripted_action")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stage.support import portable
+from stage.support import portable_math
 
 
 def scale(values: Any, ends: Any) -> Any:
@@ -25,4 +25,4 @@ def scale_log(values: Any, ends: Any) -> Any:
         values: A number or an array, above 0.
         ends: Least and largest value.
     """
-    return scale(portable.log(values), portable.log(ends))
+    return scale(portable_math.log(values), portable_math.log(ends))

@@ -3,7 +3,7 @@
 A step is one whole move of a random distance with a random payload on the table: registers, a position step or a trapezoid, and
 then physics decides. Each move starts at rest from power-up at the same position, so steps are independent of each other.
 
-action        Box [-1, 1]^4: R22 gain, R20 zero, R21 pole, R0F T, see registers.py; with actions="registers" the integers
+action        Box [-1, 1]^4: R22 gain, R20 zero, R21 pole, R0F T, see register_actions.py; with actions="registers" the integers
               themselves, MultiDiscrete. Gain and T are spread by their logarithm.
 observation   float32, the task and the result of the last move:
               0 distance, -1 to 1 over its range    1 payload, -1 to 1    2 last settling time / limit
@@ -28,13 +28,13 @@ import numpy as np
 
 from stage.chips import Chip, chip_class
 from stage.envs import settings
-from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.features import HOST, Feature
-from stage.envs.registers import RegisterBox
-from stage.envs.tuning import NEXT_MOVE, Tuning, describe_move_info
+from stage.envs.observation_features import HOST, Feature
+from stage.envs.register_actions import RegisterBox
+from stage.envs.stage_env import StageEnv, StageVectorEnv
+from stage.envs.tuning_task import NEXT_MOVE, Tuning, describe_move_info
 from stage.errors import ArgumentError
 from stage.firmware.driver import get_driver
-from stage.sim.fleet import Played
+from stage.sim.fleet import PlayedPrograms
 from stage.sim.program import Program
 
 MOTIONS = ("step", "trapezoid")
@@ -66,7 +66,7 @@ class Config(settings.Settings):
     unrest_weight: settings.Weight = 0.2
     limit_weight: settings.Weight = 1.0
     bus_cycle: settings.Cycle = 1e-6  # s
-    truth: settings.TruthOption = True  # where what no host can see is shown: features.py
+    truth: settings.TruthOption = True  # where what no host can see is shown: observation_features.py
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -124,7 +124,7 @@ class ServoTuning(Tuning[Config]):
             p.sample_position(self.axis.index)
         return p
 
-    def judge(self, played: Played, truth: np.ndarray) -> None:
+    def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
         c = self.config
         samples = played.results[:, self.first + 1 : self.first + 2 * self.samples : 2] * 1e-12
         sign = np.sign(self.axis.gear)

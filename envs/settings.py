@@ -20,7 +20,7 @@ from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np
 
-from stage.envs.features import TruthSetting
+from stage.envs.observation_features import TruthSetting
 from stage.errors import ArgumentError, unknown_name_error
 
 
@@ -176,7 +176,7 @@ Payloads = Annotated[Pair, Range()]
 """kg."""
 Flag = Annotated[bool, Boolean()]
 TruthOption = Annotated[bool | str, TruthSetting()]
-"""Where what no host can see is shown, see features.py."""
+"""Where what no host can see is shown, see observation_features.py."""
 AxisName = Annotated[str, Name()]
 Actions = Annotated[str, Word(("box", "registers"))]
 

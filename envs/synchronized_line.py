@@ -1,8 +1,9 @@
 """`stage/SynchronizedLine-v1`: a straight line of two or three axes on a machine that the host does not know, and its proof.
 
-An episode is one machine (contexts.py, hidden), one line and one try: rate, ramps and the registers of all axes. The move is made
-from places where the rotors stand anywhere in their fields, and then `proofs` times more from others, with `margin` kg beyond the
-payload. How the axes are kept on the line depends on the chip's family, as in SynchronizedMove (synchronized_move.py).
+An episode is one machine (machine_contexts.py, hidden), one line and one try: rate, ramps and the registers of all axes. The
+move is made from places where the rotors stand anywhere in their fields, and then `proofs` times more from others, with
+`margin` kg beyond the payload. How the axes are kept on the line depends on the chip's family, as in SynchronizedMove
+(synchronized_move.py).
 
 action        Box [-1, 1]^(2 + 6 axes): peak rate of the longest axis and seconds of its ramps, by their logarithms over `rate` and
               `ramps`; then six corrections for each axis to the data sheet's a:b registers (PCL-240: R1, R2, R4, R5, R6, R7), as
@@ -35,21 +36,21 @@ import gymnasium
 import numpy as np
 
 from stage import Stage
-from stage.envs import contexts, synchronized_move
-from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.features import HOST, TRUTH, Feature
-from stage.envs.machines import MachineSettings, MachineTask
-from stage.envs.results import SCORE_FEATURE, write_scores
+from stage.envs import machine_contexts, synchronized_move
+from stage.envs.hidden_machines import MachineSettings, MachineTask
+from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.settings import AxisName, Counts, Number, NumberOrRange, Pair, Range, Seconds, Weight
+from stage.envs.single_moves import TENTH_MM, compute_move_time
+from stage.envs.stage_env import StageEnv, StageVectorEnv
+from stage.envs.step_results import SCORE_FEATURE, write_scores
 from stage.envs.synchronized_move import END_FEATURES, LINE_FEATURES, SynchronizedMove
 from stage.envs.task import find_judged_point
-from stage.envs.trial import TENTH_MM, compute_move_time
 from stage.errors import ArgumentError
 from stage.firmware.driver import Speeds
 from stage.firmware.line_programs import LineMoves
-from stage.sim.fleet import Fleet, Played
+from stage.sim.fleet import Fleet, PlayedPrograms
 from stage.sim.program import MEASURE
-from stage.support import portable
+from stage.support import portable_math
 from stage.tune.formula import Load, compute_speeds
 
 CORRECTIONS = 6  # an axis
@@ -84,14 +85,14 @@ class Config(MachineSettings, synchronized_move.Config):
 
 class SynchronizedLine(MachineTask[Any], SynchronizedMove):
     Config: ClassVar[type] = Config
-    OPTIONS = ("distances", *contexts.OPTIONS)
+    OPTIONS = ("distances", *machine_contexts.OPTIONS)
     """The line and the machine, in place of drawn ones."""
     PARTS = ("gain", "damage", "proof")
     STATE = ("distances", "rate", "ramp", "context", "angles", "formula")
-    OBSERVATION: ClassVar[tuple[Feature, ...]] = (*SynchronizedMove.OBSERVATION[1:6], *contexts.OBSERVATION)
+    OBSERVATION: ClassVar[tuple[Feature, ...]] = (*SynchronizedMove.OBSERVATION[1:6], *machine_contexts.OBSERVATION)
     INFO: ClassVar[tuple[Feature, ...]] = (
         Feature("distances", HOST, "pulses of each axis", kind=int),
-        *contexts.INFO,
+        *machine_contexts.INFO,
         Feature("rate", HOST, "pps of the longest axis, of the action", kind=float),
         Feature("ramp", HOST, "s, of the action", kind=float),
         Feature("registers", HOST, "registers computed from these and the corrections", kind=int),
@@ -130,8 +131,8 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         rng, m = self.rngs[k], len(self.axes)
         c: Any = self.config
         self.draw_machine(k, options)
-        low, high = portable.log(c.distances)
-        sizes = np.rint(portable.exp(rng.uniform(low, high, m))).astype(np.int64)
+        low, high = portable_math.log(c.distances)
+        sizes = np.rint(portable_math.exp(rng.uniform(low, high, m))).astype(np.int64)
         self.distances[k] = sizes * rng.choice([-1, 1], m)
         self._apply_options(k, options)
         self.rate[k] = np.clip(Speeds().drive, *c.rates)
@@ -197,8 +198,8 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         c: Any = self.config
         out = np.zeros((self.n, self.action_space.shape[0]), np.float32)  # type: ignore[index]
         for j, (value, ends) in enumerate(((rate, c.rates), (ramp, c.ramps))):
-            low, high = portable.log(ends)
-            out[:, j] = np.clip(2 * (portable.log(value) - low) / max(high - low, 1e-9) - 1, -1, 1)
+            low, high = portable_math.log(ends)
+            out[:, j] = np.clip(2 * (portable_math.log(value) - low) / max(high - low, 1e-9) - 1, -1, 1)
         return out
 
     def scripted_action(self) -> np.ndarray:
@@ -209,15 +210,15 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         c: Any = self.config
         u = (self.actions[:, :2].astype(np.float64) + 1) / 2
         for values, ends, at in ((self.rate, c.rates, 0), (self.ramp, c.ramps, 1)):
-            low, high = portable.log(ends)
-            values[self.active] = portable.exp(low + (high - low) * u[:, at])[self.active]
+            low, high = portable_math.log(ends)
+            values[self.active] = portable_math.exp(low + (high - low) * u[:, at])[self.active]
         moves = super().make_programs()
         measure = np.zeros((self.n, 1, 4), np.int64)
         measure[:, 0, 0], measure[:, 0, 1], measure[:, 0, 2] = MEASURE, round(c.rest * 1e9), self.point
         self._played = np.concatenate([moves, measure], axis=1)
         return self._played.copy()
 
-    def judge(self, played: Played, truth: np.ndarray) -> None:
+    def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
         c: Any = self.config
         t, usual = truth[:, self.index], self.usual
         lost, finished = t["lost_steps"], self._find_finished_moves(t)
@@ -249,7 +250,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         return ((t["pulses"] == self.distances) & (t["busy"] == 0)).all(axis=1)
 
     def _compute_value(self, cost: np.ndarray) -> np.ndarray:
-        return np.maximum(portable.log(2 * self.usual) - portable.log(cost), 0.0)
+        return np.maximum(portable_math.log(2 * self.usual) - portable_math.log(cost), 0.0)
 
     def _prove_moves(self, which: np.ndarray) -> np.ndarray:
         """Repeat moves with the same registers from other angles of the rotors, in `proofs` moves and `margin` kg heavier.

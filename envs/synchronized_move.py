@@ -17,7 +17,7 @@ action        flat, the registers of the first axis, then of the next: PCL-240 R
                              A register takes a share of the counts that move the axis by `reach` pulses along the line (at least
                              one); R7 of `multiplier_reach` counts, and the others are worked out for that R7, and the ramp
                              times of all for that of the longest axis. Where the chip interpolates, factors from 1/2 to 2.
-              "box"          Box [-1, 1]: the registers, see registers.py
+              "box"          Box [-1, 1]: the registers, see register_actions.py
               "registers"    MultiDiscrete: the registers themselves
 observation   float32, -1 to 1. 0: rate on a log scale over its range (0 if it is fixed). Then for each axis
               0 signed distance / longest distance possible; and by how many pulses (/ 2 `reach`, clipped) the data sheet's
@@ -47,20 +47,20 @@ import numpy as np
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import settings
-from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.features import HOST, TRUTH, Feature
-from stage.envs.registers import RegisterBox
+from stage.envs.observation_features import HOST, TRUTH, Feature
+from stage.envs.register_actions import RegisterBox
 from stage.envs.scaling import scale_log
+from stage.envs.single_moves import StartPositions
+from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.task import MoveTask
-from stage.envs.trial import StartPositions
 from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware.driver import get_driver
 from stage.firmware.line_programs import LineMoves, create_line_programs
 from stage.firmware.path_deviation import compute_path_deviation
-from stage.sim.fleet import Played
+from stage.sim.engine_records import compute_clock_at
+from stage.sim.fleet import PlayedPrograms
 from stage.sim.program import LOOK, WAIT
-from stage.sim.records import clock_at
-from stage.support import portable
+from stage.support import portable_math
 
 ACTIONS = ("corrections", "box", "registers")
 TENTH_MM = 1e-4  # m
@@ -93,7 +93,7 @@ class Config(settings.Settings):
     lost_weight: settings.Weight = 10.0
     limit_weight: settings.Weight = 10.0
     bus_cycle: settings.Cycle = 1e-6  # s
-    truth: settings.TruthOption = True  # where what no host can see is shown: features.py
+    truth: settings.TruthOption = True  # where what no host can see is shown: observation_features.py
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -203,10 +203,10 @@ class SynchronizedMove(MoveTask[Config]):
     def _draw_move(self, k: int, options: Mapping[str, Any]) -> None:
         """Draw the next move of stage k, and put its carriages where it starts, with the rotors at any angle."""
         c, rng = self.config, self.rngs[k]
-        low, high = portable.log(c.distances)
-        sizes = np.rint(portable.exp(rng.uniform(low, high, len(self.axes)))).astype(np.int64)
+        low, high = portable_math.log(c.distances)
+        sizes = np.rint(portable_math.exp(rng.uniform(low, high, len(self.axes)))).astype(np.int64)
         self.distances[k] = sizes * rng.choice([-1, 1], len(self.axes))
-        self.rate[k] = np.clip(portable.exp(rng.uniform(*portable.log(c.rates))), *c.rates)
+        self.rate[k] = np.clip(portable_math.exp(rng.uniform(*portable_math.log(c.rates))), *c.rates)
         self._apply_options(k, options)
         angles = rng.uniform(size=len(self.axes))
         begin = zip(self.start_positions, self.distances[k].tolist(), angles.tolist(), strict=True)
@@ -275,13 +275,13 @@ class SynchronizedMove(MoveTask[Config]):
                 int(self._truth_at_start[k, 0]["now"])
                 + (self.line.find_start_operations(self.distances[k]) + 1) * cycle
             )
-            starts = [clock_at(now, self.hz) for now in began.tolist()]
+            starts = [compute_clock_at(now, self.hz) for now in began.tolist()]
             paths = self.line.pulses(moves[k], self.distances[k])
             paths = [t + (start - min(starts)) for t, start in zip(paths, starts, strict=True)]
             self.path[k] = compute_path_deviation([(t, 1) for t in paths], np.abs(self.distances[k])).pulses
             self.seconds[k] = max(float(t[-1]) for t in paths) / self.hz
 
-    def judge(self, played: Played, truth: np.ndarray) -> None:
+    def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.index]
         moved_pulses = t["pulses"] - self._truth_at_start["pulses"]
         finished = ((moved_pulses == self.distances) & (t["busy"] == 0)).all(axis=1)

@@ -13,13 +13,13 @@ import gymnasium
 import numpy as np
 
 from stage import Stage
-from stage.envs.features import Feature, list_hidden, list_visible
-from stage.envs.results import Results, make_result_dtype
+from stage.envs.observation_features import Feature, list_hidden, list_visible
 from stage.envs.settings import UnknownSetting
+from stage.envs.step_results import Results, make_result_dtype
 from stage.errors import ArgumentError, unknown_name_error
-from stage.sim.fleet import Fleet, Played
+from stage.sim.fleet import Fleet, PlayedPrograms
 from stage.sim.program import Program
-from stage.sim.snapshot import Snapshot
+from stage.sim.stage_snapshot import Snapshot
 
 ConfigT = TypeVar("ConfigT")
 
@@ -219,7 +219,7 @@ class MoveTask(Task[ConfigT]):
         """Return the bus cycles of the host on each stage for its action; those of inactive stages do not count."""
 
     @abstractmethod
-    def judge(self, played: Played, truth: np.ndarray) -> None:
+    def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
         """Fill the results of the step that was just played: parts, info, terminated, truncated.
 
         Args:

@@ -14,7 +14,7 @@ import numpy as np
 from stage import Fleet, Program, Stage
 from stage.chips import HCTL1100, PCL240K
 from stage.firmware.driver import get_driver
-from stage.sim.gpu.fleet import STEPS_A_LAUNCH, GpuFleet
+from stage.sim.gpu.gpu_fleet import STEPS_A_LAUNCH, GpuFleet
 
 DIFFERENT = 256
 """Random programs; the copies play them in turn."""

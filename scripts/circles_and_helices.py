@@ -17,7 +17,7 @@ from stage import Stage
 from stage.chips import MCX514
 from stage.firmware.nova.home_search import HomeSearchReport, home_search
 from stage.firmware.nova.path_interpolation import ArcSegment, HelixSegment, LineSegment, PathSpeed, draw_path
-from stage.support.pictures import GRID_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame
+from stage.support.plot_style import GRID_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame
 
 MM = 320  # pulses
 STARTS = {"x": -0.101, "y": -0.0709, "z": 0.004}  # m: before ORG; on it; before it

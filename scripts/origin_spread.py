@@ -35,7 +35,7 @@ def places(stage, name, ez, drift, returns, rng):
 
 
 def draw(positions, path):
-    from stage.support.pictures import COLORS, make_figure, remove_frame, set_title
+    from stage.support.plot_style import COLORS, make_figure, remove_frame, set_title
 
     rng = np.random.default_rng(0)
     fig = make_figure(9, 3.6)

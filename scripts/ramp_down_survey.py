@@ -112,7 +112,7 @@ def reasons(runs):
 
 
 def draw(runs, path):
-    from stage.support.pictures import COLORS, MUTED_COLOR, TEXT_COLOR, make_figure, remove_frame, set_title
+    from stage.support.plot_style import COLORS, MUTED_COLOR, TEXT_COLOR, make_figure, remove_frame, set_title
 
     colors = dict(zip(SHAPES, (MUTED_COLOR, COLORS[0], COLORS[2], COLORS[1]), strict=False))
     fig = make_figure(10, 3.9)

@@ -27,7 +27,7 @@ from stage.chips import PCL240MS
 from stage.drives.dynamometer import compute_closed_form
 from stage.drives.motors import MOTORS
 from stage.firmware import Profile, Report
-from stage.support.pictures import FRAME_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame, set_title
+from stage.support.plot_style import FRAME_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame, set_title
 
 FL, R7 = 200, 12  # pps; 50 pps a speed step
 AT_FL = 5  # pulses

@@ -28,7 +28,7 @@ from stage.firmware.hctl1100.position_streaming import (
 )
 from stage.firmware.hctl1100.servo_loop_model import ServoLoop
 from stage.support.extras import import_extra
-from stage.support.pictures import MUTED_COLOR, TEXT_COLOR, remove_frame, set_title
+from stage.support.plot_style import MUTED_COLOR, TEXT_COLOR, remove_frame, set_title
 
 TUNING = FilterTuning()
 STEP = 0.25e-3  # s between samples of a recording: a physics step

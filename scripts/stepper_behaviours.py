@@ -27,7 +27,7 @@ from stage.drives.dynamometer import (
     sweep_resonance,
 )  # fmt: skip
 from stage.drives.motors import MOTORS, Drive
-from stage.support.pictures import COLORS, MUTED_COLOR, TEXT_COLOR, remove_frame, set_title
+from stage.support.plot_style import COLORS, MUTED_COLOR, TEXT_COLOR, remove_frame, set_title
 
 BLUE, RED, GREEN = COLORS[:3]
 MOTOR = replace(MOTORS["17HS4401"], core_loss_resistance=None)  # as the closed form of the page

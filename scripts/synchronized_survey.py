@@ -166,7 +166,7 @@ def anything(moves, rng, number):
 
 
 def draw(requests, deviations, perfect, common, folder):
-    from stage.support.pictures import COLORS, MUTED_COLOR, TEXT_COLOR, make_figure, remove_frame, set_title
+    from stage.support.plot_style import COLORS, MUTED_COLOR, TEXT_COLOR, make_figure, remove_frame, set_title
 
     blue, orange = COLORS[:2]
     fig = make_figure(10, 3.9)

@@ -147,11 +147,12 @@ def test_a_chip_that_lacks_an_answer_is_refused_with_its_name(monkeypatch, tmp_p
     monkeypatch.syspath_prepend(tmp_path)
     chips = {name: f"half_chips:{name}" for name in ("HALF", "LOOKS", "OTHER", "NONE")}
     installed(monkeypatch, tmp_path / "half", "half-chips", **chips)
-    text = r"chip HALF of package half-chips 1.0 .* is refused: HALF breaks the contract of chips: its core .* has no answer window"
+    text = r"chip HALF of package half-chips 1.0 .* is refused: HALF breaks the contract of chips: .* has no answer run_window"
     with pytest.raises(ArgumentError, match=text):
         Stage("xy", chips="half")
     with pytest.raises(
-        ArgumentError, match=r"no answer scan_shaft, @exported\('i8', STATE, .*array_of\(EDGE\), array_of\('i8'\)"
+        ArgumentError,
+        match=r"no answer scan_edges_and_shafts, @exported\('i8', STATE, .*array_of\(EDGE\), array_of\('i8'\)",
     ):
         chip_class("looks")
     with pytest.raises(ArgumentError, match=r"OTHER .*the class is called NAMED"):

@@ -11,7 +11,7 @@ from stage.chips import CHIPS, PCL240K, chip_class
 from stage.drives.dc_motors import Servo
 from stage.errors import UnknownKey
 from stage.firmware import Profile
-from stage.support.arguments import WrongType, check_integer, explain_arguments
+from stage.support.argument_checks import WrongType, check_integer, explain_arguments
 from stage.tune import Task, tune
 
 WRONG = ("1", None, math.nan, math.inf, -1, -1.5, [], {}, object(), b"x", "nosuch", 3.5, True, ["q"], Decimal("NaN"))

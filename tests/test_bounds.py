@@ -18,7 +18,7 @@ from stage.firmware.hctl1100 import position_streaming as servo_profile
 from stage.firmware.pcl240.line_plan import MAX_R0, _check_distance, _check_rates_and_times, _get_curve_share
 from stage.firmware.pcl240.moves import encode_offset
 from stage.recording.viewer import make_web_server
-from stage.sim import faults, records
+from stage.sim import engine_records, faults
 from stage.sim.fleet import MAX_TIME_NS, Fleet
 from stage.sim.program import Program
 from stage.sim.stage import MAX_RUN_S
@@ -175,6 +175,6 @@ def test_time_of_a_stage_is_rounded_to_a_nanosecond(stage):
     stage.run(1.6e-9)
     assert stage.now == 2
     stage.step(1)
-    assert stage.now == round(stage.model.opt.timestep * records.SECOND), (
+    assert stage.now == round(stage.model.opt.timestep * engine_records.SECOND), (
         "a step goes to the end of the one that has begun"
     )

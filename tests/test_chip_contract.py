@@ -50,7 +50,7 @@ def change_core(**change):
         ({"MICROSTEPS": 257}, "MICROSTEPS is 257: 1 to 256 pulses of the chip a full step, or 0"),
         ({"MICROSTEPS": 2.5}, "MICROSTEPS is 2.5"),
         ({"DRIVER": "package.module"}, "DRIVER is 'package.module': write 'package.module:Class'"),
-        ({"ENCODERS": True}, "has no answer scan_shaft"),
+        ({"ENCODERS": True}, "has no answer scan_edges_and_shafts"),
         ({"CORE": change_core(STATE=np.dtype([("clock", "i8"), ("x", "i4")]))}, "has 12 bytes: a multiple of 8"),
         (
             {"CORE": change_core(STATE=np.dtype([("x", "i8"), ("clock", "i8")]))},

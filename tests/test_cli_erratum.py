@@ -7,7 +7,7 @@ import pytest
 from support.extras import needs_rerun
 from support.pages import agree
 
-from stage.chips.entries import WRITE
+from stage.chips.journal_entries import WRITE
 from stage.cli import erratum, erratum_picture, main
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "erratum.md"

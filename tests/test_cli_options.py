@@ -534,7 +534,7 @@ def test_pullout_measures_the_drive_of_its_options(monkeypatch, capsys, tmp_path
     monkeypatch.setattr(
         "stage.drives.dynamometer.tabulate_pull_out", lambda drive, progress: calls.append(drive) or "table"
     )
-    monkeypatch.setattr("stage.drives.picture.plot_pull_out", lambda *args, **how: calls.append((args[2], how)))
+    monkeypatch.setattr("stage.drives.pull_out_plot.plot_pull_out", lambda *args, **how: calls.append((args[2], how)))
     plot = str(tmp_path / "p.png")
     assert main(["pullout", "--motor", "17HS15-1504S", "--bus-voltage", "36", "--microsteps", "8", "--plot", plot]) == 0
     likely = "its core loss is likely 0.00023 to 0.00072 N m s/rad"

@@ -13,7 +13,7 @@ from support.recording_bench import read_rrd
 
 from stage import ArgumentError, Drive, Fleet, Program, RunTimeout, Stage, StageError, firmware
 from stage.chips import HCTL1100, MCX302, MCX304, MCX514, PCL240K, PCL240MS, chip_class
-from stage.chips.entries import LOST, WRITE
+from stage.chips.journal_entries import LOST, WRITE
 from stage.cli import main
 from stage.cli.fault import demonstrations as demos
 from stage.drives import stepper

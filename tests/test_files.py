@@ -14,7 +14,7 @@ import pytest
 from stage import Stage, StageError, firmware
 from stage.cli import main
 from stage.drives.motors import Drive
-from stage.drives.picture import plot_pull_out
+from stage.drives.pull_out_plot import plot_pull_out
 from stage.recording import RecordingError
 from stage.recording.viewer import take_screenshot
 from stage.support.files import FileError, find_figure_format, is_stream, write_atomically

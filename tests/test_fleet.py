@@ -13,7 +13,7 @@ import pytest
 
 from stage import ArgumentError, Fleet, Program, Stage, StageError
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MS
-from stage.sim import play
+from stage.sim import program_player
 from stage.sim.program import END, LOOK, MEASURE, READ, STOP, WAIT, WRITE
 
 N = 5
@@ -74,7 +74,7 @@ def test_a_program_does_what_a_python_driver_does_to_the_bit(first):
     for k, stage in enumerate(copy_stages(first)):
         ops = np.array(make_program(first, k).ops)
         results, extremes = np.zeros(len(ops), np.int64), np.full((3, 2), np.inf) * [1, -1]
-        assert play.play_in_python(stage, ops, results, extremes) == play.PLAYED
+        assert program_player.play_in_python(stage, ops, results, extremes) == program_player.PLAYED
         assert (results == played.results[k][: len(ops)]).all()
         assert (extremes == played.extremes[k]).all()
         assert stage.snapshot().state.tobytes() == fleet.stages[k].snapshot().state.tobytes()
@@ -89,7 +89,7 @@ def test_a_timeout_at_the_instant_of_a_poll_ends_both_players_at_that_poll(first
     p.command(0, 0x40).command(0, 0x10).until_stopped([0], 754e-6, 250e-6)
     fleet, (driven,) = Fleet(copy_stages(first, 1), 1), copy_stages(first, 1)
     results = np.zeros(len(p), np.int64)
-    assert play.play_in_python(driven, np.array(p.ops), results, np.zeros((3, 2))) == play.PLAYED
+    assert program_player.play_in_python(driven, np.array(p.ops), results, np.zeros((3, 2))) == program_player.PLAYED
     assert fleet.play([p]).results[0][len(p) - 1] == results[-1] == -754_000
 
 
@@ -267,7 +267,7 @@ def test_without_visuals_the_physics_is_the_same(first):
     bare, full = copy_stages(first, 1)[0], Stage("xyz", chips={"x": PCL240MS, "z": PCL240K})
     ops = np.array(make_program(first, 1).ops)
     for stage in (bare, full):
-        play.play_in_python(stage, ops, np.zeros(len(ops), np.int64), np.zeros((3, 2)))
+        program_player.play_in_python(stage, ops, np.zeros(len(ops), np.int64), np.zeros((3, 2)))
     assert bare.snapshot().state.tobytes() == full.snapshot().state.tobytes()
 
 

@@ -13,8 +13,8 @@ from stage.chips import HCTL1100, MCX514, PCL240K
 from stage.errors import GpuMissing, ModelError
 from stage.firmware.driver import get_driver
 from stage.sim import fleet as fleets
-from stage.sim.gpu import fleet as gpu_fleet
-from stage.sim.gpu import physics
+from stage.sim.gpu import gpu_fleet as gpu_fleet
+from stage.sim.gpu import warp_physics
 from stage.support import extras
 
 
@@ -23,7 +23,7 @@ def find_reason_to_skip():
     if not (extras.is_installed("numba_cuda") and extras.is_installed("mujoco_warp")):
         return "the extra gpu is not installed"
     try:
-        physics.load_warp()
+        warp_physics.load_warp()
     except GpuMissing:
         return "there is no NVIDIA GPU"
     return ""
@@ -129,7 +129,7 @@ def test_without_a_gpu_the_error_says_so(stage, monkeypatch):
             return False
 
     monkeypatch.setattr(gpu_fleet, "cuda_tools", lambda: None)
-    monkeypatch.setattr(physics, "import_extra", lambda module, purpose: Warp)
+    monkeypatch.setattr(warp_physics, "import_extra", lambda module, purpose: Warp)
     with pytest.raises(GpuMissing, match="no NVIDIA GPU"):
         Fleet([stage], device="cuda", copies=2)
 

@@ -16,9 +16,9 @@ from stage import Fleet, Program, Stage
 from stage.chips import HCTL1100, PCL240K, PCL240MS
 from stage.firmware.driver import get_driver
 from stage.sim.gpu.device_code import Tools
-from stage.sim.gpu.fleet import make_kernels
-from stage.sim.gpu.layout import LaneLayout
-from stage.sim.play import TRUTH
+from stage.sim.gpu.gpu_fleet import make_kernels
+from stage.sim.gpu.lane_layout import LaneLayout
+from stage.sim.program_player import TRUTH
 
 STEP_LIMIT = 2000
 

@@ -23,7 +23,7 @@ def model(request):
 
 @pytest.fixture(scope="module")
 def axes(model):
-    return plant.bind(model)
+    return plant.bind_axes(model)
 
 
 def find_rotor_inertia(axis):
@@ -65,7 +65,7 @@ def test_xyz_servo_is_xyz_with_other_motors():
 @pytest.mark.parametrize("name", ["x", "y", "z"])
 def test_steppers_and_servos_have_the_same_screw(name):
     models = [plant.open_spec(name).compile() for name in ("xyz", "xyz_servo")]
-    both = [next(a for a in plant.bind(m) if a.name == name) for m in models]
+    both = [next(a for a in plant.bind_axes(m) if a.name == name) for m in models]
     screws = [m.dof_armature[a.dof] / a.gear**2 - find_rotor_inertia(a) for m, a in zip(models, both, strict=True)]
     assert screws[0] == pytest.approx(screws[1], rel=1e-3)
 
@@ -208,7 +208,7 @@ def test_moving_masses_are_those_of_a_bench_top_stage(model, axes):
 
 def test_current_holds_z_and_friction_alone_does_not():
     model = plant.open_spec("xyz").compile()
-    z = plant.bind(model)[2]
+    z = plant.bind_axes(model)[2]
     weight = model.body_subtreemass[model.jnt_bodyid[z.joint]] * 9.81
     assert model.dof_frictionloss[z.dof] < weight < 0.4 * z.gear, "0.4 N m is the motor's holding torque"
 
@@ -222,7 +222,7 @@ def test_it_has_the_parts_that_pictures_and_recordings_use(name):
     assert (model.vis.global_.offwidth, model.vis.global_.offheight) == (1920, 1080)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
-    for a in plant.bind(model):
+    for a in plant.bind_axes(model):
         assert data.qpos[a.qpos] == pytest.approx({s.pin: s.touch for s in a.switches}["org"], abs=1e-5)
 
 
@@ -242,7 +242,7 @@ def test_the_documentation_shows_the_axes_and_masses_as_they_are():
     model = plant.open_spec("xyz").compile()
     for line in plant.format_axes(model).splitlines():
         assert f"    {line}\n" in page
-    for a in plant.bind(model):
+    for a in plant.bind_axes(model):
         assert f"{model.body_subtreemass[model.jnt_bodyid[a.joint]]:.2f} kg" in page
         assert f"{model.dof_armature[a.dof]:.3f} kg" in page
         assert f"{model.dof_frictionloss[a.dof]:g} N + {model.dof_damping[a.dof]:g} N s/m" in page

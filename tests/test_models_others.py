@@ -35,7 +35,7 @@ def test_it_runs_under_gravity_without_a_warning_or_an_unwanted_contact(model, t
 
 def test_switches_are_detected_before_the_touch_and_exert_no_force(model):
     data = mujoco.MjData(model)
-    for a in plant.bind(model):
+    for a in plant.bind_axes(model):
         stops = {model.geom(k).id for k in range(model.ngeom) if "bumper" in model.geom(k).name}
         for q in np.linspace(*a.travel, 60):
             mujoco.mj_resetData(model, data)
@@ -239,5 +239,5 @@ def test_three_axes_of_one_load_name_each_other_for_any_form_of_the_text(reports
     model = mujoco.MjModel.from_xml_string(
         f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator><custom>{texts}</custom></mujoco>"
     )
-    result = {axis.name: axis.tandem for axis in plant.bind(model)}
+    result = {axis.name: axis.tandem for axis in plant.bind_axes(model)}
     assert result == {"a": ("b", "c"), "b": ("a", "c"), "c": ("a", "b"), "d": ()}

@@ -15,7 +15,7 @@ from stage import ModelError, Stage, firmware
 from stage.cli import main
 from stage.drives.motors import MOTORS
 from stage.sim import plant
-from stage.sim.plant.new import NewAxis, new_model
+from stage.sim.plant.new_model import NewAxis, new_model
 
 
 def make_spec(*axes):
@@ -33,7 +33,7 @@ KINDS = st.one_of(
 @given(st.lists(KINDS, min_size=1, max_size=4))
 def test_every_chain_of_axes_keeps_the_contract_and_its_switches_trip_where_documented(kinds):
     axes = [NewAxis.of(f"q{k}:{kind}") for k, kind in enumerate(kinds)]
-    result = plant.bind(mujoco.MjSpec.from_string(new_model(axes)).compile())
+    result = plant.bind_axes(mujoco.MjSpec.from_string(new_model(axes)).compile())
     assert [a.name for a in result] == [a.name for a in axes]
     for requested, axis in zip(axes, result, strict=True):
         trips = {s.pin: s.touch for s in axis.switches}
@@ -55,7 +55,7 @@ def test_a_new_axis_homes_from_either_side_without_losing_a_step(axis, side):
     stage.place(**{a.name: side * (0.02 if "slide" in axis else 0.5)})
     report = firmware.home(a)
     assert report.lost_steps == 0
-    (org,) = (s for s in plant.bind(stage.model)[0].switches if s.pin == "org")
+    (org,) = (s for s in plant.bind_axes(stage.model)[0].switches if s.pin == "org")
     missed = a.position - org.touch if "360" not in axis else math.remainder(a.position - org.touch, 2 * math.pi)
     assert abs(missed) < 2 * (10e-3 if "slide" in axis else 2 * math.pi / 10) / 3200  # two pulses
 
@@ -64,7 +64,7 @@ def test_a_new_axis_homes_from_either_side_without_losing_a_step(axis, side):
 def test_whatever_pushes_the_axis_its_hard_stops_hold_it_beyond_the_end_limits(axis):
     model = make_spec(axis).compile()
     data = mujoco.MjData(model)
-    (a,) = plant.bind(model)
+    (a,) = plant.bind_axes(model)
     for sign in (1, -1):
         mujoco.mj_resetData(model, data)
         data.qfrc_applied[0] = sign * (100 if "slide" in axis else 0.4)

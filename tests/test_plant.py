@@ -13,10 +13,10 @@ import pytest
 from stage import ArgumentError, ModelError, Stage, faults, firmware
 from stage.chips import HCTL1100, PCL240K
 from stage.sim import plant
-from stage.sim.fingerprint import compute_fingerprint
-from stage.sim.plant import contract
-from stage.sim.plant.new import NewAxis, new_model
-from stage.sim.plant.problems import Problems
+from stage.sim.model_fingerprint import compute_fingerprint
+from stage.sim.plant import naming_contract
+from stage.sim.plant.model_errors import ModelProblems
+from stage.sim.plant.new_model import NewAxis, new_model
 
 ROOT = Path(__file__).parent.parent
 
@@ -28,7 +28,7 @@ def read_example_xml():
 
 
 def bind(xml):
-    return plant.bind(mujoco.MjModel.from_xml_string(xml), ["x"])
+    return plant.bind_axes(mujoco.MjModel.from_xml_string(xml), ["x"])
 
 
 def test_a_users_mjcf_makes_a_stage_from_a_path_a_spec_or_a_model(tmp_path):
@@ -173,7 +173,7 @@ def edit_documented_xml(*changes):
 
 def get_model_error(xml, axes=("x",)):
     with pytest.raises(ModelError) as caught:
-        plant.bind(mujoco.MjModel.from_xml_string(xml), axes)
+        plant.bind_axes(mujoco.MjModel.from_xml_string(xml), axes)
     return caught.value
 
 
@@ -183,7 +183,7 @@ def test_the_model_in_the_documentation_is_complete_and_homes(tmp_path):
     path = tmp_path / "one_axis.xml"
     path.write_text(read_documented_xml())
     stage = Stage(path)
-    (axis,) = plant.bind(stage.model)
+    (axis,) = plant.bind_axes(stage.model)
     touches = {s.pin: s.touch for s in axis.switches}
     assert touches == pytest.approx(
         {"el_plus": 0.05, "el_minus": -0.05, "sd_plus": 0.04, "sd_minus": -0.035, "org": -0.045}
@@ -194,7 +194,7 @@ def test_the_model_in_the_documentation_is_complete_and_homes(tmp_path):
 
 def test_what_bind_finds_is_where_mujoco_puts_it():
     model = mujoco.MjModel.from_xml_string(read_documented_xml())
-    (axis,) = plant.bind(model)
+    (axis,) = plant.bind_axes(model)
     assert (axis.joint, axis.qpos, axis.dof, axis.actuator) == (0, 0, 0, 0)
     assert axis.travel == (-0.057, 0.057)
     assert [s.pin for s in axis.switches] == list(plant.PINS)
@@ -209,13 +209,13 @@ def test_sensors_may_report_more_fields_than_required():
     xml = edit_documented_xml(
         ('geom2="org_beam" num="1" data="found dist"', 'geom2="org_beam" num="1" data="found force dist normal"')
     )
-    s = plant.bind(mujoco.MjModel.from_xml_string(xml))[0].switches[-1]
+    s = plant.bind_axes(mujoco.MjModel.from_xml_string(xml))[0].switches[-1]
     assert s.dist == s.found + 4
 
 
 def test_a_motor_may_be_left_handed():
     xml = edit_documented_xml(('gear="628.3185307"', 'gear="-628.3185307"'))
-    assert plant.bind(mujoco.MjModel.from_xml_string(xml))[0].gear == pytest.approx(-2 * np.pi / 0.01)
+    assert plant.bind_axes(mujoco.MjModel.from_xml_string(xml))[0].gear == pytest.approx(-2 * np.pi / 0.01)
 
 
 @pytest.mark.parametrize(("model", "chip"), [("xy", "PCL240K"), ("xyz_servo", "HCTL1100")])
@@ -246,7 +246,7 @@ def test_the_origin_may_be_a_short_vane_narrower_than_the_scan():
     beam = 'name="org_beam" class="beam" pos="-0.0755 0.05 0"', 'name="org_beam" class="beam" pos="-0.0311 0.08 0"'
     pair = 'geom1="vane" geom2="org_beam"/>', 'geom1="tab" geom2="org_beam"/>'
     sensor = '<contact name="x_org" geom1="vane"', '<contact name="x_org" geom1="tab"'
-    s = plant.bind(mujoco.MjModel.from_xml_string(edit_documented_xml(narrow, beam, pair, sensor)))[0].switches[-1]
+    s = plant.bind_axes(mujoco.MjModel.from_xml_string(edit_documented_xml(narrow, beam, pair, sensor)))[0].switches[-1]
     assert s.touch == pytest.approx(-0.0306, abs=1e-9), "its edge on the plus side"
     assert s.slope == pytest.approx(1)
 
@@ -356,7 +356,7 @@ def test_an_unfitted_switch_is_not_required():
     xml = edit_documented_xml(
         (ORG, ""), ('<text name="x_motor"', '<text name="x_unfitted" data="org"/><text name="x_motor"')
     )
-    assert "org" not in [s.pin for s in plant.bind(mujoco.MjModel.from_xml_string(xml))[0].switches]
+    assert "org" not in [s.pin for s in plant.bind_axes(mujoco.MjModel.from_xml_string(xml))[0].switches]
 
 
 def test_a_joint_without_a_motor_is_an_axis_only_when_named():
@@ -364,7 +364,7 @@ def test_a_joint_without_a_motor_is_an_axis_only_when_named():
         ('<joint name="x"', '<joint name="tilt" type="hinge" axis="0 1 0" stiffness="1e6"/><joint name="x"')
     )
     model = mujoco.MjModel.from_xml_string(xml)
-    assert [a.name for a in plant.bind(model)] == ["x"]
+    assert [a.name for a in plant.bind_axes(model)] == ["x"]
     error = get_model_error(xml, ["tilt"])
     assert "axis tilt: no actuator 'tilt'" in str(error)
     assert error.missing == ('<motor name="tilt" joint="tilt" gear="628.3185307"/>',)
@@ -376,7 +376,7 @@ def test_axes_can_be_selected_where_another_joint_has_a_servo():
         '<body><joint name="hand" type="slide"/><geom size="0.01" mass="1"/></body></body>\n  </worldbody>',
     )
     xml = edit_documented_xml(hand, (MOTOR, MOTOR + '<position name="hand" joint="hand" kp="9"/>'))
-    assert [a.name for a in plant.bind(mujoco.MjModel.from_xml_string(xml), ["x"])] == ["x"]
+    assert [a.name for a in plant.bind_axes(mujoco.MjModel.from_xml_string(xml), ["x"])] == ["x"]
     assert "if 'hand' is no axis of a chip, name those that are" in str(get_model_error(xml, None))
 
 
@@ -386,7 +386,7 @@ def test_a_loose_part_is_no_hard_stop():
     xml = edit_documented_xml(
         ('<body name="carriage">', part + '<body name="carriage">'), ("</contact>\n  <act", pair + "</contact>\n  <act")
     )
-    assert plant.bind(mujoco.MjModel.from_xml_string(xml))
+    assert plant.bind_axes(mujoco.MjModel.from_xml_string(xml))
 
 
 def test_a_slip_between_actuator_and_joint_is_pointed_out():
@@ -558,16 +558,16 @@ def test_a_spec_that_was_changed_is_nobody_elses():
     spec.geom("x_org_vane").pos[0] += 0.01
     for source, moved in ((spec, 0.01), ("xyz", 0.0)):
         model, _ = plant.compile_spec(plant.open_spec(source), 0)
-        current_place = next(s for s in plant.bind(model)[0].switches if s.pin == "org")
+        current_place = next(s for s in plant.bind_axes(model)[0].switches if s.pin == "org")
         assert abs(current_place.touch - (-0.12 - moved)) < 2e-4, "the switch trips where the vane is"
 
 
 def test_a_model_that_was_changed_is_measured_again():
     model, _ = plant.compile_spec(plant.open_spec("xyz"), 0)
-    before = plant.bind(model)
-    assert plant.bind(model) is before, "the same model is measured once"
+    before = plant.bind_axes(model)
+    assert plant.bind_axes(model) is before, "the same model is measured once"
     model.geom("x_org_vane").pos[0] += 0.01
-    after = plant.bind(model)
+    after = plant.bind_axes(model)
     assert [s.touch for s in after[1].switches] == [s.touch for s in before[1].switches]
     org, moved = (next(s.touch for s in axes[0].switches if s.pin == "org") for axes in (before, after))
     assert abs(moved - org + 0.01) < 1e-6
@@ -612,7 +612,7 @@ def test_every_number_of_a_model_is_in_its_fingerprint_and_no_colour_of_a_textur
 
 
 def test_a_line_that_mends_two_axes_is_proposed_once():
-    problems = Problems()
+    problems = ModelProblems()
     for axis in "xy":
         problems.add(axis, "site 'work' is missing", '<site name="work"/>')
     with pytest.raises(ModelError, match=r"axis x: .*\n.*axis y: ") as caught:
@@ -625,12 +625,12 @@ def test_the_line_to_add_names_the_geoms_that_the_file_has():
     text = new_model([NewAxis.of("x:slide:300mm"), NewAxis.of("a:hinge:90deg")])
     lines = [line for line in text.splitlines() if '<contact name="x_org"' not in line]
     with pytest.raises(ModelError) as caught:
-        plant.bind(mujoco.MjModel.from_xml_string("\n".join(lines)))
+        plant.bind_axes(mujoco.MjModel.from_xml_string("\n".join(lines)))
     assert "slip" not in str(caught.value)
     (line,) = caught.value.missing
     assert 'geom1="x_org_vane" geom2="x_org_beam"' in line
     lines.insert(next(k for k, target in enumerate(lines) if "<contact name=" in target), line)
-    assert [s.pin for s in plant.bind(mujoco.MjModel.from_xml_string("\n".join(lines)))[0].switches] == list(
+    assert [s.pin for s in plant.bind_axes(mujoco.MjModel.from_xml_string("\n".join(lines)))[0].switches] == list(
         plant.PINS
     ), "and it mends the model"
 
@@ -639,12 +639,14 @@ def test_the_line_to_add_names_the_geoms_that_the_file_has():
 def test_the_index_pulse_is_where_the_model_says_else_half_a_turn_from_the_origin_switch(revolutions):
     """<custom><numeric name="x_index" data="0.3"/></custom>"""
     numeric = f'<numeric name="x_index" data="{revolutions}"/><text name="x_motor"'
-    (argument,) = plant.bind(mujoco.MjModel.from_xml_string(edit_documented_xml(('<text name="x_motor"', numeric))))[:1]
+    (argument,) = plant.bind_axes(
+        mujoco.MjModel.from_xml_string(edit_documented_xml(('<text name="x_motor"', numeric)))
+    )[:1]
     assert argument.index == revolutions
-    (axis,) = plant.bind(mujoco.MjModel.from_xml_string(read_documented_xml()))[:1]
+    (axis,) = plant.bind_axes(mujoco.MjModel.from_xml_string(read_documented_xml()))[:1]
     touch = next(s.touch for s in axis.switches if s.pin == "org")
     assert axis.index == pytest.approx((touch * axis.gear / (2 * np.pi) + 0.5) % 1.0)
-    (other,) = plant.bind(mujoco.MjModel.from_xml_string(read_documented_xml().replace('gear="', 'gear="-')))[:1]
+    (other,) = plant.bind_axes(mujoco.MjModel.from_xml_string(read_documented_xml().replace('gear="', 'gear="-')))[:1]
     assert other.index == pytest.approx((touch * other.gear / (2 * np.pi) + 0.5) % 1.0) == pytest.approx(1 - axis.index)
 
 
@@ -704,7 +706,7 @@ def test_each_kind_of_file_that_is_no_model_has_a_separate_error(tmp_path, monke
 
 def test_a_switch_of_either_side_is_detected_from_the_same_distance():
     """The pair's margin and gap show a vane 10 mm before the touch, whichever way the joint comes."""
-    switches = {s.pin: s for s in plant.bind(mujoco.MjModel.from_xml_string(read_documented_xml()))[0].switches}
+    switches = {s.pin: s for s in plant.bind_axes(mujoco.MjModel.from_xml_string(read_documented_xml()))[0].switches}
     observed = {pin: s.lookahead for pin, s in switches.items()}
     assert observed == pytest.approx(dict.fromkeys(observed, 0.01), rel=1e-3)
     assert {pin: s.slope for pin, s in switches.items()} == pytest.approx(
@@ -721,7 +723,7 @@ def test_a_line_to_add_names_a_geom_only_where_it_is_unambiguous(named, geoms):
         at = next(k for k, line in enumerate(lines) if 'name="x_org_only_vane"' in line)
         lines.insert(at, lines[at].replace("x_org_only_vane", "x_org_second_vane"))
     with pytest.raises(ModelError) as caught:
-        plant.bind(mujoco.MjModel.from_xml_string("\n".join(lines)))
+        plant.bind_axes(mujoco.MjModel.from_xml_string("\n".join(lines)))
     assert f'geom1="{named}" geom2="x_org_beam"' in caught.value.missing[0]
 
 
@@ -745,12 +747,12 @@ def test_a_shipped_model_that_is_edited_is_read_again(tmp_path, monkeypatch):
 
 
 def test_the_cache_of_measured_models_is_bounded(monkeypatch):
-    monkeypatch.setattr(contract, "_bound", {})
-    monkeypatch.setattr(contract, "MAX_BOUND_PLANTS", 2)
+    monkeypatch.setattr(naming_contract, "_bound", {})
+    monkeypatch.setattr(naming_contract, "MAX_BOUND_PLANTS", 2)
     for k in range(4):
         model = mujoco.MjModel.from_xml_string(edit_documented_xml(('damping="60"', f'damping="{60 + k}"')))
-        assert plant.bind(model) is plant.bind(model)
-        assert 1 <= len(contract._bound) <= 2
+        assert plant.bind_axes(model) is plant.bind_axes(model)
+        assert 1 <= len(naming_contract._bound) <= 2
 
 
 def test_a_dc_motor_with_a_bias_or_a_state_is_none_for_a_servo():
@@ -759,7 +761,7 @@ def test_a_dc_motor_with_a_bias_or_a_state_is_none_for_a_servo():
     with pytest.raises(
         ModelError, match="axis y: actuator 'y' is not a <motor> on joint 'y', nor a <dcmotor> with voltage"
     ):
-        plant.bind(spec.compile())
+        plant.bind_axes(spec.compile())
 
 
 def test_inertias_from_geoms_are_from_geoms_without_visuals_too(tmp_path):

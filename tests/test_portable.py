@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stage.support import portable
+from stage.support import portable_math
 
 ROOT = Path(__file__).parents[1]
 PORTABLE_FUNCTIONS = (
@@ -19,7 +19,7 @@ PORTABLE_FUNCTIONS = (
 
 @pytest.mark.parametrize("name", ["log", "log1p", "exp", "cbrt"])
 def test_functions_of_arrays_give_the_values_of_the_c_library(name):
-    portable_function, reference = getattr(portable, name), getattr(math, name)
+    portable_function, reference = getattr(portable_math, name), getattr(math, name)
     values = np.random.default_rng(7).uniform(1e-3, 500.0, (9, 8))
     wanted = [[reference(v) for v in row] for row in values.tolist()]
     assert portable_function(values).tolist() == wanted
@@ -37,16 +37,16 @@ def test_ends_are_as_numpy_has_them():
             "exp": (1e4, -1e4, np.nan),
         }.items():
             assert np.array_equal(
-                getattr(portable, name)(values), getattr(np, name)(np.array(values, float)), equal_nan=True
+                getattr(portable_math, name)(values), getattr(np, name)(np.array(values, float)), equal_nan=True
             ), name
-    assert portable.log(()).shape == (0,)
+    assert portable_math.log(()).shape == (0,)
 
 
 def test_powers_and_spaces_of_equal_ratios():
     x, e = np.linspace(0, 3, 7), np.array([1.0, 3.0, 1 / 3, 1.0, 3.0, 1 / 3, 1.0])
-    assert portable.power(x, e).tolist() == [math.pow(a, b) for a, b in zip(x.tolist(), e.tolist(), strict=True)]
-    assert portable.power(2.0, x).shape == (7,)
-    values = portable.geomspace(0.003, 0.8, 50)
+    assert portable_math.power(x, e).tolist() == [math.pow(a, b) for a, b in zip(x.tolist(), e.tolist(), strict=True)]
+    assert portable_math.power(2.0, x).shape == (7,)
+    values = portable_math.geomspace(0.003, 0.8, 50)
     assert values == pytest.approx(np.geomspace(0.003, 0.8, 50), rel=1e-13)
     assert (values[0], values[-1]) == (0.003, 0.8)
 

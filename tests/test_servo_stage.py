@@ -14,7 +14,7 @@ from support.vcd_parser import parse
 
 from stage import ArgumentError, ModelError, Stage, StageError, faults
 from stage.chips import HCTL1100, PCL240K
-from stage.chips.entries import SHAFT, bits_to_float
+from stage.chips.journal_entries import SHAFT, bits_to_float
 from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo
 from stage.drives.motors import MOTORS, Drive
 from stage.recording.series import make_plot_title, select_series
@@ -289,13 +289,13 @@ def test_a_replay_equals_a_chip_that_receives_the_shaft_step_by_step(xyz, every_
     journal.close()
     core, rows = HCTL1100.CORE, np.frombuffer(bytearray(journal.start.tobytes()), HCTL1100.CORE.STATE)
     out, k = np.zeros(20_000, core.EDGE), 1
-    core.mark(rows, 0, out, 0)
+    core.write_present_edge(rows, 0, out, 0)
     for e in (*journal.entries, None):
-        k += core.scan(rows, journal.until if e is None else e.clock, every_pulse, 0, out[k:])
+        k += core.scan_edges(rows, journal.until if e is None else e.clock, every_pulse, 0, out[k:])
         if e is not None:
             e.apply(core, rows)
         if e is None or e.kind != SHAFT:
-            core.mark(rows, 0, out, k)
+            core.write_present_edge(rows, 0, out, k)
             k += 1
     assert k > (400 if every_pulse else 30)
     for size in (100, 5000):

@@ -13,7 +13,7 @@ from stage import ArgumentError, Fleet, Program, RunTimeout, SimulationError, St
 from stage.board import Board
 from stage.chips import PCL240K
 from stage.drives import stepper
-from stage.sim import plant, records
+from stage.sim import engine_records, plant
 
 
 @pytest.fixture(scope="module")
@@ -227,7 +227,7 @@ def test_a_diverging_simulation_names_time_and_axis_and_keeps_the_state_before(x
     assert np.isfinite(xyz.data.qpos).all()
     xyz.data.qfrc_applied[:] = 0
     steps = round((xyz.time - replica.time) * 1e9)
-    assert steps >= -records.SECOND
+    assert steps >= -engine_records.SECOND
     assert abs(xyz.axes["x"].position - replica.axes["x"].position) < 1e-3
 
 
@@ -256,7 +256,7 @@ def test_the_torque_of_a_step_is_that_of_the_rotor_in_the_middle_of_each_slice(x
     xyz.data.qvel[t.dof] = v = 0.05
     d, q, count = xyz.state.drives[x.index].copy(), xyz.data.qpos[t.qpos], float(x.chip.net())
     middles = [
-        (k + 0.5) * w.h - w.half for k in range(records.SLICES)
+        (k + 0.5) * w.h - w.half for k in range(engine_records.SLICES)
     ]  # s, from the moment at which the joint stands at q
     torques = [stepper.compute_slice_torque(d, count, (q + v * tau) * t.gear, v * t.gear, w.h) for tau in middles]
     xyz.step()

@@ -15,10 +15,10 @@ from support.vcd_parser import parse
 
 from stage import ArgumentError, Fleet, Program, Stage, StageError, faults
 from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK
-from stage.chips.entries import INPUT
+from stage.chips.journal_entries import INPUT
 from stage.drives.motors import MOTORS
-from stage.sim import play
-from stage.sim.records import INDEX, INDEX_HYSTERESIS
+from stage.sim import program_player
+from stage.sim.engine_records import INDEX, INDEX_HYSTERESIS
 
 MIXED = {"x": MCX514, "y": MCX514, "z": PCL240K}
 ALL = {"z": PCL240K, "x": HCTL1100, "y": MCX304}
@@ -352,7 +352,10 @@ def test_any_number_of_threads_gives_the_same_bits_as_a_python_driver(make_stage
     for k, p in enumerate(programs):
         stage, ops = copy.deepcopy(first), np.array(p.ops)
         results = np.zeros(len(ops), np.int64)
-        assert play.play_in_python(stage, ops, results, np.full((stage.model.nq, 2), np.inf) * [1, -1]) == play.PLAYED
+        assert (
+            program_player.play_in_python(stage, ops, results, np.full((stage.model.nq, 2), np.inf) * [1, -1])
+            == program_player.PLAYED
+        )
         assert (results == played.results[k][: len(ops)]).all()
         assert get_state_bits(stage) == get_state_bits(fleet.stages[k])
         assert get_net_pulses(stage) == [300 + 50 * k] * 3
@@ -375,7 +378,10 @@ def test_the_stages_of_a_fleet_may_have_different_chips(make_stage_of):
     for stage, ours, p, results in zip(stages, fleet.stages, programs, played.results, strict=True):
         by_hand = np.zeros(len(p), np.int64)
         ops = np.array(p.ops, np.int64)
-        assert play.play_in_python(stage, ops, by_hand, np.full((stage.model.nq, 2), np.inf) * [1, -1]) == play.PLAYED
+        assert (
+            program_player.play_in_python(stage, ops, by_hand, np.full((stage.model.nq, 2), np.inf) * [1, -1])
+            == program_player.PLAYED
+        )
         assert (results[: len(p)] == by_hand).all()
         assert get_state_bits(stage) == get_state_bits(ours)
         assert get_net_pulses(stage) == [400] * 3

@@ -16,7 +16,7 @@ from stage import ArgumentError, Fleet, Program, Stage, faults
 from stage.board import Board, NativeHost
 from stage.board.devices import HCTL2016, Encoder
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K
-from stage.chips.entries import SHAFT, bits_to_float
+from stage.chips.journal_entries import SHAFT, bits_to_float
 from stage.cli import main
 from stage.sim.encoder import choose_encoders, list_counts_per_unit
 

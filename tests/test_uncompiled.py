@@ -23,8 +23,8 @@ from stage.board.bus import host_record
 from stage.chips import HCTL1100, MCX302, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.native import COMPILED
 from stage.recording import recording
-from stage.sim import play
-from stage.sim import state as stage_state
+from stage.sim import program_player
+from stage.sim import stage_state as stage_state
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -366,7 +366,7 @@ def test_a_program_of_a_driver_in_python_makes_the_same_bits():
     p.command(1, 0x44).command(1, 0x11).until_stopped([1], 0.05).measure(1e-3).sample_position(1).read(1, 0).wait(1e-4)
     ops = np.array(p.ops)
     results, extremes = np.zeros(len(ops), np.int64), np.full((stage.model.nq, 2), np.inf) * [1, -1]
-    assert play.play_in_python(stage, ops, results, extremes) == play.PLAYED
+    assert program_player.play_in_python(stage, ops, results, extremes) == program_player.PLAYED
     played = fleet.play([p])
     assert (played.results[0] == results).all()
     assert (played.extremes[0] == extremes).all()
@@ -391,7 +391,7 @@ def test_by_hand_a_stage_that_diverges_ends_its_program():
     stage = make_stage()
     stage.data.qfrc_applied[:] = 1e30
     ops = np.array(Program().wait(0.01).ops)
-    assert play.play_in_python(stage, ops, np.zeros(1, np.int64), np.zeros((3, 2))) == play.DIVERGED
+    assert program_player.play_in_python(stage, ops, np.zeros(1, np.int64), np.zeros((3, 2))) == program_player.DIVERGED
 
 
 def test_room_for_few_samples_and_edges_loses_none(monkeypatch):

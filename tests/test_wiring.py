@@ -11,7 +11,7 @@ from stage.chips import HCTL1100, MCX304, MCX314AS, MCX514, PCL240K, PCL240MK, P
 from stage.cli import build_parser
 from stage.cli.setup import make_stage, parse_wiring
 from stage.firmware.hctl1100.chip_port import Port
-from stage.sim.snapshot import Snapshot
+from stage.sim.stage_snapshot import Snapshot
 
 POSITIVE = {"org": "positive", "ez": "positive"}
 LIMITS = {"el_plus": "positive", "el_minus": "positive"}

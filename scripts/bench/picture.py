@@ -13,7 +13,7 @@ from matplotlib.figure import Figure as Canvas
 from bench.figures import Curve
 from bench.report import Results
 from bench.targets import BY_FIGURE
-from stage.support.pictures import MUTED_COLOR, TEXT_COLOR, remove_frame, set_title
+from stage.support.plot_style import MUTED_COLOR, TEXT_COLOR, remove_frame, set_title
 
 OURS, OTHER, SECOND = "#17508f", "#d1571f", "#4aa8d8"
 BOUND: dict[str, Any] = {"color": OTHER, "lw": 1.6, "ls": (0, (4, 2))}

@@ -10,7 +10,7 @@ from fuzzing.family import Family, Values, Work
 from stage.chips import Chip
 from stage.chips.hctl1100 import core, state
 from stage.chips.hctl1100.commutator import RING
-from stage.chips.hctl1100.timer import CLOCKS_PER_COUNT, T
+from stage.chips.hctl1100.sample_timer import CLOCKS_PER_COUNT, T
 from stage.native import COMPILED
 
 LONG = 1 << 22  # clocks: a loop in motion works sample by sample

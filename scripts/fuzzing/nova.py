@@ -13,10 +13,10 @@ from stage.chips.chip import Pins
 from stage.chips.nova import MCX514, core, lint, state
 from stage.chips.nova.functions import split_pulse, timer
 from stage.chips.nova.interpolation import circle as circular
+from stage.chips.nova.interpolation import interpolator as interpolation
 from stage.chips.nova.interpolation import line as linear
-from stage.chips.nova.interpolation import run as interpolation
-from stage.chips.nova.motion import drive
-from stage.chips.nova.motion import planner as plan
+from stage.chips.nova.motion import profile_planner as plan
+from stage.chips.nova.motion import single_axis_drive
 from stage.native import COMPILED
 
 BYTES = 16  # byte addresses of the 8-bit bus
@@ -47,7 +47,7 @@ INTERPOLATION_AXES = (0x03, 0x07, 0x0F, 0x05, 0x43, 0x87, 0x103, 0x203)  # IPM
 
 @cache
 def counted_core() -> Work:
-    """The core's functions between two events, wrapped once to be counted: `calls` of _settle; `steps`: what may cause one."""
+    """Wrap the core's functions once, to count `calls` of _process_due_events and `steps` that may cause one."""
     work = Work()
     lint.LintState.copy_record = lambda self: record(self._record, state.STATE)  # type: ignore[method-assign]
 
@@ -62,9 +62,9 @@ def counted_core() -> Work:
 
         setattr(module, name, counted)
 
-    counting(core, "_settle", calls=1)
+    counting(core, "_process_due_events", calls=1)
     for module, name in (
-        (drive, "note_event"), (timer, "note_event"), (split_pulse, "note_event"), (plan, "_append_open_piece"),
+        (single_axis_drive, "note_event"), (timer, "note_event"), (split_pulse, "note_event"), (plan, "_append_open_piece"),
         (interpolation, "make_tick"),
     ):  # fmt: skip
         counting(module, name, steps=1)

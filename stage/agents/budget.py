@@ -12,7 +12,7 @@ from typing import Any
 
 from stage.errors import ArgumentError, StageError
 from stage.sim.stage import Stage
-from stage.support.arguments import check_integer
+from stage.support.argument_checks import check_integer
 
 CHECK_INTERVAL_NS = 250_000_000  # simulated time between two looks at the wall clock
 CALL_LIMIT_S = 120.0  # simulated time that one call may take

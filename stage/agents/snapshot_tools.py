@@ -9,7 +9,7 @@ from stage.agents.arguments import Text, argument, choose
 from stage.agents.context import ToolContext
 from stage.agents.tool import Tool
 from stage.errors import ArgumentError, StageError
-from stage.sim.snapshot import Snapshot
+from stage.sim.stage_snapshot import Snapshot
 
 MAX_SNAPSHOTS = 16  # and as many branches
 MAX_NAME_CHARACTERS = 64

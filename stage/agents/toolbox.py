@@ -28,7 +28,7 @@ from stage.agents.tool import Answer, Tool, ToolSet
 from stage.agents.truth_tools import TruthTools
 from stage.errors import ArgumentError, StageError
 from stage.sim.stage import Stage
-from stage.support.arguments import explain_arguments, explain_constructor
+from stage.support.argument_checks import explain_arguments, explain_constructor
 
 
 @explain_constructor

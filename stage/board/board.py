@@ -34,7 +34,7 @@ from stage.board.waveforms import HostWaveforms
 from stage.chips.diagnostics import JournalLint
 from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.sim.stage import MAX_RUN_S, Stage
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 
 DEFAULT_CYCLES = 100_000  # lines of the trace
 MAX_CYCLES = 1 << 28

@@ -13,7 +13,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
-from stage.support.processes import run_program
+from stage.support.subprocesses import run_program
 
 IS_SUPPORTED = sys.platform == "linux" and sys.maxsize > 1 << 32
 """True on 64-bit Linux, where the firmware's process can report crashes and calls and can have windows."""

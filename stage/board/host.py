@@ -28,7 +28,7 @@ from stage.board.pins import PinLine
 from stage.board.scratch import Scratch
 from stage.board.serial_line import SerialPort
 from stage.board.thread_runner import PATIENCE_S, LoadedProgram, Program, ThreadRunner
-from stage.chips.sharing import Lock, exclusive
+from stage.chips.exclusive_access import Lock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError
 
 DEFAULT_MAX_CYCLES = 1_000_000_000

@@ -22,9 +22,9 @@ from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCo
 from stage.board.firmware_pins import make_line_table
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError, escape
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 from stage.support.files import FileError, refuse_irregular
-from stage.support.processes import run_program
+from stage.support.subprocesses import run_program
 
 if TYPE_CHECKING:
     from stage.board.link import Link

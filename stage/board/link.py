@@ -20,7 +20,7 @@ from stage.board.interrupt_hooks import Hooks
 from stage.board.windows import explain_missing
 from stage.errors import StageError
 from stage.native import without_attributes
-from stage.sim import handle, records
+from stage.sim import engine_records, stage_handle
 
 if TYPE_CHECKING:
     from stage.board.board import Board
@@ -81,11 +81,11 @@ class Link:
         """Create the HOST record and the arrays to which it points."""
         stage = self.stage
         if len(stage.state.edges) < NOTED:
-            stage.state.set_edge_buffer(np.zeros(NOTED, records.EDGE))
+            stage.state.set_edge_buffer(np.zeros(NOTED, engine_records.EDGE))
         self._rows = np.zeros(1, host_record.HOST)
         self.use_record(self._rows)
         h = self.record
-        handle.fill_handle(self._rows, 0, stage.state)
+        stage_handle.fill_handle(self._rows, 0, stage.state)
         self.irqs = np.zeros(len(stage.chips), host_record.IRQ)
         self._acts = np.zeros(len(stage.chips), np.int64)
         for k, chip in enumerate(stage.chips):
@@ -141,7 +141,7 @@ class Link:
         stage.loop.check_options()
         h["checked_chips"] = self.find_checked_chips()
         h["reached"] = stage.now
-        handle.set_sample_buffers(h, stage.loop.recording)
+        stage_handle.set_sample_buffers(h, stage.loop.recording)
 
     def find_checked_chips(self) -> int:
         """Return a bit mask of the chips whose writes a fault of the bus may lose."""

@@ -19,7 +19,7 @@ from stage.errors import ArgumentError
 from stage.firmware.axis import check_seconds
 from stage.recording.capture import Capture, CaptureError, read_capture
 from stage.sim.line_player import LINE_EDGE, LineObservation, play_lines
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 from stage.units import DEVIATION_UNITS, POSITION_UNITS
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ import numpy as np
 from stage.board.bus import host_record
 from stage.board.bus.interrupts import BACK, JUMPED, LOWERED
 from stage.board.interrupt_hooks import format_source_name
-from stage.support.arguments import explain_constructor
+from stage.support.argument_checks import explain_constructor
 
 if TYPE_CHECKING:
     from stage.board.board import Board

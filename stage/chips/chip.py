@@ -31,13 +31,13 @@ from stage.chips.diagnostics import (
     JournalLint,
     parse_diagnostics,
 )
+from stage.chips.exclusive_access import Lock, exclusive, exclusively, with_lock
 from stage.chips.journal import Journal
 from stage.chips.register_map import RegisterMap, Word, dump
-from stage.chips.sharing import Lock, exclusive, exclusively, with_lock
 from stage.errors import ArgumentError, StageError, add_article, unknown_name_error
 from stage.native import without_attributes
 from stage.support import snapshots
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 from stage.support.snapshot_files import FiledSnapshot
 
 MAX_CLOCKS = 1 << 45  # a speed of 13 bits times this still fits 63 bits
@@ -165,7 +165,7 @@ class Chip:
     SYNCHRO: ClassVar[bool] = False
     """Has SYNO and SYNI, by which chips share one's clock; see `syno`."""
     MULTICHIP: ClassVar[bool] = False
-    """Has the lines by which chips interpolate together, see stage/chips/links.py: its core answers `says` and `silent`."""
+    """Has the lines by which chips interpolate together, see stage/chips/linked_chips.py: its core answers `says` and `silent`."""
     SERVO: ClassVar[bool] = False
     """Drives a DC motor with an encoder, not a stepper."""
     ENCODERS: ClassVar[bool] = False
@@ -313,7 +313,7 @@ class Chip:
             self._alone = None
 
     def share(self, lock: Lock | None) -> None:
-        """Let each bus cycle take a lock from now on, see stage.chips.sharing.
+        """Let each bus cycle take a lock from now on, see stage.chips.exclusive_access.
 
         Args:
             lock: The lock; None: no lock, which costs nothing.
@@ -392,7 +392,7 @@ class Chip:
             axis: Axis of the chip.
         """
         self._check_axis(axis)
-        return int(self.CORE.net.with_gil(self.pointer, axis))
+        return int(self.CORE.read_net_count.with_gil(self.pointer, axis))
 
     @explain_arguments
     @exclusive
@@ -691,7 +691,7 @@ class Chip:
     def _trace_piece(self, until: int) -> np.ndarray:
         """Run up to a clock and return the pulses. A copy of the state runs first, to count them."""
         out = np.zeros(self.CORE.advance(self._rows[self._i : self._i + 1].copy(), until), self.CORE.PULSE)
-        self.CORE.trace.c(self.pointer, until, out.ctypes.data, len(out))
+        self.CORE.trace_pulses.c(self.pointer, until, out.ctypes.data, len(out))
         return out
 
     def _find_end_clock(self, clocks: int) -> int:
@@ -754,7 +754,7 @@ class Chip:
             axis: Axis of the chip.
         """
         self._check_pins(axis)
-        return int(self.CORE.inputs.with_gil(self.pointer, axis))
+        return int(self.CORE.read_inputs.with_gil(self.pointer, axis))
 
     def set_input_word(self, axis: int, word: int) -> None:
         """Drive the input pins of an axis. Journals do not note it.
@@ -773,7 +773,7 @@ class Chip:
             axis: Axis of the chip.
         """
         self._check_pins(axis)
-        return int(self.CORE.outputs.with_gil(self.pointer, axis))
+        return int(self.CORE.read_outputs.with_gil(self.pointer, axis))
 
     def journal(self, axis: int = 0) -> Journal:
         """Begin to record the inputs of the chip, from which the waveforms of an axis can be replayed exactly.

@@ -19,20 +19,27 @@ from stage.native import Exported, array_of
 _CHECKED: set[tuple[type, bool]] = set()
 REQUIRED_RECORDS = {
     "STATE": ("the state of a chip, a record that begins with ('clock', 'i8')", ("clock",)),
-    "PULSE": ("a pulse of `trace`", ("clock", "axis", "direction")),
+    "PULSE": ("a pulse of `trace_pulses`", ("clock", "axis", "direction")),
     "EDGE": ("a change in a journal's course", ("clock", "inputs", "outputs", "counter", "net", "rate")),
 }
 """Record types of a core: description, and the fields that each must have."""
 ANSWERS_OF_CHIPS: dict[str, tuple[Any, ...]] = {
     "power_up": (None,),
     "advance": ("i8", "i8"),
-    "trace": ("i8", "i8", "PULSE"),
-    "mark": (None, "i8", "EDGE", "i8"),
-    "scan": ("i8", "i8", "i8", "i8", "EDGE"),
+    "trace_pulses": ("i8", "i8", "PULSE"),
+    "write_present_edge": (None, "i8", "EDGE", "i8"),
+    "scan_edges": ("i8", "i8", "i8", "i8", "EDGE"),
 }
 """As ANSWERS, for functions that `Chip` and journals call; PULSE and EDGE stand for arrays of them."""
 ANSWERS_OF_ENCODER_CHIPS: dict[str, tuple[Any, ...]] = {
-    "scan_shaft": ("i8", "i8", "i8", "i8", "EDGE", *(array_of(kind) for kind in ("i8", "i8", "f8", "f8", "i8"))),
+    "scan_edges_and_shafts": (
+        "i8",
+        "i8",
+        "i8",
+        "i8",
+        "EDGE",
+        *(array_of(kind) for kind in ("i8", "i8", "f8", "f8", "i8")),
+    ),
 }
 """As ANSWERS_OF_CHIPS, for chips whose class has ENCODERS or SERVO."""
 REQUIRED_METHODS = {

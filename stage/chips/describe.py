@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
-from stage.chips.entries import LOST, RESET, WRITE, Entry
+from stage.chips.journal_entries import LOST, RESET, WRITE, Entry
 from stage.chips.register_map import Field, Register, Word
 
 MAX_LINE_LENGTH = 120

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from stage.chips.entries import WRITE
+from stage.chips.journal_entries import WRITE
 
 if TYPE_CHECKING:
     from types import ModuleType

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from stage.chips.entries import INPUT, LOST, READ, RESET, SHAFT, WIRES, WRITE, Entries, Entry, float_to_bits
-from stage.support.arguments import check_integer
+from stage.chips.journal_entries import INPUT, LOST, READ, RESET, SHAFT, WIRES, WRITE, Entries, Entry, float_to_bits
+from stage.support.argument_checks import check_integer
 
 if TYPE_CHECKING:
     from stage.chips.chip import Chip
@@ -183,7 +183,7 @@ class Replay:
         at, row, count = out.ctypes.data, out.itemsize, done.ctypes.data
         end, entries = self._journal.until, self._journal.entries[self._applied :]
         self._applied += len(entries)
-        core.mark.c(chip, axis, at, size, 0)
+        core.write_present_edge.c(chip, axis, at, size, 0)
         k = 1
         for e, shafts in _split_at_shafts(entries):
             until, done[0] = end if e is None else e.clock, 0
@@ -194,15 +194,15 @@ class Replay:
                 args = chip, until, every_pulse, axis, at + k * row, size - k
                 if len(shafts[0]):
                     where = (word for array in shafts for word in (array.ctypes.data, len(array)))
-                    k += core.scan_shaft.c(*args, *where, count, 1)
+                    k += core.scan_edges_and_shafts.c(*args, *where, count, 1)
                 else:
-                    k += core.scan.c(*args)
+                    k += core.scan_edges.c(*args)
             if e is not None:
                 e.apply(core, chip)
             if k == size:
                 yield out.copy()
                 k = 0
-            core.mark.c(chip, axis, at, size, k)
+            core.write_present_edge.c(chip, axis, at, size, k)
             k += 1
         yield out[:k].copy()
 

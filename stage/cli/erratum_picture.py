@@ -18,7 +18,7 @@ LANES = {"ASND": "asnd", "CNST": "cnst", "DSND": "dsnd", "n-DRV": "drive"}
 def draw(result: ErratumResult, path: str | None, overwrite: bool) -> Any:
     """Draw rate and position of both runs; beside them, close up, the rate and the bits of RR1 around area d."""
     from stage.support.files import save_figure
-    from stage.support.pictures import COLORS, MUTED_COLOR, TEXT_COLOR, make_figure, remove_frame, set_title
+    from stage.support.plot_style import COLORS, MUTED_COLOR, TEXT_COLOR, make_figure, remove_frame, set_title
 
     fig = make_figure(11, 6)
     (rate, close), (place, lanes) = fig.subplots(2, 2)

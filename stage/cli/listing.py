@@ -106,7 +106,9 @@ def _print_evidence(motor: Any) -> None:
 def _list_models(args: argparse.Namespace) -> int:
     from stage.sim import plant
 
-    axes = {name: [a.name for a in plant.bind(plant.open_spec(name).compile())] for name in plant.list_model_names()}
+    axes = {
+        name: [a.name for a in plant.bind_axes(plant.open_spec(name).compile())] for name in plant.list_model_names()
+    }
     tell(args, axes)
     for name, names in axes.items():
         print(f"{name:10} axes {', '.join(names)}")

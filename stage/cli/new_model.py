@@ -32,7 +32,7 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the model, or print it."""
     from stage.sim import plant
-    from stage.sim.plant.new import NewAxis, new_model
+    from stage.sim.plant.new_model import NewAxis, new_model
     from stage.support.files import MODEL, check_ending, check_writable, write_atomically
 
     text = new_model([NewAxis.of(item) for item in args.axes.split(",")])
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     with write_atomically(args.output, args.force) as part:
         part.write_text(text, encoding="utf-8")
     model = plant.open_spec(args.output).compile()
-    tell(args, axes=[a.name for a in plant.bind(model)])
+    tell(args, axes=[a.name for a in plant.bind_axes(model)])
     print(plant.format_axes(model))
     name = shlex.quote(args.output)
     wrote(args, args.output, f"written. `stage home --model {name}` homes it, `stage view {name}` shows it.")

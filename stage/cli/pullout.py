@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         tell(args, likely_core_loss=estimate_core_loss(drive.motor))
         print(f"\n{describe_core_loss(drive.motor)}")
     if args.plot:
-        from stage.drives.picture import plot_pull_out
+        from stage.drives.pull_out_plot import plot_pull_out
 
         draw_plot(args, partial(plot_pull_out, drive, table))
     return 0

@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     model, _ = plant.compile_spec(plant.open_spec(args.model), 0)
     print(plant.format_axes(model))
     Stage(args.model)  # checks what a stage needs beyond the contract
-    tell(args, axes=[_describe_axis(axis) for axis in plant.bind(model)])
+    tell(args, axes=[_describe_axis(axis) for axis in plant.bind_axes(model)])
     if args.picture:
         draw_model(model, args.picture, args.camera, args.force)
         wrote(args, args.picture, "drawn")
@@ -108,7 +108,7 @@ def draw_model(model: Any, path: str, camera: str | None, overwrite: bool, key: 
     ax = figure.add_axes((0, 0, 1, 1))
     ax.imshow(image)
     ax.set_axis_off()
-    for k, axis in enumerate(plant.bind(model)):
+    for k, axis in enumerate(plant.bind_axes(model)):
         _draw_arrow(ax, model, data, eye, axis, k)
     save_figure(figure, path, 100, overwrite)
 

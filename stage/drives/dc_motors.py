@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from numbers import Real
 from typing import Any, ClassVar
 
-from stage.drives.drive import SERVO
+from stage.drives.drive_dispatch import SERVO
 from stage.drives.motors import MAX_BUS_VOLTAGE, check_in_range
 from stage.errors import ArgumentError, unknown_name_error
-from stage.support.arguments import explain_constructor
+from stage.support.argument_checks import explain_constructor
 
 MAX_COUNTS = 1 << 20
 MAX_CURRENT_A = 1000
@@ -55,7 +55,9 @@ class DCMotor:
         return self.torque_constant * self.nominal_voltage / self.resistance
 
 
-def _pittman(name: str, torque_constant: float, motor_constant: float, inertia: float, continuous: float) -> DCMotor:
+def _make_pittman_motor(
+    name: str, torque_constant: float, motor_constant: float, inertia: float, continuous: float
+) -> DCMotor:
     evidence = dict.fromkeys(("torque_constant", "rotor_inertia", "continuous_torque"), "S")
     evidence["resistance"] = "S: (torque constant / motor constant)^2"
     evidence["nominal_voltage"] = "S: no-load speed times torque constant, rounded up"
@@ -65,10 +67,10 @@ def _pittman(name: str, torque_constant: float, motor_constant: float, inertia: 
 DC_MOTORS: dict[str, DCMotor] = {
     m.name: m
     for m in (
-        _pittman("9233S013", 3.73e-2, 1.88e-2, 3.2e-6, 3.3e-2),
-        _pittman("14201S003", 5.25e-2, 3.14e-2, 1.1e-5, 7.1e-2),
-        _pittman("14203S010", 3.27e-2, 5.56e-2, 2.1e-5, 1.5e-1),
-        _pittman("14204S004", 3.06e-2, 6.09e-2, 2.6e-5, 1.8e-1),
+        _make_pittman_motor("9233S013", 3.73e-2, 1.88e-2, 3.2e-6, 3.3e-2),
+        _make_pittman_motor("14201S003", 5.25e-2, 3.14e-2, 1.1e-5, 7.1e-2),
+        _make_pittman_motor("14203S010", 3.27e-2, 5.56e-2, 2.1e-5, 1.5e-1),
+        _make_pittman_motor("14204S004", 3.06e-2, 6.09e-2, 2.6e-5, 1.8e-1),
     )
 }
 """Presets by name: Ametek Pittman."""

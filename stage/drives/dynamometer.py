@@ -124,18 +124,18 @@ def _check_inertia(drive: Drive, inertia: float) -> None:
 
 
 @exported(None, stepper.DRIVE, array_of("f8"), array_of("f8"), *["f8"] * 5, array_of(TRACE))
-def _simulate_motor(d, counts, load, inertia, viscous, damper, theta, omega, trace):
+def _simulate_motor(drive, counts, load, inertia, viscous, damper, theta, omega, trace):
     """Integrate the rotor's motion by leapfrog, and write each slice into `trace`.
 
     The torque of a slice acts at the rotor's angle in the middle of the slice. Friction can stop a rotor but never turns it.
     """
     case = omega
-    stepper.power_up(d, counts[0], d.per_pulse * counts[0] / d.teeth)
+    stepper.power_up(drive, counts[0], drive.per_pulse * counts[0] / drive.teeth)
     for k in range(len(counts)):
-        force = stepper.compute_slice_torque(d, counts[k], theta, omega, SLICE_S)
+        force = stepper.compute_slice_torque(drive, counts[k], theta, omega, SLICE_S)
         row = trace[k]
         row.count, row.theta, row.omega, row.torque = counts[k], theta, omega, force
-        row.current_a, row.current_b = d.current_a, d.current_b
+        row.current_a, row.current_b = drive.current_a, drive.current_b
         push, brake = omega + SLICE_S / inertia * (force + damper * case), SLICE_S / inertia * load[k]
         push = greatest(push - brake, 0.0) if push > 0.0 else least(push + brake, 0.0)
         omega = push / (1.0 + SLICE_S / inertia * (viscous + damper))

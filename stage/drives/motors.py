@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 from stage.drives import stepper
 from stage.drives.power_stages import IDEAL, PowerStage, find_power_stage
 from stage.errors import ArgumentError, unknown_name_error
-from stage.support.arguments import explain_constructor
+from stage.support.argument_checks import explain_constructor
 
 EVIDENCE = {"C": "fitted to a published pull-out curve", "S": "data sheet", "I": "inferred"}
 """Letters that begin the evidence of a preset's value, and what they mean; after ": " comes a tolerance or a reason."""

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from stage.errors import ArgumentError, LoadError, unknown_name_error
-from stage.support.arguments import explain_constructor
+from stage.support.argument_checks import explain_constructor
 
 GROUP = "pulsestage.power_stages"
 """The entry points of a package that name power stages."""

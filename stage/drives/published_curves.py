@@ -21,7 +21,7 @@ import numpy as np
 from stage.drives.dynamometer import simulate_pull_out
 from stage.drives.motors import Drive, Motor, check_in_range, find_motor
 from stage.errors import ArgumentError, unknown_name_error
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 
 MIN_POINTS = 3
 MAX_FITTED_POINTS = 6

@@ -21,8 +21,8 @@ import math
 
 import numpy as np
 
-from stage.drives.trig import SMALL, add_angles, sincos, sincos_of_small
-from stage.native import greatest, hot, least, record, room
+from stage.drives.trig import SMALL, add_angles, compute_sincos, compute_sincos_of_small_angle
+from stage.native import allocate_on_stack, greatest, hot, least, record
 
 CHOPPER, SINE, SERVO = range(3)  # modes
 A, B = 1, 2  # phases
@@ -42,108 +42,110 @@ DRIVE = record(
     ]
     + [("mode", "i8"), ("open", "i8")]
 )
-"""One motor and drive, SI units, or a SERVO: see servo.py; `per_pulse` is then the rotor's angle a count of the encoder, `teeth` 1,
-`current` the amplifier's current limit, 0 for none, and `back` the speed of the rotor at the step before, rad/s.
-`teeth`: rotor teeth Nr; `per_pulse`: electrical radians a pulse; `open`: the phases that are
-open, A + B; whoever sets a parameter sets `slice` to 0."""
+"""One motor and drive, SI units, or a SERVO: see servo_amplifier.py; `per_pulse` is then the rotor's angle a count of the
+encoder, `teeth` 1, `current` the amplifier's current limit, 0 for none, and `back` the speed of the rotor at the step before,
+rad/s. `teeth`: rotor teeth Nr; `per_pulse`: electrical radians a pulse; `open`: the phases that are open, A + B; whoever sets a
+parameter sets `slice` to 0."""
 SIN, COS, WAVES = range(3)
 """What `compute_mean_torque` keeps of each slice: sine and cosine of an angle."""
 
 
 @hot
-def compute_load_angle(d, count, theta):
+def compute_load_angle(drive, count, theta):
     """Return commanded minus rotor angle, electrical radians, not wrapped.
 
     Args:
-        d: DRIVE record.
+        drive: DRIVE record.
         count: Pulses.
         theta: Rotor angle, rad.
     """
-    return d.offset + d.per_pulse * count - theta * d.teeth
+    return drive.offset + drive.per_pulse * count - theta * drive.teeth
 
 
 @hot
-def to_rotor_angle(d, angle):
+def to_rotor_angle(drive, angle):
     """Convert electrical to rotor radians."""
-    return angle / d.teeth
+    return angle / drive.teeth
 
 
 @hot
-def count_lost_steps(d, count, theta):
+def count_lost_steps(drive, count, theta):
     """Return the full steps by which the rotor lags its pulses: 4 for each electrical turn slipped."""
-    return 4 * int(math.floor(compute_load_angle(d, count, theta) / (2.0 * math.pi) + 0.5))
+    return 4 * int(math.floor(compute_load_angle(drive, count, theta) / (2.0 * math.pi) + 0.5))
 
 
 @hot
-def power_up(d, count, theta):
+def power_up(drive, count, theta):
     """Power up without a jump: put the field on the microstep nearest to the rotor, with the currents at their targets.
 
     This is a simplification: a real drive powers up on its home microstep and pulls the rotor there, by up to two full
     steps.
     """
-    d.offset = math.floor(theta * d.teeth / d.per_pulse + 0.5) * d.per_pulse - d.per_pulse * count
-    phi = d.offset + d.per_pulse * count
-    s, c = sincos(phi)
-    d.current_a, d.current_b = d.current * c, d.current * s
+    drive.offset = math.floor(theta * drive.teeth / drive.per_pulse + 0.5) * drive.per_pulse - drive.per_pulse * count
+    phi = drive.offset + drive.per_pulse * count
+    s, c = compute_sincos(phi)
+    drive.current_a, drive.current_b = drive.current * c, drive.current * s
 
 
 @hot
-def _compute_slice_constants(d, h):
+def _compute_slice_constants(drive, slice_s):
     """Compute the constants of the currents' differential equation over a slice of h seconds.
 
     Returns:
         Share of a current that is left at the end, the current that the bus voltage adds, and the current that the back-EMF
         takes for each rad/s.
     """
-    d.slice = h
-    d.keep = math.exp(-h * d.resistance / d.inductance)
-    d.reach = (1.0 - d.keep) * d.voltage / d.resistance
-    d.back = (1.0 - d.keep) * d.torque_constant / d.resistance
+    drive.slice = slice_s
+    drive.keep = math.exp(-slice_s * drive.resistance / drive.inductance)
+    drive.reach = (1.0 - drive.keep) * drive.voltage / drive.resistance
+    drive.back = (1.0 - drive.keep) * drive.torque_constant / drive.resistance
 
 
 @hot
-def _pull_out_voltage(d, omega):
+def _compute_voltage_limited_torque(drive, omega):
     """Return T_V: the largest torque that a voltage source of amplitude V sustains at a speed (spec/drives.md, 1)."""
-    x = d.teeth * omega * d.inductance
-    z2 = d.resistance * d.resistance + x * x
-    return d.torque_constant * (d.voltage / math.sqrt(z2) - d.torque_constant * abs(omega) * d.resistance / z2)
+    x = drive.teeth * omega * drive.inductance
+    z2 = drive.resistance * drive.resistance + x * x
+    return drive.torque_constant * (
+        drive.voltage / math.sqrt(z2) - drive.torque_constant * abs(omega) * drive.resistance / z2
+    )
 
 
 @hot
-def _is_sine_held(d, omega):
+def _is_sine_held(drive, omega):
     """Tell whether the bus voltage of a sine drive keeps the currents at their targets at this speed."""
-    return d.mode == SINE and _pull_out_voltage(d, omega) >= d.torque_constant * d.current
+    return drive.mode == SINE and _compute_voltage_limited_torque(drive, omega) >= drive.torque_constant * drive.current
 
 
 @hot
-def _advance_slice(d, a, b, ta, tb, s, c, omega, sine_held):
+def _advance_slice(drive, a, b, ta, tb, s, c, omega, sine_held):
     """Compute the currents at the end of a slice, and their means over it.
 
     The mean of a current is that of its two ends, which is exact but for h R / (12 L) of the change.
 
     Args:
-        d: DRIVE record.
+        drive: DRIVE record.
         a, b: Currents at the beginning, A.
         ta, tb: Cosine and sine of the commanded phase.
         s, c: Sine and cosine of the rotor's phase.
         omega: Speed of the rotor, rad/s.
         sine_held: Result of `_is_sine_held`.
     """
-    push = d.back * omega
-    ia, ib = d.current * ta, d.current * tb
-    if d.mode == CHOPPER:  # on target if a voltage within the bus takes it there, else as far as it gets
-        ia = least(greatest(ia, a * d.keep + (push * s - d.reach)), a * d.keep + (push * s + d.reach))
-        ib = least(greatest(ib, b * d.keep - (push * c + d.reach)), b * d.keep - (push * c - d.reach))
+    push = drive.back * omega
+    ia, ib = drive.current * ta, drive.current * tb
+    if drive.mode == CHOPPER:  # on target if a voltage within the bus takes it there, else as far as it gets
+        ia = least(greatest(ia, a * drive.keep + (push * s - drive.reach)), a * drive.keep + (push * s + drive.reach))
+        ib = least(greatest(ib, b * drive.keep - (push * c + drive.reach)), b * drive.keep - (push * c - drive.reach))
     elif sine_held:
         a, b = ia, ib
     else:
-        ia = a * d.keep + (push * s + d.reach * ta)
-        ib = b * d.keep - (push * c - d.reach * tb)
+        ia = a * drive.keep + (push * s + drive.reach * ta)
+        ib = b * drive.keep - (push * c - drive.reach * tb)
     return ia, ib, 0.5 * (a + ia), 0.5 * (b + ib)
 
 
 @hot
-def _place_targets(d, waves, counts, n, turn, omega):
+def _place_targets(drive, waves, counts, n_slices, turn, omega):
     """Write into `waves` the angles from the rotor to the targets of the currents at the end of each slice.
 
     Each entry is sine and cosine of that angle, relative to the angle of the slice that ends in the middle of the window. The
@@ -152,20 +154,20 @@ def _place_targets(d, waves, counts, n, turn, omega):
     Returns:
         Whether these angles are small, and whether the bus voltage takes the currents from target to target.
     """
-    per_pulse, middle = d.per_pulse, counts[MIDDLE_SLICE]
-    allowed = d.reach - abs(d.back * omega) - d.current * (1.0 - d.keep)
+    per_pulse, middle = drive.per_pulse, counts[MIDDLE_SLICE]
+    allowed = drive.reach - abs(drive.back * omega) - drive.current * (1.0 - drive.keep)
     outside = False
-    for k in range(n):
+    for k in range(n_slices):
         angle = per_pulse * (counts[k] - middle) - turn * ENDS[k]
         outside |= abs(angle) > SMALL
-        waves[SIN, k], waves[COS, k] = sincos_of_small(angle)
-    for k in range(1, n):
-        outside |= d.current * per_pulse * abs(counts[k] - counts[k - 1]) > allowed
+        waves[SIN, k], waves[COS, k] = compute_sincos_of_small_angle(angle)
+    for k in range(1, n_slices):
+        outside |= drive.current * per_pulse * abs(counts[k] - counts[k - 1]) > allowed
     return not outside
 
 
 @hot
-def _follow_targets(d, waves, s, c, psi_s, psi_c, s4, c4, omega):
+def _advance_on_targets(drive, waves, s, c, psi_s, psi_c, s4, c4, omega):
     """Advance the currents of a chopper that reaches its target in every slice, so that slices do not depend on each other.
 
     Args:
@@ -179,16 +181,16 @@ def _follow_targets(d, waves, s, c, psi_s, psi_c, s4, c4, omega):
         Sum over the slices of the current across the rotor, which makes torque, A; sum of that along the rotor, times the distance
         from the middle in slices, A; whether the first target is reached. Otherwise nothing has changed.
     """
-    x, y, current = waves[SIN], waves[COS], d.current
+    x, y, current = waves[SIN], waves[COS], drive.current
     target_s, target_c = current * x[0], current * y[0]
     psi_s, psi_c = add_angles(psi_s, psi_c, -s, c)
     # the currents at the beginning, as the rotor sees them then and at the end of the first slice
-    across, along = add_angles(d.current_b, d.current_a, -s, c)
+    across, along = add_angles(drive.current_b, drive.current_a, -s, c)
     across, along = add_angles(across, along, s4, c4)
     then_s, then_c = add_angles(across, along, -x[MIDDLE_SLICE], y[MIDDLE_SLICE])
     target_s, target_c = add_angles(target_s, target_c, psi_s, psi_c)
-    change_s, change_c = target_s - d.keep * then_s, target_c - d.keep * then_c
-    reach = d.reach - abs(d.back * omega)
+    change_s, change_c = target_s - drive.keep * then_s, target_c - drive.keep * then_c
+    reach = drive.reach - abs(drive.back * omega)
     if change_s * change_s + change_c * change_c > reach * reach:
         return 0.0, 0.0, False
     sum_s = ((x[0] + x[6]) + (x[1] + x[5])) + ((x[2] + x[4]) + 0.5 * x[7])
@@ -198,14 +200,14 @@ def _follow_targets(d, waves, s, c, psi_s, psi_c, s4, c4, omega):
     last_s, last_c = add_angles(x[7], y[7], psi_s, psi_c)
     last_s, last_c = add_angles(last_s, last_c, s4, c4)
     last_s, last_c = add_angles(last_s, last_c, s, c)
-    d.current_a, d.current_b = current * last_c, current * last_s
+    drive.current_a, drive.current_b = current * last_c, current * last_s
     total = current * (sum_s * psi_c + sum_c * psi_s) + 0.5 * across
     return total, current * (moment_c * psi_c - moment_s * psi_s) - 2.0 * along, True
 
 
 @hot
-def _follow_slices(d, waves, counts, n, s, c, turn_s, turn_c, omega, half):
-    """Advance the currents slice by slice, for every kind of drive and bus voltage; see `_follow_targets`.
+def _advance_by_slices(drive, waves, counts, n_slices, s, c, turn_s, turn_c, omega, half):
+    """Advance the currents slice by slice, for every kind of drive and bus voltage; see `_advance_on_targets`.
 
     An open phase carries no current, whatever the drive commands.
 
@@ -215,17 +217,17 @@ def _follow_slices(d, waves, counts, n, s, c, turn_s, turn_c, omega, half):
         turn_s, turn_c: Sine and cosine of the angle by which the rotor turns in each slice.
         half: Electrical radians by which the rotor turns in half a slice.
     """
-    for k in range(n):
-        waves[SIN, k], waves[COS, k] = sincos(d.offset + d.per_pulse * counts[k])
-    a, b, opened = d.current_a, d.current_b, d.open
-    hs, hc = sincos(half)
-    sine_held = _is_sine_held(d, omega)
+    for k in range(n_slices):
+        waves[SIN, k], waves[COS, k] = compute_sincos(drive.offset + drive.per_pulse * counts[k])
+    a, b, opened = drive.current_a, drive.current_b, drive.open
+    hs, hc = compute_sincos(half)
+    sine_held = _is_sine_held(drive, omega)
     total = tilt = 0.0
     if not sine_held:
         total, tilt = 0.5 * (b * c - a * s), -0.5 * (SLICES // 2) * (a * c + b * s)
-    for k in range(n):
+    for k in range(n_slices):
         middle_s, middle_c = add_angles(s, c, hs, hc)
-        a, b, _, _ = _advance_slice(d, a, b, waves[COS, k], waves[SIN, k], middle_s, middle_c, omega, sine_held)
+        a, b, _, _ = _advance_slice(drive, a, b, waves[COS, k], waves[SIN, k], middle_s, middle_c, omega, sine_held)
         if opened & A:
             a = 0.0
         if opened & B:
@@ -235,15 +237,15 @@ def _follow_slices(d, waves, counts, n, s, c, turn_s, turn_c, omega, half):
             total += b * middle_c - a * middle_s
             tilt += (k + 0.5 - SLICES // 2) * (a * middle_c + b * middle_s)
             continue
-        weight = 0.5 if k == n - 1 else 1.0
+        weight = 0.5 if k == n_slices - 1 else 1.0
         total += weight * (b * c - a * s)
         tilt += weight * (k + 1 - SLICES // 2) * (a * c + b * s)
-    d.current_a, d.current_b = a, b
+    drive.current_a, drive.current_b = a, b
     return total, tilt
 
 
 @hot
-def compute_mean_torque(d, counts, n, theta, omega, h, gain=0.0):
+def compute_mean_torque(drive, counts, n_slices, theta, omega, slice_s, gain=0.0):
     """Advance the currents by a window of SLICES slices of h seconds, and return the mean torque on the rotor, N m.
 
     The mean is that of the torques at the ends of the slices, the first and the last with half their weight: of what comes again
@@ -252,59 +254,61 @@ def compute_mean_torque(d, counts, n, theta, omega, h, gain=0.0):
     T(omega + gain T), solved with the slope of T, which is small. The currents take the back-EMF of omega.
 
     Args:
-        d: DRIVE record of a stepper.
+        drive: DRIVE record of a stepper.
         counts: (SLICES,), commanded pulses, mean over each slice.
-        n: SLICES, as a number that the compiler does not know: it would unroll the loops, and make no vectors of them.
+        n_slices: SLICES, as a number that the compiler does not know: it would unroll the loops, and make no vectors of them.
         theta: Rotor angle in the middle of the window, rad.
         omega: Its speed half a window earlier, rad/s.
-        h: Length of a slice, s.
+        slice_s: Length of a slice, s.
         gain: Speed that a newton metre adds in half of the window, rad/s.
     """
-    if d.slice != h:
-        _compute_slice_constants(d, h)
-    waves = room(WAVES, SLICES)
-    s, c = sincos(theta * d.teeth)
-    psi_s, psi_c = sincos(d.offset + d.per_pulse * counts[MIDDLE_SLICE])
-    turn = omega * h * d.teeth
-    on_target = d.mode == CHOPPER and d.open == 0 and _place_targets(d, waves, counts, n, turn, omega)
+    if drive.slice != slice_s:
+        _compute_slice_constants(drive, slice_s)
+    waves = allocate_on_stack(WAVES, SLICES)
+    s, c = compute_sincos(theta * drive.teeth)
+    psi_s, psi_c = compute_sincos(drive.offset + drive.per_pulse * counts[MIDDLE_SLICE])
+    turn = omega * slice_s * drive.teeth
+    on_target = (
+        drive.mode == CHOPPER and drive.open == 0 and _place_targets(drive, waves, counts, n_slices, turn, omega)
+    )
     if on_target:
         s1, c1 = waves[SIN, MIDDLE_SLICE], waves[COS, MIDDLE_SLICE]
     else:
-        s1, c1 = sincos(turn)
+        s1, c1 = compute_sincos(turn)
     s2, c2 = add_angles(s1, c1, s1, c1)
     s4, c4 = add_angles(s2, c2, s2, c2)
     s8, c8 = add_angles(s4, c4, s4, c4)
     total = tilt = 0.0
     if on_target:
-        total, tilt, on_target = _follow_targets(d, waves, s, c, psi_s, psi_c, s4, c4, omega)
+        total, tilt, on_target = _advance_on_targets(drive, waves, s, c, psi_s, psi_c, s4, c4, omega)
     if not on_target:
         begin_s, begin_c = add_angles(s, c, -s4, c4)
-        total, tilt = _follow_slices(d, waves, counts, n, begin_s, begin_c, s1, c1, omega, 0.5 * turn)
+        total, tilt = _advance_by_slices(drive, waves, counts, n_slices, begin_s, begin_c, s1, c1, omega, 0.5 * turn)
     # of SLICES angles in equal steps the mean sine is that of the middle times c2 c4 c8
-    detent = d.detent * 4.0 * s * c * (c * c - s * s)
-    constant = d.torque_constant / SLICES
+    detent = drive.detent * 4.0 * s * c * (c * c - s * s)
+    constant = drive.torque_constant / SLICES
     torque = constant * total - detent * c2 * c4 * c8
     slope = 2.0 * detent * (s2 * c4 * c8 + 2.0 * c2 * s4 * c8 + 4.0 * c2 * c4 * s8) - constant * tilt
-    return torque / (1.0 - least(greatest(gain * slope * h * d.teeth, -0.5), 0.5))
+    return torque / (1.0 - least(greatest(gain * slope * slice_s * drive.teeth, -0.5), 0.5))
 
 
 @hot
-def compute_slice_torque(d, count, theta, omega, h):
+def compute_slice_torque(drive, count, theta, omega, slice_s):
     """Advance the currents by one slice and return the mean torque, as `compute_mean_torque`; for benches, where no phase is open.
 
     Args:
-        d: DRIVE record.
+        drive: DRIVE record.
         count: Commanded pulses, mean over the slice.
         theta: Rotor angle in the middle of the slice, rad.
         omega: Speed of the rotor, rad/s.
-        h: Length of the slice, s.
+        slice_s: Length of the slice, s.
     """
-    if d.slice != h:
-        _compute_slice_constants(d, h)
-    tb, ta = sincos(d.offset + d.per_pulse * count)
-    s, c = sincos(theta * d.teeth)
-    sine_held = _is_sine_held(d, omega)
-    d.current_a, d.current_b, mean_a, mean_b = _advance_slice(
-        d, d.current_a, d.current_b, ta, tb, s, c, omega, sine_held
+    if drive.slice != slice_s:
+        _compute_slice_constants(drive, slice_s)
+    tb, ta = compute_sincos(drive.offset + drive.per_pulse * count)
+    s, c = compute_sincos(theta * drive.teeth)
+    sine_held = _is_sine_held(drive, omega)
+    drive.current_a, drive.current_b, mean_a, mean_b = _advance_slice(
+        drive, drive.current_a, drive.current_b, ta, tb, s, c, omega, sine_held
     )
-    return d.torque_constant * (mean_b * c - mean_a * s) - d.detent * 4.0 * s * c * (c * c - s * s)
+    return drive.torque_constant * (mean_b * c - mean_a * s) - drive.detent * 4.0 * s * c * (c * c - s * s)

@@ -13,10 +13,10 @@ FIRST, SECOND, THIRD = 1.5707963267341256, 6.077100506303966e-11, 2.022266248795
 
 
 @hot
-def sincos(x):
+def compute_sincos(angle):
     """Compute (sin x, cos x), x in radians. No branch and no integer, so that a loop over it makes vector instructions."""
-    k = floor(x * QUARTERS + 0.5)
-    r = x - k * FIRST - k * SECOND - k * THIRD
+    k = floor(angle * QUARTERS + 0.5)
+    r = angle - k * FIRST - k * SECOND - k * THIRD
     z = r * r
     s = 8.333333333322489e-3 + z * (-1.98412698298579493134e-4 + z * (2.75573137070700676789e-6
         + z * (-2.50507602534068634195e-8 + z * 1.58969099521155010221e-10)))  # fmt: skip
@@ -34,12 +34,12 @@ SMALL = 0.25  # rad
 
 
 @hot
-def sincos_of_small(r):
-    """Compute (sin r, cos r) of an angle of up to SMALL, by Taylor's series: less than half of the work of `sincos`."""
-    z = r * r
+def compute_sincos_of_small_angle(angle):
+    """Compute (sin r, cos r) of an angle of up to SMALL, by Taylor's series: less than half of the work of `compute_sincos`."""
+    z = angle * angle
     s = -1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362880.0 - z * (1.0 / 39916800.0))))
     c = 1.0 / 24.0 + z * (-1.0 / 720.0 + z * (1.0 / 40320.0 - z * (1.0 / 3628800.0)))
-    return r + r * z * s, 1.0 - z * (0.5 - z * c)
+    return angle + angle * z * s, 1.0 - z * (0.5 - z * c)
 
 
 @hot

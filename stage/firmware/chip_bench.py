@@ -23,7 +23,7 @@ from stage.chips import Chip
 from stage.chips.chip import Bus, Pins, check_clock, split_run
 from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware.axis import check_seconds
-from stage.support.arguments import explain_arguments, explain_constructor
+from stage.support.argument_checks import explain_arguments, explain_constructor
 
 DEFAULT_AXIS_NAMES = "xyzuvw"
 PositionSpan = tuple[int | None, int | None]
@@ -100,7 +100,7 @@ class BenchAxis:
                 break
             pulses = np.empty(n, core.PULSE)
             replica = self._copy_record()
-            core.trace.c(replica.ctypes.data, clock, pulses.ctypes.data, n)
+            core.trace_pulses.c(replica.ctypes.data, clock, pulses.ctypes.data, n)
             places = place + np.cumsum(pulses["direction"], dtype=np.int64)
             changed = np.zeros(n, bool)
             for pin, span in self._spans.items():

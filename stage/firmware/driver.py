@@ -16,8 +16,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, cast
 
 from stage.chips import Chip, contract
-from stage.chips.entries import WRITE
-from stage.chips.sharing import Lock, exclusive
+from stage.chips.exclusive_access import Lock, exclusive
+from stage.chips.journal_entries import WRITE
 from stage.errors import ArgumentError, RunTimeout, StageError, add_article
 from stage.firmware.axis import Axis, check_origin
 from stage.firmware.operation_pattern import OperationPattern
@@ -121,7 +121,7 @@ class Driver(ABC):
         "run",
         "halt",
     )
-    """Methods of several bus cycles, during which no other thread uses the chip, see stage.chips.sharing."""
+    """Methods of several bus cycles, during which no other thread uses the chip, see stage.chips.exclusive_access."""
 
     has_position_loop: ClassVar[bool] = False
     """Whether the chip closes a position loop over an encoder: its pulses are counts of the encoder, and no step is lost."""

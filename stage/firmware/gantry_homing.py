@@ -20,7 +20,7 @@ from stage.firmware.procedures import line, parse_speeds
 from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.firmware.synchronized_report import SynchronizedReport
 from stage.sim.axis import Axis
-from stage.support.arguments import check_timeout
+from stage.support.argument_checks import check_timeout
 
 SEARCH_STEP_RATIO = 1 / 60  # of the travel: what the load bears if one axis alone goes so far
 SOLO_SPEED_RATIO = 0.25  # of the speed, for an axis alone

@@ -22,7 +22,7 @@ from stage.chips import cores
 from stage.errors import ArgumentError
 from stage.firmware.driver import Driver
 from stage.firmware.parameter_ranges import get_register_range
-from stage.sim import play
+from stage.sim import program_player
 from stage.sim.program import Program
 
 MAX_RAMP_SHARE = 0.8  # of a short move may be ramps
@@ -221,9 +221,9 @@ class LinePrograms(ABC):
             rows = np.frombuffer(bytearray(fresh), chip.CORE.STATE)
             replica = np.zeros(1, cores.CHIP)
             cores.fill_chip_record(replica[0], chip.CORE, rows.ctypes.data)
-            play.write_cycles(replica, ops, sum(1 << self.drivers[a].index for a in mine))
+            program_player.write_cycles(replica, ops, sum(1 << self.drivers[a].index for a in mine))
             pulses = np.empty(int(np.abs(distances[mine]).sum()), chip.CORE.PULSE)
-            pulses = pulses[: chip.CORE.trace.c(rows.ctypes.data, MAX_CLOCKS, pulses.ctypes.data, len(pulses))]
+            pulses = pulses[: chip.CORE.trace_pulses.c(rows.ctypes.data, MAX_CLOCKS, pulses.ctypes.data, len(pulses))]
             for a in mine:
                 out[a] = pulses["clock"][pulses["axis"] == self.drivers[a].axis.chip_axis]
         return out

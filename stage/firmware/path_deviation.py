@@ -161,7 +161,7 @@ def replay_pulses(journal: Journal) -> np.ndarray:
         while clock[0] < until:
             to = min(until, int(clock[0]) + REPLAY_CHUNK_TICKS)
             out = np.zeros(core.advance(rows.copy(), to), core.PULSE)
-            core.trace.c(rows.ctypes.data, to, out.ctypes.data, len(out))
+            core.trace_pulses.c(rows.ctypes.data, to, out.ctypes.data, len(out))
             parts.append(out)
 
     for e in journal.entries:

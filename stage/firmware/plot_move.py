@@ -16,7 +16,7 @@ from stage.firmware.driver import get_driver_class
 from stage.firmware.operation_pattern import OperationPattern, PatternNote
 from stage.support.extras import import_extra
 from stage.support.files import save_figure
-from stage.support.pictures import COLORS, FRAME_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame
+from stage.support.plot_style import COLORS, FRAME_COLOR, MUTED_COLOR, TEXT_COLOR, remove_frame
 
 if TYPE_CHECKING:
     from stage.firmware.move_report import Report

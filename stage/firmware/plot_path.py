@@ -10,7 +10,7 @@ from stage.firmware.path_deviation import compute_path_points
 from stage.firmware.plot_move import LINE, SIZE
 from stage.support.extras import import_extra
 from stage.support.files import save_figure
-from stage.support.pictures import MUTED_COLOR, TEXT_COLOR, remove_frame
+from stage.support.plot_style import MUTED_COLOR, TEXT_COLOR, remove_frame
 
 if TYPE_CHECKING:
     from stage.firmware.synchronized_report import SynchronizedReport

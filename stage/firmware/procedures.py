@@ -13,13 +13,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from stage.chips.sharing import exclusive
+from stage.chips.exclusive_access import exclusive
 from stage.errors import ArgumentError, add_article
 from stage.firmware.axis import AxesByName, Axis, check_direction, check_seconds, get_forward_direction
 from stage.firmware.driver import DEFAULT_RAMP_S, DUAL_RATE_ORDER, Driver, Speeds, get_default_speeds, get_driver
 from stage.firmware.move_report import ProcedureObserver, Report
 from stage.firmware.synchronized_report import SynchronizedReport, select_axes
-from stage.support.arguments import check_timeout, explain_arguments
+from stage.support.argument_checks import check_timeout, explain_arguments
 
 
 @explain_arguments

@@ -7,31 +7,32 @@
     def read(c, address): ...                  a function of the library: Python, C and other hot functions call it
 
 The sources are plain Python over records, scalars and arrays: no allocation, no strings, no exceptions. When a package is built
-(build.py), numba types them, LLVM makes one object of each part (emit.py) and a linker one shared library, `_native.so` in the
-package's folder. At run time load.py checks that it was built from these sources for this machine, and ctypes loads it.
-With NUMBA_DISABLE_JIT=1 the same functions run as plain Python, to the same bits: for debugging, coverage and fuzzing.
+(build.py), numba types them, LLVM makes one object of each part (object_emitter.py) and a linker one shared library,
+`_native.so` in the package's folder. At run time load.py checks that it was built from these sources for this machine, and
+ctypes loads it. With NUMBA_DISABLE_JIT=1 the same functions run as plain Python, to the same bits: for debugging, coverage and
+fuzzing.
 
 A package outside this one is built in the same way: `python -m stage.native PACKAGE`.
 """
 
 from stage.native.arithmetic import floor, greatest, least
-from stage.native.functions import (
+from stage.native.compile_mode import COMPILED
+from stage.native.hot_functions import (
     Exported,
     array_of,
-    called,
+    declare_address_call,
     enter_usual_float_mode,
-    exchange,
     exported,
     get_frame_address,
     hot,
+    make_compare_and_exchange,
     restore_previous_float_mode,
     stack_mark,
 )
-from stage.native.mode import COMPILED
-from stage.native.records import address_of, array_at, record, room, without_attributes
+from stage.native.record_dtypes import address_of, allocate_on_stack, array_at, record, without_attributes
 
 __all__ = [
-    "COMPILED", "Exported", "address_of", "array_at", "array_of", "called", "enter_usual_float_mode", "exchange", "exported",
-    "floor", "get_frame_address", "greatest", "hot", "least", "record", "restore_previous_float_mode", "room", "stack_mark",
-    "without_attributes",
+    "COMPILED", "Exported", "address_of", "array_at", "array_of", "declare_address_call", "enter_usual_float_mode",
+    "make_compare_and_exchange", "exported", "floor", "get_frame_address", "greatest", "hot", "least", "record",
+    "restore_previous_float_mode", "allocate_on_stack", "stack_mark", "without_attributes",
 ]  # fmt: skip

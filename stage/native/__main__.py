@@ -3,14 +3,14 @@
 import sys
 
 from stage.errors import NativeError
-from stage.native.build import build
+from stage.native.build import build_library
 
 
 def main() -> int:
     """Build the packages named; return 1 where one cannot be built."""
     for package in sys.argv[1:] or ["stage"]:
         try:
-            print(build(package))
+            print(build_library(package))
         except NativeError as error:
             print(error, file=sys.stderr)
             return 1

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.native.functions import hot
+from stage.native.hot_functions import hot
 
 
 @hot

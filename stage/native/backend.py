@@ -21,12 +21,12 @@ sys.path.insert(0, str(ROOT))  # the sources, not what may be installed
 from stage.native import build, index_page, load  # noqa: E402
 
 LINKER = "ziglang==0.15.2"
-index_page.write(ROOT)  # pyproject.toml names it, and every hook reads that
+index_page.write_index_page(ROOT)  # pyproject.toml names it, and every hook reads that
 
 
 def list_requirements() -> list[str]:
     """List the distributions that the build of the library needs; none where it is up to date."""
-    if not load.find_misfit("stage", ROOT / "stage" / load.NAME):
+    if not load.explain_library_misfit("stage", ROOT / "stage" / load.NAME):
         return []
     linkers = [] if any(map(shutil.which, build.COMPILERS)) else [LINKER]
     return [f"numba=={build.NUMBA}", *linkers]
@@ -44,13 +44,13 @@ def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
 
 def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
     """PEP 517."""
-    build.build("stage")
+    build.build_library("stage")
     return str(build_meta.build_wheel(wheel_directory, config_settings, metadata_directory))
 
 
 def build_editable(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
     """PEP 660."""
-    build.build("stage")
+    build.build_library("stage")
     return str(build_meta.build_editable(wheel_directory, config_settings, metadata_directory))
 
 

@@ -29,7 +29,7 @@ from typing import Any
 
 from stage.errors import NativeError
 from stage.native import load, object_files
-from stage.support.processes import ENCODING, ERRORS
+from stage.support.subprocesses import ENCODING, ERRORS
 
 NUMBA = "0.68.1"
 """The one version that libraries are made with: what it lowers to is part of what they do."""
@@ -46,7 +46,7 @@ def build_missing(package: str, why: str) -> Path:
 
     Args:
         package: Name of the package.
-        why: Reason, as `load.find_misfit` gives it, for the error.
+        why: Reason, as `load.explain_library_misfit` gives it, for the error.
 
     Returns:
         Path of the library.
@@ -59,10 +59,10 @@ def build_missing(package: str, why: str) -> Path:
         raise NativeError(
             f"{why}; and {' and '.join(lacking)}, to build it, are not installed. {load.advise_install(package)}"
         )
-    return build(package)
+    return build_library(package)
 
 
-def build(package: str) -> Path:
+def build_library(package: str) -> Path:
     """Bring the library of a package up to date. Progress goes to standard error.
 
     Args:
@@ -79,11 +79,11 @@ def build(package: str) -> Path:
     try:
         try:
             with _build_lock(folder):
-                return _build(package, places, folder)
+                return _build_library(package, places, folder)
         except PermissionError:
             folder = Path(tempfile.mkdtemp(prefix="pulsestage-"))  # 0700; for this process
             atexit.register(shutil.rmtree, folder, ignore_errors=True)
-            return _build(package, places, folder)
+            return _build_library(package, places, folder)
     except OSError as error:
         raise NativeError(
             f"the native library of {package} could not be written to {error.filename or folder}: "
@@ -91,9 +91,9 @@ def build(package: str) -> Path:
         ) from error
 
 
-def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
+def _build_library(package: str, places: dict[str, Path], folder: Path) -> Path:
     path = folder / load.NAME
-    if not load.find_misfit(package, path):
+    if not load.explain_library_misfit(package, path):
         return path  # somebody else has built it meanwhile
     if (installed := version("numba")) != NUMBA:
         raise NativeError(
@@ -120,7 +120,7 @@ def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
                 old.unlink(missing_ok=True)
             missing.append((sum(known[m].stat().st_size for m in closure if m in known), [str(target), *modules]))
     say = _ProgressLine(f"PulseStage: building the native library of {package}", len(missing), len(parts))
-    _emit([part for _, part in sorted(missing, reverse=True)], roots, processor, say)
+    _emit_objects([part for _, part in sorted(missing, reverse=True)], roots, processor, say)
     manifest = {
         "digest": load.NO_DIGEST,
         "target": load.describe_target(),
@@ -130,7 +130,7 @@ def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
     }
     temporary = path.with_name(f"{path.name}.{os.getpid()}")
     try:
-        _link(objects, _manifest_object(manifest, object_cache), temporary, complete=package == "stage")
+        _link_library(objects, _manifest_object(manifest, object_cache), temporary, complete=package == "stage")
         if sys.platform == "linux":  # elsewhere the linker signs
             content = temporary.read_bytes()
             digest = load.digest_content(content, load.NO_DIGEST)
@@ -160,16 +160,18 @@ def _find_dependencies(modules: list[str], known: dict[str, Path]) -> dict[str, 
     exported functions that they import and call by their symbols.
     """
     digests: dict[str, str] = {}
-    left = [f"stage.native.{name}" for name in ("arithmetic", "emit", "typed")] + list(modules)
+    left = [f"stage.native.{name}" for name in ("arithmetic", "object_emitter", "numba_implementations")] + list(
+        modules
+    )
     while left:
         module = left.pop()
         if module not in digests:
             tree = _read_code(known[module])
-            digests[module] = _digest(tree)
+            digests[module] = _digest_code(tree)
             for origin, name in _list_imports(module, tree, known):
-                signature = _signature(_read_code(known[origin]), name)
+                signature = _find_exported_signature(_read_code(known[origin]), name)
                 if signature:
-                    digests[f"{origin} {name}"] = _digest(signature)
+                    digests[f"{origin} {name}"] = _digest_code(signature)
                 else:
                     left.append(origin)
     return dict(sorted(digests.items()))
@@ -177,11 +179,11 @@ def _find_dependencies(modules: list[str], known: dict[str, Path]) -> dict[str, 
 
 def _read_code(source: Path) -> ast.Module:
     """Return the code of a source file: no comment, no docstring, no place of a line changes it."""
-    return _parse(source.read_text(encoding="utf-8"))
+    return _parse_code(source.read_text(encoding="utf-8"))
 
 
 @cache
-def _parse(text: str) -> ast.Module:
+def _parse_code(text: str) -> ast.Module:
     tree = ast.parse(text)
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
@@ -190,11 +192,11 @@ def _parse(text: str) -> ast.Module:
     return tree
 
 
-def _digest(code: ast.AST) -> str:
+def _digest_code(code: ast.AST) -> str:
     return hashlib.sha256(ast.dump(code).encode()).hexdigest()[:16]
 
 
-def _signature(tree: ast.Module, name: str) -> ast.expr | None:
+def _find_exported_signature(tree: ast.Module, name: str) -> ast.expr | None:
     """Return the signature of an exported function that is called by its symbol; one that takes arrays is compiled into callers."""
     for node in tree.body:
         if isinstance(node, ast.FunctionDef) and node.name == name:
@@ -219,7 +221,7 @@ def _list_imports(module: str, tree: ast.Module, known: dict[str, Path]) -> Iter
                     yield origin, alias.name
 
 
-def _emit(parts: list[list[str]], roots: dict[str, Path], processor: str, say: _ProgressLine) -> None:
+def _emit_objects(parts: list[list[str]], roots: dict[str, Path], processor: str, say: _ProgressLine) -> None:
     """Make objects, by a process for each processor."""
     if not parts:
         return
@@ -234,7 +236,7 @@ def _emit(parts: list[list[str]], roots: dict[str, Path], processor: str, say: _
         "workers": min(len(parts), os.cpu_count() or 1),
     }
     process: Any = subprocess.Popen(
-        [sys.executable, "-m", "stage.native.emit"], env=environment, encoding=ENCODING, errors=ERRORS,
+        [sys.executable, "-m", "stage.native.object_emitter"], env=environment, encoding=ENCODING, errors=ERRORS,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
     with process:
@@ -265,7 +267,7 @@ def _manifest_object(manifest: dict[str, Any], object_cache: Path) -> Path:
     return path
 
 
-def _link(objects: list[Path], manifest: Path, path: Path, complete: bool) -> None:
+def _link_library(objects: list[Path], manifest: Path, path: Path, complete: bool) -> None:
     """Link objects to a shared library.
 
     Args:

@@ -29,7 +29,7 @@ def make_index_page(text: str, source: str, tag: str) -> str:
     return "".join(part if part.startswith("```") else LINK.sub(absolute, part) for part in parts)
 
 
-def write(root: Path) -> None:
+def write_index_page(root: Path) -> None:
     """Write the page from pyproject.toml and README.md of a checkout."""
     project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     text = (root / "README.md").read_text(encoding="utf-8")

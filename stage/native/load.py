@@ -43,7 +43,7 @@ def _load_library(package: str) -> ctypes.CDLL:
             "PulseStage has no native library for Windows: use WSL. (NUMBA_DISABLE_JIT=1 runs it slowly, as Python.)"
         )
     path = _find_root(package) / NAME
-    if why := find_misfit(package, path):
+    if why := explain_library_misfit(package, path):
         from stage.native import build
 
         path = build.build_missing(package, why)
@@ -55,7 +55,7 @@ def _load_library(package: str) -> ctypes.CDLL:
         raise NativeError(f"{path} cannot be loaded: {error}. {advise_install(package)}") from error
 
 
-def find_misfit(package: str, path: Path) -> str:
+def explain_library_misfit(package: str, path: Path) -> str:
     """Say why a library is not that of a package as it is here; "" if it is.
 
     Args:
@@ -168,7 +168,7 @@ def read_manifest(path: Path) -> dict[str, Any] | None:
 
 def digest_of_sources() -> str:
     """Return the digest of the sources of PulseStage's library; "none" without a library, "run as Python" uncompiled."""
-    from stage.native.mode import COMPILED
+    from stage.native.compile_mode import COMPILED
 
     if not COMPILED:
         return "run as Python"

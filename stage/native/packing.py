@@ -42,7 +42,7 @@ def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_dire
         packages = find_packages(str(root), include=packages.get("find", {}).get("include", ("*",)))
     for package in dict.fromkeys(name.partition(".")[0] for name in packages):
         if any(load.find_exporting_modules({package: root / package})):
-            build.build(package)
+            build.build_library(package)
     return str(build_meta.build_wheel(wheel_directory, config_settings, metadata_directory))
 
 

@@ -26,7 +26,7 @@ from stage.panel.sampler import MAX_AGE_S, Sampler, Trace
 from stage.recording.scene import to_time_column
 from stage.recording.sdk import release_streams, rr
 from stage.support.extras import import_extra
-from stage.support.identifiers import escape_name
+from stage.support.identifier_escapes import escape_name
 
 MIN_SPAN_S = 1e-3
 SPANS = (1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)

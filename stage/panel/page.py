@@ -22,7 +22,7 @@ from stage.panel.procedure_page import Procedures
 from stage.panel.session import FREE
 from stage.panel.stage_scene import build_scene
 from stage.panel.tour import STEPS, Tour
-from stage.support.identifiers import escape_name
+from stage.support.identifier_escapes import escape_name
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel

@@ -22,8 +22,8 @@ import numpy as np
 
 from stage.errors import ArgumentError, unknown_name_error
 from stage.recording.series import SERIES, Series, describe_series, select_series
-from stage.sim import handle
-from stage.sim.records import SAMPLE
+from stage.sim import stage_handle
+from stage.sim.engine_records import SAMPLE
 
 if TYPE_CHECKING:
     from stage.panel.session import Session
@@ -215,7 +215,7 @@ class Sampler:
     def _attach(self, stage: Stage) -> None:
         stage.prepare_change()
         stage.loop.recording, self._followers = self, []
-        handle.set_sample_buffers(stage.state.handle, self)
+        stage_handle.set_sample_buffers(stage.state.handle, self)
         stage.state.clockwork[0].sample_every = 1
         stage.state.world[0].to_sample = 1
 

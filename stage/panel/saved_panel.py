@@ -26,12 +26,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from stage.board import layouts
 from stage.board.bus.host_record import BYTE, LATCH, LATCHED, WORD
-from stage.chips.entries import READ, WRITE, Entry
+from stage.chips.journal_entries import READ, WRITE, Entry
 from stage.errors import ArgumentError, StageError
 from stage.panel import oscilloscope
 from stage.panel.fault_controls import FaultRequest
 from stage.panel.sampler import MAX_AGE_S
-from stage.sim.records import SECOND
+from stage.sim.engine_records import SECOND
 from stage.sim.stage import Snapshot
 from stage.support.extras import ExtraMissing
 from stage.support.foreign_files import DocumentError, parse_json, read_bytes, read_members

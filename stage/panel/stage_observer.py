@@ -19,7 +19,7 @@ import numpy as np
 from stage.chips.chip import Chip
 from stage.chips.describe import Listener
 from stage.chips.diagnostics import Diagnostic
-from stage.chips.entries import LOST, READ, RESET, WRITE, Entry
+from stage.chips.journal_entries import LOST, READ, RESET, WRITE, Entry
 from stage.panel.session import Session
 from stage.sim.stage import Snapshot, Stage
 

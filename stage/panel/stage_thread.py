@@ -7,7 +7,7 @@ It lets time pass in slices of SLICE_S real seconds, and carries out the orders 
 
 While an action lets time pass, orders are carried out in its waits. Cutting time into slices changes no bit of what a stage does.
 
-Every user of the stage takes `lock` (stage.panel.stage_lock, stage.chips.sharing). There are two modes:
+Every user of the stage takes `lock` (stage.panel.stage_lock, stage.chips.exclusive_access). There are two modes:
 
 - The worker drives: time passes by it, the lock is reserved for it, and other threads wait or are refused.
 - A program drives, from threads of its own: time passes by its calls alone. Each call has the lock from its first bus cycle to its

@@ -12,7 +12,7 @@ import numpy as np
 
 from stage.recording.series import SERIES, list_axes_with_series, make_plot_title
 from stage.recording.signals import SWITCHES
-from stage.support import pictures
+from stage.support import plot_style
 from stage.support.files import save_figure
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def draw_recording(recording: Recording, path: str | os.PathLike | None = None, 
     panels = [p for p in PANELS if p != ("lost_steps",) or _has_lost_steps(recording)]
     panels = [p for p in panels if list_axes_with_series(recording, p[0])]
     low = max(LANE_HEIGHT_IN * len(lanes), 0.01)
-    fig = pictures.make_figure(9.2, 1.4 * len(panels) + low + 0.9)
+    fig = plot_style.make_figure(9.2, 1.4 * len(panels) + low + 0.9)
     axes = fig.subplots(len(panels) + 1, 1, sharex=True, squeeze=False, height_ratios=[*(1.4 for _ in panels), low])[
         :, 0
     ]
@@ -48,7 +48,7 @@ def draw_recording(recording: Recording, path: str | os.PathLike | None = None, 
     for ax, keys in zip(axes, panels, strict=False):
         _draw_panel(ax, recording, keys, time, every)
     _draw_lanes(axes[-1], lanes, time, every)
-    axes[-1].set_xlabel("time, s", color=pictures.TEXT_COLOR, fontsize=8.5)
+    axes[-1].set_xlabel("time, s", color=plot_style.TEXT_COLOR, fontsize=8.5)
     fig.align_ylabels(axes[:-1])
     handles, labels = axes[0].get_legend_handles_labels()
     if len(labels) > 1:
@@ -56,7 +56,7 @@ def draw_recording(recording: Recording, path: str | os.PathLike | None = None, 
             handles, labels, loc="lower left", bbox_to_anchor=(0, 1), ncols=len(labels), frameon=False, fontsize=8
         )
     chips = ", ".join(dict.fromkeys(type(a.chip).__name__ for a in recording.axes.values()))
-    pictures.add_heading(fig, f"Recording of {', '.join(recording.axes)}", f"{chips}; {recording.duration:.3f} s")
+    plot_style.add_heading(fig, f"Recording of {', '.join(recording.axes)}", f"{chips}; {recording.duration:.3f} s")
     if path is not None:
         save_figure(fig, path, 150, overwrite)
     return fig
@@ -68,7 +68,7 @@ def _has_lost_steps(recording: Recording) -> bool:
 
 def _draw_panel(ax: Any, recording: Recording, keys: tuple[str, ...], time: np.ndarray, every: int) -> None:
     for k, (name, axis) in enumerate(recording.axes.items()):
-        color = pictures.COLORS[k % len(pictures.COLORS)]
+        color = plot_style.COLORS[k % len(plot_style.COLORS)]
         for key in keys:
             if name in list_axes_with_series(recording, key):
                 values = recording.column(f"{name}/{key}")[::every] * SERIES[key].scales[axis.unit != "m"]
@@ -76,10 +76,10 @@ def _draw_panel(ax: Any, recording: Recording, keys: tuple[str, ...], time: np.n
                 style = {"linewidth": 2.6, "alpha": 0.35} if is_command else {"linewidth": 1.1, "label": name}
                 ax.plot(time, values, color=color, **style)
     title, _, unit = make_plot_title(recording, keys[-1]).rpartition(" (")
-    ax.set_ylabel(f"{title.lower()}\n{unit.rstrip(')')}", color=pictures.TEXT_COLOR, fontsize=8.5)
+    ax.set_ylabel(f"{title.lower()}\n{unit.rstrip(')')}", color=plot_style.TEXT_COLOR, fontsize=8.5)
     ax.ticklabel_format(axis="y", style="plain", useOffset=False)
     ax.locator_params(axis="y", nbins=4)
-    pictures.remove_frame(ax)
+    plot_style.remove_frame(ax)
 
 
 def _list_lanes(recording: Recording) -> list[tuple[str, str, np.ndarray]]:
@@ -96,13 +96,13 @@ def _draw_lanes(ax: Any, lanes: list[tuple[str, str, np.ndarray]], time: np.ndar
     for k, (_, kind, on) in enumerate(reversed(lanes)):
         states = on[: len(time) * every]
         states = np.maximum.reduceat(states, np.arange(0, len(states), every))  # a short edge is not left out
-        ax.axhline(k + 0.14, color=pictures.FRAME_COLOR, linewidth=0.6, zorder=0)
+        ax.axhline(k + 0.14, color=plot_style.FRAME_COLOR, linewidth=0.6, zorder=0)
         ax.fill_between(
-            time, k + 0.14, k + 0.14 + 0.66 * states, step="post", color=pictures.SWITCH_COLORS[kind], linewidth=0
+            time, k + 0.14, k + 0.14 + 0.66 * states, step="post", color=plot_style.SWITCH_COLORS[kind], linewidth=0
         )
     ax.set_yticks([k + 0.45 for k in range(len(lanes))], [label for label, *_ in reversed(lanes)])
     ax.set_ylim(0, max(len(lanes), 1))
-    pictures.remove_frame(ax)
+    plot_style.remove_frame(ax)
     ax.grid(False, axis="y")
     ax.tick_params(axis="y", length=0)
     ax.spines["left"].set_visible(False)

@@ -29,14 +29,14 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
+from stage.chips.exclusive_access import exclusively
 from stage.chips.journal import Journal
-from stage.chips.sharing import exclusively
 from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.recording.table import Columns, Tabular
 from stage.recording.vcd import HostBus
-from stage.sim.records import SAMPLE
+from stage.sim.engine_records import SAMPLE
 from stage.support import html
-from stage.support.arguments import check_integer, explain_arguments
+from stage.support.argument_checks import check_integer, explain_arguments
 from stage.support.files import (
     RECORDING,
     WAVEFORMS,

@@ -21,7 +21,7 @@ from stage.recording.series import FORMAT, SERIES
 from stage.recording.table import Columns, Tabular
 from stage.support.extras import import_extra, is_installed
 from stage.support.foreign_files import open_regular
-from stage.support.identifiers import escape_name
+from stage.support.identifier_escapes import escape_name
 
 MAGIC = b"RRF"
 INTEGER_SERIES = ("lost_steps", "counter")

@@ -17,7 +17,7 @@ import numpy as np
 from stage.recording import geoms, signals
 from stage.recording.geoms import rotate
 from stage.recording.sdk import rr
-from stage.support.identifiers import escape_name
+from stage.support.identifier_escapes import escape_name
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording

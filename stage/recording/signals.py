@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from stage.chips.entries import RESET, WRITE
 from stage.chips.journal import Journal, Replay
+from stage.chips.journal_entries import RESET, WRITE
 
 SWITCHES = {
     "el_minus": ("EL-", "el"), "org": ("ORG", "org"), "sd_minus": ("SD-", "sd"), "sd_plus": ("SD+", "sd"),

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.errors import UnknownKey, unknown_name_error
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 from stage.support.extras import import_extra
 from stage.support.files import FileError, check_ending, write_atomically
 

@@ -1,6 +1,6 @@
 """A recording as waveforms: every pin, pulse, status bit and bus write of every chip, to the tick of its clock.
 
-    x                   a scope an axis; "x 1" is x_u20_1, see stage.support.identifiers
+    x                   a scope an axis; "x 1" is x_u20_1, see stage.support.identifier_escapes
       POUT_n PDIR ...   every pin, as a probe on the wire would show it: `_n` marks what is 0 while asserted
       R0 RATE           down counter, 24 bits; pulse rate, pps. Of an HCTL-1100 R14, the actual position, and R0E, the command
                           position, at the samples that change the command or the motor command MC; RATE in counts a second
@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.chips.entries import LOST, READ, RESET, WRITE
+from stage.chips.journal_entries import LOST, READ, RESET, WRITE
 from stage.recording import signals
-from stage.support.identifiers import escape_name
+from stage.support.identifier_escapes import escape_name
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording

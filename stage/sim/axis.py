@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.chips.sharing import Lock, exclusive, exclusively
-from stage.drives import drive as any_drive
+from stage.chips.exclusive_access import Lock, exclusive, exclusively
+from stage.drives import drive_dispatch as any_drive
 from stage.errors import ArgumentError, StageError, UnknownKey, unknown_name_error
 from stage.sim.line_player import LINE_EDGE, play_lines
 from stage.support import html
-from stage.support.arguments import check_integer, explain_arguments
+from stage.support.argument_checks import check_integer, explain_arguments
 from stage.units import POSITION_UNITS
 
 PLAYED_PULSES = 1 << 16
@@ -254,7 +254,9 @@ class Axis:
     def read_drive(self) -> tuple[Any, float]:
         """Return its drive's record (stage.drives.stepper.DRIVE, with the currents), and the net pulses that the drive has had."""
         chip = self.chip
-        return self.stage.state.drives[self.index], float(chip.CORE.net.with_gil(chip.pointer, self.chip_axis))
+        return self.stage.state.drives[self.index], float(
+            chip.CORE.read_net_count.with_gil(chip.pointer, self.chip_axis)
+        )
 
     def __reduce__(self) -> tuple:
         """Copy the axis as that of a copy of its stage: by itself it would be a chip that nothing drives."""

@@ -87,33 +87,33 @@ def fit_rotors(
         mujoco.mj_setConst(model, mujoco.MjData(model))  # what MuJoCo has worked out of armature and damping
 
 
-def _check_losses(model: Any, p: plant.PlantAxis, drive: Drive | Servo) -> None:
+def _check_losses(model: Any, plant_axis: plant.PlantAxis, drive: Drive | Servo) -> None:
     """Check friction and damping against the motor: most times a value that it cannot overcome is a number in other units.
 
     Raises:
         ModelError: The motor cannot overcome them.
     """
     torque = drive.motor.holding_torque if isinstance(drive, Drive) else drive.peak_torque
-    force, unit = torque * abs(p.gear), "N m" if p.hinge else "N"
-    friction, damping = float(model.dof_frictionloss[p.dof]), float(model.dof_damping[p.dof])
+    force, unit = torque * abs(plant_axis.gear), "N m" if plant_axis.hinge else "N"
+    friction, damping = float(model.dof_frictionloss[plant_axis.dof]), float(model.dof_damping[plant_axis.dof])
     pushes = f"{drive.title} pushes with {force:.4g} {unit} at most"
     if friction >= force:
         raise ModelError(
-            f"axis {p.name}: its joint has a friction of {friction:g} {unit}, and {pushes}: it never moves. "
+            f"axis {plant_axis.name}: its joint has a friction of {friction:g} {unit}, and {pushes}: it never moves. "
             f'Write frictionloss="{_format_one_digit(0.05 * force)}", or what is measured; or another gear or motor.'
         )
-    loss = float(model.actuator_damping[p.actuator])
+    loss = float(model.actuator_damping[plant_axis.actuator])
     if not 0 <= 2 * math.pi * loss < torque:
         raise ModelError(
-            f"axis {p.name}: its actuator has a damping of {loss:g} N m s/rad, and the core loss of {drive.title} is from 0 up to "
-            f"{torque / (2 * math.pi):.3g}: at one turn a second the motor overcomes no more. Write what is measured, or leave the "
-            "damping out for the core loss of the motor."
+            f"axis {plant_axis.name}: its actuator has a damping of {loss:g} N m s/rad, and the core loss of {drive.title} "
+            f"is from 0 up to {torque / (2 * math.pi):.3g}: at one turn a second the motor overcomes no more. "
+            "Write what is measured, or leave the damping out for the core loss of the motor."
         )
-    turn = 2 * math.pi / abs(p.gear)  # in a second
+    turn = 2 * math.pi / abs(plant_axis.gear)  # in a second
     if friction + damping * turn >= force:
-        per = f"{unit} s/{'rad' if p.hinge else 'm'}"
+        per = f"{unit} s/{'rad' if plant_axis.hinge else 'm'}"
         raise ModelError(
-            f"axis {p.name}: its joint has a damping of {damping:g} {per}: at one turn a second of the motor that is "
+            f"axis {plant_axis.name}: its joint has a damping of {damping:g} {per}: at one turn a second of the motor that is "
             f"{damping * turn:.4g} {unit}, and {pushes}. "
             f'Write damping="{_format_one_digit(0.01 * force / turn)}", or what is measured; or another gear or motor.'
         )

@@ -16,41 +16,11 @@ All state is in records inside MjData.userdata, all tables of constants in array
 
 from __future__ import annotations
 
-from stage.chips import cores, links
-from stage.chips.entries import LOAD, SHAFT
-from stage.drives import drive, stepper
-from stage.native import array_at, called, exported, hot, least
-from stage.sim.edges import (
-    apply_index_pulse,
-    apply_switches,
-    find_next_edge,
-    is_in_flag,
-    journal_input,
-    measure_index_offset,
-    predict_edges,
-    predict_switch,
-    process_edges,
-)
-from stage.sim.handle import (
-    ENGINE,
-    HANDLE,
-    REAL,
-    axes,
-    axis_table,
-    chip_table,
-    claim,
-    clockwork,
-    drives,
-    has_edge_room,
-    note_edge,
-    qpos,
-    qvel,
-    release,
-    switch_table,
-    switches,
-    world,
-)
-from stage.sim.records import (
+from stage.chips import cores, linked_chips
+from stage.chips.journal_entries import LOAD, SHAFT
+from stage.drives import drive_dispatch, stepper
+from stage.native import array_at, declare_address_call, exported, hot, least
+from stage.sim.engine_records import (
     ADDRESS,
     CALLBACKS,
     DIVERGED,
@@ -68,73 +38,108 @@ from stage.sim.records import (
     SLICES,
     UNGUARDED,
     WIPED,
-    clock_at,
+    compute_clock_at,
+)
+from stage.sim.input_edges import (
+    apply_index_pulse,
+    apply_switches,
+    find_next_edge,
+    is_in_flag,
+    journal_input,
+    measure_index_offset,
+    predict_edges,
+    predict_switch,
+    process_edges,
+)
+from stage.sim.stage_handle import (
+    ENGINE,
+    HANDLE,
+    REAL,
+    claim,
+    get_axes,
+    get_axis_table,
+    get_chip_table,
+    get_clockwork,
+    get_drives,
+    get_qpos,
+    get_qvel,
+    get_switch_table,
+    get_switches,
+    get_world,
+    has_edge_room,
+    note_edge,
+    release,
 )
 from stage.sim.warm_start import apply_effort
 
-_step = called(None, "i8", "i8")
-_get_state = called(None, "i8", "i8", "i8", "i4")
+_step = declare_address_call(None, "i8", "i8")
+_get_state = declare_address_call(None, "i8", "i8", "i8", "i4")
 
 
 @hot
-def _run_chips(h, stop):
+def _run_chips(handle, stop):
     """Run the chips up to `stop` ns, inside the window, and return the slices done."""
-    w, rows, axis_records = world(h), chip_table(h), axes(h)
-    start, dt = w.start, clockwork(h).dt
+    w, rows, axis_records = get_world(handle), get_chip_table(handle), get_axes(handle)
+    start, dt = w.start, get_clockwork(handle).dt
     hz = clock = rest = 0
     k = w.slice
     for i in range(len(rows)):
-        c = rows[i]
-        if c.link:
+        chip = rows[i]
+        if chip.link:
             if _is_first_linked_chip(rows, i):
-                k = _run_linked(h, i, stop)
+                k = _run_linked(handle, i, stop)
             continue
-        if cores.update_wired_input(c):
-            journal_input(h, w.now, c, 0)
-        if c.hz != hz:
-            hz = c.hz
-            clock, rest = clock_at(start, hz), start % SECOND * hz % SECOND
+        if cores.update_wired_input(chip):
+            journal_input(handle, w.now, chip, 0)
+        if chip.hz != hz:
+            hz = chip.hz
+            clock, rest = compute_clock_at(start, hz), start % SECOND * hz % SECOND
         k, now = w.slice, 0
-        if stop == start + dt and find_next_edge(axis_records, c) > stop:
-            c.begin, c.rest = clock, rest
-            cores.window(c, k)
+        if stop == start + dt and find_next_edge(axis_records, chip) > stop:
+            chip.begin, chip.rest = clock, rest
+            cores.run_window(chip, k)
             k = SLICES
             continue
         while now < stop:
             bound = start + (k + 1) * dt // SLICES
             now = least(bound, stop)
-            if find_next_edge(axis_records, c) <= now:
-                process_edges(h, c, now)
-            cores.run(c, clock + (rest + (now - start) * hz) // SECOND)
+            if find_next_edge(axis_records, chip) <= now:
+                process_edges(handle, chip, now)
+            cores.run(chip, clock + (rest + (now - start) * hz) // SECOND)
             if now == bound:
-                _store_slice_counts(c, axis_records, k)
+                _store_slice_counts(chip, axis_records, k)
                 k += 1
     return k
 
 
 @hot
-def _store_slice_counts(c, axis_records, k):
-    """Keep the axes' mean counts in slice `k`, which ends now."""
-    for j in range(c.axes):
-        axis = axis_records[cores.axis_of(c, j)]
-        axis.counts[k] = cores.drive_input(c, j, axis.count, c.ticks)
-        axis.count = cores.net(c, j)
+def _store_slice_counts(chip, axis_records, slice_index):
+    """Keep the axes' mean counts in slice `slice_index`, which ends now."""
+    for j in range(chip.axes):
+        axis = axis_records[cores.find_stage_axis(chip, j)]
+        axis.counts[slice_index] = cores.compute_drive_input(chip, j, axis.count, chip.ticks)
+        axis.count = cores.read_net_count(chip, j)
 
 
 @hot
-def _is_first_linked_chip(rows, i):
-    """Return whether chip `i` is the first of those that are linked to it."""
+def _is_first_linked_chip(rows, chip_index):
+    """Return whether chip `chip_index` is the first of those that are linked to it."""
     m = 0
-    while rows[m].link != rows[i].link:
+    while rows[m].link != rows[chip_index].link:
         m += 1
-    return m == i
+    return m == chip_index
 
 
 @hot
-def _run_linked(h, first, stop):
+def _run_linked(handle, first, stop):
     """Run the chips that are linked to the first one, as `_run_chips`: an edge of one acts on all at its clock."""
-    w, rows, axis_records, edges = world(h), chip_table(h), axes(h), array_at(h.edges, h.edge_room, EDGE)
-    start, dt, link, hz = w.start, clockwork(h).dt, rows[first].link, rows[first].hz
+    w, rows, axis_records, edges = (
+        get_world(handle),
+        get_chip_table(handle),
+        get_axes(handle),
+        array_at(handle.edges, handle.edge_room, EDGE),
+    )
+    start, dt, link, hz = w.start, get_clockwork(handle).dt, rows[first].link, rows[first].hz
     k, now = w.slice, 0
     while now < stop:
         bound = start + (k + 1) * dt // SLICES
@@ -145,12 +150,12 @@ def _run_linked(h, first, stop):
                 if rows[i].link == link:
                     edge = least(edge, find_next_edge(axis_records, rows[i]))
             at = least(edge, now)
-            h.noted = links.run_linked_chips(rows, link, clock_at(at, hz), at, edges, h.noted)
+            handle.noted = linked_chips.run_linked_chips(rows, link, compute_clock_at(at, hz), at, edges, handle.noted)
             if edge > now:
                 break
             for i in range(first, len(rows)):
                 if rows[i].link == link and find_next_edge(axis_records, rows[i]) <= edge:
-                    process_edges(h, rows[i], edge)
+                    process_edges(handle, rows[i], edge)
         if now == bound:
             for i in range(first, len(rows)):
                 if rows[i].link == link:
@@ -160,89 +165,91 @@ def _run_linked(h, first, stop):
 
 
 @hot
-def _read_shaft(h, t):
+def _read_shaft(handle, axis_row):
     """Return the present count of an axis' encoder, and its speed, counts a second."""
-    w, v = world(h), qvel(h)[t.dof]
-    tau = float(w.now - w.start) / SECOND - clockwork(h).half
-    return (qpos(h)[t.qpos] + v * tau) * t.counts, v * t.counts
+    w, v = get_world(handle), get_qvel(handle)[axis_row.dof]
+    tau = float(w.now - w.start) / SECOND - get_clockwork(handle).half
+    return (get_qpos(handle)[axis_row.qpos] + v * tau) * axis_row.counts, v * axis_row.counts
 
 
 @hot
-def _pass_shafts_to_chips(h):
+def _pass_shafts_to_chips(handle):
     """Pass the shafts to the chips that count them, at the beginning of a window."""
-    rows = chip_table(h)
+    rows = get_chip_table(handle)
     for i in range(len(rows)):
-        c = rows[i]
-        for j in range(c.axes):
-            a = cores.axis_of(c, j)
-            if axis_table(h)[a].counts == 0.0:
+        chip = rows[i]
+        for j in range(chip.axes):
+            a = cores.find_stage_axis(chip, j)
+            if get_axis_table(handle)[a].counts == 0.0:
                 continue
-            count, speed = _read_shaft(h, axis_table(h)[a])
-            cores.set_shaft(c, j, count, speed / c.hz)
-            if has_edge_room(h):
-                e = note_edge(h, world(h).now, c, a, SHAFT, j, 0)
-                e.count, e.rate = count, speed / c.hz
+            count, speed = _read_shaft(handle, get_axis_table(handle)[a])
+            cores.set_shaft(chip, j, count, speed / chip.hz)
+            if has_edge_room(handle):
+                e = note_edge(handle, get_world(handle).now, chip, a, SHAFT, j, 0)
+                e.count, e.rate = count, speed / chip.hz
 
 
 @hot
-def _pass_loads_to_chips(h):
+def _pass_loads_to_chips(handle):
     """Pass the loads of the motors to the chips that drive them, at the beginning of a window."""
-    rows, half = drives(h), clockwork(h).half
+    rows, half = get_drives(handle), get_clockwork(handle).half
     for a in range(len(rows)):
-        t, d = axis_table(h)[a], rows[a]
-        c = chip_table(h)[t.chip]
-        if c.set_load == 0:
+        t, d = get_axis_table(handle)[a], rows[a]
+        chip = get_chip_table(handle)[t.chip]
+        if chip.set_load == 0:
             continue
-        v = qvel(h)[t.dof]
-        angle = drive.compute_load_angle(d, cores.net(c, t.chip_axis), (qpos(h)[t.qpos] - v * half) * t.gear)
+        v = get_qvel(handle)[t.dof]
+        angle = drive_dispatch.compute_load_angle(
+            d, cores.read_net_count(chip, t.chip_axis), (get_qpos(handle)[t.qpos] - v * half) * t.gear
+        )
         share = d.torque_constant * abs(v * t.gear) / d.voltage
-        if cores.set_load(c, t.chip_axis, angle, share) and has_edge_room(h):
-            e = note_edge(h, world(h).now, c, a, LOAD, t.chip_axis, 0)
+        if cores.set_load(chip, t.chip_axis, angle, share) and has_edge_room(handle):
+            e = note_edge(handle, get_world(handle).now, chip, a, LOAD, t.chip_axis, 0)
             e.count, e.rate = angle, share
 
 
 @hot
-def _read_motor_currents(h):
+def _read_motor_currents(handle):
     """Take the currents of the motors whose chips set them."""
-    rows = drives(h)
+    rows = get_drives(handle)
     for a in range(len(rows)):
-        t = axis_table(h)[a]
-        c = chip_table(h)[t.chip]
-        if c.current:
-            rows[a].current = cores.current(c, t.chip_axis)
+        t = get_axis_table(handle)[a]
+        chip = get_chip_table(handle)[t.chip]
+        if chip.read_motor_current:
+            rows[a].current = cores.read_motor_current(chip, t.chip_axis)
 
 
 @hot
-def _write_axis_sample(h, a, effort, out):
-    """Write axis `a` as it is now into a SAMPLE."""
-    t, d = axis_table(h)[a], drives(h)[a]
-    c, j = chip_table(h)[t.chip], t.chip_axis
-    net = cores.net(c, j)
-    v = qvel(h)[t.dof]
-    q = qpos(h)[t.qpos] - v * clockwork(h).half
+def _write_axis_sample(handle, axis_index, effort, out):
+    """Write axis `axis_index` as it is now into a SAMPLE."""
+    t, d = get_axis_table(handle)[axis_index], get_drives(handle)[axis_index]
+    chip, j = get_chip_table(handle)[t.chip], t.chip_axis
+    net = cores.read_net_count(chip, j)
+    v = get_qvel(handle)[t.dof]
+    q = get_qpos(handle)[t.qpos] - v * get_clockwork(handle).half
     theta = q * t.gear
-    out.time = world(h).now / SECOND
+    out.time = get_world(handle).now / SECOND
     out.position, out.velocity = q, v
-    out.commanded = q + drive.compute_lag(d, net, theta) / t.gear
-    out.load_angle, out.torque = stepper.compute_load_angle(d, net, theta), drive.compute_torque(d, effort)
-    out.voltage = drive.compute_voltage(d, effort)
+    out.commanded = q + drive_dispatch.compute_lag(d, net, theta) / t.gear
+    out.load_angle, out.torque = stepper.compute_load_angle(d, net, theta), drive_dispatch.compute_torque(d, effort)
+    out.voltage = drive_dispatch.compute_voltage(d, effort)
     out.current_a, out.current_b = d.current_a, d.current_b
-    out.rate = cores.pulse_rate(c, j, c.hz)
-    out.pulses, out.counter = net, cores.counter(c, j)
-    out.lost_steps = drive.count_lost_steps(d, net, theta)
-    out.inputs, out.outputs = cores.inputs(c, j), cores.outputs(c, j)
+    out.rate = cores.compute_pulse_rate(chip, j, chip.hz)
+    out.pulses, out.counter = net, cores.read_counter(chip, j)
+    out.lost_steps = drive_dispatch.count_lost_steps(d, net, theta)
+    out.inputs, out.outputs = cores.read_inputs(chip, j), cores.read_outputs(chip, j)
 
 
 @hot
-def _write_samples(h, ctrl):
+def _write_samples(handle, ctrl):
     """Write all axes as they are now into the next row of samples."""
-    samples = array_at(h.samples, (h.room, h.n_axes), SAMPLE)
-    positions = array_at(h.positions, (h.room, h.nq), REAL)
-    for a in range(h.n_axes):
-        _write_axis_sample(h, a, ctrl[axis_table(h)[a].actuator], samples[h.filled, a])
-    for i in range(h.nq):
-        positions[h.filled, i] = qpos(h)[i]
-    h.filled += 1
+    samples = array_at(handle.samples, (handle.room, handle.n_axes), SAMPLE)
+    positions = array_at(handle.positions, (handle.room, handle.nq), REAL)
+    for a in range(handle.n_axes):
+        _write_axis_sample(handle, a, ctrl[get_axis_table(handle)[a].actuator], samples[handle.filled, a])
+    for i in range(handle.nq):
+        positions[handle.filled, i] = get_qpos(handle)[i]
+    handle.filled += 1
 
 
 @hot
@@ -256,36 +263,42 @@ def _would_call_unguarded_callback(clock):
 
 
 @hot
-def _run_until(h, until):
+def _run_until(handle, until):
     """Run up to `until` ns and return why it returned (REACHED, ...)."""
-    w, clock, axis_records, table, rows = world(h), clockwork(h), axes(h), axis_table(h), drives(h)
-    positions, speeds = qpos(h), qvel(h)
-    ctrl, inertia = array_at(h.ctrl, h.nu, REAL), array_at(h.inertia, h.nv, REAL)
-    accelerations, damping = array_at(h.accelerations, h.nv, REAL), array_at(h.damping, h.nv, REAL)
-    core_loss = array_at(h.core_loss, h.nu, REAL)
+    w, clock, axis_records, table, rows = (
+        get_world(handle),
+        get_clockwork(handle),
+        get_axes(handle),
+        get_axis_table(handle),
+        get_drives(handle),
+    )
+    positions, speeds = get_qpos(handle), get_qvel(handle)
+    ctrl, inertia = array_at(handle.ctrl, handle.nu, REAL), array_at(handle.inertia, handle.nv, REAL)
+    accelerations, damping = array_at(handle.accelerations, handle.nv, REAL), array_at(handle.damping, handle.nv, REAL)
+    core_loss = array_at(handle.core_loss, handle.nu, REAL)
     if not w.powered:
         return WIPED
     if w.start + clock.dt <= until:
         if _would_call_unguarded_callback(clock):
             return UNGUARDED
-        if h.state:
-            _get_state(clock.mj_get_state, (h.mj_model, h.mj_data, h.state, clock.state_spec))
+        if handle.state:
+            _get_state(clock.mj_get_state, (handle.mj_model, handle.mj_data, handle.state, clock.state_spec))
     while w.now < until:
         end = w.start + clock.dt
         stop = least(until, end)
-        k = _run_chips(h, stop)
+        k = _run_chips(handle, stop)
         w.now = stop
         w.slice = k
         if stop < end:
             break
         if clock.currents:
-            _read_motor_currents(h)
+            _read_motor_currents(handle)
         for a in range(len(axis_records)):
             apply_effort(
                 clock, axis_records[a], table[a], rows[a], positions, speeds,
                 ctrl, accelerations, inertia, damping, core_loss,
             )  # fmt: skip
-        _step(clock.mj_step, (h.mj_model, h.mj_data))
+        _step(clock.mj_step, (handle.mj_model, handle.mj_data))
         w.slice = 0
         w.start += clock.dt
         w.steps += 1
@@ -297,25 +310,25 @@ def _run_until(h, until):
             return FAILED
         if diverged:
             return DIVERGED
-        predict_edges(h, True)
+        predict_edges(handle, True)
         if clock.encoders:
-            _pass_shafts_to_chips(h)
+            _pass_shafts_to_chips(handle)
         if clock.loads:
-            _pass_loads_to_chips(h)
-        if clock.sample_every and h.filled < h.room:
+            _pass_loads_to_chips(handle)
+        if clock.sample_every and handle.filled < handle.room:
             w.to_sample -= 1
             if w.to_sample <= 0:
                 w.to_sample = clock.sample_every
-                _write_samples(h, ctrl)
-                if h.filled == h.room:
+                _write_samples(handle, ctrl)
+                if handle.filled == handle.room:
                     return SAMPLES_FULL
-        if h.edge_room and h.noted > h.edge_room - clock.most_edges:
+        if handle.edge_room and handle.noted > handle.edge_room - clock.most_edges:
             return EDGES_FULL
     return REACHED
 
 
 @exported("i8", HANDLE, "i8")
-def advance(h, until):
+def advance(handle, until):
     """Let the stage's time pass up to `until` ns, unless the engine has to stop before.
 
     It logs where the handle says. Of a run that is undone nothing stays logged.
@@ -323,86 +336,88 @@ def advance(h, until):
     Returns:
         Why it stopped (REACHED, ...).
     """
-    if not claim(h.clockwork, ENGINE):
+    if not claim(handle.clockwork, ENGINE):
         return IN_USE
-    filled, noted = h.filled, h.noted
-    status = _run_until(h, until)
+    filled, noted = handle.filled, handle.noted
+    status = _run_until(handle, until)
     if status in (DIVERGED, FAILED):
-        h.filled, h.noted = filled, noted
-    h.status = status
-    release(h.clockwork, ENGINE)
+        handle.filled, handle.noted = filled, noted
+    handle.status = status
+    release(handle.clockwork, ENGINE)
     return status
 
 
 @exported("i8", HANDLE)
-def has_unguarded_callback(h):
+def has_unguarded_callback(handle):
     """Return 1 if MuJoCo has a Python callback whose exceptions are not guarded now."""
-    return 1 if _would_call_unguarded_callback(clockwork(h)) else 0
+    return 1 if _would_call_unguarded_callback(get_clockwork(handle)) else 0
 
 
 @exported("i8", HANDLE, "i8")
-def claim_stage(h, token):
+def claim_stage(handle, token):
     """Return 1 if the stage was free: no other thread can run it until `release_stage` with this token."""
-    return 1 if claim(h.clockwork, token) else 0
+    return 1 if claim(handle.clockwork, token) else 0
 
 
 @exported(None, HANDLE, "i8")
-def release_stage(h, token):
+def release_stage(handle, token):
     """End a claim with this token."""
-    release(h.clockwork, token)
+    release(handle.clockwork, token)
 
 
 @exported(None, HANDLE, "i8")
-def update_switches(h, a):
-    """Apply a fault of axis `a`'s switches that begins or ends at any moment of a window: levels now, edges in the rest of it."""
-    axis, t = axes(h)[a], axis_table(h)[a]
+def update_switches(handle, axis_index):
+    """Apply a switch fault of an axis that begins or ends within a window: set the levels, and predict later edges."""
+    axis, t = get_axes(handle)[axis_index], get_axis_table(handle)[axis_index]
     axis.next_edge, axis.awake = axis.index_edge if t.index_bit else NEVER, 1
     for k in range(t.first_switch, t.end_switch):
-        if switch_table(h)[k].forced >= 0:
-            switches(h)[k].toggles = 0
-        q, v = qpos(h)[t.qpos], qvel(h)[t.dof]
-        predict_switch(world(h), axis, clockwork(h), switches(h)[k], switch_table(h)[k], q, v)
-    process_edges(h, chip_table(h)[t.chip], world(h).now)
+        if get_switch_table(handle)[k].forced >= 0:
+            get_switches(handle)[k].toggles = 0
+        q, v = get_qpos(handle)[t.qpos], get_qvel(handle)[t.dof]
+        predict_switch(
+            get_world(handle), axis, get_clockwork(handle), get_switches(handle)[k], get_switch_table(handle)[k], q, v
+        )
+    process_edges(handle, get_chip_table(handle)[t.chip], get_world(handle).now)
 
 
 @hot
-def _find_axis_switch_levels(h, a):
-    axis, t, d = axes(h)[a], axis_table(h)[a], drives(h)[a]
-    c, q = chip_table(h)[t.chip], qpos(h)[t.qpos]
+def _find_axis_switch_levels(handle, axis_index):
+    axis, t, d = get_axes(handle)[axis_index], get_axis_table(handle)[axis_index], get_drives(handle)[axis_index]
+    chip, q = get_chip_table(handle)[t.chip], get_qpos(handle)[t.qpos]
     if t.counts != 0.0:
-        count, speed = _read_shaft(h, t)
-        cores.set_shaft(c, t.chip_axis, count, speed / c.hz)
+        count, speed = _read_shaft(handle, t)
+        cores.set_shaft(chip, t.chip_axis, count, speed / chip.hz)
     axis.next_edge = NEVER
-    axis.speed = qvel(h)[t.dof]
-    axis.count = cores.net(c, t.chip_axis)
+    axis.speed = get_qvel(handle)[t.dof]
+    axis.count = cores.read_net_count(chip, t.chip_axis)
     for k in range(SLICES):
-        axis.counts[k] = drive.make_rest_signal(d, axis.count)
+        axis.counts[k] = drive_dispatch.make_rest_signal(d, axis.count)
     for k in range(t.first_switch, t.end_switch):
-        s, row = switches(h)[k], switch_table(h)[k]
+        s, row = get_switches(handle)[k], get_switch_table(handle)[k]
         s.edge = s.next_edge = NEVER
-        s.on = row.forced if row.forced >= 0 else (1 if is_in_flag(clockwork(h), s, row, q) else 0)
-    word = apply_switches(t, switches(h), switch_table(h), cores.inputs(c, t.chip_axis))
+        s.on = row.forced if row.forced >= 0 else (1 if is_in_flag(get_clockwork(handle), s, row, q) else 0)
+    word = apply_switches(t, get_switches(handle), get_switch_table(handle), cores.read_inputs(chip, t.chip_axis))
     if t.index_bit:
         axis.index_edge = axis.index_end = NEVER
         axis.index_on = 1 if abs(measure_index_offset(t, q)) <= 0.5 * INDEX else 0
         word = apply_index_pulse(t, axis, word)
-    cores.set_input(c, t.chip_axis, word)
-    if c.current:
-        d.current = cores.current(c, t.chip_axis)
-    drive.power_up(d, float(axis.count), q * t.gear)
+    cores.set_input(chip, t.chip_axis, word)
+    if chip.read_motor_current:
+        d.current = cores.read_motor_current(chip, t.chip_axis)
+    drive_dispatch.power_up(d, float(axis.count), q * t.gear)
 
 
 @exported(None, HANDLE)
-def find_switch_levels(h):
+def find_switch_levels(handle):
     """Find switch levels and pending edges, before the first window, or after the carriages were placed."""
-    world(h).powered = 1
-    for k in range(h.n_switches):
-        s = switches(h)[k]
+    get_world(handle).powered = 1
+    for k in range(handle.n_switches):
+        s = get_switches(handle)[k]
         s.toggles, s.edge, s.shift = 0, NEVER, 0.0
-    predict_edges(h, False)
-    for a in range(h.n_axes):
-        _find_axis_switch_levels(h, a)
-    rows = chip_table(h)
+    predict_edges(handle, False)
+    for a in range(handle.n_axes):
+        _find_axis_switch_levels(handle, a)
+    rows = get_chip_table(handle)
     for i in range(len(rows)):
         if rows[i].link and _is_first_linked_chip(rows, i):
-            links.exchange_words(rows, rows[i].link, world(h).now, array_at(h.edges, 0, EDGE), 0)
+            linked_chips.exchange_words(rows, rows[i].link, get_world(handle).now, array_at(handle.edges, 0, EDGE), 0)

@@ -30,15 +30,15 @@ from typing import Any
 import mujoco
 
 from stage.chips import Chip
-from stage.chips.sharing import exclusively
+from stage.chips.exclusive_access import exclusively
 from stage.drives import stepper
 from stage.drives.dc_motors import DCMotor
 from stage.drives.motors import Motor
 from stage.errors import ArgumentError, unknown_name_error
 from stage.sim.axis import Axis
-from stage.sim.records import MAX_TOGGLES
+from stage.sim.engine_records import MAX_TOGGLES
 from stage.sim.stage import Stage
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 
 PHASES = {"a": stepper.A, "b": stepper.B}
 DEFAULT_JAM_FACTOR = 10.0  # times what the motor can push at its most

@@ -21,18 +21,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.errors import ArgumentError, StageError, unknown_name_error
-from stage.sim import engine, handle, play, records
-from stage.sim.loop import IN_USE
+from stage.sim import engine, engine_records, program_player, stage_handle
 from stage.sim.program import END, KEEP, LOOK, MEASURE, NAMES, READ, STOP, WAIT, WRITE, Program
 from stage.sim.stage import Stage
-from stage.support.arguments import explain_arguments
+from stage.sim.stage_loop import IN_USE
+from stage.support.argument_checks import explain_arguments
 
 DEVICES = ("cpu", "cuda")
-MAX_TIME_NS = records.SECOND * 10**9  # ns
+MAX_TIME_NS = engine_records.SECOND * 10**9  # ns
 CHUNKS_PER_THREAD = 4  # a thread's share, so that a slow stage does not hold up the rest
 
 
-class Played(NamedTuple):
+class PlayedPrograms(NamedTuple):
     """Results of a fleet's programs.
 
     Attributes:
@@ -74,7 +74,7 @@ class Fleet:
         if device not in DEVICES:
             raise unknown_name_error("device", device, DEVICES)
         if device == "cuda" and cls is Fleet:
-            from stage.sim.gpu.fleet import GpuFleet  # few have a GPU
+            from stage.sim.gpu.gpu_fleet import GpuFleet  # few have a GPU
 
             return super().__new__(GpuFleet)
         return super().__new__(cls)
@@ -114,12 +114,12 @@ class Fleet:
         self._nq, self._axes = first.model.nq, len(first.axes)
         self._points = min(s.model.nsite for s in stages), min(s.model.nbody for s in stages)
         self._process = os.getpid()
-        self.handles = np.zeros(len(self.stages), handle.HANDLE)
-        self._truth = np.zeros((len(self.stages), self._axes), play.TRUTH)
+        self.handles = np.zeros(len(self.stages), stage_handle.HANDLE)
+        self._truth = np.zeros((len(self.stages), self._axes), program_player.TRUTH)
         self._pool: ThreadPoolExecutor | None = None
         self._background: _BackgroundPlay | None = None
         for k, stage in enumerate(self.stages):
-            handle.fill_handle(self.handles, k, stage.state)
+            stage_handle.fill_handle(self.handles, k, stage.state)
         self.handles["state"] = 0  # nobody takes a step back
         self._first = self.handles.ctypes.data
 
@@ -127,7 +127,7 @@ class Fleet:
         return len(self.stages)
 
     @explain_arguments
-    def play(self, programs: Sequence[Program] | np.ndarray) -> Played:
+    def play(self, programs: Sequence[Program] | np.ndarray) -> PlayedPrograms:
         """Play programs[k] on stage k; an empty one leaves it alone.
 
         After Ctrl-C each stage stands somewhere in its program, in a wait for example, and can be used as before.
@@ -150,13 +150,13 @@ class Fleet:
         if by_python:
             compiled = ops.copy()
             compiled[by_python, 0] = END
-        lasts = ops[:, :, 1:].sum(dtype=float) > play.LONG  # times are in it
+        lasts = ops[:, :, 1:].sum(dtype=float) > program_player.LONG  # times are in it
         run = self._play_interruptibly if lasts else self.run_on_threads
-        run(lambda a, b: play.play(self.handles, a, b, compiled, results, extremes, status))
+        run(lambda a, b: program_player.play_programs(self.handles, a, b, compiled, results, extremes, status))
         self.check_status(status)
         for k in by_python:
-            status[k] = play.play_in_python(self.stages[k], ops[k], results[k], extremes[k])
-        return Played(results, extremes, status == play.DIVERGED)
+            status[k] = program_player.play_in_python(self.stages[k], ops[k], results[k], extremes[k])
+        return PlayedPrograms(results, extremes, status == program_player.DIVERGED)
 
     def list_python_stages(self) -> list[int]:
         """List the stages that Python has to play: those with a recording, or whose chips have a journal or lose writes.
@@ -190,14 +190,14 @@ class Fleet:
         """
         if any(how := status.tolist()):  # of few stages faster than numpy: steps of environments pass here
             for k, why in enumerate(how):
-                if why not in (play.PLAYED, play.DIVERGED):
+                if why not in (program_player.PLAYED, program_player.DIVERGED):
                     raise StageError(f"stage {k} of the fleet: {IN_USE}")
 
     def truth(self) -> np.ndarray:
         """Return every axis of every stage now: a new array (stages, axes) of play.TRUTH."""
         for stage in self.stages:
             stage.ensure_powered()
-        play.inspect_axes(self.handles, 0, len(self), self._truth)
+        program_player.inspect_axes(self.handles, 0, len(self), self._truth)
         return self._truth.copy()
 
     def __getnewargs__(self) -> tuple[list[Stage]]:

@@ -10,7 +10,7 @@ import mujoco
 
 
 @cache
-def library() -> ctypes.CDLL:
+def load_mujoco_library() -> ctypes.CDLL:
     """Return the library that the package mujoco has loaded."""
     return ctypes.CDLL(
         str(next(Path(mujoco.__file__).parent.glob("libmujoco.*")))
@@ -18,6 +18,6 @@ def library() -> ctypes.CDLL:
 
 
 @cache
-def address(name: str) -> int:
+def find_mujoco_address(name: str) -> int:
     """Return the address of a function."""
-    return int(ctypes.cast(library()[name], ctypes.c_void_p).value or 0)
+    return int(ctypes.cast(load_mujoco_library()[name], ctypes.c_void_p).value or 0)

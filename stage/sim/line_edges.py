@@ -6,13 +6,22 @@ On the way the stage is observed: every edge of its switches, and the largest fo
 from __future__ import annotations
 
 from stage.chips import cores
-from stage.chips.entries import INPUT
-from stage.drives import drive
+from stage.chips.journal_entries import INPUT
+from stage.drives import drive_dispatch
 from stage.native import array_at, exported, greatest, hot, least, record
-from stage.sim.edges import journal_input
 from stage.sim.engine import advance
-from stage.sim.handle import HANDLE, axis_table, chip_table, clockwork, drives, qpos, qvel, world
-from stage.sim.records import EDGE, EDGES_FULL, NEVER, REACHED, SAMPLES_FULL
+from stage.sim.engine_records import EDGE, EDGES_FULL, NEVER, REACHED, SAMPLES_FULL
+from stage.sim.input_edges import journal_input
+from stage.sim.stage_handle import (
+    HANDLE,
+    get_axis_table,
+    get_chip_table,
+    get_clockwork,
+    get_drives,
+    get_qpos,
+    get_qvel,
+    get_world,
+)
 
 LINE_EDGE = record([(name, "i8") for name in "time axis pins levels".split()])
 """An edge: time, ns since power-up; index of the axis; the input pins of its chip that change (bits), and their levels (bits)."""
@@ -52,26 +61,26 @@ def _observe_following_errors(h, p):
     """Keep the largest following error of each axis at the end of a physics step."""
     axes = array_at(p.axes, h.n_axes, OBSERVED_AXIS)
     for a in range(h.n_axes):
-        t = axis_table(h)[a]
-        count = float(cores.net(chip_table(h)[t.chip], t.chip_axis))
-        position = qpos(h)[t.qpos] - qvel(h)[t.dof] * clockwork(h).half
-        error = abs(drive.compute_lag(drives(h)[a], count, position * t.gear) / t.gear)
+        t = get_axis_table(h)[a]
+        count = float(cores.read_net_count(get_chip_table(h)[t.chip], t.chip_axis))
+        position = get_qpos(h)[t.qpos] - get_qvel(h)[t.dof] * get_clockwork(h).half
+        error = abs(drive_dispatch.compute_lag(get_drives(h)[a], count, position * t.gear) / t.gear)
         if error > axes[a].largest_error:
-            axes[a].largest_error, axes[a].error_time = error, world(h).now
+            axes[a].largest_error, axes[a].error_time = error, get_world(h).now
 
 
 @hot
 def _apply_edge(h, p, edge):
     """Change the input pins of an axis now."""
-    t = axis_table(h)[edge.axis]
-    c = chip_table(h)[t.chip]
-    before = cores.inputs(c, t.chip_axis)
+    t = get_axis_table(h)[edge.axis]
+    c = get_chip_table(h)[t.chip]
+    before = cores.read_inputs(c, t.chip_axis)
     word = before & ~edge.pins | edge.levels & edge.pins
     if word != before:
         cores.set_input(c, t.chip_axis, word)
         array_at(p.axes, h.n_axes, OBSERVED_AXIS)[edge.axis].inputs = word
         if p.has_journals:
-            journal_input(h, world(h).now, c, t.chip_axis)
+            journal_input(h, get_world(h).now, c, t.chip_axis)
 
 
 @exported("i8", HANDLE, "i8", LINE_PLAYER)
@@ -81,7 +90,7 @@ def play_line_edges(h, until, p):
     Returns:
         Why it stopped, as `engine.advance`.
     """
-    w, dt, edges = world(h), clockwork(h).dt, array_at(p.edges, p.n_edges, LINE_EDGE)
+    w, dt, edges = get_world(h), get_clockwork(h).dt, array_at(p.edges, p.n_edges, LINE_EDGE)
     while True:
         time = edges[p.next].time if p.next < p.n_edges else NEVER
         start, noted = w.start, h.noted
@@ -95,7 +104,7 @@ def play_line_edges(h, until, p):
             return status
         if time <= w.now:
             if (
-                p.has_journals and h.noted >= h.edge_room - clockwork(h).most_edges
+                p.has_journals and h.noted >= h.edge_room - get_clockwork(h).most_edges
             ):  # the engine needs that much in any step
                 return EDGES_FULL
             _apply_edge(h, p, edges[p.next])

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from stage.chips.sharing import exclusively
+from stage.chips.exclusive_access import exclusively
 from stage.errors import ArgumentError
 from stage.native import address_of
+from stage.sim.engine_records import PINS
 from stage.sim.line_edges import LINE_EDGE, LINE_PLAYER, OBSERVED_AXIS, SWITCH_EDGE, play_line_edges
-from stage.sim.records import PINS
 
 if TYPE_CHECKING:
     from stage.sim.stage import Stage

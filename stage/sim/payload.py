@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 
 from stage.errors import ArgumentError, unknown_name_error
-from stage.support.arguments import WrongType
+from stage.support.argument_checks import WrongType
 
 MAX_PAYLOAD_KG = 1e6  # kg
 

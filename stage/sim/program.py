@@ -16,7 +16,7 @@ A program is an array of operations, (kind, a, b, c) of int64 each:
                                       MEASURE, its coordinate of the world, 0 to 2
     END      -, -, -
 
-play.py plays programs.
+program_player.py plays programs.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Self
 
 from stage.errors import ArgumentError
-from stage.support.arguments import WrongType, explain_arguments
+from stage.support.argument_checks import WrongType, explain_arguments
 
 if TYPE_CHECKING:
     from stage.chips import Chip

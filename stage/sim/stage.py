@@ -24,24 +24,24 @@ import numpy as np
 
 from stage import load_method_of_stage
 from stage.chips import ChipAxis
-from stage.chips.sharing import Lock, exclusive
+from stage.chips.exclusive_access import Lock, exclusive
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError, RunTimeout, StageError, unknown_name_error
-from stage.sim import callbacks, encoder, engine, handle, integration, plant, records
+from stage.sim import encoder, engine, engine_records, integration_checks, mujoco_callbacks, plant, stage_handle
 from stage.sim.axis import Axes, Axis, format_axes_table
-from stage.sim.chip_wires import Wires, WiringChoice, choose_leaders, choose_linked_axes, choose_wiring
 from stage.sim.chips_and_drives import ChipChoice, DriveChoice, choose_chips_and_drives, fit_rotors
 from stage.sim.device_state import DeviceState
+from stage.sim.drive_replacement import compute_power_up_state, replace_motor_in_model, set_drive_record
 from stage.sim.encoder import EncoderChoice
-from stage.sim.fingerprint import compute_mechanics_digest
-from stage.sim.loop import Loop
+from stage.sim.model_fingerprint import compute_mechanics_digest
 from stage.sim.payload import Payloads
-from stage.sim.refit import compute_power_up_state, replace_motor_in_model, set_drive_record
-from stage.sim.snapshot import Snapshot, describe_stage
-from stage.sim.state import SAVED, State, count_state_words, list_chips
+from stage.sim.stage_loop import Loop
+from stage.sim.stage_snapshot import Snapshot, describe_stage
+from stage.sim.stage_state import SAVED, State, count_state_words, list_chips
+from stage.sim.wiring_choices import Wires, WiringChoice, choose_leaders, choose_linked_axes, choose_wiring
 from stage.support import html, snapshots
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 from stage.support.snapshots import Header
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ class Stage:
         self._followers = choose_leaders(syni, names, chip_axes)
         self._linked, _ = choose_linked_axes(multichip, names, chip_axes)
         self.model, offset = plant.compile_spec(spec, count_state_words(chip_axes, 5 * len(names)))
-        integration.check_options(self.model)
+        integration_checks.check_options(self.model)
         try:
             self._build(names, chip_axes, drives_chosen, round(bus_cycle * 1e9), offset, wiring)
         except BaseException:
@@ -132,16 +132,16 @@ class Stage:
         offset: int,
         wiring: WiringChoice,
     ) -> None:
-        self._plant = plant.bind(self.model, names)
+        self._plant = plant.bind_axes(self.model, names)
         self._positive = choose_wiring(wiring, self._plant, chip_axes)
         fit_rotors(self.model, self._plant, chip_axes, drives)
         self._mechanics = compute_mechanics_digest(self.model)
         self._build_state(chip_axes, drives, bus, offset)
         for k, d in enumerate(drives):
             d.fill(self.state.drives[k])
-        callbacks.forward_guarded(self.model, self.data)
-        integration.check_dampers(self.model, self._plant, drives)
-        integration.check_step(self.model, self.data, self._plant, drives)
+        mujoco_callbacks.forward_guarded(self.model, self.data)
+        integration_checks.check_dampers(self.model, self._plant, drives)
+        integration_checks.check_step(self.model, self.data, self._plant, drives)
         engine.find_switch_levels.with_gil(self.state.pointer)
         self.run_to(0)
         self._initial = self.snapshot()
@@ -189,7 +189,7 @@ class Stage:
 
     @property
     def lock(self) -> Lock | None:
-        """Lock that users of the stage take while a session is open, see stage.chips.sharing; None without a session."""
+        """Lock that users of the stage take while a session is open, see stage.chips.exclusive_access; None without a session."""
         return self.loop.lock
 
     # --- time ---
@@ -249,7 +249,7 @@ class Stage:
             SimulationError: As `run`.
         """
         dt = self.state.dt
-        max_steps = MAX_RUN_S * records.SECOND // dt
+        max_steps = MAX_RUN_S * engine_records.SECOND // dt
         if not 0 <= n <= max_steps or int(n) != n:
             raise ArgumentError(
                 f"n={n!r}: a stage advances by a whole number of physics steps, 0 to {max_steps} ({MAX_RUN_S:g} s)."
@@ -286,7 +286,7 @@ class Stage:
             ArgumentError: `until` is not a whole number, or too far away.
             SimulationError: As `run`.
         """
-        if int(until) != until or until - self.state.now > MAX_RUN_S * records.SECOND:
+        if int(until) != until or until - self.state.now > MAX_RUN_S * engine_records.SECOND:
             raise ArgumentError(
                 f"until={until!r}: a time is a whole number of ns since power-up, {MAX_RUN_S:g} s from now at most."
             )
@@ -615,13 +615,13 @@ class Stage:
         """
         self.prepare_change()
         self.loop.recording = recording
-        handle.set_sample_buffers(self.state.handle, recording)
+        stage_handle.set_sample_buffers(self.state.handle, recording)
         self.state.clockwork[0].sample_every = self.state.world[0].to_sample = steps
 
     def stop_recording(self) -> None:
         """Stop filling the buffers of a recording. `Recording.close` is the usual way."""
         self.loop.recording = None
-        handle.set_sample_buffers(self.state.handle, None)
+        stage_handle.set_sample_buffers(self.state.handle, None)
         self.state.clockwork[0].sample_every = 0
 
     # --- a page ---

@@ -7,12 +7,12 @@ of its acceleration is known exactly, and the solver has nothing left to do. In 
 
 from __future__ import annotations
 
-from stage.drives import drive
+from stage.drives import drive_dispatch
 from stage.native import hot
 
 
 @hot
-def compute_force_change(axis, t, d, effort_change, speed, damping, core_loss):
+def compute_force_change(axis, axis_row, drive, effort_change, speed, damping, core_loss):
     """Return the change of a joint's force since the last physics step, N or N m, and note the joint's speed for the next step.
 
     Args:
@@ -24,13 +24,13 @@ def compute_force_change(axis, t, d, effort_change, speed, damping, core_loss):
     """
     speed_change = speed - axis.speed
     axis.speed = speed
-    rotor_change = speed_change * t.gear
-    torque_change = drive.compute_torque_change(d, effort_change, rotor_change) - core_loss * rotor_change
-    return torque_change * t.gear - damping * speed_change
+    rotor_change = speed_change * axis_row.gear
+    torque_change = drive_dispatch.compute_torque_change(drive, effort_change, rotor_change) - core_loss * rotor_change
+    return torque_change * axis_row.gear - damping * speed_change
 
 
 @hot
-def apply_effort(clock, axis, t, d, q, v, ctrl, accelerations, inertia, damping, core_loss):
+def apply_effort(clock, axis, axis_row, drive, position, velocity, ctrl, accelerations, inertia, damping, core_loss):
     """Set what goes to an axis' actuator in the next physics step, and predict the acceleration of its joint.
 
     Args:
@@ -39,9 +39,13 @@ def apply_effort(clock, axis, t, d, q, v, ctrl, accelerations, inertia, damping,
         q, v, ctrl, accelerations: MuJoCo's qpos, qvel, ctrl and qacc_warmstart.
         inertia, damping, core_loss: MuJoCo's dof_M0, dof_damping and actuator_damping.
     """
-    speed, before = v[t.dof], ctrl[t.actuator]
-    gain = clock.half * t.gear * t.gear / inertia[t.dof]
-    effort = drive.compute_effort(d, axis.counts, clock.slices, q[t.qpos] * t.gear, speed * t.gear, clock.h, gain)
-    ctrl[t.actuator] = effort
-    change = compute_force_change(axis, t, d, effort - before, speed, damping[t.dof], core_loss[t.actuator])
-    accelerations[t.dof] += change / inertia[t.dof]
+    speed, before = velocity[axis_row.dof], ctrl[axis_row.actuator]
+    gain = clock.half * axis_row.gear * axis_row.gear / inertia[axis_row.dof]
+    effort = drive_dispatch.compute_effort(
+        drive, axis.counts, clock.slices, position[axis_row.qpos] * axis_row.gear, speed * axis_row.gear, clock.h, gain
+    )
+    ctrl[axis_row.actuator] = effort
+    change = compute_force_change(
+        axis, axis_row, drive, effort - before, speed, damping[axis_row.dof], core_loss[axis_row.actuator]
+    )
+    accelerations[axis_row.dof] += change / inertia[axis_row.dof]

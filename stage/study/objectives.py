@@ -19,7 +19,7 @@ from stage.chips import chip_class
 from stage.chips.pcl240 import PCL240
 from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware import Profile
-from stage.support.arguments import explain_arguments, explain_constructor
+from stage.support.argument_checks import explain_arguments, explain_constructor
 
 if TYPE_CHECKING:
     from optuna import Trial

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError, StageError
-from stage.support.arguments import check_integer, explain_arguments
+from stage.support.argument_checks import check_integer, explain_arguments
 
 if TYPE_CHECKING:
     import optuna

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from stage.board.bus.host_record import IN8, LINES_SHIFT, LOG, OUT8, READ_LINES, SET_LINES, UNTIL
-from stage.native import array_at, called, exported, hot, record
-from stage.sim.handle import INTEGER
+from stage.native import array_at, declare_address_call, exported, hot, record
+from stage.sim.stage_handle import INTEGER
 from stage.targets.processor_core import PROCESSOR_FIELDS, advance_board, bus_cycle, compute_time, request
 
 NO_PIN = -1
@@ -67,10 +67,10 @@ ONE_MORE = -1
 SLEEPING, DONE = 3, 6
 """cpu_Sleeping, cpu_Done, and above: crashed."""
 NOTHING_WAKES = 2
-_run, _raise_irq = called("i4", "i8"), called(None, "i8", "i4")
-_is_enabled, _ioctl = called("i4", "i8", "i8"), called("i4", "i8", "i4", "i8")
-_has_pending = called("i4", "i8")
-_get_timer_status, _read_memory = called("i8", "i8", "i8", "i8"), called("i4", "i8", "i4")
+_run, _raise_irq = declare_address_call("i4", "i8"), declare_address_call(None, "i8", "i4")
+_is_enabled, _ioctl = declare_address_call("i4", "i8", "i8"), declare_address_call("i4", "i8", "i4", "i8")
+_has_pending = declare_address_call("i4", "i8")
+_get_timer_status, _read_memory = declare_address_call("i8", "i8", "i8", "i8"), declare_address_call("i4", "i8", "i4")
 
 
 @hot

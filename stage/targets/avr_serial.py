@@ -10,8 +10,8 @@ import numpy as np
 
 from stage.board.bus.host_record import HOST, LOG, READ_SERIAL, SEND_SERIAL, TAKE
 from stage.board.bus.serial_core import LINE
-from stage.native import array_at, called, exported, greatest, hot, record
-from stage.sim.handle import INTEGER
+from stage.native import array_at, declare_address_call, exported, greatest, hot, record
+from stage.sim.stage_handle import INTEGER
 from stage.targets.avr_core import AVR, count_cycles
 from stage.targets.processor_core import advance_board, request
 
@@ -39,8 +39,8 @@ UART = record(
 """
 BYTE = np.dtype("u1")
 LINE_END, CARRIAGE_RETURN = 10, 13
-_register_timer = called(None, "i8", "i8", "i8", "i8")
-_raise_irq, _read_memory = called(None, "i8", "i4"), called("i4", "i8", "i4")
+_register_timer = declare_address_call(None, "i8", "i8", "i8", "i8")
+_raise_irq, _read_memory = declare_address_call(None, "i8", "i4"), declare_address_call("i4", "i8", "i4")
 
 
 @hot

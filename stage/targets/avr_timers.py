@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.native import array_at, called, exported, greatest, hot, record
-from stage.sim.handle import INTEGER
+from stage.native import array_at, declare_address_call, exported, greatest, hot, record
+from stage.sim.stage_handle import INTEGER
 
 SIMAVR = record(
     [(name, "i8") for name in "avr cycle cycles_left response memory flash pc vectors n_vectors event".split()]
@@ -85,10 +85,16 @@ IRQ_LEVEL = 20  # where an avr_irq_t has its level, before the functions that it
 OUTPUT = 0x100  # a simavr IRQ that drives its pin
 BYTE, WORD = np.dtype("u1"), np.dtype("u4")
 DATA_SIZE = 1 << 16
-_write_register, _read_register = called(None, "i8", "i4", "i4", "i8"), called("i4", "i8", "i4", "i8")
-_watch_write, _watch_read = called(None, "i8", "i4", "i4"), called("i4", "i8", "i4")
-call_for_vector, _raise_irq = called("i4", "i8", "i8"), called(None, "i8", "i4")
-_register_event, _cancel_event = called(None, "i8", "i8", "i8", "i8"), called(None, "i8", "i8", "i8")
+_write_register, _read_register = (
+    declare_address_call(None, "i8", "i4", "i4", "i8"),
+    declare_address_call("i4", "i8", "i4", "i8"),
+)
+_watch_write, _watch_read = declare_address_call(None, "i8", "i4", "i4"), declare_address_call("i4", "i8", "i4")
+call_for_vector, _raise_irq = declare_address_call("i4", "i8", "i8"), declare_address_call(None, "i8", "i4")
+_register_event, _cancel_event = (
+    declare_address_call(None, "i8", "i8", "i8", "i8"),
+    declare_address_call(None, "i8", "i8", "i8"),
+)
 
 
 @hot

@@ -6,7 +6,7 @@ flag set while the transmit buffer is empty.
 
 from __future__ import annotations
 
-from stage.native import array_at, called, exported, record
+from stage.native import array_at, declare_address_call, exported, record
 from stage.targets.avr_timers import SIMAVR, call_for_vector, peek, poke, read_bits
 
 TRANSMITTER = record([(name, "i8") for name in "simavr function parameter transmitter vector flag flag_mask".split()])
@@ -15,7 +15,7 @@ TRANSMITTER = record([(name, "i8") for name in "simavr function parameter transm
     transmitter        the register bit TXENn
     vector, flag       address of the avr_int_vector_t of UDREn; its register and bit
 """
-_write_register = called(None, "i8", "i4", "i4", "i8")
+_write_register = declare_address_call(None, "i8", "i4", "i4", "i8")
 
 
 @exported(None, "i8", "i4", "i4", TRANSMITTER)

@@ -20,7 +20,7 @@ from stage.board.library import ELF_HEAD_SIZE, MACHINES, read_elf_head
 from stage.errors import add_article
 from stage.support.files import FileError, refuse_irregular
 from stage.support.foreign_files import read_bytes
-from stage.support.processes import run_program
+from stage.support.subprocesses import run_program
 from stage.targets.mcus import AVRS
 
 AVR, ARM = 83, 40

@@ -12,8 +12,8 @@ each byte: an approximation that each processor documents.
 from __future__ import annotations
 
 from stage.board.bus.host_record import HOST, IN8, IN16, IN32, OUT8, OUT16, OUT32, UNTIL, get_now
-from stage.native import array_at, called, exported, greatest, hot, least, record
-from stage.sim.handle import INTEGER
+from stage.native import array_at, declare_address_call, exported, greatest, hot, least, record
+from stage.sim.stage_handle import INTEGER
 
 PROCESSOR_FIELDS = [(name, "i8") for name in "host request hz begin waits watched line ended code".split()]
 """Fields that the record of every processor begins with:
@@ -24,7 +24,7 @@ PROCESSOR_FIELDS = [(name, "i8") for name in "host request hz begin waits watche
     ended, code      the program has ended, with this code
 """
 SECOND = 1_000_000_000
-_request = called("i8", "i8", "i4", "i8", "i8")
+_request = declare_address_call("i8", "i8", "i4", "i8", "i8")
 
 MACHINE = record(
     PROCESSOR_FIELDS
@@ -47,8 +47,8 @@ MACHINE = record(
 WINDOW = record([(name, "i8") for name in "address port length".split()])
 PAGE = record([("machine", "i8"), ("address", "i8")])
 """Page of memory with windows, and its address."""
-_stop, _reg_read = called("i4", "i8"), called("i4", "i8", "i4", "i8")
-_internal_port = called("i8", "i8", "i8", "i8", "i8")
+_stop, _reg_read = declare_address_call("i4", "i8"), declare_address_call("i4", "i8", "i4", "i8")
+_internal_port = declare_address_call("i8", "i8", "i8", "i8", "i8")
 
 
 @hot

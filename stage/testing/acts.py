@@ -212,7 +212,7 @@ def count_clocks_to_end(chip: Chip, axis: int, seconds: float = 5.0) -> int:
     probe = chip.make_replica()
     step = max(chip.clock_hz // 200, 1)
     for _ in range(int(seconds * 200)):
-        if not probe.CORE.busy.with_gil(probe.pointer, axis):
+        if not probe.CORE.is_busy.with_gil(probe.pointer, axis):
             break
         probe.advance(step)
     return probe.clock - chip.clock + step

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 from stage.units import DEVIATION_UNITS, POSITION_UNITS
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ def list_axes(what: Any) -> list[Axis]:
 def read_pulse_rate(axis: Axis) -> float:
     """Return the present pulse rate, pps (counts a second for a servo), signed."""
     chip = axis.chip
-    return float(chip.CORE.pulse_rate.c(chip.pointer, axis.chip_axis, float(chip.clock_hz)))
+    return float(chip.CORE.compute_pulse_rate.c(chip.pointer, axis.chip_axis, float(chip.clock_hz)))
 
 
 def read_velocity(axis: Axis) -> float:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError, unknown_name_error
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 from stage.testing.assertions import format_deviation
 
 if TYPE_CHECKING:

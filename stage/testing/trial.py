@@ -106,7 +106,7 @@ class Trial:
 
 def read_counter(chip: Chip, axis: int) -> int:
     """Read an axis' counter from the core."""
-    return int(chip.CORE.counter.with_gil(chip.pointer, axis))
+    return int(chip.CORE.read_counter.with_gil(chip.pointer, axis))
 
 
 def read_visible_state(chip: Chip) -> Any:

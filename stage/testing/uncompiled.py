@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import Any
 
 from stage.chips import Chip
-from stage.support.processes import ENCODING, ERRORS
+from stage.support.subprocesses import ENCODING, ERRORS
 from stage.testing.acts import perform
 from stage.testing.trial import Trial
 

@@ -28,7 +28,7 @@ from stage.drives.motors import Drive
 from stage.errors import ArgumentError
 from stage.firmware import Profile
 from stage.firmware.driver import Speeds, get_driver
-from stage.support import portable
+from stage.support import portable_math
 
 SAFETY_FACTOR = 1.5
 START_RATE_RATIO = 0.125  # start rate (FL) as a fraction of the pull-in rate
@@ -141,7 +141,7 @@ def compute_speeds(load: Load, pulses: int, safety_factor: float = SAFETY_FACTOR
     distance = pulses / load.pulses_per_metre
     start = START_RATE_RATIO * load.pull_in_rate / load.pulses_per_metre if load.is_stepper else 0.0
     max_speed = MAX_ROTOR_SPEED_RAD_S / load.gear
-    top = portable.geomspace(start * 1.01 or max_speed * 1e-4, max_speed, 4000)
+    top = portable_math.geomspace(start * 1.01 or max_speed * 1e-4, max_speed, 4000)
     thrust, friction = load.compute_max_thrust(top) / safety_factor, load.friction + load.damping * top
     swing_limit = np.full(len(top), np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):  # beyond the speed at which the motor has no torque left

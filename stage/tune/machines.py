@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.drives.dc_motors import Servo
+from stage.drives.motor_tolerances import estimate_spread, vary_motor
 from stage.drives.motors import MAX_BUS_VOLTAGE, Drive, read_tolerance
-from stage.drives.spread import estimate_spread, vary_motor
-from stage.sim.refit import vary_drive
-from stage.support import portable
+from stage.sim.drive_replacement import vary_drive
+from stage.support import portable_math
 
 
 class Spread(NamedTuple):
@@ -47,7 +47,7 @@ class Spread(NamedTuple):
     def draw(self, rng: np.random.Generator) -> float:
         """Draw a value."""
         if self.logarithmic:
-            return float(portable.exp(rng.uniform(*portable.log((self.low, self.high)))))
+            return float(portable_math.exp(rng.uniform(*portable_math.log((self.low, self.high)))))
         return float(rng.uniform(self.low, self.high))
 
     def __str__(self) -> str:
@@ -60,7 +60,7 @@ DEFAULTS = {
     "supply": Spread(0.95, 1.05, "V", False, "I: +-5 %, line, load and cable of a regulated supply"),
 }
 """Ranges where neither a data sheet nor the user states one, as factors of the model's value. Those of core loss and inductance are
-in `stage.drives.spread`."""
+in `stage.drives.motor_tolerances`."""
 UNITS = {"core loss": "N m s/rad", "inductance": "H"} | {name: spread.unit for name, spread in DEFAULTS.items()}
 
 

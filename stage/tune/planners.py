@@ -17,7 +17,7 @@ import numpy as np
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import Speeds, get_driver
 from stage.sim.program import Operations
-from stage.support import portable
+from stage.support import portable_math
 from stage.tune.formula import SAFETY_FACTOR, Load, compute_speeds
 from stage.tune.machines import Machine
 from stage.tune.task import Task, is_moved_by_joint
@@ -153,7 +153,7 @@ class MovePlanner(ABC):
         for name, max_factor in MAX_SPEED_FACTORS.items():
             a, b = getattr(center, name), getattr(target, name)
             if name in self.parameter_names and a > 0 and b > 0:
-                parameters[name] = float(np.clip(portable.log(b / a) / portable.log(max_factor), -1, 1))
+                parameters[name] = float(np.clip(portable_math.log(b / a) / portable_math.log(max_factor), -1, 1))
         return parameters
 
 

@@ -9,7 +9,7 @@ from os import PathLike
 from typing import Any
 
 from stage.sim.program import Program
-from stage.support.identifiers import escape_name
+from stage.support.identifier_escapes import escape_name
 from stage.tune.bus_listing import (
     BusCycle,
     RegisterValue,

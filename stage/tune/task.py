@@ -15,7 +15,7 @@ from stage import Stage
 from stage.envs.task import find_carrier, find_judged_point
 from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware.driver import get_driver
-from stage.support.arguments import explain_constructor
+from stage.support.argument_checks import explain_constructor
 from stage.tune.machines import Machine, fit_machine
 from stage.units import DEVIATION_UNITS, POSITION_UNITS
 

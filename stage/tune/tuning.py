@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.errors import ArgumentError, StageError
-from stage.support.arguments import check_integer, explain_arguments
+from stage.support.argument_checks import check_integer, explain_arguments
 from stage.tune.formula import SAFETY_FACTOR
 from stage.tune.machines import Machine, draw_machines
 from stage.tune.move_runner import MoveRunner

@@ -24,7 +24,7 @@ from stage.board import (
     include,
 )
 from stage.cli.terminal import Output
-from stage.support.processes import run_program
+from stage.support.subprocesses import run_program
 
 SHIFT_JIS = "軸を動かす".encode("shift_jis")
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None or sys.platform != "linux", reason="no C compiler on Linux")

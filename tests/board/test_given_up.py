@@ -21,7 +21,7 @@ from stage.board.thread_runner import is_debugged
 from stage.chips import HCTL1100, PCL240K
 from stage.cli import main
 from stage.errors import StageError
-from stage.sim import records
+from stage.sim import engine_records
 
 SLEEPS = "#include <unistd.h>\n#include <stdlib.h>\n"
 CLOCK = "#include <time.h>\n#include <unistd.h>\n"
@@ -172,11 +172,11 @@ def test_writes_leave_the_engine_room_for_what_it_notes_within_a_step():
     """for (int k = 0; k < 5000; k++) ps_out8(0x300 + k % 6, 5);
     The room that EDGES_A_WINDOW keeps was written over."""
     b = board("xyz_servo", HCTL1100)
-    room = 3 * records.EDGES_A_WINDOW + 20
+    room = 3 * engine_records.EDGES_A_WINDOW + 20
     b.link.record["edge_room"] = room  # of an array that is longer: what lies behind would be overwritten
     run_on(b, "PULSESTAGE_MAIN { for (int k = 0; k < 5000; k++) ps_out8(0x300 + k % 6, 5); return 0; }").run()
     used = np.flatnonzero(b.stage.state.edges["clock"])[-1]
-    assert used < room - records.EDGES_A_WINDOW, f"{room} records, {used + 1} used"
+    assert used < room - engine_records.EDGES_A_WINDOW, f"{room} records, {used + 1} used"
 
 
 def test_hooks_work_after_firmware_was_abandoned_within_a_hook():

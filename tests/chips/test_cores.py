@@ -49,7 +49,7 @@ def test_a_chip_record_of_any_family_returns_what_its_core_returns(name):
     setattr(chip.axes[0].pins, pin, True)
     chip.advance(1000)
     core, at = chip.CORE, chip._rows[0]
-    expected = (1000, core.net(at, 0), chip.input_word(0), core.outputs(at, 0), core.status(at, 0))
+    expected = (1000, core.read_net_count(at, 0), chip.input_word(0), core.read_outputs(at, 0), core.read_status(at, 0))
     assert report(chip) == expected
 
 

@@ -9,7 +9,7 @@ from stage.chips import MCX302, MCX514, PCL240K
 
 
 def drive_input(chip, j, before, ticks):
-    return chip.CORE.drive_input(chip._rows[0], j, before, ticks)
+    return chip.CORE.compute_drive_input(chip._rows[0], j, before, ticks)
 
 
 def test_it_is_the_mean_over_every_tick_at_constant_speed():

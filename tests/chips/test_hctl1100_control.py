@@ -313,7 +313,7 @@ def run_for(rows, i, clocks):
 
 
 def mean(rows, i, ticks):
-    return core.drive_input(rows[i], 0, 0, ticks)
+    return core.compute_drive_input(rows[i], 0, 0, ticks)
 
 
 def mean_of(chip, clocks, writes=()):

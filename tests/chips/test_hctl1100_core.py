@@ -14,8 +14,10 @@ from stage.chips.hctl1100 import core
 def asked(rows, i, hz):
     """net, counter, pulse rate, busy, inputs, status, R14 as it reads."""
     c = rows[i]
-    return (core.net(c, 0), core.counter(c, 0), core.pulse_rate(c, 0, hz), core.busy(c, 0), core.inputs(c, 0), core.status(c, 0),
-            core.peek(c, 0x14))  # fmt: skip
+    return (
+        core.read_net_count(c, 0), core.read_counter(c, 0), core.compute_pulse_rate(c, 0, hz), core.is_busy(c, 0),
+        core.read_inputs(c, 0), core.read_status(c, 0), core.peek(c, 0x14),
+    )  # fmt: skip
 
 
 def driven(rows, i, count, rate, word):

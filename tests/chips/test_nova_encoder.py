@@ -11,7 +11,7 @@ from support.nova_bench import command, examples, load, load_304, put
 
 from stage import StageError
 from stage.chips import CHIPS, MCX304, MCX514
-from stage.chips.entries import SHAFT
+from stage.chips.journal_entries import SHAFT
 from stage.errors import ArgumentError
 
 MRM, MR0, RR1_CMR0 = 0x20, 0x10, 1

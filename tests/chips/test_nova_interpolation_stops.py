@@ -493,7 +493,7 @@ def test_the_mean_count_is_exact_where_pulses_are_interpolated():
                 before[j]
                 + sum(direction * (chip.clock - clock) for clock, axis, direction in pulses if axis == j) / window
             )
-            assert core.drive_input(chip._rows[0], j, before[j], window) == pytest.approx(exact, abs=1e-12)
+            assert core.compute_drive_input(chip._rows[0], j, before[j], window) == pytest.approx(exact, abs=1e-12)
         assert chip.clock == began + window
 
 
@@ -502,15 +502,15 @@ def test_the_mean_count_distinguishes_interpolated_pulses_from_others():
     run(chip, ENOUGH)
     line(chip, (100, 0))
     run(chip, 100 * PERIOD)
-    core.drive_input(chip._rows[0], 0, 0, 100 * PERIOD)
+    core.compute_drive_input(chip._rows[0], 0, 0, 100 * PERIOD)
     line(chip, (5, 0))
     run(chip, 5 * PERIOD)
     load(chip, X, TP=45)
     command(chip, 0x50, X)
     run(chip, 45 * PERIOD)
     expected = 105 + 45 - sum(range(1, 6)) / 50 - 45 / 2  # the drive is over: its pulses came evenly over the window
-    assert core.drive_input(chip._rows[0], 0, 100, 50 * PERIOD) == pytest.approx(expected)
+    assert core.compute_drive_input(chip._rows[0], 0, 100, 50 * PERIOD) == pytest.approx(expected)
     run(chip, ENOUGH)
     line(chip, (30, 0))
     run(chip, 31 * PERIOD)
-    assert core.drive_input(chip._rows[0], 0, 180, PERIOD) == 180  # nobody asked while they came
+    assert core.compute_drive_input(chip._rows[0], 0, 180, PERIOD) == 180  # nobody asked while they came

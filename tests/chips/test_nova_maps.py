@@ -12,7 +12,7 @@ from support.covers import covers
 from stage.chips import CHIPS, PCL240K, Chip
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
-from stage.chips.nova.registers.words514 import ACTIONS, FACTORS, HOME_STATES
+from stage.chips.nova.registers.mcx514_words import ACTIONS, FACTORS, HOME_STATES
 from stage.chips.pcl240.maps import PCL240K_MAP, PCL240MS_MAP
 from stage.chips.register_map import COMMAND_KINDS, EVIDENCE, Command, Register, RegisterMap, dump
 from stage.errors import ArgumentError

@@ -9,7 +9,7 @@ from support.nova_bench import NOP_304, NOP_514, command, examples, load, load_3
 
 from stage.chips import MCX304, MCX514
 from stage.chips.describe import decode
-from stage.chips.nova.motion import trace as pulses
+from stage.chips.nova.motion import pulse_trace as pulses
 
 PARTS = (1, 2, 3, 7, 11, 64, 625, 999, 4096, 15_625)
 

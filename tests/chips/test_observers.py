@@ -30,7 +30,7 @@ CHIP_OBSERVERS = {
     "twin": lambda chip, axis: chip.make_replica().advance(10_000),
     "snapshot": lambda chip, axis: chip.snapshot(),
     "core": lambda chip, axis: [
-        getattr(chip.CORE, name).with_gil(chip.pointer, axis) for name in ("counter", "status", "busy")
+        getattr(chip.CORE, name).with_gil(chip.pointer, axis) for name in ("read_counter", "read_status", "is_busy")
     ],
     "peek": lambda chip, axis: [chip.CORE.peek.with_gil(chip.pointer, k) for k in range(chip.ADDRESSES)],
 }

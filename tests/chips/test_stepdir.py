@@ -81,12 +81,12 @@ def test_steps_without_enable_are_counted_where_the_power_stage_does(counts, ste
     pulse(axis)
     axis.pins.enable = False
     pulse(axis)
-    assert axis.CORE.current.with_gil(axis.pointer, 0) == 0.0
+    assert axis.CORE.read_motor_current.with_gil(axis.pointer, 0) == 0.0
     assert axis.explain_missing_current() == "ENABLE is not asserted"
     axis.pins.enable = True
     pulse(axis)
     assert axis.net() == steps
-    assert axis.CORE.current.with_gil(axis.pointer, 0) == pytest.approx(1.7)
+    assert axis.CORE.read_motor_current.with_gil(axis.pointer, 0) == pytest.approx(1.7)
 
 
 def test_the_mean_count_of_a_slice_is_exact_for_up_to_sixteen_edges():
@@ -108,7 +108,7 @@ def test_the_mean_count_of_a_slice_is_exact_for_up_to_sixteen_edges():
         axis.advance(1)
         area += axis.net() - before
         ticks = axis.clock - begin
-        mean = axis.CORE.drive_input.c(axis.pointer, 0, before, float(ticks))
+        mean = axis.CORE.compute_drive_input.c(axis.pointer, 0, before, float(ticks))
         assert mean == pytest.approx(before + area / ticks, abs=1e-9)
 
 
@@ -117,9 +117,9 @@ def test_the_rate_of_a_hosts_edges_is_that_of_the_last_two_and_ends_with_them():
     axis.pins.dir = True
     for _ in range(3):
         pulse(axis, 50_000, 50_000)
-    assert axis.CORE.pulse_rate.c(axis.pointer, 0, 1e9) == pytest.approx(-10_000)
+    assert axis.CORE.compute_pulse_rate.c(axis.pointer, 0, 1e9) == pytest.approx(-10_000)
     axis.advance(150_000)
-    assert axis.CORE.pulse_rate.c(axis.pointer, 0, 1e9) == 0.0
+    assert axis.CORE.compute_pulse_rate.c(axis.pointer, 0, 1e9) == 0.0
 
 
 # --- the step timer ---

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stage import ArgumentError, Stage
-from stage.drives import drive, stepper
+from stage.drives import drive_dispatch, stepper
 from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, find_dc_motor
 from stage.drives.motors import Drive
 
@@ -15,7 +15,7 @@ EVERY = pytest.mark.parametrize("name", DC_MOTORS)
 
 
 def filled(servo=None):
-    rows = np.zeros(1, drive.DRIVE)
+    rows = np.zeros(1, drive_dispatch.DRIVE)
     (servo or Servo()).fill(rows[0])
     return rows[0]
 
@@ -43,16 +43,16 @@ def rotor(motor, damping=0.0):
 
 def test_the_voltage_is_the_mean_command_times_the_bus_voltage():
     d = filled(Servo(bus_voltage=30.0))
-    assert drive.compute_effort(d, shares(1.0, 0.5, -0.25, 0.75), 4, 0.0, 0.0, 1e-4) == pytest.approx(15.0)
-    assert drive.compute_effort(d, shares(-1.0), 1, 0.0, 0.0, 1e-4) == -30.0
-    assert drive.compute_effort(d, shares(), 8, 0.0, 50.0, 1e-4) == 0.0
+    assert drive_dispatch.compute_effort(d, shares(1.0, 0.5, -0.25, 0.75), 4, 0.0, 0.0, 1e-4) == pytest.approx(15.0)
+    assert drive_dispatch.compute_effort(d, shares(-1.0), 1, 0.0, 0.0, 1e-4) == -30.0
+    assert drive_dispatch.compute_effort(d, shares(), 8, 0.0, 50.0, 1e-4) == 0.0
 
 
 def test_the_voltage_does_not_hang_on_place_speed_or_what_was_before():
     d = filled()
-    first = drive.compute_effort(d, shares(0.3), 1, 0.0, 0.0, 1e-4)
+    first = drive_dispatch.compute_effort(d, shares(0.3), 1, 0.0, 0.0, 1e-4)
     for theta, omega in ((1.0, 0.0), (-3.0, 400.0), (0.0, -900.0)):
-        assert drive.compute_effort(d, shares(0.3), 1, theta, omega, 1e-4) == first
+        assert drive_dispatch.compute_effort(d, shares(0.3), 1, theta, omega, 1e-4) == first
 
 
 @EVERY
@@ -60,27 +60,27 @@ def test_the_current_is_what_is_left_of_the_voltage_over_the_resistance(name):
     servo = Servo(name)
     d, m = filled(servo), servo.motor
     for share, omega in ((1.0, 0.0), (0.5, 120.0), (-0.2, 300.0)):
-        v = drive.compute_effort(d, shares(share), 1, 0.0, omega, 1e-4)
+        v = drive_dispatch.compute_effort(d, shares(share), 1, 0.0, omega, 1e-4)
         assert d.current_a == pytest.approx((24.0 * share - m.torque_constant * omega) / m.resistance)
-        assert drive.compute_torque(d, v) == pytest.approx(m.torque_constant * d.current_a)
-        assert drive.compute_voltage(d, v) == v
+        assert drive_dispatch.compute_torque(d, v) == pytest.approx(m.torque_constant * d.current_a)
+        assert drive_dispatch.compute_voltage(d, v) == v
     assert d.current_b == 0
 
 
 def test_a_stepper_has_no_terminal_voltage_and_its_effort_is_its_torque():
-    rows = np.zeros(1, drive.DRIVE)
+    rows = np.zeros(1, drive_dispatch.DRIVE)
     Drive().fill(rows[0])
-    assert drive.compute_voltage(rows[0], 0.2) == 0.0
-    assert drive.compute_torque(rows[0], 0.2) == 0.2
+    assert drive_dispatch.compute_voltage(rows[0], 0.2) == 0.0
+    assert drive_dispatch.compute_torque(rows[0], 0.2) == 0.2
 
 
 def test_a_servo_powers_up_where_it_is_and_loses_no_steps():
     d = filled()
-    drive.power_up(d, 1234.0, 0.7)
+    drive_dispatch.power_up(d, 1234.0, 0.7)
     assert d.offset == 0.0
-    assert drive.make_rest_signal(d, 1234) == 0.0
-    assert drive.compute_lag(d, 2000, 0.0) == pytest.approx(2 * math.pi), "2000 counts are a turn"
-    assert drive.count_lost_steps(d, 1_000_000, 0.0) == 0
+    assert drive_dispatch.make_rest_signal(d, 1234) == 0.0
+    assert drive_dispatch.compute_lag(d, 2000, 0.0) == pytest.approx(2 * math.pi), "2000 counts are a turn"
+    assert drive_dispatch.count_lost_steps(d, 1_000_000, 0.0) == 0
 
 
 @EVERY
@@ -88,16 +88,16 @@ def test_an_amplifier_with_a_current_limit_never_gives_more(name):
     servo = Servo(name, current_limit=4.0)
     d, m = filled(servo), servo.motor
     for share, omega, amperes in ((1.0, 0.0, 4.0), (-1.0, 0.0, -4.0), (1.0, -200.0, 4.0), (-1.0, 300.0, -4.0)):
-        v = drive.compute_effort(d, shares(share), 1, 0.0, omega, 1e-4)
+        v = drive_dispatch.compute_effort(d, shares(share), 1, 0.0, omega, 1e-4)
         assert d.current_a == amperes
-        assert drive.compute_torque(d, v) == pytest.approx(m.torque_constant * amperes)
+        assert drive_dispatch.compute_torque(d, v) == pytest.approx(m.torque_constant * amperes)
         assert v == pytest.approx(m.resistance * amperes + m.torque_constant * omega)
 
 
 def test_within_its_current_limit_an_amplifier_is_as_one_without():
     with_limit, without = filled(Servo(current_limit=5.0)), filled()
     for share, omega in ((0.4, 0.0), (1.0, 300.0), (-0.2, 77.0)):
-        values = [drive.compute_effort(d, shares(share), 1, 0.0, omega, 1e-4) for d in (with_limit, without)]
+        values = [drive_dispatch.compute_effort(d, shares(share), 1, 0.0, omega, 1e-4) for d in (with_limit, without)]
         assert values[0] == values[1]
         assert with_limit.current_a == without.current_a
 
@@ -176,9 +176,9 @@ def test_back_emf_takes_mujocos_torque_down_as_the_formula_says(name):
     m, d = DC_MOTORS[name], filled(Servo(name))
     model, data = rotor(m)
     for share, omega in ((1.0, 100.0), (0.4, -250.0), (-0.7, 77.0), (0.0, 300.0)):
-        data.ctrl[0], data.qvel[0] = drive.compute_effort(d, shares(share), 1, 0.0, omega, 1e-4), omega
+        data.ctrl[0], data.qvel[0] = drive_dispatch.compute_effort(d, shares(share), 1, 0.0, omega, 1e-4), omega
         mujoco.mj_forward(model, data)
-        assert data.qfrc_actuator[0] == pytest.approx(drive.compute_torque(d, data.ctrl[0]), rel=1e-12)
+        assert data.qfrc_actuator[0] == pytest.approx(drive_dispatch.compute_torque(d, data.ctrl[0]), rel=1e-12)
 
 
 @EVERY

@@ -7,7 +7,7 @@ import pytest
 
 from stage.drives.dynamometer import tabulate_pull_out
 from stage.drives.motors import Drive
-from stage.drives.picture import plot_pull_out
+from stage.drives.pull_out_plot import plot_pull_out
 
 RPM = [300, 900, 1500]
 

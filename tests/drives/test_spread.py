@@ -7,9 +7,9 @@ import pytest
 
 from stage import ArgumentError
 from stage.drives.dynamometer import compute_closed_form, compute_joint_bound
+from stage.drives.motor_tolerances import estimate_spread, vary_motor
 from stage.drives.motors import EVIDENCE, MOTORS, describe_core_loss, estimate_core_loss, find_motor, read_tolerance
 from stage.drives.published_curves import PUBLISHED_CURVES, fit_curve
-from stage.drives.spread import estimate_spread, vary_motor
 
 CURVE = PUBLISHED_CURVES["17HS19-2004S1"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from stage.envs import bus_macros, drifting_home, few_shot, macros, one_shot, synchronized_line
+from stage.envs import bus_macros, drifting_home, few_shot, macro_programs, one_shot, synchronized_line
 from stage.firmware.driver import Speeds
 
 PAGE = (Path(__file__).parents[2] / "docs" / "envs_tasks.md").read_text()
@@ -18,7 +18,7 @@ CODE = {
     "FewShotTuning": [few_shot.Config(), few_shot.RATES, {"error": one_shot.Config().error}],
     "DriftingHome": [drifting_home.Config(), drifting_home.RATES, vars(drifting_home)],
     "SynchronizedLine": [synchronized_line.Config()],
-    "BusMacros": [bus_macros.Config(), macros.RATES, vars(bus_macros)],
+    "BusMacros": [bus_macros.Config(), macro_programs.RATES, vars(bus_macros)],
 }
 
 
@@ -75,4 +75,4 @@ def test_derived_figures_of_the_page_are_correct():
     assert f"up to {b.longest} (twice the sum" in SECTIONS["BusMacros"]
     assert f"1 to {b.longest // b.grid[0]} times {b.grid[0]} pulses" in SECTIONS["BusMacros"]
     assert "one of 14 macros" in SECTIONS["BusMacros"]
-    assert len(macros.RATES) + len(b.grid) + len(macros.OTHERS) + len(b.axes) == 14
+    assert len(macro_programs.RATES) + len(b.grid) + len(macro_programs.OTHERS) + len(b.axes) == 14

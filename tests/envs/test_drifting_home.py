@@ -6,7 +6,7 @@ import pytest
 
 import stage.envs  # noqa: F401
 from stage import ArgumentError
-from stage.envs import contexts, faulty
+from stage.envs import machine_contexts, machine_faults
 from stage.envs.drifting_home import Config, action_of
 
 GOOD = action_of()
@@ -67,7 +67,7 @@ def test_a_fault_shows_in_the_result_of_a_return_and_reporting_it_pays(env, faul
     assert [info["reported"] for info in infos[-3:]] == [False, False, True]
     assert infos[-1]["reward_parts"]["report"] == 5
     assert infos[-1]["score"]["success"]
-    assert infos[-1]["fault"] == faulty.NAMES.index(fault)
+    assert infos[-1]["fault"] == machine_faults.NAMES.index(fault)
     silent, infos = play_episode(
         env, lambda: GOOD, options={"fault": fault, "current": 0.6, "friction": 1.9, "payload": 4.0}
     )
@@ -183,9 +183,9 @@ def test_each_split_draws_its_listed_faults_and_mostly_healthy_machines():
         env = make_env(split=split)
         drawn[split] = [env.reset(seed=seed)[1]["fault"] for seed in range(24)]
         assert 9 <= drawn[split].count(0) <= 20
-    names = {split: {faulty.NAMES[k] for k in results if k} for split, results in drawn.items()}
-    assert names["train"] == set(contexts.SPLITS["train"]["faults"])
-    assert names["faults"] == set(contexts.SPLITS["faults"]["faults"]) & set(Config.FAULTS)
+    names = {split: {machine_faults.NAMES[k] for k in results if k} for split, results in drawn.items()}
+    assert names["train"] == set(machine_contexts.SPLITS["train"]["faults"])
+    assert names["faults"] == set(machine_contexts.SPLITS["faults"]["faults"]) & set(Config.FAULTS)
     assert not names["train"] & names["faults"]
     with pytest.raises(ArgumentError, match=r"faults 'org opn'.*Did you mean 'org open'"):
         Config(faults=("org opn",))

@@ -9,7 +9,7 @@ import pytest
 import stage.envs
 from stage import ArgumentError, Stage
 from stage.drives import stepper
-from stage.envs import contexts, faulty
+from stage.envs import machine_contexts, machine_faults
 from stage.envs.few_shot import action_of
 
 SHORT = {
@@ -36,18 +36,18 @@ def test_the_split_faults_differs_from_train_only_in_its_faults(id_):
     observed = {name: set() for name in ("train", "faults")}
     for seed in range(40 if id_ == "stage/DriftingHome-v1" else 16):
         (first, a), (second, b) = (env.reset(seed=seed) for env in (train, test))
-        observed["train"].add(faulty.NAMES[a.pop("fault")])
-        observed["faults"].add(faulty.NAMES[b.pop("fault")])
+        observed["train"].add(machine_faults.NAMES[a.pop("fault")])
+        observed["faults"].add(machine_faults.NAMES[b.pop("fault")])
         assert str(a) == str(b), "what the machine is beside its fault"
         reported = 1 if id_ == "stage/DriftingHome-v1" else 0  # there ORG is the first, and it may be stuck
         assert np.array_equal(first[reported:], second[reported:]), "nobody is told"
-    known = set(contexts.SPLITS["faults"]["faults"]) & set(faults(id_))
+    known = set(machine_contexts.SPLITS["faults"]["faults"]) & set(faults(id_))
     assert observed["faults"] - {"none"} == known
     assert not (observed["train"] & observed["faults"]) - {"none"}
     assert id_ == "stage/DriftingHome-v1" or (observed["train"] == {"none"} and "none" not in observed["faults"])
 
 
-@pytest.mark.parametrize("fault", faulty.HAMPERING)
+@pytest.mark.parametrize("fault", machine_faults.HAMPERING)
 def test_a_hampered_machine_loses_steps_in_fast_moves_and_makes_moderate_ones(fault):
     env = make_env("stage/FewShotTuning-v1", proofs=0)
     moves = {"brisk": action_of(1500, 96_000, 0.025, 0.025), "usual": action_of(1000, 16_000, 0.15, 0.15)}
@@ -57,7 +57,7 @@ def test_a_hampered_machine_loses_steps_in_fast_moves_and_makes_moderate_ones(fa
         for what, action in moves.items():
             *_, info = env.step(action)
             saved[name, what] = info["kept"]
-            assert faulty.NAMES[info["fault"]] == name
+            assert machine_faults.NAMES[info["fault"]] == name
     assert saved == {("none", "brisk"): True, ("none", "usual"): True, (fault, "brisk"): False, (fault, "usual"): True}
 
 
@@ -103,7 +103,7 @@ def test_a_fault_of_an_episode_leaves_earlier_faults_in_place():
     machine = Stage("xy", visuals=False)
     x = machine.axes["x"]
     x.faults.open_phases = stepper.B
-    faults_of_x = faulty.FaultyAxis.from_stage(machine, "x")
+    faults_of_x = machine_faults.FaultyAxis.from_stage(machine, "x")
     faults_of_x.apply(machine, "phase open")
     assert x.faults.open_phases == stepper.A | stepper.B
     faults_of_x.apply(machine, "none")
@@ -119,5 +119,5 @@ def test_an_unknown_fault_is_named_in_the_error():
         make_env("stage/FewShotTuning-v1", faults=())
     env = make_env("stage/OneShotTuning-v1", faults=("sag",), healthy=0.5)
     drawn = [env.reset(seed=seed)[1]["fault"] for seed in range(16)]
-    assert {faulty.NAMES[k] for k in drawn} == {"none", "sag"}
+    assert {machine_faults.NAMES[k] for k in drawn} == {"none", "sag"}
     assert 4 <= drawn.count(0) <= 12

@@ -9,8 +9,8 @@ import pytest
 
 import stage.envs
 from stage import ArgumentError
-from stage.envs import features
-from stage.envs.base import info_of
+from stage.envs import observation_features
+from stage.envs.stage_env import info_of
 
 SHORT = {
     "stage/RegisterTuning-v0": {"model": "xy", "moves": 1, "distances": (300, 900), "limit": 0.3, "settle": 0.01},
@@ -51,13 +51,13 @@ def test_observations_and_infos_match_the_declared_table_with_and_without_truth(
         env = make_env(id_, truth=truth)
         observed[truth], names[truth] = list_reported_names(env)
         assert len(env.observation_features) == env.observation_space.shape[0] == observed[truth].shape[1]
-    every = {e.name: e.who for e in (*task.INFO, *features.EVERY_STEP)}
+    every = {e.name: e.who for e in (*task.INFO, *observation_features.EVERY_STEP)}
     assert names[True] == names["info"] == set(every)
-    assert names[False] == {name for name, who in every.items() if who == features.HOST}
+    assert names[False] == {name for name, who in every.items() if who == observation_features.HOST}
     full = make_env(id_, truth=True)
-    host = [e.who == features.HOST for e in full.observation_features]
+    host = [e.who == observation_features.HOST for e in full.observation_features]
     assert not all(host)
-    assert not any(e.who == features.TRUTH for e in make_env(id_, truth=False).observation_features)
+    assert not any(e.who == observation_features.TRUTH for e in make_env(id_, truth=False).observation_features)
     assert np.array_equal(observed[True][:, host], observed[False])
     assert np.array_equal(observed["info"], observed[False])
 
@@ -120,4 +120,6 @@ def test_the_truth_setting_accepts_three_values():
 
 def test_the_documented_table_matches_the_declared_entries():
     saved = (Path(__file__).parents[2] / "docs" / "envs_features.md").read_text()
-    assert saved == features.write_page(), "python -m stage.envs.features > docs/envs_features.md"
+    assert saved == observation_features.write_page(), (
+        "python -m stage.envs.observation_features > docs/envs_features.md"
+    )

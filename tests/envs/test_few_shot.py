@@ -8,7 +8,7 @@ import pytest
 
 import stage.envs  # noqa: F401
 from stage import ArgumentError, Stage
-from stage.envs import contexts
+from stage.envs import machine_contexts
 from stage.envs.few_shot import Config, FewShotTuning, action_of
 from stage.firmware.parameter_ranges import get_register_range
 
@@ -129,12 +129,12 @@ def test_the_drawn_machine_stays_the_same_for_all_attempts(env):
 
 
 def test_frictions_and_losses_are_drawn_by_their_logarithm_and_all_else_evenly():
-    ends = dict.fromkeys(contexts.KINDS, (0.0, 1.0)) | {"payload": (1.0, 3.0)}
+    ends = dict.fromkeys(machine_contexts.KINDS, (0.0, 1.0)) | {"payload": (1.0, 3.0)}
     ends |= {"friction": (0.25, 4.0), "loss": (0.2, 5.0)}
-    rng, drawn = np.random.default_rng(0), np.zeros(400, contexts.CONTEXT)
+    rng, drawn = np.random.default_rng(0), np.zeros(400, machine_contexts.CONTEXT)
     for row in drawn:
-        contexts.draw_context(rng, ends, row, {})
-    middles = {name: float(np.median(drawn[name])) for name in contexts.KINDS}
+        machine_contexts.draw_context(rng, ends, row, {})
+    middles = {name: float(np.median(drawn[name])) for name in machine_contexts.KINDS}
     assert middles.pop("friction") == pytest.approx(1.0, abs=0.2)
     assert middles.pop("loss") == pytest.approx(1.0, abs=0.2)
     assert middles.pop("payload") == pytest.approx(2.0, abs=0.15)
@@ -144,9 +144,9 @@ def test_frictions_and_losses_are_drawn_by_their_logarithm_and_all_else_evenly()
 def test_a_motor_of_another_inductance_has_its_time_constant_at_once():
     """env.reset(options={"inductance": 1.2}) of a stage that has run: exp(-R t / L) of the current is left after a slice."""
     stage_ = Stage("xy", visuals=False)
-    machine = contexts.NominalMachine.from_stage(stage_, "x", "y")
+    machine = machine_contexts.NominalMachine.from_stage(stage_, "x", "y")
     stage_.run(1e-3)
-    context = np.zeros((), contexts.CONTEXT)
+    context = np.zeros((), machine_contexts.CONTEXT)
     for name in ("friction", "supply", "current", "loss"):
         context[name] = 1.0
     context["inductance"] = 1.2
@@ -215,21 +215,21 @@ def test_memory_last_shows_only_the_last_attempt_and_no_encoder_hides_lost_steps
 
 
 def test_every_split_draws_from_its_ranges_and_settings_override_it():
-    train = contexts.SPLITS["train"]
-    for name, differs in contexts.SPLITS.items():
+    train = machine_contexts.SPLITS["train"]
+    for name, differs in machine_contexts.SPLITS.items():
         config = Config(split=name)
         assert set(differs) <= set(train)
-        for kind, ends in contexts.get_ranges(config).items():
-            of = contexts.KINDS[kind][0]
+        for kind, ends in machine_contexts.get_ranges(config).items():
+            of = machine_contexts.KINDS[kind][0]
             if name != "train" and of in differs:
                 inside = train[of]
                 assert ends == differs[of]
                 assert ends[0] >= inside[1] or ends[1] <= inside[0], "none of it is in train"
-            rng, created = np.random.default_rng(5), np.zeros((), contexts.CONTEXT)
-            contexts.draw_context(rng, contexts.get_ranges(config), created, {})
+            rng, created = np.random.default_rng(5), np.zeros((), machine_contexts.CONTEXT)
+            machine_contexts.draw_context(rng, machine_contexts.get_ranges(config), created, {})
             assert ends[0] <= created[kind] <= ends[1]
         assert all(name == "train" or differs[key] != train[key] for key in differs)
-    assert contexts.get_ranges(Config(split="heavy", payloads=(7.0, 8.0)))["payload"] == (7.0, 8.0)
+    assert machine_contexts.get_ranges(Config(split="heavy", payloads=(7.0, 8.0)))["payload"] == (7.0, 8.0)
     with pytest.raises(ArgumentError, match=r"split 'hevy'.*Did you mean 'heavy'"):
         Config(split="hevy")
     env = make_env(split="heavy")
@@ -277,7 +277,7 @@ def test_every_action_is_registers_of_every_chip(chip):
     [({}, 0, 0), ({"lost": True, "kept": False}, -0.5, 0), ({"finished": False, "stopped": True}, -0.5, 1)],
 )
 def test_a_step_lost_and_an_end_limit_are_damage_alike(monkeypatch, how, damage, limits):
-    from stage.envs.trial import MoveOutcomes
+    from stage.envs.single_moves import MoveOutcomes
 
     env = make_env(tries=2, proofs=0, damage_weight=0.5)
     env.reset(seed=1)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import stage.envs  # noqa: F401
-from stage.envs.base import _join_columns, info_of
+from stage.envs.stage_env import _join_columns, info_of
 
 SHORT = {
     "stage/RegisterTuning-v0": {"model": "xy", "moves": 2, "distances": (300, 900), "limit": 0.3, "settle": 0.01},

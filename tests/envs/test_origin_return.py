@@ -11,9 +11,9 @@ from support.examples import SEED
 from stage import ArgumentError, Stage
 from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.envs import origin_return as returns
-from stage.envs.registers import RegisterBox
+from stage.envs.register_actions import RegisterBox
+from stage.sim.engine_records import INDEX
 from stage.sim.program import Program
-from stage.sim.records import INDEX
 
 pytestmark = pytest.mark.filterwarnings("error")
 

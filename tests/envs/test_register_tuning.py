@@ -226,7 +226,7 @@ def test_a_shared_name_means_the_body_for_payloads_and_the_site_for_judging():
     ],
 )
 def test_the_reward_of_a_move_is_computed_from_its_result(monkeypatch, finished, lost, vibration, parts, observed):
-    from stage.envs.trial import MoveOutcomes
+    from stage.envs.single_moves import MoveOutcomes
 
     created = {"lost_weight": 7.0, "vibration_weight": 0.5, "limit_weight": 3.0, "limit": 0.4}
     env = gymnasium.make("stage/RegisterTuning-v0", model="xy", disable_env_checker=True, **created).unwrapped
@@ -256,7 +256,7 @@ def test_a_move_is_classified_as_finished_stopped_or_timed_out_with_lost_steps_o
     took, pulses, off, steps, observed
 ):
     """The parameter took is the time in s until the chip stopped, negative if it never did."""
-    from stage.sim.fleet import Played
+    from stage.sim.fleet import PlayedPrograms
 
     env = gymnasium.make("stage/RegisterTuning-v0", model="xy", disable_env_checker=True).unwrapped
     env.reset(seed=1)
@@ -267,7 +267,9 @@ def test_a_move_is_classified_as_finished_stopped_or_timed_out_with_lost_steps_o
     results = np.zeros((1, 400), np.int64)
     results[0, trial.stop] = round(took * 1e9)
     results[0, trial.rest] = round(2e-4 * 1e12)
-    matches = trial.read_outcomes(Played(results, np.zeros((1, 4, 2)), np.zeros(1, bool)), truth, np.array([400]))
+    matches = trial.read_outcomes(
+        PlayedPrograms(results, np.zeros((1, 4, 2)), np.zeros(1, bool)), truth, np.array([400])
+    )
     assert (bool(matches.finished[0]), bool(matches.stopped[0]), bool(matches.lost[0])) == observed
     assert matches.duration[0] == pytest.approx(0.1)
     assert matches.vibration[0] == pytest.approx(2e-4)

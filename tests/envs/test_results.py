@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stage.envs.features import HOST, Feature
-from stage.envs.results import DIVERGED, Results, make_result_dtype
+from stage.envs.observation_features import HOST, Feature
+from stage.envs.step_results import DIVERGED, Results, make_result_dtype
 
 
 @pytest.fixture

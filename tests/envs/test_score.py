@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import stage.envs
-from stage.envs.results import SCORE
+from stage.envs.step_results import SCORE
 
 TASKS = {
     "stage/FewShotTuning-v1": {"model": "xy", "distances": (400, 900), "tries": 2, "proofs": 1, "settle": 0.01},

@@ -11,7 +11,7 @@ import pytest
 
 import stage.envs
 from stage import ArgumentError
-from stage.envs.base import StageVectorEnv
+from stage.envs.stage_env import StageVectorEnv
 
 ID = "stage/RegisterTuning-v0"
 SHORT = {"model": "xy", "moves": 2, "distances": (300, 900), "limit": 0.3, "settle": 0.01}

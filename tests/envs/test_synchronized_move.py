@@ -7,7 +7,7 @@ from support.mirrored import mirrored
 
 from stage import Stage, firmware
 from stage.chips import CHIPS
-from stage.envs.registers import RegisterBox
+from stage.envs.register_actions import RegisterBox
 from stage.envs.synchronized_move import (
     Config,
     SynchronizedMove,

@@ -9,7 +9,7 @@ import pytest
 
 from stage import ArgumentError, Stage
 from stage.chips import HCTL1100
-from stage.chips.entries import WRITE
+from stage.chips.journal_entries import WRITE
 from stage.firmware.hctl1100.chip_port import Port
 from stage.firmware.hctl1100.moves import FilterTuning, set_up_servo
 from stage.firmware.hctl1100.position_streaming import (

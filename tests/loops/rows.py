@@ -1,7 +1,7 @@
 """Functions for tests of stage.native and of the table of chips."""
 
 from stage.chips import cores
-from stage.native import array_at, array_of, called, exported, hot, record, room
+from stage.native import allocate_on_stack, array_at, array_of, declare_address_call, exported, hot, record
 
 CELL = record([("a", "i8"), ("b", "f8")])
 
@@ -23,7 +23,7 @@ def joined(a, b):
     return a * 1000 + b
 
 
-scale = called("f8", "i8", "i8")
+scale = declare_address_call("f8", "i8", "i8")
 
 
 @exported("f8", array_of(CELL))
@@ -76,7 +76,7 @@ def summed(room):
 @exported("f8", "f8")
 def on_the_stack(x):
     """Return 2 * 5 * x, computed in two arrays on the stack."""
-    first, second = room(ROWS, COLUMNS), room(ROWS, COLUMNS)
+    first, second = allocate_on_stack(ROWS, COLUMNS), allocate_on_stack(ROWS, COLUMNS)
     for i in range(ROWS):
         for k in range(COLUMNS):
             first[i, k], second[i, k] = x, -1.0
@@ -86,5 +86,5 @@ def on_the_stack(x):
 @exported(None, cores.CHIP, "i8", array_of("i8"))
 def describe_axis(c, axis, out):
     """Write clock, net pulses, inputs, outputs and status of an axis of a chip to `out`."""
-    out[0], out[1], out[2] = cores.clock(c), cores.net(c, axis), cores.inputs(c, axis)
-    out[3], out[4] = cores.outputs(c, axis), cores.status(c, axis)
+    out[0], out[1], out[2] = cores.read_clock(c), cores.read_net_count(c, axis), cores.read_inputs(c, axis)
+    out[3], out[4] = cores.read_outputs(c, axis), cores.read_status(c, axis)

@@ -12,7 +12,7 @@ from loops.rows import CELL, by_address, by_name, cleared, joined, on_the_stack,
 
 from stage import ArgumentError
 from stage.chips import PCL240K
-from stage.native import COMPILED, Exported, address_of, array_at, greatest, least, records
+from stage.native import COMPILED, Exported, address_of, array_at, greatest, least, record_dtypes
 
 TESTS = Path(__file__).parents[1]
 
@@ -154,15 +154,17 @@ def test_a_process_that_runs_a_stage_loads_neither_numba_nor_a_compiler():
     say = "import sys; from stage import Stage; Stage('xy', visuals=False).step(); print(*sys.modules)"
     out = subprocess.run([sys.executable, "-c", say], capture_output=True, text=True, check=True)
     assert out.stderr == ""
-    assert not {"numba", "llvmlite", "scipy", "stage.native.build", "stage.native.emit"} & set(out.stdout.split())
+    assert not {"numba", "llvmlite", "scipy", "stage.native.build", "stage.native.object_emitter"} & set(
+        out.stdout.split()
+    )
 
 
 def test_records_of_uncompiled_runs_are_numpys_but_quicker():
     inner = np.dtype(
-        (records._make_fast_record(np.dtype([("k", "i8"), ("v", "f8", (3,))])), [("k", "i8"), ("v", "f8", (3,))])
+        (record_dtypes._make_fast_record(np.dtype([("k", "i8"), ("v", "f8", (3,))])), [("k", "i8"), ("v", "f8", (3,))])
     )
     fields = [("a", inner), ("bs", inner, (2,)), ("n", "i4")]
-    quick = np.zeros(2, (records._make_fast_record(np.dtype(fields)), fields))
+    quick = np.zeros(2, (record_dtypes._make_fast_record(np.dtype(fields)), fields))
     theirs = np.zeros(2, (np.record, fields))
     for rows in (quick, theirs):
         row = rows[1]
@@ -178,4 +180,4 @@ def test_records_of_uncompiled_runs_are_numpys_but_quicker():
     assert back.dtype.type is np.record
     assert back.tobytes() == quick.tobytes()
     assert type(quick[1]).n is not None, "an attribute of its own, looked up in C"
-    assert records._make_fast_record(np.dtype([("item", "i4")])) is np.record, "a name that NumPy has itself"
+    assert record_dtypes._make_fast_record(np.dtype([("item", "i4")])) is np.record, "a name that NumPy has itself"

@@ -96,7 +96,7 @@ def test_what_a_hot_module_imports_belongs_to_its_sources_however_it_is_imported
     known = {name: tmp_path / "core.py" for name in ("toy", "toy.core", "toy.constants", "toy.more")}
     for line, result in lines.items():
         (tmp_path / "core.py").write_text(line)
-        assert {origin for origin, _ in build._list_imports("toy.core", build._parse(line), known)} == result, line
+        assert {origin for origin, _ in build._list_imports("toy.core", build._parse_code(line), known)} == result, line
 
 
 CALLER = """
@@ -143,7 +143,10 @@ def test_an_object_is_rebuilt_for_a_change_of_its_code_and_of_code_compiled_into
     texts = {"caller": CALLER.replace("plain, whole", imported), "callee": CALLEE}
     known = {f"toy.{name}": tmp_path / f"{name}.py" for name in texts}
     native = Path(build.__file__).parent
-    known |= {f"stage.native.{name}": native / f"{name}.py" for name in ("arithmetic", "emit", "typed")}
+    known |= {
+        f"stage.native.{name}": native / f"{name}.py"
+        for name in ("arithmetic", "object_emitter", "numba_implementations")
+    }
 
     def depends(texts):
         for name, text in texts.items():
@@ -293,10 +296,10 @@ def test_the_link_reports_a_symbol_missing_in_the_library_of_pulsestage(toy, tmp
     )
     subprocess.run([*build.find_linker(), "-fPIC", "-c", "calls.c"], cwd=tmp_path, check=True)
     calls, manifest = tmp_path / "calls.o", part.with_name("manifest.o")
-    build._link([calls, part], manifest, tmp_path / "whole.so", complete=True)
-    build._link([calls], manifest, tmp_path / "of_a_package.so", complete=False)
+    build._link_library([calls, part], manifest, tmp_path / "whole.so", complete=True)
+    build._link_library([calls], manifest, tmp_path / "of_a_package.so", complete=False)
     with pytest.raises(NativeError, match=r"(?s)could not be linked:.*toy_1core_1stepped"):
-        build._link([calls], manifest, tmp_path / "lacks.so", complete=True)
+        build._link_library([calls], manifest, tmp_path / "lacks.so", complete=True)
 
 
 def test_a_full_disk_in_the_temporary_folder_is_reported(tmp_path, monkeypatch):
@@ -311,7 +314,7 @@ def test_a_full_disk_in_the_temporary_folder_is_reported(tmp_path, monkeypatch):
 
     monkeypatch.setattr(build.tempfile, "mkdtemp", full)
     with pytest.raises(NativeError, match=r"written to /tmp/pulsestage-1: No space left on device\. Make room there"):
-        build.build("toy")
+        build.build_library("toy")
 
 
 def test_a_full_disk_during_a_build_is_reported(tmp_path, monkeypatch):
@@ -321,14 +324,14 @@ def test_a_full_disk_during_a_build_is_reported(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     for name in [name for name in sys.modules if name.partition(".")[0] == "toy"]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setattr(build, "_emit", lambda parts, *_: None)
+    monkeypatch.setattr(build, "_emit_objects", lambda parts, *_: None)
 
     def full(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(build, "_manifest_object", full)
     with pytest.raises(NativeError, match=r"could not be written to .*toy: No space left on device\. Make room there"):
-        build.build("toy")
+        build.build_library("toy")
     monkeypatch.undo()
     assert "could not be written: No space left on device. Make room there." in run_emit_to("/dev/full")
 
@@ -336,9 +339,10 @@ def test_a_full_disk_during_a_build_is_reported(tmp_path, monkeypatch):
 def run_emit_to(place):
     """Run a process that writes an object file to `place`, and return its error output."""
     program = (
-        "import multiprocessing as m, sys\nfrom pathlib import Path\nfrom stage.native import emit\n"
-        f"emit.emit = lambda *_: b'made'\nemit.write_object = lambda path, made: Path({place!r}).write_bytes(made)\n"
-        "emit._emit_next(m.Value('q'), [['toy.o', 'toy.core']], None)"
+        "import multiprocessing as m, sys\nfrom pathlib import Path\nfrom stage.native import object_emitter\n"
+        "object_emitter.emit_object = lambda *_: b'made'\n"
+        f"object_emitter.write_object = lambda path, made: Path({place!r}).write_bytes(made)\n"
+        "object_emitter._emit_next_part(m.Value('q'), [['toy.o', 'toy.core']], None)"
     )
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, env=os.environ | {"PULSESTAGE_EMIT": "1"}
@@ -476,18 +480,18 @@ def test_a_build_by_another_numba_or_a_link_that_fails_leaves_nothing(tmp_path, 
         with pytest.raises(
             NativeError, match=f"libraries are built with numba {build.NUMBA}, and {result} is installed"
         ):
-            build.build("toy")
+            build.build_library("toy")
     monkeypatch.setattr(build, "version", lambda name: build.NUMBA)
-    monkeypatch.setattr(build, "_emit", lambda parts, *_: None)
+    monkeypatch.setattr(build, "_emit_objects", lambda parts, *_: None)
 
     def fails(objects, manifest, path, complete):
         path.write_text("half")
         raise NativeError("the disk is full")
 
-    monkeypatch.setattr(build, "_link", fails)
+    monkeypatch.setattr(build, "_link_library", fails)
     monkeypatch.setattr(build, "_manifest_object", lambda *_: None)
     with pytest.raises(NativeError, match="the disk is full"):
-        build.build("toy")
+        build.build_library("toy")
     assert [path.name for path in (tmp_path / "toy").iterdir() if "_native" in path.name] == []
 
 
@@ -501,11 +505,13 @@ def test_the_library_of_a_read_only_package_belongs_to_the_process(tmp_path, mon
     write(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(build.os, "access", lambda folder, how: False)
-    monkeypatch.setattr(build, "_emit", lambda parts, *_: None)
-    monkeypatch.setattr(build, "_link", lambda objects, manifest, path, complete: path.write_text(load.NO_DIGEST))
+    monkeypatch.setattr(build, "_emit_objects", lambda parts, *_: None)
+    monkeypatch.setattr(
+        build, "_link_library", lambda objects, manifest, path, complete: path.write_text(load.NO_DIGEST)
+    )
     at_exit = []
     monkeypatch.setattr(build.atexit, "register", lambda *call, **how: at_exit.append((call, how)))
-    folder = build.build("toy").parent
+    folder = build.build_library("toy").parent
     assert folder.parent == planted.parent
     assert folder != planted
     assert (planted / load.NAME).read_text() == "evil"
@@ -525,7 +531,7 @@ def test_settings_of_numba_do_not_reach_the_processes_that_compile(tmp_path, mon
     monkeypatch.setattr(sys, "executable", str(compiler))
     for name, value in (("NUMBA_OPT", "0"), ("NUMBA_BOUNDSCHECK", "1"), ("NUMBA_DISABLE_JIT", "1")):
         monkeypatch.setenv(name, value)
-    build._emit([[str(tmp_path / "core.o"), "toy.core"]], {"toy": tmp_path / "toy"}, "", None)
+    build._emit_objects([[str(tmp_path / "core.o"), "toy.core"]], {"toy": tmp_path / "toy"}, "", None)
     lines = reports.read_text().splitlines()
     assert "PULSESTAGE_EMIT=1" in lines
     assert [line for line in lines if line.startswith("NUMBA_")] == []
@@ -541,5 +547,5 @@ def test_a_library_that_was_built_with_another_pulsestage_is_refused_in_words(to
     monkeypatch.setattr(
         load, "digest_file", lambda source: "another" if "arithmetic" in str(source) else before(source)
     )
-    text = load.find_misfit("toy", toy / "toy" / load.NAME)
+    text = load.explain_library_misfit("toy", toy / "toy" / load.NAME)
     assert text.endswith("was built with another version of PulseStage: stage.native.arithmetic is not as it was there")

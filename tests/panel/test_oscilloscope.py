@@ -13,7 +13,7 @@ from stage import firmware
 from stage.errors import ArgumentError
 from stage.panel.oscilloscope import BEFORE, DIAGNOSTIC, FORMATS, LOST, Oscilloscope
 from stage.sim import faults
-from stage.support.identifiers import unescape_name
+from stage.support.identifier_escapes import unescape_name
 
 
 def run_at_once(session, what, *arguments, **more):

@@ -9,7 +9,7 @@ import pytest
 from stage import Stage, firmware
 from stage.errors import ArgumentError
 from stage.panel.sampler import FINE_S, INTERVAL_S, MAX_EVENTS, SampleBuffer, Sampler, find_traces, thin_curve
-from stage.sim.records import SAMPLE
+from stage.sim.engine_records import SAMPLE
 
 
 def rows_at(times):

@@ -18,7 +18,7 @@ from support.odd_names import ODD_NAMES, odd_model
 from stage import Drive, Stage
 from stage.board import Board
 from stage.chips import CHIPS
-from stage.chips.entries import READ, WRITE
+from stage.chips.journal_entries import READ, WRITE
 from stage.cli.setup import make_stage
 from stage.drives.dc_motors import DC_MOTORS
 from stage.errors import ArgumentError, StageError

@@ -8,7 +8,7 @@ import pytest
 from support.examples import SEED
 
 from stage import Stage, firmware
-from stage.chips.entries import WRITE
+from stage.chips.journal_entries import WRITE
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import get_driver
 from stage.panel.real_time_clock import SLICE_S

@@ -25,10 +25,10 @@ from stage import Drive, Fleet, Motor, Program, Stage, faults
 from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.drives.dc_motors import DCMotor, Servo
 from stage.errors import StageError
-from stage.sim import play
+from stage.sim import program_player
 from stage.sim.encoder import Encoder
-from stage.sim.plant.new import NewAxis, new_model
-from stage.sim.play import TRUTH
+from stage.sim.plant.new_model import NewAxis, new_model
+from stage.sim.program_player import TRUTH
 
 SMALL = Motor("small", 0.8, 4.0, 5e-3, 0.2, 0.01, 3e-6)
 FEW = Motor("few", 0.8, 4.0, 5e-3, 0.2, 0.01, 3e-6, steps_per_turn=48)
@@ -362,7 +362,7 @@ def measure_points():
         by_hand = []
         for s in other:
             row, extremes = np.zeros(len(p), np.int64), np.full((m.nq, 2), np.inf) * [1, -1]
-            status = play.play_in_python(s, np.array(p.ops), row, extremes)
+            status = program_player.play_in_python(s, np.array(p.ops), row, extremes)
             by_hand.append([status, row[-12:], extremes[:3]])
         results[name] = [
             played.results[:, -12:],

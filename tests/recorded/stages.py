@@ -18,11 +18,11 @@ from recorded.observation import (
 
 from stage import Drive, Fleet, Program, faults
 from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
-from stage.chips.entries import SHAFT
+from stage.chips.journal_entries import SHAFT
 from stage.drives.dc_motors import DC_MOTORS, Servo
 from stage.drives.motors import MOTORS
 from stage.errors import StageError
-from stage.sim.play import TRUTH
+from stage.sim.program_player import TRUTH
 
 CHIPS = (PCL240K, PCL240MK, PCL240MS, MCX514, MCX304, MCX302, MCX312, HCTL1100)
 

@@ -14,7 +14,7 @@ from stage import Stage, firmware
 from stage.board import Board
 from stage.chips import PCL240K
 from stage.recording.saved import read
-from stage.support.identifiers import escape_name, unescape_name
+from stage.support.identifier_escapes import escape_name, unescape_name
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from support.recording_bench import ONE_AXIS, feed, make_bench, read_rrd, rerun_
 
 from stage import Drive
 from stage.chips import PCL240K
-from stage.chips.entries import INPUT
+from stage.chips.journal_entries import INPUT
 from stage.recording import Recording, geoms, signals
 from stage.recording.series import SERIES, select_series
 from stage.recording.thin import mark_needed_samples

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from stage.chips import HCTL1100, PCL240K
-from stage.chips.entries import RESET, WRITE
+from stage.chips.journal_entries import RESET, WRITE
 from stage.recording import signals
 
 EDGE = [("clock", "i8"), ("inputs", "i8"), ("outputs", "i8"), ("rate", "f8")]

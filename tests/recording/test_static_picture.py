@@ -11,7 +11,7 @@ from stage import Drive
 from stage.chips import HCTL1100, PCL240K
 from stage.drives.dc_motors import Servo
 from stage.recording.picture import MAX_POINTS, draw_recording
-from stage.support import pictures
+from stage.support import plot_style
 
 pytest.importorskip("matplotlib")
 
@@ -62,7 +62,7 @@ def test_curves_are_in_the_units_of_their_axes_with_the_command_below():
     place, error = fig.axes[1], fig.axes[2]
     lines = [(line.get_ydata(), line.get_alpha(), line.get_color()) for line in place.lines]
     assert [alpha for _, alpha, _ in lines] == [0.35, None, 0.35, None]
-    assert [colour for *_, colour in lines] == [pictures.COLORS[0]] * 2 + [pictures.COLORS[1]] * 2
+    assert [colour for *_, colour in lines] == [plot_style.COLORS[0]] * 2 + [plot_style.COLORS[1]] * 2
     assert lines[0][0] == pytest.approx(2000 * ramp)
     assert lines[1][0] == pytest.approx(1000 * ramp)
     assert lines[3][0] == pytest.approx(np.degrees(ramp))
@@ -87,7 +87,7 @@ def test_switches_lie_from_the_top_in_the_order_of_the_axes_and_each_has_the_col
     colours = [patch.get_facecolor()[0] for patch in lanes.collections]
     from matplotlib.colors import to_rgba
 
-    assert [tuple(c) for c in colours] == [to_rgba(pictures.SWITCH_COLORS[kind]) for kind in ("org", "sd", "el")]
+    assert [tuple(c) for c in colours] == [to_rgba(plot_style.SWITCH_COLORS[kind]) for kind in ("org", "sd", "el")]
     heights = [patch.get_paths()[0].vertices[:, 1] for patch in lanes.collections]
     assert [(h.min(), h.max()) for h in heights] == [pytest.approx((k + 0.14, k + 0.8)) for k in range(3)]
 

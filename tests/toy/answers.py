@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stage.chips.cores import run_window
+from stage.chips.cores import run_slices
 from stage.native import array_of, exported, least
 from toy import core, eight
 from toy.core import EDGE, MINUS, PLUS, PULSE, STATE
@@ -66,7 +66,7 @@ def drive_input_at_the_end(c, j, before, ticks):
 
 @exported(None, STATE, "i8", "i8")
 def window_skipping_the_first_slice(c, row, k):
-    run_window(c, row, k + 1, core.run, core.net, core.drive_input)
+    run_slices(c, row, k + 1, core.run, core.read_net_count, core.compute_drive_input)
 
 
 @exported("i8", STATE, "i8")
@@ -110,7 +110,7 @@ def write_without_masking(c, address, value):
 
 @exported("f8", STATE, "i8", "f8")
 def pulse_rate_halved(c, j, hz):
-    return 0.5 * core.pulse_rate(c, j, hz)
+    return 0.5 * core.compute_pulse_rate(c, j, hz)
 
 
 @exported(None, STATE)
@@ -161,7 +161,7 @@ def peek_delaying_the_last_axis(c, address):
 @exported("i8", eight.STATE, "i8", "i8", "i8", array_of(eight.EDGE))
 def scan_omitting_ends_of_moves(c, until, every_pulse, axis, out):
     if every_pulse:
-        return eight.scan(c, until, every_pulse, axis, out)
+        return eight.scan_edges(c, until, every_pulse, axis, out)
     eight.run(c, until)
     return 0
 
@@ -184,7 +184,7 @@ def write_stopping_all_axes(c, address, value):
 @exported("i8", eight.STATE, "i8", array_of(PULSE))
 def trace_one_pulse_per_clock(c, until, out):
     """Trace pulses, listing only one of those with the same clock."""
-    k = eight.trace(c, until, out)
+    k = eight.trace_pulses(c, until, out)
     n = 0
     for m in range(k):
         if n == 0 or out[n - 1].clock != out[m].clock:
@@ -196,7 +196,7 @@ def trace_one_pulse_per_clock(c, until, out):
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan_beyond_the_array(c, until, every_pulse, axis, out):
     """Scan for edges, writing one edge beyond the array when it is full."""
-    k = core.scan(c, until, every_pulse, axis, out)
+    k = core.scan_edges(c, until, every_pulse, axis, out)
     if k >= len(out) - 1:
-        core.mark(c, axis, out, len(out))
+        core.write_present_edge(c, axis, out, len(out))
     return k

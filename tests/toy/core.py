@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stage.chips.cores import run_window
+from stage.chips.cores import run_slices
 from stage.native import array_of, exported, hot, least, record
 
 INPUTS = {"el_plus": 1, "el_minus": 2, "org": 4}
@@ -49,8 +49,8 @@ def run(c, until):
 
 
 @exported(None, STATE, "i8", "i8")
-def window(c, row, k):
-    run_window(c, row, k, run, net, drive_input)
+def run_window(c, row, k):
+    run_slices(c, row, k, run, read_net_count, compute_drive_input)
 
 
 @exported(None, STATE, "i8", "f8", "f8")
@@ -59,27 +59,27 @@ def set_shaft(c, j, count, rate):
 
 
 @exported("i8", STATE, "i8")
-def net(c, j):
+def read_net_count(c, j):
     return c.net
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
-def drive_input(c, j, before, ticks):
+def compute_drive_input(c, j, before, ticks):
     return 0.5 * (before + c.net)
 
 
 @exported("f8", STATE, "i8", "f8")
-def pulse_rate(c, j, hz):
+def compute_pulse_rate(c, j, hz):
     return 1.0 * c.rate if c.direction else 0.0
 
 
 @exported("i8", STATE, "i8")
-def counter(c, j):
+def read_counter(c, j):
     return c.left
 
 
 @exported("i8", STATE, "i8")
-def inputs(c, j):
+def read_inputs(c, j):
     return c.inputs
 
 
@@ -96,17 +96,17 @@ def set_input(c, j, word):
 
 
 @exported("i8", STATE, "i8")
-def outputs(c, j):
+def read_outputs(c, j):
     return 1 if c.direction else 0
 
 
 @exported("i8", STATE, "i8")
-def status(c, j):
+def read_status(c, j):
     return 1 if c.direction else 0
 
 
 @exported("i8", STATE, "i8")
-def busy(c, j):
+def is_busy(c, j):
     return 1 if c.direction else 0
 
 
@@ -146,7 +146,7 @@ def advance(c, until):
 
 
 @exported("i8", STATE, "i8", array_of(PULSE))
-def trace(c, until, out):
+def trace_pulses(c, until, out):
     k = 0
     while c.direction and c.due <= until:
         out[k].clock, out[k].axis, out[k].direction = c.due, 0, c.direction
@@ -157,21 +157,21 @@ def trace(c, until, out):
 
 
 @exported(None, STATE, "i8", array_of(EDGE), "i8")
-def mark(c, axis, out, k):
+def write_present_edge(c, axis, out, k):
     e = out[k]
-    e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, c.inputs, outputs(c, 0), c.left, c.net
+    e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, c.inputs, read_outputs(c, 0), c.left, c.net
     e.rate = c.rate / c.hz if c.direction else 0.0
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
-def scan(c, until, every_pulse, axis, out):
+def scan_edges(c, until, every_pulse, axis, out):
     k = 0
     while c.direction and k < len(out) - 1:
         following = c.due if every_pulse else c.due + (c.left - 1) * _period(c)
         if following > until:
             break
         run(c, following)
-        mark(c, 0, out, k)
+        write_present_edge(c, 0, out, k)
         k += 1
     if k < len(out) - 1:
         run(c, until)

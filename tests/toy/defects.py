@@ -190,17 +190,17 @@ DEFECTS: dict[str, tuple[type, str, str]] = {
     "advance counts wrong": (
         build_toy(advance=answers.advance_counting_one_pulse), "traced",
         "says 1 pulses, and the axes' net go by"),
-    "trace's direction": (build_toy(trace=answers.trace_with_reversed_direction), "traced", "net of axis 0 goes from"),
+    "trace's direction": (build_toy(trace_pulses=answers.trace_with_reversed_direction), "traced", "net of axis 0 goes from"),
     "the final position instead of the mean": (
-        build_toy(drive_input=answers.drive_input_at_the_end), "drive_inputs", "and the mean of the .* pulses"),
+        build_toy(compute_drive_input=answers.drive_input_at_the_end), "drive_inputs", "and the mean of the .* pulses"),
     "a slice left out": (
-        build_toy(window=answers.window_skipping_the_first_slice), "windows", "window gives the means"),
-    "never busy": (build_toy(busy=answers.busy_always_false), "courses", "its core says at rest"),
-    "the counter": (build_toy(counter=answers.counter_doubled), "courses", "counter has gone by"),
+        build_toy(run_window=answers.window_skipping_the_first_slice), "windows", "window gives the means"),
+    "never busy": (build_toy(is_busy=answers.busy_always_false), "courses", "its core says at rest"),
+    "the counter": (build_toy(read_counter=answers.counter_doubled), "courses", "counter has gone by"),
     "a reset that keeps": (
         build_toy(power_up=answers.power_up_keeping_the_rate), "resets", "RATE .*, and after power-up 0"),
     "a read that clears": (build_toy(read=answers.read_clearing_the_count), "reads", "changes left"),
-    "a waveform without end": (build_toy(scan=answers.scan_finding_no_edges), "journals", "the course shows"),
+    "a waveform without end": (build_toy(scan_edges=answers.scan_finding_no_edges), "journals", "the course shows"),
     "state outside the record": (UnsavedCounter, "snapshots", "restored, after .* acts it shows"),
     "a bit lost by a snapshot": (
         TruncatedRestore, "snapshots", "with the most in every register, .* the state differs in rate"),
@@ -213,7 +213,7 @@ DEFECTS: dict[str, tuple[type, str, str]] = {
     "no words": (EmptyDescriptions, "words", "says ''"),
     "a cycle beyond the bus": (AddressBeyondTheBus, "register_cycles", "is not on the bus"),
     "half the rate": (
-        build_toy(pulse_rate=answers.pulse_rate_halved), "drive_inputs", "pulse_rate is .* a second, and"),
+        build_toy(compute_pulse_rate=answers.pulse_rate_halved), "drive_inputs", "pulse_rate is .* a second, and"),
     "a reset that clears the pulse count": (
         build_toy(power_up=answers.power_up_clearing_net), "resets", "changes the count"),
     "a read beyond the data lines": (
@@ -226,7 +226,7 @@ DEFECTS: dict[str, tuple[type, str, str]] = {
     "a peek that changes the state": (
         build_toy8(peek=answers.peek_delaying_the_last_axis), "reads", r"after peek\(10h\), the state differs in ax"),
     "no end in a waveform of edges": (
-        build_toy8(scan=answers.scan_omitting_ends_of_moves), "journals", "output runs at another"),
+        build_toy8(scan_edges=answers.scan_omitting_ends_of_moves), "journals", "output runs at another"),
     "a switch that stops nothing": (
         build_toy(set_input=answers.set_input_without_stopping), "limit_switches",
         "goes on to its end, though el_(plus|minus) is asserted"),
@@ -241,15 +241,15 @@ DEFECTS: dict[str, tuple[type, str, str]] = {
     "values of one axis": (
         FirstAxisValuesOnly, "axes_alone", "RATE = 1 written to axis 0 changes what values_of gives for another axis"),
     "a trace that loses": (
-        build_toy8(trace=answers.trace_one_pulse_per_clock), "traced", "says .* pulses, and trace lists"),
+        build_toy8(trace_pulses=answers.trace_one_pulse_per_clock), "traced", "says .* pulses, and trace lists"),
     "a scan beyond its array": (
-        build_toy(scan=answers.scan_beyond_the_array), "journals", "writes behind `out`, which holds 8"),
+        build_toy(scan_edges=answers.scan_beyond_the_array), "journals", "writes behind `out`, which holds 8"),
     "a command that cannot be sent": (
         UnknownCommand, "command_cycles", r"command_cycles\('.*'\), a command, raises KeyError"),
     "an attribute outside the record": (
         UnsavedLatch, "snapshots", "change its attribute 'latch' to .*: a snapshot does not have it"),
     "an interrupt at no pin": (
         type("TOY", (TOY,), {"IRQ": (0, 64)}), "has_what_every_chip_has", r"IRQ is \(0, 0x40\): .* bits of OUTPUTS"),
-    "an answer missing": (build_toy(drive_input=None), "has_what_every_chip_has", "has no answer drive_input"),
+    "an answer missing": (build_toy(compute_drive_input=None), "has_what_every_chip_has", "has no answer compute_drive_input"),
 }  # fmt: skip
 """Defect -> (the class, the promise that it breaks, a regular expression of the message)."""

@@ -1,6 +1,6 @@
 """The compiled core of the TOY8: eight axes like that of the TOY on one chip."""
 
-from stage.chips.cores import run_window
+from stage.chips.cores import run_slices
 from stage.native import array_of, exported, hot, least, record
 from toy.core import EDGE, EL_MINUS, EL_PLUS, INPUTS, MINUS, OUTPUTS, PLUS, PULSE, RATE
 
@@ -42,8 +42,8 @@ def run(c, until):
 
 
 @exported(None, STATE, "i8", "i8")
-def window(c, row, k):
-    run_window(c, row, k, run, net, drive_input)
+def run_window(c, row, k):
+    run_slices(c, row, k, run, read_net_count, compute_drive_input)
 
 
 @exported(None, STATE, "i8", "f8", "f8")
@@ -52,27 +52,27 @@ def set_shaft(c, j, count, rate):
 
 
 @exported("i8", STATE, "i8")
-def net(c, j):
+def read_net_count(c, j):
     return c.ax[j].net
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
-def drive_input(c, j, before, ticks):
+def compute_drive_input(c, j, before, ticks):
     return 0.5 * (before + c.ax[j].net)
 
 
 @exported("f8", STATE, "i8", "f8")
-def pulse_rate(c, j, hz):
+def compute_pulse_rate(c, j, hz):
     return 1.0 * c.ax[j].rate * abs(c.ax[j].direction)
 
 
 @exported("i8", STATE, "i8")
-def counter(c, j):
+def read_counter(c, j):
     return c.ax[j].left
 
 
 @exported("i8", STATE, "i8")
-def inputs(c, j):
+def read_inputs(c, j):
     return c.ax[j].inputs
 
 
@@ -90,17 +90,17 @@ def set_input(c, j, word):
 
 
 @exported("i8", STATE, "i8")
-def outputs(c, j):
+def read_outputs(c, j):
     return abs(c.ax[j].direction)
 
 
 @exported("i8", STATE, "i8")
-def busy(c, j):
+def is_busy(c, j):
     return abs(c.ax[j].direction)
 
 
 @exported("i8", STATE, "i8")
-def status(c, j):
+def read_status(c, j):
     word = 0
     for k in range(AXES):
         word |= abs(c.ax[k].direction) << k
@@ -110,7 +110,7 @@ def status(c, j):
 @exported("i8", STATE, "i8")
 def peek(c, address):
     if address == 0:
-        return status(c, 0)
+        return read_status(c, 0)
     x = c.ax[(address - 1) // 2 % AXES]
     return x.rate if address % 2 == RATE else x.left
 
@@ -148,7 +148,7 @@ def advance(c, until):
 
 
 @exported("i8", STATE, "i8", array_of(PULSE))
-def trace(c, until, out):
+def trace_pulses(c, until, out):
     k = 0
     while True:
         due, first = NEVER, 0
@@ -165,21 +165,21 @@ def trace(c, until, out):
 
 
 @exported(None, STATE, "i8", array_of(EDGE), "i8")
-def mark(c, axis, out, k):
+def write_present_edge(c, axis, out, k):
     e, x = out[k], c.ax[axis]
-    e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, x.inputs, outputs(c, axis), x.left, x.net
+    e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, x.inputs, read_outputs(c, axis), x.left, x.net
     e.rate = x.rate / c.hz if x.direction else 0.0
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
-def scan(c, until, every_pulse, axis, out):
+def scan_edges(c, until, every_pulse, axis, out):
     k, x = 0, c.ax[axis]
     while x.direction and k < len(out) - 1:
         following = x.due if every_pulse else x.due + (x.left - 1) * _period(c, x)
         if following > until:
             break
         run(c, following)
-        mark(c, axis, out, k)
+        write_present_edge(c, axis, out, k)
         k += 1
     if k < len(out) - 1:
         run(c, until)

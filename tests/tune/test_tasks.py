@@ -10,7 +10,7 @@ from stage import Stage
 from stage.chips import HCTL1100, PCL240K
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError
-from stage.sim.fleet import Played
+from stage.sim.fleet import PlayedPrograms
 from stage.tune import MoveCase, Task
 from stage.tune.move_runner import MoveRunner
 from stage.tune.planners import create_planner
@@ -153,7 +153,7 @@ def made(tries, monkeypatch, rows, pulses=None, lost=0, diverged=False, way=1):
         for row, goal in zip(results, goals, strict=False):
             row[length + 1 :: 2] = np.rint(1e12 * (goal[0, 0] + way * np.array(next(offs))))
         goals.clear()
-        return Played(results, np.zeros((2, 2, 2)), np.full(2, diverged))
+        return PlayedPrograms(results, np.zeros((2, 2, 2)), np.full(2, diverged))
 
     def truth():
         found = real().copy()

@@ -9,9 +9,9 @@ from typing import Any
 
 import gymnasium
 
-from stage.envs import contexts
+from stage.envs import machine_contexts
 from stage.errors import ArgumentError, unknown_name_error
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 
 TRACKS = {
     "host": "the policy sees what a host on the bus can know",
@@ -31,7 +31,7 @@ def list_splits_except(*splits: str) -> tuple[str, ...]:
     Args:
         *splits: Names of the splits to leave out.
     """
-    return tuple(split for split in contexts.SPLITS if split not in splits)
+    return tuple(split for split in machine_contexts.SPLITS if split not in splits)
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Card:
     asked: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     choices: Mapping[str, tuple] = field(default_factory=dict)
-    splits: tuple[str, ...] = tuple(contexts.SPLITS)
+    splits: tuple[str, ...] = tuple(machine_contexts.SPLITS)
     episodes: int = 64
 
     def check_choice(self, split: str, track: str, settings: Mapping[str, Any]) -> None:
@@ -97,12 +97,12 @@ class Card:
     def describe_machines(self, split: str) -> str:
         """Describe the machines of a split in words; for any other split than "train", describe what differs from "train"."""
         env_class: Any = gymnasium.envs.registration.load_env_creator(str(gymnasium.spec(self.id).entry_point))
-        values = {**contexts.SPLITS[split]}
+        values = {**machine_contexts.SPLITS[split]}
         values |= {name: value for name, value in self.settings.items() if name in values}
         faults = [name for name in values.pop("faults", ()) if name in env_class.task.Config.FAULTS]
         words = [
             f"{name} {values[ranges][0]:g} to {values[ranges][1]:g} {text}"
-            for name, (ranges, text) in contexts.KINDS.items()
+            for name, (ranges, text) in machine_contexts.KINDS.items()
             if ranges in values
         ]
         if faults:

@@ -9,13 +9,13 @@ import stage.envs
 from registerbench.baselines import few_shot, move_tuning, servo_loop, tasks
 from stage import Stage, StageError
 from stage.chips import HCTL1100
-from stage.envs import contexts
+from stage.envs import machine_contexts
 
 
 def test_the_table_of_all_tasks_is_of_complete_episodes_and_names_its_splits(monkeypatch):
     monkeypatch.setattr(tasks, "LANES", 2)
     assert set(tasks.TASKS.values()) == {id_ for id_ in stage.envs.IDS if id_.endswith("-v1")}
-    assert {tasks.list_splits(id_) for id_ in tasks.TASKS.values()} == {tuple(contexts.SPLITS)}
+    assert {tasks.list_splits(id_) for id_ in tasks.TASKS.values()} == {tuple(machine_contexts.SPLITS)}
     totals, score = tasks.play_episodes("stage/BusMacros-v1", "scripted", 3, model="xy", level="move", macros=6)
     assert len(totals) == 3
     assert score["success"].all()

@@ -10,7 +10,7 @@ import registerbench
 from registerbench import CARDS, list_test_seeds
 from registerbench.bench_commands import _compute_means
 from stage.cli import main
-from stage.envs import contexts
+from stage.envs import machine_contexts
 
 
 @pytest.fixture
@@ -108,9 +108,9 @@ def test_a_card_describes_the_machines_of_each_split(name, capsys):
     config = card.make_env("train", "host", {})._task.config
     for split in card.splits:
         text = card.describe_machines(split)
-        requested = contexts.SPLITS[split]
+        requested = machine_contexts.SPLITS[split]
         assert all(f"{of} {requested[of]}" in text for of in ("model", "chip") if of in requested)
-        for of, (ranges, unit) in contexts.KINDS.items():
+        for of, (ranges, unit) in machine_contexts.KINDS.items():
             ends = dict(card.settings).get(ranges, requested.get(ranges)) if ranges in requested else None
             assert (f"{of} {ends[0]:g} to {ends[1]:g} {unit}" in text) if ends else f"{of} " not in text
         faults = [fault for fault in requested.get("faults", ()) if fault in config.FAULTS]

@@ -23,7 +23,7 @@ from registerbench.shipped_policies import BoldnessSearch, FinalTryBoldnessSearc
 from registerbench.task_cards import CARDS, Card, list_test_seeds
 from stage import ArgumentError
 from stage.cli import main
-from stage.envs import contexts
+from stage.envs import machine_contexts
 from stage.envs.task import make_config
 from stage.support.files import FileError
 
@@ -324,7 +324,7 @@ def test_a_policy_observes_only_the_entries_of_its_track():
         for _, names in host.observation_digests
     )
     assert {"payload", "current", "loss", "inductance"} <= truth.observation_digests[0][1]
-    assert truth.observation_digests[0][0][0] == host.observation_digests[0][0][0] + len(contexts.OBSERVATION)
+    assert truth.observation_digests[0][0][0] == host.observation_digests[0][0][0] + len(machine_contexts.OBSERVATION)
     assert entry.player == "Watching"
     assert registerbench.verify(entry).exact
 

@@ -6,7 +6,7 @@ import registerbench
 from registerbench import episode_sequence
 from registerbench.episode_sequence import EpisodeSequence
 from registerbench.task_cards import CARDS, Card
-from stage.envs.base import StageEnv
+from stage.envs.stage_env import StageEnv
 
 BRIEF = Card(
     "brief",

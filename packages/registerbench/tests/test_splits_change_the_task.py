@@ -9,7 +9,7 @@ import pytest
 
 import stage.envs  # noqa: F401 registers the ids
 from registerbench.task_cards import CARDS, FIRST_TEST_SEED
-from stage.envs import contexts
+from stage.envs import machine_contexts
 
 LAST_FIGURE = 1e-3  # of a return, in the tables
 EPISODES = 8
@@ -66,8 +66,8 @@ def test_looseness_changes_no_bit_of_these_tasks_and_they_do_not_offer_it(task):
 
 @pytest.mark.parametrize("card", CARDS.values(), ids=lambda card: card.name)
 def test_environments_take_every_split_whatever_a_card_offers(card):
-    assert set(card.splits) <= set(contexts.SPLITS)
+    assert set(card.splits) <= set(machine_contexts.SPLITS)
     assert card.splits[0] == "train"
-    known = [split for split in contexts.SPLITS if split != "mast" or card.name != "line-3"]
+    known = [split for split in machine_contexts.SPLITS if split != "mast" or card.name != "line-3"]
     for split in known:
         created(card, split).close()

@@ -231,7 +231,7 @@ def test_the_sign_of_the_pulse_rate_is_the_direction_of_the_field(chip, shaft):
     chip.advance(500_000)
     before = chip.net()
     chip.advance(120_000)
-    rate = chip.CORE.pulse_rate.c(chip.pointer, 0, float(HZ))
+    rate = chip.CORE.compute_pulse_rate.c(chip.pointer, 0, float(HZ))
     assert rate == pytest.approx((chip.net() - before) * HZ / 120_000, abs=2 * HZ / 120_000)
     assert (rate < 0) == bool(shaft)
     assert chip.values()["VACTUAL"] > 0
@@ -278,7 +278,7 @@ def test_stallguard_measures_a_lagging_rotor_in_both_directions(chip, shaft):
 def test_recorded_edges_hold_the_counter_as_a_host_reads_it(chip):
     write_registers(chip, VMAX=100_000, AMAX=60_000, XTARGET=-300, D1=100, DMAX=60_000, VSTOP=10)
     edges = record_edges(chip)
-    assert chip.CORE.counter.c(chip.pointer, 0) == edges["counter"][-1] == 2**32 - 300
+    assert chip.CORE.read_counter.c(chip.pointer, 0) == edges["counter"][-1] == 2**32 - 300
 
 
 def test_the_description_of_a_write_names_the_flags_it_clears(chip):

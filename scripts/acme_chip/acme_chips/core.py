@@ -3,7 +3,7 @@
 import numpy as np
 
 from acme_chips.maps import MAP
-from stage.chips.cores import run_window
+from stage.chips.cores import run_slices
 from stage.native import array_of, exported, greatest, hot, least, record
 
 INPUTS = {"el_plus": 1, "el_minus": 2, "org": 4}
@@ -103,7 +103,7 @@ def advance(c, until):
 
 
 @exported("i8", STATE, "i8", array_of(PULSE))
-def trace(c, until, out):
+def trace_pulses(c, until, out):
     """Let the clock run as `advance` does, and write the pulses."""
     k = 0
     while c.way and c.clock < until:
@@ -117,37 +117,37 @@ def trace(c, until, out):
 
 
 @exported(None, STATE, "i8", array_of(EDGE), "i8")
-def mark(c, axis, out, k):
+def write_present_edge(c, axis, out, k):
     """The chip as it stands, for the course of a journal."""
     e = out[k]
-    e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, c.inputs, outputs(c, 0), c.reg[COUNT], c.net
+    e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, c.inputs, read_outputs(c, 0), c.reg[COUNT], c.net
     e.rate = c.speed / c.hz if c.way else 0.0
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
-def scan(c, until, every_pulse, axis, out):
+def scan_edges(c, until, every_pulse, axis, out):
     """Advance and mark each change of speed and outputs, with `every_pulse` each pulse, until `out` is full."""
     k = 0
     while c.clock < until and k < len(out) - 1:
-        word, speed, net = outputs(c, 0), c.speed, c.net
+        word, speed, net = read_outputs(c, 0), c.speed, c.net
         if c.way:
             _event(c, until)
         else:
             c.clock = until
-        if outputs(c, 0) != word or c.speed != speed or (every_pulse and c.net != net):
-            mark(c, 0, out, k)
+        if read_outputs(c, 0) != word or c.speed != speed or (every_pulse and c.net != net):
+            write_present_edge(c, 0, out, k)
             k += 1
     return k
 
 
 @exported(None, STATE, "i8", "i8")
-def window(c, row, k):
+def run_window(c, row, k):
     """The slices of a physics step."""
-    run_window(c, row, k, run, net, drive_input)
+    run_slices(c, row, k, run, read_net_count, compute_drive_input)
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
-def drive_input(c, j, before, ticks):
+def compute_drive_input(c, j, before, ticks):
     """The mean count of the last `ticks`, which began with `before`."""
     return 0.5 * (before + c.net)
 
@@ -165,7 +165,7 @@ def power_up(c):
 def peek(c, address):
     """Return what a read would return, without a bus cycle."""
     if address == 0:
-        return status(c, 0)
+        return read_status(c, 0)
     return c.reg[address] if address <= COUNT else 0
 
 
@@ -211,13 +211,13 @@ def set_input(c, j, word):
 
 
 @exported("i8", STATE, "i8")
-def inputs(c, j):
+def read_inputs(c, j):
     """Input pins."""
     return c.inputs
 
 
 @exported("i8", STATE, "i8")
-def outputs(c, j):
+def read_outputs(c, j):
     """Output pins."""
     if c.way == 0:
         return 0
@@ -227,31 +227,31 @@ def outputs(c, j):
 
 
 @exported("i8", STATE, "i8")
-def status(c, j):
+def read_status(c, j):
     """The status word."""
     return (1 if c.way else 0) | c.inputs << 1
 
 
 @exported("i8", STATE, "i8")
-def busy(c, j):
+def is_busy(c, j):
     """Return whether a drive is in progress."""
     return 1 if c.way else 0
 
 
 @exported("i8", STATE, "i8")
-def net(c, j):
+def read_net_count(c, j):
     """Pulses ever, plus minus minus."""
     return c.net
 
 
 @exported("i8", STATE, "i8")
-def counter(c, j):
+def read_counter(c, j):
     """COUNT."""
     return c.reg[COUNT]
 
 
 @exported("f8", STATE, "i8", "f8")
-def pulse_rate(c, j, hz):
+def compute_pulse_rate(c, j, hz):
     """Pulses a second."""
     return c.speed * hz / c.hz if c.way else 0.0
 

@@ -12,9 +12,19 @@ A compiled device, shipped or in C, is two functions over its state, which get t
 from __future__ import annotations
 
 from stage.chips import cores
-from stage.native import array_at, called, enter_usual_float_mode, floor, hot, record
-from stage.sim import handle, records
-from stage.sim.handle import ENGINE, INTEGER, REAL, axis_table, chip_table, claim, clockwork, release, world
+from stage.native import array_at, declare_address_call, enter_usual_float_mode, floor, hot, record
+from stage.sim import engine_records, stage_handle
+from stage.sim.stage_handle import (
+    ENGINE,
+    INTEGER,
+    REAL,
+    claim,
+    get_axis_table,
+    get_chip_table,
+    get_clockwork,
+    get_world,
+    release,
+)
 
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
 """Requests of a host: port cycles (a: port, b: value), a delay (a: us), the time (us), a line for the log (a: its address), a
@@ -85,7 +95,7 @@ reached nothing, or only half of a register, | WRITE_LOST if a fault of the bus 
 device in Python that it reached raised an error."""
 
 HOST = record(
-    handle.HANDLE_FIELDS
+    stage_handle.HANDLE_FIELDS
     + [(name, "i8") for name in "inside in_python".split()]
     + [(name, "i8") for name in "regions n_regions ports n_ports lines line_room traced changed".split()]
     + [(name, "i8") for name in "until lazy ahead quiet cycles max_cycles stopped collided call".split()]
@@ -96,7 +106,7 @@ HOST = record(
     + [(name, "i8") for name in "devices n_devices answers faults serial".split()]
 )
 """A stage's handle, and
-    inside                     whether a request is being answered, see stage.sim.handle; not while Python or a hook is called
+    inside                     whether a request is being answered, see stage.sim.stage_handle; not while Python or a hook is called
     in_python                  whether Python is being called: what the firmware requests then comes from a handler of signals or
                                another thread, and calling Python once more would break it
     regions, ports             the table of ports
@@ -136,27 +146,27 @@ while their levels are others than `levels`, see WATCH_LINES."""
 
 
 INSIDE = int(dict(HOST.fields or {})["inside"][1])
-_call = called(None, "i8")
-_access = called("i8", "i8", "i8", "i8", "i8", "i8", "i8")
-_pulls = called("i8", "i8", "i8", "i8")
+_call = declare_address_call(None, "i8")
+_access = declare_address_call("i8", "i8", "i8", "i8", "i8", "i8", "i8")
+_pulls = declare_address_call("i8", "i8", "i8", "i8")
 
 
 @hot
 def get_stage(host):
     """Return the HANDLE with which a HOST record begins."""
-    return array_at(host.own, 1, handle.HANDLE)[0]
+    return array_at(host.own, 1, stage_handle.HANDLE)[0]
 
 
 @hot
 def get_chip(host, chip):
     """Return the record of the chip with this number."""
-    return chip_table(get_stage(host))[chip]
+    return get_chip_table(get_stage(host))[chip]
 
 
 @hot
 def get_now(host):
     """Return the time of the host, ns, which may be ahead of the stage's time."""
-    return world(get_stage(host)).now + host.ahead
+    return get_world(get_stage(host)).now + host.ahead
 
 
 @hot
@@ -223,11 +233,13 @@ def append_to_trace(host, kind, port, value, same):
 @hot
 def append_to_journal(host, kind, chip, address, value):
     """Record a bus cycle that has reached a chip, in order with the edges of the switches, for the chip's journal."""
-    if host.noted >= host.edge_room - clockwork(get_stage(host)).most_edges:  # the engine needs that much in any step
+    if (
+        host.noted >= host.edge_room - get_clockwork(get_stage(host)).most_edges
+    ):  # the engine needs that much in any step
         call_python(host, FULL)
-    e = array_at(host.edges, host.edge_room, records.EDGE)[host.noted]
+    e = array_at(host.edges, host.edge_room, engine_records.EDGE)[host.noted]
     c = get_chip(host, chip)
-    e.now, e.clock, e.axis = get_now(host), cores.clock(c), cores.axis_of(c, 0)
+    e.now, e.clock, e.axis = get_now(host), cores.read_clock(c), cores.find_stage_axis(c, 0)
     e.kind, e.a, e.b = kind, address, value
     host.noted += 1
 
@@ -242,9 +254,9 @@ def get_device(host, k):
 def _read_encoders(host, d):
     """Compute the counts of a device's encoders at the host's time."""
     s = get_stage(host)
-    qpos, qvel, axes = array_at(host.qpos, host.nq, REAL), array_at(host.qvel, host.nv, REAL), axis_table(s)
+    qpos, qvel, axes = array_at(host.qpos, host.nq, REAL), array_at(host.qvel, host.nv, REAL), get_axis_table(s)
     counts, encoders = array_at(d.counts, d.n_encoders, INTEGER), array_at(d.encoders, d.n_encoders, ENCODER)
-    tau = float(get_now(host) - world(s).start) / records.SECOND - clockwork(s).half
+    tau = float(get_now(host) - get_world(s).start) / engine_records.SECOND - get_clockwork(s).half
     for k in range(d.n_encoders):
         e = encoders[k]
         t = axes[e.axis]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from stage.board.bus import host_record, interrupts, serial_core, waiting
 from stage.board.bus.host_record import DEVICE, EIGHT, IN8, IN16, LAST_PORT, OUT, OUT16, STRAY, append_to_trace
 from stage.chips import cores
-from stage.chips.entries import INPUT, LOST, READ, WRITE
+from stage.chips.journal_entries import INPUT, LOST, READ, WRITE
 from stage.native import (
     array_at,
     enter_usual_float_mode,
@@ -20,7 +20,7 @@ from stage.native import (
     least,
     restore_previous_float_mode,
 )
-from stage.sim.handle import INTEGER
+from stage.sim.stage_handle import INTEGER
 
 
 @hot
@@ -347,7 +347,7 @@ def _access_lines(host, code, where, argument):
         waiting.pass_bus_cycle(host)
     waiting.advance_chip(host, chip)
     c = host_record.get_chip(host, chip)
-    word = cores.inputs(c, 0)
+    word = cores.read_inputs(c, 0)
     if code == host_record.SET_LINES:
         mask = argument >> host_record.LINES_SHIFT
         changed = word & ~mask | argument & mask

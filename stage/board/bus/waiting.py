@@ -8,9 +8,9 @@ from stage.board.bus.host_record import call_python, get_stage
 from stage.board.bus.interrupts import MARK, MARKED
 from stage.chips import cores
 from stage.native import array_at, greatest, hot, least, stack_mark
-from stage.sim import records
+from stage.sim import engine_records
 from stage.sim.engine import advance
-from stage.sim.handle import AXIS, INTEGER, clockwork, world
+from stage.sim.stage_handle import AXIS, INTEGER, get_clockwork, get_world
 
 STACK_LEFT = 1 << 20
 """Bytes of the firmware's stack that nested hooks must leave free."""
@@ -19,14 +19,14 @@ STACK_LEFT = 1 << 20
 @hot
 def _run_stage(host, until):
     """Advance the stage to `until` ns, with journals and recordings."""
-    w = world(get_stage(host))
+    w = get_world(get_stage(host))
     while w.now < until and not host.stopped:
         status = advance(get_stage(host), until)
-        if status == records.DIVERGED:
+        if status == engine_records.DIVERGED:
             call_python(host, host_record.DIVERGED)
-        elif status == records.SAMPLES_FULL or status == records.EDGES_FULL:
+        elif status == engine_records.SAMPLES_FULL or status == engine_records.EDGES_FULL:
             call_python(host, host_record.FULL)
-        elif status != records.REACHED:
+        elif status != engine_records.REACHED:
             host.call_value = until
             call_python(host, host_record.RUN_IN_PYTHON)
     host.reached = w.now
@@ -37,24 +37,24 @@ def catch_up(host):
     """Advance the whole stage to the host's time."""
     if host.ahead:
         ahead, host.ahead = host.ahead, 0
-        _run_stage(host, world(get_stage(host)).now + ahead)
+        _run_stage(host, get_world(get_stage(host)).now + ahead)
 
 
 @hot
 def _find_quiet_time(host):
     """Compute the time up to which only the chips change: no edge and no end of a slice comes before it."""
-    w, axes, dt = world(get_stage(host)), array_at(host.axes, host.n_axes, AXIS), clockwork(get_stage(host)).dt
-    host.quiet = least(least(host.until, host.due), w.start + (w.slice + 1) * dt // records.SLICES)
+    w, axes, dt = get_world(get_stage(host)), array_at(host.axes, host.n_axes, AXIS), get_clockwork(get_stage(host)).dt
+    host.quiet = least(least(host.until, host.due), w.start + (w.slice + 1) * dt // engine_records.SLICES)
     for a in range(len(axes)):
         host.quiet = least(host.quiet, axes[a].next_edge)
-    if clockwork(get_stage(host)).linked:  # one of them alone cannot go ahead of the others
+    if get_clockwork(get_stage(host)).linked:  # one of them alone cannot go ahead of the others
         host.quiet = 0
 
 
 @hot
 def _pass_time(host, ns):
     """Let `ns` pass, and pause the firmware where it reaches its limit."""
-    w, left = world(get_stage(host)), ns
+    w, left = get_world(get_stage(host)), ns
     while left > 0 and not host.stopped:
         if w.now >= host.until:
             call_python(host, host_record.PAUSE)
@@ -88,7 +88,7 @@ def advance_chip(host, chip):
     """Advance one chip to the host's time."""
     if host.ahead:
         c = host_record.get_chip(host, chip)
-        cores.run(c, records.clock_at(host_record.get_now(host), c.hz))
+        cores.run(c, engine_records.compute_clock_at(host_record.get_now(host), c.hz))
 
 
 @hot
@@ -99,8 +99,8 @@ def find_interrupt_mask(host):
     for k in range(host.n_chips):
         irq = irqs[k]
         c = host_record.get_chip(host, k)
-        is_pulling = irq.bits and cores.outputs(c, irq.axis) & irq.bits
-        if is_pulling or (irq.watched and (cores.inputs(c, 0) ^ irq.levels) & irq.watched):
+        is_pulling = irq.bits and cores.read_outputs(c, irq.axis) & irq.bits
+        if is_pulling or (irq.watched and (cores.read_inputs(c, 0) ^ irq.levels) & irq.watched):
             pulling |= 1 << k
     if host.n_devices:
         pulling |= host_record.find_interrupting_devices(host) << host.n_chips
@@ -167,7 +167,7 @@ def _run_to_line(host, lines, end):
         lines: Bit mask of the lines. None of them is asserted now, or their hooks were called.
         end: Time, ns.
     """
-    w, dt = world(get_stage(host)), clockwork(get_stage(host)).dt
+    w, dt = get_world(get_stage(host)), get_clockwork(get_stage(host)).dt
     stop = least(end, w.start + dt)
     inside = stop - 1 if stop == w.start + dt else stop  # where no physics has come between, time can be taken back
     begin, noted = w.now, host.noted
@@ -196,7 +196,7 @@ def wait(host, ns):
     """Let `ns` pass in a delay, and call hooks at the nanosecond of their timer or line. The time that a hook takes is
     part of the delay."""
     catch_up(host)
-    w = world(get_stage(host))
+    w = get_world(get_stage(host))
     end = w.now + ns
     while w.now < end and not host.stopped:
         stop = least(end, greatest(host.due, w.now + 1))
@@ -224,7 +224,7 @@ def advance_host(host, until):
 @hot
 def wait_for_line(host, ns):
     """Let at most `ns` pass until the interrupt line is asserted. Return 1 if it is asserted, else 0."""
-    asserted, w = find_interrupt_mask(host), world(get_stage(host))
+    asserted, w = find_interrupt_mask(host), get_world(get_stage(host))
     end = w.now + ns
     while not asserted and w.now < end and not host.stopped:
         if w.now >= host.until:

@@ -18,7 +18,7 @@ import numpy as np
 from stage.board.bus import host_record
 from stage.errors import ArgumentError, StageError
 from stage.native import without_attributes
-from stage.sim import records
+from stage.sim import engine_records
 from stage.sim.encoder import Encoder
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class Device:
                 raise ArgumentError(f'{self.name}: encoder {encoder!r}: write for example Encoder("x", per_turn=2000).')
         self.ports: tuple[int, ...] = ()
         self.board: Board | None = None
-        self.line = np.full(1, records.NEVER, np.int64)
+        self.line = np.full(1, engine_records.NEVER, np.int64)
         self.state: list[np.ndarray] = []
         self.access = self.pulls = 0
 
@@ -79,7 +79,7 @@ class Device:
         """
         if at is not None and not (_is_finite(at) and abs(at) < TIME_LIMIT_S):
             raise ArgumentError(f"{self.name}: pull(at={at!r}): a time of the stage is wanted, s since power-up.")
-        self.line[0] = records.NEVER if not on else self.stage.now if at is None else round(at * 1e9)
+        self.line[0] = engine_records.NEVER if not on else self.stage.now if at is None else round(at * 1e9)
 
     @property
     def is_pulling(self) -> bool:
@@ -96,7 +96,7 @@ class Device:
     def counts(self) -> list[int]:
         """Current count of each encoder."""
         stage = self.stage
-        tau = float(stage.now - stage.state.start) / records.SECOND - float(stage.state.clockwork[0].half)
+        tau = float(stage.now - stage.state.start) / engine_records.SECOND - float(stage.state.clockwork[0].half)
         counts = []
         for axis, scale, zero in self._encoders.tolist():
             t = stage.state.axis_table[axis]

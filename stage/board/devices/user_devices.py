@@ -17,7 +17,7 @@ from stage.board.devices.device import Device, Encoder, Listener
 from stage.board.errors import LibraryError
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 from stage.support.files import FileError, refuse_irregular
 
 ABI = 1

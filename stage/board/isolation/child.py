@@ -36,7 +36,7 @@ from stage.board.isolation.shared_memory import (
 from stage.board.link import NOTED, Link
 from stage.board.thread_runner import LoadedProgram, ThreadRunner
 from stage.errors import StageError
-from stage.sim.fingerprint import iterate_settings
+from stage.sim.model_fingerprint import iterate_settings
 from stage.sim.stage import Stage
 
 if crash_report.IS_SUPPORTED:

@@ -41,10 +41,10 @@ from stage.board.isolation.shared_memory import (
 from stage.board.library import list_sanitizers
 from stage.board.scratch import Scratch
 from stage.board.thread_runner import Program, is_debugged, read_status
-from stage.chips.entries import LOST, READ, WRITE
+from stage.chips.journal_entries import LOST, READ, WRITE
 from stage.errors import StageError
 from stage.sim import engine
-from stage.sim.fingerprint import iterate_settings
+from stage.sim.model_fingerprint import iterate_settings
 from stage.support import files
 
 GRACE_S = 10.0  # of real time beyond its patience, in which the child gives its firmware up itself

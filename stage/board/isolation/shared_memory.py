@@ -21,10 +21,10 @@ from stage.board.bus.interrupts import BACK, HIGHEST, LOWERED, SOURCE, SOURCES
 from stage.board.interrupt_hooks import PYTHONS_TIMERS
 from stage.board.link import NOTED
 from stage.board.thread_runner import Program
-from stage.chips.entries import LOST, READ, WRITE
+from stage.chips.journal_entries import LOST, READ, WRITE
 from stage.errors import StageError
 from stage.native import without_attributes
-from stage.sim.records import EDGE, SAMPLE, SECOND
+from stage.sim.engine_records import EDGE, SAMPLE, SECOND
 
 SAMPLE_ROWS = 512
 TEXT_SIZE = 1 << 16  # bytes of lines

@@ -22,7 +22,7 @@ from stage.chips.hctl1100 import core
 from stage.chips.hctl1100.describe import Decoder, Listener
 from stage.chips.hctl1100.lint import lint_write
 from stage.chips.hctl1100.maps import ACTUAL_LOW, ADDRESSES, MAP, NUMBERS, STATUS
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 
 __all__ = ["HCTL1100"]
 
@@ -136,10 +136,10 @@ class HCTL1100(Chip):
     def net(self, axis: int = 0) -> int:
         """Return the command position as a raw count of the encoder: `encoder` shows it when the shaft has arrived."""
         self._check_axis(axis)
-        return core.net.with_gil(self.pointer, 0)
+        return core.read_net_count.with_gil(self.pointer, 0)
 
     def values(self) -> dict[str, int]:
-        return {r.name: core.value.with_gil(self.pointer, r.number) for r in self.MAP.registers}
+        return {r.name: core.read_register_value.with_gil(self.pointer, r.number) for r in self.MAP.registers}
 
     def decoder(self, axis: int = 0) -> Decoder:
         self._check_axis(axis)

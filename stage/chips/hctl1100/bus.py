@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from stage.chips.hctl1100 import commutator, encoder, maps, motor, state
-from stage.chips.hctl1100 import filter as law
-from stage.chips.hctl1100.timer import apply_sync, read_timer, start_period
+from stage.chips.hctl1100 import commutator, encoder, maps, motor_port, state
+from stage.chips.hctl1100 import digital_filter as law
+from stage.chips.hctl1100.sample_timer import apply_sync, read_timer, start_period
 from stage.native import hot
 
 ALL_FLAGS = sum(f.mask for f in maps.MAP.register("R00").fields)
@@ -25,204 +25,208 @@ IS_WRITE_ONLY = tuple(
 
 
 @hot
-def enter_idle(c):
+def enter_idle(chip):
     """Enter Init/Idle: set the motor command to 0 and clear the history of the control law. The flags stay."""
-    c.mode, c.aligning = state.IDLE, 0
-    law.clear_history(c)
-    motor.set_command(c, 0)
-    apply_sync(c)
+    chip.mode, chip.aligning = state.IDLE, 0
+    law.clear_history(chip)
+    motor_port.set_command(chip, 0)
+    apply_sync(chip)
 
 
 @hot
-def soft_reset(c):
+def soft_reset(chip):
     """Reset the chip as a write of 00h to R05 does."""
     for k in range(len(RESET_ADDRESSES)):
-        c.reg[RESET_ADDRESSES[k]] = RESET_VALUES[k]
-    c.status = c.limit_triggered = c.stop_triggered = 0
-    c.position_origin, c.timer_stopped = encoder.read_count(c), 0
-    start_period(c)
-    enter_idle(c)
-    apply_pins(c)
+        chip.reg[RESET_ADDRESSES[k]] = RESET_VALUES[k]
+    chip.status = chip.limit_triggered = chip.stop_triggered = 0
+    chip.position_origin, chip.timer_stopped = encoder.read_count(chip), 0
+    start_period(chip)
+    enter_idle(chip)
+    apply_pins(chip)
 
 
 @hot
-def hard_reset(c):
+def hard_reset(chip):
     """Reset the chip as the RESET pin does. The clock, the input pins and the shaft stay."""
     for k in range(maps.ADDRESSES):
-        c.reg[k] = 0
-    c.flag_bits = c.command = c.command_high = c.command_middle = c.position_latch = c.preset_high = c.preset_middle = 0
-    c.actual_velocity = c.ring_position = c.pulse_off_until = c.motor_command = c.command_sample_end = (
-        c.command_writes
+        chip.reg[k] = 0
+    chip.flag_bits = chip.command = chip.command_high = chip.command_middle = chip.position_latch = chip.preset_high = (
+        chip.preset_middle
     ) = 0
-    soft_reset(c)
-    c.ring_origin = encoder.read_count(c)
+    chip.actual_velocity = chip.ring_position = chip.pulse_off_until = chip.motor_command = chip.command_sample_end = (
+        chip.command_writes
+    ) = 0
+    soft_reset(chip)
+    chip.ring_origin = encoder.read_count(chip)
 
 
 @hot
-def apply_pins(c):
+def apply_pins(chip):
     """Trigger LIMIT and STOP if their pins are asserted, and apply SYNC. LIMIT ends Align and every control mode."""
-    if c.inputs & state.STOP:
-        c.stop_triggered = 1
-    if c.inputs & state.LIMIT:
-        c.limit_triggered = 1
-        if c.mode != state.IDLE:
-            enter_idle(c)
-    apply_sync(c)
+    if chip.inputs & state.STOP:
+        chip.stop_triggered = 1
+    if chip.inputs & state.LIMIT:
+        chip.limit_triggered = 1
+        if chip.mode != state.IDLE:
+            enter_idle(chip)
+    apply_sync(chip)
 
 
 @hot
-def set_pins(c, word):
+def set_pins(chip, word):
     """Set the levels of the input pins, and apply them."""
-    if word & ~c.inputs & state.INDEX:
-        commutator.restart_ring(c)
-    c.inputs = word
-    apply_pins(c)
+    if word & ~chip.inputs & state.INDEX:
+        commutator.restart_ring(chip)
+    chip.inputs = word
+    apply_pins(chip)
 
 
 @hot
-def _write_flag(c, value):
+def _write_flag(chip, value):
     """Execute a write to R00, which sets or clears one flag."""
     bit = 1 << (value & FLAG_NUMBER) & ALL_FLAGS & ~state.F1
-    before = state.find_control_mode(c.flag_bits)
-    if bit == state.F4 and bool(value & FLAG_SET) != bool(c.flag_bits & state.F4):
+    before = state.find_control_mode(chip.flag_bits)
+    if bit == state.F4 and bool(value & FLAG_SET) != bool(chip.flag_bits & state.F4):
         if value & FLAG_SET:
-            commutator.hold_ring(c)
+            commutator.hold_ring(chip)
         else:
-            commutator.release_ring(c)
-    c.flag_bits = c.flag_bits | bit if value & FLAG_SET else c.flag_bits & ~bit
-    now = state.find_control_mode(c.flag_bits)
-    if c.mode == state.CONTROL and now != before:
-        c.velocity = c.fraction = 0
+            commutator.release_ring(chip)
+    chip.flag_bits = chip.flag_bits | bit if value & FLAG_SET else chip.flag_bits & ~bit
+    now = state.find_control_mode(chip.flag_bits)
+    if chip.mode == state.CONTROL and now != before:
+        chip.velocity = chip.fraction = 0
         if now == state.PROPORTIONAL or before == state.PROPORTIONAL:
-            law.clear_history(c)
+            law.clear_history(chip)
 
 
 @hot
-def _write_mode(c, value):
+def _write_mode(chip, value):
     """Execute a write to R05: reset, Init/Idle, Align or control."""
     if value == MODE_RESET:
-        soft_reset(c)
+        soft_reset(chip)
     elif value == MODE_IDLE:
-        enter_idle(c)
-    elif c.mode == state.IDLE and not c.limit_triggered and value in (MODE_ALIGN, MODE_CONTROL):
+        enter_idle(chip)
+    elif chip.mode == state.IDLE and not chip.limit_triggered and value in (MODE_ALIGN, MODE_CONTROL):
         if value == MODE_ALIGN:
-            commutator.start_align(c)
+            commutator.start_align(chip)
         else:
-            c.mode = state.CONTROL
-            law.clear_history(c)
-        apply_sync(c)
+            chip.mode = state.CONTROL
+            law.clear_history(chip)
+        apply_sync(chip)
 
 
 @hot
-def _write_status(c, value):
+def _write_status(chip, value):
     """Execute a write to R07: store its writable bits, and clear LIMIT and STOP if their pins are released."""
-    c.status = value & WRITABLE_STATUS
-    if not c.inputs & state.LIMIT:
-        c.limit_triggered = 0
-    if not c.inputs & state.STOP:
-        c.stop_triggered = 0
+    chip.status = value & WRITABLE_STATUS
+    if not chip.inputs & state.LIMIT:
+        chip.limit_triggered = 0
+    if not chip.inputs & state.STOP:
+        chip.stop_triggered = 0
 
 
 @hot
-def _write_command_low(c, low):
+def _write_command_low(chip, low):
     """Execute a write to R0E, which moves the command position to R0C, R0D and this byte."""
-    command = state.to_signed(c.command_high << 16 | c.command_middle << 8 | low, 24)
-    law.apply_early_position(c, command)
-    c.command, c.fraction = command, 0
+    command = state.to_signed(chip.command_high << 16 | chip.command_middle << 8 | low, 24)
+    law.apply_early_position(chip, command)
+    chip.command, chip.fraction = command, 0
 
 
 @hot
-def write_byte(c, address, value):
+def write_byte(chip, address, value):
     """Make a bus write cycle.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         address: Number of the register.
         value: The byte.
     """
-    if c.mode == state.CONTROL:
+    if chip.mode == state.CONTROL:
         for k in range(len(state.COMMAND_ADDRESSES)):
             if address == state.COMMAND_ADDRESSES[k]:
-                c.command_writes = (c.command_writes if c.command_sample_end == c.sample_end else 0) | 1 << k
-                c.command_sample_end = c.sample_end
+                chip.command_writes = (
+                    chip.command_writes if chip.command_sample_end == chip.sample_end else 0
+                ) | 1 << k
+                chip.command_sample_end = chip.sample_end
     if address == maps.FLAG:
-        _write_flag(c, value)
+        _write_flag(chip, value)
     elif address == maps.MODE:
-        _write_mode(c, value)
+        _write_mode(chip, value)
     elif address == maps.STATUS:
-        _write_status(c, value)
+        _write_status(chip, value)
     elif address == maps.COMMAND_HIGH:
-        c.command_high = value
+        chip.command_high = value
     elif address == maps.COMMAND_MIDDLE:
-        c.command_middle = value
+        chip.command_middle = value
     elif address == maps.COMMAND_LOW:
-        _write_command_low(c, value)
+        _write_command_low(chip, value)
     elif address == maps.CLEAR:
-        c.position_origin = encoder.read_count(c)
+        chip.position_origin = encoder.read_count(chip)
     elif address in (maps.PORT, maps.PWM) or maps.PRESET_HIGH <= address <= maps.PRESET_LOW:
-        if c.mode == state.IDLE:
-            _write_idle(c, address, value)
+        if chip.mode == state.IDLE:
+            _write_idle(chip, address, value)
     else:
-        c.reg[address] = value & state.STORED[address]
+        chip.reg[address] = value & state.STORED[address]
         if address in (maps.PROPORTIONAL_LOW, maps.PROPORTIONAL_HIGH):
-            law.apply_early_velocity(c, state.PROPORTIONAL)
+            law.apply_early_velocity(chip, state.PROPORTIONAL)
         elif address == maps.INTEGRAL_VELOCITY:
-            law.apply_early_velocity(c, state.INTEGRAL)
+            law.apply_early_velocity(chip, state.INTEGRAL)
 
 
 @hot
-def _write_idle(c, address, value):
+def _write_idle(chip, address, value):
     """Write a register that the chip accepts only in Init/Idle."""
     if address == maps.PORT:
-        motor.write_port(c, value - PORT_ZERO)
+        motor_port.write_port(chip, value - PORT_ZERO)
     elif address == maps.PWM:
-        motor.write_pwm(c, state.to_signed(value, 8))
+        motor_port.write_pwm(chip, state.to_signed(value, 8))
     elif address == maps.PRESET_HIGH:
-        c.preset_high = value
+        chip.preset_high = value
     elif address == maps.PRESET_MIDDLE:
-        c.preset_middle = value
+        chip.preset_middle = value
     else:
-        c.position_origin = encoder.read_count(c) - (c.preset_high << 16 | c.preset_middle << 8 | value)
+        chip.position_origin = encoder.read_count(chip) - (chip.preset_high << 16 | chip.preset_middle << 8 | value)
 
 
 @hot
-def compute_status(c):
+def compute_status(chip):
     """Compute the status byte R07."""
-    word = c.status | (0 if c.limit_triggered else NOT_LIMIT) | (0 if c.stop_triggered else NOT_STOP)
-    return word | (INIT_BIT if c.mode == state.IDLE else 0) | (PROFILE_BIT if c.flag_bits & state.F0 else 0)
+    word = chip.status | (0 if chip.limit_triggered else NOT_LIMIT) | (0 if chip.stop_triggered else NOT_STOP)
+    return word | (INIT_BIT if chip.mode == state.IDLE else 0) | (PROFILE_BIT if chip.flag_bits & state.F0 else 0)
 
 
 @hot
-def peek_byte(c, address):
+def peek_byte(chip, address):
     """Return what a host would read at an address, without the side effects of a bus cycle."""
     if address == maps.FLAG:
-        return c.flag_bits | (state.F1 if c.mode == state.IDLE else 0)
+        return chip.flag_bits | (state.F1 if chip.mode == state.IDLE else 0)
     if address == maps.STATUS:
-        return compute_status(c)
+        return compute_status(chip)
     if address == maps.PORT:
-        return c.port + PORT_ZERO
+        return chip.port + PORT_ZERO
     if address == maps.PWM:
-        return c.pwm & 0xFF
+        return chip.pwm & 0xFF
     if maps.COMMAND_HIGH <= address <= maps.COMMAND_LOW:
-        return c.command >> 8 * (maps.COMMAND_LOW - address) & 0xFF
+        return chip.command >> 8 * (maps.COMMAND_LOW - address) & 0xFF
     if address == maps.TIMER:
-        return read_timer(c)
+        return read_timer(chip)
     if address == maps.ACTUAL_HIGH:
-        return c.position_latch >> 16 & 0xFF
+        return chip.position_latch >> 16 & 0xFF
     if address == maps.ACTUAL_MIDDLE:
-        return c.position_latch >> 8 & 0xFF
+        return chip.position_latch >> 8 & 0xFF
     if address == maps.ACTUAL_LOW:
-        return encoder.compute_actual_position(c) & 0xFF
+        return encoder.compute_actual_position(chip) & 0xFF
     if address == maps.VELOCITY_LOW:
-        return c.actual_velocity & 0xFF
+        return chip.actual_velocity & 0xFF
     if address == maps.VELOCITY_HIGH:
-        return c.actual_velocity >> 8 & 0xFF
-    return 0 if IS_WRITE_ONLY[address] else c.reg[address]
+        return chip.actual_velocity >> 8 & 0xFF
+    return 0 if IS_WRITE_ONLY[address] else chip.reg[address]
 
 
 @hot
-def read_byte(c, address):
+def read_byte(chip, address):
     """Make a bus read cycle. A read of R14 latches the upper bytes of the actual position."""
     if address == maps.ACTUAL_LOW:
-        c.position_latch = encoder.compute_actual_position(c) & 0xFFFFFF
-    return peek_byte(c, address)
+        chip.position_latch = encoder.compute_actual_position(chip) & 0xFFFFFF
+    return peek_byte(chip, address)

@@ -21,12 +21,12 @@ class Decoder(describe.Decoder):
     """Decoder of journals of the HCTL-1100. Each write concerns one register, so that no write waits for later ones."""
 
     def __init__(self, map_: RegisterMap):
-        self._registers = {r.number: r for r in map_.registers}
+        self._registers = {register.number: register for register in map_.registers}
 
     def decode_write(self, clock: int, address: int, value: int) -> list[Statement]:
-        r = self._registers.get(address)
+        register = self._registers.get(address)
         kind = "command" if address in (maps.FLAG, maps.MODE) else "register"
-        known = (r.name, r.value(value)) if r and kind == "register" else ("", 0)
+        known = (register.name, register.value(value)) if register and kind == "register" else ("", 0)
         return [Statement(clock, kind, f"{address:02X} {value:02X}", self._meaning(address, value), *known)]
 
     def describe_lost_write(self, address: int, value: int) -> tuple[str, str]:
@@ -37,8 +37,12 @@ class Decoder(describe.Decoder):
             return f"{SET.says(SET.of(value))} F{NUMBER.of(value)}"
         if address == maps.MODE:
             return MODES.get(value, "no mode")
-        r = self._registers.get(address)
-        return f"{r.name} <- {r.value(value)} ({r.text})" if r else f"no register at {address:02X}h"
+        register = self._registers.get(address)
+        return (
+            f"{register.name} <- {register.value(value)} ({register.text})"
+            if register
+            else f"no register at {address:02X}h"
+        )
 
 
 class Listener:
@@ -51,7 +55,7 @@ class Listener:
 
     def __init__(self, map_: RegisterMap, record: Any):
         self._chip = map_.chip
-        self._registers = {r.number: r for r in map_.registers}
+        self._registers = {register.number: register for register in map_.registers}
         self._bytes = {a: int(record["reg"][a]) for a in range(maps.ADDRESSES)}
         for a, q in maps.QUANTITIES.items():
             if q.waits and a != q.low:
@@ -69,52 +73,54 @@ class Listener:
     def write(self, address: int, value: int) -> str:
         """Describe a write cycle to register `address`, 0 to 63."""
         address, value = address % maps.ADDRESSES, value & 0xFF
-        r = self._registers.get(address)
-        if r is None:
+        register = self._registers.get(address)
+        if register is None:
             return f"no register of the {self._chip} at {address:02X}h: nothing changes"
-        if r.access == "R":
-            return shorten_line(f"{r.name} can only be read: nothing changes ({_find_title(r)})")
+        if register.access == "R":
+            return shorten_line(f"{register.name} can only be read: nothing changes ({_find_title(register)})")
         if address == maps.FLAG:
-            return self._describe_flag(r, value)
+            return self._describe_flag(register, value)
         if address == maps.MODE:
             self._idle = value in _IDLE or (self._idle and value not in MODES)
-            return f"{r.title}: {MODES.get(value) or f'{value:02X}h is no mode of the {self._chip}'}"
+            return f"{register.title}: {MODES.get(value) or f'{value:02X}h is no mode of the {self._chip}'}"
         if address == maps.STATUS:
             return self._set.describe("status", value, "; clears LIMIT and STOP if released")
         if address == maps.CLEAR:
-            return f"{r.name}, any value: clears the {maps.QUANTITIES[address].title}"
-        return self._describe_number(r, value)
+            return f"{register.name}, any value: clears the {maps.QUANTITIES[address].title}"
+        return self._describe_number(register, value)
 
-    def _describe_flag(self, r: Register, value: int) -> str:
+    def _describe_flag(self, register: Register, value: int) -> str:
         number = NUMBER.of(value)
         verb = SET.says(SET.of(value))
-        f = next((f for f in r.fields if f.low == number), None)
+        f = next((f for f in register.fields if f.low == number), None)
         if f is None:
             return f"{verb} F{number}: no flag of the {self._chip}"
         if f.mask == self._known[maps.FLAG]:
             return f"{verb} F{number}: nothing changes, it can only be read ({f.meaning})"
         return shorten_line(f"{verb} F{number}: {f.meaning}")
 
-    def _describe_number(self, r: Register, value: int) -> str:
+    def _describe_number(self, register: Register, value: int) -> str:
         """Describe a write to a register that is a number or one byte of it."""
-        q = maps.QUANTITIES.get(r.number)
+        q = maps.QUANTITIES.get(register.number)
         if q is None:
-            return self._describe_register(r, value, value if r.signed else value & STORED[r.number])
+            return self._describe_register(
+                register, value, value if register.signed else value & STORED[register.number]
+            )
         preset = q is maps.PRESET_POSITION
         if self._idle or not preset:
-            self._bytes[r.number] = value & STORED[r.number] if not q.waits else value
-        if q.waits and (r.number != q.low or (preset and not self._idle)):
-            return shorten_line(f"{r.name} = {value:02X}h: {r.text}")
-        return shorten_line(f"{r.name} = {value:02X}h: {q.of(self._bytes)}")
+            self._bytes[register.number] = value & STORED[register.number] if not q.waits else value
+        if q.waits and (register.number != q.low or (preset and not self._idle)):
+            return shorten_line(f"{register.name} = {value:02X}h: {register.text}")
+        return shorten_line(f"{register.name} = {value:02X}h: {q.of(self._bytes)}")
 
     def read(self, address: int, value: int) -> str:
         """Describe a read cycle of register `address`, 0 to 63."""
         address, value = address % maps.ADDRESSES, value & 0xFF
-        r = self._registers.get(address)
-        if r is None:
+        register = self._registers.get(address)
+        if register is None:
             return f"no register of the {self._chip} at {address:02X}h: reads {value:02X}h"
-        if r.access == "W":
-            return shorten_line(f"{r.name} can only be written: reads {value:02X}h ({_find_title(r)})")
+        if register.access == "W":
+            return shorten_line(f"{register.name} can only be written: reads {value:02X}h ({_find_title(register)})")
         if address in self._known:
             self._idle = bool(value & self._known[address])
             return (
@@ -122,28 +128,28 @@ class Listener:
             )
         q = maps.QUANTITIES.get(address)
         if q is None:
-            return self._describe_register(r, value, value)
+            return self._describe_register(register, value, value)
         if not q.latched:
-            return shorten_line(f"{r.name} = {value:02X}h: {r.text}")
-        return self._describe_latched_read(r, q, value)
+            return shorten_line(f"{register.name} = {value:02X}h: {register.text}")
+        return self._describe_latched_read(register, q, value)
 
-    def _describe_latched_read(self, r: Register, q: maps.Quantity, value: int) -> str:
+    def _describe_latched_read(self, register: Register, q: maps.Quantity, value: int) -> str:
         """Describe a read of a latched byte: the whole number with the last of its bytes, once the low byte was read."""
-        if r.number == q.low:
+        if register.number == q.low:
             self._unread = set(q.addresses)
-        fresh = r.number in self._unread
-        self._unread.discard(r.number)
-        self._bytes[r.number] = value
-        if not self._unread and (fresh or r.number == q.addresses[0]):
-            return shorten_line(f"{r.name} = {value:02X}h: {q.of(self._bytes)}")
-        return shorten_line(f"{r.name} = {value:02X}h: {r.text}")
+        fresh = register.number in self._unread
+        self._unread.discard(register.number)
+        self._bytes[register.number] = value
+        if not self._unread and (fresh or register.number == q.addresses[0]):
+            return shorten_line(f"{register.name} = {value:02X}h: {q.of(self._bytes)}")
+        return shorten_line(f"{register.name} = {value:02X}h: {register.text}")
 
-    def _describe_register(self, r: Register, value: int, stored: int) -> str:
-        number = f"{r.value(stored)} {r.unit}".strip()
-        return shorten_line(f"{r.name} = {value:02X}h ({number}): {r.text}")
+    def _describe_register(self, register: Register, value: int, stored: int) -> str:
+        number = f"{register.value(stored)} {register.unit}".strip()
+        return shorten_line(f"{register.name} = {value:02X}h ({number}): {register.text}")
 
 
-def _find_title(r: Register) -> str:
+def _find_title(register: Register) -> str:
     """Return the title of a register, or of the number that it is a part of."""
-    q = maps.QUANTITIES.get(r.number)
-    return q.title if q else r.title
+    q = maps.QUANTITIES.get(register.number)
+    return q.title if q else register.title

@@ -14,55 +14,55 @@ MAX_COUNT = float(1 << 53)
 
 
 @hot
-def read_count(c):
+def read_count(chip):
     """Return the raw count of the encoder at the present clock."""
-    return _compute_count_at(c, c.clock)
+    return _compute_count_at(chip, chip.clock)
 
 
 @hot
-def _compute_count_at(c, clock):
-    x = c.shaft_count - c.missed_counts + compute_filtered_rate(c) * (clock - c.shaft_clock)
+def _compute_count_at(chip, clock):
+    x = chip.shaft_count - chip.missed_counts + compute_filtered_rate(chip) * (clock - chip.shaft_clock)
     return int(math.floor(least(greatest(x, -MAX_COUNT), MAX_COUNT)))
 
 
 @hot
-def compute_filtered_rate(c):
+def compute_filtered_rate(chip):
     """Return the rate of the shaft if its counts pass the input filter, in counts per clock; 0 if they come too fast."""
-    return c.shaft_rate if abs(c.shaft_rate) <= MAX_FILTERED_RATE else 0.0
+    return chip.shaft_rate if abs(chip.shaft_rate) <= MAX_FILTERED_RATE else 0.0
 
 
 @hot
-def set_shaft(c, count, rate):
+def set_shaft(chip, count, rate):
     """Put the shaft at `count + rate * (clock - now)` from now on."""
-    c.missed_counts = compute_missed_counts(c)
-    c.shaft_clock, c.shaft_count, c.shaft_rate = c.clock, count, rate
+    chip.missed_counts = compute_missed_counts(chip)
+    chip.shaft_clock, chip.shaft_count, chip.shaft_rate = chip.clock, count, rate
 
 
 @hot
-def compute_missed_counts(c):
+def compute_missed_counts(chip):
     """Return the net number of counts that the input filter has dropped: the shaft is so far ahead of the raw count."""
-    missed = c.missed_counts + (c.shaft_rate - compute_filtered_rate(c)) * (c.clock - c.shaft_clock)
+    missed = chip.missed_counts + (chip.shaft_rate - compute_filtered_rate(chip)) * (chip.clock - chip.shaft_clock)
     return least(greatest(missed, -MAX_COUNT), MAX_COUNT)
 
 
 @hot
-def compute_actual_position(c):
+def compute_actual_position(chip):
     """Return the actual position: 24 bits, sign extended."""
-    return to_signed(read_count(c) - c.position_origin, 24)
+    return to_signed(read_count(chip) - chip.position_origin, 24)
 
 
 @hot
-def find_next_count(c, until):
+def find_next_count(chip, until):
     """Return the next clock at which the raw count changes, or NEVER if it does not change up to `until`."""
-    if compute_filtered_rate(c) == 0.0:
+    if compute_filtered_rate(chip) == 0.0:
         return NEVER
-    now = read_count(c)
-    if _compute_count_at(c, until) == now:
+    now = read_count(chip)
+    if _compute_count_at(chip, until) == now:
         return NEVER
-    low, high = c.clock, until
+    low, high = chip.clock, until
     while high - low > 1:
         middle = (low + high) // 2
-        if _compute_count_at(c, middle) == now:
+        if _compute_count_at(chip, middle) == now:
             low = middle
         else:
             high = middle

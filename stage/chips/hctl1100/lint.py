@@ -55,11 +55,11 @@ RESET, INIT, ALIGN = (MODES.code(name) for name in ("reset", "Init/Idle", "Align
 SET, NUMBER = maps.FLAG_WRITE.fields
 
 
-def lint_write(c: Any, read_encoder: Callable[[], int], address: int, value: int) -> Iterator[Finding]:
+def lint_write(chip: Any, read_encoder: Callable[[], int], address: int, value: int) -> Iterator[Finding]:
     """Yield every rule that a write breaks, with a message.
 
     Args:
-        c: State of the chip before the write, a record.
+        chip: State of the chip before the write, a record.
         read_encoder: Function that returns the encoder's raw count.
         address: Number of the register.
         value: The byte.
@@ -71,22 +71,22 @@ def lint_write(c: Any, read_encoder: Callable[[], int], address: int, value: int
     if r.access == "R":
         yield READ_ONLY, f"{r.name} can only be read: the write does nothing"
         return
-    if address in IDLE_ONLY and c["mode"] != state.IDLE:
+    if address in IDLE_ONLY and chip["mode"] != state.IDLE:
         yield NOT_IN_IDLE.at(r.name), f"{r.name} is written outside of Init/Idle: ignored"
     if address == maps.FLAG:
-        yield from _lint_flag(c, value)
+        yield from _lint_flag(chip, value)
     elif address == maps.MODE:
-        yield from _lint_mode(c, read_encoder, value)
+        yield from _lint_mode(chip, read_encoder, value)
     elif address == maps.TIMER:
-        yield from _lint_timer(value, state.find_control_mode(int(c["flag_bits"])))
+        yield from _lint_timer(value, state.find_control_mode(int(chip["flag_bits"])))
     elif r.legal and not r.allows(r.value(value)):
         message = f"{r.name} = {r.value(value)}: {r.title} takes {r.legal[0]} to {r.legal[1]}"
         yield VALUE_RANGE.at(r.name), message
-    if c["mode"] == state.CONTROL:
-        yield from _lint_data_in_control(c, address, value)
+    if chip["mode"] == state.CONTROL:
+        yield from _lint_data_in_control(chip, address, value)
 
 
-def _lint_flag(c: Any, value: int) -> Iterator[Finding]:
+def _lint_flag(chip: Any, value: int) -> Iterator[Finding]:
     """Check a write to R00."""
     number = NUMBER.of(value)
     bit, on = 1 << number, SET.of(value)
@@ -96,15 +96,15 @@ def _lint_flag(c: Any, value: int) -> Iterator[Finding]:
     if bit > state.F5:
         yield NO_FLAG, f"{value:02X}h: there is no flag {number}"
         return
-    others = int(c["flag_bits"]) & MODE_FLAGS & ~bit
+    others = int(chip["flag_bits"]) & MODE_FLAGS & ~bit
     if on and bit & MODE_FLAGS and others:
         names = " and ".join(f"F{k}" for k in range(6) if (others | bit) >> k & 1)
         yield SEVERAL_MODE_FLAGS, f"{names} are set: only one of F0, F3 and F5 may be"
-    if on and c["mode"] == state.CONTROL:
-        yield from _lint_control_mode(c, int(c["flag_bits"]) | bit)
+    if on and chip["mode"] == state.CONTROL:
+        yield from _lint_control_mode(chip, int(chip["flag_bits"]) | bit)
 
 
-def _lint_mode(c: Any, read_encoder: Callable[[], int], value: int) -> Iterator[Finding]:
+def _lint_mode(chip: Any, read_encoder: Callable[[], int], value: int) -> Iterator[Finding]:
     """Check a write to R05."""
     if value not in MODES.values:
         known = ", ".join(f"{v:02X}h {mode}" for v, mode in MODES.values.items())
@@ -112,30 +112,30 @@ def _lint_mode(c: Any, read_encoder: Callable[[], int], value: int) -> Iterator[
         return
     if value in (RESET, INIT):
         return
-    begins = c["mode"] == state.IDLE and not c["limit_triggered"]
-    if c["mode"] != state.IDLE:
+    begins = chip["mode"] == state.IDLE and not chip["limit_triggered"]
+    if chip["mode"] != state.IDLE:
         yield NOT_IN_IDLE, f"R05 = {value:02X}h outside of Init/Idle: ignored"
-    if c["limit_triggered"]:
+    if chip["limit_triggered"]:
         message = f"R05 = {value:02X}h while LIMIT has triggered: release the pin and write R07 first"
         yield LIMIT_TRIGGERED, message
     if begins and value == ALIGN:
-        if not c["reg"][maps.RING]:
+        if not chip["reg"][maps.RING]:
             yield ALIGN_WITHOUT_RING, "Align turns the motor by the commutator, whose ring R18 is 0"
         if (
-            c["flag_bits"] & MODE_FLAGS
-            or c["command"]
-            or state.to_signed(read_encoder() - int(c["position_origin"]), 24)
+            chip["flag_bits"] & MODE_FLAGS
+            or chip["command"]
+            or state.to_signed(read_encoder() - int(chip["position_origin"]), 24)
         ):
             yield ALIGN_FROM_ELSEWHERE, "Align begins with F0, F3, F5 clear and both positions 0"
     elif begins:
-        yield from _lint_control_mode(c, int(c["flag_bits"]))
+        yield from _lint_control_mode(chip, int(chip["flag_bits"]))
     if begins:
-        yield from _lint_commutator(c)
+        yield from _lint_commutator(chip)
 
 
-def _lint_control_mode(c: Any, flags: int) -> Iterator[Finding]:
+def _lint_control_mode(chip: Any, flags: int) -> Iterator[Finding]:
     """Check the registers of the control mode that begins, the one that `flags` select."""
-    reg = c["reg"]
+    reg = chip["reg"]
     if flags & state.F0 and not (reg[maps.ACCELERATION_FRACTION] or reg[maps.ACCELERATION_WHOLE]):
         yield NO_ACCELERATION, "a trapezoid with acceleration 0 (R27, R26) does not move and never ends"
     if flags & state.F0 and not reg[maps.MAX_VELOCITY]:
@@ -150,15 +150,15 @@ def _lint_timer(t: int, mode: int) -> Iterator[Finding]:
         yield SAMPLE_TOO_SHORT, message
 
 
-def _lint_commutator(c: Any) -> Iterator[Finding]:
+def _lint_commutator(chip: Any) -> Iterator[Finding]:
     """Check that the registers of the commutator agree with each other."""
-    reg = c["reg"]
+    reg = chip["reg"]
     ring, offset, max_advance = (
         int(reg[maps.RING]),
         state.to_signed(int(reg[maps.OFFSET]), 8),
         int(reg[maps.MAX_ADVANCE]),
     )
-    phases = 4 if c["status"] & state.FOUR else 3
+    phases = 4 if chip["status"] & state.FOUR else 3
     if ring and phases * (int(reg[maps.X]) + int(reg[maps.Y])) != ring:
         message = f"the ring R18 = {ring} is not {phases} (X + Y) = {phases} ({reg[maps.X]} + {reg[maps.Y]})"
         yield RING_IS_NOT_PHASES, message
@@ -167,26 +167,26 @@ def _lint_commutator(c: Any) -> Iterator[Finding]:
         yield ADVANCE_RANGE, message
 
 
-def _lint_data_in_control(c: Any, address: int, value: int) -> Iterator[Finding]:
+def _lint_data_in_control(chip: Any, address: int, value: int) -> Iterator[Finding]:
     """Check the moment of a write in a control mode, and the step of a velocity."""
-    mode = state.find_control_mode(int(c["flag_bits"]))
+    mode = state.find_control_mode(int(chip["flag_bits"]))
     if mode == state.TRAPEZOID and address in PROFILE_DATA:
         message = f"R{address:02X} is written while PROF is high: the profile in progress takes it"
         yield PROFILE_IN_PROGRESS, message
-    if address in COMMANDS[mode] and c["clock"] < c["computing_until"]:
+    if address in COMMANDS[mode] and chip["clock"] < chip["computing_until"]:
         when = f"wait until R0F has counted down by {state.MIN_TIMER_VALUES[mode]}"
         yield SAMPLE_IN_COMPUTATION, f"R{address:02X} is written while the sample is computed: {when}"
     if address == maps.INTEGRAL_VELOCITY and mode == state.INTEGRAL:
-        step = state.to_signed(value, 8) - state.to_signed(int(c["reg"][address]), 8)
-        if c["stop_triggered"]:
+        step = state.to_signed(value, 8) - state.to_signed(int(chip["reg"][address]), 8)
+        if chip["stop_triggered"]:
             message = "R3C is written while STOP has triggered: it stays 0. Release the pin and write R07 first"
             yield STOP_TRIGGERED, message
         elif abs(step) > 127:
             yield VELOCITY_STEP, f"R3C changes by {step}: successive command velocities may differ by 127"
     if (
         address in COMMANDS[mode]
-        and c["command_sample_end"] == c["sample_end"]
-        and int(c["command_writes"]) >> state.COMMAND_ADDRESSES.index(address) & 1
+        and chip["command_sample_end"] == chip["sample_end"]
+        and int(chip["command_writes"]) >> state.COMMAND_ADDRESSES.index(address) & 1
     ):
         message = f"R{address:02X} is written twice in one sample: the later command counts, and the sheet allows one"
         yield TWICE_IN_SAMPLE, message

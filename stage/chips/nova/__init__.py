@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 from stage.chips.chip import Chip, Pins, make_cycle_error
 from stage.chips.diagnostics import Finding
+from stage.chips.exclusive_access import exclusive
 from stage.chips.nova import core, state
 from stage.chips.nova.describe import Decoder, Listener
 from stage.chips.nova.functions import encoder
@@ -17,9 +18,8 @@ from stage.chips.nova.lint import LintState, Mcx312LintState, Mcx314asLintState,
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
 from stage.chips.register_map import Word
-from stage.chips.sharing import exclusive
 from stage.errors import StageError
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 
 __all__ = ["MCX302", "MCX304", "MCX312", "MCX314AS", "MCX501", "MCX512", "MCX514", "Nova"]
 
@@ -157,7 +157,7 @@ class Nova(Chip):
 
     def values(self) -> dict[str, int]:
         words = (w.name for w in self.MAP.words if w.name.startswith("RR"))
-        return {name: core.value.with_gil(self.pointer, int(name[2]), name == "RR3-1") for name in words}
+        return {name: core.read_register_value.with_gil(self.pointer, int(name[2]), name == "RR3-1") for name in words}
 
     def values_of(self, axis: int = 0) -> dict[str, int]:
         """Return the words of an axis as if a host had selected it, and the registers as they read, or as they were written."""
@@ -172,7 +172,7 @@ class Nova(Chip):
                 common = {4: "outputs4", 5: "outputs5", 6: "data_low", 7: "data_high"}
                 values[w.name] = int(c["ax"][axis]["wr"][n]) if n <= 3 else int(c[common[n]])
             elif n is not None and w.fields and not w.written:
-                values[w.name] = core.value.with_gil(chip.pointer, n, w.name == "RR3-1")
+                values[w.name] = core.read_register_value.with_gil(chip.pointer, n, w.name == "RR3-1")
         reads = {k.symbol.removeprefix("R-"): k for k in map_.commands if k.kind == "data read"}
         for r in map_.registers:
             if (read := reads.get(r.name)) is not None:

@@ -1,516 +1,541 @@
 """The functions of the NOVA chips for a stage, a host and a journal, compiled; see stage/chips/cores.py.
 
 `run` jumps from event to event; between two events pulses follow in closed form. An event is the end of a drive or of a piece
-of its profile, a counter that reaches a value that matters, an input that passes its filter, a timer, or a bus write. drive.py
-has the drive of one axis, profile.py the clocks of its pulses, trace.py their order for a trace.
+of its profile, a counter that reaches a value that matters, an input that passes its filter, a timer, or a bus write.
+single_axis_drive.py has the drive of one axis, pulse_timing.py the clocks of its pulses, pulse_trace.py their order for a
+trace.
 """
 
 from __future__ import annotations
 
-from stage.chips.cores import run_window
+from stage.chips.cores import run_slices
 from stage.chips.nova import state
 from stage.chips.nova.bus import mcx300 as bus304
 from stage.chips.nova.bus import mcx514 as bus514
-from stage.chips.nova.bus.common import compute_phase_bits, find_lowest_axis
-from stage.chips.nova.bus.common import is_busy as driving
-from stage.chips.nova.functions import comparators, encoder, external, home, sync
-from stage.chips.nova.functions import inputs as pins_in
-from stage.chips.nova.functions import io as ports
+from stage.chips.nova.bus.parameters_and_phases import compute_phase_bits, find_lowest_axis, is_axis_busy
+from stage.chips.nova.functions import comparators, encoder, external_drives, home_search, synchronous_actions
+from stage.chips.nova.functions import general_ports as ports
+from stage.chips.nova.functions import input_pins as pins_in
+from stage.chips.nova.interpolation import interpolator as interpolation
 from stage.chips.nova.interpolation import multichip
-from stage.chips.nova.interpolation import run as interpolation
-from stage.chips.nova.motion import drive
-from stage.chips.nova.motion import trace as pulses
-from stage.chips.nova.motion.profile import compute_speed
+from stage.chips.nova.motion import pulse_trace, single_axis_drive
 from stage.chips.nova.motion.pulse_output import (
     compute_pulse_pins,
     compute_pulse_width,
     compute_resting_pins,
     find_pulse_end,
 )
-from stage.chips.nova.motion.trace import EDGE_MARGIN, find_scan_stop, write_edge
+from stage.chips.nova.motion.pulse_timing import compute_speed
+from stage.chips.nova.motion.pulse_trace import EDGE_MARGIN, find_scan_stop, write_edge
 from stage.chips.nova.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
 from stage.native import array_of, exported, greatest, hot, least
 
 MAX_ROUNDS = 100  # of events that cause others at one clock
 HZ = 16_000_000
 
-__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "drive_input", "net",
-           "outputs", "peek", "power_up", "pulse_rate", "read", "run", "scan", "scan_shaft", "set_shaft",
-           "set_input", "status", "trace",
-           "value", "write"]  # fmt: skip
+__all__ = [
+    "EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "is_busy", "read_counter", "read_inputs",
+    "write_present_edge", "compute_drive_input", "read_net_count", "read_outputs", "peek", "power_up",
+    "compute_pulse_rate", "read", "run", "scan_edges", "scan_edges_and_shafts", "set_shaft", "set_input",
+    "read_status", "trace_pulses", "read_register_value", "write",
+]  # fmt: skip
 
 
 @exported(None, STATE)
-def _settle(c):
+def _process_due_events(chip):
     """Do everything that is due at the present clock, then find the clock of the next event."""
-    if c.encoder_axes:
-        encoder.follow_shafts(c)
-    for j in range(c.axes):
-        c.ax[j].finished_sets = 0
+    if chip.encoder_axes:
+        encoder.follow_shafts(chip)
+    for j in range(chip.axes):
+        chip.ax[j].finished_sets = 0
     for _ in range(MAX_ROUNDS):
-        c.stale = 0
-        at = pins_in.update_emergency(c)
-        for j in range(c.axes):
-            x = c.ax[j]
-            at = least(at, pins_in.update_inputs(c, x))
-            drive.check_drive(c, x)
-            drive.apply_inputs(c, x)
-            external.apply_pin_changes(c, x)
-            if x.launch_direction:
-                home.launch_step_drive(c, x)
-            home.update_search(c, x)
-        interpolation.update_interpolation(c)
-        for j in range(c.axes):
-            sync.run_due_sets(c, j)
-        if not c.stale:
+        chip.stale = 0
+        at = pins_in.update_emergency(chip)
+        for j in range(chip.axes):
+            axis = chip.ax[j]
+            at = least(at, pins_in.update_inputs(chip, axis))
+            single_axis_drive.check_drive(chip, axis)
+            single_axis_drive.apply_inputs(chip, axis)
+            external_drives.apply_pin_changes(chip, axis)
+            if axis.launch_direction:
+                home_search.launch_step_drive(chip, axis)
+            home_search.update_search(chip, axis)
+        interpolation.update_interpolation(chip)
+        for j in range(chip.axes):
+            synchronous_actions.run_due_sets(chip, j)
+        if not chip.stale:
             break
-    c.stale = 0
-    for j in range(c.axes):
-        x = c.ax[j]
-        at = least(at, home.find_next_event(c, x))
-        at = least(at, sync.find_next_event(c, x))
-        if x.driving:
-            at = least(at, drive.find_next_event(c, x, sync.count_pulses_to_event(c, x)))
-        if encoder.has_encoder(c, j) and comparators.uses_rp(c, x):
-            at = least(at, comparators.find_next_rp_change(c, x))
-    if c.interpolating:
-        at = least(at, interpolation.find_next_event(c))
-    c.quiet_until = greatest(at, c.clock + 1)
+    chip.stale = 0
+    for j in range(chip.axes):
+        axis = chip.ax[j]
+        at = least(at, home_search.find_next_event(chip, axis))
+        at = least(at, synchronous_actions.find_next_event(chip, axis))
+        if axis.driving:
+            at = least(
+                at, single_axis_drive.find_next_event(chip, axis, synchronous_actions.count_pulses_to_event(chip, axis))
+            )
+        if encoder.has_encoder(chip, j) and comparators.uses_rp(chip, axis):
+            at = least(at, comparators.find_next_rp_change(chip, axis))
+    if chip.interpolating:
+        at = least(at, interpolation.find_next_event(chip))
+    chip.quiet_until = greatest(at, chip.clock + 1)
 
 
 @hot
-def _advance_time(c, until):
+def _advance_time(chip, until):
     """Let time pass in which only pulses happen. A tick of an interpolation that causes an event ends it early."""
-    if c.interpolating:
-        until = interpolation.make_ticks(c, until)
-    _advance_drives(c, until)
+    if chip.interpolating:
+        until = interpolation.make_ticks(chip, until)
+    _advance_drives(chip, until)
 
 
 @hot
-def _advance_drives(c, until):
+def _advance_drives(chip, until):
     """Advance the clock, and the drives of single axes, to `until`."""
-    for j in range(c.axes):
-        if c.ax[j].driving:
-            drive.begin_pulses_until(c, c.ax[j], until)
-    c.clock = until
+    for j in range(chip.axes):
+        if chip.ax[j].driving:
+            single_axis_drive.begin_pulses_until(chip, chip.ax[j], until)
+    chip.clock = until
 
 
 @exported(None, STATE, "i8")
-def run(c, until):
+def run(chip, until):
     """Let the chip's clock run up to `until`.
 
     Afterwards the counters are up to date and nothing is due, so that reading them changes no bit of the state.
     """
-    if c.stale:
-        _settle(c)
-    while c.clock < until:
-        _advance_time(c, least(until, c.quiet_until))
-        if c.stale or c.clock >= c.quiet_until:
-            _settle(c)
-    if c.encoder_axes:
-        encoder.follow_shafts(c)
+    if chip.stale:
+        _process_due_events(chip)
+    while chip.clock < until:
+        _advance_time(chip, least(until, chip.quiet_until))
+        if chip.stale or chip.clock >= chip.quiet_until:
+            _process_due_events(chip)
+    if chip.encoder_axes:
+        encoder.follow_shafts(chip)
 
 
 # --- the functions for a stage, see stage/chips/cores.py ---
 
 
 @exported("i8", STATE, "i8")
-def net(c, j):
+def read_net_count(chip, axis_index):
     """Return the net number of pulses since power-up."""
-    return c.ax[j].net
+    return chip.ax[axis_index].net
 
 
 @exported("i8", STATE, "i8")
-def counter(c, j):
+def read_counter(chip, axis_index):
     """Return the logical position counter LP."""
-    return c.ax[j].reg[state.LP]
+    return chip.ax[axis_index].reg[state.LP]
 
 
 @exported(None, STATE, "i8", "f8", "f8")
-def set_shaft(c, j, count, rate):
+def set_shaft(chip, axis_index, count, rate):
     """Put the encoder of an axis at `count + rate * (clock - now)` from now on.
 
     Args:
-        c: State of the chip.
-        j: Number of the axis.
+        chip: State of the chip.
+        axis_index: Number of the axis.
         count: Edges of the encoder.
         rate: Edges per reference clock.
     """
-    encoder.set_shaft(c, j, count, rate)
-    if comparators.uses_rp(c, c.ax[j]):
-        _settle(c)
+    encoder.set_shaft(chip, axis_index, count, rate)
+    if comparators.uses_rp(chip, chip.ax[axis_index]):
+        _process_due_events(chip)
 
 
 @exported("i8", STATE, "i8")
-def inputs(c, j):
-    """Return the input pins of axis `j`, bits of INPUTS; for the number after the last axis those of the chip, COMMON_INPUTS."""
-    return c.emg_pin if j == c.axes else c.ax[j].inputs
+def read_inputs(chip, axis_index):
+    """Return the input pins of an axis, bits of INPUTS.
+
+    If `axis_index` is the number of axes, return the input pins that all axes share, bits of COMMON_INPUTS.
+    """
+    return chip.emg_pin if axis_index == chip.axes else chip.ax[axis_index].inputs
 
 
 @exported(None, STATE, "i8", "i8")
-def set_input(c, j, word):
+def set_input(chip, axis_index, word):
     """Set the input pins, except those of an encoder. They act at once, so that later reads change nothing.
 
     Args:
-        c: State of the chip.
-        j: Number of the axis, or the number after the last axis for pins of the chip.
+        chip: State of the chip.
+        axis_index: Number of the axis, or the number after the last axis for pins of the chip.
         word: Bits of INPUTS or COMMON_INPUTS.
     """
-    if j == c.axes:
-        c.emg_pin = word
+    if axis_index == chip.axes:
+        chip.emg_pin = word
     else:
-        if encoder.has_encoder(c, j):
-            word = word & ~encoder.PINS | c.ax[j].inputs & encoder.PINS
-        c.ax[j].inputs = word
-    _settle(c)
+        if encoder.has_encoder(chip, axis_index):
+            word = word & ~encoder.PINS | chip.ax[axis_index].inputs & encoder.PINS
+        chip.ax[axis_index].inputs = word
+    _process_due_events(chip)
 
 
 @exported("i8", STATE)
-def wire_output(c):
-    """Return what the chip drives onto the wires to others, see stage/chips/links.py."""
-    if c.stale:
-        _settle(c)
-    return multichip.compute_wire_output(c)
+def read_wire_output(chip):
+    """Return what the chip drives onto the wires to others, see stage/chips/linked_chips.py."""
+    if chip.stale:
+        _process_due_events(chip)
+    return multichip.compute_wire_output(chip)
 
 
 @exported("i8", STATE)
-def wire_output_until(c):
+def find_wire_output_end(chip):
     """The clock up to which that does not change."""
-    return multichip.find_wire_change(c)
+    return multichip.find_wire_change(chip)
 
 
 @exported("i8", STATE)
-def wire_word(c):
+def read_wire_word(chip):
     """Return the word that the wires brought last."""
-    return c.wire_word
+    return chip.wire_word
 
 
 @exported(None, STATE, "i8")
-def set_wire_word(c, word):
+def set_wire_word(chip, word):
     """Bring the chip a new word from the wires to other chips."""
-    if c.stale:
-        _settle(c)
-    multichip.apply_wire_word(c, word, _settle)
+    if chip.stale:
+        _process_due_events(chip)
+    multichip.apply_wire_word(chip, word, _process_due_events)
 
 
 @exported("i8", STATE, "i8")
-def status(c, j):
+def read_status(chip, axis_index):
     """Return RR0."""
-    return read_word(c, 0)
+    return read_word(chip, 0)
 
 
 @exported("i8", STATE, "i8")
-def peek(c, address):
+def peek(chip, address):
     """Return what a host would read at an address, without the side effects of a bus cycle."""
-    x = c.ax[find_lowest_axis(c)]
-    factors, compared = x.events, x.comparison_events
-    word = read_word(c, address)
-    x.events, x.comparison_events = factors, compared
+    axis = chip.ax[find_lowest_axis(chip)]
+    factors, compared = axis.events, axis.comparison_events
+    word = read_word(chip, address)
+    axis.events, axis.comparison_events = factors, compared
     return word
 
 
 @exported("i8", STATE, "i8")
-def busy(c, j):
+def is_busy(chip, axis_index):
     """Return whether a drive is in progress, n-DRV of RR0."""
-    return driving(c.ax[j])
+    return is_axis_busy(chip.ax[axis_index])
 
 
 @exported("i8", STATE, "i8")
-def outputs(c, j):
-    """Return the output pins of axis `j`, bits of OUTPUTS; for the number after the last axis those of the chip, COMMON_OUTPUTS."""
-    if j == c.axes:
-        return _compute_interrupt_pins(c)
-    x = c.ax[j]
-    return _compute_other_outputs(c, j) | compute_pulse_pins(c, x, c.clock < find_pulse_end(x))
+def read_outputs(chip, axis_index):
+    """Return the output pins of an axis, bits of OUTPUTS.
+
+    If `axis_index` is the number of axes, return the output pins that all axes share, bits of COMMON_OUTPUTS.
+    """
+    if axis_index == chip.axes:
+        return _compute_interrupt_pins(chip)
+    axis = chip.ax[axis_index]
+    return _compute_other_outputs(chip, axis_index) | compute_pulse_pins(chip, axis, chip.clock < find_pulse_end(axis))
 
 
 @hot
-def _compute_other_outputs(c, j):
-    """Compute the output pins of axis `j` except PLS and DIR."""
-    x = c.ax[j]
-    word = state.DRIVE if driving(x) else 0
-    bits = compute_phase_bits(c, c.ax[c.ip.main_axis] if x.interpolates else x)
+def _compute_other_outputs(chip, axis_index):
+    """Compute the output pins of axis `axis_index` except PLS and DIR."""
+    axis = chip.ax[axis_index]
+    word = state.DRIVE if is_axis_busy(axis) else 0
+    bits = compute_phase_bits(chip, chip.ax[chip.ip.main_axis] if axis.interpolates else axis)
     word |= (state.ASND if bits & 1 else 0) | (state.CNST if bits & 2 else 0) | (state.DSND if bits & 4 else 0)
-    word |= (state.DCC if c.clock < x.dcc_end else 0) | (state.SPLIT if x.split_output else 0)
-    return word | ports.find_driven_outputs(c, j) * state.OUT
+    word |= (state.DCC if chip.clock < axis.dcc_end else 0) | (state.SPLIT if axis.split_output else 0)
+    return word | ports.find_driven_outputs(chip, axis_index) * state.OUT
 
 
 @hot
-def _compute_interrupt_pins(c):
+def _compute_interrupt_pins(chip):
     """Compute INT0N and INT1N, bits of COMMON_OUTPUTS."""
     return (
-        bus514.is_interrupt_asserted(c) | c.ip.interrupt << 1
-        if c.variant == state.MCX514_TYPE
-        else bus304.is_interrupt_asserted(c)
+        bus514.is_interrupt_asserted(chip) | chip.ip.interrupt << 1
+        if chip.variant == state.MCX514_TYPE
+        else bus304.is_interrupt_asserted(chip)
     )
 
 
 @exported("f8", STATE, "i8", "f8")
-def pulse_rate(c, j, hz):
+def compute_pulse_rate(chip, axis_index, hz):
     """Return the present output frequency in pulses per second.
 
     Args:
-        c: State of the chip.
-        j: Number of the axis.
+        chip: State of the chip.
+        axis_index: Number of the axis.
         hz: Reference clock, Hz.
     """
-    x = c.ax[j]
-    if x.interpolates:
-        return interpolation.compute_axis_rate(c, j) * hz
-    return compute_speed(x, c.clock - x.origin) * hz if x.driving else 0.0
+    axis = chip.ax[axis_index]
+    if axis.interpolates:
+        return interpolation.compute_axis_rate(chip, axis_index) * hz
+    return compute_speed(axis, chip.clock - axis.origin) * hz if axis.driving else 0.0
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
-def drive_input(c, j, before, ticks):
+def compute_drive_input(chip, axis_index, net_before, clocks):
     """Compute the mean over the last ticks of the net pulse count.
 
     Args:
-        c: State of the chip.
-        j: Axis of the chip.
-        before: The value at the start of these ticks.
-        ticks: Reference clocks.
+        chip: State of the chip.
+        axis_index: Axis of the chip.
+        net_before: The value at the start of these ticks.
+        clocks: Reference clocks.
     """
-    x = c.ax[j]
-    start, late, rest = c.clock - ticks, 0.0, x.net - before
-    if x.first_pulse_clock > start:
-        late = float(x.pulse_clock_sum - x.recent_net * start)
-        rest -= x.recent_net
-    _clear_pulse_times(x)
-    return x.net - late / ticks - _compute_mean_lag(c, x, rest, ticks)
+    axis = chip.ax[axis_index]
+    start, late, rest = chip.clock - clocks, 0.0, axis.net - net_before
+    if axis.first_pulse_clock > start:
+        late = float(axis.pulse_clock_sum - axis.recent_net * start)
+        rest -= axis.recent_net
+    _clear_pulse_times(axis)
+    return axis.net - late / clocks - _compute_mean_lag(chip, axis, rest, clocks)
 
 
 @hot
-def _clear_pulse_times(x):
+def _clear_pulse_times(axis):
     """Clear the times of interpolated pulses, which only the mean of the present slice needs."""
-    x.pulse_clock_sum = x.recent_net = x.first_pulse_clock = 0
+    axis.pulse_clock_sum = axis.recent_net = axis.first_pulse_clock = 0
 
 
 @hot
-def _compute_mean_lag(c, x, rest, ticks):
+def _compute_mean_lag(chip, axis, rest, clocks):
     """Compute by how much the mean pulse count over the last ticks is less than the count now.
 
     Args:
-        c: State of the chip.
-        x: State of the axis.
+        chip: State of the chip.
+        axis: State of the axis.
         rest: Net number of pulses in these ticks, without interpolated ones.
-        ticks: Reference clocks.
+        clocks: Reference clocks.
     """
     n = abs(rest)
     if n == 0:
         return 0.0
-    if not x.driving:
+    if not axis.driving:
         return 0.5 * rest
-    s = drive.find_piece(x, c.clock - x.origin)
-    t = (float(c.clock - x.origin) - x.t[s, 0]) - x.t[s, 1]
-    r = x.p[s, 0] + t * (x.v[s, 0] + t * (x.a2[s, 0] + t * x.j6[s, 0])) + (x.from_pulse[s] - x.pulses_done)
-    v = x.v[s, 0] + t * (2.0 * x.a2[s, 0] + 3.0 * t * x.j6[s, 0])
+    s = single_axis_drive.find_piece(axis, chip.clock - axis.origin)
+    t = (float(chip.clock - axis.origin) - axis.t[s, 0]) - axis.t[s, 1]
+    r = (
+        axis.p[s, 0]
+        + t * (axis.v[s, 0] + t * (axis.a2[s, 0] + t * axis.j6[s, 0]))
+        + (axis.from_pulse[s] - axis.pulses_done)
+    )
+    v = axis.v[s, 0] + t * (2.0 * axis.a2[s, 0] + 3.0 * t * axis.j6[s, 0])
     if v <= 0.0:
         return 0.5 * rest
     ago = (n * greatest(r, 0.0) + 0.5 * n * (n - 1)) / v
-    return (1.0 if rest > 0 else -1.0) * (n - least(ago / ticks, float(n)))
+    return (1.0 if rest > 0 else -1.0) * (n - least(ago / clocks, float(n)))
 
 
 # --- the chip by itself ---
 
 
 @hot
-def _clear_all_pulse_times(c):
+def _clear_all_pulse_times(chip):
     """Clear the times of interpolated pulses of all axes, after a run without a stage."""
-    for j in range(c.axes):
-        _clear_pulse_times(c.ax[j])
+    for j in range(chip.axes):
+        _clear_pulse_times(chip.ax[j])
 
 
 @hot
-def write_word(c, address, value):
+def write_word(chip, address, value):
     """Write a word to WR0 to WR7."""
-    if c.variant == state.MCX514_TYPE:
-        bus514.write_register(c, address, value)
+    if chip.variant == state.MCX514_TYPE:
+        bus514.write_register(chip, address, value)
     else:
-        bus304.write_register(c, address, value)
+        bus304.write_register(chip, address, value)
 
 
 @hot
-def read_word(c, address):
+def read_word(chip, address):
     """Read a word of RR0 to RR7."""
-    return bus514.read_register(c, address) if c.variant == state.MCX514_TYPE else bus304.read_register(c, address)
+    return (
+        bus514.read_register(chip, address)
+        if chip.variant == state.MCX514_TYPE
+        else bus304.read_register(chip, address)
+    )
 
 
 @exported(None, STATE, "i8", "i8")
-def write(c, address, value):
+def write(chip, address, value):
     """Make a bus write cycle.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         address: 0 to 7: a word of WRn; from 16 on: a byte. The high byte of WR0 waits for its low byte.
         value: The word or byte.
     """
     value &= 0xFFFF
     if address < 16:
-        write_word(c, address & 7, value)
+        write_word(chip, address & 7, value)
     else:
         n, high = address >> 1 & 7, address & 1
-        old = c.command_high_byte if n == 0 else bus514.find_written_word(c, n)
+        old = chip.command_high_byte if n == 0 else bus514.find_written_word(chip, n)
         word = old & 0xFF | (value & 0xFF) << 8 if high else old & 0xFF00 | value & 0xFF
         if n == 0 and high:
-            c.command_high_byte = word
+            chip.command_high_byte = word
         else:
-            write_word(c, n, word)
-    if c.stale:
-        _settle(c)
+            write_word(chip, n, word)
+    if chip.stale:
+        _process_due_events(chip)
 
 
 @exported("i8", STATE, "i8")
-def read(c, address):
+def read(chip, address):
     """Make a bus read cycle.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         address: 0 to 7: a word of RRn; from 16 on: a byte.
     """
     if address < 16:
-        return read_word(c, address & 7)
-    return read_word(c, address >> 1 & 7) >> (8 if address & 1 else 0) & 0xFF
+        return read_word(chip, address & 7)
+    return read_word(chip, address >> 1 & 7) >> (8 if address & 1 else 0) & 0xFF
 
 
 @exported("i8", STATE, "i8", "i8")
-def value(c, k, page):
+def read_register_value(chip, register_number, page):
     """Return what RRk reads, without a bus cycle and its side effects.
 
     Args:
-        c: State of the chip.
-        k: Number of the register.
+        chip: State of the chip.
+        register_number: Number of the register.
         page: Page of RR3, 0 or 1.
     """
-    pages, c.status_pages = c.status_pages, 15 if page else 0
-    word = peek(c, k)
-    c.status_pages = pages
+    pages, chip.status_pages = chip.status_pages, 15 if page else 0
+    word = peek(chip, register_number)
+    chip.status_pages = pages
     return word
 
 
 @exported(None, STATE, "i8", "i8")
-def window(c, row, k):
+def run_window(chip, row_address, first_slice):
     """Let the chip's clock run through the slices of a window, see stage/chips/cores.py."""
-    run_window(c, row, k, run, net, drive_input)
+    run_slices(chip, row_address, first_slice, run, read_net_count, compute_drive_input)
 
 
 @exported(None, STATE)
-def power_up(c):
+def power_up(chip):
     """Make a cleared record the state of a chip that was just switched on."""
-    if c.variant == state.MCX514_TYPE:
-        bus514.reset_chip(c)
+    if chip.variant == state.MCX514_TYPE:
+        bus514.reset_chip(chip)
     else:
-        bus304.reset_chip(c)
-    _settle(c)
+        bus304.reset_chip(chip)
+    _process_due_events(chip)
 
 
 @exported("i8", STATE, "i8")
-def advance(c, until):
+def advance(chip, until):
     """Let the clock run up to `until`, and return the number of pulses that have begun on all axes."""
-    before = c.total
-    run(c, until)
-    _clear_all_pulse_times(c)
-    return c.total - before
+    before = chip.total
+    run(chip, until)
+    _clear_all_pulse_times(chip)
+    return chip.total - before
 
 
 @exported("i8", STATE, "i8", array_of(PULSE))
-def trace(c, until, out):
+def trace_pulses(chip, until, edges):
     """Let the clock run as `advance` does, and write a PULSE record for each pulse.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         until: Clock at the end.
-        out: PULSE records, as many as there will be pulses.
+        edges: PULSE records, as many as there will be pulses.
 
     Returns:
         The number of pulses.
     """
     k = 0
-    if c.stale:
-        _settle(c)
-    while c.clock < until:
-        stop, first = least(until, c.quiet_until), k
-        if c.interpolating:
-            stop, k = interpolation.trace_ticks(c, stop, out, k)
-        k = pulses.log_pulses(c, stop, out, first, k)
-        _advance_drives(c, stop)
-        if c.stale or c.clock >= c.quiet_until:
-            _settle(c)
-    if c.encoder_axes:
-        encoder.follow_shafts(c)
-    _clear_all_pulse_times(c)
+    if chip.stale:
+        _process_due_events(chip)
+    while chip.clock < until:
+        stop, first = least(until, chip.quiet_until), k
+        if chip.interpolating:
+            stop, k = interpolation.trace_ticks(chip, stop, edges, k)
+        k = pulse_trace.log_pulses(chip, stop, edges, first, k)
+        _advance_drives(chip, stop)
+        if chip.stale or chip.clock >= chip.quiet_until:
+            _process_due_events(chip)
+    if chip.encoder_axes:
+        encoder.follow_shafts(chip)
+    _clear_all_pulse_times(chip)
     return k
 
 
 @exported(None, STATE, "i8", array_of(EDGE), "i8")
-def mark(c, axis, out, k):
+def write_present_edge(chip, axis_index, edges, edge_index):
     """Write the present state of the chip into an EDGE record.
 
     Args:
-        c: State of the chip.
-        axis: Axis of the chip.
-        out: EDGE records.
-        k: Number of the record.
+        chip: State of the chip.
+        axis_index: Axis of the chip.
+        edges: EDGE records.
+        edge_index: Number of the record.
     """
-    write_edge(c, axis, out, k, outputs(c, axis), pulse_rate(c, axis, 1.0))
+    write_edge(
+        chip, axis_index, edges, edge_index, read_outputs(chip, axis_index), compute_pulse_rate(chip, axis_index, 1.0)
+    )
 
 
 @hot
-def _compute_watched_outputs(c, j, every_pulse, off):
+def _compute_watched_outputs(chip, axis_index, every_pulse, off):
     """Compute the output pins that a scan watches.
 
     Args:
-        c: State of the chip.
-        j: Number of the axis.
+        chip: State of the chip.
+        axis_index: Number of the axis.
         every_pulse: Include pulses; else PLS and DIR count as without a pulse.
         off: Clock at which the present pulse goes off.
     """
-    x = c.ax[j]
-    return _compute_other_outputs(c, j) | (
-        compute_pulse_pins(c, x, c.clock < off) if every_pulse else compute_resting_pins(c, x)
+    axis = chip.ax[axis_index]
+    return _compute_other_outputs(chip, axis_index) | (
+        compute_pulse_pins(chip, axis, chip.clock < off) if every_pulse else compute_resting_pins(chip, axis)
     )
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
-def scan(c, until, every_pulse, axis, out):
+def scan_edges(chip, until, every_pulse, axis_index, edges):
     """Let the clock run as `advance` does, and write an EDGE record at each change of an axis.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         until: Clock at the end.
         every_pulse: Include the edges of the pulse output.
-        axis: Axis of the chip.
-        out: EDGE records to fill.
+        axis_index: Axis of the chip.
+        edges: EDGE records to fill.
 
     Returns:
-        The number of records. If `out` is nearly full the chip stops early.
+        The number of records. If `edges` is nearly full the chip stops early.
     """
     k = 0
-    if c.stale:
-        _settle(c)
-    x = c.ax[axis]
-    off = find_pulse_end(x)
-    while c.clock < until and k < len(out) - EDGE_MARGIN:
-        before, net_before, pins_before = _compute_watched_outputs(c, axis, every_pulse, off), x.net, x.inputs
-        rate = pulse_rate(c, axis, 1.0)
-        stop = find_scan_stop(c, axis, every_pulse, off, least(until, c.quiet_until))
-        if every_pulse and c.interpolating:
-            stop = least(stop, interpolation.find_next_tick(c))
-        if every_pulse and encoder.has_encoder(c, axis):
-            stop = least(stop, encoder.find_next_edge(c, x))
-        _advance_time(c, greatest(stop, c.clock + 1))
-        if c.encoder_axes:
-            encoder.follow_shafts(c)
-        if x.net != net_before:
+    if chip.stale:
+        _process_due_events(chip)
+    axis = chip.ax[axis_index]
+    off = find_pulse_end(axis)
+    while chip.clock < until and k < len(edges) - EDGE_MARGIN:
+        before, net_before, pins_before = (
+            _compute_watched_outputs(chip, axis_index, every_pulse, off),
+            axis.net,
+            axis.inputs,
+        )
+        rate = compute_pulse_rate(chip, axis_index, 1.0)
+        stop = find_scan_stop(chip, axis_index, every_pulse, off, least(until, chip.quiet_until))
+        if every_pulse and chip.interpolating:
+            stop = least(stop, interpolation.find_next_tick(chip))
+        if every_pulse and encoder.has_encoder(chip, axis_index):
+            stop = least(stop, encoder.find_next_edge(chip, axis))
+        _advance_time(chip, greatest(stop, chip.clock + 1))
+        if chip.encoder_axes:
+            encoder.follow_shafts(chip)
+        if axis.net != net_before:
             off = (
-                c.clock + compute_pulse_width(compute_speed(x, c.clock - x.origin)) if x.driving else x.pulse_off_clock
+                chip.clock + compute_pulse_width(compute_speed(axis, chip.clock - axis.origin))
+                if axis.driving
+                else axis.pulse_off_clock
             )
-        if c.stale or c.clock >= c.quiet_until:
-            _settle(c)
-        word = _compute_watched_outputs(c, axis, every_pulse, off)
-        now = pulse_rate(c, axis, 1.0)
-        if word != before or now != rate or (every_pulse and (x.net != net_before or x.inputs != pins_before)):
-            k = write_edge(c, axis, out, k, word if every_pulse else outputs(c, axis), now)
-    _clear_all_pulse_times(c)
+        if chip.stale or chip.clock >= chip.quiet_until:
+            _process_due_events(chip)
+        word = _compute_watched_outputs(chip, axis_index, every_pulse, off)
+        now = compute_pulse_rate(chip, axis_index, 1.0)
+        if word != before or now != rate or (every_pulse and (axis.net != net_before or axis.inputs != pins_before)):
+            k = write_edge(chip, axis_index, edges, k, word if every_pulse else read_outputs(chip, axis_index), now)
+    _clear_all_pulse_times(chip)
     return k
 
 
@@ -518,47 +543,47 @@ def scan(c, until, every_pulse, axis, out):
     "i8", STATE, "i8", "i8", "i8", array_of(EDGE),
     array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
 )  # fmt: skip
-def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
-    """Scan while the shafts of axes move, see `stage.chips.cores.scan_shafts`."""
+def scan_edges_and_shafts(chip, until, every_pulse, axis_index, edges, clocks, axes, counts, rates, done):
+    """Scan while the shafts of axes move, see `stage.chips.cores.scan_while_shafts_move`."""
     k = 0
-    while k < len(out) - 2 * EDGE_MARGIN:
+    while k < len(edges) - 2 * EDGE_MARGIN:
         n = done[0]
-        while n < len(clocks) and clocks[n] <= c.clock and k < len(out) - 2 * EDGE_MARGIN:
+        while n < len(clocks) and clocks[n] <= chip.clock and k < len(edges) - 2 * EDGE_MARGIN:
             if axes[n] < 0:
-                k = _apply_wire_word(c, every_pulse, axis, out, k, -axes[n])
+                k = _apply_wire_word(chip, every_pulse, axis_index, edges, k, -axes[n])
             else:
-                set_shaft(c, axes[n], counts[n], rates[n])
+                set_shaft(chip, axes[n], counts[n], rates[n])
             n += 1
         done[0] = n
-        if n < len(clocks) and clocks[n] <= c.clock:
+        if n < len(clocks) and clocks[n] <= chip.clock:
             return k
-        if c.clock >= until:
+        if chip.clock >= until:
             return k
-        k += scan(c, least(clocks[n], until) if n < len(clocks) else until, every_pulse, axis, out[k:])
+        k += scan_edges(chip, least(clocks[n], until) if n < len(clocks) else until, every_pulse, axis_index, edges[k:])
     return k
 
 
 @hot
-def _apply_wire_word(c, every_pulse, axis, out, k, word):
+def _apply_wire_word(chip, every_pulse, axis_index, edges, edge_index, word):
     """Apply a new word on the wires, and write an EDGE record if that changes the axis: the word can make a pulse.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         every_pulse: Include the edges of the pulse output.
-        axis: Axis of the chip.
-        out: EDGE records.
-        k: Number of the next record.
+        axis_index: Axis of the chip.
+        edges: EDGE records.
+        edge_index: Number of the next record.
         word: The word.
 
     Returns:
         The number of the next record.
     """
-    x = c.ax[axis]
-    before, net_before = _compute_watched_outputs(c, axis, every_pulse, find_pulse_end(x)), x.net
-    rate = pulse_rate(c, axis, 1.0)
-    set_wire_word(c, word)
-    now = pulse_rate(c, axis, 1.0)
-    word = _compute_watched_outputs(c, axis, every_pulse, find_pulse_end(x))
-    if word != before or now != rate or (every_pulse and x.net != net_before):
-        k = write_edge(c, axis, out, k, outputs(c, axis), now)
-    return k
+    axis = chip.ax[axis_index]
+    before, net_before = _compute_watched_outputs(chip, axis_index, every_pulse, find_pulse_end(axis)), axis.net
+    rate = compute_pulse_rate(chip, axis_index, 1.0)
+    set_wire_word(chip, word)
+    now = compute_pulse_rate(chip, axis_index, 1.0)
+    word = _compute_watched_outputs(chip, axis_index, every_pulse, find_pulse_end(axis))
+    if word != before or now != rate or (every_pulse and axis.net != net_before):
+        edge_index = write_edge(chip, axis_index, edges, edge_index, read_outputs(chip, axis_index), now)
+    return edge_index

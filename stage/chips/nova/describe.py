@@ -6,7 +6,7 @@ from typing import Any
 
 from stage.chips import describe
 from stage.chips.describe import Fields, Statement, describe_byte, shorten_line
-from stage.chips.nova.registers.common import AXES, name_axes
+from stage.chips.nova.registers.field_builders import AXES, name_axes
 from stage.chips.nova.registers.mcx300 import RESET
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.register_map import Command, Register, RegisterMap, Word
@@ -20,7 +20,7 @@ WRITING_KINDS = ("data write", "mode write")
 
 def is_reset(map_: RegisterMap, value: int) -> bool:
     """Return whether a word to WR0 is the reset of a chip that has no reset command."""
-    return value == RESET and not any(c.symbol == "RST" for c in map_.commands)
+    return value == RESET and not any(command.symbol == "RST" for command in map_.commands)
 
 
 class Decoder(describe.Decoder):
@@ -60,12 +60,12 @@ class Decoder(describe.Decoder):
         words = f"{name_axes(axes)} {self._meaning(command, value)}".strip()
         if command is None or command.kind not in WRITING_KINDS:
             return [Statement(clock, "command", f"{value:04X}", words)]
-        r = self._map.register(command.symbol)
-        return [Statement(clock, "register", f"{value:04X}", words, r.name, self._data(r))]
+        register = self._map.register(command.symbol)
+        return [Statement(clock, "register", f"{value:04X}", words, register.name, self._data(register))]
 
-    def _data(self, r: Register) -> int:
+    def _data(self, register: Register) -> int:
         """Return the value that a command writes into a register."""
-        return r.value(self._words[7] << 16 | self._words[6])
+        return register.value(self._words[7] << 16 | self._words[6])
 
     def _meaning(self, command: Command | None, value: int) -> str:
         if is_reset(self._map, value):
@@ -73,8 +73,8 @@ class Decoder(describe.Decoder):
         if command is None:
             return "no command"
         if command.kind in WRITING_KINDS:
-            r = self._map.register(command.symbol)
-            return f"{r.name} <- {self._data(r)} ({r.text})"
+            register = self._map.register(command.symbol)
+            return f"{register.name} <- {self._data(register)} ({register.text})"
         return _describe_command(command, value)
 
 
@@ -140,42 +140,44 @@ class Listener:
 
     def _command(self, value: int) -> str:
         """Describe a word to WR0."""
-        c, axis_bits = self._map.by_code.get(CODE.of(value)), AXIS.of(value)
+        command, axis_bits = self._map.by_code.get(CODE.of(value)), AXIS.of(value)
         axes = axis_bits & self._there if self._map.axes > 1 else 1
-        if is_reset(self._map, value) or (c is not None and c.symbol == "RST" and not axis_bits):
+        if is_reset(self._map, value) or (command is not None and command.symbol == "RST" and not axis_bits):
             self._reset()
-            return "reset" if c is None or c.symbol != "RST" else c.title
+            return "reset" if command is None or command.symbol != "RST" else command.title
         self._selected = axes or self._selected
         names = name_axes(axes)
         if axis_bits & ~axes:
             names += f" (no {name_axes(axis_bits & ~axes)} on the {self._map.chip})"
         head = f"{names}: " if names else ""
-        if c is None:
+        if command is None:
             return f"{head}{CODE.of(value):02X}h is no command of the {self._map.chip}"
-        if c.kind == "data read":
-            return self._note_reading(c)
-        if c.axes and not axes:
-            return f"to no axis, nothing happens: {c.title}"
-        if c.symbol == "RST":
-            return f"{head}nothing happens, it takes no axis bits: {c.title}"
-        return self._describe_executed(c, value, axes, head)
+        if command.kind == "data read":
+            return self._note_reading(command)
+        if command.axes and not axes:
+            return f"to no axis, nothing happens: {command.title}"
+        if command.symbol == "RST":
+            return f"{head}nothing happens, it takes no axis bits: {command.title}"
+        return self._describe_executed(command, value, axes, head)
 
-    def _describe_executed(self, c: Command, value: int, axes: int, head: str) -> str:
-        if c.kind in WRITING_KINDS:
-            r = self._map.register(c.symbol)
-            return self._describe_contents(f"{head}set {r.title} {r.name}", r, self._common[7] << 16 | self._common[6])
-        if c.symbol in _PATTERN:
-            self._pattern = _PATTERN[c.symbol]
-        elif c.symbol in _PAGE:
-            self._pages = self._pages | axes if _PAGE[c.symbol] else self._pages & ~axes
-        return head + _describe_command(c, value)
+    def _describe_executed(self, command: Command, value: int, axes: int, head: str) -> str:
+        if command.kind in WRITING_KINDS:
+            register = self._map.register(command.symbol)
+            return self._describe_contents(
+                f"{head}set {register.title} {register.name}", register, self._common[7] << 16 | self._common[6]
+            )
+        if command.symbol in _PATTERN:
+            self._pattern = _PATTERN[command.symbol]
+        elif command.symbol in _PAGE:
+            self._pages = self._pages | axes if _PAGE[command.symbol] else self._pages & ~axes
+        return head + _describe_command(command, value)
 
-    def _note_reading(self, c: Command) -> str:
+    def _note_reading(self, command: Command) -> str:
         """Note what a reading command fills RR6 and RR7 with."""
-        name = c.symbol.removeprefix("R-")
+        name = command.symbol.removeprefix("R-")
         place = self._map.word(name) if name.startswith("WR") else self._map.register(name)
-        axis = f"{AXES[self._find_lowest_axis]}: " if c.axes else ""
-        self._reading, self._bytes = (axis, place, c.bytes), {}
+        axis = f"{AXES[self._find_lowest_axis]}: " if command.axes else ""
+        self._reading, self._bytes = (axis, place, command.bytes), {}
         return f"{axis}read {place.title} {name}"
 
     def _reset(self) -> None:
@@ -244,7 +246,7 @@ class Listener:
         return shorten_line(f"{head} = {place.value(word)} {place.unit}".rstrip())
 
 
-def _describe_command(c: Command, value: int) -> str:
+def _describe_command(command: Command, value: int) -> str:
     """Describe what a command does, and on what."""
-    names = [name for k, name in enumerate(c.chooses) if value & c.choice & 1 << k]
-    return " ".join([c.title, *names])
+    names = [name for k, name in enumerate(command.chooses) if value & command.choice & 1 << k]
+    return " ".join([command.title, *names])

@@ -15,7 +15,7 @@ import numpy as np
 from stage.chips.diagnostics import Finding, Rule
 from stage.chips.nova import core, state
 from stage.chips.nova.interpolation import multichip
-from stage.chips.nova.registers.common import AXES
+from stage.chips.nova.registers.field_builders import AXES
 from stage.chips.nova.registers.mcx300 import RESET
 from stage.chips.nova.registers.mcx514 import CONTINUOUS_SPEED, MCX514_MAP, POINT
 from stage.chips.register_map import Command, Register, RegisterMap, Word
@@ -166,7 +166,7 @@ class LintState:
         for k in range(self._count):
             x, after = self._axes[k], rows[0]["ax"][k]
             empty = after["fixed"] and after["output_pulses"] == 0
-            commanded = value >> 8 + k & 1 and not (x["start_hold"] & 1 or empty or core.busy(rows, k))
+            commanded = value >> 8 + k & 1 and not (x["start_hold"] & 1 or empty or core.is_busy(rows, k))
             texts = [text for bit, text in reasons.items() if int(after["stop_causes"]) & bit]
             if commanded and texts:
                 refusals[k] = ", ".join(texts)
@@ -279,55 +279,58 @@ def _lint_command(map_: RegisterMap, chip: Any, value: int) -> Iterator[Finding]
         yield from _lint_interpolation(chip, c, name)
 
 
-def _lint_drive(map_: RegisterMap, chip: Any, c: Command, value: int) -> Iterator[Finding]:
+def _lint_drive(map_: RegisterMap, chip: Any, command: Command, value: int) -> Iterator[Finding]:
     """Check a drive command, the word `value` to WR0."""
-    name, axes = f"{c.code:02X}h ({c.title})", AXIS.of(value)
-    if c.starts and (moving := axes & chip.driving_axes):
+    name, axes = f"{command.code:02X}h ({command.title})", AXIS.of(value)
+    if command.starts and (moving := axes & chip.driving_axes):
         yield ALREADY_DRIVING, f"{name} while {_name_axes(moving)} is driving (n-DRV = 1)"
-    if c.symbol in TP_DRIVES:
+    if command.symbol in TP_DRIVES:
         yield from _lint_pulse_numbers(map_, chip, name, axes)
-    if c.starts and (refusals := chip.find_refusals(value)):
+    if command.starts and (refusals := chip.find_refusals(value)):
         reasons = "; ".join(f"{_name_axes(1 << k)}: {why}" for k, why in refusals.items())
         yield STARTS_NO_DRIVE, f"{name} starts no drive: {reasons}"
 
 
-def _lint_axes(map_: RegisterMap, c: Command, name: str, axes: int) -> Iterator[Finding]:
+def _lint_axes(map_: RegisterMap, command: Command, name: str, axes: int) -> Iterator[Finding]:
     """Check the axis bits of a command."""
     absent = axes >> map_.axes << map_.axes
     if absent:
         yield ABSENT_AXES, f"{name} to {_name_axes(absent)}: the {map_.chip} has {map_.axes} axes"
-    if c.axes and not axes and map_.axes > 1:
+    if command.axes and not axes and map_.axes > 1:
         yield AXES_MISSING, f"{name} needs axis bits and has none"
-    if not c.axes and axes and c.kind != "data read":
+    if not command.axes and axes and command.kind != "data read":
         yield UNNEEDED_AXES, f"{name} carries no axis bits: {_name_axes(axes)} given"
-    if c.axes and c.kind == "data read" and axes & (axes - 1):
+    if command.axes and command.kind == "data read" and axes & (axes - 1):
         yield SEVERAL_AXES_READ, f"{name} reads one axis: of {_name_axes(axes)} only the first is read"
 
 
-def _lint_data(r: Register, chip: Any, c: Command, axes: int) -> Iterator[Finding]:
-    """Check the data of a command that writes register `r`."""
-    word = chip.data & r.mask
-    value = r.value(word)
-    section = r.section or f"{c.kind[:4]} writing commands"
-    if not r.allows(value) and r.name != "TP":  # TP may be any number as data of a bit pattern: its drives are checked
-        yield VALUE_RANGE.at(section), f"{r.name} = {value}: {r.title} takes {r.range[0]} to {r.range[1]}"
-    if c.kind == "mode write" and (unused := word & ~r.used):
-        yield UNUSED_BITS.at(section), f"{r.name} = {word:04X}h: it has no {_name_bits(unused)}"
-    for f in r.fields:
+def _lint_data(register: Register, chip: Any, command: Command, axes: int) -> Iterator[Finding]:
+    """Check the data of a command that writes register `register`."""
+    word = chip.data & register.mask
+    value = register.value(word)
+    section = register.section or f"{command.kind[:4]} writing commands"
+    if (
+        not register.allows(value) and register.name != "TP"
+    ):  # TP may be any number as data of a bit pattern: its drives are checked
+        yield (
+            VALUE_RANGE.at(section),
+            f"{register.name} = {value}: {register.title} takes {register.range[0]} to {register.range[1]}",
+        )
+    if command.kind == "mode write" and (unused := word & ~register.used):
+        yield UNUSED_BITS.at(section), f"{register.name} = {word:04X}h: it has no {_name_bits(unused)}"
+    for f in register.fields:
         if axes and f.only is not None and f.of(word) and not axes >> f.only & 1:
-            message = (
-                f"{r.name} = {word:04X}h to {_name_axes(axes)}: {f.name} ({f.meaning}) acts on {AXES[f.only]} only"
-            )
+            message = f"{register.name} = {word:04X}h to {_name_axes(axes)}: {f.name} ({f.meaning}) acts on {AXES[f.only]} only"
             yield ONE_AXIS_ONLY.at(section), message
-    if r.name == "IPM" and MLT.of(word) and LMDF.of(word):
+    if register.name == "IPM" and MLT.of(word) and LMDF.of(word):
         message = f"IPM = {word:04X}h: MLT and LMDF exclude each other; short-axis pulses are not equalized"
         yield EXCLUSIVE_BITS.at(section), message
-    if r.name == "TP":
-        yield from _lint_pulses_in_motion(r, chip, axes, value)
-    if r.name == "DV" and chip.is_interpolating and axes & _find_main_axis(chip) and value > CONTINUOUS_SPEED:
+    if register.name == "TP":
+        yield from _lint_pulses_in_motion(register, chip, axes, value)
+    if register.name == "DV" and chip.is_interpolating and axes & _find_main_axis(chip) and value > CONTINUOUS_SPEED:
         message = f"DV = {value} in continuous interpolation: {CONTINUOUS_SPEED} is the most"
         yield CONTINUOUS_TOO_FAST, message
-    yield from _lint_fields(r, word, section)
+    yield from _lint_fields(register, word, section)
 
 
 def _lint_pulses_in_motion(tp: Register, chip: Any, axes: int, value: int) -> Iterator[Finding]:
@@ -355,13 +358,13 @@ def _lint_pulse_numbers(map_: RegisterMap, chip: Any, name: str, axes: int) -> I
             )
 
 
-def _lint_interpolation(chip: Any, c: Command, name: str) -> Iterator[Finding]:
+def _lint_interpolation(chip: Any, command: Command, name: str) -> Iterator[Finding]:
     """Check an interpolation command."""
-    axes = chip.interpolated_by(c)
-    if (count := axes.bit_count()) not in c.together:
+    axes = chip.interpolated_by(command)
+    if (count := axes.bit_count()) not in command.together:
         yield NUMBER_OF_AXES, f"{name} with {count} axes chosen{': ' if axes else ''}{_name_axes(axes)}"
     if chip.role:
-        yield from _lint_multichip(chip, c, name)
+        yield from _lint_multichip(chip, command, name)
     if not chip.is_interpolating and (moving := axes & chip.driving_axes):
         yield AXIS_DRIVES, f"{name} while {_name_axes(moving)} is driving (n-DRV = 1)"
     if chip.is_queue_full and not (chip.role and chip.is_linked):  # lines of several chips do not queue
@@ -371,10 +374,10 @@ def _lint_interpolation(chip: Any, c: Command, name: str) -> Iterator[Finding]:
         message = f"{name} in continuous interpolation with DV = {speed}: {CONTINUOUS_SPEED} is the most"
         yield CONTINUOUS_TOO_FAST, message
     for k, tp in enumerate(chip.finish_points):
-        if axes >> k & 1 and c.points and not POINT[0] <= tp <= POINT[1]:
+        if axes >> k & 1 and command.points and not POINT[0] <= tp <= POINT[1]:
             message = f"{name} with TP = {tp} of {AXES[k]}: a finish point takes {POINT[0]} to {POINT[1]}"
             yield FINISH_POINT_RANGE, message
-    if c.symbol in HELICES:
+    if command.symbol in HELICES:
         yield from _lint_helix(chip, name)
 
 
@@ -387,14 +390,14 @@ def _lint_helix(chip: Any, name: str) -> Iterator[Finding]:
             yield HELIX_PULSES_LOST, f"{name} with TP = {chip.finish_points[k]} of {AXES[k]}: {limit}; {lost}"
 
 
-def _lint_multichip(chip: Any, c: Command, name: str) -> Iterator[Finding]:
+def _lint_multichip(chip: Any, command: Command, name: str) -> Iterator[Finding]:
     """Check an interpolation command to a master or slave."""
     subject = f"{name} as {MLT.values[chip.role]} (MLT = {chip.role})" if chip.role < len(MLT.values) else name
     if chip.role == 1 and not chip.is_linked:
         why = "no other chip is wired to this one, which interpolates by itself; see Stage(multichip=...)"
         yield NO_OTHER_CHIP, f"{subject}: {why}"
         return
-    if not c.symbol.startswith("LHK"):
+    if not command.symbol.startswith("LHK"):
         why = "starts nothing: of several chips together only lines, 60h to 63h, are modeled"
         yield ONLY_LINES, f"{subject} {why}"
     if not chip.is_linked:

@@ -116,11 +116,11 @@ AXIS = record(
         ("due_sets", "i8"),  # sets that were activated and have not acted
         ("finished_sets", "i8"),  # sets that have acted at this clock
         ("last_port_levels", "i8"),  # PIO levels at the last check
-        ("last_exp_levels", "i8"),  # levels of EXP+ and EXP- at the last check, see external.py
+        ("last_exp_levels", "i8"),  # levels of EXP+ and EXP- at the last check, see external_drives.py
         ("exp_driving", "i8"),  # the pin that keeps a continuous drive in progress
-        # home search, see home.py
+        # home search, see home_search.py
         ("home_state", "i8"),  # state of the home search; 0: none
-        ("home_trigger", "i8"),  # what ended the drive of a step: LIMIT or SIGNAL of home.py
+        ("home_trigger", "i8"),  # what ended the drive of a step: LIMIT or SIGNAL of home_search.py
         ("pause_end", "i8"),  # the clock at which the pause between two steps ends
         ("home_handles_limits", "i8"),  # the home search, not the drive, applies the limits
         ("drives_at_hv", "i8"),  # the drive of the step runs at HV
@@ -137,8 +137,8 @@ AXIS = record(
         ("logged_pulses", "i8"),  # pulses that a trace has logged beyond `pulses_done`
         ("next_pulse_clock", "i8"),  # the clock at which the next pulse begins
         ("next_pulse_piece", "i8"),  # number of the piece in which it begins
-        ("even_pps", "i8"),  # speed of that piece if its pulses are evenly spaced, see trace.py
-        ("even_rest", "i8"),  # remainder of the even spacing, see trace.py
+        ("even_pps", "i8"),  # speed of that piece if its pulses are evenly spaced, see pulse_trace.py
+        ("even_rest", "i8"),  # remainder of the even spacing, see pulse_trace.py
         # settings of WR1 to WR3
         ("stop_inputs", "i8"),  # STOP inputs that are enabled, bit 0 for STOP0
         ("limits_stop", "i8"),  # LMT+ and LMT- stop the drive

@@ -25,7 +25,7 @@ from stage.chips.pcl240.maps import (
     WIRES,
 )
 from stage.errors import ArgumentError, StageError
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 
 __all__ = ["OPERATING_MODE", "STATUS", "PCL240", "PCL240K", "PCL240MK", "PCL240MS"]
 
@@ -158,9 +158,9 @@ class PCL240(Chip):
         return Listener(self.MAP, self.state)
 
     def values(self) -> dict[str, int]:
-        return {r.name: core.value.with_gil(self.pointer, k) for k, r in enumerate(self.MAP.registers)} | {
-            "status": core.read.with_gil(self.pointer, 0)
-        }
+        return {
+            r.name: core.read_register_value.with_gil(self.pointer, k) for k, r in enumerate(self.MAP.registers)
+        } | {"status": core.read.with_gil(self.pointer, 0)}
 
     def lint(self, address: int, value: int) -> Iterator[Finding]:
         if address:
@@ -179,7 +179,7 @@ class PCL240(Chip):
         rows = copy.deepcopy(self._rows[self._i : self._i + 1])
         core.write(rows, 0, command)
         core.advance(rows, self.clock + MAX_MOVE_CLOCKS)
-        return None if core.busy(rows, 0) else int(rows[0]["speed"])
+        return None if core.is_busy(rows, 0) else int(rows[0]["speed"])
 
 
 class PCL240K(PCL240):

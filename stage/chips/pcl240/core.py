@@ -2,300 +2,303 @@
 
 from __future__ import annotations
 
-from stage.chips.cores import run_window
+from stage.chips.cores import run_slices
 from stage.chips.pcl240 import state
-from stage.chips.pcl240.bus import compute_outputs as output_word
-from stage.chips.pcl240.bus import read_byte, read_register, write_byte
+from stage.chips.pcl240.bus import compute_outputs, read_byte, read_register, write_byte
 from stage.chips.pcl240.motion import compute_mean_count, run, run_to_event, run_window_at_constant_speed
 from stage.chips.pcl240.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
 from stage.native import array_of, exported, greatest, hot, least
 
-__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "drive_input", "net",
-           "outputs", "peek", "power_up", "pulse_rate", "read", "run", "scan", "set_shaft",
-           "set_input", "status", "trace",
-           "value", "write"]  # fmt: skip
+__all__ = [
+    "EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "is_busy", "read_counter", "read_inputs",
+    "write_present_edge", "compute_drive_input", "read_net_count", "read_outputs", "peek", "power_up",
+    "compute_pulse_rate", "read", "run", "scan_edges", "set_shaft", "set_input", "read_status", "trace_pulses",
+    "read_register_value", "write",
+]  # fmt: skip
 
 
 # --- the functions for a stage, see stage/chips/cores.py; the only axis is 0 ---
 
 
 @exported("i8", STATE, "i8")
-def net(c, j):
+def read_net_count(chip, axis_index):
     """Return the net number of pulses since power-up."""
-    return c.net
+    return chip.net
 
 
 @exported("i8", STATE, "i8")
-def counter(c, j):
+def read_counter(chip, axis_index):
     """Return the down counter R0."""
-    return c.reg[0]
+    return chip.reg[0]
 
 
 @exported(None, STATE, "i8", "f8", "f8")
-def set_shaft(c, j, count, rate):
+def set_shaft(chip, axis_index, count, rate):
     """Ignore the shaft: these chips have no inputs for an encoder."""
 
 
 @exported("i8", STATE, "i8")
-def inputs(c, j):
+def read_inputs(chip, axis_index):
     """Return the input pins, bits of INPUTS."""
-    return c.inputs
+    return chip.inputs
 
 
 @exported(None, STATE, "i8", "i8")
-def set_input(c, j, word):
+def set_input(chip, axis_index, word):
     """Set the input pins.
 
     Args:
-        c: State of the chip.
-        j: Axis of the chip, 0.
+        chip: State of the chip.
+        axis_index: Axis of the chip, 0.
         word: Bits of INPUTS.
     """
-    multiplier = c.multiplier
-    c.inputs = word
-    state.read_pins(c)
-    if c.multiplier != multiplier:
-        c.quiet_until = 0
+    multiplier = chip.multiplier
+    chip.inputs = word
+    state.read_pins(chip)
+    if chip.multiplier != multiplier:
+        chip.quiet_until = 0
 
 
 @exported("i8", STATE, "i8")
-def status(c, j):
+def read_status(chip, axis_index):
     """Return the status byte."""
-    return read_byte(c, 0)
+    return read_byte(chip, 0)
 
 
 @exported("i8", STATE, "i8")
-def peek(c, address):
+def peek(chip, address):
     """Return the status byte, or a byte of R0 whatever register is selected, without a bus cycle."""
-    return c.reg[0] >> 8 * (address - 1) & 0xFF if address else read_byte(c, 0)
+    return chip.reg[0] >> 8 * (address - 1) & 0xFF if address else read_byte(chip, 0)
 
 
 @exported("i8", STATE, "i8")
-def busy(c, j):
+def is_busy(chip, axis_index):
     """Return status bit 6: a run is in operation."""
-    return read_byte(c, 0) & state.S_OPERATING
+    return read_byte(chip, 0) & state.S_OPERATING
 
 
 @exported("i8", STATE, "i8")
-def outputs(c, j):
+def read_outputs(chip, axis_index):
     """Return the output pins, bits of OUTPUTS."""
-    return output_word(c)
+    return compute_outputs(chip)
 
 
 @exported("f8", STATE, "i8", "f8")
-def pulse_rate(c, j, hz):
+def compute_pulse_rate(chip, axis_index, hz):
     """Return the present output frequency in pulses per second.
 
     Source: data sheet, section 4, R7.
 
     Args:
-        c: State of the chip.
-        j: Axis of the chip, 0.
+        chip: State of the chip.
+        axis_index: Axis of the chip, 0.
         hz: Reference clock, Hz.
     """
-    if (c.running or c.finishing) and c.multiplier >= 2:
-        return c.speed * hz / (8192.0 * c.multiplier)
+    if (chip.running or chip.finishing) and chip.multiplier >= 2:
+        return chip.speed * hz / (8192.0 * chip.multiplier)
     return 0.0
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
-def drive_input(c, j, before, ticks):
+def compute_drive_input(chip, axis_index, net_before, clocks):
     """Compute the mean over the last ticks of the net pulse count.
 
     Args:
-        c: State of the chip.
-        j: Axis of the chip.
-        before: The value at the start of these ticks.
-        ticks: Reference clocks.
+        chip: State of the chip.
+        axis_index: Axis of the chip.
+        net_before: The value at the start of these ticks.
+        clocks: Reference clocks.
     """
-    if before != c.net and (not (c.running or c.finishing) or c.speed == 0):
-        return 0.5 * (before + c.net)
-    return compute_mean_count(before, c.net, c.phase, c.multiplier, c.speed, ticks)
+    if net_before != chip.net and (not (chip.running or chip.finishing) or chip.speed == 0):
+        return 0.5 * (net_before + chip.net)
+    return compute_mean_count(net_before, chip.net, chip.phase, chip.multiplier, chip.speed, clocks)
 
 
 @hot
-def _find_pulse_pin(c):
+def _find_pulse_pin(chip):
     """Return the output pin that carries the pulses of the present direction."""
-    return state.PDIR if c.output_mode & state.INDEPENDENT and c.minus else state.POUT
+    return state.PDIR if chip.output_mode & state.INDEPENDENT and chip.minus else state.POUT
 
 
 @hot
-def _write_edge(c, out, k, clock, word, r0, net):
+def _write_edge(chip, edges, edge_index, clock, word, r0, net):
     """Write an EDGE record, and return the number of the next one.
 
     Args:
-        c: State of the chip.
-        out: EDGE records.
-        k: Number of the record.
+        chip: State of the chip.
+        edges: EDGE records.
+        edge_index: Number of the record.
         clock: Its clock.
         word: Output pins.
         r0: Down counter.
         net: Net pulses.
     """
-    e = out[k]
-    e.clock, e.outputs, e.inputs, e.counter, e.net = clock, word, c.inputs, r0, net
-    e.seen = c.active_inputs
-    e.speed = c.speed if c.running or c.finishing else 0
-    e.rate = e.speed / (8192.0 * c.multiplier) if c.multiplier >= 2 else 0.0
-    return k + 1
+    e = edges[edge_index]
+    e.clock, e.outputs, e.inputs, e.counter, e.net = clock, word, chip.inputs, r0, net
+    e.seen = chip.active_inputs
+    e.speed = chip.speed if chip.running or chip.finishing else 0
+    e.rate = e.speed / (8192.0 * chip.multiplier) if chip.multiplier >= 2 else 0.0
+    return edge_index + 1
 
 
 @hot
-def _write_pulse_edges(c, out, k, clock, phase, low, s, pulses, base, r0, net):
+def _write_pulse_edges(chip, edges, edge_index, clock, phase, low, s, pulses, base, r0, net):
     """POUT's edges within a span of `s` ticks with `pulses` pulses that began at `clock` with `phase` and `low`."""
-    m = 8192 * c.multiplier
-    bit = _find_pulse_pin(c)
-    direction = -1 if c.minus else 1
-    counts_output = 0 if c.output_mode & state.EXTERNAL else 1
+    m = 8192 * chip.multiplier
+    bit = _find_pulse_pin(chip)
+    direction = -1 if chip.minus else 1
+    counts_output = 0 if chip.output_mode & state.EXTERNAL else 1
     for j in range(pulses + 1):
         if j:
-            k = _write_edge(c, out, k, clock - (phase - j * m) // c.speed, base | bit, r0, net)
+            edge_index = _write_edge(
+                chip, edges, edge_index, clock - (phase - j * m) // chip.speed, base | bit, r0, net
+            )
             r0 = (r0 - counts_output) & state.COUNTER_MASK
             net += direction
-            out[k - 1].counter, out[k - 1].net = r0, net
+            edges[edge_index - 1].counter, edges[edge_index - 1].net = r0, net
             low = 1
-        rise = greatest(1, -((phase - j * m - m // 2) // c.speed))
-        if low and rise <= s and (j == pulses or rise < -((phase - (j + 1) * m) // c.speed)):
-            k = _write_edge(c, out, k, clock + rise, base, r0, net)
+        rise = greatest(1, -((phase - j * m - m // 2) // chip.speed))
+        if low and rise <= s and (j == pulses or rise < -((phase - (j + 1) * m) // chip.speed)):
+            edge_index = _write_edge(chip, edges, edge_index, clock + rise, base, r0, net)
             low = 0
-    return k
+    return edge_index
 
 
 @exported(None, STATE, "i8", array_of(EDGE), "i8")
-def mark(c, axis, out, k):
+def write_present_edge(chip, axis_index, edges, edge_index):
     """Write the present state of the chip into an EDGE record.
 
     Args:
-        c: State of the chip.
-        axis: Axis of the chip.
-        out: EDGE records.
-        k: Number of the record.
+        chip: State of the chip.
+        axis_index: Axis of the chip.
+        edges: EDGE records.
+        edge_index: Number of the record.
     """
-    _write_edge(c, out, k, c.clock, output_word(c), c.reg[0], c.net)
+    _write_edge(chip, edges, edge_index, chip.clock, compute_outputs(chip), chip.reg[0], chip.net)
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
-def scan(c, until, every_pulse, axis, out):
+def scan_edges(chip, until, every_pulse, axis_index, edges):
     """Let the clock run as `advance` does, and write an EDGE record at each change of the axis.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         until: Clock at the end.
         every_pulse: Include the edges of the pulse output.
-        axis: Axis of the chip.
-        out: EDGE records to fill.
+        axis_index: Axis of the chip.
+        edges: EDGE records to fill.
 
     Returns:
-        The number of records. If `out` is nearly full the chip stops early.
+        The number of records. If `edges` is nearly full the chip stops early.
     """
     k = 0
-    while c.clock < until and k < len(out) - 8:
-        if not (c.running or c.finishing) and c.active_inputs == c.last_inputs:
-            c.clock = until
+    while chip.clock < until and k < len(edges) - 8:
+        if not (chip.running or chip.finishing) and chip.active_inputs == chip.last_inputs:
+            chip.clock = until
             break
-        n = until - c.clock
-        pulsing = every_pulse and c.speed > 0 and c.multiplier >= 2
+        n = until - chip.clock
+        pulsing = every_pulse and chip.speed > 0 and chip.multiplier >= 2
         if pulsing:
-            n = least(n, greatest(1, (len(out) - 8 - k) // 2 * 4096 * c.multiplier // c.speed))
-        clock, phase, low, r0, net, total = c.clock, c.phase, c.pout_low, c.reg[0], c.net, c.total
-        speed, word, bit = c.speed, output_word(c), _find_pulse_pin(c)
-        s = run_to_event(c, n)
-        pulses = c.total - total
-        after = c.speed
-        if pulsing and (pulses or low != c.pout_low):
-            c.speed = speed
-            k = _write_pulse_edges(c, out, k, clock, phase, low, s, pulses, word & ~bit, r0, net)
-            c.speed = after
-        new = output_word(c)
+            n = least(n, greatest(1, (len(edges) - 8 - k) // 2 * 4096 * chip.multiplier // chip.speed))
+        clock, phase, low, r0, net, total = chip.clock, chip.phase, chip.pout_low, chip.reg[0], chip.net, chip.total
+        speed, word, bit = chip.speed, compute_outputs(chip), _find_pulse_pin(chip)
+        s = run_to_event(chip, n)
+        pulses = chip.total - total
+        after = chip.speed
+        if pulsing and (pulses or low != chip.pout_low):
+            chip.speed = speed
+            k = _write_pulse_edges(chip, edges, k, clock, phase, low, s, pulses, word & ~bit, r0, net)
+            chip.speed = after
+        new = compute_outputs(chip)
         changed = (new ^ word) & ~bit
         if after != speed or changed:
-            k = _write_edge(c, out, k, c.clock, new, c.reg[0], c.net)
+            k = _write_edge(chip, edges, k, chip.clock, new, chip.reg[0], chip.net)
     return k
 
 
 @exported(None, STATE, "i8", "i8")
-def window(c, row, k):
+def run_window(chip, row_address, first_slice):
     """Let the chip's clock run through the slices of a window, see stage/chips/cores.py."""
-    if not run_window_at_constant_speed(c, row, k):
-        run_window(c, row, k, run, net, drive_input)
+    if not run_window_at_constant_speed(chip, row_address, first_slice):
+        run_slices(chip, row_address, first_slice, run, read_net_count, compute_drive_input)
 
 
 @exported(None, STATE)
-def power_up(c):
+def power_up(chip):
     """Make a cleared record the state of a chip that was just switched on."""
-    state.reset_chip(c)
+    state.reset_chip(chip)
 
 
 @exported(None, STATE, "i8", "i8")
-def write(c, address, value):
+def write(chip, address, value):
     """Make a bus write cycle between two ticks.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         address: Bus address.
         value: Datum.
     """
-    write_byte(c, address, value)
+    write_byte(chip, address, value)
 
 
 @exported("i8", STATE, "i8")
-def read(c, address):
+def read(chip, address):
     """Make a bus read cycle.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         address: Bus address.
     """
-    return read_byte(c, address)
+    return read_byte(chip, address)
 
 
 @exported("i8", STATE, "i8")
-def value(c, k):
-    """Return what the register with index `k` reads, without a bus cycle."""
-    return read_register(c, k)
+def read_register_value(chip, register_number):
+    """Return what the register with index `register_number` reads, without a bus cycle."""
+    return read_register(chip, register_number)
 
 
 @exported("i8", STATE, "i8")
-def advance(c, until):
+def advance(chip, until):
     """Let the clock run up to `until`, and return the number of pulses that have begun."""
-    before = c.total
-    run(c, until)
-    return c.total - before
+    before = chip.total
+    run(chip, until)
+    return chip.total - before
 
 
 @exported("i8", STATE, "i8", array_of(PULSE))
-def trace(c, until, out):
+def trace_pulses(chip, until, pulses):
     """Let the clock run as `advance` does, and write a PULSE record for each pulse.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         until: Clock at the end.
-        out: PULSE records, as many as there will be pulses.
+        pulses: PULSE records, as many as there will be pulses.
 
     Returns:
         The number of pulses.
     """
     k = 0
-    while c.clock < until:
-        if not (c.running or c.finishing) and c.active_inputs == c.last_inputs:
-            c.clock = until
+    while chip.clock < until:
+        if not (chip.running or chip.finishing) and chip.active_inputs == chip.last_inputs:
+            chip.clock = until
             break
-        clock, phase, total, net = c.clock, c.phase, c.total, c.net
-        speed = c.speed
-        run_to_event(c, until - c.clock)
-        n = c.total - total
+        clock, phase, total, net = chip.clock, chip.phase, chip.total, chip.net
+        speed = chip.speed
+        run_to_event(chip, until - chip.clock)
+        n = chip.total - total
         if n:
-            m = 8192 * c.multiplier
-            direction = 1 if c.net > net else -1
+            m = 8192 * chip.multiplier
+            direction = 1 if chip.net > net else -1
             t = -((phase - m) // speed)
             rest = phase + t * speed - m  # phase just after the pulse began, < speed
             q = m // speed
             r = m - q * speed
             t += clock
             for _ in range(n):
-                out[k].clock = t
-                out[k].axis = 0
-                out[k].direction = direction
+                pulses[k].clock = t
+                pulses[k].axis = 0
+                pulses[k].direction = direction
                 k += 1
                 if r > rest:
                     t += q + 1

@@ -32,7 +32,7 @@ def describe_command(map_: RegisterMap, value: int) -> str:
 def find_selected_register(map_: RegisterMap, value: int) -> Register:
     """Return the register that a select byte names. Bits that the chip does not have are ignored."""
     number = value & (_find_mask(map_, "select", "extension") | REGISTER)
-    return next(r for r in map_.registers if r.number == number)
+    return next(register for register in map_.registers if register.number == number)
 
 
 def is_collective(map_: RegisterMap, value: int) -> bool:
@@ -97,17 +97,21 @@ class Decoder(describe.Decoder):
         """The register whose bytes are there, if any."""
         if not self._bytes:
             return []
-        r, known, parts = find_selected_register(self._map, self._select), self._bytes, self._bytes
+        register, known, parts = find_selected_register(self._map, self._select), self._bytes, self._bytes
         self._bytes = {}
         if is_collective(self._map, self._select):  # the upper bytes wait for the lowest, and stay for the next
             self._stored.update(parts)
             known = self._stored
             if 1 not in parts:
                 return []
-        value = sum(b << 8 * (a - 1) for a, b in known.items()) & r.mask
+        value = sum(b << 8 * (a - 1) for a, b in known.items()) & register.mask
         raw = " ".join(f"{b:02X}" for _, b in sorted(parts.items(), reverse=True))
         code = f"{self._select:02X} {raw}"
-        return [Statement(self._clock, "register", code, f"{r.name} <- {value} ({r.text})", r.name, value)]
+        return [
+            Statement(
+                self._clock, "register", code, f"{register.name} <- {value} ({register.text})", register.name, value
+            )
+        ]
 
 
 class Listener:
@@ -122,7 +126,7 @@ class Listener:
 
     def __init__(self, map_: RegisterMap, record: Any):
         self._map = map_
-        self._stored = {r.name: int(record["reg"][k]) for k, r in enumerate(map_.registers)}
+        self._stored = {register.name: int(record["reg"][k]) for k, register in enumerate(map_.registers)}
         self._register = map_.registers[int(record["selected_register"])]
         self._collective = bool(record["collective"])
         self._waiting = {3: int(record["high_byte"]), 2: int(record["middle_byte"])}
@@ -133,7 +137,7 @@ class Listener:
         self._extension, self._external = (_find_mask(map_, "output", name) for name in ("extension", "external"))
         self._output = int(record["output_mode"])
         self._status = Fields(map_.word("status"))
-        self._fields = {r.name: Fields(r) for r in map_.registers if r.fields}
+        self._fields = {register.name: Fields(register) for register in map_.registers if register.fields}
 
     def write(self, address: int, value: int) -> str:
         """Describe a write cycle to address 0 to 3."""
@@ -159,19 +163,19 @@ class Listener:
         return shorten_line(meaning)
 
     def _describe_data(self, address: int, value: int) -> str:
-        r = self._register
-        text = describe_byte(r.name, address - 1, value)
-        if 8 * (address - 1) >= r.bits and not self._collective:
-            return f"{text}: {r.name} has {r.bits} bits"
+        register = self._register
+        text = describe_byte(register.name, address - 1, value)
+        if 8 * (address - 1) >= register.bits and not self._collective:
+            return f"{text}: {register.name} has {register.bits} bits"
         if self._collective and address > 1:
             self._waiting[address] = value
             return f"{text}: waits for bits 7..0"
-        return self._describe_register(r, text) if self._store_byte(r, address, value) else text
+        return self._describe_register(register, text) if self._store_byte(register, address, value) else text
 
-    def _store_byte(self, r: Register, address: int, value: int) -> bool:
+    def _store_byte(self, register: Register, address: int, value: int) -> bool:
         """Store a byte of a register, and return whether to describe the whole value now."""
-        aged = self._aged.get(r.name, set())
-        before = self._stored[r.name]
+        aged = self._aged.get(register.name, set())
+        before = self._stored[register.name]
         if self._collective:
             word = self._waiting[3] << 16 | self._waiting[2] << 8 | value
             aged.clear()
@@ -179,22 +183,22 @@ class Listener:
             shift = 8 * (address - 1)
             word = before & ~(0xFF << shift) | value << shift
             aged.discard(address)
-        self._stored[r.name] = before & ~r.writable | word & r.writable
-        climbs = address == (r.bits + 7) // 8 and self._last == address - 1
-        return (address == 1 or climbs) and not aged and r.writable == r.mask
+        self._stored[register.name] = before & ~register.writable | word & register.writable
+        climbs = address == (register.bits + 7) // 8 and self._last == address - 1
+        return (address == 1 or climbs) and not aged and register.writable == register.mask
 
-    def _describe_register(self, r: Register, text: str) -> str:
-        value = self._stored[r.name]
-        text = f"{text}: {r.name} = {value:X}h ({r.value(value)})"
-        return self._fields[r.name].describe(text, value) if r.fields else text
+    def _describe_register(self, register: Register, text: str) -> str:
+        value = self._stored[register.name]
+        text = f"{text}: {register.name} = {value:X}h ({register.value(value)})"
+        return self._fields[register.name].describe(text, value) if register.fields else text
 
     def read(self, address: int, value: int) -> str:
         """Describe a read cycle of address 0 to 3."""
         address, value = address & 3, value & 0xFF
         if not address:
             return self._status.describe("status", value)
-        r = self._register if self._output & self._extension else self._returned
-        text = describe_byte(r.name, address - 1, value)
+        register = self._register if self._output & self._extension else self._returned
+        text = describe_byte(register.name, address - 1, value)
         if not self._collective:
             return text
         if address > 1:
@@ -205,4 +209,4 @@ class Listener:
         if len(self._latched) < 2:
             return text
         word = self._latched[3] << 16 | self._latched[2] << 8 | value
-        return f"{text}: {r.name} = {word:X}h ({r.value(word)}), as latched"
+        return f"{text}: {register.name} = {word:X}h ({register.value(word)}), as latched"

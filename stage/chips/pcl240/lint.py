@@ -101,33 +101,33 @@ class Predictions(NamedTuple):
     clock_hz: int
 
 
-def lint_data(map_: RegisterMap, c: Any, address: int, value: int) -> Iterator[Finding]:
+def lint_data(map_: RegisterMap, chip: Any, address: int, value: int) -> Iterator[Finding]:
     """Yield every rule that a byte to address 1, 2 or 3 breaks, with a message.
 
     Args:
         map_: Register map of the chip.
-        c: State of the chip before the write.
+        chip: State of the chip before the write.
         address: Bus address.
         value: The byte.
     """
-    k = int(c["selected_register"])
+    k = int(chip["selected_register"])
     r = map_.registers[k]
     shift = 8 * (address - 1)
-    written, word = value << shift, int(c["reg"][k]) & ~(0xFF << shift) | value << shift
-    if c["collective"]:
+    written, word = value << shift, int(chip["reg"][k]) & ~(0xFF << shift) | value << shift
+    if chip["collective"]:
         if address != 1:
             return
-        written = word = int(c["high_byte"]) << 16 | int(c["middle_byte"]) << 8 | value
-    if lost := written & ~r.mask & ~_find_sign_extension(r.name, c, written):
+        written = word = int(chip["high_byte"]) << 16 | int(chip["middle_byte"]) << 8 | value
+    if lost := written & ~r.mask & ~_find_sign_extension(r.name, chip, written):
         yield BITS_LOST, f"{r.name} is {r.bits} bits wide: {value:02X}h at address {address} loses bits {lost:06X}h"
     if fixed := written & r.mask & ~r.writable:
         yield READ_ONLY_BITS, f"{r.name} bits {fixed:06X}h are read only"
-    if r.name in ("R14", "R15") and not c["s_curves"] and written & r.mask & SPAN:
+    if r.name in ("R14", "R15") and not chip["s_curves"] and written & r.mask & SPAN:
         yield NO_S_CURVES, f"{r.name}: this chip has no S-curves; the value is stored and means nothing"
-    if c["running"] and c["preset"] and c["uses_ramps"]:
+    if chip["running"] and chip["preset"] and chip["uses_ramps"]:
         if r.name in ("R0", "R6"):
             yield TORN_BYTES, f"{r.name} written during a high-speed preset run: its bytes do not change together"
-        if r.name in _RAMPING and c["automatic_ramp_down"] and not c["automatic_off"]:
+        if r.name in _RAMPING and chip["automatic_ramp_down"] and not chip["automatic_off"]:
             message = f"{r.name} written in motion switches the automatic ramp-down point off for this run"
             yield AUTOMATIC_POINT_ENDS, message
     # a register is complete with its low byte, which a host writes last, or whose high bytes are still 0
@@ -135,18 +135,18 @@ def lint_data(map_: RegisterMap, c: Any, address: int, value: int) -> Iterator[F
         yield VALUE_RANGE, f"{r.name} = {word}: {r.title} takes {r.legal[0]} to {r.legal[1]}"
 
 
-def _find_sign_extension(name: str, c: Any, written: int) -> int:
+def _find_sign_extension(name: str, chip: Any, written: int) -> int:
     """Find the bits of a byte, or of a collective write, that only repeat the sign of R6 as an offset: none of them is lost."""
-    sign = _WORD & ~(int(c["offset_sign_bit"]) - 1)
-    return sign if name == "R6" and c["extended"] and written & sign == sign else 0
+    sign = _WORD & ~(int(chip["offset_sign_bit"]) - 1)
+    return sign if name == "R6" and chip["extended"] and written & sign == sign else 0
 
 
-def lint_command(map_: RegisterMap, c: Any, predictions: Predictions, value: int) -> Iterator[Finding]:
+def lint_command(map_: RegisterMap, chip: Any, predictions: Predictions, value: int) -> Iterator[Finding]:
     """Yield every rule that a byte to address 0 breaks, with a message.
 
     Args:
         map_: Register map of the chip.
-        c: State of the chip before the write.
+        chip: State of the chip before the write.
         predictions: Functions that predict the effect of the command.
         value: The byte.
     """
@@ -157,46 +157,48 @@ def lint_command(map_: RegisterMap, c: Any, predictions: Predictions, value: int
             message = f"{word.name} mode {value:02X}h: bit {bits} means nothing on this chip"
             yield UNUSED_BITS.at(word.section), message
         if word.name == "control":
-            yield from _lint_direction(c, value)
+            yield from _lint_direction(chip, value)
         return
     if value & SPEED not in _SPEEDS and value & START and not value & STOP:
         yield UNKNOWN_SPEED, f"speed select {value & SPEED:02b} in {value:02X}h is in no table; it acts as FL"
     elif value not in word.sends and (value & ~INT_AT_STOP not in word.sends or value & ~INT_AT_STOP == STOP):
-        yield UNKNOWN_MODE, f"operating mode {value:02X}h is in no table; {_describe_effect(c, value)}"
+        yield UNKNOWN_MODE, f"operating mode {value:02X}h is in no table; {_describe_effect(chip, value)}"
     if value & START and not value & STOP:
-        if not c["running"]:
-            yield from _lint_start(c, predictions, value)
-        yield from _lint_rate(c, predictions.clock_hz, value)
+        if not chip["running"]:
+            yield from _lint_start(chip, predictions, value)
+        yield from _lint_rate(chip, predictions.clock_hz, value)
 
 
-def _lint_direction(c: Any, value: int) -> Iterator[Finding]:
+def _lint_direction(chip: Any, value: int) -> Iterator[Finding]:
     """Find a control mode that changes the direction before status bit 6 is 0."""
-    if bool(value & MINUS) == bool(c["minus"]) or not (c["running"] or c["finishing"]):
+    if bool(value & MINUS) == bool(chip["minus"]) or not (chip["running"] or chip["finishing"]):
         return
     effect = (
-        "the next pulse goes the other way, without a ramp" if c["running"] else "PDIR changes within the last pulse"
+        "the next pulse goes the other way, without a ramp" if chip["running"] else "PDIR changes within the last pulse"
     )
     message = f"control mode {value:02X}h changes the direction in motion: {effect}; wait until status bit 6 is 0"
     yield DIRECTION_IN_MOTION, message
 
 
-def _describe_effect(c: Any, value: int) -> str:
+def _describe_effect(chip: Any, value: int) -> str:
     """Describe what a command of group 00 that is in no table does."""
     if value & STOP and value & START:
-        if not c["running"]:
+        if not chip["running"]:
             return "nothing runs that it could stop"
-        ramps = value & RAMP or c["uses_ramps"]
+        ramps = value & RAMP or chip["uses_ramps"]
         return f"it acts as a {'decelerating stop (1Dh, 1Fh)' if ramps else 'stop at once'}"
     if value & STOP:
         return "it acts as the reset command" + (", with /INT" if value & INT_AT_STOP else "")
     return "it does nothing but " + ("ask for /INT at the stop" if value & INT_AT_STOP else "take /INT back")
 
 
-def _lint_rate(c: Any, hz: int, value: int) -> Iterator[Finding]:
+def _lint_rate(chip: Any, hz: int, value: int) -> Iterator[Finding]:
     """Compare the speed that a start or a speed change asks for with what the silicon is sold for."""
-    multiplier = int(c["multiplier"])
-    k = max([1, _FH.get(value & SPEED, 1)] if value & RAMP else [_FH.get(value & SPEED, 1)], key=lambda k: c["reg"][k])
-    steps = int(c["reg"][k])
+    multiplier = int(chip["multiplier"])
+    k = max(
+        [1, _FH.get(value & SPEED, 1)] if value & RAMP else [_FH.get(value & SPEED, 1)], key=lambda k: chip["reg"][k]
+    )
+    steps = int(chip["reg"][k])
     if multiplier < 2 or steps * hz <= MAX_RATE_PPS * 8192 * multiplier:
         return
     pps, unit = steps * hz / (8192 * multiplier), hz / (8192 * multiplier)
@@ -207,38 +209,38 @@ def _lint_rate(c: Any, hz: int, value: int) -> Iterator[Finding]:
     )
 
 
-def _lint_start(c: Any, predictions: Predictions, value: int) -> Iterator[Finding]:
+def _lint_start(chip: Any, predictions: Predictions, value: int) -> Iterator[Finding]:
     """Check a start command while no run is in progress."""
-    registers = [int(v) for v in c["reg"]]
-    obstacles = list(_find_obstacles(c, registers, predictions, value))
+    registers = [int(v) for v in chip["reg"]]
+    obstacles = list(_find_obstacles(chip, registers, predictions, value))
     yield from obstacles
-    yield from _lint_registers(c, registers, value)
+    yield from _lint_registers(chip, registers, value)
     if value & RAMP and not obstacles:
-        yield from _lint_ramps(c, registers, value & SPEED)
-        yield from _lint_triangle(c, registers, value, predictions)
+        yield from _lint_ramps(chip, registers, value & SPEED)
+        yield from _lint_triangle(chip, registers, value, predictions)
 
 
-def _find_obstacles(c: Any, r: list[int], predictions: Predictions, value: int) -> Iterator[Finding]:
+def _find_obstacles(chip: Any, r: list[int], predictions: Predictions, value: int) -> Iterator[Finding]:
     """Find what keeps a start from making pulses, or ends them at speed 0.
 
     Ramps start from FL, and a decelerating stop ends there, whatever speed is selected, so R1 must not be 0.
     """
-    if c["finishing"]:
+    if chip["finishing"]:
         message = "start while the last pulse is still being completed is ignored: poll status bit 6"
         yield START_WHILE_FINISHING, message
-    if not c["armed"]:
+    if not chip["armed"]:
         yield NO_RESET_COMMAND, "start after a stop without the reset command 08h is ignored"
-    if c["preset"] and r[0] == 0:
+    if chip["preset"] and r[0] == 0:
         yield NO_PULSES_LEFT, "start in preset mode with R0 = 0: no pulse, no /INT"
-    if c["active_inputs"] & (EL_MINUS if c["minus"] else EL_PLUS):
+    if chip["active_inputs"] & (EL_MINUS if chip["minus"] else EL_PLUS):
         yield LIMIT_AHEAD, "start towards an asserted limit switch: no pulse comes; drive the other way"
-    if c["origin_return"] and c["active_inputs"] & ORG:
+    if chip["origin_return"] and chip["active_inputs"] & ORG:
         logic = ", or clear R13 bit 23, which reads a high pin as ORG" if r[R13] & ORG_POSITIVE else ""
         yield STARTS_ON_ORG, f"origin return that starts on ORG: no pulse comes; leave ORG first{logic}"
-    if c["multiplier"] < 2:
-        place = "R7 of the chip at SYNI" if c["inputs"] >> SYNI else "R7"
+    if chip["multiplier"] < 2:
+        place = "R7 of the chip at SYNI" if chip["inputs"] >> SYNI else "R7"
         why = "no pulse comes; the multiplier does not operate unless it is set"
-        yield NO_MULTIPLIER, f"start with {place} = {c['multiplier']}: {why}"
+        yield NO_MULTIPLIER, f"start with {place} = {chip['multiplier']}: {why}"
     if zero := [k for k in sorted({1, _FH.get(value & SPEED, 1)}) if r[k] == 0]:
         message = f"start with {' and '.join(f'R{k} = 0' for k in zero)}: "
         message += (
@@ -247,25 +249,25 @@ def _find_obstacles(c: Any, r: list[int], predictions: Predictions, value: int) 
         yield (FL_IS_0, f"{message}; any data must be set on R1") if 1 in zero else (FH_IS_0, message)
 
 
-def _lint_registers(c: Any, r: list[int], value: int) -> Iterator[Finding]:
+def _lint_registers(chip: Any, r: list[int], value: int) -> Iterator[Finding]:
     """Find the registers of a start that do not have the effect for which they are set."""
     if value & RAMP and min(r[4], r[5]) < 2:
         yield RATE_BELOW_2, f"high-speed start with R4 = {r[4]}, R5 = {r[5]}: rates below 2 hold the speed"
     if (
-        c["extended"]
-        and c["origin_return"]
+        chip["extended"]
+        and chip["origin_return"]
         and not r[R13] & EZ_RETURN
         and r[R13] & (MAX_EZ_COUNT << EZ_COUNT | EZ_FROM_FL)
     ):
         yield EZ_NOT_SELECTED, "R13 counts EZ, but its bit 21 is 0: the origin return ends at ORG"
 
 
-def _lint_triangle(c: Any, r: list[int], value: int, predictions: Predictions) -> Iterator[Finding]:
+def _lint_triangle(chip: Any, r: list[int], value: int, predictions: Predictions) -> Iterator[Finding]:
     """Find an S-curve move that is too short for its FH, which the chip does not correct, and which stops above FL."""
-    fh, corrected = _FH.get(value & SPEED), c["automatic_ramp_down"] and not r[R14] & UNCORRECTED
-    if not fh or not c["s_curves"] or r[R14] & LINEAR or not c["preset"] or corrected or r[fh] <= r[1]:
+    fh, corrected = _FH.get(value & SPEED), chip["automatic_ramp_down"] and not r[R14] & UNCORRECTED
+    if not fh or not chip["s_curves"] or r[R14] & LINEAR or not chip["preset"] or corrected or r[fh] <= r[1]:
         return
-    height, rate, multiplier = r[fh] - r[1], r[4 if c["automatic_ramp_down"] else 5], int(c["multiplier"])
+    height, rate, multiplier = r[fh] - r[1], r[4 if chip["automatic_ramp_down"] else 5], int(chip["multiplier"])
     up, down = (s if 0 < 2 * s < height else height / 2 for s in (r[R14] & SPAN, r[R15] & SPAN))
     ramps = (height + 2 * up) * r[4] + (height + 2 * down) * rate
     if r[0] * 32768 * multiplier > (r[1] + r[fh]) * ramps:
@@ -276,7 +278,7 @@ def _lint_triangle(c: Any, r: list[int], value: int, predictions: Predictions) -
         return
     last_pps, fl_pps = (k * predictions.clock_hz / (8192 * multiplier) for k in (last, r[1]))
     why = "FH correction is off (R14 bit 15)"
-    if not c["automatic_ramp_down"]:
+    if not chip["automatic_ramp_down"]:
         why = "there is no FH correction without the automatic point"
     message = f"R0 = {r[0]} is too short for R{fh} = {r[fh]}, and {why}: "
     yield MOVE_TOO_SHORT, f"{message}it stops at {last_pps:,.0f} pps, FL is {fl_pps:,.0f} pps"
@@ -294,34 +296,34 @@ def _compute_steps_of_phase(phase: float, fl: int, rate: int, span: float) -> fl
     return high
 
 
-def _lint_ramps(c: Any, r: list[int], select: int) -> Iterator[Finding]:
+def _lint_ramps(chip: Any, r: list[int], select: int) -> Iterator[Finding]:
     """Find contradictions about the ramps of a high-speed start."""
-    fh, extended = _FH.get(select), bool(c["extended"])
+    fh, extended = _FH.get(select), bool(chip["extended"])
     if extended and fh and r[1] > r[fh]:
         yield FL_ABOVE_FH, f"R1 = {r[1]} is above R{fh} = {r[fh]}: the ramp leads down to FH"
-    if extended and c["automatic_ramp_down"] and not c["preset"]:
+    if extended and chip["automatic_ramp_down"] and not chip["preset"]:
         message = "automatic ramp-down without preset mode: there is no point to ramp down at"
         yield AUTOMATIC_WITHOUT_PRESET, message
-    if extended and fh and r[1] != r[fh] and c["s_curves"] and r[R14] & LINEAR and (r[R14] | r[R15]) & SPAN:
+    if extended and fh and r[1] != r[fh] and chip["s_curves"] and r[R14] & LINEAR and (r[R14] | r[R15]) & SPAN:
         yield SPAN_OF_LINEAR_RAMP, "R14 bit 12 selects linear ramps: the spans of R14 and R15 mean nothing"
-    if not c["preset"] or not fh or r[1] >= r[fh]:
+    if not chip["preset"] or not fh or r[1] >= r[fh]:
         return
-    if not c["automatic_ramp_down"]:
+    if not chip["automatic_ramp_down"]:
         if r[6] == 0:
             why, section = (". 08h clears R6 on this chip", "MS section 3-4") if extended else ("", "")
             message = f"R6 = 0 in a high-speed preset move: it stops without ramping down{why}"
             yield NO_RAMP_DOWN_POINT.at(section), message
         return
-    yield from _lint_automatic_point(c, r, fh)
+    yield from _lint_automatic_point(chip, r, fh)
 
 
-def _lint_automatic_point(c: Any, r: list[int], fh: int) -> Iterator[Finding]:
+def _lint_automatic_point(chip: Any, r: list[int], fh: int) -> Iterator[Finding]:
     """Find what makes the automatic ramp-down point come too late, in a move that ramps up from FL to R`fh`."""
     height = r[fh] - r[1]
-    linear = not c["s_curves"] or r[R14] & LINEAR
+    linear = not chip["s_curves"] or r[R14] & LINEAR
     up, down = (0 if linear or not 0 < 2 * s < height else s for s in (r[R14] & SPAN, r[R15] & SPAN))
-    offset = r[6] - 2 * int(c["offset_sign_bit"]) if r[6] & int(c["offset_sign_bit"]) else r[6]
-    rising = (r[1] + r[fh]) * (height + 2 * up if up else 2 * height) * r[4] // (32768 * int(c["multiplier"]))
+    offset = r[6] - 2 * int(chip["offset_sign_bit"]) if r[6] & int(chip["offset_sign_bit"]) else r[6]
+    rising = (r[1] + r[fh]) * (height + 2 * up if up else 2 * height) * r[4] // (32768 * int(chip["multiplier"]))
     if offset < 0 and -offset >= min(r[0], rising):
         message = f"R6 = {offset} as offset: the move ends before the automatic ramp-down begins"
         yield OFFSET_TOO_NEGATIVE, message

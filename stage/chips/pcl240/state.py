@@ -152,49 +152,53 @@ EDGE = record(
 
 
 @hot
-def reset_chip(c):
+def reset_chip(chip):
     """Reset the chip as /RESET does: everything to 0 except `armed`. The clock, the input pins and the pulse totals stay."""
-    c.phase = c.speed = c.ramp_clocks = c.ramp_direction = c.running = c.finishing = c.pout_low = 0
-    c.armed = 1
-    c.uses_ramps = c.speed_select = c.stopping = c.int_at_stop = c.irq = 0
-    c.origin_return = c.sd_enable = c.preset = c.minus = c.automatic_ramp_down = c.counts_position = 0
-    c.selected_register = c.output_mode = c.collective = c.high_byte = c.middle_byte = c.read_latch = 0
-    begin_run(c)
+    chip.phase = chip.speed = chip.ramp_clocks = chip.ramp_direction = chip.running = chip.finishing = chip.pout_low = 0
+    chip.armed = 1
+    chip.uses_ramps = chip.speed_select = chip.stopping = chip.int_at_stop = chip.irq = 0
+    chip.origin_return = chip.sd_enable = chip.preset = chip.minus = chip.automatic_ramp_down = chip.counts_position = 0
+    chip.selected_register = chip.output_mode = chip.collective = chip.high_byte = chip.middle_byte = (
+        chip.read_latch
+    ) = 0
+    begin_run(chip)
     for k in range(REGISTERS):
-        c.reg[k] = 0
-    read_pins(c)
+        chip.reg[k] = 0
+    read_pins(chip)
 
 
 @hot
-def read_pins(c):
+def read_pins(chip):
     """Update `active_inputs` and `multiplier` after a change of the pins, of R7, or of the bits that invert pins."""
-    turned = (ORG if c.reg[R13] & ORG_POSITIVE else 0) | (EZ if c.reg[R12] & EZ_POSITIVE else 0)
-    c.active_inputs = (c.inputs & ALL_INPUTS) ^ turned
-    c.multiplier = (c.inputs >> SYNI) - 1 if c.inputs >> SYNI else c.reg[7]
-    c.phase = least(c.phase, greatest(8192 * c.multiplier - 1, 0))
+    turned = (ORG if chip.reg[R13] & ORG_POSITIVE else 0) | (EZ if chip.reg[R12] & EZ_POSITIVE else 0)
+    chip.active_inputs = (chip.inputs & ALL_INPUTS) ^ turned
+    chip.multiplier = (chip.inputs >> SYNI) - 1 if chip.inputs >> SYNI else chip.reg[7]
+    chip.phase = least(chip.phase, greatest(8192 * chip.multiplier - 1, 0))
 
 
 @hot
-def begin_run(c):
+def begin_run(chip):
     """Clear the state that one run does not take over from the last."""
-    c.phase = c.ramp_clocks = c.ramp_direction = c.curved_ramp = c.fdown_end = 0
-    c.speed_rising = c.rise_pulses = c.automatic_off = c.ramp_down_due = c.corrected_speed = c.corrected_select = 0
-    c.passed_org = c.counts_ez = c.ez_left = c.ez_started = 0
+    chip.phase = chip.ramp_clocks = chip.ramp_direction = chip.curved_ramp = chip.fdown_end = 0
+    chip.speed_rising = chip.rise_pulses = chip.automatic_off = chip.ramp_down_due = chip.corrected_speed = (
+        chip.corrected_select
+    ) = 0
+    chip.passed_org = chip.counts_ez = chip.ez_left = chip.ez_started = 0
 
 
 @hot
-def end_run(c):
+def end_run(chip):
     """End the operation: status bit 6 falls, and /INT is asserted if the command asks for it."""
-    c.finishing = 0
-    if c.int_at_stop:
-        c.irq = 1
+    chip.finishing = 0
+    if chip.int_at_stop:
+        chip.irq = 1
 
 
 @hot
-def stop_run(c):
+def stop_run(chip):
     """Stop the run. A pulse in progress is completed first."""
-    c.running = c.armed = c.stopping = c.ez_started = 0
-    if c.pout_low:
-        c.finishing = 1
+    chip.running = chip.armed = chip.stopping = chip.ez_started = 0
+    if chip.pout_low:
+        chip.finishing = 1
     else:
-        end_run(c)
+        end_run(chip)

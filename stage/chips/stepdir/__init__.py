@@ -22,7 +22,7 @@ from stage.chips.stepdir.lines import Line
 from stage.chips.stepdir.lint import describe_violation, lint_write
 from stage.chips.stepdir.maps import ADDRESS_MASK, CONTROL_ADDRESS, DATA_MASK, MAP
 from stage.chips.stepdir.state import ENABLE, TIMES
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 
 __all__ = ["STEPDIR"]
 

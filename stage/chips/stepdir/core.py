@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.chips.cores import SCAN_ROOM, run_window
+from stage.chips.cores import SCAN_ROOM, run_slices
 from stage.chips.stepdir.maps import CONTROL_ADDRESS, DATA_MASK, MAP
-from stage.chips.stepdir.profile import find_step, plan_move, plan_stop, ramp_now, rate_now
 from stage.chips.stepdir.state import (
     BUSY,
     DIR,
@@ -33,10 +32,14 @@ from stage.chips.stepdir.state import (
     STEPS,
     TIMES,
     UP,
-    change_lines,
-    count_mean,
-    measured_rate,
-    to_clocks,
+)
+from stage.chips.stepdir.step_edges import apply_line_levels, compute_mean_count, measure_step_rate, to_clocks
+from stage.chips.stepdir.step_timer_profile import (
+    compute_present_rate,
+    find_present_ramp,
+    find_time_of_step,
+    plan_move,
+    plan_stop,
 )
 from stage.native import array_of, exported, greatest, hot, least, record
 
@@ -57,282 +60,290 @@ EDGE = record([(name, "i8") for name in "clock inputs outputs counter net".split
 
 
 @hot
-def _schedule_rise(c):
+def _schedule_rise(chip):
     """Find the clock of the next rising edge: STEP has been low as long as it was high."""
-    if c.events and c.steps_done >= c.steps:
-        c.next_rise = NEVER
+    if chip.events and chip.steps_done >= chip.steps:
+        chip.next_rise = NEVER
         return
-    event = c.steps_done + 1
-    if c.events > c.steps:  # Bresenham: step k comes with event ceil((k events - events // 2) / steps)
-        event = -((c.events // 2 - event * c.events) // c.steps)
-    at = find_step(c, event - 0.5)
-    c.next_rise = NEVER if at == NEVER else greatest(at, greatest(c.rose + 2 * _high(c), c.clock + 1))
+    event = chip.steps_done + 1
+    if chip.events > chip.steps:  # Bresenham: step k comes with event ceil((k events - events // 2) / steps)
+        event = -((chip.events // 2 - event * chip.events) // chip.steps)
+    at = find_time_of_step(chip, event - 0.5)
+    chip.next_rise = (
+        NEVER if at == NEVER else greatest(at, greatest(chip.rose + 2 * _compute_high_clocks(chip), chip.clock + 1))
+    )
 
 
 @hot
-def _high(c):
+def _compute_high_clocks(chip):
     """Return the clocks that STEP stays high."""
-    return greatest(1, to_clocks(c, 1e-9 * c.reg[HIGH]))
+    return greatest(1, to_clocks(chip, 1e-9 * chip.reg[HIGH]))
 
 
 @hot
-def _end_move(c, reason):
+def _end_move(chip, reason):
     """End the move at once; a pulse in progress is finished."""
-    c.running = c.slowing = 0
-    c.next_rise = c.profile_end = NEVER
-    c.end_reason = reason
+    chip.running = chip.slowing = 0
+    chip.next_rise = chip.profile_end = NEVER
+    chip.end_reason = reason
 
 
 @hot
-def _limit_ahead(c):
+def _is_limit_ahead(chip):
     """Return the reason of an end limit that blocks the direction of the move, or 0."""
-    if c.control & MINUS:
-        return END_EL_MINUS if c.inputs & EL_MINUS else 0
-    return END_EL_PLUS if c.inputs & EL_PLUS else 0
+    if chip.control & MINUS:
+        return END_EL_MINUS if chip.inputs & EL_MINUS else 0
+    return END_EL_PLUS if chip.inputs & EL_PLUS else 0
 
 
 @hot
-def _start_move(c, word):
+def _start_move(chip, word):
     """Begin a move, unless one is in progress, it has no steps or no rate, or a switch ends it before its first step."""
-    if c.running or c.reg[RATE] == 0 or (c.reg[STEPS] == 0 and not word & CONTINUOUS):
+    if chip.running or chip.reg[RATE] == 0 or (chip.reg[STEPS] == 0 and not word & CONTINUOUS):
         return
-    c.control = word
-    reason = _limit_ahead(c)
-    if reason == 0 and word & UNTIL_ORG and c.inputs & ORG:
+    chip.control = word
+    reason = _is_limit_ahead(chip)
+    if reason == 0 and word & UNTIL_ORG and chip.inputs & ORG:
         reason = END_ORG
     if reason:
-        _end_move(c, reason)
+        _end_move(chip, reason)
         return
-    change_lines(c, c.inputs | DIR if word & MINUS else c.inputs & ~DIR)
-    c.running, c.slowing, c.end_reason, c.steps_done = 1, 0, 0, 0
-    c.steps = c.reg[STEPS]
-    c.events = 0 if word & CONTINUOUS else greatest(c.steps, c.reg[EVENTS])
-    plan_move(c)
-    _schedule_rise(c)
+    apply_line_levels(chip, chip.inputs | DIR if word & MINUS else chip.inputs & ~DIR)
+    chip.running, chip.slowing, chip.end_reason, chip.steps_done = 1, 0, 0, 0
+    chip.steps = chip.reg[STEPS]
+    chip.events = 0 if word & CONTINUOUS else greatest(chip.steps, chip.reg[EVENTS])
+    plan_move(chip)
+    _schedule_rise(chip)
 
 
 @hot
-def _slow_down(c, reason):
+def _slow_down(chip, reason):
     """Begin the ramp down; the move ends for this reason."""
-    if c.running and not c.slowing:
-        c.slowing, c.end_reason = 1, reason
-        plan_stop(c)
-        _schedule_rise(c)
+    if chip.running and not chip.slowing:
+        chip.slowing, chip.end_reason = 1, reason
+        plan_stop(chip)
+        _schedule_rise(chip)
 
 
 @hot
-def _next_event(c):
+def _find_next_event(chip):
     """Return the clock of the next event of the step timer, or NEVER."""
-    if c.next_fall != NEVER:
-        return least(c.next_fall, c.next_rise)
-    if not c.running:
+    if chip.next_fall != NEVER:
+        return least(chip.next_fall, chip.next_rise)
+    if not chip.running:
         return NEVER
-    return c.next_rise if c.next_rise != NEVER else c.profile_end
+    return chip.next_rise if chip.next_rise != NEVER else chip.profile_end
 
 
 @hot
-def _do_event(c):
+def _process_event(chip):
     """Let the event of the present clock happen."""
-    if c.clock == c.next_fall:
-        c.next_fall = NEVER
-        change_lines(c, c.inputs & ~STEP)
-    elif c.clock == c.next_rise:
-        c.steps_done += 1
-        c.next_fall = c.clock + _high(c)
-        change_lines(c, c.inputs | STEP)
-        _schedule_rise(c)
+    if chip.clock == chip.next_fall:
+        chip.next_fall = NEVER
+        apply_line_levels(chip, chip.inputs & ~STEP)
+    elif chip.clock == chip.next_rise:
+        chip.steps_done += 1
+        chip.next_fall = chip.clock + _compute_high_clocks(chip)
+        apply_line_levels(chip, chip.inputs | STEP)
+        _schedule_rise(chip)
     else:
-        _end_move(c, c.end_reason if c.end_reason else ALL_STEPS)
+        _end_move(chip, chip.end_reason if chip.end_reason else ALL_STEPS)
 
 
 @hot
-def _go_to_event(c, until):
+def _advance_to_event(chip, until):
     """Let time pass to the next event or to `until`, and return whether an event happened."""
-    at = greatest(_next_event(c), c.clock)
+    at = greatest(_find_next_event(chip), chip.clock)
     if at > until:
-        c.clock = until
+        chip.clock = until
         return False
-    c.clock = at
-    _do_event(c)
+    chip.clock = at
+    _process_event(chip)
     return True
 
 
 @exported(None, STATE, "i8")
-def run(c, until):
+def run(chip, until):
     """Let the clock run up to `until`."""
-    while _go_to_event(c, until):
+    while _advance_to_event(chip, until):
         pass
 
 
 @exported("i8", STATE, "i8")
-def advance(c, until):
+def advance(chip, until):
     """Let the clock run up to `until`, and return the steps."""
-    before = c.accepted
-    run(c, until)
-    return greatest(0, c.accepted - before)
+    before = chip.accepted
+    run(chip, until)
+    return greatest(0, chip.accepted - before)
 
 
 @exported("i8", STATE, "i8", array_of(PULSE))
-def trace(c, until, out):
-    """Let the clock run up to `until`, write each step into `out`, and return their number."""
-    k, before = 0, c.accepted
-    while _go_to_event(c, until):
-        if c.accepted > before:
-            out[k].clock, out[k].axis, out[k].direction = c.clock, 0, c.last_step
+def trace_pulses(chip, until, pulses):
+    """Let the clock run up to `until`, write each step into `pulses`, and return their number."""
+    k, before = 0, chip.accepted
+    while _advance_to_event(chip, until):
+        if chip.accepted > before:
+            pulses[k].clock, pulses[k].axis, pulses[k].direction = chip.clock, 0, chip.last_step
             k += 1
-        before = c.accepted
+        before = chip.accepted
     return k
 
 
 @exported(None, STATE, "i8", array_of(EDGE), "i8")
-def mark(c, axis, out, k):
-    """Write the axis as it is now into edge `k`."""
-    e = out[k]
-    e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, c.inputs, outputs(c, 0), counter(c, 0), c.net
-    e.rate = pulse_rate(c, 0, 1.0)
+def write_present_edge(chip, axis_index, edges, edge_index):
+    """Write the axis as it is now into edge `edge_index`."""
+    e = edges[edge_index]
+    e.clock, e.inputs, e.outputs, e.counter, e.net = (
+        chip.clock,
+        chip.inputs,
+        read_outputs(chip, 0),
+        read_counter(chip, 0),
+        chip.net,
+    )
+    e.rate = compute_pulse_rate(chip, 0, 1.0)
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
-def scan(c, until, every_pulse, axis, out):
+def scan_edges(chip, until, every_pulse, axis_index, edges):
     """Let the clock run up to `until` and mark changes of outputs and rate, and each edge of the lines if `every_pulse`."""
-    k, word, rate = 0, outputs(c, 0), pulse_rate(c, 0, 1.0)
-    while c.clock < until and k < len(out) - SCAN_ROOM:
-        if not _go_to_event(c, until):
+    k, word, rate = 0, read_outputs(chip, 0), compute_pulse_rate(chip, 0, 1.0)
+    while chip.clock < until and k < len(edges) - SCAN_ROOM:
+        if not _advance_to_event(chip, until):
             break
-        now, new = outputs(c, 0), pulse_rate(c, 0, 1.0)
-        if every_pulse or now != word or abs(new - rate) > MARKED_CHANGE * c.reg[RATE] / c.hz:
-            mark(c, 0, out, k)
+        now, new = read_outputs(chip, 0), compute_pulse_rate(chip, 0, 1.0)
+        if every_pulse or now != word or abs(new - rate) > MARKED_CHANGE * chip.reg[RATE] / chip.hz:
+            write_present_edge(chip, 0, edges, k)
             word, rate = now, new
             k += 1
     return k
 
 
 @exported(None, STATE, "i8", "i8")
-def window(c, row, k):
+def run_window(chip, row_address, first_slice):
     """Run the slices of a physics step."""
-    run_window(c, row, k, run, net, drive_input)
+    run_slices(chip, row_address, first_slice, run, read_net_count, compute_drive_input)
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
-def drive_input(c, j, before, ticks):
-    """Return the mean count of the last `ticks` clocks, which began with the count `before`."""
-    return count_mean(c, before, ticks)
+def compute_drive_input(chip, axis_index, net_before, clocks):
+    """Return the mean count of the last `clocks` clocks, which began with the count `net_before`."""
+    return compute_mean_count(chip, net_before, clocks)
 
 
 @exported(None, STATE)
-def power_up(c):
+def power_up(chip):
     """Clear registers, step timer and violations; lines and switches stay as the host and the stage drive them."""
     for k in range(REGISTERS):
-        c.reg[k] = 0
+        chip.reg[k] = 0
     for k in range(TIMES):
-        c.violations[k] = c.shortest[k] = c.first_violation[k] = 0
-    c.reg[HIGH] = HIGH_NS
-    c.origin = c.net
-    c.control = c.events = c.steps = c.steps_done = c.segment = c.segments = 0
-    c.last_step = c.started = 0
-    c.rose = c.fell = c.turned = c.enabled = -NEVER
-    c.next_fall = NEVER
-    _end_move(c, 0)
+        chip.violations[k] = chip.shortest[k] = chip.first_violation[k] = 0
+    chip.reg[HIGH] = HIGH_NS
+    chip.origin = chip.net
+    chip.control = chip.events = chip.steps = chip.steps_done = chip.segment = chip.segments = 0
+    chip.last_step = chip.started = 0
+    chip.rose = chip.fell = chip.turned = chip.enabled = -NEVER
+    chip.next_fall = NEVER
+    _end_move(chip, 0)
 
 
 @exported("i8", STATE, "i8")
-def peek(c, address):
+def peek(chip, address):
     """Return what a read would give."""
     if address == CONTROL_ADDRESS:
-        return status(c, 0)
-    return counter(c, 0) if address == POSITION else c.reg[address]
+        return read_status(chip, 0)
+    return read_counter(chip, 0) if address == POSITION else chip.reg[address]
 
 
 @exported("i8", STATE, "i8")
-def read(c, address):
+def read(chip, address):
     """Make a read cycle."""
-    return peek(c, address)
+    return peek(chip, address)
 
 
 @exported(None, STATE, "i8", "i8")
-def write(c, address, value):
+def write(chip, address, value):
     """Make a write cycle."""
     if address != CONTROL_ADDRESS:
         if address != POSITION:
-            c.reg[address] = value
+            chip.reg[address] = value
     elif value & AT_ONCE:
-        if c.running:
-            _end_move(c, STOPPED)
+        if chip.running:
+            _end_move(chip, STOPPED)
     elif value & SLOW:
-        _slow_down(c, STOPPED)
+        _slow_down(chip, STOPPED)
     elif value & GO:
-        _start_move(c, value)
+        _start_move(chip, value)
 
 
 @exported(None, STATE, "i8", "i8")
-def set_input(c, j, word):
+def set_input(chip, axis_index, word):
     """Take new levels of the input pins."""
-    reached = word & ~c.inputs & ORG
-    change_lines(c, word)
-    if not c.running:
+    reached = word & ~chip.inputs & ORG
+    apply_line_levels(chip, word)
+    if not chip.running:
         return
-    reason = _limit_ahead(c)
+    reason = _is_limit_ahead(chip)
     if reason:
-        _end_move(c, reason)
-    elif c.control & UNTIL_ORG and reached:
-        _slow_down(c, END_ORG)
+        _end_move(chip, reason)
+    elif chip.control & UNTIL_ORG and reached:
+        _slow_down(chip, END_ORG)
 
 
 @exported("i8", STATE, "i8")
-def inputs(c, j):
+def read_inputs(chip, axis_index):
     """Return the input pins."""
-    return c.inputs
+    return chip.inputs
 
 
 @exported("i8", STATE, "i8")
-def outputs(c, j):
+def read_outputs(chip, axis_index):
     """Return the output pins."""
-    if not c.running:
+    if not chip.running:
         return 0
-    ramp = ramp_now(c)
+    ramp = find_present_ramp(chip)
     return BUSY | (UP if ramp > 0 else DOWN if ramp < 0 else 0)
 
 
 @exported("i8", STATE, "i8")
-def status(c, j):
+def read_status(chip, axis_index):
     """Return the status word."""
-    pins = c.inputs // EL_PLUS & 0xF
-    return (1 if c.running else 0) | pins << PINS_SHIFT | c.end_reason << END
+    pins = chip.inputs // EL_PLUS & 0xF
+    return (1 if chip.running else 0) | pins << PINS_SHIFT | chip.end_reason << END
 
 
 @exported("i8", STATE, "i8")
-def busy(c, j):
+def is_busy(chip, axis_index):
     """Return whether the step timer runs."""
-    return c.running
+    return chip.running
 
 
 @exported("i8", STATE, "i8")
-def net(c, j):
+def read_net_count(chip, axis_index):
     """Return the accepted steps since power-up, plus less minus."""
-    return c.net
+    return chip.net
 
 
 @exported("i8", STATE, "i8")
-def counter(c, j):
+def read_counter(chip, axis_index):
     """Return POSITION."""
-    return (c.net - c.origin) & DATA_MASK
+    return (chip.net - chip.origin) & DATA_MASK
 
 
 @exported("f8", STATE, "i8", "f8")
-def pulse_rate(c, j, hz):
+def compute_pulse_rate(chip, axis_index, hz):
     """Return the rate at which the count changes now, per second of a clock of `hz`."""
-    if not c.running:
-        return measured_rate(c, hz)
-    share = float(c.steps) / c.events if c.events else 1.0
-    return (-1.0 if c.control & MINUS else 1.0) * share * rate_now(c) * hz / c.hz
+    if not chip.running:
+        return measure_step_rate(chip, hz)
+    share = float(chip.steps) / chip.events if chip.events else 1.0
+    return (-1.0 if chip.control & MINUS else 1.0) * share * compute_present_rate(chip) * hz / chip.hz
 
 
 @exported("f8", STATE, "i8")
-def current(c, j):
+def read_motor_current(chip, axis_index):
     """Return the amplitude of the phase currents, A: none while ENABLE is not asserted."""
-    return c.amplitude if c.inputs & ENABLE else 0.0
+    return chip.amplitude if chip.inputs & ENABLE else 0.0
 
 
 @exported(None, STATE, "i8", "f8", "f8")
-def set_shaft(c, j, count, rate):
+def set_shaft(chip, axis_index, count, rate):
     """Do nothing: the axis has no input for an encoder."""

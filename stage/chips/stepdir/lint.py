@@ -43,11 +43,11 @@ TIMES: dict[int, tuple[Rule, str]] = {
 """Rule and observation of each time that a power stage demands."""
 
 
-def lint_write(c: Any, address: int, value: int) -> Iterator[Finding]:
+def lint_write(chip: Any, address: int, value: int) -> Iterator[Finding]:
     """Yield every rule that a write to the step timer breaks.
 
     Args:
-        c: State before the write.
+        chip: State before the write.
         address: Bus address.
         value: Datum.
     """
@@ -61,14 +61,14 @@ def lint_write(c: Any, address: int, value: int) -> Iterator[Finding]:
     elif address != CONTROL_ADDRESS:
         yield NO_REGISTER, f"nothing can be written at address {address}"
     elif value & GO:
-        yield from _lint_start(c, value)
+        yield from _lint_start(chip, value)
 
 
-def _lint_start(c: Any, value: int) -> Iterator[Finding]:
-    start, rate = int(c["reg"][START]), int(c["reg"][RATE])
-    if c["running"]:
+def _lint_start(chip: Any, value: int) -> Iterator[Finding]:
+    start, rate = int(chip["reg"][START]), int(chip["reg"][RATE])
+    if chip["running"]:
         yield ALREADY_MOVING, "a start is ignored while the step timer runs"
-    elif not rate or not (value & CONTINUOUS or c["reg"][STEPS]):
+    elif not rate or not (value & CONTINUOUS or chip["reg"][STEPS]):
         yield NO_STEPS, f"no step will come: {'STEPS' if rate else 'RATE'} is 0"
     elif start > rate:
         yield NO_RAMP, f"START, {start} pps, is above RATE: all steps come at {rate} pps"
@@ -76,11 +76,11 @@ def _lint_start(c: Any, value: int) -> Iterator[Finding]:
         yield ALREADY_MOVING, "a start together with a stop is ignored"
 
 
-def describe_violation(which: int, observed_s: float, required_s: float, name: str, drops_edges: bool) -> Finding:
+def describe_violation(time_index: int, observed_s: float, required_s: float, name: str, drops_edges: bool) -> Finding:
     """Describe a time between edges that was too short.
 
     Args:
-        which: Place of the time, STEP_HIGH to ENABLE_SETUP.
+        time_index: Place of the time, STEP_HIGH to ENABLE_SETUP.
         observed_s: Time between the edges, s.
         required_s: Shortest time that the power stage allows, s.
         name: Name of the power stage.
@@ -89,7 +89,7 @@ def describe_violation(which: int, observed_s: float, required_s: float, name: s
     Returns:
         The rule and the message.
     """
-    rule, text = TIMES[which]
+    rule, text = TIMES[time_index]
     observed = text.format(time=f"{observed_s * 1e6:.4g} us")
     effect = "the edge was lost" if drops_edges else "silicon may lose the edge or step the other way"
     return rule, f"{observed}; the {name} needs {required_s * 1e6:.4g} us: {effect}"

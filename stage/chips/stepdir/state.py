@@ -1,15 +1,9 @@
-"""STEP/DIR axis, compiled: the record that holds it, its lines, and how it counts edges.
-
-A rising edge of STEP moves the count by one, in the direction of DIR, if the power stage accepts it. The times between edges are
-checked against the timing of the power stage's data sheet; times are in reference clocks.
-"""
+"""The record that holds the state of a STEP/DIR axis, the bits of its lines, and the numbers of its registers."""
 
 from __future__ import annotations
 
-import math
-
 from stage.chips.stepdir.maps import MAP
-from stage.native import hot, record
+from stage.native import record
 
 STEP, DIR, ENABLE, EL_PLUS, EL_MINUS, ORG, PROBE = (1 << k for k in range(7))
 INPUTS = {
@@ -84,103 +78,3 @@ START, RATE, RAMP_UP, RAMP_DOWN, CURVED, STEPS, EVENTS, HIGH, POSITION = (
     MAP.register(name).number
     for name in ("START", "RATE", "UP", "DOWN", "CURVED", "STEPS", "EVENTS", "HIGH", "POSITION")
 )
-
-
-@hot
-def to_clocks(c, seconds):
-    """Convert a time to the nearest number of reference clocks."""
-    return int(math.floor(seconds * c.hz + 0.5))
-
-
-@hot
-def is_long_enough(c, which, clocks):
-    """Check a time between two edges, count a violation, and return whether it is as long as the power stage demands."""
-    if clocks >= c.required[which]:
-        return True
-    if c.violations[which] == 0:
-        c.first_violation[which] = c.clock
-        c.shortest[which] = clocks
-    elif clocks < c.shortest[which]:
-        c.shortest[which] = clocks
-    c.violations[which] += 1
-    return False
-
-
-@hot
-def raise_step(c):
-    """Take a rising edge of STEP: count a step in the direction of DIR if the power stage accepts it."""
-    in_time = is_long_enough(c, STEP_LOW, c.clock - c.fell)
-    in_time &= is_long_enough(c, DIR_SETUP, c.clock - c.turned)
-    in_time &= is_long_enough(c, ENABLE_SETUP, c.clock - c.enabled)
-    c.rose = c.clock
-    c.last_step = 0
-    if (in_time or not c.drops_edges) and (c.inputs & ENABLE or c.counts_disabled):
-        minus = 1 if c.inputs & DIR else 0
-        c.last_step = 1 - 2 * minus
-        c.net += c.last_step
-        c.history[c.accepted % HISTORY] = 2 * c.clock + minus
-        c.accepted += 1
-
-
-@hot
-def _undo_step(c):
-    """Take the last step back: its edge was too short for the power stage."""
-    if c.last_step:
-        c.net -= c.last_step
-        c.accepted -= 1
-        c.last_step = 0
-
-
-@hot
-def lower_step(c):
-    """Take a falling edge of STEP."""
-    if not is_long_enough(c, STEP_HIGH, c.clock - c.rose) and c.drops_edges:
-        _undo_step(c)
-    c.fell = c.clock
-
-
-@hot
-def change_lines(c, word):
-    """Take new levels of STEP, DIR and ENABLE; a change of DIR or ENABLE comes before an edge of STEP at the same clock."""
-    changed = word ^ c.inputs
-    if changed & word & ENABLE:
-        c.enabled = c.clock
-    if changed & DIR:
-        if not is_long_enough(c, DIR_HOLD, c.clock - c.rose) and c.drops_edges:
-            _undo_step(c)
-        c.turned = c.clock
-    c.inputs = word
-    if changed & word & STEP:
-        raise_step(c)
-    elif changed & STEP:
-        lower_step(c)
-
-
-@hot
-def count_mean(c, before, ticks):
-    """Compute the mean of the count over the last `ticks` clocks, which began with the count `before`.
-
-    Of more edges than HISTORY the mean of begin and end is returned.
-    """
-    weighted, rest, k = 0.0, c.net - before, c.accepted
-    while k > 0 and k > c.accepted - HISTORY:
-        entry = c.history[(k - 1) % HISTORY]
-        since, direction = c.clock - (entry >> 1), 1 - 2 * (entry & 1)
-        if since >= ticks:
-            return before + rest + weighted / ticks
-        weighted += direction * since
-        rest -= direction
-        k -= 1
-    return before + rest + weighted / ticks if k == 0 else 0.5 * (before + c.net)
-
-
-@hot
-def measured_rate(c, hz):
-    """Compute the signed rate of the edges of a host from the last two accepted ones, per second; 0 when they have stopped."""
-    if c.accepted < 2:
-        return 0.0
-    last, previous = c.history[(c.accepted - 1) % HISTORY], c.history[(c.accepted - 2) % HISTORY]
-    period = (last >> 1) - (previous >> 1)
-    if period <= 0 or c.clock - (last >> 1) > 2 * period:
-        return 0.0
-    return (1.0 if last & 1 == 0 else -1.0) * hz / period

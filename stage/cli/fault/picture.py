@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.support import pictures
+from stage.support import plot_style
 from stage.units import POSITION_UNITS
 
 if TYPE_CHECKING:
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 STYLES = (
     {"color": "#f0a868", "linewidth": 5.5, "alpha": 0.75, "label": "healthy"},
-    {"color": pictures.COLORS[0], "linewidth": 1.4, "label": "faulty"},
+    {"color": plot_style.COLORS[0], "linewidth": 1.4, "label": "faulty"},
 )
 """Styles of the two runs. The healthy one is a wide band, so that both are visible where the runs are alike."""
 
@@ -23,7 +23,7 @@ def draw(result: DemoResult, path: str | None, overwrite: bool) -> Any:
     """Draw a result that has both recordings, and return the figure; see `Shown.plot`."""
     from stage.support.files import save_figure
 
-    figure = pictures.make_figure(9, 5.2)
+    figure = plot_style.make_figure(9, 5.2)
     panels = figure.subplots(2, 1, sharex=True)
     begins = [n.time for n in result.recordings[1].notes if n.text.endswith("begins")][:1]
     limits = _find_limits(result, begins)
@@ -41,17 +41,17 @@ def draw(result: DemoResult, path: str | None, overwrite: bool) -> Any:
                 panel.axvline(when, color="#c53030", linewidth=1, linestyle=(0, (4, 2)), label="the fault begins")
         unit = POSITION_UNITS[result.unit].symbol if unit == "m" else unit
         panel.set_ylabel(
-            f"{column.replace('_', ' ')}{f', {unit}' if unit else ''}", color=pictures.TEXT_COLOR, fontsize=8.5
+            f"{column.replace('_', ' ')}{f', {unit}' if unit else ''}", color=plot_style.TEXT_COLOR, fontsize=8.5
         )
-        pictures.remove_frame(panel)
+        plot_style.remove_frame(panel)
     handles, labels = panels[0].get_legend_handles_labels()
     place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.2}
     panels[0].legend(handles, labels, ncols=len(labels), frameon=False, fontsize=8, **place)
-    panels[1].set_xlabel("time, s", color=pictures.TEXT_COLOR, fontsize=8.5)
+    panels[1].set_xlabel("time, s", color=plot_style.TEXT_COLOR, fontsize=8.5)
     if limits:
         panels[0].set_xlim(limits)
     name = result.recordings[1].notes[0].text.removesuffix(": begins")
-    pictures.add_heading(figure, f"{name[:1].upper()}{name[1:]}", result.name)
+    plot_style.add_heading(figure, f"{name[:1].upper()}{name[1:]}", result.name)
     if path is not None:
         save_figure(figure, path, 150, overwrite)
     return figure

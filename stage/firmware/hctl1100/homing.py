@@ -17,8 +17,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stage.chips.exclusive_access import exclusive
 from stage.chips.hctl1100.maps import MODE
-from stage.chips.sharing import exclusive
 from stage.errors import RunTimeout
 from stage.firmware.axis import check_direction
 from stage.firmware.hctl1100.chip_port import CONTROL, LIMIT, STOP, Port

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.chips.hctl1100.motor import FULL_DRIVE
+from stage.chips.hctl1100.motor_port import FULL_DRIVE
 from stage.errors import StageError
 from stage.firmware.hctl1100.moves import FilterTuning
 from stage.support.extras import import_extra

@@ -16,8 +16,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from stage.chips.nova.registers.words514 import HOME_STATES
-from stage.chips.sharing import exclusive
+from stage.chips.exclusive_access import exclusive
+from stage.chips.nova.registers.mcx514_words import HOME_STATES
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
 from stage.firmware.nova.chip_port import (

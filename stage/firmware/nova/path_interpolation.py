@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from stage.chips.sharing import exclusive
+from stage.chips.exclusive_access import exclusive
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
 from stage.firmware.nova.chip_port import (
@@ -27,7 +27,7 @@ from stage.firmware.nova.chip_port import (
     open_ports,
     stop_axes,
 )
-from stage.support.arguments import check_timeout
+from stage.support.argument_checks import check_timeout
 
 CNEXT, DRIVING = MAP.mask("RR0", "CNEXT"), MAP.mask("RR0", "n-DRV")
 TWO_AXES, THREE_AXES = 1, 2  # SPD of IPM

@@ -32,7 +32,7 @@ from stage.chips.pcl240.state import (
 from stage.errors import ArgumentError, RunTimeout, StageError, add_article
 from stage.firmware.axis import Axis
 from stage.firmware.driver import compute_poll_interval
-from stage.support.arguments import explain_constructor
+from stage.support.argument_checks import explain_constructor
 
 START = {"FL": bits.START | bits.FL, "FH1": bits.START | bits.FH1, "FH2": bits.START | bits.FH2}  # constant speed
 RAMP = {name: start | bits.RAMP for name, start in START.items()}

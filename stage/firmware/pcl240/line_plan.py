@@ -37,7 +37,7 @@ from stage.firmware.pcl240.leader_search import (
 from stage.firmware.pcl240.preset_move_closed_form import fill_motion
 from stage.firmware.pcl240.register_row_emulation import ROW_REGISTERS, compute_ramp_down_offset, trace_row
 from stage.firmware.pcl240.speed_profile import DEFAULT_RAMP_TIME_S, FH1, FL, compute_ramp_seconds
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 
 MAX_R0 = PCL240K.MAP.registers[0].mask
 MAX_EMULATED_PULSES = 2_000_000  # pulses: longer moves are judged by the closed form alone

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from stage.chips.exclusive_access import exclusive
 from stage.chips.pcl240.state import COUNTER_MASK
-from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, StageError, add_article
 from stage.firmware.axis import Axis, check_direction, check_seconds
 from stage.firmware.driver import SETTLING_TIME_S
@@ -18,7 +18,7 @@ from stage.firmware.pcl240 import chip_port
 from stage.firmware.pcl240.chip_port import Port, check_chip_family, describe_leader, require_clock
 from stage.firmware.pcl240.speed_profile import Profile
 from stage.firmware.pcl240.stop_reason import Pcl240Observer
-from stage.support.arguments import check_timeout, explain_arguments
+from stage.support.argument_checks import check_timeout, explain_arguments
 
 AUTOMATIC_OFFSET_PULSES = 2  # the counts of ramp-up and ramp-down differ by one or two, and this way FL is reached
 

@@ -9,7 +9,7 @@ ORG is asserted from the origin on to the end of travel, so that firmware knows 
 
 from __future__ import annotations
 
-from stage.chips.sharing import exclusive
+from stage.chips.exclusive_access import exclusive
 from stage.errors import ArgumentError, add_article
 from stage.firmware.axis import Axis, check_direction, check_origin
 from stage.firmware.driver import SETTLING_TIME_S
@@ -18,7 +18,7 @@ from stage.firmware.pcl240 import chip_port
 from stage.firmware.pcl240.moves import check_pulses, choose_profile, encode_direction, write_move_setup
 from stage.firmware.pcl240.speed_profile import Profile
 from stage.firmware.pcl240.stop_reason import Pcl240Observer
-from stage.support.arguments import check_timeout, explain_arguments
+from stage.support.argument_checks import check_timeout, explain_arguments
 
 BACK_OFF_PULSES = 200  # pulses beyond the release of ORG
 APPROACH_RATE_PPS = 400.0  # pps; slow, so that the motor does not ring when the switch trips

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
-from stage.chips.sharing import exclusive
+from stage.chips.exclusive_access import exclusive
 from stage.errors import ArgumentError, ExceededLimit
 from stage.firmware.axis import Axis, check_direction, check_seconds
 from stage.firmware.move_report import Report
@@ -26,7 +26,7 @@ from stage.firmware.pcl240.moves import (
 )
 from stage.firmware.pcl240.speed_profile import Profile, compute_down_point, compute_ramp_pulses
 from stage.firmware.pcl240.stop_reason import Pcl240Observer
-from stage.support.arguments import explain_arguments
+from stage.support.argument_checks import explain_arguments
 
 MAX_RAMP_S = 60.0  # R4 and R5 make no more than 27
 POLL_DELAY_S = 1e-3  # by which a host that polls may be late at each rate

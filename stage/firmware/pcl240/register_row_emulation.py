@@ -27,7 +27,7 @@ def trace_row(row: np.ndarray, chip: type[PCL240] = PCL240K, automatic: bool = F
     r6 = compute_ramp_down_offset(row, chip) & chip.MAP.register("R6").mask if automatic else int(row[6])
     emulated = _start_chip(row, chip, r6, automatic)
     pulses = np.empty(int(row[0]), emulated.CORE.PULSE)
-    emulated.CORE.trace.c(emulated.pointer, MAX_CLOCKS, pulses.ctypes.data, len(pulses))
+    emulated.CORE.trace_pulses.c(emulated.pointer, MAX_CLOCKS, pulses.ctypes.data, len(pulses))
     return pulses["clock"].copy()
 
 

@@ -18,7 +18,7 @@ from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import SPAN
 from stage.errors import ArgumentError, ExceededLimit
 from stage.firmware.driver import DEFAULT_DRIVE_PPS, DEFAULT_RAMP_S, DEFAULT_START_PPS
-from stage.support.arguments import explain_arguments, explain_constructor
+from stage.support.argument_checks import explain_arguments, explain_constructor
 
 FL, FH1, FH2 = DEFAULT_START_PPS, DEFAULT_DRIVE_PPS, 2 * DEFAULT_DRIVE_PPS
 """Default rates, pps: 3.125, 50 and 100 mm/s on the default stage, where 17HS4401 at 24 V pulls out far above."""

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from stage.chips.entries import RESET, WRITE
 from stage.chips.journal import Journal
+from stage.chips.journal_entries import RESET, WRITE
 from stage.chips.pcl240 import state as bits
 from stage.chips.pcl240.maps import OPERATE
 from stage.firmware import move_report

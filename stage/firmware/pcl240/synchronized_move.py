@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from stage.chips.sharing import exclusive
+from stage.chips.exclusive_access import exclusive
 from stage.errors import ArgumentError, RunTimeout, add_article
 from stage.firmware.axis import AxesByName, Axis
 from stage.firmware.pcl240 import chip_port
@@ -22,7 +22,7 @@ from stage.firmware.pcl240.moves import SETTLING_TIME_S
 from stage.firmware.pcl240.speed_profile import DEFAULT_RAMP_TIME_S, FH1, FL
 from stage.firmware.pcl240.stop_reason import Pcl240Observer
 from stage.firmware.synchronized_report import LineObserver, SynchronizedReport, select_axes
-from stage.support.arguments import check_timeout, explain_arguments
+from stage.support.argument_checks import check_timeout, explain_arguments
 
 MIN_DELAY_GAIN_PULSES = 0.02  # pulses that a plan for the bus delay may be better than one for a common start
 MAX_POLLS = 200  # at the status bytes of a long move

@@ -138,7 +138,7 @@ def cuda_tools() -> Tools:
     return Tools(
         device=lambda f: cuda.jit(device=True, inline="always" if f.__name__ in INLINED else "never")(f),
         kernel=cuda.jit,
-        replaced={native.array_at: array_at, native.room: room, native.floor: floor},
+        replaced={native.array_at: array_at, native.allocate_on_stack: room, native.floor: floor},
         lane_names={
             "any_in_warp": any_in_warp, "value_in_warp": value_in_warp, "thread_number": thread_number,
             "words_of": words_of, "cuda": cuda,
@@ -200,10 +200,13 @@ class DeviceModules:
         """Return stage.chips.cores for `LaneChip` tuples of one family."""
         module_copy = ModuleType(cores.__name__)
         vars(module_copy).update({name: value for name, value in vars(cores).items() if isinstance(value, int)})
-        sources = {"axis_of": "def axis_of(c, j): return j", "clock": "def clock(c): return c.state.clock"}
+        sources = {
+            "find_stage_axis": "def find_stage_axis(chip, axis_index): return axis_index",
+            "read_clock": "def read_clock(chip): return chip.state.clock",
+        }
         for name, (_, *arguments) in cores.ANSWERS.items():
             values = ", ".join("xyz"[: len(arguments)])
-            sources[name] = f"def {name}(c, {values}): return core.{name}(c.state, {values})"
+            sources[name] = f"def {name}(chip, {values}): return core.{name}(chip.state, {values})"
         for name, source in sources.items():
             space: dict[str, Any] = {"core": core}
             exec(source, space)

@@ -5,7 +5,7 @@
 
 Every lane of a copy plays the same program by itself, with the bus cycles of its own chip. Only polls need the other lanes: each
 polls its own axes, and the lanes of a warp tell each other which are in motion. All of it happens at the times, and in the order,
-of `stage.sim.play` and `stage.sim.engine`, so chips that see the same edges are the same to the bit.
+of `stage.sim.program_player` and `stage.sim.engine`, so chips that see the same edges are the same to the bit.
 
 A copy whose program is over stands still, perhaps within a window: mujoco-warp moves it all the same, and the kernel puts it back.
 """
@@ -16,13 +16,13 @@ import math
 from typing import Any
 
 from stage.chips import cores
-from stage.drives import drive
-from stage.sim.edges import find_next_edge, predict_axis_edges, process_axis_edges
+from stage.drives import drive_dispatch
+from stage.sim.engine_records import AXIS, MAX_SPEED, SECOND, SLICES, SWITCH, WORLD, compute_clock_at
 from stage.sim.gpu.device_code import LaneChip
-from stage.sim.gpu.layout import HOST, PLAYING, WARP
-from stage.sim.play import DIVERGED, PLAYED, inspect_axis
+from stage.sim.gpu.lane_layout import HOST, PLAYING, WARP
+from stage.sim.input_edges import find_next_edge, predict_axis_edges, process_axis_edges
 from stage.sim.program import END, KEEP, LOOK, MEASURE, READ, STOP, WRITE
-from stage.sim.records import AXIS, MAX_SPEED, SECOND, SLICES, SWITCH, WORLD, clock_at
+from stage.sim.program_player import DIVERGED, PLAYED, inspect_axis
 from stage.sim.warm_start import apply_effort
 
 LOST = 1 << 62
@@ -53,7 +53,7 @@ def store_records(records, words, row, thread):
         words[row + k, thread] = records[k]
 
 
-def run_chip(c, axes, table, switches, switch_table, world, dt, k, now, stop):
+def run_chip(chip, axes, table, switches, switch_table, world, dt, k, now, stop):
     """Run a chip and its switches from `now` to `stop` ns, within a window.
 
     Args:
@@ -65,22 +65,22 @@ def run_chip(c, axes, table, switches, switch_table, world, dt, k, now, stop):
     Returns:
         The slice in which `stop` is.
     """
-    start, hz, edge = world.start, c.hz, find_next_edge(axes, c)
-    clock, rest = clock_at(start, hz), start % SECOND * hz % SECOND
+    start, hz, edge = world.start, chip.hz, find_next_edge(axes, chip)
+    clock, rest = compute_clock_at(start, hz), start % SECOND * hz % SECOND
     while now < stop:
         bound = start + (k + 1) * dt // SLICES
         now = min(min(bound, stop), max(edge, now))
-        cores.run(c, clock + (rest + (now - start) * hz) // SECOND)
+        cores.run(chip, clock + (rest + (now - start) * hz) // SECOND)
         if edge <= now:
-            for j in range(c.axes):
+            for j in range(chip.axes):
                 if axes[j].next_edge <= now:
-                    process_axis_edges(axes[j], table[j], c, j, switches, switch_table, now)
-            edge = find_next_edge(axes, c)
+                    process_axis_edges(axes[j], table[j], chip, j, switches, switch_table, now)
+            edge = find_next_edge(axes, chip)
         if now == bound:
-            for j in range(c.axes):
+            for j in range(chip.axes):
                 axis = axes[j]
-                axis.counts[k] = cores.drive_input(c, j, axis.count, c.ticks)
-                axis.count = cores.net(c, j)
+                axis.counts[k] = cores.compute_drive_input(chip, j, axis.count, chip.ticks)
+                axis.count = cores.read_net_count(chip, j)
             k += 1
     return k
 
@@ -127,7 +127,7 @@ def measure_travel(host):
     return int(math.sqrt(x * x + y * y + z * z) * 1e12) if x >= 0.0 else 0
 
 
-def begin_window(world, host, c, axes, table, switches, switch_table, clockwork, sensordata, q, v):
+def begin_window(world, host, chip, axes, table, switches, switch_table, clockwork, sensordata, q, v):
     """Begin the window after a physics step: predict the edges, and pass the shafts to the chips that count them."""
     host.stepped = 0
     world.slice = 0
@@ -136,13 +136,13 @@ def begin_window(world, host, c, axes, table, switches, switch_table, clockwork,
     for k in range(v.shape[0]):
         if not abs(v[k]) < MAX_SPEED:
             host.status = DIVERGED
-    for j in range(c.axes):
+    for j in range(chip.axes):
         t = table[j]
         x, speed = q[t.qpos], v[t.dof]
         predict_axis_edges(world, clockwork, axes[j], t, switches, switch_table, sensordata, x, speed, True)
         if ENCODERS:
             tau = float(world.now - world.start) / SECOND - clockwork.half
-            cores.set_shaft(c, j, (x + speed * tau) * t.counts, speed * t.counts / c.hz)
+            cores.set_shaft(chip, j, (x + speed * tau) * t.counts, speed * t.counts / chip.hz)
 
 
 def choose_polls(host, places, lane, end):
@@ -167,13 +167,13 @@ def choose_polls(host, places, lane, end):
     return now, polled, time, axis, False
 
 
-def has_lost_a_step(c, drives, table, axis_numbers, mask, q, v, tau):
+def has_lost_a_step(chip, drives, table, axis_numbers, mask, q, v, tau):
     """Return whether one of the lane's axes in the mask has lost a step. `tau` is the time since that of `q`, s."""
-    for j in range(c.axes):
+    for j in range(chip.axes):
         t = table[j]
         if mask >> axis_numbers[j] & 1:
             theta = (q[t.qpos] + v[t.dof] * tau) * t.gear
-            if drive.count_lost_steps(drives[j], float(cores.net(c, j)), theta) != 0:
+            if drive_dispatch.count_lost_steps(drives[j], float(cores.read_net_count(chip, j)), theta) != 0:
                 return True
     return False
 
@@ -187,7 +187,7 @@ def advance_lanes(
     Args:
         words, rows, axis_numbers, places, tables, switch_tables: See `LaneLayout`.
         clockworks: One CLOCKWORK.
-        ops, results, extremes: As `stage.sim.play.play` takes them.
+        ops, results, extremes: As `stage.sim.program_player.play` takes them.
         qpos, qvel, ctrl, sensordata, warmstart, sites, bodies: Arrays of mujoco-warp, a row a copy.
         inertia, damping, core_loss: dof_M0 of each copy, and dof_damping and actuator_damping of all.
         frozen_coordinates: (copies, nq + 2 nv), coordinates, speeds and accelerations of copies that stand still.
@@ -284,7 +284,7 @@ def advance_lanes(
                 results[copy, op] = int(math.floor(place * 1e12))
             end_operation(host)
         if any_in_warp(polling):
-            if axis >= 0 and cores.busy(c, places[axis].axis):
+            if axis >= 0 and cores.is_busy(c, places[axis].axis):
                 moving = 1 << axis
             if polling and judged and kind == KEEP and has_lost_a_step(c, drives, table, numbers, a, q, v, tau):
                 moving |= LOST

@@ -102,7 +102,7 @@ def _check_core_reads(t: Trial, chip: Chip) -> None:
             before, state = copy_state(chip), copy_state(chip)
             for k in range(chip.AXES):
                 for looked in (before, state):
-                    chip.CORE.outputs(looked, k)
+                    chip.CORE.read_outputs(looked, k)
             chip.CORE.read(state, address)
             _require_unchanged(t, address, before.tobytes(), state.tobytes())
 

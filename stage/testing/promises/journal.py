@@ -48,7 +48,7 @@ def _check_scan_room(t: Trial, rng: np.random.Generator) -> None:
     edges.view(np.uint8)[:] = 0xA5
     beyond = edges[room:].tobytes()
     for _ in range(200):
-        count = int(chip.CORE.scan(state, until, 1, axis, edges[:room]))
+        count = int(chip.CORE.scan_edges(state, until, 1, axis, edges[:room]))
         if edges[room:].tobytes() != beyond or count > room:
             raise BrokenPromise(
                 f"scan gives {count} edges, and writes behind `out`, which holds {room}: stop before it is full"
@@ -96,7 +96,7 @@ def _check_course_pins(t: Trial, rng: np.random.Generator) -> None:
                 f"{n} clocks after the start the course shows output {pins} at another level than the chip"
             )
         for what, course, real in (
-            ("net", int(edge["net"]), int(probe.CORE.net.with_gil(probe.pointer, axis))),
+            ("net", int(edge["net"]), int(probe.CORE.read_net_count.with_gil(probe.pointer, axis))),
             ("counter", int(edge["counter"]), read_counter(probe, axis)),
         ):
             if course != real and t.counts_pulses:

@@ -49,20 +49,20 @@ def _check_course(t: Trial, rng: np.random.Generator, chip: Chip, axis: int, pul
             raise BrokenPromise(f"counter has gone by {gone} when the trace lists {pulse_count} pulses")
     rest = chip.make_replica()
     rest.advance(clocks + chip.clock_hz)
-    if rest.busy(axis) or rest.CORE.busy.with_gil(rest.pointer, axis):
+    if rest.busy(axis) or rest.CORE.is_busy.with_gil(rest.pointer, axis):
         raise BrokenPromise("it says that it drives a second after the end of a move")
 
 
 def _require_busy(chip: Chip, axis: int, left: int) -> None:
     """Raise BrokenPromise unless status and core show that the axis drives, with `left` pulses to come."""
-    busy, core = chip.busy(axis), bool(chip.CORE.busy.with_gil(chip.pointer, axis))
+    busy, core = chip.busy(axis), bool(chip.CORE.is_busy.with_gil(chip.pointer, axis))
     if busy and core:
         return
     text = f"{'its core' if busy else 'the status on its bus'} says at rest, and {left} pulses come"
     if not chip.input_word(axis):
         text += ", while no input is asserted"
     if chip.AXES > 1:
-        driving = [k for k in range(chip.AXES) if chip.CORE.busy.with_gil(chip.pointer, k)]
+        driving = [k for k in range(chip.AXES) if chip.CORE.is_busy.with_gil(chip.pointer, k)]
         text = f"axis {axis} is to move: {text}; its core says that axes {driving} drive"
     raise BrokenPromise(text)
 

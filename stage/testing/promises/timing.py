@@ -49,7 +49,7 @@ def traced(t: Trial) -> None:
                 raise BrokenPromise(str(error)) from None
             pulse_count = one.advance(act.a)
             out = np.zeros(pulse_count + 64, other.CORE.PULSE)
-            listed = int(other.CORE.trace(copy_state(other), other.clock + act.a, out))
+            listed = int(other.CORE.trace_pulses(copy_state(other), other.clock + act.a, out))
             if listed != pulse_count:
                 raise BrokenPromise(f"advance({act.a}) says {pulse_count} pulses, and trace lists {listed}")
             pulses = other.trace(act.a)
@@ -125,7 +125,7 @@ def windows(t: Trial) -> None:
 def _check_windows(t: Trial, chip: Chip, slices: int, ticks: int) -> None:
     core = chip.CORE
     by_run, by_window, by_advance = chip.make_replica(), chip.make_replica(), chip.make_replica()
-    nets = np.array([core.net.with_gil(chip.pointer, k) for k in range(chip.AXES)])
+    nets = np.array([core.read_net_count.with_gil(chip.pointer, k) for k in range(chip.AXES)])
     clocks = chip.clock + ticks * np.arange(1, slices + 1)
     means, counts = np.zeros((chip.AXES, slices)), nets.copy()
     row, table = np.zeros(1, cores.CHIP), np.zeros(chip.AXES, cores.CHIP_AXIS)
@@ -136,24 +136,24 @@ def _check_windows(t: Trial, chip: Chip, slices: int, ticks: int) -> None:
     row["begin"], row["ends"], row["table"], row["hz"] = chip.clock, ends.ctypes.data, table.ctypes.data, chip.clock_hz
     for k in range(chip.AXES):
         table[k]["axis"], table[k]["means"], table[k]["net"] = k, means[k].ctypes.data, counts[k:].ctypes.data
-    core.window.c(by_window.pointer, row.ctypes.data, 0)
+    core.run_window.c(by_window.pointer, row.ctypes.data, 0)
     expected = np.zeros_like(means)
     for k, until in enumerate(clocks.tolist()):
         core.run.c(by_run.pointer, until)
         for j in range(chip.AXES):
-            expected[j, k] = core.drive_input.c(by_run.pointer, j, int(nets[j]), float(ticks))
-            nets[j] = core.net.with_gil(by_run.pointer, j)
+            expected[j, k] = core.compute_drive_input.c(by_run.pointer, j, int(nets[j]), float(ticks))
+            nets[j] = core.read_net_count.with_gil(by_run.pointer, j)
     by_advance.advance(slices * ticks)
     t.require_same_state(by_run, by_advance, f"after run and advance by {slices * ticks} clocks")
     t.require_same_state(by_run, by_window, f"after run and window by {slices} slices of {ticks} clocks")
     if counts.tolist() != nets.tolist():
         raise BrokenPromise(f"window leaves the counts {counts.tolist()}, and net is {nets.tolist()}")
     if means.tobytes() != expected.tobytes():
-        raise BrokenPromise(f"window gives the means {means.tolist()}, and drive_input {expected.tolist()}")
+        raise BrokenPromise(f"run_window gives the means {means.tolist()}, and compute_drive_input {expected.tolist()}")
 
 
 def drive_inputs(t: Trial) -> None:
-    """drive_input: the mean of the pulse count over the clocks of a slice; of a servo its motor command. pulse_rate"""
+    """compute_drive_input, the mean of the pulse count over a slice or a servo's motor command; compute_pulse_rate"""
     for rng in t.seeded_generators():
         chip, axis, move_pulses = t.start_move(rng, slow=True)
         if not move_pulses and t.counts_pulses:
@@ -163,10 +163,10 @@ def drive_inputs(t: Trial) -> None:
             ticks = int(rng.integers(1, max(chip.clock_hz // 1000, 2)))
             start, before, going = chip.clock, chip.net(axis), chip.busy(axis)
             trace = chip.trace(ticks)
-            mean_input = float(chip.CORE.drive_input.c(chip.pointer, axis, before, float(ticks)))
+            mean_input = float(chip.CORE.compute_drive_input.c(chip.pointer, axis, before, float(ticks)))
             if not t.counts_pulses:
                 if not -1 <= mean_input <= 1:
-                    raise BrokenPromise(f"drive_input is {mean_input}, and a motor command is -1 to 1")
+                    raise BrokenPromise(f"compute_drive_input is {mean_input}, and a motor command is -1 to 1")
                 continue
             pulses = trace[trace["axis"] == axis]
             steps = np.concatenate([[0], np.cumsum(pulses["direction"], dtype=np.int64)])
@@ -175,12 +175,12 @@ def drive_inputs(t: Trial) -> None:
             low, high = sorted((before, chip.net(axis)))
             if not low - 1e-9 <= mean_input <= high + 1e-9:
                 raise BrokenPromise(
-                    f"drive_input is {mean_input:.3f}, and the count goes from {before} to {chip.net(axis)}"
+                    f"compute_drive_input is {mean_input:.3f}, and the count goes from {before} to {chip.net(axis)}"
                 )
-            rate = abs(float(chip.CORE.pulse_rate.c(chip.pointer, axis, float(chip.clock_hz))))
+            rate = abs(float(chip.CORE.compute_pulse_rate.c(chip.pointer, axis, float(chip.clock_hz))))
             if going and chip.busy(axis) and abs(rate * ticks / chip.clock_hz - n) > 1.1 + 0.1 * n:
-                raise BrokenPromise(f"pulse_rate is {rate:.1f} a second, and {n} pulses came in {ticks} clocks")
+                raise BrokenPromise(f"compute_pulse_rate is {rate:.1f} a second, and {n} pulses came in {ticks} clocks")
             if going and chip.busy(axis) and abs(mean_input - mean) > 0.55 + 0.1 * n:
                 raise BrokenPromise(
-                    f"drive_input is {mean_input:.3f}, and the mean of the {n} pulses of {ticks} clocks is {mean:.3f}"
+                    f"compute_drive_input is {mean_input:.3f}, and the mean of the {n} pulses of {ticks} clocks is {mean:.3f}"
                 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stage.chips.entries import RESET, WRITE
+from stage.chips.journal_entries import RESET, WRITE
 from support.machines.chip_machine import Interval, differences
 
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from registerbench.score_statistics import compute_interval
 from registerbench.shipped_policies import compute_bold_action
-from stage.envs.contexts import SPLITS
+from stage.envs.machine_contexts import SPLITS
 
 BOLDNESS = (1.0, 2.0, 2.5, 3.0, 3.2, 3.4, 3.6, 4.0, 5.0)
 STEP, CLOSE, RETREAT = 1.12, 1.1, 1.4

@@ -29,7 +29,7 @@ import registerbench
 from registerbench.baselines import explain_interrupt
 from registerbench.score_statistics import compute_interval, compute_iqm
 from registerbench.task_cards import OPEN_ROUND
-from stage.support import pictures
+from stage.support import plot_style
 
 DOCS = Path(__file__).parents[2] / "docs"
 DATA, PICTURE = DOCS / "data" / "learning_curves.csv.gz", DOCS / "pictures" / "learning_curves.png"
@@ -198,7 +198,7 @@ def format_table(rows_by_task: dict[str, dict[str, dict[str, list[dict]]]]) -> s
 
 def draw_panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) -> None:
     ordered = sorted(players.items(), key=lambda of: max(int(r[-1]["steps"]) for r in of[1].values()))
-    for color, (player, runs) in zip(pictures.COLORS, ordered, strict=False):
+    for color, (player, runs) in zip(plot_style.COLORS, ordered, strict=False):
         at, values = interpolate_levels(runs) if task == "bus" else collect_points(runs)
         ends = np.array([compute_interval(v, draws=1000) for v in values])
         ax.fill_between(at, *ends.T, color=color, alpha=0.18, lw=0)
@@ -212,12 +212,12 @@ def draw_panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) ->
     for name, scores in (
         {} if task == "bus" else read_other_players(task, EPISODES)
     ).items():  # returns, where bus has shares
-        ax.axhline(compute_iqm(scores["return"]), color=pictures.MUTED_COLOR, lw=1.2, ls=OTHERS[name], label=name)
-    pictures.set_title(ax, PANELS[task])
+        ax.axhline(compute_iqm(scores["return"]), color=plot_style.MUTED_COLOR, lw=1.2, ls=OTHERS[name], label=name)
+    plot_style.set_title(ax, PANELS[task])
     what = "solved, of 64 machines" if task == "bus" else "return, IQM of test episodes"
     ax.set_xlabel("macros of learning" if task == "bus" else "tries of learning", fontsize=8)
     ax.set_ylabel(what, fontsize=8)
-    pictures.remove_frame(ax)
+    plot_style.remove_frame(ax)
     ax.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
 
 
@@ -226,7 +226,7 @@ def draw_curves(data: Path, picture: Path) -> None:
     tasks = [task for task in PANELS if task in rows_by_task]
     columns = min(len(tasks), 3)
     rows = -(-len(tasks) // columns)
-    figure = pictures.make_figure(4.4 * columns, 4 * rows)
+    figure = plot_style.make_figure(4.4 * columns, 4 * rows)
     axes = list(figure.subplots(rows, columns, squeeze=False).flat)
     for ax, task in zip(axes, tasks, strict=False):
         draw_panel(ax, task, rows_by_task[task])

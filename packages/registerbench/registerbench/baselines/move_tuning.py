@@ -24,9 +24,9 @@ import numpy as np
 from registerbench.baselines.formula_knobs import FormulaKnobs
 from stage import Stage
 from stage.chips import CHIPS, chip_class
-from stage.envs.base import StageVectorEnv
+from stage.envs.register_actions import RegisterBox
 from stage.envs.register_tuning import RegisterTuning
-from stage.envs.registers import RegisterBox
+from stage.envs.stage_env import StageVectorEnv
 from stage.firmware.driver import get_driver
 
 DISTANCE = 32_000  # pulses; 100 mm on the default stage

@@ -49,7 +49,7 @@ from registerbench.baselines.move_tuning import (
 from registerbench.score_statistics import compute_interval, compute_iqm
 from stage import Stage, firmware
 from stage.firmware.move_report import Report, compute_rates
-from stage.support.pictures import remove_frame, set_title
+from stage.support.plot_style import remove_frame, set_title
 
 BUDGET, SEEDS = 256, 10  # moves for each seed; fewer seeds allow no verdict
 MM = 3.125e-3  # travel for one pulse, mm

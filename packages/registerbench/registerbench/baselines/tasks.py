@@ -22,7 +22,7 @@ import numpy as np
 
 import stage.envs
 from registerbench.baselines.few_shot import compute_interval
-from stage.envs.results import SCORE
+from stage.envs.step_results import SCORE
 
 TASKS = {id_.split("/")[1].split("-")[0]: id_ for id_ in stage.envs.IDS if id_.endswith("-v1")}
 PLAYERS = ("random", "scripted")

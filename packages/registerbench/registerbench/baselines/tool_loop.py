@@ -28,7 +28,7 @@ from registerbench.baselines.move_tuning import (
 from stage import Stage
 from stage.agents import Budget, Tool, Toolbox
 from stage.envs.register_tuning import Config
-from stage.envs.trial import MAX_OFFSET_M, TENTH_MM
+from stage.envs.single_moves import MAX_OFFSET_M, TENTH_MM
 from stage.errors import RunTimeout
 from stage.firmware import Port
 from stage.firmware.pcl240 import chip_port

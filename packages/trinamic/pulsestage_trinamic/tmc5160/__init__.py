@@ -109,7 +109,7 @@ class TMC5160(Chip):
     @property
     def amplitude(self) -> float:
         """Amplitude of the phase currents that the registers request, A; 0 while the power stage is off."""
-        return float(core.current.with_gil(self.pointer, 0))
+        return float(core.read_motor_current.with_gil(self.pointer, 0))
 
     def explain_missing_current(self, axis: int = 0) -> str:
         """Explain why the power stage supplies no current to the motor; "" if it does. A vertical axis falls without it."""

@@ -18,8 +18,8 @@ from pulsestage_trinamic.tmc5160 import (
     switches,
 )
 from pulsestage_trinamic.tmc5160.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
-from stage.chips.cores import run_window, scan_shafts
-from stage.drives.trig import sincos
+from stage.chips.cores import run_slices, scan_while_shafts_move
+from stage.drives.trig import compute_sincos
 from stage.native import array_of, exported, hot, least
 
 SPARE_EDGES = 8  # entries of `out` that are still free when `scan` returns early
@@ -29,9 +29,13 @@ EDGE_SPACING_CLOCKS = 1 << 13  # clocks between two EDGE records of a ramp
 STOP_BEFORE_COMPARE, STOP_AT_EACH_STEP, STOP_AT_EACH_EDGE = 1, 2, 4
 """Flags of `_run_to_next_event`: it also ends before a step to or from X_COMPARE, at each step, at each edge of the encoder."""
 
-__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "current", "drive_input", "inputs", "mark",
-           "net", "outputs", "peek", "power_up", "pulse_rate", "read", "get_register_value", "run", "scan", "set_fixed_load",
-           "set_input", "set_load", "scan_shaft", "set_shaft", "status", "trace", "window", "write"]  # fmt: skip
+__all__ = [
+    "EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "is_busy", "read_counter", "read_motor_current",
+    "compute_drive_input", "read_inputs", "write_present_edge", "read_net_count", "read_outputs", "peek",
+    "power_up", "compute_pulse_rate", "read", "get_register_value", "run", "scan_edges", "set_fixed_load",
+    "set_input", "set_load", "scan_edges_and_shafts", "set_shaft", "read_status", "trace_pulses", "run_window",
+    "write",
+]  # fmt: skip
 
 
 @hot
@@ -205,9 +209,9 @@ def run(c, until):
 
 
 @exported(None, STATE, "i8", "i8")
-def window(c, row, k):
+def run_window(c, row, k):
     """Compute the slices of a window."""
-    run_window(c, row, k, run, net, drive_input)
+    run_slices(c, row, k, run, read_net_count, compute_drive_input)
 
 
 @exported(None, STATE, "i8", "f8", "f8")
@@ -217,7 +221,7 @@ def set_shaft(c, j, count, rate):
 
 
 @exported("f8", STATE, "i8")
-def current(c, j):
+def read_motor_current(c, j):
     """Return the amplitude of the phase currents, A."""
     return power_stage.compute_current_amplitude(c)
 
@@ -232,7 +236,7 @@ def set_load(c, j, angle, emf):
         angle: Electrical radians by which the field leads the rotor.
         emf: Back EMF as a share of the supply.
     """
-    sin, cos = sincos(angle)
+    sin, cos = compute_sincos(angle)
     way = -c.dir if c.reg[state.GCONF] & state.SHAFT else c.dir
     sin *= way
     lam = 1024 if cos <= 0.0 else int(1024.0 * sin + 0.5) if sin > 0.0 else 0
@@ -246,13 +250,13 @@ def set_fixed_load(c, lam, emf):
 
 
 @exported("i8", STATE, "i8")
-def net(c, j):
+def read_net_count(c, j):
     """Return the position of the field: 1/256 full steps since power-up."""
     return c.net
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
-def drive_input(c, j, before, ticks):
+def compute_drive_input(c, j, before, ticks):
     """Return the mean position of the field over the last `ticks`."""
     return 0.5 * (before + c.net)
 
@@ -267,19 +271,19 @@ def _compute_field_rate(c):
 
 
 @exported("f8", STATE, "i8", "f8")
-def pulse_rate(c, j, hz):
+def compute_pulse_rate(c, j, hz):
     """Return the rate of the field, 1/256 full steps a second."""
     return _compute_field_rate(c) * hz
 
 
 @exported("i8", STATE, "i8")
-def counter(c, j):
+def read_counter(c, j):
     """Return XACTUAL."""
     return c.x & M32
 
 
 @exported("i8", STATE, "i8")
-def inputs(c, j):
+def read_inputs(c, j):
     """Return the levels of the input pins, as bits of INPUTS."""
     return c.inputs
 
@@ -297,19 +301,19 @@ def set_input(c, j, word):
 
 
 @exported("i8", STATE, "i8")
-def outputs(c, j):
+def read_outputs(c, j):
     """Return the levels of the output pins, as bits of OUTPUTS."""
     return bus.compute_output_pins(c)
 
 
 @exported("i8", STATE, "i8")
-def status(c, j):
+def read_status(c, j):
     """Return RAMP_STAT."""
     return bus.compute_ramp_stat(c)
 
 
 @exported("i8", STATE, "i8")
-def busy(c, j):
+def is_busy(c, j):
     """Return whether a drive is in progress."""
     return bus.is_drive_in_progress(c)
 
@@ -359,7 +363,7 @@ def advance(c, until):
 
 
 @exported("i8", STATE, "i8", array_of(PULSE))
-def trace(c, until, out):
+def trace_pulses(c, until, out):
     """Run up to clock `until`, and write a PULSE record for each pulse to `out` while it has room.
 
     Returns the number of pulses, which can exceed the size of `out`.
@@ -378,7 +382,7 @@ def trace(c, until, out):
 
 
 @exported(None, STATE, "i8", array_of(EDGE), "i8")
-def mark(c, axis, out, k):
+def write_present_edge(c, axis, out, k):
     """Write the present state of the chip to `out[k]` (an EDGE record)."""
     e = out[k]
     e.clock, e.inputs, e.outputs, e.counter, e.net, e.rate = (
@@ -392,7 +396,7 @@ def mark(c, axis, out, k):
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
-def scan(c, until, every_pulse, axis, out):
+def scan_edges(c, until, every_pulse, axis, out):
     """Run up to clock `until`, and write an EDGE record for each change of speed or pins to `out`.
 
     With `every_pulse`, each step and each edge of an encoder whose shaft is known gets a record as well. Returns the number of
@@ -407,7 +411,7 @@ def scan(c, until, every_pulse, axis, out):
             or _compute_field_rate(c) != rate
             or (every_pulse and (c.x != at or c.inputs != pins))
         ):
-            mark(c, axis, out, k)
+            write_present_edge(c, axis, out, k)
             k += 1
     return k
 
@@ -416,6 +420,8 @@ def scan(c, until, every_pulse, axis, out):
     "i8", STATE, "i8", "i8", "i8", array_of(EDGE),
     array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
 )  # fmt: skip
-def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
+def scan_edges_and_shafts(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
     """Scan while the position of the shaft changes at `clocks`, see stage/chips/cores.py."""
-    return scan_shafts(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done, scan, set_shaft)
+    return scan_while_shafts_move(
+        c, until, every_pulse, axis, out, clocks, axes, counts, rates, done, scan_edges, set_shaft
+    )

@@ -12,7 +12,7 @@ import numpy as np
 
 from stage.board.bus import host_record
 from stage.board.isolation.traps import instructions as x86
-from stage.native import array_at, called, exported, hot, record
+from stage.native import array_at, declare_address_call, exported, hot, record
 
 SPAN = record([(name, "i8") for name in "begin end kind port host".split()])
 """A range of addresses, the kind of what is there, and of a window its first port and its HOST."""
@@ -54,8 +54,8 @@ CF, PF, AF, ZF, SF, DF, OF = 1, 4, 16, 64, 128, 1024, 2048
 ABOVE_STACK = 2048
 """Bytes above rsp that are there in any thread: what has called it, and the record of the thread."""
 _U1, _I8 = np.dtype("u1"), np.dtype("i8")
-_request = called("i8", "i8", "i4", "i8", "i8")
-_signal = called("i8", "i4", "i8")
+_request = declare_address_call("i8", "i8", "i4", "i8", "i8")
+_signal = declare_address_call("i8", "i4", "i8")
 MAX_INSTRUCTIONS = 200
 """Instructions behind a bus cycle after which the processor takes over again."""
 SAME_STACK, RED_ZONE = 1 << 16, 128

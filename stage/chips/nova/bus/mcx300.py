@@ -1,23 +1,26 @@
-"""The bus of the MCX304, MCX302, MCX312 and MCX314As, compiled. Speeds and accelerations are in multiples of R, see rates.py."""
+"""Bus registers and commands of the MCX304, MCX302, MCX312 and MCX314As, compiled.
+
+Speeds and accelerations are written in multiples of R; rate_registers.py converts them.
+"""
 
 from __future__ import annotations
 
-from stage.chips.nova import power, state
-from stage.chips.nova.bus.common import (
+from stage.chips.nova import power_up, state
+from stage.chips.nova.bus.parameters_and_phases import (
     compute_phase_bits,
     find_lowest_axis,
-    is_busy,
+    is_axis_busy,
     list_parameters,
     to_parameter_value,
 )
-from stage.chips.nova.functions import home
-from stage.chips.nova.functions import io as ports
-from stage.chips.nova.functions.inputs import set_active_high
-from stage.chips.nova.interpolation import mcx312 as interpolation312
-from stage.chips.nova.motion import counters, drive, rates
+from stage.chips.nova.functions import general_ports as ports
+from stage.chips.nova.functions import home_search
+from stage.chips.nova.functions.input_pins import set_active_high
+from stage.chips.nova.interpolation import mcx312_commands as interpolation312
+from stage.chips.nova.motion import counters, rate_registers, single_axis_drive
 from stage.chips.nova.registers.mcx300 import MCX304_MAP, MCX314AS_MAP, RESET
 from stage.chips.nova.registers.mcx300 import MCX312_MAP as MAP
-from stage.chips.nova.registers.words300 import DELAYS
+from stage.chips.nova.registers.mcx300_words import DELAYS
 from stage.native import exported, hot, least
 
 WRITES, SIGNED, SHORT, RESET_PLACES, RESET_VALUES = list_parameters(MAP)
@@ -78,286 +81,288 @@ _FILTERS = (
 
 
 @hot
-def reset_chip(c):
+def reset_chip(chip):
     """Reset the chip: registers to their reset values, modes and counters to 0, axis X selected.
 
     The clock, the input pins and the pulse totals stay.
     """
-    power.clear_state(c)
+    power_up.clear_state(chip)
     for j in range(state.AXES):
-        x = c.ax[j]
+        axis = chip.ax[j]
         for k in range(len(RESET_PLACES)):
-            x.reg[RESET_PLACES[k]] = RESET_VALUES[k]
-        x.reg[state.LX] = 1  # L; LX is the other chips'
-        x.reg[state.HV] = 1
-        apply_mode_registers(c, x)
+            axis.reg[RESET_PLACES[k]] = RESET_VALUES[k]
+        axis.reg[state.LX] = 1  # L; LX is the other chips'
+        axis.reg[state.HV] = 1
+        apply_mode_registers(chip, axis)
 
 
 @hot
-def apply_mode_registers(c, x):
+def apply_mode_registers(chip, axis):
     """Set the fields of an axis that follow from WR1 to WR3 and EM."""
-    w = x.wr[1]
-    x.stop_inputs = (1 if w & SP0_E else 0) | (2 if w & SP1_E else 0) | (4 if w & SP2_E else 0)
-    e = x.mode[state.EM]
-    if c.extended:
-        x.stop_inputs |= 8 if w & SP3_E else 0
-        x.encoder_reversed, x.stop2_clears_ep = e & EM_EPINV, e & EM_EPCLR
+    w = axis.wr[1]
+    axis.stop_inputs = (1 if w & SP0_E else 0) | (2 if w & SP1_E else 0) | (4 if w & SP2_E else 0)
+    e = axis.mode[state.EM]
+    if chip.extended:
+        axis.stop_inputs |= 8 if w & SP3_E else 0
+        axis.encoder_reversed, axis.stop2_clears_ep = e & EM_EPINV, e & EM_EPCLR
     else:
-        x.encoder_reversed, x.stop2_clears_ep = w & EPINV, w & EPCLR
-    turned = state.STOP3 if c.extended and w & SP3_L else 0
+        axis.encoder_reversed, axis.stop2_clears_ep = w & EPINV, w & EPCLR
+    turned = state.STOP3 if chip.extended and w & SP3_L else 0
     turned |= (state.STOP0 if w & SP0_L else 0) | (state.STOP1 if w & SP1_L else 0) | (state.STOP2 if w & SP2_L else 0)
-    w = x.wr[2]
+    w = axis.wr[2]
     turned |= (state.LMT_PLUS if w & HLMT_PLUS else 0) | (state.LMT_MINUS if w & HLMT_MINUS else 0)
-    set_active_high(x, turned | (state.INPOS if w & INP_L else 0) | (state.ALARM if w & ALM_L else 0))
-    x.limits_stop, x.limits_decelerate = 1, w & LMTMD
-    x.soft_plus, x.soft_minus, x.soft_rp, x.soft_instant = w & SLMT_PLUS, w & SLMT_MINUS, w & CMPSL, 0
-    x.inpos_enabled, x.alarm_stops = w & INP_E, w & ALM_E
-    x.encoder_mode = 3 if w & PINMD else least(w >> PIND & 3, 2)
-    w = x.wr[3]
-    x.manual_deceleration, x.asymmetric = w & MANLD, 1 if w & DSNDE else 0
-    x.s_curve = 1 if w & SACC else 0
-    x.prevents_triangle = (1 if e & EM_AVTRI else 0) if c.extended else (1 if w & AVTRI else 0)
-    x.limits_swapped = 0
-    x.inputs_with_filter = 0
-    filters = e >> EM_FE0 & 31 if c.extended else w >> FE0 & 15
+    set_active_high(axis, turned | (state.INPOS if w & INP_L else 0) | (state.ALARM if w & ALM_L else 0))
+    axis.limits_stop, axis.limits_decelerate = 1, w & LMTMD
+    axis.soft_plus, axis.soft_minus, axis.soft_rp, axis.soft_instant = w & SLMT_PLUS, w & SLMT_MINUS, w & CMPSL, 0
+    axis.inpos_enabled, axis.alarm_stops = w & INP_E, w & ALM_E
+    axis.encoder_mode = 3 if w & PINMD else least(w >> PIND & 3, 2)
+    w = axis.wr[3]
+    axis.manual_deceleration, axis.asymmetric = w & MANLD, 1 if w & DSNDE else 0
+    axis.s_curve = 1 if w & SACC else 0
+    axis.prevents_triangle = (1 if e & EM_AVTRI else 0) if chip.extended else (1 if w & AVTRI else 0)
+    axis.limits_swapped = 0
+    axis.inputs_with_filter = 0
+    filters = e >> EM_FE0 & 31 if chip.extended else w >> FE0 & 15
     for k in range(len(_FILTERS)):
         if filters >> k & 1:
-            x.inputs_with_filter |= _FILTERS[k]
-    x.filter_delay = x.second_filter_delay = 16 * DELAYS[(e >> EM_FL if c.extended else w >> FL) & 7]
+            axis.inputs_with_filter |= _FILTERS[k]
+    axis.filter_delay = axis.second_filter_delay = 16 * DELAYS[(e >> EM_FL if chip.extended else w >> FL) & 7]
 
 
 @hot
-def _write_parameter(c, x, code, value):
+def _write_parameter(chip, axis, code, value):
     """Write a parameter of an axis.
 
     Args:
-        c: State of the chip.
-        x: State of the axis.
+        chip: State of the chip.
+        axis: State of the axis.
         code: Code of the command that writes it.
         value: 32 bits of data.
     """
     value = to_parameter_value(value, SIGNED >> code & 1, SHORT >> code & 1)
     if code == state.DV:
-        drive.change_drive_speed(c, x, value)
+        single_axis_drive.change_drive_speed(chip, axis, value)
     elif code == state.TP:
-        drive.change_pulse_count(c, x, value)
+        single_axis_drive.change_pulse_count(chip, axis, value)
     else:
-        x.reg[code] = value
-    c.stale = 1
+        axis.reg[code] = value
+    chip.stale = 1
 
 
 @hot
-def _execute_axis_command(c, x, j, code):
+def _execute_axis_command(chip, axis, axis_index, code):
     """Execute a command for one axis.
 
     Args:
-        c: State of the chip.
-        x: State of the axis.
-        j: Number of the axis.
+        chip: State of the chip.
+        axis: State of the axis.
+        axis_index: Number of the axis.
         code: Code of the command.
     """
     if PLUS <= code <= MINUS_ON:
-        kind = drive.FIXED_PLUS if code == PLUS else drive.FIXED_MINUS if code == MINUS else (
-            drive.FORWARD if code == PLUS_ON else drive.BACKWARD)  # fmt: skip
-        drive.execute_drive_command(c, x, kind)
+        kind = single_axis_drive.FIXED_PLUS if code == PLUS else single_axis_drive.FIXED_MINUS if code == MINUS else (
+            single_axis_drive.FORWARD if code == PLUS_ON else single_axis_drive.BACKWARD)  # fmt: skip
+        single_axis_drive.execute_drive_command(chip, axis, kind)
     elif code in (HOLD, FREE):
         if code == FREE:
-            x.stop_causes = 0
-        drive.set_start_hold(c, x, code == HOLD)
+            axis.stop_causes = 0
+        single_axis_drive.set_start_hold(chip, axis, code == HOLD)
     elif code == DSTOP:
-        home.end_search(c, x)
-        drive.begin_decelerating_stop(c, x, 0)
+        home_search.end_search(chip, axis)
+        single_axis_drive.begin_decelerating_stop(chip, axis, 0)
     elif code == SSTOP:
-        home.end_search(c, x)
-        drive.stop_at_once(c, x, 0)
+        home_search.end_search(chip, axis)
+        single_axis_drive.stop_at_once(chip, axis, 0)
     elif code == HM_CODE:
-        x.mode[state.HM] = c.data_high if c.extended else c.data_low
-        if c.extended:
-            x.mode[state.EM] = c.data_low
-            apply_mode_registers(c, x)
+        axis.mode[state.HM] = chip.data_high if chip.extended else chip.data_low
+        if chip.extended:
+            axis.mode[state.EM] = chip.data_low
+            apply_mode_registers(chip, axis)
     elif code == HV_CODE:
-        x.reg[state.HV] = c.data_low
+        axis.reg[state.HV] = chip.data_low
     elif code == HOME:
-        home.start_search(c, x)
+        home_search.start_search(chip, axis)
     elif code == DCC:
-        ports.start_dcc_pulse(c, x)
+        ports.start_dcc_pulse(chip, axis)
 
 
 @hot
-def execute_command(c, value):
+def execute_command(chip, value):
     """Execute a write to WR0."""
-    c.has_unused_data = 0
+    chip.has_unused_data = 0
     if value == RESET:
-        reset_chip(c)
+        reset_chip(chip)
         return
-    code, axes = value & CODE, (value & AXIS_BITS) >> FIRST_AXIS & ((1 << c.axes) - 1)
+    code, axes = value & CODE, (value & AXIS_BITS) >> FIRST_AXIS & ((1 << chip.axes) - 1)
     if axes:
-        c.selected = axes
-    c.stale = 1
+        chip.selected = axes
+    chip.stale = 1
     if code < state.REGISTERS and WRITES >> code & 1:
-        for j in range(c.axes):
+        for j in range(chip.axes):
             if axes >> j & 1:
-                _write_parameter(c, c.ax[j], code, c.data_high << 16 | c.data_low)
-    elif c.extended and code == R_BR:
-        c.read_low = c.read_high = 0
+                _write_parameter(chip, chip.ax[j], code, chip.data_high << 16 | chip.data_low)
+    elif chip.extended and code == R_BR:
+        chip.read_low = chip.read_high = 0
     elif R_LP <= code <= R_CA:
-        x = c.ax[find_lowest_axis(c)]
+        axis = chip.ax[find_lowest_axis(chip)]
         if code in (R_LP, R_EP):
-            data = x.reg[state.LP] if code == R_LP else x.reg[state.EP]
+            data = axis.reg[state.LP] if code == R_LP else axis.reg[state.EP]
         else:
-            data = rates.read_speed(c, x) if code == R_CV else rates.read_acceleration(c, x)
-        c.read_low, c.read_high = data & 0xFFFF, data >> 16 & 0xFFFF
+            data = (
+                rate_registers.read_speed(chip, axis) if code == R_CV else rate_registers.read_acceleration(chip, axis)
+            )
+        chip.read_low, chip.read_high = data & 0xFFFF, data >> 16 & 0xFFFF
     elif INTERPOLATION_FIRST <= code <= INTERPOLATION_LAST:
-        if c.has_l:
-            interpolation312.execute_command(c, code)
+        if chip.has_l:
+            interpolation312.execute_command(chip, code)
     else:
-        for j in range(c.axes):
+        for j in range(chip.axes):
             if axes >> j & 1:
-                _execute_axis_command(c, c.ax[j], j, code)
+                _execute_axis_command(chip, chip.ax[j], j, code)
 
 
 @exported(None, state.STATE, "i8", "i8")
-def write_register(c, address, value):
+def write_register(chip, address, value):
     """Write WR0 to WR7. On a chip with bit patterns WR2 and above take the pattern after command 36h.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         address: Number of the register.
         value: The word.
     """
     if address == 0:
-        execute_command(c, value)
-    elif c.has_l and interpolation312.is_loading_pattern(c) and 2 <= address <= (7 if c.extended else 5):
-        interpolation312.store_pattern_word(c, address - 2, value)
+        execute_command(chip, value)
+    elif chip.has_l and interpolation312.is_loading_pattern(chip) and 2 <= address <= (7 if chip.extended else 5):
+        interpolation312.store_pattern_word(chip, address - 2, value)
     elif address <= 3:
-        for j in range(c.axes):
-            if c.selected >> j & 1:
-                c.ax[j].wr[address] = value
-                apply_mode_registers(c, c.ax[j])
-        c.stale = 1
+        for j in range(chip.axes):
+            if chip.selected >> j & 1:
+                chip.ax[j].wr[address] = value
+                apply_mode_registers(chip, chip.ax[j])
+        chip.stale = 1
     elif address == 4:
-        c.outputs4 = value
+        chip.outputs4 = value
     elif address == 5:
-        c.outputs5 = value
-        c.stale = 1
+        chip.outputs5 = value
+        chip.stale = 1
     else:
-        drive.store_data(c, address, value)
+        single_axis_drive.store_data(chip, address, value)
 
 
 @hot
-def _compute_comparisons(x):
+def _compute_comparisons(axis):
     """Compute CMP+ and CMP-, bits of RR1."""
-    counter = counters.read_limited_counter(x)
-    return (CMP_PLUS if counter >= x.reg[state.COMP_PLUS] else 0) | (
-        CMP_MINUS if counter < x.reg[state.COMP_MINUS] else 0
+    counter = counters.read_limited_counter(axis)
+    return (CMP_PLUS if counter >= axis.reg[state.COMP_PLUS] else 0) | (
+        CMP_MINUS if counter < axis.reg[state.COMP_MINUS] else 0
     )
 
 
 @hot
-def compute_errors(c, x):
+def compute_errors(chip, axis):
     """Compute the errors in RR2: limits, ALARM and EMG, as long as they are present."""
     word = 0
-    if x.soft_plus and _compute_comparisons(x) & CMP_PLUS:
+    if axis.soft_plus and _compute_comparisons(axis) & CMP_PLUS:
         word |= state.E_SLMT_PLUS
-    if x.soft_minus and _compute_comparisons(x) & CMP_MINUS:
+    if axis.soft_minus and _compute_comparisons(axis) & CMP_MINUS:
         word |= state.E_SLMT_MINUS
-    if x.active_inputs & state.LMT_PLUS:
+    if axis.active_inputs & state.LMT_PLUS:
         word |= state.E_HLMT_PLUS
-    if x.active_inputs & state.LMT_MINUS:
+    if axis.active_inputs & state.LMT_MINUS:
         word |= state.E_HLMT_MINUS
-    if x.alarm_stops and x.active_inputs & state.ALARM:
+    if axis.alarm_stops and axis.active_inputs & state.ALARM:
         word |= state.E_ALARM
-    if c.emergency:
+    if chip.emergency:
         word |= state.E_EMG
-    if x.stop_causes & state.E_HOME:
+    if axis.stop_causes & state.E_HOME:
         word |= HOME_ERROR
     return word
 
 
 @hot
-def compute_status(c):
+def compute_status(chip):
     """Compute RR0."""
     word = 0
-    for j in range(c.axes):
-        x = c.ax[j]
-        word |= (DRIVES << j if is_busy(x) else 0) | (
-            FAILS << j if compute_errors(c, x) or x.stop_causes & (state.F_ALARM | state.F_EMG) else 0
+    for j in range(chip.axes):
+        axis = chip.ax[j]
+        word |= (DRIVES << j if is_axis_busy(axis) else 0) | (
+            FAILS << j if compute_errors(chip, axis) or axis.stop_causes & (state.F_ALARM | state.F_EMG) else 0
         )
-        if not c.has_l and x.home_state:
+        if not chip.has_l and axis.home_state:
             word |= HOMES << j
-    return word | (interpolation312.compute_status_bits(c) if c.has_l else 0)
+    return word | (interpolation312.compute_status_bits(chip) if chip.has_l else 0)
 
 
 @hot
-def _compute_input_levels(c, x, j):
+def _compute_input_levels(chip, axis, axis_index):
     """Compute the electrical input levels of an axis, as in RR4 and RR5. A pin that is set is low."""
     word = 0
     for k in range(3):
-        word |= (0 if x.inputs & state.STOP0 << k else 1) << k
-    if c.extended:
-        word |= 0 if x.inputs & state.STOP3 else IN_STOP3
-    elif j == 0:
-        word |= 0 if c.emg_pin else IN_EMG
-    word |= (0 if x.inputs >> state.EXP & 1 else IN_EXP_PLUS) | (0 if x.inputs >> state.EXP & 2 else IN_EXP_MINUS)
-    word |= 0 if x.inputs & state.INPOS else IN_INPOS
-    word |= 0 if x.inputs & state.ALARM else IN_ALARM
-    if c.axes == 2:
+        word |= (0 if axis.inputs & state.STOP0 << k else 1) << k
+    if chip.extended:
+        word |= 0 if axis.inputs & state.STOP3 else IN_STOP3
+    elif axis_index == 0:
+        word |= 0 if chip.emg_pin else IN_EMG
+    word |= (0 if axis.inputs >> state.EXP & 1 else IN_EXP_PLUS) | (0 if axis.inputs >> state.EXP & 2 else IN_EXP_MINUS)
+    word |= 0 if axis.inputs & state.INPOS else IN_INPOS
+    word |= 0 if axis.inputs & state.ALARM else IN_ALARM
+    if chip.axes == 2:
         word |= IN_IN
-        word |= 0 if x.inputs & state.LMT_PLUS else IN_LMT_PLUS
-        word |= 0 if x.inputs & state.LMT_MINUS else IN_LMT_MINUS
+        word |= 0 if axis.inputs & state.LMT_PLUS else IN_LMT_PLUS
+        word |= 0 if axis.inputs & state.LMT_MINUS else IN_LMT_MINUS
     return word
 
 
 @hot
-def compute_interrupt_factors(x):
+def compute_interrupt_factors(axis):
     """Compute the interrupt factors in RR3."""
-    word = x.comparison_events  # PULSE and the comparisons, see comparators.py
-    word |= (CONSTANT_END if x.events & state.C_END else 0) | (CONSTANT_START if x.events & state.C_STA else 0)
-    return word | (DRIVE_END if x.events & state.D_END else 0) | (HOME_END if x.events & state.H_END else 0)
+    word = axis.comparison_events  # PULSE and the comparisons, see comparators.py
+    word |= (CONSTANT_END if axis.events & state.C_END else 0) | (CONSTANT_START if axis.events & state.C_STA else 0)
+    return word | (DRIVE_END if axis.events & state.D_END else 0) | (HOME_END if axis.events & state.H_END else 0)
 
 
 @hot
-def read_register(c, address):
+def read_register(chip, address):
     """Read RR0 to RR7. A read of RR3 clears its factors.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         address: Number of the register.
     """
-    x = c.ax[find_lowest_axis(c)]
+    axis = chip.ax[find_lowest_axis(chip)]
     if address == 0:
-        return compute_status(c)
+        return compute_status(chip)
     if address == 1:
-        bits = compute_phase_bits(c, x)
-        more = BY_STOP3 if x.stop_causes & state.F_STOP3 else 0
+        bits = compute_phase_bits(chip, axis)
+        more = BY_STOP3 if axis.stop_causes & state.F_STOP3 else 0
         return (
-            _compute_comparisons(x)
+            _compute_comparisons(axis)
             | bits << FIRST_PHASE
-            | (x.stop_causes >> 1 & BY_STOPS)
-            | (x.stop_causes & BY_OTHERS)
+            | (axis.stop_causes >> 1 & BY_STOPS)
+            | (axis.stop_causes & BY_OTHERS)
             | more
         )
     if address == 2:
-        return compute_errors(c, x) | home.compute_hmst(x) << HMST
+        return compute_errors(chip, axis) | home_search.compute_hmst(axis) << HMST
     if address == 3:
-        word = compute_interrupt_factors(x)
-        x.events = x.comparison_events = 0
+        word = compute_interrupt_factors(axis)
+        axis.events = axis.comparison_events = 0
         return word
     if address == 4 or address == 5:
-        if c.axes == 2:
-            return _compute_input_levels(c, c.ax[address - 4], address - 4)
+        if chip.axes == 2:
+            return _compute_input_levels(chip, chip.ax[address - 4], address - 4)
         j = 2 * (address - 4)
-        return _compute_input_levels(c, c.ax[j], j) | _compute_input_levels(c, c.ax[j + 1], 1) << 8
-    return c.read_low if address == 6 else c.read_high
+        return _compute_input_levels(chip, chip.ax[j], j) | _compute_input_levels(chip, chip.ax[j + 1], 1) << 8
+    return chip.read_low if address == 6 else chip.read_high
 
 
 @hot
-def is_interrupt_asserted(c):
+def is_interrupt_asserted(chip):
     """Return whether INTN is asserted, by an enabled factor of an axis or by the interpolation."""
-    if c.ip.interrupt:
+    if chip.ip.interrupt:
         return 1
-    for j in range(c.axes):
-        x = c.ax[j]
-        if compute_interrupt_factors(x) & x.wr[1] >> FIRST_INTERRUPT & INTERRUPTS:
+    for j in range(chip.axes):
+        axis = chip.ax[j]
+        if compute_interrupt_factors(axis) & axis.wr[1] >> FIRST_INTERRUPT & INTERRUPTS:
             return 1
     return 0

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from stage.chips.nova import power, state
-from stage.chips.nova.bus.common import (
+from stage.chips.nova import power_up, state
+from stage.chips.nova.bus.parameters_and_phases import (
     compute_phase_bits,
     find_lowest_axis,
-    is_busy,
+    is_axis_busy,
     list_parameters,
     to_parameter_value,
 )
-from stage.chips.nova.functions import home, sync, timer
-from stage.chips.nova.functions import io as ports
-from stage.chips.nova.functions.inputs import set_active_high
+from stage.chips.nova.functions import general_ports as ports
+from stage.chips.nova.functions import home_search, synchronous_actions, timer
+from stage.chips.nova.functions.input_pins import set_active_high
+from stage.chips.nova.interpolation import mcx514_commands as prebuffer
 from stage.chips.nova.interpolation import multichip
-from stage.chips.nova.interpolation import queue as prebuffer
-from stage.chips.nova.motion import drive, rates
+from stage.chips.nova.motion import rate_registers, single_axis_drive
 from stage.chips.nova.registers.mcx514 import GENERATION
 from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
 from stage.native import exported, hot
@@ -88,279 +88,279 @@ _FILTERS = (
 
 
 @hot
-def reset_chip(c):
+def reset_chip(chip):
     """Reset the chip: registers to their reset values, modes and counters to 0, axis X selected.
 
     The clock, the input pins and the pulse totals stay.
     """
-    power.clear_state(c)
+    power_up.clear_state(chip)
     for j in range(state.AXES):
-        x = c.ax[j]
+        axis = chip.ax[j]
         for k in range(len(RESET_PLACES)):
-            x.reg[RESET_PLACES[k]] = RESET_VALUES[k]
-        apply_mode_registers(x)
+            axis.reg[RESET_PLACES[k]] = RESET_VALUES[k]
+        apply_mode_registers(axis)
 
 
 @hot
-def apply_mode_registers(x):
+def apply_mode_registers(axis):
     """Set the fields of an axis that follow from WR2, WR3 and the filter mode."""
-    w = x.wr[2]
-    x.stop_inputs = (1 if w & SP0_E else 0) | (2 if w & SP1_E else 0) | (4 if w & SP2_E else 0)
-    x.inpos_enabled, x.alarm_stops = w & INP_E, w & ALM_E
-    x.limits_stop, x.limits_decelerate = w & HLM_E, w & HLM_M
-    x.soft_plus = x.soft_minus = w & SLM_E
-    x.soft_rp, x.soft_instant = w & SLM_O, w & SLM_M
+    w = axis.wr[2]
+    axis.stop_inputs = (1 if w & SP0_E else 0) | (2 if w & SP1_E else 0) | (4 if w & SP2_E else 0)
+    axis.inpos_enabled, axis.alarm_stops = w & INP_E, w & ALM_E
+    axis.limits_stop, axis.limits_decelerate = w & HLM_E, w & HLM_M
+    axis.soft_plus = axis.soft_minus = w & SLM_E
+    axis.soft_rp, axis.soft_instant = w & SLM_O, w & SLM_M
     turned = (state.STOP0 if w & SP0_L else 0) | (state.STOP1 if w & SP1_L else 0) | (state.STOP2 if w & SP2_L else 0)
     turned |= (state.INPOS if w & INP_L else 0) | (state.ALARM if w & ALM_L else 0)
-    set_active_high(x, turned | (state.LMT_PLUS | state.LMT_MINUS if w & HLM_L else 0))
-    w = x.wr[3]
-    x.manual_deceleration, x.asymmetric = w & MANLD, 1 if w & DSNDE else 0
-    x.s_curve, x.prevents_triangle = 1 if w & SACC else 0, 0 if w & AVTRI else 1
-    x.limits_swapped, x.encoder_reversed, x.encoder_mode = w & LMINV, w & PIINV, w >> PIMD & 3
-    f = x.mode[state.FLM]
-    x.inputs_with_filter = 0
+    set_active_high(axis, turned | (state.LMT_PLUS | state.LMT_MINUS if w & HLM_L else 0))
+    w = axis.wr[3]
+    axis.manual_deceleration, axis.asymmetric = w & MANLD, 1 if w & DSNDE else 0
+    axis.s_curve, axis.prevents_triangle = 1 if w & SACC else 0, 0 if w & AVTRI else 1
+    axis.limits_swapped, axis.encoder_reversed, axis.encoder_mode = w & LMINV, w & PIINV, w >> PIMD & 3
+    f = axis.mode[state.FLM]
+    axis.inputs_with_filter = 0
     for k in range(8):
         if f >> k & 1:
-            x.inputs_with_filter |= _FILTERS[k]
-    x.filter_delay, x.second_filter_delay = 8 << (f >> FL0 & 15), 8 << (f >> FL1 & 15)
+            axis.inputs_with_filter |= _FILTERS[k]
+    axis.filter_delay, axis.second_filter_delay = 8 << (f >> FL0 & 15), 8 << (f >> FL1 & 15)
 
 
 @hot
-def _read_data_registers(c):
+def _read_data_registers(chip):
     """Return the 32 bits of data in WR6 and WR7."""
-    return c.data_high << 16 | c.data_low
+    return chip.data_high << 16 | chip.data_low
 
 
 @hot
-def _write_parameter(c, x, code, value):
+def _write_parameter(chip, axis, code, value):
     """Write a parameter of an axis.
 
     Args:
-        c: State of the chip.
-        x: State of the axis.
+        chip: State of the chip.
+        axis: State of the axis.
         code: Code of the command that writes it.
         value: 32 bits of data.
     """
     value = to_parameter_value(value, SIGNED >> code & 1, SHORT >> code & 1)
     if code == state.DV:
-        drive.change_drive_speed(c, x, value)
+        single_axis_drive.change_drive_speed(chip, axis, value)
     elif code == state.TP:
-        drive.change_pulse_count(c, x, value)
+        single_axis_drive.change_pulse_count(chip, axis, value)
     else:
-        x.reg[code] = value
-    c.stale = 1
+        axis.reg[code] = value
+    chip.stale = 1
 
 
 @hot
-def _execute_read_command(c, code):
+def _execute_read_command(chip, code):
     """Execute a data reading command, which fills RR6 and RR7."""
-    x = c.ax[find_lowest_axis(c)]
+    axis = chip.ax[find_lowest_axis(chip)]
     place = PLACES[code]
     if code == R_TX:
-        value = prebuffer.read_tx(c)
+        value = prebuffer.read_tx(chip)
     elif 0 <= place < state.REGISTERS:
-        value = c.ax[0].reg[place] if SHARED_REGISTERS >> place & 1 else x.reg[place]
+        value = chip.ax[0].reg[place] if SHARED_REGISTERS >> place & 1 else axis.reg[place]
     elif MODE_PLACES[code] >= 0:
-        value = x.mode[MODE_PLACES[code]]
+        value = axis.mode[MODE_PLACES[code]]
     elif code == R_CV:
-        value = rates.read_speed(c, x)
+        value = rate_registers.read_speed(chip, axis)
     elif code == R_CA:
-        value = rates.read_acceleration(c, x)
+        value = rate_registers.read_acceleration(chip, axis)
     elif code == R_CT:
-        value = timer.read_timer(c, x)
+        value = timer.read_timer(chip, axis)
     elif code == R_CHLN:
-        value = prebuffer.read_chln(c)
+        value = prebuffer.read_chln(chip)
     elif R_WR1 <= code <= R_WR3:
-        value = x.wr[code - R_WR1 + 1]
+        value = axis.wr[code - R_WR1 + 1]
     else:
         value = 0
-    c.read_low, c.read_high = value & 0xFFFF, value >> 16 & 0xFFFF
+    chip.read_low, chip.read_high = value & 0xFFFF, value >> 16 & 0xFFFF
 
 
 @hot
-def _execute_axis_command(c, x, j, code):
+def _execute_axis_command(chip, axis, axis_index, code):
     """Execute a command for one axis.
 
     Args:
-        c: State of the chip.
-        x: State of the axis.
-        j: Number of the axis.
+        chip: State of the chip.
+        axis: State of the axis.
+        axis_index: Number of the axis.
         code: Code of the command.
     """
     if code == DRVRL:
-        drive.execute_drive_command(c, x, drive.RELATIVE)
+        single_axis_drive.execute_drive_command(chip, axis, single_axis_drive.RELATIVE)
     elif code == DRVNR:
-        drive.execute_drive_command(c, x, drive.COUNTER_RELATIVE)
+        single_axis_drive.execute_drive_command(chip, axis, single_axis_drive.COUNTER_RELATIVE)
     elif code == DRVVP:
-        drive.execute_drive_command(c, x, drive.FORWARD)
+        single_axis_drive.execute_drive_command(chip, axis, single_axis_drive.FORWARD)
     elif code == DRVVM:
-        drive.execute_drive_command(c, x, drive.BACKWARD)
+        single_axis_drive.execute_drive_command(chip, axis, single_axis_drive.BACKWARD)
     elif code == DRVAB:
-        drive.execute_drive_command(c, x, drive.ABSOLUTE)
+        single_axis_drive.execute_drive_command(chip, axis, single_axis_drive.ABSOLUTE)
     elif code == DRVSBRK:
-        home.end_search(c, x)
-        drive.begin_decelerating_stop(c, x, 0)
+        home_search.end_search(chip, axis)
+        single_axis_drive.begin_decelerating_stop(chip, axis, 0)
     elif code == DRVFBRK:
-        home.end_search(c, x)
-        drive.stop_at_once(c, x, 0)
+        home_search.end_search(chip, axis)
+        single_axis_drive.stop_at_once(chip, axis, 0)
     elif code in (DIRCP, DIRCM):
-        if not (x.driving or x.interpolates):
-            x.direction = 1 if code == DIRCP else -1
+        if not (axis.driving or axis.interpolates):
+            axis.direction = 1 if code == DIRCP else -1
     elif code == HMSRC:
-        home.start_search(c, x)
+        home_search.start_search(chip, axis)
     elif code in (VINC, VDEC):
-        drive.step_drive_speed(c, x, 1 if code == VINC else -1)
+        single_axis_drive.step_drive_speed(chip, axis, 1 if code == VINC else -1)
     elif code in (DHOLD, DFREE):
-        drive.set_start_hold(c, x, code == DHOLD)
+        single_axis_drive.set_start_hold(chip, axis, code == DHOLD)
     elif code == R2CLR:
-        x.stop_causes = c.multichip_error = 0
+        axis.stop_causes = chip.multichip_error = 0
     elif code == RR3P0:
-        c.status_pages &= ~(1 << j)
+        chip.status_pages &= ~(1 << axis_index)
     elif code == RR3P1:
-        c.status_pages |= 1 << j
+        chip.status_pages |= 1 << axis_index
     else:
-        sync.execute_command(c, x, code)
+        synchronous_actions.execute_command(chip, axis, code)
 
 
 @hot
-def execute_command(c, value):
+def execute_command(chip, value):
     """Execute a write to WR0."""
-    c.has_unused_data = 0
+    chip.has_unused_data = 0
     code, axes = value & CODE, (value & AXIS_BITS) >> FIRST_AXIS
     if axes == 0 and code == RST:
-        reset_chip(c)
+        reset_chip(chip)
         return
-    axes = 1 if c.axes == 1 else axes & (1 << c.axes) - 1
+    axes = 1 if chip.axes == 1 else axes & (1 << chip.axes) - 1
     if axes:
-        c.selected = axes
-    c.stale = 1
-    if LACKING_CHIPS[code] >> c.axes & 1:
+        chip.selected = axes
+    chip.stale = 1
+    if LACKING_CHIPS[code] >> chip.axes & 1:
         if READ_FIRST <= code <= READ_LAST:
-            c.read_low = c.read_high = 0
+            chip.read_low = chip.read_high = 0
         return
     if code < state.REGISTERS and WRITES >> code & 1:
         if SHARED_REGISTERS >> code & 1:
-            _write_parameter(c, c.ax[0], code, _read_data_registers(c))
+            _write_parameter(chip, chip.ax[0], code, _read_data_registers(chip))
             return
         for j in range(state.AXES):
             if axes >> j & 1:
-                _write_parameter(c, c.ax[j], code, _read_data_registers(c))
+                _write_parameter(chip, chip.ax[j], code, _read_data_registers(chip))
     elif state.MODE_FIRST <= code <= MODE_LAST:
         if code == state.MODE_FIRST + state.IPM:
-            c.ax[0].mode[state.IPM] = c.data_low & ~(MEMBERS & ~0 << c.axes)
+            chip.ax[0].mode[state.IPM] = chip.data_low & ~(MEMBERS & ~0 << chip.axes)
             return
         for j in range(state.AXES):
             if axes >> j & 1:
-                c.ax[j].mode[code - state.MODE_FIRST] = c.data_low
-                apply_mode_registers(c.ax[j])
+                chip.ax[j].mode[code - state.MODE_FIRST] = chip.data_low
+                apply_mode_registers(chip.ax[j])
     elif READ_FIRST <= code <= READ_LAST:
-        _execute_read_command(c, code)
+        _execute_read_command(chip, code)
     elif INTERPOLATION_FIRST <= code <= INTERPOLATION_LAST or code == MFPC:
-        prebuffer.execute_command(c, code)
+        prebuffer.execute_command(chip, code)
     else:
         for j in range(state.AXES):
             if axes >> j & 1:
-                _execute_axis_command(c, c.ax[j], j, code)
+                _execute_axis_command(chip, chip.ax[j], j, code)
 
 
 @exported(None, state.STATE, "i8", "i8")
-def write_register(c, address, value):
+def write_register(chip, address, value):
     """Write WR0 to WR7.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         address: Number of the register.
         value: The word.
     """
     if address == 0:
-        execute_command(c, value)
+        execute_command(chip, value)
     elif address <= 3:
         for j in range(state.AXES):
-            if c.selected >> j & 1:
-                c.ax[j].wr[address] = value
-                apply_mode_registers(c.ax[j])
-        c.stale = 1
+            if chip.selected >> j & 1:
+                chip.ax[j].wr[address] = value
+                apply_mode_registers(chip.ax[j])
+        chip.stale = 1
     elif address == 4:
-        c.outputs4 = value
+        chip.outputs4 = value
     elif address == 5:
-        c.outputs5 = value
+        chip.outputs5 = value
     else:
-        drive.store_data(c, address, value)
+        single_axis_drive.store_data(chip, address, value)
 
 
 @hot
-def find_written_word(c, address):
+def find_written_word(chip, address):
     """Return the word that was last written to one of WR1 to WR7, into which a write of the 8-bit bus puts its byte."""
     if address <= 3:
-        return c.ax[find_lowest_axis(c)].wr[address]
+        return chip.ax[find_lowest_axis(chip)].wr[address]
     if address == 4:
-        return c.outputs4
+        return chip.outputs4
     if address == 5:
-        return c.outputs5
-    return c.data_low if address == 6 else c.data_high
+        return chip.outputs5
+    return chip.data_low if address == 6 else chip.data_high
 
 
 @hot
-def _is_high(x, bit):
+def _is_high(axis, bit):
     """Return whether the pin of an input is electrically high. An input that is set is low."""
-    return 0 if x.inputs & bit else 1
+    return 0 if axis.inputs & bit else 1
 
 
 @hot
-def _compute_rr3_page_0(c, x):
+def _compute_rr3_page_0(chip, axis):
     """Compute page 0 of RR3: input levels and the home state."""
     return (
-        _is_high(x, state.STOP0) | _is_high(x, state.STOP1) << 1 | _is_high(x, state.STOP2) << 2
-        | (1 - _is_high(x, state.ECA)) << 3 | (1 - _is_high(x, state.ECB)) << 4
-        | _is_high(x, state.INPOS) << 5 | _is_high(x, state.ALARM) << 6
-        | _is_high(x, state.LMT_PLUS) << 7 | _is_high(x, state.LMT_MINUS) << 8 | x.home_state << HSST
+        _is_high(axis, state.STOP0) | _is_high(axis, state.STOP1) << 1 | _is_high(axis, state.STOP2) << 2
+        | (1 - _is_high(axis, state.ECA)) << 3 | (1 - _is_high(axis, state.ECB)) << 4
+        | _is_high(axis, state.INPOS) << 5 | _is_high(axis, state.ALARM) << 6
+        | _is_high(axis, state.LMT_PLUS) << 7 | _is_high(axis, state.LMT_MINUS) << 8 | axis.home_state << HSST
     )  # fmt: skip
 
 
 @hot
-def compute_status(c):
+def compute_status(chip):
     """Compute RR0."""
     word = 0
     for j in range(state.AXES):
-        x = c.ax[j]
-        word |= (DRIVES << j if is_busy(x) else 0) | (FAILS << j if x.stop_causes & ERRORS else 0)
-    return word | prebuffer.compute_status_bits(c)
+        axis = chip.ax[j]
+        word |= (DRIVES << j if is_axis_busy(axis) else 0) | (FAILS << j if axis.stop_causes & ERRORS else 0)
+    return word | prebuffer.compute_status_bits(chip)
 
 
 @hot
-def read_register(c, address):
+def read_register(chip, address):
     """Read RR0 to RR7. A read of RR1 clears its events.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         address: Number of the register.
     """
-    j = find_lowest_axis(c)
-    x = c.ax[j]
+    j = find_lowest_axis(chip)
+    axis = chip.ax[j]
     if address == 0:
-        return compute_status(c)
+        return compute_status(chip)
     if address == 1:
-        word = x.events & 0xFFFF
-        x.events = 0
+        word = axis.events & 0xFFFF
+        axis.events = 0
         return word
     if address == 2:
-        return x.stop_causes & 0xFFFF
+        return axis.stop_causes & 0xFFFF
     if address == 3:
-        if c.status_pages >> j & 1:
-            more = multichip.MCERR if c.multichip_error else 0
-            return sync.compute_status_bits(x) | compute_phase_bits(c, x) << FIRST_PHASE | more
-        return _compute_rr3_page_0(c, x)
+        if chip.status_pages >> j & 1:
+            more = multichip.MCERR if chip.multichip_error else 0
+            return synchronous_actions.compute_status_bits(axis) | compute_phase_bits(chip, axis) << FIRST_PHASE | more
+        return _compute_rr3_page_0(chip, axis)
     if address == 4:
-        return ports.compute_port_word(c, 0)
+        return ports.compute_port_word(chip, 0)
     if address == 5:
-        return ports.compute_port_word(c, 2)
-    return c.read_low if address == 6 else c.read_high
+        return ports.compute_port_word(chip, 2)
+    return chip.read_low if address == 6 else chip.read_high
 
 
 @hot
-def is_interrupt_asserted(c):
+def is_interrupt_asserted(chip):
     """Return whether INT0N is asserted, by an enabled event of an axis."""
     for j in range(state.AXES):
-        if c.ax[j].events & c.ax[j].wr[1]:
+        if chip.ax[j].events & chip.ax[j].wr[1]:
             return 1
     return 0

@@ -6,9 +6,9 @@ A comparison that becomes true is an event, whatever the cause: a pulse, an edge
 from __future__ import annotations
 
 from stage.chips.nova.functions import encoder, timer
-from stage.chips.nova.functions.inputs import UP_DOWN
-from stage.chips.nova.motion import counters, drive, rates
-from stage.chips.nova.motion.profile import find_speed_crossing
+from stage.chips.nova.functions.input_pins import UP_DOWN
+from stage.chips.nova.motion import counters, rate_registers, single_axis_drive
+from stage.chips.nova.motion.pulse_timing import find_speed_crossing
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.state import COMP_MINUS, COMP_PLUS, LP, MCX514_TYPE, MR0, MRM, NEVER, RP, RX, SM, SP
@@ -22,23 +22,27 @@ PULSE, GE_MINUS, LT_MINUS, LT_PLUS, GE_PLUS = MCX304_MAP.masks("RR3", "PULSE", "
 
 
 @hot
-def _read_source(x, m):
+def _read_source(axis, set_index):
     """Return what MRm is compared with: AT_LP, AT_RP, AT_CV or AT_CT."""
-    return x.mode[MRM] >> 4 * m & 3
+    return axis.mode[MRM] >> 4 * set_index & 3
 
 
 @hot
-def _is_true(c, x, m):
+def _is_true(chip, axis, set_index):
     """Return whether the comparison of MRm is true."""
-    kind, condition, than = _read_source(x, m), x.mode[MRM] >> 4 * m + 2 & 3, x.reg[MR0 + m]
+    kind, condition, than = (
+        _read_source(axis, set_index),
+        axis.mode[MRM] >> 4 * set_index + 2 & 3,
+        axis.reg[MR0 + set_index],
+    )
     if kind == AT_LP:
-        value = x.reg[LP]
+        value = axis.reg[LP]
     elif kind == AT_RP:
-        value = x.reg[RP]
+        value = axis.reg[RP]
     elif kind == AT_CV:
-        value = rates.read_speed(c, x)
+        value = rate_registers.read_speed(chip, axis)
     else:
-        value = timer.read_timer(c, x)
+        value = timer.read_timer(chip, axis)
     if condition == AT_LEAST:
         return value >= than
     if condition == ABOVE:
@@ -47,48 +51,48 @@ def _is_true(c, x, m):
 
 
 @hot
-def _find_true_comparisons(c, x):
+def _find_true_comparisons(chip, axis):
     """Return the comparisons that are true now, as bits."""
     word = 0
-    if c.variant == MCX514_TYPE:
+    if chip.variant == MCX514_TYPE:
         for m in range(MR_COUNT):
-            if _is_true(c, x, m):
+            if _is_true(chip, axis, m):
                 word |= 1 << m
         return word
-    counter = counters.read_limited_counter(x)
-    word |= GE_MINUS if counter >= x.reg[COMP_MINUS] else LT_MINUS
-    return word | (GE_PLUS if counter >= x.reg[COMP_PLUS] else LT_PLUS)
+    counter = counters.read_limited_counter(axis)
+    word |= GE_MINUS if counter >= axis.reg[COMP_MINUS] else LT_MINUS
+    return word | (GE_PLUS if counter >= axis.reg[COMP_PLUS] else LT_PLUS)
 
 
 @hot
-def reset_comparisons(c, x):
+def reset_comparisons(chip, axis):
     """Note the comparisons that are true after a reset, so that they are no events."""
-    x.comparison_events = 0
-    x.true_comparisons = _find_true_comparisons(c, x)
+    axis.comparison_events = 0
+    axis.true_comparisons = _find_true_comparisons(chip, axis)
 
 
 @hot
-def update_comparisons(c, x):
+def update_comparisons(chip, axis):
     """Note an event for each comparison that has become true."""
-    now = _find_true_comparisons(c, x)
-    new = now & ~x.true_comparisons
-    x.true_comparisons = now
+    now = _find_true_comparisons(chip, axis)
+    new = now & ~axis.true_comparisons
+    axis.true_comparisons = now
     if new == 0:
         return
-    if c.variant == MCX514_TYPE:
-        drive.note_event(x, new << FIRST_CMR)
+    if chip.variant == MCX514_TYPE:
+        single_axis_drive.note_event(axis, new << FIRST_CMR)
     else:
-        x.comparison_events |= new
+        axis.comparison_events |= new
 
 
 @hot
-def uses_rp(c, x):
+def uses_rp(chip, axis):
     """Return whether a comparison or a software limit uses RP."""
-    if c.variant == MCX514_TYPE:
+    if chip.variant == MCX514_TYPE:
         for m in range(MR_COUNT):
-            if _read_source(x, m) == AT_RP:
+            if _read_source(axis, m) == AT_RP:
                 return True
-    return x.soft_rp != 0
+    return axis.soft_rp != 0
 
 
 @hot
@@ -106,19 +110,19 @@ def _count_pulses_to(counter, direction, value):
 
 
 @hot
-def count_pulses_to_change(c, x):
+def count_pulses_to_change(chip, axis):
     """Return the number of pulses of the drive until a comparison may change."""
     distance = NEVER
-    if c.variant != MCX514_TYPE:
-        if not x.soft_rp:
+    if chip.variant != MCX514_TYPE:
+        if not axis.soft_rp:
             distance = least(
-                _count_pulses_to(x.reg[LP], x.direction, x.reg[COMP_PLUS]),
-                _count_pulses_to(x.reg[LP], x.direction, x.reg[COMP_MINUS]),
+                _count_pulses_to(axis.reg[LP], axis.direction, axis.reg[COMP_PLUS]),
+                _count_pulses_to(axis.reg[LP], axis.direction, axis.reg[COMP_MINUS]),
             )
         return distance
     for m in range(MR_COUNT):
-        if _read_source(x, m) == AT_LP:
-            distance = least(distance, _count_pulses_to(x.reg[LP], x.direction, x.reg[MR0 + m]))
+        if _read_source(axis, m) == AT_LP:
+            distance = least(distance, _count_pulses_to(axis.reg[LP], axis.direction, axis.reg[MR0 + m]))
     return distance
 
 
@@ -145,58 +149,63 @@ def _count_to_boundary(counter, direction, boundary, maximum):
 
 
 @hot
-def _count_to_rp_change(c, x, direction):
+def _count_to_rp_change(chip, axis, direction):
     """Return the number of counts of RP until a comparison or a software limit changes.
 
     Args:
-        c: State of the chip.
-        x: State of the axis.
+        chip: State of the chip.
+        axis: State of the axis.
         direction: +1 or -1.
     """
-    distance, maximum, counter = NEVER, counters.NO_MAXIMUM, x.reg[RP]
-    if c.variant == MCX514_TYPE:
-        maximum = x.reg[RX]
+    distance, maximum, counter = NEVER, counters.NO_MAXIMUM, axis.reg[RP]
+    if chip.variant == MCX514_TYPE:
+        maximum = axis.reg[RX]
         for m in range(MR_COUNT):
-            if _read_source(x, m) == AT_RP:
-                condition, value = x.mode[MRM] >> 4 * m + 2 & 3, x.reg[MR0 + m]
+            if _read_source(axis, m) == AT_RP:
+                condition, value = axis.mode[MRM] >> 4 * m + 2 & 3, axis.reg[MR0 + m]
                 if condition != ABOVE:
                     distance = least(distance, _count_to_boundary(counter, direction, value, maximum))
                 if condition in (ABOVE, EQUAL):
                     distance = least(distance, _count_to_boundary(counter, direction, value + 1, maximum))
-    if x.soft_rp:
+    if axis.soft_rp:
         distance = least(
             distance,
-            _count_to_boundary(counter, direction, x.reg[SP] + (1 if c.variant == MCX514_TYPE else 0), maximum),
+            _count_to_boundary(counter, direction, axis.reg[SP] + (1 if chip.variant == MCX514_TYPE else 0), maximum),
         )
-        distance = least(distance, _count_to_boundary(counter, direction, x.reg[SM], maximum))
+        distance = least(distance, _count_to_boundary(counter, direction, axis.reg[SM], maximum))
     return distance
 
 
 @hot
-def find_next_rp_change(c, x):
+def find_next_rp_change(chip, axis):
     """Find the clock at which a comparison or software limit of RP changes if the shaft keeps its rate.
 
     In the up / down mode RP alternates between two values: if one step changes nothing, no later step does.
     """
-    if x.encoder_mode == UP_DOWN:
-        direction = encoder.find_up_down_direction(x)
-        return encoder.find_next_edge(c, x) if _count_to_rp_change(c, x, direction) == 1 else NEVER
-    return encoder.find_clock_of_counts(c, x, _count_to_rp_change(c, x, 1 if encoder.is_counting_up(x) else -1))
+    if axis.encoder_mode == UP_DOWN:
+        direction = encoder.find_up_down_direction(axis)
+        return encoder.find_next_edge(chip, axis) if _count_to_rp_change(chip, axis, direction) == 1 else NEVER
+    return encoder.find_clock_of_counts(
+        chip, axis, _count_to_rp_change(chip, axis, 1 if encoder.is_counting_up(axis) else -1)
+    )
 
 
 @hot
-def find_next_change(c, x):
+def find_next_change(chip, axis):
     """Find the clock at which a comparison with the speed or the timer may change."""
     at = NEVER
-    if c.variant != MCX514_TYPE:
+    if chip.variant != MCX514_TYPE:
         return at
     for m in range(MR_COUNT):
-        kind, value = _read_source(x, m), x.reg[MR0 + m]
-        if kind == AT_CT and x.timer_end:
-            at = least(at, least(timer.find_clock_of_count(c, x, value), timer.find_clock_of_count(c, x, value + 1)))
-        elif kind == AT_CV and x.driving:
-            n = c.clock - x.origin
-            passes = least(find_speed_crossing(x, n, value), find_speed_crossing(x, n, value + 1))
+        kind, value = _read_source(axis, m), axis.reg[MR0 + m]
+        if kind == AT_CT and axis.timer_end:
+            at = least(
+                at,
+                least(timer.find_clock_of_count(chip, axis, value), timer.find_clock_of_count(chip, axis, value + 1)),
+            )
+        elif kind == AT_CV and axis.driving:
+            n = chip.clock - axis.origin
+            passes = least(find_speed_crossing(axis, n, value), find_speed_crossing(axis, n, value + 1))
             if passes < NEVER:
-                at = least(at, x.origin + passes)
+                at = least(at, axis.origin + passes)
     return at

@@ -12,7 +12,7 @@ is meaningless, as it is on the real chip.
 
 from __future__ import annotations
 
-from stage.chips.nova.functions.inputs import UP_DOWN
+from stage.chips.nova.functions.input_pins import UP_DOWN
 from stage.chips.nova.motion.counters import add_encoder_counts
 from stage.chips.nova.state import ECA, ECB, NEVER
 from stage.native import floor, greatest, hot, least
@@ -24,15 +24,15 @@ DOWN_BACKWARD, UP_FORWARD, DOWN_FORWARD, UP_BACKWARD = range(4)
 
 
 @hot
-def has_encoder(c, j):
-    """Return whether axis `j` has an encoder."""
-    return c.encoder_axes >> j & 1
+def has_encoder(chip, axis_index):
+    """Return whether axis `axis_index` has an encoder."""
+    return chip.encoder_axes >> axis_index & 1
 
 
 @hot
-def _find_edge(x, clock):
+def _find_edge(axis, clock):
     """Return the number of the last edge that the shaft has passed at a clock."""
-    at = x.shaft_edges + x.shaft_rate * (clock - x.shaft_clock) + 0.5
+    at = axis.shaft_edges + axis.shaft_rate * (clock - axis.shaft_clock) + 0.5
     return int(floor(least(greatest(at, -MAX_EDGE), MAX_EDGE)))
 
 
@@ -53,75 +53,75 @@ def _count_rp_steps(mode, begin, end):
 
 
 @hot
-def _set_encoder_pins(x, edge):
+def _set_encoder_pins(axis, edge):
     """Set the levels of ECA and ECB after an edge. They bypass the filters."""
-    x.last_edge = edge
+    axis.last_edge = edge
     pins = (ECA if edge + 1 & 2 else 0) | (ECB if edge & 2 else 0)
-    x.inputs = x.inputs & ~PINS | pins
-    x.filtered_inputs = x.filtered_inputs & ~PINS | pins
-    x.active_inputs = x.filtered_inputs ^ x.active_high_inputs
+    axis.inputs = axis.inputs & ~PINS | pins
+    axis.filtered_inputs = axis.filtered_inputs & ~PINS | pins
+    axis.active_inputs = axis.filtered_inputs ^ axis.active_high_inputs
 
 
 @hot
-def follow_shafts(c):
+def follow_shafts(chip):
     """Update RP and the pins of all axes with an encoder to the present position of their shafts."""
-    for j in range(c.axes):
-        if has_encoder(c, j):
-            x = c.ax[j]
-            edge = _find_edge(x, c.clock)
-            if edge != x.last_edge:
-                n = _count_rp_steps(x.encoder_mode, x.last_edge, edge)
-                add_encoder_counts(c, x, -n if x.encoder_reversed else n)
-                _set_encoder_pins(x, edge)
+    for j in range(chip.axes):
+        if has_encoder(chip, j):
+            axis = chip.ax[j]
+            edge = _find_edge(axis, chip.clock)
+            if edge != axis.last_edge:
+                n = _count_rp_steps(axis.encoder_mode, axis.last_edge, edge)
+                add_encoder_counts(chip, axis, -n if axis.encoder_reversed else n)
+                _set_encoder_pins(axis, edge)
 
 
 @hot
-def set_shaft(c, j, count, rate):
+def set_shaft(chip, axis_index, count, rate):
     """Put the shaft of an axis at `count + rate * (clock - now)` from now on.
 
     Args:
-        c: State of the chip.
-        j: Number of the axis.
+        chip: State of the chip.
+        axis_index: Number of the axis.
         count: Edges of the encoder.
         rate: Edges per reference clock.
     """
-    follow_shafts(c)
-    x = c.ax[j]
-    x.shaft_clock, x.shaft_edges, x.shaft_rate = c.clock, count, rate
-    if has_encoder(c, j):
-        follow_shafts(c)
+    follow_shafts(chip)
+    axis = chip.ax[axis_index]
+    axis.shaft_clock, axis.shaft_edges, axis.shaft_rate = chip.clock, count, rate
+    if has_encoder(chip, axis_index):
+        follow_shafts(chip)
     else:
-        c.encoder_axes |= 1 << j
-        _set_encoder_pins(x, _find_edge(x, c.clock))
+        chip.encoder_axes |= 1 << axis_index
+        _set_encoder_pins(axis, _find_edge(axis, chip.clock))
 
 
 @hot
-def _has_passed(x, edge, clock):
+def _has_passed(axis, edge, clock):
     """Return whether the shaft has passed an edge ahead of it at a clock."""
-    return _find_edge(x, clock) >= edge if x.shaft_rate > 0.0 else _find_edge(x, clock) < edge
+    return _find_edge(axis, clock) >= edge if axis.shaft_rate > 0.0 else _find_edge(axis, clock) < edge
 
 
 @hot
-def _find_clock_of_edge(c, x, edge):
+def _find_clock_of_edge(chip, axis, edge):
     """Find the next clock at which the shaft has passed an edge ahead of it; NEVER if it turns too slowly.
 
     While it turns backward it passes edge n on the way from n to n - 1.
     """
-    ahead = greatest((edge - 0.5 - x.shaft_edges) / x.shaft_rate, 0.0)
+    ahead = greatest((edge - 0.5 - axis.shaft_edges) / axis.shaft_rate, 0.0)
     if not ahead < float(NEVER):
         return NEVER
-    guess = x.shaft_clock + int(ahead)
-    low, span = greatest(guess - 2, c.clock), greatest(guess + 2 - c.clock, 1)
-    while not _has_passed(x, edge, c.clock + span):  # floats far from 0 are coarse
+    guess = axis.shaft_clock + int(ahead)
+    low, span = greatest(guess - 2, chip.clock), greatest(guess + 2 - chip.clock, 1)
+    while not _has_passed(axis, edge, chip.clock + span):  # floats far from 0 are coarse
         span *= 2
         if span >= NEVER:
             return NEVER
-    if _has_passed(x, edge, low):
-        low = c.clock
-    high = c.clock + span
+    if _has_passed(axis, edge, low):
+        low = chip.clock
+    high = chip.clock + span
     while high - low > 1:
         middle = (low + high) // 2
-        if _has_passed(x, edge, middle):
+        if _has_passed(axis, edge, middle):
             high = middle
         else:
             low = middle
@@ -129,31 +129,33 @@ def _find_clock_of_edge(c, x, edge):
 
 
 @hot
-def find_next_edge(c, x):
+def find_next_edge(chip, axis):
     """Find the next clock at which the shaft passes an edge."""
-    if x.shaft_rate == 0.0:
+    if axis.shaft_rate == 0.0:
         return NEVER
-    return _find_clock_of_edge(c, x, x.last_edge + 1 if x.shaft_rate > 0.0 else x.last_edge)
+    return _find_clock_of_edge(chip, axis, axis.last_edge + 1 if axis.shaft_rate > 0.0 else axis.last_edge)
 
 
 @hot
-def is_counting_up(x):
+def is_counting_up(axis):
     """Return whether RP counts up at the present rate of the shaft. Not for the up / down mode."""
-    return (x.shaft_rate > 0.0) != (x.encoder_reversed != 0)
+    return (axis.shaft_rate > 0.0) != (axis.encoder_reversed != 0)
 
 
 @hot
-def find_clock_of_counts(c, x, counts):
+def find_clock_of_counts(chip, axis, counts):
     """Find the next clock at which RP has changed by a number of counts, 1 or more. Not for the up / down mode."""
-    if x.shaft_rate == 0.0 or counts >= NEVER:
+    if axis.shaft_rate == 0.0 or counts >= NEVER:
         return NEVER
-    count = x.last_edge >> x.encoder_mode
-    return _find_clock_of_edge(c, x, (count + counts if x.shaft_rate > 0.0 else count - counts + 1) << x.encoder_mode)
+    count = axis.last_edge >> axis.encoder_mode
+    return _find_clock_of_edge(
+        chip, axis, (count + counts if axis.shaft_rate > 0.0 else count - counts + 1) << axis.encoder_mode
+    )
 
 
 @hot
-def find_up_down_direction(x):
+def find_up_down_direction(axis):
     """Return the direction of the next count in the up / down mode, 1 or -1."""
-    at = x.last_edge & 3
-    up = at != UP_FORWARD if x.shaft_rate > 0.0 else at == UP_BACKWARD
-    return 1 if up != (x.encoder_reversed != 0) else -1
+    at = axis.last_edge & 3
+    up = at != UP_FORWARD if axis.shaft_rate > 0.0 else at == UP_BACKWARD
+    return 1 if up != (axis.encoder_reversed != 0) else -1

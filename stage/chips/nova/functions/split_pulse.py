@@ -9,7 +9,7 @@ event SPLTE. A new SP1 acts from the next cycle on. All of this is inferred.
 
 from __future__ import annotations
 
-from stage.chips.nova.motion.drive import note_event
+from stage.chips.nova.motion.single_axis_drive import note_event
 from stage.chips.nova.state import NEVER, SP1, SP2, SPLIT_START, SPLTE, SPLTP
 from stage.native import greatest, hot, least
 
@@ -17,50 +17,50 @@ ENDLESS = -1
 
 
 @hot
-def start_split_pulses(c, x):
+def start_split_pulses(chip, axis):
     """Start the split pulses (75h), or start them again."""
-    x.split_running, x.split_output = 1, 0
-    x.next_split_rise = x.total + 1
-    x.split_pulses_left = x.reg[SP2] if x.reg[SP2] else ENDLESS
-    x.new_events |= SPLIT_START
-    c.stale = 1
+    axis.split_running, axis.split_output = 1, 0
+    axis.next_split_rise = axis.total + 1
+    axis.split_pulses_left = axis.reg[SP2] if axis.reg[SP2] else ENDLESS
+    axis.new_events |= SPLIT_START
+    chip.stale = 1
 
 
 @hot
-def stop_split_pulses(c, x):
+def stop_split_pulses(chip, axis):
     """Stop the split pulses (76h), with the event SPLTE."""
-    if x.split_running:
-        x.split_running = x.split_output = 0
-        note_event(x, SPLTE)
-        c.stale = 1
+    if axis.split_running:
+        axis.split_running = axis.split_output = 0
+        note_event(axis, SPLTE)
+        chip.stale = 1
 
 
 @hot
-def _begin_split_pulse(x):
+def _begin_split_pulse(axis):
     """Begin one split pulse. The present SP1 holds for its whole cycle."""
-    cycle = greatest(x.reg[SP1] & 0xFFFF, 2)
-    width = least(greatest(x.reg[SP1] >> 16 & 0xFFFF, 1), cycle - 1)
-    x.split_output = 1
-    x.next_split_fall, x.next_split_rise = x.next_split_rise + width, x.next_split_rise + cycle
-    if x.split_pulses_left > 0:
-        x.split_pulses_left -= 1
-    note_event(x, SPLTP)
+    cycle = greatest(axis.reg[SP1] & 0xFFFF, 2)
+    width = least(greatest(axis.reg[SP1] >> 16 & 0xFFFF, 1), cycle - 1)
+    axis.split_output = 1
+    axis.next_split_fall, axis.next_split_rise = axis.next_split_rise + width, axis.next_split_rise + cycle
+    if axis.split_pulses_left > 0:
+        axis.split_pulses_left -= 1
+    note_event(axis, SPLTP)
 
 
 @hot
-def update_split_pulses(c, x):
+def update_split_pulses(chip, axis):
     """Do what is due after pulses of the drive have begun."""
-    if x.split_running and x.split_output and x.total >= x.next_split_fall:
-        x.split_output = 0
-        if x.split_pulses_left == 0:
-            stop_split_pulses(c, x)
-    if x.split_running and not x.split_output and x.total >= x.next_split_rise:
-        _begin_split_pulse(x)
+    if axis.split_running and axis.split_output and axis.total >= axis.next_split_fall:
+        axis.split_output = 0
+        if axis.split_pulses_left == 0:
+            stop_split_pulses(chip, axis)
+    if axis.split_running and not axis.split_output and axis.total >= axis.next_split_rise:
+        _begin_split_pulse(axis)
 
 
 @hot
-def count_pulses_to_edge(x):
+def count_pulses_to_edge(axis):
     """Return the number of drive pulses until the output changes."""
-    if not x.split_running:
+    if not axis.split_running:
         return NEVER
-    return (x.next_split_fall if x.split_output else x.next_split_rise) - x.total
+    return (axis.next_split_fall if axis.split_output else axis.next_split_rise) - axis.total

@@ -5,7 +5,7 @@ Inferred: it counts up; a new TM acts from the next timing on; a start while it 
 
 from __future__ import annotations
 
-from stage.chips.nova.motion.drive import note_event
+from stage.chips.nova.motion.single_axis_drive import note_event
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.state import NEVER, TIMER, TM
 from stage.native import greatest, hot
@@ -15,50 +15,50 @@ TMMD = MCX514_MAP.mask("WR3", "TMMD")
 
 
 @hot
-def _begin_timing(x, clock):
+def _start_timer_at(axis, clock):
     """Begin a timing at a clock."""
-    x.timer_start, x.timer_end = clock, clock + CLOCKS_PER_COUNT * greatest(x.reg[TM], 1)
+    axis.timer_start, axis.timer_end = clock, clock + CLOCKS_PER_COUNT * greatest(axis.reg[TM], 1)
 
 
 @hot
-def start_timer(c, x):
+def start_timer(chip, axis):
     """Start the timer from 0 (73h), or start it again."""
-    _begin_timing(x, c.clock)
-    c.stale = 1
+    _start_timer_at(axis, chip.clock)
+    chip.stale = 1
 
 
 @hot
-def stop_timer(c, x):
+def stop_timer(chip, axis):
     """Stop the timer (74h)."""
-    x.timer_end = 0
-    c.stale = 1
+    axis.timer_end = 0
+    chip.stale = 1
 
 
 @hot
-def read_timer(c, x):
+def read_timer(chip, axis):
     """Return what CT reads: counts since the start, 0 while the timer is stopped."""
-    return (c.clock - x.timer_start) // CLOCKS_PER_COUNT if x.timer_end else 0
+    return (chip.clock - axis.timer_start) // CLOCKS_PER_COUNT if axis.timer_end else 0
 
 
 @hot
-def update_timer(c, x):
+def update_timer(chip, axis):
     """Note the event TIMER if the timer has expired, and restart or stop it as TMMD says."""
-    if x.timer_end and c.clock >= x.timer_end:
-        note_event(x, TIMER)
-        if x.wr[3] & TMMD:
-            _begin_timing(x, x.timer_end)
+    if axis.timer_end and chip.clock >= axis.timer_end:
+        note_event(axis, TIMER)
+        if axis.wr[3] & TMMD:
+            _start_timer_at(axis, axis.timer_end)
         else:
-            x.timer_end = 0
+            axis.timer_end = 0
 
 
 @hot
-def find_clock_of_count(c, x, count):
+def find_clock_of_count(chip, axis, count):
     """Return the clock at which CT will be `count`, NEVER if the timer expires before that."""
-    at = x.timer_start + CLOCKS_PER_COUNT * count
-    return at if c.clock < at < x.timer_end else NEVER
+    at = axis.timer_start + CLOCKS_PER_COUNT * count
+    return at if chip.clock < at < axis.timer_end else NEVER
 
 
 @hot
-def find_timer_end(x):
+def find_timer_end(axis):
     """Return the clock at which the timer expires, NEVER while it is stopped."""
-    return x.timer_end if x.timer_end else NEVER
+    return axis.timer_end if axis.timer_end else NEVER

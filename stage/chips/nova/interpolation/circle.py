@@ -32,11 +32,11 @@ def find_octant(x, y):
 
 
 @hot
-def begin_arc(a, x, y, goal_x, goal_y):
+def begin_arc(arc, x, y, goal_x, goal_y):
     """Begin an arc, or a whole circle if the finish point is the start.
 
     Args:
-        a: State of the arc.
+        arc: State of the arc.
         x: First coordinate of the start, from the center.
         y: Second coordinate.
         goal_x: First coordinate of the finish point, from the center.
@@ -45,48 +45,48 @@ def begin_arc(a, x, y, goal_x, goal_y):
     Returns:
         Whether the radius is not 0.
     """
-    a.x, a.y, a.goal_x, a.goal_y = x, y, goal_x, goal_y
-    a.radius_error = a.octants_entered = 0
-    a.octant = find_octant(x, y)
+    arc.x, arc.y, arc.goal_x, arc.goal_y = x, y, goal_x, goal_y
+    arc.radius_error = arc.octants_entered = 0
+    arc.octant = find_octant(x, y)
     last = 7 - find_octant(goal_x, -goal_y)  # a move to the finish point comes from there
-    a.octants_to_enter = (last - a.octant) & 7
-    if a.octants_to_enter == 0 and _count_steps_to_go(a) <= 0:
-        a.octants_to_enter = 8
+    arc.octants_to_enter = (last - arc.octant) & 7
+    if arc.octants_to_enter == 0 and _count_steps_to_go(arc) <= 0:
+        arc.octants_to_enter = 8
     return x != 0 or y != 0
 
 
 @hot
-def _count_steps_to_go(a):
+def _count_steps_to_go(arc):
     """Return how many steps the faster axis of the present octant must make to reach the finish point's coordinate."""
-    o = a.octant
-    return ((a.goal_y - a.y) if FAST_AXIS[o] else (a.goal_x - a.x)) * FAST_DIRECTION[o]
+    o = arc.octant
+    return ((arc.goal_y - arc.y) if FAST_AXIS[o] else (arc.goal_x - arc.x)) * FAST_DIRECTION[o]
 
 
 @hot
-def has_arrived(a):
+def has_arrived(arc):
     """Return whether the arc has reached its finish point."""
-    return a.octants_entered > a.octants_to_enter or (
-        a.octants_entered == a.octants_to_enter and _count_steps_to_go(a) <= 0
+    return arc.octants_entered > arc.octants_to_enter or (
+        arc.octants_entered == arc.octants_to_enter and _count_steps_to_go(arc) <= 0
     )
 
 
 @hot
-def step_arc(a):
+def step_arc(arc):
     """Make one tick of an arc, and return whether the slower axis steps as well."""
-    o = a.octant
+    o = arc.octant
     fast = FAST_AXIS[o]
-    u, v = (a.y, a.x) if fast else (a.x, a.y)
-    straight = a.radius_error + 2 * u * FAST_DIRECTION[o] + 1
+    u, v = (arc.y, arc.x) if fast else (arc.x, arc.y)
+    straight = arc.radius_error + 2 * u * FAST_DIRECTION[o] + 1
     bent = straight + 2 * v * SLOW_DIRECTION[o] + 1
     u += FAST_DIRECTION[o]
     moves = abs(bent) < abs(straight)
     if moves:
         v += SLOW_DIRECTION[o]
         straight = bent
-    a.radius_error = straight
-    a.x, a.y = (v, u) if fast else (u, v)
-    a.octant = find_octant(a.x, a.y)
-    a.octants_entered += (a.octant - o) & 7
+    arc.radius_error = straight
+    arc.x, arc.y = (v, u) if fast else (u, v)
+    arc.octant = find_octant(arc.x, arc.y)
+    arc.octants_entered += (arc.octant - o) & 7
     return moves
 
 
@@ -109,32 +109,32 @@ def _find_nearest_coordinate(u, square):
 
 
 @hot
-def count_arc_ticks(a, square):
+def count_arc_ticks(arc, square):
     """Move an arc to its end, and count its ticks and those that move both axes.
 
     Within an octant the slower axis is always where it is nearest to the circle, so the function skips most ticks.
 
     Args:
-        a: State of the arc.
+        arc: State of the arc.
         square: Square of the radius.
     """
     count = both = 0
-    while not has_arrived(a):
-        o = a.octant
+    while not has_arrived(arc):
+        o = arc.octant
         fast, ahead = FAST_AXIS[o], FAST_DIRECTION[o]
-        u, v = (a.y, a.x) if fast else (a.x, a.y)
+        u, v = (arc.y, arc.x) if fast else (arc.x, arc.y)
         room = _compute_integer_root(square // 2) - abs(u) if u * ahead >= 0 else abs(u)
-        if a.octants_entered == a.octants_to_enter:
-            room = least(room, _count_steps_to_go(a))
+        if arc.octants_entered == arc.octants_to_enter:
+            room = least(room, _count_steps_to_go(arc))
         if room > 2 * OCTANT_END_TICKS and abs(v) == _find_nearest_coordinate(u, square):
             jump = room - OCTANT_END_TICKS
             u += jump * ahead
             new = _find_nearest_coordinate(u, square) * (1 if v > 0 else -1)
             count += jump
             both += abs(new - v)
-            a.radius_error = u * u + new * new - square
-            a.x, a.y = (new, u) if fast else (u, new)
+            arc.radius_error = u * u + new * new - square
+            arc.x, arc.y = (new, u) if fast else (u, new)
         else:
             count += 1
-            both += step_arc(a)
+            both += step_arc(arc)
     return count, both

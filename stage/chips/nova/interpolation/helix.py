@@ -15,117 +15,122 @@ MAX_HLV = MCX514_MAP.register("HLV").range[1]
 
 
 @hot
-def begin_helix(ip, g):
-    """Begin arc or helix `g`, and return whether it has a tick.
+def begin_helix(interpolation, segment):
+    """Begin arc or helix `segment`, and return whether it has a tick.
 
     Args:
-        ip: State of the interpolation.
-        g: The segment.
+        interpolation: State of the interpolation.
+        segment: The segment.
     """
-    for k in range(g.axis_count):
-        ip.line_errors[k] = g.tick_count
-        ip.directions[k] = (1 if g.finish[k] > 0 else 0) - (1 if g.finish[k] < 0 else 0)
-    ip.rotations_left = g.rotations
-    ip.finished_rotations = 0
-    return _begin_arc_or_turn(ip.arc, g, g.rotations > 0)
+    for k in range(segment.axis_count):
+        interpolation.line_errors[k] = segment.tick_count
+        interpolation.directions[k] = (1 if segment.finish[k] > 0 else 0) - (1 if segment.finish[k] < 0 else 0)
+    interpolation.rotations_left = segment.rotations
+    interpolation.finished_rotations = 0
+    return _begin_arc_or_turn(interpolation.arc, segment, segment.rotations > 0)
 
 
 @hot
-def _begin_arc_or_turn(a, g, turn):
+def _begin_arc_or_turn(arc, segment, turn):
     """Begin a whole turn, or the arc to the finish point, about the center.
 
     Args:
-        a: State of the arc.
-        g: The segment.
+        arc: State of the arc.
+        segment: The segment.
         turn: Whether it is a whole turn.
     """
-    x, y = -g.center[0] * g.inner_ticks, -g.center[1] * g.inner_ticks
-    goal_x, goal_y = (0, 0) if turn else (g.finish[0] * g.inner_ticks, g.finish[1] * g.inner_ticks)
-    return circular.begin_arc(a, x, y * g.y_sign, x + goal_x, (y + goal_y) * g.y_sign)
+    x, y = -segment.center[0] * segment.inner_ticks, -segment.center[1] * segment.inner_ticks
+    goal_x, goal_y = (
+        (0, 0) if turn else (segment.finish[0] * segment.inner_ticks, segment.finish[1] * segment.inner_ticks)
+    )
+    return circular.begin_arc(arc, x, y * segment.y_sign, x + goal_x, (y + goal_y) * segment.y_sign)
 
 
 @hot
-def step_helix(ip, g):
+def step_helix(interpolation, segment):
     """Prepare the steps of the next tick, and return whether it is the last one.
 
     Args:
-        ip: State of the interpolation.
-        g: The segment.
+        interpolation: State of the interpolation.
+        segment: The segment.
     """
-    a = ip.arc
+    a = interpolation.arc
     o = a.octant
     fast = circular.FAST_AXIS[o]
-    ip.zone = o if g.y_sign > 0 else 7 - o
-    ip.steps[fast] = 1
-    ip.steps[1 - fast] = circular.step_arc(a)
-    ip.directions[fast], ip.directions[1 - fast] = circular.FAST_DIRECTION[o], circular.SLOW_DIRECTION[o]
-    ip.directions[1] *= g.y_sign
-    for k in range(2, g.axis_count):
-        ip.line_errors[k] += 2 * abs(g.finish[k]) * g.inner_ticks
-        ip.steps[k] = 0
-        if ip.line_errors[k] >= 2 * g.tick_count:
-            ip.line_errors[k] -= 2 * g.tick_count
-            ip.steps[k] = 1
+    interpolation.zone = o if segment.y_sign > 0 else 7 - o
+    interpolation.steps[fast] = 1
+    interpolation.steps[1 - fast] = circular.step_arc(a)
+    interpolation.directions[fast], interpolation.directions[1 - fast] = (
+        circular.FAST_DIRECTION[o],
+        circular.SLOW_DIRECTION[o],
+    )
+    interpolation.directions[1] *= segment.y_sign
+    for k in range(2, segment.axis_count):
+        interpolation.line_errors[k] += 2 * abs(segment.finish[k]) * segment.inner_ticks
+        interpolation.steps[k] = 0
+        if interpolation.line_errors[k] >= 2 * segment.tick_count:
+            interpolation.line_errors[k] -= 2 * segment.tick_count
+            interpolation.steps[k] = 1
     if not circular.has_arrived(a):
         return False
-    if ip.rotations_left > 0:
-        ip.rotations_left -= 1
-        ip.finished_rotations += 1
-        if ip.rotations_left > 0 or g.finish[0] != 0 or g.finish[1] != 0:
-            _begin_arc_or_turn(a, g, ip.rotations_left > 0)
+    if interpolation.rotations_left > 0:
+        interpolation.rotations_left -= 1
+        interpolation.finished_rotations += 1
+        if interpolation.rotations_left > 0 or segment.finish[0] != 0 or segment.finish[1] != 0:
+            _begin_arc_or_turn(a, segment, interpolation.rotations_left > 0)
             return False
     return True
 
 
 @hot
-def _count_ticks(a, g, turn):
+def _count_ticks(arc, segment, turn):
     """Count the ticks of a whole turn or of the arc, and those that move both axes."""
-    if not _begin_arc_or_turn(a, g, turn):
+    if not _begin_arc_or_turn(arc, segment, turn):
         return 0, 0
-    return circular.count_arc_ticks(a, a.x * a.x + a.y * a.y)
+    return circular.count_arc_ticks(arc, arc.x * arc.x + arc.y * arc.y)
 
 
 @hot
-def count_helix_ticks(a, g):
+def count_helix_ticks(arc, segment):
     """Count the ticks of a helix as `line.count_line_ticks` does.
 
     Args:
-        a: State of an arc, which the function overwrites.
-        g: The segment.
+        arc: State of an arc, which the function overwrites.
+        segment: The segment.
     """
     count = both = 0
-    if g.rotations > 0:
-        count, both = _count_ticks(a, g, True)
-        count, both = count * g.rotations, both * g.rotations
-    if g.rotations == 0 or g.finish[0] != 0 or g.finish[1] != 0:
-        rest, more = _count_ticks(a, g, False)
+    if segment.rotations > 0:
+        count, both = _count_ticks(arc, segment, True)
+        count, both = count * segment.rotations, both * segment.rotations
+    if segment.rotations == 0 or segment.finish[0] != 0 or segment.finish[1] != 0:
+        rest, more = _count_ticks(arc, segment, False)
         count, both = count + rest, both + more
-    return (count - both, both, 0) if g.vector_axes else (count, 0, 0)
+    return (count - both, both, 0) if segment.vector_axes else (count, 0, 0)
 
 
 @hot
-def compute_inner_ticks(a, g, value):
+def compute_inner_ticks(arc, segment, value):
     """Convert HLV to inner ticks. The result is exact if HLV is the result of the helical calculation.
 
     Args:
-        a: State of an arc, which the function overwrites.
-        g: The segment.
+        arc: State of an arc, which the function overwrites.
+        segment: The segment.
         value: HLV.
     """
-    inner, _ = _count_ticks(a, g, g.rotations > 0)
-    fine, g.inner_ticks = g.inner_ticks, 1
-    calculated = calculate_hlv(a, g)
-    g.inner_ticks = fine
+    inner, _ = _count_ticks(arc, segment, segment.rotations > 0)
+    fine, segment.inner_ticks = segment.inner_ticks, 1
+    calculated = calculate_hlv(arc, segment)
+    segment.inner_ticks = fine
     return greatest(inner, 1) if value == calculated else value * fine
 
 
 @hot
-def calculate_hlv(a, g):
+def calculate_hlv(arc, segment):
     """Calculate HLV, limited to the range of its register.
 
     Args:
-        a: State of an arc, which the function overwrites.
-        g: The segment.
+        arc: State of an arc, which the function overwrites.
+        segment: The segment.
     """
-    count, _ = _count_ticks(a, g, g.rotations > 0)
+    count, _ = _count_ticks(arc, segment, segment.rotations > 0)
     return least(greatest(count, 1), MAX_HLV)

@@ -1,4 +1,5 @@
-"""Multichip interpolation of the MCX514 and MCX512: one line by several chips that wires join (stage/chips/links.py); compiled.
+"""Multichip interpolation of the MCX514 and MCX512: one line by several chips that wires join (stage/chips/linked_chips.py);
+compiled.
 
 Each chip that takes part interpolates its own axes, relative to the largest finish point of all chips. The main axis of the
 master makes the ticks, and the wires bring them to the slaves at the same clock. The public text of the sheets only names the
@@ -13,8 +14,8 @@ parts (IPM bits 11 and 10, commands 60h and 7Ch, MCERR); the behavior is inferre
 
 from __future__ import annotations
 
-from stage.chips import links
-from stage.chips.nova.interpolation import run as interpolation
+from stage.chips import linked_chips
+from stage.chips.nova.interpolation import interpolator as interpolation
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.state import MASTER, NEVER, SLAVE
 from stage.native import greatest, hot
@@ -25,127 +26,127 @@ MCERR = MCX514_MAP.mask("RR3-1", "MCERR")
 
 
 @hot
-def find_role(c, word):
+def find_role(chip, word):
     """Return the role that IPM gives the chip, MASTER, SLAVE or 0. A master without wires has none.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         word: IPM.
     """
     role = word >> MLT & 3
-    return role if role == SLAVE or (role == MASTER and c.wire_word) else 0
+    return role if role == SLAVE or (role == MASTER and chip.wire_word) else 0
 
 
 @hot
-def can_take_line(c, role):
+def can_take_line(chip, role):
     """Return whether a line can be written now. A slave that comes after the start of its master gets MCERR."""
-    if c.interpolating:
-        interpolation.note_refused_segment(c)
+    if chip.interpolating:
+        interpolation.note_refused_segment(chip)
         return False
-    c.multichip_error = 1 if role == SLAVE and c.wire_word & GO else 0
-    return not c.multichip_error
+    chip.multichip_error = 1 if role == SLAVE and chip.wire_word & GO else 0
+    return not chip.multichip_error
 
 
 @hot
-def await_start(c, mask, main, stepped, role, fixed):
+def await_start(chip, mask, main, stepped, role, fixed):
     """Let the line at the head of the queue wait until all chips can start.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         mask: Axes of the line, as bits.
         main: Main axis.
         stepped: Whether single steps move it.
         role: MASTER or SLAVE.
         fixed: Whether TX is the maximum finish point.
     """
-    ip = c.ip
-    interpolation.prepare_axes(c, mask, main, 0, SLAVE if role == SLAVE else stepped)
+    ip = chip.ip
+    interpolation.prepare_axes(chip, mask, main, 0, SLAVE if role == SLAVE else stepped)
     ip.role, ip.awaits_start, ip.uses_tx, ip.next_tick_clock = role, 1, fixed, NEVER
     ip.last_tick_clock = ip.tick_interval = 0
-    c.interpolating, c.signals_failure, c.stale = 1, 0, 1
-    for j in range(c.axes):
-        c.ax[j].moves = 0
+    chip.interpolating, chip.signals_failure, chip.stale = 1, 0, 1
+    for j in range(chip.axes):
+        chip.ax[j].moves = 0
         if mask >> j & 1:
-            c.ax[j].interpolates = 1
+            chip.ax[j].interpolates = 1
     if role == SLAVE:
-        c.queue[ip.queue_head].decelerates = 0
+        chip.queue[ip.queue_head].decelerates = 0
 
 
 @hot
-def _begin_line(c):
+def _begin_line(chip):
     """Begin the line at the clock at which all chips begin."""
-    ip, g = c.ip, c.queue[c.ip.queue_head]
+    ip, segment = chip.ip, chip.queue[chip.ip.queue_head]
     if not ip.uses_tx:
-        g.tick_count = greatest(g.tick_count, links.read_number(c.wire_word))
-    c.interpolating = ip.awaits_start = 0
-    for j in range(c.axes):
-        c.ax[j].interpolates = 0
-    ip.errors_at_start, ip.last_tick_clock = interpolation.collect_errors(c), c.clock
-    c.stale = 1
-    interpolation.start_interpolation(c)
+        segment.tick_count = greatest(segment.tick_count, linked_chips.read_number(chip.wire_word))
+    chip.interpolating = ip.awaits_start = 0
+    for j in range(chip.axes):
+        chip.ax[j].interpolates = 0
+    ip.errors_at_start, ip.last_tick_clock = interpolation.collect_errors(chip), chip.clock
+    chip.stale = 1
+    interpolation.start_interpolation(chip)
 
 
 @hot
-def apply_wire_word(c, word, settle):
+def apply_wire_word(chip, word, settle):
     """Apply a change of the wires.
 
     Args:
-        c: State of the chip.
-        word: The new word, see stage/chips/links.py.
+        chip: State of the chip.
+        word: The new word, see stage/chips/linked_chips.py.
         settle: Function that lets the chip do what is due.
     """
-    ip, old = c.ip, c.wire_word
-    c.wire_word = word
-    if c.interpolating and ip.role:
+    ip, old = chip.ip, chip.wire_word
+    chip.wire_word = word
+    if chip.interpolating and ip.role:
         if ip.awaits_start:
             if word & GO and not word & FAILURE:
-                _begin_line(c)
+                _begin_line(chip)
         elif ip.role == SLAVE:
-            _apply_master_ticks(c, links.count_new_pulses(word, old), settle)
-            if c.interpolating and not word & (GO | FAILURE):
-                interpolation.end_interpolation(c)
-        if c.interpolating and word & FAILURE:
-            c.multichip_error = 1
-            interpolation.end_interpolation(c)
+            _apply_master_ticks(chip, linked_chips.count_new_pulses(word, old), settle)
+            if chip.interpolating and not word & (GO | FAILURE):
+                interpolation.end_interpolation(chip)
+        if chip.interpolating and word & FAILURE:
+            chip.multichip_error = 1
+            interpolation.end_interpolation(chip)
     if word & FAILURE:
-        c.signals_failure = 0
-    if c.stale:
-        settle(c)
+        chip.signals_failure = 0
+    if chip.stale:
+        settle(chip)
 
 
 @hot
-def _apply_master_ticks(c, count, settle):
+def _apply_master_ticks(chip, count, settle):
     """Make the ticks that the master has sent.
 
     Args:
-        c: State of the chip.
+        chip: State of the chip.
         count: Number of ticks.
         settle: Function that lets the chip do what is due.
     """
-    ip = c.ip
+    ip = chip.ip
     for _ in range(count):
-        if c.interpolating:
-            if c.clock > ip.last_tick_clock:
-                ip.tick_interval, ip.last_tick_clock = c.clock - ip.last_tick_clock, c.clock
-            interpolation.make_tick(c)
-            if c.stale:
-                settle(c)
+        if chip.interpolating:
+            if chip.clock > ip.last_tick_clock:
+                ip.tick_interval, ip.last_tick_clock = chip.clock - ip.last_tick_clock, chip.clock
+            interpolation.make_tick(chip)
+            if chip.stale:
+                settle(chip)
 
 
 @hot
-def compute_wire_output(c):
+def compute_wire_output(chip):
     """Compute the word that the chip drives onto the wires."""
-    levels = FAILURE if c.signals_failure else 0
+    levels = FAILURE if chip.signals_failure else 0
     longest = 0
-    if c.interpolating and c.ip.role:
-        levels |= GO if c.ip.role == MASTER else 0
-        longest = c.queue[c.ip.queue_head].tick_count
-    return links.pack_word(levels, longest, c.master_ticks)
+    if chip.interpolating and chip.ip.role:
+        levels |= GO if chip.ip.role == MASTER else 0
+        longest = chip.queue[chip.ip.queue_head].tick_count
+    return linked_chips.pack_word(levels, longest, chip.master_ticks)
 
 
 @hot
-def find_wire_change(c):
+def find_wire_change(chip):
     """Return the clock up to which that word does not change."""
-    if not (c.interpolating and c.ip.role):
+    if not (chip.interpolating and chip.ip.role):
         return NEVER
-    return c.quiet_until if c.quiet_until < c.ip.next_tick_clock else c.ip.next_tick_clock
+    return chip.quiet_until if chip.quiet_until < chip.ip.next_tick_clock else chip.ip.next_tick_clock

@@ -18,72 +18,73 @@ def _wrap_counter(value, maximum):
 
 
 @hot
-def add_pulses(c, x, n):
+def add_pulses(chip, axis, count):
     """Count pulses that have begun.
 
     Args:
-        c: State of the chip.
-        x: State of the axis.
-        n: Number of pulses.
+        chip: State of the chip.
+        axis: State of the axis.
+        count: Number of pulses.
     """
-    x.pulses_done += n
-    x.total += n
-    c.total += n
-    x.net += x.direction * n
-    x.comparison_events |= PULSE
-    x.reg[state.LP] = _wrap_counter(
-        x.reg[state.LP] + x.direction * n, x.reg[state.LX] if c.variant == state.MCX514_TYPE else NO_MAXIMUM
+    axis.pulses_done += count
+    axis.total += count
+    chip.total += count
+    axis.net += axis.direction * count
+    axis.comparison_events |= PULSE
+    axis.reg[state.LP] = _wrap_counter(
+        axis.reg[state.LP] + axis.direction * count,
+        axis.reg[state.LX] if chip.variant == state.MCX514_TYPE else NO_MAXIMUM,
     )
 
 
 @hot
-def add_encoder_counts(c, x, n):
+def add_encoder_counts(chip, axis, count):
     """Count a movement of the encoder.
 
     Args:
-        c: State of the chip.
-        x: State of the axis.
-        n: Counts, with their sign.
+        chip: State of the chip.
+        axis: State of the axis.
+        count: Counts, with their sign.
     """
-    x.reg[state.RP] = _wrap_counter(
-        x.reg[state.RP] + n, x.reg[state.RX] if c.variant == state.MCX514_TYPE else NO_MAXIMUM
+    axis.reg[state.RP] = _wrap_counter(
+        axis.reg[state.RP] + count, axis.reg[state.RX] if chip.variant == state.MCX514_TYPE else NO_MAXIMUM
     )
 
 
 @hot
-def read_limited_counter(x):
+def read_limited_counter(axis):
     """Return the counter that the software limits compare, LP or RP."""
-    return x.reg[state.RP] if x.soft_rp else x.reg[state.LP]
+    return axis.reg[state.RP] if axis.soft_rp else axis.reg[state.LP]
 
 
 @hot
-def has_passed_soft_limit(c, x, direction):
+def has_passed_soft_limit(chip, axis, direction):
     """Return whether the software limit of a direction is enabled and passed.
 
     The MCX514 compares LP > SP and LP < SM, the older chips LP >= C+ and LP < C-.
 
     Args:
-        c: State of the chip.
-        x: State of the axis.
+        chip: State of the chip.
+        axis: State of the axis.
         direction: +1 or -1.
     """
     if direction > 0:
-        return x.soft_plus and (
-            read_limited_counter(x) > x.reg[state.SP]
-            if c.variant == state.MCX514_TYPE
-            else read_limited_counter(x) >= x.reg[state.SP]
+        return axis.soft_plus and (
+            read_limited_counter(axis) > axis.reg[state.SP]
+            if chip.variant == state.MCX514_TYPE
+            else read_limited_counter(axis) >= axis.reg[state.SP]
         )
-    return x.soft_minus and read_limited_counter(x) < x.reg[state.SM]
+    return axis.soft_minus and read_limited_counter(axis) < axis.reg[state.SM]
 
 
 @hot
-def is_limit_asserted(x, direction):
+def is_limit_asserted(axis, direction):
     """Return whether the limit switch of a direction is asserted.
 
     Args:
-        x: State of the axis.
+        axis: State of the axis.
         direction: +1 or -1.
     """
-    plus = state.LMT_MINUS if x.limits_swapped else state.LMT_PLUS
-    minus = state.LMT_PLUS if x.limits_swapped else state.LMT_MINUS
-    return x.active_inputs & (plus if direction > 0 else minus)
+    plus = state.LMT_MINUS if axis.limits_swapped else state.LMT_PLUS
+    minus = state.LMT_PLUS if axis.limits_swapped else state.LMT_MINUS
+    return axis.active_inputs & (plus if direction > 0 else minus)

@@ -13,7 +13,7 @@ pulse goes off; A and B begin a period at a reset.
 
 from __future__ import annotations
 
-from stage.chips.nova.motion.profile import compute_speed, find_clock_of_pulse
+from stage.chips.nova.motion.pulse_timing import compute_speed, find_clock_of_pulse
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.state import DIR, MCX514_TYPE, PLS
@@ -34,65 +34,65 @@ def compute_pulse_width(rate):
 
 
 @hot
-def find_pulse_end(x):
+def find_pulse_end(axis):
     """Return the clock at which the last pulse goes off or has gone off."""
-    if not x.driving or x.pulses_done <= x.from_pulse[0]:
-        return x.pulse_off_clock
-    n = find_clock_of_pulse(x, x.pulses_done)
-    return x.origin + n + compute_pulse_width(compute_speed(x, n))
+    if not axis.driving or axis.pulses_done <= axis.from_pulse[0]:
+        return axis.pulse_off_clock
+    n = find_clock_of_pulse(axis, axis.pulses_done)
+    return axis.origin + n + compute_pulse_width(compute_speed(axis, n))
 
 
 @hot
-def store_pulse_end(x):
+def store_pulse_end(axis):
     """Store the clock at which the present pulse goes off, before the plan that contains it is replaced."""
-    x.pulse_off_clock = find_pulse_end(x)
+    axis.pulse_off_clock = find_pulse_end(axis)
 
 
 @hot
-def _read_output_mode(c, x):
+def _read_output_mode(chip, axis):
     """Return the pulse output mode, INDEPENDENT to QUADRATURE_X2."""
-    return x.wr[3] >> DPMD & 3 if c.variant == MCX514_TYPE else x.wr[2] >> PLSMD & 1
+    return axis.wr[3] >> DPMD & 3 if chip.variant == MCX514_TYPE else axis.wr[2] >> PLSMD & 1
 
 
 @hot
-def _exchange_pins(c, x, word):
+def _exchange_pins(chip, axis, word):
     """Exchange PLS and DIR in a word of output pins if the mode registers say so."""
-    inverts = x.wr[3] & DPINV if c.variant == MCX514_TYPE else x.wr[3] & POINV and not c.extended
+    inverts = axis.wr[3] & DPINV if chip.variant == MCX514_TYPE else axis.wr[3] & POINV and not chip.extended
     return (PLS if word & DIR else 0) | (DIR if word & PLS else 0) if inverts else word
 
 
 @hot
-def compute_pulse_pins(c, x, on):
+def compute_pulse_pins(chip, axis, on):
     """Compute the levels of PLS and DIR.
 
     Args:
-        c: State of the chip.
-        x: State of the axis.
+        chip: State of the chip.
+        axis: State of the axis.
         on: Whether a pulse is on.
 
     Returns:
         Bits of PLS and DIR, set if the pin is high.
     """
-    mode, low = _read_output_mode(c, x), x.wr[3] & DP_L if c.variant == MCX514_TYPE else x.wr[2] & PLS_L
+    mode, low = _read_output_mode(chip, axis), axis.wr[3] & DP_L if chip.variant == MCX514_TYPE else axis.wr[2] & PLS_L
     word = 0
     if mode == INDEPENDENT:
-        word = (DIR if x.direction < 0 else PLS) if on else 0
+        word = (DIR if axis.direction < 0 else PLS) if on else 0
     elif mode == PULSE_AND_DIRECTION:
         word = PLS if on else 0
     else:
-        edge = x.net - x.net_at_reset
+        edge = axis.net - axis.net_at_reset
         if mode == QUADRATURE_X2:
-            edge = 2 * edge - (x.direction if on else 0)
+            edge = 2 * edge - (axis.direction if on else 0)
         word = (PLS if edge + 1 & 2 else 0) | (DIR if edge & 2 else 0)
     if low:
         word ^= PLS if mode == PULSE_AND_DIRECTION else PLS | DIR
     if mode == PULSE_AND_DIRECTION:
-        plus_is_high = x.wr[3] & DIR_L_514 if c.variant == MCX514_TYPE else x.wr[2] & DIR_L_304
-        word |= DIR if (x.direction < 0) != (plus_is_high != 0) else 0
-    return _exchange_pins(c, x, word)
+        plus_is_high = axis.wr[3] & DIR_L_514 if chip.variant == MCX514_TYPE else axis.wr[2] & DIR_L_304
+        word |= DIR if (axis.direction < 0) != (plus_is_high != 0) else 0
+    return _exchange_pins(chip, axis, word)
 
 
 @hot
-def compute_resting_pins(c, x):
+def compute_resting_pins(chip, axis):
     """Compute the levels of PLS and DIR without pulses; 0 in the quadrature modes, where only pulses change them."""
-    return 0 if _read_output_mode(c, x) >= QUADRATURE_X4 else compute_pulse_pins(c, x, 0)
+    return 0 if _read_output_mode(chip, axis) >= QUADRATURE_X4 else compute_pulse_pins(chip, axis, 0)

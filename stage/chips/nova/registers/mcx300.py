@@ -1,6 +1,6 @@
 """Register maps of the NOVA MCX304, MCX302 and MCX312 as data: one table, with the chips that have each row.
 
-Sources: NOVA's failure notice of 2006 (data sheet), working drivers, the manuals from memory; words300.py has the bits.
+Sources: NOVA's failure notice of 2006 (data sheet), working drivers, the manuals from memory; mcx300_words.py has the bits.
 What none of them says is marked I; so are all values after reset but AO's [C]. m is the multiple, 8,000,000 / R.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from stage.chips.nova.registers.words300 import EM, HM, list_extended_words, list_words
+from stage.chips.nova.registers.mcx300_words import EM, HM, list_extended_words, list_words
 from stage.chips.register_map import Command, Register, RegisterMap, reads, writes
 
 RANGE = 8_000_000

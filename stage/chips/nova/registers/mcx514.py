@@ -1,4 +1,4 @@
-"""Register map of the NOVA MCX514 as data: parameters and commands; words514.py has the bits.
+"""Register map of the NOVA MCX514 as data: parameters and commands; mcx514_words.py has the bits.
 
 Sources: sections 7.2.7 and 7.2.8 of NOVA's manual (data sheet), other pages of it, working drivers. What no page says is
 chosen as its reader would expect and marked I; so are all values after reset.
@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from stage.chips.nova.registers.words514 import list_modes, list_words
+from stage.chips.nova.registers.mcx514_words import list_modes, list_words
 from stage.chips.register_map import Command, Field, Register, RegisterMap, reads, writes
 
 JERK, RATE, SPEED = (1, 1_073_741_823), (1, 536_870_911), (1, 8_000_000)

@@ -1,0 +1,162 @@
+"""Records of the results of a step, one for each stage: the scalar environment reads a row, the vector environment columns.
+
+Tasks with a benchmark also have a score at the end of an episode, under the same names in all of them:
+
+    *_, info = env.step(action)
+    if "score" in info:                  the episode is over
+        print(info["score"])
+
+    success      the task was done, as the task defines it
+    time         s: of the best move that was proved, where a task proves; else what the task took; infinite without success
+    regret       log(time / the time of the formula), which is what a host gets that tries nothing and only reads data sheets;
+                 below 0 where the player was faster; infinite without success
+    moves        steps of the episode: moves, tries, returns, or macros
+    lost_steps   full steps lost in all, by all axes
+    limits       moves that ended at an end limit
+
+No host knows the score: with truth=False it is left out, as all truth is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from stage.envs.observation_features import TRUTH, Feature
+from stage.native import record
+from stage.support import portable_math
+
+DIVERGED = -10.0  # reward of a step in which the simulation diverged
+CAUSES = ("", "diverged")  # of an end that is no part of the task, by the number in a record
+SCORE = record(
+    [("success", "?"), ("time", "f8"), ("regret", "f8"), ("moves", "i8"), ("lost_steps", "i8"), ("limits", "i8")]
+)
+SCORE_FEATURE = Feature(
+    "score", TRUTH, "only at the end of an episode: success, time, regret, moves, lost_steps, limits"
+)
+FAILED = (False, np.inf, np.inf)
+"""Success, time and regret of an episode that came to nothing."""
+
+
+def make_result_dtype(
+    parts: Sequence[str], info: Iterable[Feature], shapes: Mapping[str, tuple[int, ...]] | None = None
+) -> np.dtype:
+    """Make the record of a step.
+
+    Args:
+        parts: Names of the parts whose sum is the reward.
+        info: Features of the info; with `SCORE_FEATURE` there is a score at an episode's end.
+        shapes: Shapes of the features that are arrays.
+
+    Returns:
+        A dtype with reward, ends, cause, parts, info, and the score.
+    """
+    features = tuple(info)
+    values = [(f.name, f.kind, (shapes or {}).get(f.name, ())) for f in features if f.kind is not None]
+    score = [("score", SCORE)] if SCORE_FEATURE in features else []
+    ends = [("reward", float), ("terminated", bool), ("truncated", bool), ("cause", int)]
+    return record([*ends, ("parts", record([(name, float) for name in parts])), ("info", record(values)), *score])
+
+
+def write_scores(rows: np.ndarray, time: Any, formula: Any, moves: Any, lost_steps: Any, limits: Any) -> None:
+    """Fill the scores of stages.
+
+    Args:
+        rows: Records of `SCORE`, (n,).
+        time: Seconds, infinite without success.
+        formula: Seconds that the formula needs for the same.
+        moves: Steps of the episode.
+        lost_steps: Full steps lost, by all axes.
+        limits: Moves that ended at an end limit.
+    """
+    rows["time"], rows["success"] = time, np.isfinite(time)
+    rows["regret"] = portable_math.log(np.asarray(time, float) / formula)
+    rows["moves"], rows["lost_steps"], rows["limits"] = moves, lost_steps, limits
+
+
+class Results:
+    """Records of the results of n stages.
+
+    Args:
+        n: Number of stages.
+        dtype: What `make_result_dtype` returned.
+        hidden: Names that an info leaves out.
+
+    Attributes:
+        rows: (n,) records.
+    """
+
+    def __init__(self, n: int, dtype: np.dtype, hidden: frozenset[str] = frozenset()):
+        self.rows, self._hidden = np.zeros(n, dtype), hidden
+        self._parts, self._info = dtype["parts"].names or (), dtype["info"].names or ()
+        self._arrays = [name for name in self._info if dtype["info"][name].shape]
+        self.scored = "score" in (dtype.names or ())
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """A column; "parts", "info" and "score" have columns of their own."""
+        return self.rows[name]
+
+    def __setitem__(self, name: str, values: Any) -> None:
+        self.rows[name] = values
+
+    def finish(self, bad: np.ndarray) -> None:
+        """Sum up the parts of the reward, and end the episodes of stages that diverged.
+
+        Args:
+            bad: Mask of the stages that diverged, (n,).
+        """
+        rows, parts = self.rows, self.rows["parts"]
+        rows["cause"], rows["reward"] = bad, 0.0
+        for name in self._parts:
+            parts[name][bad] = 0.0
+            rows["reward"] += parts[name]
+        rows["reward"][bad] = DIVERGED
+        rows["terminated"] &= ~bad
+        rows["truncated"] |= bad
+        if self.scored:
+            for name, value in zip(("success", "time", "regret"), FAILED, strict=True):
+                rows["score"][name][bad] = value
+
+    def read_row(self, k: int) -> tuple[float, bool, bool, dict[str, Any]]:
+        """Return (reward, terminated, truncated, info) of stage k."""
+        reward, terminated, truncated, cause, parts, values, *score = self.rows.item(k)
+        info = dict(zip(self._info, values))  # noqa: B905 (the check would cost as much as all else)
+        for name in self._arrays:
+            info[name] = info[name].copy()
+        info["cause"] = CAUSES[cause]
+        info["reward_parts"] = named = dict(zip(self._parts, parts))  # noqa: B905
+        if cause:
+            named["diverged"] = reward
+        if score and (terminated or truncated):
+            info["score"] = dict(zip(SCORE.names or (), score[0], strict=True))
+        for name in self._hidden:
+            info.pop(name, None)
+        return reward, terminated, truncated, info
+
+    def read_columns(self, active: np.ndarray) -> dict[str, Any]:
+        """Return the info of all stages in Gymnasium's form: arrays, each with a mask of the stages that have it.
+
+        Args:
+            active: Mask of the stages that took part in the step, (n,).
+        """
+        rows = self.rows.copy()
+        rows[~active] = np.zeros((), rows.dtype)
+        bad = rows["cause"] != 0
+        info: dict[str, Any] = {name: rows["info"][name].copy() for name in self._info}
+        info["cause"] = np.where(active, np.array(CAUSES, object)[rows["cause"]], None)
+        parts = {name: rows["parts"][name].copy() for name in self._parts}
+        if bad.any():
+            parts["diverged"] = np.where(bad, rows["reward"], 0.0)
+        info["reward_parts"] = _masked(parts, active)
+        masked = _masked({name: value for name, value in info.items() if name not in self._hidden}, active)
+        over = rows["terminated"] | rows["truncated"]
+        if self.scored and over.any() and "score" not in self._hidden:
+            scores = {name: np.where(over, rows["score"][name], 0).astype(SCORE[name]) for name in SCORE.names or ()}
+            masked |= {"score": _masked(scores, over), "_score": over}
+        return masked
+
+
+def _masked(values: dict[str, Any], active: np.ndarray) -> dict[str, Any]:
+    return {key: v for name, value in values.items() for key, v in ((name, value), (f"_{name}", active.copy()))}

@@ -1,0 +1,187 @@
+"""`Tuning`: the common part of RegisterTuning and ServoTuning.
+
+An action chooses the registers of one move of one axis; the distance, the payload and the rotor's angle at the start are random for
+each move.
+
+A subclass defines its chip, its registers, the bus cycles of a move and the reward of a move.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+
+from stage import Stage
+from stage.chips import Chip
+from stage.envs.observation_features import HOST, TRUTH, Feature
+from stage.envs.register_actions import RegisterBox
+from stage.envs.scaling import scale, scale_log
+from stage.envs.settings import read_option
+from stage.envs.single_moves import StartPositions
+from stage.envs.task import MoveTask, find_carrier
+from stage.errors import unknown_name_error
+from stage.sim.program import Program
+from stage.support import portable_math
+
+ConfigT = TypeVar("ConfigT")
+
+NEXT_MOVE = (
+    Feature("distance", HOST, "distance of the next move, by its logarithm from -1 to 1 over `distances`"),
+    Feature("payload", TRUTH, "payload of the next move, from -1 to 1 over `payloads`"),
+)
+"""What an observation has of the next move."""
+
+
+def describe_move_info(unit: str, turn: str) -> tuple[Feature, ...]:
+    """Describe the features of a move in an info; those of a reset are of the next move.
+
+    Args:
+        unit: Of a distance.
+        turn: What an angle of 1 is.
+    """
+    return (
+        Feature("distance", HOST, f"{unit}; in the info of a reset, those of the next move", kind=int),
+        Feature("payload", TRUTH, "kg; in the info of a reset, that of the next move", kind=float),
+        Feature(
+            "angle",
+            TRUTH,
+            f"of the rotor at the start, from 0 to 1 {turn}; in the info of a reset, that of the next move",
+            kind=float,
+        ),
+        Feature("registers", HOST, "registers of the action", kind=int),
+    )
+
+
+class Tuning(MoveTask[ConfigT]):
+    """Base of the tuning tasks.
+
+    Their settings have model, axis, actions ("box" or "registers"), distances and payloads (ends of what is drawn), payload_on,
+    moves (of an episode), limit (s, for a move) and bus_cycle.
+    """
+
+    OPTIONS: ClassVar[tuple[str, ...]] = ("distance", "payload", "angle")
+    """angle: of the rotor at the start, in electrical turns of the motor from 0 to 1; of a servo in counts of its encoder."""
+    STATE: ClassVar[tuple[str, ...]] = ("distance", "payload", "angle", "last")
+    RESTARTS = True
+    UNIT: ClassVar[str]
+    """Of a distance."""
+
+    @abstractmethod
+    def chip(self) -> type[Chip]:
+        """Return the class of the axis' chip."""
+
+    @abstractmethod
+    def make_register_box(self) -> RegisterBox:
+        """Return the registers that an action chooses; `axis` is known."""
+
+    @abstractmethod
+    def make_program(self, row: np.ndarray, distance: int) -> Program:
+        """Make the bus cycles of a move, and of what is observed. All programs have the same length.
+
+        Args:
+            row: Registers, in the order of `registers`.
+            distance: Pulses, or counts of a servo.
+        """
+
+    def after_placing(self, k: int) -> None:
+        """Note the start of stage k's next move; called when the carriage is there."""
+
+    def make_stage(self, visuals: bool) -> Stage:
+        c: Any = self.config
+        new_stage = Stage(c.model, chips=self.chip(), bus_cycle=c.bus_cycle, visuals=visuals)
+        if c.axis not in new_stage.axes:
+            raise unknown_name_error("axis", c.axis, new_stage.axes)
+        return new_stage
+
+    def prepare(self) -> None:
+        c: Any = self.config
+        self.axis = self.stages[0].axes[c.axis]
+        self.carrier = find_carrier(self.stages[0], c.axis, c.payload_on)
+        self.registers = self.make_register_box()
+        self.action_space = self.registers.box if c.actions == "box" else self.registers.discrete
+        self.starts = StartPositions(self.axis)
+        self.starts.check(c.distances, self.UNIT)
+        self.observation_space = self.make_observation_space()
+        self.shapes = {"registers": (len(self.registers),)}
+        self.distance, self.payload, self.angle = np.ones(self.n, np.int64), np.zeros(self.n), np.zeros(self.n)
+        self.last = np.zeros((self.n, 4))
+        self.make_program(self.registers.low, 1)
+
+    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
+        self.last[k] = 0.0
+        self._draw_move(k, options)
+
+    def prepare_next(self) -> None:
+        for k in np.flatnonzero(self.converged):
+            self._draw_move(int(k), {})
+
+    def describe_episode(self, k: int) -> dict[str, Any]:
+        return {"distance": int(self.distance[k]), "payload": float(self.payload[k]), "angle": float(self.angle[k])}
+
+    def draw_distance(self, k: int, options: Mapping[str, Any]) -> int:
+        """Draw the distance of the next move of a stage. A subclass may override this, and return negative distances too.
+
+        Args:
+            k: Number of the stage; `rngs[k]` is its random generator.
+            options: Options of the reset; "distance" comes before a drawn one.
+
+        Returns:
+            Pulses (of a servo, counts), signed.
+        """
+        c: Any = self.config
+        drawn = int(np.rint(portable_math.exp(self.rngs[k].uniform(*portable_math.log(c.distances)))))
+        return int(read_option(options, "distance", drawn, c.distances))
+
+    def _draw_move(self, k: int, options: Mapping[str, Any]) -> None:
+        """Draw the next move of stage k, its payload and the rotor's angle, and put the carriage at its start."""
+        c: Any = self.config
+        rng, stage = self.rngs[k], self.stages[k]
+        distance = self.draw_distance(k, options)
+        self.payload[k] = read_option(options, "payload", float(rng.uniform(*c.payloads)), c.payloads)
+        self.distance[k] = distance
+        self.angle[k] = read_option(options, "angle", float(rng.uniform()), (0.0, 1.0))
+        stage.restore(self.start)
+        self.apply_machine(k)
+        stage.place(**{c.axis: self.starts.find_start(float(self.distance[k]), float(self.angle[k]))})
+        self.after_placing(k)
+
+    def apply_machine(self, k: int) -> None:
+        self.stages[k].set_payload(float(self.payload[k]), self.carrier)
+
+    def to_registers(self, actions: np.ndarray) -> np.ndarray:
+        """Return the registers of actions, (n, registers)."""
+        c: Any = self.config
+        return self.registers.from_action(actions) if c.actions == "box" else actions.astype(np.int64)
+
+    def make_programs(self) -> list[Program]:
+        rows = self.to_registers(self.actions)
+        return [self.make_program(row, int(d)) for row, d in zip(rows, self.distance, strict=True)]
+
+    def set_move_results(
+        self, parts: Mapping[str, np.ndarray], info: Mapping[str, np.ndarray], now: np.ndarray
+    ) -> None:
+        """Set the results of moves.
+
+        Args:
+            parts: Of the reward, by name.
+            info: By name.
+            now: Outcome that the next observations show, (stages, 4).
+        """
+        c: Any = self.config
+        good = self.converged
+        self.last[good] = np.clip(np.nan_to_num(now), 0.0, 1.0)[good]
+        drawn = {
+            "distance": self.distance,
+            "payload": self.payload,
+            "angle": self.angle,
+            "registers": self.to_registers(self.actions),
+        }
+        self.set_results(parts, {**info, **drawn}, False, self.steps >= c.moves)
+
+    def compute_observations(self) -> np.ndarray:
+        c: Any = self.config
+        drawn = np.stack([scale_log(np.abs(self.distance), c.distances), scale(self.payload, c.payloads)], axis=1)
+        return np.clip(np.concatenate([drawn, self.last], axis=1), -1.0, 1.0).astype(np.float32)

@@ -1,0 +1,148 @@
+"""Entries of a journal, packed into 32 bytes per event, so that millions of them need little memory."""
+
+from __future__ import annotations
+
+import struct
+from array import array
+from collections.abc import Iterator, Sequence
+from enum import IntEnum
+from typing import Any, NamedTuple, overload
+
+import numpy as np
+
+
+class Kind(IntEnum):
+    """Kinds of events in a journal."""
+
+    WRITE = 0
+    """A bus write cycle: address, value."""
+    INPUT = 1
+    """The input pins of an axis changed: axis, pin word."""
+    RESET = 2
+    LOST = 3
+    """A write that did not arrive: address, value."""
+    READ = 4
+    """A read cycle that changes something, see `Chip.READING_ACTS`: address, value."""
+    SHAFT = 5
+    """Where the shaft of the axis is from now on: count and counts a clock, both as `bits`."""
+    LOAD = 6
+    """A sample of the load of the axis' motor, see `cores.set_load`: angle and share, both as `bits`."""
+    WIRES = 7
+    """What other chips drive onto the wires between them, see stage/chips/linked_chips.py: the word."""
+
+
+WRITE, INPUT, RESET, LOST, READ, SHAFT, LOAD, WIRES = map(int, Kind)  # for compiled code
+PACKED = np.dtype([("clock", "i8"), ("kind", "i4"), ("axis", "i4"), ("a", "i8"), ("b", "i8")])
+AXIS = 32
+"""Bit of a packed entry's second word from which on it is the axis."""
+
+
+def float_to_bits(number: float) -> int:
+    """Return the integer with the same bits as a float64, for an entry."""
+    return int(struct.unpack("q", struct.pack("d", number))[0])
+
+
+def bits_to_float(bits: int) -> float:
+    """Return the float64 with these bits."""
+    return float(struct.unpack("d", struct.pack("q", bits))[0])
+
+
+class Entry(NamedTuple):
+    """One event between two ticks.
+
+    Attributes:
+        clock: Reference clocks since power-up.
+        kind: A `Kind`, which defines the meaning of a and b.
+        a: First number.
+        b: Second number.
+        axis: Axis of a SHAFT or a LOAD.
+    """
+
+    clock: int
+    kind: int
+    a: int
+    b: int
+    axis: int = 0
+
+    def apply(self, core: Any, c: Any) -> None:
+        """Apply the event to a chip.
+
+        Args:
+            core: Core of the chip's family.
+            c: State of the chip: a record, an array of one, or an address.
+        """
+        args: tuple[float, ...] = ()
+        kind = self.kind
+        if kind == INPUT:
+            function, args = core.set_input, (self.a, self.b)
+        elif kind == WRITE:
+            function, args = core.write, (self.a, self.b)
+        elif kind == READ:
+            function, args = core.read, (self.a,)
+        elif kind == SHAFT:
+            function, args = core.set_shaft, (self.axis, bits_to_float(self.a), bits_to_float(self.b))
+        elif kind == LOAD:
+            function, args = core.set_load, (self.axis, bits_to_float(self.a), bits_to_float(self.b))
+        elif kind == WIRES:
+            function, args = core.set_wire_word, (self.a,)
+        elif kind == RESET:
+            function = core.power_up
+        else:
+            return
+        (function.c if isinstance(c, int) else function)(c, *args)
+
+
+class Entries(Sequence[Entry]):
+    """Sequence of entries, packed, that unpacks each `Entry` when it is read."""
+
+    def __init__(self) -> None:
+        self._words = array("q")
+
+    def note(self, clock: int, kind: int, a: int, b: int, axis: int = 0) -> None:
+        """Append an entry.
+
+        Args:
+            clock: Reference clocks since power-up.
+            kind: A `Kind`.
+            a: First number.
+            b: Second number.
+            axis: Axis of a SHAFT or a LOAD.
+        """
+        self._words.extend((clock, kind | axis << AXIS, a, b))
+
+    def extend(self, packed: np.ndarray) -> None:
+        """Append PACKED records."""
+        self._words.frombytes(packed.tobytes())
+
+    def packed(self) -> np.ndarray:
+        """Return a copy as PACKED records."""
+        return np.frombuffer(self._words.tobytes(), PACKED)
+
+    def __len__(self) -> int:
+        return len(self._words) // 4
+
+    def __iter__(self) -> Iterator[Entry]:
+        words = iter(self._words)
+        return map(_unpack, zip(words, words, words, words, strict=True))
+
+    @overload
+    def __getitem__(self, k: int) -> Entry: ...
+
+    @overload
+    def __getitem__(self, k: slice) -> Entries: ...
+
+    def __getitem__(self, k: int | slice) -> Entry | Entries:
+        if isinstance(k, slice):
+            part, (start, stop, step) = Entries(), k.indices(len(self))
+            if step == 1:  # without a copy of all
+                part._words = self._words[4 * start : 4 * max(start, stop)]
+            else:
+                part._words.frombytes(self.packed()[k].tobytes())
+            return part
+        at = range(len(self))[k] * 4
+        return _unpack(self._words[at : at + 4])
+
+
+def _unpack(words: Sequence[int]) -> Entry:
+    clock, kind, a, b = words
+    return Entry(clock, kind & (1 << AXIS) - 1, a, b, kind >> AXIS)

@@ -1,0 +1,90 @@
+"""Shared parts of the buses of all NOVA chips, compiled: parameters from the register map, and status bits of a drive."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from stage.chips.nova.motion import rate_registers, single_axis_drive
+from stage.chips.nova.state import ACCELERATING, AREA_D, AXES, CONSTANT, DECELERATING, REGISTERS
+from stage.chips.register_map import RegisterMap
+from stage.native import hot
+
+
+class Parameters(NamedTuple):
+    """Parameters of a chip by command code. In the first three numbers bit k stands for command code k.
+
+    Attributes:
+        writes: Bits of the codes that write a parameter.
+        signed: Bits of the parameters with a sign.
+        short: Bits of the parameters of 16 bits.
+        places: Codes of the parameters that are not 0 after a reset.
+        values: Their values after a reset.
+    """
+
+    writes: int
+    signed: int
+    short: int
+    places: tuple[int, ...]
+    values: tuple[int, ...]
+
+
+def list_parameters(map_: RegisterMap) -> Parameters:
+    """List the parameters of a chip's register map."""
+    registers = [r for r in map_.registers if r.number < REGISTERS]
+    after_reset = [r for r in registers if r.reset]
+    return Parameters(
+        sum(1 << chip.code for chip in map_.commands if chip.kind == "data write" and chip.code < REGISTERS),
+        sum(1 << r.number for r in registers if r.signed),
+        sum(1 << r.number for r in registers if r.bits == 16),
+        tuple(r.number for r in after_reset),
+        tuple(r.reset or 0 for r in after_reset),
+    )
+
+
+@hot
+def to_parameter_value(word, signed, short):
+    """Convert the data of a command to the value of a parameter.
+
+    Args:
+        word: 32 bits of data.
+        signed: Whether the parameter has a sign.
+        short: Whether it has 16 bits.
+    """
+    bits = 16 if short else 32
+    word &= (1 << bits) - 1
+    return word - (1 << bits) if signed and word >> (bits - 1) else word
+
+
+@hot
+def find_lowest_axis(chip):
+    """Return the lowest selected axis, the one that answers reads."""
+    for j in range(AXES):
+        if chip.selected >> j & 1:
+            return j
+    return 0
+
+
+@hot
+def is_axis_busy(axis):
+    """Return n-DRV: whether the axis drives, waits for INPOS, searches home or interpolates."""
+    return axis.driving or axis.awaits_inpos or axis.home_state or axis.interpolates
+
+
+@hot
+def compute_phase_bits(chip, axis):
+    """Compute ASND, CNST, DSND, AASND, ACNST and ADSND as bits 0 to 5."""
+    if not rate_registers.has_profile(axis):
+        return 0
+    n = chip.clock - axis.origin
+    phase = single_axis_drive.find_phase(axis, n)
+    if phase in (CONSTANT, AREA_D):
+        return 2
+    if phase != ACCELERATING and phase != DECELERATING:
+        return 0
+    bits = 1 if phase == ACCELERATING else 4
+    if not axis.curved:
+        return bits | 16
+    j6 = axis.j6[single_axis_drive.find_piece(axis, n), 0]
+    if j6 == 0.0:
+        return bits | 16
+    return bits | (8 if (j6 > 0.0) == (phase == ACCELERATING) else 32)

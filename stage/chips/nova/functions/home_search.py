@@ -1,0 +1,391 @@
+"""The automatic home search of the NOVA chips, compiled.
+
+         ____ DV
+        /    \\            step 1: to the signal, where it brakes
+       /      \\__    HV
+    SV/          |_  ____|  step 2: back out of it, then to its edge
+                   \\/       ____  steps 3, 4: on to STOP2, and an offset
+
+Step 1 at the drive speed to a signal, step 2 at HV to the next, step 3 at HV to STOP2, step 4 an offset at the drive speed.
+Step 1 is skipped if its signal, or the limit ahead, is already asserted; the limit also ends it [M]. In step 2 the axis backs out
+of a signal that is already asserted, or from a limit ahead over the signal, and then searches once more. Step 3 fails if STOP2 is
+already asserted; any other stop ends the search, with its own error bit. `x.home_state` is HSST of the MCX514.
+
+Inferred: a step at HV is an ordinary drive at that speed, constant where HV <= SV. STOP inputs end the step that waits for them
+and no other, whatever their enable bits. Limits count where they are enabled, a limit that is the signal always. DCC comes
+first, then the timer, which runs only where a step follows. D-STA and D-END come once, with n-DRV; H-END with any end.
+"""
+
+from __future__ import annotations
+
+from stage.chips.nova import state
+from stage.chips.nova.functions import general_ports as ports
+from stage.chips.nova.motion import counters, single_axis_drive
+from stage.chips.nova.registers.mcx300 import MCX304_MAP
+from stage.chips.nova.registers.mcx514 import MCX514_MAP
+from stage.chips.nova.registers.mcx514_words import HOME_TIMES
+from stage.native import hot
+
+IDLE, SEEK, PAUSE_1, PASS_SIGNAL, BACK_OUT, PAUSE_BACK, SEARCH, PAUSE_2, SEARCH_Z, PAUSE_3, OFFSET = (
+    0, 3, 6, 11, 15, 18, 20, 23, 28, 32, 36)  # fmt: skip
+"""HSST: step 1; back to the signal and out of it; step 2; step 3; step 4; the timer after each."""
+STATES_304 = (0, 3, 15, 8, 12, 15, 15, 20, 20, 25, 25)
+STATES = (IDLE, SEEK, PAUSE_1, PASS_SIGNAL, BACK_OUT, PAUSE_BACK, SEARCH, PAUSE_2, SEARCH_Z, PAUSE_3, OFFSET)
+SIGNAL, LIMIT = 1, 2  # values of `home_trigger`
+
+
+def _h1m_mask(name: str) -> int:
+    return MCX514_MAP.mask("H1M", name)
+
+
+def _h2m_mask(name: str) -> int:
+    return MCX514_MAP.mask("H2M", name)
+
+
+def _hm_mask(name: str) -> int:
+    return MCX304_MAP.mask("HM", name)
+
+
+ENABLE_BITS = (
+    (_hm_mask("ST1-E"), _hm_mask("ST2-E"), _hm_mask("ST3-E"), _hm_mask("ST4-E")),
+    (_h1m_mask("S1EN"), _h1m_mask("S2EN"), _h1m_mask("S3EN"), _h1m_mask("S4EN")),
+)
+DIRECTION_BITS = (
+    (_hm_mask("ST1-D"), _hm_mask("ST2-D"), _hm_mask("ST3-D"), _hm_mask("ST4-D")),
+    (_h1m_mask("S1DR"), _h1m_mask("S2DR"), _h1m_mask("S3DR"), 0),
+)
+S1G, S2SG = MCX514_MAP.bit("H1M", "S1G"), _h1m_mask("S2SG")
+AFTER_2, AFTER_3 = (
+    (_h1m_mask("S2DC"), _h1m_mask("S2RC"), _h1m_mask("S2LC")),
+    (_h1m_mask("S3DC"), _h1m_mask("S3RC"), _h1m_mask("S3LC")),
+)
+"""DCC, clear RP, clear LP."""
+SAND, LCLR, RCLR, HTME = _h2m_mask("SAND"), _h2m_mask("LCLR"), _h2m_mask("RCLR"), _h2m_mask("HTME")
+HTM = MCX514_MAP.bit("H2M", "HTM")
+CLOCKS_PER_MS = 16_000
+LIMIT_304, SAND_304, PCLR, DCC_E = _hm_mask("LIMIT"), _hm_mask("SAND"), _hm_mask("PCLR"), _hm_mask("DCC-E")
+
+
+@hot
+def reset_search(axis):
+    """Clear the state of the home search."""
+    axis.home_state = axis.home_trigger = axis.pause_end = axis.home_handles_limits = axis.drives_at_hv = (
+        axis.launch_direction
+    ) = 0
+
+
+@hot
+def compute_hmst(axis):
+    """Compute HMST, the home state in RR2 of the older chips."""
+    for k in range(len(STATES)):
+        if STATES[k] == axis.home_state:
+            return STATES_304[k]
+    return 0
+
+
+# --- what the mode registers ask for ---
+
+
+@hot
+def _is_mcx514(chip):
+    """Return 1 for the MCX514 and its siblings, 0 for the older chips."""
+    return 1 if chip.variant == state.MCX514_TYPE else 0
+
+
+@hot
+def _find_direction(chip, axis, step):
+    """Return the direction of step `step`, +1 or -1."""
+    if step == 4 and chip.variant == state.MCX514_TYPE:
+        return 1 if axis.reg[state.TP] >= 0 else -1
+    return -1 if axis.mode[state.H1M] & DIRECTION_BITS[_is_mcx514(chip)][step - 1] else 1
+
+
+@hot
+def _find_stop_input(chip, axis, step):
+    """Return the STOP input that step 1 or 2 searches; 0 if it searches the limit of its direction."""
+    mode = axis.mode[state.H1M]
+    if chip.variant != state.MCX514_TYPE:
+        return 0 if mode & LIMIT_304 else state.STOP0 if step == 1 else state.STOP1
+    if step == 2:
+        return 0 if mode & S2SG else state.STOP1
+    what = mode >> S1G & 3
+    return state.STOP0 if what == 0 else state.STOP1 if what == 1 else 0
+
+
+@hot
+def _is_signal_active(chip, axis, step):
+    """Return whether the signal of step 1 or 2 is active."""
+    stop = _find_stop_input(chip, axis, step)
+    return axis.active_inputs & stop if stop else counters.is_limit_asserted(axis, _find_direction(chip, axis, step))
+
+
+@hot
+def _is_limit_ahead(chip, axis, step):
+    """Return whether the limit in the direction of a step is asserted, unless the step searches this limit."""
+    return (
+        axis.limits_stop
+        and _find_stop_input(chip, axis, step)
+        and counters.is_limit_asserted(axis, _find_direction(chip, axis, step))
+    )
+
+
+@hot
+def _find_signal_cause(chip, axis, step):
+    """Return the finishing status that the signal of step 1 or 2 sets, bits of RR2."""
+    stop = _find_stop_input(chip, axis, step)
+    if stop == 0:
+        return _find_limit_cause(chip, axis, step)
+    return state.F_STOP0 if stop == state.STOP0 else state.F_STOP1
+
+
+@hot
+def _find_limit_cause(chip, axis, step):
+    """Return the finishing status that the limit in the direction of a step sets, bits of RR2."""
+    return state.F_LMT_PLUS if _find_direction(chip, axis, step) > 0 else state.F_LMT_MINUS
+
+
+# --- beginning and end ---
+
+
+@hot
+def start_search(chip, axis):
+    """Start the home search (5Ah, 62h), unless the axis is busy."""
+    if axis.driving or axis.awaits_inpos or axis.home_state or axis.interpolates:
+        return
+    single_axis_drive.note_event(axis, state.D_STA)
+    _begin_step(chip, axis, 1)
+
+
+@hot
+def end_search(chip, axis):
+    """End the home search, if one is in progress."""
+    if not axis.home_state:
+        return
+    reset_search(axis)
+    single_axis_drive.note_event(axis, state.H_END)
+    if not axis.driving and not axis.awaits_inpos:
+        single_axis_drive.note_event(axis, state.D_END)
+    chip.stale = 1
+
+
+@hot
+def _finish_search(chip, axis):
+    """Clear the counters that the mode selects, and end the search."""
+    if chip.variant == state.MCX514_TYPE:
+        mode = axis.mode[state.H2M]
+        _clear_counters(axis, mode & RCLR, mode & LCLR)
+    else:
+        mode = axis.mode[state.HM]
+        _clear_counters(axis, mode & PCLR, mode & PCLR)
+        if mode & DCC_E:
+            ports.start_dcc_pulse(chip, axis)
+    end_search(chip, axis)
+
+
+@hot
+def _clear_counters(axis, real, logical):
+    """Clear the position counters: RP if `real`, LP if `logical`."""
+    if real:
+        axis.reg[state.RP] = 0
+    if logical:
+        axis.reg[state.LP] = 0
+
+
+# --- steps ---
+
+
+@hot
+def launch_step_drive(chip, axis):
+    """Begin the drive that a step has requested. It is separate from the steps because they compile much faster without it."""
+    direction, axis.launch_direction = axis.launch_direction, 0
+    single_axis_drive.begin_drive(chip, axis, direction, axis.launch_pulses)
+
+
+@hot
+def _request_drive(axis, next_step, direction, slow):
+    """Request a drive without an end for a step.
+
+    Args:
+        axis: State of the axis.
+        next_step: State of the search from now on.
+        direction: +1 or -1.
+        slow: Whether it runs at HV.
+    """
+    axis.home_state, axis.drives_at_hv = next_step, slow
+    axis.home_handles_limits = 1 if next_step in (SEEK, SEARCH) else 0
+    axis.launch_direction, axis.launch_pulses = direction, -1
+
+
+@hot
+def _begin_step(chip, axis, step):
+    """Begin step `step`, or the first later step that is enabled."""
+    enabled, mode = ENABLE_BITS[_is_mcx514(chip)], axis.mode[state.H1M]
+    axis.home_trigger = axis.pause_end = axis.home_handles_limits = 0
+    chip.stale = 1
+    if step <= 1 and mode & enabled[0] and not _is_signal_active(chip, axis, 1) and not _is_limit_ahead(chip, axis, 1):
+        _request_drive(axis, SEEK, _find_direction(chip, axis, 1), 0)
+    elif step <= 2 and mode & enabled[1]:
+        if _is_signal_active(chip, axis, 2):
+            _request_drive(axis, BACK_OUT, -_find_direction(chip, axis, 2), 1)
+        elif _is_limit_ahead(chip, axis, 2):
+            _request_drive(axis, PASS_SIGNAL, -_find_direction(chip, axis, 2), 1)
+        else:
+            _request_drive(axis, SEARCH, _find_direction(chip, axis, 2), 1)
+    elif step <= 3 and mode & enabled[2]:
+        axis.home_state = SEARCH_Z
+        if axis.active_inputs & state.STOP2:
+            axis.stop_causes |= state.E_HOME
+            end_search(chip, axis)
+        else:
+            _request_drive(axis, SEARCH_Z, _find_direction(chip, axis, 3), 1)
+    elif step <= 4 and mode & enabled[3]:
+        axis.home_state, axis.drives_at_hv, axis.absolute, axis.pulse_sign = OFFSET, 0, 0, 1
+        axis.launch_direction, axis.launch_pulses = (
+            _find_direction(chip, axis, 4),
+            abs(axis.reg[state.TP]) if chip.variant == state.MCX514_TYPE else axis.reg[state.TP] & 0xFFFFFFFF,
+        )
+    else:
+        axis.home_state = OFFSET
+        _finish_search(chip, axis)
+
+
+@hot
+def _watch_step_drive(chip, axis):
+    """Stop the drive of a step if its signal or a limit has come."""
+    if axis.home_state == SEEK:
+        if _is_limit_ahead(chip, axis, 1):
+            axis.home_trigger = LIMIT
+            if axis.limits_decelerate:
+                single_axis_drive.begin_decelerating_stop(chip, axis, _find_limit_cause(chip, axis, 1))
+            else:
+                single_axis_drive.end_drive(chip, axis, _find_limit_cause(chip, axis, 1))
+        elif not axis.home_trigger and _is_signal_active(chip, axis, 1):
+            axis.home_trigger = SIGNAL
+            single_axis_drive.begin_decelerating_stop(chip, axis, _find_signal_cause(chip, axis, 1))
+    elif axis.home_state == SEARCH:
+        if _is_signal_active(chip, axis, 2):
+            axis.home_trigger = SIGNAL
+            single_axis_drive.end_drive(chip, axis, _find_signal_cause(chip, axis, 2))
+        elif _is_limit_ahead(chip, axis, 2):
+            axis.home_trigger = LIMIT
+            single_axis_drive.end_drive(chip, axis, _find_limit_cause(chip, axis, 2))
+    elif axis.home_state == PASS_SIGNAL:
+        if _is_signal_active(chip, axis, 2):
+            axis.home_state = BACK_OUT
+    elif axis.home_state == BACK_OUT:
+        if not _is_signal_active(chip, axis, 2):
+            axis.home_trigger = SIGNAL
+            single_axis_drive.end_drive(chip, axis, 0)
+    elif (
+        axis.active_inputs & state.STOP2
+        and (axis.active_inputs & state.STOP1 or not _requires_stop1(chip, axis))
+        and axis.home_state == SEARCH_Z
+    ):
+        axis.home_trigger = SIGNAL
+        single_axis_drive.end_drive(chip, axis, state.F_STOP2)
+
+
+@hot
+def _requires_stop1(chip, axis):
+    """Return whether step 3 stops only while STOP1 is active as well."""
+    return axis.mode[state.H2M] & SAND if chip.variant == state.MCX514_TYPE else axis.mode[state.HM] & SAND_304
+
+
+@hot
+def _finish_step_drive(chip, axis):
+    """Go on after the end of the drive of a step."""
+    if axis.home_state == OFFSET and axis.pulses_done >= axis.output_pulses:
+        _finish_search(chip, axis)
+    elif not axis.home_trigger:
+        end_search(chip, axis)
+    elif axis.home_state == SEEK:
+        _begin_pause(chip, axis, PAUSE_1, 0)
+    elif axis.home_state == BACK_OUT:
+        _begin_pause(chip, axis, PAUSE_BACK, 0)
+    elif axis.home_state == SEARCH and axis.home_trigger == LIMIT:
+        _begin_step(chip, axis, 2)
+    elif axis.home_state == SEARCH:
+        _begin_pause(chip, axis, PAUSE_2, _clear_at_signal(chip, axis, AFTER_2))
+    elif axis.home_state == SEARCH_Z:
+        _begin_pause(chip, axis, PAUSE_3, _clear_at_signal(chip, axis, AFTER_3))
+
+
+@hot
+def _clear_at_signal(chip, axis, what):
+    """Clear counters and assert DCC after step 2 or 3, as the mode says.
+
+    Args:
+        chip: State of the chip.
+        axis: State of the axis.
+        what: Mode bits for DCC, RP and LP.
+
+    Returns:
+        Clocks for which DCC is asserted.
+    """
+    if chip.variant != state.MCX514_TYPE:
+        return 0
+    mode = axis.mode[state.H1M]
+    _clear_counters(axis, mode & what[1], mode & what[2])
+    return ports.start_dcc_pulse(chip, axis) if mode & what[0] else 0
+
+
+@hot
+def _has_further_step(chip, axis, step):
+    """Return whether a step after step `step` is enabled."""
+    enabled, mode = ENABLE_BITS[_is_mcx514(chip)], axis.mode[state.H1M]
+    return (step < 2 and mode & enabled[1]) or (step < 3 and mode & enabled[2]) or (step < 4 and mode & enabled[3])
+
+
+@hot
+def _find_step_after_pause(axis):
+    """Return the number of the step that follows the present pause."""
+    return 4 if axis.home_state == PAUSE_3 else 3 if axis.home_state == PAUSE_2 else 2
+
+
+@hot
+def _begin_pause(chip, axis, next_step, clocks):
+    """Begin the pause between two steps: DCC, then the timer if a step follows.
+
+    Args:
+        chip: State of the chip.
+        axis: State of the axis.
+        next_step: State of the search from now on.
+        clocks: Duration of DCC.
+    """
+    axis.home_state, axis.home_handles_limits, axis.drives_at_hv = next_step, 0, 0
+    mode = axis.mode[state.H2M]
+    if (
+        chip.variant == state.MCX514_TYPE
+        and mode & HTME
+        and _has_further_step(chip, axis, _find_step_after_pause(axis) - 1)
+    ):
+        clocks += CLOCKS_PER_MS * HOME_TIMES[mode >> HTM & 7]
+    axis.pause_end = chip.clock + clocks
+    if clocks == 0:
+        _begin_step(chip, axis, _find_step_after_pause(axis))
+
+
+# --- time ---
+
+
+@hot
+def update_search(chip, axis):
+    """Do what is due at the present clock. Sets `stale` if that changes something."""
+    if not axis.home_state:
+        return
+    if axis.pause_end:
+        if chip.emergency or (axis.alarm_stops and axis.active_inputs & state.ALARM):
+            axis.stop_causes |= (state.E_EMG | state.F_EMG) if chip.emergency else (state.E_ALARM | state.F_ALARM)
+            end_search(chip, axis)
+        elif chip.clock >= axis.pause_end:
+            _begin_step(chip, axis, _find_step_after_pause(axis))
+    elif axis.driving:
+        _watch_step_drive(chip, axis)
+    elif not axis.awaits_inpos:
+        _finish_step_drive(chip, axis)
+
+
+@hot
+def find_next_event(chip, axis):
+    """Return the clock at which a pause ends, NEVER if there is none."""
+    return axis.pause_end if axis.pause_end else state.NEVER

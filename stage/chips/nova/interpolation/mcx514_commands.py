@@ -1,0 +1,217 @@
+"""Interpolation commands of the MCX514 and MCX512, and the pre-buffer of eight segments that they fill; compiled."""
+
+from __future__ import annotations
+
+from stage.chips.nova.interpolation import helix as helical
+from stage.chips.nova.interpolation import interpolator as interpolation
+from stage.chips.nova.interpolation import multichip, segment
+from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
+from stage.chips.nova.state import ARC, AXES, CP, HELIX, HLN, HLV, IPM, LINE, PATTERN, STAGES, TP, TX
+from stage.native import greatest, hot, least
+
+
+def _find_code(symbol: str) -> int:
+    return MAP.command(symbol).code
+
+
+LINES, CIRCLE_CW, CIRCLE_CCW, PATTERNS, HELIX_CW, HELIX_CCW, COUNT_CW, COUNT_CCW = (_find_code(n) for n in (
+    "LHK1", "CHKCW", "CHKCCW", "BHK2", "HLCW", "HLCCW", "HLPCW", "HLPCCW"))  # fmt: skip
+DECEN, DECDIS, CLRSTEP, MFPC = (_find_code(n) for n in ("DECEN", "DECDIS", "CLRSTEP", "MFPC"))
+CXIV, LMDF, STEP, MAXM = (MAP.mask("IPM", n) for n in ("CXIV", "LMDF", "STEP", "MAXM"))
+SPD = MAP.bit("IPM", "SPD")
+CNEXT = MAP.mask("RR0", "CNEXT")
+ZONE, SC = MAP.bit("RR0", "ZONE"), MAP.bit("RR0", "SC")
+ENABLE_BITS = (1 << AXES) - 1
+VECTOR_AXES = (0, 2, 3, 2)
+"""Number of axes that constant vector speed considers, by SPD."""
+
+
+@hot
+def execute_command(chip, code):
+    """Execute an interpolation command, 60h to 6Fh or 7Ch."""
+    ip = chip.ip
+    if code in (DECEN, DECDIS):
+        ip.deceleration_enabled = 1 if code == DECEN else 0
+    elif code == CLRSTEP:
+        ip.interrupt = 0
+        interpolation.make_single_step(chip)
+    elif code == MFPC:
+        chip.ax[0].reg[TX] = 0
+    elif code in (COUNT_CW, COUNT_CCW):
+        _calculate_hlv(chip, code)
+    else:
+        _load_segment(chip, code)
+    chip.stale = 1
+
+
+@hot
+def _count_axes(mask):
+    """Count the axes in a mask."""
+    return (mask & 1) + (mask >> 1 & 1) + (mask >> 2 & 1) + (mask >> 3 & 1)
+
+
+@hot
+def to_coordinate(value, fine):
+    """Convert a register to a finish point or center: 31 bits with a sign, less by the factor of the inner ticks.
+
+    Args:
+        value: Value of the register.
+        fine: Inner ticks per tick.
+    """
+    half = (1 << 30) // fine
+    return (value + half) % (2 * half) - half
+
+
+@hot
+def _select_axes(chip, segment, word, count):
+    """Let the lowest axes of IPM take part in a segment, and set its other fields to their defaults.
+
+    Args:
+        chip: State of the chip.
+        segment: The segment.
+        word: IPM.
+        count: Number of axes.
+    """
+    segment.axis_count = 0
+    for j in range(AXES):
+        if word >> j & 1 and segment.axis_count < count:
+            segment.axis_numbers[segment.axis_count] = j
+            segment.axis_count += 1
+    for k in range(AXES):
+        segment.finish[k] = 0
+    segment.center[0] = segment.center[1] = segment.rotations = segment.tick_count = 0
+    segment.y_sign = segment.inner_ticks = 1
+    segment.vector_axes = VECTOR_AXES[word >> SPD & 3]
+    segment.decelerates = chip.ip.deceleration_enabled
+
+
+@hot
+def _load_circle(chip, queued_segment, word, clockwise):
+    """Load the finish point and the center of the first two axes into a segment.
+
+    Args:
+        chip: State of the chip.
+        queued_segment: The segment.
+        word: IPM.
+        clockwise: Whether the circle is clockwise.
+    """
+    if word & LMDF:
+        queued_segment.inner_ticks = segment.INNER_TICKS
+    if word & CXIV:
+        queued_segment.axis_numbers[0], queued_segment.axis_numbers[1] = (
+            queued_segment.axis_numbers[1],
+            queued_segment.axis_numbers[0],
+        )
+    queued_segment.y_sign = -1 if clockwise else 1
+    queued_segment.vector_axes = least(queued_segment.vector_axes, 2)
+    for k in range(2):
+        axis = chip.ax[queued_segment.axis_numbers[k]]
+        queued_segment.finish[k], queued_segment.center[k] = (
+            to_coordinate(axis.reg[TP], queued_segment.inner_ticks),
+            to_coordinate(axis.reg[CP], queued_segment.inner_ticks),
+        )
+
+
+@hot
+def _load_segment(chip, code):
+    """Execute a command of a segment, 60h to 6Ah: start it, queue it, or refuse it."""
+    word = chip.ax[0].mode[IPM]
+    mask = word & ENABLE_BITS
+    count = _count_axes(mask)
+    if code < CIRCLE_CW:
+        need = code - LINES + 1
+    elif PATTERNS <= code < HELIX_CW:
+        need = code - PATTERNS + 2
+    else:
+        need = 2 if code in (CIRCLE_CW, CIRCLE_CCW) else 3
+    if count < need:
+        interpolation.note_refused_segment(chip)
+        return
+    role = multichip.find_role(chip, word)
+    if role and (code >= CIRCLE_CW or not multichip.can_take_line(chip, role)):
+        return
+    if not interpolation.can_take_segment(chip, mask, STAGES):
+        return
+    queued_segment = chip.queue[interpolation.find_free_place(chip)]
+    helix = code in (HELIX_CW, HELIX_CCW)
+    _select_axes(chip, queued_segment, word, count if helix else need)
+    main = queued_segment.axis_numbers[0]
+    if code < CIRCLE_CW:
+        queued_segment.kind = LINE
+        if word & LMDF and not role:
+            queued_segment.inner_ticks = segment.INNER_TICKS
+        for k in range(queued_segment.axis_count):
+            queued_segment.finish[k] = to_coordinate(
+                chip.ax[queued_segment.axis_numbers[k]].reg[TP], queued_segment.inner_ticks
+            )
+            queued_segment.tick_count = greatest(queued_segment.tick_count, abs(queued_segment.finish[k]))
+        if word & MAXM:
+            queued_segment.tick_count = greatest(queued_segment.tick_count, chip.ax[0].reg[TX])
+    elif PATTERNS <= code < HELIX_CW:
+        queued_segment.kind = PATTERN
+        for k in range(queued_segment.axis_count):
+            queued_segment.finish[k] = chip.ax[queued_segment.axis_numbers[k]].reg[TP]
+    else:
+        _load_circle(chip, queued_segment, word, code in (CIRCLE_CW, HELIX_CW))
+        queued_segment.kind = HELIX if helix else ARC
+        if helix:
+            queued_segment.rotations = chip.ax[0].reg[HLN]
+            queued_segment.tick_count = helical.compute_inner_ticks(
+                chip.ip.scratch_arc, queued_segment, greatest(chip.ax[0].reg[HLV], 1)
+            )
+            for k in range(2, queued_segment.axis_count):
+                queued_segment.finish[k] = to_coordinate(
+                    chip.ax[queued_segment.axis_numbers[k]].reg[TP], queued_segment.inner_ticks
+                )
+    if role:
+        multichip.await_start(chip, mask, main, word & STEP, role, word & MAXM)
+    else:
+        interpolation.submit_segment(chip, mask, main, STAGES, word & STEP)
+
+
+@hot
+def _calculate_hlv(chip, code):
+    """Execute a helical calculation, 6Bh or 6Ch, which writes HLV at once."""
+    word = chip.ax[0].mode[IPM]
+    if chip.interpolating or _count_axes(word & ENABLE_BITS) < 2:
+        return
+    segment = chip.queue[interpolation.find_free_place(chip)]
+    _select_axes(chip, segment, word, 2)
+    _load_circle(chip, segment, word & ~LMDF, code == COUNT_CW)
+    segment.rotations = chip.ax[0].reg[HLN]
+    chip.ax[0].reg[HLV] = helical.calculate_hlv(chip.ip.scratch_arc, segment)
+
+
+@hot
+def read_tx(chip):
+    """Return what TX reads: the maximum finish point of the running segment, or of the one that is being written."""
+    word = chip.ax[0].mode[IPM]
+    if word & MAXM:
+        return chip.ax[0].reg[TX]
+    if chip.interpolating:
+        segment = chip.queue[chip.ip.queue_head]
+        return segment.tick_count if segment.kind == LINE else 0
+    maximum = 0
+    for j in range(AXES):
+        if word >> j & 1:
+            maximum = greatest(maximum, abs(to_coordinate(chip.ax[j].reg[TP], 1)))
+    return maximum
+
+
+@hot
+def compute_status_bits(chip):
+    """Compute ZONE, CNEXT and SC, bits of RR0."""
+    interpolation = chip.ip
+    if not chip.interpolating:
+        return 0
+    return (
+        interpolation.zone << ZONE
+        | (CNEXT if interpolation.waiting_segments < interpolation.queue_depth else 0)
+        | interpolation.waiting_segments << SC
+    )
+
+
+@hot
+def read_chln(chip):
+    """Return what CHLN reads: the rotations that the helix has made."""
+    return chip.ip.finished_rotations

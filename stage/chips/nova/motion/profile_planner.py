@@ -1,0 +1,454 @@
+"""Planner of the speed profile of a NOVA drive, from any speed and acceleration on; compiled.
+
+A change of speed is limited in jerk: the acceleration rises at the jerk, stays at its limit if it reaches it, and returns to 0
+when the goal speed is reached. An acceleration that would overshoot the goal returns to 0 first. In linear ramps the
+acceleration jumps. A drive of a fixed number of pulses brakes as late as possible: at its last pulse the speed is the initial
+speed and the acceleration 0.
+
+    linear                    S-curve                    a drive too short, AVTRI on
+        ______ DV                 ______ DV                   ____  no DV: a quarter of the pulses up,
+       /      \\                 (      )                    /    \\ a quarter down, the rest even
+    SV/        \\SV           SV_/      \\_SV             SV/      \\SV
+"""
+
+from __future__ import annotations
+
+from stage.chips.nova.motion import double_double as dd
+from stage.chips.nova.motion.pulse_timing import NEVER, compute_exact_place, compute_time_in_piece, find_piece
+from stage.chips.nova.state import ACCELERATING, AREA_D, CONSTANT, DECELERATING, MAX_PIECES, RUNAWAY
+from stage.native import hot
+
+CURSOR_TIME, CURSOR_PLACE, CURSOR_SPEED, CURSOR_ACCELERATION = range(4)  # rows of the cursor
+DURATION, START_ACCELERATION, JERK = range(3)  # columns of a piece
+SPEED_ROUNDING = 1e-25  # of a speed: what rounding leaves
+
+
+@hot
+def read_pair(row):
+    """Return a double-double from two places of a record."""
+    return row[0], row[1]
+
+
+@hot
+def write_pair(row, x):
+    """Store a double-double in two places of a record."""
+    row[0], row[1] = x
+
+
+# --- pieces of a change of speed ---
+
+
+@hot
+def _draft_piece(axis, k, duration, rate, jerk):
+    """Store piece `k` of a draft, and return the number of the next piece: k if the duration is not positive."""
+    write_pair(axis.drafted_pieces[k, DURATION], duration)
+    write_pair(axis.drafted_pieces[k, START_ACCELERATION], rate)
+    write_pair(axis.drafted_pieces[k, JERK], jerk)
+    return k + 1 if duration[0] > 0.0 else k
+
+
+@hot
+def _read_drafted(pieces, k):
+    """Return the duration, the acceleration at the start and the jerk of piece `k` of a draft."""
+    return read_pair(pieces[k, DURATION]), read_pair(pieces[k, START_ACCELERATION]), read_pair(pieces[k, JERK])
+
+
+@hot
+def _negate_if(a, negative):
+    """Return -a if `negative`, else a."""
+    return dd.neg(a) if negative else a
+
+
+@hot
+def draft_speed_change(axis, v, a, goal):
+    """Draft the change to another speed.
+
+    Args:
+        axis: State of the axis.
+        v: Speed at the start, pulses per clock.
+        a: Acceleration at the start.
+        goal: Speed at the end.
+
+    Returns:
+        The number of pieces in the draft.
+    """
+    zero = dd.ZERO
+    if not axis.curved:
+        if dd.is_less(v, goal):
+            return _draft_piece(
+                axis, 0, dd.div(dd.sub(goal, v), read_pair(axis.acceleration)), read_pair(axis.acceleration), zero
+            )
+        return _draft_piece(
+            axis, 0, dd.div(dd.sub(v, goal), read_pair(axis.deceleration)), dd.neg(read_pair(axis.deceleration)), zero
+        )
+    k = 0
+    falls = a[0] < 0.0
+    if a[0] != 0.0:
+        jerk = read_pair(axis.deceleration_jerk) if falls else read_pair(axis.acceleration_jerk)
+        left = dd.scale(dd.div(dd.mul(a, a), jerk), 0.5)
+        settled = dd.sub(v, left) if falls else dd.add(v, left)
+        if not dd.is_less(goal, settled) if falls else not dd.is_less(settled, goal):
+            k = _draft_piece(axis, 0, dd.div(_negate_if(a, falls), jerk), a, _negate_if(jerk, not falls))
+            v, a = settled, zero
+    falls = dd.is_less(goal, v) if a[0] == 0.0 else falls
+    gap = _negate_if(dd.sub(goal, v), falls)
+    if a[0] == 0.0 and gap[0] <= SPEED_ROUNDING * goal[0]:
+        return k
+    jerk, maximum = (
+        (read_pair(axis.deceleration_jerk), read_pair(axis.deceleration))
+        if falls
+        else (read_pair(axis.acceleration_jerk), read_pair(axis.acceleration))
+    )
+    size = _negate_if(a, falls)
+    squares = dd.scale(dd.mul(size, size), 0.5)
+    top = dd.sqrt(dd.add(dd.mul(jerk, gap), squares))
+    hold = zero
+    if dd.is_less(maximum, top):
+        top = maximum
+        at_maximum = dd.sub(gap, dd.div(dd.sub(dd.mul(maximum, maximum), squares), jerk))
+        hold = dd.div(at_maximum, maximum)
+    k = _draft_piece(axis, k, dd.div(dd.sub(top, size), jerk), a, _negate_if(jerk, falls))
+    k = _draft_piece(axis, k, hold, _negate_if(top, falls), zero)
+    return _draft_piece(axis, k, dd.div(top, jerk), _negate_if(top, falls), _negate_if(jerk, not falls))
+
+
+@hot
+def _integrate_piece(duration, v, a, jerk):
+    """Return the distance of a piece, and the speed at its end.
+
+    The distance is duration (v + duration (a / 2 + duration jerk / 6)), the speed v + duration (a + duration jerk / 2).
+
+    Args:
+        duration: Clocks.
+        v: Speed at the start, pulses per clock.
+        a: Acceleration at the start.
+        jerk: Jerk.
+    """
+    half = dd.scale(dd.mul(duration, jerk), 0.5)
+    third = dd.div(half, (3.0, 0.0))
+    distance = dd.mul(duration, dd.add(v, dd.mul(duration, dd.add(dd.scale(a, 0.5), third))))
+    return distance, dd.add(v, dd.mul(duration, dd.add(a, half)))
+
+
+@hot
+def draft_braking(axis, v, a):
+    """Draft the deceleration to the initial speed. At or below that speed only the acceleration returns to 0.
+
+    Args:
+        axis: State of the axis.
+        v: Speed at the start, pulses per clock.
+        a: Acceleration at the start.
+
+    Returns:
+        The number of pieces in the draft.
+    """
+    if not axis.curved:
+        return draft_speed_change(axis, v, a, read_pair(axis.sv)) if dd.is_less(read_pair(axis.sv), v) else 0
+    if a[0] == 0.0:
+        return draft_speed_change(axis, v, a, read_pair(axis.sv)) if dd.is_less(read_pair(axis.sv), v) else 0
+    falls = a[0] < 0.0
+    jerk = read_pair(axis.deceleration_jerk) if falls else read_pair(axis.acceleration_jerk)
+    left = dd.scale(dd.div(dd.mul(a, a), jerk), 0.5)
+    settled = dd.sub(v, left) if falls else dd.add(v, left)
+    if dd.is_less(read_pair(axis.sv), settled):
+        return draft_speed_change(axis, v, a, read_pair(axis.sv))
+    return _draft_piece(axis, 0, dd.div(_negate_if(a, falls), jerk), a, _negate_if(jerk, not falls))
+
+
+@hot
+def compute_braking_distance(axis, v, a):
+    """Compute the distance that the deceleration to the initial speed takes.
+
+    Args:
+        axis: State of the axis.
+        v: Speed at the start, pulses per clock.
+        a: Acceleration at the start.
+
+    Returns:
+        Pulses, a double-double.
+    """
+    total = dd.ZERO
+    for k in range(draft_braking(axis, v, a)):
+        duration, a, jerk = _read_drafted(axis.drafted_pieces, k)
+        distance, v = _integrate_piece(duration, v, a, jerk)
+        total = dd.add(total, distance)
+    return total
+
+
+# --- writing pieces ---
+
+
+@hot
+def begin_plan(axis, clock, t, place, v, a):
+    """Begin an empty plan.
+
+    Args:
+        axis: State of the axis.
+        clock: Origin of the plan, in reference clocks since power-up.
+        t: Clocks after the origin at which the first piece begins.
+        place: Pulses of the drive at that time.
+        v: Speed at that time, pulses per clock.
+        a: Acceleration at that time.
+    """
+    axis.origin, axis.pieces, axis.end_time, axis.brake_piece = clock, 0, NEVER, MAX_PIECES
+    write_pair(axis.cursor[CURSOR_TIME], t)
+    write_pair(axis.cursor[CURSOR_PLACE], place)
+    write_pair(axis.cursor[CURSOR_SPEED], v)
+    write_pair(axis.cursor[CURSOR_ACCELERATION], a)
+
+
+@hot
+def _append_open_piece(axis, kind, a, jerk):
+    """Append a piece without an end, from the cursor on.
+
+    Args:
+        axis: State of the axis.
+        kind: Phase of the profile.
+        a: Acceleration at its start.
+        jerk: Jerk.
+    """
+    s = axis.pieces
+    t, place, v = (
+        read_pair(axis.cursor[CURSOR_TIME]),
+        read_pair(axis.cursor[CURSOR_PLACE]),
+        read_pair(axis.cursor[CURSOR_SPEED]),
+    )
+    write_pair(axis.t[s], t)
+    axis.from_clock[s] = -dd.floor(dd.add(dd.neg(t), (1e-15, 0.0)))
+    axis.from_pulse[s] = dd.floor(place)
+    write_pair(axis.p[s], dd.sub(place, dd.from_integer(axis.from_pulse[s])))
+    write_pair(axis.v[s], v)
+    write_pair(axis.a2[s], dd.scale(a, 0.5))
+    write_pair(axis.j6[s], dd.div(jerk, (6.0, 0.0)))
+    axis.piece_phase[s] = kind
+    axis.pieces = s + 1
+
+
+@hot
+def _append_piece(axis, kind, duration, a, jerk):
+    """Append a piece, and move the cursor to its end.
+
+    Args:
+        axis: State of the axis.
+        kind: Phase of the profile.
+        duration: Clocks.
+        a: Acceleration at its start.
+        jerk: Jerk.
+    """
+    if duration[0] <= 0.0:
+        return
+    _append_open_piece(axis, kind, a, jerk)
+    distance, v = _integrate_piece(duration, read_pair(axis.cursor[CURSOR_SPEED]), a, jerk)
+    write_pair(axis.cursor[CURSOR_TIME], dd.add(read_pair(axis.cursor[CURSOR_TIME]), duration))
+    write_pair(axis.cursor[CURSOR_PLACE], dd.add(read_pair(axis.cursor[CURSOR_PLACE]), distance))
+    write_pair(axis.cursor[CURSOR_SPEED], v)
+    write_pair(axis.cursor[CURSOR_ACCELERATION], dd.add(a, dd.mul(jerk, duration)))
+
+
+@hot
+def _find_piece_phase(a, jerk):
+    """Return the phase of a piece: ACCELERATING or DECELERATING."""
+    return ACCELERATING if a[0] > 0.0 or (a[0] == 0.0 and jerk[0] > 0.0) else DECELERATING
+
+
+@hot
+def append_speed_change(axis, goal):
+    """Append the change from the cursor's speed to another speed."""
+    for k in range(
+        draft_speed_change(
+            axis, read_pair(axis.cursor[CURSOR_SPEED]), read_pair(axis.cursor[CURSOR_ACCELERATION]), goal
+        )
+    ):
+        duration, a, jerk = _read_drafted(axis.drafted_pieces, k)
+        _append_piece(axis, _find_piece_phase(a, jerk), duration, a, jerk)
+    write_pair(axis.cursor[CURSOR_SPEED], goal)
+    write_pair(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
+
+
+@hot
+def append_braking(axis):
+    """Append the automatic deceleration, and the initial speed without an end. The deceleration may have an area d."""
+    axis.brake_piece = axis.pieces
+    n = draft_braking(axis, read_pair(axis.cursor[CURSOR_SPEED]), read_pair(axis.cursor[CURSOR_ACCELERATION]))
+    for k in range(n):
+        duration, a, jerk = _read_drafted(axis.drafted_pieces, k)
+        dull = read_pair(axis.min_visible_acceleration)
+        if dull[0] > 0.0 and a[0] < 0.0 and jerk[0] > 0.0:
+            calm = dd.minimum(dd.div(dull, jerk), duration)
+            before = dd.sub(duration, calm)
+            _append_piece(axis, DECELERATING, before, a, jerk)
+            _append_piece(axis, AREA_D, calm, dd.add(a, dd.mul(jerk, before)), jerk)
+        else:
+            _append_piece(axis, _find_piece_phase(a, jerk), duration, a, jerk)
+    if n and dd.is_less(read_pair(axis.sv), read_pair(axis.cursor[CURSOR_SPEED])):  # but for rounding it is there
+        write_pair(axis.cursor[CURSOR_SPEED], read_pair(axis.sv))
+    write_pair(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
+    _append_constant_speed(axis)
+
+
+@hot
+def _append_constant_speed(axis):
+    """Append a piece of constant speed without an end."""
+    _append_open_piece(axis, CONSTANT, dd.ZERO, dd.ZERO)
+
+
+# --- whole plans; all begin at the cursor ---
+
+
+@hot
+def plan_stop(axis):
+    """Plan a decelerating stop: to the initial speed, at which the drive ends."""
+    if (
+        dd.is_less(read_pair(axis.sv), read_pair(axis.cursor[CURSOR_SPEED]))
+        or axis.cursor[CURSOR_ACCELERATION, 0] > 0.0
+    ):
+        append_speed_change(axis, read_pair(axis.sv))
+    _append_constant_speed(axis)
+    axis.end_time = axis.from_clock[axis.pieces - 1]
+
+
+@hot
+def plan_runaway(axis):
+    """Plan the runaway of the S-curve failure: the present speed without an end."""
+    _append_open_piece(axis, RUNAWAY, dd.ZERO, dd.ZERO)
+
+
+@hot
+def compute_triangle_speed(axis, pulses):
+    """Compute the speed that triangle prevention allows: that at which accelerating and decelerating take half of the pulses.
+
+    Args:
+        axis: State of the axis.
+        pulses: Number of pulses of the drive.
+    """
+    up, down, low = read_pair(axis.acceleration), read_pair(axis.deceleration), read_pair(axis.sv)
+    square = dd.mul(dd.from_integer(pulses), dd.div(dd.mul(up, down), dd.add(up, down)))
+    return dd.sqrt(dd.add(dd.mul(low, low), square))
+
+
+@hot
+def _compute_overshoot(axis, t, v, a, jerk, room):
+    """Compute the distance by which a drive would pass its end if it braked t clocks after the start of a piece.
+
+    Args:
+        axis: State of the axis.
+        t: Clocks, a double-double.
+        v: Speed at the start of the piece.
+        a: Acceleration at the start of the piece.
+        jerk: Jerk of the piece.
+        room: Pulses from the start of the piece to the end of the drive.
+    """
+    distance, speed = _integrate_piece(t, v, a, jerk)
+    return dd.sub(dd.add(distance, compute_braking_distance(axis, speed, dd.add(a, dd.mul(jerk, t)))), room)
+
+
+@hot
+def _find_brake_time(axis, max_time, v, a, jerk, room):
+    """Find the time in a piece at which the drive must begin to brake so that it ends after `room` pulses.
+
+    Args:
+        axis: State of the axis.
+        max_time: Duration of the piece.
+        v: Speed at the start of the piece.
+        a: Acceleration at the start of the piece.
+        jerk: Jerk of the piece.
+        room: Pulses from the start of the piece to the end of the drive.
+    """
+    low, high = dd.ZERO, max_time
+    under, over = _compute_overshoot(axis, low, v, a, jerk, room), _compute_overshoot(axis, high, v, a, jerk, room)
+    side = 0
+    for _ in range(200):
+        width = dd.sub(high, low)
+        if width[0] <= 1e-31 * high[0] or over[0] == under[0]:
+            break
+        middle = dd.sub(high, dd.div(dd.mul(over, width), dd.sub(over, under)))
+        off = _compute_overshoot(axis, middle, v, a, jerk, room)
+        if abs(off[0]) <= 1e-28:
+            return middle
+        if off[0] > 0.0:
+            high, over = middle, off
+            under = dd.scale(under, 0.5) if side > 0 else under
+            side = 1
+        else:
+            low, under = middle, off
+            over = dd.scale(over, 0.5) if side < 0 else over
+            side = -1
+    return low
+
+
+@hot
+def plan_fixed_drive(axis, pulses, goal):
+    """Plan a drive that ends after a number of pulses.
+
+    Args:
+        axis: State of the axis.
+        pulses: Pulses of the drive from its start, a double-double.
+        goal: Drive speed.
+    """
+    v, a = read_pair(axis.cursor[CURSOR_SPEED]), read_pair(axis.cursor[CURSOR_ACCELERATION])
+    room = dd.sub(pulses, read_pair(axis.cursor[CURSOR_PLACE]))
+    if not dd.is_less(compute_braking_distance(axis, v, a), room):
+        append_braking(axis)
+        return
+    n = draft_speed_change(axis, v, a, goal)
+    for k in range(n):
+        for part in range(3):
+            write_pair(axis.stored_draft[k, part], read_pair(axis.drafted_pieces[k, part]))
+    for k in range(n):
+        duration, a, jerk = _read_drafted(axis.stored_draft, k)
+        if _compute_overshoot(axis, duration, v, a, jerk, room)[0] > 0.0:
+            _append_piece(axis, _find_piece_phase(a, jerk), _find_brake_time(axis, duration, v, a, jerk, room), a, jerk)
+            append_braking(axis)
+            return
+        distance, v = _integrate_piece(duration, v, a, jerk)
+        room = dd.sub(room, distance)
+        _append_piece(axis, _find_piece_phase(a, jerk), duration, a, jerk)
+    write_pair(axis.cursor[CURSOR_SPEED], goal)
+    write_pair(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
+    _append_piece(
+        axis, CONSTANT, dd.div(dd.sub(room, compute_braking_distance(axis, goal, dd.ZERO)), goal), dd.ZERO, dd.ZERO
+    )
+    append_braking(axis)
+
+
+@hot
+def plan_endless_drive(axis, goal):
+    """Plan a drive without an end, at the speed `goal`."""
+    append_speed_change(axis, goal)
+    _append_constant_speed(axis)
+
+
+@hot
+def plan_braking_at(axis, pulses):
+    """Cut the plan after a number of pulses of the drive, and brake to the initial speed from there (manual deceleration)."""
+    s = axis.pieces - 1
+    while s > 0 and axis.from_pulse[s] + (1 if axis.p[s, 0] > 0.0 else 0) > pulses:
+        s -= 1
+    distance = dd.sub(dd.from_integer(pulses - axis.from_pulse[s]), read_pair(axis.p[s]))
+    v, a2, j6 = read_pair(axis.v[s]), read_pair(axis.a2[s]), read_pair(axis.j6[s])
+    t = (compute_time_in_piece(axis, s, distance[0], 1e17), 0.0)
+    for _ in range(3):
+        off = dd.sub(dd.mul(t, dd.add(v, dd.mul(t, dd.add(a2, dd.mul(t, j6))))), distance)
+        slope = v[0] + t[0] * (2.0 * a2[0] + 3.0 * t[0] * j6[0])
+        if slope > 0.0:
+            t = dd.sub(t, dd.div(off, (slope, 0.0)))
+    a = dd.add(dd.scale(a2, 2.0), dd.mul(t, dd.mul(j6, (6.0, 0.0))))
+    speed = dd.add(v, dd.mul(t, dd.add(dd.scale(a2, 2.0), dd.mul(t, dd.mul(j6, (3.0, 0.0))))))
+    axis.pieces = s + 1 if t[0] > 0.0 else s
+    write_pair(axis.cursor[CURSOR_TIME], dd.add(read_pair(axis.t[s]), t))
+    write_pair(axis.cursor[CURSOR_PLACE], dd.from_integer(pulses))
+    write_pair(axis.cursor[CURSOR_SPEED], speed)
+    write_pair(axis.cursor[CURSOR_ACCELERATION], a if axis.curved else dd.ZERO)
+    append_braking(axis)
+
+
+@hot
+def begin_plan_at(axis, n):
+    """Begin a new plan `n` clocks after the origin, with the place, speed and acceleration that the drive has there."""
+    s = find_piece(axis, n)
+    t = dd.sub(dd.from_integer(n), read_pair(axis.t[s]))
+    place = dd.add(dd.from_integer(axis.from_pulse[s]), compute_exact_place(axis, s, n))
+    a2, j6 = read_pair(axis.a2[s]), read_pair(axis.j6[s])
+    v = dd.add(read_pair(axis.v[s]), dd.mul(t, dd.add(dd.scale(a2, 2.0), dd.mul(t, dd.mul(j6, (3.0, 0.0))))))
+    a = dd.add(dd.scale(a2, 2.0), dd.mul(t, dd.mul(j6, (6.0, 0.0))))
+    begin_plan(axis, axis.origin + n, dd.ZERO, place, v, a if axis.curved else dd.ZERO)

@@ -1,0 +1,130 @@
+"""Conversion of speeds, accelerations and jerks between registers of the NOVA chips and plans; compiled."""
+
+from __future__ import annotations
+
+from stage.chips.nova import state
+from stage.chips.nova.motion import double_double as dd
+from stage.chips.nova.motion.profile_planner import write_pair
+from stage.chips.nova.motion.pulse_timing import CLOCKS_PER_SECOND, compute_acceleration, compute_speed
+from stage.native import greatest, hot, least
+
+RANGE = 8_000_000
+
+
+@hot
+def has_profile(axis):
+    """Return whether the profile of the axis is in force: it drives, or is the main axis of an interpolation."""
+    return axis.driving or axis.interpolates == state.MAIN
+
+
+@hot
+def _divide_integers(a, b):
+    """Return the quotient of two integers as a double-double."""
+    return dd.div(dd.from_integer(a), dd.from_integer(b))
+
+
+@hot
+def convert_speed(chip, axis, value):
+    """Convert a speed parameter to pulses per clock.
+
+    A value beyond its range counts as the end of the range, so that two pulses never begin at once.
+
+    Args:
+        chip: State of the chip.
+        axis: State of the axis.
+        value: Value of the parameter.
+    """
+    if chip.variant == state.MCX514_TYPE:
+        return _divide_integers(least(greatest(value, 1), RANGE), CLOCKS_PER_SECOND)
+    fastest = RANGE // 1000
+    return dd.div(
+        dd.from_integer(least(greatest(value, 1), fastest) * RANGE),
+        dd.from_integer(CLOCKS_PER_SECOND * _clip_range(axis)),
+    )
+
+
+@hot
+def _clip_range(axis):
+    """Return the register R, limited to its range: multiples 1 to 500."""
+    return least(greatest(axis.reg[state.R], RANGE // 500), RANGE)
+
+
+@hot
+def _convert_acceleration(chip, axis, value):
+    """Convert an acceleration parameter to pulses per clock squared."""
+    if chip.variant == state.MCX514_TYPE:
+        return dd.div(_divide_integers(greatest(value, 1), CLOCKS_PER_SECOND), dd.from_integer(CLOCKS_PER_SECOND))
+    return dd.div(
+        dd.div(
+            dd.from_integer(125 * greatest(value, 1) * RANGE), dd.from_integer(CLOCKS_PER_SECOND * _clip_range(axis))
+        ),
+        dd.from_integer(CLOCKS_PER_SECOND),
+    )
+
+
+@hot
+def _convert_jerk(chip, axis, value):
+    """Convert a jerk parameter to pulses per clock cubed."""
+    if chip.variant == state.MCX514_TYPE:
+        return dd.div(
+            dd.div(_divide_integers(greatest(value, 1), CLOCKS_PER_SECOND), dd.from_integer(CLOCKS_PER_SECOND)),
+            dd.from_integer(CLOCKS_PER_SECOND),
+        )
+    up = dd.div(dd.from_integer(62_500_000 * RANGE), dd.from_integer(greatest(value, 1) * _clip_range(axis)))
+    return dd.div(
+        dd.div(dd.div(up, dd.from_integer(CLOCKS_PER_SECOND)), dd.from_integer(CLOCKS_PER_SECOND)),
+        dd.from_integer(CLOCKS_PER_SECOND),
+    )
+
+
+@hot
+def read_speed(chip, axis):
+    """Return what CV reads: the present speed in the unit of the speed parameters."""
+    if not has_profile(axis):
+        return 0
+    v = compute_speed(axis, chip.clock - axis.origin) * CLOCKS_PER_SECOND
+    if chip.variant != state.MCX514_TYPE:
+        v *= _clip_range(axis) / RANGE
+    return int(v + 1e-6)
+
+
+@hot
+def read_acceleration(chip, axis):
+    """Return what CA reads: the magnitude of the present acceleration in the unit of its parameter."""
+    if not has_profile(axis):
+        return 0
+    a = abs(compute_acceleration(axis, chip.clock - axis.origin)) * CLOCKS_PER_SECOND * CLOCKS_PER_SECOND
+    if chip.variant != state.MCX514_TYPE:
+        a *= _clip_range(axis) / RANGE / 125.0
+    return int(a + 1e-6)
+
+
+@hot
+def load_drive_speed(chip, axis, value):
+    """Set the drive speed of the plan; HV replaces the value during the slow steps of a home search.
+
+    Args:
+        chip: State of the chip.
+        axis: State of the axis.
+        value: Value of DV or V.
+    """
+    write_pair(axis.dv, convert_speed(chip, axis, axis.reg[state.HV] if axis.drives_at_hv else value))
+
+
+@hot
+def load_rates(chip, axis):
+    """Set the initial speed, accelerations and jerks of the plan from the registers, at the start of a drive."""
+    write_pair(axis.sv, convert_speed(chip, axis, axis.reg[state.SV]))
+    write_pair(axis.acceleration, _convert_acceleration(chip, axis, axis.reg[state.AC]))
+    write_pair(
+        axis.deceleration,
+        _convert_acceleration(chip, axis, axis.reg[state.DC] if axis.asymmetric else axis.reg[state.AC]),
+    )
+    jerk = axis.reg[state.JK] if chip.variant == state.MCX514_TYPE else axis.reg[state.K]
+    other = axis.reg[state.DJ] if chip.variant == state.MCX514_TYPE else axis.reg[state.L] if chip.has_l else jerk
+    write_pair(axis.acceleration_jerk, _convert_jerk(chip, axis, jerk))
+    write_pair(axis.deceleration_jerk, _convert_jerk(chip, axis, other if axis.asymmetric else jerk))
+    axis.curved = axis.s_curve
+    write_pair(
+        axis.min_visible_acceleration, _convert_acceleration(chip, axis, 1) if chip.errata and axis.fixed else dd.ZERO
+    )

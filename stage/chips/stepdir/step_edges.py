@@ -1,0 +1,112 @@
+"""Edges of STEP, DIR and ENABLE, compiled: their times are checked, and each accepted rising edge of STEP counts one step.
+
+A rising edge of STEP moves the count by one, in the direction of DIR, if the power stage accepts it. The times between edges are
+compared with the shortest times in the power stage's data sheet. Times are in reference clocks.
+"""
+
+from __future__ import annotations
+
+import math
+
+from stage.chips.stepdir.state import DIR, DIR_HOLD, DIR_SETUP, ENABLE, ENABLE_SETUP, HISTORY, STEP, STEP_HIGH, STEP_LOW
+from stage.native import hot
+
+
+@hot
+def to_clocks(chip, seconds):
+    """Convert a time to the nearest number of reference clocks."""
+    return int(math.floor(seconds * chip.hz + 0.5))
+
+
+@hot
+def check_edge_time(chip, time_index, clocks):
+    """Check a time between two edges, count a violation, and return whether it is as long as the power stage demands."""
+    if clocks >= chip.required[time_index]:
+        return True
+    if chip.violations[time_index] == 0:
+        chip.first_violation[time_index] = chip.clock
+        chip.shortest[time_index] = clocks
+    elif clocks < chip.shortest[time_index]:
+        chip.shortest[time_index] = clocks
+    chip.violations[time_index] += 1
+    return False
+
+
+@hot
+def process_rising_step(chip):
+    """Take a rising edge of STEP: count a step in the direction of DIR if the power stage accepts it."""
+    in_time = check_edge_time(chip, STEP_LOW, chip.clock - chip.fell)
+    in_time &= check_edge_time(chip, DIR_SETUP, chip.clock - chip.turned)
+    in_time &= check_edge_time(chip, ENABLE_SETUP, chip.clock - chip.enabled)
+    chip.rose = chip.clock
+    chip.last_step = 0
+    if (in_time or not chip.drops_edges) and (chip.inputs & ENABLE or chip.counts_disabled):
+        minus = 1 if chip.inputs & DIR else 0
+        chip.last_step = 1 - 2 * minus
+        chip.net += chip.last_step
+        chip.history[chip.accepted % HISTORY] = 2 * chip.clock + minus
+        chip.accepted += 1
+
+
+@hot
+def _undo_step(chip):
+    """Take the last step back: its edge was too short for the power stage."""
+    if chip.last_step:
+        chip.net -= chip.last_step
+        chip.accepted -= 1
+        chip.last_step = 0
+
+
+@hot
+def process_falling_step(chip):
+    """Take a falling edge of STEP."""
+    if not check_edge_time(chip, STEP_HIGH, chip.clock - chip.rose) and chip.drops_edges:
+        _undo_step(chip)
+    chip.fell = chip.clock
+
+
+@hot
+def apply_line_levels(chip, word):
+    """Take new levels of STEP, DIR and ENABLE; a change of DIR or ENABLE comes before an edge of STEP at the same clock."""
+    changed = word ^ chip.inputs
+    if changed & word & ENABLE:
+        chip.enabled = chip.clock
+    if changed & DIR:
+        if not check_edge_time(chip, DIR_HOLD, chip.clock - chip.rose) and chip.drops_edges:
+            _undo_step(chip)
+        chip.turned = chip.clock
+    chip.inputs = word
+    if changed & word & STEP:
+        process_rising_step(chip)
+    elif changed & STEP:
+        process_falling_step(chip)
+
+
+@hot
+def compute_mean_count(chip, net_before, clocks):
+    """Compute the mean of the count over the last `clocks` clocks, which began with the count `net_before`.
+
+    Of more edges than HISTORY the mean of begin and end is returned.
+    """
+    weighted, rest, k = 0.0, chip.net - net_before, chip.accepted
+    while k > 0 and k > chip.accepted - HISTORY:
+        entry = chip.history[(k - 1) % HISTORY]
+        since, direction = chip.clock - (entry >> 1), 1 - 2 * (entry & 1)
+        if since >= clocks:
+            return net_before + rest + weighted / clocks
+        weighted += direction * since
+        rest -= direction
+        k -= 1
+    return net_before + rest + weighted / clocks if k == 0 else 0.5 * (net_before + chip.net)
+
+
+@hot
+def measure_step_rate(chip, hz):
+    """Compute the signed rate of the edges of a host from the last two accepted ones, per second; 0 when they have stopped."""
+    if chip.accepted < 2:
+        return 0.0
+    last, previous = chip.history[(chip.accepted - 1) % HISTORY], chip.history[(chip.accepted - 2) % HISTORY]
+    period = (last >> 1) - (previous >> 1)
+    if period <= 0 or chip.clock - (last >> 1) > 2 * period:
+        return 0.0
+    return (1.0 if last & 1 == 0 else -1.0) * hz / period

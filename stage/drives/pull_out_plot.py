@@ -1,0 +1,105 @@
+"""Picture of a pull-out curve. Needs matplotlib (extra `plot`), imported where a picture is drawn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from stage.drives.dynamometer import PullOut, compute_closed_form, compute_joint_bound, simulate_pull_out
+from stage.drives.motor_tolerances import vary_motor
+from stage.drives.motors import Drive, Motor, estimate_core_loss
+from stage.drives.published_curves import PUBLISHED_CURVES, PublishedCurve
+from stage.support.files import save_figure
+from stage.support.plot_style import COLORS, MUTED_COLOR, TEXT_COLOR, make_figure, remove_frame
+
+ACCENT, BAND = COLORS[0], "#cfe0f2"
+
+
+def _decorate_axes(ax: Any, drive: Drive, rpm_max: float, torque_max: float) -> None:
+    """Dress the axes of the picture, with the pulse rate of the drive's microsteps below the speed."""
+    ax.set_xlim(0, rpm_max)
+    ax.set_ylim(0, torque_max)
+    ax.set_xlabel("speed (rpm)", color=TEXT_COLOR)
+    ax.set_ylabel("pull-out torque (N m)", color=TEXT_COLOR)
+    per_rpm = drive.pulses_per_turn / 60 / 1e3
+    below: Any = ax.secondary_xaxis(-0.16, functions=(lambda rpm: rpm * per_rpm, lambda kpps: kpps / per_rpm))
+    below.set_xlabel(f"pulse rate at 1/{drive.microsteps} microsteps (kpps)", color=MUTED_COLOR, fontsize=9)
+    below.tick_params(colors=MUTED_COLOR, labelsize=8)
+    below.spines["bottom"].set_color(MUTED_COLOR)
+    remove_frame(ax, size=9)
+
+
+def _compute_closed_forms(drive: Drive, rpm_max: float) -> tuple[Any, Any, Any, Any]:
+    """Return speeds, finer than simulated, and there the closed forms at V and at 4/pi V, and the bound by V and I at once."""
+    rpm, (m, v, i) = np.linspace(0, rpm_max, 601), (drive.motor, drive.bus_voltage, drive.amplitude)
+    return (
+        rpm,
+        compute_closed_form(m, v, i, rpm),
+        compute_closed_form(m, 4 / np.pi * v, i, rpm),
+        compute_joint_bound(m, v, i, rpm),
+    )
+
+
+def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None, overwrite: bool = False) -> Any:
+    """Draw the pull-out torque of one motor over speed, as simulated, on the closed forms; save it to `path` if given.
+
+    The published curve of the motor is drawn beside what the simulation makes of its settings. A motor without a published curve
+    gets the band of its likely core loss.
+
+    Returns:
+        The figure.
+
+    Raises:
+        FileError: The file exists, unless `overwrite`.
+    """
+    fig = make_figure(9, 5.2)
+    ax = fig.subplots()
+    rpm, at_v, saturated, both = _compute_closed_forms(drive, table.rpm.max())
+    ax.fill_between(rpm, at_v, saturated, color=BAND, linewidth=0, label="closed form, from V to 4/π V")
+    ax.plot(rpm, at_v, color=MUTED_COLOR, linewidth=1.2, label="closed form at V: min($T_V$, $T_I$)")
+    ax.plot(rpm, both, color=MUTED_COLOR, linewidth=1.2, linestyle=(0, (1, 1.5)), label="sine bound by V and I at once")
+    ax.plot(
+        table.rpm, table.sine, "o", color=TEXT_COLOR, markersize=3.4, clip_on=False, label="ideal sine drive, simulated"
+    )
+    ax.plot(table.rpm, table.chopper, color=ACCENT, linewidth=2.2, label="chopper drive, simulated")
+    if drive.motor.name in PUBLISHED_CURVES:
+        _draw_published(ax, PUBLISHED_CURVES[drive.motor.name], drive.motor)
+    else:
+        _draw_likely_loss(ax, drive, table.rpm)
+    _decorate_axes(ax, drive, table.rpm.max(), 1.2 * max(table.chopper.max(), table.ideal_saturated.max()))
+    ax.set_title(f"{drive.motor.name}: pull-out torque", loc="left", color=TEXT_COLOR, fontsize=12, weight="bold")
+    ax.set_title(f"{drive.bus_voltage:g} V, {drive.amplitude:g} A", loc="right", color=MUTED_COLOR, fontsize=9)
+    handles, labels = ax.get_legend_handles_labels()
+    places = (4, 3, *range(5, len(handles)), 1, 2, 0)
+    order = [handles[k] for k in places], [labels[k] for k in places]
+    ax.legend(*order, frameon=False, fontsize=9, loc="upper right")
+    if path is not None:
+        save_figure(fig, path, 150, overwrite)
+    return fig
+
+
+def _draw_published(ax: Any, curve: PublishedCurve, motor: Motor) -> None:
+    """Draw a published curve, and what the simulation makes of the motor at its settings."""
+    comparison, settings = curve.compare(motor), f"{curve.bus_voltage:g} V, {curve.current:g} A"
+    ax.plot(comparison.rpm, comparison.published, "D", color=COLORS[1], markersize=5, label=f"published, {settings}")
+    ax.plot(
+        comparison.rpm,
+        comparison.simulated,
+        "--",
+        color=COLORS[1],
+        linewidth=1.6,
+        label=f"chopper drive, simulated, {settings}",
+    )
+
+
+def _draw_likely_loss(ax: Any, drive: Drive, rpm: np.ndarray) -> None:
+    """Draw the band between the least and the most core loss that a motor without a published curve is likely to have."""
+    likely = estimate_core_loss(drive.motor)
+    high, low = (
+        simulate_pull_out(replace(drive, motor=vary_motor(drive.motor, core_loss_damping=loss)), rpm)
+        for loss in (likely.low, likely.high)
+    )
+    label = f"likely: core loss {likely.low:.2g} to {likely.high:.2g} N m s/rad"
+    ax.fill_between(rpm, low, high, color=COLORS[1], alpha=0.25, linewidth=0, label=label)

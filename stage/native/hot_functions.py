@@ -1,0 +1,258 @@
+"""`hot` and `exported`: the decorators of compiled functions.
+
+A result or an argument of an exported function is a plain C type ("i4", "i8", "f8"; None is no result), the dtype of a record,
+which C passes by its address, or `array_of` a dtype: an address and a length for each dimension.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from operator import index
+from typing import Any, ClassVar
+
+import numpy as np
+
+from stage.errors import ArgumentError
+from stage.native import load, record_dtypes
+from stage.native.compile_mode import COMPILED, EMITTING
+
+if EMITTING:
+    from stage.native import numba_implementations
+
+_C_TYPES: dict[str | None, Any] = {None: None, "i4": ctypes.c_int32, "i8": ctypes.c_int64, "f8": ctypes.c_double}
+
+
+@dataclass(frozen=True)
+class Array:
+    """Array argument of an exported function.
+
+    Attributes:
+        dtype: Type of its elements, which are contiguous.
+        dimensions: Number of dimensions.
+    """
+
+    dtype: np.dtype
+    dimensions: int
+
+
+def array_of(dtype: Any, dimensions: int = 1) -> Array:
+    """Return an array argument of an exported function; C passes the address and the length of each dimension.
+
+    Args:
+        dtype: Type of the elements.
+        dimensions: Number of dimensions.
+    """
+    return Array(np.dtype(dtype), dimensions)
+
+
+def hot(function: Callable) -> Any:
+    """Compile `function` into the functions that call it. From Python it runs as Python: export what has to be fast there."""
+    return numba_implementations.hot(function) if EMITTING else function
+
+
+def exported(result: str | None, *arguments: Any) -> Callable[[Callable], Exported]:
+    """Compile the function by itself, as a function of the library.
+
+    Args:
+        result: Type of the result, see this module; None for none.
+        arguments: Types of the arguments.
+    """
+    return lambda function: Exported(function, result, arguments)
+
+
+class Exported:
+    """Function of the native library.
+
+    A call checks its arguments. `c` takes C arguments (addresses and lengths in place of records and arrays) and checks nothing:
+    its callers must keep the memory alive.
+    """
+
+    every: ClassVar[list[Exported]] = []
+    numbered: ClassVar[dict[int, Exported]] = {}
+    """By what stands for an address where nothing is compiled."""
+
+    def __init__(self, function: Callable, result: str | None, arguments: tuple):
+        self.function, self.result, self.arguments = function, result, arguments
+        self.module, self.name, self.__doc__ = function.__module__, function.__qualname__, function.__doc__
+        self.symbol = f"{self.module}.{self.name}".replace("_", "_0").replace(".", "_1")
+        self.every.append(self)
+        if EMITTING:
+            self.hot = numba_implementations.hot(function)
+
+    def __call__(self, *args: Any) -> Any:
+        """Call the function from Python.
+
+        Args:
+            args: Records as records or arrays of one or more, of which the first counts; arrays as arrays; numbers.
+
+        Raises:
+            ArgumentError: Compiled code could not take an argument without harm: another dtype, strides, no memory of its own.
+        """
+        if not COMPILED:  # Python looks by itself
+            return self.function(*map(_unwrap_record, args, self.arguments))
+        if len(args) != len(self.arguments):
+            raise ArgumentError(f"{self.name}: {len(args)} arguments given, it takes {len(self.arguments)}.")
+        c_arguments: list[Any] = []
+        for k, (value, kind) in enumerate(zip(args, self.arguments, strict=True)):
+            if isinstance(kind, Array):
+                self._check(k, value, kind.dtype, kind.dimensions)
+                c_arguments += (value.ctypes.data, *value.shape)
+            elif isinstance(kind, np.dtype):
+                self._check(k, value, kind, 0)
+                c_arguments.append(record_dtypes.address_of(value))
+            else:
+                c_arguments.append(self._check_number(k, value, kind))
+        return self.c(*c_arguments)
+
+    def _check_number(self, k: int, value: Any, kind: str) -> Any:
+        if kind == "f8":
+            try:
+                return float(value)
+            except (TypeError, ValueError):
+                raise ArgumentError(f"{self.name}, argument {k + 1}: {value!r}; it takes a number.") from None
+        try:
+            number = index(value)
+        except TypeError:
+            number = None
+        bits = 8 * int(kind[1:]) - 1
+        if number is None or not -(1 << bits) <= number < 1 << bits:
+            raise ArgumentError(
+                f"{self.name}, argument {k + 1}: {value!r}; it takes a whole number of {bits + 1} bits."
+            )
+        return number
+
+    def _check(self, k: int, value: Any, dtype: np.dtype, dimensions: int) -> None:
+        if isinstance(value, np.void) and not dimensions:
+            value = np.asarray(value)  # of no dimensions, the same memory
+        elif not isinstance(value, np.ndarray):
+            raise self._refuse(k, f"an {type(value).__name__}", dtype, dimensions)
+        elif not dimensions and not value.size:
+            raise self._refuse(k, "an empty array", dtype, dimensions)
+        elif dimensions and value.ndim != dimensions:
+            raise self._refuse(k, f"an array of {value.ndim} dimensions", dtype, dimensions)
+        if value.dtype is not dtype and value.dtype != dtype:
+            raise self._refuse(k, f"elements {_format_dtype(value.dtype)}", dtype, dimensions)
+        if not value.flags.c_contiguous or not value.flags.aligned or not value.flags.writeable:
+            raise self._refuse(k, "an array with strides, unaligned or read-only", dtype, dimensions)
+
+    def _refuse(self, k: int, what: str, dtype: np.dtype, dimensions: int) -> ArgumentError:
+        wanted = f"a contiguous, writeable array of {dimensions} dimensions" if dimensions else "a record, or an array"
+        return ArgumentError(f"{self.name}, argument {k + 1}: {what}; it takes {wanted} of {_format_dtype(dtype)}.")
+
+    @cached_property
+    def c(self) -> Any:
+        """Function that takes C arguments: addresses for records, addresses and lengths for arrays. It checks nothing."""
+        return self.prototype(self.address) if COMPILED else self._uncompiled
+
+    @cached_property
+    def with_gil(self) -> Any:
+        """Same as `c`, with the GIL held: for calls of a microsecond. Two threads are never in such functions at once."""
+        return (
+            _make_prototype(self.result, self.arguments, ctypes.PYFUNCTYPE)(self.address)
+            if COMPILED
+            else self._uncompiled
+        )
+
+    @cached_property
+    def prototype(self) -> Any:
+        """Type of `pointer`."""
+        return _make_prototype(self.result, self.arguments)
+
+    @cached_property
+    def pointer(self) -> Any:
+        """Function of ctypes, for C."""
+        return self.c if COMPILED else self.prototype(self._uncompiled)
+
+    @cached_property
+    def address(self) -> int:
+        """Address of the function, for tables of functions."""
+        if COMPILED:
+            return load.find_function_address(self.module, self.symbol)
+        self.numbered[len(self.numbered) + 1] = self
+        return len(self.numbered)
+
+    def _uncompiled(self, *words: Any) -> Any:
+        """Call the Python function with C arguments."""
+        left, values = iter(words), []
+        for kind in self.arguments:
+            if isinstance(kind, Array):
+                address = next(left)
+                values.append(
+                    record_dtypes.array_at(address, tuple(next(left) for _ in range(kind.dimensions)), kind.dtype)
+                )
+            else:
+                value = next(left)
+                record = isinstance(kind, np.dtype) and isinstance(value, int | np.integer)
+                values.append(record_dtypes.array_at(value, 1, kind)[0] if record else value)
+        return self.function(*values)
+
+
+def declare_address_call(result: str | None, *arguments: Any) -> Any:
+    """Return a hot function (address, (argument, ...)) -> result that calls the function at an address, with records by theirs.
+
+    Args:
+        result: Type of the result, None for none.
+        arguments: Types of the arguments.
+    """
+    if EMITTING:
+        return numba_implementations.declare_address_call(result, arguments)
+    prototype = _make_prototype(result, arguments)
+
+    def call(address: int, args: tuple) -> Any:
+        function = Exported.numbered.get(int(address)) if not COMPILED else None
+        words = (float(g) if w == "f8" else int(g) for g, w in zip(args, arguments, strict=True))
+        return function._uncompiled(*words) if function else prototype(int(address))(*words)
+
+    return call
+
+
+def make_compare_and_exchange(old: int | None, new: int | None) -> Any:
+    """Return a hot function (address, word) -> bool that exchanges 64 bits in one step that no other thread interrupts.
+
+    It returns True if the word at the address was `old` and now is `new`. Uncompiled the GIL does this, and it always returns True.
+
+    Args:
+        old: Word before; None stands for the argument `word`.
+        new: Word after; None stands for the argument `word`.
+    """
+    return numba_implementations.make_compare_and_exchange(old, new) if EMITTING else lambda address, word: True
+
+
+enter_usual_float_mode: Callable[[], int] = numba_implementations.enter_usual_float_mode if EMITTING else lambda: 0
+"""From now on this thread computes as usual: rounding to nearest, no traps, small numbers kept. Returns the mode of before."""
+restore_previous_float_mode: Callable[[int], None] = (
+    numba_implementations.restore_previous_float_mode if EMITTING else lambda mode: None
+)
+"""This thread computes in this mode again."""
+get_frame_address: Callable[[], int] = numba_implementations.get_frame_address if EMITTING else lambda: 0
+"""About where on its stack the function that says this runs; uncompiled 0."""
+stack_mark: Callable[[int, int], int] = numba_implementations.stack_mark if EMITTING else lambda words, value: 0
+"""(words, value) -> the address of so many words, `value` and up, on the stack of the function that says this, for as long as it
+has not returned; uncompiled 0. `words` is written out."""
+
+
+def _make_prototype(result: str | None, arguments: tuple, function: Any = ctypes.CFUNCTYPE) -> Any:
+    words: list[Any] = []
+    for a in arguments:
+        words += (
+            [ctypes.c_int64] * (1 + (a.dimensions if isinstance(a, Array) else 0))
+            if not isinstance(a, str)
+            else [_C_TYPES[a]]
+        )
+    return function(_C_TYPES[result], *words)
+
+
+def _unwrap_record(value: Any, kind: Any) -> Any:
+    """Return the record that a function takes of a sequence of one."""
+    return value[0] if isinstance(kind, np.dtype) and isinstance(value, np.ndarray | list) else value
+
+
+def _format_dtype(dtype: np.dtype) -> str:
+    return f"a record of {', '.join(dtype.names[:3])} ..." if dtype.names else str(dtype)
+
+
+if EMITTING:
+    numba_implementations.register(Exported)

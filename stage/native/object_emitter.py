@@ -1,0 +1,232 @@
+"""Make objects: numba types and lowers the exported functions of modules, LLVM optimizes them as one and emits machine code.
+
+    PULSESTAGE_EMIT=1 python -m stage.native.object_emitter < JOB     JOB: JSON, see `main`
+
+numba by itself optimizes each function, and again in each that calls it; here what it lowers is only gathered, so that LLVM
+optimizes a part of the library once, as a whole.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import sys
+from collections.abc import Iterator
+from importlib import import_module
+from importlib.machinery import ModuleSpec
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding as llvm
+from llvmlite import ir
+from numba.core import codegen, types
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import cpu_target
+
+from stage.native.compile_errors import explain_compile_error
+from stage.native.object_files import write_object
+
+SYSTEM_FUNCTIONS = frozenset(
+    "exp log pow sin cos tan sqrt floor ceil rint round trunc fmod memset memcpy memmove".split()
+)
+"""What a library may ask of the system: C's mathematics and memory."""
+
+MODULES_AT_ONCE = 16
+"""Modules that are linked before they go into the whole: LLVM looks through all that is there each time that something is added."""
+
+REFERENCE_COUNTING = """
+define void @NRT_incref(i8* %p) alwaysinline { ret void }
+define void @NRT_decref(i8* %p) alwaysinline { ret void }
+"""
+"""Every array here is borrowed: nobody counts who holds it."""
+
+
+class _GatheredLibrary(codegen.AOTCodeLibrary):
+    """Code that numba made of a function, as text before optimization: LLVM parses it once, into the whole part."""
+
+    def __init__(self, generator: Any, name: str):
+        codegen.CodeLibrary.__init__(self, generator, name)
+        self._linking_libraries: list[Any] = []
+        self.texts: list[str] = []
+
+    def add_ir_module(self, ir_module: Any) -> None:
+        self.texts.append(codegen.cgutils.normalize_ir_text(str(ir_module)))
+
+    def finalize(self) -> None:
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        return 0  # nothing runs here
+
+
+class _Codegen(codegen.AOTCPUCodegen):
+    _library_class = _GatheredLibrary
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Nothing runs here."""
+
+
+class BarePackages:
+    """Importer of a package's modules without its __init__: a library needs no chip class and no Gymnasium."""
+
+    def __init__(self, places: dict[str, str]):
+        self._places = {name: Path(folder) for name, folder in places.items()}
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        """Find a package of the tree, without its __init__."""
+        if name == "stage.native":
+            return None
+        for prefix, folder in self._places.items():
+            if name == prefix or name.startswith(f"{prefix}."):
+                inside = folder.joinpath(*name[len(prefix) + 1 :].split("."))
+                if inside.is_dir():
+                    spec = ModuleSpec(name, None, is_package=True)
+                    spec.submodule_search_locations = [str(inside)]
+                    return spec
+        return None
+
+
+def make_context(processor: str) -> Any:
+    """Return numba's context, which compiles for this processor from now on."""
+    context: Any = cpu_target.target_context
+    context.refresh()  # numba compiles some of its own, to be run
+    context._internal_codegen = _Codegen("pulsestage", cpu_name=processor)
+    context.aot_mode = True
+    return context
+
+
+def _gather_libraries(library: Any, into: dict[int, Any]) -> None:
+    if id(library) not in into and isinstance(library, _GatheredLibrary):  # the others are numba's own, to be run
+        into[id(library)] = library
+        for other in library._linking_libraries:
+            _gather_libraries(other, into)
+
+
+def _make_entry(function: Any, context: Any) -> Iterator[Any]:
+    """Yield the libraries of an exported function: its C entry, and what numba made of the function."""
+    from stage.native.numba_implementations import get_numba_type, lower_array
+
+    returned, arguments = get_numba_type(function.result), tuple(get_numba_type(a) for a in function.arguments)
+    try:
+        function.hot.compile(arguments)
+    except Exception as error:  # numba raises of many kinds, an AssertionError, too
+        raise SystemExit(explain_compile_error(function.hot.py_func, error)) from None
+    overload = function.hot.overloads[arguments]
+    library = context.codegen().create_library(function.symbol)
+    module = library.create_ir_module(function.symbol)
+    words: list[Any] = []
+    for a in arguments:
+        words += [ir.IntType(64)] * (1 + a.ndim) if isinstance(a, types.Array) else [context.get_value_type(a)]
+    result = ir.VoidType() if returned == types.void else context.get_value_type(returned)
+    entry = ir.Function(module, ir.FunctionType(result, words), function.symbol)
+    builder = ir.IRBuilder(entry.append_basic_block("entry"))
+    left, values = iter(entry.args), []
+    for a in arguments:
+        if isinstance(a, types.Array):
+            values.append(lower_array(context, builder, a, next(left), [next(left) for _ in range(a.ndim)]))
+        else:
+            values.append(next(left))
+    inner = context.declare_function(module, overload.fndesc)
+    _, value = context.call_conv.call_function(builder, inner, overload.signature.return_type, arguments, values)
+    if returned == types.void:
+        builder.ret_void()
+    else:
+        builder.ret(context.cast(builder, value, overload.signature.return_type, returned))
+    library.add_ir_module(module)
+    yield from (library, overload.library)
+
+
+@global_compiler_lock
+def emit_object(modules: list[str], context: Any) -> bytes:
+    """Make the object of the functions that some modules export.
+
+    Args:
+        modules: Names of the modules.
+        context: Context of `make_context`.
+    """
+    for name in modules:
+        import_module(name)
+    from stage.native.hot_functions import Exported
+
+    functions = [f for f in Exported.every if f.module in modules]
+    gathered: dict[int, Any] = {}
+    for function in functions:
+        for library in _make_entry(function, context):
+            _gather_libraries(library, gathered)
+    generator = context.codegen()
+    linked = llvm.parse_assembly(str(generator._create_empty_module(modules[0])))
+    linked.link_in(llvm.parse_assembly(REFERENCE_COUNTING))
+    texts = [text for library in gathered.values() for text in library.texts]
+    for k in range(0, len(texts), MODULES_AT_ONCE):
+        group, *others = map(llvm.parse_assembly, texts[k : k + MODULES_AT_ONCE])
+        for module in others:
+            group.link_in(module)
+        linked.link_in(group)
+    linked.data_layout = generator._data_layout
+    symbols = {f.symbol for f in functions}
+    for symbol in (*linked.functions, *linked.global_variables):
+        if not symbol.is_declaration and symbol.name not in symbols and symbol.linkage != llvm.Linkage.private:
+            symbol.linkage = "internal"
+    linked.verify()
+    passes, builder = generator._module_pass_manager()
+    passes.run(linked, builder)
+    _refuse_missing_symbols(linked, {f.symbol for f in Exported.every}, modules)
+    return bytes(generator._tm.emit_object(linked))
+
+
+def _refuse_missing_symbols(linked: Any, exported: set[str], modules: list[str]) -> None:
+    """Raise SystemExit for a symbol that a library may not need: a function that may raise, or that allocates."""
+    for symbol in (*linked.functions, *linked.global_variables):
+        if (
+            symbol.is_declaration
+            and symbol.name not in exported | SYSTEM_FUNCTIONS
+            and not symbol.name.startswith("llvm.")
+        ):
+            users = [f.name for f in linked.functions if not f.is_declaration and f"@{symbol.name}(" in str(f)]
+            raise SystemExit(
+                f"{', '.join(modules)}: {symbol.name!r} is needed, by {users}: a hot function may raise, or allocate."
+            )
+
+
+def _emit_next_part(next_part: Any, parts: list[list[str]], context: Any) -> None:
+    """Make one part after another, of those that no other process has taken."""
+    while True:
+        with next_part:
+            number, next_part.value = next_part.value, next_part.value + 1
+        if number >= len(parts):
+            return
+        path, *modules = parts[number]
+        content = emit_object(modules, context)
+        try:
+            write_object(Path(path), content)
+        except OSError as error:
+            raise SystemExit(f"{path} could not be written: {error.strerror or error}. Make room there.") from None
+        print(path, flush=True)
+
+
+def main() -> int:
+    """Make the parts of a job, JSON on standard input.
+
+    A job is {"places": package -> folder, "processor": ..., "workers": ..., "parts": [[object, module, ...], ...]}. Each worker is
+    a copy of this process, with all imports done; whichever is free takes the next part.
+    """
+    gc.disable()  # nearly all that is made is kept to the end: looking for the rest takes a sixth of the time
+    sys.modules["scipy"] = None  # type: ignore[assignment]  # numba would look for a BLAS in it, and import most of it
+    job = json.load(sys.stdin)
+    sys.meta_path.insert(0, BarePackages(job["places"]))
+    context = make_context(job["processor"])
+    fork = get_context("fork")
+    next_part = fork.Value("q")
+    workers = [
+        fork.Process(target=_emit_next_part, args=(next_part, job["parts"], context)) for _ in range(job["workers"])
+    ]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    return int(any(worker.exitcode for worker in workers))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

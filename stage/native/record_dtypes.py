@@ -1,0 +1,103 @@
+"""Records: the state that compiled code works on, as Python and C access it."""
+
+from __future__ import annotations
+
+import copyreg
+import ctypes
+from functools import lru_cache
+from math import prod
+from operator import itemgetter
+from typing import Any
+
+import numpy as np
+
+from stage.native.compile_mode import COMPILED, EMITTING
+
+
+def record(fields: list) -> np.dtype:
+    """Return a structured dtype whose elements have attributes, compiled or not; `hot` functions take arrays and elements of it.
+
+    Args:
+        fields: Fields as NumPy takes them.
+    """
+    plainly = np.dtype(fields)
+    return np.dtype((np.record if COMPILED or EMITTING else _make_fast_record(plainly), plainly))
+
+
+class _FastRecordType(type):
+    """Metaclass of the classes that `_make_fast_record` makes; they are pickled as NumPy's."""
+
+
+def _get_record_type() -> Any:
+    return np.record
+
+
+def _reduce_to_numpy(_: type) -> Any:
+    return _get_record_type, ()
+
+
+copyreg.pickle(_FastRecordType, _reduce_to_numpy)
+
+
+def _make_fast_record(dtype: np.dtype) -> type:
+    """Return np.record with attributes that C looks up: NumPy's look-up, in Python, would be most of an uncompiled run."""
+    names = dtype.names or ()
+    if any(
+        hasattr(np.record, n) or not issubclass(dtype[n].base.type, (np.record, np.number, np.bool_)) for n in names
+    ):
+        return np.record
+    members: dict[str, Any] = {name: property(itemgetter(name)) for name in names}
+    for name in ("__getattribute__", "__getitem__"):
+        members[name] = getattr(np.void, name)
+    return _FastRecordType("record", (np.record,), members)
+
+
+def without_attributes(dtype: np.dtype) -> np.dtype:
+    """Return the same fields without attributes: c["name"] is then the fast access from Python."""
+    return np.dtype([(name, dtype[name]) for name in dtype.names or ()])
+
+
+def address_of(item: np.ndarray | np.void) -> int:
+    """Return the address of an array or a record; that of a record takes longer."""
+    if isinstance(item, np.ndarray):
+        return int(item.ctypes.data)
+    return int(item.__array_interface__["data"][0])
+
+
+@lru_cache(1024)
+def _view(address: int, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    size = prod(shape) * dtype.itemsize
+    if not size:
+        return np.empty(shape, dtype)
+    words: Any = (ctypes.c_char * size).from_address(address)
+    return np.frombuffer(words, dtype).reshape(shape)
+
+
+def _view_array(address: Any, shape: Any, dtype: Any) -> Any:
+    """Return the array at an address; its owner has to keep the memory.
+
+    Args:
+        address: Address.
+        shape: A number or a tuple.
+        dtype: Type of the elements.
+    """
+    shape = tuple(map(int, shape)) if isinstance(shape, tuple) else (int(shape),)
+    return _view(int(address), shape, dtype)
+
+
+array_at: Any = _view_array
+
+
+def _allocate_room(rows: int, columns: int) -> np.ndarray:
+    """Return an array of float64 on the stack of the calling function, gone when that returns.
+
+    Both numbers are constants of the module, or written out.
+    """
+    return np.empty((rows, columns))
+
+
+allocate_on_stack: Any = _allocate_room
+if EMITTING:
+    from stage.native import numba_implementations
+
+    array_at, allocate_on_stack = numba_implementations.array_at, numba_implementations.allocate_on_stack

@@ -1,0 +1,273 @@
+"""`GpuFleet`: copies of one stage on a GPU, each under a program of its own.
+
+fleet = Fleet([Stage("xyz", chips=PCL240K, visuals=False)], device="cuda", copies=8192)
+played = fleet.play(programs)              one a copy, as of a fleet on processors
+fleet.arrays["qpos"]                       stays on the GPU: torch.from_dlpack(...)
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from functools import cache
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from stage.drives.stepper import DRIVE
+from stage.errors import ArgumentError, GpuMissing, StageError
+from stage.sim import engine_records, fleet, program_player
+from stage.sim.gpu.device_code import FEATURE_NAME, DeviceModules, Tools, cuda_tools
+from stage.sim.gpu.lane_layout import HOST, WARP, LaneLayout
+from stage.sim.gpu.warp_physics import Physics, load_warp
+from stage.sim.program import Program
+from stage.sim.stage import Stage
+from stage.support.argument_checks import explain_arguments
+from stage.support.extras import import_extra
+
+KERNELS = ("stage.chips.pcl240.core", "stage.chips.hctl1100.core")
+"""Cores of the families whose code has run on a GPU."""
+STEPS_A_LAUNCH = 20
+
+
+class GpuFleet(fleet.Fleet):
+    """Copies of one stage on a GPU. `Fleet(..., device="cuda")` makes it.
+
+    Attributes:
+        arrays: Arrays of the GPU by name, a row a copy, for libraries that take DLPack: qpos, qvel, ctrl (float32), results of the
+            last play (int64). They stay the same memory while programs have no more operations than those played before.
+        physics: What moves the copies.
+    """
+
+    @explain_arguments
+    def __init__(
+        self, stages: Sequence[Stage], threads: int | None = None, *, device: str = "cuda", copies: int | None = None
+    ):
+        if threads is not None:
+            raise ArgumentError(f"threads={threads!r}: a fleet on a GPU has no threads; leave it out.")
+        if len(stages) != 1:
+            raise ArgumentError(
+                f"{len(stages)} stages: a fleet on a GPU is made of copies of one stage; give one stage and copies=."
+            )
+        if copies is None or isinstance(copies, bool) or int(copies) != copies or copies < 1:
+            raise ArgumentError(
+                f"copies={copies!r}: how many copies of the stage the GPU has, a whole number, 1 or more."
+            )
+        check_stage(stages[0])
+        self.stages, self._copies = list(stages), int(copies)
+        stage = stages[0]
+        tools = cuda_tools()
+        load_warp()
+        cuda: Any = import_extra("numba.cuda", FEATURE_NAME)
+        if not cuda.is_available():
+            raise GpuMissing(
+                'device="cuda": numba-cuda finds no NVIDIA GPU, though warp does: its driver may be too old.'
+            )
+        self.physics = Physics(stage.model, stage.data, self._copies)
+        self._layout = LaneLayout(stage)
+        self._advance, self._inspect = make_kernels(stage, self._layout, tools)
+        self._stream = cuda.external_stream(self.physics.stream.cuda_stream)
+        self._set_arrays(cuda)
+        self._operations = self._used = 0
+        self._graph: Any = None
+
+    def _set_arrays(self, cuda: Any) -> None:
+        stage, layout, data = self.stages[0], self._layout, self.physics.data
+        model, state = stage.model, stage.state
+        self._begin = layout.pack(self._copies)
+        self._words = cuda.to_device(self._begin)
+        self._flag_edges = cuda.to_device(state.flag_edges)
+        clockwork = state.clockwork.copy()
+        clockwork["flag_edges"] = self._flag_edges.__cuda_array_interface__["data"][0]
+        names = ("qpos", "qvel", "ctrl", "sensordata", "qacc_warmstart", "site_xpos", "xpos")
+        physics = {name: cuda.as_cuda_array(getattr(data, name)) for name in names}
+        self._qpos, self._qvel = physics["qpos"], physics["qvel"]
+        self._coordinates = [physics[name] for name in ("qpos", "qvel", "qacc_warmstart", "ctrl")]
+        self._initial_coordinates = [a.copy_to_host() for a in self._coordinates]
+        self._tables = [
+            cuda.to_device(a)
+            for a in (layout.rows, layout.axis_numbers, layout.places, layout.tables, layout.switch_tables, clockwork)
+        ]
+        inertia = np.ascontiguousarray(np.broadcast_to(model.dof_M0, (self._copies, model.nv)))
+        self._frozen_coordinates = cuda.to_device(np.zeros((self._copies, model.nq + 2 * model.nv), np.float32))
+        self._playing = cuda.to_device(np.zeros(1, np.int32))
+        self._extremes = cuda.to_device(np.zeros((self._copies, model.nq, 2)))
+        self._device_truth = cuda.to_device(np.zeros((self._copies, len(state.axis_table)), program_player.TRUTH))
+        losses = cuda.to_device(model.dof_damping), cuda.to_device(model.actuator_damping)
+        self._rest = [
+            self._extremes, physics["qpos"], physics["qvel"], physics["ctrl"], physics["sensordata"], cuda.to_device(inertia),
+            *losses, physics["qacc_warmstart"], physics["site_xpos"], physics["xpos"], self._frozen_coordinates, self._playing,
+        ]  # fmt: skip
+        self.arrays = {name: getattr(data, name) for name in ("qpos", "qvel", "ctrl")}
+        self._cuda = cuda
+
+    def __len__(self) -> int:
+        return self._copies
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"stages": self.stages, "copies": self._copies}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["stages"], copies=state["copies"])  # type: ignore[misc]
+
+    @explain_arguments
+    def play(self, programs: Sequence[Program] | np.ndarray) -> fleet.PlayedPrograms:
+        """Play programs[k] on copy k; an empty one leaves it alone. Programs may be given as an array (copies, operations, 4).
+
+        Raises:
+            ArgumentError: A program names what is not there; nothing is played then.
+            StageError: A copy had more contacts than there is room for.
+        """
+        self.load(programs)
+        while self.advance():
+            pass
+        self.physics.run(self._advance_lanes)  # puts back what the last physics step has moved
+        if (overflowed := self.physics.overflowed()).any():
+            raise StageError(
+                f"copy {int(np.argmax(overflowed))} of the fleet: more contacts at once than the model has over the travel of its "
+                "joints. Run such a stage on a processor."
+            )
+        status = self.records()["host"]["status"]
+        return fleet.PlayedPrograms(
+            self.arrays["results"].numpy()[:, : self._used].copy(),
+            self._extremes.copy_to_host(),
+            status == program_player.DIVERGED,
+        )
+
+    @explain_arguments
+    def load(self, programs: Sequence[Program] | np.ndarray) -> None:
+        """Let every copy begin its program; `advance` plays them. Raises ArgumentError as `play`."""
+        ops = fleet.check_programs(programs, len(self), self.stages[0])
+        self._make_room(ops.shape[1])
+        self._used = ops.shape[1]
+        padded = np.zeros((len(self), self._operations, 4), np.int64)  # END
+        padded[:, : self._used] = ops
+        self._ops.copy_to_device(padded)
+        self.physics.run(self.arrays["results"].zero_)
+        extremes = np.empty(self._extremes.shape)
+        extremes[:, :, 0], extremes[:, :, 1] = np.inf, -np.inf
+        self._extremes.copy_to_device(extremes)
+        self._start_hosts()
+
+    def advance(self) -> bool:
+        """Play the programs for STEPS_A_LAUNCH physics steps; returns whether one of them still went on."""
+        going = np.zeros(1, np.int32)
+        self._playing.copy_to_device(going)
+        self.physics.launch(self._graph)
+        self._playing.copy_to_host(going)
+        return bool(going[0])
+
+    def truth(self) -> np.ndarray:
+        """Every axis of every copy now: a new array (copies, axes) of play.TRUTH."""
+        rows, numbers, _, tables, _, clockwork = self._tables
+
+        def inspect() -> None:
+            self._inspect[self._blocks, WARP, self._stream](
+                self._words, rows, numbers, tables, clockwork, self._qpos, self._qvel, self._device_truth
+            )
+
+        self.physics.run(inspect)
+        return self._device_truth.copy_to_host()
+
+    def records(self) -> dict[str, np.ndarray]:
+        """Return a copy of every copy's records, as `LaneLayout.unpack` names them."""
+        return self._layout.unpack(self._words.copy_to_host(), len(self))
+
+    def reset(self) -> None:
+        """Put every copy back to the state in which the stage was when the fleet was made."""
+        self._words.copy_to_device(self._begin)
+        for array, begin in zip(self._coordinates, self._initial_coordinates, strict=True):
+            array.copy_to_device(begin)
+
+    def list_python_stages(self) -> list[int]:
+        """No copy is recorded."""
+        return []
+
+    def close(self) -> None:
+        """Free the CUDA graph."""
+        self._graph = None
+        self._operations = 0
+
+    @property
+    def _blocks(self) -> int:
+        return self._layout.threads(len(self)) // WARP
+
+    def _advance_lanes(self) -> None:
+        self._advance[self._blocks, WARP, self._stream](
+            self._words, *self._tables, self._ops, self._results, *self._rest
+        )
+
+    def _start_hosts(self) -> None:
+        """Let the host of every copy begin its program."""
+        first, host = self._layout.host_words()
+        rows = np.repeat(host[:, None], self._words.shape[1], axis=1)
+        self._words[first:].copy_to_device(rows)
+
+    def _make_room(self, operations: int) -> None:
+        """Make arrays for so many operations, and the graph that uses them."""
+        if operations <= self._operations:
+            return
+        warp, shape = self.physics.warp, (len(self), operations)
+        self._ops = self._cuda.to_device(np.zeros((*shape, 4), np.int64))
+        self.arrays["results"] = warp.zeros(shape, dtype=warp.int64)
+        self._results = self._cuda.as_cuda_array(self.arrays["results"])
+        self._operations = operations
+
+        def step() -> None:
+            self._advance_lanes()
+            self.physics.step()
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # numba's, of grids that do not fill a GPU
+            self.physics.run(self._advance_lanes)  # of no program: nothing moves
+            self._graph = None
+            self.physics.run(step)
+            self.physics.run(self._advance_lanes)
+
+        def steps() -> None:
+            for _ in range(STEPS_A_LAUNCH):
+                step()
+
+        self._graph = self.physics.capture(steps)
+
+
+def check_stage(stage: Stage) -> None:
+    """Raise ArgumentError for a stage that the kernel cannot advance."""
+    state, cores = stage.state, {chip.CORE.__name__ for chip in stage.chips}
+    for name, axis in stage.axes.items():
+        if axis.chip.CORE.__name__ not in KERNELS:
+            raise ArgumentError(
+                f"axis {name}: {type(axis.chip).__name__} has no kernel for a GPU. The PCL-240 family and HCTL-1100 have one; "
+                "leave out device= to run the fleet on this machine's processors."
+            )
+    if len(cores) > 1:
+        raise ArgumentError("the chips of a stage on a GPU are of one family.")
+    if len(stage.chips) > WARP:
+        raise ArgumentError(f"{len(stage.chips)} chips: a stage on a GPU has {WARP} at most.")
+    if state.chip_table["wire"].any() or state.chip_table["link"].any():
+        raise ArgumentError("syni=, multichip=: chips that are wired together do not run on a GPU.")
+    if stage.recording is not None or any(chip.open_journal is not None or chip.glitches for chip in stage.chips):
+        raise ArgumentError("a stage that is being recorded, or whose chips lose bus writes, does not run on a GPU.")
+
+
+def make_kernels(stage: Stage, layout: LaneLayout, tools: Tools) -> tuple[Any, Any]:
+    """Return the kernels `advance_lanes` and `inspect_lanes` for copies of a stage; tools: see `DeviceModules`."""
+    sizes = (layout.lanes, layout.axes, layout.switches, stage.state.bus, bool(stage.state.clockwork["encoders"][0]))
+    return _compile_kernels(stage.chips[0].CORE, sizes, tools)
+
+
+@cache
+def _compile_kernels(core: ModuleType, sizes: tuple[int, ...], tools: Tools) -> tuple[Any, Any]:
+    lanes, axes, switches, bus, encoders = sizes
+    state = vars(core)["STATE"]
+    modules = DeviceModules(core, tools)
+    dtypes = {
+        "W_STATE": (state, 1), "W_AXES": (engine_records.AXIS, axes), "W_DRIVES": (DRIVE, axes),
+        "W_SWITCHES": (engine_records.SWITCH, switches), "W_WORLD": (engine_records.WORLD, 1), "W_HOST": (HOST, 1),
+    }  # fmt: skip
+    names = {name: dtype.itemsize // 8 * n for name, (dtype, n) in dtypes.items()}
+    names |= {"STATE": state, "DRIVE": DRIVE, "LANES": lanes, "AXES": axes, "SWITCHES": switches}
+    names |= {"BUS": bus, "ENCODERS": bool(encoders), **tools.lane_names}
+    module = modules.module("stage.sim.gpu.lane_program", names)
+    return tuple(modules.function(name, module, tools.kernel) for name in ("advance_lanes", "inspect_lanes"))

@@ -1,0 +1,137 @@
+"""Where the records of a lane lie, and the tables that all copies of a stage share.
+
+The words of a record of one lane are not side by side: word k of lane 0, 1, 2 ... are, as the threads of a warp read memory best. A
+lane copies its words to memory of its own, works on them as records, and copies them back.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stage.drives.stepper import DRIVE
+from stage.native import record
+from stage.sim import engine_records
+from stage.sim.stage import Stage
+
+WARP = 32
+PLAYING = -1
+"""`status` of a HOST whose program goes on; otherwise how it ended, see `stage.sim.program_player`."""
+HOST = record(
+    [(name, "i8") for name in "op started until begin left poll status stepped frozen".split()]
+    + [(name, "f8") for name in "x0 y0 z0 x1 y1 z1".split()]
+)
+"""What plays a program: the operation in progress, and whether it has begun; the time at which it goes on (ns); of a STOP or KEEP
+when it began (ns), the axes in motion and the next of them to poll; how the program ended; 1 where physics has moved the copy
+since; 1 where the program is over and the copy's coordinates are frozen; the box that a measured point has kept to (m)."""
+LANE_ROW = record([("axes", "i8"), ("hz", "i8"), ("ticks", "f8")])
+"""Of a chip: axes in use, clock in Hz, clocks in a slice."""
+AXIS_PLACE = record([(name, "i8") for name in "lane axis qpos dof".split()])
+"""Of an axis of the stage: its lane, its number there, its places in qpos and qvel."""
+
+
+class LaneLayout:
+    """The lanes of the copies of one stage.
+
+    Attributes:
+        lanes: Chips of a copy. axes, switches: of a lane, at most.
+        words: Words of a lane.
+        rows, axis_numbers, places, tables, switch_tables: What the kernel takes.
+    """
+
+    def __init__(self, stage: Stage):
+        state = self._state = stage.state
+        self.lanes = len(state.chip_table)
+        self._axes = [
+            [int(own.axis) for own in state.chip_axes[i][: state.chip_table[i].axes]] for i in range(self.lanes)
+        ]
+        spans = [[(int(t.first_switch), int(t.end_switch)) for t in state.axis_table[own]] for own in self._axes]
+        self._switches = [[k for first, end in span for k in range(first, end)] for span in spans]
+        self.axes = max(map(len, self._axes))
+        self.switches = max(1, *map(len, self._switches))
+        self._parts = (
+            ("chip", stage.chips[0].CORE.STATE, 1), ("axes", engine_records.AXIS, self.axes), ("drives", DRIVE, self.axes),
+            ("switches", engine_records.SWITCH, self.switches), ("world", engine_records.WORLD, 1), ("host", HOST, 1),
+        )  # fmt: skip
+        self.words = sum(dtype.itemsize // 8 * n for _, dtype, n in self._parts)
+        self._set_tables(spans)
+
+    def _set_tables(self, spans: list[list[tuple[int, int]]]) -> None:
+        state = self._state
+        self.rows = np.zeros(self.lanes, LANE_ROW)
+        self.axis_numbers = np.zeros((self.lanes, self.axes), np.int64)
+        self.places = np.zeros(len(state.axis_table), AXIS_PLACE)
+        self.tables = np.zeros((self.lanes, self.axes), engine_records.AXIS_TABLE)
+        self.switch_tables = np.zeros((self.lanes, self.switches), engine_records.SWITCH_TABLE)
+        for i, (own, span) in enumerate(zip(self._axes, spans, strict=True)):
+            chip = state.chip_table[i]
+            self.rows[i] = chip.axes, chip.hz, chip.ticks
+            self.axis_numbers[i, : len(own)] = own
+            self.switch_tables[i, : len(self._switches[i])] = state.switch_table[self._switches[i]]
+            switch = 0
+            for j, (axis, (first, end)) in enumerate(zip(own, span, strict=True)):
+                table = self.tables[i, j : j + 1]
+                table[:] = state.axis_table[axis]
+                table["first_switch"], table["end_switch"] = switch, switch + end - first
+                switch += end - first
+                self.places[axis] = i, j, table["qpos"][0], table["dof"][0]
+
+    def threads(self, copies: int) -> int:
+        """Return how many threads so many copies take; no copy is in two warps."""
+        return -(-copies // (WARP // self.lanes)) * WARP
+
+    def _thread_numbers(self, copies: int) -> np.ndarray:
+        """Return the thread of each lane, (copies, lanes)."""
+        in_warp = WARP // self.lanes
+        k = np.arange(copies)
+        first = k // in_warp * WARP + k % in_warp * self.lanes
+        return first[:, None] + np.arange(self.lanes)
+
+    def pack(self, copies: int) -> np.ndarray:
+        """Return the words of all lanes, (words, threads) int64, each copy in the state in which the stage is now."""
+        out = np.zeros((self.words, self.threads(copies)), np.int64)
+        out[:, self._thread_numbers(copies)] = np.stack([self._lane(i) for i in range(self.lanes)], axis=1)[:, None]
+        return out
+
+    def _lane(self, i: int) -> np.ndarray:
+        state, pieces = self._state, []
+        host = np.zeros(1, HOST)
+        host["status"] = engine_records.REACHED
+        present = {
+            "chip": state.chips[i], "axes": state.axes[self._axes[i]], "drives": state.drives[self._axes[i]],
+            "switches": state.switches[self._switches[i]], "world": state.world, "host": host,
+        }  # fmt: skip
+        for name, dtype, n in self._parts:
+            rows = np.zeros(n, dtype)
+            rows[: len(present[name])] = present[name]
+            pieces.append(rows.view(np.int64))
+        return np.concatenate(pieces)
+
+    def unpack(self, words: np.ndarray, copies: int) -> dict[str, np.ndarray]:
+        """Return the records of all copies: chip (copies, lanes), world, host (copies,), and others as a stage has them."""
+        lane_words = words[:, self._thread_numbers(copies)]
+        records_by_name: dict[str, np.ndarray] = {}
+        at = 0
+        for name, dtype, n in self._parts:
+            size = dtype.itemsize // 8 * n
+            records_by_name[name] = np.ascontiguousarray(np.moveaxis(lane_words[at : at + size], 0, -1)).view(dtype)
+            at += size
+        for name, rows in (("axes", self._axes), ("drives", self._axes), ("switches", self._switches)):
+            all_of_them = np.zeros((copies, sum(map(len, rows))), records_by_name[name].dtype)
+            for i, own in enumerate(rows):
+                all_of_them[:, own] = records_by_name[name][:, i, : len(own)]
+            records_by_name[name] = all_of_them
+        return {
+            **records_by_name,
+            "chip": records_by_name["chip"][:, :, 0],
+            "world": records_by_name["world"][:, 0, 0],
+            "host": records_by_name["host"][:, 0, 0],
+        }
+
+    def host_words(self) -> tuple[int, Any]:
+        """Return the row at which the words of a HOST begin, and those of one that begins its program."""
+        host = np.zeros(1, HOST)
+        host["status"] = PLAYING
+        words = host.view(np.int64)
+        return self.words - len(words), words

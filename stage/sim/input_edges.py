@@ -1,0 +1,358 @@
+"""Edges of switches and of the encoder's index, compiled: predicted at a window's start, passed to a chip at their exact clock."""
+
+from __future__ import annotations
+
+from stage.chips import cores
+from stage.chips.journal_entries import INPUT
+from stage.native import array_at, floor, hot, least
+from stage.sim.engine_records import (
+    FLAG_EDGE,
+    HYSTERESIS,
+    INDEX,
+    INDEX_HYSTERESIS,
+    NEVER,
+    SECOND,
+    TURN,
+    compute_clock_at,
+)
+from stage.sim.stage_handle import (
+    get_axes,
+    get_axis_table,
+    get_clockwork,
+    get_qpos,
+    get_qvel,
+    get_sensordata,
+    get_switch_table,
+    get_switches,
+    get_world,
+    has_edge_room,
+    note_edge,
+)
+
+UNREACHED = 1e300  # joint travel to an edge that is not ahead
+RELIABLE_SHARE = 0.8  # share of the travel beside an edge in which the sensor's distance tells the place
+
+
+@hot
+def measure_index_offset(axis_row, position):
+    """Return the turns from the nearest index mark to the rotor, -0.5 to 0.5."""
+    angle = position * axis_row.gear / TURN - axis_row.index_at
+    return angle - floor(angle + 0.5)
+
+
+@hot
+def _predict_index(world, axis, axis_row, position, velocity, half):
+    """Predict, at the start of a window, when the index pulse begins and ends in it; there are at most two such edges."""
+    axis.index_edge = axis.index_end = NEVER
+    speed = velocity * axis_row.gear / TURN
+    direction = 1.0 if speed >= 0.0 else -1.0
+    off = (measure_index_offset(axis_row, position) - speed * half) * direction  # as if the motor turned forward
+    off -= floor(off + 0.5)
+    rim = 0.5 * INDEX + (INDEX_HYSTERESIS if axis.index_on else 0.0)
+    speed *= direction
+    if axis.index_on:
+        wait = rim - off if abs(off) <= rim else 0.0
+    elif abs(off) <= rim:
+        wait = 0.0
+    else:
+        wait = -rim - off if off < -rim else 1.0 - rim - off
+    if wait <= speed * 2.0 * half:
+        axis.index_edge = world.start + (int(wait / speed * SECOND) if wait > 0.0 else 0)
+        if not axis.index_on:
+            last = wait + INDEX + INDEX_HYSTERESIS if wait > 0.0 else rim + INDEX_HYSTERESIS - off
+            if 0.0 < last < speed * 2.0 * half:
+                axis.index_end = world.start + int(last / speed * SECOND)
+        axis.next_edge = least(axis.next_edge, axis.index_edge)
+
+
+@hot
+def _flag_edges(clockwork):
+    """Return the FLAG_EDGE records of all switches."""
+    return array_at(clockwork.flag_edges, clockwork.n_flag_edges, FLAG_EDGE)
+
+
+@hot
+def _measure_travel_from(edge, position, turn):
+    """Return the joint travel from an edge to `position`.
+
+    On a joint that turns endlessly the edge repeats after `turn`; the travel is then that from the nearest repetition.
+    """
+    x = position - edge.at
+    return x - turn * floor(x / turn + 0.5) if turn else x
+
+
+@hot
+def _find_nearest_edge(edges, switch_row, position):
+    """Return the index of the flag edge of a switch that is nearest to `position`."""
+    k, nearest = switch_row.first_edge, UNREACHED
+    for i in range(switch_row.first_edge, switch_row.end_edge):
+        away = abs(_measure_travel_from(edges[i], position, switch_row.turn))
+        if away < nearest:
+            k, nearest = i, away
+    return k
+
+
+@hot
+def _measure_distance_outside(edges, switch_row, position):
+    """Return the joint travel by which `position` is outside the flag of a switch; it is negative inside the flag."""
+    e = edges[_find_nearest_edge(edges, switch_row, position)]
+    x = _measure_travel_from(e, position, switch_row.turn)
+    return x if e.slope > 0.0 else -x
+
+
+@hot
+def _correct_flag_shift(edges, switch, switch_row, position, distance):
+    """Correct `s.shift` where the sensor's distance, read at joint position `position`, contradicts it.
+
+    Near an edge the distance gives the position of the joint. Elsewhere (far away, or deep in the switch, where the contact's
+    direction changes) it only shows on which side of the edge the joint is, and the shift keeps its last value.
+    """
+    position -= switch.shift
+    e = edges[_find_nearest_edge(edges, switch_row, position)]
+    x, sensed = _measure_travel_from(e, position, switch_row.turn), distance / e.slope
+    limit = 0.0
+    if sensed < e.below or sensed > e.above:
+        limit = RELIABLE_SHARE * (e.above if sensed > 0.0 else e.below)
+        if (x - limit) * sensed >= 0.0:
+            return
+    error, correction, allowed = UNREACHED, x - limit, 0.0
+    for i in range(switch_row.first_edge, switch_row.end_edge):
+        e = edges[i]
+        x, sensed = _measure_travel_from(e, position, switch_row.turn), distance / e.slope
+        if e.below <= sensed <= e.above and abs(x - sensed) < error:
+            error, correction, allowed = abs(x - sensed), x - sensed, e.noise + e.bend * sensed * sensed
+    if error > allowed:
+        switch.shift += correction
+
+
+@hot
+def _place_flag_ahead(edges, switch, switch_row, position, velocity, distance):
+    """Correct `s.shift` if the joint, at `position` when the sensor first detects the vane, would move away from the flag."""
+    k, nearest = -1, UNREACHED
+    for i in range(switch_row.first_edge, switch_row.end_edge):
+        away = abs(_measure_travel_from(edges[i], position, switch_row.turn))
+        if edges[i].slope * velocity < 0.0 and away < nearest:
+            k, nearest = i, away
+    if k >= 0 and distance > 0.0:
+        x, sensed = _measure_travel_from(edges[k], position, switch_row.turn), distance / edges[k].slope
+        if x * sensed < 0.0:
+            switch.shift += x - sensed
+
+
+@hot
+def is_in_flag(clockwork, switch, switch_row, position):
+    """Return whether the vane is in its switch with the joint at `position`."""
+    return (
+        switch.sensed and _measure_distance_outside(_flag_edges(clockwork), switch_row, position - switch.shift) <= 0.0
+    )
+
+
+@hot
+def _measure_travel_to_change(edges, switch_row, position, direction, gone, on):
+    """Return the travel from flag position `position` after which the switch changes next; `gone` if it should have changed by
+    then.
+
+    Args:
+        edges: FLAG_EDGE records of all switches.
+        switch_row: The switch's row of SWITCH_TABLE.
+        position: Joint position less the flag's shift.
+        direction: Direction of travel, 1.0 or -1.0.
+        gone: Travel from `position` that is behind the joint.
+        on: Whether the switch is asserted there.
+    """
+    hysteresis, ahead = HYSTERESIS if on else 0.0, UNREACHED
+    outside = _measure_distance_outside(edges, switch_row, position + direction * gone)
+    if (outside > hysteresis) if on else (outside <= 0.0):
+        return gone
+    for i in range(switch_row.first_edge, switch_row.end_edge):
+        e = edges[i]
+        if (e.slope * direction > 0.0) == (on != 0):
+            travel = hysteresis - _measure_travel_from(e, position, switch_row.turn) * direction
+            if gone <= travel < ahead:
+                ahead = travel
+    return ahead
+
+
+@hot
+def predict_switch(world, axis, clockwork, switch, switch_row, position, velocity):
+    """Predict when a switch will change between now and the window's end, at most twice.
+
+    A contact that bounces comes to rest before the next change.
+
+    Args:
+        world, axis, clockwork, s, t: WORLD, AXIS, CLOCKWORK, SWITCH and the switch's row of SWITCH_TABLE.
+        position: Position of the axis' joint at the window's center.
+        velocity: Speed of the joint.
+    """
+    if switch.toggles == 0:
+        switch.edge = switch.next_edge = NEVER
+        if switch_row.forced >= 0 or not switch.sensed:
+            if switch.on != (switch_row.forced if switch_row.forced >= 0 else 0):
+                switch.edge = world.now
+        else:
+            edges, direction = _flag_edges(clockwork), 1.0 if velocity >= 0.0 else -1.0
+            position -= velocity * clockwork.half + switch.shift
+            speed = velocity * direction
+            last, gone = speed * 2.0 * clockwork.half, speed * (float(world.now - world.start) / SECOND)
+            travel = _measure_travel_to_change(edges, switch_row, position, direction, gone, switch.on)
+            if travel <= last:
+                switch.edge = world.start + int(travel / speed * SECOND) if travel > gone else world.now
+                if switch_row.bounce == 0:
+                    travel = _measure_travel_to_change(edges, switch_row, position, direction, travel, 1 - switch.on)
+                    if gone < travel <= last:
+                        switch.next_edge = world.start + int(travel / speed * SECOND)
+    axis.next_edge = least(axis.next_edge, switch.edge)
+
+
+@hot
+def _schedule_next_toggle(switch, switch_row, now):
+    """Set when a bouncing contact toggles next. The intervals become shorter, and the last toggle is at the end of the bounce."""
+    if switch.toggles == 0:
+        switch.toggles, switch.until = switch_row.toggles, now + switch_row.bounce
+    else:
+        switch.toggles -= 1
+    if switch.toggles:
+        switch.edge = now + 2 * (switch.until - now) // (switch.toggles + 1)
+
+
+@hot
+def predict_edges(handle, moved):
+    """Predict, at the start of a window, where each vane is and when its switch changes within the window.
+
+    Args:
+        handle: HANDLE record.
+        moved: Whether qpos has moved by one step of the present qvel since the sensors were read.
+    """
+    axis_records, table, readings = get_axes(handle), get_axis_table(handle), get_sensordata(handle)
+    for a in range(len(axis_records)):
+        q, v = get_qpos(handle)[table[a].qpos], get_qvel(handle)[table[a].dof]
+        predict_axis_edges(
+            get_world(handle),
+            get_clockwork(handle),
+            axis_records[a],
+            table[a],
+            get_switches(handle),
+            get_switch_table(handle),
+            readings,
+            q,
+            v,
+            moved,
+        )
+
+
+@hot
+def predict_axis_edges(now, clock, axis, of_axis, records, rows, sensordata, position, velocity, moved):
+    """Predict the edges of one axis whose joint is at `position` with speed `velocity`; see `predict_edges`.
+
+    `now` and `clock` are WORLD and CLOCKWORK of the stage, `axis` and `of_axis` the axis' AXIS and its row of AXIS_TABLE, `records`
+    and `rows` all SWITCH and SWITCH_TABLE records.
+    """
+    half, edges = clock.half, _flag_edges(clock)
+    axis.next_edge = NEVER
+    awake = axis.awake or not moved
+    for k in range(of_axis.first_switch, of_axis.end_switch):
+        awake |= sensordata[rows[k].found] > 0.0 or rows[k].forced > 0
+    axis.awake = 0
+    for k in range(of_axis.first_switch, of_axis.end_switch if awake else 0):  # else nothing has changed
+        s, t = records[k], rows[k]
+        if sensordata[t.found] > 0.0:
+            q_sensed, dist = position - velocity * 2.0 * half if moved else position, sensordata[t.dist]
+            if moved and not s.sensed:
+                _place_flag_ahead(edges, s, t, q_sensed, velocity, dist)
+            s.sensed = 1
+            _correct_flag_shift(edges, s, t, q_sensed, dist)
+        else:
+            s.sensed, s.shift = 0, 0.0
+            if not s.on and t.forced <= 0 and s.toggles == 0:
+                s.edge = s.next_edge = NEVER
+                continue
+        axis.awake = 1
+        predict_switch(now, axis, clock, s, t, position, velocity)
+    if of_axis.index_bit:
+        _predict_index(now, axis, of_axis, position, velocity, half)
+
+
+@hot
+def apply_switches(axis_row, records, rows, word):
+    """Return the pin word of an axis with the bits of its switches set to their present levels.
+
+    If two switches are wired to one pin, either of them asserts it. A sensor of positive logic sets its bit while
+    it is off, since its pin is low then.
+    """
+    on = off = 0
+    for k in range(axis_row.first_switch, axis_row.end_switch):
+        bit = rows[k].bit
+        on, off = (on | bit, off) if records[k].on else (on, off | bit)
+    return word & ~(on | off) | on ^ axis_row.positive & (on | off)
+
+
+@hot
+def apply_index_pulse(axis_row, axis, word):
+    """Return the pin word of an axis with the bit of its index pulse set to its present level."""
+    return (
+        word | axis_row.index_bit
+        if axis.index_on != (axis_row.positive & axis_row.index_bit != 0)
+        else word & ~axis_row.index_bit
+    )
+
+
+@hot
+def process_axis_edges(axis, axis_row, chip, chip_axis, records, rows, now):
+    """Apply the edges of chip axis `chip_axis` that occur at `now`, ns."""
+    axis.next_edge = NEVER
+    for k in range(axis_row.first_switch, axis_row.end_switch):
+        s = records[k]
+        if s.edge <= now:
+            s.edge, s.next_edge = s.next_edge, NEVER
+            s.on = 1 - s.on
+            if s.toggles or rows[k].bounce:
+                _schedule_next_toggle(s, rows[k], now)
+        axis.next_edge = least(axis.next_edge, s.edge)
+    word = apply_switches(axis_row, records, rows, cores.read_inputs(chip, chip_axis))
+    if axis_row.index_bit:
+        if axis.index_edge <= now:
+            axis.index_edge, axis.index_end = axis.index_end, NEVER
+            axis.index_on = 1 - axis.index_on
+            word = apply_index_pulse(axis_row, axis, word)
+        axis.next_edge = least(axis.next_edge, axis.index_edge)
+    cores.set_input(chip, chip_axis, word)
+
+
+@hot
+def find_next_edge(axis_records, chip):
+    """Return the time, ns, at which the next input of a chip changes."""
+    edge = axis_records[cores.find_stage_axis(chip, 0)].next_edge
+    for j in range(1, chip.axes):
+        edge = least(edge, axis_records[cores.find_stage_axis(chip, j)].next_edge)
+    return edge
+
+
+@hot
+def journal_input(handle, now, chip, chip_axis):
+    """Write into the journal that the inputs of chip axis `chip_axis` have changed at `now` ns."""
+    if has_edge_room(handle):
+        note_edge(
+            handle,
+            now,
+            chip,
+            cores.find_stage_axis(chip, chip_axis),
+            INPUT,
+            chip_axis,
+            cores.read_inputs(chip, chip_axis),
+        )
+
+
+@hot
+def process_edges(handle, chip, until):
+    """Advance chip `chip` to `until` ns, and apply the edges of its switches on the way, each at its time."""
+    axis_records, table = get_axes(handle), get_axis_table(handle)
+    now = find_next_edge(axis_records, chip)
+    while now <= until:
+        cores.run(chip, compute_clock_at(now, chip.hz))
+        for j in range(chip.axes):
+            a = cores.find_stage_axis(chip, j)
+            if axis_records[a].next_edge > now:
+                continue
+            process_axis_edges(axis_records[a], table[a], chip, j, get_switches(handle), get_switch_table(handle), now)
+            journal_input(handle, now, chip, j)
+        now = find_next_edge(axis_records, chip)

@@ -1,0 +1,120 @@
+"""MuJoCo's callbacks (`mujoco.set_mjcb_control` and the like) while compiled code steps the physics.
+
+MuJoCo calls them in the middle of a step. It cannot pass on an exception from a callback and would end the process. So they run
+guarded: the exception is kept, the step is completed without further callbacks, and then the exception is raised in the caller of
+the step. `forward_guarded` is mj_forward so guarded.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import mujoco
+
+from stage.errors import SimulationError
+from stage.sim.libmujoco import load_mujoco_library
+
+NAMES = ("passive", "control", "contactfilter", "sensor", "time", "act_dyn", "act_gain", "act_bias")
+_POINTERS = [ctypes.c_void_p.in_dll(load_mujoco_library(), f"mjcb_{name}") for name in NAMES]
+ADDRESSES = [ctypes.addressof(pointer) for pointer in _POINTERS]
+"""Where MuJoCo keeps what it calls."""
+NATIVE = [
+    0 if callable(getattr(mujoco, f"get_mjcb_{name}")()) else pointer.value or 0
+    for name, pointer in zip(NAMES, _POINTERS, strict=True)
+]
+"""What stands there while nobody in Python is called: 0, or MuJoCo's own, as for the time."""
+
+_lock = threading.Lock()
+_installed: dict[str, tuple[Any, Any]] = {}  # name -> what the user set, and the guard in its place
+_guards: dict[int, Callable[[BaseException | None], bool]] = {}  # by thread
+
+
+@contextmanager
+def guard_callbacks(failed: Callable[[BaseException | None], bool]) -> Iterator[None]:
+    """Keep exceptions of MuJoCo's callbacks from leaving them, in this context and thread.
+
+    Args:
+        failed: Takes the exception, or None, and returns whether there was one.
+    """
+    me = threading.get_ident()
+    try:
+        with _lock:
+            if not _guards:
+                for name in NAMES:
+                    callback = getattr(mujoco, f"get_mjcb_{name}")()
+                    if callable(callback):
+                        _installed[name] = callback, _make_guard(callback)
+                        getattr(mujoco, f"set_mjcb_{name}")(_installed[name][1])
+            _guards[me] = failed
+        yield
+    finally:
+        with _lock:
+            _guards.pop(me, None)
+            if not _guards:
+                for name, (callback, guard) in _installed.items():
+                    if getattr(mujoco, f"get_mjcb_{name}")() is guard:  # it may have taken itself away
+                        getattr(mujoco, f"set_mjcb_{name}")(callback)
+                _installed.clear()
+
+
+def forward_guarded(model: mujoco.MjModel, data: mujoco.MjData, back: Callable[[], None] | None = None) -> None:
+    """Let MuJoCo compute what follows from the state (mj_forward).
+
+    Args:
+        model: Model.
+        data: Its state.
+        back: Puts the former state back, if a callback raises.
+
+    Raises:
+        SimulationError: A callback raises.
+    """
+    errors: list[BaseException] = []
+
+    def failed(error: BaseException | None) -> bool:
+        if error is not None:
+            errors.append(error)
+        return bool(errors)
+
+    with guard_callbacks(failed):
+        mujoco.mj_forward(model, data)
+        if errors and back is not None:
+            back()
+            mujoco.mj_forward(model, data)
+    if errors:
+        raise make_callback_error(errors[0], data.time, "Nothing has changed.")
+
+
+def make_callback_error(error: BaseException | None, seconds: float, state_text: str) -> BaseException:
+    """Make the error for a callback's exception; for Ctrl-C, which may come while one runs, that.
+
+    Args:
+        error: The exception.
+        seconds: Simulated time, s.
+        state_text: State of the stage now, in words.
+    """
+    if not isinstance(error, Exception):
+        return error or KeyboardInterrupt()
+    text = f"a callback that MuJoCo calls raised {type(error).__name__}: {error} (at {seconds:.6f} s). {state_text}"
+    error_of_callback = SimulationError(text, seconds, "")
+    error_of_callback.__cause__ = error
+    return error_of_callback
+
+
+def _make_guard(callback: Callable) -> Callable:
+    def call(*args: Any) -> Any:
+        failed = _guards.get(threading.get_ident())
+        if failed is None:  # somebody else steps a model of his own
+            return callback(*args)
+        if failed(None):
+            return 0
+        try:
+            return callback(*args)
+        except BaseException as error:
+            failed(error)
+            return 0
+
+    return call

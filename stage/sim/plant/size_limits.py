@@ -1,0 +1,192 @@
+"""Bounds on what a model file may expand to, checked before MuJoCo reads it.
+
+A few lines of MJCF can ask for more than any machine holds: nested `<replicate>`s, a `<composite>` of 100,000 bodies, a height
+field of 10^10 samples, a mesh whose file is a pipe. MuJoCo cannot be interrupted while it compiles, so such a model is refused by
+counting. The bounds lie far above what a motion stage needs; within them MuJoCo compiles for seconds, not for hours.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+from stage.errors import ModelError
+from stage.support.foreign_files import open_regular, read_bytes
+
+MAX_ELEMENTS = 20_000
+MAX_COMPOSITE_BODIES = 1_000  # MuJoCo's time to compile a chain grows with the square of its length
+MAX_SAMPLES = 2**26  # of all height fields, pixels of all textures, and numbers of user data of all elements
+MAX_ARRAY_SIZE = 2**20  # numbers in <size>, and of all sensors and of all that is delayed
+MAX_MESH_RESOLUTION = 512  # of a mesh that MuJoCo makes; its vertices grow with the square
+MAX_FLEX_FILE_BYTES = 2**21  # each point of the file becomes a body
+MAX_FILE_BYTES = 2**28
+MAX_MODEL_FILES = 1_000
+
+_MARKUP = re.compile(
+    r"""<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>|<![^>]*>|(<[^<>"'!?](?:[^<>"']|"[^"]*"|'[^']*')*+>)""", re.DOTALL
+)
+"""Comments, sections of text, declarations, each as long as for MuJoCo; and tags, so that none of the others begins in one."""
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f]")
+_LITERAL_AMPERSAND = re.compile(r"&(?!(?:amp|lt|gt|quot|apos|#[0-9]+|#x[0-9a-fA-F]+);)")
+_PNG, _PNG_SIZE = b"\x89PNG\r\n\x1a\n", slice(16, 24)
+_FOLDERS = ("meshdir", "texturedir", "assetdir")  # attributes of <compiler>
+_SIZES = re.compile(r"nuser.*|nkey")
+_SENSOR_SIZES = ("dim", "num", "nsample")
+
+
+def check_model_size(path: Path) -> None:
+    """Raise ModelError if the model file at `path` expands beyond the bounds of this module.
+
+    Files that it includes or attaches are counted with it. What is not well-formed XML is refused, too.
+    """
+    _ModelSizeCounter(path).check()
+
+
+class _ModelSizeCounter:
+    """Number of elements that a model file expands to, with the files that it names."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self._elements = self._samples = self._readings = 0
+        self._user_numbers = 1  # of each element
+        self._files = 0
+        self._folders = {path.parent}
+
+    def check(self) -> None:
+        self._add_file(self.path, 1, ())
+        self._require("size", "numbers of user data", self._elements * self._user_numbers, MAX_SAMPLES)
+
+    def _add_file(self, path: Path, copies: int, parents: tuple[Path, ...]) -> None:
+        """Count `copies` of a file; `parents` are the files that led here."""
+        self._files += 1
+        if path in parents:
+            raise ModelError(
+                f"{self.path}: {path} includes itself. Remove the <include> or <attach> that closes the circle."
+            )
+        if self._files > MAX_MODEL_FILES:
+            raise ModelError(f"{self.path} reads more than {MAX_MODEL_FILES:,} files. Merge or remove some of them.")
+        root = _parse_bounded_xml(path)
+        for compiler in root.iter("compiler"):
+            self._folders |= {path.parent / compiler.get(name, "") for name in _FOLDERS}
+        self._folders.add(path.parent)
+        models = {m.get("name") or Path(m.get("file", "")).stem: m.get("file", "") for m in root.iter("model")}
+        stack = [(root, copies)]
+        while stack:
+            element, times = stack.pop()
+            self._add_element(element, times)
+            for file in self._files_of(element):
+                if element.tag == "include":
+                    self._add_file(file, times, (*parents, path))
+            if element.tag == "attach":
+                for file in self._find(models.get(element.get("model", ""), "")):
+                    self._add_file(file, times, (*parents, path))
+            inner = times * _multiply_counts(element.get("count")) if element.tag == "replicate" else times
+            stack.extend((child, inner) for child in element)
+
+    def _add_element(self, element: ElementTree.Element, copies: int) -> None:
+        tag = element.tag
+        if tag in ("composite", "flexcomp"):
+            points = max(len(element.get(name, "").split()) // 3 for name in ("vertex", "point"))
+            copies *= max(_multiply_counts(element.get("count")), points)
+        self._elements += copies
+        self._require(tag, "elements", self._elements, MAX_ELEMENTS)
+        if tag == "composite":
+            self._require(tag, "bodies", copies, MAX_COMPOSITE_BODIES)
+        elif tag == "hfield":
+            self._add_samples(element, "samples", ("nrow", "ncol"))
+        elif tag == "texture":
+            self._add_samples(element, "pixels", ("width", "height", "nchannel"))
+        elif tag == "mesh" and element.get("builtin"):
+            resolution = max((_multiply_counts(count) for count in element.get("params", "").split()), default=1)
+            self._require(tag, "segments a side", resolution, MAX_MESH_RESOLUTION)
+        elif tag == "size":
+            self._add_sizes(element)
+        elif sizes := [_multiply_counts(element.get(name)) for name in _SENSOR_SIZES if element.get(name)]:
+            self._readings += copies * math.prod(sizes)
+            self._require(tag, "readings", self._readings, MAX_ARRAY_SIZE)
+
+    def _add_sizes(self, element: ElementTree.Element) -> None:
+        for name, value in element.items():
+            if _SIZES.fullmatch(name):
+                self._require(element.tag, name, _multiply_counts(value), MAX_ARRAY_SIZE)
+                if name != "nkey":
+                    self._user_numbers = max(self._user_numbers, _multiply_counts(value))
+
+    def _add_samples(self, element: ElementTree.Element, unit: str, sizes: tuple[str, ...]) -> None:
+        """Count the samples of a height field or a texture: by its sizes, and those of a picture in a file by its header."""
+        self._samples += math.prod(_multiply_counts(element.get(name)) for name in sizes)
+        self._samples += sum(map(_count_pixels, self._files_of(element)))
+        self._require(element.tag, unit, self._samples, MAX_SAMPLES)
+
+    def _require(self, tag: str, unit: str, count: int, limit: int) -> None:
+        if count > limit:
+            raise ModelError(
+                f"{self.path} expands to {count:,} {unit} at its <{tag}>, and a model may have {limit:,}. Lower the sizes "
+                "and counts there and of each <replicate> around it, or pass an MjModel that you compiled yourself."
+            )
+
+    def _files_of(self, element: ElementTree.Element) -> Iterator[Path]:
+        """Yield the files that an element names and that exist, each a regular file of bounded size."""
+        max_bytes = MAX_FLEX_FILE_BYTES if element.tag == "flexcomp" else MAX_FILE_BYTES
+        for name, value in element.items():
+            if name.startswith("file") and value:
+                yield from self._find(value, max_bytes)
+
+    def _find(self, name: str, max_bytes: int = MAX_FILE_BYTES) -> Iterator[Path]:
+        for folder in self._folders if name else ():
+            path = folder / name
+            if path.exists():
+                open_regular(path, "file of a model", max_bytes, ModelError).close()
+                yield path
+                return
+
+
+class _BoundedTreeBuilder(ElementTree.TreeBuilder):
+    """Builds the tree of a file that has no more elements than a model may have, and stops at the first one beyond."""
+
+    def __init__(self, path: Path):
+        super().__init__()
+        self._path, self._count = path, 0
+
+    def start(self, tag: str, attrs: dict[str, str], /) -> ElementTree.Element:
+        """Count one more element. Raises ModelError."""
+        self._count += 1
+        if self._count > MAX_ELEMENTS:
+            raise ModelError(
+                f"{self._path} has more than {MAX_ELEMENTS:,} elements, at its <{tag}>, and a model may have so many. Remove "
+                "some of them, or pass an MjModel that you compiled yourself."
+            )
+        return super().start(tag, attrs)
+
+
+def _parse_bounded_xml(path: Path) -> ElementTree.Element:
+    """Return the root of an XML file, read as leniently as MuJoCo does: any bytes in texts, any dashes in comments, no entities."""
+    content = read_bytes(path, "MJCF file", MAX_FILE_BYTES, ModelError).decode(errors="replace")
+    text = _MARKUP.sub(lambda match: match[1] or "", _CONTROL.sub(" ", content))
+    text = _LITERAL_AMPERSAND.sub("&amp;", text[max(text.find("<"), 0) :])
+    try:
+        return ElementTree.fromstring(text, ElementTree.XMLParser(target=_BoundedTreeBuilder(path)))
+    except ElementTree.ParseError as error:
+        raise ModelError(f"{path} is no MJCF that MuJoCo reads: it is not well-formed XML ({error}).") from None
+
+
+def _count_pixels(path: Path) -> int:
+    """Return the pixels of a picture in PNG, by its header; 0 of any other file, whose bytes are bounded."""
+    with open_regular(path, "file of a model", MAX_FILE_BYTES, ModelError) as file:
+        head = file.read(_PNG_SIZE.stop)
+    if not head.startswith(_PNG) or len(head) < _PNG_SIZE.stop:
+        return 0
+    width, height = struct.unpack(">II", head[_PNG_SIZE])
+    return int(width * height)
+
+
+def _multiply_counts(counts: str | None) -> int:
+    """Return the product of whole numbers in an attribute; what is no number counts as 1, as MuJoCo refuses it."""
+    try:
+        return math.prod(max(int(float(count)), 1) for count in (counts or "1").split())
+    except (ValueError, OverflowError):
+        return 1

@@ -1,0 +1,507 @@
+"""Search for the switches of an axis: where each trips, from which distance its sensor detects its vane, and if it works."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+
+from stage.sim import flag_distances as flag_scan
+from stage.sim import libmujoco, mujoco_callbacks
+from stage.sim.engine_records import PINS
+from stage.sim.plant.model_errors import ModelProblems, format_pair_line, format_sensor_line, suggest_name
+
+MIN_LOOKAHEAD_M = 0.5e-3  # m; a switch must be seen this far before the touch, so that the edge is found inside a step
+SCAN_POSITIONS = 401  # joint positions tried over the range
+MIN_FLAG_SHARE = 1e-7  # share of the range; flags are looked for down to this width
+MAX_LINEAR_ERROR = 0.02  # share by which the distance beside an edge may miss its tangent
+TRUSTED_TRAVEL_SHARE = (
+    0.95  # share of the travel over which it does so; where the contact's direction changes is beyond
+)
+MIN_TRAVEL = 1e-12  # joint travel; below it the sensor and the joint's position do not differ
+FULL_TURN = 2 * np.pi
+_DATA_DIMS = (("FOUND", 1), ("FORCE", 3), ("TORQUE", 3), ("DIST", 1), ("POS", 3), ("NORMAL", 3), ("TANGENT", 3))
+
+
+@dataclass(frozen=True)
+class FlagEdge:
+    """A place in the joint's travel where a vane enters or leaves its switch.
+
+    Beside it, the contact sensor's distance over `slope` is the joint's travel from the edge, to `noise` + `bend` travel^2.
+
+    Attributes:
+        at: Joint position where the distance is 0.
+        slope: d dist / d q at the edge: negative if the vane enters the switch on the way to plus, positive if it leaves it.
+        bend, noise: Bounds of the error of the travel that is read from the sensor, see above.
+        below, above: Travels read from the sensor, to minus and to plus, between which these bounds hold.
+    """
+
+    at: float
+    slope: float
+    bend: float
+    noise: float
+    below: float
+    above: float
+
+
+@dataclass(frozen=True)
+class Switch:
+    """Limit switch and its vane.
+
+    Attributes:
+        pin: el_plus, el_minus, sd_plus, sd_minus or org.
+        sensor: Id in the model.
+        found, dist: Addresses in sensordata.
+        touch: Joint position at which the vane, coming from the middle of travel (to ORG: from plus), trips the switch.
+        slope: d dist / d q there; -1 or 1 for flat faces on a slide, m/rad on a hinge.
+        lookahead: Joint travel before the touch over which `dist` is available.
+        edges: All edges of its flag in the joint's travel, from minus to plus; both of a short flag.
+        turn: Joint travel after which they come again: a full turn of a hinge that turns as far, else 0.
+    """
+
+    pin: str
+    sensor: int
+    found: int
+    dist: int
+    touch: float
+    slope: float
+    lookahead: float
+    edges: tuple[FlagEdge, ...]
+    turn: float
+
+
+class SwitchFinder:
+    """Finder of limit switches: moves the axes of a model through their travel and measures. Errors go to `problems`."""
+
+    def __init__(self, model: mujoco.MjModel, problems: ModelProblems, axes: Sequence[str]):
+        self.model, self.data, self.problems, self.axes = model, mujoco.MjData(model), problems, axes
+
+    def _find_sensor_id(self, name: str) -> int:
+        return int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, name))
+
+    @property
+    def _known_sensor_names(self) -> list[str]:
+        """Names that are correct as they are, so that a misspelled sensor cannot mean them: axes, and their switches' sensors."""
+        return [*self.axes, *(f"{axis}_{pin}" for axis in self.axes for pin in PINS)]
+
+    def _guess_flag_geoms(self, axis: str, pin: str) -> tuple[str, str]:
+        """Guess vane and switch of a pin from the names of the model's geoms, for the line of MJCF that an error suggests.
+
+        Returns:
+            Names of vane and switch; "" where no geom or several geoms have a matching name.
+        """
+        m, begins = self.model, f"{axis}_{pin}_"
+        geoms = (m.geom(k).name for k in range(m.ngeom))
+        vanes: list[str] = []
+        switches: list[str] = []
+        for name in (g for g in geoms if g.startswith(begins)):
+            (vanes if "vane" in name else switches).append(name)
+        return vanes[0] if len(vanes) == 1 else "", switches[0] if len(switches) == 1 else ""
+
+    def find(
+        self,
+        axis: str,
+        pin: str,
+        joint: int,
+        low: float,
+        high: float,
+        flag_distances: dict[tuple[int, int], np.ndarray],
+    ) -> Switch | None:
+        """Measure the switch of an axis.
+
+        Args:
+            axis: Name of the axis.
+            pin: Pin of the switch.
+            joint: Id of the axis' joint.
+            low: Least position of the joint.
+            high: Greatest position of the joint.
+            flag_distances: Result of `measure_flag_distances`.
+
+        Returns:
+            The switch, or None if it does not work; `problems` then has the reason.
+        """
+        low, high, turn = self._limit_to_one_turn(joint, low, high)
+        m, name, sensor = self.model, f"{axis}_{pin}", self._find_contact_sensor(axis, pin)
+        if sensor is None:
+            return None
+        vane, switch = int(m.sensor_objid[sensor]), int(m.sensor_refid[sensor])
+        vane_name, switch_name = m.geom(vane).name, m.geom(switch).name
+        pair, line = format_pair_line(vane_name, switch_name), format_sensor_line(axis, pin, vane_name, switch_name)
+        at = self._find_field_addresses(sensor)
+        if "FOUND" not in at or "DIST" not in at:
+            self.problems.add(axis, f'sensor {name!r} needs data="found dist"', line)
+            return None
+        edges = self._find_edges(joint, (vane, switch), low, high, flag_distances[vane, switch])
+        if isinstance(edges, str):
+            self.problems.add(axis, f"switch {pin}: the vane {edges}")
+            return None
+        entering, leaving = [e for e in edges if e[1] < 0], [e for e in edges if e[1] > 0]
+        q, slope = entering[0] if entering and (pin.endswith("plus") or not leaving) else leaving[-1]
+        found_address, dist = at["FOUND"], at["DIST"]
+        ahead = q + MIN_LOOKAHEAD_M / slope
+        self._compute_at(joint, ahead)
+        is_seen, gap = self.data.sensordata[found_address] > 0, self._measure_distance(joint, ahead, vane, switch)
+        read = self.data.sensordata[dist]
+        if not is_seen:
+            text = f"sensor {name!r} does not see its vane {MIN_LOOKAHEAD_M * 1e3} mm before the touch: "
+            self.problems.add(axis, text + "no pair, or its margin + gap is too small", pair)
+            return None
+        if abs(read - gap) > 0.1 * MIN_LOOKAHEAD_M:
+            text = f"sensor {name!r} reads {read * 1e3:.3f} mm where vane and switch are {gap * 1e3:.3f} mm apart"
+            self.problems.add(axis, text, line)
+            return None
+        if any(self._exerts_force(joint, end, {vane, switch}) for end in (q, low, high)):
+            text = f"switch {pin} pushes its vane: the margin must be negative, the gap larger"
+            self.problems.add(axis, text, pair)
+            return None
+        if pin.startswith("el"):
+            self._check_held_to_hard_stop(axis, pin, joint, found_address, dist, q, high if pin == "el_plus" else low)
+        lookahead = self._measure_lookahead(joint, found_address, q, slope, low, high)
+        rooms = _measure_free_travel([at for at, _ in edges], high - low)
+        measured = [
+            self._measure_edge(joint, found_address, dist, *edge, high - low, room)
+            for edge, room in zip(edges, rooms, strict=True)
+        ]
+        return Switch(
+            pin, sensor, found_address, dist, q, slope, lookahead, _limit_to_one_distance(measured, turn > 0), turn
+        )
+
+    def _find_contact_sensor(self, axis: str, pin: str) -> int | None:
+        """Return the id of a switch's sensor, if it is a contact sensor between two geoms."""
+        m, obj, name = self.model, mujoco.mjtObj, f"{axis}_{pin}"
+        sensor = self._find_sensor_id(name)
+        if sensor < 0:
+            near = suggest_name(m, obj.mjOBJ_SENSOR, m.nsensor, name, self._known_sensor_names)
+            text = f'no contact sensor {name!r}{near}; a switch not fitted is named in <text name="{axis}_unfitted" data="{pin}"/>'
+        elif m.sensor_type[sensor] != mujoco.mjtSensor.mjSENS_CONTACT:
+            text = f"sensor {name!r} is not a <contact> sensor"
+        elif m.sensor_objtype[sensor] != obj.mjOBJ_GEOM or m.sensor_reftype[sensor] != obj.mjOBJ_GEOM:
+            text = f"sensor {name!r} must name geom1 (vane) and geom2 (switch)"
+        else:
+            return sensor
+        self.problems.add(axis, text, format_sensor_line(axis, pin, *self._guess_flag_geoms(axis, pin)))
+        return None
+
+    def _exerts_force(self, joint: int, position: float, pair: set[int]) -> bool:
+        """Return whether two geoms push each other with this joint at q."""
+        self._compute_at(joint, position)
+        return pair in self._list_pushing_pairs()
+
+    def _limit_to_one_turn(self, joint: int, low: float, high: float) -> tuple[float, float, float]:
+        """Limit the travel of a hinge to one full turn.
+
+        Returns:
+            Least and greatest joint position, and the joint travel after which the edges repeat; 0 if they do not.
+        """
+        hinge = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        if not hinge or high - low <= FULL_TURN * (1 - MIN_FLAG_SHARE):
+            return low, high, 0.0
+        middle, half = 0.5 * (low + high), 0.5 * min(high - low, FULL_TURN)
+        return middle - half, middle + half, FULL_TURN
+
+    def _find_field_addresses(self, sensor: int) -> dict[str, int]:
+        """Return the address in sensordata of each field of a contact sensor, by the field's name."""
+        fields, offset, at = int(self.model.sensor_intprm[sensor][0]), int(self.model.sensor_adr[sensor]), {}
+        for field, dim in _DATA_DIMS:
+            if fields >> int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{field}")) & 1:
+                at[field] = offset
+                offset += dim
+        return at
+
+    def _set_joint_position(self, joint: int, position: float) -> None:
+        self.data.qpos[:] = self.model.qpos0
+        self.data.qpos[self.model.jnt_qposadr[joint]] = position
+
+    def _compute_at(self, joint: int, position: float) -> None:
+        """Compute positions, contacts and sensors with this joint at q and the others at qpos0."""
+        self._set_joint_position(joint, position)
+        mujoco_callbacks.forward_guarded(self.model, self.data)
+
+    def _measure_distance(self, joint: int, position: float, vane: int, switch: int) -> float:
+        self._set_joint_position(joint, position)
+        mujoco.mj_kinematics(self.model, self.data)
+        return mujoco.mj_geomDistance(self.model, self.data, vane, switch, flag_scan.MAX_DISTANCE_M, None)
+
+    def _measure_distances(self, joint: int, positions: np.ndarray, pairs: list[tuple[int, int]]) -> np.ndarray:
+        """Measure the distances of pairs of geoms over the travel of one joint; the other joints are at qpos0.
+
+        Args:
+            joint: Id of the joint.
+            positions: Positions of the joint, (positions,).
+            pairs: Ids of the geoms of each pair.
+
+        Returns:
+            Distances in m, (positions, pairs).
+        """
+        out = np.empty((len(positions), len(pairs)))
+        both = np.array(pairs, np.int32).reshape(-1, 2)
+        self.data.qpos[:] = self.model.qpos0
+        flag_scan.measure_distances(
+            libmujoco.find_mujoco_address("mj_kinematics"), libmujoco.find_mujoco_address("mj_geomDistance"), self.model._address,
+            self.data._address, self.data.qpos, int(self.model.jnt_qposadr[joint]), positions, both, out,
+        )  # fmt: skip
+        return out
+
+    def measure_flag_distances(
+        self, axis: str, joint: int, low: float, high: float
+    ) -> dict[tuple[int, int], np.ndarray]:
+        """Measure the distance between vane and switch over the travel, for each sensor of the axis that names two geoms.
+
+        Args:
+            axis: Name of the axis.
+            joint: Id of its joint.
+            low: Least position of the joint.
+            high: Greatest position of the joint.
+
+        Returns:
+            For each pair of vane and switch, by their ids: distances in m at the positions of `_make_scan_grid`.
+        """
+        low, high, _ = self._limit_to_one_turn(joint, low, high)
+        m, geom = self.model, mujoco.mjtObj.mjOBJ_GEOM
+        sensors = [self._find_sensor_id(f"{axis}_{pin}") for pin in PINS]
+        pairs = [
+            (int(m.sensor_objid[s]), int(m.sensor_refid[s]))
+            for s in sensors
+            if s >= 0 and m.sensor_objtype[s] == geom and m.sensor_reftype[s] == geom
+        ]
+        for vane, switch in pairs:  # MuJoCo's errors are exceptions in Python only
+            mujoco.mj_geomDistance(m, self.data, vane, switch, flag_scan.MAX_DISTANCE_M, None)
+        return dict(zip(pairs, self._measure_distances(joint, _make_scan_grid(low, high), pairs).T, strict=True))
+
+    def _list_pushing_pairs(self) -> list[set[int]]:
+        contact, count = self.data.contact, self.data.ncon
+        if not count:
+            return []
+        return [set(pair) for pair in contact.geom[contact.efc_address >= 0].tolist()]
+
+    def _find_edges(
+        self, joint: int, pair: tuple[int, int], low: float, high: float, flag_distances: np.ndarray
+    ) -> list[tuple[float, float]] | str:
+        """Find all edges of the flag from `low` to `high`.
+
+        Returns:
+            Joint position and d dist / d q of each edge, or a text that says what is wrong with the flag.
+        """
+        grid, dist = _make_scan_grid(low, high).tolist(), flag_distances.tolist()
+        for k in reversed((np.flatnonzero(_may_touch_between(flag_distances)) + 1).tolist()):
+            finer, near = self._refine_minimum(joint, pair, grid[k - 1], grid[k + 1], MIN_FLAG_SHARE * (high - low))
+            grid[k : k + 1], dist[k : k + 1] = finer.tolist(), near.tolist()
+        on = np.array(dist) <= 0
+        changes = np.flatnonzero(on[:-1] != on[1:]).tolist()
+        entered = [(self._find_zero_distance(joint, pair, grid[k], grid[k + 1]), bool(on[k + 1])) for k in changes]
+        entered = [(at, entering) for at, entering in entered if low <= at <= high]
+        if not entered:
+            inside = [k for k, q in enumerate(grid) if low <= q <= high]
+            if on[inside[0]]:
+                return f"trips it over the whole range {low:g} to {high:g}"
+            k = min(inside, key=lambda k: dist[k])
+            return f"cannot reach it: nearest at {grid[k]:g}, {dist[k] * 1e3:.3g} mm away (joint range {low:g} to {high:g})"
+        rooms = _measure_free_travel([at for at, _ in entered], high - low)
+        edges = [
+            (at, self._find_slope(joint, pair, at, entering, high - low, room))
+            for (at, entering), room in zip(entered, rooms, strict=True)
+        ]
+        return edges if all(slope for _, slope in edges) else "grazes it: the distance does not change with the joint"
+
+    def _refine_minimum(
+        self, joint: int, pair: tuple[int, int], a: float, b: float, narrowest: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Refine the scan where a narrow vane may touch its switch between two positions.
+
+        Args:
+            joint: Id of the joint.
+            pair: Ids of vane and switch.
+            a: Joint position at which the search begins.
+            b: Joint position at which the search ends.
+            narrowest: Joint travel at which the search gives up.
+
+        Returns:
+            Joint positions around the least distance, and the distances there, m.
+        """
+        while True:
+            finer = np.linspace(a, b, 65)
+            near = self._measure_distances(joint, finer, [pair])[:, 0]
+            may_touch = np.flatnonzero(_may_touch_between(near))
+            if (near <= 0).any() or not len(may_touch) or b - a < narrowest:
+                return finer[1:-1], near[1:-1]
+            k = int(may_touch[np.argmin(near[may_touch + 1])])
+            a, b = finer[k], finer[k + 2]
+
+    def _find_zero_distance(self, joint: int, pair: tuple[int, int], a: float, b: float) -> float:
+        """Find by bisection the joint position between `a` and `b` at which the distance of vane and switch is 0."""
+        on = self._measure_distance(joint, b, *pair) <= 0
+        while a < (q := 0.5 * (a + b)) < b:
+            a, b = (a, q) if (self._measure_distance(joint, q, *pair) <= 0) == on else (q, b)
+        return float(q)
+
+    def _find_slope(
+        self, joint: int, pair: tuple[int, int], at: float, entering: bool, span: float, room: float
+    ) -> float:
+        """Find the slope of the distance at an edge of the flag.
+
+        Args:
+            joint: Id of the joint.
+            pair: Ids of vane and switch.
+            at: Joint position of the edge.
+            entering: Whether the vane enters its switch there on the way to plus.
+            span: Joint travel of the axis.
+            room: Joint travel from this edge to the nearest other one.
+
+        Returns:
+            d dist / d q, or 0 if the vane only grazes the switch.
+        """
+
+        def distance(position: float) -> float:
+            return self._measure_distance(joint, position, *pair)
+
+        steps = np.geomspace(min(1e-6 * span, 1e-2 * room), 1e-2 * span, 5)
+        slopes = [float((distance(at + e) - distance(at - e)) / (2 * e)) for e in steps]
+        right = [(slope < 0) == entering and slope != 0 for slope in slopes]
+        steady = [
+            ok and abs(s - t) <= MAX_LINEAR_ERROR * abs(s) for ok, (s, t) in zip(right, pairwise(slopes), strict=False)
+        ]
+        choice = next((fit.index(True) for fit in (steady, right) if any(fit)), None)
+        return 0.0 if choice is None else slopes[choice]
+
+    def _measure_edge(
+        self, joint: int, found_address: int, dist_address: int, at: float, slope: float, span: float, room: float
+    ) -> FlagEdge:
+        """Measure how far from an edge the contact sensor's distance still gives the joint's position, and how exactly.
+
+        Args:
+            joint: Id of the joint.
+            found_address: Address of the sensor's field `found` in sensordata.
+            dist_address: Address of its field `dist`.
+            at: Joint position of the edge.
+            slope: d dist / d q at the edge.
+            span: Joint travel of the axis.
+            room: Joint travel from this edge to the nearest other one.
+        """
+        noise, bend, limits = MIN_TRAVEL, 0.0, []
+        nearest = min(MIN_FLAG_SHARE * span, 1e-4 * room)  # the first steps, up to 100 times as far, measure the noise
+        steps = (span * np.geomspace(nearest / span, 1, 41)).tolist()
+        for side in (-1, 1):
+            limit = 0.0
+            for step in steps:
+                self._compute_at(joint, at + side * step)
+                if not self.data.sensordata[found_address] > 0:
+                    break
+                sensed = float(self.data.sensordata[dist_address]) / slope
+                error = abs(sensed - side * step)
+                if step <= 100 * steps[0]:
+                    noise = max(noise, error)
+                elif error > noise + MAX_LINEAR_ERROR * step:
+                    break
+                bend, limit = max(bend, 1.5 * (error - noise) / step**2), TRUSTED_TRAVEL_SHARE * sensed
+            limits.append(limit)
+        return FlagEdge(at, slope, bend, noise, *limits)
+
+    def _measure_lookahead(
+        self, joint: int, found_address: int, position: float, slope: float, low: float, high: float
+    ) -> float:
+        """Measure the joint travel before the touch over which the sensor detects the vane."""
+        sign, near, unseen = (1.0 if slope > 0 else -1.0), MIN_LOOKAHEAD_M / abs(slope), 0.0
+        room = high - position if slope > 0 else position - low
+        for _ in range(24):
+            x = 0.5 * (near + unseen) if unseen else min(2 * near, room)
+            self._compute_at(joint, position + sign * x)
+            if not self.data.sensordata[found_address] > 0:
+                unseen = x
+            elif not unseen and x >= room:
+                return room
+            else:
+                near = x
+        return near
+
+    def _check_held_to_hard_stop(
+        self, axis: str, pin: str, joint: int, found_address: int, dist: int, touch: float, end: float
+    ) -> None:
+        """Check that EL trips before the hard stop, and stays asserted up to the stop or the end of the range."""
+        m = self.model
+        roots = m.body_jntadr[m.body_rootid[m.geom_bodyid]]  # the first joint of what a geom belongs to; -1: none
+        loose = (roots >= 0) & (m.jnt_type[roots] == mujoco.mjtJoint.mjJNT_FREE)  # lies about; no stop of this axis
+        self._compute_at(joint, float(m.qpos0[m.jnt_qposadr[joint]]))
+        always = self._list_pushing_pairs()
+        for q in np.linspace(touch, end, 25):
+            self._compute_at(joint, q)
+            stop = [sorted(p) for p in self._list_pushing_pairs() if p not in always and not any(loose[g] for g in p)]
+            if stop and q == touch:
+                geoms = " and ".join(repr(m.geom(g).name) for g in stop[0])
+                self.problems.add(axis, f"the hard stop ({geoms} touch) comes before {pin}, which trips at {touch:g}")
+            if stop:
+                return
+            if q != touch and not (self.data.sensordata[found_address] > 0 and self.data.sensordata[dist] <= 0):
+                text = f"switch {pin} trips at {touch:g} but lets go again before {q:g}: lengthen its vane up to the hard stop"
+                self.problems.add(axis, text)
+                return
+
+    def check_order(self, axis: str, switches: tuple[Switch, ...]) -> None:
+        """Check that the switches of an axis are at the right ends, and in an order that makes sense.
+
+        Args:
+            axis: Name of the axis.
+            switches: Its switches.
+        """
+        by = {s.pin: s for s in switches}
+        wrong = False
+        for pin, sign in (("el_plus", -1), ("el_minus", 1), ("sd_plus", -1), ("sd_minus", 1)):
+            if pin in by and by[pin].slope * sign < 0:
+                side, wrong = "plus" if pin.endswith("plus") else "minus", True
+                self.problems.add(
+                    axis, f"switch {pin} trips when the joint moves away from {side}: is it at the wrong end?"
+                )
+        if wrong:
+            return
+        for low, high, meaning in (
+            ("el_minus", "el_plus", "no travel is left between them"),
+            ("sd_plus", "el_plus", "it can slow nothing down"),
+            ("el_minus", "sd_minus", "it can slow nothing down"),
+            ("el_minus", "org", "the origin is never reached"),
+            ("org", "el_plus", "the origin is never reached"),
+        ):
+            if low in by and high in by and by[low].touch > by[high].touch:
+                a, b = f"{low} trips at {by[low].touch:g}", f"{high} at {by[high].touch:g}"
+                self.problems.add(axis, f"{a}, {b}: in this order {meaning}")
+
+
+def _limit_to_one_distance(edges: list[FlagEdge], closed: bool) -> tuple[FlagEdge, ...]:
+    """Limit the trusted travel beside each edge, so that a sensor distance within it belongs to one edge only.
+
+    Args:
+        edges: Edges from minus to plus.
+        closed: Whether the last edge and the first are neighbors, too.
+    """
+    for k in range(0 if closed else 1, len(edges) if len(edges) > 1 else 0):
+        a, b = edges[k - 1], edges[k]
+        distance = min(abs(a.above * a.slope), abs(b.below * b.slope))
+        edges[k - 1] = replace(a, above=distance / abs(a.slope))
+        edges[k] = replace(b, below=-distance / abs(b.slope))
+    return tuple(edges)
+
+
+def _make_scan_grid(low: float, high: float) -> np.ndarray:
+    """Return SCAN_POSITIONS joint positions from `low` to `high`, and one beyond each end for narrow flags beside the ends."""
+    step = (high - low) / (SCAN_POSITIONS - 1)
+    return np.concatenate(([low - step], np.linspace(low, high, SCAN_POSITIONS), [high + step]))
+
+
+def _measure_free_travel(places: list[float], span: float) -> list[float]:
+    """Return the distance from each place to the nearest other one, at most `span`; `places` ascend."""
+    gaps = [span, *(max(b - a, MIN_TRAVEL) for a, b in pairwise(places)), span]
+    return [min(before, after) for before, after in pairwise(gaps)]
+
+
+def _may_touch_between(dist: np.ndarray) -> np.ndarray:
+    """Return where a narrow vane may touch the switch between two scanned positions.
+
+    Args:
+        dist: Distances at the scanned positions.
+
+    Returns:
+        A mask of all positions but the first and the last.
+    """
+    middle, sides = dist[1:-1], (dist[:-2], dist[2:])
+    return (middle > 0) & (middle <= np.minimum(*sides)) & (2 * middle <= np.maximum(*sides))

@@ -1,0 +1,341 @@
+"""A host's program, played on many stages at once: compiled, without the GIL.
+
+The result is that of a Python program through `Stage`, to the bit: `play_in_python` plays a program that way, for recordings and
+tests.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from stage.chips import cores
+from stage.drives import drive_dispatch
+from stage.errors import SimulationError
+from stage.native import array_at, array_of, exported, greatest, hot, least, record
+from stage.sim import engine_records
+from stage.sim.engine import advance
+from stage.sim.program import END, KEEP, LOOK, MEASURE, READ, STOP, WAIT, WRITE
+from stage.sim.stage_handle import (
+    HANDLE,
+    REAL,
+    get_axis_table,
+    get_chip_table,
+    get_clockwork,
+    get_drives,
+    get_qpos,
+    get_qvel,
+    get_world,
+)
+
+PLAYED, DIVERGED = engine_records.REACHED, engine_records.DIVERGED
+"""How a program ended: as it says, or where the stage diverged. Or why it did not: records.IN_USE and the like."""
+
+STILL_BUSY = -(1 << 62)
+STEP_LOST = -1
+"""A step was lost that the program wants to keep."""
+HALTED = -2
+"""Whoever has it played has set `halt` in the handle: time stands somewhere in the program."""
+MAX_PIECE_NS = 100_000_000
+"""ns; after so many at most it is looked whether to halt."""
+LONG = 10 * MAX_PIECE_NS
+"""ns; programs of less, all together, are over soon: nobody waits to halt them, which would cost more than it gives."""
+
+TRUTH = record(
+    [(name, "f8") for name in "position velocity commanded".split()]
+    + [(name, "i8") for name in "now lost_steps pulses counter inputs outputs status busy".split()]
+)
+"""One axis now: SI units, ns, full steps, pulses; pin words; the status byte; 1 while a drive is in progress."""
+
+
+@hot
+def _advance_halting(handle, until):
+    """Let a stage's time pass up to `until`; return 0, or why it did not."""
+    w, end = get_world(handle), int(until)
+    while end - w.now > MAX_PIECE_NS:
+        if handle.halt:
+            return HALTED
+        bad = advance(handle, w.now + MAX_PIECE_NS)
+        if bad:
+            return bad
+    return HALTED if handle.halt else advance(handle, end)
+
+
+@hot
+def _has_lost_step(handle, mask):
+    """Return whether an axis in the mask has lost a step."""
+    w, axes = get_world(handle), get_axis_table(handle)
+    tau = (w.now - w.start - 0.5 * get_clockwork(handle).dt) * 1e-9
+    for k in range(handle.n_axes):
+        if mask >> k & 1:
+            t = axes[k]
+            net = cores.read_net_count(get_chip_table(handle)[t.chip], t.chip_axis)
+            if (
+                drive_dispatch.count_lost_steps(
+                    get_drives(handle)[k],
+                    float(net),
+                    (get_qpos(handle)[t.qpos] + get_qvel(handle)[t.dof] * tau) * t.gear,
+                )
+                != 0
+            ):
+                return True
+    return False
+
+
+@hot
+def _poll_until_stopped(handle, mask, poll, limit, keep_step):
+    """Poll the axes in the mask until none is in motion.
+
+    Returns (as `_advance_halting`, or STEP_LOST; ns that it took, negative where `limit` or a lost step came first).
+    """
+    w, axes = get_world(handle), get_axis_table(handle)
+    begin, left = w.now, mask
+    while True:
+        for k in range(handle.n_axes):
+            if left >> k & 1:
+                bad = _advance_halting(handle, w.now + handle.bus)
+                if bad:
+                    return bad, 0
+                if not cores.is_busy(get_chip_table(handle)[axes[k].chip], axes[k].chip_axis):
+                    left &= ~(1 << k)
+        took = w.now - begin
+        if keep_step and _has_lost_step(handle, mask):
+            return STEP_LOST, -took
+        if left == 0 or took >= limit:
+            return 0, took if left == 0 else -took
+        bad = _advance_halting(handle, w.now + poll)
+        if bad:
+            return bad, 0
+
+
+@hot
+def _measure_extremes(handle, end, point, extremes):
+    """Let time pass up to `end` a physics step at a time. Returns (as `_advance_halting`, pm that the point travelled)."""
+    w, dt, positions = get_world(handle), get_clockwork(handle).dt, get_qpos(handle)
+    sites, bodies = (
+        array_at(handle.sites, (handle.n_sites, 3), REAL),
+        array_at(handle.bodies, (handle.n_bodies, 3), REAL),
+    )
+    x0 = y0 = z0 = math.inf
+    x1 = y1 = z1 = -math.inf
+    while w.now < end:
+        bad = _advance_halting(handle, least(end, w.start + dt))
+        if bad:
+            return bad, 0
+        for i in range(handle.nq):
+            extremes[i, 0] = least(extremes[i, 0], positions[i])
+            extremes[i, 1] = greatest(extremes[i, 1], positions[i])
+        if point:
+            at = sites[point - 1] if point > 0 else bodies[-point]
+            x0, y0, z0 = least(x0, at[0]), least(y0, at[1]), least(z0, at[2])
+            x1, y1, z1 = greatest(x1, at[0]), greatest(y1, at[1]), greatest(z1, at[2])
+    if not x0 <= x1:
+        return 0, 0
+    return 0, int(math.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2 + (z1 - z0) ** 2) * 1e12)
+
+
+@hot
+def play_program(handle, ops, results, extremes):
+    """Play `ops` on the stage of handle `handle`; return PLAYED, DIVERGED or why it could not be played."""
+    w, axes = get_world(handle), get_axis_table(handle)
+    for j in range(len(ops)):
+        kind, a, b, c = ops[j, 0], ops[j, 1], ops[j, 2], ops[j, 3]
+        bad = 0
+        if kind == END:
+            break
+        if kind == STOP:
+            bad, results[j] = _poll_until_stopped(handle, a, b, c, False)
+        elif kind == KEEP:
+            bad, results[j] = _poll_until_stopped(handle, a, b, c, True)
+            if bad == STEP_LOST:
+                break
+        elif kind == MEASURE:
+            bad, results[j] = _measure_extremes(handle, w.now + a, b, extremes)
+        elif kind == WAIT:
+            bad = _advance_halting(handle, w.now + a)
+        elif kind == LOOK and b:
+            sites, bodies = (
+                array_at(handle.sites, (handle.n_sites, 3), REAL),
+                array_at(handle.bodies, (handle.n_bodies, 3), REAL),
+            )
+            at = sites[b - 1] if b > 0 else bodies[-b]
+            results[j] = math.floor(at[c] * 1e12)
+        elif kind == LOOK:
+            tau = (w.now - w.start - 0.5 * get_clockwork(handle).dt) * 1e-9
+            q, v = get_qpos(handle)[axes[a].qpos], get_qvel(handle)[axes[a].dof]
+            results[j] = math.floor((q + v * tau) * 1e12)
+        else:
+            bad = _advance_halting(handle, w.now + handle.bus)
+            if not bad and kind == WRITE:
+                cores.write(get_chip_table(handle)[axes[a].chip], b, c)
+            elif not bad:
+                results[j] = cores.read(get_chip_table(handle)[axes[a].chip], b)
+        if bad:
+            return bad
+    return PLAYED
+
+
+@exported(None, array_of(HANDLE), "i8", "i8", array_of("i8", 3), array_of("i8", 2), array_of("f8", 3), array_of("i8"))
+def play_programs(handles, begin, end, ops, results, extremes, status):
+    """Play ops[k] on stage k for k in begin..end-1; results (stages, ops), extremes (stages, nq, 2), status (stages)."""
+    for k in range(begin, end):
+        status[k] = play_program(handles[k], ops[k], results[k], extremes[k])
+
+
+@hot
+def inspect_axis(world, chip, axis_row, drive, clockwork, qpos, qvel, out):
+    """Write the present state of an axis into a TRUTH."""
+    tau = (world.now - world.start - 0.5 * clockwork.dt) * 1e-9
+    j = axis_row.chip_axis
+    net = cores.read_net_count(chip, j)
+    v = qvel[axis_row.dof]
+    q = qpos[axis_row.qpos] + v * tau
+    theta = q * axis_row.gear
+    out.now, out.position, out.velocity = world.now, q, v
+    out.commanded = q + drive_dispatch.compute_lag(drive, float(net), theta) / axis_row.gear
+    out.lost_steps = drive_dispatch.count_lost_steps(drive, float(net), theta)
+    out.pulses, out.counter, out.inputs = net, cores.read_counter(chip, j), cores.read_inputs(chip, j)
+    out.outputs, out.status, out.busy = (
+        cores.read_outputs(chip, j),
+        cores.read_status(chip, j),
+        1 if cores.is_busy(chip, j) else 0,
+    )
+
+
+@exported(None, array_of(HANDLE), "i8", "i8", array_of(TRUTH, 2))
+def inspect_axes(handles, begin, end, truth):
+    """Fill truth[k, a] for every axis of the stages begin..end-1."""
+    for k in range(begin, end):
+        handle = handles[k]
+        axes = get_axis_table(handle)
+        for a in range(handle.n_axes):
+            c = get_chip_table(handle)[axes[a].chip]
+            inspect_axis(
+                get_world(handle),
+                c,
+                axes[a],
+                get_drives(handle)[a],
+                get_clockwork(handle),
+                get_qpos(handle),
+                get_qvel(handle),
+                truth[k, a],
+            )
+
+
+@hot
+def write_program_cycles(chip, ops, axes):
+    """Write the write cycles of a program to a chip, for the axes in the mask."""
+    for j in range(len(ops)):
+        if ops[j, 0] == WRITE and axes >> ops[j, 1] & 1:
+            cores.write(chip, ops[j, 2], ops[j, 3])
+
+
+@exported(None, cores.CHIP, array_of("i8", 2), "i8")
+def write_cycles(chip, ops, axes):
+    """Write the write cycles of a program to the chip whose axes are in the mask, at one clock."""
+    write_program_cycles(chip, ops, axes)
+
+
+@exported("i8", cores.CHIP, array_of("i8", 2), "i8", "i8", "i8")
+def predict_pulses(chip, ops, axes, axis, until):
+    """Predict the net pulses of a chip's axis after `write_cycles` and time up to the clock `until`, without a stage.
+
+    Returns:
+        The pulses; STILL_BUSY if the axis is in motion then.
+    """
+    write_program_cycles(chip, ops, axes)
+    cores.run(chip, until)
+    return STILL_BUSY if cores.is_busy(chip, axis) else cores.read_net_count(chip, axis)
+
+
+class _OperationRunner:
+    """Runner of a program's operations on one stage, through the bus cycles of its chips; a method for each operation.
+
+    Attributes:
+        step_lost: Whether an operation KEEP has ended the program because an axis has lost steps.
+    """
+
+    def __init__(self, stage: Any, extremes: np.ndarray):
+        self.stage, self.extremes, self.axes = stage, extremes, list(stage.axes.values())
+        self.step_lost = False
+
+    def write(self, axis: int, address: int, value: int) -> None:
+        self.axes[axis].chip.write(address, value)
+
+    def read(self, axis: int, address: int, _: int) -> int:
+        return int(self.axes[axis].chip.read(address))
+
+    def wait(self, ns: int, *_: int) -> None:
+        self.stage.run_to(self.stage.now + ns)
+
+    def wait_for_stop(self, mask: int, poll: int, limit: int, keep_step: bool = False) -> int:
+        stage, begin = self.stage, self.stage.now
+        axes = [axis for k, axis in enumerate(self.axes) if mask >> k & 1]
+        left = axes
+        while True:
+            left = [axis for axis in left if axis.chip.busy(axis.chip_axis)]
+            self.step_lost = keep_step and any(axis.lost_steps for axis in axes)
+            if not left and not self.step_lost:
+                return int(stage.now - begin)
+            if self.step_lost or stage.now - begin >= limit:
+                return int(begin - stage.now)
+            stage.run_to(stage.now + poll)
+
+    def wait_while_in_step(self, mask: int, poll: int, limit: int) -> int:
+        return self.wait_for_stop(mask, poll, limit, keep_step=True)
+
+    def _find_point_position(self, point: int) -> np.ndarray:
+        data = self.stage.data
+        return data.site_xpos[point - 1] if point > 0 else data.xpos[-point]
+
+    def sample_position(self, axis: int, point: int, coordinate: int) -> int:
+        at = self._find_point_position(point)[coordinate] if point else self.axes[axis].position
+        return math.floor(at * 1e12)
+
+    def measure(self, ns: int, point: int, _: int) -> int:
+        stage, extremes = self.stage, self.extremes
+        end, low, high = stage.now + ns, np.full(3, np.inf), np.full(3, -np.inf)
+        while stage.now < end:
+            stage.run_to(min(end, stage.state.start + stage.state.dt))
+            np.minimum(extremes[:, 0], stage.data.qpos, out=extremes[:, 0])
+            np.maximum(extremes[:, 1], stage.data.qpos, out=extremes[:, 1])
+            if point:
+                low, high = (
+                    np.minimum(low, self._find_point_position(point)),
+                    np.maximum(high, self._find_point_position(point)),
+                )
+        x, y, z = (high - low).tolist()
+        return int(math.sqrt(x**2 + y**2 + z**2) * 1e12) if x >= 0 else 0
+
+
+def play_in_python(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarray) -> int:
+    """Play a program on one stage through its chips' own bus cycles: recordings, journals and diagnostics take part.
+
+    Args:
+        stage: Stage.
+        ops: (operations, 4).
+        results: (operations,), filled.
+        extremes: (nq, 2), lowered and raised.
+
+    Returns:
+        PLAYED or DIVERGED.
+    """
+    player = _OperationRunner(stage, extremes)
+    play_operation: dict[int, Any] = {
+        WRITE: player.write, READ: player.read, WAIT: player.wait, STOP: player.wait_for_stop, KEEP: player.wait_while_in_step,
+        LOOK: player.sample_position, MEASURE: player.measure,
+    }  # fmt: skip
+    try:
+        for j, (kind, *operands) in enumerate(ops.tolist()):
+            if kind == END or player.step_lost:
+                break
+            result = play_operation[kind](*operands)
+            if result is not None:
+                results[j] = result
+    except SimulationError as error:
+        if error.__cause__ is not None:  # a callback's own, which says more
+            raise
+        return DIVERGED
+    return PLAYED

@@ -1,0 +1,164 @@
+"""A stage for compiled code: a HANDLE has the addresses of its arrays, and the functions here return them as arrays.
+
+handles = np.zeros(1, HANDLE)
+fill(handles, 0, stage.state)
+engine.advance(handles[0], until)       the stage's time passes, in hot functions and in Python
+
+Compiled functions take the record as their argument `h`.
+"""
+
+from __future__ import annotations
+
+from itertools import count
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stage.chips import cores
+from stage.drives.stepper import DRIVE
+from stage.native import array_at, hot, make_compare_and_exchange, record
+from stage.sim import engine_records
+
+if TYPE_CHECKING:
+    from stage.sim.stage_state import State
+
+_ARRAYS = (
+    "world axes drives switches latches table switch_table chips clockwork qpos qvel ctrl sensordata inertia sites bodies"
+    " accelerations damping core_loss"
+).split()
+_LENGTHS = "n_axes n_switches n_chips nq nv nu ns n_sites n_bodies".split()
+_LOGS = "samples positions room filled edges edge_room noted".split()
+HANDLE_FIELDS: list = [
+    (name, "i8")
+    for name in ["mj_model", "mj_data", *_ARRAYS, *_LENGTHS, "bus", *_LOGS, "state", "status", "own", "halt"]
+]
+HANDLE = record(HANDLE_FIELDS)
+"""Where a stage's arrays lie, their lengths, and the ns of a bus cycle. samples ... noted: where the engine logs, how much has room
+there, and how much it has logged; without rooms it logs nothing. state: where the state goes before the physics moves it, or
+0; status: what `engine.advance` answered last; own: the address of the handle itself; halt: 1 where who plays a program is to stop,
+see `play`."""
+
+WORLD, AXIS, SWITCH = engine_records.WORLD, engine_records.AXIS, engine_records.SWITCH
+AXIS_TABLE, SWITCH_TABLE, CHIP_TABLE, CLOCKWORK = (
+    engine_records.AXIS_TABLE, engine_records.SWITCH_TABLE, engine_records.CHIP_TABLE, engine_records.CLOCKWORK,
+)  # fmt: skip
+REAL, INTEGER = np.dtype("f8"), np.dtype("i8")
+
+
+def _make_array_accessor(name: str, length: str, dtype: np.dtype) -> Any:
+    """Return a hot function of a HANDLE: the array whose address and length are in these fields."""
+
+    @hot
+    def view(handle):
+        return array_at(handle[name], handle[length], dtype)
+
+    return view
+
+
+def _make_record_accessor(name: str, dtype: np.dtype) -> Any:
+    """Return a hot function of a HANDLE: the record whose address is in this field."""
+
+    @hot
+    def view(handle):
+        return array_at(handle[name], 1, dtype)[0]
+
+    return view
+
+
+get_world, get_clockwork = _make_record_accessor("world", WORLD), _make_record_accessor("clockwork", CLOCKWORK)
+get_chip_table, get_axis_table = (
+    _make_array_accessor("chips", "n_chips", CHIP_TABLE),
+    _make_array_accessor("table", "n_axes", AXIS_TABLE),
+)
+get_axes, get_drives = _make_array_accessor("axes", "n_axes", AXIS), _make_array_accessor("drives", "n_axes", DRIVE)
+get_switches = _make_array_accessor("switches", "n_switches", SWITCH)
+get_switch_table = _make_array_accessor("switch_table", "n_switches", SWITCH_TABLE)
+get_qpos, get_qvel = _make_array_accessor("qpos", "nq", REAL), _make_array_accessor("qvel", "nv", REAL)
+get_sensordata = _make_array_accessor("sensordata", "ns", REAL)
+
+
+@hot
+def has_edge_room(handle):
+    """Return whether another edge can be noted."""
+    return handle.noted < handle.edge_room
+
+
+@hot
+def note_edge(handle, now, chip, axis, kind, a, b):
+    """Note an event that has reached chip `chip`; the caller has checked that there is room.
+
+    Args:
+        handle: HANDLE.
+        now: Time, ns.
+        chip: Row of CHIP_TABLE.
+        axis: Axis of the stage, one of the chip's.
+        kind: Kind of the `Entry` for the journal.
+        a: Its first number.
+        b: Its second number.
+
+    Returns:
+        The EDGE.
+    """
+    e = array_at(handle.edges, handle.edge_room, engine_records.EDGE)[handle.noted]
+    e.now, e.clock, e.axis, e.kind, e.a, e.b = now, cores.read_clock(chip), axis, kind, a, b
+    handle.noted += 1
+    return e
+
+
+ENGINE = 1
+"""Token with which compiled code claims a stage."""
+_tokens = count(ENGINE + 1)
+claim: Any = make_compare_and_exchange(0, None)
+"""(address, token) -> True if the word at the address was 0 and is `token` now: at most one thread has it, with or without the GIL.
+
+Uncompiled, the GIL keeps threads apart, and every claim succeeds."""
+release: Any = make_compare_and_exchange(None, 0)
+"""(address, token) -> True if the word at the address was `token` and is 0 now."""
+
+
+def make_token() -> int:
+    """Return a number for one claim only, so that an exception can be cleaned up after wherever it was raised."""
+    return next(_tokens)
+
+
+def fill_handle(handles: np.ndarray, index: int, state: State) -> None:
+    """Write the HANDLE of a stage into handles[k].
+
+    Args:
+        handles: Records that begin with the fields of HANDLE.
+        index: Index.
+        state: State of the stage, which must outlive the handle.
+    """
+    handle = handles[index]
+    model, data = state.model, state.data
+    handle["mj_model"], handle["mj_data"] = model._address, data._address
+    held = (
+        state.world, state.axes, state.drives, state.switches, state.latches, state.axis_table, state.switch_table,
+        state.chip_table, state.clockwork, data.qpos, data.qvel, data.ctrl, data.sensordata, model.dof_M0,
+        data.site_xpos, data.xpos, data.qacc_warmstart, model.dof_damping, model.actuator_damping,
+    )  # fmt: skip
+    for name, array in zip(_ARRAYS, held, strict=True):
+        handle[name] = array.ctypes.data
+    handle["n_axes"], handle["n_switches"], handle["n_chips"] = (
+        len(state.axis_table),
+        len(state.switch_table),
+        len(state.chip_table),
+    )
+    handle["nq"], handle["nv"], handle["nu"], handle["ns"] = model.nq, model.nv, model.nu, model.nsensordata
+    handle["n_sites"], handle["n_bodies"] = model.nsite, model.nbody
+    handle["bus"] = state.bus
+    handle["samples"] = handle["positions"] = handle["edges"] = (
+        state.saved.ctypes.data
+    )  # some address: their rooms are 0
+    handle["state"] = state.saved.ctypes.data
+    handle["own"] = handles.ctypes.data + index * handles.itemsize
+
+
+def set_sample_buffers(handle: Any, recording: Any) -> None:
+    """Have the engine write samples into the buffers of a recording; None: no samples."""
+    if recording is not None:
+        handle["samples"], handle["positions"] = recording.samples.ctypes.data, recording.positions.ctypes.data
+        handle["room"], handle["filled"] = len(recording.samples), recording.filled
+    elif handle["room"]:
+        handle["samples"] = handle["positions"] = handle["own"]  # some address: their room is 0
+        handle["room"] = handle["filled"] = 0

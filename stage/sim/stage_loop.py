@@ -1,0 +1,351 @@
+"""`Loop`: advances a stage's time. It calls the engine again and again, and takes what the engine has noted.
+
+A long run is made in pieces of some hundredths of a second of real time, so that Ctrl-C works. After each piece the inputs of the
+chips go to their journals and the samples to the recording; a step that diverged, or in which a callback failed, is undone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from time import perf_counter
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from stage.chips import Chip
+from stage.chips.exclusive_access import Lock
+from stage.chips.journal_entries import LOAD, PACKED, SHAFT
+from stage.errors import ArgumentError, SimulationError, StageError
+from stage.sim import engine, engine_records, mujoco_callbacks
+from stage.sim.stage_handle import make_token
+from stage.sim.stage_state import POWERED, SAVED, START, State
+
+MIN_PIECE_S, MAX_PIECE_S = 0.025, 0.1  # s of real time, a piece of a long run takes between them
+FIRST_PIECE_STEPS = 16  # physics steps
+IN_USE = (
+    "this stage is in use, by another thread or by the run that has called MuJoCo's callback: one thread at a time runs a stage "
+    "or changes it. Give each thread a stage of its own, copy.deepcopy(stage); stage.sim.fleet.Fleet plays many on threads."
+)
+
+
+class Loop:
+    """Advances the time of a stage, and is the bus of its chips, see `stage.chips.chip.Bus`.
+
+    Attributes:
+        state: Records of the stage.
+        chips: Chips of the stage.
+        recording: What the engine samples for: the recording in progress; or an observer with the same buffers and `take`, and
+            FORWARD False: time may then go back, and a recording takes its place; or None.
+        time_refusal: Why no time may pass now and no other state be loaded; "" where both may.
+        state_refusal: Why no other state may be loaded, though time may pass; "" where one may.
+        pace: Function that decides when time may pass: `pace(until)` is called before a run to `until` (ns), may wait or let others
+            act meanwhile, and returns how far time may go now; then it is called again. Before any other change of the stage it is
+            called with the present time. None: time passes without a pace.
+        each_cycle: Function that is called before each bus cycle that Python makes, and may refuse it by an error; or None.
+        lock: Lock that users of the stage take while a session is open, see stage.chips.exclusive_access; or None.
+    """
+
+    def __init__(self, state: State, chips: Sequence[Chip], power_up: Callable[[], None]):
+        """Make the loop of a stage.
+
+        Args:
+            state: Records of the stage.
+            chips: Chips of the stage.
+            power_up: Called where the stage's state was cleared, to bring it to that after power-up.
+        """
+        self.state, self.chips = state, chips
+        self.recording: Any = None
+        self.time_refusal = self.state_refusal = ""
+        self.pace: Callable[[int], int] | None = None
+        self.each_cycle: Callable[[], None] | None = None
+        self.lock: Lock | None = None
+        self._words, self._pointer, self._advance = state.words, state.pointer, engine.advance.c
+        self._power_up, self._dt, self._bus = power_up, state.dt, state.bus
+        self._opt = state.model.opt
+        self._built = self._opt.timestep, self._opt.integrator
+        self._piece = FIRST_PIECE_STEPS * state.dt
+        self._failure: BaseException | None = None
+
+    # --- the bus of the chips ---
+
+    def cycle(self) -> None:
+        """Let the time of one bus cycle pass; chips call it before each read and write."""
+        if self.each_cycle is not None:
+            self.each_cycle()
+        if self._bus:
+            self.run_to(self._words.item(0) + self._bus)
+        else:
+            self.prepare_change()
+
+    def ensure_powered(self) -> None:
+        """Power the stage up if MuJoCo has cleared userdata, where chips and drives live, as mj_resetData does.
+
+        In a recording, whose time would run backwards, it stays cleared.
+        """
+        if not self._words.item(POWERED) and (self.recording is None or not self.recording.FORWARD):
+            self._power_up()
+
+    def prepare_change(self) -> None:
+        """Prepare a change of the stage's state.
+
+        Raises:
+            StageError: Another thread runs the stage.
+        """
+        if (pace := self.pace) is not None:
+            pace(self._words.item(0))
+        if self.state.clockwork["busy"].item(0):
+            raise StageError(IN_USE)
+        self.ensure_powered()
+
+    @contextmanager
+    def claimed(self) -> Iterator[None]:
+        """Keep other threads from running the stage within this context.
+
+        Raises:
+            StageError: Another thread runs it now.
+        """
+        token = make_token()
+        try:
+            if not engine.claim_stage.with_gil(self._pointer, token):
+                raise StageError(IN_USE)
+            yield
+        finally:
+            engine.release_stage.with_gil(self._pointer, token)
+
+    # --- time ---
+
+    def check_time_allowed(self) -> None:
+        """Check that time may pass.
+
+        Raises:
+            StageError: It may not, see `time_refusal`.
+        """
+        if (pace := self.pace) is not None:
+            pace(self._words.item(0))
+        if self.time_refusal:
+            raise StageError(self.time_refusal)
+
+    def check_state_allowed(self) -> None:
+        """Check that another state may be loaded, or firmware run.
+
+        Raises:
+            StageError: It may not, see `state_refusal`.
+        """
+        if (pace := self.pace) is not None:
+            pace(self._words.item(0))
+        if self.time_refusal or self.state_refusal:
+            raise StageError(self.time_refusal or self.state_refusal)
+
+    def check_options(self) -> None:
+        """Check that the model has the time step and the integrator with which the stage was built.
+
+        Raises:
+            StageError: It has others.
+        """
+        opt, built = self._opt, self._built
+        if opt.timestep == built[0] and opt.integrator == built[1]:
+            return
+        now = f"timestep={opt.timestep:g}, integrator={mujoco.mjtIntegrator(opt.integrator).name}"
+        then = f"timestep={built[0]:g}, integrator={mujoco.mjtIntegrator(built[1]).name}"
+        raise StageError(
+            f"model.opt has {now}, and this stage was built with {then}: its motors are computed for that. Put it back, or build a "
+            "stage of a model that has it: Stage(stage.model) checks it."
+        )
+
+    def run_to(self, until: int) -> None:
+        """Let time pass up to `until`, ns since power-up.
+
+        Raises:
+            SimulationError: As of `Stage.run`.
+            StageError: No time may pass now, or another thread runs the stage.
+        """
+        if self.time_refusal:
+            raise StageError(self.time_refusal)
+        while (pace := self.pace) is not None and (goal := pace(until)) < until:
+            self._run_to(goal)
+        self._run_to(until)
+
+    @contextmanager
+    def advancing_by(self, advance: Callable[[int, int], int]) -> Iterator[None]:
+        """Let time pass by another compiled function than `engine.advance` within this context.
+
+        Args:
+            advance: Function of the stage's pointer and a time (ns) that calls `engine.advance`, and answers as it does.
+        """
+        before, self._advance = self._advance, advance
+        try:
+            yield
+        finally:
+            self._advance = before
+
+    def _run_to(self, until: int) -> None:
+        recording, piece = self.recording, self._piece
+        while True:
+            goal = until
+            if long := until - self._words.item(START) > piece:
+                goal, begin = self._words.item(START) + piece, perf_counter()
+            if recording is not None:
+                self.state.handle["filled"] = recording.filled
+            try:
+                status = self._advance(self._pointer, goal)
+            except BaseException:  # Ctrl-C while compiled code ran: it has come to its end
+                self._account(int(self.state.handle["status"]), 0)
+                raise
+            if status or recording is not None or self.state.handle["noted"]:
+                self._account(status, until)
+            if long:
+                if status == engine_records.REACHED:
+                    self._piece = piece = self._next_piece(perf_counter() - begin)
+            elif status == engine_records.REACHED:
+                return
+
+    def _next_piece(self, took: float) -> int:
+        """Return the simulated time of the next piece of a long run, ns, where the last one took so many seconds."""
+        if took < MIN_PIECE_S:
+            return min(2 * self._piece, 1 << 60)
+        return max(self._piece // 2, self._dt) if took > MAX_PIECE_S else self._piece
+
+    def _account(self, status: int, until: int) -> None:
+        """Take what the engine has noted after it returned before `until`, and handle or raise what stopped it."""
+        h, recording = self.state.handle, self.recording
+        error: BaseException | None = None
+        if status == engine_records.DIVERGED:
+            error = self.undo_divergence(self._pointer)
+        elif status == engine_records.FAILED:
+            error = self._undo_failure()
+        elif status == engine_records.IN_USE:
+            raise StageError(IN_USE)
+        if h["noted"]:
+            self.journal_edges(int(h["noted"]))
+            h["noted"] = 0
+        if recording is not None:
+            recording.take(int(h["filled"]))
+        if error is not None:
+            raise error
+        if status == engine_records.WIPED:
+            if recording is not None and recording.FORWARD:
+                raise StageError(
+                    "the stage's state was cleared (mj_resetData?) in the middle of a recording, whose time runs forward only: "
+                    "close the recording; the stage is at power-up then."
+                )
+            self._power_up()
+        elif status == engine_records.UNGUARDED:
+            self._run_guarded(until)
+
+    def _run_guarded(self, until: int) -> None:
+        """Run to `until` a physics step at a time, so that a step in which a callback fails can be undone."""
+        clockwork = self.state.clockwork[0]
+
+        def failed(error: BaseException | None) -> bool:
+            if error is not None:
+                self._failure, clockwork.failed = error, 1
+            return bool(clockwork.failed)
+
+        try:
+            with mujoco_callbacks.guard_callbacks(failed):
+                clockwork.guarded = 1
+                while self.state.now < until:
+                    self.run_to(min(until, self.state.start + self._dt))
+        finally:
+            clockwork.guarded = clockwork.failed = 0
+
+    def load_state(self, saved: np.ndarray) -> None:
+        """Put the stage into a state, `State.saved` of another moment or of an equal stage."""
+        self.check_time_allowed()
+        state = self.state
+        with self.claimed():
+            self.apply_change(lambda: mujoco.mj_setState(state.model, state.data, saved, SAVED))
+            mujoco.mj_setState(state.model, state.data, saved, SAVED)
+
+    def apply_change(self, change: Callable[[], None]) -> None:
+        """Make a change to MuJoCo's state, and compute what follows from it. The caller has `claimed` the stage.
+
+        Raises:
+            SimulationError: A callback of MuJoCo raises; the state is then as it was.
+        """
+        model, data = self.state.model, self.state.data
+        if not engine.has_unguarded_callback.with_gil(self._pointer):
+            change()
+            mujoco.mj_forward(model, data)
+            return
+        before = np.empty_like(self.state.saved)
+        mujoco.mj_getState(model, data, before, SAVED)
+        change()
+        mujoco_callbacks.forward_guarded(model, data, lambda: mujoco.mj_setState(model, data, before, SAVED))
+
+    # --- what the engine has noted ---
+
+    def journal_edges(self, n: int) -> None:
+        """Write the first `n` of `state.edges` into the journals of the chips that they reached."""
+        noting = [(k, j) for k, chip in enumerate(self.chips) if (j := chip.open_journal) is not None]
+        if not noting:
+            return
+        edges = self.state.edges[:n]
+        chip_of = self.state.axis_table["chip"][edges["axis"]]
+        for k, journal in noting:
+            indices = np.flatnonzero(chip_of == k)
+            if not len(indices):
+                continue
+            packed = np.zeros(len(indices), PACKED)
+            for name in ("clock", "kind", "a", "b"):
+                packed[name] = edges[name][indices]
+            with_values = np.flatnonzero((packed["kind"] == SHAFT) | (packed["kind"] == LOAD))
+            if len(with_values):
+                packed["axis"][with_values] = packed["a"][with_values]
+                packed["a"][with_values] = edges["count"][indices[with_values]].view(np.int64)
+                packed["b"][with_values] = edges["rate"][indices[with_values]].view(np.int64)
+            journal.extend(packed)
+
+    def update_switches(self, axis: int) -> None:
+        """Apply a change of the table of switches to the axis with this index, from now on.
+
+        Raises:
+            ArgumentError: There is no such axis.
+        """
+        if not 0 <= axis < len(self.state.axis_table):
+            raise ArgumentError(f"axis={axis!r}: the stage has axes 0 to {len(self.state.axis_table) - 1}.")
+        self.ensure_powered()
+        with self.claimed():
+            engine.update_switches.with_gil(self._pointer, axis)
+        if n := int(self.state.handle["noted"]):
+            self.journal_edges(n)
+            self.state.handle["noted"] = 0
+
+    # --- steps that are undone ---
+
+    def _undo_failure(self) -> BaseException:
+        """Return to the state before the step in which a callback failed."""
+        state = self.state
+        mujoco.mj_setState(state.model, state.data, state.saved, SAVED)
+        state.clockwork[0].failed = 0
+        failure, self._failure = self._failure, None
+        return mujoco_callbacks.make_callback_error(
+            failure, state.now * 1e-9, "The stage holds the state before that physics step."
+        )
+
+    def undo_divergence(self, pointer: int) -> SimulationError:
+        """Return to where the last run of the engine began, and run again up to the step before the one that diverged.
+
+        Args:
+            pointer: Address of the handle that it ran with.
+
+        Returns:
+            The error to raise.
+        """
+        state, model = self.state, self.state.model
+        speeds = np.abs(state.data.qvel)
+        bad = int(np.argmax(np.where(np.isfinite(speeds), speeds, np.inf)))
+        joint = model.joint(int(model.dof_jntid[bad])).name or f"degree of freedom {bad}"
+        good = state.start - self._dt
+        mujoco.mj_setState(model, state.data, state.saved, SAVED)
+        self._advance(pointer, good)
+        seconds = state.now * 1e-9
+        return SimulationError(
+            f"the simulation diverged at {seconds:.6f} s on axis {joint!r}: its speed left +-{engine_records.MAX_SPEED:g} per "
+            f"second. The stage holds the state before that step. Usual causes: a timestep too long for the motor's "
+            f"stiffness (now {model.opt.timestep} s), a mass near zero, or an external force that is not finite.",
+            seconds,
+            joint,
+        )

@@ -1,0 +1,90 @@
+"""Snapshots of stages, and their description of the stage that they were taken of."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from stage.chips.diagnostics import parse_diagnostics
+from stage.drives.stepper import DRIVE
+from stage.sim import engine_records
+from stage.support import snapshots
+from stage.support.snapshot_files import FiledSnapshot
+
+if TYPE_CHECKING:
+    from stage.sim.axis import Axis
+    from stage.sim.encoder import Encoder
+    from stage.sim.stage_state import State
+
+
+class Snapshot(FiledSnapshot):
+    """All state of a stage; restores into any equal stage. `save(path)` and `Snapshot.load(path)` keep it in a file.
+
+    Attributes:
+        state: MuJoCo's state, float64.
+        diagnostics: Those of each chip.
+    """
+
+    of: ClassVar = "a stage"
+
+    @classmethod
+    def _decode_state(cls, data: bytes) -> np.ndarray:
+        return np.frombuffer(data, "<f8")
+
+    @classmethod
+    def _decode_diagnostics(cls, chips: Any) -> tuple:
+        return tuple(parse_diagnostics(chip) for chip in chips)
+
+
+def describe_stage(
+    state: State,
+    axes: Iterable[Axis],
+    mechanics: str,
+    encoders: Iterable[Encoder] = (),
+    followers: Iterable[tuple[str, str]] = (),
+    linked: Iterable[str] = (),
+) -> snapshots.Header:
+    """Describe the stage that snapshots are taken of. Payloads and faults are no part of it.
+
+    Args:
+        state: State of the stage.
+        axes: Its axes.
+        mechanics: Of `fingerprint.compute_mechanics_digest`.
+        encoders: Encoders that its chips count.
+        followers: (follower, leader) axes at SYNI.
+        linked: Axes whose chips the lines of multichip interpolation join.
+    """
+    axes = list(axes)
+    parts = [("axes", ", ".join(a.name for a in axes))]
+    for a in axes:
+        chip = dict(a.chip.header.parts)["chip"]
+        parts.append((f"chip of axis {a.name}", f"{chip}, its axis {a.chip_axis}"))
+    for a in axes:
+        constants = np.zeros(1, DRIVE)
+        a.drive.fill(constants[0])
+        parts.append((f"drive of axis {a.name}", f"{a.drive.title} (constants {_digest(constants.tobytes())})"))
+    parts += [(f"encoder of axis {e.axis}", str(e)) for e in encoders]
+    for a in axes:
+        parts += [(f"wiring of axis {a.name}", f"{sensor} {logic}") for sensor, logic in a.wiring.items()]
+    parts += [(f"SYNI of axis {follower}", leader) for follower, leader in followers]
+    parts += [("multichip lines", ", ".join(linked))] if linked else []
+    parts.append(("time step", f"{state.dt} ns"))
+    parts.append(("bus cycle", f"{state.bus} ns"))
+    parts.append(("mechanics of the model", mechanics))
+    kinds = (
+        engine_records.WORLD,
+        engine_records.AXIS,
+        engine_records.SWITCH,
+        DRIVE,
+        *(rows.dtype for rows in state.chips),
+    )
+    layouts = " ".join(map(snapshots.hash_layout, kinds))
+    parts.append(("layout of the state", f"{_digest(layouts.encode())} ({len(state.saved)} words)"))
+    return snapshots.Header(tuple(parts))
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.blake2b(data, digest_size=6).hexdigest()

@@ -1,0 +1,262 @@
+"""`State`: the places of a stage's records in memory, for compiled code, boards and tests; users of a stage do not need it.
+
+All that changes while time passes is in MjData.userdata, so that MuJoCo's own snapshots, copies and rollouts carry it: one WORLD,
+an AXIS an axis, the record of every chip, a DRIVE an axis, a SWITCH a switch, an address latch a chip, in this order. Tables of
+constants (only faults change them) are in arrays beside it. A HANDLE gives compiled code the addresses of all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from stage.chips import Chip, ChipAxis, cores
+from stage.drives.dc_motors import Servo
+from stage.drives.motors import Drive
+from stage.drives.stepper import DRIVE
+from stage.native import address_of, without_attributes
+from stage.sim import engine_records, libmujoco, mujoco_callbacks
+from stage.sim import stage_handle as handle
+from stage.sim.plant import PlantAxis
+from stage.sim.wiring_choices import Wires
+
+SAVED = mujoco.mjtState.mjSTATE_INTEGRATION  # all of it: physics, and in userdata chips, drives, switches
+EDGES = 640
+LINK_EDGES = 64
+_FIELDS = engine_records.WORLD.names or ()
+START, POWERED = _FIELDS.index("start"), _FIELDS.index("powered")
+
+
+class State:
+    """Records of one stage.
+
+    Args:
+        model: Model with room for the state in its userdata, see `count_state_words`.
+        offset: Word of userdata at which the state begins.
+        plant: Axes of the model.
+        chip_axes: Axes of the chips, one an axis.
+        drives: Drives, one an axis.
+        bus: Duration of a bus cycle, ns.
+        encoders: For each axis, counts per joint unit of an encoder that its chip counts, 0 for none; a Servo has its own.
+        wires: Wires between sensors, chips and chips that differ from the usual.
+    """
+
+    model: mujoco.MjModel
+    """What is simulated. MuJoCo does not reset it by itself any more: the chips would forget all."""
+    data: mujoco.MjData
+    """MuJoCo's state."""
+    offset: int
+    """Where in `data.userdata` the stage's state begins."""
+    userdata: np.ndarray
+    """The stage's part of `data.userdata`, float64."""
+    world: np.ndarray
+    """WORLD, one record: the time."""
+    words: np.ndarray
+    """`world` as int64, in the order of its fields: what Python reads quickly."""
+    axes: np.ndarray
+    """AXIS of each axis: counts of its pulses, edges to come."""
+    chips: list[np.ndarray]
+    """For each chip an array with one record of its core's STATE."""
+    drives: np.ndarray
+    """DRIVE of each axis: motor, currents."""
+    switches: np.ndarray
+    """SWITCH of each switch of all axes, axis after axis."""
+    latches: np.ndarray
+    """int64 of each chip: the address that its bus holds, where address and data share the lines."""
+    axis_table: np.ndarray
+    """AXIS_TABLE: which axis of which chip moves which joint, and which switches are its own."""
+    switch_table: np.ndarray
+    """SWITCH_TABLE: pin bit, sensor, geometry; and what faults do to a switch."""
+    flag_edges: np.ndarray
+    """FLAG_EDGE: where the vanes enter and leave their switches, switch after switch."""
+    chip_table: np.ndarray
+    """CHIP_TABLE: which core runs each chip, and where its state lies."""
+    slice_ends: dict[int, np.ndarray]
+    """For each reference clock, Hz, where the slices of a window end in it."""
+    chip_axes: list[np.ndarray]
+    """For each chip its CHIP_AXIS records: which axes of the stage are its own."""
+    clockwork: np.ndarray
+    """CLOCKWORK, one record: time step, functions of MuJoCo, who runs the stage now."""
+    handle: Any
+    """HANDLE: where all these lie, for compiled code; what the engine has logged."""
+    pointer: int
+    """The address of `handle`."""
+    dt: int
+    """ns, a physics step."""
+    bus: int
+    """ns, a bus cycle."""
+    saved: np.ndarray
+    """float64: MuJoCo's state as it was before the last run of the engine moved it, to go back to."""
+    edges: np.ndarray
+    """EDGE: what reached the chips, where the engine notes it; see `set_edge_buffer`."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        offset: int,
+        plant: Sequence[PlantAxis],
+        chip_axes: Sequence[ChipAxis],
+        drives: Sequence[Drive | Servo],
+        bus: int,
+        encoders: Sequence[float],
+        wires: Wires,
+    ):
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        self.model, self.data = model, mujoco.MjData(model)
+        self.offset, self.bus, self.dt = offset, bus, round(model.opt.timestep * 1e9)
+        chips = list_chips(chip_axes)
+        self._allocate_records(len(plant), sum(len(p.switches) for p in plant), chips)
+        self._set_clockwork(sum(isinstance(drive, Servo) for drive in drives) + sum(map(bool, encoders)))
+        self._set_chip_table(chips, wires.leaders, wires.linked)
+        self._set_axis_table(plant, chip_axes, drives, chips, encoders, wires)
+        self.saved = np.zeros(mujoco.mj_stateSize(model, SAVED))
+        rows = np.zeros(1, handle.HANDLE)
+        handle.fill_handle(rows, 0, self)
+        self.pointer, self.handle = rows.ctypes.data, rows.view(without_attributes(handle.HANDLE))[0]
+        max_edges = engine_records.EDGES_A_WINDOW * len(plant)
+        for chip in wires.linked:  # a pulse a clock, and what goes before and after it
+            max_edges += engine_records.compute_clock_at(self.dt, chip.clock_hz) + LINK_EDGES
+        self.clockwork["most_edges"], self.clockwork["linked"] = max_edges, len(wires.linked)
+        self.set_edge_buffer(np.zeros(EDGES + max_edges, engine_records.EDGE))
+
+    @property
+    def now(self) -> int:
+        """Simulated time since power-up, ns."""
+        return self.words.item(0)
+
+    @property
+    def start(self) -> int:
+        """Beginning of the present physics step, ns."""
+        return self.words.item(START)
+
+    @property
+    def powered(self) -> int:
+        """0 after userdata was cleared: then its contents are not valid."""
+        return self.words.item(POWERED)
+
+    def set_edge_buffer(self, edges: np.ndarray) -> None:
+        """Have the engine note what reaches the chips in `edges`, EDGE records."""
+        self.edges = edges
+        self.handle["edges"], self.handle["edge_room"] = edges.ctypes.data, len(edges)
+
+    def _allocate_records(self, axes: int, switches: int, chips: Sequence[Chip]) -> None:
+        """Allocate the records in userdata and the tables of constants beside it."""
+        self.userdata = self.data.userdata[self.offset :]
+        left = self.userdata
+
+        def cut(dtype: np.dtype, n: int) -> np.ndarray:
+            nonlocal left
+            words = n * dtype.itemsize // 8
+            words_cut, left = left[:words], left[words:]
+            return words_cut.view(dtype)
+
+        self.world = cut(engine_records.WORLD, 1)
+        self.words = self.world.view(np.int64)
+        self.axes = cut(engine_records.AXIS, axes)
+        self.chips = [cut(chip.CORE.STATE, 1) for chip in chips]
+        self.drives = cut(DRIVE, axes)
+        self.switches = cut(engine_records.SWITCH, switches)
+        self.latches = cut(engine_records.ADDRESS, len(chips))
+        self.axis_table = np.zeros(axes, engine_records.AXIS_TABLE)
+        self.switch_table = np.zeros(switches, engine_records.SWITCH_TABLE)
+        self.chip_table = np.zeros(len(chips), engine_records.CHIP_TABLE)
+        self.clockwork = np.zeros(1, engine_records.CLOCKWORK)
+
+    def _set_clockwork(self, encoders: int) -> None:
+        w, dt = self.clockwork[0], self.dt
+        w.mj_step, w.mj_get_state = (
+            libmujoco.find_mujoco_address("mj_step"),
+            libmujoco.find_mujoco_address("mj_getState"),
+        )
+        w.state_spec, w.encoders = int(SAVED), encoders
+        w.dt, w.slices, w.h, w.half, w.nv = (
+            dt,
+            engine_records.SLICES,
+            dt * 1e-9 / engine_records.SLICES,
+            dt * 0.5e-9,
+            self.model.nv,
+        )
+        w.callbacks, w.native = mujoco_callbacks.ADDRESSES, mujoco_callbacks.NATIVE
+
+    def _set_chip_table(self, chips: Sequence[Chip], leaders: Mapping[Chip, Chip], linked: Sequence[Chip]) -> None:
+        w, self.slice_ends = self.clockwork[0], dict[int, np.ndarray]()
+        rows_of = dict(zip(chips, self.chips, strict=True))
+        self.chip_axes = [np.zeros(chip.AXES, cores.CHIP_AXIS) for chip in chips]
+        for chip, rows, axes, c in zip(chips, self.chips, self.chip_axes, self.chip_table, strict=True):
+            cores.fill_chip_record(c, chip.CORE, rows.ctypes.data)
+            c.table = axes.ctypes.data
+            c.hz, c.ticks = chip.clock_hz, w.h * chip.clock_hz
+            c.slices, c.ends = w.slices, address_of(self._compute_slice_ends(chip.clock_hz))
+            if chip in leaders:
+                c.wire = leaders[chip].syno(rows_of[leaders[chip]])
+            c.link = 1 if chip in linked else 0
+
+    def _compute_slice_ends(self, hz: int) -> np.ndarray:
+        """Return the SLICE_END records of a window, for chips with this reference clock."""
+        if hz not in self.slice_ends:
+            ns = [(k + 1) * self.dt // engine_records.SLICES for k in range(engine_records.SLICES)]
+            self.slice_ends[hz] = np.array([divmod(end * hz, cores.SLICE_REST_UNIT) for end in ns], cores.SLICE_END)
+        return self.slice_ends[hz]
+
+    def _set_axis_table(
+        self,
+        plant: Sequence[PlantAxis],
+        chip_axes: Sequence[ChipAxis],
+        drives: Sequence[Drive | Servo],
+        chips: Sequence[Chip],
+        encoders: Sequence[float],
+        wires: Wires,
+    ) -> None:
+        """Fill the table of axes, that of switches, and what chips have to know of their axes."""
+        first, flag_edges = 0, list[tuple[float, ...]]()
+        for k, (p, chip_axis, drive) in enumerate(zip(plant, chip_axes, drives, strict=True)):
+            chip, j, t = chip_axis.chip, chip_axis.index, self.axis_table[k]
+            t.chip, t.chip_axis = chips.index(chip), j
+            c = self.chip_table[t.chip]
+            c.axes += 1
+            self.clockwork["currents"] += c.read_motor_current != 0
+            self.clockwork["loads"] += c.set_load != 0
+            chip_axis_record = self.chip_axes[t.chip][j]
+            chip_axis_record.axis, chip_axis_record.means = k, address_of(self.axes[k]["counts"])
+            chip_axis_record.net = address_of(self.axes[k : k + 1]["count"])
+            t.qpos, t.dof, t.actuator, t.gear = p.qpos, p.dof, p.actuator, p.gear
+            t.index_bit, t.index_at = chip.wired("ez"), p.index
+            t.positive = wires.find_inverted_pins(k, chip)
+            t.counts = drive.counts * p.gear / (2 * np.pi) if isinstance(drive, Servo) else encoders[k]
+            t.first_switch, t.end_switch = first, first + len(p.switches)
+            for row, s in zip(self.switch_table[first : t.end_switch], p.switches, strict=True):
+                row.bit, row.found, row.dist, row.forced = chip.wired(s.pin), s.found, s.dist, -1
+                row.first_edge, row.turn = len(flag_edges), s.turn
+                flag_edges += [astuple(edge) for edge in s.edges]
+                row.end_edge = len(flag_edges)
+            first = int(t.end_switch)
+        self.flag_edges = np.array(flag_edges, engine_records.FLAG_EDGE)
+        self.clockwork["flag_edges"], self.clockwork["n_flag_edges"] = address_of(self.flag_edges), len(flag_edges)
+
+
+def list_chips(axes: Sequence[ChipAxis]) -> tuple[Chip, ...]:
+    """Return the chips of some axes, each once."""
+    return tuple(dict.fromkeys(axis.chip for axis in axes))
+
+
+def count_state_words(axes: Sequence[ChipAxis], switches: int) -> int:
+    """Return how many float64 words of userdata the state of a stage takes.
+
+    Args:
+        axes: Axes of its chips.
+        switches: Number of its switches.
+    """
+    per_axis = engine_records.AXIS.itemsize + DRIVE.itemsize
+    rows = sum(chip.CORE.STATE.itemsize for chip in list_chips(axes))
+    latches = len(list_chips(axes)) * engine_records.ADDRESS.itemsize
+    return (
+        engine_records.WORLD.itemsize
+        + len(axes) * per_axis
+        + rows
+        + switches * engine_records.SWITCH.itemsize
+        + latches
+    ) // 8

@@ -1,0 +1,36 @@
+"""Conversion of names of models, axes and pins to identifiers for VCD, rerun's entity paths, C and file names.
+
+An MJCF may call an axis anything: `Achse_ü`, `x 1`, `robot/x`. Characters that a format does not allow are escaped, never dropped,
+so that two names never become one, and `unescape_name` restores the name.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Container
+
+_UNFIT = re.compile(r"\W|^\d|_(?=u[0-9a-f]+(?:_|\W))", re.ASCII)
+_ESCAPED = re.compile(r"_u([0-9a-f]+)_")
+
+
+def escape_name(name: str, reserved: Container[str] = ()) -> str:
+    """Write a name with ASCII letters, digits and underscores only, not beginning with a digit.
+
+    A name that has only these characters stays as it is. Any other character becomes its code point between `_u` and `_`:
+    "x 1" is "x_u20_1". An underscore that would look like such an escape is escaped itself.
+
+    Args:
+        name: Any text.
+        reserved: Keywords of the format; if the name is one of them, its first letter is escaped.
+    """
+    word = _UNFIT.sub(lambda match: _escape_character(match[0]), name)
+    return _escape_character(word[0]) + word[1:] if word in reserved else word
+
+
+def _escape_character(character: str) -> str:
+    return f"_u{ord(character):x}_"
+
+
+def unescape_name(word: str) -> str:
+    """Return the name that `escape_name` has written as `word`."""
+    return _ESCAPED.sub(lambda match: chr(int(match[1], 16)), word)
