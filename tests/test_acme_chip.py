@@ -140,7 +140,7 @@ def test_environments_refuse_a_chip_without_lines_or_closed_loop(id_):
 def test_a_chip_that_lacks_an_answer_is_refused_with_its_name(monkeypatch, tmp_path):
     (tmp_path / "half_chips.py").write_text(
         "from types import SimpleNamespace\nfrom acme_chips import ACME1000\n"
-        "class HALF(ACME1000):\n    CORE = SimpleNamespace(**{**vars(ACME1000.CORE), 'window': None})\n"
+        "class HALF(ACME1000):\n    CORE = SimpleNamespace(**{**vars(ACME1000.CORE), 'run_window': None})\n"
         "class LOOKS(ACME1000):\n    ENCODERS = True\n"
         "class NAMED(ACME1000):\n    pass\nOTHER = NAMED\nNONE = 3\n"
     )
