@@ -176,6 +176,45 @@ def test_edges_come_at_the_cycle_of_their_instruction(build):
         assert set(falls - rises[: len(falls)]) == {1000}
 
 
+def test_a_timer_steps_by_its_compare_pin(build):
+    """OC1A is B1. It toggles every 2000 cycles of 16 MHz, so a step comes every 250 us, to the cycle."""
+    elf = build("""
+        int main(void)
+        {
+            DDRB = 1 << 1;
+            TCCR1A = 1 << COM1A0; OCR1A = 1999; TCCR1B = 1 << WGM12 | 1 << CS10;
+            for (;;);
+        }""")
+    with make_host(elf, "x.step=B1,x.dir=D5") as host:
+        journal = host.board.stage.axes["x"].chip.journal()
+        host.run_for(0.02)
+        waveforms = journal.course()
+        rises = waveforms.edges["clock"][1:][np.diff(waveforms.pin("step").astype(int)) > 0]
+        assert count_steps(host)["x"] == len(rises) == 80
+        assert np.abs(np.diff(rises) - 250_000).max() <= 3 * 63, "the instruction in progress ends first"
+        assert not host.wiring_problems
+
+
+def test_a_board_with_an_atmega2560_is_wired_by_its_name(build):
+    """Ports from H on are in the upper address space. The switches of RAMPS open to high, and DIR is high for plus, but on y."""
+    elf = build(
+        """
+        int main(void)
+        {
+            DDRL = 1 << 3 | 1 << 1; DDRF = 0xC3; DDRK = 1; PORTL = 1 << 1; PORTF = 1 << 1;
+            for (int k = 0; k < 30; k++) {
+                PORTL |= 1 << 3; PORTF |= 1 << 6 | (k < 20); _delay_us(5);
+                PORTL &= ~(1 << 3); PORTF &= ~(1 << 6 | 1); _delay_us(195);
+            }
+            return (PINJ >> 1 & 1) | (PINJ & 1) << 1 | (PINE >> 5 & 1) << 2 | (PINE >> 4 & 1) << 3;
+        }""",
+        "atmega2560",
+    )
+    with make_host(elf, "ramps", "atmega2560", x=0.1505, y=-0.1055, z=0.01) as host:
+        assert host.run(timeout=1).code == 0b1001, "y minus and x plus"
+        assert count_steps(host) == {"x": 20, "y": 30, "z": 30}
+
+
 # --- switches that the program reads ---
 
 
