@@ -99,7 +99,8 @@ def parse_bus_pins(texts: str | Sequence[str]) -> Pins:
     texts = [texts] if isinstance(texts, str) else list(texts)
     if len(texts) != 1:
         raise ArgumentError(
-            f"--map: an AVR's bus is its pins; say once which: --map {FORM} (given: {', '.join(texts) or 'none'})."
+            f"--map: an AVR's bus is its pins; say once which: --map {FORM} (given: {', '.join(texts) or 'none'}). STEP/DIR axes "
+            "have no bus: --pins grbl, for example."
         )
     text = texts[0]
     parts = _split_description(text)

@@ -447,6 +447,13 @@ def test_only_axes_without_a_motion_chip_have_pins(build):
     TargetHost(elf, board, mcu="atmega328p", pins="x.step=D2,x.dir=D5", isolated=False)
 
 
+def test_an_avr_without_wires_is_refused(build):
+    with pytest.raises(
+        ArgumentError, match=r"say once which: --map data=A.* STEP/DIR axes have no bus: --pins grbl, for"
+    ):
+        make_host(build("int main(void) { return 0; }"), ())
+
+
 def test_a_pin_of_the_bus_is_no_line_of_an_axis(build):
     elf = build("int main(void) { return 0; }", "atmega2560")
     with pytest.raises(ArgumentError, match=r"x\.step=G0: pin G0 is used twice, also by --map"):
