@@ -1,4 +1,4 @@
-"""`stage tune`: every option arrives at the task and the search, in SI; the code says how it ended."""
+"""`stage tune`: each option reaches the task or the search in SI units, and the exit code reports the end."""
 
 import re
 from types import SimpleNamespace
@@ -15,19 +15,19 @@ from stage.errors import ArgumentError
 
 
 @pytest.fixture
-def told(monkeypatch):
-    """told(arguments) -> (code, what Task was given, what tune was given)."""
+def run_tune_command(monkeypatch):
+    """Function (words of the command line) -> (exit code, arguments of Task, arguments of tune)."""
     monkeypatch.setattr("stage.tune.search.import_optuna", lambda: None)
 
-    def run(*typed, stopped=False):
+    def run_command(*typed, stopped=False):
         arguments = []
 
-        def task(*of):
-            arguments.append(of)
+        def task(*values):
+            arguments.append(values)
             return "task"
 
-        def tune(task, **how):
-            arguments.append((task, how))
+        def tune(task, **settings):
+            arguments.append((task, settings))
             return SimpleNamespace(interrupted=stopped, c_source=lambda: "// C\n", json=lambda: {"won": "formula"})
 
         monkeypatch.setattr(stage.tune, "Task", task)
@@ -35,22 +35,22 @@ def told(monkeypatch):
         code = main(["tune", *typed])
         return code, *arguments
 
-    return run
+    return run_command
 
 
-def test_options_that_are_missing_have_their_defaults(told):
-    code, task, (arguments, how) = told("xy", "--distance", "8000")
+def test_options_that_are_missing_have_their_defaults(run_tune_command):
+    code, task, (arguments, settings) = run_tune_command("xy", "--distance", "8000")
     machine, axis, pulses, *rest = task
     assert (code, axis, pulses, arguments) == (0, "x", 8000, "task")
     assert list(machine.axes) == ["x", "y"]
     assert rest == [0.0, None, None, 0.05, None, None, None]
-    reports = how.pop("on_progress")
+    reports = settings.pop("on_progress")
     assert isinstance(reports, _Progress)
-    assert how == {"by": "search", "trials": 200, "seed": 0, "workers": None, "moves": 96}
+    assert settings == {"by": "search", "trials": 200, "seed": 0, "workers": None, "moves": 96}
 
 
-def test_every_option_is_for_what_its_help_says(told):
-    code, task, (_, how) = told(
+def test_every_option_reaches_its_argument_in_si_units(run_tune_command):
+    code, task, (_, settings) = run_tune_command(
         "xyz", "--axis", "y", "--distance", "-10mm", "--payload", "2", "--payload-on", "tool", "--spare", "50%",
         "--settle", "20um", "100ms", "--overshoot", "0.1mm", "--site", "work", "--by", "formula", "--trials", "7", "--moves", "9",
         "--seed", "5", "--workers", "3", "--chips", "mcx514", "--microsteps", "8", "--bus-voltage", "36V", "--bus-cycle", "2us",
@@ -76,8 +76,8 @@ def test_every_option_is_for_what_its_help_says(told):
         36.0,
         pytest.approx(2e-6),
     )
-    del how["on_progress"]
-    assert how == {"by": "formula", "trials": 7, "seed": 5, "workers": 3, "moves": 9}
+    del settings["on_progress"]
+    assert settings == {"by": "formula", "trials": 7, "seed": 5, "workers": 3, "moves": 9}
     assert code == 130, "Ctrl-C has ended it"
 
 
@@ -91,7 +91,7 @@ def test_a_margin_is_a_share_of_the_payload_or_kilograms(text, payload, kg):
 
 
 @pytest.mark.parametrize("text", ["-1", "-5%", "30%%", "5% kg", "%", "much", "1e400", "nan"])
-def test_a_margin_that_is_none_is_refused(text):
+def test_an_invalid_margin_is_refused(text):
     with pytest.raises(
         ArgumentError, match=f"^--spare {re.escape(text)}: give percent of the payload, such as 30%, or kg, "
     ):
@@ -110,14 +110,14 @@ def test_a_margin_that_is_none_is_refused(text):
         (["--seed", "-1"], "--seed -1: must be a whole number, 0 or more"),
     ],
 )
-def test_what_cannot_be_is_refused_before_the_search(told, capsys, typed, message):
-    code, *arguments = told("xy", "--distance", "1mm", *typed)
+def test_invalid_options_are_refused_before_the_search(run_tune_command, capsys, typed, message):
+    code, *arguments = run_tune_command("xy", "--distance", "1mm", *typed)
     assert (code, arguments) == (2, [])
     assert message in capsys.readouterr().err
 
 
-def test_a_seed_of_nothing_is_one(told):
-    assert told("xy", "--distance", "1mm", "--seed", "0")[0] == 0
+def test_a_seed_of_0_is_allowed(run_tune_command):
+    assert run_tune_command("xy", "--distance", "1mm", "--seed", "0")[0] == 0
 
 
 def test_the_error_of_a_distance_without_a_unit_proposes_the_unit_of_the_axis():
@@ -129,7 +129,7 @@ def test_the_error_of_a_distance_without_a_unit_proposes_the_unit_of_the_axis():
     assert explain_unit(stage.axes["y"], " -100") == " --distance -100 is -100 pulses: did you mean -100mm?"
 
 
-def test_progress_is_a_line_on_a_terminal_alone(capsys, monkeypatch):
+def test_progress_is_shown_only_on_a_terminal(capsys, monkeypatch):
     for terminal in (True, False):
         monkeypatch.setattr("sys.stderr.isatty", lambda terminal=terminal: terminal, raising=False)
         progress = _Progress(200)

@@ -1,4 +1,4 @@
-"""What surrounds a search: who leads it, its sampler, what is said where nothing keeps step, and that nothing is left running."""
+"""Leading trials and the sampler of a search, the error if the formula fails, and the fleet of a move runner."""
 
 from types import SimpleNamespace
 
@@ -21,8 +21,8 @@ def task():
     return Task(Stage("xy", chips=PCL240K, visuals=False), "x", pulses=400, payload=2.0, hold=0.02)
 
 
-class Study:
-    """Draws the same of everybody, and has no other opinion."""
+class UniformStudy:
+    """Study that suggests 0 for every parameter of every trial."""
 
     def __init__(self):
         self.number, self.enqueue_trial, self.tell = -1, lambda values: None, lambda trial, value: None
@@ -32,29 +32,31 @@ class Study:
         return SimpleNamespace(number=self.number, suggest_float=lambda *_: 0.0, set_constraint=lambda *_: None)
 
 
-def test_who_is_as_good_as_the_best_does_not_lead_and_gets_no_further_cases(task, monkeypatch):
+def test_a_trial_that_only_equals_the_best_gets_no_further_cases(task, monkeypatch):
     sizes = []
 
-    def make(plans, cases, limit):
+    def run_recorded_moves(plans, cases, limit):
         sizes.append((len(plans), len(cases)))
         shape = len(plans), len(cases)
         return MoveOutcomes(np.full(shape, 0.25), np.ones(shape, bool), np.zeros(shape))
 
-    monkeypatch.setattr(search, "_create_study", lambda seed: Study())
-    tries = SimpleNamespace(task=task, planner=create_planner(task), run_moves=make)
-    search.search_registers(tries, CASES[:2], CASES[2:5], 0.5, 16, seed=1)
-    assert sizes == [(8, 2), (8, 3), (8, 2)], "the first eight lead nobody, the next eight are as good"
+    monkeypatch.setattr(search, "_create_study", lambda seed: UniformStudy())
+    runner = SimpleNamespace(task=task, planner=create_planner(task), run_moves=run_recorded_moves)
+    search.search_registers(runner, CASES[:2], CASES[2:5], 0.5, 16, seed=1)
+    assert sizes == [(8, 2), (8, 3), (8, 2)], (
+        "only the first eight are better than all before; the next eight equal them"
+    )
 
 
-def test_a_search_draws_sixteen_trials_before_its_sampler_has_an_opinion_and_says_no_more_than_warnings():
+def test_the_sampler_draws_16_trials_at_random_and_logs_only_warnings():
     optuna = pytest.importorskip("optuna")
-    was = optuna.logging.get_verbosity()
+    verbosity = optuna.logging.get_verbosity()
     try:
         optuna.logging.set_verbosity(optuna.logging.DEBUG)
         sampler = search._create_study(7).sampler
         assert optuna.logging.get_verbosity() == optuna.logging.WARNING
     finally:
-        optuna.logging.set_verbosity(was)
+        optuna.logging.set_verbosity(verbosity)
     assert (sampler._n_startup_trials, sampler._multivariate) == (16, True)
     assert sampler._rng.rng.random_sample() == np.random.RandomState(7).random_sample(), "the seed is the search's own"
 
@@ -67,19 +69,19 @@ def test_a_search_draws_sixteen_trials_before_its_sampler_has_an_opinion_and_say
         (-1.0, "Nor do they keep step with nothing on it"),
     ],
 )
-def test_the_largest_payload_of_the_formula_is_found_among_nine_with_four_cases_each(task, maximum, message):
+def test_the_largest_payload_of_the_formula_is_one_of_nine_with_four_cases_each(task, maximum, message):
     requested = []
 
-    def make(plans, cases, limit):
+    def run_moves_up_to_maximum(plans, cases, limit):
         requested.append(([plan.registers for plan in plans], cases, limit))
         return MoveOutcomes(*(np.array([[c.payload <= maximum for c in cases]]) for _ in range(3)))
 
     plans = SimpleNamespace(
         build_formula_plan=lambda safety: MovePlan({"safety": safety}, Speeds(1000.0, 4000.0, 0.1, 0.2))
     )
-    assert tuning._describe_largest_payload(SimpleNamespace(task=task, run_moves=make), plans, CASES).startswith(
-        message
-    )
+    assert tuning._describe_largest_payload(
+        SimpleNamespace(task=task, run_moves=run_moves_up_to_maximum), plans, CASES
+    ).startswith(message)
     ((registers, cases, limit),) = requested
     assert registers == [{"safety": SAFETY_FACTOR}]
     assert limit == pytest.approx(2 * (400 / 4000 + 0.1 + 0.2) + 0.3 + 0.02)
@@ -87,20 +89,20 @@ def test_the_largest_payload_of_the_formula_is_found_among_nine_with_four_cases_
     assert [(c.start_offset, c.direction) for c in cases[4:8]] == [(c.start_offset, c.direction) for c in CASES[:8:2]]
 
 
-def test_a_finished_or_interrupted_runner_has_closed_its_fleet(task, monkeypatch):
+def test_a_runner_closes_its_fleet_at_its_end_and_when_interrupted(task, monkeypatch):
     closed = []
-    made = MoveRunner(task, create_planner(task), 1, fleet_size=1)
-    monkeypatch.setattr(made.fleet, "close", lambda: closed.append("closed"))
-    with made as tries:
-        assert tries is made
+    created = MoveRunner(task, create_planner(task), 1, fleet_size=1)
+    monkeypatch.setattr(created.fleet, "close", lambda: closed.append("closed"))
+    with created as entered:
+        assert entered is created
     assert closed == ["closed"]
-    with pytest.raises(KeyboardInterrupt), made:
+    with pytest.raises(KeyboardInterrupt), created:
         raise KeyboardInterrupt
     assert closed == ["closed"] * 2
 
 
 def test_the_fleet_has_one_stage_for_each_lane_and_one_thread_for_each_worker(task):
-    made = MoveRunner(task, create_planner(task), 2, fleet_size=3)
-    assert (len(made.fleet), made.fleet.threads) == (3, 2)
-    assert len({id(stage) for stage in made.fleet.stages} | {id(task.stage)}) == 4
-    made.close()
+    runner = MoveRunner(task, create_planner(task), 2, fleet_size=3)
+    assert (len(runner.fleet), runner.fleet.threads) == (3, 2)
+    assert len({id(stage) for stage in runner.fleet.stages} | {id(task.stage)}) == 4
+    runner.close()

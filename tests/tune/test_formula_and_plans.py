@@ -1,4 +1,4 @@
-"""The engineer's rules, checked by hand: thrust, pull-in, the least ramps, moves that are short; and how careful `tune` gets."""
+"""Formula of thrust, pull-in and ramps checked by hand, the rising safety factor of `tune`, plans, and C headers."""
 
 from dataclasses import replace
 
@@ -28,27 +28,29 @@ def load():
 def test_the_pull_in_rate_falls_with_the_square_root_of_the_inertia_ratio(load):
     rotor = load.drive.motor.rotor_inertia
     assert load.inertia_at_rotor == pytest.approx(load.mass / load.gear**2)
-    for times in (1.0, 4.0, 9.0):
-        heavy = replace(load, mass=times * rotor * load.gear**2)
-        assert heavy.pull_in_rate == pytest.approx(measure_unloaded_pull_in(load.drive) / np.sqrt(times))
+    for factor in (1.0, 4.0, 9.0):
+        heavy = replace(load, mass=factor * rotor * load.gear**2)
+        assert heavy.pull_in_rate == pytest.approx(measure_unloaded_pull_in(load.drive) / np.sqrt(factor))
 
 
-def test_no_ramp_is_shorter_than_four_swings_of_the_rotor_in_its_field(load):
+def test_no_ramp_is_shorter_than_four_periods_of_the_rotor_in_its_field(load):
     light = replace(load, friction=0.0, damping=0.0)
-    made = compute_speeds(light, 40_000, safety_factor=1.0)
-    least = 4 / compute_natural_frequency(light.drive, light.inertia_at_rotor)
-    assert min(made.up, made.down) >= least * (1 - 1e-9)
-    slow = replace(light, mass=0.1 * light.mass)
-    made = compute_speeds(slow, 4000, safety_factor=0.1)
-    assert min(made.up, made.down) == pytest.approx(4 / compute_natural_frequency(slow.drive, slow.inertia_at_rotor))
+    speeds = compute_speeds(light, 40_000, safety_factor=1.0)
+    min_ramp_s = 4 / compute_natural_frequency(light.drive, light.inertia_at_rotor)
+    assert min(speeds.up, speeds.down) >= min_ramp_s * (1 - 1e-9)
+    lighter = replace(light, mass=0.1 * light.mass)
+    speeds = compute_speeds(lighter, 4000, safety_factor=0.1)
+    assert min(speeds.up, speeds.down) == pytest.approx(
+        4 / compute_natural_frequency(lighter.drive, lighter.inertia_at_rotor)
+    )
 
 
 @pytest.mark.parametrize("pulses", [120, 200, 1000])
 def test_both_ramps_of_a_short_move_fit_into_it(load, pulses):
-    made = compute_speeds(load, pulses)
-    ramps = 0.5 * (made.start + made.drive) * (made.up + made.down)
+    speeds = compute_speeds(load, pulses)
+    ramps = 0.5 * (speeds.start + speeds.drive) * (speeds.up + speeds.down)
     assert ramps <= pulses * (1 + 1e-9)
-    assert ramps > 0.8 * pulses, "and leave little of it"
+    assert ramps > 0.8 * pulses, "the ramps fill most of the move"
     with pytest.raises(ArgumentError, match=r"1 pulses with a safety factor of 1\.5: too short a move"):
         compute_speeds(load, 1)
 
@@ -67,36 +69,45 @@ def test_a_dc_motor_has_its_stall_torque_at_rest_and_nothing_from_its_no_load_sp
 
 
 def test_a_safety_factor_of_two_uses_half_of_the_thrust(load):
-    top = []
+    used_shares = []
     for safety in (1.0, 2.0):
-        made = compute_speeds(replace(load, mass=100.0, friction=0.0, damping=0.0), 30_000, safety)
-        speed = (made.drive - made.start) / load.pulses_per_metre
-        used = 100.0 * speed / made.up
-        has = float(load.compute_max_thrust(np.array([made.drive / load.pulses_per_metre]))[0])
-        top.append(used / has)
-    assert top == pytest.approx([1.0, 0.5], rel=1e-6)
+        speeds = compute_speeds(replace(load, mass=100.0, friction=0.0, damping=0.0), 30_000, safety)
+        speed = (speeds.drive - speeds.start) / load.pulses_per_metre
+        used = 100.0 * speed / speeds.up
+        available = float(load.compute_max_thrust(np.array([speeds.drive / load.pulses_per_metre]))[0])
+        used_shares.append(used / available)
+    assert used_shares == pytest.approx([1.0, 0.5], rel=1e-6)
 
 
-# --- how careful ---
+# --- rising safety factor ---
 
 
-class Careful:
-    """Plans whose registers are their safety factor, and tries that come out as told: goes(safety, limit) -> (s, kept, beyond)."""
+class RecordingPlanner:
+    """Planner and move runner in one. Its plans have their safety factor as the only register.
 
-    def __init__(self, task, goes, strongest=99.0):
-        self.task, self.goes, self.strongest, self.asked, self.limits = task, goes, strongest, [], []
+    `outcome_of(safety factor, limit)` returns arrival time (s), whether the move keeps step, and overshoot (m).
+    """
+
+    def __init__(self, task, outcome_of, max_safety_factor=99.0):
+        self.task, self.outcome_of, self.max_safety_factor, self.safety_factors, self.limits = (
+            task,
+            outcome_of,
+            max_safety_factor,
+            [],
+            [],
+        )
 
     def build_formula_plan(self, safety=SAFETY_FACTOR):
-        if safety > self.strongest:
+        if safety > self.max_safety_factor:
             raise ArgumentError("too weak a motor.")
-        self.asked.append(round(safety, 9))
+        self.safety_factors.append(round(safety, 9))
         return MovePlan({"safety": safety}, Speeds(1000.0, 4000.0, 0.1, 0.2))
 
     def run_moves(self, plans, cases, limit):
         self.limits.append(limit)
         shape = len(plans), len(cases)
-        time, kept, beyond = self.goes(plans[0].registers["safety"], limit)
-        return MoveOutcomes(np.full(shape, time), np.full(shape, kept), np.full(shape, beyond))
+        time, kept_step, overshoot = self.outcome_of(plans[0].registers["safety"], limit)
+        return MoveOutcomes(np.full(shape, time), np.full(shape, kept_step), np.full(shape, overshoot))
 
 
 @pytest.fixture(scope="module")
@@ -104,28 +115,30 @@ def task():
     return Task(Stage("xy", chips=PCL240K, visuals=False), "x", pulses=400, payload=2.0, hold=0.02)
 
 
-def formula_of(made):
-    return tuning._find_formula_plan(made, made, made.task.build_corner_cases(np.random.default_rng(0), 2))
+def find_formula_plan(planner):
+    return tuning._find_formula_plan(planner, planner, planner.task.build_corner_cases(np.random.default_rng(0), 2))
 
 
-def test_the_formula_gets_more_careful_until_it_keeps_step(task):
-    made = Careful(task, lambda safety, limit: (0.3, safety > 2.2, 0.0))
-    safety, plan, limit = formula_of(made)
-    assert made.asked == [1.5, 1.725, 1.95, 2.25]
+def test_the_safety_factor_rises_until_the_formula_keeps_step(task):
+    planner = RecordingPlanner(task, lambda safety, limit: (0.3, safety > 2.2, 0.0))
+    safety, plan, limit = find_formula_plan(planner)
+    assert planner.safety_factors == [1.5, 1.725, 1.95, 2.25]
     assert (safety, plan.registers["safety"]) == (pytest.approx(2.25), pytest.approx(2.25))
     assert limit == compute_time_limit(0.3, task.hold)
-    assert made.limits == pytest.approx([2 * (0.1 + 0.3) + 0.3 + task.hold] * 4), "twice the move, and then a while"
+    assert planner.limits == pytest.approx([2 * (0.1 + 0.3) + 0.3 + task.hold] * 4), (
+        "twice the duration of the move, 0.3 s and the hold"
+    )
 
 
 def test_a_swinging_move_is_observed_longer_before_the_safety_factor_rises(task):
-    made = Careful(task, lambda safety, limit: (0.9 if limit > 2 else np.nan, True, 0.0))
-    safety, _, limit = formula_of(made)
-    assert (safety, limit, made.asked) == (1.5, compute_time_limit(0.9, task.hold), [1.5])
-    assert made.limits[1] == 4 * made.limits[0]
+    planner = RecordingPlanner(task, lambda safety, limit: (0.9 if limit > 2 else np.nan, True, 0.0))
+    safety, _, limit = find_formula_plan(planner)
+    assert (safety, limit, planner.safety_factors) == (1.5, compute_time_limit(0.9, task.hold), [1.5])
+    assert planner.limits[1] == 4 * planner.limits[0]
 
 
 @pytest.mark.parametrize(
-    ("goes", "message"),
+    ("outcome", "message"),
     [
         ((0.3, False, 0.0), "the formula's registers lose steps, even with a safety factor of 4.5"),
         (
@@ -135,22 +148,22 @@ def test_a_swinging_move_is_observed_longer_before_the_safety_factor_rises(task)
         ((0.3, True, 2e-4), "go 200 um beyond the goal, even with a safety factor of 4.5: allow more, --overshoot"),
     ],
 )
-def test_the_error_states_the_cause_when_no_safety_factor_helps(task, goes, message):
+def test_the_error_states_the_cause_when_no_safety_factor_helps(task, outcome, message):
     with pytest.raises(StageError, match=message.replace(".", r"\.")):
-        formula_of(Careful(task, lambda safety, limit: goes))
+        find_formula_plan(RecordingPlanner(task, lambda safety, limit: outcome))
 
 
-def test_a_motor_that_is_too_weak_raises_the_error_of_the_formula(task):
+def test_a_too_weak_motor_raises_the_error_of_the_formula_only_for_the_first_factor(task):
     with pytest.raises(ArgumentError, match="too weak a motor"):
-        formula_of(Careful(task, lambda safety, limit: (0.3, False, 0.0), strongest=1.0))
+        find_formula_plan(RecordingPlanner(task, lambda safety, limit: (0.3, False, 0.0), max_safety_factor=1.0))
     with pytest.raises(StageError, match="lose steps"):
-        formula_of(Careful(task, lambda safety, limit: (0.3, False, 0.0), strongest=2.0))
+        find_formula_plan(RecordingPlanner(task, lambda safety, limit: (0.3, False, 0.0), max_safety_factor=2.0))
 
 
 # --- plans ---
 
 
-def test_parameters_lead_from_the_formula_to_other_speeds_within_the_search_range(task):
+def test_find_parameters_inverts_speeds_and_clips_them_to_the_search_range(task):
     plans = create_planner(task)
     middle = Speeds(1000.0, 8000.0, 0.1, 0.1)
     results = plans.find_parameters(middle, Speeds(2000.0, 8000.0 * 1.5**0.5, 0.1 / 1.7, 5.0))
@@ -160,7 +173,7 @@ def test_parameters_lead_from_the_formula_to_other_speeds_within_the_search_rang
     )
 
 
-def test_registers_that_the_chip_does_not_have_are_no_plan(task):
+def test_a_register_value_beyond_its_range_is_refused(task):
     plans = create_planner(task)
     real = plans.driver.formula
     plans.driver.formula = lambda *arguments: {**real(*arguments), "R1": 1 << 20}
@@ -169,49 +182,49 @@ def test_registers_that_the_chip_does_not_have_are_no_plan(task):
 
 
 @pytest.mark.parametrize("chip", [PCL240K, MCX514])
-def test_a_number_of_a_search_is_a_factor_on_the_formula_and_a_faster_drive_ramps_for_longer(chip):
+def test_parameters_are_factors_on_the_formula_and_a_higher_rate_lengthens_the_ramps(chip):
     plans = create_planner(Task(Stage("xy", chips=chip, visuals=False), "x", pulses=4000))
     middle = Speeds(1000.0, 8000.0, 0.1, 0.08)
 
-    def made(**values):
+    def build_speeds(**values):
         return plans.build_plan(middle, values, "linear").speeds
 
-    assert made()[:4] == pytest.approx((1000, 8000, 0.1, 0.1 if plans.has_single_ramp else 0.08))
+    assert build_speeds()[:4] == pytest.approx((1000, 8000, 0.1, 0.1 if plans.has_single_ramp else 0.08))
     for name, maximum in (("start", 3.0), ("drive", 1.5), ("up", 1.7), ("down", 1.7)):
         for end in (-1.0, 0.5, 1.0):
-            s = made(**{name: end})
+            s = build_speeds(**{name: end})
             rates = {"start": middle.start, "drive": middle.drive} | {name: getattr(middle, name) * maximum**end}
-            longer = (rates["drive"] - rates["start"]) / (middle.drive - middle.start)
+            ramp_factor = (rates["drive"] - rates["start"]) / (middle.drive - middle.start)
             assert (s.start, s.drive) == pytest.approx((rates["start"], rates["drive"]))
-            up, down = ((rates.get(ramp, getattr(middle, ramp))) * longer for ramp in ("up", "down"))
+            up, down = ((rates.get(ramp, getattr(middle, ramp))) * ramp_factor for ramp in ("up", "down"))
             assert (s.up, s.down) == pytest.approx((up, up if plans.has_single_ramp else down))
 
 
-def test_a_servo_s_registers_contain_its_rate_and_the_acceleration_of_its_ramp(monkeypatch):
-    plans, told = create_planner(Task(Stage("xy", chips=HCTL1100, visuals=False), "x", pulses=400)), []
-    monkeypatch.setattr(plans.driver, "write_servo_move", lambda *arguments: told.append(arguments))
+def test_a_servo_move_has_its_rate_and_the_acceleration_of_its_ramp(monkeypatch):
+    plans, written_moves = create_planner(Task(Stage("xy", chips=HCTL1100, visuals=False), "x", pulses=400)), []
+    monkeypatch.setattr(plans.driver, "write_servo_move", lambda *arguments: written_moves.append(arguments))
     plans.write_move("program", MovePlan({"R0F": 1}, Speeds(0.0, 20_000.0, 0.1, 0.1)), -400)
-    assert told == [("program", {"R0F": 1}, -400, (20_000.0, pytest.approx(200_000.0)))]
+    assert written_moves == [("program", {"R0F": 1}, -400, (20_000.0, pytest.approx(200_000.0)))]
 
 
-def test_a_servo_s_filter_stays_in_its_range_whatever_the_numbers():
+def test_filter_parameters_scale_around_the_formula_and_are_clipped_to_their_ranges():
     task = Task(Stage("xy", chips=HCTL1100, visuals=False), "x", pulses=400, payload=8.0)
     plans = create_planner(task)
     middle, ranges = plans.build_plan(plans.compute_speeds(1.5), {}, "linear").registers, plans.filter_ranges
     assert middle == plans._compute_filter()
     for end in (-1.0, 1.0):
-        made = plans.build_plan(plans.compute_speeds(1.5), dict.fromkeys(ranges, end), "linear").registers
+        registers = plans.build_plan(plans.compute_speeds(1.5), dict.fromkeys(ranges, end), "linear").registers
         for name, (low, high) in ranges.items():
             wanted = middle[name] * 4**end if low > 0 else middle[name] + end * 0.25 * (high - low)
-            assert made[name] == int(np.clip(round(wanted), low, high)), name
+            assert registers[name] == int(np.clip(round(wanted), low, high)), name
     light = create_planner(replace(task, payload=0.0))
     assert light._compute_filter() != middle, "the filter is for the payload"
 
 
-# --- C ---
+# --- C headers ---
 
 
-def test_a_function_in_c_has_a_name_that_c_takes(task):
+def test_a_c_function_has_a_valid_name_for_any_name_of_an_axis(task):
     text = format_c_header("my axis-1", "", [], [], [], task.stage.axes["x"].chip)
     assert "static void my_axis_1_move(" in text
     assert "#ifndef MY_AXIS_1_H" in text
@@ -220,7 +233,7 @@ def test_a_function_in_c_has_a_name_that_c_takes(task):
 @pytest.mark.parametrize(
     ("chip", "write"), [(PCL240MS, "outb(value, 0x300 + address)"), (MCX514, "outw(value, 0x300 + 2 * address)")]
 )
-def test_a_wait_among_the_cycles_does_not_change_how_they_are_written(chip, write):
+def test_a_wait_between_bus_cycles_does_not_change_the_c_code_that_writes_them(chip, write):
     chip = Stage("xy", chips=chip, visuals=False).axes["x"].chip
     cycles = [BusCycle(0, 1, ""), BusCycle(None, 5_000_000, ""), BusCycle(1, 2, "")]
     assert write in format_c_header("x", "", [], [], cycles, chip)
@@ -228,8 +241,8 @@ def test_a_wait_among_the_cycles_does_not_change_how_they_are_written(chip, writ
 
 
 @pytest.mark.parametrize("name", ["x", "y", "work", "tool"])
-def test_a_site_or_a_body_is_looked_at_where_it_is(name):
+def test_the_sampler_reads_the_position_of_a_site_or_body(name):
     stage = Stage("xy", chips=PCL240K, visuals=False)
     samples = PositionSampler(Task(stage, "x", pulses=400, judge_at=name))
-    there = stage.data.body(name) if name in "xy" else stage.data.site(name)
-    assert samples._read_position(stage).tolist() == there.xpos.tolist()
+    frame = stage.data.body(name) if name in "xy" else stage.data.site(name)
+    assert samples._read_position(stage).tolist() == frame.xpos.tolist()

@@ -1,4 +1,4 @@
-"""A hinge is tuned as a slide is: the inertia that its motor turns is the model's."""
+"""Tuning of rotary axes: the load of a hinge is the inertia of the model."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from stage.cli import main
 from stage.tune.formula import Load
 
 
-def test_the_load_of_a_hinge_is_the_inertia_about_it():
+def test_the_load_of_a_hinge_is_the_moment_of_inertia_about_its_axis():
     stage = Stage("xya", visuals=False)
     a = stage.axes["a"]
     load = Load.from_axis(a)
