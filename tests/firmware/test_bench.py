@@ -41,7 +41,7 @@ def test_scheduled_edges_come_on_time_even_inside_a_long_wait():
     assert bench.time == 1.0
 
 
-def test_an_action_may_spend_bus_cycles_itself():
+def test_a_scheduled_action_may_make_bus_cycles():
     bench = Bench(PCL240K())
     bench.at(0.5e-6, lambda: bench.axes["x"].chip.read(0))
     bench.cycle()
@@ -49,7 +49,7 @@ def test_an_action_may_spend_bus_cycles_itself():
 
 
 @pytest.mark.parametrize("rate", [100, 8000, 200_000])
-def test_a_rail_changes_its_switch_at_the_very_pulse(rate):
+def test_a_switch_on_a_rail_changes_at_the_pulse_that_crosses_it(rate):
     bench = Bench(PCL240K())
     bench.add_rail("x", at=-50, ins=(0, 9))
     x = bench.axes["x"]
@@ -91,13 +91,13 @@ def test_arguments_out_of_range_raise_errors(call, message):
         call()
 
 
-def test_a_port_on_a_bench_reads_what_the_chip_says():
+def test_a_port_on_a_bench_reads_the_status_of_its_chip():
     x = Bench(PCL240K()).axes["x"]
     x.chip.pins.org = True
     assert str(Port(x).status()) == "halted, R0 = 0, ORG"
 
 
-def test_what_is_due_already_is_done_at_the_next_moment_and_time_does_not_run_back():
+def test_an_action_scheduled_in_the_past_runs_at_once():
     bench, observed = Bench(PCL240K()), []
     bench.wait(0.2)
     bench.at(0.1, lambda: observed.append((bench.time, bench.axes["x"].chip.clock)))
@@ -106,7 +106,7 @@ def test_what_is_due_already_is_done_at_the_next_moment_and_time_does_not_run_ba
     assert bench.time == pytest.approx(0.3)
 
 
-def test_a_chip_with_an_advanced_clock_continues_from_it():
+def test_a_chip_that_has_run_before_continues_from_its_clock():
     chip = PCL240K()
     chip.advance(1234)
     bench = Bench(PCL240K(), chip)

@@ -64,12 +64,12 @@ def test_a_long_move_is_a_trapezoid_and_a_short_one_a_triangle(x):
     assert profile.fl < short.peak_rate < profile.fh1
 
 
-def test_a_move_lasts_from_its_start_to_its_stop(x):
+def test_the_duration_of_a_move_is_its_running_time(x):
     """firmware.preset_move(x, 3, high_speed=False): the chip is busy from the start command to the end of the last pulse"""
     report = firmware.preset_move(x, 3, high_speed=False)
     waveform = report.course
-    began, ended = (waveform.seconds[1:][np.diff(waveform.running.astype(int)) == direction] for direction in (1, -1))
-    assert report.duration == pytest.approx(ended[0] - began[0], abs=1e-9)
+    start, end = (waveform.seconds[1:][np.diff(waveform.running.astype(int)) == direction] for direction in (1, -1))
+    assert report.duration == pytest.approx(end[0] - start[0], abs=1e-9)
     assert report.duration > 3 / Profile.of().fh1
 
 
@@ -89,7 +89,7 @@ def test_a_continuous_move_stops_by_the_requested_command(x, options, why):
     assert report.asked is None
 
 
-def test_a_dual_rate_move_rises_at_half_and_falls_again(x):
+def test_a_dual_rate_move_ramps_between_its_rates_in_order(x):
     profile = Profile.of(fl=1000, fh1=8000, fh2=16_000, accel=0.1)
     report = firmware.dual_rate_move(x, 12_000, profile, rates=("FL", "FH1", "FH2", "FH1"), dwell=0.1)
     assert report.ok
@@ -97,13 +97,13 @@ def test_a_dual_rate_move_rises_at_half_and_falls_again(x):
     assert report.peak_rate == pytest.approx(profile.fh2)
 
 
-def test_speed_changes_through_any_number_of_rates_by_rewriting_the_unselected_register(x):
+def test_a_speed_change_move_reaches_every_rate_of_its_list(x):
     rates = [4000, 9000, 6000, 12_000, 3000]
     report = firmware.speed_change_move(x, 8000, rates, Profile.of(fl=1000, fh1=8000), dwell=0.1)
     assert report.ok
     e = report.course.edges
-    kept = report.course.pin("fkeep") & ~report.course.pin("hold")
-    observed = {round(float(r)) for r in (e["rate"] * report.course.clock_hz)[kept]}
+    is_constant_rate = report.course.pin("fkeep") & ~report.course.pin("hold")
+    observed = {round(float(r)) for r in (e["rate"] * report.course.clock_hz)[is_constant_rate]}
     for rate in rates:
         assert any(abs(s - rate) < 0.02 * rate for s in observed), (rate, observed)
 
@@ -132,13 +132,13 @@ def test_an_end_limit_is_the_reported_stop_reason(x):
     assert report.residual == 50_000 - report.pulses
 
 
-def test_the_listing_says_every_byte_in_words(x):
+def test_the_listing_describes_every_written_byte(x):
     listing = firmware.preset_move(x, 1000).listing()
     for words in ("reset command", "R0 <- 1000", "control mode: preset", "start, ramp to FH1"):
         assert words in listing
 
 
-def test_a_report_draws_itself(x, tmp_path):
+def test_the_plot_of_a_report_is_written_to_a_file(x, tmp_path):
     path = tmp_path / "move.png"
     firmware.dual_rate_move(x, 20_000).plot(str(path))
     assert path.stat().st_size > 20_000
@@ -196,7 +196,7 @@ def test_a_move_that_cannot_end_in_time_says_what_the_chip_was_doing(x):
 
 
 @pytest.mark.parametrize("rates", [(500, 9000, 20_000, 0.1), (123.4, 4567.8, 9876.5, 0.33), (1, 100, 245_000, 2.0)])
-def test_a_profile_comes_as_close_as_the_registers_allow(rates):
+def test_a_profile_reaches_the_requested_rates_within_2_percent(rates):
     fl, fh1, fh2, accel = rates
     p = Profile.of(fl=fl, fh1=fh1, fh2=fh2, accel=accel)
     if fl >= 100:
@@ -231,7 +231,7 @@ def test_the_stop_raises_an_interrupt_on_request(x, high_speed):
     assert not firmware.preset_move(x, 200).course.pin("irq")[-1]
 
 
-def test_an_interruption_after_the_end_changes_nothing(x):
+def test_an_interruption_after_the_end_of_a_move_writes_nothing(x):
     report = firmware.interrupted_move(x, 100, after=0.5)
     assert report.ok
     assert [code for t, code, _ in report.writes() if t >= 0] == ["15"]
@@ -246,7 +246,7 @@ def test_an_interruption_slows_down_from_the_rate_of_the_move(x, fh2, stop):
 
 
 @pytest.mark.parametrize(("fh2", "pulses"), [(False, -4200), (True, -8300)])
-def test_a_short_rest_of_an_interrupted_s_curve_ends_at_fl_by_a_complete_s_curve(fh2, pulses):
+def test_a_short_rest_of_an_interrupted_s_curve_move_ramps_by_a_lower_s_curve(fh2, pulses):
     """firmware.interrupted_move(axis, 3000, profile.shaped(True)): too few pulses are left for FH1"""
     profile = Profile.of(fl=500, fh1=8000, accel=0.2, chip=PCL240MS).shaped(True, fh2)
     report = firmware.interrupted_move(Bench(x=PCL240MS()).axes["x"], pulses, profile, after=0.42, pause=0.05, fh2=fh2)
@@ -262,7 +262,7 @@ def test_a_short_rest_of_an_interrupted_s_curve_ends_at_fl_by_a_complete_s_curve
 @pytest.mark.parametrize("fh2", [False, True])
 @pytest.mark.parametrize("pulses", [2400, -4000, 9000])
 @pytest.mark.parametrize("after", [0.2, 0.31])
-def test_r6_of_an_interrupted_moves_rest_is_the_ramping_down_point_of_so_many_pulses(chip, fh2, pulses, after):
+def test_the_rest_of_an_interrupted_move_gets_the_ramp_down_point_for_its_pulses(chip, fh2, pulses, after):
     """R0 keeps the residual pulses (section 4, R0). R6 for them: Psd + 5 (section 4, R6), or R0 R5 / (R4 + R5) of a triangular
     drive (Q & A), for with R6 > R0 the ramping-up does not occur. The registers and R0 are read on the pins and the bus."""
     profile = Profile.of(fl=500, fh1=8000, fh2=12_000, accel=0.25, decel=0.1)
@@ -270,10 +270,10 @@ def test_r6_of_an_interrupted_moves_rest_is_the_ramping_down_point_of_so_many_pu
     assert (report.pulses, report.stopped_by) == (pulses, "R0 = 0")
     edges, hold = report.course.edges, report.course.pin("hold")
     starts = np.flatnonzero(hold[:-1] & ~hold[1:]) + 1
-    assert len(starts) == 2, "the start, and that of the rest"
+    assert len(starts) == 2, "the start of the move, and that of its rest"
     r0, speed = int(edges["counter"][starts[1]]), edges["speed"][starts[1] :]
     assert 0 < r0 < abs(pulses)
-    down_points = [int(word) for *_, said in report.writes() for word in re.findall(r"^R6 <- (\d+)", said)]
+    down_points = [int(word) for *_, meaning in report.writes() for word in re.findall(r"^R6 <- (\d+)", meaning)]
     fh, r1, r4, r5, r7 = (profile.R3 if fh2 else profile.R2), profile.R1, profile.R4, profile.R5, profile.R7
     squares = fh * fh - r1 * r1
     if r0 < squares * (r4 + r5) / (16384 * r7):
@@ -292,7 +292,7 @@ def test_external_pulses_faster_than_fl_end_the_run_by_their_count(x, rate):
     assert (report.stopped_by, report.ok) == ("R0 = 0", True)
 
 
-def test_external_pulses_may_come_from_a_generator(x):
+def test_a_generator_can_supply_the_external_pulses(x):
     def encoder():
         for _ in range(30):
             x.chip.pins.extp = True
@@ -305,9 +305,9 @@ def test_external_pulses_may_come_from_a_generator(x):
     assert (report.stopped_by, report.residual) == ("R0 = 0", 0)
     too_few = firmware.external_count(x, 40, source=encoder())
     assert (too_few.stopped_by, too_few.residual) == ("reset command", 10)
-    late = firmware.external_count(x, 1000, rate=100, timeout=0.2)
-    assert late.stopped_by == "timeout"
-    assert not late.ok
+    timed_out = firmware.external_count(x, 1000, rate=100, timeout=0.2)
+    assert timed_out.stopped_by == "timeout"
+    assert not timed_out.ok
 
 
 def test_the_average_rate_counts_pulses_of_both_directions(x):
@@ -337,7 +337,7 @@ def test_a_profile_for_another_clock_is_refused():
     assert report.peak_rate == pytest.approx(8000, rel=1e-3)
 
 
-def test_on_the_stage_a_sane_move_loses_no_step_and_ends_where_it_should(xyz):
+def test_on_the_stage_a_move_within_the_limits_loses_no_step_and_ends_at_its_distance(xyz):
     for axis in xyz.axes.values():
         report = firmware.preset_move(axis, 6400)
         assert report.ok
@@ -345,7 +345,7 @@ def test_on_the_stage_a_sane_move_loses_no_step_and_ends_where_it_should(xyz):
         assert report.position - report.start == pytest.approx(0.020, abs=2e-5)
 
 
-def test_steps_that_were_lost_before_are_not_those_of_a_move(xyz):
+def test_a_report_does_not_count_steps_that_were_lost_before_its_move(xyz):
     x = xyz.axes["x"]
     xyz.data.qpos[x.plant.qpos] += 16 * 16 * x.meters_per_pulse
     xyz.run(0.05)
@@ -354,12 +354,12 @@ def test_steps_that_were_lost_before_are_not_those_of_a_move(xyz):
     assert firmware.move(x, pulses=-300).lost_steps == 0
 
 
-def test_above_pull_out_it_stalls_the_report_says_by_how_much_and_a_new_origin_return_repairs_it(xyz):
+def test_a_move_above_pull_out_reports_its_lost_steps_and_an_origin_return_finds_home_again(xyz):
     x = xyz.axes["x"]
     firmware.origin_return(x)
     home = x.position
     report = firmware.preset_move(x, 32_000, Profile.of(fh1=120_000, accel=0.05))
-    assert report.pulses == 32_000, "the chip does not know"
+    assert report.pulses == 32_000, "the chip does not notice lost steps"
     assert not report.ok
     assert report.lost_steps > 0
     assert report.lost_steps % 4 == 0
@@ -393,7 +393,7 @@ def test_on_the_stage_a_start_above_pull_in_loses_steps_where_a_ramp_does_not(xy
     assert firmware.preset_move(x, 16_000, Profile.of(fl=1000, fh1=60_000, fh2=60_000, accel=0.2)).ok
 
 
-def test_on_the_stage_every_kind_of_move_comes_home_without_a_lost_step(xyz):
+def test_on_the_stage_moves_of_every_kind_return_without_a_lost_step(xyz):
     x = xyz.axes["x"]
     begin = x.position
     done = [
@@ -417,22 +417,23 @@ def test_a_move_that_ends_on_org_is_not_reported_as_stopped_by_org(direction, li
 
 
 @pytest.mark.parametrize("kind", [PCL240MK, PCL240MS])
-def test_a_move_that_sd_may_slow_or_whose_ramps_differ_has_its_ramp_down_point_from_the_host(kind):
-    """R4 serves the chip's own point alone, and with SD its count would be wrong."""
+def test_the_chip_finds_the_ramp_down_point_only_with_equal_ramps_and_without_sd(kind):
+    """The automatic point assumes a ramp down with R4, and is wrong after SD has slowed the axis."""
 
-    def automatic(profile=None, **options):
+    def uses_automatic_point(profile=None, **options):
         report = firmware.preset_move(Bench(x=kind()).axes["x"], 4000, profile, **options)
         assert report.ok
         modes = [int(s.code, 16) for s in report.statements if s.kind == "command" and int(s.code, 16) >> 6 == 1]
         return {bool(mode & chip_port.AUTOMATIC) for mode in modes}
 
     even, uneven = (Profile.of(fh1=8000, accel=0.1, decel=decel, chip=kind) for decel in (0.1, 0.15))
-    assert automatic(even) == {True}
-    assert automatic(even, slow_down=True) == automatic(uneven) == automatic(even, down_point=900) == {False}
-    assert automatic(even, slow_down=True, automatic=True) == {True}, "who asks for it has it"
+    assert uses_automatic_point(even) == {True}
+    assert uses_automatic_point(even, slow_down=True) == uses_automatic_point(uneven) == {False}
+    assert uses_automatic_point(even, down_point=900) == {False}
+    assert uses_automatic_point(even, slow_down=True, automatic=True) == {True}, "an explicit request wins"
 
 
-def test_what_a_counter_reads_that_is_not_through_0_is_no_number_below_nothing(x):
+def test_a_counter_is_printed_as_negative_only_after_it_has_passed_0(x):
     report = firmware.preset_move(x, 10)
     overrun = replace(report, asked=-12_000_000, residual=11_999_990)
     assert "(24-bit counter" not in str(overrun)

@@ -26,30 +26,32 @@ def stage():
     return Stage("xyz", chips=MCX514, visuals=False)
 
 
-def drawn(stage, segments, names="xy", speed=SPEED):
-    """The report, and columns of a recording."""
+def draw_and_record(stage, segments, names="xy", speed=SPEED):
+    """Draw a path, and return its report and the columns of a recording."""
     with stage.record() as recording:
         report = draw_path(segments, *(stage.axes[n] for n in names), speed=speed)
         stage.run(0.3)
     return report, recording.columns
 
 
-def off_circle(columns, what, scale, radius=RADIUS, turned=1):
-    """Distance outside a circle about (0, radius) from where the axes began, in the columns' unit."""
-    x, y = (columns[f"{n}/{what}"] * scale for n in "xy")
-    return np.hypot(x - x[0], y - y[0] - turned * radius) - radius
+def compute_circle_deviation(columns, column, scale, radius=RADIUS, direction=1):
+    """Compute the distance outside the circle whose center is `radius` from the start, in the unit of the column times scale."""
+    x, y = (columns[f"{n}/{column}"] * scale for n in "xy")
+    return np.hypot(x - x[0], y - y[0] - direction * radius) - radius
 
 
 @covers("MCX514", "SV", "DV", "AC", "TP", "CP", "IPM", "DECEN")
 @pytest.mark.parametrize("clockwise", [False, True])
 @pytest.mark.parametrize("even", [False, True])
 def test_a_circle_ends_where_it_began_and_the_carriages_keep_its_radius(stage, clockwise, even):
-    report, columns = drawn(stage, [ArcSegment((0, RADIUS), clockwise=clockwise)], speed=PathSpeed(8_000, even=even))
+    report, columns = draw_and_record(
+        stage, [ArcSegment((0, RADIUS), clockwise=clockwise)], speed=PathSpeed(8_000, even=even)
+    )
     assert report.ok
     assert report.pulses == {"x": 0, "y": 0}
-    assert abs(off_circle(columns, "pulses", 1)).max() <= 1
+    assert abs(compute_circle_deviation(columns, "pulses", 1)).max() <= 1
     m = stage.axes["x"].meters_per_pulse
-    off = off_circle(columns, "position", 1, RADIUS * m)
+    off = compute_circle_deviation(columns, "position", 1, RADIUS * m)
     assert abs(off).max() < CARRIAGE
     for n in "xy":
         assert abs(columns[f"{n}/position"][-1] - columns[f"{n}/position"][0]) < AT_REST
@@ -62,8 +64,8 @@ def test_a_circle_ends_where_it_began_and_the_carriages_keep_its_radius(stage, c
 def test_constant_vector_speed_makes_a_circle_last_as_long_as_its_steps_are(stage):
     """Ticks of both axes last sqrt(2) as long: of a circle's 4 sqrt(2) R ticks (8 - 4 sqrt(2)) R are such."""
     slow = PathSpeed(8_000, initial=8_000)
-    even, _ = drawn(stage, [ArcSegment((0, RADIUS))], speed=slow)
-    plain, _ = drawn(stage, [ArcSegment((0, RADIUS))], speed=PathSpeed(8_000, initial=8_000, even=False))
+    even, _ = draw_and_record(stage, [ArcSegment((0, RADIUS))], speed=slow)
+    plain, _ = draw_and_record(stage, [ArcSegment((0, RADIUS))], speed=PathSpeed(8_000, initial=8_000, even=False))
     ticks, both = 4 * np.sqrt(2) * RADIUS, (8 - 4 * np.sqrt(2)) * RADIUS
     assert plain.seconds == pytest.approx(ticks / 8_000, abs=3e-3)
     assert even.seconds == pytest.approx((ticks + (np.sqrt(2) - 1) * both) / 8_000, abs=3e-3)
@@ -72,7 +74,7 @@ def test_constant_vector_speed_makes_a_circle_last_as_long_as_its_steps_are(stag
 @covers("MCX514", "HLN", "HLPCCW", "R-HLV", "HLV", "HLCCW")
 @pytest.mark.parametrize("rotations", [0, 1, 3])
 def test_a_helix_rises_evenly_and_each_revolution_closes(stage, rotations):
-    report, columns = drawn(stage, [HelixSegment((0, RADIUS), (960,), rotations)], "xyz")
+    report, columns = draw_and_record(stage, [HelixSegment((0, RADIUS), (960,), rotations)], "xyz")
     revolutions = max(rotations, 1)
     assert report.ok
     assert report.pulses == {"x": 0, "y": 0, "z": 960 * revolutions}
@@ -80,14 +82,17 @@ def test_a_helix_rises_evenly_and_each_revolution_closes(stage, rotations):
     angle = np.unwrap(np.arctan2(y - RADIUS, x)) + np.pi / 2
     assert angle[-1] == pytest.approx(2 * np.pi * revolutions, abs=1e-3)
     assert abs(z - 960 * angle / (2 * np.pi)).max() < 0.03 * 960, "a tick is not always the same angle"
-    assert abs(off_circle(columns, "position", 1, RADIUS * stage.axes["x"].meters_per_pulse)).max() < CARRIAGE
+    assert (
+        abs(compute_circle_deviation(columns, "position", 1, RADIUS * stage.axes["x"].meters_per_pulse)).max()
+        < CARRIAGE
+    )
     assert not stage.chips[0].diagnostics
 
 
 @covers("MCX514", "CHKCCW", "LHK2", "DECDIS", "DECEN")
-def test_a_path_keeps_its_speed_from_segment_to_segment(stage):
+def test_a_path_keeps_its_speed_between_segments(stage):
     path = [LineSegment(3200, 0), ArcSegment((0, 1600), (1600, 1600)), LineSegment(0, 3200)]
-    report, columns = drawn(stage, path)
+    report, columns = draw_and_record(stage, path)
     assert report.ok
     assert (report.segments, report.pulses) == (3, {"x": 4800, "y": 4800})
     v = np.hypot(np.diff(columns["x/pulses"][::10]), np.diff(columns["y/pulses"][::10])) / 10e-3
@@ -104,7 +109,7 @@ def test_more_segments_than_the_pre_buffer_holds_are_fed_as_it_empties(stage):
     rng = np.random.default_rng(20)
     print("seed 20")
     corners = rng.integers(150, 400, (25, 2)) * rng.choice([-1, 1], (25, 2))
-    report, _ = drawn(stage, [LineSegment(*map(int, p)) for p in corners], speed=PathSpeed(3_000))
+    report, _ = draw_and_record(stage, [LineSegment(*map(int, p)) for p in corners], speed=PathSpeed(3_000))
     assert report.ok
     assert report.pulses == dict(zip("xy", corners.sum(axis=0).tolist(), strict=True))
     assert not stage.chips[0].diagnostics
@@ -116,7 +121,7 @@ def test_clockwise_arcs_and_helices_have_the_opposite_direction(stage):
         ArcSegment((0, 800), (800, 800), clockwise=True),
         HelixSegment((0, 800), (300,), 0, (800, 800), clockwise=True),
     ):
-        report, columns = drawn(stage, [segment], "xyz")
+        report, columns = draw_and_record(stage, [segment], "xyz")
         assert report.ok
         assert (report.pulses["x"], report.pulses["y"]) == (800, 800)
         x = columns["x/pulses"] - columns["x/pulses"][0]
@@ -125,7 +130,7 @@ def test_clockwise_arcs_and_helices_have_the_opposite_direction(stage):
 
 @covers("MCX514", "LHK3", "CHKCCW", "HLCCW")
 def test_lines_of_three_axes_and_arcs_of_their_first_two_make_one_path(stage):
-    report, _ = drawn(
+    report, _ = draw_and_record(
         stage,
         [
             LineSegment(800, 400, -300),
@@ -139,10 +144,12 @@ def test_lines_of_three_axes_and_arcs_of_their_first_two_make_one_path(stage):
     assert report.pulses == {"x": 1609, "y": 300, "z": 700}
 
 
-def test_a_limit_ends_the_path_and_what_waits_is_not_drawn(stage):
+def test_a_limit_ends_the_path_and_pending_segments_are_not_drawn(stage):
     x = stage.axes["x"]
     stage.place(x=x.travel[1] - 0.02)
-    report, _ = drawn(stage, [LineSegment(32_000, 0)] + [LineSegment(-2_000, 500)] * 12, speed=PathSpeed(16_000))
+    report, _ = draw_and_record(
+        stage, [LineSegment(32_000, 0)] + [LineSegment(-2_000, 500)] * 12, speed=PathSpeed(16_000)
+    )
     assert not report.ok
     assert report.errors["x"] == ("HLMT+",)
     assert report.pulses["y"] == 0

@@ -15,12 +15,15 @@ def stage():
 
 
 @pytest.fixture(scope="module")
-def with_z():
+def z_stage():
     return Stage("xyz", chips=PCL240K, visuals=False)
 
 
-def homed(stage, name, runs, **options):
-    """Final positions in pulses of `runs` returns from random places at random speeds; of few from places near to ORG."""
+def find_origins(stage, name, runs, **options):
+    """Make origin returns from random starts at random speeds, and return their final positions in pulses.
+
+    Fewer than 100 runs start near ORG.
+    """
     print("seed", SEED)
     rng = np.random.default_rng([SEED, ord(name)])
     axis, places = stage.axes[name], []
@@ -43,22 +46,22 @@ HUNDRED = [pytest.param(name, 100, marks=pytest.mark.slow) for name in "xyz"]
 
 
 @pytest.mark.parametrize(("name", "runs"), [("x", 3), ("y", 2), ("z", 2), *HUNDRED])
-def test_returns_from_random_places_end_within_one_pulse_of_each_other(stage, with_z, name, runs):
-    places = homed(with_z if name == "z" else stage, name, runs)
+def test_returns_from_random_places_end_within_one_pulse_of_each_other(stage, z_stage, name, runs):
+    places = find_origins(z_stage if name == "z" else stage, name, runs)
     assert np.ptp(places) <= 2.0, "+-1 pulse about one place"
     print(f"{name}: spread {np.ptp(places):.2f} pulses over {runs} returns")
 
 
 def test_without_the_slow_approach_the_spread_is_larger(stage):
-    fast = homed(stage, "x", 3, slow_approach=False)
-    slow = homed(stage, "x", 3)
+    fast = find_origins(stage, "x", 3, slow_approach=False)
+    slow = find_origins(stage, "x", 3)
     print(f"spread {np.ptp(fast):.2f} pulses without slow approach, {np.ptp(slow):.2f} with it")
     assert np.ptp(fast) > np.ptp(slow)
     assert np.ptp(fast) < 20
 
 
 @pytest.mark.parametrize("place", [-0.1255, -0.1205, -0.1199, -0.1499, 0.0, 0.1499, -0.1501, 0.1501])
-def test_it_works_from_any_place_on_the_switches_or_between(stage, place):
+def test_an_origin_return_succeeds_from_any_start_on_or_between_the_switches(stage, place):
     stage.reset()
     stage.place(x=place)
     x = stage.axes["x"]
@@ -67,7 +70,7 @@ def test_it_works_from_any_place_on_the_switches_or_between(stage, place):
     assert report.position == pytest.approx(-0.120, abs=3 * x.meters_per_pulse)
 
 
-def test_constant_speed_return_needs_no_sd(stage):
+def test_a_constant_speed_return_needs_no_sd(stage):
     stage.reset()
     stage.place(y=-0.06)
     report = firmware.origin_return(stage.axes["y"], high_speed=False)
@@ -75,7 +78,7 @@ def test_constant_speed_return_needs_no_sd(stage):
     assert not report.course.pin("fup").any()
 
 
-def test_a_constant_speed_return_is_stopped_by_the_reset_command_alone(stage):
+def test_a_constant_speed_return_writes_no_decelerating_stop(stage):
     stage.reset()
     stage.place(y={s.pin: s.touch for s in stage.axes["y"].plant.switches}["org"] - 1e-4)
     assert stage.axes["y"].switches.org
@@ -96,7 +99,7 @@ def test_sd_slows_the_axis_to_fl_before_org_stops_it(stage):
     assert speed[org] == firmware.Profile.of().R1
 
 
-def test_a_missing_org_ends_at_the_limit_and_says_so(stage):
+def test_a_return_without_org_ends_at_the_limit_and_reports_it(stage):
     stage.reset()
     x = stage.axes["x"]
     stage.place(x=-0.10)
@@ -110,19 +113,19 @@ def test_a_missing_org_ends_at_the_limit_and_says_so(stage):
 
 
 @pytest.fixture(scope="module")
-def extended():
+def stage_with_ez_chips():
     return Stage("xy", chips={"x": PCL240MS, "y": PCL240MK}, visuals=False)
 
 
 @pytest.fixture(scope="module")
-def extended_with_z():
+def z_stage_with_ez_chips():
     return Stage("xyz", chips=PCL240MS, visuals=False)
 
 
 FAST = {"approach": 1600.0, "profile": firmware.Profile.of(fl=1800)}  # to an index pulse, which takes any speed
 
 
-def index_places(axis):
+def find_index_positions(axis):
     """Joint positions of the first index pulses below ORG: their rims nearer to plus, m."""
     org = next(s.touch for s in axis.plant.switches if s.pin == "org")
     lead = 2 * np.pi / axis.gear
@@ -131,35 +134,37 @@ def index_places(axis):
 
 
 @pytest.mark.parametrize(("name", "ez"), [("x", 1), ("x", 2), ("y", 2), ("z", 3)])
-def test_the_origin_return_ends_at_the_requested_index_pulse(extended, extended_with_z, name, ez):
-    stage = extended_with_z if name == "z" else extended
+def test_the_origin_return_ends_at_the_requested_index_pulse(stage_with_ez_chips, z_stage_with_ez_chips, name, ez):
+    stage = z_stage_with_ez_chips if name == "z" else stage_with_ez_chips
     stage.reset()
     axis = stage.axes[name]
-    stage.place(**{name: index_places(axis)[0] + 0.03})
+    stage.place(**{name: find_index_positions(axis)[0] + 0.03})
     report = firmware.origin_return(axis, ez=ez, **({} if ez == 1 else FAST))
     assert report.stopped_by == "EZ"
     stage.run(0.1)  # the carriage still swings by half a pulse when the report is made
-    assert axis.position == pytest.approx(index_places(axis)[ez - 1], abs=2 * axis.meters_per_pulse)
+    assert axis.position == pytest.approx(find_index_positions(axis)[ez - 1], abs=2 * axis.meters_per_pulse)
     assert Port(axis).position() == 0, "the position counter starts at the origin"
     assert axis.chip.diagnostics == []
 
 
 @pytest.mark.parametrize(("name", "runs"), [("x", 3), ("z", 2), *HUNDRED])
-def test_with_ez_returns_end_at_one_pulse(extended, extended_with_z, name, runs):
-    places = homed(extended_with_z if name == "z" else extended, name, runs, ez=1 if runs < 100 else 2)
+def test_returns_to_an_index_pulse_end_at_the_same_pulse(stage_with_ez_chips, z_stage_with_ez_chips, name, runs):
+    places = find_origins(
+        z_stage_with_ez_chips if name == "z" else stage_with_ez_chips, name, runs, ez=1 if runs < 100 else 2
+    )
     print(f"{name}: spread {np.ptp(places):.2f} pulses over {runs} returns")
     assert np.ptp(places) <= 1.0
 
 
-def test_a_switch_that_drifts_moves_the_origin_with_org_and_not_with_ez(extended):
-    x, shift = extended.axes["x"], 0.0004
-    beam = extended.model.geom("x_org_switch").pos
+def test_a_switch_that_drifts_moves_the_origin_with_org_and_not_with_ez(stage_with_ez_chips):
+    x, shift = stage_with_ez_chips.axes["x"], 0.0004
+    beam = stage_with_ez_chips.model.geom("x_org_switch").pos
     ends = {}
     for ez in (None, 1):
         ends[ez] = []
         for direction in (0.0, shift, -shift):
-            extended.reset()
-            extended.place(x=-0.11)
+            stage_with_ez_chips.reset()
+            stage_with_ez_chips.place(x=-0.11)
             beam[0] += direction
             ends[ez].append(firmware.origin_return(x, ez=ez, **(FAST if ez else {})).position)
             beam[0] -= direction
@@ -167,26 +172,26 @@ def test_a_switch_that_drifts_moves_the_origin_with_org_and_not_with_ez(extended
     assert np.ptp(ends[1]) < x.meters_per_pulse
 
 
-def test_a_fast_return_to_ez_slows_down_between_org_and_the_index(extended):
-    extended.reset()
-    x = extended.axes["x"]
-    extended.place(x=-0.09)
+def test_a_fast_return_to_ez_slows_down_between_org_and_the_index(stage_with_ez_chips):
+    stage_with_ez_chips.reset()
+    x = stage_with_ez_chips.axes["x"]
+    stage_with_ez_chips.place(x=-0.09)
     report = firmware.origin_return(x, ez=3, slow_approach=False)
     assert report.stopped_by == "EZ"
-    assert report.position == pytest.approx(index_places(x)[2], abs=10 * x.meters_per_pulse)
+    assert report.position == pytest.approx(find_index_positions(x)[2], abs=10 * x.meters_per_pulse)
 
 
-def test_an_index_that_never_comes_ends_at_the_limit_and_says_so(extended):
-    extended.reset()
-    extended.place(x=-0.11)
-    report = firmware.origin_return(extended.axes["x"], ez=16, **FAST)
+def test_a_return_without_an_index_pulse_ends_at_the_limit_and_reports_it(stage_with_ez_chips):
+    stage_with_ez_chips.reset()
+    stage_with_ez_chips.place(x=-0.11)
+    report = firmware.origin_return(stage_with_ez_chips.axes["x"], ez=16, **FAST)
     assert report.stopped_by == "EL-"
     assert not report.ok
 
 
-def test_ez_is_refused_where_it_cannot_be(stage, extended):
+def test_an_index_pulse_number_that_the_chip_cannot_count_is_refused(stage, stage_with_ez_chips):
     with pytest.raises(ArgumentError, match=r"PCL240K does not count EZ: a PCL240MK or PCL240MS does"):
         firmware.origin_return(stage.axes["x"], ez=1)
     for ez in (0, 17, 1.5):
         with pytest.raises(ArgumentError, match="1st to 16th"):
-            firmware.origin_return(extended.axes["x"], ez=ez)
+            firmware.origin_return(stage_with_ez_chips.axes["x"], ez=ez)

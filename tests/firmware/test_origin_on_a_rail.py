@@ -19,7 +19,7 @@ SWITCHES = {
 }
 
 
-def at(place, chip=PCL240K, **switches):
+def make_axis_at(place, chip=PCL240K, **switches):
     bench = Bench(chip())
     bench.add_rail("x", at=place, **(SWITCHES | switches))
     return bench.axes["x"]
@@ -29,8 +29,8 @@ def at(place, chip=PCL240K, **switches):
 @pytest.mark.parametrize(
     "place", [LOW - 50, LOW, LOW + 1, -1000, -1, 0, 1, 150, 6399, 6400, 6401, 12_000, HIGH, HIGH + 20]
 )
-def test_it_ends_on_the_same_pulse_from_any_place(place, high_speed):
-    x = at(place)
+def test_a_return_ends_on_the_same_pulse_from_any_start(place, high_speed):
+    x = make_axis_at(place)
     report = firmware.origin_return(x, -1, P, high_speed=high_speed)
     assert report.stopped_by == "ORG"
     assert report.ok
@@ -39,18 +39,18 @@ def test_it_ends_on_the_same_pulse_from_any_place(place, high_speed):
     assert x.chip.diagnostics == []
 
 
-def test_it_ends_on_the_same_pulse_from_random_places_at_random_speeds():
+def test_a_return_ends_on_the_same_pulse_from_random_starts_at_random_speeds():
     print("seed", SEED)
     rng = np.random.default_rng(SEED)
     for _ in range(scaled(5)):
-        x = at(int(rng.integers(LOW, HIGH + 1)))
+        x = make_axis_at(int(rng.integers(LOW, HIGH + 1)))
         fl = rng.uniform(300, 2000)
         speeds = Profile.of(fl=fl, fh1=rng.uniform(fl, 40_000), accel=rng.uniform(0.01, 0.3))
         report = firmware.origin_return(x, -1, speeds, back_off=int(rng.integers(1, 500)))
         assert (report.stopped_by, x.rail_position) == ("ORG", 0)
 
 
-def test_towards_plus_it_is_the_mirror_image():
+def test_a_return_in_the_plus_direction_mirrors_one_in_the_minus_direction():
     mirrored = {"el_plus": (3200, None), "sd_plus": (-6400, None), "org": (0, None), "el_minus": (None, -20_000)}
     bench = Bench(PCL240K())
     for place in (-15_000, -200, 0, 3200):
@@ -64,9 +64,9 @@ def test_towards_plus_it_is_the_mirror_image():
 
 @pytest.mark.parametrize("chip", [PCL240MK, PCL240MS])
 @pytest.mark.parametrize("ez", [1, 16])
-def test_an_end_limit_before_the_index_pulse_is_no_origin(ez, chip):
+def test_an_end_limit_before_the_index_pulse_is_not_reported_as_origin(ez, chip):
     """firmware.origin_return(axis, -1, ez=1) of an encoder without index pulses"""
-    x = at(3000, chip=chip)
+    x = make_axis_at(3000, chip=chip)
     report = firmware.origin_return(x, -1, P, ez=ez, approach=500)
     assert (report.stopped_by, x.rail_position, report.ok) == ("EL-", LOW, False)
     assert x.chip.values()["R1"] == round(500 / P.step), "the speed of the approach, as on every chip"
@@ -75,22 +75,22 @@ def test_an_end_limit_before_the_index_pulse_is_no_origin(ez, chip):
 def test_the_approach_is_at_most_fl_and_at_least_one_speed_step():
     """firmware.origin_return(axis, -1, P, approach=1e4)"""
     for approach, r1 in [(0.4 * P.step, 1), (500, round(500 / P.step)), (1e4, P.R1), (P.step * 8191, P.R1)]:
-        x = at(30)
+        x = make_axis_at(30)
         report = firmware.origin_return(x, -1, P, approach=approach, back_off=3)
         assert (report.stopped_by, x.rail_position) == ("ORG", 0)
         assert report.course.edges["speed"][report.course.running][-1] == r1
 
 
-def test_sd_takes_it_to_fl_before_org():
-    waveform = firmware.origin_return(at(12_000), -1, P, slow_approach=False).course
+def test_sd_slows_the_return_to_fl_before_org():
+    waveform = firmware.origin_return(make_axis_at(12_000), -1, P, slow_approach=False).course
     org = np.flatnonzero(waveform.pin("org"))[0]
     assert waveform.edges["speed"][org] == P.R1
     assert waveform.pin("fdown").any()
 
 
 @pytest.mark.parametrize("high_speed", [True, False])
-def test_without_org_it_ends_on_the_end_limit_and_says_so(high_speed):
-    x = at(5000, org=(1, 0))
+def test_a_return_without_org_ends_on_the_end_limit_and_reports_it(high_speed):
+    x = make_axis_at(5000, org=(1, 0))
     report = firmware.origin_return(x, -1, P, high_speed=high_speed)
     assert report.stopped_by == "EL-"
     assert not report.ok
@@ -98,7 +98,7 @@ def test_without_org_it_ends_on_the_end_limit_and_says_so(high_speed):
 
 
 def test_an_org_switch_that_is_never_released_is_not_the_origin():
-    x = at(5000, org=(None, None))
+    x = make_axis_at(5000, org=(None, None))
     report = firmware.origin_return(x, -1, P)
     assert report.stopped_by == "EL+", "it went to look where ORG ends"
     assert not report.ok
@@ -108,11 +108,11 @@ def test_an_org_switch_that_is_never_released_is_not_the_origin():
 @pytest.mark.parametrize("high_speed", [True, False])
 def test_a_carriage_that_releases_org_during_a_poll_is_home(monkeypatch, high_speed):
     """The carriage rings, or the contact bounces: the first status byte after each stop has no ORG, later ones do."""
-    look, operating, missed = Port.status, False, []
+    status_read, operating, missed = Port.status, False, []
 
     def status(port):
         nonlocal operating
-        observed = look(port)
+        observed = status_read(port)
         stops, operating = operating and not observed.operating, observed.operating
         if stops and observed.org:
             missed.append(observed)
@@ -120,7 +120,7 @@ def test_a_carriage_that_releases_org_during_a_poll_is_home(monkeypatch, high_sp
         return observed
 
     monkeypatch.setattr(Port, "status", status)
-    x = at(12_000)
+    x = make_axis_at(12_000)
     report = firmware.origin_return(x, -1, P, high_speed=high_speed)
     assert (report.stopped_by, x.rail_position, len(missed)) == ("ORG", 0, 2)
 
@@ -142,19 +142,19 @@ def test_an_axis_without_any_switch_times_out_with_a_report():
         ({"approach": 1e9}, "approach=1000000000.0 pps"),
     ],
 )
-def test_bad_input_is_refused_before_the_first_bus_cycle(options, message):
-    x = at(100)
+def test_invalid_arguments_of_an_origin_return_are_refused_before_the_first_bus_cycle(options, message):
+    x = make_axis_at(100)
     with pytest.raises(ArgumentError, match=message):
         firmware.origin_return(x, **options)
     assert x.time == 0.0
 
 
 @pytest.mark.parametrize(("approach", "speed"), [(1500.0, P.R1), (400.0, round(400 / P.step)), (0.01, 1)])
-def test_the_last_approach_is_at_its_rate_and_no_faster_than_fl(approach, speed):
+def test_the_last_approach_has_its_rate_but_at_most_fl(approach, speed):
     """firmware.origin_return(x, -1, P, approach=1500.0) with FL = 1000 pps"""
-    x = at(300)
+    x = make_axis_at(300)
     if approach < 1:
-        x = at(-3)
+        x = make_axis_at(-3)
         report = firmware.origin_return(x, -1, P, approach=approach, back_off=1, timeout=500.0)
     else:
         report = firmware.origin_return(x, -1, P, approach=approach)

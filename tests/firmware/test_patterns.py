@@ -50,18 +50,18 @@ def notes(report):
     return get_driver_class(report.course.chip).PATTERN(report).notes(report.course.seconds - report.began)
 
 
-def test_the_page_is_what_the_code_does_now(reports):
+def test_the_page_of_patterns_is_up_to_date(reports):
     """Titles, words, code, bytes and times. If it fails: python scripts/draw_patterns.py"""
     assert (ROOT / "docs" / "patterns.md").read_text() == patterns.page(reports)
 
 
-def test_every_pattern_has_its_picture_and_no_picture_is_left_over():
+def test_every_pattern_has_exactly_one_picture():
     pictures = {p.stem for p in (ROOT / "docs" / "pictures" / "patterns").glob("*.png")}
     assert pictures == set(NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_pattern_makes_its_pulses_without_a_mistake(reports, name):
+def test_every_pattern_succeeds_within_two_seconds(reports, name):
     report = reports[name]
     assert report.ok or name == "end_limit"
     assert report.duration < 2
@@ -94,13 +94,13 @@ def test_an_operation_pattern_passes_through_its_phases(reports, name, expected)
     assert phases(reports[name]) == expected
 
 
-def test_fig_a_ends_above_fl_and_fig_c_crawls(reports):
-    late, early = reports["down_point_too_late"], reports["down_point_too_early"]
-    assert late.rates[late.rates > 0][-1] > 3 * patterns.P.fl
-    assert early.duration > reports["high_speed_preset"].duration + 0.2
+def test_a_late_ramp_down_point_ends_above_fl_and_an_early_one_adds_a_slow_tail(reports):
+    ramped_too_late, ramped_too_early = reports["down_point_too_late"], reports["down_point_too_early"]
+    assert ramped_too_late.rates[ramped_too_late.rates > 0][-1] > 3 * patterns.P.fl
+    assert ramped_too_early.duration > reports["high_speed_preset"].duration + 0.2
 
 
-def test_the_bytes_are_those_of_the_data_sheet(reports):
+def test_the_commands_of_the_patterns_are_those_of_the_data_sheet(reports):
     """Operating and control commands of section 3 a and b."""
 
     def codes(name):
@@ -162,21 +162,21 @@ def test_notes_never_overlap(reports, monkeypatch):
             assert all(rows[k] > rows[j] for j in range(k + 1, len(notes)) if at[j] < end)
 
 
-def test_a_run_that_the_reset_command_ends_says_so_once(reports):
-    """The host's byte is a note already; what it did is none beside it."""
+def test_a_reset_command_that_ends_a_run_has_one_note(reports):
+    """The note of the host's byte is enough; its effect gets no second note."""
     report = reports["immediate_stop"]
     assert report.stopped_by == "reset command"
     assert [n.words for n in notes(report)].count("reset command") == 1
     assert not any(n.event for n in notes(report))
 
 
-def test_bytes_that_prepare_a_start_stand_before_it(reports):
-    """Reset command and control mode make no note of their own."""
+def test_bytes_that_prepare_a_start_share_its_note(reports):
+    """Reset command and control mode have no notes of their own."""
     assert [n.code for n in notes(reports["high_speed_preset"]) if not n.event] == ["08h 44h 15h"]
     assert [n.code for n in notes(reports["decelerating_stop"]) if not n.event] == ["08h 40h 37h", "3Fh"]
 
 
-def test_the_ramp_down_point_is_noted_as_r6(reports):
+def test_the_note_of_the_ramp_down_point_states_r6(reports):
     for name in ("high_speed_preset", "triangular", "down_point_too_early", "down_point_too_late"):
         written = [meaning for _, _, meaning in reports[name].writes() if meaning.startswith("R6 <- ")]
         point = int(written[-1].split()[2])

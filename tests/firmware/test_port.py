@@ -10,12 +10,12 @@ from stage.firmware import Bench, Port, Profile
 from stage.firmware.pcl240 import chip_port
 
 
-def port(**options):
+def make_port(**options):
     return Port(Bench(PCL240K(), **options).axes["x"])
 
 
 def test_registers_are_written_from_the_high_byte_to_the_low():
-    p = port()
+    p = make_port()
     journal = p.axis.chip.journal()
     p.write_register("R0", 0x123456)
     p.write_register("R2", 0x1ABC)
@@ -27,7 +27,7 @@ def test_registers_are_written_from_the_high_byte_to_the_low():
 
 
 def test_a_set_of_registers_is_checked_before_the_first_is_written():
-    p = port()
+    p = make_port()
     with pytest.raises(ArgumentError, match=r"R4 .acceleration rate. cannot be 20000: .* from 2 to 16383"):
         p.write_registers(R1=100, R4=20_000)
     assert p.axis.chip.values()["R1"] == 0
@@ -35,7 +35,7 @@ def test_a_set_of_registers_is_checked_before_the_first_is_written():
 
 
 def test_the_status_is_named_by_the_register_map_and_readable():
-    p = port()
+    p = make_port()
     p.write_registers(R0=100, R1=500, R2=4000, R3=4000, R4=300, R5=300, R6=50, R7=300)
     assert str(p.status()) == "halted"
     p.command(chip_port.CONTROL | chip_port.PRESET)
@@ -47,7 +47,7 @@ def test_the_status_is_named_by_the_register_map_and_readable():
     assert status.zero
 
 
-def test_reading_a_register_leaves_the_bus_as_it_was():
+def test_reading_a_register_keeps_the_selected_register_and_the_output_mode():
     p = Port(Bench(PCL240MK()).axes["x"])
     p.command(chip_port.OUTPUT | chip_port.EXTERNAL)
     p.write_registers(R0=0x010203, R10=0x040506)
@@ -63,8 +63,8 @@ def test_reading_a_register_leaves_the_bus_as_it_was():
     assert p.counter() == 0x010276, "what the output mode was before"
 
 
-def test_a_bus_too_slow_to_read_the_counter_says_so_and_does_not_hang():
-    p = port(bus_cycle=1e-3)
+def test_a_bus_too_slow_to_read_the_counter_raises_an_error():
+    p = make_port(bus_cycle=1e-3)
     p.write_registers(R0=0xFFFFFF, R1=8191, R2=8191, R7=2)
     p.command(chip_port.CONTROL)
     p.command(chip_port.START["FH1"])
@@ -75,13 +75,13 @@ def test_a_bus_too_slow_to_read_the_counter_says_so_and_does_not_hang():
 @pytest.mark.parametrize("count", [0x010000, 0xAB0000, 0x800000])
 def test_a_counter_read_while_its_high_byte_changes_is_read_again(count):
     """R0 = 10000h at the first byte, FFFFh at the others: 1FFFFh"""
-    p = port()
+    p = make_port()
     counts = iter([count] + [count - 1] * 20)  # one pulse, after the first byte
     p._chip = SimpleNamespace(read=lambda address: next(counts) >> 8 * (address - 1) & 0xFF)
     assert p.counter() == count - 1
 
 
-def test_a_timeout_says_what_the_chip_was_doing_and_carries_the_report():
+def test_a_timeout_states_the_phase_of_the_chip_and_has_the_report():
     x = Bench(PCL240K()).axes["x"]
     with pytest.raises(RunTimeout, match=r"still operates after 0.200 s .*: R0 = \d+, at constant speed") as caught:
         firmware.preset_move(x, 100_000, timeout=0.2)
@@ -96,17 +96,17 @@ def test_a_timeout_says_what_the_chip_was_doing_and_carries_the_report():
     assert firmware.preset_move(x, 10).ok
 
 
-def test_sixteen_million_pulses_are_polled_for_every_two_milliseconds():
+def test_a_long_move_is_polled_every_two_milliseconds():
     x = Bench(PCL240K()).axes["x"]
     cycles = 0
     read = x.chip.read
 
-    def counted(address):
+    def count_reads(address):
         nonlocal cycles
         cycles += 1
         return read(address)
 
-    x.chip.read = counted
+    x.chip.read = count_reads
     report = firmware.preset_move(x, -16_777_215, Profile.of(fl=1000, fh1=240_000, fh2=240_000, accel=0.5))
     assert report.ok
     assert cycles == pytest.approx(report.duration / 2e-3, rel=0.02)

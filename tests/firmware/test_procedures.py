@@ -64,17 +64,17 @@ def test_a_move_in_meters_reaches_and_reports_its_position(stage):
 
 
 @each
-def test_homings_that_a_chip_has_are_by_the_switch_and_by_the_index(stage, monkeypatch):
+def test_each_homing_method_of_a_chip_calls_its_driver_with_or_without_the_index(stage, monkeypatch):
     """firmware.home(axis, by="index"); stage home x --by index"""
-    axis, asked = stage.axes["x"], []
+    axis, calls = stage.axes["x"], []
     driver = get_driver(axis)
     monkeypatch.setattr(
-        type(driver), "home", lambda self, direction, speeds, index, timeout: asked.append((direction, index, timeout))
+        type(driver), "home", lambda self, direction, speeds, index, timeout: calls.append((direction, index, timeout))
     )
     for by in driver.list_homing_methods():
         firmware.home(axis, 1, by=by, timeout=9.0)
-    assert asked == [(1, False, 9.0), (1, True, 9.0)][: 1 if type(axis.chip) in (PCL240K, STEPDIR) else 2]
-    firmware.home(axis, 1, by=driver.list_homing_methods()[-1], index=len(asked) == 2)
+    assert calls == [(1, False, 9.0), (1, True, 9.0)][: 1 if type(axis.chip) in (PCL240K, STEPDIR) else 2]
+    firmware.home(axis, 1, by=driver.list_homing_methods()[-1], index=len(calls) == 2)
     with pytest.raises(ArgumentError, match=r"home by 'nose': an? \w+ cannot; it homes by switch"):
         firmware.home(axis, by="nose")
     with pytest.raises(ArgumentError, match="give one of the two"):
@@ -97,7 +97,7 @@ def test_home_ends_at_the_origin(stage):
 
 
 @each
-def test_a_home_that_meets_the_end_limit_in_place_of_org_says_so(stage):
+def test_homing_that_meets_the_end_limit_instead_of_org_reports_it(stage):
     """with faults.vane_missing(x, "org"): firmware.home(x)"""
     x = stage.axes["x"]
     touch = {s.pin: s.touch for s in x.plant.switches}
@@ -111,7 +111,7 @@ def test_a_home_that_meets_the_end_limit_in_place_of_org_says_so(stage):
 
 
 @pytest.mark.parametrize(("stage", "name"), [("MCX304", "x"), ("MCX302", "y")], indirect=["stage"])
-def test_home_begins_on_an_end_limit_as_well(stage, name):
+def test_homing_may_begin_on_an_end_limit(stage, name):
     """stage.place(x=-0.1505); firmware.home(x)"""
     axis = stage.axes[name]
     touch = {s.pin: s.touch for s in axis.plant.switches}
@@ -167,7 +167,7 @@ def test_ramps_last_the_requested_time(stage):
 
 
 @each
-def test_two_rates_are_two_where_the_chip_has_them_and_else_the_higher_one(stage):
+def test_a_chip_without_a_second_rate_moves_at_the_higher_one(stage):
     x = stage.axes["x"]
     report = move_at_two_rates(
         x, pulses=16_000, speed=Speeds(drive=10_000, up=0.05, down=0.05).with_second(20_000), dwell=0.1
@@ -191,7 +191,7 @@ def test_jog_runs_for_the_requested_time_and_stops_with_a_ramp(stage):
 
 
 @pytest.mark.parametrize("name", STEPPING)
-def test_a_jog_without_a_speed_runs_towards_plus_and_one_of_0_s_stays(name):
+def test_a_jog_runs_in_the_plus_direction_by_default_and_one_of_0_s_makes_at_most_one_pulse(name):
     """firmware.jog(axis, 0.05)"""
     x = Bench(x=CHIPS[name]()).axes["x"]
     assert 300 < firmware.jog(x, 0.05).pulses < 400
@@ -201,7 +201,7 @@ def test_a_jog_without_a_speed_runs_towards_plus_and_one_of_0_s_stays(name):
 
 
 @pytest.mark.parametrize(("name", "least", "maximum"), [("MCX304", 20, 160_000), ("MCX514", 1, 8_000_000)])
-def test_a_nova_chip_moves_at_every_speed_that_it_says_it_makes_and_no_other(name, least, maximum):
+def test_a_nova_chip_moves_at_every_speed_of_its_stated_range_and_at_no_other(name, least, maximum):
     """firmware.move(axis, pulses=3, speed=..., start_speed=...) at the bounds"""
     driver = get_driver(Bench(x=CHIPS[name]()).axes["x"])
     for start, drive in [(least, least), (least, 1000), (1000, 1000), (1000, maximum)]:
@@ -240,7 +240,7 @@ def test_a_line_of_nova_axes_refuses_impossible_lines_and_reports_stop_reasons(s
 
 
 @each
-def test_stop_ends_what_a_driver_has_started(stage):
+def test_stop_ends_a_run_and_the_axis_can_move_again(stage):
     for at_once in (False, True):
         x = stage.axes["x"]
         driver = get_driver(x)
@@ -340,7 +340,7 @@ def test_an_end_limit_is_reported_by_name(stage):
 
 
 @pytest.mark.parametrize("stage", ["HCTL1100"], indirect=True)
-def test_a_line_of_servos_that_a_limit_ends_says_so(stage):
+def test_a_line_of_servos_that_meets_a_limit_reports_it(stage):
     """firmware.line({"x": 6e-3, "y": 2e-3}, stage.axes), 2 mm before the end limit of x"""
     touch = next(s.touch for s in stage.axes["x"].plant.switches if s.pin == "el_plus")
     stage.place(x=touch - 2e-3)
@@ -362,7 +362,7 @@ def test_a_line_longer_than_the_chip_counts_is_refused_and_nothing_moves(stage, 
 
 
 @pytest.mark.parametrize("stage", ["MCX514", "MCX512", "MCX312", "MCX314AS"], indirect=True)
-def test_a_line_whose_finish_point_has_no_room_for_its_sign_is_refused(stage):
+def test_a_line_whose_finish_point_exceeds_its_register_is_refused(stage):
     """3e9 pulses are -1,294,967,296 in a signed register of 32 bits: the other way"""
     with pytest.raises(ArgumentError, match=r"2147483646|2147483647 to each side"):
         firmware.line({"x": 3_000_000_000, "y": 16}, stage, pulses=True)
@@ -370,7 +370,7 @@ def test_a_line_whose_finish_point_has_no_room_for_its_sign_is_refused(stage):
 
 
 @pytest.mark.parametrize("stage", ["HCTL1100"], indirect=True)
-def test_a_line_of_servos_is_refused_where_its_positions_or_its_time_have_no_end(stage):
+def test_a_line_of_servos_beyond_the_position_register_or_the_time_limit_is_refused(stage):
     for distance in (42.0, -42.0, 1e18, 1e300):  # m; 24 bits are 8,388,608 counts of 5 um to each side: 41.9 m
         with pytest.raises(ArgumentError, match="from -8388608 to 8388607"):
             firmware.line({"x": distance, "y": 1e-3}, stage)
@@ -382,14 +382,14 @@ def test_a_line_of_servos_is_refused_where_its_positions_or_its_time_have_no_end
 
 
 @pytest.mark.parametrize("stage", ["HCTL1100", "MCX514", "MCX512"], indirect=True)
-def test_an_axis_that_a_limit_of_the_line_keeps_from_beginning_was_stopped_by_another_axis(stage):
+def test_an_axis_that_never_starts_because_of_a_limit_of_the_line_was_stopped_by_another_axis(stage):
     stage.place(x=0.1505)
     report = firmware.line({"x": 6e-3, "y": 2e-3}, stage)
     assert {n: r.stopped_by for n, r in report.axes.items()} == {"x": "EL+", "y": "another axis"}
 
 
 @each
-def test_a_jog_onto_an_end_limit_says_so(stage):
+def test_a_jog_onto_an_end_limit_reports_it(stage):
     x = stage.axes["x"]
     touch = {s.pin: s.touch for s in x.plant.switches}
     stage.place(x=touch["el_plus"] - 2e-3)
@@ -400,7 +400,7 @@ def test_a_jog_onto_an_end_limit_says_so(stage):
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-def test_a_servo_jogs_on_its_home_switch_and_over_it(direction):
+def test_a_servo_jogs_across_its_home_switch(direction):
     """After a home the axis stands on ORG, whose pin STOP ends integral velocity mode."""
     stage = Stage("xy", chips=HCTL1100, visuals=False)
     x = stage.axes["x"]
@@ -417,7 +417,7 @@ def test_a_servo_jogs_on_its_home_switch_and_over_it(direction):
     assert not x.chip.diagnostics
 
 
-def test_a_servo_jogs_a_table_round_past_its_home_switch():
+def test_a_servo_jogs_a_rotary_table_past_its_home_switch():
     stage = Stage("xya", chips=HCTL1100, visuals=False)
     report = firmware.jog(stage.axes["a"], 2.0, 4.0)
     assert report.ok
@@ -449,7 +449,7 @@ def test_a_move_that_an_emergency_stop_ends_is_not_ok():
 
 
 @each
-def test_what_cannot_be_is_refused_before_the_first_bus_cycle(stage):
+def test_invalid_arguments_of_procedures_are_refused_before_the_first_bus_cycle(stage):
     x, now = stage.axes["x"], stage.time
     for how, message in [
         ({"distance": 1e-3, "pulses": 3}, "give one of the two"),
@@ -501,43 +501,43 @@ def test_axes_with_different_chips_draw_no_line():
 
 
 @each
-@pytest.mark.parametrize("asked", [{"x": 3e-3, "y": 0}, {"x": 0, "y": -2e-3}, {"y": 2e-3}])
-def test_an_axis_whose_part_of_a_line_is_0_keeps_still(stage, asked):
+@pytest.mark.parametrize("distances", [{"x": 3e-3, "y": 0}, {"x": 0, "y": -2e-3}, {"y": 2e-3}])
+def test_an_axis_with_a_distance_of_0_stays_at_rest_on_a_line(stage, distances):
     """firmware.line({"x": 3e-3, "y": 0}, stage)"""
-    moving = next(name for name, distance in asked.items() if distance)
-    report = firmware.line(asked, stage, speed=0.04)
+    moving = next(name for name, distance in distances.items() if distance)
+    report = firmware.line(distances, stage, speed=0.04)
     assert report.ok
-    assert report.distances == {moving: round(asked[moving] / stage.axes[moving].meters_per_pulse)}
+    assert report.distances == {moving: round(distances[moving] / stage.axes[moving].meters_per_pulse)}
     assert {n: r.pulses for n, r in report.axes.items()} == report.distances
     assert [a.position for a in stage.axes.values()] == pytest.approx(
-        [asked.get(name, 0) for name in stage.axes], abs=NEAR
+        [distances.get(name, 0) for name in stage.axes], abs=NEAR
     )
     assert report.carriage_deviation < NEAR
     assert stage.chips[0].diagnostics == []
-    assert firmware.line({name: -distance for name, distance in asked.items()}, stage, speed=0.04).ok
+    assert firmware.line({name: -distance for name, distance in distances.items()}, stage, speed=0.04).ok
 
 
-@pytest.mark.parametrize("asked", [{"x": 6e-3, "y": 0, "z": 0}, {"x": 6e-3, "y": -2e-3, "z": 0}])
-def test_a_servo_that_keeps_still_on_a_line_carries_its_load(asked):
+@pytest.mark.parametrize("distances", [{"x": 6e-3, "y": 0, "z": 0}, {"x": 6e-3, "y": -2e-3, "z": 0}])
+def test_a_servo_at_rest_on_a_line_holds_its_load(distances):
     """A z axis whose chip has just been reset: without a control mode it falls 10 mm while x moves."""
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     begin = stage.axes["z"].position
-    assert firmware.line(asked, stage).ok
+    assert firmware.line(distances, stage).ok
     assert stage.axes["z"].position == pytest.approx(begin, abs=0.1e-3)
 
 
-def test_axes_of_one_load_move_alone_and_with_a_third_that_keeps_still():
+def test_axes_of_a_gantry_move_alone_and_together_with_a_third_axis_at_rest():
     """gantry: y and w carry one beam; x moves on it."""
     for chip in (MCX514, MCX304, HCTL1100):
         stage = Stage("gantry", chips=chip, visuals=False)
         begin = {name: axis.position for name, axis in stage.axes.items()}
-        for asked in ({"x": 0, "y": 3e-3, "w": 3e-3}, {"x": 5e-3, "y": 0, "w": 0}):
-            assert firmware.line(asked, stage).ok
+        for distances in ({"x": 0, "y": 3e-3, "w": 3e-3}, {"x": 5e-3, "y": 0, "w": 0}):
+            assert firmware.line(distances, stage).ok
         moved = {name: axis.position - begin[name] for name, axis in stage.axes.items()}
         assert moved == pytest.approx({"x": 5e-3, "y": 3e-3, "w": 3e-3}, abs=2 * NEAR)
 
 
-def test_a_move_that_takes_too_long_carries_its_report():
+def test_the_timeout_error_of_a_move_has_its_report():
     x = Bench(x=MCX304()).axes["x"]
     with pytest.raises(RunTimeout, match=r"still drives after 0\.100 s") as caught:
         firmware.move(x, pulses=100_000, timeout=0.1)
@@ -559,7 +559,7 @@ def test_s_curves_are_refused_by_chips_without_them():
 
 
 @pytest.mark.parametrize("chip", [PCL240K, MCX304])
-def test_steps_lost_before_are_none_of_a_later_move(chip):
+def test_a_report_does_not_count_steps_lost_before_its_move(chip):
     x = Stage("xy", chips=chip, visuals=False).axes["x"]
     with faults.jam(x, 1e4):
         lost = firmware.move(x, 1e-3, accel=0.02).lost_steps
@@ -569,7 +569,7 @@ def test_steps_lost_before_are_none_of_a_later_move(chip):
 
 
 @pytest.mark.parametrize("chip", [MCX514, MCX304, MCX312, PCL240MS])
-def test_with_nothing_to_ramp_s_curves_are_constant_speed(chip):
+def test_an_s_curve_move_without_ramps_has_constant_speed(chip):
     """speed = start_speed"""
     x = Stage("xy", chips=chip, visuals=False).axes["x"]
     report = firmware.move(x, pulses=60, speed=0.01, start_speed=0.01, s_curve=True)
@@ -595,7 +595,7 @@ def test_reports_of_every_chip_are_drawn(stage, tmp_path):
     assert pattern.list_lanes()
 
 
-def test_the_drawing_of_a_line_names_its_interpolation_and_leaves_out_what_was_only_written():
+def test_the_drawing_of_a_line_names_its_interpolation_and_omits_register_writes():
     """firmware.line({"x": 3e-3, "y": 1e-3}, stage.axes).axes["x"].plot()"""
     axes = Stage("xy", chips=MCX514, visuals=False).axes
     report = firmware.line({"x": 3e-3, "y": 1e-3}, axes).axes["x"]
@@ -614,7 +614,7 @@ def test_a_servo_on_an_end_limit_reports_it_and_moves_out_of_it():
 
 
 @each
-def test_a_part_of_a_pulse_is_refused(stage):
+def test_a_fraction_of_a_pulse_is_refused(stage):
     """firmware.move(axis, pulses=100.5)"""
     with pytest.raises(ArgumentError, match=r"pulses=100\.5"):
         firmware.move(stage.axes["x"], pulses=100.5)
@@ -632,17 +632,17 @@ def test_missing_speeds_have_defaults_and_ramps_keep_their_slopes():
     )
     assert get_default_speeds(SimpleNamespace(MICROSTEPS=256)) == Speeds(16_000.0, 256_000.0)
     axis = SimpleNamespace(chip=PCL240K(), meters_per_pulse=1e-3, name="x")
-    for asked, made in (
+    for values, expected in (
         ((None, None, 0.1, 0.2, False), Speeds(1000.0, 16_000.0, 0.1, 0.2)),
         ((0.5, None, 0.1, None, True), Speeds(500.0, 500.0, 0.1, 0.1, True)),
         ((4.0, None, 0.1, 0.3, False), Speeds(1000.0, 4000.0, 0.1, 0.3)),
         ((4.0, 0.25, 0.1, 0.3, False), Speeds(250.0, 4000.0, 0.1, 0.3)),
     ):
-        options = dict(zip(("speed", "start_speed", "accel", "decel", "s_curve"), asked, strict=True))
-        assert parse_speeds(axis, options)[:5] == pytest.approx(made[:5])
-        assert parse_speeds(axis, {"speed": made}) is made
+        options = dict(zip(("speed", "start_speed", "accel", "decel", "s_curve"), values, strict=True))
+        assert parse_speeds(axis, options)[:5] == pytest.approx(expected[:5])
+        assert parse_speeds(axis, {"speed": expected}) is expected
         in_pulses = {name: v and v * 1000 if "speed" in name else v for name, v in options.items()}
-        assert parse_speeds(axis, in_pulses, in_pulses=True)[:5] == pytest.approx(made[:5])
+        assert parse_speeds(axis, in_pulses, in_pulses=True)[:5] == pytest.approx(expected[:5])
 
 
 @pytest.mark.parametrize(("timeout", "polls"), [(0.0105, 11), (1.0, 639), (10.0, 5139), (1e4, 280_400)])
@@ -706,14 +706,14 @@ def test_ctrl_c_has_the_reports_of_all_axes_that_are_watched():
     ]
 
 
-def test_operations_that_are_done_at_once_are_counted():
+def test_immediate_operations_are_counted():
     bench = Bench(PCL240K())
     now = ImmediateOperations(bench.axes["x"])
     assert len(now.write(0, 0, 0x08).wait(1e-3).until_stopped([0], 1.0)) == 3
     assert bench.time >= 1e-3
 
 
-def test_a_run_after_a_move_ends_at_its_limit_and_not_at_the_count_of_the_move():
+def test_a_run_after_a_move_ends_at_a_limit_and_not_at_the_pulses_of_the_move():
     """driver.start(100, Speeds()); driver.run(-1, Speeds()) into the end limit, with R0 = 0 since the move"""
     bench = Bench(PCL240K())
     driver = get_driver(bench.axes["x"])
@@ -728,7 +728,7 @@ def test_a_run_after_a_move_ends_at_its_limit_and_not_at_the_count_of_the_move()
 
 @pytest.mark.parametrize(("direction", "limit"), [(-1, "EL-"), (1, "EL+")])
 @pytest.mark.parametrize("name", STEPPING)
-def test_a_move_that_an_end_limit_ends_says_which(name, direction, limit):
+def test_a_move_onto_an_end_limit_names_the_limit(name, direction, limit):
     bench = Bench(x=CHIPS[name]())
     driver = get_driver(bench.axes["x"])
     driver.start(direction * 5000, Speeds())
@@ -747,19 +747,19 @@ def test_a_line_of_a_pcl240_has_both_requested_ramps():
 
 
 @pytest.mark.parametrize("hz", [4_915_200, 2_000_000])
-def test_registers_by_formula_are_for_the_clock_of_the_chip(hz):
+def test_the_formula_computes_registers_for_the_clock_of_the_chip(hz):
     x = Bench(PCL240MK(clock_hz=hz)).axes["x"]
-    made = get_driver(x).formula(500, 8000, 0.1, 0.2, 4000)
-    step = hz / (8192 * made["R7"])
-    assert made["R1"] * step == pytest.approx(500, rel=1e-3)
-    assert made["R2"] * step == pytest.approx(8000, rel=1e-3)
-    ramps = [(made["R2"] - made["R1"]) * made[name] / hz for name in ("R4", "R5")]
+    registers = get_driver(x).formula(500, 8000, 0.1, 0.2, 4000)
+    step = hz / (8192 * registers["R7"])
+    assert registers["R1"] * step == pytest.approx(500, rel=1e-3)
+    assert registers["R2"] * step == pytest.approx(8000, rel=1e-3)
+    ramps = [(registers["R2"] - registers["R1"]) * registers[name] / hz for name in ("R4", "R5")]
     assert ramps == pytest.approx([0.1, 0.2], rel=0.01)
 
 
 @each
 @pytest.mark.parametrize("timeout", [math.nan, -1, -1e-9])
-def test_a_timeout_that_is_no_time_is_refused_before_the_first_bus_cycle(stage, timeout):
+def test_an_invalid_timeout_is_refused_before_the_first_bus_cycle(stage, timeout):
     """firmware.home(axis, timeout=float("nan")), where there is no ORG: it never ended"""
     x = stage.axes["x"]
     calls = [

@@ -22,13 +22,13 @@ from stage.firmware.pcl240.speed_profile import (
 )
 
 
-def test_the_data_sheets_examples():
+def test_multipliers_have_the_pulse_rates_of_the_data_sheet():
     """Section 4, R7: R7 = 600, 60, 20 are the 1x, 10x and 30x modes; section (6): 245,730 pps at most in 30x mode."""
     assert [compute_pulse_rate(1, r7) for r7 in (600, 60, 20)] == [1, 10, 30]
     assert compute_pulse_rate(8191, 20) == 245_730
 
 
-def test_formulas_of_section_4_and_q_and_a():
+def test_ramp_formulas_are_those_of_the_data_sheet():
     r1, r2, r4, r5, r7 = 50, 800, 300, 200, 60
     assert compute_ramp_seconds(r1, r2, r4) == (r2 - r1) * r4 / 4_915_200
     assert compute_ramp_pulses(r1, r2, r5, r7) == (r2**2 - r1**2) * r5 / (16384 * r7)
@@ -38,7 +38,7 @@ def test_formulas_of_section_4_and_q_and_a():
     assert not is_triangular_move(math.ceil(both), r1, r2, r4, r5, r7)
 
 
-def test_a_profile_takes_the_finest_steps_that_give_the_rates():
+def test_a_profile_selects_the_finest_multiplier_that_reaches_its_rates():
     """The largest R7: the rate changes in many small steps and not in few large ones."""
     p = Profile.of()
     assert p.R3 > 8191 * 0.9
@@ -46,7 +46,7 @@ def test_a_profile_takes_the_finest_steps_that_give_the_rates():
     assert p.accel(fh2=True) == pytest.approx(0.15, rel=1e-2)
 
 
-def test_an_explicit_multiplier_stays():
+def test_an_explicit_multiplier_is_not_changed():
     assert Profile.of(multiplier=60).R7 == 60
 
 
@@ -54,7 +54,7 @@ def test_fl_is_never_above_the_high_rates():
     assert Profile.of(fh1=300).fl == pytest.approx(300, rel=1e-3)
 
 
-def test_what_a_profile_says_is_what_the_chip_does():
+def test_rates_and_ramp_times_of_a_profile_are_those_of_the_chip():
     p = Profile.of(fl=800, fh1=9000, fh2=14_000, accel=0.13, decel=0.21)
     report = firmware.continuous_move(Bench(PCL240K()).axes["x"], 0.3, 1, p, fh2=True)
     assert report.peak_rate == pytest.approx(p.fh2, rel=1e-12)
@@ -91,7 +91,7 @@ def test_a_preset_move_of_any_length_ends_at_fl(trial):
         assert 5 <= report.course.edges["counter"][slow[-1] + 1] + 1 <= 8 + stairs, (p, count)
 
 
-def test_the_triangles_two_extra_pulses_are_what_it_takes():
+def test_a_triangular_move_needs_two_pulses_more_than_the_printed_ramp_down_point():
     p = Profile(100, 4000, 8191, 60, 60, 60)
     printed = int(compute_triangular_down_point(400, p.R4, p.R5))
     ends = {}
@@ -104,7 +104,7 @@ def test_the_triangles_two_extra_pulses_are_what_it_takes():
     assert compute_down_point(400, p.R1, p.R2, p.R4, p.R5, p.R7) == printed + 2
 
 
-def test_the_high_rate_that_a_short_move_just_reaches_is_the_highest_whose_ramps_fit_into_its_pulses():
+def test_the_revised_high_rate_is_the_highest_whose_ramps_fit_into_the_move():
     """Data sheet MS, 3-4.1 and 3-4.2: "revised R2", with curved ends of each kind"""
     rng = random.Random(SEED)
     for k in range(200):
@@ -113,15 +113,15 @@ def test_the_high_rate_that_a_short_move_just_reaches_is_the_highest_whose_ramps
         span, other = (rng.randint(1, (high - low) // 2 + 20) for _ in "ab")
         up, down = [(None, None), (0, 0), (span, span), (span, other)][k % 4]
 
-        def needed(rate, low=low, r4=r4, r5=r5, r7=r7, up=up, down=down):
+        def compute_ramp_total(rate, low=low, r4=r4, r5=r5, r7=r7, up=up, down=down):
             return compute_ramp_pulses(low, rate, r4, r7, up) + compute_ramp_pulses(low, rate, r5, r7, down)
 
-        pulses = int(needed(high) * rng.uniform(0.01, 1.05)) + 1
-        made = compute_revised_high_speed(pulses, low, high, r4, r5, r7, up, down)
+        pulses = int(compute_ramp_total(high) * rng.uniform(0.01, 1.05)) + 1
+        revised = compute_revised_high_speed(pulses, low, high, r4, r5, r7, up, down)
         if (
-            up == down or 2 * max(up, down) < made - low
+            up == down or 2 * max(up, down) < revised - low
         ):  # else without a linear part in one ramp, which the sheet leaves out
-            assert made == max(h for h in range(low, high + 1) if needed(h) <= pulses), (
+            assert revised == max(h for h in range(low, high + 1) if compute_ramp_total(h) <= pulses), (
                 low,
                 high,
                 r4,
@@ -130,10 +130,10 @@ def test_the_high_rate_that_a_short_move_just_reaches_is_the_highest_whose_ramps
                 up,
                 down,
             )
-        assert low <= made <= high
+        assert low <= revised <= high
 
 
-def test_a_profile_without_ramps_may_be_shaped_and_takes_any_ramp_time():
+def test_a_profile_without_ramps_ignores_ramp_time_and_shape():
     """Profile.of(fl=5000, fh1=5000, fh2=5000, accel=50).shaped(True)"""
     flat = Profile.of(fl=5000, fh1=5000, fh2=5000, accel=50, chip=PCL240MS)
     assert flat.fh1 == flat.fl == pytest.approx(5000, rel=1e-4)
@@ -178,7 +178,7 @@ def test_curved_ends_take_0_to_4095_speed_steps(spans):
         ),
     ],
 )
-def test_what_registers_cannot_hold_is_refused_by_name_range_and_value(call, message):
+def test_the_error_of_a_value_beyond_its_register_states_name_range_and_value(call, message):
     with pytest.raises(ArgumentError, match=message):
         call()
 
@@ -193,7 +193,7 @@ def test_a_run_through_speeds_dwells_at_each_but_the_last():
     )
 
 
-def test_the_bound_of_a_moves_time_is_by_the_slower_rate_and_the_longer_ramp():
+def test_the_upper_bound_of_the_duration_uses_fl_and_the_longer_ramp():
     p = Profile.of(1000, 8000, 8000, accel=0.1, decel=0.4)
     assert p.seconds(500) == pytest.approx(500 / p.fl + 2 * p.decel(True))
     p = Profile.of(1000, 8000, 8000, accel=0.4, decel=0.1)

@@ -37,7 +37,7 @@ def test_a_continuous_dual_rate_run_ends_with_a_decelerating_stop(x, last, stop)
 
 
 @pytest.mark.parametrize("rates", [("FH1", "FH2", "FH1"), ("FL", "FH2"), ("FH2", "FL", "FH1")])
-def test_the_least_pulses_that_are_accepted_end_at_fl(x, rates):
+def test_the_minimum_number_of_pulses_of_a_dual_rate_move_ends_at_fl(x, rates):
     """An accepted move is complete and ends at FL; one pulse less is refused with that number."""
     with pytest.raises(ArgumentError, match="at least") as refusal:
         firmware.dual_rate_move(x, 2, P, rates=rates)
@@ -50,7 +50,7 @@ def test_the_least_pulses_that_are_accepted_end_at_fl(x, rates):
     assert speed[speed > 0][-1] == P.R1
 
 
-def test_a_host_that_polls_with_a_delay_has_pulses_left():
+def test_the_minimum_number_of_pulses_allows_for_a_polling_delay():
     """The least pulses of rates without dwells leave a host a millisecond at the highest for each of them."""
     least = {}
     for rates in (("FH1", "FH2"), ("FH1", "FH2", "FH1")):
@@ -58,8 +58,8 @@ def test_a_host_that_polls_with_a_delay_has_pulses_left():
             firmware.dual_rate_move(Bench(x=PCL240K()).axes["x"], 2, P, rates=rates, dwell=0.0)
         least[rates] = int(str(refusal.value).split("at least ")[1].split(" ")[0])
         speeds = [{"FH1": P.R2, "FH2": P.R3}[rate] for rate in rates]
-        late = 1e-3 * len(rates) * max(P.fh1, P.fh2)
-        assert least[rates] == int(P.pulses_through(speeds, 0.0) + late) + 6
+        polling_pulses = 1e-3 * len(rates) * max(P.fh1, P.fh2)
+        assert least[rates] == int(P.pulses_through(speeds, 0.0) + polling_pulses) + 6
 
 
 def test_an_end_limit_ends_the_sequence_without_further_starts(x):
@@ -74,19 +74,19 @@ def test_an_end_limit_ends_the_sequence_without_further_starts(x):
 @pytest.mark.parametrize(
     ("limit", "sent"), [(-30, ["17"]), (-1200, ["17"]), (-2600, ["17", "15"]), (-4200, ["17", "15", "17"])]
 )
-@pytest.mark.parametrize("asked", [-20_000, None])
-def test_an_end_limit_stops_every_part_of_a_run_of_several_rates(x, limit, sent, asked):
+@pytest.mark.parametrize("pulses", [-20_000, None])
+def test_an_end_limit_stops_every_part_of_a_run_of_several_rates(x, limit, sent, pulses):
     """firmware.dual_rate_move(axis, None, rates=(...), seconds=1.0, direction=-1) onto EL-: at once, without the dwells"""
     x._bench.add_rail("x", el_minus=(None, limit))
-    kind = {"seconds": 1.0, "direction": -1} if asked is None else {}
-    report = firmware.dual_rate_move(x, asked, P, rates=("FH2", "FH1", "FH2"), dwell=0.1, **kind)
-    assert (report.stopped_by, report.pulses, report.asked) == ("EL-", limit, asked)
+    kind = {"seconds": 1.0, "direction": -1} if pulses is None else {}
+    report = firmware.dual_rate_move(x, pulses, P, rates=("FH2", "FH1", "FH2"), dwell=0.1, **kind)
+    assert (report.stopped_by, report.pulses, report.asked) == ("EL-", limit, pulses)
     assert commands(report) == sent
-    assert x.time < (2.0 if asked is None and len(sent) == 3 else 0.7)
+    assert x.time < (2.0 if pulses is None and len(sent) == 3 else 0.7)
 
 
 @pytest.mark.parametrize("limit", [30, 300, 1500, 3000])
-def test_an_end_limit_ends_changes_of_speed_and_bent_ramps_too(x, limit):
+def test_an_end_limit_ends_speed_changes_and_curved_ramps(x, limit):
     """firmware.speed_change_move(axis, 12_000, [...]) onto EL+"""
     for run in (
         lambda a: firmware.speed_change_move(a, 12_000, [3000, 9000, 5000, 15_000], P, dwell=0.2),
@@ -97,12 +97,12 @@ def test_an_end_limit_ends_changes_of_speed_and_bent_ramps_too(x, limit):
         report = run(x)
         assert (report.stopped_by, report.pulses, report.ok) == ("EL+", limit, False)
         assert x.time - started < 1.4
-        ended = report.course.seconds[np.flatnonzero(report.course.running)[-1] + 1] - report.began
-        assert max(t for t, code, _ in report.writes() if code in ("15", "17")) < ended, "no start after the stop"
+        stop_s = report.course.seconds[np.flatnonzero(report.course.running)[-1] + 1] - report.began
+        assert max(t for t, code, _ in report.writes() if code in ("15", "17")) < stop_s, "no start after the stop"
         bench.add_rail("x", at=0)
 
 
-def test_one_rate_is_a_move_of_any_length_in_both_directions(x):
+def test_a_move_with_one_rate_may_have_any_length_and_direction(x):
     """firmware.speed_change_move(axis, -3, [8000])"""
     for pulses in (3, -3, -9000):
         for report in (
@@ -149,7 +149,7 @@ def test_a_curved_ramp_passes_its_rates_at_its_times(x):
     assert np.diff(np.flatnonzero(down)).max() == 1, "one line down"
 
 
-def test_the_pieces_of_a_curved_ramp_are_linear_though_the_profile_has_s_curves():
+def test_the_pieces_of_a_curved_ramp_stay_linear_with_an_s_curve_profile():
     """firmware.curved_ramp_move(axis, 20_000, pieces, profile.shaped(True)) with a PCL240MS"""
     profile = Profile.of(fl=1000, fh1=8000, accel=0.1, chip=PCL240MS).shaped(True)
     report = firmware.curved_ramp_move(Bench(PCL240MS()).axes["x"], 8000, [(4000, 0.1), (12_000, 0.15)], profile)
@@ -174,7 +174,7 @@ def test_the_pieces_of_a_curved_ramp_are_linear_though_the_profile_has_s_curves(
         (lambda a: firmware.curved_ramp_move(a, 500, [(3000, 0.3)], P), r"pulses=500: .* at least \d+"),
     ],
 )
-def test_bad_input_is_refused_before_the_first_bus_cycle(x, call, message):
+def test_invalid_arguments_of_rates_are_refused_before_the_first_bus_cycle(x, call, message):
     before = x.chip.snapshot()
     with pytest.raises(ArgumentError, match=message):
         call(x)

@@ -31,7 +31,7 @@ def stage():
     return Stage("xyz_servo", chips=HCTL1100, visuals=False)
 
 
-def edge_of(axis, pin="org"):
+def find_switch_edge(axis, pin="org"):
     return next(s.touch for s in axis.plant.switches if s.pin == pin)
 
 
@@ -61,7 +61,7 @@ def test_a_number_is_written_byte_by_byte_high_first_up_to_both_ends_of_its_rang
     ("name", "value"),
     [("gain", 256), ("timer", -1), ("maximum_velocity", 128), ("final_position", 1 << 23), ("zero", 0.5)],
 )
-def test_what_a_register_cannot_hold_is_refused_before_the_first_bus_cycle(stage, name, value):
+def test_a_value_beyond_its_register_is_refused_before_the_first_bus_cycle(stage, name, value):
     port = Port(stage.axes["x"])
     with pytest.raises(ArgumentError, match=f"{name}={value}"):
         port.load(pole=1, **{name: value})
@@ -124,7 +124,7 @@ def test_a_step_settles_within_its_deadband(stage, name, counts):
     assert not port.chip.diagnostics, "no command in the unsafe part of a sample"
 
 
-def test_a_step_is_settled_when_it_has_come_to_stay_within_its_deadband(stage):
+def test_a_step_settles_when_it_stays_within_its_deadband(stage):
     """A loaded axis swings: leaving the deadband begins the wait anew."""
     stage.set_payload(10.0)
     port = set_up_servo(stage.axes["x"])
@@ -168,7 +168,7 @@ def test_a_move_that_ends_outside_its_deadband_is_not_ok(stage):
     assert not replace(report, limited=True).ok
 
 
-def test_rates_that_the_chip_has_not_at_this_sample_time_are_refused(stage):
+def test_rates_beyond_the_registers_at_this_sample_time_are_refused(stage):
     port = set_up_servo(stage.axes["x"])
     for rates in ({"velocity": 1e6}, {"velocity": 100}, {"acceleration": 1}, {"acceleration": 1e9}):
         with pytest.raises(ArgumentError, match="Choose another rate, or another T"):
@@ -182,13 +182,13 @@ def test_rates_that_the_chip_has_not_at_this_sample_time_are_refused(stage):
                 run_integral_velocity(port, beyond / port.sample)
 
 
-def test_a_mode_that_is_none_is_refused(stage):
+def test_an_unknown_mode_is_refused(stage):
     with pytest.raises(ArgumentError, match="unknown control mode 'trapezium'"):
         set_up_servo(stage.axes["x"]).mode("trapezium")
 
 
 @pytest.mark.parametrize("rate", [float("nan"), float("inf")])
-def test_rates_that_are_no_finite_numbers_are_refused(stage, rate):
+def test_rates_that_are_not_finite_are_refused(stage, rate):
     port = set_up_servo(stage.axes["x"])
     with pytest.raises(ArgumentError, match="counts/s are 0 in the register"):
         move_by_trapezoid(port, 100, velocity=rate)
@@ -196,14 +196,14 @@ def test_rates_that_are_no_finite_numbers_are_refused(stage, rate):
         move_by_trapezoid(port, 100, acceleration=rate)
 
 
-def test_a_port_that_never_sees_its_safe_part_says_so_instead_of_waiting_for_ever(stage):
+def test_a_port_that_never_finds_the_safe_part_of_a_sample_raises_an_error(stage):
     """T cannot be read back: a second port takes it to be as after a reset."""
     set_up_servo(stage.axes["x"], FilterTuning(timer=0))
     with pytest.raises(ArgumentError, match="T cannot be read back"):
         Port(stage.axes["x"]).command(5)
 
 
-def test_a_deadband_that_no_loop_keeps_ends_in_a_timeout_and_without_a_motor_command(stage):
+def test_a_deadband_that_the_loop_cannot_hold_ends_in_a_timeout_with_the_motor_off(stage):
     """Gravity on Z: a filter without integral keeps an error."""
     port = set_up_servo(stage.axes["z"], FilterTuning(gain=2))
     with pytest.raises(RunTimeout, match="rest within 0 counts"):
@@ -231,8 +231,8 @@ def test_proportional_velocity_falls_short_by_the_share_of_drag_and_friction(sta
     report = run_proportional_velocity(port, rate, seconds=0.4)
     loop = ServoLoop.of(stage.axes["x"], tuning)
     per = tuning.gain / 4 * port.sample  # motor command for one count/s
-    way = np.sign(rate)
-    expected = (per * report.asked - way * loop.friction) * loop.gain / (1 + per * loop.gain)
+    offset = np.sign(rate)
+    expected = (per * report.asked - offset * loop.friction) * loop.gain / (1 + per * loop.gain)
     assert report.reached == pytest.approx(expected, rel=0.05)
     assert abs(report.reached) < abs(report.asked)
     at = stage.axes["x"].position
@@ -279,7 +279,7 @@ def test_a_limit_ends_a_trapezoid_in_init_idle(stage):
 
 def test_an_axis_leaves_its_limit_switch_by_the_motor_command_of_the_host(stage):
     x = stage.axes["x"]
-    stage.place(x=edge_of(x, "el_plus") + 1e-4)
+    stage.place(x=find_switch_edge(x, "el_plus") + 1e-4)
     assert x.switches.el_plus
     port = Port(x)
     leave_limit(port, -1)
@@ -292,11 +292,11 @@ def test_an_axis_leaves_its_limit_switch_by_the_motor_command_of_the_host(stage)
 # --- home ---
 
 
-@pytest.mark.parametrize("way", [0.009, 0.0003, -0.0002], ids=["before", "just before", "on"])
+@pytest.mark.parametrize("offset", [0.009, 0.0003, -0.0002], ids=["before", "just before", "on"])
 @pytest.mark.parametrize(("name", "sag"), [("x", DEADBAND), ("y", DEADBAND), ("z", 8)])
-def test_home_is_at_the_index_pulse_wherever_the_axis_begins(stage, name, sag, way):
+def test_home_is_at_the_index_pulse_from_any_start(stage, name, sag, offset):
     axis = stage.axes[name]
-    stage.place(**{name: edge_of(axis) + way})
+    stage.place(**{name: find_switch_edge(axis) + offset})
     report = home_servo(set_up_servo(axis), deadband=sag)
     port = Port(axis)
     stage.run(0.1)
@@ -307,25 +307,25 @@ def test_home_is_at_the_index_pulse_wherever_the_axis_begins(stage, name, sag, w
     assert not [d for d in port.chip.diagnostics if "computed" in d.message]
 
 
-def test_home_is_the_same_place_each_time(stage):
-    axis, found = stage.axes["x"], []
+def test_repeated_homings_end_at_the_same_position(stage):
+    axis, positions = stage.axes["x"], []
     for k in range(4):
-        stage.place(x=edge_of(axis) + 0.002 + 0.00037 * k)
+        stage.place(x=find_switch_edge(axis) + 0.002 + 0.00037 * k)
         home_servo(set_up_servo(axis))
         stage.run(0.1)
-        found.append(axis.position)
-    assert np.ptp(found) <= 3 * COUNT
+        positions.append(axis.position)
+    assert np.ptp(positions) <= 3 * COUNT
 
 
 def test_home_without_an_index_pulse_is_at_the_switch(stage):
     axis = stage.axes["x"]
-    stage.place(x=edge_of(axis) + 0.002)
+    stage.place(x=find_switch_edge(axis) + 0.002)
     report = home_servo(set_up_servo(axis), index=False)
     assert report.index is None
-    assert axis.position == pytest.approx(edge_of(axis), abs=30e-6)
+    assert axis.position == pytest.approx(find_switch_edge(axis), abs=30e-6)
 
 
-def test_a_search_that_comes_to_a_limit_ends_in_a_timeout(stage):
+def test_a_home_search_that_meets_a_limit_ends_in_a_timeout(stage):
     axis = stage.axes["x"]
     port = set_up_servo(axis)
     axis.switches.stick("el_minus", True)
@@ -338,7 +338,7 @@ def test_a_search_that_comes_to_a_limit_ends_in_a_timeout(stage):
         home_servo(port, direction=0)
 
 
-def test_a_home_search_without_an_index_pulse_ends_in_words_with_the_motor_off(stage):
+def test_a_home_search_without_an_index_pulse_raises_an_error_with_the_motor_off(stage):
     """home(port, turn=400): an encoder of fewer counts than that of the stage, whose index pulse is farther away"""
     port = set_up_servo(stage.axes["x"])
     with pytest.raises(
@@ -348,7 +348,7 @@ def test_a_home_search_without_an_index_pulse_ends_in_words_with_the_motor_off(s
     assert port.status() & INIT
 
 
-def test_a_line_may_be_as_fast_as_the_chip_counts_and_not_faster():
+def test_a_line_has_at_most_the_highest_rate_of_the_chip():
     """firmware.line({"x": 2e-3, "y": 1e-3}, stage.axes, speed=...), 127 counts a sample"""
     sample = 1 / 1024
     rows = _compute_line_rows([2000, 1000], Speeds(0, 127 / sample, 0.05, 0.05), sample)

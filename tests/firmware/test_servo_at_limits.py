@@ -48,22 +48,22 @@ def servo(stages):
     return stages["xyz_servo"]
 
 
-def edge_of(axis, pin):
+def find_switch_edge(axis, pin):
     return next(s.touch for s in axis.plant.switches if s.pin == pin)
 
 
 def place_on(axis, end, inside=INSIDE):
     """Put the axis on an end limit; returns the carriage's direction into it, and where it stands."""
     pin, direction = ENDS[end]
-    axis.stage.place(**{axis.name: edge_of(axis, pin) + direction * inside})
+    axis.stage.place(**{axis.name: find_switch_edge(axis, pin) + direction * inside})
     assert getattr(axis.switches, pin)
     return direction, axis.position
 
 
-def until(happened, seconds=20.0):
+def wait_until(condition, seconds=20.0):
     """Wait for what a session's thread does."""
     begin = time.monotonic()
-    while not happened():
+    while not condition():
         assert time.monotonic() - begin < seconds
         time.sleep(1e-3)
 
@@ -87,7 +87,7 @@ FURTHER = {
 
 @pytest.mark.parametrize("end", ENDS)
 @pytest.mark.parametrize("call", ["move", "start", "jog", "line"])
-def test_nothing_is_driven_further_into_a_limit_that_is_on(stage, call, end):
+def test_no_drive_into_an_active_limit_starts(stage, call, end):
     """firmware.move(axis, 5e-3) on EL+"""
     x, y = stage.axes["x"], stage.axes["y"]
     direction, at = place_on(x, end)
@@ -101,7 +101,7 @@ def test_nothing_is_driven_further_into_a_limit_that_is_on(stage, call, end):
 
 
 @pytest.mark.parametrize("end", ENDS)
-def test_a_home_towards_a_limit_that_is_on_ends_at_once(servo, end):
+def test_homing_towards_an_active_limit_ends_at_once(servo, end):
     """Towards plus from EL-, where ORG is on, it would have to go back out of ORG first: further in."""
     x = servo.axes["x"]
     _, at = place_on(x, end)
@@ -112,7 +112,7 @@ def test_a_home_towards_a_limit_that_is_on_ends_at_once(servo, end):
 
 
 @pytest.mark.parametrize("end", ENDS)
-def test_a_home_that_starts_on_a_limit_only_leaves_it(servo, end):
+def test_homing_that_starts_on_a_limit_leaves_it(servo, end):
     """firmware.home(axis, -1) from EL+, and from EL-, where ORG is on and it goes back out of ORG first"""
     x = servo.axes["x"]
     direction, at = place_on(x, end)
@@ -120,14 +120,14 @@ def test_a_home_that_starts_on_a_limit_only_leaves_it(servo, end):
         report = firmware.home(x, -1)
     assert report.stopped_by == "ORG"
     assert report.start == pytest.approx(at, abs=1e-9)
-    assert x.position == pytest.approx(edge_of(x, "org"), abs=60e-6)
+    assert x.position == pytest.approx(find_switch_edge(x, "org"), abs=60e-6)
     assert (direction * (recording.columns["x/position"] - at)).max() < 1e-9, "never further in"
 
 
-def test_a_home_that_backs_into_a_limit_stops_there(servo):
+def test_homing_that_backs_into_a_limit_stops_at_it(servo):
     """firmware.home(axis, 1) between ORG and EL-: back out of ORG leads to EL-"""
     x = servo.axes["x"]
-    servo.place(x=edge_of(x, "el_minus") + 3e-3)
+    servo.place(x=find_switch_edge(x, "el_minus") + 3e-3)
     assert firmware.home(x, 1).stopped_by == "EL-"
     assert servo.time < 2, "and not after its timeout of 60 s"
 
@@ -182,7 +182,7 @@ def test_both_active_limits_block_both_directions_and_are_named_separately(servo
 
 
 @pytest.mark.parametrize("end", ENDS)
-def test_a_limit_that_is_stuck_does_not_send_the_axis_to_its_other_end(servo, end):
+def test_a_stuck_limit_does_not_drive_the_axis_to_its_other_end(servo, end):
     pin, direction = ENDS[end]
     x = servo.axes["x"]
     with faults.switch_stuck(x, pin, True):
@@ -196,7 +196,7 @@ def test_a_limit_that_is_stuck_does_not_send_the_axis_to_its_other_end(servo, en
             assert 20e-3 <= -direction * x.position < 25e-3
 
 
-def test_rates_that_the_chip_has_not_are_refused_before_an_axis_leaves_its_limit(servo):
+def test_rates_beyond_the_registers_are_refused_before_an_axis_leaves_its_limit(servo):
     x = servo.axes["x"]
     _, at = place_on(x, "EL+")
     calls = (
@@ -226,14 +226,14 @@ def test_the_limit_that_ends_a_drive_is_named_also_by_another_driver(stage, call
     report = FURTHER[call](x, direction)
     assert report.stopped_by == end
     assert not report.ok
-    assert abs(report.position - edge_of(x, ENDS[end][0])) < 1e-3
+    assert abs(report.position - find_switch_edge(x, ENDS[end][0])) < 1e-3
     assert get_driver(x).stopped_by() == end
 
 
 def test_a_limit_that_was_left_is_named_by_the_drive_that_it_stopped(servo):
     """Axis Z sinks without a motor command out of EL+."""
     z = servo.axes["z"]
-    servo.place(z=edge_of(z, "el_plus") - 0.5e-3)
+    servo.place(z=find_switch_edge(z, "el_plus") - 0.5e-3)
     assert firmware.move(z, 5e-3).stopped_by == "EL+"
     servo.run(0.3)
     assert not z.switches.el_plus
@@ -266,7 +266,7 @@ def test_the_panel_jogs_out_of_a_limit_and_refuses_to_jog_further_in(servo, end)
     assert -direction * (x.position - at) > INSIDE
 
 
-def test_a_stop_ends_what_drives_an_axis_out_of_its_limit():
+def test_a_stop_ends_a_drive_out_of_a_limit():
     """session.stop_actions(), as the panel's stop does, while the host's motor command pushes"""
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     x = stage.axes["x"]
@@ -275,7 +275,7 @@ def test_a_stop_ends_what_drives_an_axis_out_of_its_limit():
     with Session(stage, speed=FREE, paused=True) as session:
         left = session.act("leave", lambda stage: leave_limit(Port(x), -1, max_counts=10**9, timeout=1e6))
         session.paused = False
-        until(lambda: session.view.time > 0.05)
+        wait_until(lambda: session.view.time > 0.05)
         assert x.chip.motor_command == -15
         session.stop_actions()
         session.act("stop", lambda stage: firmware.stop(stage.axes["x"])).result(20)
@@ -290,7 +290,7 @@ def test_the_panel_stops_a_line_whose_host_waits_for_less_than_a_millisecond_at_
     with Session(stage, speed=FREE, paused=True) as session:
         line = session.act("line", lambda stage: firmware.line({"x": 0.1, "y": 0.05}, stage, speed=0.01))
         session.paused = False
-        until(lambda: session.view.time > 0.3)
+        wait_until(lambda: session.view.time > 0.3)
         assert session.stop_actions()
         session.stop().result(20)
         assert isinstance(line.exception(20), StageError)
@@ -298,7 +298,7 @@ def test_the_panel_stops_a_line_whose_host_waits_for_less_than_a_millisecond_at_
         assert 2e-3 < x.position < 50e-3
 
 
-def test_a_limit_that_no_drive_has_met_and_no_switch_shows_any_more_is_called_by_its_pin(servo):
+def test_a_released_limit_that_ended_no_drive_is_named_by_its_pin(servo):
     x = servo.axes["x"]
     driver = get_driver(x)
     driver.prepare()

@@ -102,7 +102,7 @@ def test_a_profile_is_one_command_a_sample_each_in_the_safe_part(stage, timer, n
         assert port.commanded() == begin[k] + round(float(profile[-1, k]))
 
 
-def test_a_host_that_is_too_slow_misses_samples_and_says_so():
+def test_the_error_of_a_too_slow_host_counts_the_missed_samples():
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False, bus_cycle=80e-6)
     ports = [set_up_servo(stage.axes[n]) for n in "xyz"]
     synchronize_sample_timers(ports)
@@ -113,7 +113,7 @@ def test_a_host_that_is_too_slow_misses_samples_and_says_so():
             stream_positions(where, np.zeros(arguments))
 
 
-def test_a_gain_that_is_designed_is_one_that_the_register_holds():
+def test_a_designed_gain_is_within_its_register():
     """design(loop, rattle=1e6) of a motor that wants more than 255"""
     weak = ServoLoop(gain=400.0, tau=0.05, friction=0.0, tuning=FilterTuning(pole=64, timer=64))
     gains = [design_filter(weak, rattle=rattle).gain for rattle in (1e6, 48.0)]
@@ -121,14 +121,14 @@ def test_a_gain_that_is_designed_is_one_that_the_register_holds():
     assert gains[1] <= 192
 
 
-def test_without_a_common_sample_the_timer_of_each_chip_is_looked_at(stage, monkeypatch):
+def test_without_a_common_sample_each_chips_timer_is_polled(stage, monkeypatch):
     """follow(ports, profile, leader_only=False)"""
-    ports, asked = [set_up_servo(stage.axes[name]) for name in "xy"], []
-    monkeypatch.setattr(Port, "wait_for_the_safe_part", lambda port, mode="position": asked.append(port.axis.name))
+    ports, requested = [set_up_servo(stage.axes[name]) for name in "xy"], []
+    monkeypatch.setattr(Port, "wait_for_the_safe_part", lambda port, mode="position": requested.append(port.axis.name))
     for alone, expected in ((True, ["x", "x"]), (False, ["x", "x", "y"] * 2)):
         stream_positions(ports, np.zeros((2, 2)), leader_only=alone)
-        assert asked == expected
-        asked.clear()
+        assert requested == expected
+        requested.clear()
 
 
 def test_a_profile_of_fractions_is_rounded_to_the_nearest_count(stage):
@@ -145,9 +145,9 @@ def test_a_circle_of_three_axes_is_rounder_with_sync_than_without():
     for name, (sync, one, _) in servo_moves.CIRCLES.items():
         _, distance, torn[name] = servo_moves.run_circle(sync, one)
         off[name] = np.sqrt((distance**2).mean())
-    with_sync, apart, blind = off.values()
-    assert with_sync < 0.6 * apart
-    assert apart < blind
+    with_sync, are_separate, blind = off.values()
+    assert with_sync < 0.6 * are_separate
+    assert are_separate < blind
     assert list(torn.values())[:2] == [0, 0]
     assert list(torn.values())[2] > 100, "whoever reads one timer of chips out of step writes to the others too early"
 

@@ -20,14 +20,14 @@ SAMPLES = 6  # samples until a stop knows how fast the profile is
 
 
 @pytest.fixture(scope="module")
-def made():
+def shared_stage():
     return Stage("xyz_servo", chips=HCTL1100, visuals=False)
 
 
 @pytest.fixture
-def stage(made):
-    made.reset()
-    return made
+def stage(shared_stage):
+    shared_stage.reset()
+    return shared_stage
 
 
 def braking_distance(speed, speeds):
@@ -56,11 +56,11 @@ def test_a_stop_slows_a_trapezoid_down_with_its_ramp(stage, name, seconds, direc
     assert speed > 2000
     with stage.record(every=1e-3) as recording:
         firmware.stop(axis)
-    made = direction * (axis.chip.net() - net)
+    shared_stage = direction * (axis.chip.net() - net)
     expected, change = braking_distance(speed, speeds), 20 * SAMPLE * speeds.drive / speeds.up
     assert (
         braking_distance(max(speed - change, 0), speeds) - SAMPLES
-        < made
+        < shared_stage
         < braking_distance(speed + change, speeds) + SAMPLES * speed * SAMPLE
     ), f"{expected:.0f} counts from {speed:.0f} counts/s"
     error = recording.columns[f"{name}/following_error"] / COUNT

@@ -18,15 +18,15 @@ HZ = 4_915_200
 GOOD = 2.0  # pulses from the line
 
 
-def follow(pairs, chips=PCL240K, model="xyz"):
+def make_stage_with_followers(pairs, chips=PCL240K, model="xyz"):
     return Stage(model, chips=chips, syni=pairs, visuals=False)
 
 
-def load(axis, **registers):
+def write_registers(axis, **registers):
     firmware.Port(axis).write_registers(**registers)
 
 
-def run(*argv):
+def run_command(*argv):
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main([*argv])
@@ -34,7 +34,7 @@ def run(*argv):
 
 
 @pytest.mark.parametrize(
-    ("asked", "syni"),
+    ("distances", "syni"),
     [
         ({"x": 12_000, "y": 8000}, {"y": "x"}),
         ({"x": 8000, "y": 12_000}, {"y": "x"}),
@@ -43,25 +43,25 @@ def run(*argv):
     ],
 )
 @pytest.mark.parametrize(("chip", "s_curve"), [(PCL240K, False), (PCL240MS, True)])
-def test_axes_that_share_a_clock_on_a_line_share_its_multiplier_and_lose_no_step(asked, syni, chip, s_curve):
-    """stage sync x=12000 y=8000 --syni y=x: y had an R7 of its own, and lost 436 steps"""
-    report = firmware.synchronized_move(asked, follow(syni, chip), s_curve=s_curve)
+def test_axes_that_share_a_clock_on_a_line_have_the_same_multiplier_and_lose_no_step(distances, syni, chip, s_curve):
+    """Regression: in `stage sync x=12000 y=8000 --syni y=x`, y had another R7 and lost 436 steps."""
+    report = firmware.synchronized_move(distances, make_stage_with_followers(syni, chip), s_curve=s_curve)
     assert report.ok
-    assert report.distances == asked
+    assert report.distances == distances
     assert report.deviation.pulses < GOOD
-    assert report.deviation.pulses == pytest.approx(report.plan.deviation, abs=0.1), "as the plan has it"
+    assert report.deviation.pulses == pytest.approx(report.plan.deviation, abs=0.1), "as the plan predicts"
     r7 = {name: axis.registers["R7"] for name, axis in report.plan.axes.items()}
     assert all(r7[follower] == r7[leader] for follower, leader in syni.items())
-    longest = max(r.peak_rate / abs(r.pulses) for r in report.axes.values())
-    assert all(r.peak_rate / abs(r.pulses) == pytest.approx(longest, rel=1e-4) for r in report.axes.values())
+    common_rate = max(r.peak_rate / abs(r.pulses) for r in report.axes.values())
+    assert all(r.peak_rate / abs(r.pulses) == pytest.approx(common_rate, rel=1e-4) for r in report.axes.values())
 
 
-@pytest.mark.parametrize("asked", [{"x": 0, "y": 8000}, {"y": 8000, "z": 3000}, {"y": 3000, "z": 8000}])
+@pytest.mark.parametrize("distances", [{"x": 0, "y": 8000}, {"y": 8000, "z": 3000}, {"y": 3000, "z": 8000}])
 @pytest.mark.parametrize("r7", [60, 41])
-def test_a_follower_whose_leader_keeps_still_is_planned_with_the_multiplier_that_it_hears(asked, r7):
-    stage = follow({"y": "x"})
-    load(stage.axes["x"], R7=r7)
-    report = firmware.line(asked, stage, pulses=True)
+def test_a_follower_of_an_axis_at_rest_is_planned_with_the_leaders_multiplier(distances, r7):
+    stage = make_stage_with_followers({"y": "x"})
+    write_registers(stage.axes["x"], R7=r7)
+    report = firmware.line(distances, stage, pulses=True)
     assert report.ok
     assert report.plan.axes["y"].registers["R7"] == r7
     rate = report.plan.axes["y"].registers["R2"] * HZ / (8192 * r7)
@@ -69,33 +69,33 @@ def test_a_follower_whose_leader_keeps_still_is_planned_with_the_multiplier_that
     assert report.deviation.pulses < GOOD
 
 
-def test_shared_multipliers_of_random_lines_keep_to_the_line():
+def test_random_lines_with_a_shared_multiplier_stay_near_the_line():
     print("seed", SEED)
     rng = random.Random(SEED)
     for _ in range(scaled(8)):
-        asked = {"x": rng.randint(500, 20_000), "y": rng.randint(500, 20_000)}
-        made = plan(asked, shared=("x", "y"), rate=rng.uniform(4000, 20_000), fl=rng.uniform(500, 2000))
-        assert made.axes["x"].registers["R7"] == made.axes["y"].registers["R7"]
-        assert made.deviation < 4.0, (asked, str(made))
+        distances = {"x": rng.randint(500, 20_000), "y": rng.randint(500, 20_000)}
+        planned = plan(distances, shared=("x", "y"), rate=rng.uniform(4000, 20_000), fl=rng.uniform(500, 2000))
+        assert planned.axes["x"].registers["R7"] == planned.axes["y"].registers["R7"]
+        assert planned.deviation < 4.0, (distances, str(planned))
 
 
 def test_a_plan_that_a_follower_cannot_keep_is_refused_before_the_first_bus_cycle():
-    stage = follow({"y": "x"})
-    made = plan({"x": 12_000, "y": 8000})
+    stage = make_stage_with_followers({"y": "x"})
+    planned = plan({"x": 12_000, "y": 8000})
     with pytest.raises(
         ArgumentError, match=r"the plan has R7 = \d+ for axis y.* the clock of axis x \(SYNI\) with R7 ="
     ):
-        firmware.synchronized_move(made, stage)
-    load(stage.axes["x"], R7=1000)
+        firmware.synchronized_move(planned, stage)
+    write_registers(stage.axes["x"], R7=1000)
     with pytest.raises(ArgumentError, match=r"axis y would have to run at 1.6e\+04 pps, and with R7 = 1000"):
         firmware.line({"y": 8000}, stage, pulses=True)
     assert [axis.chip.net() for axis in stage.axes.values()] == [0, 0, 0]
 
 
 def test_moves_of_a_clock_follower_have_the_requested_rates():
-    stage = follow({"y": "x"})
+    stage = make_stage_with_followers({"y": "x"})
     y = stage.axes["y"]
-    load(stage.axes["x"], R7=60)
+    write_registers(stage.axes["x"], R7=60)
     report = firmware.move(y, pulses=8000, speed=8000 * y.meters_per_pulse)
     assert (report.ok, report.peak_rate) == (True, pytest.approx(8000, rel=1e-3))
     for report in (firmware.preset_move(y, 20_000), firmware.continuous_move(y, 0.3, -1)):
@@ -105,8 +105,8 @@ def test_moves_of_a_clock_follower_have_the_requested_rates():
         firmware.preset_move(y, 8000, Profile.of(multiplier=30))
 
 
-def test_a_follower_whose_leader_makes_no_clock_says_so_before_the_first_bus_cycle():
-    stage = follow({"y": "x"})
+def test_a_follower_of_a_leader_without_a_clock_is_refused_before_the_first_bus_cycle():
+    stage = make_stage_with_followers({"y": "x"})
     y, message = stage.axes["y"], r"axis y makes no pulses: its chip counts the clock of axis x \(SYNI\), whose R7 is 0"
     for act in (
         lambda: firmware.move(y, pulses=100),
@@ -121,8 +121,8 @@ def test_a_follower_whose_leader_makes_no_clock_says_so_before_the_first_bus_cyc
     assert y.chip.values()["R0"] == 0
 
 
-def test_a_wait_for_pulses_that_cannot_come_says_what_is_missing():
-    stage = follow({"y": "x"})
+def test_the_error_of_a_wait_for_pulses_without_a_clock_names_the_cause():
+    stage = make_stage_with_followers({"y": "x"})
     for axis, message in (
         (stage.axes["y"], "clock of axis x .SYNI., whose R7 is 0"),
         (Bench(PCL240K()).axes["x"], "its R7 is 0"),
@@ -137,11 +137,11 @@ def test_a_wait_for_pulses_that_cannot_come_says_what_is_missing():
 
 
 def test_the_command_plans_followers_and_names_a_leader_without_a_clock():
-    code, out, _ = run("sync", "x=12000", "y=8000", "--syni", "y=x")
+    code, out, _ = run_command("sync", "x=12000", "y=8000", "--syni", "y=x")
     assert code == 0
     assert out.count("lost steps 0") == 2
     for argv in (["move", "y", "8000"], ["home", "y"], ["dual-rate", "y", "40000"]):
-        code, _, err = run(*argv, "--syni", "y=x")
+        code, _, err = run_command(*argv, "--syni", "y=x")
         assert code != 0
         assert "counts the clock of axis x (SYNI), whose R7 is 0" in err
 
@@ -156,11 +156,13 @@ def test_the_command_plans_followers_and_names_a_leader_without_a_clock():
 )
 def test_the_command_makes_the_dual_rates_of_the_data_sheet(monkeypatch, rates, phases):
     """Section 6: (1) constant FL, then a ramp up to FH1; (2) FH1, then a ramp down to FL"""
-    made, real = [], driver.dual_rate_move
-    monkeypatch.setattr(driver, "dual_rate_move", lambda *args, **kwargs: made.append(real(*args, **kwargs)) or made[0])
-    code, _, _ = run("dual-rate", "x", "20000", "--rates", rates, "--dwell", "0.15")
-    assert (code, made[0].pulses) == (0, 20_000)
-    waveform = made[0].course
+    planned, real = [], driver.dual_rate_move
+    monkeypatch.setattr(
+        driver, "dual_rate_move", lambda *args, **kwargs: planned.append(real(*args, **kwargs)) or planned[0]
+    )
+    code, _, _ = run_command("dual-rate", "x", "20000", "--rates", rates, "--dwell", "0.15")
+    assert (code, planned[0].pulses) == (0, 20_000)
+    waveform = planned[0].course
     observed = [
         next((p for p in ("fup", "fdown", "fkeep") if waveform.pin(p)[k]), "") for k in range(len(waveform.edges))
     ]
@@ -169,15 +171,15 @@ def test_the_command_makes_the_dual_rates_of_the_data_sheet(monkeypatch, rates, 
 
 
 def test_the_minimum_pulses_that_a_refused_dual_rate_move_names_are_accepted():
-    code, _, err = run("dual-rate", "x", "4000")
+    code, _, err = run_command("dual-rate", "x", "4000")
     assert code != 0
     assert "give more, dwell less, or ask for fewer rates" in err
-    assert run("dual-rate", "x", "8000", "--dwell", "0.01")[0] == 0
-    assert run("dual-rate", "x", "4000", "--rates", "FH1")[0] == 0
+    assert run_command("dual-rate", "x", "8000", "--dwell", "0.01")[0] == 0
+    assert run_command("dual-rate", "x", "4000", "--rates", "FH1")[0] == 0
 
 
 @pytest.mark.parametrize(("pulses", "is_possible"), [(400, True), (310, True), (290, False)])
-def test_a_follower_runs_at_one_step_of_the_multiplier_that_it_hears_and_not_slower(pulses, is_possible):
+def test_a_follower_runs_at_one_step_of_the_leaders_multiplier_or_faster(pulses, is_possible):
     """CLOCK / (8192 R7) is 300 pps with R7 = 2; of 16,000 pulses at 16,000 pps y has as many pps as pulses."""
     if is_possible:
         planned = plan({"x": 16_000, "y": pulses}, multipliers={"y": 2})
@@ -187,9 +189,9 @@ def test_a_follower_runs_at_one_step_of_the_multiplier_that_it_hears_and_not_slo
             plan({"x": 16_000, "y": pulses}, multipliers={"y": 2})
 
 
-def test_a_follower_without_a_multiplier_is_not_silent():
-    y = follow({"y": "x"}).axes["y"]
-    load(y.stage.axes["x"], R7=60)
+def test_explain_silence_names_a_leader_whose_multiplier_makes_no_clock():
+    y = make_stage_with_followers({"y": "x"}).axes["y"]
+    write_registers(y.stage.axes["x"], R7=60)
     assert explain_silence(y) == ""
     for address, datum in ((0, 0x87), (2, 0), (1, 1)):  # R7 = 1, which the firmware itself does not write
         y.stage.axes["x"].chip.write(address, datum)

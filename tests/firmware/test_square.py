@@ -18,8 +18,8 @@ PIECES = 60
 """The ways of all pieces together are the travel of the axis that has the least."""
 
 
-def turned_round():
-    """A gantry whose y and w count the other way: ORG lies at the end of plus. w has less travel than y."""
+def make_mirrored_gantry():
+    """Make a gantry whose y and w count in the other direction, so that ORG is at the plus end; w has less travel than y."""
     spec = plant.open_spec("gantry")
     for joint in (j for j in spec.joints if j.name in BEAM):
         joint.axis = -joint.axis
@@ -35,26 +35,26 @@ def turned_round():
 
 @pytest.fixture(scope="module", params=[-1, 1])
 def gantry(request):
-    """(where ORG lies, a stage)"""
-    return request.param, Stage("gantry" if request.param < 0 else turned_round(), visuals=False)
+    """Direction of ORG, and a stage."""
+    return request.param, Stage("gantry" if request.param < 0 else make_mirrored_gantry(), visuals=False)
 
 
 @pytest.fixture
-def ways(monkeypatch):
-    """Record the calls of `line` by `square_gantry`: (ways, options) each. Half of PIECES are enough for half of the travel."""
+def recorded_lines(monkeypatch):
+    """Calls of `line` by `square_gantry`: (distances, options) each; half of PIECES suffice for half of the travel."""
     observed, line = [], gantry_homing.line
 
-    def noted(distances, *axes, **options):
+    def record_line(distances, *axes, **options):
         observed.append((dict(distances), options))
-        assert len(observed) <= PIECES, "it goes on for ever"
+        assert len(observed) <= PIECES, "it never ends"
         return line(distances, *axes, **options)
 
-    monkeypatch.setattr(gantry_homing, "line", noted)
+    monkeypatch.setattr(gantry_homing, "line", record_line)
     return observed
 
 
-def placed(gantry, millimetres):
-    """Both axes so far from the middle, towards ORG, which is asserted from 70 mm on."""
+def place_beam(gantry, millimetres):
+    """Place both axes at this distance from the middle towards ORG, which is on from 70 mm."""
     direction, stage = gantry
     stage.reset()
     stage.place(**dict.fromkeys(BEAM, direction * millimetres * 1e-3))
@@ -62,9 +62,9 @@ def placed(gantry, millimetres):
 
 
 @pytest.mark.parametrize(("millimetres", "on"), [(62, False), (78, True)])
-def test_a_beam_is_squared_towards_org_at_either_end_from_before_it_and_from_on_it(gantry, ways, millimetres, on):
+def test_a_beam_is_squared_at_org_on_either_side_from_both_sides_of_the_switch(gantry, recorded_lines, millimetres, on):
     """firmware.square_gantry(y, w, direction=1)"""
-    direction, axes = placed(gantry, millimetres)
+    direction, axes = place_beam(gantry, millimetres)
     assert {axis.switches.org for axis in axes} == {on}
     reports = firmware.square_gantry(*axes, direction=direction)
     assert [(r.axis, r.stopped_by, r.lost_steps) for r in reports] == [("y", "ORG", 0), ("w", "ORG", 0)]
@@ -72,19 +72,20 @@ def test_a_beam_is_squared_towards_org_at_either_end_from_before_it_and_from_on_
     assert [axis.position for axis in axes] == pytest.approx(org, abs=0.1e-3)
     assert abs(np.degrees(gantry[1].data.joint("racking").qpos[0])) < 2e-3
     piece = min(high - low for low, high in (axis.travel for axis in axes)) / PIECES
-    assert [abs(way) for asked, _ in ways for way in asked.values()] == pytest.approx([piece] * 2 * len(ways))
-    assert [set(asked) for asked, _ in ways] == [set(BEAM)] * len(ways)
-    assert np.sign(ways[0][0]["y"]) == (-direction if on else direction)
+    driven = [abs(distance) for distances, _ in recorded_lines for distance in distances.values()]
+    assert driven == pytest.approx([piece] * 2 * len(recorded_lines))
+    assert [set(distances) for distances, _ in recorded_lines] == [set(BEAM)] * len(recorded_lines)
+    assert np.sign(recorded_lines[0][0]["y"]) == (-direction if on else direction)
 
 
-def test_a_tandem_axis_moves_alone_at_a_quarter_of_the_common_speed(gantry, ways, monkeypatch):
+def test_a_tandem_axis_moves_alone_at_a_quarter_of_the_common_speed(gantry, recorded_lines, monkeypatch):
     """firmware.square_gantry(y, w, speed=0.06, start_speed=0.02, accel=0.05)"""
-    direction, axes = placed(gantry, 67)
+    direction, axes = place_beam(gantry, 67)
     homes, driver = [], type(gantry_homing.get_driver(axes[0]))
     monkeypatch.setattr(driver, "home", lambda self, *arguments, **options: homes.append((arguments, options)))
-    asked = {"speed": 0.06, "start_speed": 0.02, "accel": 0.05}
-    gantry_homing.square_gantry(*axes, direction=direction, **asked, timeout=7.0)
-    assert [options for _, options in ways] == [asked] * len(ways)
+    options_of_speed = {"speed": 0.06, "start_speed": 0.02, "accel": 0.05}
+    gantry_homing.square_gantry(*axes, direction=direction, **options_of_speed, timeout=7.0)
+    assert [options for _, options in recorded_lines] == [options_of_speed] * len(recorded_lines)
     slow = 0.06 / 4 / axes[0].meters_per_pulse
     assert homes == [((direction, pytest.approx(Speeds(slow, slow, 0.05, 0.05))), {"timeout": 7.0})] * 2
     homes.clear()
@@ -92,8 +93,8 @@ def test_a_tandem_axis_moves_alone_at_a_quarter_of_the_common_speed(gantry, ways
     assert [arguments[1].start for arguments, _ in homes] == pytest.approx([0.002 / axes[0].meters_per_pulse] * 2)
 
 
-def test_speeds_in_pulses_are_those_of_the_first_axis(gantry, monkeypatch):
-    direction, axes = placed(gantry, 67)
+def test_speeds_in_pulses_are_converted_by_the_first_axis(gantry, monkeypatch):
+    direction, axes = place_beam(gantry, 67)
     observed = []
     monkeypatch.setattr(
         gantry_homing, "square_gantry", lambda *axes, **options: observed.append((axes, options)) or ["squared"]
@@ -105,8 +106,8 @@ def test_speeds_in_pulses_are_those_of_the_first_axis(gantry, monkeypatch):
 
 
 @pytest.mark.parametrize("millimetres", [62, 78])
-def test_each_axis_searches_within_its_own_timeout_after_a_step_is_lost(gantry, ways, millimetres):
-    direction, axes = placed(gantry, millimetres)
+def test_jammed_axes_end_the_squaring_at_the_timeout(gantry, recorded_lines, millimetres):
+    direction, axes = place_beam(gantry, millimetres)
     with faults.jam(axes[0]), faults.jam(axes[1]), pytest.raises(RunTimeout, match=r"after 0\.300 s"):
         firmware.square_gantry(*axes, direction=direction, timeout=0.3)
-    assert len(ways) == 1
+    assert len(recorded_lines) == 1

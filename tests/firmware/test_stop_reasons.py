@@ -82,7 +82,7 @@ def test_an_index_pulse_that_ends_before_the_next_poll_is_the_stop_reason():
     ("command", "reason"),
     [(chip_port.RESET, "reset command"), (chip_port.SLOW_DOWN["FH1"], "decelerating stop")],
 )
-def test_a_host_that_stops_a_move_is_the_reason_and_no_limit(command, reason):
+def test_a_stop_command_of_the_host_is_the_stop_reason(command, reason):
     x = bench()
     write_at(x, 0.2, 0, command)
     report = firmware.preset_move(x, 50_000)
@@ -96,7 +96,7 @@ def test_a_host_that_stops_a_move_is_the_reason_and_no_limit(command, reason):
     assert driver.stopped_by() == reason
 
 
-def test_a_stop_that_comes_with_the_last_pulse_leaves_the_move_done():
+def test_a_stop_at_the_last_pulse_does_not_change_the_stop_reason():
     x = bench()
     firmware.preset_move(x, 500, SLOW)
     x.chip.write(0, chip_port.RESET)
@@ -111,7 +111,7 @@ def test_an_active_limit_stops_moves_into_it_but_not_out_of_it():
     assert firmware.preset_move(x, -300).stopped_by == "R0 = 0"
 
 
-def test_a_move_whose_start_was_lost_on_the_bus_names_no_limit():
+def test_a_move_whose_start_command_was_lost_names_no_limit():
     """faults.lost_write: the chip stands, R0 is not 0, and no limit is on"""
     stage = Stage("xy", visuals=False)
     x = stage.axes["x"]
@@ -134,7 +134,7 @@ def test_a_driver_that_has_started_nothing_names_no_limit():
         assert get_driver(x).stopped_by() == "R0 = 0"
 
 
-def test_an_axis_leaves_no_journal_open_when_its_driver_is_gone():
+def test_a_deleted_driver_leaves_no_open_journal():
     x = bench()
     driver = get_driver(x)
     driver.run(1, Speeds())
@@ -144,7 +144,7 @@ def test_an_axis_leaves_no_journal_open_when_its_driver_is_gone():
 
 
 @pytest.mark.parametrize("name", [n for n in CHIPS.built_in if n.startswith("PCL")])
-def test_an_origin_switch_that_does_not_let_go_is_no_origin(name):
+def test_an_origin_switch_that_is_never_released_is_not_home(name):
     """ORG is asserted again when the axis has backed off: a switch whose contact is loose"""
     x = bench(CHIPS[name])
     x.chip.pins.org = True
@@ -173,24 +173,26 @@ def test_a_host_that_stops_a_nova_drive_is_the_reason(name):
 
 
 @pytest.mark.parametrize("name", FIRST)
-@pytest.mark.parametrize("way", [1, -1])
-def test_a_software_limit_that_ends_a_nova_drive_is_the_reason(name, way):
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_software_limit_that_ends_a_nova_drive_is_the_reason(name, direction):
     """WR2 SLMT+ and SLMT-, at 500 pulses: the drive slows down there"""
     x = bench(CHIPS[name])
-    port, limit = Port(x), "SLMT+" if way > 0 else "SLMT-"
+    port, limit = Port(x), "SLMT+" if direction > 0 else "SLMT-"
     port.load(CP=500, CM=-500)
     port.mode(WR2=x.chip.MAP.mask("WR2", "SLMT+") | x.chip.MAP.mask("WR2", "SLMT-"))
-    report = firmware.move(x, pulses=4000 * way)
+    report = firmware.move(x, pulses=4000 * direction)
     assert (report.stopped_by, report.ok) == (limit, False)
-    assert firmware.move(x, pulses=-100 * way).stopped_by == "all pulses", "beyond the limit still, and on its way back"
+    assert firmware.move(x, pulses=-100 * direction).stopped_by == "all pulses", (
+        "beyond the limit still, and on its way back"
+    )
     jogged = get_driver(x)
-    jogged.run(way, Speeds())
+    jogged.run(direction, Speeds())
     assert not jogged.is_running()
     assert jogged.explain_end(False) == limit
 
 
 @pytest.mark.parametrize("chip", [MCX514, MCX314AS])
-def test_the_axes_of_an_interpolation_that_a_limit_ends_say_which_it_was(chip):
+def test_all_axes_of_an_interpolation_name_the_limit_that_ended_it(chip):
     stage = Stage("xy", chips=chip, visuals=False)
     with faults.switch_stuck(stage.axes["x"], "el_plus", True):
         report = firmware.line({"x": 6e-3, "y": 2e-3}, stage)
@@ -215,7 +217,7 @@ def test_a_limit_that_ends_one_axis_of_a_line_slows_the_others_down(chip, limite
     assert firmware.move(stage.axes[other], 1e-3).ok, "and it is at rest, and moves again"
 
 
-def test_each_axis_of_a_broken_line_slows_down_once(monkeypatch):
+def test_each_other_axis_of_a_line_that_a_limit_ends_gets_one_stop_command(monkeypatch):
     """Three axes that come to rest one after the other: all of them say what has ended them."""
     stage = Stage("xyz", chips="mcx304", visuals=False)
     slowed, slow_down = [], get_driver_class(type(stage.axes["x"].chip)).slow_down

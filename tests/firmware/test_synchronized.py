@@ -62,7 +62,7 @@ def test_fast_moves_and_unequal_ramps_stay_on_the_line():
     assert report.axes["x"].peak_rate == pytest.approx(200_000, rel=2e-3)
 
 
-def test_millions_of_pulses_come_out_as_estimated():
+def test_the_deviation_of_millions_of_pulses_is_the_estimated_one():
     report = synchronized_move({"x": 1_500_000, "y": -912_345}, bench(), rate=100_000)
     assert report.ok
     assert not report.plan.exact
@@ -116,7 +116,7 @@ def test_a_plan_compensates_a_known_bus_delay():
     assert aware < 0.5 * blind
 
 
-def test_the_same_move_is_the_same_to_the_bit():
+def test_repeated_moves_are_equal_bit_for_bit():
     one, two = (synchronized_move({"x": 7000, "y": -3210}, bench()) for _ in range(2))
     assert one.plan == two.plan
     assert one.deviation == two.deviation
@@ -169,7 +169,7 @@ def test_an_end_limit_stops_the_other_axes_too():
     assert stops == {"x": 1, "y": 0}, "told once, and only who still runs"
 
 
-def test_an_axis_that_completes_its_pulses_reports_so_though_another_met_a_limit():
+def test_an_axis_that_completes_its_pulses_is_ok_although_another_met_a_limit():
     """x meets its limit in its last pulses, when y has as good as ended: y is given a decelerating stop or is not, by chance."""
     for limit in range(19_985, 20_000, 2):
         chips = bench()
@@ -180,7 +180,7 @@ def test_an_axis_that_completes_its_pulses_reports_so_though_another_met_a_limit
         assert (y.pulses == 400) == (y.stopped_by == "R0 = 0"), limit
 
 
-def test_a_move_that_takes_too_long_says_what_is_left():
+def test_the_timeout_error_of_a_synchronized_move_states_the_remaining_pulses():
     with pytest.raises(
         RunTimeout, match=r"after 0.100 s axes still operate; pulses left: \{'y': \d+, 'x': \d+\}"
     ) as caught:
@@ -188,7 +188,7 @@ def test_a_move_that_takes_too_long_says_what_is_left():
     assert 0 < caught.value.reports["x"].pulses < 20_000
 
 
-def test_it_waits_no_longer_than_its_time():
+def test_a_synchronized_move_ends_at_its_timeout():
     """synchronized_move({"x": 200_000, "y": 30_000}, bench, timeout=0.01): it is looked at every 0.06 s"""
     b = bench()
     with pytest.raises(RunTimeout):
@@ -196,7 +196,7 @@ def test_it_waits_no_longer_than_its_time():
     assert b.axes["x"].time < 0.012
 
 
-def test_it_draws_itself(tmp_path):
+def test_the_plot_of_a_synchronized_move_states_its_deviation(tmp_path):
     pytest.importorskip("matplotlib")
     for names, distances in (("x", (90,)), ("xy", (900, -400)), ("xyz", (4000, 300, -2000))):
         report = synchronized_move(dict(zip(names, distances, strict=True)), bench(names))
@@ -207,7 +207,7 @@ def test_it_draws_itself(tmp_path):
         assert (tmp_path / f"{names}.png").stat().st_size > 20_000
 
 
-def test_a_wrong_name_is_answered_with_the_near_ones(stage):
+def test_the_error_of_an_unknown_axis_proposes_similar_names(stage):
     with pytest.raises(ArgumentError, match=r"unknown axis 'xx'. Did you mean 'x'\? Known: x, y, z"):
         synchronized_move({"xx": 100, "y": 100}, stage)
 
@@ -225,7 +225,7 @@ def test_a_duplicate_axis_is_refused():
         synchronized_move({"x": 100, chips.axes["x"]: 50}, chips)
 
 
-def test_what_is_no_axis_is_refused():
+def test_a_key_that_is_no_axis_is_refused():
     with pytest.raises(ArgumentError, match="is no axis"):
         synchronized_move({5: 100})
 
@@ -248,7 +248,7 @@ def test_a_plan_for_another_clock_is_refused():
         synchronized_move(plan({"x": 100}, rate=2000, clock_hz=1_000_000), bench())
 
 
-def test_a_refusal_leaves_the_chips_alone():
+def test_a_refused_move_writes_nothing_to_the_chips():
     chips = bench()
     before = [a.chip.snapshot() for a in chips.axes.values()]
     with pytest.raises(ArgumentError):

@@ -35,7 +35,7 @@ def slow_deviation(pulses, distances):
 
 
 @pytest.mark.parametrize("axes", [1, 2, 3, 4])
-def test_it_agrees_with_a_slow_check_in_fractions(axes):
+def test_the_path_deviation_agrees_with_a_slow_check_in_fractions(axes):
     seed = SEED
     print("seed", seed)
     rng = random.Random(seed)
@@ -55,7 +55,7 @@ def test_it_agrees_with_a_slow_check_in_fractions(axes):
             assert got.counts == tuple(at)
 
 
-def test_a_path_on_its_line_has_distance_zero():
+def test_a_path_on_its_line_has_a_deviation_of_0():
     times = np.arange(1, 101)
     assert compute_path_deviation([(times, 1), (times, -1)], (100, -100)) == (0.0, 0.0, (0, 0))
 
@@ -64,13 +64,13 @@ def test_one_axis_is_always_on_its_line():
     assert compute_path_deviation([(np.arange(1, 38), -1)], [-37]).pulses == 0
 
 
-def test_an_axis_that_moves_alone_leaves_the_line_by_its_share():
+def test_an_axis_that_moves_first_leaves_the_line_by_its_share():
     x, y = (np.arange(1, 31), 1), (np.arange(101, 141), 1)  # all of x, then all of y: the corner of a 3:4 triangle
     assert compute_path_deviation([x, y], (30, 40)).pulses == pytest.approx(30 * 0.8)
     assert compute_path_deviation([x, y], (30, 40)).counts == (30, 0)
 
 
-def test_a_path_beyond_the_end_counts_with_its_distance_from_the_end():
+def test_a_path_beyond_the_end_deviates_by_its_distance_from_the_end():
     assert compute_path_deviation([(np.arange(1, 14), 1)], [10]).pulses == 3
 
 
@@ -83,7 +83,7 @@ def test_ticks_and_clocks_become_seconds():
     assert compute_path_deviation([(x, 1), (y, 1)], (3, 3), clock_hz=1000).time == ticks.time / 1000
 
 
-def test_it_reads_what_chips_trace():
+def test_the_path_deviation_accepts_traces_of_chips():
     x, y = PCL240K(), PCL240K()
     start_preset(x, 3000)
     start_preset(y, 3000, minus=True)
@@ -92,17 +92,17 @@ def test_it_reads_what_chips_trace():
 
 
 @pytest.mark.parametrize(("distances", "distance"), [((1, 1), 0), ((2, 1), 1 / math.sqrt(5)), ((50_000, 100), 0.998)])
-def test_perfect_axes_are_a_staircase_off_the_line(distances, distance):
+def test_perfect_axes_deviate_by_a_staircase(distances, distance):
     assert compute_perfect_deviation(distances) == pytest.approx(distance, abs=1e-4)
 
 
-def test_points_are_the_path():
+def test_path_points_merge_the_pulses_of_all_axes():
     times, counts = compute_path_points([([1, 2, 2], [1, 1, 1]), ([2, 5], [-1, -1])])
     assert times.tolist() == [0, 1, 2, 5]
     assert counts.tolist() == [[0, 0], [1, 0], [3, -1], [3, -2]]
 
 
-def test_a_journal_gives_back_every_pulse_of_its_chip():
+def test_a_journal_replays_every_pulse_of_its_chip():
     chip, replica = PCL240K(), PCL240K()
     for c in (chip, replica):
         c.advance(777)
@@ -124,7 +124,7 @@ def test_a_journal_gives_back_every_pulse_of_its_chip():
     assert (got["direction"] == expected["direction"]).all()
 
 
-def test_refusals_say_what_to_do():
+def test_errors_of_unsorted_pulses_and_wrong_counts_say_what_to_do():
     with pytest.raises(ArgumentError, match="out of order"):
         compute_path_deviation([([2, 1], 1)], [2])
     with pytest.raises(ArgumentError, match="0 axes of pulses and 0 distances"):

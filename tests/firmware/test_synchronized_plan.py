@@ -29,7 +29,7 @@ def log_uniform(low, high):
     return st.floats(math.log(low), math.log(high)).map(math.exp)
 
 
-def test_the_closed_form_is_the_chip_to_the_clock():
+def test_the_closed_form_equals_the_chip_to_the_clock():
     seed = SEED
     print("seed", seed)
     rng = random.Random(seed)
@@ -48,21 +48,21 @@ def test_the_closed_form_is_the_chip_to_the_clock():
         assert before == list(range(len(pulses))), r
 
 
-def farthest(leader, own, lead, corners=False, hz=4_915_200):
+def compute_max_deviation(leader, follower, lead, corners=False, hz=4_915_200):
     """The largest distance from the line as fit.py defines it, in pulses of the follower: of 2000 times of the move, or of the
     first pulse and the ends of all ramps."""
     c, o = np.zeros(4, np.int64), np.zeros(4, np.int64)
-    fill_motion(leader, c), fill_motion(own, o)
-    rho, lo, hi = own[0] / leader[0], 1.0, 0.0
+    fill_motion(leader, c), fill_motion(follower, o)
+    rho, lo, hi = follower[0] / leader[0], 1.0, 0.0
     end = min(c[3] / hz, o[3] / hz - lead)
     ends = [
         t / hz - x
-        for r, k, x in ((leader, c, 0), (own, o, lead))
+        for r, k, x in ((leader, c, 0), (follower, o, lead))
         for t in (compute_ramp_ticks(r, r[4]), k[0], k[0] + compute_ramp_ticks(r, r[5]))
     ]
-    ends += [end, find_first_pulse_tick(own, o) / hz - lead + 1e-12]
+    ends += [end, find_first_pulse_tick(follower, o) / hz - lead + 1e-12]
     for t in [t for t in ends if 0 <= t <= end] if corners else np.linspace(0, end, 2000):
-        n = count_pulses(own, o, (t + lead) * hz)
+        n = count_pulses(follower, o, (t + lead) * hz)
         e = n - rho * count_pulses(leader, c, t * hz)
         lo, hi = min(lo, e if n >= 1 else lo), max(hi, e)
     return max(1 - lo, hi + rho)
@@ -77,12 +77,12 @@ def test_a_ramp_down_point_may_be_the_largest_that_r6_holds():
         next(leader_search._vary_tails(row, 4_915_200, needed - 1))
 
 
-def test_a_longer_tail_at_a_slow_fl_is_not_tried_where_it_costs_time():
+def test_longer_tails_are_tried_only_if_fl_is_fast_enough():
     """FL of 15 and of 1500 pps, FH 1000 pps more: a tail 3 pulses longer takes 0.2 s, or 2 ms"""
     tails = {}
     for fl in (1, 100):
         row = np.array([4000, fl, fl + 66, fl + 66, 100, 100, 0, 40])
-        points = [int(made[6]) for made in leader_search._vary_tails(row, 4_915_200, 1 << 20)]
+        points = [int(row_of_registers[6]) for row_of_registers in leader_search._vary_tails(row, 4_915_200, 1 << 20)]
         tails[fl] = [point - points[0] + 5 for point in points]
     assert tails == {1: [5, 4, 6], 100: [5, 8, 11, 14, 4, 6, 9]}
 
@@ -101,13 +101,13 @@ def test_an_estimate_equals_the_maximum_over_dense_samples(bent):
             [0.5, rng.uniform(0.3, 1.25), 1, 1, *(rng.uniform(0.8, 1.25) for _ in range(2)), rng.uniform(0.4, 0.6)]
         )
         off[2] = 1 + n % 2 * rng.uniform(-0.03, 0.03)
-        own = leader.copy()
-        own[:7], own[7] = np.maximum(leader[:7] * off, 2), 80
+        follower = leader.copy()
+        follower[:7], follower[7] = np.maximum(leader[:7] * off, 2), 80
         lead = rng.choice((0.0, 1e-4))
-        distance = follower_fit.estimate_line_distance(leader, 4_915_200, own, 4_915_200, lead, work)
+        distance = follower_fit.estimate_line_distance(leader, 4_915_200, follower, 4_915_200, lead, work)
         if n % 10 == 0:
-            short.append(distance / farthest(leader, own, lead))
-        assert distance > farthest(leader, own, lead, corners=True) - 1e-6
+            short.append(distance / compute_max_deviation(leader, follower, lead))
+        assert distance > compute_max_deviation(leader, follower, lead, corners=True) - 1e-6
     assert min(short) > 0.97, short
     assert max(short) < 1.003, short
 
@@ -119,12 +119,12 @@ def test_an_estimate_equals_the_maximum_over_dense_samples(bent):
     st.sampled_from((1_000_000, 4_915_200, 9_830_400)),
 )  # fmt: skip
 def test_every_planned_register_is_legal(distances, rate, fl, accel, decel, clock_hz):
-    asked = dict(zip("xyz", distances, strict=False))
+    requested = dict(zip("xyz", distances, strict=False))
     try:
-        p = plan(asked, rate=max(rate, fl), fl=fl, accel=accel, decel=decel, clock_hz=clock_hz)
+        p = plan(requested, rate=max(rate, fl), fl=fl, accel=accel, decel=decel, clock_hz=clock_hz)
     except ArgumentError:
         return  # each reason has a test of its own
-    assert p.distances == asked
+    assert p.distances == requested
     for a in p.axes.values():
         assert set(a.registers) == {f"R{k}" for k in range(8)}
         for name, value in a.registers.items():
@@ -150,7 +150,7 @@ def test_rates_with_a_simple_ratio_are_met_exactly(distances):
     assert p.deviation < 1.1
 
 
-def test_the_error_of_the_ratio_is_that_of_the_axis_farthest_off_too_fast_or_too_slow():
+def test_the_ratio_error_is_the_largest_of_all_axes_in_either_direction():
     """plan({"x": 20_000, "y": 1_234}): y is 1.7e-6 slow; of 5 pulses it has no ramps, and there is no word about its FL"""
     signs = []
     for pulses in (7_919, 1_234, 5):
@@ -163,7 +163,7 @@ def test_the_error_of_the_ratio_is_that_of_the_axis_farthest_off_too_fast_or_too
     assert (signs, y.ramps) == ([1, -1, 1], False)
 
 
-def test_equal_distances_never_leave_the_line():
+def test_equal_distances_have_no_deviation():
     assert plan({"x": 5000, "y": -5000, "z": 5000}).deviation == 0
 
 
@@ -200,7 +200,7 @@ def test_constant_speed_is_rate_equal_to_fl():
     assert p.axes["y"].fh == pytest.approx(1000, rel=1e-6)
 
 
-def test_the_shortest_axis_starts_first_by_the_bus_delay():
+def test_the_axis_with_the_smallest_distance_starts_first_by_the_bus_delay():
     p = plan({"x": 900, "y": -5000, "z": 2000}, bus_delay=5e-6)
     assert p.order == ("x", "z", "y")
     assert [p.axes[n].lead for n in p.order] == pytest.approx([1e-5, 5e-6, 0])
@@ -210,11 +210,11 @@ def test_an_axis_with_distance_zero_is_left_out():
     assert list(plan({"x": 500, "y": 0}).axes) == ["x"]
 
 
-def test_a_single_pulse_may_come_whenever_it_likes():
+def test_an_axis_with_a_single_pulse_deviates_by_at_most_one_pulse():
     assert plan({"x": 200_000, "y": 1}).deviation <= 1
 
 
-def test_another_bus_delay_is_the_same_registers_started_otherwise():
+def test_another_bus_delay_changes_start_times_and_deviation_but_no_registers():
     at_once = plan({"x": 20_000, "y": 16_000}, rate=40_000)
     later = at_once.with_bus_delay(2e-4)
     assert later.axes["y"].registers == at_once.axes["y"].registers
@@ -230,7 +230,7 @@ def test_chips_may_have_different_clocks():
     assert p.deviation < 1.3
 
 
-def test_very_long_moves_are_planned_too():
+def test_very_long_moves_can_be_planned():
     p = plan({"x": 16_777_215, "y": 7_654_321}, rate=100_000)
     assert not p.exact
     assert p.deviation < 2
@@ -249,13 +249,13 @@ def test_a_plan_prints_as_a_table():
 
 def test_planning_takes_milliseconds():
     plan({"x": 1000, "y": 700})
-    rng, taken = random.Random(1), []
+    rng, seconds = random.Random(1), []
     for _ in range(20):
         distances = {"x": rng.randint(100, 50_000), "y": rng.randint(100, 50_000)}
         begin = time.process_time()
         plan(distances)
-        taken.append(time.process_time() - begin)
-    assert np.median(taken) < 0.05
+        seconds.append(time.process_time() - begin)
+    assert np.median(seconds) < 0.05
 
 
 def test_a_short_move_reaches_the_peak_of_its_plan():
@@ -267,7 +267,7 @@ def test_a_short_move_reaches_the_peak_of_its_plan():
     assert "peaks at 5068 pps" in str(report.plan)
 
 
-def test_a_plan_comes_true():
+def test_a_move_has_the_deviation_and_duration_of_its_plan():
     seed = SEED
     print("seed", seed)
     rng = random.Random(seed)
@@ -309,7 +309,7 @@ def test_a_plan_comes_true():
         ({"y": 1000}, {"clock_hz": {"x": 4_915_200}}, "unknown axis in clock_hz 'y'"),
     ],
 )  # fmt: skip
-def test_what_registers_cannot_do_is_refused_with_the_reason(distances, options, reason):
+def test_the_error_of_an_impossible_plan_states_the_reason(distances, options, reason):
     with pytest.raises(ArgumentError, match=reason):
         plan(distances, **options)
 
@@ -322,14 +322,14 @@ def test_a_ramp_with_curved_ends_is_as_long_as_a_linear_one_of_its_effective_ste
     assert [effective_steps(40, share) for share in (0, 0.5)] == [40, 40]
 
 
-def test_a_slow_fl_leaves_a_move_the_data_sheets_tail():
+def test_a_move_with_a_slow_fl_has_the_tail_of_the_data_sheet():
     """plan({"x": 1000, "y": 500}, rate=1000, fl=10): the 5 pulses at FL take half a second"""
     p = plan({"x": 1000, "y": 500}, rate=1000, fl=10)
     assert p.axes["x"].fl == pytest.approx(10, rel=0.05)
     assert p.axes["x"].ramps
 
 
-def test_an_axis_too_slow_to_ramp_along_does_its_best_and_says_so():
+def test_the_notes_of_a_plan_name_an_axis_that_cannot_ramp_slowly_enough():
     p = plan({"x": 26_318, "y": -114}, rate=12_000, accel=0.45)
     assert 2 < p.deviation < 5
     ramp, *_, distance = p.notes

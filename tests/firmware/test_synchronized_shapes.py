@@ -219,16 +219,16 @@ def test_wider_rate_registers_ramp_more_slowly():
     st.sampled_from((False, True, 0.01, 0.25, 0.49)), st.booleans(),
 )  # fmt: skip
 def test_every_planned_register_is_legal_on_its_chip(axes, rate, fl, accel, s_curve, automatic):
-    asked = {n: int(math.exp(d)) for n, (d, _) in zip("xyz", axes, strict=False)}
+    requested = {n: int(math.exp(d)) for n, (d, _) in zip("xyz", axes, strict=False)}
     kinds = {n: PCL240MS if s_curve else kind for n, (_, kind) in zip("xyz", axes, strict=False)}
     rate, fl, accel = math.exp(max(rate, fl)), math.exp(fl), math.exp(accel)
     if automatic and PCL240K in kinds.values():
         automatic = False
     try:
-        p = plan(asked, rate=rate, fl=fl, accel=accel, s_curve=s_curve, automatic=automatic, chips=kinds)
+        p = plan(requested, rate=rate, fl=fl, accel=accel, s_curve=s_curve, automatic=automatic, chips=kinds)
     except ArgumentError:
         return  # each reason has a test of its own
-    assert p.distances == asked
+    assert p.distances == requested
     for n, a in p.axes.items():
         for name, value in a.registers.items():
             assert kinds[n].MAP.check_value(name, value) == value
@@ -237,7 +237,7 @@ def test_every_planned_register_is_legal_on_its_chip(axes, rate, fl, accel, s_cu
         assert not a.automatic or a.registers["R4"] == a.registers["R5"]
 
 
-def test_the_closed_form_of_s_curves_is_the_chip_to_a_thousandth_of_a_pulse():
+def test_the_closed_form_of_s_curves_equals_the_chip_within_a_thousandth_of_a_pulse():
     rng = random.Random(240)  # one draw in 20,000 is a little more than a thousandth off, as of seed 67343
     for _ in range(scaled(8)):
         fl = rng.randint(1, 500)
@@ -257,7 +257,7 @@ def test_the_closed_form_of_s_curves_is_the_chip_to_a_thousandth_of_a_pulse():
 
 
 @every_shape
-def test_a_plan_comes_true(chip, shape):
+def test_a_shaped_move_has_the_deviation_and_duration_of_its_plan(chip, shape):
     rng = seeded()
     for _ in range(scaled(2)):
         distances = random_distances(rng, "xyz", 50, 20_000)
@@ -272,7 +272,7 @@ def test_a_plan_comes_true(chip, shape):
 
 
 @every_shape
-def test_millions_of_pulses_come_out_as_estimated(chip, shape):
+def test_the_deviation_of_millions_of_shaped_pulses_is_the_estimated_one(chip, shape):
     report = synchronized_move({"x": 1_500_000, "y": -912_345}, bench(chip), rate=100_000, **shape)
     assert report.ok
     assert not report.plan.exact
@@ -280,7 +280,7 @@ def test_millions_of_pulses_come_out_as_estimated(chip, shape):
 
 
 @every_shape
-def test_another_bus_delay_is_the_same_registers_started_otherwise(chip, shape):
+def test_another_bus_delay_changes_no_registers_of_a_shaped_plan(chip, shape):
     at_once = plan({"x": 20_000, "y": 16_000}, rate=40_000, chips=chip, **shape)
     later = at_once.with_bus_delay(2e-4)
     assert later.axes["y"].registers == at_once.axes["y"].registers
@@ -289,7 +289,7 @@ def test_another_bus_delay_is_the_same_registers_started_otherwise(chip, shape):
 
 
 @every_shape
-def test_short_moves_keep_to_the_line(chip, shape):
+def test_short_shaped_moves_stay_near_the_line(chip, shape):
     for distances in ({"x": 1}, {"x": 9, "y": 2}, {"x": 60, "y": 25}, {"x": 800, "y": 350}):
         report = synchronized_move(distances, bench(chip), **shape)
         assert report.ok
@@ -298,13 +298,13 @@ def test_short_moves_keep_to_the_line(chip, shape):
 
 def test_planning_s_curves_takes_milliseconds():
     plan({"x": 1000, "y": 700}, chips=PCL240MS, s_curve=True)
-    rng, taken = random.Random(1), []
+    rng, seconds = random.Random(1), []
     for _ in range(20):
         distances = random_distances(rng, "xy")
         begin = time.process_time()
         plan(distances, chips=PCL240MS, s_curve=True)
-        taken.append(time.process_time() - begin)
-    assert np.median(taken) < 0.09
+        seconds.append(time.process_time() - begin)
+    assert np.median(seconds) < 0.09
 
 
 @pytest.fixture(scope="module")
@@ -313,7 +313,7 @@ def stage():
 
 
 @pytest.mark.parametrize("shape", [{"s_curve": True}, {"s_curve": 0.3, "automatic": True}], ids=["S", "automatic"])
-def test_on_the_stage_carriages_follow_the_line(stage, shape):
+def test_on_the_stage_carriages_follow_the_line_with_each_shape(stage, shape):
     stage.reset()
     report = synchronized_move({"x": 20_000, "y": -7_500}, stage, **shape)
     assert report.ok
@@ -324,7 +324,7 @@ def test_on_the_stage_carriages_follow_the_line(stage, shape):
         assert stage.axes[n].chip.diagnostics == []
 
 
-def test_a_plan_prints_what_its_chips_have():
+def test_the_printed_plan_has_the_registers_of_its_chips():
     text = str(plan({"x": 20_000, "y": -7_500}, chips={"x": PCL240MS, "y": PCL240K}))
     head, x, y = text.splitlines()[:3]
     assert head.split()[2:12] == "R0 R1 R2 R3 R4 R5 R6 R7 R14 R15".split()
@@ -334,7 +334,7 @@ def test_a_plan_prints_what_its_chips_have():
     assert str(automatic).splitlines()[1].split()[8] == f"{automatic.axes['x'].offset:+}"
 
 
-def test_it_draws_itself(tmp_path):
+def test_the_plot_of_an_s_curve_move_is_written(tmp_path):
     pytest.importorskip("matplotlib")
     report = synchronized_move({"x": 4000, "y": -1500}, bench(PCL240MS), s_curve=True)
     assert_axes_are_named(report.plot(tmp_path / "s.png"))
@@ -356,7 +356,7 @@ def test_it_draws_itself(tmp_path):
         ({"chips": PCL240MS, "s_curve": True, "accel": 120}, "accel=120 s .* would need R4 outside 2 to 65535"),
     ],
 )  # fmt: skip
-def test_what_the_chips_cannot_do_is_refused_with_the_reason(options, reason):
+def test_the_error_of_a_shape_that_the_chips_lack_states_the_reason(options, reason):
     with pytest.raises(ArgumentError, match=reason):
         plan({"x": 9_000_000, "y": 5_000_000}, **options)
 
@@ -374,7 +374,7 @@ def test_a_plan_for_another_chip_is_refused():
         synchronized_move(made, Bench(x=PCL240MS(), y=PCL240K()))
 
 
-def test_a_refusal_leaves_the_chips_alone():
+def test_a_refused_shape_writes_nothing_to_the_chips():
     chips = Bench(x=PCL240MS(), y=PCL240MK())
     before = [a.chip.snapshot() for a in chips.axes.values()]
     with pytest.raises(ArgumentError, match="axis y has a PCL240MK"):

@@ -1,4 +1,4 @@
-"""How a move becomes a trial's measures: when the tool is quiet, what counts as failed, what several moves are together."""
+"""Measures of a trial: when the tool is quiet, which moves fail, and the sum of several moves."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from stage.study import PresetMoves, objectives, suggest
 from stage.study.objectives import FAILED, SPACE, _measure, _together
 
 SECONDS = np.array([-0.1, 0.0, 0.1, 0.2, 0.3, 0.4])
-"""Of the samples since the first pulse; a move takes 0.2 s."""
+"""Times of the samples since the first pulse; a move takes 0.2 s."""
 
 
-def measured(monkeypatch, away, ok=True, lost=0, band=1e-3, camera=None):
-    """Of a move of 100 pulses against the joint's positive direction, of whose place the tool is so far away at SECONDS."""
+def measure_move(monkeypatch, deviations, ok=True, lost=0, band=1e-3, camera=None):
+    """Measure a move of 100 pulses against the joint's positive direction, with these deviations of the tool, m, at SECONDS."""
     requested = []
     axis = SimpleNamespace(commanded=0.5, meters_per_pulse=2e-3, gear=-300.0)
-    columns = {"time": 5.0 + 0.25 + SECONDS, "x/position": 0.3 + np.array(away)}
+    columns = {"time": 5.0 + 0.25 + SECONDS, "x/position": 0.3 + np.array(deviations)}
     recording = SimpleNamespace(
         column=columns.__getitem__,
         pieces=lambda: [{"qpos": np.array([[0, c] for c in part])} for part in np.split(camera, 2)],
@@ -42,41 +42,41 @@ def measured(monkeypatch, away, ok=True, lost=0, band=1e-3, camera=None):
 
 
 @pytest.mark.parametrize(
-    ("away", "score"),
+    ("deviations", "score"),
     [
-        ([0, 0, 0, 0, 0, 0], 0.2),  # never away: the move's own time
+        ([0, 0, 0, 0, 0, 0], 0.2),  # always at the goal: the duration of the move
         ([0.2, 0.1, 2e-3, 0, 0, 0], 0.2),  # quiet at its end
-        ([0.2, 0.1, 0.1, 2e-3, 0, 0], 0.3),  # quiet at the sample behind the last that is outside
+        ([0.2, 0.1, 0.1, 2e-3, 0, 0], 0.3),  # quiet at the sample after the last one outside
         ([0.2, 0.1, 0.1, 0, -2e-3, 0], 0.4),  # the other side counts as well
         ([0.2, 0.1, 0.1, 0, 0, 2e-3], 0.4 + FAILED),  # the last sample is outside
-        ([0.2, 0.1, 0.1, 0.9e-3, 0.9e-3, -0.9e-3], 0.2),  # it moves within the band
+        ([0.2, 0.1, 0.1, 0.9e-3, 0.9e-3, -0.9e-3], 0.2),  # vibrates within the band
     ],
 )
-def test_a_move_counts_until_the_tool_stays_within_its_band(monkeypatch, away, score):
-    assert measured(monkeypatch, away)["score"] == pytest.approx(score)
+def test_the_score_of_a_move_ends_when_the_tool_stays_within_its_band(monkeypatch, deviations, score):
+    assert measure_move(monkeypatch, deviations)["score"] == pytest.approx(score)
 
 
 def test_an_incomplete_move_fails_and_unknown_steps_do_not_count_as_lost(monkeypatch):
     quiet = [0.0] * 6
-    failed = measured(monkeypatch, quiet, ok=False, lost=-4)
+    failed = measure_move(monkeypatch, quiet, ok=False, lost=-4)
     assert (failed["score"], failed["reached"], failed["lost_steps"]) == (pytest.approx(0.2 + FAILED), 0, -4)
-    unknown = measured(monkeypatch, quiet, lost=None)
+    unknown = measure_move(monkeypatch, quiet, lost=None)
     assert (unknown["score"], unknown["reached"], unknown["lost_steps"]) == (pytest.approx(0.2), 1, 0)
 
 
-def test_a_vibration_is_half_of_the_swing_from_the_last_pulse_on(monkeypatch):
-    """the samples at 0.2, 0.3 and 0.4 s"""
-    assert measured(monkeypatch, [9, 9, 9, 3e-3, -1e-3, 0])["vibration"] == pytest.approx(2e-3)
+def test_the_vibration_is_half_of_the_swing_after_the_last_pulse(monkeypatch):
+    """The samples at 0.2, 0.3 and 0.4 s count"""
+    assert measure_move(monkeypatch, [9, 9, 9, 3e-3, -1e-3, 0])["vibration"] == pytest.approx(2e-3)
 
 
-def test_the_tool_of_a_mast_is_its_carriage_and_the_bend_of_the_mast(monkeypatch):
-    """the camera is 2 mm off to the other side: the carriage alone would not be quiet"""
-    away = np.array([0, 0, 0, 0, 2e-3, 2e-3])
-    assert measured(monkeypatch, away, camera=-away)["score"] == pytest.approx(0.2)
-    assert measured(monkeypatch, np.zeros(6), camera=away)["score"] == pytest.approx(0.4 + FAILED)
+def test_the_position_of_a_mast_tool_includes_the_bend_of_the_mast(monkeypatch):
+    """The camera deviates by 2 mm in the opposite direction: the carriage alone would not be quiet"""
+    deviations = np.array([0, 0, 0, 0, 2e-3, 2e-3])
+    assert measure_move(monkeypatch, deviations, camera=-deviations)["score"] == pytest.approx(0.2)
+    assert measure_move(monkeypatch, np.zeros(6), camera=deviations)["score"] == pytest.approx(0.4 + FAILED)
 
 
-def test_moves_together_are_the_mean_score_all_their_time_and_the_worst_vibration():
+def test_several_moves_have_the_mean_score_the_total_time_and_the_worst_vibration():
     moves = [
         {"score": 1.0, "duration": 0.5, "lost_steps": 4, "reached": 1, "vibration": 3.0},
         {"score": 4.0, "duration": 0.25, "lost_steps": -8, "reached": 0, "vibration": 2.0},
@@ -86,8 +86,8 @@ def test_moves_together_are_the_mean_score_all_their_time_and_the_worst_vibratio
     assert _together(moves[1:2]) == {"score": 4.0, "duration": 0.25, "lost_steps": 8, "reached": 0, "vibration": 2.0}
 
 
-def test_a_trial_measures_the_moves_of_its_objective(monkeypatch):
-    """axis y, a start, a band and a rest of its own, three moves; and of one number one move"""
+def test_a_trial_makes_each_move_of_its_objective_in_order(monkeypatch):
+    """Axis y with a given start, band and rest: three moves, and one move for a single number of pulses"""
     requested, reported = [], []
     move = {"score": 1.0, "duration": 1.0, "lost_steps": 0, "reached": 1, "vibration": 0.0}
     monkeypatch.setattr(
@@ -95,19 +95,19 @@ def test_a_trial_measures_the_moves_of_its_objective(monkeypatch):
         lambda stage, name, profile, *arguments: requested.append((name, round(stage.axes["y"].position, 3), *arguments)) or move,
     )  # fmt: skip
     registers = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
-    own = {"model": "xy", "axis": "y", "start": 0.02, "band": 3e-6, "rest": 0.125}
-    PresetMoves(**own, pulses=(10, -20, 30)).measure(
-        registers, 1, lambda k, so_far: reported.append((k, so_far["duration"]))
+    settings = {"model": "xy", "axis": "y", "start": 0.02, "band": 3e-6, "rest": 0.125}
+    PresetMoves(**settings, pulses=(10, -20, 30)).measure(
+        registers, 1, lambda k, measures: reported.append((k, measures["duration"]))
     )
     assert requested == [("y", 0.02, 10, 3e-6, 0.125), ("y", 0.02, -20, 3e-6, 0.125), ("y", 0.02, 30, 3e-6, 0.125)]
-    assert reported == [(0, 1.0), (1, 2.0)], "after each but the last"
+    assert reported == [(0, 1.0), (1, 2.0)], "after each move except the last"
     requested.clear()
-    PresetMoves(**own, pulses=7).measure(registers, 1)
+    PresetMoves(**settings, pulses=7).measure(registers, 1)
     assert [arguments[2] for arguments in requested] == [7]
 
 
-def test_each_kind_of_range_uses_its_own_optuna_suggestion():
-    """ranges even and on a log scale, some values, one"""
+def test_each_kind_of_range_uses_its_optuna_suggestion():
+    """Ranges with even and logarithmic scale, several values, one value"""
     requested = []
     trial = SimpleNamespace(
         suggest_int=lambda name, low, high, log=False: requested.append((name, low, high, log)) or low,

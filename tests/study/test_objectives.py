@@ -1,4 +1,4 @@
-"""stage.study.objectives: what a trial measures, the same bits wherever it is measured."""
+"""stage.study.objectives: measures of a trial, equal bit for bit in every thread and process."""
 
 import subprocess
 import sys
@@ -20,7 +20,7 @@ GENTLE = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
 MOVE = PresetMoves(model="xy", pulses=2000, rest=0.05)
 
 
-def test_a_trial_is_the_same_bits_in_any_thread(tmp_path):
+def test_a_trial_has_the_same_bits_in_any_thread(tmp_path):
     """study.optimize(objective, n_jobs=3); objective.measure(trial.params, trial.user_attrs["seed"])"""
     study = open_study(MOVE, tmp_path / "study")
     study.optimize(MOVE, n_trials=6, n_jobs=3)
@@ -31,7 +31,7 @@ def test_a_trial_is_the_same_bits_in_any_thread(tmp_path):
     assert len({trial.user_attrs["seed"] for trial in study.trials}) == 6
 
 
-def test_another_process_measures_the_same_bits_without_optuna_and_a_study_says_what_to_install():
+def test_a_process_without_optuna_measures_the_same_bits_and_names_the_extra_for_studies():
     program = f"""
 import sys
 sys.modules["optuna"] = None
@@ -40,12 +40,12 @@ move = {MOVE!r}
 print(move.measure({GENTLE}, 1))
 open_study(move, "study")
 """
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert ended.stdout == f"{MOVE.measure(GENTLE, 1)}\n"
-    assert "ExtraMissing: a study needs Optuna: pip install 'pulsestage[tune]'" in ended.stderr
+    completed = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert completed.stdout == f"{MOVE.measure(GENTLE, 1)}\n"
+    assert "ExtraMissing: a study needs Optuna: pip install 'pulsestage[tune]'" in completed.stderr
 
 
-def test_a_preset_move_is_measured_as_its_report_says():
+def test_measures_of_a_move_follow_from_its_duration_lost_steps_and_vibration():
     move = PresetMoves(pulses=8000)
     good = move.measure(GENTLE, 1)
     assert (good["lost_steps"], good["reached"]) == (0, 1)
@@ -58,13 +58,13 @@ def test_a_preset_move_is_measured_as_its_report_says():
     assert harsh["score"] > 10
 
 
-def test_a_move_that_an_end_limit_stopped_has_failed_however_wide_the_band_is():
+def test_a_move_that_an_end_limit_stopped_fails_with_any_band():
     """PresetMoves(band=1.0)"""
     stage = Stage("xy", visuals=False)
     stage.axes["x"].switches.stick("el_plus", True)
-    said = _measure(stage, "x", profile_of(GENTLE, PCL240K), 2000, band=1.0, rest=0.01)
-    assert (said["reached"], said["lost_steps"]) == (0, 0)
-    assert said["score"] >= FAILED
+    measures = _measure(stage, "x", profile_of(GENTLE, PCL240K), 2000, band=1.0, rest=0.01)
+    assert (measures["reached"], measures["lost_steps"]) == (0, 0)
+    assert measures["score"] >= FAILED
 
 
 def test_lost_steps_of_opposite_directions_do_not_cancel():
@@ -74,7 +74,7 @@ def test_lost_steps_of_opposite_directions_do_not_cancel():
     assert _together([move | {"lost_steps": -8}, move | {"lost_steps": 0}])["lost_steps"] == 8
 
 
-def test_a_camera_on_a_mast_rings_less_after_s_curves():
+def test_an_s_curve_halves_the_vibration_of_a_camera_on_a_mast():
     registers = {"R1": 4, "R2": 1280, "R4": 963, "R5": 963, "R7": 12}
     move = PresetMoves(registers | {"R14": 0}, model="xy_mast", chips="pcl240ms", pulses=42_100, rest=0.5)
     linear = move.measure(registers, 1)
@@ -106,7 +106,7 @@ def test_a_pruner_receives_the_value_of_the_goal(monkeypatch):
     assert reported == [(0, 0.5), (1, 0.75)]
 
 
-def test_starts_are_drawn_within_a_tenth_of_a_millimetre_to_both_sides(monkeypatch):
+def test_starts_are_drawn_within_a_tenth_of_a_millimeter_in_both_directions(monkeypatch):
     starts = []
     move = {"score": 1.0, "duration": 1.0, "lost_steps": 0, "reached": 1, "vibration": 0.0}
     monkeypatch.setattr(
@@ -120,7 +120,7 @@ def test_starts_are_drawn_within_a_tenth_of_a_millimetre_to_both_sides(monkeypat
     assert max(map(abs, off)) < 1.1e-4
 
 
-def test_several_goals_make_a_pareto_front(tmp_path):
+def test_a_study_of_two_goals_has_their_pareto_front(tmp_path):
     objective = PresetMoves(goals=("score", "vibration"), model="xy", pulses=[2000, -2000], rest=0.05)
     study = run(objective, tmp_path / "study", 6)
     values = {trial.number: tuple(trial.values) for trial in study.trials}
@@ -131,19 +131,19 @@ def test_several_goals_make_a_pareto_front(tmp_path):
         assert (number in front) == (not beaten)
 
 
-def test_registers_of_a_trial_are_a_profile_and_what_lacks_or_is_unknown_is_named():
-    plain = {"R1": 25, "R2": 500, "R4": 90, "R5": 80, "R7": 12}
-    made = profile_of(plain, PCL240K)
-    assert made.registers() == plain | {"R3": 500}
-    assert (made.spans, made.chip) == (None, PCL240K)
-    assert profile_of(plain | {"R3": 7}, PCL240K).R3 == 7
+def test_registers_become_a_profile_and_the_error_names_missing_and_unknown_ones():
+    registers = {"R1": 25, "R2": 500, "R4": 90, "R5": 80, "R7": 12}
+    profile = profile_of(registers, PCL240K)
+    assert profile.registers() == registers | {"R3": 500}
+    assert (profile.spans, profile.chip) == (None, PCL240K)
+    assert profile_of(registers | {"R3": 7}, PCL240K).R3 == 7
     for curved, spans in (({"R14": 5}, (5, 0)), ({"R15": 6}, (0, 6)), ({"R14": 5, "R15": 6}, (5, 6))):
-        assert profile_of(plain | curved, PCL240MS).spans == spans
+        assert profile_of(registers | curved, PCL240MS).spans == spans
     with pytest.raises(ArgumentError, match="unknown PCL240K speed register 'R14'"):
-        profile_of(plain | {"R14": 5}, PCL240K)
-    for name in plain:
+        profile_of(registers | {"R14": 5}, PCL240K)
+    for name in registers:
         with pytest.raises(ArgumentError, match=f"a preset move needs {name}, too"):
-            profile_of({n: v for n, v in plain.items() if n != name}, PCL240K)
+            profile_of({n: v for n, v in registers.items() if n != name}, PCL240K)
 
 
 @pytest.mark.parametrize(
@@ -157,12 +157,12 @@ def test_registers_of_a_trial_are_a_profile_and_what_lacks_or_is_unknown_is_name
         ({"space": GENTLE | {"R2": "9:1"}}, "R2=9:1"),
     ],
 )
-def test_an_objective_that_makes_no_sense_is_refused_before_its_first_trial(options, message):
+def test_an_invalid_objective_is_refused_before_its_first_trial(options, message):
     with pytest.raises(ArgumentError, match=message):
         PresetMoves(**{"model": "xy", **options})
 
 
-def test_values_of_a_register_are_one_some_or_a_range():
+def test_values_of_a_register_are_one_value_several_or_a_range():
     assert values_of("R7", 12) == values_of("R7", "12") == (12,)
     assert values_of("R7", "12,24") == (12, 24)
     assert values_of("R2", "400:2800") == Range(400, 2800, False)
@@ -170,12 +170,12 @@ def test_values_of_a_register_are_one_some_or_a_range():
 
 
 @pytest.mark.parametrize("text", ["", "a", "5:4", "0:9:log", "1:9:lin", "1:9/3", "1:2:log:3", "1.5", "-5:5", "-5", -5])
-def test_values_that_make_no_sense_are_refused(text):
+def test_invalid_values_of_a_register_are_refused(text):
     with pytest.raises(ArgumentError, match="R2="):
         values_of("R2", text)
 
 
-def test_a_screw_with_inverse_gear_has_its_goal_on_the_other_side(tmp_path):
+def test_a_move_on_a_screw_with_an_inverse_gear_reaches_its_goal(tmp_path):
     results = PresetMoves(model=mirrored(tmp_path), pulses=400, start=0.0, rest=0.1, band=1e-4).measure(
         {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}, seed=1
     )
@@ -183,6 +183,6 @@ def test_a_screw_with_inverse_gear_has_its_goal_on_the_other_side(tmp_path):
     assert results["score"] < 1
 
 
-def test_complete_moves_are_counted():
+def test_reached_counts_the_complete_moves():
     registers = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
     assert PresetMoves(pulses=(400, -400, 400), rest=0.05).measure(registers, seed=1)["reached"] == 3
