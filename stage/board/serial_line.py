@@ -170,6 +170,8 @@ class SerialPort:
     Attributes:
         received: Number of bytes that the firmware has sent so far.
         written: Number of bytes that have been sent to the firmware so far.
+        arrivals: Times (ns since it was connected) at which the connected end has sent something, and the bytes.
+        connected_at: Time of the stage at which it was connected, ns.
     """
 
     def __init__(self, host: Host):
@@ -179,7 +181,8 @@ class SerialPort:
         self._find: Callable[[], Any] | None = None
         self._pausing_byte = NO_BYTE
         self._uart_line: UartLine | None = None
-        self.received = self.written = 0
+        self.received = self.written = self.connected_at = 0
+        self.arrivals: list[tuple[int, bytes]] = []
         host.board.serial.record["is_open"] = 1
 
     # --- for a person and for tests ---
@@ -262,7 +265,7 @@ class SerialPort:
         self.check_is_wired()
         if self._end is not None:
             raise StageError("this serial line has another end already: a line has two.")
-        self._end = end
+        self._end, self.connected_at = end, self._host.board.stage.now
         self._unread.clear()
 
     def check_is_wired(self) -> None:
@@ -285,7 +288,10 @@ class SerialPort:
             del self._unread[:-BUFFER_SIZE]
         else:
             room = max(line.free - len(self._outgoing), 0)
-            self._outgoing += end.exchange(sent, self._host.board.stage.now, room)
+            now = self._host.board.stage.now
+            if arrived := end.exchange(sent, now, room):
+                self.arrivals.append((now - self.connected_at, arrived))
+                self._outgoing += arrived
         content = bytes(self._outgoing[: line.free])
         del self._outgoing[: len(content)]
         if content:

@@ -108,6 +108,19 @@ def _parse_text(place: str, word: str, rest: str) -> bytes:
     return to_bytes(text, place)
 
 
+def format_script(arrivals: list[tuple[int, bytes]], duration: int) -> str:
+    """Return a script that sends the same bytes at the same times as another end of a serial line did.
+
+    Args:
+        arrivals: `SerialPort.arrivals` of the run.
+        duration: Duration of the run, ns.
+    """
+    lines = ["# What came in over the serial line; stage run --serial-script plays it."]
+    for now, content in arrivals:
+        lines += [f"at {now * 1e-9:.9f}", f"send {content.decode('latin-1')!a}"]
+    return "\n".join([*lines, f"at {duration * 1e-9:.9f}", ""])
+
+
 class SerialScript(SerialEnd):
     """Other end of a serial line that executes commands.
 

@@ -182,6 +182,7 @@ def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, end: Any
     if result is None:
         host.close()
     write_trace(args, board)
+    serial.write_serial_log(args, host)
     if error is not None:
         print(f"stage: {error}", file=sys.stderr)
         if isinstance(error, HostTimeout) and any(str(file).endswith(".ino") for file in args.firmware):

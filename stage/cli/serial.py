@@ -8,7 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from stage.cli.commands import wrote
 from stage.errors import ArgumentError
+from stage.support.files import check_writable, write_atomically
 
 ENDLESS_S = 999_999_999.0
 
@@ -28,6 +30,10 @@ def add_serial_options(p: argparse.ArgumentParser) -> None:
         "says how long it lasts",
     )  # fmt: skip
     g.add_argument(
+        "--serial-log", metavar="FILE",
+        help="write what came in over the line as a script; --serial-script FILE then repeats the run, bit for bit",
+    )  # fmt: skip
+    g.add_argument(
         "--realtime", action="store_true",
         help="hold the run back to wall-clock time, and say how far it lagged behind (default: as fast as it can)",
     )  # fmt: skip
@@ -43,6 +49,12 @@ def open_serial_end(args: argparse.Namespace) -> Iterator[Any]:
     """
     if args.serial is not None and args.serial_script is not None:
         raise ArgumentError("--serial and --serial-script: a serial line has one other end. Leave one of them out.")
+    if args.serial_log is not None:
+        if args.serial is None:
+            raise ArgumentError(
+                "--serial-log: it needs an end whose bytes it writes. Add --serial pty or --serial tcp:5331."
+            )
+        check_writable(args.serial_log, overwrite=args.force, overwrite_hint="give --force")
     end: Any = None
     if args.serial_script is not None:
         from stage.board.serial_script import read_script
@@ -110,6 +122,18 @@ def run_host(args: argparse.Namespace, host: Any, end: Any) -> Any:
     host.serial.disconnect()
     rest = 0.0 if args.seconds is None else limit - (stage.now - begin) * 1e-9
     return host.run_for(rest) if rest > 0 else None
+
+
+def write_serial_log(args: argparse.Namespace, host: Any) -> None:
+    """Write the script of --serial-log."""
+    if args.serial_log is None:
+        return
+    from stage.board.serial_script import format_script
+
+    text = format_script(host.serial.arrivals, host.board.stage.now - host.serial.connected_at)
+    with write_atomically(args.serial_log, args.force) as part:
+        part.write_text(text, encoding="utf-8")
+    wrote(args, args.serial_log, f"{host.serial.written:,} bytes that came in over the serial line")
 
 
 def collect_serial_facts(args: argparse.Namespace, host: Any) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import select
 import socket
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from support.target_boards import board_of
@@ -15,9 +16,10 @@ from support.target_boards import board_of
 from stage import Stage
 from stage.board import Board
 from stage.board.serial_ends import open_end
-from stage.board.serial_script import read_script
+from stage.board.serial_script import format_script, read_script
 from stage.chips import PCL240K
 from stage.cli import main
+from stage.cli.panel import run_in_real_time
 from stage.errors import ArgumentError, RunTimeout, StageError
 from stage.targets import TargetHost, mcus
 
@@ -272,6 +274,59 @@ def test_a_sender_connects_again_while_the_run_continues(quick_echo, end):
         client.close()
         quick_echo.run_for(0.05)
     assert quick_echo.serial.written == len("first" + "lost" + "second" + "lost")
+
+
+@needs_simavr
+def test_the_log_of_a_line_repeats_the_run_bit_for_bit(tmp_path):
+    logs, end = [], open_end("tcp:0")
+    with TargetHost(DATA / "serial.avr.elf", board_of(), mcu="atmega2560", map=PINS, isolated=False) as host:
+        host.serial.connect(end)
+        client = Client(end)
+        for content in (b"G0 X1\n", b"\x01", b"'\"\\\xff?"):
+            host.run_for(0.0123)
+            os.write(client.file, content)
+        host.run_for(0.05)
+        client.close()
+        end.close()
+        assert host.serial.written == 6 + 1 + 5
+        script = tmp_path / "log.txt"
+        script.write_text(
+            format_script(host.serial.arrivals, host.board.stage.now - host.serial.connected_at), encoding="utf-8"
+        )
+        logs.append((host.log, host.board.stage.now, host.board.stage.state.world.tobytes()))
+    with TargetHost(DATA / "serial.avr.elf", board_of(), mcu="atmega2560", map=PINS) as host:
+        host.serial.connect(read_script(script))
+        host.run_for(1)
+        logs.append((host.log, host.board.stage.now, host.board.stage.state.world.tobytes()))
+    assert logs[0] == logs[1]
+    assert [text for _, text in logs[0][0]] == ["ready", "G0 X1", "115200"]
+
+
+@needs_simavr
+def test_a_panel_runs_firmware_with_a_connected_line(quick_echo, tmp_path):
+    quick_echo.serial.connect(read_script(write_script(tmp_path, "expect ready", "send hello", "expect hello")))
+    pieces = []
+    session = SimpleNamespace(slice_s=0.004, catch_up=lambda: pieces.append(quick_echo.board.stage.time))
+    assert run_in_real_time(session, quick_echo, None, 10) is None
+    assert pieces
+    assert quick_echo.board.stage.time < 0.02, "it ends with the script"
+
+
+def test_a_log_of_the_line_needs_an_end_and_replaces_no_file(tmp_path, capsys):
+    log = tmp_path / "log.txt"
+    log.write_text("mine", encoding="utf-8")
+    assert main([*RUN, "--serial-log", str(log)]) == 2
+    assert "--serial-log: it needs an end whose bytes it writes" in capsys.readouterr().err
+    assert main([*RUN, "--serial", "tcp:0", "--serial-log", str(log)]) == 2
+    assert "exists. Choose another name, or give --force." in capsys.readouterr().err
+
+
+@needs_simavr
+def test_the_command_writes_the_log_of_the_line(tmp_path, capsys):
+    log = tmp_path / "log.txt"
+    assert main([*RUN, "--serial", "tcp:0", "--serial-log", str(log), "--for", "0.02"]) == 0
+    assert f"{log}: 0 bytes that came in over the serial line" in capsys.readouterr().out
+    assert log.read_text(encoding="utf-8").endswith("at 0.020000000\n")
 
 
 def test_a_link_leads_to_the_pseudo_terminal_while_it_is_open(tmp_path):
