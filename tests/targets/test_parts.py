@@ -11,7 +11,7 @@ import pytest
 
 from stage.board import LibraryError
 from stage.errors import ArgumentError
-from stage.targets import avr_core, mcus
+from stage.targets import avr_core, avr_serial, mcus
 from stage.targets.avr_bus import parse_bus_pins
 from stage.targets.avr_core import PORTS
 from stage.targets.cortex import APPLICATION_ENDS, Semihosting
@@ -534,10 +534,10 @@ def test_processor_names_are_case_insensitive():
 
 
 def test_carriage_returns_of_a_serial_line_are_not_in_its_text():
-    processor, text, line = np.zeros(1, avr_core.AVR), np.zeros(80, "u1"), np.zeros(1, avr_core.SERIAL)
+    processor, text, line = np.zeros(1, avr_core.AVR), np.zeros(80, "u1"), np.zeros(1, avr_serial.UART)
     line[0].avr, line[0].text, line[0].room = processor.ctypes.data, text.ctypes.data, 80
     for byte in b"a\rb":
-        avr_core.log_sent_byte(0, byte, line)
+        avr_serial.follow_sent_byte(0, byte, line)
     assert (line[0].length, bytes(text[:3])) == (2, b"ab\0")
 
 
