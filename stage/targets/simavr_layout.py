@@ -1,4 +1,4 @@
-"""Structures of simavr 1.6, described by the offsets of their fields, and the check that the loaded library has them.
+"""Structures of simavr 1.6 and 1.7, described by the offsets of their fields, and the check that the loaded library has them.
 
 simavr has no functions for what its timers are: registers, modes, prescalers, and who answers an access. The check makes
 an ATmega328P and compares what the structures must say then (registers of the data sheet, addresses that functions of
@@ -17,7 +17,10 @@ import numpy as np
 from stage.errors import StageError
 from stage.native import array_at
 
-VERSION = "1.6"
+VERSIONS = "1.6 or 1.7"
+"""Their structures are the same as far as they are described."""
+_VERSIONS_BY_CLOCK = {64: f"{VERSIONS}, built in another way", 72: "1.8 or later"}
+"""Versions by the place of the clock in an avr_t."""
 N_REGISTERS = 280
 
 
@@ -35,7 +38,8 @@ AVR = _describe(
     registers=(216, (REGISTER, N_REGISTERS)), flash=(11712, "i8"), data=(11720, "i8"), modules=(11728, "i8"),
 )  # fmt: skip
 """An avr_t. interrupt_wait: below 0, instructions until interrupts are served; 1: one waits."""
-MODULE = _describe(72, next=(0, "i8"), avr=(8, "i8"), name=(32, "u4"), irq=(40, "i8"))
+MODULE = _describe(72, next=(0, "i8"), avr=(8, "i8"), n_irqs=(36, "i4"), irq=(40, "i8"))
+IRQ = _describe(40, name=(8, "i8"), level=(20, "u4"))
 VECTOR = _describe(104, number=(0, "u1"), enable=(4, "u4"), flag=(8, "u4"), irq=(16, "i8"), pending=(96, "u1"))
 COMPARE = _describe(
     136, vector=(0, VECTOR), timer=(104, "i8"), low=(112, "u2"), high=(114, "u2"), mode=(116, "u4"), pin=(120, "u4")
@@ -48,10 +52,8 @@ TIMER = _describe(
 )  # fmt: skip
 UART = _describe(624, module=(0, MODULE), control=(84, "u2"), transmitter=(92, "u4"), empty=(344, VECTOR))
 """A UART. empty: the interrupt of UDREn."""
-IRQ_SIZE = 40
 REGISTER_BEGIN = 32  # address of the first register that has functions
 MODULE_NAMES = "0123456789"
-_CAPTURE_IRQ, _OUTPUT_IRQ = 2, 3
 _REGISTERS = {
     "0": (0x46, 0, 0, 0x44, 0x45, 0x6E, 0x35, (0x47, 0x48)),
     "1": (0x84, 0x85, 0x86, 0x80, 0x81, 0x6F, 0x36, (0x88, 0x8A)),
@@ -59,6 +61,7 @@ _REGISTERS = {
 }
 """Of an ATmega328P's timers: TCNT low and high, ICR, TCCRA, TCCRB, TIMSK, TIFR, OCRA and OCRB."""
 _UCSRB = 0xC1
+_BEGIN_HZ = 1_000_000
 _SPL, _RAM_END = 0x5D, 0x8FF
 _NOP, _SEI, _JUMP_TO_ITSELF = 0x0000, 0x9478, 0xCFFF
 
@@ -113,13 +116,14 @@ def find_irq(library: ctypes.CDLL, avr: int, module: str) -> int:
 
 
 def find_output_irq(timer: int, unit: int) -> int:
-    """Return the simavr IRQ of a timer's compare output."""
-    return int(view(timer, MODULE)["irq"]) + (_OUTPUT_IRQ + unit) * IRQ_SIZE
+    """Return the simavr IRQ of a timer's compare output. The last three are outputs, and that of the capture pin precedes them."""
+    module = view(timer, MODULE)
+    return int(module["irq"]) + (int(module["n_irqs"]) - 3 + unit) * IRQ.itemsize
 
 
 def find_capture_irq(timer: int) -> int:
     """Return the simavr IRQ of a timer's capture pin."""
-    return int(view(timer, MODULE)["irq"]) + _CAPTURE_IRQ * IRQ_SIZE
+    return find_output_irq(timer, -1)
 
 
 _checked: dict[int, str] = {}
@@ -127,7 +131,7 @@ _checked: dict[int, str] = {}
 
 
 def check_layout(library: ctypes.CDLL) -> None:
-    """Check that a library of simavr has the layout of version 1.6.
+    """Check that a library of simavr has the layout of versions 1.6 and 1.7.
 
     Args:
         library: The library.
@@ -140,21 +144,16 @@ def check_layout(library: ctypes.CDLL) -> None:
         _checked[handle] = _find_misfit(library)
     if misfit := _checked[handle]:
         raise StageError(
-            f"{name} is simavr {_guess_version(library)}, and the exact timers need simavr {VERSION} (Debian: apt "
-            f"install libsimavr2): {misfit} is not where version {VERSION} has it."
+            f"{name} is simavr {_guess_version(library)}, and exact timers need simavr {VERSIONS} (Debian: apt install "
+            f"libsimavr2): {misfit} is not where they have it."
         )
 
 
 def _guess_version(library: ctypes.CDLL) -> str:
-    """Return the version of the library as words. The place of an interrupt's number tells 1.6 from what followed."""
-    avr = _make_atmega328p(library)
-    get = library["avr_get_interrupt_irq"]
-    get.restype = ctypes.c_void_p
-    irq = get(ctypes.c_void_p(avr), ctypes.c_uint8(1)) or 0
-    for before, words in ((16, "1.6, built in an unusual way"), (24, "1.7 or later")):
-        if _read(irq - before, 1) == b"\1":
-            return words
-    return "of an unknown version"
+    """Return the version of the library as words, by the place of the clock, which is 1 MHz at first."""
+    head = np.frombuffer(_read(_make_atmega328p(library), 128) or b"", "<u4")
+    places = [4 * int(k) for k in np.flatnonzero(head == _BEGIN_HZ)]
+    return _VERSIONS_BY_CLOCK.get(places[0] if places else 0, "of an unknown version")
 
 
 def _make_atmega328p(library: ctypes.CDLL) -> int:
@@ -185,7 +184,7 @@ def _read_structure(address: int, structure: np.dtype) -> Any:
 
 
 def _find_misfit(library: ctypes.CDLL) -> str:
-    """Return the name of a part of simavr that is not where version 1.6 has it, or an empty text."""
+    """Return the name of a part of simavr that is not where versions 1.6 and 1.7 have it, or an empty text."""
     avr = _make_atmega328p(library)
     try:
         return _find_misfit_of_core(library, avr) or _find_misfit_of_modules(library, avr)
@@ -246,6 +245,10 @@ def _find_misfit_of_modules(library: ctypes.CDLL, avr: int) -> str:
             return f"a register of timer {name}"
         if any(int(at) != address for at in timer["compare"]["timer"]):
             return f"a compare unit of timer {name}"
+        for unit, words in ((-1, b"icp"), (0, b"compa"), (2, b"compc")):
+            irq = _read_structure(find_output_irq(address, unit), IRQ)
+            if irq is None or words not in (_read(int(irq["name"]), 20) or b""):
+                return f"an IRQ of timer {name}"
     uart = _read_structure(modules.get(find_irq(library, avr, "uar0"), 0), UART)
     if uart is None or (int(uart["control"]), get_register(uart["transmitter"])) != (_UCSRB, _UCSRB):
         return "the UART"

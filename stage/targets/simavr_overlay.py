@@ -35,7 +35,7 @@ class SimavrOverlay:
         avr: Address of the avr_t, after avr_reset.
 
     Raises:
-        StageError: The library is not laid out as version 1.6 of simavr.
+        StageError: The library is not laid out as simavr 1.6 and 1.7.
     """
 
     def __init__(self, library: ctypes.CDLL, avr: int):
@@ -170,7 +170,7 @@ class SimavrOverlay:
         get.restype = ctypes.c_void_p
         for number in range(1, 128):
             if irq := get(ctypes.c_void_p(avr), ctypes.c_uint8(number)):
-                self._notify(irq + simavr_layout.IRQ_SIZE, avr_timers.respond, self._simavr)
+                self._notify(irq + simavr_layout.IRQ.itemsize, avr_timers.respond, self._simavr)
 
     def _connect_uarts(self, avr: int) -> None:
         modules = simavr_layout.list_modules_of(self._library, avr, "uar")

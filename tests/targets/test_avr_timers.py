@@ -7,6 +7,7 @@ import subprocess
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.avr_timer_scripts import (
     ICF,
@@ -25,7 +26,8 @@ from support.avr_timer_scripts import (
 
 from stage import Stage
 from stage.board import Board
-from stage.targets import TargetHost, mcus
+from stage.errors import StageError
+from stage.targets import TargetHost, mcus, simavr_layout
 from stage.targets.elf import AVR, Elf
 
 pytestmark = [
@@ -261,6 +263,24 @@ def test_a_uart_without_transmitter_keeps_its_empty_data_register(tmp_path):
         read(status),
     ]
     assert run_on_simavr(*assemble(script, tmp_path / "script"))[:-1] == [empty, empty, empty]
+
+
+@pytest.mark.parametrize("structure", ["AVR", "MODULE", "TIMER", "IRQ", "UART"])
+@pytest.mark.parametrize("distance", [4, 8, 64])
+def test_a_library_with_another_layout_is_refused_with_its_version(structure, distance, monkeypatch):
+    usual = getattr(simavr_layout, structure)
+    formats, offsets = zip(*(usual.fields[name][:2] for name in usual.names), strict=True)
+    moved = {"names": usual.names, "formats": formats, "offsets": [at + distance for at in offsets]}
+    monkeypatch.setattr(simavr_layout, structure, np.dtype(moved | {"itemsize": usual.itemsize + distance}))
+    monkeypatch.setattr(simavr_layout, "_checked", {})
+    message = r"simavr\S* is simavr 1\.6 or 1\.7, built in another way, and exact timers need simavr 1\.6 or 1\.7 "
+    with pytest.raises(StageError, match=message + r"\(.*\): .* is not where they have it\."):
+        simavr_layout.check_layout(mcus.load_simavr())
+
+
+@pytest.mark.parametrize("address", [0, 8, 1 << 40, (1 << 64) - 64])
+def test_the_check_of_the_layout_takes_an_address_without_memory(address):
+    assert simavr_layout._read_structure(address, simavr_layout.TIMER) is None
 
 
 SEI_PROGRAM = r"""
