@@ -57,7 +57,7 @@ PLATFORMS: dict[str, Platform] = {
     p.name: p
     for p in (
         Platform("arduino", "an Arduino sketch: setup and loop, pins, Serial", ("setup", "loop"), "arduino/entry.cpp",
-                 ("arduino", "avr"), has_cplusplus_headers=True, flags=("-DPULSESTAGE_ARDUINO",)),
+                 ("arduino", "avr"), has_cplusplus_headers=True, flags=("-DPULSESTAGE_ARDUINO", "-DARDUINO=10819")),
         Platform("avr", "a program for an AVR: avr/io.h, avr/interrupt.h, util/delay.h", ("main",), "avr/entry.cpp", ("avr",),
                  has_cplusplus_headers=True),
         Platform("vxworks", "a VxWorks driver: sysLib, taskLib, semLib, intLib, logLib", ("usrAppInit",), "vxworks/entry.c",

@@ -21,7 +21,9 @@ extern "C++" { /* also where a program in C is included */
 #include <string.h>
 #include <type_traits>
 
+#ifndef ARDUINO /* which libraries ask for before they include this */
 #define ARDUINO 10819
+#endif
 #define LOW 0x0
 #define HIGH 0x1
 #define INPUT 0x0
@@ -135,12 +137,18 @@ static inline void delay(unsigned long ms)
 }
 static inline void yield(void) {}
 
-/* the board's interrupt line, whatever the number; by edge, for LOW by level */
-static inline void attachInterrupt(int, void (*routine)(void), int mode)
+/* A pin that reads a switch of an axis, at the ns of its change (LOW as FALLING); else the board's interrupt line, whatever the number:
+ * by edge, for LOW by level. */
+static inline void attachInterrupt(int pin, void (*routine)(void), int mode)
 {
-    pulsestage::interrupt_line().attach(routine, mode != LOW);
+    const int at = pulsestage::core_pin(pin);
+    if (pulsestage::pins().switches[at >> 3] >> (at & 7) & 1) {
+        pulsestage::pin_interrupt(at) = {routine, false};
+        ps_on_pin(at, mode == LOW ? FALLING : mode, routine ? pulsestage::PinInterrupt::called : nullptr, &pulsestage::pin_interrupt(at));
+    } else
+        pulsestage::interrupt_line().attach(routine, mode != LOW);
 }
-static inline void detachInterrupt(int) { pulsestage::interrupt_line().attach(nullptr, false); }
+static inline void detachInterrupt(int pin) { attachInterrupt(pin, nullptr, CHANGE); }
 
 /* numbers that are the same in each run */
 namespace pulsestage
@@ -187,8 +195,41 @@ static inline void analogWrite(int pin, int value)
     pulsestage::missing(said, "analogWrite: nothing is at the PWM outputs");
 }
 static inline void analogReference(int) {}
-static inline void tone(int, unsigned, unsigned long = 0) {}
-static inline void noTone(int) {}
+
+/* A square wave at a pin, one at a time, by timer 6 of the board: 2 edges a period, for ms or until noTone. */
+namespace pulsestage
+{
+struct Tone {
+    int pin;
+    bool high;
+    long long left; /* edges; negative: without end */
+};
+inline __attribute__((visibility("hidden"))) Tone &the_tone()
+{
+    static Tone one;
+    return one;
+}
+} // namespace pulsestage
+static inline void noTone(int pin)
+{
+    ps_timer(6, 1, 0, nullptr, nullptr);
+    digitalWrite(pin, LOW);
+}
+inline void pulsestage_tone_edge(void *)
+{
+    pulsestage::Tone &tone = pulsestage::the_tone();
+    if (tone.left == 0)
+        return noTone(tone.pin);
+    tone.left -= tone.left > 0;
+    tone.high = !tone.high;
+    digitalWrite(tone.pin, tone.high);
+}
+static inline void tone(int pin, unsigned hz, unsigned long ms = 0)
+{
+    pinMode(pin, OUTPUT);
+    pulsestage::the_tone() = {pin, false, ms ? (long long)(2ull * hz * ms / 1000) : -1};
+    ps_timer(6, 1, hz ? 500000000u / hz : 0, pulsestage_tone_edge, nullptr);
+}
 
 #include <WString.h>
 

@@ -18,6 +18,9 @@
  * A mode of SPI (0 to 3) and its fastest SCK may follow, as its data sheet has them: spi(10, 3, 4000000).
  * The board's port of its base is told of the pin (0 while it is low), and the port behind exchanges bytes: one written goes out, then
  * one read is what came in.
+ *
+ * Pins that `stage run --pins x.step=2,x.limit=!9` names are lines of STEP/DIR axes: a change of an output makes its edge at the end of
+ * one bus cycle, and an input reads as the switch is.
  */
 #ifndef PULSESTAGE_PINBUS_H
 #define PULSESTAGE_PINBUS_H
@@ -43,6 +46,7 @@ struct Pins {
     uint8_t port[PORTS], ddr[PORTS]; /* as the program wrote them */
     uint8_t driven[PORTS], level[PORTS]; /* which pins a chip drives, and how */
     uint8_t strobes[PORTS], special[PORTS]; /* pins whose change makes cycles; pins of the interrupt line */
+    uint8_t lines[PORTS], switches[PORTS];  /* of strobes, those that drive lines of axes; pins that read switches of axes */
     PinBus *first;
 };
 
@@ -309,17 +313,44 @@ inline void change(uint8_t &which, int at, uint8_t value)
         which = value;
         return;
     }
+    const uint8_t driven = uint8_t((which ^ value) & p.lines[at]);
     for (PinBus *bus = p.first; bus; bus = bus->next())
         bus->before();
     which = value;
     for (PinBus *bus = p.first; bus; bus = bus->next())
         bus->after();
+    if (driven)
+        ps_drive_pins(at * 8, driven, p.port[at], p.ddr[at]);
+}
+
+/* At the beginning of a program: find the ports of the pins of --pins, and drive the levels that constructors have set. */
+inline void connect_lines()
+{
+    Pins &p = pins();
+    for (int64_t k = 0; k < pulsestage_pins.n_lines; k++) {
+        pulsestage_line &line = pulsestage_pins.lines[k];
+#if defined(PULSESTAGE_ARDUINO)
+        if (line.is_number)
+            line.pin = core_pin(line.pin);
+#endif
+        line.is_number = 0;
+        if (line.pin >= PORTS * 8)
+            continue;
+        const uint8_t bit = uint8_t(1 << (line.pin & 7));
+        (line.driven ? p.lines : p.switches)[line.pin >> 3] |= bit;
+        if (line.driven)
+            p.strobes[line.pin >> 3] |= bit;
+    }
+    for (int at = 0; at < PORTS; at++)
+        if (p.lines[at] & p.ddr[at])
+            ps_drive_pins(at * 8, p.lines[at], p.port[at], p.ddr[at]);
 }
 
 /* At the beginning of a program: nothing it does to its pins would reach a chip. */
 inline void said_if_unwired()
 {
-    if (!pins().first)
+    connect_lines();
+    if (!pins().first && !pulsestage_pins.n_lines)
         ps_log("pins: no PinBus says how a chip is wired to them, so no chip sees them; docs/porting.md");
 }
 
@@ -329,7 +360,10 @@ inline uint8_t look(int at, uint8_t mask = 0xFF)
 {
     const Pins &p = pins();
     uint8_t value = uint8_t((p.port[at] & p.ddr[at]) | (~p.ddr[at] & (p.level[at] | ~p.driven[at])));
-    if (p.special[at] & mask) {
+    const uint8_t switches = uint8_t(p.switches[at] & mask & ~p.ddr[at]);
+    if (switches)
+        value = uint8_t((value & ~switches) | ps_read_pins(at * 8, switches, PS_WITH_CYCLE));
+    else if (p.special[at] & mask) {
         const bool asserted = ps_interrupt_line() != 0;
         value = uint8_t(asserted ? value & ~p.special[at] : value | p.special[at]);
     } else if (!(p.driven[at] & mask))

@@ -71,6 +71,35 @@ inline __attribute__((visibility("hidden"))) Core &core()
 }
 inline void enabled();
 inline void timers_enabled();
+
+/* A routine of attachInterrupt at a pin that reads a switch of an axis. */
+struct PinInterrupt {
+    void (*routine)(void);
+    bool waits; /* for SREG to let it be called */
+
+    static void called(void *argument)
+    {
+        PinInterrupt &pin = *static_cast<PinInterrupt *>(argument);
+        const uint8_t sreg = core().sreg;
+        pin.waits = pin.routine && !(sreg & 0x80);
+        if (!pin.routine || pin.waits)
+            return;
+        core().sreg = uint8_t(sreg & 0x7F);
+        pin.routine();
+        core().sreg = sreg;
+    }
+};
+inline __attribute__((visibility("hidden"))) PinInterrupt &pin_interrupt(int pin)
+{
+    static PinInterrupt all[PORTS * 8];
+    return all[pin & (PORTS * 8 - 1)];
+}
+inline void call_waiting_pins()
+{
+    for (int pin = 0; pin < PORTS * 8 && core().sreg & 0x80; pin++)
+        if (pin_interrupt(pin).waits)
+            PinInterrupt::called(&pin_interrupt(pin));
+}
 inline void nothing_changed() {}
 
 #define PULSESTAGE_HELD(name, field, then)                                                                             \

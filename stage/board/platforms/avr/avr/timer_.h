@@ -73,6 +73,7 @@ inline void timers_enabled() /* SREG has changed */
     for (int n = 0; n < 3; n++)
         if (timer(n).waits && core().sreg & 0x80)
             timer_calls(n);
+    call_waiting_pins();
 }
 
 /* Another clock, top or count; it goes on from `count`. */

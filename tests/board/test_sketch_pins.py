@@ -1,0 +1,169 @@
+"""Arduino sketches drive STEP/DIR axes: digitalWrite, digitalRead, pinMode, attachInterrupt, ports, timers and tone."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from stage import Stage
+from stage.board import Board, NativeHost
+
+pytestmark = pytest.mark.skipif(shutil.which("c++") is None, reason="there is no c++")
+ACCELSTEPPER = os.environ.get("PULSESTAGE_ACCELSTEPPER", "")
+STEP = """void step(int pin, int n)
+{
+    while (n--) { digitalWrite(pin, HIGH); delayMicroseconds(5); digitalWrite(pin, LOW); delayMicroseconds(193); }
+}"""
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Run a sketch on a stage with the axes x, y and z until it ends; return its host."""
+
+    def _run(sketch, pins="cnc-shield-v3", flags=(), x=0.0, isolated=False, seconds=None):
+        path = tmp_path / "sketch.ino"
+        path.write_text(
+            f"{STEP}\n{sketch}\n" + ("" if "void loop" in sketch else "void loop() { pulsestage::end(0); }\n")
+        )
+        stage = Stage("xyz", chips="stepdir", drives="a4988", bus_cycle=500e-9)
+        if x:
+            stage.place(x=x)
+        host = NativeHost(path, Board(stage), isolated=isolated, pins=pins, flags=flags)
+        host.run() if seconds is None else host.run_for(seconds)
+        return host
+
+    return _run
+
+
+def list_steps(host):
+    return [axis.chip.net() for axis in host.board.stage.axes.values()]
+
+
+@pytest.mark.parametrize(
+    "pins", ["cnc-shield-v3", "x.step=2,x.dir=5,y.step=3,y.dir=D6,x.enable=!8,y.enable=!B0,z.enable=!8"]
+)
+def test_a_sketch_drives_the_axes_of_a_shield(run, pins):
+    host = run("""
+        void setup() {
+            for (int pin : {2, 3, 5, 6, 8}) pinMode(pin, OUTPUT);
+            digitalWrite(6, HIGH);
+            step(2, 40); step(3, 20);
+            digitalWrite(8, HIGH); delay(1);
+            Serial.println(digitalRead(2));
+        }""", pins)  # fmt: skip
+    assert list_steps(host) == [40, -20, 0]
+    assert [axis.chip.enable for axis in host.board.stage.axes.values()] == [False] * 3
+    assert host.log[-1][1] == "0"
+
+
+def test_pins_of_a_mega_are_those_of_ramps(run):
+    host = run("""
+        void setup() {
+            for (int pin : {54, 55, 38, 60, 61}) pinMode(pin, OUTPUT);   // x.step, x.dir, x.enable, y.step, y.dir
+            digitalWrite(55, HIGH); digitalWrite(61, HIGH); step(54, 30); step(A6, 10);
+            digitalWrite(38, HIGH);
+        }""", "ramps", ("-DARDUINO_AVR_MEGA2560",))  # fmt: skip
+    assert list_steps(host) == [30, -10, 0]
+    assert not host.board.stage.axes["x"].chip.enable
+
+
+def test_an_input_drives_no_line_and_a_pin_that_is_one_again_releases_it(run):
+    host = run("""
+        void setup() {
+            step(2, 5);                                     // an input: its pull-up
+            pinMode(2, OUTPUT); digitalWrite(2, HIGH); pinMode(2, INPUT);
+            pinMode(8, OUTPUT); digitalWrite(8, HIGH); delay(1);
+            Serial.println(digitalRead(8)); pinMode(8, INPUT);
+        }""")  # fmt: skip
+    chip = host.board.stage.axes["x"].chip
+    assert (chip.net(), chip.step, chip.enable) == (1, False, True)
+
+
+def test_one_write_of_a_port_moves_several_axes_at_one_time(run):
+    host = run("""
+        void setup() {
+            DDRD = 0xFC;
+            for (int k = 0; k < 12; k++) { PORTD |= 0x1C; delayMicroseconds(5); PORTD &= ~0x1C; delayMicroseconds(94); }
+        }""")
+    chips = [axis.chip for axis in host.board.stage.axes.values()]
+    assert [chip.net() for chip in chips] == [12, 12, 12]
+    assert len({int(chip.state["rose"]) for chip in chips}) == 1
+
+
+LIMIT = """
+    volatile int hits = 0; unsigned long when;
+    void limit() { hits++; when = micros(); }
+    void setup() {
+        pinMode(2, OUTPUT); pinMode(9, INPUT_PULLUP);
+        attachInterrupt(digitalPinToInterrupt(9), limit, %s);
+        %s
+        Serial.print(hits); Serial.print(' '); Serial.println(digitalRead(9));
+        pulsestage::end(0);
+    }
+    void loop() {}"""
+
+
+@pytest.mark.parametrize(
+    ("mode", "body", "says"),
+    [("FALLING", "step(2, 200);", "1 0"), ("RISING", "step(2, 200);", "0 0"), ("CHANGE", "step(2, 200);", "1 0"),
+     ("FALLING", "while (!hits) step(2, 1); detachInterrupt(9);", "1 0"),
+     ("FALLING", "noInterrupts(); step(2, 200); Serial.print(hits); Serial.print(' '); interrupts();", "0 1 0")],
+)  # fmt: skip
+def test_an_interrupt_of_a_pin_comes_with_its_switch(run, mode, body, says):
+    host = run(LIMIT % (mode, body), x=0.1495)
+    assert host.log[-1][1] == says
+
+
+def test_an_isolated_sketch_does_the_same(run):
+    hosts = [run(LIMIT % ("FALLING", "step(2, 200);"), x=0.1495, isolated=isolated) for isolated in (False, True)]
+    states = [[axis.chip.state.tobytes() for axis in host.board.stage.axes.values()] for host in hosts]
+    assert states[0] == states[1]
+    assert hosts[0].log == hosts[1].log
+
+
+def test_a_timer_makes_steps_in_its_routine(run):
+    host = run("""
+        volatile int n = 0;
+        ISR(TIMER1_COMPA_vect) { digitalWrite(2, HIGH); digitalWrite(2, LOW); n++; }
+        void setup() {
+            pinMode(2, OUTPUT);
+            TCCR1A = 0; TCCR1B = _BV(WGM12) | _BV(CS11); OCR1A = 399; TIMSK1 = _BV(OCIE1A);   // 5,000 per second
+            delay(100); TIMSK1 = 0;
+        }""")  # fmt: skip
+    assert abs(list_steps(host)[0] - 500) <= 1
+
+
+def test_a_tone_at_a_step_pin_is_as_many_steps(run):
+    host = run("void setup() { tone(2, 4000, 50); delay(100); tone(3, 1000); delay(20); noTone(3); delay(20); }")
+    x, y, _ = list_steps(host)
+    assert (x, abs(y - 20) <= 1) == (200, True)
+
+
+def test_levels_of_constructors_are_driven_from_the_beginning(run):
+    host = run("""
+        struct Motor { Motor() { pinMode(5, OUTPUT); digitalWrite(5, HIGH); pinMode(8, OUTPUT); } } motor;
+        void setup() { pinMode(2, OUTPUT); step(2, 3); }""")  # fmt: skip
+    assert list_steps(host)[0] == -3
+
+
+@pytest.mark.skipif(not ACCELSTEPPER, reason="PULSESTAGE_ACCELSTEPPER names no folder with the sources of AccelStepper")
+@pytest.mark.parametrize(
+    ("example", "seconds", "steps"),
+    [("DualMotorShield", 6, 100), ("Blocking", 6, 125), ("ConstantSpeed", 6, 75), ("MultiStepper", 6, 150), ("Bounce", 11, 125)],
+)  # fmt: skip
+def test_examples_of_accelstepper_run_unchanged(tmp_path, example, seconds, steps):
+    """Take the first of four coil wires as STEP and the third as DIR: one step for four of the library."""
+    source = Path(ACCELSTEPPER)
+    sketch = tmp_path / f"{example}.ino"
+    shutil.copy(source / "examples" / example / f"{example}.pde", sketch)
+    files = [sketch, source / "src" / "AccelStepper.cpp", source / "src" / "MultiStepper.cpp"]
+    board = Board(Stage("xyz", chips="stepdir", drives="a4988"))
+    pins = "x.step=2,x.dir=3,y.step=6,y.dir=7" if example == "DualMotorShield" else "x.step=2,x.dir=4"
+    host = NativeHost(files, board, isolated=False, pins=pins, flags=(f"-I{source / 'src'}",))
+    farthest = 0
+    for _ in range(20 * seconds):
+        host.run_for(0.05)
+        farthest = max(farthest, board.stage.axes["x"].chip.net())
+    assert farthest == steps
+    assert not any(axis.lost_steps for axis in board.stage.axes.values())
