@@ -158,7 +158,7 @@ class DriftingHome(MachineTask[Config]):
         self.axis = first.axes[c.axis]
         self.prepare_machines()
         self.switch = OriginSwitch(first, self.axis)
-        self.search = get_driver(self.axis).search(
+        self.search = get_driver(self.axis).build_home_program(
             SimpleNamespace(multiplier=30, leave=LEAVE, back_off=BACK_OFF[1], limit=c.limit, settle=c.settle, ez=0)
         )
         self.origin, self.per_pulse = self.switch.position, self.axis.meters_per_pulse
@@ -234,12 +234,12 @@ class DriftingHome(MachineTask[Config]):
 
     def make_programs(self) -> list[Program]:
         rows, reports = self.to_registers(self.actions), self.reports
-        return [Program() if told else self.search.program(row) for row, told in zip(rows, reports, strict=True)]
+        return [Program() if told else self.search.write_program(row) for row, told in zip(rows, reports, strict=True)]
 
     def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
         c, t, reports = self.config, truth[:, self.axis.index], self.reports
         rows, returned = self.to_registers(self.actions), ~reports
-        width = max(self.search.marks.values()) + 1
+        width = max(self.search.result_indices.values()) + 1
         results = np.zeros((self.n, max(width, played.results.shape[1])), np.int64)
         results[:, : played.results.shape[1]] = played.results
         outcome = self.search.read_results(results, rows)

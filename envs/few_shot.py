@@ -268,7 +268,7 @@ class FewShotTuning(MachineTask[Config]):
         """Return the registers of actions, (n, registers)."""
         rows = []
         for action, distance in zip(actions, self.distance.tolist(), strict=True):
-            values = self.driver.formula(*self.rates(action, distance), distance, s_curve=False)
+            values = self.driver.compute_move_registers(*self.rates(action, distance), distance, s_curve=False)
             rows.append([values[name] for name in self.names])
         return np.array(rows, np.int64)
 

@@ -63,7 +63,7 @@ class MacroTable:
         driver, a, chip = get_driver(axis), axis.index, axis.chip
         rates = [(fl, fh, up, up) for fl, fh, up in RATES.values()]
         for speeds in rates:
-            values = driver.formula(*speeds, self.grid[-1], s_curve=False)
+            values = driver.compute_move_registers(*speeds, self.grid[-1], s_curve=False)
             self._add_pages(self._write_registers(Program(), axis, values))
         for d in self.grid:
             self._add_pages(self._write_registers(Program(), axis, {driver.DISTANCE_REGISTER: d}))
@@ -72,13 +72,13 @@ class MacroTable:
             for speeds in rates:
                 for d in self.grid:
                     pages.append(p := Program())
-                    driver.write_move(p, driver.formula(*speeds, d, s_curve=False), sign * d)
+                    driver.write_move(p, driver.compute_move_registers(*speeds, d, s_curve=False), sign * d)
             self._add_pages(*pages)
-        search = driver.search(HOMING)
+        search = driver.build_home_program(HOMING)
         row = search.find_nearest_row(*SPEEDS_HOME, 0, HOMING.back_off)
         self.home_searches.append(search)
         self._choices.append(np.array([row]))
-        self._add_pages(search.program(row))
+        self._add_pages(search.write_program(row))
         self._add_pages(Program().until_stopped([a], patience).wait(settle))
         self._add_pages(Program().read(a, chip.BUSY[0]))
 

@@ -145,7 +145,7 @@ class OriginReturn(MoveTask[Config]):
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
         self.carrier = find_carrier(first, c.axis, c.payload_on)
-        self.search = get_driver(self.axis).search(c)
+        self.search = get_driver(self.axis).build_home_program(c)
         self.switch = OriginSwitch(first, self.axis)
         self.per_pulse = self.axis.meters_per_pulse
         self.origin = self._find_origin()
@@ -216,7 +216,7 @@ class OriginReturn(MoveTask[Config]):
         return self.strategy.from_action(actions) if self.config.actions == "box" else actions.astype(np.int64)
 
     def make_programs(self) -> list[Program]:
-        return [self.search.program(row) for row in self.to_registers(self.actions)]
+        return [self.search.write_program(row) for row in self.to_registers(self.actions)]
 
     def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]

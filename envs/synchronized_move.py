@@ -169,12 +169,12 @@ class SynchronizedMove(MoveTask[Config]):
         self.index = [a.index for a in self.axes]
         self.signed_pulse_m = np.array([a.meters_per_pulse * np.sign(a.gear) for a in self.axes])
         self.line = create_line_programs([get_driver(a) for a in self.axes], c)
-        self.hz = self.line.hz
+        self.hz = self.line.clock_hz
         self.start_positions = [StartPositions(a) for a in self.axes]
         for starts in self.start_positions:
             starts.check(c.distances, "pulses")
-        if c.rates[1] > self.line.fastest:
-            raise ArgumentError(f"rate={c.rate!r}: up to {self.line.fastest:.0f} pps here.")
+        if c.rates[1] > self.line.max_rate:
+            raise ArgumentError(f"rate={c.rate!r}: up to {self.line.max_rate:.0f} pps here.")
         self.registers = RegisterBox.of_registers(self.line.chip.MAP, self.line.names * self.line.shape[0])
         self.action_space = self.registers.discrete if c.actions == "registers" else self.registers.box
         m = len(self.axes)
@@ -239,7 +239,7 @@ class SynchronizedMove(MoveTask[Config]):
 
     def data_sheet(self) -> np.ndarray:
         """Return the engineer's registers for the present moves: (stages, *line.shape)."""
-        return self.line.data_sheet(self.requested_lines)
+        return self.line.compute_registers(self.requested_lines)
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
         """Return the registers of actions, (stages, *line.shape)."""
@@ -255,10 +255,10 @@ class SynchronizedMove(MoveTask[Config]):
     def make_programs(self) -> np.ndarray:
         c = self.config
         registers = self.to_registers(self.actions)
-        moves = self.line.programs(registers, self.requested_lines)
+        moves = self.line.write_programs(registers, self.requested_lines)
         self._truth_at_start = self.fleet.truth()[:, self.index]
         self.fleet.run_on_threads(lambda low, high: self._measure_paths(low, high, moves))
-        length = np.minimum(self.seconds + self.line.last_pulse(registers), c.limit) + c.settle
+        length = np.minimum(self.seconds + self.line.compute_last_pulse_seconds(registers), c.limit) + c.settle
         every = 1 + len(self.index)  # a wait, and a look at each axis
         samples = np.zeros((self.n, c.looks, every, 4), np.int64)
         samples[:, :, 0, 0] = WAIT
@@ -276,7 +276,7 @@ class SynchronizedMove(MoveTask[Config]):
                 + (self.line.find_start_operations(self.distances[k]) + 1) * cycle
             )
             starts = [compute_clock_at(now, self.hz) for now in began.tolist()]
-            paths = self.line.pulses(moves[k], self.distances[k])
+            paths = self.line.trace_pulses(moves[k], self.distances[k])
             paths = [t + (start - min(starts)) for t, start in zip(paths, starts, strict=True)]
             self.path[k] = compute_path_deviation([(t, 1) for t in paths], np.abs(self.distances[k])).pulses
             self.seconds[k] = max(float(t[-1]) for t in paths) / self.hz

@@ -32,7 +32,7 @@ def stepper_programs(stage: Stage, rng: np.random.Generator) -> list[Program]:
             pulses = int(np.exp(rng.uniform(np.log(2000), np.log(reach)))) * int(rng.choice((-1, 1)))
             start, highest = rng.uniform(150, 900), np.exp(rng.uniform(np.log(1500), np.log(32_000)))
             seconds = (highest - start) / np.exp(rng.uniform(np.log(2e4), np.log(4e5)))
-            driver.write_move(p, driver.formula(start, highest, seconds, seconds, abs(pulses)), pulses)
+            driver.write_move(p, driver.compute_move_registers(start, highest, seconds, seconds, abs(pulses)), pulses)
         programs.append(p.until_stopped([0, 1, 2], 1.0))
     return programs
 

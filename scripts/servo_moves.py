@@ -86,7 +86,7 @@ def run_trapezoid(tuning: FilterTuning = TUNING, counts: int = COUNTS, name: str
     axis = stage.axes[name]
     port = set_up_servo(axis, tuning)
     stage.run(0.1)
-    at, zero = port.commanded(), round(axis.commanded / axis.meters_per_pulse)
+    at, zero = port.read_command_position(), round(axis.commanded / axis.meters_per_pulse)
     with stage.record(every=STEP) as recording:
         while port.chip.read(maps.TIMER) < port.t // 2:  # the profile begins with the next sample
             stage.run(port.count)
@@ -110,13 +110,13 @@ def run_line(early: bool) -> tuple[np.ndarray, np.ndarray]:
     stage = a_stage(x=-0.05)
     axis = stage.axes["x"]
     port = set_up_servo(axis, TUNING)
-    at = port.commanded()
+    at = port.read_command_position()
     with stage.record(every=STEP) as recording:
         for k in range(1, LINE + 1):
             stage.run((port.chip.read(maps.TIMER) + 2) * port.count)  # the next sample has begun
             if not early:
-                port.wait_for_the_safe_part()
-            port.load(command_position=at + SLOW * k)
+                port.wait_for_safe_part()
+            port.write_numbers(command_position=at + SLOW * k)
     c = recording.columns
     error = (c["x/commanded"] - c["x/position"]) / axis.meters_per_pulse
     return c["time"] - c["time"][0], error

@@ -83,7 +83,7 @@ class Move:
             if self.when < 0.02:
                 self.kind = "preset"
         if self.kind == "dual":  # without a curve: the ramp-down begins early enough for either rate
-            self.profile = self.profile.shaped(False) if kind.S_CURVES else self.profile
+            self.profile = self.profile.with_ramp_shape(False) if kind.S_CURVES else self.profile
 
     def load(self, program):
         """Write the registers and the mode; the start is another one."""
@@ -104,7 +104,7 @@ class Move:
         elif kind.EXTENDED and self.same_ramps and self.kind != "continuous":
             control, point = control | chip_port.AUTOMATIC, 2
         else:
-            profile = profile.within(self.count, fh2)
+            profile = profile.for_distance(self.count, fh2)
             point = profile.down_point(self.count, fh2)
         if self.kind != "continuous":
             control |= chip_port.PRESET

@@ -66,7 +66,7 @@ BOUNDS = {
     "fl": (lambda v: Profile.of(fl=v, fh1=5000, fh2=8000), (1, 5000), (0, 5001)),
     "ramp": (lambda v: Profile.of(decel=v), (0.05,), (0, math.inf)),
     "share of an S-curve": (
-        lambda v: Profile.of(chip=PCL240MS).shaped(v), (0.5, 1e-3, True, False), (0, 0.51),
+        lambda v: Profile.of(chip=PCL240MS).with_ramp_shape(v), (0.5, 1e-3, True, False), (0, 0.51),
     ),
     "share of a line's S-curve": (_get_curve_share, (0.5, 1e-3, True, False), (0, 0.51)),
     "pulses of a line": (lambda v: _check_distance("x", v), (MAX_R0, -MAX_R0), (MAX_R0 + 1, -MAX_R0 - 1, 0.5)),

@@ -328,7 +328,7 @@ def test_a_dual_rate_move_prints_the_speeds_that_the_registers_reach(bench, monk
         calls.append((axis.name, pulses, speed, dwell, rates, axis.position))
         return make_move_report(ok=False)
 
-    monkeypatch.setattr("stage.firmware.procedures.two_rates", two_rates)
+    monkeypatch.setattr("stage.firmware.procedures.move_at_two_rates", two_rates)
     speeds = Speeds(700, 9000, 0.2, 0.4, second=15_000)
     options = "--fl 700 --fh1 9000 --fh2 15000 --accel 0.2 --decel 0.4 --from -12.5"
     assert main(["dual-rate", "y", "3000", *options.split()]) == 1, "it did not go as asked"
@@ -469,7 +469,9 @@ def test_the_demo_homes_moves_at_two_rates_and_draws_a_line(bench, monkeypatch, 
         axes={n: make_report(n, "line") for n in "xy"}, deviation=SimpleNamespace(pulses=0.82), skew=1.25e-6
     )
     monkeypatch.setattr(firmware, "home", lambda axis, **_: make_report(axis.name, "origin return", None))
-    monkeypatch.setattr("stage.firmware.procedures.two_rates", lambda axis, **_: make_report(axis.name, "two rates"))
+    monkeypatch.setattr(
+        "stage.firmware.procedures.move_at_two_rates", lambda axis, **_: make_report(axis.name, "two rates")
+    )
     monkeypatch.setattr(firmware, "move", lambda axis, **_: make_report(axis.name))
     monkeypatch.setattr(firmware, "line", lambda *_, **__: line)
     moves = [(r.axis, r.procedure) for r in demo.make_moves(bench)]

@@ -92,7 +92,9 @@ class Passage:
     def drive(self, speed, until, accel=0.05):
         """Run at `speed`, m/s or rad/s, until the joint has come to position `until`."""
         rate = abs(speed) / self.axis.meters_per_pulse
-        get_driver(self.axis).run(1 if speed > 0 else -1, Speeds(min(500.0, rate), rate, accel, accel))
+        get_driver(self.axis).start_continuous_move(
+            1 if speed > 0 else -1, Speeds(min(500.0, rate), rate, accel, accel)
+        )
         self.observe(lambda q: q * speed >= until * speed)
         return self
 
@@ -292,7 +294,9 @@ def test_a_snapshot_between_the_two_edges_of_one_physics_step_keeps_the_second()
         (begins, _), (ends, _) = passage.edges
         if int(begins / 0.0005) == int(ends / 0.0005):
             break
-    get_driver(replica.axes["a"]).run(1, Speeds(500.0, 0.17 / replica.axes["a"].meters_per_pulse, 0.05, 0.05))
+    get_driver(replica.axes["a"]).start_continuous_move(
+        1, Speeds(500.0, 0.17 / replica.axes["a"].meters_per_pulse, 0.05, 0.05)
+    )
     replica.run(0.5 * (begins + ends) - replica.time)
     assert replica.axes["a"].switches.org
     other, _ = make_stage_with_flag("slide", 40e-6, step=0.0005)

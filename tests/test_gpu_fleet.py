@@ -50,7 +50,7 @@ def draw_programs(stage, copies, rng, steepest):
             pulses = int(np.exp(rng.uniform(np.log(50), np.log(reach)))) * int(rng.choice((-1, 1)))
             start, highest = rng.uniform(150, 900), np.exp(rng.uniform(np.log(1500), np.log(32_000)))
             seconds = (highest - start) / np.exp(rng.uniform(np.log(2e4), np.log(steepest)))
-            driver.write_move(p, driver.formula(start, highest, seconds, seconds, abs(pulses)), pulses)
+            driver.write_move(p, driver.compute_move_registers(start, highest, seconds, seconds, abs(pulses)), pulses)
         p.until_stopped([0, 1, 2], 1.0).measure(0.02, 1)
         programs.append(p.read(0, 0).read(1, 0).read(2, 0))
     return programs

@@ -117,7 +117,7 @@ def make_stepper_program(rng):
     for axis, (maximum, least) in zip(stage.axes.values(), ((150, 90), (60, 20), (60, 20)), strict=True):
         driver = get_driver(axis)
         pulses = int(rng.integers(least, maximum))
-        driver.write_move(p, driver.formula(800, 5000, 0.004, 0.003, pulses), pulses)
+        driver.write_move(p, driver.compute_move_registers(800, 5000, 0.004, 0.003, pulses), pulses)
     p.until_stopped([0, 1, 2], 0.03, poll=float(rng.uniform(5e-5, 4e-4)))
     p.wait(float(rng.uniform(0, 1e-3))).sample_position(1).sample_position(0, 1, 2)
     p.measure(float(rng.uniform(5e-4, 2e-3)), 1)

@@ -33,7 +33,7 @@ def test_the_solver_needs_few_iterations_while_carriages_move(model, chips, max_
     for axis in stage.axes.values():
         driver = get_driver(axis)
         driver.prepare()
-        driver.run(1, Speeds(start=500, drive=2000))
+        driver.start_continuous_move(1, Speeds(start=500, drive=2000))
     stage.run(0.3)
     iterations = []
     for _ in range(800):

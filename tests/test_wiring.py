@@ -58,7 +58,7 @@ def test_an_hctl1100_has_no_polarity_bit_a_limit_of_positive_logic_keeps_it_in_i
     """LIMIT is low while nobody is on the switch: status D7 = 0, and control mode is refused."""
     _, x = make_wired_stage(HCTL1100, LIMITS)
     port = Port(x)
-    assert port.limited()
+    assert port.is_limited()
     x.chip.write(0x05, 0x03)
     assert x.pins.init
     assert "LIMIT" in x.chip.diagnostics[-1].message
@@ -70,7 +70,7 @@ def test_an_hctl1100_has_no_polarity_bit_a_limit_of_positive_logic_keeps_it_in_i
 def test_the_sensors_of_an_hctl1100_can_be_of_positive_logic_all_the_same():
     """STOP triggers at power-up, before anything has moved: a homing program that looks at it finds out."""
     _, x = make_wired_stage(HCTL1100, {"org": "positive", "ez": "positive"})
-    assert not Port(x).status() & 0x40
+    assert not Port(x).read_status() & 0x40
 
 
 @pytest.mark.parametrize("sensors", [{"org": "positive"}, LIMITS], ids=["org", "limits"])

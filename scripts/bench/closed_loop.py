@@ -73,15 +73,15 @@ def _ramps(run: Run) -> tuple[np.ndarray, np.ndarray]:
         stage.reset()
         profile = Profile(500, 4000, 4000, 400, 400, 100, spans=spans, chip=PCL240MS)
         for port in ports:
-            port.command(chip_port.RESET)
+            port.write_command(chip_port.RESET)
             port.write_registers(**profile.registers())
-            port.command(chip_port.CONTROL)
-            port.command(chip_port.RAMP["FH1"])
+            port.write_command(chip_port.CONTROL)
+            port.write_command(chip_port.RAMP["FH1"])
 
     def work() -> None:
         stage.run(0.29)
         for port in ports:
-            port.command(chip_port.RAMP["FL"])
+            port.write_command(chip_port.RAMP["FL"])
         stage.run(0.29)
 
     works = {"curved": (lambda: start((0, 0)), work), "linear": (lambda: start(None), work)}

@@ -19,16 +19,16 @@ SPEEDS = {"SV": 1000, "DV": 10_000, "AC": 100_000, "TP": 0}
 def make_port(chip: type[Nova], **values: int) -> Port:
     """Return the port of a fresh chip, with registers loaded by name."""
     axis_port = Port(Bench(chip()).axes["x"])
-    axis_port.load(**values)
+    axis_port.write_parameters(**values)
     return axis_port
 
 
 def measure_drive(p: Port, command: str, seconds: float = 5) -> int:
     """Run a drive command until the axis stops, and return the change of LP in pulses."""
-    before = p.position()
-    p.command(command)
+    before = p.read_position()
+    p.write_command(command)
     p.wait_until_stopped(seconds)
-    return p.position() - before
+    return p.read_position() - before
 
 
 MOVES = (
@@ -46,13 +46,13 @@ for says, pulses, values, command in MOVES:
 @mcx514("7.2.7", "relative drive of 5000, TP = 200 written after 300: pulses made after it", 0)
 def _passed() -> int:
     p = make_port(MCX514, **SPEEDS | {"TP": 5000})
-    p.command("DRVRL")
-    while p.position() < 300:
+    p.write_command("DRVRL")
+    while p.read_position() < 300:
         p.axis.wait(1e-4)
-    pulses_before = p.position()
-    p.load(TP=200)
+    pulses_before = p.read_position()
+    p.write_parameters(TP=200)
     p.wait_until_stopped(5)
-    return p.position() - pulses_before
+    return p.read_position() - pulses_before
 
 
 @mcx514("7.2.7", "drives of TP = 2,147,483,646 and of the next number: the largest without a diagnostic", 2_147_483_646)
@@ -76,11 +76,11 @@ def _largest() -> int:
 )
 def _manual() -> int:
     p = make_port(MCX514, **SPEEDS | {"TP": 2000, "DP": 1500})
-    p.mode(WR3=p.map.mask("WR3", "MANLD"))
-    p.command("DRVRL")
+    p.write_mode_words(WR3=p.map.mask("WR3", "MANLD"))
+    p.write_command("DRVRL")
     while not p.axis.pins.dsnd:
         p.axis.wait(2e-5)
-    return p.position()
+    return p.read_position()
 
 
 FAST = {"R": 800_000, "K": 20_000, "A": 8000, "SV": 400, "V": 2000, "AO": 0}
@@ -93,8 +93,8 @@ STOP0, LIMIT, SOFT, S_CURVE = (
 def drives_on(act: Callable[[Port], None], wr2: int = 0, wr3: int = S_CURVE, start: str = "F_DRV_P") -> int:
     """n-DRV of an MCX304 two seconds after `act` at the end of a deceleration, in area d of the notice's figure 3."""
     p = make_port(MCX304, **FAST, P=40_000, CP=1_000_000)
-    p.mode(WR1=STOP0, WR2=wr2, WR3=wr3)
-    p.command(start)
+    p.write_mode_words(WR1=STOP0, WR2=wr2, WR3=wr3)
+    p.write_command(start)
     if start == "F_DRV_P":
         for phase in (False, True):  # until it decelerates, and until it does so no more
             while bool(p.word(1) & p.map.mask("RR1", "DSND")) is phase:
@@ -113,12 +113,12 @@ def pin(name: str) -> Callable[[Port], None]:
 
 
 def command(symbol: str) -> Callable[[Port], None]:
-    return lambda p: p.command(symbol)
+    return lambda p: p.write_command(symbol)
 
 
 def soft_limit(p: Port) -> None:
     """COMP+ where the axis is."""
-    p.load(CP=p.position() - 1)
+    p.write_parameters(CP=p.read_position() - 1)
 
 
 notice("case 1", "26h in area d of an S-curve with fixed pulses: n-DRV 2 s later", 1)(

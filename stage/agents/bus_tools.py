@@ -168,7 +168,7 @@ class BusTools:
     def status(self, axis: str) -> dict[str, Any]:
         """Read the status of an axis, bit by bit, with the evidence for each meaning."""
         places = {p.name: p for p in self._context.axis(axis).chip.MAP.places}
-        values = self._context.driver(axis).status_words()
+        values = self._context.driver(axis).read_status_words()
         words = {name: _describe_word(places[name], value) for name, value in values.items()}
         tags = {bit["evidence"] for word in words.values() for bit in word["bits"]}
         return {

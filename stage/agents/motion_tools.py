@@ -186,14 +186,14 @@ class MotionTools:
     def _describe_status(self, axis: str) -> str:
         """Describe why a move ended that the host started by bus cycles, by the status."""
         places = {p.name: p for p in self._context.axis(axis).chip.MAP.places}
-        words = self._context.driver(axis).status_words()
+        words = self._context.driver(axis).read_status_words()
         return "; ".join(Fields(places[name]).describe(name, value) for name, value in words.items())
 
     def _finish_watched(self, axis: str, reason: str, stop_command: str = "") -> dict[str, Any]:
         if axis not in self._watched:
             return {"axis": axis, "at_rest": True, "time_s": self._context.time_s}
         procedure, pulses = self._watched.pop(axis)
-        report = procedure.report(reason, pulses)
+        report = procedure.make_report(reason, pulses)
         if stop_command and report.pulses != pulses:  # no status bit shows it, and a driver guesses from what is left
             report = replace(report, stopped_by=stop_command)
         return self._finish(report)

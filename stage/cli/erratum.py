@@ -158,7 +158,7 @@ def show(make: Callable[[], Any], records: tuple[Record | None, Record | None] =
 def _stop_by_26h(port: Any) -> bool:
     from stage.firmware.nova import s_curve_workarounds
 
-    port.command(s_curve_workarounds.DECELERATING_STOP)
+    port.write_command(s_curve_workarounds.DECELERATING_STOP)
     return True
 
 
@@ -177,20 +177,20 @@ def _move(stage: Any, stop: Callable[[Any], bool]) -> Figures:
     end = find_touch(x, "el_plus")
     stage.place(**{x.name: end - TARGET_TO_LIMIT_M - PULSES * x.meters_per_pulse})
     port = s_curve_workarounds.open_port(x)
-    port.load(**MOVE)
-    port.mode(WR2=s_curve_workarounds.LIMITS_DECELERATE, WR3=s_curve_workarounds.S_CURVE)
-    port.start(PULSES)
-    while not port.word(1) & s_curve_workarounds.DSND:
+    port.write_parameters(**MOVE)
+    port.write_mode_words(WR2=s_curve_workarounds.LIMITS_DECELERATE, WR3=s_curve_workarounds.S_CURVE)
+    port.start_drive(PULSES)
+    while not port.read_status_register(1) & s_curve_workarounds.DSND:
         x.wait(1e-3)
-    while port.word(1) & s_curve_workarounds.DSND:
+    while port.read_status_register(1) & s_curve_workarounds.DSND:
         x.wait(5e-4)
     x.wait(1e-6 * MOVE["K"])  # area d lasts 2 K us
-    left = PULSES - port.position()
+    left = PULSES - port.read_position()
     given = stop(port)
-    status = port.word(1)
+    status = port.read_status_register(1)
     x.wait(OBSERVATION_S)
-    away = port.driving()
-    speed = port.speed() * MULTIPLE
+    away = port.is_driving()
+    speed = port.read_speed() * MULTIPLE
     figures: Figures = {
         "pulses left in area d": left,
         "26h given": "yes" if given else "no",
@@ -200,11 +200,11 @@ def _move(stage: Any, stop: Callable[[Any], bool]) -> Figures:
         ),
         "n-DRV 2 s later": int(away),
         "speed, pps": speed,
-        "pulses past the target": port.position() - PULSES,
+        "pulses past the target": port.read_position() - PULSES,
         "position, mm": x.position * 1e3,
         "beyond EL+, mm": max(x.position - end, 0.0) * 1e3,
         "lost steps": x.lost_steps,
     }
-    port.command(s_curve_workarounds.SUDDEN_STOP)
+    port.write_command(s_curve_workarounds.SUDDEN_STOP)
     x.wait(0.3)
     return figures

@@ -1,4 +1,4 @@
-"""What a host would run: procedures made of bus cycles, each returning a report.
+"""Procedures that a host runs: each consists of bus cycles and returns a report.
 
     from stage import Stage, firmware
 
@@ -6,10 +6,10 @@
     print(firmware.home(stage.axes["x"]))
     print(firmware.move(stage.axes["x"], 10e-3))
 
-move, home, square_gantry, line, jog and stop work with every chip. preset_move, origin_return and the like are procedures of the
-PCL-240's data sheet; `stage.firmware.nova` and `stage.firmware.hctl1100` have what only these families can do.
+move, home, square_gantry, line, jog and stop work with every chip. preset_move, origin_return and others are procedures of the
+PCL-240's data sheet; `stage.firmware.nova` and `stage.firmware.hctl1100` have the procedures that only these families offer.
 
-Chips without a stage run the same procedures on a `Bench`.
+A `Bench` runs the same procedures on chips without a stage.
 """
 
 from collections.abc import Callable
@@ -46,7 +46,7 @@ def procedure(name: str) -> Callable:
         name: Name, with underscores or hyphens.
 
     Raises:
-        ArgumentError: There is no such procedure; the message has the near misses.
+        ArgumentError: There is no such procedure; the message lists similar names.
     """
     key = str(name).lower().replace("-", "_")
     if key not in PROCEDURES:

@@ -1,4 +1,4 @@
-"""The part of an axis that firmware needs. The axes of a `Stage` and of a `Bench` have it."""
+"""`Axis`: the interface of an axis for firmware. The axes of a `Stage` and of a `Bench` implement it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from stage.errors import ArgumentError
 
 
 def is_sensor_inverted(axis: object, sensor: str) -> bool:
-    """Return whether a sensor is of the other logic than that of the axis' chip after a reset, see `Chip.LOGIC`.
+    """Return whether the logic of a sensor is opposite to the logic of the chip after a reset, see `Chip.LOGIC`.
 
     Args:
-        axis: Axis. That of a bench has no wiring, and none of its sensors is inverted.
+        axis: Axis of a stage or a bench. A bench has no wiring, so none of its sensors is inverted.
         sensor: Switch ("org", "el_plus" ...) or index ("ez").
 
     Returns:
@@ -23,12 +23,15 @@ def is_sensor_inverted(axis: object, sensor: str) -> bool:
 
 
 def has_positive_logic(axis: object, sensor: str) -> bool:
-    """Return whether a sensor is of positive logic, high while it is on, for chips that take what is low as asserted."""
+    """Return whether a sensor has positive logic (its signal is high while it is on), for chips with active-low inputs."""
     return is_sensor_inverted(axis, sensor)
 
 
 class Axis(Protocol):
-    """An axis as firmware sees it: a chip on a bus, and time. The rest is the true state of the machine, for reports only."""
+    """An axis for firmware: a chip on a bus, and time.
+
+    The other properties are the true state of the machine. Only reports use them.
+    """
 
     @property
     def name(self) -> str:
@@ -67,11 +70,11 @@ class Axis(Protocol):
 
 
 def check_origin(axis: Axis, others: Sequence[str] = ()) -> None:
-    """Check that an origin return would end.
+    """Check that the axis has an origin switch if its chip has an input for one, so that an origin return can end.
 
     Args:
         axis: Axis to check.
-        others: Ways to home without an origin switch, for the message.
+        others: Homing methods without an origin switch, for the message.
 
     Raises:
         ArgumentError: The chip has an input for the origin switch, and the axis has no such switch.
@@ -86,7 +89,7 @@ def check_origin(axis: Axis, others: Sequence[str] = ()) -> None:
 
 
 def check_direction(direction: int, meaning: str = "") -> None:
-    """Raise ArgumentError for a direction that is neither 1 nor -1. `method` says what it is the direction of."""
+    """Raise ArgumentError for a direction that is neither 1 nor -1. `meaning` completes the message."""
     if direction not in (1, -1):
         raise ArgumentError(f"direction={direction!r}: +1 or -1{meaning}.")
 
@@ -98,7 +101,7 @@ def check_seconds(seconds: float) -> None:
 
 
 class HasAxes(Protocol):
-    """A machine: a Stage, a Bench."""
+    """A machine with axes by name: a Stage or a Bench."""
 
     @property
     def axes(self) -> Mapping[str, Axis]:
@@ -106,9 +109,9 @@ class HasAxes(Protocol):
 
 
 AxesByName = HasAxes | Mapping[str, Axis] | None
-"""Where axes are found by name."""
+"""Stage, bench or mapping in which a procedure finds axes by their names; None if the caller passes the axes themselves."""
 
 
 def get_forward_direction(axis: Axis) -> int:
-    """Return the direction of the pulses that move the carriage plus: -1 where the motor turns the other way round."""
+    """Return the direction of the pulses that move the carriage towards plus: -1 if the motor turns the opposite way."""
     return -1 if getattr(axis, "gear", 1.0) < 0 else 1

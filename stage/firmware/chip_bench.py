@@ -1,9 +1,9 @@
-"""`Bench`: chips on one bus and one time line, without a stage. Firmware runs on it unchanged, in milliseconds.
+"""`Bench`: chips on one bus and one time line, without a stage. Firmware runs on it unchanged and takes milliseconds.
 
     bench = Bench(PCL240K())                                     one chip, its axis is "x"; or Bench(x=..., y=...)
     bench.add_rail("x", at=9000, org=(None, 0), el_minus=(None, -1600))
     print(origin_return(bench.axes["x"]))
-    bench.at(bench.time + 0.2, lambda: ...)                      an input edge, say
+    bench.at(bench.time + 0.2, lambda: ...)                      for example an edge of an input
 
 A rail is a carriage that never slips: its position follows the pulses exactly, and it asserts input pins while it is within given
 spans of pulses. A pin changes exactly at its pulse, between two clocks, as with the switches of a stage.
@@ -30,7 +30,7 @@ PositionSpan = tuple[int | None, int | None]
 
 
 class BenchAxis:
-    """A chip alone: it makes pulses, and nothing moves but a rail's carriage."""
+    """Axis of a bench: a chip whose pulses move nothing, or only the carriage of a rail."""
 
     chip_axis = 0
     meters_per_pulse = None
@@ -70,7 +70,7 @@ class BenchAxis:
         self._assert_switches()
 
     def _assert_switches(self) -> None:
-        """All at once, as the switches of a stage that share an edge: a chip between two of them would see neither state."""
+        """Set all inputs at once: switches of a stage that share an edge change together, so the chip sees no state between."""
         chip, place = self.chip, self.rail_position
         old = word = chip.input_word(self.chip_axis)
         for pin, span in self._spans.items():
@@ -82,16 +82,16 @@ class BenchAxis:
                 chip.open_journal.note_input(chip.clock, self.chip_axis, word)
 
     def _copy_record(self) -> np.ndarray:
-        """A copy of the chip's record, to look ahead with."""
+        """Return a copy of the chip's record, with which the caller computes the next pulses."""
         return np.frombuffer(bytearray(self.chip.state.tobytes()), self.chip.CORE.STATE)
 
     def _run(self, clock: int) -> None:
-        """Let the chip run up to `clock`, in pieces between which Ctrl-C works."""
+        """Let the chip run up to `clock`, in parts after which Ctrl-C takes effect."""
         for stop in split_run(self.chip.clock, clock):
             self._run_piece(stop)
 
     def _run_piece(self, clock: int) -> None:
-        """Let the chip run up to `clock`, and stop at each pulse that takes the carriage into a span or out of it."""
+        """Let the chip run up to `clock`; update the inputs at each pulse that moves the carriage into a span or out of it."""
         chip = self.chip
         core, c = chip.CORE, chip.pointer
         while self._spans and chip.clock < clock:
@@ -120,8 +120,8 @@ class Bench(Bus):
     """Chips on one bus and one time line.
 
     Args:
-        chips: chips, named x, y, z, u, v, w in their order; or one mapping name -> chip; or by keyword.
-        bus_cycle: seconds that one bus cycle takes.
+        chips: Chips, named x, y, z, u, v, w in their order; or one mapping name -> chip; or keywords.
+        bus_cycle: Seconds that one bus cycle takes.
     Raises ArgumentError when there is no chip, or one that belongs to a stage or another bench.
     """
 
@@ -181,7 +181,7 @@ class Bench(Bus):
             action: Function without arguments.
 
         Raises:
-            ArgumentError: A time outside 0 to 1e9 s, or what cannot be called.
+            ArgumentError: The time is outside 0 to 1e9 s, or `action` is no function.
         """
         if not 0 <= seconds < 1e9:
             raise ArgumentError(f"seconds={seconds!r}: the time of an event is 0 to 1e9 s.")
@@ -199,7 +199,7 @@ class Bench(Bus):
             spans: Input pin -> (low, high), both inclusive, None for no bound: the positions at which the carriage asserts the pin.
 
         Raises:
-            ArgumentError: An unknown axis or pin.
+            ArgumentError: The axis or a pin does not exist.
         """
         if axis not in self.axes:
             raise unknown_name_error("axis", axis, self.axes)
@@ -224,7 +224,7 @@ class Bench(Bus):
             axis._run(self._clock_at(name, axis.chip, until))
 
     def _clock_at(self, name: str, chip: Chip, time: int) -> int:
-        """Return what the chip of axis `name` counts at a time of the bench, ns."""
+        """Return the clock of the chip of axis `name` at a time of the bench, ns."""
         return self._start[name] + time * chip.clock_hz // 1_000_000_000
 
 

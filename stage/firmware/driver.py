@@ -1,12 +1,12 @@
-"""`Driver`: how a host controls an axis, in the same way for all chip families.
+"""`Driver`: the interface by which a host controls an axis, equal for all chip families.
 
     driver = driver_of(stage.axes["x"])
-    print(driver.move(8000, Speeds()))                    bus cycles, now: a report
-    driver.write_move(program, registers, 8000)           the same as operations of a program, for fleets
-    driver.formula(1000, 16_000, 0.15, 0.15, 8000)        the data sheet's registers for rates and ramps
+    print(driver.move(8000, Speeds()))                    makes the bus cycles and returns a report
+    driver.write_move(program, registers, 8000)           adds the same bus cycles to a program, for fleets
+    driver.compute_move_registers(1000, 16_000, 0.15, 0.15, 8000)        the data sheet's registers for rates and ramps
 
-Each family has a driver class of its own beside its other firmware; its chips name it, see `Chip.DRIVER`. The functions of
-`stage.firmware` (move, home, jog, stop, line), the command line and the environments use chips through drivers only.
+Each family has its own driver class; the chips of the family name it in `Chip.DRIVER`. The functions of `stage.firmware` (move,
+home, jog, stop, line), the command line and the environments use chips only through drivers.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ DEFAULT_START_PPS, DEFAULT_DRIVE_PPS, DEFAULT_RAMP_S = 1_000.0, 16_000.0, 0.15
 DEFAULT_MICROSTEPS = 16  # microsteps, that these rates are for
 MAX_POLL_S = 2e-3
 DUAL_RATE_ORDER = ("FH1", "FH2", "FH1")
-"""Order of the drive speeds in a move at two of them."""
+"""Order of the drive speeds in a move at two drive speeds."""
 SETTLING_TIME_S = 0.05  # s after a stop, before a report looks where the carriage came to rest
 
 
@@ -50,12 +50,12 @@ class Speeds(NamedTuple):
         down: Time of the ramp back, s.
         s_curve: True for ramps without corners; a share, above 0 and up to 0.5, for ramps with curved ends of that part of the
             speed change, where the driver's OPTIONS have "s_curve_share".
-        second: Second drive speed, pps; None: there is none.
+        second: Second drive speed, pps, or None.
         constant: Move without ramps.
-        automatic: The chip finds the ramp-down point itself; None: as the driver decides.
-        approach: Speed of the second, slow approach of an origin return, pps; 0: there is none; None: as the driver decides.
+        automatic: True: the chip finds the ramp-down point itself; None: the driver decides.
+        approach: Speed of the second, slow approach of an origin return, pps; 0: no such approach; None: the driver decides.
 
-    The last four are for drivers whose OPTIONS name them.
+    Only drivers whose OPTIONS name them use the last four fields.
     """
 
     start: float = DEFAULT_START_PPS
@@ -69,13 +69,13 @@ class Speeds(NamedTuple):
     approach: float | None = None
 
     def with_second(self, second: float) -> Speeds:
-        """Return these with a second drive speed, and ramps to it that are as steep as those to the first."""
+        """Return these speeds with a second drive speed; the ramps become longer, so that they stay as steep."""
         longer = second / self.drive
         return self._replace(second=second, up=self.up * longer, down=self.down * longer)
 
 
 def get_default_speeds(chip: Chip) -> Speeds:
-    """Return the speeds of a move that states none.
+    """Return the speeds of a move for which the user has requested none.
 
     A chip that drives its motor itself, and so determines the microsteps, gets rates for the same speed of the motor.
     """
@@ -84,53 +84,56 @@ def get_default_speeds(chip: Chip) -> Speeds:
 
 
 class Driver(ABC):
-    """Speaks to one axis of a chip.
+    """Host driver of one axis of a chip.
 
-    Attributes: axis, chip; index: of the axis in programs, see `Program`.
+    Attributes:
+        axis: Axis of a stage or a bench.
+        chip: Chip of the axis.
+        index: Index of the axis in programs, see `Program`.
     """
 
-    PATTERN: ClassVar[type[OperationPattern]] = OperationPattern
-    """What a drawing of a report about this family's chips shows."""
-    DONE: ClassVar[str] = "all pulses"
-    """What a report says has ended a move that nothing else ended."""
+    PATTERN_CLASS: ClassVar[type[OperationPattern]] = OperationPattern
+    """Class that chooses what the plot of a report about this family's chips shows."""
+    DONE_REASON: ClassVar[str] = "all pulses"
+    """Stop reason in the report of a complete move."""
     HOME_REASONS: ClassVar[tuple[str, ...]] = ("ORG", "EZ")
-    """What a report says has ended a homing that found its place."""
+    """Stop reasons in the reports of successful origin returns."""
     HOMING_METHODS: ClassVar[tuple[str, ...]] = ("switch", "index")
-    """What `home_by` can home by, the usual one first; an index pulse only where the chip has an input for it."""
+    """Methods of `home_by`, the usual one first. "index" requires that the chip has an input for index pulses."""
     INDEX_PULSES: ClassVar[int] = 1
-    """Last index pulse after ORG at which a homing can end."""
+    """Largest number of an index pulse after ORG at which an origin return can end."""
     DISTANCE_REGISTER: ClassVar[str] = ""
-    """The register that says how far a move goes, and by its range how far one start can."""
+    """Register of the distance of a move; its range limits the distance of one start."""
     INVERTIBLE_SENSORS: ClassVar[tuple[str, ...]] = ()
-    """Sensors that may be of the other logic than the chip's after a reset: the driver tells the chip so, or refuses itself where
-    it cannot."""
+    """Sensors whose logic may be opposite to the chip's after a reset. The driver configures the chip for them, or refuses the
+    axis if the chip cannot be configured."""
     TRIM_FACTORS: ClassVar[Mapping[str, float]] = {}
-    """Registers of `list_move_registers` that a search may trim beside rates and ramps: by a factor of so much, at most."""
+    """Registers of `list_move_registers` that a search may trim in addition to rates and ramps -> the largest factor."""
 
     OPTIONS: ClassVar[frozenset[str]] = frozenset()
-    """Fields of `Speeds` that only some families have, as far as this one has them, and "s_curve_share"."""
+    """Optional fields of `Speeds` that this family supports; "s_curve_share" means that `s_curve` may be a share."""
 
     EXCLUSIVE_METHODS: ClassVar[tuple[str, ...]] = (
         "move",
         "start",
-        "two_rates",
-        "circle",
+        "move_at_two_rates",
+        "draw_circle",
         "home",
         "home_by",
         "prepare",
-        "run",
+        "start_continuous_move",
         "halt",
     )
-    """Methods of several bus cycles, during which no other thread uses the chip, see stage.chips.exclusive_access."""
+    """Methods that hold the chip's lock, so that no other thread uses the chip between their bus cycles (chips/exclusive_access.py)."""
 
     has_position_loop: ClassVar[bool] = False
-    """Whether the chip closes a position loop over an encoder: its pulses are counts of the encoder, and no step is lost."""
+    """Whether the chip closes a position loop over an encoder. Its pulses are counts of the encoder, and it loses no steps."""
 
     goal: int | None = None
-    """Net pulses of the chip's axis at the end of what `start` has begun; None where the driver does not keep them."""
+    """Net pulses of the axis at the end of the move that `start` has begun; None if the driver does not store them."""
 
     def __init__(self, axis: Axis):
-        """Raises ArgumentError where a sensor is not of the chip's logic and is none of POSITIVE."""
+        """Raises ArgumentError if a sensor has the opposite logic of the chip and is not among INVERTIBLE_SENSORS."""
         self.axis, self.chip = axis, axis.chip
         self.index: int = getattr(axis, "index", 0)
         for sensor in getattr(axis, "wiring", {}):
@@ -149,7 +152,7 @@ class Driver(ABC):
         return self.chip.lock
 
     def build_inverted_sensor_error(self, sensor: str) -> ArgumentError:
-        """Return the error for a sensor that the chip, or its driver, would read inverted."""
+        """Return the error for a sensor whose inverted logic neither the chip nor its driver supports."""
         logic = getattr(self.axis, "wiring", {}).get(sensor, "positive")
         return ArgumentError(
             f"axis {self.axis.name}: {sensor} is of {logic} logic, and {add_article(self.chip.MAP.chip)} cannot read it so. "
@@ -190,7 +193,7 @@ class Driver(ABC):
         raise ArgumentError(f"{add_article(self.chip.MAP.chip)} waits for the end of its moves here: use move.")
 
     def wait(self, timeout: float, on_poll: Callable[[], None] | None = None) -> str:
-        """Wait for the end of what `start` has begun; of a servo for the end of its profile, wherever the carriage is then.
+        """Wait for the end of the move that `start` has begun. A servo's move ends with its profile, wherever the carriage is.
 
         Args:
             timeout: Simulated seconds to wait.
@@ -218,25 +221,27 @@ class Driver(ABC):
             )
 
     def get_default_second_rate(self, drive: float) -> float | None:
-        """Return the usual second drive speed beside a drive speed, pps; None where the chip has one drive speed."""
+        """Return the usual second drive speed for a drive speed, pps; None if the chip has one drive speed."""
         return None
 
     def describe_speeds(self, speeds: Speeds) -> str:
-        """Describe the rates and ramps that the chip's registers give for these speeds; "" where they give them as they are."""
+        """Describe the rates and ramps that the chip makes for these speeds after rounding; "" if it makes them exactly."""
         return ""
 
-    def two_rates(self, pulses: int, speeds: Speeds, dwell: float, rates: Sequence[str] = DUAL_RATE_ORDER) -> Report:
-        """Move through several drive speeds. A chip with one drive speed moves at `speeds.second`. Raises as `move`.
+    def move_at_two_rates(
+        self, pulses: int, speeds: Speeds, dwell: float, rates: Sequence[str] = DUAL_RATE_ORDER
+    ) -> Report:
+        """Move through several drive speeds; a chip with one drive speed moves at `speeds.second`. Raises the errors of `move`.
 
         Args:
-            pulses: As of `move`.
-            speeds: As of `move`; `second` is not None.
-            dwell: Seconds at each speed but the last, after its ramp.
+            pulses: Signed number of pulses.
+            speeds: Rates and ramps; `second` is not None.
+            dwell: Seconds at each speed except the last one, after its ramp.
             rates: "FL", "FH1" and "FH2" (start, drive and second speed) in the order of the move.
         """
         return self.move(pulses, speeds._replace(drive=cast(float, speeds.second), second=None))
 
-    def circle(self, other: Driver, radius: int, speeds: Speeds) -> Any:
+    def draw_circle(self, other: Driver, radius: int, speeds: Speeds) -> Any:
         """Draw a whole circle with this axis and another one of its chip, from the present position.
 
         Args:
@@ -275,7 +280,7 @@ class Driver(ABC):
         """Find home by one of `list_homing_methods`; the other arguments are those of `home`.
 
         Args:
-            what: "switch", "index" (the first index pulse after the switch), or another of `list_homing_methods`.
+            method: "switch", "index" (the first index pulse after the switch), or another of `list_homing_methods`.
             direction: Direction in which home lies, 1 or -1.
             speeds: Rates and ramps.
             timeout: Simulated seconds to wait.
@@ -286,18 +291,18 @@ class Driver(ABC):
         return self.home(direction, speeds, int(method == "index"), timeout)
 
     def list_homing_methods(self) -> tuple[str, ...]:
-        """Return the ways to home, of HOMINGS, that the axis' chip has."""
+        """Return those of HOMING_METHODS for which the axis' chip has an input."""
         return tuple(what for what in self.HOMING_METHODS if what != "index" or self.chip.wired("ez"))
 
     def check_homing(self, method: str, index: int = 0) -> None:
-        """Check a way to home.
+        """Check that the chip supports a homing method.
 
         Args:
-            by: Name of the way, one of `list_homing_methods`.
-            index: Whether a user has asked for the index pulse beside it.
+            method: One of `list_homing_methods`.
+            index: Number of the index pulse that the user has requested in addition; 0 for none.
 
         Raises:
-            ArgumentError: The chip does not home so, or `index` contradicts it.
+            ArgumentError: The chip does not support the method, or `index` contradicts it.
         """
         known, chip = self.list_homing_methods(), add_article(self.chip.MAP.chip)
         if method not in known:
@@ -306,22 +311,20 @@ class Driver(ABC):
             raise ArgumentError(f"home by {method!r} and to an index pulse (index=True, --ez): give one of the two.")
 
     def check_origin(self) -> None:
-        """Raise ArgumentError where an origin return would find no switch.
-
-        The message has the other ways in which the chip homes.
-        """
+        """Raise ArgumentError if the axis has no origin switch; the message lists the other homing methods of the chip."""
         check_origin(self.axis, [by for by in self.list_homing_methods() if by not in ("switch", "index")])
 
     def prepare(self) -> Any:
-        """Prepare the chip for a drive, where it needs that once; nothing moves.
+        """Set the chip up for its first drive, if the family requires this; nothing moves.
 
-        Raises StageError for an axis that moves already.
+        Raises:
+            StageError: The axis moves already.
         """
         return None
 
     @abstractmethod
-    def run(self, direction: int, speeds: Speeds) -> None:
-        """Begin a continuous drive, which `halt` ends.
+    def start_continuous_move(self, direction: int, speeds: Speeds) -> None:
+        """Start a continuous move, which `halt` ends.
 
         Args:
             direction: 1 or -1.
@@ -334,37 +337,36 @@ class Driver(ABC):
 
     @abstractmethod
     def halt(self, at_once: bool = False) -> None:
-        """Stop the axis, with a ramp or at once; returns when it is at rest."""
+        """Stop the axis, with a ramp or at once, and wait until it is at rest."""
 
     def is_stop_command(self, address: int, value: int) -> bool:
-        """Return whether a bus write is a command that stops a drive of the axis; False also where the driver does not know."""
+        """Return whether a bus write is a command that stops the axis; False also if the driver does not know the command."""
         return False
 
     def is_running(self) -> bool:
-        """Return whether the drive that `run` has begun still runs."""
+        """Return whether the move that `start_continuous_move` has started still runs."""
         return self.chip.busy(self.axis.chip_axis)
 
-    def stopped_by(self) -> str:
-        """Return why the axis stopped, where the host has not stopped it: "EL+", "EL-"; "" where the chip does not show a
-        reason."""
+    def read_stop_reason(self) -> str:
+        """Read from the chip why the axis stopped without a command of the host, for example "EL+"; "" if it shows no reason."""
         return ""
 
     def explain_end(self, done: bool, journal: Journal | None = None) -> str:
-        """Return what ended a run, as `Report.stopped_by`: what the chip shows, else a stop command in the journal, else UNKNOWN.
+        """Return the stop reason of a move for `Report.stopped_by`: from the chip, else from the journal, else UNKNOWN.
 
         Args:
-            done: Every pulse that was asked for has been made: DONE, where the chip shows nothing else.
-            journal: Of the chip, since before the run.
+            done: True if the chip has made every commanded pulse: the reason is then DONE_REASON, unless the chip shows another.
+            journal: Journal of the chip, opened before the move.
         """
-        if shown := self.stopped_by():
+        if shown := self.read_stop_reason():
             return shown
         if done:
-            return self.DONE
+            return self.DONE_REASON
         if journal is not None and any(e.kind == WRITE and self.is_stop_command(e.a, e.b) for e in journal.entries):
             return STOP_COMMAND
         return UNKNOWN
 
-    def status_words(self) -> dict[str, int]:
+    def read_status_words(self) -> dict[str, int]:
         """Read the status of the axis by bus cycles that clear nothing: words and registers of the chip's map by name."""
         return {
             word.name: self.chip.read(word.address)
@@ -388,16 +390,16 @@ class Driver(ABC):
         raise self.build_unreadable_register_error(r.name)
 
     def build_unreadable_register_error(self, name: str) -> ArgumentError:
-        """Return the error for a register that can only be written. A host remembers what it wrote."""
+        """Return the error for a register that can only be written: a host must remember the value itself."""
         return ArgumentError(
             f"{self.chip.MAP.chip} {name} cannot be read back on axis {self.axis.name}: a host remembers what it wrote there."
         )
 
     @classmethod
-    def line(
+    def move_line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
-        """Move several axes, all of this class, along a straight line.
+        """Move several axes, all with drivers of this class, along a straight line.
 
         Args:
             drivers: Drivers by the names of their axes.
@@ -421,14 +423,14 @@ class Driver(ABC):
         """Return the names of the registers that determine a move.
 
         Args:
-            s_curve: Whether the ramps are S-curves; None: where the chip is made for them.
+            s_curve: Whether the ramps are S-curves; None: S-curves if they are the chip's usual ramps.
 
         Raises:
             ArgumentError: The chip has no S-curves.
         """
 
     @abstractmethod
-    def formula(
+    def compute_move_registers(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
         """Compute the registers of `list_move_registers` by the formulas of the data sheet.
@@ -439,7 +441,7 @@ class Driver(ABC):
             up: Time of the ramp up, s.
             down: Time of the ramp down, s.
             pulses: Pulses of the move.
-            s_curve: Whether the ramps are S-curves; None: where the chip is made for them.
+            s_curve: Whether the ramps are S-curves; None: S-curves if they are the chip's usual ramps.
 
         Returns:
             Values of the registers by name.
@@ -450,18 +452,18 @@ class Driver(ABC):
         """Add the bus cycles from power-up to the start of a move to a program.
 
         Args:
-            program: Program, or operations that are done at once.
+            program: Program, or `ImmediateOperations`, which execute the bus cycles at once.
             values: Values of the registers of `list_move_registers` by name.
             pulses: Signed pulses of the move.
         """
 
     @abstractmethod
     def write_stop(self, program: Operations) -> None:
-        """Add the bus cycles by which a host ends a move that is over, or has taken too long."""
+        """Add the bus cycles with which a host stops the axis after a move or a timeout."""
 
     @abstractmethod
-    def search(self, settings: Any) -> HomeProgram:
-        """Return the origin return of the axis as a program.
+    def build_home_program(self, settings: Any) -> HomeProgram:
+        """Build the origin return of the axis as a program, which has no branches.
 
         Args:
             settings: Settings of the environment OriginReturn.
@@ -470,11 +472,11 @@ class Driver(ABC):
             ArgumentError: The chip cannot do it.
         """
 
-    def lines(self, drivers: Sequence[Driver], settings: Any) -> LinePrograms:
-        """Return the straight lines of axes as programs.
+    def build_line_programs(self, drivers: Sequence[Driver], settings: Any) -> LinePrograms:
+        """Build the straight lines of axes as programs.
 
         Args:
-            drivers: Drivers of the axes, whose chips are of this one's kind.
+            drivers: Drivers of the axes; all chips are of the same kind.
             settings: Settings of the environment SynchronizedMove.
 
         Raises:
@@ -486,20 +488,20 @@ class Driver(ABC):
         """Return the ranges of a servo's filter and sample time.
 
         Args:
-            trapezoid: For trapezoids; otherwise for position steps.
+            trapezoid: True for trapezoids, False for position steps.
 
         Raises:
-            ArgumentError: The chip closes no loop.
+            ArgumentError: The chip closes no position loop.
         """
         raise ArgumentError(
             f"{add_article(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop: it has no filter to tune."
         )
 
     def compute_filter(self) -> dict[str, int]:
-        """Compute the numbers of `get_filter_ranges` by an engineer's formula for the present load of the axis.
+        """Compute the values of `get_filter_ranges` by an engineer's formula for the present load of the axis.
 
         Raises:
-            ArgumentError: The chip closes no loop.
+            ArgumentError: The chip closes no position loop.
         """
         raise ArgumentError(f"{add_article(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop.")
 
@@ -509,18 +511,18 @@ class Driver(ABC):
         """Add the bus cycles from power-up to the start of a servo's move to a program.
 
         Args:
-            program: Program, or operations that are done at once.
+            program: Program, or `ImmediateOperations`, which execute the bus cycles at once.
             values: Values of `get_filter_ranges` by name.
             counts: Signed counts of the move.
             rates: Speed, counts/s, and acceleration, counts/s2, of a trapezoid; None: a position step.
 
         Raises:
-            ArgumentError: The chip closes no loop.
+            ArgumentError: The chip closes no position loop.
         """
         raise ArgumentError(f"{add_article(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop.")
 
     def build_s_curve_error(self) -> ArgumentError:
-        """Return the error for S-curves that the chip does not have."""
+        """Return the error for S-curves on a chip that has none."""
         return ArgumentError(f"s_curve=True: {add_article(self.chip.MAP.chip)} has linear ramps only.")
 
     def build_moving_error(self) -> StageError:
@@ -538,7 +540,7 @@ def get_driver(axis: Axis) -> Driver:
         axis: Axis of a stage or a bench.
 
     Raises:
-        ArgumentError: What is no axis, or a chip whose family has no driver.
+        ArgumentError: `axis` is no axis, or the family of its chip has no driver.
     """
     chip = getattr(axis, "chip", None)
     if not isinstance(chip, Chip):
@@ -553,7 +555,7 @@ def get_driver_class(chip: type[Chip]) -> type[Driver]:
         chip: Class of the chip.
 
     Raises:
-        ArgumentError: There is none, or it lacks a method.
+        ArgumentError: The family has no driver class, or the class lacks a method.
     """
     if not chip.DRIVER:
         raise ArgumentError(
@@ -573,7 +575,7 @@ def get_driver_class(chip: type[Chip]) -> type[Driver]:
 
 
 def select_moving(drivers: Mapping[str, DriverType], pulses: Mapping[str, int]) -> dict[str, DriverType]:
-    """Return the drivers whose axes have pulses to make on a line; one is enough. Raises ArgumentError where none has."""
+    """Return the drivers of the axes that move on a line. Raises ArgumentError if no axis has pulses to make."""
     moving = {name: driver for name, driver in drivers.items() if pulses[name]}
     if not moving:
         values = ", ".join(f"{name} 0" for name in drivers)
@@ -582,7 +584,7 @@ def select_moving(drivers: Mapping[str, DriverType], pulses: Mapping[str, int]) 
 
 
 class ImmediateOperations(Operations):
-    """Operations that are carried out at once on axes that exist, in place of being added to a program."""
+    """Operations that execute at once on the chips of axes; `Program` would store them."""
 
     def __init__(self, *axes: Axis):
         self._axes = {getattr(axis, "index", 0): axis for axis in axes}
@@ -605,7 +607,7 @@ class ImmediateOperations(Operations):
         """Wait until axes have stopped.
 
         Args:
-            axes: Indices of the axes.
+            axes: Indices of the axes in the constructor's arguments.
             limit: Simulated seconds to wait.
             poll: Seconds between two polls at first.
 
@@ -620,7 +622,7 @@ class ImmediateOperations(Operations):
 def wait_until_stopped(
     axes: Sequence[Axis], timeout: float, poll: float = 1e-3, on_poll: Callable[[], None] | None = None
 ) -> None:
-    """Poll the status of axes until none drives: every `poll` seconds at first, every MAX_POLL_S in a long run.
+    """Poll the status of axes until none drives: every `poll` seconds at first, more rarely later (`compute_poll_interval`).
 
     Args:
         axes: Axes of one machine.
@@ -647,11 +649,11 @@ def wait_until_stopped(
 def compute_poll_interval(poll: float, passed: float) -> float:
     """Return the seconds until the next poll.
 
-    It grows from `poll` to MAX_POLL_S, which is how late an end is seen at most; a longer `poll` stays. Beyond 100 s it is
-    1/50,000 of the time that has passed, or days of pulses would take millions of polls.
+    The interval grows from `poll` to MAX_POLL_S, so that the host notices an end no later than that; a longer `poll` stays. After
+    100 s the interval is 1/50,000 of the elapsed time, because days of pulses would take millions of polls.
 
     Args:
         poll: Seconds between two polls at first.
-        passed: Seconds since the first poll.
+        passed: Elapsed seconds since the first poll.
     """
     return max(poll, min(passed / 200, MAX_POLL_S), passed / 50_000)

@@ -1,11 +1,11 @@
-"""Home of tandem axes, which drive one load side by side: a gantry's beam on two screws.
+"""Homing of tandem axes, which drive one load side by side, for example a gantry's beam on two screws.
 
-    print(*square(stage.axes["y"], stage.axes["w"]), sep="\\n")
+    print(*square_gantry(stage.axes["y"], stage.axes["w"]), sep="\\n")
 
-    together   away from ORG, until no switch of them is on any more; then towards it, a little at a time, until one is
-    each       to its own switch, slowly: where the switches stand in line, the beam is square then
+1. All axes move away from ORG together until every switch is off, then towards it in short moves until the first switch is on.
+2. Each axis moves slowly to its own switch. If the switches stand in line, the beam is square afterwards.
 
-A switch's state comes from an input of the host's own: not every chip shows it.
+The host reads the switches by its own inputs, because not every chip shows their states.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ def square_gantry(
     accel: float = DEFAULT_RAMP_S,
     timeout: float = 60.0,
 ) -> list[Report]:
-    """Return tandem axes to their origins, which lie in `direction`, from any position.
+    """Home tandem axes from any position, so that each stands at its own origin switch.
 
     Args:
-        axes: All axes that drive the load, see `Axis.tandem`; their chips draw lines together.
-        direction: 1 or -1.
+        axes: All axes that drive the load, see `Axis.tandem`. Their chips must support lines together.
+        direction: Direction in which the switches lie, 1 or -1.
         speed: Speed of the common motion, m/s; an axis alone moves at a quarter of it.
         start_speed: Start speed, m/s.
         accel: Time of the ramps, s.
@@ -48,7 +48,7 @@ def square_gantry(
         A report of each axis' own search.
 
     Raises:
-        ArgumentError: Fewer than two axes, an axis without ORG, or chips that draw no line together.
+        ArgumentError: There are fewer than two axes, one has no origin switch, or the chips support no line together.
         RunTimeout: A search took longer than `timeout`.
     """
     if len(axes) < 2:
@@ -79,7 +79,7 @@ def square_gantry(
 def square_gantry_at_speeds(
     axes: Sequence[Axis], direction: int, wanted: Speeds, timeout: float = 60.0
 ) -> list[Report]:
-    """Square axes as `square_gantry` does, at speeds in pulses per second of the first axis.
+    """Home tandem axes as `square_gantry` does, with speeds in pulses per second of the first axis.
 
     Args:
         axes: All axes that drive the load.
@@ -98,13 +98,14 @@ def square_gantry_at_speeds(
 
 
 def group_tandem_axes(axes: Iterable[Axis]) -> list[list[Axis]]:
-    """Group axes that move together, most of them alone; axes that share a load with them are added.
+    """Group axes by the load that they share.
 
     Args:
         axes: Axes of a stage.
 
     Returns:
-        Groups of axes.
+        Groups of axes that move together. A group includes axes that are not among `axes` but share the load; most groups have one
+        axis.
     """
     groups: dict[str, list[Axis]] = {}
     for axis in axes:
@@ -119,5 +120,5 @@ def _is_on_origin(axes: Sequence[Axis]) -> bool:
 
 
 def _is_unobstructed(report: SynchronizedReport) -> bool:
-    """Return whether nothing was in the way. A servo's encoder may show a count less, or more, than commanded."""
+    """Return whether nothing obstructed the move. A servo's encoder may show one count more or less than commanded."""
     return not any(r.stopped_by in UNWANTED_REASONS or r.lost_steps for r in report.axes.values())

@@ -1,4 +1,4 @@
-"""`HomeProgram`: an origin return written as a program, which has no branches, and the meaning of its results."""
+"""`HomeProgram`: an origin return written as a program without branches, and the decoding of its results."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from stage.sim.program import Program
 
 
 class HomeResults(NamedTuple):
-    """Results of origin returns as a host knows them; arrays with the stage as their index, pulses or bool."""
+    """Results of origin returns, as far as a host knows them: arrays (stages) of pulses or bool."""
 
     timed_out: np.ndarray
-    """A run took longer than it may."""
+    """Whether a run exceeded its time limit."""
     home: np.ndarray
-    """It ended at the origin."""
+    """Whether the return ended at the origin."""
     end_limit: np.ndarray
-    """A run ended neither after its pulses nor at the origin, and in time."""
+    """Whether a run ended in time, but neither after its pulses nor at the origin: an end limit stopped it."""
     released: np.ndarray
-    """ORG was released before the last approach."""
+    """Whether ORG was off before the last approach."""
     searched: np.ndarray
-    """Pulses of the search, minus counts."""
+    """Pulses of the search; towards minus they are counted as positive."""
     overrun: np.ndarray
-    """Pulses by which the search went beyond ORG; 0 where the chip does not tell."""
+    """Pulses by which the search went beyond ORG; 0 if the chip does not show them."""
 
 
 class HomeProgram(ABC):
-    """One way to write an origin return, minus to ORG, as a program that cannot branch.
+    """An origin return towards minus, written as a program that cannot branch.
 
     Attributes:
-        choices: what a row chooses.
+        choices: Ranges of the numbers in a row, which the user chooses.
         marks: the places of the results that `read_results` needs; the same for every program.
     """
 
     choices: ParameterRanges
-    marks: dict[str, int]
+    result_indices: dict[str, int]
 
     @abstractmethod
-    def program(self, row: Sequence[int] | np.ndarray) -> Program:
-        """Write a whole return.
+    def write_program(self, row: Sequence[int] | np.ndarray) -> Program:
+        """Write the program of a complete origin return.
 
         Args:
             row: Numbers in the order of `choices`.
@@ -55,15 +55,15 @@ class HomeProgram(ABC):
     def find_nearest_row(
         self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int
     ) -> list[int]:
-        """Return the choices that come closest to the rates and pulses of a user.
+        """Return the row of choices that comes closest to the rates and pulses of a user.
 
         Args:
             fl: Start rate, pps.
             fh: Drive rate, pps.
             ramp: Time of the ramps, s.
             approach: Rate of the last approach, pps.
-            leave: Pulses to leave ORG by at first.
-            back_off: Pulses to back off by before the last approach.
+            leave: Pulses of the first move, away from ORG.
+            back_off: Pulses of the move away from ORG before the last approach.
 
         Raises:
             ArgumentError: The family does not define it.
@@ -74,7 +74,7 @@ class HomeProgram(ABC):
         )
 
     def _round_to_ranges(self, wanted: Mapping[str, float]) -> list[int]:
-        """Return the row whose numbers are as near to the wanted ones as their ranges allow."""
+        """Return the row with the wanted numbers, rounded and clipped to their ranges."""
         ranges = self.choices.ranges.items()
         return [int(min(max(round(wanted[name]), low), high)) for name, (low, high) in ranges]
 
@@ -87,10 +87,10 @@ class HomeProgram(ABC):
             rows: Choices with which the programs were written (stages, choices).
 
         Returns:
-            Results as a host knows them.
+            Results of all stages.
         """
 
     def _note_result_index(self, name: str, program: Program) -> Program:
-        """Note that the next operation's result is `name`."""
-        self.marks[name] = len(program)
+        """Store the index of the next operation under `name` in `result_indices`, and return the program."""
+        self.result_indices[name] = len(program)
         return program

@@ -1,13 +1,13 @@
-"""`LinePrograms`: how the drivers of several axes draw straight lines together, as programs.
+"""`LinePrograms`: straight lines of several axes, written as programs by the drivers of their chips.
 
-    line = line_of(drivers, settings)       drivers of axes whose chips are of one kind
-    line.names, line.shape                  what can be chosen: registers, and the shape of their array
-    line.data_sheet(asked)                  the engineer's registers for given moves
-    line.corrected(asked, corrections)      the same with corrections from -1 to 1
-    ops = line.programs(registers, asked)   bus cycles up to the last start command, as arrays
-    line.pulses(ops[k], distances)          the times of the pulses, by copies of the chips
+    lines = create_line_programs(drivers, settings)    drivers of axes whose chips are of one kind
+    lines.names, lines.shape                           registers that can be chosen, and the shape of their array
+    lines.compute_registers(moves)                     registers by the data sheet's formulas
+    lines.apply_corrections(moves, corrections)        the same with corrections from -1 to 1
+    operations = lines.write_programs(registers, moves)   bus cycles up to the last start command, as arrays
+    lines.trace_pulses(operations[k], distances)       times of the pulses, from copies of the chips
 
-Arrays have the stage as their first index.
+The first index of every array is the stage.
 """
 
 from __future__ import annotations
@@ -29,10 +29,12 @@ MAX_RAMP_SHARE = 0.8  # of a short move may be ramps
 
 
 def compute_peak_rate(fl: Any, rate: Any, room: Any, up: Any, down: Any) -> Any:
-    """Compute the rate that ramps between two rates reach within some pulses, at most `rate`.
+    """Compute the highest rate that a move reaches if its ramps may take `room` pulses.
+
+    All arguments are numbers or arrays of one shape.
 
     Args:
-        fl: Start rate, pps; a number, or an array as all that follow.
+        fl: Start rate, pps.
         rate: Drive rate, pps.
         room: Pulses that the ramps may take.
         up: Time of the ramp up to the drive rate, s.
@@ -58,23 +60,23 @@ class LineMoves(NamedTuple):
     ramp: np.ndarray | None = None
 
     @property
-    def size(self) -> np.ndarray:
+    def magnitudes(self) -> np.ndarray:
         """Pulses of each axis without their sign (stages, axes)."""
         return np.abs(self.distances)
 
     @property
     def longest(self) -> np.ndarray:
         """Pulses of the longest axis (stages)."""
-        return self.size.max(axis=1)
+        return self.magnitudes.max(axis=1)
 
     @property
-    def share(self) -> np.ndarray:
+    def shares(self) -> np.ndarray:
         """Each axis' pulses as a share of the longest one's (stages, axes)."""
-        return self.size / self.longest[:, None]
+        return self.magnitudes / self.longest[:, None]
 
-    def of_leader(self, values: np.ndarray) -> np.ndarray:
-        """Return the value of the longest axis (stages, 1) of values (stages, axes)."""
-        return np.take_along_axis(values, self.size.argmax(axis=1)[:, None], 1)
+    def select_leader_values(self, values: np.ndarray) -> np.ndarray:
+        """Return the column of the longest axis, (stages, 1), from values (stages, axes)."""
+        return np.take_along_axis(values, self.magnitudes.argmax(axis=1)[:, None], 1)
 
 
 class LineSettings(NamedTuple):
@@ -84,7 +86,7 @@ class LineSettings(NamedTuple):
         fl: Start rate of the longest axis, pps.
         accel: Time of its ramps, s.
         s_curve: Whether the ramps are S-curves.
-        reach: Pulses along the line that a correction of 1 moves an axis by.
+        reach: Pulses along the line by which a correction of 1 moves an axis.
         axes: Names of the axes, for errors.
     """
 
@@ -96,22 +98,23 @@ class LineSettings(NamedTuple):
 
 
 class LinePrograms(ABC):
-    """Several axes with chips of one kind, under settings: fl (pps), accel (s), s_curve, reach (pulses), axes (names).
+    """Straight lines of several axes with chips of one kind, written as programs.
 
     Attributes:
-        names: registers of a row. shape: (rows, names): a row an axis, or one row for all.
+        names: Names of the registers in a row.
+        shape: (rows, names), with one row for each axis, or one row for all axes.
         fastest: highest rate of the longest axis, pps.
     """
 
     names: tuple[str, ...]
     shape: tuple[int, int]
-    fastest: float
+    max_rate: float
 
     def __init__(self, drivers: Sequence[Driver], settings: Any, rows: int, names: tuple[str, ...]):
         self.drivers: list[Any] = list(drivers)
         self.settings, self.names = settings, names
         self.chip: Any = drivers[0].chip
-        self.hz = self.chip.clock_hz
+        self.clock_hz = self.chip.clock_hz
         self.shape = (rows, len(names))
         ranges = [get_register_range(self.chip.MAP, name) for name in names]
         self.low, self.high = (np.array(side, np.int64) for side in zip(*ranges, strict=True))
@@ -121,12 +124,12 @@ class LinePrograms(ABC):
     # --- what a family answers ---
 
     @abstractmethod
-    def data_sheet(self, moves: LineMoves) -> np.ndarray:
-        """Compute the registers by the formulas of the data sheet (stages, *shape)."""
+    def compute_registers(self, moves: LineMoves) -> np.ndarray:
+        """Compute the registers (stages, *shape) by the formulas of the data sheet."""
 
     @abstractmethod
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        """Compute the registers of the data sheet with corrections.
+        """Compute the registers by the data sheet's formulas, and correct them.
 
         Args:
             moves: Moves along the line.
@@ -138,14 +141,14 @@ class LinePrograms(ABC):
 
     @abstractmethod
     def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
-        """Compute how far the data sheet's registers take each axis off its share of the line.
+        """Compute how far each axis strays from its share of the line with the data sheet's registers.
 
         Returns:
             Pulses (stages, axes, 4), see `compute_deviations`.
         """
 
     @abstractmethod
-    def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+    def write_programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         """Write the bus cycles from rest to the last start command.
 
         Args:
@@ -153,25 +156,25 @@ class LinePrograms(ABC):
             moves: Moves along the line.
 
         Returns:
-            Operations (stages, operations, 4), which differ between stages in the numbers that they write only.
+            Operations (stages, operations, 4). The stages differ only in the numbers that the operations write.
         """
 
     @abstractmethod
     def find_start_operations(self, distances: np.ndarray) -> np.ndarray:
-        """Return the index of the operation that starts each axis (axes), for one stage's distances."""
+        """Return for each axis of one stage the index of the operation that starts it."""
 
-    def last_pulse(self, registers: np.ndarray) -> np.ndarray:
+    def compute_last_pulse_seconds(self, registers: np.ndarray) -> np.ndarray:
         """Return the seconds from the beginning of the last pulse to the end of the drive (stages)."""
         return np.zeros(len(registers))
 
     # --- the same for all ---
 
     def clip_to_legal(self, registers: np.ndarray) -> np.ndarray:
-        """Return the nearest registers that the data sheet allows."""
+        """Clip registers to the ranges of the data sheet."""
         return np.clip(np.rint(registers), self.low, self.high).astype(np.int64)
 
     def compute_peaks(self, moves: LineMoves) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the peak rate and the ramp time that the moves have room for.
+        """Compute the peak rates and ramp times for which the moves are long enough.
 
         Returns:
             Rate, pps (stages), and time, s (stages).
@@ -185,29 +188,29 @@ class LinePrograms(ABC):
     def compute_deviations(
         self, moves: LineMoves, rate: np.ndarray, ramp: np.ndarray, lag: np.ndarray, less: np.ndarray, point: np.ndarray
     ) -> np.ndarray:
-        """Compute by the closed form how far axes are from their share of the longest one.
+        """Compute in closed form how far axes are from their shares of the longest one. All arrays are (stages, axes).
 
         Args:
             moves: Moves along the line.
-            rate: Rates, pps (stages, axes), as all that follow.
+            rate: Rates, pps.
             ramp: Times of the ramps up, s.
-            lag: Pulses by which the two ramps fall short of the full rate.
-            less: Pulses by which the ramp down falls short of it.
-            point: Pulses left at the ramp-down.
+            lag: Pulses that the two ramps make less than the full rate would in their time.
+            less: Pulses that the ramp down makes less than the full rate would in its time.
+            point: Pulses left when the ramp down begins.
 
         Returns:
-            Pulses (stages, axes, 4): ahead after the ramp-up, more ahead at the ramp-down, ramp-down earlier by, shorter ramp-down
-            by.
+            Pulses (stages, axes, 4): lead of the axis after the ramp-up, increase of the lead until the ramp-down, pulses by which
+            the ramp-down begins earlier, and pulses by which it is shorter.
         """
-        lead, share = moves.of_leader, moves.share
+        lead, share = moves.select_leader_values, moves.shares
         risen = lead(ramp)
-        falls = lead((moves.size - point + lag) / rate)
+        falls = lead((moves.magnitudes - point + lag) / rate)
         off = rate - share * lead(rate)
         rise = off * risen - (lag - share * lead(lag))
         return np.stack([rise, off * (falls - risen), point - share * lead(point), less - share * lead(less)], axis=2)
 
-    def pulses(self, ops: np.ndarray, distances: np.ndarray) -> list[np.ndarray]:
-        """Run one stage's program on copies of the chips, without a stage.
+    def trace_pulses(self, ops: np.ndarray, distances: np.ndarray) -> list[np.ndarray]:
+        """Run the program of one stage on copies of the chips, and record their pulses.
 
         Args:
             ops: Operations of the program (operations, 4).
@@ -229,18 +232,18 @@ class LinePrograms(ABC):
         return out
 
     def _group_by_chip(self) -> list[tuple[Any, list[int]]]:
-        """Each chip, and which axes of the line it has."""
+        """Return each chip with the indices of its axes on the line."""
         chips: dict[int, tuple[Any, list[int]]] = {}
         for a, h in enumerate(self.drivers):
             chips.setdefault(id(h.chip), (h.chip, []))[1].append(a)
         return list(chips.values())
 
     def _add_slot(self, program: Program, back: int, column: int, shift: int = 0) -> None:
-        """The operation `back` before the end writes a number, shifted right."""
+        """Mark an operation of the template, `back` before its end, as one that writes a column, shifted right by `shift`."""
         self._slots.append((len(program) - back, column, shift))
 
     def _fill_template(self, template: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Programs with the numbers of columns (stages, columns) in their slots."""
+        """Return copies of the template with the numbers of `columns` (stages, columns) in the marked operations."""
         ops = np.repeat(template[None], len(columns), axis=0)
         for j, column, shift in self._slots:
             ops[:, j, 3] = columns[:, column] >> shift & self.chip.DATA_MASK
@@ -248,18 +251,18 @@ class LinePrograms(ABC):
 
 
 def create_line_programs(drivers: Sequence[Driver], settings: Any) -> LinePrograms:
-    """Return the line that drivers draw together.
+    """Create the programs of the lines that drivers can make together.
 
     Args:
         drivers: Drivers of the axes.
         settings: Settings, as `LineSettings`.
 
     Raises:
-        ArgumentError: The chips draw no line together.
+        ArgumentError: The chips support no line together.
     """
     kinds = sorted({type(h.chip).__name__ for h in drivers})
     if len(kinds) > 1:
         raise ArgumentError(
             f"axes={settings.axes!r}: {' and '.join(kinds)} cannot be synchronized: give them one kind of chip."
         )
-    return drivers[0].lines(drivers, settings)
+    return drivers[0].build_line_programs(drivers, settings)

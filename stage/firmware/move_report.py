@@ -1,4 +1,4 @@
-"""`Report`: what a procedure did. Made by `ProcedureObserver`, which watches the chip from the first byte to the last."""
+"""`Report` of a procedure, and `ProcedureObserver`, which observes the chip from the first byte to the last and makes it."""
 
 from __future__ import annotations
 
@@ -31,18 +31,23 @@ class Report:
     """Report of one axis in one procedure: what the host observed, and the true state beside it.
 
     Attributes:
-        procedure, axis: Names.
-        pulses: Net pulses made (signed); counts of a servo's command. asked: Pulses commanded, None where a procedure has no such
-            number.
-        duration: Seconds from the first start to the last stop. peak_rate, average_rate: pps.
-        start, position: Position of the carriage before and after, m (None without a stage); rad on a hinge.
-        lost_steps: Full steps lost in the procedure, a multiple of four (None without a motor).
+        procedure: Name of the procedure.
+        axis: Name of the axis.
+        pulses: Signed net pulses made; counts of a servo's command.
+        asked: Signed pulses commanded; None if the procedure has no such number.
+        duration: Seconds from the first start to the last stop.
+        peak_rate: Highest pulse rate, pps.
+        start: Position of the carriage before the procedure, m (rad on a hinge); None without a stage.
+        position: Position of the carriage afterwards, m (rad on a hinge); None without a stage.
+        lost_steps: Full steps lost in the procedure, a multiple of four; None without a motor.
         stopped_by: Reason of the end: "R0 = 0" (of a NOVA chip "all pulses", of a servo "end of profile"), "ORG", "EZ", "EL+",
             "EL-", "decelerating stop", "reset command", "stop command", "timeout", "Ctrl-C", the name of another input, "another
             axis" of a
             line, or "unknown".
-        residual: R0 at the end; None for a chip that has none. course: Every change of the chip's pins and speed, by the clock.
-        said: The bytes written, decoded: commands, and registers with all their bytes. unit: "m", or "rad" on a hinge.
+        residual: Down counter (R0) at the end; None for a chip without one.
+        course: Waveforms of the chip's pins and speed, by the clock.
+        statements: Decoded bytes that the host wrote: commands, and registers with all their bytes.
+        unit: "m", or "rad" on a hinge.
     """
 
     procedure: str
@@ -62,25 +67,25 @@ class Report:
 
     @property
     def ok(self) -> bool:
-        """Whether every commanded pulse was made, none of them lost, and neither an end limit nor the time ended the move."""
+        """True if the chip made every commanded pulse, no step was lost, and neither an end limit nor a timeout ended the move."""
         done = self.asked is None or self.pulses == self.asked
         return done and not self.lost_steps and self.stopped_by not in UNWANTED_REASONS
 
     @cached_property
     def average_rate(self) -> float:
-        """Pulses made in both directions by `duration`, pps."""
+        """Pulses in both directions divided by `duration`, pps."""
         steps, seconds = np.abs(np.diff(self.course.edges["net"])), np.diff(self.course.seconds)
         counted = int(steps[steps <= 2 * self.peak_rate * seconds + PRESET_RATE_LIMIT].sum())
         return counted / self.duration if self.duration else 0.0
 
     @property
     def began(self) -> float:
-        """Seconds from the first byte to the first start; 0 if nothing ran."""
+        """Seconds from the first byte to the first start; 0 if the axis never started."""
         return float(self.course.seconds[running[0]]) if len(running := np.flatnonzero(self.course.running)) else 0.0
 
     @property
     def rates(self) -> np.ndarray:
-        """Pulse rate from each edge of the course on, pps."""
+        """Pulse rate after each edge of the waveforms, pps."""
         return compute_rates(self.course)
 
     def __str__(self) -> str:
@@ -99,7 +104,7 @@ class Report:
         return "\n".join(lines)
 
     def _describe_undershoot(self) -> str:
-        """Return in words how far the down counter has gone below 0; "" where it has not."""
+        """Describe how far the down counter has counted below 0; "" if it has not."""
         of = getattr(self.course.chip, "COUNTER", None)
         if of is None or self.residual is None:
             return ""
@@ -109,9 +114,10 @@ class Report:
         return f" ({bits}-bit counter: {self.residual - (1 << bits)})"
 
     def writes(self) -> list[tuple[float, str, str]]:
-        """Return the commands and whole registers that were written: (seconds from the first start, bytes in hex, meaning) each.
+        """Return for each written command or register: seconds from the first start, bytes in hex, meaning.
 
-        The first byte of a row goes to address 0; further ones are a register's, to the addresses 3, 2, 1, the last to 1.
+        The first byte of a row goes to address 0. Further bytes belong to a register and go to the addresses 3, 2, 1 (the last
+        byte always to 1).
         """
         begin, hz = self.course.edges["clock"][0], self.course.clock_hz
         return [(float(s.clock - begin) / hz - self.began, s.code, s.meaning) for s in self.statements]
@@ -163,7 +169,7 @@ class Report:
         Args:
             path: File to save the figure in, if any.
             title: Title; default: the procedure and the axis.
-            ax: Axes of your own, in which the pulse rate is drawn without the lanes of signals.
+            ax: Existing Matplotlib axes for the pulse rate; the lanes of signals are then not drawn.
             overwrite: Whether a file that exists is replaced.
 
         Returns:
@@ -178,15 +184,15 @@ class Report:
 
 
 def compute_rates(course: Waveforms) -> np.ndarray:
-    """Return the pulse rate from each edge of a waveform on, pps; without a sign."""
+    """Return the unsigned pulse rate after each edge of waveforms, pps."""
     return course.chip.rates(course.edges) * course.clock_hz
 
 
 class ProcedureObserver:
     """Observer of an axis: `with ProcedureObserver(axis, "preset move") as p: ...; return p.report(...)`.
 
-    A RunTimeout that is raised within it carries the report so far, as `error.report`; a KeyboardInterrupt those of all axes that
-    are observed, as `error.reports`.
+    A RunTimeout in the `with` block gets the report so far as `error.report`; a KeyboardInterrupt gets the reports of all observed
+    axes as `error.reports`.
     """
 
     def __init__(self, axis: Axis, name: str):
@@ -201,32 +207,32 @@ class ProcedureObserver:
 
     @property
     def pulses_made(self) -> int:
-        """Net pulses made since the beginning, signed."""
+        """Signed net pulses since the beginning."""
         return self.axis.chip.net(self.axis.chip_axis) - self._net
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, RunTimeout):
-            error.report = self.report("timeout")  # type: ignore[attr-defined]
+            error.report = self.make_report("timeout")  # type: ignore[attr-defined]
         if isinstance(error, KeyboardInterrupt):
-            error.reports = [self.report("Ctrl-C"), *getattr(error, "reports", ())]  # type: ignore[attr-defined]
+            error.reports = [self.make_report("Ctrl-C"), *getattr(error, "reports", ())]  # type: ignore[attr-defined]
         self.journal.close()
 
-    def residual(self) -> int | None:
-        """Return the value of the chip's down counter; None where it has none."""
+    def read_residual(self) -> int | None:
+        """Read the chip's down counter; None if the chip has none."""
         return None
 
-    def report(self, stopped_by: str, asked: int | None = None) -> Report:
-        """End the observation.
+    def make_report(self, stopped_by: str, asked: int | None = None) -> Report:
+        """End the observation and make the report.
 
         Args:
-            stopped_by: Reason of the end.
-            asked: Signed pulses commanded; None where the procedure has no such number.
+            stopped_by: Stop reason.
+            asked: Signed pulses commanded; None if the procedure has no such number.
 
         Returns:
             The report.
         """
         axis = self.axis
-        residual = self.residual()
+        residual = self.read_residual()
         self.journal.close()
         course = self.journal.course()
         net, running, seconds = course.edges["net"], np.flatnonzero(course.running), course.seconds

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 BLUE, GREY, VIOLET, AMBER, GREEN, RED = "#5b8db8", "#9aa5b1", "#9b86bd", "#d9a441", "#4f9d69", "#c8553d"
 PatternLane = tuple[str, str, str]
-"""A pin, its label, its colour."""
+"""Name of a pin, its label and its color."""
 
 
 class PatternNote(NamedTuple):
-    """A line of text above the curve, with an arrow (what the host wrote) or a dot (what happened) at `time`."""
+    """A line of text above the curve, with a mark at `time`: a dot for an event, an arrow for a command of the host."""
 
     time: float
     code: str
@@ -28,9 +28,11 @@ class PatternNote(NamedTuple):
 
 
 class OperationPattern:
-    """Signals and commands of a report that a drawing shows; by default the outputs that change, and every command with its words.
+    """Signals and commands of a report that its plot shows; by default all outputs that change, and every command.
 
-    LANES: pins in the order of their lanes, from above. ALWAYS: pins that are shown even where they never change.
+    Attributes:
+        LANES: Pins in the order of their lanes, from the top.
+        ALWAYS: Pins that the plot shows even if they never change.
     """
 
     LANES: ClassVar[tuple[PatternLane, ...]] = ()
@@ -40,33 +42,33 @@ class OperationPattern:
         self.report, self.course = report, report.course
 
     def list_lanes(self, pins: Collection[str] | None = None) -> list[tuple[np.ndarray, str, str]]:
-        """Return the signals that play a role.
+        """List the relevant signals.
 
         Args:
             pins: Pins that may be shown; None: all.
 
         Returns:
-            For each signal whether it is on from each edge on, its label and its color.
+            For each signal: an array that says whether it is on after each edge, its label and its color.
         """
         chosen = self.LANES or tuple((pin, pin.upper(), BLUE) for pin in self.course.chip.OUTPUTS)
         visible = (lane for lane in chosen if (pins is None or lane[0] in pins) and self.is_relevant(lane[0]))
         return [(self.course.pin(pin), label, colour) for pin, label, colour in visible]
 
     def is_relevant(self, pin: str) -> bool:
-        """Return whether a pin plays a role in this move."""
+        """Return whether a pin has a meaning in this move."""
         on = self.course.pin(pin)
         return pin in self.ALWAYS or bool(on.any() if pin in self.course.chip.INPUTS else on.any() and not on.all())
 
     def minus(self) -> np.ndarray:
-        """Return whether the axis moves in the minus direction, from each edge on (bool)."""
+        """Return a mask of the edges after which the axis moves in the minus direction."""
         return np.diff(self.course.edges["net"], append=self.course.edges["net"][-1]) < 0
 
     def list_named_rates(self) -> dict[str, float]:
-        """Return the rates that have a name, pps."""
+        """Return the rates that have names in the data sheet, pps."""
         return {}
 
     def notes(self, t: np.ndarray) -> list[PatternNote]:
-        """Return notes of what the host wrote and of what happened.
+        """Return notes of the host's commands and of the chip's events.
 
         Args:
             t: Times of the edges of the report's waveform, s from the first start.
@@ -80,11 +82,11 @@ class OperationPattern:
         return sorted([*notes, *self.describe_end()], key=lambda n: n.time)
 
     def is_noteworthy(self, meaning: str) -> bool:
-        """Return whether a command, by its meaning in words, gets a note."""
+        """Return whether a command with this meaning gets a note."""
         return True
 
     def describe_end(self) -> list[PatternNote]:
-        """Return a note of why the axis stopped."""
+        """Return notes that say why the axis stopped."""
         report = self.report
         if not report.duration or report.stopped_by == "reset command":  # a note of its own
             return []

@@ -1,4 +1,4 @@
-"""The numbers that can be chosen for a chip: registers within their legal ranges, and the other parameters of a program."""
+"""Ranges of the numbers that a user or an agent chooses for a chip: registers, and other parameters of a program."""
 
 from __future__ import annotations
 
@@ -12,13 +12,18 @@ from stage.errors import ArgumentError
 
 
 class ParameterRanges(NamedTuple):
-    """Numbers by name, in order: (least, most). cubed: those of which small values matter most."""
+    """Ranges of the numbers in a row, by name.
+
+    Attributes:
+        ranges: Smallest and largest value of each number, in the order of the row.
+        cubed: Numbers whose small values matter most; environments scale their actions by the third power.
+    """
 
     ranges: dict[str, tuple[int, int]]
     cubed: tuple[str, ...] = ()
 
     def to_dict(self, row: Sequence[int] | np.ndarray) -> dict[str, int]:
-        """Return one row of numbers by name."""
+        """Convert a row of numbers to a dict by name."""
         return {name: int(value) for name, value in zip(self.ranges, row, strict=True)}
 
     @property
@@ -28,10 +33,10 @@ class ParameterRanges(NamedTuple):
 
 
 def get_register_range(register_map: RegisterMap, name: str) -> tuple[int, int]:
-    """Return the range of a register that numbers are chosen from.
+    """Return the range of values that a register accepts.
 
     Args:
-        map_: Register map of the chip.
+        register_map: Register map of the chip.
         name: Name of the register.
 
     Returns:

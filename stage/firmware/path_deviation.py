@@ -1,9 +1,9 @@
-"""How far several axes' pulses stray from the straight line between start and end.
+"""Deviation of the pulses of several axes from the straight line between start and end.
 
-    path_deviation([x.trace(n), y.trace(n)], (20_000, -7_500))
+    compute_path_deviation([x.trace(n), y.trace(n)], (20_000, -7_500))
 
-The path is the point (n_1, n_2, ...) of pulse counts. It moves in whole pulses, so even perfect axes stray: with rates
-exactly in ratio and a common start the first pulse of the slower axis comes a whole pulse late (`compute_perfect_deviation`).
+The path consists of the points (n_1, n_2, ...) of pulse counts. It moves in whole pulses, so even perfect axes stray: with rates
+exactly in ratio and a common start, the first pulse of the slower axis comes a whole pulse late (`compute_perfect_deviation`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,13 @@ ROUNDING_TOLERANCE = 1e-12  # relative, and pulses squared: rounding
 
 
 class PathDeviation(NamedTuple):
-    """Largest distance from the line, in pulses; its time, in the unit of the times that were passed; and the counts then."""
+    """Largest distance of a path from the line.
+
+    Attributes:
+        pulses: The distance, pulses.
+        time: Time of the distance, in the unit of the times that the caller passed.
+        counts: Pulse counts of the axes at that time.
+    """
 
     pulses: float
     time: float
@@ -31,7 +37,7 @@ class PathDeviation(NamedTuple):
 
 @hot
 def _find_next_pulse_time(times, ends, cursor):
-    """The time of the next pulse of any axis; infinite when there is none."""
+    """Return the time of the next pulse of any axis; infinity if there is none."""
     t = np.inf
     for k in range(len(cursor)):
         if cursor[k] < ends[k] and times[cursor[k]] < t:
@@ -41,8 +47,10 @@ def _find_next_pulse_time(times, ends, cursor):
 
 @exported("f8", *[array_of(t) for t in ("f8", "i1", "i8", "i8", "f8", "f8", "i8", "f8")])
 def _find_worst_deviation(times, signs, starts, ends, line, at, cursor, when):
-    """Walk the pulses of all axes in order of time; axis k's are times[starts[k]:ends[k]]. Pulses at one time are one
-    step. Returns the largest distance, and its time in when[0]. at, cursor: zeros, and `starts`, to work on."""
+    """Return the largest distance of the pulse counts from the line, and write its time to when[0].
+
+    The pulses of axis k are times[starts[k]:ends[k]]. Pulses at the same time count as one step. `at` (zeros) and `cursor` (a copy
+    of `starts`) are scratch arrays."""
     n = len(line)
     length2 = 0.0
     for k in range(n):
@@ -89,18 +97,18 @@ def _pack_pulses(pulses: Sequence[Any], distances: Sequence[int], clock_hz: Any)
 def compute_path_deviation(pulses: Sequence[Any], distances: Sequence[int], clock_hz: Any = None) -> PathDeviation:
     """Compute the largest distance of the point of pulse counts from the segment between 0 and `distances`, exact at every pulse.
 
-    The time is linear in the pulses. Pulses at the same time count as one step.
+    The computing time is linear in the number of pulses. Pulses at the same time count as one step.
 
     Args:
         pulses: For each axis the result of `chip.trace`, or (times, directions +1 or -1); times ascend.
         distances: Signed pulses of the line for each axis.
-        clock_hz: Clock of the times, one number or one for each axis, to convert ticks to seconds; None leaves times as they are.
+        clock_hz: Clock that converts ticks to seconds, one number or one for each axis, Hz; None keeps the times as they are.
 
     Returns:
-        The largest distance, its time and the counts then.
+        The largest distance, its time and the counts at that time.
 
     Raises:
-        ArgumentError: Times that do not ascend, or another number of axes than of distances.
+        ArgumentError: Times do not ascend, or the number of axes differs from the number of distances.
     """
     times, signs, starts, ends, line = _pack_pulses(pulses, distances, clock_hz)
     worst_time = np.zeros(1)
@@ -114,11 +122,11 @@ def compute_path_deviation(pulses: Sequence[Any], distances: Sequence[int], cloc
 
 
 def compute_path_points(pulses: Sequence[Any], clock_hz: Any = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points of the path: the counts (n_1, n_2, ...) after every step, from the origin on.
+    """Return the points of the path: the counts (n_1, n_2, ...) at the origin and after every step.
 
     Args:
-        pulses: As of `compute_path_deviation`.
-        clock_hz: As of `compute_path_deviation`.
+        pulses: Pulses of the axes, as for `compute_path_deviation`.
+        clock_hz: Clock of the times, as for `compute_path_deviation`.
 
     Returns:
         Times (n,) and counts (n, axes).
@@ -135,19 +143,19 @@ def compute_path_points(pulses: Sequence[Any], clock_hz: Any = None) -> tuple[np
 
 
 def compute_perfect_deviation(distances: Sequence[int]) -> float:
-    """Compute the distance that perfect axes reach: started at once, constant rates exactly in ratio, the last pulses together."""
+    """Compute the deviation of perfect axes: they start at the same time and have constant rates exactly in ratio."""
     perfect = [(np.arange(1, abs(d) + 1) / max(abs(d), 1), np.sign(d)) for d in distances]
     return compute_path_deviation(perfect, distances).pulses
 
 
 def replay_pulses(journal: Journal) -> np.ndarray:
-    """Replay every pulse that a chip made while a journal was open; of a servo, each count of its command.
+    """Replay the pulses that a chip made while a journal was open; for a servo, each count of its command.
 
     Args:
         journal: Journal of the chip.
 
     Returns:
-        Records as those of `chip.trace`; `clock` counts from the journal's beginning.
+        Records like those of `chip.trace`; `clock` counts from the beginning of the journal.
     """
     core = journal.chip.CORE
     if journal.chip.SERVO:

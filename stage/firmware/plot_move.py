@@ -1,7 +1,7 @@
-"""Operation patterns: a move drawn as data sheets of motion chips draw it, from what the chip did.
+"""Plot of a move as an operation pattern, the kind of figure in data sheets of motion chips.
 
-Pulse rate over time with the levels FL, FH1, FH2; above it what the host wrote (arrows) and what happened (dots), below it a
-lane for each signal that plays a role, filled while it is asserted.
+The figure shows the pulse rate over time with the levels FL, FH1 and FH2. Arrows above the curve mark commands of the host, and
+dots mark events. Below the curve is a lane for each relevant signal, filled while the signal is asserted.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def draw_operation_pattern(
         title: Title; default: the procedure and the axis.
         ax: Axes of Matplotlib to draw the pulse rate in, without the lanes of signals.
         overwrite: Whether a file that exists is replaced.
-        pins: Pins whose lanes may be shown; None: all that play a role.
+        pins: Pins whose lanes may be shown; None: all relevant pins.
 
     Returns:
         The figure.
@@ -53,7 +53,7 @@ def draw_operation_pattern(
     if ax is not None and not hasattr(ax, "get_window_extent"):
         raise ArgumentError(f"ax={ax!r}: give axes of Matplotlib, or None.")
 
-    pattern = get_driver_class(report.course.chip).PATTERN(report)
+    pattern = get_driver_class(report.course.chip).PATTERN_CLASS(report)
     t = report.course.seconds - report.began
     begin, end = _compute_time_range(report, t)
     t[0], t[-1] = min(t[0], begin), max(t[-1], end)  # nothing moves before and after
@@ -115,7 +115,7 @@ def _draw_rate_panel(
     width: float,
     height: float,
 ) -> None:
-    """The pulse rate, in an axes of `width` x `height` points, with the notes above it."""
+    """Draw the pulse rate with the notes above it, in axes of `width` x `height` points."""
     report, levels = pattern.report, pattern.list_named_rates()
     rates = report.rates
     peak = float(rates.max()) or 1.0
@@ -163,7 +163,7 @@ def _label_level(ax: Any, level: float, text: str) -> None:
 
 
 def _get_note_rate(report: Report, t: np.ndarray, note: PatternNote) -> float:
-    """Return the rate at which a note's arrow or dot meets the curve: the rate just before it, or the first rate."""
+    """Return the rate at which the mark of a note meets the curve: the rate just before it, or the first rate."""
     k = int(np.searchsorted(t, note.time - 1e-9))
     before = float(report.rates[max(k - 1, 0)])
     after = float(report.rates[min(int(np.searchsorted(t, note.time + 1e-9, "right")) - 1, len(t) - 1)])
@@ -173,7 +173,7 @@ def _get_note_rate(report: Report, t: np.ndarray, note: PatternNote) -> float:
 def _find_plateaus(
     report: Report, named: dict[str, float], t: np.ndarray, limits: tuple[float, float]
 ) -> list[tuple[float, float]]:
-    """(time of its middle, rate) of each stretch of constant rate that no level line names."""
+    """Return (time of the middle, rate) of each interval of constant rate that has no labeled level."""
     rates, levels = report.rates, list(named.values())
     begins = np.flatnonzero(np.diff(rates, prepend=-1.0) != 0)
     return [
@@ -196,8 +196,9 @@ def _measure_text_width(text: str, bold: bool = False) -> float:
 
 
 def _assign_note_rows(notes: list[PatternNote], limits: tuple[float, float], width: float) -> list[int]:
-    """A row for each note, so that no text meets another or the arrow of a later one: from the last to the first, each
-    goes above all that begin within its length."""
+    """Return a row for each note, so that no text overlaps another text or the arrow of a later note.
+
+    From the last note to the first, each is placed above all notes that begin within its length."""
     at = [(n.time - limits[0]) / (limits[1] - limits[0]) * width for n in notes]
     rows = [0] * len(notes)
     for k in reversed(range(len(notes))):

@@ -1,4 +1,4 @@
-"""An a:b move drawn: the staircase where it is farthest from the line, the distance along the way, the rates over time."""
+"""Plot of an a:b move: the path around its point farthest from the line, the distance from the line, and the rates over time."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def draw_path(report: SynchronizedReport, path: Any = None, title: str | None = 
 
 
 def _draw_staircase(ax: Any, report: SynchronizedReport, counts: np.ndarray, line: np.ndarray) -> None:
-    """The path around its farthest point, in a plane of two axes."""
+    """Draw the path around its farthest point, in the plane of two axes."""
     worst = np.array(report.deviation.counts, float)
     unit = line / np.linalg.norm(line)
     foot = np.clip(worst @ unit, 0, np.linalg.norm(line)) * unit
@@ -91,7 +91,7 @@ def _make_locator() -> Any:
 def _draw_distance(
     ax: Any, report: SynchronizedReport, times: np.ndarray, counts: np.ndarray, line: np.ndarray
 ) -> None:
-    """Distance from the line over time; with two axes to its left (+) and right (-)."""
+    """Draw the distance from the line over time; with two axes it has a sign: + is left of the line, - is right of it."""
     unit = line / max(np.linalg.norm(line), 1.0)
     if len(line) == 2:
         off = counts @ np.array([-unit[1], unit[0]])

@@ -1,10 +1,11 @@
-"""Moves with every chip, in physical units: move, home, line, jog, stop. Each uses the driver of the chip's family.
+"""Procedures for every chip, in physical units: move, home, line, jog, stop. Each uses the driver of the chip's family.
 
     firmware.move(x, 10e-3)                               10 mm; on a hinge rad
     firmware.move(x, pulses=3200, speed=0.05)             50 mm/s
     firmware.line({"x": 20e-3, "y": -7.5e-3}, stage.axes)
 
-What only one family can do has functions of its own: `preset_move` and the others of the PCL-240, firmware.nova, firmware.hctl1100.
+Procedures that only one family offers are separate functions: `preset_move` and others of the PCL-240, `firmware.nova` and
+`firmware.hctl1100`.
 """
 
 from __future__ import annotations
@@ -39,15 +40,15 @@ def move(
 
     Args:
         axis: Axis of a Stage or a Bench.
-        distance: Signed distance, m (rad on a hinge); the nearest whole pulse is made.
-        pulses: Signed pulses in place of a distance; counts of a servo.
-        speed: Drive speed, m/s (rad/s); default: 16,000 pulses per second, of 1/16 full step where the chip itself determines the
-            microsteps. Or `Speeds`, which state everything about rates and ramps.
+        distance: Signed distance, m (rad on a hinge), which is rounded to whole pulses.
+        pulses: Signed pulses instead of a distance; counts of a servo.
+        speed: Drive speed, m/s (rad/s), or `Speeds` with all rates and ramps. Default: 16,000 pulses per second; if the chip itself
+            determines the microsteps, the speed of 16,000 pulses of 1/16 full step per second.
         start_speed: Start speed, m/s (rad/s); default: 1,000 pulses per second. A servo has none.
         accel: Time of the ramp up, s.
         decel: Time of the ramp down, s; default: `accel`.
-        s_curve: Ramps without corners.
-        timeout: Simulated seconds to wait; default: half as much again as the move can take, and one.
+        s_curve: True for S-curve ramps.
+        timeout: Simulated seconds to wait; default: 1.5 times the longest possible duration plus one second.
 
     Returns:
         What the host could observe, and the true state of the stage beside it.
@@ -75,15 +76,15 @@ def move_at_two_rates(
     """Move an axis through several drive speeds, and wait until it is there. A chip with one drive speed moves at `speed.second`.
 
     Args:
-        axis, distance, pulses: As of `move`.
+        axis, distance, pulses: Same as for `move`.
         speed: Speeds, of which `second` is the second drive speed.
-        dwell: Seconds at each speed but the last, after its ramp.
+        dwell: Seconds at each speed except the last one, after its ramp.
         rates: "FL", "FH1" and "FH2" in the order of the move: start, first and second drive speed.
 
     Raises:
-        ArgumentError, StageError, RunTimeout: As `move`.
+        ArgumentError, StageError, RunTimeout: Same as for `move`.
     """
-    return get_driver(axis).two_rates(convert_to_pulses(axis, distance, pulses), speed, dwell, rates)
+    return get_driver(axis).move_at_two_rates(convert_to_pulses(axis, distance, pulses), speed, dwell, rates)
 
 
 @explain_arguments
@@ -103,17 +104,17 @@ def home(
     Args:
         axis: Axis of a Stage or a Bench.
         direction: Direction in which ORG lies, 1 or -1.
-        index: Number of the index pulse of the encoder after ORG at which the return ends, True or 1 for the first; not every chip
-            counts more.
-        speed: Drive speed, m/s (rad/s), or `Speeds`, as of `move`.
+        index: Number of the encoder's index pulse after ORG at which the return ends; True or 1 for the first. Not every chip
+            can count more than one.
+        speed: Drive speed, m/s (rad/s), or `Speeds`, same as for `move`.
         start_speed: Start speed, m/s (rad/s).
         accel: Time of the ramps, s.
         timeout: Simulated seconds to wait.
-        by: "switch"; "index", which is index=True; for other chips one of their driver's HOMINGS, for example "stall". Default: the
-            switch, or as `index` says.
+        by: Homing method: "switch", "index" (equal to index=True), or another method of the chip's driver (HOMING_METHODS), for
+            example "stall". Default: the switch, and the index pulse if `index` requests it.
 
     Returns:
-        A report whose `stopped_by` is "ORG", or "EZ", or what was met in its place.
+        A report whose `stopped_by` is "ORG" or "EZ" after success, and otherwise names what stopped the axis.
 
     Raises:
         ArgumentError: The chip cannot do it.
@@ -148,11 +149,11 @@ def jog(
     start_speed: float | None = None,
     accel: float = DEFAULT_RAMP_S,
 ) -> Report:
-    """Run for some time, then stop with a ramp.
+    """Move an axis for some time, then stop it with a ramp.
 
     Args:
         axis: Axis of a Stage or a Bench.
-        seconds: Simulated time of the run, s.
+        seconds: Simulated time until the stop command, s.
         speed: Signed speed of the carriage, m/s (rad/s); default: 16,000 pulses per second in the plus direction.
         start_speed: Start speed, m/s (rad/s).
         accel: Time of the ramps, s.
@@ -172,11 +173,11 @@ def jog(
     wanted = parse_speeds(axis, options)
     driver.prepare()
     with ProcedureObserver(axis, "jog") as p:
-        driver.run(direction, wanted)
+        driver.start_continuous_move(direction, wanted)
         axis.wait(seconds)
         met = "" if driver.is_running() else driver.explain_end(False, p.journal)
         driver.halt()
-        return p.report(met or "decelerating stop")
+        return p.make_report(met or "decelerating stop")
 
 
 @explain_arguments
@@ -200,27 +201,25 @@ def line(
 ) -> SynchronizedReport:
     """Move several axes along a straight line.
 
-    The PCL-240 draws it by registers in the ratio of the distances, a NOVA chip by its interpolation where it has one, else by
-    ranges in that ratio, an HCTL-1100 by command positions in each sample. When an end limit, or anything else, stops one axis
-    early, the others are
-    slowed down and stopped: the line is lost.
+    PCL-240 chips use registers in the ratio of the distances. A NOVA chip interpolates, or uses ranges in that ratio if it has no
+    interpolation. HCTL-1100 chips get a command position in each sample. If an end limit or another cause stops one axis early, the
+    others slow down and stop.
 
     Args:
-        distances: Axis name (or axis) -> signed distance, m. 0 keeps an axis still, and the report leaves it out; one axis that
-            moves is enough.
-        axes: Stage, bench, or mapping such as stage.axes in which the names are found. Not needed when the keys are axes.
-        pulses: Distances are pulses; counts of servos.
+        distances: Axis name (or axis) -> signed distance, m. At least one must not be 0; the report leaves out axes with 0.
+        axes: Stage, bench, or mapping such as stage.axes that contains the names. Not needed if the keys are axes.
+        pulses: True if the distances are pulses; counts of servos.
         speed: Drive speed of the axis with the most pulses, m/s, or `Speeds`.
         start_speed: Start speed of that axis, m/s.
         accel: Time of its ramps, s.
-        s_curve: Ramps without corners.
-        timeout: Simulated seconds to wait; default: half as much again as the line can take, and one.
+        s_curve: True for S-curve ramps.
+        timeout: Simulated seconds to wait; default: 1.5 times the longest possible duration plus one second.
 
     Returns:
         A report of all axes.
 
     Raises:
-        ArgumentError: The chips cannot do it, with the reason, or every distance is 0.
+        ArgumentError: The chips cannot make this line (the message says why), or every distance is 0.
         RunTimeout: An axis still moved after `timeout`.
     """
     check_timeout(timeout)
@@ -236,34 +235,34 @@ def line(
     main_axis = selected[max(counts, key=lambda n: abs(counts[n]))][0]
     first = next(iter(drivers.values()))
     options = {"speed": speed, "start_speed": start_speed, "accel": accel, "s_curve": s_curve}
-    return first.line(drivers, counts, parse_speeds(main_axis, options), timeout)
+    return first.move_line(drivers, counts, parse_speeds(main_axis, options), timeout)
 
 
 def check_same_chip_kind(drivers: Mapping[str, Driver]) -> None:
-    """Raise ArgumentError where the chips of a line's axes are of several kinds."""
+    """Raise ArgumentError if the chips of a line's axes are of different kinds."""
     kinds = sorted({type(d).__name__: d.chip.MAP.chip for d in drivers.values()}.values())
     if len(kinds) > 1:
         raise ArgumentError(f"{' and '.join(kinds)} draw no line together: give the axes one kind of chip.")
 
 
 OPTION_FIELDS = {"start_speed": "start", "speed": "drive", "second": "second", "accel": "up", "decel": "down"}
-"""Options of users, and the fields of `Speeds` that they give."""
+"""Option of a user -> field of `Speeds` that it sets."""
 SAME_NAME_OPTIONS = ("s_curve", "constant", "automatic", "approach")
-"""Fields of `Speeds` that are options under their own names."""
+"""Fields of `Speeds` whose options have the same names."""
 
 
 def parse_speeds(axis: Axis, options: Mapping[str, Any], in_pulses: bool = False) -> Speeds:
-    """Return the speeds that a user's options ask of an axis; every face of the product turns options into `Speeds` here.
+    """Convert the options of a user to `Speeds` for an axis. The command line, the panel and the agents' tools use it.
 
     Args:
         axis: Axis that moves.
-        options: By name: `speed`, `start_speed` and `second` in m/s (rad/s on a hinge), `accel` and `decel` in s, `s_curve`,
-            `constant`, `automatic` and `approach` as fields of `Speeds`. Usual values stand for None and for what is missing,
-            decel as accel. A `speed` that is `Speeds` says everything. Other names are ignored.
-        in_pulses: Speeds are in pulses (counts) per second.
+        options: `speed`, `start_speed` and `second` in m/s (rad/s on a hinge), `accel` and `decel` in s; `s_curve`, `constant`,
+            `automatic` and `approach` have the meaning of the fields of `Speeds`. Missing options and None get the usual values;
+            `decel` gets the value of `accel`. A `speed` that is `Speeds` overrides all others. Other names are ignored.
+        in_pulses: True if speeds are in pulses (counts) per second.
 
     Raises:
-        ArgumentError: A speed or a time is not greater than 0, or the chip does not have what an option asks for.
+        ArgumentError: A speed or a time is not greater than 0, or the chip does not support an option.
     """
     made = options.get("speed")
     if not isinstance(made, Speeds):
@@ -284,7 +283,7 @@ def parse_speeds(axis: Axis, options: Mapping[str, Any], in_pulses: bool = False
 
 
 def convert_to_pulses(axis: Axis, distance: float | None, pulses: int | None) -> int:
-    """Return the signed pulses, as the chip counts, of a distance or of pulses.
+    """Convert a distance, or a number of pulses, to signed pulses in the direction in which the chip counts.
 
     Args:
         axis: Axis that moves.
@@ -292,7 +291,7 @@ def convert_to_pulses(axis: Axis, distance: float | None, pulses: int | None) ->
         pulses: Signed pulses, or None.
 
     Raises:
-        ArgumentError: Both or neither are given, or no whole number.
+        ArgumentError: Both are None or both are numbers, or `pulses` is no whole number.
     """
     if (distance is None) == (pulses is None):
         raise ArgumentError(f"distance={distance!r}, pulses={pulses!r}: give one of the two.")
@@ -306,7 +305,7 @@ def convert_to_pulses(axis: Axis, distance: float | None, pulses: int | None) ->
 
 
 def _get_meters_per_pulse(axis: Axis, what: str) -> float:
-    """Return the distance of a pulse, m. Raises ArgumentError for an axis without a carriage."""
+    """Return the distance of one pulse, m. Raises ArgumentError for an axis without a carriage."""
     if axis.meters_per_pulse is None:
         raise ArgumentError(f"{what}: axis {axis.name} has no carriage and no metres: give pulses=, and no speed.")
     return axis.meters_per_pulse

@@ -1,12 +1,12 @@
-"""Stop reasons that reports give beside those of the chips: `Report.stopped_by`."""
+"""Stop reasons of `Report.stopped_by` that do not come from a chip."""
 
 STOP_COMMAND = "stop command"
-"""What a report says has ended a move that a host has stopped before its end."""
+"""Stop reason of a move that the host has stopped before its end."""
 ANOTHER_AXIS = "another axis"
-"""What a report says has ended an axis of a line that stopped because another axis of it did."""
+"""Stop reason of an axis of a line that stopped because another axis of the line had stopped."""
 UNKNOWN = "unknown"
-"""What a report says has ended a run that stopped early, where neither the chip nor its journal shows a reason."""
+"""Stop reason of a move that ended early if neither the chip nor its journal shows the cause."""
 UNWANTED_REASONS = (
     "EL+", "EL-", "SLMT+", "SLMT-", "STOP0", "ALARM", "EMG", "HOME", "timeout", "Ctrl-C", UNKNOWN
 )  # fmt: skip
-"""Ends that nobody asks for. HOME: a home search failed; SLMT: a software limit."""
+"""Stop reasons that mean failure of a move. HOME: a home search failed; SLMT: a software limit."""

@@ -1,9 +1,9 @@
-"""Several axes on one straight line: an observer of all of them, and the report.
+"""`SynchronizedReport` of several axes on one straight line, and `LineObserver`, which observes them and makes it.
 
-with Together({name: Procedure(axis, "line") ...}, distances) as line:
+with LineObserver({name: ProcedureObserver(axis, "line") ...}, distances) as line:
     ...                                      write, start; line.note_start(name) after each start
     line.measure_carriages()                 while they move
-    report = line.report(stopped_by)
+    report = line.make_report(stopped_by)
 """
 
 from __future__ import annotations
@@ -35,14 +35,13 @@ class SynchronizedReport:
 
     Attributes:
         axes: Report of each axis that moved.
-        plan: Registers and the deviation expected with them; None where the chip keeps to the line by itself.
-        deviation: Largest distance from the straight line in pulses, with its time (s from the first start command) and the counts
-            then.
-        skew: Seconds between the first start command and the last.
-        finish: Seconds between the first axis' last pulse and the last axis'.
+        plan: Registers and the deviation expected with them; None if the chip itself keeps the axes on the line.
+        deviation: Largest distance of the pulse counts from the straight line, with its time in s from the first start command.
+        skew: Seconds from the first start command to the last one.
+        finish: Seconds from the last pulse of the first axis to stop to the last pulse of the last axis to stop.
         carriage_deviation: Largest distance of the carriages from the line while they moved, polled every millisecond, m; None
-            without a stage. Motors lag behind their pulses by different amounts.
-        paths: For each axis (times in s since the first start command, directions) of its pulses.
+            without a stage. It is larger than `deviation` because motors lag behind their pulses by different amounts.
+        paths: For each axis the times of its pulses, s from the first start command, and their directions.
     """
 
     axes: dict[str, Report]
@@ -55,7 +54,7 @@ class SynchronizedReport:
 
     @property
     def ok(self) -> bool:
-        """Whether every axis made its pulses, and lost none."""
+        """True if every axis made all its pulses and lost no step."""
         return all(r.ok for r in self.axes.values())
 
     @property
@@ -65,11 +64,11 @@ class SynchronizedReport:
 
     @property
     def seconds(self) -> float:
-        """Time that the motion takes, by the plan or by the clock, s."""
+        """Duration of the motion according to the plan, or measured by the clock if there is no plan, s."""
         return self.plan.seconds if self.plan else max(r.duration for r in self.axes.values())
 
     def describe_rate(self, axis: str) -> str:
-        """Return the rate of an axis in words."""
+        """Describe the rate of an axis."""
         if self.plan is None:
             return f"up to {self.axes[axis].peak_rate:,.1f} pps"
         planned = self.plan.axes[axis]
@@ -77,7 +76,7 @@ class SynchronizedReport:
 
     @property
     def ratio_error(self) -> float:
-        """The largest relative error of a planned rate against the longest axis'; 0 where the chip keeps the ratio itself."""
+        """Largest relative error of a planned rate against that of the longest axis; 0 if the chip itself keeps the ratio."""
         return self.plan.ratio_error if self.plan else 0.0
 
     def __str__(self) -> str:
@@ -100,8 +99,7 @@ class SynchronizedReport:
         return html.format_preformatted(str(self)) + html.embed_figure(self.plot)
 
     def json(self) -> dict[str, Any]:
-        """Return everything as numbers and texts, as `--json` prints it: s, m, pulses from the line; those of a Report for each
-        axis."""
+        """Return all values as `--json` prints them, in s, m and pulses, with the values of each axis' report."""
         names = ("ok", "distances", "seconds", "skew", "finish", "ratio_error", "carriage_deviation")
         numbers = {name: getattr(self, name) for name in names}
         d = self.deviation
@@ -131,7 +129,7 @@ class LineObserver:
     """Observer of axes that move together.
 
     Args:
-        watch: A Procedure for each axis by name, not yet entered.
+        watch: Observer of each axis by name. `LineObserver` enters and leaves their contexts.
         distances: Signed pulses of each axis.
     """
 
@@ -150,46 +148,46 @@ class LineObserver:
         self._books.__exit__(*error)
 
     def note_start(self, *names: str) -> None:
-        """Note that the start commands of these axes have just been written; without names those of all axes."""
+        """Store the present time as that of the start commands of the named axes; without names, of all axes."""
         for n in names or self.watch:
             self._began[n] = self.watch[n].axis.time
 
     def measure_carriages(self) -> None:
-        """Measure how far the carriages are from the line."""
+        """Measure the present distance of the carriages from the line; the observer keeps the largest one."""
         self.carriages.measure()
 
     def has_arrived(self, name: str) -> bool:
         """Return whether an axis has made all pulses of its distance."""
         return self.watch[name].pulses_made == self.distances[name]
 
-    def reports(self, stopped_by: Mapping[str, str]) -> dict[str, Report]:
+    def make_axis_reports(self, stopped_by: Mapping[str, str]) -> dict[str, Report]:
         """End the observation of each axis, and return the reports.
 
         Args:
             stopped_by: Reason of the end of each axis.
         """
-        return {n: self.watch[n].report(stopped_by[n], d) for n, d in self.distances.items()}
+        return {n: self.watch[n].make_report(stopped_by[n], d) for n, d in self.distances.items()}
 
     @contextmanager
     def attach_reports_to_timeout(self) -> Iterator[None]:
-        """Add the reports of all axes to a RunTimeout that is raised within it, as `reports`."""
+        """Add the attribute `reports`, with the reports of all axes, to a RunTimeout that is raised in the `with` block."""
         try:
             yield
         except RunTimeout as error:
-            error.reports = self.reports(dict.fromkeys(self.distances, "timeout"))  # type: ignore[attr-defined]
+            error.reports = self.make_axis_reports(dict.fromkeys(self.distances, "timeout"))  # type: ignore[attr-defined]
             raise
 
-    def report(self, stopped_by: Mapping[str, str], plan: Plan | None = None) -> SynchronizedReport:
-        """End the observation.
+    def make_report(self, stopped_by: Mapping[str, str], plan: Plan | None = None) -> SynchronizedReport:
+        """End the observation and make the report.
 
         Args:
-            stopped_by: Reason of the end of each axis.
-            plan: Registers of the move, where they were planned.
+            stopped_by: Stop reason of each axis.
+            plan: Plan of the move, if there is one.
 
         Returns:
             The report of all axes.
         """
-        reports = self.reports(stopped_by)
+        reports = self.make_axis_reports(stopped_by)
         first = min(self._began.values())
         paths = {}
         for n in self.distances:
@@ -205,14 +203,19 @@ class LineObserver:
 
 
 class EarlyStopHandler:
-    """Called at each poll of a line, `on_poll` of `wait_until_stopped`: slows all axes down once one has stopped early.
+    """Callback for the polls of a line that slows all axes down as soon as one of them has stopped early.
+
+    Pass it as `on_poll` to `wait_until_stopped`.
 
     Attributes:
         stopped: Names of the axes that it has slowed down.
     """
 
     def __init__(self, together: LineObserver, drivers: Mapping[str, Any]):
-        """`drivers`: by name, each with `slow_down()`."""
+        """Args:
+        together: Observer of the line.
+        drivers: Driver of each axis by name; each has a method `slow_down`.
+        """
         self._together, self._drivers = together, drivers
         self.stopped: set[str] = set()
 
@@ -227,7 +230,11 @@ class EarlyStopHandler:
 
 
 class CarriageDeviationMeter:
-    """Meter of the largest distance of carriages from their line, m; `worst` is None without a stage."""
+    """Meter that keeps the largest distance of carriages from their straight line.
+
+    Attributes:
+        worst: Largest distance measured so far, m; None if the axes have no carriages.
+    """
 
     def __init__(self, axes: dict[str, Axis], distances: dict[str, int]):
         self._axes = list(axes.values())
@@ -256,14 +263,14 @@ def select_axes(distances: Mapping, axes: AxesByName, procedure: str) -> dict[st
 
     Args:
         distances: Distance of each axis by its name, or by the axis itself.
-        axes: Stage, bench or mapping in which the names are found.
+        axes: Stage, bench or mapping that contains the names.
         procedure: Name of the procedure, for errors.
 
     Returns:
-        Label -> (axis, distance); the label is the name used, or the axis' own.
+        Label -> (axis, distance). The label is the name that the caller used, or the name of the axis.
 
     Raises:
-        ArgumentError: An unknown name, or an axis that occurs twice.
+        ArgumentError: A name does not exist, or an axis occurs twice.
     """
     known: Any = getattr(axes, "axes", axes)
     selected: dict[str, tuple[Axis, Any]] = {}

@@ -308,7 +308,7 @@ def begin_line(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any
 
 def list_circle_pairs(stage: Stage) -> list[str]:
     """Return the pairs of axes with which a chip draws circles: "x y"."""
-    axes = [a for a in stage.axes.values() if type(get_driver(a)).circle is not Driver.circle]
+    axes = [a for a in stage.axes.values() if type(get_driver(a)).draw_circle is not Driver.draw_circle]
     return [f"{a.name} {b.name}" for a, b in combinations(axes, 2) if a.chip is b.chip and a.unit == b.unit]
 
 
@@ -324,7 +324,7 @@ def begin_circle(stage: Stage, name: str, values: Values) -> Callable[[Stage], A
     """Prepare a circle."""
     first, second = (stage.axes[n] for n in values["axes"].split())
     radius, speeds = procedures.convert_to_pulses(first, values["radius"], None), procedures.parse_speeds(first, values)
-    return lambda stage: get_driver(first).circle(get_driver(second), radius, speeds)
+    return lambda stage: get_driver(first).draw_circle(get_driver(second), radius, speeds)
 
 
 FORMS: dict[str, ProcedureForm] = {
@@ -372,11 +372,11 @@ class Jog:
         driver = get_driver(self.axis)
         driver.prepare()
         with ProcedureObserver(self.axis, "jog") as p:
-            driver.run(self.direction, self._speeds)
+            driver.start_continuous_move(self.direction, self._speeds)
             stage.run_until(lambda: self._released.is_set() or not driver.is_running(), 1e6)
             stopped_by = "" if driver.is_running() else driver.explain_end(False, p.journal)
             driver.halt()
-            report = p.report(stopped_by or "decelerating stop")
+            report = p.make_report(stopped_by or "decelerating stop")
         if stopped_by and not report.pulses:
             sign = "+" if self.direction > 0 else "-"
             raise StageError(

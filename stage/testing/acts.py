@@ -181,7 +181,10 @@ def draw_move(
     if driver.DISTANCE_REGISTER and (legal := chip.MAP.register(driver.DISTANCE_REGISTER).range):
         pulses = min(pulses, legal[1])
     drive, ramp = start * (1.0 if slow else float(rng.uniform(2, 12))), float(rng.uniform(0.01, 0.05))
-    values, direction = driver.formula(start, drive, ramp, ramp, pulses), direction or (1 if rng.integers(2) else -1)
+    values, direction = (
+        driver.compute_move_registers(start, drive, ramp, ramp, pulses),
+        direction or (1 if rng.integers(2) else -1),
+    )
     driver.write_move(program, values, direction * pulses)
     return _convert_program(program, chip), direction * pulses
 

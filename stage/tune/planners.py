@@ -174,8 +174,8 @@ class StepperPlanner(MovePlanner):
             pass
         self.trim_factors: dict[str, float] = dict(self.driver.TRIM_FACTORS)
         # A chip with one ramp ignores the deceleration: different ramps give the same registers.
-        equal_ramps = self.driver.formula(1e3, 1e4, 0.1, 0.1, task.pulses, False)
-        unequal_ramps = self.driver.formula(1e3, 1e4, 0.1, 0.08, task.pulses, False)
+        equal_ramps = self.driver.compute_move_registers(1e3, 1e4, 0.1, 0.1, task.pulses, False)
+        unequal_ramps = self.driver.compute_move_registers(1e3, 1e4, 0.1, 0.08, task.pulses, False)
         self.has_single_ramp = equal_ramps == unequal_ramps
         ramps = ("up",) if self.has_single_ramp else ("up", "down")
         self.parameter_names = ("start", "drive", *ramps, *self.trim_factors)
@@ -204,7 +204,7 @@ class StepperPlanner(MovePlanner):
         up, down = max(up * stretch, MIN_RAMP_S), max(down * stretch, MIN_RAMP_S)
         if self.has_single_ramp:
             down = up  # the formula accelerates more slowly than it brakes, because friction helps to brake
-        registers = self.driver.formula(start, drive, up, down, self.task.pulses, shape == "s_curve")
+        registers = self.driver.compute_move_registers(start, drive, up, down, self.task.pulses, shape == "s_curve")
         for name, max_factor in self.trim_factors.items():
             registers[name] = round(registers[name] * max_factor ** parameters.get(name, 0.0))
         for name in self.driver.list_move_registers(shape == "s_curve"):

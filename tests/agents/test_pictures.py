@@ -21,7 +21,7 @@ def figures(monkeypatch):
             self.saved = (format, dpi)
             out.write(b"drawing %d" % len(created))
 
-    monkeypatch.setattr(plot_move, "draw", lambda report, pins=None: Figure(report, pins))
+    monkeypatch.setattr(plot_move, "draw_operation_pattern", lambda report, pins=None: Figure(report, pins))
     return created
 
 

@@ -157,7 +157,7 @@ def test_a_move_that_succeeds_at_only_one_rotor_angle_fails():
     envs = make_vector("stage/RegisterTuning-v0", 12, **settings)
     envs.reset(seed=1)
     task = envs._task
-    lucky = get_driver(task.axis).formula(10_500, 33_000, 0.01, 0.01, 800, False)
+    lucky = get_driver(task.axis).compute_move_registers(10_500, 33_000, 0.01, 0.01, 800, False)
     rows = np.tile(task.registers.to_action(lucky), (12, 1))
     info = envs.step(rows)[4]
     lost = info["reward_parts"]["lost"] < 0
@@ -214,7 +214,7 @@ def test_vibration_is_judged_at_the_swinging_body_and_not_at_its_carriage():
         for s_curve in (False, True):
             env = make_env("stage/RegisterTuning-v0", model="xy_mast", chip="PCL240MS", s_curve=s_curve, judge_at=point)
             env.reset(seed=1, options={"distance": 8000, "payload": 0.0, "angle": 0.3})
-            ramps = get_driver(env.stage.axes["x"]).formula(500, 15000, 0.15, 0.15, 8000, s_curve)
+            ramps = get_driver(env.stage.axes["x"]).compute_move_registers(500, 15000, 0.15, 0.15, 8000, s_curve)
             _, reward[point, s_curve], _, _, info = env.step(env._task.registers.to_action(ramps))
             assert info["finished"]
             vibration[point, s_curve] = info["vibration"]

@@ -30,7 +30,7 @@ def test_the_formulas_registers_of_every_chip_are_those_that_tune_it_and_legal(c
                 h.list_move_registers(s_curve)
             continue
         box = RegisterBox.of_registers(h.chip.MAP, h.list_move_registers(s_curve))
-        values = h.formula(1000.0, 40_000.0, 0.2, 0.15, 16_000, s_curve)
+        values = h.compute_move_registers(1000.0, 40_000.0, 0.2, 0.15, 16_000, s_curve)
         created = box.to_dict(box.from_action(box.to_action(values)))
         assert created == {name: pytest.approx(values[name], rel=2e-6) for name in box.names}
 
@@ -53,10 +53,10 @@ def test_programs_of_moves_are_alike_whatever_their_registers(chip):
 @pytest.mark.parametrize("axis", ["x", "z"])
 def test_programs_of_searches_keep_their_marks_whatever_is_selected(chip, axis):
     search = create_driver(chip, axis).search(Config())
-    saved = dict(search.marks)
+    saved = dict(search.result_indices)
     for row in (search.choices.low, [maximum for _, maximum in search.choices.ranges.values()]):
-        program = search.program(row)
-        assert search.marks == saved
+        program = search.write_program(row)
+        assert search.result_indices == saved
         assert max(saved.values()) < len(program)
 
 
@@ -67,7 +67,7 @@ def test_a_servo_driver_stops_the_axis_and_refuses_pulse_procedures():
     for requested in (
         lambda: h.list_move_registers(None),
         lambda: h.write_move(p, {}, 100),
-        lambda: h.formula(1000.0, 40_000.0, 0.2, 0.15, 16_000),
+        lambda: h.compute_move_registers(1000.0, 40_000.0, 0.2, 0.15, 16_000),
         lambda: h.search(Config()),
         lambda: h.lines([h], None),
     ):

@@ -514,7 +514,7 @@ def test_the_data_sheets_ramp_down_point_is_some_pulses_before_the_end_in_the_ra
     """5 pulses of the longest axis at FL, one at least, and never more than the axis makes."""
     line = build_rules(2).line
     requested = LineMoves(np.array([[8000, 10], [4, 3]]), np.array([8000.0, 8000.0]))
-    low, high, _, down, point, r7 = np.moveaxis(line.data_sheet(requested), 2, 0)
+    low, high, _, down, point, r7 = np.moveaxis(line.compute_registers(requested), 2, 0)
     fall = np.floor((high + low) * np.maximum(high - low, 1) * down / (16384.0 * r7))
     assert (point - fall)[0].tolist() == [5, 1]
     assert point[1].tolist() == [4, 3]
@@ -524,9 +524,9 @@ def test_the_last_pulse_lasts_one_period_of_the_slower_rate():
     line = build_rules(1).line
     registers = np.tile(line.low, (1, 2, 1))
     registers[:, :, :2], registers[:, :, 5] = [[400, 8]], 1000
-    seconds = line.last_pulse(registers)
-    assert seconds == pytest.approx(4096 * 1000 / 8 / line.hz)
-    assert (line.last_pulse(registers[:, :, [1, 0, *range(2, 6)]]) == seconds).all()
+    seconds = line.compute_last_pulse_seconds(registers)
+    assert seconds == pytest.approx(4096 * 1000 / 8 / line.clock_hz)
+    assert (line.compute_last_pulse_seconds(registers[:, :, [1, 0, *range(2, 6)]]) == seconds).all()
 
 
 def test_corrections_of_interpolation_are_factors():

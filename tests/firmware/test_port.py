@@ -22,7 +22,7 @@ def test_registers_are_written_from_the_high_byte_to_the_low():
     assert [(e.a, e.b) for e in journal.entries] == [
         (0, 0x80), (3, 0x12), (2, 0x34), (1, 0x56), (0, 0x82), (2, 0x1A), (1, 0xBC),
     ]  # fmt: skip
-    assert p.counter() == 0x123456
+    assert p.read_counter() == 0x123456
     assert p.axis.chip.values()["R2"] == 0x1ABC
 
 
@@ -37,10 +37,10 @@ def test_a_set_of_registers_is_checked_before_the_first_is_written():
 def test_the_status_is_named_by_the_register_map_and_readable():
     p = make_port()
     p.write_registers(R0=100, R1=500, R2=4000, R3=4000, R4=300, R5=300, R6=50, R7=300)
-    assert str(p.status()) == "halted"
-    p.command(chip_port.CONTROL | chip_port.PRESET)
-    p.command(chip_port.RAMP["FH1"] | chip_port.INTERRUPT)
-    assert str(p.status()) == "ramping up or down"
+    assert str(p.read_status()) == "halted"
+    p.write_command(chip_port.CONTROL | chip_port.PRESET)
+    p.write_command(chip_port.RAMP["FH1"] | chip_port.INTERRUPT)
+    assert str(p.read_status()) == "ramping up or down"
     status = p.wait_until_stopped(10)
     assert str(status) == "halted, R0 = 0, R0 < R6, /INT pending"
     assert not status.no_int
@@ -49,27 +49,27 @@ def test_the_status_is_named_by_the_register_map_and_readable():
 
 def test_reading_a_register_keeps_the_selected_register_and_the_output_mode():
     p = Port(Bench(PCL240MK()).axes["x"])
-    p.command(chip_port.OUTPUT | chip_port.EXTERNAL)
+    p.write_command(chip_port.OUTPUT | chip_port.EXTERNAL)
     p.write_registers(R0=0x010203, R10=0x040506)
     assert p.read_register("R10") == 0x040506
     p.axis.chip.write(1, 0x77)  # R0 is selected, and byte by byte
     values = p.axis.chip.values()
     assert (values["R0"], values["R10"]) == (0x010277, 0x040506)
-    assert p.counter() == 0x010277, "the extension mode is over"
+    assert p.read_counter() == 0x010277, "the extension mode is over"
     p.axis.chip.pins.extp = True
     p.axis.wait(1e-5)
     p.axis.chip.pins.extp = False
     p.axis.wait(1e-5)
-    assert p.counter() == 0x010276, "what the output mode was before"
+    assert p.read_counter() == 0x010276, "what the output mode was before"
 
 
 def test_a_bus_too_slow_to_read_the_counter_raises_an_error():
     p = make_port(bus_cycle=1e-3)
     p.write_registers(R0=0xFFFFFF, R1=8191, R2=8191, R7=2)
-    p.command(chip_port.CONTROL)
-    p.command(chip_port.START["FH1"])
+    p.write_command(chip_port.CONTROL)
+    p.write_command(chip_port.START["FH1"])
     with pytest.raises(StageError, match="bytes did not agree in 100 reads: the bus is too slow"):
-        p.counter()
+        p.read_counter()
 
 
 @pytest.mark.parametrize("count", [0x010000, 0xAB0000, 0x800000])
@@ -78,7 +78,7 @@ def test_a_counter_read_while_its_high_byte_changes_is_read_again(count):
     p = make_port()
     counts = iter([count] + [count - 1] * 20)  # one pulse, after the first byte
     p._chip = SimpleNamespace(read=lambda address: next(counts) >> 8 * (address - 1) & 0xFF)
-    assert p.counter() == count - 1
+    assert p.read_counter() == count - 1
 
 
 def test_a_timeout_states_the_phase_of_the_chip_and_has_the_report():
@@ -91,7 +91,7 @@ def test_a_timeout_states_the_phase_of_the_chip_and_has_the_report():
     assert not report.ok
     with pytest.raises(StageError, match="axis x is moving: wait until it stops, or stop it with 08h"):
         firmware.preset_move(x, 10)
-    Port(x).command(chip_port.RESET)
+    Port(x).write_command(chip_port.RESET)
     Port(x).wait_until_stopped(1)
     assert firmware.preset_move(x, 10).ok
 

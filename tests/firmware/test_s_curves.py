@@ -53,9 +53,9 @@ def test_a_preset_move_of_any_length_and_shape_ends_on_its_pulse_at_fl(s_curve, 
 def test_an_s_curve_takes_the_time_of_the_linear_ramp_it_replaces():
     for profile, _ in random_profiles(8, chip=PCL240MS):
         for s_curve in (True, 0.1, 0.3, 0.5):
-            curved = profile.shaped(s_curve)
+            curved = profile.with_ramp_shape(s_curve)
             assert curved.accel() == pytest.approx(profile.accel(), rel=0.5 / min(profile.R4, curved.R4) + 1e-9)
-        long = int(6 * profile.pulses_through([profile.R2]))
+        long = int(6 * profile.compute_pulses_through([profile.R2]))
         times = [firmware.preset_move(axis(PCL240MS), long, profile, s_curve=s).duration for s in SHAPES]
         assert max(times) - min(times) < 0.02 * 2 * profile.accel() + 20 / profile.fl
 
@@ -90,7 +90,7 @@ def test_a_manual_s_curve_too_short_for_fh_takes_the_revised_r2_of_the_data_shee
     profile = Profile.of(fl=500, fh1=30_000, accel=0.2, s_curve=0.3, chip=PCL240MS)
     report = firmware.preset_move(axis(PCL240MS), 3000, profile, automatic=False)
     assert any("R2 <- " in meaning for _, _, meaning in report.writes())
-    assert report.peak_rate == pytest.approx(profile.within(3000).fh1, abs=2 * profile.step)
+    assert report.peak_rate == pytest.approx(profile.for_distance(3000).fh1, abs=2 * profile.step)
     assert end_speed(report) == profile.R1
 
 
@@ -133,8 +133,8 @@ def test_registers_are_read_back_and_the_position_is_counted(chip):
     assert [port.read_register(n) for n in ("R1", "R13", "R12")] == [500, 0x123456, 0xABCDEF]
     firmware.preset_move(x, 3000)
     firmware.preset_move(x, -5000)
-    assert port.position() == -2000
-    assert port.counter() == 0, "and R0 reads as ever"
+    assert port.read_position() == -2000
+    assert port.read_counter() == 0, "and R0 reads as ever"
     assert x.chip.diagnostics == []
 
 

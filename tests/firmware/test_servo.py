@@ -47,14 +47,14 @@ def test_a_number_is_written_byte_by_byte_high_first_up_to_both_ends_of_its_rang
     n = len(word.addresses)
     for value in (word.minimum, word.maximum):
         journal = x.chip.journal()
-        port.load(**{name: value})
+        port.write_numbers(**{name: value})
         journal.close()
         expected = zip(word.addresses, (value % 256**n).to_bytes(n, "big"), strict=True)
         assert [(e.a, e.b) for e in journal.entries] == list(expected)
         assert port.t == (value if name == "timer" else 0x40)
     for value in (word.minimum - 1, word.maximum + 1):
         with pytest.raises(ArgumentError, match=f"from {word.minimum} to {word.maximum}"):
-            port.load(**{name: value})
+            port.write_numbers(**{name: value})
 
 
 @pytest.mark.parametrize(
@@ -64,16 +64,16 @@ def test_a_number_is_written_byte_by_byte_high_first_up_to_both_ends_of_its_rang
 def test_a_value_beyond_its_register_is_refused_before_the_first_bus_cycle(stage, name, value):
     port = Port(stage.axes["x"])
     with pytest.raises(ArgumentError, match=f"{name}={value}"):
-        port.load(pole=1, **{name: value})
+        port.write_numbers(pole=1, **{name: value})
     with pytest.raises(ArgumentError, match="nothing to load"):
-        port.load(poles=1)
+        port.write_numbers(poles=1)
     assert stage.time == 0
     assert port.chip.values()["R21"] == 0x40
 
 
 def test_a_port_writes_and_reads_complete_numbers(stage):
     port = Port(stage.axes["x"])
-    port.load(
+    port.write_numbers(
         command_position=-70_000,
         final_position=1_234_567,
         acceleration=0x123,
@@ -81,8 +81,8 @@ def test_a_port_writes_and_reads_complete_numbers(stage):
         preset_position=-9,
     )
     values = port.chip.values()
-    assert port.commanded() == -70_000
-    assert port.position() == -9
+    assert port.read_command_position() == -70_000
+    assert port.read_position() == -9
     assert [values[f"R{a:02X}"] for a in (0x2B, 0x2A, 0x29)] == [0x12, 0xD6, 0x87]
     assert [values[f"R{a:02X}"] for a in (0x27, 0x26, 0x24, 0x23)] == [0x01, 0x23, 0xFF, 0xEE]
 
@@ -95,7 +95,7 @@ def test_set_up_loads_the_filter_and_holds_the_present_position(stage):
     values = port.chip.values()
     assert [values[n] for n in ("R22", "R20", "R21")] == [0x30, 0xE0, 0x20]
     assert port.sample == 16 * 0x40 / 2e6
-    assert not port.status() & INIT
+    assert not port.read_status() & INIT
     assert stage.axes["x"].position == pytest.approx(before, abs=2 * COUNT)
     assert not port.chip.diagnostics
 
@@ -103,7 +103,7 @@ def test_set_up_loads_the_filter_and_holds_the_present_position(stage):
 def test_an_error_equal_to_the_deadband_is_accepted(stage):
     port = set_up_servo(stage.axes["x"])
     move_by_step(port, 200)
-    while (error := port.commanded() - port.position()) == 0:  # it oscillates by a count
+    while (error := port.read_command_position() - port.read_position()) == 0:  # it oscillates by a count
         stage.run(0.001)
     report = move_by_step(port, 0, deadband=abs(error), timeout=0.1)
     assert report.ok
@@ -115,11 +115,11 @@ def test_an_error_equal_to_the_deadband_is_accepted(stage):
 def test_a_step_settles_within_its_deadband(stage, name, counts):
     port = set_up_servo(stage.axes[name])
     stage.run(0.05)
-    before = port.position()
+    before = port.read_position()
     report = move_by_step(port, counts, deadband=DEADBAND)
     assert report.ok
     assert abs(report.error) <= DEADBAND
-    assert abs(port.position() - before - counts) <= 2 * DEADBAND
+    assert abs(port.read_position() - before - counts) <= 2 * DEADBAND
     assert 0 <= report.settled < 0.2
     assert not port.chip.diagnostics, "no command in the unsafe part of a sample"
 
@@ -143,13 +143,13 @@ def test_a_step_settles_when_it_stays_within_its_deadband(stage):
 @pytest.mark.parametrize("counts", [2_000, -12_000])
 def test_a_trapezoid_shows_the_profile_flag_and_ends_within_its_deadband(stage, name, counts):
     port = set_up_servo(stage.axes[name])
-    before, rates = port.commanded(), {"velocity": 40_000, "acceleration": 400_000}
+    before, rates = port.read_command_position(), {"velocity": 40_000, "acceleration": 400_000}
     stage.run(0.05)
     report = move_by_trapezoid(port, counts, **rates, deadband=DEADBAND)
     assert report.ok
-    assert not port.status() & PROFILE
-    assert port.commanded() - before == counts
-    assert abs(port.position() - before - counts) <= DEADBAND
+    assert not port.read_status() & PROFILE
+    assert port.read_command_position() - before == counts
+    assert abs(port.read_position() - before - counts) <= DEADBAND
     v, a = report.velocity, report.acceleration
     assert v == pytest.approx(40_000, rel=0.03), "whole counts a sample"
     assert a == pytest.approx(400_000, rel=0.03)
@@ -184,7 +184,7 @@ def test_rates_beyond_the_registers_at_this_sample_time_are_refused(stage):
 
 def test_an_unknown_mode_is_refused(stage):
     with pytest.raises(ArgumentError, match="unknown control mode 'trapezium'"):
-        set_up_servo(stage.axes["x"]).mode("trapezium")
+        set_up_servo(stage.axes["x"]).set_control_mode("trapezium")
 
 
 @pytest.mark.parametrize("rate", [float("nan"), float("inf")])
@@ -200,7 +200,7 @@ def test_a_port_that_never_finds_the_safe_part_of_a_sample_raises_an_error(stage
     """T cannot be read back: a second port takes it to be as after a reset."""
     set_up_servo(stage.axes["x"], FilterTuning(timer=0))
     with pytest.raises(ArgumentError, match="T cannot be read back"):
-        Port(stage.axes["x"]).command(5)
+        Port(stage.axes["x"]).write_command_position(5)
 
 
 def test_a_deadband_that_the_loop_cannot_hold_ends_in_a_timeout_with_the_motor_off(stage):
@@ -208,7 +208,7 @@ def test_a_deadband_that_the_loop_cannot_hold_ends_in_a_timeout_with_the_motor_o
     port = set_up_servo(stage.axes["z"], FilterTuning(gain=2))
     with pytest.raises(RunTimeout, match="rest within 0 counts"):
         move_by_step(port, 10, deadband=0, timeout=0.2)
-    assert port.status() & INIT
+    assert port.read_status() & INIT
 
 
 @pytest.mark.parametrize("rate", [20_000, -6_000])
@@ -219,7 +219,7 @@ def test_integral_velocity_reaches_its_rate_and_stops_in_position_control(stage,
     assert report.reached == pytest.approx(report.asked, rel=0.01)
     assert report.ended == ""
     stage.run(0.1)
-    assert abs(port.commanded() - port.position()) <= DEADBAND
+    assert abs(port.read_command_position() - port.read_position()) <= DEADBAND
     assert not port.chip.diagnostics
 
 
@@ -256,13 +256,13 @@ def test_a_limit_ends_a_run_at_a_velocity(stage):
     port = set_up_servo(stage.axes["x"])
     stage.axes["x"].switches.stick("el_plus", True)
     assert run_integral_velocity(port, 8_000, seconds=0.1).ended == "LIMIT"
-    assert port.status() & INIT, "and is left so"
+    assert port.read_status() & INIT, "and is left so"
     stage.axes["x"].switches.stick("el_plus", None)
     port = set_up_servo(stage.axes["x"], FilterTuning(gain=0x80))
     stage.axes["x"].switches.stick("el_plus", True)
     report = run_proportional_velocity(port, 8_000, seconds=0.1)
     assert (report.ended, abs(report.reached) < 100) == ("LIMIT", True)
-    assert port.status() & INIT
+    assert port.read_status() & INIT
 
 
 def test_a_limit_ends_a_trapezoid_in_init_idle(stage):
@@ -272,7 +272,7 @@ def test_a_limit_ends_a_trapezoid_in_init_idle(stage):
     assert report.limited
     assert not report.ok
     assert "LIMIT" in str(report)
-    assert port.status() & INIT
+    assert port.read_status() & INIT
     with pytest.raises(ArgumentError, match="stands on a limit switch"):
         set_up_servo(stage.axes["x"])
 
@@ -285,8 +285,8 @@ def test_an_axis_leaves_its_limit_switch_by_the_motor_command_of_the_host(stage)
     leave_limit(port, -1)
     stage.run(0.1)
     assert not x.switches.el_plus
-    assert not port.status() & INIT
-    assert abs(port.commanded() - port.position()) <= 2 * DEADBAND
+    assert not port.read_status() & INIT
+    assert abs(port.read_command_position() - port.read_position()) <= 2 * DEADBAND
 
 
 # --- home ---
@@ -300,7 +300,7 @@ def test_home_is_at_the_index_pulse_from_any_start(stage, name, sag, offset):
     report = home_servo(set_up_servo(axis), deadband=sag)
     port = Port(axis)
     stage.run(0.1)
-    assert abs(port.position()) <= sag
+    assert abs(port.read_position()) <= sag
     revolutions = axis.position * axis.gear / (2 * np.pi) - axis.plant.index
     assert abs(revolutions - round(revolutions)) * 2000 == pytest.approx(10, abs=sag), "the rim of a pulse of 20 counts"
     assert -1.2 * 2000 < report.index - report.switch < 0
@@ -333,7 +333,7 @@ def test_a_home_search_that_meets_a_limit_ends_in_a_timeout(stage):
     axis.switches.stick("el_minus", None)
     with pytest.raises(RunTimeout, match="the home switch did not come"):
         home_servo(port, timeout=0.2)
-    assert port.status() & INIT
+    assert port.read_status() & INIT
     with pytest.raises(ArgumentError, match=r"\+1 or -1"):
         home_servo(port, direction=0)
 
@@ -345,7 +345,7 @@ def test_a_home_search_without_an_index_pulse_raises_an_error_with_the_motor_off
         RunTimeout, match="x: no index pulse within 480 counts of the home switch; it is in Init/Idle now"
     ):
         home_servo(port, turn=400)
-    assert port.status() & INIT
+    assert port.read_status() & INIT
 
 
 def test_a_line_has_at_most_the_highest_rate_of_the_chip():

@@ -120,9 +120,9 @@ def test_a_stop_at_once_holds_a_trapezoid_where_it_is(stage):
 def test_a_stop_ends_proportional_velocity(stage):
     x = stage.axes["x"]
     port = set_up_servo(x)
-    port.mode("proportional velocity")
-    port.wait_for_the_safe_part("proportional velocity")
-    port.load(proportional_velocity=6 * 16)
+    port.set_control_mode("proportional velocity")
+    port.wait_for_safe_part("proportional velocity")
+    port.write_numbers(proportional_velocity=6 * 16)
     stage.run(0.2)
     with pytest.raises(StageError, match="axis x is moving"):
         firmware.move(x, 1e-3)
@@ -138,7 +138,7 @@ STARTS = {
     "start": lambda axis: get_driver(axis).start(-500, Speeds()),
     "move": lambda axis: firmware.move(axis, -1e-3),
     "jog": lambda axis: firmware.jog(axis, 0.1, -0.02),
-    "run": lambda axis: get_driver(axis).run(-1, Speeds()),
+    "run": lambda axis: get_driver(axis).start_continuous_move(-1, Speeds()),
     "home": lambda axis: firmware.home(axis),
     "line": lambda axis: firmware.line({"x": 1e-3, "y": 1e-3}, axis.stage),
 }
@@ -154,7 +154,7 @@ def test_a_moving_axis_refuses_other_procedures_and_continues(stage, call):
     with pytest.raises(StageError, match=r"axis x is moving: wait until it stops, or firmware\.stop"):
         STARTS[call](x)
     assert driver.is_running()
-    assert driver.wait(3.0) == driver.DONE
+    assert driver.wait(3.0) == driver.DONE_REASON
     assert not driver.is_running()
     stage.run(0.1)
     assert x.position == pytest.approx(4000 * COUNT, abs=10 * COUNT)
@@ -166,7 +166,7 @@ def test_a_running_axis_refuses_other_procedures_and_continues(stage, call):
     """driver.run(1, speeds); firmware.move(axis, -1e-3)"""
     x = stage.axes["x"]
     driver = get_driver(x)
-    driver.run(1, Speeds(drive=10_000))
+    driver.start_continuous_move(1, Speeds(drive=10_000))
     stage.run(0.2)
     with pytest.raises(StageError, match="axis x is moving"):
         STARTS[call](x)
@@ -185,7 +185,7 @@ def test_a_wait_that_is_too_short_leaves_the_move_as_it_is(stage):
     for _ in range(2):
         with pytest.raises(RunTimeout, match=r"axis x still drives after 0\.010 s"):
             driver.wait(0.01)
-    assert driver.wait(3.0) == driver.DONE
+    assert driver.wait(3.0) == driver.DONE_REASON
     stage.run(0.1)
     assert x.position == pytest.approx(4000 * COUNT, abs=10 * COUNT)
 

@@ -129,8 +129,8 @@ def test_the_error_of_a_wait_for_pulses_without_a_clock_names_the_cause():
     ):
         port = firmware.Port(axis)
         port.write_registers(R0=100, R1=100)
-        port.control(chip_port.PRESET)
-        port.command(chip_port.START["FL"])
+        port.write_control_mode(chip_port.PRESET)
+        port.write_command(chip_port.START["FL"])
         with pytest.raises(StageError, match=message) as caught:
             port.wait_until_stopped(0.01)
         assert "more time" not in str(caught.value)

@@ -72,7 +72,7 @@ def test_a_jog_stops_with_the_ramp_down_and_a_stop_ends_a_run(stage):
     assert firmware.jog(y, 0.2, -0.02).stopped_by == "decelerating stop"
     assert y.position < -0.003
     driver = get_driver(y)
-    driver.run(1, Speeds())
+    driver.start_continuous_move(1, Speeds())
     stage.run(0.05)
     with pytest.raises(StageError, match="axis y is moving"):
         firmware.move(y, 0.01)

@@ -48,20 +48,20 @@ def begin(stage, monkeypatch):
     def noting(name):
         return lambda *args, **kwargs: calls.append((name, args, kwargs))
 
-    for name in ("move", "two_rates", "home", "line"):
+    for name in ("move", "move_at_two_rates", "home", "line"):
         monkeypatch.setattr(forms.procedures, name, noting(name))
     real = forms.get_driver
 
-    def driver_of(axis):
-        return SimpleNamespace(axis=axis.name, circle=noting("circle"), homings=real(axis).list_homing_methods)
+    def get_driver(axis):
+        return SimpleNamespace(axis=axis.name, draw_circle=noting("circle"), homings=real(axis).list_homing_methods)
 
     def begin(name, axis="x", **texts):
         calls.clear()
         order = FORMS[name].prepare(stage, axis, texts)
         assert not calls, "nothing is done before its turn"
-        monkeypatch.setattr(forms, "driver_of", driver_of)
+        monkeypatch.setattr(forms, "get_driver", get_driver)
         order(stage)
-        monkeypatch.setattr(forms, "driver_of", real)
+        monkeypatch.setattr(forms, "get_driver", real)
         return calls[0]
 
     return begin
@@ -82,7 +82,7 @@ def test_a_move_is_as_it_was_typed_and_else_the_usual(begin):
 def test_two_rates_are_the_drive_speeds_each_for_its_time(begin, stage):
     per_pulse = stage.axes["x"].meters_per_pulse
     name, (axis, distance), options = begin("two_rates")
-    assert (name, axis.name, distance, options["dwell"]) == ("two_rates", "x", pytest.approx(0.04), 0.2)
+    assert (name, axis.name, distance, options["dwell"]) == ("move_at_two_rates", "x", pytest.approx(0.04), 0.2)
     assert (options["speed"].drive, options["speed"].second) == pytest.approx((0.02 / per_pulse, 0.04 / per_pulse))
     typed = {"distance": "-8", "speed": "5", "fast": "15", "dwell": "0", "accel": "0.3"}
     _, (axis, distance), options = begin("two_rates", **typed)

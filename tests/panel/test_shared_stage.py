@@ -139,7 +139,9 @@ PROCEDURES = {
     "home": lambda x, y: firmware.home(x),
     "line": lambda x, y: firmware.line({x: 0.05, y: 0.03}),
     "jog": lambda x, y: firmware.jog(x, 60.0),
-    "two rates": lambda x, y: get_driver(x).two_rates(30_000, firmware.procedures.Speeds().with_second(24_000), 0.4),
+    "two rates": lambda x, y: get_driver(x).move_at_two_rates(
+        30_000, firmware.procedures.Speeds().with_second(24_000), 0.4
+    ),
 }
 
 
@@ -188,7 +190,11 @@ def test_a_stop_with_a_ramp_begins_on_all_axes_at_the_same_time():
     stage = Stage("xy", chips="pcl240ms", visuals=False)
     with Session(stage, speed=FREE) as session:
         for axis in stage.axes.values():
-            session.do(lambda stage, a=axis: get_driver(a).run(1, firmware.procedures.Speeds(up=0.3, down=0.3)))
+            session.do(
+                lambda stage, a=axis: get_driver(a).start_continuous_move(
+                    1, firmware.procedures.Speeds(up=0.3, down=0.3)
+                )
+            )
         session.do(lambda stage: session.run_unpaced(stage.run, 0.4))
         journals = session.do(lambda stage: [chip.journal() for chip in stage.chips])
         session.stop().result(MAX_WAIT_S)

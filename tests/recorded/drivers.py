@@ -96,7 +96,7 @@ def read_answers(cls):
     results = {
         "usual": get_default_speeds(y.chip)[:5], "names": [h.DONE, h.DISTANCE_REGISTER, h.INVERTIBLE_SENSORS,
         h.list_homing_methods(), h.HOME_REASONS], "index": h.index,
-        "at rest": [h.is_running(), h.stopped_by(), attempt(h.status_words)],
+        "at rest": [h.is_running(), h.read_stop_reason(), attempt(h.read_status_words)],
         "no start": attempt(h.start, 0, SLOW), "half": attempt(h.start, 10.5, SLOW),
         "s": attempt(h.start, 30, SLOW._replace(s_curve=True)),
     }  # fmt: skip
@@ -105,14 +105,14 @@ def read_answers(cls):
     results["busy"] = [h.is_running(), attempt(h.start, 5, SLOW), attempt(lambda: str(h.move(7, SLOW)))]
     results["late"] = attempt(h.wait, 1e-3)
     results["wait"] = [attempt(h.wait, 2.0, lambda: polls.append(y.time)), len(polls), float(np.sum(polls))]
-    results["words"] = attempt(h.status_words)
+    results["words"] = attempt(h.read_status_words)
     results["there"] = [y.position, y.chip.net(y.chip_axis), h.is_running()]
     results["registers"] = {r.name: attempt(h.read_register, r.name) for r in y.chip.MAP.registers}
     results["no register"] = attempt(h.read_register, "R99")
-    results["two rates"] = attempt(h.two_rates, 900, SLOW.with_second(9000.0), 0.01)
+    results["two rates"] = attempt(h.move_at_two_rates, 900, SLOW.with_second(9000.0), 0.01)
     h.run(-1, SLOW)
     stage.run(0.03)
-    results["running"] = [h.is_running(), h.stopped_by()]
+    results["running"] = [h.is_running(), h.read_stop_reason()]
     h.halt(at_once=True)
     results["halted"] = [y.position, y.chip.net(y.chip_axis), y.time]
     h.halt()
@@ -120,7 +120,7 @@ def read_answers(cls):
     results["stops"] = "".join(
         "x" if h.is_stop_command(a, v) else "." for a in (0, 1) for v in (*range(256), 0x126, 0x256, 0x226, 0x257)
     )
-    results["circle"] = attempt(h.circle, x, 40, SLOW)
+    results["circle"] = attempt(h.draw_circle, x, 40, SLOW)
     results["circle back"] = attempt(x.circle, h, -30, SLOW)
     for name, speeds in {"slow": (0.5, 5000), "fast": (800, 9e6), "falls": (900, 700), "creeps": (0.1, 0.2)}.items():
         results[name] = attempt(lambda speeds=speeds: str(h.move(20, Speeds(*speeds), 0.5)))
@@ -139,12 +139,17 @@ def run_into_ends(cls):
         went = [attempt(h.start, -20 * direction, SLOW), attempt(h.wait, 1.0)]
         h.run(direction, SLOW)
         stage.run(0.15)
-        stood = [h.is_running(), h.stopped_by(), y.position]
+        stood = [h.is_running(), h.read_stop_reason(), y.position]
         h.halt()
-        again = [attempt(h.start, 10 * direction, SLOW), attempt(h.wait, 0.5), h.stopped_by(), y.chip.net(y.chip_axis)]
+        again = [
+            attempt(h.start, 10 * direction, SLOW),
+            attempt(h.wait, 0.5),
+            h.read_stop_reason(),
+            y.chip.net(y.chip_axis),
+        ]
         away = [
             attempt(lambda direction=direction: str(h.move(-100 * direction, SLOW))),
-            h.stopped_by(),
+            h.read_stop_reason(),
             y.position,
             stage.time,
         ]
@@ -189,7 +194,7 @@ def write_programs(cls):
     }
     for curve in (None, False, True):
         for fl, fh, up, down in ((500.0, 4000.0, 0.02, 0.05), (3000.0, 90_000.0, 0.5, 0.1), (700.0, 700.0, 0.1, 0.1)):
-            result = attempt(h.formula, fl, fh, up, down, -2000, curve)
+            result = attempt(h.compute_move_registers, fl, fh, up, down, -2000, curve)
             results[f"{curve} {fl:g} {fh:g}"] = result
             if not is_refused(result):
                 results[f"move {curve} {fl:g} {fh:g}"] = [program(h.write_move, result, n) for n in (300, -1)]
@@ -213,8 +218,8 @@ def write_programs(cls):
             [high for _, high in search.choices.ranges.values()],
         ]  # fmt: skip
         results[f"search {ez}"] = [search.choices.ranges, search.choices.cubed, rows, [
-            [len(p), p.ops] for p in map(search.program, rows)
-        ], search.marks]  # fmt: skip
+            [len(p), p.ops] for p in map(search.write_program, rows)
+        ], search.result_indices]  # fmt: skip
     return results
 
 
@@ -240,20 +245,20 @@ def plan_lines(cls, curve):
         distances = np.array(moves)
         requested = LineMoves(distances, np.array([8000.0, 2500.0, 700.0])[: len(moves)])
         steep = requested._replace(ramp=np.array([0.01, 0.2, 1e-3])[: len(moves)])
-        rows = result.data_sheet(requested)
+        rows = result.compute_registers(requested)
         off = np.linspace(-1, 1, rows.size).reshape(rows.shape)
         changed = result.apply_corrections(requested, off)
-        ops = result.programs(changed, requested)
-        times = result.pulses(ops[-1], distances[-1])
+        ops = result.write_programs(changed, requested)
+        times = result.trace_pulses(ops[-1], distances[-1])
         results[name] = {
-            "is": [RECORDED_CLASS_NAMES[type(result).__name__], result.names, result.shape, result.fastest,
+            "is": [RECORDED_CLASS_NAMES[type(result).__name__], result.names, result.shape, result.max_rate,
                    result.low, result.high],
             "reach": [result.compute_peaks(requested), result.compute_peaks(steep)], "rows": rows,
-            "steep": result.data_sheet(steep), "same": bool(
+            "steep": result.compute_registers(steep), "same": bool(
             (result.apply_corrections(requested, 0 * off) == rows).all()), "changed": changed,
             "errors": result.compute_share_errors(requested),
             "ops": [ops.shape, compute_digest(ops)],
-            "starts": [result.find_start_operations(d) for d in distances], "last": result.last_pulse(changed),
+            "starts": [result.find_start_operations(d) for d in distances], "last": result.compute_last_pulse_seconds(changed),
             "pulses": [[len(t), int(t.sum()), t[:1], t[-1:]] for t in times],
         }  # fmt: skip
     return results
@@ -424,19 +429,19 @@ def use_nova_ports():
         stage = Stage("xy", cls, visuals=False)
         port = NovaPort(stage.axes["y"])
         quick = {"SV": 900, "DV": 5000, "AC": 90_000} if cls is MCX514 else {"R": 400_000, "SV": 45, "V": 250, "A": 40}
-        port.load(**quick)
-        port.mode(WR1=0x10, WR3=0x40)
-        port.enable("WR1", 0x03)
-        port.enable("WR3", 0x08)
-        port.enable("WR1", 0x01, False)
-        port.enable("WR2", 0x0080)
+        port.write_parameters(**quick)
+        port.write_mode_words(WR1=0x10, WR3=0x40)
+        port.set_mode_bits("WR1", 0x03)
+        port.set_mode_bits("WR3", 0x08)
+        port.set_mode_bits("WR1", 0x01, False)
+        port.set_mode_bits("WR2", 0x0080)
         saved = {n: v for n, v in port.chip.values_of(1).items() if n.startswith("WR")}
         results[cls.__name__] = [
-            saved, port.chip.values_of(0)["WR1"], attempt(port.mode, WR4=1), attempt(port.load, XX=1),
-            attempt(port.load, LP=1 << 40),
-            attempt(port.start, 0), attempt(port.start, -60), port.driving(), port.position(),
-            [port.word(k) for k in (1, 2, 3)],
-            attempt(port.wait_until_stopped, 1e-3), attempt(port.command, "NONE"), port.errors(),
+            saved, port.chip.values_of(0)["WR1"], attempt(port.write_mode_words, WR4=1), attempt(port.write_parameters, XX=1),
+            attempt(port.write_parameters, LP=1 << 40),
+            attempt(port.start_drive, 0), attempt(port.start_drive, -60), port.is_driving(), port.read_position(),
+            [port.read_status_register(k) for k in (1, 2, 3)],
+            attempt(port.wait_until_stopped, 1e-3), attempt(port.write_command, "NONE"), port.read_error_names(),
         ]  # fmt: skip
         calls = []
 
@@ -446,7 +451,7 @@ def use_nova_ports():
 
         results[f"{cls.__name__} waits"] = [
             attempt(port.wait_until_stopped, 2.0, third, 1e-3), len(calls),
-            port.position(), stage.time,
+            port.read_position(), stage.time,
         ]  # fmt: skip
     results["no nova"] = attempt(NovaPort, Bench(PCL240K()).axes["x"])
     b = Bench(MCX501())

@@ -60,21 +60,21 @@ def use_pulse_ports():
         x = b.axes["x"]
         port = PulsePort(x)
         port.write_registers(R1=300, R2=900, R4=20, R5=20, R7=30, R0=70_000)
-        port.command(chip_port.OUTPUT | (chip_port.EXTERNAL if cls is PCL240MK else 0))
-        port.command(chip_port.OUTPUT)
-        port.control(chip_port.PRESET | chip_port.MINUS)
-        port.command(chip_port.RAMP["FH1"])
+        port.write_command(chip_port.OUTPUT | (chip_port.EXTERNAL if cls is PCL240MK else 0))
+        port.write_command(chip_port.OUTPUT)
+        port.write_control_mode(chip_port.PRESET | chip_port.MINUS)
+        port.write_command(chip_port.RAMP["FH1"])
         results[cls.__name__] = [
-            attempt(port.counter),
+            attempt(port.read_counter),
             attempt(port.wait_until_stopped, 0.02, 1e-3),
             b.time,
-            str(port.status()),
+            str(port.read_status()),
             attempt(port.wait_until, lambda s: s.fkeep, 1.0),
             b.time,
-            attempt(port.position),
+            attempt(port.read_position),
             attempt(port.read_register, "R2"),
             attempt(port.read_register, "R0"),
-            port.counter(),
+            port.read_counter(),
             attempt(port.write_register, "R1", 0),
             attempt(port.write_registers, R1=5, R2=1 << 20),
             attempt(port.write_registers, R99=1),
@@ -83,7 +83,7 @@ def use_pulse_ports():
             b.time,
             x.chip.dump().splitlines()[8:11],
         ]
-        port.command(chip_port.RESET)
+        port.write_command(chip_port.RESET)
         results[f"{cls.__name__} rest"] = [
             str(port.wait_until_stopped(0.1)),
             b.time,
@@ -96,9 +96,9 @@ def use_pulse_ports():
     slow = Bench(PCL240K(), bus_cycle=0.01)
     port = PulsePort(slow.axes["x"])
     port.write_registers(R1=3000, R7=10, R0=0xFFFFFF)
-    port.control(chip_port.PRESET)
-    port.command(chip_port.START["FL"])
-    results["slow bus"] = [attempt(port.counter), slow.time]
+    port.write_control_mode(chip_port.PRESET)
+    port.write_command(chip_port.START["FL"])
+    results["slow bus"] = [attempt(port.read_counter), slow.time]
     results["others"] = [
         attempt(chip_port.check_chip_family, 5),
         attempt(chip_port.check_chip_family, Bench(HCTL1100()).axes["x"]),
@@ -163,43 +163,48 @@ def run_servo_into_ends():
         port = servo.set_up_servo(x, servo.FilterTuning(gain=0x30, timer=0x20))
         results[name] = [
             (attempt(call, port)),
-            port.limited(),
-            port.status(),
+            port.is_limited(),
+            port.read_status(),
             x.position,
             stage.time,
             attempt(servo.set_up_servo, x),
         ]
-    results["wrong way"] = [attempt(servo_home.leave_limit, port, 1, timeout=0.05), x.position, port.status()]
-    results["out"] = [attempt(servo_home.leave_limit, port, -1, push=20), x.position, port.status(), port.position()]
+    results["wrong way"] = [attempt(servo_home.leave_limit, port, 1, timeout=0.05), x.position, port.read_status()]
+    results["out"] = [
+        attempt(servo_home.leave_limit, port, -1, push=20),
+        x.position,
+        port.read_status(),
+        port.read_position(),
+    ]
     stage.reset()
     stage.place(x=touch["org"] + 1e-3)
     port = servo.set_up_servo(x)
     results["home"] = [
         str(attempt(servo_home.home_servo, port, -1, turn=2000, speed=6000)),
-        port.position(),
+        port.read_position(),
         x.position,
         stage.time,
     ]
     results["asked"] = [
-        attempt(port.load, gains=3),
-        attempt(port.load, gain=300),
-        attempt(port.load, gain=2.5),
-        attempt(port.mode, "torque"),
-        port.velocity(),
+        attempt(port.write_numbers, gains=3),
+        attempt(port.write_numbers, gain=300),
+        attempt(port.write_numbers, gain=2.5),
+        attempt(port.set_control_mode, "torque"),
+        port.read_velocity(),
         port.t,
         port.sample,
         port.count,
-        attempt(port.load, timer=9),
+        attempt(port.write_numbers, timer=9),
         port.sample,
-        attempt(port.command, 5),
-        attempt(port.wait_for_the_safe_part, "trapezoid"),
-        attempt(port.load, timer=0x40),
+        attempt(port.write_command_position, 5),
+        attempt(port.wait_for_safe_part, "trapezoid"),
+        attempt(port.write_numbers, timer=0x40),
         attempt(port.wait_until, lambda: False, 0.01, "nothing"),
-        port.status(),
+        port.read_status(),
     ]
     other = ServoPort(x)
-    port.hold()
-    results["another port"] = [other.t, attempt(other.command, 7), port.commanded()]
+    port.hold_position()
+    results["another port"] = [other.t, attempt(other.write_command_position, 7), port.read_command_position()]
     results["words"] = [
         servo.convert_velocity_to_register(port, v, n, s)
         for v, n, s in (
@@ -273,25 +278,25 @@ def run_nova_into_ends():
         results[str(bad)] = attempt(home_search, x, **bad)
     b = Bench(MCX304())
     port = s_curve_workarounds.open_port(b.axes["x"])
-    port.load(R=800_000, K=300, A=8000, SV=100, V=1500, AO=0)
-    port.mode(WR1=0x0100, WR3=s_curve_workarounds.S_CURVE)
+    port.write_parameters(R=800_000, K=300, A=8000, SV=100, V=1500, AO=0)
+    port.write_mode_words(WR1=0x0100, WR3=s_curve_workarounds.S_CURVE)
     flag = s_curve_workarounds.DecelerationFlag(port)
-    port.start(4000)
+    port.start_drive(4000)
     flags = []
     for _ in range(6):
         b.wait(0.05)
         flag.interrupt()
-        flags.append([flag.prohibits, port.word(1), b.axes["x"].chip.values_of(0)["WR1"]])
+        flags.append([flag.prohibits, port.read_status_register(1), b.axes["x"].chip.values_of(0)["WR1"]])
     results["flag"] = [
         flags,
         s_curve_workarounds.stop_guarded(flag),
         s_curve_workarounds.compute_judgmental_speed(100, 1501),
     ]
     b.wait(2.0)
-    port.start(4000)
+    port.start_drive(4000)
     free = s_curve_workarounds.DecelerationFlag(port)
     b.wait(0.02)
-    results["free"] = [s_curve_workarounds.stop_guarded(free), free.prohibits, port.word(1)]
+    results["free"] = [s_curve_workarounds.stop_guarded(free), free.prohibits, port.read_status_register(1)]
     results["no erratum"] = attempt(s_curve_workarounds.open_port, x)
     return results
 
@@ -381,7 +386,12 @@ def follow_with_slow_hosts():
                 leader_only=alone,
                 on_row=lambda polls=polls, s=stage: polls.append(s.time),
             )
-            results[f"{cycle} {alone}"] = [read_report(result), len(polls), stage.time, [p.commanded() for p in ports]]
+            results[f"{cycle} {alone}"] = [
+                read_report(result),
+                len(polls),
+                stage.time,
+                [p.read_command_position() for p in ports],
+            ]
         results[f"{cycle} of none"] = attempt(follow.stream_positions, [], rows)
     return results
 

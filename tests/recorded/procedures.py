@@ -120,9 +120,10 @@ def make_profiles(cls):
             results[k] = str(error)
             continue
         results[k] = [
-            str(p), p.registers(), [p.step, p.fl, p.fh1, p.fh2, p.accel(), p.accel(True), p.decel(), p.decel(True), p.high(True)],
-            [[p.within(n).R2, p.within(n, True).R3, p.down_point(n), p.down_point(n, True), p.seconds(n)] for n in (1, 50,
-            900, 10**5)],
+            str(p), p.registers(), [p.step, p.fl, p.fh1, p.fh2, p.accel(), p.accel(True),
+             p.decel(), p.decel(True), p.get_high_speed(True)],
+            [[p.for_distance(n).R2, p.for_distance(n, True).R3, p.down_point(n), p.down_point(n, True),
+              p.estimate_seconds(n)] for n in (1, 50, 900, 10**5)],
         ]  # fmt: skip
     return results
 
@@ -184,7 +185,7 @@ def run_every_procedure(cls):
     }
     driver = get_driver(x)
     results["registers"] = [
-        attempt(driver.formula, fl, fh, up, 0.5 * up, 2000, curve)
+        attempt(driver.compute_move_registers, fl, fh, up, 0.5 * up, 2000, curve)
         for fl, fh, up, curve in itertools.product((500.0, 3000.0), (4000.0, 90_000.0), (0.02, 0.5), (None, True))
     ]
     for end in ("el_plus", "el_minus"):
@@ -278,15 +279,15 @@ def stop_by_workarounds():
     for mended, after in itertools.product((False, True), (0.01, 0.05, 0.12)):
         b = Bench(MCX304(errata=not mended))
         port = s_curve_workarounds.open_port(b.axes["x"])
-        port.load(R=800_000, K=2000, A=800, SV=100, V=1500, AO=0)
-        port.mode(WR2=s_curve_workarounds.LIMITS_DECELERATE, WR3=s_curve_workarounds.S_CURVE)
-        port.start(2500)
+        port.write_parameters(R=800_000, K=2000, A=800, SV=100, V=1500, AO=0)
+        port.write_mode_words(WR2=s_curve_workarounds.LIMITS_DECELERATE, WR3=s_curve_workarounds.S_CURVE)
+        port.start_drive(2500)
         b.wait(after)
         texts = [
             s_curve_workarounds.stop_by_speed(port, s_curve_workarounds.compute_judgmental_speed(100, 1500)),
-            port.word(1),
-            port.speed(),
-            port.position(),
+            port.read_status_register(1),
+            port.read_speed(),
+            port.read_position(),
         ]
         texts += [
             s_curve_workarounds.handle_limit_interrupt(port),
@@ -294,7 +295,13 @@ def stop_by_workarounds():
             s_curve_workarounds.handle_stop_signal_timer(port),
         ]
         b.wait(0.5)
-        texts += [port.driving(), port.position(), port.errors(), port.word(0), port.word(2)]
+        texts += [
+            port.is_driving(),
+            port.read_position(),
+            port.read_error_names(),
+            port.read_status_register(0),
+            port.read_status_register(2),
+        ]
         texts += [
             s_curve_workarounds.start_within_limits(port, 10, -5, 10_000),
             s_curve_workarounds.start_within_limits(port, 10, -5, 12),
@@ -331,7 +338,7 @@ def move_servos():
             follow.compute_circle_positions, 50, seconds=0.1, sample=port.sample, axes=3, revolutions=2, ramp=0.01
         ),
         "circle bad": attempt(follow.compute_circle_positions, 50, seconds=0.1, sample=port.sample, ramp=0.2),
-        "where": [x.position, y.position, port.position(), other.position()],
+        "where": [x.position, y.position, port.read_position(), other.read_position()],
     }
     return results
 

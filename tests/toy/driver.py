@@ -18,12 +18,12 @@ class ToyDriver(Driver):
             self.write_move(ImmediateOperations(self.axis), {"RATE": round(speeds.start)}, pulses)
             wait_until_stopped([self.axis], timeout or 2 * abs(pulses) / speeds.start + 1)
             self.axis.wait(0.05)
-            return p.report(self.stopped_by() or "all pulses", pulses)
+            return p.make_report(self.read_stop_reason() or "all pulses", pulses)
 
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> NoReturn:
         raise ArgumentError("a TOY has no origin return: move it, and look at ORG.")
 
-    def run(self, direction: int, speeds: Speeds) -> None:
+    def start_continuous_move(self, direction: int, speeds: Speeds) -> None:
         self.write_move(ImmediateOperations(self.axis), {"RATE": round(speeds.start)}, direction * 0xFFFF)
 
     def halt(self, at_once: bool = False) -> None:
@@ -36,7 +36,7 @@ class ToyDriver(Driver):
     def _get_command_code(self, symbol: str) -> int:
         return self.chip.MAP.command(self._get_axis_name(symbol)).code
 
-    def stopped_by(self) -> str:
+    def read_stop_reason(self) -> str:
         if not self.chip.read(self.chip.MAP.register(self._get_axis_name("COUNT")).number):
             return ""
         return "EL+" if self.axis.pins.el_plus else "EL-"
@@ -46,7 +46,7 @@ class ToyDriver(Driver):
             raise self.build_s_curve_error()
         return ("RATE",)
 
-    def formula(
+    def compute_move_registers(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
         return {"RATE": round(fl)}
@@ -59,5 +59,5 @@ class ToyDriver(Driver):
     def write_stop(self, program: Operations) -> None:
         program.command(self.index, self._get_command_code("STOP"))
 
-    def search(self, settings: Any) -> NoReturn:
+    def build_home_program(self, settings: Any) -> NoReturn:
         raise ArgumentError("a TOY has no origin return.")

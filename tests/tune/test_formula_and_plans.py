@@ -175,8 +175,8 @@ def test_find_parameters_inverts_speeds_and_clips_them_to_the_search_range(task)
 
 def test_a_register_value_beyond_its_range_is_refused(task):
     plans = create_planner(task)
-    real = plans.driver.formula
-    plans.driver.formula = lambda *arguments: {**real(*arguments), "R1": 1 << 20}
+    real = plans.driver.compute_move_registers
+    plans.driver.compute_move_registers = lambda *arguments: {**real(*arguments), "R1": 1 << 20}
     with pytest.raises(ArgumentError, match="R1"):
         plans.build_plan(Speeds(1000.0, 8000.0, 0.1, 0.1), {}, "linear")
 

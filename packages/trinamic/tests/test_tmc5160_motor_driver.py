@@ -308,7 +308,7 @@ def test_both_ramps_of_a_line_last_as_long_as_the_longer_one(tmc_stage):
         tmc_stage.reset()
         drivers = {name: get_driver(axis) for name, axis in tmc_stage.axes.items()}
         speeds = Speeds(start=2000.0, drive=60_000.0, up=up, down=down)
-        ramp_seconds.append(drivers["x"].line(drivers, {"x": 16_000, "y": 8000}, speeds).seconds)
+        ramp_seconds.append(drivers["x"].move_line(drivers, {"x": 16_000, "y": 8000}, speeds).seconds)
     assert ramp_seconds[0] == ramp_seconds[1] > 16_000 / 60_000 + 0.15
 
 
@@ -364,7 +364,7 @@ def test_a_move_into_an_end_limit_says_which(x, direction, limit):
 def test_halt_at_once_stops_an_axis_without_a_ramp(x):
     driver, braking_steps = get_driver(x), []
     for at_once in (False, True):
-        driver.run(1, Speeds(start=1000.0, drive=100_000.0, up=0.1, down=0.1))
+        driver.start_continuous_move(1, Speeds(start=1000.0, drive=100_000.0, up=0.1, down=0.1))
         x.stage.run(0.2)
         began = x.chip.values()["XACTUAL"]
         driver.halt(at_once)

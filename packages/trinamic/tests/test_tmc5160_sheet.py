@@ -348,7 +348,7 @@ def test_rates_beyond_its_registers_are_refused_in_a_move_and_clipped_for_a_sear
     """The formula of `stage tune` clips; firmware.move(axis, 1e-3, accel=1e-3) raises."""
     stage_.reset()
     driver = get_driver(stage_.axes["x"])
-    registers = driver.formula(1e6, 9e6, 1e-3, 1e-3, 1000)
+    registers = driver.compute_move_registers(1e6, 9e6, 1e-3, 1e-3, 1000)
     assert registers == {"VSTART": 1 << 17, "AMAX": 0xFFFF, "VMAX": 1 << 20, "DMAX": 0xFFFF, "VSTOP": 1 << 17}
     with pytest.raises(
         ArgumentError, match=r"AMAX = \d+: a TMC5160 takes 0 to 65535\. At 12,000,000 Hz a velocity of 1 is 0\.7153"

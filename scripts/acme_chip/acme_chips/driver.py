@@ -19,7 +19,7 @@ BACK = 400  # pulses, out of ORG before it is approached slowly
 class AcmeDriver(Driver):
     """Speaks to one chip."""
 
-    DONE: ClassVar = "COUNT = 0"
+    DONE_REASON: ClassVar = "COUNT = 0"
     DISTANCE_REGISTER: ClassVar = "COUNT"
 
     def start(self, pulses, speeds):
@@ -37,7 +37,7 @@ class AcmeDriver(Driver):
             max_seconds = 1.5 * abs(pulses) / speeds.start + speeds.up + speeds.down + 1
             stop_cause = self.wait(max_seconds if timeout is None else timeout)
             self.axis.wait(SETTLING_TIME_S)
-            return p.report(stop_cause, pulses)
+            return p.make_report(stop_cause, pulses)
 
     def home(self, direction, speeds, index=False, timeout=60.0):
         if index:
@@ -54,9 +54,9 @@ class AcmeDriver(Driver):
                 stop_cause = self._go("MOVE-" if direction > 0 else "MOVE+", timeout)
             stop_cause = stop_cause or self._go("CREEP+" if direction > 0 else "CREEP-", timeout)
             self.axis.wait(SETTLING_TIME_S)
-            return p.report("ORG" if self.chip.read(0) & ORG else stop_cause or "EL")
+            return p.make_report("ORG" if self.chip.read(0) & ORG else stop_cause or "EL")
 
-    def run(self, direction, speeds):
+    def start_continuous_move(self, direction, speeds):
         self._prepare(speeds, 1)
         self._send("RUN+" if direction > 0 else "RUN-")
 
@@ -64,7 +64,7 @@ class AcmeDriver(Driver):
         self._send("STOP" if at_once else "SLOW")
         wait_until_stopped([self.axis], 60.0)
 
-    def stopped_by(self):
+    def read_stop_reason(self):
         status = self.chip.read(0)
         way = "minus" if self.chip.state["control"] & MAP.mask("control", "minus") else "plus"
         if status & (PLUS_LIMIT if way == "plus" else MINUS_LIMIT):
@@ -76,7 +76,7 @@ class AcmeDriver(Driver):
             raise self.build_s_curve_error()
         return "START", "DRIVE", "SLOPE"
 
-    def formula(self, fl, fh, up, down, pulses, s_curve=None):
+    def compute_move_registers(self, fl, fh, up, down, pulses, s_curve=None):
         values = {"START": fl, "DRIVE": fh, "SLOPE": (fh - fl) / (1e3 * up)}
         return {name: int(np.clip(round(value), *get_register_range(MAP, name))) for name, value in values.items()}
 
@@ -88,7 +88,7 @@ class AcmeDriver(Driver):
     def write_stop(self, program):
         program.command(self.index, MAP.command("STOP").code)
 
-    def search(self, settings):
+    def build_home_program(self, settings):
         return Return(self, settings)
 
     def _prepare(self, speeds: Speeds, pulses):
@@ -99,7 +99,7 @@ class AcmeDriver(Driver):
         if speeds.start > speeds.drive:
             raise ArgumentError(f"start speed {speeds.start:g} pps is above the drive speed {speeds.drive:g}.")
         now = ImmediateOperations(self.axis)
-        values = self.formula(speeds.start, speeds.drive, speeds.up, speeds.down, pulses)
+        values = self.compute_move_registers(speeds.start, speeds.drive, speeds.up, speeds.down, pulses)
         for name, value in {**values, "COUNT": pulses}.items():
             now.register(self.index, self.chip, name, value)
 
@@ -109,7 +109,7 @@ class AcmeDriver(Driver):
     def _go(self, symbol, timeout):
         self._send(symbol)
         wait_until_stopped([self.axis], timeout)
-        stop_cause = self.stopped_by()
+        stop_cause = self.read_stop_reason()
         self.axis.wait(SETTLING_TIME_S)
         return stop_cause
 
@@ -120,19 +120,19 @@ class Return(HomeProgram):
     def __init__(self, driver, settings):
         if settings.ez:
             raise ArgumentError(f"ez={settings.ez!r}: an ACME1000 does not see an encoder's index pulse.")
-        self.driver, self.settings, self.marks = driver, settings, {}
+        self.driver, self.settings, self.result_indices = driver, settings, {}
         rates = {name: get_register_range(MAP, name) for name in ("START", "DRIVE", "SLOPE")}
         directions = {"leave": (1, settings.leave), "back_off": (1, settings.back_off)}
         self.choices = ParameterRanges(
             {**rates, "approach": get_register_range(MAP, "START"), **directions}, cubed=("leave",)
         )
-        self.program(self.choices.low)
+        self.write_program(self.choices.low)
 
     def find_nearest_row(self, fl, fh, ramp, approach, leave, back_off):
-        rates = self.driver.formula(fl, fh, ramp, ramp, leave)
+        rates = self.driver.compute_move_registers(fl, fh, ramp, ramp, leave)
         return self._round_to_ranges({**rates, "approach": approach, "leave": leave, "back_off": back_off})
 
-    def program(self, row):
+    def write_program(self, row):
         start, drive, slope, approach, leave, back = np.asarray(row).tolist()
         p = Program()
         for name, value in {"START": start, "DRIVE": max(start, drive), "SLOPE": slope}.items():
@@ -151,7 +151,7 @@ class Return(HomeProgram):
         self._note_result_index(name, p).read(a, 0)
 
     def read_results(self, results, rows):
-        values = {name: results[:, at] for name, at in self.marks.items()}
+        values = {name: results[:, at] for name, at in self.result_indices.items()}
         timed_out = np.any([values[f"{name} time"] < 0 for name in ("leave", "search", "back", "approach")], axis=0)
         at_org = {name: values[name] & ORG != 0 for name in ("search", "back", "approach")}
         released = ~at_org["back"]

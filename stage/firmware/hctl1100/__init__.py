@@ -1,1 +1,1 @@
-"""Firmware of the HCTL-1100: its port, moves, home, the servo loop as a model, motion sample by sample."""
+"""Firmware of the HCTL-1100: bus port, moves, homing, a model of the servo loop, and positions streamed sample by sample."""

@@ -1,9 +1,9 @@
-"""`Port`: the registers of one axis' HCTL-1100, by name. It uses bus cycles and waiting only.
+"""`Port`: access to the registers of one axis' HCTL-1100 by name, with bus cycles and waits only.
 
 port = Port(stage.axes["x"])
-port.load(gain=0x40, zero=0xE5, pole=0x40, timer=0x40)
-port.hold()                               position control, where the shaft stands
-port.command(port.position() + 100)       in the safe part of a sample
+port.write_numbers(gain=0x40, zero=0xE5, pole=0x40, timer=0x40)
+port.hold_position()                               position control, where the shaft stands
+port.write_command_position(port.read_position() + 100)       in the safe part of a sample
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ MODE_FLAGS = {
     mode: MAP.bit("R00", flag)
     for mode, flag in (("trapezoid", "f0"), ("proportional velocity", "f3"), ("integral velocity", "f5"))
 }
-"""The flag of each control mode but position control."""
+"""Flag of each control mode except position control, which has none."""
 LIMIT, STOP, INIT, PROFILE = (MAP.mask("R07", name) for name in ("limit", "stop", "init", "profile"))
 SAFE_MARGIN_COUNTS = 3  # counts of the timer: so long before the sample's end no command is begun
 MAX_TIMER_READS = 8  # at the timer, one after the other; two or three are enough
 
 
 class Port:
-    """The bus of one axis, and the value that a driver must remember: T, which cannot be read back.
+    """Bus port of one axis. It stores T, the only value that the chip cannot read back.
 
-    Raises ArgumentError when the axis' chip is no HCTL-1100.
+    Raises ArgumentError if the axis' chip is no HCTL-1100.
     """
 
     def __init__(self, axis: Axis):
@@ -60,16 +60,16 @@ class Port:
 
     @property
     def count(self) -> float:
-        """Time of one count of the sample timer, s."""
+        """Duration of one count of the sample timer, s."""
         return 16 / self.chip.clock_hz
 
     @property
     def sample(self) -> float:
-        """Time of a sample, s."""
+        """Sample time, s."""
         return self.count * (self.t + 1)
 
-    def load(self, **values: int) -> None:
-        """Write numbers by name, see NUMBERS of the chip's maps. Raises ArgumentError, before the first bus cycle."""
+    def write_numbers(self, **values: int) -> None:
+        """Write numbers by name (NUMBERS of the chip's maps). Raises ArgumentError before the first bus cycle."""
         for name, value in values.items():
             number = NUMBERS.get(name)
             if number is None:
@@ -82,64 +82,64 @@ class Port:
         self.t = values.get("timer", self.t)
 
     def _read(self, number: Quantity) -> int:
-        """A signed number, its low byte first."""
+        """Read a signed number, low byte first."""
         value = sum(self.chip.read(a) << number.shift(a) for a in reversed(number.addresses))
         return to_signed(value, 8 * len(number.addresses))
 
-    def position(self) -> int:
+    def read_position(self) -> int:
         """Read the actual position, counts."""
         return self._read(ACTUAL_POSITION)
 
-    def commanded(self) -> int:
-        """Read the command position, counts. Its bytes have no latch: read it at rest, or slowly, only."""
+    def read_command_position(self) -> int:
+        """Read the command position, counts. Its bytes have no latch, so read it only at rest or at low speed."""
         return self._read(COMMAND_POSITION)
 
-    def commanded_velocity(self) -> int:
+    def read_command_velocity(self) -> int:
         """Read the command velocity of integral velocity mode, counts per sample."""
         return to_signed(self.chip.read(INTEGRAL_VELOCITY), 8)
 
-    def final_position(self) -> int:
+    def read_final_position(self) -> int:
         """Read the end of the latest trapezoid, counts."""
         return self._read(FINAL_POSITION)
 
-    def acceleration(self) -> float:
+    def read_acceleration(self) -> float:
         """Read the acceleration of trapezoids and integral velocity mode, counts per sample squared."""
         return self._read(ACCELERATION) / ACCELERATION.scale
 
-    def velocity(self) -> int:
-        """Read the actual velocity, counts per sample; the chip knows it in proportional velocity mode only."""
+    def read_velocity(self) -> int:
+        """Read the actual velocity, counts per sample. The chip measures it only in proportional velocity mode."""
         return self._read(ACTUAL_VELOCITY)
 
-    def status(self) -> int:
-        """Read R07, see LIMIT, STOP, INIT, PROFILE."""
+    def read_status(self) -> int:
+        """Read the status register R07; LIMIT, STOP, INIT and PROFILE are masks of its bits."""
         return self.chip.read(STATUS)
 
     def clear_status(self) -> int:
-        """Clear what has triggered and is released again; return R07 then."""
+        """Clear the latched bits of inputs that are released again, and return R07."""
         self.chip.write(STATUS, self.chip.read(STATUS) & MAP.register("R07").writable)
-        return self.status()
+        return self.read_status()
 
-    def control_mode(self) -> str:
-        """Read which control mode is in force, a name of `mode`; "" in Init/Idle."""
+    def read_control_mode(self) -> str:
+        """Read the active control mode, a name of `set_control_mode`; "" in Init/Idle."""
         flags = self.chip.read(FLAG)
         if flags >> MAP.bit("R00", "f1") & 1:
             return ""
         return next((name for name, flag in MODE_FLAGS.items() if flags >> flag & 1), "position")
 
-    def idle(self) -> None:
-        """Enter Init/Idle: no motor command."""
+    def enter_idle(self) -> None:
+        """Enter Init/Idle, in which the motor command is 0."""
         self.chip.write(MODE, IDLE)
 
-    def mode(self, name: str) -> None:
-        """Choose a control mode by its flag, "position" by none, and let the sample in progress end.
+    def set_control_mode(self, name: str) -> None:
+        """Set the flag of a control mode ("position" has none), and wait until the sample in progress ends.
 
-        With a profile a sample takes longer to be computed.
+        The chip needs longer to compute a sample if it also computes a profile.
 
         Args:
             name: Name of the control mode.
 
         Raises:
-            ArgumentError: A name that MINIMUM_T does not have.
+            ArgumentError: MINIMUM_T has no such name.
         """
         if name not in MINIMUM_T:
             raise unknown_name_error("control mode", name, MINIMUM_T)
@@ -153,28 +153,28 @@ class Port:
         if name != "position":
             self.chip.write(FLAG, SET_FLAG_BIT | MODE_FLAGS[name])
 
-    def hold(self) -> None:
-        """Take position control at the present position, from any mode.
+    def hold_position(self) -> None:
+        """Switch from any mode to position control at the present position.
 
-        While LIMIT has triggered the chip refuses, see `limited`.
+        The chip ignores this while LIMIT is latched, see `is_limited`.
         """
-        self.idle()
+        self.enter_idle()
         self._set_flags("position")
-        self.load(command_position=self.position())
+        self.write_numbers(command_position=self.read_position())
         self.chip.write(MODE, CONTROL)
 
-    def limited(self) -> bool:
-        """Return whether LIMIT has triggered, and the chip is in Init/Idle."""
-        return not self.status() & LIMIT
+    def is_limited(self) -> bool:
+        """Return whether LIMIT is latched, which keeps the chip in Init/Idle."""
+        return not self.read_status() & LIMIT
 
-    def wait_for_the_safe_part(self, mode: str = "position") -> None:
-        """Wait until the timer shows that the sample has been computed and does not end at once.
+    def wait_for_safe_part(self, mode: str = "position") -> None:
+        """Wait for the safe part of a sample: the chip has computed it, and it does not end at once.
 
         Args:
             mode: Control mode, which determines how long the computation takes.
 
         Raises:
-            ArgumentError: T is so short that there is no such part, or is another than this port knows.
+            ArgumentError: T is too short for a safe part, or differs from the T that this port has stored.
         """
         least = MINIMUM_T[mode]
         if self.t < least + SAFE_MARGIN_COUNTS:
@@ -195,10 +195,10 @@ class Port:
             "this port, or take the port that has loaded it."
         )
 
-    def command(self, position: int) -> None:
+    def write_command_position(self, position: int) -> None:
         """Write a new command position, counts, in the safe part of a sample."""
-        self.wait_for_the_safe_part()
-        self.load(command_position=position)
+        self.wait_for_safe_part()
+        self.write_numbers(command_position=position)
 
     def wait_until(self, test: Callable[[], bool], timeout: float, what: str, poll: float = POLL_INTERVAL_S) -> float:
         """Poll until a test is met.
@@ -206,20 +206,20 @@ class Port:
         Args:
             test: Function that returns whether the test is met.
             timeout: Simulated seconds to wait.
-            what: What is waited for, in words, for the error.
+            what: Description of the expected change, for the error.
             poll: Seconds between two polls.
 
         Returns:
-            Seconds that it took.
+            Seconds until the test was met.
 
         Raises:
-            RunTimeout: The test was not met; the axis is left without a motor command.
+            RunTimeout: The test was not met in time. The axis is then in Init/Idle, without a motor command.
         """
         begin = self.axis.time
         while not test():
             if not self.axis.time - begin < timeout:
-                state = f"at {self.position()} counts, R07 = {self.status():02X}h"
-                self.idle()
+                state = f"at {self.read_position()} counts, R07 = {self.read_status():02X}h"
+                self.enter_idle()
                 raise RunTimeout(
                     f"axis {self.axis.name}: {what} did not come in {timeout:g} s; it was {state} and is in Init/Idle now."
                 )

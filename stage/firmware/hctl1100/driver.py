@@ -61,10 +61,14 @@ class Hctl1100Pattern(operation_pattern.OperationPattern):
 
 
 class Hctl1100Driver(Driver):
-    """Driver of the HCTL-1100. tuning: the filter, loaded when the chip is set up next."""
+    """Driver of the HCTL-1100.
 
-    PATTERN: ClassVar = Hctl1100Pattern
-    DONE: ClassVar = "end of profile"
+    Attributes:
+        tuning: Filter and sample timer, which the driver loads when it next sets the chip up.
+    """
+
+    PATTERN_CLASS: ClassVar = Hctl1100Pattern
+    DONE_REASON: ClassVar = "end of profile"
     has_position_loop: ClassVar = True
     DISTANCE_REGISTER: ClassVar = "final_position"
     INVERTIBLE_SENSORS: ClassVar = ("ez",)  # which only a homing to it looks at
@@ -75,9 +79,9 @@ class Hctl1100Driver(Driver):
         self.port = Port(axis)
 
     def prepare(self) -> Port:
-        """Set the chip up where it stands in Init/Idle, and load T, which cannot be read back.
+        """Load the filter and T if the chip is in Init/Idle, and switch to position control.
 
-        On a limit switch the chip takes no control mode: it stays in Init/Idle, and its command position is where the axis is.
+        On a limit switch the chip accepts no control mode: it stays in Init/Idle with the actual position as command position.
 
         Returns:
             The port of the axis.
@@ -85,84 +89,92 @@ class Hctl1100Driver(Driver):
         Raises:
             StageError: The axis is moving.
         """
-        mode = self.port.control_mode()
-        if self._is_moving(mode):
+        mode = self.port.read_control_mode()
+        if self.is_driving_mode(mode):
             raise self.build_moving_error()
         if mode:
-            self.port.load(timer=self.tuning.timer)
+            self.port.write_numbers(timer=self.tuning.timer)
             return self.port
-        self.port.idle()
+        self.port.enter_idle()
         if self.port.clear_status() & LIMIT:
             self.port = set_up_servo(self.axis, self.tuning)
         else:
             load_filter(self.port, self.tuning)
-            self.port.load(command_position=self.port.position())
+            self.port.write_numbers(command_position=self.port.read_position())
         return self.port
 
     def _prepare_for(self, speeds: Speeds) -> Port:
-        """Prepare a drive, as `prepare`.
+        """Prepare the chip for a move, and check its rates.
 
-        Raises ArgumentError, before anything moves, for rates that the chip does not have at this sample time.
+        Raises:
+            ArgumentError: The chip cannot make these rates at this sample time. Nothing has moved.
         """
         port = self.prepare()
         convert_velocity_to_register(port, speeds.drive, "maximum_velocity", 1)
         convert_acceleration_to_register(port, speeds.drive / speeds.up)
         return port
 
-    def _is_moving(self, mode: str) -> bool:
-        """Tell whether the chip moves its command in this control mode; what STOP has stopped rests."""
+    def is_driving_mode(self, mode: str) -> bool:
+        """Return whether the chip changes its command position in this control mode. An axis that STOP has stopped rests."""
         if mode != "integral velocity":
             return mode in ("trapezoid", "proportional velocity")
-        before = self.port.commanded()
+        before = self.port.read_command_position()
         self.axis.wait(3 * self.port.sample)
-        return self.port.commanded() != before
+        return self.port.read_command_position() != before
 
-    def _blocked_by(self, direction: int) -> str:
-        """Name the limit switch on which the axis stands, unless `direction` leads out of it."""
-        return self._limit(direction) if self.port.limited() and self._limits() != {-direction} else ""
+    def _find_blocking_limit(self, direction: int) -> str:
+        """Return the name of the limit switch that blocks a move in `direction`; "" if the move leads out of the switch."""
+        return (
+            self._name_triggered_limit(direction)
+            if self.port.is_limited() and self._read_active_limits() != {-direction}
+            else ""
+        )
 
     def _leave_limit(self, direction: int) -> None:
-        """Drive out of the limit switch on which the axis stands, if `direction` leads out of it."""
-        if self.port.limited() and self._limits() == {-direction}:
+        """Move the axis out of the limit switch on which it stands, if `direction` leads out of it."""
+        if self.port.is_limited() and self._read_active_limits() == {-direction}:
             leave_limit(self.port, direction)
 
-    def _limits(self) -> set[int]:
-        """Read which end limits are on, as directions of counts, by inputs of the host's own: the chip has one pin for both."""
+    def _read_active_limits(self) -> set[int]:
+        """Read the directions of the end limits that are on, by inputs of the host, because the chip has one pin for both."""
         switches = getattr(self.axis, "switches", None)
         on = switches.as_dict() if switches is not None else {}
         return {end * get_forward_direction(self.axis) for end, name in LIMIT_SWITCHES.items() if on.get(name)}
 
-    def _limit(self, direction: int) -> str:
-        """Name the end limit that has triggered LIMIT; where both are on, or neither, that in the direction of the drive."""
-        on = self._limits()
+    def _name_triggered_limit(self, direction: int) -> str:
+        """Return the name of the end limit that has triggered LIMIT; if both or none are on, the one in the direction of motion."""
+        on = self._read_active_limits()
         end = (on.pop() if len(on) == 1 else direction) * get_forward_direction(self.axis)
         return {1: "EL+", -1: "EL-", 0: "LIMIT"}[end]
 
-    def _heading(self) -> int:
-        """Return the direction of the latest drive, by the registers that it leaves: 1 or -1; 0 for no drive."""
+    def _read_last_direction(self) -> int:
+        """Return the direction of the last move, read from its registers: 1 or -1; 0 if there was no move."""
         port, flags = self.port, self.chip.read(FLAG)
         if flags >> MODE_FLAGS["trapezoid"] & 1:
-            ahead = port.final_position() - port.commanded()
+            ahead = port.read_final_position() - port.read_command_position()
         elif flags >> MODE_FLAGS["integral velocity"] & 1:
-            ahead = port.commanded_velocity()
+            ahead = port.read_command_velocity()
         else:
-            ahead = port.commanded() - port.position()
+            ahead = port.read_command_position() - port.read_position()
         return int(np.sign(ahead))
 
     def start(self, pulses: int, speeds: Speeds) -> None:
-        self._check(pulses, speeds)
+        self._check_move(pulses, speeds)
         start_trapezoid(
-            self._prepare_for(speeds), self._counts_left(int(pulses)), speeds.drive, speeds.drive / speeds.up
+            self._prepare_for(speeds),
+            self._leave_limit_and_count_rest(int(pulses)),
+            speeds.drive,
+            speeds.drive / speeds.up,
         )
 
-    def _counts_left(self, pulses: int) -> int:
-        """Leave the limit switch on which the axis may stand, and return the counts of a move that are left then."""
-        goal, direction = self.port.commanded() + pulses, int(np.sign(pulses))
+    def _leave_limit_and_count_rest(self, pulses: int) -> int:
+        """Leave the limit switch if the axis stands on one, and return the remaining counts of the move."""
+        goal, direction = self.port.read_command_position() + pulses, int(np.sign(pulses))
         self._leave_limit(direction)
-        return direction * max(direction * (goal - self.port.commanded()), 0)
+        return direction * max(direction * (goal - self.port.read_command_position()), 0)
 
     def _check_goal(self, goal: int) -> None:
-        """Raise ArgumentError for the end of a line, in counts, that the command position does not hold."""
+        """Raise ArgumentError if the end of a line, in counts, exceeds the range of the command position."""
         number = NUMBERS["command_position"]
         if not number.minimum <= goal <= number.maximum:
             raise ArgumentError(
@@ -170,30 +182,30 @@ class Hctl1100Driver(Driver):
                 f"{number.maximum}. Shorten the line, or clear the position first (R13)."
             )
 
-    def _check(self, pulses: int, speeds: Speeds) -> None:
+    def _check_move(self, pulses: int, speeds: Speeds) -> None:
         if not pulses or int(pulses) != pulses:
             raise ArgumentError(f"pulses={pulses!r}: a whole number of counts, the sign is the direction.")
-        self._linear(speeds)
+        self._check_linear_ramps(speeds)
 
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
-        self._check(pulses, speeds)
+        self._check_move(pulses, speeds)
         port = self._prepare_for(speeds)
         with ProcedureObserver(self.axis, "move") as p:
             maximum = 1.5 * (abs(pulses) / speeds.drive + speeds.up + speeds.down) + 1
             done = move_by_trapezoid(
-                port, self._counts_left(int(pulses)), velocity=speeds.drive, acceleration=speeds.drive / speeds.up,
+                port, self._leave_limit_and_count_rest(int(pulses)), velocity=speeds.drive, acceleration=speeds.drive / speeds.up,
                 deadband=DEADBAND_COUNTS, timeout=maximum if timeout is None else timeout,
             )  # fmt: skip
-            return p.report(self.stopped_by() if done.limited else self.DONE, int(pulses))
+            return p.make_report(self.read_stop_reason() if done.limited else self.DONE_REASON, int(pulses))
 
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
         if index and has_positive_logic(self.axis, "ez"):
             raise self.build_inverted_sensor_error("ez")
         port = self._prepare_for(speeds)
         with ProcedureObserver(self.axis, "origin return") as p:
-            first = direction if port.status() & STOP else -direction  # out of the home switch
-            if met := self._blocked_by(first):
-                return p.report(met)
+            first = direction if port.read_status() & STOP else -direction  # out of the home switch
+            if met := self._find_blocking_limit(first):
+                return p.make_report(met)
             self._leave_limit(first)
             turn = getattr(getattr(self.axis, "drive", None), "counts", 2000)
             try:
@@ -202,49 +214,49 @@ class Hctl1100Driver(Driver):
                     timeout=timeout, deadband=DEADBAND_COUNTS,
                 )  # fmt: skip
             except RunTimeout:  # where an end limit has ended it
-                if not self.port.limited():
+                if not self.port.is_limited():
                     raise
-                return p.report(self.stopped_by())
+                return p.make_report(self.read_stop_reason())
             self.axis.wait(SETTLING_TIME_S)
-            return p.report("EZ" if index else "ORG")
+            return p.make_report("EZ" if index else "ORG")
 
-    def run(self, direction: int, speeds: Speeds) -> None:
-        """Begin a trapezoid to the end of the 24 bits, which the home switch does not end as it would integral velocity.
+    def start_continuous_move(self, direction: int, speeds: Speeds) -> None:
+        """Start a trapezoid to the end of the 24-bit range. The home switch would end integral velocity mode, but not a trapezoid.
 
         Args:
             direction: 1 or -1.
             speeds: Speed, counts/s, and ramps.
 
         Raises:
-            ArgumentError: The chip does not have these rates.
+            ArgumentError: The chip cannot make these rates.
             StageError: The axis is moving.
         """
-        self._linear(speeds)
+        self._check_linear_ramps(speeds)
         port = self._prepare_for(speeds)
         self._leave_limit(direction)
         final = NUMBERS["final_position"]
-        counts = (final.maximum if direction > 0 else final.minimum) - port.commanded()
+        counts = (final.maximum if direction > 0 else final.minimum) - port.read_command_position()
         start_trapezoid(port, counts, speeds.drive, speeds.drive / speeds.up)
 
     def hold_still(self) -> None:
-        """Take position control where the chip stands in Init/Idle, so that a load does not pull the axis away.
+        """Switch from Init/Idle to position control, so that a load does not pull the axis away.
 
-        On a limit switch the chip takes no control mode, and the axis stays as it is.
+        On a limit switch the chip accepts no control mode and stays in Init/Idle.
         """
-        if not self.port.control_mode() and not self.port.limited():
+        if not self.port.read_control_mode() and not self.port.is_limited():
             self.prepare()
 
     def is_running(self) -> bool:
-        return self.port.control_mode() not in ("", "position") and not self.stopped_by()
+        return self.port.read_control_mode() not in ("", "position") and not self.read_stop_reason()
 
     def halt(self, at_once: bool = False) -> None:
-        port, mode = self.port, self.port.control_mode()
+        port, mode = self.port, self.port.read_control_mode()
         if not mode:
-            port.idle()  # ends what leaves a limit switch
+            port.enter_idle()  # ends what leaves a limit switch
             return
-        port.load(timer=self.tuning.timer)
+        port.write_numbers(timer=self.tuning.timer)
         if at_once or mode == "proportional velocity":
-            port.hold()
+            port.hold_position()
         elif mode == "trapezoid":
             brake_trapezoid(port)
         elif mode == "integral velocity":
@@ -252,13 +264,13 @@ class Hctl1100Driver(Driver):
             hold_once_at_rest(port)
         wait_until_settled(port, self.axis.time, 0, DEADBAND_COUNTS, SETTLING_TIMEOUT_S)
 
-    def stopped_by(self) -> str:
-        if self.port.limited():
-            return self._limit(self._heading())
+    def read_stop_reason(self) -> str:
+        if self.port.is_limited():
+            return self._name_triggered_limit(self._read_last_direction())
         cruises = self.chip.read(FLAG) >> MODE_FLAGS["integral velocity"] & 1  # the one mode that obeys STOP
-        return "ORG" if cruises and not self.port.status() & STOP else ""
+        return "ORG" if cruises and not self.port.read_status() & STOP else ""
 
-    def status_words(self) -> dict[str, int]:
+    def read_status_words(self) -> dict[str, int]:
         """Read the flags and the status register."""
         return {name: self.chip.read(self.chip.MAP.register(name).number) for name in ("R00", "R07")}
 
@@ -268,15 +280,15 @@ class Hctl1100Driver(Driver):
             raise self.build_unreadable_register_error(r.name)
         return r.value(self.chip.read(r.number))
 
-    def _linear(self, speeds: Speeds) -> None:
+    def _check_linear_ramps(self, speeds: Speeds) -> None:
         if speeds.s_curve:
             raise self.build_s_curve_error()
 
     @classmethod
-    def line(
+    def move_line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
-        """Write a command position to each chip in each sample, all axes in step by their SYNC pins.
+        """Move along a line: write a command position to each chip in each sample, synchronized by the SYNC pins.
 
         Args:
             drivers: Drivers by the names of their axes.
@@ -288,8 +300,8 @@ class Hctl1100Driver(Driver):
             A report of all axes.
 
         Raises:
-            ArgumentError: The chips do not have these rates, or a command position does not fit its register.
-            RunTimeout: The line was not drawn after `timeout`, or an axis is not at its end of it.
+            ArgumentError: The chips cannot make these rates, or a command position does not fit its register.
+            RunTimeout: The line was not complete after `timeout`, or an axis has not arrived at its end.
         """
         everyone = cast("dict[str, Hctl1100Driver]", drivers)
         moving_drivers = select_moving(everyone, pulses)
@@ -297,10 +309,10 @@ class Hctl1100Driver(Driver):
             if n not in moving_drivers:
                 driver.hold_still()
         for driver in moving_drivers.values():
-            driver._linear(speeds)
+            driver._check_linear_ramps(speeds)
         ports = [driver.prepare() for driver in moving_drivers.values()]
         for (n, driver), port in zip(moving_drivers.items(), ports, strict=True):
-            driver._check_goal(port.commanded() + pulses[n])
+            driver._check_goal(port.read_command_position() + pulses[n])
         _compute_line_rows(
             [pulses[n] for n in moving_drivers], speeds, ports[0].sample
         )  # refuses before anything moves
@@ -309,13 +321,16 @@ class Hctl1100Driver(Driver):
             {n: pulses[n] for n in moving_drivers},
         ) as line:
             line.note_start()
-            met = {n: d._blocked_by(int(np.sign(pulses[n]))) for n, d in moving_drivers.items()}
+            met = {n: d._find_blocking_limit(int(np.sign(pulses[n]))) for n, d in moving_drivers.items()}
             if any(met.values()):
-                return line.report({n: limit or ANOTHER_AXIS for n, limit in met.items()})
+                return line.make_report({n: limit or ANOTHER_AXIS for n, limit in met.items()})
             with line.attach_reports_to_timeout():
-                goals = [d._counts_left(pulses[n]) + d.port.commanded() for n, d in moving_drivers.items()]
+                goals = [
+                    d._leave_limit_and_count_rest(pulses[n]) + d.port.read_command_position()
+                    for n, d in moving_drivers.items()
+                ]
             synchronize_sample_timers(ports)  # each holds where it is, which may be beside its command
-            left = [goal - port.commanded() for port, goal in zip(ports, goals, strict=True)]
+            left = [goal - port.read_command_position() for port, goal in zip(ports, goals, strict=True)]
             rows = _compute_line_rows(left, speeds, ports[0].sample)
             line.note_start()
             begin = ports[0].axis.time
@@ -331,31 +346,31 @@ class Hctl1100Driver(Driver):
             line.measure_carriages()
             reasons = {}
             for (n, driver), port, goal in zip(moving_drivers.items(), ports, goals, strict=True):
-                reasons[n] = driver.stopped_by() or (cls.DONE if drawn else ANOTHER_AXIS)
-                if reasons[n] == cls.DONE and abs(goal - port.position()) > DEADBAND_COUNTS:
+                reasons[n] = driver.read_stop_reason() or (cls.DONE_REASON if drawn else ANOTHER_AXIS)
+                if reasons[n] == cls.DONE_REASON and abs(goal - port.read_position()) > DEADBAND_COUNTS:
                     raise RunTimeout(
-                        f"axis {n} is {goal - port.position()} counts from its end of the line: slower, or another filter."
+                        f"axis {n} is {goal - port.read_position()} counts from its end of the line: slower, or another filter."
                     )
-            return line.report(reasons)
+            return line.make_report(reasons)
 
     # --- as programs: RegisterBus takes the chip as any; the tasks that write programs of pulses do not ---
 
-    def _no(self, what: str) -> NoReturn:
+    def _refuse_task(self, task: str) -> NoReturn:
         raise ArgumentError(
-            f"chip {self.chip.MAP.chip} on axis {self.axis.name}: {what}; it is a servo's and makes no pulses. "
+            f"chip {self.chip.MAP.chip} on axis {self.axis.name}: {task}; it is a servo's and makes no pulses. "
             "Take ServoTuning, RegisterBus or another chip."
         )
 
     def list_move_registers(self, s_curve: bool | None) -> tuple[str, ...]:
-        self._no("RegisterTuning tunes ramps of pulse rates")
+        self._refuse_task("RegisterTuning tunes ramps of pulse rates")
 
     def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
-        self._no("a move by RegisterTuning's registers")
+        self._refuse_task("a move by RegisterTuning's registers")
 
-    def formula(
+    def compute_move_registers(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
-        self._no("the formulas make registers of pulse rates")
+        self._refuse_task("the formulas make registers of pulse rates")
 
     def write_stop(self, program: Operations) -> None:
         program.write(self.index, MODE, IDLE)
@@ -365,15 +380,18 @@ class Hctl1100Driver(Driver):
         return ParameterRanges({"R22": (1, 0xFF), "R20": (0, 0xFF), "R21": (0, 0xFF), "R0F": (least, 0xFF)})
 
     def compute_filter(self) -> dict[str, int]:
-        """Compute the filter by frequency response, see `model.design`; pole and T as after a reset."""
+        """Compute the filter by frequency response (`servo_loop_model.design_filter`), with pole and T as after a reset."""
         t = design_filter(ServoLoop.of(self.axis, FilterTuning(pole=DEFAULT_POLE)))
         return {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer}
 
     def write_servo_move(
         self, program: Operations, values: Mapping[str, int], counts: int, rates: tuple[float, float] | None
     ) -> None:
-        """Write the move in Init/Idle, so that no command falls into the unsafe part of a sample; rates are rounded to counts
-        per sample."""
+        """Add the bus cycles of a move.
+
+        They are made in Init/Idle, so that no command falls into the unsafe part of a sample. Rates are rounded to counts per
+        sample.
+        """
 
         def put(name: str, value: int) -> None:
             program.register(self.index, self.chip, name, value)
@@ -392,11 +410,11 @@ class Hctl1100Driver(Driver):
                 put(name, int(np.clip(round(rate), 1, NUMBERS[name].maximum)))
         program.write(self.index, MODE, CONTROL)
 
-    def search(self, settings: Any) -> HomeProgram:
-        self._no("OriginReturn writes an origin return of pulses")
+    def build_home_program(self, settings: Any) -> HomeProgram:
+        self._refuse_task("OriginReturn writes an origin return of pulses")
 
-    def lines(self, drivers: Any, settings: Any) -> NoReturn:
-        self._no("SynchronizedMove draws lines of pulses")
+    def build_line_programs(self, drivers: Any, settings: Any) -> NoReturn:
+        self._refuse_task("SynchronizedMove draws lines of pulses")
 
 
 class _EndLimitReached(Exception):
@@ -404,16 +422,16 @@ class _EndLimitReached(Exception):
 
 
 def _follow_line(ports: list[Port], rows: np.ndarray, braking: int, poll: Callable[[], None]) -> bool:
-    """Follow the rows of a line; where an end limit stops one axis, slow the others down along the line.
+    """Write the command positions of a line. If an end limit stops one axis, slow the others down along the line.
 
     Args:
         ports: Ports of the axes.
         rows: Command positions relative to the start (samples, axes).
-        braking: Samples of the slowing down.
-        poll: Function that is called after each row.
+        braking: Number of samples in which the axes slow down.
+        poll: Function to call after each row.
 
     Returns:
-        Whether the line was drawn to its end.
+        True if all rows were written.
     """
     sample = 0
 
@@ -421,7 +439,7 @@ def _follow_line(ports: list[Port], rows: np.ndarray, braking: int, poll: Callab
         nonlocal sample
         sample += 1
         poll()
-        if any(port.limited() for port in ports):
+        if any(port.is_limited() for port in ports):
             raise _EndLimitReached
 
     try:
@@ -430,15 +448,14 @@ def _follow_line(ports: list[Port], rows: np.ndarray, braking: int, poll: Callab
         left = 1 - np.arange(1, braking + 1) / braking
         times = sample - 1 + 0.5 * braking * (1 - left**2)  # of the rows: one a sample at first, none at the end
         places = np.array([np.interp(times, np.arange(len(rows)), column) for column in rows.T]).T - rows[sample - 1]
-        free = [k for k, port in enumerate(ports) if not port.limited()]
+        free = [k for k, port in enumerate(ports) if not port.is_limited()]
         if free:
             stream_positions([ports[k] for k in free], places[:, free], on_row=poll)
     return sample == len(rows)
 
 
 def _compute_line_rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:
-    """Compute command positions relative to the start (samples, axes): a trapezoid along the line, whose rates are the longest
-    axis'."""
+    """Compute command positions relative to the start, (samples, axes): a trapezoid at the rates of the longest axis."""
     max_distance = max(abs(d) for d in distances) or 1
     maximum = NUMBERS["integral_velocity"].maximum / sample
     if not 0 < speeds.drive <= maximum:

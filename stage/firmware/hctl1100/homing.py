@@ -1,16 +1,16 @@
-"""Home of a servo axis with an HCTL-1100: to the home switch, back out, then to the encoder's index pulse.
+"""Homing of a servo axis with an HCTL-1100: to the home switch, back out of it, then to the encoder's index pulse.
 
     print(home(set_up(stage.axes["x"])))
 
-A stage wires both end limits to LIMIT, ORG to STOP and the index pulse to INDEX. STOP acts in integral velocity mode only: the chip
-brakes and stands. LIMIT acts always and leads to Init/Idle: from there the host must drive the motor out of the limit itself. INDEX
-goes to the commutator and cannot be read on the bus: the host reads that line by an input of its own, as here.
+A stage wires both end limits to LIMIT, ORG to STOP and the index pulse to INDEX. STOP acts only in integral velocity mode, in
+which it brakes the axis to rest. LIMIT acts in all modes and leads to Init/Idle, from which the host itself must drive the motor
+out of the limit. INDEX goes to the commutator and cannot be read on the bus, so the host reads its line by an input of its own.
 
-    step 1   at the search speed until STOP has triggered
-    step 2   back, until STOP is released
-    step 3   to STOP again, as slowly as the chip can: one count a sample
-    step 4   on, to the begin of the index pulse; back out of it, and towards it again count by count
-    step 5   the actual position is preset to 0 there, and the axis moves to 0
+    step 1   move at the search speed until STOP triggers
+    step 2   move back until STOP is released
+    step 3   move to STOP again at the lowest speed, one count per sample
+    step 4   move on to the beginning of the index pulse, back out of it, and towards it again count by count
+    step 5   preset the actual position to 0 there, and move to 0
 """
 
 from __future__ import annotations
@@ -39,12 +39,15 @@ MAX_TURNS = 1.2  # of the motor, within which an index pulse must come
 
 @dataclass(frozen=True)
 class ServoHomeReport:
-    """Report of a home search. Counts are those from before the search.
+    """Report of a home search. Counts refer to the position counter before the search.
 
     Attributes:
-        switch: Position where STOP triggered when it was approached slowly. index: Position where the index pulse began, None
-            without it.
-        seconds: Time of the whole search. position: Position of the carriage, m; None without one. unit: "m", or "rad" on a hinge.
+        axis: Name of the axis.
+        switch: Position, counts, at which STOP triggered during the slow approach.
+        index: Position, counts, at which the index pulse began; None without a search for it.
+        seconds: Duration of the whole search.
+        position: Position of the carriage, m (rad on a hinge); None without a carriage.
+        unit: "m", or "rad" on a hinge.
     """
 
     axis: str
@@ -72,16 +75,16 @@ def home_servo(
     deadband: int = 3,
     timeout: float = 20.0,
 ) -> ServoHomeReport:
-    """Search home; the axis is then in position control at position 0.
+    """Home the axis, which is then in position control at position 0.
 
     Args:
         port: Port of the axis, set up.
         direction: Direction in which the home switch lies, -1 or 1.
         speed: Speed of steps 1 and 2, counts/s.
         acceleration: Acceleration of steps 1 and 2, counts/s2; the axis needs room to brake beyond the switch.
-        index: Go on to the index pulse.
+        index: True to go on to the index pulse.
         turn: Counts of the encoder per turn.
-        deadband: Counts within which the axis settles in the end.
+        deadband: Counts within which the axis settles at the end.
         timeout: Simulated seconds that each step may take.
 
     Returns:
@@ -94,13 +97,13 @@ def home_servo(
     check_direction(direction, ", where the home switch lies")
     fast, begin = abs(convert_velocity_to_register(port, speed, "integral_velocity", 1)), port.axis.time
     port.clear_status()
-    port.load(acceleration=convert_acceleration_to_register(port, acceleration))
+    port.write_numbers(acceleration=convert_acceleration_to_register(port, acceleration))
     _run_to_switch(port, direction * fast, timeout)
     _back_out_of_switch(port, -direction, speed, acceleration, turn, timeout)
     switch = _run_to_switch(port, direction, timeout)
     found = _find_index_pulse(port, direction, turn) if index else None
     _preset_position(port, switch if found is None else found)
-    move_by_trapezoid(port, -port.commanded(), velocity=speed, acceleration=acceleration, deadband=deadband)
+    move_by_trapezoid(port, -port.read_command_position(), velocity=speed, acceleration=acceleration, deadband=deadband)
     return ServoHomeReport(
         port.axis.name, switch, found, port.axis.time - begin, port.axis.position, getattr(port.axis, "unit", "m")
     )
@@ -110,76 +113,78 @@ def home_servo(
 def leave_limit(
     port: Port, direction: int, *, push: int = PUSH_COMMAND, max_counts: int = MAX_COUNTS, timeout: float = 2.0
 ) -> None:
-    """Drive an axis out of its limit switch in Init/Idle, where the chip closes no loop; then hold it.
+    """Drive an axis out of its limit switch in Init/Idle, in which the chip closes no loop; then hold its position.
 
     Args:
         port: Port of the axis.
-        direction: Direction out of the switch, which the host has to know, 1 or -1.
+        direction: Direction out of the switch, 1 or -1; the host has to know it.
         push: Motor command, hundredths of full drive.
         max_counts: Distance after which the drive ends, so that a switch that is stuck does not send the axis to its other end,
             counts.
         timeout: Simulated seconds to wait.
 
     Raises:
-        RunTimeout: The switch is still on after `timeout`, or after `max_counts`; the axis is in Init/Idle then.
+        RunTimeout: The switch is still on after `timeout` or after `max_counts`. The axis is then in Init/Idle.
     """
-    port.idle()
-    begin = port.position()
-    port.load(motor_command=direction * push)
+    port.enter_idle()
+    begin = port.read_position()
+    port.write_numbers(motor_command=direction * push)
 
     def is_released_or_out_of_reach() -> bool:
-        return bool(port.clear_status() & LIMIT) or abs(port.position() - begin) > max_counts
+        return bool(port.clear_status() & LIMIT) or abs(port.read_position() - begin) > max_counts
 
     port.wait_until(is_released_or_out_of_reach, timeout, "release of the limit switch", FAST_POLL_S)
-    if port.limited():
-        port.idle()
+    if port.is_limited():
+        port.enter_idle()
         raise RunTimeout(
-            f"axis {port.axis.name}: its limit switch is still on {max_counts} counts away, at {port.position()} counts. Look "
+            f"axis {port.axis.name}: its limit switch is still on {max_counts} counts away, at {port.read_position()} counts. Look "
             "whether it is stuck; the axis is in Init/Idle now."
         )
-    port.hold()
+    port.hold_position()
 
 
 def _run_to_switch(port: Port, velocity: int, timeout: float) -> int:
-    """Run in integral velocity mode until STOP has triggered and the axis is at rest; return the position where STOP triggered."""
-    port.load(integral_velocity=0)
-    port.mode("integral velocity")
-    if port.status() & STOP:
+    """Run in integral velocity mode until STOP has triggered and the axis rests; return the position at which STOP triggered."""
+    port.write_numbers(integral_velocity=0)
+    port.set_control_mode("integral velocity")
+    if port.read_status() & STOP:
         write_command_velocity(port, velocity)
-    port.wait_until(lambda: port.status() & (STOP | LIMIT) != STOP | LIMIT, timeout, "the home switch", FAST_POLL_S)
+    port.wait_until(
+        lambda: port.read_status() & (STOP | LIMIT) != STOP | LIMIT, timeout, "the home switch", FAST_POLL_S
+    )
     _check_limit(port, "the home switch")
-    at = port.position()
+    at = port.read_position()
     hold_once_at_rest(port)
     return at
 
 
 def _check_limit(port: Port, what: str) -> None:
-    """Raise RunTimeout where LIMIT has triggered. `what` says what it came before."""
-    if port.limited():
+    """Raise RunTimeout if LIMIT has triggered. `what` names the event that was expected, for the message."""
+    if port.is_limited():
         raise RunTimeout(
-            f"axis {port.axis.name}: LIMIT before {what}, at {port.position()} counts; it is in Init/Idle now."
+            f"axis {port.axis.name}: LIMIT before {what}, at {port.read_position()} counts; it is in Init/Idle now."
         )
 
 
 def hold_once_at_rest(port: Port) -> None:
-    """Take position control as soon as the command position has come to rest."""
-    before = port.commanded() - 1
-    while before != (now := port.commanded()):
+    """Switch to position control as soon as the command position is at rest."""
+    before = port.read_command_position() - 1
+    while before != (now := port.read_command_position()):
         before = now
         port.axis.wait(3 * port.sample)
-    port.mode("position")
+    port.set_control_mode("position")
 
 
 def _back_out_of_switch(
     port: Port, direction: int, speed: float, acceleration: float, turn: int, timeout: float
 ) -> None:
-    """Move back until STOP can be cleared, an eighth of a turn at a time: a trapezoid does not obey STOP."""
+    """Move back, an eighth of a turn at a time, until STOP can be cleared. The moves are trapezoids, which ignore STOP."""
 
     def released() -> bool:
         if port.clear_status() & STOP:
             return True
         move_by_trapezoid(port, direction * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
-        return port.limited()
+        return port.is_limited()
 
     port.wait_until(released, timeout, "release of the home switch", FAST_POLL_S)
     _check_limit(port, "release of the home switch")
@@ -187,16 +192,16 @@ def _back_out_of_switch(
 
 
 def _find_index_pulse(port: Port, direction: int, turn: int) -> int:
-    """Return the position at which the index pulse begins, approached from this direction."""
+    """Find the index pulse, and return the position at which it begins when approached in `direction`."""
     pins = port.axis.chip.axes[port.axis.chip_axis].pins
     port.clear_status()
     max_counts = round(MAX_TURNS * turn)
 
     def creep(counts: int, seconds: float) -> bool:
-        """Move count by count, up to `counts`; return whether the index pulse has begun."""
-        command, before = port.commanded(), pins.index
+        """Move count by count, at most `counts`, and return whether the index pulse has begun."""
+        command, before = port.read_command_position(), pins.index
         for k in range(1, counts + 1):
-            port.command(command + direction * k)
+            port.write_command_position(command + direction * k)
             port.axis.wait(seconds)
             if pins.index and not before:
                 return True
@@ -205,20 +210,23 @@ def _find_index_pulse(port: Port, direction: int, turn: int) -> int:
 
     found = creep(max_counts, port.sample)
     if found:
-        port.command(port.commanded() - direction * INDEX_RETREAT_COUNTS)
+        port.write_command_position(port.read_command_position() - direction * INDEX_RETREAT_COUNTS)
         port.axis.wait(INDEX_RETREAT_COUNTS * CREEP_INTERVAL_S)
         found = creep(2 * INDEX_RETREAT_COUNTS, CREEP_INTERVAL_S)
     if not found:
-        port.idle()
+        port.enter_idle()
         raise RunTimeout(
             f"axis {port.axis.name}: no index pulse within {max_counts} counts of the home switch; it is in Init/Idle now."
         )
-    return port.position()
+    return port.read_position()
 
 
 def _preset_position(port: Port, origin: int) -> None:
-    """Make positions count from `origin` on. Only Init/Idle lets the host write them: the motor is off for a few bus cycles."""
-    port.idle()
-    port.load(preset_position=port.position() - origin)
-    port.load(command_position=port.position())
+    """Subtract `origin` from the actual position.
+
+    The chip allows this only in Init/Idle, so the motor is off for a few bus cycles.
+    """
+    port.enter_idle()
+    port.write_numbers(preset_position=port.read_position() - origin)
+    port.write_numbers(command_position=port.read_position())
     port.chip.write(MODE, CONTROL)

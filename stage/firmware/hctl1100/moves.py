@@ -5,10 +5,9 @@
     print(trapezoid(x, 20_000, velocity=40_000, acceleration=400_000))
     print(integral_velocity(x, 20_000, seconds=0.5))
 
-Positions are counts of the encoder, rates counts/s. The chip has rates in counts per sample: they are rounded to what its
-registers hold, and the reports give the rounded rates. After each procedure the axis is in position control, or, if LIMIT has
-ended the procedure, in Init/Idle. See homing.py for home, position_streaming.py for motion commanded sample by sample.
-"""
+Positions are counts of the encoder, and rates are counts/s. The registers hold rates in counts per sample, so rates are rounded,
+and the reports contain the rounded rates. After each procedure the axis is in position control, or in Init/Idle if LIMIT has ended
+the procedure. See homing.py for home, position_streaming.py for motion commanded sample by sample."""
 
 from __future__ import annotations
 
@@ -30,7 +29,14 @@ SPEED_SAMPLES = 3  # samples: positions are whole counts, and a slow profile mov
 
 @dataclass(frozen=True)
 class FilterTuning:
-    """Filter D(z) = K/4 (z - A/256) / (z + B/256) and sample timer T; by default as after a reset."""
+    """Filter D(z) = K/4 (z - A/256) / (z + B/256) and sample timer T. The defaults are the values after a reset.
+
+    Attributes:
+        gain: K.
+        zero: A.
+        pole: B.
+        timer: T.
+    """
 
     gain: int = find_reset_value("gain")
     zero: int = find_reset_value("zero")
@@ -40,14 +46,18 @@ class FilterTuning:
 
 @dataclass(frozen=True)
 class ServoMoveReport:
-    """Report of a step or a trapezoid. Counts, counts/s, seconds.
+    """Report of a position step or a trapezoid.
 
     Attributes:
-        asked: Counts commanded. velocity, acceleration: Rates as the registers hold them; 0 for a step.
-        profile: Time when the profile flag was read as cleared; 0 for a step. settled: Time from which on the axis stayed in the
-            deadband.
-        error: Command position minus actual position at the end.
-        limited: Whether LIMIT has triggered, and ended the move.
+        axis: Name of the axis.
+        asked: Commanded counts.
+        velocity: Velocity in the register, counts/s; 0 for a step.
+        acceleration: Acceleration in the register, counts/s2; 0 for a step.
+        profile: Seconds until the host read that the profile had ended; 0 for a step.
+        settled: Seconds after which the axis stayed within the deadband.
+        error: Command position minus actual position at the end, counts.
+        deadband: Largest error of a settled axis, counts.
+        limited: True if LIMIT has triggered and ended the move.
     """
 
     axis: str
@@ -62,7 +72,7 @@ class ServoMoveReport:
 
     @property
     def ok(self) -> bool:
-        """Whether the axis is within the deadband of its command."""
+        """True if the axis is within the deadband of its command."""
         return not self.limited and abs(self.error) <= self.deadband
 
     def __str__(self) -> str:
@@ -78,8 +88,11 @@ class VelocityReport:
     """Report of a run at a velocity.
 
     Attributes:
-        asked: Velocity as the register holds it, counts/s. reached: Mean velocity over the second half.
-        ended: "LIMIT", which leaves the axis in Init/Idle, "STOP", which the chip obeys in integral velocity mode, or "".
+        axis: Name of the axis.
+        mode: Control mode.
+        asked: Velocity in the register, counts/s.
+        reached: Mean velocity over the second half, counts/s.
+        ended: Input that ended the run: "LIMIT" (the axis is then in Init/Idle), "STOP" (only in integral velocity mode), or "".
     """
 
     axis: str
@@ -94,7 +107,7 @@ class VelocityReport:
 
 
 def set_up_servo(axis: Axis, tuning: FilterTuning | None = None) -> Port:
-    """Load filter and sample time; the axis is then in position control at its present position.
+    """Load the filter and the sample time, and switch to position control at the present position.
 
     Args:
         axis: Axis whose chip is an HCTL-1100.
@@ -104,27 +117,27 @@ def set_up_servo(axis: Axis, tuning: FilterTuning | None = None) -> Port:
         The port of the axis.
 
     Raises:
-        ArgumentError: Another chip, values that its registers do not hold, or LIMIT is asserted.
+        ArgumentError: The chip is no HCTL-1100, a value does not fit its register, or LIMIT is asserted.
     """
     port = Port(axis)
-    port.idle()
+    port.enter_idle()
     load_filter(port, tuning or FilterTuning())
     if not port.clear_status() & LIMIT:
         raise ArgumentError(
             f"axis {axis.name} stands on a limit switch, where the chip takes no control mode: see leave_limit."
         )
-    port.hold()
+    port.hold_position()
     axis.wait(MAX_SAMPLE_CLOCKS / port.chip.clock_hz)  # the new T is used after the sample in progress
     return port
 
 
 def load_filter(port: Port, tuning: FilterTuning) -> None:
-    """Load the filter's numbers and T. Raises ArgumentError for values that the registers do not hold."""
-    port.load(timer=tuning.timer, gain=tuning.gain, zero=tuning.zero, pole=tuning.pole)
+    """Load the filter and T. Raises ArgumentError for values that do not fit their registers."""
+    port.write_numbers(timer=tuning.timer, gain=tuning.gain, zero=tuning.zero, pole=tuning.pole)
 
 
 def move_by_step(port: Port, counts: int, *, deadband: int = 3, timeout: float = 2.0) -> ServoMoveReport:
-    """Command a position `counts` away, at once.
+    """Move by a step of the command position, without a profile.
 
     Args:
         port: Port of the axis.
@@ -139,7 +152,7 @@ def move_by_step(port: Port, counts: int, *, deadband: int = 3, timeout: float =
         RunTimeout: The axis does not settle.
     """
     begin = port.axis.time
-    port.command(port.commanded() + counts)
+    port.write_command_position(port.read_command_position() + counts)
     return wait_until_settled(port, begin, counts, deadband, timeout)
 
 
@@ -160,7 +173,7 @@ def move_by_trapezoid(
         velocity: Maximum velocity, counts/s.
         acceleration: Acceleration, counts/s2.
         deadband: Distance from the command within which the axis has settled, counts.
-        timeout: Simulated seconds that the profile and the settling may take, each.
+        timeout: Simulated seconds that the profile may take, and that the settling may take.
 
     Returns:
         The report.
@@ -175,7 +188,7 @@ def move_by_trapezoid(
 
 
 def start_trapezoid(port: Port, counts: int, velocity: float, acceleration: float) -> tuple[float, float, float]:
-    """Begin a trapezoidal profile, and do not wait.
+    """Start a trapezoidal profile, and do not wait for its end.
 
     Args:
         port: Port of the axis.
@@ -184,7 +197,7 @@ def start_trapezoid(port: Port, counts: int, velocity: float, acceleration: floa
         acceleration: Acceleration, counts/s2.
 
     Returns:
-        Time of the start, s, and velocity, counts/s, and acceleration, counts/s2, as the registers hold them.
+        Time of the start, s; velocity, counts/s, and acceleration, counts/s2, after rounding to the registers.
 
     Raises:
         ArgumentError: The chip does not have these rates at this sample time.
@@ -193,27 +206,27 @@ def start_trapezoid(port: Port, counts: int, velocity: float, acceleration: floa
         convert_velocity_to_register(port, velocity, "maximum_velocity", 1),
         convert_acceleration_to_register(port, acceleration),
     )
-    port.load(final_position=port.commanded() + counts, acceleration=a, maximum_velocity=v)
+    port.write_numbers(final_position=port.read_command_position() + counts, acceleration=a, maximum_velocity=v)
     begin = port.axis.time
-    port.mode("trapezoid")
+    port.set_control_mode("trapezoid")
     return begin, v / port.sample, a / 256 / port.sample**2
 
 
 def brake_trapezoid(port: Port) -> None:
-    """Slow a trapezoid down to rest by its own acceleration; the axis is in position control then.
+    """Slow a trapezoid down to rest at its own acceleration; the axis is then in position control.
 
-    The data of a profile may not be written while it runs. So the host ends the profile (F0) and commands the ramp itself: a
-    position in each sample, from the command position on. A sample too short for that ends in a stop at once.
+    The host may not write the data of a profile while it runs. So it ends the profile (F0) and commands the ramp itself, with a new
+    position in each sample. If a sample is too short for this, the axis stops at once.
     """
     if port.t < MINIMUM_T["trapezoid"] + SAFE_MARGIN_COUNTS:
-        port.hold()
+        port.hold_position()
         return
-    acceleration, final = port.acceleration(), port.final_position()
+    acceleration, final = port.read_acceleration(), port.read_final_position()
     wait_for_next_sample(port, "trapezoid")
-    before, since = port.commanded(), port.axis.time
+    before, since = port.read_command_position(), port.axis.time
     port.axis.wait(SPEED_SAMPLES * port.sample)
     wait_for_next_sample(port, "trapezoid")
-    begin = port.commanded()
+    begin = port.read_command_position()
     speed = abs(begin - before) / round((port.axis.time - since) / port.sample)
     distance = min(speed**2 / (2 * acceleration), abs(final - begin))
     samples = math.ceil(2 * distance / speed) if speed else 0
@@ -221,12 +234,12 @@ def brake_trapezoid(port: Port) -> None:
     positions = np.rint(np.copysign(distance, final - begin) * (1 - rest**2)).astype(int)
     port.chip.write(FLAG, MODE_FLAGS["trapezoid"])
     if samples:
-        port.load(command_position=begin + int(positions[0]))
+        port.write_numbers(command_position=begin + int(positions[0]))
         stream_positions([port], positions[1:, None] - positions[0])
 
 
 def wait_for_profile_end(port: Port, timeout: float) -> None:
-    """Wait until the profile is over, or LIMIT has ended it.
+    """Wait until the profile has ended or LIMIT has stopped it.
 
     Args:
         port: Port of the axis.
@@ -235,7 +248,7 @@ def wait_for_profile_end(port: Port, timeout: float) -> None:
     Raises:
         RunTimeout: The profile was not over after `timeout`.
     """
-    port.wait_until(lambda: not port.status() & PROFILE or port.limited(), timeout, "the end of its profile")
+    port.wait_until(lambda: not port.read_status() & PROFILE or port.is_limited(), timeout, "the end of its profile")
 
 
 def wait_until_settled(
@@ -246,12 +259,12 @@ def wait_until_settled(
     timeout: float,
     rates: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> ServoMoveReport:
-    """Wait until the axis has been within the deadband of its command for DWELL, or LIMIT has ended the move.
+    """Wait until the axis has been within the deadband of its command for SETTLED_DWELL_S, or LIMIT has ended the move.
 
     Args:
         port: Port of the axis.
-        begin: Time when the move began, s.
-        counts: Counts of the move.
+        begin: Time at which the move began, s.
+        counts: Commanded counts of the move.
         deadband: Distance from the command within which the axis has settled, counts.
         timeout: Simulated seconds to wait.
         rates: Velocity, acceleration and end of the profile, for the report.
@@ -262,13 +275,13 @@ def wait_until_settled(
     Raises:
         RunTimeout: The axis does not settle.
     """
-    goal, since, error = port.commanded(), port.axis.time, 0
+    goal, since, error = port.read_command_position(), port.axis.time, 0
     limited = False
 
     def is_settled() -> bool:
         nonlocal since, error, limited
-        error, now = goal - port.position(), port.axis.time
-        limited = port.limited()
+        error, now = goal - port.read_position(), port.axis.time
+        limited = port.is_limited()
         if abs(error) > deadband:
             since = now
         return limited or now - since >= SETTLED_DWELL_S
@@ -278,7 +291,7 @@ def wait_until_settled(
 
 
 def run_proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> VelocityReport:
-    """Turn by the velocity error alone, then stop: friction and drag leave a difference.
+    """Turn in proportional velocity mode, then stop. Friction and drag leave a velocity error, because nothing integrates it.
 
     Args:
         port: Port of the axis.
@@ -292,29 +305,29 @@ def run_proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> 
         ArgumentError: The chip does not have this rate at this sample time.
     """
     word = convert_velocity_to_register(port, rate, "proportional_velocity", 16)
-    port.wait_for_the_safe_part()
-    port.load(proportional_velocity=0)
-    port.mode("proportional velocity")
+    port.wait_for_safe_part()
+    port.write_numbers(proportional_velocity=0)
+    port.set_control_mode("proportional velocity")
 
     def turn(value: int) -> None:
-        port.wait_for_the_safe_part("proportional velocity")
-        port.load(proportional_velocity=value)
+        port.wait_for_safe_part("proportional velocity")
+        port.write_numbers(proportional_velocity=value)
 
     turn(word)
     reached = _measure_mean_velocity(port, seconds)
     turn(0)
     port.axis.wait(port.sample)
-    port.wait_until(lambda: not port.velocity() or port.limited(), 2.0, "rest")
-    ended = "LIMIT" if port.limited() else ""
+    port.wait_until(lambda: not port.read_velocity() or port.is_limited(), 2.0, "rest")
+    ended = "LIMIT" if port.is_limited() else ""
     if not ended:
-        port.hold()
+        port.hold_position()
     return VelocityReport(port.axis.name, "proportional", word / 16 / port.sample, reached, ended)
 
 
 def run_integral_velocity(
     port: Port, rate: float, seconds: float = 0.5, acceleration: float = 400_000
 ) -> VelocityReport:
-    """Turn with ramps by a command position that moves on with each sample, then stop.
+    """Turn in integral velocity mode, in which the command position advances in each sample, then stop. The speed has ramps.
 
     Args:
         port: Port of the axis.
@@ -331,16 +344,16 @@ def run_integral_velocity(
     word, ramp = start_integral_velocity(port, rate, acceleration)
     port.axis.wait(ramp)
     reached = _measure_mean_velocity(port, seconds)
-    ended = "LIMIT" if port.limited() else "" if port.status() & STOP else "STOP"
+    ended = "LIMIT" if port.is_limited() else "" if port.read_status() & STOP else "STOP"
     if ended != "LIMIT":
         write_command_velocity(port, 0)
         port.axis.wait(ramp)
-        port.mode("position")
+        port.set_control_mode("position")
     return VelocityReport(port.axis.name, "integral", word / port.sample, reached, ended)
 
 
 def start_integral_velocity(port: Port, rate: float, acceleration: float) -> tuple[int, float]:
-    """Begin to turn in integral velocity mode.
+    """Start to turn in integral velocity mode.
 
     Args:
         port: Port of the axis.
@@ -348,7 +361,7 @@ def start_integral_velocity(port: Port, rate: float, acceleration: float) -> tup
         acceleration: Acceleration, counts/s2.
 
     Returns:
-        Velocity as the register holds it, counts per sample, and the seconds until it is reached.
+        Velocity in the register, counts per sample, and the seconds until the axis reaches it.
 
     Raises:
         ArgumentError: The chip does not have these rates at this sample time.
@@ -358,24 +371,24 @@ def start_integral_velocity(port: Port, rate: float, acceleration: float) -> tup
         convert_acceleration_to_register(port, acceleration),
     )
     port.clear_status()
-    port.load(acceleration=a, integral_velocity=0)
-    port.mode("integral velocity")
+    port.write_numbers(acceleration=a, integral_velocity=0)
+    port.set_control_mode("integral velocity")
     write_command_velocity(port, word)
     return word, (abs(word) * 256 / a + 2) * port.sample
 
 
 def write_command_velocity(port: Port, velocity: int) -> None:
-    """Write a new command velocity of integral velocity mode, counts per sample, in the safe part of a sample."""
-    port.wait_for_the_safe_part("integral velocity")
-    port.load(integral_velocity=velocity)
+    """Write a command velocity for integral velocity mode, counts per sample, in the safe part of a sample."""
+    port.wait_for_safe_part("integral velocity")
+    port.write_numbers(integral_velocity=velocity)
 
 
 def _measure_mean_velocity(port: Port, seconds: float) -> float:
-    """Return the mean velocity over the second half of `seconds`, counts/s."""
+    """Measure the mean velocity over the second half of `seconds`, counts/s."""
     port.axis.wait(0.5 * seconds)
-    begin, first = port.axis.time, port.position()
+    begin, first = port.axis.time, port.read_position()
     port.axis.wait(0.5 * seconds)
-    return (port.position() - first) / (port.axis.time - begin)
+    return (port.read_position() - first) / (port.axis.time - begin)
 
 
 def convert_velocity_to_register(port: Port, rate: float, name: str, scale: int) -> int:
@@ -385,16 +398,16 @@ def convert_velocity_to_register(port: Port, rate: float, name: str, scale: int)
         port: Port of the axis.
         rate: Velocity, counts/s.
         name: Name of the register's number.
-        scale: Units of the register in a count per sample.
+        scale: Number of register units in one count per sample.
 
     Raises:
-        ArgumentError: The register does not hold the value, or it is 0.
+        ArgumentError: The value does not fit the register, or it is 0.
     """
     return _round_to_register(port, name, rate, port.sample * scale, "speed", "counts/s")
 
 
 def convert_acceleration_to_register(port: Port, acceleration: float) -> int:
-    """Convert an acceleration, counts/s2, to the value of R27:R26. Raises ArgumentError where that is 0, or too much."""
+    """Convert an acceleration, counts/s2, to the value of R27:R26. Raises ArgumentError if the value is 0 or too large."""
     return _round_to_register(port, "acceleration", acceleration, port.sample**2 * 256, "acceleration", "counts/s2")
 
 

@@ -1,12 +1,13 @@
-"""A custom profile: the host writes a command position to each chip in each sample, all axes in step by the SYNC pin.
+"""Streaming of positions: the host writes a command position to each chip in each sample, synchronized by the SYNC pins.
 
     ports = [set_up(stage.axes[n]) for n in "xyz"]
     synchronize(ports)
     print(follow(ports, circle(6000, seconds=1.5, sample=ports[0].sample, axes=3)))
 
-As the data sheet says: at the beginning of a sample the chip computes, and a command written then may throw it off. The host
-reads the sample timer, which counts down from T, and writes when it has come down by the minimum of Table 4. SYNC starts the timers
-of several chips at one clock: then one of them tells of all, and the axes take their commands at the same time.
+According to the data sheet, the chip computes at the beginning of a sample, and a command that arrives then may disturb it. So the
+host reads the sample timer, which counts down from T, and writes after it has counted down by the minimum of Table 4. SYNC starts
+the timers of several chips at the same clock: the host then reads one timer only, and all axes accept their commands at the same
+time.
 """
 
 from __future__ import annotations
@@ -23,7 +24,13 @@ from stage.firmware.hctl1100.chip_port import SAFE_MARGIN_COUNTS, Port
 
 @dataclass(frozen=True)
 class StreamReport:
-    """Report of a profile: commands written to each axis, samples that passed without a new one, seconds."""
+    """Report of streamed positions.
+
+    Attributes:
+        commands: Number of command positions written to each axis.
+        missed: Number of samples that passed without a new command position.
+        seconds: Duration.
+    """
 
     commands: int
     missed: int
@@ -34,9 +41,10 @@ class StreamReport:
 
 
 def synchronize_sample_timers(ports: Sequence[Port]) -> None:
-    """Let the sample timers of all chips begin at one clock, by the line to their SYNC pins.
+    """Start the sample timers of all chips at the same clock, by the line to their SYNC pins.
 
-    The chips obey SYNC in Init/Idle only: the axes are without a motor command for a few bus cycles, and hold afterwards.
+    The chips obey SYNC only in Init/Idle, so the axes have no motor command for a few bus cycles. They hold their positions
+    afterwards.
 
     Args:
         ports: Ports of the axes.
@@ -49,45 +57,46 @@ def synchronize_sample_timers(ports: Sequence[Port]) -> None:
             "SYNC keeps chips of one sample time in step: load the same T on all, and give them the same clock."
         )
     for port in ports:
-        port.idle()
+        port.enter_idle()
     for asserted in (True, False):
         for port in ports:
             port.axis.chip.axes[port.axis.chip_axis].pins.sync = asserted
     for port in ports:
-        port.hold()
+        port.hold_position()
 
 
 def stream_positions(
     ports: Sequence[Port], profile: np.ndarray, *, leader_only: bool = True, on_row: Callable[[], None] | None = None
 ) -> StreamReport:
-    """Write command positions relative to the present ones, one row per sample, in the safe part of it.
+    """Write one row of command positions, relative to the present ones, in the safe part of each sample.
 
-    A host too slow for the sample time misses samples: see the report.
+    A host that is too slow for the sample time misses samples; the report counts them.
 
     Args:
         ports: Ports of the axes.
-        profile: Positions (samples, axes), counts, whole numbers or rounded to them.
-        leader_only: Read the timer of the first chip and write to all, as SYNC allows; otherwise each chip's own timer is read.
-        on_row: Function that is called after each row.
+        profile: Positions (samples, axes), counts; they are rounded to whole numbers.
+        leader_only: True to read only the timer of the first chip, which requires synchronized chips; False to read the timer of
+            each chip.
+        on_row: Function to call after each row.
 
     Returns:
         The report.
 
     Raises:
-        ArgumentError: A profile of another shape.
+        ArgumentError: The profile has another shape.
     """
     rows = np.rint(np.asarray(profile)).astype(np.int64)
     if rows.ndim != 2 or rows.shape[1] != len(ports) or not len(ports):
         raise ArgumentError(f"a profile of shape {np.shape(profile)} for {len(ports)} axes: (samples, axes).")
-    rows += [port.commanded() for port in ports]
+    rows += [port.read_command_position() for port in ports]
     main = ports[0]
     begin = main.axis.time
     for row in rows.tolist():
         wait_for_next_sample(main)
         for port, value in zip(ports, row, strict=True):
             if not leader_only:
-                port.wait_for_the_safe_part()
-            port.load(command_position=value)
+                port.wait_for_safe_part()
+            port.write_numbers(command_position=value)
         if on_row is not None:
             on_row()
     seconds = main.axis.time - begin
@@ -95,20 +104,20 @@ def stream_positions(
 
 
 def wait_for_next_sample(port: Port, mode: str = "position") -> None:
-    """Wait for the safe part of the next sample, as a timer interrupt and a read of R0F would.
+    """Wait for the safe part of the next sample. It replaces a host's timer interrupt and read of R0F.
 
     Args:
         port: Port of the axis.
         mode: Control mode.
     """
     port.axis.wait((port.chip.read(TIMER) + SAFE_MARGIN_COUNTS) * port.count)
-    port.wait_for_the_safe_part(mode)
+    port.wait_for_safe_part(mode)
 
 
 def compute_circle_positions(
     radius: float, *, seconds: float, sample: float, axes: int = 2, revolutions: int = 1, ramp: float = 0.2
 ) -> np.ndarray:
-    """Compute a profile for `stream_positions`: a circle, from rest to rest.
+    """Compute positions for `stream_positions`: a circle, from rest to rest.
 
     With two axes the circle lies in their plane, begins at the lowest point to the right, and goes counter-clockwise; with three
     it lies in the plane that contains the first axis and stands at 45 degrees to the others.
@@ -119,7 +128,7 @@ def compute_circle_positions(
         sample: Time of a sample, s.
         axes: Number of axes, 2 or 3.
         revolutions: Number of revolutions.
-        ramp: Time in which the speed on the path rises, and that in which it falls, s.
+        ramp: Time in which the path speed rises, equal to the time in which it falls, s.
 
     Returns:
         Positions relative to the start (samples, axes), counts.
@@ -144,14 +153,14 @@ def compute_circle_positions(
 
 SQRT_HALF = np.sqrt(0.5)
 CIRCLE_PLANES = {2: np.eye(2), 3: np.array([[1.0, 0.0, 0.0], [0.0, SQRT_HALF, SQRT_HALF]])}
-"""Unit vectors at the circle's lowest point, by the number of axes: along it, and to the centre."""
+"""Number of axes -> unit vectors at the lowest point of the circle: along the circle, and towards its center."""
 
 
 def compute_circle_errors(places: np.ndarray, radius: float) -> np.ndarray:
-    """Compute how far positions are from the circle that begins at the origin.
+    """Compute the distances of positions from the circle that begins at the origin.
 
     Args:
-        places: Positions (n, axes) in the radius' unit.
+        places: Positions (n, axes), in the unit of the radius.
         radius: Radius.
 
     Returns:

@@ -1,15 +1,15 @@
-"""A servo axis with an HCTL-1100 as a linear sampled system, from the data of the machine alone, without a measurement.
+"""Model of a servo axis with an HCTL-1100 as a linear sampled system, computed from the data of the machine without measurements.
 
     loop = Loop.of(port.axis, tuning)
     error = loop.following_error(command)       counts, sample by sample; command: counts
     tuning = design(loop)                       gain and zero by frequency response
 
-The plant is a DC motor with a mass on it, its voltage held for a sample:
+The plant is a DC motor that drives a mass; its voltage is constant during a sample:
 
     m dv/dt = F u - (d + back-EMF) v - friction      G(s) = gain / s (1 + tau s)
 
-and its transfer function in z is exact. What is left out: rounding, saturation, the physics step, play. Coulomb friction is a
-constant force as long as an axis moves one way; there it is an input of the model. `following_error` needs scipy.
+Its transfer function in z is exact. The model omits rounding, saturation, the physics step and play. Coulomb friction is constant
+while the axis moves in one direction, so the model treats it as an input. `following_error` needs SciPy.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class ServoLoop:
 
     @classmethod
     def of(cls, axis: Any, tuning: FilterTuning) -> ServoLoop:
-        """Compute the model of a stage's axis from its data: masses with their present load, friction, motor, encoder.
+        """Compute the model of a stage's axis from its present masses, friction, motor and encoder.
 
         Args:
             axis: Axis of a stage.
@@ -106,7 +106,7 @@ class ServoLoop:
             Errors, counts (n,).
 
         Raises:
-            ExtraMissing: scipy is missing.
+            ExtraMissing: SciPy is not installed.
         """
         lfilter = import_extra("scipy.signal", "the prediction").lfilter
         (b, a), (_, d) = self.plant, self.filter
@@ -119,22 +119,22 @@ class ServoLoop:
 
 
 def design_filter(loop: ServoLoop, margin: float = PHASE_MARGIN_DEGREES, rattle: float = MAX_RATTLE) -> FilterTuning:
-    """Choose gain and zero for this plant by frequency response; pole and T stay.
+    """Design the gain and the zero of the filter for this plant by frequency response; pole and T stay as they are.
 
-    For every zero that the register holds: the highest crossover frequency at which the phase margin is `margin` degrees, and the
-        gain
-    that puts it there. Of the zeros whose crossover is about the highest the lowest is chosen: the stiffest at rest.
+    For every possible zero, the function computes the highest crossover frequency with a phase margin of `margin` degrees, and its
+    gain. Among the zeros with nearly the highest crossover frequency it chooses the lowest one, which is the stiffest at rest.
 
     Args:
         loop: Plant and filter.
         margin: Phase margin, degrees.
-        rattle: Largest answer to one count of the encoder, units of motor command: a coarse encoder makes a fast filter rattle.
+        rattle: Largest response of the filter to one count of the encoder, units of motor command. It limits the gain, because a
+            coarse encoder makes a fast filter rattle.
 
     Returns:
         The filter.
 
     Raises:
-        StageError: No zero gives that margin.
+        StageError: No zero reaches the margin.
     """
     candidates = []
     omega = np.geomspace(1.0, 0.9 * np.pi / loop.sample, 2000)

@@ -1,9 +1,9 @@
 """`Port`: the registers of one axis of a NOVA chip, by name. It uses bus cycles and waiting only.
 
     port = Port(axis)                        the axis of a Stage or a Bench
-    port.load(SV=400, DV=8000, AC=80_000)    parameters and modes, by their names on this chip
-    port.mode(WR2=..., WR3=...)
-    port.command("DRVRL")
+    port.write_parameters(SV=400, DV=8000, AC=80_000)    parameters and modes, by their names on this chip
+    port.write_mode_words(WR2=..., WR3=...)
+    port.write_command("DRVRL")
     port.wait_until_stopped(timeout=5)
 
 See home.py and draw.py for home search and interpolation of an MCX514, erratum.py for the work-arounds of the S-curve failure.
@@ -80,28 +80,28 @@ class Port:
         self.bit = 1 << axis.chip_axis
         self._modes = {"WR1": 0, "WR2": 0, "WR3": 0}  # the first generation cannot read them
 
-    def command(self, symbol: str) -> None:
+    def write_command(self, symbol: str) -> None:
         """Write a command to the axis, or to the chip where it carries no axis bits."""
         c = self.map.command(symbol)
         self.chip.write(0, (self.bit << 8 if c.axes else 0) | c.code)
 
-    def load(self, **values: int) -> None:
+    def write_parameters(self, **values: int) -> None:
         """Write parameters and modes by name: SV, DV, TP, H1M, IPM ... Raises ArgumentError, before the first bus cycle."""
         for name, value in [(n, self.map.check_value(n, v)) for n, v in values.items()]:
             for cycle in self.chip.register_cycles(name, value, self.axis.chip_axis):
                 self.chip.write(*cycle)
 
-    def mode(self, **words: int) -> None:
+    def write_mode_words(self, **words: int) -> None:
         """Write mode words by name: WR1, WR2, WR3."""
         for name in words:
             if name not in self._modes:
                 raise ArgumentError(f"{name} is no mode word of an axis: WR1, WR2, WR3 are.")
-        self.command("NOP")
+        self.write_command("NOP")
         for name, value in words.items():
             self._modes[name] = value
             self.chip.write(int(name[2]), value)
 
-    def enable(self, name: str, bits: int, on: bool = True) -> None:
+    def set_mode_bits(self, name: str, bits: int, on: bool = True) -> None:
         """Set or clear bits of a mode word and leave its others, as this port has written them.
 
         Args:
@@ -109,46 +109,46 @@ class Port:
             bits: Bits to change.
             on: Whether they are set.
         """
-        self.mode(**{name: self._modes[name] | bits if on else self._modes[name] & ~bits})
+        self.write_mode_words(**{name: self._modes[name] | bits if on else self._modes[name] & ~bits})
 
-    def word(self, n: int) -> int:
+    def read_status_register(self, n: int) -> int:
         """Read RR1, RR2 or RR3 (of an MCX514 its page 0) of the axis. Reading factors of an interrupt clears them."""
-        self.command("RR3P0" if n == 3 and isinstance(self.chip, MCX514) else "NOP")
+        self.write_command("RR3P0" if n == 3 and isinstance(self.chip, MCX514) else "NOP")
         return self.chip.read(n)
 
-    def value(self, symbol: str) -> int:
+    def read_value(self, symbol: str) -> int:
         """Read the value of a data reading command, of 32 bits with a sign: R-LP, CV ..."""
-        self.command(symbol)
+        self.write_command(symbol)
         word = self.chip.read(6) | self.chip.read(7) << 16
         return word - (word >> 31 << 32)
 
-    def position(self) -> int:
+    def read_position(self) -> int:
         """Read LP, pulses."""
-        return self.value("R-LP")
+        return self.read_value("R-LP")
 
-    def speed(self) -> int:
+    def read_speed(self) -> int:
         """Read CV, in the unit of the drive speed."""
-        return self.value("CV")
+        return self.read_value("CV")
 
-    def driving(self) -> bool:
+    def is_driving(self) -> bool:
         """Return n-DRV."""
         return self.chip.busy(self.axis.chip_axis)
 
-    def errors(self) -> tuple[str, ...]:
+    def read_error_names(self) -> tuple[str, ...]:
         """Read the names of the error bits of RR2 that are set."""
-        word, bits = self.word(2), {f.name: f.mask for f in self.map.word("RR2").fields}
+        word, bits = self.read_status_register(2), {f.name: f.mask for f in self.map.word("RR2").fields}
         return tuple(name for name in ERROR_BITS if word & bits.get(name, 0))
 
-    def start(self, pulses: int) -> None:
+    def start_drive(self, pulses: int) -> None:
         """Start a fixed-pulse drive of signed pulses. Raises ArgumentError for 0."""
         if pulses == 0:
             raise ArgumentError("pulses=0: a drive has at least one; its sign is the direction.")
         if isinstance(self.chip, MCX514):
-            self.load(TP=pulses)
-            self.command("DRVRL")
+            self.write_parameters(TP=pulses)
+            self.write_command("DRVRL")
         else:
-            self.load(P=abs(pulses))
-            self.command("F_DRV_P" if pulses > 0 else "F_DRV_M")
+            self.write_parameters(P=abs(pulses))
+            self.write_command("F_DRV_P" if pulses > 0 else "F_DRV_M")
 
     def wait_until_stopped(
         self, timeout: float, routine: Callable[[], bool] | None = None, poll: float = POLL_INTERVAL_S
@@ -169,10 +169,12 @@ class Port:
         until, stopped = self.axis.time + timeout, False
         while True:
             stopped |= bool(routine and routine())
-            if not self.driving():
+            if not self.is_driving():
                 return stopped
             if not self.axis.time < until:
-                raise RunTimeout(f"axis {self.axis.name} still drives after {timeout} s: RR1 = {self.word(1):04X}h.")
+                raise RunTimeout(
+                    f"axis {self.axis.name} still drives after {timeout} s: RR1 = {self.read_status_register(1):04X}h."
+                )
             self.axis.wait(poll)
 
 
@@ -202,4 +204,4 @@ def open_ports(axes: tuple[Axis, ...]) -> list[Port]:
 def stop_axes(ports: list[Port]) -> None:
     """Stop the axes of ports at once."""
     for port in ports:
-        port.command("DRVFBRK")
+        port.write_command("DRVFBRK")

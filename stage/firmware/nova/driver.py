@@ -61,12 +61,12 @@ class NovaPattern(operation_pattern.OperationPattern):
 class NovaDriver(Driver):
     """Common part of the family's drivers. The order of SPEEDS is initial speed, drive speed, acceleration."""
 
-    PATTERN: ClassVar = NovaPattern
+    PATTERN_CLASS: ClassVar = NovaPattern
     INVERTIBLE_SENSORS: ClassVar = ("org", "ez", "el_plus", "el_minus")
     SPEEDS: ClassVar[tuple[str, str, str]]
     JERK: ClassVar[str]
     UNIT: ClassVar[int] = 1
-    """pps of a unit of speed, as `begin` sets it."""
+    """pps of a unit of speed, as `add_drive_modes` sets it."""
     NOP: ClassVar[str] = "NOP"
     STOP: ClassVar[str]
     SLOW_DOWN: ClassVar[str]
@@ -87,40 +87,40 @@ class NovaDriver(Driver):
         if not pulses:
             raise ArgumentError("pulses=0: a drive has at least one; its sign is the direction.")
         self.map.check_value(self.DISTANCE_REGISTER, pulses if self.SIGNED else abs(pulses))
-        self._prepare(self._registers(speeds, abs(pulses)))
+        self._write_modes_and_registers(self._compute_registers(speeds, abs(pulses)))
         self.goal = self.chip.net(self.axis.chip_axis) + pulses
-        self.drive(ImmediateOperations(self.axis), pulses)
+        self.add_drive(ImmediateOperations(self.axis), pulses)
 
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
-        with ProcedureObserver(self.axis, "move") as p:
+        with ProcedureObserver(self.axis, "move") as observer:
             self.start(pulses, speeds)
             slowest = min(speeds.start, speeds.drive)
             max_seconds = 1.5 * abs(pulses) / slowest + 3 * (speeds.up + speeds.down) + 1
             wait_until_stopped([self.axis], max_seconds if timeout is None else timeout)
             self.axis.wait(SETTLING_TIME_S)
-            reasons = self.explain_end(p.pulses_made == pulses, p.journal)
+            reasons = self.explain_end(observer.pulses_made == pulses, observer.journal)
             # a drive that nothing has stopped made the pulses that it was told: others than asked, where a write was lost
-            return p.report(self.DONE if reasons == UNKNOWN else reasons, pulses)
+            return observer.make_report(self.DONE_REASON if reasons == UNKNOWN else reasons, pulses)
 
-    def run(self, direction: int, speeds: Speeds) -> None:
-        self._prepare(self._registers(speeds._replace(s_curve=False), 1))
-        self.port.command(self.RUN[direction < 0])
+    def start_continuous_move(self, direction: int, speeds: Speeds) -> None:
+        self._write_modes_and_registers(self._compute_registers(speeds._replace(s_curve=False), 1))
+        self.port.write_command(self.RUN[direction < 0])
 
     def slow_down(self) -> None:
         """Command a decelerating stop, and do not wait."""
-        self.port.command(self.SLOW_DOWN)
+        self.port.write_command(self.SLOW_DOWN)
 
     def halt(self, at_once: bool = False) -> None:
-        if self.port.driving():
-            self.port.command(self.STOP if at_once else self.SLOW_DOWN)
+        if self.port.is_driving():
+            self.port.write_command(self.STOP if at_once else self.SLOW_DOWN)
         wait_until_stopped([self.axis], STOP_TIMEOUT_S)
 
     def is_stop_command(self, address: int, value: int) -> bool:
         codes = [self.map.command(name).code for name in (self.STOP, self.SLOW_DOWN)]
         return address == 0 and bool(value >> 8 & 1 << self.axis.chip_axis) and value & 0xFF in codes
 
-    def stopped_by(self) -> str:
-        word = self.port.word(int(self.END_WORD[2]))
+    def read_stop_reason(self) -> str:
+        word = self.port.read_status_register(int(self.END_WORD[2]))
         return next((name for bit, name in END_CAUSES.items() if word & self._get_end_mask(bit)), "")
 
     def explain_end(self, done: bool, journal: Journal | None = None) -> str:
@@ -131,11 +131,11 @@ class NovaDriver(Driver):
             journal: Journal of the chip, opened before the drive.
         """
         reasons = super().explain_end(done, journal)
-        return reasons if reasons != UNKNOWN else next(iter(self.port.errors()), UNKNOWN)
+        return reasons if reasons != UNKNOWN else next(iter(self.port.read_error_names()), UNKNOWN)
 
-    def status_words(self) -> dict[str, int]:
+    def read_status_words(self) -> dict[str, int]:
         """Read RR0 to RR2, and the input signals RR4 and RR5 where the chip has them. Reading RR3 would clear it."""
-        self.port.command(self.NOP)
+        self.port.write_command(self.NOP)
         names = {w.name: w for w in self.map.words}
         return {
             n: self.chip.read(int(n[2:])) for n in ("RR0", "RR1", "RR2", "RR4", "RR5") if n in names and names[n].fields
@@ -145,7 +145,7 @@ class NovaDriver(Driver):
         r = self.map.register(name)
         for symbol in (f"R-{r.name}", r.name):
             if any(c.symbol == symbol and c.kind == "data read" for c in self.map.commands):
-                return r.value(self.port.value(symbol))
+                return r.value(self.port.read_value(symbol))
         raise self.build_unreadable_register_error(r.name)
 
     def _get_end_mask(self, bit: str) -> int:
@@ -154,7 +154,7 @@ class NovaDriver(Driver):
         name = f"END-{bit}" if f"END-{bit}" in names else bit
         return self.map.mask(self.END_WORD, name) if name in names else 0
 
-    def _registers(self, speeds: Speeds, pulses: int) -> dict[str, int]:
+    def _compute_registers(self, speeds: Speeds, pulses: int) -> dict[str, int]:
         """Compute the registers of these speeds. Raises ArgumentError for what the chip cannot make."""
         low, high = (limit * self.UNIT for limit in get_register_range(self.map, self.SPEEDS[1]))
         for name, field, rate in (("start", "start_speed", speeds.start), ("drive", "speed", speeds.drive)):
@@ -166,20 +166,22 @@ class NovaDriver(Driver):
             raise ArgumentError(
                 f"start speed {speeds.start:g} pps is above the drive speed {speeds.drive:g}: ramps lead up."
             ).with_limit(ExceededLimit("start_speed", speeds.start, low, speeds.drive))
-        return self.formula(speeds.start, speeds.drive, speeds.up, speeds.down, pulses, bool(speeds.s_curve))
+        return self.compute_move_registers(
+            speeds.start, speeds.drive, speeds.up, speeds.down, pulses, bool(speeds.s_curve)
+        )
 
-    def _prepare(self, registers: Mapping[str, int]) -> None:
+    def _write_modes_and_registers(self, registers: Mapping[str, int]) -> None:
         """Write modes and speeds. Raises StageError for an axis that moves."""
-        if self.port.driving():
+        if self.port.is_driving():
             raise self.build_moving_error()
         now = ImmediateOperations(self.axis)
-        self.begin(now, self.JERK in registers)
+        self.add_drive_modes(now, self.JERK in registers)
         for name, value in registers.items():
-            self.set(now, name, value)
-        self.forget(now)
+            self.add_register_write(now, name, value)
+        self.add_clear_ends(now)
 
     @classmethod
-    def line(
+    def move_line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
         """Draw a line by the chip's linear interpolation where it has it, else by ranges in the ratio of the distances.
@@ -200,7 +202,7 @@ class NovaDriver(Driver):
         """
         moving_drivers = select_moving(cast("dict[str, NovaDriver]", drivers), pulses)
         for driver in moving_drivers.values():
-            if driver.port.driving():
+            if driver.port.is_driving():
                 raise driver.build_moving_error()
         settings = LineSettings(
             speeds.start, max(speeds.up, speeds.down), bool(speeds.s_curve), axes=tuple(moving_drivers)
@@ -208,13 +210,13 @@ class NovaDriver(Driver):
         line_plan = cast(NovaLinePrograms, create_line_programs(list(moving_drivers.values()), settings))
         for n, driver in moving_drivers.items():
             line_plan.check_pulses(driver, pulses[n])
-        if speeds.drive > line_plan.fastest:
-            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {line_plan.fastest:g} here.").with_limit(
-                ExceededLimit("speed", speeds.drive, 0.0, line_plan.fastest)
+        if speeds.drive > line_plan.max_rate:
+            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {line_plan.max_rate:g} here.").with_limit(
+                ExceededLimit("speed", speeds.drive, 0.0, line_plan.max_rate)
             )
         distances = np.array([[pulses[n] for n in moving_drivers]])
         moves = LineMoves(distances, np.array([speeds.drive]))
-        ops = line_plan.programs(line_plan.data_sheet(moves), moves)[0]
+        ops = line_plan.write_programs(line_plan.compute_registers(moves), moves)[0]
         axes = [d.axis for d in moving_drivers.values()]
         now = ImmediateOperations(*axes)
         with LineObserver(
@@ -222,7 +224,7 @@ class NovaDriver(Driver):
             {n: pulses[n] for n in moving_drivers},
         ) as together:
             for d in moving_drivers.values():
-                d.forget(now)
+                d.add_clear_ends(now)
             starts = line_plan.find_start_operations(distances[0]).tolist()
             for j, (_, index, address, value) in enumerate(ops.tolist()):
                 now.write(index, address, value)
@@ -245,11 +247,11 @@ class NovaDriver(Driver):
                 reasons = {
                     n: ANOTHER_AXIS if why == UNKNOWN or n in breaker.stopped else why for n, why in reasons.items()
                 }
-            return together.report(reasons)
+            return together.make_report(reasons)
 
     # --- as operations ---
 
-    def command(self, p: OperationsType, symbol: str) -> OperationsType:
+    def add_command(self, program: OperationsType, symbol: str) -> OperationsType:
         """Add a command to this axis, or to the chip.
 
         Args:
@@ -257,9 +259,9 @@ class NovaDriver(Driver):
             symbol: Symbol of the command in the chip's map.
         """
         c = self.map.command(symbol)
-        return p.write(self.index, 0, (self.bit << 8 if c.axes else 0) | c.code)
+        return program.write(self.index, 0, (self.bit << 8 if c.axes else 0) | c.code)
 
-    def set(self, p: OperationsType, name: str, value: int) -> OperationsType:
+    def add_register_write(self, program: OperationsType, name: str, value: int) -> OperationsType:
         """Add the write of a parameter or mode of this axis, or of the chip.
 
         Args:
@@ -267,26 +269,26 @@ class NovaDriver(Driver):
             name: Name of the parameter or mode in the chip's map.
             value: Value to write.
         """
-        return p.register(self.index, self.chip, name, value, self.axis.chip_axis)
+        return program.register(self.index, self.chip, name, value, self.axis.chip_axis)
 
-    def words(self, p: OperationsType, **words: int) -> OperationsType:
+    def add_mode_words(self, program: OperationsType, **words: int) -> OperationsType:
         """Add the writes of WR1 to WR3 of this axis.
 
         Args:
             p: Program, or operations that are done at once.
             words: Values by the names of the words.
         """
-        self.command(p, self.NOP)
+        self.add_command(program, self.NOP)
         for name, value in words.items():
-            p.write(self.index, int(name[2:]), value)
-        return p
+            program.write(self.index, int(name[2:]), value)
+        return program
 
-    def mask(self, word: str, *names: str) -> int:
+    def get_mask(self, word: str, *names: str) -> int:
         """Return bits of a word of the chip's map by their names."""
         return sum(self.map.mask(word, name) for name in names)
 
     @abstractmethod
-    def begin(self, p: OperationsType, s_curve: bool = False) -> OperationsType:
+    def add_drive_modes(self, program: OperationsType, s_curve: bool = False) -> OperationsType:
         """Add the modes of a drive after power-up: ramps, and end limits that stop it.
 
         Args:
@@ -295,7 +297,7 @@ class NovaDriver(Driver):
         """
 
     @abstractmethod
-    def drive(self, p: OperationsType, pulses: int) -> OperationsType:
+    def add_drive(self, program: OperationsType, pulses: int) -> OperationsType:
         """Add the pulses and the start of a fixed-pulse drive.
 
         Args:
@@ -307,20 +309,20 @@ class NovaDriver(Driver):
         return (*self.SPEEDS, self.JERK) if s_curve else self.SPEEDS
 
     def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
-        self.begin(program, s_curve=self.JERK in values)
+        self.add_drive_modes(program, s_curve=self.JERK in values)
         for name, value in values.items():
-            self.set(program, name, value)
-        self.drive(program, pulses)
+            self.add_register_write(program, name, value)
+        self.add_drive(program, pulses)
 
     def write_stop(self, program: Operations) -> None:
-        self.command(program, self.STOP)
+        self.add_command(program, self.STOP)
 
     def clip_to_legal(self, name: str, value: float) -> int:
         """Return the nearest value of a register that the data sheet allows."""
         low, high = get_register_range(self.map, name)
         return int(np.clip(round(value), low, high))
 
-    def search(self, settings: Any) -> HomeProgram:
+    def build_home_program(self, settings: Any) -> HomeProgram:
         return HomeSearchProgram(self, settings)
 
     # --- lines ---
@@ -328,15 +330,15 @@ class NovaDriver(Driver):
     SIGNED: ClassVar[bool]
     """FINISH, the register of the finish point, has a sign, which is the direction."""
 
-    def lines(self, drivers: Sequence[Driver], settings: Any) -> LinePrograms:
+    def build_line_programs(self, drivers: Sequence[Driver], settings: Any) -> LinePrograms:
         """Return lines by the chip's interpolation where all axes are on one chip that has it; else by the ratio of speeds and
         accelerations."""
-        if self.interpolates(cast(Any, drivers)):
+        if self.can_interpolate(cast(Any, drivers)):
             return InterpolatedLinePrograms(cast(Any, drivers), settings)
         return RangeRatioLinePrograms(cast(Any, drivers), settings)
 
     @abstractmethod
-    def interpolates(self, drivers: Sequence[NovaDriver]) -> bool:
+    def can_interpolate(self, drivers: Sequence[NovaDriver]) -> bool:
         """Return whether the chip can interpolate the axes of these drivers.
 
         Args:
@@ -347,7 +349,7 @@ class NovaDriver(Driver):
         """
 
     @abstractmethod
-    def interpolate(self, p: OperationsType, drivers: Sequence[NovaDriver]) -> OperationsType:
+    def add_interpolation(self, program: OperationsType, drivers: Sequence[NovaDriver]) -> OperationsType:
         """Choose axes, let the speed fall at the end, and start linear interpolation; finish points are set already.
 
         Args:
@@ -358,8 +360,8 @@ class NovaDriver(Driver):
     # --- the home search ---
 
     @abstractmethod
-    def write_home(
-        self, p: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
+    def add_home_search(
+        self, program: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
     ) -> list[int]:
         """Add a search of ORG.
 
@@ -377,7 +379,7 @@ class NovaDriver(Driver):
         """
 
     @abstractmethod
-    def read_levels(self, p: Program) -> dict[str, tuple[int, int, bool]]:
+    def add_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:
         """Add the reads of errors and levels.
 
         Args:
@@ -387,14 +389,14 @@ class NovaDriver(Driver):
             For "error", "stop1" and "stop2": index of the read, mask, and the level that means on.
         """
 
-    def high(self, k: int) -> bool:
+    def is_active_high(self, k: int) -> bool:
         """Return whether STOP1 (ORG) or STOP2 (EZ) is high while it is on."""
         return has_positive_logic(self.axis, ("org", "ez")[k - 1])
 
     @abstractmethod
-    def forget(self, p: OperationsType) -> OperationsType:
+    def add_clear_ends(self, program: OperationsType) -> OperationsType:
         """Add the command that clears the ends of drives before."""
 
     @abstractmethod
-    def choices(self) -> dict[str, tuple[int, int]]:
+    def get_search_ranges(self) -> dict[str, tuple[int, int]]:
         """Return what can be chosen of a search beside the speeds and `leave`: ranges by name."""

@@ -29,42 +29,48 @@ class HomeSearchProgram(HomeProgram):
                 f"ez={settings.ez!r}: {add_article(driver.map.chip)} ends at the first index pulse after ORG, or at ORG."
             )
         speeds = {name: get_register_range(driver.map, name) for name in (*driver.SPEEDS, "HV")}
-        self.choices = ParameterRanges({**speeds, "leave": (0, settings.leave), **driver.choices()}, cubed=("leave",))
-        self.marks = {}
+        self.choices = ParameterRanges(
+            {**speeds, "leave": (0, settings.leave), **driver.get_search_ranges()}, cubed=("leave",)
+        )
+        self.result_indices = {}
         self._bits: dict[str, tuple[int, bool]] = {}
-        self.program(self.choices.low)
+        self.write_program(self.choices.low)
 
     def find_nearest_row(
         self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int
     ) -> list[int]:
-        registers = self.driver.formula(fl, fh, ramp, ramp, 1 << 20, s_curve=False)
-        slow = self.driver.formula(approach, fh, ramp, ramp, 1 << 20, s_curve=False)[self.driver.SPEEDS[0]]
+        registers = self.driver.compute_move_registers(fl, fh, ramp, ramp, 1 << 20, s_curve=False)
+        slow = self.driver.compute_move_registers(approach, fh, ramp, ramp, 1 << 20, s_curve=False)[
+            self.driver.SPEEDS[0]
+        ]
         return self._round_to_ranges({**registers, "HV": slow, "leave": leave, "step1": 1, "timer": 1})
 
-    def program(self, row: Sequence[int] | np.ndarray) -> Program:
+    def write_program(self, row: Sequence[int] | np.ndarray) -> Program:
         c, driver = self.settings, self.driver
         values = self.choices.to_dict(row)
-        p = driver.begin(Program())
+        p = driver.add_drive_modes(Program())
         for name in (*driver.SPEEDS, "HV"):
-            driver.set(p, name, values[name])
-        self._note_result_index("leave time", driver.drive(p, values["leave"])).until_stopped([driver.index], c.limit)
-        driver.command(p, driver.STOP).wait(c.settle if values["leave"] else 0.0)
-        self._position(p, "left")
-        driver.forget(p)  # a limit that the leaving has met
-        polls = driver.write_home(p, bool(values["step1"]), values.get("timer", 0), bool(c.ez), c.limit, c.settle)
-        self.marks |= {f"home time {k}": at for k, at in enumerate(polls)}
-        for name, (at, mask, high) in driver.read_levels(p).items():
-            self.marks[name], self._bits[name] = at, (mask, high)
-        self._position(p, "ended")
+            driver.add_register_write(p, name, values[name])
+        self._note_result_index("leave time", driver.add_drive(p, values["leave"])).until_stopped(
+            [driver.index], c.limit
+        )
+        driver.add_command(p, driver.STOP).wait(c.settle if values["leave"] else 0.0)
+        self._add_position_reads(p, "left")
+        driver.add_clear_ends(p)  # a limit that the leaving has met
+        polls = driver.add_home_search(p, bool(values["step1"]), values.get("timer", 0), bool(c.ez), c.limit, c.settle)
+        self.result_indices |= {f"home time {k}": at for k, at in enumerate(polls)}
+        for name, (at, mask, high) in driver.add_level_reads(p).items():
+            self.result_indices[name], self._bits[name] = at, (mask, high)
+        self._add_position_reads(p, "ended")
         return p
 
-    def _position(self, p: Program, name: str) -> None:
-        self.driver.command(p, "R-LP")
+    def _add_position_reads(self, p: Program, name: str) -> None:
+        self.driver.add_command(p, "R-LP")
         for address in (6, 7):
             self._note_result_index(f"{name} {address}", p).read(self.driver.index, address)
 
     def read_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
-        marked = {name: results[:, at] for name, at in self.marks.items()}
+        marked = {name: results[:, at] for name, at in self.result_indices.items()}
         timed_out = np.any([marked[name] < 0 for name in marked if "time" in name], axis=0)
         left, end_position = (
             _join_signed_words(marked[f"{name} 6"], marked[f"{name} 7"]) for name in ("left", "ended")

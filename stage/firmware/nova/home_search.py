@@ -116,9 +116,9 @@ def home_search(
         "H2M": get_bit_mask("H2M", "LCLR", "RCLR", "HTME") | TIMER_CHOICES_S.index(timer) << MAP.bit("H2M", "HTM"),
     }  # fmt: skip
     for port in ports:
-        port.load(**words)
-        port.mode(WR2=compute_mcx514_inputs(port.axis), WR3=0)
-        port.command("R2CLR")
+        port.write_parameters(**words)
+        port.write_mode_words(WR2=compute_mcx514_inputs(port.axis), WR3=0)
+        port.write_command("R2CLR")
     begin = ports[0].axis.time
     together = sum(port.bit for port in ports)
     ports[0].chip.write(0, together << 8 | MAP.command("HMSRC").code)
@@ -128,7 +128,7 @@ def home_search(
     )
     reports = {}
     for port, states in zip(ports, histories, strict=True):
-        axis, errors = port.axis, met.get(port.axis.name) or port.errors()
+        axis, errors = port.axis, met.get(port.axis.name) or port.read_error_names()
         reports[axis.name] = HomeSearchReport(
             axis.name, states, states[-1][0], errors, axis.position, getattr(axis, "unit", "m")
         )
@@ -158,7 +158,7 @@ def _poll_home_states(
     histories: list[list[tuple[float, int]]] = [[] for _ in ports]
     while not all(states and states[-1][1] == 0 for states in histories):
         for port, states in zip(ports, histories, strict=True):
-            state = HSST.of(port.word(3))
+            state = HSST.of(port.read_status_register(3))
             if not states or states[-1][1] != state:
                 states.append((port.axis.time - begin, state))
                 if at_limit is not None and state == HSST.of(HSST_SEARCHES_BACK):

@@ -46,9 +46,9 @@ class NovaLinePrograms(LinePrograms):
         """
         driver.map.check_value(driver.DISTANCE_REGISTER, pulses if driver.SIGNED else abs(pulses))
 
-    def _set(self, program: Program, h: NovaDriver, name: str, column: int) -> None:
+    def _add_register_column(self, program: Program, h: NovaDriver, name: str, column: int) -> None:
         """Add a register whose value is a column."""
-        h.set(program, name, 0)
+        h.add_register_write(program, name, 0)
         wide = self.chip.MAP.register(name).bits > 16
         self._add_slot(program, 3 if wide else 2, column)
         if wide:
@@ -65,18 +65,18 @@ class InterpolatedLinePrograms(NovaLinePrograms):
     def __init__(self, drivers: Sequence[NovaDriver], settings: Any):
         self.main = min(drivers, key=lambda h: h.bit)
         super().__init__(drivers, settings, 1, self.main.list_move_registers(settings.s_curve))
-        self.fastest = float(get_register_range(self.chip.MAP, self.names[1])[1] * self.main.UNIT)
+        self.max_rate = float(get_register_range(self.chip.MAP, self.names[1])[1] * self.main.UNIT)
         self._first = self._write_template()
 
     def _write_template(self) -> int:
         p, h = Program(), self.main
         for other in self.drivers:
-            other.begin(p, self.settings.s_curve)
+            other.add_drive_modes(p, self.settings.s_curve)
         for column, name in enumerate(self.names):
-            self._set(p, h, name, column)
+            self._add_register_column(p, h, name, column)
         for a, other in enumerate(self.drivers):
-            self._set(p, other, other.DISTANCE_REGISTER, len(self.names) + a)
-        h.interpolate(p, sorted(self.drivers, key=lambda h: h.bit))
+            self._add_register_column(p, other, other.DISTANCE_REGISTER, len(self.names) + a)
+        h.add_interpolation(p, sorted(self.drivers, key=lambda h: h.bit))
         self._template = np.array(p.ops, np.int64)
         return len(p) - 1
 
@@ -88,18 +88,18 @@ class InterpolatedLinePrograms(NovaLinePrograms):
                 f"{add_article(self.chip.MAP.chip)} is signed, and holds {MAX_FINISH_POINT} to each side. Split a longer line."
             )
 
-    def data_sheet(self, moves: LineMoves) -> np.ndarray:
+    def compute_registers(self, moves: LineMoves) -> np.ndarray:
         """Compute the formulas of the data sheet for the longest axis."""
         c, rows = self.settings, []
         for peak, ramp, longest in zip(*self.compute_peaks(moves), moves.longest, strict=True):
-            registers = self.main.formula(min(c.fl, peak), peak, ramp, ramp, int(longest), c.s_curve)
+            registers = self.main.compute_move_registers(min(c.fl, peak), peak, ramp, ramp, int(longest), c.s_curve)
             rows.append([[registers[name] for name in self.names]])
         return np.array(rows, np.int64)
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """Multiply the registers by factors from a half to two: nothing brings the axes off the line, so no count is worth a
         pulse."""
-        rows = self.clip_to_legal(self.data_sheet(moves) * MAX_CORRECTION_FACTOR**corrections)
+        rows = self.clip_to_legal(self.compute_registers(moves) * MAX_CORRECTION_FACTOR**corrections)
         rows[:, :, 0] = np.minimum(rows[:, :, 0], rows[:, :, 1])
         return rows
 
@@ -107,7 +107,7 @@ class InterpolatedLinePrograms(NovaLinePrograms):
         """Return zeros: the chip interpolates."""
         return np.zeros((*moves.distances.shape, 4))
 
-    def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+    def write_programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         return self._fill_template(self._template, np.concatenate([registers[:, 0], moves.distances], axis=1))
 
     def find_start_operations(self, distances: np.ndarray) -> np.ndarray:
@@ -125,7 +125,7 @@ class RangeRatioLinePrograms(NovaLinePrograms):
         tuned = drivers[0].list_move_registers(settings.s_curve)
         super().__init__(drivers, settings, len(drivers), ("R", *tuned))
         self.ranges = get_register_range(self.chip.MAP, "R")
-        self.fastest = float(MAX_SPEED * RANGE / self.ranges[0])
+        self.max_rate = float(MAX_SPEED * RANGE / self.ranges[0])
         self._write_template()
 
     def _write_template(self) -> None:
@@ -133,12 +133,12 @@ class RangeRatioLinePrograms(NovaLinePrograms):
         self._drives, self._released = [], np.zeros(len(self.drivers), np.int64)
         chips = [[self.drivers[a] for a in mine] for _, mine in self._group_by_chip()]
         for a, h in enumerate(self.drivers):
-            h.begin(p, self.settings.s_curve)
+            h.add_drive_modes(p, self.settings.s_curve)
             for column, name in enumerate(self.names):
-                self._set(p, h, name, a * m + column)
-            self._set(p, h, h.DISTANCE_REGISTER, len(self.drivers) * m + a)
+                self._add_register_column(p, h, name, a * m + column)
+            self._add_register_column(p, h, h.DISTANCE_REGISTER, len(self.drivers) * m + a)
         for h in self.drivers:
-            h.command(h.command(p, "START_HOLD"), "F_DRV_P")
+            h.add_command(h.add_command(p, "START_HOLD"), "F_DRV_P")
             self._drives.append(len(p) - 1)
         for mine in chips:
             free = self.chip.MAP.command("START_FREE").code
@@ -147,10 +147,10 @@ class RangeRatioLinePrograms(NovaLinePrograms):
                 self._released[self.drivers.index(h)] = len(p) - 1
         self._template = np.array(p.ops, np.int64)
 
-    def data_sheet(self, moves: LineMoves) -> np.ndarray:
+    def compute_registers(self, moves: LineMoves) -> np.ndarray:
         """Compute V as large as leaves the shortest axis a multiple of 1; the others get the nearest to their share of the
         longest axis' values."""
-        c, rho, (peak, ramp) = self.settings, moves.share, self.compute_peaks(moves)
+        c, rho, (peak, ramp) = self.settings, moves.shares, self.compute_peaks(moves)
         fl = np.minimum(c.fl, peak)
         least, max_range = self.ranges
         multiple = np.clip(np.maximum(1.0 / rho.min(axis=1), peak / MAX_SPEED), 1.0, np.minimum(RANGE / least, peak))
@@ -168,13 +168,13 @@ class RangeRatioLinePrograms(NovaLinePrograms):
             columns += [np.rint(62_500_000 * multiple / jerk)[:, None] / share]
         else:
             columns += [share * np.maximum(np.rint(gain / ramp / (125 * multiple)), 1.0)[:, None]]
-        return self._ordered(self.clip_to_legal(np.stack(columns, axis=2)))
+        return self._limit_initial_speed(self.clip_to_legal(np.stack(columns, axis=2)))
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """Correct registers by a share of the counts that move the axis by `reach` pulses along the line, one at least."""
-        rows = self.data_sheet(moves)
+        rows = self.compute_registers(moves)
         counts = np.maximum(np.rint(self.settings.reach / self.compute_pulses_per_count(rows, moves)), 1)
-        return self._ordered(self.clip_to_legal(rows + np.rint(corrections * counts)))
+        return self._limit_initial_speed(self.clip_to_legal(rows + np.rint(corrections * counts)))
 
     def compute_pulses_per_count(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         """Compute by how many pulses one count of each register moves an axis along the line, by the data sheet's formulas.
@@ -187,13 +187,13 @@ class RangeRatioLinePrograms(NovaLinePrograms):
             Pulses (stages, axes, names).
         """
         at, r = self._compute_ramps(registers), registers.astype(np.float64)
-        worth = [moves.size / r[..., 0], at.ramp * at.multiple, moves.size / r[..., 2], at.lag / r[..., 3]]
+        worth = [moves.magnitudes / r[..., 0], at.ramp * at.multiple, moves.magnitudes / r[..., 2], at.lag / r[..., 3]]
         if self.settings.s_curve:  # the acceleration is at its limit, and the jerk makes the ramps
             worth[3:] = [np.full_like(at.ramp, np.inf), at.lag / (2.0 * r[..., 4])]
         return np.maximum(np.stack(worth, axis=2), 1e-9)
 
     def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
-        at = self._compute_ramps(self.data_sheet(moves))
+        at = self._compute_ramps(self.compute_registers(moves))
         return self.compute_deviations(moves, at.high, at.ramp, at.lag, at.lag, 0.5 * (at.low + at.high) * at.ramp)
 
     def _compute_ramps(self, registers: np.ndarray) -> Ramps:
@@ -207,14 +207,14 @@ class RangeRatioLinePrograms(NovaLinePrograms):
             ramp = np.where(rate**2 < (high - low) * jerk, ramp + rate / jerk, 2.0 * np.sqrt((high - low) / jerk))
         return Ramps(m, low, high, ramp, 0.5 * (high - low) * ramp)
 
-    def _ordered(self, registers: np.ndarray) -> np.ndarray:
+    def _limit_initial_speed(self, registers: np.ndarray) -> np.ndarray:
         """Return the registers with SV no higher than V."""
         registers[..., 1] = np.minimum(registers[..., 1], registers[..., 2])
         return registers
 
-    def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+    def write_programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         ops = self._fill_template(
-            self._template, np.concatenate([registers.reshape(len(registers), -1), moves.size], axis=1)
+            self._template, np.concatenate([registers.reshape(len(registers), -1), moves.magnitudes], axis=1)
         )
         minus = self.chip.MAP.command("F_DRV_M").code ^ self.chip.MAP.command("F_DRV_P").code
         for a, j in enumerate(self._drives):

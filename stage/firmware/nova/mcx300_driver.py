@@ -43,25 +43,28 @@ class FirstGenerationDriver(NovaDriver):
     END_WORD: ClassVar = "RR1"
 
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
-        registers = self._registers(speeds._replace(s_curve=False), 1)
-        with ProcedureObserver(self.axis, "origin return") as p:
-            self._prepare(registers)
+        registers = self._compute_registers(speeds._replace(s_curve=False), 1)
+        with ProcedureObserver(self.axis, "origin return") as observer:
+            self._write_modes_and_registers(registers)
             now = ImmediateOperations(self.axis)
-            self.set(now, "HV", self.clip_to_legal("HV", HOME_SPEED_PPS / self.UNIT))
-            self._to_signal(now, direction, timeout, SETTLING_TIME_S)
-            address, stop1 = self._level(1)
-            if (met := self.stopped_by()) in ("EL+", "EL-") and bool(self.chip.read(address) & stop1) != self.high(1):
-                return p.report(met)
-            self._begin_search(now, bool(index), direction, FILTER_CODE)
-            at_limit = self._watch(timeout)
-            self.command(now, self.STOP).wait(2 * SETTLING_TIME_S)
+            self.add_register_write(now, "HV", self.clip_to_legal("HV", HOME_SPEED_PPS / self.UNIT))
+            self._add_run_to_signal(now, direction, timeout, SETTLING_TIME_S)
+            address, stop1 = self._locate_stop_level(1)
+            stop_reason = self.read_stop_reason()
+            if stop_reason in ("EL+", "EL-") and bool(self.chip.read(address) & stop1) != self.is_active_high(1):
+                return observer.make_report(stop_reason)
+            self._add_search_start(now, bool(index), direction, FILTER_CODE)
+            at_limit = self._wait_for_search(timeout)
+            self.add_command(now, self.STOP).wait(2 * SETTLING_TIME_S)
             if at_limit:
-                return p.report("EL-" if direction < 0 else "EL+")
-            if self.port.word(2) & self.mask("RR2", "HOME"):
-                return p.report("HOME")
-            return p.report(self.stopped_by() or "HOME")  # what ended its last drive: a limit, where ORG is stuck
+                return observer.make_report("EL-" if direction < 0 else "EL+")
+            if self.port.read_status_register(2) & self.get_mask("RR2", "HOME"):
+                return observer.make_report("HOME")
+            return observer.make_report(
+                self.read_stop_reason() or "HOME"
+            )  # what ended its last drive: a limit, where ORG is stuck
 
-    def _watch(self, timeout: float) -> bool:
+    def _wait_for_search(self, timeout: float) -> bool:
         """Wait until the search is over, and return whether an end limit has ended it.
 
         Where the end limit comes before ORG the chip goes back to look for it, and where ORG ends before the limit does, it finds
@@ -71,36 +74,38 @@ class FirstGenerationDriver(NovaDriver):
         back: list[bool] = []
 
         def stop_at_limit() -> None:
-            if not back and self.port.word(2) & HMST.mask == HMST_SEARCHES_BACK:
+            if not back and self.port.read_status_register(2) & HMST.mask == HMST_SEARCHES_BACK:
                 back.append(True)
-                self.port.command(self.STOP)
+                self.port.write_command(self.STOP)
 
         wait_until_stopped([self.axis], timeout, on_poll=stop_at_limit)
         return bool(back)
 
-    def forget(self, p: OperationsType) -> OperationsType:
+    def add_clear_ends(self, program: OperationsType) -> OperationsType:
         """Return the operations as they are: the end status of a drive stays until the next drive begins."""
-        return p
+        return program
 
-    def begin(self, p: OperationsType, s_curve: bool = False) -> OperationsType:
+    def add_drive_modes(self, program: OperationsType, s_curve: bool = False) -> OperationsType:
         limits_ = compute_logic_bits(self.axis, "WR2")
-        self.words(
-            p,
-            WR1=self._inputs(),
+        self.add_mode_words(
+            program,
+            WR1=self._compute_wr1(),
             **({"WR2": limits_} if limits_ else {}),
-            WR3=self.mask("WR3", "SACC") if s_curve else 0,
+            WR3=self.get_mask("WR3", "SACC") if s_curve else 0,
         )
         if isinstance(self.chip, MCX314AS):
-            self.set(p, "EM", 0)
-        return self.set(self.set(p, "R", RANGE // SPEED_MULTIPLE), "AO", 0)
+            self.add_register_write(program, "EM", 0)
+        return self.add_register_write(self.add_register_write(program, "R", RANGE // SPEED_MULTIPLE), "AO", 0)
 
-    def _inputs(self, *more: str) -> int:
-        return self.mask("WR1", *more) | compute_logic_bits(self.axis, "WR1")
+    def _compute_wr1(self, *more: str) -> int:
+        return self.get_mask("WR1", *more) | compute_logic_bits(self.axis, "WR1")
 
-    def drive(self, p: OperationsType, pulses: int) -> OperationsType:
-        return self.command(self.set(p, "P", abs(pulses)), "F_DRV_P" if pulses >= 0 else "F_DRV_M")
+    def add_drive(self, program: OperationsType, pulses: int) -> OperationsType:
+        return self.add_command(
+            self.add_register_write(program, "P", abs(pulses)), "F_DRV_P" if pulses >= 0 else "F_DRV_M"
+        )
 
-    def formula(
+    def compute_move_registers(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
         """Compute A = (V - SV) / (125 m ta), K by the jerk 4 (V - SV) / ta^2; one ramp for both ways, the longer one."""
@@ -116,69 +121,69 @@ class FirstGenerationDriver(NovaDriver):
             values |= {"A": get_register_range(self.map, "A")[1], "K": jerk}
         return {name: self.clip_to_legal(name, value) for name, value in values.items()}
 
-    def interpolates(self, drivers: Sequence[NovaDriver]) -> bool:
+    def can_interpolate(self, drivers: Sequence[NovaDriver]) -> bool:
         has_it = any(c.symbol == f"IP_{len(drivers)}ST" for c in self.map.commands)
         return has_it and len({id(h.chip) for h in drivers}) == 1
 
-    def interpolate(self, p: OperationsType, drivers: Sequence[NovaDriver]) -> OperationsType:
+    def add_interpolation(self, program: OperationsType, drivers: Sequence[NovaDriver]) -> OperationsType:
         places = (h.axis.chip_axis << self.map.bit("WR5", f"AX{k}") for k, h in enumerate(drivers, 1))
-        p.write(self.index, 5, sum(places))
-        return self.command(self.command(p, "IP_DEC_VALID"), f"IP_{len(drivers)}ST")
+        program.write(self.index, 5, sum(places))
+        return self.add_command(self.add_command(program, "IP_DEC_VALID"), f"IP_{len(drivers)}ST")
 
-    def choices(self) -> dict[str, tuple[int, int]]:
+    def get_search_ranges(self) -> dict[str, tuple[int, int]]:
         return {"step1": (0, 1)}
 
-    def write_home(
-        self, p: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
+    def add_home_search(
+        self, program: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
     ) -> list[int]:
         if fast:
-            polls = [self._to_signal(p, direction, SEARCH_TIME_FACTOR * limit, rest)]
+            polls = [self._add_run_to_signal(program, direction, SEARCH_TIME_FACTOR * limit, rest)]
         else:
-            self.command(p, self.NOP)  # programs are alike: three operations
-            p.wait(0).wait(0)
-            polls = [self._stopped(p, SEARCH_TIME_FACTOR * limit, rest)]
-        return [*polls, self._search(p, index, SEARCH_TIME_FACTOR * limit, rest, direction)]
+            self.add_command(program, self.NOP)  # programs are alike: three operations
+            program.wait(0).wait(0)
+            polls = [self._add_stop_wait(program, SEARCH_TIME_FACTOR * limit, rest)]
+        return [*polls, self._add_search(program, index, SEARCH_TIME_FACTOR * limit, rest, direction)]
 
-    def _to_signal(self, p: Operations, direction: int, limit: float, rest: float) -> int:
+    def _add_run_to_signal(self, program: Operations, direction: int, limit: float, rest: float) -> int:
         """Drive until STOP1, or a limit, ends it; return the index of the poll for the stop."""
-        self.command(self.words(p, WR1=self._inputs("SP1-E")), self.RUN[direction < 0])
-        return self._stopped(p, limit, rest)
+        self.add_command(self.add_mode_words(program, WR1=self._compute_wr1("SP1-E")), self.RUN[direction < 0])
+        return self._add_stop_wait(program, limit, rest)
 
-    def _search(self, p: Operations, index: bool, limit: float, rest: float, direction: int) -> int:
+    def _add_search(self, program: Operations, index: bool, limit: float, rest: float, direction: int) -> int:
         """Add the automatic home search without its first step; return the index of the poll for the stop."""
-        self._begin_search(p, index, direction, 0)
-        return self._stopped(p, limit, rest)
+        self._add_search_start(program, index, direction, 0)
+        return self._add_stop_wait(program, limit, rest)
 
-    def _begin_search(self, p: Operations, index: bool, direction: int, steady: int) -> None:
+    def _add_search_start(self, program: Operations, index: bool, direction: int, steady: int) -> None:
         """Begin the automatic home search. steady: FL of the filter of the switches; 0: none."""
         extended = isinstance(self.chip, MCX314AS)  # its filters are in EM
         place = "EM" if extended else "WR3"
-        filters = (self.mask(place, "FE0") | steady << self.map.bit(place, "FL")) if steady else 0
-        self.words(p, WR1=self._inputs(), **({"WR3": filters} if filters and not extended else {}))
+        filters = (self.get_mask(place, "FE0") | steady << self.map.bit(place, "FL")) if steady else 0
+        self.add_mode_words(program, WR1=self._compute_wr1(), **({"WR3": filters} if filters and not extended else {}))
         steps = ["ST2", "ST3"][: 1 + index]
         bits = [f"{step}-E" for step in steps] + [f"{step}-D" for step in steps if direction < 0]
         mode = "EM" if extended else "HM"
-        self.set(p, mode, self.mask(mode, *bits) | (filters if extended else 0))
-        self.command(p, "HOME_EXEC")
+        self.add_register_write(program, mode, self.get_mask(mode, *bits) | (filters if extended else 0))
+        self.add_command(program, "HOME_EXEC")
 
-    def _stopped(self, p: Operations, limit: float, rest: float) -> int:
-        at = len(p)
-        p.until_stopped([self.index], limit)
-        self.command(p, self.STOP).wait(rest)
+    def _add_stop_wait(self, program: Operations, limit: float, rest: float) -> int:
+        at = len(program)
+        program.until_stopped([self.index], limit)
+        self.add_command(program, self.STOP).wait(rest)
         return at
 
-    def read_levels(self, p: Program) -> dict[str, tuple[int, int, bool]]:
-        self.command(p, self.NOP)
-        at = len(p)
-        p.read(self.index, 2).read(self.index, self._level(1)[0])
-        levels = {f"stop{k}": (at + 1, self._level(k)[1], self.high(k)) for k in (1, 2)}
+    def add_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:
+        self.add_command(program, self.NOP)
+        at = len(program)
+        program.read(self.index, 2).read(self.index, self._locate_stop_level(1)[0])
+        levels = {f"stop{k}": (at + 1, self._locate_stop_level(k)[1], self.is_active_high(k)) for k in (1, 2)}
         return {
-            "error": (at, self.mask("RR2", "HOME", "HLMT+"), True),
+            "error": (at, self.get_mask("RR2", "HOME", "HLMT+"), True),
             **levels,
         }  # on its way out of an ORG that is stuck
 
-    def _level(self, k: int) -> tuple[int, int]:
+    def _locate_stop_level(self, k: int) -> tuple[int, int]:
         """Return where STOPk of this axis is read: address and mask."""
         axis = self.axis.chip_axis
         word = f"RR{4 + axis // (1 if self.chip.AXES == 2 else 2)}"
-        return int(word[2:]), self.mask(word, f"{'XYZU'[axis]}-STOP{k}")
+        return int(word[2:]), self.get_mask(word, f"{'XYZU'[axis]}-STOP{k}")

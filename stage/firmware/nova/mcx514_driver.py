@@ -32,8 +32,8 @@ class Mcx514Driver(NovaDriver):
     END_WORD: ClassVar = "RR2"
 
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
-        registers = self._registers(speeds._replace(s_curve=False), 1)
-        with ProcedureObserver(self.axis, "origin return") as p:
+        registers = self._compute_registers(speeds._replace(s_curve=False), 1)
+        with ProcedureObserver(self.axis, "origin return") as observer:
             search_report = home_search(
                 self.axis, direction=direction, speed=registers["DV"], home_speed=round(HOME_SPEED_PPS),
                 initial_speed=registers["SV"], acceleration=registers["AC"], index=bool(index), timeout=timeout,
@@ -41,25 +41,27 @@ class Mcx514Driver(NovaDriver):
             )[self.axis.name]  # fmt: skip
             self.axis.wait(SETTLING_TIME_S)
             errors = [END_CAUSES.get(name.removeprefix("H"), name) for name in search_report.errors]
-            return p.report(next(iter(errors), self.stopped_by() or "HOME"))
+            return observer.make_report(next(iter(errors), self.read_stop_reason() or "HOME"))
 
-    def circle(self, other: Driver, radius: int, speeds: Speeds) -> PathReport:
-        registers = self._registers(speeds._replace(s_curve=False), 1)
+    def draw_circle(self, other: Driver, radius: int, speeds: Speeds) -> PathReport:
+        registers = self._compute_registers(speeds._replace(s_curve=False), 1)
         own_axes, others = self.axis.chip_axis, other.axis.chip_axis
         centre = (0, radius) if own_axes < others else (radius, 0)  # in the order of the chip's axes
         speed = PathSpeed(registers["DV"], registers["SV"], registers["AC"])
         return draw_path([ArcSegment(centre=centre)], self.axis, other.axis, speed=speed)
 
-    def forget(self, p: OperationsType) -> OperationsType:
-        return self.command(p, "R2CLR")
+    def add_clear_ends(self, program: OperationsType) -> OperationsType:
+        return self.add_command(program, "R2CLR")
 
-    def begin(self, p: OperationsType, s_curve: bool = False) -> OperationsType:
-        return self.words(p, WR2=compute_mcx514_inputs(self.axis), WR3=self.mask("WR3", "SACC") if s_curve else 0)
+    def add_drive_modes(self, program: OperationsType, s_curve: bool = False) -> OperationsType:
+        return self.add_mode_words(
+            program, WR2=compute_mcx514_inputs(self.axis), WR3=self.get_mask("WR3", "SACC") if s_curve else 0
+        )
 
-    def drive(self, p: OperationsType, pulses: int) -> OperationsType:
-        return self.command(self.set(p, "TP", pulses), "DRVRL")
+    def add_drive(self, program: OperationsType, pulses: int) -> OperationsType:
+        return self.add_command(self.add_register_write(program, "TP", pulses), "DRVRL")
 
-    def formula(
+    def compute_move_registers(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
         """Compute AC = (DV - SV) / ta (appendix A-1), JK = 4 (DV - SV) / ta^2 (A-2); one ramp for both ways, the longer one."""
@@ -69,7 +71,7 @@ class Mcx514Driver(NovaDriver):
             values |= {"AC": get_register_range(self.map, "AC")[1], "JK": 4 * (fh - fl) / seconds**2}
         return {name: self.clip_to_legal(name, value) for name, value in values.items()}
 
-    def interpolates(self, drivers: Sequence[NovaDriver]) -> bool:
+    def can_interpolate(self, drivers: Sequence[NovaDriver]) -> bool:
         if len({id(h.chip) for h in drivers}) > 1 and not all(getattr(h.chip, "linked", False) for h in drivers):
             names = ", ".join(h.axis.name for h in drivers)
             raise ArgumentError(
@@ -78,46 +80,46 @@ class Mcx514Driver(NovaDriver):
             )
         return True
 
-    def interpolate(self, p: OperationsType, drivers: Sequence[NovaDriver]) -> OperationsType:
+    def add_interpolation(self, program: OperationsType, drivers: Sequence[NovaDriver]) -> OperationsType:
         """Start the line with this axis as the main one; of several chips its own is the master, and starts last.
 
         One axis alone makes a relative drive: LHK1 is for axes of several chips.
         """
         if len(drivers) == 1:
-            return self.command(p, "DRVRL")
+            return self.add_command(program, "DRVRL")
         chips: dict[int, list[NovaDriver]] = {}
         for h in drivers:
             chips.setdefault(id(h.chip), []).append(h)
         mlt, main_chip = self.map.bit("IPM", "MLT"), chips.pop(id(self.chip))
         for own_axes in chips.values():
-            own_axes[0].set(p, "IPM", sum(h.bit for h in own_axes) | SLAVE << mlt)
-            own_axes[0].command(p, f"LHK{len(own_axes)}")
-        self.set(p, "IPM", sum(h.bit for h in main_chip) | (MASTER << mlt if chips else 0))
-        return self.command(self.command(p, "DECEN"), f"LHK{len(main_chip)}")
+            own_axes[0].add_register_write(program, "IPM", sum(h.bit for h in own_axes) | SLAVE << mlt)
+            own_axes[0].add_command(program, f"LHK{len(own_axes)}")
+        self.add_register_write(program, "IPM", sum(h.bit for h in main_chip) | (MASTER << mlt if chips else 0))
+        return self.add_command(self.add_command(program, "DECEN"), f"LHK{len(main_chip)}")
 
-    def choices(self) -> dict[str, tuple[int, int]]:
+    def get_search_ranges(self) -> dict[str, tuple[int, int]]:
         return {"step1": (0, 1), "timer": (0, MAX_TIMER_CODES)}
 
-    def write_home(
-        self, p: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
+    def add_home_search(
+        self, program: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
     ) -> list[int]:
         steps = [f"S{k}" for k in (1, 2, 3) if k == 2 or (fast, index)[k == 3]]
         steps = [f"{step}EN" for step in steps] + [f"{step}DR" for step in steps if direction < 0]
         stop1 = 1 << self.map.bit("H1M", "S1G")
-        self.set(p, "H1M", self.mask("H1M", *steps) | stop1)
+        self.add_register_write(program, "H1M", self.get_mask("H1M", *steps) | stop1)
         length = (timer - 1) << self.map.bit("H2M", "HTM") if timer else 0
-        self.set(p, "H2M", length | (self.mask("H2M", "HTME") if timer else 0))
-        self.command(p, "HMSRC").until_stopped([self.index], SEARCH_TIME_FACTOR * limit)
-        at = len(p) - 1
-        self.command(p, self.STOP).wait(rest)
+        self.add_register_write(program, "H2M", length | (self.get_mask("H2M", "HTME") if timer else 0))
+        self.add_command(program, "HMSRC").until_stopped([self.index], SEARCH_TIME_FACTOR * limit)
+        at = len(program) - 1
+        self.add_command(program, self.STOP).wait(rest)
         return [at]
 
-    def read_levels(self, p: Program) -> dict[str, tuple[int, int, bool]]:
-        self.command(p, self.NOP)
-        at = len(p)
-        p.read(self.index, 2).read(self.index, 3)
-        levels = {f"stop{k}": (at + 1, self.mask("RR3-0", f"STOP{k}"), self.high(k)) for k in (1, 2)}
+    def add_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:
+        self.add_command(program, self.NOP)
+        at = len(program)
+        program.read(self.index, 2).read(self.index, 3)
+        levels = {f"stop{k}": (at + 1, self.get_mask("RR3-0", f"STOP{k}"), self.is_active_high(k)) for k in (1, 2)}
         return {
-            "error": (at, self.mask("RR2", "HOME", "HLMT+"), True),
+            "error": (at, self.get_mask("RR2", "HOME", "HLMT+"), True),
             **levels,
         }  # on its way out of an ORG that is stuck

@@ -144,8 +144,8 @@ def draw_path(segments: Sequence[PathSegment], *axes: Axis, speed: PathSpeed, ti
         raise ArgumentError("no segments: give a Line, an Arc or a Helix at least.")
     _write_path_modes(ports, speed)
     words = [_add_helix_calculation(ports, w) for w in words]
-    before, main = [port.value("R-LP") for port in ports], ports[0]
-    main.command("DECDIS")
+    before, main = [port.read_value("R-LP") for port in ports], ports[0]
+    main.write_command("DECDIS")
     begin = main.axis.time
 
     def wait_while(bits: int, value: int) -> int:
@@ -158,32 +158,34 @@ def draw_path(segments: Sequence[PathSegment], *axes: Axis, speed: PathSpeed, ti
         return status
 
     for k, (command, chip_words, axis_words) in enumerate(words):
-        if k and not wait_while(CNEXT, 0) & DRIVING and any(port.errors() for port in ports):
+        if k and not wait_while(CNEXT, 0) & DRIVING and any(port.read_error_names() for port in ports):
             break  # a limit has ended it
         if k == len(words) - 1:
-            main.command("DECEN")
-        main.load(**chip_words)
+            main.write_command("DECEN")
+        main.write_parameters(**chip_words)
         for port, values in zip(ports, axis_words, strict=True):
-            port.load(**values)
-        main.command(command)
+            port.write_parameters(**values)
+        main.write_command(command)
     wait_while(0, 0)
     return PathReport(
         seconds=main.axis.time - begin,
-        pulses={p.axis.name: p.value("R-LP") - b for p, b in zip(ports, before, strict=True)},
-        errors={p.axis.name: p.errors() for p in ports},
+        pulses={p.axis.name: p.read_value("R-LP") - b for p, b in zip(ports, before, strict=True)},
+        errors={p.axis.name: p.read_error_names() for p in ports},
         segments=len(words),
     )
 
 
 def _write_path_modes(ports: list[Port], speed: PathSpeed) -> None:
     """Write the modes of the axes, the speeds of the main one, and which axes take part."""
-    ports[0].load(SV=speed.initial, DV=speed.drive, AC=speed.acceleration, **({"JK": speed.jerk} if speed.jerk else {}))
+    ports[0].write_parameters(
+        SV=speed.initial, DV=speed.drive, AC=speed.acceleration, **({"JK": speed.jerk} if speed.jerk else {})
+    )
     curves = get_bit_mask("WR3", "SACC") if speed.jerk else 0
     for port in ports:
-        port.mode(WR2=compute_mcx514_inputs(port.axis), WR3=curves)
-        port.command("R2CLR")
+        port.write_mode_words(WR2=compute_mcx514_inputs(port.axis), WR3=curves)
+        port.write_command("R2CLR")
     even = (THREE_AXES if len(ports) > 2 else TWO_AXES) << MAP.bit("IPM", "SPD") if speed.even else 0
-    ports[0].load(IPM=sum(port.bit for port in ports) | even)
+    ports[0].write_parameters(IPM=sum(port.bit for port in ports) | even)
 
 
 SegmentWords = tuple[str, dict[str, int], list[dict[str, int]]]
@@ -211,11 +213,11 @@ def _add_helix_calculation(ports: list[Port], words: SegmentWords) -> SegmentWor
     command, chip_words, axis_words = words
     if not command.startswith("HL"):
         return words
-    ports[0].load(**chip_words)
+    ports[0].write_parameters(**chip_words)
     for port, values in zip(ports, axis_words, strict=True):
-        port.load(**values)
-    ports[0].command(command.replace("HL", "HLP"))
-    ticks = ports[0].value("R-HLV")
+        port.write_parameters(**values)
+    ports[0].write_command(command.replace("HL", "HLP"))
+    ticks = ports[0].read_value("R-HLV")
     for port, values in zip(ports[2:], axis_words[2:], strict=True):
         if abs(values["TP"]) > ticks:
             raise ArgumentError(

@@ -43,14 +43,14 @@ class DecelerationFlag:
 
     def __init__(self, port: Port):
         self.port, self.prohibits = port, False
-        port.word(3)  # factors of the drive before
-        port.enable("WR1", C_END_ENABLE)
+        port.read_status_register(3)  # factors of the drive before
+        port.set_mode_bits("WR1", C_END_ENABLE)
 
     def interrupt(self) -> None:
         """The interrupt routine: at the end of constant speed prohibit 26h, and ask for no more interrupts."""
-        if self.port.word(3) & C_END:
+        if self.port.read_status_register(3) & C_END:
             self.prohibits = True
-            self.port.enable("WR1", C_END_ENABLE, False)
+            self.port.set_mode_bits("WR1", C_END_ENABLE, False)
 
 
 def stop_guarded(flag: DecelerationFlag) -> bool:
@@ -68,7 +68,7 @@ def stop_guarded(flag: DecelerationFlag) -> bool:
     flag.interrupt()
     if flag.prohibits:
         return False
-    flag.port.command(DECELERATING_STOP)
+    flag.port.write_command(DECELERATING_STOP)
     return True
 
 
@@ -96,9 +96,9 @@ def stop_by_speed(port: Port, judgmental: float) -> bool:
     Returns:
         Whether 26h was written.
     """
-    if not port.word(1) & (ASND | CNST) or port.speed() < judgmental:
+    if not port.read_status_register(1) & (ASND | CNST) or port.read_speed() < judgmental:
         return False
-    port.command(DECELERATING_STOP)
+    port.write_command(DECELERATING_STOP)
     return True
 
 
@@ -113,18 +113,18 @@ def handle_limit_interrupt(port: Port) -> bool:
     Returns:
         Whether 27h had to be written.
     """
-    if not port.word(3) & C_END:  # 1: another factor
+    if not port.read_status_register(3) & C_END:  # 1: another factor
         return False
-    status = port.word(1)
+    status = port.read_status_register(1)
     if status & DSND:  # 2: from area b to c
         return False
-    if not port.driving():  # 3: it has ended as it should
+    if not port.is_driving():  # 3: it has ended as it should
         return False
     if not status & STOPPED_BY_LIMIT:  # 4
         return False
     if status & PHASES:  # 5
         return False
-    port.command(SUDDEN_STOP)  # 6
+    port.write_command(SUDDEN_STOP)  # 6
     return True
 
 
@@ -159,9 +159,9 @@ def start_within_limits(port: Port, pulses: int, low: int, high: int) -> bool:
     Returns:
         Whether the drive was started.
     """
-    if not low <= port.position() + pulses <= high:
+    if not low <= port.read_position() + pulses <= high:
         return False
-    port.start(pulses)
+    port.start_drive(pulses)
     return True
 
 
@@ -178,8 +178,8 @@ def handle_stop_signal_timer(port: Port) -> bool:
 
 
 def _end_runaway(port: Port, causes: int) -> bool:
-    status = port.word(1)
-    if not status & causes or status & PHASES or not port.driving():
+    status = port.read_status_register(1)
+    if not status & causes or status & PHASES or not port.is_driving():
         return False
-    port.command(SUDDEN_STOP)
+    port.write_command(SUDDEN_STOP)
     return True

@@ -2,8 +2,8 @@
 
 port = Port(axis)                          the axis of a Stage or a Bench
 port.write_registers(R0=2000, R6=300)
-port.command(CONTROL | PRESET)
-port.command(RAMP["FH1"])
+port.write_command(CONTROL | PRESET)
+port.write_command(RAMP["FH1"])
 port.wait_until_stopped(timeout=5)
 """
 
@@ -192,15 +192,15 @@ class Port:
         self.extended = bool(getattr(axis.chip, "EXTENDED", False))
         self._output = OUTPUT
 
-    def command(self, value: int) -> None:
+    def write_command(self, value: int) -> None:
         """Write the command buffer."""
         if value & bits.GROUP == OUTPUT:
             self._output = value
         self._chip.write(0, value)
 
-    def control(self, bits: int) -> None:
+    def write_control_mode(self, bits: int) -> None:
         """Write the control mode; on MK and MS the position counter R10 counts along."""
-        self.command(CONTROL | bits | (POSITION if self.extended else 0))
+        self.write_command(CONTROL | bits | (POSITION if self.extended else 0))
 
     def write_register(self, name: str, value: int) -> None:
         """Select a register and write its bytes.
@@ -222,11 +222,11 @@ class Port:
         for name, value in values.items():
             self.write_register(name, value)
 
-    def status(self) -> Status:
+    def read_status(self) -> Status:
         """Read the status byte."""
         return _READ[self._chip.read(0)]
 
-    def counter(self) -> int:
+    def read_counter(self) -> int:
         """Read R0, whole: high to low, then middle and high again, until they agree (data sheet Q & A).
 
         Raises:
@@ -257,14 +257,14 @@ class Port:
         if not self.extended:
             raise StageError(f"axis {self.axis.name}: {add_article(self._chip.MAP.chip)} reads R0 only (Port.counter).")
         output = self._output
-        self.command(output | EXTENSION)
-        self.command(SELECT | COLLECTIVE | self._chip.MAP.register(name).number)
+        self.write_command(output | EXTENSION)
+        self.write_command(SELECT | COLLECTIVE | self._chip.MAP.register(name).number)
         high, middle, low = (self._chip.read(a) for a in (3, 2, 1))
-        self.command(SELECT)
-        self.command(output)
+        self.write_command(SELECT)
+        self.write_command(output)
         return high << 16 | middle << 8 | low
 
-    def position(self) -> int:
+    def read_position(self) -> int:
         """Read R10 of MK and MS: signed pulses since it was last written; an origin return writes 0."""
         raw = self.read_register("R10")
         return raw - (1 << 24) if raw & 1 << 23 else raw
@@ -302,12 +302,13 @@ class Port:
             RunTimeout: The test was not met after `timeout`; the message says what the chip was doing.
         """
         begin = self.axis.time
-        while not test(status := self.status()):
+        while not test(status := self.read_status()):
             passed = self.axis.time - begin
             if not passed < timeout:
                 still = "still operates" if status.operating else "has stopped"
                 raise RunTimeout(
-                    f"axis {self.axis.name} {still} after {timeout:.3f} s (waiting for {what}): R0 = {self.counter()}, {status}. "
+                    f"axis {self.axis.name} {still} after {timeout:.3f} s (waiting for {what}): "
+                    f"R0 = {self.read_counter()}, {status}. "
                     f"{explain_silence(self.axis) or 'Give it more time, or stop it with 08h.'}"
                 )
             self.axis.wait(min(compute_poll_interval(poll, passed), timeout - passed + 1e-6))

@@ -33,8 +33,8 @@ S_CURVE_REGISTERS = ("R14", "R15")
 class Pcl240Driver(Driver):
     """Driver of PCL-240K, PCL-240MK and PCL-240MS."""
 
-    PATTERN: ClassVar = Pcl240Pattern
-    DONE: ClassVar = "R0 = 0"
+    PATTERN_CLASS: ClassVar = Pcl240Pattern
+    DONE_REASON: ClassVar = "R0 = 0"
     DISTANCE_REGISTER: ClassVar = "R0"
     INVERTIBLE_SENSORS: ClassVar = ("org", "ez", "el_plus", "el_minus", "sd_plus", "sd_minus")
     TRIM_FACTORS: ClassVar = {"R6": 1.06}  # the formula leaves pulses at FL
@@ -66,64 +66,66 @@ class Pcl240Driver(Driver):
             chip=type(self.chip),
             multiplier=require_clock(self.axis),
         )
-        return result.shaped(speeds.s_curve) if speeds.s_curve else result
+        return result.with_ramp_shape(speeds.s_curve) if speeds.s_curve else result
 
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
         """Make a preset move, see `preset_move`."""
-        self._forget()
+        self._forget_run()
         return moves.preset_move(
             self.axis, pulses, self.profile(speeds), high_speed=not speeds.constant, automatic=speeds.automatic, timeout=timeout,
         )  # fmt: skip
 
     def start(self, pulses: int, speeds: Speeds) -> None:
-        self._watch()
+        self._open_journal()
         self.goal = self.chip.net() + pulses
         moves.start_preset(self.port, self.profile(speeds), pulses)
 
-    def two_rates(self, pulses: int, speeds: Speeds, dwell: float, rates: Sequence[str] = DUAL_RATE_ORDER) -> Report:
+    def move_at_two_rates(
+        self, pulses: int, speeds: Speeds, dwell: float, rates: Sequence[str] = DUAL_RATE_ORDER
+    ) -> Report:
         """Make a dual-rate move, see `dual_rate_move`."""
-        self._forget()
+        self._forget_run()
         return dual_rate_move(self.axis, pulses, self.profile(speeds), rates=rates, dwell=dwell)
 
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
         """Return to the mechanical origin, see `origin_return`."""
-        self._forget()
+        self._forget_run()
         return origin_return(
             self.axis, direction, self.profile(speeds), high_speed=not speeds.constant, slow_approach=speeds.approach != 0,
             approach=speeds.approach or APPROACH_RATE_PPS, ez=index or None, timeout=timeout,
         )  # fmt: skip
 
-    def run(self, direction: int, speeds: Speeds) -> None:
-        self._watch()
+    def start_continuous_move(self, direction: int, speeds: Speeds) -> None:
+        self._open_journal()
         moves.write_move_setup(self.port, self.profile(speeds), chip_port.MINUS if direction < 0 else 0)
-        self.port.command(chip_port.RAMP["FH1"])
+        self.port.write_command(chip_port.RAMP["FH1"])
 
     def halt(self, at_once: bool = False) -> None:
-        if self.port.status().operating:
-            self.port.command(chip_port.RESET if at_once else chip_port.SLOW_DOWN["FH1"])
+        if self.port.read_status().operating:
+            self.port.write_command(chip_port.RESET if at_once else chip_port.SLOW_DOWN["FH1"])
         self.port.wait_until_stopped(60.0)
-        self.port.command(chip_port.RESET)
+        self.port.write_command(chip_port.RESET)
 
     def is_stop_command(self, address: int, value: int) -> bool:
         return address == 0 and value >> 6 == 0 and bool(value & chip_port.RESET)
 
-    def _forget(self) -> None:
+    def _forget_run(self) -> None:
         """Forget the run that this driver has begun."""
         self._close()
         self._journal = None
 
-    def _watch(self) -> None:
+    def _open_journal(self) -> None:
         """Keep a journal of the chip from now on, until the run is over or this driver is gone: it tells what has ended the run."""
-        self._forget()
+        self._forget_run()
         self._journal = self.chip.journal()
         self._close = weakref.finalize(self, self._journal.close)
 
-    def stopped_by(self) -> str:
+    def read_stop_reason(self) -> str:
         """Return what ended the run that this driver has begun, a stop command included; "" while it runs.
 
         Of a run that another host has begun, or none: what would stop the chip now.
         """
-        if self.port.status().operating:
+        if self.port.read_status().operating:
             return ""
         self._close()
         return (
@@ -133,19 +135,19 @@ class Pcl240Driver(Driver):
     def read_register(self, name: str) -> int:
         r = self.chip.MAP.register(name)
         if r.name == "R0":
-            return self.port.counter()
+            return self.port.read_counter()
         if not self.port.extended:
             raise self.build_unreadable_register_error(r.name)
         return r.value(self.port.read_register(r.name))
 
     @classmethod
-    def line(
+    def move_line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
         """Move axes on a straight line by rates in the ratio of the distances, see `synchronized_move`."""
         axes = {name: driver.axis for name, driver in drivers.items()}
         for driver in drivers.values():
-            cast("Pcl240Driver", driver)._forget()
+            cast("Pcl240Driver", driver)._forget_run()
         return synchronized_move(
             dict(pulses), axes, rate=speeds.drive, fl=speeds.start, accel=speeds.up, decel=speeds.down,
             s_curve=speeds.s_curve, automatic=speeds.automatic, timeout=timeout,
@@ -171,7 +173,7 @@ class Pcl240Driver(Driver):
     def write_stop(self, program: Operations) -> None:
         program.command(self.index, chip_port.RESET)
 
-    def formula(
+    def compute_move_registers(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
         p = Profile.of(fl, fh, fh, accel=up, decel=down, clock_hz=self.chip.clock_hz)
@@ -179,8 +181,8 @@ class Pcl240Driver(Driver):
         curved = [name for name in S_CURVE_REGISTERS if name in self.list_move_registers(s_curve)]
         return {**result, **dict.fromkeys(curved, 0)}  # curved throughout
 
-    def search(self, settings: Any) -> HomeProgram:
+    def build_home_program(self, settings: Any) -> HomeProgram:
         return FourRunHomeProgram(self, settings)
 
-    def lines(self, drivers: Sequence[Driver], settings: Any) -> RatioLinePrograms:
+    def build_line_programs(self, drivers: Sequence[Driver], settings: Any) -> RatioLinePrograms:
         return RatioLinePrograms(cast(Any, drivers), settings)

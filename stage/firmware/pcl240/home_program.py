@@ -39,8 +39,8 @@ class FourRunHomeProgram(HomeProgram):
         self.choices = ParameterRanges(
             {**rates, "approach": get_register_range(chip.MAP, "R1"), **travel}, cubed=("leave",)
         )
-        self.marks = {}
-        self.program(self.choices.low)
+        self.result_indices = {}
+        self.write_program(self.choices.low)
 
     def find_nearest_row(
         self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int
@@ -50,7 +50,7 @@ class FourRunHomeProgram(HomeProgram):
         rates = {"R1": fl / unit, "R2": fh / unit, "R4": rate, "approach": approach / unit}
         return self._round_to_ranges({**rates, "leave": leave, "back_off": back_off, "sd": 0})
 
-    def program(self, row: Sequence[int] | np.ndarray) -> Program:
+    def write_program(self, row: Sequence[int] | np.ndarray) -> Program:
         c, a, chip = self.settings, self.driver.index, self.driver.chip
         fl, fh, rate, approach, leave, back_off, sd = np.asarray(row).tolist()
         p = Program().command(a, chip_port.RESET)
@@ -63,8 +63,8 @@ class FourRunHomeProgram(HomeProgram):
         p.command(a, chip_port.OUTPUT)
         ramp_down = max(fh * fh - fl * fl, 0) * rate // (16384 * c.multiplier) + 5
         p.register(a, chip, "R6", min(leave // 2 + 2, ramp_down))
-        self._run(p, "leave", chip_port.PRESET, chip_port.RAMP["FH1"], leave, rest=c.settle if leave else 0.0)
-        self._run(
+        self._add_run(p, "leave", chip_port.PRESET, chip_port.RAMP["FH1"], leave, rest=c.settle if leave else 0.0)
+        self._add_run(
             p,
             "search",
             chip_port.ORIGIN | chip_port.MINUS | (chip_port.SD if sd else 0),
@@ -72,11 +72,11 @@ class FourRunHomeProgram(HomeProgram):
             0,
             c.settle,
         )
-        self._run(p, "back off", chip_port.PRESET, chip_port.START["FL"], back_off, c.settle)
+        self._add_run(p, "back off", chip_port.PRESET, chip_port.START["FL"], back_off, c.settle)
         p.register(a, chip, "R1", approach)
         if c.ez:
             p.register(a, chip, "R13", logic.get("R13", 0) | chip_port.encode_index(c.ez))
-        self._run(p, "approach", chip_port.ORIGIN | chip_port.MINUS, chip_port.START["FL"], 0, c.settle)
+        self._add_run(p, "approach", chip_port.ORIGIN | chip_port.MINUS, chip_port.START["FL"], 0, c.settle)
         if c.ez and not chip_port.has_ez_monitor(
             chip
         ):  # a start at speed step 1, taken back at once, is accepted: no end limit
@@ -90,7 +90,7 @@ class FourRunHomeProgram(HomeProgram):
             self._note_result_index("index", p).read(a, 3).command(a, chip_port.OUTPUT)
         return p
 
-    def _run(self, p: Program, name: str, control: int, start: int, r0: int, rest: float) -> None:
+    def _add_run(self, p: Program, name: str, control: int, start: int, r0: int, rest: float) -> None:
         a = self.driver.index
         p.register(a, self.driver.chip, "R0", r0).command(a, chip_port.CONTROL | control).command(a, start)
         self._note_result_index(f"{name} time", p).until_stopped([a], self.settings.limit).command(
@@ -100,7 +100,7 @@ class FourRunHomeProgram(HomeProgram):
             self._note_result_index(f"{name} {address}", p).read(a, address)
 
     def read_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
-        marked = {name: results[:, at] for name, at in self.marks.items()}
+        marked = {name: results[:, at] for name, at in self.result_indices.items()}
         status = {name: marked[f"{name} 0"] for name in RUN_NAMES}
         counted = {
             name: -(marked[f"{name} 3"] << 16 | marked[f"{name} 2"] << 8 | marked[f"{name} 1"]) & COUNTER_MASK

@@ -27,10 +27,10 @@ class RatioLinePrograms(LinePrograms):
 
     def __init__(self, drivers: Sequence[Pcl240Driver], settings: Any):
         super().__init__(drivers, settings, len(drivers), drivers[0].list_move_registers(settings.s_curve)[:6])
-        self.fastest = self.hz * FH_SPEED_STEPS / (8192 * 2)
+        self.max_rate = self.clock_hz * FH_SPEED_STEPS / (8192 * 2)
         self._write_template()
 
-    def data_sheet(self, moves: LineMoves) -> np.ndarray:
+    def compute_registers(self, moves: LineMoves) -> np.ndarray:
         """Compute FL and FH in the ratio of the distances, equal ramp times, and R6 = Psd + 5 pulses in that ratio.
 
         Each is rounded to the nearest value, ramp times to those that the longest axis really has.
@@ -42,21 +42,23 @@ class RatioLinePrograms(LinePrograms):
             Registers (stages, axes, 6).
         """
         peak = self.compute_peaks(moves)[0]
-        return self._with(moves, self._finest(peak[:, None] * np.ones_like(moves.share), FH_SPEED_STEPS))
+        return self._compute_with_multipliers(
+            moves, self._find_finest_multiplier(peak[:, None] * np.ones_like(moves.shares), FH_SPEED_STEPS)
+        )
 
-    def _with(self, moves: LineMoves, r7: np.ndarray) -> np.ndarray:
-        """Compute the registers of `data_sheet` with other multipliers (stages, axes)."""
+    def _compute_with_multipliers(self, moves: LineMoves, r7: np.ndarray) -> np.ndarray:
+        """Compute the registers of `compute_registers` with other multipliers (stages, axes)."""
         fl, max_rate = self.settings.fl, self.chip.MAP.register("R4").mask
-        rho, (peak, ramp) = moves.share, self.compute_peaks(moves)
-        step = self.hz / (8192.0 * r7)
+        rho, (peak, ramp) = moves.shares, self.compute_peaks(moves)
+        step = self.clock_hz / (8192.0 * r7)
         high = np.clip(np.rint(rho * peak[:, None] / step), 1, MAX_SPEED_STEPS)
         low = np.clip(np.rint(rho * np.minimum(fl, peak)[:, None] / step), 1, high)
         gain = np.maximum(high - low, 1)
-        lead = moves.of_leader(gain)
-        clocks = lead * np.clip(np.rint(ramp[:, None] * self.hz / lead), 2, max_rate)
+        lead = moves.select_leader_values(gain)
+        clocks = lead * np.clip(np.rint(ramp[:, None] * self.clock_hz / lead), 2, max_rate)
         rate = np.clip(np.rint(clocks / gain), 2, max_rate)
         fall = (high + low) * gain * rate / (16384.0 * r7)
-        point = np.minimum(np.floor(fall) + np.maximum(np.rint(TAIL_PULSES * rho), 1), moves.size)
+        point = np.minimum(np.floor(fall) + np.maximum(np.rint(TAIL_PULSES * rho), 1), moves.magnitudes)
         return self.clip_to_legal(np.stack([low, high, rate, rate, point, r7], axis=2))
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
@@ -74,8 +76,10 @@ class RatioLinePrograms(LinePrograms):
         """
         c, a = self.settings, corrections
         peak = self.compute_peaks(moves)[0]
-        r7 = self.data_sheet(moves)[:, :, 5] + np.rint(a[:, :, 5] * c.multiplier_reach)
-        corrected = self._with(moves, np.clip(r7, 2, self._finest(moves.share * peak[:, None], MAX_SPEED_STEPS)))
+        r7 = self.compute_registers(moves)[:, :, 5] + np.rint(a[:, :, 5] * c.multiplier_reach)
+        corrected = self._compute_with_multipliers(
+            moves, np.clip(r7, 2, self._find_finest_multiplier(moves.shares * peak[:, None], MAX_SPEED_STEPS))
+        )
         counts = np.maximum(np.rint(c.reach / self.compute_pulses_per_count(corrected, moves)), 1)
         corrected[:, :, :5] += np.rint(a[:, :, :5] * counts).astype(np.int64)
         corrected = self.clip_to_legal(corrected)
@@ -95,18 +99,18 @@ class RatioLinePrograms(LinePrograms):
         low, high, up, _, _, r7 = np.moveaxis(registers.astype(np.float64), 2, 0)
         gain = np.maximum(high - low, 1)
         per_clock = gain * (gain + 1) / (16384.0 * r7)
-        worth = [(2 * gain + 1) * up / (16384.0 * r7), moves.size / high, per_clock, per_clock]
+        worth = [(2 * gain + 1) * up / (16384.0 * r7), moves.magnitudes / high, per_clock, per_clock]
         return np.stack([*worth, np.ones_like(gain)], axis=2)
 
     def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
-        low, high, up, down, point, r7 = np.moveaxis(self.data_sheet(moves).astype(np.float64), 2, 0)
-        gain, pps = high - low, high * self.hz / (8192.0 * r7)
+        low, high, up, down, point, r7 = np.moveaxis(self.compute_registers(moves).astype(np.float64), 2, 0)
+        gain, pps = high - low, high * self.clock_hz / (8192.0 * r7)
         lag, less = (gain * (gain + 1) * rate / (16384.0 * r7) for rate in (up, down))
-        return self.compute_deviations(moves, pps, gain * up / self.hz, lag, less, point)
+        return self.compute_deviations(moves, pps, gain * up / self.clock_hz, lag, less, point)
 
-    def _finest(self, fh: np.ndarray, speed: int) -> np.ndarray:
+    def _find_finest_multiplier(self, fh: np.ndarray, speed: int) -> np.ndarray:
         """Return the largest R7 at which FH is at most `speed` steps."""
-        return np.clip(np.floor(self.hz * speed / (8192.0 * fh)), 2, 1023)
+        return np.clip(np.floor(self.clock_hz * speed / (8192.0 * fh)), 2, 1023)
 
     # --- the program ---
 
@@ -131,18 +135,18 @@ class RatioLinePrograms(LinePrograms):
     def rows(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         """Return the values that are written to each chip: (stages, axes, R0 to R7, with S-curves R14 and R15)."""
         r = registers
-        columns = [moves.size, r[..., 0], r[..., 1], r[..., 1], *(r[..., k] for k in range(2, 6))]
+        columns = [moves.magnitudes, r[..., 0], r[..., 1], r[..., 1], *(r[..., k] for k in range(2, 6))]
         if len(self._written) > 8:
             r14 = chip_port.UNCORRECTED | (0 if self.settings.s_curve else self.chip.LINEAR_RAMPS)
             columns += [np.full_like(r[..., 0], r14), np.zeros_like(r[..., 0])]
         return np.stack(columns, axis=2)
 
-    def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+    def write_programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         rows = self.rows(registers, moves)
         ops = self._fill_template(self._template, rows.reshape(len(rows), -1))
         for a, j in enumerate(self._controls):
             ops[:, j, 3] |= np.where(moves.distances[:, a] < 0, chip_port.MINUS, 0)
-        order = np.argsort(moves.size, axis=1, kind="stable")
+        order = np.argsort(moves.magnitudes, axis=1, kind="stable")
         ramps = np.where(rows[:, :, 2] > rows[:, :, 1], chip_port.RAMP["FH1"], chip_port.START["FH1"])
         ops[:, self._first :, 1] = np.array([h.index for h in self.drivers])[order]
         ops[:, self._first :, 3] = np.take_along_axis(ramps, order, 1)
@@ -151,6 +155,6 @@ class RatioLinePrograms(LinePrograms):
     def find_start_operations(self, distances: np.ndarray) -> np.ndarray:
         return self._first + np.argsort(np.argsort(np.abs(distances), kind="stable"))
 
-    def last_pulse(self, registers: np.ndarray) -> np.ndarray:
+    def compute_last_pulse_seconds(self, registers: np.ndarray) -> np.ndarray:
         slowest = np.minimum(registers[:, :, 0], registers[:, :, 1])
-        return np.max(4096 * registers[:, :, 5] / slowest, axis=1) / self.hz
+        return np.max(4096 * registers[:, :, 5] / slowest, axis=1) / self.clock_hz

@@ -76,7 +76,7 @@ def preset_move(
     profile, count = choose_profile(axis, profile), check_pulses(pulses)
     check_timeout(timeout)
     if s_curve is not None:
-        profile = profile.shaped(s_curve, fh2)
+        profile = profile.with_ramp_shape(s_curve, fh2)
     if automatic is None:
         can_be_automatic = high_speed and profile.chip.EXTENDED and profile.R4 == profile.R5
         automatic = can_be_automatic and down_point is None and not slow_down
@@ -85,7 +85,7 @@ def preset_move(
         point = encode_offset(profile, AUTOMATIC_OFFSET_PULSES if down_point is None else down_point)
         control |= chip_port.AUTOMATIC
     else:
-        profile = profile.within(count, fh2)
+        profile = profile.for_distance(count, fh2)
         point = profile.down_point(count, fh2) if down_point is None else profile.chip.MAP.check_value("R6", down_point)
     with Pcl240Observer(axis, "preset move" if high_speed else "constant-speed preset move") as p:
         write_move_setup(p.port, profile, control)
@@ -94,7 +94,7 @@ def preset_move(
         p.port.write_register("R0", count)
         if high_speed:
             p.port.write_register("R6", point)
-        p.port.command(_encode_start(high_speed, fh2, interrupt))
+        p.port.write_command(_encode_start(high_speed, fh2, interrupt))
         return p.finish(compute_time_limit(timeout, profile, count), pulses)
 
 
@@ -106,10 +106,10 @@ def start_preset(port: Port, profile: Profile, pulses: int) -> None:
         StageError: The axis is moving.
     """
     count = check_pulses(pulses)
-    profile = profile.within(count)
+    profile = profile.for_distance(count)
     write_move_setup(port, profile, chip_port.PRESET | encode_direction(pulses))
     port.write_registers(R0=count, R6=profile.down_point(count))
-    port.command(chip_port.RAMP["FH1"])
+    port.write_command(chip_port.RAMP["FH1"])
 
 
 def encode_offset(profile: Profile, offset: int) -> int:
@@ -175,11 +175,11 @@ def continuous_move(
     check_seconds(seconds)
     with Pcl240Observer(axis, "continuous move" if high_speed else "constant-speed continuous move") as p:
         write_move_setup(p.port, profile, (chip_port.SD if slow_down else 0) | encode_direction(direction))
-        p.port.command(_encode_start(high_speed, fh2, interrupt))
+        p.port.write_command(_encode_start(high_speed, fh2, interrupt))
         axis.wait(seconds)
-        if p.port.status().operating:
+        if p.port.read_status().operating:
             stop = chip_port.SLOW_DOWN["FH2" if fh2 else "FH1"] if high_speed and not immediate else chip_port.RESET
-            p.port.command(stop | (chip_port.INTERRUPT if interrupt else 0))
+            p.port.write_command(stop | (chip_port.INTERRUPT if interrupt else 0))
         return p.finish(2 * profile.decel(fh2) + 1)
 
 
@@ -218,7 +218,7 @@ def interrupted_move(
     """
     check_timeout(timeout)
     full_profile, count = choose_profile(axis, profile), check_pulses(pulses)
-    profile = full_profile.within(count, fh2)
+    profile = full_profile.for_distance(count, fh2)
     check_seconds(after)
     check_seconds(pause)
     point = profile.down_point(count, fh2)
@@ -226,22 +226,22 @@ def interrupted_move(
     with Pcl240Observer(axis, "interrupted move") as p:
         write_move_setup(p.port, profile, chip_port.PRESET | encode_direction(pulses))
         p.port.write_registers(R0=count, R6=point)
-        p.port.command(chip_port.RAMP[rate])
+        p.port.write_command(chip_port.RAMP[rate])
         axis.wait(after)
-        if p.port.status().operating:
-            p.port.command(chip_port.SLOW_DOWN[rate] | chip_port.INTERRUPT)
+        if p.port.read_status().operating:
+            p.port.write_command(chip_port.SLOW_DOWN[rate] | chip_port.INTERRUPT)
         p.port.wait_until_stopped(compute_time_limit(timeout, profile, count))
-        if residual := p.port.counter():
+        if residual := p.port.read_counter():
             axis.wait(pause)
-            p.port.command(chip_port.RESET)
-            rest = full_profile.within(residual, fh2)
+            p.port.write_command(chip_port.RESET)
+            rest = full_profile.for_distance(residual, fh2)
             if rest != profile:
                 p.port.write_registers(**rest.registers())
             p.port.write_register("R6", rest.down_point(residual, fh2))
-            p.port.command(chip_port.RAMP[rate])
+            p.port.write_command(chip_port.RAMP[rate])
             p.port.wait_until_stopped(compute_time_limit(timeout, profile, residual))
         axis.wait(SETTLING_TIME_S)
-        return p.report(p.stop_reason(), pulses)
+        return p.make_report(p.find_stop_reason(), pulses)
 
 
 @explain_arguments
@@ -287,21 +287,21 @@ def external_count(
     with Pcl240Observer(axis, "external count") as p:
         write_move_setup(p.port, profile, chip_port.PRESET | encode_direction(direction), output=chip_port.EXTERNAL)
         p.port.write_register("R0", count)
-        p.port.command(chip_port.START["FL"])
+        p.port.write_command(chip_port.START["FL"])
         end, more = axis.time + timeout, True
-        while p.port.status().operating and axis.time < end and more:
+        while p.port.read_status().operating and axis.time < end and more:
             more = make_pulse(axis)
-        status = p.port.status()
+        status = p.port.read_status()
         # while the last pulse is completed EXTP goes on, and R0 through 0
-        counted = status.zero or p.port.counter() > count
+        counted = status.zero or p.port.read_counter() > count
         if status.operating and not counted:
-            p.port.command(chip_port.RESET)
+            p.port.write_command(chip_port.RESET)
         p.port.wait_until_stopped(1 / profile.fl + 1)
-        p.port.command(chip_port.OUTPUT)
+        p.port.write_command(chip_port.OUTPUT)
         axis.wait(SETTLING_TIME_S)
         if status.operating and not counted:
-            return p.report("timeout" if more else "reset command")
-        return p.report(p.stop_reason())
+            return p.make_report("timeout" if more else "reset command")
+        return p.make_report(p.find_stop_reason())
 
 
 def _make_square_pulse(axis: Axis, rate: float) -> bool:
@@ -329,12 +329,12 @@ def write_move_setup(port: Port, profile: Profile, control: int, output: int = 0
     Raises:
         StageError: The axis is moving.
     """
-    if port.status().operating:
+    if port.read_status().operating:
         raise StageError(f"axis {port.axis.name} is moving: wait until it stops, or stop it with 08h.")
-    port.command(chip_port.RESET)
+    port.write_command(chip_port.RESET)
     port.write_registers(**profile.registers())
-    port.command(chip_port.OUTPUT | output)
-    port.control(control)
+    port.write_command(chip_port.OUTPUT | output)
+    port.write_control_mode(control)
 
 
 def choose_profile(axis: Axis, profile: Profile | None) -> Profile:
@@ -359,7 +359,7 @@ def choose_profile(axis: Axis, profile: Profile | None) -> Profile:
             f"the profile has R7 = {profile.R7}, and axis {axis.name} counts the clock of "
             f"{describe_leader(axis)} (SYNI), which has R7 = {multiplier}: Profile.of(..., multiplier={multiplier})."
         )
-    return profile.on(chip)
+    return profile.for_chip(chip)
 
 
 def check_pulses(pulses: int) -> int:
@@ -382,4 +382,4 @@ def _encode_start(high_speed: bool, fh2: bool, interrupt: bool) -> int:
 
 def compute_time_limit(timeout: float | None, profile: Profile, count: int) -> float:
     """Return `timeout`; for None half as much again as a move of `count` pulses can take, and one, s."""
-    return 1.5 * profile.seconds(count) + 1 if timeout is None else timeout
+    return 1.5 * profile.estimate_seconds(count) + 1 if timeout is None else timeout

@@ -84,17 +84,17 @@ def origin_return(
         port = p.port
         write_move_setup(port, profile, encode_direction(-direction))
         port.write_registers(**logic)
-        met = _leave_origin(p, -direction, back_off, high_speed, timeout) if port.status().org else ""
+        met = _leave_origin(p, -direction, back_off, high_speed, timeout) if port.read_status().org else ""
         stopped_by = met or _run_to_origin(p, direction, high_speed, timeout, None if slow_approach else ez)
         if stopped_by == "ORG" and slow_approach:
-            port.command(chip_port.RESET)
+            port.write_command(chip_port.RESET)
             port.write_register("R1", max(1, min(round(approach / profile.step), profile.R1)))
             met = _leave_origin(p, -direction, back_off, False, timeout)
             stopped_by = met or _run_to_origin(p, direction, False, timeout, ez)
-        port.command(chip_port.RESET)
+        port.write_command(chip_port.RESET)
         if port.extended and stopped_by in ("ORG", "EZ"):
             port.write_register("R10", 0)
-        return p.report(stopped_by)
+        return p.make_report(stopped_by)
 
 
 def _check_index_number(axis: Axis, ez: int) -> None:
@@ -113,11 +113,11 @@ def _run_to_origin(p: Pcl240Observer, direction: int, high_speed: bool, timeout:
     if port.extended:
         logic = chip_port.compute_polarity_bits(port.axis).get("R13", 0)
         port.write_register("R13", logic | (chip_port.encode_index(ez) if ez else 0))
-    port.control(chip_port.ORIGIN | (chip_port.SD if high_speed else 0) | encode_direction(direction))
-    port.command(chip_port.RAMP["FH1"] if high_speed else chip_port.START["FL"])
+    port.write_control_mode(chip_port.ORIGIN | (chip_port.SD if high_speed else 0) | encode_direction(direction))
+    port.write_command(chip_port.RAMP["FH1"] if high_speed else chip_port.START["FL"])
     port.wait_until_stopped(timeout)
     port.axis.wait(SETTLING_TIME_S)
-    return p.stop_reason()
+    return p.find_stop_reason()
 
 
 def _leave_origin(p: Pcl240Observer, direction: int, back_off: int, high_speed: bool, timeout: float) -> str:
@@ -127,20 +127,20 @@ def _leave_origin(p: Pcl240Observer, direction: int, back_off: int, high_speed: 
         "" where the axis is out of ORG then; else the end limit that it has met, or "HOME" where ORG is asserted all the same.
     """
     port = p.port
-    port.control(encode_direction(direction))
-    port.command(chip_port.RAMP["FH1"] if high_speed else chip_port.START["FL"])
+    port.write_control_mode(encode_direction(direction))
+    port.write_command(chip_port.RAMP["FH1"] if high_speed else chip_port.START["FL"])
     port.wait_until(lambda s: not s.org or not s.operating, timeout, what="the release of ORG")
-    port.command(chip_port.SLOW_DOWN["FH1"] if high_speed else chip_port.RESET)
+    port.write_command(chip_port.SLOW_DOWN["FH1"] if high_speed else chip_port.RESET)
     port.wait_until_stopped(timeout)
     port.axis.wait(SETTLING_TIME_S)
-    port.command(chip_port.RESET)
+    port.write_command(chip_port.RESET)
     port.write_register("R0", back_off)
-    port.control(chip_port.PRESET | encode_direction(direction))
-    port.command(chip_port.START["FL"])
+    port.write_control_mode(chip_port.PRESET | encode_direction(direction))
+    port.write_command(chip_port.START["FL"])
     status = port.wait_until_stopped(timeout)
     port.axis.wait(SETTLING_TIME_S)
-    met = p.stop_reason()
-    port.command(chip_port.RESET)
+    met = p.find_stop_reason()
+    port.write_command(chip_port.RESET)
     if not status.org:
         return ""
     return met if met in ("EL+", "EL-") else "HOME"

@@ -92,8 +92,8 @@ def dual_rate_move(
         status = _run_through_rates(p, rates, dwell)
         if pulses is None and status.operating:
             axis.wait(seconds or 0.0)
-            if p.port.status().operating:
-                p.port.command(chip_port.SLOW_DOWN["FH2" if rates[-1] == "FH2" else "FH1"])
+            if p.port.read_status().operating:
+                p.port.write_command(chip_port.SLOW_DOWN["FH2" if rates[-1] == "FH2" else "FH1"])
                 return p.finish(MAX_RAMP_S)
         return p.finish(compute_time_limit(timeout, profile, check_pulses(pulses) if pulses else 1), pulses)
 
@@ -111,17 +111,17 @@ def _check_rates(rates: Sequence[str]) -> list[str]:
 def _run_through_rates(p: Pcl240Observer, rates: list[str], dwell: float) -> Status:
     """Start at the first of the rates, and go through the others; return the last status, which may be that of a stop."""
     constant = rates[0] == "FL"
-    p.port.command(chip_port.START["FL"] if constant else chip_port.RAMP[rates[0]])
+    p.port.write_command(chip_port.START["FL"] if constant else chip_port.RAMP[rates[0]])
     status = _wait_for_rate(p.port)
     for rate in rates[1:]:
         p.axis.wait(dwell if status.operating else 0.0)
-        status = p.port.status()
+        status = p.port.read_status()
         if not status.operating:
             break
         if constant:  # section 5 h, note: set bit 2 before the rate changes
-            p.port.command(chip_port.RAMP["FL"])
+            p.port.write_command(chip_port.RAMP["FL"])
         constant = False
-        p.port.command(chip_port.RAMP[rate])
+        p.port.write_command(chip_port.RAMP[rate])
         status = _wait_for_rate(p.port)
     return status
 
@@ -163,10 +163,10 @@ def speed_change_move(
     with Pcl240Observer(axis, "speed change in motion") as p:
         write_move_setup(p.port, replace(profile, R2=speeds[0]), chip_port.PRESET | encode_direction(pulses))
         p.port.write_registers(R0=count, R6=point)
-        p.port.command(chip_port.RAMP["FH1"])
+        p.port.write_command(chip_port.RAMP["FH1"])
         for k, speed in enumerate(speeds[1:], 1):
             axis.wait(dwell if _wait_for_rate(p.port).operating else 0.0)
-            if not p.port.status().operating:
+            if not p.port.read_status().operating:
                 break
             _change_speed(p.port, k, speed)
         return p.finish(compute_time_limit(timeout, _with_high_rates(profile, min(speeds)), count), pulses)
@@ -216,7 +216,7 @@ def curved_ramp_move(
             p.port, replace(profile, R2=speeds[0], R4=ramps[0]), chip_port.PRESET | encode_direction(pulses)
         )
         p.port.write_registers(R0=count, R6=point)
-        p.port.command(chip_port.RAMP["FH1"])
+        p.port.write_command(chip_port.RAMP["FH1"])
         for k, (speed, ramp) in enumerate(zip(speeds[1:], ramps[1:], strict=True), 1):
             if not _wait_for_rate(p.port).operating:
                 break
@@ -234,7 +234,7 @@ def _change_speed(port: Port, k: int, speed: int) -> None:
     """Make the k-th change of speed: write the register not in use, FH2 and FH1 by turns, and ramp to it."""
     register, rate = ("R3", "FH2") if k % 2 else ("R2", "FH1")
     port.write_register(register, speed)
-    port.command(chip_port.RAMP[rate])
+    port.write_command(chip_port.RAMP[rate])
 
 
 def _convert_rates(axis: Axis, profile: Profile, rates: Sequence[float]) -> list[int]:
@@ -268,7 +268,7 @@ def _find_down_point(profile: Profile, speeds: list[int], count: int, dwell: flo
     """Return R6 for the last speed. Raises ArgumentError for a move that would end before it is reached."""
     delay = POLL_DELAY_S * max(speeds) * profile.step * len(speeds)
     if len(speeds) > 1:
-        _refuse_short_move(count, profile.pulses_through(speeds, dwell) + delay)
+        _refuse_short_move(count, profile.compute_pulses_through(speeds, dwell) + delay)
     return replace(profile, R2=max(speeds[-1], profile.R1)).down_point(count)
 
 

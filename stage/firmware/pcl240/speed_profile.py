@@ -258,7 +258,7 @@ class Profile:
         result = cls(r1, r2, r3, r4, r5, int(r7[best]), clock_hz, None, chip)
         if fl < max(fh1, fh2):
             result._refuse_clipped({"R4": (accel, result.R4), "R5": (decel, result.R5)}, float(span[best]))
-        return result.shaped(s_curve) if s_curve else result
+        return result.with_ramp_shape(s_curve) if s_curve else result
 
     def _refuse_clipped(self, ramps: dict[str, tuple[float, int]], span: float) -> None:
         for register, (seconds, rate) in ramps.items():
@@ -270,7 +270,7 @@ class Profile:
                     f"Between these rates a ramp takes at most {span * max_rate / self.clock_hz:.3f} s."
                 ).with_limit(ExceededLimit("accel", seconds, 0.0, span * max_rate / self.clock_hz))
 
-    def shaped(self, s_curve: bool | float, fh2: bool = False) -> Profile:
+    def with_ramp_shape(self, s_curve: bool | float, fh2: bool = False) -> Profile:
         """Return the profile with ramps of another shape.
 
         The rates and, as near as R4 and R5 allow, the ramp times to FH1 (or FH2) stay.
@@ -287,7 +287,7 @@ class Profile:
             raise ArgumentError(
                 f"s_curve={s_curve!r}: True, False, or the share of the ramp at each end, above 0, up to 0.5."
             )
-        height = max(self.high(fh2) - self.R1, 0)
+        height = max(self.get_high_speed(fh2) - self.R1, 0)
         span = 0 if s_curve is True or s_curve == 0.5 else max(1, round(s_curve * height))
         spans = None if s_curve is False else (span, span)
         steps = compute_linear_ramp_steps(self.R1, self.R1 + height, span if spans else None)
@@ -296,7 +296,7 @@ class Profile:
         r4, r5 = (max(2, round(t * self.clock_hz / steps)) for t in (self.accel(fh2), self.decel(fh2)))
         return replace(self, R4=r4, R5=r5, spans=spans)
 
-    def on(self, chip: type[PCL240]) -> Profile:
+    def for_chip(self, chip: type[PCL240]) -> Profile:
         """Return the profile for another chip of the family.
 
         Raises ArgumentError, with the register's name, where it does not fit.
@@ -339,17 +339,17 @@ class Profile:
         """FH2, pps."""
         return self.R3 * self.step
 
-    def high(self, fh2: bool = False) -> int:
+    def get_high_speed(self, fh2: bool = False) -> int:
         """Return the speed register's value of FH1, or FH2."""
         return self.R3 if fh2 else self.R2
 
     def accel(self, fh2: bool = False) -> float:
         """Return the time from FL to FH1, or FH2, s."""
-        return compute_ramp_seconds(self.R1, self.high(fh2), self.R4, self.clock_hz, self._up)
+        return compute_ramp_seconds(self.R1, self.get_high_speed(fh2), self.R4, self.clock_hz, self._up)
 
     def decel(self, fh2: bool = False) -> float:
         """Return the time from FH1, or FH2, to FL, s."""
-        return compute_ramp_seconds(self.R1, self.high(fh2), self.R5, self.clock_hz, self._down)
+        return compute_ramp_seconds(self.R1, self.get_high_speed(fh2), self.R5, self.clock_hz, self._down)
 
     def down_point(self, pulses: int, fh2: bool = False) -> int:
         """Compute R6 for a preset move. Raises ArgumentError where R6 cannot hold it.
@@ -361,10 +361,12 @@ class Profile:
         Returns:
             Value of R6.
         """
-        point = compute_down_point(pulses, self.R1, max(self.high(fh2), self.R1), self.R4, self.R5, self.R7, self._down)
+        point = compute_down_point(
+            pulses, self.R1, max(self.get_high_speed(fh2), self.R1), self.R4, self.R5, self.R7, self._down
+        )
         return self.chip.MAP.check_value("R6", point)
 
-    def within(self, pulses: int, fh2: bool = False) -> Profile:
+    def for_distance(self, pulses: int, fh2: bool = False) -> Profile:
         """Return an S-curve profile whose FH a preset move reaches: "revised R2" (data sheet MS, 3-4).
 
         Linear ramps stay as they are: they can turn round anywhere.
@@ -373,19 +375,21 @@ class Profile:
             pulses: Pulses of the move.
             fh2: The move is to FH2.
         """
-        if self.spans is None or self.high(fh2) <= self.R1:
+        if self.spans is None or self.get_high_speed(fh2) <= self.R1:
             return self
         high = compute_revised_high_speed(
-            pulses, self.R1, self.high(fh2), self.R4, self.R5, self.R7, self._up or 0, self._down or 0
+            pulses, self.R1, self.get_high_speed(fh2), self.R4, self.R5, self.R7, self._up or 0, self._down or 0
         )
         high = max(high, self.R1)
         return replace(self, R3=high) if fh2 else replace(self, R2=high)
 
     def is_triangular(self, pulses: int, fh2: bool = False) -> bool:
         """Return whether a move of so many pulses is too short to reach FH1, or FH2."""
-        return is_triangular_move(pulses, self.R1, self.high(fh2), self.R4, self.R5, self.R7, self._up, self._down)
+        return is_triangular_move(
+            pulses, self.R1, self.get_high_speed(fh2), self.R4, self.R5, self.R7, self._up, self._down
+        )
 
-    def pulses_through(self, speeds: Iterable[int], dwell: float = 0.0) -> float:
+    def compute_pulses_through(self, speeds: Iterable[int], dwell: float = 0.0) -> float:
         """Compute the pulses of a run from FL through several speeds, and then to FL again.
 
         Args:
@@ -401,7 +405,7 @@ class Profile:
             speed_before = speed
         return total
 
-    def seconds(self, pulses: int) -> float:
+    def estimate_seconds(self, pulses: int) -> float:
         """Return an upper bound of a move's duration: all of it at FL or at FH1, whichever is slower, and two ramps, s."""
         return pulses / min(self.fl, self.fh1, self.fh2) + 2 * max(self.accel(True), self.decel(True), 0.0)
 

@@ -30,12 +30,12 @@ class Pcl240Observer(move_report.ProcedureObserver):
         super().__init__(axis, name)
         self.port = Port(axis)
 
-    def stop_reason(self) -> str:
+    def find_stop_reason(self) -> str:
         """Return what ended the axis' last run, see `find_stop_reason`; UNKNOWN where no start has reached the chip."""
         return find_stop_reason(self.journal) or UNKNOWN
 
-    def residual(self) -> int:
-        return self.port.counter()
+    def read_residual(self) -> int:
+        return self.port.read_counter()
 
     def finish(self, timeout: float, asked: int | None = None) -> Report:
         """Wait until the chip stops and the carriage has come to rest, and return the report.
@@ -49,7 +49,7 @@ class Pcl240Observer(move_report.ProcedureObserver):
         """
         self.port.wait_until_stopped(timeout)
         self.axis.wait(SETTLING_TIME_S)
-        return self.report(self.stop_reason(), asked)
+        return self.make_report(self.find_stop_reason(), asked)
 
 
 def find_stop_reason(journal: Journal) -> str:

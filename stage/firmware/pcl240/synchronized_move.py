@@ -99,20 +99,22 @@ def _run_plan(axes: dict[str, Axis], line_plan: Plan, timeout: float | None) -> 
     watch = {n: Pcl240Observer(a, "synchronized move") for n, a in axes.items()}
     with LineObserver(watch, line_plan.distances) as line:
         for n, p in watch.items():
-            p.port.command(chip_port.RESET)
+            p.port.write_command(chip_port.RESET)
             p.port.write_registers(**line_plan.axes[n].registers)
-            p.port.command(chip_port.OUTPUT)
+            p.port.write_command(chip_port.OUTPUT)
             minus = chip_port.MINUS if line_plan.axes[n].distance < 0 else 0
-            p.port.control(chip_port.PRESET | minus | (chip_port.AUTOMATIC if line_plan.axes[n].automatic else 0))
+            p.port.write_control_mode(
+                chip_port.PRESET | minus | (chip_port.AUTOMATIC if line_plan.axes[n].automatic else 0)
+            )
         for n, p in watch.items():  # nothing between the starts but the bus
-            p.port.command(chip_port.RAMP["FH1"] if line_plan.axes[n].ramps else chip_port.START["FH1"])
+            p.port.write_command(chip_port.RAMP["FH1"] if line_plan.axes[n].ramps else chip_port.START["FH1"])
             line.note_start(n)
         with line.attach_reports_to_timeout():
             stopped_by = _wait_for_axes(
                 watch, line_plan, 1.5 * line_plan.seconds + 1 if timeout is None else timeout, line
             )
         next(iter(axes.values())).wait(SETTLING_TIME_S)
-        return line.report(stopped_by, line_plan)
+        return line.make_report(stopped_by, line_plan)
 
 
 def _wait_for_axes(
@@ -127,8 +129,8 @@ def _wait_for_axes(
         for n, p in watch.items():
             if n in stopped_by:
                 continue
-            if not p.port.status().operating:
-                stopped_by[n] = p.stop_reason()
+            if not p.port.read_status().operating:
+                stopped_by[n] = p.find_stop_reason()
         line.measure_carriages()
         if len(stopped_by) == len(watch):
             return stopped_by
@@ -136,10 +138,10 @@ def _wait_for_axes(
             broken = True
             for n, p in watch.items():
                 if n not in stopped_by:
-                    p.port.command(chip_port.SLOW_DOWN["FH1"])
+                    p.port.write_command(chip_port.SLOW_DOWN["FH1"])
         passed = clock.time - begin
         if passed >= patience:
-            left = {n: watch[n].port.counter() for n in watch if n not in stopped_by}
+            left = {n: watch[n].port.read_counter() for n in watch if n not in stopped_by}
             raise RunTimeout(
                 f"after {patience:.3f} s axes still operate; pulses left: {left}. Give more time, or stop them with 08h."
             )
@@ -209,7 +211,7 @@ def _measure_bus_delay(selected: dict[str, tuple[Axis, int]], names: Any) -> flo
     for n in names:
         axis = selected[n][0]
         before = axis.time
-        if chip_port.Port(axis).status().operating:
+        if chip_port.Port(axis).read_status().operating:
             raise ArgumentError(f"axis {n} is moving: wait until it stops, or stop it with 08h.")
         delay = axis.time - before
     return delay

@@ -49,8 +49,8 @@ class StepDirPattern(operation_pattern.OperationPattern):
 class StepDirDriver(Driver):
     """Driver of one STEP/DIR axis."""
 
-    PATTERN: ClassVar = StepDirPattern
-    DONE: ClassVar = END_REASONS[1]
+    PATTERN_CLASS: ClassVar = StepDirPattern
+    DONE_REASON: ClassVar = END_REASONS[1]
     HOME_REASONS: ClassVar = ("ORG",)
     HOMINGS: ClassVar = ("switch",)
     INDEX_PULSES: ClassVar = 0
@@ -63,7 +63,7 @@ class StepDirDriver(Driver):
         if not pulses:
             raise ArgumentError("pulses=0: a move has at least one step; its sign is the direction.")
         MAP.check_value("STEPS", abs(pulses))
-        self._write_registers({**self._registers(speeds), "STEPS": abs(pulses), "EVENTS": 0})
+        self._write_registers({**self._compute_registers(speeds), "STEPS": abs(pulses), "EVENTS": 0})
         self.goal = self.chip.net() + pulses
         self._send("MOVE", pulses)
 
@@ -72,19 +72,19 @@ class StepDirDriver(Driver):
             self.start(pulses, speeds)
             reason = self.wait(estimate_seconds(pulses, speeds) if timeout is None else timeout)
             self.axis.wait(SETTLING_TIME_S)
-            return procedure.report(reason, pulses)
+            return procedure.make_report(reason, pulses)
 
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
         with ProcedureObserver(self.axis, "origin return") as procedure:
             self._write_registers(
-                {**self._registers(speeds._replace(s_curve=False)), "STEPS": BACK_OFF_STEPS, "EVENTS": 0}
+                {**self._compute_registers(speeds._replace(s_curve=False)), "STEPS": BACK_OFF_STEPS, "EVENTS": 0}
             )
             reason = self._search(direction, timeout)
             if reason in ("", "ORG"):
                 approach = speeds.approach if speeds.approach is not None else min(HOME_RATE_PPS, speeds.drive)
                 reason = self._approach(direction, round(approach), timeout) if approach else "ORG"
             self.axis.wait(SETTLING_TIME_S)
-            return procedure.report(reason)
+            return procedure.make_report(reason)
 
     def _search(self, direction: int, timeout: float) -> str:
         """Run to ORG unless the axis is there, and return what has ended the run."""
@@ -95,7 +95,7 @@ class StepDirDriver(Driver):
         for _ in range(MAX_BACK_OFFS):
             if not self._is_at_origin():
                 break
-            if (reason := self._run_to_end("MOVE", -direction, timeout)) != self.DONE:
+            if (reason := self._run_to_end("MOVE", -direction, timeout)) != self.DONE_REASON:
                 return reason
         self._write_registers({"START": rate, "RATE": rate})
         return self._run_to_end("HOME", direction, timeout)
@@ -110,8 +110,8 @@ class StepDirDriver(Driver):
         self.axis.wait(SETTLING_TIME_S)
         return reason
 
-    def run(self, direction: int, speeds: Speeds) -> None:
-        self._write_registers(self._registers(speeds))
+    def start_continuous_move(self, direction: int, speeds: Speeds) -> None:
+        self._write_registers(self._compute_registers(speeds))
         self._send("RUN", direction)
 
     def slow_down(self) -> None:
@@ -125,7 +125,7 @@ class StepDirDriver(Driver):
     def is_stop_command(self, address: int, value: int) -> bool:
         return address == CONTROL_ADDRESS and bool(value & (AT_ONCE | SLOW))
 
-    def stopped_by(self) -> str:
+    def read_stop_reason(self) -> str:
         reason = self._read_end_reason()
         return reason if reason in ("EL+", "EL-", "ORG") else ""
 
@@ -136,7 +136,7 @@ class StepDirDriver(Driver):
         register = MAP.register(name)
         return register.value(self.chip.read(register.number))
 
-    def _registers(self, speeds: Speeds) -> dict[str, int]:
+    def _compute_registers(self, speeds: Speeds) -> dict[str, int]:
         """Compute the registers of speeds. Raises ArgumentError for rates that the step timer does not make."""
         for name, field, rate in (("START", "start_speed", speeds.start), ("RATE", "speed", speeds.drive)):
             low, high = MAP.register(name).range
@@ -149,7 +149,7 @@ class StepDirDriver(Driver):
                 f"start speed {speeds.start:g} pps is above the drive speed {speeds.drive:g} pps: ramps lead up."
             ).with_limit(ExceededLimit("start_speed", speeds.start, 0, speeds.drive))
         start = speeds.drive if speeds.constant else speeds.start
-        registers = self.formula(start, speeds.drive, speeds.up, speeds.down, 1)
+        registers = self.compute_move_registers(start, speeds.drive, speeds.up, speeds.down, 1)
         share = 0.5 if speeds.s_curve is True else float(speeds.s_curve)
         return {**registers, "CURVED": round(100 * share)}
 
@@ -165,7 +165,7 @@ class StepDirDriver(Driver):
         self.chip.write(CONTROL_ADDRESS, encode_command(command, direction))
 
     @classmethod
-    def line(
+    def move_line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
         """Move axes along a straight line: the steps of the shorter ones are spread among those of the longest by Bresenham's rule.
@@ -190,7 +190,9 @@ class StepDirDriver(Driver):
         procedures = {name: ProcedureObserver(driver.axis, "line") for name, driver in moving.items()}
         with LineObserver(procedures, {name: pulses[name] for name in moving}) as observer:
             for name, driver in moving.items():
-                driver._write_registers({**driver._registers(speeds), "STEPS": abs(pulses[name]), "EVENTS": events})
+                driver._write_registers(
+                    {**driver._compute_registers(speeds), "STEPS": abs(pulses[name]), "EVENTS": events}
+                )
             for name, driver in moving.items():
                 driver._send("MOVE", pulses[name])
                 observer.note_start(name)
@@ -200,7 +202,7 @@ class StepDirDriver(Driver):
                 limit_s = estimate_seconds(events, speeds) if timeout is None else timeout
                 wait_until_stopped(axes, limit_s, on_poll=early_stop)
             axes[0].wait(SETTLING_TIME_S)
-            return observer.report(
+            return observer.make_report(
                 {
                     name: ANOTHER_AXIS if name in early_stop.stopped else driver._read_end_reason()
                     for name, driver in moving.items()
@@ -215,7 +217,7 @@ class StepDirDriver(Driver):
     def list_move_registers(self, s_curve: bool | None) -> tuple[str, ...]:
         return ("START", "RATE", "UP", "DOWN", *(("CURVED",) if s_curve else ()))
 
-    def formula(
+    def compute_move_registers(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
         values = {"START": fl, "RATE": fh, "UP": 1e6 * up, "DOWN": 1e6 * down, **({"CURVED": 50.0} if s_curve else {})}
@@ -230,10 +232,10 @@ class StepDirDriver(Driver):
     def write_stop(self, program: Operations) -> None:
         program.command(self.index, AT_ONCE)
 
-    def search(self, settings: Any) -> HomeProgram:
+    def build_home_program(self, settings: Any) -> HomeProgram:
         return OrgHomeProgram(self, settings)
 
-    def lines(self, drivers: Sequence[Driver], settings: Any) -> LinePrograms:
+    def build_line_programs(self, drivers: Sequence[Driver], settings: Any) -> LinePrograms:
         return BresenhamLinePrograms(drivers, settings)
 
 

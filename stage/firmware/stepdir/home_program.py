@@ -28,40 +28,40 @@ class OrgHomeProgram(HomeProgram):
     def __init__(self, driver: StepDirDriver, settings: Any):
         if settings.ez:
             raise ArgumentError(f"ez={settings.ez!r}: a STEP/DIR axis has no input for an encoder's index pulse.")
-        self.driver, self.settings, self.marks = driver, settings, {}
+        self.driver, self.settings, self.result_indices = driver, settings, {}
         ranges = {name: get_register_range(MAP, name) for name in ("START", "RATE", "UP", "DOWN")}
         travel = {"leave": (1, max(1, settings.leave)), "back_off": (1, max(1, settings.back_off))}
         self.choices = ParameterRanges(
             {**ranges, "approach": get_register_range(MAP, "RATE"), **travel}, cubed=("leave",)
         )
-        self.program(self.choices.low)
+        self.write_program(self.choices.low)
 
     def find_nearest_row(
         self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int
     ) -> list[int]:
-        registers = self.driver.formula(fl, fh, ramp, ramp, leave)
+        registers = self.driver.compute_move_registers(fl, fh, ramp, ramp, leave)
         return self._round_to_ranges({**registers, "approach": approach, "leave": leave, "back_off": back_off})
 
-    def program(self, row: Sequence[int] | np.ndarray) -> Program:
+    def write_program(self, row: Sequence[int] | np.ndarray) -> Program:
         values = self.choices.to_dict(row)
         program = Program()
         for name in ("START", "RATE", "UP", "DOWN"):
-            self._set(program, name, values[name])
-        self._move(program, "leave", "MOVE+", values["leave"])
-        self._move(program, "search", "HOME-", 0)
-        self._move(program, "back_off", "MOVE+", values["back_off"])
-        self._set(program, "START", values["approach"])
-        self._set(program, "RATE", values["approach"])
-        self._move(program, "approach", "HOME-", 0)
+            self._add_register_write(program, name, values[name])
+        self._add_move(program, "leave", "MOVE+", values["leave"])
+        self._add_move(program, "search", "HOME-", 0)
+        self._add_move(program, "back_off", "MOVE+", values["back_off"])
+        self._add_register_write(program, "START", values["approach"])
+        self._add_register_write(program, "RATE", values["approach"])
+        self._add_move(program, "approach", "HOME-", 0)
         return program
 
-    def _set(self, program: Program, name: str, value: int) -> None:
+    def _add_register_write(self, program: Program, name: str, value: int) -> None:
         program.register(self.driver.index, self.driver.chip, name, value)
 
-    def _move(self, program: Program, phase: str, command: str, steps: int) -> None:
+    def _add_move(self, program: Program, phase: str, command: str, steps: int) -> None:
         """Add one move, a wait for its end, and reads of the status and the position."""
         index = self.driver.index
-        self._set(program, "STEPS", steps)
+        self._add_register_write(program, "STEPS", steps)
         program.command(index, MAP.command(command).code)
         self._note_result_index(f"{phase} time", program).until_stopped([index], self.settings.limit)
         program.command(index, AT_ONCE).wait(self.settings.settle)
@@ -69,7 +69,7 @@ class OrgHomeProgram(HomeProgram):
         self._note_result_index(f"{phase} position", program).read(index, POSITION.number)
 
     def read_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
-        columns = {name: results[:, at] for name, at in self.marks.items()}
+        columns = {name: results[:, at] for name, at in self.result_indices.items()}
         timed_out = np.any([columns[f"{phase} time"] < 0 for phase in PHASE_NAMES], axis=0)
         at_origin = {phase: columns[f"{phase} status"] & ORG != 0 for phase in PHASE_NAMES}
         at_limit = np.any([columns[f"{phase} status"] & END_LIMITS != 0 for phase in PHASE_NAMES], axis=0)

@@ -25,7 +25,7 @@ class BresenhamLinePrograms(LinePrograms):
 
     def __init__(self, drivers: Sequence[Driver], settings: Any):
         super().__init__(drivers, settings, 1, drivers[0].list_move_registers(settings.s_curve))
-        self.fastest = float(get_register_range(MAP, "RATE")[1])
+        self.max_rate = float(get_register_range(MAP, "RATE")[1])
         program = Program()
         for axis, driver in enumerate(self.drivers):
             for column, name in enumerate(self.names):
@@ -38,20 +38,22 @@ class BresenhamLinePrograms(LinePrograms):
         self._template = np.array(program.ops, np.int64)
 
     def _add_register(self, program: Program, driver: Driver, name: str, column: int) -> None:
-        """Add the write of a register whose value is a column of `programs`."""
+        """Add the write of a register whose value is a column of `write_programs`."""
         program.register(driver.index, driver.chip, name, 0)
         self._add_slot(program, 1, column)
 
-    def data_sheet(self, moves: LineMoves) -> np.ndarray:
+    def compute_registers(self, moves: LineMoves) -> np.ndarray:
         """Compute the registers of the longest axis for the rates and ramps of the settings."""
         settings, rows = self.settings, []
         for peak, ramp, events in zip(*self.compute_peaks(moves), moves.longest, strict=True):
-            registers = self.drivers[0].formula(min(settings.fl, peak), peak, ramp, ramp, int(events), settings.s_curve)
+            registers = self.drivers[0].compute_move_registers(
+                min(settings.fl, peak), peak, ramp, ramp, int(events), settings.s_curve
+            )
             rows.append([[registers[name] for name in self.names]])
         return np.array(rows, np.int64)
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        rows = self.clip_to_legal(self.data_sheet(moves) * MAX_CORRECTION_FACTOR**corrections)
+        rows = self.clip_to_legal(self.compute_registers(moves) * MAX_CORRECTION_FACTOR**corrections)
         rows[:, :, 0] = np.minimum(rows[:, :, 0], rows[:, :, 1])
         return rows
 
@@ -59,9 +61,9 @@ class BresenhamLinePrograms(LinePrograms):
         """Return zeros: no axis leaves the line by more than half a step."""
         return np.zeros((*moves.distances.shape, 4))
 
-    def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+    def write_programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         ops = self._fill_template(
-            self._template, np.concatenate([registers[:, 0], moves.longest[:, None], moves.size], axis=1)
+            self._template, np.concatenate([registers[:, 0], moves.longest[:, None], moves.magnitudes], axis=1)
         )
         minus = MAP.command("MOVE-").code ^ MAP.command("MOVE+").code
         for axis in range(len(self.drivers)):

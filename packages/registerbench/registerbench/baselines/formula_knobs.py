@@ -38,5 +38,5 @@ class FormulaKnobs:
         low = min(low, high)
         longer = (high - low) / (m.fh1 - m.fl)
         ramps = (max(ramp * longer / factor, 1e-3) for ramp, factor in ((m.accel(), up), (m.decel(), down)))
-        values = self.driver.formula(low, high, *ramps, self.pulses, s_curve=False)
+        values = self.driver.compute_move_registers(low, high, *ramps, self.pulses, s_curve=False)
         return {**values, "R6": min(round(values["R6"] * point), 0xFFFFF)} if others else values

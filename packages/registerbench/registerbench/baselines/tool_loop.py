@@ -80,21 +80,21 @@ class TuningSession:
 
     def _make_attempt(self) -> dict[str, Any]:
         stage, axis, port, c = self._stage, self._axis, self._port, Config()
-        port.command(chip_port.RESET)
+        port.write_command(chip_port.RESET)
         port.write_register("R0", self.distance)
-        port.command(chip_port.OUTPUT)
-        port.control(chip_port.PRESET)
+        port.write_command(chip_port.OUTPUT)
+        port.write_control_mode(chip_port.PRESET)
         began = stage.time
-        port.command(chip_port.RAMP["FH1"])
+        port.write_command(chip_port.RAMP["FH1"])
         try:
             port.wait_until_stopped(LIMIT, chip_port.FAST_POLL_S)
         except RunTimeout:
-            port.command(chip_port.RESET)
+            port.write_command(chip_port.RESET)
         duration, places = stage.time - began, []
         while stage.time < began + duration + c.settle:
             stage.step()
             places.append(axis.position)
-        lost, vibration, all_pulses_made = axis.lost_steps, float(np.ptp(places)), port.counter() == 0
+        lost, vibration, all_pulses_made = axis.lost_steps, float(np.ptp(places)), port.read_counter() == 0
         in_step = not lost and all_pulses_made and abs(axis.commanded - axis.position) <= MAX_OFFSET_M
         reward = -duration - c.vibration_weight * min(vibration / TENTH_MM, 100.0)
         reward -= 0.0 if all_pulses_made and in_step else c.lost_weight if all_pulses_made else c.limit_weight

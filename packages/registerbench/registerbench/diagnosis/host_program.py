@@ -259,7 +259,7 @@ def _parse_until(words: list[str], stage: Stage) -> Callable[[ProgramHost], None
     def wait_until_bit(host: ProgramHost) -> None:
         driver = host.driver(host.find_answering_axis(name).name)
         host.wait_until(
-            lambda: bool(field.of(driver.status_words()[where])) == bool(wanted), limit, f"{words[1]} = {wanted}"
+            lambda: bool(field.of(driver.read_status_words()[where])) == bool(wanted), limit, f"{words[1]} = {wanted}"
         )
 
     if where not in _list_status_words(axis):
@@ -271,7 +271,7 @@ def _list_status_words(axis: Axis) -> tuple[str, ...]:
     from stage.firmware.driver import get_driver
 
     replica = _UnobservedAxis(axis)
-    return tuple(get_driver(replica).status_words())  # type: ignore[arg-type]
+    return tuple(get_driver(replica).read_status_words())  # type: ignore[arg-type]
 
 
 class _UnobservedAxis:

@@ -131,7 +131,7 @@ def compute_encoder_registers(edges_per_turn: float, full_steps: int = 200) -> d
 class Tmc5160Driver(Driver):
     """Host driver of the TMC5160. Speeds are in 1/256 full steps a second, so MRES stays 0."""
 
-    DONE: ClassVar = "position reached"
+    DONE_REASON: ClassVar = "position reached"
     DISTANCE_REGISTER: ClassVar = "XTARGET"
     HOME_REASONS: ClassVar = ("REFL", "REFR", "ENCN", "stall")
     HOMING_METHODS: ClassVar = ("switch", "index", "stall")
@@ -207,7 +207,7 @@ class Tmc5160Driver(Driver):
             raise self.build_s_curve_error()
         return RAMP_REGISTERS
 
-    def formula(
+    def compute_move_registers(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
         """Return the registers for these rates and ramps, each limited to its legal range."""
@@ -239,7 +239,7 @@ class Tmc5160Driver(Driver):
             met = self.explain_end(p.pulses_made == pulses)
             self.hold_position()
             self.axis.wait(SETTLING_TIME_S)
-            return p.report(met, pulses)
+            return p.make_report(met, pulses)
 
     def start(self, pulses: int, speeds: Speeds) -> None:
         self.check_at_rest()
@@ -290,7 +290,7 @@ class Tmc5160Driver(Driver):
         self.write_register("XTARGET", self.read_register("XACTUAL"))
         self.write_register("RAMPMODE", state.POSITION)
 
-    def run(self, direction: int, speeds: Speeds) -> None:
+    def start_continuous_move(self, direction: int, speeds: Speeds) -> None:
         values = self._compute_checked_ramp_registers(speeds)
         self.check_at_rest()
         self.prepare()
@@ -325,7 +325,7 @@ class Tmc5160Driver(Driver):
         self.hold_position()
         self.write_register("SW_MODE", self.compute_sw_mode(STOP_AT_SWITCHES))
 
-    def stopped_by(self) -> str:
+    def read_stop_reason(self) -> str:
         events = self.read_register("RAMP_STAT")
         if events & state.EVENT_SG:
             return "stall"
@@ -346,7 +346,7 @@ class Tmc5160Driver(Driver):
             if method == "index" and end_reason in self.HOME_REASONS:
                 end_reason = homing.home_to_index(self, -direction, values, timeout)
             self.axis.wait(SETTLING_TIME_S)
-            report = p.report(end_reason)
+            report = p.make_report(end_reason)
         # the position of the stall is zero, so steps lost before do not count
         return replace(report, lost_steps=0) if end_reason == "stall" else report
 
@@ -365,7 +365,7 @@ class Tmc5160Driver(Driver):
     def write_stop(self, program: Operations) -> None:
         program.register(self.index, self.chip, "VMAX", 0)
 
-    def search(self, settings: Any) -> NoReturn:
+    def build_home_program(self, settings: Any) -> NoReturn:
         raise ArgumentError(
             f"{add_article(self.chip.MAP.chip)} has no ORG: its two reference switches are the end limits, and an origin return "
             "must find ORG between them. Use firmware.home, which homes it by a switch, an index pulse or a stall."
@@ -373,15 +373,15 @@ class Tmc5160Driver(Driver):
 
     # --- lines ---
 
-    def lines(self, drivers: Sequence[Driver], settings: Any) -> ProportionalLine:
+    def build_line_programs(self, drivers: Sequence[Driver], settings: Any) -> ProportionalLine:
         """Return lines on which the velocities and accelerations of the axes have the ratio of their distances."""
         return ProportionalLine(drivers, settings)
 
     @classmethod
-    def line(
+    def move_line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
-        """Drive a straight line with the registers of `lines`; both ramps last as long as the longer one of `speeds`."""
+        """Move axes along a straight line, with ramps as long as the longer one of `speeds`."""
         moving: dict[str, Any] = select_moving(dict(drivers), pulses)
         for driver in moving.values():
             driver.check_at_rest()
@@ -391,10 +391,10 @@ class Tmc5160Driver(Driver):
         line = ProportionalLine(
             list(moving.values()), LineSettings(speeds.start, ramp, speeds.s_curve, axes=tuple(moving))
         )
-        if speeds.drive > line.fastest:
-            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {line.fastest:g} here.")
+        if speeds.drive > line.max_rate:
+            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {line.max_rate:g} here.")
         moves = LineMoves(np.array([[pulses[n] for n in moving]]), np.array([speeds.drive]))
-        rows = line.data_sheet(moves)[0].tolist()
+        rows = line.compute_registers(moves)[0].tolist()
         wanted = {n: pulses[n] for n in moving}
         with LineObserver({n: ProcedureObserver(d.axis, "line") for n, d in moving.items()}, wanted) as together:
             goals = {
@@ -411,7 +411,7 @@ class Tmc5160Driver(Driver):
                     [d.axis for d in moving.values()], expected_seconds if timeout is None else timeout, on_poll=breaker
                 )
             except RunTimeout as error:
-                error.reports = together.reports(dict.fromkeys(moving, "timeout"))  # type: ignore[attr-defined]
+                error.reports = together.make_axis_reports(dict.fromkeys(moving, "timeout"))  # type: ignore[attr-defined]
                 raise
             end_reason = {
                 n: ANOTHER_AXIS if n in breaker.stopped else d.explain_end(together.has_arrived(n))
@@ -420,4 +420,4 @@ class Tmc5160Driver(Driver):
             for driver in moving.values():
                 driver.hold_position()
             next(iter(moving.values())).axis.wait(SETTLING_TIME_S)
-            return together.report(end_reason)
+            return together.make_report(end_reason)

@@ -53,7 +53,7 @@ def home_to_switch(driver: Tmc5160Driver, direction: int, values: Mapping[str, i
     wait_until_stopped([driver.axis], end - driver.axis.time)
     if not driver.read_register("RAMP_STAT") & closed:
         driver.hold_position()
-        return driver.stopped_by() or "no switch"
+        return driver.read_stop_reason() or "no switch"
     driver.write_register("SW_MODE", driver.compute_sw_mode(0))
     _start_move_to_latched_zero(driver)
     wait_until_stopped([driver.axis], end - driver.axis.time)
@@ -93,7 +93,7 @@ def home_to_index(driver: Tmc5160Driver, direction: int, values: Mapping[str, in
         if abs(driver.read_register("XACTUAL") - begin) > turn + PULSES_PER_FULL_STEP:
             break
         driver.axis.wait(1e-3)
-    stop_reason = driver.stopped_by()
+    stop_reason = driver.read_stop_reason()
     driver.halt()
     driver.write_register("ENCMODE", driver.read_register("ENCMODE") & DECIMAL)
     if not driver.read_register("ENC_STATUS") & N_EVENT:
@@ -149,7 +149,7 @@ def home_to_stall(driver: Tmc5160Driver, direction: int, values: Mapping[str, in
     driver.write_register("COOLCONF", (-round(min(free) / 2 / RESULT_PER_SGT) & 0x7F) << 16)
     driver.write_register("SW_MODE", driver.compute_sw_mode(state.SG_STOP))
     wait_until_stopped([driver.axis], end - driver.axis.time)
-    end_reason = driver.stopped_by()
+    end_reason = driver.read_stop_reason()
     driver.write_register("RAMPMODE", state.HOLD)
     driver.write_register("XACTUAL", 0)
     driver.write_register("XTARGET", 0)

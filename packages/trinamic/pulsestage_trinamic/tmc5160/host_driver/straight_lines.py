@@ -27,7 +27,7 @@ class ProportionalLine(LinePrograms):
     def __init__(self, drivers: Sequence[Driver], settings: Any):
         names = drivers[0].list_move_registers(settings.s_curve)
         super().__init__(drivers, settings, len(drivers), names)
-        self.fastest = float(self.high[names.index("VMAX")] * self.hz / VELOCITY_UNIT)
+        self.max_rate = float(self.high[names.index("VMAX")] * self.clock_hz / VELOCITY_UNIT)
         self._write_template()
 
     def _write_template(self) -> None:
@@ -47,16 +47,16 @@ class ProportionalLine(LinePrograms):
             self._add_slot(p, 1, count * len(self.names) + a)
         self._template = np.array(p.ops, np.int64)
 
-    def data_sheet(self, moves: LineMoves) -> np.ndarray:
+    def compute_registers(self, moves: LineMoves) -> np.ndarray:
         """Compute the registers of the longest axis by the formulas, rounded; other axes get the nearest values to their share."""
         c, (peak, ramp) = self.settings, self.compute_peaks(moves)
         low = np.minimum(c.fl, peak)
         lead = np.zeros((len(peak), len(self.names)))
-        lead[:, 0] = lead[:, 4] = low * VELOCITY_UNIT / self.hz
-        lead[:, 2] = peak * VELOCITY_UNIT / self.hz
-        lead[:, 1] = lead[:, 3] = (peak - low) / ramp * ACCELERATION_UNIT / self.hz**2
+        lead[:, 0] = lead[:, 4] = low * VELOCITY_UNIT / self.clock_hz
+        lead[:, 2] = peak * VELOCITY_UNIT / self.clock_hz
+        lead[:, 1] = lead[:, 3] = (peak - low) / ramp * ACCELERATION_UNIT / self.clock_hz**2
         rounded = np.maximum(np.rint(lead), 1.0)
-        return self.clip_to_legal(moves.share[:, :, None] * rounded[:, None, :])
+        return self.clip_to_legal(moves.shares[:, :, None] * rounded[:, None, :])
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """Correct the data sheet's registers; a correction of 1 moves the axis by `reach` steps along the line, or by one count.
@@ -68,7 +68,7 @@ class ProportionalLine(LinePrograms):
         Returns:
             Corrected registers within their legal ranges.
         """
-        registers = self.data_sheet(moves)
+        registers = self.compute_registers(moves)
         counts = np.maximum(np.rint(self.settings.reach / self.compute_pulses_per_count(registers, moves)), 1)
         return self.clip_to_legal(registers + np.rint(corrections * counts))
 
@@ -82,10 +82,10 @@ class ProportionalLine(LinePrograms):
         r = registers.astype(np.float64)
         up, down = (self._compute_ramp_seconds(r, start, rate) for start, rate in ((0, 1), (4, 3)))
         gained, decelerated = (
-            0.5 * (r[..., 2] - r[..., start]) * t * self.hz / VELOCITY_UNIT for start, t in ((0, up), (4, down))
+            0.5 * (r[..., 2] - r[..., start]) * t * self.clock_hz / VELOCITY_UNIT for start, t in ((0, up), (4, down))
         )
-        unit = self.hz / VELOCITY_UNIT
-        worth = [up * unit, gained / r[..., 1], moves.size / r[..., 2], decelerated / r[..., 3], down * unit]
+        unit = self.clock_hz / VELOCITY_UNIT
+        worth = [up * unit, gained / r[..., 1], moves.magnitudes / r[..., 2], decelerated / r[..., 3], down * unit]
         return np.maximum(np.stack(worth, axis=2), 1e-9)
 
     def _compute_ramp_seconds(self, registers: np.ndarray, start_column: int, acceleration_column: int) -> np.ndarray:
@@ -93,18 +93,18 @@ class ProportionalLine(LinePrograms):
         return (
             np.maximum(registers[..., 2] - registers[..., start_column], 0.0)
             * (ACCELERATION_UNIT / VELOCITY_UNIT)
-            / (registers[..., acceleration_column] * self.hz)
+            / (registers[..., acceleration_column] * self.clock_hz)
         )
 
     def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
-        r, unit = self.data_sheet(moves).astype(np.float64), self.hz / VELOCITY_UNIT
+        r, unit = self.compute_registers(moves).astype(np.float64), self.clock_hz / VELOCITY_UNIT
         up, down = self._compute_ramp_seconds(r, 0, 1), self._compute_ramp_seconds(r, 4, 3)
         lag, less = 0.5 * (r[..., 2] - r[..., 0]) * unit * up, 0.5 * (r[..., 2] - r[..., 4]) * unit * down
         return self.compute_deviations(
             moves, r[..., 2] * unit, up, lag, less, 0.5 * (r[..., 2] + r[..., 4]) * unit * down
         )
 
-    def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+    def write_programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         columns = [registers.reshape(len(registers), -1), moves.distances & 0xFFFFFFFF]
         return self._fill_template(self._template, np.concatenate(columns, axis=1))
 
