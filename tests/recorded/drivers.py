@@ -94,7 +94,7 @@ def read_answers(cls):
     h, x = get_driver(y), get_driver(stage.axes["x"])
     polls = []
     results = {
-        "usual": get_default_speeds(y.chip)[:5], "names": [h.DONE, h.DISTANCE_REGISTER, h.INVERTIBLE_SENSORS,
+        "usual": get_default_speeds(y.chip)[:5], "names": [h.DONE_REASON, h.DISTANCE_REGISTER, h.INVERTIBLE_SENSORS,
         h.list_homing_methods(), h.HOME_REASONS], "index": h.index,
         "at rest": [h.is_running(), h.read_stop_reason(), attempt(h.read_status_words)],
         "no start": attempt(h.start, 0, SLOW), "half": attempt(h.start, 10.5, SLOW),
@@ -110,7 +110,7 @@ def read_answers(cls):
     results["registers"] = {r.name: attempt(h.read_register, r.name) for r in y.chip.MAP.registers}
     results["no register"] = attempt(h.read_register, "R99")
     results["two rates"] = attempt(h.move_at_two_rates, 900, SLOW.with_second(9000.0), 0.01)
-    h.run(-1, SLOW)
+    h.start_continuous_move(-1, SLOW)
     stage.run(0.03)
     results["running"] = [h.is_running(), h.read_stop_reason()]
     h.halt(at_once=True)
@@ -137,7 +137,7 @@ def run_into_ends(cls):
         stage.reset()
         stage.place(y=touch[end] - direction * 0.15e-3)
         went = [attempt(h.start, -20 * direction, SLOW), attempt(h.wait, 1.0)]
-        h.run(direction, SLOW)
+        h.start_continuous_move(direction, SLOW)
         stage.run(0.15)
         stood = [h.is_running(), h.read_stop_reason(), y.position]
         h.halt()
@@ -207,7 +207,7 @@ def write_programs(cls):
     for ez in (0, 1, 3):
         settings = SimpleNamespace(leave=900, back_off=120, multiplier=30, settle=0.02, limit=1.5, ez=ez)
         try:
-            search = h.search(settings)
+            search = h.build_home_program(settings)
         except StageError as error:
             results[f"search {ez}"] = error
             continue
