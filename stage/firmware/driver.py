@@ -1,6 +1,6 @@
 """`Driver`: the interface by which a host controls an axis, equal for all chip families.
 
-    driver = driver_of(stage.axes["x"])
+    driver = get_driver(stage.axes["x"])
     print(driver.move(8000, Speeds()))                    makes the bus cycles and returns a report
     driver.write_move(program, registers, 8000)           adds the same bus cycles to a program, for fleets
     driver.compute_move_registers(1000, 16_000, 0.15, 0.15, 8000)        the data sheet's registers for rates and ramps

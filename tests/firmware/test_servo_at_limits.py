@@ -219,7 +219,7 @@ def test_rates_beyond_the_registers_are_refused_before_an_axis_leaves_its_limit(
     [(call, end) for call in ("move", "start", "jog", "line") for end in ENDS],
 )
 def test_the_limit_that_ends_a_drive_is_named_also_by_another_driver(stage, call, end):
-    """firmware.line({"x": -5e-3, "y": 5e-3}, stage) that meets EL-; driver_of(axis).stopped_by()."""
+    """firmware.line({"x": -5e-3, "y": 5e-3}, stage) that meets EL-; get_driver(axis).read_stop_reason()."""
     x = stage.axes["x"]
     direction, _ = place_on(x, end)
     stage.place(x=x.position - direction * 0.8e-3)
