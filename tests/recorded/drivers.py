@@ -121,7 +121,7 @@ def read_answers(cls):
         "x" if h.is_stop_command(a, v) else "." for a in (0, 1) for v in (*range(256), 0x126, 0x256, 0x226, 0x257)
     )
     results["circle"] = attempt(h.draw_circle, x, 40, SLOW)
-    results["circle back"] = attempt(x.circle, h, -30, SLOW)
+    results["circle back"] = attempt(x.draw_circle, h, -30, SLOW)
     for name, speeds in {"slow": (0.5, 5000), "fast": (800, 9e6), "falls": (900, 700), "creeps": (0.1, 0.2)}.items():
         results[name] = attempt(lambda speeds=speeds: str(h.move(20, Speeds(*speeds), 0.5)))
     return results
