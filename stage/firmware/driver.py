@@ -124,7 +124,7 @@ class Driver(ABC):
         "start_continuous_move",
         "halt",
     )
-    """Methods that hold the chip's lock, so that no other thread uses the chip between their bus cycles (chips/exclusive_access.py)."""
+    """Methods that hold the chip's lock: no other thread uses the chip between their bus cycles (chips/exclusive_access.py)."""
 
     has_position_loop: ClassVar[bool] = False
     """Whether the chip closes a position loop over an encoder. Its pulses are counts of the encoder, and it loses no steps."""
