@@ -148,10 +148,10 @@ def test_the_counter_is_read_consistently_across_a_borrow(x):
     """The Q & A's remedy: every value read lies between the true ones before and after."""
     port = firmware.Port(x)
     port.write_registers(R0=0x020100, R1=8191, R2=8191, R7=2)
-    port.command(0x11)
+    port.write_command(0x11)
     for _ in range(300):
         before = x.chip.values()["R0"]
-        read = port.counter()
+        read = port.read_counter()
         assert x.chip.values()["R0"] <= read <= before
 
 
@@ -247,14 +247,14 @@ def test_an_interruption_slows_down_from_the_rate_of_the_move(x, fh2, stop):
 
 @pytest.mark.parametrize(("fh2", "pulses"), [(False, -4200), (True, -8300)])
 def test_a_short_rest_of_an_interrupted_s_curve_move_ramps_by_a_lower_s_curve(fh2, pulses):
-    """firmware.interrupted_move(axis, 3000, profile.shaped(True)): too few pulses are left for FH1"""
-    profile = Profile.of(fl=500, fh1=8000, accel=0.2, chip=PCL240MS).shaped(True, fh2)
+    """firmware.interrupted_move(axis, 3000, profile.with_ramp_shape(True)): too few pulses are left for FH1"""
+    profile = Profile.of(fl=500, fh1=8000, accel=0.2, chip=PCL240MS).with_ramp_shape(True, fh2)
     report = firmware.interrupted_move(Bench(x=PCL240MS()).axes["x"], pulses, profile, after=0.42, pause=0.05, fh2=fh2)
     assert (report.pulses, report.stopped_by, report.ok) == (pulses, "R0 = 0", True)
     speed = report.course.edges["speed"]
     again = np.flatnonzero((speed[1:] > 0) & (speed[:-1] == 0)) + 1
     first, rest = speed[again[0] : again[1]], speed[again[1] :]
-    assert profile.R1 < rest.max() < first.max() == profile.high(fh2)
+    assert profile.R1 < rest.max() < first.max() == profile.get_high_speed(fh2)
     assert rest[rest > 0][-1] == profile.R1
 
 
@@ -314,7 +314,7 @@ def test_the_average_rate_counts_pulses_of_both_directions(x):
     with ProcedureObserver(x, "to and fro") as watched:
         for pulses in (3000, -1000):
             firmware.preset_move(x, pulses, Profile.of(fl=1000, fh1=8000, accel=0.1))
-        report = watched.report("R0 = 0")
+        report = watched.make_report("R0 = 0")
     assert report.pulses == 2000
     assert report.average_rate == pytest.approx(4000 / report.duration)
 

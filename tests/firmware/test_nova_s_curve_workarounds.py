@@ -30,11 +30,13 @@ class DriveSetup:
         self.bench = Bench(x=cls(errata=errata))
         self.driver = s_curve_workarounds.open_port(self.bench.axes["x"])
         self.pins = self.driver.axis.pins
-        self.driver.load(**{"R": 800_000, "K": K, "A": 8000, "SV": SV, "V": V, "AO": 0} | LIMITS | parameters)
-        self.driver.mode(WR1=wr1, WR2=wr2, WR3=s_curve_workarounds.S_CURVE)
+        self.driver.write_parameters(
+            **{"R": 800_000, "K": K, "A": 8000, "SV": SV, "V": V, "AO": 0} | LIMITS | parameters
+        )
+        self.driver.write_mode_words(WR1=wr1, WR2=wr2, WR3=s_curve_workarounds.S_CURVE)
 
     def start(self, pulses=PULSES):
-        self.driver.start(pulses)
+        self.driver.start_drive(pulses)
         self.began = self.bench.time
         return self
 
@@ -44,11 +46,11 @@ class DriveSetup:
 
     def runs_away(self):
         self.bench.wait(2.5)  # longer than a whole drive
-        return self.driver.driving() and not self.driver.word(1) & s_curve_workarounds.PHASES
+        return self.driver.is_driving() and not self.driver.read_status_register(1) & s_curve_workarounds.PHASES
 
     def wait_for_end_position(self):
         self.driver.wait_until_stopped(5, poll=0.02)
-        return self.driver.position()
+        return self.driver.read_position()
 
 
 # Case 1: 26h
@@ -56,7 +58,7 @@ class DriveSetup:
 
 def stop_unguarded(setup):
     """Write 26h without a check."""
-    setup.driver.command(s_curve_workarounds.DECELERATING_STOP)
+    setup.driver.write_command(s_curve_workarounds.DECELERATING_STOP)
     return True
 
 
@@ -123,7 +125,7 @@ def test_only_the_speed_criterion_stops_a_drive_without_constant_speed():
 def measure_time_of_pulses(pulses, count):
     """Measure the seconds until a drive has made `count` pulses."""
     setup = DriveSetup().start(pulses)
-    while setup.driver.position() < count:
+    while setup.driver.read_position() < count:
         setup.bench.wait(1e-3)
     return setup.bench.time - setup.began
 
@@ -169,7 +171,7 @@ def run_into_limit(name, seconds, cls=MCX304, sign=1, routine=True, errata=True,
     """
     watch, wr1 = LIMIT_ROUTINES[name]
     setup = DriveSetup(cls, errata, wr1=wr1, wr2=s_curve_workarounds.LIMITS_DECELERATE)
-    setup.driver.word(3)
+    setup.driver.read_status_register(3)
     setup.start(sign * PULSES)
     places = []
 
@@ -190,7 +192,7 @@ def test_the_routine_stops_a_runaway_at_a_decelerating_limit_within_3_pulses(cls
     assert run_into_limit(name, seconds, cls, routine=False)[0].runs_away()
     setup, (place,), stopped = run_into_limit(name, seconds, cls, begins=DRIVE_S - WATCHED_S)
     assert stopped
-    assert setup.driver.position() - place <= MAX_EXTRA_PULSES
+    assert setup.driver.read_position() - place <= MAX_EXTRA_PULSES
 
 
 @limit_routine
@@ -200,7 +202,7 @@ def test_a_limit_before_area_d_stops_within_3_pulses_of_the_area(name, sign):
     setup, (place,), stopped = run_into_limit(name, DRIVE_S - RAMP_S / 2, sign=sign)
     assert stopped
     assert place < begins
-    assert abs(setup.driver.position()) - begins <= MAX_EXTRA_PULSES
+    assert abs(setup.driver.read_position()) - begins <= MAX_EXTRA_PULSES
 
 
 @limit_routine
@@ -208,7 +210,7 @@ def test_a_limit_before_area_d_stops_within_3_pulses_of_the_area(name, sign):
 def test_the_routines_ignore_a_drive_that_ends_without_them(name, seconds):
     setup, places, stopped = run_into_limit(name, seconds)
     assert not stopped
-    assert setup.driver.position() == PULSES if not places else setup.driver.position() < PULSES
+    assert setup.driver.read_position() == PULSES if not places else setup.driver.read_position() < PULSES
 
 
 @limit_routine
@@ -216,11 +218,11 @@ def test_the_routines_ignore_a_drive_that_a_limit_ends_at_once(name):
     """At constant speed, V = SV, there is no deceleration: the drive has ended when the routine is called."""
     watch, wr1 = LIMIT_ROUTINES[name]
     setup = DriveSetup(wr1=wr1, wr2=s_curve_workarounds.LIMITS_DECELERATE, V=SV)
-    setup.driver.word(3)
+    setup.driver.read_status_register(3)
     setup.start()
     setup.bench.at(setup.began + 0.1, lambda: setattr(setup.pins, "lmt_plus", True))
     assert not setup.driver.wait_until_stopped(3, lambda: watch(setup.driver))
-    assert 0 < setup.driver.position() < PULSES
+    assert 0 < setup.driver.read_position() < PULSES
 
 
 @limit_routine
@@ -229,7 +231,7 @@ def test_a_chip_without_the_erratum_needs_no_routine(name):
         begins = 0.0 if seconds == TIMES_IN_AREA_D[0] else DRIVE_S - WATCHED_S
         setup, _, stopped = run_into_limit(name, seconds, errata=False, begins=begins)
         assert not stopped
-        assert setup.driver.position() <= PULSES
+        assert setup.driver.read_position() <= PULSES
 
 
 # Case 3: a software limit
@@ -246,8 +248,8 @@ def test_a_drive_beyond_a_software_limit_is_not_started(cls, pulses, limits):
     assert setup.runs_away()
     setup = DriveSetup(cls, wr2=s_curve_workarounds.SOFT_LIMITS, **limits)
     assert not s_curve_workarounds.start_within_limits(setup.driver, pulses, limits["CM"], limits["CP"])
-    assert not setup.driver.driving()
-    assert setup.driver.position() == 0
+    assert not setup.driver.is_driving()
+    assert setup.driver.read_position() == 0
 
 
 @pytest.mark.parametrize("sign", [1, -1], ids=["plus", "minus"])
@@ -286,14 +288,14 @@ def test_the_routine_stops_a_runaway_after_a_stop_signal_within_3_pulses(cls, k)
         assert run_with_stop_signal(k, seconds, cls, routine=False)[0].runs_away()
         setup, (place,), stopped = run_with_stop_signal(k, seconds, cls, begins=DRIVE_S - WATCHED_S)
         assert stopped
-        assert setup.driver.position() - place <= MAX_EXTRA_PULSES
+        assert setup.driver.read_position() - place <= MAX_EXTRA_PULSES
 
 
 @pytest.mark.parametrize("seconds", [RAMP_S / 2, DRIVE_S / 2, DRIVE_S + 1], ids=["a", "b", "never"])
 def test_the_stop_routine_ignores_a_drive_that_ends_without_it(seconds):
     setup, places, stopped = run_with_stop_signal(0, seconds)
     assert not stopped
-    assert setup.driver.position() < PULSES if places else setup.driver.position() == PULSES
+    assert setup.driver.read_position() < PULSES if places else setup.driver.read_position() == PULSES
 
 
 # The driver
@@ -302,24 +304,24 @@ def test_the_stop_routine_ignores_a_drive_that_ends_without_it(seconds):
 def test_the_driver_writes_to_its_axis_only():
     chip = MCX304()
     z = s_curve_workarounds.open_port(SimpleNamespace(name="z", chip=chip, chip_axis=2))
-    s_curve_workarounds.open_port(SimpleNamespace(name="x", chip=chip, chip_axis=0)).load(P=5)
-    z.load(R=800_000, SV=1000, V=1000, LP=-3)
-    z.mode(WR1=s_curve_workarounds.C_END_ENABLE)
-    z.start(40)
-    assert (z.driving(), z.speed()) == (True, 1000)
+    s_curve_workarounds.open_port(SimpleNamespace(name="x", chip=chip, chip_axis=0)).write_parameters(P=5)
+    z.write_parameters(R=800_000, SV=1000, V=1000, LP=-3)
+    z.write_mode_words(WR1=s_curve_workarounds.C_END_ENABLE)
+    z.start_drive(40)
+    assert (z.is_driving(), z.read_speed()) == (True, 1000)
     assert set(chip.trace(16_000_000)["axis"]) == {2}
-    assert (z.driving(), z.position()) == (False, 37)
+    assert (z.is_driving(), z.read_position()) == (False, 37)
     assert chip.diagnostics == []
 
 
 @pytest.mark.parametrize(
     ("act", "message"),
     [
-        (lambda d: d.load(K=0), "K .*cannot be 0: .* from 1 to 65535"),
-        (lambda d: d.load(V=8001), "cannot be 8001"),
-        (lambda d: d.load(VV=1), "Did you mean"),
-        (lambda d: d.mode(WR4=1), "WR1, WR2, WR3"),
-        (lambda d: d.start(0), "at least one"),
+        (lambda d: d.write_parameters(K=0), "K .*cannot be 0: .* from 1 to 65535"),
+        (lambda d: d.write_parameters(V=8001), "cannot be 8001"),
+        (lambda d: d.write_parameters(VV=1), "Did you mean"),
+        (lambda d: d.write_mode_words(WR4=1), "WR1, WR2, WR3"),
+        (lambda d: d.start_drive(0), "at least one"),
     ],
 )
 def test_invalid_arguments_are_refused_before_the_first_bus_cycle(act, message):
@@ -345,12 +347,12 @@ def test_a_stop_by_the_routine_is_reported_although_later_calls_return_false(sto
         if len(samples) != 100:
             return False
         if stops:
-            setup.driver.command(s_curve_workarounds.DECELERATING_STOP)
+            setup.driver.write_command(s_curve_workarounds.DECELERATING_STOP)
         return stops
 
     assert setup.driver.wait_until_stopped(5, routine) is stops
     assert len(samples) > 110
-    assert (setup.driver.position() < PULSES) is stops
+    assert (setup.driver.read_position() < PULSES) is stops
 
 
 def test_a_runaway_ends_in_a_timeout_that_shows_rr1():
@@ -363,18 +365,18 @@ def test_a_runaway_ends_in_a_timeout_that_shows_rr1():
 def test_error_bits_have_the_names_of_the_chip_s_map(cls):
     """erratum.port_of(axis).errors()"""
     setup = DriveSetup(cls)
-    assert setup.driver.errors() == ()
+    assert setup.driver.read_error_names() == ()
     setup.pins.lmt_plus = True
     setup.start()
     setup.bench.wait(1e-3)
-    assert "HLMT+" in setup.driver.errors()
+    assert "HLMT+" in setup.driver.read_error_names()
 
 
 def test_a_routine_ignores_a_runaway_of_another_cause():
     """The flow charts of case 2 and 4 begin with their own cause: an interrupt for C-END, a limit, a stop signal."""
     limited = run_into_limit("interrupt", DRIVE_S - AREA_D / 2, routine=False)[0]
     assert limited.runs_away()
-    limited.driver.word(3)  # C-END is reported once
+    limited.driver.read_status_register(3)  # C-END is reported once
     assert not s_curve_workarounds.handle_limit_interrupt(limited.driver)
     assert not s_curve_workarounds.handle_stop_signal_timer(limited.driver)
     assert limited.runs_away()
@@ -394,13 +396,13 @@ class FixedStatusPort:
     def __init__(self, factors, status, driving):
         self._words, self._driving, self.commands = {1: status, 3: factors}, driving, []
 
-    def word(self, number):
+    def read_status_register(self, number):
         return self._words[number]
 
-    def driving(self):
+    def is_driving(self):
         return self._driving
 
-    def command(self, code):
+    def write_command(self, code):
         self.commands.append(code)
 
 

@@ -128,7 +128,7 @@ def test_a_move_is_started_first_and_awaited_later(stage):
     driver.start(6400, Speeds(drive=20_000))
     x.wait(0.02)
     assert x.chip.busy(x.chip_axis)
-    assert driver.wait(5.0, lambda: samples.append(x.time)) == driver.DONE
+    assert driver.wait(5.0, lambda: samples.append(x.time)) == driver.DONE_REASON
     assert len(samples) > 10
     assert not x.chip.busy(x.chip_axis)
     x.wait(0.1)
@@ -141,19 +141,19 @@ def test_a_move_is_started_first_and_awaited_later(stage):
 
 @pytest.mark.parametrize("name", STEPPING)
 def test_a_driver_reports_the_stop_reason_of_its_last_run_only_after_the_stop(name):
-    """driver.start(-300, Speeds()); driver.wait(5.0); driver.run(1, Speeds()); driver.stopped_by()"""
+    """driver.start(-300, Speeds()); driver.wait(5.0); driver.start_continuous_move(1, Speeds()); driver.read_stop_reason()"""
     x = Bench(x=CHIPS[name]()).axes["x"]
     driver = get_driver(x)
     driver.start(-300, Speeds())
-    assert driver.stopped_by() == ""
-    assert driver.wait(5.0) == driver.DONE
+    assert driver.read_stop_reason() == ""
+    assert driver.wait(5.0) == driver.DONE_REASON
     assert x.chip.net(0) == -300
-    driver.run(1, Speeds())
+    driver.start_continuous_move(1, Speeds())
     x.wait(0.05)
-    assert (driver.is_running(), driver.stopped_by()) == (True, "")
+    assert (driver.is_running(), driver.read_stop_reason()) == (True, "")
     driver.halt()
     assert not driver.is_running()
-    assert driver.stopped_by() != driver.DONE
+    assert driver.read_stop_reason() != driver.DONE_REASON
 
 
 @pytest.mark.parametrize("stage", STEPPING, indirect=True)
@@ -219,7 +219,7 @@ def test_a_nova_chip_moves_at_every_speed_of_its_stated_range_and_at_no_other(na
 def test_a_line_of_nova_axes_refuses_impossible_lines_and_reports_stop_reasons(stage):
     """firmware.line({"x": 6e-3, "y": 2e-3}, stage) of axes that move, too fast, without time, onto a limit"""
     x, y = stage.axes["x"], stage.axes["y"]
-    get_driver(y).run(1, Speeds())
+    get_driver(y).start_continuous_move(1, Speeds())
     stage.run(0.01)
     with pytest.raises(StageError, match="axis y is moving"):
         firmware.line({"x": 1e-3, "y": 1e-3}, stage)
@@ -244,7 +244,7 @@ def test_stop_ends_a_run_and_the_axis_can_move_again(stage):
     for at_once in (False, True):
         x = stage.axes["x"]
         driver = get_driver(x)
-        driver.run(1, Speeds(500, 4000, 0.05, 0.05))
+        driver.start_continuous_move(1, Speeds(500, 4000, 0.05, 0.05))
         stage.run(0.1)
         with pytest.raises(StageError, match="axis x is moving"):
             firmware.move(x, 1e-3)
@@ -269,7 +269,7 @@ def test_a_stop_at_once_makes_no_more_pulses_and_one_with_a_ramp_does(name):
         more = []
         for at_once in (True, False):
             x = Bench(x=CHIPS[name]()).axes["x"]
-            get_driver(x).run(direction, Speeds(500, 4000, 0.05, 0.05))
+            get_driver(x).start_continuous_move(direction, Speeds(500, 4000, 0.05, 0.05))
             x.wait(0.1)
             before = x.chip.net(x.chip_axis)
             firmware.stop(x, at_once)
@@ -285,7 +285,7 @@ def test_a_servo_stopped_at_once_holds_where_it_is_and_one_with_a_ramp_slows_dow
     for at_once in (True, False):
         stage.reset()
         x = stage.axes["x"]
-        get_driver(x).run(1, Speeds(500, 20_000, 0.05, 0.05))
+        get_driver(x).start_continuous_move(1, Speeds(500, 20_000, 0.05, 0.05))
         x.wait(0.1)
         before = x.position
         firmware.stop(x, at_once)
@@ -299,7 +299,7 @@ def test_the_drawing_of_a_run_has_the_command_that_stopped_it(stage):
     """firmware.jog(axis, 0.1, 0.02).plot()"""
     x = stage.axes["x"]
     report = firmware.jog(x, 0.05, 0.02, accel=0.2)
-    notes = get_driver(x).PATTERN(report).notes(report.course.seconds - report.began)
+    notes = get_driver(x).PATTERN_CLASS(report).notes(report.course.seconds - report.began)
     assert [note.words for note in notes if "decelerating stop" in note.words] == ["X decelerating stop"]
 
 
@@ -428,7 +428,7 @@ def test_a_servo_jogs_a_rotary_table_past_its_home_switch():
 def test_an_unintended_stop_reason_is_marked_in_the_report(met):
     x = Bench(x=PCL240K()).axes["x"]
     with ProcedureObserver(x, "run") as p:
-        report = p.report(met)
+        report = p.make_report(met)
     assert not report.ok
     assert (report.began, report.average_rate, report.peak_rate) == (0, 0, 0), "nothing ran"
     assert f"NOT as asked, stopped by {met}" in str(report)
@@ -438,14 +438,14 @@ def test_an_unintended_stop_reason_is_marked_in_the_report(met):
 def test_a_move_that_an_emergency_stop_ends_is_not_ok():
     x = Bench(x=MCX514()).axes["x"]
     driver = get_driver(x)
-    driver.run(1, Speeds())
+    driver.start_continuous_move(1, Speeds())
     x.wait(0.05)
     x.chip.pins.emg = True
     x.wait(0.01)
     assert not driver.is_running()
-    assert driver.stopped_by() == "EMG"
+    assert driver.read_stop_reason() == "EMG"
     x.chip.pins.emg = False
-    assert driver.stopped_by() == "EMG", "it has ended the drive, whatever it is now"
+    assert driver.read_stop_reason() == "EMG", "it has ended the drive, whatever it is now"
 
 
 @each
@@ -587,7 +587,7 @@ def test_reports_of_every_chip_are_drawn(stage, tmp_path):
     report = firmware.move(stage.axes["x"], 3e-3)
     assert report.plot(tmp_path / "a.png") is not None
     assert (tmp_path / "a.png").stat().st_size > 10_000
-    pattern = get_driver_class(type(stage.axes["x"].chip)).PATTERN(report)
+    pattern = get_driver_class(type(stage.axes["x"].chip)).PATTERN_CLASS(report)
     t = report.course.seconds - report.began
     notes = pattern.notes(t)
     assert any(not n.event for n in notes), "the start command"
@@ -599,7 +599,7 @@ def test_the_drawing_of_a_line_names_its_interpolation_and_omits_register_writes
     """firmware.line({"x": 3e-3, "y": 1e-3}, stage.axes).axes["x"].plot()"""
     axes = Stage("xy", chips=MCX514, visuals=False).axes
     report = firmware.line({"x": 3e-3, "y": 1e-3}, axes).axes["x"]
-    words = [n.words for n in get_driver(axes["x"]).PATTERN(report).notes(report.course.seconds - report.began)]
+    words = [n.words for n in get_driver(axes["x"]).PATTERN_CLASS(report).notes(report.course.seconds - report.began)]
     assert "2-axis linear interpolation" in words
     assert not [w for w in words if "write" in w]
 
@@ -719,11 +719,11 @@ def test_a_run_after_a_move_ends_at_a_limit_and_not_at_the_pulses_of_the_move():
     driver = get_driver(bench.axes["x"])
     for direction, limit in ((-1, "EL-"), (1, "EL+")):
         driver.start(100 * direction, Speeds())
-        assert driver.wait(5.0) == driver.DONE
-        driver.run(direction, Speeds())
+        assert driver.wait(5.0) == driver.DONE_REASON
+        driver.start_continuous_move(direction, Speeds())
         setattr(bench.axes["x"].pins, limit.lower().replace("+", "_plus").replace("-", "_minus"), True)
         bench.wait(0.5)
-        assert driver.stopped_by() == limit
+        assert driver.read_stop_reason() == limit
 
 
 @pytest.mark.parametrize(("direction", "limit"), [(-1, "EL-"), (1, "EL+")])
@@ -741,7 +741,7 @@ def test_a_move_onto_an_end_limit_names_the_limit(name, direction, limit):
 def test_a_line_of_a_pcl240_has_both_requested_ramps():
     bench = Bench(PCL240K(), PCL240K())
     drivers = {name: get_driver(axis) for name, axis in bench.axes.items()}
-    plan = type(drivers["x"]).line(drivers, {"x": 6000, "y": -3000}, Speeds(1000, 8000, 0.1, 0.2)).plan
+    plan = type(drivers["x"]).move_line(drivers, {"x": 6000, "y": -3000}, Speeds(1000, 8000, 0.1, 0.2)).plan
     for axis in plan.axes.values():
         assert axis.registers["R5"] == pytest.approx(2 * axis.registers["R4"], rel=0.01)
 
@@ -749,7 +749,7 @@ def test_a_line_of_a_pcl240_has_both_requested_ramps():
 @pytest.mark.parametrize("hz", [4_915_200, 2_000_000])
 def test_the_formula_computes_registers_for_the_clock_of_the_chip(hz):
     x = Bench(PCL240MK(clock_hz=hz)).axes["x"]
-    registers = get_driver(x).formula(500, 8000, 0.1, 0.2, 4000)
+    registers = get_driver(x).compute_move_registers(500, 8000, 0.1, 0.2, 4000)
     step = hz / (8192 * registers["R7"])
     assert registers["R1"] * step == pytest.approx(500, rel=1e-3)
     assert registers["R2"] * step == pytest.approx(8000, rel=1e-3)

@@ -134,20 +134,20 @@ def test_the_revised_high_rate_is_the_highest_whose_ramps_fit_into_the_move():
 
 
 def test_a_profile_without_ramps_ignores_ramp_time_and_shape():
-    """Profile.of(fl=5000, fh1=5000, fh2=5000, accel=50).shaped(True)"""
+    """Profile.of(fl=5000, fh1=5000, fh2=5000, accel=50).with_ramp_shape(True)"""
     flat = Profile.of(fl=5000, fh1=5000, fh2=5000, accel=50, chip=PCL240MS)
     assert flat.fh1 == flat.fl == pytest.approx(5000, rel=1e-4)
     assert Profile.of(fl=1234.5, fh1=1234.5, fh2=1234.5, accel=50).fl == pytest.approx(1234.5, rel=2e-4)
-    shaped = flat.shaped(True)
+    shaped = flat.with_ramp_shape(True)
     assert (shaped.spans, shaped.R4, shaped.R5) == ((0, 0), flat.R4, flat.R5)
-    assert flat.within(100) is flat
-    assert shaped.within(3).R2 == shaped.R1
+    assert flat.for_distance(100) is flat
+    assert shaped.for_distance(3).R2 == shaped.R1
 
 
 def test_a_ramp_shape_keeps_the_ramp_times_to_the_selected_high_rate():
     plain = Profile.of(fl=500, fh1=4000, fh2=16_000, accel=0.2, decel=0.1, chip=PCL240MS)
     for fh2 in (False, True):
-        curved = plain.shaped(0.2, fh2)
+        curved = plain.with_ramp_shape(0.2, fh2)
         assert curved.accel(fh2) == pytest.approx(plain.accel(fh2), rel=0.01)
         assert curved.decel(fh2) == pytest.approx(plain.decel(fh2), rel=0.01)
         assert curved.accel(not fh2) != pytest.approx(plain.accel(not fh2), rel=0.05)
@@ -186,18 +186,20 @@ def test_the_error_of_a_value_beyond_its_register_states_name_range_and_value(ca
 def test_a_run_through_speeds_dwells_at_each_but_the_last():
     p = Profile.of(1000, 4000, 8000)
     one, two = p.R2, p.R3
-    assert p.pulses_through([one], 0.5) == p.pulses_through([one])
-    assert p.pulses_through([one, two], 0.5) - p.pulses_through([one, two]) == pytest.approx(0.5 * p.fh1)
-    assert p.pulses_through([one, two, one], 0.5) - p.pulses_through([one, two, one]) == pytest.approx(
+    assert p.compute_pulses_through([one], 0.5) == p.compute_pulses_through([one])
+    assert p.compute_pulses_through([one, two], 0.5) - p.compute_pulses_through([one, two]) == pytest.approx(
+        0.5 * p.fh1
+    )
+    assert p.compute_pulses_through([one, two, one], 0.5) - p.compute_pulses_through([one, two, one]) == pytest.approx(
         0.5 * (p.fh1 + p.fh2)
     )
 
 
 def test_the_upper_bound_of_the_duration_uses_fl_and_the_longer_ramp():
     p = Profile.of(1000, 8000, 8000, accel=0.1, decel=0.4)
-    assert p.seconds(500) == pytest.approx(500 / p.fl + 2 * p.decel(True))
+    assert p.estimate_seconds(500) == pytest.approx(500 / p.fl + 2 * p.decel(True))
     p = Profile.of(1000, 8000, 8000, accel=0.4, decel=0.1)
-    assert p.seconds(500) == pytest.approx(500 / p.fl + 2 * p.accel(True))
+    assert p.estimate_seconds(500) == pytest.approx(500 / p.fl + 2 * p.accel(True))
 
 
 def test_a_ramp_is_at_most_one_percent_shorter_than_requested():

@@ -59,7 +59,7 @@ def test_the_minimum_number_of_pulses_allows_for_a_polling_delay():
         least[rates] = int(str(refusal.value).split("at least ")[1].split(" ")[0])
         speeds = [{"FH1": P.R2, "FH2": P.R3}[rate] for rate in rates]
         polling_pulses = 1e-3 * len(rates) * max(P.fh1, P.fh2)
-        assert least[rates] == int(P.pulses_through(speeds, 0.0) + polling_pulses) + 6
+        assert least[rates] == int(P.compute_pulses_through(speeds, 0.0) + polling_pulses) + 6
 
 
 def test_an_end_limit_ends_the_sequence_without_further_starts(x):
@@ -150,8 +150,8 @@ def test_a_curved_ramp_passes_its_rates_at_its_times(x):
 
 
 def test_the_pieces_of_a_curved_ramp_stay_linear_with_an_s_curve_profile():
-    """firmware.curved_ramp_move(axis, 20_000, pieces, profile.shaped(True)) with a PCL240MS"""
-    profile = Profile.of(fl=1000, fh1=8000, accel=0.1, chip=PCL240MS).shaped(True)
+    """firmware.curved_ramp_move(axis, 20_000, pieces, profile.with_ramp_shape(True)) with a PCL240MS"""
+    profile = Profile.of(fl=1000, fh1=8000, accel=0.1, chip=PCL240MS).with_ramp_shape(True)
     report = firmware.curved_ramp_move(Bench(PCL240MS()).axes["x"], 8000, [(4000, 0.1), (12_000, 0.15)], profile)
     assert report.ok
     seconds = report.course.seconds - report.began

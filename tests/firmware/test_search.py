@@ -24,10 +24,10 @@ def make_search(kind, chip, ez=0):
 
 def decode_results(program, results, **choices):
     """Decode results, a dictionary {mark: value} for each run, of a row with these choices."""
-    table = np.zeros((len(results), max(program.marks.values()) + 1), np.int64)
+    table = np.zeros((len(results), max(program.result_indices.values()) + 1), np.int64)
     for row, message in zip(table, results, strict=True):
         for name, value in message.items():
-            row[program.marks[name]] = value
+            row[program.result_indices[name]] = value
     rows = np.array(
         [list((dict(zip(program.choices.ranges, program.choices.low, strict=True)) | choices).values())] * len(results)
     )
@@ -90,10 +90,10 @@ def test_every_stop_reason_of_an_automatic_home_search_is_reported(chip, ez):
     program = make_search(HomeSearchProgram, chip, ez)
     (mask, high), (error, _) = (program._bits[name] for name in (f"stop{ez + 1}", "error"))
     on, off = (mask, 0xFFFF & ~mask) if high else (0xFFFF & ~mask, mask)
-    good = {name: 1000 for name in program.marks if "time" in name} | {
+    good = {name: 1000 for name in program.result_indices if "time" in name} | {
         "left 6": 800, "ended 6": -6200 & 0xFFFF, "ended 7": -6200 >> 16 & 0xFFFF, f"stop{ez + 1}": on,
     }  # fmt: skip
-    times = [name for name in program.marks if "time" in name]
+    times = [name for name in program.result_indices if "time" in name]
     results = [
         good, good | {"error": 0xFFFF & ~error, f"stop{ez + 1}": 0xFFFF & ~off}, good | {"left 6": 799},
         good | {f"stop{ez + 1}": off},
@@ -115,16 +115,17 @@ def test_an_origin_return_to_the_index_pulse_counts_from_fl_on(ez):
     value = 1 << 21 | 1 << 20 | (ez - 1) << 16
     assert value == PCL240MK.MAP.register("R13").mask & value
     wanted = Program().register(0, chip, "R13", value).ops
-    rows = program.program(program.choices.low).ops
+    rows = program.write_program(program.choices.low).ops
     assert any(rows[k : k + len(wanted)] == wanted for k in range(len(rows)))
     written = {}
     status = SimpleNamespace(org=False, _replace=lambda **_: status)
     axis = SimpleNamespace(wait=lambda _: None, chip=chip)
     port = SimpleNamespace(
         extended=True, axis=axis, write_register=written.__setitem__,
-        control=lambda _: None, command=lambda _: None, wait_until_stopped=lambda _: status, status=lambda: status,
+        write_control_mode=lambda _: None, write_command=lambda _: None, wait_until_stopped=lambda _: status,
+        read_status=lambda: status,
     )  # fmt: skip
-    run = SimpleNamespace(port=port, stop_reason=lambda: "EZ")
+    run = SimpleNamespace(port=port, find_stop_reason=lambda: "EZ")
     assert origin_return._run_to_origin(run, -1, False, 1.0, ez) == "EZ"
     assert written == {"R13": value}
 

@@ -73,7 +73,7 @@ def start_and_wait(axis, direction):
     driver.prepare()
     with ProcedureObserver(axis, "start") as p:
         driver.start(round(direction * 5e-3 / axis.meters_per_pulse) * (-1 if axis.gear < 0 else 1), Speeds())
-        return p.report(driver.wait(3.0))
+        return p.make_report(driver.wait(3.0))
 
 
 FURTHER = {
@@ -227,7 +227,7 @@ def test_the_limit_that_ends_a_drive_is_named_also_by_another_driver(stage, call
     assert report.stopped_by == end
     assert not report.ok
     assert abs(report.position - find_switch_edge(x, ENDS[end][0])) < 1e-3
-    assert get_driver(x).stopped_by() == end
+    assert get_driver(x).read_stop_reason() == end
 
 
 def test_a_limit_that_was_left_is_named_by_the_drive_that_it_stopped(servo):
@@ -237,7 +237,7 @@ def test_a_limit_that_was_left_is_named_by_the_drive_that_it_stopped(servo):
     assert firmware.move(z, 5e-3).stopped_by == "EL+"
     servo.run(0.3)
     assert not z.switches.el_plus
-    assert get_driver(z).stopped_by() == "EL+"
+    assert get_driver(z).read_stop_reason() == "EL+"
 
 
 def test_a_limit_ends_a_drive_in_its_other_direction_too_and_is_named(servo):
@@ -305,5 +305,5 @@ def test_a_released_limit_that_ended_no_drive_is_named_by_its_pin(servo):
     with faults.switch_stuck(x, "el_plus", True):
         servo.run(1e-3)
     assert not x.switches.el_plus
-    assert driver.port.limited()
-    assert driver.stopped_by() == "LIMIT"
+    assert driver.port.is_limited()
+    assert driver.read_stop_reason() == "LIMIT"

@@ -76,7 +76,7 @@ def test_sync_lets_the_samples_of_all_axes_begin_at_one_clock(stage):
     assert len({int(port.chip.state["sample_end"]) for port in ports}) == 1
     stage.run(0.05)
     for port in ports:
-        assert abs(port.commanded() - port.position()) <= 8, "gravity on Z"
+        assert abs(port.read_command_position() - port.read_position()) <= 8, "gravity on Z"
     other = set_up_servo(stage.axes["x"], FilterTuning(timer=0x20))
     with pytest.raises(ArgumentError, match="one sample time"):
         synchronize_sample_timers([other, ports[1]])
@@ -86,7 +86,7 @@ def test_sync_lets_the_samples_of_all_axes_begin_at_one_clock(stage):
 def test_a_profile_is_one_command_a_sample_each_in_the_safe_part(stage, timer, names):
     ports = [set_up_servo(stage.axes[n], FilterTuning(timer=timer)) for n in names]
     synchronize_sample_timers(ports)
-    begin = [port.commanded() for port in ports]
+    begin = [port.read_command_position() for port in ports]
     profile = compute_circle_positions(RADIUS, seconds=SECONDS, sample=ports[0].sample, axes=len(ports))
     journals = [port.chip.journal() for port in ports]
     report = stream_positions(ports, profile)
@@ -99,7 +99,7 @@ def test_a_profile_is_one_command_a_sample_each_in_the_safe_part(stage, timer, n
         clocks = 16 * (timer + 1)
         assert len(written) == len(profile)
         assert abs(np.diff(written) - clocks).max() <= 16 * 2
-        assert port.commanded() == begin[k] + round(float(profile[-1, k]))
+        assert port.read_command_position() == begin[k] + round(float(profile[-1, k]))
 
 
 def test_the_error_of_a_too_slow_host_counts_the_missed_samples():
@@ -124,7 +124,7 @@ def test_a_designed_gain_is_within_its_register():
 def test_without_a_common_sample_each_chips_timer_is_polled(stage, monkeypatch):
     """follow(ports, profile, leader_only=False)"""
     ports, requested = [set_up_servo(stage.axes[name]) for name in "xy"], []
-    monkeypatch.setattr(Port, "wait_for_the_safe_part", lambda port, mode="position": requested.append(port.axis.name))
+    monkeypatch.setattr(Port, "wait_for_safe_part", lambda port, mode="position": requested.append(port.axis.name))
     for alone, expected in ((True, ["x", "x"]), (False, ["x", "x", "y"] * 2)):
         stream_positions(ports, np.zeros((2, 2)), leader_only=alone)
         assert requested == expected
@@ -133,7 +133,7 @@ def test_without_a_common_sample_each_chips_timer_is_polled(stage, monkeypatch):
 
 def test_a_profile_of_fractions_is_rounded_to_the_nearest_count(stage):
     port = set_up_servo(stage.axes["x"])
-    begin, journal = port.commanded(), port.chip.journal()
+    begin, journal = port.read_command_position(), port.chip.journal()
     stream_positions([port], np.array([[0.6], [-0.6], [1.4], [2.7]]))
     written = [e.b for e in journal.entries if e.kind == WRITE and e.a == 0x0E]
     assert written == [begin + count & 0xFF for count in (1, -1, 1, 3)]

@@ -59,7 +59,7 @@ def test_a_limit_released_before_the_next_poll_is_the_stop_reason(direction, pin
     driver = get_driver(x)
     pulse_pin(x, pin, 0.1)
     driver.start(direction * 20_000, Speeds())
-    assert driver.wait(5.0) == driver.stopped_by() == limit
+    assert driver.wait(5.0) == driver.read_stop_reason() == limit
 
 
 def test_an_origin_switch_released_before_the_next_poll_is_the_stop_reason():
@@ -90,17 +90,17 @@ def test_a_stop_command_of_the_host_is_the_stop_reason(command, reason):
     write_at(x, 0.2, 0, command)
     assert firmware.jog(x, 0.5).stopped_by == reason
     driver = get_driver(x)
-    driver.run(1, Speeds())
+    driver.start_continuous_move(1, Speeds())
     x.wait(0.2)
     get_driver(x).halt(at_once=command == chip_port.RESET)
-    assert driver.stopped_by() == reason
+    assert driver.read_stop_reason() == reason
 
 
 def test_a_stop_at_the_last_pulse_does_not_change_the_stop_reason():
     x = bench()
     firmware.preset_move(x, 500, SLOW)
     x.chip.write(0, chip_port.RESET)
-    assert get_driver(x).stopped_by() == "R0 = 0"
+    assert get_driver(x).read_stop_reason() == "R0 = 0"
 
 
 def test_an_active_limit_stops_moves_into_it_but_not_out_of_it():
@@ -127,17 +127,17 @@ def test_a_move_whose_start_command_was_lost_names_no_limit():
 def test_a_driver_that_has_started_nothing_names_no_limit():
     for direction in (1, -1):
         x = bench()
-        assert get_driver(x).stopped_by() == ""
+        assert get_driver(x).read_stop_reason() == ""
         other = get_driver(x)
         other.start(direction * 300, Speeds())
         other.wait(5.0)
-        assert get_driver(x).stopped_by() == "R0 = 0"
+        assert get_driver(x).read_stop_reason() == "R0 = 0"
 
 
 def test_a_deleted_driver_leaves_no_open_journal():
     x = bench()
     driver = get_driver(x)
-    driver.run(1, Speeds())
+    driver.start_continuous_move(1, Speeds())
     assert x.chip.open_journal is not None
     del driver
     assert x.chip.open_journal is None
@@ -178,15 +178,15 @@ def test_a_software_limit_that_ends_a_nova_drive_is_the_reason(name, direction):
     """WR2 SLMT+ and SLMT-, at 500 pulses: the drive slows down there"""
     x = bench(CHIPS[name])
     port, limit = Port(x), "SLMT+" if direction > 0 else "SLMT-"
-    port.load(CP=500, CM=-500)
-    port.mode(WR2=x.chip.MAP.mask("WR2", "SLMT+") | x.chip.MAP.mask("WR2", "SLMT-"))
+    port.write_parameters(CP=500, CM=-500)
+    port.write_mode_words(WR2=x.chip.MAP.mask("WR2", "SLMT+") | x.chip.MAP.mask("WR2", "SLMT-"))
     report = firmware.move(x, pulses=4000 * direction)
     assert (report.stopped_by, report.ok) == (limit, False)
     assert firmware.move(x, pulses=-100 * direction).stopped_by == "all pulses", (
         "beyond the limit still, and on its way back"
     )
     jogged = get_driver(x)
-    jogged.run(direction, Speeds())
+    jogged.start_continuous_move(direction, Speeds())
     assert not jogged.is_running()
     assert jogged.explain_end(False) == limit
 

@@ -439,14 +439,14 @@ def test_chips_are_tuned_through_their_drivers_in_both_directions(chip, goal, wr
 
 def test_ramps_that_the_chip_refuses_as_too_short_are_lengthened(task):
     plans = create_planner(task)
-    real, wanted = plans.driver.formula, plans.compute_speeds(1.5)
+    real, wanted = plans.driver.compute_move_registers, plans.compute_speeds(1.5)
 
     def refuse_short_ramps(fl, fh, up, down, *more):
         if min(up, down) < 0.2:
             raise ArgumentError("too steep")
         return real(fl, fh, up, down, *more)
 
-    plans.driver.formula = refuse_short_ramps
+    plans.driver.compute_move_registers = refuse_short_ramps
     speeds = plans.build_formula_plan().speeds
     assert 0.2 <= speeds.down < 0.25
     assert (speeds.start, speeds.drive) == (wanted.start, wanted.drive)
