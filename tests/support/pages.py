@@ -20,7 +20,7 @@ class Step(NamedTuple):
     def file(self) -> str:
         """The file that it is, by its first line; "" if none."""
         name = re.match(r"(?:/\* |# )(\w+\.\w+)", self.text)
-        return name[1] if self.kind in ("python", "c") and name else ""
+        return name[1] if self.kind in ("python", "c", "sh", "yaml") and name else ""
 
     @property
     def shows(self) -> bool:
