@@ -142,7 +142,7 @@ static inline int64_t ps_entry(int32_t what, uint32_t times, uint32_t every, uin
     for (int k = 0; k <= PS_F_TIMERS; k++)
         if (ps_remote.hooks[k].hook)
             return ps_flush();
-    if ((what == PS_OUT8 || what == PS_OUT16 || what == PS_OUT32 || what == PS_DELAY || what == PS_SPEND) && ps_remote.posted < PS_F_MOST)
+    if ((what == PS_OUT8 || what == PS_OUT16 || what == PS_OUT32 || what == PS_DELAY || what == PS_SPEND || what == PS_SET_LINES) && ps_remote.posted < PS_F_MOST)
         return 0;
     return ps_flush();
 }
@@ -160,7 +160,7 @@ static inline int64_t ps_request(int32_t what, int64_t a, int64_t b)
             ps_entry(PS_MICROS, 0, 0, 0, 0, 0);
         return what == PS_READ_SERIAL && a != 2 ? -1 : 0;
     }
-    if (what > PS_LINE && what != PS_TIMER && (what < PS_SPEND || what > PS_OUT32))
+    if (what > PS_LINE && what != PS_TIMER && (what < PS_SPEND || what > PS_OUT32) && what != PS_SET_LINES && what != PS_READ_LINES)
         ps_fail("windows, levels, lines of single chips and software interrupts are there in process only, not over TCP.");
     if (what != PS_LOG && what != PS_HOOK && what != PS_TIMER)
         return ps_entry(what, 0, 0, 0, a, b);

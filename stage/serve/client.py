@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import socket
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Generic, NamedTuple, TypeVar
 
 VERSION, PORT, MAGIC = 1, 7240, b"PULSESTG"
@@ -32,8 +32,13 @@ DRIVE, OBSERVE = 0, 1
 ENTRY = struct.Struct("<iiiIqq")
 """A request of a BATCH: what, times, every (us), mask, a (port, us), b (value)."""
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LINE, SPEND, IN32, OUT32 = 0, 1, 2, 3, 4, 5, 8, 12, 13, 14
+SET_LINES, READ_LINES, WATCH_LINES = 21, 22, 26
+LINES_SHIFT = 32
+"""SET_LINES: b is the mask of lines, shifted left by so many bits, and their levels."""
+WITH_CYCLE = 1 << 32
+"""Added to the number of the chip, a, in SET_LINES and READ_LINES: one bus cycle passes first."""
 UNTIL8, UNTIL16, UNTIL_LINE = 100, 101, 102
-READS = frozenset((IN8, IN16, IN32, MICROS, LINE, UNTIL8, UNTIL16, UNTIL_LINE))
+READS = frozenset((IN8, IN16, IN32, MICROS, LINE, READ_LINES, UNTIL8, UNTIL16, UNTIL_LINE))
 TIMING = struct.Struct("<IIq")
 """TIMER: which, level, period (ns; 0: off)."""
 THE_LINE, FIRST_TIMER, TIMERS = 0, 1, 4
@@ -45,6 +50,7 @@ PLACE = struct.Struct("<ddq")
 ANSWER, WORD = struct.Struct("<q"), struct.Struct("<I")
 RELEASED, ASSERTED, CLEARED = 0, 1, 2
 """STICK: the state at which a switch sticks, or the end of the fault."""
+NO_CONNECTION = "this batch belongs to no connection: client.batch() makes one that does."
 _W = TypeVar("_W")  # what a request that writes returns
 _R = TypeVar("_R")  # what one that reads returns
 
@@ -207,6 +213,52 @@ class _Requests(Generic[_W, _R]):
         """Wait until the interrupt line is asserted, `us` at most; the answer is 1 if it is, else 0."""
         return self._read(UNTIL_LINE, us)
 
+    def set_lines(self, axis: str, **levels: bool) -> _W:
+        """Drive lines of a STEP/DIR axis at the end of one bus cycle.
+
+        Args:
+            axis: Name of the axis.
+            **levels: True for a line that is asserted: step=True, dir=False, enable=True.
+
+        Raises:
+            ValueError: The server's board has no such axis or line.
+        """
+        chip, bits = self.find_lines(axis, levels)
+        asserted = _join_bits(bit for bit, level in zip(bits, levels.values(), strict=True) if level)
+        return self._write(SET_LINES, chip | WITH_CYCLE, _join_bits(bits) << LINES_SHIFT | asserted)
+
+    def read_lines(self, axis: str) -> _R:
+        """Read the word of all lines of a STEP/DIR axis, in one bus cycle; `find_lines` returns their bits."""
+        return self._read(READ_LINES, self.find_lines(axis)[0] | WITH_CYCLE)
+
+    def watch_lines(self, axis: str, *lines: str) -> _W:
+        """Assert the interrupt line while lines of a STEP/DIR axis have other levels than now. A hook calls it again.
+
+        Args:
+            axis: Name of the axis.
+            *lines: Names of the lines: limit, origin ...; none: no longer.
+        """
+        chip, bits = self.find_lines(axis, lines)
+        return self._write(WATCH_LINES, chip, _join_bits(bits))
+
+    def find_lines(self, axis: str, lines: Iterable[str] = ()) -> tuple[int, list[int]]:
+        """Return the number of the chip of a STEP/DIR axis, and the bits of some of its lines.
+
+        Raises:
+            ValueError: The server's board has no such axis or line.
+        """
+        known = self.get_lines().get(axis)
+        if known is None:
+            raise ValueError(f"{axis!r}: STEP/DIR axes of the server are {', '.join(self.get_lines()) or 'none'}.")
+        for line in lines:
+            if line not in known["bits"]:
+                raise ValueError(f"{line!r}: lines of axis {axis} are {', '.join(known['bits'])}.")
+        return known["chip"], [known["bits"][line] for line in lines]
+
+    def get_lines(self) -> dict[str, Any]:
+        """Return the lines of each STEP/DIR axis, as the server describes them."""
+        raise NotImplementedError
+
 
 class Batch(_Requests["Batch", "Batch"]):
     """Requests that go together. The methods return the batch itself, so that they can be chained."""
@@ -245,6 +297,12 @@ class Batch(_Requests["Batch", "Batch"]):
 
     _write = _read = add
 
+    def get_lines(self) -> dict[str, Any]:
+        """Return the lines of each STEP/DIR axis, as the server describes them."""
+        if self._client is None:
+            raise ValueError(NO_CONNECTION)
+        return self._client.get_lines()
+
     def __len__(self) -> int:
         return len(self._entries) // ENTRY.size
 
@@ -263,7 +321,7 @@ class Batch(_Requests["Batch", "Batch"]):
         self._entries.clear()
         self._reads.clear()
         if self._client is None:
-            raise ValueError("this batch belongs to no connection: client.batch() makes one that does.")
+            raise ValueError(NO_CONNECTION)
         size, content = MAX_BODY // ENTRY.size * ENTRY.size, b""
         for k in range(0, len(entries), size):
             try:
@@ -273,6 +331,14 @@ class Batch(_Requests["Batch", "Batch"]):
                 raise
         answers = _unpack_answers(content)
         return [answers[k] for k in reads]
+
+
+def _join_bits(bits: Iterable[int]) -> int:
+    """Return a word in which all bits of some words are set."""
+    word = 0
+    for bit in bits:
+        word |= bit
+    return word
 
 
 def _unpack_answers(content: bytes) -> tuple[int, ...]:
@@ -309,6 +375,14 @@ class Client(_Requests[None, int]):
     def line(self) -> bool:
         """Read whether the interrupt line is asserted, which takes a bus cycle."""
         return bool(super().line())
+
+    def read_line(self, axis: str, line: str) -> bool:
+        """Read whether a line of a STEP/DIR axis is asserted, such as limit_plus, in one bus cycle."""
+        return bool(self.read_lines(axis) & self.find_lines(axis, [line])[1][0])
+
+    def get_lines(self) -> dict[str, Any]:
+        """Return the lines of each STEP/DIR axis, as the server describes them."""
+        return dict(self.about["lines"])
 
     def until_line(self, us: int) -> bool:
         """Wait until the interrupt line is asserted, `us` at most, and return whether it is."""

@@ -66,6 +66,11 @@ ENTRIES = (
     (client.SPEND, "SPEND", "ns", "", "computing that takes time"),
     (client.IN32, "IN32", "port", "", "read 32 bits, in two cycles of 16, the low half first"),
     (client.OUT32, "OUT32", "port", "value", "write 32 bits, in the same way"),
+    (client.SET_LINES, "SET_LINES", "chip, or chip + 2^32", "mask * 2^32 + levels",
+     "drive lines of a STEP/DIR axis; with 2^32 one bus cycle passes first; the answer is the word of all lines"),
+    (client.READ_LINES, "READ_LINES", "chip, or chip + 2^32", "", "read the word of all lines; 2^32 as in SET_LINES"),
+    (client.WATCH_LINES, "WATCH_LINES", "chip", "mask",
+     "assert the interrupt line while lines of the mask have other levels than now; the answer is the word of all lines"),
     (client.UNTIL8, "UNTIL8", "port", "value", "read until (data & `mask`) == value, at most `times` times, `every` us "
      "apart; the answer is the last value read"),
     (client.UNTIL16, "UNTIL16", "port", "value", "as UNTIL8, with 16 bits"),

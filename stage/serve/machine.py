@@ -14,9 +14,11 @@ from stage import __version__
 from stage.board import Board, HostError
 from stage.board.bus.batch import ENTRY, find_first_invalid, resume_batch, run_batch
 from stage.board.bus.host_record import LAST_PORT, MAX_DELAY_US
+from stage.board.pins import DRIVEN, READ
 from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.serve import client
 from stage.serve.frames import ENTRIES
+from stage.sim.stage import Stage
 
 START = "start"
 MAX_SNAPSHOTS, MAX_NAME_BYTES, MAX_LINE_BYTES = 100, 100, 1 << 16
@@ -93,7 +95,10 @@ class Machine:
         axes = {name: axis.unit for name, axis in board.stage.axes.items()}
         devices = [{"device": device.name, "ports": list(device.ports)} for device in board.devices]
         bus_ns = round(board.stage.bus_cycle * 1e9)
-        about = {"pulsestage": __version__, "axes": axes, "chips": chips, "devices": devices, "bus_cycle_ns": bus_ns}
+        about = {
+            "pulsestage": __version__, "axes": axes, "chips": chips, "devices": devices, "bus_cycle_ns": bus_ns,
+            "lines": _describe_lines(board.stage),
+        }  # fmt: skip
         return json.dumps(about).encode()
 
     def reset_to_start(self) -> None:
@@ -103,6 +108,7 @@ class Machine:
     def remove_hooks(self) -> None:
         """Remove the interrupt hook and the timers of a host that has disconnected."""
         self.board.on_interrupt(None)
+        self.board.link.irqs["watched"] = 0
         self._timers.clear()
         for n in range(client.TIMERS):
             self.board.on_timer(0, None, n=n)
@@ -115,7 +121,7 @@ class Machine:
             raise ArgumentError(f"BATCH: {len(body)} bytes; an entry has {client.ENTRY.size}.")
         buffers = _Buffers(n) if self._in_batch else self._buffers  # the outer batch is not done yet
         buffers.bytes[: len(body)] = body
-        wrong = find_first_invalid.with_gil(buffers.entries_at, n)
+        wrong = find_first_invalid.with_gil(buffers.entries_at, n, len(self.board.stage.chips))
         if wrong < n:
             raise ArgumentError(
                 f"BATCH, entry {wrong}: {_describe_wrong(buffers.entries[wrong])}. Nothing of this batch was done."
@@ -234,6 +240,19 @@ class Machine:
         return axes[name]
 
 
+def _describe_lines(stage: Stage) -> dict[str, Any]:
+    """Return the chip of each STEP/DIR axis, and the bits of its lines in the chip's input word."""
+    chips = list(stage.chips)
+    return {
+        name: {
+            "chip": chips.index(axis.chip),
+            "bits": {line: sum(axis.chip.INPUTS[pin] for pin in pins) for line, pins in (DRIVEN | READ).items()},
+        }
+        for name, axis in stage.axes.items()
+        if "step" in axis.chip.INPUTS
+    }
+
+
 def _split_place(text: str) -> tuple[str, str, bool]:
     """Split AXIS.PIN or AXIS.switches.SWITCH: axis, name and whether it is a switch. The name of an axis may have dots."""
     axis, _, name = text.rpartition(".") if "." in text else (text, "", "")
@@ -253,6 +272,8 @@ def _describe_wrong(entry: Any) -> str:
     if what not in names:
         return f"{what} is no request; those of a batch are {', '.join(f'{n} {name}' for n, name in names.items())}"
     a, b, name = int(entry["a"]), int(entry["b"]), names[what]
+    if what in (client.SET_LINES, client.READ_LINES, client.WATCH_LINES):
+        return f"{name} at chip {a & ~client.WITH_CYCLE}, b = {b}; the text of HELLO has the chips, and b is 0 or more"
     if what in (client.DELAY, client.UNTIL_LINE):
         return f"{name} {a} us; there are 0 to 1e15 us"
     if what == client.SPEND:

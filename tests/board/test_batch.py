@@ -28,7 +28,7 @@ def entries(*rows: tuple[int, ...]) -> np.ndarray:
 def together(board: Board, rows: list[tuple[int, ...]]) -> list[int]:
     """The answers of the rows as a batch."""
     requested, answers = entries(*rows), np.zeros(len(rows), np.int64)
-    assert find_first_invalid(requested) == len(rows)
+    assert find_first_invalid(requested, 1) == len(rows)
     board.link.begin_run()
     done = run_batch.c(board.link.pointer, requested.ctypes.data, len(rows), answers.ctypes.data, len(rows))
     board.link.end_run()
@@ -138,7 +138,7 @@ def test_a_wait_for_the_interrupt_line_ends_after_its_limit(boards):
     ],
 )  # fmt: skip
 def test_a_wrong_entry_is_detected_before_a_batch_begins(row):
-    assert find_first_invalid(entries((IN8, PORT), row, (IN8, PORT))) == 1
+    assert find_first_invalid(entries((IN8, PORT), row, (IN8, PORT)), 1) == 1
 
 
 def test_fractions_of_a_nanosecond_of_computing_time_are_carried_over(boards):

@@ -334,7 +334,7 @@ def test_a_batch_refuses_numbers_just_beyond_their_bounds():
     ):  # fmt: skip
         entries = np.zeros(1, ENTRY)
         entries["what"], entries["a"], entries["b"] = what, a, b
-        assert find_first_invalid(entries) == (0 if wrong else 1), (what, a, b)
+        assert find_first_invalid(entries, 1) == (0 if wrong else 1), (what, a, b)
 
 
 def test_a_read_by_a_bus_of_16_bits_is_no_write():

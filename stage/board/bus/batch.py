@@ -24,9 +24,11 @@ every, mask: for UNTIL8 and UNTIL16 only, the mask as 32 unsigned bits."""
 
 
 @hot
-def _is_invalid(entry):
+def _is_invalid(entry, n_chips):
     """Tell whether an entry has an unknown request code or an operand out of range."""
     code = entry.what
+    if code in (host_record.SET_LINES, host_record.READ_LINES, host_record.WATCH_LINES):
+        return not 0 <= entry.a & ~host_record.WITH_CYCLE < n_chips or entry.b < 0
     if code in (host_record.MICROS, host_record.LINE):
         return False
     if code in (host_record.DELAY, UNTIL_LINE):
@@ -46,11 +48,11 @@ def _is_invalid(entry):
     return True
 
 
-@exported("i8", array_of(ENTRY))
-def find_first_invalid(entries):
-    """Return the index of the first entry that cannot be executed, or the number of entries if all can."""
+@exported("i8", array_of(ENTRY), "i8")
+def find_first_invalid(entries, n_chips):
+    """Return the index of the first entry that cannot be executed on a board with so many chips, or the number of entries."""
     for k in range(len(entries)):
-        if _is_invalid(entries[k]):
+        if _is_invalid(entries[k], n_chips):
             return k
     return len(entries)
 
