@@ -310,6 +310,32 @@ def test_an_interrupt_follows_the_instruction_after_sei(between, code, tmp_path)
     assert TargetHost(elf, board, mcu="atmega328p", pins="x.step=D2,x.dir=D5", isolated=False).run().code == code
 
 
+FAST_PWM_8_BITS = {0: (3, 0), 1: (1, 8), 2: (3, 0)}
+"""Mode bits in TCCRnA and TCCRnB by the number of the timer; simavr runs these modes."""
+
+
+@each_timer
+def test_a_timer_in_a_pwm_mode_overflows(timer, tmp_path):
+    """An interrupt takes 12 cycles, so the wait of 5000 cycles lasts for 20 periods of 256 cycles."""
+    a, b = FAST_PWM_8_BITS[timer.number]
+    script = [write(timer.a, a), write(timer.enables, TOV), write(timer.b, b | 1), wait(5000)]
+    *_, count = run_on_simavr(*assemble(script, tmp_path / "script", timer.vectors[2]))
+    assert count == 20
+
+
+@each_timer
+def test_a_timer_that_leaves_a_pwm_mode_counts_on(timer, tmp_path):
+    a, b = FAST_PWM_8_BITS[timer.number]
+    script = [write(timer.a, a), write(timer.b, b | 1), wait(90), *timer.select(False, 0)]
+    script += [read(timer.count), wait(50), read(timer.count), *timer.select(False, 1)]
+    script += [read(timer.count), wait(50), read(timer.count), write(timer.a, a), write(timer.b, b | 1), wait(300)]
+    script += [*timer.select(False, 1), read(timer.count), wait(50), read(timer.count)]
+    stopped, still, begin, end, again, last, _ = run_on_simavr(*assemble(script, tmp_path / "script"))
+    assert 90 <= stopped <= 100
+    assert (still, begin, end) == (stopped, stopped + 1, stopped + 55)
+    assert last - again == 54
+
+
 def test_an_edge_of_the_capture_pin_copies_the_count(tmp_path):
     """The program drives the pin itself, as it may on the processor."""
     timer, port, direction, pin = TIMERS[1], 0x25, 0x24, 1
