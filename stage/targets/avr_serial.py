@@ -1,7 +1,8 @@
 """Serial lines of an AVR on simavr, compiled: the log of what it sends, and the line to the board, byte by byte at its time.
 
-A character takes the bits that UBRR, U2X and the frame format of UCSRC say. A received byte reaches simavr's UART at the end of its
-stop bit; a sent one leaves at the end of its own. Bytes wait while the receiver is off.
+A character takes the bits that UBRR, U2X and the frame format of UCSRC say. A received byte reaches the program at the end of its
+stop bit; a sent one leaves at the end of its own. Bytes wait while the receiver is off, and are lost while it is full. The UART
+of simavr interrupts once a character at most, so it gets a byte only when the program has read the one before.
 """
 
 from __future__ import annotations
@@ -16,13 +17,17 @@ from stage.targets.avr_core import AVR, count_cycles
 from stage.targets.processor_core import advance_board, request
 
 QUEUE = 64
+DEPTH = 64
+"""Bytes that a receiver holds, as simavr's does; that of the chip holds three. With three, programs would lose bytes that a chip
+does not lose, since simavr's transmitter has no buffer beside its shift register and is slower."""
 UART = record(
     [(name, "i8") for name in "avr address text room length connected input register_timer deliver".split()]
     + [
         (name, "i8")
         for name in "byte_cycles_at rxen u2x usbs ucsz ucsz2 ubrrl ubrrh upm idle receiving done queued first".split()
     ]
-    + [("queue", "u1", (QUEUE,)), ("ends", "i8", (QUEUE,))]
+    + [(name, "i8") for name in "presented waiting oldest overruns warning".split()]
+    + [("queue", "u1", (QUEUE,)), ("ends", "i8", (QUEUE,)), ("received", "u1", (DEPTH,))]
 )
 """avr, address       its AVR, and the address of this record
     text, room, length  the text since its last line end; the size of the buffer, the bytes in it
@@ -35,7 +40,10 @@ UART = record(
     receiving          whether a byte is on its way
     done               the cycle at which the last sent byte has left
     queued, first      number of bytes that are being sent, and the place of the first of them
-    queue, ends        these bytes, and the cycles at which they have left
+    presented          whether simavr's UART has a byte that the program has not read
+    overruns, warning  bytes that were lost because the receiver was full; the text about the first
+    queue, ends        the bytes that are being sent, and the cycles at which they have left
+    received           the `waiting` bytes of the receiver behind the one that is presented, from place `oldest` on
 """
 BYTE = np.dtype("u1")
 LINE_END, CARRIAGE_RETURN = 10, 13
@@ -122,18 +130,55 @@ def send_rest(uart):
         _send_first(cpu, uart)
 
 
+@hot
+def _present_byte(cpu, uart, byte):
+    """Pass a byte, whose time on the line has passed, to simavr's UART, which raises RXC in the next cycle."""
+    simavr_cycles = array_at(uart.byte_cycles_at, 1, INTEGER)
+    before, simavr_cycles[0] = simavr_cycles[0], 1
+    uart.presented = 1
+    _raise_irq(cpu.raise_irq, (uart.input, byte))
+    simavr_cycles[0] = before
+
+
+@hot
+def _store_byte(cpu, uart, byte):
+    """Store a byte in the receiver; a byte that finds it full is lost."""
+    if not uart.presented:
+        _present_byte(cpu, uart, byte)
+    elif uart.waiting < DEPTH - 1:
+        uart.received[(uart.oldest + uart.waiting) % DEPTH] = byte
+        uart.waiting += 1
+    else:
+        if uart.overruns == 0:
+            request(cpu, LOG, uart.warning, 0)
+        uart.overruns += 1
+
+
+@exported(None, "i8", "i4", UART)
+def follow_read_byte(_irq, _value, uart):
+    """Present the next byte of the receiver when the program has read the one before: simavr's UART is empty."""
+    if uart.presented == 0:
+        return
+    uart.presented = 0
+    if uart.waiting:
+        byte = uart.received[uart.oldest]
+        uart.oldest, uart.waiting = (uart.oldest + 1) % DEPTH, uart.waiting - 1
+        _present_byte(array_at(uart.avr, 1, AVR)[0], uart, byte)
+
+
 @exported("i8", "i8", "i8", UART)
 def receive_byte(_avr, when, uart):
-    """Pass a byte from the board to the program when its stop bit has ended. Return the cycle of the next call."""
+    """Pass a byte from the board to the receiver when its stop bit has ended. Return the cycle of the next call."""
     cpu = array_at(uart.avr, 1, AVR)[0]
     line = _get_line(cpu)
-    duration = _count_character_cycles(cpu, uart)
+    if line.fed <= line.removed:
+        uart.receiving = 0
+        return when + uart.idle
     is_on = _read_bits(cpu, uart.rxen)
-    if uart.receiving and is_on and line.fed > line.removed:
+    if not is_on:
+        uart.presented = uart.waiting = 0  # simavr has cleared its buffer, too
+    elif uart.receiving:
         advance_board(cpu, when)
-        simavr_cycles = array_at(uart.byte_cycles_at, 1, INTEGER)
-        before, simavr_cycles[0] = simavr_cycles[0], 1  # its time on the line has passed
-        _raise_irq(cpu.raise_irq, (uart.input, request(cpu, READ_SERIAL, TAKE, 0)))
-        simavr_cycles[0] = before
+        _store_byte(cpu, uart, request(cpu, READ_SERIAL, TAKE, 0))
     uart.receiving = 1 if is_on and line.fed > line.removed else 0
-    return when + (duration if uart.receiving else uart.idle)
+    return when + (_count_character_cycles(cpu, uart) if uart.receiving else uart.idle)

@@ -17,8 +17,12 @@ from stage.native import array_at
 from stage.targets import avr_serial
 
 NAMES = "0123"
-INPUT, OUTPUT = 0, 1
-"""simavr's IRQs of a UART: a byte for the program, a byte of the program."""
+INPUT, OUTPUT, EMPTY = 0, 1, 2
+"""simavr's IRQs of a UART: a byte for the program, a byte of the program, and that all bytes for it have been read."""
+OVERRUN = (
+    b"UART: a byte was lost: the program had not read the 64 before it, of which a chip holds three (data overrun); "
+    b"it is said once"
+)
 LOG_LINE_SIZE = 256  # bytes of a line of the log
 IDLE_S = 50e-6
 """Simulated time between two looks for a byte."""
@@ -105,6 +109,10 @@ class AvrUart:
                 u[key] = word
         if u.connected:
             board.serial.record["is_wired"] = 1
+            self._warning = ctypes.create_string_buffer(OVERRUN)
+            u.warning = ctypes.addressof(self._warning)
+            self._follow_read = avr_serial.follow_read_byte.pointer
+            avr.notify(irqs + EMPTY * _IRQ_SIZE, self._follow_read, self._row)
         avr.notify(irqs + OUTPUT * _IRQ_SIZE, self._follow, self._row)
 
     def start(self) -> None:

@@ -1,5 +1,6 @@
 /* A serial line: it greets and echoes each byte at 19200 baud, 8N1. Byte 1 switches to 115200 baud, byte 2 to 8 data bits with even
- * parity and 2 stop bits, byte 3 turns the receiver off for 10 ms, byte 4 ends the program with the number of bytes as its code. */
+ * parity and 2 stop bits, byte 3 turns the receiver off for 10 ms, byte 4 ends the program with the number of bytes as its code, and
+ * after byte 5 it reads nothing for 10 ms. */
 #include <avr/io.h>
 #include <util/delay.h>
 
@@ -47,6 +48,8 @@ int main(void)
             send_text("on\n");
         } else if (byte == 4) {
             return count;
+        } else if (byte == 5) {
+            _delay_ms(10);
         } else
             send(byte);
     }
