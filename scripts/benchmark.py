@@ -1,8 +1,8 @@
-"""Speed, as ratios measured in one run: what is compared takes turns, medians with spread, beside targets.
+"""Benchmark of speed as ratios measured in one run: the variants run alternately, and medians are compared with targets.
 
 make bench        or: python scripts/benchmark.py [--quick] [--only closed_loop chips] [--json FILE] [--picture FILE]
 
-The subjects are the files of scripts/bench, the targets stand in scripts/bench/targets.py, docs/performance.md says how to read it.
+The subjects are the files of scripts/bench, scripts/bench/targets.py has the targets, and docs/performance.md explains the results.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 
 from bench.figures import Curve, Run
-from bench.report import Results, line, machine, verdicts, write_markdown
+from bench.report import Results, describe_machine, format_line, list_verdicts, write_markdown
 
 SUBJECTS = (
     "closed_loop vector environment chips nova hctl1100 firmware scaling memory recording startup long_run".split()
@@ -35,13 +35,13 @@ def main() -> None:
     if run.rounds < 1:
         parser.error(f"--rounds {run.rounds}: one or more.")
     results = Results.load(args.earlier) if args.earlier else Results()
-    print(f"{machine(run)}\n  {'':58}{'median':>11} {'':6} {'least .. most':>22}")
+    print(f"{describe_machine(run)}\n  {'':58}{'median':>11} {'':6} {'least .. most':>22}")
     for name in SUBJECTS if args.only is None else args.only:
         measure(name, run, results)
         if args.json:
             results.save(args.json)
     print("\nTargets")
-    print(*verdicts(results), sep="\n")
+    print(*list_verdicts(results), sep="\n")
     if args.json:
         results.save(args.json)
     if args.markdown:
@@ -55,14 +55,14 @@ def main() -> None:
 def measure(name: str, run: Run, results: Results) -> None:
     """One subject, printed while it is measured."""
     subject = import_module(f"bench.{name}")
-    results.forget(name)
-    results.titles[name], results.machines[name] = subject.TITLE, machine(run)
+    results.remove_subject(name)
+    results.titles[name], results.machines[name] = subject.TITLE, describe_machine(run)
     print(f"\n{subject.TITLE}", flush=True)
     begin = time.perf_counter()
     for result in subject.measure(run):
         results.add(result)
         if not isinstance(result, Curve):
-            print(line(result), flush=True)
+            print(format_line(result), flush=True)
     print(f"  [{time.perf_counter() - begin:.0f} s]", flush=True)
 
 

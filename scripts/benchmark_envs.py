@@ -20,8 +20,8 @@ from pathlib import Path
 import gymnasium
 import mujoco
 import numpy as np
-from bench.machines import Batch
-from bench.timing import resident, timed
+from bench.machines import MujocoBatch
+from bench.timing import measure_time, read_resident_memory
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import stage.envs
@@ -61,13 +61,13 @@ class Episodes:
         passed = 0.0
         while passed < seconds:
             self.actions.append(envs.action_space.sample())
-            passed += timed(lambda: envs.step(self.actions[-1]))
+            passed += measure_time(lambda: envs.step(self.actions[-1]))
         task.act = act
 
     def play(self, envs, clock):
         """Seconds that the same episodes take `envs`, resets at the beginning apart."""
         envs.reset(seed=SEED)
-        return timed(lambda: [envs.step(a) for a in self.actions], clock)
+        return measure_time(lambda: [envs.step(a) for a in self.actions], clock)
 
 
 def measure(id_, n, settings, args):
@@ -75,7 +75,7 @@ def measure(id_, n, settings, args):
     ours = vector(id_, n, args.threads, **settings)
     episodes = Episodes(ours, args.seconds)
     other = sync(id_, n, **settings) if n <= args.most_sync else None
-    bare = Batch(n, ours.unwrapped.task_instance.fleet.threads)
+    bare = MujocoBatch(n, ours.unwrapped.task_instance.fleet.threads)
     steps = n * len(episodes.actions)
     bare.nstep = max(1, round(min(episodes.physics / n, args.bare)))
     seconds = {"ours": [], "sync": [], "bare": []}
@@ -85,7 +85,7 @@ def measure(id_, n, settings, args):
         if other is not None:
             seconds["sync"].append(episodes.play(other, clock))
         bare.reset()
-        seconds["bare"].append(timed(bare.step, clock))
+        seconds["bare"].append(measure_time(bare.step, clock))
     for envs in (ours, other):
         if envs is not None:
             envs.close()
@@ -102,7 +102,7 @@ def grow(kind, id_, n, settings):
     make = {
         "ours": lambda k: vector(id_, k, **settings),
         "sync": lambda k: sync(id_, k, **settings),
-        "bare": lambda k: Batch(k, 0),
+        "bare": lambda k: MujocoBatch(k, 0),
     }[kind]
 
     def stepped(number):
@@ -112,9 +112,9 @@ def grow(kind, id_, n, settings):
         return envs
 
     created = [stepped(1)]
-    before = resident()
+    before = read_resident_memory()
     created.append(stepped(n))
-    return (resident() - before) / n / 1024
+    return (read_resident_memory() - before) / n / 1024
 
 
 def memory(kind, id_, n, settings):
@@ -192,7 +192,7 @@ def main():
             print(f"\n{name}\n{'stages':>6}  {'env steps/s':>28}  {'physics steps/s':>30}  {'times SyncVectorEnv':>24}  "
                   f"{'of a bare Batch':>22}  {'KiB a stage: ours, sync, bare':>30}")  # fmt: skip
         first = name.removeprefix("stage/").replace("-v0", "")
-        for n in (n for n in NUMBERS if args.least <= n <= args.most):
+        for n in (n for n in NUMBERS if args.minimum <= n <= args.maximum):
             rows = measure(id_, n, settings, args)
             if args.markdown:
                 print(markdown(rows, first, n), flush=True)

@@ -49,7 +49,7 @@ class Target:
 
 TARGETS = {
     "bus": Target("fuzzing.bus", "Bus", 256, "stage.chips", uncompiled=True),
-    "mjcf": Target("fuzzing.mjcf", "Mjcf", 12, "stage", ("stage.drives.motors", "stage.sim.engine")),
+    "mjcf": Target("fuzzing.mjcf", "MjcfTarget", 12, "stage", ("stage.drives.motors", "stage.sim.engine")),
 }
 
 

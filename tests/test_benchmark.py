@@ -1,7 +1,10 @@
 import json
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
+
+import pytest
 
 SCRIPT = Path(__file__).parent.parent / "scripts" / "benchmark.py"
 
@@ -17,3 +20,15 @@ def test_the_benchmark_gives_every_figure_with_its_spread_and_names_the_targets(
     for key in ("chips.constant", "chips.traced"):
         assert figures[key]["target"]["name"] in output
     assert "not measured" in output
+
+
+@pytest.mark.parametrize(
+    "module",
+    [
+        *(f"{path.parent.name}.{path.stem}" for path in sorted((SCRIPT.parent / "bench").glob("[a-z]*.py"))),
+        "worked_examples.__main__",
+    ],
+)
+def test_every_module_of_the_benchmark_and_the_worked_examples_can_be_imported(module, monkeypatch):
+    monkeypatch.syspath_prepend(str(SCRIPT.parent))
+    import_module(module)

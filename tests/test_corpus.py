@@ -12,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "scripts"))
 import fuzz
-from fuzzing.bus import FAMILIES, ORDER, Bus, Run, family_of
+from fuzzing.bus import FAMILIES, ORDER, Bus, Run, make_family
 from fuzzing.family import Family
 from fuzzing.mutation import mutate_for
 from fuzzing.promises import Counts, Finding, read_counts
@@ -100,15 +100,15 @@ PLANTED_NOVA = """
 import test_corpus as t
 from fuzzing.nova import COMPILED, counted_core
 from stage.chips.nova import core
-from stage.chips.nova.motion import drive
+from stage.chips.nova.motion import single_axis_drive
 assert not COMPILED
-settle = core._settle
+settle = core._process_due_events
 def settle_by_the_clock(c):
     settle(c)
     c.quiet_until = min(c.quiet_until, c.clock + 1000)
 for module, name, wrong in (
-    (drive, "count_pulses_to_event", lambda c, x: 1),
-    (core, "_settle", settle_by_the_clock),
+    (single_axis_drive, "count_pulses_to_event", lambda c, x: 1),
+    (core, "_process_due_events", settle_by_the_clock),
 ):
     right = getattr(module, name)
     setattr(module, name, wrong)
@@ -181,12 +181,12 @@ class Odd(PCL240K):
 
 
 def test_a_chip_of_no_known_family_is_driven_by_raw_words_at_all_addresses_and_all_its_pins():
-    assert type(family_of(PCL240K)) is not Family
+    assert type(make_family(PCL240K)) is not Family
     run = Run(Family(Odd), bytes([0x00, 0x12, 0x34, 0x67, 0, 8, 0xA7, 0x94, 0xD4]), Counts())
     writes = []
     for chip in run.chips:
         chip.write = lambda address, value: writes.append((address, value))
-    run.to_the_end()
+    run.run_to_end()
     assert set(writes) == {(0, 0x1234), (0x67, 8)}
     assert run.counts == {"bus cycles": 3, "input edges": 1, "clocks": 1 << 20, "pulses": 0}
     assert len(run.family.pins(run.chip)) == 3 * len(Odd.INPUTS)

@@ -20,7 +20,7 @@ def page():
 
 @pytest.fixture(scope="module")
 def rows(page):
-    return page.rows()
+    return page.compute_rows()
 
 
 def test_every_number_of_the_sheets_is_what_the_chips_do(rows):
@@ -31,7 +31,7 @@ def test_every_number_of_the_sheets_is_what_the_chips_do(rows):
 
 def test_the_page_is_that_of_today(page, rows):
     text = (ROOT / "docs" / "worked_examples.md").read_text()
-    assert page.between(text, page.format_tables(rows)) == text, (
+    assert page.replace_tables(text, page.format_tables(rows)) == text, (
         "python scripts/worked_examples --markdown docs/worked_examples.md"
     )
 

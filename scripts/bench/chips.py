@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.figures import Figure, Run
-from bench.timing import race
+from bench.timing import measure_alternately
 from stage.chips import PCL240K, PCL240MS
 from stage.firmware import Profile
 from stage.firmware.pcl240.chip_port import CONTROL, RAMP, RESET, SELECT, START
@@ -25,7 +25,7 @@ FULL = 60_000  # clocks, beyond the end of both
 PULSES = 2_000_000
 
 
-def load(chip: Any, *commands: int, **registers: int) -> Any:
+def load_registers(chip: Any, *commands: int, **registers: int) -> Any:
     """Registers by name, then commands, by the bus cycles that chip and reference both know."""
     for name, value in registers.items():
         r = PCL240MS.MAP.register(name)
@@ -37,57 +37,67 @@ def load(chip: Any, *commands: int, **registers: int) -> Any:
     return chip
 
 
-def constant(chip: Any) -> Any:
+def start_constant_speed(chip: Any) -> Any:
     """8000 / 16384 pulses a clock, for ever."""
-    return load(chip, RESET, CONTROL, START["FH1"], R1=50, R2=8000, R7=2)
+    return load_registers(chip, RESET, CONTROL, START["FH1"], R1=50, R2=8000, R7=2)
 
 
-def ramping(chip: Any) -> Any:
+def start_fast_ramp(chip: Any) -> Any:
     """The fastest ramp there is: R4 = 2, every second clock a speed step."""
-    return load(chip, RESET, CONTROL, RAMP["FH1"], R1=50, R2=8000, R4=2, R5=2, R7=2)
+    return load_registers(chip, RESET, CONTROL, RAMP["FH1"], R1=50, R2=8000, R4=2, R5=2, R7=2)
 
 
-def curved(chip: Any) -> Any:
+def start_s_curve(chip: Any) -> Any:
     """An S-curve of 7950 speed steps."""
     profile = Profile(50, 8000, 8000, 3, 3, 2, spans=(0, 0), chip=PCL240MS)
-    return load(chip, RESET, CONTROL, RAMP["FH1"], **profile.registers(), R0=0xFFFFFF)
+    return load_registers(chip, RESET, CONTROL, RAMP["FH1"], **profile.registers(), R0=0xFFFFFF)
 
 
-def linear(chip: Any) -> Any:
+def start_linear_ramp(chip: Any) -> Any:
     """A linear ramp of as many steps, and as the S-curve of the same R4."""
     profile = Profile(50, 8000, 8000, 3, 3, 2, chip=PCL240MS)
-    return load(chip, RESET, CONTROL, RAMP["FH1"], **profile.registers(), R0=0xFFFFFF)
+    return load_registers(chip, RESET, CONTROL, RAMP["FH1"], **profile.registers(), R0=0xFFFFFF)
 
 
 def measure(run: Run) -> Iterator[Figure]:
-    ticks = run.pick(20_000, 5_000)
+    ticks = run.choose(20_000, 5_000)
     cases = (
-        ("constant", "constant speed", PCL240K, ReferencePCL240K, constant, CONSTANT),
-        ("ramp", "fastest ramp (R4 = 2)", PCL240K, ReferencePCL240K, ramping, RAMP_CLOCKS),
-        ("s_curve", "S-curve (R4 = 3)", PCL240MS, ReferencePCL240MS, curved, S_CLOCKS),
+        ("constant", "constant speed", PCL240K, ReferencePCL240K, start_constant_speed, CONSTANT),
+        ("ramp", "fastest ramp (R4 = 2)", PCL240K, ReferencePCL240K, start_fast_ramp, RAMP_CLOCKS),
+        ("s_curve", "S-curve (R4 = 3)", PCL240MS, ReferencePCL240MS, start_s_curve, S_CLOCKS),
     )
     for key, name, chip, reference, begin, clocks in cases:
-        t = race(
-            {"fast": advance(begin, chip, clocks), "slow": tick(begin, reference, ticks)}, run.rounds, run.pick(9, 3)
+        t = measure_alternately(
+            {"fast": make_advance_work(begin, chip, clocks), "slow": make_reference_work(begin, reference, ticks)},
+            run.rounds,
+            run.choose(9, 3),
         )
         yield Figure.of(f"chips.{key}", f"{name}, simulated clocks", "1/s", clocks / t["fast"])
         times = (clocks / t["fast"]) / (ticks / t["slow"])
         yield Figure.of(f"chips.{key}_reference", "  beside the tick reference", "times", times)
-    works = {"curved": advance(curved, PCL240MS, FULL), "linear": advance(linear, PCL240MS, FULL)}
-    t = race(works, run.rounds, run.pick(25, 5))
+    works = {
+        "curved": make_advance_work(start_s_curve, PCL240MS, FULL),
+        "linear": make_advance_work(start_linear_ramp, PCL240MS, FULL),
+    }
+    t = measure_alternately(works, run.rounds, run.choose(25, 5))
     yield Figure.of(
         "chips.s_curve_linear", "S-curve / linear ramp (PCL240MS), time", "ratio", t["curved"] / t["linear"]
     )
-    pulses = run.pick(PULSES, PULSES // 10)
+    pulses = run.choose(PULSES, PULSES // 10)
     clocks = pulses * 16384 // 8000
-    works = {"trace": trace(clocks), "slow": tick(constant, ReferencePCL240K, ticks, traced=True)}
-    t = race(works, run.rounds, 3)
+    works = {
+        "trace": make_trace_work(clocks),
+        "slow": make_reference_work(start_constant_speed, ReferencePCL240K, ticks, traced=True),
+    }
+    t = measure_alternately(works, run.rounds, 3)
     yield Figure.of("chips.traced", "pulses traced", "1/s", pulses / t["trace"], "each with clock, axis, direction")
     times = (clocks / t["trace"]) / (ticks / t["slow"])
     yield Figure.of("chips.traced_reference", "  beside the tick reference", "times", times)
 
 
-def advance(begin: Callable[[Any], Any], make: Any, clocks: int) -> tuple[Callable[[], None], Callable[[], None]]:
+def make_advance_work(
+    begin: Callable[[Any], Any], make: Any, clocks: int
+) -> tuple[Callable[[], None], Callable[[], None]]:
     """A race's entry: a chip, begun anew, that advances."""
     chip = make()
     fresh = chip.snapshot()
@@ -99,7 +109,7 @@ def advance(begin: Callable[[Any], Any], make: Any, clocks: int) -> tuple[Callab
     return prepare, lambda: chip.advance(clocks)
 
 
-def tick(begin: Callable[[Any], Any], make: Any, ticks: int, traced: bool = False) -> tuple[Any, Any]:
+def make_reference_work(begin: Callable[[Any], Any], make: Any, ticks: int, traced: bool = False) -> tuple[Any, Any]:
     """The same for the reference."""
     chip: Any = None
 
@@ -117,8 +127,8 @@ def tick(begin: Callable[[Any], Any], make: Any, ticks: int, traced: bool = Fals
     return prepare, work
 
 
-def trace(clocks: int) -> tuple[Callable[[], None], Callable[[], Any]]:
+def make_trace_work(clocks: int) -> tuple[Callable[[], None], Callable[[], Any]]:
     """The same, and every pulse is noted."""
-    chip = constant(PCL240K())
+    chip = start_constant_speed(PCL240K())
     fresh = chip.snapshot()
     return lambda: chip.restore(fresh), lambda: chip.trace(clocks)

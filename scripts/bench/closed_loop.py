@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from bench.figures import Figure, Run
-from bench.machines import Bare, moving_stage
-from bench.timing import nothing, race
+from bench.machines import BareModel, make_moving_stage
+from bench.timing import do_nothing, measure_alternately
 from stage import Stage
 from stage.chips import PCL240MS
 from stage.firmware import Port, Profile
@@ -19,19 +19,19 @@ STEPS = 2000
 
 
 def measure(run: Run) -> Iterator[Figure]:
-    yield from compare_with_mj_step(run, moving_stage(), "", "")
-    yield from compare_with_mj_step(run, moving_stage(visuals=False), "_fast", "visuals=False: ")
-    curved, linear = _ramps(run)
+    yield from compare_with_mj_step(run, make_moving_stage(), "", "")
+    yield from compare_with_mj_step(run, make_moving_stage(visuals=False), "_fast", "visuals=False: ")
+    curved, linear = measure_ramp_shapes(run)
     yield Figure.of("closed_loop.s_curve", "S-curve move / linear move (PCL240MS), time", "ratio", curved / linear)
-    axis = moving_stage().axes["x"]
-    cycles = run.pick(20_000, 5_000)
-    t = race({"read": (nothing, lambda: [axis.chip.read(0) for _ in range(cycles)])}, run.rounds, 1)
+    axis = make_moving_stage().axes["x"]
+    cycles = run.choose(20_000, 5_000)
+    t = measure_alternately({"read": (do_nothing, lambda: [axis.chip.read(0) for _ in range(cycles)])}, run.rounds, 1)
     yield Figure.of("closed_loop.bus", "bus cycles from Python, on a stage", "1/s", cycles / t["read"])
 
 
 def compare_with_mj_step(run: Run, stage: Stage, suffix: str, words: str) -> Iterator[Figure]:
     """Compare a stage, recorded or not, with mj_step on the same model."""
-    bare, start = Bare(stage, STEPS), stage.snapshot()
+    bare, start = BareModel(stage, STEPS), stage.snapshot()
     recording = None
 
     def again() -> None:
@@ -51,7 +51,7 @@ def compare_with_mj_step(run: Run, stage: Stage, suffix: str, words: str) -> Ite
         "off": (again, lambda: stage.step(STEPS)),
         "on": (again_recorded, lambda: stage.step(STEPS)),
     }
-    t = race(works, run.rounds, run.pick(25, 5))
+    t = measure_alternately(works, run.rounds, run.choose(25, 5))
     again()
     name = f"{words}closed loop / bare mj_step, throughput"
     yield Figure.of(f"closed_loop.off{suffix}", name, "ratio", t["bare"] / t["off"])
@@ -64,7 +64,7 @@ def compare_with_mj_step(run: Run, stage: Stage, suffix: str, words: str) -> Ite
     yield Figure.of(f"closed_loop.way{suffix}", "way of the bare carriages / ours, an axis each", "ratio", way)
 
 
-def _ramps(run: Run) -> tuple[np.ndarray, np.ndarray]:
+def measure_ramp_shapes(run: Run) -> tuple[np.ndarray, np.ndarray]:
     """Seconds for half a second of three axes ramping up and down: with S-curves, and with linear ramps."""
     stage = Stage("xyz", chips=PCL240MS)
     ports = [Port(axis) for axis in stage.axes.values()]
@@ -85,5 +85,5 @@ def _ramps(run: Run) -> tuple[np.ndarray, np.ndarray]:
         stage.run(0.29)
 
     works = {"curved": (lambda: start((0, 0)), work), "linear": (lambda: start(None), work)}
-    t = race(works, run.rounds, run.pick(5, 2))
+    t = measure_alternately(works, run.rounds, run.choose(5, 2))
     return t["curved"], t["linear"]

@@ -15,8 +15,8 @@ from gymnasium.envs.mujoco import MujocoEnv
 
 import stage.envs  # noqa: F401 registers the ids
 from bench.figures import Figure, Run
-from bench.machines import Bare, model_path, moving_stage
-from bench.timing import race
+from bench.machines import BareModel, find_model_path, make_moving_stage
+from bench.timing import measure_alternately
 
 TITLE = "One environment beside gymnasium's MujocoEnv (RegisterBus, an action that waits)"
 SKIPS = (1, 4, 40)  # physics steps an action
@@ -47,17 +47,20 @@ def measure(run: Run) -> Iterator[Figure]:
     if importlib.util.find_spec("imageio") is None:
         print("    left out: gymnasium's MujocoEnv needs imageio; pip install '.[bench]'")
         return
-    moving, bare = moving_stage(visuals=False), Bare(moving_stage())
+    moving, bare = make_moving_stage(visuals=False), BareModel(make_moving_stage())
     start = moving.snapshot()
     for k in SKIPS:
-        n = run.pick(4000, 800) // (k + 7)  # actions in a turn
+        n = run.choose(4000, 800) // (k + 7)  # actions in a turn
         works = {
-            "ours": ours(k, n, start),
+            "ours": make_own_work(k, n, start),
             "physics": (lambda: moving.restore(start), lambda n=n, k=k: moving.step(n * k)),
             "plain": make_baseline(k, n, bare),
             "bare": (bare.reset, lambda n=n, k=k: bare.step(n * k)),
         }
-        t = {name: seconds / n * 1e6 for name, seconds in race(works, run.rounds, run.pick(25, 7)).items()}
+        t = {
+            name: seconds / n * 1e6
+            for name, seconds in measure_alternately(works, run.rounds, run.choose(25, 7)).items()
+        }
         over, baseline_overhead = t["ours"] - t["physics"], t["plain"] - t["bare"]
         yield Figure.of(
             f"environment.overhead_{k}",
@@ -70,7 +73,7 @@ def measure(run: Run) -> Iterator[Figure]:
         yield Figure.of(f"environment.time_{k}", "  whole step / MujocoEnv's", "ratio", t["ours"] / t["plain"])
 
 
-def ours(k: int, n: int, start: Any) -> tuple[Callable[[], None], Callable[[], None]]:
+def make_own_work(k: int, n: int, start: Any) -> tuple[Callable[[], None], Callable[[], None]]:
     """A race's entry: RegisterBus, its stage put in the middle of a move, an action of k physics steps n times."""
     env = gymnasium.make(
         "stage/RegisterBus-v0", waits=(k * DT,), time_limit=1e6, cycles=10**9, disable_env_checker=True
@@ -87,9 +90,9 @@ def ours(k: int, n: int, start: Any) -> tuple[Callable[[], None], Callable[[], N
     return prepare, work
 
 
-def make_baseline(k: int, n: int, bare: Bare) -> tuple[Callable[[], None], Callable[[], None]]:
+def make_baseline(k: int, n: int, bare: BareModel) -> tuple[Callable[[], None], Callable[[], None]]:
     """The same for the plain environment, under the mean torques of that move."""
-    env = BaselineEnv(model_path(), k)
+    env = BaselineEnv(find_model_path(), k)
     torque = bare.torque.astype(np.float32)
 
     def work() -> None:

@@ -16,7 +16,7 @@ class Run:
     rounds: int = 7
     quick: bool = False
 
-    def pick(self, full: Any, quick: Any) -> Any:
+    def choose(self, full: Any, quick: Any) -> Any:
         return quick if self.quick else full
 
 
@@ -39,11 +39,11 @@ class Figure:
         return float(np.median(self.values))
 
     @property
-    def least(self) -> float:
+    def minimum(self) -> float:
         return min(self.values)
 
     @property
-    def most(self) -> float:
+    def maximum(self) -> float:
         return max(self.values)
 
 
@@ -90,22 +90,22 @@ class Target:
     bound: float
 
     def __str__(self) -> str:
-        return f"{self.kind} {number(self.bound)}"
+        return f"{self.kind} {format_number(self.bound)}"
 
-    def met(self, value: float) -> bool:
+    def is_met(self, value: float) -> bool:
         return value >= self.bound if self.kind == ">=" else value <= self.bound
 
     def verdict(self, value: float) -> str:
         """Say whether a value meets the target, or by how much it misses it."""
-        if self.met(value):
+        if self.is_met(value):
             return "met"
         distance = abs(value - self.bound)
         part = f" ({distance / abs(self.bound):.0%})" if self.bound and distance < abs(self.bound) else ""
         times = f" ({value / self.bound:.1f} times)" if self.bound > 0 and value >= 2 * self.bound else ""
-        return f"missed by {number(distance)}{part}{times}"
+        return f"missed by {format_number(distance)}{part}{times}"
 
 
-def number(value: float) -> str:
+def format_number(value: float) -> str:
     """Three digits, and a power of ten where that reads better."""
     if value and not 1e-4 <= abs(value) < 1e6:
         return f"{value:.2e}".replace("e+0", "e").replace("e+", "e").replace("e-0", "e-")

@@ -7,8 +7,8 @@ from functools import partial
 from pathlib import Path
 
 from bench.figures import Figure, Run
-from bench.machines import SETTLED, moving_stage, run_continuously
-from bench.timing import Work, nothing, race
+from bench.machines import SETTLED, make_moving_stage, run_continuously
+from bench.timing import Work, do_nothing, measure_alternately
 from stage import Stage
 from stage.board import Board, NativeHost, NoCompilerError, build
 
@@ -18,7 +18,7 @@ LOOPS = {"tight": ("TIGHT", 0.2), "round": ("ROUND", 0.2), "write": ("WRITE", 0.
 SECONDS = 0.2
 
 
-def to_and_fro(stage: Stage) -> Work:
+def make_shuttle_work(stage: Stage) -> Work:
     """Turns the axes round, so that they never arrive."""
     minus = False
 
@@ -36,15 +36,15 @@ def measure(run: Run) -> Iterator[Figure]:
     try:
         for name, (loop, seconds) in LOOPS.items():
             library = build(Path(__file__).with_suffix(".c"), flags=[f"-DLOOP={loop}"])
-            stage = moving_stage()
+            stage = make_moving_stage()
             host = NativeHost(library, Board(stage))
-            works[name] = (to_and_fro(stage), partial(host.run_for, seconds))
+            works[name] = (make_shuttle_work(stage), partial(host.run_for, seconds))
     except NoCompilerError as error:
         print(f"  not measured: {error}")
         return
-    bare = moving_stage()
-    works["bare"] = (to_and_fro(bare), lambda: bare.run(SECONDS))
-    t = race(works, run.rounds, run.pick(9, 3))
+    bare = make_moving_stage()
+    works["bare"] = (make_shuttle_work(bare), lambda: bare.run(SECONDS))
+    t = measure_alternately(works, run.rounds, run.choose(9, 3))
     cycles = {name: seconds / bare.bus_cycle for name, (_, seconds) in LOOPS.items()}
     yield Figure.of(
         "firmware.tight", "bus cycles, status of one axis in a tight loop", "1/s", cycles["tight"] / t["tight"]
@@ -57,6 +57,6 @@ def measure(run: Run) -> Iterator[Figure]:
     yield Figure.of("firmware.polling", f"{words}firmware that polls b6 in a tight loop", "s", t["tight"] / SECONDS)
     yield Figure.of("firmware.delay_ratio", "  waiting / the closed loop alone", "ratio", t["delay"] / t["bare"])
     yield Figure.of("firmware.polling_ratio", "  polling / the closed loop alone", "ratio", t["tight"] / t["bare"])
-    board, reads = Board(bare), run.pick(20_000, 5_000)
-    t = race({"read": (nothing, lambda: [board.in8(0x300) for _ in range(reads)])}, run.rounds, 1)
+    board, reads = Board(bare), run.choose(20_000, 5_000)
+    t = measure_alternately({"read": (do_nothing, lambda: [board.in8(0x300) for _ in range(reads)])}, run.rounds, 1)
     yield Figure.of("firmware.python", "bus cycles from Python, Board.in8", "1/s", reads / t["read"])

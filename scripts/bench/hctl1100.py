@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from bench.figures import Figure, Run
-from bench.machines import SETTLED, moving_stage
-from bench.nova import STEPS, stepping
-from bench.timing import race
+from bench.machines import SETTLED, make_moving_stage
+from bench.nova import STEPS, make_stepping_work
+from bench.timing import measure_alternately
 from stage import Stage
 from stage.chips import HCTL1100
 
@@ -23,7 +23,7 @@ def write_all(chip: HCTL1100, *writes: tuple[int, int]) -> None:
         chip.write(address, value)
 
 
-def servo_stage() -> Stage:
+def make_servo_stage() -> Stage:
     """Three servos that keep a speed of 39 mm/s."""
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     for axis in stage.axes.values():
@@ -34,8 +34,10 @@ def servo_stage() -> Stage:
 
 
 def measure(run: Run) -> Iterator[Figure]:
-    stages = {"servo": servo_stage(), "pcl": moving_stage(visuals=False)}
-    t = race({name: stepping(stage) for name, stage in stages.items()}, run.rounds, run.pick(25, 5))
+    stages = {"servo": make_servo_stage(), "pcl": make_moving_stage(visuals=False)}
+    t = measure_alternately(
+        {name: make_stepping_work(stage) for name, stage in stages.items()}, run.rounds, run.choose(25, 5)
+    )
     yield Figure.of(
         "hctl1100.closed_loop", "closed loop, xyz in motion: HCTL1100 / PCL240K, time", "ratio", t["servo"] / t["pcl"]
     )
@@ -44,5 +46,7 @@ def measure(run: Run) -> Iterator[Figure]:
     write_all(chip, *LOOP)
     chip.set_shaft(0, 1 / SAMPLE)  # a shaft that runs away: the command changes at each sample
     start, clocks = chip.snapshot(), round(SECONDS * chip.clock_hz)
-    t = race({"loop": (lambda: chip.restore(start), lambda: chip.advance(clocks))}, run.rounds, run.pick(15, 5))
+    t = measure_alternately(
+        {"loop": (lambda: chip.restore(start), lambda: chip.advance(clocks))}, run.rounds, run.choose(15, 5)
+    )
     yield Figure.of("hctl1100.samples", "samples of the chip alone", "1/s", clocks / SAMPLE / t["loop"])

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.figures import Curve, Figure, Run
-from bench.machines import Bare, moving_stage, shuttle
-from bench.timing import has_resident, in_a_fresh_process, resident, timed
+from bench.machines import BareModel, make_moving_stage, run_shuttle
+from bench.timing import can_read_resident_memory, measure_time, read_resident_memory, run_in_fresh_process
 
 TITLE = "A long run: cost against length, growth"
 MARKS = (1, 2, 5, 10, 20, 60)  # s, ends of the first pieces; then every minute
@@ -21,7 +21,7 @@ BARE = 4000  # physics steps after a piece
 WARM = 0.1  # of the run, before growth counts
 
 
-class Piece(NamedTuple):
+class RunPiece(NamedTuple):
     end: float
     """Simulated seconds since the beginning."""
     cost: float
@@ -30,47 +30,53 @@ class Piece(NamedTuple):
 
 
 def measure(run: Run) -> Iterator[Figure | Curve]:
-    seconds = run.pick(3600, 20)
+    seconds = run.choose(3600, 20)
     length = f"{seconds / 3600:g} h" if seconds >= 3600 else f"{seconds} s"
     note = f"{length} simulated{' (quick)' if run.quick else ''}, one run"
     for recorded in (False, True):
-        pieces = in_a_fresh_process(pieces_of, seconds, recorded)
+        pieces = run_in_fresh_process(measure_pieces, seconds, recorded)
         suffix, words = ("_recorded", ", recorded") if recorded else ("", "")
         ends, costs = [p.end for p in pieces], np.cumsum([p.cost for p in pieces])
         curve = Curve.of(f"long_run.length{suffix}", f"cost over run length{words}", "s", "steps of bare mj_step",
                          ends, costs, 2 if run.quick else 10)  # fmt: skip
         yield curve
         yield curve.figure(note)
-        if has_resident():
+        if can_read_resident_memory():
             warm = next(p for p in pieces if p.end >= WARM * seconds)
             grown = (pieces[-1].resident - warm.resident) / 2**20
             text = f"from {warm.end:g} s on" + (", a recording a minute, closed" if recorded else "")
             yield Figure.of(f"long_run.growth{suffix}", f"growth over {length} simulated{words}", "MiB", grown, text)
 
 
-def pieces_of(seconds: float, recorded: bool) -> list[Piece]:
+def measure_pieces(seconds: float, recorded: bool) -> list[RunPiece]:
     """The long run itself."""
-    stage = moving_stage(visuals=False)
-    bare = Bare(stage, 400)
+    stage = make_moving_stage(visuals=False)
+    bare = BareModel(stage, 400)
     ends = [m for m in MARKS if m < seconds] + [m for m in range(120, int(seconds), 60)] + [seconds]
 
-    def piece(length: float) -> None:
+    def run_piece(length: float) -> None:
         if recorded:
             with stage.record():
-                shuttle(stage, length)
+                run_shuttle(stage, length)
         else:
-            shuttle(stage, length)
+            run_shuttle(stage, length)
 
-    def step_of_bare() -> float:
+    def measure_bare_step() -> float:
         bare.reset()
-        return timed(lambda: bare.step(BARE)) / BARE
+        return measure_time(lambda: bare.step(BARE)) / BARE
 
-    piece(2.0)
-    step_of_bare()
+    run_piece(2.0)
+    measure_bare_step()
     done, out = 0.0, []
     for end in ends:
-        before = step_of_bare()
-        took = timed(lambda length=end - done: piece(length))
-        out.append(Piece(end, took * 2 / (before + step_of_bare()), resident() if has_resident() else 0))
+        before = measure_bare_step()
+        took = measure_time(lambda length=end - done: run_piece(length))
+        out.append(
+            RunPiece(
+                end,
+                took * 2 / (before + measure_bare_step()),
+                read_resident_memory() if can_read_resident_memory() else 0,
+            )
+        )
         done = end
     return out

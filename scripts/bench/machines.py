@@ -28,7 +28,7 @@ def run_continuously(stage: Stage, minus: bool = False) -> None:
             axis.chip.write(0, command)
 
 
-def moving_stage(model: Any = "xyz", **settings: Any) -> Stage:
+def make_moving_stage(model: Any = "xyz", **settings: Any) -> Stage:
     """Chips that keep their motors running for as long as a comparison takes: some seconds."""
     stage = Stage(model, chips=PCL240K, **settings)
     for axis in stage.axes.values():
@@ -38,8 +38,8 @@ def moving_stage(model: Any = "xyz", **settings: Any) -> Stage:
     return stage
 
 
-def shuttle(stage: Stage, seconds: float) -> None:
-    """Run a `moving_stage` to and fro for an even number of legs, or a part of one; for hours where one likes."""
+def run_shuttle(stage: Stage, seconds: float) -> None:
+    """Move the axes of a stage of `make_moving_stage` back and forth for some simulated seconds."""
     minus = False
     while seconds > 0:
         run_continuously(stage, minus)
@@ -48,7 +48,7 @@ def shuttle(stage: Stage, seconds: float) -> None:
         minus = not minus
 
 
-def mean_torque(stage: Stage, steps: int) -> np.ndarray:
+def measure_mean_torque(stage: Stage, steps: int) -> np.ndarray:
     """The torque that keeps bare carriages moving alike: each actuator's mean over the next `steps`, which pass."""
     torque = np.zeros(stage.model.nu)
     with stage.record() as recording:
@@ -58,13 +58,13 @@ def mean_torque(stage: Stage, steps: int) -> np.ndarray:
     return torque
 
 
-class Bare:
+class BareModel:
     """mj_step alone on a stage's model, from the state that the stage is in, under constant torques that move it as far."""
 
     def __init__(self, stage: Stage, steps: int = 4000):
         self.model, self.data = stage.model, mujoco.MjData(stage.model)
         start = stage.snapshot()
-        self.start, self.torque = start.state, mean_torque(stage, steps)
+        self.start, self.torque = start.state, measure_mean_torque(stage, steps)
         way = stage.data.qpos.copy()
         stage.restore(start)
         self.began, self.velocity = stage.data.qpos.copy(), stage.data.qvel.copy()
@@ -92,12 +92,12 @@ class Bare:
         mujoco.mj_step(self.model, self.data, n)
 
 
-class Batch:
+class MujocoBatch:
     """The bare model, `n` times, in the middle of a move of three axes; `nstep` physics steps each at every step."""
 
     def __init__(self, n: int, threads: int | None):
-        moving = moving_stage(visuals=False)
-        bare = Bare(moving)
+        moving = make_moving_stage(visuals=False)
+        bare = BareModel(moving)
         self.batch = mujoco.batch.Batch(moving.model, nsim=n, nthread=threads)
         self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
         self.move = bare.began, bare.velocity, bare.torque
@@ -114,16 +114,16 @@ class Batch:
         pass
 
 
-def model_path(name: str = "xyz") -> str:
+def find_model_path(name: str = "xyz") -> str:
     """The file of a shipped model."""
     return str(resources.files("stage.models") / f"{name}.xml")
 
 
-def axes_in_a_row(n: int) -> mujoco.MjSpec:
+def make_axes_model(n: int) -> mujoco.MjSpec:
     """A model of `n` axes side by side, each the X axis of the shipped `xy`: rail, motor, carriage, five switches, hard stops."""
     row = mujoco.MjSpec()
     for k in range(n):
-        one = mujoco.MjSpec.from_file(model_path("xy"))
+        one = mujoco.MjSpec.from_file(find_model_path("xy"))
         one.delete(one.body("y"))
         for key in list(one.keys):
             one.delete(key)

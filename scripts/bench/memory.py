@@ -11,8 +11,8 @@ import numpy as np
 
 import stage.envs  # noqa: F401 registers the ids
 from bench.figures import Figure, Run
-from bench.machines import Batch, moving_stage
-from bench.timing import has_resident, in_a_fresh_process, resident
+from bench.machines import MujocoBatch, make_moving_stage
+from bench.timing import can_read_resident_memory, read_resident_memory, run_in_fresh_process
 
 TITLE = "Memory of a stage"
 KINDS = {
@@ -24,34 +24,34 @@ KINDS = {
 
 
 def measure(run: Run) -> Iterator[Figure]:
-    if not has_resident():
+    if not can_read_resident_memory():
         print("    left out: memory is read from /proc, which is not here")
         return
-    n = run.pick(256, 32)
-    kib = {kind: [in_a_fresh_process(grow, kind, n) for _ in range(run.pick(3, 1))] for kind in KINDS}
+    n = run.choose(256, 32)
+    kib = {kind: [run_in_fresh_process(measure_growth, kind, n) for _ in range(run.choose(3, 1))] for kind in KINDS}
     for kind, name in KINDS.items():
         yield Figure.of(f"memory.{kind}", name, "KiB", kib[kind], f"growth by {n}, a fresh process each")
     ratio = np.array(kib["env"]) / np.array(kib["bare_stage"])
     yield Figure.of("memory.env_stage", "a stage of the vector environment / a Stage without visuals", "ratio", ratio)
 
 
-def grow(kind: str, n: int) -> float:
+def measure_growth(kind: str, n: int) -> float:
     """KiB that each of n more takes, after it has moved, beyond the first of its kind."""
-    created = [make(kind, 2)]
-    before = resident()
-    created.append(make(kind, n))
-    return (resident() - before) / n / 1024
+    created = [make_objects(kind, 2)]
+    before = read_resident_memory()
+    created.append(make_objects(kind, n))
+    return (read_resident_memory() - before) / n / 1024
 
 
-def make(kind: str, n: int) -> Any:
+def make_objects(kind: str, n: int) -> Any:
     if "stage" in kind:
-        first = moving_stage(visuals=kind == "stage")
+        first = make_moving_stage(visuals=kind == "stage")
         stages = [first, *(copy.deepcopy(first) for _ in range(n - 1))]
         for s in stages:
             s.step(4)
         return stages
     if kind == "batch":
-        batch = Batch(n, 0)
+        batch = MujocoBatch(n, 0)
         batch.reset()
         batch.step()
         return batch

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from bench.chips import load as load_pcl
+from bench.chips import load_registers as load_pcl
 from bench.figures import Figure, Run
-from bench.machines import RATE, SETTLED, moving_stage
-from bench.timing import race
+from bench.machines import RATE, SETTLED, make_moving_stage
+from bench.timing import measure_alternately
 from stage import Stage
 from stage.chips import MCX514, PCL240K
 from stage.firmware.pcl240.chip_port import CONTROL, RAMP, RESET, START
@@ -21,7 +21,7 @@ RAMP_CLOCKS = 4 * 7950  # of the PCL-240K with R4 = 4
 CONSTANT = 0.08  # s
 
 
-def load(chip: Any, axes: int, order: str, **registers: int) -> Any:
+def load_registers(chip: Any, axes: int, order: str, **registers: int) -> Any:
     """Parameters of an MCX514 by name, then a command, of all these axes."""
     for name, value in registers.items():
         chip.write(6, value & 0xFFFF)
@@ -31,62 +31,64 @@ def load(chip: Any, axes: int, order: str, **registers: int) -> Any:
     return chip
 
 
-def nova_constant(chip: Any) -> Any:
-    return load(chip, 1, "DRVVP", SV=HIGH, DV=HIGH)
+def start_nova_constant_speed(chip: Any) -> Any:
+    return load_registers(chip, 1, "DRVVP", SV=HIGH, DV=HIGH)
 
 
-def nova_ramping(chip: Any) -> Any:
-    return load(chip, 1, "DRVVP", SV=LOW, DV=HIGH, AC=(HIGH - LOW) * PCL_HZ // RAMP_CLOCKS)
+def start_nova_ramp(chip: Any) -> Any:
+    return load_registers(chip, 1, "DRVVP", SV=LOW, DV=HIGH, AC=(HIGH - LOW) * PCL_HZ // RAMP_CLOCKS)
 
 
-def pcl_constant(chip: Any) -> Any:
+def start_pcl_constant_speed(chip: Any) -> Any:
     return load_pcl(chip, RESET, CONTROL, START["FH1"], R1=50, R2=8000, R7=2)
 
 
-def pcl_ramping(chip: Any) -> Any:
+def start_pcl_ramp(chip: Any) -> Any:
     return load_pcl(chip, RESET, CONTROL, RAMP["FH1"], R1=50, R2=8000, R4=4, R5=4, R7=2)
 
 
-def nova_stage() -> Stage:
-    """The moves of `moving_stage`, by one MCX514."""
+def make_nova_stage() -> Stage:
+    """Make a stage that makes the moves of `make_moving_stage` with one MCX514."""
     stage = Stage("xyz", chips=MCX514, visuals=False)
     low, high = RATE["R1"] * PCL_HZ // (8192 * RATE["R7"]), RATE["R2"] * PCL_HZ // (8192 * RATE["R7"])
-    load(stage.chips[0], 0b111, "DRVVP", SV=low, DV=high, AC=20_000)
+    load_registers(stage.chips[0], 0b111, "DRVVP", SV=low, DV=high, AC=20_000)
     stage.run(SETTLED)
     return stage
 
 
 def measure(run: Run) -> Iterator[Figure]:
-    stages = {"nova": nova_stage(), "pcl": moving_stage(visuals=False)}
-    t = race({name: stepping(stage) for name, stage in stages.items()}, run.rounds, run.pick(25, 5))
+    stages = {"nova": make_nova_stage(), "pcl": make_moving_stage(visuals=False)}
+    t = measure_alternately(
+        {name: make_stepping_work(stage) for name, stage in stages.items()}, run.rounds, run.choose(25, 5)
+    )
     yield Figure.of(
         "nova.closed_loop", "closed loop, xyz at 2000 pps: MCX514 / PCL240K, time", "ratio", t["nova"] / t["pcl"]
     )
     ramp = RAMP_CLOCKS / PCL_HZ
     cases = (
-        ("advance", "constant speed, advanced", nova_constant, pcl_constant, 100.0, False),
-        ("constant", "constant speed, traced", nova_constant, pcl_constant, CONSTANT, True),
-        ("ramp", "a ramp, traced", nova_ramping, pcl_ramping, ramp, True),
+        ("advance", "constant speed, advanced", start_nova_constant_speed, start_pcl_constant_speed, 100.0, False),
+        ("constant", "constant speed, traced", start_nova_constant_speed, start_pcl_constant_speed, CONSTANT, True),
+        ("ramp", "a ramp, traced", start_nova_ramp, start_pcl_ramp, ramp, True),
     )
     for key, name, nova, pcl, seconds, traced in cases:
         works = {
-            "nova": running(MCX514, nova, round(seconds * NOVA_HZ), traced),
-            "pcl": running(PCL240K, pcl, round(seconds * PCL_HZ), traced),
+            "nova": make_running_work(MCX514, nova, round(seconds * NOVA_HZ), traced),
+            "pcl": make_running_work(PCL240K, pcl, round(seconds * PCL_HZ), traced),
         }
-        t = race(works, run.rounds, run.pick(15, 5))
+        t = measure_alternately(works, run.rounds, run.choose(15, 5))
         yield Figure.of(f"nova.{key}", f"{name}: MCX514 / PCL240K, time", "ratio", t["nova"] / t["pcl"])
         if traced:
             n = len(nova(MCX514()).trace(round(seconds * NOVA_HZ)))
             yield Figure.of(f"nova.{key}_rate", "  pulses of the MCX514 traced", "1/s", n / t["nova"])
 
 
-def stepping(stage: Stage) -> tuple[Callable[[], None], Callable[[], None]]:
+def make_stepping_work(stage: Stage) -> tuple[Callable[[], None], Callable[[], None]]:
     """A race's entry: a stage from where it is now."""
     start = stage.snapshot()
     return lambda: stage.restore(start), lambda: stage.step(STEPS)
 
 
-def running(make: Any, begin: Callable[[Any], Any], clocks: int, traced: bool) -> tuple[Any, Any]:
+def make_running_work(make: Any, begin: Callable[[Any], Any], clocks: int, traced: bool) -> tuple[Any, Any]:
     """A race's entry: a chip, begun anew, that advances or is traced."""
     chip = make()
     fresh = chip.snapshot()

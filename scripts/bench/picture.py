@@ -19,13 +19,13 @@ OURS, OTHER, SECOND = "#17508f", "#d1571f", "#4aa8d8"
 BOUND: dict[str, Any] = {"color": OTHER, "lw": 1.6, "ls": (0, (4, 2))}
 
 
-def bars(ax: Any, results: Results, rows: dict[str, str], unit: str) -> None:
+def draw_bars(ax: Any, results: Results, rows: dict[str, str], unit: str) -> None:
     """Medians as bars, spreads as lines, targets dashed. rows: key -> label."""
     rows = {key: label for key, label in rows.items() if key in results.figures}
     for y, key in enumerate(rows):
         f = results.figures[key]
         ax.barh(y, f.median, 0.6, color=OURS)
-        ax.plot([f.least, f.most], [y, y], color=TEXT_COLOR, lw=1.4, solid_capstyle="butt")
+        ax.plot([f.minimum, f.maximum], [y, y], color=TEXT_COLOR, lw=1.4, solid_capstyle="butt")
         if target := BY_FIGURE.get(key):
             ax.plot([target.bound] * 2, [y - 0.42, y + 0.42], **BOUND)
     ax.set_yticks(range(len(rows)), rows.values())
@@ -33,20 +33,20 @@ def bars(ax: Any, results: Results, rows: dict[str, str], unit: str) -> None:
     ax.grid(False, axis="y")
 
 
-def throughput(ax: Any, results: Results) -> None:
+def draw_throughput(ax: Any, results: Results) -> None:
     rows = {"closed_loop.off": "closed loop", "closed_loop.on": "recorded"}
     rows |= {"vector.fleet_batch_1": "64 stages, 1 thread", "vector.fleet_batch_2": "2 threads"}
     rows |= {"vector.env_batch_1": "64 envs, 1 thread", "vector.env_batch_2": "2 threads"}
-    bars(ax, results, rows, "throughput / bare mj_step or Batch")
+    draw_bars(ax, results, rows, "throughput / bare mj_step or Batch")
     ax.axvline(1, color=MUTED_COLOR, lw=1)
 
 
-def threads(ax: Any, results: Results) -> None:
+def draw_threads(ax: Any, results: Results) -> None:
     rows = {"vector.batch_two": "Batch", "vector.fleet_two": "Fleet", "vector.env_two": "vector env"}
-    bars(ax, results, rows, "two threads / one, throughput")
+    draw_bars(ax, results, rows, "two threads / one, throughput")
 
 
-def overhead(ax: Any, results: Results) -> None:
+def draw_overhead(ax: Any, results: Results) -> None:
     skips = [k for k in (1, 4, 40) if f"environment.ours_{k}" in results.figures]
     x = np.arange(len(skips))
     for shift, kind, color, name in ((-0.2, "ours", OURS, "RegisterBus"), (0.2, "plain", OTHER, "MujocoEnv")):
@@ -54,11 +54,11 @@ def overhead(ax: Any, results: Results) -> None:
         ax.bar(x + shift, [f.median for f in figures], 0.36, color=color, label=name)
         for at, f in zip(x + shift, figures, strict=True):
             ax.plot(
-                [at, at], [max(f.least, 0), f.most], color=TEXT_COLOR, lw=1.4, solid_capstyle="butt"
+                [at, at], [max(f.minimum, 0), f.maximum], color=TEXT_COLOR, lw=1.4, solid_capstyle="butt"
             )  # a difference; bars begin at 0
             ax.annotate(
                 f"{f.median:.3g}",
-                (at, max(f.most, 0)),
+                (at, max(f.maximum, 0)),
                 (0, 2),
                 textcoords="offset points",
                 ha="center",
@@ -67,29 +67,29 @@ def overhead(ax: Any, results: Results) -> None:
     ax.set_xticks(x, [f"{k} step{'s' if k > 1 else ''}" for k in skips])
     ax.set(ylabel="overhead of an action (µs)")
     ax.margins(y=0.12)
-    legend_below(ax)
+    place_legend_below(ax)
     ax.grid(False, axis="x")
 
 
-def chips(ax: Any, results: Results) -> None:
+def draw_chips(ax: Any, results: Results) -> None:
     rows = {"chips.constant": "constant speed, clocks", "chips.ramp": "fastest ramp, clocks"}
     rows |= {"chips.s_curve": "S-curve, clocks", "chips.traced": "pulses traced"}
-    bars(ax, results, rows, "simulated a second of wall time")
+    draw_bars(ax, results, rows, "simulated a second of wall time")
     ax.set_xscale("log")
 
 
-def legend_below(ax: Any) -> None:
+def place_legend_below(ax: Any) -> None:
     """The legend below the panel, where no data are."""
     ax.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.17), fontsize=9, handletextpad=0.4)
 
 
-def curve_panel(*keys: str) -> Callable[[Any, Results], None]:
+def make_curve_panel(*keys: str) -> Callable[[Any, Results], None]:
     def panel(ax: Any, results: Results) -> None:
         for key, color in zip(keys, (OURS, OTHER), strict=False):
             if key in results.curves:
                 draw_curve(ax, results.curves[key], color)
         ax.set(xscale="log", yscale="log")
-        legend_below(ax)
+        place_legend_below(ax)
 
     return panel
 
@@ -107,13 +107,13 @@ def draw_curve(ax: Any, c: Curve, color: str) -> None:
 
 
 PANELS: tuple[tuple[str, str, Callable[[Any, Results], None]], ...] = (
-    ("closed_loop vector", "Beside bare MuJoCo", throughput),
-    ("vector", "Two threads", threads),
-    ("environment", "One environment", overhead),
-    ("chips", "Chips alone", chips),
-    ("scaling", "Cost over axes", curve_panel("scaling.axes", "scaling.axes_bare")),
-    ("scaling", "Cost over stages", curve_panel("scaling.stages")),
-    ("long_run", "Cost over run length", curve_panel("long_run.length", "long_run.length_recorded")),
+    ("closed_loop vector", "Beside bare MuJoCo", draw_throughput),
+    ("vector", "Two threads", draw_threads),
+    ("environment", "One environment", draw_overhead),
+    ("chips", "Chips alone", draw_chips),
+    ("scaling", "Cost over axes", make_curve_panel("scaling.axes", "scaling.axes_bare")),
+    ("scaling", "Cost over stages", make_curve_panel("scaling.stages")),
+    ("long_run", "Cost over run length", make_curve_panel("long_run.length", "long_run.length_recorded")),
 )
 
 

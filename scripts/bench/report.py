@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from bench.figures import Curve, Figure, Run, number
+from bench.figures import Curve, Figure, Run, format_number
 from bench.targets import BY_FIGURE, TARGETS
 
 BEGIN, END = "<!-- benchmark: begin -->", "<!-- benchmark: end -->"
@@ -26,19 +26,19 @@ class Results:
         self.curves: dict[str, Curve] = {}
         self.machines: dict[str, str] = {}
 
-    def forget(self, subject: str) -> None:
+    def remove_subject(self, subject: str) -> None:
         """Drop what is known of a subject, which is to be measured anew."""
         for table in (self.titles, self.machines):
             table.pop(subject, None)
         for table in (self.figures, self.curves):
-            for key in [k for k in table if subject_of(k) == subject]:
+            for key in [k for k in table if get_subject(k) == subject]:
                 del table[key]
 
     def add(self, figure: Figure | Curve) -> None:
         (self.figures if isinstance(figure, Figure) else self.curves)[figure.key] = figure
 
     def of(self, subject: str) -> list[Figure]:
-        return [f for f in self.figures.values() if subject_of(f.key) == subject]
+        return [f for f in self.figures.values() if get_subject(f.key) == subject]
 
     def save(self, path: Path) -> None:
         path.write_text(json.dumps(self.as_json(), indent=1) + "\n")
@@ -46,9 +46,9 @@ class Results:
     def as_json(self) -> dict[str, Any]:
         figures = {}
         for key, f in self.figures.items():
-            figures[key] = {**asdict(f), "median": f.median, "least": f.least, "most": f.most}
+            figures[key] = {**asdict(f), "median": f.median, "least": f.minimum, "most": f.maximum}
             if target := BY_FIGURE.get(key):
-                figures[key]["target"] = {**asdict(target), "met": target.met(f.median)}
+                figures[key]["target"] = {**asdict(target), "met": target.is_met(f.median)}
         curves = {key: asdict(c) for key, c in self.curves.items()}
         return {"titles": self.titles, "machines": self.machines, "figures": figures, "curves": curves}
 
@@ -64,18 +64,20 @@ class Results:
         return results
 
 
-def subject_of(key: str) -> str:
+def get_subject(key: str) -> str:
     return key.split(".")[0]
 
 
-def machine(run: Run) -> str:
+def describe_machine(run: Run) -> str:
     """Say where and how a benchmark has run."""
     packages = ", ".join(f"{name} {version(name)}" for name in ("mujoco", "numpy"))
     how = f"{run.rounds} rounds" + (", quick: long ones are short" if run.quick else "")
-    return f"{processor()}, {os.cpu_count()} processors; Python {platform.python_version()}, {packages}; {how}"
+    return (
+        f"{find_processor_name()}, {os.cpu_count()} processors; Python {platform.python_version()}, {packages}; {how}"
+    )
 
 
-def processor() -> str:
+def find_processor_name() -> str:
     try:
         with Path("/proc/cpuinfo").open() as file:
             return next(line.split(":", 1)[1].strip() for line in file if line.startswith("model name"))
@@ -83,20 +85,20 @@ def processor() -> str:
         return platform.processor() or platform.machine()
 
 
-def line(f: Figure) -> str:
+def format_line(f: Figure) -> str:
     """A figure as a line of the table on the screen."""
-    spread = f"{number(f.least)} .. {number(f.most)}" if len(f.values) > 1 else "once"
-    text = f"  {f.name:58.58}{number(f.median):>11} {f.unit:6} {spread:>22}"
+    spread = f"{format_number(f.minimum)} .. {format_number(f.maximum)}" if len(f.values) > 1 else "once"
+    text = f"  {f.name:58.58}{format_number(f.median):>11} {f.unit:6} {spread:>22}"
     if target := BY_FIGURE.get(f.key):
         text += f"   {target}: {target.verdict(f.median)}"
     return text + (f"   ({f.note})" if f.note else "")
 
 
-def verdicts(results: Results) -> Iterator[str]:
+def list_verdicts(results: Results) -> Iterator[str]:
     """Every target, a line each."""
     for target in TARGETS:
         f = results.figures.get(target.figure)
-        verdict = "not measured" if f is None else f"{number(f.median):>8}  {target.verdict(f.median)}"
+        verdict = "not measured" if f is None else f"{format_number(f.median):>8}  {target.verdict(f.median)}"
         yield f"  {target.name:34}{target!s:>10}  {verdict}"
 
 
@@ -106,20 +108,20 @@ def write_markdown(results: Results, path: Path) -> None:
     if text.count(BEGIN) != 1 or text.count(END) != 1 or text.index(BEGIN) > text.index(END):
         raise SystemExit(f"{path}: has no pair of lines\n{BEGIN}\n{END}\nto put the table between.")
     before, after = text[: text.index(BEGIN) + len(BEGIN)], text[text.index(END) :]
-    path.write_text(f"{before}\n\n{markdown(results)}\n{after}")
+    path.write_text(f"{before}\n\n{format_markdown(results)}\n{after}")
 
 
-def markdown(results: Results) -> str:
+def format_markdown(results: Results) -> str:
     """The targets, and then every figure."""
     lines = ["| target | bound | measured, median (least .. most) | |", "|---|---|---|---|"]
     for target in TARGETS:
         f = results.figures.get(target.figure)
-        measured, verdict = ("-", "not measured") if f is None else (spread(f), target.verdict(f.median))
-        lines.append(f"| {target.name} | {target.kind.replace('>=', '≥').replace('<=', '≤')} {number(target.bound)} "
+        measured, verdict = ("-", "not measured") if f is None else (format_spread(f), target.verdict(f.median))
+        lines.append(f"| {target.name} | {target.kind.replace('>=', '≥').replace('<=', '≤')} {format_number(target.bound)} "
                      f"| {measured} | {verdict} |")  # fmt: skip
     for subject, title in results.titles.items():
         lines += ["", f"**{title}**", "", "| | median (least .. most) | |", "|---|---|---|"]
-        lines += [f"| {f.name.strip()} | {spread(f)} {f.unit} | {f.note} |" for f in results.of(subject)]
+        lines += [f"| {f.name.strip()} | {format_spread(f)} {f.unit} | {f.note} |" for f in results.of(subject)]
     for words in dict.fromkeys(results.machines.values()):
         names = [s for s, w in results.machines.items() if w == words]
         what = "" if len(names) == len(results.machines) else f" ({', '.join(names)})"
@@ -127,6 +129,6 @@ def markdown(results: Results) -> str:
     return "\n".join([*lines, ""])
 
 
-def spread(f: Figure) -> str:
-    many = f" ({number(f.least)} .. {number(f.most)})" if len(f.values) > 1 else ""
-    return number(f.median) + many
+def format_spread(f: Figure) -> str:
+    many = f" ({format_number(f.minimum)} .. {format_number(f.maximum)})" if len(f.values) > 1 else ""
+    return format_number(f.median) + many

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from bench.figures import Curve, Figure, Run
-from bench.machines import Bare, axes_in_a_row, moving_stage
-from bench.timing import race
-from bench.vector import DT, waits
+from bench.machines import BareModel, make_axes_model, make_moving_stage
+from bench.timing import measure_alternately
+from bench.vector import DT, make_wait_programs
 from stage import Fleet
 
 TITLE = "Cost against number of axes and of stages"
@@ -23,18 +23,21 @@ STAGE_BYTES = 1.5e6  # a stage and what it leaves behind, generously
 
 
 def measure(run: Run) -> Iterator[Figure | Curve]:
-    yield from axes(run)
-    yield from stages(run)
+    yield from measure_axes(run)
+    yield from measure_stages(run)
 
 
-def axes(run: Run) -> Iterator[Figure | Curve]:
+def measure_axes(run: Run) -> Iterator[Figure | Curve]:
     works = {}
     for n in AXES:
-        stage = moving_stage(axes_in_a_row(n), visuals=False)
-        bare, start = Bare(stage, STEPS), stage.snapshot()
+        stage = make_moving_stage(make_axes_model(n), visuals=False)
+        bare, start = BareModel(stage, STEPS), stage.snapshot()
         works[f"ours {n}"] = (lambda s=stage, at=start: s.restore(at)), (lambda s=stage: s.step(STEPS))
         works[f"bare {n}"] = bare.reset, (lambda b=bare: b.step(STEPS))
-    t = {name: seconds / STEPS * 1e6 for name, seconds in race(works, run.rounds, run.pick(15, 3)).items()}
+    t = {
+        name: seconds / STEPS * 1e6
+        for name, seconds in measure_alternately(works, run.rounds, run.choose(15, 3)).items()
+    }
     for n in AXES:
         name = f"{n} {'axis' if n == 1 else 'axes'}: bare mj_step / ours, time"
         yield Figure.of(f"scaling.axes_{n}", name, "ratio", t[f"bare {n}"] / t[f"ours {n}"])
@@ -48,16 +51,16 @@ def axes(run: Run) -> Iterator[Figure | Curve]:
         yield curve.figure()
 
 
-def stages(run: Run) -> Iterator[Figure | Curve]:
-    max_stages = min(run.pick(4096, 64), int(available() / STAGE_BYTES))
+def measure_stages(run: Run) -> Iterator[Figure | Curve]:
+    max_stages = min(run.choose(4096, 64), int(read_available_memory() / STAGE_BYTES))
     sizes = [n for n in STAGES if n <= max_stages]
-    first = moving_stage(visuals=False)
+    first = make_moving_stage(visuals=False)
     start = first.snapshot()
     every = [first, *(copy.deepcopy(first) for _ in range(sizes[-1] - 1))]
     note = f"up to {sizes[-1]} stages" + (" (quick)" if run.quick else " fit this memory" if sizes[-1] < 4096 else "")
     works = {}
     for n in sizes:
-        fleet, again, programs = Fleet(every[:n]), max(1, 256 // n), waits(n, WAIT)
+        fleet, again, programs = Fleet(every[:n]), max(1, 256 // n), make_wait_programs(n, WAIT)
 
         def prepare(n: int = n) -> None:
             for s in every[:n]:
@@ -68,7 +71,7 @@ def stages(run: Run) -> Iterator[Figure | Curve]:
                 fleet.play(programs)
 
         works[str(n)] = prepare, work
-    t = race(works, run.rounds, run.pick(1, 2))
+    t = measure_alternately(works, run.rounds, run.choose(1, 2))
     cost = np.stack([t[str(n)] / max(1, 256 // n) * 1e3 for n in sizes], axis=1)
     threads = Fleet(every[: min(64, len(every))]).threads
     name = f"ms to play a wait of {WAIT * DT * 1e3:g} ms on {threads} threads"
@@ -77,7 +80,7 @@ def stages(run: Run) -> Iterator[Figure | Curve]:
     yield curve.figure(note)
 
 
-def available() -> float:
+def read_available_memory() -> float:
     """Bytes of memory that are free for use; 4 GB where nobody says."""
     try:
         with Path("/proc/meminfo").open() as file:

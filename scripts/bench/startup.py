@@ -13,11 +13,11 @@ from pathlib import Path
 import psutil
 
 from bench.figures import Figure, Run
-from bench.machines import model_path
-from bench.timing import nothing, race
+from bench.machines import find_model_path
+from bench.timing import do_nothing, measure_alternately
 
 TITLE = "Start, each in a fresh process"
-BARE = f"import mujoco; m = mujoco.MjModel.from_xml_path({model_path()!r}); mujoco.mj_step(m, mujoco.MjData(m))"
+BARE = f"import mujoco; m = mujoco.MjModel.from_xml_path({find_model_path()!r}); mujoco.mj_step(m, mujoco.MjData(m))"
 FIRST_STEP = "from stage import Stage; Stage('xyz').step()"
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -29,7 +29,9 @@ def measure(run: Run) -> Iterator[Figure]:
         "bare": BARE,
         "warm": FIRST_STEP,
     }
-    t = race({name: (nothing, lambda c=code: start(c)) for name, code in works.items()}, run.pick(run.rounds, 3), 3)
+    t = measure_alternately(
+        {name: (do_nothing, lambda c=code: run_python(c)) for name, code in works.items()}, run.choose(run.rounds, 3), 3
+    )
     yield Figure.of("startup.python", "python itself", "s", t["python"])
     yield Figure.of("startup.import", "python -c 'import stage'", "s", t["import"])
     yield Figure.of("startup.bare", "import mujoco, load the model, one mj_step", "s", t["bare"])
@@ -38,16 +40,16 @@ def measure(run: Run) -> Iterator[Figure]:
     if run.quick:
         print("    left out (quick): building the library")
         return
-    yield Figure.of("startup.build", "building the native library, processor time", "s", built())
+    yield Figure.of("startup.build", "building the native library, processor time", "s", measure_build())
 
 
-def start(code: str) -> None:
+def run_python(code: str) -> None:
     """Run this in a process, as an installed package is run: from bytecode, which the first process writes."""
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, env=environment)
 
 
-def built() -> float:
+def measure_build() -> float:
     """Seconds of processor time that the library of a fresh checkout takes."""
     with tempfile.TemporaryDirectory() as folder:
         for name in ("stage", "envs", "models"):

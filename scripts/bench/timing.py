@@ -17,14 +17,14 @@ PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
 Work = Callable[[], Any]
 
 
-def timed(work: Work, clock: Callable[[], float] = time.perf_counter) -> float:
+def measure_time(work: Work, clock: Callable[[], float] = time.perf_counter) -> float:
     """Seconds that `work` takes."""
     begin = clock()
     work()
     return clock() - begin
 
 
-def race(works: Mapping[str, tuple[Work, Work]], rounds: int, calls: int = 5) -> dict[str, np.ndarray]:
+def measure_alternately(works: Mapping[str, tuple[Work, Work]], rounds: int, calls: int = 5) -> dict[str, np.ndarray]:
     """Seconds of a turn of each work, a value a round: name -> (rounds,).
 
     works: name -> (prepare, work), prepare is not timed. In a round every work has `turns` turns, interleaved; the round's
@@ -40,7 +40,7 @@ def race(works: Mapping[str, tuple[Work, Work]], rounds: int, calls: int = 5) ->
         for name in names[first:] + names[:first]:
             prepare, work = works[name]
             prepare()
-            seconds[name][divmod(turn, calls)] = timed(work)
+            seconds[name][divmod(turn, calls)] = measure_time(work)
     return {name: np.median(s, axis=1) for name, s in seconds.items()}
 
 
@@ -48,18 +48,18 @@ def do_nothing() -> None:
     """Do nothing, where a comparison needs no preparation."""
 
 
-def resident() -> int:
+def read_resident_memory() -> int:
     """Bytes of this process in memory; Linux only."""
     gc.collect()
     with Path("/proc/self/statm").open() as file:
         return int(file.read().split()[1]) * PAGE
 
 
-def has_resident() -> bool:
+def can_read_resident_memory() -> bool:
     return Path("/proc/self/statm").exists()
 
 
-def in_a_fresh_process(function: Callable[..., Any], *args: Any) -> Any:
+def run_in_fresh_process(function: Callable[..., Any], *args: Any) -> Any:
     """`function(*args)` where nothing was imported, made or freed before."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         return pool.submit(function, *args).result()

@@ -11,8 +11,8 @@ import numpy as np
 
 import stage.envs  # noqa: F401 registers the ids
 from bench.figures import Figure, Run
-from bench.machines import Batch, moving_stage
-from bench.timing import race
+from bench.machines import MujocoBatch, make_moving_stage
+from bench.timing import measure_alternately
 from stage import Fleet, Program
 
 TITLE = "Vector stages beside mujoco.batch.Batch (64 stages in motion)"
@@ -24,13 +24,13 @@ WAIT = 2  # kind of action
 
 
 def measure(run: Run) -> Iterator[Figure]:
-    plays = run.pick(5, 2)  # waits in a turn
+    plays = run.choose(5, 2)  # waits in a turn
     works: dict[str, tuple[Callable, Callable]] = {}
     for threads in (1, 2):
-        works[f"fleet_{threads}"] = playing(threads, plays)
-        works[f"env_{threads}"] = acting(threads, plays)
-        works[f"batch_{threads}"] = batch(threads, plays)
-    t = race(works, run.rounds, run.pick(9, 2))
+        works[f"fleet_{threads}"] = make_playing_work(threads, plays)
+        works[f"env_{threads}"] = make_acting_work(threads, plays)
+        works[f"batch_{threads}"] = make_batch_work(threads, plays)
+    t = measure_alternately(works, run.rounds, run.choose(9, 2))
     steps = STAGES * STEPS * plays
     yield Figure.of(
         "vector.batch_two", "Batch, two threads / one", "ratio", t["batch_1"] / t["batch_2"], "the machine's own"
@@ -43,12 +43,12 @@ def measure(run: Run) -> Iterator[Figure]:
         yield Figure.of(f"vector.{key}_rate", f"{name}, two threads, physics steps", "1/s", steps / t[f"{key}_2"])
 
 
-def playing(threads: int, plays: int) -> tuple[Callable[[], None], Callable[[], None]]:
+def make_playing_work(threads: int, plays: int) -> tuple[Callable[[], None], Callable[[], None]]:
     """A race's entry: a fleet that plays waits."""
-    first = moving_stage(visuals=False)
+    first = make_moving_stage(visuals=False)
     start = first.snapshot()
     fleet = Fleet([first, *(copy.deepcopy(first) for _ in range(STAGES - 1))], threads)
-    programs = waits(STAGES, STEPS)
+    programs = make_wait_programs(STAGES, STEPS)
 
     def prepare() -> None:
         for s in fleet.stages:
@@ -57,11 +57,11 @@ def playing(threads: int, plays: int) -> tuple[Callable[[], None], Callable[[], 
     return prepare, lambda: repeat(plays, lambda: fleet.play(programs))
 
 
-def acting(threads: int, plays: int) -> tuple[Callable[[], None], Callable[[], None]]:
+def make_acting_work(threads: int, plays: int) -> tuple[Callable[[], None], Callable[[], None]]:
     """The same for the vector environment, its stages put in the middle of a move."""
     kind: dict[str, Any] = {"vectorization_mode": "vector_entry_point", "threads": threads}
     envs = gymnasium.make_vec("stage/RegisterBus-v0", num_envs=STAGES, **kind, **SETTINGS)
-    start = moving_stage().snapshot()
+    start = make_moving_stage().snapshot()
     wait = np.tile([WAIT, 0, 0, 0], (STAGES, 1))
 
     def prepare() -> None:
@@ -72,9 +72,9 @@ def acting(threads: int, plays: int) -> tuple[Callable[[], None], Callable[[], N
     return prepare, lambda: repeat(plays, lambda: envs.step(wait))
 
 
-def batch(threads: int, plays: int) -> tuple[Callable[[], None], Callable[[], None]]:
+def make_batch_work(threads: int, plays: int) -> tuple[Callable[[], None], Callable[[], None]]:
     """The same for bare models."""
-    bare = Batch(STAGES, threads)
+    bare = MujocoBatch(STAGES, threads)
     bare.nstep = STEPS
     return bare.reset, lambda: repeat(plays, bare.step)
 
@@ -84,7 +84,7 @@ def repeat(n: int, work: Callable[[], Any]) -> None:
         work()
 
 
-def waits(stages: int, steps: int) -> np.ndarray:
+def make_wait_programs(stages: int, steps: int) -> np.ndarray:
     """A program a stage: wait for so many physics steps."""
     ops = Program().wait(steps * DT).ops
     return np.tile(np.array(ops), (stages, 1, 1))

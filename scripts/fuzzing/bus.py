@@ -17,7 +17,7 @@ from fuzzing.family import Enough, Family, Values
 from fuzzing.hctl1100 import HctlFamily
 from fuzzing.nova import NovaFamily
 from fuzzing.pcl240 import Pcl240
-from fuzzing.promises import Counts, demand
+from fuzzing.promises import Counts, require
 from stage.chips import CHIPS, Chip, chip_class
 from stage.chips import chip as chip_module
 from stage.chips.hctl1100 import HCTL1100
@@ -38,7 +38,7 @@ SECONDS_PER_ADVANCE = 5.0  # compiled, however busy the machine; 2^32 clocks tak
 TRACED = 1 << 16  # clocks: the twin's longer advances are not traced pulse by pulse
 
 
-def family_of(chip: type[Chip]) -> Family:
+def make_family(chip: type[Chip]) -> Family:
     """The nearest family, or what all chips share."""
     return next((family for cls, family in FAMILIES.items() if issubclass(chip, cls)), Family)(chip)
 
@@ -48,7 +48,7 @@ class Bus:
 
     def __init__(self, counts: Counts | None = None, budget: int | None = None, only: str | None = None) -> None:
         """`budget`: events that the work of one input may have; it ends there. `only`: the chip whose inputs are checked."""
-        self.families = [family_of(CHIPS[name]) for name in ORDER]
+        self.families = [make_family(CHIPS[name]) for name in ORDER]
         self.only = chip_class(only) if only else None
         self.counts = Counts() if counts is None else counts
         self.budget, self.digest = budget, hashlib.sha256()
@@ -69,7 +69,7 @@ class Bus:
             family.work.done, family.work.budget = 0, self.budget
         run = Run(family, data[1:], self.counts)
         try:
-            run.to_the_end()
+            run.run_to_end()
         except Enough:
             self.counts["out of budget"] += 1
         else:
@@ -93,14 +93,14 @@ class Run:
         self.at += n
         return int.from_bytes(chunk.ljust(n, b"\0"), "big")
 
-    def to_the_end(self) -> None:
+    def run_to_end(self) -> None:
         while self.at < len(self.data):
             op = self.take(1)
             kind, low = op >> 5, op & 0x1F
             if kind <= 3:
                 self.write(kind, low)
             elif kind == 4:
-                self.edge(low)
+                self.toggle_pin(low)
             elif kind == 5:
                 self.reset() if low == 31 else self.read(low)
             else:
@@ -111,7 +111,7 @@ class Run:
             self.family.check_waveform(self.chip, self.journal, self.pulses)
 
     def write(self, kind: int, low: int) -> None:
-        for address, value in self.family.writes(kind, low, self.take):
+        for address, value in self.family.make_writes(kind, low, self.take):
             self.counts["bus cycles"] += 1
             for chip in self.chips:
                 self.family.write(chip, address, value)
@@ -121,15 +121,15 @@ class Run:
         address = low if self.chip.ADDRESS_MASK < 31 else self.take(1)
         self.counts["bus cycles"] += 1
         words = [self.family.read(chip, address) for chip in self.chips]
-        demand(0 <= words[0] <= self.chip.DATA_MASK, f"{words[0]} read at {address}")
+        require(0 <= words[0] <= self.chip.DATA_MASK, f"{words[0]} read at {address}")
         right = self.family.predict_read(self.chip, self.values, address)
-        demand(right is None or words[0] == right, f"{words[0]} read at {address}, where {right} is")
-        demand(words[0] == words[-1], f"{words[0]} read at {address}, {words[-1]} by the twin")
+        require(right is None or words[0] == right, f"{words[0]} read at {address}, where {right} is")
+        require(words[0] == words[-1], f"{words[0]} read at {address}, {words[-1]} by the twin")
 
-    def edge(self, low: int) -> None:
+    def toggle_pin(self, low: int) -> None:
         self.counts["input edges"] += 1
         for chip in self.chips:
-            self.family.edge(chip, low)
+            self.family.toggle_pin(chip, low)
 
     def reset(self) -> None:
         for chip in self.chips:
@@ -140,12 +140,12 @@ class Run:
         self.family.check(self.chip, self.values)
         if len(self.chips) == 2:
             one, other = (self.family.bits(chip) for chip in self.chips)
-            demand(one == other, "a twin that ran in pieces is in another state")
+            require(one == other, "a twin that ran in pieces is in another state")
 
     def advance(self, clocks: int) -> None:
         chip, family, work = self.chip, self.family, self.family.work
-        clocks = family.clocks(chip, clocks)
-        silent, start = family.silent(chip), chip.clock
+        clocks = family.limit_clocks(chip, clocks)
+        silent, start = family.is_silent(chip), chip.clock
         if work:
             work.calls = work.steps = 0
         started = time.perf_counter()
@@ -154,16 +154,16 @@ class Run:
         self.counts["clocks"] += clocks
         self.counts["pulses"] += pulses
         self.pulses += pulses
-        demand(chip.clock == start + clocks, "time did not pass as asked")
-        demand(pulses == 0 if silent else pulses >= 0, f"{pulses} pulses in {clocks} clocks{' of silence' * silent}")
+        require(chip.clock == start + clocks, "time did not pass as asked")
+        require(pulses == 0 if silent else pulses >= 0, f"{pulses} pulses in {clocks} clocks{' of silence' * silent}")
         if work:
             allowed = family.compute_max_work(chip, pulses)
-            demand(
+            require(
                 work.calls <= allowed,
                 f"{work.calls} calls for {work.steps} steps in {clocks} clocks: at most {allowed}",
             )
         else:
-            demand(spent < SECONDS_PER_ADVANCE, f"{clocks} clocks took {spent:.1f} s")
+            require(spent < SECONDS_PER_ADVANCE, f"{clocks} clocks took {spent:.1f} s")
         if len(self.chips) == 2:
             self.advance_replica(clocks, pulses)
         self.check()
@@ -175,12 +175,12 @@ class Run:
         if clocks <= TRACED:
             before, start = replica.snapshot(), replica.clock
             pulse_clocks = replica.trace(clocks)["clock"]
-            demand(len(pulse_clocks) == pulses, f"{pulses} pulses in {clocks} clocks, {len(pulse_clocks)} traced")
-            demand(bool((pulse_clocks[1:] > pulse_clocks[:-1]).all()) or replica.AXES > 1, "pulses out of order")
-            demand(not pulses or start < pulse_clocks[0] <= pulse_clocks[-1] <= start + clocks, "a pulse at no time")
-            demand(self.family.bits(chip) == self.family.bits(replica), "a trace ends in another state")
+            require(len(pulse_clocks) == pulses, f"{pulses} pulses in {clocks} clocks, {len(pulse_clocks)} traced")
+            require(bool((pulse_clocks[1:] > pulse_clocks[:-1]).all()) or replica.AXES > 1, "pulses out of order")
+            require(not pulses or start < pulse_clocks[0] <= pulse_clocks[-1] <= start + clocks, "a pulse at no time")
+            require(self.family.bits(chip) == self.family.bits(replica), "a trace ends in another state")
             replica.restore(before)
             cuts += [int(clock) - start for clock in pulse_clocks[-1:]]
         pieces = np.diff([0, *sorted(cuts), clocks])
         others = sum(replica.advance(int(piece)) for piece in pieces)
-        demand(others == pulses, f"{pulses} pulses in {clocks} clocks, {others} in pieces of {pieces}")
+        require(others == pulses, f"{pulses} pulses in {clocks} clocks, {others} in pieces of {pieces}")

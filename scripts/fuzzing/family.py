@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from fuzzing.promises import Finding, demand
-from fuzzing.rows import Row, listed
+from fuzzing.promises import Finding, require
+from fuzzing.rows import Row, to_lists
 from stage.chips import Chip
 from stage.chips.chip import Pins
 from stage.chips.journal import Journal
@@ -74,7 +74,7 @@ class Family:
     def state(self, chip: Chip) -> list:
         """All words of the state but those that are FREE, whatever holds them."""
         row, names = chip.state, self.chip.CORE.STATE.names
-        return [listed(row[name]) for name in names if name not in self.FREE]
+        return [to_lists(row[name]) for name in names if name not in self.FREE]
 
     def bits(self, chip: Chip) -> bytes:
         """The same of a compiled chip, fast."""
@@ -87,13 +87,13 @@ class Family:
         """Every input pin, of all axes."""
         return [(axis.pins, name) for axis in chip.axes for name in chip.INPUTS]
 
-    def edge(self, chip: Chip, low: int) -> None:
+    def toggle_pin(self, chip: Chip, low: int) -> None:
         """Do what the outside does to a chip, `low` 0 to 31; here one of its input pins turns to the other level."""
         pins = self.pins(chip)
         on, name = pins[low % len(pins)]
         setattr(on, name, not getattr(on, name))
 
-    def writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
+    def make_writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
         """Return the bus writes (address, value) of an operation; here a raw write.
 
         Args:
@@ -115,7 +115,7 @@ class Family:
         """Return the value that a bus read must give now, or None where `values`, the debugger's view, leaves it open."""
         return None
 
-    def silent(self, chip: Chip) -> bool:
+    def is_silent(self, chip: Chip) -> bool:
         """Return whether no pulse may begin before the next write or edge."""
         return False
 
@@ -131,8 +131,8 @@ class Family:
             if not np.isfinite(chip.state[name]).all():
                 raise Finding(f"{name} is {chip.state[name]}")
 
-    def clocks(self, chip: Chip, clocks: int) -> int:
-        """Return the clocks of the next advance, of which `clocks` were requested."""
+    def limit_clocks(self, chip: Chip, clocks: int) -> int:
+        """Return the clocks of the next advance, at most the requested ones."""
         return clocks
 
     def read_end_values(self, chip: Chip) -> dict[str, int]:
@@ -145,12 +145,12 @@ class Family:
         edges = np.concatenate(
             list(journal.pieces(every_pulse=pulses <= self.FEW and chip.clock < self.FEW_CLOCKS, size=1024))
         )
-        demand(bool((edges["clock"][1:] >= edges["clock"][:-1]).all()), "a course that runs back")
+        require(bool((edges["clock"][1:] >= edges["clock"][:-1]).all()), "a course that runs back")
         is_at = self.read_end_values(chip)
         ends_at = {name: int(edges[-1][name]) for name in is_at}
         for end in (is_at, ends_at):
             end["outputs"] &= ~self.PULSED
-        demand(ends_at == is_at, f"a course that ends with {ends_at}, a chip with {is_at}")
+        require(ends_at == is_at, f"a course that ends with {ends_at}, a chip with {is_at}")
 
     def compute_max_work(self, chip: Chip, pulses: int) -> int:
         """Return the maximum number of calls that `work` may count in one advance."""

@@ -43,16 +43,16 @@ class HctlFamily(Family):
         self.work = None if COMPILED else counted_core()
         self.max_samples = 0
 
-    def edge(self, chip: Any, low: int) -> None:
+    def toggle_pin(self, chip: Any, low: int) -> None:
         """An input pin, or from 8 on the shaft: eight speeds from where it is, or eight jumps."""
         if low < 8:
-            super().edge(chip, low)
+            super().toggle_pin(chip, low)
         elif low < 24:
             chip.set_shaft(chip.encoder + (low >> 4 & 1) * (1 << 12), RATES[low & 7])
         else:
             chip.set_shaft((low - 28) * (1 << 21) + 0.5)
 
-    def writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
+    def make_writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
         """A raw write to the lower or the upper half of the addresses, a position of three bytes, or a mode with all its data."""
         if kind < 2:
             return [(kind << 5 | low, take(1))]
@@ -79,10 +79,10 @@ class HctlFamily(Family):
     def predict_read(self, chip: Chip, values: Values, address: int) -> int | None:
         return values.get(f"R{address & 0x3F:02X}")
 
-    def silent(self, chip: Chip) -> bool:
+    def is_silent(self, chip: Chip) -> bool:
         return True
 
-    def clocks(self, chip: Chip, clocks: int) -> int:
+    def limit_clocks(self, chip: Chip, clocks: int) -> int:
         c = chip.state
         idle = c["mode"] == state.IDLE
         if c["shaft_rate"] and c["reg"][RING]:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fuzzing.promises import Counts, demand
+from fuzzing.promises import Counts, require
 from stage import SimulationError, Stage, StageError
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "models.md"
@@ -23,7 +23,7 @@ SECONDS = 0.01
 RUN = ((0, 0x82), (1, 0x40), (0, 0x87), (1, 0x05), (0, 0x08), (0, 0x40), (0, 0x11))  # PCL-240: 7.7 kpps at once
 
 
-class Mjcf:
+class MjcfTarget:
     """Bytes as changes of the complete model in docs/models.md, four bytes each: what, where, which attribute, to what."""
 
     def __init__(self, counts: Counts | None = None, budget: int | None = None) -> None:
@@ -75,8 +75,8 @@ class Mjcf:
                     axis.chip.write(address, value)
             stage.run(SECONDS)
         except StageError as error:
-            demand(bool(str(error).strip()), f"{type(error).__name__} without a word")
+            require(bool(str(error).strip()), f"{type(error).__name__} without a word")
             self.counts["diverged, and said so" if isinstance(error, SimulationError) else "refused"] += 1
             return
         state = np.concatenate([stage.data.qpos, stage.data.qvel])
-        demand(bool(np.isfinite(state).all()), "not a number in the state")
+        require(bool(np.isfinite(state).all()), "not a number in the state")

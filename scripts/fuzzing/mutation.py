@@ -15,7 +15,7 @@ from pathlib import Path
 HANG = 60.0  # seconds of one input
 
 
-def changed(rng: random.Random, data: bytes, other: bytes) -> bytes:
+def mutate(rng: random.Random, data: bytes, other: bytes) -> bytes:
     """`data` after one change; `other` is an input to take a part of."""
     at, end = sorted(rng.randrange(len(data) + 1) for _ in range(2))
     kind = rng.randrange(6)
@@ -46,11 +46,11 @@ class Watchdog(threading.Thread):
     def run(self) -> None:
         while not self.over.wait(HANG / 10):
             if time.monotonic() - self.since > HANG:
-                left(self.result, "timeout", self.input)
+                store_finding(self.result, "timeout", self.input)
                 os._exit(70)
 
 
-def left(result: Path, kind: str, data: bytes) -> None:
+def store_finding(result: Path, kind: str, data: bytes) -> None:
     """Leave a finding's input where the next run begins with it."""
     path = result / f"{kind}-{hashlib.sha1(data).hexdigest()}"
     path.write_bytes(data)
@@ -74,13 +74,13 @@ def mutate_for(
             end = min(end, time.monotonic() + seconds)
             data = rng.choice(pool)
             for _ in range(rng.randint(1, 6)):
-                data = changed(rng, data, rng.choice(pool))[:maximum]
+                data = mutate(rng, data, rng.choice(pool))[:maximum]
         watchdog.watch(data)
         try:
             check(data)
         except Exception:
             traceback.print_exc()
-            left(result, "crash", data)
+            store_finding(result, "crash", data)
             status = 1
     watchdog.over.set()
     return status

@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 from fuzzing.family import Family, Values, Work
-from fuzzing.rows import record
+from fuzzing.rows import make_record
 from stage.chips import Chip
 from stage.chips.chip import Pins
 from stage.chips.nova import MCX514, core, lint, state
@@ -49,7 +49,7 @@ INTERPOLATION_AXES = (0x03, 0x07, 0x0F, 0x05, 0x43, 0x87, 0x103, 0x203)  # IPM
 def counted_core() -> Work:
     """Wrap the core's functions once, to count `calls` of _process_due_events and `steps` that may cause one."""
     work = Work()
-    lint.LintState.copy_record = lambda self: record(self._record, state.STATE)  # type: ignore[method-assign]
+    lint.LintState.copy_record = lambda self: make_record(self._record, state.STATE)  # type: ignore[method-assign]
 
     def counting(module: Any, name: str, calls: int = 0, steps: int = 0) -> None:
         function = getattr(module, name)
@@ -96,7 +96,7 @@ class NovaFamily(Family):
     def _data(self, code: int, value: int, axes: int) -> list[tuple[int, int]]:
         return [(6, value & 0xFFFF), (7, value >> 16 & 0xFFFF), (0, (axes & self.all) << 8 | code)]
 
-    def writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
+    def make_writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
         """A raw word, of the 8-bit bus a byte, or a mode; a register with a number of any size; a command; a whole start."""
         if kind == 0 and low & 24 == 8:
             what, value = take(1), take(2)
@@ -172,7 +172,7 @@ class NovaFamily(Family):
         lowest = next((j for j in range(chip.AXES) if c["selected"] >> j & 1), 0)
         return values[f"RR3-{c['status_pages'] >> lowest & 1}" if n == 3 and self.new else f"RR{n}"]
 
-    def silent(self, chip: Chip) -> bool:
+    def is_silent(self, chip: Chip) -> bool:
         """Nothing drives, and nothing can begin a drive by itself; or the emergency stop is there."""
         c = chip.state
         axes = [c["ax"][j] for j in range(chip.AXES)]
@@ -180,7 +180,7 @@ class NovaFamily(Family):
             values_of(axes, "driving home_state interpolates enabled_sets due_sets launch_direction")
         )
 
-    def clocks(self, chip: Chip, clocks: int) -> int:
+    def limit_clocks(self, chip: Chip, clocks: int) -> int:
         """Ticks of an interpolation, timings and turns of a ring are work, one by one."""
         c = chip.state
         busy = "timer_end enabled_sets split_running home_state"

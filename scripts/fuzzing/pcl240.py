@@ -57,7 +57,7 @@ class Pcl240(Family):
         super().__init__(chip)
         self.work = None if COMPILED else counted_core()
 
-    def writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
+    def make_writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
         """A raw write, or a whole register."""
         if kind < 3:
             return [(low, take(1))]
@@ -72,7 +72,7 @@ class Pcl240(Family):
         name = self.limits[int(c["selected_register"])][0] if c["extended"] and c["output_mode"] & EXTENSION else "R0"
         return None if c["collective"] else values[name] >> 8 * (byte - 1) & 0xFF
 
-    def silent(self, chip: Chip) -> bool:
+    def is_silent(self, chip: Chip) -> bool:
         """A chip at rest, or at a limit of its direction."""
         return chip.pins.hold or (chip.pins.el_minus if chip.state["minus"] else chip.pins.el_plus)
 

@@ -12,7 +12,7 @@ class Finding(AssertionError):
     """A promise that an input breaks."""
 
 
-def demand(holds: bool, what: str) -> None:
+def require(holds: bool, what: str) -> None:
     if not holds:
         raise Finding(what)
 

@@ -48,7 +48,7 @@ class Row:
         setattr(self, name, value)
 
 
-def record(row: Row, dtype: np.dtype) -> np.ndarray:
+def make_record(row: Row, dtype: np.dtype) -> np.ndarray:
     """An array of one, of the same content."""
     rows = np.zeros(1, dtype)
     _fill(rows[0], row)
@@ -85,22 +85,22 @@ def _fits(value: Any) -> bool:
     return all(map(_fits, value)) if type(value[0]) is Row else min(value) >= LEAST and max(value) <= -LEAST - 1
 
 
-def listed(value: Any) -> Any:
+def to_lists(value: Any) -> Any:
     """The same numbers in nested lists, whatever holds them."""
     if isinstance(value, Row):
-        return [listed(inner) for inner in vars(value).values()]
+        return [to_lists(inner) for inner in vars(value).values()]
     if isinstance(value, list):
-        return [listed(inner) for inner in value]
+        return [to_lists(inner) for inner in value]
     if names := getattr(getattr(value, "dtype", None), "names", None):
         if value.ndim:
-            return [listed(inner) for inner in value]
-        return [listed(value[name]) for name in names]
+            return [to_lists(inner) for inner in value]
+        return [to_lists(value[name]) for name in names]
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return int(value) if isinstance(value, bool) else value
 
 
-def finite(table: Any) -> bool:
+def has_only_finite_values(table: Any) -> bool:
     """No number in a table is infinite or none at all."""
     if isinstance(table, np.ndarray):
         return bool(np.isfinite(table).all())

@@ -12,18 +12,18 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from worked_examples.page import between, rows, table
+from worked_examples.page import compute_rows, format_tables, replace_tables
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--markdown", metavar="FILE", help="write the table into this page")
     args = parser.parse_args()
-    results = rows()
-    print(table(results))
+    results = compute_rows()
+    print(format_tables(results))
     if args.markdown:
         page = Path(args.markdown)
-        page.write_text(between(page.read_text(), table(results)))
+        page.write_text(replace_tables(page.read_text(), format_tables(results)))
     return 0 if all(example.agrees(emulated) for example, emulated in results) else 1
 
 

@@ -11,7 +11,7 @@ sheet = partial(example, "HCTL-1100")
 TIMER = 0x0F
 
 
-def sample_time(clock_hz: int, t: int) -> float:
+def measure_sample_time(clock_hz: int, t: int) -> float:
     """Seconds between two reloads of the timer that are seen by reading it, after the second one."""
     chip = HCTL1100(clock_hz)
     chip.write(TIMER, t)
@@ -26,7 +26,7 @@ def sample_time(clock_hz: int, t: int) -> float:
 
 for mhz, t, microseconds in ((2, 0x07, 64), (2, 0xFF, 2048), (1, 0x07, 128), (1, 0xFF, 4096)):
     sheet("p. 24", f"sample time at {mhz} MHz, R0F = {t:02X}h", microseconds * 1e-6, "s", 1e-12, "rounding")(
-        partial(sample_time, mhz * 1_000_000, t)
+        partial(measure_sample_time, mhz * 1_000_000, t)
     )
 
 
@@ -50,7 +50,7 @@ MODES = (
 LEAST = (0x07, 0x07, 0x0F, 0x0F)
 
 
-def least_timer(flags: tuple[int, ...]) -> int:
+def find_minimum_timer(flags: tuple[int, ...]) -> int:
     """The least R0F of which no diagnostic says, when a mode begins, that the mode needs more."""
     for t in range(256):
         chip = HCTL1100()
@@ -66,4 +66,6 @@ def least_timer(flags: tuple[int, ...]) -> int:
 
 
 for (mode, flags), least in zip(MODES, LEAST, strict=True):
-    sheet("p. 24, Table 4", f"least R0F of {mode} control, by the diagnostics", least)(partial(least_timer, flags))
+    sheet("p. 24, Table 4", f"least R0F of {mode} control, by the diagnostics", least)(
+        partial(find_minimum_timer, flags)
+    )

@@ -9,7 +9,7 @@ from stage.chips import MCX304, MCX514
 from stage.chips.nova import Nova
 from stage.firmware import Bench
 from stage.firmware.nova.chip_port import Port
-from worked_examples.table import example, write
+from worked_examples.table import example, write_registers
 
 mcx514 = partial(example, "MCX514")
 notice = partial(example, "MCX302, 304, 312 notice")
@@ -59,7 +59,7 @@ def _passed() -> int:
 def _largest() -> int:
     for value in (2_147_483_646, 2_147_483_647):
         chip = MCX514()
-        write(chip, **SPEEDS | {"TP": value})
+        write_registers(chip, **SPEEDS | {"TP": value})
         chip.write(0, 0x150)
         if chip.diagnostics:
             return value - 1
@@ -90,7 +90,7 @@ STOP0, LIMIT, SOFT, S_CURVE = (
 )
 
 
-def drives_on(act: Callable[[Port], None], wr2: int = 0, wr3: int = S_CURVE, start: str = "F_DRV_P") -> int:
+def is_driving_after(act: Callable[[Port], None], wr2: int = 0, wr3: int = S_CURVE, start: str = "F_DRV_P") -> int:
     """n-DRV of an MCX304 two seconds after `act` at the end of a deceleration, in area d of the notice's figure 3."""
     p = make_port(MCX304, **FAST, P=40_000, CP=1_000_000)
     p.write_mode_words(WR1=STOP0, WR2=wr2, WR3=wr3)
@@ -107,27 +107,33 @@ def drives_on(act: Callable[[Port], None], wr2: int = 0, wr3: int = S_CURVE, sta
     return int(p.driving())
 
 
-def pin(name: str) -> Callable[[Port], None]:
+def make_pin_action(name: str) -> Callable[[Port], None]:
     """Assert an input of the axis."""
     return lambda p: setattr(p.axis.pins, name, True)
 
 
-def command(symbol: str) -> Callable[[Port], None]:
+def make_command_action(symbol: str) -> Callable[[Port], None]:
     return lambda p: p.write_command(symbol)
 
 
-def soft_limit(p: Port) -> None:
+def set_soft_limit(p: Port) -> None:
     """COMP+ where the axis is."""
     p.write_parameters(CP=p.read_position() - 1)
 
 
 notice("case 1", "26h in area d of an S-curve with fixed pulses: n-DRV 2 s later", 1)(
-    lambda: drives_on(command("STOP_DEC"))
+    lambda: is_driving_after(make_command_action("STOP_DEC"))
 )
-notice("case 2", "LMT+ in decelerating mode, there", 1)(lambda: drives_on(pin("lmt_plus"), wr2=LIMIT))
-notice("case 3", "the software limit, there", 1)(lambda: drives_on(soft_limit, wr2=SOFT))
-notice("case 4", "STOP0, there", 1)(lambda: drives_on(pin("stop0")))
-notice("symptom", "27h, there", 0)(lambda: drives_on(command("STOP_SUDDEN")))
-notice("symptom", "LMT+ in sudden mode, there", 0)(lambda: drives_on(pin("lmt_plus")))
-notice("symptom", "26h at the end of a linear ramp", 0)(lambda: drives_on(command("STOP_DEC"), wr3=0))
-notice("symptom", "26h in a continuous drive with S-curves", 0)(lambda: drives_on(command("STOP_DEC"), start="C_DRV_P"))
+notice("case 2", "LMT+ in decelerating mode, there", 1)(
+    lambda: is_driving_after(make_pin_action("lmt_plus"), wr2=LIMIT)
+)
+notice("case 3", "the software limit, there", 1)(lambda: is_driving_after(set_soft_limit, wr2=SOFT))
+notice("case 4", "STOP0, there", 1)(lambda: is_driving_after(make_pin_action("stop0")))
+notice("symptom", "27h, there", 0)(lambda: is_driving_after(make_command_action("STOP_SUDDEN")))
+notice("symptom", "LMT+ in sudden mode, there", 0)(lambda: is_driving_after(make_pin_action("lmt_plus")))
+notice("symptom", "26h at the end of a linear ramp", 0)(
+    lambda: is_driving_after(make_command_action("STOP_DEC"), wr3=0)
+)
+notice("symptom", "26h in a continuous drive with S-curves", 0)(
+    lambda: is_driving_after(make_command_action("STOP_DEC"), start="C_DRV_P")
+)

@@ -10,7 +10,7 @@ SHEETS = ("pcl240k", "pcl240ms", "nova", "hctl1100")
 BEGIN, END = "<!-- emulated: begin -->\n", "<!-- emulated: end -->"
 
 
-def rows() -> list[tuple[Example, Number]]:
+def compute_rows() -> list[tuple[Example, Number]]:
     """Return every example with the number of the emulated chip."""
     for name in SHEETS:
         import_module(f"worked_examples.{name}")
@@ -41,7 +41,7 @@ def format_number(number: Number, unit: str) -> str:
     return f"{round(number):,}" * integer + f"{number:,.6g}" * (not integer) + f" {unit}" * bool(unit)
 
 
-def between(page: str, text: str) -> str:
+def replace_tables(page: str, text: str) -> str:
     """Return the page with `text` between its markers."""
     before, rest = page.split(BEGIN)
     return before + BEGIN + "\n" + text + "\n" + END + rest.split(END)[1]

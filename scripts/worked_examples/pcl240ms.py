@@ -9,32 +9,32 @@ import numpy as np
 
 from stage.chips import PCL240MS
 from worked_examples.pcl240k import CLOCK, FH1, FH1_RAMPS, FL_RAMPS, MANUAL, PRESET
-from worked_examples.table import example, highest_rate, when, write
+from worked_examples.table import compute_highest_rate, example, find_clock, write_registers
 
 sheet = partial(example, "PCL-240MS")
 AUTOMATIC, ORIGIN = PRESET | 0x10, 0x41
 RETURN_BY_INDEX = 1 << 21  # of R13
 
 
-def started(control: int, **registers: int) -> PCL240MS:
+def start_chip(control: int, **registers: int) -> PCL240MS:
     """A chip after a high-speed start."""
     chip = PCL240MS(CLOCK)
     chip.write(0, control)
-    write(chip, **registers)
+    write_registers(chip, **registers)
     chip.write(0, FH1_RAMPS)
     return chip
 
 
-def ramping_down(**registers: int) -> PCL240MS:
+def start_ramp_down(**registers: int) -> PCL240MS:
     """A chip at FH that was told to go on at FL."""
-    chip = started(MANUAL, **registers)
+    chip = start_chip(MANUAL, **registers)
     chip.advance(4 * CLOCK)
     chip.write(0, FL_RAMPS)
     chip.advance(1)
     return chip
 
 
-def curved(clocks: np.ndarray, fl: float) -> float:
+def compute_s_curve_span(clocks: np.ndarray, fl: float) -> float:
     """Return how many pps above `fl` the acceleration has its final value, from the pulses of a ramp.
 
     Below, its square is proportional to the rate gained.
@@ -54,14 +54,14 @@ FITTED = "found from the times of the pulses"
 
 @sheet("3-1, example", "x 10, 100 to 50,000 pps, R14 = 1000: S of the ramp up", 10_000, "pps", 100, FITTED)
 def _s_up() -> float:
-    chip = started(MANUAL, R14=1000, **TEN)
-    return curved(chip.trace(CLOCK)["clock"], 100)
+    chip = start_chip(MANUAL, R14=1000, **TEN)
+    return compute_s_curve_span(chip.trace(CLOCK)["clock"], 100)
 
 
 @sheet("3-2, example", "x 20, 500 to 100,000 pps, R15 = 1000: S of the ramp down", 20_000, "pps", 200, FITTED)
 def _s_down() -> float:
-    chip = ramping_down(R15=1000, **TWENTY)
-    return curved(-chip.trace((4975 + 2 * 1000) * 1000 // 2)["clock"][::-1], 500)
+    chip = start_ramp_down(R15=1000, **TWENTY)
+    return compute_s_curve_span(-chip.trace((4975 + 2 * 1000) * 1000 // 2)["clock"][::-1], 500)
 
 
 STEPS = TEN["R2"] - TEN["R1"]
@@ -69,22 +69,22 @@ STEPS = TEN["R2"] - TEN["R1"]
 
 @sheet("3-3", "Tsu without linear part: R1 = 10, R2 = 5000, R4 = 1000", STEPS * 1000 / CLOCK, "s")
 def _tsu() -> float:
-    return when(started(MANUAL, **TEN), lambda c: not c.pins.fup, 4 * CLOCK) / CLOCK
+    return find_clock(start_chip(MANUAL, **TEN), lambda c: not c.pins.fup, 4 * CLOCK) / CLOCK
 
 
 @sheet("3-3", "Tsd without linear part, R5 = 1000", STEPS * 1000 / CLOCK, "s")
 def _tsd() -> float:
-    return (1 + when(ramping_down(**TEN), lambda c: not c.pins.fdown, 4 * CLOCK)) / CLOCK
+    return (1 + find_clock(start_ramp_down(**TEN), lambda c: not c.pins.fdown, 4 * CLOCK)) / CLOCK
 
 
 @sheet("3-3", "Tsu with R14 = 1000", (STEPS + 2000) * 1000 / (2 * CLOCK), "s")
 def _tsu_linear() -> float:
-    return when(started(MANUAL, R14=1000, **TEN), lambda c: not c.pins.fup, 4 * CLOCK) / CLOCK
+    return find_clock(start_chip(MANUAL, R14=1000, **TEN), lambda c: not c.pins.fup, 4 * CLOCK) / CLOCK
 
 
 @sheet("3-3", "Tsd with R15 = 500", (STEPS + 1000) * 1000 / (2 * CLOCK), "s")
 def _tsd_linear() -> float:
-    return (1 + when(ramping_down(R15=500, **TEN), lambda c: not c.pins.fdown, 4 * CLOCK)) / CLOCK
+    return (1 + find_clock(start_ramp_down(R15=500, **TEN), lambda c: not c.pins.fdown, 4 * CLOCK)) / CLOCK
 
 
 MOVE = {"R1": 100, "R2": 4000, "R4": 300, "R5": 300, "R7": 60}  # automatic deceleration is on R4
@@ -94,7 +94,7 @@ MEAN = "mean of 16 pulses"
 
 @sheet("3-4.1", "automatic, R0 one more than the least of a trapezoid: the highest rate", 40_000, "pps", 50, MEAN)
 def _just_trapezoid() -> float:
-    return highest_rate(started(AUTOMATIC, R0=floor(LEAST) + 1, R6=5, **MOVE).trace(4 * CLOCK), CLOCK)
+    return compute_highest_rate(start_chip(AUTOMATIC, R0=floor(LEAST) + 1, R6=5, **MOVE).trace(4 * CLOCK), CLOCK)
 
 
 @sheet(
@@ -102,7 +102,7 @@ def _just_trapezoid() -> float:
     10 * floor(sqrt(floor(LEAST / 2) * 60 * 16384 / 600 + 100**2)), "pps", 40, MEAN,
 )  # fmt: skip
 def _revised() -> float:
-    return highest_rate(started(AUTOMATIC, R0=floor(LEAST / 2), R6=5, **MOVE).trace(4 * CLOCK), CLOCK)
+    return compute_highest_rate(start_chip(AUTOMATIC, R0=floor(LEAST / 2), R6=5, **MOVE).trace(4 * CLOCK), CLOCK)
 
 
 SPAN = 500
@@ -117,22 +117,24 @@ BETWEEN = floor((LINEAR + TRAPEZOID) / 2)
     f"{MEAN}; the formula's misprint corrected: + in the root, R4 + R5 below R0 R7 32768",
 )  # fmt: skip
 def _revised_linear() -> float:
-    chip = started(AUTOMATIC, R0=BETWEEN, R6=5, R14=SPAN, R15=SPAN, **MOVE)
-    return highest_rate(chip.trace(4 * CLOCK), CLOCK)
+    chip = start_chip(AUTOMATIC, R0=BETWEEN, R6=5, R14=SPAN, R15=SPAN, **MOVE)
+    return compute_highest_rate(chip.trace(4 * CLOCK), CLOCK)
 
 
-def pulses_left(offset: int) -> int:
+def count_pulses_left(offset: int) -> int:
     """R0 where the automatic ramp down of a long move begins."""
-    chip = started(AUTOMATIC, R0=60_000, R6=offset & 0xFFFFFF, **MOVE)
+    chip = start_chip(AUTOMATIC, R0=60_000, R6=offset & 0xFFFFFF, **MOVE)
     chip.advance(CLOCK)
-    when(chip, lambda c: c.pins.fdown, CLOCK * 6 // 10)
+    find_clock(chip, lambda c: c.pins.fdown, CLOCK * 6 // 10)
     return 60_000 - chip.net()
 
 
 sheet("3-4, R6", "automatic: pulses by which R6 = 100 begins the ramp down earlier than R6 = 0", 100, "pulses")(
-    lambda: pulses_left(100) - pulses_left(0)
+    lambda: count_pulses_left(100) - count_pulses_left(0)
 )
-sheet("3-4, R6", "and R6 = 800000h + 8388508 (-100)", -100, "pulses")(lambda: pulses_left(-100) - pulses_left(0))
+sheet("3-4, R6", "and R6 = 800000h + 8388508 (-100)", -100, "pulses")(
+    lambda: count_pulses_left(-100) - count_pulses_left(0)
+)
 
 
 @sheet(
@@ -145,7 +147,7 @@ sheet("3-4, R6", "and R6 = 800000h + 8388508 (-100)", -100, "pulses")(lambda: pu
 )
 def _r6() -> float:
     r6 = (4000**2 - 100**2) * 300 // (16384 * 60)
-    chip = started(PRESET, R0=30_000, R6=r6, **MOVE)
+    chip = start_chip(PRESET, R0=30_000, R6=r6, **MOVE)
     chip.advance(CLOCK // 2)
     rates = CLOCK / np.diff(chip.trace(4 * CLOCK)["clock"])
     return float((rates[-50:] < 1000.5).sum())
@@ -154,7 +156,7 @@ def _r6() -> float:
 @sheet("2-4", "R17's counter after ORG and two index pulses, 3 to let pass", 1)
 def _counter() -> int:
     chip = PCL240MS(CLOCK)
-    write(chip, R1=100, R2=1000, R7=60, R13=RETURN_BY_INDEX | 3 << 16)
+    write_registers(chip, R1=100, R2=1000, R7=60, R13=RETURN_BY_INDEX | 3 << 16)
     chip.write(0, ORIGIN)
     chip.write(0, FH1)
     chip.pins.org = True

@@ -51,14 +51,14 @@ def example(
     return add
 
 
-def write(chip: Chip, **registers: int) -> None:
+def write_registers(chip: Chip, **registers: int) -> None:
     """Write registers of a chip's first axis, by bus cycles."""
     for name, value in registers.items():
         for address, data in chip.register_cycles(name, value):
             chip.write(address, data)
 
 
-def when(chip: Chip, observed: Callable[[Any], bool], within: int) -> int:
+def find_clock(chip: Chip, observed: Callable[[Any], bool], within: int) -> int:
     """Let the clock run until `seen(chip)`, which once true stays so: the clocks that this took. `within`: the most clocks."""
     started, least, highest = chip.snapshot(), 0, within
     while highest - least > 1:
@@ -72,11 +72,11 @@ def when(chip: Chip, observed: Callable[[Any], bool], within: int) -> int:
     return highest
 
 
-def intervals(pulses: np.ndarray) -> np.ndarray:
+def compute_intervals(pulses: np.ndarray) -> np.ndarray:
     """Clocks from each pulse of a trace to the next."""
     return np.diff(pulses["clock"])
 
 
-def highest_rate(pulses: np.ndarray, hz: int, mean: int = 16) -> float:
+def compute_highest_rate(pulses: np.ndarray, hz: int, mean: int = 16) -> float:
     """The highest mean rate of `mean` pulses one after the other, pps."""
     return hz * mean / int((pulses["clock"][mean:] - pulses["clock"][:-mean]).min())
