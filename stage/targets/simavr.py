@@ -1,8 +1,8 @@
 """Run AVR programs on simavr. Its library, which is under the GPL, is opened at run time; it is neither part of this
 package nor linked.
 
-The module uses simavr's functions and avoids its structures, which change between versions. Clock, state and program
-counter have no functions; they are found next to known function addresses in the structure.
+The module uses simavr's functions. What these cannot give, such as clock and program counter, is in simavr's structures;
+`simavr_layout` knows their offsets and refuses a version that has others.
 """
 
 from __future__ import annotations
@@ -40,9 +40,6 @@ EXTERNAL_INTERRUPTS = 8
 ANALOG_INPUTS = 8
 EEPROM, MEMORY = 0x810000, 0x800000
 STOPPED, DONE, CRASHED = 1, 6, 7
-_BEGIN_HZ = 1_000_000  # the clock of a new avr_t
-_HEAD_SIZE = 512  # bytes at the begin of an avr_t
-_SLEEP_TO_PC = 36
 _ANALOG_MODES, _ANALOG_INPUT, _INPUT_NUMBER = 64, 2, 19
 """The multiplexer of the ADC as avr_adc_mux_t: its modes; the mode of a single input, and where its number stands."""
 _ERROR = 2
@@ -208,12 +205,13 @@ class LoadedAvr:
                 f"gdb={program.gdb}: the server of simavr needs a process of its own on 64-bit Linux (isolated=True)."
             )
         self._simavr.messages.clear()
+        simavr_layout.check_layout(self._simavr.library)
         self._avr = self._simavr.make_avr(program.mcu.encode())
         if not self._avr:
             raise StageError(f"this version of simavr does not know the {program.mcu}.")
         self._simavr.init_avr(self._avr)
         hz = program.hz or self._read_clock() or DEFAULT_HZ
-        self._pc = self._set_clock_and_find_pc(hz)
+        self._set_clock(hz)
         self._vectors = InterruptVectors(self._simavr.library, self._avr, _read_flash_size(self._avr))
         self._disconnect_upper_analog_inputs()
         self._load_content()
@@ -237,26 +235,14 @@ class LoadedAvr:
         """Return the clock from AVR_MCU(...) of simavr's header, Hz, or 0."""
         return int.from_bytes(read_mmcu(self._elf).get(_CLOCK_TAG, b"")[:4], "little")
 
-    def _set_clock_and_find_pc(self, hz: int) -> int:
-        """Find clock and state in the avr_t, set the clock to `hz`, and return the address of the program counter."""
-        head: Any = array_at(self._avr, _HEAD_SIZE, np.dtype("u1"))
-        words, pointers = head.view("<u4"), head.view("<u8")
-        clock = [k for k in range(8, 40) if words[k] == _BEGIN_HZ]
-        sleep = [
-            k
-            for k in range(len(pointers))
-            if pointers[k] == self._simavr.find_function_address("avr_callback_sleep_raw")
-        ]
-        cycles = pointers[(clock[0] + 7) // 2 :][:2] if clock else pointers[:0]
-        if len(clock) != 1 or len(sleep) != 1 or cycles.tolist() != [1, 1]:
-            raise StageError(
-                "this version of simavr is not known (its avr_t is laid out in another way): 1.6 and 1.7 are."
-            )
-        words[clock[0]] = hz
-        pointers[sleep[0]] = ctypes.cast(self._simavr.no_op, ctypes.c_void_p).value  # it would sleep in real time
-        self._state, self._run_cycles = words[clock[0] - 1 : clock[0]], cycles
-        self._state_at = int(self._avr) + 4 * (clock[0] - 1)
-        return int(self._avr) + sleep[0] * 8 + _SLEEP_TO_PC
+    def _set_clock(self, hz: int) -> None:
+        """Set the clock in Hz, let simavr not sleep in real time, and find what this class reads in the avr_t."""
+        row = simavr_layout.view(self._avr, simavr_layout.AVR)
+        row["hz"], row["sleep"] = hz, ctypes.cast(self._simavr.no_op, ctypes.c_void_p).value
+        at = {name: self._avr + simavr_layout.get_offset(simavr_layout.AVR, name) for name in row.dtype.names}
+        self._pc, self._state_at, self._wait_at = at["pc"], at["state"], at["interrupt_wait"]
+        self._state = array_at(self._state_at, 1, np.dtype("u4"))
+        self._run_cycles = array_at(at["cycles_left"], 2, np.dtype("u8"))
 
     def _speed_up(self) -> None:
         """Take from simavr what it does after each instruction although nothing comes of it.
@@ -318,7 +304,7 @@ class LoadedAvr:
         t.stop = self._elf.symbols.get("__stop_program", self._elf.symbols.get("_exit", -1))
         t.line_irq = self.find_irq(*irq) if irq else 0
         t.state, t.is_enabled = self._state_at, library.find_function_address("avr_is_interrupt_enabled")
-        t.interrupt_wait = self._avr + simavr_layout.get_offset(simavr_layout.AVR, "interrupt_wait")
+        t.interrupt_wait = self._wait_at
         t.has_pending = library.find_function_address("avr_has_pending_interrupts")
         t.vectors, t.n_vectors = self._vectors.addresses.ctypes.data, len(self._vectors.addresses)
         self._tick = avr_core.end_quantum.pointer

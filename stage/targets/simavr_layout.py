@@ -33,8 +33,8 @@ def _describe(size: int, **fields: tuple[int, Any]) -> np.dtype:
 REGISTER = _describe(40, read_parameter=(8, "i8"), read=(16, "i8"), write_parameter=(24, "i8"), write=(32, "i8"))
 """Functions that answer accesses to a register."""
 AVR = _describe(
-    16016, name=(0, "i8"), flash_end=(12, "u4"), cycle=(80, "i8"), cycles_left=(88, "i8"), cycle_limit=(96, "i8"),
-    run=(160, "i8"), sleep=(168, "i8"), flags=(192, ("u1", 8)), interrupt_wait=(200, "i1"), pc=(204, "u4"),
+    16016, name=(0, "i8"), flash_end=(12, "u4"), state=(60, "u4"), hz=(64, "u4"), cycle=(80, "i8"), cycles_left=(88, "i8"),
+    cycle_limit=(96, "i8"), run=(160, "i8"), sleep=(168, "i8"), flags=(192, ("u1", 8)), interrupt_wait=(200, "i1"), pc=(204, "u4"),
     registers=(216, (REGISTER, N_REGISTERS)), flash=(11712, "i8"), data=(11720, "i8"), modules=(11728, "i8"),
 )  # fmt: skip
 """An avr_t. interrupt_wait: below 0, instructions until interrupts are served; 1: one waits."""
@@ -61,7 +61,7 @@ _REGISTERS = {
 }
 """Of an ATmega328P's timers: TCNT low and high, ICR, TCCRA, TCCRB, TIMSK, TIFR, OCRA and OCRB."""
 _UCSRB = 0xC1
-_BEGIN_HZ = 1_000_000
+_RUNNING, _BEGIN_HZ = 2, 1_000_000
 _SPL, _RAM_END = 0x5D, 0x8FF
 _NOP, _SEI, _JUMP_TO_ITSELF = 0x0000, 0x9478, 0xCFFF
 
@@ -206,6 +206,7 @@ def _find_misfit_of_core(library: ctypes.CDLL, avr: int) -> str:
     expected: dict[str, tuple[Any, Any]] = {
         "mmcu": (_read(int(end["name"]), 9), b"atmega328"),
         "flashend": (int(end["flash_end"]), 0x7FFF),
+        "state": ((int(end["state"]), int(end["hz"])), (_RUNNING, _BEGIN_HZ)),
         "cycle": ([int(s["cycle"]) for s in states], [0, 1, 2]),
         "pc": ([int(s["pc"]) for s in states], [0, 2, 4]),
         "sreg": ([int(s["flags"][7]) for s in states], [0, 0, 1]),
