@@ -1,7 +1,7 @@
 """grbl 1.1h, unmodified, on an emulated ATmega328P. PULSESTAGE_GRBL_ELF names the ELF that its Makefile builds.
 
 References: grbl's own report of its position, of which 0.001 mm is less than a step; its manual for alarms, feed hold, jog and
-reset. Enable is not wired here, since grbl switches its motors off at power-up and the Z axis would fall.
+reset. Z keeps its current, as a brake would hold it: grbl switches its motors off at power-up.
 """
 
 import os
@@ -19,7 +19,7 @@ pytestmark = [
     pytest.mark.skipif(not GRBL, reason="PULSESTAGE_GRBL_ELF names no ELF of grbl 1.1h"),
     pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}"),
 ]
-PINS = "x.step=D2,y.step=D3,z.step=D4,x.dir=D5,y.dir=D6,z.dir=D7,x.limit=!B1,y.limit=!B2,z.limit=!B4"  # preset grbl without enable
+PINS = "grbl,z.enable=none"
 SETTINGS = (
     "$1=255", "$22=1", "$23=3", "$24=60", "$25=1500", "$26=10", "$27=2", "$100=320", "$101=320", "$102=320", "$110=4500",
     "$111=4500", "$112=3000", "$120=500", "$121=500", "$122=300", "$130=300", "$131=200", "$132=80",
