@@ -75,7 +75,7 @@ def test_a_register_map_begins_with_a_summary(chip, capsys):
     assert sum(counts) == len(entries)
 
 
-class Terminal(io.StringIO):
+class FakeTerminal(io.StringIO):
     def isatty(self):
         return True
 
@@ -83,7 +83,7 @@ class Terminal(io.StringIO):
 def test_a_terminal_displays_the_simulated_time(monkeypatch):
     stage = SimpleNamespace(data=SimpleNamespace(time=1.25))
     monkeypatch.setattr(terminal, "FIRST_UPDATE_S", 0.01)
-    monkeypatch.setattr(sys, "stderr", screen := Terminal())
+    monkeypatch.setattr(sys, "stderr", screen := FakeTerminal())
     with terminal.show_simulated_time(stage):
         end = time.monotonic() + 20
         while "simulated" not in screen.getvalue() and time.monotonic() < end:

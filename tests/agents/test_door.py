@@ -249,7 +249,7 @@ def test_due_sessions_are_looked_for_every_two_seconds_while_the_app_lives_and_a
         close_due=lambda: reported.append("reap"), close_all=lambda: reported.append("close all")
     )
 
-    class Before:
+    class LifespanRecorder:
         async def __aenter__(self):
             reported.append("begin")
             return "state"
@@ -257,7 +257,7 @@ def test_due_sessions_are_looked_for_every_two_seconds_while_the_app_lives_and_a
         async def __aexit__(self, *_):
             reported.append("end")
 
-    app = SimpleNamespace(router=SimpleNamespace(lifespan_context=lambda app: Before()))
+    app = SimpleNamespace(router=SimpleNamespace(lifespan_context=lambda app: LifespanRecorder()))
     http._add_cleanup(app, sessions)
 
     async def live():

@@ -16,7 +16,7 @@ def maker():
     return ToolboxFactory(lambda: Stage("xy", visuals=False), budget=Budget(moves=3))
 
 
-class Clock:
+class ManualClock:
     now = 0.0
 
     def __call__(self):
@@ -25,7 +25,7 @@ class Clock:
 
 @pytest.fixture
 def clock():
-    return Clock()
+    return ManualClock()
 
 
 def test_each_session_has_a_separate_stage(maker):

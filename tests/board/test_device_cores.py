@@ -15,7 +15,7 @@ FULL = 1 << 24
 READ, WRITE = 0, 1
 
 
-class Bare:
+class DetachedDevice:
     """A device on no board; `at` is the time, ns, `counts` what its encoder has counted."""
 
     def __init__(self, device):
@@ -36,7 +36,7 @@ class Bare:
 
 def ls7166(pr, occr=0, qr=3):
     """PR and the counter hold `pr`."""
-    b = Bare(LS7166(Encoder("x", per_metre=1e6)))
+    b = DetachedDevice(LS7166(Encoder("x", per_metre=1e6)))
     b.write(
         (1, 0x20),
         (1, 0x01),
@@ -171,7 +171,7 @@ def test_modem_lines_loop_back_or_show_a_connected_peer():
 
 
 def test_a_reset_of_an_hctl2016_ends_the_inhibition_of_its_latch():
-    b = Bare(HCTL2016(Encoder("x", per_metre=1e6)))
+    b = DetachedDevice(HCTL2016(Encoder("x", per_metre=1e6)))
     b.counts[0] = 0x1234
     assert b.read(0) == 0x12
     b.write((0, 0))
@@ -183,7 +183,7 @@ def test_a_reset_of_an_hctl2016_ends_the_inhibition_of_its_latch():
 
 def uart(*more, lcr=3, fcr=1):
     """1,843,200 Hz, divisor 1."""
-    return Bare(UART()).write((3, 0x80 | lcr), (0, 1), (1, 0), (3, lcr), (2, fcr), *more)
+    return DetachedDevice(UART()).write((3, 0x80 | lcr), (0, 1), (1, 0), (3, lcr), (2, fcr), *more)
 
 
 def feed(b, n):
@@ -342,7 +342,12 @@ def test_a_read_by_a_bus_of_16_bits_is_no_write():
     from stage.board.bus.host_record import IN16, OUT16
     from stage.board.devices import Latch
 
-    latch, counter, axis, line = Bare(Latch()), ls7166(7), Bare(HCTL2016(Encoder("x", per_metre=1e6))), uart()
+    latch, counter, axis, line = (
+        DetachedDevice(Latch()),
+        ls7166(7),
+        DetachedDevice(HCTL2016(Encoder("x", per_metre=1e6))),
+        uart(),
+    )
     latch.write((0, 0x55))
     assert (latch.access(0, IN16, 0xFF), latch.access(0, OUT16, 0x5A), latch.read(0)) == (0x55, 0x5A, 0x5A)
     counter.access(1, IN16, 0x20)

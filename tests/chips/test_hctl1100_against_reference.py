@@ -37,7 +37,7 @@ operations = st.one_of(
 )
 
 
-class Pair:
+class ChipAndReference:
     """The product and the reference, told the same."""
 
     def __init__(self):
@@ -98,7 +98,7 @@ class Pair:
 @random_programs
 @given(st.lists(operations, max_size=40))
 def test_any_program_agrees_in_every_register_and_pin(program):
-    Pair().play(program)
+    ChipAndReference().play(program)
 
 
 BY_INTEGRAL = [(0x0F, 7), (0x20, 0), (0x22, 4), (0x3C, 1), (0x00, 0x0D), (0x05, 3)]
@@ -110,7 +110,7 @@ BY_PROPORTION = [(0x0F, 7), (0x22, 64), (0x23, 0), (0x24, 1), (0x00, 0x0B), (0x0
 @example(BY_PROPORTION, [(1040, [(0x3C, 5)])])
 @given(traffic.starts(), st.lists(st.tuples(moments, st.one_of(traffic.commands(), shafts)), max_size=30))
 def test_a_control_mode_agrees_sample_by_sample_whatever_is_commanded_in_it(start, waveforms):
-    pair = Pair()
+    pair = ChipAndReference()
     pair.write(start)
     for clocks, what in waveforms:
         pair.advance(clocks)
@@ -131,7 +131,7 @@ def test_a_control_mode_agrees_sample_by_sample_whatever_is_commanded_in_it(star
 )
 def test_changing_the_mode_by_its_flags_agrees_sample_by_sample(start, waveforms):
     """Near rest, so that the filter shows what it remembers."""
-    pair = Pair()
+    pair = ChipAndReference()
     pair.write([*start, *gains(200, 100, 9), *acceleration(0x3F), *velocity(5), (0x3C, 3), (0x13, 0)])
     pair.write(word(traffic.COMMAND, 2))
     for clocks, writes, shaft in waveforms:
@@ -202,7 +202,7 @@ def test_the_filter_is_the_law_of_the_manual_in_integers_saturation_included(uni
     at=st.integers(-1000, 1000),
 )  # fmt: skip
 def test_a_trapezoid_or_triangle_agrees_sample_by_sample_and_ends_at_the_final_position(distance, a, top, t, at):
-    pair = Pair()
+    pair = ChipAndReference()
     pair.write(
         [(0x0F, t), *word(traffic.COMMAND, at), *word(traffic.FINAL, at + distance), *acceleration(a), (0x28, top)]
     )
@@ -225,7 +225,7 @@ def test_a_trapezoid_or_triangle_agrees_sample_by_sample_and_ends_at_the_final_p
     stop=st.booleans(),
 )  # fmt: skip
 def test_integral_velocity_agrees_on_its_ramps_and_on_its_stop(velocities, a, n, stop):
-    pair = Pair()
+    pair = ChipAndReference()
     pair.write([*acceleration(a), *begin("integral")])
     for v in velocities:
         pair.advance(900)
@@ -247,7 +247,7 @@ def test_integral_velocity_agrees_on_its_ramps_and_on_its_stop(velocities, a, n,
     wanted=st.integers(-(1 << 15), (1 << 15) - 1), k=traffic.byte, rates=st.lists(st.integers(-5000, 5000), max_size=20)
 )
 def test_proportional_velocity_agrees_and_is_the_gain_alone(wanted, k, rates):
-    pair = Pair()
+    pair = ChipAndReference()
     pair.write([(0x22, k), *velocity(wanted), *begin("proportional")])
     for rate in rates:
         pair.set_shaft(pair.chip.encoder, Fraction(rate, 1 << 14))
@@ -262,7 +262,7 @@ def test_proportional_velocity_agrees_and_is_the_gain_alone(wanted, k, rates):
 def test_every_control_mode_is_reached_by_its_flag():
     assert set(MODE_FLAGS) == {"position", "trapezoid", "proportional", "integral"}
     for mode in MODE_FLAGS:
-        pair = Pair()
+        pair = ChipAndReference()
         pair.write(begin(mode))
         assert pair.reference.law == mode
         pair.agree()

@@ -133,13 +133,13 @@ class Speed(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_uint16) for name in ("R1", "R2", "R4", "R5", "R7"))
 
 
-class Move(ctypes.Structure):
+class MoveStruct(ctypes.Structure):
     _fields_ = (("pulses", ctypes.c_int32), ("speed", Speed), ("R6", ctypes.c_uint32))
 
 
 def plan_line(library, distances, speed=SPEED):
     """Call line_plan of line.c; return its result and the moves that it has planned."""
-    moves = (Move * len(distances))()
+    moves = (MoveStruct * len(distances))()
     distances_array = (ctypes.c_int32 * len(distances))(*distances)
     return ctypes.CDLL(str(library)).line_plan(
         len(distances), distances_array, ctypes.byref(Speed(*speed)), moves

@@ -71,14 +71,14 @@ def test_every_command_of_every_chip_has_a_button_or_a_row():
 
 
 def test_a_chip_that_does_not_say_how_its_commands_are_sent_has_no_buttons():
-    class Mute(MCX514):
+    class ChipWithoutCommandCycles(MCX514):
         @classmethod
         def command_cycles(cls, symbol, axis=0, datum=None):
             raise NotImplementedError("Mute does not say how its commands are sent.")
 
-    assert FrontPanel(Mute).buttons == {}
+    assert FrontPanel(ChipWithoutCommandCycles).buttons == {}
     with pytest.raises(ArgumentError, match=r"Mute does not say how its commands are sent\. Write its bytes: `0: 15`"):
-        parse_line(Mute, "DRVRL")
+        parse_line(ChipWithoutCommandCycles, "DRVRL")
 
 
 def test_bytes_that_a_word_has_by_name_carry_its_fixed_bits():

@@ -71,7 +71,7 @@ class User(threading.Thread):
         firmware.stop(self._axis(stage), self.dice.random() < 0.5)
 
 
-class Visitor(User):
+class CommandingUser(User):
     """User that gives orders: the session has the stage alone."""
 
     def _do_read(self, stage):
@@ -119,14 +119,14 @@ def share(kind, seconds, seed):
     return users
 
 
-@pytest.mark.parametrize("kind", [User, Visitor])
+@pytest.mark.parametrize("kind", [User, CommandingUser])
 def test_eight_threads_that_read_move_and_stop_at_random_neither_deadlock_nor_starve(kind):
     users = share(kind, 2.0, SEED)
     assert all(sum(user.done.values()) > 5 for user in users)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [User, Visitor])
+@pytest.mark.parametrize("kind", [User, CommandingUser])
 def test_eight_threads_share_a_stage_for_a_minute(kind):
     users = share(kind, 60.0, SEED)
     counts = [sum(user.done.values()) for user in users]

@@ -14,7 +14,7 @@ def lock():
     return StageLock()
 
 
-class Visitor(threading.Thread):
+class LockingThread(threading.Thread):
     """Enters the lock, calls `inside()`, and leaves. `entered`: an Event; `error`: what it got in place of the lock."""
 
     def __init__(self, lock, inside=lambda: None):
@@ -42,7 +42,7 @@ def until(condition, seconds=10.0):
 def test_one_thread_has_it_at_a_time_and_may_enter_again(lock):
     with lock, lock:
         assert lock.is_acquired()
-        other = Visitor(lock)
+        other = LockingThread(lock)
         until(lambda: lock.has_waiting)
         with lock:
             pass
@@ -56,7 +56,7 @@ def test_who_came_first_is_first_also_after_one_who_has_just_left(lock):
     order, visitors = [], []
     with lock:
         for k in range(4):
-            visitors.append(Visitor(lock, lambda k=k: order.append(k)))
+            visitors.append(LockingThread(lock, lambda k=k: order.append(k)))
             until(lambda n=k: len(lock._waiting) == n + 1)
     with lock:  # at once again: those that wait were here before
         order.append("again")
@@ -67,7 +67,7 @@ def test_who_came_first_is_first_also_after_one_who_has_just_left(lock):
 
 def test_waiting_releases_every_level_and_restores_the_same_depth(lock):
     with lock, lock:
-        other = Visitor(lock)
+        other = LockingThread(lock)
         lock.wait(0.05)
         assert other.entered.is_set()
         assert lock.is_acquired()
@@ -80,7 +80,7 @@ def test_waiting_releases_every_level_and_restores_the_same_depth(lock):
 def test_yielding_admits_exactly_the_waiting_threads(lock):
     order = []
     with lock:
-        first = Visitor(lock, lambda: order.append("first"))
+        first = LockingThread(lock, lambda: order.append("first"))
         until(lambda: lock.has_waiting)
         lock.yield_to_waiting()
         order.append("owner")
@@ -113,7 +113,7 @@ def test_a_timed_out_thread_does_not_block_the_others(lock):
 
 def test_reserved_it_is_for_one_thread_and_the_others_wait_until_it_is_not(lock):
     lock.reserve(threading.get_ident())
-    other = Visitor(lock)
+    other = LockingThread(lock)
     until(lambda: lock.has_waiting)
     for _ in range(3):
         with lock:  # past those that wait
@@ -126,11 +126,11 @@ def test_reserved_it_is_for_one_thread_and_the_others_wait_until_it_is_not(lock)
 @pytest.mark.parametrize("comes", ["before", "after"])
 def test_a_reservation_with_a_refusal_refuses_all_other_threads_at_once(lock, comes):
     with lock:
-        other = Visitor(lock) if comes == "before" else None
+        other = LockingThread(lock) if comes == "before" else None
         if other:
             until(lambda: lock.has_waiting)
         lock.reserve(threading.get_ident(), "not yours.")
-        other = other or Visitor(lock)
+        other = other or LockingThread(lock)
         other.join(5)
     assert str(other.error) == "not yours."
     assert not lock.has_waiting
@@ -142,7 +142,7 @@ def test_who_is_refused_while_it_waits_inside_leaves_without_harm(lock):
 
     with lock:
         pass
-    other = Visitor(lock, inside)
+    other = LockingThread(lock, inside)
     other.entered.wait(5)
     lock.reserve(threading.get_ident(), "not yours.")
     other.join(5)
@@ -170,7 +170,7 @@ def test_a_thread_may_act_for_the_owner_that_waits_for_it(lock):
 def test_an_error_inside_leaves_the_lock_free(lock):
     with pytest.raises(ZeroDivisionError), lock, lock:
         raise ZeroDivisionError
-    assert Visitor(lock).entered.wait(5)
+    assert LockingThread(lock).entered.wait(5)
 
 
 def test_only_its_thread_frees_a_lock_after_an_interrupt(lock):
@@ -181,7 +181,7 @@ def test_only_its_thread_frees_a_lock_after_an_interrupt(lock):
     other.join(5)
     assert lock.is_acquired()
     lock.release_all()
-    assert Visitor(lock).entered.wait(5)
+    assert LockingThread(lock).entered.wait(5)
 
 
 @pytest.mark.parametrize("moment", ["entered", "left"])
@@ -192,7 +192,7 @@ def test_release_all_frees_a_lock_that_ctrl_c_left_half_entered_or_half_left(loc
     else:
         lock.__enter__()
         lock._depth -= 1
-    other = Visitor(lock)
+    other = LockingThread(lock)
     assert not other.entered.wait(0.05)
     lock.release_all()
     assert other.entered.wait(5)

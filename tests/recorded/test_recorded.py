@@ -57,13 +57,15 @@ def test_a_failure_shows_the_events_between_the_marks_where_the_first_difference
 
 
 def test_rewording_a_sentence_or_renaming_a_field_changes_no_entry():
-    class Before:
+    class PreviousText:
         def __init__(self, words):
             self.words = words
 
         __str__ = lambda self: self.words  # noqa: E731
 
-    old, new = (entries.condense({"a": Before(t)}) for t in ("R2 must be 1 to 8191, not 9000", "9000 does not fit R2"))
+    old, new = (
+        entries.condense({"a": PreviousText(t)}) for t in ("R2 must be 1 to 8191, not 9000", "9000 does not fit R2")
+    )
     assert old != new
-    old, new = (entries.condense({"a": Before(t)}) for t in ("Say 9000 for R2.", "Of 9000 comes R2."))
+    old, new = (entries.condense({"a": PreviousText(t)}) for t in ("Say 9000 for R2.", "Of 9000 comes R2."))
     assert old == new

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from stage.recording.vcd import HostBus
 
 
-class Host:
+class PositionHost:
     def __init__(self):
         self.at, self.requests = 0, []
 
@@ -20,7 +20,7 @@ class Host:
 
 
 def test_a_part_begins_and_ends_at_the_positions_of_the_bus_trace():
-    host = Host()
+    host = PositionHost()
     stage = SimpleNamespace(host=host, now=10)
     host.at = 3
     part = HostBus(stage)
@@ -38,7 +38,7 @@ def test_a_board_that_comes_during_the_recording_is_in_it_and_one_that_comes_aft
     stage = SimpleNamespace(host=None, now=0)
     during, before = HostBus(stage), HostBus(stage)
     before.close()
-    stage.host = Host()
+    stage.host = PositionHost()
     stage.host.at = 5
     assert before.changes("writer", 0, 1) == []
     assert during.changes("writer", 0, 1) == ["changes"]

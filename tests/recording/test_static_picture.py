@@ -16,7 +16,7 @@ from stage.support import plot_style
 pytest.importorskip("matplotlib")
 
 
-class Run:
+class FakeRecording:
     """A recording of `n` samples from 1 s on whose columns are given; any other is zero."""
 
     def __init__(self, axes, n=20, **columns):
@@ -46,16 +46,16 @@ def labels(fig):
 
 def test_lost_steps_have_a_plot_only_where_some_were_lost():
     usual = [["pulse rate", "pps"], ["position", "mm"], ["following error", "um"]]
-    assert labels(draw_recording(Run({"x": SLIDE}))) == [*usual, [""]]
-    lost = draw_recording(Run({"x": SLIDE, "y": SLIDE}, y__lost_steps=np.arange(20) // 10 * 4))
+    assert labels(draw_recording(FakeRecording({"x": SLIDE}))) == [*usual, [""]]
+    lost = draw_recording(FakeRecording({"x": SLIDE, "y": SLIDE}, y__lost_steps=np.arange(20) // 10 * 4))
     assert labels(lost) == [*usual, ["lost steps", "full steps"], [""]]
-    assert labels(draw_recording(Run({"x": SERVO})))[0] == ["commanded velocity", "counts/s"]
+    assert labels(draw_recording(FakeRecording({"x": SERVO})))[0] == ["commanded velocity", "counts/s"]
 
 
 def test_curves_are_in_the_units_of_their_axes_with_the_command_below():
     ramp = np.arange(20) / 10
     fig = draw_recording(
-        Run(
+        FakeRecording(
             {"x": SLIDE, "a": HINGE}, x__position=ramp, a__position=ramp, x__commanded=2 * ramp, x__following_error=ramp
         )
     )
@@ -73,14 +73,14 @@ def test_curves_are_in_the_units_of_their_axes_with_the_command_below():
 
 
 def test_several_axes_have_a_legend_and_a_single_one_has_none():
-    assert draw_recording(Run({"x": SLIDE})).axes[0].get_legend() is None
-    both = draw_recording(Run({"x": SLIDE, "y": SLIDE})).axes[0].get_legend()
+    assert draw_recording(FakeRecording({"x": SLIDE})).axes[0].get_legend() is None
+    both = draw_recording(FakeRecording({"x": SLIDE, "y": SLIDE})).axes[0].get_legend()
     assert [text.get_text() for text in both.get_texts()] == ["x", "y"]
 
 
 def test_switches_lie_from_the_top_in_the_order_of_the_axes_and_each_has_the_colour_of_its_kind():
     on = np.arange(20) > 10
-    fig = draw_recording(Run({"x": SLIDE, "y": SLIDE}, x__el_minus=on, x__sd_plus=on, y__org=~on))
+    fig = draw_recording(FakeRecording({"x": SLIDE, "y": SLIDE}, x__el_minus=on, x__sd_plus=on, y__org=~on))
     lanes = fig.axes[-1]
     assert [label.get_text() for label in lanes.get_yticklabels()] == ["y ORG", "x SD+", "x EL-"], "from the bottom"
     assert lanes.get_ylim() == (0, 3)
@@ -97,10 +97,10 @@ def test_a_long_recording_is_drawn_by_few_points_with_every_short_edge():
     n = 2 * MAX_POINTS + 2001
     on = np.zeros(n, bool)
     on[5000] = True
-    fig = draw_recording(Run({"x": SLIDE}, n=n, x__org=on, x__rate=np.arange(n)))
+    fig = draw_recording(FakeRecording({"x": SLIDE}, n=n, x__org=on, x__rate=np.arange(n)))
     drawn = fig.axes[0].lines[0].get_ydata()
     assert len(drawn) <= MAX_POINTS
     assert drawn.tolist() == list(range(0, n, 3))
     heights = fig.axes[-1].collections[0].get_paths()[0].vertices[:, 1]
     assert heights.max() == pytest.approx(0.8)
-    assert len(draw_recording(Run({"x": SLIDE}, n=MAX_POINTS)).axes[0].lines[0].get_ydata()) == MAX_POINTS
+    assert len(draw_recording(FakeRecording({"x": SLIDE}, n=MAX_POINTS)).axes[0].lines[0].get_ydata()) == MAX_POINTS

@@ -268,7 +268,7 @@ def test_a_picture_waits_until_the_viewer_has_loaded_and_settled(rrd, tmp_path, 
     ]
     shots, done, running = [b"a", b"b", b"b"], [], SimpleNamespace(poll=lambda: None)
 
-    class Client:
+    class ViewerClient:
         def get_state(self):
             return states.pop() if len(states) > 1 else states[0]
 
@@ -282,7 +282,7 @@ def test_a_picture_waits_until_the_viewer_has_loaded_and_settled(rrd, tmp_path, 
     def connect(url):
         if done[-1:] != [0.2]:
             raise ConnectionError
-        return Client()
+        return ViewerClient()
 
     def started(command, **_):
         done.append(command[2:5])

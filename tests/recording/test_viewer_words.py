@@ -147,7 +147,7 @@ def test_an_empty_bar_of_a_window_is_cut_off_and_what_is_drawn_stays(tmp_path, b
         assert cut.getpixel((5, 0)) == (viewer.FRAME_HEIGHT if top else 5)
 
 
-class Answer:
+class HttpAnswer:
     def __init__(self, status, reason="so"):
         self.status, self.reason = status, reason
 
@@ -164,7 +164,7 @@ def test_a_page_that_rerun_does_not_give_is_named(monkeypatch, name, called):
         close=lambda: requested.append("closed"),
     )
     monkeypatch.setattr(http.client, "HTTPConnection", lambda host, port, timeout: connection)
-    answers = [Answer(404, "Not Found"), Answer(200)]
+    answers = [HttpAnswer(404, "Not Found"), HttpAnswer(200)]
     with pytest.raises(ViewerError, match=rf"rerun does not give {called}: 404 Not Found\."):
         viewer._fetch_file(1, name)
     assert viewer._fetch_file(1, name) == b"content"

@@ -80,14 +80,16 @@ def test_another_seed_each_time_is_printed(capsys):
 def test_only_a_pin_that_something_else_drives_is_left_out_of_harmless_acts():
     """harmless([Act("write", ...)], chip) of a chip whose write raises: that is the chip's mistake"""
 
-    class Pins:
+    class RefusingPins:
         def __setattr__(self, name, value):
             raise StageError("an encoder drives it")
 
     def write(address, value):
         raise StageError("broken")
 
-    chip = SimpleNamespace(write=write, axes=[SimpleNamespace(pins=Pins())], INPUTS={"org": 1}, read=lambda address: 0)
+    chip = SimpleNamespace(
+        write=write, axes=[SimpleNamespace(pins=RefusingPins())], INPUTS={"org": 1}, read=lambda address: 0
+    )
     assert acts.limit_pulses([acts.Act("pin", 0, 0, 1), acts.Act("read", 1)], chip) == [acts.Act("read", 1)]
     with pytest.raises(StageError, match="broken"):
         acts.limit_pulses([acts.Act("write", 0, 1)], chip)
@@ -140,12 +142,12 @@ def test_after_a_promise_that_does_not_finish_the_others_have_less_time(monkeypa
 def test_a_core_that_cannot_be_compiled_is_reported_once():
     """A function of the core writes to an array of its module"""
 
-    class Answer:
+    class FailingAnswer:
         @property
         def c(self):
             raise NativeError("core.py, line 5: what changes is a field of the record")
 
-    broken = type("TOY", (TOY,), {"CORE": defects.build_core(power_up=Answer())})
+    broken = type("TOY", (TOY,), {"CORE": defects.build_core(power_up=FailingAnswer())})
     with pytest.raises(NotConforming, match=r"TOY: core\.py, line 5") as error:
         chip_conformance(broken)
     assert list(error.value.broken) == ["has_what_every_chip_has"]

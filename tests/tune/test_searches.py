@@ -19,7 +19,7 @@ CASES = [MoveCase(0.0, 0.0, 1), MoveCase(2.0, 0.0, -1)]
 pytest.importorskip("optuna")
 
 
-class ScriptedRunner:
+class NumberedRunner:
     """Move runner whose outcomes the test defines.
 
     `outcome_of(number of the plan, case)` returns the arrival time in seconds and whether the move keeps step.
@@ -53,7 +53,7 @@ class ScriptedRunner:
 
 @pytest.mark.parametrize("chip", [PCL240K, PCL240MS])
 def test_the_first_trials_are_the_formula_and_bolder_safety_factors_with_each_ramp_shape(chip):
-    runner = ScriptedRunner(lambda k, case: (0.3, True), chip)
+    runner = NumberedRunner(lambda k, case: (0.3, True), chip)
     runner.search(9, safety_factor=2.0)
     shapes = runner.planner.ramp_shapes
     wanted = [runner.planner.compute_speeds(2.0 * part).drive for _ in shapes for part in (1.0, 0.9, 0.8, 0.7)]
@@ -63,7 +63,7 @@ def test_the_first_trials_are_the_formula_and_bolder_safety_factors_with_each_ra
 
 
 def test_the_requested_number_of_trials_runs_in_batches_of_eight_with_unique_numbers():
-    runner, received = ScriptedRunner(lambda k, case: (0.3, True)), []
+    runner, received = NumberedRunner(lambda k, case: (0.3, True)), []
     ranked = runner.search(19, on_progress=lambda done, best: received.append((done, best.number)))
     assert runner.sizes == [(8, 2), (8, 2), (3, 2)]
     assert [trial.number for trial in ranked] == list(range(19)), "the first of equal trials is the best"
@@ -71,7 +71,7 @@ def test_the_requested_number_of_trials_runs_in_batches_of_eight_with_unique_num
 
 
 def test_trials_that_lose_steps_rank_last():
-    runner = ScriptedRunner(lambda k, case: (0.01, False) if k < 4 else (0.3, True))
+    runner = NumberedRunner(lambda k, case: (0.01, False) if k < 4 else (0.3, True))
     ranked = runner.search(16)
     assert runner.limits == [LIMIT, min(LIMIT, compute_time_limit(0.3, 0.02))]
     assert [trial.failed_moves for trial in ranked] == [0] * 12 + [2] * 4
@@ -80,14 +80,14 @@ def test_trials_that_lose_steps_rank_last():
 
 def test_a_leading_trial_that_loses_steps_in_one_further_case_counts_as_failed():
     further_cases = [MoveCase(0.0, 5.0, 1), MoveCase(2.0, 5.0, -1), MoveCase(2.0, 7.0, 1)]
-    runner = ScriptedRunner(lambda k, case: (0.2, case.start_offset != 7.0))
+    runner = NumberedRunner(lambda k, case: (0.2, case.start_offset != 7.0))
     ranked = runner.search(3, further_cases)
     assert runner.sizes == [(3, 2), (3, 3)], "all three would lead, and run the further cases"
     assert [(trial.max_time, trial.failed_moves) for trial in ranked] == [(0.2, 1)] * 3
 
 
 def test_a_trial_that_the_chip_refuses_ranks_below_all_others():
-    runner = ScriptedRunner(lambda k, case: (0.2, False))
+    runner = NumberedRunner(lambda k, case: (0.2, False))
     real, requested_values = runner.planner.build_plan, []
 
     def build_plan(speeds, values, shape):
@@ -113,7 +113,7 @@ def test_a_trial_that_the_chip_refuses_ranks_below_all_others():
 
 
 def test_trials_draw_their_parameters_from_minus_one_to_one(monkeypatch):
-    runner, drawn = ScriptedRunner(lambda k, case: (0.3, True)), []
+    runner, drawn = NumberedRunner(lambda k, case: (0.3, True)), []
     build_plan = runner.planner.build_plan
 
     def build_recorded_plan(center, parameters, shape):
