@@ -27,8 +27,8 @@ CHECKS = {
     "new-model": (["new-model", "--axes", "x:slide:50mm"], lambda f: "<mujoco" in f["mjcf"]),
     "view": (["view", "xy"], lambda f: [a["name"] for a in f["axes"]] == ["x", "y"]),
 }  # fmt: skip
-ELSEWHERE = {"run", "export", "tune"}
-"""Commands of which tests below and of tune/ read the JSON."""
+ELSEWHERE = {"run", "replay", "export", "tune"}
+"""Commands of which tests below, of board/ and of tune/ read the JSON."""
 LONG = {"demo": ["demo"], "erratum": ["erratum"], "pullout": ["pullout"]}
 TEXT_ALONE = {"serve", "mcp", "panel", "completion"}
 """Commands that serve, or print what a shell is to have."""

@@ -7,16 +7,18 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from stage.board.pins import DRIVEN, PinLine, parse_pins
+from stage.board.pins import DRIVEN, PinLine, describe_silent_steps, parse_pins
 from stage.errors import ArgumentError
 from stage.sim.stage import Stage
 
 LINE = np.dtype(
     [("chip", "i8"), ("pins", "i8")]
-    + [(name, "i4") for name in ("pin", "is_number", "inverted", "driven", "released", "padding")]
+    + [(name, "i4") for name in ("pin", "is_number", "inverted", "driven", "released", "place")]
 )
 PORTS = "ABCDEFGHIJKLMNOP"
 LAST_PIN = 255
+PIN_WORDS = 4 * 256 // 32
+"""Words of `levels`, `outputs`, `once` and `often` in struct pulsestage_pins."""
 PULLED = ("enable",)
 """Lines that stay asserted while their pin is no output, as the power stage's own resistor keeps them."""
 _PORT_PIN = re.compile(rf"([{PORTS}])([0-7])")
@@ -49,9 +51,33 @@ def _parse_pin(line: PinLine) -> tuple[int, bool]:
 def make_line_table(lines: Sequence[PinLine], stage: Stage) -> np.ndarray:
     """Return LINE records, sorted by chip."""
     table = np.zeros(len(lines), LINE)
-    for row, line in zip(table, lines, strict=True):
+    for place, (row, line) in enumerate(zip(table, lines, strict=True)):
         chip = stage.axes[line.axis].chip
         row["chip"], row["pins"] = list(stage.chips).index(chip), line.get_mask(chip)
         row["pin"], row["is_number"] = _parse_pin(line)
         row["inverted"], row["driven"], row["released"] = line.inverted, line.line in DRIVEN, line.line in PULLED
+        row["place"] = place
     return np.sort(table, order="chip", kind="stable")
+
+
+def find_wiring_problems(table: np.ndarray, lines: Sequence[PinLine], words: np.ndarray) -> tuple[str, ...]:
+    """Return sentences about STEP pins that firmware has never driven high.
+
+    Args:
+        table: LINE records as the firmware has them.
+        lines: The lines, by their place.
+        words: PIN_WORDS words of the firmware's struct pulsestage_pins.
+    """
+    once, often = (
+        set(np.flatnonzero(np.unpackbits(part.view(np.uint8), bitorder="little")).tolist())
+        for part in np.split(words, 4)[2:]
+    )
+    steps = [row for row in table if lines[row["place"]].line == "step"]
+    silent = [lines[row["place"]] for row in steps if int(row["pin"]) not in once]
+    has_numbers = bool(table["is_number"].any())
+    others = [
+        str(pin) if has_numbers else f"{PORTS[pin // 8]}{pin % 8}"
+        for pin in sorted(often - set(table["pin"].tolist()))
+        if has_numbers or pin < 8 * len(PORTS)
+    ]
+    return describe_silent_steps([f"{line.axis}.step = {line.pin}" for line in silent], others, len(steps))

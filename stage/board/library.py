@@ -16,10 +16,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from stage.board import platforms
 from stage.board.bus.requests import REQUEST, restore_float_mode, set_usual_float_mode
 from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
-from stage.board.firmware_pins import make_line_table
+from stage.board.firmware_pins import PIN_WORDS, find_wiring_problems, make_line_table
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError, escape
 from stage.support.argument_checks import explain_arguments
@@ -401,7 +403,8 @@ class Library:
     """
 
     def __init__(self, path: Path, link: Link, cost: int = 0, lines: Sequence[PinLine] = ()):
-        self.path, self._link, self._cost = path, link, cost
+        self.path, self._link, self._cost, self._lines = path, link, cost, lines
+        self._pin_levels: np.ndarray = np.zeros(PIN_WORDS, np.uint32)
         _check_sanitizers(path)
         self._scratch = Scratch()
         self.copy = Path(shutil.copy(path, self._scratch.path / path.name))
@@ -432,7 +435,7 @@ class Library:
                 f"pulsestage.h defines, and build it so: {format_build_command(path)}"
             )
         self._set_meter(NO_LIMIT)
-        self._connect_lines(lines)
+        self._connect_lines()
 
     def main(self) -> int:
         """Call its entry in this thread. Basic blocks that it runs while it is loaded and unloaded take no time."""
@@ -445,6 +448,8 @@ class Library:
 
     def close(self) -> None:
         """Unload it."""
+        if self._lines:
+            self._pin_levels = self._pin_levels.copy()  # for `find_wiring_problems`
         if platform.system() != "Windows":
             import _ctypes
 
@@ -466,20 +471,26 @@ class Library:
         words[0], words[1] = 0, interval
         return ctypes.addressof(words)
 
-    def _connect_lines(self, lines: Sequence[PinLine]) -> None:
+    def _connect_lines(self) -> None:
         """Let the pins of the firmware drive and read lines of axes."""
         self._link.irqs["watched"] = 0
-        if not lines:
+        if not self._lines:
             return
-        self._lines = make_line_table(lines, self._link.stage)
+        self._table = make_line_table(self._lines, self._link.stage)
         try:
             table = (ctypes.c_int64 * 2).in_dll(self._library, "pulsestage_pins")
         except ValueError:
             raise LibraryError(
-                f"{self.path} has no pins for --pins {lines[0]}: it was built with an older pulsestage.h. Build it again: "
+                f"{self.path} has no pins for --pins {self._lines[0]}: it was built with an older pulsestage.h. Build it again: "
                 f"{format_build_command(self.path)}"
             ) from None
-        table[0], table[1] = self._lines.ctypes.data, len(self._lines)
+        table[0], table[1] = self._table.ctypes.data, len(self._table)
+        words: Any = (ctypes.c_uint32 * PIN_WORDS).from_address(ctypes.addressof(table) + ctypes.sizeof(table))
+        self._pin_levels = np.ctypeslib.as_array(words)
+
+    def find_wiring_problems(self) -> tuple[str, ...]:
+        """Return a sentence about each STEP pin that never changed while the firmware toggled pins that are no lines."""
+        return find_wiring_problems(self._table, self._lines, self._pin_levels) if self._lines else ()
 
     def _find_variable(self, kind: Any, name: str) -> Any:
         try:

@@ -10,7 +10,7 @@ limit_minus, origin, probe.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from stage.chips import Chip
@@ -125,3 +125,19 @@ def _check_pins(lines: Iterable[PinLine]) -> None:
             raise ArgumentError(
                 f"--pins: pin {line.pin} is used twice, by {other} and {line}. Give each line its own pin."
             )
+
+
+def describe_silent_steps(silent: Sequence[str], others: Sequence[str], n_steps: int) -> tuple[str, ...]:
+    """Return sentences about STEP pins that a program has never changed.
+
+    Args:
+        silent: These pins, as "x.step = D2".
+        others: Pins without a line that the program toggled.
+        n_steps: Number of all STEP pins.
+    """
+    if others:
+        advice = f"never changed; the program toggles {', '.join(others)}. Name its STEP pin in --pins."
+        return tuple(f"{name} {advice}" for name in silent)
+    if silent and len(silent) == n_steps:
+        return (f"The program has made no step: {', '.join(silent)} never changed, nor did other pins.",)
+    return ()

@@ -218,7 +218,7 @@ struct pulsestage_line {
     int64_t chip, pins;        /* number of the chip, and its input pins (bits) */
     int32_t pin, is_number;    /* the pin; as a number of the board's pins, not of a port's bit */
     int32_t inverted, driven;  /* asserted while the pin is low; an output of the firmware */
-    int32_t released, padding; /* asserted while the pin is no output */
+    int32_t released, place;   /* asserted while the pin is no output; its place in --pins */
 };
 struct pulsestage_pin_hook {
     ps_hook hook;
@@ -229,10 +229,11 @@ struct pulsestage_pins {
     struct pulsestage_line *lines; /* sorted by chip */
     int64_t n_lines;
     uint32_t levels[PS_PINS / 32], outputs[PS_PINS / 32];
+    uint32_t once[PS_PINS / 32], often[PS_PINS / 32]; /* pins that were driven high, and those that were again */
     struct pulsestage_pin_hook hooks[PS_PIN_HOOKS];
 };
 extern struct pulsestage_pins pulsestage_pins;
-PULSESTAGE_SHARED struct pulsestage_pins pulsestage_pins = {0, 0, {0}, {0}, {{0, 0, 0, 0, 0}}};
+PULSESTAGE_SHARED struct pulsestage_pins pulsestage_pins = {0, 0, {0}, {0}, {0}, {0}, {{0, 0, 0, 0, 0}}};
 
 /* Drives the lines at pins `first` to `first` + 31 that have changed, all at the end of one bus cycle. */
 static inline void ps_drive_pins(int first, uint32_t changed, uint32_t levels, uint32_t outputs)
@@ -280,6 +281,12 @@ static inline uint32_t ps_read_pins(int first, uint32_t wanted, int64_t cycle)
         ps_micros();
     return levels;
 }
+/* Notes that the firmware drives pins high, for the report of a STEP pin that never changes. */
+static inline void ps_note_pins(uint32_t word, uint32_t high)
+{
+    pulsestage_pins.often[word] |= pulsestage_pins.once[word] & high;
+    pulsestage_pins.once[word] |= high;
+}
 static inline void ps_pin_mode(int pin, int mode)
 {
     const uint32_t bit = 1u << (pin & 31), n = (uint32_t)pin / 32 % (PS_PINS / 32);
@@ -291,6 +298,7 @@ static inline void ps_pin_write(int pin, int level)
 {
     const uint32_t bit = 1u << (pin & 31), n = (uint32_t)pin / 32 % (PS_PINS / 32);
     uint32_t *levels = pulsestage_pins.levels + n;
+    ps_note_pins(n, level ? bit & ~(*levels & pulsestage_pins.outputs[n]) : 0);
     *levels = level ? *levels | bit : *levels & ~bit;
     pulsestage_pins.outputs[n] |= bit;
     ps_drive_pins((int)n * 32, bit, *levels, pulsestage_pins.outputs[n]);

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stage.board.board import Board
-from stage.board.pins import DRIVEN, PinLine
+from stage.board.pins import DRIVEN, PinLine, describe_silent_steps
 from stage.errors import ArgumentError
 from stage.targets import avr_core
 from stage.targets.avr_bus import DIRECTION_ALL, encode_request
@@ -63,15 +63,7 @@ class AvrLines:
         others = [f"{avr_core.PORTS[port]}{bit}" for port, bit in self._list_pins("often") if (port, bit) not in used]
         changed = set(self._list_pins("once"))
         silent = [f"{line.axis}.step = {line.pin}" for port, bit, line in steps if (port, bit) not in changed]
-        if others:
-            advice = f"never changed; the program toggles {', '.join(others)}. Name its STEP pin in --pins."
-            return tuple(f"{name} {advice}" for name in silent)
-        is_still = silent and len(silent) == len(steps)
-        return (
-            (f"The program has made no step: {', '.join(silent)} never changed, nor did other pins.",)
-            if is_still
-            else ()
-        )
+        return describe_silent_steps(silent, others, len(steps))
 
     def _list_pins(self, field: str) -> list[tuple[int, int]]:
         """Return port and bit of each pin that is set in a field of LINE_PORT."""

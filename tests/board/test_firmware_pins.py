@@ -137,3 +137,21 @@ def test_the_command_runs_firmware_with_pins(tmp_path, capsys):
     assert main(["run", str(path), "--chips", "stepdir", "--pins", "x.step=2,x.dir=5"]) == 0
     row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("x "))
     assert row.split()[2:4] == ["1.0000", "0"]
+
+
+@pytest.mark.parametrize("isolated", [False, True])
+def test_a_step_pin_that_never_changes_is_named_with_the_pins_that_do(run, isolated):
+    host, _ = run("for (int k = 0; k < 3; k++) { ps_pin_write(4, 1); ps_pin_write(4, 0); ps_pin_write(3, 1); ps_pin_write(3, 0); }"
+                  "ps_pin_write(7, 1);", isolated=isolated)  # fmt: skip
+    assert host.wiring_problems == ("x.step = 2 never changed; the program toggles 4. Name its STEP pin in --pins.",)
+
+
+def test_firmware_that_makes_no_step_is_reported_and_other_firmware_is_not(run):
+    host, _ = run("ps_pin_write(5, 1);")
+    assert host.wiring_problems == (
+        "The program has made no step: x.step = 2, y.step = 3 never changed, nor did other pins.",
+    )
+    host, _ = run("ps_pin_write(2, 1); ps_pin_write(3, 1);")
+    assert host.wiring_problems == ()
+    host, _ = run("ps_micros();", pins=())
+    assert host.wiring_problems == ()

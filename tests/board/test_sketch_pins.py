@@ -167,3 +167,9 @@ def test_examples_of_accelstepper_run_unchanged(tmp_path, example, seconds, step
         farthest = max(farthest, board.stage.axes["x"].chip.net())
     assert farthest == steps
     assert not any(axis.lost_steps for axis in board.stage.axes.values())
+
+
+def test_a_sketch_with_another_step_pin_is_reported(run):
+    host = run("void setup() { pinMode(3, OUTPUT); pinMode(9, OUTPUT); step(3, 5); step(9, 5); }", "x.step=D2,x.dir=D5")
+    (problem,) = host.wiring_problems
+    assert problem == "x.step = D2 never changed; the program toggles B1, D3. Name its STEP pin in --pins."

@@ -309,6 +309,8 @@ namespace pulsestage
 inline void change(uint8_t &which, int at, uint8_t value)
 {
     Pins &p = pins();
+    if (pulsestage_pins.n_lines)
+        ps_note_pins(uint32_t(at) / 4, uint32_t(uint8_t(value & ~which & p.ddr[at])) << at % 4 * 8);
     if (!((which ^ value) & p.strobes[at])) {
         which = value;
         return;
