@@ -56,7 +56,7 @@ struct pulsestage_bus {
 
 enum { PS_IN8, PS_OUT8, PS_IN16, PS_OUT16, PS_DELAY, PS_MICROS, PS_LOG, PS_HOOK, PS_LINE, PS_TIMER = 10, PS_ON_LINE, PS_SPEND,
        PS_IN32, PS_OUT32, PS_WINDOW, PS_LEVEL = 18, PS_RAISE, PS_SET_LINES = 21, PS_READ_LINES, PS_SEND_SERIAL, PS_READ_SERIAL,
-       PS_SERIAL_RATE, PS_WATCH_LINES };
+       PS_SET_SERIAL_RATE, PS_WATCH_LINES };
 
 #if defined(_MSC_VER)
 #define PULSESTAGE_SHARED __declspec(selectany) __declspec(dllexport)
@@ -150,7 +150,7 @@ static inline void ps_serial_print(const char *text)
 static inline int ps_serial_read(void) { return (int)ps_request(PS_READ_SERIAL, 0, 0); }
 static inline int ps_serial_peek(void) { return (int)ps_request(PS_READ_SERIAL, 1, 0); }
 static inline int ps_serial_available(void) { return (int)ps_request(PS_READ_SERIAL, 2, 0); }
-static inline void ps_serial_rate(uint32_t bits_per_second) { ps_request(PS_SERIAL_RATE, bits_per_second, 0); }
+static inline void ps_serial_rate(uint32_t bits_per_second) { ps_request(PS_SET_SERIAL_RATE, bits_per_second, 0); }
 
 /* Call `hook(argument)` while the interrupt line is asserted: after a port cycle, or in the middle of a delay; again and again
  * until it is released, never from within itself. hook = 0: no longer. */

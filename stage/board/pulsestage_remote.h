@@ -155,7 +155,7 @@ static inline int64_t ps_request(int32_t what, int64_t a, int64_t b)
 {
     const char *text = (const char *)(intptr_t)a;
     size_t most = sizeof ps_remote.frame - PS_F_HEAD, length;
-    if (what >= PS_SEND_SERIAL && what <= PS_SERIAL_RATE) { /* nobody is at the other end of the line; to look takes time */
+    if (what >= PS_SEND_SERIAL && what <= PS_SET_SERIAL_RATE) { /* nobody is at the other end of the line; to look takes time */
         if (what == PS_READ_SERIAL)
             ps_entry(PS_MICROS, 0, 0, 0, 0, 0);
         return what == PS_READ_SERIAL && a != 2 ? -1 : 0;
