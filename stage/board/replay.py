@@ -119,7 +119,10 @@ class AxisReplay:
 
 
 def _describe_times(times: Sequence[float]) -> str:
-    return f"asserted {len(times)} times, first at {times[0]:.6f} s," if times else "never asserted"
+    if not times:
+        return "never asserted"
+    often = "once," if len(times) == 1 else f"{len(times)} times, first"
+    return f"asserted {often} at {times[0]:.6f} s,"
 
 
 @dataclass(frozen=True)

@@ -159,6 +159,7 @@ def test_a_switch_is_reported_at_its_time_and_compared_with_the_capture(tmp_path
     assert x.lost_steps > 0
     assert not report.ok
     assert f"{time:.6f} s: el_plus on" in str(report)
+    assert "limit_plus: asserted once, at 0.200000 s, in the capture (L), asserted once, at " in str(report)
 
 
 def test_waveforms_of_a_stage_can_be_replayed(tmp_path):
