@@ -16,7 +16,7 @@ from typing import Any
 
 from stage import Stage
 from stage.agents import Toolbox
-from stage.agents.server.sessions import Sessions, ToolboxFactory
+from stage.agents.server.client_sessions import Sessions, ToolboxFactory
 
 CALLS = {
     "budget": {}, "status": {"axis": "x"}, "write_register": {"axis": "x", "name": "R1", "value": "1F4h"},

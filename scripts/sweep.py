@@ -21,7 +21,7 @@ from typing import Any
 
 from stage.errors import ArgumentError, StageError
 from stage.study import SPACE, PresetMoves, finished, read_study, run
-from stage.study.storage import optuna
+from stage.study.optuna_storage import optuna
 
 SAMPLERS = {"tpe": "TPESampler", "random": "RandomSampler", "nsga2": "NSGAIISampler"}
 PRUNERS = {"none": "NopPruner", "median": "MedianPruner", "hyperband": "HyperbandPruner"}

@@ -22,7 +22,7 @@ from stage.sim import engine_records, faults
 from stage.sim.fleet import MAX_TIME_NS, Fleet
 from stage.sim.program import Program
 from stage.sim.stage import MAX_RUN_S
-from stage.study.objectives import values_of
+from stage.study.preset_move_objective import values_of
 from stage.testing import assert_at
 
 BELOW_9 = math.nextafter(1e9, 0)

@@ -15,7 +15,7 @@ from support.extras import needs_rerun
 
 from stage import ArgumentError, Stage, StageError, firmware
 from stage.chips.chip import Diagnostic
-from stage.cli import build_parser, demo, files, home, listing, main, move, setup, terminal
+from stage.cli import build_parser, demo, home, listing, main, move, output_files, stage_setup, terminal
 from stage.cli.erratum import ErratumResult
 from stage.cli.fault import demonstrations
 from stage.cli.options import Quantity
@@ -84,7 +84,7 @@ def test_what_the_commands_do_without_options():
 
 def test_the_bench_options_make_the_stage():
     options = "--model xy --chips pcl240mk --motor 17HS15-1504S --microsteps 8 --bus-voltage 36 --bus-cycle 2e-6"
-    stage = setup.make_stage(build_parser().parse_args(["move", "x", "1", *options.split()]))
+    stage = stage_setup.make_stage(build_parser().parse_args(["move", "x", "1", *options.split()]))
     x = stage.axes["x"]
     assert list(stage.axes) == ["x", "y"]
     assert (type(x.chip).__name__, stage.state.bus) == ("PCL240MK", 2000)
@@ -99,13 +99,13 @@ def make_move_report(**more):
 
 
 def test_an_encoder_counts_a_metre_or_a_turn_of_the_motor():
-    setting = setup.parse_encoder("y=-200000")
+    setting = stage_setup.parse_encoder("y=-200000")
     assert (setting.axis, setting.per_metre, setting.per_turn) == ("y", -200_000.0, None)
-    setting = setup.parse_encoder("x=2000/turn")
+    setting = stage_setup.parse_encoder("x=2000/turn")
     assert (setting.axis, setting.per_metre, setting.per_turn) == ("x", None, 2000.0)
     for wrong in ("x=0", "=5", "x=", "x=2000/revolution", "x=inf", "x=many"):
         with pytest.raises(ArgumentError, match="write AXIS=COUNTS"):
-            setup.parse_encoder(wrong)
+            stage_setup.parse_encoder(wrong)
 
 
 def note_calls(monkeypatch, name, **values):
@@ -163,7 +163,7 @@ def test_home_searches_as_the_options_say(monkeypatch, options, axes, direction,
 def test_speeds_are_as_the_options_say_and_else_the_usual_ones(bench, monkeypatch, options, fields):
     """stage move x 100 --accel 0.4: both ramps; --fh1 500: also the rate at the start; FH2 is twice FH1"""
     if "--chips" in options:
-        monkeypatch.setattr(move, "make_stage", setup.make_stage)
+        monkeypatch.setattr(move, "make_stage", stage_setup.make_stage)
     monkeypatch.setattr("stage.firmware.pcl240.driver.Pcl240Driver.describe_speeds", lambda *_: "")
     calls = note_calls(monkeypatch, {"sync": "line"}.get(command := options.split()[0], command))
     assert main(options.split()) == 0
@@ -191,7 +191,7 @@ def test_a_plot_alone_has_as_many_samples_as_it_needs(bench, monkeypatch):
     }
     for plot, every in (("a.png", 2.5e-4), (None, None)):
         args = argparse.Namespace(**usual | {"plot": plot, "port": 1, "default_record": None})
-        with files.record_for_plot(args, bench, 2.5e-4) as recording:
+        with output_files.record_for_plot(args, bench, 2.5e-4) as recording:
             assert (recording is None) == (every is None)
             assert recording is None or recording.every == pytest.approx(every)
 
@@ -220,33 +220,33 @@ def test_distances_are_typed_in_units_of_the_axis(bench):
     )
     per_mm = 1e-3 / x.meters_per_pulse
     for text, mm in (("10mm", 10), ("-1cm", -10), ("0.02m", 20), ("500um", 0.5), ("50000nm", 0.05)):
-        assert setup.parse_distance(x, text) == round(mm * per_mm), text
-    assert (setup.parse_distance(x, "0x10"), setup.parse_distance(x, " -7 ")) == (16, -7)
+        assert stage_setup.parse_distance(x, text) == round(mm * per_mm), text
+    assert (stage_setup.parse_distance(x, "0x10"), stage_setup.parse_distance(x, " -7 ")) == (16, -7)
     for text, degrees in (("10deg", 10), ("-0.5deg", -0.5), ("1rad", math.degrees(1)), ("20mrad", math.degrees(0.02)),
                           ("300urad", math.degrees(3e-4))):  # fmt: skip
-        assert setup.parse_distance(hinge, text) == round(degrees * 1e6), text
+        assert stage_setup.parse_distance(hinge, text) == round(degrees * 1e6), text
     for axis, wrong in ((x, "1deg"), (hinge, "1mm"), (x, "1.5"), (x, "mm")):
         with pytest.raises(
             ArgumentError, match=r"give a whole number of pulses for axis ., such as 8000, or a distance in"
         ):
-            setup.parse_distance(axis, wrong)
+            stage_setup.parse_distance(axis, wrong)
 
 
 def test_two_outputs_may_share_a_device_and_no_file(tmp_path):
     kinds = ("record", "vcd", "picture", "plot", "trace")
     args = argparse.Namespace(**dict.fromkeys(kinds), force=False, web=False)
     args.vcd = args.trace = "/dev/null"
-    files.check_outputs(args)
+    output_files.check_outputs(args)
     args.vcd, args.trace = str(tmp_path / "a"), str(tmp_path / "b" / ".." / "a")
     (tmp_path / "b").mkdir()
     with pytest.raises(FileError, match="--vcd and --trace both write"):
-        files.check_outputs(args)
+        output_files.check_outputs(args)
 
 
 def test_a_usual_name_is_the_next_that_is_free_and_with_force_always_itself(bench, monkeypatch):
     for name in ("stage.rrd", "stage-2.rrd"):
         open(name, "w").close()
-    assert [files.find_free_name("stage.rrd", force) for force in (False, True)] == ["stage-3.rrd", "stage.rrd"]
+    assert [output_files.find_free_name("stage.rrd", force) for force in (False, True)] == ["stage-3.rrd", "stage.rrd"]
     saved = []
     recording = SimpleNamespace(
         save=lambda path, overwrite: (open(path, "w").close(), saved.append(path)), duration=0.0
@@ -263,7 +263,7 @@ def test_a_usual_name_is_the_next_that_is_free_and_with_force_always_itself(benc
     args = argparse.Namespace(
         record=None, vcd=None, picture=None, plot=None, trace=None, view=True, web=False, force=False, wrote=[]
     )
-    with files.record_to_files(args, bench):
+    with output_files.record_to_files(args, bench):
         pass
     assert saved == ["stage-4.rrd", "view stage-4.rrd"]
 
@@ -357,7 +357,7 @@ def test_a_firmware_that_loses_steps_ends_with_1(monkeypatch, lost, code):
         path=SimpleNamespace(name="a"), run=lambda timeout: timeouts.append(timeout) or done, wiring_problems=()
     )
     stage = SimpleNamespace(axes={"x": SimpleNamespace(lost_steps=lost)})
-    monkeypatch.setattr("stage.cli.setup.make_stage", lambda args: stage)
+    monkeypatch.setattr("stage.cli.stage_setup.make_stage", lambda args: stage)
     monkeypatch.setattr("stage.cli.run.print_report", lambda *_: None)
     monkeypatch.setattr("stage.board.Board", lambda *_, **__: SimpleNamespace(log=[], stage=stage))
     monkeypatch.setattr("stage.board.NativeHost", lambda *_, **__: host)
@@ -600,5 +600,5 @@ def test_a_screen_exists_with_x11_or_wayland(monkeypatch, display, wayland, scre
 def test_a_distance_may_be_typed_in_any_unit_of_its_axis(unit, texts):
     """stage move x 2cm; stage move q 20mrad"""
     axis = SimpleNamespace(name="x", unit=unit, meters_per_pulse=1e-6)
-    assert [setup.parse_distance(axis, text) for text in texts] == [20_000] * len(texts)
-    assert setup.parse_distance(axis, "-" + texts[1]) == -20_000
+    assert [stage_setup.parse_distance(axis, text) for text in texts] == [20_000] * len(texts)
+    assert stage_setup.parse_distance(axis, "-" + texts[1]) == -20_000

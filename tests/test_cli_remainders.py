@@ -5,16 +5,16 @@ from types import SimpleNamespace
 import pytest
 
 from stage import Stage
-from stage.cli import erratum_picture, files, main
+from stage.cli import erratum_picture, main, output_files
 from stage.cli.erratum import ErratumResult
-from stage.cli.fault import picture
+from stage.cli.fault import demonstration_plot
 from stage.cli.fault.demonstrations import DEMOS, DemoResult
 from stage.cli.terminal import Output
 
 
 @pytest.mark.parametrize(
     ("block", "drawn"),
-    [(lambda *a: files.record_for_plot(*a, interval=1e-3), 0), (files.record_to_files, 1)],
+    [(lambda *a: output_files.record_for_plot(*a, interval=1e-3), 0), (output_files.record_to_files, 1)],
     ids=["for_plot", "to_files"],
 )
 def test_after_ctrl_c_only_a_command_that_draws_its_reports_does(block, drawn, tmp_path, capsys):
@@ -49,7 +49,7 @@ def test_completion_scripts_differ_by_shell(capsys):
 @pytest.mark.parametrize("overwrite", [None, True])
 def test_a_plot_of_two_runs_overwrites_a_file_only_on_request(overwrite, monkeypatch):
     calls = []
-    for module in (erratum_picture, picture):
+    for module in (erratum_picture, demonstration_plot):
         monkeypatch.setattr(module, "draw", lambda result, path, over: calls.append((path, over)))
     for result in (
         ErratumResult("MCX304", False, ({}, {}), (None, None)),

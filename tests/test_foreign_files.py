@@ -13,7 +13,7 @@ from support.damage import damage, replace_value, zipped
 from support.examples import SEED, scaled
 
 from stage import Snapshot, Stage, firmware
-from stage.board import layouts, library
+from stage.board import firmware_library, layouts
 from stage.board.devices.user_devices import CDevice
 from stage.chips.chip import Snapshot as ChipSnapshot
 from stage.cli import main
@@ -299,8 +299,8 @@ def test_a_file_that_grows_while_it_is_read_is_refused(tmp_path, monkeypatch):
 
 
 FINDERS = {
-    "a library": library.check_library,
-    "a source": library.build,
+    "a library": firmware_library.check_library,
+    "a source": firmware_library.build,
     "a device": CDevice,
     "a program of a Cortex-M": lambda path: Elf(path, ARM, "cortex-m3", "arm-none-eabi-gcc"),
     "a recording to look at": lambda path: viewer.serve_web(path, port=0),

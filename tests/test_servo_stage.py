@@ -17,7 +17,7 @@ from stage.chips import HCTL1100, PCL240K
 from stage.chips.journal_entries import SHAFT, bits_to_float
 from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo
 from stage.drives.motors import MOTORS, Drive
-from stage.recording.series import make_plot_title, select_series
+from stage.recording.axis_series import make_plot_title, select_series
 from stage.sim.plant import open_spec
 
 MIXED = {"x": HCTL1100, "z": PCL240K}

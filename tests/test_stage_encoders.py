@@ -234,17 +234,17 @@ def test_an_option_that_is_no_encoder_says_how_to_write_one(text, capsys):
 
 
 def test_the_option_accepts_encoders_on_the_motor():
-    from stage.cli import build_parser, setup
+    from stage.cli import build_parser, stage_setup
 
     args = build_parser().parse_args(["run", "a.c", "--model", "xy", "--chips", "mcx514", "--encoder", "x=2000/turn"])
-    stage = setup.make_stage(args)
+    stage = stage_setup.make_stage(args)
     stage.place(x=0.01)
     assert real_position(stage.axes["x"].chip) == 2000
 
 
 @pytest.mark.stage("xy", chips="MCX514", encoders={"x": 1000}, record=False)
 def test_the_marker_of_a_test_takes_encoders(request):
-    from stage.testing.markers import stage_arguments
+    from stage.testing.marker_arguments import stage_arguments
 
     assert stage_arguments(request.node)["encoders"] == {"x": 1000}
 

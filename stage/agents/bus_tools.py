@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from stage.agents.arguments import Text, argument, choice, choose, integer, list_of
-from stage.agents.context import ToolContext
 from stage.agents.motion_tools import MotionTools
 from stage.agents.tool import Tool
+from stage.agents.tool_arguments import Text, argument, choice, choose, integer, list_of
+from stage.agents.tool_context import ToolContext
 from stage.chips.chip import Chip
 from stage.chips.describe import Fields
 from stage.chips.register_map import EVIDENCE, Register, RegisterMap, Word, dump

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
-from stage.agents.arguments import Flag, Length, argument, choice, integer, lengths_of, number
 from stage.agents.budget import CALL_LIMIT_S
-from stage.agents.context import ToolContext
 from stage.agents.tool import Tool
+from stage.agents.tool_arguments import Flag, Length, argument, choice, integer, lengths_of, number
+from stage.agents.tool_context import ToolContext
 from stage.chips.chip import Chip
 from stage.chips.describe import Fields
 from stage.errors import ArgumentError, StageError

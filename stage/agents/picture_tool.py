@@ -6,9 +6,9 @@ import io
 from dataclasses import replace
 from typing import Any
 
-from stage.agents.context import ToolContext
 from stage.agents.host_diagnostics import find_readable_pins
 from stage.agents.tool import Picture, Tool
+from stage.agents.tool_context import ToolContext
 from stage.errors import StageError
 from stage.firmware.move_report import Report
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from stage.agents.arguments import Flag, Text, argument
-from stage.agents.context import ToolContext
 from stage.agents.tool import Tool
+from stage.agents.tool_arguments import Flag, Text, argument
+from stage.agents.tool_context import ToolContext
 from stage.errors import ArgumentError, StageError
 from stage.firmware.move_report import Report
 from stage.firmware.synchronized_report import SynchronizedReport

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any
 
-from stage.agents.arguments import Text, argument, choose
-from stage.agents.context import ToolContext
 from stage.agents.tool import Tool
+from stage.agents.tool_arguments import Text, argument, choose
+from stage.agents.tool_context import ToolContext
 from stage.errors import ArgumentError, StageError
 from stage.sim.stage_snapshot import Snapshot
 

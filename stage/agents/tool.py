@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pydantic.json_schema import GenerateJsonSchema
 
-from stage.agents.arguments import choose, explain, format_value
+from stage.agents.tool_arguments import choose, explain, format_value
 from stage.errors import ArgumentError, StageError, find_similar_names
 
 ENDED = "This session has ended, and its stage is gone. Open a new session, which begins at power-up."

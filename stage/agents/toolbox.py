@@ -16,15 +16,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from stage.agents.arguments import format_value
 from stage.agents.budget import Budget, BudgetSpent
 from stage.agents.bus_tools import MODES, BusTools
-from stage.agents.context import ToolContext
 from stage.agents.motion_tools import MotionTools, describe_report
 from stage.agents.picture_tool import make_picture_tool
 from stage.agents.recording_tools import RecordingTools
 from stage.agents.snapshot_tools import SnapshotTools
 from stage.agents.tool import Answer, Tool, ToolSet
+from stage.agents.tool_arguments import format_value
+from stage.agents.tool_context import ToolContext
 from stage.agents.truth_tools import TruthTools
 from stage.errors import ArgumentError, StageError
 from stage.sim.stage import Stage

@@ -5,9 +5,9 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
-from stage.agents.arguments import REQUIRED, Flag, Length, Text, argument, choice, integer, number
-from stage.agents.context import ToolContext
 from stage.agents.tool import Tool
+from stage.agents.tool_arguments import REQUIRED, Flag, Length, Text, argument, choice, integer, number
+from stage.agents.tool_context import ToolContext
 from stage.errors import ArgumentError, StageError
 from stage.panel.fault_controls import IMPLICIT_PARAMETERS, UNITS, fault_functions
 from stage.sim import faults

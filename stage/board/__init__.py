@@ -10,9 +10,9 @@ from stage.board.errors import (
     NoCompilerError,
     StormError,
 )
+from stage.board.firmware_library import build, include
 from stage.board.host import NativeHost, Result
 from stage.board.layouts import LAYOUTS, Layout
-from stage.board.library import build, include
 from stage.board.trace import BusTrace, Cycle
 
 __all__ = [

@@ -22,7 +22,7 @@ from stage.board import layouts
 from stage.board.bus import host_record, requests
 from stage.board.bus.host_record import DEVICE, EIGHT, HALF, LATCH, LATCHED, NOTHING, PULLS, UPPER, WIDE, WORD
 from stage.board.bus.interrupts import ANY_LINE, HIGHEST
-from stage.board.devices import device_texts
+from stage.board.devices import device_options
 from stage.board.devices.device import Device, Encoder, Listener
 from stage.board.devices.user_devices import CDevice, DescribeCycle, PythonDevice
 from stage.board.errors import HostError
@@ -111,7 +111,7 @@ class Board:
         if not isinstance(devices, Iterable):
             raise ArgumentError(f'devices={devices!r}: a list of texts, for example ["hctl2016:0x320:x"].')
         for text in (devices,) if isinstance(devices, str) else devices:
-            self.attach_device(*device_texts.make_device(text))
+            self.attach_device(*device_options.make_device(text))
 
     # --- requests of a host ---
 

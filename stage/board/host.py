@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, Self
 
-from stage.board import library, windows
+from stage.board import firmware_library, windows
 from stage.board.board import Board
 from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostTimeout
@@ -291,7 +291,7 @@ class NativeProgram:
             return TrappedLibrary(self.path, board.link, self.cost, self.lines, self.windows)
         if self.windows:
             raise StageError(f"map={', '.join(map(str, self.windows))}: {windows.explain_missing(isolated)}")
-        return library.Library(self.path, board.link, self.cost, self.lines)
+        return firmware_library.Library(self.path, board.link, self.cost, self.lines)
 
 
 class NativeHost(Host):
@@ -336,9 +336,11 @@ class NativeHost(Host):
             )
         mapped = windows.parse_windows(map)
         lines = parse_firmware_pins(pins, board.stage)
-        self._scratch = Scratch() if library.are_sources(firmware) else None  # what is built goes with the host
+        self._scratch = (
+            Scratch() if firmware_library.are_sources(firmware) else None
+        )  # what is built goes with the host
         folder = self._scratch.path if self._scratch else None
-        path = library.find_library(firmware, flags, platform, folder, metered=cost > 0)
+        path = firmware_library.find_library(firmware, flags, platform, folder, metered=cost > 0)
         super().__init__(NativeProgram(path, mapped, round(cost * 1e12), lines), board, isolated, patience)
         board.serial.record["is_wired"] = 1
 

@@ -24,7 +24,7 @@ from stage.sim import engine_records, stage_handle
 
 if TYPE_CHECKING:
     from stage.board.board import Board
-    from stage.board.isolation.traps.memory import Windows
+    from stage.board.isolation.traps.memory_windows import Windows
 
 NOTED = 1 << 14  # edges and writes between two calls of Python
 UNBOUNDED = 1 << 62

@@ -1,9 +1,8 @@
-"""`ThreadRunner`: firmware in a thread of this process. To pause it, its thread waits within a bus cycle.
+"""`ThreadRunner`: firmware in a thread of this process. While the firmware is paused, its thread waits within a bus cycle.
 
-A thread cannot be ended from outside. Firmware that must not continue (after an error, or because it loops for ever without a bus
-cycle) is abandoned, with a bus that has no effect any more. In the user's process this is for debuggers: what firmware does beside
-its requests happens to the process, as with any library that ctypes loads. `stage.board.isolation.child` adds what can be done
-about that in a process of the firmware's own.
+Python cannot end a thread. If firmware must not continue (after an error, or because it loops for ever without a bus cycle), the
+runner abandons it: its bus then has no effect. In the user's process this mode is for debuggers, because crashes and other effects
+of the firmware happen to that process. `stage.board.isolation.firmware_process` runs firmware in a process of its own.
 """
 
 from __future__ import annotations

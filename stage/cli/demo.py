@@ -8,8 +8,8 @@ from typing import Any
 
 from stage.cli import options
 from stage.cli.commands import add_command, tell
-from stage.cli.files import record_to_files
-from stage.cli.setup import make_stage
+from stage.cli.output_files import record_to_files
+from stage.cli.stage_setup import make_stage
 from stage.cli.terminal import note, show_simulated_time
 from stage.errors import ArgumentError
 from stage.support.extras import is_installed

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from stage.cli import options
 from stage.cli.commands import add_command, tell
 from stage.cli.fault import SAMPLE_INTERVAL_S
-from stage.cli.files import check_outputs, draw_plot, record_for_plot
+from stage.cli.output_files import check_outputs, draw_plot, record_for_plot
 from stage.cli.terminal import note
 from stage.errors import StageError
 
@@ -139,7 +139,7 @@ def show(make: Callable[[], Any], records: tuple[Record | None, Record | None] =
         make: Makes a stage.
         records: Context managers of the recordings with the bare 26h and with the work-around.
     """
-    from stage.cli.fault.programs import first_axis
+    from stage.cli.fault.host_programs import first_axis
 
     figures, recordings = [], []
     for program, record in ((_stop_by_speed, records[1]), (_stop_by_26h, records[0])):  # a viewer shows the last one
@@ -170,7 +170,7 @@ def _stop_by_speed(port: Any) -> bool:
 
 def _move(stage: Any, stop: Callable[[Any], bool]) -> Figures:
     """Drive an S-curve up to 5 mm before EL+, by bus cycles, call `stop(port)` once RR1 shows area d, and return figures."""
-    from stage.cli.fault.programs import find_touch, first_axis
+    from stage.cli.fault.host_programs import find_touch, first_axis
     from stage.firmware.nova import s_curve_workarounds
 
     x = first_axis(stage)

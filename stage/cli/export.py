@@ -33,7 +33,7 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the columns, or list them."""
     from stage.recording import read
-    from stage.recording.table import find_writer_name
+    from stage.recording.column_files import find_writer_name
     from stage.support.files import FileError, check_writable
 
     if args.output is not None:

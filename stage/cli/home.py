@@ -7,9 +7,9 @@ from typing import Any
 
 from stage.cli import options
 from stage.cli.commands import add_command, tell
-from stage.cli.files import draw_plot, record_to_files
 from stage.cli.options import count
-from stage.cli.setup import find_axis, make_stage, parse_speed_options, place_carriage
+from stage.cli.output_files import draw_plot, record_to_files
+from stage.cli.stage_setup import find_axis, make_stage, parse_speed_options, place_carriage
 from stage.cli.terminal import note, show_simulated_time
 from stage.errors import ArgumentError, add_article
 

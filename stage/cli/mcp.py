@@ -12,7 +12,7 @@ from typing import Any
 from stage.cli import options
 from stage.cli.commands import add_command
 from stage.cli.options import TIME, number, port
-from stage.cli.setup import make_stage
+from stage.cli.stage_setup import make_stage
 from stage.errors import ArgumentError
 from stage.support.extras import import_extra
 
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     """Serve until the client goes, or until Ctrl-C or SIGTERM."""
     import_extra("mcp", "stage mcp")
     from stage.agents.budget import Budget
-    from stage.agents.server.sessions import Sessions, ToolboxFactory
+    from stage.agents.server.client_sessions import Sessions, ToolboxFactory
 
     for name in ("idle", "sessions"):
         if not getattr(args, name) > 0:

@@ -9,9 +9,9 @@ from typing import Any
 
 from stage.cli import options
 from stage.cli.commands import add_command, tell, warn
-from stage.cli.files import draw_plot, record_to_files
 from stage.cli.options import DURATION, RATE, TIME
-from stage.cli.setup import (
+from stage.cli.output_files import draw_plot, record_to_files
+from stage.cli.stage_setup import (
     find_axis,
     make_stage,
     parse_distance,

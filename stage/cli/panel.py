@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from stage.cli.commands import add_command
 from stage.cli.options import add_model_argument, add_page_options, add_stage_options, port
-from stage.cli.setup import make_stage
+from stage.cli.stage_setup import make_stage
 
 if TYPE_CHECKING:
     from stage.panel.session import Session

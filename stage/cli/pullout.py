@@ -8,8 +8,8 @@ from typing import Any
 
 from stage.cli import options
 from stage.cli.commands import add_command, tell
-from stage.cli.files import check_outputs, draw_plot
 from stage.cli.options import VOLTAGE
+from stage.cli.output_files import check_outputs, draw_plot
 from stage.cli.terminal import show_progress
 
 

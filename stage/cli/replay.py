@@ -7,8 +7,8 @@ from typing import Any
 
 from stage.cli import options
 from stage.cli.commands import add_command, tell
-from stage.cli.files import draw_plot, record_for_plot
-from stage.cli.setup import make_stage, place_carriages
+from stage.cli.output_files import draw_plot, record_for_plot
+from stage.cli.stage_setup import make_stage, place_carriages
 from stage.cli.terminal import show_simulated_time
 
 PLOT_INTERVAL_S = 1e-3

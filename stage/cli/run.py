@@ -18,10 +18,10 @@ from typing import Any
 
 from stage.cli import options, serial
 from stage.cli.commands import add_command, tell, warn, wrote
-from stage.cli.files import check_outputs, record_to_files
 from stage.cli.options import FREQUENCY, TIME, number
+from stage.cli.output_files import check_outputs, record_to_files
 from stage.cli.panel import keep_panel, run_in_real_time, show_panel
-from stage.cli.setup import make_board
+from stage.cli.stage_setup import make_board
 from stage.cli.terminal import note, show_simulated_time
 from stage.errors import ArgumentError, StageError
 from stage.units import POSITION_UNITS
@@ -282,7 +282,7 @@ def _host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:
 
 def include(args: argparse.Namespace) -> int:
     """Print the folder of pulsestage.h."""
-    from stage.board.library import include
+    from stage.board.firmware_library import include
 
     tell(args, include=include())
     print(include())

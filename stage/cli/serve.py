@@ -8,11 +8,11 @@ from typing import Any
 
 from stage.cli import options
 from stage.cli.commands import add_command, warn
-from stage.cli.files import check_outputs, record_to_files
 from stage.cli.options import port
+from stage.cli.output_files import check_outputs, record_to_files
 from stage.cli.panel import on_end_signals, show_panel
 from stage.cli.run import print_report, write_trace
-from stage.cli.setup import make_board
+from stage.cli.stage_setup import make_board
 from stage.errors import ArgumentError
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from stage.cli import options
 from stage.cli.commands import add_command, tell, wrote
-from stage.cli.files import check_outputs
+from stage.cli.output_files import check_outputs
 from stage.errors import StageError, unknown_name_error
 from stage.support.extras import import_extra
 
@@ -118,7 +118,7 @@ def _draw_arrow(ax: Any, model: Any, data: Any, eye: Any, axis: Any, k: int) -> 
     import numpy as np
     from matplotlib import patheffects
 
-    from stage.recording.series import COLORS
+    from stage.recording.axis_series import COLORS
 
     body = int(model.jnt_bodyid[axis.joint])
     geoms = np.flatnonzero(model.geom_bodyid == body)

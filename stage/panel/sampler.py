@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from stage.errors import ArgumentError, unknown_name_error
-from stage.recording.series import SERIES, Series, describe_series, select_series
+from stage.recording.axis_series import SERIES, Series, describe_series, select_series
 from stage.sim import stage_handle
 from stage.sim.engine_records import SAMPLE
 

@@ -52,18 +52,18 @@ class ProgramCycle(NamedTuple):
 
 def stage_of(options: dict[str, Any]) -> str:
     """Return Python that makes the stage of these options."""
-    from stage.cli import setup
+    from stage.cli import stage_setup
 
-    by_axis = setup.parse_chips(options["chips"]) if "=" in options["chips"] else None
+    by_axis = stage_setup.parse_chips(options["chips"]) if "=" in options["chips"] else None
     arguments = [repr(options["model"]), f"chips={by_axis or options['chips']!r}"]
     if drives := _describe_drives(options, by_axis):
         arguments.append(f"drives={drives}")
     if options["bus_cycle"] != 1e-6:
         arguments.append(f"bus_cycle={options['bus_cycle']!r}")
     for name, parse in (
-        ("wiring", setup.parse_wiring),
-        ("multichip", setup.parse_multichip),
-        ("syni", setup.parse_syni),
+        ("wiring", stage_setup.parse_wiring),
+        ("multichip", stage_setup.parse_multichip),
+        ("syni", stage_setup.parse_syni),
     ):
         if value := parse(options[name]):
             arguments.append(f"{name}={value!r}")
@@ -71,7 +71,7 @@ def stage_of(options: dict[str, Any]) -> str:
 
 
 def _describe_drives(options: dict[str, Any], by_axis: dict[str, str] | None) -> str:
-    """Return Python that makes the drives of these options, as stage.cli.setup does; "" for the usual ones."""
+    """Return Python that makes the drives of these options, as stage.cli.stage_setup does; "" for the usual ones."""
     from stage.chips import chip_class
 
     named = {"motor": options["motor"], "power_stage": options["drive"]}

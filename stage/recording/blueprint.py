@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from stage.recording import geoms
-from stage.recording.scene import make_axis_path
-from stage.recording.sdk import rr, rrb
-from stage.recording.series import assign_colors, list_axes_with_series, make_plot_title
+from stage.recording import geom_archetypes
+from stage.recording.axis_series import assign_colors, list_axes_with_series, make_plot_title
+from stage.recording.rerun_import import rr, rrb
+from stage.recording.rerun_scene import make_axis_path
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording
@@ -109,7 +109,7 @@ def find_eye(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
 
 def _build_grid(model: mujoco.MjModel) -> Any:
     """Return lines on the floor, a power of ten of meters apart that fits the model."""
-    floor = geoms.find_floor(model)
+    floor = geom_archetypes.find_floor(model)
     if floor is None:
         return rrb.LineGrid3D(visible=False)
     plane = rr.components.Plane3D((0, 0, 1), float(model.geom_pos[floor][2]))

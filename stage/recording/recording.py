@@ -5,7 +5,7 @@
     recording.columns["x/position"]
     recording.save("x.rrd")
     recording.to_vcd("x.vcd")
-    recording.to_pandas()                        and to_parquet, to_csv, to_npz: see table.py
+    recording.to_pandas()                        and to_parquet, to_csv, to_npz: see column_files.py
 
     with stage.record(path="long.rrd"):          written as it goes: what was flushed survives a kill
         ...
@@ -32,7 +32,7 @@ import numpy as np
 from stage.chips.exclusive_access import exclusively
 from stage.chips.journal import Journal
 from stage.errors import ArgumentError, StageError, unknown_name_error
-from stage.recording.table import Columns, Tabular
+from stage.recording.column_files import Columns, Tabular
 from stage.recording.vcd import HostBus
 from stage.sim.engine_records import SAMPLE
 from stage.support import html
@@ -520,7 +520,7 @@ class Recording(Tabular):
             RecordingError, FileError: The recording is empty, or the file cannot be written.
             ExtraMissing: There is no matplotlib (extra `plot`).
         """
-        from stage.recording.picture import draw_recording
+        from stage.recording.recording_plot import draw_recording
 
         return draw_recording(self, path, overwrite)
 

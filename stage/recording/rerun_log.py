@@ -1,6 +1,6 @@
 """A recording as a rerun file: 3D stage, series, state lanes, bus log, and the blueprint of the dashboard.
 
-    stage/...                       the scene, see scene.py
+    stage/...                       the scene, see rerun_scene.py
     axes/x/rate ...                 series, see SERIES
     axes/x/phase                    state lane: up, keep, down, hold; of an HCTL-1100 idle, profile, control
     axes/x/switches                 state lane: those that are asserted
@@ -24,11 +24,11 @@ import numpy as np
 
 from stage.chips.describe import Statement
 from stage.chips.journal import Replay
-from stage.recording import scene, signals
-from stage.recording.sdk import rr
-from stage.recording.series import COLORS, FORMAT, assign_colors, select_series
-from stage.recording.sink import RrdSink
-from stage.recording.thin import mark_needed_samples
+from stage.recording import pin_signals, rerun_scene
+from stage.recording.axis_series import COLORS, FORMAT, assign_colors, select_series
+from stage.recording.line_thinning import mark_needed_samples
+from stage.recording.rerun_file_writer import RrdSink
+from stage.recording.rerun_import import rr
 from stage.units import DEVIATION_UNITS
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class RerunLog:
         self._recording, self._rows, self._notes_logged = recording, 0, 0
         self._colors = {name: COLORS[color] for name, color in assign_colors(recording).items()}
         self._lanes = {name: StateLanes(recording, name, self._colors[name]) for name in recording.axes}
-        self._scene = scene.Scene(recording)
+        self._scene = rerun_scene.Scene(recording)
         self._sink = RrdSink(rr.RecordingStream("pulsestage"), path, build_dashboard(recording), overwrite)
         try:
             _log_about(self._sink.out, recording)
@@ -156,7 +156,7 @@ def _log_styles(out: Any, recording: Recording, colors: dict[str, tuple]) -> Non
                 widths=[3.5 if is_command else 1.5],
                 aggregation_policy=rr.components.AggregationPolicy.Off,  # it takes samples to be evenly spaced
             )
-            out.log(f"{scene.make_axis_path(name)}/{series}", style, static=True)
+            out.log(f"{rerun_scene.make_axis_path(name)}/{series}", style, static=True)
 
 
 def _log_series(out: Any, recording: Recording, piece: np.ndarray) -> None:
@@ -169,7 +169,9 @@ def _log_series(out: Any, recording: Recording, piece: np.ndarray) -> None:
             mark_needed_samples(time, v, float(series.tolerance), keep)
             columns = rr.Scalars.columns(scalars=v[keep])
             out.send_columns(
-                f"{scene.make_axis_path(name)}/{key}", indexes=[scene.to_time_column(time[keep])], columns=columns
+                f"{rerun_scene.make_axis_path(name)}/{key}",
+                indexes=[rerun_scene.to_time_column(time[keep])],
+                columns=columns,
             )
 
 
@@ -191,7 +193,7 @@ class StateLanes:
         Returns:
             The pin edges, the first of them as it was before, and whether this is the first call.
         """
-        edges, first = signals.list_pin_edges(self._replay), self._first
+        edges, first = pin_signals.list_pin_edges(self._replay), self._first
         self._log_edges(out, edges)
         entries = self._journal.entries[self._entries_logged :]
         self._entries_logged += len(entries)
@@ -205,12 +207,12 @@ class StateLanes:
 
     def _log_edges(self, out: Any, edges: np.ndarray) -> None:
         chip = self._axis.chip
-        phases = {s: STATES[s] for s in signals.list_phases(chip)}
-        self._lane(out, "phase", edges, signals.find_phases(chip, edges), phases)
+        phases = {s: STATES[s] for s in pin_signals.list_phases(chip)}
+        self._lane(out, "phase", edges, pin_signals.find_phases(chip, edges), phases)
         together, kinds = np.full(len(edges), "", object), {}
-        for pin, label, kind in signals.list_switches(self._axis):
+        for pin, label, kind in pin_signals.list_switches(self._axis):
             kinds[label] = kind
-            on = signals.is_switch_on(self._axis, edges, pin)
+            on = pin_signals.is_switch_on(self._axis, edges, pin)
             states = np.where(on, label, "off").astype(object)
             colors = {label: STATES[kind], "off": STATES["off"]}
             self._lane(out, f"switches/{pin}", edges, states, colors)
@@ -223,15 +225,15 @@ class StateLanes:
     def _lane(
         self, out: Any, lane: str, edges: np.ndarray, states: Any, colors: dict[str, tuple], style: bool = False
     ) -> None:
-        path = f"{scene.make_axis_path(self._name)}/{lane}"
+        path = f"{rerun_scene.make_axis_path(self._name)}/{lane}"
         if style or self._first:
             out.log(path, rr.StateConfiguration(values=list(colors), colors=list(colors.values())), static=True)
-        clocks, states = signals.find_changes(edges, states)
+        clocks, states = pin_signals.find_changes(edges, states)
         if str(states[0]) == self._last_states.get(lane):  # as it was: unless it changed at the end of the last take
             clocks, states = clocks[1:], states[1:]
         if len(clocks):
             self._last_states[lane] = str(states[-1])
-            when = scene.to_time_column(self._recording.seconds(self._name, clocks))
+            when = rerun_scene.to_time_column(self._recording.seconds(self._name, clocks))
             out.send_columns(path, indexes=[when], columns=rr.StateChange.columns(state=[str(s) for s in states]))
 
     def _log_bus(self, out: Any, actions: list[Statement]) -> None:
@@ -239,8 +241,8 @@ class StateLanes:
             return
         seconds = self._recording.seconds(self._name, np.array([s.clock for s in actions], np.int64))
         out.send_columns(
-            f"{scene.make_axis_path(self._name)}/bus",
-            indexes=[scene.to_time_column(seconds)],
+            f"{rerun_scene.make_axis_path(self._name)}/bus",
+            indexes=[rerun_scene.to_time_column(seconds)],
             columns=rr.TextLog.columns(
                 text=[f"{t:11.6f}  {self._name}  {s}" for t, s in zip(seconds, actions, strict=True)],
                 level=[LEVELS[s.kind] for s in actions],
@@ -254,7 +256,7 @@ def _log_faults(out: Any, notes: list[Note], first: int) -> None:
     new = notes[first:]
     if not new:
         return
-    when = scene.to_time_column(np.array([n.time for n in new]))
+    when = rerun_scene.to_time_column(np.array([n.time for n in new]))
     states = ["; ".join(n.in_force) or "none" for n in notes]
     colors = {s: STATES["off" if s == "none" else "fault"] for s in dict.fromkeys(states)}
     style = rr.StateConfiguration(values=list(colors), colors=list(colors.values()))

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.chips.journal_entries import LOST, READ, RESET, WRITE
-from stage.recording import signals
+from stage.recording import pin_signals
 from stage.support.identifier_escapes import escape_name
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def _get_clock_hz(recording: Recording, axis: str) -> int:
 def _add_pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
     """Register the pins, counter, rate and status of an axis, and return their changes."""
     chip, journal = recording.axes[axis].chip, recording.journals[axis]
-    clocks, minus = signals.list_directions(chip, journal)
+    clocks, minus = pin_signals.list_directions(chip, journal)
 
     def levels(edges: np.ndarray) -> dict[str, tuple[str, int, np.ndarray]]:
         return _compute_levels(chip, edges, minus[np.searchsorted(clocks, edges["clock"], side="right") - 1])
@@ -103,7 +103,7 @@ def _add_pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
         variables[name] = writer.register_var(tuple(scope), short, kind, size=size, init=now[name])
 
     def changes() -> Iterator[Change]:
-        for edges in signals.settle_edges(journal.pieces(every_pulse=True, size=EDGES)):
+        for edges in pin_signals.settle_edges(journal.pieces(every_pulse=True, size=EDGES)):
             ns = to_nanoseconds(edges["clock"], chip.clock_hz)
             which, at, what = [], [], []
             for name, (_, _, v) in levels(edges).items():
@@ -124,14 +124,14 @@ def _compute_levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str
     """Return kind, bits and values from each edge on, of each signal."""
     out: dict[str, tuple[str, int, np.ndarray]] = {}
     for pin in (*chip.OUTPUTS, *chip.INPUTS):
-        name, level = signals.find_wire(chip, pin)
-        out[name] = ("wire", 1, (signals.is_asserted(chip, edges, pin) == bool(level)).astype(np.int64))
+        name, level = pin_signals.find_wire(chip, pin)
+        out[name] = ("wire", 1, (pin_signals.is_asserted(chip, edges, pin) == bool(level)).astype(np.int64))
     counter, bits = chip.COUNTER
     out[counter] = ("reg", bits, edges["counter"])
     for word, (field, size) in chip.TRACED.items():
         out[word] = ("reg", size, edges[field])
-    out["RATE"] = ("real", 64, signals.to_pulse_rates(edges, chip.clock_hz))
-    for name, v in signals.decode_status(chip, edges, minus).items():
+    out["RATE"] = ("real", 64, pin_signals.to_pulse_rates(edges, chip.clock_hz))
+    for name, v in pin_signals.decode_status(chip, edges, minus).items():
         out[f"status.{name}"] = ("wire", 1, v.astype(np.int64))
     return out
 

@@ -2,7 +2,7 @@
 
 rerun's servers listen on every address of the machine by default; those started here listen on 127.0.0.1 only,
 send no usage data (PULSESTAGE_RERUN_ANALYTICS=1 leaves that to rerun's own settings), and end with the process that waits for them.
-Browsers are served by stage.recording.web, because rerun's servers accept any host name.
+Browsers are served by stage.recording.browser_server, because rerun's servers accept any host name.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError, StageError
-from stage.recording.sdk import experimental
-from stage.recording.web import HOST, PAGE, RECORDING, Server
+from stage.recording.browser_server import HOST, PAGE, RECORDING, Server
+from stage.recording.rerun_import import experimental
 from stage.support.extras import import_extra, is_installed
 from stage.support.files import refuse_irregular, write_atomically
 from stage.support.opengl import has_screen

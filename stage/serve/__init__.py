@@ -1,5 +1,5 @@
-"""A stage behind a bus, for hosts elsewhere: bus cycles, time and pins over TCP. docs/serve.md has the frames.
+"""Server of a stage for hosts on other machines: bus cycles, time and pins over TCP. docs/serve.md describes the frames.
 
-client.py is a host's side, one file that needs Python only; server.py the stage's; machine.py what a frame does to it; frames.py
-the table of frames.
+client.py is the host's side, one file that needs only Python. server.py is the side of the stage, and frame_execution.py executes
+the frames. frames.py has their table for documentation.
 """

@@ -1,4 +1,4 @@
-"""`Server`: accepts connections and handles their frames, in one thread with one selector. machine.py executes the frames.
+"""`Server`: accepts connections and handles their frames, in one thread with one selector. frame_execution.py executes the frames.
 
     server = Server(board, port=0)
     print(server.address)
@@ -19,8 +19,8 @@ from contextlib import suppress
 from stage.board import Board
 from stage.errors import ArgumentError, StageError
 from stage.serve import client
+from stage.serve.frame_execution import BatchError, Machine, describe_error
 from stage.serve.frames import FRAMES
-from stage.serve.machine import BatchError, Machine, describe_error
 
 MAX_HOSTS, MAX_CONNECTIONS = 16, 64
 """Largest number of connections that have been greeted, and of all open connections."""

@@ -1,4 +1,4 @@
-"""Studies: which register values do best? The objectives are ours; Optuna samples, prunes and keeps the trials.
+"""Studies with Optuna that search for the best register values.
 
     from stage.study import PresetMoves, run
 
@@ -6,12 +6,13 @@
         study = run(PresetMoves(), "study.log", trials=100, workers=2)
         print(study.best_value, study.best_params)
 
-objectives.py measures trials, also without Optuna; runner.py begins and continues studies and runs them in several
-processes; storage.py makes Optuna's storage and samplers safe against kills and for many workers. scripts/sweep.py is the command,
-docs/sweep.md the manual.
+The objectives are defined here, while Optuna samples, prunes and stores the trials. preset_move_objective.py measures trials, also
+without Optuna. study_runner.py begins and continues studies and runs them in several processes. optuna_storage.py protects Optuna's
+storage against processes that are killed, and its samplers against many workers. scripts/sweep.py is the command, docs/sweep.md the
+manual.
 """
 
-from stage.study.objectives import SPACE, PresetMoves, seed_of, suggest
-from stage.study.runner import finished, open_study, read_study, run
+from stage.study.preset_move_objective import SPACE, PresetMoves, seed_of, suggest
+from stage.study.study_runner import finished, open_study, read_study, run
 
 __all__ = ["SPACE", "PresetMoves", "finished", "open_study", "read_study", "run", "seed_of", "suggest"]

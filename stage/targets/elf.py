@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from stage.board.errors import LibraryError
-from stage.board.library import ELF_HEAD_SIZE, MACHINES, read_elf_head
+from stage.board.firmware_library import ELF_HEAD_SIZE, MACHINES, read_elf_head
 from stage.errors import add_article
 from stage.support.files import FileError, refuse_irregular
 from stage.support.foreign_files import read_bytes

@@ -26,14 +26,18 @@ if TYPE_CHECKING:
         assert_stopped,
     )
     from stage.testing.conformance import chip_conformance
-    from stage.testing.path import assert_path_within
-    from stage.testing.power_stages import power_stage_conformance
+    from stage.testing.path_assertion import assert_path_within
+    from stage.testing.power_stage_conformance import power_stage_conformance
 
 __all__ = [
     "assert_at", "assert_no_diagnostics", "assert_no_lost_steps", "assert_no_strays", "assert_path_within", "assert_pins",
     "assert_stopped", "chip_conformance", "power_stage_conformance",
 ]  # fmt: skip
-_WHERE = {"assert_path_within": "path", "chip_conformance": "conformance", "power_stage_conformance": "power_stages"}
+_WHERE = {
+    "assert_path_within": "path_assertion",
+    "chip_conformance": "conformance",
+    "power_stage_conformance": "power_stage_conformance",
+}
 
 
 def __getattr__(name: str) -> Any:

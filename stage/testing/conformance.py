@@ -17,9 +17,9 @@ from typing import Any
 
 from stage.chips import Chip, chip_class
 from stage.errors import ArgumentError, NativeError, StageError, unknown_name_error
-from stage.testing.child_process import NOT_FINISHED, run_bounded
+from stage.testing.bounded_child_process import NOT_FINISHED, run_bounded
+from stage.testing.promise_trial import BrokenPromise, Trial
 from stage.testing.promises import PROMISES
-from stage.testing.trial import BrokenPromise, Trial
 
 PROGRAMS = 3
 LIMIT = 120.0

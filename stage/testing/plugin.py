@@ -65,12 +65,12 @@ def pytest_configure(config: pytest.Config) -> None:
 def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
     """Yield a new motion stage; @pytest.mark.stage(...) says of which model and chips."""
     with _report_plainly():
-        from stage.testing import evidence, markers
+        from stage.testing import failed_test_files, marker_arguments
 
-        arguments = markers.stage_arguments(request.node)
+        arguments = marker_arguments.stage_arguments(request.node)
         recorded = arguments.pop("record", True) and read_setting(request.config, "record") != "off"
-        stage = evidence.WatchedStage(**arguments)
-        watch = evidence.Evidence(request.node, stage, arguments.get("model", "xyz"))
+        stage = failed_test_files.WatchedStage(**arguments)
+        watch = failed_test_files.Evidence(request.node, stage, arguments.get("model", "xyz"))
         watch.clear()
     request.node.stash[EVIDENCE_KEY] = watch
     if recorded:
@@ -84,9 +84,9 @@ def board(request: pytest.FixtureRequest, stage: Stage) -> Board:
     """Put the chips of `stage` behind the ports of a host's bus; @pytest.mark.board(...) says where."""
     with _report_plainly():
         from stage.board import Board
-        from stage.testing import markers
+        from stage.testing import marker_arguments
 
-        board = Board(stage, **markers.board_arguments(request.node))
+        board = Board(stage, **marker_arguments.board_arguments(request.node))
     if (watch := request.node.stash.get(EVIDENCE_KEY, None)) is not None:
         watch.board = board
     return board
@@ -97,10 +97,10 @@ def host(request: pytest.FixtureRequest, board: Board) -> Iterator[Host]:
     """Yield the firmware of @pytest.mark.firmware("driver.c"), ready to run on `board`; it is built once a session, with cc."""
     with _report_plainly():
         from stage.board import NativeHost
-        from stage.testing import markers, sources
+        from stage.testing import firmware_builds, marker_arguments
 
-        arguments = markers.firmware_arguments(request.node)
-        path = sources.build_library(request, arguments)
+        arguments = marker_arguments.firmware_arguments(request.node)
+        path = firmware_builds.build_library(request, arguments)
         if arguments.get("mcu"):
             from stage.targets import TargetHost
 

@@ -11,8 +11,8 @@ from typing import Any
 
 from stage.chips import Chip
 from stage.support.subprocesses import ENCODING, ERRORS
-from stage.testing.acts import perform
-from stage.testing.trial import Trial
+from stage.testing.chip_acts import perform
+from stage.testing.promise_trial import Trial
 
 
 def compare(kind: type[Chip], options: dict[str, Any], seed: int, programs: int, limit: float | None = None) -> str:

@@ -19,7 +19,7 @@ from stage.firmware.driver import Speeds, get_driver
 from stage.sim.program import Operations
 from stage.support import portable_math
 from stage.tune.formula import SAFETY_FACTOR, Load, compute_speeds
-from stage.tune.machines import Machine
+from stage.tune.machine_tolerances import Machine
 from stage.tune.task import Task, is_moved_by_joint
 
 MAX_SPEED_FACTORS = {"start": 3.0, "drive": 1.5, "up": 1.7, "down": 1.7}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stage.tune.machines import Machine
+from stage.tune.machine_tolerances import Machine
 from stage.tune.move_runner import MoveRunner
 from stage.tune.planners import MovePlan
 from stage.tune.position_sampler import SAMPLE_INTERVAL_S

@@ -19,7 +19,7 @@ from stage.tune.bus_listing import (
     list_register_values,
 )
 from stage.tune.c_header import format_c_header
-from stage.tune.machines import Spread, find_spreads
+from stage.tune.machine_tolerances import Spread, find_spreads
 from stage.tune.planners import MovePlan, MovePlanner
 from stage.tune.position_sampler import SAMPLE_INTERVAL_S
 from stage.tune.proof import Proof, compute_time_saved

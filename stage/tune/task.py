@@ -16,7 +16,7 @@ from stage.envs.task import find_carrier, find_judged_point
 from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware.driver import get_driver
 from stage.support.argument_checks import explain_constructor
-from stage.tune.machines import Machine, fit_machine
+from stage.tune.machine_tolerances import Machine, fit_machine
 from stage.units import DEVIATION_UNITS, POSITION_UNITS
 
 DEFAULT_MARGIN_RATIO = 0.3

@@ -12,7 +12,7 @@ import numpy as np
 from stage.errors import ArgumentError, StageError
 from stage.support.argument_checks import check_integer, explain_arguments
 from stage.tune.formula import SAFETY_FACTOR
-from stage.tune.machines import Machine, draw_machines
+from stage.tune.machine_tolerances import Machine, draw_machines
 from stage.tune.move_runner import MoveRunner
 from stage.tune.planners import MovePlan, MovePlanner, create_planner
 from stage.tune.position_sampler import SAMPLE_INTERVAL_S

@@ -12,8 +12,8 @@ pytest.importorskip("mcp")
 import uvicorn
 
 from stage.agents.server import http, stdio
+from stage.agents.server.client_sessions import Sessions
 from stage.agents.server.http import Gate, HttpServer
-from stage.agents.server.sessions import Sessions
 from stage.errors import StageError
 
 ID = b"mcp-session-id"

@@ -28,8 +28,8 @@ from support.from_schema import calls
 from support.mcp_served import Served, over_stdio
 
 from stage import Stage
+from stage.agents.server.client_sessions import Sessions, ToolboxFactory
 from stage.agents.server.http import Gate, HttpServer
-from stage.agents.server.sessions import Sessions, ToolboxFactory
 from stage.agents.server.stdio import LineReader
 
 

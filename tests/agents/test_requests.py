@@ -10,11 +10,11 @@ import pytest
 pytest.importorskip("mcp")
 
 from stage import Stage, __version__
-from stage.agents.server import protocol
+from stage.agents.server import mcp_handlers
+from stage.agents.server.client_sessions import Sessions, ToolboxFactory
+from stage.agents.server.mcp_handlers import NO_SESSION, Protocol
 from stage.agents.server.prompts import PROMPTS
-from stage.agents.server.protocol import NO_SESSION, Protocol
 from stage.agents.server.resources import list_pages
-from stage.agents.server.sessions import Sessions, ToolboxFactory
 from stage.agents.tool import Answer
 
 
@@ -52,12 +52,12 @@ def test_a_tool_is_listed_with_its_schema_and_whether_it_only_reads(served, make
 
 
 def test_an_answer_is_text_and_structure_and_a_picture_an_image_after_it():
-    good = protocol._make_result(Answer(True, {"a": 1.5}))
+    good = mcp_handlers._make_result(Answer(True, {"a": 1.5}))
     assert (good.is_error, good.structured_content) == (False, {"a": 1.5})
     assert [json.loads(c.text) for c in good.content] == [{"a": 1.5}]
-    bad = protocol._make_result(Answer(False, {"error": "no."}))
+    bad = mcp_handlers._make_result(Answer(False, {"error": "no."}))
     assert (bad.is_error, [c.text for c in bad.content]) == (True, ["no."])
-    drawn = protocol._make_result(Answer(True, {"text": "a move"}, b"png"))
+    drawn = mcp_handlers._make_result(Answer(True, {"text": "a move"}, b"png"))
     assert [c.type for c in drawn.content] == ["text", "image"]
     assert (base64.b64decode(drawn.content[1].data), drawn.content[1].mime_type) == (b"png", "image/png")
 
@@ -108,9 +108,9 @@ NOT_READ = (("stage://axs", "a", "unknown resource"), ("stage://axes", None, "be
 
 @pytest.mark.parametrize(("uri", "key", "message"), NOT_READ)
 def test_a_page_that_cannot_be_read_is_an_error_of_the_protocol_in_our_words(served, uri, key, message):
-    with pytest.raises(protocol.MCPError, match=message) as error:
+    with pytest.raises(mcp_handlers.MCPError, match=message) as error:
         served("_read_resource", key=key, uri=uri)
-    assert error.value.error.code == protocol.types.INVALID_PARAMS
+    assert error.value.error.code == mcp_handlers.types.INVALID_PARAMS
 
 
 def test_every_prompt_is_listed_with_its_arguments_and_their_defaults(served):
@@ -121,7 +121,7 @@ def test_every_prompt_is_listed_with_its_arguments_and_their_defaults(served):
     message = served("_get_prompt", name="tune_move", arguments={"axis": "y"}).messages
     assert [m.role for m in message] == ["user"]
     assert message[0].content.text.startswith("Tune one move of axis y: 20mm, as fast as it goes")
-    with pytest.raises(protocol.MCPError, match="Did you mean 'tune_move'"):
+    with pytest.raises(mcp_handlers.MCPError, match="Did you mean 'tune_move'"):
         served("_get_prompt", name="tune_moves", arguments={})
 
 
@@ -134,8 +134,8 @@ def test_without_a_stage_no_prompts_and_no_resources_are_listed(served):
 def test_a_server_without_sessions_in_its_protocol_names_those_that_have_them(maker):
     old = Protocol(maker, Sessions(maker), lambda ctx: None, sessionless=False, threads=1)
     message = asyncio.run(old._discover(None, None))
-    assert message.supported_versions == list(protocol.HANDSHAKE_PROTOCOL_VERSIONS)
-    assert message.instructions == protocol.INSTRUCTIONS
+    assert message.supported_versions == list(mcp_handlers.HANDSHAKE_PROTOCOL_VERSIONS)
+    assert message.instructions == mcp_handlers.INSTRUCTIONS
     assert message.capabilities.tools is not None
     assert (old.server.name, old.server.version, old.server.title) == ("pulsestage", __version__, "PulseStage")
 
@@ -153,7 +153,9 @@ def test_a_call_of_another_form_is_answered_as_one_of_wrong_arguments(method, nu
     async def after(ctx):
         return "passed on"
 
-    created = asyncio.run(protocol._check_call(SimpleNamespace(method=method, request_id=number, params=params), after))
+    created = asyncio.run(
+        mcp_handlers._check_call(SimpleNamespace(method=method, request_id=number, params=params), after)
+    )
     if message is None:
         assert created == "passed on"
     else:

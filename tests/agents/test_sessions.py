@@ -7,7 +7,7 @@ import pytest
 
 from stage import Stage
 from stage.agents import Budget
-from stage.agents.server.sessions import Sessions, ToolboxFactory
+from stage.agents.server.client_sessions import Sessions, ToolboxFactory
 from stage.errors import StageError
 
 

@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from stage.agents.arguments import (
+from stage.agents.tool import Tool
+from stage.agents.tool_arguments import (
     MAX_LIST_ITEMS,
     Flag,
     Length,
@@ -16,7 +17,6 @@ from stage.agents.arguments import (
     list_of,
     number,
 )
-from stage.agents.tool import Tool
 from stage.errors import ArgumentError
 
 REGISTER = integer(0, 65535)

@@ -6,7 +6,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board
-from stage.board.devices import Latch, device_texts
+from stage.board.devices import Latch, device_options
 from stage.chips import MCX304, PCL240K
 from stage.errors import ArgumentError
 
@@ -21,8 +21,8 @@ from stage.errors import ArgumentError
     ],
 )
 def test_a_device_of_sources_has_as_many_ports_as_its_text_says(monkeypatch, text, ports):
-    monkeypatch.setattr(device_texts, "CDevice", lambda source: source)
-    assert device_texts.make_device(text) == (text.partition(":")[0], ports)
+    monkeypatch.setattr(device_options, "CDevice", lambda source: source)
+    assert device_options.make_device(text) == (text.partition(":")[0], ports)
 
 
 def test_a_chip_of_several_axes_has_its_first_port_by_any_of_them():

@@ -14,7 +14,7 @@ from stage.board.bus import host_record
 from stage.board.bus.interrupts import ANY_LINE, FIRST_LINE, FIRST_PYTHON_TIMER, FIRST_SOFTWARE, FIRST_TIMER, HIGHEST
 from stage.board.devices import HCTL2016, Encoder
 from stage.board.interrupt_hooks import format_source_name
-from stage.board.isolation.traps.memory import Windows
+from stage.board.isolation.traps.memory_windows import Windows
 from stage.board.layouts import read_layout
 from stage.board.windows import ADDRESS_LIMIT, Window, parse_windows
 from stage.chips import HCTL1100, MCX304
@@ -109,7 +109,7 @@ def test_an_access_outside_windows_names_the_nearest_window(address, nearest, mo
     argument = parse_windows([(0x1000, 0x300, 0x40), (0x2000, 0x340, 0x40), (0x5000, 0x380, 0x40)])
     monkeypatch.setattr("stage.board.crash_report.locate", lambda *_: "main")
     state = SimpleNamespace(start=0, stack=id(argument))
-    monkeypatch.setattr("stage.board.isolation.traps.memory.array_at", lambda *_: [state])
+    monkeypatch.setattr("stage.board.isolation.traps.memory_windows.array_at", lambda *_: [state])
     mapped = Windows.__new__(Windows)
     mapped._windows, mapped._library = list(argument), SimpleNamespace(path=SimpleNamespace(name="it.so"))
     mapped._format_moment = lambda: "now"

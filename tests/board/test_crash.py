@@ -10,7 +10,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board, HostError, NativeHost, build, crash_report
-from stage.board.library import format_build_command
+from stage.board.firmware_library import format_build_command
 
 pytestmark = [
     pytest.mark.skipif(not crash_report.IS_SUPPORTED, reason="elsewhere a crash says its signal only"),

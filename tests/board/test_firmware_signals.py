@@ -16,7 +16,7 @@ from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import Board, HostError, NativeHost, crash_report
-from stage.board.isolation import starter
+from stage.board.isolation import process_starter
 
 pytestmark = pytest.mark.skipif(not crash_report.IS_SUPPORTED, reason="signals are numbered as on 64-bit Linux")
 HEAD = """
@@ -81,7 +81,7 @@ def after(board, capfd):
     host = NativeHost(firmware("PULSESTAGE_MAIN { return ps_in8(0x300); }"), board, isolated=True)
     assert host.run().code == 0xA8
     host.close()
-    assert time.monotonic() - began < starter.ANSWER_LIMIT_S, "a starter that is stopped is replaced at once"
+    assert time.monotonic() - began < process_starter.ANSWER_LIMIT_S, "a starter that is stopped is replaced at once"
     assert "Traceback" not in capfd.readouterr().err
 
 
@@ -188,14 +188,14 @@ def test_a_process_stopped_twice_reports_its_exit_code():
         children: ClassVar[set[int]] = set()
 
         def __init__(self, *statuses):
-            self.answers = [starter._HEAD.pack(4711), *map(starter._STATUS.pack, statuses)]
+            self.answers = [process_starter._HEAD.pack(4711), *map(process_starter._STATUS.pack, statuses)]
 
         def read(self, source, size, limit_s=0.0):
             return self.answers.pop(0)
 
     stopped_by = [number << 8 | 0x7F for number in (signal.SIGUSR2, signal.SIGSTOP)]  # as waitpid encodes them
     with socket.socket() as status:
-        process = starter.Process(Recorded(*stopped_by, signal.SIGKILL), status)
+        process = process_starter.Process(Recorded(*stopped_by, signal.SIGKILL), status)
         assert process.wait() == -signal.SIGKILL
     assert process.stopped == signal.SIGSTOP
 

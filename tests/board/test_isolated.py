@@ -21,7 +21,7 @@ from support.compiled_firmware import firmware
 
 from stage import Stage, faults
 from stage.board import Board, HostError, NativeHost, crash_report
-from stage.board.isolation import starter
+from stage.board.isolation import process_starter
 from stage.chips import HCTL1100
 from stage.cli import main
 from stage.errors import StageError
@@ -277,7 +277,7 @@ def test_a_host_collected_while_another_starts_is_killed_after_it(monkeypatch):
     body = "#include <pulsestage.h>\n#include <unistd.h>\nPULSESTAGE_MAIN { return ps_in8(0x300) ? getpid() : 0; }\n"
     stored = [host(body, isolated=True)]
     (old,) = [child.run(1).code for child in stored]
-    send, hosts = starter.Starter.send, []
+    send, hosts = process_starter.Starter.send, []
 
     def collect_first(self, message, files):
         if message[0] == "start":
@@ -285,7 +285,7 @@ def test_a_host_collected_while_another_starts_is_killed_after_it(monkeypatch):
             gc.collect()
         send(self, message, files)
 
-    monkeypatch.setattr(starter.Starter, "send", collect_first)
+    monkeypatch.setattr(process_starter.Starter, "send", collect_first)
     begins = threading.Thread(target=lambda: hosts.append(host(body, isolated=True)), daemon=True)
     begins.start()
     begins.join(20)
@@ -345,7 +345,7 @@ def test_a_full_disk_is_reported_before_firmware_runs(monkeypatch, tmp_path, cap
     assert not list(tmp_path.glob("pulsestage-run-*/*"))
     with monkeypatch.context() as patched:
         patched.setattr(
-            starter, "start", lambda *_: (_ for _ in ()).throw(OSError(errno.EMFILE, os.strerror(errno.EMFILE)))
+            process_starter, "start", lambda *_: (_ for _ in ()).throw(OSError(errno.EMFILE, os.strerror(errno.EMFILE)))
         )
         assert main(["run", str(library), "--model", "xy"]) == 2
     assert capfd.readouterr().err.startswith("stage: the system refuses it: Too many open files. `ulimit -a` shows")

@@ -11,8 +11,8 @@ import pytest
 from support.compiled_firmware import firmware
 
 from stage import Stage
-from stage.board import Board, CompileError, LibraryError, NativeHost, NoCompilerError, build, include, library
-from stage.board.library import check_library, format_build_command
+from stage.board import Board, CompileError, LibraryError, NativeHost, NoCompilerError, build, firmware_library, include
+from stage.board.firmware_library import check_library, format_build_command
 from stage.errors import ArgumentError
 from stage.support.files import FileError
 
@@ -175,7 +175,7 @@ def test_a_source_as_output_is_refused_and_not_overwritten(tmp_path, output):
 
 
 pytestmark = pytest.mark.skipif(platform.system() != "Linux", reason="of ELF")
-OURS = {"x86-64": 62, "aarch64": 183}.get(library.MACHINE_NAMES.get(platform.machine(), platform.machine()), 0)
+OURS = {"x86-64": 62, "aarch64": 183}.get(firmware_library.MACHINE_NAMES.get(platform.machine(), platform.machine()), 0)
 SHARED = 3
 
 
@@ -197,7 +197,7 @@ def test_a_library_of_another_machine_says_of_which_and_where_it_can_run(tmp_pat
     file = tmp_path / "x.so"
     file.write_bytes(head)
     with pytest.raises(LibraryError) as refused:
-        library.check_library(file)
+        firmware_library.check_library(file)
     assert message in str(refused.value)
     assert ("Or run it as it is, on an emulated processor" in str(refused.value)) == bool(instead)
     assert str(refused.value).endswith(instead)
@@ -212,14 +212,14 @@ def test_what_is_no_library_says_what_it_is(tmp_path, kind, message):
     file = tmp_path / "x.so"
     file.write_bytes(elf(kind, OURS))
     with pytest.raises(LibraryError, match=message):
-        library.check_library(file)
+        firmware_library.check_library(file)
     file.write_bytes(elf(SHARED, OURS))
-    assert library.check_library(str(file)) == file
+    assert firmware_library.check_library(str(file)) == file
     file.write_bytes(elf(SHARED, OURS)[:19])
     with pytest.raises(LibraryError, match="is no shared library of this machine"):
-        library.check_library(file)
+        firmware_library.check_library(file)
     with pytest.raises(FileError, match=r"is a folder\. Name a library"):
-        library.check_library(tmp_path)
+        firmware_library.check_library(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -234,40 +234,41 @@ def test_what_is_no_library_says_what_it_is(tmp_path, kind, message):
 )
 def test_the_build_command_suits_language_and_system(monkeypatch, name, system, command):
     monkeypatch.setattr(platform, "system", lambda: system)
-    assert library.format_build_command(name) == command
+    assert firmware_library.format_build_command(name) == command
 
 
 def test_the_compiler_is_that_of_the_environment_or_the_first_installed(monkeypatch):
     """CC="own -O1", which is there; one that is not; c++ of several; none"""
     available = {"own", "gcc", "clang++"}
-    monkeypatch.setattr(library.shutil, "which", lambda name: name if name in available else None)
+    monkeypatch.setattr(firmware_library.shutil, "which", lambda name: name if name in available else None)
     monkeypatch.setenv("CC", "own -O1"), monkeypatch.setenv("CXX", "lost")
-    assert library.find_compiler("x.c") == "own -O1"
-    assert library.find_compiler("x.cpp") == "clang++"
+    assert firmware_library.find_compiler("x.c") == "own -O1"
+    assert firmware_library.find_compiler("x.cpp") == "clang++"
     monkeypatch.setenv("CC", "lost")
-    assert library.find_compiler() == "gcc"
+    assert firmware_library.find_compiler() == "gcc"
     available.clear()
     with pytest.raises(
-        library.NoCompilerError, match=r"for x\.cc: none of c\+\+, g\+\+, clang\+\+ is on the PATH, and \$CXX is not"
+        firmware_library.NoCompilerError,
+        match=r"for x\.cc: none of c\+\+, g\+\+, clang\+\+ is on the PATH, and \$CXX is not",
     ):
-        library.find_compiler("x.cc")
+        firmware_library.find_compiler("x.cc")
 
 
 def test_sanitizers_of_a_library_are_named_each_once(tmp_path):
     file = tmp_path / "x.so"
     file.write_bytes(b"\0libubsan.so.1\0libasan.so.8\0libasan.so.8\0libtsan.so\0libmsan.so.1\0")
-    assert library.list_sanitizers(file) == ["libasan.so.8", "libtsan.so", "libubsan.so.1"]
-    assert library.list_sanitizers(tmp_path / "none") == []
+    assert firmware_library.list_sanitizers(file) == ["libasan.so.8", "libtsan.so", "libubsan.so.1"]
+    assert firmware_library.list_sanitizers(tmp_path / "none") == []
 
 
 def test_sources_are_known_by_their_ends_and_one_library_is_enough(tmp_path):
-    assert library.are_sources(["a.c", "b.cpp", "s.ino"])
-    assert not library.are_sources(["a.c", "b.so"])
-    with pytest.raises(library.ArgumentError, match=r"a\.so, b\.so: give one library, or sources only"):
-        library.find_library(["a.so", "b.so"])
+    assert firmware_library.are_sources(["a.c", "b.cpp", "s.ino"])
+    assert not firmware_library.are_sources(["a.c", "b.so"])
+    with pytest.raises(firmware_library.ArgumentError, match=r"a\.so, b\.so: give one library, or sources only"):
+        firmware_library.find_library(["a.so", "b.so"])
     with pytest.raises(
-        library.ArgumentError, match=r"platform='dos': it says how sources are built, and a\.so is built"
+        firmware_library.ArgumentError, match=r"platform='dos': it says how sources are built, and a\.so is built"
     ):
-        library.find_library("a.so", platform="dos")
-    with pytest.raises(library.ArgumentError, match="nothing to build"):
-        library.build([])
+        firmware_library.find_library("a.so", platform="dos")
+    with pytest.raises(firmware_library.ArgumentError, match="nothing to build"):
+        firmware_library.build([])

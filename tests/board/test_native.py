@@ -205,10 +205,10 @@ def test_bounds_that_make_no_sense_are_refused(requested):
 
 
 def test_the_header_and_python_agree_on_the_requests():
-    from stage.board import library
+    from stage.board import firmware_library
     from stage.board.bus import host_record
 
-    text = (library.include() / "pulsestage.h").read_text()
+    text = (firmware_library.include() / "pulsestage.h").read_text()
     names = "".join(text[text.index("enum {") + 6 : text.index("};", text.index("enum {"))].split()).split(",")
     number = -1
     for name in names:
@@ -216,7 +216,7 @@ def test_the_header_and_python_agree_on_the_requests():
         number = int(value) if value else number + 1
         assert getattr(host_record, name.removeprefix("PS_")) == number, name
     assert len(names) > 10
-    assert ctypes.sizeof(library.BusStruct) == 24
+    assert ctypes.sizeof(firmware_library.BusStruct) == 24
 
 
 def test_firmware_that_returns_while_another_of_its_threads_computes_does_not_end_this_process():

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from stage.board import NoCompilerError, build
-from stage.board.library import find_compiler
+from stage.board.firmware_library import find_compiler
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "scripts" / "firmware"
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror")

@@ -14,7 +14,7 @@ from support.examples import SEED
 
 from stage import Stage
 from stage.board import Board, NativeHost
-from stage.board.library import find_compiler
+from stage.board.firmware_library import find_compiler
 from stage.chips import PCL240MK
 from stage.firmware.path_deviation import compute_path_deviation, replay_pulses
 from stage.firmware.pcl240 import register_row_emulation

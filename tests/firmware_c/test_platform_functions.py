@@ -8,7 +8,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board, HostTimeout, NativeHost, build
-from stage.board.library import include
+from stage.board.firmware_library import include
 
 ROOT = Path(__file__).resolve().parents[2]
 CHECK = "#define CHECK(what) do { if (!(what)) return __LINE__; } while (0)\n"

@@ -9,7 +9,7 @@ import pytest
 
 from stage import ArgumentError, Stage
 from stage.board import Board, CompileError, NativeHost, build
-from stage.board.library import find_compiler, include
+from stage.board.firmware_library import find_compiler, include
 from stage.board.platforms import PLATFORMS
 from stage.cli import main
 from stage.testing import assert_at, assert_no_diagnostics, assert_no_lost_steps, assert_no_strays

@@ -19,7 +19,7 @@ from stage import Drive, Stage
 from stage.board import Board
 from stage.chips import CHIPS
 from stage.chips.journal_entries import READ, WRITE
-from stage.cli.setup import make_stage
+from stage.cli.stage_setup import make_stage
 from stage.drives.dc_motors import DC_MOTORS
 from stage.errors import ArgumentError, StageError
 from stage.panel import saved_panel

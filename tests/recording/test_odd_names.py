@@ -13,7 +13,7 @@ from vcd.reader import TokenKind, tokenize
 from stage import Stage, firmware
 from stage.board import Board
 from stage.chips import PCL240K
-from stage.recording.saved import read
+from stage.recording.saved_recording import read
 from stage.support.identifier_escapes import escape_name, unescape_name
 
 

@@ -10,8 +10,8 @@ from support.recording_bench import Full, drive, feed, make_bench, read_rrd
 
 from stage import ArgumentError, Stage, StageError
 from stage.chips import PCL240K
+from stage.recording.axis_series import SERIES
 from stage.recording.recording import COLUMNS, ROWS, RecordingError
-from stage.recording.series import SERIES
 
 
 def test_the_last_sample_is_the_state_of_the_stage(run):

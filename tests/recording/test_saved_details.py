@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from stage.errors import ArgumentError
+from stage.recording.axis_series import FORMAT, SERIES
 from stage.recording.recording import RecordingError
-from stage.recording.saved import Saved
-from stage.recording.series import FORMAT, SERIES
+from stage.recording.saved_recording import Saved
 
 TICK = 1_000_000  # ns
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from support.recording_bench import read_rrd
 
-from stage.recording import scene, signals
-from stage.recording.geoms import compute_poses, is_visible
-from stage.recording.scene import Scene, make_body_path
+from stage.recording import pin_signals, rerun_scene
+from stage.recording.geom_archetypes import compute_poses, is_visible
+from stage.recording.rerun_scene import Scene, make_body_path
 
 rr = pytest.importorskip("rerun")
 
@@ -78,7 +78,7 @@ def rows(model, times, x):
 def test_poses_are_logged_60_times_a_second_for_any_pieces(monkeypatch):
     """a sample every 4 ms: each fourth is a picture, in pieces of 3, 1 and 6 rows as in one; the first is when it began"""
     moved = []
-    monkeypatch.setattr(scene, "_log_poses", lambda out, path, time, *_: moved.append((path, time.tolist())))
+    monkeypatch.setattr(rerun_scene, "_log_poses", lambda out, path, time, *_: moved.append((path, time.tolist())))
     times = 0.004 * (1 + np.arange(10))
     for cuts in ((0, 10), (0, 3, 4, 10), (0, 1, 5, 10)):
         moved.clear()
@@ -96,7 +96,7 @@ def test_a_body_is_sent_where_it_moved_and_to_the_nanosecond(tmp_path):
     out = Out()
     position = np.array([[0, 0, 0], [0, 0, 1e-7], [0, 0, 1e-3], [0, 0, 1e-3], [0, 0, 1e-3]])
     quaternion = np.array([[0, 0, 0, 1]] * 3 + [[0, 0, 0.6, 0.8]] * 2)
-    scene._log_poses(out, "b", np.array([0, 1, 2, 3, 4]) + 1.6e-9, position, quaternion)
+    rerun_scene._log_poses(out, "b", np.array([0, 1, 2, 3, 4]) + 1.6e-9, position, quaternion)
     stream = rr.RecordingStream("test")
     stream.save(tmp_path / "b.rrd")
     stream.send_columns("b", indexes=[out.sent["b"][0]], columns=out.sent["b"][1])
@@ -114,7 +114,7 @@ def test_of_two_switches_on_one_pin_that_lamp_is_lit_to_whose_switch_the_carriag
     edge = np.zeros(4, [("clock", "i8"), ("inputs", "i8"), ("outputs", "i8")])
     edge["clock"], edge["inputs"] = [0, 1000, 2000, 3000], [0, 1, 0, 1]
     created.move(Out(), rows(recording.model, times, [0.2, 0.12, 0.25, 0.39]))
-    lit = {pin: created._nearest("x", edge, pin, rivals) & signals.is_switch_on(recording.axes["x"], edge, pin)
+    lit = {pin: created._nearest("x", edge, pin, rivals) & pin_signals.is_switch_on(recording.axes["x"], edge, pin)
            for _, _, pin, _, rivals in created._lamps["x"]}  # fmt: skip
     assert {pin: on.tolist() for pin, on in lit.items()} == {
         "org": [False, True, False, False], "el_plus": [False, False, False, True],
@@ -146,9 +146,9 @@ def test_a_lit_lamp_is_bright_and_its_first_state_is_logged_once(tmp_path):
     read = read_rrd(tmp_path / "l.rrd")
     assert read["/first"]["Points3D:radii"][0].tolist() == [10_000_000, 20_000_000, 30_000_000]
     assert [r[0] for r in read["/first"]["Points3D:radii"][1]] == [-2.5, -6.0, -2.5]
-    full = scene.LAMPS["org"]
+    full = rerun_scene.LAMPS["org"]
     displayed = [tuple(c[0] >> shift & 0xFF for shift in (24, 16, 8)) for c in read["/first"]["Points3D:colors"][1]]
-    dark = tuple(int(scene.DIM_FACTOR * c) for c in full)
+    dark = tuple(int(rerun_scene.DIM_FACTOR * c) for c in full)
     assert displayed == [dark, full, dark]
     assert read["/then"]["Points3D:radii"][0].tolist() == [20_000_000, 30_000_000]
 
@@ -156,8 +156,8 @@ def test_a_lit_lamp_is_bright_and_its_first_state_is_logged_once(tmp_path):
 def test_a_lamp_is_above_its_switch_on_the_frame():
     """the flag rides with the carriage; the frame is turned, and above is still up"""
     recording = bench()
-    lamps = {pin: (path, place) for path, place, pin, _, _ in scene._list_lamps(recording, "x")}
-    up = scene.LAMP_HEIGHT * 2
+    lamps = {pin: (path, place) for path, place, pin, _, _ in rerun_scene._list_lamps(recording, "x")}
+    up = rerun_scene.LAMP_HEIGHT * 2
     assert {pin: path for pin, (path, _) in lamps.items()} == {
         "org": "stage/frame/lamp_x_org", "el_plus": "stage/frame/lamp_x_el_plus",
     }  # fmt: skip
@@ -166,10 +166,10 @@ def test_a_lamp_is_above_its_switch_on_the_frame():
     turn = data.body("frame").xmat.reshape(3, 3)
     for name, (_, place) in zip(("org_x", "el_x"), (lamps["org"], lamps["el_plus"]), strict=True):
         assert turn @ place - data.geom(name).xpos == pytest.approx([0, 0, up], abs=1e-12)
-    rivals = {pin: rivals for *_, pin, _, rivals in scene._list_lamps(recording, "x")}
+    rivals = {pin: rivals for *_, pin, _, rivals in rerun_scene._list_lamps(recording, "x")}
     assert rivals == {"org": ("el_plus",), "el_plus": ("org",)}
     recording.axes["x"].chip.wired = lambda pin: {"org": 1}.get(pin, 0)
-    assert [lamp[2] for lamp in scene._list_lamps(recording, "x")] == ["org"], "the other is wired to nothing"
+    assert [lamp[2] for lamp in rerun_scene._list_lamps(recording, "x")] == ["org"], "the other is wired to nothing"
 
 
 def test_the_path_is_where_the_tool_was_on_the_work():
@@ -177,11 +177,11 @@ def test_the_path_is_where_the_tool_was_on_the_work():
     model = model_of()
     qpos = np.zeros((2, model.nq))
     qpos[1, :2] = 0.1, np.pi / 2
-    points = scene._to_work_frame(model, *compute_poses(model, qpos))
+    points = rerun_scene._to_work_frame(model, *compute_poses(model, qpos))
     assert points[0] == pytest.approx([0.3, 0.4, -0.5])
     assert points[1] == pytest.approx([0.4, -0.2, -0.5]), "turned back with the work"
     out = Out()
-    scene._log_path(out, model, points)
+    rerun_scene._log_path(out, model, points)
     assert list(out.logged) == ["stage/work/path"]
 
 
@@ -189,29 +189,29 @@ def test_a_tool_that_rides_with_the_work_leaves_its_path_in_the_world_and_no_too
     riding = model_of(work=WORK + TOOL, tool="")
     qpos = np.zeros((3, riding.nq))
     qpos[1:, 0] = 0.1
-    points = scene._to_work_frame(riding, *compute_poses(riding, qpos))
+    points = rerun_scene._to_work_frame(riding, *compute_poses(riding, qpos))
     assert points[:, 0] == pytest.approx([0.3, 0.4, 0.4])
     out = Out()
-    scene._log_path(out, riding, points)
+    rerun_scene._log_path(out, riding, points)
     assert list(out.logged) == ["stage/world/path"]
     (strip,) = out.logged["stage/world/path"].strips.as_arrow_array().to_pylist()
     assert len(strip) == 2, "where it stands there is one point"
     none = model_of(tool="")
     out = Out()
-    scene._log_path(out, none, scene._to_work_frame(none, *compute_poses(none, qpos)))
-    scene._log_path(out, riding, points[:1])
+    rerun_scene._log_path(out, none, rerun_scene._to_work_frame(none, *compute_poses(none, qpos)))
+    rerun_scene._log_path(out, riding, points[:1])
     assert out.logged == {}
     unmodified = model_of(work="")
-    assert scene._to_work_frame(unmodified, *compute_poses(unmodified, qpos))[1] == pytest.approx([0.3, 0.4, 0.5]), (
-        "without a work it is the world"
-    )
+    assert rerun_scene._to_work_frame(unmodified, *compute_poses(unmodified, qpos))[1] == pytest.approx(
+        [0.3, 0.4, 0.5]
+    ), "without a work it is the world"
 
 
 def test_the_arrows_point_along_plus_from_the_front_corner_of_what_does_not_move():
     recording = bench()
     recording.axes["z"] = SimpleNamespace(joint=2)
     out = Out()
-    scene._log_directions(out, recording, {"x": (1, 2, 3), "z": (4, 5, 6)})
+    rerun_scene._log_directions(out, recording, {"x": (1, 2, 3), "z": (4, 5, 6)})
     arrows = out.logged["stage/directions"]
     assert arrows.vectors.as_arrow_array().to_pylist() == [pytest.approx([0.2, 0, 0]), pytest.approx([0, 0, 0.2])]
     corner = [-1.2 + 0.02, -2.2 + 0.02, 0.0]

@@ -10,7 +10,7 @@ import pytest
 from stage import Drive
 from stage.chips import HCTL1100, PCL240K
 from stage.drives.dc_motors import Servo
-from stage.recording.picture import MAX_POINTS, draw_recording
+from stage.recording.recording_plot import MAX_POINTS, draw_recording
 from stage.support import plot_style
 
 pytest.importorskip("matplotlib")

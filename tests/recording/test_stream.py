@@ -18,7 +18,7 @@ from stage import ArgumentError, Stage
 from stage.chips import PCL240K
 from stage.recording import RecordingError, RecordingWarning
 from stage.recording.recording import ROWS
-from stage.recording.sink import RrdSink
+from stage.recording.rerun_file_writer import RrdSink
 
 KILLED = """
 import json, os, signal, sys

@@ -13,8 +13,8 @@ from support.recording_bench import feed
 from stage import ArgumentError
 from stage.cli import main
 from stage.recording import RecordingError, read
+from stage.recording.axis_series import SERIES
 from stage.recording.recording import ROWS
-from stage.recording.series import SERIES
 from stage.support.files import FileError
 
 FEW = ["x/position", "x/lost_steps", "x/el_minus"]

@@ -11,7 +11,7 @@ from support.vcd_parser import parse
 
 from stage import Stage, faults
 from stage.chips import MCX514, PCL240K
-from stage.recording import signals
+from stage.recording import pin_signals
 from stage.recording.vcd import to_nanoseconds
 
 HZ = PCL240K.DEFAULT_CLOCK_HZ
@@ -71,7 +71,7 @@ def test_pulses_pins_status_and_counter_are_those_of_the_chip_to_the_clock(tmp_p
         ns = to_nanoseconds(now, HZ)
         assert vcd.at("x.R0", ns) == r0
         for pin, on in pins.items():
-            name, asserted = signals.find_wire(bench.chip, pin)
+            name, asserted = pin_signals.find_wire(bench.chip, pin)
             assert vcd.at(f"x.{name}", ns) == (asserted if on else 1 - asserted), (seed, now, pin)
         for field in PCL240K.MAP.word("status").fields:
             assert vcd.at(f"x.status.{field.name}", ns) == field.of(status), (seed, now, field.name)

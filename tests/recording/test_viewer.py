@@ -18,7 +18,7 @@ import pytest
 
 from stage import ArgumentError
 from stage.recording import viewer
-from stage.recording.series import COLORS, assign_colors
+from stage.recording.axis_series import COLORS, assign_colors
 from stage.recording.viewer import ViewerError
 
 

@@ -16,8 +16,8 @@ import pytest
 
 from stage.errors import ArgumentError
 from stage.recording import viewer
+from stage.recording.browser_server import Server
 from stage.recording.viewer import ViewerError
-from stage.recording.web import Server
 from stage.support.files import FileError
 
 

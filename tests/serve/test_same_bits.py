@@ -11,7 +11,7 @@ from support.served import serving
 
 from stage import Stage
 from stage.board import Board, NativeHost, NoCompilerError, build, include
-from stage.board.library import find_compiler
+from stage.board.firmware_library import find_compiler
 from stage.chips import MCX304, PCL240MK
 from stage.serve import client
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from stage.board import NoCompilerError
-from stage.board.library import find_compiler
+from stage.board.firmware_library import find_compiler
 from stage.serve import frames
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "serve.md").read_text()

@@ -13,7 +13,7 @@ from stage.board import Board, HostError
 from stage.chips import HCTL1100, PCL240K
 from stage.errors import ArgumentError
 from stage.serve import client
-from stage.serve.machine import MAX_LINE_BYTES, MAX_NAME_BYTES, MAX_SNAPSHOTS, Machine, describe_error
+from stage.serve.frame_execution import MAX_LINE_BYTES, MAX_NAME_BYTES, MAX_SNAPSHOTS, Machine, describe_error
 
 PORT = 0x300
 LAST_PORT = 0xFFFFFFFF

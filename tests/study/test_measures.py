@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from stage.chips import PCL240K
-from stage.study import PresetMoves, objectives, suggest
-from stage.study.objectives import FAILED, SPACE, _measure, _together
+from stage.study import PresetMoves, preset_move_objective, suggest
+from stage.study.preset_move_objective import FAILED, SPACE, _measure, _together
 
 SECONDS = np.array([-0.1, 0.0, 0.1, 0.2, 0.3, 0.4])
 """Times of the samples since the first pulse; a move takes 0.2 s."""
@@ -33,7 +33,7 @@ def measure_move(monkeypatch, deviations, ok=True, lost=0, band=1e-3, camera=Non
     )  # fmt: skip
     report = SimpleNamespace(began=0.25, duration=0.2, ok=ok, lost_steps=lost)
     monkeypatch.setattr(
-        objectives.firmware, "preset_move", lambda *arguments: requested.append(arguments[1:]) or report
+        preset_move_objective.firmware, "preset_move", lambda *arguments: requested.append(arguments[1:]) or report
     )
     results = _measure(stage, "x", "a profile", 100, band, 0.7)
     assert requested == [(100, "a profile"), 0.7]
@@ -91,7 +91,7 @@ def test_a_trial_makes_each_move_of_its_objective_in_order(monkeypatch):
     requested, reported = [], []
     move = {"score": 1.0, "duration": 1.0, "lost_steps": 0, "reached": 1, "vibration": 0.0}
     monkeypatch.setattr(
-        objectives, "_measure",
+        preset_move_objective, "_measure",
         lambda stage, name, profile, *arguments: requested.append((name, round(stage.axes["y"].position, 3), *arguments)) or move,
     )  # fmt: skip
     registers = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
@@ -116,7 +116,7 @@ def test_each_kind_of_range_uses_its_optuna_suggestion():
     results = suggest(trial, {"R1": "4:100:log", "R2": "400:2800", "R4": "10,20,40", "R7": 12})
     assert requested == [("R1", 4, 100, True), ("R2", 400, 2800, False), ("R4", (10, 20, 40)), ("R7", 12, 12, False)]
     assert results == {"R1": 4, "R2": 400, "R4": 40, "R7": 12}
-    assert {name: objectives.values_of(name, text) for name, text in SPACE.items()} == {
+    assert {name: preset_move_objective.values_of(name, text) for name, text in SPACE.items()} == {
         "R1": (4, 100, True), "R2": (400, 2800, False), "R4": (60, 800, True), "R5": (60, 800, True), "R7": (12,),
     }  # fmt: skip
     assert PresetMoves(model="xy")._chip is PCL240K

@@ -1,4 +1,4 @@
-"""stage.study.objectives: measures of a trial, equal bit for bit in every thread and process."""
+"""stage.study.preset_move_objective: measures of a trial, equal bit for bit in every thread and process."""
 
 import subprocess
 import sys
@@ -13,8 +13,8 @@ import optuna
 from stage import Stage
 from stage.chips import PCL240K, PCL240MS
 from stage.errors import ArgumentError
-from stage.study import PresetMoves, objectives, open_study, run
-from stage.study.objectives import FAILED, Range, _measure, _together, profile_of, values_of
+from stage.study import PresetMoves, open_study, preset_move_objective, run
+from stage.study.preset_move_objective import FAILED, Range, _measure, _together, profile_of, values_of
 
 GENTLE = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
 MOVE = PresetMoves(model="xy", pulses=2000, rest=0.05)
@@ -97,7 +97,7 @@ def test_a_pruner_receives_the_value_of_the_goal(monkeypatch):
     """PresetMoves(goals=("duration",), pulses=(2000, -2000, 2000))"""
     reported = []
     moves = [{"score": 9.0, "duration": t, "lost_steps": 0, "reached": 1, "vibration": 0.0} for t in (0.5, 0.25, 1.0)]
-    monkeypatch.setattr(objectives, "_measure", lambda *arguments: moves[len(reported)])
+    monkeypatch.setattr(preset_move_objective, "_measure", lambda *arguments: moves[len(reported)])
     monkeypatch.setattr(optuna.trial.FixedTrial, "report", lambda trial, value, step: reported.append((step, value)))
     goal = PresetMoves(
         space={k: v for k, v in GENTLE.items()}, goals=("duration",), model="xy", pulses=(2000, -2000, 2000)
@@ -110,7 +110,7 @@ def test_starts_are_drawn_within_a_tenth_of_a_millimeter_in_both_directions(monk
     starts = []
     move = {"score": 1.0, "duration": 1.0, "lost_steps": 0, "reached": 1, "vibration": 0.0}
     monkeypatch.setattr(
-        objectives, "_measure", lambda stage, *arguments: starts.append(stage.axes["x"].position) or move
+        preset_move_objective, "_measure", lambda stage, *arguments: starts.append(stage.axes["x"].position) or move
     )
     for seed in range(12):
         MOVE.measure(GENTLE, seed)

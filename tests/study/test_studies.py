@@ -20,7 +20,7 @@ import optuna
 
 from stage.errors import ArgumentError, StageError
 from stage.study import PresetMoves, finished, open_study, read_study, run, seed_of, suggest
-from stage.study.storage import Lock
+from stage.study.optuna_storage import Lock
 
 ROOT = Path(__file__).resolve().parents[2]
 SWEEP = ROOT / "scripts" / "sweep.py"
@@ -217,7 +217,7 @@ def test_the_error_of_another_objective_lists_the_differences(tmp_path):
 
 def test_a_study_is_refused_with_other_versions_of_the_packages(tmp_path, monkeypatch):
     open_study(compute_valley, tmp_path / "study")
-    monkeypatch.setattr("stage.study.runner.metadata.version", lambda name: "0.0.1")
+    monkeypatch.setattr("stage.study.study_runner.metadata.version", lambda name: "0.0.1")
     with pytest.raises(ArgumentError, match=r"mujoco: [\d.]+ before, 0\.0\.1 now") as caught:
         open_study(compute_valley, tmp_path / "study")
     assert re.findall(r"(\w+): \S+ before, 0\.0\.1 now", str(caught.value)) == ["pulsestage", "mujoco", "numpy"]

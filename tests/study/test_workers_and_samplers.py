@@ -12,9 +12,9 @@ pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'puls
 import optuna
 
 from stage.errors import ArgumentError, StageError
-from stage.study import finished, open_study, read_study, run, runner, storage
-from stage.study.runner import _optimize, _work
-from stage.study.storage import ByNumber, Journal, Lock
+from stage.study import finished, open_study, optuna_storage, read_study, run, study_runner
+from stage.study.optuna_storage import ByNumber, Journal, Lock
+from stage.study.study_runner import _optimize, _work
 from stage.support.files import FileError
 
 
@@ -56,7 +56,7 @@ def spawn_fake_workers(monkeypatch):
     def spawn(run_worker):
         events = []
         context = SimpleNamespace(Process=lambda **settings: FakeProcess(events, run_worker, **settings))
-        monkeypatch.setattr(runner.multiprocessing, "get_context", lambda kind: (events.append(kind), context)[1])
+        monkeypatch.setattr(study_runner.multiprocessing, "get_context", lambda kind: (events.append(kind), context)[1])
         return events
 
     return spawn
@@ -115,7 +115,7 @@ def test_a_worker_that_starts_after_the_last_trial_runs_none(tmp_path):
 def test_a_worker_whose_parent_has_died_ends_after_its_trial(tmp_path, monkeypatch):
     study, lives = open_study(compute_valley, tmp_path / "study"), [True, False]
     parent = SimpleNamespace(is_alive=lambda: lives.pop(0))
-    monkeypatch.setattr(runner.multiprocessing, "parent_process", lambda: parent)
+    monkeypatch.setattr(study_runner.multiprocessing, "parent_process", lambda: parent)
     _optimize(study, compute_valley, 9)
     assert len(study.trials) == 2
 
@@ -127,7 +127,7 @@ def test_a_worker_prints_its_error_and_exits_with_a_code(error, code, message, m
     def refuse(*_, **__):
         raise error
 
-    monkeypatch.setattr(runner, "open_study", refuse)
+    monkeypatch.setattr(study_runner, "open_study", refuse)
     with pytest.raises(SystemExit) as ended:
         _work(compute_valley, tmp_path / "study", 1, {})
     assert ended.value.code == code
@@ -161,7 +161,7 @@ def test_a_study_uses_the_requested_sampler_and_pruner_or_tpe_and_none(tmp_path)
 
 
 def test_reading_an_empty_storage_is_refused(tmp_path):
-    storage.storage_at(tmp_path / "empty").get_all_studies()
+    optuna_storage.storage_at(tmp_path / "empty").get_all_studies()
     with pytest.raises(ArgumentError, match="holds no study"):
         read_study(tmp_path / "empty")
 
@@ -251,7 +251,7 @@ def test_the_error_of_a_full_disk_states_which_trials_are_saved(tmp_path, monkey
     def raise_disk_full(self, logs):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(storage.JournalFileBackend, "append_logs", raise_disk_full)
+    monkeypatch.setattr(optuna_storage.JournalFileBackend, "append_logs", raise_disk_full)
     with pytest.raises(
         FileError, match=r"study cannot be written: No space left on device\. What was recorded before is safe"
     ):

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import pytest
 
 from stage.board import NoCompilerError, build
-from stage.board.library import find_compiler
+from stage.board.firmware_library import find_compiler
 
 _FOLDER = TemporaryDirectory(prefix="pulsestage-test-")
 

@@ -2,7 +2,7 @@
 
 from hypothesis import strategies as st
 
-from stage.agents.arguments import INTEGER_PATTERN, LENGTH_PATTERN
+from stage.agents.tool_arguments import INTEGER_PATTERN, LENGTH_PATTERN
 
 FORMS = ("{}{}", "{}{:X}h", "{}0x{:x}", "{}0b{:b}")
 JUNK = st.one_of(

@@ -5,7 +5,7 @@ import sys
 import threading
 
 from stage import Stage
-from stage.agents.server.sessions import Sessions, ToolboxFactory
+from stage.agents.server.client_sessions import Sessions, ToolboxFactory
 
 
 class Served:

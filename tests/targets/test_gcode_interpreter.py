@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from stage.board import NoCompilerError
-from stage.board.library import find_compiler
+from stage.board.firmware_library import find_compiler
 from stage.targets.elf import AVR, Elf
 
 FIRMWARE = Path(__file__).parents[2] / "scripts" / "firmware" / "gcode"

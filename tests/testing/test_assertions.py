@@ -24,8 +24,8 @@ from stage.testing import (
     assert_stopped,
 )
 from stage.testing.assertions import format_ranges
-from stage.testing.evidence import Evidence, WatchedStage, choose_folder
-from stage.testing.path import _measure_distances
+from stage.testing.failed_test_files import Evidence, WatchedStage, choose_folder
+from stage.testing.path_assertion import _measure_distances
 
 SLOW = firmware.Profile.of(fh1=8000, accel=0.05)
 TOO_FAST = firmware.Profile.of(fh1=200_000, accel=0.01)
@@ -258,7 +258,7 @@ def test_a_part_of_a_recording_is_judged_alone(corner):
 
 
 def test_distances_from_a_polyline_are_those_of_a_dense_search():
-    from stage.testing.path import _measure_distances
+    from stage.testing.path_assertion import _measure_distances
 
     seed = SEED
     print(f"seed {seed}")

@@ -13,10 +13,10 @@ from toy import TOY, TOY8, defects
 
 from stage.chips import CHIPS, PCL240K
 from stage.errors import ArgumentError, NativeError, StageError
-from stage.testing import acts, chip_conformance, conformance, promises
-from stage.testing.child_process import NOT_FINISHED, run_bounded
+from stage.testing import chip_acts, chip_conformance, conformance, promises
+from stage.testing.bounded_child_process import NOT_FINISHED, run_bounded
 from stage.testing.conformance import NotConforming
-from stage.testing.trial import describe_difference
+from stage.testing.promise_trial import describe_difference
 
 DEFECTS = defects.DEFECTS
 MANY = scaled(1) if not FIXED else 1
@@ -90,9 +90,11 @@ def test_only_a_pin_that_something_else_drives_is_left_out_of_harmless_acts():
     chip = SimpleNamespace(
         write=write, axes=[SimpleNamespace(pins=RefusingPins())], INPUTS={"org": 1}, read=lambda address: 0
     )
-    assert acts.limit_pulses([acts.Act("pin", 0, 0, 1), acts.Act("read", 1)], chip) == [acts.Act("read", 1)]
+    assert chip_acts.limit_pulses([chip_acts.Act("pin", 0, 0, 1), chip_acts.Act("read", 1)], chip) == [
+        chip_acts.Act("read", 1)
+    ]
     with pytest.raises(StageError, match="broken"):
-        acts.limit_pulses([acts.Act("write", 0, 1)], chip)
+        chip_acts.limit_pulses([chip_acts.Act("write", 0, 1)], chip)
 
 
 def test_a_move_of_a_test_has_no_more_pulses_than_its_register_holds(monkeypatch):
@@ -101,7 +103,7 @@ def test_a_move_of_a_test_has_no_more_pulses_than_its_register_holds(monkeypatch
         PCL240K.MAP, registers=tuple(replace(r, legal=(0, 70)) if r.name == "R0" else r for r in PCL240K.MAP.registers)
     )
     monkeypatch.setattr(PCL240K, "MAP", small)
-    created = {acts.draw_move(chip, 0, np.random.default_rng(seed))[1] for seed in range(6)}
+    created = {chip_acts.draw_move(chip, 0, np.random.default_rng(seed))[1] for seed in range(6)}
     assert max(created) == 70
 
 
@@ -183,7 +185,7 @@ def test_the_text_of_a_promise_arrives_complete_and_a_silent_process_is_reported
 
 
 def test_moves_of_a_driver_are_tried_in_both_directions():
-    directions = {np.sign(acts.draw_move(PCL240K(), 0, np.random.default_rng(seed))[1]) for seed in range(8)}
+    directions = {np.sign(chip_acts.draw_move(PCL240K(), 0, np.random.default_rng(seed))[1]) for seed in range(8)}
     assert directions == {-1, 1}
 
 

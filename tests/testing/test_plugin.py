@@ -17,7 +17,7 @@ from support.odd_names import odd_model
 import stage.models
 from stage.board import build
 from stage.support.files import FileError
-from stage.testing.markers import firmware_arguments
+from stage.testing.marker_arguments import firmware_arguments
 
 pytest_plugins = ["pytester"]
 needs_cc = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler: cc is not on the PATH")

@@ -14,7 +14,7 @@ from stage.drives.dc_motors import Servo
 from stage.drives.motors import MOTORS, Drive, find_motor
 from stage.errors import ArgumentError
 from stage.tune import MoveCase, Task, tune
-from stage.tune.machines import draw_machines, find_spreads, fit_machine
+from stage.tune.machine_tolerances import draw_machines, find_spreads, fit_machine
 from stage.tune.move_runner import MoveRunner
 from stage.tune.planners import create_planner
 from stage.tune.result import TuningResult

@@ -11,7 +11,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board, NativeHost, NoCompilerError, build
-from stage.board.library import find_compiler
+from stage.board.firmware_library import find_compiler
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MS
 from stage.chips.describe import Statement
 from stage.cli import main

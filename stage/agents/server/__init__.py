@@ -1,5 +1,5 @@
-"""The tools behind the Model Context Protocol, for any client that speaks it: `stage mcp`. Needs the extra `agents`.
+"""Server of the Model Context Protocol that offers the tools to clients: `stage mcp`. Needs the extra `agents`.
 
-sessions.py has the stages, one a session; protocol.py the requests; http.py and stdio.py the two transports; resources.py and
-prompts.py what a client finds beside the tools.
+client_sessions.py keeps a stage for each session, mcp_handlers.py answers requests, and http.py and stdio.py are the transports.
+resources.py and prompts.py have what a client can read and send in addition to calls of tools.
 """

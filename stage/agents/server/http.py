@@ -16,8 +16,8 @@ import anyio
 import uvicorn
 from starlette.applications import Starlette
 
-from stage.agents.server.protocol import Protocol
-from stage.agents.server.sessions import Sessions, ToolboxFactory
+from stage.agents.server.client_sessions import Sessions, ToolboxFactory
+from stage.agents.server.mcp_handlers import Protocol
 from stage.errors import StageError
 
 LOCAL_HOST, PATH = "127.0.0.1", "/mcp"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from stage.agents.arguments import choose
+from stage.agents.tool_arguments import choose
 from stage.errors import ArgumentError
 
 MAX_ARGUMENT_CHARACTERS = 100

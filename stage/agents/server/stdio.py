@@ -14,8 +14,8 @@ import anyio
 import anyio.to_thread
 from mcp.server.stdio import stdio_server
 
-from stage.agents.server.protocol import Protocol
-from stage.agents.server.sessions import Sessions, ToolboxFactory
+from stage.agents.server.client_sessions import Sessions, ToolboxFactory
+from stage.agents.server.mcp_handlers import Protocol
 
 SESSION_KEY = "stdio"
 MAX_QUEUED_LINES = 8

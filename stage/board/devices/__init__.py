@@ -1,10 +1,10 @@
 """Devices on a board's bus: those of users, in Python or in C, and shipped ones."""
 
 from stage.board.devices.device import Device, Encoder
-from stage.board.devices.device_texts import KNOWN, make_device
+from stage.board.devices.device_options import KNOWN, make_device
 from stage.board.devices.hctl2016 import HCTL2000, HCTL2016, HCTL2020
-from stage.board.devices.latch import Latch
 from stage.board.devices.ls7166 import LS7166
+from stage.board.devices.output_latch import Latch
 from stage.board.devices.uart import UART
 from stage.board.devices.user_devices import CDevice, PythonDevice
 

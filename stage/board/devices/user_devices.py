@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.board import library
+from stage.board import firmware_library
 from stage.board.bus.host_record import IN8, OUT8, OUT16
 from stage.board.devices.device import Device, Encoder, Listener
 from stage.board.errors import LibraryError
@@ -103,10 +103,10 @@ class CDevice(UserDevice):
     ):
         super().__init__(name, encoders, width)
         self.describe = describe
-        if library.are_sources(source):  # built into a folder of its own, which goes with the device
+        if firmware_library.are_sources(source):  # built into a folder of its own, which goes with the device
             self._scratch = Scratch()
             first = source if isinstance(source, str | os.PathLike) else source[0]
-            self.path = library.build(source, self._scratch.path / f"{Path(first).stem}.so", flags)
+            self.path = firmware_library.build(source, self._scratch.path / f"{Path(first).stem}.so", flags)
         elif isinstance(source, str | os.PathLike):
             self.path = Path(source)
         else:

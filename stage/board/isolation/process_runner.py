@@ -27,7 +27,8 @@ from stage.board import crash_report, errors
 from stage.board.board import Board
 from stage.board.devices.user_devices import CDevice
 from stage.board.errors import HostError
-from stage.board.isolation import starter
+from stage.board.firmware_library import list_sanitizers
+from stage.board.isolation import process_starter
 from stage.board.isolation.shared_memory import (
     LOADING,
     CorruptedError,
@@ -38,7 +39,6 @@ from stage.board.isolation.shared_memory import (
     SharedMemory,
     StartMessage,
 )
-from stage.board.library import list_sanitizers
 from stage.board.scratch import Scratch
 from stage.board.thread_runner import Program, is_debugged, read_status
 from stage.chips.journal_entries import LOST, READ, WRITE
@@ -122,7 +122,7 @@ class ProcessRunner:
         if os.name != "posix":
             raise StageError("isolated=True needs a POSIX system; run the firmware in this process.")
         self._program, self._path, self._board, self._patience = program, program.path, board, patience
-        self._child: starter.Process | None = None
+        self._child: process_starter.Process | None = None
         self._pipe: Any = None
         self._running = False
         self.wiring_problems: tuple[str, ...] = ()
@@ -237,7 +237,7 @@ class ProcessRunner:
             self._shared.serial[:] = board.serial.rows
             board.link.use_serial_rows(self._shared.serial)
             with theirs:
-                self._child = starter.start(theirs.fileno(), " ".join(list_sanitizers(self._path)))
+                self._child = process_starter.start(theirs.fileno(), " ".join(list_sanitizers(self._path)))
             self._pipe, self._messages = ours, _Messages(ours)
             weakref.finalize(self, self._child.kill)
             ours.send(StartMessage(self._program, str(shared), content, self._patience))

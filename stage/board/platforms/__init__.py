@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from stage.board.platforms.sketch import SKETCH, list_sketch_files, translate_sketch
+from stage.board.platforms.arduino_sketch import SKETCH, list_sketch_files, translate_sketch
 from stage.errors import ArgumentError, unknown_name_error
 
 FOLDER = Path(__file__).parent

@@ -12,8 +12,8 @@ from typing import Any
 
 from stage.cli import options
 from stage.cli.commands import add_command, tell
-from stage.cli.files import check_outputs, draw_plot, record_for_plot
-from stage.cli.setup import make_stage
+from stage.cli.output_files import check_outputs, draw_plot, record_for_plot
+from stage.cli.stage_setup import make_stage
 
 SAMPLE_INTERVAL_S = 2.5e-4
 """Simulated seconds between the samples of a picture."""

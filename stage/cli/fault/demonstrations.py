@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from stage.cli.fault import SAMPLE_INTERVAL_S, programs
+from stage.cli.fault import SAMPLE_INTERVAL_S, host_programs
 from stage.cli.terminal import note
 from stage.errors import unknown_name_error
 from stage.firmware.driver import get_driver
@@ -101,7 +101,7 @@ class DemoResult:
 
     def plot(self, path: str | None = None, overwrite: bool = False) -> Any:
         """Draw both runs over time, and return the figure. Needs recordings, and matplotlib."""
-        from stage.cli.fault.picture import draw
+        from stage.cli.fault.demonstration_plot import draw
 
         return draw(self, path, overwrite)
 
@@ -152,7 +152,7 @@ def show(name: str, make: Callable[[], Any], record: Record | None = None, recor
     """
     key = find_key(name)
     stage = make()
-    demo, axis = DEMOS[key], programs.first_axis(stage)
+    demo, axis = DEMOS[key], host_programs.first_axis(stage)
     if get_driver(axis).has_position_loop:
         demo = demo.for_servo()
     note(f"{key}: the healthy run ...")
@@ -176,7 +176,7 @@ DEMOS = {
         "EL+ is stuck open: the chip never stops, the carriage hits the hard stop, and the motor slips by "
         "multiples of four full steps.",
         "During the move, it cannot: the chip makes all its pulses. The next origin return needs more pulses, or fewer.",
-        programs.stuck_open,
+        host_programs.stuck_open,
         lambda h, f: h["stopped by"] == "EL+" and h["lost steps"] == 0
         and has_arrived(f) and f["lost steps"] > 0 and f["lost steps"] % 4 == 0,
         servo=Claim(
@@ -190,7 +190,7 @@ DEMOS = {
         "loses synchronism.",
         "At once: the chip has halted with pulses left, where there is no end limit. It refuses to move towards "
         "plus, and moves towards minus.",
-        programs.stuck_closed,
+        host_programs.stuck_closed,
         lambda h, f: has_arrived(h) and f["stopped by"] == "EL+" and f["before EL+, mm"] > 10 and f["lost steps"] < 0,
         ("position", "rate"),
         servo=Claim(
@@ -204,7 +204,7 @@ DEMOS = {
         "ORG bounces for 3 ms: the chip sees several edges in place of each one, and finds the origin within the "
         "hysteresis of the switch.",
         "A status read during the bounce may show ORG off, although ORG has stopped the axis: read it again later.",
-        programs.bounce,
+        host_programs.bounce,
         lambda h, f: f["edges of ORG that the chip saw"] > 4 * h["edges of ORG that the chip saw"] > 0
         and h["after the first edge ORG is off for, ms"] == 0 < f["after the first edge ORG is off for, ms"]
         and h["origin return stopped by"] == f["origin return stopped by"] == "ORG"
@@ -214,14 +214,14 @@ DEMOS = {
     "vane-missing": Demo(
         "The vane of ORG has come off: the origin return passes the origin and ends at EL-.",
         "At once: the chip has halted and ORG is off, so the end limit has stopped it (`stopped_by` EL-).",
-        programs.vane_missing,
+        host_programs.vane_missing,
         lambda h, f: h["stopped by"] == "ORG" and f["stopped by"] == "EL-" and f["past ORG, mm"] > 1,
         ("position", "org"),
     ),
     "payload-doubled": Demo(
         "The payload weighs 20 kg instead of 10 kg: a ramp that is suitable for 10 kg pulls the rotor out of step.",
         "During the move, it cannot: the chip only counts pulses. An origin return afterwards reveals it.",
-        programs.payload,
+        host_programs.payload,
         lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and has_arrived(f),
         servo=Claim(
             "The payload weighs 20 kg instead of 10 kg: the same loop follows the ramps less closely, but the axis "
@@ -234,7 +234,7 @@ DEMOS = {
     "bus-voltage": Demo(
         "The supply falls from 24 V to 8 V at speed, below the back-EMF: the current is too small, and the motor stalls.",
         "During the move, it cannot: the chip only counts pulses. An origin return afterwards reveals it.",
-        programs.bus_voltage,
+        host_programs.bus_voltage,
         lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and has_arrived(f),
         servo=Claim(
             "The supply falls from 24 V to 8 V at speed: the motor has a third of its force, lags behind, and arrives.",
@@ -247,7 +247,7 @@ DEMOS = {
         "The axis jams during a move: the carriage stops, and the chip sends the remaining pulses to a motor that stands still.",
         "During the move, it cannot: the chip only counts pulses. An origin return then ends in RunTimeout: the "
         "chip makes pulses, and no switch trips.",
-        programs.jam,
+        host_programs.jam,
         lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and abs(f["on from 0.5 s, mm"]) < 0.2
         and f["pulses made"] == h["pulses made"],
         servo=Claim(
@@ -264,7 +264,7 @@ DEMOS = {
         "Phase B is open: the field of one phase has no direction, and a motor at rest stays at its position of power-up.",
         "During the move, it cannot: the chip only counts pulses. An origin return then ends in RunTimeout: the "
         "chip makes pulses, and ORG does not trip.",
-        programs.phase_open,
+        host_programs.phase_open,
         lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 100
         and f["opened at 6.25 turns/s: lost steps"] < 0.1 * f["lost steps"],
         ("position", "lost_steps"), (-0.05, 1.98),
@@ -272,7 +272,7 @@ DEMOS = {
     "start-skew": Demo(
         "The CPU is busy for 5 ms between two start commands of an a:b move: both axes arrive, but leave the line in between.",
         "By measuring the time between the start commands. Both axes make all their pulses, and their status is normal.",
-        programs.start_skew,
+        host_programs.start_skew,
         lambda h, f: h["done"] == f["done"] == "yes" and abs(f["started within, ms"] - 5) < 0.1
         and f["off the line, pulses"] > 10 * h["off the line, pulses"],
         ("position", "rate"),
@@ -281,7 +281,7 @@ DEMOS = {
         "A write of the distance does not arrive: the chip moves by the distance in its register instead of the requested one.",
         "By reading the distance back before the start, if the chip supports that. Afterwards, the status is that "
         "of a good move.",
-        programs.lost_write,
+        host_programs.lost_write,
         lambda h, f: h["pulses made"] == h["asked"] != f["pulses made"] and has_arrived(f),
         ("position", "pulses"),
         servo=Claim(

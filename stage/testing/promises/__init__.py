@@ -1,6 +1,6 @@
 """Promises that every chip keeps, one function each: it raises `BrokenPromise` where a chip breaks it. See conformance.py.
 
-A promise is tried with random acts (acts.py) and with moves as the chip's host driver writes them. Its docstring is what a
+A promise is tried with random acts (chip_acts.py) and with moves as the chip's host driver writes them. Its docstring is what a
 report shows.
 """
 
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from stage.testing.promise_trial import Trial
 from stage.testing.promises.bus import (
     bus_lines,
     command_cycles,
@@ -22,7 +23,6 @@ from stage.testing.promises.journal import journals
 from stage.testing.promises.moves import axes_alone, courses, limit_switches
 from stage.testing.promises.state import determinism, resets, snapshots
 from stage.testing.promises.timing import cut_time, drive_inputs, time_that_passes, traced, windows
-from stage.testing.trial import Trial
 
 PROMISES: dict[str, Callable[[Trial], None]] = {
     p.__name__: p

@@ -12,8 +12,8 @@ from stage.chips import Chip, Diagnostic, contract
 from stage.chips.describe import MAX_LINE_LENGTH, decode
 from stage.chips.register_map import Command, Word
 from stage.errors import ArgumentError, StageError
-from stage.testing.acts import copy_state, describe_differences, perform, perform_all
-from stage.testing.trial import BrokenPromise, Trial
+from stage.testing.chip_acts import copy_state, describe_differences, perform, perform_all
+from stage.testing.promise_trial import BrokenPromise, Trial
 
 
 def has_what_every_chip_has(t: Trial) -> None:

@@ -7,8 +7,8 @@ import numpy as np
 from stage.chips import Chip, cores
 from stage.chips.describe import decode
 from stage.chips.journal import Replay
-from stage.testing.acts import copy_state, count_clocks_to_end, find_pulse_clocks, limit_pulses, perform_all
-from stage.testing.trial import BrokenPromise, Trial, format_some, read_counter, read_visible_state
+from stage.testing.chip_acts import copy_state, count_clocks_to_end, find_pulse_clocks, limit_pulses, perform_all
+from stage.testing.promise_trial import BrokenPromise, Trial, format_some, read_counter, read_visible_state
 
 
 def journals(t: Trial) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from stage.chips import Chip
-from stage.testing.acts import (
+from stage.testing.chip_acts import (
     Act,
     count_clocks_to_end,
     draw_move,
@@ -17,7 +17,7 @@ from stage.testing.acts import (
     perform_all,
     replace_code,
 )
-from stage.testing.trial import BrokenPromise, Trial, read_counter
+from stage.testing.promise_trial import BrokenPromise, Trial, read_counter
 
 
 def courses(t: Trial) -> None:

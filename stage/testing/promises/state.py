@@ -9,8 +9,8 @@ import numpy as np
 
 from stage.chips import Chip
 from stage.errors import ArgumentError
-from stage.testing.acts import limit_pulses, perform, perform_all
-from stage.testing.trial import BrokenPromise, Trial, describe_difference, read_visible_state
+from stage.testing.chip_acts import limit_pulses, perform, perform_all
+from stage.testing.promise_trial import BrokenPromise, Trial, describe_difference, read_visible_state
 
 
 def determinism(t: Trial) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from stage.chips import Chip, cores
 from stage.errors import StageError
-from stage.testing.acts import (
+from stage.testing.chip_acts import (
     check_trace_room,
     copy_state,
     count_clocks_to_end,
@@ -14,8 +14,8 @@ from stage.testing.acts import (
     perform,
     perform_all,
 )
+from stage.testing.promise_trial import BrokenPromise, Trial, format_some
 from stage.testing.promises.moves import draw_simultaneous_moves
-from stage.testing.trial import BrokenPromise, Trial, format_some
 
 
 def time_that_passes(t: Trial) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from registerbench.arena.games import Game
 from stage.agents import Answer
-from stage.agents.arguments import format_value
+from stage.agents.tool_arguments import format_value
 from stage.errors import ArgumentError
 
 MAX_CALLS, PATIENCE_S, TIME_S = 400, 600.0, 3600.0

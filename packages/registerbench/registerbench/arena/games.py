@@ -15,8 +15,8 @@ from registerbench.entry_files import Entry
 from registerbench.episode_sequence import EpisodeSequence
 from registerbench.task_cards import CARDS, OPEN_ROUND
 from stage.agents import Tool
-from stage.agents.arguments import choose
 from stage.agents.tool import ToolSet
+from stage.agents.tool_arguments import choose
 from stage.errors import ArgumentError, StageError
 
 DIAGNOSIS = "diagnosis"

@@ -10,7 +10,7 @@ from registerbench.arena.game_session import round_trip_json
 from registerbench.arena.games import Game
 from registerbench.arena.suite_results import GameResult, SuiteResult, make_result, summarize_result
 from registerbench.arena.transcript import Transcript, read_transcript, rebuild_suite
-from stage.agents.arguments import format_value
+from stage.agents.tool_arguments import format_value
 
 
 @dataclass(frozen=True)

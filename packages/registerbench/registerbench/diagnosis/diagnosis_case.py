@@ -11,7 +11,7 @@ from registerbench.diagnosis.host_program import COMPLETED, ProgramHost, parse_p
 from registerbench.diagnosis.machine_faults import REPAIRS, SERVICES
 from stage import Stage
 from stage.agents import Budget, Tool, Toolbox
-from stage.agents.arguments import Text, argument, choice, choose
+from stage.agents.tool_arguments import Text, argument, choice, choose
 from stage.errors import StageError
 
 MAX_RUNS, BUDGET_S = 20, 240.0

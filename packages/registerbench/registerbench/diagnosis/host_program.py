@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stage import Stage
-from stage.agents.arguments import choose, parse_integer
+from stage.agents.tool_arguments import choose, parse_integer
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware import Axis
 from stage.firmware.driver import Driver

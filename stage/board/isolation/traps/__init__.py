@@ -17,9 +17,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from stage.board.isolation.traps.calls import observe_calls, redirect_calls, set_observer
-from stage.board.isolation.traps.memory import Windows
-from stage.board.isolation.traps.signals import (
+from stage.board.firmware_library import Library
+from stage.board.isolation.traps.memory_windows import Windows
+from stage.board.isolation.traps.signal_handlers import (
     SignalHandlers,
     allocate_signal_stack,
     block_timers,
@@ -27,7 +27,7 @@ from stage.board.isolation.traps.signals import (
     unblock_timers,
     watch_crashes,
 )
-from stage.board.library import Library
+from stage.board.isolation.traps.sleep_calls import observe_calls, redirect_calls, set_observer
 from stage.board.link import Link
 from stage.board.pins import PinLine
 from stage.board.windows import Window

@@ -1,6 +1,6 @@
 """Starts processes for firmware in milliseconds: one process has imported all that they need, and forks each of them.
 
-    process = start(pipe)          the process runs stage.board.isolation.child, with this end of a pipe
+    process = start(pipe)          the process runs stage.board.isolation.firmware_process, with this end of a pipe
     process.kill()
     process.wait()                 its exit code; minus the number of the signal that ended it
 
@@ -128,7 +128,7 @@ class Starter:
             environment = SANITIZED | environment | {"LD_PRELOAD": preload}
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "stage.board.isolation.starter", str(theirs.fileno())], pass_fds=[theirs.fileno()],
+                [sys.executable, "-m", "stage.board.isolation.process_starter", str(theirs.fileno())], pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL, process_group=0, env=environment,
             )  # fmt: skip
 
@@ -208,7 +208,7 @@ def _send_kills() -> None:
 
 
 def start(pipe: int, preload: str = "") -> Process:
-    """Start a process that runs `stage.board.isolation.child` with this end of a pipe.
+    """Start a process that runs `stage.board.isolation.firmware_process` with this end of a pipe.
 
     Args:
         pipe: File descriptor that the process gets.
@@ -366,11 +366,11 @@ def _become_child(world: ProcessContext, files: list[int], run: Callable[[int], 
 
 def main(fileno: int) -> None:
     """Serve as the starter, by this end of a socket."""
-    from stage.board.isolation import child
+    from stage.board.isolation import firmware_process
 
     gc.freeze()
     with socket.socket(fileno=fileno) as control:
-        _serve(control, child.main)
+        _serve(control, firmware_process.main)
 
 
 if __name__ == "__main__":

@@ -15,11 +15,11 @@ from mcp.shared.exceptions import MCPError
 from mcp_types.version import HANDSHAKE_PROTOCOL_VERSIONS
 
 from stage import __version__
-from stage.agents.arguments import format_value
+from stage.agents.server.client_sessions import Sessions, ToolboxFactory
 from stage.agents.server.prompts import PROMPTS, fill_prompt
 from stage.agents.server.resources import list_pages
-from stage.agents.server.sessions import Sessions, ToolboxFactory
 from stage.agents.tool import Answer, Tool, refuse
+from stage.agents.tool_arguments import format_value
 from stage.agents.toolbox import Toolbox
 from stage.errors import StageError, unknown_name_error
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import ClassVar
 
 from stage.board.bus.host_record import OUT8
-from stage.board.devices import latch_core
+from stage.board.devices import output_latch_core
 from stage.board.devices.device import Compiled, Listener
 
 
@@ -21,7 +21,7 @@ class Latch(Compiled):
 
     KIND = "latch"
     PORTS = 1
-    CORE: ClassVar = latch_core
+    CORE: ClassVar = output_latch_core
 
     def __init__(self, changed: Callable[[int, int], object] | None = None, name: str | None = None):
         super().__init__(name=name)

@@ -7,11 +7,11 @@ uart:0x3F8   latch:0x378   adc.c:0x340+4
 
 from __future__ import annotations
 
-from stage.board import library
+from stage.board import firmware_library
 from stage.board.devices.device import Device, Encoder
 from stage.board.devices.hctl2016 import HCTL2000, HCTL2016, HCTL2020
-from stage.board.devices.latch import Latch
 from stage.board.devices.ls7166 import LS7166
+from stage.board.devices.output_latch import Latch
 from stage.board.devices.uart import UART
 from stage.board.devices.user_devices import CDevice
 from stage.errors import ArgumentError, add_article, find_similar_names
@@ -40,7 +40,7 @@ def make_device(text: str) -> tuple[Device, list[int]]:
     if not isinstance(text, str) or ":" not in text:
         raise ArgumentError(f"device {text!r}: write {FORM}. For example hctl2016:0x320:x")
     kind, *rest = text.split(":")
-    if library.are_sources(kind) or kind.endswith((".so", ".dylib", ".dll")):
+    if firmware_library.are_sources(kind) or kind.endswith((".so", ".dylib", ".dll")):
         if len(rest) != 1:
             raise ArgumentError(f"device {text!r}: write SOURCE.c:PORT[+PORTS], for example adc.c:0x340+4")
         port, _, ports = rest[0].partition("+")

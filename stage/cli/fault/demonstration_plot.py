@@ -76,7 +76,7 @@ def _find_unit(column: str) -> str | None:
 
 def _read_waveform(recording: Any, column: str) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return times in s, values, and whether each holds until the next, of the first axis; rates and pins to the clock."""
-    from stage.recording.signals import is_asserted, to_pulse_rates
+    from stage.recording.pin_signals import is_asserted, to_pulse_rates
 
     name, axis = next(iter(recording.axes.items()))
     if _find_unit(column) is not None and column != "rate":

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from stage.board import build, platforms
-from stage.board.library import SOURCES, find_compiler
+from stage.board.firmware_library import SOURCES, find_compiler
 from stage.errors import ArgumentError
 
 

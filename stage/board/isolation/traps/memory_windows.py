@@ -19,10 +19,8 @@ import numpy as np
 from stage.board import crash_report
 from stage.board.bus import host_record, requests
 from stage.board.errors import HostError
-from stage.board.isolation.traps import processor
-from stage.board.isolation.traps.calls import list_loaded_libraries
-from stage.board.isolation.traps.instructions import TABLE
-from stage.board.isolation.traps.signals import (
+from stage.board.isolation.traps import x86_execution
+from stage.board.isolation.traps.signal_handlers import (
     NO_MASK,
     ON_STACK,
     WITH_INFO,
@@ -31,12 +29,14 @@ from stage.board.isolation.traps.signals import (
     make_executable,
     set_action,
 )
+from stage.board.isolation.traps.sleep_calls import list_loaded_libraries
+from stage.board.isolation.traps.x86_instructions import TABLE
 from stage.board.windows import PROXIES, Window, explain_missing, is_supported, parse_windows
 from stage.errors import ArgumentError, StageError
 from stage.native import array_at
 
 if TYPE_CHECKING:
-    from stage.board.library import Library
+    from stage.board.firmware_library import Library
     from stage.board.link import Link
 
 MIN_ADDRESS = 1 << 16  # below the system lets nobody map
@@ -48,7 +48,7 @@ _FLAGS = 2 | 0x20 | 0x4000 | 0x100000  # of mmap: private, anonymous, no reserve
 _ELF, _LOAD, _READ_ONLY = b"\x7fELF", 1, 0x6474E552  # kinds of a program header
 _libc: Any = ctypes.CDLL(None)
 _libc.mmap.restype = _libc.pthread_self.restype = ctypes.c_void_p
-_space = np.zeros(1, processor.SPACE)
+_space = np.zeros(1, x86_execution.SPACE)
 _tables: list[np.ndarray] = []  # the handler in another thread may look at one before
 _thunks: list[int] = []
 
@@ -137,24 +137,24 @@ class Windows:
     def allow_stack(self) -> None:
         """Let the handler touch the stack of this thread."""
         if is_supported():
-            self._memory.append((*_find_stack(), processor.READABLE | processor.WRITABLE | processor.STACK))
+            self._memory.append((*_find_stack(), x86_execution.READABLE | x86_execution.WRITABLE | x86_execution.STACK))
 
     def _publish(self) -> None:
         """Inform the handler of windows, their pages and memory."""
         at = self._link.pointer
-        rows = [(w.address, w.end, processor.WINDOW, w.port, at) for w in self._windows]
-        rows += [(begin, end, processor.PAGE, 0, at) for begin, end in self._pages]
+        rows = [(w.address, w.end, x86_execution.WINDOW, w.port, at) for w in self._windows]
+        rows += [(begin, end, x86_execution.PAGE, 0, at) for begin, end in self._pages]
         rows += [(*memory, 0, at) for memory in self._memory]
-        if len(rows) >= processor.SPANS:
-            raise StageError(f"{len(rows)} windows and pieces of memory: there is room for {processor.SPANS - 1}.")
-        spans = np.zeros(processor.SPANS, processor.SPAN)
+        if len(rows) >= x86_execution.SPANS:
+            raise StageError(f"{len(rows)} windows and pieces of memory: there is room for {x86_execution.SPANS - 1}.")
+        spans = np.zeros(x86_execution.SPANS, x86_execution.SPAN)
         spans[: len(rows)] = rows
         _tables.append(spans)
         _space["spans"] = spans.ctypes.data
 
     def explain_refusal(self, what: int, execute_instruction: int, address: int) -> HostError:
         """Say why an instruction is no bus cycle. step: the address of its STEP."""
-        state: Any = array_at(execute_instruction, 1, processor.INSTRUCTION)[0]
+        state: Any = array_at(execute_instruction, 1, x86_execution.INSTRUCTION)[0]
         start, top = int(state.start), ctypes.c_uint64.from_address(int(state.stack)).value
         place = crash_report.locate(start, top, self._library.path)
         access = f"{self._library.path.name}: an access to address {address:X}h in {place}"
@@ -197,14 +197,14 @@ def _get_address(function: Any) -> int:
 def _make_thunk() -> int:
     """Make the handler in machine code: it gives `on_fault` its two records, of which STEP is on the stack, and jumps on to the
     handler of before if that is asked for."""
-    size = struct.pack("<i", -(-processor.INSTRUCTION.itemsize // 16) * 16)
-    previous = _space.ctypes.data + int(dict(processor.SPACE.fields or {})["previous"][1])
+    size = struct.pack("<i", -(-x86_execution.INSTRUCTION.itemsize // 16) * 16)
+    previous = _space.ctypes.data + int(dict(x86_execution.SPACE.fields or {})["previous"][1])
     code = (
         b"\x57\x56\x52"  # push rdi, rsi, rdx
         + b"\x48\x81\xec" + size  # sub rsp, size
         + b"\x49\x89\xe0\x4d\x89\x00"  # mov r8, rsp; mov [r8], r8
         + b"\x48\xb9" + struct.pack("<Q", _space.ctypes.data)  # mov rcx, the SPACE
-        + b"\x48\xb8" + struct.pack("<Q", _get_address(processor.handle_fault.pointer))  # mov rax, on_fault
+        + b"\x48\xb8" + struct.pack("<Q", _get_address(x86_execution.handle_fault.pointer))  # mov rax, on_fault
         + b"\xff\xd0"  # call rax
         + b"\x48\x81\xc4" + size  # add rsp, size
         + b"\x5a\x5e\x5f"  # pop rdx, rsi, rdi
@@ -230,7 +230,7 @@ def _describe_use(begin: int, end: int) -> str:
 def _list_memory(library: Library) -> list[tuple[int, int, int]]:
     """Return code and data of a library and of those that were loaded with it, and its bus: begin, end, kind."""
     bus_struct = ctypes.addressof(library.bus)
-    memory = [(bus_struct, bus_struct + ctypes.sizeof(library.bus), processor.READABLE)]
+    memory = [(bus_struct, bus_struct + ctypes.sizeof(library.bus), x86_execution.READABLE)]
     for base in (loaded.base for loaded in list_loaded_libraries(library.handle)):
         if not base or ctypes.string_at(base, 4) != _ELF:
             continue
@@ -242,7 +242,7 @@ def _list_memory(library: Library) -> list[tuple[int, int, int]]:
                 (
                     base + start,
                     base + start + length,
-                    processor.READABLE if kind == _READ_ONLY else _convert_flags(flags),
+                    x86_execution.READABLE if kind == _READ_ONLY else _convert_flags(flags),
                 )
                 for what, flags, _, start, _, _, length in rows
                 if what == kind
@@ -252,7 +252,7 @@ def _list_memory(library: Library) -> list[tuple[int, int, int]]:
 
 def _convert_flags(flags: int) -> int:
     """Convert the flags of a program header: 4 read, 2 write, 1 execute."""
-    names = ((4, processor.READABLE), (2, processor.WRITABLE), (1, processor.CODE))
+    names = ((4, x86_execution.READABLE), (2, x86_execution.WRITABLE), (1, x86_execution.CODE))
     return sum(kind for flag, kind in names if flags & flag)
 
 

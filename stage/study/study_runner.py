@@ -42,7 +42,7 @@ def open_study(
         seed: of the sampler.
     Raises ArgumentError when the study there is one of another objective, with what differs; StageError: no storage, no Optuna.
     """
-    from stage.study.storage import ByNumber, optuna, storage_at
+    from stage.study.optuna_storage import ByNumber, optuna, storage_at
 
     check_integer("seed", seed, 0)
     study = optuna.create_study(
@@ -77,7 +77,7 @@ def read_study(storage: str | os.PathLike) -> optuna.Study:
     Raises:
         ArgumentError: There is no study.
     """
-    from stage.study.storage import optuna, storage_at
+    from stage.study.optuna_storage import optuna, storage_at
 
     if "://" in str(storage) or Path(storage).exists():
         opened = storage_at(storage)

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from stage.recording import geoms, signals
-from stage.recording.geoms import rotate
-from stage.recording.sdk import rr
+from stage.recording import geom_archetypes, pin_signals
+from stage.recording.geom_archetypes import rotate
+from stage.recording.rerun_import import rr
 from stage.support.identifier_escapes import escape_name
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class Scene:
         model = self._recording.model
         out.log("stage", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for body in range(model.nbody):
-            for name, shape in geoms.list_shapes(model, body):
+            for name, shape in geom_archetypes.list_shapes(model, body):
                 out.log(f"{make_body_path(model, body)}/{name}", shape, static=True)
         for body in np.flatnonzero(model.body_weldid == 0).tolist():
             if body:
@@ -77,7 +77,7 @@ class Scene:
             time = np.concatenate([[self._recording.began], time[1:]])
         self._rows_logged += len(piece)
         if len(time):
-            xpos, xquat, sites = geoms.compute_poses(model, qpos)
+            xpos, xquat, sites = geom_archetypes.compute_poses(model, qpos)
             for body in self._moving:
                 _log_poses(out, make_body_path(model, body), time, xpos[:, body], xquat[:, body])
             self._path.append(_to_work_frame(model, xpos, xquat, sites))
@@ -95,10 +95,10 @@ class Scene:
         """
         axis = self._recording.axes[name]
         for path, _, pin, kind, rivals in self._lamps[name]:
-            lit = signals.is_switch_on(axis, edges, pin)
+            lit = pin_signals.is_switch_on(axis, edges, pin)
             if rivals:
                 lit &= self._nearest(name, edges, pin, rivals)
-            clocks, on = signals.find_changes(edges, lit)
+            clocks, on = pin_signals.find_changes(edges, lit)
             if not first and bool(on[0]) == self._lamp_states.get(
                 path
             ):  # as it was: unless it changed at the end of the last
@@ -150,7 +150,7 @@ def make_axis_path(name: str) -> str:
 
 def _log_pose(out: Any, model: mujoco.MjModel, body: int) -> None:
     """Log the pose of a body that is part of the frame, once."""
-    xpos, xquat, _ = geoms.compute_poses(model, model.qpos0[None])
+    xpos, xquat, _ = geom_archetypes.compute_poses(model, model.qpos0[None])
     out.log(
         make_body_path(model, body), rr.Transform3D(translation=xpos[0, body], quaternion=xquat[0, body]), static=True
     )
@@ -210,7 +210,7 @@ def _log_directions(out: Any, recording: Recording, colors: dict[str, tuple[int,
     mujoco.mj_kinematics(model, data)
     frame = [g for g in range(model.ngeom)
              if model.body_weldid[model.geom_bodyid[g]] == 0 and model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE
-             and geoms.is_visible(model, g)]  # fmt: skip
+             and geom_archetypes.is_visible(model, g)]  # fmt: skip
     length = 0.1 * float(model.stat.extent)
     corner = np.array(model.stat.center) - 0.5 * float(model.stat.extent)
     if frame:
@@ -236,7 +236,7 @@ def _list_lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarr
     carriage = int(model.jnt_bodyid[axis.joint])
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    for pin, (_, kind) in signals.SWITCHES.items():
+    for pin, (_, kind) in pin_signals.SWITCHES.items():
         sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, f"{name}_{pin}")
         if sensor < 0 or not axis.chip.wired(pin):
             continue
@@ -246,5 +246,5 @@ def _list_lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarr
         above = rotate(data.xquat[body] * [1, -1, -1, -1], [0, 0, LAMP_HEIGHT * model.stat.extent])
         path = f"{make_body_path(model, body)}/lamp_{escape_name(name)}_{pin}"
         wired, others = axis.chip.wired(pin), axis.switches.as_dict()
-        rivals = tuple(p for p in signals.SWITCHES if p != pin and p in others and axis.chip.wired(p) == wired)
+        rivals = tuple(p for p in pin_signals.SWITCHES if p != pin and p in others and axis.chip.wired(p) == wired)
         yield path, model.geom_pos[geom] + above, pin, kind, rivals

@@ -5,7 +5,7 @@
     sessions.close("3f1c")
 
 All stages are copies of one, so that a session costs some milliseconds and no second model file. The transports are in stdio.py and
-http.py, the protocol in protocol.py.
+http.py, the protocol in mcp_handlers.py.
 """
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.recording.series import SERIES, list_axes_with_series, make_plot_title
-from stage.recording.signals import SWITCHES
+from stage.recording.axis_series import SERIES, list_axes_with_series, make_plot_title
+from stage.recording.pin_signals import SWITCHES
 from stage.support import plot_style
 from stage.support.files import save_figure
 

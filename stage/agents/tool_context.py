@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from stage.agents.arguments import argument, choice
 from stage.agents.budget import Budget, Meter
 from stage.agents.host_diagnostics import HostDiagnostics
+from stage.agents.tool_arguments import argument, choice
 from stage.firmware.driver import Driver, get_driver
 from stage.panel.stage_observer import BusTrace
 from stage.sim.axis import Axis

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from stage.board.bus import host_record
-from stage.board.isolation.traps import instructions as x86
+from stage.board.isolation.traps import x86_instructions as x86
 from stage.native import array_at, declare_address_call, exported, hot, record
 
 SPAN = record([(name, "i8") for name in "begin end kind port host".split()])

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from stage.errors import StageError, unknown_name_error
+from stage.recording.axis_series import FORMAT, SERIES
+from stage.recording.column_files import Columns, Tabular
 from stage.recording.recording import RecordingError, find_column_unit
 from stage.recording.rrd_process import DamagedFile, read_chunks
-from stage.recording.series import FORMAT, SERIES
-from stage.recording.table import Columns, Tabular
 from stage.support.extras import import_extra, is_installed
 from stage.support.foreign_files import open_regular
 from stage.support.identifier_escapes import escape_name
