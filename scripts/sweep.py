@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.errors import ArgumentError, StageError
-from stage.study import SPACE, PresetMoves, finished, read_study, run
+from stage.study import SPACE, PresetMoves, count_finished, read_study, run
 from stage.study.optuna_storage import optuna
 
 SAMPLERS = {"tpe": "TPESampler", "random": "RandomSampler", "nsga2": "NSGAIISampler"}
@@ -102,7 +102,7 @@ def show(study: Any, top: int) -> None:
     states = [t.state.name.lower() for t in trials]
     counted = ", ".join(f"{states.count(s)} {s}" for s in dict.fromkeys(states))
     print(
-        f"{finished(study)} trials finished ({counted or 'none'}); {'the best' if goals == 1 else 'the Pareto front'}:"
+        f"{count_finished(study)} trials finished ({counted or 'none'}); {'the best' if goals == 1 else 'the Pareto front'}:"
     )
     front = [t for t in trials if t.state.name == "COMPLETE"] if goals == 1 else study.best_trials
     for t in sorted(front, key=lambda t: t.values)[:top]:

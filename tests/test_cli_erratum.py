@@ -27,7 +27,7 @@ MOVES = {}
 @pytest.fixture
 def once(monkeypatch):
     """Tests that ask for nothing but figures share the moves: each is made once."""
-    move = erratum._move
+    move = erratum._drive_s_curve
 
     def known(stage, stop):
         chip = stage.chips[0]
@@ -98,7 +98,7 @@ def test_corrected_chips_end_on_target_with_both_commands(work_folder, once, cap
 def test_it_draws_itself_and_records_both_runs(work_folder, capsys, monkeypatch, vcd):
     monkeypatch.setattr(erratum, "OBSERVATION_S", 1.0)
     drawn = []
-    draw = erratum_picture.draw
+    draw = erratum_picture.draw_erratum_plot
     monkeypatch.setattr(
         erratum_picture, "draw", lambda result, *args: drawn.append((result, draw(result, *args))) or drawn[0][1]
     )

@@ -49,8 +49,8 @@ def test_completion_scripts_differ_by_shell(capsys):
 @pytest.mark.parametrize("overwrite", [None, True])
 def test_a_plot_of_two_runs_overwrites_a_file_only_on_request(overwrite, monkeypatch):
     calls = []
-    for module in (erratum_picture, demonstration_plot):
-        monkeypatch.setattr(module, "draw", lambda result, path, over: calls.append((path, over)))
+    for module, name in ((erratum_picture, "draw_erratum_plot"), (demonstration_plot, "draw_demonstration")):
+        monkeypatch.setattr(module, name, lambda result, path, over: calls.append((path, over)))
     for result in (
         ErratumResult("MCX304", False, ({}, {}), (None, None)),
         DemoResult("jam", DEMOS["jam"], ({}, {}), (None, None)),

@@ -111,7 +111,7 @@ def test_what_was_claimed_happens_with_every_chip_or_is_refused_with_its_reason(
         return stage
 
     def show():
-        return demos.show(name, make)
+        return demos.run_demonstration(name, make)
 
     if why := REFUSED.get((name, chip)):
         with pytest.raises(StageError, match=why):
@@ -135,7 +135,7 @@ def test_a_demonstration_says_what_the_model_lacks(tmp_path, name, message):
     """stage fault stuck-open --model hinge.xml"""
     (tmp_path / "hinge.xml").write_text(ONE_AXIS)
     with pytest.raises(StageError, match=message):
-        demos.show(name, lambda: Stage(str(tmp_path / "hinge.xml"), visuals=False))
+        demos.run_demonstration(name, lambda: Stage(str(tmp_path / "hinge.xml"), visuals=False))
 
 
 ONE_AXIS = """
@@ -151,7 +151,7 @@ ONE_AXIS = """
 
 def test_axes_on_two_chips_are_started_by_two_commands():
     """stage fault start-skew --chips mcx302"""
-    displayed = demos.show("start-skew", lambda: Stage("xyz", chips=MCX302, visuals=False))
+    displayed = demos.run_demonstration("start-skew", lambda: Stage("xyz", chips=MCX302, visuals=False))
     assert displayed.as_claimed, displayed.table()
 
 

@@ -268,20 +268,20 @@ def limit_file_size(size):
 
 def test_a_study_on_a_full_disk_keeps_its_trials_and_continues_later(tmp_path):
     pytest.importorskip("optuna")
-    from stage.study import finished, read_study, run, suggest
+    from stage.study import count_finished, read_study, run, suggest_registers
 
     def objective(trial):
-        return suggest(trial, {"R2": "400:3600"})["R2"]
+        return suggest_registers(trial, {"R2": "400:3600"})["R2"]
 
     place = tmp_path / "study"
     run(objective, place, 2)
     for more in (1, 30, 100):  # in the middle of a line
-        before = finished(read_study(place))
+        before = count_finished(read_study(place))
         full = pytest.raises(FileError, match=r"File too large.*What was recorded before is safe")
         with full, limit_file_size(place.stat().st_size + more):
             run(objective, place, before + 1)
-        assert finished(read_study(place)) == before
-        assert finished(run(objective, place, before + 1)) == before + 1
+        assert count_finished(read_study(place)) == before
+        assert count_finished(run(objective, place, before + 1)) == before + 1
 
 
 def test_file_errors_are_stage_errors():

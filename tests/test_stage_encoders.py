@@ -244,9 +244,9 @@ def test_the_option_accepts_encoders_on_the_motor():
 
 @pytest.mark.stage("xy", chips="MCX514", encoders={"x": 1000}, record=False)
 def test_the_marker_of_a_test_takes_encoders(request):
-    from stage.testing.marker_arguments import stage_arguments
+    from stage.testing.marker_arguments import read_stage_arguments
 
-    assert stage_arguments(request.node)["encoders"] == {"x": 1000}
+    assert read_stage_arguments(request.node)["encoders"] == {"x": 1000}
 
 
 def test_counts_a_turn_have_the_sign_of_the_gear():

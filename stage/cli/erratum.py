@@ -1,7 +1,7 @@
 """The command `stage erratum`: the S-curve failure of MCX302, MCX304 and MCX312, beside a work-around of NOVA's notice.
 
 The same move is made twice. A decelerating stop is commanded in area d, the end of the deceleration: once by 26h whatever the chip
-is doing, once by `stop_by_speed`. `show` serves the command, the tests and docs/erratum.md.
+is doing, once by `stop_by_speed`. `run_demonstration` serves the command, the tests and docs/erratum.md.
 """
 
 from __future__ import annotations
@@ -85,9 +85,9 @@ class ErratumResult:
 
     def plot(self, path: str | None = None, overwrite: bool = False) -> Any:
         """Draw both runs over time, and the areas of the notice; return the figure. Needs recordings, and matplotlib."""
-        from stage.cli.erratum_picture import draw
+        from stage.cli.erratum_picture import draw_erratum_plot
 
-        return draw(self, path, overwrite)
+        return draw_erratum_plot(self, path, overwrite)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
     for named in both:
         check_outputs(named)
     first, second = (partial(record_for_plot, named, interval=SAMPLE_INTERVAL_S) for named in both)
-    result = show(partial(_make_stage, args), (first, second))
+    result = run_demonstration(partial(_make_stage, args), (first, second))
     print(
         f"{result.chip}{', mended' if result.mended else ''}: a decelerating stop is commanded in area d\n\n{result.table()}"
     )
@@ -132,14 +132,16 @@ def _make_stage(args: argparse.Namespace) -> Any:
     return Stage(args.model, chips=chips, drives=drive, bus_cycle=args.bus_cycle)
 
 
-def show(make: Callable[[], Any], records: tuple[Record | None, Record | None] = (None, None)) -> ErratumResult:
+def run_demonstration(
+    make: Callable[[], Any], records: tuple[Record | None, Record | None] = (None, None)
+) -> ErratumResult:
     """Make the move on two stages: with the work-around, and then with a bare 26h.
 
     Args:
         make: Makes a stage.
         records: Context managers of the recordings with the bare 26h and with the work-around.
     """
-    from stage.cli.fault.host_programs import first_axis
+    from stage.cli.fault.host_programs import get_first_axis
 
     figures, recordings = [], []
     for program, record in ((_stop_by_speed, records[1]), (_stop_by_26h, records[0])):  # a viewer shows the last one
@@ -147,9 +149,9 @@ def show(make: Callable[[], Any], records: tuple[Record | None, Record | None] =
         note(f"{program.__name__.removeprefix('_stop_')}: the move ...")
         context: AbstractContextManager = record(stage) if record else nullcontext()
         with context as recording:
-            figures.append(_move(stage, program))
+            figures.append(_drive_s_curve(stage, program))
         recordings.append(recording)
-    x = first_axis(stage)
+    x = get_first_axis(stage)
     return ErratumResult(
         type(x.chip).__name__, not x.chip.errata, (figures[1], figures[0]), (recordings[1], recordings[0]), x.unit
     )
@@ -168,12 +170,12 @@ def _stop_by_speed(port: Any) -> bool:
     return stop_by_speed(port, compute_judgmental_speed(MOVE["SV"], MOVE["V"]))
 
 
-def _move(stage: Any, stop: Callable[[Any], bool]) -> Figures:
+def _drive_s_curve(stage: Any, stop: Callable[[Any], bool]) -> Figures:
     """Drive an S-curve up to 5 mm before EL+, by bus cycles, call `stop(port)` once RR1 shows area d, and return figures."""
-    from stage.cli.fault.host_programs import find_touch, first_axis
+    from stage.cli.fault.host_programs import find_touch, get_first_axis
     from stage.firmware.nova import s_curve_workarounds
 
-    x = first_axis(stage)
+    x = get_first_axis(stage)
     end = find_touch(x, "el_plus")
     stage.place(**{x.name: end - TARGET_TO_LIMIT_M - PULSES * x.meters_per_pulse})
     port = s_curve_workarounds.open_port(x)

@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from stage.cli.erratum import ErratumResult
 
 CLOSE_UP_S = 0.06  # before area d, and after it
-LANES = {"ASND": "asnd", "CNST": "cnst", "DSND": "dsnd", "n-DRV": "drive"}
+STATUS_LANES = {"ASND": "asnd", "CNST": "cnst", "DSND": "dsnd", "n-DRV": "drive"}
 
 
-def draw(result: ErratumResult, path: str | None, overwrite: bool) -> Any:
+def draw_erratum_plot(result: ErratumResult, path: str | None, overwrite: bool) -> Any:
     """Draw rate and position of both runs; beside them, close up, the rate and the bits of RR1 around area d."""
     from stage.support.files import save_figure
     from stage.support.plot_style import COLORS, MUTED_COLOR, TEXT_COLOR, make_figure, remove_frame, set_title
@@ -89,7 +89,7 @@ def _find_areas(recording: Any) -> dict[str, tuple[float, float]]:
 
 def _draw_bits(panel: Any, recording: Any, color: str) -> None:
     waveform, time = _read_waveform(recording)
-    for k, pin in enumerate(reversed(LANES.values())):
+    for k, pin in enumerate(reversed(STATUS_LANES.values())):
         panel.plot(time, k + 0.7 * waveform.pin(pin), drawstyle="steps-post", color=color, linewidth=1.6)
         panel.axhline(k, color=color, linewidth=0.5, alpha=0.4)
-    panel.set_yticks([k + 0.35 for k in range(len(LANES))], list(reversed(LANES)))
+    panel.set_yticks([k + 0.35 for k in range(len(STATUS_LANES))], list(reversed(STATUS_LANES)))

@@ -18,7 +18,7 @@ from stage.cli.stage_setup import (
     parse_speed_options,
     place_carriage,
     split_pair,
-    warn_beyond_limits,
+    warn_if_beyond_limits,
 )
 from stage.cli.terminal import show_simulated_time
 from stage.errors import ArgumentError, add_article
@@ -129,7 +129,7 @@ def _run_on_axis(args: argparse.Namespace, run: Any) -> int:
         _warn_of_tandem(args, axis, axis.tandem, [f"{axis.name}={args.distance}"])
     with record_to_files(args, stage), show_simulated_time(stage):
         pulses, speeds = parse_distance(axis, args.distance), parse_speed_options(args, axis)
-        warn_beyond_limits(args, axis, pulses)
+        warn_if_beyond_limits(args, axis, pulses)
         if described := get_driver(axis).describe_speeds(speeds):
             print(described)
         report = run(axis, pulses, speeds)
@@ -173,7 +173,7 @@ def sync(args: argparse.Namespace) -> int:
         axis = find_axis(stage, name)
         if name in pulses:
             raise ArgumentError(f"{item!r}: axis {name} already has {pulses[name]} pulses. Give each axis once.")
-        pulses[name] = warn_beyond_limits(args, axis, parse_distance(axis, distance))
+        pulses[name] = warn_if_beyond_limits(args, axis, parse_distance(axis, distance))
     for name in pulses:
         if left := [other for other in stage.axes[name].tandem if pulses.get(other) != pulses[name]]:
             _warn_of_tandem(args, stage.axes[name], left, args.distances)

@@ -222,7 +222,7 @@ def parse_distance(axis: Any, text: str) -> int:
     return convert_to_pulses(axis, distance, None)
 
 
-def warn_beyond_limits(args: argparse.Namespace, axis: Any, pulses: int) -> int:
+def warn_if_beyond_limits(args: argparse.Namespace, axis: Any, pulses: int) -> int:
     """Warn where a move leads beyond the end limits of the axis, or its travel where it has none.
 
     Returns:

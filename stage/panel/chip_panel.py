@@ -305,7 +305,7 @@ async def send(panel: Panel, k: int, cycles: Sequence[BusCycle]) -> list[int]:
                 data.append(trace.read(cycle.address))
             else:
                 stage.chips[k].write(cycle.address, cycle.datum)
-        panel.observer.observe(stage)
+        panel.observer.update_views(stage)
         return data
 
     return await asyncio.wrap_future(panel.session.post(order))

@@ -277,7 +277,7 @@ def sent_of(panel: Panel) -> list[ProgramCycle]:
 def capture(panel: Panel) -> tuple[SavedPanel, int]:
     """Return the content of a file, and the time, ns. For the stage's thread."""
     stage = panel.session.stage
-    panel.observer.observe(stage)
+    panel.observer.update_views(stage)
     kg, _ = stage.describe_machine()["payloads"]
     payloads = {stage.model.body(body).name: mass for body, mass in kg.items()}
     faults = [active.request for active in panel.fault_controls.in_force]
@@ -311,13 +311,13 @@ def save(panel: Panel) -> bytes:
             file.writestr(f"{name}.snapshot", _to_bytes(snapshot))
         for name, text in texts.items():
             file.writestr(name, text)
-        ending, data = _recording(panel)
+        ending, data = _export_last_minute(panel)
         if data:
             file.writestr(f"recording.{ending}", data)
     return out.getvalue()
 
 
-def _recording(panel: Panel) -> tuple[str, bytes]:
+def _export_last_minute(panel: Panel) -> tuple[str, bytes]:
     """Return the last minute: the ending of its file and its bytes, none where nothing has been sampled."""
     sampler = panel.sampler
     names = [n for n, t in sampler.traces.items() if t.pin or n.rpartition("/")[2] in RECORDED]
@@ -415,7 +415,7 @@ def restore(panel: Panel, saved: SavedPanel) -> None:
         for request in saved.faults:
             panel.fault_controls.make_again(request)
         panel.session.restore(saved.now)
-        panel.observer.observe(stage)
+        panel.observer.update_views(stage)
         panel.observer.program_start = saved.start
         for k, trace in enumerate(panel.observer.traces):
             hz = trace.chip.clock_hz

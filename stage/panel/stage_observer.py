@@ -219,7 +219,7 @@ class StageObserver:
         self.chips: dict[tuple[int, int], ChipView] = {}
         self.traces: tuple[BusTrace, ...] = session.do(lambda stage: tuple(BusTrace(chip) for chip in stage.chips))
         self.program_start: tuple[int, Snapshot] = session.do(self._start_program)
-        session.do(self.observe)
+        session.do(self.update_views)
         self._end_observing = session.on_slice(self._after_slice)
 
     def request_registers(self, chip: int, axis: int) -> None:
@@ -233,9 +233,9 @@ class StageObserver:
 
     def _after_slice(self, stage: Stage) -> None:
         if perf_counter() - self._observed_at >= 1 / FRAMES:
-            self.observe(stage)
+            self.update_views(stage)
 
-    def observe(self, stage: Stage) -> None:
+    def update_views(self, stage: Stage) -> None:
         """Renew the views now, in the stage's thread."""
         self._observed_at = now = perf_counter()
         self.axes = {axis.name: self._view_axis(axis) for axis in stage.axes.values()}

@@ -300,7 +300,7 @@ class Recording(Tabular):
         self._separate_fork()
         if self._log is not None:
             self._flushed = len(self)
-            self._write_or_stop(self._log.take)
+            self._write_or_stop(self._log.write_new_samples)
 
     def _write_or_stop(self, write: Callable[[], None]) -> None:
         try:

@@ -61,7 +61,7 @@ class RrdSink:
         self._file = path.open("wb" if overwrite else "xb", buffering=0)
         self._end, write_end = os.pipe()
         self._lock = threading.Lock()
-        self._thread = threading.Thread(target=self._collect, name="rerun file", daemon=True)
+        self._thread = threading.Thread(target=self._read_pipe, name="rerun file", daemon=True)
         self._thread.start()
         wrapped = blueprint and BlueprintWithStream(blueprint)
         out.save(f"/dev/fd/{write_end}", default_blueprint=wrapped)
@@ -69,7 +69,7 @@ class RrdSink:
             wrapped.stream.disconnect()  # it holds itself in memory, and would for ever
         os.close(write_end)
 
-    def _collect(self) -> None:
+    def _read_pipe(self) -> None:
         """Take bytes from the pipe, so that rerun never waits."""
         poll = select.poll()
         poll.register(self._end, select.POLLIN)

@@ -51,7 +51,7 @@ def write_rrd(recording: Recording, path: Path) -> None:
     """
     log = RerunLog(recording, path)
     try:
-        log.take()
+        log.write_new_samples()
         log.finish()
     finally:
         log.close()
@@ -60,7 +60,7 @@ def write_rrd(recording: Recording, path: Path) -> None:
 class RerunLog:
     """Rerun file of a recording, which grows with it. Raises OSError where the file cannot be written.
 
-    Everything up to the last `take` is in the file and can be read there, even if this process is killed.
+    Everything up to the last `log_new_states` is in the file and can be read there, even if this process is killed.
     """
 
     def __init__(self, recording: Recording, path: Path, overwrite: bool = False):
@@ -73,23 +73,23 @@ class RerunLog:
         self._sink = RrdSink(rr.RecordingStream("pulsestage"), path, build_dashboard(recording), overwrite)
         try:
             _log_about(self._sink.out, recording)
-            self._scene.begin(self._sink.out, self._colors)
+            self._scene.log_static_geoms(self._sink.out, self._colors)
             _log_styles(self._sink.out, recording, self._colors)
             self._sink.flush()
         except BaseException:
             self.close()
             raise
 
-    def take(self) -> None:
+    def write_new_samples(self) -> None:
         """Write the samples, edges and faults since the last call."""
         for piece in self._recording.pieces(begin=self._rows):
             _log_series(self._sink.out, self._recording, piece)
-            self._scene.move(self._sink.out, piece)
+            self._scene.log_poses(self._sink.out, piece)
             self._rows += len(piece)
             self._sink.flush()  # or an hour would pile up before it is written
         for name, lanes in self._lanes.items():
-            edges, first = lanes.take(self._sink.out)
-            self._scene.light(self._sink.out, name, edges, first)
+            edges, first = lanes.log_new_states(self._sink.out)
+            self._scene.log_lamps(self._sink.out, name, edges, first)
         self._scene.forget_track()
         _log_faults(self._sink.out, self._recording.notes, self._notes_logged)
         self._notes_logged = len(self._recording.notes)
@@ -98,9 +98,9 @@ class RerunLog:
     def finish(self) -> None:
         """Write the parts that are known at the end only: the length, the tool's path, the last register's value."""
         _log_about(self._sink.out, self._recording)
-        self._scene.end(self._sink.out)
+        self._scene.log_tool_path(self._sink.out)
         for lanes in self._lanes.values():
-            lanes.end(self._sink.out)
+            lanes.log_last_write(self._sink.out)
         self._sink.close()
 
     def close(self) -> None:
@@ -187,7 +187,7 @@ class StateLanes:
         self._last_states: dict[str, str] = {}
         """Last state of each lane."""
 
-    def take(self, out: Any) -> tuple[np.ndarray, bool]:
+    def log_new_states(self, out: Any) -> tuple[np.ndarray, bool]:
         """Log what is new.
 
         Returns:
@@ -201,28 +201,28 @@ class StateLanes:
         self._first = False
         return edges, first
 
-    def end(self, out: Any) -> None:
+    def log_last_write(self, out: Any) -> None:
         """Log a register write that nothing followed."""
         self._log_bus(out, self._decoder.flush())
 
     def _log_edges(self, out: Any, edges: np.ndarray) -> None:
         chip = self._axis.chip
         phases = {s: STATES[s] for s in pin_signals.list_phases(chip)}
-        self._lane(out, "phase", edges, pin_signals.find_phases(chip, edges), phases)
+        self._log_lane(out, "phase", edges, pin_signals.find_phases(chip, edges), phases)
         together, kinds = np.full(len(edges), "", object), {}
         for pin, label, kind in pin_signals.list_switches(self._axis):
             kinds[label] = kind
             on = pin_signals.is_switch_on(self._axis, edges, pin)
             states = np.where(on, label, "off").astype(object)
             colors = {label: STATES[kind], "off": STATES["off"]}
-            self._lane(out, f"switches/{pin}", edges, states, colors)
+            self._log_lane(out, f"switches/{pin}", edges, states, colors)
             together = np.where(on, together + np.where(together == "", "", " ") + label, together)
         # EL, then ORG, then SD gives a combination its color: the order of the alphabet, as it happens
         new = dict.fromkeys(s for s in together if s not in self._combined_states)
         self._combined_states |= {state: STATES[min((kinds[s] for s in state.split()), default="off")] for state in new}
-        self._lane(out, "switches", edges, together, self._combined_states, bool(new))
+        self._log_lane(out, "switches", edges, together, self._combined_states, bool(new))
 
-    def _lane(
+    def _log_lane(
         self, out: Any, lane: str, edges: np.ndarray, states: Any, colors: dict[str, tuple], style: bool = False
     ) -> None:
         path = f"{rerun_scene.make_axis_path(self._name)}/{lane}"

@@ -32,7 +32,10 @@ DIRECTIONS = "directions"  # beside the bodies: the arrows of the axes
 
 
 class Scene:
-    """Scene of a recording, logged in parts: `begin`, then `move` and `light` as it grows, then `end`."""
+    """Logger of the 3D scene of a recording.
+
+    Call `log_static_geoms` first, `log_poses` and `log_lamps` while the recording grows, and `log_tool_path` at the end.
+    """
 
     def __init__(self, recording: Recording):
         self._recording, self._rows_logged = recording, 0
@@ -44,7 +47,7 @@ class Scene:
         self._track: list[tuple[np.ndarray, np.ndarray]] | None = [] if shared else None
         """Times and qpos since the last `forget_track`: they say which of two switches on one pin is on; None: none share one."""
 
-    def begin(self, out: Any, colors: dict[str, tuple]) -> None:
+    def log_static_geoms(self, out: Any, colors: dict[str, tuple]) -> None:
         """Log what does not move.
 
         Args:
@@ -63,7 +66,7 @@ class Scene:
         for path, place, *_ in (lamp for lamps in self._lamps.values() for lamp in lamps):
             out.log(path, rr.Points3D([place]), static=True)
 
-    def move(self, out: Any, piece: np.ndarray) -> None:
+    def log_poses(self, out: Any, piece: np.ndarray) -> None:
         """Log the poses of the bodies and the tool.
 
         Args:
@@ -84,7 +87,7 @@ class Scene:
             if self._track is not None:
                 self._track.append((time, qpos))
 
-    def light(self, out: Any, name: str, edges: np.ndarray, first: bool) -> None:
+    def log_lamps(self, out: Any, name: str, edges: np.ndarray, first: bool) -> None:
         """Log the lamps of an axis.
 
         Args:
@@ -97,7 +100,7 @@ class Scene:
         for path, _, pin, kind, rivals in self._lamps[name]:
             lit = pin_signals.is_switch_on(axis, edges, pin)
             if rivals:
-                lit &= self._nearest(name, edges, pin, rivals)
+                lit &= self._find_nearest_switch(name, edges, pin, rivals)
             clocks, on = pin_signals.find_changes(edges, lit)
             if not first and bool(on[0]) == self._lamp_states.get(
                 path
@@ -122,7 +125,7 @@ class Scene:
             time, qpos = self._track[-1]
             self._track = [(time[-1:], qpos[-1:])]
 
-    def _nearest(self, name: str, edges: np.ndarray, pin: str, rivals: tuple[str, ...]) -> np.ndarray:
+    def _find_nearest_switch(self, name: str, edges: np.ndarray, pin: str, rivals: tuple[str, ...]) -> np.ndarray:
         """Return at each edge whether the carriage is nearer to where a switch trips than to any rival on its pin."""
         if not self._track:
             return np.ones(len(edges), bool)
@@ -132,7 +135,7 @@ class Scene:
         away = {s.pin: np.abs(at - s.touch) for s in axis.plant.switches}
         return np.all([away[pin] <= away[rival] for rival in rivals], axis=0)
 
-    def end(self, out: Any) -> None:
+    def log_tool_path(self, out: Any) -> None:
         """Log the tool's path, which is drawn whole."""
         if self._path:
             _log_path(out, self._recording.model, np.concatenate(self._path))

@@ -1,4 +1,4 @@
-"""`Machine`: executes the frames of a host on a board. It knows nothing of sockets."""
+"""`FrameExecutor`: executes the frames of a host on a board. It knows nothing of sockets."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class _Buffers:
         self.entries_at, self.answers_at = self.entries.ctypes.data, self.answers.ctypes.data
 
 
-class Machine:
+class FrameExecutor:
     """A board and its named snapshots.
 
     Args:
@@ -79,10 +79,11 @@ class Machine:
         self._timers: dict[int, bytes] = {}
         self._snapshots: dict[str, Any] = {START: board.stage.snapshot()}
         self.handlers: dict[int, Callable[[bytes], bytes]] = {
-            client.BATCH: self._batch, client.LOG: self._log, client.HOOK: self._set_hook, client.RESET: self._reset,
-            client.SNAPSHOT: self._snapshot, client.RESTORE: self._restore, client.STATUS: self._status,
-            client.POSITIONS: self._positions, client.PIN: self._pin, client.STICK: self._stick,
-            client.TIMER: self._timer,
+            client.BATCH: self._execute_batch, client.LOG: self._add_log_line, client.HOOK: self._set_hook,
+            client.RESET: self._reset_chips,
+            client.SNAPSHOT: self._store_snapshot, client.RESTORE: self._restore_snapshot, client.STATUS: self._read_status,
+            client.POSITIONS: self._read_positions, client.PIN: self._read_pin, client.STICK: self._stick_switch,
+            client.TIMER: self._set_timer,
         }  # fmt: skip
 
     def describe_board(self) -> bytes:
@@ -103,7 +104,7 @@ class Machine:
 
     def reset_to_start(self) -> None:
         """Restore the state in which the server started."""
-        self._restore(START.encode())
+        self._restore_snapshot(START.encode())
 
     def remove_hooks(self) -> None:
         """Remove the interrupt hook and the timers of a host that has disconnected."""
@@ -115,7 +116,7 @@ class Machine:
 
     # --- frames: body -> body of the reply ---
 
-    def _batch(self, body: bytes) -> bytes:
+    def _execute_batch(self, body: bytes) -> bytes:
         n, rest = divmod(len(body), client.ENTRY.size)
         if rest:
             raise ArgumentError(f"BATCH: {len(body)} bytes; an entry has {client.ENTRY.size}.")
@@ -124,7 +125,7 @@ class Machine:
         wrong = find_first_invalid.with_gil(buffers.entries_at, n, len(self.board.stage.chips))
         if wrong < n:
             raise ArgumentError(
-                f"BATCH, entry {wrong}: {_describe_wrong(buffers.entries[wrong])}. Nothing of this batch was done."
+                f"BATCH, entry {wrong}: {_describe_wrong_entry(buffers.entries[wrong])}. Nothing of this batch was done."
             )
         link, before = self.board.link, (self._in_batch, self.board.link.pause)
         self._in_batch, link.pause = True, self._pause_batch
@@ -152,7 +153,7 @@ class Machine:
                 link.set_error(error)
         resume_batch.c(link.pointer)
 
-    def _log(self, body: bytes) -> bytes:
+    def _add_log_line(self, body: bytes) -> bytes:
         if len(body) > MAX_LINE_BYTES:
             raise ArgumentError(f"LOG: {len(body):,} bytes; a line has up to {MAX_LINE_BYTES:,}.")
         log = self.board.log
@@ -167,7 +168,7 @@ class Machine:
         self.board.on_interrupt(partial(self._hook, client.THE_LINE) if on else None)
         return b""
 
-    def _timer(self, body: bytes) -> bytes:
+    def _set_timer(self, body: bytes) -> bytes:
         if len(body) != client.TIMING.size:
             raise ArgumentError(f"TIMER: {len(body):,} bytes; it has {client.TIMING.size}.")
         n, level, period = client.TIMING.unpack(body)
@@ -177,13 +178,13 @@ class Machine:
         self._timers[n] = body
         return b""
 
-    def _reset(self, body: bytes) -> bytes:
+    def _reset_chips(self, body: bytes) -> bytes:
         _check_empty("RESET", body)
         for chip in self.board.stage.chips:
             chip.reset()
         return b""
 
-    def _snapshot(self, body: bytes) -> bytes:
+    def _store_snapshot(self, body: bytes) -> bytes:
         name = _parse_text("SNAPSHOT", body)
         if name == START:
             raise ArgumentError(f"SNAPSHOT: {START!r} is the state with which the server began; choose another name.")
@@ -192,7 +193,7 @@ class Machine:
         self._snapshots[name] = self.board.stage.snapshot()
         return b""
 
-    def _restore(self, body: bytes) -> bytes:
+    def _restore_snapshot(self, body: bytes) -> bytes:
         name, board = _parse_text("RESTORE", body), self.board
         if name not in self._snapshots:
             raise unknown_name_error("snapshot", name, self._snapshots)
@@ -201,20 +202,20 @@ class Machine:
         board.stage.restore(self._snapshots[name])
         board.port_table["read_line"] = 0  # a read from now on is a line of its own in the trace
         for timer in list(self._timers.values()):  # they begin anew
-            self._timer(timer)
+            self._set_timer(timer)
         return b""
 
-    def _status(self, body: bytes) -> bytes:
+    def _read_status(self, body: bytes) -> bytes:
         _check_empty("STATUS", body)
         board = self.board
         return client.STATUS_REPLY.pack(board.stage.now, board.cycles, board.interrupt)
 
-    def _positions(self, body: bytes) -> bytes:
+    def _read_positions(self, body: bytes) -> bytes:
         _check_empty("POSITIONS", body)
         axes = self.board.stage.axes.values()
         return b"".join(client.PLACE.pack(a.position, a.commanded, a.lost_steps) for a in axes)
 
-    def _pin(self, body: bytes) -> bytes:
+    def _read_pin(self, body: bytes) -> bytes:
         axis_name, name, of_switches = _split_place(_parse_text("PIN", body))
         axis = self._find_axis(axis_name)
         if of_switches:
@@ -227,7 +228,7 @@ class Machine:
             )
         return client.ANSWER.pack(pins[name])
 
-    def _stick(self, body: bytes) -> bytes:
+    def _stick_switch(self, body: bytes) -> bytes:
         state = _parse_word("STICK", body[: client.WORD.size], (client.RELEASED, client.ASSERTED, client.CLEARED))
         axis, name, _ = _split_place(_parse_text("STICK", body[client.WORD.size :]))
         self._find_axis(axis).switches.stick(name, None if state == client.CLEARED else state == client.ASSERTED)
@@ -265,7 +266,7 @@ def describe_error(error: BaseException) -> str:
     return str(error) if isinstance(error, StageError | HostError) else f"{type(error).__name__}: {error}"
 
 
-def _describe_wrong(entry: Any) -> str:
+def _describe_wrong_entry(entry: Any) -> str:
     """Explain what is invalid in an entry of a batch."""
     what = int(entry["what"])
     names = {number: name for number, name, *_ in ENTRIES}

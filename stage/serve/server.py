@@ -19,7 +19,7 @@ from contextlib import suppress
 from stage.board import Board
 from stage.errors import ArgumentError, StageError
 from stage.serve import client
-from stage.serve.frame_execution import BatchError, Machine, describe_error
+from stage.serve.frame_execution import BatchError, FrameExecutor, describe_error
 from stage.serve.frames import FRAMES
 
 MAX_HOSTS, MAX_CONNECTIONS = 16, 64
@@ -122,7 +122,7 @@ class Server:
         before_each: Callable[[], None] = lambda: None,
     ):
         self._fresh, self._report, self._before_each = fresh, report, before_each
-        self.machine = Machine(
+        self.machine = FrameExecutor(
             board, keep=keep, pause=self._pause, hook=self._call_hook,
             report=lambda seconds, text: report(f"{seconds:12.6f}  {text}"),
         )  # fmt: skip

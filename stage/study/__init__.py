@@ -12,7 +12,16 @@ storage against processes that are killed, and its samplers against many workers
 manual.
 """
 
-from stage.study.preset_move_objective import SPACE, PresetMoves, seed_of, suggest
-from stage.study.study_runner import finished, open_study, read_study, run
+from stage.study.preset_move_objective import SPACE, PresetMoves, derive_seed, suggest_registers
+from stage.study.study_runner import count_finished, open_study, read_study, run
 
-__all__ = ["SPACE", "PresetMoves", "finished", "open_study", "read_study", "run", "seed_of", "suggest"]
+__all__ = [
+    "SPACE",
+    "PresetMoves",
+    "count_finished",
+    "derive_seed",
+    "open_study",
+    "read_study",
+    "run",
+    "suggest_registers",
+]

@@ -23,7 +23,7 @@ JOURNAL_HEAD = b'{"op_code":'
 """First bytes of a journal."""
 
 
-def storage_at(place: str | os.PathLike) -> optuna.storages.BaseStorage:
+def open_storage(place: str | os.PathLike) -> optuna.storages.BaseStorage:
     """Open the storage at `place`: a file, which is made if it is missing, or the URL of a database as SQLAlchemy takes it.
 
     Raises:
@@ -32,14 +32,14 @@ def storage_at(place: str | os.PathLike) -> optuna.storages.BaseStorage:
     try:
         if "://" in str(place):
             return optuna.storages.RDBStorage(str(place))
-        return optuna.storages.JournalStorage(Journal(Path(place).absolute()))
+        return optuna.storages.JournalStorage(DurableJournal(Path(place).absolute()))
     except StageError:
         raise
     except Exception as error:  # of the file system, of JSON, of SQLAlchemy or of a database's driver
         raise StageError(f"{place} cannot hold a study: {error}") from error
 
 
-class Journal(JournalFileBackend):
+class DurableJournal(JournalFileBackend):
     """Optuna's file of one JSON object a line, that survives kills and a full disk."""
 
     def __init__(self, path: Path):
@@ -50,7 +50,7 @@ class Journal(JournalFileBackend):
                 head = file.read(len(JOURNAL_HEAD))
             if not JOURNAL_HEAD.startswith(head):
                 raise StageError(f"{path} is there and holds no study: choose another place.")
-        lock: Any = Lock(path)  # Optuna's base class is not public
+        lock: Any = AppendLock(path)  # Optuna's base class is not public
         super().__init__(str(path), lock)
 
     def append_logs(self, logs: list[dict[str, Any]]) -> None:
@@ -68,7 +68,7 @@ class Journal(JournalFileBackend):
             ) from error
 
 
-class Lock:
+class AppendLock:
     """Lock of the right to append to the journal.
 
     Optuna's own locks are files: if their holder is killed, all others wait for half a minute. This lock is released by the system.
@@ -105,39 +105,39 @@ class Lock:
             lock_file.close()
 
 
-class ByNumber(optuna.samplers.BaseSampler):
+class TrialSeededSampler(optuna.samplers.BaseSampler):
     """Sampler whose random numbers follow from a seed and the trial's number.
 
     So a continued study does not repeat its first trials, no two workers draw the same trial, and one worker makes the same
     study to the bit, whether stopped in between or not.
 
     Args:
-        make: makes a sampler of a seed; one that keeps its state in the study, as Optuna's do.
+        make: Function that makes a sampler from a seed. The sampler must keep its state in the study, as Optuna's samplers do.
     """
 
     def __init__(self, make: Callable[..., optuna.samplers.BaseSampler], seed: int):
         self._make, self._seed = make, seed
 
-    def _sampler(self, trial: Any) -> Any:
+    def _make_trial_sampler(self, trial: Any) -> Any:
         key = (trial.number, 0, len(trial.params))
         return self._make(seed=int(np.random.SeedSequence(self._seed, spawn_key=key).generate_state(1)[0]))
 
     def before_trial(self, study: Any, trial: Any) -> None:
-        """Prepare a trial by its own sampler."""
-        self._sampler(trial).before_trial(study, trial)
+        """Call `before_trial` of the sampler with the seed of this trial."""
+        self._make_trial_sampler(trial).before_trial(study, trial)
 
     def infer_relative_search_space(self, study: Any, trial: Any) -> dict:
-        """Return the search space of a trial's own sampler."""
-        return self._sampler(trial).infer_relative_search_space(study, trial)
+        """Return the search space from the sampler with the seed of this trial."""
+        return self._make_trial_sampler(trial).infer_relative_search_space(study, trial)
 
     def sample_relative(self, study: Any, trial: Any, search_space: dict) -> dict:
-        """Sample the search space by a trial's own sampler."""
-        return self._sampler(trial).sample_relative(study, trial, search_space)
+        """Sample the search space with the sampler that has the seed of this trial."""
+        return self._make_trial_sampler(trial).sample_relative(study, trial, search_space)
 
     def sample_independent(self, study: Any, trial: Any, param_name: str, param_distribution: Any) -> Any:
-        """Sample one parameter by a trial's own sampler."""
-        return self._sampler(trial).sample_independent(study, trial, param_name, param_distribution)
+        """Sample one parameter with the sampler that has the seed of this trial."""
+        return self._make_trial_sampler(trial).sample_independent(study, trial, param_name, param_distribution)
 
     def after_trial(self, study: Any, trial: Any, state: Any, values: Any) -> None:
-        """Finish a trial by its own sampler."""
-        self._sampler(trial).after_trial(study, trial, state, values)
+        """Call `after_trial` of the sampler with the seed of this trial."""
+        self._make_trial_sampler(trial).after_trial(study, trial, state, values)

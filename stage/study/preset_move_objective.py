@@ -24,10 +24,10 @@ from stage.support.argument_checks import explain_arguments, explain_constructor
 if TYPE_CHECKING:
     from optuna import Trial
 
-EVERY = 0.25e-3  # s between samples
-FAILED = 10.0  # s of score for a move that did not do as asked
-SPREAD = 1e-4  # m, by which the start is drawn
-MEASURED = "score", "duration", "lost_steps", "reached", "vibration"
+SAMPLE_INTERVAL_S = 0.25e-3  # s between samples
+FAILURE_PENALTY_S = 10.0  # s of score for a move that did not do as asked
+START_SPREAD_M = 1e-4  # m, by which the start is drawn
+MEASURE_NAMES = "score", "duration", "lost_steps", "reached", "vibration"
 
 
 Space = Mapping[str, str | int]
@@ -47,7 +47,7 @@ class Range(NamedTuple):
     log: bool
 
 
-def values_of(name: str, text: str | int) -> Range | tuple[int, ...]:
+def parse_values(name: str, text: str | int) -> Range | tuple[int, ...]:
     """Return the values that a register may take, by its text in a space.
 
     Raises:
@@ -72,7 +72,7 @@ def values_of(name: str, text: str | int) -> Range | tuple[int, ...]:
 
 
 @explain_arguments
-def suggest(trial: Trial, space: Space) -> dict[str, int]:
+def suggest_registers(trial: Trial, space: Space) -> dict[str, int]:
     """Return the register values of a trial; the trial's `params` hold them all.
 
     Raises:
@@ -80,7 +80,7 @@ def suggest(trial: Trial, space: Space) -> dict[str, int]:
     """
     registers = {}
     for name, text in space.items():
-        values = values_of(name, text)
+        values = parse_values(name, text)
         if isinstance(values, Range):
             registers[name] = trial.suggest_int(name, values.low, values.high, log=values.log)
         elif len(values) == 1:
@@ -91,7 +91,7 @@ def suggest(trial: Trial, space: Space) -> dict[str, int]:
 
 
 @explain_arguments
-def seed_of(trial: Trial, seed: int = 0) -> int:
+def derive_seed(trial: Trial, seed: int = 0) -> int:
     """Return a seed for whatever else a trial draws: it follows from `seed` and the number of the trial alone."""
     words = np.random.SeedSequence(seed, spawn_key=(trial.number, 1)).generate_state(1, np.uint64)[0]
     return int(words >> np.uint64(1))
@@ -129,10 +129,10 @@ class PresetMoves:
 
     def __post_init__(self) -> None:
         for goal in self.goals:
-            if goal not in MEASURED:
-                raise unknown_name_error("goal", goal, MEASURED)
+            if goal not in MEASURE_NAMES:
+                raise unknown_name_error("goal", goal, MEASURE_NAMES)
         if not self.goals:
-            raise ArgumentError(f"goals=(): one at least of {', '.join(MEASURED)}.")
+            raise ArgumentError(f"goals=(): one at least of {', '.join(MEASURE_NAMES)}.")
         if not issubclass(self._chip, PCL240):
             raise ArgumentError(
                 f"chips={self.chips!r}: PresetMoves writes registers of the PCL-240 family: pcl240k, pcl240mk, pcl240ms. The "
@@ -140,8 +140,8 @@ class PresetMoves:
             )
         check_registers(self.space, self._chip)
         for name, text in self.space.items():
-            values_of(name, text)
-        stage, _ = _stage(self.model, self._chip)
+            parse_values(name, text)
+        stage, _ = _get_stage(self.model, self._chip)
         if self.axis not in stage.axes:
             raise unknown_name_error("axis", self.axis, stage.axes)
 
@@ -151,7 +151,7 @@ class PresetMoves:
 
     def __call__(self, trial: Trial) -> float | tuple[float, ...]:
         """Measure a trial of an Optuna study: its goals' values. Raises optuna.TrialPruned."""
-        registers, seed = suggest(trial, self.space), seed_of(trial, self.seed)
+        registers, seed = suggest_registers(trial, self.space), derive_seed(trial, self.seed)
         trial.set_user_attr("seed", seed)
 
         def report(move: int, measures: dict[str, float]) -> None:
@@ -190,22 +190,22 @@ class PresetMoves:
             ArgumentError: A register value is not legal.
             SimulationError: The simulation diverged.
         """
-        profile = profile_of(registers, self._chip)
-        stage, begin = _stage(self.model, self._chip)
+        profile = build_profile(registers, self._chip)
+        stage, begin = _get_stage(self.model, self._chip)
         stage.restore(begin)
-        start = self.start + np.random.default_rng(seed).uniform(-SPREAD, SPREAD)
+        start = self.start + np.random.default_rng(seed).uniform(-START_SPREAD_M, START_SPREAD_M)
         stage.place(**{self.axis: start})
         stage.run(0.05)
         pulses = [self.pulses] if isinstance(self.pulses, int) else self.pulses
         moves: list[dict[str, float]] = []
         for count in pulses:
             if moves:
-                report(len(moves) - 1, _together(moves))
-            moves.append(_measure(stage, self.axis, profile, count, self.band, self.rest))
-        return _together(moves)
+                report(len(moves) - 1, _combine_measures(moves))
+            moves.append(_measure_move(stage, self.axis, profile, count, self.band, self.rest))
+        return _combine_measures(moves)
 
 
-def _together(moves: list[dict[str, float]]) -> dict[str, float]:
+def _combine_measures(moves: list[dict[str, float]]) -> dict[str, float]:
     columns = {name: [m[name] for m in moves] for name in moves[0]}
     return {
         "score": float(np.mean(columns["score"])),
@@ -228,7 +228,7 @@ def check_registers(names: Mapping[str, object], chip: Any) -> None:
         )
 
 
-def profile_of(registers: Mapping[str, int], chip: Any) -> Profile:
+def build_profile(registers: Mapping[str, int], chip: Any) -> Profile:
     """Return the speed registers as a Profile.
 
     Raises:
@@ -241,7 +241,7 @@ def profile_of(registers: Mapping[str, int], chip: Any) -> Profile:
     return Profile(**({"R3": registers["R2"]} | speeds), spans=spans, chip=chip)
 
 
-def _stage(model: str, chip: Any) -> tuple[Stage, Any]:
+def _get_stage(model: str, chip: Any) -> tuple[Stage, Any]:
     """Return a stage of this thread, and its snapshot at power-up."""
     stages = _local.__dict__.setdefault("stages", {})
     if (model, chip) not in stages:
@@ -250,21 +250,21 @@ def _stage(model: str, chip: Any) -> tuple[Stage, Any]:
     return stages[model, chip]
 
 
-def _measure(stage: Stage, name: str, profile: Profile, pulses: int, band: float, rest: float) -> dict[str, float]:
+def _measure_move(stage: Stage, name: str, profile: Profile, pulses: int, band: float, rest: float) -> dict[str, float]:
     axis: Any = stage.axes[name]
     goal = axis.commanded + pulses * axis.meters_per_pulse * np.sign(axis.gear)
-    with stage.record(every=EVERY) as recording:
+    with stage.record(every=SAMPLE_INTERVAL_S) as recording:
         began = stage.time
         report = firmware.preset_move(axis, pulses, profile)
         stage.run(rest)
     seconds = recording.column("time") - began - report.began
-    tool = recording.column(f"{name}/position") - goal + _bend(stage, recording, name)
+    tool = recording.column(f"{name}/position") - goal + _measure_deflection(stage, recording, name)
     after = tool[seconds >= report.duration]
     outside = np.flatnonzero(abs(tool) > band)
     quiet = outside[-1] + 1 < len(tool) if len(outside) else True
     settled = seconds[min(outside[-1] + 1, len(tool) - 1)] if len(outside) else 0.0
     return {
-        "score": max(float(settled), report.duration) + (0.0 if quiet and report.ok else FAILED),
+        "score": max(float(settled), report.duration) + (0.0 if quiet and report.ok else FAILURE_PENALTY_S),
         "duration": report.duration,
         "lost_steps": report.lost_steps or 0,
         "reached": int(report.ok),
@@ -272,7 +272,7 @@ def _measure(stage: Stage, name: str, profile: Profile, pulses: int, band: float
     }
 
 
-def _bend(stage: Stage, recording: Any, name: str) -> Any:
+def _measure_deflection(stage: Stage, recording: Any, name: str) -> Any:
     """Return how far the camera of xy_mast is off its carriage, m; 0 on stages without one."""
     joints = [stage.model.joint(k) for k in range(stage.model.njnt)]
     at = [j.qposadr[0] for j in joints if j.name == f"camera_{name}"]

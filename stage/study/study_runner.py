@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Objective = Callable[["optuna.Trial"], Any]
 """Measures a trial: returns a number, the less the better, or as many as its attribute `goals` has names."""
 
-NAME = "study"
+STUDY_NAME = "study"
 """Of the one study that a storage holds."""
 
 
@@ -42,18 +42,18 @@ def open_study(
         seed: of the sampler.
     Raises ArgumentError when the study there is one of another objective, with what differs; StageError: no storage, no Optuna.
     """
-    from stage.study.optuna_storage import ByNumber, optuna, storage_at
+    from stage.study.optuna_storage import TrialSeededSampler, open_storage, optuna
 
     check_integer("seed", seed, 0)
     study = optuna.create_study(
-        storage=storage_at(storage),
-        sampler=ByNumber(sampler or optuna.samplers.TPESampler, seed),
+        storage=open_storage(storage),
+        sampler=TrialSeededSampler(sampler or optuna.samplers.TPESampler, seed),
         pruner=pruner or optuna.pruners.NopPruner(),
-        study_name=NAME,
-        directions=["minimize"] * len(goals_of(objective)),
+        study_name=STUDY_NAME,
+        directions=["minimize"] * len(get_goals(objective)),
         load_if_exists=True,
     )
-    wanted, was = definition(objective), study.user_attrs.get("definition")
+    wanted, was = describe_objective(objective), study.user_attrs.get("definition")
     if was is None:
         study.set_user_attr("definition", wanted)
     elif was != wanted:
@@ -77,12 +77,12 @@ def read_study(storage: str | os.PathLike) -> optuna.Study:
     Raises:
         ArgumentError: There is no study.
     """
-    from stage.study.optuna_storage import optuna, storage_at
+    from stage.study.optuna_storage import open_storage, optuna
 
     if "://" in str(storage) or Path(storage).exists():
-        opened = storage_at(storage)
+        opened = open_storage(storage)
         if optuna.get_all_study_names(opened):
-            return optuna.load_study(study_name=NAME, storage=opened)
+            return optuna.load_study(study_name=STUDY_NAME, storage=opened)
     raise ArgumentError(f"{storage} holds no study.")
 
 
@@ -113,7 +113,7 @@ def run(
     check_integer("workers", workers, 1)
     how = {"sampler": sampler, "pruner": pruner, "seed": seed}
     study = open_study(objective, storage, **how)  # type: ignore[arg-type]
-    if finished(study) >= trials:
+    if count_finished(study) >= trials:
         return study
     if workers == 1:
         _optimize(study, objective, trials)
@@ -124,7 +124,7 @@ def run(
         raise ArgumentError(f"workers={workers}: processes must be able to import the objective: {error}.") from error
     spawn = multiprocessing.get_context("spawn")  # MuJoCo's and our threads do not survive a fork
     processes = [
-        spawn.Process(target=_work, args=(objective, storage, trials, how), daemon=True) for _ in range(workers)
+        spawn.Process(target=_run_worker, args=(objective, storage, trials, how), daemon=True) for _ in range(workers)
     ]
     try:
         for process in processes:
@@ -136,7 +136,7 @@ def run(
             if process.pid is not None:
                 process.terminate()
                 process.join()
-    if (done := finished(study)) < trials:
+    if (done := count_finished(study)) < trials:
         codes = ", ".join(str(process.exitcode) for process in processes)
         raise StageError(
             f"{done} of {trials} trials are finished: workers ended with exit codes {codes}. Run it again to go on."
@@ -145,25 +145,25 @@ def run(
 
 
 @explain_arguments
-def finished(study: optuna.Study) -> int:
+def count_finished(study: optuna.Study) -> int:
     """Count the trials of the study that ended by themselves: complete, pruned, or failed with an error that was recorded."""
     return sum(
         t.state.name in ("COMPLETE", "PRUNED") or "error" in t.user_attrs for t in study.get_trials(deepcopy=False)
     )
 
 
-def goals_of(objective: Objective) -> tuple[str, ...]:
+def get_goals(objective: Objective) -> tuple[str, ...]:
     """Return the names of what an objective minimizes."""
     return tuple(getattr(objective, "goals", ("score",)))
 
 
-def definition(objective: Objective) -> dict[str, str]:
+def describe_objective(objective: Objective) -> dict[str, str]:
     """Return what the numbers of a study depend on, as far as can be known; a study must not mix two of these."""
     named = objective if hasattr(objective, "__qualname__") else type(objective)
     fields = dataclasses.fields(objective) if dataclasses.is_dataclass(objective) else ()
     settings = {f.name: repr(getattr(objective, f.name)) for f in fields}
     packages = {name: metadata.version(name) for name in ("pulsestage", "mujoco", "numpy")}
-    return {"objective": named.__qualname__, "goals": repr(goals_of(objective)), **settings, **packages}
+    return {"objective": named.__qualname__, "goals": repr(get_goals(objective)), **settings, **packages}
 
 
 def _optimize(study: optuna.Study, objective: Objective, trials: int) -> None:
@@ -177,14 +177,14 @@ def _optimize(study: optuna.Study, objective: Objective, trials: int) -> None:
             raise
 
     def stop(study: optuna.Study, _: object) -> None:
-        if finished(study) >= trials or (parent is not None and not parent.is_alive()):
+        if count_finished(study) >= trials or (parent is not None and not parent.is_alive()):
             study.stop()
 
-    if finished(study) < trials:
+    if count_finished(study) < trials:
         study.optimize(run_trial, catch=(StageError,), callbacks=[stop])
 
 
-def _work(objective: Objective, storage: Any, trials: int, how: dict[str, Any]) -> None:
+def _run_worker(objective: Objective, storage: Any, trials: int, how: dict[str, Any]) -> None:
     """Run trials in a worker process, which ends when its parent does, however that ends."""
     try:
         _optimize(open_study(objective, storage, **how), objective, trials)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from stage.board import Board
     from stage.sim.stage import Axis, Stage
 
-MAX_LINES = 20  # lines of a list
-STILL_SPEED = 0.01  # m/s, rad/s: a motor that swings about its step is slower
+MAX_LISTED_LINES = 20  # lines of a list
+MAX_STILL_SPEED_M_S = 0.01  # m/s, rad/s: a motor that swings about its step is slower
 
 
 @explain_arguments
@@ -85,7 +85,7 @@ def assert_at(axis: Axis, position: float, within: float = 25e-6) -> None:
 
 
 @explain_arguments
-def assert_stopped(what: Stage | Axis | Iterable[Axis], speed: float = STILL_SPEED) -> None:
+def assert_stopped(what: Stage | Axis | Iterable[Axis], speed: float = MAX_STILL_SPEED_M_S) -> None:
     """Assert that no axis gets pulses, and that none moves. For what happens after a limit switch.
 
     Args:
@@ -221,8 +221,8 @@ def format_deviation(value: float, unit: str, sign: bool = False) -> str:
 
 def format_list(head: str, lines: list[str], tail: str) -> str:
     """Format a message with the first lines of a list."""
-    more = [f"  ... and {len(lines) - MAX_LINES:,} more"] if len(lines) > MAX_LINES else []
-    return "\n".join([head, *lines[:MAX_LINES], *more, tail])
+    more = [f"  ... and {len(lines) - MAX_LISTED_LINES:,} more"] if len(lines) > MAX_LISTED_LINES else []
+    return "\n".join([head, *lines[:MAX_LISTED_LINES], *more, tail])
 
 
 def format_ranges(ports: list[int]) -> list[str]:

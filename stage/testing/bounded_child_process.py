@@ -11,7 +11,7 @@ from multiprocessing.connection import Connection
 NOT_FINISHED = "it has not ended after"
 
 
-def run_bounded(work: Callable[[], str], seconds: float | None) -> str:
+def run_in_child_process(work: Callable[[], str], seconds: float | None) -> str:
     """Run `work` in a copy of this process and return its text.
 
     Args:
@@ -25,7 +25,7 @@ def run_bounded(work: Callable[[], str], seconds: float | None) -> str:
         return work()
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
-    child = context.Process(target=_send, args=(work, sender))
+    child = context.Process(target=_send_result, args=(work, sender))
     child.start()
     sender.close()
     try:
@@ -51,5 +51,5 @@ def run_bounded(work: Callable[[], str], seconds: float | None) -> str:
     )
 
 
-def _send(work: Callable[[], str], sender: Connection) -> None:
+def _send_result(work: Callable[[], str], sender: Connection) -> None:
     sender.send(work())

@@ -1,6 +1,6 @@
 """Acts of a conformance test on a chip: bus cycles, pins, time; random ones, and moves as the chip's host driver writes them.
 
-`perform` carries an act out and returns the chip's answer. Acts are plain data, so that a test can do the same to two chips.
+`perform_act` carries an act out and returns the chip's answer. Acts are plain data, so that a test can do the same to two chips.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from stage.chips import Chip
 from stage.errors import StageError
 from stage.sim.program import WAIT, WRITE, Program
 
-MAX_PULSES = 20_000
+MAX_PULSES_PER_ACT = 20_000
 """Of a piece of time: a chip that makes more of them in it is given less time."""
 
 
@@ -33,7 +33,7 @@ class Act(NamedTuple):
     c: int = 0
 
 
-def perform(chip: Chip, act: Act) -> Any:
+def perform_act(chip: Chip, act: Act) -> Any:
     """Carry an act out and return the chip's answer: the word read, or the number of pulses made; else None."""
     if act.kind == "write":
         chip.write(act.a, act.b)
@@ -48,9 +48,9 @@ def perform(chip: Chip, act: Act) -> Any:
     return None
 
 
-def perform_all(chip: Chip, acts: Iterable[Act]) -> list[Any]:
+def perform_acts(chip: Chip, acts: Iterable[Act]) -> list[Any]:
     """Carry acts out in order and return the chip's answers."""
-    return [perform(chip, act) for act in acts]
+    return [perform_act(chip, act) for act in acts]
 
 
 def draw_acts(
@@ -78,7 +78,7 @@ def draw_acts(
         elif what < 8 and codes:
             code = codes[rng.integers(len(codes))]
             if start_writes and rng.integers(2):
-                acts.append(replace_code(kind, start_writes[int(rng.integers(len(start_writes)))], code))
+                acts.append(replace_command_code(kind, start_writes[int(rng.integers(len(start_writes)))], code))
             else:
                 code |= int(rng.integers(0, 16) << 8 if rng.integers(2) else 0)
                 acts.append(Act("write", 0, code & kind.DATA_MASK))
@@ -97,7 +97,7 @@ def draw_acts(
     return acts
 
 
-def replace_code(kind: type[Chip], begin: Act, code: int) -> Act:
+def replace_command_code(kind: type[Chip], begin: Act, code: int) -> Act:
     """Return the write of a command with another code; the bits above the codes, which select the axis, stay."""
     bits = max(code for c in kind.MAP.commands for code in c.codes).bit_length()
     return begin._replace(b=(begin.b >> bits << bits | code) & kind.DATA_MASK)
@@ -112,14 +112,14 @@ def list_start_writes(chip: Chip) -> list[Act]:
     return writes
 
 
-def draw_drives(chip: Chip, rng: np.random.Generator, axes: int) -> list[Act]:
+def draw_drive_starts(chip: Chip, rng: np.random.Generator, axes: int) -> list[Act]:
     """Draw drives of `axes` axes as the driver starts them, some with another mode or with another command in the last write."""
     codes = [c.code for c in chip.MAP.commands if (c.starts or c.kind == "drive") and not c.together]
     acts: list[Act] = []
     for axis in rng.permutation(chip.AXES)[:axes].tolist():
         move, _ = draw_move(chip, axis, rng)
         if codes and move and move[-1].kind == "write" and rng.integers(2):
-            move[-1] = replace_code(type(chip), move[-1], codes[int(rng.integers(len(codes)))])
+            move[-1] = replace_command_code(type(chip), move[-1], codes[int(rng.integers(len(codes)))])
         if move and rng.integers(2):
             move[-1:-1] = _draw_mode_writes(type(chip), axis, rng)
         acts += [*move, Act("time", int(rng.integers(1, 30_000)))]
@@ -137,7 +137,7 @@ def _draw_mode_writes(kind: type[Chip], axis: int, rng: np.random.Generator) -> 
 
 
 @dataclass(frozen=True)
-class _BareAxis:
+class _AxisWithoutStage:
     """What a host driver needs of an axis to write a move, without a stage."""
 
     chip: Chip
@@ -169,7 +169,7 @@ def draw_move(
         return [], 0
     from stage.firmware.driver import get_driver_class
 
-    driver, program = get_driver_class(type(chip))(_BareAxis(chip, axis)), Program()  # type: ignore[arg-type]
+    driver, program = get_driver_class(type(chip))(_AxisWithoutStage(chip, axis)), Program()  # type: ignore[arg-type]
     if driver.has_position_loop:
         ranges = driver.get_filter_ranges(True).ranges
         values = {name: low + (high - low) // 4 for name, (low, high) in ranges.items()}
@@ -196,7 +196,7 @@ def list_stop_acts(chip: Chip, axis: int) -> list[Act]:
     from stage.firmware.driver import get_driver_class
 
     program = Program()
-    get_driver_class(type(chip))(_BareAxis(chip, axis)).write_stop(program)  # type: ignore[arg-type]
+    get_driver_class(type(chip))(_AxisWithoutStage(chip, axis)).write_stop(program)  # type: ignore[arg-type]
     return _convert_program(program, chip)
 
 
@@ -269,10 +269,13 @@ def limit_pulses(acts: Sequence[Act], chip: Chip) -> list[Act]:
     for act in acts:
         shortened = act
         if shortened.kind == "time":
-            while shortened.a > 1 and int(chip.CORE.advance(copy_state(chip), chip.clock + shortened.a)) > MAX_PULSES:
+            while (
+                shortened.a > 1
+                and int(chip.CORE.advance(copy_state(chip), chip.clock + shortened.a)) > MAX_PULSES_PER_ACT
+            ):
                 shortened = shortened._replace(a=shortened.a // 4)
         try:
-            perform(chip, shortened)
+            perform_act(chip, shortened)
         except StageError:
             if shortened.kind != "pin":
                 raise

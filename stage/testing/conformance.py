@@ -17,14 +17,14 @@ from typing import Any
 
 from stage.chips import Chip, chip_class
 from stage.errors import ArgumentError, NativeError, StageError, unknown_name_error
-from stage.testing.bounded_child_process import NOT_FINISHED, run_bounded
-from stage.testing.promise_trial import BrokenPromise, Trial
+from stage.testing.bounded_child_process import NOT_FINISHED, run_in_child_process
+from stage.testing.promise_trial import BrokenPromise, PromiseTrial
 from stage.testing.promises import PROMISES
 
-PROGRAMS = 3
-LIMIT = 120.0
+DEFAULT_PROGRAM_COUNT = 3
+PROMISE_TIME_LIMIT_S = 120.0
 """Seconds of real time for one promise."""
-SHORT_LIMIT = 15.0
+SHORT_TIME_LIMIT_S = 15.0
 """And for the others, once a promise has not ended: what is in a loop without end would take its limit each time."""
 
 
@@ -53,11 +53,11 @@ class ChipConformance:
         self,
         chip: type[Chip] | str,
         *,
-        programs: int = PROGRAMS,
+        programs: int = DEFAULT_PROGRAM_COUNT,
         seed: int | None = None,
         promises: Iterable[str] | None = None,
         uncompiled: bool = False,
-        limit: float | None = LIMIT,
+        limit: float | None = PROMISE_TIME_LIMIT_S,
         **options: Any,
     ) -> None:
         """Try every promise, or those named. A core that cannot be compiled is reported at once.
@@ -81,7 +81,7 @@ class ChipConformance:
         kind = _check_arguments(chip, limit)
         seed = random.SystemRandom().getrandbits(32) if seed is None else seed
         print(f"chip_conformance({getattr(kind, '__name__', kind)}, seed={seed})")
-        trial = Trial(kind, partial(kind, **options), seed, programs)
+        trial = PromiseTrial(kind, partial(kind, **options), seed, programs)
         broken: dict[str, str] = {}
         try:
             getattr(kind.CORE.power_up, "c")  # noqa: B009  its library is built here, without a limit
@@ -92,7 +92,7 @@ class ChipConformance:
         for name in PROMISES if promises is None else promises:
             if name not in PROMISES:
                 raise unknown_name_error("promise", name, PROMISES)
-            if report := run_bounded(partial(_try_promise, PROMISES[name], trial), limit):
+            if report := run_in_child_process(partial(_describe_broken_promise, PROMISES[name], trial), limit):
                 broken[name] = report
                 limit = _shorten_limit(limit, broken)
                 if name == "has_what_every_chip_has":
@@ -103,7 +103,7 @@ class ChipConformance:
             if report := compare(kind, options, seed, programs, limit):
                 broken["compiled = uncompiled"] = report
         if broken:
-            raise _list_broken(kind, seed, broken)
+            raise _make_error(kind, seed, broken)
 
     def tests(self, chip: type[Chip] | str, **options: Any) -> Callable:
         """Make a test function for pytest, with one test for each promise.
@@ -123,7 +123,7 @@ class ChipConformance:
                 self(
                     chip,
                     promises=[promise],
-                    **{**options, "limit": _shorten_limit(options.get("limit", LIMIT), broken)},
+                    **{**options, "limit": _shorten_limit(options.get("limit", PROMISE_TIME_LIMIT_S), broken)},
                 )
             except NotConforming as error:
                 broken.update(error.broken)
@@ -146,7 +146,7 @@ def _check_arguments(chip: Any, limit: Any) -> type[Chip]:
     return kind
 
 
-def _list_broken(kind: type[Chip], seed: int, broken: dict[str, str]) -> NotConforming:
+def _make_error(kind: type[Chip], seed: int, broken: dict[str, str]) -> NotConforming:
     """Return the error that lists broken promises."""
     lines = "\n".join(f"  {PROMISES[n].__doc__ if n in PROMISES else n}\n    but: {b}" for n, b in broken.items())
     return NotConforming(f"{kind.__name__} breaks {len(broken)} of its promises (seed={seed}):\n{lines}", broken)
@@ -155,10 +155,10 @@ def _list_broken(kind: type[Chip], seed: int, broken: dict[str, str]) -> NotConf
 def _shorten_limit(limit: float | None, broken: dict[str, str]) -> float | None:
     """Return the limit for the next promise, given those that are broken."""
     hangs = limit is not None and any(answers.startswith(NOT_FINISHED) for answers in broken.values())
-    return min(limit, SHORT_LIMIT) if limit is not None and hangs else limit
+    return min(limit, SHORT_TIME_LIMIT_S) if limit is not None and hangs else limit
 
 
-def _try_promise(promise: Callable[[Trial], None], trial: Trial) -> str:
+def _describe_broken_promise(promise: Callable[[PromiseTrial], None], trial: PromiseTrial) -> str:
     """Return how a promise is broken; "" if it is kept."""
     try:
         promise(trial)

@@ -47,7 +47,7 @@ def choose_folder(config: pytest.Config, nodeid: str) -> Path:
     return where / name
 
 
-class Evidence:
+class FailedTestFiles:
     """Files and report of one test with a stage.
 
     Args:
@@ -147,7 +147,7 @@ class Evidence:
 
     def _list_recordings(self) -> list[Recording]:
         """Return the recordings in which something happened; after `restore`, `reset` and `record` another one begins."""
-        return [recording for recording in self.stage.recordings if has_content(recording)]
+        return [recording for recording in self.stage.recordings if has_recorded_anything(recording)]
 
     def _save_files(self, bus: list[str]) -> str:
         """Write the files; return a line for each with the command that opens it."""
@@ -225,7 +225,7 @@ class WatchedStage(Stage):
         self._recent: deque[Recording] = deque(maxlen=MAX_RECORDINGS)
         self.recordings = self._recent
         self._watched = True
-        self._resume_watch()
+        self._start_background_recording()
 
     def unwatch(self) -> None:
         """Stop watching; close a recording of the test that is still open."""
@@ -233,48 +233,48 @@ class WatchedStage(Stage):
         if self.recording is not None:
             self.recording.close()
 
-    def _resume_watch(self) -> None:
+    def _start_background_recording(self) -> None:
         if self._watched and self.recording is None:
             self._background = super().record()
             self._background.on_error = "warn"  # a full disk is not the test's fault
             self._recent.append(self._background)
 
-    def _pause_watch(self) -> None:
+    def _stop_background_recording(self) -> None:
         if self._background is not None:
             recording, self._background = self._background, None
             watched, self._watched = self._watched, False
             recording.close()
             self._watched = watched
-            if not has_content(recording):
+            if not has_recorded_anything(recording):
                 self._recent.remove(recording)
 
     def record(self, *args: Any, **kwargs: Any) -> Recording:
         """Record for the test, in place of the background recording."""
-        self._pause_watch()
+        self._stop_background_recording()
         try:
             recording = super().record(*args, **kwargs)
         finally:
-            self._resume_watch()
+            self._start_background_recording()
         if self._watched:
             self._recent.append(recording)
         return recording
 
     def restore(self, snapshot: Snapshot) -> None:
         """Restore a snapshot, after which another background recording begins."""
-        self._pause_watch()
+        self._stop_background_recording()
         try:
             super().restore(snapshot)
         finally:
-            self._resume_watch()
+            self._start_background_recording()
 
     def stop_recording(self) -> None:
         """Stop a recording; the background recording goes on."""
         super().stop_recording()
-        if self._background is not None:  # `_pause_watch` would write more, and the disk is full
+        if self._background is not None:  # `_stop_background_recording` would write more, and the disk is full
             self._background, self._watched = None, False
-        self._resume_watch()
+        self._start_background_recording()
 
 
-def has_content(recording: Recording) -> bool:
+def has_recorded_anything(recording: Recording) -> bool:
     """Whether time passed in a recording, or a bus cycle was made."""
     return bool(len(recording)) or any(len(journal.entries) for journal in recording.journals.values())

@@ -19,7 +19,7 @@ BOARD_ARGUMENTS = ("layout", "base", "stride", "keep_cycles", "devices")
 FIRMWARE_ARGUMENTS = ("flags", "platform", "isolated", "patience", "cost", "mcu", "map", "pins", "mcu_clock")
 
 
-def stage_arguments(node: pytest.Item) -> dict[str, Any]:
+def read_stage_arguments(node: pytest.Item) -> dict[str, Any]:
     """Return the arguments for Stage, and `record`.
 
     Raises:
@@ -39,7 +39,7 @@ def stage_arguments(node: pytest.Item) -> dict[str, Any]:
     return arguments
 
 
-def board_arguments(node: pytest.Item) -> dict[str, Any]:
+def read_board_arguments(node: pytest.Item) -> dict[str, Any]:
     """Return the arguments for Board.
 
     Raises:
@@ -56,7 +56,7 @@ def board_arguments(node: pytest.Item) -> dict[str, Any]:
     return arguments
 
 
-def firmware_arguments(node: pytest.Item) -> dict[str, Any]:
+def read_firmware_arguments(node: pytest.Item) -> dict[str, Any]:
     """Return `sources` (paths), `flags` (a tuple), `platform`, and what NativeHost takes.
 
     Raises:

@@ -67,10 +67,10 @@ def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
     with _report_plainly():
         from stage.testing import failed_test_files, marker_arguments
 
-        arguments = marker_arguments.stage_arguments(request.node)
+        arguments = marker_arguments.read_stage_arguments(request.node)
         recorded = arguments.pop("record", True) and read_setting(request.config, "record") != "off"
         stage = failed_test_files.WatchedStage(**arguments)
-        watch = failed_test_files.Evidence(request.node, stage, arguments.get("model", "xyz"))
+        watch = failed_test_files.FailedTestFiles(request.node, stage, arguments.get("model", "xyz"))
         watch.clear()
     request.node.stash[EVIDENCE_KEY] = watch
     if recorded:
@@ -86,7 +86,7 @@ def board(request: pytest.FixtureRequest, stage: Stage) -> Board:
         from stage.board import Board
         from stage.testing import marker_arguments
 
-        board = Board(stage, **marker_arguments.board_arguments(request.node))
+        board = Board(stage, **marker_arguments.read_board_arguments(request.node))
     if (watch := request.node.stash.get(EVIDENCE_KEY, None)) is not None:
         watch.board = board
     return board
@@ -99,7 +99,7 @@ def host(request: pytest.FixtureRequest, board: Board) -> Iterator[Host]:
         from stage.board import NativeHost
         from stage.testing import firmware_builds, marker_arguments
 
-        arguments = marker_arguments.firmware_arguments(request.node)
+        arguments = marker_arguments.read_firmware_arguments(request.node)
         path = firmware_builds.build_library(request, arguments)
         if arguments.get("mcu"):
             from stage.targets import TargetHost

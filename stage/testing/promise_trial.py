@@ -14,11 +14,11 @@ from stage.testing.chip_acts import (
     Act,
     describe_differences,
     draw_acts,
-    draw_drives,
+    draw_drive_starts,
     draw_move,
     limit_pulses,
     list_start_writes,
-    perform_all,
+    perform_acts,
 )
 
 
@@ -27,7 +27,7 @@ class BrokenPromise(Exception):
 
 
 @dataclass(frozen=True)
-class Trial:
+class PromiseTrial:
     """Chips, random programs and moves for one promise.
 
     Attributes:
@@ -64,7 +64,7 @@ class Trial:
     def draw_program(self, rng: np.random.Generator) -> list[Act]:
         """Draw a program: moves of some axes, time, and then random acts; or random acts alone."""
         chip = self.make()
-        begin = draw_drives(chip, rng, int(rng.integers(1, 4))) if rng.integers(4) else []
+        begin = draw_drive_starts(chip, rng, int(rng.integers(1, 4))) if rng.integers(4) else []
         clocks = (
             chip.clock_hz // 4 if rng.integers(3) == 0 else int(rng.integers(1, 200_000))
         )  # in a quarter second they end
@@ -72,7 +72,7 @@ class Trial:
 
     def draw_drives(self, chip: Chip, rng: np.random.Generator) -> list[Act]:
         """Draw drives of all axes that start now."""
-        return limit_pulses(draw_drives(chip, rng, chip.AXES), chip.make_replica())
+        return limit_pulses(draw_drive_starts(chip, rng, chip.AXES), chip.make_replica())
 
     def start_move(self, rng: np.random.Generator, slow: bool = False) -> tuple[Chip, int, int]:
         """Start a move on a new chip.
@@ -82,7 +82,7 @@ class Trial:
         """
         chip, axis = self.make(), int(rng.integers(self.kind.AXES))
         acts, pulses = draw_move(chip, axis, rng, slow)
-        perform_all(chip, acts)
+        perform_acts(chip, acts)
         return chip, axis, pulses
 
     def start_moves(self, rng: np.random.Generator) -> Iterator[tuple[Chip, int, int]]:
@@ -91,7 +91,7 @@ class Trial:
             for direction in (1, -1):
                 chip = self.make()
                 acts, pulses = draw_move(chip, axis, rng, direction=direction)
-                perform_all(chip, acts)
+                perform_acts(chip, acts)
                 yield chip, axis, pulses
 
     def require_same_state(self, chip: Chip, other: Chip, when: str) -> None:
@@ -132,7 +132,7 @@ def describe_difference(mine: Any, its: Any, when: str = "after power-up") -> st
     return f"pins {mine[1:]}, and {when} {its[1:]}"
 
 
-def format_some(numbers: np.ndarray) -> str:
+def format_first_and_last(numbers: np.ndarray) -> str:
     """Format the first numbers and the last one."""
     text = ", ".join(map(str, numbers[:5].tolist()))
     return f"{text} ... {numbers[-1]}" if len(numbers) > 5 else text

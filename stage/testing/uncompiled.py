@@ -11,8 +11,8 @@ from typing import Any
 
 from stage.chips import Chip
 from stage.support.subprocesses import ENCODING, ERRORS
-from stage.testing.chip_acts import perform
-from stage.testing.promise_trial import Trial
+from stage.testing.chip_acts import perform_act
+from stage.testing.promise_trial import PromiseTrial
 
 
 def compare(kind: type[Chip], options: dict[str, Any], seed: int, programs: int, limit: float | None = None) -> str:
@@ -50,12 +50,12 @@ def compare(kind: type[Chip], options: dict[str, Any], seed: int, programs: int,
 
 def run_programs(kind: type[Chip], options: dict[str, Any], seed: int, programs: int) -> list[list[str]]:
     """Return, for each program, the chip's answer and state after each act."""
-    trial = Trial(kind, lambda: kind(**options), seed, programs)
+    trial = PromiseTrial(kind, lambda: kind(**options), seed, programs)
     found = []
     for rng in trial.seeded_generators():
         chip, answers = trial.make(), []
         for act in trial.draw_program(rng):
-            answer = perform(chip, act)
+            answer = perform_act(chip, act)
             answers.append(f"{act.kind} {answer} {chip.state.tobytes().hex()}")
         found.append(answers)
     return found

@@ -1,10 +1,10 @@
-"""Machines drawn from the evidence: how far motor, supply and guides of an axis may lie from the values of its model.
+"""Random machines within the tolerances of motor, supply and guides of an axis.
 
-    spreads = find_spreads(axis)                                from what to what, and how that is known
+    spreads = find_spreads(axis)                                ranges of the values, with their evidence
     machines = draw_machines(axis, np.random.default_rng(0), 96)
-    fit_machine(stage.axes["x"], machines[0], model)            model: as it was before, for the friction
+    fit_machine(stage.axes["x"], machines[0], model)            model: the unchanged MjModel, for the friction
 
-A motor's own tolerances are in its evidence (`stage.drives.motors`). What no data sheet states is in `DEFAULTS`, and nowhere else.
+The tolerances of a motor are in its evidence (`stage.drives.motors`). `DEFAULT_SPREADS` has the ranges that no data sheet states.
 """
 
 from __future__ import annotations
@@ -54,14 +54,16 @@ class Spread(NamedTuple):
         return f"{self.low:.3g} to {self.high:.3g} {self.unit}"
 
 
-DEFAULTS = {
+DEFAULT_SPREADS = {
     "resistance": Spread(0.9, 1.1, "ohm", False, "I: +-10 %, as the data sheet of the 17HS19-2004S1 states"),
     "friction": Spread(0.5, 2.0, "times the model's", True, "I: preload, grease, seals and wear of guides and screw"),
     "supply": Spread(0.95, 1.05, "V", False, "I: +-5 %, line, load and cable of a regulated supply"),
 }
 """Ranges where neither a data sheet nor the user states one, as factors of the model's value. Those of core loss and inductance are
 in `stage.drives.motor_tolerances`."""
-UNITS = {"core loss": "N m s/rad", "inductance": "H"} | {name: spread.unit for name, spread in DEFAULTS.items()}
+VALUE_UNITS = {"core loss": "N m s/rad", "inductance": "H"} | {
+    name: spread.unit for name, spread in DEFAULT_SPREADS.items()
+}
 
 
 class Machine(NamedTuple):
@@ -77,14 +79,14 @@ class Machine(NamedTuple):
         found = {"resistance": drive.motor.resistance, "friction": self.friction, "supply": drive.bus_voltage}
         if isinstance(drive, Drive):
             found |= {"core loss": drive.motor.core_loss_damping, "inductance": drive.motor.phase_inductance}
-        return {name: found[name] for name in UNITS if name in found}
+        return {name: found[name] for name in VALUE_UNITS if name in found}
 
     def __str__(self) -> str:
-        return ", ".join(f"{name} {value:.3g} {UNITS[name]}" for name, value in self.values.items())
+        return ", ".join(f"{name} {value:.3g} {VALUE_UNITS[name]}" for name, value in self.values.items())
 
 
 def find_spreads(axis: Any) -> dict[str, Spread]:
-    """Find the ranges of the values of an axis' machine, by the names of `UNITS`.
+    """Find the ranges of the values of an axis' machine, by the names of `VALUE_UNITS`.
 
     A servo has no core loss and no inductance, nor has a core loss that the model states itself a range.
 
@@ -95,12 +97,12 @@ def find_spreads(axis: Any) -> dict[str, Spread]:
     if isinstance(axis.drive, Drive):
         if axis.stage.model.actuator_damping[axis.plant.actuator] == motor.core_loss_damping:
             low, high, evidence = estimate_spread(motor)["core_loss_damping"]
-            spreads["core loss"] = Spread(low, high, UNITS["core loss"], low > 0, evidence)
+            spreads["core loss"] = Spread(low, high, VALUE_UNITS["core loss"], low > 0, evidence)
         low, high, evidence = estimate_spread(motor)["inductance"]
-        spreads["inductance"] = Spread(low, high, UNITS["inductance"], False, evidence)
+        spreads["inductance"] = Spread(low, high, VALUE_UNITS["inductance"], False, evidence)
     tolerance, stated = read_tolerance(motor, "resistance"), motor.evidence.get("resistance", "")
-    spreads["resistance"] = DEFAULTS["resistance"].scale(motor.resistance, tolerance, stated)
-    spreads["friction"], supply = DEFAULTS["friction"], DEFAULTS["supply"].scale(axis.faults.bus_voltage)
+    spreads["resistance"] = DEFAULT_SPREADS["resistance"].scale(motor.resistance, tolerance, stated)
+    spreads["friction"], supply = DEFAULT_SPREADS["friction"], DEFAULT_SPREADS["supply"].scale(axis.faults.bus_voltage)
     spreads["supply"] = supply._replace(high=min(supply.high, MAX_BUS_VOLTAGE))
     return spreads
 
@@ -108,10 +110,12 @@ def find_spreads(axis: Any) -> dict[str, Spread]:
 def draw_machines(axis: Any, rng: np.random.Generator, count: int) -> list[Machine]:
     """Draw machines that an axis may be, each value from its own spread and independent of the others."""
     spreads = find_spreads(axis)
-    return [_build(axis.drive, {name: spread.draw(rng) for name, spread in spreads.items()}) for _ in range(count)]
+    return [
+        _build_machine(axis.drive, {name: spread.draw(rng) for name, spread in spreads.items()}) for _ in range(count)
+    ]
 
 
-def _build(drive: Drive | Servo, values: dict[str, float]) -> Machine:
+def _build_machine(drive: Drive | Servo, values: dict[str, float]) -> Machine:
     motor: Any = replace(drive.motor, resistance=values["resistance"])
     if isinstance(drive, Drive):
         motor = vary_motor(motor, values.get("core loss"), values["inductance"])

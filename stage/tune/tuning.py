@@ -99,7 +99,7 @@ def tune(
             raise StageError(
                 f"no registers are proved with up to {task.max_payload:.3g} kg: a proof wants every drawn machine to be good. Of "
                 f"the formula's {formula_answer.proof.describe()}."
-                f"{_describe_failed(planner, cases.proof, formula_answer.proof)} "
+                f"{_describe_strongest_failure(planner, cases.proof, formula_answer.proof)} "
                 f"Ask for less payload or spare, give more room (--settle, --overshoot), or {advice}."
             )
         selected = "search" if best_answer is not None and _is_faster(*answers) else "formula"
@@ -207,7 +207,7 @@ def _select_trials(runner: MoveRunner, trials: Sequence[Trial], cases: Sequence[
     return [trial for trial, passes in zip(trials, good, strict=True) if passes.all()]
 
 
-def _describe_failed(planner: MovePlanner, cases: Sequence[MoveCase], proof: Proof) -> str:
+def _describe_strongest_failure(planner: MovePlanner, cases: Sequence[MoveCase], proof: Proof) -> str:
     """Describe, of the machines that failed in a proof, the one with the most thrust, in a sentence that begins with a blank."""
     failed = [machine for k in proof.failed if (machine := cases[k].machine) is not None]
     if not failed:

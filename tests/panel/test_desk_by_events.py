@@ -49,7 +49,7 @@ def pushes(served):
 def test_a_card_of_each_axis_has_its_motor_its_place_and_its_switches(served, page):
     call_on_stage(served, lambda stage: stage.place(x=0.0123, y=stage.axes["y"].travel[1] * 0.985))
     served.panel.observer.request_registers(0, 0)
-    call_on_stage(served, served.panel.observer.observe)
+    call_on_stage(served, served.panel.observer.update_views)
     live, observer = live_of(page), served.panel.observer
     texts = {e.props.get("data-test"): now() for e, now in live._texts.values()}
     lamps = {e.props.get("data-test"): now() for e, now in live._lamps.values()}

@@ -115,7 +115,7 @@ def test_a_panel_restored_from_a_file_saves_the_start_of_that_program(tmp_path, 
     first, other, path = PausedPanel(), PausedPanel(), tmp_path / "late.zip"
     try:
         first.after(move)
-        first.session.do(lambda stage: first.panel.observer.observe(stage))
+        first.session.do(lambda stage: first.panel.observer.update_views(stage))
         path.write_bytes(saved_panel.save(first.panel))
         began = saved_panel.read(path).start
         assert 0 < began[0] <= first.session.do(lambda stage: stage.now)
@@ -168,7 +168,10 @@ def test_going_back_takes_cycles_out_of_the_program():
 
     def sent():
         return paused_panel.session.do(
-            lambda stage: (paused_panel.panel.observer.observe(stage), len(saved_panel.sent_of(paused_panel.panel)))[1]
+            lambda stage: (
+                paused_panel.panel.observer.update_views(stage),
+                len(saved_panel.sent_of(paused_panel.panel)),
+            )[1]
         )
 
     try:

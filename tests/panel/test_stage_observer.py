@@ -32,7 +32,7 @@ def test_a_view_has_axes_always_and_registers_on_request(observer):
     assert observer.chips == {}
     observer.request_registers(1, 0)
     observer.session.do(lambda stage: [stage.chips[1].write(*c) for c in stage.chips[1].register_cycles("R1", 100)])
-    observer.session.do(observer.observe)
+    observer.session.do(observer.update_views)
     assert list(observer.chips) == [(1, 0)]
     view = observer.chips[1, 0]
     assert (view.values["R1"], view.outputs["hold"], view.inputs["org"]) == (100, True, False)
@@ -44,7 +44,7 @@ def test_the_trace_has_the_cycles_of_every_host(observer):
     session.paused = False
     session.act("move", lambda stage: firmware.move(stage.axes["x"], 1e-3)).result(30)
     session.paused = True
-    session.do(observer.observe)
+    session.do(observer.update_views)
     cycles = words(trace)
     assert cycles[0] == ("W", "control mode: preset")
     assert ("W", "start, ramp to FH1") in cycles
@@ -65,8 +65,8 @@ def test_an_address_is_shown_as_the_chip_decodes_it(observer):
 def test_diagnostics_are_in_the_trace_and_in_a_list_of_their_own_once(observer):
     trace, session = observer.traces[0], observer.session
     session.do(lambda stage: stage.chips[0].write(0, 0x15))
-    session.do(observer.observe)
-    session.do(observer.observe)
+    session.do(observer.update_views)
+    session.do(observer.update_views)
     lines, diagnostics = list(trace.diagnostics), session.do(lambda stage: list(stage.chips[0].diagnostics))
     assert [(line.words, line.source) for line in lines] == [(d.message, d.source) for d in diagnostics] != []
     assert [line for line in trace.lines if line.kind == "!"] == lines
@@ -77,12 +77,12 @@ def test_after_a_restore_the_trace_continues_from_the_chips_state(observer):
     trace, session = observer.traces[0], observer.session
     start = session.do(lambda stage: stage.snapshot())
     session.do(lambda stage: stage.chips[0].write(0, 0x81))
-    session.do(observer.observe)
+    session.do(observer.update_views)
     session.restore(start)
-    session.do(observer.observe)
+    session.do(observer.update_views)
     assert trace.lines[-1].words == "the time went back"
     session.do(lambda stage: stage.chips[0].write(1, 5))
-    session.do(observer.observe)
+    session.do(observer.update_views)
     assert "R0" in trace.lines[-1].words, "R1 was selected later"
 
 
@@ -91,16 +91,16 @@ def test_the_program_ends_at_the_snapshot_that_was_restored(observer):
     session.do(lambda stage: stage.chips[0].write(0, 0x81))
     snapshot = session.do(lambda stage: stage.snapshot())
     session.do(lambda stage: stage.chips[0].write(0, 0x82))
-    session.do(observer.observe)
+    session.do(observer.update_views)
     session.restore(snapshot)
-    session.do(observer.observe)
+    session.do(observer.update_views)
     assert [e.b for e in trace.sent] == [0x81]
 
 
 def test_a_trace_and_its_journal_hold_the_last_lines_only(observer):
     trace, session = observer.traces[0], observer.session
     session.do(lambda stage: [stage.chips[0].write(0, 0x40) for _ in range(1200)])
-    session.do(observer.observe)
+    session.do(observer.update_views)
     assert len(trace.lines) == 500
     assert trace.lines[-1].number == 1200
     assert session.do(lambda stage: len(trace._journal.entries)) == 0
@@ -147,7 +147,7 @@ def real(monkeypatch):
 def timed(session, real):
     session.reset()
     observer = StageObserver(session)
-    observer.again = lambda: session.do(observer.observe)
+    observer.again = lambda: session.do(observer.update_views)
     yield observer
     observer.close()
 
@@ -277,20 +277,20 @@ def test_after_an_origin_return_lost_steps_are_counted_anew_and_the_command_is_w
         def drag(stage):
             stage.data.qpos[x.plant.qpos] += 3 * tooth
             session.run_unpaced(stage.run, 0.3)
-            observer.observe(stage)
+            observer.update_views(stage)
 
         session.do(drag)
         lost = observer.axes["x"].lost
         assert abs(lost) == 12
         assert observer.axes["x"].commanded - observer.axes["x"].position == pytest.approx(-3 * tooth, abs=0.1 * tooth)
         session.do(lambda stage: observer.note_origin("x", stage))
-        session.do(observer.observe)
+        session.do(observer.update_views)
         assert observer.axes["x"].lost == 0
         assert observer.axes["x"].commanded == pytest.approx(observer.axes["x"].position, abs=0.1 * tooth)
         session.do(drag)
         assert observer.axes["x"].lost == lost, "since then"
         session.reset()
-        session.do(observer.observe)
+        session.do(observer.update_views)
         assert observer.axes["x"].lost == 0
         assert observer._origins == {}
         observer.close()

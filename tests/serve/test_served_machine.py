@@ -13,7 +13,7 @@ from stage.board import Board, HostError
 from stage.chips import HCTL1100, PCL240K
 from stage.errors import ArgumentError
 from stage.serve import client
-from stage.serve.frame_execution import MAX_LINE_BYTES, MAX_NAME_BYTES, MAX_SNAPSHOTS, Machine, describe_error
+from stage.serve.frame_execution import MAX_LINE_BYTES, MAX_NAME_BYTES, MAX_SNAPSHOTS, FrameExecutor, describe_error
 
 PORT = 0x300
 LAST_PORT = 0xFFFFFFFF
@@ -24,7 +24,7 @@ class Frames:
 
     def __init__(self, board, **options):
         self.reports, self.called = [], []
-        self.machine = Machine(
+        self.machine = FrameExecutor(
             board, hook=self.called.append, report=lambda seconds, text: self.reports.append((seconds, text)), **options
         )
 
@@ -50,7 +50,7 @@ def test_about_has_units_ports_and_the_bus_cycle():
     """a hinge among the axes, chips from a port of their own on, a device, and a cycle that is no whole number of us"""
     stage = Stage("xya", chips=PCL240K, visuals=False, bus_cycle=1.1e-6)
     board = Board(stage, base=0x340, stride=16, devices=["ls7166:0x500:y"])
-    about = json.loads(Machine(board).describe_board())
+    about = json.loads(FrameExecutor(board).describe_board())
     assert about["axes"] == {"x": "m", "y": "m", "a": "rad"}
     assert [chip["port"] for chip in about["chips"]] == [p.first for p in board.places] == [0x340, 0x350, 0x360]
     assert [chip["axes"] for chip in about["chips"]] == ["x", "y", "a"]
@@ -124,7 +124,7 @@ def test_restore_is_refused_within_a_hook(board):
             machine.handlers[client.RESTORE](b"start")
         message.append(str(refused.value))
 
-    machine = Machine(board, hook=hook)
+    machine = FrameExecutor(board, hook=hook)
     machine.handlers[client.TIMER](client.TIMING.pack(0, 1, 1_000_000))
     machine.handlers[client.BATCH](client.ENTRY.pack(client.DELAY, 0, 0, 0, 1500, 0))
     assert len(message) == 1

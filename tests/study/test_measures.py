@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from stage.chips import PCL240K
-from stage.study import PresetMoves, preset_move_objective, suggest
-from stage.study.preset_move_objective import FAILED, SPACE, _measure, _together
+from stage.study import PresetMoves, preset_move_objective, suggest_registers
+from stage.study.preset_move_objective import FAILURE_PENALTY_S, SPACE, _combine_measures, _measure_move
 
 SECONDS = np.array([-0.1, 0.0, 0.1, 0.2, 0.3, 0.4])
 """Times of the samples since the first pulse; a move takes 0.2 s."""
@@ -35,7 +35,7 @@ def measure_move(monkeypatch, deviations, ok=True, lost=0, band=1e-3, camera=Non
     monkeypatch.setattr(
         preset_move_objective.firmware, "preset_move", lambda *arguments: requested.append(arguments[1:]) or report
     )
-    results = _measure(stage, "x", "a profile", 100, band, 0.7)
+    results = _measure_move(stage, "x", "a profile", 100, band, 0.7)
     assert requested == [(100, "a profile"), 0.7]
     assert results["duration"] == 0.2
     return results
@@ -48,7 +48,7 @@ def measure_move(monkeypatch, deviations, ok=True, lost=0, band=1e-3, camera=Non
         ([0.2, 0.1, 2e-3, 0, 0, 0], 0.2),  # quiet at its end
         ([0.2, 0.1, 0.1, 2e-3, 0, 0], 0.3),  # quiet at the sample after the last one outside
         ([0.2, 0.1, 0.1, 0, -2e-3, 0], 0.4),  # the other side counts as well
-        ([0.2, 0.1, 0.1, 0, 0, 2e-3], 0.4 + FAILED),  # the last sample is outside
+        ([0.2, 0.1, 0.1, 0, 0, 2e-3], 0.4 + FAILURE_PENALTY_S),  # the last sample is outside
         ([0.2, 0.1, 0.1, 0.9e-3, 0.9e-3, -0.9e-3], 0.2),  # vibrates within the band
     ],
 )
@@ -59,7 +59,7 @@ def test_the_score_of_a_move_ends_when_the_tool_stays_within_its_band(monkeypatc
 def test_an_incomplete_move_fails_and_unknown_steps_do_not_count_as_lost(monkeypatch):
     quiet = [0.0] * 6
     failed = measure_move(monkeypatch, quiet, ok=False, lost=-4)
-    assert (failed["score"], failed["reached"], failed["lost_steps"]) == (pytest.approx(0.2 + FAILED), 0, -4)
+    assert (failed["score"], failed["reached"], failed["lost_steps"]) == (pytest.approx(0.2 + FAILURE_PENALTY_S), 0, -4)
     unknown = measure_move(monkeypatch, quiet, lost=None)
     assert (unknown["score"], unknown["reached"], unknown["lost_steps"]) == (pytest.approx(0.2), 1, 0)
 
@@ -73,7 +73,7 @@ def test_the_position_of_a_mast_tool_includes_the_bend_of_the_mast(monkeypatch):
     """The camera deviates by 2 mm in the opposite direction: the carriage alone would not be quiet"""
     deviations = np.array([0, 0, 0, 0, 2e-3, 2e-3])
     assert measure_move(monkeypatch, deviations, camera=-deviations)["score"] == pytest.approx(0.2)
-    assert measure_move(monkeypatch, np.zeros(6), camera=deviations)["score"] == pytest.approx(0.4 + FAILED)
+    assert measure_move(monkeypatch, np.zeros(6), camera=deviations)["score"] == pytest.approx(0.4 + FAILURE_PENALTY_S)
 
 
 def test_several_moves_have_the_mean_score_the_total_time_and_the_worst_vibration():
@@ -82,8 +82,14 @@ def test_several_moves_have_the_mean_score_the_total_time_and_the_worst_vibratio
         {"score": 4.0, "duration": 0.25, "lost_steps": -8, "reached": 0, "vibration": 2.0},
         {"score": 1.0, "duration": 0.25, "lost_steps": 0, "reached": 1, "vibration": 1.0},
     ]
-    assert _together(moves) == {"score": 2.0, "duration": 1.0, "lost_steps": 12, "reached": 2, "vibration": 3.0}
-    assert _together(moves[1:2]) == {"score": 4.0, "duration": 0.25, "lost_steps": 8, "reached": 0, "vibration": 2.0}
+    assert _combine_measures(moves) == {"score": 2.0, "duration": 1.0, "lost_steps": 12, "reached": 2, "vibration": 3.0}
+    assert _combine_measures(moves[1:2]) == {
+        "score": 4.0,
+        "duration": 0.25,
+        "lost_steps": 8,
+        "reached": 0,
+        "vibration": 2.0,
+    }
 
 
 def test_a_trial_makes_each_move_of_its_objective_in_order(monkeypatch):
@@ -113,10 +119,10 @@ def test_each_kind_of_range_uses_its_optuna_suggestion():
         suggest_int=lambda name, low, high, log=False: requested.append((name, low, high, log)) or low,
         suggest_categorical=lambda name, values: requested.append((name, values)) or values[-1],
     )
-    results = suggest(trial, {"R1": "4:100:log", "R2": "400:2800", "R4": "10,20,40", "R7": 12})
+    results = suggest_registers(trial, {"R1": "4:100:log", "R2": "400:2800", "R4": "10,20,40", "R7": 12})
     assert requested == [("R1", 4, 100, True), ("R2", 400, 2800, False), ("R4", (10, 20, 40)), ("R7", 12, 12, False)]
     assert results == {"R1": 4, "R2": 400, "R4": 40, "R7": 12}
-    assert {name: preset_move_objective.values_of(name, text) for name, text in SPACE.items()} == {
+    assert {name: preset_move_objective.parse_values(name, text) for name, text in SPACE.items()} == {
         "R1": (4, 100, True), "R2": (400, 2800, False), "R4": (60, 800, True), "R5": (60, 800, True), "R7": (12,),
     }  # fmt: skip
     assert PresetMoves(model="xy")._chip is PCL240K

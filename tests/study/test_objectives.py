@@ -14,7 +14,14 @@ from stage import Stage
 from stage.chips import PCL240K, PCL240MS
 from stage.errors import ArgumentError
 from stage.study import PresetMoves, open_study, preset_move_objective, run
-from stage.study.preset_move_objective import FAILED, Range, _measure, _together, profile_of, values_of
+from stage.study.preset_move_objective import (
+    FAILURE_PENALTY_S,
+    Range,
+    _combine_measures,
+    _measure_move,
+    build_profile,
+    parse_values,
+)
 
 GENTLE = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
 MOVE = PresetMoves(model="xy", pulses=2000, rest=0.05)
@@ -62,16 +69,16 @@ def test_a_move_that_an_end_limit_stopped_fails_with_any_band():
     """PresetMoves(band=1.0)"""
     stage = Stage("xy", visuals=False)
     stage.axes["x"].switches.stick("el_plus", True)
-    measures = _measure(stage, "x", profile_of(GENTLE, PCL240K), 2000, band=1.0, rest=0.01)
+    measures = _measure_move(stage, "x", build_profile(GENTLE, PCL240K), 2000, band=1.0, rest=0.01)
     assert (measures["reached"], measures["lost_steps"]) == (0, 0)
-    assert measures["score"] >= FAILED
+    assert measures["score"] >= FAILURE_PENALTY_S
 
 
 def test_lost_steps_of_opposite_directions_do_not_cancel():
     """PresetMoves(pulses=(2000, -2000)): a move reports the steps that it loses with the sign of their direction"""
     move = {"score": 1.0, "duration": 1.0, "reached": 0, "vibration": 0.0}
-    assert _together([move | {"lost_steps": 4}, move | {"lost_steps": -4}])["lost_steps"] == 8
-    assert _together([move | {"lost_steps": -8}, move | {"lost_steps": 0}])["lost_steps"] == 8
+    assert _combine_measures([move | {"lost_steps": 4}, move | {"lost_steps": -4}])["lost_steps"] == 8
+    assert _combine_measures([move | {"lost_steps": -8}, move | {"lost_steps": 0}])["lost_steps"] == 8
 
 
 def test_an_s_curve_halves_the_vibration_of_a_camera_on_a_mast():
@@ -133,17 +140,17 @@ def test_a_study_of_two_goals_has_their_pareto_front(tmp_path):
 
 def test_registers_become_a_profile_and_the_error_names_missing_and_unknown_ones():
     registers = {"R1": 25, "R2": 500, "R4": 90, "R5": 80, "R7": 12}
-    profile = profile_of(registers, PCL240K)
+    profile = build_profile(registers, PCL240K)
     assert profile.registers() == registers | {"R3": 500}
     assert (profile.spans, profile.chip) == (None, PCL240K)
-    assert profile_of(registers | {"R3": 7}, PCL240K).R3 == 7
+    assert build_profile(registers | {"R3": 7}, PCL240K).R3 == 7
     for curved, spans in (({"R14": 5}, (5, 0)), ({"R15": 6}, (0, 6)), ({"R14": 5, "R15": 6}, (5, 6))):
-        assert profile_of(registers | curved, PCL240MS).spans == spans
+        assert build_profile(registers | curved, PCL240MS).spans == spans
     with pytest.raises(ArgumentError, match="unknown PCL240K speed register 'R14'"):
-        profile_of(registers | {"R14": 5}, PCL240K)
+        build_profile(registers | {"R14": 5}, PCL240K)
     for name in registers:
         with pytest.raises(ArgumentError, match=f"a preset move needs {name}, too"):
-            profile_of({n: v for n, v in registers.items() if n != name}, PCL240K)
+            build_profile({n: v for n, v in registers.items() if n != name}, PCL240K)
 
 
 @pytest.mark.parametrize(
@@ -163,16 +170,16 @@ def test_an_invalid_objective_is_refused_before_its_first_trial(options, message
 
 
 def test_values_of_a_register_are_one_value_several_or_a_range():
-    assert values_of("R7", 12) == values_of("R7", "12") == (12,)
-    assert values_of("R7", "12,24") == (12, 24)
-    assert values_of("R2", "400:2800") == Range(400, 2800, False)
-    assert values_of("R4", "60:800:log") == Range(60, 800, True)
+    assert parse_values("R7", 12) == parse_values("R7", "12") == (12,)
+    assert parse_values("R7", "12,24") == (12, 24)
+    assert parse_values("R2", "400:2800") == Range(400, 2800, False)
+    assert parse_values("R4", "60:800:log") == Range(60, 800, True)
 
 
 @pytest.mark.parametrize("text", ["", "a", "5:4", "0:9:log", "1:9:lin", "1:9/3", "1:2:log:3", "1.5", "-5:5", "-5", -5])
 def test_invalid_values_of_a_register_are_refused(text):
     with pytest.raises(ArgumentError, match="R2="):
-        values_of("R2", text)
+        parse_values("R2", text)
 
 
 def test_a_move_on_a_screw_with_an_inverse_gear_reaches_its_goal(tmp_path):

@@ -19,8 +19,8 @@ pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'puls
 import optuna
 
 from stage.errors import ArgumentError, StageError
-from stage.study import PresetMoves, finished, open_study, read_study, run, seed_of, suggest
-from stage.study.optuna_storage import Lock
+from stage.study import PresetMoves, count_finished, derive_seed, open_study, read_study, run, suggest_registers
+from stage.study.optuna_storage import AppendLock
 
 ROOT = Path(__file__).resolve().parents[2]
 SWEEP = ROOT / "scripts" / "sweep.py"
@@ -40,12 +40,12 @@ def slow(trial):
 
 
 def compute_valley(trial):
-    registers = suggest(trial, {"R2": "400:2800", "R4": "60:800:log", "R7": "12,24"})
-    return abs(registers["R2"] - 1000) / registers["R7"] + registers["R4"] + seed_of(trial) % 10
+    registers = suggest_registers(trial, {"R2": "400:2800", "R4": "60:800:log", "R7": "12,24"})
+    return abs(registers["R2"] - 1000) / registers["R7"] + registers["R4"] + derive_seed(trial) % 10
 
 
 def compute_two_goals(trial):
-    registers = suggest(trial, {"R2": "400:2800", "R4": "60:800:log"})
+    registers = suggest_registers(trial, {"R2": "400:2800", "R4": "60:800:log"})
     return registers["R2"] * registers["R4"], registers["R2"] / registers["R4"]
 
 
@@ -150,7 +150,7 @@ def test_the_next_writer_removes_an_incomplete_last_line(tmp_path):
 def test_the_lock_of_a_killed_process_does_not_delay_others(tmp_path):
     run(compute_valley, tmp_path / "study", 1)
     if (holder := os.fork()) == 0:
-        Lock(tmp_path / "study").acquire()
+        AppendLock(tmp_path / "study").acquire()
         os.kill(os.getpid(), signal.SIGKILL)
     assert os.waitstatus_to_exitcode(os.waitpid(holder, 0)[1]) == -signal.SIGKILL
     began = time.monotonic()
@@ -179,7 +179,7 @@ def test_a_complete_study_starts_no_worker(tmp_path, monkeypatch):
 
 def test_two_workers_with_one_seed_draw_different_trials(tmp_path):
     studies = [open_study(compute_valley, tmp_path / "study", seed=1) for _ in range(2)]
-    drawn = [suggest(study.ask(), {"R2": "1:1000000", "R4": "1:1000000"}) for study in studies]
+    drawn = [suggest_registers(study.ask(), {"R2": "1:1000000", "R4": "1:1000000"}) for study in studies]
     assert drawn[0]["R2"] != drawn[1]["R2"]
     assert drawn[0]["R2"] != drawn[0]["R4"]
 
@@ -198,8 +198,8 @@ def test_a_stage_error_fails_its_trial_and_another_error_ends_the_run(tmp_path):
     study = read_study(tmp_path / "study")
     assert [t.state.name for t in study.trials] == ["COMPLETE", "FAIL", "COMPLETE", "COMPLETE", "FAIL"]
     assert study.trials[1].user_attrs["error"] == "ArgumentError: R4 is not to my taste"
-    assert finished(study) == 4  # a mistake is not a result
-    assert finished(run(fail_twice, tmp_path / "study", 9)) == 9
+    assert count_finished(study) == 4  # a mistake is not a result
+    assert count_finished(run(fail_twice, tmp_path / "study", 9)) == 9
 
 
 def test_the_error_of_another_objective_lists_the_differences(tmp_path):
@@ -240,7 +240,7 @@ def test_a_file_that_is_no_study_stays_unchanged(tmp_path):
 def test_a_database_can_store_a_study(tmp_path):
     url = f"sqlite:///{tmp_path}/study.db"
     assert list_trials(run(compute_valley, url, 2)) == list_trials(run(compute_valley, tmp_path / "study", 2))
-    assert finished(read_study(url)) == 2
+    assert count_finished(read_study(url)) == 2
 
 
 @pytest.mark.parametrize(
@@ -347,7 +347,7 @@ def test_the_documented_program_for_ray_runs(tmp_path):
     (tmp_path / "on_ray.py").write_text(program)
     completed = subprocess.run([sys.executable, "on_ray.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert completed.returncode == 0, completed.stderr
-    assert finished(read_study(tmp_path / "moves.log")) == 40
+    assert count_finished(read_study(tmp_path / "moves.log")) == 40
 
 
 def test_no_trial_is_pruned_without_a_pruner(tmp_path):
@@ -366,9 +366,9 @@ def test_pruned_trials_count_as_finished(tmp_path):
         raise optuna.TrialPruned
 
     study = run(prune, tmp_path / "study", 3)
-    assert (started, finished(study)) == ([0, 1, 2], 3)
+    assert (started, count_finished(study)) == ([0, 1, 2], 3)
 
 
 def test_trials_have_the_seeds_of_older_studies():
-    drawn = [seed_of(optuna.trial.FixedTrial({}, number), seed) for number, seed in ((0, 0), (5, 0), (0, 5))]
+    drawn = [derive_seed(optuna.trial.FixedTrial({}, number), seed) for number, seed in ((0, 0), (5, 0), (0, 5))]
     assert drawn == [7449029282396566744, 1972919436384569406, 3508924886369872888]

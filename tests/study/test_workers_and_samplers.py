@@ -12,9 +12,9 @@ pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'puls
 import optuna
 
 from stage.errors import ArgumentError, StageError
-from stage.study import finished, open_study, optuna_storage, read_study, run, study_runner
-from stage.study.optuna_storage import ByNumber, Journal, Lock
-from stage.study.study_runner import _optimize, _work
+from stage.study import count_finished, open_study, optuna_storage, read_study, run, study_runner
+from stage.study.optuna_storage import AppendLock, DurableJournal, TrialSeededSampler
+from stage.study.study_runner import _optimize, _run_worker
 from stage.support.files import FileError
 
 
@@ -74,10 +74,10 @@ def test_each_worker_is_spawned_with_the_full_task_and_joined(spawn_fake_workers
     sampler, pruner = optuna.samplers.RandomSampler, optuna.pruners.MedianPruner()
     study = run(compute_valley, tmp_path / "study", 4, workers=3, sampler=sampler, pruner=pruner, seed=9)
     assert events == [
-        "spawn", *[("made", _work, 4, True)] * 3, *["started"] * 3, *["joined"] * 3, *["terminated", "joined"] * 3,
+        "spawn", *[("made", _run_worker, 4, True)] * 3, *["started"] * 3, *["joined"] * 3, *["terminated", "joined"] * 3,
     ]  # fmt: skip
     assert arguments == [(compute_valley, tmp_path / "study", 4, {"sampler": sampler, "pruner": pruner, "seed": 9})] * 3
-    assert finished(study) == 4
+    assert count_finished(study) == 4
 
 
 def test_the_error_of_unfinished_trials_states_how_the_workers_exited(spawn_fake_workers, tmp_path):
@@ -129,7 +129,7 @@ def test_a_worker_prints_its_error_and_exits_with_a_code(error, code, message, m
 
     monkeypatch.setattr(study_runner, "open_study", refuse)
     with pytest.raises(SystemExit) as ended:
-        _work(compute_valley, tmp_path / "study", 1, {})
+        _run_worker(compute_valley, tmp_path / "study", 1, {})
     assert ended.value.code == code
     assert capsys.readouterr().err == (f"worker {os.getpid()}: {message}\n" if message else "")
 
@@ -141,7 +141,7 @@ def test_only_complete_pruned_and_failed_trials_count_as_finished():
     some = [
         trial("COMPLETE"), trial("PRUNED"), trial("FAIL"), trial("FAIL", error="no"), trial("RUNNING"), trial("WAITING", seed=1),
     ]  # fmt: skip
-    assert finished(SimpleNamespace(get_trials=lambda deepcopy: some)) == 3
+    assert count_finished(SimpleNamespace(get_trials=lambda deepcopy: some)) == 3
 
 
 def test_a_study_uses_the_requested_sampler_and_pruner_or_tpe_and_none(tmp_path):
@@ -161,7 +161,7 @@ def test_a_study_uses_the_requested_sampler_and_pruner_or_tpe_and_none(tmp_path)
 
 
 def test_reading_an_empty_storage_is_refused(tmp_path):
-    optuna_storage.storage_at(tmp_path / "empty").get_all_studies()
+    optuna_storage.open_storage(tmp_path / "empty").get_all_studies()
     with pytest.raises(ArgumentError, match="holds no study"):
         read_study(tmp_path / "empty")
 
@@ -180,7 +180,7 @@ class RecordingSampler:
 
 def test_each_trial_has_a_sampler_seeded_by_its_number(monkeypatch):
     monkeypatch.setattr(RecordingSampler, "events", [])
-    sampler, trial = ByNumber(RecordingSampler, 5), SimpleNamespace(number=3, params={})
+    sampler, trial = TrialSeededSampler(RecordingSampler, 5), SimpleNamespace(number=3, params={})
     requested = [
         ("before_trial", ("study", trial)), ("infer_relative_search_space", ("study", trial)),
         ("sample_relative", ("study", trial, "space")), ("sample_independent", ("study", trial, "R2", "range")),
@@ -195,7 +195,7 @@ def test_each_trial_has_a_sampler_seeded_by_its_number(monkeypatch):
         (6, SimpleNamespace(number=3, params={})),
     ]  # fmt: skip
     for seed, other in others:
-        ByNumber(RecordingSampler, seed).before_trial("study", other)
+        TrialSeededSampler(RecordingSampler, seed).before_trial("study", other)
     assert len({seed for _, seed, _ in RecordingSampler.events}) == 4, (
         "another seed for each trial number, set of parameters, and study seed"
     )
@@ -216,7 +216,7 @@ def test_each_trial_has_a_sampler_seeded_by_its_number(monkeypatch):
 def test_the_lock_removes_an_incomplete_last_line_of_the_journal(tmp_path, content, expected):
     path = tmp_path / "study"
     path.write_bytes(content)
-    lock = Lock(path)
+    lock = AppendLock(path)
     assert lock.acquire() is True
     assert path.read_bytes() == expected
     lock.release()
@@ -225,7 +225,7 @@ def test_the_lock_removes_an_incomplete_last_line_of_the_journal(tmp_path, conte
 
 def test_a_lock_is_exclusive_until_its_release_and_after_a_failed_acquire(tmp_path):
     path = tmp_path / "study"
-    lock = Lock(path)
+    lock = AppendLock(path)
     with pytest.raises(FileNotFoundError):
         lock.acquire()
 
@@ -246,7 +246,7 @@ def test_a_lock_is_exclusive_until_its_release_and_after_a_failed_acquire(tmp_pa
 
 
 def test_the_error_of_a_full_disk_states_which_trials_are_saved(tmp_path, monkeypatch):
-    journal = Journal(tmp_path / "study")
+    journal = DurableJournal(tmp_path / "study")
 
     def raise_disk_full(self, logs):
         raise OSError(errno.ENOSPC, "No space left on device")

@@ -24,7 +24,7 @@ from stage.testing import (
     assert_stopped,
 )
 from stage.testing.assertions import format_ranges
-from stage.testing.failed_test_files import Evidence, WatchedStage, choose_folder
+from stage.testing.failed_test_files import FailedTestFiles, WatchedStage, choose_folder
 from stage.testing.path_assertion import _measure_distances
 
 SLOW = firmware.Profile.of(fh1=8000, accel=0.05)
@@ -292,7 +292,7 @@ def test_a_line_that_is_none_is_refused(corner, line, keywords, message):
 
 
 def test_the_report_has_the_last_log_lines_and_the_number_of_stray_cycles(stage):
-    watch = object.__new__(Evidence)
+    watch = object.__new__(FailedTestFiles)
     watch.stage, watch.board = stage, Board(stage)
     assert watch._describe_log() == ""
     for k in range(12):
@@ -397,7 +397,7 @@ def test_only_the_traceback_of_an_error_of_the_package_ends_in_the_test():
         try:
             call()
         except Exception as error:
-            Evidence.shorten_traceback(object.__new__(Evidence), error)
+            FailedTestFiles.shorten_traceback(object.__new__(FailedTestFiles), error)
             return [frame.name for frame in traceback.extract_tb(error.__traceback__)]
 
     def helper():

@@ -14,7 +14,7 @@ from toy import TOY, TOY8, defects
 from stage.chips import CHIPS, PCL240K
 from stage.errors import ArgumentError, NativeError, StageError
 from stage.testing import chip_acts, chip_conformance, conformance, promises
-from stage.testing.bounded_child_process import NOT_FINISHED, run_bounded
+from stage.testing.bounded_child_process import NOT_FINISHED, run_in_child_process
 from stage.testing.conformance import NotConforming
 from stage.testing.promise_trial import describe_difference
 
@@ -127,7 +127,7 @@ def test_a_core_that_ends_its_process_is_a_broken_promise():
 
 
 def test_after_a_promise_that_does_not_finish_the_others_have_less_time(monkeypatch):
-    monkeypatch.setattr(conformance, "SHORT_LIMIT", 0.5)
+    monkeypatch.setattr(conformance, "SHORT_TIME_LIMIT_S", 0.5)
     argument = []
     monkeypatch.setattr(
         conformance, "run_bounded", lambda work, limit: argument.append(limit) or f"{NOT_FINISHED} {limit:g} s"
@@ -175,13 +175,13 @@ def test_a_limit_is_a_time_or_none():
             chip_conformance(TOY, limit=limit)
     chip_conformance(TOY, seed=SEED, programs=1, promises=["pins_by_name"], limit=None)
     with pytest.raises(ZeroDivisionError):
-        run_bounded(lambda: str(1 // 0), None)
+        run_in_child_process(lambda: str(1 // 0), None)
 
 
 def test_the_text_of_a_promise_arrives_complete_and_a_silent_process_is_reported():
     words = "it answers " + "x" * 200_000
-    assert run_bounded(lambda: words, 20) == words
-    assert run_bounded(lambda: os._exit(3), 20) == "its process ended with status 3 and no word"
+    assert run_in_child_process(lambda: words, 20) == words
+    assert run_in_child_process(lambda: os._exit(3), 20) == "its process ended with status 3 and no word"
 
 
 def test_moves_of_a_driver_are_tried_in_both_directions():

@@ -17,7 +17,7 @@ from support.odd_names import odd_model
 import stage.models
 from stage.board import build
 from stage.support.files import FileError
-from stage.testing.marker_arguments import firmware_arguments
+from stage.testing.marker_arguments import read_firmware_arguments
 
 pytest_plugins = ["pytester"]
 needs_cc = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler: cc is not on the PATH")
@@ -617,7 +617,7 @@ def test_a_marker_selects_whether_firmware_has_a_separate_process(argument, requ
     """@pytest.mark.firmware("driver.c", isolated=True)"""
     marks = [pytest.Mark("firmware", (__file__,), argument, _ispytest=True)]
     node = SimpleNamespace(path=Path(__file__), config=request.config, iter_markers=lambda: iter(marks))
-    result = firmware_arguments(node)
+    result = read_firmware_arguments(node)
     assert result["sources"] == [Path(__file__)]
     assert result.get("isolated", False) == argument["isolated"]
 
@@ -635,14 +635,14 @@ def test_arguments_that_a_marker_omits_are_those_of_the_command_line_or_the_ini_
     isolated = []
     for option, ini in ((None, None), (None, "in-process"), ("in-process", None), ("isolated", "in-process")):
         text |= {"option": option, "ini": ini}
-        result = firmware_arguments(node)
+        result = read_firmware_arguments(node)
         isolated.append(result["isolated"])
     assert isolated == [os.name == "posix", False, False, os.name == "posix"]
     assert result["sources"] == [tmp_path / "a.c", tmp_path / "sub" / "b.c", tmp_path / "sub" / "c.c"]
     assert (result["flags"], result["platform"]) == ((), None)
     marks[0] = pytest.Mark("firmware", ("d.c",), {}, _ispytest=True)
     with pytest.raises(FileError, match=r"firmware 'd.c': there is no such file, from .*sub or "):
-        firmware_arguments(node)
+        read_firmware_arguments(node)
 
 
 @pytest.mark.slow

@@ -328,7 +328,7 @@ def _report_children(children: dict[int, socket.socket]) -> None:
 
 
 def _kill_child(pid: int, ended: bool = False) -> None:
-    """End a child, unless it has `ended`, and the processes that it has started."""
+    """Kill the process group of a child, and the child itself unless it has already ended."""
     with suppress(OSError):
         os.killpg(pid, signal.SIGKILL)
     if not ended:
@@ -337,7 +337,7 @@ def _kill_child(pid: int, ended: bool = False) -> None:
 
 
 def _become_child(world: ProcessContext, files: list[int], run: Callable[[int], None]) -> None:
-    """Make this fork a child, and end with it."""
+    """Turn this forked process into a child that runs firmware, and exit when the firmware has ended."""
     code = 1
     try:
         signal.set_wakeup_fd(-1)

@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     demonstrations.find_key(args.name)
     check_outputs(args)
     record = partial(record_for_plot, args, interval=SAMPLE_INTERVAL_S)
-    result = demonstrations.show(args.name, partial(make_stage, args), record, args.plot is not None)
+    result = demonstrations.run_demonstration(args.name, partial(make_stage, args), record, args.plot is not None)
     print(f"{result.name}: {result.demo.claim}\n\n{result.table()}\n\nHow a host can detect it: {result.demo.notice}")
     healthy, faulty = result.figures
     tell(

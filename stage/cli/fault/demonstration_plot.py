@@ -19,7 +19,7 @@ STYLES = (
 """Styles of the two runs. The healthy one is a wide band, so that both are visible where the runs are alike."""
 
 
-def draw(result: DemoResult, path: str | None, overwrite: bool) -> Any:
+def draw_demonstration(result: DemoResult, path: str | None, overwrite: bool) -> Any:
     """Draw a result that has both recordings, and return the figure; see `Shown.plot`."""
     from stage.support.files import save_figure
 

@@ -1,6 +1,7 @@
-"""Demonstrations of faults by name: their programs, what is claimed of each, and their results.
+"""Demonstrations of faults by name: their host programs, the claim that each one shows, and their results.
 
-Claims are of steppers, and of servos where those do something else. `show` serves the command, the tests and docs/faults.md.
+Claims are about steppers; a demonstration has a second claim if a servo behaves differently. The command, the tests and
+docs/faults.md call `run_demonstration`.
 """
 
 from __future__ import annotations
@@ -101,9 +102,9 @@ class DemoResult:
 
     def plot(self, path: str | None = None, overwrite: bool = False) -> Any:
         """Draw both runs over time, and return the figure. Needs recordings, and matplotlib."""
-        from stage.cli.fault.demonstration_plot import draw
+        from stage.cli.fault.demonstration_plot import draw_demonstration
 
-        return draw(self, path, overwrite)
+        return draw_demonstration(self, path, overwrite)
 
 
 def format_figures(head: tuple[str, str, str], figures: tuple[Figures, Figures], unit: str) -> str:
@@ -137,7 +138,9 @@ def find_key(name: str) -> str:
     return key
 
 
-def show(name: str, make: Callable[[], Any], record: Record | None = None, record_both: bool = False) -> DemoResult:
+def run_demonstration(
+    name: str, make: Callable[[], Any], record: Record | None = None, record_both: bool = False
+) -> DemoResult:
     """Run a demonstration on two stages, the healthy one first.
 
     Args:
@@ -152,7 +155,7 @@ def show(name: str, make: Callable[[], Any], record: Record | None = None, recor
     """
     key = find_key(name)
     stage = make()
-    demo, axis = DEMOS[key], host_programs.first_axis(stage)
+    demo, axis = DEMOS[key], host_programs.get_first_axis(stage)
     if get_driver(axis).has_position_loop:
         demo = demo.for_servo()
     note(f"{key}: the healthy run ...")
@@ -176,7 +179,7 @@ DEMOS = {
         "EL+ is stuck open: the chip never stops, the carriage hits the hard stop, and the motor slips by "
         "multiples of four full steps.",
         "During the move, it cannot: the chip makes all its pulses. The next origin return needs more pulses, or fewer.",
-        host_programs.stuck_open,
+        host_programs.run_into_stuck_open_limit,
         lambda h, f: h["stopped by"] == "EL+" and h["lost steps"] == 0
         and has_arrived(f) and f["lost steps"] > 0 and f["lost steps"] % 4 == 0,
         servo=Claim(
@@ -190,7 +193,7 @@ DEMOS = {
         "loses synchronism.",
         "At once: the chip has halted with pulses left, where there is no end limit. It refuses to move towards "
         "plus, and moves towards minus.",
-        host_programs.stuck_closed,
+        host_programs.move_with_stuck_closed_limit,
         lambda h, f: has_arrived(h) and f["stopped by"] == "EL+" and f["before EL+, mm"] > 10 and f["lost steps"] < 0,
         ("position", "rate"),
         servo=Claim(
@@ -204,7 +207,7 @@ DEMOS = {
         "ORG bounces for 3 ms: the chip sees several edges in place of each one, and finds the origin within the "
         "hysteresis of the switch.",
         "A status read during the bounce may show ORG off, although ORG has stopped the axis: read it again later.",
-        host_programs.bounce,
+        host_programs.home_with_bouncing_origin,
         lambda h, f: f["edges of ORG that the chip saw"] > 4 * h["edges of ORG that the chip saw"] > 0
         and h["after the first edge ORG is off for, ms"] == 0 < f["after the first edge ORG is off for, ms"]
         and h["origin return stopped by"] == f["origin return stopped by"] == "ORG"
@@ -214,14 +217,14 @@ DEMOS = {
     "vane-missing": Demo(
         "The vane of ORG has come off: the origin return passes the origin and ends at EL-.",
         "At once: the chip has halted and ORG is off, so the end limit has stopped it (`stopped_by` EL-).",
-        host_programs.vane_missing,
+        host_programs.home_without_vane,
         lambda h, f: h["stopped by"] == "ORG" and f["stopped by"] == "EL-" and f["past ORG, mm"] > 1,
         ("position", "org"),
     ),
     "payload-doubled": Demo(
         "The payload weighs 20 kg instead of 10 kg: a ramp that is suitable for 10 kg pulls the rotor out of step.",
         "During the move, it cannot: the chip only counts pulses. An origin return afterwards reveals it.",
-        host_programs.payload,
+        host_programs.move_with_heavy_payload,
         lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and has_arrived(f),
         servo=Claim(
             "The payload weighs 20 kg instead of 10 kg: the same loop follows the ramps less closely, but the axis "
@@ -234,7 +237,7 @@ DEMOS = {
     "bus-voltage": Demo(
         "The supply falls from 24 V to 8 V at speed, below the back-EMF: the current is too small, and the motor stalls.",
         "During the move, it cannot: the chip only counts pulses. An origin return afterwards reveals it.",
-        host_programs.bus_voltage,
+        host_programs.move_with_falling_supply,
         lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and has_arrived(f),
         servo=Claim(
             "The supply falls from 24 V to 8 V at speed: the motor has a third of its force, lags behind, and arrives.",
@@ -247,7 +250,7 @@ DEMOS = {
         "The axis jams during a move: the carriage stops, and the chip sends the remaining pulses to a motor that stands still.",
         "During the move, it cannot: the chip only counts pulses. An origin return then ends in RunTimeout: the "
         "chip makes pulses, and no switch trips.",
-        host_programs.jam,
+        host_programs.move_with_jam,
         lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and abs(f["on from 0.5 s, mm"]) < 0.2
         and f["pulses made"] == h["pulses made"],
         servo=Claim(
@@ -264,7 +267,7 @@ DEMOS = {
         "Phase B is open: the field of one phase has no direction, and a motor at rest stays at its position of power-up.",
         "During the move, it cannot: the chip only counts pulses. An origin return then ends in RunTimeout: the "
         "chip makes pulses, and ORG does not trip.",
-        host_programs.phase_open,
+        host_programs.move_with_open_phase,
         lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 100
         and f["opened at 6.25 turns/s: lost steps"] < 0.1 * f["lost steps"],
         ("position", "lost_steps"), (-0.05, 1.98),
@@ -281,7 +284,7 @@ DEMOS = {
         "A write of the distance does not arrive: the chip moves by the distance in its register instead of the requested one.",
         "By reading the distance back before the start, if the chip supports that. Afterwards, the status is that "
         "of a good move.",
-        host_programs.lost_write,
+        host_programs.move_with_lost_write,
         lambda h, f: h["pulses made"] == h["asked"] != f["pulses made"] and has_arrived(f),
         ("position", "pulses"),
         servo=Claim(

@@ -22,7 +22,7 @@ BOUNCE_S = 3e-3
 TIMEOUT_S = 60.0
 
 
-def first_axis(stage: Any) -> Any:
+def get_first_axis(stage: Any) -> Any:
     """Return the axis on which a fault is shown."""
     return next(iter(stage.axes.values()))
 
@@ -42,7 +42,7 @@ def find_touch(axis: Any, pin: str) -> float:
     )
 
 
-def pulses(axis: Any, turns: float) -> int:
+def convert_turns_to_pulses(axis: Any, turns: float) -> int:
     """Return the pulses, or counts, of so many turns of the motor."""
     return round(turns * axis.drive.pulses_per_turn)
 
@@ -63,7 +63,7 @@ def start_move(axis: Any, turns: float, *speeds: float) -> Callable[[], Figures]
     """
     driver = get_driver(axis)
     lost, worst, servo = axis.lost_steps, 0.0, driver.has_position_loop
-    driver.start(pulses(axis, turns), make_speeds(axis, *speeds))
+    driver.start(convert_turns_to_pulses(axis, turns), make_speeds(axis, *speeds))
     start, net = axis.position, axis.chip.net(axis.chip_axis)
 
     def measure_error() -> None:
@@ -86,26 +86,26 @@ def start_move(axis: Any, turns: float, *speeds: float) -> Callable[[], Figures]
     return finish
 
 
-def stuck_open(stage: Any, make_fault: MakeFault) -> Figures:
+def run_into_stuck_open_limit(stage: Any, make_fault: MakeFault) -> Figures:
     """Run into EL+, which is stuck open."""
-    x = first_axis(stage)
+    x = get_first_axis(stage)
     stage.place(**{x.name: find_touch(x, "el_plus") - 0.010})
     with make_fault(faults.switch_stuck, x, "el_plus", False):
         return start_move(x, 5, 3.125, 0.05)() | {"beyond EL+, mm": (x.position - find_touch(x, "el_plus")) * 1e3}
 
 
-def stuck_closed(stage: Any, make_fault: MakeFault) -> Figures:
+def move_with_stuck_closed_limit(stage: Any, make_fault: MakeFault) -> Figures:
     """Let EL+ stick closed in a move."""
-    x = first_axis(stage)
+    x = get_first_axis(stage)
     finish = start_move(x, 10, 6.25, 0.1)
     x.wait(0.5)
     with make_fault(faults.switch_stuck, x, "el_plus", True):
         return finish() | {"before EL+, mm": (find_touch(x, "el_plus") - x.position) * 1e3}
 
 
-def bounce(stage: Any, make_fault: MakeFault) -> Figures:
+def home_with_bouncing_origin(stage: Any, make_fault: MakeFault) -> Figures:
     """Home while ORG bounces."""
-    x = first_axis(stage)
+    x = get_first_axis(stage)
     with make_fault(faults.bounce, x, "org", BOUNCE_S):
         stage.place(**{x.name: find_touch(x, "org") + 0.002})
         report = firmware.home(x, speed=make_speeds(x, 5, 0.07))
@@ -122,9 +122,9 @@ def bounce(stage: Any, make_fault: MakeFault) -> Figures:
     }
 
 
-def vane_missing(stage: Any, make_fault: MakeFault) -> Figures:
+def home_without_vane(stage: Any, make_fault: MakeFault) -> Figures:
     """Home without the vane of ORG."""
-    x = first_axis(stage)
+    x = get_first_axis(stage)
     with make_fault(faults.vane_missing, x, "org"):
         report = firmware.home(x, speed=make_speeds(x, 5, 0.07))
         return {
@@ -135,26 +135,26 @@ def vane_missing(stage: Any, make_fault: MakeFault) -> Figures:
         }
 
 
-def payload(stage: Any, make_fault: MakeFault) -> Figures:
+def move_with_heavy_payload(stage: Any, make_fault: MakeFault) -> Figures:
     """Move with a payload that is twice what it should be."""
-    x = first_axis(stage)
+    x = get_first_axis(stage)
     stage.set_payload(10.0)
     with make_fault(faults.payload, stage, 2.0):
         return {"payload, kg": stage.payload()} | start_move(x, 10, 18.75, 0.046)()
 
 
-def bus_voltage(stage: Any, make_fault: MakeFault) -> Figures:
+def move_with_falling_supply(stage: Any, make_fault: MakeFault) -> Figures:
     """Let the supply fall to 8 V at speed."""
-    x = first_axis(stage)
+    x = get_first_axis(stage)
     finish = start_move(x, 12.5, 18.75, 0.1, 0.46875)
     x.wait(0.3)
     with make_fault(faults.bus_voltage, x, 8.0):
         return finish()
 
 
-def jam(stage: Any, make_fault: MakeFault) -> Figures:
+def move_with_jam(stage: Any, make_fault: MakeFault) -> Figures:
     """Jam the axis in a move."""
-    x = first_axis(stage)
+    x = get_first_axis(stage)
     finish = start_move(x, 10, 6.25, 0.1)
     x.wait(0.5)
     place = x.position
@@ -162,9 +162,9 @@ def jam(stage: Any, make_fault: MakeFault) -> Figures:
         return finish() | {"on from 0.5 s, mm": (x.position - place) * 1e3}
 
 
-def phase_open(stage: Any, make_fault: MakeFault) -> Figures:
+def move_with_open_phase(stage: Any, make_fault: MakeFault) -> Figures:
     """Open phase B before a move from rest, and at speed."""
-    x = first_axis(stage)
+    x = get_first_axis(stage)
     with make_fault(faults.phase_open, x, "b"):
         figures = start_move(x, 5, 3.125, 0.1)()
     stage.place(**{x.name: -0.05})
@@ -176,9 +176,12 @@ def phase_open(stage: Any, make_fault: MakeFault) -> Figures:
 
 def start_skew(stage: Any, make_fault: MakeFault) -> Figures:
     """Draw a line whose two start commands are 5 ms apart."""
-    last = first_axis(stage)
+    last = get_first_axis(stage)
     other = _find_axis_started_separately(stage, last)
-    distances = {other: pulses(other, -2.34375), last: pulses(last, 6.25)}  # the longest one last: it is started last
+    distances = {
+        other: convert_turns_to_pulses(other, -2.34375),
+        last: convert_turns_to_pulses(last, 6.25),
+    }  # the longest one last: it is started last
     with make_fault(faults.start_skew, last, 5e-3):
         report = firmware.line(distances, pulses=True, speed=make_speeds(last, 6.25, 0.15))
     return {
@@ -210,11 +213,11 @@ def _find_axis_started_separately(stage: Any, axis: Any) -> Any:
     )
 
 
-def lost_write(stage: Any, make_fault: MakeFault) -> Figures:
+def move_with_lost_write(stage: Any, make_fault: MakeFault) -> Figures:
     """Lose a write of the distance."""
-    x = first_axis(stage)
+    x = get_first_axis(stage)
     turns = min(5, 0.9 * (x.travel[1] - x.position) * abs(x.gear) / (2 * math.pi))
-    distance, register = pulses(x, turns), get_driver(x).DISTANCE_REGISTER
+    distance, register = convert_turns_to_pulses(x, turns), get_driver(x).DISTANCE_REGISTER
     written, nothing = (x.chip.register_cycles(register, value, x.chip_axis) for value in (distance, 0))
     address, value = next(cycle for cycle, other in zip(written, nothing, strict=True) if cycle != other)
     with make_fault(faults.lost_write, x, address, value):

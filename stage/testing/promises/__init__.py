@@ -1,36 +1,41 @@
-"""Promises that every chip keeps, one function each: it raises `BrokenPromise` where a chip breaks it. See conformance.py.
+"""Promises that every chip keeps. A function for each promise raises `BrokenPromise` if a chip breaks it; see conformance.py.
 
-A promise is tried with random acts (chip_acts.py) and with moves as the chip's host driver writes them. Its docstring is what a
-report shows.
+The functions try random acts (chip_acts.py), and moves as the chip's host driver writes them. Reports of broken promises show the
+docstrings of the functions.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from stage.testing.promise_trial import Trial
+from stage.testing.promise_trial import PromiseTrial
 from stage.testing.promises.bus import (
-    bus_lines,
-    command_cycles,
-    diagnostics,
-    has_what_every_chip_has,
-    pins_by_name,
-    reads,
-    register_cycles,
-    words,
+    check_bus_lines,
+    check_command_cycles,
+    check_contract,
+    check_diagnostics,
+    check_pins_by_name,
+    check_reads,
+    check_register_cycles,
+    check_words,
 )
-from stage.testing.promises.journal import journals
-from stage.testing.promises.moves import axes_alone, courses, limit_switches
-from stage.testing.promises.state import determinism, resets, snapshots
-from stage.testing.promises.timing import cut_time, drive_inputs, time_that_passes, traced, windows
+from stage.testing.promises.journal import check_journals
+from stage.testing.promises.moves import check_axes_alone, check_courses, check_limit_switches
+from stage.testing.promises.state import check_determinism, check_resets, check_snapshots
+from stage.testing.promises.timing import (
+    check_cut_time,
+    check_drive_inputs,
+    check_time_that_passes,
+    check_trace,
+    check_windows,
+)
 
-PROMISES: dict[str, Callable[[Trial], None]] = {
-    p.__name__: p
-    for p in (
-        has_what_every_chip_has, pins_by_name, register_cycles, command_cycles,
-        bus_lines, time_that_passes, reads, diagnostics, words,
-        determinism, traced, cut_time, windows, drive_inputs, courses, limit_switches, axes_alone,
-        snapshots, journals, resets,
-    )
+PROMISES: dict[str, Callable[[PromiseTrial], None]] = {
+    "has_what_every_chip_has": check_contract, "pins_by_name": check_pins_by_name, "register_cycles": check_register_cycles,
+    "command_cycles": check_command_cycles, "bus_lines": check_bus_lines, "time_that_passes": check_time_that_passes,
+    "reads": check_reads, "diagnostics": check_diagnostics, "words": check_words, "determinism": check_determinism,
+    "traced": check_trace, "cut_time": check_cut_time, "windows": check_windows, "drive_inputs": check_drive_inputs,
+    "courses": check_courses, "limit_switches": check_limit_switches, "axes_alone": check_axes_alone,
+    "snapshots": check_snapshots, "journals": check_journals, "resets": check_resets,
 }  # fmt: skip
-"""Every promise by name; their docstrings say what is promised."""
+"""Name of a promise, as users pass it to `chip_conformance` -> function that checks it. Its docstring is what reports show."""

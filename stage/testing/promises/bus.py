@@ -12,11 +12,11 @@ from stage.chips import Chip, Diagnostic, contract
 from stage.chips.describe import MAX_LINE_LENGTH, decode
 from stage.chips.register_map import Command, Word
 from stage.errors import ArgumentError, StageError
-from stage.testing.chip_acts import copy_state, describe_differences, perform, perform_all
-from stage.testing.promise_trial import BrokenPromise, Trial
+from stage.testing.chip_acts import copy_state, describe_differences, perform_act, perform_acts
+from stage.testing.promise_trial import BrokenPromise, PromiseTrial
 
 
-def has_what_every_chip_has(t: Trial) -> None:
+def check_contract(t: PromiseTrial) -> None:
     """the contract: class, core and records have all that loops, boards and recordings ask of them"""
     try:
         contract.check(t.kind, Chip)
@@ -30,7 +30,7 @@ def has_what_every_chip_has(t: Trial) -> None:
         )
 
 
-def bus_lines(t: Trial) -> None:
+def check_bus_lines(t: PromiseTrial) -> None:
     """masks: only the address and data lines that the chip has matter, of writes and of reads"""
     for rng in t.seeded_generators():
         near, distant = t.make(), t.make()
@@ -53,7 +53,7 @@ def bus_lines(t: Trial) -> None:
             )
 
 
-def pins_by_name(t: Trial) -> None:
+def check_pins_by_name(t: PromiseTrial) -> None:
     """pins: an input can be set, alone and by name; an output refuses; a name that is none is refused"""
     chip = t.make()
     for axis in chip.axes:
@@ -83,19 +83,19 @@ def pins_by_name(t: Trial) -> None:
             raise BrokenPromise(f"pin {name}, no input, can be set")
 
 
-def reads(t: Trial) -> None:
+def check_reads(t: PromiseTrial) -> None:
     """reads: a read cycle changes nothing, but at READING_ACTS; `peek`, what a host would like to see there, never does"""
     for rng in t.seeded_generators():
         chip = t.make()
         for act in t.draw_program(rng):
-            perform(chip, act)
+            perform_act(chip, act)
             _check_core_reads(t, chip)
-        _check_reads(t, chip)
-        perform_all(chip, t.draw_drives(chip, rng))
-        _check_reads(t, chip)
+        _check_peeks_and_reads(t, chip)
+        perform_acts(chip, t.draw_drives(chip, rng))
+        _check_peeks_and_reads(t, chip)
 
 
-def _check_core_reads(t: Trial, chip: Chip) -> None:
+def _check_core_reads(t: PromiseTrial, chip: Chip) -> None:
     """Check reads of a copy after each act: they change nothing of what comes."""
     for address in range(chip.ADDRESSES):
         if address not in chip.READING_ACTS:
@@ -107,7 +107,7 @@ def _check_core_reads(t: Trial, chip: Chip) -> None:
             _require_unchanged(t, address, before.tobytes(), state.tobytes())
 
 
-def _check_reads(t: Trial, chip: Chip) -> None:
+def _check_peeks_and_reads(t: PromiseTrial, chip: Chip) -> None:
     for k in range(chip.AXES):
         chip.output_word(k)
     for address in range(chip.ADDRESSES):
@@ -121,13 +121,13 @@ def _check_reads(t: Trial, chip: Chip) -> None:
         _require_unchanged(t, address, before, chip.state.tobytes())
 
 
-def _require_unchanged(t: Trial, address: int, before: bytes, now: bytes) -> None:
+def _require_unchanged(t: PromiseTrial, address: int, before: bytes, now: bytes) -> None:
     if now != before:
         differ = describe_differences(t.kind, before, now)
         raise BrokenPromise(f"read({address:X}h) changes {differ}, and {address:X}h is not in READING_ACTS")
 
 
-def register_cycles(t: Trial) -> None:
+def check_register_cycles(t: PromiseTrial) -> None:
     """register_cycles: every register that can be written is, by cycles that the bus has"""
     for r in t.kind.MAP.registers:
         if "W" not in r.access:
@@ -143,7 +143,7 @@ def register_cycles(t: Trial) -> None:
                     )
 
 
-def command_cycles(t: Trial) -> None:
+def check_command_cycles(t: PromiseTrial) -> None:
     """command_cycles: every command is sent by cycles that the bus has, where the family says how"""
     map_ = t.kind.MAP
     sent: list[Command | Word] = [*map_.commands, *(w for w in map_.words if w.written)]
@@ -175,7 +175,7 @@ def _format_line(error: Exception) -> str:
     return f"{where.filename}, line {where.lineno}, in {where.name}"
 
 
-def diagnostics(t: Trial) -> None:
+def check_diagnostics(t: PromiseTrial) -> None:
     """bad writes: none raises, whatever its address and value; what is noted is a Diagnostic with words; noting changes nothing"""
     for rng in t.seeded_generators():
         chip = t.make()
@@ -190,7 +190,7 @@ def diagnostics(t: Trial) -> None:
                 t.require_same_bits(
                     before, chip.state.tobytes(), f"after lint({act.a:X}h, {act.b:X}h), which only looks"
                 )
-            _require_no_error(str(act), perform, chip, act)
+            _require_no_error(str(act), perform_act, chip, act)
         for value in (-1, 1 << 40, (1 << 63) - 1, 1 << 70, np.int64(-5)):
             address = int(rng.integers(-(1 << 20), 1 << 20))
             _require_no_error(f"write({address}, {value})", chip.write, address, value)
@@ -208,7 +208,7 @@ def _require_no_error(what: str, call: Callable[..., Any], *args: Any) -> None:
         raise BrokenPromise(f"{what} raises {type(error).__name__}: {error}") from error
 
 
-def words(t: Trial) -> None:
+def check_words(t: PromiseTrial) -> None:
     """words: listener and decoder tell every bus cycle in a line of ASCII"""
     for rng in t.seeded_generators():
         chip = t.make()
@@ -228,7 +228,7 @@ def words(t: Trial) -> None:
                     raise BrokenPromise(
                         f"listener.{act.kind}({act.a}, {value}) says {text!r}: one line of ASCII, up to {MAX_LINE_LENGTH}"
                     )
-            perform(chip, act)
+            perform_act(chip, act)
         _require_no_error("the decoder", decode, chip.decoder(0), journal.entries)
         _require_no_error("dump()", chip.dump)
         _require_no_error("repr()", repr, chip)

@@ -7,16 +7,22 @@ import numpy as np
 from stage.chips import Chip, cores
 from stage.chips.describe import decode
 from stage.chips.journal import Replay
-from stage.testing.chip_acts import copy_state, count_clocks_to_end, find_pulse_clocks, limit_pulses, perform_all
-from stage.testing.promise_trial import BrokenPromise, Trial, format_some, read_counter, read_visible_state
+from stage.testing.chip_acts import copy_state, count_clocks_to_end, find_pulse_clocks, limit_pulses, perform_acts
+from stage.testing.promise_trial import (
+    BrokenPromise,
+    PromiseTrial,
+    format_first_and_last,
+    read_counter,
+    read_visible_state,
+)
 
 
-def journals(t: Trial) -> None:
+def check_journals(t: PromiseTrial) -> None:
     """journals: a replay ends in the same state, and its course shows every pin and count at its clock"""
     for rng in t.seeded_generators():
         chip, axis = t.make(), int(rng.integers(t.kind.AXES))
         journal = chip.journal(axis)
-        perform_all(chip, t.draw_program(rng))
+        perform_acts(chip, t.draw_program(rng))
         journal.close()
         for every in (False, True):
             replay = Replay(journal)
@@ -29,14 +35,14 @@ def journals(t: Trial) -> None:
             edges = np.concatenate(pieces)
             if (np.diff(edges["clock"]) < 0).any() or edges["clock"][-1] != chip.clock:
                 raise BrokenPromise(
-                    f"the course's edges are at {format_some(edges['clock'])}, and the chip at {chip.clock}"
+                    f"the course's edges are at {format_first_and_last(edges['clock'])}, and the chip at {chip.clock}"
                 )
             decode(chip.decoder(axis), journal.entries)
         _check_course_pins(t, rng)
         _check_scan_room(t, rng)
 
 
-def _check_scan_room(t: Trial, rng: np.random.Generator) -> None:
+def _check_scan_room(t: PromiseTrial, rng: np.random.Generator) -> None:
     """Check that `scan` writes no more edges than its array holds."""
     chip, axis, _ = t.start_move(rng)
     until, room, edges = (
@@ -57,7 +63,7 @@ def _check_scan_room(t: Trial, rng: np.random.Generator) -> None:
             break
 
 
-def _require_same_settled_state(t: Trial, chip: Chip, state: bytes, when: str) -> None:
+def _require_same_settled_state(t: PromiseTrial, chip: Chip, state: bytes, when: str) -> None:
     other = chip.make_replica(state)
     for k in range(chip.AXES):
         other.output_word(k)
@@ -65,14 +71,14 @@ def _require_same_settled_state(t: Trial, chip: Chip, state: bytes, when: str) -
     t.require_same_state(chip, other, when)
 
 
-def _require_same_future(t: Trial, chip: Chip, state: bytes, rng: np.random.Generator) -> None:
+def _require_same_future(t: PromiseTrial, chip: Chip, state: bytes, rng: np.random.Generator) -> None:
     one, other = chip.make_replica(), chip.make_replica(state)
     acts = limit_pulses(t.draw_acts(rng, 10), chip.make_replica())
-    if perform_all(one, acts) != perform_all(other, acts) or read_visible_state(one) != read_visible_state(other):
+    if perform_acts(one, acts) != perform_acts(other, acts) or read_visible_state(one) != read_visible_state(other):
         raise BrokenPromise("after a replay with every pulse it does not go on as the chip does")
 
 
-def _check_course_pins(t: Trial, rng: np.random.Generator) -> None:
+def _check_course_pins(t: PromiseTrial, rng: np.random.Generator) -> None:
     chip, axis, _ = t.start_move(rng)
     clocks, start = min(count_clocks_to_end(chip, axis), chip.clock_hz // 4), chip.clock
     replica = chip.make_replica()

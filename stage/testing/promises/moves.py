@@ -14,20 +14,20 @@ from stage.testing.chip_acts import (
     find_pulse_clocks,
     limit_pulses,
     list_stop_acts,
-    perform_all,
-    replace_code,
+    perform_acts,
+    replace_command_code,
 )
-from stage.testing.promise_trial import BrokenPromise, Trial, read_counter
+from stage.testing.promise_trial import BrokenPromise, PromiseTrial, read_counter
 
 
-def courses(t: Trial) -> None:
+def check_courses(t: PromiseTrial) -> None:
     """busy, net, counter and pins agree with the trace, from the start of a driver's move to its end"""
     for rng in t.seeded_generators():
         for chip, axis, pulses in t.start_moves(rng):
             _check_course(t, rng, chip, axis, pulses)
 
 
-def _check_course(t: Trial, rng: np.random.Generator, chip: Chip, axis: int, pulses: int) -> None:
+def _check_course(t: PromiseTrial, rng: np.random.Generator, chip: Chip, axis: int, pulses: int) -> None:
     left, direction = abs(pulses), 1 if pulses > 0 else -1
     _require_busy(chip, axis, left)
     clocks = count_clocks_to_end(chip, axis)
@@ -71,7 +71,7 @@ MAX_TRIED_ACTS = 12
 """Of the things that a host writes to an axis, so many are tried beside each move of another."""
 
 
-def limit_switches(t: Trial) -> None:
+def check_limit_switches(t: PromiseTrial) -> None:
     """limit switches: an end switch ends the driver's move that goes towards it, and no other; `turns` knows the direction"""
     for rng in t.seeded_generators():
         for chip, axis, pulses in t.start_moves(rng):
@@ -79,7 +79,7 @@ def limit_switches(t: Trial) -> None:
             free = chip.make_replica()
             free.advance(count_clocks_to_end(free, axis))
             if free.net(axis) - chip.net(axis) != pulses:
-                continue  # `courses` tells
+                continue  # `check_courses` tells
             for switch, direction in (("el_plus", 1), ("el_minus", -1)):
                 bit = t.kind.wired(switch)
                 if not bit:
@@ -98,16 +98,16 @@ def limit_switches(t: Trial) -> None:
                     )
 
 
-def _check_direction(t: Trial, axis: int, pulses: int, rng: np.random.Generator) -> None:
+def _check_direction(t: PromiseTrial, axis: int, pulses: int, rng: np.random.Generator) -> None:
     """Compare the direction that `turns` gives for a driver's writes, and for other drive commands, with that of the pulses."""
     codes = [
         code for c in t.kind.MAP.commands if (c.starts or c.kind == "drive") and not c.together for code in c.codes
     ]
     acts, _ = draw_move(t.make(), axis, rng, direction=1 if pulses > 0 else -1)
-    last = [replace_code(t.kind, acts[-1], code) for code in rng.permutation(codes)[:4].tolist()]
+    last = [replace_command_code(t.kind, acts[-1], code) for code in rng.permutation(codes)[:4].tolist()]
     for begin in [acts[-1], *(last if acts[-1].kind == "write" else [])]:
         chip, tried = t.make(), [*acts[:-1], begin]
-        perform_all(chip, tried)
+        perform_acts(chip, tried)
         directions = {direction for _, direction in _trace_pulses(chip, axis, chip.clock_hz // 50)}
         answers = [t.kind.read_direction(act.a, act.b) for act in tried if act.kind == "write"]
         known = [minus for minus in answers if minus is not None]
@@ -122,12 +122,12 @@ def _name_sign(minus: bool) -> str:
     return "minus" if minus else "plus"
 
 
-def _name_move(t: Trial, axis: int, pulses: int) -> str:
+def _name_move(t: PromiseTrial, axis: int, pulses: int) -> str:
     of = f" of axis {axis}" if t.kind.AXES > 1 else ""
     return f"the driver's move{of} by {pulses} pulses"
 
 
-def draw_simultaneous_moves(t: Trial, rng: np.random.Generator) -> list[Act]:
+def draw_simultaneous_moves(t: PromiseTrial, rng: np.random.Generator) -> list[Act]:
     """Draw the same move for all axes, started at one clock, and time: their pulses come at the same clocks. [] for one axis."""
     if t.kind.AXES == 1:
         return []
@@ -138,7 +138,7 @@ def draw_simultaneous_moves(t: Trial, rng: np.random.Generator) -> list[Act]:
     return limit_pulses([Act("reset"), *moves, Act("time", chip.clock_hz // 20)], chip) if moves else []
 
 
-def axes_alone(t: Trial) -> None:
+def check_axes_alone(t: PromiseTrial) -> None:
     """axes: what is for one axis leaves the moves and the registers of the others alone"""
     if t.kind.AXES == 1:
         return
@@ -150,13 +150,13 @@ def axes_alone(t: Trial) -> None:
             for other in range(t.kind.AXES):
                 both = chip.make_replica()
                 if other != axis and rng.integers(2):  # and the other drives, too
-                    perform_all(both, [act for act in draw_move(t.make(), other, rng)[0] if act.kind == "write"])
+                    perform_acts(both, [act for act in draw_move(t.make(), other, rng)[0] if act.kind == "write"])
                 alone = _trace_pulses(both, axis, clocks)
                 writes = list(_list_axis_writes(t, other, rng)) if other != axis else []
                 for k in rng.permutation(len(writes))[:MAX_TRIED_ACTS].tolist():
                     what, acts = writes[k]
                     probe = both.make_replica()
-                    perform_all(probe, acts)
+                    perform_acts(probe, acts)
                     if _trace_pulses(probe, axis, clocks) != alone:
                         raise BrokenPromise(
                             f"{what} of axis {other} changes the pulses of {_name_move(t, axis, pulses)}"
@@ -170,7 +170,7 @@ def _trace_pulses(chip: Chip, axis: int, clocks: int) -> list[tuple[int, int]]:
     return list(zip(own["clock"].tolist(), own["direction"].tolist(), strict=True))
 
 
-def _list_axis_registers(t: Trial, axis: int) -> Iterator[tuple[str, int, list[Act]]]:
+def _list_axis_registers(t: PromiseTrial, axis: int) -> Iterator[tuple[str, int, list[Act]]]:
     """Yield the registers that each axis has: name, value, and the writes to this axis."""
     for r in t.kind.MAP.registers:
         for value in r.range if "W" in r.access else ():
@@ -179,7 +179,7 @@ def _list_axis_registers(t: Trial, axis: int) -> Iterator[tuple[str, int, list[A
                 yield r.name, value, [Act("write", *cycle) for cycle in cycles[0]]
 
 
-def _list_axis_writes(t: Trial, axis: int, rng: np.random.Generator) -> Iterator[tuple[str, list[Act]]]:
+def _list_axis_writes(t: PromiseTrial, axis: int, rng: np.random.Generator) -> Iterator[tuple[str, list[Act]]]:
     """Yield what a host writes to one axis, with a description: registers, commands for axes, the driver's stop and a move."""
     for name, value, acts in _list_axis_registers(t, axis):
         yield f"a write of {value} to {name}", acts
@@ -197,14 +197,14 @@ def _list_axis_writes(t: Trial, axis: int, rng: np.random.Generator) -> Iterator
     yield "a move by the driver", [act for act in draw_move(t.make(), axis, rng)[0] if act.kind == "write"]
 
 
-def _check_registers(t: Trial) -> None:
+def _check_registers(t: PromiseTrial) -> None:
     """Check that a register shows the same value after the same write on each axis, and that the other axes show what they did."""
     first_values: dict[tuple[str, int], int | None] = {}
     for axis in range(t.kind.AXES):
         for name, value, acts in _list_axis_registers(t, axis):
             chip = t.make()
             others = [chip.values_of(k).get(name) for k in range(t.kind.AXES) if k != axis]
-            perform_all(chip, acts)
+            perform_acts(chip, acts)
             now = chip.values_of(axis).get(name)
             first = first_values.setdefault((name, value), now)
             if now != first:

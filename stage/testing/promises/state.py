@@ -9,21 +9,21 @@ import numpy as np
 
 from stage.chips import Chip
 from stage.errors import ArgumentError
-from stage.testing.chip_acts import limit_pulses, perform, perform_all
-from stage.testing.promise_trial import BrokenPromise, Trial, describe_difference, read_visible_state
+from stage.testing.chip_acts import limit_pulses, perform_act, perform_acts
+from stage.testing.promise_trial import BrokenPromise, PromiseTrial, describe_difference, read_visible_state
 
 
-def determinism(t: Trial) -> None:
+def check_determinism(t: PromiseTrial) -> None:
     """determinism: the same acts give the same answers and the same bits, whatever other chips do meanwhile"""
     for rng in t.seeded_generators():
         acts, other_acts = t.draw_program(rng), t.draw_program(rng)
         one, other = t.make(), t.make()
-        answers = perform_all(one, acts)
+        answers = perform_acts(one, acts)
         noise, others_answers = t.make(), []
         for k, act in enumerate(acts):
-            others_answers.append(perform(other, act))
+            others_answers.append(perform_act(other, act))
             if other_acts:
-                perform(noise, other_acts[k % len(other_acts)])
+                perform_act(noise, other_acts[k % len(other_acts)])
         if answers != others_answers:
             k = next(k for k in range(len(answers)) if answers[k] != others_answers[k])
             raise BrokenPromise(
@@ -34,13 +34,13 @@ def determinism(t: Trial) -> None:
             raise BrokenPromise("its registers and pins show something else beside another chip")
 
 
-def snapshots(t: Trial) -> None:
+def check_snapshots(t: PromiseTrial) -> None:
     """snapshots: all state is in them, they go on bit for bit, in a new chip, too, and are refused by another kind"""
     for rng in t.seeded_generators():
         first, then = t.draw_program(rng), None
         chip = t.make()
         attributes = _read_attributes(chip)
-        perform_all(chip, first)
+        perform_acts(chip, first)
         for name, value in _read_attributes(chip).items():
             if attributes.get(name) != value:
                 raise BrokenPromise(
@@ -49,7 +49,7 @@ def snapshots(t: Trial) -> None:
                 )
         snapshot, bits, diagnostics = chip.snapshot(), chip.state.tobytes(), list(chip.diagnostics)
         then = limit_pulses(t.draw_acts(rng, 25), chip.make_replica())
-        answers, last_state = perform_all(chip, then), chip.state.tobytes()
+        answers, last_state = perform_acts(chip, then), chip.state.tobytes()
         visible = read_visible_state(chip)
         chip.restore(snapshot)
         t.require_same_bits(bits, chip.state.tobytes(), "after a snapshot is restored")
@@ -61,7 +61,7 @@ def snapshots(t: Trial) -> None:
                   "copied": copy.deepcopy(fresh)}  # fmt: skip
         for how, other in others.items():
             t.require_same_bits(bits, other.state.tobytes(), how)
-            if (now := perform_all(other, then)) != answers:
+            if (now := perform_acts(other, then)) != answers:
                 k = next(k for k in range(len(answers)) if now[k] != answers[k])
                 raise BrokenPromise(
                     f"{how}, it answers {then[k]} with {now[k]}, and the chip of the snapshot with {answers[k]}"
@@ -82,7 +82,7 @@ def _read_attributes(chip: Chip) -> dict[str, str]:
     return {n: repr(v) for n, v in vars(chip).items() if n not in known and isinstance(v, plain_types)}
 
 
-def _check_extreme_registers(t: Trial) -> None:
+def _check_extreme_registers(t: PromiseTrial) -> None:
     for value in ("least", "most"):
         chip, fresh = t.make(), t.make()
         for r in t.kind.MAP.registers:
@@ -96,7 +96,7 @@ def _check_extreme_registers(t: Trial) -> None:
             raise BrokenPromise(f"with the {value} in every register, restored into a new chip, it shows {difference}")
 
 
-def _check_refusals(t: Trial, chip: Chip) -> None:
+def _check_refusals(t: PromiseTrial, chip: Chip) -> None:
     options = chip.options() | {"clock_hz": max(chip.clock_hz // 2, 1)}
     other = type("Other", (t.kind,), {})
     before = chip.state.tobytes()
@@ -115,12 +115,12 @@ def _check_refusals(t: Trial, chip: Chip) -> None:
         raise BrokenPromise(f"a snapshot {what} is restored without a word")
 
 
-def resets(t: Trial) -> None:
+def check_resets(t: PromiseTrial) -> None:
     """reset: registers and modes are as after power-up; the clock, the inputs, the count and what was noted stay"""
     for rng in t.seeded_generators():
         used, other = t.make(), t.make()
-        perform_all(used, t.draw_program(rng))
-        perform_all(used, t.draw_drives(used, rng))
+        perform_acts(used, t.draw_program(rng))
+        perform_acts(used, t.draw_drives(used, rng))
         words = [used.input_word(k) for k in range(used.AXES)]
         nets, clock, diagnostics = [used.net(k) for k in range(used.AXES)], used.clock, list(used.diagnostics)
         other.advance(clock)
@@ -136,7 +136,7 @@ def resets(t: Trial) -> None:
         if (visible := read_visible_state(used)) != (expected := read_visible_state(other)):
             raise BrokenPromise(f"after a reset it shows {describe_difference(visible, expected)}")
         acts = limit_pulses(t.draw_acts(rng, 25), other.make_replica())
-        if perform_all(used, acts) != perform_all(other, acts) or (visible := read_visible_state(used)) != (
+        if perform_acts(used, acts) != perform_acts(other, acts) or (visible := read_visible_state(used)) != (
             expected := read_visible_state(other)
         ):
             raise BrokenPromise(

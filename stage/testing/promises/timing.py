@@ -11,36 +11,36 @@ from stage.testing.chip_acts import (
     copy_state,
     count_clocks_to_end,
     find_pulse_clocks,
-    perform,
-    perform_all,
+    perform_act,
+    perform_acts,
 )
-from stage.testing.promise_trial import BrokenPromise, Trial, format_some
+from stage.testing.promise_trial import BrokenPromise, PromiseTrial, format_first_and_last
 from stage.testing.promises.moves import draw_simultaneous_moves
 
 
-def time_that_passes(t: Trial) -> None:
+def check_time_that_passes(t: PromiseTrial) -> None:
     """clock: `advance(n)` takes n reference clocks, a bus cycle of a chip without a stage none"""
     for rng in t.seeded_generators():
         chip = t.make()
         for act in t.draw_program(rng):
             before = chip.clock
-            perform(chip, act)
+            perform_act(chip, act)
             expected = before + (act.a if act.kind == "time" else 0)
             if chip.clock != expected:
                 raise BrokenPromise(f"after {act} the clock is {chip.clock}, not {expected}")
 
 
-def traced(t: Trial) -> None:
+def check_trace(t: PromiseTrial) -> None:
     """trace = advance: as many pulses, in order, within the time, by axis and direction as `net` counts; the same state"""
     for rng in t.seeded_generators():
         one, other = t.make(), t.make()
         acts = t.draw_program(rng)
         used = t.make()
-        perform_all(used, acts)
+        perform_acts(used, acts)
         for act in [*acts, *t.draw_drives(used, rng), *draw_simultaneous_moves(t, rng)]:
             if act.kind != "time":
-                perform(one, act)
-                perform(other, act)
+                perform_act(one, act)
+                perform_act(other, act)
                 continue
             begin, nets = one.clock, [one.net(k) for k in range(one.AXES)]
             try:
@@ -55,7 +55,9 @@ def traced(t: Trial) -> None:
             pulses = other.trace(act.a)
             clocks, axes, directions = (pulses[name].astype(np.int64) for name in ("clock", "axis", "direction"))
             if (np.diff(clocks) < 0).any() or (pulse_count and not (begin < clocks[0] and clocks[-1] <= one.clock)):
-                raise BrokenPromise(f"the pulses of clocks {begin} to {one.clock} are at {format_some(clocks)}")
+                raise BrokenPromise(
+                    f"the pulses of clocks {begin} to {one.clock} are at {format_first_and_last(clocks)}"
+                )
             if ((axes < 0) | (axes >= one.AXES) | (abs(directions) != 1)).any():
                 raise BrokenPromise(f"trace gives axes {sorted(set(axes))} and directions {sorted(set(directions))}")
             t.require_same_state(one, other, f"after advance({act.a}) and trace({act.a})")
@@ -67,7 +69,7 @@ def traced(t: Trial) -> None:
                     )
 
 
-def cut_time(t: Trial) -> None:
+def check_cut_time(t: PromiseTrial) -> None:
     """cutting of time: advance(a + b) is advance(a) and advance(b), wherever it is cut, also at the very clock of an event"""
     for rng in t.seeded_generators():
         chip, axis, pulses = t.start_move(rng)
@@ -80,7 +82,7 @@ def cut_time(t: Trial) -> None:
                 at = find_pulse_clocks(chip, act.a)
                 pulse = [int(at[rng.integers(len(at))])] if len(at) else []
                 _check_cut(t, chip, act.a, [*pulse, int(rng.integers(1, act.a))])
-            perform(chip, act)
+            perform_act(chip, act)
 
 
 def _list_instants(chip: Chip, axis: int, clocks: int, rng: np.random.Generator) -> list[int]:
@@ -95,7 +97,7 @@ def _list_instants(chip: Chip, axis: int, clocks: int, rng: np.random.Generator)
     return [int(n) + d for n in sampled for d in (-1, 0, 1)]
 
 
-def _check_cut(t: Trial, chip: Chip, clocks: int, cuts: list[int]) -> None:
+def _check_cut(t: PromiseTrial, chip: Chip, clocks: int, cuts: list[int]) -> None:
     uncut = chip.make_replica()
     pulse_count = uncut.advance(clocks)
     for n in cuts:
@@ -109,20 +111,20 @@ def _check_cut(t: Trial, chip: Chip, clocks: int, cuts: list[int]) -> None:
         t.require_same_state(uncut, cut, f"after advance({clocks}), and after advance({n}) and advance({clocks - n})")
 
 
-def windows(t: Trial) -> None:
+def check_windows(t: PromiseTrial) -> None:
     """run, window and advance agree: a stage's loop takes a chip where `advance` does, with each slice's mean and net"""
     for rng in t.seeded_generators():
         chip = t.make()
-        perform_all(chip, t.draw_drives(chip, rng))
-        _check_windows(t, chip, 5, int(rng.integers(1, max(chip.clock_hz // 5000, 2))))
+        perform_acts(chip, t.draw_drives(chip, rng))
+        _check_window_slices(t, chip, 5, int(rng.integers(1, max(chip.clock_hz // 5000, 2))))
         at = find_pulse_clocks(chip, chip.clock_hz // 50)
         later = rng.choice(at[4:40], min(len(at[4:40]), 4), replace=False)
         for n in (*at[:4].tolist(), *later.tolist()):  # a slice that ends at the very clock of a pulse, and beside it
-            _check_windows(t, chip, 1, n)
-            _check_windows(t, chip, 1, max(n + int(rng.choice((-1, 1))), 1))
+            _check_window_slices(t, chip, 1, n)
+            _check_window_slices(t, chip, 1, max(n + int(rng.choice((-1, 1))), 1))
 
 
-def _check_windows(t: Trial, chip: Chip, slices: int, ticks: int) -> None:
+def _check_window_slices(t: PromiseTrial, chip: Chip, slices: int, ticks: int) -> None:
     core = chip.CORE
     by_run, by_window, by_advance = chip.make_replica(), chip.make_replica(), chip.make_replica()
     nets = np.array([core.read_net_count.with_gil(chip.pointer, k) for k in range(chip.AXES)])
@@ -152,7 +154,7 @@ def _check_windows(t: Trial, chip: Chip, slices: int, ticks: int) -> None:
         raise BrokenPromise(f"run_window gives the means {means.tolist()}, and compute_drive_input {expected.tolist()}")
 
 
-def drive_inputs(t: Trial) -> None:
+def check_drive_inputs(t: PromiseTrial) -> None:
     """compute_drive_input, the mean of the pulse count over a slice or a servo's motor command; compute_pulse_rate"""
     for rng in t.seeded_generators():
         chip, axis, move_pulses = t.start_move(rng, slow=True)

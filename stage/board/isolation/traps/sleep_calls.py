@@ -88,9 +88,9 @@ def redirect_calls(handle: int, functions: Mapping[str, Any]) -> None:
 
 
 def _make_reporter(name: str) -> Callable[..., int]:
-    """Make a function that calls the one of this name of the system, and reports it."""
+    """Make a function that calls the system's function of this name and reports the call."""
 
-    def call(*arguments: int) -> int:
+    def call_and_report(*arguments: int) -> int:
         observer = _observer if _observer is not None and _observer.thread == (os.getpid(), get_ident()) else None
         if observer is not None and name in _SLEEPS and (words := _SLEEPS[name](*arguments)):
             observer.on_sleep(words)
@@ -99,7 +99,7 @@ def _make_reporter(name: str) -> Callable[..., int]:
             observer.on_thread()
         return result
 
-    return call
+    return call_and_report
 
 
 def _redirect(library: LoadedLibrary, functions: Mapping[str, Any]) -> None:
