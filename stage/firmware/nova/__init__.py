@@ -1,1 +1,1 @@
-"""Firmware of the NOVA chips: their port, home search, interpolation, the work-arounds of the S-curve failure."""
+"""Firmware of the NOVA chips: bus port, home search, path interpolation, and work-arounds for the S-curve failure."""

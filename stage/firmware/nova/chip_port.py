@@ -1,4 +1,4 @@
-"""`Port`: the registers of one axis of a NOVA chip, by name. It uses bus cycles and waiting only.
+"""`Port`: access to the registers of one axis of a NOVA chip by name, with bus cycles and waits only.
 
     port = Port(axis)                        the axis of a Stage or a Bench
     port.write_parameters(SV=400, DV=8000, AC=80_000)    parameters and modes, by their names on this chip
@@ -6,7 +6,7 @@
     port.write_command("DRVRL")
     port.wait_until_stopped(timeout=5)
 
-See home.py and draw.py for home search and interpolation of an MCX514, erratum.py for the work-arounds of the S-curve failure.
+home_search.py and path_interpolation.py use it for an MCX514, and s_curve_workarounds.py for the chips with the S-curve failure.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MCX300_LEVEL_BITS = {
     "el_plus": ("WR2", "HLMT+"),
     "el_minus": ("WR2", "HLMT-"),
 }
-"""Sensor -> the bit that says that it is high while it is on."""
+"""Sensor -> word and bit to set if the sensor's signal is high while it is on."""
 ERROR_BITS = ("SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG", "HOME", "CERR")
 """Error bits of RR2; the first generation has no CERR."""
 
@@ -69,7 +69,7 @@ def compute_mcx514_inputs(axis: Axis) -> int:
 
 
 class Port:
-    """Bus of one axis. Raises ArgumentError when the axis' chip is none of the family."""
+    """Bus port of one axis. Raises ArgumentError if the axis' chip is no NOVA chip."""
 
     def __init__(self, axis: Axis):
         if not isinstance(getattr(axis, "chip", None), Nova):
@@ -81,7 +81,7 @@ class Port:
         self._modes = {"WR1": 0, "WR2": 0, "WR3": 0}  # the first generation cannot read them
 
     def write_command(self, symbol: str) -> None:
-        """Write a command to the axis, or to the chip where it carries no axis bits."""
+        """Write a command to the axis, or to the whole chip if the command has no axis bits."""
         c = self.map.command(symbol)
         self.chip.write(0, (self.bit << 8 if c.axes else 0) | c.code)
 
@@ -102,7 +102,7 @@ class Port:
             self.chip.write(int(name[2]), value)
 
     def set_mode_bits(self, name: str, bits: int, on: bool = True) -> None:
-        """Set or clear bits of a mode word and leave its others, as this port has written them.
+        """Set or clear bits of a mode word. The other bits keep the values that this port has written before.
 
         Args:
             name: Name of the word.
@@ -112,12 +112,12 @@ class Port:
         self.write_mode_words(**{name: self._modes[name] | bits if on else self._modes[name] & ~bits})
 
     def read_status_register(self, n: int) -> int:
-        """Read RR1, RR2 or RR3 (of an MCX514 its page 0) of the axis. Reading factors of an interrupt clears them."""
+        """Read RR1, RR2 or RR3 (page 0 on an MCX514) of the axis. Reading interrupt factors clears them."""
         self.write_command("RR3P0" if n == 3 and isinstance(self.chip, MCX514) else "NOP")
         return self.chip.read(n)
 
     def read_value(self, symbol: str) -> int:
-        """Read the value of a data reading command, of 32 bits with a sign: R-LP, CV ..."""
+        """Read a signed 32-bit value with a data reading command, for example R-LP or CV."""
         self.write_command(symbol)
         word = self.chip.read(6) | self.chip.read(7) << 16
         return word - (word >> 31 << 32)
@@ -131,7 +131,7 @@ class Port:
         return self.read_value("CV")
 
     def is_driving(self) -> bool:
-        """Return n-DRV."""
+        """Read n-DRV: whether the axis drives."""
         return self.chip.busy(self.axis.chip_axis)
 
     def read_error_names(self) -> tuple[str, ...]:
@@ -157,7 +157,8 @@ class Port:
 
         Args:
             timeout: Simulated seconds to wait.
-            routine: Function that is called before each poll, as a timer or an interrupt would call it; see erratum.py.
+            routine: Function to call before each poll, in place of a timer or an interrupt (see s_curve_workarounds.py). It returns
+                whether it had to stop the drive.
             poll: Seconds between two polls.
 
         Returns:
@@ -184,7 +185,7 @@ def get_bit_mask(word: str, *names: str) -> int:
 
 
 def open_ports(axes: tuple[Axis, ...]) -> list[Port]:
-    """Return the ports of axes in the order of the chip's.
+    """Open the ports of axes of one MCX514, in the order of the axes on the chip.
 
     Args:
         axes: Axes.
@@ -202,6 +203,6 @@ def open_ports(axes: tuple[Axis, ...]) -> list[Port]:
 
 
 def stop_axes(ports: list[Port]) -> None:
-    """Stop the axes of ports at once."""
+    """Stop the axes of these ports at once, without a ramp."""
     for port in ports:
         port.write_command("DRVFBRK")

@@ -1,4 +1,4 @@
-"""The NOVA chips' drivers: one chip for several axes, words of 16 bits, drives and a home search by command."""
+"""Drivers of the NOVA chips, which have several axes, words of 16 bits, and commands for drives and a home search."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ END_CAUSES = {
     "LMT+": "EL+", "LMT-": "EL-", "STOP1": "ORG", "STOP2": "EZ", "STOP0": "STOP0", "STOP3": "STOP3", "EMG": "EMG",
     "ALARM": "ALARM", "SYNC": "SYNC",
 }  # fmt: skip
-"""Bits that tell what has ended a drive, and a report's words for them."""
+"""Name of a bit that shows the end of a drive -> stop reason in reports."""
 
 
 class NovaPattern(operation_pattern.OperationPattern):
-    """Signals and commands of a NOVA chip that a drawing of a report shows."""
+    """Signals and commands of a NOVA chip that the plot of a report shows."""
 
     LANES = (
         ("asnd", "ASND", BLUE), ("cnst", "CNST", BLUE), ("dsnd", "DSND", BLUE), ("drive", "n-DRV", GREY),
@@ -59,7 +59,12 @@ class NovaPattern(operation_pattern.OperationPattern):
 
 
 class NovaDriver(Driver):
-    """Common part of the family's drivers. The order of SPEEDS is initial speed, drive speed, acceleration."""
+    """Base class of the family's drivers.
+
+    Attributes:
+        SPEEDS: Names of the registers of initial speed, drive speed and acceleration.
+        JERK: Name of the register of the jerk.
+    """
 
     PATTERN_CLASS: ClassVar = NovaPattern
     INVERTIBLE_SENSORS: ClassVar = ("org", "ez", "el_plus", "el_minus")
@@ -73,7 +78,7 @@ class NovaDriver(Driver):
     RUN: ClassVar[tuple[str, str]]
     """Continuous drives, plus and minus."""
     END_WORD: ClassVar[str]
-    """The word whose bits tell what has ended a drive."""
+    """Status word whose bits show what has ended a drive."""
 
     def __init__(self, axis: Any):
         super().__init__(axis)
@@ -124,10 +129,10 @@ class NovaDriver(Driver):
         return next((name for bit, name in END_CAUSES.items() if word & self._get_end_mask(bit)), "")
 
     def explain_end(self, done: bool, journal: Journal | None = None) -> str:
-        """Return what ended a drive; a software limit, which has no bit among the ends, is read from the errors of RR2.
+        """Return the stop reason of a drive. END_WORD has no bit for software limits, so they are read from RR2.
 
         Args:
-            done: Whether every pulse has been made.
+            done: Whether the chip has made every pulse.
             journal: Journal of the chip, opened before the drive.
         """
         reasons = super().explain_end(done, journal)
@@ -149,13 +154,13 @@ class NovaDriver(Driver):
         raise self.build_unreadable_register_error(r.name)
 
     def _get_end_mask(self, bit: str) -> int:
-        """Return the mask of a cause in END_WORD, 0 where the chip has none; of the MCX514 END-EMG and END-ALARM."""
+        """Return the mask of a stop cause in END_WORD (on an MCX514 END-EMG, END-ALARM); 0 if the chip has no such bit."""
         names = {f.name for f in self.map.word(self.END_WORD).fields}
         name = f"END-{bit}" if f"END-{bit}" in names else bit
         return self.map.mask(self.END_WORD, name) if name in names else 0
 
     def _compute_registers(self, speeds: Speeds, pulses: int) -> dict[str, int]:
-        """Compute the registers of these speeds. Raises ArgumentError for what the chip cannot make."""
+        """Compute the registers of these speeds. Raises ArgumentError for speeds that the chip cannot make."""
         low, high = (limit * self.UNIT for limit in get_register_range(self.map, self.SPEEDS[1]))
         for name, field, rate in (("start", "start_speed", speeds.start), ("drive", "speed", speeds.drive)):
             if not low <= rate <= high:
@@ -184,7 +189,7 @@ class NovaDriver(Driver):
     def move_line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
-        """Draw a line by the chip's linear interpolation where it has it, else by ranges in the ratio of the distances.
+        """Move along a line by the chip's linear interpolation if it has one, otherwise by ranges in the ratio of the distances.
 
         Args:
             drivers: Drivers by the names of their axes.
@@ -252,7 +257,7 @@ class NovaDriver(Driver):
     # --- as operations ---
 
     def add_command(self, program: OperationsType, symbol: str) -> OperationsType:
-        """Add a command to this axis, or to the chip.
+        """Add a command for this axis, or for the whole chip if the command has no axis bits.
 
         Args:
             p: Program, or operations that are done at once.
@@ -284,7 +289,7 @@ class NovaDriver(Driver):
         return program
 
     def get_mask(self, word: str, *names: str) -> int:
-        """Return bits of a word of the chip's map by their names."""
+        """Return the mask of named bits in a word of the chip's map."""
         return sum(self.map.mask(word, name) for name in names)
 
     @abstractmethod
@@ -331,8 +336,7 @@ class NovaDriver(Driver):
     """FINISH, the register of the finish point, has a sign, which is the direction."""
 
     def build_line_programs(self, drivers: Sequence[Driver], settings: Any) -> LinePrograms:
-        """Return lines by the chip's interpolation where all axes are on one chip that has it; else by the ratio of speeds and
-        accelerations."""
+        """Build lines by interpolation if the chip can interpolate all axes, otherwise by speeds in the ratio of the distances."""
         if self.can_interpolate(cast(Any, drivers)):
             return InterpolatedLinePrograms(cast(Any, drivers), settings)
         return RangeRatioLinePrograms(cast(Any, drivers), settings)
@@ -345,12 +349,12 @@ class NovaDriver(Driver):
             drivers: Drivers of the axes.
 
         Raises:
-            ArgumentError: The chips can draw the line in no other way, either.
+            ArgumentError: The chips can make the line neither by interpolation nor in another way.
         """
 
     @abstractmethod
     def add_interpolation(self, program: OperationsType, drivers: Sequence[NovaDriver]) -> OperationsType:
-        """Choose axes, let the speed fall at the end, and start linear interpolation; finish points are set already.
+        """Add the bus cycles that select the axes, enable deceleration, and start linear interpolation to finish points set before.
 
         Args:
             p: Program, or operations that are done at once.
@@ -363,7 +367,7 @@ class NovaDriver(Driver):
     def add_home_search(
         self, program: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
     ) -> list[int]:
-        """Add a search of ORG.
+        """Add a search for ORG.
 
         Args:
             p: Program, or operations that are done at once.
@@ -386,7 +390,7 @@ class NovaDriver(Driver):
             p: Program.
 
         Returns:
-            For "error", "stop1" and "stop2": index of the read, mask, and the level that means on.
+            For "error", "stop1" and "stop2": index of the read operation, mask, and the level that means on.
         """
 
     def is_active_high(self, k: int) -> bool:
@@ -395,8 +399,8 @@ class NovaDriver(Driver):
 
     @abstractmethod
     def add_clear_ends(self, program: OperationsType) -> OperationsType:
-        """Add the command that clears the ends of drives before."""
+        """Add the command that clears the end status of earlier drives."""
 
     @abstractmethod
     def get_search_ranges(self) -> dict[str, tuple[int, int]]:
-        """Return what can be chosen of a search beside the speeds and `leave`: ranges by name."""
+        """Return the ranges of the choices of a home search, by name, in addition to the speeds and `leave`."""

@@ -1,4 +1,4 @@
-"""The origin return of the NOVA chips as a program: their automatic home search."""
+"""Origin return of the NOVA chips as a program, which uses their automatic home search."""
 
 from __future__ import annotations
 
@@ -86,5 +86,5 @@ class HomeSearchProgram(HomeProgram):
 
 
 def _join_signed_words(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return two words as a number of 32 bits with a sign."""
+    """Join two 16-bit words to a signed 32-bit number."""
     return (high << 16 | low) - (high >> 15 << 32)

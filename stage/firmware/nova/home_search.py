@@ -1,14 +1,14 @@
-"""The automatic home search of an MCX514 (command 5Ah) with the switches of a stage: STOP1 is ORG, the limits are EL, STOP2 is EZ.
+"""Automatic home search of an MCX514 (command 5Ah). On a stage, STOP1 is ORG, STOP2 is EZ, and the limits are EL+ and EL-.
 
     reports = home_search(stage.axes["x"], stage.axes["y"], stage.axes["z"])
     print(reports["x"])
 
-    step 1   at the drive speed to ORG, where it brakes and comes to rest beyond the edge
-    step 2   back out of ORG at HV, then at HV towards it again: it stops at the edge
-    step 3   `index`: on at HV to the index pulse
-    step 4   `offset`: so many pulses away at the drive speed; at the end the position counters are 0
+    step 1   move at the drive speed to ORG, and brake to rest beyond its edge
+    step 2   move back out of ORG at HV, then towards it again at HV, and stop at the edge
+    step 3   with `index`: move on at HV to the index pulse
+    step 4   with `offset`: move by this number of pulses at the drive speed; the position counters are 0 at the end
 
-The chip does all this by itself, also for an axis that begins on ORG or on an end limit; the host reads its state (RR3, HSST).
+The chip makes all steps by itself, also if the axis begins on ORG or on an end limit. The host only reads its state (RR3, HSST).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from stage.units import POSITION_UNITS
 
 HSST = MAP.field("RR3-0", "HSST")
 HSST_SEARCHES_BACK = HSST.code("step 2 irregular: waits for the signal in the other direction")
-"""The end limit has come before the signal, and the chip looks for it on the way back."""
+"""State in which the chip searches in the opposite direction, because the axis met the end limit before the signal."""
 TIMER_CHOICES_S = (1e-3, 2e-3, 10e-3, 20e-3, 0.1, 0.2, 0.5, 1.0)  # s, HTM
 
 
@@ -93,8 +93,8 @@ def home_search(
         offset: Signed pulses to move from there in the end.
         timer: Rest between steps, one of TIMERS, s: a motor rings when a switch stops it.
         timeout: Simulated seconds for the whole search.
-        back: Where an end limit comes before ORG, search it on the way back, as the chip does; False: stop there, with the limit
-            among the errors. Where ORG stays asserted up to the limit, there is none behind it.
+        back: What to do at an end limit that comes before ORG. True: search on the way back, as the chip does. False: stop there,
+            with the limit among the errors. There is no ORG on the way back if ORG stays asserted up to the limit.
 
     Returns:
         A report for each axis by name.
@@ -136,7 +136,7 @@ def home_search(
 
 
 def _stop_at_limit(port: Port, direction: int) -> tuple[str, ...]:
-    """Stop at the end limit, and name it."""
+    """Stop the axis at the end limit, and return the name of the limit."""
     stop_axes([port])
     return ("HLMT-" if direction < 0 else "HLMT+",)
 

@@ -1,4 +1,4 @@
-"""The NOVA chips on a straight line: by the chip's linear interpolation, or, where it has none, by ranges in the ratio a:b."""
+"""Straight lines of NOVA chips as programs: by linear interpolation, or by ranges in the ratio a:b on chips without it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,15 @@ MAX_SPEED = 8000  # of SV, V
 
 
 class Ramps(NamedTuple):
-    """Ramps of each axis (stages, axes): multiple, SV and V in pps, seconds of a ramp, pulses by which a ramp falls short of V."""
+    """Ramps of the axes; all arrays are (stages, axes).
+
+    Attributes:
+        multiple: Multiple 8,000,000 / R.
+        low: Initial speed SV, pps.
+        high: Drive speed V, pps.
+        ramp: Duration of a ramp, s.
+        lag: Pulses that a ramp makes less than V would in its time.
+    """
 
     multiple: np.ndarray
     low: np.ndarray
@@ -32,17 +40,17 @@ class Ramps(NamedTuple):
 
 
 class NovaLinePrograms(LinePrograms):
-    """Common part of both ways to draw a line."""
+    """Base class of both kinds of line programs."""
 
     def check_pulses(self, driver: NovaDriver, pulses: int) -> None:
-        """Check that a register of the finish point holds the pulses.
+        """Check that the pulses fit the register of the finish point.
 
         Args:
             driver: Driver of the axis.
             pulses: Signed pulses.
 
         Raises:
-            ArgumentError: It does not.
+            ArgumentError: The pulses do not fit the register.
         """
         driver.map.check_value(driver.DISTANCE_REGISTER, pulses if driver.SIGNED else abs(pulses))
 
@@ -56,9 +64,9 @@ class NovaLinePrograms(LinePrograms):
 
 
 class InterpolatedLinePrograms(NovaLinePrograms):
-    """Line by interpolation. One row: the speeds of the main axis, which are those of the longest one.
+    """Lines by interpolation. The only row has the speeds of the main axis, which is the longest one.
 
-    The chip keeps all axes on the line, so only the speeds are to be chosen, at which the carriages can follow. Finish points are
+    The chip keeps all axes on the line, so the user chooses only speeds at which the carriages can follow. The finish points are
     the distances.
     """
 
@@ -89,7 +97,7 @@ class InterpolatedLinePrograms(NovaLinePrograms):
             )
 
     def compute_registers(self, moves: LineMoves) -> np.ndarray:
-        """Compute the formulas of the data sheet for the longest axis."""
+        """Compute the registers of the longest axis by the data sheet's formulas."""
         c, rows = self.settings, []
         for peak, ramp, longest in zip(*self.compute_peaks(moves), moves.longest, strict=True):
             registers = self.main.compute_move_registers(min(c.fl, peak), peak, ramp, ramp, int(longest), c.s_curve)
@@ -97,8 +105,10 @@ class InterpolatedLinePrograms(NovaLinePrograms):
         return np.array(rows, np.int64)
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        """Multiply the registers by factors from a half to two: nothing brings the axes off the line, so no count is worth a
-        pulse."""
+        """Multiply the registers by factors from 1/2 to 2.
+
+        The chip keeps the axes on the line whatever the registers are, so a correction has no effect in pulses to scale it by.
+        """
         rows = self.clip_to_legal(self.compute_registers(moves) * MAX_CORRECTION_FACTOR**corrections)
         rows[:, :, 0] = np.minimum(rows[:, :, 0], rows[:, :, 1])
         return rows
@@ -115,10 +125,10 @@ class InterpolatedLinePrograms(NovaLinePrograms):
 
 
 class RangeRatioLinePrograms(NovaLinePrograms):
-    """Line by ranges in the ratio of the distances. A row R, SV, V, A, with S-curves K, for each axis.
+    """Lines by ranges in the ratio of the distances. Each axis has a row R, SV, V, A, and K with S-curves.
 
-    The multiple 8,000,000 / R scales speeds, acceleration and jerk alike: with R in inverse ratio to the distances and all else
-    equal, the rates of the axes differ in their scale only. The axes of a chip are released together, at one clock.
+    The multiple 8,000,000 / R scales speeds, acceleration and jerk. If the R are in inverse ratio to the distances and all other
+    registers are equal, the rates of the axes differ only by a factor. The axes of a chip start together, at the same clock.
     """
 
     def __init__(self, drivers: Sequence[NovaDriver], settings: Any):
@@ -148,8 +158,11 @@ class RangeRatioLinePrograms(NovaLinePrograms):
         self._template = np.array(p.ops, np.int64)
 
     def compute_registers(self, moves: LineMoves) -> np.ndarray:
-        """Compute V as large as leaves the shortest axis a multiple of 1; the others get the nearest to their share of the
-        longest axis' values."""
+        """Compute the registers by the data sheet's formulas.
+
+        V is as large as possible with a multiple of at least 1 on the shortest axis. The other registers are the nearest to each
+        axis' share of the longest axis' values.
+        """
         c, rho, (peak, ramp) = self.settings, moves.shares, self.compute_peaks(moves)
         fl = np.minimum(c.fl, peak)
         least, max_range = self.ranges
@@ -171,13 +184,13 @@ class RangeRatioLinePrograms(NovaLinePrograms):
         return self._limit_initial_speed(self.clip_to_legal(np.stack(columns, axis=2)))
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        """Correct registers by a share of the counts that move the axis by `reach` pulses along the line, one at least."""
+        """Correct each register by a share of the counts, at least one, that move its axis by `reach` pulses along the line."""
         rows = self.compute_registers(moves)
         counts = np.maximum(np.rint(self.settings.reach / self.compute_pulses_per_count(rows, moves)), 1)
         return self._limit_initial_speed(self.clip_to_legal(rows + np.rint(corrections * counts)))
 
     def compute_pulses_per_count(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
-        """Compute by how many pulses one count of each register moves an axis along the line, by the data sheet's formulas.
+        """Compute the pulses by which one count of each register moves an axis along the line, by the data sheet's formulas.
 
         Args:
             registers: Registers (stages, axes, names).

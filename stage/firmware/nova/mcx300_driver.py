@@ -1,4 +1,4 @@
-"""The driver of the MCX304, MCX302 and MCX312, NOVA's first generation: speeds in multiples of a range."""
+"""Driver of the MCX304, MCX302, MCX312 and MCX314As, NOVA's first generation, whose speeds are multiples of a range."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SPEED_MULTIPLE = 20
 class FirstGenerationDriver(NovaDriver):
     """Driver of MCX304, MCX302, MCX312 and MCX314As: speeds are multiples of 8,000,000 / R pps.
 
-    The home search's fast step has no ORG: a continuous drive that STOP1 ends takes its place.
+    The fast step of their home search does not use ORG, so a continuous drive that STOP1 ends replaces it.
     """
 
     SPEEDS: ClassVar = ("SV", "V", "A")

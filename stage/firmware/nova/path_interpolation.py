@@ -1,13 +1,13 @@
-"""Lines, arcs and helices by the interpolation of an MCX514, one after the other without a stop.
+"""Paths of lines, arcs and helices by the interpolation of an MCX514, without a stop between the segments.
 
     x, y, z = (stage.axes[n] for n in "xyz")
     draw([Arc(centre=(0, 4000))], x, y, speed=Speed(8000))
     draw([Helix(centre=(0, 4000), rotations=3, along=(1600,))], x, y, z)
     draw([Line(8000, 0), Arc(centre=(0, 4000), finish=(4000, 4000)), Line(0, 8000)], x, y)
 
-Coordinates are pulses from where a segment begins, a number for each axis in the order of the chip's. The pre-buffer holds eight
-segments beside the one that runs; the host fills it as it empties. The ramp-down is made in the last segment: if that is too short,
-the path ends above the initial speed.
+Coordinates are pulses from the beginning of a segment, one number for each axis in the order of the chip's axes. The pre-buffer
+holds eight segments in addition to the one that runs, and the host refills it. The chip ramps down in the last segment; if that is
+too short, the path ends above the initial speed.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class PathSpeed:
         initial: Initial speed, pps.
         acceleration: Acceleration, pps/s.
         jerk: Jerk of S-curves, pps/s2; 0: linear ramps.
-        even: Constant vector speed, at which a step of two axes at once takes sqrt(2) times as long; otherwise `drive` is the rate
-            of whichever axis is the fastest.
+        even: True for constant vector speed: a step of two axes together takes sqrt(2) times as long. False: `drive` is the rate of
+            the fastest axis.
     """
 
     drive: int
@@ -56,7 +56,7 @@ class PathSpeed:
 
 @dataclass(frozen=True, init=False)
 class LineSegment:
-    """Straight line to a point, of as many axes as there are."""
+    """Straight line to a finish point, which has a coordinate for each axis."""
 
     finish: tuple[int, ...]
 
@@ -66,7 +66,7 @@ class LineSegment:
 
 @dataclass(frozen=True)
 class ArcSegment:
-    """Arc of the first two axes about a center to a finish point; to (0, 0), where it began, a whole circle."""
+    """Arc of the first two axes about a center to a finish point; the finish point (0, 0) means a whole circle."""
 
     centre: tuple[int, int]
     finish: tuple[int, int] = (0, 0)
@@ -79,8 +79,8 @@ class HelixSegment:
 
     Attributes:
         centre: Center of the turns, pulses.
-        along: Pulses of each of the other axes per rotation; of the whole arc where there is none.
-        rotations: Whole turns, followed by an arc to `finish` where that is not (0, 0); with 0 the arc alone.
+        along: Pulses of each other axis per rotation; without rotations, for the whole arc.
+        rotations: Number of whole turns before the arc to `finish`. There is no arc if `finish` is (0, 0).
         finish: Finish point of the arc, pulses.
         clockwise: Whether the axes turn clockwise.
     """
@@ -100,8 +100,10 @@ class PathReport:
     """Report of a path.
 
     Attributes:
-        seconds: Time from the first segment's command to the end. pulses: Net pulses of each axis by name (signed).
-        errors: Names of the bits of RR2 that are set, by axis. segments: Number of segments.
+        seconds: Time from the first segment's command to the end.
+        pulses: Signed net pulses of each axis, by name.
+        errors: Names of the error bits of RR2 that are set, by axis.
+        segments: Number of segments.
     """
 
     seconds: float
@@ -122,7 +124,7 @@ class PathReport:
 
 @exclusive
 def draw_path(segments: Sequence[PathSegment], *axes: Axis, speed: PathSpeed, timeout: float = 60.0) -> PathReport:
-    """Draw segments with two to four axes of one MCX514, one after the other without a stop.
+    """Move two to four axes of one MCX514 along segments, without a stop between them.
 
     Args:
         segments: Lines, arcs and helices.
@@ -134,8 +136,8 @@ def draw_path(segments: Sequence[PathSegment], *axes: Axis, speed: PathSpeed, ti
         The report.
 
     Raises:
-        ArgumentError: A segment does not suit the axes, which do not move then.
-        RunTimeout: The path was not drawn after `timeout`; the axes are stopped.
+        ArgumentError: A segment does not suit the axes. Nothing has moved.
+        RunTimeout: The path was not complete after `timeout`. The axes are stopped.
     """
     check_timeout(timeout)
     ports = open_ports(axes)
@@ -189,7 +191,7 @@ def _write_path_modes(ports: list[Port], speed: PathSpeed) -> None:
 
 
 SegmentWords = tuple[str, dict[str, int], list[dict[str, int]]]
-"""A segment's command, the registers of the chip, and those of each axis."""
+"""Command of a segment, values of the chip's registers by name, and values of the registers of each axis."""
 
 
 def _encode_segment(segment: PathSegment, axes: int) -> SegmentWords:
@@ -209,7 +211,7 @@ def _encode_segment(segment: PathSegment, axes: int) -> SegmentWords:
 
 
 def _add_helix_calculation(ports: list[Port], words: SegmentWords) -> SegmentWords:
-    """Add the result of the chip's helical calculation (6Bh, 6Ch) to a helix: the chip cannot calculate while it draws."""
+    """Add the result of the chip's helical calculation (6Bh, 6Ch) to a helix. The chip cannot calculate while it interpolates."""
     command, chip_words, axis_words = words
     if not command.startswith("HL"):
         return words

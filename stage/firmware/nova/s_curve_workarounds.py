@@ -1,9 +1,9 @@
 """The work-arounds for the S-curve failure of MCX302, MCX304 and MCX312, as NOVA's notice of 21 November 2006 gives them.
 
-In area d, the end of an S-curve drive with fixed pulses, RR1 shows CNST = 1, as in area b at the drive speed. A decelerating stop
-that is given there leads to endless pulses: ASND = CNST = DSND = 0, n-DRV = 1 (area e). Case 1 of the notice is the
-command 26h, 2 a hardware limit in decelerating mode, 3 a software limit, 4 STOP0 to STOP2. Cases 1 and 3 can be
-avoided; cases 2 and 4 can only be ended, by 27h: call the routine often.
+Area d is the end of an S-curve drive with fixed pulses. RR1 shows CNST = 1 in it, as in area b at the drive speed. A decelerating
+stop in area d leads to endless pulses: ASND = CNST = DSND = 0 and n-DRV = 1 (area e). The notice has four cases: 1 the command
+26h, 2 a hardware limit in decelerating mode, 3 a software limit, 4 STOP0 to STOP2. A host can avoid cases 1 and 3. It can only end
+cases 2 and 4 with the command 27h, so it must call the handler often.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ S_CURVE = MAP.mask("WR3", "SACC")
 
 
 def open_port(axis: Axis) -> Port:
-    """Return the port of an axis whose chip can have the failure. Raises ArgumentError for another chip."""
+    """Open the port of an axis whose chip can have the failure. Raises ArgumentError for another chip."""
     if not isinstance(getattr(axis, "chip", None), (MCX304, MCX302, MCX312)):
         raise ArgumentError(f"{axis!r} has no MCX304, MCX302 or MCX312, and no other chip has this failure.")
     return Port(axis)
@@ -37,8 +37,8 @@ class DecelerationFlag:
     """Case 1, (1): "When deceleration starts, interruption will be occurred to prohibit execution of deceleration stop command
     (26h) until driving completion."
 
-    Make one before each start. It needs a drive that reaches its drive speed V: one that does not has no constant speed
-    to end, and no interrupt comes before area d.
+    Create a flag before each start. The drive must reach its drive speed V: without an interval of constant speed there is no
+    interrupt before area d.
     """
 
     def __init__(self, port: Port):
@@ -47,14 +47,14 @@ class DecelerationFlag:
         port.set_mode_bits("WR1", C_END_ENABLE)
 
     def interrupt(self) -> None:
-        """The interrupt routine: at the end of constant speed prohibit 26h, and ask for no more interrupts."""
+        """Handle the interrupt at the end of constant speed: prohibit 26h and disable further interrupts."""
         if self.port.read_status_register(3) & C_END:
             self.prohibits = True
             self.port.set_mode_bits("WR1", C_END_ENABLE, False)
 
 
 def stop_guarded(flag: DecelerationFlag) -> bool:
-    """Give the decelerating stop unless the flag prohibits it (case 1, (1)).
+    """Write the decelerating stop unless the flag prohibits it (case 1, (1)).
 
     "within task, see flag and if it's 1, don't execute deceleration stop command". Here the routine is called in place of an
     interrupt.
@@ -83,11 +83,11 @@ def compute_judgmental_speed(initial: int, drive: int) -> float:
 
 
 def stop_by_speed(port: Port, judgmental: float) -> bool:
-    """Give the decelerating stop where it does no harm (case 1, (2)).
+    """Write the decelerating stop if it does no harm at the present speed (case 1, (2)).
 
     "make sure status is accelerating (ASND=1) or constant speed driving (CNST=1) and driving speed is same or faster than
     judgmental speed".
-    Early in the acceleration the stop is not given: call the function again.
+    Early in the acceleration the function does not write the stop. Call it again later.
 
     Args:
         port: Port of the axis.
@@ -105,7 +105,7 @@ def stop_by_speed(port: Port, judgmental: float) -> bool:
 def handle_limit_interrupt(port: Port) -> bool:
     """Handle the interrupt for C-END, which WR1 D13 enables (case 2, (1)); the numbers are those of the notice.
 
-    It ends a drive that a limit has stopped; after 26h it does nothing.
+    The handler ends a runaway drive that a limit was to stop. After a stop by 26h it does nothing.
 
     Args:
         port: Port of the axis.

@@ -1,1 +1,1 @@
-"""Firmware of the PCL-240 family: its port, moves, origin return, rates, lines in the ratio a:b."""
+"""Firmware of the PCL-240 family: bus port, moves, origin return, rate changes, and lines in the ratio a:b."""

@@ -1,4 +1,4 @@
-"""`Port`: the registers and commands of a chip of the PCL-240 family. It uses bus cycles and waiting only.
+"""`Port`: access to the registers and commands of a PCL-240 chip, with bus cycles and waits only.
 
 port = Port(axis)                          the axis of a Stage or a Bench
 port.write_registers(R0=2000, R6=300)
@@ -52,20 +52,20 @@ MAX_COUNTER_READS = 100  # tries to read a counter that changes
 
 
 MIN_MULTIPLIER = 2
-"""The smallest R7 that makes a clock."""
+"""Smallest R7 with which the chip makes a clock."""
 
 
 def describe_leader(axis: Axis) -> str:
-    """Return the leader of an axis' chip in words: "axis x"."""
+    """Describe the chip whose clock the axis' chip receives, for example "axis x"."""
     leader = getattr(axis.chip, "syni", None)
     axes: Any = getattr(getattr(axis, "stage", None), "axes", {})
     return next((f"axis {name}" for name, other in axes.items() if other.chip is leader), "another chip")
 
 
 def read_leader_multiplier(axis: Axis) -> int | None:
-    """Return the R7 that the axis' chip receives at SYNI; None where it counts its own clock.
+    """Return the R7 of the leader whose clock the axis' chip receives at SYNI; None if the chip uses its own clock.
 
-    The R7 of a chip that counts another one's clock does nothing: its rates are planned with the leader's.
+    The R7 of a chip that uses another chip's clock has no effect, so its rates depend on the leader's R7.
     """
     leader = getattr(axis.chip, "syni", None)
     return None if leader is None else int(leader.state["reg"][7])
@@ -80,7 +80,7 @@ def require_clock(axis: Axis) -> int | None:
 
 
 def explain_silence(axis: Axis) -> str:
-    """Return why the axis' chip makes no pulses, whatever starts it; "" where it has a clock."""
+    """Explain why the axis' chip cannot make pulses; "" if it has a clock."""
     multiplier = read_leader_multiplier(axis)
     if multiplier is not None and multiplier < MIN_MULTIPLIER:
         leader = describe_leader(axis)
@@ -100,7 +100,7 @@ def check_chip_family(axis: Any) -> type[PCL240]:
         axis: Axis to check.
 
     Raises:
-        ArgumentError: What is no axis, or an axis whose chip is not of the PCL-240 family.
+        ArgumentError: `axis` is no axis, or its chip is not of the PCL-240 family.
     """
     chip = getattr(axis, "chip", None)
     if not isinstance(chip, Chip):
@@ -114,11 +114,11 @@ def check_chip_family(axis: Any) -> type[PCL240]:
 
 
 POLARITY_FIELDS = {"org": ("R13", "org_logic"), "ez": ("R12", "ez_logic")}
-"""Sensor -> the field that says that it is high while it is on."""
+"""Sensor -> register and field to set if the sensor's signal is high while it is on."""
 
 
 class Status(NamedTuple):
-    """The status byte, bit by bit, high to low; named by the register map."""
+    """Bits of the status byte from high to low, with the names of the register map."""
 
     no_int: bool
     operating: bool
@@ -130,7 +130,7 @@ class Status(NamedTuple):
     ins: bool
 
     def __str__(self) -> str:
-        """Describe the status in words: `at constant speed, R0 < R6`."""
+        """Describe the status in words, for example `at constant speed, R0 < R6`."""
         doing = "halted" if not self.operating else "at constant speed" if self.fkeep else "ramping up or down"
         words = {
             "R0 = 0": self.zero,
@@ -156,7 +156,7 @@ def compute_polarity_bits(axis: Axis) -> dict[str, int]:
         Bits by the names of the registers.
 
     Raises:
-        ArgumentError: A sensor that the chip cannot read so.
+        ArgumentError: The chip does not support the logic of a sensor.
     """
     bits: dict[str, int] = {}
     for sensor in getattr(axis, "wiring", {}):
@@ -179,13 +179,13 @@ def encode_index(ez: int) -> int:
 
 
 def has_ez_monitor(chip: Chip | type[Chip]) -> bool:
-    """Return whether R17 of a chip shows the EZ input; that came with the MS."""
+    """Return whether R17 of a chip shows the EZ input, as on the PCL-240MS."""
     return any(f.name == "ez" for f in chip.MAP.register("R17").fields)
 
 
 @explain_constructor
 class Port:
-    """Bus of one axis' chip."""
+    """Bus port of one axis' chip."""
 
     def __init__(self, axis: Axis):
         self.axis, self._chip = axis, axis.chip
@@ -199,7 +199,7 @@ class Port:
         self._chip.write(0, value)
 
     def write_control_mode(self, bits: int) -> None:
-        """Write the control mode; on MK and MS the position counter R10 counts along."""
+        """Write the control mode; on MK and MS with the bit that makes the position counter R10 count."""
         self.write_command(CONTROL | bits | (POSITION if self.extended else 0))
 
     def write_register(self, name: str, value: int) -> None:
@@ -216,7 +216,7 @@ class Port:
             self._chip.write(*cycle)
 
     def write_registers(self, **values: int) -> None:
-        """Write registers by name, in the order given; all are checked before the first is written."""
+        """Write registers by name in the order of the arguments, after a check of all values."""
         for name, value in values.items():
             self._chip.MAP.check_value(name, value)
         for name, value in values.items():
@@ -227,10 +227,10 @@ class Port:
         return _READ[self._chip.read(0)]
 
     def read_counter(self) -> int:
-        """Read R0, whole: high to low, then middle and high again, until they agree (data sheet Q & A).
+        """Read all bytes of R0, from high to low, then middle and high again, until they agree (data sheet Q & A).
 
         Raises:
-            StageError: The bus is too slow for the pulse rate, so that they never agree.
+            StageError: The bytes never agree, because the bus is too slow for the pulse rate.
         """
         read = self._chip.read
         for _ in range(MAX_COUNTER_READS):
@@ -243,7 +243,7 @@ class Port:
         )
 
     def read_register(self, name: str) -> int:
-        """Read a register, whole, on MK and MS: by extension mode and a collective read.
+        """Read all bytes of a register on MK and MS, by extension mode and a collective read.
 
         Args:
             name: Name of the register.
@@ -252,7 +252,7 @@ class Port:
             Value of the register.
 
         Raises:
-            StageError: The chip reads nothing but R0.
+            StageError: The chip can read only R0.
         """
         if not self.extended:
             raise StageError(f"axis {self.axis.name}: {add_article(self._chip.MAP.chip)} reads R0 only (Port.counter).")
@@ -270,7 +270,7 @@ class Port:
         return raw - (1 << 24) if raw & 1 << 23 else raw
 
     def wait_until_stopped(self, timeout: float, poll: float = POLL_INTERVAL_S) -> Status:
-        """Poll status bit 6, every `poll` seconds at first and ever more slowly in a long run, see `driver.compute_poll_interval`.
+        """Poll status bit 6 until the chip has stopped: every `poll` seconds at first, more rarely later (`compute_poll_interval`).
 
         Args:
             timeout: Simulated seconds to wait.
@@ -293,7 +293,7 @@ class Port:
             test: Function of the status that returns whether the test is met.
             timeout: Simulated seconds to wait.
             poll: Seconds between two polls at first.
-            what: What is waited for, in words, for the error.
+            what: Description of the expected change, for the error.
 
         Returns:
             The status that met the test.

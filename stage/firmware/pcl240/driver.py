@@ -55,7 +55,7 @@ class Pcl240Driver(Driver):
         return str(self.profile(speeds))
 
     def profile(self, speeds: Speeds) -> Profile:
-        """Return the registers of these speeds: FH1 the drive speed, FH2 the second one, or the same where there is none."""
+        """Return the profile of these speeds: FH1 is the drive speed, and FH2 the second one or, without one, the drive speed."""
         result = Profile.of(
             speeds.start,
             speeds.drive,
@@ -110,20 +110,20 @@ class Pcl240Driver(Driver):
         return address == 0 and value >> 6 == 0 and bool(value & chip_port.RESET)
 
     def _forget_run(self) -> None:
-        """Forget the run that this driver has begun."""
+        """Close the journal of the move that this driver has started."""
         self._close()
         self._journal = None
 
     def _open_journal(self) -> None:
-        """Keep a journal of the chip from now on, until the run is over or this driver is gone: it tells what has ended the run."""
+        """Open a journal of the chip, which shows what has ended the move. It closes with the move or with this driver."""
         self._forget_run()
         self._journal = self.chip.journal()
         self._close = weakref.finalize(self, self._journal.close)
 
     def read_stop_reason(self) -> str:
-        """Return what ended the run that this driver has begun, a stop command included; "" while it runs.
+        """Return the stop reason of the move that this driver has started, a stop command included; "" while the axis moves.
 
-        Of a run that another host has begun, or none: what would stop the chip now.
+        If another host has started the move, or there was none, the method returns what would stop the chip now.
         """
         if self.port.read_status().operating:
             return ""
@@ -144,7 +144,7 @@ class Pcl240Driver(Driver):
     def move_line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
-        """Move axes on a straight line by rates in the ratio of the distances, see `synchronized_move`."""
+        """Move axes along a straight line with rates in the ratio of the distances, see `synchronized_move`."""
         axes = {name: driver.axis for name, driver in drivers.items()}
         for driver in drivers.values():
             cast("Pcl240Driver", driver)._forget_run()

@@ -1,4 +1,4 @@
-"""The origin return of the PCL-240 family as a program: four runs without a branch between them."""
+"""Origin return of the PCL-240 family as a program of four runs without branches."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RUN_NAMES = ("leave", "search", "back off", "approach")
 class FourRunHomeProgram(HomeProgram):
     """Origin return in four runs: leave, search, back off, approach.
 
-    The chip's status is read during the runs, but no decision depends on it.
+    The program reads the chip's status during the runs, but makes no decision by it.
     """
 
     def __init__(self, driver: Pcl240Driver, settings: Any):

@@ -1,6 +1,7 @@
-"""The longest axis of an a:b move, which the others follow: its registers, and the search for a good set of all.
+"""Search for the registers of an a:b move: those of the leader, which is the longest axis, and of its followers.
 
-Several R7 and FH give the rate of the leader; those for which the followers' registers come closest to their share are tried first.
+Several R7 and FH make the rate of the leader. The search first tries those for which the followers' registers come closest to their
+share of this rate.
 """
 
 from __future__ import annotations
@@ -33,7 +34,13 @@ MAX_SPEED = _LEGAL["R2"][1]
 
 
 class RegisterRanges(NamedTuple):
-    """Ranges of a chip's registers: the largest R4 and R5, the largest ramp-down point, and the number of registers in a row."""
+    """Ranges of a chip's registers.
+
+    Attributes:
+        rate: Largest R4 and R5.
+        point: Largest ramp-down point.
+        row: Number of registers in a row.
+    """
 
     rate: int
     point: int
@@ -45,8 +52,7 @@ class RegisterRanges(NamedTuple):
 
         Args:
             chip: Class of the chip.
-            automatic: Whether the chip finds the ramp-down point: R6 holds an offset then, and the point may be as far away as R0
-                counts.
+            automatic: Whether the chip finds the ramp-down point. R6 is then an offset, so the point may be as large as R0.
         """
         legal = {r.name: r.legal or (0, r.mask) for r in chip.MAP.registers}
         return cls(legal["R4"][1], legal["R0" if automatic else "R6"][1], 10 if chip.S_CURVES else 8)
@@ -61,9 +67,10 @@ class LeaderMove(NamedTuple):
         fl: FL, pps.
         up: Time of the ramp up, s.
         down: Time of the ramp down, s.
-        share: Share of the speed steps in each curved end of all axes' ramps (0 linear, 0.5 curved throughout).
+        share: Share of the speed steps in each curved end of the ramps of all axes: 0 for linear ramps, 0.5 for ramps without a
+            linear part.
         automatic: Whether the chips find the ramp-down point.
-        multiplier: The one R7 that is possible; 0 for any.
+        multiplier: The only possible R7; 0 for any.
     """
 
     length: int
@@ -77,18 +84,18 @@ class LeaderMove(NamedTuple):
 
 
 AS_LEADER = -1
-"""A follower's multiplier: the R7 of the leader, whatever that will be."""
+"""Value of `Follower.multiplier` that stands for the R7 of the leader, which the search chooses."""
 
 
 class Follower(NamedTuple):
-    """Move of another axis than the longest.
+    """Move of an axis other than the longest one.
 
     Attributes:
         pulses: Pulses, unsigned.
         clock_hz: Reference clock of its chip, Hz.
         widths: Ranges of its registers.
         lead: Seconds by which it is started before the leader.
-        multiplier: The one R7 that is possible, or AS_LEADER; 0 for any.
+        multiplier: The only possible R7, or AS_LEADER; 0 for any.
     """
 
     pulses: int
@@ -99,7 +106,7 @@ class Follower(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Best registers found for a follower, and about how far they are from the line, in its pulses."""
+    """Best rows of registers for a follower, and estimates of their distances from the line in its pulses."""
 
     registers: np.ndarray
     scores: np.ndarray
@@ -108,9 +115,9 @@ class Candidates(NamedTuple):
 def search_registers(
     move: LeaderMove, hz: int, widths: RegisterRanges, followers: Mapping[str, Follower]
 ) -> tuple[np.ndarray, dict[str, Candidates]]:
-    """Choose rows (see fit.py) of the leader and of its followers.
+    """Choose rows of registers (see follower_fit.py) for the leader and its followers.
 
-    They are the first that are as close to the line as can be, or the best of all.
+    The search ends at the first rows that are as close to the line as possible; otherwise it returns the best of all.
 
     Args:
         move: Move of the longest axis.
@@ -160,9 +167,9 @@ def search_registers(
 def _list_leaders(
     move: LeaderMove, hz: int, widths: RegisterRanges, followers: Mapping[str, Follower]
 ) -> list[np.ndarray]:
-    """Return rows (R6 still 0) for the longest axis, most promising first.
+    """List rows for the longest axis, with R6 = 0, the most promising first.
 
-    R7 and FH may be any that make the rate to 0.2 %: what counts is how well the followers' registers make their share of it.
+    R7 and FH may be any that make the rate within 0.2 %. The order depends on how well the followers can make their shares of it.
     """
     finest = min(MAX_R7, int(hz * MAX_SPEED / (8192 * move.fh) + 1e-9))
     tried, max_shift = (LEADERS_LONG, SHIFTS_LONG) if move.length > LONG else (LEADERS, SHIFTS)
@@ -207,7 +214,7 @@ def _list_leaders(
 
 
 def effective_steps(gain: Any, share: float) -> Any:
-    """Return the speed steps of a linear ramp that takes as long as one with curved ends, see `closed_form.bend`.
+    """Return the speed steps of a linear ramp that takes as long as a ramp with curved ends.
 
     Args:
         gain: Speed steps of the ramp.
@@ -220,7 +227,7 @@ def effective_steps(gain: Any, share: float) -> Any:
 
 
 def _refuse_ramp(move: LeaderMove, hz: int, max_rate: int, step: np.ndarray, high: np.ndarray, low: np.ndarray) -> None:
-    """Raise ArgumentError for ramps that no R7 makes; the message says what is in reach."""
+    """Raise ArgumentError for ramps that no R7 can make; the message states the possible range."""
     gain = effective_steps((high - low)[high > low], move.share)
     if not len(gain):
         raise ArgumentError(
@@ -240,7 +247,7 @@ def _refuse_ramp(move: LeaderMove, hz: int, max_rate: int, step: np.ndarray, hig
 
 
 def _vary_tails(leader: np.ndarray, hz: int, max_rate: int) -> Iterator[np.ndarray]:
-    """Yield the leader with R6 for a few lengths of its last part at FL: for some the followers' whole pulses fit better."""
+    """Yield the leader's row with several R6: some lengths of its last part at FL suit the followers better."""
     if leader[2] == leader[1]:
         yield leader
         return

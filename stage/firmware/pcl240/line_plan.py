@@ -47,11 +47,14 @@ REFUSED_DEVIATION_PULSES = 5.0  # pulses: refused where shorter ramps would mend
 
 @dataclass(frozen=True)
 class AxisPlan:
-    """Plan of one axis: signed distance in pulses, registers (R0 to R7, on a PCL240MS R14 and R15, too), reference clock.
+    """Plan of one axis.
 
     Attributes:
-        down_point: Pulses left when the ramp-down begins, as R6 without the automatic ramp-down point.
-        automatic: Whether the chip finds that point; R6 is its offset then, a two's complement.
+        distance: Signed distance, pulses.
+        registers: Values of R0 to R7, on a PCL240MS also of R14 and R15.
+        clock_hz: Reference clock, Hz.
+        down_point: Pulses left when the ramp-down begins. It equals R6 without the automatic ramp-down point.
+        automatic: Whether the chip finds that point; R6 is then an offset in two's complement.
         lead: Seconds between this axis' start command and the last axis'.
         seconds: Time from the first start command to its last pulse, s.
     """
@@ -87,7 +90,7 @@ class AxisPlan:
 
     @property
     def span(self) -> int | None:
-        """Speed steps of each curved end of the ramps, 0 when they have no linear part; None for linear ramps."""
+        """Speed steps in each curved end of the ramps; 0 for ramps without a linear part, None for linear ramps."""
         return None if (word := self.registers.get("R14", LINEAR)) & LINEAR else word & SPAN
 
     @property
@@ -110,7 +113,7 @@ class AxisPlan:
 
     @property
     def row(self) -> np.ndarray:
-        """Registers as fit.py takes them."""
+        """Row of registers for follower_fit.py."""
         return np.array([*(self.registers | {"R6": self.down_point}).values()], np.int64)
 
 
@@ -120,14 +123,14 @@ class Plan:
 
     Attributes:
         axes: Plan of each axis.
-        order: Names in the order of the start commands, the longest axis last: an axis that is ahead by less than the staircase
-            does not increase the deviation, and one that lags does.
+        order: Names in the order of the start commands, the longest axis last. An axis that is ahead by less than a step of the
+            staircase does not increase the deviation, but one that lags does.
         bus_delay: Seconds between two start commands that the plan assumes.
         ratio_error: Largest relative error of an FH against the longest axis'.
         deviation: Predicted largest distance from the line in pulses, found by running emulated chips. exact: False for moves of
             more than 2,000,000 pulses in all, for which it is the closed form's estimate.
         seconds: Time from the first start command to the last pulse, s.
-        notes: Where the plan differs from the requested rates and times, and why.
+        notes: Differences between the plan and the requested rates and times, with the reasons.
     """
 
     axes: dict[str, AxisPlan]
@@ -204,9 +207,10 @@ def plan(
     multipliers: Mapping[str, int] | None = None,
     shared: Collection[str] = (),
 ) -> Plan:
-    """Plan a move along a straight line. Touches no chip.
+    """Plan a move along a straight line, without access to a chip.
 
-    A move too short for `rate` peaks lower, on all axes at once and with the same slopes; a very short one runs at constant FL.
+    A move that is too short for `rate` has a lower peak rate with the same slopes, on all axes. A very short move runs at constant
+    FL.
 
     Args:
         distances: Axis -> signed pulses, up to 16,777,215; 0 leaves the axis out.
@@ -217,19 +221,19 @@ def plan(
         s_curve: True for S-curves throughout, or the share (above 0, up to 0.5) of FH - FL that each curved end takes, with a
             linear part between; the ramp times stay as requested. False for linear ramps. Every axis that moves needs a PCL240MS
             for it.
-        automatic: The chips find the ramp-down point and decelerate as they accelerated, R6 is its offset (PCL240MK and PCL240MS).
-            Default, as False: R6 is the point.
+        automatic: True: the chips find the ramp-down point, R6 is its offset, and the ramp-down equals the ramp-up (PCL240MK and
+            PCL240MS). False or None: R6 is the point.
         chips: Class of the chips, one or one for each axis.
         clock_hz: Reference clock of the chips, one number or one for each axis, Hz.
         bus_delay: Seconds between two start commands.
-        multipliers: Axis -> R7 that its chip receives at SYNI, from a chip that has no part in the move.
-        shared: Axes whose chips count one clock, followers by SYNI and their leader: they have the R7 of the longest axis.
+        multipliers: Axis -> R7 of a chip outside the move whose clock the axis' chip receives at SYNI.
+        shared: Axes whose chips use one clock (a leader and its followers by SYNI). They have the R7 of the longest axis.
 
     Returns:
         The plan.
 
     Raises:
-        ArgumentError: No registers can do it; the message has the reason.
+        ArgumentError: No registers make this move; the message has the reason.
     """
     checked = {n: _check_distance(n, d) for n, d in distances.items()}
     moving = {n: d for n, d in checked.items() if d}
@@ -258,7 +262,7 @@ def plan(
 
 
 def _check_distance(name: str, d: Any) -> int:
-    """Return a distance as a whole number. Raises ArgumentError for what R0 does not count."""
+    """Return a distance as an int. Raises ArgumentError for a number that R0 cannot count."""
     try:
         whole = int(d)
     except (TypeError, ValueError, OverflowError):
@@ -291,7 +295,7 @@ def _get_curve_share(s_curve: bool | float) -> float:
 
 
 def _check_ramp_support(chips: dict, s_curve: bool, automatic: bool, accel: float, decel: float) -> None:
-    """Raise ArgumentError for ramps that a chip does not have."""
+    """Raise ArgumentError for ramps that a chip does not support."""
     for name, chip in chips.items():
         if not (isinstance(chip, type) and issubclass(chip, PCL240)):
             raise ArgumentError(f"chips: axis {name} has {chip!r}; give a class, as PCL240K, PCL240MK or PCL240MS.")
@@ -315,7 +319,7 @@ def _check_ramp_support(chips: dict, s_curve: bool, automatic: bool, accel: floa
 def _check_rates_and_times(
     moving: dict, distances: Any, rate: float, fl: float, accel: float, decel: float, bus_delay: float
 ) -> None:
-    """Raise ArgumentError for rates and times that no move has."""
+    """Raise ArgumentError for rates and times outside their ranges."""
     if not moving:
         raise ArgumentError(f"distances={dict(distances)!r}: nothing moves; give at least one axis pulses to make.")
     if not 0 < fl <= rate < float("inf"):
@@ -328,8 +332,7 @@ def _check_rates_and_times(
 
 
 def _shorten(length: int, rate: float, fl: float, accel: float, decel: float) -> tuple[LeaderMove, list[str]]:
-    """Return the move of the longest axis at the peak rate and ramp times that `length` pulses have room for, and notes about
-    it."""
+    """Return the move of the longest axis with a peak rate and ramps that fit into `length` pulses, and notes about changes."""
     if rate <= fl:
         return LeaderMove(length, fl, fl, 0.0, 0.0), []
     room = max(min(MAX_RAMP_SHARE * length, length - 2 * TAILS[0]), 0.0)
@@ -344,7 +347,7 @@ def _shorten(length: int, rate: float, fl: float, accel: float, decel: float) ->
 
 
 def _check_reachable_rates(moving: dict, leader: str, move: LeaderMove, rate: float, hz: dict) -> None:
-    """Raise ArgumentError for rates that no registers make."""
+    """Raise ArgumentError for rates that no registers can make."""
     max_rate = hz[leader] * MAX_SPEED / (8192 * MIN_R7)
     if max(rate, move.fh) > max_rate:
         raise ArgumentError(
@@ -385,7 +388,7 @@ def _check_multipliers(moving: dict, move: LeaderMove, only: Mapping[str, int], 
 def _choose_by_emulation(
     rows: dict, leader_name: str, kinds: dict, followers: dict[str, Follower], candidates: Mapping[str, Candidates]
 ) -> None:
-    """Choose among the best followers by running emulated chips."""
+    """Choose the best candidates of the followers by running emulated chips."""
     leader = rows[leader_name]
     pulses = trace_row(leader, kinds[leader_name][0]) / kinds[leader_name][1]
     for name, choice in candidates.items():
@@ -399,7 +402,15 @@ def _choose_by_emulation(
 
 
 def _evaluate_rows(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, bus_delay: float) -> Plan:
-    """Return the plan that these rows of registers are. kinds: axis -> class of its chip, and its clock in Hz."""
+    """Evaluate rows of registers, and return them as a plan.
+
+    Args:
+        distances: Signed pulses of each axis.
+        rows: Row of registers of each axis.
+        kinds: Class of the chip, and its clock in Hz, of each axis.
+        automatic: Whether the chips find the ramp-down point.
+        bus_delay: Seconds between two start commands.
+    """
     order = _order_starts(distances)
     lead = _compute_start_leads(order, bus_delay)
     exact = sum(abs(d) for d in distances.values()) <= MAX_EMULATED_PULSES
@@ -449,7 +460,7 @@ def _compute_start_leads(order: list[str], bus_delay: float) -> dict[str, float]
 
 
 def _list_remarks(axes: dict[str, AxisPlan], move: LeaderMove, deviation: float) -> list[str]:
-    """Return notes where registers could not do as requested. Raises ArgumentError where that takes the axes off the line."""
+    """List notes about requests that registers cannot make exactly. Raises ArgumentError if the axes then leave the line."""
     notes = []
     for name, a in axes.items():
         own = abs(a.distance) / move.length

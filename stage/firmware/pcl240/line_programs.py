@@ -1,4 +1,4 @@
-"""The PCL-240 family on a straight line: a chip an axis, started one after the other; nothing couples them but their registers."""
+"""Straight lines of PCL-240 chips as programs. Each axis has its own chip; only the registers keep the axes on the line."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ TAIL_PULSES = 5  # pulses of the longest axis at FL after its ramp-down
 
 
 class RatioLinePrograms(LinePrograms):
-    """Line by registers in the ratio of the distances. A row R1 R2 R4 R5 R6 R7 for each axis; R3 is R2.
+    """Lines by registers in the ratio of the distances. Each axis has a row R1 R2 R4 R5 R6 R7; R3 equals R2.
 
-    Start commands follow one another, the longest axis last.
+    The host starts the axes one after the other, the longest axis last.
     """
 
     def __init__(self, drivers: Sequence[Pcl240Driver], settings: Any):

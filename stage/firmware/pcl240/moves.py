@@ -1,7 +1,7 @@
-"""Moves, by bus cycles only: preset, continuous, interrupt and resume, external count.
+"""Moves of the PCL-240 family: preset, continuous, interrupted and resumed, and by external count.
 
-The procedures follow section 5 of the PCL-240K data sheet: reset command, registers, control mode, start. They serve the whole
-family and use what a chip offers. Arguments are checked before the first bus cycle.
+The procedures follow section 5 of the PCL-240K data sheet: reset command, registers, control mode, start. They work with all chips
+of the family, and check their arguments before the first bus cycle.
 """
 
 from __future__ import annotations
@@ -56,9 +56,12 @@ def preset_move(
         fh2: FH2 in place of FH1.
         s_curve: True for S-curves throughout, a share (above 0, up to 0.5) of FH - FL for curved ends, False for linear ramps, in
             the ramp times of the profile; default: as the profile says. S-curves need a PCL240MS.
-        automatic: The chip finds the ramp-down point itself, and decelerates on R4 (MK and MS). Default: where it can and the
-            profile's R5 is its R4.
-        fh_correction: With the automatic point a PCL240MS lowers the FH of a move too short to reach it; False: a triangle.
+        automatic: True: the chip finds the ramp-down point itself, and decelerates on R4 (MK and MS). Default: True if the chip
+        can do
+            this and the profile's R5 equals R4.
+        fh_correction: True: with the automatic point, a PCL240MS lowers the FH of a move that is too short to reach it. False:
+        such a
+            move is a triangle.
         down_point: R6; default by the data sheet's formula, triangular for a short move, so that it ends at FL. With `automatic`
             a signed offset, default 2: pulses by which the ramp-down begins earlier than the count of the ramp-up.
         slow_down: The SD switch of the direction slows the axis to FL while it is asserted.
@@ -99,7 +102,7 @@ def preset_move(
 
 
 def start_preset(port: Port, profile: Profile, pulses: int) -> None:
-    """Begin a high-speed preset move with FH1 and the data sheet's ramp-down point, and do not wait.
+    """Start a high-speed preset move with FH1 and the data sheet's ramp-down point, and do not wait for its end.
 
     Raises:
         ArgumentError: A value does not fit its register.
@@ -338,7 +341,7 @@ def write_move_setup(port: Port, profile: Profile, control: int, output: int = 0
 
 
 def choose_profile(axis: Axis, profile: Profile | None) -> Profile:
-    """Return the profile that a user has given, if it fits the axis' chip and clock; for None the usual one.
+    """Return the user's profile if it fits the axis' chip and clock; for None the default profile.
 
     Raises:
         ArgumentError: The profile does not fit.
@@ -363,7 +366,7 @@ def choose_profile(axis: Axis, profile: Profile | None) -> Profile:
 
 
 def check_pulses(pulses: int) -> int:
-    """Return the magnitude of signed pulses. Raises ArgumentError for a number that R0 does not count."""
+    """Return the magnitude of signed pulses. Raises ArgumentError for a number that R0 cannot count."""
     if not isinstance(pulses, int | float) or not 1 <= abs(pulses) <= COUNTER_MASK or int(pulses) != pulses:
         raise ArgumentError(f"pulses={pulses!r}: R0 counts 1 to 16777215 pulses; the sign is the direction.")
     return abs(int(pulses))
@@ -381,5 +384,5 @@ def _encode_start(high_speed: bool, fh2: bool, interrupt: bool) -> int:
 
 
 def compute_time_limit(timeout: float | None, profile: Profile, count: int) -> float:
-    """Return `timeout`; for None half as much again as a move of `count` pulses can take, and one, s."""
+    """Return `timeout`; for None 1.5 times the longest duration of a move of `count` pulses plus one second, s."""
     return 1.5 * profile.estimate_seconds(count) + 1 if timeout is None else timeout

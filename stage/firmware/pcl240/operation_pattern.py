@@ -1,4 +1,4 @@
-"""The data sheet's operation patterns: what the PCL-240 family's signals and commands mean in a drawing."""
+"""Operation pattern of the PCL-240 family: the signals and commands that the plot of a move shows, as in the data sheet."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ class Pcl240Pattern(operation_pattern.OperationPattern):
         return {n: next(iter(v)) * step for n, v in once.items()}
 
     def notes(self, t: np.ndarray) -> list[PatternNote]:
-        """Return notes of what the host wrote to start, change or stop a run, of each ramp-down point, and of the end.
+        """Return notes of the commands that start, change or stop a run, of each ramp-down point, and of the end.
 
-        Bytes that only prepare a start (reset command, control mode) or a change of speed (a register) stand in front of it.
+        The note of a command also has the bytes that prepare it (reset command, control mode, a register).
 
         Args:
             t: Times of the edges of the report's waveform, s from the first start.
@@ -101,7 +101,7 @@ class Pcl240Pattern(operation_pattern.OperationPattern):
 
 
 def _describe_mode_command(byte: int, halted: bool) -> str:
-    """Describe in few words what an operating-mode command does immediately."""
+    """Describe the immediate effect of an operating-mode command in a few words."""
     if byte & GROUP != OPERATE:
         return ""
     irq = ", /INT at stop" if byte & INT_AT_STOP else ""

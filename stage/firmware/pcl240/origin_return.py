@@ -1,10 +1,10 @@
-"""Origin return: find ORG from any position of the axis (data sheet section 5 f, g).
+"""Origin return of the PCL-240 family: find ORG from any position of the axis (data sheet section 5 f, g).
 
-    fast:  SD enabled, ORG enabled, high speed. The SD switch lies before ORG and slows the axis to FL; ORG stops it.
-    slow:  leave ORG, move a little further, and approach it again at a very low rate.
-    ez:    with an MK or MS the last approach goes on, past ORG, to an index pulse of the motor's encoder (EC-Z counting).
+    fast:  SD and ORG are enabled. The axis runs at high speed; the SD switch before ORG slows it to FL, and ORG stops it.
+    slow:  The axis leaves ORG, moves a little further, and approaches ORG again at a very low rate.
+    ez:    On an MK or MS the last approach continues past ORG to an index pulse of the motor's encoder (EC-Z counting).
 
-ORG is asserted from the origin on to the end of travel, so that firmware knows on which side of the origin the carriage is.
+ORG is asserted from the origin to the end of travel, so the firmware knows on which side of the origin the carriage is.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def origin_return(
     ez: int | None = None,
     timeout: float = 60.0,
 ) -> Report:
-    """Return to the mechanical origin, from any place: before ORG, on it, beyond it, on an end limit.
+    """Return to the mechanical origin from any position: before ORG, on it, beyond it, or on an end limit.
 
                 ______ FH1
                /      \\  SD                        towards ORG
@@ -50,9 +50,9 @@ def origin_return(
 
     Args:
         axis: Axis whose chip is a PCL-240.
-        direction: Where ORG lies, 1 or -1.
+        direction: Direction in which ORG lies, 1 or -1.
         profile: Rates and ramps.
-        high_speed: To FH1, slowed by SD; otherwise constant FL.
+        high_speed: True to run at FH1 until SD slows the axis; False for constant FL.
         slow_approach: Back off by `back_off` pulses and come again at `approach` pps, which makes the position repeatable within a
             pulse.
         back_off: Pulses from the release of ORG to the start of the approach.
@@ -98,7 +98,7 @@ def origin_return(
 
 
 def _check_index_number(axis: Axis, ez: int) -> None:
-    """Raise ArgumentError for a chip that counts no index pulses, and for a number that it does not count to."""
+    """Raise ArgumentError if the chip cannot count index pulses, or not as many as `ez`."""
     if not getattr(axis.chip, "EXTENDED", False):
         raise ArgumentError(
             f"axis {axis.name}: {add_article(axis.chip.MAP.chip)} does not count EZ: a PCL240MK or PCL240MS does."
@@ -108,7 +108,7 @@ def _check_index_number(axis: Axis, ez: int) -> None:
 
 
 def _run_to_origin(p: Pcl240Observer, direction: int, high_speed: bool, timeout: float, ez: int | None) -> str:
-    """Run until ORG, an index pulse after it (`ez`), or the end limit stops the axis, and return which."""
+    """Run until ORG, an index pulse after it (`ez`) or the end limit stops the axis, and return the stop reason."""
     port = p.port
     if port.extended:
         logic = chip_port.compute_polarity_bits(port.axis).get("R13", 0)
@@ -124,7 +124,7 @@ def _leave_origin(p: Pcl240Observer, direction: int, back_off: int, high_speed: 
     """Run in `direction` until ORG is released, stop, and move `back_off` pulses further, at FL.
 
     Returns:
-        "" where the axis is out of ORG then; else the end limit that it has met, or "HOME" where ORG is asserted all the same.
+        "" if ORG is off afterwards; otherwise the end limit that stopped the axis, or "HOME" if ORG is still asserted.
     """
     port = p.port
     port.write_control_mode(encode_direction(direction))

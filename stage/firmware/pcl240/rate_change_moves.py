@@ -1,8 +1,8 @@
-"""Moves that change their pulse rate: dual rate, any number of rates, ramps in pieces (data sheet section 5 h, 6, Q & A).
+"""Moves that change their pulse rate: two rates, any number of rates, ramps of several pieces (data sheet section 5 h, 6, Q & A).
 
-A chip has FL and two high rates. The register that is not selected can be rewritten in motion without effect and then be selected,
-so any number of rates is possible. R0 and R6 are not written in motion, as the Q & A demands: the ramp-down point is that of the
-last rate, and a move too short to reach it is refused.
+A chip has FL and two high rates. The host can rewrite the register that is not selected during the motion and then select it, so
+any number of rates is possible. It does not write R0 and R6 during the motion, as the Q & A demands: the ramp-down point suits the
+last rate, and the procedures refuse a move that is too short to reach this rate.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def dual_rate_move(
 
 
 def _check_rates(rates: Sequence[str]) -> list[str]:
-    """Return the names of rates as a list. Raises ArgumentError for none, and for a name that is no rate."""
+    """Return the names of rates as a list. Raises ArgumentError for an empty sequence or an unknown name."""
     for rate in rates:
         if rate not in chip_port.RAMP:
             raise ArgumentError(f"rate {rate!r}: a chip has FL, FH1 and FH2.")
@@ -109,7 +109,7 @@ def _check_rates(rates: Sequence[str]) -> list[str]:
 
 
 def _run_through_rates(p: Pcl240Observer, rates: list[str], dwell: float) -> Status:
-    """Start at the first of the rates, and go through the others; return the last status, which may be that of a stop."""
+    """Start at the first rate, change to each further rate, and return the last status. It may show that the axis has stopped."""
     constant = rates[0] == "FL"
     p.port.write_command(chip_port.START["FL"] if constant else chip_port.RAMP[rates[0]])
     status = _wait_for_rate(p.port)
@@ -231,14 +231,14 @@ def _wait_for_rate(port: Port) -> Status:
 
 
 def _change_speed(port: Port, k: int, speed: int) -> None:
-    """Make the k-th change of speed: write the register not in use, FH2 and FH1 by turns, and ramp to it."""
+    """Make the k-th change of speed: write the unused register (FH2 and FH1 alternate), and ramp to its speed."""
     register, rate = ("R3", "FH2") if k % 2 else ("R2", "FH1")
     port.write_register(register, speed)
     port.write_command(chip_port.RAMP[rate])
 
 
 def _convert_rates(axis: Axis, profile: Profile, rates: Sequence[float]) -> list[int]:
-    """Convert rates in pps to speed steps. Raises ArgumentError for a rate that the profile's R7 does not make."""
+    """Convert rates in pps to speed steps. Raises ArgumentError for a rate that the profile's R7 cannot make."""
     if not len(rates):
         raise ArgumentError("no rates given: give at least one, in pps.")
     for rate in rates:
@@ -250,7 +250,7 @@ def _convert_rates(axis: Axis, profile: Profile, rates: Sequence[float]) -> list
 
 
 def _convert_pieces(axis: Axis, profile: Profile, pieces: Sequence[tuple[float, float]]) -> tuple[list[int], list[int]]:
-    """Convert the pieces of a ramp to speed steps and values of R4. Raises ArgumentError for what are no rising pieces."""
+    """Convert the pieces of a ramp to speed steps and values of R4. Raises ArgumentError if the rates do not rise."""
     if not all(isinstance(piece, Sequence) and len(piece) == 2 for piece in pieces):
         raise ArgumentError(f"pieces={pieces!r}: give pairs of a rate in pps and the time to reach it in seconds.")
     speeds = _convert_rates(axis, profile, [rate for rate, _ in pieces])
@@ -265,7 +265,7 @@ def _convert_pieces(axis: Axis, profile: Profile, pieces: Sequence[tuple[float, 
 
 
 def _find_down_point(profile: Profile, speeds: list[int], count: int, dwell: float) -> int:
-    """Return R6 for the last speed. Raises ArgumentError for a move that would end before it is reached."""
+    """Compute R6 for the last speed. Raises ArgumentError for a move that would end before this speed is reached."""
     delay = POLL_DELAY_S * max(speeds) * profile.step * len(speeds)
     if len(speeds) > 1:
         _refuse_short_move(count, profile.compute_pulses_through(speeds, dwell) + delay)

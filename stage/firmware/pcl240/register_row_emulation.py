@@ -8,7 +8,7 @@ from stage.chips.pcl240 import PCL240, PCL240K
 from stage.firmware.pcl240 import chip_port
 
 ROW_REGISTERS = (*(f"R{k}" for k in range(8)), "R14", "R15")
-"""Registers of a row in order; R14 and R15 on a chip with S-curves only."""
+"""Registers of a row in order. Only rows of chips with S-curves have R14 and R15."""
 MAX_CLOCKS = 1 << 44
 
 
@@ -32,9 +32,9 @@ def trace_row(row: np.ndarray, chip: type[PCL240] = PCL240K, automatic: bool = F
 
 
 def compute_ramp_down_offset(row: np.ndarray, chip: type[PCL240]) -> int:
-    """Compute R6 with which the automatic ramp-down begins at the same pulse as without it (normative model, section 7).
+    """Compute the R6 with which the automatic ramp-down begins at the pulse of the row's R6 (normative model, section 7).
 
-    The automatic one begins once R0 <= pulses of the ramp-up + offset, the other once R0 < R6.
+    The automatic ramp-down begins at R0 <= pulses of the ramp-up + offset, the ordinary one at R0 < R6.
     """
     emulated = _start_chip(row, chip, int(row[6]), False)
     emulated.CORE.advance.c(emulated.pointer, MAX_CLOCKS)
@@ -42,7 +42,7 @@ def compute_ramp_down_offset(row: np.ndarray, chip: type[PCL240]) -> int:
 
 
 def _start_chip(row: np.ndarray, chip: type[PCL240], r6: int, automatic: bool) -> PCL240:
-    """Start a chip just powered up on the preset move of a row, but with R6 = `r6`."""
+    """Return a new chip that has started the preset move of a row, but with R6 = `r6`."""
     emulated = chip()
     for name, value in zip(ROW_REGISTERS, [*row[:6].tolist(), r6, *row[7:].tolist()], strict=False):
         for cycle in emulated.register_cycles(name, value):

@@ -1,4 +1,4 @@
-"""Speeds in registers: the data sheets' formulas, and `Profile`, which picks R1 to R5, R7 and the S-curve for rates in pps.
+"""Formulas of the data sheets for speeds, and `Profile`, which chooses R1 to R5, R7 and the S-curve for rates in pps.
 
 profile = Profile.of(fl=500, fh1=16_000, accel=0.2)
 print(profile)                      the true rates and times, after rounding to registers
@@ -25,7 +25,7 @@ FL, FH1, FH2 = DEFAULT_START_PPS, DEFAULT_DRIVE_PPS, 2 * DEFAULT_DRIVE_PPS
 DEFAULT_RAMP_TIME_S = DEFAULT_RAMP_S
 """Default ramp, seconds from FL to the highest rate."""
 RATE_TOLERANCE, TIME_TOLERANCE = 2e-4, 1e-2
-"""Within these relative errors finer speed steps are worth more than exact values."""
+"""Relative errors of rates and times within which finer speed steps are better than more exact values."""
 TAIL_PULSES = 5  # pulses at FL after a ramp-down (data sheet section 4, R6)
 LINEAR = PCL240.LINEAR_RAMPS
 

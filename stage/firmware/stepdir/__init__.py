@@ -1,1 +1,1 @@
-"""How a host drives STEP/DIR axes: by the step timer of each, which makes the steps in compiled code."""
+"""Firmware of STEP/DIR axes. Each axis has a step timer, which makes the steps in compiled code."""

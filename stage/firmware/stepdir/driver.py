@@ -37,7 +37,7 @@ MAX_BACK_OFFS = 200
 
 
 class StepDirPattern(operation_pattern.OperationPattern):
-    """Signals of a STEP/DIR axis that a drawing of a report shows."""
+    """Signals of a STEP/DIR axis that the plot of a report shows."""
 
     LANES = (
         ("up", "UP", BLUE), ("down", "DOWN", BLUE), ("busy", "BUSY", GREY), ("dir", "DIR", GREY), ("org", "ORG", GREEN),
@@ -87,11 +87,11 @@ class StepDirDriver(Driver):
             return procedure.make_report(reason)
 
     def _search(self, direction: int, timeout: float) -> str:
-        """Run to ORG unless the axis is there, and return what has ended the run."""
+        """Run to ORG unless the axis is on it, and return the stop reason."""
         return "" if self._is_at_origin() else self._run_to_end("HOME", direction, timeout)
 
     def _approach(self, direction: int, rate: int, timeout: float) -> str:
-        """Back off from ORG and approach it slowly; return what has ended the last run."""
+        """Back off from ORG and approach it slowly; return the stop reason of the last run."""
         for _ in range(MAX_BACK_OFFS):
             if not self._is_at_origin():
                 break
@@ -115,7 +115,7 @@ class StepDirDriver(Driver):
         self._send("RUN", direction)
 
     def slow_down(self) -> None:
-        """Command a stop with the ramp down, and do not wait."""
+        """Write the command for a stop with a ramp, and do not wait."""
         self.chip.write(CONTROL_ADDRESS, SLOW)
 
     def halt(self, at_once: bool = False) -> None:
