@@ -26,11 +26,11 @@ ROOT = Path(__file__).resolve().parents[2]
 SWEEP = ROOT / "scripts" / "sweep.py"
 SLOW = '''
 import os, time
-from stage.study import suggest
+from stage.study import suggest_registers
 
 def slow(trial):
     """Leaves a line "number pid" before and after its work."""
-    registers = suggest(trial, {"R2": "400:2800", "R4": "60:800:log"})
+    registers = suggest_registers(trial, {"R2": "400:2800", "R4": "60:800:log"})
     for word in ("begun", "ended"):
         with open("log", "ab", buffering=0) as log:
             log.write(b"%s %d %d\\n" % (word.encode(), trial.number, os.getpid()))

@@ -210,7 +210,7 @@ def test_a_peek_that_changes_something_is_detected_also_where_reading_acts(addre
         pointer=0, output_word=lambda axis: 0, read=lambda at: 0,
     )  # fmt: skip
     with pytest.raises(Looks, match=f"^after peek\\({address}h\\)$"):
-        promises.bus._check_reads(SimpleNamespace(kind=None, require_same_bits=require_same_bits), chip)
+        promises.bus._check_peeks_and_reads(SimpleNamespace(kind=None, require_same_bits=require_same_bits), chip)
 
 
 def test_a_difference_at_the_pins_alone_is_described():
