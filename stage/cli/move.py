@@ -173,7 +173,8 @@ def sync(args: argparse.Namespace) -> int:
         axis = find_axis(stage, name)
         if name in pulses:
             raise ArgumentError(f"{item!r}: axis {name} already has {pulses[name]} pulses. Give each axis once.")
-        pulses[name] = warn_if_beyond_limits(args, axis, parse_distance(axis, distance))
+        pulses[name] = parse_distance(axis, distance)
+        warn_if_beyond_limits(args, axis, pulses[name])
     for name in pulses:
         if left := [other for other in stage.axes[name].tandem if pulses.get(other) != pulses[name]]:
             _warn_of_tandem(args, stage.axes[name], left, args.distances)

@@ -222,12 +222,8 @@ def parse_distance(axis: Any, text: str) -> int:
     return convert_to_pulses(axis, distance, None)
 
 
-def warn_if_beyond_limits(args: argparse.Namespace, axis: Any, pulses: int) -> int:
-    """Warn where a move leads beyond the end limits of the axis, or its travel where it has none.
-
-    Returns:
-        `pulses`, the signed length of the move.
-    """
+def warn_if_beyond_limits(args: argparse.Namespace, axis: Any, pulses: int) -> None:
+    """Print a warning if a move of `pulses` leads beyond the end limits of the axis, or beyond its travel if it has no limits."""
     ends = {s.pin: s.touch for s in axis.plant.switches}
     low, high = (-math.inf, math.inf) if axis.unit == "rad" else axis.travel  # a hinge without limits turns without end
     low, high = ends.get("el_minus", low), ends.get("el_plus", high)
@@ -240,7 +236,6 @@ def warn_if_beyond_limits(args: argparse.Namespace, axis: Any, pulses: int) -> i
             f"axis {axis.name} reaches from {low * unit.factor:g} to {unit.format(high, 'g')}, and this move goes to "
             f"{unit.format(goal, '.4g')}.",
         )
-    return pulses
 
 
 def find_axis(stage: Any, name: str) -> Any:

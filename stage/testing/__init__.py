@@ -1,4 +1,4 @@
-"""Tests of motion firmware with pytest: a plugin (fixtures `stage`, `board`, `host`, see plugin.py) and assertions.
+"""Tools for pytest tests of motion firmware: a plugin (fixtures `stage`, `board`, `host`, see plugin.py) and assertions.
 
     @pytest.mark.stage(model="xy", chips="PCL240MS")
     @pytest.mark.firmware("driver.c")
@@ -7,8 +7,8 @@
         assert_at(stage.axes["x"], -0.12, within=100e-6)
         assert_no_lost_steps(stage)
 
-`chip_conformance` is for tests of a chip itself. pytest imports this package in every session, so it loads its modules with
-their first use.
+`chip_conformance` tests a chip itself. pytest imports this package in every session, so it loads its modules only when they are
+used.
 """
 
 from __future__ import annotations

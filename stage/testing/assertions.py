@@ -22,7 +22,7 @@ MAX_STILL_SPEED_M_S = 0.01  # m/s, rad/s: a motor that swings about its step is 
 
 @explain_arguments
 def assert_no_lost_steps(what: Stage | Axis | Iterable[Axis]) -> None:
-    """Assert that the rotor of every axis is where its pulses say, to the full step.
+    """Assert that no axis has lost steps: every rotor is within a full step of the position that its pulses command.
 
     Args:
         what: A stage, an axis, or several axes.
@@ -48,7 +48,7 @@ def assert_no_lost_steps(what: Stage | Axis | Iterable[Axis]) -> None:
 
 @explain_arguments
 def assert_at(axis: Axis, position: float, within: float = 25e-6) -> None:
-    """Assert that the carriage is at `position`: its true place, not that of a counter.
+    """Assert that the carriage is at `position`. The assertion uses the true position, not that of a counter.
 
     Args:
         axis: Axis of a stage.
@@ -86,7 +86,7 @@ def assert_at(axis: Axis, position: float, within: float = 25e-6) -> None:
 
 @explain_arguments
 def assert_stopped(what: Stage | Axis | Iterable[Axis], speed: float = MAX_STILL_SPEED_M_S) -> None:
-    """Assert that no axis gets pulses, and that none moves. For what happens after a limit switch.
+    """Assert that no axis gets pulses and none moves, for example after a limit switch has tripped.
 
     Args:
         what: A stage, an axis, or several axes.
@@ -132,7 +132,7 @@ def assert_pins(axis: Axis, **expected: bool) -> None:
 
 @explain_arguments
 def assert_no_diagnostics(stage: Stage) -> None:
-    """Assert that no bus write was a mistake by the data sheet: what silicon ignores in silence."""
+    """Assert that no bus write was a mistake according to the data sheet. A real chip ignores such mistakes silently."""
     __tracebackhide__ = True
     mistakes = []
     for chip in stage.chips:
@@ -204,7 +204,7 @@ def read_velocity(axis: Axis) -> float:
 
 
 def describe_missing_current(axis: Axis) -> str:
-    """Say why its motor has no current, as the end of a sentence; "" while it has."""
+    """Explain, as the end of a sentence, why the motor of an axis has no current; "" if it has current."""
     why = axis.chip.explain_missing_current(axis.chip_axis)
     return f"; {why}" if why else ""
 

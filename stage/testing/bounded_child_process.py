@@ -1,4 +1,4 @@
-"""Runs a promise in a child process, which a core that never ends, or that writes where it may not, ends in place of the tests."""
+"""Child process with a time limit for one promise, so that an endless loop or a crash of a chip core does not end the tests."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ def run_in_child_process(work: Callable[[], str], seconds: float | None) -> str:
     """Run `work` in a copy of this process and return its text.
 
     Args:
-        work: Returns how a promise is broken, "" if it is kept.
+        work: Function that returns how a promise is broken, "" if it is kept.
         seconds: Real time limit, s. None: run in this process without a limit, as on a system without fork.
 
     Returns:
-        The text of `work`, or why there is none: the limit is over, or the child was ended by a signal.
+        The text of `work`, or the reason why there is none: the time limit, or the signal that ended the child.
     """
     if seconds is None or not hasattr(os, "fork"):
         return work()

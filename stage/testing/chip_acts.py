@@ -1,5 +1,6 @@
-"""Acts of a conformance test on a chip: bus cycles, pins, time; random ones, and moves as the chip's host driver writes them.
+"""Acts of conformance tests on a chip: bus cycles, changes of pins, and time that passes.
 
+The module draws random acts, and moves as the chip's host driver writes them.
 `perform_act` carries an act out and returns the chip's answer. Acts are plain data, so that a test can do the same to two chips.
 """
 
@@ -16,7 +17,7 @@ from stage.errors import StageError
 from stage.sim.program import WAIT, WRITE, Program
 
 MAX_PULSES_PER_ACT = 20_000
-"""Of a piece of time: a chip that makes more of them in it is given less time."""
+"""Largest number of pulses in one act of time. A chip that would make more pulses gets less time."""
 
 
 class Act(NamedTuple):
@@ -63,7 +64,7 @@ def draw_acts(
         rng: Random numbers.
         count: How many acts to draw; a register may take several writes.
         resets: Whether resets are among them.
-        start_writes: Writes that start a drive, see `list_start_writes`; commands then go to the addresses of these, too.
+        start_writes: Writes that start a drive, see `list_start_writes`. Random commands then also go to their addresses.
     """
     acts: list[Act] = []
     registers = [r for r in kind.MAP.registers if "W" in r.access]
@@ -98,7 +99,7 @@ def draw_acts(
 
 
 def replace_command_code(kind: type[Chip], begin: Act, code: int) -> Act:
-    """Return the write of a command with another code; the bits above the codes, which select the axis, stay."""
+    """Return the write of a command with another code. The bits above the code, which select the axis, stay."""
     bits = max(code for c in kind.MAP.commands for code in c.codes).bit_length()
     return begin._replace(b=(begin.b >> bits << bits | code) & kind.DATA_MASK)
 
@@ -113,7 +114,7 @@ def list_start_writes(chip: Chip) -> list[Act]:
 
 
 def draw_drive_starts(chip: Chip, rng: np.random.Generator, axes: int) -> list[Act]:
-    """Draw drives of `axes` axes as the driver starts them, some with another mode or with another command in the last write."""
+    """Draw starts of drives on `axes` axes by the host driver, some with another mode, or another command in the last write."""
     codes = [c.code for c in chip.MAP.commands if (c.starts or c.kind == "drive") and not c.together]
     acts: list[Act] = []
     for axis in rng.permutation(chip.AXES)[:axes].tolist():
@@ -138,7 +139,7 @@ def _draw_mode_writes(kind: type[Chip], axis: int, rng: np.random.Generator) -> 
 
 @dataclass(frozen=True)
 class _AxisWithoutStage:
-    """What a host driver needs of an axis to write a move, without a stage."""
+    """Axis without a stage, with the attributes that a host driver needs to write a move."""
 
     chip: Chip
     chip_axis: int
@@ -211,7 +212,7 @@ def _convert_program(program: Program, chip: Chip) -> list[Act]:
 
 
 def count_clocks_to_end(chip: Chip, axis: int, seconds: float = 5.0) -> int:
-    """Count the clocks until the drive of an axis ends, on a copy: a few more than needed."""
+    """Return the number of clocks after which the drive of an axis has ended, rounded up. The function runs a copy of the chip."""
     probe = chip.make_replica()
     step = max(chip.clock_hz // 200, 1)
     for _ in range(int(seconds * 200)):
@@ -222,20 +223,20 @@ def count_clocks_to_end(chip: Chip, axis: int, seconds: float = 5.0) -> int:
 
 
 def find_pulse_clocks(chip: Chip, clocks: int) -> np.ndarray:
-    """Return at which of the next `clocks` clocks a chip makes pulses, counted from now, on a copy.
+    """Return the clocks, counted from now, at which a chip makes pulses in the next `clocks` clocks. It runs a copy of the chip.
 
     Raises:
-        StageError: As `check_trace_room`.
+        StageError: Same as for `check_trace_room`.
     """
     check_trace_room(chip, clocks)
     return chip.make_replica().trace(clocks)["clock"] - chip.clock
 
 
 def check_trace_room(chip: Chip, clocks: int) -> None:
-    """Check that `advance` counts all pulses by which the axes' `net` changes: a trace would have no room for more.
+    """Check that `advance` counts all pulses by which the axes' `net` changes, because a trace has no room for more.
 
     Raises:
-        StageError: It counts fewer.
+        StageError: `advance` counts fewer pulses.
     """
     probe = chip.make_replica()
     nets = [probe.net(k) for k in range(chip.AXES)]
@@ -246,7 +247,7 @@ def check_trace_room(chip: Chip, clocks: int) -> None:
 
 
 def describe_differences(kind: type[Chip], one: bytes, other: bytes) -> str:
-    """Name the fields in which two states differ, the first three of them with both values; "" where none does."""
+    """Describe the first three fields in which two states differ, with both values; "" if the states are equal."""
     a, b = (np.frombuffer(state, kind.CORE.STATE) for state in (one, other))
     names = list(_compare_fields("", a[0], b[0]))
     return ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
@@ -264,7 +265,7 @@ def _compare_fields(name: str, a: Any, b: Any) -> Iterable[str]:
 
 
 def limit_pulses(acts: Sequence[Act], chip: Chip) -> list[Act]:
-    """Carry acts out on `chip` and return them, with less time where the chip would make very many pulses."""
+    """Perform acts on `chip`, and return them with shorter times where the chip would make more than MAX_PULSES_PER_ACT pulses."""
     done = []
     for act in acts:
         shortened = act
@@ -285,5 +286,5 @@ def limit_pulses(acts: Sequence[Act], chip: Chip) -> list[Act]:
 
 
 def copy_state(chip: Chip) -> np.ndarray:
-    """Copy the state of a chip into an array of one record, which its core takes."""
+    """Copy the state of a chip into an array of one record, as the functions of its core need it."""
     return np.frombuffer(bytearray(chip.state.tobytes()), chip.CORE.STATE)

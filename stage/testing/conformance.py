@@ -23,9 +23,9 @@ from stage.testing.promises import PROMISES
 
 DEFAULT_PROGRAM_COUNT = 3
 PROMISE_TIME_LIMIT_S = 120.0
-"""Seconds of real time for one promise."""
+"""Limit of real time for one promise."""
 SHORT_TIME_LIMIT_S = 15.0
-"""And for the others, once a promise has not ended: what is in a loop without end would take its limit each time."""
+"""Limit for the other promises after one has not ended in time, because an endless loop would use up the limit for each."""
 
 
 class NotConforming(StageError, AssertionError):
@@ -44,7 +44,7 @@ class NotConforming(StageError, AssertionError):
 
 
 class ChipConformance:
-    """Conformance suite for chips; call it, or have it make tests. See this module."""
+    """Conformance suite for chips: call it, or let `tests` make a test function. See the module's docstring."""
 
     promises = tuple(PROMISES)
     """The names of all promises."""
@@ -60,18 +60,18 @@ class ChipConformance:
         limit: float | None = PROMISE_TIME_LIMIT_S,
         **options: Any,
     ) -> None:
-        """Try every promise, or those named. A core that cannot be compiled is reported at once.
+        """Try every promise, or those in `promises`. A core that cannot be compiled is reported at once.
 
         Args:
             chip: Class of a chip, or its name.
-            programs: Random programs for each promise. 3 take a second or so, 300 find what is rare.
-            seed: Seed of the random numbers; default: another each time. It is printed, and is in the error's text.
+            programs: Number of random programs for each promise. 3 take about a second; 300 also find rare faults.
+            seed: Seed of the random numbers; default: a new one in each call. The suite prints it, and the error contains it.
             promises: Names of the promises to try; default: all.
             uncompiled: Whether the same programs, run as plain Python in a process of its own, must give the same bits.
             limit: Real time for each promise in a process of its own, s, so that a core that never answers, or that writes beyond
                 an array, is reported as a broken promise. After the first such core the others get SHORT_LIMIT. None: this process,
                 without a limit, for debuggers.
-            options: What the chip is made with, for example clock_hz.
+            options: Arguments of the chip's constructor, for example clock_hz.
 
         Raises:
             NotConforming: The chip breaks a promise.

@@ -1,4 +1,4 @@
-"""The files that a failed test saves, recording, waveforms and bus trace in a folder of its own, and their names in its report."""
+"""Files of a failed test (recording, waveforms and bus trace) in a folder for each test, and their list in the test's report."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ PACKAGE_FOLDER = Path(package.__file__).parent
 
 
 def choose_folder(config: pytest.Config, nodeid: str) -> Path:
-    """Return the folder of the files of a test, by its id; no two tests share one."""
+    """Return the folder for the files of a test. Each test id has its own folder."""
     option = config.getoption("pulsestage_output")
     where = (
         config.invocation_params.dir / option
@@ -73,7 +73,7 @@ class FailedTestFiles:
                 self.folder.rmdir()
 
     def shorten_traceback(self, error: BaseException) -> None:
-        """End the traceback of an error of this package in the test: the frames of this package say nothing to its author."""
+        """Remove the frames of this package from the end of a traceback, because they do not help the author of the test."""
         if isinstance(error, StageError):
             frame = last = error.__traceback__
             while frame is not None:
@@ -84,7 +84,7 @@ class FailedTestFiles:
                 last.tb_next = None
 
     def save(self) -> str:
-        """Save all files and return the text for the report; "" if nothing has happened yet, or if they are saved already."""
+        """Save all files and return the text for the report; "" if nothing has happened yet or the files are already saved."""
         if self._saved or not (self.stage.time or (self.board and self.board.cycles)):
             return ""
         self._saved = True
@@ -146,7 +146,7 @@ class FailedTestFiles:
         return [f"{'seconds':>17}  bus writes", *lines] if lines else []
 
     def _list_recordings(self) -> list[Recording]:
-        """Return the recordings in which something happened; after `restore`, `reset` and `record` another one begins."""
+        """Return the recordings that have content. Another recording begins after `restore`, `reset` and `record`."""
         return [recording for recording in self.stage.recordings if has_recorded_anything(recording)]
 
     def _save_files(self, bus: list[str]) -> str:
@@ -207,10 +207,10 @@ MAX_RECORDINGS = 3
 
 
 class WatchedStage(Stage):
-    """Stage that records itself from `watch` to `unwatch`.
+    """Stage that records itself in the background from `watch` to `unwatch`.
 
-    This background recording ends when the test records or restores the stage, and another one begins afterwards. Copies of the
-    stage are not watched.
+    The background recording ends when the test records or restores the stage, and another one begins afterwards. Copies of the
+    stage have no background recording.
 
     Attributes:
         recordings: The last recordings, in order.

@@ -1,4 +1,4 @@
-"""Builds the firmware of a test session: equal sources with equal flags are built once, for all its worker processes."""
+"""Builds of firmware in a test session: equal sources with equal flags are built once for all worker processes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stage.errors import ArgumentError
 
 
 def build_library(request: pytest.FixtureRequest, arguments: dict[str, Any]) -> Path:
-    """Return the library of what @pytest.mark.firmware names, built if it is not one yet.
+    """Return the library that @pytest.mark.firmware names, or build it from the sources that the marker names.
 
     Args:
         request: Request of the fixture.

@@ -1,4 +1,4 @@
-"""Arguments of a test's markers. The nearest marker wins, argument by argument: function, class, module."""
+"""Arguments of the markers of a test. For each argument the nearest marker counts: function, then class, then module."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def read_board_arguments(node: pytest.Item) -> dict[str, Any]:
 
 
 def read_firmware_arguments(node: pytest.Item) -> dict[str, Any]:
-    """Return `sources` (paths), `flags` (a tuple), `platform`, and what NativeHost takes.
+    """Return `sources` (paths), `flags` (a tuple), `platform`, and the arguments of NativeHost.
 
     Raises:
         ArgumentError: No firmware is named, or an argument does not exist.

@@ -1,4 +1,4 @@
-"""Compares a recorded path with a polyline."""
+"""Assertion that a recorded path follows a polyline."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def assert_path_within(
     begin: float = 0.0,
     end: float = float("inf"),
 ) -> None:
-    """Assert that the carriages, together, kept to a line: every sample is near it, and every point of it was passed.
+    """Assert that the carriages followed a line: every sample is near the line, and the path passed every point of the line.
 
     Args:
         recording: Recording of the move: `with stage.record() as recording:`.

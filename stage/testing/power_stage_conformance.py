@@ -1,4 +1,4 @@
-"""`power_stage_conformance`: what every power stage promises, for the tests of a package that brings one."""
+"""`power_stage_conformance`: check that a power stage keeps the promises of all power stages, for tests of packages."""
 
 from __future__ import annotations
 

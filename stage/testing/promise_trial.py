@@ -1,4 +1,4 @@
-"""What a promise is tried with: chips of a kind, random programs and moves; and `BrokenPromise`, which a promise raises."""
+"""`PromiseTrial`: chips, random programs and moves with which a promise is tried; and the error `BrokenPromise`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from stage.testing.chip_acts import (
 
 
 class BrokenPromise(Exception):
-    """A chip does something else than it promises; the text says what."""
+    """Error of a chip that breaks a promise; its text says what the chip does."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class PromiseTrial:
 
     @property
     def counts_pulses(self) -> bool:
-        """Whether `net` counts the pulses that a trace lists; that of a servo counts its command."""
+        """True if `net` counts the pulses that a trace lists. The `net` of a servo counts its command position."""
         return not self.kind.SERVO
 
     @cached_property

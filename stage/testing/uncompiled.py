@@ -1,4 +1,4 @@
-"""Runs the same programs compiled and as plain Python: `python -m stage.testing.uncompiled`, in a process of its own."""
+"""Comparison of compiled code with plain Python: `python -m stage.testing.uncompiled` runs the programs in a separate process."""
 
 from __future__ import annotations
 
