@@ -211,7 +211,7 @@ def test_a_file_that_can_grow_no_further_is_closed_and_nobody_collects_for_it(tm
     def full():
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(log, "take", full)
+    monkeypatch.setattr(log, "write_new_samples", full)
     with pytest.raises(RecordingError, match=r"No space left on device.*It ends with the last flush"):
         bench.recording.flush()
     assert log._sink._file.closed

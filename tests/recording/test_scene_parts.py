@@ -85,7 +85,7 @@ def test_poses_are_logged_60_times_a_second_for_any_pieces(monkeypatch):
         recording = bench(every=0.004, began=0.001)
         created = Scene(recording)
         for begin, end in pairwise(cuts):
-            created.move(Out(), rows(recording.model, times[begin:end], times[begin:end]))
+            created.log_poses(Out(), rows(recording.model, times[begin:end], times[begin:end]))
         of_work = [t for path, ts in moved if path == "stage/work" for t in ts]
         assert of_work == pytest.approx([0.001, 0.020, 0.036])
         assert {path for path, _ in moved} == {"stage/work", "stage/body3"}, "the frame does not move"
@@ -113,16 +113,18 @@ def test_of_two_switches_on_one_pin_that_lamp_is_lit_to_whose_switch_the_carriag
     times = np.array([0.0, 1.0, 2.0, 3.0])
     edge = np.zeros(4, [("clock", "i8"), ("inputs", "i8"), ("outputs", "i8")])
     edge["clock"], edge["inputs"] = [0, 1000, 2000, 3000], [0, 1, 0, 1]
-    created.move(Out(), rows(recording.model, times, [0.2, 0.12, 0.25, 0.39]))
-    lit = {pin: created._nearest("x", edge, pin, rivals) & pin_signals.is_switch_on(recording.axes["x"], edge, pin)
+    created.log_poses(Out(), rows(recording.model, times, [0.2, 0.12, 0.25, 0.39]))
+    lit = {pin: created._find_nearest_switch("x", edge, pin, rivals) & pin_signals.is_switch_on(recording.axes["x"], edge, pin)
            for _, _, pin, _, rivals in created._lamps["x"]}  # fmt: skip
     assert {pin: on.tolist() for pin, on in lit.items()} == {
         "org": [False, True, False, False], "el_plus": [False, False, False, True],
     }  # fmt: skip
     created.forget_track()
     later = edge[3:].copy()
-    assert created._nearest("x", later, "el_plus", ("org",)).tolist() == [True], "where it stood last is not forgotten"
-    assert created._nearest("x", later, "org", ("el_plus",)).tolist() == [False]
+    assert created._find_nearest_switch("x", later, "el_plus", ("org",)).tolist() == [True], (
+        "where it stood last is not forgotten"
+    )
+    assert created._find_nearest_switch("x", later, "org", ("el_plus",)).tolist() == [False]
 
 
 def test_a_lit_lamp_is_bright_and_its_first_state_is_logged_once(tmp_path):
@@ -133,14 +135,14 @@ def test_a_lit_lamp_is_bright_and_its_first_state_is_logged_once(tmp_path):
     out = Out()
     stream = rr.RecordingStream("test")
     stream.save(tmp_path / "l.rrd")
-    created.light(out, "x", edge, True)
+    created.log_lamps(out, "x", edge, True)
     (path,) = [p for p in out.sent if "org" in p]
     stream.send_columns("first", indexes=[out.sent[path][0]], columns=out.sent[path][1])
     out.sent.clear()
-    created.light(out, "x", edge, False)
+    created.log_lamps(out, "x", edge, False)
     stream.send_columns("then", indexes=[out.sent[path][0]], columns=out.sent[path][1])
     out.sent.clear()
-    created.light(out, "x", edge[:1], False)
+    created.log_lamps(out, "x", edge[:1], False)
     assert out.sent == {}, "nothing has changed"
     stream.disconnect()
     read = read_rrd(tmp_path / "l.rrd")

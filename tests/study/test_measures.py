@@ -97,7 +97,7 @@ def test_a_trial_makes_each_move_of_its_objective_in_order(monkeypatch):
     requested, reported = [], []
     move = {"score": 1.0, "duration": 1.0, "lost_steps": 0, "reached": 1, "vibration": 0.0}
     monkeypatch.setattr(
-        preset_move_objective, "_measure",
+        preset_move_objective, "_measure_move",
         lambda stage, name, profile, *arguments: requested.append((name, round(stage.axes["y"].position, 3), *arguments)) or move,
     )  # fmt: skip
     registers = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}

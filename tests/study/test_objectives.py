@@ -104,7 +104,7 @@ def test_a_pruner_receives_the_value_of_the_goal(monkeypatch):
     """PresetMoves(goals=("duration",), pulses=(2000, -2000, 2000))"""
     reported = []
     moves = [{"score": 9.0, "duration": t, "lost_steps": 0, "reached": 1, "vibration": 0.0} for t in (0.5, 0.25, 1.0)]
-    monkeypatch.setattr(preset_move_objective, "_measure", lambda *arguments: moves[len(reported)])
+    monkeypatch.setattr(preset_move_objective, "_measure_move", lambda *arguments: moves[len(reported)])
     monkeypatch.setattr(optuna.trial.FixedTrial, "report", lambda trial, value, step: reported.append((step, value)))
     goal = PresetMoves(
         space={k: v for k, v in GENTLE.items()}, goals=("duration",), model="xy", pulses=(2000, -2000, 2000)
@@ -117,7 +117,9 @@ def test_starts_are_drawn_within_a_tenth_of_a_millimeter_in_both_directions(monk
     starts = []
     move = {"score": 1.0, "duration": 1.0, "lost_steps": 0, "reached": 1, "vibration": 0.0}
     monkeypatch.setattr(
-        preset_move_objective, "_measure", lambda stage, *arguments: starts.append(stage.axes["x"].position) or move
+        preset_move_objective,
+        "_measure_move",
+        lambda stage, *arguments: starts.append(stage.axes["x"].position) or move,
     )
     for seed in range(12):
         MOVE.measure(GENTLE, seed)

@@ -130,7 +130,7 @@ def test_after_a_promise_that_does_not_finish_the_others_have_less_time(monkeypa
     monkeypatch.setattr(conformance, "SHORT_TIME_LIMIT_S", 0.5)
     argument = []
     monkeypatch.setattr(
-        conformance, "run_bounded", lambda work, limit: argument.append(limit) or f"{NOT_FINISHED} {limit:g} s"
+        conformance, "run_in_child_process", lambda work, limit: argument.append(limit) or f"{NOT_FINISHED} {limit:g} s"
     )
     with pytest.raises(NotConforming):
         chip_conformance(TOY, promises=["reads", "pins_by_name"], limit=30)
