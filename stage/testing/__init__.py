@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     )
     from stage.testing.conformance import chip_conformance
     from stage.testing.path_assertion import assert_path_within
-    from stage.testing.power_stage_conformance import power_stage_conformance
+    from stage.testing.power_stage_promises import power_stage_conformance
 
 __all__ = [
     "assert_at", "assert_no_diagnostics", "assert_no_lost_steps", "assert_no_strays", "assert_path_within", "assert_pins",
@@ -36,7 +36,7 @@ __all__ = [
 _WHERE = {
     "assert_path_within": "path_assertion",
     "chip_conformance": "conformance",
-    "power_stage_conformance": "power_stage_conformance",
+    "power_stage_conformance": "power_stage_promises",
 }
 
 
