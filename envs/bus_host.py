@@ -1,4 +1,4 @@
-"""The host of `stage/BusMacros-v1`: what it may say now, what it remembers of each axis, what it sees, and one that is scripted.
+"""Host of `stage/BusMacros-v1`: the macros that are allowed now, what the host has written and read, and a scripted policy.
 
 It knows what it wrote and what it read: every answer here follows from these. bus_macros.py has the episodes and their judge.
 """
@@ -168,12 +168,12 @@ class BusHost(MachineTask[Any]):
         """Return the next actions of a host that approaches the targets by long distances, one axis after the other."""
         return np.array([self._choose_action(k) for k in range(self.n)], np.int64)
 
-    def _choose_action(self, k: int) -> int:
-        c, selected = self.config, int(self.episodes[k]["selected"])
+    def _choose_action(self, stage_index: int) -> int:
+        c, selected = self.config, int(self.episodes[stage_index]["selected"])
         at = {name: j for j, name in enumerate((*RATES, *c.grid, *OTHERS))}
-        for a, s in enumerate(self.axis_states[k]):
+        for a, s in enumerate(self.axis_states[stage_index]):
             left = int(s["target"] - (s["seen"] - s["zero"]))
-            if not self.uses_axis[k, a] or (s["known"] and left == 0 and s["fresh"]):
+            if not self.uses_axis[stage_index, a] or (s["known"] and left == 0 and s["fresh"]):
                 continue
             if a != selected:
                 return self.book.macros_per_axis + a
@@ -189,4 +189,4 @@ class BusHost(MachineTask[Any]):
             if s["distance"] != wanted:
                 return at[c.grid[wanted]]
             return at["minus" if s["known"] and left < 0 else "plus"]
-        return int(np.argmax(self.action_masks()[k]))
+        return int(np.argmax(self.action_masks()[stage_index]))

@@ -1,4 +1,6 @@
-"""`stage/BusMacros-v1`: the agent is the host, but a whole phrase of bus cycles is one action. The raw bus is stage/RegisterBus-v0.
+"""`stage/BusMacros-v1`: the agent is the host, and one action is a macro of several bus cycles.
+
+stage/RegisterBus-v0 has single bus cycles as actions.
 
 An episode has one machine, hidden as in FewShotTuning (machine_contexts.py), and a target for each axis that takes part. The
 host writes registers from a grid, starts, waits, and reads; what does nothing now is masked.
@@ -151,13 +153,13 @@ class BusMacros(BusHost):
 
     # --- episodes ---
 
-    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
-        c, rng, m = self.config, self.rngs[k], len(self.axes)
+    def begin_episode(self, stage_index: int, options: Mapping[str, Any]) -> None:
+        c, rng, m = self.config, self.rngs[stage_index], len(self.axes)
         drawn = int(rng.integers(0, self.top + 1)) if c.mixed else self.top
         level = self._parse_level(options.get("level", drawn))
         used = m if level >= 2 else 1
-        self.draw_machine(k, options, used)
-        e, axes = self.episodes[k], self.axis_states[k]
+        self.draw_machine(stage_index, options, used)
+        e, axes = self.episodes[stage_index], self.axis_states[stage_index]
         axes[...] = np.zeros((), AXIS)
         sign = rng.choice((-1, 1), m) if level < 3 else np.ones(m, np.int64)
         units = rng.integers(1, c.longest // c.grid[0] + 1, m)
@@ -166,20 +168,20 @@ class BusMacros(BusHost):
         axes["target"] = sign * distance
         axes["rates"] = axes["distance"] = -1
         self._apply_options(axes, options, level)
-        at = self._find_starts(k, level, start)
+        at = self._find_starts(stage_index, level, start)
         from_origin = np.rint((at - self.origin) / self.signed_pulse_m)
         axes["goal"] = (self.origin if level == 3 else at) + self.signed_pulse_m * axes["target"]
         axes["known"], axes["fresh"] = level < 3, 1
         e["level"], e["limits"], e["selected"] = level, 0, 0
-        self._place_carriages(k, at)
-        truth = self.fleet.truth()[k, self.index]
+        self._place_carriages(stage_index, at)
+        truth = self.fleet.truth()[stage_index, self.index]
         e["began"] = e["before"] = int(truth["now"][0])
         for a, pins in enumerate(self.wired):
             for name, mask in zip(SWITCHES, pins, strict=True):
                 axes[name][a] = int(truth["inputs"][a]) & mask != 0
         straight = np.abs(axes["target"]) + (np.abs(from_origin) if level == 3 else 0)
         e["usual"] = compute_move_time(straight[:used].astype(float), *RATES["usual"]).max()
-        e["potential"] = e["start"] = self._potential(truth[None], slice(k, k + 1))[0]
+        e["potential"] = e["start"] = self._compute_potential(truth[None], slice(stage_index, stage_index + 1))[0]
         e["loan"] = 0.0
 
     def _apply_options(self, axes: Any, options: Mapping[str, Any], level: int) -> None:
@@ -195,15 +197,15 @@ class BusMacros(BusHost):
                 raise unknown_name_error("axis", name, c.axes)
             axes["target"][c.axes.index(name)] = pulses
 
-    def _find_starts(self, k: int, level: int, start: np.ndarray) -> np.ndarray:
+    def _find_starts(self, stage_index: int, level: int, start: np.ndarray) -> np.ndarray:
         """Return the positions of the carriages at power-up, m, at the rotor's angle of the context."""
         pulses = start if level == 3 else np.full(len(self.axes), self.config.longest + 2 * MAX_BEFORE_ORIGIN)
         at = self.origin + self.signed_pulse_m * pulses
-        return (np.floor(at / self.turn) + float(self.context[k]["switch"])) * self.turn
+        return (np.floor(at / self.turn) + float(self.context[stage_index]["switch"])) * self.turn
 
-    def _place_carriages(self, k: int, at: np.ndarray) -> None:
-        stage = self.stages[k]
-        self.apply_machine(k)
+    def _place_carriages(self, stage_index: int, at: np.ndarray) -> None:
+        stage = self.stages[stage_index]
+        self.apply_machine(stage_index)
         stage.place(**{name: float(q) for name, q in zip(self.config.axes, at, strict=True)})
 
     @staticmethod
@@ -214,11 +216,11 @@ class BusMacros(BusHost):
             raise ArgumentError(f"option level={targets!r}: 0 to 3, or {', '.join(LEVELS)}.")
         return int(targets)
 
-    def describe_episode(self, k: int) -> dict[str, Any]:
+    def describe_episode(self, stage_index: int) -> dict[str, Any]:
         return {
-            "level": int(self.episodes[k]["level"]),
-            "action_mask": self.action_masks()[k],
-            **self.describe_machine(k),
+            "level": int(self.episodes[stage_index]["level"]),
+            "action_mask": self.action_masks()[stage_index],
+            **self.describe_machine(stage_index),
         }
 
     def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
@@ -240,7 +242,7 @@ class BusMacros(BusHost):
         over = self.steps >= c.macros
         timed_out = now - e["began"] >= c.time_limit * 1e9
         hopeless = ~is_recoverable & ~success & good
-        potential = np.where(success, 0.0, self._potential(t, slice(None)))
+        potential = np.where(success, 0.0, self._compute_potential(t, slice(None)))
         seconds = (now - e["before"]) * 1e-9
         failed = (hopeless | over | timed_out) & ~success
         left = np.maximum(c.macros - self.steps, 0) * c.macro_weight
@@ -280,7 +282,7 @@ class BusMacros(BusHost):
         e["loan"][good] = loan[good]
         return {"progress": paid, "cost": np.where(over, cost, 0.0), "damage": np.where(over, damage, 0.0)}
 
-    def _potential(self, t: np.ndarray, which: slice) -> np.ndarray:
+    def _compute_potential(self, t: np.ndarray, which: slice) -> np.ndarray:
         """Compute the potential of stages, (stages,), from about -1.5 to 0."""
         c, s, used = self.config, self.axis_states[which], self.uses_axis[which]
         beyond = np.maximum(np.abs(t["position"] - s["goal"]) / self.per_pulse - c.lag, 0.0) / c.tolerance

@@ -1,4 +1,4 @@
-"""`stage/DriftingHome-v1`: return to the origin again and again on a machine that drifts and may be broken; say so if it is.
+"""`stage/DriftingHome-v1`: repeated origin returns on a machine that drifts and may have a fault, which the agent can report.
 
 An episode has one hidden machine (machine_contexts.py), which may have one fault (machine_faults.py). ORG trips a little
 elsewhere at each return: it walks by up to `walk` from one to the next, its contact scatters by `noise`, and bounces for as
@@ -172,45 +172,52 @@ class DriftingHome(MachineTask[Config]):
 
     # --- machines and places ---
 
-    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
-        c, rng = self.config, self.rngs[k]
-        self.draw_machine(k, options)
-        self.bounce[k] = rng.uniform(*c.bounces)
-        self.last[k], self.sums[k], self.shift[k], self.last_end[k] = 0.0, 0.0, 0.0, np.nan
-        self._begin_return(k, options)
+    def begin_episode(self, stage_index: int, options: Mapping[str, Any]) -> None:
+        c, rng = self.config, self.rngs[stage_index]
+        self.draw_machine(stage_index, options)
+        self.bounce[stage_index] = rng.uniform(*c.bounces)
+        self.last[stage_index], self.sums[stage_index], self.shift[stage_index], self.last_end[stage_index] = (
+            0.0,
+            0.0,
+            0.0,
+            np.nan,
+        )
+        self._begin_return(stage_index, options)
 
-    def make_fault_rng(self, k: int) -> np.random.Generator:
+    def make_fault_rng(self, stage_index: int) -> np.random.Generator:
         """Return the generator of the stage itself: in this task every machine may have a fault."""
-        return self.rngs[k]
+        return self.rngs[stage_index]
 
     def prepare_next(self) -> None:
         for k in np.flatnonzero(self.converged & ~self.results["terminated"]):
             self._begin_return(int(k), {})
 
-    def _begin_return(self, k: int, options: Mapping[str, Any]) -> None:
+    def _begin_return(self, stage_index: int, options: Mapping[str, Any]) -> None:
         """Begin the next return: ORG drifts, and the carriage moves elsewhere."""
-        c, rng, stage = self.config, self.rngs[k], self.stages[k]
+        c, rng, stage = self.config, self.rngs[stage_index], self.stages[stage_index]
         low, high = self.switch.low + LIMIT_CLEARANCE_M, self.switch.high - LIMIT_CLEARANCE_M
         walk, noise, at = rng.uniform(-1, 1, 3)
-        self.shift[k, 0] += c.walk * walk
-        self.shift[k, 1] = self.shift[k, 0] + c.noise * noise
+        self.shift[stage_index, 0] += c.walk * walk
+        self.shift[stage_index, 1] = self.shift[stage_index, 0] + c.noise * noise
         drawn = float(np.clip(self.origin + c.reach * at, low, high))
         start = options.get("start", drawn)
         if isinstance(start, bool) or not isinstance(start, int | float | np.number) or not low <= start <= high:
             raise ArgumentError(f"option start={start!r}: m, from {low:g} to {high:g}.")
-        self.place[k] = start
-        self.away[k] = 0.0 if np.isnan(self.last_end[k]) else self.place[k] - self.last_end[k]
+        self.place[stage_index] = start
+        self.away[stage_index] = (
+            0.0 if np.isnan(self.last_end[stage_index]) else self.place[stage_index] - self.last_end[stage_index]
+        )
         stage.restore(self.start)
-        self.apply_machine(k)
-        stage.place(**{c.axis: float(self.place[k])})
+        self.apply_machine(stage_index)
+        stage.place(**{c.axis: float(self.place[stage_index])})
 
-    def apply_machine(self, k: int) -> None:
-        stage = self.stages[k]
-        self.switch.shift(stage, self.shift[k, 1])
-        self.configure_stage(stage, k, bounce=float(self.bounce[k]))
+    def apply_machine(self, stage_index: int) -> None:
+        stage = self.stages[stage_index]
+        self.switch.shift(stage, self.shift[stage_index, 1])
+        self.configure_stage(stage, stage_index, bounce=float(self.bounce[stage_index]))
 
-    def describe_episode(self, k: int) -> dict[str, Any]:
-        return self.describe_machine(k)
+    def describe_episode(self, stage_index: int) -> dict[str, Any]:
+        return self.describe_machine(stage_index)
 
     # --- returns ---
 

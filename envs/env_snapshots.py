@@ -1,4 +1,4 @@
-"""Snapshots of environments, for planning: all that an episode is, and continued bit for bit.
+"""Snapshots of environments, for planning: an episode continues from a snapshot bit for bit.
 
     kept = env.snapshot()
     for action in candidates:            look ahead from the same moment, as often as you like

@@ -1,4 +1,4 @@
-"""`stage/FewShotTuning-v1`: several tries at the same move on a machine that the host does not know; then a proof of the best.
+"""`stage/FewShotTuning-v1`: several tries at one move on a machine that the host does not know, then a proof of the best try.
 
 An episode is one machine and one distance. What the machine is (payload, friction, supply, current of the drive, core loss and
 inductance of the motor, place and drift of ORG) is hidden, and stays the same for all tries: what a try has shown counts for
@@ -192,26 +192,34 @@ class FewShotTuning(MachineTask[Config]):
 
     # --- machines ---
 
-    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
-        c, rng = self.config, self.rngs[k]
+    def begin_episode(self, stage_index: int, options: Mapping[str, Any]) -> None:
+        c, rng = self.config, self.rngs[stage_index]
         distance = int(np.rint(portable_math.exp(rng.uniform(*portable_math.log(c.distances)))))
-        self.distance[k] = read_option(options, "distance", distance, c.distances)
-        self.draw_machine(k, options)
-        self.table[k], self.best_time[k], self.cost[k], self.damage[k] = 0.0, np.inf, np.inf, 0
-        self._compute_formula(k, rng, options)
-        self._place_next(k)
+        self.distance[stage_index] = read_option(options, "distance", distance, c.distances)
+        self.draw_machine(stage_index, options)
+        self.table[stage_index], self.best_time[stage_index], self.cost[stage_index], self.damage[stage_index] = (
+            0.0,
+            np.inf,
+            np.inf,
+            0,
+        )
+        self._compute_formula(stage_index, rng, options)
+        self._place_next(stage_index)
 
-    def _compute_formula(self, k: int, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
+    def _compute_formula(self, stage_index: int, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
         """Compute the formula's move for a machine of which the host only knows the heaviest payload."""
-        self._set_formula(k, self.ranges["payload"][1])
+        self._set_formula(stage_index, self.ranges["payload"][1])
 
-    def _set_formula(self, k: int, payload: float) -> None:
+    def _set_formula(self, stage_index: int, payload: float) -> None:
         """Store the formula's rates and ramps for a payload, kg, and the time that they take."""
-        move, distance = compute_speeds(self.load.add_mass(payload), int(self.distance[k])), int(self.distance[k])
+        move, distance = (
+            compute_speeds(self.load.add_mass(payload), int(self.distance[stage_index])),
+            int(self.distance[stage_index]),
+        )
         rate = self.rates(action_of(*move[:4]), distance)
         start, top, up, down = rate
         took = up + down + (distance - (up + down) * (start + top) / 2) / top
-        self.formula[k] = *rate, took
+        self.formula[stage_index] = *rate, took
 
     def scripted_action(self) -> np.ndarray:
         """Return the engineer's formula (stage.tune.formula) as action of every try."""
@@ -221,21 +229,27 @@ class FewShotTuning(MachineTask[Config]):
         for k in np.flatnonzero(self.converged & ~self.results["terminated"]):
             self._place_next(int(k))
 
-    def _place_next(self, k: int) -> None:
+    def _place_next(self, stage_index: int) -> None:
         """Place stage k for its next try, at the angle where ORG trips this time."""
-        self.angle[k] = self._draw_origin_angle(k)
-        self._place_carriages(self.stages[k], k, float(self.angle[k]))
+        self.angle[stage_index] = self._draw_origin_angle(stage_index)
+        self._place_carriages(self.stages[stage_index], stage_index, float(self.angle[stage_index]))
 
-    def _draw_origin_angle(self, k: int) -> float:
-        return float((self.context[k]["switch"] + self.context[k]["drift"] * self.rngs[k].uniform(-1, 1)) % 1.0)
+    def _draw_origin_angle(self, stage_index: int) -> float:
+        return float(
+            (
+                self.context[stage_index]["switch"]
+                + self.context[stage_index]["drift"] * self.rngs[stage_index].uniform(-1, 1)
+            )
+            % 1.0
+        )
 
-    def _place_carriages(self, stage: Stage, k: int, angle: float, more: float = 0.0) -> None:
+    def _place_carriages(self, stage: Stage, stage_index: int, angle: float, extra_payload_kg: float = 0.0) -> None:
         stage.restore(self.start)
-        self.configure_stage(stage, k, more)
-        stage.place(**{self.config.axis: self.trial.find_start(float(self.distance[k]), angle)})
+        self.configure_stage(stage, stage_index, extra_payload_kg)
+        stage.place(**{self.config.axis: self.trial.find_start(float(self.distance[stage_index]), angle)})
 
-    def describe_episode(self, k: int) -> dict[str, Any]:
-        return {"distance": int(self.distance[k]), **self.describe_machine(k)}
+    def describe_episode(self, stage_index: int) -> dict[str, Any]:
+        return {"distance": int(self.distance[stage_index]), **self.describe_machine(stage_index)}
 
     # --- tries ---
 

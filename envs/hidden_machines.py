@@ -1,4 +1,4 @@
-"""Tasks on hidden machines: the settings that they share, their stage, and the machine of each episode.
+"""Tasks on hidden machines: their common settings, their stage, and the machine of each episode.
 
 @dataclass(frozen=True)
 class Config(Machines):              split, model, chip, ranges, faults, bus_cycle and truth are there
@@ -89,56 +89,60 @@ class MachineTask(MoveTask[ConfigT]):
         on = find_carrier(first, names[0], c.payload_on)
         self.machines = [machine_contexts.NominalMachine.from_stage(first, name, on) for name in names]
         self.faulty = [machine_faults.FaultyAxis.from_stage(first, name) for name in names]
-        self.ranges = machine_contexts.get_ranges(c)
+        self.ranges = machine_contexts.get_context_ranges(c)
         self.faults = tuple(name for name in machine_contexts.get_setting(c, "faults") if name in c.FAULTS)
         self.context = np.zeros(self.n, machine_contexts.CONTEXT)
 
-    def draw_machine(self, k: int, options: Mapping[str, Any], axes: int | None = None) -> None:
+    def draw_machine(self, stage_index: int, options: Mapping[str, Any], axes: int | None = None) -> None:
         """Draw the machine of stage k's episode.
 
         Args:
-            k: Number of the stage.
+            stage_index: Number of the stage.
             options: Of the reset.
             axes: Number of axes that may have a fault; default: all.
         """
-        machine_contexts.draw_context(self.rngs[k], self.ranges, self.context[k], options)
-        self.draw_fault(k, options, self.make_fault_rng(k), len(self.machines) if axes is None else axes)
+        machine_contexts.draw_context(self.rngs[stage_index], self.ranges, self.context[stage_index], options)
+        self.draw_fault(
+            stage_index, options, self.make_fault_rng(stage_index), len(self.machines) if axes is None else axes
+        )
 
-    def make_fault_rng(self, k: int) -> np.random.Generator:
+    def make_fault_rng(self, stage_index: int) -> np.random.Generator:
         """Make a generator of numbers that do not change what stage k draws from now on."""
-        bits: Any = self.rngs[k].bit_generator
+        bits: Any = self.rngs[stage_index].bit_generator
         return np.random.Generator(bits.jumped())
 
-    def draw_fault(self, k: int, options: Mapping[str, Any], rng: np.random.Generator, axes: int) -> None:
+    def draw_fault(self, stage_index: int, options: Mapping[str, Any], rng: np.random.Generator, axes: int) -> None:
         c: Any = self.config
-        machine_faults.draw_fault(rng, self.faults, c.healthy, axes, self.context[k])
+        machine_faults.draw_machine_fault(rng, self.faults, c.healthy, axes, self.context[stage_index])
         if "fault" in options:
             if options["fault"] not in (known := ("none", *c.FAULTS)):
                 raise unknown_name_error("option fault", options["fault"], known)
-            self.context[k]["fault"] = machine_faults.NAMES.index(options["fault"])
+            self.context[stage_index]["fault"] = machine_faults.NAMES.index(options["fault"])
 
-    def configure_stage(self, stage: Stage, k: int, more: float = 0.0, bounce: float = 0.0) -> None:
+    def configure_stage(
+        self, stage: Stage, stage_index: int, extra_payload_kg: float = 0.0, bounce: float = 0.0
+    ) -> None:
         """Make a stage the machine of stage k's episode.
 
         Args:
             stage: To change.
-            k: Number of the stage whose machine it becomes.
-            more: kg beyond the payload.
+            stage_index: Number of the stage whose machine it becomes.
+            extra_payload_kg: kg beyond the payload.
             bounce: Seconds for which the contact of ORG bounces.
         """
-        context = self.context[k]
+        context = self.context[stage_index]
         fault, at = int(context["fault"]), int(context["faulty"])
         for machine in self.machines:
-            machine.apply(stage, context, more + machine_faults.find_overload(fault))
+            machine.apply(stage, context, extra_payload_kg + machine_faults.find_overload(fault))
         for j, axis in enumerate(self.faulty):
             axis.apply(stage, machine_faults.NAMES[fault if j == at else 0], bounce)
 
-    def apply_machine(self, k: int) -> None:
-        self.configure_stage(self.stages[k], k)
+    def apply_machine(self, stage_index: int) -> None:
+        self.configure_stage(self.stages[stage_index], stage_index)
 
-    def describe_machine(self, k: int) -> dict[str, Any]:
+    def describe_machine(self, stage_index: int) -> dict[str, Any]:
         """Return the machine of stage k for the info of a reset."""
-        return {f.name: f.kind(self.context[k][f.name]) for f in machine_contexts.INFO}
+        return {f.name: f.kind(self.context[stage_index][f.name]) for f in machine_contexts.INFO}
 
     @property
     def machine_info(self) -> dict[str, np.ndarray]:

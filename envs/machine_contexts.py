@@ -1,8 +1,9 @@
-"""Hidden contexts: what a machine is that the host does not know, drawn for each episode; and splits, named places to draw from.
+"""Hidden machines of episodes: the values that the host does not know, their ranges by split, and how they are drawn.
 
     SPLITS["train"]            settings by name; every other split is the same but for what it names
     context = np.zeros((), CONTEXT)
-    draw(rng, ranges, context, options); Machine.of(stage, "x", carrier).equip(stage, context)
+    draw_context(rng, ranges, context, options)
+    NominalMachine.from_stage(stage, "x", carrier).apply(stage, context)
 
 Which fault a machine has is part of its context: machine_faults.py draws and makes them. hidden_machines.py has what tasks on
 hidden machines share. A context is the machine's: a stage's snapshots leave all of it alone but the current and the inductance,
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from stage import Stage
-from stage.drives.motor_tolerances import estimate_spread
+from stage.drives.motor_tolerances import estimate_tolerances
 from stage.drives.motors import MOTORS
 from stage.envs.observation_features import TRUTH, Feature
 from stage.envs.scaling import scale
@@ -30,7 +31,7 @@ from stage.support import portable_math
 def _compute_factors(value: str) -> tuple[float, float]:
     """Compute the spread of a value over the nominal one, for the motor of the shipped models."""
     motor = MOTORS["17HS4401"]
-    nominal, (low, high, _) = getattr(motor, value), estimate_spread(motor)[value]
+    nominal, (low, high, _) = getattr(motor, value), estimate_tolerances(motor)[value]
     return round(low / nominal, 2), round(high / nominal, 2)
 
 
@@ -92,7 +93,7 @@ OBSERVATION = (
 
 
 def get_setting(config: Any, name: str) -> Any:
-    """Return a setting of a Config that has a split: its own value, or the split's where that is None.
+    """Return a setting of a Config that has a split: the value of the Config, or that of the split if it is None.
 
     Args:
         config: Settings with the attribute `split`.
@@ -102,8 +103,8 @@ def get_setting(config: Any, name: str) -> Any:
     return SPLITS[config.split].get(name, SPLITS["train"][name]) if value is None else value
 
 
-def get_ranges(config: Any) -> dict[str, tuple[float, float]]:
-    """Return (least, largest) of each number of a context."""
+def get_context_ranges(config: Any) -> dict[str, tuple[float, float]]:
+    """Return the least and the largest value of each number of a context."""
     unit_range = (0.0, 1.0)
     return {name: get_setting(config, kind) if kind else unit_range for name, (kind, _) in KINDS.items()}
 
@@ -175,17 +176,17 @@ class NominalMachine:
         current, inductance = float(drive.current), float(drive.inductance)
         return cls(axis, carrier, friction, damping, float(a.faults.bus_voltage), current, loss, inductance)
 
-    def apply(self, stage: Stage, context: Any, more: float = 0.0) -> None:
+    def apply(self, stage: Stage, context: Any, extra_payload_kg: float = 0.0) -> None:
         """Make the stage the machine of a context. After a restore it has to be done again, for the drive.
 
         Args:
             stage: To change.
             context: Record of CONTEXT.
-            more: kg beyond the payload of the context.
+            extra_payload_kg: kg beyond the payload of the context.
         """
         axis = stage.axes[self.axis]
         dof, drive = axis.plant.dof, stage.state.drives[axis.index]
-        stage.set_payload(float(context["payload"]) + more, self.carrier)
+        stage.set_payload(float(context["payload"]) + extra_payload_kg, self.carrier)
         stage.model.dof_frictionloss[dof] = self.friction * context["friction"]
         stage.model.dof_damping[dof] = self.damping * context["friction"]
         axis.faults.bus_voltage = self.supply * float(context["supply"])

@@ -1,4 +1,4 @@
-"""Faults of a machine that an episode may have, drawn by name; see stage/sim/faults.py for what each is in the physics.
+"""Faults that the machine of an episode may have, drawn by name; stage/sim/faults.py explains their physics.
 
 draw(rng, names, 0.6, 1, context)       which a machine has, if any
 faults = Faulty.of(stage, "x")          the axis as it is without
@@ -45,7 +45,7 @@ _SUPPLY = {"brownout": BROWNOUT, "sag": SAG}
 _PUSH = {"jam": DEFAULT_JAM_FACTOR, "binding": BINDING}
 
 
-def draw_fault(rng: np.random.Generator, names: Sequence[str], healthy: float, axes: int, context: Any) -> None:
+def draw_machine_fault(rng: np.random.Generator, names: Sequence[str], healthy: float, axes: int, context: Any) -> None:
     """Draw the fault of a context: none with the probability `healthy`, else one of `names`, on one of `axes` axes.
 
     Args:

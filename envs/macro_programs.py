@@ -1,4 +1,4 @@
-"""`Book`: the phrases of bus cycles that a host may say to its axes, as programs in one table, for any family of chips.
+"""`MacroTable`: the programs of all macros of a host, for every axis, in one table, for any family of chips.
 
     book = Book(axes, (16, 64, 256, 1024), patience=2.0, settle=0.02)
     book.names                                    "rates gentle", "distance 16", "plus", ..., "select x": what each macro is

@@ -1,4 +1,4 @@
-"""Features: the numbers of an observation and the values of an info, and whether a host could know them.
+"""Features: the numbers of an observation and the values of an info, each with a note whether a host could know it.
 
 A host reads the bus, has a clock, and can compute what follows from its own writes. Everything else is TRUTH: the position of
 the carriage, lost steps, swing, payload, friction, the angle of the rotor, and the parts of the reward. Spaces, the setting
@@ -85,7 +85,7 @@ setting: a policy that learns from them uses truth during training, but not when
 """
 
 
-def write_page() -> str:
+def write_features_page() -> str:
     """Write docs/envs_features.md."""
     from importlib import import_module
 
@@ -104,4 +104,4 @@ def write_page() -> str:
 
 
 if __name__ == "__main__":
-    print(write_page(), end="")
+    print(write_features_page(), end="")

@@ -1,4 +1,4 @@
-"""`stage/OneShotTuning-v1`: one try at a move, and its proof. The payload is declared, as well as an operator knows it.
+"""`stage/OneShotTuning-v1`: one try at a move, and its proof. The agent is told an estimate of the payload.
 
 An episode is one machine and one distance, drawn as in FewShotTuning, whose moves, action, reward and proof this has: a step
 chooses start rate, drive rate and both ramps; the move is made once, and proved with `margin` kg more. There is nothing to learn
@@ -63,15 +63,15 @@ class OneShotTuning(FewShotTuning):
     def layout(self) -> list[Feature]:
         return list(self.OBSERVATION)
 
-    def _compute_formula(self, k: int, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
+    def _compute_formula(self, stage_index: int, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
         off = 1 + self.config.error * rng.uniform(-1, 1)  # type: ignore[attr-defined]
         largest = self.ranges["payload"][1]
-        drawn = min(float(self.context[k]["payload"]) * off, largest)
-        self.declared[k] = read_option(options, "declared", drawn, (0.0, largest))
-        self._set_formula(k, float(self.declared[k]))
+        drawn = min(float(self.context[stage_index]["payload"]) * off, largest)
+        self.declared[stage_index] = read_option(options, "declared", drawn, (0.0, largest))
+        self._set_formula(stage_index, float(self.declared[stage_index]))
 
-    def describe_episode(self, k: int) -> dict[str, Any]:
-        return {"declared": float(self.declared[k]), **super().describe_episode(k)}
+    def describe_episode(self, stage_index: int) -> dict[str, Any]:
+        return {"declared": float(self.declared[stage_index]), **super().describe_episode(stage_index)}
 
     def compute_observations(self) -> np.ndarray:
         distance = scale_log(self.distance, self.config.distances)

@@ -169,47 +169,49 @@ class OriginReturn(MoveTask[Config]):
         first, turn = self.axis.plant.index * turn + 0.5 * INDEX * abs(turn), abs(turn)
         return float(first + (np.floor((touch - first) / turn) - (ez - 1)) * turn)
 
-    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
-        c, rng = self.config, self.rngs[k]
+    def begin_episode(self, stage_index: int, options: Mapping[str, Any]) -> None:
+        c, rng = self.config, self.rngs[stage_index]
         payload, friction = (
             float(rng.uniform(*c.payloads)),
             float(portable_math.exp(rng.uniform(*portable_math.log(c.frictions)))),
         )
-        self.payload[k] = settings.read_option(options, "payload", payload, c.payloads)
-        self.friction[k] = settings.read_option(options, "friction", friction, c.frictions)
-        self._apply_load(k)
-        self.ends[k], self.last[k] = (np.inf, -np.inf), 0.0
-        self._draw_move(k, options)
+        self.payload[stage_index] = settings.read_option(options, "payload", payload, c.payloads)
+        self.friction[stage_index] = settings.read_option(options, "friction", friction, c.frictions)
+        self._apply_load(stage_index)
+        self.ends[stage_index], self.last[stage_index] = (np.inf, -np.inf), 0.0
+        self._draw_move(stage_index, options)
 
     def prepare_next(self) -> None:
         for k in np.flatnonzero(self.converged):
             self._draw_move(int(k), {})
 
-    def _draw_move(self, k: int, options: Mapping[str, Any]) -> None:
+    def _draw_move(self, stage_index: int, options: Mapping[str, Any]) -> None:
         """Draw the position of the next return, and put the carriage there."""
-        c, rng, stage = self.config, self.rngs[k], self.stages[k]
+        c, rng, stage = self.config, self.rngs[stage_index], self.stages[stage_index]
         drawn = float(rng.uniform(self.switch.low + LIMIT_CLEARANCE_M, self.switch.high - LIMIT_CLEARANCE_M))
-        self.place[k] = settings.read_option(options, "start", drawn, self.axis.travel)
-        self.shift[k] = rng.uniform(-c.drift, c.drift) if c.drift else 0.0
-        self._shift_switch(k)
+        self.place[stage_index] = settings.read_option(options, "start", drawn, self.axis.travel)
+        self.shift[stage_index] = rng.uniform(-c.drift, c.drift) if c.drift else 0.0
+        self._shift_switch(stage_index)
         stage.restore(self.start)
-        stage.place(**{c.axis: float(self.place[k])})
+        stage.place(**{c.axis: float(self.place[stage_index])})
 
-    def apply_machine(self, k: int) -> None:
-        self._apply_load(k)
-        self._shift_switch(k)
+    def apply_machine(self, stage_index: int) -> None:
+        self._apply_load(stage_index)
+        self._shift_switch(stage_index)
 
-    def _apply_load(self, k: int) -> None:
-        model = self.stages[k].model
-        self.stages[k].set_payload(float(self.payload[k]), self.carrier)
-        model.dof_frictionloss[self.dof], model.dof_damping[self.dof] = np.array(self.friction0) * self.friction[k]
+    def _apply_load(self, stage_index: int) -> None:
+        model = self.stages[stage_index].model
+        self.stages[stage_index].set_payload(float(self.payload[stage_index]), self.carrier)
+        model.dof_frictionloss[self.dof], model.dof_damping[self.dof] = (
+            np.array(self.friction0) * self.friction[stage_index]
+        )
 
-    def _shift_switch(self, k: int) -> None:
+    def _shift_switch(self, stage_index: int) -> None:
         if self.config.drift:
-            self.switch.shift(self.stages[k], self.shift[k])
+            self.switch.shift(self.stages[stage_index], self.shift[stage_index])
 
-    def describe_episode(self, k: int) -> dict[str, Any]:
-        return {"payload": float(self.payload[k]), "friction": float(self.friction[k])}
+    def describe_episode(self, stage_index: int) -> dict[str, Any]:
+        return {"payload": float(self.payload[stage_index]), "friction": float(self.friction[stage_index])}
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
         """Return the numbers that actions choose, in the order of strategy.names."""

@@ -1,4 +1,4 @@
-"""`OriginSwitch`: the ORG switch of an axis, which environments shift, and its end limits."""
+"""`OriginSwitch`: the ORG switch of an axis, which environments shift, and the end limits of that axis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Register values as actions: a number from -1 to 1 for each register, and back, without loss.
+"""Conversion between registers and actions: a number from -1 to 1 for each register, and back without loss.
 
     box = RegisterBox.of_registers(PCL240K.MAP, ("R1", "R2", "R4", "R5", "R6", "R7"))
     box.from_action(action)      int64 register values, each in its legal range

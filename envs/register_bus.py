@@ -170,7 +170,7 @@ class RegisterBus(Task[Config]):
         self._choices = [2 + len(c.waits), len(chips), chip.ADDRESSES, chip.DATA_MASK + 1]
         self.action_space = gymnasium.spaces.MultiDiscrete(self._choices)
         size = (
-            len(chips) * core.width(chip.ADDRESSES, bits)
+            len(chips) * core.count_observation_words(chip.ADDRESSES, bits)
             + m * (core.PER_AXIS + core.TRUTH * (c.truth is True))
             + core.COMMON
         )
@@ -243,41 +243,43 @@ class RegisterBus(Task[Config]):
         low, high = self._find_switch(axis, "el_minus"), self._find_switch(axis, "el_plus")
         return axis.travel[0] if np.isnan(low) else low, axis.travel[1] if np.isnan(high) else high
 
-    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
-        c, rng, m = self.config, self.rngs[k], len(self.axes)
+    def begin_episode(self, stage_index: int, options: Mapping[str, Any]) -> None:
+        c, rng, m = self.config, self.rngs[stage_index], len(self.axes)
         if c.goal == "home":
-            start, target = self._places(rng), np.zeros(m, np.int64)
+            start, target = self._draw_places(rng), np.zeros(m, np.int64)
         else:
             low, high = portable_math.log(self.distances)
             distance = np.rint(portable_math.exp(rng.uniform(low, high, m))).astype(np.int64)
             target = distance * rng.choice((-1, 1), m)
             start = (np.floor(self.power_up / self.turn) + rng.uniform(size=m)) * self.turn
-        for j, q in self._by_axis("start", options, (int, float)):
+        for j, q in self._read_options_by_axis("start", options, (int, float)):
             start[j] = q
-        for j, pulses in self._by_axis("target", options, (int, np.integer)):
+        for j, pulses in self._read_options_by_axis("target", options, (int, np.integer)):
             target[j] = pulses
         if not ((self.travel[:, 0] <= start) & (start <= self.travel[:, 1])).all():
             raise ArgumentError(f"option start={options.get('start')!r}: m, within the travel {self.travel.tolist()}.")
         goal = self.origin if c.goal == "home" else start + self.sign * self.per_pulse * target
         if not ((self.limits[:, 0] < goal) & (goal < self.limits[:, 1])).all():
             raise ArgumentError(f"options {dict(options)!r}: the target lies beyond an end limit.")
-        stage = self.stages[k]
+        stage = self.stages[stage_index]
         for axis, q, at in zip(self.axes, start, self.power_up, strict=True):
             if q != at:
                 stage.place(**{axis.name: float(q)})
-        indices = self.axis_states[k]
+        indices = self.axis_states[stage_index]
         indices["target"], indices["goal"], indices["lost"] = target, goal, 0
-        self.words[k]["seen"], self.words[k]["when"] = 0, -1
-        self._conclude(k, k + 1, True)
+        self.words[stage_index]["seen"], self.words[stage_index]["when"] = 0, -1
+        self._conclude(stage_index, stage_index + 1, True)
 
-    def _places(self, rng: np.random.Generator) -> np.ndarray:
+    def _draw_places(self, rng: np.random.Generator) -> np.ndarray:
         """Anywhere between the end limits, but not at the origin already."""
         while True:
             q = rng.uniform(self.limits[:, 0] + LIMIT_CLEARANCE_M, self.limits[:, 1] - LIMIT_CLEARANCE_M)
             if (np.abs(q - self.origin) > self.config.tolerance * self.per_pulse).all():
                 return q
 
-    def _by_axis(self, name: str, options: Mapping[str, Any], kinds: tuple[type, ...]) -> list[tuple[int, Any]]:
+    def _read_options_by_axis(
+        self, name: str, options: Mapping[str, Any], kinds: tuple[type, ...]
+    ) -> list[tuple[int, Any]]:
         """An option as (axis index, value) pairs."""
         values = options.get(name, {})
         names = [a.name for a in self.axes]
@@ -290,17 +292,17 @@ class RegisterBus(Task[Config]):
                 raise ArgumentError(f"option {name}={values!r}: pulses are whole numbers, places are metres.")
         return [(names.index(axis), value) for axis, value in values.items()]
 
-    def describe_episode(self, k: int) -> dict[str, Any]:
-        return {"target": self.axis_states["target"][k].copy()}
+    def describe_episode(self, stage_index: int) -> dict[str, Any]:
+        return {"target": self.axis_states["target"][stage_index].copy()}
 
-    def set_action(self, k: int, action: Any) -> None:
+    def set_action(self, stage_index: int, action: Any) -> None:
         if type(action) is np.ndarray and action.dtype == np.int64 and action.shape == (4,):
             kind, axis, address, value = action.tolist()
             kinds, axes, addresses, values = self._choices
             if 0 <= kind < kinds and 0 <= axis < axes and 0 <= address < addresses and 0 <= value < values:
-                self.actions[k] = action
+                self.actions[stage_index] = action
                 return
-        super().set_action(k, action)
+        super().set_action(stage_index, action)
 
     def play(self) -> None:
         watched = self.fleet.list_python_stages()
@@ -309,7 +311,7 @@ class RegisterBus(Task[Config]):
             self.fleet.check_status(self._status)
             return
         self._played_by_python[watched] = True
-        self.fleet.run_on_threads(lambda begin, end: core.play.c(self._address, begin, end))
+        self.fleet.run_on_threads(lambda begin, end: core.play_actions.c(self._address, begin, end))
         self.fleet.check_status(self._status)
         self._played_by_python[:] = False
         for k in watched:
@@ -320,10 +322,10 @@ class RegisterBus(Task[Config]):
         self._conclude(0, self.n, False)
 
     def _step(self, begin: int, end: int) -> None:
-        core.step.c(self._address, begin, end, *self._rows)
+        core.step_stages.c(self._address, begin, end, *self._rows)
 
     def _conclude(self, begin: int, end: int, fresh: bool) -> None:
-        core.conclude.c(self._address, begin, end, fresh, *self._rows)
+        core.conclude_steps.c(self._address, begin, end, fresh, *self._rows)
 
     def update_observations(self) -> None:
         """Done by `begin` and `act`."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from stage.chips import cores
 from stage.envs import observation_features
-from stage.envs.step_results import make_result_dtype
+from stage.envs.step_results import make_step_result_dtype
 from stage.native import array_at, array_of, exported, greatest, hot, least, record
 from stage.sim import program, stage_handle
 from stage.sim import program_player as player
@@ -61,7 +61,7 @@ WORD = record([("seen", "i8"), ("when", "i8")])
 """Of an address of a chip: what was last read there, and when: ns, or -1."""
 
 
-def width(addresses, bits):
+def count_observation_words(addresses, bits):
     """Return the number of observations for a chip: status bits, words at the other addresses, freshness of all.
 
     Args:
@@ -84,7 +84,7 @@ INFO = (
     ),
     observation_features.Feature("lost_steps", observation_features.TRUTH, "full steps, of all axes", kind=int),
 )
-RESULT = make_result_dtype(PARTS, INFO)
+RESULT = make_step_result_dtype(PARTS, INFO)
 
 FRAME = record(
     [(name, "i8") for name in "handles rules axis_rules waits active by_hand actions steps ops values status".split()]
@@ -98,7 +98,7 @@ HANDLE, TRUTHS = stage_handle.HANDLE, player.TRUTH
 
 
 @exported(None, FRAME, "i8", "i8")
-def play(f, begin, end):
+def play_actions(f, begin, end):
     """Turn the actions of the active stages begin..end-1 into operations of a host, and play them where Python does not."""
     handles = array_at(f.handles, f.stages, HANDLE)
     waits = array_at(f.waits, f.n_waits, INTEGER)
@@ -124,7 +124,7 @@ def play(f, begin, end):
 
 
 @hot
-def _potential(axes, rules, truth):
+def _compute_potential(axes, rules, truth):
     """Minus the mean of the axes' errors beyond the tolerance, in parts of their scale."""
     total = 0.0
     for a in range(len(axes)):
@@ -133,7 +133,7 @@ def _potential(axes, rules, truth):
 
 
 @hot
-def _arrived(r, axes, rules, truth):
+def _has_arrived(r, axes, rules, truth):
     """Every axis stands at its goal, where its motor pulls it to, without a lost step."""
     for a in range(len(axes)):
         t, rule, goal = truth[a], rules[a], axes[a].goal
@@ -163,10 +163,10 @@ def _apply_loan(r, over, now, potential, episode, parts):
 
 
 @hot
-def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out):
+def _judge_step(r, rules, action, value, bad, steps, episode, axes, words, truth, out):
     """Fill the result of a step that was just played, and keep what the next one needs."""
     now = truth[0].now
-    success = _arrived(r, axes, rules, truth)
+    success = _has_arrived(r, axes, rules, truth)
     error, lost, more = 0.0, 0, 0
     for a in range(len(axes)):
         off = abs(truth[a].position - axes[a].goal) / rules[a].per_pulse
@@ -185,7 +185,7 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out
         if action[0] == READ:
             words[action[1], action[2]].seen, words[action[1], action[2]].when = value, now
         episode.value = value if action[0] == READ else -1
-        potential = _potential(axes, rules, truth)
+        potential = _compute_potential(axes, rules, truth)
         parts.progress = r.progress_weight * (potential - episode.potential)
         parts.time = -r.time_weight * 1e-9 * (now - episode.before)
         parts.success = r.success_weight if success else 0.0
@@ -231,7 +231,7 @@ def _write_words(r, words, now, out, at):
 
 
 @hot
-def _observe(r, rules, steps, episode, axes, words, truth, out):
+def _write_observation(r, rules, steps, episode, axes, words, truth, out):
     now, at = truth[0].now, 0
     for a in range(len(axes)):
         x, t, rule = axes[a], truth[a], rules[a]
@@ -251,7 +251,7 @@ def _observe(r, rules, steps, episode, axes, words, truth, out):
 
 
 @exported(None, FRAME, "i8", "i8", "i8", array_of(RESULT))
-def conclude(f, begin, end, fresh, results):
+def conclude_steps(f, begin, end, fresh, results):
     """Look at the active stages, judge what they have done, observe; one that diverged keeps its last observation.
 
     fresh: an episode begins on these stages in place of a step; goals and words read are set. results: (stages,) RESULT.
@@ -278,22 +278,22 @@ def conclude(f, begin, end, fresh, results):
         if fresh:
             e = episodes[k]
             e.began = e.before = truth[k, 0].now
-            e.potential, e.value, e.paid = _potential(axes[k], rules, truth[k]), -1, 0
+            e.potential, e.value, e.paid = _compute_potential(axes[k], rules, truth[k]), -1, 0
             e.start, e.loan = e.potential, 0.0
         else:
             steps[k] += 1
             bad = status[k] == player.DIVERGED
-            _judge(
+            _judge_step(
                 r, rules, actions[k], values[k, 0], bad, steps[k], episodes[k], axes[k], words[k], truth[k], results[k]
             )
         if not bad:
             if r.live:
                 _read_all_words(handles[k], first, words[k], truth[k, 0].now)
-            _observe(r, rules, steps[k], episodes[k], axes[k], words[k], truth[k], observations[k])
+            _write_observation(r, rules, steps[k], episodes[k], axes[k], words[k], truth[k], observations[k])
 
 
 @exported(None, FRAME, "i8", "i8", array_of(RESULT))
-def step(f, begin, end, results):
+def step_stages(f, begin, end, results):
     """`play` and `conclude`, where Python plays no stage."""
-    play(f, begin, end)
-    conclude(f, begin, end, 0, results)
+    play_actions(f, begin, end)
+    conclude_steps(f, begin, end, 0, results)

@@ -36,7 +36,7 @@ from stage.envs.register_actions import RegisterBox
 from stage.envs.single_moves import TENTH_MM, Trial
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.task import find_judged_point
-from stage.envs.tuning_task import NEXT_MOVE, Tuning, describe_move_info
+from stage.envs.tuning_task import NEXT_MOVE, TuningTask, describe_move_info
 from stage.sim.fleet import PlayedPrograms
 from stage.sim.program import END, Program
 
@@ -65,7 +65,7 @@ class Config(settings.Settings):
     truth: settings.TruthOption = True  # where what no host can see is shown: observation_features.py
 
 
-class RegisterTuning(Tuning[Config]):
+class RegisterTuning(TuningTask[Config]):
     Config = Config
     PARTS = ("time", "lost", "vibration", "limit")
     UNIT = "pulses"

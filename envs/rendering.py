@@ -92,7 +92,7 @@ class Film:
         return np.concatenate([recorded, self._stage.data.qpos[None]])
 
 
-def viewer(stage: Stage, mode: str, camera: str, width: int, height: int) -> OffScreen | OnScreen:
+def make_viewer(stage: Stage, mode: str, camera: str, width: int, height: int) -> OffScreen | OnScreen:
     """Return the viewer for a render mode.
 
     Args:

@@ -1,4 +1,4 @@
-"""The vector environments as Stable-Baselines3 wants them (extra `rl`).
+"""Adapter of the vector environments for Stable-Baselines3 (extra `rl`).
 
     from stage.envs.sb3 import StageVecEnv
     from stable_baselines3 import PPO

@@ -31,7 +31,7 @@ from stage.envs import settings
 from stage.envs.observation_features import HOST, Feature
 from stage.envs.register_actions import RegisterBox
 from stage.envs.stage_env import StageEnv, StageVectorEnv
-from stage.envs.tuning_task import NEXT_MOVE, Tuning, describe_move_info
+from stage.envs.tuning_task import NEXT_MOVE, TuningTask, describe_move_info
 from stage.errors import ArgumentError
 from stage.firmware.driver import get_driver
 from stage.sim.fleet import PlayedPrograms
@@ -74,9 +74,9 @@ class Config(settings.Settings):
             raise ArgumentError(f"rest={self.rest!r}: a part of limit={self.limit!r}.")
 
 
-class ServoTuning(Tuning[Config]):
+class ServoTuning(TuningTask[Config]):
     Config = Config
-    STATE = (*Tuning.STATE, "goal")
+    STATE = (*TuningTask.STATE, "goal")
     PARTS = ("time", "overshoot", "unrest", "limit")
     UNIT = "counts"
     OBSERVATION = (
@@ -109,9 +109,9 @@ class ServoTuning(Tuning[Config]):
         super().prepare()
         self.goal = np.zeros(self.n)  # counts of the encoder, absolute
 
-    def after_placing(self, k: int) -> None:
-        chip: Any = self.stages[k].axes[self.config.axis].chip
-        self.goal[k] = chip.encoder + self.distance[k]
+    def prepare_after_placing(self, stage_index: int) -> None:
+        chip: Any = self.stages[stage_index].axes[self.config.axis].chip
+        self.goal[stage_index] = chip.encoder + self.distance[stage_index]
 
     def make_program(self, row: np.ndarray, distance: int) -> Program:
         """The host's bus cycles for one move, and looks at the carriage."""

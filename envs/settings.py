@@ -1,4 +1,4 @@
-"""Settings of the environments: their kinds, and the one place where they are checked.
+"""Kinds of settings of the environments, and their checks.
 
     @dataclass(frozen=True)
     class Config(Settings):

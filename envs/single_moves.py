@@ -1,4 +1,4 @@
-"""One move of one axis: where it begins, the bus cycles, and what came of it."""
+"""One move of one axis: its start position, its bus cycles, and its outcome."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the environments share: `StageEnv` and `StageVectorEnv`, the scalar and vector faces of a `Task`, with the same bits."""
+"""`StageEnv` and `StageVectorEnv`: the Gymnasium environments that run a `Task` on one stage or on many, with the same results."""
 
 from __future__ import annotations
 
@@ -237,9 +237,9 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
 
     def _open_viewer(self) -> Any:
         if self._viewer is None:
-            from stage.envs.rendering import viewer
+            from stage.envs.rendering import make_viewer
 
-            self._viewer = viewer(self.stage, str(self.render_mode), self._camera, WIDTH, HEIGHT)
+            self._viewer = make_viewer(self.stage, str(self.render_mode), self._camera, WIDTH, HEIGHT)
         return self._viewer
 
     def render(self) -> Any:
@@ -423,15 +423,15 @@ def _join_columns(infos: dict[str, Any], columns: dict[str, Any]) -> None:
     infos.update(columns)
 
 
-def info_of(infos: Mapping[str, Any], k: int) -> dict[str, Any]:
+def info_of(infos: Mapping[str, Any], stage_index: int) -> dict[str, Any]:
     """Return the info of one environment out of the info of a vector.
 
     Args:
         infos: Info of the vector, with a mask for each key.
-        k: Number of the environment.
+        stage_index: Number of the environment.
     """
     return {
-        name: info_of(v, k) if isinstance(v, dict) else _to_python(v[k])
+        name: info_of(v, stage_index) if isinstance(v, dict) else _to_python(v[stage_index])
         for name, v in infos.items()
-        if not name.startswith("_") and infos[f"_{name}"][k]
+        if not name.startswith("_") and infos[f"_{name}"][stage_index]
     }

@@ -1,4 +1,6 @@
-"""Records of the results of a step, one for each stage: the scalar environment reads a row, the vector environment columns.
+"""Records of the results of a step, one for each stage.
+
+`StageEnv` reads a row of the array, `StageVectorEnv` its columns.
 
 Tasks with a benchmark also have a score at the end of an episode, under the same names in all of them:
 
@@ -40,10 +42,10 @@ FAILED = (False, np.inf, np.inf)
 """Success, time and regret of an episode that came to nothing."""
 
 
-def make_result_dtype(
+def make_step_result_dtype(
     parts: Sequence[str], info: Iterable[Feature], shapes: Mapping[str, tuple[int, ...]] | None = None
 ) -> np.dtype:
-    """Make the record of a step.
+    """Make the dtype of the record that holds the results of one step.
 
     Args:
         parts: Names of the parts whose sum is the reward.
@@ -119,9 +121,9 @@ class Results:
             for name, value in zip(("success", "time", "regret"), FAILED, strict=True):
                 rows["score"][name][bad] = value
 
-    def read_row(self, k: int) -> tuple[float, bool, bool, dict[str, Any]]:
+    def read_row(self, stage_index: int) -> tuple[float, bool, bool, dict[str, Any]]:
         """Return (reward, terminated, truncated, info) of stage k."""
-        reward, terminated, truncated, cause, parts, values, *score = self.rows.item(k)
+        reward, terminated, truncated, cause, parts, values, *score = self.rows.item(stage_index)
         info = dict(zip(self._info, values))  # noqa: B905 (the check would cost as much as all else)
         for name in self._arrays:
             info[name] = info[name].copy()
@@ -149,14 +151,14 @@ class Results:
         parts = {name: rows["parts"][name].copy() for name in self._parts}
         if bad.any():
             parts["diverged"] = np.where(bad, rows["reward"], 0.0)
-        info["reward_parts"] = _masked(parts, active)
-        masked = _masked({name: value for name, value in info.items() if name not in self._hidden}, active)
+        info["reward_parts"] = _mask_values(parts, active)
+        masked = _mask_values({name: value for name, value in info.items() if name not in self._hidden}, active)
         over = rows["terminated"] | rows["truncated"]
         if self.scored and over.any() and "score" not in self._hidden:
             scores = {name: np.where(over, rows["score"][name], 0).astype(SCORE[name]) for name in SCORE.names or ()}
-            masked |= {"score": _masked(scores, over), "_score": over}
+            masked |= {"score": _mask_values(scores, over), "_score": over}
         return masked
 
 
-def _masked(values: dict[str, Any], active: np.ndarray) -> dict[str, Any]:
+def _mask_values(values: dict[str, Any], active: np.ndarray) -> dict[str, Any]:
     return {key: v for name, value in values.items() for key, v in ((name, value), (f"_{name}", active.copy()))}

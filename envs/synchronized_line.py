@@ -127,36 +127,42 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
 
     # --- machines and lines ---
 
-    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
-        rng, m = self.rngs[k], len(self.axes)
+    def begin_episode(self, stage_index: int, options: Mapping[str, Any]) -> None:
+        rng, m = self.rngs[stage_index], len(self.axes)
         c: Any = self.config
-        self.draw_machine(k, options)
+        self.draw_machine(stage_index, options)
         low, high = portable_math.log(c.distances)
         sizes = np.rint(portable_math.exp(rng.uniform(low, high, m))).astype(np.int64)
-        self.distances[k] = sizes * rng.choice([-1, 1], m)
-        self._apply_options(k, options)
-        self.rate[k] = np.clip(Speeds().drive, *c.rates)
-        self.ramp[k] = np.clip(Speeds().up, *c.ramps)
-        self.angles[k] = rng.uniform(size=m)
-        self._place_carriages(self.stages[k], k)
-        self._compute_formula(k)
+        self.distances[stage_index] = sizes * rng.choice([-1, 1], m)
+        self._apply_options(stage_index, options)
+        self.rate[stage_index] = np.clip(Speeds().drive, *c.rates)
+        self.ramp[stage_index] = np.clip(Speeds().up, *c.ramps)
+        self.angles[stage_index] = rng.uniform(size=m)
+        self._place_carriages(self.stages[stage_index], stage_index)
+        self._compute_formula(stage_index)
 
     def prepare_next(self) -> None:
         """Each episode is one step."""
 
-    def _place_carriages(self, stage: Stage, k: int, more: float = 0.0) -> None:
+    def _place_carriages(self, stage: Stage, stage_index: int, extra_payload_kg: float = 0.0) -> None:
         stage.restore(self.start)
-        self.configure_stage(stage, k, more)
-        begin = zip(self.axes, self.start_positions, self.distances[k].tolist(), self.angles[k].tolist(), strict=True)
+        self.configure_stage(stage, stage_index, extra_payload_kg)
+        begin = zip(
+            self.axes,
+            self.start_positions,
+            self.distances[stage_index].tolist(),
+            self.angles[stage_index].tolist(),
+            strict=True,
+        )
         stage.place(**{a.name: starts.find_start(d, angle) for a, starts, d, angle in begin})
 
-    def describe_episode(self, k: int) -> dict[str, Any]:
-        return {"distances": self.distances[k].copy(), **self.describe_machine(k)}
+    def describe_episode(self, stage_index: int) -> dict[str, Any]:
+        return {"distances": self.distances[stage_index].copy(), **self.describe_machine(stage_index)}
 
-    def _compute_formula(self, k: int) -> None:
+    def _compute_formula(self, stage_index: int) -> None:
         """Compute rate, ramp and time by the formula: no axis is faster or steeper than it may be."""
         c: Any = self.config
-        sizes = np.abs(self.distances[k])
+        sizes = np.abs(self.distances[stage_index])
         longest = int(sizes.max())
         rates, slopes = [], []
         for load, size in zip(self.loads, sizes.tolist(), strict=True):
@@ -165,7 +171,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
             slopes.append((move.drive - move.start) / max(move.up, move.down) * longest / size)
         rate = float(np.clip(min(rates), *c.rates))
         ramp = float(np.clip((rate - c.fl) / min(slopes), *c.ramps))
-        self.formula[k] = rate, ramp, compute_move_time(np.float64(longest), c.fl, rate, ramp)
+        self.formula[stage_index] = rate, ramp, compute_move_time(np.float64(longest), c.fl, rate, ramp)
 
     # --- the try ---
 

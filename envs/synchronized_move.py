@@ -189,35 +189,35 @@ class SynchronizedMove(MoveTask[Config]):
         of_axes, of_the_last = of_moves[:5], of_moves[5:]
         return [rate, *of_axes * len(self.axes), *of_the_last]
 
-    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
-        self.last[k] = 0.0
-        self._draw_move(k, options)
+    def begin_episode(self, stage_index: int, options: Mapping[str, Any]) -> None:
+        self.last[stage_index] = 0.0
+        self._draw_move(stage_index, options)
 
-    def describe_episode(self, k: int) -> dict[str, Any]:
-        return {"distances": self.distances[k].copy(), "rate": float(self.rate[k])}
+    def describe_episode(self, stage_index: int) -> dict[str, Any]:
+        return {"distances": self.distances[stage_index].copy(), "rate": float(self.rate[stage_index])}
 
     def prepare_next(self) -> None:
         for k in np.flatnonzero(self.converged & ~self.results["terminated"]):
             self._draw_move(int(k), {})
 
-    def _draw_move(self, k: int, options: Mapping[str, Any]) -> None:
+    def _draw_move(self, stage_index: int, options: Mapping[str, Any]) -> None:
         """Draw the next move of stage k, and put its carriages where it starts, with the rotors at any angle."""
-        c, rng = self.config, self.rngs[k]
+        c, rng = self.config, self.rngs[stage_index]
         low, high = portable_math.log(c.distances)
         sizes = np.rint(portable_math.exp(rng.uniform(low, high, len(self.axes)))).astype(np.int64)
-        self.distances[k] = sizes * rng.choice([-1, 1], len(self.axes))
-        self.rate[k] = np.clip(portable_math.exp(rng.uniform(*portable_math.log(c.rates))), *c.rates)
-        self._apply_options(k, options)
+        self.distances[stage_index] = sizes * rng.choice([-1, 1], len(self.axes))
+        self.rate[stage_index] = np.clip(portable_math.exp(rng.uniform(*portable_math.log(c.rates))), *c.rates)
+        self._apply_options(stage_index, options)
         angles = rng.uniform(size=len(self.axes))
-        begin = zip(self.start_positions, self.distances[k].tolist(), angles.tolist(), strict=True)
-        self.stages[k].place(**{s.axis.name: s.find_start(d, angle) for s, d, angle in begin})
+        begin = zip(self.start_positions, self.distances[stage_index].tolist(), angles.tolist(), strict=True)
+        self.stages[stage_index].place(**{s.axis.name: s.find_start(d, angle) for s, d, angle in begin})
 
-    def _apply_options(self, k: int, options: Mapping[str, Any]) -> None:
+    def _apply_options(self, stage_index: int, options: Mapping[str, Any]) -> None:
         c, names = self.config, self.config.axes
         if (rate := options.get("rate")) is not None:
             if not isinstance(rate, int | float | np.number) or not c.rates[0] <= rate <= c.rates[1]:
                 raise ArgumentError(f"option rate={rate!r}: from {c.rates[0]:g} to {c.rates[1]:g} pps.")
-            self.rate[k] = rate
+            self.rate[stage_index] = rate
         if (given := options.get("distances")) is not None:
             low, high = c.distances
             if (
@@ -228,7 +228,7 @@ class SynchronizedMove(MoveTask[Config]):
                 raise ArgumentError(
                     f"option distances={given!r}: whole pulses, {low} to {high} either way, for {names}."
                 )
-            self.distances[k] = [given[name] for name in names]
+            self.distances[stage_index] = [given[name] for name in names]
 
     # --- registers ---
 

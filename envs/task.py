@@ -1,4 +1,4 @@
-"""The rules of an environment for n stages at once: `Task`, and `MoveTask` where a step is a program of bus cycles."""
+"""Rules of an environment for n stages at once: `Task`, and `MoveTask`, whose step is a program of bus cycles."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from stage import Stage
 from stage.envs.observation_features import Feature, list_hidden, list_visible
 from stage.envs.settings import UnknownSetting
-from stage.envs.step_results import Results, make_result_dtype
+from stage.envs.step_results import Results, make_step_result_dtype
 from stage.errors import ArgumentError, unknown_name_error
 from stage.sim.fleet import Fleet, PlayedPrograms
 from stage.sim.program import Program
@@ -69,7 +69,7 @@ class Task(ABC, Generic[ConfigT]):
         self.actions = np.zeros((n, *self.action_space.shape), self.action_space.dtype)  # type: ignore[misc]
         self.observations = np.zeros((n, *self.observation_space.shape), self.observation_space.dtype)  # type: ignore[misc]
         self.hidden = list_hidden(self.INFO, self.truth)
-        self.results = Results(n, make_result_dtype(self.PARTS, self.INFO, self.shapes), self.hidden)
+        self.results = Results(n, make_step_result_dtype(self.PARTS, self.INFO, self.shapes), self.hidden)
         self.bind_arrays()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -92,11 +92,11 @@ class Task(ABC, Generic[ConfigT]):
         """Note where the arrays lie, if compiled code uses them."""
 
     @abstractmethod
-    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
+    def begin_episode(self, stage_index: int, options: Mapping[str, Any]) -> None:
         """Begin an episode on stage k, drawn from `rngs[k]`. The stage is at power-up; its payload is as it was.
 
         Args:
-            k: Number of the stage.
+            stage_index: Number of the stage.
             options: Of the reset.
 
         Raises:
@@ -107,7 +107,7 @@ class Task(ABC, Generic[ConfigT]):
     def play(self) -> None:
         """Play `actions` on the `active` stages, at least one, and judge: fill `results` and count `steps`."""
 
-    def apply_machine(self, k: int) -> None:
+    def apply_machine(self, stage_index: int) -> None:
         """Give stage k the machine that was drawn, the payload and the like, which a stage's snapshots leave alone."""
 
     def prepare_next(self) -> None:
@@ -117,7 +117,7 @@ class Task(ABC, Generic[ConfigT]):
     def update_observations(self) -> None:
         """Bring `observations` up to date."""
 
-    def describe_episode(self, k: int) -> dict[str, Any]:
+    def describe_episode(self, stage_index: int) -> dict[str, Any]:
         """Return all info of a reset of stage k, truth included."""
         return {}
 
@@ -147,68 +147,68 @@ class Task(ABC, Generic[ConfigT]):
         every = self.layout()
         return [e for e, shown in zip(every, list_visible(every, self.truth), strict=True) if shown]
 
-    def reset_info(self, k: int) -> dict[str, Any]:
+    def reset_info(self, stage_index: int) -> dict[str, Any]:
         """Return the info of a reset of stage k, without truth where the setting `truth` hides it."""
-        return {name: value for name, value in self.describe_episode(k).items() if name not in self.hidden}
+        return {name: value for name, value in self.describe_episode(stage_index).items() if name not in self.hidden}
 
     @property
     def converged(self) -> np.ndarray:
         """Mask of the stages that have made a step that did not diverge."""
         return self.active & (self.results["cause"] == 0)
 
-    def reset_stage(self, k: int, options: Mapping[str, Any]) -> None:
+    def reset_stage(self, stage_index: int, options: Mapping[str, Any]) -> None:
         """Put stage k back to power-up, and begin an episode.
 
         Args:
-            k: Number of the stage.
+            stage_index: Number of the stage.
             options: Of the reset.
         """
-        self.stages[k].restore(self.start)
-        self.steps[k] = 0
-        self.results["cause"][k] = 0
-        self.begin_episode(k, options)
+        self.stages[stage_index].restore(self.start)
+        self.steps[stage_index] = 0
+        self.results["cause"][stage_index] = 0
+        self.begin_episode(stage_index, options)
 
-    def save_stage(self, k: int) -> tuple:
+    def save_stage(self, stage_index: int) -> tuple:
         """Return the whole episode of stage k, for `load_stage`."""
-        stage = self.stages[k].snapshot()
-        arrays = [getattr(self, name)[k].tobytes() for name in self._state_names]
+        stage = self.stages[stage_index].snapshot()
+        arrays = [getattr(self, name)[stage_index].tobytes() for name in self._state_names]
         return (
-            (stage.state, stage.diagnostics, stage.checksum), arrays, self.results.rows[k].tobytes(),
-            self.rngs[k].bit_generator.state,
+            (stage.state, stage.diagnostics, stage.checksum), arrays, self.results.rows[stage_index].tobytes(),
+            self.rngs[stage_index].bit_generator.state,
         )  # fmt: skip
 
-    def load_stage(self, k: int, saved: tuple) -> None:
+    def load_stage(self, stage_index: int, saved: tuple) -> None:
         """Put stage k into an episode that `save_stage` returned.
 
         Args:
-            k: Number of the stage.
+            stage_index: Number of the stage.
             saved: What `save_stage` returned.
         """
         stage, arrays, result, drawn = saved
         for name, row in zip(self._state_names, arrays, strict=True):
             array = getattr(self, name)
-            array[k] = np.frombuffer(row, array.dtype).reshape(array.shape[1:])
-        self.results.rows[k] = np.frombuffer(result, self.results.rows.dtype)[0]
-        self.rngs[k] = np.random.Generator(np.random.PCG64())
-        self.rngs[k].bit_generator.state = drawn
-        self.apply_machine(k)
-        self.stages[k].restore(Snapshot(self.start.header, *stage))
+            array[stage_index] = np.frombuffer(row, array.dtype).reshape(array.shape[1:])
+        self.results.rows[stage_index] = np.frombuffer(result, self.results.rows.dtype)[0]
+        self.rngs[stage_index] = np.random.Generator(np.random.PCG64())
+        self.rngs[stage_index].bit_generator.state = drawn
+        self.apply_machine(stage_index)
+        self.stages[stage_index].restore(Snapshot(self.start.header, *stage))
 
     @property
     def _state_names(self) -> tuple[str, ...]:
         return ("steps", "observations", *self.STATE)
 
-    def set_action(self, k: int, action: Any) -> None:
+    def set_action(self, stage_index: int, action: Any) -> None:
         """Set the next action of stage k.
 
         Args:
-            k: Number of the stage.
+            stage_index: Number of the stage.
             action: In the action space.
 
         Raises:
             ArgumentError: The action is not in the space.
         """
-        self.actions[k] = check_action(self.action_space, action)
+        self.actions[stage_index] = check_action(self.action_space, action)
 
 
 class MoveTask(Task[ConfigT]):

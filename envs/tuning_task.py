@@ -1,4 +1,4 @@
-"""`Tuning`: the common part of RegisterTuning and ServoTuning.
+"""`TuningTask`: the common part of RegisterTuning and ServoTuning.
 
 An action chooses the registers of one move of one axis; the distance, the payload and the rotor's angle at the start are random for
 each move.
@@ -55,7 +55,7 @@ def describe_move_info(unit: str, turn: str) -> tuple[Feature, ...]:
     )
 
 
-class Tuning(MoveTask[ConfigT]):
+class TuningTask(MoveTask[ConfigT]):
     """Base of the tuning tasks.
 
     Their settings have model, axis, actions ("box" or "registers"), distances and payloads (ends of what is drawn), payload_on,
@@ -86,7 +86,7 @@ class Tuning(MoveTask[ConfigT]):
             distance: Pulses, or counts of a servo.
         """
 
-    def after_placing(self, k: int) -> None:
+    def prepare_after_placing(self, stage_index: int) -> None:
         """Note the start of stage k's next move; called when the carriage is there."""
 
     def make_stage(self, visuals: bool) -> Stage:
@@ -110,46 +110,52 @@ class Tuning(MoveTask[ConfigT]):
         self.last = np.zeros((self.n, 4))
         self.make_program(self.registers.low, 1)
 
-    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
-        self.last[k] = 0.0
-        self._draw_move(k, options)
+    def begin_episode(self, stage_index: int, options: Mapping[str, Any]) -> None:
+        self.last[stage_index] = 0.0
+        self._draw_move(stage_index, options)
 
     def prepare_next(self) -> None:
         for k in np.flatnonzero(self.converged):
             self._draw_move(int(k), {})
 
-    def describe_episode(self, k: int) -> dict[str, Any]:
-        return {"distance": int(self.distance[k]), "payload": float(self.payload[k]), "angle": float(self.angle[k])}
+    def describe_episode(self, stage_index: int) -> dict[str, Any]:
+        return {
+            "distance": int(self.distance[stage_index]),
+            "payload": float(self.payload[stage_index]),
+            "angle": float(self.angle[stage_index]),
+        }
 
-    def draw_distance(self, k: int, options: Mapping[str, Any]) -> int:
+    def draw_distance(self, stage_index: int, options: Mapping[str, Any]) -> int:
         """Draw the distance of the next move of a stage. A subclass may override this, and return negative distances too.
 
         Args:
-            k: Number of the stage; `rngs[k]` is its random generator.
+            stage_index: Number of the stage; `rngs[k]` is its random generator.
             options: Options of the reset; "distance" comes before a drawn one.
 
         Returns:
             Pulses (of a servo, counts), signed.
         """
         c: Any = self.config
-        drawn = int(np.rint(portable_math.exp(self.rngs[k].uniform(*portable_math.log(c.distances)))))
+        drawn = int(np.rint(portable_math.exp(self.rngs[stage_index].uniform(*portable_math.log(c.distances)))))
         return int(read_option(options, "distance", drawn, c.distances))
 
-    def _draw_move(self, k: int, options: Mapping[str, Any]) -> None:
+    def _draw_move(self, stage_index: int, options: Mapping[str, Any]) -> None:
         """Draw the next move of stage k, its payload and the rotor's angle, and put the carriage at its start."""
         c: Any = self.config
-        rng, stage = self.rngs[k], self.stages[k]
-        distance = self.draw_distance(k, options)
-        self.payload[k] = read_option(options, "payload", float(rng.uniform(*c.payloads)), c.payloads)
-        self.distance[k] = distance
-        self.angle[k] = read_option(options, "angle", float(rng.uniform()), (0.0, 1.0))
+        rng, stage = self.rngs[stage_index], self.stages[stage_index]
+        distance = self.draw_distance(stage_index, options)
+        self.payload[stage_index] = read_option(options, "payload", float(rng.uniform(*c.payloads)), c.payloads)
+        self.distance[stage_index] = distance
+        self.angle[stage_index] = read_option(options, "angle", float(rng.uniform()), (0.0, 1.0))
         stage.restore(self.start)
-        self.apply_machine(k)
-        stage.place(**{c.axis: self.starts.find_start(float(self.distance[k]), float(self.angle[k]))})
-        self.after_placing(k)
+        self.apply_machine(stage_index)
+        stage.place(
+            **{c.axis: self.starts.find_start(float(self.distance[stage_index]), float(self.angle[stage_index]))}
+        )
+        self.prepare_after_placing(stage_index)
 
-    def apply_machine(self, k: int) -> None:
-        self.stages[k].set_payload(float(self.payload[k]), self.carrier)
+    def apply_machine(self, stage_index: int) -> None:
+        self.stages[stage_index].set_payload(float(self.payload[stage_index]), self.carrier)
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
         """Return the registers of actions, (n, registers)."""

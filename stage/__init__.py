@@ -51,19 +51,19 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
-        return _loaded(_MODULES[name])
+        return _load_module(_MODULES[name])
     if name in _LAZY:
-        return getattr(_loaded(_LAZY[name]), name)
+        return getattr(_load_module(_LAZY[name]), name)
     raise AttributeError(f"module 'stage' has no attribute {name!r}")
 
 
 def load_method_of_stage(name: str) -> Any:
     """Return what a convenience of `Stage` calls, and load its package."""
     module, _, attribute = _METHODS_OF_STAGE[name].partition(":")
-    return getattr(_loaded(module), attribute)
+    return getattr(_load_module(module), attribute)
 
 
-def _loaded(module: str) -> Any:
+def _load_module(module: str) -> Any:
     """The module. Python reports an AttributeError during its import as "cannot import name", without the cause: so LoadError."""
     try:
         return import_module(module)

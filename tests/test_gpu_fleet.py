@@ -110,7 +110,7 @@ def test_a_stage_that_is_being_recorded_is_refused(stage):
 
 @pytest.mark.parametrize("library", ["numba_cuda", "warp", "mujoco_warp"])
 def test_without_the_extra_the_error_says_what_to_install(stage, library, monkeypatch):
-    monkeypatch.setattr(gpu_fleet, "cuda_tools", gpu_fleet.cuda_tools.__wrapped__)
+    monkeypatch.setattr(gpu_fleet, "cuda_tools", gpu_fleet.make_cuda_tools.__wrapped__)
     if library != "numba_cuda":
         monkeypatch.setattr(gpu_fleet, "cuda_tools", lambda: None)
         if library == "mujoco_warp":

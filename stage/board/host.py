@@ -28,7 +28,7 @@ from stage.board.pins import PinLine
 from stage.board.scratch import Scratch
 from stage.board.serial_line import SerialPort
 from stage.board.thread_runner import PATIENCE_S, LoadedProgram, Program, ThreadRunner
-from stage.chips.exclusive_access import Lock, exclusive
+from stage.chips.exclusive_access import SessionLock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError
 
 DEFAULT_MAX_CYCLES = 1_000_000_000
@@ -207,7 +207,7 @@ class Host:
         return f"<{type(self).__name__} {self.path.name}, {'in the middle' if self.running else 'not running'}; {self.board!r}>"
 
     @property
-    def lock(self) -> Lock | None:
+    def lock(self) -> SessionLock | None:
         """Lock of the board's stage, see `Stage.lock`. A run of firmware holds it."""
         return self.board.stage.lock
 

@@ -31,7 +31,7 @@ from stage.chips.diagnostics import (
     JournalLint,
     parse_diagnostics,
 )
-from stage.chips.exclusive_access import Lock, exclusive, exclusively, with_lock
+from stage.chips.exclusive_access import SessionLock, exclusive, exclusively, with_lock
 from stage.chips.journal import Journal
 from stage.chips.register_map import RegisterMap, Word, dump
 from stage.errors import ArgumentError, StageError, add_article, unknown_name_error
@@ -197,7 +197,7 @@ class Chip:
     one address after the other."""
     BUSY: ClassVar[tuple[int, int]]
     """Where the bus tells that a drive is in progress: address, and the bit of axis 0."""
-    lock: Lock | None = None
+    lock: SessionLock | None = None
     """Lock that its bus cycles take while threads share the stage, see `share`."""
 
     def __init__(self, clock_hz: int | None = None):
@@ -312,7 +312,7 @@ class Chip:
             self._use_record(*self._alone)
             self._alone = None
 
-    def share(self, lock: Lock | None) -> None:
+    def share(self, lock: SessionLock | None) -> None:
         """Let each bus cycle take a lock from now on, see stage.chips.exclusive_access.
 
         Args:
@@ -568,7 +568,7 @@ class Chip:
             self._bus.cycle()
         if lost:
             if self.open_journal is not None:
-                self.open_journal.note_lost(self.clock, address, value)
+                self.open_journal.note_lost_write(self.clock, address, value)
             return
         if (address, value) != requested:
             self.diagnose(self.clock, address, value, [(BUS_WIDTH, describe_masked_write(requested, (address, value)))])

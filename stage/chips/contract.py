@@ -1,4 +1,5 @@
-"""Contract of chips: what a class and its core must have, so that stages, boards, recordings and environments can use it.
+"""Contract of chips: checks that a chip class and its core have everything that stages, boards, recordings and environments
+use.
 
 `check` runs once for each class, when the class is loaded by its name or when its first chip is made, before there is a stage.
 """

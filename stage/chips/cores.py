@@ -1,4 +1,4 @@
-"""The functions that every chip family gives to a stage.
+"""Interface between the compiled loops and the chip families: the functions that the core of each family provides.
 
 A family is a module of compiled functions, its *core*, over a record `STATE` that begins with the chip's clock. Every loop
 accepts it without a new compilation: a loop sees a chip as a CHIP record, with the addresses of the state, of the core's
@@ -335,7 +335,7 @@ def read_outputs(chip, axis_index):
 
 @hot
 def update_wired_input(chip):
-    """Let the output of another chip drive an input of this chip, if it is wired so. Returns whether the input has changed."""
+    """Copy the output of another chip to an input of this chip if the two are wired. Return whether the input has changed."""
     if chip.wire == 0:
         return False
     word = read_inputs(chip, 0)

@@ -1,4 +1,4 @@
-"""Descriptions of bus cycles in the words of the register map. Each family has two classes for it, in its describe.py.
+"""Descriptions of bus cycles in words: the base classes for decoders of journals and listeners of bus traces.
 
     listener = chip.listener()     begins with the chip's present state: the last column of a bus trace
     listener.write(0, 0x85)        'select R5: deceleration rate'
@@ -159,11 +159,11 @@ class Fields:
         if known is None:
             if len(self._lines) >= MAX_CACHED_LINES:
                 self._lines.clear()
-            words = self._words(value, MAX_LINE_LENGTH - len(head) - len(tail) - 2)
+            words = self._join_descriptions(value, MAX_LINE_LENGTH - len(head) - len(tail) - 2)
             known = self._lines[head, value, tail] = shorten_line(f"{head}: {words}{tail}")
         return known
 
-    def _words(self, value: int, room: int) -> str:
+    def _join_descriptions(self, value: int, room: int) -> str:
         words, names = [], []
         for f, low, mask, sayings in self._fields:
             v = value >> low & mask

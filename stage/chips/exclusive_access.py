@@ -1,4 +1,4 @@
-"""Sharing of a stage between threads: calls that no other thread interrupts while a session is open.
+"""Locks that keep other threads away from a stage while one call uses it.
 
 A stage, its chips, axes, drivers and boards have an attribute `lock`, which is None as long as one thread drives the stage. A
 session of stage.panel sets it to a re-entrant lock. Each call below holds it from its first bus cycle to its last, and releases
@@ -22,8 +22,8 @@ Returned = TypeVar("Returned")
 UNSHARED = nullcontext()
 
 
-class Lock(Protocol):
-    """Lock of an open session: a context manager that the thread which holds it may enter again."""
+class SessionLock(Protocol):
+    """Re-entrant lock of an open session, as a context manager."""
 
     def __enter__(self) -> Any: ...
 
@@ -34,12 +34,12 @@ class Lock(Protocol):
 
 
 def exclusively(owner: Any) -> AbstractContextManager[Any]:
-    """Return the lock of `owner`'s stage, or a context that does nothing while no session is open."""
+    """Return the lock of the stage to which `owner` belongs, or a context that does nothing while no session is open."""
     return getattr(owner, "lock", None) or UNSHARED
 
 
 def exclusive(function: Callable[Parameters, Returned]) -> Callable[Parameters, Returned]:
-    """Decorate a method, or a function of axes, so that no other thread interrupts it; see the module."""
+    """Decorate a method, or a function of axes, so that it holds the lock of its stage while it runs."""
 
     @wraps(function)
     def call(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Returned:
@@ -53,8 +53,11 @@ def exclusive(function: Callable[Parameters, Returned]) -> Callable[Parameters, 
     return call
 
 
-def _find_lock(values: Iterable[Any]) -> Lock | None:
-    """Return the lock of the first value that has one, also of values in the first mapping."""
+def _find_lock(values: Iterable[Any]) -> SessionLock | None:
+    """Return the lock of the first argument that has an attribute `lock`, or None.
+
+    The keys and values of an argument that is a mapping are searched as well.
+    """
     for value in values:
         if isinstance(value, Mapping):
             lock = _find_lock((*value.keys(), *value.values()))
@@ -65,7 +68,7 @@ def _find_lock(values: Iterable[Any]) -> Lock | None:
     return None
 
 
-def with_lock(lock: Lock, method: Callable[..., Returned]) -> Callable[..., Returned]:
+def with_lock(lock: SessionLock, method: Callable[..., Returned]) -> Callable[..., Returned]:
     """Return a function that calls `method` while it holds `lock`."""
 
     def call(*args: Any) -> Returned:

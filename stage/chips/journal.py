@@ -69,27 +69,27 @@ class Journal:
 
     def note_write(self, clock: int, address: int, value: int) -> None:
         """Note a bus write cycle."""
-        self._note(clock, WRITE, address, value)
+        self._append_entry(clock, WRITE, address, value)
 
-    def note_lost(self, clock: int, address: int, value: int) -> None:
+    def note_lost_write(self, clock: int, address: int, value: int) -> None:
         """Note a write that did not arrive."""
-        self._note(clock, LOST, address, value)
+        self._append_entry(clock, LOST, address, value)
 
     def note_read(self, clock: int, address: int, value: int) -> None:
         """Note a read cycle that changes something."""
-        self._note(clock, READ, address, value)
+        self._append_entry(clock, READ, address, value)
 
     def note_input(self, clock: int, axis: int, word: int) -> None:
         """Note a change of the input pins of an axis."""
-        self._note(clock, INPUT, axis, word)
+        self._append_entry(clock, INPUT, axis, word)
 
     def note_reset(self, clock: int) -> None:
         """Note the reset pin."""
-        self._note(clock, RESET, 0, 0)
+        self._append_entry(clock, RESET, 0, 0)
 
     def note_shaft(self, clock: int, axis: int, count: float, rate: float) -> None:
         """Note the place and the rate of an encoder's shaft."""
-        self._note(clock, SHAFT, float_to_bits(count), float_to_bits(rate), axis)
+        self._append_entry(clock, SHAFT, float_to_bits(count), float_to_bits(rate), axis)
 
     def extend(self, packed: np.ndarray) -> None:
         """Note PACKED records, in the order of their clocks."""
@@ -98,11 +98,11 @@ class Journal:
         if self._previous is not None:
             self._previous.extend(packed)
 
-    def _note(self, clock: int, kind: int, a: int, b: int, axis: int = 0) -> None:
+    def _append_entry(self, clock: int, kind: int, a: int, b: int, axis: int = 0) -> None:
         if self._end is None:
             self.entries.note(clock, kind, a, b, axis)
         if self._previous is not None:
-            self._previous._note(clock, kind, a, b, axis)
+            self._previous._append_entry(clock, kind, a, b, axis)
 
     def close(self) -> None:
         """Stop recording. The waveforms end here."""
@@ -174,9 +174,9 @@ class Replay:
             ArgumentError: `size` is below 64.
         """
         check_integer("size", size, MIN_PIECE_EDGES)
-        return self._pieces(every_pulse, size)
+        return self._iterate_pieces(every_pulse, size)
 
-    def _pieces(self, every_pulse: bool, size: int) -> Iterator[np.ndarray]:
+    def _iterate_pieces(self, every_pulse: bool, size: int) -> Iterator[np.ndarray]:
         core, axis, clock = self._journal.chip.CORE, self._journal.axis, self._rows["clock"]
         chip = self._rows.ctypes.data
         out, done = np.zeros(size, core.EDGE), np.zeros(1, np.int64)

@@ -1,4 +1,7 @@
-"""Entries of a journal, packed into 32 bytes per event, so that millions of them need little memory."""
+"""Entries of a chip's journal: one entry for each write, read, reset, or change of an input.
+
+`Entries` stores an entry in 32 bytes, so that millions of them need little memory.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +51,7 @@ def bits_to_float(bits: int) -> float:
 
 
 class Entry(NamedTuple):
-    """One event between two ticks.
+    """One input of a chip between two ticks of its reference clock.
 
     Attributes:
         clock: Reference clocks since power-up.
@@ -65,7 +68,7 @@ class Entry(NamedTuple):
     axis: int = 0
 
     def apply(self, core: Any, c: Any) -> None:
-        """Apply the event to a chip.
+        """Repeat the input on a chip.
 
         Args:
             core: Core of the chip's family.

@@ -1,9 +1,9 @@
-"""Wires between chips of one kind, compiled: linked chips run together, from one change on the wires to the next.
+"""Wires between chips of one kind, compiled: the chips run from one change of the wires to the next.
 
-The outputs of all chips together make one word of 63 bits: *levels*, which are on if any chip drives them (bit 0 is always on
-and means that there are wires); a *number*, the largest that any chip gives; and a count of *pulses*, the sum of all chips. The
-output of one chip is its `read_wire_output`. `read_wire_word` is the last word that it has received, and `set_wire_word` gives it
-a new one, which its journal notes.
+The outputs of all chips are combined into one word of 63 bits. Its *levels* are on if any chip drives them; bit 0 is always on
+and means that there are wires. Its *number* is the largest that any chip drives. Its count of *pulses* is the sum of the counts
+of all chips. `read_wire_output` returns the output of one chip, `read_wire_word` the last word that the chip has received.
+`set_wire_word` brings the chip a new word, and its journal records that.
 
 Signals on the wires take no time: the other chips receive them at the same clock, after their own pulses of that clock.
 """
@@ -25,19 +25,19 @@ MAX_ROUNDS = 8  # of exchanges at one clock
 
 @hot
 def read_number(word):
-    """Return the number in a word."""
+    """Return the number that a word on the wires contains."""
     return word >> NUMBER_SHIFT & _ALL
 
 
 @hot
 def count_new_pulses(word, old):
-    """Return the number of pulses that a word has more than an older one."""
+    """Return the number of pulses that were driven between an older word on the wires and a newer one."""
     return (word >> PULSES_SHIFT) - (old >> PULSES_SHIFT) & _ALL
 
 
 @hot
 def pack_word(levels, number, pulses):
-    """Pack the output of a chip into a word.
+    """Pack the levels, the number and the pulse count that a chip drives into one word for the wires.
 
     Args:
         levels: Levels that it drives.
@@ -49,7 +49,7 @@ def pack_word(levels, number, pulses):
 
 @hot
 def _combine_outputs(chips, link_number):
-    """Combine the outputs of all chips on the wires into one word."""
+    """Combine the outputs of all chips on the wires into one word: any level, the largest number, the sum of the pulses."""
     levels, maximum, pulses = LINKED, 0, 0
     for i in range(len(chips)):
         if chips[i].link == link_number:
@@ -62,7 +62,7 @@ def _combine_outputs(chips, link_number):
 
 @hot
 def exchange_words(chips, link_number, now, edges, n_edges):
-    """Bring every linked chip the word on the wires, until no chip drives anything new.
+    """Bring every linked chip the combined word of the wires, and repeat that until no chip changes its output.
 
     Args:
         chips: CHIP records.

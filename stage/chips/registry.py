@@ -63,7 +63,7 @@ class ListedChip:
     problem: str = ""
 
 
-def key(name: str) -> str:
+def normalize_chip_name(name: str) -> str:
     """Return a chip's name as the registry has it: capitals, without hyphens."""
     return name.upper().replace("-", "").replace("_", "")
 
@@ -79,7 +79,9 @@ class Registry(MutableMapping[str, type[Chip]]):
     """
 
     def __init__(self, families: Mapping[str, tuple[str, ...]], home: str):
-        self._families = {key(name): f"{home}.{family}:{name}" for family, names in families.items() for name in names}
+        self._families = {
+            normalize_chip_name(name): f"{home}.{family}:{name}" for family, names in families.items() for name in names
+        }
         self._loaded: dict[str, type[Chip]] = {}
         self._told: set[str] = set()
 
@@ -96,21 +98,23 @@ class Registry(MutableMapping[str, type[Chip]]):
         """
         if not isinstance(name, str):
             raise UnknownKey(f"{name!r} is no name of a chip: give a text, as 'PCL240K'.")
-        name = key(name)
+        name = normalize_chip_name(name)
         chip = self._loaded.get(name)
         if chip is None:
             chip = self._loaded[name] = self._load(name)
         return chip
 
     def __contains__(self, name: object) -> bool:
-        known = isinstance(name, str) and (key(name) in self._loaded or key(name) in self._families)
-        return known or (isinstance(name, str) and key(name) in _find_sources())
+        known = isinstance(name, str) and (
+            normalize_chip_name(name) in self._loaded or normalize_chip_name(name) in self._families
+        )
+        return known or (isinstance(name, str) and normalize_chip_name(name) in _find_sources())
 
     def __setitem__(self, name: str, chip: type[Chip]) -> None:
-        self._loaded[key(name)] = chip
+        self._loaded[normalize_chip_name(name)] = chip
 
     def __delitem__(self, name: str) -> None:
-        del self._loaded[key(name)]
+        del self._loaded[normalize_chip_name(name)]
 
     def clear(self) -> None:
         """Forget every class that was set or loaded. PulseStage's own chips and those of packages stay known."""
@@ -153,7 +157,7 @@ class Registry(MutableMapping[str, type[Chip]]):
         Args:
             name: Name of the chip that is used.
         """
-        name = key(name)
+        name = normalize_chip_name(name)
         if name not in self._families or name in self._told:
             return
         self._told.add(name)
@@ -184,7 +188,7 @@ def _find_sources() -> dict[str, list[ChipSource]]:
     for point in entry_points(group=GROUP):
         package = f"{point.dist.name} {point.dist.version}" if point.dist is not None else "of unknown name"
         source = ChipSource(point.name, package, point.value)
-        sources = sources_by_name.setdefault(key(point.name), [])
+        sources = sources_by_name.setdefault(normalize_chip_name(point.name), [])
         if source not in sources:
             sources.append(source)
     return sources_by_name
@@ -197,7 +201,7 @@ def _is_possibly_claimed(name: str) -> bool:
             try:
                 with open(join(info, "entry_points.txt"), "rb") as file:
                     content = file.read()
-                if GROUP.encode() in content and name in key(content.decode(errors="replace")):
+                if GROUP.encode() in content and name in normalize_chip_name(content.decode(errors="replace")):
                     return True
             except OSError:
                 continue
@@ -225,7 +229,7 @@ def _load_class(name: str, source: ChipSource) -> type[Chip]:
         ) from error
     try:
         contract.check(chip, Chip)
-        if key(chip.__name__) != name:
+        if normalize_chip_name(chip.__name__) != name:
             advice = _advise_renaming([source])
             raise ArgumentError(
                 f"the class is called {chip.__name__}. Recordings and reports name chips by their classes: {advice}"

@@ -1,4 +1,5 @@
-"""Functions that every drive has for the engine: the `mode` of a DRIVE record is a stepper drive or a servo amplifier.
+"""Functions that every drive offers to the engine; each calls the stepper or the servo amplifier, as the DRIVE record's `mode`
+says.
 
 A stepper's chip commands pulses, a servo's the counts of its encoder: both are angles of the rotor. What goes to the actuator, the
 drive's *effort*, is the torque of a stepper and the terminal voltage of a DC motor.
@@ -45,7 +46,7 @@ def compute_effort(drive, signal, n_slices, theta, omega, slice_s, gain=0.0):
 
 @hot
 def compute_torque(drive, effort):
-    """Return the motor's torque, N m, when `compute_effort` goes to its actuator."""
+    """Return the torque of the motor, N m, while `effort` acts on its actuator."""
     return drive.torque_constant * drive.current_a if drive.mode == SERVO else effort
 
 
@@ -65,30 +66,30 @@ def compute_voltage(drive, effort):
 
 @hot
 def power_up(drive, count, theta):
-    """Power up; the encoder of a servo keeps its count."""
+    """Power up a stepper drive, see `stepper.power_up`. A servo changes nothing: its encoder keeps the count."""
     if drive.mode != SERVO:
         stepper.power_up(drive, count, theta)
 
 
 @hot
 def make_rest_signal(drive, count):
-    """Return the signal of a chip, see `compute_effort`, that moves nothing."""
+    """Return the signal (see `compute_effort`) that leaves the motor at rest: the present count for a stepper, 0 for a servo."""
     return 0.0 if drive.mode == SERVO else float(count)
 
 
 @exported("f8", DRIVE, "f8", "f8")
 def compute_load_angle(drive, count, theta):
-    """Return commanded minus rotor angle, electrical radians; plain radians for a servo."""
+    """Return the commanded minus the actual rotor angle: electrical radians for a stepper, plain radians for a servo."""
     return stepper.compute_load_angle(drive, count, theta)
 
 
 @exported("f8", DRIVE, "f8", "f8")
 def compute_lag(drive, count, theta):
-    """Return commanded minus rotor angle, rad."""
+    """Return the commanded minus the actual rotor angle, mechanical radians."""
     return stepper.to_rotor_angle(drive, stepper.compute_load_angle(drive, count, theta))
 
 
 @exported("i8", DRIVE, "f8", "f8")
 def count_lost_steps(drive, count, theta):
-    """Return the full steps by which the rotor lags; a servo loses none."""
+    """Return the number of full steps by which the rotor of a stepper lags; 0 for a servo."""
     return 0 if drive.mode == SERVO else stepper.count_lost_steps(drive, count, theta)

@@ -1,6 +1,6 @@
-"""Test bench for motor and drive without a stage: a rotor, an inertia, a brake.
+"""Test bench for a motor and its drive without a stage: a rotor with an inertia and a brake.
 
-    trace = follow(drive, pulses(rates), inertia=...)       one run, everything in it
+    trace = simulate_motor(drive, compute_mean_counts(rates), inertia=...)       one run, every slice of it
     simulate_pull_out(drive, rpm), find_pull_in_rate(drive, inertia), simulate_ring_down(drive, inertia),
     sweep_resonance(drive, rates)
 

@@ -1,8 +1,8 @@
-"""Spread of a motor's values: where the core loss and the inductance of a machine lie that nobody has measured.
+"""Tolerances of motors: the ranges in which the core loss and the inductance of a machine lie that nobody has measured.
 
-    spread = estimate_spread("17HS4401")
-    spread["core_loss_damping"]                            low, high, and the evidence for them
-    vary("17HS4401", inductance=spread["inductance"].interpolate(0.5))
+    tolerances = estimate_tolerances("17HS4401")
+    tolerances["core_loss_damping"]                        low, high, and the evidence for them
+    vary_motor("17HS4401", inductance=tolerances["inductance"].interpolate(0.5))
 
 The hidden machines of the environments and the machines of `stage tune` are drawn from it.
 
@@ -32,7 +32,7 @@ FITTED_LOSS_RANGE = 0.65, 1.25
 """Core loss over the fitted one: fits to the 17HS19-2004S1's curve with inductances 20 % above and below the data sheet's."""
 
 
-class Spread(NamedTuple):
+class ToleranceRange(NamedTuple):
     """Range of a value over machines, in the value's unit, and the evidence for it: a letter of EVIDENCE and a reason."""
 
     low: float
@@ -45,17 +45,17 @@ class Spread(NamedTuple):
         return float(portable_math.exp(low + (high - low) * share))
 
 
-def estimate_spread(motor: Motor | str) -> dict[str, Spread]:
+def estimate_tolerances(motor: Motor | str) -> dict[str, ToleranceRange]:
     """Estimate the spread of a motor's core loss damping, N m s/rad, and inductance, H, by name, from their evidence."""
     motor = find_motor(motor)
     tolerance = read_tolerance(motor, "core_loss_resistance")
     if tolerance is not None:
         low, high = (share * motor.core_loss_damping for share in (1 - tolerance, 1 + tolerance))
-        loss = Spread(low, high, motor.evidence["core_loss_resistance"])
+        loss = ToleranceRange(low, high, motor.evidence["core_loss_resistance"])
     elif is_core_loss_known(motor):
         low, high = (share * motor.core_loss_damping for share in FITTED_LOSS_RANGE)
         fitted = motor.evidence["core_loss_resistance"].startswith("C")
-        loss = Spread(
+        loss = ToleranceRange(
             low,
             high,
             "C: fits to the pull-out curve with the inductance 20 % above and below the data sheet's"
@@ -64,13 +64,13 @@ def estimate_spread(motor: Motor | str) -> dict[str, Spread]:
         )
     else:
         likely = estimate_core_loss(motor)
-        loss = Spread(
+        loss = ToleranceRange(
             likely.low, likely.high, f"I: no pull-out curve of the {motor.name} is at hand; after the 17HS19-2004S1"
         )
     field = "inductance" if motor.effective_inductance is None else "effective_inductance"
     stated = read_tolerance(motor, field)
     tolerance = INDUCTANCE_TOLERANCE if stated is None else stated
-    inductance = Spread(
+    inductance = ToleranceRange(
         (1 - tolerance) * motor.phase_inductance,
         (1 + tolerance) * motor.phase_inductance,
         "I: +-20 %, as the data sheet of the 17HS19-2004S1 states" if stated is None else motor.evidence[field],

@@ -1,4 +1,4 @@
-"""Motors by name, and the drive that feeds one. Each value of a preset says where it comes from."""
+"""Stepper motors by name, and the drive that feeds one. Each value of a preset states its source."""
 
 from __future__ import annotations
 

@@ -174,35 +174,35 @@ def fit_curve(
         raise ArgumentError(
             f"speeds={list(speeds)!r}: give {len(values)} to {MAX_FITTED_POINTS} of the curve's speeds, {list(curve.rpm)} rpm."
         )
-    fitted = _fit(motor, curve, np.array(selected), list(values))
+    fitted = _fit_values(motor, curve, np.array(selected), list(values))
     comparison = curve.compare(fitted)
     others = [speed for speed in curve.rpm if speed not in selected]
     return CurveFit(fitted, tuple(selected), comparison, comparison.compute_rms(others) if others else math.nan)
 
 
-def _with_holding_torque(motor: Motor, start: Motor, factor: float) -> Motor:
+def _scale_holding_torque(motor: Motor, start: Motor, factor: float) -> Motor:
     return replace(motor, holding_torque=factor * start.holding_torque)
 
 
-def _with_effective_inductance(motor: Motor, start: Motor, factor: float) -> Motor:
+def _scale_effective_inductance(motor: Motor, start: Motor, factor: float) -> Motor:
     return replace(motor, effective_inductance=factor * start.inductance)
 
 
-def _with_core_loss(motor: Motor, start: Motor, factor: float) -> Motor:
+def _scale_core_loss(motor: Motor, start: Motor, factor: float) -> Motor:
     """Give the motor a loss of `factor` units; call it last, as the resistance depends on the torque constant."""
     damping = factor * CORE_LOSS_UNIT * start.holding_torque
     return replace(motor, core_loss_resistance=motor.torque_constant**2 / damping if damping > 0 else None)
 
 
 _VALUES: dict[str, Any] = {
-    "holding_torque": (_with_holding_torque, 1.0, SMALLEST_FACTOR),
-    "effective_inductance": (_with_effective_inductance, 1.0, SMALLEST_FACTOR),
-    "core_loss_resistance": (_with_core_loss, 0.5, 0.0),
+    "holding_torque": (_scale_holding_torque, 1.0, SMALLEST_FACTOR),
+    "effective_inductance": (_scale_effective_inductance, 1.0, SMALLEST_FACTOR),
+    "core_loss_resistance": (_scale_core_loss, 0.5, 0.0),
 }
 """What can be fitted, in the order in which the values are set: how, the factor to start from, and the least one."""
 
 
-def _fit(motor: Motor, curve: PublishedCurve, speeds: np.ndarray, values: list[str]) -> Motor:
+def _fit_values(motor: Motor, curve: PublishedCurve, speeds: np.ndarray, values: list[str]) -> Motor:
     names = [name for name in _VALUES if name in values]
     published = np.array(curve.torque, float)[np.isin(curve.rpm, speeds)]
     least = np.array([_VALUES[name][2] for name in names])

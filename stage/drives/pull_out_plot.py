@@ -1,4 +1,4 @@
-"""Picture of a pull-out curve. Needs matplotlib (extra `plot`), imported where a picture is drawn."""
+"""Plot of a pull-out curve. It needs matplotlib (extra `plot`), which is imported when a plot is drawn."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sine and cosine at once, compiled into their caller, without a C library, so with the same bits on every machine.
+"""Sine and cosine computed together, with the same bits on every machine; compiled into their callers.
 
 The angle is reduced by quarter turns (Cody and Waite, three parts of pi / 2), then two minimax polynomials on +-pi / 4, those
 of fdlibm's k_sin.c and k_cos.c. Error: 1 unit in the last place, plus that of the angle itself.

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, cast
 
 from stage.chips import Chip, contract
-from stage.chips.exclusive_access import Lock, exclusive
+from stage.chips.exclusive_access import SessionLock, exclusive
 from stage.chips.journal_entries import WRITE
 from stage.errors import ArgumentError, RunTimeout, StageError, add_article
 from stage.firmware.axis import Axis, check_origin
@@ -147,7 +147,7 @@ class Driver(ABC):
                 setattr(cls, name, exclusive(vars(cls)[name]))
 
     @property
-    def lock(self) -> Lock | None:
+    def lock(self) -> SessionLock | None:
         """Lock of the chip, see `Chip.lock`."""
         return self.chip.lock
 

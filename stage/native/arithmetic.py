@@ -1,4 +1,4 @@
-"""Functions that hot code uses in place of Python's own min, max and floor."""
+"""Replacements for Python's min, max and floor in compiled code."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ if find_spec("setuptools.command.bdist_wheel"):
 
     from stage.native.packing import Wheel  # noqa: F401
 
-    class Modules(build_py):
+    class BuildModules(build_py):
         """The packages, those of package-dir that lie elsewhere in the checkout, and the examples."""
 
         def finalize_options(self) -> None:

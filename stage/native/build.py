@@ -1,4 +1,4 @@
-"""Build a package's native library: find the parts that are out of date, have their objects made, link.
+"""Builder of a package's native library: it finds the parts that are out of date, has their objects compiled, and links them.
 
 A part is what one family exports: a folder of the third level, with all below it. Its object depends on the code of the modules
 that define it and of what they import, transitively, but for functions that it calls by their symbols, whose signatures are enough.

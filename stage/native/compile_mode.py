@@ -1,4 +1,4 @@
-"""Mode in which this process runs hot functions: from the library, as plain Python, or compiling them."""
+"""How this process runs compiled functions: from the library, as plain Python, or while it compiles them."""
 
 import os
 

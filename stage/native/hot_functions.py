@@ -128,24 +128,24 @@ class Exported:
         if isinstance(value, np.void) and not dimensions:
             value = np.asarray(value)  # of no dimensions, the same memory
         elif not isinstance(value, np.ndarray):
-            raise self._refuse(k, f"an {type(value).__name__}", dtype, dimensions)
+            raise self._make_type_error(k, f"an {type(value).__name__}", dtype, dimensions)
         elif not dimensions and not value.size:
-            raise self._refuse(k, "an empty array", dtype, dimensions)
+            raise self._make_type_error(k, "an empty array", dtype, dimensions)
         elif dimensions and value.ndim != dimensions:
-            raise self._refuse(k, f"an array of {value.ndim} dimensions", dtype, dimensions)
+            raise self._make_type_error(k, f"an array of {value.ndim} dimensions", dtype, dimensions)
         if value.dtype is not dtype and value.dtype != dtype:
-            raise self._refuse(k, f"elements {_format_dtype(value.dtype)}", dtype, dimensions)
+            raise self._make_type_error(k, f"elements {_format_dtype(value.dtype)}", dtype, dimensions)
         if not value.flags.c_contiguous or not value.flags.aligned or not value.flags.writeable:
-            raise self._refuse(k, "an array with strides, unaligned or read-only", dtype, dimensions)
+            raise self._make_type_error(k, "an array with strides, unaligned or read-only", dtype, dimensions)
 
-    def _refuse(self, k: int, what: str, dtype: np.dtype, dimensions: int) -> ArgumentError:
+    def _make_type_error(self, k: int, what: str, dtype: np.dtype, dimensions: int) -> ArgumentError:
         wanted = f"a contiguous, writeable array of {dimensions} dimensions" if dimensions else "a record, or an array"
         return ArgumentError(f"{self.name}, argument {k + 1}: {what}; it takes {wanted} of {_format_dtype(dtype)}.")
 
     @cached_property
     def c(self) -> Any:
         """Function that takes C arguments: addresses for records, addresses and lengths for arrays. It checks nothing."""
-        return self.prototype(self.address) if COMPILED else self._uncompiled
+        return self.prototype(self.address) if COMPILED else self._call_uncompiled
 
     @cached_property
     def with_gil(self) -> Any:
@@ -153,7 +153,7 @@ class Exported:
         return (
             _make_prototype(self.result, self.arguments, ctypes.PYFUNCTYPE)(self.address)
             if COMPILED
-            else self._uncompiled
+            else self._call_uncompiled
         )
 
     @cached_property
@@ -164,7 +164,7 @@ class Exported:
     @cached_property
     def pointer(self) -> Any:
         """Function of ctypes, for C."""
-        return self.c if COMPILED else self.prototype(self._uncompiled)
+        return self.c if COMPILED else self.prototype(self._call_uncompiled)
 
     @cached_property
     def address(self) -> int:
@@ -174,7 +174,7 @@ class Exported:
         self.numbered[len(self.numbered) + 1] = self
         return len(self.numbered)
 
-    def _uncompiled(self, *words: Any) -> Any:
+    def _call_uncompiled(self, *words: Any) -> Any:
         """Call the Python function with C arguments."""
         left, values = iter(words), []
         for kind in self.arguments:
@@ -204,7 +204,7 @@ def declare_address_call(result: str | None, *arguments: Any) -> Any:
     def call(address: int, args: tuple) -> Any:
         function = Exported.numbered.get(int(address)) if not COMPILED else None
         words = (float(g) if w == "f8" else int(g) for g, w in zip(args, arguments, strict=True))
-        return function._uncompiled(*words) if function else prototype(int(address))(*words)
+        return function._call_uncompiled(*words) if function else prototype(int(address))(*words)
 
     return call
 

@@ -1,4 +1,4 @@
-"""README.md for a package index: links and pictures that are relative in the repository lead to it there, by their tag."""
+"""README.md for a package index: relative links become absolute links to the tagged version of the repository."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Find a package's native library, check that it fits, load it."""
+"""Loader of a package's native library: it finds the library, checks that it fits the sources and this machine, and loads it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Implementations for numba of what stage.native offers: imported only where a library is built."""
+"""numba implementations of the functions that stage.native offers; imported only while a library is built."""
 
 from __future__ import annotations
 

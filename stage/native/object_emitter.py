@@ -1,4 +1,4 @@
-"""Make objects: numba types and lowers the exported functions of modules, LLVM optimizes them as one and emits machine code.
+"""Emitter of object files: numba types and lowers exported functions, LLVM optimizes them together and emits machine code.
 
     PULSESTAGE_EMIT=1 python -m stage.native.object_emitter < JOB     JOB: JSON, see `main`
 
@@ -67,7 +67,7 @@ class _Codegen(codegen.AOTCPUCodegen):
         """Nothing runs here."""
 
 
-class BarePackages:
+class BarePackageFinder:
     """Importer of a package's modules without its __init__: a library needs no chip class and no Gymnasium."""
 
     def __init__(self, places: dict[str, str]):
@@ -96,11 +96,11 @@ def make_context(processor: str) -> Any:
     return context
 
 
-def _gather_libraries(library: Any, into: dict[int, Any]) -> None:
-    if id(library) not in into and isinstance(library, _GatheredLibrary):  # the others are numba's own, to be run
-        into[id(library)] = library
+def _gather_libraries(library: Any, libraries: dict[int, Any]) -> None:
+    if id(library) not in libraries and isinstance(library, _GatheredLibrary):  # the others are numba's own, to be run
+        libraries[id(library)] = library
         for other in library._linking_libraries:
-            _gather_libraries(other, into)
+            _gather_libraries(other, libraries)
 
 
 def _make_entry(function: Any, context: Any) -> Iterator[Any]:
@@ -139,7 +139,9 @@ def _make_entry(function: Any, context: Any) -> Iterator[Any]:
 
 @global_compiler_lock
 def emit_object(modules: list[str], context: Any) -> bytes:
-    """Make the object of the functions that some modules export.
+    """Compile all functions that the given modules export, and return one object file.
+
+    numba lowers the functions to LLVM modules. These are linked into one module and optimized together.
 
     Args:
         modules: Names of the modules.
@@ -176,7 +178,7 @@ def emit_object(modules: list[str], context: Any) -> bytes:
 
 
 def _refuse_missing_symbols(linked: Any, exported: set[str], modules: list[str]) -> None:
-    """Raise SystemExit for a symbol that a library may not need: a function that may raise, or that allocates."""
+    """Raise SystemExit if the code needs a symbol that a library may not use: a function that can raise or allocate."""
     for symbol in (*linked.functions, *linked.global_variables):
         if (
             symbol.is_declaration
@@ -214,7 +216,7 @@ def main() -> int:
     gc.disable()  # nearly all that is made is kept to the end: looking for the rest takes a sixth of the time
     sys.modules["scipy"] = None  # type: ignore[assignment]  # numba would look for a BLAS in it, and import most of it
     job = json.load(sys.stdin)
-    sys.meta_path.insert(0, BarePackages(job["places"]))
+    sys.meta_path.insert(0, BarePackageFinder(job["places"]))
     context = make_context(job["processor"])
     fork = get_context("fork")
     next_part = fork.Value("q")

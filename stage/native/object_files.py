@@ -1,4 +1,4 @@
-"""Object files that are kept between builds, each with its SHA-256 beside it, so that a damaged one is made again."""
+"""Cache of object files between builds. A SHA-256 beside each file shows damage; a damaged file is built again."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def write_object(path: Path, content: bytes) -> None:
 
 
 def is_intact(path: Path) -> bool:
-    """Whether an object exists as it was written."""
+    """Return whether an object file is unchanged since it was written."""
     try:
         return _digest_path(path).read_bytes() == hashlib.sha256(path.read_bytes()).hexdigest().encode()
     except OSError:

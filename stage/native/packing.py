@@ -1,4 +1,4 @@
-"""The build backend (PEP 517) of packages with compiled functions of their own: setuptools, after their native library is made.
+"""Build backend (PEP 517) for packages with compiled functions: setuptools, after the native library was built.
 
     [build-system]
     requires = ["setuptools>=80", "pulsestage[build]"]

@@ -1,4 +1,4 @@
-"""Records: the state that compiled code works on, as Python and C access it."""
+"""Structured dtypes for compiled code, and access to arrays and records by their addresses."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _make_fast_record(dtype: np.dtype) -> type:
 
 
 def without_attributes(dtype: np.dtype) -> np.dtype:
-    """Return the same fields without attributes: c["name"] is then the fast access from Python."""
+    """Return a dtype of the same fields whose elements have no attributes; access by name from Python is then faster."""
     return np.dtype([(name, dtype[name]) for name in dtype.names or ()])
 
 
@@ -65,7 +65,7 @@ def address_of(item: np.ndarray | np.void) -> int:
 
 
 @lru_cache(1024)
-def _view(address: int, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+def _view_memory(address: int, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     size = prod(shape) * dtype.itemsize
     if not size:
         return np.empty(shape, dtype)
@@ -82,7 +82,7 @@ def _view_array(address: Any, shape: Any, dtype: Any) -> Any:
         dtype: Type of the elements.
     """
     shape = tuple(map(int, shape)) if isinstance(shape, tuple) else (int(shape),)
-    return _view(int(address), shape, dtype)
+    return _view_memory(int(address), shape, dtype)
 
 
 array_at: Any = _view_array

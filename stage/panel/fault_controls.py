@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 
 from stage.errors import ArgumentError, StageError, unknown_name_error
-from stage.panel.procedure_forms import Field, FieldError, parse_fields
+from stage.panel.procedure_forms import FieldError, FormField, parse_fields
 from stage.sim import faults
 from stage.sim.faults import Fault
 
@@ -80,7 +80,7 @@ class FaultForm(NamedTuple):
     name: str
     title: str
     is_of_stage: bool
-    fields: list[Field]
+    fields: list[FormField]
 
 
 class FaultRequest(NamedTuple):
@@ -185,7 +185,7 @@ class FaultControls:
         self._made = [*self.in_force, active]
         return active
 
-    def _describe_field(self, axis_name: str, p: inspect.Parameter) -> Field:
+    def _describe_field(self, axis_name: str, p: inspect.Parameter) -> FormField:
         axis = self.session.stage.axes[axis_name]
         default = "" if p.default in (p.empty, None) else str(p.default)
         choices: tuple[str, ...] = ()
@@ -201,7 +201,7 @@ class FaultControls:
         if choices and default not in choices:
             default = choices[0]
         missing = "say what." if p.default is p.empty else ""
-        return Field(
+        return FormField(
             p.name, p.name, UNITS.get(p.name, ""), default, choices, is_whole="int" in p.annotation, missing=missing
         )
 

@@ -11,7 +11,7 @@ from nicegui import background_tasks, run, ui
 from stage.errors import StageError
 from stage.panel.browser_updates import on_hold, on_single_click
 from stage.panel.fault_controls import ActiveFault, FaultForm
-from stage.panel.procedure_forms import Field, FieldError, parse_fields
+from stage.panel.procedure_forms import FieldError, FormField, parse_fields
 from stage.panel.procedure_page import FormView
 
 if TYPE_CHECKING:
@@ -91,8 +91,8 @@ class FaultPanel:
         self._slider_updates.append(update)
         update()
 
-    def _list_push_fields(self) -> list[Field]:
-        return [Field("force", "push with", self.fault_controls.find_push_unit(self.axis), "10")]
+    def _list_push_fields(self) -> list[FormField]:
+        return [FormField("force", "push with", self.fault_controls.find_push_unit(self.axis), "10")]
 
     async def _push(self, sign: int) -> None:
         if self._pushed_axis:

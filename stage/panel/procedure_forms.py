@@ -48,7 +48,7 @@ class FieldError(ArgumentError):
         self.field = field
 
 
-class Field(NamedTuple):
+class FormField(NamedTuple):
     """Field of a form.
 
     Attributes:
@@ -100,7 +100,7 @@ class Field(NamedTuple):
         return value * self.scale
 
 
-def parse_fields(fields: list[Field], texts: Mapping[str, Any]) -> Values:
+def parse_fields(fields: list[FormField], texts: Mapping[str, Any]) -> Values:
     """Return the values of a form, in SI units; those of empty fields are left out, choices are as at first.
 
     Args:
@@ -120,7 +120,7 @@ def parse_fields(fields: list[Field], texts: Mapping[str, Any]) -> Values:
     return values
 
 
-def find_field(error: BaseException, fields: list[Field]) -> str:
+def find_field(error: BaseException, fields: list[FormField]) -> str:
     """Return the name of the field that an error is about, or ""."""
     if isinstance(error, FieldError):
         return error.field
@@ -133,7 +133,7 @@ def find_unit(axis: Axis) -> tuple[str, float]:
     return ("mm", 1e-3) if axis.unit == "m" else ("deg", radians(1))
 
 
-def to_field_error(error: StageError, axis: Axis, texts: Mapping[str, Any], fields: list[Field]) -> StageError:
+def to_field_error(error: StageError, axis: Axis, texts: Mapping[str, Any], fields: list[FormField]) -> StageError:
     """Return an error about a limit of a chip as an error of the field, in the field's unit; any other error as it is.
 
     Args:
@@ -167,7 +167,7 @@ def to_field_error(error: StageError, axis: Axis, texts: Mapping[str, Any], fiel
     return FieldError(name, f"{value:.4g} {unit}: {add_article(axis.chip.MAP.chip)} makes {allowed} {unit} here.")
 
 
-def distance_field(axis: Axis, name: str, title: str, default: str, missing: str = "") -> Field:
+def distance_field(axis: Axis, name: str, title: str, default: str, missing: str = "") -> FormField:
     """Return the field of a distance, from a pulse to many times the travel of the axis."""
     unit, scale = find_unit(axis)
     travels = MAX_TRAVELS[has_end_limits(axis)]
@@ -175,26 +175,26 @@ def distance_field(axis: Axis, name: str, title: str, default: str, missing: str
     allowed = (
         f"at least one pulse, {pulse:.4g} {unit}, and up to {most:g} {unit}, {travels} times the travel of {axis.name}"
     )
-    return Field(
+    return FormField(
         name, title, unit, default, scale=scale, least=0.5 * pulse, most=most, allowed=allowed, is_signed=True, missing=missing
     )  # fmt: skip
 
 
-def speed_field(axis: Axis, name: str, title: str, default: str = "", missing: str = "") -> Field:
+def speed_field(axis: Axis, name: str, title: str, default: str = "", missing: str = "") -> FormField:
     """Return the field of a speed, of a pulse a second or more."""
     length, scale = find_unit(axis)
     unit, least = f"{length}/s", (axis.meters_per_pulse or 0.0) * MIN_SPEED_PPS / scale
     allowed = f"a speed is more than 0, and one pulse a second, {least:.3g} {unit}, or more"
-    return Field(name, title, unit, default, scale=scale, least=least, allowed=allowed, missing=missing)
+    return FormField(name, title, unit, default, scale=scale, least=least, allowed=allowed, missing=missing)
 
 
-def list_speed_fields(axis: Axis) -> list[Field]:
+def list_speed_fields(axis: Axis) -> list[FormField]:
     """Return the fields of speed and ramp that an axis has."""
     start = [] if get_driver(axis).has_position_loop else [speed_field(axis, "start_speed", "start speed")]
     return [speed_field(axis, "speed", "speed"), *start, RAMP_FIELD]
 
 
-RAMP_FIELD = Field(
+RAMP_FIELD = FormField(
     "accel", "ramp", "s", "0.15", least=1e-9, most=MAX_RAMP_S, allowed=f"a ramp takes more than 0 and up to {MAX_RAMP_S:g} s"
 )  # fmt: skip
 
@@ -214,7 +214,7 @@ class ProcedureForm:
 
     name: str
     title: str
-    list_fields: Callable[[Stage, str], list[Field]]
+    list_fields: Callable[[Stage, str], list[FormField]]
     begin: Callable[[Stage, str, Values], Callable[[Stage], Any]]
     several: bool = False
     is_available: Callable[[Stage, str], bool] = lambda stage, axis: True
@@ -235,11 +235,11 @@ class ProcedureForm:
         return self.begin(stage, axis, parse_fields(self.list_fields(stage, axis), texts))
 
 
-def list_move_fields(stage: Stage, name: str) -> list[Field]:
+def list_move_fields(stage: Stage, name: str) -> list[FormField]:
     """Return the fields of a move."""
     axis, shapes = stage.axes[name], tuple(RAMP_SHAPES)
     distance = distance_field(axis, "distance", "distance", "10", "say how far.")
-    return [distance, *list_speed_fields(axis), Field("s_curve", "ramps", default=shapes[0], choices=shapes)]
+    return [distance, *list_speed_fields(axis), FormField("s_curve", "ramps", default=shapes[0], choices=shapes)]
 
 
 def begin_move(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any]:
@@ -248,14 +248,14 @@ def begin_move(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any
     return lambda stage: procedures.move(stage.axes[name], **values)
 
 
-def list_rates_fields(stage: Stage, name: str) -> list[Field]:
+def list_rates_fields(stage: Stage, name: str) -> list[FormField]:
     """Return the fields of a move with two drive speeds."""
     axis = stage.axes[name]
     return [
         distance_field(axis, "distance", "distance", "40", "say how far."),
         speed_field(axis, "speed", "first speed", "20"),
         speed_field(axis, "fast", "second speed", "40", "say how fast."),
-        Field("dwell", "time at each", "s", "0.2", least=0.0, allowed="a time is 0 s or more"),
+        FormField("dwell", "time at each", "s", "0.2", least=0.0, allowed="a time is 0 s or more"),
         RAMP_FIELD,
     ]
 
@@ -273,13 +273,13 @@ def has_two_rates(stage: Stage, name: str) -> bool:
     return "second" in get_driver(stage.axes[name]).OPTIONS
 
 
-def list_home_fields(stage: Stage, name: str) -> list[Field]:
+def list_home_fields(stage: Stage, name: str) -> list[FormField]:
     """Return the fields of an origin return."""
     axis, directions = stage.axes[name], tuple(DIRECTIONS)
     homings = get_driver(axis).list_homing_methods()
     return [
-        Field("direction", "origin lies", default=directions[0], choices=directions),
-        Field("by", "by", default=homings[0], choices=homings),
+        FormField("direction", "origin lies", default=directions[0], choices=directions),
+        FormField("by", "by", default=homings[0], choices=homings),
         *list_speed_fields(axis),
     ]
 
@@ -290,7 +290,7 @@ def begin_home(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any
     return lambda stage: procedures.home(stage.axes[name], **values)
 
 
-def list_line_fields(stage: Stage, name: str) -> list[Field]:
+def list_line_fields(stage: Stage, name: str) -> list[FormField]:
     """Return the fields of a line: a distance of each axis."""
     defaults = chain(LINE_DEFAULTS, repeat(""))
     distances = [distance_field(axis, n, n, d) for (n, axis), d in zip(stage.axes.items(), defaults, strict=False)]
@@ -312,12 +312,12 @@ def list_circle_pairs(stage: Stage) -> list[str]:
     return [f"{a.name} {b.name}" for a, b in combinations(axes, 2) if a.chip is b.chip and a.unit == b.unit]
 
 
-def list_circle_fields(stage: Stage, name: str) -> list[Field]:
+def list_circle_fields(stage: Stage, name: str) -> list[FormField]:
     """Return the fields of a circle."""
     pairs = tuple(list_circle_pairs(stage))
     axis = stage.axes[pairs[0].split()[0]]
     radius = distance_field(axis, "radius", "radius", "5", "say how large.")
-    return [Field("axes", "axes", default=pairs[0], choices=pairs), radius, *list_speed_fields(axis)]
+    return [FormField("axes", "axes", default=pairs[0], choices=pairs), radius, *list_speed_fields(axis)]
 
 
 def begin_circle(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any]:
@@ -340,7 +340,7 @@ FORMS: dict[str, ProcedureForm] = {
 """Every form by name."""
 
 
-def list_jog_fields(axis: Axis) -> list[Field]:
+def list_jog_fields(axis: Axis) -> list[FormField]:
     """Return the fields of a jog."""
     return [field for field in list_speed_fields(axis) if field.name != "start_speed"]
 

@@ -15,7 +15,7 @@ from stage.panel.browser_updates import on_hold
 from stage.panel.fault_controls import find_coupled_axes
 from stage.panel.procedure_forms import (
     FORMS,
-    Field,
+    FormField,
     Jog,
     ProcedureForm,
     draw_pattern,
@@ -41,11 +41,11 @@ class FormView:
         controls: Elements by field.
     """
 
-    def __init__(self, name: str, fields: list[Field]):
+    def __init__(self, name: str, fields: list[FormField]):
         self.name, self.fields = name, fields
         self.controls: dict[str, Any] = {field.name: self._build_control(field) for field in fields}
 
-    def _build_control(self, field: Field) -> Any:
+    def _build_control(self, field: FormField) -> Any:
         props = f"dense outlined hide-bottom-space data-test={self.name}-{field.name}"
         if field.choices:
             control: Any = ui.select(list(field.choices), value=field.default, label=field.title)
@@ -229,7 +229,7 @@ class Procedures:
                 with ui.tab_panel("jog").classes("q-pa-xs"):
                     self._build_jog()
 
-    def _build_form(self, form: ProcedureForm, fields: list[Field]) -> None:
+    def _build_form(self, form: ProcedureForm, fields: list[FormField]) -> None:
         with ui.row().classes("w-full items-start q-gutter-xs"):
             view = FormView(form.name, fields)
             begin = partial(self._begin, form, view)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.chips.exclusive_access import Lock, exclusive, exclusively
+from stage.chips.exclusive_access import SessionLock, exclusive, exclusively
 from stage.drives import drive_dispatch as any_drive
 from stage.errors import ArgumentError, StageError, UnknownKey, unknown_name_error
 from stage.sim.line_player import LINE_EDGE, play_lines
@@ -165,7 +165,7 @@ class Axis:
         self.armature, self.rotor = float(stage.model.dof_armature[plant.dof]), drive.motor.rotor_inertia
 
     @property
-    def lock(self) -> Lock | None:
+    def lock(self) -> SessionLock | None:
         """Lock of its stage, see `Stage.lock`."""
         return self.chip.lock
 

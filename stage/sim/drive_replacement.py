@@ -1,4 +1,4 @@
-"""Another motor on an axis of a stage that is built: changes of the model, and of the state of power-up."""
+"""Replacement of the motor of an axis in a finished stage: changes of the model, and of the state after power-up."""
 
 from __future__ import annotations
 

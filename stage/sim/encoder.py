@@ -82,12 +82,12 @@ EncoderChoice = Mapping[str, float] | Iterable[Encoder] | Encoder | None
 
 
 def choose_encoders(
-    encoders_given: EncoderChoice, names: Sequence[str], chip_axes: Sequence[ChipAxis]
+    encoder_choice: EncoderChoice, names: Sequence[str], chip_axes: Sequence[ChipAxis]
 ) -> tuple[Encoder, ...]:
     """Return the encoders that chips of a stage count, as `Stage` takes them.
 
     Args:
-        encoders_given: Argument of `Stage`.
+        encoder_choice: Argument of `Stage`.
         names: Axes of the stage.
         chip_axes: Their axes of chips.
 
@@ -95,7 +95,7 @@ def choose_encoders(
         ArgumentError: An axis does not exist, has two, or a chip that counts none.
     """
     chosen: dict[str, Encoder] = {}
-    for encoder in _list_encoders(encoders_given):
+    for encoder in _list_encoders(encoder_choice):
         if encoder.axis not in names:
             raise unknown_name_error("axis", encoder.axis, names)
         if encoder.axis in chosen:
@@ -132,24 +132,24 @@ def list_counts_per_unit(encoders: Iterable[Encoder], plant: Sequence[PlantAxis]
     return [of[p.name].compute_counts_per_unit(p.gear) if p.name in of else 0.0 for p in plant]
 
 
-def _list_encoders(given: EncoderChoice) -> list[Encoder]:
-    if given is None:
+def _list_encoders(choice: EncoderChoice) -> list[Encoder]:
+    if choice is None:
         return []
-    if isinstance(given, Encoder):
-        return [given]
-    if isinstance(given, Mapping):
-        for axis, counts in given.items():
+    if isinstance(choice, Encoder):
+        return [choice]
+    if isinstance(choice, Mapping):
+        for axis, counts in choice.items():
             if not _is_rate(counts):
                 raise ArgumentError(
                     f"encoders for axis {axis}: {counts!r}: a number of counts a metre is wanted, not 0, for example 200_000; "
                     f'below 0 it is mounted the other way round. On the motor: encoders=[Encoder("{axis}", per_turn=2000)].'
                 )
-        return [Encoder(axis, per_metre=float(counts)) for axis, counts in given.items()]
-    encoders = list(given) if isinstance(given, Iterable) and not isinstance(given, str) else [given]
+        return [Encoder(axis, per_metre=float(counts)) for axis, counts in choice.items()]
+    encoders = list(choice) if isinstance(choice, Iterable) and not isinstance(choice, str) else [choice]
     for encoder in encoders:
         if not isinstance(encoder, Encoder):
             raise ArgumentError(
-                f'encoders={given!r}: a mapping axis -> counts a metre, {{"x": 200_000}}, or Encoders, '
+                f'encoders={choice!r}: a mapping axis -> counts a metre, {{"x": 200_000}}, or Encoders, '
                 '[Encoder("x", per_turn=2000)].'
             )
     return encoders

@@ -1,4 +1,4 @@
-"""The engine's records: state of a stage in userdata, tables of constants beside it, its notes; and its clock."""
+"""Record types of the engine: the state of a stage in MuJoCo's userdata, tables of constants, samples, and logged edges."""
 
 from __future__ import annotations
 
@@ -98,5 +98,8 @@ MAX_SPEED = 1e6  # of any joint, per second; beyond it, or NaN, the simulation h
 
 @hot
 def compute_clock_at(now: int, hz: int) -> int:
-    """Ticks of a reference clock at `now` ns, exact for centuries."""
+    """Compute the clock of a chip at `now` ns, exact for centuries.
+
+    `hz` is the reference clock of the chip, Hz.
+    """
     return now // SECOND * hz + now % SECOND * hz // SECOND

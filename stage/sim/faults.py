@@ -114,14 +114,14 @@ class Fault:
 
 
 def _make_change(
-    get: Callable[[], Any], put: Callable[[Any], None], to: Callable[[Any], Any]
+    get_value: Callable[[], Any], set_value: Callable[[Any], None], compute_new_value: Callable[[Any], Any]
 ) -> Callable[[], Callable[[], None]]:
-    """Return `begin` of a fault that changes what `get` reads and `put` writes `to` another value; its end restores the old one."""
+    """Return the function that begins a fault: it replaces a value by a new one, and returns the function that restores it."""
 
     def begin() -> Callable[[], None]:
-        before = get()
-        put(to(before))
-        return lambda: put(before)
+        before = get_value()
+        set_value(compute_new_value(before))
+        return lambda: set_value(before)
 
     return begin
 
@@ -199,7 +199,7 @@ def bounce(axis: Axis, pin: str, seconds: float = 2e-3, toggles: int = 6) -> Fau
     )
 
 
-def _make_switch_fault(axis: Axis, what: str, rows: dict[int, dict[str, int]]) -> Fault:
+def _make_switch_fault(axis: Axis, description: str, rows: dict[int, dict[str, int]]) -> Fault:
     stage = axis.stage
 
     def get() -> dict[int, dict[str, int]]:
@@ -213,7 +213,7 @@ def _make_switch_fault(axis: Axis, what: str, rows: dict[int, dict[str, int]]) -
         stage.update_switches(axis)
 
     things = [(row, field) for row, change in rows.items() for field in change]
-    return Fault(stage, f"axis {axis.name}: {what}", _make_change(get, put, lambda _: rows), things)
+    return Fault(stage, f"axis {axis.name}: {description}", _make_change(get, put, lambda _: rows), things)
 
 
 def _find_vane(axis: Axis, sensor: int) -> int | None:
@@ -339,7 +339,9 @@ def phase_open(axis: Axis, phase: str = "a") -> Fault:
     return _make_axis_fault(axis.stage, [axis], text, "open_phases", lambda before: before | PHASES[phase])
 
 
-def _make_axis_fault(stage: Stage, axes: list[Axis], text: str, field: str, to: Callable[[Any], Any]) -> Fault:
+def _make_axis_fault(
+    stage: Stage, axes: list[Axis], text: str, field: str, compute_new_value: Callable[[Any], Any]
+) -> Fault:
     """Make a fault that changes a field of `Axis.faults` on some axes, from the present value to `to(value)`."""
 
     def put(values: list[Any]) -> None:
@@ -347,7 +349,9 @@ def _make_axis_fault(stage: Stage, axes: list[Axis], text: str, field: str, to: 
             setattr(axis.faults, field, value)
         stage.apply_faults()
 
-    begin = _make_change(lambda: [getattr(a.faults, field) for a in axes], put, lambda before: [to(v) for v in before])
+    begin = _make_change(
+        lambda: [getattr(a.faults, field) for a in axes], put, lambda before: [compute_new_value(v) for v in before]
+    )
     return Fault(stage, text, begin, [(field, a.name) for a in axes])
 
 
@@ -452,7 +456,7 @@ def lost_write(where: Axis | Chip, address: int | None = None, value: int | None
     return fault
 
 
-def _make_bus_fault(where: Axis | Chip, what: str, glitch: Callable[[int, int], bool]) -> Fault:
+def _make_bus_fault(where: Axis | Chip, description: str, glitch: Callable[[int, int], bool]) -> Fault:
     chip, stage = (where, None) if isinstance(where, Chip) else (where.chip, where.stage)
     name = type(where).__name__ if isinstance(where, Chip) else f"axis {where.name}"
 
@@ -463,7 +467,7 @@ def _make_bus_fault(where: Axis | Chip, what: str, glitch: Callable[[int, int], 
     def end() -> None:
         chip.glitches = tuple(g for g in chip.glitches if g is not glitch)
 
-    return Fault(stage, f"{name}: {what}", begin)
+    return Fault(stage, f"{name}: {description}", begin)
 
 
 def _check_type(value: Any, kind: type = Axis) -> None:

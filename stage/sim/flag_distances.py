@@ -1,4 +1,4 @@
-"""Distances between switches and their vanes over an axis' travel: thousands of positions, before a stage can begin."""
+"""Compiled measurement of the distance between a switch and its vane at thousands of positions of an axis."""
 
 from __future__ import annotations
 

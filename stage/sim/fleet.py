@@ -224,9 +224,9 @@ class Fleet:
             work: Takes begin and end of a range.
         """
         self._stop_background()
-        self._spread(work)
+        self._run_chunks_on_threads(work)
 
-    def _spread(self, work: Callable[[int, int], None]) -> None:
+    def _run_chunks_on_threads(self, work: Callable[[int, int], None]) -> None:
         n = len(self.stages)
         if self.threads == 1:
             work(0, n)
@@ -260,7 +260,7 @@ class Fleet:
             turn.running = True
             try:
                 if not turn.left:
-                    self._spread(work)
+                    self._run_chunks_on_threads(work)
             except BaseException as error:
                 turn.failed = error
             finally:

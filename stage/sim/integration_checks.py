@@ -1,4 +1,4 @@
-"""Requirements of a stage on MuJoCo's integration: an integrator that is a leapfrog, and a time step that is short for its motors.
+"""Checks that MuJoCo's integrator and time step suit a stage: a leapfrog integrator, and steps short enough for the motors.
 
 docs/models.md, "The time step", has the simulated moves behind the bounds.
 """

@@ -1,4 +1,4 @@
-"""MuJoCo's own library: addresses of its functions, for compiled code that calls them."""
+"""Addresses of the functions in MuJoCo's own library, for compiled code that calls them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import mujoco
 
 @cache
 def load_mujoco_library() -> ctypes.CDLL:
-    """Return the library that the package mujoco has loaded."""
+    """Return MuJoCo's library, which the package mujoco has already loaded."""
     return ctypes.CDLL(
         str(next(Path(mujoco.__file__).parent.glob("libmujoco.*")))
     )  # .so.VERSION or, on macOS, .VERSION.dylib
@@ -19,5 +19,5 @@ def load_mujoco_library() -> ctypes.CDLL:
 
 @cache
 def find_mujoco_address(name: str) -> int:
-    """Return the address of a function."""
+    """Return the address of a function of MuJoCo's library."""
     return int(ctypes.cast(load_mujoco_library()[name], ctypes.c_void_p).value or 0)

@@ -1,4 +1,4 @@
-"""Fingerprints of a model: of all its values, and of its mechanics alone."""
+"""Digests of a model: one of all its values, and one of its mechanics alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""MuJoCo's callbacks (`mujoco.set_mjcb_control` and the like) while compiled code steps the physics.
+"""Guards for MuJoCo's Python callbacks (`mujoco.set_mjcb_control` and others) while compiled code steps the physics.
 
 MuJoCo calls them in the middle of a step. It cannot pass on an exception from a callback and would end the process. So they run
 guarded: the exception is kept, the step is completed without further callbacks, and then the exception is raised in the caller of

@@ -1,4 +1,4 @@
-"""A host's program, played on many stages at once: compiled, without the GIL.
+"""Player of host programs on many stages at once, compiled: it runs without the GIL.
 
 The result is that of a Python program through `Stage`, to the bit: `play_in_python` plays a program that way, for recordings and
 tests.

@@ -24,7 +24,7 @@ import numpy as np
 
 from stage import load_method_of_stage
 from stage.chips import ChipAxis
-from stage.chips.exclusive_access import Lock, exclusive
+from stage.chips.exclusive_access import SessionLock, exclusive
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError, RunTimeout, StageError, unknown_name_error
@@ -188,7 +188,7 @@ class Stage:
         return describe_stage(self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked)
 
     @property
-    def lock(self) -> Lock | None:
+    def lock(self) -> SessionLock | None:
         """Lock that users of the stage take while a session is open, see stage.chips.exclusive_access; None without a session."""
         return self.loop.lock
 

@@ -1,10 +1,10 @@
-"""A stage for compiled code: a HANDLE has the addresses of its arrays, and the functions here return them as arrays.
+"""HANDLE records, which give compiled code access to a stage: a HANDLE has the addresses of the stage's arrays.
 
 handles = np.zeros(1, HANDLE)
-fill(handles, 0, stage.state)
+fill_handle(handles, 0, stage.state)
 engine.advance(handles[0], until)       the stage's time passes, in hot functions and in Python
 
-Compiled functions take the record as their argument `h`.
+Compiled functions take the record as their argument `handle`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""`Loop`: advances a stage's time. It calls the engine again and again, and takes what the engine has noted.
+"""`Loop`: advances the time of a stage. It calls the engine repeatedly, and writes what the engine has logged to journals and
+recordings.
 
 A long run is made in pieces of some hundredths of a second of real time, so that Ctrl-C works. After each piece the inputs of the
 chips go to their journals and the samples to the recording; a step that diverged, or in which a callback failed, is undone.
@@ -15,7 +16,7 @@ import mujoco
 import numpy as np
 
 from stage.chips import Chip
-from stage.chips.exclusive_access import Lock
+from stage.chips.exclusive_access import SessionLock
 from stage.chips.journal_entries import LOAD, PACKED, SHAFT
 from stage.errors import ArgumentError, SimulationError, StageError
 from stage.sim import engine, engine_records, mujoco_callbacks
@@ -60,7 +61,7 @@ class Loop:
         self.time_refusal = self.state_refusal = ""
         self.pace: Callable[[int], int] | None = None
         self.each_cycle: Callable[[], None] | None = None
-        self.lock: Lock | None = None
+        self.lock: SessionLock | None = None
         self._words, self._pointer, self._advance = state.words, state.pointer, engine.advance.c
         self._power_up, self._dt, self._bus = power_up, state.dt, state.bus
         self._opt = state.model.opt
@@ -191,23 +192,23 @@ class Loop:
             try:
                 status = self._advance(self._pointer, goal)
             except BaseException:  # Ctrl-C while compiled code ran: it has come to its end
-                self._account(int(self.state.handle["status"]), 0)
+                self._process_engine_status(int(self.state.handle["status"]), 0)
                 raise
             if status or recording is not None or self.state.handle["noted"]:
-                self._account(status, until)
+                self._process_engine_status(status, until)
             if long:
                 if status == engine_records.REACHED:
-                    self._piece = piece = self._next_piece(perf_counter() - begin)
+                    self._piece = piece = self._choose_next_piece(perf_counter() - begin)
             elif status == engine_records.REACHED:
                 return
 
-    def _next_piece(self, took: float) -> int:
+    def _choose_next_piece(self, took: float) -> int:
         """Return the simulated time of the next piece of a long run, ns, where the last one took so many seconds."""
         if took < MIN_PIECE_S:
             return min(2 * self._piece, 1 << 60)
         return max(self._piece // 2, self._dt) if took > MAX_PIECE_S else self._piece
 
-    def _account(self, status: int, until: int) -> None:
+    def _process_engine_status(self, status: int, until: int) -> None:
         """Take what the engine has noted after it returned before `until`, and handle or raise what stopped it."""
         h, recording = self.state.handle, self.recording
         error: BaseException | None = None

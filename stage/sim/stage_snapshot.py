@@ -1,4 +1,4 @@
-"""Snapshots of stages, and their description of the stage that they were taken of."""
+"""Snapshots of stages, and the header that describes the stage of which a snapshot was taken."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`State`: the places of a stage's records in memory, for compiled code, boards and tests; users of a stage do not need it.
+"""`State`: where each record of a stage lies in memory, for compiled code, boards and tests; users of a stage do not need it.
 
 All that changes while time passes is in MjData.userdata, so that MuJoCo's own snapshots, copies and rollouts carry it: one WORLD,
 an AXIS an axis, the record of every chip, a DRIVE an axis, a SWITCH a switch, an address latch a chip, in this order. Tables of
@@ -130,16 +130,16 @@ class State:
 
     @property
     def start(self) -> int:
-        """Beginning of the present physics step, ns."""
+        """Time at the beginning of the present physics step, ns."""
         return self.words.item(START)
 
     @property
     def powered(self) -> int:
-        """0 after userdata was cleared: then its contents are not valid."""
+        """1 while the state is valid, 0 after userdata was cleared, for example by `mj_resetData`."""
         return self.words.item(POWERED)
 
     def set_edge_buffer(self, edges: np.ndarray) -> None:
-        """Have the engine note what reaches the chips in `edges`, EDGE records."""
+        """Set the array of EDGE records in which the engine logs the inputs of the chips."""
         self.edges = edges
         self.handle["edges"], self.handle["edge_room"] = edges.ctypes.data, len(edges)
 

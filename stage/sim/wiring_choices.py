@@ -1,4 +1,4 @@
-"""Wires that differ from the usual.
+"""Wires that differ from the default, as a user passes them: active levels of sensors, SYNO to SYNI, multichip lines.
 
 Sensors of positive logic, chips whose SYNI is connected to another chip's SYNO, and the lines of multichip interpolation.
 """

@@ -65,13 +65,13 @@ def explain_constructor(cls: type[Constructed]) -> type[Constructed]:
 
 
 @cache
-def _signature(function: Callable) -> inspect.Signature:
+def _get_signature(function: Callable) -> inspect.Signature:
     return inspect.signature(function)
 
 
 def _describe_wrong(function: Callable, args: tuple, kwargs: dict[str, Any]) -> WrongType | None:
     """Describe the first argument that does not fit the signature of `function`; None if the annotations show no mistake."""
-    signature = _signature(function)
+    signature = _get_signature(function)
     names = [name for name in signature.parameters if name not in ("self", "cls")]
     has_any_names = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
     for name in () if has_any_names else (n for n in kwargs if n not in names):

@@ -1,4 +1,4 @@
-"""Files that are written completely or not at all, and that replace another file only on request.
+"""Safe writing of files: a file is written completely or not at all, and replaces another file only on request.
 
 A symbolic link is followed to its target. Devices and pipes are written to whatever `overwrite` is, as no data are lost. Only
 regular files are replaced.

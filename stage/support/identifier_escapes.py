@@ -1,4 +1,4 @@
-"""Conversion of names of models, axes and pins to identifiers for VCD, rerun's entity paths, C and file names.
+"""Escapes that turn names of models, axes and pins into identifiers for VCD, rerun, C and file names, and back.
 
 An MJCF may call an axis anything: `Achse_ü`, `x 1`, `robot/x`. Characters that a format does not allow are escaped, never dropped,
 so that two names never become one, and `unescape_name` restores the name.
@@ -14,10 +14,10 @@ _ESCAPED = re.compile(r"_u([0-9a-f]+)_")
 
 
 def escape_name(name: str, reserved: Container[str] = ()) -> str:
-    """Write a name with ASCII letters, digits and underscores only, not beginning with a digit.
+    """Convert any name to an identifier: ASCII letters, digits and underscores, not beginning with a digit.
 
-    A name that has only these characters stays as it is. Any other character becomes its code point between `_u` and `_`:
-    "x 1" is "x_u20_1". An underscore that would look like such an escape is escaped itself.
+    A name that is an identifier already is returned unchanged. Any other character is replaced by its code point between `_u`
+    and `_`: "x 1" becomes "x_u20_1". An underscore that looks like the beginning of such an escape is escaped as well.
 
     Args:
         name: Any text.

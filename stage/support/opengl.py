@@ -1,4 +1,4 @@
-"""Choice of OpenGL for MuJoCo's pictures and windows on this machine, with an error that says what is missing.
+"""Choice of the OpenGL backend for MuJoCo's renderers and windows, with an error that names what is missing.
 
 Without MUJOCO_GL, MuJoCo chooses GLFW, which needs a screen. Without one its viewer ends the process, and so does the second
 renderer after a first one that failed. So EGL is used where there is no screen, GLFW is tested before MuJoCo uses it, and a library

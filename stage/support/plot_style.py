@@ -1,4 +1,4 @@
-"""Style of PulseStage's pictures: colors, headings, panels without a frame. Pictures need matplotlib (extra `plot`)."""
+"""Common style of PulseStage's plots: colors, headings, panels without a frame. Plots need matplotlib (extra `plot`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs of other programs, such as compilers and addr2line, with their output as text in any encoding."""
+"""Calls of other programs, such as compilers and addr2line, whose output is decoded as text in any encoding."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.drives.dc_motors import Servo
-from stage.drives.motor_tolerances import estimate_spread, vary_motor
+from stage.drives.motor_tolerances import estimate_tolerances, vary_motor
 from stage.drives.motors import MAX_BUS_VOLTAGE, Drive, read_tolerance
 from stage.sim.drive_replacement import vary_drive
 from stage.support import portable_math
@@ -96,9 +96,9 @@ def find_spreads(axis: Any) -> dict[str, Spread]:
     motor, spreads = axis.drive.motor, {}
     if isinstance(axis.drive, Drive):
         if axis.stage.model.actuator_damping[axis.plant.actuator] == motor.core_loss_damping:
-            low, high, evidence = estimate_spread(motor)["core_loss_damping"]
+            low, high, evidence = estimate_tolerances(motor)["core_loss_damping"]
             spreads["core loss"] = Spread(low, high, VALUE_UNITS["core loss"], low > 0, evidence)
-        low, high, evidence = estimate_spread(motor)["inductance"]
+        low, high, evidence = estimate_tolerances(motor)["inductance"]
         spreads["inductance"] = Spread(low, high, VALUE_UNITS["inductance"], False, evidence)
     tolerance, stated = read_tolerance(motor, "resistance"), motor.evidence.get("resistance", "")
     spreads["resistance"] = DEFAULT_SPREADS["resistance"].scale(motor.resistance, tolerance, stated)

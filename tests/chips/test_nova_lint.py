@@ -21,7 +21,7 @@ every_chip = pytest.mark.parametrize("chip", MAPS, ids=lambda m: m.chip)
 class Contents:
     """Contents of a chip before a write, as the lint reads them; a mask of axes has bit 0 for X."""
 
-    data = driving_axes = relative_drives = absolute_drives = interpolated_axes = role = helix_ticks = 0
+    data = driving_axes = relative_drives = absolute_drives = interpolated_axes = multichip_role = helix_ticks = 0
     has_unused_data = is_interpolating = is_queue_full = is_loading_pattern = is_linked = has_master_started = False
     drive_speed = finish_points = ()
 

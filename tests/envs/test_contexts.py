@@ -8,7 +8,7 @@ from stage import ArgumentError, Stage
 from stage.envs import machine_contexts, machine_faults
 from stage.envs.observation_features import HOST, Feature
 from stage.envs.settings import read_option
-from stage.envs.step_results import SCORE_FEATURE, Results, make_result_dtype
+from stage.envs.step_results import SCORE_FEATURE, Results, make_step_result_dtype
 
 PARTS = {"payload": 1.0, "friction": 3.0, "supply": 0.5, "current": 0.8, "loss": 1.5, "inductance": 1.2}
 ENDS = {"payload": (2.0, 2.0), "friction": (0.5, 2.0)}
@@ -147,7 +147,7 @@ def test_binding_bearings_also_act_on_a_left_handed_screw(tmp_path):
 def test_a_vector_scores_only_episodes_that_end_in_this_step():
     for hidden in (frozenset(), frozenset({"score"})):
         results = Results(
-            3, make_result_dtype(("time",), (Feature("duration", HOST, "s", kind=float), SCORE_FEATURE)), hidden
+            3, make_step_result_dtype(("time",), (Feature("duration", HOST, "s", kind=float), SCORE_FEATURE)), hidden
         )
         results["score"]["time"], results["terminated"] = [1.0, 2.0, 3.0], [True, True, False]
         reported = results.read_columns(np.array([True, False, True]))

@@ -219,17 +219,17 @@ def test_every_split_draws_from_its_ranges_and_settings_override_it():
     for name, differs in machine_contexts.SPLITS.items():
         config = Config(split=name)
         assert set(differs) <= set(train)
-        for kind, ends in machine_contexts.get_ranges(config).items():
+        for kind, ends in machine_contexts.get_context_ranges(config).items():
             of = machine_contexts.KINDS[kind][0]
             if name != "train" and of in differs:
                 inside = train[of]
                 assert ends == differs[of]
                 assert ends[0] >= inside[1] or ends[1] <= inside[0], "none of it is in train"
             rng, created = np.random.default_rng(5), np.zeros((), machine_contexts.CONTEXT)
-            machine_contexts.draw_context(rng, machine_contexts.get_ranges(config), created, {})
+            machine_contexts.draw_context(rng, machine_contexts.get_context_ranges(config), created, {})
             assert ends[0] <= created[kind] <= ends[1]
         assert all(name == "train" or differs[key] != train[key] for key in differs)
-    assert machine_contexts.get_ranges(Config(split="heavy", payloads=(7.0, 8.0)))["payload"] == (7.0, 8.0)
+    assert machine_contexts.get_context_ranges(Config(split="heavy", payloads=(7.0, 8.0)))["payload"] == (7.0, 8.0)
     with pytest.raises(ArgumentError, match=r"split 'hevy'.*Did you mean 'heavy'"):
         Config(split="hevy")
     env = make_env(split="heavy")

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from stage.envs.observation_features import HOST, Feature
-from stage.envs.step_results import DIVERGED, Results, make_result_dtype
+from stage.envs.step_results import DIVERGED, Results, make_step_result_dtype
 
 
 @pytest.fixture
 def results():
     kinds = {"duration": float, "finished": bool, "lost_steps": int, "registers": int}
     info = [Feature(name, HOST, "", kind=kind) for name, kind in kinds.items()]
-    created = Results(3, make_result_dtype(("time", "lost"), info, {"registers": (2,)}))
+    created = Results(3, make_step_result_dtype(("time", "lost"), info, {"registers": (2,)}))
     created["parts"]["time"], created["parts"]["lost"] = [-1.0, -2.0, np.nan], [0.0, -5.0, 0.0]
     created["info"]["registers"] = [[1, 2], [3, 4], [5, 6]]
     created["terminated"] = [False, True, True]

@@ -37,7 +37,7 @@ class Renderer:
 def test_a_picture_has_the_requested_size_camera_and_joint_positions(machine, monkeypatch):
     monkeypatch.setattr(rendering, "make_renderer", Renderer)
     camera = machine.model.camera(0).name
-    created = rendering.viewer(machine, "rgb_array", camera, 64, 48)
+    created = rendering.make_viewer(machine, "rgb_array", camera, 64, 48)
     assert isinstance(created, rendering.OffScreen)
     before = machine.data.qpos.copy()
     assert created.frame() == created.frame(np.array([0.01, -0.02])) == "a picture"
@@ -50,7 +50,7 @@ def test_a_picture_has_the_requested_size_camera_and_joint_positions(machine, mo
     assert closed == "closed"
     assert (machine.data.qpos == before).all(), "the stage itself stays where it is"
     with pytest.raises(ArgumentError, match=f"unknown camera 'nowhere'.*{camera}"):
-        rendering.viewer(machine, "rgb_array_list", "nowhere", 64, 48)
+        rendering.make_viewer(machine, "rgb_array_list", "nowhere", 64, 48)
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def window(monkeypatch):
 
 
 def test_a_window_shows_the_joint_positions_of_each_frame(machine, window):
-    created = rendering.viewer(machine, "human", "overview", 64, 48)
+    created = rendering.make_viewer(machine, "human", "overview", 64, 48)
     assert isinstance(created, rendering.OnScreen)
     assert window.checked == ["Use render_mode='rgb_array', or record."]
     ((model, data),) = window.events

@@ -13,8 +13,8 @@ from stage.panel import procedure_forms as forms
 from stage.panel.fault_controls import find_coupled_axes
 from stage.panel.procedure_forms import (
     FORMS,
-    Field,
     FieldError,
+    FormField,
     Jog,
     find_field,
     find_unit,
@@ -162,23 +162,23 @@ def test_a_report_is_drawn(fresh):
 
 
 def test_texts_of_a_form_are_numbers_with_a_point_or_a_comma():
-    fields = [Field("a", "A", "mm", "3"), Field("b", "B"), Field("c", "C", choices=("x", "y"), default="y")]
+    fields = [FormField("a", "A", "mm", "3"), FormField("b", "B"), FormField("c", "C", choices=("x", "y"), default="y")]
     assert parse_fields(fields, {"a": " 2,5 ", "b": "", "c": ""}) == {"a": 2.5, "c": "y"}
     assert parse_fields(fields, {"b": "-1e3", "c": "x", "more": "1"}) == {"a": 3.0, "b": -1000.0, "c": "x"}
-    assert parse_fields([Field("n", "N", is_whole=True)], {"n": "10h"}) == {"n": 16}
+    assert parse_fields([FormField("n", "N", is_whole=True)], {"n": "10h"}) == {"n": 16}
 
 
 @pytest.mark.parametrize(
     ("field", "text", "message"),
     [
-        (Field("a", "A", "mm"), "two", "'two' is not a number of mm."),
-        (Field("a", "A"), "two", "'two' is not a number."),
-        (Field("a", "A"), "inf", "'inf' is not a finite number."),
-        (Field("a", "A", choices=("x", "y")), "z", "'z': x, y."),
-        (Field("a", "A", is_whole=True), "2.5", "'2.5' is not a whole number: 16, 0x10 or 10h."),
-        (Field("a", "A", missing="say how far."), " ", "say how far."),
-        (Field("a", "A", "s", least=0, most=3, allowed="0 to 3 s"), "-1", "-1 s: 0 to 3 s."),
-        (Field("a", "A", "s", least=1, most=3, allowed="1 to 3 s", is_signed=True), "-4", "-4 s: 1 to 3 s."),
+        (FormField("a", "A", "mm"), "two", "'two' is not a number of mm."),
+        (FormField("a", "A"), "two", "'two' is not a number."),
+        (FormField("a", "A"), "inf", "'inf' is not a finite number."),
+        (FormField("a", "A", choices=("x", "y")), "z", "'z': x, y."),
+        (FormField("a", "A", is_whole=True), "2.5", "'2.5' is not a whole number: 16, 0x10 or 10h."),
+        (FormField("a", "A", missing="say how far."), " ", "say how far."),
+        (FormField("a", "A", "s", least=0, most=3, allowed="0 to 3 s"), "-1", "-1 s: 0 to 3 s."),
+        (FormField("a", "A", "s", least=1, most=3, allowed="1 to 3 s", is_signed=True), "-4", "-4 s: 1 to 3 s."),
     ],
 )
 def test_a_text_that_does_not_fit_is_refused_at_its_field(field, text, message):
@@ -188,7 +188,7 @@ def test_a_text_that_does_not_fit_is_refused_at_its_field(field, text, message):
 
 
 def test_an_error_that_begins_with_the_name_of_a_field_is_about_it():
-    fields = [Field("speed", "speed"), Field("b", "b")]
+    fields = [FormField("speed", "speed"), FormField("b", "b")]
     texts = ("speed=0: more than 0.", "b: there is no room", "bb: no.", "the chip cannot")
     assert [find_field(ArgumentError(t), fields) for t in texts] == ["speed", "b", "", ""]
 

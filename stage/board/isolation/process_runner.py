@@ -397,7 +397,7 @@ class ProcessRunner:
             stage.run_to(now)
             chip: Any = axes[axis].chip
             if kind == LOST:
-                chip.open_journal.note_lost(chip.clock, a, b)
+                chip.open_journal.note_lost_write(chip.clock, a, b)
             elif kind == READ:
                 chip.CORE.read.c(chip.pointer, a)
                 chip.open_journal.note_read(chip.clock, a, b)

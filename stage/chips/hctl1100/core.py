@@ -1,4 +1,4 @@
-"""The functions of the HCTL-1100 for a stage, a host and a journal, compiled; see stage/chips/cores.py.
+"""Core of the HCTL-1100, compiled: the functions that stages, hosts and journals call, see stage/chips/cores.py.
 
 `run` jumps from sample to sample, and over samples that change nothing. Between samples nothing changes.
 

@@ -133,7 +133,7 @@ class Listener:
             return shorten_line(f"{register.name} = {value:02X}h: {register.text}")
         return self._describe_latched_read(register, q, value)
 
-    def _describe_latched_read(self, register: Register, q: maps.Quantity, value: int) -> str:
+    def _describe_latched_read(self, register: Register, q: maps.RegisterQuantity, value: int) -> str:
         """Describe a read of a latched byte: the whole number with the last of its bytes, once the low byte was read."""
         if register.number == q.low:
             self._unread = set(q.addresses)

@@ -1,4 +1,4 @@
-"""The control laws of the HCTL-1100, which run once a sample; compiled.
+"""Control laws of the HCTL-1100, compiled: each sample computes the motor command from the position or velocity error.
 
     MC(n) = (256 K X(n) - A K X(n-1) - 4 B MC(n-1)) / 1024      D(z) = K (z - A/256) / 4 (z + B/256)
 

@@ -1,4 +1,4 @@
-"""The shaft of the HCTL-1100 as its encoder counts it, and the actual position; compiled."""
+"""Encoder input of the HCTL-1100, compiled: the counts of the shaft, and the actual position."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Lint of the HCTL-1100: the rules of its manual that a bus write breaks.
+"""Rules of the HCTL-1100's manual that a bus write can break, for diagnostics.
+
+`chip` is the state of the chip before the write, a record.
 
 `c` is the state of the chip before the write, a record.
 """

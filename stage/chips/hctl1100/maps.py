@@ -28,7 +28,7 @@ SEVEN_BITS = (0, 0x7F)
 
 
 @dataclass(frozen=True)
-class Quantity:
+class RegisterQuantity:
     """A number that two or three registers hold, the high byte first.
 
     Attributes:
@@ -73,19 +73,21 @@ class Quantity:
         return f"{self.title} = {number / self.scale:.10g} {self.unit}"
 
 
-COMMAND_POSITION = Quantity("command position", (COMMAND_HIGH, COMMAND_MIDDLE, COMMAND_LOW), "counts", waits=True)
-ACTUAL_POSITION = Quantity("actual position", (ACTUAL_HIGH, ACTUAL_MIDDLE, ACTUAL_LOW), "counts", latched=True)
-PRESET_POSITION = Quantity(
+COMMAND_POSITION = RegisterQuantity(
+    "command position", (COMMAND_HIGH, COMMAND_MIDDLE, COMMAND_LOW), "counts", waits=True
+)
+ACTUAL_POSITION = RegisterQuantity("actual position", (ACTUAL_HIGH, ACTUAL_MIDDLE, ACTUAL_LOW), "counts", latched=True)
+PRESET_POSITION = RegisterQuantity(
     "preset of the actual position", (PRESET_HIGH, PRESET_MIDDLE, PRESET_LOW), "counts", waits=True
 )
-PROPORTIONAL_VELOCITY = Quantity(
+PROPORTIONAL_VELOCITY = RegisterQuantity(
     "proportional command velocity", (PROPORTIONAL_HIGH, PROPORTIONAL_LOW), "counts/sample", scale=16
 )
-ACCELERATION = Quantity(
+ACCELERATION = RegisterQuantity(
     "acceleration", (ACCELERATION_WHOLE, ACCELERATION_FRACTION), "counts/sample2", scale=256, signed=False
 )
-FINAL_POSITION = Quantity("final position", (FINAL_HIGH, FINAL_MIDDLE, FINAL_LOW), "counts")
-ACTUAL_VELOCITY = Quantity("actual velocity", (VELOCITY_HIGH, VELOCITY_LOW), "counts/sample")
+FINAL_POSITION = RegisterQuantity("final position", (FINAL_HIGH, FINAL_MIDDLE, FINAL_LOW), "counts")
+ACTUAL_VELOCITY = RegisterQuantity("actual velocity", (VELOCITY_HIGH, VELOCITY_LOW), "counts/sample")
 QUANTITIES = {
     a: q
     for q in (
@@ -97,42 +99,46 @@ QUANTITIES = {
 """By the address of each part."""
 
 
-def _bit(name: str, number: int, meaning: str, evidence: str = "D", access: str = "R", **more: object) -> Field:
+def _make_bit(name: str, number: int, meaning: str, evidence: str = "D", access: str = "R", **more: object) -> Field:
     return Field(name, number, number, meaning, evidence, access, **more)  # type: ignore[arg-type]
 
 
 _TRIGGERED = "a write here clears it once the pin is released"
 _FLAGS = (
-    _bit("f5", 5, "integral velocity mode", note="pages 31, 32"),
-    _bit("f4", 4, "hold commutator", "M"),
-    _bit("f3", 3, "proportional velocity mode", note="page 31"),
-    _bit("f2", 2, "unipolar motor command", "M"),
-    _bit("f1", 1, "init/idle mode", note="the INIT pin; page 20", pins=("init",)),
-    _bit(
+    _make_bit("f5", 5, "integral velocity mode", note="pages 31, 32"),
+    _make_bit("f4", 4, "hold commutator", "M"),
+    _make_bit("f3", 3, "proportional velocity mode", note="page 31"),
+    _make_bit("f2", 2, "unipolar motor command", "M"),
+    _make_bit("f1", 1, "init/idle mode", note="the INIT pin; page 20", pins=("init",)),
+    _make_bit(
         "f0", 0, "trapezoid mode", note="cleared when the commanded profile ends; the PROF pin; page 35", pins=("prof",)
     ),
 )
 _STATUS = (
-    _bit("limit", 7, "", values={0: "LIMIT has triggered", 1: "LIMIT has not triggered"}, silent=1, note=_TRIGGERED),
-    _bit("stop", 6, "", values={0: "STOP has triggered", 1: "STOP has not triggered"}, silent=1, note=_TRIGGERED),
-    _bit("init", 5, "init/idle mode", pins=("init",)),
-    _bit("profile", 4, "the profile flag F0", pins=("prof",)),
-    _bit("zero", 3, "always 0"),
-    _bit(
+    _make_bit(
+        "limit", 7, "", values={0: "LIMIT has triggered", 1: "LIMIT has not triggered"}, silent=1, note=_TRIGGERED
+    ),
+    _make_bit("stop", 6, "", values={0: "STOP has triggered", 1: "STOP has not triggered"}, silent=1, note=_TRIGGERED),
+    _make_bit("init", 5, "init/idle mode", pins=("init",)),
+    _make_bit("profile", 4, "the profile flag F0", pins=("prof",)),
+    _make_bit("zero", 3, "always 0"),
+    _make_bit(
         "full",
         2,
         "",
         access="RW",
         values={0: "the commutator counts quadrature counts", 1: "the commutator counts full counts"},
     ),
-    _bit("four", 1, "", access="RW", values={0: "three phases", 1: "four phases"}),
-    _bit("inhibit", 0, "PULSE stays off for one PWM period after a reversal of SIGN", access="RW", note="pages 20, 23"),
+    _make_bit("four", 1, "", access="RW", values={0: "three phases", 1: "four phases"}),
+    _make_bit(
+        "inhibit", 0, "PULSE stays off for one PWM period after a reversal of SIGN", access="RW", note="pages 20, 23"
+    ),
 )
 FLAG_WRITE = Word(
     "flag",
     "what is written to R00: one flag set or cleared",
     (
-        _bit("set", 3, "", "M", "W", values={0: "clear", 1: "set"}),
+        _make_bit("set", 3, "", "M", "W", values={0: "clear", 1: "set"}),
         Field("number", 2, 0, "flag number", "M", "W", values={k: f"F{k}" for k in (0, 2, 3, 4, 5)}),
     ),
     address=FLAG,
@@ -154,14 +160,14 @@ MODE_WRITE = Word(
 )  # fmt: skip
 
 
-def _register(number: int, access: str, title: str, **more: object) -> Register:
+def _make_register(number: int, access: str, title: str, **more: object) -> Register:
     return Register(f"R{number:02X}", number, 8, access, title, **{"evidence": "D", **more})  # type: ignore[arg-type]
 
 
-def _part_of_number(number: int, access: str, part: str, **more: object) -> Register:
+def _make_number_byte(number: int, access: str, part: str, **more: object) -> Register:
     """Return a register that is one byte of a number."""
     q = QUANTITIES[number]
-    return _register(number, access, f"{q.title}, {part}", unit=q.unit, **more)
+    return _make_register(number, access, f"{q.title}, {part}", unit=q.unit, **more)
 
 
 MAP = RegisterMap(
@@ -169,43 +175,43 @@ MAP = RegisterMap(
     "Agilent HCTL-1100 motion controller with digital filter and profile generator, one axis, 8-bit bus",
     "data sheet HCTL-1100, pages 14, 20, 23, 24, 31, 32 and 35; other pages of the manual; working drivers",
     (
-        _register(FLAG, "RW", "flags", fields=_FLAGS),
-        _register(MODE, "W", "program counter", note="mode"),
-        _register(STATUS, "RW", "status", fields=_STATUS),
-        _register(PORT, "RW", "motor command port, 80h is 0; written in init/idle only", reset=0x80),
-        _register(PWM, "RW", "PWM motor command; written in init/idle only", signed=True, legal=(-100, 100), unit="%",
+        _make_register(FLAG, "RW", "flags", fields=_FLAGS),
+        _make_register(MODE, "W", "program counter", note="mode"),
+        _make_register(STATUS, "RW", "status", fields=_STATUS),
+        _make_register(PORT, "RW", "motor command port, 80h is 0; written in init/idle only", reset=0x80),
+        _make_register(PWM, "RW", "PWM motor command; written in init/idle only", signed=True, legal=(-100, 100), unit="%",
                   evidence="M"),
-        _part_of_number(COMMAND_HIGH, "RW", "high byte; waits for R0E"),
-        _part_of_number(COMMAND_MIDDLE, "RW", "middle byte; waits for R0E"),
-        _part_of_number(COMMAND_LOW, "RW", "low byte; its write latches all three"),
-        _register(TIMER, "RW", "sample timer: written T, read the running count; a sample is 16 (T + 1) clocks", evidence="S",
+        _make_number_byte(COMMAND_HIGH, "RW", "high byte; waits for R0E"),
+        _make_number_byte(COMMAND_MIDDLE, "RW", "middle byte; waits for R0E"),
+        _make_number_byte(COMMAND_LOW, "RW", "low byte; its write latches all three"),
+        _make_register(TIMER, "RW", "sample timer: written T, read the running count; a sample is 16 (T + 1) clocks", evidence="S",
                   reset=0x40),
-        _part_of_number(ACTUAL_HIGH, "R", "high byte, as latched"),
-        _part_of_number(ACTUAL_MIDDLE, "RW", "middle byte, as latched; any write clears the position"),
-        _part_of_number(ACTUAL_LOW, "R", "low byte; its read latches the other two"),
-        _part_of_number(PRESET_HIGH, "W", "high byte; init/idle only"),
-        _part_of_number(PRESET_MIDDLE, "W", "middle byte; init/idle only"),
-        _part_of_number(PRESET_LOW, "W", "low byte; its write loads all three"),
-        _register(RING, "RW", "commutator: ring", legal=SEVEN_BITS, unit="counts"),
-        _register(PHASE_TIMER, "W", "commutator: velocity timer of the phase advance, 16 (R19 + 1) clocks"),
-        _register(X, "RW", "commutator: X, one phase alone", legal=SEVEN_BITS, unit="counts"),
-        _register(Y, "RW", "commutator: Y, two phases together", legal=SEVEN_BITS, unit="counts"),
-        _register(OFFSET, "RW", "commutator: offset", signed=True, unit="counts"),
-        _register(MAX_ADVANCE, "RW", "commutator: maximum phase advance", legal=SEVEN_BITS, unit="counts"),
-        _register(ZERO, "RW", "filter: zero A, in 1/256", reset=0xE5),
-        _register(POLE, "RW", "filter: pole B, in 1/256", reset=0x40),
-        _register(GAIN, "RW", "filter: gain K, in 1/4", reset=0x40),
-        _part_of_number(PROPORTIONAL_LOW, "RW", "low byte: 12.4, fraction in b3..0; acts at once"),
-        _part_of_number(PROPORTIONAL_HIGH, "RW", "high byte; acts at once", signed=True),
-        _part_of_number(ACCELERATION_FRACTION, "RW", "fraction /256"),
-        _part_of_number(ACCELERATION_WHOLE, "RW", "whole", legal=SEVEN_BITS),
-        _register(MAX_VELOCITY, "RW", "maximum velocity", legal=SEVEN_BITS, unit="counts/sample"),
-        _part_of_number(FINAL_LOW, "RW", "low byte"),
-        _part_of_number(FINAL_MIDDLE, "RW", "middle byte"),
-        _part_of_number(FINAL_HIGH, "RW", "high byte"),
-        _part_of_number(VELOCITY_LOW, "R", "low byte; in proportional velocity mode only"),
-        _part_of_number(VELOCITY_HIGH, "R", "high byte"),
-        _register(INTEGRAL_VELOCITY, "RW", "integral command velocity", signed=True, unit="counts/sample"),
+        _make_number_byte(ACTUAL_HIGH, "R", "high byte, as latched"),
+        _make_number_byte(ACTUAL_MIDDLE, "RW", "middle byte, as latched; any write clears the position"),
+        _make_number_byte(ACTUAL_LOW, "R", "low byte; its read latches the other two"),
+        _make_number_byte(PRESET_HIGH, "W", "high byte; init/idle only"),
+        _make_number_byte(PRESET_MIDDLE, "W", "middle byte; init/idle only"),
+        _make_number_byte(PRESET_LOW, "W", "low byte; its write loads all three"),
+        _make_register(RING, "RW", "commutator: ring", legal=SEVEN_BITS, unit="counts"),
+        _make_register(PHASE_TIMER, "W", "commutator: velocity timer of the phase advance, 16 (R19 + 1) clocks"),
+        _make_register(X, "RW", "commutator: X, one phase alone", legal=SEVEN_BITS, unit="counts"),
+        _make_register(Y, "RW", "commutator: Y, two phases together", legal=SEVEN_BITS, unit="counts"),
+        _make_register(OFFSET, "RW", "commutator: offset", signed=True, unit="counts"),
+        _make_register(MAX_ADVANCE, "RW", "commutator: maximum phase advance", legal=SEVEN_BITS, unit="counts"),
+        _make_register(ZERO, "RW", "filter: zero A, in 1/256", reset=0xE5),
+        _make_register(POLE, "RW", "filter: pole B, in 1/256", reset=0x40),
+        _make_register(GAIN, "RW", "filter: gain K, in 1/4", reset=0x40),
+        _make_number_byte(PROPORTIONAL_LOW, "RW", "low byte: 12.4, fraction in b3..0; acts at once"),
+        _make_number_byte(PROPORTIONAL_HIGH, "RW", "high byte; acts at once", signed=True),
+        _make_number_byte(ACCELERATION_FRACTION, "RW", "fraction /256"),
+        _make_number_byte(ACCELERATION_WHOLE, "RW", "whole", legal=SEVEN_BITS),
+        _make_register(MAX_VELOCITY, "RW", "maximum velocity", legal=SEVEN_BITS, unit="counts/sample"),
+        _make_number_byte(FINAL_LOW, "RW", "low byte"),
+        _make_number_byte(FINAL_MIDDLE, "RW", "middle byte"),
+        _make_number_byte(FINAL_HIGH, "RW", "high byte"),
+        _make_number_byte(VELOCITY_LOW, "R", "low byte; in proportional velocity mode only"),
+        _make_number_byte(VELOCITY_HIGH, "R", "high byte"),
+        _make_register(INTEGRAL_VELOCITY, "RW", "integral command velocity", signed=True, unit="counts/sample"),
     ),
     (FLAG_WRITE, MODE_WRITE),
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The motor command of the HCTL-1100 at its two ports, the 8-bit port R08 and the PWM port R09; compiled."""
+"""Motor command of the HCTL-1100 at its two outputs, the 8-bit port R08 and the PWM port R09; compiled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The functions of the NOVA chips for a stage, a host and a journal, compiled; see stage/chips/cores.py.
+"""Core of the NOVA chips, compiled: the functions that stages, hosts and journals call, see stage/chips/cores.py.
 
 `run` jumps from event to event; between two events pulses follow in closed form. An event is the end of a drive or of a piece
 of its profile, a counter that reaches a value that matters, an input that passes its filter, a timer, or a bus write.
@@ -173,7 +173,7 @@ def set_input(chip, axis_index, word):
 
 @exported("i8", STATE)
 def read_wire_output(chip):
-    """Return what the chip drives onto the wires to others, see stage/chips/linked_chips.py."""
+    """Return the word that the chip drives onto the wires to other chips, see stage/chips/linked_chips.py."""
     if chip.stale:
         _process_due_events(chip)
     return multichip.compute_wire_output(chip)
@@ -181,7 +181,7 @@ def read_wire_output(chip):
 
 @exported("i8", STATE)
 def find_wire_output_end(chip):
-    """The clock up to which that does not change."""
+    """Return the clock up to which `read_wire_output` does not change."""
     return multichip.find_wire_change(chip)
 
 
@@ -193,7 +193,7 @@ def read_wire_word(chip):
 
 @exported(None, STATE, "i8")
 def set_wire_word(chip, word):
-    """Bring the chip a new word from the wires to other chips."""
+    """Give the chip a new word from the wires to other chips."""
     if chip.stale:
         _process_due_events(chip)
     multichip.apply_wire_word(chip, word, _process_due_events)

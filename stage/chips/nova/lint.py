@@ -179,7 +179,7 @@ class LintState:
         return rows
 
     @property
-    def role(self) -> int:
+    def multichip_role(self) -> int:
         """MLT of IPM: 1 master, 2 slave of a multichip interpolation."""
         return int(self._axes[0]["mode"][state.IPM]) >> multichip.MLT & 3
 
@@ -213,7 +213,7 @@ class Mcx312LintState(LintState):
     """The contents of a chip whose finish points have a sign, and whose speeds have no common unit."""
 
     @property
-    def role(self) -> int:
+    def multichip_role(self) -> int:
         return 0
 
     @property
@@ -363,11 +363,11 @@ def _lint_interpolation(chip: Any, command: Command, name: str) -> Iterator[Find
     axes = chip.interpolated_by(command)
     if (count := axes.bit_count()) not in command.together:
         yield NUMBER_OF_AXES, f"{name} with {count} axes chosen{': ' if axes else ''}{_name_axes(axes)}"
-    if chip.role:
+    if chip.multichip_role:
         yield from _lint_multichip(chip, command, name)
     if not chip.is_interpolating and (moving := axes & chip.driving_axes):
         yield AXIS_DRIVES, f"{name} while {_name_axes(moving)} is driving (n-DRV = 1)"
-    if chip.is_queue_full and not (chip.role and chip.is_linked):  # lines of several chips do not queue
+    if chip.is_queue_full and not (chip.multichip_role and chip.is_linked):  # lines of several chips do not queue
         yield PRE_BUFFER_FULL, f"{name} while the pre-buffer is full: wait for CNEXT = 1"
     speed = sum(dv for k, dv in enumerate(chip.drive_speed) if _find_main_axis(chip) >> k & 1)
     if chip.is_interpolating and speed > CONTINUOUS_SPEED:
@@ -392,8 +392,12 @@ def _lint_helix(chip: Any, name: str) -> Iterator[Finding]:
 
 def _lint_multichip(chip: Any, command: Command, name: str) -> Iterator[Finding]:
     """Check an interpolation command to a master or slave."""
-    subject = f"{name} as {MLT.values[chip.role]} (MLT = {chip.role})" if chip.role < len(MLT.values) else name
-    if chip.role == 1 and not chip.is_linked:
+    subject = (
+        f"{name} as {MLT.values[chip.multichip_role]} (MLT = {chip.multichip_role})"
+        if chip.multichip_role < len(MLT.values)
+        else name
+    )
+    if chip.multichip_role == 1 and not chip.is_linked:
         why = "no other chip is wired to this one, which interpolates by itself; see Stage(multichip=...)"
         yield NO_OTHER_CHIP, f"{subject}: {why}"
         return
@@ -406,7 +410,7 @@ def _lint_multichip(chip: Any, command: Command, name: str) -> Iterator[Finding]
     if chip.is_interpolating:
         why = "is refused: one after the other without a stop is not modeled"
         yield LINE_IN_PROGRESS, f"{subject} during a line of several chips {why}"
-    elif chip.role == 2 and chip.has_master_started:
+    elif chip.multichip_role == 2 and chip.has_master_started:
         yield SLAVE_AFTER_START, f"{subject} while the master interpolates is refused (MCERR): start slaves first"
 
 

@@ -21,21 +21,21 @@ MAIN = 2  # value of `interpolates`: the main axis
 MASTER, SLAVE = 1, 2  # MLT of IPM: this chip's role in an interpolation of several
 
 
-def _places(map_: RegisterMap, names: str) -> tuple[int, ...]:
+def _find_register_numbers(map_: RegisterMap, names: str) -> tuple[int, ...]:
     return tuple(map_.register(name).number for name in names.split())
 
 
 # indices in `reg`: the code of the command that writes the register; chips that share a register share its code
-JK, DJ, AC, DC, SV, DV, TP, DP, CP, LP, RP, SP, SM, AO, LX, RX, MR0 = _places(
+JK, DJ, AC, DC, SV, DV, TP, DP, CP, LP, RP, SP, SM, AO, LX, RX, MR0 = _find_register_numbers(
     MCX514_MAP, "JK DJ AC DC SV DV TP DP CP LP RP SP SM AO LX RX MR0"
 )
-HV, IV, TM, SP1, SP2, TX, HLN, HLV = _places(MCX514_MAP, "HV IV TM SP1 SP2 TX HLN HLV")
-R, K, A, D, V, P, C, EP, COMP_PLUS, COMP_MINUS, L = _places(MCX312_MAP, "R K A D V P C EP CP CM L")
+HV, IV, TM, SP1, SP2, TX, HLN, HLV = _find_register_numbers(MCX514_MAP, "HV IV TM SP1 SP2 TX HLN HLV")
+R, K, A, D, V, P, C, EP, COMP_PLUS, COMP_MINUS, L = _find_register_numbers(MCX312_MAP, "R K A D V P C EP CP CM L")
 MODES = 16
 MODE_FIRST = MCX514_MAP.register("MRM").number
 # indices in `mode`: the code of the command that writes the mode register, minus 20h
 MRM, P1M, P2M, H1M, H2M, FLM, S0M, IPM = (
-    k - MODE_FIRST for k in _places(MCX514_MAP, "MRM P1M P2M H1M H2M FLM S0M IPM")
+    k - MODE_FIRST for k in _find_register_numbers(MCX514_MAP, "MRM P1M P2M H1M H2M FLM S0M IPM")
 )
 P3M = MCX512_MAP.register("P3M").number - MODE_FIRST
 HM, EM = H1M, MRM  # of the older chips; EM holds the word in WR6, HM the word in WR7

@@ -1,4 +1,7 @@
-"""Effects of bus writes, values of bus reads, and the output pins of the PCL-240 family, compiled. All acts between two ticks."""
+"""Bus cycles of the PCL-240 family, compiled: effects of writes, values of reads, and the output pins.
+
+A bus cycle takes effect between two ticks of the reference clock.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The functions of the PCL-240 family for a stage, a host and a journal, compiled; see stage/chips/cores.py. Pulses: motion.py."""
+"""Core of the PCL-240 family, compiled: the functions that stages, hosts and journals call, see stage/chips/cores.py.
+
+motion.py makes the pulses.
+"""
 
 from __future__ import annotations
 

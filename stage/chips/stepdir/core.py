@@ -1,4 +1,4 @@
-"""The STEP/DIR axis, compiled: from one edge to the next.
+"""Core of the STEP/DIR axis, compiled: it advances from one edge to the next, see stage/chips/cores.py.
 
 Firmware drives STEP, DIR and ENABLE as input pins. A host without firmware lets the step timer drive STEP and DIR: it writes rates,
 ramps and a number of steps, and a start. The steps of a line's shorter axes are spread among those of the longest one by
@@ -61,7 +61,7 @@ EDGE = record([(name, "i8") for name in "clock inputs outputs counter net".split
 
 @hot
 def _schedule_rise(chip):
-    """Find the clock of the next rising edge: STEP has been low as long as it was high."""
+    """Set the clock of the next rising edge of STEP; STEP stays low at least as long as it was high."""
     if chip.events and chip.steps_done >= chip.steps:
         chip.next_rise = NEVER
         return

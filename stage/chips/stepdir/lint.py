@@ -77,7 +77,7 @@ def _lint_start(chip: Any, value: int) -> Iterator[Finding]:
 
 
 def describe_violation(time_index: int, observed_s: float, required_s: float, name: str, drops_edges: bool) -> Finding:
-    """Describe a time between edges that was too short.
+    """Describe an interval between two edges that is shorter than the power stage allows.
 
     Args:
         time_index: Place of the time, STEP_HIGH to ENABLE_SETUP.

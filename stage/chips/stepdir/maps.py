@@ -45,7 +45,9 @@ MAX_RATE_PPS = 200_000
 MAX_RAMP_US = 5_000_000
 
 
-def _register(name: str, number: int, title: str, legal: tuple[int, int], unit: str, **further: object) -> Register:
+def _make_register(
+    name: str, number: int, title: str, legal: tuple[int, int], unit: str, **further: object
+) -> Register:
     return Register(name, number, 32, "RW", title, legal, evidence="I", unit=unit, section="step timer", **further)  # type: ignore[arg-type]
 
 
@@ -54,20 +56,20 @@ MAP = RegisterMap(
     "STEP, DIR and ENABLE lines of a power stage, and a step timer for hosts without firmware",
     "inferred: no silicon has these registers",
     (
-        _register("START", 1, "rate at the start and the end of a move", (0, MAX_RATE_PPS), "pps"),
-        _register("RATE", 2, "drive rate", (1, MAX_RATE_PPS), "pps"),
-        _register("UP", 3, "time of the ramp from START to RATE", (0, MAX_RAMP_US), "us"),
-        _register("DOWN", 4, "time of the ramp from RATE to START", (0, MAX_RAMP_US), "us"),
-        _register(
+        _make_register("START", 1, "rate at the start and the end of a move", (0, MAX_RATE_PPS), "pps"),
+        _make_register("RATE", 2, "drive rate", (1, MAX_RATE_PPS), "pps"),
+        _make_register("UP", 3, "time of the ramp from START to RATE", (0, MAX_RAMP_US), "us"),
+        _make_register("DOWN", 4, "time of the ramp from RATE to START", (0, MAX_RAMP_US), "us"),
+        _make_register(
             "CURVED", 5, "share of the speed change that is curved at each end of a ramp", (0, 50), "%",
             note="0 is a trapezoid, 50 an S-curve without a straight part",
         ),
-        _register("STEPS", 6, "steps of a move", (0, MAX_STEPS), "pulses"),
-        _register(
+        _make_register("STEPS", 6, "steps of a move", (0, MAX_STEPS), "pulses"),
+        _make_register(
             "EVENTS", 7, "steps of the longest axis of a line", (0, MAX_STEPS), "pulses",
             note="rates and ramps are those of the longest axis; below STEPS it counts as STEPS",
         ),
-        _register("HIGH", 8, "time that STEP stays high", (100, 1_000_000), "ns", reset=2_000),
+        _make_register("HIGH", 8, "time that STEP stays high", (100, 1_000_000), "ns", reset=2_000),
         Register(
             "POSITION", 9, 32, "R", "accepted steps, plus less minus, since the last reset", evidence="I", unit="pulses",
             signed=True, section="lines",

@@ -20,7 +20,7 @@ def to_clocks(chip, seconds):
 
 @hot
 def check_edge_time(chip, time_index, clocks):
-    """Check a time between two edges, count a violation, and return whether it is as long as the power stage demands."""
+    """Return whether the time between two edges is long enough for the power stage; count a violation if it is not."""
     if clocks >= chip.required[time_index]:
         return True
     if chip.violations[time_index] == 0:
@@ -34,7 +34,7 @@ def check_edge_time(chip, time_index, clocks):
 
 @hot
 def process_rising_step(chip):
-    """Take a rising edge of STEP: count a step in the direction of DIR if the power stage accepts it."""
+    """Process a rising edge of STEP: count a step in the direction of DIR if the power stage accepts the edge."""
     in_time = check_edge_time(chip, STEP_LOW, chip.clock - chip.fell)
     in_time &= check_edge_time(chip, DIR_SETUP, chip.clock - chip.turned)
     in_time &= check_edge_time(chip, ENABLE_SETUP, chip.clock - chip.enabled)
@@ -59,7 +59,7 @@ def _undo_step(chip):
 
 @hot
 def process_falling_step(chip):
-    """Take a falling edge of STEP."""
+    """Process a falling edge of STEP: remove the last step if its pulse was too short for the power stage."""
     if not check_edge_time(chip, STEP_HIGH, chip.clock - chip.rose) and chip.drops_edges:
         _undo_step(chip)
     chip.fell = chip.clock
@@ -67,7 +67,10 @@ def process_falling_step(chip):
 
 @hot
 def apply_line_levels(chip, word):
-    """Take new levels of STEP, DIR and ENABLE; a change of DIR or ENABLE comes before an edge of STEP at the same clock."""
+    """Apply new levels of STEP, DIR and ENABLE.
+
+    If DIR or ENABLE changes at the clock of an edge of STEP, its change counts as earlier.
+    """
     changed = word ^ chip.inputs
     if changed & word & ENABLE:
         chip.enabled = chip.clock
@@ -84,9 +87,9 @@ def apply_line_levels(chip, word):
 
 @hot
 def compute_mean_count(chip, net_before, clocks):
-    """Compute the mean of the count over the last `clocks` clocks, which began with the count `net_before`.
+    """Compute the mean of the step count over the last `clocks` clocks; `net_before` is the count at their start.
 
-    Of more edges than HISTORY the mean of begin and end is returned.
+    If more than HISTORY edges came in that time, the function returns the mean of the first and the last count.
     """
     weighted, rest, k = 0.0, chip.net - net_before, chip.accepted
     while k > 0 and k > chip.accepted - HISTORY:

@@ -27,7 +27,7 @@ from stage.chips.hctl1100.maps import (
     NUMBERS,
     STATUS,
     TIMER,
-    Quantity,
+    RegisterQuantity,
     find_reset_value,
 )
 from stage.chips.hctl1100.state import to_signed
@@ -81,7 +81,7 @@ class Port:
                 self.chip.write(*cycle)
         self.t = values.get("timer", self.t)
 
-    def _read(self, number: Quantity) -> int:
+    def _read(self, number: RegisterQuantity) -> int:
         """Read a signed number, low byte first."""
         value = sum(self.chip.read(a) << number.shift(a) for a in reversed(number.addresses))
         return to_signed(value, 8 * len(number.addresses))

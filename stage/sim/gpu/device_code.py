@@ -35,7 +35,7 @@ class LaneChip(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Tools:
+class CompilerTools:
     """Compiler of Python functions for a device.
 
     Attributes:
@@ -51,7 +51,7 @@ class Tools:
 
 
 @cache
-def cuda_tools() -> Tools:
+def make_cuda_tools() -> CompilerTools:
     """Return numba-cuda as tools.
 
     Raises:
@@ -135,7 +135,7 @@ def cuda_tools() -> Tools:
     def thread_number() -> Any:
         return cuda.grid(1)
 
-    return Tools(
+    return CompilerTools(
         device=lambda f: cuda.jit(device=True, inline="always" if f.__name__ in INLINED else "never")(f),
         kernel=cuda.jit,
         replaced={native.array_at: array_at, native.allocate_on_stack: room, native.floor: floor},
@@ -154,7 +154,7 @@ class DeviceModules:
         tools: What compiles.
     """
 
-    def __init__(self, core: ModuleType, tools: Tools):
+    def __init__(self, core: ModuleType, tools: CompilerTools):
         self._tools = tools
         self._modules: dict[str, ModuleType] = {}
         self._functions: dict[FunctionType, Any] = {}

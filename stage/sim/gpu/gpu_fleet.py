@@ -18,7 +18,7 @@ import numpy as np
 from stage.drives.stepper import DRIVE
 from stage.errors import ArgumentError, GpuMissing, StageError
 from stage.sim import engine_records, fleet, program_player
-from stage.sim.gpu.device_code import FEATURE_NAME, DeviceModules, Tools, cuda_tools
+from stage.sim.gpu.device_code import FEATURE_NAME, CompilerTools, DeviceModules, make_cuda_tools
 from stage.sim.gpu.lane_layout import HOST, WARP, LaneLayout
 from stage.sim.gpu.warp_physics import Physics, load_warp
 from stage.sim.program import Program
@@ -57,7 +57,7 @@ class GpuFleet(fleet.Fleet):
         check_stage(stages[0])
         self.stages, self._copies = list(stages), int(copies)
         stage = stages[0]
-        tools = cuda_tools()
+        tools = make_cuda_tools()
         load_warp()
         cuda: Any = import_extra("numba.cuda", FEATURE_NAME)
         if not cuda.is_available():
@@ -251,14 +251,14 @@ def check_stage(stage: Stage) -> None:
         raise ArgumentError("a stage that is being recorded, or whose chips lose bus writes, does not run on a GPU.")
 
 
-def make_kernels(stage: Stage, layout: LaneLayout, tools: Tools) -> tuple[Any, Any]:
+def make_kernels(stage: Stage, layout: LaneLayout, tools: CompilerTools) -> tuple[Any, Any]:
     """Return the kernels `advance_lanes` and `inspect_lanes` for copies of a stage; tools: see `DeviceModules`."""
     sizes = (layout.lanes, layout.axes, layout.switches, stage.state.bus, bool(stage.state.clockwork["encoders"][0]))
     return _compile_kernels(stage.chips[0].CORE, sizes, tools)
 
 
 @cache
-def _compile_kernels(core: ModuleType, sizes: tuple[int, ...], tools: Tools) -> tuple[Any, Any]:
+def _compile_kernels(core: ModuleType, sizes: tuple[int, ...], tools: CompilerTools) -> tuple[Any, Any]:
     lanes, axes, switches, bus, encoders = sizes
     state = vars(core)["STATE"]
     modules = DeviceModules(core, tools)

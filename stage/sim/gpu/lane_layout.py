@@ -1,4 +1,4 @@
-"""Where the records of a lane lie, and the tables that all copies of a stage share.
+"""Layout of a lane's records in GPU memory, and the tables that all copies of a stage share.
 
 The words of a record of one lane are not side by side: word k of lane 0, 1, 2 ... are, as the threads of a warp read memory best. A
 lane copies its words to memory of its own, works on them as records, and copies them back.
@@ -81,7 +81,7 @@ class LaneLayout:
         """Return how many threads so many copies take; no copy is in two warps."""
         return -(-copies // (WARP // self.lanes)) * WARP
 
-    def _thread_numbers(self, copies: int) -> np.ndarray:
+    def _number_threads(self, copies: int) -> np.ndarray:
         """Return the thread of each lane, (copies, lanes)."""
         in_warp = WARP // self.lanes
         k = np.arange(copies)
@@ -91,10 +91,12 @@ class LaneLayout:
     def pack(self, copies: int) -> np.ndarray:
         """Return the words of all lanes, (words, threads) int64, each copy in the state in which the stage is now."""
         out = np.zeros((self.words, self.threads(copies)), np.int64)
-        out[:, self._thread_numbers(copies)] = np.stack([self._lane(i) for i in range(self.lanes)], axis=1)[:, None]
+        out[:, self._number_threads(copies)] = np.stack([self._make_lane(i) for i in range(self.lanes)], axis=1)[
+            :, None
+        ]
         return out
 
-    def _lane(self, i: int) -> np.ndarray:
+    def _make_lane(self, i: int) -> np.ndarray:
         state, pieces = self._state, []
         host = np.zeros(1, HOST)
         host["status"] = engine_records.REACHED
@@ -110,7 +112,7 @@ class LaneLayout:
 
     def unpack(self, words: np.ndarray, copies: int) -> dict[str, np.ndarray]:
         """Return the records of all copies: chip (copies, lanes), world, host (copies,), and others as a stage has them."""
-        lane_words = words[:, self._thread_numbers(copies)]
+        lane_words = words[:, self._number_threads(copies)]
         records_by_name: dict[str, np.ndarray] = {}
         at = 0
         for name, dtype, n in self._parts:

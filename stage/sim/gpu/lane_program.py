@@ -1,4 +1,4 @@
-"""What one lane, a chip of one copy and its axes, does in a physics step: a thread of the kernel. Compiled by device_code.py.
+"""Program of a lane, which is one chip of one copy with its axes, for one physics step: a thread of the GPU kernel.
 
     kernel      see what physics did; play the host's program and run the chip up to the window's end; give physics the torques
     mj_step     of all copies, by mujoco-warp; and so on

@@ -1,4 +1,4 @@
-"""Physics of all copies, by mujoco-warp."""
+"""Physics of all copies of a stage on a GPU, computed by mujoco-warp."""
 
 from __future__ import annotations
 

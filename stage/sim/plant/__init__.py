@@ -1,4 +1,4 @@
-"""The MJCF naming contract: which joints, actuators and sensors make an axis; checks a model, says what is missing.
+"""The MJCF naming contract, which says which joints, actuators and sensors make an axis; the package checks models against it.
 
 Axis NAME is
     a joint NAME (slide or hinge) with a range,

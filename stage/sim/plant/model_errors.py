@@ -1,4 +1,4 @@
-"""The errors of a model, collected, and the MJCF lines that repair it."""
+"""Errors of a model that breaks the naming contract, collected, with the MJCF lines that repair them."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def find_nearest_name(name: str, known: Iterable[str]) -> list[str]:
 
 
 def suggest_name(model: Any, kind: Any, count: int, name: str, axes: Sequence[str]) -> str:
-    """Return, for a missing name, the nearest of its kind that is no axis, in words; "" if there is none."""
+    """Suggest a similar name of the model for a name that is missing, as words for an error; "" if no name is similar."""
     known = (mujoco.mj_id2name(model, kind, k) or "" for k in range(count))
     near = find_nearest_name(name, (k for k in known if k not in axes))
     return f" (there is {near[0]!r}: a slip?)" if near else ""

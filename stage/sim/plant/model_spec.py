@@ -1,4 +1,4 @@
-"""Opening and compiling models: names, paths, MjSpecs and MjModels; which axes they name, and the actuators fitted to them."""
+"""Models by name, path, MjSpec or MjModel: functions that open and compile them, list their axes, and fit actuators to motors."""
 
 from __future__ import annotations
 

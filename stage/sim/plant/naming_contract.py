@@ -1,4 +1,4 @@
-"""The naming contract: finds and checks the axes of a model."""
+"""Search for the axes of a model by the naming contract, with checks of everything that makes an axis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`new_model`: a commented MJCF that keeps the naming contract, to begin one's own with. Axes ride on each other in their order.
+"""`new_model`: writes a commented MJCF model that keeps the naming contract. Each axis rides on the one before it.
 
     axes = [NewAxis.of("x:slide:300mm"), NewAxis.of("a:hinge:360deg")]
     text = new_model(axes)
@@ -76,7 +76,7 @@ class NewAxis:
         return self.kind == "hinge" and self.travel > WIDEST
 
 
-class _Switch(NamedTuple):
+class _SwitchGeom(NamedTuple):
     """Switch that is asserted from `low` to `high`, joint units (degrees)."""
 
     name: str
@@ -230,18 +230,18 @@ def _find_stop(axis: NewAxis) -> float:
     return axis.travel / 2 + (0.006 if axis.kind == "slide" else 3.0)
 
 
-def _list_switches(axis: NewAxis) -> list[_Switch]:
+def _list_switches(axis: NewAxis) -> list[_SwitchGeom]:
     """Return the switches with their ranges."""
     green, red, amber = "0.12 0.66 0.32 1", "0.86 0.16 0.15 1", "0.98 0.68 0.08 1"
     if axis.endless:
-        return [_Switch("org", -20.0, 0.0, green)]
+        return [_SwitchGeom("org", -20.0, 0.0, green)]
     end, beyond = axis.travel / 2, _find_stop(axis) + (0.005 if axis.kind == "slide" else 2.0)
     return [
-        _Switch("el_plus", end, beyond, red),
-        _Switch("el_minus", -beyond, -end, red),
-        _Switch("sd_plus", 0.87 * end, beyond, amber),
-        _Switch("sd_minus", -beyond, -0.73 * end, amber),
-        _Switch("org", -beyond, -0.8 * end, green),
+        _SwitchGeom("el_plus", end, beyond, red),
+        _SwitchGeom("el_minus", -beyond, -end, red),
+        _SwitchGeom("sd_plus", 0.87 * end, beyond, amber),
+        _SwitchGeom("sd_minus", -beyond, -0.73 * end, amber),
+        _SwitchGeom("org", -beyond, -0.8 * end, green),
     ]
 
 
@@ -300,5 +300,5 @@ def _build_hinge(axis: NewAxis) -> _AxisParts:
     return _AxisParts(frame, moving, pairs)
 
 
-def _make_pair(axis: NewAxis, s: _Switch) -> str:
+def _make_pair(axis: NewAxis, s: _SwitchGeom) -> str:
     return f'<pair class="switch" geom1="{axis.name}_{s.name}_vane" geom2="{axis.name}_{s.name}_beam"/>'

@@ -1,4 +1,4 @@
-"""Bounds on what a model file may expand to, checked before MuJoCo reads it.
+"""Limits on the size to which a model file may expand, checked before MuJoCo reads the file.
 
 A few lines of MJCF can ask for more than any machine holds: nested `<replicate>`s, a `<composite>` of 100,000 bodies, a height
 field of 10^10 samples, a mesh whose file is a pipe. MuJoCo cannot be interrupted while it compiles, so such a model is refused by
@@ -58,7 +58,7 @@ class _ModelSizeCounter:
 
     def check(self) -> None:
         self._add_file(self.path, 1, ())
-        self._require("size", "numbers of user data", self._elements * self._user_numbers, MAX_SAMPLES)
+        self._check_limit("size", "numbers of user data", self._elements * self._user_numbers, MAX_SAMPLES)
 
     def _add_file(self, path: Path, copies: int, parents: tuple[Path, ...]) -> None:
         """Count `copies` of a file; `parents` are the files that led here."""
@@ -78,7 +78,7 @@ class _ModelSizeCounter:
         while stack:
             element, times = stack.pop()
             self._add_element(element, times)
-            for file in self._files_of(element):
+            for file in self._iterate_files(element):
                 if element.tag == "include":
                     self._add_file(file, times, (*parents, path))
             if element.tag == "attach":
@@ -93,43 +93,43 @@ class _ModelSizeCounter:
             points = max(len(element.get(name, "").split()) // 3 for name in ("vertex", "point"))
             copies *= max(_multiply_counts(element.get("count")), points)
         self._elements += copies
-        self._require(tag, "elements", self._elements, MAX_ELEMENTS)
+        self._check_limit(tag, "elements", self._elements, MAX_ELEMENTS)
         if tag == "composite":
-            self._require(tag, "bodies", copies, MAX_COMPOSITE_BODIES)
+            self._check_limit(tag, "bodies", copies, MAX_COMPOSITE_BODIES)
         elif tag == "hfield":
             self._add_samples(element, "samples", ("nrow", "ncol"))
         elif tag == "texture":
             self._add_samples(element, "pixels", ("width", "height", "nchannel"))
         elif tag == "mesh" and element.get("builtin"):
             resolution = max((_multiply_counts(count) for count in element.get("params", "").split()), default=1)
-            self._require(tag, "segments a side", resolution, MAX_MESH_RESOLUTION)
+            self._check_limit(tag, "segments a side", resolution, MAX_MESH_RESOLUTION)
         elif tag == "size":
             self._add_sizes(element)
         elif sizes := [_multiply_counts(element.get(name)) for name in _SENSOR_SIZES if element.get(name)]:
             self._readings += copies * math.prod(sizes)
-            self._require(tag, "readings", self._readings, MAX_ARRAY_SIZE)
+            self._check_limit(tag, "readings", self._readings, MAX_ARRAY_SIZE)
 
     def _add_sizes(self, element: ElementTree.Element) -> None:
         for name, value in element.items():
             if _SIZES.fullmatch(name):
-                self._require(element.tag, name, _multiply_counts(value), MAX_ARRAY_SIZE)
+                self._check_limit(element.tag, name, _multiply_counts(value), MAX_ARRAY_SIZE)
                 if name != "nkey":
                     self._user_numbers = max(self._user_numbers, _multiply_counts(value))
 
     def _add_samples(self, element: ElementTree.Element, unit: str, sizes: tuple[str, ...]) -> None:
         """Count the samples of a height field or a texture: by its sizes, and those of a picture in a file by its header."""
         self._samples += math.prod(_multiply_counts(element.get(name)) for name in sizes)
-        self._samples += sum(map(_count_pixels, self._files_of(element)))
-        self._require(element.tag, unit, self._samples, MAX_SAMPLES)
+        self._samples += sum(map(_count_pixels, self._iterate_files(element)))
+        self._check_limit(element.tag, unit, self._samples, MAX_SAMPLES)
 
-    def _require(self, tag: str, unit: str, count: int, limit: int) -> None:
+    def _check_limit(self, tag: str, unit: str, count: int, limit: int) -> None:
         if count > limit:
             raise ModelError(
                 f"{self.path} expands to {count:,} {unit} at its <{tag}>, and a model may have {limit:,}. Lower the sizes "
                 "and counts there and of each <replicate> around it, or pass an MjModel that you compiled yourself."
             )
 
-    def _files_of(self, element: ElementTree.Element) -> Iterator[Path]:
+    def _iterate_files(self, element: ElementTree.Element) -> Iterator[Path]:
         """Yield the files that an element names and that exist, each a regular file of bounded size."""
         max_bytes = MAX_FLEX_FILE_BYTES if element.tag == "flexcomp" else MAX_FILE_BYTES
         for name, value in element.items():

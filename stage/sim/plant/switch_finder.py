@@ -1,4 +1,6 @@
-"""Search for the switches of an axis: where each trips, from which distance its sensor detects its vane, and if it works."""
+"""Search for the switches of an axis: where each one trips, from which distance its sensor detects the vane, and whether it
+works.
+"""
 
 from __future__ import annotations
 

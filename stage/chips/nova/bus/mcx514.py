@@ -1,4 +1,7 @@
-"""The bus of the MCX514, MCX512 and MCX501, compiled. Data commands take WR6 and WR7, reading commands fill RR6 and RR7."""
+"""Bus registers and commands of the MCX514, MCX512 and MCX501, compiled.
+
+A command that writes data takes it from WR6 and WR7; a command that reads data puts it into RR6 and RR7.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Shared parts of the buses of all NOVA chips, compiled: parameters from the register map, and status bits of a drive."""
+"""Functions that the buses of all NOVA chips share, compiled.
+
+They list which command codes write a parameter, convert the data of a command to the value of a parameter, and compute the
+status bits that show in which phase of its ramp a drive is.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The automatic home search of the NOVA chips, compiled.
+"""Automatic home search of the NOVA chips, compiled: four steps that search signals and clear the counters.
 
          ____ DV
         /    \\            step 1: to the signal, where it brakes
@@ -34,36 +34,41 @@ STATES = (IDLE, SEEK, PAUSE_1, PASS_SIGNAL, BACK_OUT, PAUSE_BACK, SEARCH, PAUSE_
 SIGNAL, LIMIT = 1, 2  # values of `home_trigger`
 
 
-def _h1m_mask(name: str) -> int:
+def _find_h1m_mask(name: str) -> int:
     return MCX514_MAP.mask("H1M", name)
 
 
-def _h2m_mask(name: str) -> int:
+def _find_h2m_mask(name: str) -> int:
     return MCX514_MAP.mask("H2M", name)
 
 
-def _hm_mask(name: str) -> int:
+def _find_hm_mask(name: str) -> int:
     return MCX304_MAP.mask("HM", name)
 
 
 ENABLE_BITS = (
-    (_hm_mask("ST1-E"), _hm_mask("ST2-E"), _hm_mask("ST3-E"), _hm_mask("ST4-E")),
-    (_h1m_mask("S1EN"), _h1m_mask("S2EN"), _h1m_mask("S3EN"), _h1m_mask("S4EN")),
+    (_find_hm_mask("ST1-E"), _find_hm_mask("ST2-E"), _find_hm_mask("ST3-E"), _find_hm_mask("ST4-E")),
+    (_find_h1m_mask("S1EN"), _find_h1m_mask("S2EN"), _find_h1m_mask("S3EN"), _find_h1m_mask("S4EN")),
 )
 DIRECTION_BITS = (
-    (_hm_mask("ST1-D"), _hm_mask("ST2-D"), _hm_mask("ST3-D"), _hm_mask("ST4-D")),
-    (_h1m_mask("S1DR"), _h1m_mask("S2DR"), _h1m_mask("S3DR"), 0),
+    (_find_hm_mask("ST1-D"), _find_hm_mask("ST2-D"), _find_hm_mask("ST3-D"), _find_hm_mask("ST4-D")),
+    (_find_h1m_mask("S1DR"), _find_h1m_mask("S2DR"), _find_h1m_mask("S3DR"), 0),
 )
-S1G, S2SG = MCX514_MAP.bit("H1M", "S1G"), _h1m_mask("S2SG")
+S1G, S2SG = MCX514_MAP.bit("H1M", "S1G"), _find_h1m_mask("S2SG")
 AFTER_2, AFTER_3 = (
-    (_h1m_mask("S2DC"), _h1m_mask("S2RC"), _h1m_mask("S2LC")),
-    (_h1m_mask("S3DC"), _h1m_mask("S3RC"), _h1m_mask("S3LC")),
+    (_find_h1m_mask("S2DC"), _find_h1m_mask("S2RC"), _find_h1m_mask("S2LC")),
+    (_find_h1m_mask("S3DC"), _find_h1m_mask("S3RC"), _find_h1m_mask("S3LC")),
 )
 """DCC, clear RP, clear LP."""
-SAND, LCLR, RCLR, HTME = _h2m_mask("SAND"), _h2m_mask("LCLR"), _h2m_mask("RCLR"), _h2m_mask("HTME")
+SAND, LCLR, RCLR, HTME = _find_h2m_mask("SAND"), _find_h2m_mask("LCLR"), _find_h2m_mask("RCLR"), _find_h2m_mask("HTME")
 HTM = MCX514_MAP.bit("H2M", "HTM")
 CLOCKS_PER_MS = 16_000
-LIMIT_304, SAND_304, PCLR, DCC_E = _hm_mask("LIMIT"), _hm_mask("SAND"), _hm_mask("PCLR"), _hm_mask("DCC-E")
+LIMIT_304, SAND_304, PCLR, DCC_E = (
+    _find_hm_mask("LIMIT"),
+    _find_hm_mask("SAND"),
+    _find_hm_mask("PCLR"),
+    _find_hm_mask("DCC-E"),
+)
 
 
 @hot

@@ -1,4 +1,6 @@
-"""Inputs of the NOVA chips: from the pins through the filters to active levels, and the counts of encoder pins; compiled.
+"""Input pins of the NOVA chips, compiled: a pin passes its filter, and its level bit says which level is active.
+
+The module also counts the edges of the encoder pins ECA and ECB.
 
 A pin that is set (True) is low. Low is active while the level bit of the pin in WR1 or WR2 is 0, high while it is 1.
 """

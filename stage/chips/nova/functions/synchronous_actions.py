@@ -1,4 +1,4 @@
-"""The synchronous actions of the MCX514 and their activation factors: comparisons, timer, split pulse, PIO edges; compiled.
+"""Synchronous actions of the MCX514, compiled: an event on an axis triggers an action of the same or of another axis.
 
 An enabled set acts at the clock of its factor, or of command A0h + m, and activates other sets: of its axis, or SYNC0 of other
 axes. Inferred: only enabled sets act, whatever activates them; a set without repeat is disabled when it acts; a set acts once

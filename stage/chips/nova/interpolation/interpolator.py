@@ -1,4 +1,4 @@
-"""Interpolation of the NOVA chips, compiled. The profile of the main axis makes ticks; in each, an axis makes one pulse at most.
+"""Interpolation of the NOVA chips, compiled: it begins and ends segments, and makes their ticks at the right clocks.
 
 The k-th tick begins when the profile has come to place k; with constant vector speed a tick that moves two axes is sqrt2 places
 from the one before, one that moves three sqrt3. The next tick is always prepared: its steps, directions, place and clock. When the

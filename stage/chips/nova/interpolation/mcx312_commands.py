@@ -1,4 +1,4 @@
-"""Interpolation commands of the MCX312 and MCX314As, WR5, and the stack of three bit pattern sets; compiled.
+"""Interpolation commands of the MCX312 and MCX314As, their register WR5, and their stack of three bit pattern sets; compiled.
 
 The MCX314As also has lines and patterns of three axes.
 """

@@ -1,4 +1,4 @@
-"""Interpolation commands of the MCX514 and MCX512, and the pre-buffer of eight segments that they fill; compiled."""
+"""Interpolation commands of the MCX514 and MCX512, which fill a pre-buffer of eight segments; compiled."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Multichip interpolation of the MCX514 and MCX512: one line by several chips that wires join (stage/chips/linked_chips.py);
-compiled.
+"""Multichip interpolation of the MCX514 and MCX512, compiled: several chips, joined by wires, make one line.
 
 Each chip that takes part interpolates its own axes, relative to the largest finish point of all chips. The main axis of the
 master makes the ticks, and the wires bring them to the slaves at the same clock. The public text of the sheets only names the

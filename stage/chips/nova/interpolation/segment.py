@@ -1,4 +1,4 @@
-"""The running segment of an interpolation of the NOVA chips: its next tick, and the profile of the main axis; compiled."""
+"""The segment that a NOVA interpolation runs now, compiled: its next tick, and the speed profile of the main axis."""
 
 from __future__ import annotations
 

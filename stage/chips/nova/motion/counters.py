@@ -1,4 +1,4 @@
-"""The counters of an axis of a NOVA chip, and the software limits that compare them; compiled."""
+"""Position counters of an axis of a NOVA chip, and the software limits that are compared with them; compiled."""
 
 from __future__ import annotations
 

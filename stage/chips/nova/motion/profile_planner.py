@@ -288,7 +288,7 @@ def append_braking(axis):
 
 @hot
 def _append_constant_speed(axis):
-    """Append a piece of constant speed without an end."""
+    """Append a piece in which the drive keeps its speed, without an end."""
     _append_open_piece(axis, CONSTANT, dd.ZERO, dd.ZERO)
 
 
@@ -309,7 +309,7 @@ def plan_stop(axis):
 
 @hot
 def plan_runaway(axis):
-    """Plan the runaway of the S-curve failure: the present speed without an end."""
+    """Plan the runaway of the S-curve erratum: the drive keeps its present speed and never ends."""
     _append_open_piece(axis, RUNAWAY, dd.ZERO, dd.ZERO)
 
 

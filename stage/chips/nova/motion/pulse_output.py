@@ -1,4 +1,4 @@
-"""The two pins that carry the pulses of an axis of a NOVA chip, PLS (nPP, nPLS, nPA) and DIR (nPM, nDIR, nPB); compiled.
+"""Levels of the two pins that carry the pulses of a NOVA axis, PLS (nPP, nPLS, nPA) and DIR (nPM, nDIR, nPB); compiled.
 
                         PLS                    DIR
     independent         pulses of + drives     pulses of - drives

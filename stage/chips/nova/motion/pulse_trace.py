@@ -1,4 +1,4 @@
-"""The pulses of NOVA drives in the order of their clocks, for traces, and the changes of an axis, for waveforms; compiled.
+"""Lists of the pulses of NOVA drives by their clocks, and of the changes of an axis for waveforms; compiled.
 
 At a constant speed of a whole number of pulses per second the pulses are evenly spaced, CLOCKS_PER_SECOND / pps clocks apart,
 which integers count exactly as Bresenham's algorithm does: `even_rest` is the distance by which the position at the clock of a

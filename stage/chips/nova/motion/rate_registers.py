@@ -1,4 +1,4 @@
-"""Conversion of speeds, accelerations and jerks between registers of the NOVA chips and plans; compiled."""
+"""Conversion of the registers for speed, acceleration and jerk of the NOVA chips to the units of a speed profile; compiled."""
 
 from __future__ import annotations
 

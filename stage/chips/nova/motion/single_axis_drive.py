@@ -1,4 +1,4 @@
-"""The drive of one axis of a NOVA chip: its start, its pulses, its end, and its next event; compiled."""
+"""The drive of one axis of a NOVA chip, compiled: how it starts, makes its pulses and ends, and when its next event is due."""
 
 from __future__ import annotations
 

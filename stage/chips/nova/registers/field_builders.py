@@ -1,4 +1,4 @@
-"""What the register maps of the NOVA chips share."""
+"""Builders of bits, bit groups and words for the register maps of the NOVA chips."""
 
 from __future__ import annotations
 
