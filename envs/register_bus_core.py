@@ -1,7 +1,7 @@
 """The compiled part of `register_bus`: a step of many stages, from actions to observations, without the GIL.
 
 All its data are in arrays of the task, whose addresses a FRAME holds, so a call takes only a few numbers. A `step` has two
-halves, `play` and `conclude`, so that a recorded stage can be played by Python in between.
+halves, `play_actions` and `conclude_steps`, so that a recorded stage can be played by Python in between.
 """
 
 from __future__ import annotations
@@ -294,6 +294,6 @@ def conclude_steps(f, begin, end, fresh, results):
 
 @exported(None, FRAME, "i8", "i8", array_of(RESULT))
 def step_stages(f, begin, end, results):
-    """`play` and `conclude`, where Python plays no stage."""
+    """Play and conclude a step of every stage; call it only if Python plays no stage."""
     play_actions(f, begin, end)
     conclude_steps(f, begin, end, 0, results)

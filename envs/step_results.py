@@ -83,7 +83,7 @@ class Results:
 
     Args:
         n: Number of stages.
-        dtype: What `make_result_dtype` returned.
+        dtype: Result of `make_step_result_dtype`.
         hidden: Names that an info leaves out.
 
     Attributes:
