@@ -738,7 +738,7 @@ def test_a_shipped_model_that_is_edited_is_read_again(tmp_path, monkeypatch):
     for file in files("stage.models").iterdir():
         if file.name.endswith(".xml"):
             (tmp_path / file.name).write_text(file.read_text())
-    monkeypatch.setattr(plant.spec, "_find_model_folder", lambda: tmp_path)
+    monkeypatch.setattr(plant.model_spec, "_find_model_folder", lambda: tmp_path)
     before = plant.open_spec("xy").option.timestep
     path = tmp_path / "_common.xml" if "timestep" in (tmp_path / "_common.xml").read_text() else tmp_path / "xy.xml"
     path.write_text(path.read_text().replace('timestep="0.00025"', 'timestep="0.000125"'))
