@@ -98,17 +98,17 @@ HANDLE, TRUTHS = stage_handle.HANDLE, player.TRUTH
 
 
 @exported(None, FRAME, "i8", "i8")
-def play_actions(f, begin, end):
+def play_actions(frame, begin, end):
     """Turn the actions of the active stages begin..end-1 into operations of a host, and play them where Python does not."""
-    handles = array_at(f.handles, f.stages, HANDLE)
-    waits = array_at(f.waits, f.n_waits, INTEGER)
-    active = array_at(f.active, f.stages, FLAG)
-    by_hand = array_at(f.by_hand, f.stages, FLAG)
-    actions = array_at(f.actions, (f.stages, 4), INTEGER)
-    ops = array_at(f.ops, (f.stages, 1, 4), INTEGER)
-    values = array_at(f.values, (f.stages, 1), INTEGER)
-    status = array_at(f.status, f.stages, INTEGER)
-    first = array_at(f.first, f.n_chips, INTEGER)
+    handles = array_at(frame.handles, frame.stages, HANDLE)
+    waits = array_at(frame.waits, frame.n_waits, INTEGER)
+    active = array_at(frame.active, frame.stages, FLAG)
+    by_hand = array_at(frame.by_hand, frame.stages, FLAG)
+    actions = array_at(frame.actions, (frame.stages, 4), INTEGER)
+    ops = array_at(frame.ops, (frame.stages, 1, 4), INTEGER)
+    values = array_at(frame.values, (frame.stages, 1), INTEGER)
+    status = array_at(frame.status, frame.stages, INTEGER)
+    first = array_at(frame.first, frame.n_chips, INTEGER)
     for k in range(begin, end):
         if not active[k]:
             continue
@@ -119,13 +119,13 @@ def play_actions(f, begin, end):
             op[0] = program.WRITE if action[0] == WRITE else program.READ
             op[1], op[2], op[3] = first[action[1]], action[2], action[3] if action[0] == WRITE else 0
         if not by_hand[k]:
-            extremes = array_at(f.ops, (0, 2), REAL)
+            extremes = array_at(frame.ops, (0, 2), REAL)
             status[k] = player.play_program(handles[k], ops[k], values[k], extremes)
 
 
 @hot
 def _compute_potential(axes, rules, truth):
-    """Minus the mean of the axes' errors beyond the tolerance, in parts of their scale."""
+    """Compute minus the mean of the axes' position errors beyond the tolerance, each divided by its scale."""
     total = 0.0
     for a in range(len(axes)):
         total -= greatest(abs(truth[a].position - axes[a].goal) - rules[a].near, 0.0) / rules[a].scale
@@ -133,40 +133,40 @@ def _compute_potential(axes, rules, truth):
 
 
 @hot
-def _has_arrived(r, axes, rules, truth):
-    """Every axis stands at its goal, where its motor pulls it to, without a lost step."""
+def _has_arrived(settings, axes, rules, truth):
+    """Return whether every axis rests at its goal, where its motor pulls it, without a lost step."""
     for a in range(len(axes)):
         t, rule, goal = truth[a], rules[a], axes[a].goal
         rest = t.commanded - t.lost_steps * rule.full_step
         if not (abs(t.position - goal) <= rule.near and abs(rest - goal) <= rule.near):
             return False
-        if t.busy or not abs(t.velocity) < r.standing:
+        if t.busy or not abs(t.velocity) < settings.standing:
             return False
-        if t.lost_steps != 0 and not r.home:
+        if t.lost_steps != 0 and not settings.home:
             return False
     return True
 
 
 @hot
-def _apply_loan(r, over, now, potential, episode, parts):
-    """Pay the parts whole at the end; before that, pay a loan on them, which the end takes back."""
-    progress = r.progress_weight * (potential - episode.start)
-    time = -r.time_weight * 1e-9 * (now - episode.began)
-    lost = -r.lost_weight * episode.paid
+def _apply_loan(settings, over, now, potential, episode, parts):
+    """Set the parts of the reward: at the end in full; before, as a loan that the end takes back."""
+    progress = settings.progress_weight * (potential - episode.start)
+    time = -settings.time_weight * 1e-9 * (now - episode.began)
+    lost = -settings.lost_weight * episode.paid
     if over:
         parts.progress, parts.time, parts.lost = progress - episode.loan, time, lost
         return
-    dearest = r.time_weight * 1e-9 * r.limit + r.lost_weight * MAX_PAID_STEPS
-    loan = greatest(progress + time + lost, -dearest) / (1.0 + (1.0 - r.discount) * r.cycles)
-    parts.progress, parts.time, parts.lost = r.discount * loan - episode.loan, 0.0, 0.0
+    dearest = settings.time_weight * 1e-9 * settings.limit + settings.lost_weight * MAX_PAID_STEPS
+    loan = greatest(progress + time + lost, -dearest) / (1.0 + (1.0 - settings.discount) * settings.cycles)
+    parts.progress, parts.time, parts.lost = settings.discount * loan - episode.loan, 0.0, 0.0
     episode.loan = loan
 
 
 @hot
-def _judge_step(r, rules, action, value, bad, steps, episode, axes, words, truth, out):
-    """Fill the result of a step that was just played, and keep what the next one needs."""
+def _judge_step(settings, rules, action, value, bad, steps, episode, axes, words, truth, result):
+    """Fill the result of the step that was just played, and store what the next step needs."""
     now = truth[0].now
-    success = _has_arrived(r, axes, rules, truth)
+    success = _has_arrived(settings, axes, rules, truth)
     error, lost, more = 0.0, 0, 0
     for a in range(len(axes)):
         off = abs(truth[a].position - axes[a].goal) / rules[a].per_pulse
@@ -174,31 +174,31 @@ def _judge_step(r, rules, action, value, bad, steps, episode, axes, words, truth
             error = off
         lost += abs(truth[a].lost_steps)
         more += greatest(abs(truth[a].lost_steps) - axes[a].lost, 0)
-    out.cause = 1 if bad else 0
-    out.terminated = success and not bad
-    out.truncated = bad or (not success and (now - episode.began >= r.limit or steps >= r.cycles))
-    parts, info = out.parts, out.info
+    result.cause = 1 if bad else 0
+    result.terminated = success and not bad
+    result.truncated = bad or (not success and (now - episode.began >= settings.limit or steps >= settings.cycles))
+    parts, info = result.parts, result.info
     if bad:
         parts.progress = parts.time = parts.success = parts.lost = parts.failed = 0.0
-        out.reward = r.diverged
+        result.reward = settings.diverged
     else:
         if action[0] == READ:
             words[action[1], action[2]].seen, words[action[1], action[2]].when = value, now
         episode.value = value if action[0] == READ else -1
         potential = _compute_potential(axes, rules, truth)
-        parts.progress = r.progress_weight * (potential - episode.potential)
-        parts.time = -r.time_weight * 1e-9 * (now - episode.before)
-        parts.success = r.success_weight if success else 0.0
+        parts.progress = settings.progress_weight * (potential - episode.potential)
+        parts.time = -settings.time_weight * 1e-9 * (now - episode.before)
+        parts.success = settings.success_weight if success else 0.0
         more = least(more, MAX_PAID_STEPS - episode.paid)
         episode.paid += more
-        parts.lost = -r.lost_weight * more
+        parts.lost = -settings.lost_weight * more
         parts.failed = 0.0
-        if out.truncated:  # what waiting to the end would have cost, and whatever could have been lost
-            left = 1e-9 * (r.limit - (now - episode.began))
-            parts.failed = -(r.time_weight * left + r.lost_weight * (MAX_PAID_STEPS - episode.paid))
-        if r.discount < 1.0:
-            _apply_loan(r, success or out.truncated, now, potential, episode, parts)
-        out.reward = parts.progress + parts.time + parts.success + parts.lost + parts.failed
+        if result.truncated:  # what waiting to the end would have cost, and whatever could have been lost
+            left = 1e-9 * (settings.limit - (now - episode.began))
+            parts.failed = -(settings.time_weight * left + settings.lost_weight * (MAX_PAID_STEPS - episode.paid))
+        if settings.discount < 1.0:
+            _apply_loan(settings, success or result.truncated, now, potential, episode, parts)
+        result.reward = parts.progress + parts.time + parts.success + parts.lost + parts.failed
         episode.potential, episode.before = potential, now
         for a in range(len(axes)):
             axes[a].lost = greatest(axes[a].lost, abs(truth[a].lost_steps))
@@ -207,69 +207,72 @@ def _judge_step(r, rules, action, value, bad, steps, episode, axes, words, truth
 
 
 @hot
-def _read_all_words(h, first, words, now):
-    """Note the values at every address of the chips."""
+def _read_all_words(handle, first, words, now):
+    """Store the present values at every address of the chips."""
     for i in range(len(words)):
-        chip = stage_handle.get_chip_table(h)[stage_handle.get_axis_table(h)[first[i]].chip]
+        chip = stage_handle.get_chip_table(handle)[stage_handle.get_axis_table(handle)[first[i]].chip]
         for j in range(words.shape[1]):
             words[i, j].seen, words[i, j].when = cores.peek(chip, j), now
 
 
 @hot
-def _write_words(r, words, now, out, at):
+def _write_words(settings, words, now, observation, at):
     """Write what was last read from a chip into an observation, and return the place after it."""
-    for j in range(r.bits):
-        out[at + j] = words[r.status].seen >> j & 1
-    at += r.bits
+    for j in range(settings.bits):
+        observation[at + j] = words[settings.status].seen >> j & 1
+    at += settings.bits
     for j in range(len(words)):
-        if j != r.status:
-            out[at] = words[j].seen / r.most
+        if j != settings.status:
+            observation[at] = words[j].seen / settings.most
             at += 1
     for j in range(len(words)):
-        out[at + j] = 0.0 if words[j].when < 0 else 1.0 / (1.0 + (now - words[j].when) / HALF_AGE_NS)
+        observation[at + j] = 0.0 if words[j].when < 0 else 1.0 / (1.0 + (now - words[j].when) / HALF_AGE_NS)
     return at + len(words)
 
 
 @hot
-def _write_observation(r, rules, steps, episode, axes, words, truth, out):
+def _write_observation(settings, rules, steps, episode, axes, words, truth, observation):
     now, at = truth[0].now, 0
     for a in range(len(axes)):
         x, t, rule = axes[a], truth[a], rules[a]
         if a == 0 or rule.chip != rules[a - 1].chip:
-            at = _write_words(r, words[rule.chip], now, out, at)
-        out[at] = 0.0 if r.home else x.target / r.distance
+            at = _write_words(settings, words[rule.chip], now, observation, at)
+        observation[at] = 0.0 if settings.home else x.target / settings.distance
         at += PER_AXIS
-        if r.truth:
-            out[at] = (t.position - rule.low) / (rule.high - rule.low) * 2.0 - 1.0
-            out[at + 1], out[at + 2] = t.velocity / SPEED_SCALE, t.lost_steps / STEPS_SCALE
-            out[at + 3] = (t.position - x.goal) / rule.scale
+        if settings.truth:
+            observation[at] = (t.position - rule.low) / (rule.high - rule.low) * 2.0 - 1.0
+            observation[at + 1], observation[at + 2] = t.velocity / SPEED_SCALE, t.lost_steps / STEPS_SCALE
+            observation[at + 3] = (t.position - x.goal) / rule.scale
             at += TRUTH
-    out[at], out[at + 1] = greatest(episode.value, 0) / r.most, 1.0 if episode.value >= 0 else 0.0
-    out[at + 2], out[at + 3] = (now - episode.began) / r.duration, steps / r.cycles
-    for j in range(len(out)):
-        out[j] = least(greatest(out[j], -1.0), 1.0)
+    observation[at], observation[at + 1] = (
+        greatest(episode.value, 0) / settings.most,
+        1.0 if episode.value >= 0 else 0.0,
+    )
+    observation[at + 2], observation[at + 3] = (now - episode.began) / settings.duration, steps / settings.cycles
+    for j in range(len(observation)):
+        observation[j] = least(greatest(observation[j], -1.0), 1.0)
 
 
 @exported(None, FRAME, "i8", "i8", "i8", array_of(RESULT))
-def conclude_steps(f, begin, end, fresh, results):
+def conclude_steps(frame, begin, end, fresh, results):
     """Look at the active stages, judge what they have done, observe; one that diverged keeps its last observation.
 
     fresh: an episode begins on these stages in place of a step; goals and words read are set. results: (stages,) RESULT.
     """
-    handles = array_at(f.handles, f.stages, HANDLE)
-    r = array_at(f.rules, 1, RULES)[0]
-    rules = array_at(f.axis_rules, f.n_axes, AXIS_RULES)
-    active = array_at(f.active, f.stages, FLAG)
-    actions = array_at(f.actions, (f.stages, 4), INTEGER)
-    values = array_at(f.values, (f.stages, 1), INTEGER)
-    status = array_at(f.status, f.stages, INTEGER)
-    steps = array_at(f.steps, f.stages, INTEGER)
-    episodes = array_at(f.episodes, f.stages, EPISODE)
-    axes = array_at(f.axes, (f.stages, f.n_axes), AXIS)
-    words = array_at(f.words, (f.stages, f.n_chips, f.n_addresses), WORD)
-    first = array_at(f.first, f.n_chips, INTEGER)
-    truth = array_at(f.truth, (f.stages, f.n_axes), TRUTHS)
-    observations = array_at(f.observations, (f.stages, f.width), SMALL)
+    handles = array_at(frame.handles, frame.stages, HANDLE)
+    r = array_at(frame.rules, 1, RULES)[0]
+    rules = array_at(frame.axis_rules, frame.n_axes, AXIS_RULES)
+    active = array_at(frame.active, frame.stages, FLAG)
+    actions = array_at(frame.actions, (frame.stages, 4), INTEGER)
+    values = array_at(frame.values, (frame.stages, 1), INTEGER)
+    status = array_at(frame.status, frame.stages, INTEGER)
+    steps = array_at(frame.steps, frame.stages, INTEGER)
+    episodes = array_at(frame.episodes, frame.stages, EPISODE)
+    axes = array_at(frame.axes, (frame.stages, frame.n_axes), AXIS)
+    words = array_at(frame.words, (frame.stages, frame.n_chips, frame.n_addresses), WORD)
+    first = array_at(frame.first, frame.n_chips, INTEGER)
+    truth = array_at(frame.truth, (frame.stages, frame.n_axes), TRUTHS)
+    observations = array_at(frame.observations, (frame.stages, frame.width), SMALL)
     for k in range(begin, end):
         if not (fresh or active[k]):
             continue
@@ -293,7 +296,7 @@ def conclude_steps(f, begin, end, fresh, results):
 
 
 @exported(None, FRAME, "i8", "i8", array_of(RESULT))
-def step_stages(f, begin, end, results):
+def step_stages(frame, begin, end, results):
     """Play and conclude a step of every stage; call it only if Python plays no stage."""
-    play_actions(f, begin, end)
-    conclude_steps(f, begin, end, 0, results)
+    play_actions(frame, begin, end)
+    conclude_steps(frame, begin, end, 0, results)

@@ -875,15 +875,15 @@ def split_run(begin: int, until: int) -> Iterator[int]:
     yield until
 
 
-def make_cycle_error(what: str, *args: Any) -> ArgumentError:
+def make_cycle_error(cycle_kind: str, *args: Any) -> ArgumentError:
     """Return the error about a bus cycle whose address or value is no number.
 
     Args:
-        what: Name of the method: "read", "write" ...
+        cycle_kind: Name of the method: "read", "write" ...
         *args: Its arguments.
     """
     are = "address and value are whole numbers" if args[1:] else "an address is a whole number"
-    return ArgumentError(f"{what}({', '.join(map(repr, args))}): {are}.")
+    return ArgumentError(f"{cycle_kind}({', '.join(map(repr, args))}): {are}.")
 
 
 def describe_masked_write(requested: tuple[int, int], on_bus: tuple[int, int]) -> str:

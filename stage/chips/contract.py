@@ -178,13 +178,13 @@ def _check_map(map_: RegisterMap) -> list[str]:
     return problems
 
 
-def load_attribute(chip: Any, attribute: str, what: str) -> Any:
+def load_attribute(chip: Any, attribute: str, description: str) -> Any:
     """Load the object that a class names as "package.module:Name".
 
     Args:
         chip: The class.
         attribute: Its attribute with the name.
-        what: Description of the object, for the error.
+        description: Description of the object, for the error.
 
     Raises:
         ArgumentError: The object cannot be loaded.
@@ -195,7 +195,7 @@ def load_attribute(chip: Any, attribute: str, what: str) -> Any:
         return getattr(import_module(module), name)
     except Exception as error:
         raise ArgumentError(
-            f"{chip.__name__}: {attribute} = {where!r}, {what}, cannot be loaded: {type(error).__name__}: {error}."
+            f"{chip.__name__}: {attribute} = {where!r}, {description}, cannot be loaded: {type(error).__name__}: {error}."
         ) from error
 
 

@@ -36,7 +36,7 @@ MODES = {"chopper": stepper.CHOPPER, "sine": stepper.SINE}
 
 
 def check_in_range(
-    what: str, value: object, low: float, high: float, unit: str, zero: bool = False, otherwise: str = ""
+    quantity: str, value: object, low: float, high: float, unit: str, zero: bool = False, otherwise: str = ""
 ) -> None:
     """Raise ArgumentError unless `value` is a number above `low` (or, if `zero`, from `low` on) up to `high`.
 
@@ -46,7 +46,7 @@ def check_in_range(
     if fits and (low <= value <= high if zero else low < value <= high):  # type: ignore[operator]
         return
     bound = f"from {low:g}" if zero else f"above {low:g},"
-    raise ArgumentError(f"{what}={value!r}: give a number {bound} up to {high:g} {unit}{otherwise}.")
+    raise ArgumentError(f"{quantity}={value!r}: give a number {bound} up to {high:g} {unit}{otherwise}.")
 
 
 @dataclass(frozen=True)

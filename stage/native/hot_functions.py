@@ -138,9 +138,11 @@ class Exported:
         if not value.flags.c_contiguous or not value.flags.aligned or not value.flags.writeable:
             raise self._make_type_error(k, "an array with strides, unaligned or read-only", dtype, dimensions)
 
-    def _make_type_error(self, k: int, what: str, dtype: np.dtype, dimensions: int) -> ArgumentError:
+    def _make_type_error(self, argument_index: int, given_kind: str, dtype: np.dtype, dimensions: int) -> ArgumentError:
         wanted = f"a contiguous, writeable array of {dimensions} dimensions" if dimensions else "a record, or an array"
-        return ArgumentError(f"{self.name}, argument {k + 1}: {what}; it takes {wanted} of {_format_dtype(dtype)}.")
+        return ArgumentError(
+            f"{self.name}, argument {argument_index + 1}: {given_kind}; it takes {wanted} of {_format_dtype(dtype)}."
+        )
 
     @cached_property
     def c(self) -> Any:

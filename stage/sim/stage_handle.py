@@ -84,7 +84,7 @@ def has_edge_room(handle):
 
 
 @hot
-def note_edge(handle, now, chip, axis, kind, a, b):
+def note_edge(handle, now, chip, axis, kind, first_number, second_number):
     """Note an event that has reached chip `chip`; the caller has checked that there is room.
 
     Args:
@@ -93,14 +93,14 @@ def note_edge(handle, now, chip, axis, kind, a, b):
         chip: Row of CHIP_TABLE.
         axis: Axis of the stage, one of the chip's.
         kind: Kind of the `Entry` for the journal.
-        a: Its first number.
-        b: Its second number.
+        first_number: Its first number.
+        second_number: Its second number.
 
     Returns:
         The EDGE.
     """
     e = array_at(handle.edges, handle.edge_room, engine_records.EDGE)[handle.noted]
-    e.now, e.clock, e.axis, e.kind, e.a, e.b = now, cores.read_clock(chip), axis, kind, a, b
+    e.now, e.clock, e.axis, e.kind, e.a, e.b = now, cores.read_clock(chip), axis, kind, first_number, second_number
     handle.noted += 1
     return e
 

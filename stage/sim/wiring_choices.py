@@ -104,13 +104,13 @@ def choose_leaders(
     return tuple(wanted.items())
 
 
-def check_shared_clock(follower: Chip, leader: Chip, what: str) -> None:
+def check_shared_clock(follower: Chip, leader: Chip, connection: str) -> None:
     """Check that two chips can share a clock by SYNO and SYNI.
 
     Args:
         follower: Chip whose SYNI is connected.
         leader: Chip whose SYNO it is connected to.
-        what: Beginning of the error.
+        connection: Beginning of the error.
 
     Raises:
         ArgumentError: They cannot.
@@ -118,13 +118,14 @@ def check_shared_clock(follower: Chip, leader: Chip, what: str) -> None:
     for chip in (follower, leader):
         if not chip.SYNCHRO:
             raise ArgumentError(
-                f"{what}: {add_article(type(chip).__name__)} has no SYNI and SYNO; chips of the PCL-240 family have."
+                f"{connection}: {add_article(type(chip).__name__)} has no SYNI and SYNO; chips of the PCL-240 family have."
             )
     if follower is leader:
-        raise ArgumentError(f"{what}: a chip does not follow itself.")
+        raise ArgumentError(f"{connection}: a chip does not follow itself.")
     if follower.clock_hz != leader.clock_hz:
         raise ArgumentError(
-            f"{what}: its reference clock is {follower.clock_hz:,} Hz, the leader's {leader.clock_hz:,} Hz; give both the same."
+            f"{connection}: its reference clock is {follower.clock_hz:,} Hz, the leader's {leader.clock_hz:,} Hz; "
+            "give both the same."
         )
 
 

@@ -40,33 +40,33 @@ def to_path(path: Any, error: type[StageError] = FileError) -> Path:
         raise error(f"{path!r} is no path: give a text, or a pathlib.Path.") from None
 
 
-def check_readable(path: Any, what: str, error: type[StageError] = FileError) -> Path:
+def check_readable(path: Any, file_kind: str, error: type[StageError] = FileError) -> Path:
     """Check that a path is a regular, readable file that is not empty, and return it.
 
     Args:
         path: Path to check.
-        what: Kind of file, for errors, as in "recording".
+        file_kind: Kind of file, for errors, as in "recording".
         error: Type of the error to raise for a missing or empty file, a folder, a device, a pipe, or missing permission.
     """
     path = to_path(path, error)
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
-        raise error(f"there is no {what} {path}.") from None
+        raise error(f"there is no {file_kind} {path}.") from None
     except (OSError, ValueError) as why:
         raise error(f"{path} cannot be read: {getattr(why, 'strerror', None) or why}.") from why
     if stat.S_ISDIR(status.st_mode):
         raise error(f"{path} is a folder. Name a file in it.")
-    refuse_irregular(path, what, error)
+    refuse_irregular(path, file_kind, error)
     if not os.access(path, os.R_OK):
         raise error(f"{path} cannot be read: no permission. `ls -l` says who may.")
     if not status.st_size:
-        raise error(f"{path} is empty, and no {what}.")
+        raise error(f"{path} is empty, and no {file_kind}.")
     return path
 
 
-def refuse_irregular(path: Path, what: str, error: type[StageError] = FileError) -> None:
-    """Raise `error` if `path` is a device, a pipe, a socket or a loop of links; `what` is the kind of file expected there.
+def refuse_irregular(path: Path, file_kind: str, error: type[StageError] = FileError) -> None:
+    """Raise `error` if `path` is a device, a pipe, a socket or a loop of links; `file_kind` is the kind of file expected there.
 
     A missing file and a folder pass: the caller has errors of its own for these.
     """
@@ -77,7 +77,7 @@ def refuse_irregular(path: Path, what: str, error: type[StageError] = FileError)
     except (OSError, ValueError) as why:
         raise error(f"{path} cannot be read: {getattr(why, 'strerror', None) or why}.") from why
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-        raise error(f"{path} is {_describe_mode(mode)}, and no {what}. Name a regular file.")
+        raise error(f"{path} is {_describe_mode(mode)}, and no {file_kind}. Name a regular file.")
 
 
 def check_writable(
@@ -114,13 +114,15 @@ def check_writable(
     return target
 
 
-def check_ending(path: str | os.PathLike, endings: Iterable[str], what: str, error: type[FileError] = FileError) -> str:
+def check_ending(
+    path: str | os.PathLike, endings: Iterable[str], file_kind: str, error: type[FileError] = FileError
+) -> str:
     """Check that a path has one of some endings, and return its ending in lower case.
 
     Args:
         path: Path to check. A device or a pipe may have any name; the result is then the first of `endings`.
         endings: Endings that are allowed, such as ".csv".
-        what: Kind of file with its article, for errors, as in "a recording".
+        file_kind: Kind of file with its article, for errors, as in "a recording".
         error: Type of the error to raise for another ending, or for none.
     """
     known, ending = list(endings), to_path(path, error).suffix.lower()
@@ -130,7 +132,7 @@ def check_ending(path: str | os.PathLike, endings: Iterable[str], what: str, err
         return ending
     if is_stream(path):
         return known[0]
-    reason = f"{what} is no {ending[1:]!r}" if ending else "the name has no ending, and that says the format"
+    reason = f"{file_kind} is no {ending[1:]!r}" if ending else "the name has no ending, and that says the format"
     raise error(f"{path}: {reason}. Name a file that ends in {', '.join(known)}.")
 
 

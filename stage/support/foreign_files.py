@@ -33,16 +33,18 @@ class DocumentError(ArgumentError):
     """Error: a text is not JSON or TOML, is nested too deeply, or has a number that is too long."""
 
 
-def open_regular(path: str | os.PathLike, what: str, max_bytes: int, error: type[StageError] = FileError) -> BinaryIO:
+def open_regular(
+    path: str | os.PathLike, file_kind: str, max_bytes: int, error: type[StageError] = FileError
+) -> BinaryIO:
     """Open a regular file that is not empty for reading.
 
     Args:
         path: Path of the file.
-        what: Kind of file, for errors, as in "recording".
+        file_kind: Kind of file, for errors, as in "recording".
         max_bytes: Maximum size of the file.
         error: Type of the error to raise for a file that is missing, empty, too large, unreadable or not regular.
     """
-    path = check_readable(path, what, error)
+    path = check_readable(path, file_kind, error)
     try:
         file = os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | getattr(os, "O_NONBLOCK", 0)), "rb")
     except OSError as why:
@@ -52,32 +54,34 @@ def open_regular(path: str | os.PathLike, what: str, max_bytes: int, error: type
         return file
     file.close()
     if stat.S_ISREG(status.st_mode):
-        raise error(f"{path} has {status.st_size:,} bytes, and {add_article(what)} has at most {max_bytes:,}.")
-    raise error(f"{path} is no regular file, and no {what}. Name a regular file.")
+        raise error(f"{path} has {status.st_size:,} bytes, and {add_article(file_kind)} has at most {max_bytes:,}.")
+    raise error(f"{path} is no regular file, and no {file_kind}. Name a regular file.")
 
 
-def read_bytes(path: str | os.PathLike, what: str, max_bytes: int, error: type[StageError] = FileError) -> bytes:
+def read_bytes(path: str | os.PathLike, file_kind: str, max_bytes: int, error: type[StageError] = FileError) -> bytes:
     """Read all bytes of a regular file. Arguments and errors are those of `open_regular`."""
     try:
-        with open_regular(path, what, max_bytes, error) as file:
+        with open_regular(path, file_kind, max_bytes, error) as file:
             content = file.read(max_bytes + 1)
     except OSError as why:
         raise error(f"{path} cannot be read: {why.strerror or why}.") from why
     if len(content) > max_bytes:
         raise error(
-            f"{path} has grown beyond {max_bytes:,} bytes while it was read: {add_article(what)} has at most so many."
+            f"{path} has grown beyond {max_bytes:,} bytes while it was read: {add_article(file_kind)} has at most so many."
         )
     return content
 
 
 def read_text(
-    path: str | os.PathLike, what: str, max_bytes: int = MAX_DOCUMENT_BYTES, error: type[StageError] = FileError
+    path: str | os.PathLike, file_kind: str, max_bytes: int = MAX_DOCUMENT_BYTES, error: type[StageError] = FileError
 ) -> str:
     """Read a regular file as text in UTF-8. Arguments and errors are those of `open_regular`."""
     try:
-        return read_bytes(path, what, max_bytes, error).decode("utf-8")
+        return read_bytes(path, file_kind, max_bytes, error).decode("utf-8")
     except UnicodeDecodeError as why:
-        raise error(f"{path} cannot be read: {why}. {add_article(what).capitalize()} is a text in UTF-8.") from None
+        raise error(
+            f"{path} cannot be read: {why}. {add_article(file_kind).capitalize()} is a text in UTF-8."
+        ) from None
 
 
 def parse_json(text: str | bytes, parse_constant: Callable[[str], Any] | None = None) -> Any:

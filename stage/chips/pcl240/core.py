@@ -145,8 +145,8 @@ def _write_edge(chip, edges, edge_index, clock, word, r0, net):
 
 
 @hot
-def _write_pulse_edges(chip, edges, edge_index, clock, phase, low, s, pulses, base, r0, net):
-    """POUT's edges within a span of `s` ticks with `pulses` pulses that began at `clock` with `phase` and `low`."""
+def _write_pulse_edges(chip, edges, edge_index, clock, phase, low, speed, pulses, base, r0, net):
+    """POUT's edges within a span of `speed` ticks with `pulses` pulses that began at `clock` with `phase` and `low`."""
     m = 8192 * chip.multiplier
     bit = _find_pulse_pin(chip)
     direction = -1 if chip.minus else 1
@@ -161,7 +161,7 @@ def _write_pulse_edges(chip, edges, edge_index, clock, phase, low, s, pulses, ba
             edges[edge_index - 1].counter, edges[edge_index - 1].net = r0, net
             low = 1
         rise = greatest(1, -((phase - j * m - m // 2) // chip.speed))
-        if low and rise <= s and (j == pulses or rise < -((phase - (j + 1) * m) // chip.speed)):
+        if low and rise <= speed and (j == pulses or rise < -((phase - (j + 1) * m) // chip.speed)):
             edge_index = _write_edge(chip, edges, edge_index, clock + rise, base, r0, net)
             low = 0
     return edge_index

@@ -81,14 +81,14 @@ def _apply_switches(chip, rising):
 
 
 @hot
-def _finish_pulse(chip, n):
-    """Run up to `n` ticks of a chip without a run: complete the last pulse, or idle. Returns the number of ticks."""
-    s = n
+def _finish_pulse(chip, ticks):
+    """Run up to `ticks` ticks of a chip without a run: complete the last pulse, or idle. Returns the number of ticks."""
+    s = ticks
     if chip.finishing and chip.speed > 0 and chip.multiplier >= 2:
         half = 4096 * chip.multiplier
         s = greatest(1, -((chip.phase - half) // chip.speed))
-        if s > n:
-            s = n
+        if s > ticks:
+            s = ticks
         chip.phase += s * chip.speed
         if chip.phase >= half:
             chip.pout_low = 0
@@ -98,8 +98,8 @@ def _finish_pulse(chip, n):
 
 
 @hot
-def run_to_event(chip, n):
-    """Run at least one and at most `n` ticks, up to the next event, and return the number of ticks."""
+def run_to_event(chip, ticks):
+    """Run at least one and at most `ticks` ticks, up to the next event, and return the number of ticks."""
     ran, chip.quiet_until = chip.running, 0
     rising = _sample_inputs(chip) if chip.active_inputs != chip.last_inputs else 0
     if chip.running and (chip.passed_org or is_blocked(chip)):
@@ -107,13 +107,13 @@ def run_to_event(chip, n):
     if (
         not chip.running
     ):  # a stop has its own tick, so that `scan` sees the edge of HOLD there and not after the idle ones
-        return _finish_pulse(chip, 1 if ran else n)
+        return _finish_pulse(chip, 1 if ran else ticks)
     goal = find_goal_speed(chip)
     s = count_ticks_to_step(chip, goal)
     counts_output = not chip.output_mode & state.EXTERNAL
     if s == NEVER and not chip.passed_org and (not chip.uses_ramps or chip.speed == goal):
         chip.quiet_until = _find_next_event(chip, counts_output)
-    s = least(n, s)
+    s = least(ticks, s)
     pulses = 0
     if chip.multiplier >= 2 and chip.speed > 0:
         m = 8192 * chip.multiplier
@@ -225,20 +225,20 @@ def compute_mean_count(net_before, net, phase, multiplier, speed, clocks):
 
 
 @hot
-def run_window_at_constant_speed(chip, row, k):
+def run_window_at_constant_speed(chip, row_address, first_slice):
     """Run a window as `cores.run_window` does, if the chip runs at constant speed without an event all the time.
 
     It is faster because values that a slice takes over from the one before stay in processor registers.
 
     Args:
         chip: State of the chip.
-        row: Address of its CHIP record.
-        k: Number of the first slice.
+        row_address: Address of its CHIP record.
+        first_slice: Number of the first slice.
 
     Returns:
         Whether it has run the window.
     """
-    r = array_at(row, 1, CHIP)[0]
+    r = array_at(row_address, 1, CHIP)[0]
     ends, axis = array_at(r.ends, r.slices, SLICE_END), array_at(r.table, 1, CHIP_AXIS)[0]
     begin, rest, speed, multiplier = r.begin, r.rest, chip.speed, chip.multiplier
     last = compute_slice_end(ends[r.slices - 1], begin, rest)
@@ -247,17 +247,17 @@ def run_window_at_constant_speed(chip, row, k):
     means, before = array_at(axis.means, r.slices, REAL), array_at(axis.net, 1, WORD)
     m, direction = 8192 * multiplier, -1 if chip.minus else 1
     clock, phase, net, count = chip.clock, chip.phase, chip.net, before[0]
-    while k < r.slices:
-        until = compute_slice_end(ends[k], begin, rest)
+    while first_slice < r.slices:
+        until = compute_slice_end(ends[first_slice], begin, rest)
         ahead = phase + (until - clock) * speed
         pulses = 0
         if ahead >= m:
             pulses = 1 if ahead < 2 * m else ahead // m
         clock, phase = until, ahead - pulses * m
         net += direction * pulses
-        means[k] = compute_mean_count(count, net, phase, multiplier, speed, r.ticks)
+        means[first_slice] = compute_mean_count(count, net, phase, multiplier, speed, r.ticks)
         count = net
-        k += 1
+        first_slice += 1
     before[0] = count
     _run_at_constant_speed(chip, clock)
     return True

@@ -53,13 +53,13 @@ def store_records(records, words, row, thread):
         words[row + k, thread] = records[k]
 
 
-def run_chip(chip, axes, table, switches, switch_table, world, dt, k, now, stop):
+def run_chip(chip, axes, table, switches, switch_table, world, window_ns, slice_index, now, stop):
     """Run a chip and its switches from `now` to `stop` ns, within a window.
 
     Args:
         c, axes, table, switches, switch_table, world: Records of the lane, see `LaneLayout`.
-        dt: Length of a window, ns.
-        k: Slice of the window in which `now` is.
+        window_ns: Length of a window, ns.
+        slice_index: Slice of the window in which `now` is.
         now, stop: Times in ns.
 
     Returns:
@@ -68,7 +68,7 @@ def run_chip(chip, axes, table, switches, switch_table, world, dt, k, now, stop)
     start, hz, edge = world.start, chip.hz, find_next_edge(axes, chip)
     clock, rest = compute_clock_at(start, hz), start % SECOND * hz % SECOND
     while now < stop:
-        bound = start + (k + 1) * dt // SLICES
+        bound = start + (slice_index + 1) * window_ns // SLICES
         now = min(min(bound, stop), max(edge, now))
         cores.run(chip, clock + (rest + (now - start) * hz) // SECOND)
         if edge <= now:
@@ -79,19 +79,19 @@ def run_chip(chip, axes, table, switches, switch_table, world, dt, k, now, stop)
         if now == bound:
             for j in range(chip.axes):
                 axis = axes[j]
-                axis.counts[k] = cores.compute_drive_input(chip, j, axis.count, chip.ticks)
+                axis.counts[slice_index] = cores.compute_drive_input(chip, j, axis.count, chip.ticks)
                 axis.count = cores.read_net_count(chip, j)
-            k += 1
-    return k
+            slice_index += 1
+    return slice_index
 
 
-def begin_operation(host, now, kind, a):
+def begin_operation(host, now, kind, first_argument):
     """Begin an operation at `now` ns: set when it ends, and reset the extremes that it measures."""
-    host.started, host.begin, host.left, host.poll, host.until = 1, now, a, 0, now
+    host.started, host.begin, host.left, host.poll, host.until = 1, now, first_argument, 0, now
     if kind in (WRITE, READ):
         host.until = now + BUS
     elif kind not in (STOP, KEEP, LOOK):
-        host.until = now + a
+        host.until = now + first_argument
     host.x0 = host.y0 = host.z0 = math.inf
     host.x1 = host.y1 = host.z1 = -math.inf
 
@@ -107,10 +107,10 @@ def read_point_coordinate(sites, bodies, copy, point, coordinate):
     return sites[copy, point - 1, coordinate] if point > 0 else bodies[copy, -point, coordinate]
 
 
-def note_extremes(host, extremes, q, sites, bodies, copy, point):
+def note_extremes(host, extremes, qpos, sites, bodies, copy, point):
     """Update the extremes of a copy's joint positions and of its measured point."""
-    for k in range(q.shape[0]):
-        extremes[k, 0], extremes[k, 1] = min(extremes[k, 0], float(q[k])), max(extremes[k, 1], float(q[k]))
+    for k in range(qpos.shape[0]):
+        extremes[k, 0], extremes[k, 1] = min(extremes[k, 0], float(qpos[k])), max(extremes[k, 1], float(qpos[k]))
     if point:
         x, y, z = (
             read_point_coordinate(sites, bodies, copy, point, 0),
@@ -127,18 +127,18 @@ def measure_travel(host):
     return int(math.sqrt(x * x + y * y + z * z) * 1e12) if x >= 0.0 else 0
 
 
-def begin_window(world, host, chip, axes, table, switches, switch_table, clockwork, sensordata, q, v):
+def begin_window(world, host, chip, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel):
     """Begin the window after a physics step: predict the edges, and pass the shafts to the chips that count them."""
     host.stepped = 0
     world.slice = 0
     world.start += clockwork.dt
     world.steps += 1
-    for k in range(v.shape[0]):
-        if not abs(v[k]) < MAX_SPEED:
+    for k in range(qvel.shape[0]):
+        if not abs(qvel[k]) < MAX_SPEED:
             host.status = DIVERGED
     for j in range(chip.axes):
         t = table[j]
-        x, speed = q[t.qpos], v[t.dof]
+        x, speed = qpos[t.qpos], qvel[t.dof]
         predict_axis_edges(world, clockwork, axes[j], t, switches, switch_table, sensordata, x, speed, True)
         if ENCODERS:
             tau = float(world.now - world.start) / SECOND - clockwork.half
@@ -167,12 +167,12 @@ def choose_polls(host, places, lane, end):
     return now, polled, time, axis, False
 
 
-def has_lost_a_step(chip, drives, table, axis_numbers, mask, q, v, tau):
-    """Return whether one of the lane's axes in the mask has lost a step. `tau` is the time since that of `q`, s."""
+def has_lost_a_step(chip, drives, table, axis_numbers, mask, qpos, qvel, tau):
+    """Return whether one of the lane's axes in the mask has lost a step. `tau` is the time since that of `qpos`, s."""
     for j in range(chip.axes):
         t = table[j]
         if mask >> axis_numbers[j] & 1:
-            theta = (q[t.qpos] + v[t.dof] * tau) * t.gear
+            theta = (qpos[t.qpos] + qvel[t.dof] * tau) * t.gear
             if drive_dispatch.count_lost_steps(drives[j], float(cores.read_net_count(chip, j)), theta) != 0:
                 return True
     return False

@@ -316,13 +316,13 @@ def _finish_step_drive(chip, axis):
 
 
 @hot
-def _clear_at_signal(chip, axis, what):
+def _clear_at_signal(chip, axis, mode_bits):
     """Clear counters and assert DCC after step 2 or 3, as the mode says.
 
     Args:
         chip: State of the chip.
         axis: State of the axis.
-        what: Mode bits for DCC, RP and LP.
+        mode_bits: Mode bits for DCC, RP and LP.
 
     Returns:
         Clocks for which DCC is asserted.
@@ -330,8 +330,8 @@ def _clear_at_signal(chip, axis, what):
     if chip.variant != state.MCX514_TYPE:
         return 0
     mode = axis.mode[state.H1M]
-    _clear_counters(axis, mode & what[1], mode & what[2])
-    return ports.start_dcc_pulse(chip, axis) if mode & what[0] else 0
+    _clear_counters(axis, mode & mode_bits[1], mode & mode_bits[2])
+    return ports.start_dcc_pulse(chip, axis) if mode & mode_bits[0] else 0
 
 
 @hot

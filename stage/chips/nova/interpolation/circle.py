@@ -91,21 +91,21 @@ def step_arc(arc):
 
 
 @hot
-def _compute_integer_root(n):
+def _compute_integer_root(number):
     """Return the integer part of a square root."""
-    r = int(math.sqrt(float(n)))
-    while r * r > n:
+    r = int(math.sqrt(float(number)))
+    while r * r > number:
         r -= 1
-    while (r + 1) * (r + 1) <= n:
+    while (r + 1) * (r + 1) <= number:
         r += 1
     return r
 
 
 @hot
-def _find_nearest_coordinate(u, square):
+def _find_nearest_coordinate(coordinate, square):
     """Return the integer v for which u^2 + v^2 is nearest to `square`."""
-    r = _compute_integer_root(square - u * u)
-    return r + 1 if (r + 1) * (r + 1) + r * r < 2 * (square - u * u) else r
+    r = _compute_integer_root(square - coordinate * coordinate)
+    return r + 1 if (r + 1) * (r + 1) + r * r < 2 * (square - coordinate * coordinate) else r
 
 
 @hot

@@ -95,59 +95,59 @@ def _count_ticks_by_steps(interpolation, segment, ticks_in_all):
 
 
 @hot
-def count_common_ticks(multiplier, b, n):
+def count_common_ticks(first_steps, second_steps, tick_count):
     """Count the ticks of a line in which two axes step at once.
 
-    An axis steps in tick k if a k lies in [-h, a - h) modulo n, with h = n // 2. So the function counts those points of the
-    lattice (a k, b k) modulo n that lie in a rectangle: its columns are e apart, and each begins `shift` above the one before,
-    modulo `gap`.
+    With n ticks, an axis of a steps makes one in tick k if a k lies in [-h, a - h) modulo n, with h = n // 2. So the function
+    counts those points of the lattice (a k, b k) modulo n that lie in a rectangle. Its columns are e apart, and each begins
+    `shift` above the one before, modulo `gap`.
 
     Args:
-        multiplier: Steps of the first axis, 0 to n.
-        b: Steps of the second axis, 0 to n.
-        n: Ticks of the line.
+        first_steps: Steps of the first axis, a, 0 to n.
+        second_steps: Steps of the second axis, b, 0 to n.
+        tick_count: Ticks of the line, n.
     """
-    if multiplier == 0 or b == 0:
+    if first_steps == 0 or second_steps == 0:
         return 0
-    e, inverse = _find_gcd_and_inverse(multiplier, n)
-    gap = n // e * _find_gcd_and_inverse(b, e)[0]
-    shift = b * inverse % gap
-    first = -(n // 2 // e)  # the first column in the rectangle
-    low = (-(n // 2) - 1 - first * shift) % gap
+    e, inverse = _find_gcd_and_inverse(first_steps, tick_count)
+    gap = tick_count // e * _find_gcd_and_inverse(second_steps, e)[0]
+    shift = second_steps * inverse % gap
+    first = -(tick_count // 2 // e)  # the first column in the rectangle
+    low = (-(tick_count // 2) - 1 - first * shift) % gap
     down = (gap - shift) % gap
-    columns = multiplier // e
-    return _find_gcd_and_inverse(b, e)[0] * (
-        _sum_floors(columns, gap, down, low + b) - _sum_floors(columns, gap, down, low)
+    columns = first_steps // e
+    return _find_gcd_and_inverse(second_steps, e)[0] * (
+        _sum_floors(columns, gap, down, low + second_steps) - _sum_floors(columns, gap, down, low)
     )
 
 
 @hot
-def _find_gcd_and_inverse(multiplier, n):
-    """Return the greatest common divisor e of two numbers, and the factor by which `multiplier` becomes e modulo n."""
-    e, rest, u, v = multiplier, n, 1, 0
+def _find_gcd_and_inverse(number, modulus):
+    """Return the greatest common divisor e of two numbers, and the factor f with number f = e modulo `modulus`."""
+    e, rest, u, v = number, modulus, 1, 0
     while rest:
         q = e // rest
         e, rest = rest, e - q * rest
         u, v = v, u - q * v
-    return e, u % n
+    return e, u % modulus
 
 
 @hot
-def _sum_floors(n, m, multiplier, b):
-    """Compute the sum of (a i + b) // m over i = 0 to n - 1, by Euclid's algorithm on the slope.
+def _sum_floors(term_count, divisor, slope, offset):
+    """Compute the sum of (slope i + offset) // divisor over `term_count` terms, i = 0, 1, ..., by Euclid's algorithm on the slope.
 
     Args:
-        n: Number of terms.
-        m: Divisor.
-        multiplier: Slope, 0 to m - 1.
-        b: Offset, 0 or more.
+        term_count: Number of terms.
+        divisor: Divisor.
+        slope: Slope, 0 to divisor - 1.
+        offset: Offset, 0 or more.
     """
     total = 0
-    while n > 0:
-        total += n * (n - 1) // 2 * (multiplier // m) + n * (b // m)
-        multiplier, b = multiplier % m, b % m
-        top = multiplier * n + b
-        if top < m:
+    while term_count > 0:
+        total += term_count * (term_count - 1) // 2 * (slope // divisor) + term_count * (offset // divisor)
+        slope, offset = slope % divisor, offset % divisor
+        top = slope * term_count + offset
+        if top < divisor:
             break
-        n, b, m, multiplier = top // m, top % m, multiplier, m
+        term_count, offset, divisor, slope = top // divisor, top % divisor, slope, divisor
     return total

@@ -135,12 +135,12 @@ def _load_segment(chip, code, count):
 
 
 @hot
-def _submit_set(chip, k, axes, count, stepped):
-    """Make set `k` of the pattern stack a segment.
+def _submit_set(chip, set_number, axes, count, stepped):
+    """Make set `set_number` of the pattern stack a segment.
 
     Args:
         chip: State of the chip.
-        k: Number of the set.
+        set_number: Number of the set.
         axes: Axis numbers, in a word like WR5.
         count: Number of axes.
         stepped: Whether single steps move it.
@@ -149,7 +149,7 @@ def _submit_set(chip, k, axes, count, stepped):
     _select_axes(chip, queued_segment, axes, count)
     queued_segment.kind = PATTERN
     for m in range(count):
-        queued_segment.finish[m] = ip.pattern_stack[k, 2 * m] | ip.pattern_stack[k, 2 * m + 1] << 16
+        queued_segment.finish[m] = ip.pattern_stack[set_number, 2 * m] | ip.pattern_stack[set_number, 2 * m + 1] << 16
     if chip.interpolating:
         queued_segment.decelerates = chip.queue[ip.queue_head].decelerates
     interpolation.submit_segment(
@@ -188,9 +188,9 @@ def _stack_set(chip):
 
 
 @hot
-def store_pattern_word(chip, k, value):
+def store_pattern_word(chip, word_index, value):
     """Store a word of the bit pattern: BP1P, BP1M, BP2P, BP2M, BP3P or BP3M."""
-    chip.ip.pattern_words[k] = value
+    chip.ip.pattern_words[word_index] = value
 
 
 @hot

@@ -56,12 +56,12 @@ def _find_tick_length(moved):
 
 
 @hot
-def _compute_length(chip, k):
+def _compute_length(chip, queue_place):
     """Compute the length of the k-th segment of the queue (0: the running one), in places of the profile.
 
     The segment must not have begun.
     """
-    interpolation, segment = chip.ip, chip.queue[(chip.ip.queue_head + k) % (STAGES + 1)]
+    interpolation, segment = chip.ip, chip.queue[(chip.ip.queue_head + queue_place) % (STAGES + 1)]
     if segment.kind == LINE:
         one, two, three = linear.count_line_ticks(interpolation, segment)
     elif segment.kind == PATTERN:
@@ -69,7 +69,8 @@ def _compute_length(chip, k):
     else:
         one, two, three = helical.count_helix_ticks(interpolation.scratch_arc, segment)
     distance = dd.add(
-        dd.from_integer(one), dd.add(dd.mul(dd.from_integer(two), ROOT2), dd.mul(dd.from_integer(three), ROOT3))
+        dd.from_integer(one),
+        dd.add(dd.multiply(dd.from_integer(two), ROOT2), dd.multiply(dd.from_integer(three), ROOT3)),
     )
     return dd.scale(distance, 1.0 / segment.inner_ticks)
 
@@ -127,11 +128,11 @@ def _plan_segment(chip, axis):
         plan_endless_drive(axis, read_pair(axis.dv))
         return
     goal = single_axis_drive.find_goal_speed(
-        axis, dd.floor(dd.sub(read_pair(interpolation.segment_end), read_pair(interpolation.segment_start)))
+        axis, dd.floor(dd.subtract(read_pair(interpolation.segment_end), read_pair(interpolation.segment_start)))
     )
     point = dd.floor(read_pair(interpolation.segment_start)) + axis.reg[DP]
     if not axis.manual_deceleration:
-        plan_fixed_drive(axis, dd.sub(read_pair(interpolation.segment_end), dd.from_integer(axis.reg[AO])), goal)
+        plan_fixed_drive(axis, dd.subtract(read_pair(interpolation.segment_end), dd.from_integer(axis.reg[AO])), goal)
     elif dd.is_less(read_pair(axis.cursor[CURSOR_PLACE]), dd.from_integer(point)):
         plan_endless_drive(axis, goal)
         if dd.is_less(dd.from_integer(point), read_pair(interpolation.segment_end)):
@@ -202,7 +203,7 @@ def update_pattern_end(chip):
 
 
 @hot
-def _has_reached(axis, s, n, place):
+def _has_reached_place(axis, s, n, place):
     """Return whether the profile has reached a place.
 
     Args:
@@ -213,7 +214,8 @@ def _has_reached(axis, s, n, place):
     """
     if axis.a2[s, 0] == 0.0 and axis.j6[s, 0] == 0.0:  # the same, sooner
         reached = dd.add(
-            read_pair(axis.p[s]), dd.mul(dd.sub(dd.from_integer(n), read_pair(axis.t[s])), read_pair(axis.v[s]))
+            read_pair(axis.p[s]),
+            dd.multiply(dd.subtract(dd.from_integer(n), read_pair(axis.t[s])), read_pair(axis.v[s])),
         )
     else:
         reached = compute_exact_place(axis, s, n)
@@ -221,38 +223,44 @@ def _has_reached(axis, s, n, place):
 
 
 @hot
-def find_clock_of_place(axis, s, place):
+def find_clock_of_place(axis, piece, place):
     """Find the first clock after the origin at which the profile has reached a place, which may be a fraction of a pulse.
 
     Double-doubles decide if the time is next to a whole clock.
 
     Args:
         axis: State of the axis.
-        s: Number of the first piece of the profile to search.
+        piece: Number of the first piece of the profile to search.
         place: Pulses, a double-double.
 
     Returns:
         The clock, NEVER if it is centuries ahead; and the number of the piece.
     """
     while True:
-        low = axis.from_clock[s]
-        last = s + 1 == axis.pieces
-        edge = NEVER if last else axis.from_clock[s + 1]
-        max_time = MAX_CLOCKS if last else (axis.t[s + 1, 0] - axis.t[s, 0]) + (axis.t[s + 1, 1] - axis.t[s, 1])
-        distance = greatest(dd.sub(dd.sub(place, dd.from_integer(axis.from_pulse[s])), read_pair(axis.p[s]))[0], 0.0)
-        t = compute_time_in_piece(axis, s, distance, max_time)
-        at = axis.t[s, 0] + t
+        low = axis.from_clock[piece]
+        last = piece + 1 == axis.pieces
+        edge = NEVER if last else axis.from_clock[piece + 1]
+        max_time = (
+            MAX_CLOCKS
+            if last
+            else (axis.t[piece + 1, 0] - axis.t[piece, 0]) + (axis.t[piece + 1, 1] - axis.t[piece, 1])
+        )
+        distance = greatest(
+            dd.subtract(dd.subtract(place, dd.from_integer(axis.from_pulse[piece])), read_pair(axis.p[piece]))[0], 0.0
+        )
+        t = compute_time_in_piece(axis, piece, distance, max_time)
+        at = axis.t[piece, 0] + t
         if not at < MAX_CLOCKS:
-            return NEVER, s
+            return NEVER, piece
         n = greatest(int(math.ceil(at)), low)
-        slope = axis.v[s, 0] + t * (2.0 * axis.a2[s, 0] + 3.0 * t * axis.j6[s, 0])
+        slope = axis.v[piece, 0] + t * (2.0 * axis.a2[piece, 0] + 3.0 * t * axis.j6[piece, 0])
         guard = 1e-6 + 1e-14 * at + 1e-14 * (distance + 1.0) / greatest(slope, 1e-12)
         if n - at > 1.0 - guard:
-            while n > low and _has_reached(axis, s, n - 1, place):
+            while n > low and _has_reached_place(axis, piece, n - 1, place):
                 n -= 1
         if n - at < guard:
-            while n < edge and not _has_reached(axis, s, n, place):
+            while n < edge and not _has_reached_place(axis, piece, n, place):
                 n += 1
         if n < edge:
-            return n, s
-        s += 1
+            return n, piece
+        piece += 1

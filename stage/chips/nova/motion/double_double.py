@@ -58,17 +58,17 @@ def add(a, b):
 
 
 @hot
-def neg(a):
+def negate(a):
     return -a[0], -a[1]
 
 
 @hot
-def sub(a, b):
-    return add(a, neg(b))
+def subtract(a, b):
+    return add(a, negate(b))
 
 
 @hot
-def mul(a, b):
+def multiply(a, b):
     p, e = multiply_floats(a[0], b[0])
     return add_ordered_floats(p, e + (a[0] * b[1] + a[1] * b[0]))
 
@@ -80,24 +80,24 @@ def scale(a, x):
 
 
 @hot
-def div(a, b):
+def divide(a, b):
     q = a[0] / b[0]
-    r = sub(a, mul((q, 0.0), b))
+    r = subtract(a, multiply((q, 0.0), b))
     p = r[0] / b[0]
-    r = sub(r, mul((p, 0.0), b))
+    r = subtract(r, multiply((p, 0.0), b))
     q, p = add_ordered_floats(q, p)
     return add((q, p), (r[0] / b[0], 0.0))
 
 
 @hot
-def sqrt(a):
+def square_root(a):
     """Compute the square root; 0 for a number that is not positive."""
     if a[0] <= 0.0:
         return ZERO
     x = math.sqrt(a[0])
-    r = sub(a, multiply_floats(x, x))
+    r = subtract(a, multiply_floats(x, x))
     y = add_ordered_floats(x, r[0] / (2.0 * x))
-    r = sub(a, mul(y, y))
+    r = subtract(a, multiply(y, y))
     return add(y, (r[0] / (2.0 * x), 0.0))
 
 

@@ -30,43 +30,47 @@ def read_pair(row):
 
 
 @hot
-def write_pair(row, x):
+def write_pair(row, value):
     """Store a double-double in two places of a record."""
-    row[0], row[1] = x
+    row[0], row[1] = value
 
 
 # --- pieces of a change of speed ---
 
 
 @hot
-def _draft_piece(axis, k, duration, rate, jerk):
-    """Store piece `k` of a draft, and return the number of the next piece: k if the duration is not positive."""
-    write_pair(axis.drafted_pieces[k, DURATION], duration)
-    write_pair(axis.drafted_pieces[k, START_ACCELERATION], rate)
-    write_pair(axis.drafted_pieces[k, JERK], jerk)
-    return k + 1 if duration[0] > 0.0 else k
+def _draft_piece(axis, piece_index, duration, rate, jerk):
+    """Store piece `piece_index` of a draft, and return the number of the next piece: k if the duration is not positive."""
+    write_pair(axis.drafted_pieces[piece_index, DURATION], duration)
+    write_pair(axis.drafted_pieces[piece_index, START_ACCELERATION], rate)
+    write_pair(axis.drafted_pieces[piece_index, JERK], jerk)
+    return piece_index + 1 if duration[0] > 0.0 else piece_index
 
 
 @hot
-def _read_drafted(pieces, k):
-    """Return the duration, the acceleration at the start and the jerk of piece `k` of a draft."""
-    return read_pair(pieces[k, DURATION]), read_pair(pieces[k, START_ACCELERATION]), read_pair(pieces[k, JERK])
+def _read_drafted(pieces, piece_index):
+    """Return the duration, the acceleration at the start and the jerk of piece `piece_index` of a draft."""
+    return (
+        read_pair(pieces[piece_index, DURATION]),
+        read_pair(pieces[piece_index, START_ACCELERATION]),
+        read_pair(pieces[piece_index, JERK]),
+    )
 
 
 @hot
-def _negate_if(a, negative):
+def _negate_if(acceleration, negative):
     """Return -a if `negative`, else a."""
-    return dd.neg(a) if negative else a
+    return dd.negate(acceleration) if negative else acceleration
 
 
 @hot
-def draft_speed_change(axis, v, a, goal):
+def draft_speed_change(axis, speed, acceleration, goal):
     """Draft the change to another speed.
 
     Args:
         axis: State of the axis.
-        v: Speed at the start, pulses per clock.
-        a: Acceleration at the start.
+        speed: Speed at the start, pulses per clock.
+        acceleration: Acceleration at the start.
         goal: Speed at the end.
 
     Returns:
@@ -74,103 +78,123 @@ def draft_speed_change(axis, v, a, goal):
     """
     zero = dd.ZERO
     if not axis.curved:
-        if dd.is_less(v, goal):
+        if dd.is_less(speed, goal):
             return _draft_piece(
-                axis, 0, dd.div(dd.sub(goal, v), read_pair(axis.acceleration)), read_pair(axis.acceleration), zero
+                axis,
+                0,
+                dd.divide(dd.subtract(goal, speed), read_pair(axis.acceleration)),
+                read_pair(axis.acceleration),
+                zero,
             )
         return _draft_piece(
-            axis, 0, dd.div(dd.sub(v, goal), read_pair(axis.deceleration)), dd.neg(read_pair(axis.deceleration)), zero
+            axis,
+            0,
+            dd.divide(dd.subtract(speed, goal), read_pair(axis.deceleration)),
+            dd.negate(read_pair(axis.deceleration)),
+            zero,
         )
     k = 0
-    falls = a[0] < 0.0
-    if a[0] != 0.0:
+    falls = acceleration[0] < 0.0
+    if acceleration[0] != 0.0:
         jerk = read_pair(axis.deceleration_jerk) if falls else read_pair(axis.acceleration_jerk)
-        left = dd.scale(dd.div(dd.mul(a, a), jerk), 0.5)
-        settled = dd.sub(v, left) if falls else dd.add(v, left)
+        left = dd.scale(dd.divide(dd.multiply(acceleration, acceleration), jerk), 0.5)
+        settled = dd.subtract(speed, left) if falls else dd.add(speed, left)
         if not dd.is_less(goal, settled) if falls else not dd.is_less(settled, goal):
-            k = _draft_piece(axis, 0, dd.div(_negate_if(a, falls), jerk), a, _negate_if(jerk, not falls))
-            v, a = settled, zero
-    falls = dd.is_less(goal, v) if a[0] == 0.0 else falls
-    gap = _negate_if(dd.sub(goal, v), falls)
-    if a[0] == 0.0 and gap[0] <= SPEED_ROUNDING * goal[0]:
+            k = _draft_piece(
+                axis, 0, dd.divide(_negate_if(acceleration, falls), jerk), acceleration, _negate_if(jerk, not falls)
+            )
+            speed, acceleration = settled, zero
+    falls = dd.is_less(goal, speed) if acceleration[0] == 0.0 else falls
+    gap = _negate_if(dd.subtract(goal, speed), falls)
+    if acceleration[0] == 0.0 and gap[0] <= SPEED_ROUNDING * goal[0]:
         return k
     jerk, maximum = (
         (read_pair(axis.deceleration_jerk), read_pair(axis.deceleration))
         if falls
         else (read_pair(axis.acceleration_jerk), read_pair(axis.acceleration))
     )
-    size = _negate_if(a, falls)
-    squares = dd.scale(dd.mul(size, size), 0.5)
-    top = dd.sqrt(dd.add(dd.mul(jerk, gap), squares))
+    size = _negate_if(acceleration, falls)
+    squares = dd.scale(dd.multiply(size, size), 0.5)
+    top = dd.square_root(dd.add(dd.multiply(jerk, gap), squares))
     hold = zero
     if dd.is_less(maximum, top):
         top = maximum
-        at_maximum = dd.sub(gap, dd.div(dd.sub(dd.mul(maximum, maximum), squares), jerk))
-        hold = dd.div(at_maximum, maximum)
-    k = _draft_piece(axis, k, dd.div(dd.sub(top, size), jerk), a, _negate_if(jerk, falls))
+        at_maximum = dd.subtract(gap, dd.divide(dd.subtract(dd.multiply(maximum, maximum), squares), jerk))
+        hold = dd.divide(at_maximum, maximum)
+    k = _draft_piece(axis, k, dd.divide(dd.subtract(top, size), jerk), acceleration, _negate_if(jerk, falls))
     k = _draft_piece(axis, k, hold, _negate_if(top, falls), zero)
-    return _draft_piece(axis, k, dd.div(top, jerk), _negate_if(top, falls), _negate_if(jerk, not falls))
+    return _draft_piece(axis, k, dd.divide(top, jerk), _negate_if(top, falls), _negate_if(jerk, not falls))
 
 
 @hot
-def _integrate_piece(duration, v, a, jerk):
+def _integrate_piece(duration, speed, acceleration, jerk):
     """Return the distance of a piece, and the speed at its end.
 
     The distance is duration (v + duration (a / 2 + duration jerk / 6)), the speed v + duration (a + duration jerk / 2).
 
     Args:
         duration: Clocks.
-        v: Speed at the start, pulses per clock.
-        a: Acceleration at the start.
+        speed: Speed at the start, pulses per clock.
+        acceleration: Acceleration at the start.
         jerk: Jerk.
     """
-    half = dd.scale(dd.mul(duration, jerk), 0.5)
-    third = dd.div(half, (3.0, 0.0))
-    distance = dd.mul(duration, dd.add(v, dd.mul(duration, dd.add(dd.scale(a, 0.5), third))))
-    return distance, dd.add(v, dd.mul(duration, dd.add(a, half)))
+    half = dd.scale(dd.multiply(duration, jerk), 0.5)
+    third = dd.divide(half, (3.0, 0.0))
+    distance = dd.multiply(duration, dd.add(speed, dd.multiply(duration, dd.add(dd.scale(acceleration, 0.5), third))))
+    return distance, dd.add(speed, dd.multiply(duration, dd.add(acceleration, half)))
 
 
 @hot
-def draft_braking(axis, v, a):
+def draft_braking(axis, speed, acceleration):
     """Draft the deceleration to the initial speed. At or below that speed only the acceleration returns to 0.
 
     Args:
         axis: State of the axis.
-        v: Speed at the start, pulses per clock.
-        a: Acceleration at the start.
+        speed: Speed at the start, pulses per clock.
+        acceleration: Acceleration at the start.
 
     Returns:
         The number of pieces in the draft.
     """
     if not axis.curved:
-        return draft_speed_change(axis, v, a, read_pair(axis.sv)) if dd.is_less(read_pair(axis.sv), v) else 0
-    if a[0] == 0.0:
-        return draft_speed_change(axis, v, a, read_pair(axis.sv)) if dd.is_less(read_pair(axis.sv), v) else 0
-    falls = a[0] < 0.0
+        return (
+            draft_speed_change(axis, speed, acceleration, read_pair(axis.sv))
+            if dd.is_less(read_pair(axis.sv), speed)
+            else 0
+        )
+    if acceleration[0] == 0.0:
+        return (
+            draft_speed_change(axis, speed, acceleration, read_pair(axis.sv))
+            if dd.is_less(read_pair(axis.sv), speed)
+            else 0
+        )
+    falls = acceleration[0] < 0.0
     jerk = read_pair(axis.deceleration_jerk) if falls else read_pair(axis.acceleration_jerk)
-    left = dd.scale(dd.div(dd.mul(a, a), jerk), 0.5)
-    settled = dd.sub(v, left) if falls else dd.add(v, left)
+    left = dd.scale(dd.divide(dd.multiply(acceleration, acceleration), jerk), 0.5)
+    settled = dd.subtract(speed, left) if falls else dd.add(speed, left)
     if dd.is_less(read_pair(axis.sv), settled):
-        return draft_speed_change(axis, v, a, read_pair(axis.sv))
-    return _draft_piece(axis, 0, dd.div(_negate_if(a, falls), jerk), a, _negate_if(jerk, not falls))
+        return draft_speed_change(axis, speed, acceleration, read_pair(axis.sv))
+    return _draft_piece(
+        axis, 0, dd.divide(_negate_if(acceleration, falls), jerk), acceleration, _negate_if(jerk, not falls)
+    )
 
 
 @hot
-def compute_braking_distance(axis, v, a):
+def compute_braking_distance(axis, speed, acceleration):
     """Compute the distance that the deceleration to the initial speed takes.
 
     Args:
         axis: State of the axis.
-        v: Speed at the start, pulses per clock.
-        a: Acceleration at the start.
+        speed: Speed at the start, pulses per clock.
+        acceleration: Acceleration at the start.
 
     Returns:
         Pulses, a double-double.
     """
     total = dd.ZERO
-    for k in range(draft_braking(axis, v, a)):
-        duration, a, jerk = _read_drafted(axis.drafted_pieces, k)
-        distance, v = _integrate_piece(duration, v, a, jerk)
+    for k in range(draft_braking(axis, speed, acceleration)):
+        duration, acceleration, jerk = _read_drafted(axis.drafted_pieces, k)
+        distance, speed = _integrate_piece(duration, speed, acceleration, jerk)
         total = dd.add(total, distance)
     return total
 
@@ -179,32 +203,32 @@ def compute_braking_distance(axis, v, a):
 
 
 @hot
-def begin_plan(axis, clock, t, place, v, a):
+def begin_plan(axis, clock, clocks_after_origin, place, speed, acceleration):
     """Begin an empty plan.
 
     Args:
         axis: State of the axis.
         clock: Origin of the plan, in reference clocks since power-up.
-        t: Clocks after the origin at which the first piece begins.
+        clocks_after_origin: Clocks after the origin at which the first piece begins.
         place: Pulses of the drive at that time.
-        v: Speed at that time, pulses per clock.
-        a: Acceleration at that time.
+        speed: Speed at that time, pulses per clock.
+        acceleration: Acceleration at that time.
     """
     axis.origin, axis.pieces, axis.end_time, axis.brake_piece = clock, 0, NEVER, MAX_PIECES
-    write_pair(axis.cursor[CURSOR_TIME], t)
+    write_pair(axis.cursor[CURSOR_TIME], clocks_after_origin)
     write_pair(axis.cursor[CURSOR_PLACE], place)
-    write_pair(axis.cursor[CURSOR_SPEED], v)
-    write_pair(axis.cursor[CURSOR_ACCELERATION], a)
+    write_pair(axis.cursor[CURSOR_SPEED], speed)
+    write_pair(axis.cursor[CURSOR_ACCELERATION], acceleration)
 
 
 @hot
-def _append_open_piece(axis, kind, a, jerk):
+def _append_open_piece(axis, kind, acceleration, jerk):
     """Append a piece without an end, from the cursor on.
 
     Args:
         axis: State of the axis.
         kind: Phase of the profile.
-        a: Acceleration at its start.
+        acceleration: Acceleration at its start.
         jerk: Jerk.
     """
     s = axis.pieces
@@ -214,41 +238,41 @@ def _append_open_piece(axis, kind, a, jerk):
         read_pair(axis.cursor[CURSOR_SPEED]),
     )
     write_pair(axis.t[s], t)
-    axis.from_clock[s] = -dd.floor(dd.add(dd.neg(t), (1e-15, 0.0)))
+    axis.from_clock[s] = -dd.floor(dd.add(dd.negate(t), (1e-15, 0.0)))
     axis.from_pulse[s] = dd.floor(place)
-    write_pair(axis.p[s], dd.sub(place, dd.from_integer(axis.from_pulse[s])))
+    write_pair(axis.p[s], dd.subtract(place, dd.from_integer(axis.from_pulse[s])))
     write_pair(axis.v[s], v)
-    write_pair(axis.a2[s], dd.scale(a, 0.5))
-    write_pair(axis.j6[s], dd.div(jerk, (6.0, 0.0)))
+    write_pair(axis.a2[s], dd.scale(acceleration, 0.5))
+    write_pair(axis.j6[s], dd.divide(jerk, (6.0, 0.0)))
     axis.piece_phase[s] = kind
     axis.pieces = s + 1
 
 
 @hot
-def _append_piece(axis, kind, duration, a, jerk):
+def _append_piece(axis, kind, duration, acceleration, jerk):
     """Append a piece, and move the cursor to its end.
 
     Args:
         axis: State of the axis.
         kind: Phase of the profile.
         duration: Clocks.
-        a: Acceleration at its start.
+        acceleration: Acceleration at its start.
         jerk: Jerk.
     """
     if duration[0] <= 0.0:
         return
-    _append_open_piece(axis, kind, a, jerk)
-    distance, v = _integrate_piece(duration, read_pair(axis.cursor[CURSOR_SPEED]), a, jerk)
+    _append_open_piece(axis, kind, acceleration, jerk)
+    distance, v = _integrate_piece(duration, read_pair(axis.cursor[CURSOR_SPEED]), acceleration, jerk)
     write_pair(axis.cursor[CURSOR_TIME], dd.add(read_pair(axis.cursor[CURSOR_TIME]), duration))
     write_pair(axis.cursor[CURSOR_PLACE], dd.add(read_pair(axis.cursor[CURSOR_PLACE]), distance))
     write_pair(axis.cursor[CURSOR_SPEED], v)
-    write_pair(axis.cursor[CURSOR_ACCELERATION], dd.add(a, dd.mul(jerk, duration)))
+    write_pair(axis.cursor[CURSOR_ACCELERATION], dd.add(acceleration, dd.multiply(jerk, duration)))
 
 
 @hot
-def _find_piece_phase(a, jerk):
+def _find_piece_phase(acceleration, jerk):
     """Return the phase of a piece: ACCELERATING or DECELERATING."""
-    return ACCELERATING if a[0] > 0.0 or (a[0] == 0.0 and jerk[0] > 0.0) else DECELERATING
+    return ACCELERATING if acceleration[0] > 0.0 or (acceleration[0] == 0.0 and jerk[0] > 0.0) else DECELERATING
 
 
 @hot
@@ -274,10 +298,10 @@ def append_braking(axis):
         duration, a, jerk = _read_drafted(axis.drafted_pieces, k)
         dull = read_pair(axis.min_visible_acceleration)
         if dull[0] > 0.0 and a[0] < 0.0 and jerk[0] > 0.0:
-            calm = dd.minimum(dd.div(dull, jerk), duration)
-            before = dd.sub(duration, calm)
+            calm = dd.minimum(dd.divide(dull, jerk), duration)
+            before = dd.subtract(duration, calm)
             _append_piece(axis, DECELERATING, before, a, jerk)
-            _append_piece(axis, AREA_D, calm, dd.add(a, dd.mul(jerk, before)), jerk)
+            _append_piece(axis, AREA_D, calm, dd.add(a, dd.multiply(jerk, before)), jerk)
         else:
             _append_piece(axis, _find_piece_phase(a, jerk), duration, a, jerk)
     if n and dd.is_less(read_pair(axis.sv), read_pair(axis.cursor[CURSOR_SPEED])):  # but for rounding it is there
@@ -322,47 +346,52 @@ def compute_triangle_speed(axis, pulses):
         pulses: Number of pulses of the drive.
     """
     up, down, low = read_pair(axis.acceleration), read_pair(axis.deceleration), read_pair(axis.sv)
-    square = dd.mul(dd.from_integer(pulses), dd.div(dd.mul(up, down), dd.add(up, down)))
-    return dd.sqrt(dd.add(dd.mul(low, low), square))
+    square = dd.multiply(dd.from_integer(pulses), dd.divide(dd.multiply(up, down), dd.add(up, down)))
+    return dd.square_root(dd.add(dd.multiply(low, low), square))
 
 
 @hot
-def _compute_overshoot(axis, t, v, a, jerk, room):
+def _compute_overshoot(axis, t, v, acceleration, jerk, room):
     """Compute the distance by which a drive would pass its end if it braked t clocks after the start of a piece.
 
     Args:
         axis: State of the axis.
         t: Clocks, a double-double.
         v: Speed at the start of the piece.
-        a: Acceleration at the start of the piece.
+        acceleration: Acceleration at the start of the piece.
         jerk: Jerk of the piece.
         room: Pulses from the start of the piece to the end of the drive.
     """
-    distance, speed = _integrate_piece(t, v, a, jerk)
-    return dd.sub(dd.add(distance, compute_braking_distance(axis, speed, dd.add(a, dd.mul(jerk, t)))), room)
+    distance, speed = _integrate_piece(t, v, acceleration, jerk)
+    return dd.subtract(
+        dd.add(distance, compute_braking_distance(axis, speed, dd.add(acceleration, dd.multiply(jerk, t)))), room
+    )
 
 
 @hot
-def _find_brake_time(axis, max_time, v, a, jerk, room):
+def _find_brake_time(axis, max_time, speed, acceleration, jerk, room):
     """Find the time in a piece at which the drive must begin to brake so that it ends after `room` pulses.
 
     Args:
         axis: State of the axis.
         max_time: Duration of the piece.
-        v: Speed at the start of the piece.
-        a: Acceleration at the start of the piece.
+        speed: Speed at the start of the piece.
+        acceleration: Acceleration at the start of the piece.
         jerk: Jerk of the piece.
         room: Pulses from the start of the piece to the end of the drive.
     """
     low, high = dd.ZERO, max_time
-    under, over = _compute_overshoot(axis, low, v, a, jerk, room), _compute_overshoot(axis, high, v, a, jerk, room)
+    under, over = (
+        _compute_overshoot(axis, low, speed, acceleration, jerk, room),
+        _compute_overshoot(axis, high, speed, acceleration, jerk, room),
+    )
     side = 0
     for _ in range(200):
-        width = dd.sub(high, low)
+        width = dd.subtract(high, low)
         if width[0] <= 1e-31 * high[0] or over[0] == under[0]:
             break
-        middle = dd.sub(high, dd.div(dd.mul(over, width), dd.sub(over, under)))
-        off = _compute_overshoot(axis, middle, v, a, jerk, room)
+        middle = dd.subtract(high, dd.divide(dd.multiply(over, width), dd.subtract(over, under)))
+        off = _compute_overshoot(axis, middle, speed, acceleration, jerk, room)
         if abs(off[0]) <= 1e-28:
             return middle
         if off[0] > 0.0:
@@ -386,7 +415,7 @@ def plan_fixed_drive(axis, pulses, goal):
         goal: Drive speed.
     """
     v, a = read_pair(axis.cursor[CURSOR_SPEED]), read_pair(axis.cursor[CURSOR_ACCELERATION])
-    room = dd.sub(pulses, read_pair(axis.cursor[CURSOR_PLACE]))
+    room = dd.subtract(pulses, read_pair(axis.cursor[CURSOR_PLACE]))
     if not dd.is_less(compute_braking_distance(axis, v, a), room):
         append_braking(axis)
         return
@@ -401,12 +430,16 @@ def plan_fixed_drive(axis, pulses, goal):
             append_braking(axis)
             return
         distance, v = _integrate_piece(duration, v, a, jerk)
-        room = dd.sub(room, distance)
+        room = dd.subtract(room, distance)
         _append_piece(axis, _find_piece_phase(a, jerk), duration, a, jerk)
     write_pair(axis.cursor[CURSOR_SPEED], goal)
     write_pair(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
     _append_piece(
-        axis, CONSTANT, dd.div(dd.sub(room, compute_braking_distance(axis, goal, dd.ZERO)), goal), dd.ZERO, dd.ZERO
+        axis,
+        CONSTANT,
+        dd.divide(dd.subtract(room, compute_braking_distance(axis, goal, dd.ZERO)), goal),
+        dd.ZERO,
+        dd.ZERO,
     )
     append_braking(axis)
 
@@ -424,16 +457,16 @@ def plan_braking_at(axis, pulses):
     s = axis.pieces - 1
     while s > 0 and axis.from_pulse[s] + (1 if axis.p[s, 0] > 0.0 else 0) > pulses:
         s -= 1
-    distance = dd.sub(dd.from_integer(pulses - axis.from_pulse[s]), read_pair(axis.p[s]))
+    distance = dd.subtract(dd.from_integer(pulses - axis.from_pulse[s]), read_pair(axis.p[s]))
     v, a2, j6 = read_pair(axis.v[s]), read_pair(axis.a2[s]), read_pair(axis.j6[s])
     t = (compute_time_in_piece(axis, s, distance[0], 1e17), 0.0)
     for _ in range(3):
-        off = dd.sub(dd.mul(t, dd.add(v, dd.mul(t, dd.add(a2, dd.mul(t, j6))))), distance)
+        off = dd.subtract(dd.multiply(t, dd.add(v, dd.multiply(t, dd.add(a2, dd.multiply(t, j6))))), distance)
         slope = v[0] + t[0] * (2.0 * a2[0] + 3.0 * t[0] * j6[0])
         if slope > 0.0:
-            t = dd.sub(t, dd.div(off, (slope, 0.0)))
-    a = dd.add(dd.scale(a2, 2.0), dd.mul(t, dd.mul(j6, (6.0, 0.0))))
-    speed = dd.add(v, dd.mul(t, dd.add(dd.scale(a2, 2.0), dd.mul(t, dd.mul(j6, (3.0, 0.0))))))
+            t = dd.subtract(t, dd.divide(off, (slope, 0.0)))
+    a = dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (6.0, 0.0))))
+    speed = dd.add(v, dd.multiply(t, dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (3.0, 0.0))))))
     axis.pieces = s + 1 if t[0] > 0.0 else s
     write_pair(axis.cursor[CURSOR_TIME], dd.add(read_pair(axis.t[s]), t))
     write_pair(axis.cursor[CURSOR_PLACE], dd.from_integer(pulses))
@@ -443,12 +476,14 @@ def plan_braking_at(axis, pulses):
 
 
 @hot
-def begin_plan_at(axis, n):
-    """Begin a new plan `n` clocks after the origin, with the place, speed and acceleration that the drive has there."""
-    s = find_piece(axis, n)
-    t = dd.sub(dd.from_integer(n), read_pair(axis.t[s]))
-    place = dd.add(dd.from_integer(axis.from_pulse[s]), compute_exact_place(axis, s, n))
+def begin_plan_at(axis, clocks):
+    """Begin a new plan `clocks` clocks after the origin, with the place, speed and acceleration that the drive has there."""
+    s = find_piece(axis, clocks)
+    t = dd.subtract(dd.from_integer(clocks), read_pair(axis.t[s]))
+    place = dd.add(dd.from_integer(axis.from_pulse[s]), compute_exact_place(axis, s, clocks))
     a2, j6 = read_pair(axis.a2[s]), read_pair(axis.j6[s])
-    v = dd.add(read_pair(axis.v[s]), dd.mul(t, dd.add(dd.scale(a2, 2.0), dd.mul(t, dd.mul(j6, (3.0, 0.0))))))
-    a = dd.add(dd.scale(a2, 2.0), dd.mul(t, dd.mul(j6, (6.0, 0.0))))
-    begin_plan(axis, axis.origin + n, dd.ZERO, place, v, a if axis.curved else dd.ZERO)
+    v = dd.add(
+        read_pair(axis.v[s]), dd.multiply(t, dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (3.0, 0.0)))))
+    )
+    a = dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (6.0, 0.0))))
+    begin_plan(axis, axis.origin + clocks, dd.ZERO, place, v, a if axis.curved else dd.ZERO)

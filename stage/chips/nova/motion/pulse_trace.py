@@ -84,12 +84,12 @@ def _clear_prediction(axis):
 
 
 @hot
-def _log_even_pulses(axis, a, until, pulses, pulse_index):
+def _log_even_pulses(axis, axis_index, until, pulses, pulse_index):
     """Log the evenly spaced pulses of one axis.
 
     Args:
         axis: State of the axis.
-        a: Number of the axis.
+        axis_index: Number of the axis.
         until: Clock at the end.
         pulses: PULSE records to fill.
         pulse_index: Number of the next free record.
@@ -109,7 +109,7 @@ def _log_even_pulses(axis, a, until, pulses, pulse_index):
     part = CLOCKS_PER_SECOND - period * pps
     for i in range(pulse_index, pulse_index + n):
         e = pulses[i]
-        e.clock, e.axis, e.direction = due, a, direction
+        e.clock, e.axis, e.direction = due, axis_index, direction
         due += period
         rest -= part
         if rest < 0:
@@ -153,15 +153,15 @@ def _find_even_spacing(axis, piece, pulse_index, clock):
     if axis.a2[piece, 0] != 0.0 or axis.j6[piece, 0] != 0.0 or clock >= NEVER:
         return
     hz = dd.from_integer(CLOCKS_PER_SECOND)
-    speed = dd.mul((axis.v[piece, 0], axis.v[piece, 1]), hz)
+    speed = dd.multiply((axis.v[piece, 0], axis.v[piece, 1]), hz)
     pps = dd.floor(dd.add(speed, (0.5, 0.0)))
-    if pps < 1 or abs(dd.sub(speed, dd.from_integer(pps))[0]) > 1e-29 * pps:
+    if pps < 1 or abs(dd.subtract(speed, dd.from_integer(pps))[0]) > 1e-29 * pps:
         return
     over = dd.add(
-        dd.sub(compute_exact_place(axis, piece, clock), dd.from_integer(pulse_index - axis.from_pulse[piece])),
+        dd.subtract(compute_exact_place(axis, piece, clock), dd.from_integer(pulse_index - axis.from_pulse[piece])),
         (PLACE_TOLERANCE, 0.0),
     )
-    rest = dd.floor(dd.mul(over, hz))
+    rest = dd.floor(dd.multiply(over, hz))
     axis.even_pps = 0
     if 0 <= rest < pps:
         axis.even_pps, axis.even_rest = pps, rest

@@ -18,9 +18,9 @@ def has_profile(axis):
 
 
 @hot
-def _divide_integers(a, b):
+def _divide_integers(dividend, divisor):
     """Return the quotient of two integers as a double-double."""
-    return dd.div(dd.from_integer(a), dd.from_integer(b))
+    return dd.divide(dd.from_integer(dividend), dd.from_integer(divisor))
 
 
 @hot
@@ -37,7 +37,7 @@ def convert_speed(chip, axis, value):
     if chip.variant == state.MCX514_TYPE:
         return _divide_integers(least(greatest(value, 1), RANGE), CLOCKS_PER_SECOND)
     fastest = RANGE // 1000
-    return dd.div(
+    return dd.divide(
         dd.from_integer(least(greatest(value, 1), fastest) * RANGE),
         dd.from_integer(CLOCKS_PER_SECOND * _clip_range(axis)),
     )
@@ -53,9 +53,9 @@ def _clip_range(axis):
 def _convert_acceleration(chip, axis, value):
     """Convert an acceleration parameter to pulses per clock squared."""
     if chip.variant == state.MCX514_TYPE:
-        return dd.div(_divide_integers(greatest(value, 1), CLOCKS_PER_SECOND), dd.from_integer(CLOCKS_PER_SECOND))
-    return dd.div(
-        dd.div(
+        return dd.divide(_divide_integers(greatest(value, 1), CLOCKS_PER_SECOND), dd.from_integer(CLOCKS_PER_SECOND))
+    return dd.divide(
+        dd.divide(
             dd.from_integer(125 * greatest(value, 1) * RANGE), dd.from_integer(CLOCKS_PER_SECOND * _clip_range(axis))
         ),
         dd.from_integer(CLOCKS_PER_SECOND),
@@ -66,13 +66,13 @@ def _convert_acceleration(chip, axis, value):
 def _convert_jerk(chip, axis, value):
     """Convert a jerk parameter to pulses per clock cubed."""
     if chip.variant == state.MCX514_TYPE:
-        return dd.div(
-            dd.div(_divide_integers(greatest(value, 1), CLOCKS_PER_SECOND), dd.from_integer(CLOCKS_PER_SECOND)),
+        return dd.divide(
+            dd.divide(_divide_integers(greatest(value, 1), CLOCKS_PER_SECOND), dd.from_integer(CLOCKS_PER_SECOND)),
             dd.from_integer(CLOCKS_PER_SECOND),
         )
-    up = dd.div(dd.from_integer(62_500_000 * RANGE), dd.from_integer(greatest(value, 1) * _clip_range(axis)))
-    return dd.div(
-        dd.div(dd.div(up, dd.from_integer(CLOCKS_PER_SECOND)), dd.from_integer(CLOCKS_PER_SECOND)),
+    up = dd.divide(dd.from_integer(62_500_000 * RANGE), dd.from_integer(greatest(value, 1) * _clip_range(axis)))
+    return dd.divide(
+        dd.divide(dd.divide(up, dd.from_integer(CLOCKS_PER_SECOND)), dd.from_integer(CLOCKS_PER_SECOND)),
         dd.from_integer(CLOCKS_PER_SECOND),
     )
 
