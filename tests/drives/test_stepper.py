@@ -212,7 +212,7 @@ def test_the_same_inputs_give_the_same_bits():
 UNCOMPILED = """
 import json, sys
 import numpy as np
-from stage.drives import dynamometer, motors, picture, stepper
+from stage.drives import dynamometer, motors, pull_out_plot, stepper
 from stage.native import COMPILED
 runs = [
     dynamometer.simulate_motor(motors.Drive(mode=mode), dynamometer.compute_mean_counts(np.full(300, 30_000.0)), 54e-7, 0.05)

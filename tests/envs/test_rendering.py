@@ -101,7 +101,7 @@ from types import SimpleNamespace
 
 import mujoco
 from stage import StageError
-from stage.envs.rendering import viewer
+from stage.envs.rendering import make_viewer
 
 if "no EGL" in sys.argv:
     sys.modules["mujoco.egl"] = None
@@ -109,7 +109,7 @@ model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><camera name='c'/><li
 for _ in range(2):
     for mode in ("human", "rgb_array"):
         try:
-            print(viewer(SimpleNamespace(model=model, data=mujoco.MjData(model)), mode, "c", 64, 48).frame().shape)
+            print(make_viewer(SimpleNamespace(model=model, data=mujoco.MjData(model)), mode, "c", 64, 48).frame().shape)
         except StageError as error:
             print(mode, error)
 """
