@@ -44,7 +44,7 @@ class Watcher:
 def frames(monkeypatch):
     """A function that returns all frames of environments created later, in any render mode."""
     created = []
-    monkeypatch.setattr(rendering, "viewer", lambda stage, *_: created.append(Watcher(stage)) or created[-1])
+    monkeypatch.setattr(rendering, "make_viewer", lambda stage, *_: created.append(Watcher(stage)) or created[-1])
     monkeypatch.setattr("time.sleep", lambda _: None)
     return lambda: [frame for watcher in created for frame in watcher.frames]
 
