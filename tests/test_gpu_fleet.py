@@ -110,9 +110,9 @@ def test_a_stage_that_is_being_recorded_is_refused(stage):
 
 @pytest.mark.parametrize("library", ["numba_cuda", "warp", "mujoco_warp"])
 def test_without_the_extra_the_error_says_what_to_install(stage, library, monkeypatch):
-    monkeypatch.setattr(gpu_fleet, "cuda_tools", gpu_fleet.make_cuda_tools.__wrapped__)
+    monkeypatch.setattr(gpu_fleet, "make_cuda_tools", gpu_fleet.make_cuda_tools.__wrapped__)
     if library != "numba_cuda":
-        monkeypatch.setattr(gpu_fleet, "cuda_tools", lambda: None)
+        monkeypatch.setattr(gpu_fleet, "make_cuda_tools", lambda: None)
         if library == "mujoco_warp":
             monkeypatch.setitem(sys.modules, "warp", type(sys)("warp"))
     monkeypatch.setitem(sys.modules, library, None)
@@ -128,7 +128,7 @@ def test_without_a_gpu_the_error_says_so(stage, monkeypatch):
         def is_cuda_available():
             return False
 
-    monkeypatch.setattr(gpu_fleet, "cuda_tools", lambda: None)
+    monkeypatch.setattr(gpu_fleet, "make_cuda_tools", lambda: None)
     monkeypatch.setattr(warp_physics, "import_extra", lambda module, purpose: Warp)
     with pytest.raises(GpuMissing, match="no NVIDIA GPU"):
         Fleet([stage], device="cuda", copies=2)

@@ -96,7 +96,9 @@ def test_a_window_that_cannot_open_explains_the_cause_and_the_remedy(machine, wi
     ("every", "frames"), [(2e-3, [1, 1, 1, 1, 1, 1]), (4e-3, [0, 1, 0, 1, 0, 1]), (4.1e-3, [0, 0, 1, 0, 0, 1])]
 )
 def test_a_frame_is_due_when_so_much_time_has_passed_to_the_nanosecond(every, frames, monkeypatch):
-    monkeypatch.setattr(rendering, "make_viewer", lambda *_: SimpleNamespace(frame=lambda qpos=None: 0, close=lambda: None))
+    monkeypatch.setattr(
+        rendering, "make_viewer", lambda *_: SimpleNamespace(frame=lambda qpos=None: 0, close=lambda: None)
+    )
     env = gymnasium.make(
         "stage/RegisterBus-v0",
         model="xy",
