@@ -216,7 +216,7 @@ class FewShotTuning(MachineTask[Config]):
             compute_speeds(self.load.add_mass(payload), int(self.distance[stage_index])),
             int(self.distance[stage_index]),
         )
-        rate = self.rates(action_of(*move[:4]), distance)
+        rate = self.decode_action(action_of(*move[:4]), distance)
         start, top, up, down = rate
         took = up + down + (distance - (up + down) * (start + top) / 2) / top
         self.formula[stage_index] = *rate, took
@@ -255,18 +255,20 @@ class FewShotTuning(MachineTask[Config]):
 
     @property
     def usual(self) -> np.ndarray:
-        """Seconds that each stage's move takes at the usual speeds, by the closed form."""
+        """Time that each stage's move takes at the usual speeds, s, by the closed form."""
         return compute_move_time(self.distance, Speeds().start, Speeds().drive, Speeds().up)
 
-    def rates(self, action: np.ndarray, distance: int) -> tuple[float, float, float, float]:
-        """Decode an action.
+    def decode_action(self, action: np.ndarray, distance: int) -> tuple[float, float, float, float]:
+        """Compute the rates and ramp times that an action stands for.
+
+        If the ramps do not fit into the move, the top rate and the ramp times are reduced until they do.
 
         Args:
             action: (4,), from -1 to 1.
             distance: Pulses of the move.
 
         Returns:
-            Start and drive rate, pps, and seconds of both ramps; of ramps that do not fit into the move, as much as fits.
+            Start rate and top rate, pps; times of the ramp up and the ramp down, s.
         """
         low, high = portable_math.log(np.array(list(RATES.values()))).T
         start, drive, up, down = portable_math.exp(
@@ -282,7 +284,7 @@ class FewShotTuning(MachineTask[Config]):
         """Return the registers of actions, (n, registers)."""
         rows = []
         for action, distance in zip(actions, self.distance.tolist(), strict=True):
-            values = self.driver.compute_move_registers(*self.rates(action, distance), distance, s_curve=False)
+            values = self.driver.compute_move_registers(*self.decode_action(action, distance), distance, s_curve=False)
             rows.append([values[name] for name in self.names])
         return np.array(rows, np.int64)
 

@@ -84,7 +84,7 @@ def _list_fields(dtype: np.dtype) -> Iterator[str]:
 
 def _check_class(chip: Any) -> list[str]:
     """List what is wrong with the attributes of a class."""
-    return _find_missing_attributes(chip) or [*_check_pins(chip), *_check_map(chip.MAP), *_check_numbers(chip)]
+    return _find_missing_attributes(chip) or [*_check_pins(chip), *_check_map(chip.MAP), *_check_class_numbers(chip)]
 
 
 def _find_missing_attributes(chip: Any) -> list[str]:
@@ -103,8 +103,8 @@ def _find_missing_attributes(chip: Any) -> list[str]:
     return problems
 
 
-def _check_numbers(chip: Any) -> list[str]:
-    """List what is wrong with the numbers of a class, and with its driver's name."""
+def _check_class_numbers(chip: Any) -> list[str]:
+    """List what is wrong with the numeric attributes of a chip class, and with its driver's name."""
     numbers = {name: getattr(chip, name) for name in ("AXES", "ADDRESSES", "ADDRESS_MASK", "DATA_MASK")}
     if wrong := [
         f"{name} is {n!r}: a whole number, 1 or more" for name, n in numbers.items() if not _is_positive_integer(n)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def add(commands: Any) -> None:
-    """Add the command."""
+    """Add `stage completion` to argparse's subparsers."""
     p = add_command(
         commands, "completion", run, "print a script that completes commands and options in a shell",
         "Print the script that makes a shell complete this command line with the Tab key.",

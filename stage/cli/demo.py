@@ -25,7 +25,7 @@ HEADINGS = ("axis", "procedure", "asked", "pulses", "s", "peak pps", "position",
 
 
 def add(commands: Any) -> None:
-    """Add the command."""
+    """Add `stage demo` to argparse's subparsers."""
     p = add_command(
         commands, "demo", run, "home and move the axes of a stage, and write demo.rrd",
         "Home all axes, make a dual-rate move and an a:b move, print a table and write a recording.",

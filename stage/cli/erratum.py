@@ -36,7 +36,7 @@ OBSERVATION_S = 2.0
 
 
 def add(commands: Any) -> None:
-    """Add the command."""
+    """Add `stage erratum` to argparse's subparsers."""
     p = add_command(
         commands, "erratum", run, "show the S-curve failure of MCX304, MCX302 and MCX312, and a work-around",
         "Command a decelerating stop at the end of an S-curve move. After the bare command 26h the chip never stops "

@@ -10,7 +10,7 @@ from stage.cli.commands import add_command, tell, wrote
 
 
 def add(commands: Any) -> None:
-    """Add the command."""
+    """Add `stage example` to argparse's subparsers."""
     p = add_command(
         commands, "example", run, "copy an example: programs, drivers, chips, notebooks",
         "Copy one of the examples of the documentation into a folder. Without a name, list them.",

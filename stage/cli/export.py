@@ -13,7 +13,7 @@ from stage.cli.commands import add_command, tell, wrote
 
 
 def add(commands: Any) -> None:
-    """Add the command."""
+    """Add `stage export` to argparse's subparsers."""
     p = add_command(
         commands, "export", run, "write a recording as CSV, Parquet or NumPy columns",
         "Write the columns of a recording (.rrd) as a table in SI units, one row per sample. Without -o, list the columns. "

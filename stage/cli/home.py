@@ -15,7 +15,7 @@ from stage.errors import ArgumentError, add_article
 
 
 def add(commands: Any) -> None:
-    """Add the command."""
+    """Add `stage home` to argparse's subparsers."""
     p = add_command(
         commands, "home", run, "find the origin switches of axes (origin return)",
         "Find the origin switch ORG: approach it fast (SD slows the axis down), back off, and approach it again slowly.",

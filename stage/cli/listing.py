@@ -10,7 +10,7 @@ from stage.cli.options import CHIPS
 
 
 def add(commands: Any) -> None:
-    """Add the commands."""
+    """Add `stage list`, `stage chips` and `stage registers` to argparse's subparsers."""
     p = add_command(
         commands, "list", list_kind, "list the available chips, motors, power stages or models",
         "List the values of --chips, --motor, --drive or --model.",

@@ -21,7 +21,7 @@ MIN_TOKEN_LENGTH = 16
 
 
 def add(commands: Any) -> None:
-    """Add the command."""
+    """Add `stage mcp` to argparse's subparsers."""
     p = add_command(
         commands, "mcp", run, "tools of a stage for agents, by the Model Context Protocol",
         "Serve tools, resources and prompts to clients of the Model Context Protocol: registers, moves, status, pictures. Each "

@@ -25,7 +25,7 @@ from stage.errors import ArgumentError, add_article
 
 
 def add(commands: Any) -> None:
-    """Add the commands."""
+    """Add `stage move`, `stage dual-rate` and `stage sync` to argparse's subparsers."""
     p = add_command(
         commands, "move", move, "move an axis by pulses or by a distance",
         "Move by a number of pulses, or by a distance, and stop on the last pulse. With a PCL-240 it is a preset move: R0 counts "

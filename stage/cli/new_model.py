@@ -11,7 +11,7 @@ from stage.cli.commands import add_command, tell, wrote
 
 
 def add(commands: Any) -> None:
-    """Add the command."""
+    """Add `stage new-model` to argparse's subparsers."""
     p = add_command(
         commands, "new-model", run, "write a commented MJCF of your own axes to start from",
         "Write an MJCF that follows the naming contract (docs/models.md): screws and rotary tables with limit switches, hard stops "

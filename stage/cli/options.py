@@ -95,7 +95,7 @@ class NotedAction(argparse.Action):
 def add_stage_and_output_options(p: argparse.ArgumentParser, chips: Sequence[str] = CHIPS) -> None:
     """Add --model, the options of a stage, and those of its recordings."""
     g = p.add_argument_group("stage")
-    g.add_argument("--model", default="xyz", help=describe_models()).known = list_models()  # type: ignore[attr-defined]
+    g.add_argument("--model", default="xyz", help=format_model_help()).known = list_models()  # type: ignore[attr-defined]
     add_stage_options(g, chips)
     g = p.add_argument_group("output")
     g.add_argument("--record", metavar="FILE.rrd", help="write a rerun recording")
@@ -111,7 +111,7 @@ def add_stage_and_output_options(p: argparse.ArgumentParser, chips: Sequence[str
 
 def add_model_argument(p: argparse.ArgumentParser) -> None:
     """Add MODEL as an argument that may be left out."""
-    p.add_argument("model", nargs="?", default="xyz", help=describe_models()).known = list_models()  # type: ignore[attr-defined]
+    p.add_argument("model", nargs="?", default="xyz", help=format_model_help()).known = list_models()  # type: ignore[attr-defined]
 
 
 def list_models() -> list[str]:
@@ -119,7 +119,7 @@ def list_models() -> list[str]:
     return import_module("stage.models").names()
 
 
-def describe_models() -> str:
+def format_model_help() -> str:
     """Return the help text of an option for a model."""
     return f"a model of PulseStage ({', '.join(list_models())}) or an MJCF file (default: xyz)"
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def add(commands: Any) -> None:
-    """Add the command."""
+    """Add `stage panel` to argparse's subparsers."""
     p = add_command(
         commands, "panel", run, "a live stage in a browser",
         "Serve a page on which the stage moves in real time and each chip has a front panel: registers, commands, pins, the bus. "

@@ -14,7 +14,7 @@ from stage.cli.terminal import show_progress
 
 
 def add(commands: Any) -> None:
-    """Add the command."""
+    """Add `stage pullout` to argparse's subparsers."""
     p = add_command(
         commands, "pullout", run, "simulate the pull-out torque of a motor over speed",
         "Simulate the torque at which the motor slips at each speed, and print it next to the closed form of an ideal drive.",

@@ -15,7 +15,7 @@ PLOT_INTERVAL_S = 1e-3
 
 
 def add(commands: Any) -> None:
-    """Add the command."""
+    """Add `stage replay` to argparse's subparsers."""
     p = add_command(
         commands, "replay", replay, "play a logic analyser's capture into STEP/DIR axes",
         "Play the STEP and DIR edges of a real controller, captured by a logic analyser (VCD of sigrok, PulseView or GTKWave), "

@@ -31,7 +31,7 @@ MAX_DIAGNOSTICS = 10
 
 
 def add(commands: Any) -> None:
-    """Add the commands."""
+    """Add `stage run` and `stage include` to argparse's subparsers."""
     p = add_command(
         commands, "run", run, "run firmware in C on an emulated board",
         "Run firmware (a shared library, or a C or C++ source, which is built first) against the chips. Print its log, the final "

@@ -17,7 +17,7 @@ from stage.errors import ArgumentError
 
 
 def add(commands: Any) -> None:
-    """Add the command."""
+    """Add `stage serve` to argparse's subparsers."""
     p = add_command(
         commands, "serve", run, "the chips behind a TCP port, for a host elsewhere",
         "Serve the bus, time and pins of a stage over TCP: a driver in another language, in a virtual machine or an emulator makes "

@@ -21,7 +21,7 @@ FILES = {"c": "tuned.h", "text": "tuned.txt", "json": "tuned.json", "picture": "
 
 
 def add(commands: Any) -> None:
-    """Add the command."""
+    """Add `stage tune` to argparse's subparsers."""
     p = add_command(
         commands, "tune", run, "find the registers for a move of an axis, and prove them",
         "Find the registers for one move of an axis: start from the data sheet's formula, then search for a faster move that keeps "

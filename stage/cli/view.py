@@ -18,7 +18,7 @@ AMBIENT, DIFFUSE = 0.45, 0.35  # of the lamp at the eye: nothing is black
 
 
 def add(commands: Any) -> None:
-    """Add the command."""
+    """Add `stage view` to argparse's subparsers."""
     p = add_command(
         commands, "view", run, "show a model in MuJoCo's viewer, as text or as a picture",
         "Open a model in MuJoCo's viewer (needs a screen), or print its axes, or draw it.",

@@ -1,4 +1,4 @@
-"""Who may talk to the panel's server (`RequestGuard`), who has the controls (`Controls`), and what a page may do (`EventGate`).
+"""Who may talk to the server (`RequestGuard`), who has the controls (`Controls`), what a browser may do (`BrowserEventGate`).
 
 A web site can make its name point at 127.0.0.1 (DNS rebinding), and a browser then lets its pages send requests there; so requests
 must name this server as their host, and may come from its own pages only. Browsers of other machines need the token of the link,
@@ -232,7 +232,7 @@ class Controls:
             release()
 
 
-class EventGate:
+class BrowserEventGate:
     """Gate for the events of one browser: those of a guarded element, or of one within it, are handled only if they are allowed.
 
     That the page shows such elements as inert is for people only.
@@ -265,8 +265,8 @@ class EventGate:
         session = self._panel.session
         return self.has_controls and (session.program_suspended or not session.program)
 
-    def refresh(self) -> None:
-        """Show the elements that this browser may not use as inert."""
+    def update_inert_elements(self) -> None:
+        """Make exactly the elements inert that this browser may not use now."""
         state = self.has_controls, self.may_drive
         if state == self._state:
             return

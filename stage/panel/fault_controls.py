@@ -30,15 +30,15 @@ if TYPE_CHECKING:
     from stage.sim.stage import Stage
 
 
-MAX_PUSH = 2.0  # times the peak force of the motor
+MAX_USER_PUSH_RATIO = 2.0  # times the peak force of the motor
 
 
-def find_max_push(axis: Axis) -> float:
-    """Return the force, N (N m on a hinge), with which users may push an axis.
+def compute_user_push_limit(axis: Axis) -> float:
+    """Compute the largest force, N (N m on a hinge), with which users may push an axis.
 
     It tears the axis from its motor, whatever that does. With much more the carriage would go through its end stop.
     """
-    return MAX_PUSH * axis.drive.peak_torque * abs(axis.gear)
+    return MAX_USER_PUSH_RATIO * axis.drive.peak_torque * abs(axis.gear)
 
 
 def find_coupled_axes(stage: Stage, name: str) -> list[str]:
@@ -242,9 +242,9 @@ class FaultControls:
         """Return the unit of a push, N or N m."""
         return UNITS_OF_FORCE[self.session.stage.axes[axis].unit]
 
-    def find_max_push(self, axis: str) -> float:
-        """Return the force, N (N m on a hinge), that `push` takes, see find_max_push."""
-        return find_max_push(self.session.stage.axes[axis])
+    def compute_user_push_limit(self, axis: str) -> float:
+        """Return the force, N (N m on a hinge), that `push` takes at most; see compute_user_push_limit."""
+        return compute_user_push_limit(self.session.stage.axes[axis])
 
     def push(self, axis: str, force: float) -> None:
         """Push the carriage from now on, or end the push.
@@ -254,9 +254,9 @@ class FaultControls:
             force: N (N m on a hinge); 0 ends the push.
 
         Raises:
-            FieldError: The force is larger than `find_max_push`.
+            FieldError: The force is larger than `compute_user_push_limit`.
         """
-        limit = self.find_max_push(axis)
+        limit = self.compute_user_push_limit(axis)
         if not abs(force) <= limit:
             unit = self.find_push_unit(axis)
             raise FieldError(

@@ -11,7 +11,7 @@ from nicegui import context, run, ui
 
 from stage.errors import StageError
 from stage.panel import saved_panel
-from stage.panel.access_control import EventGate
+from stage.panel.access_control import BrowserEventGate
 from stage.panel.browser_updates import BrowserUpdates, on_single_click
 from stage.panel.bus_console import Console
 from stage.panel.chip_panel import STYLE as CHIP_STYLE
@@ -135,7 +135,7 @@ FILES = {
 class Toolbar:
     """Row on top: time, who has the controls, and how the page looks."""
 
-    def __init__(self, panel: Panel, updates: BrowserUpdates, gate: EventGate):
+    def __init__(self, panel: Panel, updates: BrowserUpdates, gate: BrowserEventGate):
         session = self._session = panel.session
         self._panel, self._gate = panel, gate
         ui.label("PulseStage").classes("text-weight-bold q-mr-sm gt-xs")
@@ -229,7 +229,7 @@ class Toolbar:
         self._program.text = f"{program} waits" if session.program_waits else driving
         self._take_over.text = "Give back" if is_taken else "Take over"
         self._take_over.set_visibility(bool(program))
-        self._gate.refresh()
+        self._gate.update_inert_elements()
         watching = self._panel.controls.watching
         others = f"{watching} watching" if watching > 1 else ""
         self._controls.text = others if self._gate.has_controls else "Take the controls"
@@ -258,7 +258,7 @@ def build_page(panel: Panel) -> None:
     """Build the page of one browser."""
     ui.add_css(STYLE + CHIP_STYLE)
     ui.colors(primary=PRIMARY)
-    updates, gate = BrowserUpdates(), EventGate(panel, ui.context.client)
+    updates, gate = BrowserUpdates(), BrowserEventGate(panel, ui.context.client)
     axes = panel.session.stage.axes
     with ui.header().classes("items-center q-py-xs q-px-md"):
         Toolbar(panel, updates, gate)

@@ -36,7 +36,7 @@ def build_dashboard(recording: Recording) -> Any:
             kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=(0, 0, 1)
         ),
     )
-    paths = {name: f"/{make_axis_path(name)}" for name in recording.axes}
+    paths = {name: f"/{make_axis_entity_path(name)}" for name in recording.axes}
     together = rrb.TimeAxis(link="LinkToGlobal")
 
     def plot(*keys: str, suffix: str = "") -> Any:

@@ -149,7 +149,7 @@ _MAKERS: dict[int, tuple[str, Any]] = {
 
 
 def find_triangles(model: mujoco.MjModel, mesh: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the triangles of a mesh, whose edges are sharp as those of machines are.
+    """Return the triangles of a mesh with one normal each, so that a viewer shows the edges of the mesh sharp.
 
     Args:
         model: The model.

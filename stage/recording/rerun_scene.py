@@ -82,7 +82,7 @@ class Scene:
         if len(time):
             xpos, xquat, sites = geom_archetypes.compute_poses(model, qpos)
             for body in self._moving:
-                _log_poses(out, make_body_path(model, body), time, xpos[:, body], xquat[:, body])
+                _log_poses(out, make_body_entity_path(model, body), time, xpos[:, body], xquat[:, body])
             self._path.append(_to_work_frame(model, xpos, xquat, sites))
             if self._track is not None:
                 self._track.append((time, qpos))
@@ -141,13 +141,13 @@ class Scene:
             _log_path(out, self._recording.model, np.concatenate(self._path))
 
 
-def make_body_path(model: mujoco.MjModel, body: int) -> str:
-    """Return the entity of a body."""
+def make_body_entity_path(model: mujoco.MjModel, body: int) -> str:
+    """Return the path of a body's rerun entity, `stage/NAME`."""
     return f"stage/{escape_name(model.body(body).name or f'body{body}', reserved=(DIRECTIONS,))}"
 
 
-def make_axis_path(name: str) -> str:
-    """Return the entity of an axis."""
+def make_axis_entity_path(name: str) -> str:
+    """Return the path of an axis' rerun entity, `axes/NAME`."""
     return f"axes/{escape_name(name)}"
 
 
@@ -155,7 +155,9 @@ def _log_pose(out: Any, model: mujoco.MjModel, body: int) -> None:
     """Log the pose of a body that is part of the frame, once."""
     xpos, xquat, _ = geom_archetypes.compute_poses(model, model.qpos0[None])
     out.log(
-        make_body_path(model, body), rr.Transform3D(translation=xpos[0, body], quaternion=xquat[0, body]), static=True
+        make_body_entity_path(model, body),
+        rr.Transform3D(translation=xpos[0, body], quaternion=xquat[0, body]),
+        static=True,
     )
 
 
@@ -201,7 +203,7 @@ def _log_path(out: Any, model: mujoco.MjModel, points: np.ndarray) -> None:
     keep = np.concatenate([[True], np.any(cell[1:] != cell[:-1], axis=1)])
     tool = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tool")
     body = _find_work_body(model)
-    where = make_body_path(model, 0 if model.site_bodyid[tool] == body else body)
+    where = make_body_entity_path(model, 0 if model.site_bodyid[tool] == body else body)
     line = rr.LineStrips3D([points[keep].astype(np.float32)], colors=[PATH_COLOR], radii=rr.Radius.ui_points(1.6))
     out.log(f"{where}/path", line, static=True)
 
@@ -247,7 +249,7 @@ def _list_lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarr
         geom = next((g for g in pair if model.geom_bodyid[g] != carriage), pair[0])
         body = int(model.geom_bodyid[geom])
         above = rotate(data.xquat[body] * [1, -1, -1, -1], [0, 0, LAMP_HEIGHT * model.stat.extent])
-        path = f"{make_body_path(model, body)}/lamp_{escape_name(name)}_{pin}"
+        path = f"{make_body_entity_path(model, body)}/lamp_{escape_name(name)}_{pin}"
         wired, others = axis.chip.wired(pin), axis.switches.as_dict()
         rivals = tuple(p for p in pin_signals.SWITCHES if p != pin and p in others and axis.chip.wired(p) == wired)
         yield path, model.geom_pos[geom] + above, pin, kind, rivals

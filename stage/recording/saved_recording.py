@@ -228,7 +228,12 @@ def read(path: str | os.PathLike) -> Saved:
 
 
 def _add_chunk(entity: dict[str, Any], batch: Any) -> None:
-    """Add the columns of a chunk to those of an entity: times (ns, or None) and values by component."""
+    """Append the columns of a rerun chunk to an entity's.
+
+    Args:
+        entity: The columns that were read before, by name of the rerun component: times, ns (None for static data), and values.
+        batch: The chunk, an Arrow record batch.
+    """
     kinds = {field.name: (field.metadata or {}).get(b"rerun:kind", b"data") for field in batch.schema}
     timeline = "time" if kinds.get("time") == b"index" else ""  # an axis may have that name, too
     time = batch.column(timeline).to_numpy(zero_copy_only=False).astype(np.int64) if timeline else None

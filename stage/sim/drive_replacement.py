@@ -64,10 +64,10 @@ def replace_motor_in_model(
 
 
 def vary_drive(axis: Axis, drive: Drive | Servo) -> None:
-    """Give an axis another piece of its motor and supply, of other losses, windings and voltage.
+    """Give an axis another specimen of its motor and supply, with other losses, windings and voltage.
 
-    Its rotor is the same, so that MuJoCo has to compute nothing again but whether there is damping at all, and snapshots taken
-    before remain valid.
+    The rotor inertia stays, so snapshots that were taken before remain valid. MuJoCo computes its constants again only if damping
+    appears or vanishes.
 
     Args:
         axis: Axis of a stage.

@@ -23,7 +23,7 @@ class Contents:
 
     data = driving_axes = relative_drives = absolute_drives = interpolated_axes = multichip_role = helix_ticks = 0
     has_unused_data = is_interpolating = is_queue_full = is_loading_pattern = is_linked = has_master_started = False
-    drive_speed = finish_points = ()
+    drive_speed = tp_values = ()
 
     def __init__(self, **contents):
         vars(self).update(contents)
@@ -73,20 +73,20 @@ MISTAKES = [
     ("a reading of several axes", MCX514_MAP, X | Y | 0x30, {}, "reads one axis: of X, Y only the first", Y | 0x30, {}),
     ("JK above its range", MCX514_MAP, X, data(1_073_741_824), "JK = 1073741824: jerk takes 1 to 1073741823", X, data(1)),
     ("DV of 0", MCX514_MAP, X | 0x05, data(0), "DV = 0: .* takes 1 to 8000000", X | 0x05, data(8_000_000)),
-    ("a drive with TP below its range", MCX514_MAP, X | 0x50, {"finish_points": (-2_147_483_647, 0, 0, 0)},
+    ("a drive with TP below its range", MCX514_MAP, X | 0x50, {"tp_values": (-2_147_483_647, 0, 0, 0)},
      r"50h \(relative position drive\) with TP = -2147483647 of X: drive pulse number takes -2147483646 to 2147483646", X | 0x50,
-     {"finish_points": (-2_147_483_646, -2_147_483_647, 0, 0)}),
-    ("an absolute drive with TP above its range", MCX501_MAP, 0x54, {"finish_points": (2_147_483_647,)},
+     {"tp_values": (-2_147_483_646, -2_147_483_647, 0, 0)}),
+    ("an absolute drive with TP above its range", MCX501_MAP, 0x54, {"tp_values": (2_147_483_647,)},
      "with TP = 2147483647 of X",
-     0x52, {"finish_points": (2_147_483_647,)}),
+     0x52, {"tp_values": (2_147_483_647,)}),
     ("TP below its range in a drive", MCX514_MAP, Y | 0x06,
-     {**data(-2_147_483_648), "relative_drives": 2, "finish_points": (0, -5, 0, 0)},
+     {**data(-2_147_483_648), "relative_drives": 2, "tp_values": (0, -5, 0, 0)},
      "TP = -2147483648 while driving: drive pulse number takes", Y | 0x06,
-     {**data(-2_147_483_646), "relative_drives": 2, "finish_points": (0, -5, 0, 0)}),
+     {**data(-2_147_483_646), "relative_drives": 2, "tp_values": (0, -5, 0, 0)}),
     ("a helix with more pulses along its axis than ticks", MCX514_MAP, 0x69,
-     {"interpolated_axes": 0b1101, "finish_points": (0, 0, 0, -333), "helix_ticks": 283},
+     {"interpolated_axes": 0b1101, "tp_values": (0, 0, 0, -333), "helix_ticks": 283},
      "with TP = -333 of U: the 283 ticks of HLV make one pulse each at most; the other 50 are lost", 0x6A,
-     {"interpolated_axes": 0b1101, "finish_points": (900, 0, 900, -283), "helix_ticks": 283}),
+     {"interpolated_axes": 0b1101, "tp_values": (900, 0, 900, -283), "helix_ticks": 283}),
     ("LX above its range", MCX514_MAP, X | 0x0E, data(0x8000_0000), "LX = 2147483648", X | 0x0E, data(0xFFFF_FFFF)),
     ("CP below its range", MCX514_MAP, X | 0x08, data(-1_073_741_824), "CP = -1073741824", X | 0x08, data(-1_073_741_823)),
     ("a split pulse of width 0", MCX514_MAP, X | 0x17, data(0x0000_0005), "WIDTH = 0", X | 0x17, data(0x0001_0005)),
@@ -103,9 +103,9 @@ MISTAKES = [
      {"driving_axes": 1}),
     ("TP in absolute driving", MCX514_MAP, X | 0x06, {**data(9), "absolute_drives": 1}, "in absolute position driving: it cannot",
      Y | 0x06, {**data(9), "absolute_drives": 1}),
-    ("TP the other way", MCX514_MAP, Y | 0x06, {**data(-9), "relative_drives": 2, "finish_points": (0, 5, 0, 0)},
+    ("TP the other way", MCX514_MAP, Y | 0x06, {**data(-9), "relative_drives": 2, "tp_values": (0, 5, 0, 0)},
      "TP = -9 while Y drives",
-     Y | 0x06, {**data(0), "relative_drives": 2, "finish_points": (0, 5, 0, 0)}),
+     Y | 0x06, {**data(0), "relative_drives": 2, "tp_values": (0, 5, 0, 0)}),
     ("a continuous interpolation above 4 Mpps", MCX514_MAP, 0x61,
      {"interpolated_axes": 6, "is_interpolating": True, "drive_speed": (1, 4_000_001, 1, 1)}, "with DV = 4000001: 4000000 is",
      0x61,
@@ -125,13 +125,13 @@ MISTAKES = [
     ("a segment too many", MCX514_MAP, 0x61,
      {"interpolated_axes": 3, "is_interpolating": True, "driving_axes": 3, "is_queue_full": True},
      "pre-buffer is full", 0x61, {"interpolated_axes": 3, "is_interpolating": True, "driving_axes": 3}),
-    ("a finish point of 32 bits", MCX514_MAP, 0x61, {"interpolated_axes": 3, "finish_points": (0, 1_073_741_824, 0, 0)},
+    ("a finish point of 32 bits", MCX514_MAP, 0x61, {"interpolated_axes": 3, "tp_values": (0, 1_073_741_824, 0, 0)},
      "TP = 1073741824 of Y",
-     0x66, {"interpolated_axes": 3, "finish_points": (0, 0x7FFF_FFFF, 0, 0)}),
-    ("a finish point of 32 bits, to plus", MCX514_MAP, 0x61, {"interpolated_axes": 3, "finish_points": (1_073_741_824, 0, 0, 0)},
-     "TP = 1073741824 of X", 0x61, {"interpolated_axes": 3, "finish_points": (POINT[1], POINT[0], POINT[0] - 1, 0)}),
-    ("a finish point of 32 bits, to minus", MCX514_MAP, 0x61, {"interpolated_axes": 3, "finish_points": (POINT[0] - 1, 0, 0, 0)},
-     f"TP = {POINT[0] - 1} of X", 0x61, {"interpolated_axes": 2 | 4, "finish_points": (POINT[1] + 1, POINT[0], POINT[1], 0)}),
+     0x66, {"interpolated_axes": 3, "tp_values": (0, 0x7FFF_FFFF, 0, 0)}),
+    ("a finish point of 32 bits, to plus", MCX514_MAP, 0x61, {"interpolated_axes": 3, "tp_values": (1_073_741_824, 0, 0, 0)},
+     "TP = 1073741824 of X", 0x61, {"interpolated_axes": 3, "tp_values": (POINT[1], POINT[0], POINT[0] - 1, 0)}),
+    ("a finish point of 32 bits, to minus", MCX514_MAP, 0x61, {"interpolated_axes": 3, "tp_values": (POINT[0] - 1, 0, 0, 0)},
+     f"TP = {POINT[0] - 1} of X", 0x61, {"interpolated_axes": 2 | 4, "tp_values": (POINT[1] + 1, POINT[0], POINT[1], 0)}),
 ]  # fmt: skip
 
 
@@ -179,9 +179,9 @@ def test_a_write_with_several_mistakes_has_a_diagnostic_of_each():
         "absent-axes",
         "already-driving",
     ]
-    drive = {"driving_axes": 1, "finish_points": (-2_147_483_647, 0, 0, 0)}
+    drive = {"driving_axes": 1, "tp_values": (-2_147_483_647, 0, 0, 0)}
     assert list(find(MCX514_MAP, X | 0x50, **drive)) == ["already-driving", "pulse-number"]
-    line = {"interpolated_axes": 7, "driving_axes": 2, "finish_points": (0, POINT[1] + 1, 0, 0)}
+    line = {"interpolated_axes": 7, "driving_axes": 2, "tp_values": (0, POINT[1] + 1, 0, 0)}
     assert list(find(MCX514_MAP, 0x61, **line)) == ["number-of-axes", "axis-drives", "finish-point-range"]
     assert list(find(MCX312_MAP, 0x0208, 5)) == ["field-range"], "AX2 = 2"
     assert list(find(MCX312_MAP, 0x2208, 5)) == ["unused-bits", "field-range"]
@@ -220,7 +220,7 @@ def test_no_write_raises_and_every_diagnostic_has_a_message_and_a_section(chip):
         contents |= {name: rng.random() < 0.5 for name in names}
         contents |= {"data": rng.getrandbits(32), "role": rng.randrange(4), "helix_ticks": rng.randrange(4000)}
         contents["drive_speed"] = [rng.getrandbits(24) for _ in range(4)]
-        contents["finish_points"] = [rng.getrandbits(32) - 2**31 for _ in range(4)]
+        contents["tp_values"] = [rng.getrandbits(32) - 2**31 for _ in range(4)]
         find(chip, rng.getrandbits(16), rng.choice((0, 0, 0, rng.randrange(8))), **contents)
 
 

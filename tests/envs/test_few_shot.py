@@ -269,7 +269,9 @@ def test_every_action_is_registers_of_every_chip(chip):
             (row,) = task.to_registers(action[None].astype(np.float32))
             ranges = [get_register_range(task.axis.chip.MAP, name) for name in task.names]
             assert all(low <= value <= high for value, (low, high) in zip(row, ranges, strict=True)), (action, row)
-    assert task.rates(action_of(1000, 16_000, 0.15, 0.1), 9000) == pytest.approx((1000, 16_000, 0.15, 0.1), rel=1e-4)
+    assert task.decode_action(action_of(1000, 16_000, 0.15, 0.1), 9000) == pytest.approx(
+        (1000, 16_000, 0.15, 0.1), rel=1e-4
+    )
 
 
 @pytest.mark.parametrize(

@@ -135,7 +135,7 @@ def test_no_correction_is_the_data_sheets_answer_in_the_ratio_of_the_distances(a
 def test_each_correction_changes_one_register_by_at_most_its_reach():
     rules = build_rules(8)
     basic = rules.to_registers(np.zeros((8, 12), np.float32))
-    worth = rules.line.compute_pulses_per_count(basic, rules.requested_lines)
+    worth = rules.line.compute_pulses_per_register_unit(basic, rules.requested_lines)
     for k in range(12):
         axis, register = divmod(k, 6)
         for sign in (-1, 1):
@@ -460,7 +460,7 @@ def test_very_different_distances_still_have_legal_ranges():
 def test_counts_of_the_ratio_move_an_axis_by_no_more_than_reach_pulses(s_curve):
     rules = build_rules(8, chip="MCX304", s_curve=s_curve)
     basic, (n, m) = rules.data_sheet(), rules.line.shape
-    worth = rules.line.compute_pulses_per_count(basic, rules.requested_lines)
+    worth = rules.line.compute_pulses_per_register_unit(basic, rules.requested_lines)
     for k in range(n * m):
         axis, register = divmod(k, m)
         for sign in (-1, 1):

@@ -40,15 +40,15 @@ def test_a_second_attempt_at_a_fault_shows_only_its_own_errors(served, page):
 
 
 def test_an_error_at_the_force_is_removed_when_the_motor_is_stronger(served, page):
-    limit = served.panel.fault_controls.find_max_push
+    limit = served.panel.fault_controls.compute_user_push_limit
     page.put("push-force", "1e9")
     page.fire("push-plus", "pointerdown")
     page.until(lambda: page.error("push-force"))
-    served.panel.fault_controls.find_max_push = lambda axis: 2e9
+    served.panel.fault_controls.compute_user_push_limit = lambda axis: 2e9
     try:
         page.fire("push-plus", "pointerdown")
         page.until(lambda: not page.error("push-force"))
     finally:
-        served.panel.fault_controls.find_max_push = limit
+        served.panel.fault_controls.compute_user_push_limit = limit
         page.fire("push-plus", "pointerup")
         page.until(lambda: not served.session.do(lambda stage: stage.data.qfrc_applied.any()))

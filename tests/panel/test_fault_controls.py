@@ -7,7 +7,7 @@ from stage import Stage
 from stage.drives.dc_motors import DC_MOTORS
 from stage.drives.motors import MOTORS
 from stage.errors import ArgumentError, StageError
-from stage.panel.fault_controls import FaultControls, fault_functions, find_max_push
+from stage.panel.fault_controls import FaultControls, compute_user_push_limit, fault_functions
 from stage.panel.procedure_forms import FieldError
 from stage.panel.session import FREE, Session
 from stage.panel.stage_thread import describe_escape
@@ -195,7 +195,7 @@ def test_the_strongest_push_leaves_every_carriage_in_its_travel(model):
         for sign in (-1, 1):
             stage.reset()
             stage.prepare_change()
-            stage.data.qfrc_applied[axis.plant.dof] = sign * find_max_push(axis)
+            stage.data.qfrc_applied[axis.plant.dof] = sign * compute_user_push_limit(axis)
             for _ in range(30):
                 stage.run(0.01)
                 assert describe_escape(stage) == ""

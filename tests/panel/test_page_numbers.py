@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("nicegui")
 from stage import Stage
 from stage.panel import oscilloscope_page as chart
-from stage.panel.fault_controls import find_max_push
+from stage.panel.fault_controls import compute_user_push_limit
 from stage.panel.page import Toolbar, format_position
 from stage.panel.session import FREE
 from stage.panel.stage_thread import describe_escape
@@ -66,5 +66,5 @@ def test_a_carriage_is_out_of_its_travel_beyond_a_tenth_of_it_on_either_side():
     stage.data.qpos[stage.axes["a"].plant.qpos] = 1e3
     assert describe_escape(stage) == "", "a table turns without end"
     x = stage.axes["x"]
-    assert find_max_push(x) == pytest.approx(2 * x.drive.peak_torque * abs(x.gear))
-    assert np.isfinite(find_max_push(x))
+    assert compute_user_push_limit(x) == pytest.approx(2 * x.drive.peak_torque * abs(x.gear))
+    assert np.isfinite(compute_user_push_limit(x))

@@ -225,7 +225,7 @@ def test_the_arrows_point_along_plus_from_the_front_corner_of_what_does_not_move
 
 def test_a_body_without_a_name_is_called_by_its_number():
     model = model_of()
-    assert [make_body_path(model, k) for k in range(model.nbody)] == [
+    assert [make_body_entity_path(model, k) for k in range(model.nbody)] == [
         "stage/world",
         "stage/frame",
         "stage/work",

@@ -245,4 +245,4 @@ def test_the_sampler_reads_the_position_of_a_site_or_body(name):
     stage = Stage("xy", chips=PCL240K, visuals=False)
     samples = PositionSampler(Task(stage, "x", pulses=400, judge_at=name))
     frame = stage.data.body(name) if name in "xy" else stage.data.site(name)
-    assert samples._read_position(stage).tolist() == frame.xpos.tolist()
+    assert samples._read_judged_point(stage).tolist() == frame.xpos.tolist()

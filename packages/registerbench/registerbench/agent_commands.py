@@ -18,7 +18,7 @@ MAX_SHOWN_TROUBLES = 6
 
 
 def add_agent(commands: Any) -> None:
-    """Add the command `stage agent`."""
+    """Add `stage agent` to argparse's subparsers."""
     p = add_command(
         commands, "agent", play_suite, "measure an agent: broken set-ups, or a task of the benchmark by tools",
         "Let a player play the games of a suite by calling tools, and print its score with an interval. A player is one that is "
@@ -76,7 +76,7 @@ def add_agent(commands: Any) -> None:
 
 
 def add_agent_replay(commands: Any) -> None:
-    """Add the command `stage agent-replay`."""
+    """Add `stage agent-replay` to argparse's subparsers."""
     p = add_command(
         commands, "agent-replay", replay_transcript, "make the calls of a transcript again, without the agent",
         "Make every call of a transcript again, compare answers and scores bit for bit, and print the score that comes of them. "

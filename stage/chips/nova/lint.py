@@ -199,8 +199,8 @@ class LintState:
         return tuple(int(x["reg"][state.DV]) for x in self._record["ax"])
 
     @property
-    def finish_points(self) -> tuple[int, ...]:
-        """TP of every axis: number of pulses, or finish point."""
+    def tp_values(self) -> tuple[int, ...]:
+        """TP of every axis: number of pulses of a drive, or finish point of an interpolation."""
         return tuple(int(x["reg"][state.TP]) for x in self._record["ax"])
 
     @property
@@ -221,8 +221,9 @@ class Mcx312LintState(LintState):
         return ()
 
     @property
-    def finish_points(self) -> tuple[int, ...]:
-        return tuple(p - (p >> 31 << 32) for p in super().finish_points)
+    def tp_values(self) -> tuple[int, ...]:
+        """TP of every axis as a signed number of 32 bits."""
+        return tuple(p - (p >> 31 << 32) for p in super().tp_values)
 
 
 class Mcx314asLintState(Mcx312LintState):
@@ -341,7 +342,7 @@ def _lint_pulses_in_motion(tp: Register, chip: Any, axes: int, value: int) -> It
         message = f"TP written while {_name_axes(moving)} is in absolute position driving: it cannot be changed"
         yield TP_IN_ABSOLUTE_DRIVE, message
     if turned := sum(
-        1 << k for k, old in enumerate(chip.finish_points) if axes & chip.relative_drives & 1 << k and old * value < 0
+        1 << k for k, old in enumerate(chip.tp_values) if axes & chip.relative_drives & 1 << k and old * value < 0
     ):
         why = "the direction cannot be changed, and the drive stops at once"
         yield TP_REVERSES_DRIVE, f"TP = {value} while {_name_axes(turned)} drives the other way: {why}"
@@ -350,7 +351,7 @@ def _lint_pulses_in_motion(tp: Register, chip: Any, axes: int, value: int) -> It
 def _lint_pulse_numbers(map_: RegisterMap, chip: Any, name: str, axes: int) -> Iterator[Finding]:
     """Check that TP of each axis of a drive command is a number of pulses."""
     tp = map_.register("TP")
-    for k, value in enumerate(chip.finish_points[: map_.axes]):
+    for k, value in enumerate(chip.tp_values[: map_.axes]):
         if (axes >> k & 1 or map_.axes == 1) and not tp.allows(value):
             yield (
                 PULSE_NUMBER,
@@ -373,7 +374,7 @@ def _lint_interpolation(chip: Any, command: Command, name: str) -> Iterator[Find
     if chip.is_interpolating and speed > CONTINUOUS_SPEED:
         message = f"{name} in continuous interpolation with DV = {speed}: {CONTINUOUS_SPEED} is the most"
         yield CONTINUOUS_TOO_FAST, message
-    for k, tp in enumerate(chip.finish_points):
+    for k, tp in enumerate(chip.tp_values):
         if axes >> k & 1 and command.points and not POINT[0] <= tp <= POINT[1]:
             message = f"{name} with TP = {tp} of {AXES[k]}: a finish point takes {POINT[0]} to {POINT[1]}"
             yield FINISH_POINT_RANGE, message
@@ -383,11 +384,11 @@ def _lint_interpolation(chip: Any, command: Command, name: str) -> Iterator[Find
 
 def _lint_helix(chip: Any, name: str) -> Iterator[Finding]:
     """Find the axes along a helix that have more pulses than the helix has ticks."""
-    for k in [k for k in range(len(chip.finish_points)) if chip.interpolated_axes >> k & 1][2:]:
-        if (pulses := abs(chip.finish_points[k])) > chip.helix_ticks:
+    for k in [k for k in range(len(chip.tp_values)) if chip.interpolated_axes >> k & 1][2:]:
+        if (pulses := abs(chip.tp_values[k])) > chip.helix_ticks:
             limit = f"the {chip.helix_ticks} ticks of HLV make one pulse each at most"
             lost = f"the other {pulses - chip.helix_ticks} are lost"
-            yield HELIX_PULSES_LOST, f"{name} with TP = {chip.finish_points[k]} of {AXES[k]}: {limit}; {lost}"
+            yield HELIX_PULSES_LOST, f"{name} with TP = {chip.tp_values[k]} of {AXES[k]}: {limit}; {lost}"
 
 
 def _lint_multichip(chip: Any, command: Command, name: str) -> Iterator[Finding]:

@@ -20,7 +20,7 @@ SAMPLE_INTERVAL_S = 2.5e-4
 
 
 def add(commands: Any) -> None:
-    """Add the command."""
+    """Add `stage fault` to argparse's subparsers."""
     p = add_command(
         commands, "fault", run, "show the effect of a fault: a switch, a wire, the supply, the bus",
         "Run a program on a healthy stage and on a faulty one, and print what differs. Without a name, list the faults. "

@@ -91,9 +91,10 @@ class DemoResult:
     @property
     def as_claimed(self) -> bool:
         """Verdict: what is claimed has happened."""
-        return self.demo.happened(*map(self._scale_to_screw, self.figures))
+        return self.demo.happened(*map(self._scale_to_reference_screw, self.figures))
 
-    def _scale_to_screw(self, figures: Figures) -> Figures:
+    def _scale_to_reference_screw(self, figures: Figures) -> Figures:
+        """Scale lengths to those of an axis that moves SCREW_M per turn of its motor, which the claims are about."""
         return {k: v * SCREW_M / self.turn if k.endswith(", mm") else v for k, v in figures.items()}
 
     def table(self) -> str:

@@ -186,7 +186,7 @@ class RangeRatioLinePrograms(NovaLinePrograms):
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """Correct each register by a share of the counts, at least one, that move its axis by `reach` pulses along the line."""
         rows = self.compute_registers(moves)
-        counts = np.maximum(np.rint(self.settings.reach / self.compute_pulses_per_count(rows, moves)), 1)
+        counts = np.maximum(np.rint(self.settings.reach / self.compute_pulses_per_register_unit(rows, moves)), 1)
         return self._limit_initial_speed(self.clip_to_legal(rows + np.rint(corrections * counts)))
 
     def compute_pulses_per_count(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:

@@ -80,13 +80,13 @@ class RatioLinePrograms(LinePrograms):
         corrected = self._compute_with_multipliers(
             moves, np.clip(r7, 2, self._find_finest_multiplier(moves.shares * peak[:, None], MAX_SPEED_STEPS))
         )
-        counts = np.maximum(np.rint(c.reach / self.compute_pulses_per_count(corrected, moves)), 1)
+        counts = np.maximum(np.rint(c.reach / self.compute_pulses_per_register_unit(corrected, moves)), 1)
         corrected[:, :, :5] += np.rint(a[:, :, :5] * counts).astype(np.int64)
         corrected = self.clip_to_legal(corrected)
         corrected[:, :, 0] = np.minimum(corrected[:, :, 0], corrected[:, :, 1])
         return corrected
 
-    def compute_pulses_per_count(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+    def compute_pulses_per_register_unit(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         """Compute by how many pulses one count of R1, R2, R4, R5, R6 moves an axis along the line, by the data sheet's formulas.
 
         Args:

@@ -69,10 +69,10 @@ class ProportionalLine(LinePrograms):
             Corrected registers within their legal ranges.
         """
         registers = self.compute_registers(moves)
-        counts = np.maximum(np.rint(self.settings.reach / self.compute_pulses_per_count(registers, moves)), 1)
+        counts = np.maximum(np.rint(self.settings.reach / self.compute_pulses_per_register_unit(registers, moves)), 1)
         return self.clip_to_legal(registers + np.rint(corrections * counts))
 
-    def compute_pulses_per_count(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+    def compute_pulses_per_register_unit(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         """Return by how many steps one count of each register moves an axis along the line.
 
         Args:

@@ -10,7 +10,7 @@ from stage.envs.one_shot import OneShotTuning
 
 
 def decode_rates(*action, distance=16_000):
-    return FewShotTuning.rates(None, np.array(action), distance)  # type: ignore[arg-type]
+    return FewShotTuning.decode_action(None, np.array(action), distance)  # type: ignore[arg-type]
 
 
 def test_the_limits_of_an_action_are_the_limits_of_the_rates():
