@@ -21,7 +21,7 @@ import numpy as np
 from stage.board import layouts
 from stage.board.bus import host_record, requests
 from stage.board.bus.host_record import DEVICE, EIGHT, HALF, LATCH, LATCHED, NOTHING, PULLS, UPPER, WIDE, WORD
-from stage.board.bus.interrupts import ANY_LINE, HIGHEST
+from stage.board.bus.interrupts import ANY_INTERRUPT_LINE, HIGHEST
 from stage.board.devices import device_options
 from stage.board.devices.device import Device, Encoder, Listener
 from stage.board.devices.user_devices import CDevice, DescribeCycle, PythonDevice
@@ -199,7 +199,7 @@ class Board:
             hook: Function without arguments, or None to remove the hook.
         """
         self.link.make_request(host_record.SETTLE, 0, 0)
-        self.link.hooks.set_hook(ANY_LINE, hook, lines=-1)
+        self.link.hooks.set_hook(ANY_INTERRUPT_LINE, hook, interrupt_mask=-1)
         self.link.make_request(host_record.LEVEL, -1, 0)  # the line may be asserted now
 
     def on_timer(self, period_us: float, hook: Callable[[], None] | None, *, n: int = 0, level: int = 1) -> None:

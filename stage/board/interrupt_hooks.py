@@ -60,14 +60,14 @@ class Hooks:
         requests.update_interrupts.c(self._link.pointer)
 
     def set_hook(
-        self, source: int, function: Callable[[], None] | None, lines: int = 0, level: int = 1, period: int = 0
+        self, source: int, function: Callable[[], None] | None, interrupt_mask: int = 0, level: int = 1, period: int = 0
     ) -> None:
         """Set the hook of a source to a function in Python, or remove it.
 
         Args:
             source: Index of the source.
             function: The hook, or None.
-            lines: Lines (bits) that assert the source.
+            interrupt_mask: Interrupt lines (bits) that assert the source.
             level: Level of the source, 1 to 15.
             period: Period of a timer, ns; 0 for other sources.
 
@@ -82,7 +82,7 @@ class Hooks:
             self.functions[source] = function
         row = self.sources[source]
         row["hook"], row["argument"] = self.pointer if function else 0, source
-        row["level"], row["lines"], row["period"] = level, lines, period if function else 0
+        row["level"], row["interrupt_mask"], row["period"] = level, interrupt_mask, period if function else 0
         row["pending"] = row["missed"] = 0
         row["next"] = self._link.stage.now + period
         self.update_interrupts()
@@ -107,9 +107,10 @@ class Hooks:
             row = self.sources[source]
             row["hook"], row["argument"] = self.pointer if source in functions else 0, source
         if not keep:
-            row = self.sources[interrupts.ANY_LINE]
-            row["hook"], row["argument"] = self.pointer if interrupts.ANY_LINE in functions else 0, interrupts.ANY_LINE
-            row["lines"], row["level"] = -1, 1
+            source = interrupts.ANY_INTERRUPT_LINE
+            row = self.sources[source]
+            row["hook"], row["argument"] = self.pointer if source in functions else 0, source
+            row["interrupt_mask"], row["level"] = -1, 1
         self.update_interrupts()
 
     def call_hook(self, source: int) -> None:
@@ -135,7 +136,7 @@ class Hooks:
         try:
             link.end_run()  # the hook may write to a chip itself: journals want what was before it first
             try:
-                self.call_hook(source or interrupts.ANY_LINE)
+                self.call_hook(source or interrupts.ANY_INTERRUPT_LINE)
             finally:
                 link.begin_run()
         except BaseException as error:
@@ -152,7 +153,11 @@ class Hooks:
                 f"hooks of interrupts interrupt each other without end, {at}: a hook that lowers the level (ps_level) clears its "
                 "interrupt before."
             )
-        hook = "the interrupt hook" if source == interrupts.ANY_LINE else f"the hook of {format_source_name(source)}"
+        hook = (
+            "the interrupt hook"
+            if source == interrupts.ANY_INTERRUPT_LINE
+            else f"the hook of {format_source_name(source)}"
+        )
         again = f"{hook} was called {host_record.STORM_CALLS:,} times in a row {at} and"
         if period := int(self.sources[source]["period"]):
             return f"{again} is due again: it takes longer than its period of {period / 1e3:g} us, so that nothing else runs."
@@ -192,7 +197,7 @@ class Hooks:
             return
         source, rows = int(self._hooks[int(h["serving"]) - 1]["source"]), self.sources
         blocked = (rows["hook"] != 0) & (rows["level"] <= h["level"])
-        pending, on_line = (bool(np.any(blocked & (rows[name] != 0))) for name in ("pending", "lines"))
+        pending, on_line = (bool(np.any(blocked & (rows[name] != 0))) for name in ("pending", "interrupt_mask"))
         if pending or (on_line and self._link.board.interrupt):
             raise HostError(
                 f"the firmware has returned, and the hook of {format_source_name(source)} has not: it was left by a jump to "
@@ -203,7 +208,7 @@ class Hooks:
 
 def format_source_name(source: int) -> str:
     """Return the name of an interrupt source, for example "timer 0"."""
-    if source == interrupts.ANY_LINE:
+    if source == interrupts.ANY_INTERRUPT_LINE:
         return "the interrupt line"
     for first, name, after in (
         (interrupts.FIRST_SOFTWARE, "software interrupt", ""), (interrupts.FIRST_PYTHON_TIMER, "timer", " of Python"),
@@ -211,7 +216,7 @@ def format_source_name(source: int) -> str:
     ):  # fmt: skip
         if source >= first:
             return f"{name} {source - first}{after}"
-    return f"line {source - interrupts.FIRST_LINE}"
+    return f"line {source - interrupts.FIRST_INTERRUPT_LINE}"
 
 
 def _name_request(code: int, which: int) -> str:

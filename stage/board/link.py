@@ -95,12 +95,12 @@ class Link:
         words = stage.state.userdata
         self._before = np.zeros(len(words))
         for name, array in (
-            ("edges", stage.state.edges), ("lines", self.board.trace.buffer), ("irqs", self.irqs), ("acts", self._acts),
+            ("edges", stage.state.edges), ("trace_cycles", self.board.trace.buffer), ("irqs", self.irqs), ("acts", self._acts),
             ("userdata", words), ("before", self._before),
         ):  # fmt: skip
             h[name] = array.ctypes.data
         self.publish_ports()
-        h["edge_room"], h["line_room"], h["words"] = len(stage.state.edges), self.board.trace.capacity, len(words)
+        h["edge_room"], h["trace_capacity"], h["words"] = len(stage.state.edges), self.board.trace.capacity, len(words)
         h["until"] = h["max_cycles"] = UNBOUNDED
         h["journals"] = 1
         self.publish_devices()

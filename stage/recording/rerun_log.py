@@ -156,7 +156,7 @@ def _log_styles(out: Any, recording: Recording, colors: dict[str, tuple]) -> Non
                 widths=[3.5 if is_command else 1.5],
                 aggregation_policy=rr.components.AggregationPolicy.Off,  # it takes samples to be evenly spaced
             )
-            out.log(f"{rerun_scene.make_axis_path(name)}/{series}", style, static=True)
+            out.log(f"{rerun_scene.make_axis_entity_path(name)}/{series}", style, static=True)
 
 
 def _log_series(out: Any, recording: Recording, piece: np.ndarray) -> None:
@@ -169,7 +169,7 @@ def _log_series(out: Any, recording: Recording, piece: np.ndarray) -> None:
             mark_needed_samples(time, v, float(series.tolerance), keep)
             columns = rr.Scalars.columns(scalars=v[keep])
             out.send_columns(
-                f"{rerun_scene.make_axis_path(name)}/{key}",
+                f"{rerun_scene.make_axis_entity_path(name)}/{key}",
                 indexes=[rerun_scene.to_time_column(time[keep])],
                 columns=columns,
             )
@@ -225,7 +225,7 @@ class StateLanes:
     def _log_lane(
         self, out: Any, lane: str, edges: np.ndarray, states: Any, colors: dict[str, tuple], style: bool = False
     ) -> None:
-        path = f"{rerun_scene.make_axis_path(self._name)}/{lane}"
+        path = f"{rerun_scene.make_axis_entity_path(self._name)}/{lane}"
         if style or self._first:
             out.log(path, rr.StateConfiguration(values=list(colors), colors=list(colors.values())), static=True)
         clocks, states = pin_signals.find_changes(edges, states)
@@ -241,7 +241,7 @@ class StateLanes:
             return
         seconds = self._recording.seconds(self._name, np.array([s.clock for s in actions], np.int64))
         out.send_columns(
-            f"{rerun_scene.make_axis_path(self._name)}/bus",
+            f"{rerun_scene.make_axis_entity_path(self._name)}/bus",
             indexes=[rerun_scene.to_time_column(seconds)],
             columns=rr.TextLog.columns(
                 text=[f"{t:11.6f}  {self._name}  {s}" for t, s in zip(seconds, actions, strict=True)],

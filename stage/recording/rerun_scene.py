@@ -58,7 +58,7 @@ class Scene:
         out.log("stage", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for body in range(model.nbody):
             for name, shape in geom_archetypes.list_shapes(model, body):
-                out.log(f"{make_body_path(model, body)}/{name}", shape, static=True)
+                out.log(f"{make_body_entity_path(model, body)}/{name}", shape, static=True)
         for body in np.flatnonzero(model.body_weldid == 0).tolist():
             if body:
                 _log_pose(out, model, body)

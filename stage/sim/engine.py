@@ -47,8 +47,8 @@ from stage.sim.input_edges import (
     is_in_flag,
     journal_input,
     measure_index_offset,
-    predict_edges,
-    predict_switch,
+    predict_switch_changes,
+    predict_switch_edges,
     process_edges,
 )
 from stage.sim.stage_handle import (
@@ -310,7 +310,7 @@ def _run_until(handle, until):
             return FAILED
         if diverged:
             return DIVERGED
-        predict_edges(handle, True)
+        predict_switch_edges(handle, True)
         if clock.encoders:
             _pass_shafts_to_chips(handle)
         if clock.loads:
@@ -374,7 +374,7 @@ def update_switches(handle, axis_index):
         if get_switch_table(handle)[k].forced >= 0:
             get_switches(handle)[k].toggles = 0
         q, v = get_qpos(handle)[t.qpos], get_qvel(handle)[t.dof]
-        predict_switch(
+        predict_switch_changes(
             get_world(handle), axis, get_clockwork(handle), get_switches(handle)[k], get_switch_table(handle)[k], q, v
         )
     process_edges(handle, get_chip_table(handle)[t.chip], get_world(handle).now)
@@ -414,7 +414,7 @@ def find_switch_levels(handle):
     for k in range(handle.n_switches):
         s = get_switches(handle)[k]
         s.toggles, s.edge, s.shift = 0, NEVER, 0.0
-    predict_edges(handle, False)
+    predict_switch_edges(handle, False)
     for a in range(handle.n_axes):
         _find_axis_switch_levels(handle, a)
     rows = get_chip_table(handle)

@@ -174,7 +174,7 @@ def _measure_travel_to_change(edges, switch_row, position, direction, gone, on):
 
 
 @hot
-def predict_switch(world, axis, clockwork, switch, switch_row, position, velocity):
+def predict_switch_changes(world, axis, clockwork, switch, switch_row, position, velocity):
     """Predict when a switch will change between now and the window's end, at most twice.
 
     A contact that bounces comes to rest before the next change.
@@ -216,17 +216,17 @@ def _schedule_next_toggle(switch, switch_row, now):
 
 
 @hot
-def predict_edges(handle, moved):
+def predict_switch_edges(handle, has_moved):
     """Predict, at the start of a window, where each vane is and when its switch changes within the window.
 
     Args:
         handle: HANDLE record.
-        moved: Whether qpos has moved by one step of the present qvel since the sensors were read.
+        has_moved: Whether qpos has moved by one step of the present qvel since the sensors were read.
     """
     axis_records, table, readings = get_axes(handle), get_axis_table(handle), get_sensordata(handle)
     for a in range(len(axis_records)):
         q, v = get_qpos(handle)[table[a].qpos], get_qvel(handle)[table[a].dof]
-        predict_axis_edges(
+        predict_axis_switch_edges(
             get_world(handle),
             get_clockwork(handle),
             axis_records[a],
@@ -236,28 +236,28 @@ def predict_edges(handle, moved):
             readings,
             q,
             v,
-            moved,
+            has_moved,
         )
 
 
 @hot
-def predict_axis_edges(now, clock, axis, of_axis, records, rows, sensordata, position, velocity, moved):
-    """Predict the edges of one axis whose joint is at `position` with speed `velocity`; see `predict_edges`.
+def predict_axis_switch_edges(now, clock, axis, of_axis, records, rows, sensordata, position, velocity, has_moved):
+    """Predict the edges of one axis whose joint is at `position` with speed `velocity`; see `predict_switch_edges`.
 
     `now` and `clock` are WORLD and CLOCKWORK of the stage, `axis` and `of_axis` the axis' AXIS and its row of AXIS_TABLE, `records`
     and `rows` all SWITCH and SWITCH_TABLE records.
     """
     half, edges = clock.half, _flag_edges(clock)
     axis.next_edge = NEVER
-    awake = axis.awake or not moved
+    awake = axis.awake or not has_moved
     for k in range(of_axis.first_switch, of_axis.end_switch):
         awake |= sensordata[rows[k].found] > 0.0 or rows[k].forced > 0
     axis.awake = 0
     for k in range(of_axis.first_switch, of_axis.end_switch if awake else 0):  # else nothing has changed
         s, t = records[k], rows[k]
         if sensordata[t.found] > 0.0:
-            q_sensed, dist = position - velocity * 2.0 * half if moved else position, sensordata[t.dist]
-            if moved and not s.sensed:
+            q_sensed, dist = position - velocity * 2.0 * half if has_moved else position, sensordata[t.dist]
+            if has_moved and not s.sensed:
                 _place_flag_ahead(edges, s, t, q_sensed, velocity, dist)
             s.sensed = 1
             _correct_flag_shift(edges, s, t, q_sensed, dist)
@@ -267,7 +267,7 @@ def predict_axis_edges(now, clock, axis, of_axis, records, rows, sensordata, pos
                 s.edge = s.next_edge = NEVER
                 continue
         axis.awake = 1
-        predict_switch(now, axis, clock, s, t, position, velocity)
+        predict_switch_changes(now, axis, clock, s, t, position, velocity)
     if of_axis.index_bit:
         _predict_index(now, axis, of_axis, position, velocity, half)
 

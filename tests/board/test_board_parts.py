@@ -42,7 +42,7 @@ def test_a_device_pulls_from_the_nearest_nanosecond_on():
     assert cut, "some of them are not whole numbers"
     for ns in (*range(1, 100), *cut):
         latch.pull(at=ns / 1e9)
-        assert latch.line[0] == ns
+        assert latch.interrupt_start_ns[0] == ns
     latch.pull(at=5e-6)
     board.delay_us(4)
     assert (latch.is_pulling, board.interrupt) == (False, False)

@@ -11,7 +11,14 @@ from support.vcd_parser import parse
 from stage import Stage
 from stage.board import Board, layouts
 from stage.board.bus import host_record
-from stage.board.bus.interrupts import ANY_LINE, FIRST_LINE, FIRST_PYTHON_TIMER, FIRST_SOFTWARE, FIRST_TIMER, HIGHEST
+from stage.board.bus.interrupts import (
+    ANY_INTERRUPT_LINE,
+    FIRST_INTERRUPT_LINE,
+    FIRST_PYTHON_TIMER,
+    FIRST_SOFTWARE,
+    FIRST_TIMER,
+    HIGHEST,
+)
 from stage.board.devices import HCTL2016, Encoder
 from stage.board.interrupt_hooks import format_source_name
 from stage.board.isolation.traps.memory_windows import Windows
@@ -37,7 +44,8 @@ def test_the_trace_names_the_address_in_a_latch():
 
 
 def test_names_of_interrupts():
-    assert [format_source_name(n) for n in (0, FIRST_LINE, FIRST_LINE + 61, FIRST_SOFTWARE, FIRST_SOFTWARE + 1)] == [
+    lines = (0, FIRST_INTERRUPT_LINE, FIRST_INTERRUPT_LINE + 61)
+    assert [format_source_name(n) for n in (*lines, FIRST_SOFTWARE, FIRST_SOFTWARE + 1)] == [
         "the interrupt line", "line 0", "line 61", "software interrupt 0", "software interrupt 1",
     ]  # fmt: skip
     assert [format_source_name(n) for n in (FIRST_TIMER, FIRST_TIMER + 1, FIRST_PYTHON_TIMER, FIRST_PYTHON_TIMER + 3)] == [
@@ -188,10 +196,10 @@ def test_nothing_of_a_firmware_that_has_gone_is_left_in_the_table_of_interrupts(
     hooks, h = board.link.hooks, board.link.record
     for name in ("serving", "level", "meter", "stack_low", "stack_high"):
         h[name] = 1
-    hooks.sources["hook"][:] = hooks.sources["level"][:] = hooks.sources["lines"][:] = 3
+    hooks.sources["hook"][:] = hooks.sources["level"][:] = hooks.sources["interrupt_mask"][:] = 3
     hooks.remove_firmware_hooks()
     assert [int(h[name]) for name in ("serving", "level", "meter", "stack_low", "stack_high")] == [0] * 5
-    line, timer = hooks.sources[ANY_LINE], hooks.sources[FIRST_PYTHON_TIMER]
-    assert (line["hook"], line["level"], line["lines"], line["argument"]) == (0, 1, -1, ANY_LINE)
+    line, timer = hooks.sources[ANY_INTERRUPT_LINE], hooks.sources[FIRST_PYTHON_TIMER]
+    assert (line["hook"], line["level"], line["interrupt_mask"], line["argument"]) == (0, 1, -1, ANY_INTERRUPT_LINE)
     assert (timer["hook"], timer["argument"]) == (hooks.pointer, FIRST_PYTHON_TIMER)
     assert not hooks.sources["hook"][[k for k in range(len(hooks.sources)) if k != FIRST_PYTHON_TIMER]].any()

@@ -12,7 +12,7 @@ from support.recording_bench import read_rrd
 
 from stage.recording import pin_signals, rerun_scene
 from stage.recording.geom_archetypes import compute_poses, is_visible
-from stage.recording.rerun_scene import Scene, make_body_path
+from stage.recording.rerun_scene import Scene, make_body_entity_path
 
 rr = pytest.importorskip("rerun")
 

@@ -97,9 +97,12 @@ device in Python that it reached raised an error."""
 HOST = record(
     stage_handle.HANDLE_FIELDS
     + [(name, "i8") for name in "inside in_python".split()]
-    + [(name, "i8") for name in "regions n_regions ports n_ports lines line_room traced changed".split()]
+    + [(name, "i8") for name in "regions n_regions ports n_ports trace_cycles trace_capacity traced changed".split()]
     + [(name, "i8") for name in "until lazy ahead quiet cycles max_cycles stopped collided call".split()]
-    + [(name, "i8") for name in "sources level hooked_lines line_level n_pending top_level due".split()]
+    + [
+        (name, "i8")
+        for name in "sources level hooked_interrupt_mask hooked_interrupt_level n_pending top_level due".split()
+    ]
     + [(name, "i8") for name in "hooks serving called stack_low stack_high stack_checks meter cost rest".split()]
     + [(name, "i8") for name in "irqs acts before userdata words journals".split()]
     + [(name, "i8") for name in "checked_chips call_chip call_address call_kind call_value reached".split()]
@@ -110,12 +113,14 @@ HOST = record(
     in_python                  whether Python is being called: what the firmware requests then comes from a handler of signals or
                                another thread, and calling Python once more would break it
     regions, ports             the table of ports
-    lines, line_room, traced, changed   the trace's circular buffer and its size; lines so far, and lines up to the last write
+    trace_cycles, trace_capacity   the trace's circular buffer, and its size
+    traced, changed            bus cycles in the trace so far, and those up to the last write
     until, max_cycles          when (ns), and after how many cycles, to call Python; cycles: so far
     lazy, ahead, quiet         whether the stage may stay behind the host, by how much (ns) it does, and up to when it may
     stopped, collided, call    nothing more happens; two threads were inside at once; how to call Python
     sources, level             the interrupt controller's table, see `interrupts`, and the processor's level
-    hooked_lines, line_level   lines (bits) with a hook, and the highest level of these
+    hooked_interrupt_mask      interrupt lines that have a hook
+    hooked_interrupt_level     the highest level of these
     n_pending, top_level       sources that are pending, and the highest level of all that may call
     due                        when (ns) the next timer is
     hooks, serving, called     the hooks that are being called, the last of them (plus one, 0: none); number of calls so far
@@ -134,7 +139,9 @@ HOST = record(
     serial                     the LINE of the serial line
 """
 
-DEVICE_TABLE = record([(name, "i8") for name in "state access pulls line counts encoders n_encoders".split()])
+DEVICE_TABLE = record(
+    [(name, "i8") for name in "state access pulls interrupt_start counts encoders n_encoders".split()]
+)
 """A device on the bus: addresses of its state, of its functions (0: it has none, and Python is called for its cycles), of the time
 (ns) from which it pulls the interrupt line, of the counts of its encoders, and of the ENCODER records of these."""
 ENCODER = record([("axis", "i8"), ("counts", "f8"), ("zero", "f8")])
@@ -183,7 +190,10 @@ def leave(host):
 
 @hot
 def call_host_function(host, function, argument):
-    """Call a function of the host that may itself make requests, then restore the default floating-point mode."""
+    """Release the board while a function of the host runs, because the function may access the bus.
+
+    Then claim the board again, and restore the usual floating-point mode.
+    """
     leave(host)
     _call(function, (argument,))
     enter_usual_float_mode()
@@ -208,22 +218,22 @@ def append_to_trace(host, kind, port, value, same):
         kind: IN, OUT, ... with flags.
         port: Port of the cycle.
         value: Value that was read or written.
-        same: Number of the trace line of an earlier read of this port, which counts the new cycle if the value is equal
+        same: Number of the row of an earlier read of this port, which counts the new cycle if the value is equal
             and no write came between; or -1.
 
     Returns:
-        Number of the line.
+        Number of the row of the trace.
     """
     if host.stopped:
         return -1
-    now, lines = get_now(host), array_at(host.lines, host.line_room, CYCLE)
-    if same >= host.changed and host.traced - same <= host.line_room:
-        line = lines[same % host.line_room]
-        if line.value == value and line.kind == kind and line.port == port:
-            line.last, line.count = now, line.count + 1
+    now, cycles = get_now(host), array_at(host.trace_cycles, host.trace_capacity, CYCLE)
+    if same >= host.changed and host.traced - same <= host.trace_capacity:
+        cycle = cycles[same % host.trace_capacity]
+        if cycle.value == value and cycle.kind == kind and cycle.port == port:
+            cycle.last, cycle.count = now, cycle.count + 1
             return same
-    line = lines[host.traced % host.line_room]
-    line.first, line.last, line.count, line.kind, line.port, line.value = now, now, 1, kind, port, value
+    cycle = cycles[host.traced % host.trace_capacity]
+    cycle.first, cycle.last, cycle.count, cycle.kind, cycle.port, cycle.value = now, now, 1, kind, port, value
     host.traced += 1
     if kind & ~STRAY not in (IN, IN_WIDE):
         host.changed = host.traced
@@ -289,7 +299,7 @@ def find_interrupting_devices(host):
     pulling = 0
     for k in range(host.n_devices):
         d = get_device(host, k)
-        on = array_at(d.line, 1, INTEGER)[0] <= get_now(host)
+        on = array_at(d.interrupt_start, 1, INTEGER)[0] <= get_now(host)
         if d.pulls and not on:
             if d.n_encoders:
                 _read_encoders(host, d)

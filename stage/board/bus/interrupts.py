@@ -15,8 +15,8 @@ from stage.native import array_at, greatest, hot, least, record
 from stage.sim.stage_handle import INTEGER
 
 LINES, TIMERS, PYTHON_TIMERS, SOFTWARE = 62, 8, 4, 8
-ANY_LINE, FIRST_LINE = 0, 1
-FIRST_TIMER = FIRST_LINE + LINES
+ANY_INTERRUPT_LINE, FIRST_INTERRUPT_LINE = 0, 1
+FIRST_TIMER = FIRST_INTERRUPT_LINE + LINES
 FIRST_PYTHON_TIMER = FIRST_TIMER + TIMERS
 FIRST_SOFTWARE = FIRST_PYTHON_TIMER + PYTHON_TIMERS
 SOURCES = FIRST_SOFTWARE + SOFTWARE
@@ -25,9 +25,9 @@ NEVER = 1 << 62
 SOFTWARE_LINE = 64
 """Number of the first software interrupt among the numbers of lines."""
 
-SOURCE = record([(name, "i8") for name in "level hook argument lines period next pending missed".split()])
-"""A source: its level (1 to 15), its hook (0: none), the lines (bits) that assert it; of a timer the period (ns, 0: off) and
-when it is next; whether its flag is set, and how often it came again since."""
+SOURCE = record([(name, "i8") for name in "level hook argument interrupt_mask period next pending missed".split()])
+"""A source: its level (1 to 15), its hook (0: none), the mask of interrupt lines that assert it; of a timer the period (ns, 0: off)
+and when it is next; whether its flag is set, and how often it came again since."""
 HOOKS = 256
 HOOK_CALLED = record([(name, "i8") for name in "number source level outer outer_number mark".split()])
 """A hook that is being called: the number of the call (0: free), its source; the processor's level before; the hook that it has
@@ -53,22 +53,28 @@ def _get_hooks(host):
 
 @hot
 def update_pending(host):
-    """Compute from the table of sources which lines, levels and timers the board has to check, and when. Call it after
+    """Compute from the table of sources which interrupt lines, levels and timers the board has to check, and when. Call it after
     each change of the table."""
-    host.hooked_lines, host.line_level, host.n_pending, host.top_level, host.due = 0, 0, 0, 0, NEVER
+    host.hooked_interrupt_mask, host.hooked_interrupt_level, host.n_pending, host.top_level, host.due = (
+        0,
+        0,
+        0,
+        0,
+        NEVER,
+    )
     sources = get_sources(host)
     for k in range(SOURCES):
         s = sources[k]
         if s.hook:
-            if s.lines:
-                host.hooked_lines |= s.lines
-                host.line_level = greatest(host.line_level, s.level)
+            if s.interrupt_mask:
+                host.hooked_interrupt_mask |= s.interrupt_mask
+                host.hooked_interrupt_level = greatest(host.hooked_interrupt_level, s.level)
             if s.pending:
                 host.n_pending += 1
                 host.top_level = greatest(host.top_level, s.level)
             if s.period:
                 host.due = least(host.due, s.next)
-    host.top_level = greatest(host.top_level, host.line_level)
+    host.top_level = greatest(host.top_level, host.hooked_interrupt_level)
 
 
 @hot
@@ -91,12 +97,12 @@ def choose_source(host, asserted):
 
     Args:
         host: The HOST record.
-        asserted: Bit mask of the asserted lines.
+        asserted: Bit mask of the asserted interrupt lines.
     """
     sources, best, level = get_sources(host), -1, host.level
     for k in range(SOURCES):
         s = sources[k]
-        if s.hook and s.level > level and (s.pending or s.lines & asserted):
+        if s.hook and s.level > level and (s.pending or s.interrupt_mask & asserted):
             best, level = k, s.level
     return best
 

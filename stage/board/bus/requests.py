@@ -215,8 +215,8 @@ def _report_refusal(host, code, a, b):
 def _set_line_hook(host, hook, argument):
     """Set one hook for all interrupt lines."""
     waiting.catch_up(host)
-    s = interrupts.get_sources(host)[interrupts.ANY_LINE]
-    s.level, s.hook, s.argument, s.lines = 1, hook, argument, -1
+    s = interrupts.get_sources(host)[interrupts.ANY_INTERRUPT_LINE]
+    s.level, s.hook, s.argument, s.interrupt_mask = 1, hook, argument, -1
     interrupts.update_pending(host)
     host.quiet = 0
     waiting.call_hooks(host)
@@ -231,12 +231,12 @@ def _set_source(host, code, settings):
         code: TIMER or ON_LINE.
         settings: Five int64, see TIMER.
     """
-    number, level, source, lines = settings[0], settings[1], -1, 0
+    number, level, source, interrupt_mask = settings[0], settings[1], -1, 0
     if code == host_record.TIMER:
         if 0 <= number < interrupts.TIMERS and 0 <= settings[2] < host_record.MAX_DELAY_US * 1000:
             source = interrupts.FIRST_TIMER + number
     elif 0 <= number < host.n_chips + host.n_devices:
-        source, lines = interrupts.FIRST_LINE + number, 1 << number
+        source, interrupt_mask = interrupts.FIRST_INTERRUPT_LINE + number, 1 << number
     elif 0 <= number - interrupts.SOFTWARE_LINE < interrupts.SOFTWARE:
         source = interrupts.FIRST_SOFTWARE + number - interrupts.SOFTWARE_LINE
     is_on = settings[3] != 0 and (code != host_record.TIMER or settings[2] != 0)
@@ -245,7 +245,7 @@ def _set_source(host, code, settings):
     elif is_on and not 1 <= level <= interrupts.HIGHEST:
         _report_refusal(host, code | host_record.WRONG_LEVEL, number, level)
     else:
-        waiting.set_source(host, source, lines, settings, is_on)
+        waiting.set_source(host, source, interrupt_mask, settings, is_on)
 
 
 @hot

@@ -71,7 +71,7 @@ def _pass_cycle_time(host, ns):
     While only the chips change, the stage follows later, and only the accessed chip advances. Advancing all chips in
     each cycle would cost as much as the physics.
     """
-    lazy = host.lazy and host.line_level <= host.level
+    lazy = host.lazy and host.hooked_interrupt_level <= host.level
     if lazy and host_record.get_now(host) + ns < host.quiet:
         host.ahead += ns
         return
@@ -119,7 +119,9 @@ def _call_hooks(host):
     """Call hooks, the one with the highest level first, until no interrupt is pending."""
     calls = 0
     while host.top_level > host.level and not host.stopped:
-        asserted = find_interrupt_mask(host) & host.hooked_lines if host.line_level > host.level else 0
+        asserted = (
+            find_interrupt_mask(host) & host.hooked_interrupt_mask if host.hooked_interrupt_level > host.level else 0
+        )
         if asserted == 0 and host.n_pending == 0:
             return
         source = interrupts.choose_source(host, asserted)
@@ -158,13 +160,13 @@ def _copy_words(source, target, words):
 
 
 @hot
-def _run_to_line(host, lines, end):
-    """Advance to `end`, the end of the physics step, or the nanosecond at which one of the lines is asserted, whichever
-    comes first.
+def _run_until_interrupt(host, interrupt_mask, end):
+    """Advance to `end`, the end of the physics step, or the nanosecond at which one of some interrupt
+    lines is asserted, whichever comes first.
 
     Args:
         host: The HOST record.
-        lines: Bit mask of the lines. None of them is asserted now, or their hooks were called.
+        interrupt_mask: Bit mask of the interrupt lines. None of them is asserted now, or their hooks were called.
         end: Time, ns.
     """
     w, dt = get_world(get_stage(host)), get_clockwork(get_stage(host)).dt
@@ -173,7 +175,7 @@ def _run_to_line(host, lines, end):
     begin, noted = w.now, host.noted
     _copy_words(host.userdata, host.before, host.words)
     _run_stage(host, inside)
-    if find_interrupt_mask(host) & lines == 0:
+    if find_interrupt_mask(host) & interrupt_mask == 0:
         _run_stage(host, stop)
         return
     low, high = begin, inside  # off at `low`, asserted at `high`
@@ -182,7 +184,7 @@ def _run_to_line(host, lines, end):
         _copy_words(host.before, host.userdata, host.words)
         host.noted = noted
         _run_stage(host, middle)
-        if find_interrupt_mask(host) & lines:
+        if find_interrupt_mask(host) & interrupt_mask:
             high = middle
         else:
             low = middle
@@ -200,13 +202,13 @@ def wait(host, ns):
     end = w.now + ns
     while w.now < end and not host.stopped:
         stop = least(end, greatest(host.due, w.now + 1))
-        if host.line_level <= host.level:
+        if host.hooked_interrupt_level <= host.level:
             _pass_time(host, stop - w.now)
         elif w.now >= host.until:
             call_python(host, host_record.PAUSE)
             continue
         else:
-            _run_to_line(host, host.hooked_lines, least(stop, host.until))
+            _run_until_interrupt(host, host.hooked_interrupt_mask, least(stop, host.until))
         if w.now >= host.due:
             interrupts.mark_due_timers(host)
         call_hooks(host)
@@ -230,7 +232,7 @@ def wait_for_line(host, ns):
         if w.now >= host.until:
             call_python(host, host_record.PAUSE)
             continue
-        _run_to_line(host, -1, least(end, host.until))
+        _run_until_interrupt(host, -1, least(end, host.until))
         asserted = find_interrupt_mask(host)
     if w.now >= host.due:
         interrupts.mark_due_timers(host)
@@ -252,19 +254,24 @@ def pass_computing_time(host):
 
 
 @hot
-def set_source(host, source, lines, settings, is_on):
+def set_source(host, source, interrupt_mask, settings, is_on):
     """Set or remove the hook of an interrupt source.
 
     Args:
         host: The HOST record.
         source: Index of the source.
-        lines: Bit mask of the lines that assert it.
+        interrupt_mask: Bit mask of the interrupt lines that assert it.
         settings: Five int64: number, level, period (ns), hook, argument.
         is_on: Whether the source has a hook from now on.
     """
     catch_up(host)
     s = interrupts.get_sources(host)[source]
-    s.level, s.hook, s.argument, s.lines = settings[1], settings[3] if is_on else 0, settings[4], lines
+    s.level, s.hook, s.argument, s.interrupt_mask = (
+        settings[1],
+        settings[3] if is_on else 0,
+        settings[4],
+        interrupt_mask,
+    )
     s.period, s.next, s.missed = settings[2] if is_on else 0, host_record.get_now(host) + settings[2], 0
     if settings[2]:
         s.pending = 0

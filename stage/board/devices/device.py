@@ -61,7 +61,7 @@ class Device:
                 raise ArgumentError(f'{self.name}: encoder {encoder!r}: write for example Encoder("x", per_turn=2000).')
         self.ports: tuple[int, ...] = ()
         self.board: Board | None = None
-        self.line = np.full(1, engine_records.NEVER, np.int64)
+        self.interrupt_start_ns = np.full(1, engine_records.NEVER, np.int64)
         self.state: list[np.ndarray] = []
         self.access = self.pulls = 0
 
@@ -79,7 +79,9 @@ class Device:
         """
         if at is not None and not (_is_finite(at) and abs(at) < TIME_LIMIT_S):
             raise ArgumentError(f"{self.name}: pull(at={at!r}): a time of the stage is wanted, s since power-up.")
-        self.line[0] = engine_records.NEVER if not on else self.stage.now if at is None else round(at * 1e9)
+        self.interrupt_start_ns[0] = (
+            engine_records.NEVER if not on else self.stage.now if at is None else round(at * 1e9)
+        )
 
     @property
     def is_pulling(self) -> bool:
@@ -137,12 +139,12 @@ class Device:
 
     def list_arrays(self) -> list[np.ndarray]:
         """Return the arrays that snapshots include."""
-        return [self.line, *self.state]
+        return [self.interrupt_start_ns, *self.state]
 
     def use_arrays(self, places: list[np.ndarray]) -> None:
         """Use these arrays in place of those of `list_arrays` from now on."""
-        line, *state = places
-        self.line = line.view(np.int64)
+        interrupt_start_ns, *state = places
+        self.interrupt_start_ns = interrupt_start_ns.view(np.int64)
         pairs = zip(self.state, state, strict=True)
         self.state = [place.view(before.dtype).reshape(before.shape) for before, place in pairs]
 
@@ -164,8 +166,8 @@ class Device:
     def make_record(self) -> tuple[int, ...]:
         """Return the fields of its DEVICE_TABLE record."""
         state = self.state[0].ctypes.data if self.state else 0
-        line, counts, encoders = (a.ctypes.data for a in (self.line, self._counts, self._encoders))
-        return state, self.access, self.pulls, line, counts, encoders, len(self.encoders)
+        start, counts, encoders = (a.ctypes.data for a in (self.interrupt_start_ns, self._counts, self._encoders))
+        return state, self.access, self.pulls, start, counts, encoders, len(self.encoders)
 
     def _require_board(self) -> Board:
         if self.board is None:

@@ -21,14 +21,14 @@ import numpy as np
 from stage.board import crash_report, scratch
 from stage.board.board import Board
 from stage.board.bus import host_record, requests
-from stage.board.bus.interrupts import ANY_LINE
+from stage.board.bus.interrupts import ANY_INTERRUPT_LINE
 from stage.board.errors import HostError
 from stage.board.isolation.shared_memory import (
     LOADING,
     CorruptedError,
     NoteCounts,
+    ParentCallRequest,
     PausedMessage,
-    PythonCall,
     RunOrder,
     SharedMemory,
     StartMessage,
@@ -86,7 +86,11 @@ class ChildLink(Link):
         self.publish_devices()
         h = self.record
         self.use_serial_rows(shared.serial)
-        h["edges"], h["lines"], h["edge_room"] = shared.edges.ctypes.data, shared.cycles.ctypes.data, len(shared.edges)
+        h["edges"], h["trace_cycles"], h["edge_room"] = (
+            shared.edges.ctypes.data,
+            shared.cycles.ctypes.data,
+            len(shared.edges),
+        )
 
     def find_checked_chips(self) -> int:
         """Return a bit mask of the chips whose writes the parent checks."""
@@ -126,14 +130,14 @@ class ChildLink(Link):
 
     def set_hooks(self, sources: tuple[int, ...]) -> None:
         """Point these interrupt sources to functions in Python, which the parent calls."""
-        hooks, row = self.hooks, self.hooks.sources[ANY_LINE]
-        before = hooks.pointer if ANY_LINE in hooks.functions else 0
-        of_firmware = row["hook"] != before and not (ANY_LINE in sources and not before)
+        hooks, row = self.hooks, self.hooks.sources[ANY_INTERRUPT_LINE]
+        before = hooks.pointer if ANY_INTERRUPT_LINE in hooks.functions else 0
+        of_firmware = row["hook"] != before and not (ANY_INTERRUPT_LINE in sources and not before)
         hooks.functions = {source: partial(self._call_parent_hook, source) for source in sources}
         hooks.point_to_python(sources, keep=of_firmware)
 
     def _call_parent(self, chip: int, address: int, value: int, kind: int = -1) -> int:
-        self._pipe.send(PythonCall(self.publish_state(), chip, address, value, kind))
+        self._pipe.send(ParentCallRequest(self.publish_state(), chip, address, value, kind))
         answer, succeeded, machine, hooks = self._pipe.recv()
         if machine is not None:
             copy_settings(self.stage, pickle.loads(machine))

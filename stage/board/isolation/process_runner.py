@@ -33,8 +33,8 @@ from stage.board.isolation.shared_memory import (
     LOADING,
     CorruptedError,
     NoteCounts,
+    ParentCallRequest,
     PausedMessage,
-    PythonCall,
     RunOrder,
     SharedMemory,
     StartMessage,
@@ -204,7 +204,7 @@ class ProcessRunner:
         """Let the child execute an order, and call Python for it when requested."""
         self._pipe.send(order)
         while not isinstance(message := self._receive(), PausedMessage):
-            if isinstance(message, PythonCall):
+            if isinstance(message, ParentCallRequest):
                 self._pipe.send(self._answer_call(message))
             else:
                 self._take_notes(message)
@@ -293,7 +293,7 @@ class ProcessRunner:
             recording.take(end)
         board.log += shared.take_log_lines()
 
-    def _answer_call(self, call: PythonCall) -> tuple[int, bool, bytes | None, tuple[int, ...]]:
+    def _answer_call(self, call: ParentCallRequest) -> tuple[int, bool, bytes | None, tuple[int, ...]]:
         """Call Python in this process for the child, which continues from the state after the call."""
         board, shared = self._board, self._shared
         self._take_notes(call.noted)

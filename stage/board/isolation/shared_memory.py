@@ -36,8 +36,8 @@ _LINE = struct.Struct("qq")  # time, length
 _GUARD_SIZE = 64  # random bytes behind each array
 _FIXED = (
     "mj_model mj_data world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata inertia sites bodies "
-    "n_axes n_switches n_chips nq nv nu ns n_sites n_bodies bus own edges edge_room regions n_regions ports n_ports lines "
-    "line_room call irqs acts before userdata words journals devices n_devices serial"
+    "n_axes n_switches n_chips nq nv nu ns n_sites n_bodies bus own edges edge_room regions n_regions ports n_ports "
+    "trace_cycles trace_capacity call irqs acts before userdata words journals devices n_devices serial"
 ).split()
 """Fields of the child's HOST record that never change."""
 _LINE_BOUNDS = {
@@ -102,8 +102,8 @@ class NoteCounts(NamedTuple):
     samples: int
 
 
-class PythonCall(NamedTuple):
-    """Request to call Python in the parent: for a write to a chip, an interrupt source, or a device.
+class ParentCallRequest(NamedTuple):
+    """Request of the child that the parent calls Python: for a write to a chip, an interrupt source, or a device.
 
     The answer is a tuple: result of the call, whether it succeeded, `RunOrder.machine`, `RunOrder.hooks`.
 

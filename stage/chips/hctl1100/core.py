@@ -34,7 +34,7 @@ def _run_sample(chip, until):
         commutator.run_align_sample(chip)
     elif law.run_sample(chip) and chip.clock < until:
         more = (until - chip.clock) // (chip.sample_end - chip.clock)
-        motor_port.accumulate_drive(chip, chip.clock + more * (chip.sample_end - chip.clock))
+        motor_port.integrate_motor_command(chip, chip.clock + more * (chip.sample_end - chip.clock))
         sample_timer.skip_samples(chip, more)
 
 
@@ -43,12 +43,12 @@ def run(chip, until):
     """Let the chip's clock run up to `until`."""
     while chip.clock < until:
         if chip.mode == state.IDLE:
-            motor_port.accumulate_drive(chip, until)
+            motor_port.integrate_motor_command(chip, until)
             sample_timer.run_idle(chip, until)
             chip.clock = until
             return
         stop = least(until, chip.sample_end)
-        motor_port.accumulate_drive(chip, stop)
+        motor_port.integrate_motor_command(chip, stop)
         chip.clock = stop
         if stop == chip.sample_end:
             _run_sample(chip, until)

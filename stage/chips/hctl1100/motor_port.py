@@ -51,8 +51,8 @@ def clip_to_full_drive(drive):
 
 
 @hot
-def accumulate_drive(chip, until):
-    """Add the motor command, times the clocks up to `until`, to the integral that gives the mean for the stage."""
+def integrate_motor_command(chip, until):
+    """Integrate the motor command over the clocks up to `until`; the stage computes the mean command from the integral."""
     live = until - greatest(chip.clock, least(chip.pulse_off_until, until))
     chip.drive_integral += clip_to_full_drive(chip.motor_command) * live
 

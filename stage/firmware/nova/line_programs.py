@@ -189,7 +189,7 @@ class RangeRatioLinePrograms(NovaLinePrograms):
         counts = np.maximum(np.rint(self.settings.reach / self.compute_pulses_per_register_unit(rows, moves)), 1)
         return self._limit_initial_speed(self.clip_to_legal(rows + np.rint(corrections * counts)))
 
-    def compute_pulses_per_count(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+    def compute_pulses_per_register_unit(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         """Compute the pulses by which one count of each register moves an axis along the line, by the data sheet's formulas.
 
         Args:

@@ -20,7 +20,7 @@ from stage.drives import drive_dispatch
 from stage.sim.engine_records import AXIS, MAX_SPEED, SECOND, SLICES, SWITCH, WORLD, compute_clock_at
 from stage.sim.gpu.device_code import LaneChip
 from stage.sim.gpu.lane_layout import HOST, PLAYING, WARP
-from stage.sim.input_edges import find_next_edge, predict_axis_edges, process_axis_edges
+from stage.sim.input_edges import find_next_edge, predict_axis_switch_edges, process_axis_edges
 from stage.sim.program import END, KEEP, LOOK, MEASURE, READ, STOP, WRITE
 from stage.sim.program_player import DIVERGED, PLAYED, inspect_axis
 from stage.sim.warm_start import apply_effort
@@ -139,7 +139,7 @@ def begin_window(world, host, chip, axes, table, switches, switch_table, clockwo
     for j in range(chip.axes):
         t = table[j]
         x, speed = qpos[t.qpos], qvel[t.dof]
-        predict_axis_edges(world, clockwork, axes[j], t, switches, switch_table, sensordata, x, speed, True)
+        predict_axis_switch_edges(world, clockwork, axes[j], t, switches, switch_table, sensordata, x, speed, True)
         if ENCODERS:
             tau = float(world.now - world.start) / SECOND - clockwork.half
             cores.set_shaft(chip, j, (x + speed * tau) * t.counts, speed * t.counts / chip.hz)

@@ -98,55 +98,59 @@ def _is_mcx514(chip):
 
 
 @hot
-def _find_direction(chip, axis, step):
-    """Return the direction of step `step`, +1 or -1."""
-    if step == 4 and chip.variant == state.MCX514_TYPE:
+def _find_step_direction(chip, axis, search_step):
+    """Return the direction of step `search_step`, +1 or -1."""
+    if search_step == 4 and chip.variant == state.MCX514_TYPE:
         return 1 if axis.reg[state.TP] >= 0 else -1
-    return -1 if axis.mode[state.H1M] & DIRECTION_BITS[_is_mcx514(chip)][step - 1] else 1
+    return -1 if axis.mode[state.H1M] & DIRECTION_BITS[_is_mcx514(chip)][search_step - 1] else 1
 
 
 @hot
-def _find_stop_input(chip, axis, step):
+def _find_stop_input(chip, axis, search_step):
     """Return the STOP input that step 1 or 2 searches; 0 if it searches the limit of its direction."""
     mode = axis.mode[state.H1M]
     if chip.variant != state.MCX514_TYPE:
-        return 0 if mode & LIMIT_304 else state.STOP0 if step == 1 else state.STOP1
-    if step == 2:
+        return 0 if mode & LIMIT_304 else state.STOP0 if search_step == 1 else state.STOP1
+    if search_step == 2:
         return 0 if mode & S2SG else state.STOP1
     what = mode >> S1G & 3
     return state.STOP0 if what == 0 else state.STOP1 if what == 1 else 0
 
 
 @hot
-def _is_signal_active(chip, axis, step):
+def _is_signal_active(chip, axis, search_step):
     """Return whether the signal of step 1 or 2 is active."""
-    stop = _find_stop_input(chip, axis, step)
-    return axis.active_inputs & stop if stop else counters.is_limit_asserted(axis, _find_direction(chip, axis, step))
-
-
-@hot
-def _is_limit_ahead(chip, axis, step):
-    """Return whether the limit in the direction of a step is asserted, unless the step searches this limit."""
+    stop = _find_stop_input(chip, axis, search_step)
     return (
-        axis.limits_stop
-        and _find_stop_input(chip, axis, step)
-        and counters.is_limit_asserted(axis, _find_direction(chip, axis, step))
+        axis.active_inputs & stop
+        if stop
+        else counters.is_limit_asserted(axis, _find_step_direction(chip, axis, search_step))
     )
 
 
 @hot
-def _find_signal_cause(chip, axis, step):
+def _is_limit_ahead(chip, axis, search_step):
+    """Return whether the limit in the direction of a step is asserted, unless the step searches this limit."""
+    return (
+        axis.limits_stop
+        and _find_stop_input(chip, axis, search_step)
+        and counters.is_limit_asserted(axis, _find_step_direction(chip, axis, search_step))
+    )
+
+
+@hot
+def _find_signal_cause(chip, axis, search_step):
     """Return the finishing status that the signal of step 1 or 2 sets, bits of RR2."""
-    stop = _find_stop_input(chip, axis, step)
+    stop = _find_stop_input(chip, axis, search_step)
     if stop == 0:
-        return _find_limit_cause(chip, axis, step)
+        return _find_limit_cause(chip, axis, search_step)
     return state.F_STOP0 if stop == state.STOP0 else state.F_STOP1
 
 
 @hot
-def _find_limit_cause(chip, axis, step):
+def _find_limit_cause(chip, axis, search_step):
     """Return the finishing status that the limit in the direction of a step sets, bits of RR2."""
-    return state.F_LMT_PLUS if _find_direction(chip, axis, step) > 0 else state.F_LMT_MINUS
+    return state.F_LMT_PLUS if _find_step_direction(chip, axis, search_step) > 0 else state.F_LMT_MINUS
 
 
 # --- beginning and end ---
@@ -222,31 +226,36 @@ def _request_drive(axis, next_step, direction, slow):
 
 
 @hot
-def _begin_step(chip, axis, step):
-    """Begin step `step`, or the first later step that is enabled."""
+def _begin_step(chip, axis, search_step):
+    """Begin step `search_step`, or the first later step that is enabled."""
     enabled, mode = ENABLE_BITS[_is_mcx514(chip)], axis.mode[state.H1M]
     axis.home_trigger = axis.pause_end = axis.home_handles_limits = 0
     chip.stale = 1
-    if step <= 1 and mode & enabled[0] and not _is_signal_active(chip, axis, 1) and not _is_limit_ahead(chip, axis, 1):
-        _request_drive(axis, SEEK, _find_direction(chip, axis, 1), 0)
-    elif step <= 2 and mode & enabled[1]:
+    if (
+        search_step <= 1
+        and mode & enabled[0]
+        and not _is_signal_active(chip, axis, 1)
+        and not _is_limit_ahead(chip, axis, 1)
+    ):
+        _request_drive(axis, SEEK, _find_step_direction(chip, axis, 1), 0)
+    elif search_step <= 2 and mode & enabled[1]:
         if _is_signal_active(chip, axis, 2):
-            _request_drive(axis, BACK_OUT, -_find_direction(chip, axis, 2), 1)
+            _request_drive(axis, BACK_OUT, -_find_step_direction(chip, axis, 2), 1)
         elif _is_limit_ahead(chip, axis, 2):
-            _request_drive(axis, PASS_SIGNAL, -_find_direction(chip, axis, 2), 1)
+            _request_drive(axis, PASS_SIGNAL, -_find_step_direction(chip, axis, 2), 1)
         else:
-            _request_drive(axis, SEARCH, _find_direction(chip, axis, 2), 1)
-    elif step <= 3 and mode & enabled[2]:
+            _request_drive(axis, SEARCH, _find_step_direction(chip, axis, 2), 1)
+    elif search_step <= 3 and mode & enabled[2]:
         axis.home_state = SEARCH_Z
         if axis.active_inputs & state.STOP2:
             axis.stop_causes |= state.E_HOME
             end_search(chip, axis)
         else:
-            _request_drive(axis, SEARCH_Z, _find_direction(chip, axis, 3), 1)
-    elif step <= 4 and mode & enabled[3]:
+            _request_drive(axis, SEARCH_Z, _find_step_direction(chip, axis, 3), 1)
+    elif search_step <= 4 and mode & enabled[3]:
         axis.home_state, axis.drives_at_hv, axis.absolute, axis.pulse_sign = OFFSET, 0, 0, 1
         axis.launch_direction, axis.launch_pulses = (
-            _find_direction(chip, axis, 4),
+            _find_step_direction(chip, axis, 4),
             abs(axis.reg[state.TP]) if chip.variant == state.MCX514_TYPE else axis.reg[state.TP] & 0xFFFFFFFF,
         )
     else:
@@ -335,10 +344,14 @@ def _clear_at_signal(chip, axis, mode_bits):
 
 
 @hot
-def _has_further_step(chip, axis, step):
-    """Return whether a step after step `step` is enabled."""
+def _has_further_step(chip, axis, search_step):
+    """Return whether a step after step `search_step` is enabled."""
     enabled, mode = ENABLE_BITS[_is_mcx514(chip)], axis.mode[state.H1M]
-    return (step < 2 and mode & enabled[1]) or (step < 3 and mode & enabled[2]) or (step < 4 and mode & enabled[3])
+    return (
+        (search_step < 2 and mode & enabled[1])
+        or (search_step < 3 and mode & enabled[2])
+        or (search_step < 4 and mode & enabled[3])
+    )
 
 
 @hot

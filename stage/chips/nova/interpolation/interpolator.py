@@ -238,7 +238,7 @@ def _compute_tick_rate(chip):
 
 
 @hot
-def make_tick(chip):
+def begin_tick(chip):
     """Begin the prepared tick at the present clock."""
     interpolation, queued_segment = chip.ip, chip.queue[chip.ip.queue_head]
     if interpolation.ends_interpolation:
@@ -279,7 +279,7 @@ def make_ticks(chip, until):
     """
     while chip.ip.next_tick_clock <= until:
         chip.clock = chip.ip.next_tick_clock
-        make_tick(chip)
+        begin_tick(chip)
         if chip.stale:
             return chip.clock
     return until
@@ -313,7 +313,7 @@ def trace_ticks(chip, until, pulses, pulse_index):
                     e = pulses[pulse_index]
                     e.clock, e.axis, e.direction = chip.clock, j, chip.ax[j].direction
                     pulse_index += 1
-        make_tick(chip)
+        begin_tick(chip)
         if chip.stale:
             return chip.clock, pulse_index
     return until, pulse_index
@@ -395,7 +395,7 @@ def find_next_event(chip):
 def make_single_step(chip):
     """Make the next tick by command, if the interpolation is single-stepped."""
     if chip.interpolating and chip.ip.single_stepped and not chip.ip.awaits_start and chip.ip.role != state.SLAVE:
-        make_tick(chip)
+        begin_tick(chip)
         chip.stale = 1
 
 

@@ -73,7 +73,7 @@ def await_start(chip, mask, main, stepped, role, fixed):
 
 @hot
 def _begin_line(chip):
-    """Begin the line at the clock at which all chips begin."""
+    """Begin the straight line now; all linked chips begin theirs at this clock."""
     ip, segment = chip.ip, chip.queue[chip.ip.queue_head]
     if not ip.uses_tx:
         segment.tick_count = greatest(segment.tick_count, linked_chips.read_number(chip.wire_word))
@@ -127,7 +127,7 @@ def _apply_master_ticks(chip, count, settle):
         if chip.interpolating:
             if chip.clock > ip.last_tick_clock:
                 ip.tick_interval, ip.last_tick_clock = chip.clock - ip.last_tick_clock, chip.clock
-            interpolation.make_tick(chip)
+            interpolation.begin_tick(chip)
             if chip.stale:
                 settle(chip)
 

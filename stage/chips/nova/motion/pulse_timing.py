@@ -28,15 +28,15 @@ def find_piece(axis, clocks):
 
 @hot
 def compute_exact_place(axis, piece, clocks):
-    """Compute the place at a clock with double-doubles.
+    """Compute exactly how many pulses, with a fraction, a drive has made at a clock since a piece of its profile began.
 
     Args:
         axis: State of the axis.
         piece: Number of the piece.
-        clocks: Clocks after the origin.
+        clocks: Clocks after the origin, which is the clock at which the drive began.
 
     Returns:
-        Pulses beyond the whole pulses at which the piece began, a double-double.
+        Pulses since the number of whole pulses (`from_pulse`) at which the piece began, a double-double.
     """
     t = dd.subtract(dd.from_integer(clocks), (axis.t[piece, 0], axis.t[piece, 1]))
     r = dd.add((axis.a2[piece, 0], axis.a2[piece, 1]), dd.multiply(t, (axis.j6[piece, 0], axis.j6[piece, 1])))
