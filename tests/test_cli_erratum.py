@@ -36,7 +36,7 @@ def once(monkeypatch):
             MOVES[key] = move(stage, stop)
         return MOVES[key]
 
-    monkeypatch.setattr(erratum, "_move", known)
+    monkeypatch.setattr(erratum, "_drive_s_curve", known)
 
 
 def run_erratum(capsys, *argv, code=0):
@@ -100,7 +100,9 @@ def test_it_draws_itself_and_records_both_runs(work_folder, capsys, monkeypatch,
     drawn = []
     draw = erratum_picture.draw_erratum_plot
     monkeypatch.setattr(
-        erratum_picture, "draw", lambda result, *args: drawn.append((result, draw(result, *args))) or drawn[0][1]
+        erratum_picture,
+        "draw_erratum_plot",
+        lambda result, *args: drawn.append((result, draw(result, *args))) or drawn[0][1],
     )
     output = run_erratum(capsys, "--plot", "e.png", "--record", "e.rrd", *vcd).out
     assert (work_folder / "e.png").read_bytes().startswith(b"\x89PNG")

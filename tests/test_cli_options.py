@@ -561,7 +561,7 @@ def test_fault_lists_them_all_and_what_does_not_happen_as_claimed_ends_with_1(mo
         demo = demonstrations.Demo("a claim", "a notice", lambda *_: {"n": 1}, lambda *_, h=happened: h)
         monkeypatch.setattr(
             demonstrations,
-            "show",
+            "run_demonstration",
             lambda *_, d=demo: demonstrations.DemoResult("jam", d, ({"n": 1}, {"n": 2}), (None, None)),
         )
         assert main(["fault", "jam"]) == code
