@@ -216,25 +216,25 @@ def go_home(host):
         port, profile = chip_port.Port(axis), firmware.Profile.of(fl=1000, fh1=16_000, accel=0.15)
 
         def run(control, start, port=port, axis=axis):
-            port.command(chip_port.RESET)
-            port.control(control)
-            port.command(start)
+            port.write_command(chip_port.RESET)
+            port.write_control_mode(control)
+            port.write_command(start)
             status = port.wait_until_stopped(20.0, 0.1)
             axis.wait(0.05)
             return status
 
         def leave(port=port, run=run, axis=axis):
-            port.command(chip_port.RESET)
-            port.control(0)
-            port.command(chip_port.START["FL"])
+            port.write_command(chip_port.RESET)
+            port.write_control_mode(0)
+            port.write_command(chip_port.START["FL"])
             port.wait_until(lambda s: not s.org, 20.0, 1e-2)
             axis.wait(0.1)
-            port.command(chip_port.RESET)
+            port.write_command(chip_port.RESET)
             port.wait_until_stopped(1.0)
 
-        port.command(chip_port.RESET)
+        port.write_command(chip_port.RESET)
         port.write_registers(**{n: v for n, v in profile.registers().items() if n in "R1 R2 R4 R5 R7"})
-        if port.status().org:
+        if port.read_status().org:
             leave()
         run(chip_port.ORIGIN | chip_port.SD | chip_port.MINUS, chip_port.RAMP["FH1"])
         leave()
