@@ -148,7 +148,18 @@ def scale_contexts(ends: Mapping[str, tuple[float, float]], context: np.ndarray)
 
 @dataclass(frozen=True)
 class NominalMachine:
-    """An axis of a stage as its model has it, before a context makes it another."""
+    """Values of an axis in the model of a stage, which a context multiplies or replaces.
+
+    Attributes:
+        axis: Name of the axis.
+        carrier: Name of the body that carries the payload.
+        friction: Friction of the joint, N (N m on a hinge).
+        damping: Damping of the joint, N s/m (N m s/rad on a hinge).
+        supply: Voltage of the supply, V.
+        current: Current of the power stage, A.
+        loss: Core loss damping of the motor, N m s/rad.
+        inductance: Inductance of a winding, H.
+    """
 
     axis: str
     carrier: str

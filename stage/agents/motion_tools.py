@@ -122,7 +122,7 @@ class MotionTools:
     def stop(self, axis: str, at_once: bool = False) -> dict[str, Any]:
         """Stop an axis, with a ramp or at once, and wait until it rests."""
         self._context.driver(axis).halt(at_once)
-        return self._finish_watched(axis, "stopped by the host")
+        return self._report_watched_move(axis, "stopped by the host")
 
     def wait(self, seconds: float) -> dict[str, Any]:
         """Let simulated time pass."""
@@ -138,7 +138,7 @@ class MotionTools:
             wait_until_stopped([a], timeout)
             reason = self._describe_status(axis)
         a.wait(SETTLING_TIME_S)
-        return self._finish_watched(axis, reason, self._stop_commands.pop(axis, ""))
+        return self._report_watched_move(axis, reason, self._stop_commands.pop(axis, ""))
 
     def report(self) -> dict[str, Any]:
         """Show the report of the last move."""
@@ -189,7 +189,7 @@ class MotionTools:
         words = self._context.driver(axis).read_status_words()
         return "; ".join(Fields(places[name]).describe(name, value) for name, value in words.items())
 
-    def _finish_watched(self, axis: str, reason: str, stop_command: str = "") -> dict[str, Any]:
+    def _report_watched_move(self, axis: str, reason: str, stop_command: str = "") -> dict[str, Any]:
         if axis not in self._watched:
             return {"axis": axis, "at_rest": True, "time_s": self._context.time_s}
         procedure, pulses = self._watched.pop(axis)

@@ -107,11 +107,11 @@ class RecordingTools:
         if report is None:
             raise StageError("Nothing has been recorded yet: a move makes a recording of its course.")
         if isinstance(report, SynchronizedReport):
-            return {"move": "line", "axes": {name: describe_course(r) for name, r in report.axes.items()}}
-        return describe_course(report)
+            return {"move": "line", "axes": {name: tabulate_waveform(r) for name, r in report.axes.items()}}
+        return tabulate_waveform(report)
 
 
-def describe_course(report: Report) -> dict[str, Any]:
+def tabulate_waveform(report: Report) -> dict[str, Any]:
     """Return time, pulses and rate of a move as columns."""
     net = report.course.edges["net"]
     columns = {"seconds": report.course.seconds, "pulses": net - net[0], "pulses_per_second": report.rates}

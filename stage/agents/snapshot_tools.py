@@ -33,7 +33,7 @@ class SnapshotTools:
 
     def snapshot(self, name: str) -> dict[str, Any]:
         """Save the state of the whole stage under a name: physics, chips, drives, time."""
-        _check_name(name, self._snapshots)
+        _check_snapshot_name(name, self._snapshots)
         if name == POWER_UP:
             raise ArgumentError(f'"{POWER_UP}" is the state with which the session began; choose another name.')
         self._snapshots[name] = self._take()
@@ -46,7 +46,7 @@ class SnapshotTools:
 
     def branch(self, name: str) -> dict[str, Any]:
         """Switch to a branch: a new name begins one here; a known one continues where you left it."""
-        _check_name(name, {*self._branches, self._branch})
+        _check_snapshot_name(name, {*self._branches, self._branch})
         if name != self._branch:
             self._branches[self._branch] = self._take()
             if name in self._branches:
@@ -63,7 +63,7 @@ class SnapshotTools:
         self._context.forget()
 
 
-def _check_name(name: str, known: Collection[str]) -> None:
+def _check_snapshot_name(name: str, known: Collection[str]) -> None:
     if not name.strip() or len(name) > MAX_NAME_CHARACTERS or not name.isprintable():
         raise ArgumentError(f"name: 1 to {MAX_NAME_CHARACTERS} printable characters.")
     if name not in known and len(known) >= MAX_SNAPSHOTS:

@@ -189,7 +189,7 @@ class Hooks:
         level_error = f"level {b} of {_name_request(code, a)}: levels of hooks are 1 to {interrupts.HIGHEST}"
         return f"{bounds.get(code, level_error)}; at {self._link.stage.time:.6f} s."
 
-    def check_returned(self) -> None:
+    def check_hooks_have_returned(self) -> None:
         """Raise HostError if the firmware returns while one of its hooks has not returned and keeps other interrupts
         from being called."""
         h = self._link.record

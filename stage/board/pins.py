@@ -88,7 +88,7 @@ def parse_pins(texts: str | Iterable[str], chips: Mapping[str, Chip], fold_case:
     if fold_case:
         lines = {key: line._replace(pin=line.pin.upper()) for key, line in lines.items()}
     for line in lines.values():
-        _check_line(line, chips)
+        _check_pin_line(line, chips)
     _check_pins(lines.values())
     return tuple(lines.values())
 
@@ -103,7 +103,7 @@ def _parse_entry(entry: str) -> PinLine:
     return PinLine(match["axis"], match["line"], match["pin"], bool(match["invert"]))
 
 
-def _check_line(line: PinLine, chips: Mapping[str, Chip]) -> None:
+def _check_pin_line(line: PinLine, chips: Mapping[str, Chip]) -> None:
     """Raise ArgumentError for an axis that does not exist or whose chip has no such pin."""
     if line.axis not in chips:
         raise ArgumentError(f"--pins {line}: {unknown_name_error('axis', line.axis, chips)}")

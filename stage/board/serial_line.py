@@ -350,7 +350,7 @@ class SerialPort:
         when = f"within {timeout:g} s" if result is None else "before it returned"
         raise RunTimeout(
             f"{host.path.name} has not sent {wanted} over its serial line {when} (now {host.board.stage.time:.6f} s). "
-            f"{describe_ending(bytes(self._unread))}"
+            f"{describe_last_bytes(bytes(self._unread))}"
         )
 
     def _take(self, count: int, like: AnyStr) -> AnyStr:
@@ -384,7 +384,7 @@ def from_bytes(content: bytes, like: AnyStr) -> AnyStr:
     return content.decode("latin-1") if isinstance(like, str) else content
 
 
-def describe_ending(sent: bytes) -> str:
+def describe_last_bytes(sent: bytes) -> str:
     """Return a sentence about the last bytes that the firmware has sent."""
     if not sent:
         return "It has sent nothing."

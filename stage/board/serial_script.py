@@ -21,7 +21,7 @@ from pathlib import Path
 
 from stage.board.bus.serial_core import NO_BYTE
 from stage.board.errors import HostError
-from stage.board.serial_line import SerialEnd, describe_ending, to_bytes
+from stage.board.serial_line import SerialEnd, describe_last_bytes, to_bytes
 from stage.errors import ArgumentError
 from stage.support.files import FileError
 from stage.support.foreign_files import read_text
@@ -196,7 +196,7 @@ class SerialScript(SerialEnd):
             if self._now >= deadline:
                 raise HostError(
                     f"{self._name}:{command.line}: the firmware has not sent {command.text.decode('latin-1')!r} within "
-                    f"{timeout * 1e-9:g} s. {describe_ending(bytes(self._unread))}"
+                    f"{timeout * 1e-9:g} s. {describe_last_bytes(bytes(self._unread))}"
                 )
             yield b""
         del self._unread[: at + len(command.text)]

@@ -226,7 +226,7 @@ class ThreadRunner:
         try:
             link.request(link.pointer, host_record.SETTLE, 0, 0)
             link.end_run()
-            link.hooks.check_returned()
+            link.hooks.check_hooks_have_returned()
         except BaseException as error:
             link.set_error(error)
         finally:

@@ -179,7 +179,7 @@ class FrameExecutor:
         return b""
 
     def _reset_chips(self, body: bytes) -> bytes:
-        _check_empty("RESET", body)
+        _check_body_is_empty("RESET", body)
         for chip in self.board.stage.chips:
             chip.reset()
         return b""
@@ -206,12 +206,12 @@ class FrameExecutor:
         return b""
 
     def _read_status(self, body: bytes) -> bytes:
-        _check_empty("STATUS", body)
+        _check_body_is_empty("STATUS", body)
         board = self.board
         return client.STATUS_REPLY.pack(board.stage.now, board.cycles, board.interrupt)
 
     def _read_positions(self, body: bytes) -> bytes:
-        _check_empty("POSITIONS", body)
+        _check_body_is_empty("POSITIONS", body)
         axes = self.board.stage.axes.values()
         return b"".join(client.PLACE.pack(a.position, a.commanded, a.lost_steps) for a in axes)
 
@@ -311,6 +311,6 @@ def _make_printable(line: str) -> str:
     return "".join(c if c.isprintable() or c == "\t" else ascii(c)[1:-1] for c in line.rstrip("\r\n"))
 
 
-def _check_empty(frame: str, body: bytes) -> None:
+def _check_body_is_empty(frame: str, body: bytes) -> None:
     if body:
         raise ArgumentError(f"{frame}: {len(body):,} bytes; it has no body.")

@@ -144,7 +144,7 @@ class Server:
         """Serve until `stop` is called, then close all connections."""
         try:
             while not self._stopping:
-                self._handle_events(self._compute_wait())
+                self._handle_events(self._compute_poll_timeout())
         finally:
             for connection in list(self._connections()):
                 self._close(connection)
@@ -189,7 +189,7 @@ class Server:
         in_request = self._busy and not self._in_hook and connection is self._driver
         return len(connection.outgoing) < MAX_WAITING and not in_request
 
-    def _compute_wait(self) -> float | None:
+    def _compute_poll_timeout(self) -> float | None:
         """Return the seconds until the server has to act even if no bytes arrive; None if it only waits for bytes."""
         waits = []
         for connection in self._connections():
@@ -387,7 +387,7 @@ class Server:
         self._in_hook, self._returned, self._failed_hook = True, False, ""
         try:
             while not self._returned:
-                self._handle_events(self._compute_wait())
+                self._handle_events(self._compute_poll_timeout())
                 self._check_host_present()
         finally:
             self._in_hook = False

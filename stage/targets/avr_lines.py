@@ -48,7 +48,7 @@ class AvrLines:
         self._axes, self._chips = board.stage.axes, list(board.stage.chips)
         places = [(*parse_avr_pin(line, avr.mcu), line) for line in lines]
         for port, bit, line in places:
-            _check_place(line, avr.has_port(port), (port, bit) in avr.bus_pins, avr.mcu)
+            _check_pin_of_line(line, avr.has_port(port), (port, bit) in avr.bus_pins, avr.mcu)
         self._places, self._bus_pins = places, avr.bus_pins
         self._connect_driven_lines(sorted(place for place in places if place[2].line in DRIVEN), avr)
         self._connect_read_lines(sorted(place for place in places if place[2].line not in DRIVEN), avr)
@@ -132,7 +132,7 @@ def parse_avr_pin(line: PinLine, mcu: str) -> tuple[int, int]:
     return avr_core.PORTS.index(match[1]), int(match[2])
 
 
-def _check_place(line: PinLine, has_port: bool, is_of_bus: bool, mcu: str) -> None:
+def _check_pin_of_line(line: PinLine, has_port: bool, is_of_bus: bool, mcu: str) -> None:
     if not has_port:
         raise ArgumentError(f"--pins {line}: the {mcu} has no port {line.pin[0]}; take a pin that it has.")
     if is_of_bus:

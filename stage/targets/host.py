@@ -76,7 +76,7 @@ class TargetHost(Host):
         if gdb is not None and not (isinstance(gdb, int) and 1024 <= gdb < 65536):
             raise ArgumentError(f"gdb={gdb!r}: a TCP port, 1024 to 65535.")
         if gdb is not None:
-            _check_free(gdb)
+            _check_port_is_free(gdb)
         self.mcu = mcus.check_mcu(mcu)
         maps = [map] if isinstance(map, str) else list(map)
         chips = {name: axis.chip for name, axis in board.stage.axes.items()}
@@ -88,7 +88,7 @@ class TargetHost(Host):
         )
 
 
-def _check_free(port: int) -> None:
+def _check_port_is_free(port: int) -> None:
     """Raise ArgumentError if a TCP port is in use. Emulators notice that only during the run, and simavr then waits
     forever."""
     with socket.socket() as trial:

@@ -143,10 +143,10 @@ def submit_entry(args: argparse.Namespace) -> int:
     )  # fmt: skip
     progress.end()
     entry.write(args.output, args.force)
-    tell(args, file=args.output, player=entry.player, mean=_compute_means(entry))
+    tell(args, file=args.output, player=entry.player, mean=_compute_mean_scores(entry))
     print(f"{entry.player}, {entry.task} {entry.split}: {len(entry.seeds)} episodes, {len(entry.rewards)} steps")
     print(
-        ", ".join(f"{name} {value:.4g}" for name, value in _compute_means(entry).items() if value is not None)
+        ", ".join(f"{name} {value:.4g}" for name, value in _compute_mean_scores(entry).items() if value is not None)
         + " (means)"
     )
     if len(entry.seeds) < card.episodes:
@@ -178,7 +178,7 @@ def print_tables(args: argparse.Namespace) -> int:
     return 0
 
 
-def _compute_means(entry: Any) -> dict[str, float | None]:
+def _compute_mean_scores(entry: Any) -> dict[str, float | None]:
     """Return the mean of each score over the episodes; None where one is infinite."""
     import numpy as np
 

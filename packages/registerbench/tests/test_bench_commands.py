@@ -8,7 +8,7 @@ import pytest
 
 import registerbench
 from registerbench import CARDS, list_test_seeds
-from registerbench.bench_commands import _compute_means
+from registerbench.bench_commands import _compute_mean_scores
 from stage.cli import main
 from stage.envs import machine_contexts
 
@@ -67,7 +67,7 @@ def test_an_invalid_cost_is_refused(played, capsys, cost):
 
 def test_a_mean_is_of_finite_numbers_alone():
     entry = SimpleNamespace(scores={"a": np.array([1.0, 4.0]), "b": np.array([1.0, np.inf])})
-    assert _compute_means(entry) == {"a": 2.5, "b": None}
+    assert _compute_mean_scores(entry) == {"a": 2.5, "b": None}
 
 
 def test_a_replay_uses_the_requested_tolerance_and_returns_its_exit_code(monkeypatch, capsys):

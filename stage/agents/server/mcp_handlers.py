@@ -55,7 +55,7 @@ class Protocol:
             on_list_resource_templates=self._list_templates,
             on_list_prompts=self._list_prompts, on_get_prompt=self._get_prompt,
         )  # fmt: skip
-        self.server.middleware.append(_check_call)
+        self.server.middleware.append(_check_call_form)
         if not sessionless:
             self.server.add_request_handler("server/discover", types.RequestParams, self._discover)
 
@@ -116,7 +116,7 @@ class Protocol:
         uri = str(params.uri)
 
         def read() -> tuple[str, str]:
-            box, pages = self._find_box(ctx), list_pages(self._factory.catalog)
+            box, pages = self._find_toolbox(ctx), list_pages(self._factory.catalog)
             if uri not in pages:
                 raise unknown_name_error("resource", uri, pages)
             return pages[uri].kind, pages[uri].read(box)
@@ -147,14 +147,14 @@ class Protocol:
         except StageError as error:
             raise MCPError(types.INVALID_PARAMS, str(error)) from None
 
-    def _find_box(self, ctx: Any) -> Toolbox:
+    def _find_toolbox(self, ctx: Any) -> Toolbox:
         key = self._find_key(ctx)
         if key is None:
             raise StageError(NO_SESSION)
         return self._sessions.box(key)
 
 
-async def _check_call(ctx: Any, call_next: Any) -> Any:
+async def _check_call_form(ctx: Any, call_next: Any) -> Any:
     """Answer a call of a wrong form by a tool error that says what is allowed, and not by an error of the protocol."""
     params = ctx.params or {}
     if ctx.method == "tools/call" and ctx.request_id is not None:

@@ -181,7 +181,7 @@ class ChildBoard(Board):
         self.port_table[:] = go.ports
         stage.state.clockwork[0].sample_every = go.sample_every
         stage.loop.recording = link.samples if go.sample_every else None
-        link.checked = go.find_checked_chips
+        link.checked = go.checked_chips
         link.set_hooks(go.hooks)
 
 

@@ -163,7 +163,7 @@ class ProcessRunner:
         if self._child is None:
             self._start()
         self._running, self._error, self._until = True, None, until
-        order = self._make_order(until, max_cycles)
+        order = self._make_run_order(until, max_cycles)
         try:
             message = self._run_child(order)
         except (EOFError, OSError):
@@ -189,7 +189,7 @@ class ProcessRunner:
             self._detach_from_owner(may_run=True)
         self._end_child()
 
-    def _make_order(self, until: int, max_cycles: int) -> RunOrder:
+    def _make_run_order(self, until: int, max_cycles: int) -> RunOrder:
         """Write the state to shared memory and return the order for the child."""
         board, stage = self._board, self._board.stage
         machine = self._pickle_if_changed()

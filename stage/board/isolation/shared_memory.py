@@ -90,7 +90,7 @@ class RunOrder(NamedTuple):
     ports: np.ndarray
     machine: bytes | None
     sample_every: int
-    find_checked_chips: int
+    checked_chips: int
     hooks: tuple[int, ...]
     lines: int
 
@@ -123,7 +123,15 @@ class ParentCallRequest(NamedTuple):
 
 
 class PausedMessage(NamedTuple):
-    """Message that the firmware has paused or returned, or that an error (type, text) ended it."""
+    """Message that the firmware has paused or returned, or that an error ended it.
+
+    Attributes:
+        noted: Numbers of notes in the shared file.
+        ports: Table of ports.
+        code: Value that the firmware returned; None while it has not returned.
+        error: Type and text of the error that ended the firmware.
+        wiring_problems: Sentences about lines of axes that seem to be at the wrong pins.
+    """
 
     noted: NoteCounts
     ports: np.ndarray

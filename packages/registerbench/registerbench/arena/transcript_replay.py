@@ -73,7 +73,7 @@ def replay(
         if report_progress:
             report_progress(len(replayed), len(recorded.games))
     result = make_result(recorded.head, replayed)
-    return TranscriptReplay(result, _compare_summary(recorded, result), _describe_cut(recorded))
+    return TranscriptReplay(result, _compare_summary(recorded, result), _describe_missing_games(recorded))
 
 
 def replay_game(game: Game, claimed: GameResult, max_calls: int | None = None) -> str:
@@ -117,7 +117,7 @@ def _compare_summary(recorded: Transcript, result: SuiteResult) -> str:
     )
 
 
-def _describe_cut(recorded: Transcript) -> str:
+def _describe_missing_games(recorded: Transcript) -> str:
     """Say which part of the games a transcript lacks; "" if it is complete."""
     n, of = len(recorded.games), len(recorded.head.games)
     if n < of:

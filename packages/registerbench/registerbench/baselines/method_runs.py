@@ -75,10 +75,10 @@ class Method:
         name: Name in the tables.
         search: Function (moves, seed) that spends the budget of moves.
         color: Color in the picture.
-        fixed: Number of moves that does not grow with --budget, for a method without chance.
+        fixed_moves: Number of moves that does not grow with --budget, for a method without chance.
         space: "registers" or "knobs".
         lanes: Number of moves made at once.
-        part: Share of the budget.
+        budget_share: Share of the budget.
     """
 
     name: str

@@ -67,7 +67,7 @@ class TuningSession:
         attempt = Tool(
             "attempt",
             "Make the move with the registers as they are, and put the table back.",
-            self._make_attempt,
+            self._try_move,
             moves=True,
         )
         self.box = Toolbox(self._stage, "host", Budget(moves=budget), snapshots=False, more=[attempt])
@@ -78,7 +78,7 @@ class TuningSession:
         )  # fmt: skip
         self._return_to_start()
 
-    def _make_attempt(self) -> dict[str, Any]:
+    def _try_move(self) -> dict[str, Any]:
         stage, axis, port, c = self._stage, self._axis, self._port, Config()
         port.write_command(chip_port.RESET)
         port.write_register("R0", self.distance)
