@@ -200,7 +200,8 @@ def explain(error: ValidationError, missing: Callable[[str], str], unexpected: C
 
     Args:
         error: What pydantic raised for the arguments of a call.
-        missing, unexpected: Sentences for an argument that is absent and for one that the tool does not take, by its name.
+        missing: Returns the sentence for an argument that is absent, by its name.
+        unexpected: Returns the sentence for an argument that the tool does not take, by its name.
     """
     found = error.errors(include_url=False)
     first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])

@@ -257,7 +257,7 @@ class Board:
             source: Instead of both, a device in C: sources, or a library, with pulsestage_device.h.
             flags: Flags of the compiler for `source`.
             state: Array that a device in Python changes in place: snapshots of the stage carry it.
-            tell: Function `tell(port, value, writes)` -> what a cycle means, for the trace.
+            describe: Function `describe(port, value, writes)` that returns what a cycle means, for the trace.
             name: What messages call it.
             encoders: Encoders that it counts, see `Device.counts`.
             width: Bits of its bus, 8 or 16. With 16 each register takes two ports, as in the layout "nova".

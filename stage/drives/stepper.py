@@ -125,9 +125,12 @@ def _advance_slice(drive, a, b, ta, tb, s, c, omega, sine_held):
 
     Args:
         drive: DRIVE record.
-        a, b: Currents at the beginning, A.
-        ta, tb: Cosine and sine of the commanded phase.
-        s, c: Sine and cosine of the rotor's phase.
+        a: Current of phase A at the beginning, A.
+        b: Current of phase B at the beginning, A.
+        ta: Cosine of the commanded phase.
+        tb: Sine of the commanded phase.
+        s: Sine of the rotor's phase.
+        c: Cosine of the rotor's phase.
         omega: Speed of the rotor, rad/s.
         sine_held: Result of `_is_sine_held`.
     """
@@ -171,11 +174,15 @@ def _advance_on_targets(drive, waves, s, c, psi_s, psi_c, s4, c4, omega):
     """Advance the currents of a chopper that reaches its target in every slice, so that slices do not depend on each other.
 
     Args:
-        d, omega: As `compute_mean_torque` takes them.
-        waves: As `_place_targets` leaves them.
-        s, c: Sine and cosine of the rotor's phase in the middle of the window.
-        psi_s, psi_c: Those of the target at the end of the slice that ends there.
-        s4, c4: Those of the angle by which the rotor turns in half of the window.
+        drive: DRIVE record.
+        waves: Sines and cosines of the targets, as `_place_targets` leaves them.
+        s: Sine of the rotor's phase in the middle of the window.
+        c: Cosine of the rotor's phase in the middle of the window.
+        psi_s: Sine of the target at the end of the slice that ends in the middle of the window.
+        psi_c: Cosine of that target.
+        s4: Sine of the angle by which the rotor turns in half of the window.
+        c4: Cosine of that angle.
+        omega: Speed of the rotor, rad/s.
 
     Returns:
         Sum over the slices of the current across the rotor, which makes torque, A; sum of that along the rotor, times the distance
@@ -212,9 +219,15 @@ def _advance_by_slices(drive, waves, counts, n_slices, s, c, turn_s, turn_c, ome
     An open phase carries no current, whatever the drive commands.
 
     Args:
-        d, waves, counts, n, omega: As `compute_mean_torque` and `_place_targets` have them.
-        s, c: Sine and cosine of the rotor's phase at the beginning of the window.
-        turn_s, turn_c: Sine and cosine of the angle by which the rotor turns in each slice.
+        drive: DRIVE record.
+        waves: Gets the sine and cosine of the target of each slice.
+        counts: Pulses commanded at each slice.
+        n_slices: Number of slices.
+        s: Sine of the rotor's phase at the beginning of the window.
+        c: Cosine of the rotor's phase at the beginning of the window.
+        turn_s: Sine of the angle by which the rotor turns in each slice.
+        turn_c: Cosine of that angle.
+        omega: Speed of the rotor, rad/s.
         half: Electrical radians by which the rotor turns in half a slice.
     """
     for k in range(n_slices):

@@ -76,7 +76,9 @@ def move_at_two_rates(
     """Move an axis through several drive speeds, and wait until it is there. A chip with one drive speed moves at `speed.second`.
 
     Args:
-        axis, distance, pulses: Same as for `move`.
+        axis: Axis to move, with any chip.
+        distance: Signed distance, m or rad. Give this or `pulses`.
+        pulses: Signed number of pulses, or encoder counts of a servo.
         speed: Speeds, of which `second` is the second drive speed.
         dwell: Seconds at each speed except the last one, after its ramp.
         rates: "FL", "FH1" and "FH2" in the order of the move: start, first and second drive speed.

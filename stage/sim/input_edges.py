@@ -180,7 +180,11 @@ def predict_switch_changes(world, axis, clockwork, switch, switch_row, position,
     A contact that bounces comes to rest before the next change.
 
     Args:
-        world, axis, clockwork, s, t: WORLD, AXIS, CLOCKWORK, SWITCH and the switch's row of SWITCH_TABLE.
+        world: WORLD record.
+        axis: AXIS record of the switch's axis.
+        clockwork: CLOCKWORK record.
+        switch: SWITCH record.
+        switch_row: The switch's row of SWITCH_TABLE.
         position: Position of the axis' joint at the window's center.
         velocity: Speed of the joint.
     """

@@ -16,7 +16,9 @@ def compute_force_change(axis, axis_row, drive, effort_change, speed, damping, c
     """Return the change of a joint's force since the last physics step, N or N m, and note the joint's speed for the next step.
 
     Args:
-        axis: AXIS of the axis; t, d: its rows of AXIS_TABLE and DRIVE.
+        axis: AXIS record of the axis.
+        axis_row: The axis' row of AXIS_TABLE.
+        drive: DRIVE record of the axis.
         effort_change: Change of what goes to its actuator, N m or V.
         speed: Of the joint, units/s.
         damping: Of the joint, N s/m or N m s/rad.
@@ -35,9 +37,16 @@ def apply_effort(clock, axis, axis_row, drive, position, velocity, ctrl, acceler
 
     Args:
         clock: CLOCKWORK of the stage.
-        axis: AXIS of the axis; t, d: its rows of AXIS_TABLE and DRIVE.
-        q, v, ctrl, accelerations: MuJoCo's qpos, qvel, ctrl and qacc_warmstart.
-        inertia, damping, core_loss: MuJoCo's dof_M0, dof_damping and actuator_damping.
+        axis: AXIS record of the axis.
+        axis_row: The axis' row of AXIS_TABLE.
+        drive: DRIVE record of the axis.
+        position: MuJoCo's qpos.
+        velocity: MuJoCo's qvel.
+        ctrl: MuJoCo's ctrl.
+        accelerations: MuJoCo's qacc_warmstart.
+        inertia: MuJoCo's dof_M0.
+        damping: MuJoCo's dof_damping.
+        core_loss: MuJoCo's actuator_damping.
     """
     speed, before = velocity[axis_row.dof], ctrl[axis_row.actuator]
     gain = clock.half * axis_row.gear * axis_row.gear / inertia[axis_row.dof]

@@ -33,14 +33,21 @@ def open_study(
     pruner: optuna.pruners.BasePruner | None = None,
     seed: int = 0,
 ) -> optuna.Study:
-    """The study in `storage`, begun or gone on with: an Optuna study, that minimizes.
+    """Open the study in a storage, or create it: an Optuna study that minimizes.
 
     Args:
-        storage: a file, which processes of one machine share; or a database's URL, for many machines.
-        sampler: makes a sampler of a seed, for example optuna.samplers.NSGAIISampler; TPE without.
-        pruner: none without.
-        seed: of the sampler.
-    Raises ArgumentError when the study there is one of another objective, with what differs; StageError: no storage, no Optuna.
+        objective: Objective of the study.
+        storage: Path of a file that processes of one machine share, or URL of a database, for many machines.
+        sampler: Makes a sampler from a seed, for example optuna.samplers.NSGAIISampler; default: TPE.
+        pruner: Optuna pruner; default: no trial is pruned.
+        seed: Seed of the sampler.
+
+    Returns:
+        The study.
+
+    Raises:
+        ArgumentError: The storage holds the study of another objective; the message says what differs.
+        StageError: The storage cannot be opened, or Optuna is not installed.
     """
     from stage.study.optuna_storage import TrialSeededSampler, open_storage, optuna
 
@@ -97,15 +104,27 @@ def run(
     pruner: optuna.pruners.BasePruner | None = None,
     seed: int = 0,
 ) -> optuna.Study:
-    """Run the study in `storage` until `trials` are finished; those that are there count. Other arguments as of `open_study`.
+    """Run the study in a storage until it has a number of finished trials. Trials that the storage holds already count.
 
     A trial that raises a StageError is finished, too: it has failed, and its user attribute "error" says why. Any other error ends
     the run. A trial whose process was killed does not count; another is run for it.
 
     Args:
-        workers: processes; 1 runs trials in this one. Each may finish a trial after the last that was asked for. The objective
-            must then be importable, and a program that calls this must be guarded by `if __name__ == "__main__"`.
-    Raises StageError when workers ended and trials lack.
+        objective: Objective of the study.
+        storage: Path of a file, or URL of a database, see `open_study`.
+        trials: Number of finished trials that the study shall have.
+        workers: Number of processes; 1 runs the trials in this process. Each worker may finish a trial after the last one that is
+            needed. With several workers the objective must be importable, and the calling program needs
+            `if __name__ == "__main__"`.
+        sampler: Makes a sampler from a seed, see `open_study`.
+        pruner: Optuna pruner, see `open_study`.
+        seed: Seed of the sampler.
+
+    Returns:
+        The study.
+
+    Raises:
+        StageError: The workers ended before the study had its trials.
     """
     if not callable(objective):
         raise ArgumentError(f"objective={objective!r}: give a function of a trial, as PresetMoves().")

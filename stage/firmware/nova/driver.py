@@ -260,7 +260,7 @@ class NovaDriver(Driver):
         """Add a command for this axis, or for the whole chip if the command has no axis bits.
 
         Args:
-            p: Program, or operations that are done at once.
+            program: Program, or operations that are done at once.
             symbol: Symbol of the command in the chip's map.
         """
         c = self.map.command(symbol)
@@ -270,7 +270,7 @@ class NovaDriver(Driver):
         """Add the write of a parameter or mode of this axis, or of the chip.
 
         Args:
-            p: Program, or operations that are done at once.
+            program: Program, or operations that are done at once.
             name: Name of the parameter or mode in the chip's map.
             value: Value to write.
         """
@@ -280,7 +280,7 @@ class NovaDriver(Driver):
         """Add the writes of WR1 to WR3 of this axis.
 
         Args:
-            p: Program, or operations that are done at once.
+            program: Program, or operations that are done at once.
             words: Values by the names of the words.
         """
         self.add_command(program, self.NOP)
@@ -297,7 +297,7 @@ class NovaDriver(Driver):
         """Add the modes of a drive after power-up: ramps, and end limits that stop it.
 
         Args:
-            p: Program, or operations that are done at once.
+            program: Program, or operations that are done at once.
             s_curve: Whether the ramps are S-curves.
         """
 
@@ -306,7 +306,7 @@ class NovaDriver(Driver):
         """Add the pulses and the start of a fixed-pulse drive.
 
         Args:
-            p: Program, or operations that are done at once.
+            program: Program, or operations that are done at once.
             pulses: Signed pulses of the drive.
         """
 
@@ -357,7 +357,7 @@ class NovaDriver(Driver):
         """Add the bus cycles that select the axes, enable deceleration, and start linear interpolation to finish points set before.
 
         Args:
-            p: Program, or operations that are done at once.
+            program: Program, or operations that are done at once.
             drivers: Drivers of the axes.
         """
 
@@ -370,7 +370,7 @@ class NovaDriver(Driver):
         """Add a search for ORG.
 
         Args:
-            p: Program, or operations that are done at once.
+            program: Program, or operations that are done at once.
             fast: Begin at the drive speed, not at HV.
             timer: Code of the rest between steps; 0: none.
             index: Go on to STOP2.
@@ -387,7 +387,7 @@ class NovaDriver(Driver):
         """Add the reads of errors and levels.
 
         Args:
-            p: Program.
+            program: Program that gets the reads.
 
         Returns:
             For "error", "stop1" and "stop2": index of the read operation, mask, and the level that means on.

@@ -57,10 +57,16 @@ def run_chip(chip, axes, table, switches, switch_table, world, window_ns, slice_
     """Run a chip and its switches from `now` to `stop` ns, within a window.
 
     Args:
-        c, axes, table, switches, switch_table, world: Records of the lane, see `LaneLayout`.
+        chip: The lane's chip.
+        axes: AXIS records of its axes.
+        table: AXIS_TABLE rows of its axes.
+        switches: SWITCH records of its switches.
+        switch_table: SWITCH_TABLE rows of its switches.
+        world: WORLD record of the lane.
         window_ns: Length of a window, ns.
         slice_index: Slice of the window in which `now` is.
-        now, stop: Times in ns.
+        now: Time at which the run begins, ns.
+        stop: Time at which it ends, ns.
 
     Returns:
         The slice in which `stop` is.
@@ -185,11 +191,26 @@ def advance_lanes(
     """Advance every lane by a window. The kernel.
 
     Args:
-        words, rows, axis_numbers, places, tables, switch_tables: See `LaneLayout`.
+        words: Records of all lanes as words, see `LaneLayout`.
+        rows: Row of each lane, see `LaneLayout`.
+        axis_numbers: Number of each axis of a lane in the stage.
+        places: Places of axes and switches in the arrays of mujoco-warp.
+        tables: AXIS_TABLE rows of each lane.
+        switch_tables: SWITCH_TABLE rows of each lane.
         clockworks: One CLOCKWORK.
-        ops, results, extremes: As `stage.sim.program_player.play` takes them.
-        qpos, qvel, ctrl, sensordata, warmstart, sites, bodies: Arrays of mujoco-warp, a row a copy.
-        inertia, damping, core_loss: dof_M0 of each copy, and dof_damping and actuator_damping of all.
+        ops: Operations of each copy's program, as `stage.sim.program_player.play` takes them.
+        results: Results of the operations, likewise.
+        extremes: Extremes that the program measures, likewise.
+        qpos: mujoco-warp's joint positions, a row a copy.
+        qvel: mujoco-warp's joint speeds, a row a copy.
+        ctrl: mujoco-warp's actuator inputs, a row a copy.
+        sensordata: mujoco-warp's sensor values, a row a copy.
+        inertia: dof_M0 of each copy.
+        damping: dof_damping of all copies.
+        core_loss: actuator_damping of all copies.
+        warmstart: mujoco-warp's qacc_warmstart, a row a copy.
+        sites: mujoco-warp's positions of sites, a row a copy.
+        bodies: mujoco-warp's positions of bodies, a row a copy.
         frozen_coordinates: (copies, nq + 2 nv), coordinates, speeds and accelerations of copies that stand still.
         playing: (1,), set to 1 where a program goes on.
     """
