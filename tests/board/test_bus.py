@@ -138,7 +138,7 @@ def test_chips_may_have_any_port_up_to_the_last():
     assert [c.port for c in near.strays] == [0x314]
 
 
-def test_a_port_that_reaches_nothing_reads_as_ffh_takes_a_cycle_and_is_noted():
+def test_a_port_that_reaches_nothing_reads_as_ffh_takes_a_cycle_and_has_a_diagnostic():
     stage = Stage("xyz", visuals=False)
     board = Board(stage)
     assert board.in8(0x200) == 0xFF
@@ -223,7 +223,7 @@ def test_each_layout_reaches_its_chip():
     assert board.in8(0x303) == stage.axes["y"].chip.values()["R00"]
 
 
-def test_half_a_register_of_a_16_bit_chip_is_noted():
+def test_half_a_register_of_a_16_bit_chip_has_a_diagnostic():
     stage = Stage("xyz", chips=MCX304, visuals=False)
     board = Board(stage)
     board.out8(0x30C, 0x21)

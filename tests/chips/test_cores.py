@@ -121,10 +121,10 @@ def test_after_a_reset_a_chip_behaves_like_one_that_was_just_switched_on(name, r
             other.set_input_word(k, used.input_word(k))
         if make.SERVO:
             other.encoder = used.encoder
-        net, noted = used.net(), list(used.diagnostics)
+        net, diagnostics = used.net(), list(used.diagnostics)
         reset(used)
         other.reset()
-        assert (used.diagnostics, used.clock) == (noted, other.clock), "the clock and what was noted stay"
+        assert (used.diagnostics, used.clock) == (diagnostics, other.clock), "the clock and the diagnostics stay"
         assert net != 0 == other.net()
         assert make.SERVO or used.net() == net, "pulses made stay made"
         (mine, pulse_count), (its, its_made) = (
@@ -216,14 +216,14 @@ def test_a_chip_of_a_stage_is_restored_with_its_stage(xy):
 def test_a_restored_chip_has_the_diagnostics_of_its_snapshot():
     chip = CHIPS["PCL240K"]()
     chip.write(0, 0x15)  # a start without a rate
-    noted = list(chip.diagnostics)
-    assert noted
+    diagnostics = list(chip.diagnostics)
+    assert diagnostics
     before = chip.snapshot()
     chip.reset()
     chip.write(0, 0x15)
-    assert len(chip.diagnostics) > len(noted)
+    assert len(chip.diagnostics) > len(diagnostics)
     chip.restore(before)
-    assert chip.diagnostics == noted
+    assert chip.diagnostics == diagnostics
 
 
 @pytest.mark.parametrize("name", CHIPS.built_in)

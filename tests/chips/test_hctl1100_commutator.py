@@ -182,7 +182,7 @@ def test_align_can_be_left():
         ([(0x18, 10)], r"the ring R18 = 10 is not 3 \(X \+ Y\) = 3 \(2 \+ 1\)"),
     ],
 )
-def test_an_align_that_cannot_come_out_right_is_noted(first, message):
+def test_an_align_that_cannot_come_out_right_has_a_diagnostic(first, message):
     chip = commutator(x=2, y=1)
     write_all(chip, first)
     chip.diagnostics.clear()
@@ -190,7 +190,7 @@ def test_an_align_that_cannot_come_out_right_is_noted(first, message):
     assert re.search(message, chip.diagnostics[0].message)
 
 
-def test_a_commutator_whose_offset_and_advance_leave_eight_bits_is_noted():
+def test_a_commutator_whose_offset_and_advance_leave_eight_bits_has_a_diagnostic():
     chip = commutator(x=20, y=10, offset=0, maximum=0)
     write_all(chip, begin("position"))
     assert "leaves -128 to 127" in chip.diagnostics[0].message

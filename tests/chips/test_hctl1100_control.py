@@ -122,7 +122,7 @@ def test_what_follows_a_profile_begins_at_rest():
 
 
 @pytest.mark.parametrize(("a", "top"), [(0, 5), (100, 0)])
-def test_a_trapezoid_that_cannot_move_is_noted_and_never_ends(a, top):
+def test_a_trapezoid_that_cannot_move_has_a_diagnostic_and_never_ends(a, top):
     chip = trapezoid(100, a, top)
     assert "never ends" in chip.diagnostics[-1].message
     chip.advance(1000 * SAMPLE)
@@ -130,7 +130,7 @@ def test_a_trapezoid_that_cannot_move_is_noted_and_never_ends(a, top):
     assert chip.command_position == 0
 
 
-def test_new_data_while_the_profile_runs_is_noted():
+def test_new_data_while_the_profile_runs_has_a_diagnostic():
     chip = trapezoid(1000)
     chip.advance(SAMPLE + 16 * 20)
     assert not chip.diagnostics
@@ -149,14 +149,14 @@ def test_integral_velocity_ramps_to_its_command_and_the_fractions_of_a_count_add
     assert at == [sum(min(64 * (k + 1), 512) for k in range(n)) // 256 for n in range(1, 13)]
 
 
-def test_a_jump_of_the_command_velocity_by_more_than_127_is_noted_and_of_no_other_register_and_mode():
-    for mode, noted in (("integral", 1), ("position", 0)):
+def test_a_jump_of_the_command_velocity_by_more_than_127_has_a_diagnostic_and_of_no_other_register_and_mode():
+    for mode, count in (("integral", 1), ("position", 0)):
         chip = bench(acceleration(0x40), begin(mode))
         chip.advance(16 * 20)
         for address, value in ((0x3C, 100), (0x3C, 0xE5), (0x3C, 100), (0x3C, 0xE4), (0x22, 0x7F), (0x22, 0x80)):
             chip.advance(SAMPLE)
             chip.write(address, value)
-        assert [d.message.split(":")[0] for d in chip.diagnostics] == ["R3C changes by -128"] * noted
+        assert [d.message.split(":")[0] for d in chip.diagnostics] == ["R3C changes by -128"] * count
 
 
 def test_stop_brakes_at_the_acceleration_until_it_is_cleared_and_a_velocity_is_written():
@@ -458,7 +458,7 @@ def test_pulse_is_on_for_the_commands_share_of_each_period_of_100_clocks(command
         ("proportional", [(0x24, 0), (0x23, 16)], [(0x24, 0), (0x23, 32)]),
     ],
 )
-def test_two_commands_in_one_sample_are_noted_and_one_in_each_is_not(mode, first, second):
+def test_two_commands_in_one_sample_have_a_diagnostic_and_one_in_each_has_none(mode, first, second):
     chip = bench([(0x0F, 0x3F)], begin(mode))
     chip.advance(16 * 0x40 + 16 * 0x10)  # a sample has begun, and its law is done
     chip.diagnostics.clear()

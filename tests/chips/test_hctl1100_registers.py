@@ -15,7 +15,7 @@ def test_the_chip_is_found_by_name():
     assert HCTL1100().clock_hz == 2_000_000
 
 
-def test_addresses_act_modulo_64_and_that_is_noted():
+def test_addresses_act_modulo_64_with_a_diagnostic():
     one, other = HCTL1100(), HCTL1100()
     for address in range(64):
         one.write(address + 64, 0x5A)
@@ -68,7 +68,7 @@ def test_f1_and_flags_that_do_not_exist_are_left_alone():
     assert len(chip.diagnostics) == 6
 
 
-def test_two_mode_flags_are_noted_and_the_first_of_f0_f3_f5_acts():
+def test_two_mode_flags_have_a_diagnostic_and_the_first_of_f0_f3_f5_acts():
     chip = bench([(0x00, 0x0D), (0x00, 0x0B)])
     assert chip.diagnostics[0].message == "F3 and F5 are set: only one of F0, F3 and F5 may be"
     assert chip.read(0x00) == 0x2A
@@ -253,7 +253,7 @@ def test_the_command_position_is_latched_by_its_low_byte():
 
 
 @pytest.mark.parametrize("address", [0x08, 0x09, 0x15, 0x16, 0x17])
-def test_what_is_for_idle_is_ignored_and_noted_elsewhere(address):
+def test_what_is_for_idle_is_ignored_with_a_diagnostic_elsewhere(address):
     chip = bench(begin("position"))
     before = chip.snapshot().record
     chip.write(address, 0x33)
@@ -300,7 +300,7 @@ def test_a_servo_chip_makes_no_pulses_and_its_waveforms_have_the_commanded_motio
         (0x28, 0x80, "R28 = 128: maximum velocity takes 0 to 127"),
     ],
 )
-def test_a_write_that_means_nothing_changes_nothing_and_is_noted(address, value, message):
+def test_a_write_that_means_nothing_changes_nothing_and_has_a_diagnostic(address, value, message):
     chip = HCTL1100()
     before = chip.snapshot().record
     chip.write(address, value)

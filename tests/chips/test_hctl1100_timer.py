@@ -39,7 +39,7 @@ def test_sample_times_of_the_data_sheet(hz, t, seconds):
     assert chip.command_position == at + 10
 
 
-def test_table_4_is_the_least_t_of_each_control_mode_and_a_smaller_one_is_noted_and_works():
+def test_table_4_is_the_least_t_of_each_control_mode_and_a_smaller_one_has_a_diagnostic_and_works():
     assert MINIMUM_T == {"position": 7, "proportional velocity": 7, "trapezoid": 15, "integral velocity": 15}
     for mode, least in (("position", 7), ("proportional", 7), ("trapezoid", 15), ("integral", 15)):
         for t in (least, least - 1, 0):

@@ -132,7 +132,7 @@ def test_a_drive_in_start_hold_begins_at_the_release(chip):
     assert set(pulses["axis"][pulses["clock"] == first].tolist()) == {0, 1}
 
 
-def test_a_drive_command_while_driving_changes_nothing_and_is_noted(chip):
+def test_a_drive_command_while_driving_changes_nothing_and_has_a_diagnostic(chip):
     command(chip, REL)
     chip.advance(SECOND // 10)
     command(chip, MINUS)

@@ -1,4 +1,4 @@
-"""Diagnostics of the NOVA chips: each mistake of a host is named, and good writes pass."""
+"""Diagnostics of the NOVA chips: each rule that a host breaks is named, and correct writes pass."""
 
 import random
 import re
@@ -52,7 +52,7 @@ def data(value):
 
 
 # a write, what the chip holds, and what is said of it; then a write next to it that is right
-MISTAKES = [
+WRONG_WRITES = [
     ("a code that is no command", MCX514_MAP, X | 0x1C, {}, "1Ch is no command of the MCX514", X | 0x1F, {}),
     ("a sync command that chooses no set", MCX514_MAP, X | 0x80, {}, "80h is no command", X | 0x81, {}),
     ("reserved bits of WR0", MCX514_MAP, 0x9050 | X, {}, "bits 15 and 12 must be 0", X | 0x50, {}),
@@ -137,10 +137,10 @@ MISTAKES = [
 
 @pytest.mark.parametrize(
     ("chip", "value", "previous", "message", "right", "right_held"),
-    [m[1:] for m in MISTAKES],
-    ids=[m[0] for m in MISTAKES],
+    [m[1:] for m in WRONG_WRITES],
+    ids=[m[0] for m in WRONG_WRITES],
 )
-def test_a_mistake_has_a_diagnostic_and_the_right_write_has_none(chip, value, previous, message, right, right_held):
+def test_a_wrong_write_has_a_diagnostic_and_the_right_write_has_none(chip, value, previous, message, right, right_held):
     assert re.search(message, text(chip, value, **previous)), text(chip, value, **previous)
     assert text(chip, right, **right_held) == ""
 
@@ -172,7 +172,7 @@ def test_wr2_to_wr5_take_anything_while_they_are_bp_registers():
     assert text(MCX312_MAP, 0x0C00, 2) != ""
 
 
-def test_a_write_with_several_mistakes_has_a_diagnostic_of_each():
+def test_a_write_that_breaks_several_rules_has_a_diagnostic_of_each():
     """WR0 with a reserved bit and a command of an absent axis; a mode with bits that are not there and a field out of range."""
     assert list(find(MCX302_MAP, 0x1000 | X | U | 0x20, driving_axes=1)) == [
         "reserved-bits",
@@ -242,7 +242,7 @@ def test_every_parameter_takes_the_ends_of_its_range_and_nothing_beyond(chip):
     assert looked >= 8
 
 
-def test_reading_a_parameter_is_no_mistake_unless_data_was_written_for_it():
+def test_reading_a_parameter_has_no_diagnostic_unless_data_was_written_for_it():
     """R-LP, a data reading command, takes nothing from WR6 and WR7."""
     chip = MCX514()
     chip.write(0, 0x0130)

@@ -219,7 +219,7 @@ def test_a_line_of_two_axes_ignores_the_third_of_wr5(ax1, ax2, ax3):
     assert not chip.diagnostics
 
 
-def test_a_line_of_three_axes_with_one_of_them_twice_is_noted():
+def test_a_line_of_three_axes_with_one_of_them_twice_has_a_diagnostic():
     chip = prepare(0 | 1 << 2 | 0 << 4)
     command(chip, 0x31, 0)
     assert "with 2 axes chosen: X, Y" in chip.diagnostics[-1].message

@@ -98,7 +98,7 @@ def test_the_mcx501_needs_no_axis_bits_and_takes_them():
 @pytest.mark.parametrize(
     ("make", "code"), [(MCX512, 0x62), (MCX512, 0x69), (MCX512, 0x1B), (MCX501, 0x60), (MCX501, 0x64), (MCX501, 0x2B)]
 )
-def test_a_command_that_a_smaller_chip_lacks_does_nothing_and_is_a_mistake(make, code):
+def test_a_command_that_a_smaller_chip_lacks_does_nothing_and_has_a_diagnostic(make, code):
     chip = make()
     prepare(chip, Move(SV=8000, DV=8000))
     load(chip, TP=50)

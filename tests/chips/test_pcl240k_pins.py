@@ -98,7 +98,7 @@ def test_hold_is_high_in_the_halt_condition_and_low_in_operation_even_where_no_p
         assert (chip.pins.hold, operating(chip)) == (True, False)
         commands(chip, 0x40, 0x10)
         assert chip.advance(10**7) == 0, "no pulse comes,"
-        assert "no pulse comes" in chip.diagnostics[-1].message, "which is noted,"
+        assert "no pulse comes" in chip.diagnostics[-1].message, "which has a diagnostic,"
         assert (chip.pins.hold, operating(chip)) == (False, True), "and the operation is on:"
         load_registers(chip, **later)
         assert chip.advance(8192 * 2 + 1) == 50, (

@@ -29,9 +29,10 @@ def select(name):
 
 
 def begun(make, control=0x40, start=0x15, **registers):
-    """A chip that was just started. Unless told otherwise FL 50, FH 800: 20.48 clocks a pulse, 327.68 at FL."""
+    """Start a chip. Unless `registers` says otherwise, FL 50, FH 800: 20.48 clocks a pulse, 327.68 at FL. None: not written."""
     chip = make()
-    load(chip, **{"R0": 0xFFFFFF, "R1": 50, "R2": 800, "R3": 800, "R4": 30, "R5": 30, "R7": 2, **registers})
+    values = {"R0": 0xFFFFFF, "R1": 50, "R2": 800, "R3": 800, "R4": 30, "R5": 30, "R7": 2, **registers}
+    load(chip, **{name: value for name, value in values.items() if value is not None})
     commands(chip, control, start)
     return chip
 

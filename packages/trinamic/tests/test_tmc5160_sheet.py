@@ -287,7 +287,7 @@ def test_the_description_of_a_write_names_the_flags_it_clears(chip):
     assert describe_write(0x01, 0) == "GSTAT <- 0h: clears nothing"
 
 
-def test_each_mistake_has_a_diagnostic(chip):
+def test_each_rule_that_a_write_breaks_has_a_diagnostic(chip):
     def collect_messages(**registers):
         chip.diagnostics.clear()
         write_registers(chip, **registers)
@@ -314,7 +314,7 @@ RESETS = {
 """Address -> reset value, data sheet pages 32 and 53, of registers of which nothing else is modeled."""
 
 
-def test_a_reset_value_is_no_mistake_where_another_value_is_not_modeled(chip):
+def test_a_reset_value_has_no_diagnostic_where_another_value_is_not_modeled(chip):
     """Drivers write all registers at their start, as the data sheet's own code does."""
     for address, value in RESETS.items():
         chip.transfer40((0x80 | address) << 32 | value)

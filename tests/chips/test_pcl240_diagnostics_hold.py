@@ -29,13 +29,13 @@ def test_a_constant_speed_run_that_never_uses_fl_needs_no_r1():
 
 @ALL
 @pytest.mark.parametrize(("up", "down"), [(2, 2), (30, 1), (1, 30), (0, 2), (2, 0), (1, 1)])
-def test_a_high_speed_start_is_noted_where_either_rate_is_below_2(make, up, down):
+def test_a_high_speed_start_has_a_diagnostic_where_either_rate_is_below_2(make, up, down):
     chip = make()
     load(chip, R0=500, R1=50, R2=400, R4=up, R5=down, R6=20, R7=20)
     commands(chip, 0x44, 0x15)
-    noted = [d.message for d in chip.diagnostics if "rates below 2 hold the speed" in d.message]
-    assert bool(noted) == (min(up, down) < 2)
-    assert all(f"R4 = {up}, R5 = {down}" in text for text in noted)
+    messages = [d.message for d in chip.diagnostics if "rates below 2 hold the speed" in d.message]
+    assert bool(messages) == (min(up, down) < 2)
+    assert all(f"R4 = {up}, R5 = {down}" in text for text in messages)
 
 
 def any_start(make, rng):
@@ -54,7 +54,7 @@ def any_start(make, rng):
 
 
 @ALL
-def test_a_start_that_makes_no_pulse_is_noted_so_and_no_other(make):
+def test_a_start_that_makes_no_pulse_has_a_diagnostic_that_says_so_and_no_other_start_has(make):
     print(f"PULSESTAGE_SEED={SEED}")
     rng, observed = random.Random(SEED), {False: 0, True: 0}
     for _ in range(6 * EXAMPLES):
@@ -70,7 +70,7 @@ def test_a_start_that_makes_no_pulse_is_noted_so_and_no_other(make):
 
 
 @ALL
-def test_a_start_that_is_noted_as_ignored_changes_nothing_and_one_without_a_note_begins(make):
+def test_a_start_with_the_diagnostic_ignored_changes_nothing_and_one_without_a_diagnostic_begins(make):
     rng = random.Random(SEED)
     for _ in range(2 * EXAMPLES):
         chip, start = any_start(make, rng)
@@ -92,7 +92,7 @@ def test_a_start_that_is_noted_as_ignored_changes_nothing_and_one_without_a_note
 
 
 @ALL
-def test_where_the_pulses_are_noted_to_end_they_end(make):
+def test_where_a_diagnostic_says_that_the_pulses_end_they_end(make):
     rng, endings = random.Random(SEED), 0
     for _ in range(6 * EXAMPLES):
         chip, start = any_start(make, rng)
@@ -108,7 +108,7 @@ def test_where_the_pulses_are_noted_to_end_they_end(make):
 
 
 @pytest.mark.parametrize("make", [PCL240MK, PCL240MS])
-def test_a_move_that_is_noted_to_stop_without_ramping_down_never_ramps_down(make):
+def test_a_move_whose_diagnostic_says_that_it_stops_without_ramping_down_never_ramps_down(make):
     rng, observed = random.Random(SEED), 0
     for _ in range(5 * EXAMPLES):
         chip, _ = any_start(make, rng)
