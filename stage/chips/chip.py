@@ -238,7 +238,7 @@ class Chip:
 
     @property
     def diagnostics(self) -> list[Diagnostic]:
-        """Messages about writes that a reader of the data sheet would call mistakes: the last MAX_DIAGNOSTICS, oldest first."""
+        """Messages about writes that break a rule of the data sheet: the last MAX_DIAGNOSTICS, oldest first."""
         if self.journal_lint is not None:
             self.journal_lint.process()
         return self._diagnostics
@@ -254,7 +254,7 @@ class Chip:
             value: Datum.
 
         Returns:
-            Pairs of a rule and a message; none for a write without mistakes.
+            Pairs of a rule and a message; none for a write that breaks no rule.
         """
         return ()
 
@@ -540,7 +540,7 @@ class Chip:
     def write(self, address: int, value: int) -> None:
         """Make one bus write cycle.
 
-        Address and value are masked as on the bus; mistakes appear in `diagnostics`.
+        Address and value are masked as on the bus; rules that the write breaks appear in `diagnostics`.
 
         Args:
             address: Bus address, any whole number.

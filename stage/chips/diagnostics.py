@@ -1,4 +1,4 @@
-"""Diagnostics: messages about bus writes that a reader of the data sheet would call mistakes.
+"""Diagnostics: messages about bus writes that break a rule of the data sheet.
 
 The lint of a family is a generator. For one bus write, and the state before it, it yields a pair of a `Rule` and a message for
 every rule that the write breaks; the chip adds clock, address and value, and keeps the result in `chip.diagnostics`.
@@ -21,7 +21,7 @@ MAX_JOURNAL_ENTRIES = 1 << 21  # 64 MB
 
 
 class Rule(NamedTuple):
-    """A kind of mistake that a lint recognizes.
+    """A rule of a data sheet whose breach a lint recognizes.
 
     Attributes:
         key: Short, stable identifier, unique in its family, for example "no-reset-command". Repetitions are counted by it.
@@ -47,7 +47,7 @@ CLOCK_RANGE = Rule("clock-range", "clock")
 
 
 class Diagnostic(NamedTuple):
-    """A message about a bus write that a reader of the data sheet would call a mistake.
+    """A message about a bus write that breaks a rule of the data sheet.
 
     Attributes:
         clock: Reference clocks since power-up at the write.

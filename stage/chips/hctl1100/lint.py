@@ -1,8 +1,6 @@
 """Rules of the HCTL-1100's manual that a bus write can break, for diagnostics.
 
 `chip` is the state of the chip before the write, a record.
-
-`c` is the state of the chip before the write, a record.
 """
 
 from __future__ import annotations

@@ -261,23 +261,23 @@ def _lint_command(map_: RegisterMap, chip: Any, value: int) -> Iterator[Finding]
             yield RESET_WITH_MORE, f"WR0 = {value:04X}h resets the chip: leave {_name_bits(more)} 0"
         return
     code, axes = CODE.of(value), AXIS.of(value)
-    c = map_.by_code.get(code)
-    if c is None:
+    command = map_.by_code.get(code)
+    if command is None:
         yield UNKNOWN_COMMAND, f"{code:02X}h is no command of the {map_.chip}"
         return
-    name = f"{code:02X}h ({c.title})"
-    yield from _lint_axes(map_, c, name, axes)
-    if c.lacking:
-        yield NOT_MODELED, f"{name} is {c.lacking}"
+    name = f"{code:02X}h ({command.title})"
+    yield from _lint_axes(map_, command, name, axes)
+    if command.lacking:
+        yield NOT_MODELED, f"{name} is {command.lacking}"
         return
-    if c.kind in ("data write", "mode write"):
-        yield from _lint_data(map_.register(c.symbol), chip, c, axes)
-    if c.kind == "data read" and chip.has_unused_data:
+    if command.kind in ("data write", "mode write"):
+        yield from _lint_data(map_.register(command.symbol), chip, command, axes)
+    if command.kind == "data read" and chip.has_unused_data:
         yield DATA_NOT_USED, f"{name} takes no data: what was written to WR6, WR7 is not used"
-    if c.kind == "drive":
-        yield from _lint_drive(map_, chip, c, value)
-    if c.together:
-        yield from _lint_interpolation(chip, c, name)
+    if command.kind == "drive":
+        yield from _lint_drive(map_, chip, command, value)
+    if command.together:
+        yield from _lint_interpolation(chip, command, name)
 
 
 def _lint_drive(map_: RegisterMap, chip: Any, command: Command, value: int) -> Iterator[Finding]:

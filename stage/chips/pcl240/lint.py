@@ -1,7 +1,8 @@
 """Lint of the PCL-240 chips: the rules of their data sheets that a bus write breaks.
 
-`c` is the state of the chip before the write, a record; `map_` is its register map. A start command has two groups of rules:
-those that keep it from making pulses, and those about the way the pulses go, which are silent where none of the former is broken.
+`chip` is the state of the chip before the write, a record; `map_` is its register map. A start command has two groups of rules:
+those about what keeps it from making pulses, and those about the way the pulses go. Where one of the former is broken, the rules
+about ramps are silent. A start command while the chip runs is a speed change: the rules of a start do not apply.
 """
 
 from __future__ import annotations
