@@ -42,7 +42,7 @@ def find_touch(axis: Any, pin: str) -> float:
     )
 
 
-def convert_turns_to_pulses(axis: Any, turns: float) -> int:
+def convert_revolutions_to_pulses(axis: Any, turns: float) -> int:
     """Return the pulses, or counts, of so many turns of the motor."""
     return round(turns * axis.drive.pulses_per_turn)
 
@@ -63,7 +63,7 @@ def start_move(axis: Any, turns: float, *speeds: float) -> Callable[[], Figures]
     """
     driver = get_driver(axis)
     lost, worst, servo = axis.lost_steps, 0.0, driver.has_position_loop
-    driver.start(convert_turns_to_pulses(axis, turns), make_speeds(axis, *speeds))
+    driver.start(convert_revolutions_to_pulses(axis, turns), make_speeds(axis, *speeds))
     start, net = axis.position, axis.chip.net(axis.chip_axis)
 
     def measure_error() -> None:
@@ -179,8 +179,8 @@ def start_skew(stage: Any, make_fault: MakeFault) -> Figures:
     last = get_first_axis(stage)
     other = _find_axis_started_separately(stage, last)
     distances = {
-        other: convert_turns_to_pulses(other, -2.34375),
-        last: convert_turns_to_pulses(last, 6.25),
+        other: convert_revolutions_to_pulses(other, -2.34375),
+        last: convert_revolutions_to_pulses(last, 6.25),
     }  # the longest one last: it is started last
     with make_fault(faults.start_skew, last, 5e-3):
         report = firmware.line(distances, pulses=True, speed=make_speeds(last, 6.25, 0.15))
@@ -217,7 +217,7 @@ def move_with_lost_write(stage: Any, make_fault: MakeFault) -> Figures:
     """Lose a write of the distance."""
     x = get_first_axis(stage)
     turns = min(5, 0.9 * (x.travel[1] - x.position) * abs(x.gear) / (2 * math.pi))
-    distance, register = convert_turns_to_pulses(x, turns), get_driver(x).DISTANCE_REGISTER
+    distance, register = convert_revolutions_to_pulses(x, turns), get_driver(x).DISTANCE_REGISTER
     written, nothing = (x.chip.register_cycles(register, value, x.chip_axis) for value in (distance, 0))
     address, value = next(cycle for cycle, other in zip(written, nothing, strict=True) if cycle != other)
     with make_fault(faults.lost_write, x, address, value):
