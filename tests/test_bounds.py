@@ -17,7 +17,7 @@ from stage.firmware.axis import check_seconds
 from stage.firmware.hctl1100 import position_streaming as servo_profile
 from stage.firmware.pcl240.line_plan import MAX_R0, _check_distance, _check_rates_and_times, _get_curve_share
 from stage.firmware.pcl240.moves import encode_offset
-from stage.recording.viewer import make_web_server
+from stage.recording.rerun_viewer import make_web_server
 from stage.sim import engine_records, faults
 from stage.sim.fleet import MAX_TIME_NS, Fleet
 from stage.sim.program import Program

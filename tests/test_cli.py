@@ -146,10 +146,12 @@ def test_the_demo_overwrites_no_file_and_takes_the_next_name(work_folder, capsys
 @needs_rerun
 def test_a_picture_overwrites_no_recording(work_folder, capsys, monkeypatch):
     """stage move x 100 --picture q.png"""
-    from stage.recording import viewer
+    from stage.recording import rerun_viewer
 
     drawn = []
-    monkeypatch.setattr(viewer, "take_screenshot", lambda rrd, png, overwrite: drawn.append((rrd, png, overwrite)))
+    monkeypatch.setattr(
+        rerun_viewer, "take_screenshot", lambda rrd, png, overwrite: drawn.append((rrd, png, overwrite))
+    )
     (work_folder / "stage.rrd").write_text("precious")
     run_command(capsys, "move", "x", "100", "--picture", "q.png")
     assert drawn == [("stage-2.rrd", "q.png", False)]

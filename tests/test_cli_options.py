@@ -21,7 +21,7 @@ from stage.cli.fault import demonstrations
 from stage.cli.options import Quantity
 from stage.cli.run import print_report
 from stage.firmware.driver import Speeds, get_default_speeds, get_driver
-from stage.recording import viewer
+from stage.recording import rerun_viewer
 from stage.support import opengl
 from stage.support.files import FileError
 
@@ -258,8 +258,8 @@ def test_a_usual_name_is_the_next_that_is_free_and_with_force_always_itself(benc
         open("stage-3.rrd", "w").close()  # another command has taken the name meanwhile
 
     monkeypatch.setattr(bench, "record", record)
-    monkeypatch.setattr(viewer, "open_viewer", lambda path: saved.append(f"view {path}"))
-    monkeypatch.setattr(viewer, "check_screen", lambda what: None)
+    monkeypatch.setattr(rerun_viewer, "open_viewer", lambda path: saved.append(f"view {path}"))
+    monkeypatch.setattr(rerun_viewer, "check_screen", lambda what: None)
     args = argparse.Namespace(
         record=None, vcd=None, picture=None, plot=None, trace=None, view=True, web=False, force=False, wrote=[]
     )
@@ -404,9 +404,9 @@ def test_the_version_is_the_package_s(capsys):
 )
 def test_options_choose_the_viewer_of_a_recording(bench, monkeypatch, options, expected):
     opened = []
-    monkeypatch.setattr(viewer, "open_viewer", lambda *args: opened.append(("viewer", *args)))
-    monkeypatch.setattr(viewer, "check_screen", lambda what: opened.append("screen"))
-    monkeypatch.setattr(viewer, "serve_web", lambda *args: opened.append(("web", *args)))
+    monkeypatch.setattr(rerun_viewer, "open_viewer", lambda *args: opened.append(("viewer", *args)))
+    monkeypatch.setattr(rerun_viewer, "check_screen", lambda what: opened.append("screen"))
+    monkeypatch.setattr(rerun_viewer, "serve_web", lambda *args: opened.append(("web", *args)))
     monkeypatch.setattr(firmware, "move", lambda axis, *_, **__: axis.wait(1e-3) or make_move_report())
     assert main(["move", "x", "10", *options.split()]) == 0
     screen = ["screen"] if expected and expected[0] == "viewer" else []

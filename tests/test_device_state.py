@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stage.sim.device_state import HEADER_PART, DeviceState
+from stage.sim.bus_device_state import HEADER_PART, DeviceState
 
 SIZES = (3, 8, 9, 1)
 WORDS = 1 + 1 + 2 + 1

@@ -16,7 +16,7 @@ from stage.cli import main
 from stage.drives.motors import Drive
 from stage.drives.pull_out_plot import plot_pull_out
 from stage.recording import RecordingError
-from stage.recording.viewer import take_screenshot
+from stage.recording.rerun_viewer import take_screenshot
 from stage.support.files import FileError, find_figure_format, is_stream, write_atomically
 
 pytest.importorskip("matplotlib")

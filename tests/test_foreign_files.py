@@ -19,7 +19,7 @@ from stage.chips.chip import Snapshot as ChipSnapshot
 from stage.cli import main
 from stage.errors import ArgumentError, StageError
 from stage.panel import saved_panel as share
-from stage.recording import RecordingError, read, rrd_process, viewer
+from stage.recording import RecordingError, read, rerun_viewer, rrd_process
 from stage.support.foreign_files import DocumentError, parse_json, parse_toml, read_bytes, read_members
 from stage.targets.elf import ARM, Elf
 
@@ -303,7 +303,7 @@ FINDERS = {
     "a source": firmware_library.build,
     "a device": CDevice,
     "a program of a Cortex-M": lambda path: Elf(path, ARM, "cortex-m3", "arm-none-eabi-gcc"),
-    "a recording to look at": lambda path: viewer.serve_web(path, port=0),
+    "a recording to look at": lambda path: rerun_viewer.serve_web(path, port=0),
 }
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from stage import ArgumentError, Stage, StageError
 from stage.chips import STEPDIR
-from stage.sim.line_player import LINE_EDGE, play_lines
+from stage.sim.pin_edge_player import LINE_EDGE, play_pin_edges
 
 
 @pytest.fixture(scope="module")
@@ -91,10 +91,10 @@ def test_edges_out_of_order_or_of_no_axis_are_refused(stage):
     edges = np.zeros(2, LINE_EDGE)
     edges["time"] = [2, 1]
     with pytest.raises(ArgumentError, match="their times go back"):
-        play_lines(stage, edges, 10)
+        play_pin_edges(stage, edges, 10)
     edges["time"], edges["axis"] = [1, 2], [0, 2]
     with pytest.raises(ArgumentError, match="axes are given by their index, 0 to 1"):
-        play_lines(stage, edges, 10)
+        play_pin_edges(stage, edges, 10)
 
 
 def test_an_edge_whose_time_has_passed_comes_at_once(stage):
@@ -102,5 +102,5 @@ def test_an_edge_whose_time_has_passed_comes_at_once(stage):
     stage.run(1e-3)
     edges = np.zeros(1, LINE_EDGE)
     edges["pins"] = edges["levels"] = STEPDIR.INPUTS["step"]
-    play_lines(stage, edges, stage.now)
+    play_pin_edges(stage, edges, stage.now)
     assert (stage.axes["x"].chip.net(), stage.now) == (1, 1_000_000)

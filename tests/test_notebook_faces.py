@@ -79,7 +79,7 @@ def test_where_rerun_has_a_widget_the_dashboard_is_in_the_notebook_and_elsewhere
 ):
     bundle = displayed_objects["recording"]._repr_mimebundle_()
     assert {"text/plain", "text/html"} <= bundle.keys()
-    monkeypatch.setattr("stage.recording.viewer.is_installed", lambda library: False)
+    monkeypatch.setattr("stage.recording.rerun_viewer.is_installed", lambda library: False)
     assert displayed_objects["recording"]._repr_mimebundle_().keys() == {"text/plain", "text/html"}
     monkeypatch.undo()
     pytest.importorskip("rerun_notebook")

@@ -26,8 +26,8 @@ from stage.board.devices import device_options
 from stage.board.devices.device import Device, Encoder, Listener
 from stage.board.devices.user_devices import CDevice, DescribeCycle, PythonDevice
 from stage.board.errors import HostError
+from stage.board.host_record_link import Link
 from stage.board.interrupt_hooks import PYTHONS_TIMERS
-from stage.board.link import Link
 from stage.board.serial_line import SerialLine
 from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.board.waveforms import HostWaveforms

@@ -22,15 +22,15 @@ from stage.board import platforms
 from stage.board.bus.requests import REQUEST, restore_float_mode, set_usual_float_mode
 from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
 from stage.board.firmware_pins import PIN_WORDS, find_wiring_problems, make_line_table
-from stage.board.scratch import Scratch
+from stage.board.temporary_folders import Scratch
 from stage.errors import ArgumentError, escape
 from stage.support.argument_checks import explain_arguments
 from stage.support.files import FileError, refuse_irregular
 from stage.support.subprocesses import run_program
 
 if TYPE_CHECKING:
-    from stage.board.link import Link
-    from stage.board.pins import PinLine
+    from stage.board.host_record_link import Link
+    from stage.board.pin_assignment import PinLine
 
 ABI = 1
 SOURCES = (".c", ".cc", ".cpp", ".cxx", ".ino")

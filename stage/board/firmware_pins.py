@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from stage.board.pins import DRIVEN, PinLine, describe_silent_steps, parse_pins
+from stage.board.pin_assignment import DRIVEN, PinLine, describe_silent_steps, parse_pins
 from stage.errors import ArgumentError
 from stage.sim.stage import Stage
 

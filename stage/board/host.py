@@ -17,16 +17,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, Self
 
-from stage.board import firmware_library, windows
+from stage.board import firmware_library, memory_mapped_ports
 from stage.board.board import Board
 from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostTimeout
 from stage.board.firmware_pins import parse_firmware_pins
-from stage.board.link import UNBOUNDED
+from stage.board.host_record_link import UNBOUNDED
 from stage.board.pacing import RealTimePace
-from stage.board.pins import PinLine
-from stage.board.scratch import Scratch
+from stage.board.pin_assignment import PinLine
 from stage.board.serial_line import SerialPort
+from stage.board.temporary_folders import Scratch
 from stage.board.thread_runner import PATIENCE_S, LoadedProgram, Program, ThreadRunner
 from stage.chips.exclusive_access import SessionLock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError
@@ -269,7 +269,7 @@ class NativeProgram:
     """
 
     path: Path
-    windows: tuple[windows.Window, ...] = ()
+    windows: tuple[memory_mapped_ports.Window, ...] = ()
     cost: int = 0
     lines: tuple[PinLine, ...] = ()
 
@@ -290,7 +290,9 @@ class NativeProgram:
 
             return TrappedLibrary(self.path, board.link, self.cost, self.lines, self.windows)
         if self.windows:
-            raise StageError(f"map={', '.join(map(str, self.windows))}: {windows.explain_missing(isolated)}")
+            raise StageError(
+                f"map={', '.join(map(str, self.windows))}: {memory_mapped_ports.explain_missing(isolated)}"
+            )
         return firmware_library.Library(self.path, board.link, self.cost, self.lines)
 
 
@@ -305,10 +307,10 @@ class NativeHost(Host):
         flags: Flags for the compiler.
         platform: What the sources were written for (arduino, avr, vxworks, dos, freertos), see stage.board.platforms.
         patience: Seconds of real time that the firmware may compute without a bus cycle.
-        map: Windows of memory-mapped registers, see stage.board.windows: one, or a sequence.
+        map: Windows of memory-mapped registers, see stage.board.memory_mapped_ports: one, or a sequence.
         cost: Simulated seconds that each basic block of the firmware takes (default: none), see docs/interrupts.md; sources are
             built so that they count them.
-        pins: Pins of the firmware that are lines of STEP/DIR axes, see stage.board.pins: one text or several.
+        pins: Pins of the firmware that are lines of STEP/DIR axes, see stage.board.pin_assignment: one text or several.
 
     Raises:
         ArgumentError: There is no such patience, window or cost.
@@ -325,7 +327,7 @@ class NativeHost(Host):
         flags: tuple[str, ...] = (),
         platform: str | None = None,
         patience: float = PATIENCE_S,
-        map: windows.Windows = (),
+        map: memory_mapped_ports.Windows = (),
         cost: float = 0.0,
         pins: str | Sequence[str] = (),
     ):
@@ -334,7 +336,7 @@ class NativeHost(Host):
             raise ArgumentError(
                 f"cost={cost!r}: simulated seconds a basic block, 1e-12 to 1, for example 50e-9; 0 for none."
             )
-        mapped = windows.parse_windows(map)
+        mapped = memory_mapped_ports.parse_windows(map)
         lines = parse_firmware_pins(pins, board.stage)
         self._scratch = (
             Scratch() if firmware_library.are_sources(firmware) else None

@@ -18,7 +18,7 @@ from stage.errors import ArgumentError
 from stage.native import without_attributes
 
 if TYPE_CHECKING:
-    from stage.board.link import Link
+    from stage.board.host_record_link import Link
 
 HOOK = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 PYTHONS_TIMERS = range(interrupts.FIRST_PYTHON_TIMER, interrupts.FIRST_PYTHON_TIMER + interrupts.PYTHON_TIMERS)

@@ -18,7 +18,7 @@ from stage.board.bus import host_record, requests
 from stage.board.bus.interrupts import NEAR
 from stage.board.devices.user_devices import CDevice
 from stage.board.errors import HostError
-from stage.board.link import UNBOUNDED
+from stage.board.host_record_link import UNBOUNDED
 
 if TYPE_CHECKING:
     from stage.board.board import Board

@@ -20,7 +20,7 @@ import numpy as np
 
 from stage.board.bus.host_record import CALLED, IN, IN_WIDE, OUT_WIDE, RETURNED
 from stage.board.trace import KIND_BITS
-from stage.recording.vcd import HOST
+from stage.recording.vcd_writer import HOST
 
 if TYPE_CHECKING:
     from stage.board.board import Board

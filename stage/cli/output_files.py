@@ -46,11 +46,11 @@ def _check_viewers(args: argparse.Namespace) -> None:
     if view:
         import_extra("rerun", "--view")
     if view and not web:
-        from stage.recording.viewer import check_screen
+        from stage.recording.rerun_viewer import check_screen
 
         check_screen("what --view asks for")
     if web:
-        from stage.recording.viewer import check_port
+        from stage.recording.rerun_viewer import check_port
 
         check_port(args.port)
     elif getattr(args, "port_given", False) and hasattr(args, "web"):
@@ -129,11 +129,11 @@ def record_to_files(args: argparse.Namespace, stage: Any, plot_reports: bool = T
     if stop is not None:
         raise stop
     if args.web and rrd:
-        from stage.recording.viewer import serve_web
+        from stage.recording.rerun_viewer import serve_web
 
         serve_web(rrd, args.port)
     elif args.view and rrd:
-        from stage.recording.viewer import open_viewer
+        from stage.recording.rerun_viewer import open_viewer
 
         open_viewer(rrd)
 
@@ -173,7 +173,7 @@ def _write_recording(args: argparse.Namespace, recording: Any, usual: str | None
         recording.to_vcd(args.vcd, overwrite=args.force)
         wrote(args, args.vcd, f"{Path(args.vcd).stat().st_size / 1e6:.1f} MB; open with: gtkwave {args.vcd}")
     if args.picture and rrd:
-        from stage.recording.viewer import take_screenshot
+        from stage.recording.rerun_viewer import take_screenshot
 
         note(f"rendering {args.picture} ...")
         take_screenshot(rrd, args.picture, overwrite=args.force)

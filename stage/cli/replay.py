@@ -40,7 +40,7 @@ def add(commands: Any) -> None:
 
 def replay(args: argparse.Namespace) -> int:
     """Replay a capture; exit code 0 if every edge was accepted and no step was lost."""
-    from stage.board.replay import replay_capture
+    from stage.board.capture_replay import replay_capture
 
     stage = make_stage(args)
     place_carriages(args, stage)

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from stage.cli import options, serial
+from stage.cli import options, serial_options
 from stage.cli.commands import add_command, tell, warn, wrote
 from stage.cli.options import FREQUENCY, TIME, number
 from stage.cli.output_files import check_outputs, record_to_files
@@ -77,7 +77,7 @@ def add(commands: Any) -> None:
         help="run the firmware in this process, for debuggers (default: in a separate one, so that a crash ends only that one)",
     )  # fmt: skip
     g.add_argument("--isolated", action="store_true", help=argparse.SUPPRESS)  # what is the default now
-    serial.add_serial_options(p)
+    serial_options.add_serial_options(p)
     options.add_board_options(p)
     options.add_panel_options(p)
     options.add_stage_and_output_options(p)
@@ -119,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
         flags = tuple(shlex.split(args.cflags))
     except ValueError as failed:
         raise ArgumentError(f"--cflags {args.cflags!r}: {failed}.") from None
-    with serial.open_serial_end(args) as end:
+    with serial_options.open_serial_end(args) as end:
         return _run_with_serial_end(args, flags, end)
 
 
@@ -134,7 +134,7 @@ def _run_with_serial_end(args: argparse.Namespace, flags: tuple[str, ...], end: 
     with _compiler_warnings(args):
         board = make_board(args)
         host = _host(args, board, flags)
-    serial.prepare_host(args, host, end)
+    serial_options.prepare_host(args, host, end)
     terminated = threading.Event()
     with show_panel(args, board.stage, Path(args.firmware[0]).name) as session:
         code = _run(args, board, host, session, end, terminated)
@@ -175,14 +175,14 @@ def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, end: Any
                 f"{host.path.name} ran for {seconds:g} s, and {board.cycles:,} bus cycles, in {wall:.2f} s of wall time"
             )
         print_report(board, host.wiring_problems)
-        serial.print_serial_report(args, host)
+        serial_options.print_serial_report(args, host)
         if args.json:
             facts = _collect_facts(board, result, error) | {"wiring_problems": host.wiring_problems}
-            tell(args, facts | serial.collect_serial_facts(args, host))
+            tell(args, facts | serial_options.collect_serial_facts(args, host))
     if result is None:
         host.close()
     write_trace(args, board)
-    serial.write_serial_log(args, host)
+    serial_options.write_serial_log(args, host)
     if error is not None:
         print(f"stage: {error}", file=sys.stderr)
         if isinstance(error, HostTimeout) and any(str(file).endswith(".ino") for file in args.firmware):
@@ -205,12 +205,12 @@ def _run_to_end(
     try:
         with _raise_at_sigterm(board, terminated), show_simulated_time(board.stage):
             if session is not None:
-                return run_in_real_time(session, host, args.seconds, serial.choose_timeout(args)), None
-            return serial.run_host(args, host, end), None
+                return run_in_real_time(session, host, args.seconds, serial_options.choose_timeout(args)), None
+            return serial_options.run_host(args, host, end), None
     except (HostTimeout, HostError, StormError, SimulationError) as failed:
         return None, failed
     except KeyboardInterrupt:
-        if not serial.is_endless(args):
+        if not serial_options.is_endless(args):
             raise
         return None, None
 

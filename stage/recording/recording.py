@@ -33,7 +33,7 @@ from stage.chips.exclusive_access import exclusively
 from stage.chips.journal import Journal
 from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.recording.column_files import Columns, Tabular
-from stage.recording.vcd import HostBus
+from stage.recording.vcd_writer import HostBus
 from stage.sim.engine_records import SAMPLE
 from stage.support import html
 from stage.support.argument_checks import check_integer, explain_arguments
@@ -529,7 +529,7 @@ class Recording(Tabular):
 
     def _repr_mimebundle_(self, **_: Any) -> dict[str, Any]:
         """Return the dashboard for a notebook, where rerun's widget is installed, and the picture for other viewers."""
-        from stage.recording.viewer import build_widget
+        from stage.recording.rerun_viewer import build_widget
 
         return {"text/plain": repr(self), "text/html": self._repr_html_(), **build_widget(self)}
 
@@ -546,7 +546,7 @@ class Recording(Tabular):
         Raises:
             RecordingError: As `save`.
         """
-        from stage.recording.vcd import write_vcd
+        from stage.recording.vcd_writer import write_vcd
 
         check_ending(path, *WAVEFORMS, RecordingError)
         self.check_time()

@@ -14,7 +14,7 @@ from stage import __version__
 from stage.board import Board, HostError
 from stage.board.bus.batch import ENTRY, find_first_invalid, resume_batch, run_batch
 from stage.board.bus.host_record import LAST_PORT, MAX_DELAY_US
-from stage.board.pins import DRIVEN, READ
+from stage.board.pin_assignment import DRIVEN, READ
 from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.serve import client
 from stage.serve.frames import ENTRIES

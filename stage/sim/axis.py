@@ -12,7 +12,7 @@ import numpy as np
 from stage.chips.exclusive_access import SessionLock, exclusive, exclusively
 from stage.drives import drive_dispatch as any_drive
 from stage.errors import ArgumentError, StageError, UnknownKey, unknown_name_error
-from stage.sim.line_player import LINE_EDGE, play_lines
+from stage.sim.pin_edge_player import LINE_EDGE, play_pin_edges
 from stage.support import html
 from stage.support.argument_checks import check_integer, explain_arguments
 from stage.units import POSITION_UNITS
@@ -194,7 +194,7 @@ class Axis:
         """Make steps at a constant rate by the STEP line, in the direction of DIR, and return at the end of the last period.
 
         Compiled code makes the edges, so that a step costs less than 1 us. Edges of several axes at once: see
-        `stage.sim.line_player.play_lines`.
+        `stage.sim.pin_edge_player.play_pin_edges`.
 
         Args:
             count: Number of steps, 0 or more.
@@ -221,7 +221,7 @@ class Axis:
             rises = begin + np.round(np.arange(first, end) * period_ns).astype(np.int64)
             edges["time"] = rises[:, None] + [0, high_ns]
             edges["axis"], edges["pins"], edges["levels"] = self.index, step, [step, 0]
-            play_lines(self.stage, edges.ravel(), begin + round(end * period_ns))
+            play_pin_edges(self.stage, edges.ravel(), begin + round(end * period_ns))
 
     @property
     def position(self) -> float:

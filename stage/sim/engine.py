@@ -40,17 +40,6 @@ from stage.sim.engine_records import (
     WIPED,
     compute_clock_at,
 )
-from stage.sim.input_edges import (
-    apply_index_pulse,
-    apply_switches,
-    find_next_edge,
-    is_in_flag,
-    journal_input,
-    measure_index_offset,
-    predict_switch_changes,
-    predict_switch_edges,
-    process_edges,
-)
 from stage.sim.stage_handle import (
     ENGINE,
     HANDLE,
@@ -70,7 +59,18 @@ from stage.sim.stage_handle import (
     note_edge,
     release,
 )
-from stage.sim.warm_start import apply_effort
+from stage.sim.switch_edges import (
+    apply_index_pulse,
+    apply_switches,
+    find_next_edge,
+    is_in_flag,
+    journal_input,
+    measure_index_offset,
+    predict_switch_changes,
+    predict_switch_edges,
+    process_edges,
+)
+from stage.sim.warm_start_prediction import apply_effort
 
 _step = declare_address_call(None, "i8", "i8")
 _get_state = declare_address_call(None, "i8", "i8", "i8", "i4")

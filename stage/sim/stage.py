@@ -30,8 +30,8 @@ from stage.drives.motors import Drive
 from stage.errors import ArgumentError, RunTimeout, StageError, unknown_name_error
 from stage.sim import encoder, engine, engine_records, integration_checks, mujoco_callbacks, plant, stage_handle
 from stage.sim.axis import Axes, Axis, format_axes_table
+from stage.sim.bus_device_state import DeviceState
 from stage.sim.chips_and_drives import ChipChoice, DriveChoice, choose_chips_and_drives, fit_rotors
-from stage.sim.device_state import DeviceState
 from stage.sim.drive_replacement import compute_power_up_state, replace_motor_in_model, set_drive_record
 from stage.sim.encoder import EncoderChoice
 from stage.sim.model_fingerprint import compute_mechanics_digest

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stage.board.board import Board
-from stage.board.pins import DRIVEN, PinLine, describe_silent_steps
+from stage.board.pin_assignment import DRIVEN, PinLine, describe_silent_steps
 from stage.errors import ArgumentError
 from stage.targets import avr_core
 from stage.targets.avr_bus import DIRECTION_ALL, encode_request

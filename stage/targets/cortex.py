@@ -14,7 +14,7 @@ from typing import Any
 
 from stage.board.board import Board
 from stage.board.errors import LibraryError
-from stage.board.windows import Window
+from stage.board.memory_mapped_ports import Window
 from stage.errors import ArgumentError
 from stage.targets.elf import ARM, Elf, check_arm
 from stage.targets.gdb import DebugServer, make_cortex_registers

@@ -17,9 +17,9 @@ from pathlib import Path
 
 from stage.board.board import Board
 from stage.board.host import Host
-from stage.board.pins import PinLine, parse_pins
+from stage.board.memory_mapped_ports import Window, parse_windows
+from stage.board.pin_assignment import PinLine, parse_pins
 from stage.board.thread_runner import PATIENCE_S, Program
-from stage.board.windows import Window, parse_windows
 from stage.errors import ArgumentError
 from stage.targets import mcus
 from stage.targets.nvic import IRQS
@@ -42,8 +42,8 @@ class TargetHost(Host):
         board: A Board; one firmware at a time drives it.
         mcu: The processor, for example atmega2560, cortex-m3, 8086.
         map: How the board is wired to it, one text or several: an AVR's pins, see stage.targets.avr_bus; of a Cortex-M windows, see
-            stage.board.windows; an 8086 has ports of its own.
-        pins: Pins of an AVR that are STEP/DIR lines and switches of axes, see stage.board.pins: one text or several.
+            stage.board.memory_mapped_ports; an 8086 has ports of its own.
+        pins: Pins of an AVR that are STEP/DIR lines and switches of axes, see stage.board.pin_assignment: one text or several.
         mcu_clock: Its clock, Hz; default: see docs/targets.md.
         gdb: TCP port, on 127.0.0.1, at which the processor waits for a GDB.
         isolated: Whether it runs in a process of its own, see stage.board.isolation.

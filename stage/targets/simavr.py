@@ -21,7 +21,7 @@ from stage.board.board import Board
 from stage.board.bus import requests
 from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostError, LibraryError
-from stage.board.pins import PinLine
+from stage.board.pin_assignment import PinLine
 from stage.errors import StageError
 from stage.native import address_of, array_at
 from stage.targets import avr_core, avr_uart, mcus, simavr_layout

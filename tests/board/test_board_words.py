@@ -23,7 +23,7 @@ from stage.board.devices import HCTL2016, Encoder
 from stage.board.interrupt_hooks import format_source_name
 from stage.board.isolation.traps.memory_windows import Windows
 from stage.board.layouts import read_layout
-from stage.board.windows import ADDRESS_LIMIT, Window, parse_windows
+from stage.board.memory_mapped_ports import ADDRESS_LIMIT, Window, parse_windows
 from stage.chips import HCTL1100, MCX304
 from stage.errors import ArgumentError
 from stage.sim.encoder import choose_encoders

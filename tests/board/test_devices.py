@@ -16,7 +16,7 @@ from board.test_native import collect_results
 from support.compiled_firmware import firmware
 
 from stage import Stage
-from stage.board import Board, CompileError, HostError, LibraryError, NativeHost, build, crash_report, scratch
+from stage.board import Board, CompileError, HostError, LibraryError, NativeHost, build, crash_report, temporary_folders
 from stage.board.devices import CDevice, Device, Encoder, Latch
 from stage.chips import HCTL1100, PCL240K
 from stage.errors import ArgumentError, StageError
@@ -407,8 +407,8 @@ def test_a_device_in_c_lies_where_the_next_run_removes_what_a_kill_has_left(adc)
     """board.add_device(0x340, source="adc.c")"""
     device = CDevice(adc.with_suffix(".c"))
     folder = device.path.parent
-    assert folder.name.startswith(scratch.PREFIX)
-    assert (folder / scratch.LOCK).exists()
+    assert folder.name.startswith(temporary_folders.PREFIX)
+    assert (folder / temporary_folders.LOCK).exists()
     del device
     gc.collect()
     assert not folder.exists()

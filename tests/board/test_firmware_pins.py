@@ -8,7 +8,7 @@ import pytest
 from stage import ArgumentError, Stage
 from stage.board import Board, HostError, LibraryError, NativeHost
 from stage.cli import main
-from stage.sim.line_player import LINE_EDGE, play_lines
+from stage.sim.pin_edge_player import LINE_EDGE, play_pin_edges
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no cc")
 PINS = "x.step=2,y.step=3,x.dir=5,y.dir=!D6,x.enable=!8,y.enable=!8,x.limit=!9,y.limit=!9,x.probe=A1"
@@ -40,7 +40,7 @@ def test_each_write_of_a_step_pin_takes_a_bus_cycle_and_makes_its_edge_at_the_en
     edges = np.zeros((20, 2), LINE_EDGE)
     edges["time"] = 500 + 100_000 * np.arange(20)[:, None] + [0, 3_500]
     edges["pins"], edges["levels"] = 1, [1, 0]
-    play_lines(reference, edges.ravel(), stage.now)
+    play_pin_edges(reference, edges.ravel(), stage.now)
     assert stage.axes["x"].chip.state.tobytes() == reference.axes["x"].chip.state.tobytes()
     assert np.array_equal(stage.data.qpos, reference.data.qpos)
 
@@ -93,7 +93,7 @@ def test_a_hook_is_called_at_the_change_of_a_switch(run, mode, levels, isolated)
     edges = np.zeros((400, 2), LINE_EDGE)
     edges["time"] = 1000 + 300_000 * np.arange(400)[:, None] + [0, 5_500]
     edges["pins"], edges["levels"] = 1, [1, 0]
-    (first,) = play_lines(reference, edges.ravel(), 120_000_000).switch_edges
+    (first,) = play_pin_edges(reference, edges.ravel(), 120_000_000).switch_edges
     assert 0 <= host.log[0][0] * 1e9 - first["time"] <= 4_000  # the cycles of the hook itself
 
 

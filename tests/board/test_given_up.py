@@ -16,7 +16,7 @@ import pytest
 from support.compiled_firmware import firmware
 
 from stage import Stage
-from stage.board import Board, HostError, NativeHost, windows
+from stage.board import Board, HostError, NativeHost, memory_mapped_ports
 from stage.board.thread_runner import is_debugged
 from stage.chips import HCTL1100, PCL240K
 from stage.cli import main
@@ -378,7 +378,7 @@ def test_a_bus_cycle_in_a_handler_of_signals_is_an_error_in_words_wherever_the_s
 def test_too_many_windows_end_the_run_with_exit_code_1(capfd):
     # for (k = 0; k < 257; k++) ps_window(0x300, 4);
     source = "PULSESTAGE_MAIN { for (int k = 0; k < 257; k++) ps_window(0x300, 4); return 0; }"
-    if not windows.is_supported():
+    if not memory_mapped_ports.is_supported():
         pytest.skip("windows are for Linux on x86-64")
     assert main(["run", str(firmware(source)), "--model", "xy"]) == 1
     message = capfd.readouterr()

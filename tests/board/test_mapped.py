@@ -10,11 +10,11 @@ import pytest
 from support.compiled_firmware import firmware
 
 from stage import Stage, faults
-from stage.board import Board, HostError, NativeHost, windows
+from stage.board import Board, HostError, NativeHost, memory_mapped_ports
 from stage.chips import MCX304, PCL240K
 from stage.errors import ArgumentError, StageError
 
-pytestmark = pytest.mark.skipif(not windows.is_supported(), reason="windows need Linux on x86-64")
+pytestmark = pytest.mark.skipif(not memory_mapped_ports.is_supported(), reason="windows need Linux on x86-64")
 
 AT = 0x40021000
 WINDOW = f"{AT:#x}=0x300+0x20"
@@ -340,7 +340,7 @@ def test_windows_need_a_process_of_the_firmware_and_say_so():
 
 
 def test_elsewhere_windows_are_refused_and_proxies_named(monkeypatch):
-    monkeypatch.setattr(windows, "is_supported", lambda: False)
+    monkeypatch.setattr(memory_mapped_ports, "is_supported", lambda: False)
     library = firmware("PULSESTAGE_MAIN { ps_window(0x300, 4); return 0; }")
     board = Board(Stage("xy", chips=MCX304, visuals=False))
     with pytest.raises(StageError, match=r"need Linux on x86-64, and this is .*pulsestage_mmio.hpp"):

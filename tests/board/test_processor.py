@@ -8,10 +8,10 @@ import pytest
 from support.compiled_firmware import firmware
 
 from stage import Stage
-from stage.board import Board, NativeHost, windows
+from stage.board import Board, NativeHost, memory_mapped_ports
 from stage.native import COMPILED
 
-pytestmark = pytest.mark.skipif(not windows.is_supported(), reason="windows need Linux on x86-64")
+pytestmark = pytest.mark.skipif(not memory_mapped_ports.is_supported(), reason="windows need Linux on x86-64")
 
 NAMES = {8: "rax rbx rcx rdx", 4: "eax ebx ecx edx", 2: "ax bx cx dx", 1: "al bl cl dl"}
 LETTERS = {8: "q", 4: "l", 2: "w", 1: "b"}

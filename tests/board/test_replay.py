@@ -10,9 +10,9 @@ from support.examples import SEED
 from vcd.reader import ScalarChange, TokenKind, VectorChange, tokenize
 
 from stage import ArgumentError, Drive, Stage, firmware
-from stage.board.replay import replay_capture
+from stage.board.capture_replay import replay_capture
 from stage.cli import main
-from stage.recording.capture import CaptureError, read_capture
+from stage.recording.vcd_reader import CaptureError, read_capture
 
 HEAD = """$date Thu Nov 26 12:00:00 2026 $end
 $version libsigrok 0.5.2 $end

@@ -17,7 +17,7 @@ import pytest
 from support.compiled_firmware import firmware
 
 from stage import Stage
-from stage.board import Board, HostError, NativeHost, scratch
+from stage.board import Board, HostError, NativeHost, temporary_folders
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="no /proc here")
 DELAY_SOURCE = "PULSESTAGE_MAIN { ps_in8(0x300); ps_delay_us(1000000); return 0; }"
@@ -31,7 +31,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def of_runs(folder: Path) -> list[Path]:
-    return sorted(folder.glob(f"{scratch.PREFIX}*"))
+    return sorted(folder.glob(f"{temporary_folders.PREFIX}*"))
 
 
 def mapped(pid: int | str, name: str) -> set[Path]:
@@ -111,11 +111,11 @@ def test_no_file_stays_when_the_program_ends_or_is_killed(isolated, end, tmp_pat
 
 
 def test_a_folder_in_use_is_not_swept(folder, monkeypatch):
-    used, left = scratch.Scratch(), scratch.Scratch()
-    copy = folder / f"{scratch.PREFIX}left"
+    used, left = temporary_folders.Scratch(), temporary_folders.Scratch()
+    copy = folder / f"{temporary_folders.PREFIX}left"
     shutil.copytree(left.path, copy)  # the lock is that of the other file
     left.close()
-    scratch.remove_stale_folders.cache_clear()
-    scratch.Scratch().close()
+    temporary_folders.remove_stale_folders.cache_clear()
+    temporary_folders.Scratch().close()
     assert of_runs(folder) == [used.path]
     used.close()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from stage.recording.vcd import HostBus
+from stage.recording.vcd_writer import HostBus
 
 
 class PositionHost:

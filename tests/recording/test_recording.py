@@ -221,7 +221,7 @@ def test_a_folder_without_permission_is_named(run, tmp_path):
 def test_a_failed_save_leaves_the_old_file(run, tmp_path, monkeypatch):
     path = run.recording.to_vcd(tmp_path / "x.vcd")
     before = path.read_bytes()
-    monkeypatch.setattr("stage.recording.vcd._compute_levels", lambda *a: 1 / 0)
+    monkeypatch.setattr("stage.recording.vcd_writer._compute_levels", lambda *a: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run.recording.to_vcd(path, overwrite=True)
     assert path.read_bytes() == before

@@ -13,7 +13,7 @@ import pytest
 from support.recording_bench import ONE_AXIS, feed, make_bench, read_rrd, stage_of
 
 from stage.chips import HCTL1100
-from stage.recording import geom_archetypes, rerun_log, rerun_scene, saved_recording, viewer
+from stage.recording import geom_archetypes, rerun_log, rerun_scene, rerun_viewer, saved_recording
 from stage.recording.recording import ROWS, Recording, RecordingError
 from stage.recording.rerun_log import STATES, StateLanes
 
@@ -231,15 +231,15 @@ def test_a_notebook_gets_the_dashboard_of_what_is_neither_nothing_nor_too_much(m
         def save(self, path):
             raise InterruptedError("it is sent")
 
-    monkeypatch.setattr(viewer, "is_installed", lambda library: True)
+    monkeypatch.setattr(rerun_viewer, "is_installed", lambda library: True)
     monkeypatch.setitem(sys.modules, "rerun_notebook", SimpleNamespace())
-    for n in (0, viewer.MAX_WIDGET_SAMPLES + 1):
-        assert viewer.build_widget(Run(n)) == {}
-    for n in (1, viewer.MAX_WIDGET_SAMPLES):
+    for n in (0, rerun_viewer.MAX_WIDGET_SAMPLES + 1):
+        assert rerun_viewer.build_widget(Run(n)) == {}
+    for n in (1, rerun_viewer.MAX_WIDGET_SAMPLES):
         with pytest.raises(InterruptedError, match="it is sent"):
-            viewer.build_widget(Run(n))
-    monkeypatch.setattr(viewer, "is_installed", lambda library: library != "rerun_notebook")
-    assert viewer.build_widget(Run(1)) == {}
+            rerun_viewer.build_widget(Run(n))
+    monkeypatch.setattr(rerun_viewer, "is_installed", lambda library: library != "rerun_notebook")
+    assert rerun_viewer.build_widget(Run(1)) == {}
 
 
 # --- shapes ---

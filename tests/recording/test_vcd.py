@@ -12,7 +12,7 @@ from support.vcd_parser import parse
 from stage import Stage, faults
 from stage.chips import MCX514, PCL240K
 from stage.recording import pin_signals
-from stage.recording.vcd import to_nanoseconds
+from stage.recording.vcd_writer import to_nanoseconds
 
 HZ = PCL240K.DEFAULT_CLOCK_HZ
 
@@ -231,7 +231,7 @@ def test_the_waveforms_do_not_depend_on_the_size_of_pieces(tmp_path, bench, monk
     """many changes lie where one piece ends and the next begins"""
     wild(bench, 3, steps=10)
     complete = bench.recording.to_vcd(tmp_path / "whole.vcd").read_bytes()
-    monkeypatch.setattr("stage.recording.vcd.EDGES", 70)
+    monkeypatch.setattr("stage.recording.vcd_writer.EDGES", 70)
     assert bench.recording.to_vcd(tmp_path / "pieces.vcd").read_bytes() == complete
 
 

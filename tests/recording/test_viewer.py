@@ -17,9 +17,9 @@ import psutil
 import pytest
 
 from stage import ArgumentError
-from stage.recording import viewer
+from stage.recording import rerun_viewer
 from stage.recording.axis_series import COLORS, assign_colors
-from stage.recording.viewer import ViewerError
+from stage.recording.rerun_viewer import ViewerError
 
 
 def listening(process):
@@ -29,7 +29,7 @@ def listening(process):
 @pytest.fixture(scope="module")
 def served(rrd):
     """The dashboard's server."""
-    with viewer.make_web_server(rrd, viewer.find_free_port()) as server:
+    with rerun_viewer.make_web_server(rrd, rerun_viewer.find_free_port()) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         yield server
@@ -115,8 +115,8 @@ def test_who_does_not_know_the_address_gets_nothing(served, path):
 def test_the_page_calls_no_other_server_unless_requested(rrd, monkeypatch, wanted):
     """stage demo --web"""
     monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", wanted)
-    monkeypatch.setattr(viewer, "_fetch_page", lambda: {"": b"page"})
-    with viewer.make_web_server(rrd, viewer.find_free_port()) as server:
+    monkeypatch.setattr(rerun_viewer, "_fetch_page", lambda: {"": b"page"})
+    with rerun_viewer.make_web_server(rrd, rerun_viewer.find_free_port()) as server:
         thread = threading.Thread(target=server.handle_request)
         thread.start()
         _, headers, _ = requested(server, f"{server.folder}?url=x", [f"localhost:{server.server_port}"])
@@ -130,10 +130,10 @@ def test_the_page_calls_no_other_server_unless_requested(rrd, monkeypatch, wante
 
 
 def test_servers_have_different_addresses(rrd, monkeypatch):
-    monkeypatch.setattr(viewer, "_fetch_page", dict)
+    monkeypatch.setattr(rerun_viewer, "_fetch_page", dict)
     folders = set()
     for _ in range(2):
-        with viewer.make_web_server(rrd, viewer.find_free_port()) as server:
+        with rerun_viewer.make_web_server(rrd, rerun_viewer.find_free_port()) as server:
             folders.add(server.folder)
     assert len(folders) == 2
 
@@ -142,14 +142,14 @@ def test_a_port_in_use_is_named_before_anything_starts(rrd):
     with socket.create_server(("127.0.0.1", 0)) as acquired:
         port = acquired.getsockname()[1]
         with pytest.raises(ViewerError, match=f"port {port} is in use. Choose another: --port"):
-            viewer.serve_web(rrd, port)
+            rerun_viewer.serve_web(rrd, port)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="how a process learns of its parent's end is Linux's")
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_what_serves_ends_with_its_command(rrd, sent):
     """stage demo --web & sleep 9; kill $!"""
-    program = f"from stage.recording import viewer; viewer.serve_web({str(rrd)!r}, {viewer.find_free_port()})"
+    program = f"from stage.recording import rerun_viewer; rerun_viewer.serve_web({str(rrd)!r}, {rerun_viewer.find_free_port()})"
     command = [sys.executable, "-c", program]
     with subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True) as parent:
         assert b"is served" in parent.stdout.readline()
@@ -163,7 +163,10 @@ def test_what_serves_ends_with_its_command(rrd, sent):
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_rerun_ends_with_the_command_that_waits_for_it(sent):
     """stage demo --picture x.png & sleep 9; kill $!"""
-    program = "from stage.recording import viewer\nwith viewer._run_rerun(['sleep', '100']): print('runs', flush=True); input()"
+    program = (
+        "from stage.recording import rerun_viewer\nwith rerun_viewer._run_rerun(['sleep', '100']): "
+        "print('runs', flush=True); input()"
+    )
     command = [sys.executable, "-c", program]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True) as parent:
         assert b"runs" in parent.stdout.readline()
@@ -185,36 +188,42 @@ def test_reruns_usage_data_is_off_unless_requested(tmp_path, monkeypatch, reques
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "own"))
     monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", requested)
     monkeypatch.delenv("CI", raising=False)  # rerun sends nothing from a machine that says so
-    before = {p: p.read_bytes() for p in viewer.SETTINGS_FOLDER.rglob("*") if p.is_file()}
-    command = [viewer.find_executable(), "analytics", "config"]
-    message = subprocess.run(command, env=viewer.build_environment(), capture_output=True, text=True, check=True).stdout
+    before = {p: p.read_bytes() for p in rerun_viewer.SETTINGS_FOLDER.rglob("*") if p.is_file()}
+    command = [rerun_viewer.find_executable(), "analytics", "config"]
+    message = subprocess.run(
+        command, env=rerun_viewer.build_environment(), capture_output=True, text=True, check=True
+    ).stdout
     assert ('"analytics_enabled": true' in message) == bool(requested)
     assert ('"analytics_enabled": false' in message) != bool(requested)
-    assert {p: p.read_bytes() for p in viewer.SETTINGS_FOLDER.rglob("*") if p.is_file()} == before
+    assert {p: p.read_bytes() for p in rerun_viewer.SETTINGS_FOLDER.rglob("*") if p.is_file()} == before
 
 
 @pytest.mark.parametrize("port", [0, -1, 65536, 9.5])
 def test_a_port_that_is_none_is_named(rrd, port):
     with pytest.raises(ArgumentError, match="1 to 65535"):
-        viewer.make_web_server(rrd, port)
+        rerun_viewer.make_web_server(rrd, port)
 
 
 def test_without_a_screen_the_error_names_the_alternatives(rrd, monkeypatch):
-    monkeypatch.setattr(viewer, "has_screen", lambda: False)
+    monkeypatch.setattr(rerun_viewer, "has_screen", lambda: False)
     with pytest.raises(ViewerError, match="no screen here"):
-        viewer.open_viewer(rrd)
+        rerun_viewer.open_viewer(rrd)
 
 
 def test_with_a_screen_the_window_listens_to_this_machine_only(rrd, monkeypatch):
     observed = {}
-    monkeypatch.setattr(viewer, "has_screen", lambda: True)
+    monkeypatch.setattr(rerun_viewer, "has_screen", lambda: True)
     monkeypatch.setattr(subprocess, "Popen", lambda command, **k: observed.update(command=command))
-    viewer.open_viewer(rrd)
+    rerun_viewer.open_viewer(rrd)
     assert observed["command"][1:] == [str(rrd), "--bind", "127.0.0.1", "--port", "auto"]
 
 
 def test_a_missing_recording_is_named(tmp_path):
-    for observe in (viewer.open_viewer, viewer.serve_web, lambda p: viewer.take_screenshot(p, tmp_path / "x.png")):
+    for observe in (
+        rerun_viewer.open_viewer,
+        rerun_viewer.serve_web,
+        lambda p: rerun_viewer.take_screenshot(p, tmp_path / "x.png"),
+    ):
         with pytest.raises(ViewerError, match=r"there is no recording .*none\.rrd"):
             observe(tmp_path / "none.rrd")
 
@@ -224,7 +233,7 @@ def test_a_missing_recording_is_named(tmp_path):
 def test_a_picture_shows_every_part_of_the_dashboard(rrd, tmp_path):
     from PIL import Image
 
-    png = viewer.take_screenshot(rrd, tmp_path / "x.png", (1600, 900), at=0.3)
+    png = rerun_viewer.take_screenshot(rrd, tmp_path / "x.png", (1600, 900), at=0.3)
     with Image.open(png) as picture:
         assert picture.size == (1600, 900)
         pixels = np.asarray(picture.convert("RGB")).astype(int)
@@ -242,18 +251,18 @@ def test_nobody_waits_for_ever_for_a_viewer_that_never_listens():
         requested.append(1)
         return None if len(requested) < 50 else 1
 
-    viewer._wait_for(
-        viewer.find_free_port(), SimpleNamespace(poll=poll, stderr=None, returncode=1), time.monotonic() + 0.15
+    rerun_viewer._wait_for(
+        rerun_viewer.find_free_port(), SimpleNamespace(poll=poll, stderr=None, returncode=1), time.monotonic() + 0.15
     )
     assert 1 <= len(requested) < 10
 
 
 def test_a_page_that_cannot_be_had_leaves_the_port_free(rrd, monkeypatch):
-    port = viewer.find_free_port()
-    monkeypatch.setattr(viewer, "_fetch_page", lambda: 1 / 0)
+    port = rerun_viewer.find_free_port()
+    monkeypatch.setattr(rerun_viewer, "_fetch_page", lambda: 1 / 0)
     with pytest.raises(ZeroDivisionError) as reported:
-        viewer.make_web_server(rrd, port)
-    assert viewer._is_port_free(port), reported
+        rerun_viewer.make_web_server(rrd, port)
+    assert rerun_viewer._is_port_free(port), reported
 
 
 def test_a_picture_waits_until_the_viewer_has_loaded_and_settled(rrd, tmp_path, monkeypatch):
@@ -289,13 +298,13 @@ def test_a_picture_waits_until_the_viewer_has_loaded_and_settled(rrd, tmp_path, 
         return contextlib.nullcontext(running)
 
     monkeypatch.setattr("rerun.experimental.ViewerClient", SimpleNamespace(connect=connect))
-    monkeypatch.setattr(viewer, "_run_rerun", started)
-    monkeypatch.setattr(viewer, "_wait_for", lambda *_: None)
-    monkeypatch.setattr(viewer, "_cut_frame", lambda *arguments: done.append(arguments))
+    monkeypatch.setattr(rerun_viewer, "_run_rerun", started)
+    monkeypatch.setattr(rerun_viewer, "_wait_for", lambda *_: None)
+    monkeypatch.setattr(rerun_viewer, "_cut_frame", lambda *arguments: done.append(arguments))
     monkeypatch.setattr("time.sleep", done.append)
     png = tmp_path / "x.png"
-    viewer._render(rrd, png, (640, 480), None, 20)
-    size = ["--headless", "--window-size", f"640x{480 + viewer.FRAME_HEIGHT}"]
+    rerun_viewer._render(rrd, png, (640, 480), None, 20)
+    size = ["--headless", "--window-size", f"640x{480 + rerun_viewer.FRAME_HEIGHT}"]
     current = (1, ("time",), {"duration": 2.0, "play_state": "paused"})
     assert done == [size, 0.2, 0.2, 0.2, current, 0.5, 0.5, (png, (640, 480))]
     assert not shots

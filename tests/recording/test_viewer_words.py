@@ -15,17 +15,17 @@ from types import SimpleNamespace
 import pytest
 
 from stage.errors import ArgumentError
-from stage.recording import viewer
+from stage.recording import rerun_viewer
 from stage.recording.browser_server import Server
-from stage.recording.viewer import ViewerError
+from stage.recording.rerun_viewer import ViewerError
 from stage.support.files import FileError
 
 
 @pytest.mark.parametrize("port", [0, -1, 65536, 90.5])
 def test_a_port_beyond_the_first_and_the_last_is_refused(port):
     with pytest.raises(ArgumentError, match=rf"port={port!r}: a port is a whole number of 1 to 65535\."):
-        viewer.check_port(port)
-    viewer.check_port(1), viewer.check_port(65535)
+        rerun_viewer.check_port(port)
+    rerun_viewer.check_port(1), rerun_viewer.check_port(65535)
 
 
 @pytest.mark.parametrize(
@@ -37,12 +37,12 @@ def test_a_port_that_cannot_be_had_says_why_and_names_one_that_is_free(tmp_path,
     def refused(rrd, port, outside):
         raise OSError(number, "no, sir")
 
-    monkeypatch.setattr(viewer, "Server", refused)
-    monkeypatch.setattr(viewer, "find_free_port", lambda: 4711)
+    monkeypatch.setattr(rerun_viewer, "Server", refused)
+    monkeypatch.setattr(rerun_viewer, "find_free_port", lambda: 4711)
     rrd = tmp_path / "x.rrd"
     rrd.touch()
     with pytest.raises(ViewerError) as failed:
-        viewer.make_web_server(rrd, 9191)
+        rerun_viewer.make_web_server(rrd, 9191)
     assert str(failed.value).startswith(message)
 
 
@@ -54,24 +54,26 @@ def test_usage_data_is_sent_only_on_request(monkeypatch, arguments, wanted):
     monkeypatch.setenv("XDG_CONFIG_HOME", "/own")
     if arguments is not None:
         monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", arguments)
-    assert viewer.build_environment()["XDG_CONFIG_HOME"] == ("/own" if wanted else str(viewer.SETTINGS_FOLDER))
+    assert rerun_viewer.build_environment()["XDG_CONFIG_HOME"] == (
+        "/own" if wanted else str(rerun_viewer.SETTINGS_FOLDER)
+    )
 
 
 def test_reruns_program_is_the_one_that_is_named_or_that_of_its_package(tmp_path, monkeypatch):
     """RERUN_CLI_PATH; the program of macOS in its folder, that of Linux; a package without one"""
     monkeypatch.delenv("RERUN_CLI_PATH", raising=False)
     spec = SimpleNamespace(submodule_search_locations=[str(tmp_path / "none"), str(tmp_path)])
-    monkeypatch.setattr(viewer, "find_spec", lambda name: spec)
-    monkeypatch.setattr(viewer, "import_extra", lambda *_: None)
+    monkeypatch.setattr(rerun_viewer, "find_spec", lambda name: spec)
+    monkeypatch.setattr(rerun_viewer, "import_extra", lambda *_: None)
     with pytest.raises(ViewerError, match=rf"in {tmp_path}/none, {tmp_path} has no program of rerun\. Install it anew"):
-        viewer.find_executable()
+        rerun_viewer.find_executable()
     for name in ("rerun.exe", "rerun", "Rerun.app/Contents/MacOS/Rerun"):
         program = tmp_path / name
         program.parent.mkdir(parents=True, exist_ok=True)
         program.touch()
-        assert viewer.find_executable() == str(program)
+        assert rerun_viewer.find_executable() == str(program)
     monkeypatch.setenv("RERUN_CLI_PATH", "/else/where")
-    assert viewer.find_executable() == "/else/where"
+    assert rerun_viewer.find_executable() == "/else/where"
 
 
 @pytest.mark.parametrize(
@@ -86,7 +88,7 @@ def test_a_picture_shows_the_requested_time_or_the_end(at, end, displayed):
     client = SimpleNamespace(
         get_state=lambda: state, set_time=lambda *arguments, **named: requested.append((arguments, named))
     )
-    viewer._show_moment(client, at)
+    rerun_viewer._show_moment(client, at)
     assert requested == [(("time",), {"duration": pytest.approx(displayed), "play_state": "paused"})]
 
 
@@ -96,7 +98,7 @@ def test_a_signal_that_ends_leaves_in_order_and_handlers_are_as_before(number):
 
     before = signal.signal(number, own)
     try:
-        with pytest.raises(SystemExit) as left, viewer._exit_on_signals():
+        with pytest.raises(SystemExit) as left, rerun_viewer._exit_on_signals():
             signal.raise_signal(number)
         assert left.value.code == 128 + number
         assert signal.getsignal(number) is own
@@ -113,7 +115,7 @@ def test_a_program_that_does_not_end_is_killed_and_waited_for():
             raise subprocess.TimeoutExpired("rerun", timeout)
 
     process = SimpleNamespace(terminate=lambda: done.append("terminate"), kill=lambda: done.append("kill"), wait=wait)
-    viewer._end_process(process)
+    rerun_viewer._end_process(process)
     assert done == ["terminate", ("wait", 5), "kill", ("wait", None)]
 
 
@@ -122,29 +124,29 @@ def test_an_existing_picture_is_overwritten_only_on_request(tmp_path, monkeypatc
     rrd, png, requested = tmp_path / "x.rrd", tmp_path / "x.png", []
     rrd.touch(), png.write_bytes(b"old")
     monkeypatch.setattr(
-        viewer, "_render", lambda rrd, part, *arguments: (requested.append(arguments), part.write_bytes(b"new"))
+        rerun_viewer, "_render", lambda rrd, part, *arguments: (requested.append(arguments), part.write_bytes(b"new"))
     )
     with pytest.raises(FileError, match=r"x\.png"):
-        viewer.take_screenshot(rrd, png)
+        rerun_viewer.take_screenshot(rrd, png)
     assert (png.read_bytes(), requested) == (b"old", [])
-    assert viewer.take_screenshot(rrd, png, (320, 200), at=0.5, timeout=7, overwrite=True) == png
+    assert rerun_viewer.take_screenshot(rrd, png, (320, 200), at=0.5, timeout=7, overwrite=True) == png
     assert (png.read_bytes(), requested) == (b"new", [((320, 200), 0.5, 7)])
 
 
-@pytest.mark.parametrize(("bar", "top"), [(lambda x: 30, viewer.FRAME_HEIGHT), (lambda x: x % 256, 0)])
+@pytest.mark.parametrize(("bar", "top"), [(lambda x: 30, rerun_viewer.FRAME_HEIGHT), (lambda x: x % 256, 0)])
 def test_an_empty_bar_of_a_window_is_cut_off_and_what_is_drawn_stays(tmp_path, bar, top):
     """a picture of 64 x 48 below the bar, of which row y has the colour y"""
     image = pytest.importorskip("PIL.Image")
-    height = 48 + viewer.FRAME_HEIGHT
+    height = 48 + rerun_viewer.FRAME_HEIGHT
     picture = image.new("L", (64, height))
     for y in range(height):
         for x in range(64):
-            picture.putpixel((x, y), bar(x) if y < viewer.FRAME_HEIGHT else y)
+            picture.putpixel((x, y), bar(x) if y < rerun_viewer.FRAME_HEIGHT else y)
     picture.save(tmp_path / "x.png")
-    viewer._cut_frame(tmp_path / "x.png", (64, 48))
+    rerun_viewer._cut_frame(tmp_path / "x.png", (64, 48))
     with image.open(tmp_path / "x.png") as cut:
         assert cut.size == (64, 48)
-        assert cut.getpixel((5, 0)) == (viewer.FRAME_HEIGHT if top else 5)
+        assert cut.getpixel((5, 0)) == (rerun_viewer.FRAME_HEIGHT if top else 5)
 
 
 class HttpAnswer:
@@ -166,8 +168,8 @@ def test_a_page_that_rerun_does_not_give_is_named(monkeypatch, name, called):
     monkeypatch.setattr(http.client, "HTTPConnection", lambda host, port, timeout: connection)
     answers = [HttpAnswer(404, "Not Found"), HttpAnswer(200)]
     with pytest.raises(ViewerError, match=rf"rerun does not give {called}: 404 Not Found\."):
-        viewer._fetch_file(1, name)
-    assert viewer._fetch_file(1, name) == b"content"
+        rerun_viewer._fetch_file(1, name)
+    assert rerun_viewer._fetch_file(1, name) == b"content"
     assert requested == [("GET", f"/{name}"), "closed"] * 2
 
 

@@ -8,7 +8,7 @@ from stage import Stage
 from stage.board import Board
 from stage.serve import client as frames
 from stage.serve.client import Batch, ServerError
-from stage.sim.line_player import LINE_EDGE, play_lines
+from stage.sim.pin_edge_player import LINE_EDGE, play_pin_edges
 
 
 def make_stage():
@@ -31,7 +31,7 @@ def test_a_batch_makes_edges_at_the_end_of_its_bus_cycles(served):
     edges = np.zeros((20, 2), LINE_EDGE)
     edges["time"] = 500 + 100_000 * np.arange(20)[:, None] + [0, 3_500]
     edges["axis"], edges["pins"], edges["levels"] = 1, 1, [1, 0]
-    play_lines(reference, edges.ravel(), 2_000_000)
+    play_pin_edges(reference, edges.ravel(), 2_000_000)
     assert (stage.now, served.board.cycles) == (2_000_000, 40)
     assert stage.axes["y"].chip.state.tobytes() == reference.axes["y"].chip.state.tobytes()
     assert np.array_equal(stage.data.qpos, reference.data.qpos)

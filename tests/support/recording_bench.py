@@ -9,7 +9,7 @@ import numpy as np
 from stage import Drive
 from stage.chips import PCL240K
 from stage.recording import Recording
-from stage.recording.viewer import build_environment, find_executable
+from stage.recording.rerun_viewer import build_environment, find_executable
 from support.programs import load_registers, start_preset
 
 ONE_AXIS = """

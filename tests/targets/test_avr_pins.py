@@ -11,7 +11,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board, LibraryError
-from stage.board.pins import parse_pins
+from stage.board.pin_assignment import parse_pins
 from stage.chips import STEPDIR
 from stage.cli import main
 from stage.errors import ArgumentError

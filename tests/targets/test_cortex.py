@@ -7,7 +7,7 @@ from support.target_boards import board_of
 
 from stage import Stage
 from stage.board import Board, HostError, HostTimeout, LibraryError
-from stage.board.windows import parse_windows
+from stage.board.memory_mapped_ports import parse_windows
 from stage.chips import PCL240K, PCL240MK
 from stage.errors import ArgumentError
 from stage.targets import TargetHost, mcus, processor_core

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from stage.board import LibraryError
-from stage.board.windows import Window
+from stage.board.memory_mapped_ports import Window
 from stage.errors import ArgumentError
 from stage.targets.cortex import Cortex
 from stage.targets.elf import check_avr

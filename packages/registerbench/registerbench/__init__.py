@@ -6,7 +6,7 @@
     entry.write("random.bench")
     print(registerbench.verify("random.bench"))                   plays the actions again, without the policy
 
-task_cards.py holds the tasks and their test episodes, policies.py the kinds of policies, entry_files.py the file format.
+benchmark_tasks.py holds the tasks and their test episodes, policies.py the kinds of policies, entry_files.py the file format.
 episode_sequence.py plays episodes, entry_replay.py repeats and compares them, and score_statistics.py decides whether one
 method beats another. arena/ measures agents, diagnosis/ has broken set-ups, and baselines/ made the published results.
 """
@@ -15,13 +15,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from registerbench.benchmark_tasks import CARDS, Card, list_test_seeds
     from registerbench.entry_files import Entry, read_entries, read_entry
     from registerbench.entry_replay import Verdict, verify
     from registerbench.episode_sequence import play
-    from registerbench.task_cards import CARDS, Card, list_test_seeds
 
 _MODULES = {
-    "CARDS": "task_cards", "Card": "task_cards", "list_test_seeds": "task_cards",
+    "CARDS": "benchmark_tasks", "Card": "benchmark_tasks", "list_test_seeds": "benchmark_tasks",
     "Entry": "entry_files", "read_entry": "entry_files", "read_entries": "entry_files",
     "play": "episode_sequence", "Verdict": "entry_replay", "verify": "entry_replay",
 }  # fmt: skip

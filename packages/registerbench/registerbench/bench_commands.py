@@ -90,8 +90,8 @@ def add_bench_table(commands: Any) -> None:
 def print_tasks(args: argparse.Namespace) -> int:
     """The tasks, or one of them."""
     from registerbench import CARDS
+    from registerbench.benchmark_tasks import FIRST_TEST_SEED, TRACKS, find_card, list_test_seeds
     from registerbench.shipped_policies import COMMON_PLAYERS, TASK_PLAYERS
-    from registerbench.task_cards import FIRST_TEST_SEED, TRACKS, find_card, list_test_seeds
 
     selected = [find_card(args.task)] if args.task else list(CARDS.values())
     if args.json:
@@ -129,7 +129,7 @@ def print_tasks(args: argparse.Namespace) -> int:
 def submit_entry(args: argparse.Namespace) -> int:
     """Play and pack."""
     import registerbench
-    from registerbench.task_cards import find_card
+    from registerbench.benchmark_tasks import find_card
     from stage.support.files import ENTRY, check_ending, check_writable
 
     card = find_card(args.task)

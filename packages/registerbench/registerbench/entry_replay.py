@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from registerbench.benchmark_tasks import Card, find_card, list_test_seeds
 from registerbench.entry_files import Entry, EntryError, read_entry
 from registerbench.episode_sequence import digest_observation, score_episode
 from registerbench.package_versions import describe_environment, list_versions
-from registerbench.task_cards import Card, find_card, list_test_seeds
 from stage.envs.stage_env import info_of
 from stage.errors import ArgumentError
 from stage.support.argument_checks import explain_arguments

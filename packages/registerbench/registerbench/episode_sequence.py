@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from registerbench.benchmark_tasks import OPEN_ROUND, find_card, list_test_seeds
 from registerbench.entry_files import ACTION_TYPES, Entry
 from registerbench.package_versions import describe_environment, list_versions
 from registerbench.policies import Policy, PolicyContext, make_player
-from registerbench.task_cards import OPEN_ROUND, find_card, list_test_seeds
 from stage.envs.observation_features import list_hidden
 from stage.envs.task import check_action
 from stage.errors import ArgumentError

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from registerbench.benchmark_tasks import find_card, list_test_seeds
 from registerbench.entry_files import Entry
-from registerbench.task_cards import find_card, list_test_seeds
 from stage.errors import ArgumentError
 
 BOOTSTRAP_SAMPLES, CONFIDENCE_LEVEL = 2000, 0.95

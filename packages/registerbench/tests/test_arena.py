@@ -8,7 +8,7 @@ import pytest
 import registerbench
 from registerbench.arena import GameSession, Limits, list_suites, make_player, play, suite
 from registerbench.arena.players import SHIPPED_PLAYERS
-from registerbench.task_cards import CARDS
+from registerbench.benchmark_tasks import CARDS
 from stage.cli import main
 from stage.errors import ArgumentError
 

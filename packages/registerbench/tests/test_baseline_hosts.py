@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 import stage.envs
-from registerbench.baselines import few_shot, move_tuning, servo_loop, tasks
+from registerbench.baselines import few_shot, servo_formula, task_table, tuned_move
 from stage import Stage, StageError
 from stage.chips import HCTL1100
 from stage.envs import machine_contexts
 
 
 def test_the_table_of_all_tasks_is_of_complete_episodes_and_names_its_splits(monkeypatch):
-    monkeypatch.setattr(tasks, "LANES", 2)
-    assert set(tasks.TASKS.values()) == {id_ for id_ in stage.envs.IDS if id_.endswith("-v1")}
-    assert {tasks.list_splits(id_) for id_ in tasks.TASKS.values()} == {tuple(machine_contexts.SPLITS)}
-    totals, score = tasks.play_episodes("stage/BusMacros-v1", "scripted", 3, model="xy", level="move", macros=6)
+    monkeypatch.setattr(task_table, "LANES", 2)
+    assert set(task_table.TASKS.values()) == {id_ for id_ in stage.envs.IDS if id_.endswith("-v1")}
+    assert {task_table.list_splits(id_) for id_ in task_table.TASKS.values()} == {tuple(machine_contexts.SPLITS)}
+    totals, score = task_table.play_episodes("stage/BusMacros-v1", "scripted", 3, model="xy", level="move", macros=6)
     assert len(totals) == 3
     assert score["success"].all()
-    assert "| 3 of 3 |" in tasks.format_row("BusMacros", "train", "scripted", totals, score)
+    assert "| 3 of 3 |" in task_table.format_row("BusMacros", "train", "scripted", totals, score)
 
 
 @pytest.mark.slow
@@ -33,7 +33,7 @@ def test_on_machines_that_differ_a_host_that_remembers_is_better_than_one_that_d
 
 
 def test_a_proof_of_a_move_is_over_many_angles():
-    with move_tuning.MoveTuning(0.5, 4, "registers", 2000, lanes=2, model="xy", seed=move_tuning.PROOF_SEED) as moves:
+    with tuned_move.MoveTuning(0.5, 4, "registers", 2000, lanes=2, model="xy", seed=tuned_move.PROOF_SEED) as moves:
         for _ in range(2):
             moves.make_moves_of_actions(np.zeros((2, moves.size)))
         assert len({angle for _, _, angle in moves.log.drawn}) == 4
@@ -45,19 +45,19 @@ def test_the_engineers_design_has_its_margin_and_settles_sooner_than_after_a_res
     pytest.importorskip("control", reason="extra servo is not installed")
     machine = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     machine.set_payload(payload)
-    loop = servo_loop.ServoLoop.of(machine.axes["x"], servo_loop.FilterTuning(pole=servo_loop.DEFAULT_POLE))
-    created = servo_loop.design_filter(loop)
+    loop = servo_formula.ServoLoop.of(machine.axes["x"], servo_formula.FilterTuning(pole=servo_formula.DEFAULT_POLE))
+    created = servo_formula.design_filter(loop)
     assert created.phase_margin == pytest.approx(
-        servo_loop.PHASE_MARGIN_DEGREES, abs=servo_loop.MAX_MARGIN_LOSS_DEGREES
+        servo_formula.PHASE_MARGIN_DEGREES, abs=servo_formula.MAX_MARGIN_LOSS_DEGREES
     )
     assert created.gain_margin > 2
-    assert abs(servo_loop.replace(loop, tuning=created.tuning).poles).max() < 1
+    assert abs(servo_formula.replace(loop, tuning=created.tuning).poles).max() < 1
     after_reset = {"R22": 0x40, "R20": 0xE5, "R21": 0x40, "R0F": 0x40}
-    designed = servo_loop.measure_moves(payload, servo_loop.design_registers(machine.axes["x"]), moves=1)
-    assert designed["reward"] > servo_loop.measure_moves(payload, after_reset, moves=1)["reward"]
+    designed = servo_formula.measure_moves(payload, servo_formula.design_registers(machine.axes["x"]), moves=1)
+    assert designed["reward"] > servo_formula.measure_moves(payload, after_reset, moves=1)["reward"]
 
 
 def test_without_python_control_the_baseline_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "control", None)
     with pytest.raises(StageError, match=r"pip install 'pulsestage\[servo\]'"):
-        servo_loop.import_control()
+        servo_formula.import_control()

@@ -18,9 +18,9 @@ import pytest
 import registerbench
 import stage.envs
 from registerbench import entry_files, score_statistics
+from registerbench.benchmark_tasks import CARDS, Card, list_test_seeds
 from registerbench.entry_files import EntryError, unpack_entry
 from registerbench.shipped_policies import BoldnessSearch, FinalTryBoldnessSearch, RandomPolicy
-from registerbench.task_cards import CARDS, Card, list_test_seeds
 from stage import ArgumentError
 from stage.cli import main
 from stage.envs import machine_contexts

@@ -4,8 +4,8 @@ import pytest
 
 import registerbench
 from registerbench import episode_sequence
+from registerbench.benchmark_tasks import CARDS, Card
 from registerbench.episode_sequence import EpisodeSequence
-from registerbench.task_cards import CARDS, Card
 from stage.envs.stage_env import StageEnv
 
 BRIEF = Card(

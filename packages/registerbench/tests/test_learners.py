@@ -9,9 +9,9 @@ import pytest
 
 import registerbench
 import stage.envs  # noqa: F401
+from registerbench.benchmark_tasks import CARDS
 from registerbench.policies import PolicyContext
 from registerbench.score_statistics import compute_rows
-from registerbench.task_cards import CARDS
 
 
 @pytest.fixture

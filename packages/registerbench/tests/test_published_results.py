@@ -10,7 +10,7 @@ import pytest
 
 from registerbench.baselines import method_runs as published
 from registerbench.baselines.method_runs import MethodRun, MethodRuns
-from registerbench.baselines.move_tuning import MAX_HOLDING, REPEATS, MoveLog
+from registerbench.baselines.tuned_move import MAX_HOLDING, REPEATS, MoveLog
 
 DOCS = Path(__file__).parents[1] / "docs"
 DATA, PAGE = DOCS / "data" / "results.parquet", DOCS / "results.md"

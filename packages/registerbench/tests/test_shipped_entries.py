@@ -14,9 +14,9 @@ import pytest
 
 import registerbench
 from registerbench import score_statistics
+from registerbench.benchmark_tasks import CARDS
 from registerbench.entry_files import Entry
 from registerbench.package_versions import list_versions
-from registerbench.task_cards import CARDS
 
 FOLDER = Path(__file__).parents[1] / "docs" / "data" / "entries"
 ENTRIES = {

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import stage.envs  # noqa: F401 registers the ids
-from registerbench.task_cards import CARDS, FIRST_TEST_SEED
+from registerbench.benchmark_tasks import CARDS, FIRST_TEST_SEED
 from stage.envs import machine_contexts
 
 LAST_FIGURE = 1e-3  # of a return, in the tables

@@ -15,7 +15,7 @@ from stage.board import firmware_library
 from stage.board.bus.host_record import IN8, OUT8, OUT16
 from stage.board.devices.device import Device, Encoder, Listener
 from stage.board.errors import LibraryError
-from stage.board.scratch import Scratch
+from stage.board.temporary_folders import Scratch
 from stage.errors import ArgumentError
 from stage.support.argument_checks import explain_arguments
 from stage.support.files import FileError, refuse_irregular

@@ -18,11 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from stage.board import crash_report, scratch
+from stage.board import crash_report, temporary_folders
 from stage.board.board import Board
 from stage.board.bus import host_record, requests
 from stage.board.bus.interrupts import ANY_INTERRUPT_LINE
 from stage.board.errors import HostError
+from stage.board.host_record_link import NOTED, Link
 from stage.board.isolation.shared_memory import (
     LOADING,
     CorruptedError,
@@ -33,7 +34,6 @@ from stage.board.isolation.shared_memory import (
     SharedMemory,
     StartMessage,
 )
-from stage.board.link import NOTED, Link
 from stage.board.thread_runner import LoadedProgram, ThreadRunner
 from stage.errors import StageError
 from stage.sim.model_fingerprint import iterate_settings
@@ -323,7 +323,7 @@ def main(fileno: int) -> None:
     pipe = Connection(fileno)
     start: StartMessage = pipe.recv()
     start_messages.append(start)
-    scratch.set_parent_folder(Path(start.shared).parent)
+    temporary_folders.set_parent_folder(Path(start.shared).parent)
     try:
         board = ChildBoard(pipe, start)
         if crash_report.IS_SUPPORTED:

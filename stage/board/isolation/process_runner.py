@@ -39,7 +39,7 @@ from stage.board.isolation.shared_memory import (
     SharedMemory,
     StartMessage,
 )
-from stage.board.scratch import Scratch
+from stage.board.temporary_folders import Scratch
 from stage.board.thread_runner import Program, is_debugged, read_status
 from stage.chips.journal_entries import LOST, READ, WRITE
 from stage.errors import StageError

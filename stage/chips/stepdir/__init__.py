@@ -18,7 +18,7 @@ from stage.chips.chip import Chip
 from stage.chips.diagnostics import Diagnostic
 from stage.chips.stepdir import core
 from stage.chips.stepdir.describe import Decoder, Listener
-from stage.chips.stepdir.lines import Line
+from stage.chips.stepdir.line_names import Line
 from stage.chips.stepdir.lint import describe_violation, lint_write
 from stage.chips.stepdir.maps import ADDRESS_MASK, CONTROL_ADDRESS, DATA_MASK, MAP
 from stage.chips.stepdir.state import ENABLE, TIMES

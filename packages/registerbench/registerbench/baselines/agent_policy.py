@@ -15,7 +15,7 @@ import numpy as np
 
 import stage.envs  # noqa: F401 (registers the environments)
 from registerbench.arena.players.trained_policy import FEATURES, compute_action, compute_features
-from registerbench.task_cards import CARDS
+from registerbench.benchmark_tasks import CARDS
 
 TABLES, EACH, ELITE = 24, 4, 6
 MACHINES = TABLES * EACH  # each table plays EACH machines

@@ -16,8 +16,8 @@ from typing import Any
 
 import registerbench
 from registerbench.baselines import explain_interrupt
+from registerbench.benchmark_tasks import CARDS, OPEN_ROUND
 from registerbench.shipped_policies import TASK_PLAYERS
-from registerbench.task_cards import CARDS, OPEN_ROUND
 
 DRAWN = ("random",)
 OPTUNA = {"tpe": "Tpe", "cma-es": "CmaEs"}

@@ -18,7 +18,7 @@ import numpy as np
 
 from registerbench.baselines.rule_policies import ATTEMPTS, BoldnessRule, compute_bold_actions
 from registerbench.baselines.training_envs import CHEAPER_SETTINGS, make_training_envs
-from registerbench.task_cards import CARDS
+from registerbench.benchmark_tasks import CARDS
 from stage.envs.few_shot import FewShotTuning
 
 BOLDNESS = np.geomspace(1.3, 8.5, 20)

@@ -45,7 +45,7 @@ from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.bus_macros_axis_roles import AxisRoles, AxisRolesVecEnv, MixedLevelsVecEnv
 from registerbench.baselines.bus_macros_dqn import MaskedDQN, make_dqn
 from registerbench.baselines.learner_support import compute_wilson_interval, make_parser, read_cost
-from registerbench.task_cards import FIRST_TEST_SEED
+from registerbench.benchmark_tasks import FIRST_TEST_SEED
 from stage.envs.sb3 import StageVecEnv
 
 ID = "stage/BusMacros-v1"

@@ -27,8 +27,8 @@ import numpy as np
 
 import registerbench
 from registerbench.baselines import explain_interrupt
+from registerbench.benchmark_tasks import OPEN_ROUND
 from registerbench.score_statistics import compute_interval, compute_iqm
-from registerbench.task_cards import OPEN_ROUND
 from stage.support import plot_style
 
 DOCS = Path(__file__).parents[2] / "docs"

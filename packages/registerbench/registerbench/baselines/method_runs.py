@@ -23,7 +23,7 @@ import pyarrow
 import pyarrow.parquet
 
 from registerbench.baselines import formula, searches, tool_loop
-from registerbench.baselines.move_tuning import (
+from registerbench.baselines.tuned_move import (
     CANDIDATES,
     LANES,
     MARGIN,

@@ -35,7 +35,7 @@ from registerbench.baselines.method_runs import (
     MethodRun,
     MethodRuns,
 )
-from registerbench.baselines.move_tuning import (
+from registerbench.baselines.tuned_move import (
     CANDIDATES,
     DISTANCE,
     LIMIT,

@@ -30,7 +30,7 @@ from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.boldness_table import learn_rule, measure_boldness_table
 from registerbench.baselines.rule_policies import RULES, BoldnessRule, Rule
 from registerbench.baselines.training_envs import CHEAPER_SETTINGS, make_training_envs
-from registerbench.task_cards import CARDS, FIRST_TEST_SEED, OPEN_ROUND
+from registerbench.benchmark_tasks import CARDS, FIRST_TEST_SEED, OPEN_ROUND
 
 BUDGET = {"one-shot": (12, 16), "line": (12, 8), "home": (8, 12)}
 """Number of generations, and number of machines in each, by task."""

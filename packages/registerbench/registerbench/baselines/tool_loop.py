@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from registerbench.baselines.move_tuning import (
+from registerbench.baselines.tuned_move import (
     DISTANCE,
     LIMIT,
     MODEL,

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium
 
 import stage.envs  # noqa: F401 (registers the environments)
-from registerbench.task_cards import CARDS
+from registerbench.benchmark_tasks import CARDS
 
 CHEAPER_SETTINGS: dict[str, dict[str, Any]] = {
     "one-shot": {"proofs": 1, "settle": 0.03},

@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from stage.board.firmware_library import Library
+from stage.board.host_record_link import Link
 from stage.board.isolation.traps.memory_windows import Windows
 from stage.board.isolation.traps.signal_handlers import (
     SignalHandlers,
@@ -28,9 +29,8 @@ from stage.board.isolation.traps.signal_handlers import (
     watch_crashes,
 )
 from stage.board.isolation.traps.sleep_calls import observe_calls, redirect_calls, set_observer
-from stage.board.link import Link
-from stage.board.pins import PinLine
-from stage.board.windows import Window
+from stage.board.memory_mapped_ports import Window
+from stage.board.pin_assignment import PinLine
 from stage.errors import StageError
 
 __all__ = ["TrappedLibrary", "block_timers", "find_position", "redirect_calls", "trap_thread", "watch_crashes"]

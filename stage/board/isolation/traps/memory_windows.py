@@ -31,13 +31,13 @@ from stage.board.isolation.traps.signal_handlers import (
 )
 from stage.board.isolation.traps.sleep_calls import list_loaded_libraries
 from stage.board.isolation.traps.x86_instructions import TABLE
-from stage.board.windows import PROXIES, Window, explain_missing, is_supported, parse_windows
+from stage.board.memory_mapped_ports import PROXIES, Window, explain_missing, is_supported, parse_windows
 from stage.errors import ArgumentError, StageError
 from stage.native import array_at
 
 if TYPE_CHECKING:
     from stage.board.firmware_library import Library
-    from stage.board.link import Link
+    from stage.board.host_record_link import Link
 
 MIN_ADDRESS = 1 << 16  # below the system lets nobody map
 FREE_ADDRESS = 0x5000_0000  # from here on lie windows without an address of their own

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from stage.chips import Chip
-from stage.chips.stepdir.lines import DRIVEN, READ
+from stage.chips.stepdir.line_names import DRIVEN, READ
 from stage.errors import ArgumentError, unknown_name_error
 
 SHARED = ("enable", *READ)

@@ -17,7 +17,7 @@ import numpy as np
 from stage.board.bus import host_record, requests
 from stage.board.errors import HostError, StormError
 from stage.board.interrupt_hooks import Hooks
-from stage.board.windows import explain_missing
+from stage.board.memory_mapped_ports import explain_missing
 from stage.errors import StageError
 from stage.native import without_attributes
 from stage.sim import engine_records, stage_handle

@@ -1,7 +1,7 @@
 """An engineer's answer to `stage/ServoTuning-v0`: gain, zero and pole by frequency response, without a trial on the machine.
 
-python -m registerbench.baselines.servo_loop --payload 10 --margin 50
-python -m registerbench.baselines.servo_loop --plot build/servo_loop.png       Bode and root locus, by python-control
+python -m registerbench.baselines.servo_formula --payload 10 --margin 50
+python -m registerbench.baselines.servo_formula --plot build/servo_loop.png       Bode and root locus, by python-control
 
 The design derives the sampled plant from the machine's data: motor, masses, friction. For every value of the zero register, it
 computes the highest crossover frequency that has the required phase margin, and the gain for it. One count of the encoder must

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from stage.board.pins import DRIVEN, PinLine, parse_pins
+from stage.board.pin_assignment import DRIVEN, PinLine, parse_pins
 from stage.errors import ArgumentError
 from stage.firmware.axis import check_seconds
-from stage.recording.capture import Capture, CaptureError, read_capture
-from stage.sim.line_player import LINE_EDGE, LineObservation, play_lines
+from stage.recording.vcd_reader import Capture, CaptureError, read_capture
+from stage.sim.pin_edge_player import LINE_EDGE, LineObservation, play_pin_edges
 from stage.support.argument_checks import explain_arguments
 from stage.units import DEVIATION_UNITS, POSITION_UNITS
 
@@ -175,8 +175,8 @@ def replay_capture(stage: Stage, path: str | PathLike, pins: str | Iterable[str]
     Args:
         stage: Stage with STEP/DIR axes.
         path: Capture, a VCD file.
-        pins: Which signal is which line, see stage.board.pins: x.step=D2,x.dir=D5,x.enable=!D8. Lines that a controller reads are
-            compared with the switches of the stage.
+        pins: Which signal is which line, see stage.board.pin_assignment: x.step=D2,x.dir=D5,x.enable=!D8. Lines that a controller
+            reads are compared with the switches of the stage.
         rest: Simulated time after the end of the capture, s.
 
     Raises:
@@ -196,7 +196,7 @@ def replay_capture(stage: Stage, path: str | PathLike, pins: str | Iterable[str]
         (a.position, a.lost_steps, int(a.chip.state["accepted"]), a.chip.state["violations"].copy()) for a in axes
     ]
     inputs = [axis.chip.input_word(axis.chip_axis) for axis in axes]
-    observation = play_lines(stage, edges, begin + duration_ns + round(rest * 1e9))
+    observation = play_pin_edges(stage, edges, begin + duration_ns + round(rest * 1e9))
     reports = tuple(
         _report_axis(axis, [c for c in changes if c.line.axis == axis.name], observation, begin, word, *values)
         for axis, word, values in zip(axes, inputs, before, strict=True)

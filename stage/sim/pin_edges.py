@@ -11,7 +11,6 @@ from stage.drives import drive_dispatch
 from stage.native import array_at, exported, greatest, hot, least, record
 from stage.sim.engine import advance
 from stage.sim.engine_records import EDGE, EDGES_FULL, NEVER, REACHED, SAMPLES_FULL
-from stage.sim.input_edges import journal_input
 from stage.sim.stage_handle import (
     HANDLE,
     get_axis_table,
@@ -22,6 +21,7 @@ from stage.sim.stage_handle import (
     get_qvel,
     get_world,
 )
+from stage.sim.switch_edges import journal_input
 
 LINE_EDGE = record([(name, "i8") for name in "time axis pins levels".split()])
 """An edge: time, ns since power-up; index of the axis; the input pins of its chip that change (bits), and their levels (bits)."""

@@ -1,7 +1,7 @@
 """Table of docs/envs_tasks.md: the tasks of the benchmark, played at random and by their scripted hosts, on every split.
 
-python -m registerbench.baselines.tasks
-python -m registerbench.baselines.tasks --tasks BusMacros OneShotTuning --splits train heavy --episodes 64
+python -m registerbench.baselines.task_table
+python -m registerbench.baselines.task_table --tasks BusMacros OneShotTuning --splits train heavy --episodes 64
 
 random     draws from the action space; in BusMacros only unmasked macros
 scripted   takes `env.scripted_action()`: the engineer's formula at every attempt, the data sheet's registers, or the usual rates;

@@ -1,4 +1,4 @@
-"""`play_lines`: edges of input pins, played into a stage while its time passes."""
+"""`play_pin_edges`: edges of input pins, played into a stage while its time passes."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from stage.chips.exclusive_access import exclusively
 from stage.errors import ArgumentError
 from stage.native import address_of
 from stage.sim.engine_records import PINS
-from stage.sim.line_edges import LINE_EDGE, LINE_PLAYER, OBSERVED_AXIS, SWITCH_EDGE, play_line_edges
+from stage.sim.pin_edges import LINE_EDGE, LINE_PLAYER, OBSERVED_AXIS, SWITCH_EDGE, play_line_edges
 
 if TYPE_CHECKING:
     from stage.sim.stage import Stage
 
-__all__ = ["LINE_EDGE", "LineObservation", "play_lines"]
+__all__ = ["LINE_EDGE", "LineObservation", "play_pin_edges"]
 
 MAX_SWITCH_EDGES = 1 << 14
 
@@ -34,7 +34,7 @@ class LineObservation(NamedTuple):
     error_times: np.ndarray
 
 
-def play_lines(stage: Stage, edges: np.ndarray, until: int) -> LineObservation:
+def play_pin_edges(stage: Stage, edges: np.ndarray, until: int) -> LineObservation:
     """Play edges of input pins into a stage, each at its nanosecond. No edge costs a call of Python.
 
     Args:
