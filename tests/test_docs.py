@@ -182,3 +182,15 @@ def list_heading_anchors(page: Path) -> set[str]:
     return {
         re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in re.findall(r"^#+ (.*)$", page.read_text(), re.M)
     }
+
+
+def test_names_in_the_recipes_of_the_architecture_exist():
+    """`_change_axes(...)` stood there long after it was renamed."""
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    recipes = page.partition("### A new diagnostic")[2].partition("## Recorded behavior")[0]
+    names = set(re.findall(r"`(?:\w+\.)*(\w+(?=\()|[a-z]*_\w+(?=`)|[A-Z]\w+(?=`))", recipes))
+    assert {"_make_axis_fault", "OF_ONE_THING", "apply_faults"} <= names
+    sources = [file.read_text() for folder in ("stage", "tests") for file in (ROOT / folder).rglob("*.py")]
+    definition = re.compile(r"^ *(?:def|class) (\w+)|^ *(\w+)(?:, \w+)*(?:: [^=\n]+)? = ", re.M)
+    defined = {name for source in sources for groups in definition.findall(source) for name in groups}
+    assert names - defined == set()
