@@ -11,7 +11,10 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import griffe
+try:
+    import griffe
+except ModuleNotFoundError:
+    sys.exit("griffe is missing: pip install -e '.[dev]'")
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs/public_api.md"
