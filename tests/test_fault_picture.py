@@ -25,7 +25,7 @@ def make_recording(org_from, begins=0.2):
 
 
 def draw_result(draws, close_up=None, unit="m"):
-    demo = Demo("", "", lambda stage, strike: {}, lambda h, f: True, draws, close_up)
+    demo = Demo("", "", lambda stage, make_fault: {}, lambda h, f: True, draws, close_up)
     return DemoResult("jam", demo, ({}, {}), (make_recording(0.4), make_recording(0.6)), unit).plot()
 
 

@@ -1,7 +1,6 @@
 """Faults of a stage: failures of real machines, made where they happen, for tests of firmware.
 
-    from stage import Stage, firmware
-    from stage.sim import faults
+    from stage import Stage, faults, firmware
 
     stage = Stage("xyz")
     x = stage.axes["x"]
@@ -342,7 +341,7 @@ def phase_open(axis: Axis, phase: str = "a") -> Fault:
 def _make_axis_fault(
     stage: Stage, axes: list[Axis], text: str, field: str, compute_new_value: Callable[[Any], Any]
 ) -> Fault:
-    """Make a fault that changes a field of `Axis.faults` on some axes, from the present value to `to(value)`."""
+    """Make a fault that changes a field of `Axis.faults` on some axes to `compute_new_value(present value)`."""
 
     def put(values: list[Any]) -> None:
         for axis, value in zip(axes, values, strict=True):

@@ -20,7 +20,7 @@ STYLES = (
 
 
 def draw_demonstration(result: DemoResult, path: str | None, overwrite: bool) -> Any:
-    """Draw a result that has both recordings, and return the figure; see `Shown.plot`."""
+    """Draw a result that has both recordings, and return the figure; see `DemoResult.plot`."""
     from stage.support.files import save_figure
 
     figure = plot_style.make_figure(9, 5.2)
