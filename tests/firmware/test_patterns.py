@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stage.firmware.operation_pattern import AMBER, BLUE, GREEN, GREY
+from stage.firmware.pcl240.operation_pattern import Pcl240Pattern
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -114,6 +117,18 @@ def test_the_commands_of_the_patterns_are_those_of_the_data_sheet(reports):
     assert codes("high_speed_origin_return") == ["08", "40", "4B", "15", "08"]
     assert codes("ramping_and_interrupting") == ["08", "44", "15", "3D", "08", "15"]
     assert codes("dual_rate_down") == ["08", "44", "15", "14"]
+
+
+def test_the_lanes_of_an_origin_return_are_named_and_ordered_as_in_the_data_sheet(reports):
+    lanes = Pcl240Pattern(reports["high_speed_origin_return"]).list_lanes()
+    assert [(label, color) for _, label, color in lanes] == [
+        ("FUP", BLUE),
+        ("FKEEP", BLUE),
+        ("FDOWN", BLUE),
+        ("HOLD", GREY),
+        ("SD-", AMBER),
+        ("ORG", GREEN),
+    ]
 
 
 def test_a_picture_is_drawn_into_a_file_or_into_existing_axes(reports, tmp_path):

@@ -29,7 +29,7 @@ PATTERN_LANES = (
 class Pcl240Pattern(operation_pattern.OperationPattern):
     """Signals and commands of a report about a PCL-240."""
 
-    PATTERN_LANES = PATTERN_LANES
+    LANES = PATTERN_LANES
     ALWAYS = ("fup", "fkeep", "fdown", "hold")
 
     def is_relevant(self, pin: str) -> bool:
