@@ -141,11 +141,19 @@ class ReplayReport:
 
     @property
     def ok(self) -> bool:
-        """True if every edge was accepted, and no step was lost."""
-        return all(axis.ok for axis in self.axes)
+        """True if the capture has steps, every edge was accepted, and no step was lost."""
+        return self.has_steps and all(axis.ok for axis in self.axes)
+
+    @property
+    def has_steps(self) -> bool:
+        """True if a STEP line changes in the capture."""
+        return any(axis.edges for axis in self.axes)
 
     def __str__(self) -> str:
-        return "\n".join([f"{self.path}: {self.duration:.6f} s", *map(str, self.axes)])
+        lines = [f"{self.path}: {self.duration:.6f} s", *map(str, self.axes)]
+        if not self.has_steps:
+            lines.append("No STEP line of --pins changes in the capture. Name the signals that do.")
+        return "\n".join(lines)
 
     def json(self) -> dict[str, Any]:
         """Return everything as numbers and texts, as `--json` prints it: s, m (rad)."""

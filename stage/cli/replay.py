@@ -39,7 +39,7 @@ def add(commands: Any) -> None:
 
 
 def replay(args: argparse.Namespace) -> int:
-    """Replay a capture; exit code 0 if every edge was accepted and no step was lost."""
+    """Replay a capture; exit code 0 if it has steps, every edge was accepted and no step was lost."""
     from stage.board.capture_replay import replay_capture
 
     stage = make_stage(args)

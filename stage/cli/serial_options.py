@@ -104,7 +104,7 @@ def run_host(args: argparse.Namespace, host: Any, end: Any) -> Any:
         The result of firmware that has returned, otherwise None.
 
     Raises:
-        HostTimeout: Neither has happened within the timeout.
+        HostTimeout: The firmware has not returned within the timeout, or the script is not over when the run ends.
     """
     if args.serial_script is None:
         return host.run_for(args.seconds) if args.seconds is not None else host.run(timeout=choose_timeout(args))
@@ -113,12 +113,13 @@ def run_host(args: argparse.Namespace, host: Any, end: Any) -> Any:
     stage, limit = host.board.stage, choose_timeout(args) if args.seconds is None else args.seconds
     begin = stage.now
     result = host.run_for(limit)
-    if result is not None or not end.is_over:
-        if result is None and args.seconds is None:
-            raise HostTimeout(
-                f"{args.serial_script} is not over after {limit:g} s of simulated time. --timeout allows more."
-            )
+    if result is not None:
         return result
+    if not end.is_over:
+        option = "--timeout" if args.seconds is None else "--for"
+        raise HostTimeout(
+            f"{args.serial_script} is not over after {limit:g} s of simulated time. {option} allows more."
+        )
     host.serial.disconnect()
     rest = 0.0 if args.seconds is None else limit - (stage.now - begin) * 1e-9
     return host.run_for(rest) if rest > 0 else None

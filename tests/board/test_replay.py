@@ -251,6 +251,12 @@ def test_a_wrong_capture_is_refused_in_one_sentence(tmp_path, pins, changes, mes
     assert stage.now == 0
 
 
+def test_a_capture_whose_step_line_never_changes_fails(capture, capsys):
+    argv = ["replay", str(capture), "--model", "xy", "--pins", "x.step=D5,x.dir=D2"]
+    assert main(argv) == 1
+    assert "No STEP line of --pins changes in the capture." in capsys.readouterr().out
+
+
 def test_the_command_reports_and_draws(capture, tmp_path, capsys):
     picture = tmp_path / "run.png"
     options = ["--pins", "x.step=D2,x.dir=D5", "--drive", "drv8825", "--place", "x=10mm", "--plot", str(picture)]

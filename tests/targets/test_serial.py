@@ -221,6 +221,14 @@ def test_a_run_ends_with_its_script_unless_for_says_how_long_it_lasts(tmp_path, 
 
 
 @needs_simavr
+@pytest.mark.parametrize("option", ["--for", "--timeout"])
+def test_a_script_that_is_cut_off_by_the_end_of_the_run_fails(tmp_path, capsys, option):
+    script = write_script(tmp_path, "expect ready", "expect never")
+    assert main([*RUN, "--serial-script", script, option, "0.05"]) == 1
+    assert f"job.txt is not over after 0.05 s of simulated time. {option} allows more." in capsys.readouterr().err
+
+
+@needs_simavr
 def test_a_script_that_waits_in_vain_fails_at_its_line(tmp_path, capsys):
     script = write_script(tmp_path, "expect ready", "timeout 30ms", "expect ok")
     assert main([*RUN, "--serial-script", script]) == 1
