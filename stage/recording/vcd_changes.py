@@ -110,6 +110,7 @@ def decode_changes(text, k, codes, out, s):
         elif c == DOLLAR:
             end = _skip_command(text, k, end)
         elif c in SCALARS or c in VECTORS:
+            s.begin = max(s.begin, 0)  # levels before the first time are those of time 0
             level = _find_level(c)
             if c in VECTORS:
                 level = _find_level(int(text[end - 1]))

@@ -118,6 +118,16 @@ def test_levels_at_the_begin_of_a_capture_are_no_edges(tmp_path):
     assert x.commanded < 0
 
 
+def test_levels_before_the_first_time_are_those_of_time_0(tmp_path):
+    path = write_capture(tmp_path / "c.vcd", {"D2": [(5_000, 1), (10_000, 0), (200_000, 1), (205_000, 0)]}, 300_000)
+    text = path.read_text()
+    first_code = text.partition("$var wire 1 ")[2][0]
+    path.write_text(text.replace("#5000", f"$dumpvars 0{first_code} $end\n#5000", 1))
+    report = replay_capture(make_stage(), path, "x.step=D2")
+    assert (report.axes[0].edges, report.axes[0].accepted) == (2, 2)
+    assert report.duration == pytest.approx(300e-6)
+
+
 def test_an_unknown_level_keeps_the_line(tmp_path):
     signals = {"S": [(0, 0), (10_000, 1), (20_000, "x"), (30_000, 1), (40_000, 0), (50_000, "z"), (60_000, 1)]}
     (x,) = replay_capture(make_stage(), write_capture(tmp_path / "c.vcd", signals, 10**6), "x.step=S").axes
