@@ -104,3 +104,22 @@ def test_an_edge_whose_time_has_passed_comes_at_once(stage):
     edges["pins"] = edges["levels"] = STEPDIR.INPUTS["step"]
     play_pin_edges(stage, edges, stage.now)
     assert (stage.axes["x"].chip.net(), stage.now) == (1, 1_000_000)
+
+
+@pytest.mark.parametrize("level", ["minus", None, -1, 2, [1]])
+def test_a_line_takes_true_or_false_alone(level):
+    chip = Stage("xy", chips="stepdir").axes["x"].chip
+    with pytest.raises(ArgumentError, match="give True or False"):
+        chip.dir = level
+    chip.dir = 1
+    assert chip.dir is True
+
+
+def test_pulses_are_refused_while_step_is_high():
+    x = Stage("xy", chips="stepdir").axes["x"]
+    x.chip.step = True
+    with pytest.raises(ArgumentError, match=r"chip\.step = False"):
+        x.pulse(10)
+    x.chip.step = False
+    x.pulse(10)
+    assert x.chip.net() == 11

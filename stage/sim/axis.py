@@ -202,7 +202,7 @@ class Axis:
             high: Time for which STEP is high, s; less than a period.
 
         Raises:
-            ArgumentError: The chip has no STEP line, or a number is out of range.
+            ArgumentError: The chip has no STEP line, STEP is high, or a number is out of range.
         """
         step = self.chip.INPUTS.get("step")
         if step is None:
@@ -213,6 +213,10 @@ class Axis:
         if not 0 < high < math.inf or not 0 < rate * high < 1:
             raise ArgumentError(
                 f"rate={rate!r}, high={high!r}: both are greater than 0, and STEP is high for less than a period of 1 / rate."
+            )
+        if self.chip.pins.step:
+            raise ArgumentError(
+                f"STEP of axis {self.name} is high, so that the first step would have no edge. Set axis.chip.step = False first."
             )
         begin, period_ns, high_ns = self.stage.now, 1e9 / rate, max(1, round(high * 1e9))
         for first in range(0, count, PLAYED_PULSES):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from stage.errors import StageError
+from stage.errors import ArgumentError, StageError
 
 if TYPE_CHECKING:
     from stage.chips.chip import Chip
@@ -34,4 +34,6 @@ class Line:
         if self._name not in DRIVEN:
             pins = " and ".join(f"pins.{pin}" for pin in self._pins)
             raise StageError(f"{self._name} is driven by the stage and can only be read; {pins} can be set for a test.")
-        setattr(chip.pins, self._name, is_asserted)
+        if is_asserted not in (False, True):  # a text such as "minus" would count as asserted
+            raise ArgumentError(f"{self._name} = {is_asserted!r}: a line is asserted or not; give True or False.")
+        setattr(chip.pins, self._name, bool(is_asserted))
