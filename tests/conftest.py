@@ -1,6 +1,7 @@
 import ctypes.util
 import gc
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -119,7 +120,7 @@ def pytest_runtest_makereport():
     """Fail a test that is skipped for the lack of what PULSESTAGE_REQUIRE names."""
     report = yield
     reason = report.longrepr[2] if report.skipped and isinstance(report.longrepr, tuple) else ""
-    if any(word in reason for word in REQUIRED):
+    if any(re.search(rf"\b{re.escape(word)}\b", reason) for word in REQUIRED):
         report.outcome, report.longrepr = "failed", f"PULSESTAGE_REQUIRE={','.join(REQUIRED)} forbids: {reason}"
     return report
 

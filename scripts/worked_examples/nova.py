@@ -97,14 +97,14 @@ def is_driving_after(act: Callable[[Port], None], wr2: int = 0, wr3: int = S_CUR
     p.write_command(start)
     if start == "F_DRV_P":
         for phase in (False, True):  # until it decelerates, and until it does so no more
-            while bool(p.word(1) & p.map.mask("RR1", "DSND")) is phase:
+            while bool(p.read_status_register(1) & p.map.mask("RR1", "DSND")) is phase:
                 p.axis.wait(5e-4)
         p.axis.wait(2e-6 * FAST["K"] / 2)  # area d lasts 2 K us
     else:
         p.axis.wait(2)
     act(p)
     p.axis.wait(2)
-    return int(p.driving())
+    return int(p.is_driving())
 
 
 def make_pin_action(name: str) -> Callable[[Port], None]:

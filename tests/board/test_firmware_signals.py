@@ -165,10 +165,10 @@ PARENT = """
 import sys
 from stage import Stage
 from stage.board import Board, NativeHost
-from stage.board.isolation import starter
+from stage.board.isolation import process_starter
 with NativeHost(sys.argv[1], Board(Stage("xy", visuals=False)), isolated=True) as host:
     host.run()
-    print(next(iter(starter._starters.values()))._process.pid, flush=True)
+    print(next(iter(process_starter._starters.values()))._process.pid, flush=True)
 """
 
 

@@ -84,7 +84,7 @@ def test_a_machine_has_the_parameters_of_its_context_and_the_torque_constant_of_
     carrier = stage.model.body(int(stage.model.jnt_bodyid[x.joint])).name
     created = machine_contexts.NominalMachine.from_stage(stage, "x", carrier)
     for _ in range(2):
-        created.apply(stage, context, more=0.5)
+        created.apply(stage, context, extra_payload_kg=0.5)
         assert stage.model.dof_frictionloss[dof] == pytest.approx(3 * was[0])
         assert stage.model.dof_damping[dof] == pytest.approx(3 * was[1])
         assert loss.tolist() == pytest.approx([1.5 * motor.core_loss_damping, motor.core_loss_damping])

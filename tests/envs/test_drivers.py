@@ -52,7 +52,7 @@ def test_programs_of_moves_are_alike_whatever_their_registers(chip):
 @pytest.mark.parametrize("chip", PULSING)
 @pytest.mark.parametrize("axis", ["x", "z"])
 def test_programs_of_searches_keep_their_marks_whatever_is_selected(chip, axis):
-    search = create_driver(chip, axis).search(Config())
+    search = create_driver(chip, axis).build_home_program(Config())
     saved = dict(search.result_indices)
     for row in (search.choices.low, [maximum for _, maximum in search.choices.ranges.values()]):
         program = search.write_program(row)
@@ -68,8 +68,8 @@ def test_a_servo_driver_stops_the_axis_and_refuses_pulse_procedures():
         lambda: h.list_move_registers(None),
         lambda: h.write_move(p, {}, 100),
         lambda: h.compute_move_registers(1000.0, 40_000.0, 0.2, 0.15, 16_000),
-        lambda: h.search(Config()),
-        lambda: h.lines([h], None),
+        lambda: h.build_home_program(Config()),
+        lambda: h.build_line_programs([h], None),
     ):
         with pytest.raises(
             ArgumentError, match=r"chip HCTL1100 on axis x: .* makes no pulses\. Take ServoTuning, RegisterBus"
