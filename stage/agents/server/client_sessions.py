@@ -108,6 +108,7 @@ class Sessions:
         self._open: dict[str, Session] = {}
         self._ended: deque[str] = deque(maxlen=MAX_REMEMBERED)
         self._lock = threading.RLock()
+        self._is_closed = False
 
     def __contains__(self, key: str) -> bool:
         """Return whether the session has a stage."""
@@ -120,11 +121,13 @@ class Sessions:
         """Return the toolbox of a session, and open the session if it is new.
 
         Raises:
-            StageError: The session has ended, or too many are open.
+            StageError: The session has ended, too many are open, or `close_all` has ended all of them.
         """
         with self._lock:
             session = self._open.get(key)
             if session is None:
+                if self._is_closed:
+                    raise StageError("The server ends, and opens no session any more. Start it again, then connect.")
                 if key in self._ended:
                     raise StageError(
                         "This session has ended: it was closed, silent for too long, or too old. Connect again; a new session "
@@ -178,6 +181,8 @@ class Sessions:
         return len(due)
 
     def close_all(self) -> None:
-        """End all sessions."""
+        """End all sessions for good: no session can be opened any more, not even by a call that has just come in."""
+        with self._lock:
+            self._is_closed = True
         for key in tuple(self._open):
             self.close(key)
