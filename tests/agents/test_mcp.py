@@ -486,6 +486,7 @@ def test_ctrl_c_during_a_call_over_stdio_ends_the_server_without_a_traceback():
     with subprocess.Popen(
         [sys.executable, "-m", "stage", "mcp", "xy"],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in a background job of a shell
     ) as process:  # fmt: skip
         for line in (FIRST, {"jsonrpc": "2.0", "method": "notifications/initialized"}, LONG_CALL):
             process.stdin.write(json.dumps(line) + "\n")
