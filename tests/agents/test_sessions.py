@@ -39,14 +39,6 @@ def test_each_session_has_a_separate_stage(maker):
     assert len(sessions) == 0
 
 
-def test_a_server_that_ends_opens_no_session_for_a_late_call(maker):
-    sessions = Sessions(maker)
-    sessions.close_all()
-    with pytest.raises(StageError, match="The server ends"):
-        sessions.box("late")
-    assert len(sessions) == 0
-
-
 def test_the_first_stage_and_the_catalogue_stay_at_power_up(maker):
     sessions = Sessions(maker)
     sessions.box("a").call("move", {"axis": "x", "pulses": 500})

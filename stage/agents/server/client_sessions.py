@@ -108,7 +108,6 @@ class Sessions:
         self._open: dict[str, Session] = {}
         self._ended: deque[str] = deque(maxlen=MAX_REMEMBERED)
         self._lock = threading.RLock()
-        self._is_closed = False
 
     def __contains__(self, key: str) -> bool:
         """Return whether the session has a stage."""
@@ -121,13 +120,11 @@ class Sessions:
         """Return the toolbox of a session, and open the session if it is new.
 
         Raises:
-            StageError: The session has ended, too many are open, or `close_all` has ended all of them.
+            StageError: The session has ended, or too many are open.
         """
         with self._lock:
             session = self._open.get(key)
             if session is None:
-                if self._is_closed:
-                    raise StageError("The server ends, and opens no session any more. Start it again, then connect.")
                 if key in self._ended:
                     raise StageError(
                         "This session has ended: it was closed, silent for too long, or too old. Connect again; a new session "
@@ -181,8 +178,6 @@ class Sessions:
         return len(due)
 
     def close_all(self) -> None:
-        """End all sessions for good: no session can be opened any more, not even by a call that has just come in."""
-        with self._lock:
-            self._is_closed = True
+        """End all sessions."""
         for key in tuple(self._open):
             self.close(key)
