@@ -1,7 +1,7 @@
 """`AvrUart`: a serial line of a program on simavr, connected to the log and to the board.
 
-simavr has no functions for the rate of a UART. Its registers and the cycles of a character are read from the structure avr_uart_t
-of simavr 1.6 and 1.7, which `find_layout` verifies; with another layout the program's output still goes to the log.
+simavr has no functions for the rate of a UART. Its registers and the cycles of a character are read from the structure avr_uart_t,
+which `stage.targets.simavr_layout` describes. If `find_layout` does not find them, the program's output still goes to the log.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from stage.board.board import Board
 from stage.native import array_at
 from stage.targets import avr_serial
+from stage.targets.simavr_layout import IRQ, MODULE, UART, list_modules, view
 
 NAMES = "0123"
 INPUT, OUTPUT, EMPTY = 0, 1, 2
@@ -28,11 +29,8 @@ IDLE_S = 50e-6
 """Simulated time between two looks for a byte."""
 RESET_BYTE_US = 100
 """Microseconds that simavr gives a character after a reset."""
-_IRQ_SIZE, _HOOK, _PARAMETER = 40, 32, 32
-"""Bytes of an avr_irq_t; where it has its first hook, and where a hook has its parameter."""
-_AVR, _IRQS, _NAME, _UCSRC = 8, 40, 72, 86
-_BITS = {"rxen": 88, "u2x": 96, "usbs": 100, "ucsz": 104, "ucsz2": 108, "ubrrl": 128, "ubrrh": 132}
-"""Bytes of an avr_uart_t: the avr_t, the IRQs and its name; UCSRC; the avr_regbit_t of bits of its registers."""
+_BITS = ("rxen", "u2x", "usbs", "ucsz", "ucsz2", "ubrrl", "ubrrh")
+"""Fields of an avr_uart_t that are register bits as simavr packs them."""
 _SEARCHED = slice(136, 624)
 """Bytes of an avr_uart_t in which the cycles of a character are."""
 _UPM1 = 5
@@ -61,22 +59,18 @@ def find_layout(irqs: int, avr: int, name: str, hz: int) -> UartLayout | None:
         name: Its name, a digit.
         hz: Clock of the AVR.
     """
-    hook = _read_word(irqs + _HOOK)
-    uart = _read_word(hook + _PARAMETER) if hook else 0
-    if not uart or _read_word(uart + _AVR) != avr or _read_word(uart + _IRQS) != irqs:
+    uart = next((at for at in list_modules(avr) if int(view(at, MODULE)["irq"]) == irqs), 0)
+    if not uart:
         return None
     content: Any = array_at(uart, _SEARCHED.stop, np.dtype("u1"))
     places = np.flatnonzero(content[_SEARCHED].view("<u8") == hz * RESET_BYTE_US // 1_000_000)
-    words = {key: int(content[at : at + 4].view("<u4")[0]) for key, at in _BITS.items()}
-    if content[_NAME] != ord(name) or len(places) != 1 or words["ubrrl"] >> 12 != 0xFF or words["rxen"] >> 12 != 1:
+    fields = view(uart, UART)
+    words = {bits: int(fields[bits]) for bits in _BITS}
+    if fields["name"] != ord(name) or len(places) != 1 or words["ubrrl"] >> 12 != 0xFF or words["rxen"] >> 12 != 1:
         return None
-    ucsrc = int(content[_UCSRC : _UCSRC + 2].view("<u2")[0])
+    ucsrc = int(fields["frame"])
     words["upm"] = ucsrc | _UPM1 << 9 | 1 << 12 if ucsrc else 0
     return UartLayout(words, uart + _SEARCHED.start + 8 * int(places[0]))
-
-
-def _read_word(address: int) -> int:
-    return int(array_at(address, 1, np.dtype("u8"))[0])
 
 
 class AvrUart:
@@ -97,7 +91,7 @@ class AvrUart:
         u = self._row[0]
         u.avr, u.address = record.own, self._row.ctypes.data
         u.text, u.room = ctypes.addressof(self._text), LOG_LINE_SIZE
-        u.input, u.idle = irqs + INPUT * _IRQ_SIZE, max(1, round(IDLE_S * record.hz))
+        u.input, u.idle = irqs + INPUT * IRQ.itemsize, max(1, round(IDLE_S * record.hz))
         u.register_timer = avr.find_function_address("avr_cycle_timer_register")
         self._follow, self._receive = avr_serial.follow_sent_byte.pointer, avr_serial.receive_byte.pointer
         self._deliver = avr_serial.deliver_sent_byte.pointer
@@ -112,8 +106,8 @@ class AvrUart:
             self._warning = ctypes.create_string_buffer(OVERRUN)
             u.warning = ctypes.addressof(self._warning)
             self._follow_read = avr_serial.follow_read_byte.pointer
-            avr.notify(irqs + EMPTY * _IRQ_SIZE, self._follow_read, self._row)
-        avr.notify(irqs + OUTPUT * _IRQ_SIZE, self._follow, self._row)
+            avr.notify(irqs + EMPTY * IRQ.itemsize, self._follow_read, self._row)
+        avr.notify(irqs + OUTPUT * IRQ.itemsize, self._follow, self._row)
 
     def start(self) -> None:
         """Begin to look for bytes from the board."""

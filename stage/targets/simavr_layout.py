@@ -50,8 +50,12 @@ TIMER = _describe(
     shifts=(204, ("u1", 16)), clock_pin=(224, "u4"), capture_edge=(240, "u4"), compare=(248, (COMPARE, 3)),
     overflow=(656, VECTOR), capture=(760, VECTOR),
 )  # fmt: skip
-UART = _describe(624, module=(0, MODULE), control=(84, "u2"), transmitter=(92, "u4"), empty=(344, VECTOR))
-"""A UART. empty: the interrupt of UDREn."""
+UART = _describe(
+    624, module=(0, MODULE), name=(72, "u1"), control=(84, "u2"), frame=(86, "u2"), rxen=(88, "u4"), transmitter=(92, "u4"),
+    u2x=(96, "u4"), usbs=(100, "u4"), ucsz=(104, "u4"), ucsz2=(108, "u4"), ubrrl=(128, "u4"), ubrrh=(132, "u4"),
+    empty=(344, VECTOR),
+)  # fmt: skip
+"""A UART. name: a digit; control, frame: addresses of UCSRnB and UCSRnC; empty: the interrupt of UDREn."""
 REGISTER_BEGIN = 32  # address of the first register that has functions
 MODULE_NAMES = "0123456789"
 _REGISTERS = {
