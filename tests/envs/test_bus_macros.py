@@ -57,7 +57,7 @@ def test_the_largest_macros_first_reach_the_target_in_both_directions(env, level
 
 
 @pytest.mark.parametrize(
-    "chip", ["PCL240K", *(pytest.param(c, marks=pytest.mark.slow) for c in ("PCL240MS", "MCX514"))]
+    "chip", ["PCL240K", "STEPDIR", *(pytest.param(c, marks=pytest.mark.slow) for c in ("PCL240MS", "MCX514"))]
 )
 def test_from_an_unknown_position_a_policy_must_return_to_the_origin_first(chip):
     env = make_env(chip=chip, axes=("x",))

@@ -16,17 +16,6 @@ from stage.envs.observation_features import list_hidden
 from stage.envs.task import check_action
 from stage.errors import ArgumentError
 
-SCORE_MEANINGS = {
-    "return": "sum of rewards",
-    "success": "1 if the task was done, as the task defines it",
-    "time": "seconds of the proved move",
-    "regret": "log(time / the time of the formula)",
-    "moves": "steps of the episode",
-    "lost_steps": "full steps lost",
-    "limits": "moves that ended at an end limit",
-}
-"""Meaning of each score of a task with `info["score"]`. Other tasks have the return, and the time if they prove a move."""
-
 
 def score_episode(rewards: np.ndarray, info: Mapping[str, Any]) -> dict[str, float]:
     """Return the scores of an episode by name.

@@ -383,12 +383,6 @@ class Profile:
         high = max(high, self.R1)
         return replace(self, R3=high) if fh2 else replace(self, R2=high)
 
-    def is_triangular(self, pulses: int, fh2: bool = False) -> bool:
-        """Return whether a move of so many pulses is too short to reach FH1, or FH2."""
-        return is_triangular_move(
-            pulses, self.R1, self.get_high_speed(fh2), self.R4, self.R5, self.R7, self._up, self._down
-        )
-
     def compute_pulses_through(self, speeds: Iterable[int], dwell: float = 0.0) -> float:
         """Compute the pulses of a run from FL through several speeds, and then to FL again.
 

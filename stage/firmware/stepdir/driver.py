@@ -52,7 +52,8 @@ class StepDirDriver(Driver):
     PATTERN_CLASS: ClassVar = StepDirPattern
     DONE_REASON: ClassVar = END_REASONS[1]
     HOME_REASONS: ClassVar = ("ORG",)
-    HOMINGS: ClassVar = ("switch",)
+    HOMING_METHODS: ClassVar = ("switch",)
+    DISTANCE_REGISTER: ClassVar = "STEPS"
     INDEX_PULSES: ClassVar = 0
     FINISH: ClassVar = "STEPS"
     OPTIONS: ClassVar = frozenset({"s_curve_share", "constant", "approach"})

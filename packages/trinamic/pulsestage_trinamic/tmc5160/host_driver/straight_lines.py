@@ -17,7 +17,6 @@ from stage.firmware.line_programs import LineMoves, LinePrograms
 from stage.sim.program import Program
 
 RAMP_REGISTERS = ("VSTART", "AMAX", "VMAX", "DMAX", "VSTOP")
-VELOCITY_COLUMNS, ACCELERATION_COLUMNS = [0, 2, 4], [1, 3]  # of RAMP_REGISTERS
 VELOCITY_UNIT, ACCELERATION_UNIT = 1 << 24, 1 << 41  # one unit: fCLK / 2^24 steps/s, fCLK^2 / 2^41 steps/s2
 
 
