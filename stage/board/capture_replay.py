@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from os import PathLike
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 REST_S = 0.1
 """Simulated time after the end of a capture in which the carriages come to rest, s."""
+MAX_DURATION_S = 86_400
+"""Longest capture that is played, s."""
 LISTED_EDGES = 10
 
 
@@ -70,6 +73,7 @@ class AxisReplay:
         unit: "m", or "rad" on a hinge.
         edges: Rising edges of STEP in the capture.
         accepted: Steps that the power stage accepted.
+        disabled: Steps that came while ENABLE was not asserted.
         start, position, commanded: Position of the carriage before and after, and according to the steps, m (rad on a hinge).
         lost_steps: Full steps lost.
         largest_error: Largest following error, m (rad on a hinge).
@@ -83,6 +87,7 @@ class AxisReplay:
     unit: str
     edges: int
     accepted: int
+    disabled: int
     start: float
     position: float
     commanded: float
@@ -105,6 +110,11 @@ class AxisReplay:
             f"  from {unit.format(self.start)} to {unit.format(self.position)}, commanded {unit.format(self.commanded)}",
             f"  largest following error {deviation.format(self.largest_error, '.1f')} at {self.error_time:.6f} s",
         ]
+        if self.disabled:
+            lines.append(
+                f"  {self.disabled:,} steps came while ENABLE was not asserted, and the motor had no current: check the signal of "
+                f"{self.axis}.enable in --pins, and whether it needs a !"
+            )
         for edge in self.switch_edges[:LISTED_EDGES]:
             lines.append(f"  {edge.time:.6f} s: {edge.switch} {'on' if edge.on else 'off'}")
         if (more := len(self.switch_edges) - LISTED_EDGES) > 0:
@@ -176,7 +186,7 @@ class _LineChanges(NamedTuple):
 
 @explain_arguments
 def replay_capture(stage: Stage, path: str | PathLike, pins: str | Iterable[str], rest: float = REST_S) -> ReplayReport:
-    """Play the STEP, DIR and ENABLE edges of a capture into a stage, each at its nanosecond.
+    """Play the STEP, DIR and ENABLE edges of a capture into a stage, each at its nanosecond, to which times are rounded.
 
     The levels at the begin of the capture are no edges. A signal that is unknown (x, z) keeps its level.
 
@@ -214,24 +224,36 @@ def replay_capture(stage: Stage, path: str | PathLike, pins: str | Iterable[str]
 
 def _decode_lines(capture: Capture, lines: Sequence[PinLine]) -> tuple[list[_LineChanges], int]:
     """Return the changes of each line, and the duration of the capture, ns."""
-    codes = [capture.find_signal(line.pin).code for line in lines]
-    names = {code: line.pin for code, line in zip(codes, lines, strict=True)}
-    for code, line in zip(codes, lines, strict=True):
-        if names[code] != line.pin:
+    signals = [capture.find_bit(line.pin) for line in lines]
+    names = {signal: line.pin for signal, line in zip(signals, lines, strict=True)}
+    for signal, line in zip(signals, lines, strict=True):
+        if names[signal] != line.pin:
             raise CaptureError(
-                f"{capture.path}: {line.pin} and {names[code]} are the same signal. Give each line a signal of its own."
+                f"{capture.path}: {line.pin} and {names[signal]} are the same signal. Give each line a signal of its own."
             )
     decoded = capture.decode(list(names.values()))
     if not len(decoded.edges):
         raise CaptureError(
             f"{capture.path} is empty: it has no level of {', '.join(names.values())}. Capture while the machine moves."
         )
-    line_changes, index = [], {code: k for k, code in enumerate(names)}
-    for code, line in zip(codes, lines, strict=True):
-        rows = decoded.edges[decoded.edges["signal"] == index[code]]
-        times = (rows["time"] - decoded.begin) * capture.unit_ns
+    duration = (decoded.end - decoded.begin) * capture.unit_ns
+    if duration > MAX_DURATION_S * 10**9:
+        raise CaptureError(
+            f"{capture.path} lasts {float(duration) * 1e-9:,.0f} s, from #{decoded.begin} to #{decoded.end}, and at most "
+            f"{MAX_DURATION_S:,} s can be replayed. Cut it, or correct a damaged time."
+        )
+    line_changes, index = [], {signal: k for k, signal in enumerate(names)}
+    for signal, line in zip(signals, lines, strict=True):
+        rows = decoded.edges[decoded.edges["signal"] == index[signal]]
+        times = _round_to_ns(rows["time"] - decoded.begin, capture.unit_ns)
         line_changes.append(_LineChanges(line, times, rows["level"] != line.inverted))
-    return line_changes, (decoded.end - decoded.begin) * capture.unit_ns
+    return line_changes, int(_round_to_ns(decoded.end - decoded.begin, capture.unit_ns))
+
+
+def _round_to_ns(times: Any, unit_ns: Fraction) -> Any:
+    """Convert times in units of a capture to the nearest ns."""
+    n, d = unit_ns.numerator, unit_ns.denominator
+    return times // d * n + (times % d * n + d // 2) // d
 
 
 def _make_edges(stage: Stage, changes: Sequence[_LineChanges]) -> np.ndarray:
@@ -266,16 +288,34 @@ def _report_axis(
     """
     start, lost_steps, accepted, violations = before
     state = axis.chip.state
-    edges = sum(len(c.find_rising_edges()) for c in changes if c.line.line == "step")
+    steps = np.concatenate([np.zeros(0, np.int64), *(c.find_rising_edges() for c in changes if c.line.line == "step")])
+    was_enabled = bool(inputs & axis.chip.INPUTS["enable"])
     rows = observation.switch_edges[observation.switch_edges["axis"] == axis.index]
     words, times = np.concatenate([[inputs], rows["inputs"]]), (rows["time"] - begin) * 1e-9
     return AxisReplay(
-        axis.name, axis.unit, edges, int(state["accepted"]) - accepted, start, axis.position, axis.commanded,
+        axis.name, axis.unit, len(steps), int(state["accepted"]) - accepted, _count_disabled(steps, changes, was_enabled), start,
+        axis.position, axis.commanded,
         axis.lost_steps - lost_steps, float(observation.largest_errors[axis.index]),
         (int(observation.error_times[axis.index]) - begin) * 1e-9, tuple(_list_switch_edges(axis, words, times)),
         tuple(_compare_switch(axis, c, words, times) for c in changes if c.line.line not in DRIVEN),
         tuple(_count_violations(axis, state["violations"] - violations)),
     )  # fmt: skip
+
+
+def _count_disabled(steps: np.ndarray, changes: Sequence[_LineChanges], was_enabled: bool) -> int:
+    """Count the steps that come while ENABLE is not asserted; a change of ENABLE at the time of a step counts as earlier.
+
+    Args:
+        steps: Times of rising edges of STEP since the begin of the capture, ns.
+        changes: Changes of the lines of the axis.
+        was_enabled: Whether ENABLE was asserted before.
+    """
+    enabled = np.full(len(steps), was_enabled)
+    for change in changes:
+        if change.line.line == "enable":
+            levels = np.concatenate([[was_enabled], change.asserted])
+            enabled = levels[np.searchsorted(change.times, steps, side="right")]
+    return int((~enabled).sum())
 
 
 def _list_switch_edges(axis: Axis, words: np.ndarray, times: np.ndarray) -> Iterable[SwitchEdge]:

@@ -74,6 +74,17 @@ def _find_level(c):
 
 
 @hot
+def _find_bit_level(text, begin, end, bit):
+    """Return the level of a bit of a value, text[begin:end], or -1; bit 0 is the last. A short value goes on with 0, x or z."""
+    if begin >= end:
+        return -1
+    k = end - 1 - bit
+    if k >= begin:
+        return _find_level(int(text[k]))
+    return 0 if _find_level(int(text[begin])) >= 0 else -1
+
+
+@hot
 def _skip_command(text, begin, end):
     """Return the end of a command such as $dumpvars; of a comment that of its $end."""
     if not _is_word(text, begin, end, COMMENT):
@@ -84,14 +95,15 @@ def _skip_command(text, begin, end):
     return end
 
 
-@exported(None, array_of("u1"), "i8", array_of("i8"), array_of(CHANGE), SUMMARY)
-def decode_changes(text, k, codes, out, s):
+@exported(None, array_of("u1"), "i8", array_of("i8"), array_of("i8"), array_of(CHANGE), SUMMARY)
+def decode_changes(text, k, codes, bits, out, s):
     """Decode the changes of some signals into `out`, as many as fit, and count all of them.
 
     Args:
         text: The file.
         k: Place of the first byte after its declarations.
-        codes: `hash_identifier` of each signal, no two of them equal.
+        codes: `hash_identifier` of each signal.
+        bits: Bit of each signal, 0 for the last of its value.
         out: CHANGE records, or none.
         s: SUMMARY, filled.
     """
@@ -99,7 +111,7 @@ def decode_changes(text, k, codes, out, s):
     k = _skip_spaces(text, k)
     while k < len(text):
         end, c = _find_word_end(text, k), int(text[k])
-        begin, level = k + 1, -1
+        begin = k + 1
         if c == HASH:
             time = _parse_time(text, begin, end)
             if time < 0 or time < s.end:
@@ -111,14 +123,15 @@ def decode_changes(text, k, codes, out, s):
             end = _skip_command(text, k, end)
         elif c in SCALARS or c in VECTORS:
             s.begin = max(s.begin, 0)  # levels before the first time are those of time 0
-            level = _find_level(c)
+            value, value_end = k, begin
             if c in VECTORS:
-                level = _find_level(int(text[end - 1]))
+                value, value_end = begin, end
                 begin = _skip_spaces(text, end)
                 end = _find_word_end(text, begin)
             code = hash_identifier(text, begin, end)
             for i in range(len(codes)):
-                if codes[i] == code and level >= 0:
+                level = _find_bit_level(text, value, value_end, bits[i]) if codes[i] == code else -1
+                if level >= 0:
                     if s.n < len(out):
                         out[s.n].time, out[s.n].signal, out[s.n].level = s.end if s.end > 0 else 0, i, level
                     s.n += 1

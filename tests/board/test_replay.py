@@ -134,6 +134,79 @@ def test_an_unknown_level_keeps_the_line(tmp_path):
     assert x.accepted == 2
 
 
+@pytest.mark.parametrize(("unit", "per_ns"), [("100 ps", 10), ("1 ps", 1000), ("1 fs", 10**6)])
+def test_times_shorter_than_a_nanosecond_are_rounded_to_the_nearest(tmp_path, unit, per_ns):
+    edges = [(0, 0), (100_000 * per_ns + per_ns // 2 - 1, 1), (103_000 * per_ns + per_ns // 2, 0)]
+    path = write_capture(tmp_path / "c.vcd", {"S": edges}, 200_000 * per_ns, unit)
+    stage = make_stage()
+    with stage.record() as recording:
+        report = replay_capture(stage, path, "x.step=S", rest=0)
+    waveforms = recording.journals["x"].course(every_pulse=True)
+    step = waveforms.pin("step")
+    assert waveforms.seconds[1:][step[1:] != step[:-1]] == pytest.approx([100_000e-9, 103_001e-9], abs=1e-12)
+    assert report.duration == pytest.approx(200e-6)
+
+
+def make_bus_capture(path, declaration, values, end):
+    """Write a capture of one vector, as GTKWave and simulators do. `values`: time -> value."""
+    changes = "".join(f"#{time}\nb{value} !\n" for time, value in values.items())
+    path.write_text(HEAD.format(unit="1 ns", variables=f"$var {declaration} $end\n") + f"{changes}#{end}\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("declaration", "name", "bit"),
+    [
+        ("wire 8 ! bus [7:0]", "bus[2]", 2),
+        ("wire 8 ! bus[7:0]", "libsigrok.bus[2]", 2),
+        ("reg 8 ! bus", "bus[7]", 7),
+        ("wire 8 ! bus [0:7]", "bus[7]", 0),
+        ("wire 8 ! bus [15:8]", "bus[8]", 0),
+    ],
+)
+def test_a_bit_of_a_vector_is_a_signal(tmp_path, declaration, name, bit):
+    """Values are short, as VCD allows: what is left out is 0 in front of 0 and 1, x in front of x and z in front of z."""
+    on, off = f"{1 << bit:b}", "0"
+    unknown = ("x" + "0" * (bit + 1))[-8:]  # the bit is 0, those in front of it are unknown
+    values = {
+        0: off,
+        100_000: on,
+        110_000: "1" + on[1:],
+        200_000: off,
+        300_000: on,
+        310_000: "x",
+        320_000: on,
+        400_000: "z",
+    }
+    values |= {500_000: unknown, 600_000: "11111111"}
+    path = make_bus_capture(tmp_path / "c.vcd", declaration, values, 10**6)
+    (x,) = replay_capture(make_stage(), path, f"x.step={name}").axes
+    assert (x.edges, x.accepted) == (3, 3)
+
+
+def test_two_bits_of_a_vector_are_step_and_dir(tmp_path):
+    values = {0: "00", 10_000: "10", 20_000: "11", 30_000: "10", 40_000: "11", 50_000: "0"}
+    path = make_bus_capture(tmp_path / "c.vcd", "wire 2 ! port [1:0]", values, 10**6)
+    (x,) = replay_capture(make_stage(), path, "x.step=port[0],x.dir=port[1]").axes
+    assert (x.edges, x.accepted) == (2, 2)
+    assert x.commanded == pytest.approx(-2 / 3.2e5)
+
+
+def test_steps_while_the_axis_is_disabled_are_counted_and_explained(tmp_path):
+    signals = {"D2": make_steps(40), "D8": [(0, 0), (1_000_000 + 25 * 200_000, 1)]}  # the 26th step comes with the edge
+    path = write_capture(tmp_path / "c.vcd", signals, 10**7)
+    report = replay_capture(make_stage(), path, "x.step=D2,x.enable=!D8")
+    (x,) = report.axes
+    assert (x.edges, x.accepted, x.disabled, report.ok) == (40, 25, 15, False)
+    assert "15 steps came while ENABLE was not asserted" in str(report)
+    (x,) = replay_capture(make_stage(), path, "x.step=D2").axes
+    assert x.disabled == 0
+    stage = make_stage()
+    stage.axes["x"].chip.pins.enable = False
+    (x,) = replay_capture(stage, path, "x.step=D2").axes
+    assert (x.accepted, x.disabled) == (0, 40)
+
+
 @pytest.mark.parametrize(("drops_edges", "accepted"), [(False, 40), (True, 0)])
 def test_a_step_too_short_for_the_power_stage_is_reported(tmp_path, drops_edges, accepted):
     path = write_capture(tmp_path / "c.vcd", {"D2": make_steps(40, high=1500)}, 10**7)
@@ -234,14 +307,20 @@ WRONG = [
     ("x.dir=D5", {}, "names no STEP line"),
     ("x.step=D2,x.dir=D2", {}, "D2 is used twice"),
     ("x.step=D2,x.dir=libsigrok.D2", {}, "D2 and libsigrok.D2 are the same signal"),
-    ("x.step=D2", {"$timescale 1 ns": "$timescale 100 ps"}, "counts time in 100 ps"),
+    ("x.step=D2", {"$timescale 1 ns": "$timescale 41.6667 ns"}, "has the timescale 41.6667 ns, and VCD allows 1, 10 or 100"),
     ("x.step=D2", {"$timescale 1 ns $end": ""}, "declares no $timescale"),
-    ("x.step=D2", {"$var wire 1 !": "$var wire 8 !"}, "signal D2 has 8 bits"),
+    ("x.step=D2", {"$var wire 1 !": "$var wire 8 !"}, "D2 has 8 bits, and a line has one. Name one of them, D2[0] to D2[7]."),
+    ("x.step=D2[8]", {"$var wire 1 !": "$var wire 8 !"}, "no signal D2[8]: the bits of D2 are 0 to 7."),
+    ("x.step=D2[0]", {}, "has no signal D2[0]; it has D2, D5."),
+    ("x.step=D2", {"$var wire 1 !": "$var real 64 !"}, "signal D2 is a number or a text"),
     ("x.step=D2", {"$upscope $end": '$var wire 1 % D2 $end\n$upscope $end'}, "has the signal D2 2 times"),
-    ("x.step=D2", {"#1000 1!": "#1000 ?!"}, "line 13: this is no value change"),
-    ("x.step=D2", {"#2000 0!": "#20 0!"}, "line 14: this is no value change"),
+    ("x.step=D2", {"#1000 1!": "#1000 ?!"}, "line 13: ?! is no value change of VCD."),
+    ("x.step=D2", {"#2000 0!": "#20 0!"}, "line 14: time goes back, from #1000 to #20."),
+    ("x.step=D2", {"#3000": "#9000000000000000"}, "lasts 9,000,000 s, from #0 to #9000000000000000"),
+    ("x.step=D2", {"#3000": "#9000000000000000000"}, "line 15: the time #9000000000000000000 is too large."),
     ("x.step=D2", {"#0 0!": "#0", "#1000 1!": "", "#2000 0!": ""}, "is empty"),
-    ("x.step=D2", {"$date": "date"}, "is no VCD file"),
+    ("x.step=D2", {"$date": "date"}, "is no VCD file: line 1, 'date Thu Nov 26 12:00:00 2026 $end', is no declaration."),
+    ("x.step=D2", {"D5": "Channel 5"}, "line 9, '$var wire 1 \" Channel 5 $end', is no declaration. Export the capture as VCD"),
     ("q.step=D2", {}, "q"),
 ]  # fmt: skip
 
