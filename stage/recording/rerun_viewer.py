@@ -11,6 +11,7 @@ import ctypes
 import errno
 import http.client
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -256,11 +257,18 @@ def _wait_for(port: int, process: subprocess.Popen, deadline: float | None = Non
 
 
 def _check_process(process: subprocess.Popen) -> None:
-    if process.poll() is not None:
-        messages = process.stderr.read().decode(errors="replace")[-800:] if process.stderr else ""
-        raise ViewerError(
-            f"rerun ended with code {process.returncode} (no Vulkan driver? Debian: mesa-vulkan-drivers). {messages}"
+    """Raise ViewerError if rerun has ended."""
+    if process.poll() is None:
+        return
+    messages = process.stderr.read().decode(errors="replace").strip() if process.stderr else ""
+    panic = re.search(r"panicked at '?(.+?)'?$", messages, re.MULTILINE)
+    cause = panic[1] if panic else (messages.split("\n")[0].rstrip(" .") or "it gave no reason")
+    advice = ""
+    if re.search("render context|adapter|wgpu|vulkan", messages, re.IGNORECASE):
+        advice = (
+            " Pictures need a Vulkan driver, also without a graphics card (Debian: apt install mesa-vulkan-drivers)."
         )
+    raise ViewerError(f"rerun ended with code {process.returncode}: {cause}.{advice}")
 
 
 def build_environment() -> dict[str, str]:

@@ -3,6 +3,7 @@
 import contextlib
 import glob
 import http.client
+import io
 import signal
 import socket
 import subprocess
@@ -226,6 +227,33 @@ def test_a_missing_recording_is_named(tmp_path):
     ):
         with pytest.raises(ViewerError, match=r"there is no recording .*none\.rrd"):
             observe(tmp_path / "none.rrd")
+
+
+NO_DRIVER = """
+thread 'main' panicked at 'Failed to get render context'
+re_viewer/src/app/mod.rs:1425
+stack backtrace:
+   6: core::panicking::panic_fmt
+"""
+
+
+@pytest.mark.parametrize(
+    ("messages", "cause"),
+    [
+        (
+            NO_DRIVER,
+            "Failed to get render context. Pictures need a Vulkan driver, also without a graphics card (Debian: apt install "
+            "mesa-vulkan-drivers).",
+        ),
+        ("cannot open shared object\nmore\n", "cannot open shared object."),
+        ("", "it gave no reason."),
+    ],
+)
+def test_a_viewer_that_fails_is_one_line_without_a_backtrace(messages, cause):
+    process = SimpleNamespace(poll=lambda: 102, returncode=102, stderr=io.BytesIO(messages.encode()))
+    with pytest.raises(ViewerError) as failed:
+        rerun_viewer._check_process(process)
+    assert str(failed.value) == f"rerun ended with code 102: {cause}"
 
 
 @pytest.mark.slow
