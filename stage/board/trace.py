@@ -141,7 +141,12 @@ class BusTrace:
 
     def format_ending(self, n: int) -> str:
         """Return the last `n` lines as the end of an error message about a program."""
-        return f"Its last bus cycles:\n{self.text(n)}" if self.total else "It has made no bus cycle."
+        if self.total:
+            return f"Its last bus cycles:\n{self.text(n)}"
+        if cycles := self._board.cycles:
+            polled = "pins, the serial line, the time or the interrupt line"
+            return f"It has made {cycles:,} bus cycles, none at a port: polls of {polled}."
+        return "It has made no bus cycle."
 
     def __str__(self) -> str:
         return self.text()

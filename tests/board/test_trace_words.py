@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from stage import Stage
-from stage.board import Board
+from stage.board import Board, HostTimeout, NativeHost
 from stage.board.bus.host_record import CALLED, LEVEL, ON_LINE, RAISE, RETURNED, TIMER, WRONG_LEVEL
 from stage.board.bus.interrupts import FIRST_SOFTWARE, FIRST_TIMER, SOFTWARE_LINE
 from stage.board.trace import Cycle, format_interrupt
@@ -128,6 +128,16 @@ def test_a_storm_says_whose_hook_it_is_and_why_it_comes_again(board, source, per
     if period:
         board.link.hooks.sources[source]["period"] = period
     assert message in board.link.hooks.describe_storm(source)
+
+
+def test_cycles_that_reach_no_port_are_counted(tmp_path):
+    source = tmp_path / "loop.c"
+    source.write_text("#include <pulsestage.h>\nPULSESTAGE_MAIN { for (;;) ps_pin_read(9); }", encoding="utf-8")
+    board = Board(Stage("xy", chips="stepdir", visuals=False))
+    host = NativeHost(source, board, isolated=False, pins="x.step=2,x.dir=5,x.limit=!9")
+    with pytest.raises(HostTimeout, match=r"It has made [0-9,]+ bus cycles, none at a port: polls of pins"):
+        host.run(timeout=0.01)
+    host.close()
 
 
 def test_a_message_ends_with_the_last_cycles_of_a_run_that_made_cycles(board):
