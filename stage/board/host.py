@@ -84,6 +84,7 @@ class Host:
         serial: Other end of the firmware's serial line.
         pacing: Pace of the run in wall-clock time, or None for as fast as possible.
         serial_lack: Sentence about firmware that has no serial line.
+        is_closed: Whether the firmware was closed, and no run has begun since.
     """
 
     serial_lack = "it has no serial line."
@@ -99,6 +100,7 @@ class Host:
         else:
             self._runner = ThreadRunner(program, board, patience)
         self._start = (0, 0)  # time and cycles
+        self.is_closed = False
         self.serial = SerialPort(self)
         self.pacing: RealTimePace | None = None
 
@@ -195,6 +197,7 @@ class Host:
         and its code stays in memory."""
         if self.running:
             self.board.stage.loop.check_state_allowed()
+        self.is_closed = True
         self._runner.close()
 
     def __enter__(self) -> Self:
@@ -223,7 +226,7 @@ class Host:
                     f"{board.driver.path.name} drives this board and has not returned: a bus has one host. "
                     "Run it on, or close() it."
                 )
-            board.driver, self._start = self, (stage.now, board.cycles)
+            board.driver, self._start, self.is_closed = self, (stage.now, board.cycles), False
         self._cycle_limit = min(board.cycles + int(max_cycles), UNBOUNDED)
         code = self._run_to(stage.now + ns)
         now, cycles = self._start

@@ -195,7 +195,7 @@ class SerialPort:
 
         Raises:
             ArgumentError: `content` is neither bytes nor text of such characters.
-            StageError: The firmware has no serial line.
+            StageError: The firmware has no serial line, or was closed.
         """
         self.check_is_wired()
         self._outgoing += to_bytes(content, "write")
@@ -219,7 +219,7 @@ class SerialPort:
 
         Raises:
             RunTimeout: The firmware has not sent `end` within `timeout`, or has returned before. Other errors are those of
-                `Host.run_for`.
+                `write` and `Host.run_for`.
         """
         wanted = to_bytes(end, "read_until")
         self._run_until(lambda: wanted in self._unread, timeout, repr(end), wanted[-1] if wanted else NO_BYTE)
@@ -269,9 +269,14 @@ class SerialPort:
         self._unread.clear()
 
     def check_is_wired(self) -> None:
-        """Raise StageError if the firmware has no serial line."""
+        """Raise StageError if the firmware has no serial line, or was closed."""
+        name = self._host.path.name
+        if self._host.is_closed:
+            raise StageError(
+                f"{name} was closed, so nothing is at its serial line. Run it again first, or make a new host."
+            )
         if not self._line.is_wired:
-            raise StageError(f"{self._host.path.name}: {self._host.serial_lack}")
+            raise StageError(f"{name}: {self._host.serial_lack}")
 
     @property
     def is_satisfied(self) -> bool:

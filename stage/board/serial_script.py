@@ -8,6 +8,8 @@ r"""`SerialScript`: a serial line's other end as a file of commands in simulated
     wait 500ms                let simulated time pass
     at 12.5                   wait until this time of the run
 
+A script that ends with `send` is over when the firmware has received the last byte.
+
 Each `expect` searches in what the firmware has sent since the end of the last match. The run is the same, bit for bit, each time.
 """
 
@@ -19,9 +21,9 @@ from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
 
-from stage.board.bus.serial_core import NO_BYTE
+from stage.board.bus.serial_core import NO_BYTE, ROOM
 from stage.board.errors import HostError
-from stage.board.serial_line import SerialEnd, describe_last_bytes, to_bytes
+from stage.board.serial_line import POLL_NS, SerialEnd, describe_last_bytes, to_bytes
 from stage.errors import ArgumentError
 from stage.support.files import FileError
 from stage.support.foreign_files import read_text
@@ -53,13 +55,16 @@ def read_script(path: str | os.PathLike) -> SerialScript:
     """Read a script from a file.
 
     Raises:
-        ArgumentError: A line is no command.
+        ArgumentError: A line is no command, or there is nothing to do.
         FileError: The file cannot be read.
     """
     name = Path(path).name
     text = read_text(path, "serial script", MAX_BYTES, FileError)
-    commands = [parse_command(name, k, line) for k, line in enumerate(text.splitlines(), 1)]
-    return SerialScript(name, [command for command in commands if command is not None])
+    lines = [parse_command(name, k, line) for k, line in enumerate(text.splitlines(), 1)]
+    commands = [command for command in lines if command is not None]
+    if all(command.name == "timeout" for command in commands):
+        raise ArgumentError(f"{name}: this script does nothing. Write send, expect, wait or at; docs/serial.md.")
+    return SerialScript(name, commands)
 
 
 def parse_command(name: str, number: int, line: str) -> Command | None:
@@ -126,7 +131,10 @@ class SerialScript(SerialEnd):
 
     Args:
         name: Name of the script, for errors.
-        commands: The commands.
+        commands: The commands, one or more.
+
+    Attributes:
+        ends_with_send: Whether the last command is `send`.
     """
 
     def __init__(self, name: str, commands: list[Command]):
@@ -135,6 +143,9 @@ class SerialScript(SerialEnd):
         self._expected = b""
         self._begin: int | None = None
         self._is_over = False
+        self._room = ROOM
+        self._command = commands[0]
+        self.ends_with_send = commands[-1].name == "send"
         self._steps = self._execute(commands)
 
     @property
@@ -144,20 +155,20 @@ class SerialScript(SerialEnd):
 
     @property
     def is_over(self) -> bool:
-        """True when all commands have been executed."""
+        """True when all commands have been executed, and the firmware has received what the last one sends."""
         return self._is_over
 
     def exchange(self, sent: bytes, now: int, room: int) -> bytes:
         """Execute commands up to the time `now` (ns), and return what they send.
 
         Raises:
-            HostError: The firmware has not sent in time what is expected.
+            HostError: The firmware has not sent in time what is expected, or the time of `at` has passed.
         """
         self._unread += sent
         self._begin = now if self._begin is None else self._begin
+        self._now, self._room = now, room
         outgoing = b""
-        while len(outgoing) < room and not self._is_over:
-            self._now = now
+        while not self._is_over:
             step = next(self._steps, None)
             if step is None:
                 self._is_over = True
@@ -165,11 +176,18 @@ class SerialScript(SerialEnd):
                 break
             else:
                 outgoing += step
+                self._room -= len(step)
         return outgoing
 
     def choose_next_exchange(self, now: int) -> int | None:
-        """Return the time (ns) at which a wait ends or an `expect` fails, or None."""
-        return self._due
+        """Return the time (ns) at which a wait ends or an `expect` fails, now if the script is over, or None."""
+        return now if self._is_over else self._due
+
+    def describe_rest(self) -> str:
+        """Say what the script waits for."""
+        if self._command.name == "send":
+            return f"the firmware has not received {ROOM - self._room:,} of its bytes"
+        return f"line {self._command.line} waits"
 
     def close(self) -> None:
         """Do nothing: a script has opened nothing."""
@@ -178,17 +196,32 @@ class SerialScript(SerialEnd):
         """Yield what each command sends, or no bytes while it waits."""
         timeout = round(TIMEOUT_S * 1e9)
         for command in commands:
+            self._command = command
             if command.name == "send":
+                while self._room <= 0:
+                    yield from self._wait_until(self._now + POLL_NS)
                 yield command.text
             elif command.name == "timeout":
                 timeout = command.ns
             elif command.name == "expect":
                 yield from self._expect(command, self._now + timeout, timeout)
             else:
-                self._due = command.ns + (self._now if command.name == "wait" else self._begin or 0)
-                while self._now < self._due:
-                    yield b""
-                self._due = None
+                due = command.ns + (self._now if command.name == "wait" else self._begin or 0)
+                if self._now > due + POLL_NS:
+                    raise HostError(
+                        f"{self._name}:{command.line}: at {command.ns * 1e-9:g} comes too late, at "
+                        f"{(self._now - (self._begin or 0)) * 1e-9:g} s of the run. Use wait, or give a later time."
+                    )
+                yield from self._wait_until(due)
+        while self.ends_with_send and self._room < ROOM:
+            yield from self._wait_until(self._now + POLL_NS)
+
+    def _wait_until(self, due: int) -> Generator[bytes, None, None]:
+        """Yield no bytes until the time `due` (ns)."""
+        self._due = due
+        while self._now < due:
+            yield b""
+        self._due = None
 
     def _expect(self, command: Command, deadline: int, timeout: int) -> Generator[bytes, None, None]:
         self._expected, self._due = command.text, deadline

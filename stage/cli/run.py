@@ -202,11 +202,16 @@ def _run_to_end(
     from stage.board import HostError, HostTimeout, StormError
     from stage.errors import SimulationError
 
+    timeout = serial_options.choose_timeout(args)
+
+    def run(seconds: float | None) -> Any:
+        if session is not None:
+            return run_in_real_time(session, host, seconds, timeout)
+        return host.run(timeout=timeout) if seconds is None else host.run_for(seconds)
+
     try:
         with _raise_at_sigterm(board, terminated), show_simulated_time(board.stage):
-            if session is not None:
-                return run_in_real_time(session, host, args.seconds, serial_options.choose_timeout(args)), None
-            return serial_options.run_host(args, host, end), None
+            return serial_options.run_host(args, host, end, run), None
     except (HostTimeout, HostError, StormError, SimulationError) as failed:
         return None, failed
     except KeyboardInterrupt:

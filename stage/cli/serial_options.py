@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from stage.cli.commands import wrote
+from stage.cli.commands import warn, wrote
 from stage.errors import ArgumentError
 from stage.support.files import check_writable, write_atomically
 
@@ -26,8 +26,8 @@ def add_serial_options(p: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     g.add_argument(
         "--serial-script", metavar="FILE",
-        help="commands that play the other end in simulated time: send, expect, wait; the run ends with the script, unless --for "
-        "says how long it lasts",
+        help="commands that play the other end in simulated time: send, expect, wait, at, timeout; the run ends with the script, "
+        "unless --for says how long it lasts",
     )  # fmt: skip
     g.add_argument(
         "--serial-log", metavar="FILE",
@@ -92,13 +92,14 @@ def prepare_host(args: argparse.Namespace, host: Any, end: Any) -> None:
         host.pacing = RealTimePace()
 
 
-def run_host(args: argparse.Namespace, host: Any, end: Any) -> Any:
+def run_host(args: argparse.Namespace, host: Any, end: Any, run: Callable[[float | None], Any]) -> Any:
     """Run firmware until it returns, for the time of --for, or until the script at its serial line is over.
 
     Args:
         args: Options of the command.
         host: Host that runs the firmware.
         end: Other end of its serial line, or None.
+        run: Function that runs it for a simulated time, s, or for None until it returns, at the pace of the command.
 
     Returns:
         The result of firmware that has returned, otherwise None.
@@ -106,23 +107,29 @@ def run_host(args: argparse.Namespace, host: Any, end: Any) -> Any:
     Raises:
         HostTimeout: The firmware has not returned within the timeout, or the script is not over when the run ends.
     """
-    if args.serial_script is None:
-        return host.run_for(args.seconds) if args.seconds is not None else host.run(timeout=choose_timeout(args))
     from stage.board import HostTimeout
 
-    stage, limit = host.board.stage, choose_timeout(args) if args.seconds is None else args.seconds
-    begin = stage.now
-    result = host.run_for(limit)
+    if args.serial_script is None:
+        return run(args.seconds)
+    limit = choose_timeout(args) if args.seconds is None else args.seconds
+    begin = host.board.stage.now
+    result = run(limit)
     if result is not None:
         return result
     if not end.is_over:
         option = "--timeout" if args.seconds is None else "--for"
         raise HostTimeout(
-            f"{args.serial_script} is not over after {limit:g} s of simulated time. {option} allows more."
+            f"{args.serial_script} is not over after {limit:g} s of simulated time: {end.describe_rest()}. {option} allows more."
+        )
+    if end.ends_with_send and args.seconds is None:
+        warn(
+            args,
+            f"{args.serial_script} ends with send, so the run has ended when the firmware had received it. Add expect or wait "
+            "to see what the firmware then does.",
         )
     host.serial.disconnect()
-    rest = 0.0 if args.seconds is None else limit - (stage.now - begin) * 1e-9
-    return host.run_for(rest) if rest > 0 else None
+    rest = 0.0 if args.seconds is None else limit - (host.board.stage.now - begin) * 1e-9
+    return run(rest) if rest > 0 else None
 
 
 def write_serial_log(args: argparse.Namespace, host: Any) -> None:

@@ -14,7 +14,7 @@ import pytest
 from support.target_boards import board_of
 
 from stage import Stage
-from stage.board import Board
+from stage.board import Board, NativeHost
 from stage.board.serial_ends import open_end
 from stage.board.serial_script import format_script, read_script
 from stage.chips import PCL240K
@@ -225,7 +225,75 @@ def test_a_run_ends_with_its_script_unless_for_says_how_long_it_lasts(tmp_path, 
 def test_a_script_that_is_cut_off_by_the_end_of_the_run_fails(tmp_path, capsys, option):
     script = write_script(tmp_path, "expect ready", "expect never")
     assert main([*RUN, "--serial-script", script, option, "0.05"]) == 1
-    assert f"job.txt is not over after 0.05 s of simulated time. {option} allows more." in capsys.readouterr().err
+    message = f"job.txt is not over after 0.05 s of simulated time: line 2 waits. {option} allows more."
+    assert message in capsys.readouterr().err
+
+
+@needs_simavr
+@pytest.mark.parametrize(
+    ("lines", "characters"), [(["expect ready"], len("readyhello\n")), (["# only this"], len("hello\n"))]
+)
+def test_a_script_that_ends_with_send_ends_when_the_last_byte_has_arrived(tmp_path, capsys, lines, characters):
+    script = write_script(tmp_path, *lines, "send hello")
+    assert main([*RUN, "--serial-script", script, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert 0 <= facts["seconds"] - characters * BYTE_NS["19200 8N1"] * 1e-9 < 0.003
+    assert facts["serial"]["sent"] == len("hello\n")
+    assert "ends with send, so the run has ended when the firmware had received it" in facts["warnings"][0]
+
+
+@needs_simavr
+def test_a_run_with_for_continues_after_a_script_that_ends_with_send(tmp_path, capsys):
+    assert main([*RUN, "--serial-script", write_script(tmp_path, "send hello"), "--for", "0.05"]) == 0
+    captured = capsys.readouterr()
+    assert "hello" in captured.out
+    assert "ran for 0.05 s" in captured.out
+    assert not captured.err
+
+
+def test_a_script_whose_bytes_nobody_reads_fails(tmp_path, capsys):
+    source = tmp_path / "deaf.c"
+    source.write_text("#include <pulsestage.h>\nPULSESTAGE_MAIN { for (;;) ps_delay_us(100); }", encoding="utf-8")
+    script = write_script(tmp_path, "send hello")
+    assert main(["run", str(source), "--serial-script", script, "--timeout", "0.1"]) == 1
+    assert "the firmware has not received 6 of its bytes. --timeout allows more." in capsys.readouterr().err
+
+
+def test_a_script_may_send_more_than_the_line_holds_and_wait(tmp_path):
+    source = tmp_path / "deaf.c"
+    source.write_text("#include <pulsestage.h>\nPULSESTAGE_MAIN { for (;;) ps_delay_us(100); }", encoding="utf-8")
+    script = write_script(tmp_path, f"send {'x' * 5000}", "wait 20ms", "send y", "wait 1")
+    with NativeHost(source, Board(Stage("xy", visuals=False)), isolated=False) as host:
+        host.serial.connect(read_script(script))
+        host.run_for(0.1)
+        assert host.board.stage.time == pytest.approx(0.1)
+
+
+@needs_simavr
+def test_a_time_that_has_passed_is_refused_at_its_line(tmp_path, capsys):
+    script = write_script(tmp_path, "at 0.03", "at 0.01", "send hello")
+    assert main([*RUN, "--serial-script", script]) == 1
+    error = capsys.readouterr().err
+    assert "job.txt:2: at 0.01 comes too late, at 0.03 s of the run. Use wait, or give a later time." in error
+
+
+@pytest.mark.parametrize("lines", [[""], ["# nothing"], ["timeout 3"]])
+def test_a_script_that_does_nothing_is_refused(tmp_path, lines):
+    with pytest.raises(ArgumentError, match=r"job.txt: this script does nothing. Write send, expect, wait or at"):
+        read_script(write_script(tmp_path, *lines))
+
+
+@needs_simavr
+def test_the_line_of_closed_firmware_is_an_error(quick_echo):
+    quick_echo.serial.read_until("ready")
+    quick_echo.close()
+    now = quick_echo.board.stage.now
+    for use in (lambda: quick_echo.serial.read_until("x"), lambda: quick_echo.serial.write("x")):
+        with pytest.raises(StageError, match=r"serial.avr.elf was closed, so nothing is at its serial line."):
+            use()
+    assert quick_echo.board.stage.now == now
+    quick_echo.run_for(0.001)
+    assert "ready" in quick_echo.serial.read_until("ready")
 
 
 @needs_simavr
