@@ -52,6 +52,21 @@ open_study(move, "study")
     assert "ExtraMissing: a study needs Optuna: pip install 'pulsestage[tune]'" in completed.stderr
 
 
+def test_the_defaults_of_preset_moves_are_those_of_the_page_about_studies():
+    assert vars(PresetMoves()) == {
+        "space": preset_move_objective.SPACE,
+        "goals": ("score",),
+        "model": "xyz",
+        "axis": "x",
+        "chips": "pcl240k",
+        "pulses": 16_000,
+        "start": -0.13,
+        "band": 20e-6,
+        "rest": 0.3,
+        "seed": 0,
+    }
+
+
 def test_measures_of_a_move_follow_from_its_duration_lost_steps_and_vibration():
     move = PresetMoves(pulses=8000)
     good = move.measure(GENTLE, 1)
