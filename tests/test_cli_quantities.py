@@ -56,9 +56,7 @@ def test_another_unit_is_named_for_what_it_is(kind, text, message):
 
 
 def test_every_option_that_is_a_quantity_takes_its_units(monkeypatch):
-    monkeypatch.setattr(
-        package_commands, "find_commands", dict
-    )  # those of installed packages are no matter of the core
+    monkeypatch.setattr(package_commands, "find_package_parts", lambda *group: {})  # the core has no say in packages
     commands = next(a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction)).choices
     unitless_options = {
         option

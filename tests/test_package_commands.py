@@ -48,7 +48,10 @@ def test_help_lists_commands_of_packages_and_reports_those_that_cannot_load(gree
         main(["--help"])
     out, err = capsys.readouterr()
     assert re.search(r"^ +greet +greet so often$", out, re.M)
-    assert "package greetings 1.0: `stage grumble` cannot be loaded: RuntimeError: no network card." in err
+    assert (
+        "package greetings 1.0 (grumble = 'greetings:fail') cannot be loaded: RuntimeError: no network card. Repair"
+        in err
+    )
 
 
 def test_a_built_in_command_takes_precedence_over_one_of_a_package(greeting, capsys):

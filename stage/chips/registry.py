@@ -17,33 +17,15 @@ from dataclasses import dataclass
 from glob import escape, glob
 from importlib import import_module
 from os.path import join
-from typing import Any
 
 from stage.chips import contract
 from stage.chips.chip import Chip
-from stage.errors import ArgumentError, LoadError, StageError, UnknownKey, unknown_name_error
+from stage.errors import ArgumentError, StageError, UnknownKey, unknown_name_error
+from stage.support.package_parts import PackagePart, find_package_parts, load_package_part
 
 GROUP = "pulsestage.chips"
 """The entry points of a package that name chips."""
 PACKAGE_NAME = "pulsestage"
-
-
-@dataclass(frozen=True)
-class ChipSource:
-    """Origin of a chip.
-
-    Attributes:
-        name: Name of the entry point.
-        package: Name and version of the package.
-        where: "module:Class".
-    """
-
-    name: str
-    package: str
-    where: str
-
-    def __str__(self) -> str:
-        return f"package {self.package} ({self.name} = {self.where!r})"
 
 
 @dataclass(frozen=True)
@@ -173,25 +155,12 @@ class Registry(MutableMapping[str, type[Chip]]):
             return getattr(import_module(module), attribute)
         if not (sources := _find_sources().get(name, [])):
             raise UnknownKey(str(unknown_name_error("chip", name, self)))
-        if len(sources) > 1:
-            raise ArgumentError(
-                f"chip {name}: {' and '.join(map(str, sources))} bring a chip of this name. Uninstall one of them."
-            )
-        return _load_class(name, sources[0])
+        return _load_class(name, sources)
 
 
-def _find_sources() -> dict[str, list[ChipSource]]:
-    """Find the chips that installed packages bring: name -> their sources."""
-    from importlib.metadata import entry_points  # 50 ms of a start that mostly needs PulseStage's own chips only
-
-    sources_by_name: dict[str, list[ChipSource]] = {}
-    for point in entry_points(group=GROUP):
-        package = f"{point.dist.name} {point.dist.version}" if point.dist is not None else "of unknown name"
-        source = ChipSource(point.name, package, point.value)
-        sources = sources_by_name.setdefault(normalize_chip_name(point.name), [])
-        if source not in sources:
-            sources.append(source)
-    return sources_by_name
+def _find_sources() -> dict[str, list[PackagePart]]:
+    """Find the chips that installed packages bring."""
+    return find_package_parts(GROUP, normalize_chip_name)
 
 
 def _is_possibly_claimed(name: str) -> bool:
@@ -208,37 +177,28 @@ def _is_possibly_claimed(name: str) -> bool:
     return False
 
 
-def _describe_claim(name: str, sources: list[ChipSource]) -> str:
+def _describe_claim(name: str, sources: list[PackagePart]) -> str:
     """Describe that a package brings a chip under one of PulseStage's own names."""
     others = " and ".join(source.package for source in sources)
     advice = _advise_renaming(sources)
     return f"{name} is one of PulseStage's own chips, and stays it, though {others} has one of this name: {advice}"
 
 
-def _load_class(name: str, source: ChipSource) -> type[Chip]:
+def _load_class(name: str, sources: list[PackagePart]) -> type[Chip]:
     """Load the class that an entry point names. Raises LoadError or ArgumentError."""
-    module, _, attribute = source.where.partition("[")[0].partition(":")  # behind "[" are extras, which pip looks at
-    try:
-        chip: Any = import_module(module.strip())
-        for part in filter(None, attribute.strip().split(".")):
-            chip = getattr(chip, part)
-    except (Exception, SystemExit) as error:  # it is somebody else's code
-        raise LoadError(
-            f"chip {name} of {source} cannot be loaded: {type(error).__name__}: {error}. Every other chip works; mend that package "
-            "or uninstall it."
-        ) from error
+    chip = load_package_part("chip", name, sources)
     try:
         contract.check(chip, Chip)
         if normalize_chip_name(chip.__name__) != name:
-            advice = _advise_renaming([source])
+            advice = _advise_renaming(sources)
             raise ArgumentError(
                 f"the class is called {chip.__name__}. Recordings and reports name chips by their classes: {advice}"
             )
     except ArgumentError as error:
-        raise ArgumentError(f"chip {name} of {source} is refused: {error}") from None
+        raise ArgumentError(f"chip {name} of {sources[0]} is refused: {error}") from None
     return chip
 
 
-def _advise_renaming(sources: list[ChipSource]) -> str:
+def _advise_renaming(sources: list[PackagePart]) -> str:
     """Return the advice to rename an entry point, for an error."""
     return f"give the entry point of {sources[0].package} another name, that of its class."

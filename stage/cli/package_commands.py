@@ -12,11 +12,10 @@ when one of its commands, or the list of all commands, is asked for. PulseStage'
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
+from stage.errors import ArgumentError, StageError
+from stage.support.package_parts import find_package_parts, load_package_part
 
 GROUP = "pulsestage.commands"
 """The entry points of a package that name commands."""
@@ -27,23 +26,17 @@ KNOWN_PACKAGES = {
 """Command -> folder below packages/ of the package that brings it. Distributions are called pulsestage-FOLDER."""
 
 
-def find_commands() -> Mapping[str, EntryPoint]:
-    """Return the commands of installed packages by name; of two packages with one name that which Python finds first."""
-    from importlib.metadata import entry_points  # 50 ms of a start that mostly needs PulseStage's own commands only
-
-    return {point.name: point for point in reversed(list(entry_points(group=GROUP)))}
-
-
 def add_package_commands(commands: Any) -> None:
     """Add the commands of installed packages to argparse's subparsers; warn of one that fails, and leave it out."""
-    for name, point in sorted(find_commands().items()):
-        if name in commands.choices:
-            _warn(point, f"PulseStage has a command `stage {name}` of its own, which takes precedence")
-            continue
+    for name, parts in sorted(find_package_parts(GROUP, str).items()):
         try:
-            point.load()(commands)
-        except (Exception, SystemExit) as error:  # it is somebody else's code
-            _warn(point, f"`stage {name}` cannot be loaded: {type(error).__name__}: {error}")
+            if name in commands.choices:
+                raise ArgumentError(
+                    f"command {name} of {parts[0]}: PulseStage has a command `stage {name}` of its own, which takes precedence."
+                )
+            load_package_part("command", name, parts, use=lambda add: add(commands))
+        except StageError as error:
+            print(f"stage: warning: {error}", file=sys.stderr)
 
 
 def explain_missing_command(name: str) -> str:
@@ -55,8 +48,3 @@ def explain_missing_command(name: str) -> str:
         f"`stage {name}` comes with the package pulsestage-{package}, which is not installed: run "
         f"`pip install ./packages/{package}` in a checkout of PulseStage."
     )
-
-
-def _warn(point: EntryPoint, text: str) -> None:
-    package = f"{point.dist.name} {point.dist.version}" if point.dist is not None else point.value
-    print(f"stage: warning: package {package}: {text}.", file=sys.stderr)

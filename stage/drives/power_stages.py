@@ -15,8 +15,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from stage.errors import ArgumentError, LoadError, unknown_name_error
+from stage.errors import ArgumentError, unknown_name_error
 from stage.support.argument_checks import explain_constructor
+from stage.support.package_parts import PackagePart, find_package_parts, load_package_part
 
 GROUP = "pulsestage.power_stages"
 """The entry points of a package that name power stages."""
@@ -176,12 +177,12 @@ POWER_STAGES: dict[str, PowerStage] = {p.name: p for p in (IDEAL, A4988, DRV8825
 
 def is_power_stage(name: object) -> bool:
     """Return whether a power stage has this name, PulseStage's own or one of an installed package."""
-    return isinstance(name, str) and (name.lower() in POWER_STAGES or name.lower() in _find_entry_points())
+    return isinstance(name, str) and (name.lower() in POWER_STAGES or name.lower() in _find_parts())
 
 
 def list_power_stages() -> list[str]:
     """Return the names of all power stages, PulseStage's own first."""
-    return list(dict.fromkeys((*POWER_STAGES, *_find_entry_points())))
+    return list(dict.fromkeys((*POWER_STAGES, *_find_parts())))
 
 
 def find_power_stage(name: str | PowerStage) -> PowerStage:
@@ -195,39 +196,22 @@ def find_power_stage(name: str | PowerStage) -> PowerStage:
         return name
     if isinstance(name, str) and name.lower() in POWER_STAGES:
         return POWER_STAGES[name.lower()]
-    points = _find_entry_points()
-    if not isinstance(name, str) or name.lower() not in points:
+    parts = _find_parts()
+    if not isinstance(name, str) or name.lower() not in parts:
         raise unknown_name_error("power stage", name, list_power_stages())
-    return _load_power_stage(name.lower(), points[name.lower()])
+    return _load_power_stage(name.lower(), parts[name.lower()])
 
 
-def _load_power_stage(name: str, points: list) -> PowerStage:
-    packages = [point.dist.name if point.dist else "an unknown package" for point in points]
-    if len(points) > 1:
-        raise ArgumentError(
-            f"power stage {name}: {' and '.join(packages)} bring one of this name. Uninstall one of them."
-        )
-    try:
-        power_stage = points[0].load()
-    except (Exception, SystemExit) as error:  # another maker's code
-        raise LoadError(
-            f"power stage {name} of {packages[0]} cannot be loaded: {type(error).__name__}: {error}. Repair or uninstall that "
-            "package; all other power stages work."
-        ) from error
+def _load_power_stage(name: str, parts: list[PackagePart]) -> PowerStage:
+    power_stage = load_package_part("power stage", name, parts)
     if not isinstance(power_stage, PowerStage) or power_stage.name != name:
         raise ArgumentError(
-            f"power stage {name} of {packages[0]}: {points[0].value} is {power_stage!r:.60}, and has to be a "
-            "stage.drives.power_stages.PowerStage of this name."
+            f"power stage {name} of {parts[0]} is {power_stage!r:.60}, and has to be a stage.drives.power_stages.PowerStage of "
+            "this name."
         )
     return power_stage
 
 
-def _find_entry_points() -> dict[str, list]:
-    """Find the power stages that installed packages bring: entry points by name."""
-    from importlib.metadata import entry_points  # 50 ms of a start that mostly needs PulseStage's own
-
-    points: dict[str, list] = {}
-    for point in entry_points(group=GROUP):
-        if point not in points.setdefault(point.name.lower(), []):
-            points[point.name.lower()].append(point)
-    return points
+def _find_parts() -> dict[str, list[PackagePart]]:
+    """Find the power stages that installed packages bring."""
+    return find_package_parts(GROUP, str.lower)

@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 
 import pytest
+from support.packages import installed
 
 from stage import Drive, Stage
 from stage.drives.power_stages import A4988, POWER_STAGES, TB6600, PowerStage, find_power_stage
@@ -83,14 +84,11 @@ def test_values_that_no_power_stage_has_are_refused(values, message):
         replace(A4988, **values)
 
 
-def install(tmp_path, code, *packages):
-    """Write packages that bring a power stage acme100, each an entry point on a path of their own."""
+def install(monkeypatch, tmp_path, code, *packages):
+    """Install packages that bring a power stage acme100 each."""
     for package in packages or ("acme_power",):
         (tmp_path / f"{package}.py").write_text(code)
-        info = tmp_path / f"{package}-1.0.dist-info"
-        info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-        (info / "entry_points.txt").write_text(f"[pulsestage.power_stages]\nacme100 = {package}:ACME100\n")
+        installed(monkeypatch, tmp_path, package, group="pulsestage.power_stages", acme100=f"{package}:ACME100")
 
 
 GOOD = """
@@ -100,8 +98,8 @@ ACME100 = replace(A4988, name="acme100", title="ACME 100")
 """
 
 
-def test_commands_accept_a_power_stage_of_an_installed_package(tmp_path):
-    install(tmp_path, GOOD)
+def test_commands_accept_a_power_stage_of_an_installed_package(monkeypatch, tmp_path):
+    install(monkeypatch, tmp_path, GOOD)
     command = [sys.executable, "-m", "stage", "move", "x", "100", "--chips", "stepdir", "--drive", "acme100"]
     done = subprocess.run(command, env={"PYTHONPATH": str(tmp_path)}, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -111,14 +109,18 @@ def test_commands_accept_a_power_stage_of_an_installed_package(tmp_path):
 @pytest.mark.parametrize(
     ("code", "packages", "error", "message"),
     [
-        ("1 / 0", ("broken",), LoadError, "acme100 of broken cannot be loaded: ZeroDivisionError"),
+        ("1 / 0", ("broken",), LoadError, "acme100 of package broken 1.0 .* cannot be loaded: ZeroDivisionError"),
         ("ACME100 = 5", ("number",), ArgumentError, "has to be a stage.drives.power_stages.PowerStage"),
-        (GOOD, ("one", "other"), ArgumentError, "one and other bring one of this name"),
+        (
+            GOOD,
+            ("one", "other"),
+            ArgumentError,
+            "package one 1.0 .* and package other 1.0 .* bring a power stage of this name",
+        ),
     ],
 )
 def test_a_package_that_brings_a_bad_power_stage_is_named(tmp_path, monkeypatch, code, packages, error, message):
-    install(tmp_path, code, *packages)
-    monkeypatch.syspath_prepend(tmp_path)
+    install(monkeypatch, tmp_path, code, *packages)
     with pytest.raises(error, match=message):
         find_power_stage("acme100")
     assert find_power_stage("a4988") is A4988
