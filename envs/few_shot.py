@@ -47,9 +47,9 @@ from stage.envs.settings import AxisName, Count, Counts, Flag, Number, Seconds, 
 from stage.envs.single_moves import MAX_OFFSET_M, TENTH_MM, Trial, compute_move_time
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.step_results import SCORE_FEATURE, write_scores
-from stage.envs.task import find_judged_point
 from stage.firmware.driver import Speeds, get_driver
 from stage.sim.fleet import Fleet, PlayedPrograms
+from stage.sim.named_points import find_judged_point
 from stage.sim.program import Program
 from stage.support import portable_math
 from stage.tune.formula import Load, compute_speeds

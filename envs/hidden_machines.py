@@ -22,8 +22,9 @@ from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import machine_contexts, machine_faults
 from stage.envs.settings import AxisName, Cycle, Number, Pair, Payloads, Range, Settings, TruthOption, Word, Words
-from stage.envs.task import ConfigT, MoveTask, find_carrier
+from stage.envs.task import ConfigT, MoveTask
 from stage.errors import ArgumentError, unknown_name_error
+from stage.sim.named_points import find_carrier
 
 
 @dataclass(frozen=True)

@@ -51,11 +51,12 @@ from stage.envs.origin_switch import OriginSwitch
 from stage.envs.register_actions import RegisterBox
 from stage.envs.scaling import scale, scale_log
 from stage.envs.stage_env import StageEnv, StageVectorEnv
-from stage.envs.task import MoveTask, find_carrier
+from stage.envs.task import MoveTask
 from stage.errors import unknown_name_error
 from stage.firmware.driver import get_driver
 from stage.sim.engine_records import INDEX
 from stage.sim.fleet import PlayedPrograms
+from stage.sim.named_points import find_carrier
 from stage.sim.program import Program
 from stage.support import portable_math
 

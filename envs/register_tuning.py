@@ -35,9 +35,9 @@ from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.register_actions import RegisterBox
 from stage.envs.single_moves import TENTH_MM, Trial
 from stage.envs.stage_env import StageEnv, StageVectorEnv
-from stage.envs.task import find_judged_point
 from stage.envs.tuning_task import NEXT_MOVE, TuningTask, describe_move_info
 from stage.sim.fleet import PlayedPrograms
+from stage.sim.named_points import find_judged_point
 from stage.sim.program import END, Program
 
 

@@ -44,11 +44,11 @@ from stage.envs.single_moves import TENTH_MM, compute_move_time
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.step_results import SCORE_FEATURE, write_scores
 from stage.envs.synchronized_move import END_FEATURES, LINE_FEATURES, SynchronizedMove
-from stage.envs.task import find_judged_point
 from stage.errors import ArgumentError
 from stage.firmware.driver import Speeds
 from stage.firmware.line_programs import LineMoves
 from stage.sim.fleet import Fleet, PlayedPrograms
+from stage.sim.named_points import find_judged_point
 from stage.sim.program import MEASURE
 from stage.support import portable_math
 from stage.tune.formula import Load, compute_speeds

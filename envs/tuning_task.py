@@ -21,8 +21,9 @@ from stage.envs.register_actions import RegisterBox
 from stage.envs.scaling import scale, scale_log
 from stage.envs.settings import read_option
 from stage.envs.single_moves import StartPositions
-from stage.envs.task import MoveTask, find_carrier
+from stage.envs.task import MoveTask
 from stage.errors import unknown_name_error
+from stage.sim.named_points import find_carrier
 from stage.sim.program import Program
 from stage.support import portable_math
 

@@ -9,9 +9,10 @@ from support.pcl240ms_bench import load
 from stage import ArgumentError, RunTimeout, Stage, firmware
 from stage.chips import HCTL1100, MCX304, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS, cores
 from stage.cli import build_parser
-from stage.cli.stage_setup import make_stage, parse_wiring
+from stage.cli.stage_setup import make_stage
 from stage.firmware.hctl1100.chip_port import Port
 from stage.sim.stage_snapshot import Snapshot
+from stage.support.axis_values import parse_wiring
 
 POSITIVE = {"org": "positive", "ez": "positive"}
 LIMITS = {"el_plus": "positive", "el_minus": "positive"}

@@ -21,7 +21,7 @@ from stage.recording import Recording
 from stage.sim import plant
 from stage.sim.stage import Snapshot, Stage
 from stage.testing.assertions import describe_missing_current, format_position, read_pulse_rate
-from stage.testing.plugin import read_setting
+from stage.testing.marker_arguments import read_setting
 
 if TYPE_CHECKING:
     from stage.board import Board

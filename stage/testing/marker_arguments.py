@@ -1,4 +1,4 @@
-"""Arguments of the markers of a test. For each argument the nearest marker counts: function, then class, then module."""
+"""Settings of the plugin, and arguments of a test's markers: the nearest marker counts, of function, class and module."""
 
 from __future__ import annotations
 
@@ -12,11 +12,15 @@ import pytest
 
 from stage.errors import ArgumentError, unknown_name_error
 from stage.support.files import FileError
-from stage.testing.plugin import read_setting
 
 STAGE_ARGUMENTS = ("model", "chips", "drives", "bus_cycle", "clock", "visuals", "record", "encoders")
 BOARD_ARGUMENTS = ("layout", "base", "stride", "keep_cycles", "devices")
 FIRMWARE_ARGUMENTS = ("flags", "platform", "isolated", "patience", "cost", "mcu", "map", "pins", "mcu_clock")
+
+
+def read_setting(config: pytest.Config, name: str) -> str:
+    """Read a setting from the command line, else from the ini file; "" if neither has it."""
+    return config.getoption(f"pulsestage_{name}") or config.getini(f"pulsestage_{name}") or ""
 
 
 def read_stage_arguments(node: pytest.Item) -> dict[str, Any]:

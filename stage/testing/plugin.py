@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from stage.testing.marker_arguments import read_setting
+
 if TYPE_CHECKING:
     from stage.board import Board
     from stage.board.host import Host
@@ -37,11 +39,6 @@ OPTIONS = {
 }
 EVIDENCE_KEY: pytest.StashKey[Any] = pytest.StashKey()
 """Key of the `evidence.Evidence` of a test."""
-
-
-def read_setting(config: pytest.Config, name: str) -> str:
-    """Read a setting from the command line, else from the ini file; "" if neither has it."""
-    return config.getoption(f"pulsestage_{name}") or config.getini(f"pulsestage_{name}") or ""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage import Stage
-from stage.envs.task import find_carrier, find_judged_point
 from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware.driver import get_driver
+from stage.sim.named_points import find_carrier, find_judged_point
 from stage.support.argument_checks import explain_constructor
 from stage.tune.machine_tolerances import Machine, fit_machine
 from stage.units import DEVIATION_UNITS, POSITION_UNITS

@@ -203,8 +203,8 @@ def test_a_move_begins_with_the_rotor_at_its_angle_and_half_the_distance_before_
 
 def test_a_shared_name_means_the_body_for_payloads_and_the_site_for_judging():
     from stage import Stage
-    from stage.envs.task import find_carrier, find_judged_point
     from stage.sim import plant
+    from stage.sim.named_points import find_carrier, find_judged_point
 
     spec = plant.open_spec("xy")
     spec.body("y").add_site(name="x")

@@ -100,12 +100,12 @@ FOLDER = ".pulsestage/test_it.py.test_it_fails"
 
 def test_importing_the_plugin_takes_milliseconds_and_nothing_heavy(pytester):
     program = (
-        "import sys, time, pytest; t = time.perf_counter(); import stage.testing.plugin; print(time.perf_counter() - t)"
+        "import sys, time, pytest; t = time.process_time(); import stage.testing.plugin; print(time.process_time() - t)"
     )
     show = f"print(*(name for name in {HEAVY} if name in sys.modules), sep=',')"
     seconds, heavy = pytester.run(sys.executable, "-c", f"{program}; {show}").outlines
     assert heavy == ""
-    assert float(seconds) < 0.1  # 2 ms, from .pyc files, on an idle machine
+    assert float(seconds) < 0.1  # 2 ms, from .pyc files
 
 
 def test_a_session_without_stages_imports_nothing_heavy_and_user_fixtures_win(pytester):
