@@ -354,7 +354,10 @@ def test_a_firmware_that_loses_steps_ends_with_1(monkeypatch, lost, code):
     timeouts = []
     done = SimpleNamespace(code=0, seconds=0.0, cycles=0)
     host = SimpleNamespace(
-        path=SimpleNamespace(name="a"), run=lambda timeout: timeouts.append(timeout) or done, wiring_problems=()
+        path=SimpleNamespace(name="a"),
+        run=lambda timeout: timeouts.append(timeout) or done,
+        wiring_problems=(),
+        wiring_findings=(),
     )
     stage = SimpleNamespace(axes={"x": SimpleNamespace(lost_steps=lost)})
     monkeypatch.setattr("stage.cli.stage_setup.make_stage", lambda args: stage)

@@ -21,7 +21,7 @@ import numpy as np
 from stage.board import platforms
 from stage.board.bus.requests import REQUEST, restore_float_mode, set_usual_float_mode
 from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
-from stage.board.firmware_pins import PIN_WORDS, find_wiring_problems, make_line_table
+from stage.board.firmware_pins import PIN_USE, find_findings, make_line_table
 from stage.board.temporary_folders import Scratch
 from stage.errors import ArgumentError, escape
 from stage.support.argument_checks import explain_arguments
@@ -30,7 +30,7 @@ from stage.support.subprocesses import run_program
 
 if TYPE_CHECKING:
     from stage.board.host_record_link import Link
-    from stage.board.pin_assignment import PinLine
+    from stage.board.pin_assignment import PinLine, WiringFinding
 
 ABI = 1
 SOURCES = (".c", ".cc", ".cpp", ".cxx", ".ino")
@@ -404,7 +404,7 @@ class Library:
 
     def __init__(self, path: Path, link: Link, cost: int = 0, lines: Sequence[PinLine] = ()):
         self.path, self._link, self._cost, self._lines = path, link, cost, lines
-        self._pin_levels: np.ndarray = np.zeros(PIN_WORDS, np.uint32)
+        self._pin_use: np.ndarray | None = None
         _check_sanitizers(path)
         self._scratch = Scratch()
         self.copy = Path(shutil.copy(path, self._scratch.path / path.name))
@@ -448,8 +448,8 @@ class Library:
 
     def close(self) -> None:
         """Unload it."""
-        if self._lines:
-            self._pin_levels = self._pin_levels.copy()  # for `find_wiring_problems`
+        if self._pin_use is not None:
+            self._pin_use = self._pin_use.copy()  # for `find_wiring_findings`
         if platform.system() != "Windows":
             import _ctypes
 
@@ -474,23 +474,26 @@ class Library:
     def _connect_lines(self) -> None:
         """Let the pins of the firmware drive and read lines of axes."""
         self._link.irqs["watched"] = 0
-        if not self._lines:
-            return
         self._table = make_line_table(self._lines, self._link.stage)
         try:
             table = (ctypes.c_int64 * 2).in_dll(self._library, "pulsestage_pins")
+            use = (ctypes.c_uint8 * PIN_USE.itemsize).in_dll(self._library, "pulsestage_pin_use")
         except ValueError:
+            if not self._lines:
+                return
             raise LibraryError(
                 f"{self.path} has no pins for --pins {self._lines[0]}: it was built with an older pulsestage.h. Build it again: "
                 f"{format_build_command(self.path)}"
             ) from None
-        table[0], table[1] = self._table.ctypes.data, len(self._table)
-        words: Any = (ctypes.c_uint32 * PIN_WORDS).from_address(ctypes.addressof(table) + ctypes.sizeof(table))
-        self._pin_levels = np.ctypeslib.as_array(words)
+        if any("step" in chip.INPUTS for chip in self._link.stage.chips):
+            table[0], table[1] = self._table.ctypes.data, len(self._table)
+            self._pin_use = np.ctypeslib.as_array(use).view(PIN_USE)
 
-    def find_wiring_problems(self) -> tuple[str, ...]:
-        """Return a sentence about each STEP pin that never changed while the firmware toggled pins that are no lines."""
-        return find_wiring_problems(self._table, self._lines, self._pin_levels) if self._lines else ()
+    def find_wiring_findings(self) -> tuple[WiringFinding, ...]:
+        """Return the signs that lines of axes are at the wrong pins of the firmware."""
+        if self._pin_use is None:
+            return ()
+        return find_findings(self._table, self._lines, self._pin_use[0], self._link.stage)
 
     def _find_variable(self, kind: Any, name: str) -> Any:
         try:

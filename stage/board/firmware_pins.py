@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
-from stage.board.pin_assignment import DRIVEN, PinLine, describe_silent_steps, parse_pins
+from stage.board.pin_assignment import (
+    DRIVEN,
+    PinLine,
+    PinUse,
+    WiringFinding,
+    find_wiring_findings,
+    parse_pins,
+)
 from stage.errors import ArgumentError
 from stage.sim.stage import Stage
 
@@ -17,8 +25,10 @@ LINE = np.dtype(
 )
 PORTS = "ABCDEFGHIJKLMNOP"
 LAST_PIN = 255
-PIN_WORDS = 4 * 256 // 32
-"""Words of `levels`, `outputs`, `once` and `often` in struct pulsestage_pins."""
+PIN_USE = np.dtype(
+    [("rises", "u4", (LAST_PIN + 1,)), ("pull_ups", "u4", (LAST_PIN + 1,)), ("has_ports", "i4"), ("refusal", "S128")]
+)
+"""`struct pulsestage_pin_use` of pulsestage.h."""
 PULLED = ("enable",)
 """Lines that stay asserted while their pin is no output, as the power stage's own resistor keeps them."""
 _PORT_PIN = re.compile(rf"([{PORTS}])([0-7])")
@@ -60,24 +70,25 @@ def make_line_table(lines: Sequence[PinLine], stage: Stage) -> np.ndarray:
     return np.sort(table, order="chip", kind="stable")
 
 
-def find_wiring_problems(table: np.ndarray, lines: Sequence[PinLine], words: np.ndarray) -> tuple[str, ...]:
-    """Return sentences about STEP pins that firmware has never driven high.
+def find_findings(table: np.ndarray, lines: Sequence[PinLine], use: Any, stage: Stage) -> tuple[WiringFinding, ...]:
+    """Return the signs that lines of axes are at the wrong pins of the firmware.
 
     Args:
         table: LINE records as the firmware has them.
         lines: The lines, by their place.
-        words: PIN_WORDS words of the firmware's struct pulsestage_pins.
+        use: PIN_USE record of the firmware.
+        stage: Stage with the axes.
     """
-    once, often = (
-        set(np.flatnonzero(np.unpackbits(part.view(np.uint8), bitorder="little")).tolist())
-        for part in np.split(words, 4)[2:]
-    )
-    steps = [row for row in table if lines[row["place"]].line == "step"]
-    silent = [lines[row["place"]] for row in steps if int(row["pin"]) not in once]
-    has_numbers = bool(table["is_number"].any())
-    others = [
-        str(pin) if has_numbers else f"{PORTS[pin // 8]}{pin % 8}"
-        for pin in sorted(often - set(table["pin"].tolist()))
-        if has_numbers or pin < 8 * len(PORTS)
+    refusal = use["refusal"].decode(errors="replace")
+    refused = (WiringFinding("", f"{refusal}."),) if refusal else ()
+    driven = sorted(table[table["driven"] != 0], key=lambda row: int(row["place"]))
+    uses = [
+        PinUse(lines[row["place"]], int(use["rises"][row["pin"]]), int(use["pull_ups"][row["pin"]])) for row in driven
     ]
-    return describe_silent_steps([f"{line.axis}.step = {line.pin}" for line in silent], others, len(steps))
+    has_numbers = bool(table["is_number"].any()) if len(table) else not use["has_ports"]
+    others = {
+        str(pin) if has_numbers else f"{PORTS[pin // 8]}{pin % 8}": int(use["rises"][pin])
+        for pin in np.flatnonzero(use["rises"]).tolist()
+        if pin not in table["pin"] and (has_numbers or pin < 8 * len(PORTS))
+    }
+    return refused + find_wiring_findings(uses, others, {name: axis.chip for name, axis in stage.axes.items()})

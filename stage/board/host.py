@@ -24,7 +24,7 @@ from stage.board.errors import HostTimeout
 from stage.board.firmware_pins import parse_firmware_pins
 from stage.board.host_record_link import UNBOUNDED
 from stage.board.pacing import RealTimePace
-from stage.board.pin_assignment import PinLine
+from stage.board.pin_assignment import PinLine, WiringFinding
 from stage.board.serial_line import SerialPort
 from stage.board.temporary_folders import Scratch
 from stage.board.thread_runner import PATIENCE_S, LoadedProgram, Program, ThreadRunner
@@ -53,7 +53,10 @@ class Result:
 class Runner(Protocol):
     """Executor of firmware: `ThreadRunner` in this process, or `ProcessRunner` in a separate process."""
 
-    wiring_problems: tuple[str, ...]
+    @property
+    def wiring_findings(self) -> tuple[WiringFinding, ...]:
+        """Signs that lines of axes are at the wrong pins of the firmware."""
+        ...
 
     @property
     def running(self) -> bool:
@@ -117,9 +120,14 @@ class Host:
         return self._runner.running
 
     @property
+    def wiring_findings(self) -> tuple[WiringFinding, ...]:
+        """Signs that lines of axes are at the wrong pins of the firmware, as of the last pause or end."""
+        return self._runner.wiring_findings
+
+    @property
     def wiring_problems(self) -> tuple[str, ...]:
-        """Sentences about lines of axes that seem to be at the wrong pins of a processor, as of the last pause or end."""
-        return self._runner.wiring_problems
+        """Sentences about lines of axes at the wrong pins: those of `wiring_findings` that are problems."""
+        return tuple(finding.text for finding in self.wiring_findings if finding.is_problem)
 
     @property
     def log(self) -> list[tuple[float, str]]:

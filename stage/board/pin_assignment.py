@@ -33,7 +33,9 @@ PRESETS = {
 """Wiring of boards by name: grbl 1.1 on an Arduino Uno, as its cpu_map.h has it (CNC Shield V3.10 and later); the CNC Shield V3.00,
 whose limit of z is at another pin; RAMPS 1.4 on an ATmega2560, with motors and normally closed switches as the stock configurations
 of Marlin and Klipper expect them: DIR is high for plus, but on y, and a switch opens its pin to high."""
-_ENTRY = re.compile(r"(?P<axis>[^.=]+)\.(?P<line>[a-z_]+)=(?P<invert>!?)(?P<pin>[^\s,=!]+)")
+MIN_RISES = 16
+"""Rising edges of one full step with the usual microsteps."""
+_ENTRY = re.compile(r"(?P<axis>[^.=]+)\.(?P<line>[A-Za-z_]+)=(?P<invert>!?)(?P<pin>[^\s,=!]+)")
 
 
 class PinLine(NamedTuple):
@@ -44,12 +46,14 @@ class PinLine(NamedTuple):
         line: Name of the line, of DRIVEN or READ.
         pin: Name of the pin, or of the signal of a capture.
         inverted: Whether the line is asserted while the pin is low.
+        is_preset: Whether the name of a board stands for it.
     """
 
     axis: str
     line: str
     pin: str
     inverted: bool
+    is_preset: bool = False
 
     def __str__(self) -> str:
         return f"{self.axis}.{self.line}={'!' if self.inverted else ''}{self.pin}"
@@ -71,11 +75,13 @@ def parse_pins(texts: str | Iterable[str], chips: Mapping[str, Chip], fold_case:
         The lines in the order of the text; an entry takes the place of that of a preset before it.
 
     Raises:
-        ArgumentError: Another form, an unknown axis or line, an axis whose chip has no such line, or a pin that is used twice.
+        ArgumentError: Another form, an unknown axis or line, an axis whose chip has no such line, a line or a pin that is used
+            twice, or a DIR line without a STEP line.
     """
     lines: dict[tuple[str, str], PinLine] = {}
     for entry in (part.strip() for text in ([texts] if isinstance(texts, str) else texts) for part in text.split(",")):
-        preset = [_parse_entry(part) for part in PRESETS[entry].split(",")] if entry in PRESETS else []
+        parts = PRESETS[entry].split(",") if entry in PRESETS else []
+        preset = [_parse_entry(part)._replace(is_preset=True) for part in parts]
         present = [line for line in preset if line.axis in chips]
         if preset and not present:
             axes = dict.fromkeys(line.axis for line in preset)
@@ -83,7 +89,10 @@ def parse_pins(texts: str | Iterable[str], chips: Mapping[str, Chip], fold_case:
                 f"--pins {entry}: it wires the axes {', '.join(axes)}, and the stage has {', '.join(chips)}. Write its lines out: "
                 f"{FORM}."
             )
-        lines |= {(line.axis, line.line): line for line in present or [_parse_entry(entry)]}
+        for line in present or [_parse_entry(entry)]:
+            _check_replaced_line(lines.get((line.axis, line.line)), line)
+            lines[line.axis, line.line] = line
+    _check_direction_lines(lines)
     lines = {key: line for key, line in lines.items() if line.pin != NO_PIN}
     if fold_case:
         lines = {key: line._replace(pin=line.pin.upper()) for key, line in lines.items()}
@@ -101,6 +110,21 @@ def _parse_entry(entry: str) -> PinLine:
     if match["line"] not in DRIVEN | READ:
         raise ArgumentError(f"--pins {entry!r}: {unknown_name_error('line', match['line'], DRIVEN | READ)}")
     return PinLine(match["axis"], match["line"], match["pin"], bool(match["invert"]))
+
+
+def _check_replaced_line(old: PinLine | None, new: PinLine) -> None:
+    """Raise ArgumentError for a line that is written twice, with another pin."""
+    if old is not None and not (old.is_preset or new.is_preset or old.pin == NO_PIN) and old != new:
+        raise ArgumentError(f"--pins: {old} and {new} are the same line. Give it one pin.")
+
+
+def _check_direction_lines(lines: Mapping[tuple[str, str], PinLine]) -> None:
+    """Raise ArgumentError for an axis with a DIR line and no STEP line."""
+    for (axis, name), line in lines.items():
+        if name == "dir" and (axis, "step") not in lines:
+            raise ArgumentError(
+                f"--pins {line}: nothing makes steps of {axis}. Name its STEP pin, too: {axis}.step=D2."
+            )
 
 
 def _check_pin_line(line: PinLine, chips: Mapping[str, Chip]) -> None:
@@ -127,17 +151,103 @@ def _check_pins(lines: Iterable[PinLine]) -> None:
             )
 
 
-def describe_silent_steps(silent: Sequence[str], others: Sequence[str], n_steps: int) -> tuple[str, ...]:
-    """Return sentences about STEP pins that a program has never changed.
+class WiringFinding(NamedTuple):
+    """A sentence about lines of axes that seem to be at the wrong pins.
+
+    Attributes:
+        axis: Name of the axis; "" if it is about all of them.
+        text: The sentence.
+        is_problem: Whether the wiring is wrong. Otherwise the program may be right: it may never move this axis.
+    """
+
+    axis: str
+    text: str
+    is_problem: bool = True
+
+
+class PinUse(NamedTuple):
+    """Use of the pin of a line that a program drives.
+
+    Attributes:
+        line: The line.
+        rises: Number of times that the pin rose as an output.
+        pull_ups: Number of times that the program set the pin high while it was an input.
+    """
+
+    line: PinLine
+    rises: int
+    pull_ups: int
+
+    def __str__(self) -> str:
+        return f"{self.line.axis}.{self.line.line} = {self.line.pin}"
+
+
+def find_wiring_findings(
+    uses: Sequence[PinUse], others: Mapping[str, int], chips: Mapping[str, Chip]
+) -> tuple[WiringFinding, ...]:
+    """Return the signs that lines of axes are at the wrong pins of a program.
+
+    A lamp or a relay makes a few edges, and STEP many: a pin counts as a STEP pin in the wrong place if it rose MIN_RISES times as
+    often as the line that it is compared with.
 
     Args:
-        silent: These pins, as "x.step = D2".
-        others: Pins without a line that the program toggled.
-        n_steps: Number of all STEP pins.
+        uses: Use of each line that the program drives.
+        others: Number of times that pins without a line rose, by name.
+        chips: Chip of each axis by the axis' name.
     """
-    if others:
-        advice = f"never changed; the program toggles {', '.join(others)}. Name its STEP pin in --pins."
-        return tuple(f"{name} {advice}" for name in silent)
-    if silent and len(silent) == n_steps:
-        return (f"The program has made no step: {', '.join(silent)} never changed, nor did other pins.",)
-    return ()
+    others = {pin: rises for pin, rises in others.items() if rises > 1}
+    if not uses:
+        return _find_unconnected_pins(others, chips)
+    steps = [use for use in uses if use.line.line == "step"]
+    by_axis = [_find_step_finding(use, uses, others, chips[use.line.axis]) for use in steps]
+    findings = tuple(finding for finding in by_axis if finding)
+    if steps and not findings and not any(use.rises for use in steps):
+        text = f"The program has made no step: {', '.join(map(str, steps))} never changed, nor did other pins."
+        return (WiringFinding("", text, is_problem=False),)
+    return findings
+
+
+def _find_unconnected_pins(others: Mapping[str, int], chips: Mapping[str, Chip]) -> tuple[WiringFinding, ...]:
+    """Return a finding about pins that a program drives while --pins names no line that it drives."""
+    axes = {name: chip for name, chip in chips.items() if "step" in chip.INPUTS}
+    if not axes or not others or any(chip.state["accepted"] for chip in axes.values()):
+        return ()
+    busiest = max(others, key=lambda pin: others[pin])
+    text = (
+        f"The program toggles {', '.join(others)}, and no STEP/DIR axis is connected to its pins: write --pins "
+        f"{next(iter(axes))}.step={busiest} and so on (docs/step_dir.md)."
+    )
+    return (WiringFinding("", text, others[busiest] >= MIN_RISES),)
+
+
+def _find_step_finding(
+    step: PinUse, uses: Sequence[PinUse], others: Mapping[str, int], chip: Chip
+) -> WiringFinding | None:
+    """Return the finding about the STEP line of an axis, or None; the other arguments are as of `find_wiring_findings`."""
+    axis, needed = step.line.axis, MIN_RISES * max(step.rises, 1)
+    is_moving = any(use.rises for use in uses if use.line.line == "step" and use is not step)
+    is_problem = not (step.line.is_preset and is_moving)
+    if not step.rises and step.pull_ups > 1:
+        text = f"{step} is an input: the program sets it high and low, but never makes it an output, as pinMode does."
+        return WiringFinding(axis, text, is_problem)
+    other_lines = [use for use in uses if use.line.axis == axis and use is not step]
+    busiest = max(other_lines, key=lambda use: use.rises, default=step)
+    if busiest.rises >= max(needed, *others.values(), 0):
+        return WiringFinding(
+            axis, f"{busiest} rose {busiest.rises:,} times, and {step} {step.rises}: exchange their pins."
+        )
+    likely = {pin: rises for pin, rises in others.items() if rises >= needed}
+    if likely or (others and not step.rises):
+        count = f"changed only {step.rises} times" if step.rises else "never changed"
+        text = (
+            f"{step} {count}; the program toggles {', '.join(likely or others)}. Name its STEP pin in --pins, or {axis}.step=none "
+            f"if nothing moves {axis}."
+        )
+        return WiringFinding(axis, text, is_problem and bool(likely))
+    state = chip.state
+    has_other_reason = state["counts_disabled"] or (state["drops_edges"] and state["violations"].any())
+    if step.rises >= MIN_RISES and not (state["accepted"] or has_other_reason):
+        enable = next((f"{use} " for use in other_lines if use.line.line == "enable"), "")
+        text = f"{step} rose {step.rises:,} times and made no step: {enable}kept the power stage disabled. Is its polarity right?"
+        return WiringFinding(axis, text)
+    return None

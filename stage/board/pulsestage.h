@@ -202,7 +202,7 @@ static inline void ps_enable(int before) { ps_level(before); }      /* ...; ps_e
 
 /* Pins at the lines of STEP/DIR axes, see docs/step_dir.md: `stage run driver.c --chips stepdir --pins x.step=2,x.dir=5,x.limit=!9`. A pin
  * is a number from 0 to 255; D2 in --pins is PS_PIN('D', 2). Each write, change of mode and read takes one bus cycle. A pin without a line
- * reads 1 while it is an input.
+ * reads 1 while it is an input. A call with another pin or mode does nothing, and the report of the run quotes it.
  *   ps_pin_write  drives a pin, which is an output from then on.
  *   ps_pin_mode   PS_OUTPUT drives the level that was written last; PS_INPUT and PS_INPUT_PULLUP release the pin: STEP and DIR are not
  *                 asserted then, ENABLE is.
@@ -229,11 +229,28 @@ struct pulsestage_pins {
     struct pulsestage_line *lines; /* sorted by chip */
     int64_t n_lines;
     uint32_t levels[PS_PINS / 32], outputs[PS_PINS / 32];
-    uint32_t once[PS_PINS / 32], often[PS_PINS / 32]; /* pins that were driven high, and those that were again */
     struct pulsestage_pin_hook hooks[PS_PIN_HOOKS];
 };
 extern struct pulsestage_pins pulsestage_pins;
-PULSESTAGE_SHARED struct pulsestage_pins pulsestage_pins = {0, 0, {0}, {0}, {0}, {0}, {{0, 0, 0, 0, 0}}};
+PULSESTAGE_SHARED struct pulsestage_pins pulsestage_pins = {0, 0, {0}, {0}, {{0, 0, 0, 0, 0}}};
+struct pulsestage_pin_use { /* for the report of pins that seem to be wired wrongly */
+    uint32_t rises[PS_PINS], pull_ups[PS_PINS]; /* how often a pin rose as an output, and was set high while it was an input */
+    int32_t has_ports;                          /* pins are bits of ports */
+    char refusal[128];                          /* the first call with a pin or a mode that does not exist, and what is allowed */
+};
+extern struct pulsestage_pin_use pulsestage_pin_use;
+PULSESTAGE_SHARED struct pulsestage_pin_use pulsestage_pin_use = {{0}, {0}, 0, {0}};
+
+/* Whether `value` is one of `first` to `last`; the report quotes the first call for which it is not. */
+static inline int ps_check_pin_(const char *function, int pin, const char *what, int value, int first, int last)
+{
+    if (value >= first && value <= last)
+        return 1;
+    if (!pulsestage_pin_use.refusal[0])
+        snprintf(pulsestage_pin_use.refusal, sizeof pulsestage_pin_use.refusal, "%s of pin %d did nothing: %s %d is not one of %d to %d",
+                 function, pin, what, value, first, last);
+    return 0;
+}
 
 /* Drives the lines at pins `first` to `first` + 31 that have changed, all at the end of one bus cycle. */
 static inline void ps_drive_pins(int first, uint32_t changed, uint32_t levels, uint32_t outputs)
@@ -281,32 +298,34 @@ static inline uint32_t ps_read_pins(int first, uint32_t wanted, int64_t cycle)
         ps_micros();
     return levels;
 }
-/* Notes that the firmware drives pins high, for the report of a STEP pin that never changes. */
-static inline void ps_note_pins(uint32_t word, uint32_t high)
+/* Drives a pin that has a new level, or a new mode. */
+static inline void ps_change_pin_(int pin, int level, int output)
 {
-    pulsestage_pins.often[word] |= pulsestage_pins.once[word] & high;
-    pulsestage_pins.once[word] |= high;
+    const uint32_t bit = 1u << (pin & 31), n = (uint32_t)pin / 32;
+    uint32_t *levels = pulsestage_pins.levels + n, *outputs = pulsestage_pins.outputs + n;
+    pulsestage_pin_use.rises[pin] += level && output && !(*levels & *outputs & bit);
+    *levels = level ? *levels | bit : *levels & ~bit;
+    *outputs = output ? *outputs | bit : *outputs & ~bit;
+    ps_drive_pins((int)n * 32, bit, *levels, *outputs);
 }
 static inline void ps_pin_mode(int pin, int mode)
 {
-    const uint32_t bit = 1u << (pin & 31), n = (uint32_t)pin / 32 % (PS_PINS / 32);
-    uint32_t *outputs = pulsestage_pins.outputs + n;
-    *outputs = mode == PS_OUTPUT ? *outputs | bit : *outputs & ~bit;
-    ps_drive_pins((int)n * 32, bit, pulsestage_pins.levels[n], *outputs);
+    if (ps_check_pin_("ps_pin_mode", pin, "pin", pin, 0, PS_PINS - 1) &&
+        ps_check_pin_("ps_pin_mode", pin, "mode", mode, PS_INPUT, PS_INPUT_PULLUP))
+        ps_change_pin_(pin, pulsestage_pins.levels[pin / 32] >> (pin & 31) & 1, mode == PS_OUTPUT);
 }
 static inline void ps_pin_write(int pin, int level)
 {
-    const uint32_t bit = 1u << (pin & 31), n = (uint32_t)pin / 32 % (PS_PINS / 32);
-    uint32_t *levels = pulsestage_pins.levels + n;
-    ps_note_pins(n, level ? bit & ~(*levels & pulsestage_pins.outputs[n]) : 0);
-    *levels = level ? *levels | bit : *levels & ~bit;
-    pulsestage_pins.outputs[n] |= bit;
-    ps_drive_pins((int)n * 32, bit, *levels, pulsestage_pins.outputs[n]);
+    if (ps_check_pin_("ps_pin_write", pin, "pin", pin, 0, PS_PINS - 1))
+        ps_change_pin_(pin, level, 1);
 }
 static inline int ps_pin_read(int pin)
 {
-    const uint32_t bit = 1u << (pin & 31), n = (uint32_t)pin / 32 % (PS_PINS / 32);
-    const uint32_t levels = ps_read_pins((int)n * 32, bit & ~pulsestage_pins.outputs[n], PS_WITH_CYCLE);
+    const uint32_t bit = 1u << (pin & 31), n = (uint32_t)pin / 32;
+    uint32_t levels;
+    if (!ps_check_pin_("ps_pin_read", pin, "pin", pin, 0, PS_PINS - 1))
+        return 1;
+    levels = ps_read_pins((int)n * 32, bit & ~pulsestage_pins.outputs[n], PS_WITH_CYCLE);
     return ((levels | (pulsestage_pins.levels[n] & pulsestage_pins.outputs[n])) & bit) != 0;
 }
 /* Watches the switches of a chip at pins with hooks, and acknowledges their change; 0 if there are none. */
@@ -339,6 +358,9 @@ static inline void ps_on_pin(int pin, int mode, ps_hook hook, void *argument)
 {
     struct pulsestage_pin_hook *own = 0;
     int64_t k;
+    if (!ps_check_pin_("ps_on_pin", pin, "pin", pin, 0, PS_PINS - 1) ||
+        (hook && !ps_check_pin_("ps_on_pin", pin, "mode", mode, PS_CHANGE, PS_RISING)))
+        return;
     for (int m = PS_PIN_HOOKS; m--;) {
         struct pulsestage_pin_hook *other = pulsestage_pins.hooks + m;
         if ((other->hook && other->pin == pin) || (!other->hook && (!own || !own->hook)))

@@ -22,6 +22,7 @@ from stage.board.host_record_link import UNBOUNDED
 
 if TYPE_CHECKING:
     from stage.board.board import Board
+    from stage.board.pin_assignment import WiringFinding
 
 PATIENCE_S = 20.0  # of real time
 STACK_SIZE = 64 << 20  # bytes
@@ -100,13 +101,18 @@ class ThreadRunner:
         self._thread: threading.Thread | None = None
         self._code: int | None = None
         self._unloadable: list[LoadedProgram] = []
-        self.wiring_problems: tuple[str, ...] = ()
+        self._loaded: LoadedProgram | None = None
         self._check()
 
     @property
     def running(self) -> bool:
         """True while the firmware has started and has not returned."""
         return self._thread is not None
+
+    @property
+    def wiring_findings(self) -> tuple[WiringFinding, ...]:
+        """Signs that lines of axes are at the wrong pins of the firmware."""
+        return getattr(self._loaded, "find_wiring_findings", tuple)()
 
     def resume(self, until: int, max_cycles: int) -> int | None:
         """Run the firmware until it returns or reaches a limit.
@@ -135,7 +141,6 @@ class ThreadRunner:
             link.pause = None
             h = link.record  # another one if the firmware was given up
             h["lazy"], h["until"], h["max_cycles"] = 0, UNBOUNDED, UNBOUNDED
-        self.wiring_problems = getattr(self._loaded, "find_wiring_problems", tuple)()
         if link.error is not None:
             self.close()
         link.raise_error()

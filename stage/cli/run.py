@@ -35,8 +35,8 @@ def add(commands: Any) -> None:
     p = add_command(
         commands, "run", run, "run firmware in C on an emulated board",
         "Run firmware (a shared library, or a C or C++ source, which is built first) against the chips. Print its log, the final "
-        "positions of the axes, and bus writes that are mistakes according to the data sheet. Exit code 0 if it returns 0 and "
-        "loses no step.",
+        "positions of the axes, and bus writes that are mistakes according to the data sheet. Exit code 0 if it returns 0, "
+        "loses no step, and drives the STEP/DIR axes at the pins that --pins names.",
         ("stage run driver.c --chips pcl240mk", "build a driver and run it against the chips"),
         ("stage run driver.c --trace - --vcd bus.vcd", "print the bus cycles, and write them as waveforms"),
         ("stage run mill.ino --for 2 --chips hctl1100", "run an Arduino sketch for 2 simulated seconds"),
@@ -174,10 +174,12 @@ def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, end: Any
             print(
                 f"{host.path.name} ran for {seconds:g} s, and {board.cycles:,} bus cycles, in {wall:.2f} s of wall time"
             )
-        print_report(board, host.wiring_problems)
+        print_report(board, [finding.text for finding in host.wiring_findings])
         serial_options.print_serial_report(args, host)
         if args.json:
-            facts = _collect_facts(board, result, error) | {"wiring_problems": host.wiring_problems}
+            remarks = [finding.text for finding in host.wiring_findings if not finding.is_problem]
+            wiring = {"wiring_problems": host.wiring_problems, "wiring_remarks": remarks}
+            facts = _collect_facts(board, result, error) | wiring
             tell(args, facts | serial_options.collect_serial_facts(args, host))
     if result is None:
         host.close()
@@ -189,7 +191,7 @@ def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, end: Any
             print("A sketch never returns: --for 2 runs it for 2 s.", file=sys.stderr)
         return 1
     done = result is None or result.code == 0
-    return 0 if done and not any(a.lost_steps for a in stage.axes.values()) else 1
+    return 0 if done and not (host.wiring_problems or any(a.lost_steps for a in stage.axes.values())) else 1
 
 
 def _run_to_end(
@@ -325,11 +327,11 @@ def _collect_facts(board: Any, result: Any, error: StageError | None) -> dict[st
     }  # fmt: skip
 
 
-def print_report(board: Any, wiring_problems: Sequence[str] = ()) -> None:
+def print_report(board: Any, wiring_findings: Sequence[str] = ()) -> None:
     """Print where the axes are, lines at the wrong pins, diagnostics of the chips, and bus cycles that reached nothing."""
     _print_axes(board.stage)
-    for problem in wiring_problems:
-        print(problem)
+    for finding in wiring_findings:
+        print(finding)
     for axis in board.stage.axes.values():
         if axis.lost_steps and (reason := axis.chip.explain_missing_current(axis.chip_axis)):
             print(f"{axis.name} has lost steps without current: {reason}.")

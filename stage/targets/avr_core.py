@@ -49,9 +49,12 @@ DRIVEN_LINE = record([(name, "i8") for name in "bit chip mask inverted released 
 """A line of an axis that the program drives: the bit of its pin; the number of its chip and the chip's input pins (bits); whether
 the pin is low while the line is asserted; the pins (bits) that are asserted while the pin is no output; whether the next line of
 the port belongs to another chip."""
-LINE_PORT = record([(name, "i8") for name in "avr lines n_lines levels outputs once twice often".split()])
-"""A port: its AVR; its DRIVEN_LINE records; the levels in its PORT register, and which pins are outputs; which outputs have
-changed, once, twice, and more often."""
+LINE_PORT = record(
+    [(name, "i8") for name in "avr lines n_lines levels outputs".split()]
+    + [(name, "i8", (8,)) for name in ("rises", "pull_ups")]
+)
+"""A port: its AVR; its DRIVEN_LINE records; the levels in its PORT register, and which pins are outputs; how often each pin rose as
+an output, and how often the program set it high while it was an input."""
 READ_LINE = record([(name, "i8") for name in "irq port bit chip mask inverted level last".split()])
 """A line of an axis that the program reads: the simavr IRQ of its pin; the PULLED_PORT of its pin and its bit there; chip, pins and
 inversion as in DRIVEN_LINE; the level of the pin; whether the next line is at another pin."""
@@ -155,14 +158,21 @@ def _drive_lines(port, changed):
             mask = asserted = 0
 
 
+@hot
+def _count_pins(counts, pins):
+    """Count one more for each of these pins (bits)."""
+    bit = 0
+    while pins >> bit:
+        counts[bit] += pins >> bit & 1
+        bit += 1
+
+
 @exported(None, "i8", "i4", LINE_PORT)
 def drive_line_levels(_irq, value, port):
     """Take a new value of the PORT register of a port with lines."""
     changed, port.levels = (value & 0xFF) ^ port.levels, value & 0xFF
-    toggled = changed & port.outputs
-    port.often |= toggled & port.twice
-    port.twice |= toggled & port.once
-    port.once |= toggled
+    _count_pins(port.rises, changed & port.levels & port.outputs)
+    _count_pins(port.pull_ups, changed & port.levels & ~port.outputs)
     _drive_lines(port, changed)
 
 
@@ -170,6 +180,7 @@ def drive_line_levels(_irq, value, port):
 def drive_line_directions(_irq, value, port):
     """Take new directions of the pins of a port with lines."""
     changed, port.outputs = (value & 0xFF) ^ port.outputs, value & 0xFF
+    _count_pins(port.rises, changed & port.levels & port.outputs)
     _drive_lines(port, changed)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stage.board.board import Board
-from stage.board.pin_assignment import DRIVEN, PinLine, describe_silent_steps
+from stage.board.pin_assignment import DRIVEN, PinLine, PinUse, WiringFinding, find_wiring_findings
 from stage.errors import ArgumentError
 from stage.targets import avr_core
 from stage.targets.avr_bus import DIRECTION_ALL, encode_request
@@ -56,19 +56,22 @@ class AvrLines:
         self._row = np.array([(*tables, avr.find_function_address("avr_ioctl"))], avr_core.LINES)
         avr.record.lines = self._row.ctypes.data
 
-    def find_wiring_problems(self) -> tuple[str, ...]:
-        """Return a sentence about each STEP pin that never changed while the program toggled pins that are no lines."""
-        steps = [(port, bit, line) for port, bit, line in self._places if line.line == "step"]
+    def find_wiring_findings(self) -> tuple[WiringFinding, ...]:
+        """Return the signs that lines of axes are at the wrong pins of the program."""
+        ports = dict(zip(self._port_numbers, self._ports, strict=True))
+        uses = [
+            PinUse(line, int(ports[port]["rises"][bit]), int(ports[port]["pull_ups"][bit]))
+            for port, bit, line in self._places
+            if line.line in DRIVEN
+        ]
         used = {(port, bit) for port, bit, _ in self._places} | self._bus_pins
-        others = [f"{avr_core.PORTS[port]}{bit}" for port, bit in self._list_pins("often") if (port, bit) not in used]
-        changed = set(self._list_pins("once"))
-        silent = [f"{line.axis}.step = {line.pin}" for port, bit, line in steps if (port, bit) not in changed]
-        return describe_silent_steps(silent, others, len(steps))
-
-    def _list_pins(self, field: str) -> list[tuple[int, int]]:
-        """Return port and bit of each pin that is set in a field of LINE_PORT."""
-        rows = zip(self._port_numbers, self._ports, strict=True)
-        return [(port, bit) for port, row in rows for bit in range(8) if int(row[field]) >> bit & 1]
+        others = {
+            f"{avr_core.PORTS[port]}{bit}": int(row["rises"][bit])
+            for port, row in ports.items()
+            for bit in np.flatnonzero(row["rises"]).tolist()
+            if (port, bit) not in used
+        }
+        return find_wiring_findings(uses, others, {name: axis.chip for name, axis in self._axes.items()})
 
     def _find_chip(self, line: PinLine) -> tuple[int, int]:
         """Return the number of a line's chip, and the bits of the chip's input pins."""
@@ -76,7 +79,7 @@ class AvrLines:
         return self._chips.index(chip), line.get_mask(chip)
 
     def _connect_driven_lines(self, places: Sequence[Place], avr: Any) -> None:
-        """Watch all ports: pins without a line tell which one was meant, see `find_wiring_problems`."""
+        """Watch all ports: pins without a line tell which one was meant, see `find_wiring_findings`."""
         self._port_numbers = [port for port in range(len(avr_core.PORTS)) if avr.has_port(port)]
         self._driven = [self._make_driven_rows([p for p in places if p[0] == port]) for port in self._port_numbers]
         self._ports = np.zeros(len(self._driven), avr_core.LINE_PORT)

@@ -21,7 +21,7 @@ from stage.board.board import Board
 from stage.board.bus import requests
 from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostError, LibraryError
-from stage.board.pin_assignment import PinLine
+from stage.board.pin_assignment import PinLine, WiringFinding
 from stage.errors import StageError
 from stage.native import address_of, array_at
 from stage.targets import avr_core, avr_uart, mcus, simavr_layout
@@ -224,7 +224,8 @@ class LoadedAvr:
         if irq:
             self.raise_irq(int(self.record.line_irq), 1)
         self._speed_up()
-        self._lines = AvrLines(program.lines, self, board) if program.lines else None
+        drives_lines = any("step" in chip.INPUTS for chip in board.stage.chips)
+        self._lines = AvrLines(program.lines, self, board) if drives_lines else None
         self._connect_serial_lines()
 
     def _call_library(self, name: str, *arguments: Any) -> Any:
@@ -427,9 +428,9 @@ class LoadedAvr:
             f"{board.cycles:,} bus cycles. {board.trace.format_ending(12)}"
         )
 
-    def find_wiring_problems(self) -> tuple[str, ...]:
-        """Return sentences about lines of axes that seem to be at the wrong pins."""
-        return self._lines.find_wiring_problems() if self._lines else ()
+    def find_wiring_findings(self) -> tuple[WiringFinding, ...]:
+        """Return the signs that lines of axes are at the wrong pins of the program."""
+        return self._lines.find_wiring_findings() if self._lines else ()
 
     def close(self) -> None:
         """Free the avr_t."""

@@ -24,10 +24,13 @@ MAX_STILL_SPEED_M_S = 0.01  # m/s, rad/s: a motor that swings about its step is 
 def assert_no_lost_steps(what: Stage | Axis | Iterable[Axis]) -> None:
     """Assert that no axis has lost steps: every rotor is within a full step of the position that its pulses command.
 
+    The assertion fails as well if STEP/DIR lines of an axis are at the wrong pins of its firmware, see `Host.wiring_problems`.
+
     Args:
         what: A stage, an axis, or several axes.
     """
     __tracebackhide__ = True
+    check_wiring(list_axes(what))
     bad = [axis for axis in list_axes(what) if axis.lost_steps]
     if bad:
         lines = [f"steps were lost, at {bad[0].time:.6f} s:"]
@@ -58,6 +61,7 @@ def assert_at(axis: Axis, position: float, within: float = 25e-6) -> None:
     __tracebackhide__ = True
     if not within >= 0:
         raise ArgumentError(f"within={within!r}: 0 m or more.")
+    check_wiring([axis])
     at, unit = axis.position, axis.unit
     if not abs(at - position) <= within:
         side = "short of" if abs(at) < abs(position) else "beyond"
@@ -93,6 +97,7 @@ def assert_stopped(what: Stage | Axis | Iterable[Axis], speed: float = MAX_STILL
         speed: Speed below which an axis stands still, m/s (rad/s on a hinge).
     """
     __tracebackhide__ = True
+    check_wiring(list_axes(what))
     lines = []
     for axis in list_axes(what):
         rate, velocity = read_pulse_rate(axis), read_velocity(axis)
@@ -132,8 +137,12 @@ def assert_pins(axis: Axis, **expected: bool) -> None:
 
 @explain_arguments
 def assert_no_diagnostics(stage: Stage) -> None:
-    """Assert that no bus write was a mistake according to the data sheet. A real chip ignores such mistakes silently."""
+    """Assert that no bus write was a mistake according to the data sheet. A real chip ignores such mistakes silently.
+
+    The assertion fails as well if STEP/DIR lines are at the wrong pins of the firmware, see `Host.wiring_problems`.
+    """
     __tracebackhide__ = True
+    check_wiring(list_axes(stage))
     mistakes = []
     for chip in stage.chips:
         names = "".join(axis.name for axis in stage.axes.values() if axis.chip is chip)
@@ -190,6 +199,20 @@ def list_axes(what: Any) -> list[Axis]:
         if not hasattr(axis, "lost_steps"):
             raise ArgumentError(f"{axis!r} is no axis: give a stage, stage.axes['x'], or several axes.")
     return axes_found
+
+
+def check_wiring(axes: Iterable[Axis]) -> None:
+    """Assert that firmware on the board of the axes has their STEP/DIR lines at the right pins."""
+    __tracebackhide__ = True
+    axes = list(axes)
+    stage = axes[0].stage if axes else None
+    host = stage.host.board.driver if stage is not None and stage.host is not None else None
+    names = {"", *(axis.name for axis in axes)}
+    texts = [f.text for f in getattr(host, "wiring_findings", ()) if f.is_problem and f.axis in names]
+    if texts:
+        raise AssertionError(
+            "\n".join(["the axes are not wired as the firmware drives them:", *(f"  {t}" for t in texts)])
+        )
 
 
 def read_pulse_rate(axis: Axis) -> float:

@@ -124,6 +124,18 @@ def _report_plainly() -> Iterator[None]:
         raise pytest.fail.Exception(f"{type(error).__name__}: {error}", pytrace=False) from None
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
+    """Fail a test that passes although its firmware drives STEP/DIR axes at other pins than `pins` names."""
+    result = yield
+    host = getattr(item, "funcargs", {}).get("host")
+    if item.get_closest_marker("firmware") and (problems := getattr(host, "wiring_problems", ())):
+        raise pytest.fail.Exception(
+            "\n".join(["the pins of @pytest.mark.firmware are wrong:", *problems]), pytrace=False
+        )
+    return result
+
+
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo) -> Generator[None, Any, None]:
     """Save the files of a failed test, and name them in its report."""

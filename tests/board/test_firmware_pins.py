@@ -1,5 +1,6 @@
 """Firmware in C drives and reads the lines of STEP/DIR axes by its pins."""
 
+import json
 import shutil
 
 import numpy as np
@@ -21,7 +22,7 @@ def run(tmp_path):
     def _run(body, pins=PINS, isolated=False, before="", x=0.0, **options):
         path = tmp_path / "driver.c"
         path.write_text(f"#include <pulsestage.h>\n{before}\nPULSESTAGE_MAIN\n{{\n{body}\nreturn 0;\n}}\n")
-        stage = Stage("xy", chips="stepdir", drives="a4988", bus_cycle=500e-9, **options)
+        stage = Stage("xy", **{"chips": "stepdir", "drives": "a4988", "bus_cycle": 500e-9, **options})
         if x:
             stage.place(x=x)
         host = NativeHost(path, Board(stage), isolated=isolated, pins=pins)
@@ -139,19 +140,137 @@ def test_the_command_runs_firmware_with_pins(tmp_path, capsys):
     assert row.split()[2:4] == ["1.0000", "0"]
 
 
+def pulse(pin, times):
+    """Return the statement that pulses a pin so often."""
+    return f"for (int k = 0; k < {times}; k++) {{ ps_pin_write({pin}, 1); ps_pin_write({pin}, 0); }}"
+
+
 @pytest.mark.parametrize("isolated", [False, True])
 def test_a_step_pin_that_never_changes_is_named_with_the_pins_that_do(run, isolated):
-    host, _ = run("for (int k = 0; k < 3; k++) { ps_pin_write(4, 1); ps_pin_write(4, 0); ps_pin_write(3, 1); ps_pin_write(3, 0); }"
-                  "ps_pin_write(7, 1);", isolated=isolated)  # fmt: skip
-    assert host.wiring_problems == ("x.step = 2 never changed; the program toggles 4. Name its STEP pin in --pins.",)
+    host, _ = run(f"{pulse(4, 30)} {pulse(3, 30)} ps_pin_write(7, 1);", isolated=isolated)
+    assert host.wiring_problems == (
+        "x.step = 2 never changed; the program toggles 4. Name its STEP pin in --pins, or x.step=none if nothing moves x.",
+    )
+
+
+def test_a_lamp_that_blinks_is_no_step_pin(run):
+    host, _ = run(f"{pulse(13, 15)} {pulse(3, 300)}")
+    assert host.wiring_problems == ()
+    (remark,) = host.wiring_findings
+    assert (remark.axis, remark.is_problem) == ("x", False)
+    assert remark.text.startswith("x.step = 2 never changed; the program toggles 13.")
+
+
+def test_an_axis_that_a_board_has_and_a_program_does_not_move_is_no_problem(run):
+    host, _ = run(pulse("PS_PIN('D', 3)", 300) + pulse("PS_PIN('B', 5)", 300), pins="grbl")
+    assert host.wiring_problems == ()
+    host, _ = run(pulse("PS_PIN('D', 3)", 300) + pulse("PS_PIN('D', 2)", 300), pins="grbl,x.step=B5")
+    assert [text.split(".")[0:2] for text in host.wiring_problems] == [
+        ["x", "step = B5 never changed; the program toggles D2"]
+    ]
+
+
+def test_a_program_for_another_board_has_all_its_step_pins_wrong(run):
+    host, _ = run(pulse("PS_PIN('F', 0)", 300), pins="grbl")
+    assert [text[: text.index(".", 3)] for text in host.wiring_problems] == [
+        "x.step = D2 never changed; the program toggles F0",
+        "y.step = D3 never changed; the program toggles F0",
+    ]
+
+
+def test_a_step_line_at_the_pin_of_a_direction_is_a_problem_although_it_changes(run):
+    host, _ = run(f"ps_pin_write(5, 1); {pulse(2, 320)} ps_pin_write(5, 0); ps_pin_write(5, 1);", pins="x.step=5")
+    assert host.wiring_problems == (
+        "x.step = 5 changed only 2 times; the program toggles 2. Name its STEP pin in --pins, or x.step=none if nothing moves x.",
+    )
+
+
+def test_step_and_direction_that_are_exchanged_are_a_problem(run):
+    host, _ = run(f"ps_pin_write(5, 1); {pulse(2, 320)} ps_pin_write(5, 0);", pins="x.step=5,x.dir=2")
+    assert host.wiring_problems == ("x.dir = 2 rose 320 times, and x.step = 5 1: exchange their pins.",)
+
+
+def test_a_direction_that_never_changes_or_always_does_is_legal(run):
+    host, _ = run(pulse(2, 320) + pulse(3, 320))
+    assert host.wiring_findings == ()
+    body = "for (int k = 0; k < 60; k++) { ps_pin_write(5, k & 1); ps_pin_write(2, 1); ps_pin_write(2, 0); }"
+    host, _ = run(body + pulse(3, 320))
+    assert host.wiring_findings == ()
+
+
+@pytest.mark.parametrize(("enable", "accepted"), [("!8", 320), ("8", 0)])
+def test_a_power_stage_that_stays_disabled_is_a_problem(run, enable, accepted):
+    host, _ = run(f"ps_pin_write(8, 0); {pulse(2, 320)}", pins=f"x.step=2,x.enable={enable}", drives="drv8825")
+    assert host.board.stage.axes["x"].chip.net() == accepted
+    problems = () if accepted else (
+        "x.step = 2 rose 320 times and made no step: x.enable = 8 kept the power stage disabled. Is its polarity right?",
+    )  # fmt: skip
+    assert host.wiring_problems == problems
+
+
+def test_pins_that_no_line_is_at_are_a_problem_for_a_step_dir_axis_only(run, tmp_path):
+    host, _ = run(pulse(2, 320) + pulse(13, 2), pins=())
+    assert host.wiring_problems == (
+        "The program toggles 2, 13, and no STEP/DIR axis is connected to its pins: write --pins x.step=2 and so on "
+        "(docs/step_dir.md).",
+    )
+    other = NativeHost(tmp_path / "driver.c", Board(Stage("xy", chips="pcl240mk")), isolated=False)
+    other.run()
+    assert other.wiring_findings == ()
 
 
 def test_firmware_that_makes_no_step_is_reported_and_other_firmware_is_not(run):
     host, _ = run("ps_pin_write(5, 1);")
-    assert host.wiring_problems == (
-        "The program has made no step: x.step = 2, y.step = 3 never changed, nor did other pins.",
-    )
+    assert host.wiring_problems == ()
+    (remark,) = host.wiring_findings
+    assert remark.text == "The program has made no step: x.step = 2, y.step = 3 never changed, nor did other pins."
     host, _ = run("ps_pin_write(2, 1); ps_pin_write(3, 1);")
-    assert host.wiring_problems == ()
+    assert host.wiring_findings == ()
     host, _ = run("ps_micros();", pins=())
-    assert host.wiring_problems == ()
+    assert host.wiring_findings == ()
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        ("ps_pin_write(300, 1)", "ps_pin_write of pin 300 did nothing: pin 300 is not one of 0 to 255."),
+        ("ps_pin_write(-1, 1)", "ps_pin_write of pin -1 did nothing: pin -1 is not one of 0 to 255."),
+        ("ps_pin_mode(256, PS_INPUT)", "ps_pin_mode of pin 256 did nothing: pin 256 is not one of 0 to 255."),
+        ("ps_pin_mode(2, 3)", "ps_pin_mode of pin 2 did nothing: mode 3 is not one of 0 to 2."),
+        ("ps_pin_read(-5)", "ps_pin_read of pin -5 did nothing: pin -5 is not one of 0 to 255."),
+        ("ps_on_pin(300, PS_CHANGE, hit, 0)", "ps_on_pin of pin 300 did nothing: pin 300 is not one of 0 to 255."),
+        ("ps_on_pin(9, 99, hit, 0)", "ps_on_pin of pin 9 did nothing: mode 99 is not one of 1 to 3."),
+    ],
+)
+def test_a_pin_or_mode_that_does_not_exist_does_nothing_and_is_quoted(run, call, text):
+    pins = "x.step=44,x.limit=9"
+    host, result = run(f"{call}; {call};", pins=pins, before="static void hit(void *n) { (void)n; }")
+    assert host.wiring_problems == (text,)
+    assert (result.cycles, host.board.stage.axes["x"].chip.step) == (0, False)
+
+
+def test_the_command_fails_for_wrong_wiring_and_prints_it(tmp_path, capsys):
+    path = tmp_path / "steps.c"
+    path.write_text(f"#include <pulsestage.h>\nPULSESTAGE_MAIN {{ {pulse(2, 16)} return 0; }}")
+    command = ["run", str(path), "--chips", "stepdir"]
+    assert main([*command, "--pins", "x.step=5", "--json"]) == 1
+    (problem,) = json.loads(capsys.readouterr().out)["wiring_problems"]
+    assert problem.startswith("x.step = 5 never changed; the program toggles 2. Name its STEP pin")
+    assert main(command) == 1
+    assert "no STEP/DIR axis is connected to its pins: write --pins x.step=2" in capsys.readouterr().out
+    assert main([*command, "--pins", "x.step=2"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("pins", "message"),
+    [
+        ("x.dir=5", r"--pins x\.dir=5: nothing makes steps of x\. Name its STEP pin, too: x\.step=D2\."),
+        ("x.step=2,x.step=3", r"x\.step=2 and x\.step=3 are the same line"),
+        (["x.step=2", "x.step=!2"], r"x\.step=2 and x\.step=!2 are the same line"),
+        ("x.STEP=2", r"unknown line 'STEP'\. Did you mean 'step'"),
+        ("X.step=2", r"unknown axis 'X'\. Did you mean 'x'"),
+    ],
+)
+def test_lines_that_nobody_can_want_are_refused(run, pins, message):
+    with pytest.raises(ArgumentError, match=message):
+        run("", pins=pins)

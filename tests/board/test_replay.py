@@ -304,7 +304,7 @@ def test_the_decoder_agrees_with_the_reader_of_the_library(tmp_path):
 
 WRONG = [
     ("x.step=D3", {}, "has no signal D3; it has D2, D5."),
-    ("x.dir=D5", {}, "names no STEP line"),
+    ("x.enable=D5", {}, "names no STEP line"),
     ("x.step=D2,x.dir=D2", {}, "D2 is used twice"),
     ("x.step=D2,x.dir=libsigrok.D2", {}, "D2 and libsigrok.D2 are the same signal"),
     ("x.step=D2", {"$timescale 1 ns": "$timescale 41.6667 ns"}, "has the timescale 41.6667 ns, and VCD allows 1, 10 or 100"),

@@ -170,6 +170,38 @@ def test_examples_of_accelstepper_run_unchanged(tmp_path, example, seconds, step
 
 
 def test_a_sketch_with_another_step_pin_is_reported(run):
-    host = run("void setup() { pinMode(3, OUTPUT); pinMode(9, OUTPUT); step(3, 5); step(9, 5); }", "x.step=D2,x.dir=D5")
-    (problem,) = host.wiring_problems
-    assert problem == "x.step = D2 never changed; the program toggles B1, D3. Name its STEP pin in --pins."
+    host = run(
+        "void setup() { pinMode(3, OUTPUT); pinMode(9, OUTPUT); step(3, 20); step(9, 20); }", "x.step=D2,x.dir=D5"
+    )
+    assert host.wiring_problems == (
+        "x.step = D2 never changed; the program toggles B1, D3. Name its STEP pin in --pins, or x.step=none if nothing moves x.",
+    )
+
+
+def test_a_step_pin_that_a_sketch_leaves_an_input_is_reported(run):
+    host = run("void setup() { step(2, 20); }", "x.step=D2,x.dir=D5")
+    assert host.board.stage.axes["x"].chip.net() == 0
+    assert host.wiring_problems == (
+        "x.step = D2 is an input: the program sets it high and low, but never makes it an output, as pinMode does.",
+    )
+    host = run("void setup() { digitalWrite(2, HIGH); pinMode(2, OUTPUT); }", "x.step=D2")
+    assert host.wiring_findings == (), "it is high before it is an output"
+
+
+def test_a_sketch_without_pins_names_the_option(run):
+    host = run("void setup() { pinMode(2, OUTPUT); step(2, 20); }", ())
+    assert [text for _, text in host.log] == [
+        "pins: they drive no STEP/DIR axis without --pins x.step=D2,x.dir=D5; docs/step_dir.md"
+    ]
+    assert host.wiring_problems == (
+        "The program toggles D2, and no STEP/DIR axis is connected to its pins: write --pins x.step=D2 and so on "
+        "(docs/step_dir.md).",
+    )
+
+
+def test_pins_of_the_bus_of_a_chip_are_no_step_pins(run):
+    body = "#include <pinbus.h>\nPinBus card = PinBus(0x300).data(4, 5, 6, 7, 8, 9, 10, 11).cs(12).wr(13);"
+    host = run(
+        body + "void setup() { pinMode(12, OUTPUT); pinMode(4, OUTPUT); step(12, 20); step(4, 20); }", "x.step=2"
+    )
+    assert host.wiring_problems == ()

@@ -497,7 +497,7 @@ def test_a_step_pin_that_never_changes_is_named_with_the_pins_that_do(build, iso
     with make_host(elf, "x.step=D2,x.dir=D5", isolated=isolated) as host:
         host.run_for(0.01)
         assert host.wiring_problems == (
-            "x.step = D2 never changed; the program toggles D3. Name its STEP pin in --pins.",
+            "x.step = D2 never changed; the program toggles D3. Name its STEP pin in --pins, or x.step=none if nothing moves x.",
         )
     with make_host(elf, isolated=isolated) as host:
         host.run_for(0.01)
@@ -508,14 +508,32 @@ def test_a_program_that_makes_no_step_is_reported(build):
     elf = build("int main(void) { DDRD = 0xFC; PORTD = 1; return 0; }")
     with make_host(elf, "x.step=D2,y.step=D3") as host:
         host.run(timeout=1)
-        assert host.wiring_problems == (
-            "The program has made no step: x.step = D2, y.step = D3 never changed, nor did other pins.",
+        assert host.wiring_problems == ()
+        (remark,) = host.wiring_findings
+        assert (
+            remark.text == "The program has made no step: x.step = D2, y.step = D3 never changed, nor did other pins."
         )
 
 
+def test_a_step_pin_that_stays_an_input_is_reported(build):
+    elf = build("int main(void) { step(1 << 2, 20); return 0; }")
+    with make_host(elf, "x.step=D2,x.dir=D5") as host:
+        host.run(timeout=1)
+        assert host.wiring_problems == (
+            "x.step = D2 is an input: the program sets it high and low, but never makes it an output, as pinMode does.",
+        )
+
+
+def test_edges_that_a_program_makes_by_directions_count(build):
+    elf = build("int main(void) { PORTD = 4; for (int k = 0; k < 20; k++) { DDRD = 4; DDRD = 0; } return 0; }")
+    with make_host(elf, "x.step=D2") as host:
+        host.run(timeout=1)
+        assert (host.board.stage.axes["x"].chip.net(), host.wiring_findings) == (20, ())
+
+
 def test_the_command_reports_a_step_pin_that_never_changes(build, capsys):
-    elf = build("int main(void) { DDRD = 0xFC; step(1 << 3, 10); return 0; }")
+    elf = build("int main(void) { DDRD = 0xFC; step(1 << 3, 20); return 0; }")
     assert (
-        main(["run", str(elf), "--mcu", "atmega328p", "--chips", "stepdir", "--pins", "x.step=D2", "--in-process"]) == 0
+        main(["run", str(elf), "--mcu", "atmega328p", "--chips", "stepdir", "--pins", "x.step=D2", "--in-process"]) == 1
     )
     assert "x.step = D2 never changed; the program toggles D3" in capsys.readouterr().out

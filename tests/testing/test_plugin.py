@@ -242,6 +242,30 @@ def test_firmware_is_in_the_folder_of_the_test_or_the_root(pytester, driver):
 
 
 @needs_cc
+def test_firmware_at_wrong_pins_never_passes(session, pytester):
+    (pytester.path / "steps.c").write_text(
+        "#include <pulsestage.h>\nPULSESTAGE_MAIN { for (int k = 0; k < 64; k++) { ps_pin_write(2, 1); ps_pin_write(3, 1);"
+        "ps_delay_us(50); ps_pin_write(2, 0); ps_pin_write(3, 0); ps_delay_us(950); } return 0; }"
+    )
+    source = """
+        from stage.testing import *
+        pytestmark = [pytest.mark.stage("xy", chips="stepdir"), pytest.mark.firmware("steps.c", pins="x.step=5,y.step=3")]
+        def test_nothing(host): assert host.run().code == 0
+        def test_lost_steps(host, stage): host.run(); assert_no_lost_steps(stage); 1 / 0
+        def test_diagnostics(host, stage): host.run(); assert_no_diagnostics(stage); 1 / 0
+        def test_place(host, stage): host.run(); assert_at(stage.axes["x"], 0.0); 1 / 0
+        def test_rest(host, stage): host.run(); assert_stopped(stage); 1 / 0
+        def test_another_axis(host, stage): host.run(); assert_no_lost_steps(stage.axes["y"]); 1 / 0
+        @pytest.mark.firmware(pins="x.step=2,y.step=3")
+        def test_right_wiring(host, stage): host.run(); assert_no_lost_steps(stage)
+        """
+    result, text = session(source)
+    result.assert_outcomes(passed=1, failed=6)
+    assert text.count("x.step = 5 never changed; the program toggles 2. Name") >= 5
+    assert text.count("E   ZeroDivisionError") == 1, "only y was asked about"
+
+
+@needs_cc
 def test_the_same_sources_and_flags_are_built_once_a_session(session, driver, pytester, monkeypatch):
     compiler = pytester.path / "mycc"
     compiler.write_text(f'#!/bin/sh\necho built >> {pytester.path}/builds\nexec {shutil.which("cc")} "$@"\n')

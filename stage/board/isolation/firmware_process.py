@@ -360,6 +360,6 @@ def _serve(pipe: Connection, board: ChildBoard, runner: ThreadRunner) -> None:
         except Exception as error:
             failure = (type(error).__name__, str(error))
         noted = board.link.publish_state()
-        pipe.send(PausedMessage(noted, board.port_table, code, failure, runner.wiring_problems))
+        pipe.send(PausedMessage(noted, board.port_table, code, failure, runner.wiring_findings))
         if failure is not None:
             os._exit(1)

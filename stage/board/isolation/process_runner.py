@@ -39,6 +39,7 @@ from stage.board.isolation.shared_memory import (
     SharedMemory,
     StartMessage,
 )
+from stage.board.pin_assignment import WiringFinding
 from stage.board.temporary_folders import Scratch
 from stage.board.thread_runner import Program, is_debugged, read_status
 from stage.chips.journal_entries import LOST, READ, WRITE
@@ -125,7 +126,7 @@ class ProcessRunner:
         self._child: process_starter.Process | None = None
         self._pipe: Any = None
         self._running = False
-        self.wiring_problems: tuple[str, ...] = ()
+        self.wiring_findings: tuple[WiringFinding, ...] = ()
         self._owner = os.getpid()
         self._machine = b""  # what the child's stage is like
         self._error: BaseException | None = None
@@ -177,7 +178,7 @@ class ProcessRunner:
         except BaseException:
             self._end_child()
             raise
-        board.port_table[:], self.wiring_problems = message.ports, message.wiring_problems
+        board.port_table[:], self.wiring_findings = message.ports, message.wiring_findings
         if message.error is not None:
             raise self._error or _make_error(*message.error)
         self._running = message.code is None

@@ -20,6 +20,7 @@ from stage.board.bus import host_record, serial_core
 from stage.board.bus.interrupts import BACK, HIGHEST, LOWERED, SOURCE, SOURCES
 from stage.board.host_record_link import NOTED
 from stage.board.interrupt_hooks import PYTHONS_TIMERS
+from stage.board.pin_assignment import WiringFinding
 from stage.board.thread_runner import Program
 from stage.chips.journal_entries import LOST, READ, WRITE
 from stage.errors import StageError
@@ -130,14 +131,14 @@ class PausedMessage(NamedTuple):
         ports: Table of ports.
         code: Value that the firmware returned; None while it has not returned.
         error: Type and text of the error that ended the firmware.
-        wiring_problems: Sentences about lines of axes that seem to be at the wrong pins.
+        wiring_findings: Sentences about lines of axes that seem to be at the wrong pins.
     """
 
     noted: NoteCounts
     ports: np.ndarray
     code: int | None
     error: tuple[str, str] | None
-    wiring_problems: tuple[str, ...]
+    wiring_findings: tuple[WiringFinding, ...]
 
 
 def _make_file(path: Path, size: int) -> None:

@@ -47,6 +47,7 @@ struct Pins {
     uint8_t driven[PORTS], level[PORTS]; /* which pins a chip drives, and how */
     uint8_t strobes[PORTS], special[PORTS]; /* pins whose change makes cycles; pins of the interrupt line */
     uint8_t lines[PORTS], switches[PORTS];  /* of strobes, those that drive lines of axes; pins that read switches of axes */
+    uint8_t buses[PORTS];                   /* pins of buses of chips */
     PinBus *first;
 };
 
@@ -95,7 +96,7 @@ class PinBus
         static_assert(sizeof...(pin) == 8 || sizeof...(pin) == 16, "a data bus of 8 or 16 pins");
         const int given[] = {int(pin)...};
         for (n_data_ = 0; n_data_ < int(sizeof...(pin)); n_data_++)
-            data_[n_data_] = number(given[n_data_]);
+            data_[n_data_] = reserve(number(given[n_data_]));
         whole_ = n_data_ == 8 && data_[0] % 8 == 0;
         for (int k = 1; whole_ && k < 8; k++)
             whole_ = data_[k] == data_[0] + k;
@@ -114,7 +115,7 @@ class PinBus
     {
         const int given[] = {int(pin)...};
         for (n_address_ = 0; n_address_ < int(sizeof...(pin)) && n_address_ < MOST; n_address_++)
-            address_[n_address_] = number(given[n_address_]);
+            address_[n_address_] = reserve(number(given[n_address_]));
         return *this;
     }
     PinBus &cs(int pin) { return strobe(cs_, pin); }   /* left out: always selected */
@@ -227,9 +228,15 @@ class PinBus
         return pin;
     }
 
+    static int reserve(int pin)
+    {
+        pulsestage::pins().buses[pin >> 3] |= uint8_t(1 << (pin & 7));
+        return pin;
+    }
+
     PinBus &strobe(int &which, int pin)
     {
-        which = number(pin);
+        which = reserve(number(pin));
         pulsestage::pins().strobes[which >> 3] |= uint8_t(1 << (which & 7));
         return *this;
     }
@@ -305,12 +312,24 @@ class PinBus
 
 namespace pulsestage
 {
+/* Counts how often pins rise, and how often the program sets pins high that are inputs; see struct pulsestage_pin_use. */
+inline void count_rises(const uint8_t &which, int at, uint8_t value)
+{
+    const Pins &p = pins();
+    const bool is_port = &which == &p.port[at];
+    const uint8_t set = uint8_t(value & ~which & ~p.buses[at]), driven = uint8_t(set & (is_port ? p.ddr : p.port)[at]);
+    for (int bit = 0; set >> bit; bit++) {
+        pulsestage_pin_use.rises[at * 8 + bit] += driven >> bit & 1;
+        pulsestage_pin_use.pull_ups[at * 8 + bit] += is_port & uint8_t(set & ~driven) >> bit & 1;
+    }
+}
+
 /* The program writes a port, or a direction; strobes may have changed. */
 inline void change(uint8_t &which, int at, uint8_t value)
 {
     Pins &p = pins();
-    if (pulsestage_pins.n_lines)
-        ps_note_pins(uint32_t(at) / 4, uint32_t(uint8_t(value & ~which & p.ddr[at])) << at % 4 * 8);
+    if (pulsestage_pins.lines)
+        count_rises(which, at, value);
     if (!((which ^ value) & p.strobes[at])) {
         which = value;
         return;
@@ -329,6 +348,7 @@ inline void change(uint8_t &which, int at, uint8_t value)
 inline void connect_lines()
 {
     Pins &p = pins();
+    pulsestage_pin_use.has_ports = 1;
     for (int64_t k = 0; k < pulsestage_pins.n_lines; k++) {
         pulsestage_line &line = pulsestage_pins.lines[k];
 #if defined(PULSESTAGE_ARDUINO)
@@ -352,7 +372,9 @@ inline void connect_lines()
 inline void said_if_unwired()
 {
     connect_lines();
-    if (!pins().first && !pulsestage_pins.n_lines)
+    if (!pins().first && pulsestage_pins.lines && !pulsestage_pins.n_lines)
+        ps_log("pins: they drive no STEP/DIR axis without --pins x.step=D2,x.dir=D5; docs/step_dir.md");
+    else if (!pins().first && !pulsestage_pins.n_lines)
         ps_log("pins: no PinBus says how a chip is wired to them, so no chip sees them; docs/porting.md");
 }
 
