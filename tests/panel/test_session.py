@@ -158,6 +158,7 @@ def test_an_order_at_the_end_of_the_session_gets_an_error():
             session.close()
 
     session.do(lambda stage: session.on_slice(ends))
+    until(lambda: delayed)  # the observers are called after the order has its result
     with pytest.raises(StageError, match="this session is over"):
         delayed[0].result(10)
 
