@@ -1,4 +1,4 @@
-"""Tools of the mode "truth": what only the simulation knows, and changes of the machine: payload, position, faults."""
+"""Tools of the mode "truth": values that only the simulation knows, and changes of the machine: payload, position, faults."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from stage.agents.tool import Tool
 from stage.agents.tool_arguments import REQUIRED, Flag, Length, Text, argument, choice, integer, number
 from stage.agents.tool_context import ToolContext
 from stage.errors import ArgumentError, StageError
-from stage.panel.fault_controls import IMPLICIT_PARAMETERS, UNITS, fault_functions
+from stage.panel.fault_controls import IMPLICIT_PARAMETERS, UNITS, list_fault_functions
 from stage.sim import faults
 
 TYPES = {"bool": Flag, "float": number(), "int": integer(), "str": Text}
@@ -17,14 +17,14 @@ TYPES = {"bool": Flag, "float": number(), "int": integer(), "str": Text}
 
 
 class TruthTools:
-    """Actions of the tools that see and change the machine itself."""
+    """Tools that show the machine itself and change it."""
 
     def __init__(self, context: ToolContext):
         self._context = context
         self._faults: list[faults.Fault] = []
 
     def tools(self) -> list[Tool]:
-        """Return the tools; each function of `stage.sim.faults` is one."""
+        """List the tools; each function of `stage.sim.faults` is one."""
         axis = {"axis": self._context.axis_argument}
         position = argument(Length, 'Position in m or rad, or a text such as "10mm".')
         mass = argument(number(ge=0, le=1e4), "Mass of the payload in kg.")
@@ -39,7 +39,7 @@ class TruthTools:
                 {"all": argument(Flag, "true clears all faults that you made; default: only the last one.", None)},
             ),
         ]
-        return tools + [self._make_fault_tool(name, function) for name, function in fault_functions().items()]
+        return tools + [self._make_fault_tool(name, function) for name, function in list_fault_functions().items()]
 
     def truth(self) -> dict[str, Any]:
         """Show the true positions of the carriages, lost steps, switches, pins and faults."""
@@ -78,10 +78,15 @@ class TruthTools:
         return {"faults": list(self._context.stage.faults)}
 
     def _make_fault_tool(self, name: str, function: Any) -> Tool:
-        """Make the tool that makes a fault, with the parameters of its function as arguments."""
+        """Create the tool that makes a fault, with the parameters of its function as arguments.
+
+        Args:
+            name: Name of the function.
+            function: Function of `stage.sim.faults`.
+        """
         first, *others = inspect.signature(function).parameters.values()
         is_of_stage = first.annotation == "Stage"
-        arguments = {p.name: self._describe(p) for p in others if p.name not in IMPLICIT_PARAMETERS}
+        arguments = {p.name: self._describe_parameter(p) for p in others if p.name not in IMPLICIT_PARAMETERS}
         if not is_of_stage:
             arguments = {"axis": self._context.axis_argument, **arguments}
         text = (inspect.getdoc(function) or name).split("\n\n")[0].replace("\n", " ").replace("`", "")
@@ -93,8 +98,8 @@ class TruthTools:
 
         return Tool(f"fault_{name}", text, act, arguments)
 
-    def _describe(self, p: inspect.Parameter) -> tuple[Any, Any]:
-        """Describe a parameter of a fault as an argument. Raises ArgumentError for a type that no argument has."""
+    def _describe_parameter(self, p: inspect.Parameter) -> tuple[Any, Any]:
+        """Describe a parameter of a fault as an argument of a tool. Raises ArgumentError for a type that no argument has."""
         kind = next((kind for word, kind in TYPES.items() if word in p.annotation), None)
         if kind is None:
             raise ArgumentError(f"Parameter {p.name} of a fault: no argument has the type {p.annotation}.")

@@ -105,7 +105,7 @@ def show_panel(args: argparse.Namespace, stage: Any, program: str) -> Iterator[S
 
     with panels.open(stage, args.panel_port, speed=args.speed, program=program, browser=not args.no_browser) as panel:
         print(f"{panel.address}\n{program} begins when a browser shows this page", flush=True)
-        panel.until_watched()
+        panel.wait_until_watched()
         yield panel.session
 
 

@@ -18,19 +18,22 @@ def open(
     program: str = "your program",
     browser: bool = True,
 ) -> Panel:
-    """Open a live page of a stage beside the program that drives it, until its `close()`; see docs/panel.md and `Stage.panel`.
+    """Serve a live page of a stage while a program drives the stage; see docs/panel.md and `Stage.panel`.
 
     Args:
         stage: A stage that has no session.
-        port: TCP port; 0: one that is free.
-        host: Address to listen on; another than 127.0.0.1 lets in whoever has the link with its token.
-        speed: Simulated seconds in a real second, at most.
-        program: Name of the program on the page; "": there is none, and time passes by itself.
-        browser: Show the page in a browser.
+        port: TCP port; 0: a free port.
+        host: Address to listen on. With any other than 127.0.0.1, browsers of other machines need the link with its token.
+        speed: Greatest speed, simulated seconds in a real second.
+        program: Name of the program on the page; "": no program drives the stage, and its time passes by itself.
+        browser: Whether to show the page in a browser.
+
+    Returns:
+        The panel, which serves the page until its `close()`.
 
     Raises:
-        ArgumentError: A port or speed that cannot be.
-        StageError: NiceGUI is not there, the port cannot be had, or the stage has a session already.
+        ArgumentError: The port or the speed is out of range.
+        StageError: NiceGUI is not installed, the port is in use, or the stage already has a session.
     """
     from stage.panel.server import Panel
     from stage.panel.session import Session

@@ -1,11 +1,11 @@
-"""Who may talk to the server (`RequestGuard`), who has the controls (`Controls`), what a browser may do (`BrowserEventGate`).
+"""Access to the panel: its requests (`RequestGuard`), the controls (`ControlsAssignment`), a browser's events (`BrowserEventGate`).
 
 A web site can make its name point at 127.0.0.1 (DNS rebinding), and a browser then lets its pages send requests there; so requests
 must name this server as their host, and may come from its own pages only. Browsers of other machines need the token of the link,
 and keep it as a cookie.
 
-Many browsers may show a panel; one has the controls and gives orders, and while a program drives the stage a page drives it only
-after it has taken over. The server refuses all other events, whatever a page does: messages of a browser can be forged.
+Many browsers may show a panel, but only one has the controls and changes the stage. While a program drives the stage, that browser
+can move the stage only after the user has pressed "take over". The server ignores all other events: a browser can forge messages.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ SERVER_LOGGER = "uvicorn.error"
 """Logger of the server, which decodes a socket's texts, and reports failures of its own as well."""
 
 
-class OnlyFirst(logging.Filter):
-    """Filter that lets the first record of a process through, as one line: a browser can send many malformed messages."""
+class FirstRecordFilter(logging.Filter):
+    """Logging filter that passes only the first record of a process, as one line: a browser can send many malformed messages."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -66,24 +66,25 @@ class OnlyFirst(logging.Filter):
 
 
 def report_malformed_messages_once() -> None:
-    """Let the libraries that parse messages of browsers write one line for all malformed messages, and no traceback."""
-    first = OnlyFirst()
+    """Make the libraries that parse messages of browsers log only the first malformed message, in one line without traceback."""
+    first = FirstRecordFilter()
     for name in LOGGERS:
         logging.getLogger(name).addFilter(first)
 
-    def is_of_server(record: logging.LogRecord) -> bool:
+    def is_from_server(record: logging.LogRecord) -> bool:
         is_malformed = bool(record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError))
         if is_malformed:
             MALFORMED.warning("A text could not be decoded.", exc_info=record.exc_info)
         return not is_malformed
 
-    logging.getLogger(SERVER_LOGGER).addFilter(is_of_server)
+    logging.getLogger(SERVER_LOGGER).addFilter(is_from_server)
 
 
 def report_task_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Handle an error of a task that nobody awaits: report a malformed message as such, any other error as asyncio does.
+    """Handle an error of an asyncio task that nobody awaits.
 
-    uvicorn itself fails on a socket's text that is not UTF-8: it closes the connection twice.
+    Log a malformed message of a browser in one line, and any other error as asyncio does. A message that is not UTF-8 ends here
+    because uvicorn then closes the connection twice.
 
     Args:
         loop: The event loop.
@@ -103,8 +104,8 @@ class RequestGuard:
     """ASGI middleware that lets the requests of the server's own pages through.
 
     Args:
-        app: The application behind it.
-        names: Host names of the server, with their ports; empty: any.
+        app: ASGI application that gets the requests that pass.
+        names: Host names of the server, with their ports; empty: any name passes.
         token: Token that a browser of another machine must send; "": no other machine can connect.
     """
 
@@ -112,7 +113,7 @@ class RequestGuard:
         self._app, self._names, self._token = app, names, token
 
     async def __call__(self, scope: dict, receive: Any, send: Any) -> None:
-        """Handle a request as ASGI has it: refuse it, or give it to the application."""
+        """Refuse an ASGI request, or give it to the application."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -125,7 +126,7 @@ class RequestGuard:
             await _refuse(scope, send, reason)
             return
 
-        async def with_policy(message: dict) -> None:
+        async def add_content_policy(message: dict) -> None:
             if message["type"] == "http.response.start":
                 added = [(b"content-security-policy", CONTENT_POLICY.encode()), (b"referrer-policy", b"no-referrer")]
                 if self._token:
@@ -135,7 +136,7 @@ class RequestGuard:
             await send(message)
 
         try:
-            await self._app(scope, receive, with_policy)
+            await self._app(scope, receive, add_content_policy)
         except Exception as error:
             if scope["type"] != "websocket":
                 raise
@@ -144,7 +145,7 @@ class RequestGuard:
                 await send({"type": "websocket.close", "code": 1007, "reason": "This message could not be understood."})
 
     def _find_refusal(self, scope: dict, headers: dict[str, str]) -> str:
-        """Return why a request is refused; "": it is not."""
+        """Return the reason to refuse a request, or "" if the request passes."""
         if self._names and headers.get("host", "").lower() not in self._names:
             return f"This server answers to {' and '.join(sorted(self._names))} only."
         origin = headers.get("origin")
@@ -168,13 +169,14 @@ async def _refuse(scope: dict, send: Any, reason: str) -> None:
     await send({"type": "http.response.body", "body": reason.encode()})
 
 
-class Controls:
-    """Register of the browsers that show a panel, and of the one that has the controls.
+class ControlsAssignment:
+    """Assignment of the controls to one of the browsers that show a panel.
 
-    The first browser has them, until another one takes them; when it leaves, the next in line has them.
+    The first browser has the controls until another one takes them. If the browser with the controls leaves, the browser that has
+    shown the panel for the longest time gets them.
 
     Attributes:
-        holder: The browser that has the controls, or None.
+        holder: Name of the browser that has the controls, or None.
     """
 
     def __init__(self) -> None:
@@ -184,19 +186,19 @@ class Controls:
         self.holder: str | None = None
 
     @property
-    def watching(self) -> int:
+    def browser_count(self) -> int:
         """Number of browsers that show the panel."""
         return len(self._browsers)
 
-    def come(self, browser: str) -> None:
+    def add_browser(self, browser: str) -> None:
         """Add a browser that shows the panel from now on."""
         with self._lock:
             if browser not in self._browsers:
                 self._browsers.append(browser)
             self.holder = self.holder or browser
 
-    def when_lost(self, browser: str, release: Callable[[], None]) -> None:
-        """Have a function called when a browser loses the controls, as it could not release a held button then.
+    def call_when_controls_lost(self, browser: str, release: Callable[[], None]) -> None:
+        """Register a function to call when a browser loses the controls: it can then no longer release a button that it holds down.
 
         Args:
             browser: Name of the browser.
@@ -204,8 +206,8 @@ class Controls:
         """
         self._release.setdefault(browser, []).append(release)
 
-    def go(self, browser: str) -> None:
-        """Remove a browser that does not show the panel any more; it may come back."""
+    def remove_browser(self, browser: str) -> None:
+        """Remove a browser that no longer shows the panel. The functions that `call_when_controls_lost` registered stay."""
         with self._lock:
             if browser in self._browsers:
                 self._browsers.remove(browser)
@@ -214,12 +216,12 @@ class Controls:
                 self.holder = self._browsers[0] if self._browsers else None
         self._release_buttons(browser if is_lost else None)
 
-    def forget(self, browser: str) -> None:
-        """Remove a browser that will not come back."""
-        self.go(browser)
+    def forget_browser(self, browser: str) -> None:
+        """Remove a browser that will not come back, with its functions of `call_when_controls_lost`."""
+        self.remove_browser(browser)
         self._release.pop(browser, None)
 
-    def take(self, browser: str) -> None:
+    def give_controls_to(self, browser: str) -> None:
         """Give the controls to a browser that shows the panel."""
         with self._lock:
             before = self.holder
@@ -233,9 +235,10 @@ class Controls:
 
 
 class BrowserEventGate:
-    """Gate for the events of one browser: those of a guarded element, or of one within it, are handled only if they are allowed.
+    """Gate for the events of one browser, which ignores events of elements that the browser may not use now.
 
-    That the page shows such elements as inert is for people only.
+    An element is restricted by `require_controls` or `require_driving_rights`, with all elements in it. The page also shows
+    such elements as inert, but only this gate protects the stage.
     """
 
     def __init__(self, panel: Panel, client: Client):
@@ -246,27 +249,27 @@ class BrowserEventGate:
         self._handle = client.handle_event
         client.handle_event = self._handle_if_allowed  # type: ignore[method-assign]
 
-    def guard_machine(self, element: ui.element) -> None:
-        """Let only the browser with the controls use this element, also beside a program."""
+    def require_controls(self, element: ui.element) -> None:
+        """Restrict an element to the browser with the controls, whether or not a program drives the stage."""
         self._machine.append(element)
 
-    def guard_driving(self, element: ui.element) -> None:
-        """Let only a browser that may drive use this element: it moves the stage, or changes its time."""
+    def require_driving_rights(self, element: ui.element) -> None:
+        """Restrict an element that moves the stage or changes its time to a browser that may drive (`may_drive`)."""
         self._driving.append(element)
 
     @property
     def has_controls(self) -> bool:
-        """State of this browser: it has the controls."""
+        """True if this browser has the controls."""
         return self._panel.controls.holder == self._client.id
 
     @property
     def may_drive(self) -> bool:
-        """State of this browser: it may drive now."""
+        """True if this browser may drive the stage now: it has the controls, and no program drives."""
         session = self._panel.session
         return self.has_controls and (session.program_suspended or not session.program)
 
     def update_inert_elements(self) -> None:
-        """Make exactly the elements inert that this browser may not use now."""
+        """Show exactly those elements as inert that this browser may not use now."""
         state = self.has_controls, self.may_drive
         if state == self._state:
             return

@@ -1,12 +1,12 @@
-"""`BrowserUpdates`: what changes many times a second goes to a browser as one message a frame, to the elements that show it.
+"""`BrowserUpdates`: send all values of a page that change many times a second to a browser, in one message for each frame.
 
     updates = BrowserUpdates()
     updates.show_text(element, lambda: f"{session.view.time:.4f} s")
     updates.show_lamp(element, lambda: axis.switches.org)
-    updates.call_method(chart, "run_chart_method", lambda: ["setOption", message])      None: nothing new
+    updates.call_method(chart, "run_chart_method", lambda: ["setOption", message])      a function that returns None sends nothing
 
-For an update of its own NiceGUI has the browser compare the whole page, some 50 ms where front panels are open: too slow for a
-clock. The next message waits until the browser has drawn the last one, so a slow browser gets fewer frames, but none that are late.
+An update by NiceGUI makes the browser compare the whole page, which takes about 50 ms if front panels are open: too slow for a
+clock. The next message waits until the browser has drawn the last one, so a slow browser gets fewer frames, but no late ones.
 """
 
 from __future__ import annotations
@@ -23,36 +23,46 @@ ANSWER_TIMEOUT_S = 10.0  # s: a browser that has not answered by then is sent ev
 
 
 class BrowserUpdates(ui.element, component="live.js"):
-    """Updates of one browser, read in the server's thread. An element that is shown here has no text of its own."""
+    """Sender of the changing texts, lamps and method calls of one browser. It reads the values in the server's thread.
+
+    NiceGUI must not set the text of an element that is registered here.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         self._texts: dict[int, tuple[ui.element, Callable[[], str]]] = {}
         self._lamps: dict[int, tuple[ui.element, Callable[[], bool]]] = {}
         self._calls: list[tuple[ui.element, str, Callable[[], list | None], float]] = []
-        self._shown: dict[int, str | bool] = {}
+        self._sent_values: dict[int, str | bool] = {}
         self._called: dict[int, float] = {}
         self._read = 0.0
-        ui.timer(1 / FRAMES, self._frame)
+        ui.timer(1 / FRAMES, self._send_frame)
 
     def show_text(self, element: ui.element, read: Callable[[], str]) -> ui.element:
-        """Keep the text of an element at what `read()` returns."""
+        """Update the text of an element to what `read()` returns, from now on; return the element."""
         self._texts[element.id] = element, read
         return element
 
     def show_lamp(self, element: ui.element, read: Callable[[], bool]) -> ui.element:
-        """Give an element the class `on` while `read()` is true."""
+        """Give an element the CSS class `on` while `read()` returns True, from now on; return the element."""
         self._lamps[element.id] = element, read
         return element
 
     def call_method(
-        self, element: ui.element, method: str, read: Callable[[], list | None], every: float = 0.0
+        self, element: ui.element, method: str, read: Callable[[], list | None], interval_s: float = 0.0
     ) -> None:
-        """Call a method of an element in the browser with what `read()` returns, every so many seconds at most; None: not now."""
-        self._calls.append((element, method, read, every))
+        """Call a method of an element in the browser again and again, from now on.
 
-    async def _frame(self) -> None:
-        texts, lamps, calls = [], self._collect_changes(self._lamps), self._due()
+        Args:
+            element: The element.
+            method: Name of its JavaScript method.
+            read: Function that returns the arguments of the next call, or None for no call now.
+            interval_s: Least time between two calls, real seconds.
+        """
+        self._calls.append((element, method, read, interval_s))
+
+    async def _send_frame(self) -> None:
+        texts, lamps, calls = [], self._collect_changes(self._lamps), self._list_due_calls()
         if perf_counter() - self._read >= TEXT_INTERVAL_S:
             self._read = perf_counter()
             texts = self._collect_changes(self._texts)
@@ -61,22 +71,22 @@ class BrowserUpdates(ui.element, component="live.js"):
         try:
             await self.run_method("show", texts, lamps, calls, timeout=ANSWER_TIMEOUT_S)
         except TimeoutError:
-            self._shown.clear()
+            self._sent_values.clear()
 
     def _collect_changes(self, all_of: dict[int, Any]) -> list[tuple[int, str | bool]]:
-        """Return what has changed since it was sent, and forget elements that are gone."""
+        """Return the id and value of each element whose value has changed since it was sent; remove deleted elements."""
         changed: list[tuple[int, str | bool]] = []
         for key, (element, read) in tuple(all_of.items()):
             if element.is_deleted:
                 del all_of[key]
                 continue
             now = read()
-            if self._shown.get(key) != now:
-                self._shown[key] = now
+            if self._sent_values.get(key) != now:
+                self._sent_values[key] = now
                 changed.append((key, now))
         return changed
 
-    def _due(self) -> list[tuple[int, str, list]]:
+    def _list_due_calls(self) -> list[tuple[int, str, list]]:
         calls, now = [], perf_counter()
         for k, (element, method, read, every) in enumerate(self._calls):
             if now - self._called.get(k, 0.0) < every:
@@ -89,12 +99,12 @@ class BrowserUpdates(ui.element, component="live.js"):
 
 
 def on_single_click(button: ui.button, handler: Callable[[], Any]) -> ui.button:
-    """Call `handler` for a click, and once for a double click, which many users make by habit; return the button."""
+    """Call `handler` once for a click or a double click on a button; return the button. Many users double-click by habit."""
     return button.on("click", handler, js_handler="(e) => { if (e.detail < 2) emit() }")
 
 
 def on_hold(button: ui.button, press: Callable[[], Any], release: Callable[[], Any]) -> None:
-    """Call `press` when the button, or Enter or the space bar on it, goes down, and `release` when it goes up or is left."""
+    """Call `press` when a user presses a button by mouse, Enter or space, and `release` when the user lets it go or leaves it."""
     button.style("touch-action: none; user-select: none")
     for event in ("pointerdown", "keydown.space.prevent", "keydown.enter.prevent"):
         button.on(event, press, args=[])
@@ -103,9 +113,9 @@ def on_hold(button: ui.button, press: Callable[[], Any], release: Callable[[], A
 
 
 class TextLog(ui.element, component="lines.js"):
-    """Last `max_lines` lines of a list that grows at its end. Scrolled to the end, it stays there.
+    """Scrolling list of the last `max_lines` lines. While a user has scrolled it to the end, it follows new lines.
 
-    The lines are no elements of NiceGUI, which would compare all of them whenever something else on the page changes.
+    The lines are not elements of NiceGUI, which would compare all of them whenever something else on the page changes.
     """
 
     def __init__(self, updates: BrowserUpdates, max_lines: int):
@@ -113,26 +123,26 @@ class TextLog(ui.element, component="lines.js"):
         self._props["most"] = max_lines
         self._new: list[tuple[str, str, int]] = []
         self._max_lines = max_lines
-        updates.call_method(self, "push", self._take_new)
+        updates.call_method(self, "push", self._take_unsent_lines)
 
     def append(self, text: str, kind: str = "", key: int = 0) -> None:
         """Add a line.
 
         Args:
             text: The line.
-            kind: CSS class.
-            key: Where it is not 0, the line takes the place of the last one if that had the same key.
+            kind: CSS class of the line.
+            key: If not 0, the line replaces the last line if both have the same key.
         """
         if key and self._new and self._new[-1][2] == key:
             self._new.pop()
         self._new.append((text, kind, key))
         del self._new[: -self._max_lines]
 
-    def empty(self) -> None:
+    def remove_all_lines(self) -> None:
         """Remove all lines."""
         self._new.clear()
         self.run_method("clear")
 
-    def _take_new(self) -> list | None:
+    def _take_unsent_lines(self) -> list | None:
         new, self._new = self._new, []
         return [new] if new else None

@@ -1,4 +1,4 @@
-"""The bus console: lines that become bus cycles, and beside them all that happens on the bus, in words."""
+"""The bus console: an input whose lines become bus cycles, and a list that describes all that happens on the bus."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from nicegui.events import GenericEventArguments
 
 from stage.errors import StageError
 from stage.panel.browser_updates import BrowserUpdates, TextLog
-from stage.panel.chip_panel import axis_names, send
-from stage.panel.register_text import complete_name, parse_line
-from stage.panel.stage_observer import DIAGNOSTIC, MAX_LINES, view_axis_of
+from stage.panel.chip_panel import list_axis_names, make_bus_cycles
+from stage.panel.register_text import list_completions, parse_line
+from stage.panel.stage_observer import DIAGNOSTIC, MAX_LINES, build_chip_view
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -27,8 +27,8 @@ KEYS = """(e) => {
 """Tab completes a name; after a space, or in an empty line, it goes on to the next control as everywhere."""
 
 
-class Console:
-    """Console of one browser: its target, its earlier lines, and the lines of the trace that it has shown."""
+class BusConsole:
+    """Bus console of one browser: the selected chip and axis, the earlier input lines, and the bus trace."""
 
     def __init__(self, panel: Panel, updates: BrowserUpdates):
         self._panel, self._target = panel, (0, 0)
@@ -36,7 +36,7 @@ class Console:
         self._history_index, self._last_line = 0, 0
         self._last_diagnostics = [0] * len(panel.observer.traces)
         stage = panel.session.stage
-        self._names = [axis_names(stage, k) for k in range(len(stage.chips))]
+        self._names = [list_axis_names(stage, k) for k in range(len(stage.chips))]
         self._targets = [(k, axis) for k, names in enumerate(self._names) for axis in names]
         titles = [f"{self._names[k][axis]}: {type(stage.chips[k]).__name__}" for k, axis in self._targets]
         with ui.card().classes("w-full q-pa-sm"):
@@ -46,7 +46,7 @@ class Console:
                 select.props('dense options-dense data-test="console-target"').style("min-width: 110px")
                 self._line: Any = ui.input(placeholder="10 15   R1 <- 100   read 0   help").classes("col number")
                 self._line.props("dense hide-bottom-space autocomplete=off spellcheck=false aria-label='bus console'")
-                self._line.props('data-test="console"').on("keydown", self._on_key, js_handler=KEYS)
+                self._line.props('data-test="console"').on("keydown", self._handle_key, js_handler=KEYS)
             self._log = TextLog(updates, MAX_LINES).classes("trace w-full")
             self._log.props('data-test="trace" aria-label="the bus, in words"')
             self._fold = ui.expansion("diagnostics").props("dense").classes("w-full").props('data-test="diagnostics"')
@@ -59,23 +59,24 @@ class Console:
         before, self._target = self._target, self._targets[index]
         if before[0] != self._target[0]:
             self._last_line = 0
-            self._log.empty()
+            self._log.remove_all_lines()
 
-    async def _on_key(self, event: GenericEventArguments) -> None:
+    async def _handle_key(self, event: GenericEventArguments) -> None:
         key, text = event.args, self._line.value or ""
         if key == "Enter":
-            await self._enter(text)
+            await self._execute_line(text)
         elif key == "Escape":
             self._line.value, self._line.error = "", None
         elif key == "Tab":
-            self._complete(text)
+            self._complete_name(text)
         elif self._history:
             step = -1 if key == "ArrowUp" else 1
             self._history_index = max(0, min(len(self._history), self._history_index + step))
             self._line.value = [*self._history, ""][self._history_index]
 
-    def _complete(self, text: str) -> None:
-        matches = complete_name(type(self._panel.session.stage.chips[self._target[0]]), text)
+    def _complete_name(self, text: str) -> None:
+        """Complete the last word of the input line as far as it is unique, and list the matches if there are several."""
+        matches = list_completions(type(self._panel.session.stage.chips[self._target[0]]), text)
         head, _, last = text.rpartition(" ")
         common = matches[0] if matches else last
         while not all(name.upper().startswith(common.upper()) for name in matches):
@@ -84,11 +85,12 @@ class Console:
         if len(matches) > 1 and len(common) <= len(last):
             self._log.append("  ".join(matches[:40]), "own")
 
-    async def _enter(self, text: str) -> None:
+    async def _execute_line(self, text: str) -> None:
+        """Make the bus cycles of an input line, or show its answer or its error."""
         k, axis = self._target
         session = self._panel.session
         try:
-            values = await asyncio.wrap_future(session.post(lambda stage: view_axis_of(stage.chips[k], axis).values))
+            values = await asyncio.wrap_future(session.post(lambda stage: build_chip_view(stage.chips[k], axis).values))
             command = parse_line(type(session.stage.chips[k]), text, axis, values)
             self._log.append(f"> {text}", "own")
             self._line.value, self._line.error = "", None
@@ -96,7 +98,7 @@ class Console:
                 self._history = [*self._history[-199:], text]
             self._history_index = len(self._history)
             if command.cycles:
-                await send(self._panel, k, command.cycles)
+                await make_bus_cycles(self._panel, k, command.cycles)
             if command.answer:
                 self._log.append(command.answer, "own")
         except StageError as error:

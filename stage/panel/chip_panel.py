@@ -1,4 +1,4 @@
-"""The front panel of each chip, made from its register map: registers, words, commands and pins of one axis at a time."""
+"""The front panel of each chip, built from its register map: registers, words, commands and pins of one axis at a time."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from stage.panel.server import Panel
 
 
-Place = Register | Word
+MapItem = Register | Word
 MAX_OPEN_COMMANDS = 12  # a longer group of commands that begin no drive is folded at first
 
 
@@ -44,13 +44,13 @@ def _describe_bits(field: Field) -> str:
 
 
 class FieldControl:
-    """Control of one field: a list, a checkbox or an input, or a lamp where a host cannot write it.
+    """Control of one field of a register: a list, a checkbox or a text input; a lamp for a field that a host cannot write.
 
     Args:
         field: The field.
-        value: Its value now.
+        value: Value to show at first.
         mark: Name of the element for tests.
-        write: Called with the field and a new value, as somebody has chosen or typed it.
+        write: Function that is called with the field and the value that the user has chosen or typed.
     """
 
     def __init__(self, field: Field, value: int, mark: str, write: Callable[[Field, int], Awaitable[None]]):
@@ -59,28 +59,28 @@ class FieldControl:
         if "W" not in field.access:
             self.element: Any = ui.label().classes("lamp")
         elif choices := list_choices(field):
-            self.element = ui.select(choices | self._unknown(value), value=value, label=title)
+            self.element = ui.select(choices | self._list_unmapped_choice(value), value=value, label=title)
             self.element.props("dense options-dense").on_value_change(lambda event: write(field, event.value))
         elif field.high == field.low:
             self.element = ui.checkbox(title, value=bool(value)).props("dense size=sm")
             self.element.on_value_change(lambda event: write(field, int(event.value)))
         else:
             self.element = ui.input(title, value=str(value)).props("dense hide-bottom-space")
-            self.element.on("keydown.enter", self._enter, args=[])
+            self.element.on("keydown.enter", self._write_entered_value, args=[])
         self.element.props["title"] = _describe_bits(field)
         self.element.props(f'data-test="{mark}"')
         self.show(value)
 
-    def _unknown(self, value: int) -> dict[int, str]:
-        """Return a choice for a value that the map does not explain."""
+    def _list_unmapped_choice(self, value: int) -> dict[int, str]:
+        """Return the extra choice for a value that the register map does not explain, or no choice."""
         return {} if value in self.field.values else {value: f"{value}  (not in the map)"}
 
     def show(self, value: int) -> None:
-        """Show a value."""
+        """Show a value in the control."""
         element = self.element
         if isinstance(element, ui.select):
             if value not in element.options:
-                element.set_options(list_choices(self.field) | self._unknown(value))
+                element.set_options(list_choices(self.field) | self._list_unmapped_choice(value))
             element.value = value
         elif isinstance(element, ui.checkbox):
             element.value = bool(value)
@@ -90,7 +90,11 @@ class FieldControl:
             _show_lamp(element, self.field, value)
 
     def read(self) -> int:
-        """Return the value of the control, 0 of a lamp. For a text that is not a number, show an error and raise ArgumentError."""
+        """Return the value of the control; 0 for a lamp.
+
+        Raises:
+            ArgumentError: The text of the control is not a number; the control shows the error, too.
+        """
         if isinstance(self.element, ui.select | ui.checkbox):
             return int(self.element.value)
         if not isinstance(self.element, ui.input):
@@ -103,7 +107,7 @@ class FieldControl:
         self.element.error = None
         return value
 
-    async def _enter(self) -> None:
+    async def _write_entered_value(self) -> None:
         try:
             value = self.read()
         except ArgumentError:
@@ -112,13 +116,13 @@ class FieldControl:
 
 
 class RegisterRow:
-    """Row of a register, or of a word that a host writes, with its fields.
+    """Row of a front panel for a register, or for a word that a host writes, with its fields.
 
-    Enter writes what was typed, Esc takes it back; a value that changes flashes. A word that cannot be read back is composed of its
-    fields here, and sent by a button.
+    Enter writes the typed value, Esc discards it; a value flashes when it changes. A word that cannot be read back is composed from
+    the controls of its fields, and a button sends it.
     """
 
-    def __init__(self, place: Place, write: Callable[[Place, int], Awaitable[None]], mark: str):
+    def __init__(self, place: MapItem, write: Callable[[MapItem, int], Awaitable[None]], mark: str):
         self.place, self._write, self._mark = place, write, mark
         self._chip_value: int | None = None
         self._flash, self._editing = "", False
@@ -137,8 +141,8 @@ class RegisterRow:
         if isinstance(place, Register):
             ui.label(place.unit).classes("unit")
         else:
-            send = ui.button("send", on_click=lambda: self._enter(self._value.value or ""))
-            send.props(f'flat dense no-caps size=sm data-test="send-{mark}"')
+            make_bus_cycles = ui.button("send", on_click=lambda: self._write_entered_value(self._value.value or ""))
+            make_bus_cycles.props(f'flat dense no-caps size=sm data-test="send-{mark}"')
         ui.label(letter).classes("evidence").props["title"] = describe_evidence(letter)
         with ui.element("div").classes("meaning") as self._meaning:
             ui.label(place.title if isinstance(place, Register) or not place.note else place.text)
@@ -152,30 +156,30 @@ class RegisterRow:
         else:
             self._value = ui.input().props("dense hide-bottom-space no-error-icon autocomplete=off spellcheck=false")
             self._value.props["aria-label"] = f"{place.name}, {place.title}"
-            self._value.on("keydown", self._on_key, args=["key"])
-            self._value.on("blur", self._cancel, args=[])
+            self._value.on("keydown", self._handle_key, args=["key"])
+            self._value.on("blur", self._cancel_editing, args=[])
         self._value.props(f'data-test="value-{self._mark}"')
 
-    def forget(self) -> None:
-        """Forget the value, so that nothing flashes: another axis is shown."""
+    def forget_value(self) -> None:
+        """Forget the value of the chip, so that the row does not flash when it shows another axis."""
         self._chip_value, self._editing = None, False
 
     def update(self, values: Mapping[str, int]) -> None:
-        """Show the value that the chip holds now. values: of registers and words, by name."""
+        """Show the value that the chip holds now, from the values of all its registers and words by name."""
         value = values.get(self.place.name)
         if value is None or value == self._chip_value:
             return
         before, self._chip_value = self._chip_value, value
         if not self._editing:
-            self._show()
+            self._show_chip_value()
         if before is not None:
             old, self._flash = self._flash, "flash-b" if self._flash == "flash-a" else "flash-a"
             self._value.classes(remove=old, add=self._flash)
         for control in self._fields:
             control.show(control.field.of(value))
 
-    def _show(self) -> None:
-        """Show the value of the chip; nothing where that cannot be read."""
+    def _show_chip_value(self) -> None:
+        """Show the value that the chip holds, or nothing if it cannot be read."""
         self._show_value(self._chip_value)
         if isinstance(self._value, ui.input):
             self._value.error = None
@@ -188,20 +192,20 @@ class RegisterRow:
             self._value.text = text
         self._words.text = "" if value is None else describe_value(self.place, value)
 
-    async def _on_key(self, event: GenericEventArguments) -> None:
+    async def _handle_key(self, event: GenericEventArguments) -> None:
         key = event.args.get("key")
         if key == "Enter":
-            await self._enter(self._value.value or "")
+            await self._write_entered_value(self._value.value or "")
         elif key == "Escape":
-            self._cancel()
+            self._cancel_editing()
         elif key != "Tab":
             self._editing = True
 
-    def _cancel(self) -> None:
+    def _cancel_editing(self) -> None:
         self._editing = False
-        self._show()
+        self._show_chip_value()
 
-    async def _enter(self, text: str) -> None:
+    async def _write_entered_value(self, text: str) -> None:
         try:
             value = parse_number(text, self.place.bits)
         except ArgumentError as error:
@@ -210,7 +214,7 @@ class RegisterRow:
         self._editing, self._value.error = False, None
         await self._send(value)
         if self._chip_value is not None:
-            self._show()
+            self._show_chip_value()
 
     async def _send(self, value: int) -> None:
         await self._write(self.place, value)
@@ -246,7 +250,7 @@ class RegisterRow:
 
 
 class LampRow:
-    """Row of a word that a host reads: its bits as lamps, longer fields in words."""
+    """Row of a front panel for a word that a host reads: a lamp for each bit, and longer fields in words."""
 
     def __init__(self, word: Word):
         self._word, self._chip_value = word, -1
@@ -257,12 +261,12 @@ class LampRow:
         for field, lamp in self._lamps:
             lamp.props["title"] = _describe_bits(field)
 
-    def forget(self) -> None:
-        """Forget the value: another axis is shown."""
+    def forget_value(self) -> None:
+        """Forget the value, before the row shows another axis."""
         self._chip_value = -1
 
     def update(self, values: Mapping[str, int]) -> None:
-        """Show the value that the chip holds now. values: of registers and words, by name."""
+        """Show the value that the chip holds now, from the values of all its registers and words by name."""
         value = values.get(self._word.name)
         self._line.set_visibility(value is not None)
         if value is None or value == self._chip_value:
@@ -278,47 +282,47 @@ def _show_lamp(lamp: ui.label, field: Field, value: int) -> None:
     lamp.classes(**{"add" if is_on else "remove": "on"})
 
 
-def axis_names(stage: Stage, k: int) -> dict[int, str]:
-    """Return the axes of a chip by number, and what the stage calls them. k: index of the chip."""
-    chip = stage.chips[k]
+def list_axis_names(stage: Stage, chip_index: int) -> dict[int, str]:
+    """Return the name of each axis of a chip by its number on the chip; "(3)" for axis 3 if it has no joint."""
+    chip = stage.chips[chip_index]
     names = {a.chip_axis: a.name for a in stage.axes.values() if a.chip is chip}
     return {j: names.get(j, f"({j})") for j in range(chip.AXES)}
 
 
-async def send(panel: Panel, k: int, cycles: Sequence[BusCycle]) -> list[int]:
+async def make_bus_cycles(panel: Panel, chip_index: int, cycles: Sequence[BusCycle]) -> list[int]:
     """Make bus cycles on a chip, in the stage's thread.
 
     Args:
-        panel: The panel.
-        k: Index of the chip.
-        cycles: Bus cycles.
+        panel: Panel of the stage.
+        chip_index: Index of the chip in `Stage.chips`.
+        cycles: Bus cycles, in their order.
 
     Returns:
-        The data that were read.
+        The data of the read cycles, in their order.
     """
-    trace = panel.observer.traces[k]
+    trace = panel.observer.traces[chip_index]
 
-    def order(stage: Stage) -> list[int]:
+    def make_cycles(stage: Stage) -> list[int]:
         data = []
         for cycle in cycles:
             if cycle.read:
                 data.append(trace.read(cycle.address))
             else:
-                stage.chips[k].write(cycle.address, cycle.datum)
+                stage.chips[chip_index].write(cycle.address, cycle.datum)
         panel.observer.update_views(stage)
         return data
 
-    return await asyncio.wrap_future(panel.session.post(order))
+    return await asyncio.wrap_future(panel.session.post(make_cycles))
 
 
 class ChipCard:
-    """Front panel of one chip in one browser; its content is built when it is opened."""
+    """Front panel of one chip in one browser. Its content is built when a user opens it for the first time."""
 
     def __init__(self, panel: Panel, updates: BrowserUpdates, k: int):
         self.panel, self.updates, self.k, self.axis = panel, updates, k, 0
         stage = panel.session.stage
         self.front = FrontPanel(type(stage.chips[k]))
-        self.names = axis_names(stage, k)
+        self.names = list_axis_names(stage, k)
         self._rows: list[RegisterRow | LampRow] = []
         names = " ".join(name for name in self.names.values() if "(" not in name) or "no axis"
         with ui.card().classes("w-full q-pa-none"):
@@ -337,26 +341,26 @@ class ChipCard:
                 toggle = ui.toggle(self.names, value=0, on_change=self._select_axis)
                 toggle.props(f'dense no-caps data-test="axis-of-{self.k}"')
             if self.front.lamps:
-                with _part("status"):
+                with _build_foldable_part("status"):
                     self._rows += [LampRow(word) for word in self.front.lamps]
-            with _part("pins"):
+            with _build_foldable_part("pins"):
                 self._build_pins("inputs", self.front.kind.INPUTS)
                 self._build_pins("outputs", self.front.kind.OUTPUTS)
             for group, buttons in self.front.buttons.items():
-                is_open = len(buttons) <= MAX_OPEN_COMMANDS or any(b.starts for b in buttons)
-                with _part(group, is_open), ui.element("div").classes("commands"):
+                is_open = len(buttons) <= MAX_OPEN_COMMANDS or any(b.starts_drive for b in buttons)
+                with _build_foldable_part(group, is_open), ui.element("div").classes("commands"):
                     for button in buttons:
-                        if not button.takes:
+                        if not button.data_bits:
                             self._build_command(button)
-            with _part("registers"), ui.element("div").classes("registers"):
-                places: list[Place] = [*self.front.registers, *self.front.forms]
+            with _build_foldable_part("registers"), ui.element("div").classes("registers"):
+                places: list[MapItem] = [*self.front.registers, *self.front.forms]
                 self._rows += [RegisterRow(place, self.write, f"{self.k}-{place.name}") for place in places]
 
     def _select_axis(self, event: Any) -> None:
         self.axis = event.value
         self.panel.observer.request_registers(self.k, self.axis)
         for row in self._rows:
-            row.forget()
+            row.forget_value()
 
     def _build_pins(self, title: str, pins: Mapping[str, int]) -> None:
         with ui.element("div").classes("lamps"):
@@ -370,23 +374,23 @@ class ChipCard:
         return view is not None and getattr(view, direction)[name]
 
     def _build_command(self, command: CommandButton) -> None:
-        async def press() -> None:
+        async def send_command() -> None:
             cycles = self.front.kind.command_cycles(command.symbol, self.axis, command.datum)
             await self._send([BusCycle(False, *cycle) for cycle in cycles])
 
-        button = on_single_click(ui.button(f"{command.label}  {command.words}"), press)
-        button.props(f"dense no-caps outline size=sm {'color=positive' if command.starts else ''}")
+        button = on_single_click(ui.button(f"{command.label}  {command.words}"), send_command)
+        button.props(f"dense no-caps outline size=sm {'color=positive' if command.starts_drive else ''}")
         button.props["title"] = f"{command.title} [{command.evidence}]"
         code = f"-{command.datum:X}" if command.datum is not None else ""
         button.props["data-test"] = f"command-{self.k}-{command.symbol}{code}"
 
-    async def write(self, place: Place, value: int) -> None:
-        """Write a register, or a word, of the axis that is shown."""
+    async def write(self, place: MapItem, value: int) -> None:
+        """Write a register or a word of the axis that the card shows."""
         await self._send(list_write_cycles(self.front.kind, place, value, self.axis))
 
     async def _send(self, cycles: Sequence[BusCycle]) -> None:
         try:
-            await send(self.panel, self.k, cycles)
+            await make_bus_cycles(self.panel, self.k, cycles)
         except StageError as error:
             ui.notify(str(error), type="negative")
         self._update()
@@ -401,8 +405,8 @@ class ChipCard:
                 row.update(view.values)
 
 
-def _part(title: str, is_open: bool = True) -> ui.expansion:
-    """Return a part of a front panel that can be folded."""
+def _build_foldable_part(title: str, is_open: bool = True) -> ui.expansion:
+    """Build a part of a front panel that users can fold."""
     return ui.expansion(title, value=is_open).props("dense dense-toggle").classes("w-full part")
 
 

@@ -22,7 +22,7 @@ MAX_PAYLOAD_KG = 10.0  # on the slider
 
 
 class FaultPanel:
-    """Sliders, a form for each fault that can be made, and the list of faults with a button that clears each."""
+    """Part of the page with sliders, push buttons, a form for each fault, and the list of faults with a button to clear each."""
 
     def __init__(self, panel: Panel, axes: list[str]):
         self.fault_controls, self.axis = panel.fault_controls, axes[0]
@@ -46,7 +46,7 @@ class FaultPanel:
                     on_hold(button, partial(self._push, sign), lambda: run.io_bound(self._end_push))
             self._box = ui.row().classes("w-full items-start q-gutter-xs")
             self._list = ui.column().classes("w-full q-gutter-none").props("data-test=in-force aria-live=polite")
-        panel.controls.when_lost(ui.context.client.id, self._end_push_soon)
+        panel.controls.call_when_controls_lost(ui.context.client.id, self._schedule_end_of_push)
         self._select_axis(self.axis)
         ui.timer(0.25, self._update)
 
@@ -62,18 +62,26 @@ class FaultPanel:
         self,
         name: str,
         unit: str,
-        span: tuple[float, float, float],
+        limits: tuple[float, float, float],
         read: Callable[[], float | None],
         write: Callable[[float], None],
     ) -> None:
-        """Build a slider over `span`: least, greatest, step. It follows the value that holds, whoever changed it."""
-        low, high, step = span
+        """Build a slider that also follows changes of its value by others.
+
+        Args:
+            name: Label of the slider.
+            unit: Unit of the value.
+            limits: Least value, greatest value, and step.
+            read: Function that returns the value now, or None if there is none.
+            write: Function that is called with the value that the user has set.
+        """
+        low, high, step = limits
         with ui.column().classes("q-gutter-none").style("width: 200px"):
             text = ui.label().classes("text-caption number").props(f"data-test={name}-value")
             slider = ui.slider(min=low, max=high, step=step)
             slider.props(f"data-test={name} aria-label='{name}, {unit}'")
 
-        async def change(event: Any) -> None:
+        async def write_value(event: Any) -> None:
             try:
                 await run.io_bound(write, float(event.args))
             except StageError as error:
@@ -87,7 +95,7 @@ class FaultPanel:
                 slider.value, text.text = value, f"{name} {value:g} {unit}"
 
         displayed: list[float] = []
-        slider.on("change", change)
+        slider.on("change", write_value)
         self._slider_updates.append(update)
         update()
 
@@ -106,7 +114,7 @@ class FaultPanel:
             self._pushed_axis = ""
             self._push_view.show_error(error)
 
-    def _end_push_soon(self) -> None:
+    def _schedule_end_of_push(self) -> None:
         background_tasks.create(run.io_bound(self._end_push))
 
     def _end_push(self) -> None:
@@ -141,7 +149,7 @@ class FaultPanel:
         async def make() -> None:
             view.clear_errors()
             try:
-                await run.io_bound(self.fault_controls.make, form.name, self.axis, view.texts)
+                await run.io_bound(self.fault_controls.make_fault, form.name, self.axis, view.texts)
             except StageError as error:
                 if not view.show_error(error):
                     ui.notify(str(error), type="negative", multi_line=True)
@@ -150,7 +158,7 @@ class FaultPanel:
         button.props("dense no-caps color=deep-orange-9 data-test=break")
 
     def _update(self) -> None:
-        """Show the values that hold now, and the list of faults where it has changed."""
+        """Update the sliders, and the list of faults if it has changed."""
         for update in self._slider_updates:
             update()
         faults = [(active, active.text) for active in self.fault_controls.in_force]
@@ -163,10 +171,10 @@ class FaultPanel:
                 with ui.row().classes("items-center q-gutter-xs"):
                     ui.icon("warning", color="deep-orange")
                     ui.label(text)
-                    button = ui.button("clear", on_click=partial(run.io_bound, self.fault_controls.clear, active))
-                    button.props(f"dense flat no-caps data-test=clear-fault aria-label={quote_label(text)}")
+                    button = ui.button("clear", on_click=partial(run.io_bound, self.fault_controls.clear_fault, active))
+                    button.props(f"dense flat no-caps data-test=clear-fault aria-label={quote_clear_label(text)}")
 
 
-def quote_label(text: str) -> str:
-    """Return the label of a button that clears a fault, as the value of a prop."""
+def quote_clear_label(text: str) -> str:
+    """Return the quoted label, for example "clear jam of x", of the button that clears the fault described by `text`."""
     return '"clear ' + text.replace('"', "'") + '"'

@@ -1,4 +1,4 @@
-"""`Oscilloscope`: a window of time of a `Sampler`, its traces, a trigger; and files of what the window shows. No page.
+"""`Oscilloscope`: show traces of a `Sampler` in a time window with a trigger, and export the window to files. No page.
 
     scope = Oscilloscope(sampler, ["x/rate", "x/org"], span=0.5)
     scope.set_trigger("normal", "x/org", rising=True)
@@ -38,13 +38,13 @@ AUTO_TIMEOUT_S = 1.0  # s of simulated time after which "auto" shows the newest 
 
 @dataclass(frozen=True)
 class OscilloscopeFrame:
-    """Picture of an oscilloscope.
+    """One picture of an oscilloscope.
 
     Attributes:
-        begin, end: Its window, s.
-        curves: Times (s) and values of each trace.
+        begin, end: Begin and end of the time window, s.
+        curves: Times, s, and values of each trace, by the name of the trace.
         trigger: Time of the trigger, s, or None.
-        state: State of the oscilloscope, in a word.
+        state: State of the oscilloscope in a word, for example "running".
     """
 
     begin: float
@@ -55,15 +55,15 @@ class OscilloscopeFrame:
 
 
 class Oscilloscope:
-    """Window of time over a sampler's traces.
+    """Oscilloscope that shows traces of a sampler in a time window.
 
     Args:
         sampler: Source of the samples.
-        names: Names of traces.
-        span: Length of the window, s.
+        names: Names of the traces to show.
+        span: Length of the time window, s.
 
     Raises:
-        ArgumentError: An unknown trace, or a window that cannot be.
+        ArgumentError: A trace is unknown, or `span` is out of range.
     """
 
     def __init__(self, sampler: Sampler, names: Sequence[str] = (), span: float = 2.0):
@@ -77,27 +77,28 @@ class Oscilloscope:
         self.arm()
 
     def select_traces(self, names: Sequence[str]) -> None:
-        """Show these traces. Raises ArgumentError with the near misses."""
-        self.names = [self.sampler.trace(name).name for name in names]
+        """Show the traces with these names. Raises ArgumentError, with similar names, for an unknown trace."""
+        self.names = [self.sampler.find_trace(name).name for name in names]
 
     def set_span(self, span: float) -> None:
-        """Set the length of the window, s. Raises ArgumentError."""
+        """Set the length of the time window, s. Raises ArgumentError if `span` is out of range."""
         if not MIN_SPAN_S <= span <= MAX_AGE_S:
             raise ArgumentError(f"span={span!r}: a window of {MIN_SPAN_S:g} to {MAX_AGE_S:g} s.")
         self.span = float(span)
         if self._running:
             return
         end = self._window[1]
-        self._window = (end - span, end) if self._trigger_time is None else self._window_of(self._trigger_time)
+        self._window = (end - span, end) if self._trigger_time is None else self._compute_window(self._trigger_time)
 
     def set_trigger(self, mode: str, source: str = "", rising: bool = True, level: float = 0.5) -> None:
-        """Set what the window waits for.
+        """Set the event that triggers a new picture.
 
         Args:
-            mode: "free", no trigger; "auto", without one where none comes; "normal", only by the trigger; "single", once.
-            source: A trace, which crosses `level` (a pin: its edge), or DIAGNOSTIC, or LOST.
-            rising: Edge of the crossing.
-            level: In the unit of the trace.
+            mode: "free": no trigger; "auto": new pictures also while no trigger comes; "normal": only after a trigger; "single":
+                one picture after the next trigger.
+            source: Name of the trace that triggers when it crosses `level` (a pin: at its edge); or DIAGNOSTIC, or LOST.
+            rising: Whether a rising, not a falling, crossing triggers.
+            level: Level of the crossing, in the unit of the trace.
 
         Raises:
             ArgumentError: An unknown mode or trace, or a level that is not finite.
@@ -105,20 +106,20 @@ class Oscilloscope:
         if mode not in MODES:
             raise ArgumentError(f"mode={mode!r}: {', '.join(MODES)}.")
         if mode != "free" and source not in (DIAGNOSTIC, LOST):
-            level = 0.5 if self.sampler.trace(source).pin else level
+            level = 0.5 if self.sampler.find_trace(source).pin else level
         if not np.isfinite(level):
             raise ArgumentError(f"level={level!r}: a number, in the unit of the trace.")
         self.mode, self.source, self.rising, self.level = mode, source, rising, float(level)
         self.arm()
 
     def arm(self) -> None:
-        """Wait for the next trigger, from now on."""
+        """Discard the last trigger, and wait for the next one from now on."""
         self._trigger_time, self._running = None, True
-        self._armed_at = self._last_time = self.sampler.last
+        self._armed_at = self._last_time = self.sampler.last_time
 
     @property
     def running(self) -> bool:
-        """State of the window: it follows the time; False: the picture stands."""
+        """True if the time window follows the time; False: the picture stands still."""
         return self._running
 
     @running.setter
@@ -127,16 +128,17 @@ class Oscilloscope:
             self.arm()
         self._running = bool(value)
 
-    def frame(self, points: int) -> OscilloscopeFrame:
-        """Return the picture now, for so many columns of pixels."""
-        now = self.sampler.last
+    def capture_frame(self, pixel_columns: int) -> OscilloscopeFrame:
+        """Return the picture now, with each curve thinned to `pixel_columns` columns of pixels."""
+        now = self.sampler.last_time
         if self._running:
-            self._follow(now)
+            self._move_window(now)
         begin, end = self._window
-        curves = self.sampler.thinned_columns(self.names, begin, end, points)
+        curves = self.sampler.read_thinned_columns(self.names, begin, end, pixel_columns)
         return OscilloscopeFrame(begin, end, curves, self._trigger_time, self._describe_state(now))
 
-    def _follow(self, now: float) -> None:
+    def _move_window(self, now: float) -> None:
+        """Move the time window to the newest trigger, or to time `now`, s, as the trigger mode demands."""
         newest = now - self.span, now
         if now < self._last_time:  # time has gone back: what was shown is not any more
             self._armed_at, self._trigger_time, self._window = now, None, newest
@@ -147,17 +149,20 @@ class Oscilloscope:
             if self.mode == "single" and self._trigger_time is not None:
                 self._running = False
             elif (trigger := self._find_trigger(now)) is not None:
-                self._trigger_time, self._window = trigger, self._window_of(trigger)
+                self._trigger_time, self._window = trigger, self._compute_window(trigger)
                 self._armed_at = self._window[1]
                 self._running = self.mode != "single" or now < self._window[1]
             elif self.mode == "auto" and now - self._armed_at > max(AUTO_TIMEOUT_S, self.span):
                 self._trigger_time, self._window = None, newest
 
-    def _window_of(self, trigger: float) -> tuple[float, float]:
+    def _compute_window(self, trigger: float) -> tuple[float, float]:
         return trigger - BEFORE * self.span, trigger + (1 - BEFORE) * self.span
 
     def _find_trigger(self, now: float) -> float | None:
-        """Return a trigger since `arm`: the latest whose window is full; for "single", and where none is full, the first."""
+        """Return the time, s, of the trigger since `arm` to show, or None if there was no trigger.
+
+        This is the latest trigger whose time window has passed completely; the first one in mode "single", or if no window has.
+        """
         times = self._list_triggers(now)
         if not len(times):
             return None
@@ -170,7 +175,7 @@ class Oscilloscope:
             return np.array([e.time for e in tuple(self.sampler.events) if since < e.time <= now])
         is_lost = self.source == LOST
         names = [n for n in self.sampler.traces if n.endswith("/lost_steps")] if is_lost else [self.source]
-        times, values = self.sampler.columns(names, since, now)
+        times, values = self.sampler.read_columns(names, since, now)
         triggers = [np.empty(0)]
         for v in values.values():
             above = (v >= self.level) == self.rising
@@ -192,18 +197,20 @@ def format_heading(trace: Trace) -> str:
     return f"{trace.title} ({trace.unit})" if trace.unit else trace.title
 
 
-def _collect(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> tuple[np.ndarray, list[tuple]]:
+def _collect_columns(
+    sampler: Sampler, names: Sequence[str], begin: float, end: float
+) -> tuple[np.ndarray, list[tuple]]:
     if not names:
         raise ArgumentError("nothing to export: choose a trace first.")
-    times, values = sampler.columns(names, begin, end)
+    times, values = sampler.read_columns(names, begin, end)
     if not len(times):
         raise ArgumentError(f"nothing to export: no samples between {begin:g} and {end:g} s.")
-    return times, [(sampler.trace(name), values[name]) for name in names]
+    return times, [(sampler.find_trace(name), values[name]) for name in names]
 
 
 def to_csv(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> bytes:
-    """Return a row for each sample, a column for each trace, in its unit."""
-    times, columns = _collect(sampler, names, begin, end)
+    """Export traces to CSV: a row for each sample, a column for each trace in its unit."""
+    times, columns = _collect_columns(sampler, names, begin, end)
     text = io.StringIO(newline="")
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["time (s)", *(format_heading(t) for t, _ in columns)])
@@ -213,8 +220,8 @@ def to_csv(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
 
 
 def to_png(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> bytes:
-    """Return a picture as on the page: a chart for each unit, a lane for each pin. Needs matplotlib (extra `plot`)."""
-    times, columns = _collect(sampler, names, begin, end)
+    """Export traces to a PNG picture: a chart for each unit, a lane for each pin. Needs matplotlib (extra `plot`)."""
+    times, columns = _collect_columns(sampler, names, begin, end)
     units = list(dict.fromkeys(t.unit for t, _ in columns if not t.pin))
     pins = [(t, v) for t, v in columns if t.pin]
     heights = [3.0] * len(units) + [0.35] * len(pins)
@@ -241,10 +248,10 @@ def to_png(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
 
 
 def to_vcd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> bytes:
-    """Return waveforms: pins as wires, 1 while asserted; everything else as reals."""
+    """Export traces to VCD: pins as wires, which are 1 while asserted, and other traces as reals."""
     from vcd import VCDWriter
 
-    times, columns = _collect(sampler, names, begin, end)
+    times, columns = _collect_columns(sampler, names, begin, end)
     ns = np.rint(times * 1e9).astype(np.int64)
     text = io.StringIO()
     with VCDWriter(text, "1 ns", date="simulated time since power-up", init_timestamp=int(ns[0])) as writer:
@@ -263,8 +270,8 @@ def to_vcd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
 
 
 def to_rrd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> bytes:
-    """Return series for rerun, an entity for each trace. Needs rerun (extra `rerun`)."""
-    times, columns = _collect(sampler, names, begin, end)
+    """Export traces to a recording for rerun, with an entity for each trace. Needs rerun (extra `rerun`)."""
+    times, columns = _collect_columns(sampler, names, begin, end)
     handle, path = tempfile.mkstemp(suffix=".rrd")
     os.close(handle)
     try:

@@ -37,7 +37,7 @@ TRIGGER_TITLES = {"free": "no trigger", "auto": "auto", "normal": "normal", "sin
 
 
 class OscilloscopeView:
-    """Controls and picture of an oscilloscope."""
+    """Part of the page with the picture of an oscilloscope and its controls."""
 
     def __init__(self, panel: Panel, updates: BrowserUpdates):
         self.sampler = panel.sampler
@@ -52,7 +52,7 @@ class OscilloscopeView:
         with ui.card().classes("w-full q-pa-sm").props('data-test=scope role=group aria-label="Oscilloscope"'):
             titles = {name: format_heading(trace) for name, trace in traces.items()}
             with ui.row().classes("w-full items-center q-gutter-xs no-wrap-md"):
-                self.run_button = ui.button("stop", on_click=self._toggle)
+                self.run_button = ui.button("stop", on_click=self._toggle_running)
                 self.run_button.props("dense outline no-caps data-test=run").tooltip("run or stop")
                 spans = {s: f"{s * 1e3:g} ms" if s < 1 else f"{s:g} s" for s in SPANS}
                 self._build_select("window", "span", 112, spans, self.scope.span, self._set_span)
@@ -78,7 +78,7 @@ class OscilloscopeView:
                     button.tooltip(f"what the window shows, every sample, as .{ending}")
             self.chart = ui.echart({}).classes("w-full").props("data-test=chart")
             self._build_charts()
-        updates.call_method(self.chart, "run_chart_method", self._next_message, FRAME_INTERVAL_S)
+        updates.call_method(self.chart, "run_chart_method", self._build_next_message, FRAME_INTERVAL_S)
 
     def _build_select(
         self,
@@ -97,7 +97,7 @@ class OscilloscopeView:
 
     # --- controls ---
 
-    def _toggle(self) -> None:
+    def _toggle_running(self) -> None:
         self.scope.running = not self.scope.running
 
     def _set_span(self, event: Any) -> None:
@@ -121,6 +121,7 @@ class OscilloscopeView:
             ui.notify(str(error), type="negative")
 
     async def _export(self, ending: str) -> None:
+        """Send the browser a file of the picture in the format of a file name ending, for example "csv"."""
         frame = self._frame
         if frame is None:
             return
@@ -134,7 +135,7 @@ class OscilloscopeView:
     # --- picture ---
 
     def _build_charts(self) -> None:
-        """Assign traces to charts again: they have changed. A chart for each unit, a lane for each pin."""
+        """Build the charts for the selected traces: a chart for each unit, a lane for each pin."""
         traces = [self.sampler.traces[n] for n in self.scope.names]
         units = list(dict.fromkeys(t.unit for t in traces if not t.pin))
         titles = [*units, *(t.title for t in traces if t.pin)]
@@ -150,8 +151,8 @@ class OscilloscopeView:
             is_chart = k < len(units)
             height, head, gap = (CHART_HEIGHT, UNIT_HEIGHT, GAP) if is_chart else (LANE_HEIGHT, 0, LANE_GAP)
             options["grid"].append({"left": 78, "right": 14, "top": top + head, "height": height})
-            options["xAxis"].append(_x_axis(k, is_chart, k == len(titles) - 1))
-            options["yAxis"].append(_y_axis(k, is_chart, title))
+            options["xAxis"].append(_build_x_axis(k, is_chart, k == len(titles) - 1))
+            options["yAxis"].append(_build_y_axis(k, is_chart, title))
             top += height + gap
         lanes = iter(range(len(units), len(titles)))
         for n, t in enumerate(traces):
@@ -167,18 +168,23 @@ class OscilloscopeView:
         self.chart.update()
         self._drawn, self._flat = None, False
 
-    def _next_message(self) -> list | None:
+    def _build_next_message(self) -> list | None:
         scope = self.scope
-        frame = self._frame = scope.frame(POINTS)
+        frame = self._frame = scope.capture_frame(POINTS)
         running = "stop" if scope.running else "run"
         if self.run_button.text != running:
             self.run_button.text = running
-        drawn = (frame.begin, frame.end, self.sampler.last if frame.end >= self.sampler.last else None, *scope.names)
+        drawn = (
+            frame.begin,
+            frame.end,
+            self.sampler.last_time if frame.end >= self.sampler.last_time else None,
+            *scope.names,
+        )
         flat = all(len(values) == 0 or values.min() == values.max() for _, values in frame.curves.values())
         if drawn == self._drawn or (flat and self._flat and perf_counter() - self._drawn_at < FLAT_INTERVAL_S):
             return None
         self._drawn, self._flat, self._drawn_at = drawn, flat, perf_counter()
-        return ["setOption", self._message(frame)]
+        return ["setOption", self._build_chart_message(frame)]
 
     def _describe_state(self) -> str:
         frame = self._frame
@@ -186,8 +192,8 @@ class OscilloscopeView:
             return frame.state if frame else ""
         return f"{frame.state}, trigger at {frame.trigger:.6f} s"
 
-    def _message(self, frame: OscilloscopeFrame) -> dict[str, Any]:
-        """Return the curves and the time below them: s, or ms; from the trigger, where there is one."""
+    def _build_chart_message(self, frame: OscilloscopeFrame) -> dict[str, Any]:
+        """Return the options of the chart library for a frame: the curves, and a time axis in s or ms, from the trigger if any."""
         short = frame.end - frame.begin < 1
         k, origin = (1e3 if short else 1.0), frame.trigger or 0.0
         axes = len(self.chart.options["xAxis"])
@@ -200,39 +206,39 @@ class OscilloscopeView:
         series = []
         for name, (times, values) in frame.curves.items():
             at = np.round((times - origin) * k, 4 if short else 5)
-            points = np.stack([at, _significant(values, self.sampler.traces[name].places)], axis=1)
-            series.append({"data": points[_corners(points[:, 1])].tolist()})
+            points = np.stack([at, _round_to_significant_digits(values, self.sampler.traces[name].places)], axis=1)
+            series.append({"data": points[_mark_needed_points(points[:, 1])].tolist()})
         return {"xAxis": x, "series": series}
 
 
-def _x_axis(k: int, is_chart: bool, is_last: bool) -> dict[str, Any]:
+def _build_x_axis(chart_index: int, is_chart: bool, is_last: bool) -> dict[str, Any]:
     return {
-        "type": "value", "gridIndex": k, "min": 0, "max": 1,
+        "type": "value", "gridIndex": chart_index, "min": 0, "max": 1,
         "axisLabel": {"show": is_last, "color": INK, "hideOverlap": True},
         "axisLine": {"lineStyle": {"color": INK}} if is_last else {"show": False}, "axisTick": {"show": is_last},
         "splitLine": {"show": is_chart, "lineStyle": {"color": FAINT}}, "axisPointer": {"label": {"show": is_last}},
     }  # fmt: skip
 
 
-def _y_axis(k: int, is_chart: bool, title: str) -> dict[str, Any]:
+def _build_y_axis(chart_index: int, is_chart: bool, title: str) -> dict[str, Any]:
     hidden = {"min": 0, "max": 1.15, "axisLine": {"show": False}, "axisTick": {"show": False}}
     return {
-        "type": "value", "gridIndex": k, "name": title, "nameTextStyle": {"color": INK, "fontSize": 11},
+        "type": "value", "gridIndex": chart_index, "name": title, "nameTextStyle": {"color": INK, "fontSize": 11},
         "nameLocation": "end" if is_chart else "middle", "nameRotate": 0, "nameGap": 9 if is_chart else 40,
         "scale": is_chart, "splitNumber": 3, "axisLabel": {"show": is_chart, "color": INK},
         "splitLine": {"show": is_chart, "lineStyle": {"color": FAINT}}, **({} if is_chart else hidden),
     }  # fmt: skip
 
 
-def _significant(values: np.ndarray, places: int) -> np.ndarray:
-    """Round to six digits of the greatest value, and to `places` decimals at most, so that an axis at rest is a level line."""
+def _round_to_significant_digits(values: np.ndarray, places: int) -> np.ndarray:
+    """Round values to six digits of the greatest one and at most `places` decimals, so that an axis at rest shows a level line."""
     top = float(np.max(np.abs(values), initial=0.0))
     digits = min(places, 5 - math.floor(math.log10(top))) if top > 0 else 0
     return np.round(np.asarray(values, float), digits) + 0.0  # no -0
 
 
-def _corners(values: np.ndarray) -> np.ndarray:
-    """Return which points of a curve are needed: not those between two of the same value."""
+def _mark_needed_points(values: np.ndarray) -> np.ndarray:
+    """Return a mask of the points that a curve needs: all but those between two points of the same value."""
     needed = np.ones(len(values), bool)
     needed[1:-1] = (values[1:-1] != values[:-2]) | (values[1:-1] != values[2:])
     return needed

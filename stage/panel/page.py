@@ -1,4 +1,4 @@
-"""The page of the panel: what stands where, its toolbar, a card for each axis, and the tour."""
+"""The page of the panel: its arrangement, its toolbar, a card for each axis, and the tour."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from stage.errors import StageError
 from stage.panel import saved_panel
 from stage.panel.access_control import BrowserEventGate
 from stage.panel.browser_updates import BrowserUpdates, on_single_click
-from stage.panel.bus_console import Console
+from stage.panel.bus_console import BusConsole
 from stage.panel.chip_panel import STYLE as CHIP_STYLE
 from stage.panel.chip_panel import ChipCard
 from stage.panel.fault_page import FaultPanel
 from stage.panel.oscilloscope_page import OscilloscopeView
-from stage.panel.procedure_page import Procedures
+from stage.panel.procedure_page import ProcedurePanel
 from stage.panel.session import FREE
 from stage.panel.stage_scene import build_scene
 from stage.panel.tour import STEPS, Tour
@@ -29,26 +29,26 @@ if TYPE_CHECKING:
     from stage.sim.axis import Axis
 
 
-def format_position(unit: str, position: float, commanded: float, lost: int) -> str:
-    """Return where an axis is, in mm or degrees, and its lost steps.
+def format_position(unit: str, position: float, commanded: float, lost_steps: int) -> str:
+    """Return lines with the position of an axis in mm or degrees, the commanded position, their difference, and the lost steps.
 
     Args:
         unit: Unit of the axis, m or rad.
-        position: Position, in that unit.
-        commanded: Position that the pulses command, in that unit.
-        lost: Full steps.
+        position: Position, in `unit`.
+        commanded: Position that the pulses command, in `unit`.
+        lost_steps: Lost full steps.
     """
     scale, symbol = (1e3, "mm") if unit == "m" else (degrees(1), "deg")
     return (
         f"position   {position * scale:z10.4f} {symbol}\n"
         f"commanded  {commanded * scale:z10.4f} {symbol}\n"
         f"error      {(commanded - position) * scale:z10.4f} {symbol}\n"
-        f"lost steps {lost:10d}"
+        f"lost steps {lost_steps:10d}"
     )
 
 
 class AxisCard:
-    """Card of one axis: where it is, and its switches as lamps."""
+    """Card of one axis: its motor, its position, and a lamp for each switch."""
 
     def __init__(self, panel: Panel, updates: BrowserUpdates, axis: Axis):
         self._observer, self._axis = panel.observer, axis
@@ -73,7 +73,7 @@ class AxisCard:
 
 
 class TourView:
-    """The tour in one browser: it begins when its fold is opened, and ends when that is closed."""
+    """Tour in one browser. It begins when the user unfolds it, and ends when the user folds it again."""
 
     def __init__(self, panel: Panel):
         self._session = panel.session
@@ -85,27 +85,27 @@ class TourView:
             self._title.props("data-test=tour-title aria-live=polite")
             self._task = ui.label().props("data-test=tour-task")
             self._sheet = ui.label().classes("text-caption q-mt-xs")
-            self._button = ui.button("Skip", on_click=self._skip).props("flat dense no-caps data-test=tour-skip")
-        fold.on_value_change(lambda event: self._begin() if event.value else self._end())
-        context.client.on_disconnect(self._end)
+            self._button = ui.button("Skip", on_click=self._skip_step).props("flat dense no-caps data-test=tour-skip")
+        fold.on_value_change(lambda event: self._begin_tour() if event.value else self._end_tour())
+        context.client.on_disconnect(self._end_tour)
         ui.timer(0.2, self._update)
 
-    def _begin(self) -> None:
+    def _begin_tour(self) -> None:
         if self._tour is None:
             self._tour = Tour(self._session)
 
-    def _end(self) -> None:
+    def _end_tour(self) -> None:
         if self._tour is not None:
             self._tour.close()
             self._tour = None
 
-    def _skip(self) -> None:
-        """Skip a step, or begin again where all steps are done."""
+    def _skip_step(self) -> None:
+        """Skip the current step, or begin again if all steps are done."""
         if self._tour is not None and self._tour.step is not None:
             self._tour.skip()
         elif self._tour is not None:
-            self._end()
-            self._begin()
+            self._end_tour()
+            self._begin_tour()
 
     def _update(self) -> None:
         if self._tour is None:
@@ -133,25 +133,25 @@ FILES = {
 
 
 class Toolbar:
-    """Row on top: time, who has the controls, and how the page looks."""
+    """Row at the top of the page: time, speed, the program, the controls, files, and how the page looks."""
 
     def __init__(self, panel: Panel, updates: BrowserUpdates, gate: BrowserEventGate):
         session = self._session = panel.session
         self._panel, self._gate = panel, gate
         ui.label("PulseStage").classes("text-weight-bold q-mr-sm gt-xs")
         with ui.row().classes("items-center q-gutter-none") as row:
-            self._play = _icon_button("pause", "pause", "play", self._toggle_pause)
+            self._play = _build_icon_button("pause", "pause", "play", self._toggle_pause)
             select = ui.select(SPEEDS, value=find_nearest_speed(session.speed), on_change=self._set_speed)
             select.props("dense dark borderless options-dense aria-label='simulated seconds a second' data-test=speed")
-        gate.guard_machine(row)
+        gate.require_controls(row)
         with ui.row().classes("items-center q-gutter-none") as row:
-            _icon_button("skip_next", "one physics step", "step").on_click(lambda: session.single_step())
-            with _icon_button("replay", "go back", "back"), ui.menu():
+            _build_icon_button("skip_next", "one physics step", "step").on_click(lambda: session.single_step())
+            with _build_icon_button("replay", "go back", "back"), ui.menu():
                 for seconds in BACK_S:
                     item = ui.menu_item(f"{seconds:g} s back", partial(self._go_back, seconds))
                     item.props(f"data-test=back-{seconds:g}")
-            _icon_button("restart_alt", "power-up", "reset", lambda: run.io_bound(session.reset))
-        gate.guard_driving(row)
+            _build_icon_button("restart_alt", "power-up", "reset", lambda: run.io_bound(session.reset))
+        gate.require_driving_rights(row)
         clock = ui.element("div").classes("number q-ml-sm")
         clock.props("data-test=time role=timer aria-label='simulated time'")
         updates.show_text(clock, lambda: f"{session.view.time:.4f} s")
@@ -159,28 +159,28 @@ class Toolbar:
         updates.show_text(pace, self._describe_pace)
         ui.space()
         self._action = ui.label().classes("text-caption ellipsis").props("data-test=doing role=status")
-        self._stop = _icon_button("stop", "stop this action; the chips go on", "abandon", session.stop_actions)
-        gate.guard_driving(self._stop)
+        self._stop = _build_icon_button("stop", "stop this action; the chips go on", "abandon", session.stop_actions)
+        gate.require_driving_rights(self._stop)
         self._recover = on_single_click(ui.button("back to a good state"), lambda: run.io_bound(session.recover))
-        gate.guard_driving(self._recover.props("dense no-caps color=negative data-test=recover"))
+        gate.require_driving_rights(self._recover.props("dense no-caps color=negative data-test=recover"))
         self._program = ui.label().classes("text-caption ellipsis").props("data-test=program role=status")
         self._take_over = on_single_click(ui.button(), self._toggle_program)
-        gate.guard_machine(self._take_over.props("dense no-caps color=orange-9 data-test=take-over"))
+        gate.require_controls(self._take_over.props("dense no-caps color=orange-9 data-test=take-over"))
         self._build_controls_button(context.client.id)
-        with _icon_button("save_alt", "save and share", "share"), ui.menu():
+        with _build_icon_button("save_alt", "save and share", "share"), ui.menu():
             for file, (title, mark) in FILES.items():
-                ui.menu_item(title, partial(self._save, file)).tooltip(file).props(f"data-test=save-{mark}")
+                ui.menu_item(title, partial(self._save_file, file)).tooltip(file).props(f"data-test=save-{mark}")
         dark = ui.dark_mode(None)
-        _icon_button("contrast", "light or dark", "dark", lambda: _cycle_brightness(dark))
+        _build_icon_button("contrast", "light or dark", "dark", lambda: _cycle_brightness(dark))
         ui.timer(0.1, self._update)
 
     def _build_controls_button(self, client_id: str) -> None:
         controls = self._panel.controls
-        self._controls = on_single_click(ui.button(), lambda: controls.take(client_id))
+        self._controls = on_single_click(ui.button(), lambda: controls.give_controls_to(client_id))
         self._controls.props("flat dense no-caps color=white data-test=controls")
-        context.client.on_connect(lambda: controls.come(client_id))
-        context.client.on_disconnect(lambda: controls.go(client_id))
-        context.client.on_delete(lambda: controls.forget(client_id))
+        context.client.on_connect(lambda: controls.add_browser(client_id))
+        context.client.on_disconnect(lambda: controls.remove_browser(client_id))
+        context.client.on_delete(lambda: controls.forget_browser(client_id))
 
     def _toggle_pause(self) -> None:
         self._session.paused = not self._session.paused
@@ -200,12 +200,12 @@ class Toolbar:
         except StageError as error:
             ui.notify(str(error), type="warning", multi_line=True)
 
-    async def _save(self, file: str) -> None:
+    async def _save_file(self, file: str) -> None:
         try:
             if file == "panel.zip":
                 data = await run.io_bound(saved_panel.save, self._panel) or b""
             else:
-                data = ((await run.io_bound(saved_panel.program, self._panel, file)) or "").encode()
+                data = ((await run.io_bound(saved_panel.write_program, self._panel, file)) or "").encode()
         except StageError as error:
             ui.notify(str(error), type="negative", multi_line=True)
         else:
@@ -230,14 +230,14 @@ class Toolbar:
         self._take_over.text = "Give back" if is_taken else "Take over"
         self._take_over.set_visibility(bool(program))
         self._gate.update_inert_elements()
-        watching = self._panel.controls.watching
+        watching = self._panel.controls.browser_count
         others = f"{watching} watching" if watching > 1 else ""
         self._controls.text = others if self._gate.has_controls else "Take the controls"
         self._controls.set_visibility(bool(self._controls.text))
 
 
-def _icon_button(icon: str, label: str, mark: str, handler: Callable[[], Any] | None = None) -> ui.button:
-    """Build a button of the toolbar; one that has a menu needs no handler."""
+def _build_icon_button(icon: str, label: str, mark: str, handler: Callable[[], Any] | None = None) -> ui.button:
+    """Build a button of the toolbar. A button that has a menu needs no handler."""
     button = ui.button(icon=icon)
     if handler is not None:
         on_single_click(button, handler)
@@ -245,17 +245,17 @@ def _icon_button(icon: str, label: str, mark: str, handler: Callable[[], Any] | 
 
 
 def find_nearest_speed(speed: float) -> float:
-    """Return the speed of the list that is the nearest."""
+    """Return the speed of the page's list (SPEEDS) that is nearest to `speed`."""
     return speed if speed in SPEEDS else min(SPEEDS, key=lambda listed: abs(min(listed, 1e9) - speed))
 
 
 def _cycle_brightness(dark: ui.dark_mode) -> None:
-    """Switch from what the browser prefers to dark, to light."""
+    """Switch the page from the browser's preference to dark, from dark to light, or from light to the preference."""
     dark.value = {None: True, True: False, False: None}[dark.value]
 
 
 def build_page(panel: Panel) -> None:
-    """Build the page of one browser."""
+    """Build the page of a panel for one browser."""
     ui.add_css(STYLE + CHIP_STYLE)
     ui.colors(primary=PRIMARY)
     updates, gate = BrowserUpdates(), BrowserEventGate(panel, ui.context.client)
@@ -274,17 +274,17 @@ def build_page(panel: Panel) -> None:
             TourView(panel)
             with ui.element("div").classes("desk") as procedures:
                 if axes:
-                    Procedures(panel, list(axes))
-            gate.guard_driving(procedures)
+                    ProcedurePanel(panel, list(axes))
+            gate.require_driving_rights(procedures)
             with ui.element("div").classes("desk") as faults:
                 if axes:
                     FaultPanel(panel, list(axes))
-            gate.guard_machine(faults)
+            gate.require_controls(faults)
             with ui.element("div").classes("desk") as chips:
-                Console(panel, updates)
+                BusConsole(panel, updates)
                 for k in range(len(panel.observer.traces)):
                     ChipCard(panel, updates, k)
-            gate.guard_driving(chips)
+            gate.require_driving_rights(chips)
 
 
 PRIMARY = "#2f74b5"  # white on it, and it on white, has a contrast of 4.9

@@ -1,12 +1,12 @@
-"""Procedures as forms: the fields of each, in the units of the axis, and the call of stage.firmware that it makes. No page.
+"""Forms of the procedures: the fields of each form, in units of the axis, and the call of stage.firmware that it makes. No page.
 
     form = FORMS["move"]
     fields = form.list_fields(stage, "x")
     run = form.prepare(stage, "x", {"distance": "10", "speed": ""})        ArgumentError, or FieldError, says what is wrong
     session.act("move x", run).result()                                    a report
 
-The procedure decides about fields that are empty. Nothing here knows a chip family: the driver says what a chip can do, and an
-error of the driver has its bounds as numbers, which `to_field_error` converts to the unit of the field.
+For an empty field, the procedure uses its default. This module knows no chip family: the host driver says what a chip can do, and
+an error of the driver carries its bounds as numbers, which `to_field_error` converts to the unit of the field.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Values = dict[str, Any]
 
 
 class FieldError(ArgumentError):
-    """Error about the text in `field`; it says why that cannot be."""
+    """Error about the text that a user has given in the field named `field`."""
 
     def __init__(self, field: str, text: str):
         super().__init__(text)
@@ -53,16 +53,16 @@ class FormField(NamedTuple):
 
     Attributes:
         name: Name of the value.
-        title: Label.
-        unit: Unit of the number; "" of a number without one.
-        default: Text at first.
-        choices: Texts to choose from; empty: a number.
-        scale: SI value of one unit.
+        title: Label of the field.
+        unit: Unit of the number; "" for a number without unit.
+        default: Text of the field at first.
+        choices: Texts to choose from; empty for a number.
+        scale: SI value of one `unit`.
         least, most: Bounds of the number, in `unit`.
-        allowed: The bounds in words.
-        is_signed: The bounds are those of its magnitude.
-        is_whole: The number is a whole one, which may be hexadecimal.
-        missing: What to say where the field is empty; "": it may be.
+        allowed: Description of the bounds.
+        is_signed: Whether the bounds hold for the magnitude of the number, which may have a sign.
+        is_whole: Whether the number must be an integer; it may then be hexadecimal.
+        missing: Error text for an empty field; "": the field may be empty.
     """
 
     name: str
@@ -79,7 +79,7 @@ class FormField(NamedTuple):
     missing: str = ""
 
     def parse(self, text: str) -> Any:
-        """Return the value of a text: a choice, or a number in SI units. Raises FieldError."""
+        """Return the value of a text: a choice, or a number in SI units. Raises FieldError if the text does not fit."""
         if self.choices:
             if text not in self.choices:
                 raise FieldError(self.name, f"{text!r}: {', '.join(self.choices)}.")
@@ -101,14 +101,16 @@ class FormField(NamedTuple):
 
 
 def parse_fields(fields: list[FormField], texts: Mapping[str, Any]) -> Values:
-    """Return the values of a form, in SI units; those of empty fields are left out, choices are as at first.
+    """Return the values of a form by name of the field, in SI units.
+
+    An empty number field has no value; an empty choice has its default.
 
     Args:
         fields: Fields of the form.
-        texts: Texts by field; a field that is not there has its default.
+        texts: Text of each field by its name; a field without entry has its default text.
 
     Raises:
-        FieldError: A text does not fit its field, or one that is needed is missing.
+        FieldError: A text does not fit its field, or a field that must not be empty is empty.
     """
     values: Values = {}
     for field in fields:
@@ -121,25 +123,25 @@ def parse_fields(fields: list[FormField], texts: Mapping[str, Any]) -> Values:
 
 
 def find_field(error: BaseException, fields: list[FormField]) -> str:
-    """Return the name of the field that an error is about, or ""."""
+    """Return the name of the field that an error concerns, or "" if it concerns none of these fields."""
     if isinstance(error, FieldError):
         return error.field
     text = str(error)
     return next((f.name for f in fields if text.startswith((f"{f.name}=", f"{f.name}:"))), "")
 
 
-def find_unit(axis: Axis) -> tuple[str, float]:
-    """Return the unit in which people give positions of an axis, and its SI value."""
+def find_display_unit(axis: Axis) -> tuple[str, float]:
+    """Return the unit in which the panel shows positions of an axis ("mm" or "deg"), and its SI value."""
     return ("mm", 1e-3) if axis.unit == "m" else ("deg", radians(1))
 
 
 def to_field_error(error: StageError, axis: Axis, texts: Mapping[str, Any], fields: list[FormField]) -> StageError:
-    """Return an error about a limit of a chip as an error of the field, in the field's unit; any other error as it is.
+    """Convert an error about a limit of a chip to a FieldError with bounds in the field's unit. Return any other error unchanged.
 
     Args:
         error: Error of a procedure.
-        axis: Axis that the form is about.
-        texts: Texts of the fields.
+        axis: Axis for which the form was filled in.
+        texts: Texts of the fields, by name.
         fields: Fields of the form.
     """
     limit, by_name = getattr(error, "exceeded_limit", None), {f.name: f for f in fields}
@@ -151,7 +153,7 @@ def to_field_error(error: StageError, axis: Axis, texts: Mapping[str, Any], fiel
         drive = procedures.parse_speeds(axis, {"speed": speed}).drive
         name, bounds = "accel", (drive / limit.maximum, drive / limit.minimum, drive / limit.value)
     elif name != "accel":
-        pulse = (axis.meters_per_pulse or 1.0) / find_unit(axis)[1]
+        pulse = (axis.meters_per_pulse or 1.0) / find_display_unit(axis)[1]
         bounds = tuple(bound * pulse for bound in bounds)
     if name == "pulses":
         name = "distance"
@@ -167,9 +169,9 @@ def to_field_error(error: StageError, axis: Axis, texts: Mapping[str, Any], fiel
     return FieldError(name, f"{value:.4g} {unit}: {add_article(axis.chip.MAP.chip)} makes {allowed} {unit} here.")
 
 
-def distance_field(axis: Axis, name: str, title: str, default: str, missing: str = "") -> FormField:
-    """Return the field of a distance, from a pulse to many times the travel of the axis."""
-    unit, scale = find_unit(axis)
+def build_distance_field(axis: Axis, name: str, title: str, default: str, missing: str = "") -> FormField:
+    """Build the field of a distance, whose bounds are one pulse and a multiple of the axis' travel."""
+    unit, scale = find_display_unit(axis)
     travels = MAX_TRAVELS[has_end_limits(axis)]
     pulse, most = (axis.meters_per_pulse or 0.0) / scale, travels * (axis.travel[1] - axis.travel[0]) / scale
     allowed = (
@@ -180,18 +182,18 @@ def distance_field(axis: Axis, name: str, title: str, default: str, missing: str
     )  # fmt: skip
 
 
-def speed_field(axis: Axis, name: str, title: str, default: str = "", missing: str = "") -> FormField:
-    """Return the field of a speed, of a pulse a second or more."""
-    length, scale = find_unit(axis)
+def build_speed_field(axis: Axis, name: str, title: str, default: str = "", missing: str = "") -> FormField:
+    """Build the field of a speed of at least one pulse a second."""
+    length, scale = find_display_unit(axis)
     unit, least = f"{length}/s", (axis.meters_per_pulse or 0.0) * MIN_SPEED_PPS / scale
     allowed = f"a speed is more than 0, and one pulse a second, {least:.3g} {unit}, or more"
     return FormField(name, title, unit, default, scale=scale, least=least, allowed=allowed, missing=missing)
 
 
 def list_speed_fields(axis: Axis) -> list[FormField]:
-    """Return the fields of speed and ramp that an axis has."""
-    start = [] if get_driver(axis).has_position_loop else [speed_field(axis, "start_speed", "start speed")]
-    return [speed_field(axis, "speed", "speed"), *start, RAMP_FIELD]
+    """Return the fields for the speeds and the ramp of a move of an axis."""
+    start = [] if get_driver(axis).has_position_loop else [build_speed_field(axis, "start_speed", "start speed")]
+    return [build_speed_field(axis, "speed", "speed"), *start, RAMP_FIELD]
 
 
 RAMP_FIELD = FormField(
@@ -204,78 +206,80 @@ class ProcedureForm:
     """Form of a procedure.
 
     Attributes:
-        name, title: For programs, and for people.
-        list_fields: Returns the fields for an axis, by its name.
-        begin: Returns the function that the stage's thread is to call, for the values of the fields.
-        several: It is about several axes.
-        is_available: Returns whether the stage and the axis can do it.
-        finds_origin: After it one knows where the carriage is.
+        name: Name for programs.
+        title: Name for people.
+        list_fields: Function that returns the fields for a stage and the name of an axis.
+        begin: Function of the stage, the name of an axis and the values of the fields. It returns the function that the stage's
+            thread then calls to perform the procedure.
+        is_for_several_axes: Whether the procedure moves several axes.
+        is_available: Function that returns whether the stage and the axis can perform the procedure.
+        finds_origin: Whether the position of the carriage is known after the procedure.
     """
 
     name: str
     title: str
     list_fields: Callable[[Stage, str], list[FormField]]
     begin: Callable[[Stage, str, Values], Callable[[Stage], Any]]
-    several: bool = False
+    is_for_several_axes: bool = False
     is_available: Callable[[Stage, str], bool] = lambda stage, axis: True
     finds_origin: bool = False
 
     def prepare(self, stage: Stage, axis: str, texts: Mapping[str, str]) -> Callable[[Stage], Any]:
-        """Return the function for `Session.act`.
+        """Return the function that performs the procedure, for `Session.act`.
 
         Args:
             stage: The stage.
             axis: Name of an axis.
-            texts: Texts of the fields.
+            texts: Text of each field by its name.
 
         Raises:
             FieldError: A text does not fit its field.
-            ArgumentError: The chip cannot do it.
+            ArgumentError: The chip cannot perform the procedure with these values.
         """
         return self.begin(stage, axis, parse_fields(self.list_fields(stage, axis), texts))
 
 
-def list_move_fields(stage: Stage, name: str) -> list[FormField]:
+def list_move_fields(stage: Stage, axis_name: str) -> list[FormField]:
     """Return the fields of a move."""
-    axis, shapes = stage.axes[name], tuple(RAMP_SHAPES)
-    distance = distance_field(axis, "distance", "distance", "10", "say how far.")
+    axis, shapes = stage.axes[axis_name], tuple(RAMP_SHAPES)
+    distance = build_distance_field(axis, "distance", "distance", "10", "say how far.")
     return [distance, *list_speed_fields(axis), FormField("s_curve", "ramps", default=shapes[0], choices=shapes)]
 
 
-def begin_move(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any]:
-    """Prepare a move."""
+def prepare_move(stage: Stage, axis_name: str, values: Values) -> Callable[[Stage], Any]:
+    """Return the function that performs a move with the values of the form."""
     values["s_curve"] = RAMP_SHAPES[values["s_curve"]]
-    return lambda stage: procedures.move(stage.axes[name], **values)
+    return lambda stage: procedures.move(stage.axes[axis_name], **values)
 
 
-def list_rates_fields(stage: Stage, name: str) -> list[FormField]:
+def list_two_rate_fields(stage: Stage, axis_name: str) -> list[FormField]:
     """Return the fields of a move with two drive speeds."""
-    axis = stage.axes[name]
+    axis = stage.axes[axis_name]
     return [
-        distance_field(axis, "distance", "distance", "40", "say how far."),
-        speed_field(axis, "speed", "first speed", "20"),
-        speed_field(axis, "fast", "second speed", "40", "say how fast."),
+        build_distance_field(axis, "distance", "distance", "40", "say how far."),
+        build_speed_field(axis, "speed", "first speed", "20"),
+        build_speed_field(axis, "fast", "second speed", "40", "say how fast."),
         FormField("dwell", "time at each", "s", "0.2", least=0.0, allowed="a time is 0 s or more"),
         RAMP_FIELD,
     ]
 
 
-def begin_two_rates(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any]:
-    """Prepare a move with two drive speeds."""
-    axis = stage.axes[name]
+def prepare_two_rate_move(stage: Stage, axis_name: str, values: Values) -> Callable[[Stage], Any]:
+    """Return the function that performs a move with two drive speeds, with the values of the form."""
+    axis = stage.axes[axis_name]
     distance, second = values["distance"], values["fast"] / (axis.meters_per_pulse or 1.0)
     speeds, dwell = procedures.parse_speeds(axis, values).with_second(second), values.get("dwell", 0.2)
     return lambda stage: procedures.move_at_two_rates(axis, distance, speed=speeds, dwell=dwell)
 
 
-def has_two_rates(stage: Stage, name: str) -> bool:
-    """Return whether the chip of an axis has two drive speeds; others would make a plain move of it."""
-    return "second" in get_driver(stage.axes[name]).OPTIONS
+def has_two_rates(stage: Stage, axis_name: str) -> bool:
+    """Return whether the chip of an axis has two drive speeds. Other chips would make a move with one speed."""
+    return "second" in get_driver(stage.axes[axis_name]).OPTIONS
 
 
-def list_home_fields(stage: Stage, name: str) -> list[FormField]:
+def list_home_fields(stage: Stage, axis_name: str) -> list[FormField]:
     """Return the fields of an origin return."""
-    axis, directions = stage.axes[name], tuple(DIRECTIONS)
+    axis, directions = stage.axes[axis_name], tuple(DIRECTIONS)
     homings = get_driver(axis).list_homing_methods()
     return [
         FormField("direction", "origin lies", default=directions[0], choices=directions),
@@ -284,22 +288,24 @@ def list_home_fields(stage: Stage, name: str) -> list[FormField]:
     ]
 
 
-def begin_home(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any]:
-    """Prepare an origin return."""
+def prepare_home(stage: Stage, axis_name: str, values: Values) -> Callable[[Stage], Any]:
+    """Return the function that performs an origin return with the values of the form."""
     values["direction"] = DIRECTIONS[values["direction"]]
-    return lambda stage: procedures.home(stage.axes[name], **values)
+    return lambda stage: procedures.home(stage.axes[axis_name], **values)
 
 
-def list_line_fields(stage: Stage, name: str) -> list[FormField]:
-    """Return the fields of a line: a distance of each axis."""
+def list_line_fields(stage: Stage, axis_name: str) -> list[FormField]:
+    """Return the fields of a line: a distance for each axis, the speed and the ramp."""
     defaults = chain(LINE_DEFAULTS, repeat(""))
-    distances = [distance_field(axis, n, n, d) for (n, axis), d in zip(stage.axes.items(), defaults, strict=False)]
+    distances = [
+        build_distance_field(axis, n, n, d) for (n, axis), d in zip(stage.axes.items(), defaults, strict=False)
+    ]
     distances = [field._replace(least=0.0) for field in distances]  # 0 keeps an axis still
-    return [*distances, speed_field(next(iter(stage.axes.values())), "speed", "speed"), RAMP_FIELD]
+    return [*distances, build_speed_field(next(iter(stage.axes.values())), "speed", "speed"), RAMP_FIELD]
 
 
-def begin_line(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any]:
-    """Prepare a line."""
+def prepare_line(stage: Stage, axis_name: str, values: Values) -> Callable[[Stage], Any]:
+    """Return the function that moves the axes along a line, with the values of the form."""
     distances = {n: distance for n in stage.axes if (distance := values.pop(n, 0.0))}
     if not distances:
         raise FieldError(next(iter(stage.axes)), "nothing moves: give at least one axis a distance.")
@@ -307,21 +313,21 @@ def begin_line(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any
 
 
 def list_circle_pairs(stage: Stage) -> list[str]:
-    """Return the pairs of axes with which a chip draws circles: "x y"."""
+    """Return the pairs of axes whose chip can draw circles with them, each as a text such as "x y"."""
     axes = [a for a in stage.axes.values() if type(get_driver(a)).draw_circle is not Driver.draw_circle]
     return [f"{a.name} {b.name}" for a, b in combinations(axes, 2) if a.chip is b.chip and a.unit == b.unit]
 
 
-def list_circle_fields(stage: Stage, name: str) -> list[FormField]:
+def list_circle_fields(stage: Stage, axis_name: str) -> list[FormField]:
     """Return the fields of a circle."""
     pairs = tuple(list_circle_pairs(stage))
     axis = stage.axes[pairs[0].split()[0]]
-    radius = distance_field(axis, "radius", "radius", "5", "say how large.")
+    radius = build_distance_field(axis, "radius", "radius", "5", "say how large.")
     return [FormField("axes", "axes", default=pairs[0], choices=pairs), radius, *list_speed_fields(axis)]
 
 
-def begin_circle(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any]:
-    """Prepare a circle."""
+def prepare_circle(stage: Stage, axis_name: str, values: Values) -> Callable[[Stage], Any]:
+    """Return the function that draws a circle with the values of the form."""
     first, second = (stage.axes[n] for n in values["axes"].split())
     radius, speeds = procedures.convert_to_pulses(first, values["radius"], None), procedures.parse_speeds(first, values)
     return lambda stage: get_driver(first).draw_circle(get_driver(second), radius, speeds)
@@ -330,11 +336,11 @@ def begin_circle(stage: Stage, name: str, values: Values) -> Callable[[Stage], A
 FORMS: dict[str, ProcedureForm] = {
     form.name: form
     for form in (
-        ProcedureForm("move", "Move", list_move_fields, begin_move),
-        ProcedureForm("two_rates", "Two rates", list_rates_fields, begin_two_rates, is_available=has_two_rates),
-        ProcedureForm("home", "Home", list_home_fields, begin_home, finds_origin=True),
-        ProcedureForm("line", "Line", list_line_fields, begin_line, True, lambda stage, axis: len(stage.axes) > 1),
-        ProcedureForm("circle", "Circle", list_circle_fields, begin_circle, True, lambda s, axis: bool(list_circle_pairs(s))),
+        ProcedureForm("move", "Move", list_move_fields, prepare_move),
+        ProcedureForm("two_rates", "Two rates", list_two_rate_fields, prepare_two_rate_move, is_available=has_two_rates),
+        ProcedureForm("home", "Home", list_home_fields, prepare_home, finds_origin=True),
+        ProcedureForm("line", "Line", list_line_fields, prepare_line, True, lambda stage, axis: len(stage.axes) > 1),
+        ProcedureForm("circle", "Circle", list_circle_fields, prepare_circle, True, lambda s, axis: bool(list_circle_pairs(s))),
     )
 }  # fmt: skip
 """Every form by name."""
@@ -346,16 +352,16 @@ def list_jog_fields(axis: Axis) -> list[FormField]:
 
 
 class Jog:
-    """Axis that runs while a button is held: `session.act("jog x", Jog(axis, 1, {"speed": "20"}).run)`, then `release()`.
+    """Move of an axis for as long as a button is held: `session.act("jog x", Jog(axis, 1, {"speed": "20"}).run)`, then `release()`.
 
     Args:
         axis: The axis.
         direction: +1 or -1.
-        texts: Texts of the fields.
+        texts: Text of each field of `list_jog_fields` by its name.
 
     Raises:
         FieldError: A text does not fit its field.
-        ArgumentError: The chip cannot go so fast.
+        ArgumentError: The chip cannot make this speed.
     """
 
     def __init__(self, axis: Axis, direction: int, texts: Mapping[str, str]):
@@ -364,11 +370,15 @@ class Jog:
         self._released = threading.Event()
 
     def release(self) -> None:
-        """End the run."""
+        """End the move: the axis decelerates and stops."""
         self._released.set()
 
     def run(self, stage: Stage) -> Any:
-        """Run until `release` or until something stops the axis; return a report. Raises StageError at an end limit."""
+        """Move the axis until `release`, or until something stops it; return a report.
+
+        Raises:
+            StageError: The axis stands on the end limit of this direction and cannot move.
+        """
         driver = get_driver(self.axis)
         driver.prepare()
         with ProcedureObserver(self.axis, "jog") as p:
@@ -385,8 +395,8 @@ class Jog:
         return report
 
 
-def draw_pattern(report: Any) -> str:
-    """Return the operation pattern of a report as SVG. Raises StageError where matplotlib is missing."""
+def draw_operation_pattern(report: Any) -> str:
+    """Return the operation pattern of a report as SVG. Raises StageError if the report has none or matplotlib is missing."""
     figure = report.plot()
     if figure is None:
         raise StageError("this report draws no picture.")

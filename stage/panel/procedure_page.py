@@ -1,4 +1,4 @@
-"""Procedures on the page: a form each, jog buttons and stop; the report beside, and its operation pattern."""
+"""Procedures on the page: a form for each, jog and stop buttons, and the last report with its operation pattern."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from stage.panel.procedure_forms import (
     FormField,
     Jog,
     ProcedureForm,
-    draw_pattern,
+    draw_operation_pattern,
     find_field,
     list_jog_fields,
     to_field_error,
@@ -35,10 +35,10 @@ class FormView:
 
     Args:
         name: Name of the form.
-        fields: Its fields.
+        fields: Fields of the form.
 
     Attributes:
-        controls: Elements by field.
+        controls: Element of each field by the name of the field.
     """
 
     def __init__(self, name: str, fields: list[FormField]):
@@ -55,7 +55,7 @@ class FormView:
 
     @property
     def texts(self) -> dict[str, Any]:
-        """Texts of the fields."""
+        """Text of each field by its name."""
         return {name: control.value for name, control in self.controls.items()}
 
     def clear_errors(self) -> None:
@@ -64,7 +64,7 @@ class FormView:
             control.props(remove="error error-message")
 
     def show_error(self, error: BaseException) -> bool:
-        """Show an error at the field that it is about, and return whether there is one."""
+        """Show an error at the field that it concerns, and return whether this form has such a field."""
         name = find_field(error, self.fields)
         if name:
             text = str(error).replace("\\", "\\\\").replace('"', "'")
@@ -72,75 +72,75 @@ class FormView:
         return bool(name)
 
 
-class Outcome(NamedTuple):
-    """Result of a procedure.
+class ProcedureOutcome(NamedTuple):
+    """Outcome of a procedure, as the page shows it.
 
     Attributes:
-        text: The report, or what is under way.
-        wrong: It did not do what was requested.
+        text: The report, or the name of the procedure while it is under way.
+        has_failed: Whether the procedure did not do what was requested.
         picture: The operation pattern as SVG, or "".
     """
 
     text: str = ""
-    wrong: bool = False
+    has_failed: bool = False
     picture: str = ""
 
 
-NO_OUTCOME = Outcome()
+NO_OUTCOME = ProcedureOutcome()
 
 
 class ProcedureReports:
-    """Last outcome of each form. The panel has them, so they are in every browser, and after a reload."""
+    """Last outcome of each form of a panel. All browsers show them, also after a reload of the page."""
 
     def __init__(self, session: Session):
         self._session = session
-        self._outcomes: dict[str, Outcome] = {}
+        self._outcomes: dict[str, ProcedureOutcome] = {}
 
-    def last(self, form: str) -> Outcome:
-        """Return the last outcome of a form, or what is under way."""
+    def find_outcome(self, form: str) -> ProcedureOutcome:
+        """Return the last outcome of a form, or the outcome so far of the procedure that is under way."""
         return self._outcomes.get(form, NO_OUTCOME)
 
-    def note(self, form: str, text: str, wrong: bool = False) -> Outcome:
-        """Note an outcome of a form, and return it."""
-        outcome = self._outcomes[form] = Outcome(text, wrong)
+    def set_outcome(self, form: str, text: str, has_failed: bool = False) -> ProcedureOutcome:
+        """Store the last outcome of a form, and return it."""
+        outcome = self._outcomes[form] = ProcedureOutcome(text, has_failed)
         return outcome
 
-    async def perform(self, form: str, title: str, order: Callable[[Any], Any]) -> Any:
-        """Have the session perform an action, and note its outcome.
+    async def perform(self, form: str, title: str, action: Callable[[Any], Any]) -> Any:
+        """Have the session perform an action, and store its outcome.
 
         Args:
             form: Name of the form.
             title: Name of the action, for people.
-            order: Function that the stage's thread calls.
+            action: Function that the stage's thread calls with the stage.
 
         Returns:
-            The report, or None.
+            The report, or None if the action was stopped or took too long.
 
         Raises:
-            StageError: It was not begun; nothing is noted then.
+            StageError: The action could not begin; the form then has no outcome.
         """
-        self.note(form, f"{title} ...")
+        self.set_outcome(form, f"{title} ...")
         try:
-            report = await asyncio.wrap_future(self._session.act(title, order))
+            report = await asyncio.wrap_future(self._session.act(title, action))
         except ActionStopped:
-            self.note(form, f"{title}: stopped.")
+            self.set_outcome(form, f"{title}: stopped.")
         except RunTimeout as error:
-            self.note(form, f"{error}\n{getattr(error, 'report', '')}", wrong=True)
+            self.set_outcome(form, f"{error}\n{getattr(error, 'report', '')}", has_failed=True)
         except BaseException:
-            self.note(form, "")
+            self.set_outcome(form, "")
             raise
         else:
-            outcome = self.note(form, str(report), wrong=not report.ok)
-            background_tasks.create(self._draw(form, outcome, report))
+            outcome = self.set_outcome(form, str(report), has_failed=not report.ok)
+            background_tasks.create(self._add_picture(form, outcome, report))
             return report
         return None
 
-    async def _draw(self, form: str, outcome: Outcome, report: Any) -> None:
-        """Add the operation pattern, where there is one; the next procedure may have begun meanwhile."""
+    async def _add_picture(self, form: str, outcome: ProcedureOutcome, report: Any) -> None:
+        """Add the operation pattern of a report to an outcome, if it is still the last one of its form."""
         if not hasattr(report, "plot"):
             return
         try:
-            drawn = outcome._replace(picture=await run.io_bound(draw_pattern, report) or "")
+            drawn = outcome._replace(picture=await run.io_bound(draw_operation_pattern, report) or "")
         except StageError as error:
             drawn = outcome._replace(text=f"{outcome.text}\n{error}")
         if self._outcomes[form] is outcome:
@@ -148,7 +148,7 @@ class ProcedureReports:
 
 
 class OutcomeView:
-    """Outcome of one form in one browser."""
+    """Part of the page that shows the last outcome of a form in one browser."""
 
     def __init__(self, reports: ProcedureReports):
         self._reports, self._displayed = reports, NO_OUTCOME
@@ -157,21 +157,21 @@ class OutcomeView:
         self._picture = ui.html("", sanitize=False).classes("w-full pattern").props("data-test=pattern")
 
     def update(self, form: str) -> None:
-        """Show the last outcome of this form."""
-        outcome = self._reports.last(form)
+        """Show the last outcome of a form."""
+        outcome = self._reports.find_outcome(form)
         if outcome is self._displayed:
             return
         self._displayed = outcome
         self._text.text, self._picture.content = outcome.text, outcome.picture
-        self._text.classes(**{"add" if outcome.wrong else "remove": "text-negative"})
+        self._text.classes(**{"add" if outcome.has_failed else "remove": "text-negative"})
 
 
 STOP_BUTTONS = {"stop": ("orange-9", False), "stop at once": ("negative", True)}
 """Label -> color, and whether the axes stop without a ramp."""
 
 
-class Procedures:
-    """Forms of the selected axis, and the outcome of the one that is open."""
+class ProcedurePanel:
+    """Part of the page with the forms of the selected axis, the jog and stop buttons, and the outcome of the open form."""
 
     def __init__(self, panel: Panel, axes: list[str]):
         self.session, self.reports, self.observer = panel.session, panel.reports, panel.observer
@@ -188,12 +188,12 @@ class Procedures:
                     button.props(f"dense color={color} no-caps data-test={label.replace(' ', '-')}")
             self._box = ui.column().classes("w-full q-gutter-xs")
             self._outcome_view = OutcomeView(panel.reports)
-        panel.controls.when_lost(ui.context.client.id, self._release)
+        panel.controls.call_when_controls_lost(ui.context.client.id, self._end_jog)
         self._select_axis(self.axis)
         ui.timer(0.1, self._update)
 
     def _update(self) -> None:
-        """Disable the buttons that begin a procedure while one is under way, whoever has begun it."""
+        """Show the last outcome, and disable the buttons that begin a procedure while any procedure is under way."""
         self._outcome_view.update(self._open)
         for button in self._go_buttons:
             button.set_enabled(not self.session.busy)
@@ -232,24 +232,25 @@ class Procedures:
     def _build_form(self, form: ProcedureForm, fields: list[FormField]) -> None:
         with ui.row().classes("w-full items-start q-gutter-xs"):
             view = FormView(form.name, fields)
-            begin = partial(self._begin, form, view)
+            begin = partial(self._begin_procedure, form, view)
             button = ui.button("go", on_click=begin).props(f"dense no-caps data-test=go-{form.name}").classes("q-mt-sm")
         self._go_buttons.append(button)
         for control in view.controls.values():
             if isinstance(control, ui.input):
                 control.on("keydown.enter", begin)
 
-    async def _begin(self, form: ProcedureForm, view: FormView) -> None:
+    async def _begin_procedure(self, form: ProcedureForm, view: FormView) -> None:
+        """Begin the procedure of a form, and show its outcome or its error."""
         if self.session.busy:
             return
         view.clear_errors()
         texts, axis = view.texts, self.axis
-        title = form.title if form.several else f"{form.title} {axis}"
+        title = form.title if form.is_for_several_axes else f"{form.title} {axis}"
         try:
             order = form.prepare(self.session.stage, axis, texts)
             report = await self.reports.perform(form.name, title, order)
             if form.finds_origin and report is not None and report.stopped_by not in UNWANTED_REASONS:
-                self.session.post(partial(self.observer.note_origin, axis))
+                self.session.post(partial(self.observer.reset_lost_steps, axis))
         except StageError as error:
             self._show_error(error, view)
 
@@ -259,10 +260,11 @@ class Procedures:
             for direction, sign, name in ((-1, "-", "minus"), (1, "+", "plus")):
                 button = ui.button(f"{self.axis} {sign}").style("min-width: 72px")
                 button.props(f'no-caps data-test=jog-{name} aria-label="jog {self.axis} {sign}, while held"')
-                on_hold(button, partial(self._press, direction, view), self._release)
+                on_hold(button, partial(self._begin_jog, direction, view), self._end_jog)
         ui.label("runs while a button, Enter or the space bar is held").classes("text-caption")
 
-    async def _press(self, direction: int, view: FormView) -> None:
+    async def _begin_jog(self, direction: int, view: FormView) -> None:
+        """Jog the selected axis until `_end_jog`; `direction` is +1 or -1."""
         if self._jog is not None:
             return  # a key that repeats
         if self.session.busy:
@@ -280,19 +282,19 @@ class Procedures:
         except StageError as error:
             self._show_error(error, view)
 
-    def _release(self) -> None:
+    def _end_jog(self) -> None:
         if self._jog is not None:
             self._jog.release()
 
     async def _stop(self, at_once: bool) -> None:
-        """Bring all axes to rest, and end what is under way."""
+        """Stop all axes, at once or with ramps, and end the procedure that is under way."""
         try:
             await asyncio.wrap_future(self.session.stop(at_once))
         except StageError as error:
-            self.reports.note(self._open, str(error), wrong=True)
+            self.reports.set_outcome(self._open, str(error), has_failed=True)
 
     def _show_error(self, error: StageError, view: FormView) -> None:
-        """Show an error at the field that it is about, else below."""
+        """Show an error at the field that it concerns, or below the forms if it concerns no field."""
         error = to_field_error(error, self.session.stage.axes[self.axis], view.texts, view.fields)
         if not view.show_error(error):
-            self.reports.note(view.name, str(error), wrong=True)
+            self.reports.set_outcome(view.name, str(error), has_failed=True)

@@ -1,4 +1,4 @@
-"""`RealTimeClock`: how fast simulated time passes beside real time. It knows no stage: simulated times are given to it, in ns.
+"""`RealTimeClock`: pace simulated time against real time. The clock knows no stage: its methods take simulated times, in ns.
 
 clock = RealTimeClock(1.0, stage.now)
 goal = clock.plan_slice(stage.now, until, step)      how far to go next
@@ -22,14 +22,14 @@ FREE = float("inf")
 
 
 class RealTimeClock:
-    """Compares simulated with real time.
+    """Clock that compares simulated time with real time.
 
     Args:
         speed: Simulated seconds in a real second, MIN_SPEED to MAX_SPEED, or FREE.
         now: Simulated time, ns.
 
     Attributes:
-        achieved_speed: Simulated seconds in a real second of late; `speed` at first.
+        achieved_speed: Simulated seconds in a real second, measured recently; `speed` at first.
     """
 
     def __init__(self, speed: float, now: int):
@@ -40,7 +40,7 @@ class RealTimeClock:
 
     @property
     def speed(self) -> float:
-        """Simulated seconds in a real second. Call `restart` after a change. Raises ArgumentError."""
+        """Requested simulated seconds in a real second, or FREE. Call `restart` after a change. Raises ArgumentError."""
         return self._speed
 
     @speed.setter
@@ -53,24 +53,24 @@ class RealTimeClock:
 
     @property
     def slice_s(self) -> float:
-        """Simulated seconds of a slice."""
+        """Simulated seconds that may pass before the clock is asked again."""
         return SLICE_S * (1.0 if self._speed == FREE else self._speed)
 
     def restart(self, now: int) -> None:
-        """Begin again at simulated time `now`: nothing is late, nothing is early."""
+        """Restart at simulated time `now`, ns: this time is due now, whatever was late or early before."""
         self._real, self._simulated = perf_counter(), now
         self._measured = (self._real, now)
         self._slice_began: tuple[float, int] | None = None
 
     def plan_slice(self, now: int, until: int, min_ns: int, seconds: float = SLICE_S) -> int:
-        """Return how far to go towards `until`, ns.
+        """Return the simulated time, ns, at which the next slice of simulation is to end.
 
         Args:
-            now: Simulated time, ns.
-            until: Simulated time that is wanted, ns.
-            min_ns: What to go at least, ns.
-            seconds: Real seconds that the slice is for. A machine that cannot keep up goes as far as it can in
-                MAX_COMPUTING_S.
+            now: Simulated time now, ns.
+            until: Simulated time that the caller wants to reach, ns.
+            min_ns: Least length of the slice, ns.
+            seconds: Length of the slice in real seconds. On a machine that cannot keep up, the slice is as long as can be
+                computed in MAX_COMPUTING_S.
         """
         if self._slice_began is not None:
             (real, simulated), self._slice_began = self._slice_began, None
@@ -81,11 +81,14 @@ class RealTimeClock:
         return min(until, now + max(round(length * 1e9), min_ns))
 
     def start_slice(self, now: int) -> None:
-        """Note that a slice begins at simulated time `now`: what it takes tells how long the next may be."""
+        """Store that a slice begins at simulated time `now`, ns; the time that it takes limits the length of the next slice."""
         self._slice_began = perf_counter(), now
 
     def seconds_until(self, goal: int, now: int) -> float:
-        """Return the real seconds until simulated time `goal` is due, negative where it is late; what is very late is given up."""
+        """Return the real seconds until simulated time `goal`, ns, is due; negative if it is late.
+
+        The clock restarts if simulated time `now`, ns, is more than MAX_LAG_S behind, instead of trying to catch up.
+        """
         if self._speed == FREE:
             return 0.0
         left = self._real + (goal - self._simulated) * 1e-9 / self._speed - perf_counter()
@@ -94,7 +97,7 @@ class RealTimeClock:
         return left
 
     def measure(self, now: int) -> None:
-        """Renew `achieved_speed` at simulated time `now`, ns."""
+        """Update `achieved_speed` at simulated time `now`, ns."""
         passed = perf_counter() - self._measured[0]
         if passed > MEASURING_TIME_S:
             self.achieved_speed = (now - self._measured[1]) * 1e-9 / passed

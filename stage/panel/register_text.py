@@ -1,4 +1,4 @@
-"""Registers in words, made from a chip's register map: what its front panel shows, and what lines of the console mean. No page.
+"""Texts from a chip's register map: the content of its front panel, and the meaning of lines of the bus console. No page.
 
 format_value(register, 8000), describe_value(register, 8000)
 parse_number("1F40h", 13)                 8000
@@ -19,21 +19,21 @@ from stage.errors import ArgumentError, find_similar_names
 from stage.units import INTEGER_PATTERN, MAX_INTEGER_LENGTH, parse_integer
 
 BY_ROWS = ("data write", "mode write")
-"""Kinds of commands that a register's row sends when somebody writes there."""
+"""Kinds of commands that the row of a register sends when a user writes its value."""
 
 
 @dataclass(frozen=True)
 class CommandButton:
-    """Command that can be sent.
+    """Button of a front panel that sends a command.
 
     Attributes:
         label: Short name.
-        title: All that the map says.
-        symbol, datum: As `Chip.command_cycles` takes them.
-        evidence: Letter of the map.
-        takes: Bits of the data that a user has to give, 0 for none.
-        starts: It begins a drive.
-        words: The data sheet's.
+        title: Whole description from the register map.
+        symbol, datum: Arguments of `Chip.command_cycles`.
+        evidence: Letter of the evidence in the register map.
+        data_bits: Bits of the data that a user has to give; 0: the command takes none.
+        starts_drive: Whether the command starts a drive.
+        words: Name of the command in the data sheet.
     """
 
     label: str
@@ -41,19 +41,19 @@ class CommandButton:
     symbol: str
     datum: int | None
     evidence: str
-    takes: int = 0
-    starts: bool = False
+    data_bits: int = 0
+    starts_drive: bool = False
     words: str = ""
 
 
 class FrontPanel:
-    """Front panel of a kind of chip.
+    """Content of the front panel of a chip class.
 
     Attributes:
-        registers: A row each.
-        forms: Words that a host composes of fields.
-        lamps: Words that a host reads.
-        buttons: Commands by group; empty where the family does not say how its commands are sent.
+        registers: Registers, each with a row of its own.
+        forms: Words that a host writes and that users compose from fields.
+        lamps: Words that a host reads, shown as lamps.
+        buttons: Command buttons by the name of their group; empty if the family does not define how commands are sent.
     """
 
     def __init__(self, kind: type[Chip]):
@@ -61,14 +61,17 @@ class FrontPanel:
         self.registers: tuple[Register, ...] = self.map.registers
         written = tuple(w for w in self.map.words if w.written and w.fields)
         coded = {c.address for c in written if self.map.commands} & {0}
-        self.forms = tuple(w for w in written if w.address not in coded and not _is_data(w))
+        self.forms = tuple(w for w in written if w.address not in coded and not _is_command_data(w))
         self.lamps = tuple(w for w in self.map.words if not w.written and any("R" in f.access for f in w.fields))
         self.buttons: dict[str, list[CommandButton]] = {}
-        for group, button in (*self._of_words(written, coded), *self._of_commands()):
-            if self._sendable(button):
+        for group, button in (*self._list_buttons_of_words(written, coded), *self._list_buttons_of_commands()):
+            if self._can_send(button):
                 self.buttons.setdefault(group, []).append(button)
 
-    def _of_words(self, written: tuple[Word, ...], coded: set[int | None]) -> Iterator[tuple[str, CommandButton]]:
+    def _list_buttons_of_words(
+        self, written: tuple[Word, ...], coded: set[int | None]
+    ) -> Iterator[tuple[str, CommandButton]]:
+        """Yield group and button for each described value of the words that a host writes, except words at the command address."""
         for w in written:
             if w.address in coded:
                 continue
@@ -81,7 +84,8 @@ class FrontPanel:
                     CommandButton(label, title, w.name, code, find_weakest_evidence(w.fields), words=title),
                 )
 
-    def _of_commands(self) -> Iterator[tuple[str, CommandButton]]:
+    def _list_buttons_of_commands(self) -> Iterator[tuple[str, CommandButton]]:
+        """Yield group and button of each command of the register map, except those that the row of a register sends."""
         for c in self.map.commands:
             if c.kind in BY_ROWS:
                 continue
@@ -90,39 +94,40 @@ class FrontPanel:
                     title = f"{c.title} {name}"
                     yield c.kind, CommandButton(f"{c.symbol} {name}", title, c.symbol, 1 << k, c.evidence, words=title)
             else:
-                takes = 0 if "read" in c.kind else 8 * c.bytes
+                data_bits = 0 if "read" in c.kind else 8 * c.bytes
                 title = f"{c.hex}  {c.description}" + (f"; lacking: {c.lacking}" if c.lacking else "")
-                yield c.kind, CommandButton(c.symbol, title, c.symbol, None, c.evidence, takes, c.starts, c.title)
+                yield c.kind, CommandButton(c.symbol, title, c.symbol, None, c.evidence, data_bits, c.starts, c.title)
 
-    def _sendable(self, button: CommandButton) -> bool:
+    def _can_send(self, button: CommandButton) -> bool:
+        """Return whether the chip class knows the bus cycles that send the command of a button."""
         try:
-            self.kind.command_cycles(button.symbol, 0, button.datum if not button.takes else 0)
+            self.kind.command_cycles(button.symbol, 0, button.datum if not button.data_bits else 0)
         except NotImplementedError:
             return False
         return True
 
 
 def describe_evidence(letter: str) -> str:
-    """Return what an evidence letter means."""
+    """Return an evidence letter of a register map with its meaning."""
     return f"{letter}: {EVIDENCE.get(letter, 'not said')}"
 
 
 def describe_range(register: Register) -> str:
-    """Return the values that a register takes, as the data sheet says, or as its bits are."""
+    """Return a text with the values that a register accepts: the range of the data sheet, or else of its bits."""
     low, high = register.range
     values = " or ".join([f"{low} to {high}", *map(str, register.also)])
     return values if register.legal else f"{values} ({register.bits} bits)"
 
 
 def format_value(register: Register | Word, value: int) -> str:
-    """Return a value as its field shows it: bits in hexadecimal, numbers in decimal."""
+    """Format the value of a register or word: hexadecimal if it has fields, else decimal."""
     if register.fields:
         return f"{value & (1 << register.bits) - 1:0{(register.bits + 3) // 4}X}h"
     return str(register.value(value) if isinstance(register, Register) else value)
 
 
 def describe_value(register: Register | Word, value: int) -> str:
-    """Return what a value means beside its number: its fields in words, but for silent ones, or hexadecimal."""
+    """Describe a value of a register or word: its fields in words, without those at their usual value; else in hexadecimal."""
     word = value & (1 << register.bits) - 1
     if not register.fields:
         return f"{word:X}h" if abs(value) > 9 else ""
@@ -132,17 +137,25 @@ def describe_value(register: Register | Word, value: int) -> str:
 
 
 def list_choices(field: Field) -> dict[int, str]:
-    """Return what a field can be, for a list; empty where it is a number."""
+    """Return a text for each value that a field can have; empty for a field that is a number."""
     return {v: f"{v}  {text}" for v, text in field.values.items()}
 
 
 def replace_field(word: int, field: Field, value: int) -> int:
-    """Return `word` with another value of one field."""
+    """Return a copy of `word` in which one field has a new value."""
     return word & ~field.mask | value << field.low & field.mask
 
 
 def parse_number(text: str, bits: int) -> int:
-    """Return a typed number of so many bits: decimal, 0x1F or 1Fh, 0b101, signed in two's complement. Raises ArgumentError."""
+    """Parse a number that a user has typed: decimal, 0x1F, 1Fh or 0b101, with or without sign.
+
+    Args:
+        text: The text.
+        bits: Bits of the number; a negative one must fit as two's complement, others as unsigned.
+
+    Raises:
+        ArgumentError: The text is not a number, or the number needs more bits.
+    """
     typed = re.sub(r"[_\s]", "", text)
     if len(typed) > MAX_INTEGER_LENGTH:
         raise ArgumentError(f"a number of {len(typed)} characters needs more than {bits} bits.")
@@ -167,17 +180,17 @@ def _explain_invalid_number(text: str, digits: str) -> str:
 
 
 def is_fixed(field: Field) -> bool:
-    """Return whether a field's bits tell its word from others of the address: nobody chooses them."""
+    """Return whether a field can have only one value: its bits select the word among those written to the same address."""
     return field.legal is not None and field.legal[0] == field.legal[1]
 
 
-def _is_data(word: Word) -> bool:
-    """Return whether a word is one number without words: the data of commands."""
+def _is_command_data(word: Word) -> bool:
+    """Return whether a word is the data of commands: a single number without described values."""
     return len(word.fields) == 1 and not word.fields[0].values and word.fields[0].mask.bit_count() == word.bits
 
 
 def describe_lamp(field: Field, value: int) -> tuple[str, bool]:
-    """Return the words of a field as a lamp, and whether the lamp is on."""
+    """Return the text of the lamp of a field with this value, and whether the lamp is on."""
     on = value != (0 if field.silent is None else field.silent)
     if field.high != field.low:
         return f"{field.says(value) or f'{field.name} {value}'}", on
@@ -185,7 +198,7 @@ def describe_lamp(field: Field, value: int) -> tuple[str, bool]:
 
 
 def find_weakest_evidence(fields: tuple[Field, ...]) -> str:
-    """Return the weakest evidence letter of some fields."""
+    """Return the letter of the weakest evidence that any of these fields has."""
     letters = list(EVIDENCE)
     return max((f.evidence for f in fields), key=lambda e: letters.index(e) if e in letters else 0)
 
@@ -203,7 +216,7 @@ ASSIGN = re.compile(r"([^\s<=]+)\s*(?:<-|=)\s*(.*)")
 
 
 class BusCycle(NamedTuple):
-    """Bus cycle to be made. read: else a write."""
+    """Bus cycle to make on a chip: a read if `read`, else a write of `datum`."""
 
     read: bool
     address: int
@@ -211,66 +224,66 @@ class BusCycle(NamedTuple):
 
 
 class ConsoleCommand(NamedTuple):
-    """Meaning of a line of the console: bus cycles, and an answer that needs none."""
+    """Meaning of a line of the bus console: the bus cycles to make, and an answer to show."""
 
     cycles: tuple[BusCycle, ...]
     answer: str = ""
 
 
-def list_names(kind: type[Chip]) -> list[str]:
-    """Return every name that a line may begin with."""
+def list_console_names(kind: type[Chip]) -> list[str]:
+    """Return every name with which a line of the bus console may begin."""
     map_ = kind.MAP
     words = (w.name for w in map_.words if w.written)
     registers, commands = (r.name for r in map_.registers), (c.symbol for c in map_.commands)
     return list(dict.fromkeys((*registers, *words, *commands, "read", "help")))
 
 
-def complete_name(kind: type[Chip], text: str) -> list[str]:
-    """Return the names that begin as the last word of `text` does."""
+def list_completions(kind: type[Chip], text: str) -> list[str]:
+    """Return the names of `list_console_names` that begin with the last word of `text`, in any case."""
     last = text.split(" ")[-1].upper()
-    return [name for name in list_names(kind) if name.upper().startswith(last)] if last else []
+    return [name for name in list_console_names(kind) if name.upper().startswith(last)] if last else []
 
 
 def parse_line(kind: type[Chip], text: str, axis: int = 0, values: Mapping[str, int] | None = None) -> ConsoleCommand:
-    """Return what a line of the console means.
+    """Return the bus cycles or the answer for a line of the bus console.
 
     Args:
         kind: Class of the chip.
         text: The line.
         axis: Axis of the chip.
-        values: What registers hold now, for lines that ask or that change one field.
+        values: Values of registers and words now, by name, for lines that show a value or change one field of it.
 
     Raises:
-        ArgumentError: The line means nothing; the text has the near misses.
+        ArgumentError: The line has no meaning; the error lists similar names.
     """
     line, values = text.strip(), values or {}
     first, _, rest = line.partition(" ")
     if not line:
         raise ArgumentError("nothing to do: `help` lists what can be written here.")
     if first.lower() == "help":
-        return ConsoleCommand((), _help(kind, rest.strip()))
+        return ConsoleCommand((), _describe_name(kind, rest.strip()))
     if match := ASSIGN.fullmatch(line):
-        return _assign(kind, match[1], match[2], axis, values)
+        return _parse_assignment(kind, match[1], match[2], axis, values)
     if first.lower() == "read":
         if not rest.strip():
             raise ArgumentError(f"read: an address is missing, 0 to {kind.ADDRESSES - 1:X}h.")
-        return ConsoleCommand(tuple(BusCycle(True, _address(kind, a)) for a in rest.split()))
+        return ConsoleCommand(tuple(BusCycle(True, _parse_address(kind, a)) for a in rest.split()))
     if ":" in line:
         address, _, data = line.partition(":")
         if not data.strip():
             raise ArgumentError(f"{line}: the data are missing, as in {address.strip()}: 1F.")
-        return _write_data(kind, _address(kind, address), data.split())
-    return _named(kind, first, rest.strip(), axis, values) or _bytes(kind, line)
+        return _list_data_writes(kind, _parse_address(kind, address), data.split())
+    return _parse_named_line(kind, first, rest.strip(), axis, values) or _parse_bytes(kind, line)
 
 
-def _assign(kind: type[Chip], name: str, text: str, axis: int, values: Mapping[str, int]) -> ConsoleCommand:
-    """Return the cycles of `name <- text`, where the name may have a field: R14.linear."""
+def _parse_assignment(kind: type[Chip], name: str, text: str, axis: int, values: Mapping[str, int]) -> ConsoleCommand:
+    """Return the bus cycles for the line `name <- text`; the name may be that of a field, for example R14.linear."""
     place_name, _, part = name.partition(".")
-    place = _place(kind, place_name)
+    place = _find_map_item(kind, place_name)
     if place is None:
-        if not part and (cycles := _number_of_several(kind, place_name, text, axis)):
+        if not part and (cycles := _list_cycles_of_family_name(kind, place_name, text, axis)):
             return ConsoleCommand(cycles)
-        near = _near(kind, place_name)
+        near = _suggest_similar_names(kind, place_name)
         raise ArgumentError(f"no register or word of {kind.MAP.chip} is called {place_name!r}.{near}")
     if isinstance(place, Register) and "W" not in place.access:
         raise ArgumentError(f"{place.name} ({place.title}) can only be read.")
@@ -282,8 +295,8 @@ def _assign(kind: type[Chip], name: str, text: str, axis: int, values: Mapping[s
     return ConsoleCommand(list_write_cycles(kind, place, value, axis))
 
 
-def _number_of_several(kind: type[Chip], name: str, text: str, axis: int) -> tuple[BusCycle, ...]:
-    """Return the cycles of a name that the family knows beside its map, such as a number of several registers; () for none."""
+def _list_cycles_of_family_name(kind: type[Chip], name: str, text: str, axis: int) -> tuple[BusCycle, ...]:
+    """Return the write cycles for a name that only the chip family knows, for example a value of several registers; else ()."""
     try:
         kind.register_cycles(name, 0, axis)
     except (ArgumentError, NotImplementedError):
@@ -292,7 +305,7 @@ def _number_of_several(kind: type[Chip], name: str, text: str, axis: int) -> tup
 
 
 def list_write_cycles(kind: type[Chip], place: Register | Word, value: int, axis: int) -> tuple[BusCycle, ...]:
-    """Return the cycles that write a register, or a word that a host writes, as a driver makes them."""
+    """Return the bus cycles by which a host driver writes a register or word."""
     bits = value & (1 << place.bits) - 1
     is_register = isinstance(place, Register)
     cycles = (
@@ -301,16 +314,26 @@ def list_write_cycles(kind: type[Chip], place: Register | Word, value: int, axis
     return tuple(BusCycle(False, *cycle) for cycle in cycles)
 
 
-def _named(kind: type[Chip], name: str, text: str, axis: int, values: Mapping[str, int]) -> ConsoleCommand | None:
-    """Return a command, a word or a register by its name, with its data; None where there is none of this name."""
-    place = _place(kind, name)
+def _parse_named_line(
+    kind: type[Chip], name: str, text: str, axis: int, values: Mapping[str, int]
+) -> ConsoleCommand | None:
+    """Return the meaning of a line that begins with the name of a command, word or register; None if there is no such name.
+
+    Args:
+        kind: Class of the chip.
+        name: First word of the line.
+        text: Rest of the line: data, or "".
+        axis: Axis of the chip.
+        values: Values of registers and words now, by name.
+    """
+    place = _find_map_item(kind, name)
     command = next((c for c in kind.MAP.commands if c.symbol == name.upper()), None)
     if isinstance(place, Register) and not (text or (command and command.kind == "data read")):
-        return ConsoleCommand((), _holds(place, values))
+        return ConsoleCommand((), _describe_current_value(place, values))
     if command is not None:
         bits = 8 * command.bytes or command.choice.bit_length() or 1
     elif isinstance(place, Register):
-        return _assign(kind, name, text, axis, values)
+        return _parse_assignment(kind, name, text, axis, values)
     elif place is not None:
         bits, name = place.bits, place.name
     else:
@@ -322,71 +345,74 @@ def _named(kind: type[Chip], name: str, text: str, axis: int, values: Mapping[st
     return ConsoleCommand(tuple(BusCycle(False, *cycle) for cycle in cycles))
 
 
-def _bytes(kind: type[Chip], line: str) -> ConsoleCommand:
-    """Return bytes to address 0."""
+def _parse_bytes(kind: type[Chip], line: str) -> ConsoleCommand:
+    """Return the bus cycles that write the hexadecimal bytes of a line to address 0."""
     words = line.split()
     if not all(re.fullmatch(r"(0[xX])?[0-9a-fA-F]+[hH]?", w) for w in words):
         raise ArgumentError(
-            f"{words[0]!r} is no name of {kind.MAP.chip} and no byte.{_near(kind, words[0])} `help` says more."
+            f"{words[0]!r} is no name of {kind.MAP.chip} and no byte.{_suggest_similar_names(kind, words[0])} `help` says more."
         )
-    return _write_data(kind, 0, words)
+    return _list_data_writes(kind, 0, words)
 
 
-def _write_data(kind: type[Chip], address: int, words: list[str]) -> ConsoleCommand:
-    return ConsoleCommand(tuple(BusCycle(False, address, _datum(kind, word)) for word in words))
+def _list_data_writes(kind: type[Chip], address: int, words: list[str]) -> ConsoleCommand:
+    return ConsoleCommand(tuple(BusCycle(False, address, _parse_datum(kind, word)) for word in words))
 
 
-def _hexadecimal(text: str) -> int:
+def _parse_hexadecimal(text: str) -> int:
     try:
         return int(text.strip().rstrip("hH").encode("ascii"), 16)
     except ValueError:
         raise ArgumentError(f"{text.strip()!r} is not a hexadecimal number such as 1F, 1Fh or 0x1F.") from None
 
 
-def _address(kind: type[Chip], text: str) -> int:
-    address = _hexadecimal(text)
+def _parse_address(kind: type[Chip], text: str) -> int:
+    address = _parse_hexadecimal(text)
     if not 0 <= address < kind.ADDRESSES:
         raise ArgumentError(f"address {text.strip()}: {kind.MAP.chip} has the addresses 0 to {kind.ADDRESSES - 1:X}h.")
     return address
 
 
-def _datum(kind: type[Chip], text: str) -> int:
-    datum = _hexadecimal(text)
+def _parse_datum(kind: type[Chip], text: str) -> int:
+    datum = _parse_hexadecimal(text)
     if not 0 <= datum <= kind.DATA_MASK:
         raise ArgumentError(f"{text.strip()}: the bus of {kind.MAP.chip} takes 0 to {kind.DATA_MASK:X}h in one cycle.")
     return datum
 
 
-def _place(kind: type[Chip], name: str) -> Register | Word | None:
-    """Return the register, or the word that a host writes, of this name in any case."""
+def _find_map_item(kind: type[Chip], name: str) -> Register | Word | None:
+    """Return the register, or else the word that a host writes, with this name in upper or lower case, or None."""
     wanted = name.upper()
     registers = (r for r in kind.MAP.registers if r.name.upper() == wanted)
     return next(registers, None) or next((w for w in kind.MAP.words if w.written and w.name.upper() == wanted), None)
 
 
-def _near(kind: type[Chip], name: str) -> str:
-    known = {n.upper(): n for n in list_names(kind)}
+def _suggest_similar_names(kind: type[Chip], name: str) -> str:
+    """Return a question with the names that are similar to `name`, or ""."""
+    known = {n.upper(): n for n in list_console_names(kind)}
     near = [known[n] for n in find_similar_names(name.upper(), known)]
     return f" Did you mean {' or '.join(near)}?" if near else ""
 
 
-def _holds(r: Register, values: Mapping[str, int]) -> str:
+def _describe_current_value(r: Register, values: Mapping[str, int]) -> str:
+    """Describe the value that a register holds now, for the bus console."""
     if r.name not in values:
         return f"{r.name} ({r.text}) cannot be seen."
     words, unit = describe_value(r, values[r.name]), f" {r.unit}" if r.unit else ""
     return f"{r.name} = {format_value(r, values[r.name])}{unit}{f' ({words})' if words else ''}: {r.title}"
 
 
-def _help(kind: type[Chip], name: str) -> str:
+def _describe_name(kind: type[Chip], name: str) -> str:
+    """Describe a command, register or word by its name, or how to use the console if the name is ""."""
     if not name:
         return HELP
-    place = _place(kind, name)
+    place = _find_map_item(kind, name)
     command = next((c for c in kind.MAP.commands if c.symbol == name.upper()), None)
     if command is not None and not isinstance(place, Register):
-        takes = f"; takes {command.bytes} bytes" if command.bytes and "read" not in command.kind else ""
-        return f"{command.symbol} {command.hex}: {command.description}{takes}"
+        data = f"; takes {command.bytes} bytes" if command.bytes and "read" not in command.kind else ""
+        return f"{command.symbol} {command.hex}: {command.description}{data}"
     if place is None:
-        raise ArgumentError(f"{kind.MAP.chip} has nothing that is called {name!r}.{_near(kind, name)}")
+        raise ArgumentError(f"{kind.MAP.chip} has nothing that is called {name!r}.{_suggest_similar_names(kind, name)}")
     head = f"{place.name}: {place.text}"
     if isinstance(place, Register):
         head += f"; {describe_range(place)}{' ' + place.unit if place.unit else ''}"

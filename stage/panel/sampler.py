@@ -1,12 +1,12 @@
-"""`Sampler`: samples of the last minute of a stage, for charts, taken while it runs. No page.
+"""`Sampler`: collect samples of the last minute of a running stage, for charts. This module builds no page.
 
     sampler = Sampler(session)
     find_traces(stage)                                       the traces: rates, positions, currents, every pin
-    sampler.columns(["x/position", "x/org"], begin, end)     every sample between two moments
+    sampler.read_columns(["x/position", "x/org"], begin, end)     every sample between two moments
 
-The engine samples at each physics step, as it does for a recording; the stage's thread only copies them.
-Unlike a recording it keeps no journals, forgets old samples, and lets time go back: samples that then lie in the future are
-forgotten. While somebody records, the sampler reads the recording's samples.
+The engine samples at each physics step, as it does for a recording; the stage's thread only copies the samples.
+Unlike a recording, a sampler keeps no journals, drops old samples, and lets time go back: it then drops the samples of the future.
+During a recording, the sampler reads the recording's samples.
 """
 
 from __future__ import annotations
@@ -45,15 +45,16 @@ MORE_SERIES = {
 
 
 class Trace(NamedTuple):
-    """Quantity or pin of an axis.
+    """Quantity or pin of an axis that the oscilloscope can show.
 
     Attributes:
-        name: "x/position".
+        name: Name of the axis and of the quantity, for example "x/position".
         axis: Index of the axis.
-        title, unit: For people.
-        pin: 0 or 1, on a logic lane.
-        value: Function of samples; it returns new values, in `unit`.
-        places: Decimals that mean something; those below are rounding errors.
+        title: Title for people.
+        unit: Unit of the values for people.
+        pin: Whether this is a pin with the values 0 and 1, which has a lane of its own.
+        value: Function that converts samples of the axis to values in `unit`.
+        places: Significant decimals of the values; further digits are rounding errors.
     """
 
     name: str
@@ -65,15 +66,15 @@ class Trace(NamedTuple):
     places: int = 0
 
 
-class Event(NamedTuple):
-    """Event at `time`, s."""
+class DiagnosticEvent(NamedTuple):
+    """Diagnostic of a chip at `time`, s."""
 
     time: float
     text: str
 
 
 def find_traces(stage: Stage) -> dict[str, Trace]:
-    """Return all traces of a stage by name: the quantities of each axis, then its pins."""
+    """Return all traces of a stage by name: the quantities, then the pins, of each axis."""
     return {trace.name: trace for axis in stage.axes.values() for trace in (*_list_quantities(axis), *_list_pins(axis))}
 
 
@@ -101,23 +102,23 @@ def _is_asserted(field: str, bit: int, samples: np.ndarray) -> np.ndarray:
 
 
 class SampleBuffer:
-    """Last `room` samples of all axes.
+    """Buffer of the last `capacity` samples of all axes.
 
-    The rows lie in one piece: where their array, twice as long, is full, the last ones move to its begin.
+    The samples are contiguous: the memory has room for twice as many, and when it is full the last samples move to its begin.
 
     Attributes:
-        rows: Records SAMPLE, (samples, axes), oldest first; a view, which the next sample may change.
+        rows: Samples, dtype SAMPLE, shape (samples, axes), oldest first; a view that `extend` may overwrite.
     """
 
-    def __init__(self, room: int, axes: int):
-        self._room, self._memory = room, np.zeros((2 * room, axes), SAMPLE)
+    def __init__(self, capacity: int, axes: int):
+        self._capacity, self._memory = capacity, np.zeros((2 * capacity, axes), SAMPLE)
         self.rows = self._memory[:0]
         self._end = 0
 
     def extend(self, rows: np.ndarray) -> None:
-        """Add rows (n, axes) of SAMPLE, later than all that are here."""
-        rows = rows[-self._room :]
-        kept = self.rows[max(0, len(self.rows) + len(rows) - self._room) :]
+        """Append samples that are later than all in the buffer; dtype SAMPLE, shape (samples, axes)."""
+        rows = rows[-self._capacity :]
+        kept = self.rows[max(0, len(self.rows) + len(rows) - self._capacity) :]
         if self._end + len(rows) > len(self._memory):
             self._memory[: len(kept)] = kept.copy()
             self._end = len(kept)
@@ -126,34 +127,34 @@ class SampleBuffer:
         self._end, self.rows = end, self._memory[begin:end]
 
     def forget_from(self, time: float) -> None:
-        """Forget the samples at `time`, s, or later: time has gone back."""
-        n = self.find(time)
+        """Drop the samples at `time`, s, or later, after time has gone back."""
+        n = self.count_before(time)
         self._end -= len(self.rows) - n
         self.rows = self.rows[:n]
 
     @property
-    def first(self) -> float:
-        """Time of the oldest sample, s; infinite where there is none."""
+    def first_time(self) -> float:
+        """Time of the oldest sample, s; infinite if there is no sample."""
         return float(self.rows["time"][0, 0]) if len(self.rows) else float("inf")
 
     @property
-    def last(self) -> float:
+    def last_time(self) -> float:
         """Time of the newest sample, s; -1 where there is none."""
         return float(self.rows["time"][-1, 0]) if len(self.rows) else -1.0
 
-    def find(self, time: float) -> int:
+    def count_before(self, time: float) -> int:
         """Return the number of samples before `time`, s."""
         return int(np.searchsorted(self.rows["time"][:, 0], time))
 
 
 class Sampler:
-    """Samples a session's stage, until `close`.
+    """Collector of samples of a session's stage, until `close`.
 
     Attributes:
         traces: Traces by name, see `find_traces`.
-        events: Diagnostics of the chips as they came.
-        samples, positions, filled: The engine's buffers, as those of a Recording.
-        FORWARD: Whether the stage's time may only go forward.
+        events: The last diagnostics of the chips, oldest first.
+        samples, positions, filled: Buffers that the engine fills, like those of a Recording.
+        FORWARD: Whether the stage's time may only go forward while this object samples.
     """
 
     FORWARD = False
@@ -172,24 +173,24 @@ class Sampler:
         self._coarse = SampleBuffer(max(64, round(MAX_AGE_S / self._thin / self.dt)), axes)
         self._phase = 0
         self._recording, self._read = None, 0
-        self.events: deque[Event] = deque(maxlen=MAX_EVENTS)
+        self.events: deque[DiagnosticEvent] = deque(maxlen=MAX_EVENTS)
         self._diagnostics_read = {id(chip): len(chip.diagnostics) for chip in stage.chips}
         self._followers: list[Sampler] = []  # samplers of the same stage: the engine fills one, and that one the others
         self._end_observing = lambda: None
         if axes:
-            session.do(self._join)
+            session.do(self._connect_source)
             self._end_observing = session.on_slice(self._after_slice)
 
     # --- in the stage's thread ---
 
     def take(self, filled: int) -> None:
-        """Take the rows up to `filled`, which the engine has put into the buffers."""
+        """Store the first `filled` rows of the engine's buffers. The engine's loop calls this when the buffers are full."""
         if filled:
             self.filled = 0
             for sampler in (self, *self._followers):
-                sampler._keep(self.samples[:filled])
+                sampler._store_rows(self.samples[:filled])
 
-    def _keep(self, rows: np.ndarray) -> None:
+    def _store_rows(self, rows: np.ndarray) -> None:
         self._forget_from(float(rows["time"][0, 0]))
         with self.lock:
             self._fine.extend(rows)
@@ -197,22 +198,22 @@ class Sampler:
             self._phase = (self._phase + len(rows)) % self._thin
 
     def _forget_from(self, time: float) -> None:
-        if max(self._fine.last, self._coarse.last) >= time:
+        if max(self._fine.last_time, self._coarse.last_time) >= time:
             with self.lock:
                 self._fine.forget_from(time)
                 self._coarse.forget_from(time)
 
-    def _join(self, stage: Stage) -> None:
-        """Get samples: from the engine, from another sampler that it fills, or from the recording that goes on."""
+    def _connect_source(self, stage: Stage) -> None:
+        """Connect to a source of samples: the engine, another sampler of the stage, or the recording that is under way."""
         current = stage.loop.recording
         if current is None:
-            self._attach(stage)
+            self._attach_to_engine(stage)
         elif not isinstance(current, Sampler):
             self._read_recording(current)
         elif self is not current and self not in current._followers:
             current._followers.append(self)
 
-    def _attach(self, stage: Stage) -> None:
+    def _attach_to_engine(self, stage: Stage) -> None:
         stage.prepare_change()
         stage.loop.recording, self._followers = self, []
         stage_handle.set_sample_buffers(stage.state.handle, self)
@@ -220,48 +221,48 @@ class Sampler:
         stage.state.world[0].to_sample = 1
 
     def _after_slice(self, stage: Stage) -> None:
-        """Join again after each slice, forget what lies in the future, and note diagnostics."""
-        self._join(stage)
+        """After each slice, connect to the source again, drop samples and events of the future, and collect diagnostics."""
+        self._connect_source(stage)
         self._forget_from(math.nextafter(stage.time, math.inf))
         while self.events and self.events[-1].time > stage.time:
             self.events.pop()
         for chip in stage.chips:
             for d in chip.diagnostics[self._diagnostics_read[id(chip)] :]:
-                self.events.append(Event(d.clock / chip.clock_hz, f"{type(chip).__name__}: {d.message}"))
+                self.events.append(DiagnosticEvent(d.clock / chip.clock_hz, f"{type(chip).__name__}: {d.message}"))
             self._diagnostics_read[id(chip)] = len(chip.diagnostics)
 
     def _read_recording(self, recording: Any) -> None:
-        """Take what is new in a recording."""
+        """Store the samples that a recording has added since the last call."""
         if recording is not self._recording:
             self._recording, self._read = recording, 0
         for piece in recording.pieces(begin=self._read):
             self._read += len(piece)
-            self._keep(piece["axes"].astype(SAMPLE))
+            self._store_rows(piece["axes"].astype(SAMPLE))
 
     def _detach(self, stage: Stage) -> None:
         current = stage.loop.recording
         if current is self:
             stage.stop_recording()
             for follower in self._followers:
-                follower._join(stage)
+                follower._connect_source(stage)
         elif isinstance(current, Sampler) and self in current._followers:
             current._followers.remove(self)
 
     # --- from any thread ---
 
     @property
-    def last(self) -> float:
+    def last_time(self) -> float:
         """Time of the newest sample, s; -1 where there is none."""
-        return self._fine.last
+        return self._fine.last_time
 
-    def trace(self, name: str) -> Trace:
-        """Return a trace by name. Raises ArgumentError with the near misses."""
+    def find_trace(self, name: str) -> Trace:
+        """Return the trace with a name. Raises ArgumentError, with similar names, for an unknown one."""
         if name not in self.traces:
             raise unknown_name_error("trace", name, self.traces)
         return self.traces[name]
 
-    def columns(self, names: Sequence[str], begin: float, end: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Return the samples of a window: physics steps where these are still kept, else samples INTERVAL_S apart.
+    def read_columns(self, names: Sequence[str], begin: float, end: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Return the samples of a time window: those of each physics step if the window is recent, else samples INTERVAL_S apart.
 
         Args:
             names: Names of traces.
@@ -269,49 +270,58 @@ class Sampler:
             end: End of the window, s.
 
         Returns:
-            The times, s, and the values of each trace in its unit.
+            The times, s, shape (samples,), and for each name the values of the trace in its unit, shape (samples,).
 
         Raises:
-            ArgumentError: An unknown trace.
+            ArgumentError: A trace is unknown.
         """
-        traces = [self.trace(name) for name in names]
+        traces = [self.find_trace(name) for name in names]
         with self.lock:
-            is_fine = self._fine.first <= max(begin, self._coarse.first)
+            is_fine = self._fine.first_time <= max(begin, self._coarse.first_time)
             buffer = self._fine if is_fine else self._coarse
-            rows = buffer.rows[buffer.find(begin) : buffer.find(end + 1e-12)]
+            rows = buffer.rows[buffer.count_before(begin) : buffer.count_before(end + 1e-12)]
             return rows["time"][:, 0].copy(), {trace.name: trace.value(rows[:, trace.axis]) for trace in traces}
 
-    def thinned_columns(
-        self, names: Sequence[str], begin: float, end: float, points: int
+    def read_thinned_columns(
+        self, names: Sequence[str], begin: float, end: float, pixel_columns: int
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return the curves of a window, thinned to columns of pixels.
+        """Return the curves of a time window, thinned to columns of pixels.
 
         Args:
             names: Names of traces.
             begin: Begin of the window, s.
             end: End of the window, s.
-            points: Columns of pixels.
+            pixel_columns: Number of columns of pixels.
 
         Returns:
-            Times and values of each trace: least and greatest of each column of pixels, so that no peak is missing.
+            For each name, times, s, and values of the least and the greatest sample in each column, so that no peak is missing.
         """
-        times, values = self.columns(names, begin, end)
-        return {name: thin_curve(times, v, points) for name, v in values.items()}
+        times, values = self.read_columns(names, begin, end)
+        return {name: thin_curve(times, v, pixel_columns) for name, v in values.items()}
 
     def close(self) -> None:
-        """End."""
+        """Stop sampling."""
         self._end_observing()
         self.session.do(self._detach)
 
 
-def thin_curve(times: np.ndarray, values: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return at most 2 `points` of a curve: the least and the greatest of each stretch, in the order in which they come."""
-    if points < 1:
-        raise ArgumentError(f"points={points!r}: 1 or more columns of pixels.")
+def thin_curve(times: np.ndarray, values: np.ndarray, pixel_columns: int) -> tuple[np.ndarray, np.ndarray]:
+    """Thin a curve to the least and the greatest value in each of `pixel_columns` columns of pixels, in the order of time.
+
+    Args:
+        times: Times, s, shape (samples,).
+        values: Values, shape (samples,).
+        pixel_columns: Number of columns, 1 or more.
+
+    Returns:
+        Times and values of at most 2 `pixel_columns` points.
+    """
+    if pixel_columns < 1:
+        raise ArgumentError(f"pixel_columns={pixel_columns!r}: 1 or more columns of pixels.")
     n = len(values)
-    if n <= 2 * points:
+    if n <= 2 * pixel_columns:
         return times, values
-    size = -(-n // points)
+    size = -(-n // pixel_columns)
     rest = -n % size
     v = np.concatenate([values, np.repeat(values[-1:], rest)]).reshape(-1, size)
     low, high = v.argmin(axis=1), v.argmax(axis=1)

@@ -1,15 +1,15 @@
-"""What was done on a panel as a file, and back: `stage panel --open FILE` goes on from there, bit for bit. No page.
+"""Save what a user has done on a panel to a file, and continue from it: `stage panel --open FILE`, bit for bit. No page.
 
 The file is a zip:
 
-    panel.json         what the stage is made of, loads and faults, the program: (ns, chip, address, value; null for a read)
-    start.snapshot     where the program begins
-    now.snapshot       where it is
-    recording.rrd      the last minute, or recording.csv where rerun is not installed
-    program.py, program.c, test_program.py     the program as text, where `stage panel` has made the stage and the program begins
-                       at power-up: its bus cycles at their times, in Python to the tick of each chip, in C to the microsecond
+    panel.json         options of the stage, payloads, faults, the program as (ns, chip, address, value; null for a read)
+    start.snapshot     state in which the program begins
+    now.snapshot       state at the end
+    recording.rrd      the last minute; recording.csv if rerun is not installed
+    program.py, program.c, test_program.py     the program as text, if `stage panel` has created the stage and the program begins
+                       at power-up: its bus cycles at their times, in Python exact to a clock of each chip, in C to a microsecond
 
-Nothing of a file is run. What users push, and the memory of faults of the bus, are not in it.
+Nothing of a file is executed. Pushes by users and the memory of bus faults are not saved.
 """
 
 from __future__ import annotations
@@ -43,7 +43,14 @@ if TYPE_CHECKING:
 
 
 class ProgramCycle(NamedTuple):
-    """Bus cycle of a program. ns: from when on its chip's clock is that at which it came; value: None of a read."""
+    """Bus cycle of a program.
+
+    Attributes:
+        ns: Time at which the cycle ends, rounded up to ns.
+        chip: Index of the chip in `Stage.chips`.
+        address: Address of the chip.
+        value: Written value; None for a read.
+    """
 
     ns: int
     chip: int
@@ -51,8 +58,8 @@ class ProgramCycle(NamedTuple):
     value: int | None
 
 
-def stage_of(options: dict[str, Any]) -> str:
-    """Return Python that makes the stage of these options."""
+def write_stage_call(options: dict[str, Any]) -> str:
+    """Return the Python expression that creates the stage described by options of `stage panel`."""
     by_axis = axis_values.parse_chips(options["chips"]) if "=" in options["chips"] else None
     arguments = [repr(options["model"]), f"chips={by_axis or options['chips']!r}"]
     if drives := _describe_drives(options, by_axis):
@@ -70,7 +77,7 @@ def stage_of(options: dict[str, Any]) -> str:
 
 
 def _describe_drives(options: dict[str, Any], by_axis: dict[str, str] | None) -> str:
-    """Return Python that makes the drives of these options, as stage.cli.stage_setup does; "" for the usual ones."""
+    """Return the Python expression for the drives described by options of `stage panel`; "" for the default drives."""
     from stage.chips import chip_class
 
     named = {"motor": options["motor"], "power_stage": options["drive"]}
@@ -133,28 +140,35 @@ PULSESTAGE_MAIN
 
 
 def _write_python(panel: Panel, saved: SavedPanel, now: int, function: str) -> str:
-    """Return Python that makes the stage and plays the program in `function`."""
-    _check_program(saved)
+    """Return Python source that defines the program and, in `function`, creates the stage and plays the program on it.
+
+    Args:
+        panel: The panel.
+        saved: Content of its file.
+        now: Time at the end, ns.
+        function: Line that begins the function or block, for example a `def` line.
+    """
+    _check_program_can_be_written(saved)
     rows = "\n".join(
         f"    ({s.ns}, {s.chip}, {s.address}, {s.value}),{f'  # {words}' if words else ''}"
         for s, words in zip(saved.sent, _describe_cycles(panel, saved), strict=True)
     )
     loads = "".join(f"    stage.set_payload({kg!r}, {body!r})\n" for body, kg in saved.payloads.items() if kg)
-    stage = stage_of(saved.stage_options or {})
+    stage = write_stage_call(saved.stage_options or {})
     names = "Drive, Stage" if "Drive(" in stage else "Stage"
     return PYTHON.format(names=names, end=now, rows=rows, function=function, stage=stage, loads=loads)
 
 
 def to_python(panel: Panel, saved: SavedPanel, now: int) -> str:
-    """Return a program in Python: it makes the same bits, unless there were faults or pushes.
+    """Export the program as Python source; it reproduces the run bit for bit unless there were faults or pushes.
 
     Args:
         panel: The panel.
-        saved: What was done on it.
+        saved: Content of its file.
         now: Time at the end, ns.
 
     Raises:
-        StageError: The program does not begin at power-up, or nobody knows how to make its stage.
+        StageError: The program does not begin at power-up, or a program of the user has created the stage.
     """
     title = f"The panel's program, {len(saved.sent)} bus cycles in {now * 1e-9:.3f} s of simulated time."
     text = _write_python(panel, saved, now, 'if __name__ == "__main__":')
@@ -162,7 +176,7 @@ def to_python(panel: Panel, saved: SavedPanel, now: int) -> str:
 
 
 def to_pytest(panel: Panel, saved: SavedPanel, now: int) -> str:
-    """Return a test: the axes end where they are now, with as many lost steps and the same diagnostics. As `to_python`."""
+    """Export the program as a pytest test that expects the same positions, lost steps and diagnostics. See `to_python`."""
     text = _write_python(panel, saved, now, "def test_what_was_done_on_the_panel():")
     stage = panel.session.stage
     for name, axis in stage.axes.items():
@@ -175,44 +189,45 @@ def to_pytest(panel: Panel, saved: SavedPanel, now: int) -> str:
 
 
 def to_c(panel: Panel, saved: SavedPanel, now: int) -> str:
-    """Return firmware for `stage run`: the same cycles, to the microsecond. As `to_python`."""
-    _check_program(saved)
+    """Export the program as C firmware for `stage run` with the same bus cycles, exact to a microsecond. See `to_python`."""
+    _check_program_can_be_written(saved)
     places = {p.index: p for p in layouts.assign_ports(dict(enumerate(panel.session.stage.chips)), None, None, None)}
     lines = []
     for s, words in zip(saved.sent, _describe_cycles(panel, saved), strict=True):
-        calls = "".join(f" {call};" for call in _ports(places[s.chip], s))
+        calls = "".join(f" {call};" for call in _write_port_calls(places[s.chip], s))
         lines.append(f"    at({s.ns // 1000});{calls}{f' /* {words} */' if words else ''}")
     options = saved.stage_options or {}
     command = shlex.join(["stage", "run", "program.c", "--model", options["model"], "--chips", options["chips"]])
     return C.format(command=command.replace("*/", "* /"), lines="\n".join(lines), end=now // 1000)
 
 
-def _ports(place: Any, s: ProgramCycle) -> list[str]:
-    """Return the port cycles that reach an address of a chip."""
+def _write_port_calls(place: Any, cycle: ProgramCycle) -> list[str]:
+    """Return the C calls that make a bus cycle on a chip through the ports of `place`, its entry in the port assignment."""
     for n, (kind, address) in enumerate(place.layout.ports):
         bits = {BYTE: 8, WORD: 16}.get(kind)
-        if bits and address == s.address:
+        if bits and address == cycle.address:
             port = f"0x{place.first + n:X}"
-            return [f"ps_in{bits}({port})" if s.value is None else f"ps_out{bits}({port}, 0x{s.value:X})"]
+            return [f"ps_in{bits}({port})" if cycle.value is None else f"ps_out{bits}({port}, 0x{cycle.value:X})"]
     kinds = [kind for kind, _ in place.layout.ports]
     if LATCH in kinds and LATCHED in kinds:
         latch, data = (f"0x{place.first + kinds.index(kind):X}" for kind in (LATCH, LATCHED))
         return [
-            f"ps_out8({latch}, 0x{s.address:X})",
-            f"ps_in8({data})" if s.value is None else f"ps_out8({data}, 0x{s.value:X})",
+            f"ps_out8({latch}, 0x{cycle.address:X})",
+            f"ps_in8({data})" if cycle.value is None else f"ps_out8({data}, 0x{cycle.value:X})",
         ]
-    raise StageError(f"address {s.address} of {type(place.chip).__name__} has no port in its layout.")
+    raise StageError(f"address {cycle.address} of {type(place.chip).__name__} has no port in its layout.")
 
 
 def _describe_cycles(panel: Panel, saved: SavedPanel) -> list[str]:
-    """Return each cycle in words, as the bus trace has them; "" for a read."""
+    """Return a description of each cycle of the program, like that of the bus trace; "" for a read."""
     listeners = [type(chip)(**chip.options()).listener() for chip in panel.session.stage.chips]
     return [
         "" if s.value is None else listeners[s.chip].write(s.address, s.value).replace("*/", "* /") for s in saved.sent
     ]
 
 
-def _check_program(saved: SavedPanel) -> None:
+def _check_program_can_be_written(saved: SavedPanel) -> None:
+    """Raise an error if the program does not begin at power-up, or if the options of its stage are unknown."""
     if saved.stage_options is None:
         raise StageError(
             "a program of yours has made this stage, and only that knows how: save everything in its place."
@@ -248,9 +263,9 @@ class SavedPanel(NamedTuple):
 
     Attributes:
         stage_options: Options of the stage, see STAGE_OPTIONS, or None.
-        payloads: Masses by body, kg.
-        faults: Faults in force.
-        sent: The program.
+        payloads: Mass of the payload of each body by its name, kg.
+        faults: Requests that made the faults in force.
+        sent: Bus cycles of the program, in order of time.
         start: Time, ns, and state in which the program begins.
         now: State at the end.
     """
@@ -263,8 +278,8 @@ class SavedPanel(NamedTuple):
     now: Snapshot
 
 
-def sent_of(panel: Panel) -> list[ProgramCycle]:
-    """Return the program so far, in order of time. For the stage's thread."""
+def list_program_cycles(panel: Panel) -> list[ProgramCycle]:
+    """Return the bus cycles of the program so far, in order of time. Call this in the stage's thread."""
     cycles = []
     for k, trace in enumerate(panel.observer.traces):
         hz = trace.chip.clock_hz
@@ -273,32 +288,42 @@ def sent_of(panel: Panel) -> list[ProgramCycle]:
     return sorted(cycles, key=lambda s: s.ns)
 
 
-def capture(panel: Panel) -> tuple[SavedPanel, int]:
-    """Return the content of a file, and the time, ns. For the stage's thread."""
+def capture_panel(panel: Panel) -> tuple[SavedPanel, int]:
+    """Return the content of a file for the panel as it is now, and the time, ns. Call this in the stage's thread."""
     stage = panel.session.stage
     panel.observer.update_views(stage)
     kg, _ = stage.describe_machine()["payloads"]
     payloads = {stage.model.body(body).name: mass for body, mass in kg.items()}
     faults = [active.request for active in panel.fault_controls.in_force]
     start = panel.observer.program_start
-    return SavedPanel(panel.stage_options, payloads, faults, sent_of(panel), start, stage.snapshot()), stage.now
+    return SavedPanel(
+        panel.stage_options, payloads, faults, list_program_cycles(panel), start, stage.snapshot()
+    ), stage.now
 
 
-def program(panel: Panel, name: str) -> str:
-    """Return the program so far, as one of PROGRAM_FORMATS. Raises StageError."""
-    return panel.session.do(lambda stage: PROGRAM_FORMATS[name](panel, *capture(panel)))
+def write_program(panel: Panel, name: str) -> str:
+    """Return the program so far as the text of a file.
+
+    Args:
+        panel: The panel.
+        name: Name of the file, a key of PROGRAM_FORMATS.
+
+    Raises:
+        StageError: The program does not begin at power-up, or a program of the user has created the stage.
+    """
+    return panel.session.do(lambda stage: PROGRAM_FORMATS[name](panel, *capture_panel(panel)))
 
 
 def save(panel: Panel) -> bytes:
-    """Return the file, of now."""
+    """Return the bytes of a file that holds the panel as it is now."""
 
-    def take(stage: Stage) -> tuple[SavedPanel, int, dict[str, str]]:
-        saved, now = capture(panel)
+    def capture_with_programs(stage: Stage) -> tuple[SavedPanel, int, dict[str, str]]:
+        saved, now = capture_panel(panel)
         has_program = saved.stage_options is not None and saved.start[0] == 0
         formats = PROGRAM_FORMATS if has_program else {}
         return saved, now, {name: write(panel, saved, now) for name, write in formats.items()}
 
-    saved, now, texts = panel.session.do(take)
+    saved, now, texts = panel.session.do(capture_with_programs)
     document = {
         "format": FORMAT, "made": saved.stage_options, "payloads": saved.payloads, "faults": saved.faults, "now": now,
         "start": saved.start[0], "program": saved.sent,
@@ -307,7 +332,7 @@ def save(panel: Panel) -> bytes:
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as file:
         file.writestr("panel.json", json.dumps(document))
         for name, snapshot in (("start", saved.start[1]), ("now", saved.now)):
-            file.writestr(f"{name}.snapshot", _to_bytes(snapshot))
+            file.writestr(f"{name}.snapshot", _save_to_bytes(snapshot))
         for name, text in texts.items():
             file.writestr(name, text)
         ending, data = _export_last_minute(panel)
@@ -317,12 +342,14 @@ def save(panel: Panel) -> bytes:
 
 
 def _export_last_minute(panel: Panel) -> tuple[str, bytes]:
-    """Return the last minute: the ending of its file and its bytes, none where nothing has been sampled."""
+    """Return the samples of the last minute as a file: its name ending and its bytes, or "" and no bytes without samples."""
     sampler = panel.sampler
     names = [n for n, t in sampler.traces.items() if t.pin or n.rpartition("/")[2] in RECORDED]
     for ending in ("rrd", "csv"):
         try:
-            return ending, oscilloscope.FORMATS[ending](sampler, names, sampler.last - MAX_AGE_S, sampler.last)
+            return ending, oscilloscope.FORMATS[ending](
+                sampler, names, sampler.last_time - MAX_AGE_S, sampler.last_time
+            )
         except ExtraMissing:
             continue
         except ArgumentError:
@@ -330,21 +357,22 @@ def _export_last_minute(panel: Panel) -> tuple[str, bytes]:
     return "", b""
 
 
-def _to_bytes(snapshot: Snapshot) -> bytes:
+def _save_to_bytes(snapshot: Snapshot) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         return snapshot.save(Path(folder) / "snapshot").read_bytes()
 
 
 def read(path: str | os.PathLike) -> SavedPanel:
-    """Return the content of a file that `save` has written. Raises ArgumentError."""
+    """Read a file that `save` has written. Raises ArgumentError if the file is not valid."""
 
-    def refuse(why: str) -> ArgumentError:
+    def make_error(why: str) -> ArgumentError:
+        """Return the error for an invalid file, with the reason."""
         return ArgumentError(
             f"{path} is no file of a panel, or a damaged one: {why}. The panel's button Save writes such files."
         )
 
     content = read_bytes(path, "file of a panel", LARGEST, ArgumentError)
-    members = read_members(content, MEMBERS, UNPACKED, refuse)
+    members = read_members(content, MEMBERS, UNPACKED, make_error)
     try:
         document = parse_json(members["panel.json"])
         if document["format"] != FORMAT:
@@ -359,60 +387,68 @@ def read(path: str | os.PathLike) -> SavedPanel:
         if options is not None:
             options = {name: options.get(name) for name in STAGE_OPTIONS}
             for name, kind in STAGE_OPTIONS.items():
-                if not _is_option(options[name], kind):
-                    raise refuse(f"{name}, of what the stage is made of, is {options[name]!r:.60}")
+                if not _is_valid_option(options[name], kind):
+                    raise make_error(f"{name}, of what the stage is made of, is {options[name]!r:.60}")
         payloads = {str(body): float(kg) for body, kg in document["payloads"].items()}
         faults = [
             FaultRequest(str(name), str(axis), {str(field): str(text) for field, text in texts.items()})
             for name, axis, texts in document["faults"]
         ]
         sent = [
-            ProgramCycle(_time(t), _word(k), _word(a), None if v is None else _word(v))
+            ProgramCycle(
+                _check_time_ns(t),
+                _check_32_bit_number(k),
+                _check_32_bit_number(a),
+                None if v is None else _check_32_bit_number(v),
+            )
             for t, k, a, v in document["program"]
         ]
-        return SavedPanel(options, payloads, faults, sent, (_time(document["start"]), start), now)
+        return SavedPanel(options, payloads, faults, sent, (_check_time_ns(document["start"]), start), now)
     except (KeyError, ValueError, TypeError, AttributeError, OverflowError) as error:
         if isinstance(error, DocumentError) or not isinstance(error, StageError):
-            raise refuse(
+            raise make_error(
                 f"its panel.json does not say what it should ({type(error).__name__}: {error!s:.200})"
             ) from error
         raise
 
 
-def _is_option(value: Any, kind: type | tuple[type, ...]) -> bool:
-    """Return whether what JSON gave for an option is of its kind: a short text, a number, or a list of short texts."""
+def _is_valid_option(value: Any, kind: type | tuple[type, ...]) -> bool:
+    """Return whether a value from JSON has the type `kind` of its option: a short text, a number, or a list of short texts."""
     texts = value if isinstance(value, list) else [value] if isinstance(value, str) else []
     short = all(isinstance(text, str) and len(text) <= MAX_TEXT_LENGTH for text in texts)
     return isinstance(value, kind) and not isinstance(value, bool) and short
 
 
-def _time(value: Any) -> int:
-    """Return a time since power-up, ns, from JSON. Raises ValueError."""
+def _check_time_ns(value: Any) -> int:
+    """Return a time since power-up, ns, from JSON. Raises ValueError if it is no such time."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < LATEST:
         raise ValueError(f"{value!r:.60} is no time in ns")
     return value
 
 
-def _word(value: Any) -> int:
-    """Return a chip's number, an address or a datum from JSON. Raises ValueError."""
+def _check_32_bit_number(value: Any) -> int:
+    """Return an unsigned 32-bit number from JSON: a chip's index, an address or a value. Raises ValueError for anything else."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 1 << 32:
         raise ValueError(f"{value!r:.60} is not a number of 32 bits")
     return value
 
 
 def restore(panel: Panel, saved: SavedPanel) -> None:
-    """Go on from a file on the panel's stage. Raises ArgumentError where it is another stage.
+    """Restore the content of a file on the panel's stage, and continue from it.
 
     Args:
         panel: The panel.
         saved: Content of the file.
+
+    Raises:
+        ArgumentError: The panel has another stage than the file.
     """
 
-    def order(stage: Stage) -> None:
+    def apply_to_stage(stage: Stage) -> None:
         for body, kg in saved.payloads.items():
             stage.set_payload(kg, body)
         for request in saved.faults:
-            panel.fault_controls.make_again(request)
+            panel.fault_controls.make_fault_again(request)
         panel.session.restore(saved.now)
         panel.observer.update_views(stage)
         panel.observer.program_start = saved.start
@@ -424,4 +460,4 @@ def restore(panel: Panel, saved: SavedPanel) -> None:
                 if s.chip == k
             ]
 
-    panel.session.do(order)
+    panel.session.do(apply_to_stage)

@@ -1,4 +1,4 @@
-"""`Panel`: a session and the server of its page; there may be several in a process.
+"""`Panel`: the server of a session's page. A process may have several panels.
 
 panel = Panel(Session(Stage("xyz")))
 print(panel.address)
@@ -18,7 +18,12 @@ from time import monotonic, sleep
 from typing import Any
 
 from stage.errors import ArgumentError, StageError
-from stage.panel.access_control import Controls, RequestGuard, report_malformed_messages_once, report_task_error
+from stage.panel.access_control import (
+    ControlsAssignment,
+    RequestGuard,
+    report_malformed_messages_once,
+    report_task_error,
+)
 from stage.panel.fault_controls import FaultControls
 from stage.panel.sampler import Sampler
 from stage.panel.session import Session
@@ -29,8 +34,8 @@ _sites_lock = threading.Lock()
 _sites: list[Website] = []
 
 
-def website() -> Website:
-    """Return the site of this process. Raises ImportError where NiceGUI is missing."""
+def get_website() -> Website:
+    """Return the web site of this process; create it at the first call. Raises ImportError if NiceGUI is not installed."""
     with _sites_lock:
         if not _sites:
             _sites.append(Website())
@@ -38,9 +43,9 @@ def website() -> Website:
 
 
 class Website:
-    """NiceGUI's application for all panels of a process, in an event loop and a thread of its own.
+    """NiceGUI application for all panels of a process, in an event loop and a thread of its own.
 
-    Each panel has a server and a port in that loop; the port of a request says of which panel the page is.
+    Each panel has a server and a port in this loop. The port of a request tells to which panel the request belongs.
 
     Attributes:
         app: ASGI application.
@@ -55,12 +60,12 @@ class Website:
         from stage.panel import page
 
         def build(request: Request) -> None:
-            page.build_page(self._panel(request.scope))
+            page.build_page(self._find_panel(request.scope))
 
         report_malformed_messages_once()
         self.panels: dict[int, Panel] = {}
         self.app = FastAPI(openapi_url=None)
-        self.app.add_route("/mesh/{mesh:int}.stl", self._mesh)
+        self.app.add_route("/mesh/{mesh:int}.stl", self._serve_mesh)
         build.__annotations__["request"] = Request
         ui.run_with(
             self.app,
@@ -72,10 +77,13 @@ class Website:
             binding_refresh_interval=None,  # nothing here is bound
         )
         started: Future[asyncio.AbstractEventLoop] = Future()
-        threading.Thread(target=asyncio.run, args=(self._live(started),), name="pulsestage panel", daemon=True).start()
+        threading.Thread(
+            target=asyncio.run, args=(self._run_lifespan(started),), name="pulsestage panel", daemon=True
+        ).start()
         self.loop = started.result()
 
-    async def _live(self, started: Future) -> None:
+    async def _run_lifespan(self, started: Future) -> None:
+        """Run the application until the process ends, and set the result of `started` to the event loop, or to the error."""
         try:
             async with self.app.router.lifespan_context(self.app):
                 asyncio.get_running_loop().set_exception_handler(report_task_error)
@@ -86,15 +94,17 @@ class Website:
                 started.set_exception(error)
             raise
 
-    def _panel(self, scope: Any) -> Panel:
+    def _find_panel(self, scope: Any) -> Panel:
+        """Return the panel to whose port the request with an ASGI scope came."""
         return self.panels[scope["server"][1]]
 
-    async def _mesh(self, request: Any) -> Any:
+    async def _serve_mesh(self, request: Any) -> Any:
+        """Answer the request for a mesh of the model with an STL file."""
         from starlette.responses import Response
 
         from stage.panel.stage_scene import mesh_to_stl
 
-        model, mesh = self._panel(request.scope).session.stage.model, request.path_params["mesh"]
+        model, mesh = self._find_panel(request.scope).session.stage.model, request.path_params["mesh"]
         if mesh >= model.nmesh:
             return Response(status_code=404)
         return Response(mesh_to_stl(model, mesh), media_type="model/stl")
@@ -108,14 +118,14 @@ class Panel:
 
     Args:
         session: The session.
-        port: TCP port; 0: one that is free.
-        host: Address to listen on; another than 127.0.0.1 makes the server ask for the token in its link.
-        stage_options: Options with which `stage panel` has made the stage, see saved_panel.py; None for another stage.
-        owns_session: Close the session with the panel.
+        port: TCP port; 0: a free port.
+        host: Address to listen on. With any other than 127.0.0.1, the server demands the token in its link from other machines.
+        stage_options: Options with which `stage panel` has created the stage, see saved_panel.py; None for another stage.
+        owns_session: Whether to close the session with the panel.
 
     Raises:
-        ArgumentError: A port that cannot be.
-        StageError: The port cannot be had, or NiceGUI is missing.
+        ArgumentError: The port is out of range.
+        StageError: The port is in use, or NiceGUI is not installed.
     """
 
     def __init__(
@@ -129,10 +139,10 @@ class Panel:
         import_extra("nicegui", "the panel")
         import uvicorn
 
-        self._site = website()
+        self._site = get_website()
         from stage.panel.procedure_page import ProcedureReports
 
-        self.session, self.controls, self._owns_session = session, Controls(), owns_session
+        self.session, self.controls, self._owns_session = session, ControlsAssignment(), owns_session
         self.reports = ProcedureReports(session)
         self.stage_options = stage_options
         self._socket = _listen(host, port)
@@ -168,18 +178,18 @@ class Panel:
 
     @property
     def watched(self) -> bool:
-        """State of the page: a browser shows it."""
-        return self.controls.watching > 0
+        """True if a browser shows the page."""
+        return self.controls.browser_count > 0
 
-    def until_watched(self, seconds: float = float("inf")) -> bool:
-        """Wait until a browser shows the page, for some seconds at most, and return whether one does."""
+    def wait_until_watched(self, seconds: float = float("inf")) -> bool:
+        """Wait until a browser shows the page, or for `seconds` real seconds at most; return whether one does."""
         end = monotonic() + seconds
         while not self.watched and monotonic() < end:
             sleep(0.02)
         return self.watched
 
     def show(self) -> bool:
-        """Open the page in a browser, and return whether there is one."""
+        """Open the page in a browser of this machine; return whether there is such a browser."""
         return webbrowser.open(self.address)
 
     def __enter__(self) -> Panel:
@@ -195,7 +205,7 @@ class Panel:
         return f'<a href="{self.address}" target="_blank">{self.address}</a>'
 
     def close(self) -> None:
-        """End the server; the session lives on, unless the panel owns it."""
+        """Stop the server. The session stays open unless the panel owns it."""
         self._server.should_exit = True
         try:
             self._served.result(5)
@@ -210,6 +220,7 @@ class Panel:
 
 
 def _listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens on a host and port. Raises StageError if that is not possible."""
     if not 0 <= port < 1 << 16:
         raise ArgumentError(f"port={port!r}: a TCP port is 0 (one that is free) to 65535.")
     try:
@@ -230,7 +241,7 @@ WILDCARDS = {"0.0.0.0": (socket.AF_INET, "192.0.2.1", "127.0.0.1"), "::": (socke
 
 
 def _find_reachable_host(host: str) -> str:
-    """Return the address by which browsers reach a server that listens on `host`."""
+    """Return the address under which browsers reach a server that listens on `host`."""
     if host not in WILDCARDS:
         return host
     family, elsewhere, loopback = WILDCARDS[host]

@@ -1,15 +1,15 @@
-"""`Session`: a stage in real time that takes orders while it runs. The panel's page talks to it, and programs may. No page.
+"""`Session`: a stage that runs in real time and takes orders meanwhile. The panel's page uses it, and programs may. No page.
 
     with Session(Stage("xy")) as session:
-        session.do(lambda stage: stage.axes["x"].chip.write(0, 0x11))      between two slices of time; returns what it returns
-        session.act("home x", lambda stage: firmware.home(stage.axes["x"]))  for as long as it takes; orders go on meanwhile
+        session.do(lambda stage: stage.axes["x"].chip.write(0, 0x11))      an order, between two slices of time; returns its result
+        session.act("home x", lambda stage: firmware.home(stage.axes["x"]))  an action, which lets time pass; orders go on meanwhile
         session.paused = True
         session.go_back(2.0)                                                 to two seconds ago, by a snapshot
         session.view                                                         view of the stage after the last slice
 
-Session(stage, program="mine") leaves the stage to a program: it drives from its own threads as it would without a session, in
-real time, and time passes by it alone, so its run is bit for bit that without a session. `take_over()` makes it wait at its next
-use of the stage, and time passes as if there were no program; `give_back()` lets it go on.
+Session(stage, program="mine") leaves the stage to a program. The program uses the stage from its own threads, in real time and
+otherwise as without a session: only the program lets time pass, so its run has the same bits as without a session. `take_over()`
+makes the program wait at its next use of the stage; the session then lets time pass. `give_back()` lets the program go on.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ ANOTHER_MACHINE = (
 
 
 class Session(StageThread):
-    """Stage in real time, see `StageThread`. While the session is open only the threads of its program may use the stage as well.
+    """Stage in real time, see `StageThread`. While the session is open, only the threads of its program may also use the stage.
 
     Attributes:
-        program: Name of the program that drives, for people; "": the session has the stage alone.
-        program_suspended: Whether the program waits, or will at its next use of the stage.
+        program: Name of the program that drives the stage, for people; "": no program drives it.
+        program_suspended: Whether the program waits, or will wait at its next use of the stage.
     """
 
     # --- time ---
 
     @property
     def speed(self) -> float:
-        """Simulated seconds in a real second, MIN_SPEED to MAX_SPEED of stage.panel.real_time_clock, or FREE."""
+        """Requested simulated seconds in a real second: MIN_SPEED to MAX_SPEED of stage.panel.real_time_clock, or FREE."""
         return self._clock.speed
 
     @speed.setter
@@ -55,7 +55,7 @@ class Session(StageThread):
 
     @property
     def paused(self) -> bool:
-        """State of time: it stands still. Bus cycles take their time all the same."""
+        """True if time stands still. Bus cycles take their simulated time also during a pause."""
         return self._paused
 
     @paused.setter
@@ -72,19 +72,17 @@ class Session(StageThread):
         self.do(lambda stage: self.run_unpaced(stage.step, n))
 
     def go_back(self, seconds: float) -> float:
-        """Go back to the snapshot before so many simulated seconds ago, as far as the session remembers.
-
-        Actions are stopped.
+        """Stop all actions, and restore the snapshot before a number of simulated seconds ago, or the oldest snapshot.
 
         Args:
-            seconds: 0 or more.
+            seconds: Simulated seconds, 0 or more.
 
         Returns:
-            The time that it is then, s.
+            The simulated time after that, s.
 
         Raises:
-            ArgumentError: A negative number of seconds.
-            StageError: A recording goes on, or the stage had another motor then.
+            ArgumentError: `seconds` is negative.
+            StageError: A recording is under way, or the stage had another motor then.
         """
         if not seconds >= 0:
             raise ArgumentError(f"go_back({seconds!r}): seconds, 0 or more.")
@@ -92,45 +90,49 @@ class Session(StageThread):
         return self.do(lambda stage: self._restore_before(stage.now - round(seconds * 1e9)))
 
     def recover(self) -> float:
-        """Go back to RECOVERY_S ago, after a divergence, and pause until somebody has removed the cause. Return the time, s."""
+        """Restore the state of RECOVERY_S ago after a divergence, and pause, so that the user can remove the cause.
+
+        Returns:
+            The simulated time after that, s.
+        """
         self.paused = True
         self.stop_actions()
         return self.do(lambda stage: self._restore_before(stage.now - round(RECOVERY_S * 1e9), to_this_machine=True))
 
     def reset(self) -> None:
-        """Go to power-up. Raises StageError while a recording goes on."""
+        """Reset the stage to power-up. Raises StageError during a recording."""
         self.stop_actions()
-        self.do(lambda stage: self._jump(stage.reset))
+        self.do(lambda stage: self._change_and_restart(stage.reset))
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go on from a snapshot. Raises as `Stage.restore`."""
+        """Continue from a snapshot. Raises the errors of `Stage.restore`."""
         self.stop_actions()
-        self.do(lambda stage: self._jump(lambda: stage.restore(snapshot)))
+        self.do(lambda stage: self._change_and_restart(lambda: stage.restore(snapshot)))
 
     @property
     def history_s(self) -> float:
-        """Simulated seconds that the session can go back now."""
+        """Simulated seconds by which the session can go back now."""
         oldest = self._history.oldest
         return 0.0 if oldest is None else (self.stage.now - oldest) * 1e-9
 
     def _restore_before(self, goal: int, to_this_machine: bool = False) -> float:
-        """Restore the snapshot before `goal`, ns, and return its time, s.
+        """Restore the latest snapshot before `goal`, ns, and return its time, s.
 
-        With another motor the machine was another one, and there is no way back to it: StageError, or, `to_this_machine`, to where
-        this one begins.
+        With another motor, the stage was another machine, whose snapshots it cannot restore. The method then raises StageError, or
+        with `to_this_machine` restores the oldest snapshot of the present machine.
         """
         stage = self.stage
-        snapshot = self._history.find_before(goal)
+        snapshot = self._history.find_latest_before(goal)
         if snapshot is not None and snapshot.header != stage.header:
             if not to_this_machine:
                 raise StageError(ANOTHER_MACHINE)
             snapshot = self._history.find_oldest_of(stage.header)
         if snapshot is not None:
-            self._jump(lambda: stage.restore(snapshot))
+            self._change_and_restart(lambda: stage.restore(snapshot))
         return stage.time
 
-    def _jump(self, change: Callable[[], None]) -> None:
-        """Make a change after which the stage is elsewhere in time."""
+    def _change_and_restart(self, change: Callable[[], None]) -> None:
+        """Make a change after which the stage has another time or state, and restart the clock and the history."""
         change()
         self._jumped, self._trouble = True, ""
         self._polled_at = self.stage.now
@@ -144,7 +146,7 @@ class Session(StageThread):
         """Stop all actions, and bring all axes to rest at the same time.
 
         Args:
-            at_once: Without a ramp.
+            at_once: Whether the axes stop without ramps.
 
         Returns:
             Future that is done when all axes rest.
@@ -167,44 +169,47 @@ class Session(StageThread):
     # --- the program ---
 
     def take_over(self) -> None:
-        """Make the program wait at its next use of the stage, and drive the stage from the session."""
+        """Make the program wait at its next use of the stage, and let the session drive the stage."""
         self.program_suspended = bool(self.program)
         self._reserve()
 
     def give_back(self) -> None:
-        """Stop all actions and let the program drive again."""
+        """Stop all actions of the session, and let the program drive the stage again."""
         self.stop_actions()
         self.program_suspended = False
         self._reserve()
 
     def end_program(self) -> None:
-        """Make every wait of the program raise ActionStopped in its thread. Signal handlers may call it."""
+        """Make each wait of the program raise ActionStopped in its thread. Signal handlers may call this method."""
         self._ending = True
         self.give_back()
 
     def dismiss_program(self) -> None:
-        """Drive the stage alone from now on: the program has ended. Call it from the program's thread, or after its end."""
+        """Drive the stage without the program from now on, because the program has ended.
+
+        Call this method in the program's thread, or after the end of that thread.
+        """
         self.lock.release_all()
         self.program, self.program_suspended = "", False
         self._reserve()
 
     @property
     def program_waits(self) -> bool:
-        """State of a suspended program: it waits for the stage."""
+        """True if the program is suspended and waits for the stage."""
         return self.program_suspended and self.lock.has_waiting
 
     @property
     def slice_s(self) -> float:
-        """Simulated seconds between two `catch_up` of a program."""
+        """Simulated seconds after which a program has to call `catch_up` again."""
         return self._clock.slice_s
 
     def catch_up(self) -> None:
-        """Wait until real time has caught up, and while time is paused or the program suspended.
+        """Wait until real time has caught up with simulated time; wait longer while time is paused or the program is suspended.
 
-        For a program that lets time pass by a board and not by the stage.
+        A program calls this method if a board, and not the stage, lets time pass.
         """
         with suppress(StageError), self.lock:  # refused: the program was dismissed while it waited
-            self._pace_program(self.stage.now + MAX_UNPACED_NS, seconds=0)
+            self._pace_in_program(self.stage.now + MAX_UNPACED_NS, seconds=0)
 
     def __enter__(self) -> Self:
         return self

@@ -1,4 +1,4 @@
-"""`SnapshotHistory`: the snapshots of the last half minute, by which a session goes back in time."""
+"""`SnapshotHistory`: the snapshots of the last half minute, with which a session goes back in time."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ INTERVAL_S = 0.05  # simulated seconds between two snapshots
 
 
 class SnapshotHistory:
-    """Snapshots of one stage by their times, ns. Not for several threads at a time.
+    """Snapshots of one stage by their times, ns. Only one thread at a time may call the methods.
 
     Attributes:
-        oldest: Time of the oldest snapshot, ns; None where there is none. Any thread may read it.
+        oldest: Time of the oldest snapshot, ns; None without snapshots. Any thread may read it.
     """
 
     def __init__(self) -> None:
@@ -23,7 +23,7 @@ class SnapshotHistory:
         self.oldest: int | None = None
 
     def remember(self, stage: Stage) -> None:
-        """Take a snapshot where the newest is INTERVAL_S old, and drop those that are too old."""
+        """Take a snapshot if the newest one is at least INTERVAL_S old, and drop snapshots older than MAX_AGE_S."""
         snapshots, now = self._snapshots, stage.now
         if snapshots and now - snapshots[-1][0] < INTERVAL_S * 1e9:
             return
@@ -32,14 +32,14 @@ class SnapshotHistory:
             snapshots.popleft()
         self.oldest = snapshots[0][0]
 
-    def find_before(self, goal: int) -> Snapshot | None:
-        """Return the newest snapshot of `goal` (ns) or earlier, else the oldest; None where there is none."""
+    def find_latest_before(self, goal: int) -> Snapshot | None:
+        """Return the newest snapshot at or before the time `goal`, ns, or else the oldest one; None without snapshots."""
         snapshots = self._snapshots
         oldest = snapshots[0][1] if snapshots else None
         return next((snapshot for time, snapshot in reversed(snapshots) if time <= goal), oldest)
 
     def find_oldest_of(self, header: Header) -> Snapshot | None:
-        """Return the oldest snapshot since which the machine has been the one of `header`; None where it is another now."""
+        """Return the oldest snapshot since which the machine has had this `header`; None if the newest snapshot has another one."""
         oldest = None
         for _, snapshot in reversed(self._snapshots):
             if snapshot.header != header:

@@ -1,10 +1,10 @@
-"""`StageLock`: the lock of a stage that several threads share. Fair, re-entrant, and it can be reserved for one thread.
+"""`StageLock`: a lock for a stage that several threads use. It is fair and re-entrant, and can be reserved for one thread.
 
-    with lock:                 first come, first served; a thread that has it may enter again
-        lock.wait(0.02)        somebody else may have it for so long, or until `notify_all()`
+    with lock:                 first come, first served; a thread that holds the lock may enter again
+        lock.wait(0.02)        other threads may hold it for 20 ms, or until `notify_all()`
 
-Python's RLock alone is not fair: a thread in a loop of bus cycles takes it again before those that wait have woken up. So whoever
-does not get it at once waits in a line, and nobody takes it past the line. Without a line it costs little more than RLock does.
+Python's RLock alone is not fair: a thread in a loop of bus cycles takes it again before waiting threads have woken up. With this
+lock, a thread that must wait joins a line, and no thread overtakes the line. Without a line, it costs little more than an RLock.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from stage.errors import StageError
 
 
 class StageLock:
-    """Fair re-entrant lock. Times are in real seconds."""
+    """Fair, re-entrant lock of a stage, which can be reserved for one thread. Times are in real seconds."""
 
     def __init__(self) -> None:
         lock = RLock()
@@ -53,53 +53,54 @@ class StageLock:
         """Wait for the lock.
 
         Args:
-            timeout: Real seconds to wait at most; None: without end.
+            timeout: Longest wait, real seconds; None: no limit.
 
         Returns:
-            Whether this thread has it.
+            Whether this thread holds the lock now.
 
         Raises:
-            StageError: The lock is reserved for another thread, and `reserve` said why all others are refused.
+            StageError: The lock is reserved for another thread, and `reserve` has set a refusal for all others.
         """
         return self._wait_for_turn(1, timeout)
 
     def release(self) -> None:
-        """Leave; the thread that has waited longest is next."""
+        """Release the lock once. After as many releases as acquisitions, the thread that has waited longest is next."""
         self.__exit__()
 
     def wait(self, timeout: float | None = None) -> None:
-        """Give the lock away for a time, then wait for it again.
+        """Release the lock for other threads, then wait for it again.
 
         Args:
-            timeout: Real seconds until then; it ends earlier where somebody calls `notify_all`.
+            timeout: Real seconds for which others may hold the lock; None: no limit. `notify_all` ends this time early.
 
         Raises:
-            StageError: As `acquire`. After it, and after Ctrl-C, this thread has not got the lock; to leave it does nothing then.
+            StageError: The lock is refused as in `acquire`. After this error, and after Ctrl-C, this thread does not hold the
+                lock, and `release` then does nothing.
         """
         with self._mutex:
-            depth = self._give_away()
+            depth = self._release_all_levels()
             self._exempt.add(get_ident())
             self._pause.wait(timeout)
             self._wait_for_turn(depth, None)
             self._exempt.discard(get_ident())
 
     def yield_to_waiting(self) -> None:
-        """Let those that wait have the lock first."""
+        """Let the threads that wait for the lock hold it first."""
         if self._waiting:
             self.wait(0)
 
     def notify_all(self) -> None:
-        """End every `wait`. Signal handlers may call it."""
+        """End the `wait` of all threads. Signal handlers may call this method."""
         with self._mutex:
             self._pause.notify_all()
             self._line.notify_all()
 
     def reserve(self, thread: int, refusal: str = "") -> None:
-        """Keep the lock for the thread of this identifier from now on; 0: for none. Whoever has it keeps it until it leaves.
+        """Reserve the lock for one thread from now on. A thread that holds the lock keeps it until it releases it.
 
         Args:
-            thread: Identifier of a thread.
-            refusal: Text of the error that other threads get; "": they wait.
+            thread: Identifier of the thread; 0: the lock is no longer reserved.
+            refusal: Text of the error that other threads get from `acquire`; "": they wait.
         """
         with self._mutex:
             self._reserved_for, self._refusal = thread, refusal
@@ -107,7 +108,7 @@ class StageLock:
             self.notify_all()
 
     def is_acquired(self) -> bool:
-        """Return whether this thread has the lock."""
+        """Return whether this thread holds the lock."""
         if not self._acquire(False):
             return False
         is_acquired = self._depth > 0
@@ -116,11 +117,11 @@ class StageLock:
 
     @property
     def has_waiting(self) -> bool:
-        """Presence of a thread that waits for the lock."""
+        """True if another thread waits for the lock."""
         return bool(self._waiting)
 
     def release_all(self) -> None:
-        """Free the lock where this thread has it, also where an interrupt has left it half entered or half left."""
+        """Release the lock completely if this thread holds it, even if an interrupt has cut `acquire` or `release` short."""
         if not self._acquire(False):
             return
         with self._mutex:
@@ -132,7 +133,7 @@ class StageLock:
 
     @contextmanager
     def acting_for_owner(self) -> Iterator[None]:
-        """Let this thread act for the one that has the lock and waits for this thread, as a host waits for its firmware."""
+        """Let this thread act as the thread that holds the lock and waits for this one, as a host waits for its firmware."""
         me = get_ident()
         if self.is_acquired():
             yield
@@ -150,25 +151,25 @@ class StageLock:
             self._line.notify_all()
 
     def _wait_for_turn(self, depth: int, timeout: float | None) -> bool:
-        """Take the lock `depth` times when it is this thread's turn; return whether that was in time."""
+        """Acquire the lock `depth` times when it is this thread's turn; return False if that was not before `end`."""
         me, end = get_ident(), None if timeout is None else monotonic() + timeout
         if me in self._acting:
             return True
         if self.is_acquired():
-            self._take_new(depth)
+            self._acquire_levels(depth)
             return True
         with self._mutex:
             self._waiting.append(me)
             self._update()
             try:
-                while not (self._is_next(me) and self._acquire(False)):
+                while not (self._is_turn_of(me) and self._acquire(False)):
                     if self._refusal and me != self._reserved_for:
                         raise StageError(self._refusal)
                     left = None if end is None else end - monotonic()
                     if left is not None and left <= 0:
                         return False
                     self._line.wait(left)
-                self._take_new(depth)
+                self._acquire_levels(depth)
                 self._release()
                 return True
             finally:
@@ -176,16 +177,17 @@ class StageLock:
                 self._update()
                 self._line.notify_all()
 
-    def _is_next(self, me: int) -> bool:
+    def _is_turn_of(self, me: int) -> bool:
         return me == (self._reserved_for or self._waiting[0])
 
-    def _take_new(self, depth: int) -> None:
+    def _acquire_levels(self, depth: int) -> None:
+        """Acquire the free lock `depth` times."""
         for _ in range(depth):
             self._acquire()
         self._depth += depth
 
-    def _give_away(self) -> int:
-        """Free the lock, and return how often this thread had entered."""
+    def _release_all_levels(self) -> int:
+        """Release the lock completely, and return how often this thread had acquired it."""
         depth, self._depth = self._depth, 0
         for _ in range(depth):
             self._release()

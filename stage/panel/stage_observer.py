@@ -1,8 +1,8 @@
-"""What pages show of a stage: `StageObserver`, axes and registers; `BusTrace`, the bus of a chip in words. No page.
+"""Data that pages show of a stage: `StageObserver`, its axes and registers; `BusTrace`, the bus cycles of a chip in words. No page.
 
 observer = StageObserver(session)             observes FRAMES times a second at most, once for all browsers
 observer.axes["x"].position
-observer.request_registers(0, 1)              registers of a chip only while a page shows them
+observer.request_registers(0, 1)              the observer reads registers only while a page requests them
 observer.chips[0, 1].values["DV"]
 observer.traces[0].lines_after(number)
 """
@@ -33,17 +33,17 @@ DIAGNOSTIC = "!"
 
 
 class TraceLine(NamedTuple):
-    """Bus cycle or diagnostic in a trace.
+    """Line of a bus trace: a bus cycle or a diagnostic.
 
     Attributes:
-        number: Number of the line, counted up.
-        time: s.
-        kind: W, R, lost, reset, or DIAGNOSTIC.
+        number: Number of the line; each line has a higher number than those before it.
+        time: Time, s.
+        kind: "W", "R", "lost", "reset", or DIAGNOSTIC.
         address, datum: Address and datum of the cycle.
         words: Description.
         source: Data sheet section of a diagnostic.
-        times: Reads of one address in a row, of which this is the last.
-        first: Number of the first of these.
+        times: Number of consecutive reads of one address that this line stands for; the line shows the last of them.
+        first: Number of the line of the first of these reads.
     """
 
     number: int
@@ -57,7 +57,7 @@ class TraceLine(NamedTuple):
     first: int = 0
 
     def format(self, digits: int) -> str:
-        """Return the line of a list; digits: of the datum, hexadecimal."""
+        """Return the text of the line, with the datum in `digits` hexadecimal digits."""
         if self.kind in ("reset", DIAGNOSTIC):
             return f"{self.time:11.6f}  {self.kind}  {self.words}" + (f" [{self.source}]" if self.source else "")
         times = f"  x {self.times}" if self.times > 1 else ""
@@ -65,20 +65,20 @@ class TraceLine(NamedTuple):
 
 
 class BusTrace:
-    """Last MAX_LINES cycles and diagnostics of a chip, in words, whoever makes them. Only `lines_after` is for any thread.
+    """Trace of the last MAX_LINES bus cycles and diagnostics of a chip, in words. Cycles of any host or tool count.
 
-    Writes come from a journal of the chip, so that none is missing; so do reads that change something. Other reads are noted where
-    they are made, by `read`: hosts that poll would fill the list.
+    A journal of the chip supplies all writes, and the reads that change the chip. Other reads are in the trace only if they are
+    made with its method `read`, because a host that polls would fill it. Only `lines_after` may be called from any thread.
 
     Args:
         chip: The chip.
-        losses: Show a write that a fault has lost as such; False: as any other, as its host would see it.
+        losses: Whether to show a write that a fault has lost as lost; False: as an ordinary write, as its host sees it.
 
     Attributes:
         lines: All lines.
-        diagnostics: Lines of diagnostics alone.
-        sent: Cycles that changed something, writes and such reads, since somebody set it to []; None: nobody did.
-        digits: Hexadecimal digits of a datum.
+        diagnostics: Lines of diagnostics only.
+        sent: Cycles that changed the chip, oldest first. Set it to [] to begin collecting; None: they are not collected.
+        digits: Number of hexadecimal digits of a datum.
     """
 
     def __init__(self, chip: Chip, losses: bool = True):
@@ -94,7 +94,7 @@ class BusTrace:
         self._add_diagnostics()
 
     def update(self) -> None:
-        """Add what has happened since the last call."""
+        """Add the cycles and diagnostics since the last call."""
         if self.chip.clock < self._clock:  # a snapshot, or a reset of the stage
             self.restart()
         self._clock = self.chip.clock
@@ -107,7 +107,7 @@ class BusTrace:
         self._add_diagnostics()
 
     def read(self, address: int) -> int:
-        """Make a read cycle, and note it. Returns the datum."""
+        """Make a read cycle on the chip, add it to the trace, and return its datum."""
         self.update()
         datum = self.chip.read(address)
         address &= self.chip.ADDRESS_MASK
@@ -117,15 +117,15 @@ class BusTrace:
         return datum
 
     def lines_after(self, number: int) -> list[TraceLine]:
-        """Return the lines with higher numbers, oldest first."""
+        """Return the lines with higher numbers than `number`, oldest first."""
         return [line for line in tuple(self.lines) if line.number > number]
 
     def close(self) -> None:
-        """End the journal."""
+        """Close the journal of the chip."""
         self._journal.close()
 
     def restart(self) -> None:
-        """Go on from a snapshot: the chip is in another state than its cycles have brought it to."""
+        """Restart the trace after a snapshot has been restored, which changes the chip without bus cycles."""
         self._journal.restart()
         self._clock = self.chip.clock
         while self.sent and self.sent[-1].clock > self.chip.clock:
@@ -171,12 +171,12 @@ REQUEST_LIFETIME_S = 2.0  # for which the registers of a chip are read after a r
 
 
 class AxisView(NamedTuple):
-    """View of an axis.
+    """Values of an axis that pages show.
 
     Attributes:
-        position, commanded: m or rad.
-        lost: Full steps, since the last origin return from a form.
-        switches: Switches of the stage, by name.
+        position, commanded: Position and commanded position, m or rad.
+        lost: Full steps lost since the last origin return from a form.
+        switches: Whether each switch of the axis is on, by its name.
     """
 
     position: float
@@ -186,11 +186,11 @@ class AxisView(NamedTuple):
 
 
 class ChipView(NamedTuple):
-    """View of one axis of a chip.
+    """Values of one axis of a chip that pages show.
 
     Attributes:
-        values: Registers and words by name.
-        inputs, outputs: Pins by name, True is asserted.
+        values: Values of registers and words by name.
+        inputs, outputs: Levels of the pins by name; True: asserted.
     """
 
     values: dict[str, int]
@@ -199,15 +199,17 @@ class ChipView(NamedTuple):
 
 
 class StageObserver:
-    """Latest view of a stage. Attributes are replaced, never changed, and can be read from any thread.
+    """Observer that keeps the latest values of a stage for pages.
+
+    The observer replaces its attributes and never changes the objects, so any thread can read them.
 
     Attributes:
-        number: Number of views so far.
-        axes: Views by name.
-        chips: Views by index in `Stage.chips` and axis of the chip.
+        number: Number of updates so far.
+        axes: Values of each axis by its name.
+        chips: Values of each requested axis of a chip, by the index of the chip in `Stage.chips` and the axis on the chip.
         traces: Bus trace of each chip.
-        program_start: Time, ns, and state in which the program of the traces' `sent` begins; taken again where time goes back to
-            before it.
+        program_start: Time, ns, and state in which the program in `sent` of the traces begins. The program begins anew if time goes
+            back to before its start.
     """
 
     def __init__(self, session: Session):
@@ -223,10 +225,10 @@ class StageObserver:
         self._end_observing = session.on_slice(self._after_slice)
 
     def request_registers(self, chip: int, axis: int) -> None:
-        """Have the registers of an axis in `chips` from the next view on, for REQUEST_LIFETIME_S.
+        """Request that `chips` has the values of an axis of a chip, from the next update on for REQUEST_LIFETIME_S.
 
         Args:
-            chip: Index of the chip.
+            chip: Index of the chip in `Stage.chips`.
             axis: Axis of the chip.
         """
         self._requests[chip, axis] = perf_counter()
@@ -236,11 +238,11 @@ class StageObserver:
             self.update_views(stage)
 
     def update_views(self, stage: Stage) -> None:
-        """Renew the views now, in the stage's thread."""
+        """Update all values now. Call this in the stage's thread."""
         self._observed_at = now = perf_counter()
-        self.axes = {axis.name: self._view_axis(axis) for axis in stage.axes.values()}
+        self.axes = {axis.name: self._build_axis_view(axis) for axis in stage.axes.values()}
         keys = [key for key, at in tuple(self._requests.items()) if now - at < REQUEST_LIFETIME_S]
-        self.chips = {(k, axis): view_axis_of(stage.chips[k], axis) for k, axis in keys}
+        self.chips = {(k, axis): build_chip_view(stage.chips[k], axis) for k, axis in keys}
         for trace in self.traces:
             trace.update()
         cycles = sum(len(trace.sent or ()) for trace in self.traces)
@@ -248,8 +250,10 @@ class StageObserver:
             self.program_start = self._start_program(stage)
         self.number += 1
 
-    def note_origin(self, axis: str, stage: Stage) -> None:
-        """Note that an origin return has found where the carriage is: earlier lost steps do not count. In the stage's thread.
+    def reset_lost_steps(self, axis: str, stage: Stage) -> None:
+        """Ignore the steps that an axis has lost so far, because an origin return has found its position.
+
+        Call this in the stage's thread.
 
         Args:
             axis: Name of the axis.
@@ -257,7 +261,7 @@ class StageObserver:
         """
         self._origins[axis] = stage.now, stage.axes[axis].lost_steps
 
-    def _view_axis(self, axis: Axis) -> AxisView:
+    def _build_axis_view(self, axis: Axis) -> AxisView:
         when, before = self._origins.get(axis.name, (0, 0))
         if axis.stage.now < when:  # somebody went back in time
             before = 0
@@ -269,19 +273,20 @@ class StageObserver:
         return AxisView(axis.position, commanded, lost - before, axis.switches.as_dict())
 
     def _start_program(self, stage: Stage) -> tuple[int, Snapshot]:
+        """Begin to collect a program: clear the collected cycles, and return the time, ns, and the state of the stage."""
         for trace in self.traces:
             trace.sent = []
         return stage.now, stage.snapshot()
 
     def close(self) -> None:
-        """End."""
+        """Stop observing, and close the bus traces."""
         self._end_observing()
         for trace in self.traces:
             trace.close()
 
 
-def view_axis_of(chip: Chip, axis: int) -> ChipView:
-    """Return the view of one axis of a chip."""
+def build_chip_view(chip: Chip, axis: int) -> ChipView:
+    """Return the values of one axis of a chip."""
     inputs, outputs = chip.input_word(axis), chip.output_word(axis)
     return ChipView(
         chip.values_of(axis),

@@ -23,14 +23,14 @@ UPRIGHT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
 class Shape(NamedTuple):
-    """Shape in the frame of its body.
+    """Shape of a browser's 3D scene, in the frame of its body.
 
     Attributes:
-        kind: Method of `ui.scene` that makes it: box, cylinder, sphere, stl.
+        kind: Method of `ui.scene` that creates the shape: box, cylinder, sphere, stl.
         sizes: Arguments of that method.
-        position: Place of its center, m, (3,).
-        rotation: Matrix (3, 3).
-        scale: Factors along its own axes.
+        position: Position of the shape's center, m, shape (3,).
+        rotation: Rotation matrix, shape (3, 3).
+        scale: Scale factors along the shape's own axes.
     """
 
     kind: str
@@ -41,7 +41,7 @@ class Shape(NamedTuple):
 
 
 def list_visible_geoms(model: mujoco.MjModel, body: int) -> list[int]:
-    """Return the geoms of a body that a page shows.
+    """Return the indices of the geoms of a body that the page shows.
 
     Args:
         model: The model.
@@ -53,7 +53,7 @@ def list_visible_geoms(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def list_shapes(model: mujoco.MjModel, geom: int) -> Iterator[Shape]:
-    """Yield the shapes that a geom consists of; none for a kind that is not shown.
+    """Yield the shapes that together show a geom; none for a geom type that the page does not show.
 
     Args:
         model: The model.
@@ -82,7 +82,7 @@ def list_shapes(model: mujoco.MjModel, geom: int) -> Iterator[Shape]:
 
 
 def mesh_to_stl(model: mujoco.MjModel, mesh: int) -> bytes:
-    """Return a mesh as a binary STL file, whose triangles browsers shade flat.
+    """Convert a mesh to a binary STL file, whose triangles browsers shade flat.
 
     Args:
         model: The model.
@@ -95,7 +95,7 @@ def mesh_to_stl(model: mujoco.MjModel, mesh: int) -> bytes:
 
 
 def add_body(scene: ui.scene, model: mujoco.MjModel, body: int) -> ui.scene.group:
-    """Add a body's shapes to a scene, and return their group."""
+    """Add the shapes of a body to a scene, and return their group."""
     geoms = list_visible_geoms(model, body)
     with scene.group() as group:
         for geom in geoms:
@@ -111,8 +111,8 @@ VIEWS = {"corner": (0.75, -1.1, 0.75), "front": (0, -1.5, 0.15), "side": (1.5, 0
 """Places of the camera, from the center of the model, in its extents."""
 
 
-class Poses(ui.element, component="poses.js"):
-    """Element that moves the bodies of a scene."""
+class BodyPoses(ui.element, component="poses.js"):
+    """Page element that moves the bodies of a scene to new poses."""
 
     def __init__(self, scene: ui.scene):
         super().__init__()
@@ -120,7 +120,7 @@ class Poses(ui.element, component="poses.js"):
 
 
 def build_scene(panel: Panel, updates: BrowserUpdates) -> None:
-    """Build the stage in 3D."""
+    """Build the 3D view of the panel's stage."""
     session = panel.session
     model = session.stage.model
     data = mujoco.MjData(model)  # this page's own: the stage's belongs to its thread
@@ -158,4 +158,4 @@ def build_scene(panel: Panel, updates: BrowserUpdates) -> None:
                 poses.append([group.id, *pose])
         return [poses] if poses else None
 
-    updates.call_method(Poses(scene), "move", collect_poses)
+    updates.call_method(BodyPoses(scene), "move", collect_poses)

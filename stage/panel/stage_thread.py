@@ -1,17 +1,17 @@
-"""`StageThread`: the worker thread that owns the stage of a session. No page.
+"""`StageThread`: the worker thread that owns the stage of a session. This module builds no page.
 
-It lets time pass in slices of SLICE_S real seconds, and carries out the orders of other threads between two slices:
+The worker lets time pass in slices of SLICE_S real seconds, and carries out orders of other threads between two slices:
 
     thread.do(lambda stage: stage.axes["x"].chip.read(0))                     an order, which takes no time of its own
-    thread.act("home x", lambda stage: firmware.home(stage.axes["x"]))        an action: as an order, but it lets time pass
+    thread.act("home x", lambda stage: firmware.home(stage.axes["x"]))        an action: an order that lets time pass
 
-While an action lets time pass, orders are carried out in its waits. Cutting time into slices changes no bit of what a stage does.
+While an action lets time pass, the worker carries out orders in its waits. Cutting time into slices changes no bit of a run.
 
-Every user of the stage takes `lock` (stage.panel.stage_lock, stage.chips.exclusive_access). There are two modes:
+Each user of the stage takes `lock` (stage.panel.stage_lock, stage.chips.exclusive_access). There are two modes:
 
-- The worker drives: time passes by it, the lock is reserved for it, and other threads wait or are refused.
-- A program drives, from threads of its own: time passes by its calls alone. Each call has the lock from its first bus cycle to its
-  last, and gives it away where time passes (`_pace_program`); there the worker carries out orders and calls the observers.
+- The worker drives: it lets time pass, the lock is reserved for it, and other threads wait or are refused.
+- A program drives from threads of its own: only its calls let time pass. Each call holds the lock from its first bus cycle to its
+  last, and releases it while time passes (`_pace_in_program`); meanwhile the worker carries out orders and calls the observers.
 
     program          worker
     lock             |
@@ -55,12 +55,12 @@ NOT_YOURS = "this stage lives in a session: give it orders, session.do(...)."
 
 
 def has_end_limits(axis: Axis) -> bool:
-    """Return whether an axis has end limits, with stops behind them; a table that turns without end has none."""
+    """Return whether an axis has end limits, and thus end stops; a rotary table that turns endlessly has none."""
     return any(switch.pin.startswith("el") for switch in axis.plant.switches)
 
 
 def describe_escape(stage: Stage) -> str:
-    """Return which carriage has gone through its end stop, and how far, in words; "" where none has."""
+    """Return a sentence about a carriage that has gone through its end stop, with its position; "" if there is none."""
     for axis in stage.axes.values():
         if not has_end_limits(axis):
             continue
@@ -76,20 +76,20 @@ def describe_escape(stage: Stage) -> str:
 
 
 class ActionStopped(StageError):
-    """Error of an action that somebody has stopped, or whose program or session has ended."""
+    """Error of an action that a user has stopped, or whose program or session has ended."""
 
 
 @dataclass(frozen=True)
 class StageView:
-    """View of the stage after a slice.
+    """Values of the stage after a slice.
 
     Attributes:
         number: Number of views so far.
-        time: Simulated seconds.
-        achieved_speed: Simulated seconds in a real second of late.
+        time: Simulated time, s.
+        achieved_speed: Simulated seconds in a real second, measured recently.
         action: Name of the action under way, or "".
-        trouble: Why time stands still though nobody paused, or "".
-        qpos: Positions of the joints, as MjData has them.
+        trouble: Reason for which time stands still without a pause, or "".
+        qpos: Positions of the joints, as in `MjData.qpos`.
     """
 
     number: int
@@ -102,7 +102,7 @@ class StageView:
 
 @dataclass
 class Action:
-    """A procedure that waits for the worker, or is under way."""
+    """Function that lets time pass on the stage, waiting for the worker or under way; `stopped`: it is to end."""
 
     name: str
     run: Order
@@ -111,19 +111,19 @@ class Action:
 
 
 class StageThread:
-    """Owns a stage from now until `close`; the methods may be called from any thread.
+    """Worker thread that owns a stage from now until `close`. Any thread may call the methods.
 
     Args:
         stage: A stage that has no session.
-        speed: Simulated seconds in a real second; FREE: as fast as it goes.
-        paused: Begin with time standing still.
+        speed: Simulated seconds in a real second; FREE: as fast as possible.
+        paused: Whether time stands still at first.
         program: Name of the program that drives the stage, for people; "": the worker drives.
 
     Attributes:
         stage: The stage.
-        lock: What every user of the stage takes.
+        lock: Lock that each user of the stage takes.
         changed: Condition that is notified after each slice and each order.
-        view: View after the last slice.
+        view: Values of the stage after the last slice.
         program, program_suspended: See `Session`.
     """
 
@@ -153,25 +153,25 @@ class StageThread:
     # --- orders, from any thread ---
 
     def do(self, order: Callable[[Stage], T], timeout: float | None = None) -> T:
-        """Have the worker call `order(stage)` between two slices.
+        """Have the worker call `order(stage)` between two slices, and wait for the result.
 
-        Orders are short: bus cycles, a few values. A thread that has the stage's lock calls it itself, at once.
+        An order is short: a few bus cycles or values. A thread that holds the stage's lock calls it itself, at once.
 
         Args:
             order: Function of the stage.
-            timeout: Real seconds to wait.
+            timeout: Longest wait, real seconds; None: no limit.
 
         Returns:
             The result of `order`.
 
         Raises:
             StageError: The session is over; or an error of `order`.
-            TimeoutError: It was not done in time.
+            TimeoutError: The order was not carried out in time.
         """
         return order(self.stage) if self.lock.is_acquired() else self.post(order).result(timeout)
 
     def post(self, order: Callable[[Stage], T]) -> Future[T]:
-        """Order as `do`, without waiting."""
+        """Have the worker call `order(stage)` as `do` does, without waiting; return the future of its result."""
         future: Future[T] = Future()
         with self._work:
             self._check_open()
@@ -180,14 +180,14 @@ class StageThread:
         return future
 
     def act(self, name: str, run: Callable[[Stage], T]) -> Future[T]:
-        """Have the worker call `run(stage)`, which lets time pass; actions come one after the other.
+        """Have the worker call `run(stage)`, which lets time pass. Actions run one after the other.
 
         Args:
             name: Name of the action, for people.
             run: Function of the stage, for example a procedure of stage.firmware.
 
         Returns:
-            Future of its result.
+            Future of the result of `run`.
 
         Raises:
             StageError: The session is over.
@@ -201,10 +201,10 @@ class StageThread:
         return action.future
 
     def stop_actions(self) -> bool:
-        """End the action under way where it is, and those that wait: they raise ActionStopped. The chips go on.
+        """End the action under way and all that wait: they raise ActionStopped. The chips continue what they do.
 
         Returns:
-            Whether there was an action under way.
+            Whether an action was under way.
         """
         with self._work:
             acting, waiting = self._acting, list(self._actions)
@@ -219,12 +219,12 @@ class StageThread:
 
     @property
     def busy(self) -> bool:
-        """State of the actions: one is under way, or waits for its turn."""
+        """True if an action is under way or waits for its turn."""
         last = self._last_action
         return last is not None and not last.done()
 
     def on_slice(self, observer: Order) -> Callable[[], None]:
-        """Have the worker call `observer(stage)` after each slice; return a function that ends it."""
+        """Have the worker call `observer(stage)` after each slice; return a function that ends these calls."""
         with self._work:
             self._observers = (*self._observers, observer)
 
@@ -235,7 +235,7 @@ class StageThread:
         return end
 
     def close(self) -> None:
-        """End, and give the stage back to its caller as it is; orders and actions that wait get a StageError."""
+        """Stop the worker, and leave the stage in its present state to the caller. Waiting orders and actions get a StageError."""
         with self._work:
             self._closed = True
         self._notify_all()
@@ -247,7 +247,7 @@ class StageThread:
             raise StageError(SESSION_OVER)
 
     def _notify_all(self) -> None:
-        """Make all threads that wait check their conditions again."""
+        """Make all waiting threads check their conditions again."""
         self._notify()
         self.lock.notify_all()
 
@@ -262,46 +262,47 @@ class StageThread:
     def _run(self) -> None:
         loop = self.stage.loop
         self._identifier = threading.get_ident()
-        self._share(self.lock)
+        self._share_lock(self.lock)
         loop.pace = self._pace
         self._reserve()
         self._started.set()
         try:
             while not self._closed:
-                (self._drive if self._drives() else self._observe_program)()
+                (self._drive if self._is_driving() else self._observe_program)()
         finally:
             loop.pace = None
-            self._share(None)
+            self._share_lock(None)
             self.lock.reserve(0)
-            self._refuse_waiting()
+            self._refuse_waiting_orders()
 
-    def _share(self, lock: StageLock | None) -> None:
+    def _share_lock(self, lock: StageLock | None) -> None:
+        """Let the stage and its chips use a lock, or none (None)."""
         self.stage.loop.lock = lock
         for chip in self.stage.chips:
             chip.share(lock)
 
     def _reserve(self) -> None:
-        """Reserve the lock for the worker where it drives; refuse all other threads where there is no program."""
-        drives = self._drives() and not self._closed
+        """Reserve the lock for the worker if it drives, and refuse all other threads if there is also no program."""
+        drives = self._is_driving() and not self._closed
         self.lock.reserve(self._identifier if drives else 0, "" if self.program or not drives else NOT_YOURS)
         self._notify_all()
 
-    def _drives(self) -> bool:
-        """Return whether time passes by the worker."""
+    def _is_driving(self) -> bool:
+        """Return whether the worker lets time pass, and not a program."""
         return self.program_suspended or not self.program
 
     def _drive(self) -> None:
-        """Let time pass for as long as no program drives."""
+        """Let time pass and carry out orders and actions until a program drives."""
         if not self.lock.acquire(MAX_LAG_S):
             return
         try:
             self._restart_clock()
-            while not self._closed and self._drives():
+            while not self._closed and self._is_driving():
                 self._carry_out_orders()
                 if (action := self._next_action()) is not None:
                     self._perform(action)
                 elif self._paused or self._trouble:
-                    self._rest()
+                    self._wait_paused()
                 else:
                     self._run_slice()
             self._restart_clock()
@@ -309,7 +310,7 @@ class StageThread:
             self.lock.release()
 
     def _observe_program(self) -> None:
-        """Carry out orders between the calls of a program, and publish what it has changed."""
+        """Carry out orders between the calls of a program, and publish the changes that the program has made."""
         self._wait(SLICE_S)
         if self.stage.now != self._view_now:
             self._changed_at = perf_counter()
@@ -319,27 +320,27 @@ class StageThread:
                 self._carry_out_orders()
                 self._history.remember(self.stage)
                 self._trouble = ""  # checked again: the program may have ended it
-                self._publish()
+                self._publish_view()
             finally:
                 self.lock.release()
 
     def _run_slice(self) -> None:
-        """Let a slice pass without an action. It ends early for an action, and where time has jumped."""
+        """Let a slice of time pass without an action. The slice ends early when an action comes, and when the state is replaced."""
         self._jumped = False
         try:
             self.stage.run(max(self._clock.slice_s, self.stage.state.dt * 1e-9))
         except SimulationError as error:
             self._trouble = str(error)
-            self._publish()
+            self._publish_view()
         except ActionStopped:
             pass
 
-    def _rest(self) -> None:
-        self._publish()
+    def _wait_paused(self) -> None:
+        self._publish_view()
         self._wait(IDLE_INTERVAL_S)
 
     def _wait(self, seconds: float) -> None:
-        """Wait for orders, actions or other changes, `seconds` of real time at most."""
+        """Wait for orders, actions or other changes, `seconds` real seconds at most."""
         with self._work:
             self._work.wait_for(lambda: self._has_work, seconds)
             self._has_work = False
@@ -358,16 +359,17 @@ class StageThread:
                 except BaseException as error:
                     future.set_exception(error)
         if carried_out:
-            self._publish()
+            self._publish_view()
 
     def _next_action(self) -> Action | None:
+        """Take the next waiting action and make it the one under way; None if none waits."""
         with self._work:
             self._acting = self._actions.popleft() if self._actions else None
             return self._acting
 
     def _perform(self, action: Action) -> None:
         self._restart_clock()
-        self._publish()
+        self._publish_view()
         try:
             if action.future.set_running_or_notify_cancel():
                 action.future.set_result(action.run(self.stage))
@@ -375,17 +377,17 @@ class StageThread:
             action.future.set_exception(error)
         finally:
             self._acting = None
-            self._publish()
+            self._publish_view()
 
-    def _refuse_waiting(self) -> None:
+    def _refuse_waiting_orders(self) -> None:
         with self._work:
             futures = [*(future for _, future in self._orders), *(action.future for action in self._actions)]
         for future in futures:
             if future.set_running_or_notify_cancel():  # else nobody waits for it any more
                 future.set_exception(StageError(SESSION_OVER))
 
-    def _publish(self) -> None:
-        """Renew the `view`, and call the observers. A carriage that has left its travel is trouble, however it came there."""
+    def _publish_view(self) -> None:
+        """Update `view`, and call the observers. A carriage beyond its end stop counts as trouble, whatever moved it there."""
         stage, acting = self.stage, self._acting
         if not self._trouble:
             self._trouble = describe_escape(stage)
@@ -408,14 +410,14 @@ class StageThread:
         self._clock.restart(self.stage.now)
 
     def run_unpaced(self, run: Callable[..., T], *args: Any) -> T:
-        """Let an order pass time as fast as it goes, without orders in between.
+        """Call a function that lets time pass as fast as possible, without orders meanwhile. Only orders may call this method.
 
         Args:
             run: Function that lets time pass.
-            *args: Its arguments.
+            *args: Arguments of `run`.
 
         Returns:
-            Its result.
+            The result of `run`.
         """
         self._unpaced = True
         try:
@@ -425,25 +427,26 @@ class StageThread:
             self._restart_clock()
 
     def _pace(self, until: int) -> int:
-        """Wait until simulated time may go on towards `until`, ns, and return how far it may go now; see `Loop.pace`."""
+        """Wait until simulated time may go on towards `until`, ns; return the time, ns, to which it may go now. See `Loop.pace`."""
         if until - self._words.item(0) < MAX_BUS_CYCLE_NS or self._unpaced:
             return until
         if 0 <= until - self._polled_at < min(MAX_UNPACED_NS, self._clock.slice_s * 1e9):
             return until
         with self.lock:
             if threading.get_ident() == self._identifier:
-                goal = self._pace_worker(until)
+                goal = self._pace_in_worker(until)
             else:
-                goal = self._pace_program(until)
+                goal = self._pace_in_program(until)
                 if self._ending:
                     raise ActionStopped("the program ends.")
         self._polled_at = goal
         self._clock.start_slice(self.stage.now)
         return goal
 
-    def _pace_worker(self, until: int) -> int:
+    def _pace_in_worker(self, until: int) -> int:
+        """Wait as `_pace` does, in the worker, and carry out orders meanwhile. Raises ActionStopped when the action has to end."""
         stage, clock = self.stage, self._clock
-        self._publish()
+        self._publish_view()
         goal = stage.now
         while True:
             if self._closed or self._is_over():
@@ -452,7 +455,7 @@ class StageThread:
             if self._closed or self._is_over():
                 raise ActionStopped("stopped.")
             if self._paused:
-                self._rest()
+                self._wait_paused()
                 continue
             goal = clock.plan_slice(stage.now, until, stage.state.dt)
             if (left := clock.seconds_until(goal, stage.now)) <= 0:
@@ -462,13 +465,13 @@ class StageThread:
         return max(goal, stage.now)
 
     def _is_over(self) -> bool:
-        """Return whether the function that lets time pass in the worker is to end where it is."""
+        """Return whether the function that lets time pass in the worker has to end now."""
         if self._acting is not None:
             return self._acting.stopped
-        return self._jumped or bool(self._actions or self._trouble) or not self._drives()
+        return self._jumped or bool(self._actions or self._trouble) or not self._is_driving()
 
-    def _pace_program(self, until: int, seconds: float = SLICE_S) -> int:
-        """Wait as `_pace`, in a thread of the program; threads that wait for the stage have it meanwhile."""
+    def _pace_in_program(self, until: int, seconds: float = SLICE_S) -> int:
+        """Wait as `_pace` does, in a thread of the program; threads that wait for the stage hold the lock meanwhile."""
         stage, clock = self.stage, self._clock
         self.lock.yield_to_waiting()
         while self.program and not (self._closed or self._ending):

@@ -1,7 +1,7 @@
-"""A tour in six steps for users who never saw such a chip: each step waits until they have done it. No page.
+"""Tour in six steps for users who have never seen such a chip: each step waits until the user has done it. No page.
 
-The tour observes the stage after each slice of a session, and recognizes a step by pulses, switches and the rotor alone, whoever
-gave the orders and whatever the chips are.
+The tour observes the stage after each slice of a session. It recognizes a step only by pulses, switches and the rotor, whatever
+the chips are and whoever writes to them.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class AxisRun:
     """Motion of an axis, from rest to rest.
 
     Attributes:
-        rates: Pulses a second, without a sign, every SAMPLE_TIME_S.
-        begin, end: s.
-        org: The origin switch was on.
-        is_earlier: It began before the step that waits.
+        rates: Pulse rates without sign, pps, every SAMPLE_TIME_S.
+        begin, end: Times of the first and the last pulse, s.
+        org: Whether the origin switch was on meanwhile.
+        is_earlier: Whether the motion began before the present step of the tour.
     """
 
     rates: list[float] = field(default_factory=list)
@@ -43,7 +43,7 @@ class AxisRun:
     is_earlier: bool = False
 
     def list_plateaus(self) -> list[float]:
-        """Return the rates that were constant for a while, in their order."""
+        """Return the rates, pps, at which the motion was constant for a while, in order of time."""
         plateaus: list[float] = []
         for k in range(len(self.rates) - MIN_PLATEAU + 1):
             part = self.rates[k : k + MIN_PLATEAU]
@@ -58,9 +58,9 @@ class Step:
     """Step of the tour.
 
     Attributes:
-        title, task: For the reader.
-        sheet: Terms of the data sheets.
-        done: Returns whether it has happened.
+        title, task: Texts for the user.
+        sheet: Terms that data sheets use for it.
+        done: Function that returns whether the user has done the step.
     """
 
     title: str
@@ -70,62 +70,62 @@ class Step:
 
 
 class Tour:
-    """Observer of a session until the last step is done, or `close`.
+    """Tour that observes a session until the last step is done, or until `close`.
 
     Attributes:
-        number: Number of the step that waits, from 0; len(STEPS) when all are done.
-        finished: The last runs that have ended since the step began, with the names of their axes.
-        lost: Steps were lost since then.
+        number: Number of the present step, from 0; len(STEPS) when all are done.
+        finished: Name of the axis and motion, for the last motions that have ended since the step began.
+        lost: Whether an axis has lost steps since the step began.
     """
 
     def __init__(self, session: Session):
         self.number = 0
         self.finished: list[tuple[str, AxisRun]] = []
         self.lost = False
-        self._under_way: dict[str, AxisRun] = {}
+        self._running_axes: dict[str, AxisRun] = {}
         self._pulses: dict[str, tuple[float, float]] = {}  # net pulses of each axis, and when, s
         self._lost_at_first: dict[str, int] = {}
         self._end_observing = session.on_slice(self.observe)
 
     @property
     def step(self) -> Step | None:
-        """Step that waits; None when all are done."""
+        """Present step; None when all are done."""
         return STEPS[self.number] if self.number < len(STEPS) else None
 
     def skip(self) -> None:
         """Go on to the next step."""
         self.number = min(self.number + 1, len(STEPS))
-        self._forget()
+        self._forget_runs()
 
     def close(self) -> None:
-        """End."""
+        """Stop observing."""
         self._end_observing()
 
     def observe(self, stage: Stage) -> None:
-        """Observe the stage after a slice, in its thread."""
+        """Observe the stage after a slice. The stage's thread calls this."""
         for axis in stage.axes.values():
-            self._follow(axis, stage.time)
+            self._follow_axis(axis, stage.time)
         step = self.step
         if step is not None and step.done(self):
             self.skip()
 
     def has_pulses(self) -> bool:
-        """Return whether some axis runs, or has run since the step began."""
-        return bool(self.finished or self._under_way)
+        """Return whether an axis moves, or has moved since the step began."""
+        return bool(self.finished or self._running_axes)
 
-    def _forget(self) -> None:
+    def _forget_runs(self) -> None:
         self.finished, self.lost = [], False
         self._lost_at_first.clear()
-        for run in self._under_way.values():
+        for run in self._running_axes.values():
             run.is_earlier = True
 
-    def _follow(self, axis: Axis, now: float) -> None:
+    def _follow_axis(self, axis: Axis, now: float) -> None:
         _, net = axis.read_drive()
         before, then = self._pulses.get(axis.name, (net, now))
         lost = axis.lost_steps
         self.lost |= lost != self._lost_at_first.setdefault(axis.name, lost)
         if now < then:  # somebody went back in time
-            self._under_way.pop(axis.name, None)
+            self._running_axes.pop(axis.name, None)
         elif now - then < SAMPLE_TIME_S:
             self._pulses.setdefault(axis.name, (net, now))
             return
@@ -134,37 +134,40 @@ class Tour:
         self._pulses[axis.name] = net, now
 
     def _add_rate(self, axis: Axis, rate: float, then: float, now: float) -> None:
-        """Add the rate between two times, s, to the run of an axis; a run begins with a pulse and ends QUIET_TIME_S after one."""
-        run = self._under_way.get(axis.name)
+        """Add a sample of the rate, pps, between the times `then` and `now`, s, to the motion of an axis.
+
+        A motion begins with its first pulse, and ends when no pulse has come for QUIET_TIME_S.
+        """
+        run = self._running_axes.get(axis.name)
         if run is None:
             if not rate:
                 return
-            run = self._under_way[axis.name] = AxisRun(begin=then)
+            run = self._running_axes[axis.name] = AxisRun(begin=then)
         run.org |= bool(axis.switches.as_dict().get("org"))
         if rate:
             run.rates.append(rate)
             del run.rates[:-MAX_RATES]
             run.end = now
         elif now - run.end >= QUIET_TIME_S:
-            del self._under_way[axis.name]
+            del self._running_axes[axis.name]
             if not run.is_earlier:
                 self.finished.append((axis.name, run))
                 del self.finished[:-MAX_RUNS]
 
 
 def _has_ramp(tour: Tour) -> bool:
-    """Return whether a run began slower than it went later, and was slower again before its end."""
+    """Return whether a motion began with a lower rate than it reached later, and was slower again before its end."""
     runs = [run.rates for _, run in tour.finished]
     return any(len(rates) >= 3 and max(rates[0], rates[-1]) < 0.8 * max(rates) for rates in runs)
 
 
 def _has_two_rates(tour: Tour) -> bool:
-    """Return whether a run went from one constant rate up to another; an origin return goes down only."""
+    """Return whether a motion went from one constant rate up to another; an origin return only goes down."""
     return any(a < b for _, run in tour.finished for a, b in pairwise(run.list_plateaus()))
 
 
 def _is_synchronized(tour: Tour) -> bool:
-    """Return whether two axes ran at the same time and ended together."""
+    """Return whether two axes moved at the same time and ended together."""
     return any(
         a != b and abs(d.end - e.end) <= SIMULTANEITY_S and min(d.end, e.end) > max(d.begin, e.begin)
         for (a, d), (b, e) in pairwise(tour.finished)

@@ -220,7 +220,7 @@ class Bench:
     def fresh(self):
         """The page as at first, and the stage at power-up, in real time."""
         for active in reversed(self.panel.fault_controls.in_force):
-            self.panel.fault_controls.clear(active)
+            self.panel.fault_controls.clear_fault(active)
         self.panel.fault_controls.set_payload(0.0)
         self.session.reset()
         self.session.paused, self.session.speed = False, 1.0

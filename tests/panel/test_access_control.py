@@ -11,8 +11,8 @@ from stage.panel.access_control import (
     LOGGERS,
     MALFORMED,
     SERVER_LOGGER,
-    Controls,
-    OnlyFirst,
+    ControlsAssignment,
+    FirstRecordFilter,
     RequestGuard,
     report_malformed_messages_once,
     report_task_error,
@@ -112,7 +112,7 @@ def test_a_socket_whose_messages_make_no_sense_is_closed_and_the_terminal_gets_o
     async def app(scope, receive, send):
         raise ValueError("no packet")
 
-    first, sent = OnlyFirst(), []
+    first, sent = FirstRecordFilter(), []
     for name in LOGGERS:
         logging.getLogger(name).addFilter(first)
     try:
@@ -153,43 +153,43 @@ def test_text_that_is_not_utf_8_is_one_line_and_other_errors_of_the_server_are_r
 
 
 def test_the_first_browser_has_the_controls_until_another_takes_them():
-    controls = Controls()
+    controls = ControlsAssignment()
     assert controls.holder is None
-    controls.come("a")
-    controls.come("b")
-    controls.come("b")
-    assert (controls.holder, controls.watching) == ("a", 2)
-    controls.take("b")
+    controls.add_browser("a")
+    controls.add_browser("b")
+    controls.add_browser("b")
+    assert (controls.holder, controls.browser_count) == ("a", 2)
+    controls.give_controls_to("b")
     assert controls.holder == "b"
-    controls.take("stranger")
+    controls.give_controls_to("stranger")
     assert controls.holder == "b"
 
 
 def test_a_leaving_browser_passes_the_controls_to_the_next():
-    controls = Controls()
+    controls = ControlsAssignment()
     for who in "abc":
-        controls.come(who)
-    controls.go("b")
+        controls.add_browser(who)
+    controls.remove_browser("b")
     assert controls.holder == "a"
-    controls.go("a")
-    assert (controls.holder, controls.watching) == ("c", 1)
-    controls.go("c")
+    controls.remove_browser("a")
+    assert (controls.holder, controls.browser_count) == ("c", 1)
+    controls.remove_browser("c")
     assert controls.holder is None
-    controls.come("d")
+    controls.add_browser("d")
     assert controls.holder == "d"
 
 
 def test_who_loses_the_controls_lets_go_of_what_he_holds():
-    controls, released = Controls(), []
+    controls, released = ControlsAssignment(), []
     for who in "ab":
-        controls.come(who)
-        controls.when_lost(who, lambda who=who: released.append(who))
-    controls.take("a")
+        controls.add_browser(who)
+        controls.call_when_controls_lost(who, lambda who=who: released.append(who))
+    controls.give_controls_to("a")
     assert released == []
-    controls.take("b")
-    controls.take("b")
+    controls.give_controls_to("b")
+    controls.give_controls_to("b")
     assert released == ["a"]
-    controls.go("a")
+    controls.remove_browser("a")
     assert released == ["a"]
-    controls.go("b")
+    controls.remove_browser("b")
     assert released == ["a", "b"]

@@ -34,7 +34,7 @@ def frame(live, after=0.0):
     """Return the message of one frame; None where nothing is new."""
     live.real.now += after
     live.sent.clear()
-    asyncio.run(live._frame())
+    asyncio.run(live._send_frame())
     return live.sent[0] if live.sent else None
 
 
@@ -101,20 +101,20 @@ def test_a_log_sends_its_last_lines_once_and_replaces_those_with_the_same_key(li
     lines.id, lines._deleted = 9, False
     TextLog.__init__(lines, live, 3)
     assert lines._props["most"] == 3
-    assert lines._take_new() is None
+    assert lines._take_unsent_lines() is None
     for text, kind, key in (("a", "", 1), ("b", "bad", 1), ("c", "", 0), ("d", "", 0)):
         lines.append(text, kind, key)
     assert frame(live) == ([], [], [(9, "push", [[("b", "bad", 1), ("c", "", 0), ("d", "", 0)]])])
     assert frame(live) is None
     for k in range(5):
         lines.append(str(k), "", 0)
-    assert [text for text, _, _ in lines._take_new()[0]] == ["2", "3", "4"]
+    assert [text for text, _, _ in lines._take_unsent_lines()[0]] == ["2", "3", "4"]
     lines.append("a", "", 5)
     lines.append("b", "", 6)
     lines.append("c", "", 5)
-    assert [text for text, _, _ in lines._take_new()[0]] == ["a", "b", "c"], "only of the line right before"
+    assert [text for text, _, _ in lines._take_unsent_lines()[0]] == ["a", "b", "c"], "only of the line right before"
     done = []
     lines.run_method = lambda *what: done.append(what)
     lines.append("gone")
-    lines.empty()
-    assert (lines._take_new(), done) == (None, [("clear",)])
+    lines.remove_all_lines()
+    assert (lines._take_unsent_lines(), done) == (None, [("clear",)])

@@ -29,7 +29,7 @@ def _as_at_first(served, page):
     yield
     served.leave(but=1)
     for created in reversed(served.panel.fault_controls.in_force):
-        served.panel.fault_controls.clear(created)
+        served.panel.fault_controls.clear_fault(created)
     served.panel.fault_controls.set_payload(0.0)
 
 
@@ -121,7 +121,7 @@ def test_who_loses_the_controls_takes_his_hand_away(served, page):
     page.until(lambda: pushes(served)[0] > 0)
     second.click("controls")
     page.until(lambda: pushes(served) == [0, 0])
-    served.panel.controls.take(page.client.id)
+    served.panel.controls.give_controls_to(page.client.id)
 
 
 def test_an_impossible_force_is_an_error_at_its_field_until_the_next_attempt(served, page):
@@ -265,10 +265,10 @@ def test_each_command_button_sends_its_cycles_to_the_selected_axis(wide, monkeyp
     async def send(panel, k, cycles):
         sent.append((panel is wide.panel, k, cycles))
 
-    wide.panel.controls.take(page.client.id)
+    wide.panel.controls.give_controls_to(page.client.id)
     page.put("axis-of-0", 1)
-    monkeypatch.setattr(chips, "send", send)
-    buttons = [b for group in FrontPanel(kind).buttons.values() for b in group if not b.takes]
+    monkeypatch.setattr(chips, "make_bus_cycles", send)
+    buttons = [b for group in FrontPanel(kind).buttons.values() for b in group if not b.data_bits]
     assert len(buttons) > 20
     for b in buttons:
         sent.clear()
@@ -287,7 +287,7 @@ def test_cycles_are_made_in_order_and_reads_are_returned_and_traced(served, page
         BusCycle(True, 1, None),
         BusCycle(True, 0, None),
     ]
-    result = page.within(lambda: chips.send(served.panel, 1, cycles))
+    result = page.within(lambda: chips.make_bus_cycles(served.panel, 1, cycles))
     assert any(result)
     assert [(line.kind, line.address) for line in trace.lines_after(before)] == [
         ("W", 0),
@@ -305,7 +305,7 @@ def test_a_refused_cycle_is_reported(served, page, monkeypatch):
     async def refuse(*arguments):
         raise StageError("this session is over.")
 
-    monkeypatch.setattr(chips, "send", refuse)
+    monkeypatch.setattr(chips, "make_bus_cycles", refuse)
     page.click("command-0-operate-8")
     page.until(lambda: page.said == ["this session is over."])
 
@@ -314,7 +314,7 @@ def test_the_trace_is_of_the_selected_chip(served, page, wide):
     other = wide.visit()
     for one, targets in ((page, {1: 1, 0: 2}), (other, {1: 0, 0: 0})):
         emptied = []
-        one.find("trace").empty = lambda e=emptied: e.append(1)
+        one.find("trace").remove_all_lines = lambda e=emptied: e.append(1)
         for index, times in targets.items():
             one.put("console-target", index)
             assert len(emptied) == times, "axes of one chip have one bus"
@@ -366,7 +366,9 @@ def test_a_curve_is_drawn_in_ms_or_s_from_the_trigger_or_from_power_up(served, p
         (2.0, 2.5, 2.2, -200, 300, "ms from the trigger", -100), (2.0, 5.0, 2.5, -0.5, 2.5, "s from the trigger", -0.4),
     ):  # fmt: skip
         curve = np.array([2.1, 2.2, 2.3, 2.4]), np.array([1.0, 1.0, 1.0, 3.0])
-        message = chart._message(OscilloscopeFrame(begin, end, {"x/position": curve, "y/org": curve}, trigger, ""))
+        message = chart._build_chart_message(
+            OscilloscopeFrame(begin, end, {"x/position": curve, "y/org": curve}, trigger, "")
+        )
         lower, upper = message["xAxis"]
         assert (lower["min"], lower["max"]) == pytest.approx((low, high)) == (upper["min"], upper["max"])
         assert "name" not in lower
@@ -389,13 +391,13 @@ def test_what_rests_is_drawn_seldom_and_what_moves_as_it_comes(served, page, mon
             displayed.end - 1, displayed.end, {"x/position": (np.array([0.1, 0.2]), curves[displayed.kind])}, None, ""
         )
 
-    monkeypatch.setattr(chart.scope, "frame", picture)
+    monkeypatch.setattr(chart.scope, "capture_frame", picture)
     monkeypatch.setattr(chart, "_drawn", None)
 
     def drawn(kind, after):
         displayed.kind, displayed.end = kind, displayed.end + 0.01
         clock.now += after
-        return page.within(chart._next_message) is not None
+        return page.within(chart._build_next_message) is not None
 
     assert drawn("up", 0.0)
     assert drawn("up", 0.01)
@@ -433,7 +435,7 @@ def test_window_trigger_and_run_are_those_of_the_controls(served, page, monkeypa
 
 
 def test_what_the_window_shows_is_exported_under_its_end(served, page):
-    served.session.do(lambda stage: (served.session.run_unpaced(stage.run, 0.5), served.session._publish()))
+    served.session.do(lambda stage: (served.session.run_unpaced(stage.run, 0.5), served.session._publish_view()))
     chart = chart_of(page)
     page.put("traces", ["x/position", "y/org"])
     page.until(lambda: chart._frame is not None and chart._frame.end == pytest.approx(0.5))

@@ -7,7 +7,7 @@ from stage import Stage
 from stage.drives.dc_motors import DC_MOTORS
 from stage.drives.motors import MOTORS
 from stage.errors import ArgumentError, StageError
-from stage.panel.fault_controls import FaultControls, compute_user_push_limit, fault_functions
+from stage.panel.fault_controls import FaultControls, compute_user_push_limit, list_fault_functions
 from stage.panel.procedure_forms import FieldError
 from stage.panel.session import FREE, Session
 from stage.panel.stage_thread import describe_escape
@@ -25,7 +25,7 @@ def controls(session):
     controls = FaultControls(session)
     yield controls
     for active in reversed(controls.in_force):
-        controls.clear(active)
+        controls.clear_fault(active)
     controls.close()
 
 
@@ -42,7 +42,7 @@ def test_every_fault_has_a_form_with_its_fields(controls):
     breakings = {b.name: b for b in controls.list_forms("x")}
     assert (
         set(breakings)
-        == set(fault_functions())
+        == set(list_fault_functions())
         >= {"jam", "bounce", "phase_open", "bus_voltage", "lost_write", "payload"}
     )
     pin, closed = breakings["switch_stuck"].fields
@@ -60,9 +60,9 @@ def test_every_fault_has_a_form_with_its_fields(controls):
     ],
 )  # fmt: skip
 def test_each_fault_can_be_made_and_cleared(controls, session, name, texts):
-    active = controls.make(name, "x", texts)
+    active = controls.make_fault(name, "x", texts)
     assert session.stage.faults == (active.text,)
-    controls.clear(active)
+    controls.clear_fault(active)
     assert session.stage.faults == ()
     assert controls.in_force == []
 
@@ -84,7 +84,7 @@ def test_time_does_not_go_back_over_a_motor_that_was_changed(controls, session):
 
     for _ in range(2):
         pass_time(0.1)
-    active = controls.make("motor", "x", {"motor": "SS2422-5041"})
+    active = controls.make_fault("motor", "x", {"motor": "SS2422-5041"})
     changed = session.do(lambda stage: stage.time)
     for _ in range(3):
         pass_time(0.1)
@@ -94,13 +94,13 @@ def test_time_does_not_go_back_over_a_motor_that_was_changed(controls, session):
     assert np.array_equal(session.do(lambda stage: stage.snapshot().state), before)
     assert session.go_back(0.1) > changed
     assert session.recover() > changed, "as far as the machine is this one"
-    controls.clear(active)
+    controls.clear_fault(active)
     assert session.go_back(30.0) < changed
     session.reset()
 
 
 def test_a_stuck_switch_reads_as_stuck(controls, session):
-    controls.make("switch_stuck", "x", {"pin": "org", "closed": "yes"})
+    controls.make_fault("switch_stuck", "x", {"pin": "org", "closed": "yes"})
     assert session.do(lambda stage: stage.axes["x"].switches.org)
 
 
@@ -109,12 +109,12 @@ def test_the_first_fault_may_be_cleared_first(controls, session):
     x = session.stage.axes["x"]
     nominal = x.faults.bus_voltage
     first, second = (
-        controls.make("bus_voltage", "x", {"volts": "12"}),
-        controls.make("bus_voltage", "x", {"volts": "8"}),
+        controls.make_fault("bus_voltage", "x", {"volts": "12"}),
+        controls.make_fault("bus_voltage", "x", {"volts": "8"}),
     )
-    controls.clear(first)
+    controls.clear_fault(first)
     assert x.faults.bus_voltage == 8
-    controls.clear(second)
+    controls.clear_fault(second)
     assert x.faults.bus_voltage == nominal
 
 
@@ -123,19 +123,19 @@ def test_clearing_in_any_order_leaves_the_effect_of_the_other_faults(controls, s
     x = session.stage.axes["x"]
     nominal = x.faults.bus_voltage
     jam, low, lower = (
-        controls.make(*m) for m in (("jam", "x", {}), *(("bus_voltage", "x", {"volts": v}) for v in ("12", "8")))
+        controls.make_fault(*m) for m in (("jam", "x", {}), *(("bus_voltage", "x", {"volts": v}) for v in ("12", "8")))
     )
-    controls.clear(jam)
-    controls.clear(lower)
+    controls.clear_fault(jam)
+    controls.clear_fault(lower)
     assert x.faults.bus_voltage == 12
-    controls.clear(low)
+    controls.clear_fault(low)
     assert x.faults.bus_voltage == nominal
 
 
 def test_a_push_moves_the_carriage_and_ends_with_the_hand(controls, session):
     def after(seconds):
         session.do(lambda stage: session.run_unpaced(stage.run, seconds))
-        session.do(lambda stage: session._publish())
+        session.do(lambda stage: session._publish_view())
         return session.do(lambda stage: stage.axes["x"].position)
 
     rest = after(0.05)
@@ -175,16 +175,16 @@ def test_load_and_supply(controls, session):
 )
 def test_a_wrong_value_is_an_error_at_its_field(controls, name, texts, field):
     with pytest.raises(FieldError) as wrong:
-        controls.make(name, "x", texts)
+        controls.make_fault(name, "x", texts)
     assert wrong.value.field == field
     assert controls.in_force == []
 
 
 def test_what_the_fault_refuses_is_passed_on(controls):
     with pytest.raises(ArgumentError, match="volts=900"):
-        controls.make("bus_voltage", "x", {"volts": "900"})
+        controls.make_fault("bus_voltage", "x", {"volts": "900"})
     with pytest.raises(ArgumentError, match="jam"):
-        controls.make("jamm", "x", {})
+        controls.make_fault("jamm", "x", {})
 
 
 @pytest.mark.parametrize("model", ["xy", "xyz", "xyz_servo", "xya"])
@@ -209,9 +209,9 @@ def test_a_stronger_push_is_refused(controls):
 
 def test_what_is_broken_already_is_not_broken_again(controls):
     requested = ("switch_stuck", "x", {"pin": "org", "closed": "yes"})
-    active = controls.make(*requested)
+    active = controls.make_fault(*requested)
     with pytest.raises(ArgumentError, match="org stuck closed: this fault is in force already"):
-        controls.make(*requested)
+        controls.make_fault(*requested)
     assert controls.in_force == [active]
-    controls.clear(active)
-    assert controls.make(*requested).fault.in_force
+    controls.clear_fault(active)
+    assert controls.make_fault(*requested).fault.in_force

@@ -19,7 +19,7 @@ def page(served):
 @pytest.fixture(autouse=True)
 def _drawn_quickly(monkeypatch):
     """Patterns are drawn elsewhere: here they only say of what they are."""
-    monkeypatch.setattr("stage.panel.procedure_page.draw_pattern", lambda report: f"<svg>{report}")
+    monkeypatch.setattr("stage.panel.procedure_page.draw_operation_pattern", lambda report: f"<svg>{report}")
 
 
 @pytest.fixture
@@ -60,15 +60,15 @@ def fill(page, **values):
 def go(page, form, says="pulses"):
     """Press the button; the report."""
     reports = page.panel.reports
-    before = reports.last(form)
+    before = reports.find_outcome(form)
     tab(page, form)
     page.click(f"go-{form}")
-    outcome = page.until(lambda: says in (now := reports.last(form)).text and now is not before and now)
+    outcome = page.until(lambda: says in (now := reports.find_outcome(form)).text and now is not before and now)
     page.until(lambda: page.text("report") == outcome.text)
     return outcome.text
 
 
-def wrong(page):
+def has_failed(page):
     """The report is outcome as an error."""
     return "text-negative" in page.find("report").classes
 
@@ -81,7 +81,7 @@ def test_a_move_is_of_the_selected_axis_with_the_values_of_its_fields(page, sess
     alone = firmware.move(y, distance=-0.003, speed=0.025, start_speed=0.005, accel=0.1, s_curve=True)
     assert report.splitlines()[:2] == str(alone).splitlines()[:2]
     assert ordered == ["Move y"]
-    assert not wrong(page)
+    assert not has_failed(page)
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
@@ -209,7 +209,7 @@ def test_an_origin_is_noted_for_the_axis_whose_return_reached_it(
 
     page.put("procedure-axis", "y")
     monkeypatch.setattr(served.panel.reports, "perform", perform)
-    monkeypatch.setattr(served.panel.observer, "note_origin", lambda axis, stage: axes.append(axis))
+    monkeypatch.setattr(served.panel.observer, "reset_lost_steps", lambda axis, stage: axes.append(axis))
     tab(page, form)
     page.click(f"go-{form}")
     page.until(lambda: done)
@@ -228,11 +228,11 @@ def test_stop_stops_all_axes_and_ends_the_action(page, session, ordered, monkeyp
     page.click("go-move")
     page.until(lambda: session.view.action == "Move x")
     page.click(name)
-    page.until(lambda: page.panel.reports.last("move").text == "Move x: stopped.")
+    page.until(lambda: page.panel.reports.find_outcome("move").text == "Move x: stopped.")
     page.until(lambda: page.text("report") == "Move x: stopped." and not session.busy)
     assert ordered == ["Move x", "stop"]
     assert sorted(stopped) == [("x", at_once), ("y", at_once)]
-    assert not wrong(page)
+    assert not has_failed(page)
 
 
 def test_a_refused_stop_is_reported_below_the_open_form(page, session, monkeypatch):
@@ -243,7 +243,7 @@ def test_a_refused_stop_is_reported_below_the_open_form(page, session, monkeypat
     monkeypatch.setattr(session, "act", refuse)
     page.click("stop")
     page.until(lambda: page.text("report") == "this session is over.")
-    assert wrong(page)
+    assert has_failed(page)
 
 
 def test_an_axis_stopped_with_a_ramp_decelerates_to_rest(page, session):
@@ -270,7 +270,7 @@ def test_an_axis_jogs_in_its_direction_while_a_button_is_down(page, session, ord
     page.fire(button, down)  # a key that repeats
     page.until(lambda: abs(session.do(lambda stage: stage.axes["y"].commanded)) > 1e-4)
     page.fire(button, up)
-    page.until(lambda: "decelerating stop" in page.panel.reports.last("jog").text)
+    page.until(lambda: "decelerating stop" in page.panel.reports.find_outcome("jog").text)
     at, other = session.do(lambda stage: [stage.axes[a].commanded * sign for a in "yx"])
     assert at > 1e-4
     assert other == pytest.approx(0, abs=1e-12)
@@ -304,13 +304,13 @@ def test_an_error_of_a_jog_is_at_its_field_or_below(page, session, ordered):
     session.do(lambda stage: stage.place(x=stage.axes["x"].travel[1] * 0.985))
     page.fire("jog-plus", "pointerdown")
     page.until(lambda: "x stands on its end limit" in page.text("report"))
-    assert wrong(page)
+    assert has_failed(page)
     assert not page.error("jog-speed")
     page.fire("jog-minus", "pointerdown")
     page.until(lambda: session.busy or "decelerating" in page.text("report"))
     page.fire("jog-minus", "pointerup")
     page.until(lambda: "decelerating" in page.text("report"))
-    assert not wrong(page)
+    assert not has_failed(page)
 
 
 def test_a_failed_report_is_red_and_a_timeout_includes_the_report(served, page, session):
@@ -326,19 +326,19 @@ def test_a_failed_report_is_red_and_a_timeout_includes_the_report(served, page, 
 
     bad = SimpleNamespace(ok=False, __str__=None)
     assert ends(bad) is bad
-    assert (reports.last("move").text, reports.last("move").wrong) == (str(bad), True)
-    page.until(lambda: wrong(page))
+    assert (reports.find_outcome("move").text, reports.find_outcome("move").has_failed) == (str(bad), True)
+    page.until(lambda: has_failed(page))
     delayed = RunTimeout("too long.")
     delayed.report = "as far as this"
     assert ends(delayed) is None
-    assert reports.last("move")[:2] == ("too long.\nas far as this", True)
+    assert reports.find_outcome("move")[:2] == ("too long.\nas far as this", True)
     good = SimpleNamespace(ok=True)
     assert ends(good) is good
-    assert reports.last("move")[1:] == (False, "")
-    page.until(lambda: not wrong(page))
+    assert reports.find_outcome("move")[1:] == (False, "")
+    page.until(lambda: not has_failed(page))
     with pytest.raises(StageError, match="not begun"):
         ends(StageError("not begun"))
-    assert reports.last("move") == reports.last("nothing so far")
+    assert reports.find_outcome("move") == reports.find_outcome("nothing so far")
 
 
 def test_a_picture_is_of_the_report_that_it_was_drawn_of(served, page, session, monkeypatch):
@@ -347,21 +347,21 @@ def test_a_picture_is_of_the_report_that_it_was_drawn_of(served, page, session, 
 
     def picture(report):
         if report.name == "first":
-            reports.note("home", "newer")  # the next has begun meanwhile
+            reports.set_outcome("home", "newer")  # the next has begun meanwhile
         if isinstance(result := pictures[report.name], Exception):
             raise result
         return result
 
-    monkeypatch.setattr("stage.panel.procedure_page.draw_pattern", picture)
+    monkeypatch.setattr("stage.panel.procedure_page.draw_operation_pattern", picture)
 
     def perform(name):
         outcome = SimpleNamespace(ok=True, name=name, plot=None)
         page.within(lambda: reports.perform("home", "Home", lambda stage: outcome))
 
     perform("first")
-    page.until(lambda: reports.last("home").text == "newer")
+    page.until(lambda: reports.find_outcome("home").text == "newer")
     page.settled()
-    assert reports.last("home").picture == ""
+    assert reports.find_outcome("home").picture == ""
     perform("second")
-    page.until(lambda: reports.last("home").text.endswith("\nno matplotlib."))
-    assert not reports.last("home").wrong
+    page.until(lambda: reports.find_outcome("home").text.endswith("\nno matplotlib."))
+    assert not reports.find_outcome("home").has_failed

@@ -18,7 +18,7 @@ from stage.support.identifier_escapes import unescape_name
 
 def run_at_once(session, what, *arguments, **more):
     result = session.do(lambda stage: session.run_unpaced(lambda: what(*arguments, **more)))
-    session.do(lambda stage: session._publish())
+    session.do(lambda stage: session._publish_view())
     return result
 
 
@@ -26,18 +26,18 @@ def test_the_trigger_is_at_the_edge_of_the_trace(session, sampler):
     scope = Oscilloscope(sampler, ["x/rate", "x/position"], span=0.05)
     run_at_once(session, session.stage.run, 0.02)
     scope.set_trigger("single", "x/rate", True, 8000.0)
-    assert scope.frame(100).state == "waits for the trigger"
+    assert scope.capture_frame(100).state == "waits for the trigger"
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
-    frame = scope.frame(100)
+    frame = scope.capture_frame(100)
     assert frame.state == "stopped"
     assert frame.begin == pytest.approx(frame.trigger - BEFORE * 0.05)
     times, rate = frame.curves["x/rate"]
     k = np.searchsorted(times, frame.trigger)
     assert rate[k - 1] < 8000 <= rate[k]
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
-    assert scope.frame(100).trigger == frame.trigger  # it was for once
+    assert scope.capture_frame(100).trigger == frame.trigger  # it was for once
     scope.running = True
-    assert scope.frame(100).trigger is None
+    assert scope.capture_frame(100).trigger is None
 
 
 def test_lost_steps_and_diagnostics_are_triggers(session, sampler):
@@ -49,7 +49,7 @@ def test_lost_steps_and_diagnostics_are_triggers(session, sampler):
         run_at_once(session, firmware.move, x, 0.004)
         run_at_once(session, x.chip.write, 0, 0x90)
         run_at_once(session, session.stage.run, 0.2)
-        frame, message = scope.frame(100), other.frame(100)
+        frame, message = scope.capture_frame(100), other.capture_frame(100)
         session.do(lambda stage: jam.clear())
     times, lost = frame.curves["x/lost_steps"]
     assert lost[times >= frame.trigger][0] != lost[times < frame.trigger][-1]
@@ -62,20 +62,24 @@ def test_a_pin_has_an_edge_whatever_level_is_left_from_another_trace(session, sa
     for name, scope in scopes.items():
         scope.set_trigger("normal", name, True, 8000.0)
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
-    rose = {name for name in pins if (np.diff(sampler.columns([name], 0, sampler.last)[1][name].astype(int)) > 0).any()}
+    rose = {
+        name
+        for name in pins
+        if (np.diff(sampler.read_columns([name], 0, sampler.last_time)[1][name].astype(int)) > 0).any()
+    }
     assert rose
-    assert {name for name, scope in scopes.items() if scope.frame(100).trigger is not None} == rose
+    assert {name for name, scope in scopes.items() if scope.capture_frame(100).trigger is not None} == rose
 
 
 def test_auto_mode_shows_the_newest_window_also_after_going_back(session, sampler):
     scope = Oscilloscope(sampler, ["x/org"], span=0.01)
     scope.set_trigger("auto", "x/org")
     run_at_once(session, session.stage.run, 1.5)
-    assert scope.frame(10).end == pytest.approx(sampler.last)
+    assert scope.capture_frame(10).end == pytest.approx(sampler.last_time)
     session.reset()
-    session.do(lambda stage: session._publish())
+    session.do(lambda stage: session._publish_view())
     run_at_once(session, session.stage.run, 0.02)
-    assert scope.frame(10).end <= 0.03
+    assert scope.capture_frame(10).end <= 0.03
 
 
 @pytest.mark.parametrize("mode", ["single", "normal"])
@@ -84,13 +88,13 @@ def test_a_trigger_stays_until_its_window_is_full(session, sampler, mode):
     scope = Oscilloscope(sampler, ["x/rate"], span=1.0)
     scope.set_trigger(mode, "x/rate", True, 8000.0)
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
-    first = scope.frame(10)
-    while sampler.last < first.end - 0.1:
+    first = scope.capture_frame(10)
+    while sampler.last_time < first.end - 0.1:
         run_at_once(session, session.stage.run, 0.1)
-        frame = scope.frame(10)
+        frame = scope.capture_frame(10)
         assert (frame.trigger, frame.begin, frame.state) == (first.trigger, first.begin, "triggered")
     run_at_once(session, session.stage.run, 0.2)
-    full = scope.frame(2000)
+    full = scope.capture_frame(2000)
     assert (full.trigger, full.state) == (first.trigger, "stopped" if mode == "single" else "waits for the trigger")
     assert full.curves["x/rate"][0][-1] == pytest.approx(full.end, abs=1e-3)
 
@@ -101,14 +105,14 @@ def test_the_latest_trigger_with_a_full_window_is_shown(session, sampler):
     scope.set_trigger("normal", "x/rate", True, 8000.0)
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
     run_at_once(session, session.stage.run, 0.4)
-    between = sampler.last
+    between = sampler.last_time
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
-    began = sampler.columns(["x/rate"], between, sampler.last)
+    began = sampler.read_columns(["x/rate"], between, sampler.last_time)
     second = began[0][np.argmax(began[1]["x/rate"] >= 8000)]
-    run_at_once(session, session.stage.run, second + 0.5 * 0.4 - sampler.last)
-    assert scope.frame(10).end <= between
+    run_at_once(session, session.stage.run, second + 0.5 * 0.4 - sampler.last_time)
+    assert scope.capture_frame(10).end <= between
     run_at_once(session, session.stage.run, 0.4)
-    assert scope.frame(10).trigger == pytest.approx(second)
+    assert scope.capture_frame(10).trigger == pytest.approx(second)
 
 
 def test_a_trigger_after_the_restored_time_is_forgotten(session, sampler):
@@ -116,24 +120,24 @@ def test_a_trigger_after_the_restored_time_is_forgotten(session, sampler):
     scope.set_trigger("normal", "x/rate", True, 8000.0)
     begin = session.do(lambda stage: stage.snapshot())
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
-    assert scope.frame(10).trigger > 0
+    assert scope.capture_frame(10).trigger > 0
     session.restore(begin)
-    session.do(lambda stage: session._publish())
+    session.do(lambda stage: session._publish_view())
     run_at_once(session, session.stage.run, 0.02)
-    again = scope.frame(10)
-    assert (again.trigger, again.end) == (None, sampler.last)
+    again = scope.capture_frame(10)
+    assert (again.trigger, again.end) == (None, sampler.last_time)
 
 
 def test_a_stopped_picture_has_the_same_end_or_trigger_in_another_window(session, sampler):
     free, single = Oscilloscope(sampler, ["x/rate"], span=0.1), Oscilloscope(sampler, ["x/rate"], span=0.05)
     single.set_trigger("single", "x/rate", True, 8000.0)
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
-    end, trigger = free.frame(10).end, single.frame(10).trigger
+    end, trigger = free.capture_frame(10).end, single.capture_frame(10).trigger
     free.running = False
     free.set_span(0.02)
     single.set_span(0.01)
     run_at_once(session, session.stage.run, 0.2)
-    displayed, caught = free.frame(10), single.frame(10)
+    displayed, caught = free.capture_frame(10), single.capture_frame(10)
     assert (displayed.begin, displayed.end) == pytest.approx((end - 0.02, end))
     assert (caught.begin, caught.end) == pytest.approx((trigger - BEFORE * 0.01, trigger + (1 - BEFORE) * 0.01))
 
@@ -148,7 +152,7 @@ def test_a_window_that_cannot_be_is_refused(sampler):
 def test_files_have_what_the_window_shows(session, sampler):
     run_at_once(session, firmware.move, session.stage.axes["x"], 0.002)
     names = ["x/position", "x/pout" if "x/pout" in sampler.traces else "x/org"]
-    times, values = sampler.columns(names, 0.01, 0.11)
+    times, values = sampler.read_columns(names, 0.01, 0.11)
     data = {ending: write(sampler, names, 0.01, 0.11) for ending, write in FORMATS.items() if ending in ("csv", "vcd")}
     rows = np.genfromtxt(io.BytesIO(data["csv"]), delimiter=",", skip_header=1)
     assert data["csv"].startswith(b"time (s),x position (mm),")
@@ -167,7 +171,9 @@ def test_a_change_in_a_vcd_file_has_the_nanosecond_nearest_to_its_time():
     """Seconds are no whole nanoseconds in binary: 1.001 * 1e9 is 1000999999.9999999."""
     times = np.array([1.0, 1.001, 1.003, 1.005, 1.2])
     level = SimpleNamespace(name="x/org", pin=True)
-    sampler = SimpleNamespace(columns=lambda *_: (times, {"x/org": np.array([0, 1, 0, 1, 1])}), trace=lambda _: level)
+    sampler = SimpleNamespace(
+        read_columns=lambda *_: (times, {"x/org": np.array([0, 1, 0, 1, 1])}), find_trace=lambda _: level
+    )
     message = FORMATS["vcd"](sampler, ["x/org"], 1.0, 1.2).decode()
     assert re.findall(r"^#(\d+)", message, re.MULTILINE) == [f"{round(t * 1e9)}" for t in times.tolist()]
 
@@ -176,7 +182,8 @@ def test_a_window_of_axes_of_any_name_is_waveforms_with_a_scope_for_each():
     names = [f"{name}/org" for name in ODD_NAMES]
     values = {name: np.arange(3) % 2 for name in names}
     sampler = SimpleNamespace(
-        columns=lambda *_: (np.array([0.0, 0.1, 0.2]), values), trace=lambda name: SimpleNamespace(name=name, pin=True)
+        read_columns=lambda *_: (np.array([0.0, 0.1, 0.2]), values),
+        find_trace=lambda name: SimpleNamespace(name=name, pin=True),
     )
     tokens = tokenize(io.BytesIO(FORMATS["vcd"](sampler, names, 0.0, 0.2)))
     scopes = [token.scope.ident for token in tokens if token.kind is TokenKind.SCOPE]

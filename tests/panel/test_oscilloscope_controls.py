@@ -35,8 +35,8 @@ def test_other_traces_are_drawn_at_once_also_while_nothing_moves(page, monkeypat
     monkeypatch.setattr(one, "_calls", [])  # nobody else looks
     page.put("mode", "free")
     page.put("traces", ["x/position"])
-    assert page.within(chart._next_message)
-    assert page.within(chart._next_message) is None, "it rests"
+    assert page.within(chart._build_next_message)
+    assert page.within(chart._build_next_message) is None, "it rests"
     page.put("traces", ["x/position", "y/position"])
-    method, message = page.within(chart._next_message)
+    method, message = page.within(chart._build_next_message)
     assert (method, len(message["series"])) == ("setOption", 2)

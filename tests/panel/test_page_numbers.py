@@ -28,18 +28,21 @@ def test_a_stage_cannot_keep_up_where_it_lags_by_more_than_a_twentieth(paused, s
 
 
 def test_a_curve_is_sent_with_both_ends_of_what_is_level_and_six_digits():
-    needed = chart._corners(np.array([0, 0, 0, 5, 5, 5, 2, 2.0]))
+    needed = chart._mark_needed_points(np.array([0, 0, 0, 5, 5, 5, 2, 2.0]))
     assert np.flatnonzero(needed).tolist() == [0, 2, 3, 5, 6, 7]
-    assert chart._significant(np.array([123_456.789, -0.04]), 9).tolist() == [123_457.0, 0.0]
-    assert chart._significant(np.array([0.00123456789, 0.0]), 9).tolist() == [0.00123457, 0.0]
-    assert chart._significant(np.zeros(2), 9).tolist() == [0.0, 0.0]
+    assert chart._round_to_significant_digits(np.array([123_456.789, -0.04]), 9).tolist() == [123_457.0, 0.0]
+    assert chart._round_to_significant_digits(np.array([0.00123456789, 0.0]), 9).tolist() == [0.00123457, 0.0]
+    assert chart._round_to_significant_digits(np.zeros(2), 9).tolist() == [0.0, 0.0]
 
 
 def test_a_carriage_that_rests_is_a_level_line_whatever_the_arithmetic_leaves(sampler):
     rests = {name: t for name, t in sampler.traces.items() if not t.pin}
-    drawn = {name: chart._significant(np.array([-3e-10, 2e-10]), t.places).tolist() for name, t in rests.items()}
+    drawn = {
+        name: chart._round_to_significant_digits(np.array([-3e-10, 2e-10]), t.places).tolist()
+        for name, t in rests.items()
+    }
     assert set(map(str, drawn.values())) == {"[0.0, 0.0]"}
-    micron = chart._significant(np.array([40.0, 40.001]), rests["x/position"].places)
+    micron = chart._round_to_significant_digits(np.array([40.0, 40.001]), rests["x/position"].places)
     assert np.diff(micron) == pytest.approx(0.001)
 
 

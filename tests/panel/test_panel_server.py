@@ -56,7 +56,7 @@ def test_the_port_of_a_request_selects_the_panel(served, other):
     pages = [served.visit(), other.visit()]
     chips = [next(e.text for e in page._all() if e.props.get("data-test") == "chip-0") for page in pages]
     assert ["HCTL" in text for text in chips] == [False, True]
-    assert [p.controls.watching for p in (served.panel, other.panel)] == [1, 1]
+    assert [p.controls.browser_count for p in (served.panel, other.panel)] == [1, 1]
     assert {served.panel.port, other.panel.port} <= set(served.panel._site.panels)
     served.leave()
 
@@ -122,11 +122,11 @@ def test_a_panel_of_a_stage_takes_its_session_with_it_and_one_that_fails_leaves_
 
 def test_until_watched_waits_for_a_browser(served):
     assert not served.panel.watched
-    assert not served.panel.until_watched(0)
-    assert not served.panel.until_watched(0.03)
+    assert not served.panel.wait_until_watched(0)
+    assert not served.panel.wait_until_watched(0.03)
     served.visit()
-    assert served.panel.until_watched(0)
-    assert served.panel.until_watched()
+    assert served.panel.wait_until_watched(0)
+    assert served.panel.wait_until_watched()
     served.leave()
     assert not served.panel.watched
 
@@ -161,7 +161,7 @@ def test_a_wildcard_server_without_a_network_has_its_loopback_address(monkeypatc
 
 
 def test_a_text_with_quotes_is_one_property_value():
-    assert touch.quote_label('jammed by "x"') == "\"clear jammed by 'x'\""
+    assert touch.quote_clear_label('jammed by "x"') == "\"clear jammed by 'x'\""
 
 
 @pytest.fixture

@@ -16,8 +16,8 @@ from stage.panel.procedure_forms import (
     FieldError,
     FormField,
     Jog,
+    find_display_unit,
     find_field,
-    find_unit,
     parse_fields,
     to_field_error,
 )
@@ -155,7 +155,7 @@ def test_a_circle_is_drawn_by_the_chips_that_can(fresh):
 
 @pytest.mark.slow
 def test_a_report_is_drawn(fresh):
-    assert forms.draw_pattern(firmware.move(fresh.axes["x"], 1e-3)).startswith("<svg")
+    assert forms.draw_operation_pattern(firmware.move(fresh.axes["x"], 1e-3)).startswith("<svg")
 
 
 # --- fields ---
@@ -197,8 +197,8 @@ def test_an_error_that_begins_with_the_name_of_a_field_is_about_it():
 def test_distances_and_speeds_are_typed_in_mm_or_degrees_within_their_bounds(name, unit, scale, travels):
     axis = Stage("xya", visuals=False).axes[name]
     pulse, limit = axis.meters_per_pulse / scale, travels * (axis.travel[1] - axis.travel[0]) / scale
-    assert find_unit(axis) == (unit, pytest.approx(scale))
-    fields = [forms.distance_field(axis, "distance", "distance", ""), *forms.list_speed_fields(axis)]
+    assert find_display_unit(axis) == (unit, pytest.approx(scale))
+    fields = [forms.build_distance_field(axis, "distance", "distance", ""), *forms.list_speed_fields(axis)]
     good = {"distance": f"{-0.999 * limit}", "speed": "3", "start_speed": f"{1.01 * pulse}", "accel": "60"}
     assert parse_fields(fields, good) == pytest.approx(
         {"distance": -0.999 * limit * scale, "speed": 3 * scale, "start_speed": 1.01 * pulse * scale, "accel": 60}

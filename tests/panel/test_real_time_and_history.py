@@ -107,18 +107,18 @@ def remembered(ms, past=None):
 def test_the_past_has_a_snapshot_every_twentieth_of_a_second():
     past = remembered(range(0, 400, 10))
     assert [at // MS for at, _ in past._snapshots] == list(range(0, 400, round(INTERVAL_S * 1e3)))
-    assert past.find_before(199 * MS).at == 150 * MS
-    assert past.find_before(200 * MS).at == 200 * MS
-    assert past.find_before(10**12).at == 350 * MS
-    assert past.find_before(-1).at == 0, "the oldest, where none is as old"
+    assert past.find_latest_before(199 * MS).at == 150 * MS
+    assert past.find_latest_before(200 * MS).at == 200 * MS
+    assert past.find_latest_before(10**12).at == 350 * MS
+    assert past.find_latest_before(-1).at == 0, "the oldest, where none is as old"
     assert (390 * MS - past.oldest) * 1e-9 == pytest.approx(0.39)
-    assert (SnapshotHistory().find_before(0), SnapshotHistory().oldest) == (None, None)
+    assert (SnapshotHistory().find_latest_before(0), SnapshotHistory().oldest) == (None, None)
 
 
 def test_history_covers_half_a_minute():
     past = remembered(range(0, 40_000, 100))
     assert (39_900 * MS - past.oldest) * 1e-9 == pytest.approx(MAX_AGE_S)
-    assert past.find_before(0).at == 9_900 * MS
+    assert past.find_latest_before(0).at == 9_900 * MS
     delayed = remembered([0, 100_000])
     assert [at // MS for at, _ in delayed._snapshots] == [100_000]
 
@@ -126,9 +126,9 @@ def test_history_covers_half_a_minute():
 def test_going_back_forgets_later_snapshots():
     past = remembered(range(0, 400, 50))
     past.forget_after(200 * MS)
-    assert past.find_before(10**12).at == 200 * MS
+    assert past.find_latest_before(10**12).at == 200 * MS
     past.forget_after(-1)
-    assert past.find_before(0) is None
+    assert past.find_latest_before(0) is None
 
 
 def test_history_distinguishes_machines():

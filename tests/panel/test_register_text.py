@@ -10,12 +10,12 @@ from stage.errors import ArgumentError
 from stage.panel.register_text import (
     BusCycle,
     FrontPanel,
-    complete_name,
     describe_lamp,
     describe_range,
     describe_value,
     find_weakest_evidence,
     format_value,
+    list_completions,
     parse_line,
     parse_number,
     replace_field,
@@ -65,7 +65,7 @@ def test_every_command_of_every_chip_has_a_button_or_a_row():
         sent = {b.symbol for b in buttons} | {r.name for r in front.registers} | {w.name for w in front.forms}
         assert {c.symbol for c in kind.MAP.commands} <= sent
         for b in buttons:
-            assert kind.command_cycles(b.symbol, kind.AXES - 1, 0 if b.takes else b.datum), b
+            assert kind.command_cycles(b.symbol, kind.AXES - 1, 0 if b.data_bits else b.datum), b
             assert b.title
             assert b.label
 
@@ -190,5 +190,5 @@ def test_the_console_answers_without_bus_cycles():
     assert "R1 <- 100" in parse_line(PCL240K, "help").answer
     assert parse_line(PCL240K, "help r1").answer == "R1: FL speed; 1 to 8191 speed steps"
     assert ".linear" in parse_line(PCL240MS, "help R14").answer
-    assert complete_name(MCX514, "drvv") == ["DRVVP", "DRVVM"]
-    assert complete_name(MCX514, "") == []
+    assert list_completions(MCX514, "drvv") == ["DRVVP", "DRVVM"]
+    assert list_completions(MCX514, "") == []

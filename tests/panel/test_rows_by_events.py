@@ -138,7 +138,7 @@ def test_a_value_that_changes_flashes_and_another_axis_does_not(make_row):
     assert observed == [[], [], ["flash-a"], ["flash-a"], ["flash-b"], ["flash-a"]]
     row.row.update({"another": 3})
     assert row.text == "8"
-    row.row.forget()
+    row.row.forget_value()
     row.update(9)
     assert (row.text, row.flash) == ("9", ["flash-a"])
 
@@ -148,7 +148,7 @@ def test_selecting_another_axis_ends_editing(page, make_row):
     row.update(7)
     page.fire("value-made", "keydown", {"key": "1"})
     page.settled()
-    row.row.forget()
+    row.row.forget_value()
     row.update(8)
     assert row.text == "8"
 
@@ -366,7 +366,7 @@ def test_a_readable_word_lights_its_lamps_and_is_hidden_without_a_value(page):
         row.update({})
         assert not row._line.visible
         row.update({place.name: 1})
-        row.forget()
+        row.forget_value()
         row._head.text = "of another axis"
         row.update({place.name: 1})
         assert row._head.text == f"{place.name} {format_value(place, 1)}"

@@ -25,14 +25,14 @@ def run(session, seconds):
 
 
 def publish(session):
-    session.do(lambda stage: session._publish())  # and all observers have been called
+    session.do(lambda stage: session._publish_view())  # and all observers have been called
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_buffer_holds_the_end_of_a_list_whatever_is_added_and_forgotten(seed):
     print("seed", seed)
     rng, buffer, expected, time = random.Random(seed), SampleBuffer(16, 2), [], 0
-    assert (buffer.first, buffer.last, len(buffer.rows)) == (float("inf"), -1.0, 0)
+    assert (buffer.first_time, buffer.last_time, len(buffer.rows)) == (float("inf"), -1.0, 0)
     for _ in range(150):
         if rng.random() < 0.8:
             n = rng.choice((1, 1, 3, 7, 15, 16, 17, 40))
@@ -46,9 +46,11 @@ def test_a_buffer_holds_the_end_of_a_list_whatever_is_added_and_forgotten(seed):
             time = max(time, expected[-1] + 1 if expected else time)
         assert buffer.rows["time"][:, 0].tolist() == expected
         assert buffer.rows["lost_steps"].tolist() == [[t, -t] for t in expected]
-        assert (buffer.first, buffer.last) == ((expected[0], expected[-1]) if expected else (float("inf"), -1.0))
+        assert (buffer.first_time, buffer.last_time) == (
+            (expected[0], expected[-1]) if expected else (float("inf"), -1.0)
+        )
         for at in (-1, *expected[:1], *expected[-1:], rng.uniform(0, time + 1)):
-            assert buffer.find(at) == sum(t < at for t in expected)
+            assert buffer.count_before(at) == sum(t < at for t in expected)
 
 
 @pytest.mark.parametrize(
@@ -71,7 +73,7 @@ def test_a_thinned_curve_has_the_least_and_the_greatest_of_each_stretch_in_their
 
 @pytest.mark.parametrize("points", [0, -1])
 def test_a_curve_of_no_columns_of_pixels_is_refused(points):
-    with pytest.raises(ArgumentError, match=f"points={points}: 1 or more"):
+    with pytest.raises(ArgumentError, match=f"pixel_columns={points}: 1 or more"):
         thin_curve(np.zeros(3), np.zeros(3), points)
 
 
@@ -81,7 +83,7 @@ def test_samples_are_those_of_a_recording(session, sampler):
     reference = Stage("xy", visuals=False)
     with reference.record(every=2.5e-4) as recording:
         firmware.move(reference.axes["x"], 0.002)
-    times, values = sampler.columns(["x/position", "x/rate", "x/org"], 0, 1.0)
+    times, values = sampler.read_columns(["x/position", "x/rate", "x/org"], 0, 1.0)
     n = len(times)
     assert n > 500
     assert np.array_equal(times, recording.column("time")[:n])
@@ -93,7 +95,7 @@ def test_samples_are_those_of_a_recording(session, sampler):
 
 def test_samples_that_were_returned_stay_when_the_buffer_moves(session, sampler):
     run(session, 0.1)
-    times, values = sampler.columns(["x/position", "x/load_angle", "x/lost_steps"], 0, 1.0)
+    times, values = sampler.read_columns(["x/position", "x/load_angle", "x/lost_steps"], 0, 1.0)
     before = [times.copy(), *(v.copy() for v in values.values())]
     run(session, 2 * FINE_S)
     for now, then in zip([times, *values.values()], before, strict=True):
@@ -104,29 +106,29 @@ def test_the_samples_of_long_windows_are_a_millisecond_apart_however_they_came(s
     for k in range(30):
         run(session, 0.0102 + 0.00025 * (k % 5))
     run(session, FINE_S)
-    times, _ = sampler.columns([], 0, 0.3)
+    times, _ = sampler.read_columns([], 0, 0.3)
     assert len(times) > 290
     assert np.diff(times) == pytest.approx(INTERVAL_S)
 
 
 def test_a_window_has_both_its_ends_and_is_fine_where_physics_steps_are_kept(session, sampler):
     run(session, FINE_S + 0.5)
-    fine, _ = sampler.columns([], 1.0, 1.1)
+    fine, _ = sampler.read_columns([], 1.0, 1.1)
     assert (fine[0], fine[-1]) == pytest.approx((1.0, 1.1))
     assert np.diff(fine) == pytest.approx(sampler.dt)
     for end in (0.2, 2.0):
-        coarse, _ = sampler.columns([], 0.1, end)
+        coarse, _ = sampler.read_columns([], 0.1, end)
         assert np.diff(coarse) == pytest.approx(INTERVAL_S), "a window that begins earlier is of one kind"
-    assert sampler.last == pytest.approx(FINE_S + 0.5)
-    assert len(sampler.columns(["x/position"], 9.0, 10.0)[1]["x/position"]) == 0
+    assert sampler.last_time == pytest.approx(FINE_S + 0.5)
+    assert len(sampler.read_columns(["x/position"], 9.0, 10.0)[1]["x/position"]) == 0
 
 
 def test_each_trace_is_thinned_for_itself(session, sampler):
     session.do(lambda stage: stage.place(x=0.01, y=-0.02))
     run(session, 0.5)
     names = ["x/position", "y/position", "x/org"]
-    curves = sampler.thinned_columns(names, 0.1, 0.4, 10)
-    times, values = sampler.columns(names, 0.1, 0.4)
+    curves = sampler.read_thinned_columns(names, 0.1, 0.4, 10)
+    times, values = sampler.read_columns(names, 0.1, 0.4)
     for name, curve in curves.items():
         assert [c.tolist() for c in curve] == [c.tolist() for c in thin_curve(times, values[name], 10)]
     assert curves["x/position"][1] == pytest.approx(10, abs=0.5)
@@ -143,15 +145,15 @@ def test_time_may_go_back(session, sampler):
     assert len(sampler.events) == 1
     session.restore(snapshot)
     publish(session)
-    assert sampler.last <= 0.0101
+    assert sampler.last_time <= 0.0101
     assert not sampler.events, "that is still to come"
     run(session, 0.01)
-    times, _ = sampler.columns([], 0, 1.0)
+    times, _ = sampler.read_columns([], 0, 1.0)
     assert np.all(np.diff(times) > 0)
     assert times[-1] == pytest.approx(0.02, abs=3e-4)
     session.reset()
     publish(session)
-    assert len(sampler.columns([], 0, 1.0)[0]) <= 1
+    assert len(sampler.read_columns([], 0, 1.0)[0]) <= 1
 
 
 def test_diagnostics_are_events_of_their_chip_and_time_once_each_and_none_of_before(session):
@@ -173,7 +175,7 @@ def test_diagnostics_are_events_of_their_chip_and_time_once_each_and_none_of_bef
 
 def test_an_unknown_trace_is_refused_with_near_misses(sampler):
     with pytest.raises(ArgumentError, match="x/position"):
-        sampler.columns(["x/positon"], 0, 1)
+        sampler.read_columns(["x/positon"], 0, 1)
 
 
 def test_nothing_is_left_of_a_sampler_that_was_closed(session):
@@ -182,12 +184,12 @@ def test_nothing_is_left_of_a_sampler_that_was_closed(session):
     sampler = Sampler(session)
     run(session, 0.01)
     assert session.stage.loop.recording is sampler
-    last = sampler.last
+    last = sampler.last_time
     sampler.close()
     assert session.stage.loop.recording is None
     assert len(session._observers) == observers
     run(session, 0.01)
-    assert sampler.last == last
+    assert sampler.last_time == last
 
 
 def test_a_recording_takes_the_samplers_place_and_gives_it_back(session, sampler):
@@ -197,12 +199,12 @@ def test_a_recording_takes_the_samplers_place_and_gives_it_back(session, sampler
                 run(session, 0.01)
             assert len(recording) == 30
             at = session.stage.time
-            times, _ = sampler.columns([], at - 0.0255, at)
+            times, _ = sampler.read_columns([], at - 0.0255, at)
             assert len(times) == pytest.approx(26, abs=1)
             assert np.diff(times) == pytest.approx(INTERVAL_S)
             session.do(lambda stage, recording=recording: recording.close())
     run(session, 0.01)
-    assert sampler.last == pytest.approx(session.stage.time, abs=3e-4)
+    assert sampler.last_time == pytest.approx(session.stage.time, abs=3e-4)
     assert session.stage.recording is None
 
 
@@ -213,8 +215,8 @@ def test_a_running_recording_is_read_from_its_start_and_not_disturbed(session):
     sampler = Sampler(session)
     run(session, 0.01)
     assert session.do(lambda stage: stage.recording is recording)
-    assert sampler.last == pytest.approx(0.02, abs=1.1e-3)
-    assert sampler.columns([], 0, 1.0)[0][0] <= 1.1e-3, "what was recorded before"
+    assert sampler.last_time == pytest.approx(0.02, abs=1.1e-3)
+    assert sampler.read_columns([], 0, 1.0)[0][0] <= 1.1e-3, "what was recorded before"
     sampler.close()
     run(session, 0.01)
     assert session.stage.recording is recording
@@ -229,14 +231,14 @@ def test_samplers_of_one_stage_have_the_same_samples(session, sampler):
     third = Sampler(session)
     sampler.close()
     run(session, 0.01)
-    assert sampler.last == pytest.approx(0.02, abs=3e-4), "it is closed"
+    assert sampler.last_time == pytest.approx(0.02, abs=3e-4), "it is closed"
     third.close()
     run(session, 0.01)
-    assert third.last == pytest.approx(0.03, abs=3e-4)
-    times, values = second.columns(["x/position"], 0, 1.0)
+    assert third.last_time == pytest.approx(0.03, abs=3e-4)
+    times, values = second.read_columns(["x/position"], 0, 1.0)
     assert np.diff(times) == pytest.approx(2.5e-4), "none is missing, none twice"
     assert times[0] == pytest.approx(0.0102, abs=3e-4)
-    assert times[-1] == second.last == pytest.approx(0.04, abs=3e-4)
+    assert times[-1] == second.last_time == pytest.approx(0.04, abs=3e-4)
     assert len(values["x/position"]) == len(times)
     second.close()
     assert session.do(lambda stage: stage.loop.recording) is None
@@ -249,7 +251,7 @@ def test_a_stage_without_axes_has_no_samples():
     )
     session = SimpleNamespace(stage=stage, do=lambda order: calls.append(order) or order(stage), on_slice=calls.append)
     sampler = Sampler(session)
-    assert (sampler.traces, calls, sampler.last) == ({}, [], -1.0)
+    assert (sampler.traces, calls, sampler.last_time) == ({}, [], -1.0)
     sampler.close()
 
 

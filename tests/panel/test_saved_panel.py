@@ -81,7 +81,7 @@ def test_a_file_with_another_motor_continues_bit_for_bit(tmp_path):
     saved, opened, path = PausedPanel(), PausedPanel(), tmp_path / "motor.zip"
     try:
         saved.after(move)
-        saved.panel.fault_controls.make("motor", "x", {"motor": "SS2422-5041"})
+        saved.panel.fault_controls.make_fault("motor", "x", {"motor": "SS2422-5041"})
         saved.after(lambda stage: stage.run(0.01))
         path.write_bytes(saved_panel.save(saved.panel))
         saved_panel.restore(opened.panel, saved_panel.read(path))
@@ -89,7 +89,7 @@ def test_a_file_with_another_motor_continues_bit_for_bit(tmp_path):
         ends = [paused_panel.after(lambda stage: stage.run(0.3)) for paused_panel in (saved, opened)]
         assert np.array_equal(*ends)
         (paused_panel,) = opened.panel.fault_controls.in_force
-        opened.panel.fault_controls.clear(paused_panel)
+        opened.panel.fault_controls.clear_fault(paused_panel)
         assert opened.session.stage.axes["x"].drive.motor.name == "17HS4401"
     finally:
         for paused_panel in (saved, opened):
@@ -105,7 +105,9 @@ def test_a_restored_panel_continues_bit_for_bit(first, file):
             first.after(lambda stage: stage.run_to(end)), other.after(lambda stage: stage.run_to(end))
         )
         assert other.session.do(lambda stage: stage.axes["x"].commanded) > 0.005
-        assert saved_panel.program(other.panel, "program.py") == saved_panel.program(first.panel, "program.py")
+        assert saved_panel.write_program(other.panel, "program.py") == saved_panel.write_program(
+            first.panel, "program.py"
+        )
     finally:
         other.close()
 
@@ -133,7 +135,7 @@ def test_loads_and_faults_go_with_it(tmp_path):
     try:
         one.panel.fault_controls.set_payload(0.5)
         one.panel.fault_controls.set_supply(18.0)
-        one.panel.fault_controls.make("switch_stuck", "y", {"pin": "org", "closed": "yes"})
+        one.panel.fault_controls.make_fault("switch_stuck", "y", {"pin": "org", "closed": "yes"})
         one.after(move)
         path = tmp_path / "broken.zip"
         path.write_bytes(saved_panel.save(one.panel))
@@ -170,7 +172,7 @@ def test_going_back_takes_cycles_out_of_the_program():
         return paused_panel.session.do(
             lambda stage: (
                 paused_panel.panel.observer.update_views(stage),
-                len(saved_panel.sent_of(paused_panel.panel)),
+                len(saved_panel.list_program_cycles(paused_panel.panel)),
             )[1]
         )
 
@@ -222,7 +224,7 @@ def test_a_stage_of_another_program_can_be_saved_but_not_written_as_a_program(tm
     try:
         paused_panel.after(move)
         with pytest.raises(StageError, match="a program of yours has made this stage"):
-            saved_panel.program(paused_panel.panel, "program.py")
+            saved_panel.write_program(paused_panel.panel, "program.py")
         data = saved_panel.save(paused_panel.panel)
         assert "program.py" not in zipfile.ZipFile(io.BytesIO(data)).namelist()
         path = tmp_path / "own.zip"
@@ -258,7 +260,7 @@ def test_another_file_is_refused(tmp_path, file):
     ],
 )
 def test_a_program_makes_its_stage_with_the_options_of_the_panel(option, expected):
-    assert saved_panel.stage_of(STAGE_OPTIONS | option) == expected
+    assert saved_panel.write_stage_call(STAGE_OPTIONS | option) == expected
 
 
 def shared(sent=(), start=0, options=STAGE_OPTIONS, payloads=None):
@@ -289,11 +291,11 @@ def test_what_is_written_makes_the_stage_that_the_options_make(options):
         with pytest.raises(ArgumentError) as refused:
             make_stage(SimpleNamespace(**paused_panel), visuals=False)
         with pytest.raises(ArgumentError) as also:
-            eval(saved_panel.stage_of(paused_panel), {"Stage": Stage, "Drive": Drive})
+            eval(saved_panel.write_stage_call(paused_panel), {"Stage": Stage, "Drive": Drive})
         assert str(also.value) == str(refused.value)
         return
     expected = make_stage(SimpleNamespace(**paused_panel), visuals=False)
-    stage = eval(saved_panel.stage_of(paused_panel), {"Stage": Stage, "Drive": Drive})
+    stage = eval(saved_panel.write_stage_call(paused_panel), {"Stage": Stage, "Drive": Drive})
     assert stage.header == expected.header
     assert stage.bus_cycle == expected.bus_cycle
     for one, other in zip(stage.axes.values(), expected.axes.values(), strict=True):
@@ -435,7 +437,7 @@ def test_the_ports_in_c_reach_the_address_of_the_chip(name):
         for value in (0, 0x5A if address else 0x40, None):
             journal.restart()
             before = chip.clock
-            for call in saved_panel._ports(place, ProgramCycle(0, k, address, value)):
+            for call in saved_panel._write_port_calls(place, ProgramCycle(0, k, address, value)):
                 eval(call, {}, calls)
             wrote = [(e.a, e.b) for e in journal.entries if e.kind == WRITE]
             read = [e.a for e in journal.entries if e.kind == READ]
@@ -448,4 +450,4 @@ def test_the_ports_in_c_reach_the_address_of_the_chip(name):
     journal.close()
     if saved_panel.LATCH not in kinds:
         with pytest.raises(StageError, match=rf"address 9999 of {type(chip).__name__} has no port in its layout"):
-            saved_panel._ports(place, ProgramCycle(0, k, 9999, 1))
+            saved_panel._write_port_calls(place, ProgramCycle(0, k, 9999, 1))

@@ -32,7 +32,7 @@ def test_the_rate_crosses_the_level_where_the_time_is_zero(triggered):
     before, after = curve[curve[:, 0] < 0], curve[(curve[:, 0] >= 0) & (curve[:, 0] < 20)]  # ms
     assert before[:, 1].max() < LEVEL <= after[:, 1].min()
     assert curve[0, 0] == pytest.approx(-50, abs=1)
-    _, values = sampler.columns(["x/rate"], sampler.last - 10, sampler.last)
+    _, values = sampler.read_columns(["x/rate"], sampler.last_time - 10, sampler.last_time)
     assert curve[:, 1].max() == pytest.approx(values["x/rate"].max(), rel=0.01)  # older samples are coarser
 
 
@@ -57,7 +57,7 @@ def test_a_file_of_the_window_comes_with_every_sample(triggered, ending):
     if ending == "csv":
         rows = np.genfromtxt(io.BytesIO(data), delimiter=",", skip_header=1)
         heads = data.decode().split("\n")[0].split(",")
-        times, values = sampler.columns(["x/position"], rows[0, 0] - 1e-5, rows[-1, 0] + 1e-5)
+        times, values = sampler.read_columns(["x/position"], rows[0, 0] - 1e-5, rows[-1, 0] + 1e-5)
         assert len(rows) == len(times) > 200
         assert np.allclose(rows[:, heads.index("x position (mm)")], values["x/position"])
     else:

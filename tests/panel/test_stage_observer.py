@@ -204,18 +204,18 @@ def axis(lost, now, gear=1.0, name="x", teeth=50):
 @pytest.mark.parametrize("lost", [8, -4, 0])
 def test_steps_lost_before_an_origin_return_change_neither_the_count_nor_the_position(timed, gear, teeth, lost):
     observer = timed
-    before = observer._view_axis(axis(lost, 10, gear, teeth=teeth))
+    before = observer._build_axis_view(axis(lost, 10, gear, teeth=teeth))
     assert before == (0.2, 0.25, lost, {"org": True})
-    observer.note_origin("x", SimpleNamespace(now=50, axes={"x": axis(lost, 50)}))
+    observer.reset_lost_steps("x", SimpleNamespace(now=50, axes={"x": axis(lost, 50)}))
     for more in (0, 4, -8):
-        view = observer._view_axis(axis(lost + more, 60, gear, teeth=teeth))
+        view = observer._build_axis_view(axis(lost + more, 60, gear, teeth=teeth))
         assert view.lost == more
         assert view.commanded == pytest.approx(0.25 - lost * (np.pi / 2 / teeth) / gear, rel=1e-12)
         assert view.position == 0.2
-    assert observer._view_axis(axis(lost, 60, name="y")).lost == lost, "of another axis nothing is known"
-    assert observer._view_axis(axis(lost, 50, gear, teeth=teeth)).lost == 0
+    assert observer._build_axis_view(axis(lost, 60, name="y")).lost == lost, "of another axis nothing is known"
+    assert observer._build_axis_view(axis(lost, 50, gear, teeth=teeth)).lost == 0
     for now in (49, 60):
-        assert observer._view_axis(axis(lost, now, gear, teeth=teeth)) == before, (
+        assert observer._build_axis_view(axis(lost, now, gear, teeth=teeth)) == before, (
             "who goes back to before it has not found it"
         )
 
@@ -283,7 +283,7 @@ def test_after_an_origin_return_lost_steps_are_counted_anew_and_the_command_is_w
         lost = observer.axes["x"].lost
         assert abs(lost) == 12
         assert observer.axes["x"].commanded - observer.axes["x"].position == pytest.approx(-3 * tooth, abs=0.1 * tooth)
-        session.do(lambda stage: observer.note_origin("x", stage))
+        session.do(lambda stage: observer.reset_lost_steps("x", stage))
         session.do(observer.update_views)
         assert observer.axes["x"].lost == 0
         assert observer.axes["x"].commanded == pytest.approx(observer.axes["x"].position, abs=0.1 * tooth)

@@ -62,7 +62,7 @@ def test_orders_of_an_observer_are_ignored(served, session, page, monkeypatch):
         one.until(lambda o=one, m=may: all(inert(o, n) is not m for n in (*MACHINE, *DRIVING)))
         assert {inert(one, n) for names in HIDDEN.values() for n in names} == {not may}
         assert not any(inert(one, n) for n in FREE_TO_ALL)
-    served.panel.controls.take(second.client.id)
+    served.panel.controls.give_controls_to(second.client.id)
     assert press_all(page) == list(FREE_TO_ALL)
     assert press_all(second) == everything
     second.until(lambda: not any(inert(second, n) for n in (*MACHINE, *DRIVING)))
@@ -92,12 +92,12 @@ def test_the_controls_pass_on_when_they_are_taken_or_their_holder_leaves(served,
     second.click("controls")
     page.until(lambda: page.text("controls") == "Take the controls")
     second.until(lambda: second.text("controls") == "2 watching")
-    assert (controls.holder, controls.watching) == (second.client.id, 2)
+    assert (controls.holder, controls.browser_count) == (second.client.id, 2)
     second.within(lambda: second.client.handle_disconnect(second._socket))
-    assert (controls.holder, controls.watching) == (page.client.id, 1)
+    assert (controls.holder, controls.browser_count) == (page.client.id, 1)
     page.until(lambda: not page.find("controls").visible)
     second.within(second._come)
-    assert (controls.holder, controls.watching) == (page.client.id, 2), "he is back, and looks"
+    assert (controls.holder, controls.browser_count) == (page.client.id, 2), "he is back, and looks"
 
 
 def test_one_button_pauses_and_resumes(session, page):
@@ -221,7 +221,9 @@ def test_what_was_done_is_saved_under_its_name_as_what_it_says(served, session, 
     ((name, data),) = page.sent
     assert name == "panel.zip"
     assert {"panel.json", "now.snapshot"} <= set(zipfile.ZipFile(io.BytesIO(data)).namelist())
-    monkeypatch.setattr("stage.panel.saved_panel.program", lambda panel, name: f"{name} of {panel is served.panel}")
+    monkeypatch.setattr(
+        "stage.panel.saved_panel.write_program", lambda panel, name: f"{name} of {panel is served.panel}"
+    )
     names = {"save-program": "program.py", "save-c": "program.c", "save-test_program": "test_program.py"}
     for mark, name in names.items():
         page.sent.clear()

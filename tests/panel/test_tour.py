@@ -314,7 +314,7 @@ def test_the_tour_remembers_the_last_drives_and_the_last_rates(watched):
     assert [round(d.rates[0]) for _, d in tour.finished] == [100 * k for k in range(3, 19)]
     for k in range(MAX_RATES + 5):
         watched.passes(0.02, x=1000.0 + k)
-    rates = tour._under_way["x"].rates
+    rates = tour._running_axes["x"].rates
     assert (len(rates), round(rates[-1])) == (MAX_RATES, 1000 + MAX_RATES + 4)
 
 
