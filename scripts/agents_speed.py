@@ -16,7 +16,7 @@ from typing import Any
 
 from stage import Stage
 from stage.agents import Toolbox
-from stage.agents.server.client_sessions import Sessions, ToolboxFactory
+from stage.agents.server.client_sessions import ClientSessions, ToolboxFactory
 
 CALLS = {
     "budget": {}, "status": {"axis": "x"}, "write_register": {"axis": "x", "name": "R1", "value": "1F4h"},
@@ -60,7 +60,7 @@ def at_once(sessions: int, calls: int) -> float:
     from stage.agents.server.http import HttpServer
 
     maker = ToolboxFactory(lambda: Stage("xy", visuals=False))
-    open_sessions = Sessions(maker)
+    open_sessions = ClientSessions(maker)
     server = HttpServer(maker, open_sessions)
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()

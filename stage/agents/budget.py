@@ -1,6 +1,6 @@
-"""`Budget`: how much an agent may do. `Meter`: counts it where time passes and bus cycles happen, and stops what exceeds it.
+"""`Budget`: limits of what an agent may use. `Meter`: counts simulated time and bus cycles as they pass, and enforces the limits.
 
-Restoring a snapshot gives nothing back.
+Restoring a snapshot does not restore the budget.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ CALL_LIMIT_S = 120.0  # simulated time that one call may take
 
 
 class BudgetSpent(StageError):
-    """The agent has used all that the budget allows of something."""
+    """Error of a call for which the budget has no moves, bus cycles or simulated time left."""
 
 
 @dataclass(frozen=True)
 class Budget:
-    """What an agent may use; None stands for no limit.
+    """Limits of what an agent may use; None: no limit.
 
     Attributes:
-        moves: Moves that it may begin.
-        seconds: Simulated time.
-        cycles: Bus cycles.
+        moves: Number of moves that the agent may begin.
+        seconds: Simulated time, s.
+        cycles: Number of bus cycles.
     """
 
     moves: int | None = None
@@ -46,17 +46,18 @@ class Budget:
 
 
 class Meter:
-    """Counter of what an agent uses of one stage.
+    """Counter of what an agent uses of one stage, which ends a call that exceeds a limit.
 
     Args:
         stage: The stage that the agent drives.
-        budget: What the agent may use.
-        patience: Real seconds that a call may take; None for any.
+        budget: Limits of what the agent may use.
+        patience: Longest real time that a call may take, s; None: no limit.
 
     Attributes:
-        moves, cycles, ns: Used so far: moves, bus cycles, nanoseconds of simulated time.
-        call_limit_s: Simulated seconds that one call may take.
-        session_ended, call_cancelled: Set by other threads: the session is to end; the call that runs is to end.
+        moves, cycles, ns: Moves, bus cycles and nanoseconds of simulated time used so far.
+        call_limit_s: Longest simulated time that one call may take, s.
+        session_ended: Set by another thread to end the running call with the session.
+        call_cancelled: Set by another thread to end the running call.
     """
 
     def __init__(self, stage: Stage, budget: Budget, patience: float | None = None):
@@ -66,41 +67,42 @@ class Meter:
         self._stage = stage
         self._call_end_ns, self._deadline = 0, math.inf
 
-    def begin(self) -> None:
-        """Begin a call: from now on, time and cycles count."""
+    def begin_call(self) -> None:
+        """Begin a call: count simulated time and bus cycles from now on."""
         self.call_cancelled = False
         self._call_end_ns = self.ns + round(self.call_limit_s * 1e9)
         self._deadline = math.inf if self.patience is None else monotonic() + self.patience
-        self._stage.loop.pace, self._stage.loop.each_cycle = self._advance, self._count_cycle
+        self._stage.loop.pace, self._stage.loop.each_cycle = self._limit_advance, self._count_cycle
 
-    def end(self) -> None:
-        """End the call."""
+    def end_call(self) -> None:
+        """End a call: stop counting."""
         self._stage.loop.pace = self._stage.loop.each_cycle = None
 
     def count_move(self) -> None:
-        """Count a move that begins. Raises BudgetSpent."""
+        """Count a move that is about to begin. Raises BudgetSpent if no move is left."""
         if self.budget.moves is not None and self.moves >= self.budget.moves:
             raise BudgetSpent(f"All {self.budget.moves} moves are spent. {STILL_FREE}")
         self.moves += 1
 
-    def left(self) -> dict[str, Any]:
-        """Return what the agent may still use; None for no limit."""
-        used, allowed = self.used(), vars(self.budget)
+    def list_remaining(self) -> dict[str, Any]:
+        """Return what the agent may still use, by the names of the budget; None: no limit."""
+        used, allowed = self.list_used(), vars(self.budget)
         return {
             n: None if most is None else max(round(most - used[n], 9), 0) + 0 for n, most in allowed.items()
         }  # no -0.0
 
-    def used(self) -> dict[str, Any]:
-        """Return what the agent has used."""
+    def list_used(self) -> dict[str, Any]:
+        """Return what the agent has used, by the names of the budget."""
         return {"moves": self.moves, "seconds": round(self.ns * 1e-9, 9), "cycles": self.cycles}
 
     def _count_cycle(self) -> None:
+        """Count a bus cycle that is about to be made. Raises BudgetSpent if no cycle is left."""
         if self.budget.cycles is not None and self.cycles >= self.budget.cycles:
             raise BudgetSpent(f"All {self.budget.cycles} bus cycles are spent. {STILL_FREE}")
         self.cycles += 1
 
-    def _advance(self, until: int) -> int:
-        """Return the time, ns, to which a run to `until` may go now. Raises StageError."""
+    def _limit_advance(self, until: int) -> int:
+        """Return the time, ns, to which a run towards `until`, ns, may go now. Raises StageError if the call has to end."""
         now = self._stage.state.now
         budget_ns = math.inf if self.budget.seconds is None else round(self.budget.seconds * 1e9)
         allowed = min(until - now, CHECK_INTERVAL_NS, self._call_end_ns - self.ns, budget_ns - self.ns)

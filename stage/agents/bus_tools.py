@@ -23,22 +23,22 @@ MODES = {
 
 
 class BusTools:
-    """Actions of the tools at the bus.
+    """Tools that work on the bus of the chips.
 
     Args:
-        context: The stage.
-        motion: Its moves: a write of the host may start or stop one.
+        context: The stage and what its tools share.
+        motion: The motion tools, which must learn when a write starts or stops a move.
     """
 
     def __init__(self, context: ToolContext, motion: MotionTools):
         self._context, self._motion = context, motion
 
     def tools(self) -> list[Tool]:
-        """Return the tools, with the registers and commands of the stage's chips as choices."""
+        """List the tools. The registers and commands of the stage's chips are the choices of their arguments."""
         chips = tuple(dict.fromkeys(type(a.chip) for a in self._context.stage.axes.values()))
-        readable = _unique(r.name for c in chips for r in c.MAP.registers)
-        writable = _unique(r.name for c in chips for r in c.MAP.registers if "W" in r.access)
-        commands = _unique(name for c in chips for name in list_commands(c))
+        readable = _remove_duplicates(r.name for c in chips for r in c.MAP.registers)
+        writable = _remove_duplicates(r.name for c in chips for r in c.MAP.registers if "W" in r.access)
+        commands = _remove_duplicates(name for c in chips for name in list_commands(c))
         address = integer(0, max(c.ADDRESSES for c in chips) - 1)
         datum = integer(0, max(c.DATA_MASK for c in chips))
         axis = {"axis": self._context.axis_argument}
@@ -81,7 +81,7 @@ class BusTools:
             "time_s": context.time_s,
             "mode": context.mode,
             "sees": MODES[context.mode],
-            "left": context.meter.left(),
+            "left": context.meter.list_remaining(),
         }
 
     def _describe_axis(self, name: str) -> dict[str, Any]:
@@ -124,6 +124,7 @@ class BusTools:
         return {"axis": axis, "register": r.name, "value": value, "title": r.title, "cycles": len(cycles)}
 
     def _find_register(self, axis: str, name: str) -> Register:
+        """Return the register of an axis' chip with this name. Raises ArgumentError for an unknown name."""
         map_ = self._context.axis(axis).chip.MAP
         return map_.register(choose(f"register of axis {axis}", name, tuple(r.name for r in map_.registers)))
 
@@ -135,7 +136,7 @@ class BusTools:
             cycles = a.chip.command_cycles(symbol, a.chip_axis, data)
         except NotImplementedError as error:
             raise ArgumentError(f"{error} Send its bytes by write_bytes.") from None
-        return self._write(axis, cycles)
+        return self._make_write_cycles(axis, cycles)
 
     def write_bytes(self, axis: str, address: int, values: list[int]) -> dict[str, Any]:
         """Make bus write cycles at an address of the axis' chip, one for each value, without a check."""
@@ -143,9 +144,10 @@ class BusTools:
         _check_addresses(chip, [address])
         if any(v > chip.DATA_MASK for v in values):
             raise ArgumentError(f"values={values!r}: the bus of {chip.MAP.chip} has data of 0 to {chip.DATA_MASK:X}h.")
-        return self._write(axis, [(address, v) for v in values])
+        return self._make_write_cycles(axis, [(address, v) for v in values])
 
-    def _write(self, axis: str, cycles: list[tuple[int, int]]) -> dict[str, Any]:
+    def _make_write_cycles(self, axis: str, cycles: list[tuple[int, int]]) -> dict[str, Any]:
+        """Write values to addresses of an axis' chip, given as (address, value), and return the result of the tool."""
         chip, written = self._context.axis(axis).chip, []
         listener = chip.listener()
         for address, value in cycles:
@@ -193,28 +195,28 @@ class BusTools:
                 "address": d.address, "value": f"{d.value:02X}h", "mistake": d.message, "data_sheet": d.source,
             }
             for chip, diagnostics in zip(stage.chips, self._context.diagnostics, strict=True)
-            for d in diagnostics.all()
+            for d in diagnostics.list_all()
         ]  # fmt: skip
         return {"diagnostics": found[-MAX_DIAGNOSTICS:], "all": len(found)}
 
     def budget(self) -> dict[str, Any]:
         """Show what has been used, and what is left."""
-        return {"used": self._context.meter.used(), "left": self._context.meter.left()}
+        return {"used": self._context.meter.list_used(), "left": self._context.meter.list_remaining()}
 
 
 def list_commands(kind: type[Chip]) -> list[str]:
-    """List the words that a host writes to a chip, and its commands."""
+    """Return the names of the words that a host writes to a chip, and of its commands."""
     return [w.name for w in kind.MAP.words if w.written] + [c.symbol for c in kind.MAP.commands]
 
 
 def describe_map(map_: RegisterMap) -> str:
-    """Describe a register map as a table, with what a host usually writes into its words."""
+    """Describe a register map as a table, with the values that a host usually writes into its words."""
     sent = [f"{w.name} {code:02X}h  {text}" for w in map_.words if w.written for code, text in w.sends.items()]
     return "\n".join([dump(map_), *(["", "usual data of words:", *sent] if sent else [])])
 
 
 def describe_entry(map_: RegisterMap, name: str) -> str:
-    """Describe a register, word or command with all that the map says of it.
+    """Describe a register, word or command with all that the register map says of it.
 
     Raises:
         ArgumentError: The map has no such name; the message lists similar ones.
@@ -239,7 +241,7 @@ def describe_entry(map_: RegisterMap, name: str) -> str:
 
 
 def _describe_word(place: Register | Word, value: int) -> dict[str, Any]:
-    """Describe a status word: its value, its fields in a sentence, and each field that is not silent."""
+    """Describe the value of a register or status word: its number, its fields in a sentence, and fields not at the usual value."""
     bits = [
         {"bit": f.name, "value": f.of(value), "means": f.says(f.of(value)) or f.text, "evidence": f.evidence}
         for f in place.fields
@@ -253,12 +255,12 @@ def _describe_word(place: Register | Word, value: int) -> dict[str, Any]:
 
 
 def _check_addresses(chip: Chip, addresses: Iterable[int]) -> None:
-    """Raise ArgumentError for an address that the chip does not have: the stage may have chips with more."""
+    """Raise ArgumentError for an address that the chip does not have; other chips of the stage may have it."""
     for address in addresses:
         if address >= chip.ADDRESSES:
             last = f"{chip.ADDRESSES - 1:X}h"
             raise ArgumentError(f"Address {address}: the bus of {chip.MAP.chip} has addresses 0 to {last}.")
 
 
-def _unique(names: Iterable[str]) -> tuple[str, ...]:
+def _remove_duplicates(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))

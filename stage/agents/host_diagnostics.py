@@ -1,7 +1,7 @@
-"""`HostDiagnostics`: diagnostics of a chip's bus writes, as far as an agent may know them.
+"""`HostDiagnostics`: diagnostics of a chip's bus writes that reveal nothing a host could not know.
 
-`Chip.diagnostics` may follow from inputs that no register shows, as "start towards an asserted limit switch" where the status has
-no bit for the switch. In host mode each write is judged once more on a copy of the chip whose hidden inputs are released.
+`Chip.diagnostics` may depend on inputs that no register shows, for example "start towards an asserted limit switch" on a chip
+whose status has no bit for that switch. In host mode, each write is checked again on a copy of the chip without its hidden inputs.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ MAX_DIAGNOSTICS = 200
 
 
 class HostDiagnostics:
-    """Diagnostics of one chip.
+    """Diagnostics of one chip, for tools of an agent.
 
     Args:
-        chip: The chip whose writes are judged.
-        host: Leave out what follows from inputs that the host cannot read.
+        chip: The chip whose writes are checked.
+        host: Whether to omit diagnostics that depend on inputs which the host cannot read.
 
     Attributes:
         readable: Names of the pins that the host can read.
@@ -31,18 +31,22 @@ class HostDiagnostics:
         self.readable = find_readable_pins(type(chip))
         self._mask = sum(bit for name, bit in chip.INPUTS.items() if name in self.readable)
         if host:
-            chip.glitches += (self._judge,)
+            chip.glitches += (self._diagnose_write,)
 
-    def all(self) -> list[Diagnostic]:
+    def list_all(self) -> list[Diagnostic]:
         """Return the last `MAX_DIAGNOSTICS` diagnostics, oldest first."""
         return list(self._found) if self._host else list(self.chip.diagnostics)[-MAX_DIAGNOSTICS:]
 
     def close(self) -> None:
-        """Stop judging writes."""
-        self.chip.glitches = tuple(g for g in self.chip.glitches if g != self._judge)
+        """Stop checking writes."""
+        self.chip.glitches = tuple(g for g in self.chip.glitches if g != self._diagnose_write)
 
-    def _judge(self, address: int, value: int) -> bool:
-        """Judge a write before it reaches the chip; False: the write is not lost."""
+    def _diagnose_write(self, address: int, value: int) -> bool:
+        """Check a write before it reaches the chip, and store its diagnostics.
+
+        Returns:
+            False, which tells the chip that the write is not lost on the bus.
+        """
         if any(self.chip.lint(address, value)):
             twin = self.chip.make_replica()
             for k in range(twin.AXES):
@@ -54,5 +58,5 @@ class HostDiagnostics:
 
 
 def find_readable_pins(kind: type[Chip]) -> frozenset[str]:
-    """Find the pins that registers and words of the chip show, by its register map."""
+    """Return the names of the pins that registers and words of the chip show, according to its register map."""
     return frozenset(pin.removeprefix("/") for place in kind.MAP.places for f in place.fields for pin in f.pins)

@@ -1,4 +1,4 @@
-"""Tools that move: move, home, start, stop, wait, line, and the report of a move as the agent may see it."""
+"""Tools that move axes: move, home, start, stop, wait, line, and the report of a move as far as the agent may see it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from stage.agents.budget import CALL_LIMIT_S
 from stage.agents.tool import Tool
-from stage.agents.tool_arguments import Flag, Length, argument, choice, integer, lengths_of, number
+from stage.agents.tool_arguments import Flag, Length, argument, choice, integer, make_length_mapping_type, number
 from stage.agents.tool_context import ToolContext
 from stage.chips.chip import Chip
 from stage.chips.describe import Fields
@@ -28,7 +28,7 @@ STARTED_BY_BUS = "started by bus cycles"
 
 
 class MotionTools:
-    """Actions of the tools that move. A move that was started is watched until somebody waits for its end."""
+    """Tools that move axes. They watch each move that was started until a tool waits for its end."""
 
     def __init__(self, context: ToolContext):
         self._context = context
@@ -36,7 +36,7 @@ class MotionTools:
         self._stop_commands: dict[str, str] = {}  # with which a host has stopped an axis
 
     def tools(self) -> list[Tool]:
-        """Return the tools; `line` is there on a stage with several axes."""
+        """List the tools. The tool `line` exists only on a stage with several axes."""
         context = self._context
         axis = {"axis": context.axis_argument}
         how_far = {
@@ -71,7 +71,8 @@ class MotionTools:
         ]
         if len(context.axes) > 1:
             distances = argument(
-                lengths_of(context.axes), 'Signed distances by axis, in m or rad, or texts such as "10mm".'
+                make_length_mapping_type(context.axes),
+                'Signed distances by axis, in m or rad, or texts such as "10mm".',
             )
             arguments = {"distances": distances, **how_fast, "s_curve": ramps["s_curve"], **timeout}
             tools.append(make(self.line, arguments, moves=True))
@@ -83,7 +84,7 @@ class MotionTools:
         """Move an axis by a distance and wait for the end. Returns the report."""
         pulses, speeds = self._parse_move(axis, values)
         self._require_rest([axis])
-        return self._finish(self._context.driver(axis).move(pulses, speeds, values.get("timeout")))
+        return self._store_report(self._context.driver(axis).move(pulses, speeds, values.get("timeout")))
 
     def home(self, axis: str, direction: str, by: str | None = None, **values: Any) -> dict[str, Any]:
         """Return to the mechanical origin ORG from any place. Returns the report."""
@@ -94,24 +95,27 @@ class MotionTools:
             self._require_rest([axis, *tandem])
             axes = [self._context.axis(name) for name in (axis, *tandem)]
             reports = square_gantry_at_speeds(axes, DIRECTIONS[direction], speeds, timeout)
-            return {"procedure": "home of axes that drive one load", "axes": {r.axis: self._finish(r) for r in reports}}
+            return {
+                "procedure": "home of axes that drive one load",
+                "axes": {r.axis: self._store_report(r) for r in reports},
+            }
         driver = self._context.driver(axis)
         self._require_rest([axis])
         by = by or driver.list_homing_methods()[0]
         driver.check_homing(by)
-        return self._finish(driver.home_by(by, DIRECTIONS[direction], speeds, timeout))
+        return self._store_report(driver.home_by(by, DIRECTIONS[direction], speeds, timeout))
 
     def line(self, distances: dict[str, float], s_curve: bool = False, **values: Any) -> dict[str, Any]:
         """Move several axes along a straight line. Returns the report."""
         self._require_rest(distances)
-        return self._finish(procedures.line(distances, self._context.stage.axes, s_curve=s_curve, **values))
+        return self._store_report(procedures.line(distances, self._context.stage.axes, s_curve=s_curve, **values))
 
     def start(self, axis: str, **values: Any) -> dict[str, Any]:
         """Start a move and return at once: wait or wait_until_stopped let time pass."""
         pulses, speeds = self._parse_move(axis, values)
         driver = self._context.driver(axis)
         self._require_rest([axis])
-        self._watch(axis, "move", pulses)
+        self._begin_watching(axis, "move", pulses)
         try:
             driver.start(pulses, speeds)
         except BaseException:
@@ -149,7 +153,15 @@ class MotionTools:
     # --- moves that are watched ---
 
     def watch_write(self, chip: Chip, address: int, value: int) -> None:
-        """Watch for what a write of the host does, before it is made: a start is a move and counts, a stop ends one."""
+        """Check a write of the host before it is made.
+
+        If the write starts a move, count the move and watch it. If the write stops a watched move, note that for its report.
+
+        Args:
+            chip: The chip.
+            address: Address of the write.
+            value: Value of the write.
+        """
         for a in self._context.stage.axes.values():
             if a.chip is not chip:
                 continue
@@ -159,23 +171,25 @@ class MotionTools:
             elif chip.starts(address, value, a.chip_axis):
                 self._context.meter.count_move()
                 self._stop_watching(a.name)
-                self._watch(a.name, STARTED_BY_BUS, None)
+                self._begin_watching(a.name, STARTED_BY_BUS, None)
 
-    def forget(self) -> None:
-        """Stop watching all axes."""
+    def stop_watching_all(self) -> None:
+        """Stop watching the moves of all axes."""
         for name in tuple(self._watched):
             self._stop_watching(name)
 
-    def _watch(self, axis: str, procedure: str, pulses: int | None) -> None:
+    def _begin_watching(self, axis: str, procedure: str, pulses: int | None) -> None:
+        """Observe a move of an axis from now on, to make its report later; `pulses` is its length, None if unknown."""
         self._stop_commands.pop(axis, None)
         self._watched[axis] = ProcedureObserver(self._context.axis(axis), procedure).__enter__(), pulses
 
     def _stop_watching(self, axis: str) -> None:
+        """Stop watching the move of an axis without a report."""
         if axis in self._watched:
             self._watched.pop(axis)[0].__exit__(None, None, None)
 
     def _require_rest(self, axes: Iterable[str]) -> None:
-        """Raise ArgumentError for an axis that moves; forget earlier moves of the others."""
+        """Raise ArgumentError if one of the axes moves; else stop watching their earlier moves."""
         for name in axes:
             a = self._context.axis(name)
             if a.chip.make_replica().busy(a.chip_axis):  # a driver would need a bus cycle to find out
@@ -184,23 +198,31 @@ class MotionTools:
             self._stop_watching(name)
 
     def _describe_status(self, axis: str) -> str:
-        """Describe why a move ended that the host started by bus cycles, by the status."""
+        """Describe from the status why a move ended that the host had started by bus cycles."""
         places = {p.name: p for p in self._context.axis(axis).chip.MAP.places}
         words = self._context.driver(axis).read_status_words()
         return "; ".join(Fields(places[name]).describe(name, value) for name, value in words.items())
 
     def _report_watched_move(self, axis: str, reason: str, stop_command: str = "") -> dict[str, Any]:
+        """End the watch of an axis' move, and return its report as the tool's result.
+
+        Args:
+            axis: Name of the axis.
+            reason: Why the move ended, as the host driver or the status says.
+            stop_command: Description of the host's stop command, or "".
+        """
         if axis not in self._watched:
             return {"axis": axis, "at_rest": True, "time_s": self._context.time_s}
         procedure, pulses = self._watched.pop(axis)
         report = procedure.make_report(reason, pulses)
         if stop_command and report.pulses != pulses:  # no status bit shows it, and a driver guesses from what is left
             report = replace(report, stopped_by=stop_command)
-        return self._finish(report)
+        return self._store_report(report)
 
     # --- arguments and results ---
 
     def _parse_move(self, axis: str, values: dict[str, Any]) -> tuple[int, Speeds]:
+        """Return the signed number of pulses and the speeds for the arguments of a move."""
         a, distance, pulses = self._context.axis(axis), values.get("distance"), values.get("pulses")
         if (distance is None) == (pulses is None):
             raise ArgumentError('give distance ("10mm", or in m) or pulses, one of the two.')
@@ -212,6 +234,7 @@ class MotionTools:
         return number, self._parse_speeds(axis, values)
 
     def _parse_speeds(self, axis: str, values: dict[str, Any]) -> Speeds:
+        """Return the speeds for the arguments of a move. Raises ArgumentError for a speed below MIN_RATE_PPS."""
         a, (speed, start_speed) = self._context.axis(axis), (values.get(n) for n in ("speed", "start_speed"))
         least = MIN_RATE_PPS * a.meters_per_pulse
         for name, value in (("speed", speed), ("start_speed", start_speed)):
@@ -221,18 +244,19 @@ class MotionTools:
                 )
         return procedures.parse_speeds(a, values)
 
-    def _finish(self, report: Any) -> dict[str, Any]:
+    def _store_report(self, report: Any) -> dict[str, Any]:
+        """Store a report as that of the last move, and return it as the tool's result."""
         self._context.report = report
         return describe_report(report, self._context.mode)
 
 
 def describe_report(report: Report | SynchronizedReport, mode: str) -> dict[str, Any]:
-    """Describe a report as an agent of this mode may see it.
+    """Describe a report as far as an agent of this mode may see it.
 
     Args:
-        report: Of a move, or of a line.
-        mode: "host": pulses by the chip's counters, the time from the start to the interrupt at the stop, and why it stopped, as
-            far as registers show. "truth": also where the carriage is, lost steps and the true rates.
+        report: Report of a move or of a line.
+        mode: "host": pulses by the chip's counters, the time from the start to the interrupt at the stop, and the reason of the
+            stop as registers show it. "truth": also the position of the carriage, lost steps and the true rates.
 
     Returns:
         JSON values by name.

@@ -1,4 +1,4 @@
-"""The tool that draws: the last move as an operation pattern, or the path of a line, as PNG."""
+"""Tool that draws the last move as an operation pattern, or the path of a line, as PNG."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def make_picture_tool(context: ToolContext) -> Tool:
 
 
 def draw_report(report: Any, mode: str) -> Picture:
-    """Draw a report; in host mode without lost steps, and with no other pins than registers show."""
+    """Draw a report as PNG. In host mode, omit lost steps and all pins that registers do not show."""
     if isinstance(report, Report):
         from stage.firmware.plot_move import draw_operation_pattern
 
@@ -45,7 +45,7 @@ def draw_report(report: Any, mode: str) -> Picture:
 
 
 def hide_truth(report: Report) -> Report:
-    """Copy a report without what no host knows; a write that a fault has lost looks like any other."""
+    """Return a copy of a report without all that no host knows. A write that a fault has lost looks like any other write."""
     statements = tuple(
         s._replace(kind="command", meaning=s.meaning.removeprefix("LOST: ")) if s.kind == "lost" else s
         for s in report.statements

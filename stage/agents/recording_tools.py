@@ -1,7 +1,7 @@
-"""`RecordingTools`: the last recording of a stage as columns of numbers, and as files in one folder that the user chose.
+"""`RecordingTools`: the last recording of a stage as columns of numbers, and as files in a folder that the user has chosen.
 
-In mode "truth" an agent records with the tool `record`. In host mode the last recording is the course of the last move: time,
-pulses and rate. Only `save_recording` writes files, and only into the folder.
+In mode "truth", an agent records with the tool `record`. In host mode, the last recording contains the time, pulses and rate of the
+last move. Only the tool `save_recording` writes files, and only into the folder.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}\.(rrd|vcd)")
 
 
 class RecordingTools:
-    """Recordings of one stage.
+    """Tools that record one stage.
 
     Args:
-        context: The stage.
-        folder: Where `save_recording` may write files; None: nowhere.
+        context: The stage and what its tools share.
+        folder: Folder for the files of `save_recording`; None: the tool does not exist.
 
     Raises:
-        ArgumentError: There is no such folder.
+        ArgumentError: The folder does not exist.
     """
 
     def __init__(self, context: ToolContext, folder: str | None = None):
@@ -46,7 +46,7 @@ class RecordingTools:
         self._files = 0
 
     def tools(self) -> list[Tool]:
-        """Return the tools, none of them in host mode."""
+        """List the tools; there are none in host mode."""
         if self._context.mode != "truth":
             return []
         on = argument(Flag, "true begins a recording, false ends it.")
@@ -87,17 +87,17 @@ class RecordingTools:
         self._files += 1
         return {"written": name, "bytes": path.stat().st_size}
 
-    def limit(self) -> None:
-        """End a recording that has grown longer than `MAX_DURATION_S`."""
+    def end_long_recording(self) -> None:
+        """End a recording that has become longer than `MAX_DURATION_S`."""
         running = self._context.stage.recording
         if running is not None and running.duration > MAX_DURATION_S:
             running.close()
 
-    def last(self) -> dict[str, Any]:
-        """Return the last recording, or the course of the last move if that is later, as columns of up to `MAX_SAMPLES`.
+    def describe_last_recording(self) -> dict[str, Any]:
+        """Return the last recording, or the rates of the last move if that is later, as columns of up to `MAX_SAMPLES` values.
 
         Raises:
-            StageError: There is neither.
+            StageError: There is neither a recording nor a move.
         """
         report = self._context.report
         is_last = self._context.stage.recording is not None or report is self._report_at_end
@@ -119,7 +119,7 @@ def tabulate_waveform(report: Report) -> dict[str, Any]:
 
 
 def thin_out(column: np.ndarray) -> list:
-    """Return at most `MAX_SAMPLES` of a column as plain numbers, its first and last among them; None for what is not finite."""
+    """Return at most `MAX_SAMPLES` values of a column as plain numbers, with the first and the last; None for NaN and infinity."""
     if len(column) > MAX_SAMPLES:
         column = column[np.linspace(0, len(column) - 1, MAX_SAMPLES).astype(int)]
     return [None if isinstance(v, float) and not np.isfinite(v) else v for v in column.tolist()]

@@ -1,4 +1,4 @@
-"""Tools that put the stage back: snapshot, restore, branch. What the agent has used of its budget stays used."""
+"""Tools that restore earlier states of the stage: snapshot, restore, branch. They do not restore the budget."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ POWER_UP = "power-up"
 
 
 class SnapshotTools:
-    """Actions of the tools that put a stage back."""
+    """Tools that save and restore states of a stage."""
 
     def __init__(self, context: ToolContext):
         self._context = context
-        self._snapshots: dict[str, tuple[Snapshot, Any]] = {POWER_UP: self._take()}
+        self._snapshots: dict[str, tuple[Snapshot, Any]] = {POWER_UP: self._take_snapshot()}
         self._branches: dict[str, tuple[Snapshot, Any]] = {}
         self._branch = MAIN_BRANCH
 
     def tools(self) -> list[Tool]:
-        """Return the tools."""
+        """List the tools."""
         name = {"name": argument(Text, "A name of your own.")}
         return [Tool.from_method(act, name) for act in (self.snapshot, self.restore, self.branch)]
 
@@ -36,7 +36,7 @@ class SnapshotTools:
         _check_snapshot_name(name, self._snapshots)
         if name == POWER_UP:
             raise ArgumentError(f'"{POWER_UP}" is the state with which the session began; choose another name.')
-        self._snapshots[name] = self._take()
+        self._snapshots[name] = self._take_snapshot()
         return {"snapshot": name, "time_s": self._context.time_s, "kept": list(self._snapshots)}
 
     def restore(self, name: str) -> dict[str, Any]:
@@ -48,22 +48,24 @@ class SnapshotTools:
         """Switch to a branch: a new name begins one here; a known one continues where you left it."""
         _check_snapshot_name(name, {*self._branches, self._branch})
         if name != self._branch:
-            self._branches[self._branch] = self._take()
+            self._branches[self._branch] = self._take_snapshot()
             if name in self._branches:
                 self._restore(*self._branches.pop(name))
             self._branch = name
         return {"branch": name, "others": list(self._branches), "time_s": self._context.time_s}
 
-    def _take(self) -> tuple[Snapshot, Any]:
+    def _take_snapshot(self) -> tuple[Snapshot, Any]:
+        """Return a snapshot of the stage with the report of the last move."""
         return self._context.stage.snapshot(), self._context.report
 
     def _restore(self, snapshot: Snapshot, report: Any) -> None:
         self._context.stage.restore(snapshot)
         self._context.report = report
-        self._context.forget()
+        self._context.drop_cached_state()
 
 
 def _check_snapshot_name(name: str, known: Collection[str]) -> None:
+    """Raise an error if a new snapshot cannot have this name, or if there are too many snapshots."""
     if not name.strip() or len(name) > MAX_NAME_CHARACTERS or not name.isprintable():
         raise ArgumentError(f"name: 1 to {MAX_NAME_CHARACTERS} printable characters.")
     if name not in known and len(known) >= MAX_SNAPSHOTS:

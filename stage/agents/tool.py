@@ -13,14 +13,14 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pydantic.json_schema import GenerateJsonSchema
 
-from stage.agents.tool_arguments import choose, explain, format_value
+from stage.agents.tool_arguments import choose, explain_validation_error, format_value
 from stage.errors import ArgumentError, StageError, find_similar_names
 
 ENDED = "This session has ended, and its stage is gone. Open a new session, which begins at power-up."
 
 
-class _Schema(GenerateJsonSchema):
-    """JSON schemas without titles and without defaults of null, which cost an agent's context and say nothing."""
+class _CompactJsonSchema(GenerateJsonSchema):
+    """Generator of JSON schemas without titles and null defaults, which take an agent's context and carry no information."""
 
     def field_title_should_be_set(self, schema: Any) -> bool:
         return False
@@ -33,16 +33,17 @@ class _Schema(GenerateJsonSchema):
 
 @dataclass(frozen=True)
 class Tool:
-    """A tool that an agent can call.
+    """Tool that an agent can call.
 
     Attributes:
-        name: Name by which agents call it.
-        text: What it does, for the agent.
-        act: Called with the arguments by name; returns a mapping of JSON values, a text, or a `Picture`.
-        arguments: Name of each argument -> what `arguments.argument` returned.
-        moves: A call makes a move, which counts.
-        free: Agents may call it after they have spent their budget.
-        example: Optional arguments that the example of a call shows beside the required ones.
+        name: Name by which agents call the tool.
+        text: Description of what the tool does, for the agent.
+        act: Function that performs a call. It takes the arguments by name and returns a mapping of JSON values, a text, or a
+            `Picture`.
+        arguments: Result of `tool_arguments.argument` for each argument, by its name.
+        moves: Whether a call makes a move, which counts for the budget.
+        free: Whether agents may call the tool after they have spent their budget.
+        example: Optional arguments that the example of a call shows together with the required ones.
     """
 
     name: str
@@ -55,18 +56,24 @@ class Tool:
 
     @classmethod
     def from_method(cls, act: Callable[..., Any], arguments: Mapping[str, Any] | None = None, **options: Any) -> Tool:
-        """Make the tool of a method, with its name and the first paragraph of its docstring."""
+        """Create a tool from a method: its name, and the first paragraph of its docstring as description.
+
+        Args:
+            act: The method.
+            arguments: Result of `tool_arguments.argument` for each argument, by its name.
+            **options: Further fields of the tool.
+        """
         text = (inspect.getdoc(act) or "").split("\n\n")[0].replace("\n", " ")
         return cls(act.__name__, text, act, arguments or {}, **options)
 
     @cached_property
     def model(self) -> type[BaseModel]:
-        """The pydantic model of the arguments."""
+        """Pydantic model of the arguments."""
         return create_model(self.name, __config__=ConfigDict(extra="forbid"), **self.arguments)
 
     def schema(self) -> dict[str, Any]:
         """Return the JSON schema of the arguments."""
-        schema = self.model.model_json_schema(schema_generator=_Schema)
+        schema = self.model.model_json_schema(schema_generator=_CompactJsonSchema)
         return {"type": "object", "properties": schema.get("properties", {}), "required": schema.get("required", []),
                 "additionalProperties": False}  # fmt: skip
 
@@ -74,13 +81,13 @@ class Tool:
         """Parse and check the arguments of a call.
 
         Args:
-            values: A mapping as an agent wrote it, or None; null stands for an argument that is absent.
+            values: Mapping that the agent has sent, or None. A null value counts as a missing argument.
 
         Returns:
-            The arguments for `act`: those that were given, and defaults that are not None.
+            The arguments for `act`: those of the agent, and the defaults that are not None.
 
         Raises:
-            ArgumentError: The sentence names the argument, its value and what is allowed.
+            ArgumentError: An argument does not fit; the message names it, its value and what is allowed.
         """
         values = {} if values is None else values
         if not isinstance(values, Mapping):
@@ -89,21 +96,25 @@ class Tool:
         try:
             parsed = self.model.model_validate({name: value for name, value in values.items() if value is not None})
         except ValidationError as error:
-            raise ArgumentError(explain(error, self._missing, self._unexpected)) from None
+            raise ArgumentError(
+                explain_validation_error(error, self._explain_missing_argument, self._explain_unexpected_argument)
+            ) from None
         return {name: value for name, value in parsed if value is not None}
 
     def write_example(self) -> str:
-        """Write the arguments of a call as JSON: the required ones, and those of `example`."""
+        """Return the arguments of an example call as JSON: the required ones, and those of `example`."""
         required = {
             name: f.examples[0] for name, f in self.model.model_fields.items() if f.is_required() and f.examples
         }
         return json.dumps(required | dict(self.example))
 
-    def _missing(self, name: str) -> str:
+    def _explain_missing_argument(self, name: str) -> str:
+        """Return the error text for a required argument that a call lacks."""
         what = self.model.model_fields[name].description
         return f"{self.name}: {name} is missing ({what}). Call it as {self.write_example()}."
 
-    def _unexpected(self, name: str) -> str:
+    def _explain_unexpected_argument(self, name: str) -> str:
+        """Return the error text for an argument that the tool does not take."""
         known = list(self.arguments)
         near = find_similar_names(name, known)
         hint = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
@@ -112,7 +123,7 @@ class Tool:
 
 @dataclass(frozen=True)
 class Picture:
-    """A drawing as PNG, and a text that says what it shows."""
+    """PNG picture with a text that describes it."""
 
     png: bytes
     text: str
@@ -120,12 +131,12 @@ class Picture:
 
 @dataclass(frozen=True)
 class Answer:
-    """The result of a call.
+    """Result of a call.
 
     Attributes:
-        ok: False: `data["error"]` says what is wrong and what is allowed now.
+        ok: Whether the call succeeded. If not, `data["error"]` says what is wrong and what is allowed now.
         data: JSON values.
-        png: A picture, or None.
+        png: PNG picture, or None.
     """
 
     ok: bool
@@ -134,7 +145,7 @@ class Answer:
 
     @property
     def text(self) -> str:
-        """The answer for a reader: the error, a text alone, or JSON."""
+        """Text of the answer for a reader: the error, a single text, or JSON."""
         if not self.ok:
             return str(self.data["error"])
         if set(self.data) == {"text"}:
@@ -145,15 +156,16 @@ class Answer:
         return self.text
 
 
-def refuse(message: str) -> Answer:
-    """Make the answer of a call that failed."""
+def make_failed_answer(message: str) -> Answer:
+    """Return the answer of a call that failed, with an error message."""
     return Answer(False, {"error": message})
 
 
 class ToolSet:
     """Tools for one agent. One call runs at a time; others wait.
 
-    A subclass may count what a call costs (`act`), add to the answer of an error (`describe_failure`), and release what it holds.
+    A subclass may override `act` to count the cost of a call, `describe_failure` to extend the answer of an error, and `release` to
+    close what it holds open.
 
     Attributes:
         tools: Tools by name.
@@ -166,7 +178,12 @@ class ToolSet:
         self._lock, self._closed = threading.Lock(), ""
 
     def call(self, name: Any, arguments: Any = None) -> Answer:
-        """Call a tool. Never raises: the answer says what is wrong and what is allowed."""
+        """Call a tool. Errors do not raise: the answer says what is wrong and what is allowed.
+
+        Args:
+            name: Name of the tool.
+            arguments: Arguments by name.
+        """
         with self._lock:
             self.calls += 1
             try:
@@ -174,14 +191,17 @@ class ToolSet:
             except StageError as error:
                 return self.describe_failure(error)
             except (MemoryError, RecursionError) as error:
-                return refuse(f"{name}: this call asks for too much ({type(error).__name__}). Ask for less.")
+                return make_failed_answer(
+                    f"{name}: this call asks for too much ({type(error).__name__}). Ask for less."
+                )
             except Exception as error:
                 what = f"{type(error).__name__}: {format_value(str(error))}"
-                return refuse(
+                return make_failed_answer(
                     f"{format_value(name)}: PulseStage itself has failed ({what}). The session goes on; please report the call."
                 )
 
     def _call(self, name: Any, arguments: Any) -> Answer:
+        """Parse the arguments of a call and run its tool. Raises StageError if the session has ended or the call does not fit."""
         if self._closed:
             raise StageError(self._closed)
         if not isinstance(name, str):
@@ -194,24 +214,24 @@ class ToolSet:
         return Answer(True, {"text": result} if isinstance(result, str) else dict(result))
 
     def act(self, tool: Tool, values: dict[str, Any]) -> Any:
-        """Run the tool with arguments that it has checked."""
+        """Run a tool with arguments that `Tool.parse` has returned."""
         return tool.act(**values)
 
     def describe_failure(self, error: StageError) -> Answer:
-        """Make the answer of a call that raised."""
-        return refuse(str(error))
+        """Return the answer of a call that has raised an error."""
+        return make_failed_answer(str(error))
 
     def release(self) -> None:
-        """Release what the tools hold; called once, at the end."""
+        """Release what the tools hold; called once, when the session ends."""
 
-    def interrupt(self) -> None:
-        """End the call that runs, and the session, from another thread."""
+    def request_session_end(self) -> None:
+        """Make the running call end soon because the session ends. Another thread calls this before `close`."""
 
-    def cancel(self) -> None:
-        """End the call that runs, from another thread."""
+    def cancel_call(self) -> None:
+        """Make the running call end soon. Another thread may call this method."""
 
     def close(self, reason: str = ENDED) -> None:
-        """End the session: every later call answers `reason`. A second call does nothing."""
+        """End the session: each later call answers `reason`. Does nothing if the session has ended already."""
         with self._lock:
             if not self._closed:
                 self._closed = reason
@@ -219,5 +239,5 @@ class ToolSet:
 
     @property
     def closed(self) -> bool:
-        """The session has ended."""
+        """True if the session has ended."""
         return bool(self._closed)

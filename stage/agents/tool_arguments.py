@@ -1,7 +1,7 @@
-"""Types of the tools' arguments for pydantic, and what they understand beyond it.
+"""Types of the tools' arguments for pydantic, which accept more forms of values than pydantic does.
 
-Agents write numbers as texts, names in capitals and hexadecimal as data sheets print it; these types accept all of that. They
-refuse what has no meaning: NaN, true for a number, half a pulse, digits of other scripts.
+Agents write numbers as texts, names in capitals, and hexadecimal numbers as data sheets print them; these types accept all of that.
+They refuse values without a clear meaning: NaN, true for a number, half a pulse, digits of other scripts.
 
     speed = argument(number(gt=0), "Speed of the move in m/s.")     an argument of a `Tool`
     axis = argument(choice(("x", "y")), "Axis to move.")
@@ -36,17 +36,17 @@ def argument(kind: Any, description: str, default: Any = REQUIRED) -> tuple[Any,
 
     Args:
         kind: A type of this module, or any type that pydantic knows.
-        description: What the argument means, for the agent.
-        default: Value where the agent gives none; None leaves the argument out, `REQUIRED` refuses the call.
+        description: Meaning of the argument, for the agent.
+        default: Value if the agent gives none. None: the action gets no such argument; `REQUIRED`: such a call is an error.
 
     Returns:
-        The type and the field, as `pydantic.create_model` takes them.
+        The type and the field, as arguments of `pydantic.create_model`.
     """
     return kind, Field(default, description=description)
 
 
 def format_value(value: Any) -> str:
-    """Format a value as JSON would show it, cut to 80 characters."""
+    """Format a value like JSON, cut to 80 characters."""
     if value is None or isinstance(value, bool):
         return {True: "true", False: "false", None: "null"}[value]
     try:
@@ -57,10 +57,15 @@ def format_value(value: Any) -> str:
 
 
 def choose(what: str, value: str, choices: tuple[str, ...]) -> str:
-    """Return the choice with this name, in any case of letters.
+    """Return the choice with this name, ignoring upper and lower case.
+
+    Args:
+        what: Noun for the choices in the error message, for example "tool".
+        value: Name to look for.
+        choices: Allowed names.
 
     Raises:
-        ArgumentError: No choice has the name; the message lists similar ones after the word `what`.
+        ArgumentError: No choice has the name; the message lists similar ones.
     """
     try:
         return _match_name(choices, value)
@@ -69,10 +74,14 @@ def choose(what: str, value: str, choices: tuple[str, ...]) -> str:
 
 
 def parse_integer(what: str, text: str) -> int:
-    """Parse a whole number as people write it: 31, 1Fh, 0x1F, 0b11111.
+    """Parse an integer in one of the forms 31, 1Fh, 0x1F, 0b11111.
+
+    Args:
+        what: Name of the value, for the error message.
+        text: The text.
 
     Raises:
-        ArgumentError: The text is no such number; the message begins with the word `what`.
+        ArgumentError: The text is no such number.
     """
     try:
         return _parse_integer(text)
@@ -96,7 +105,7 @@ def _match_name(choices: tuple[str, ...], value: Any) -> str:
 
 
 def _check_number(value: Any) -> Any:
-    """Refuse true, false and texts with characters of other scripts, which pydantic would not explain."""
+    """Refuse true, false and texts with characters of other scripts, for which the errors of pydantic would not help."""
     if isinstance(value, bool):
         raise ValueError(f"{format_value(value)} is not a number.")  # noqa: TRY004 (what pydantic takes)
     if not isinstance(value, str):
@@ -136,7 +145,8 @@ def _parse_length(value: Any) -> Any:
     return float(value.removesuffix(unit)) * UNITS.get(unit, 1.0)
 
 
-def _listed(value: Any) -> Any:
+def _wrap_single_value(value: Any) -> Any:
+    """Return a list with the value if the value is not a list."""
     return [value] if isinstance(value, int | float | str) and not isinstance(value, bool) else value
 
 
@@ -156,12 +166,12 @@ Length = Annotated[
 
 
 def number(**bounds: Any) -> Any:
-    """Make the type of finite numbers within `bounds`: gt, ge, le, as `pydantic.Field` has them."""
+    """Return the type of finite numbers within `bounds`: gt, ge, le, as in `pydantic.Field`."""
     return Annotated[float, Field(allow_inf_nan=False, examples=[0.1], **bounds), BeforeValidator(_check_number)]
 
 
 def integer(low: int | None = None, high: int | None = None) -> Any:
-    """Make the type of whole numbers from `low` to `high`, by default of 64 bits."""
+    """Return the type of integers from `low` to `high`, by default of 64 bits."""
     bounds = Field(ge=-MAX_INTEGER if low is None else low, le=MAX_INTEGER if high is None else high)
     as_number = Annotated[int, Field(ge=low, le=high)]
     as_text = Annotated[str, Field(pattern=INTEGER_PATTERN)]
@@ -170,18 +180,20 @@ def integer(low: int | None = None, high: int | None = None) -> Any:
 
 
 def choice(names: tuple[str, ...]) -> Any:
-    """Make the type of one of `names`, in any case of letters."""
+    """Return the type of one of `names`, in upper or lower case."""
     return Annotated[Literal[names], BeforeValidator(partial(_match_name, names)), Field(examples=[names[0]])]
 
 
 def list_of(kind: Any) -> Any:
-    """Make the type of a list of 1 to `MAX_LIST_ITEMS` values; a single value counts as a list of one."""
+    """Return the type of a list with 1 to `MAX_LIST_ITEMS` values of type `kind`; a single value counts as a list."""
     size = Field(min_length=1, max_length=MAX_LIST_ITEMS)
-    return Annotated[list[kind], size, BeforeValidator(_listed, json_schema_input_type=Annotated[list[kind], size])]
+    return Annotated[
+        list[kind], size, BeforeValidator(_wrap_single_value, json_schema_input_type=Annotated[list[kind], size])
+    ]
 
 
-def lengths_of(names: tuple[str, ...]) -> Any:
-    """Make the type of a mapping from some of `names` to lengths."""
+def make_length_mapping_type(names: tuple[str, ...]) -> Any:
+    """Return the type of a mapping from some of `names` to lengths."""
 
     def match_keys(value: Any) -> Any:
         if not isinstance(value, Mapping):
@@ -195,13 +207,15 @@ def lengths_of(names: tuple[str, ...]) -> Any:
     return Annotated[kind, BeforeValidator(match_keys), Field(examples=[dict.fromkeys(names[:2], "10mm")])]
 
 
-def explain(error: ValidationError, missing: Callable[[str], str], unexpected: Callable[[str], str]) -> str:
-    """Write one sentence about the first error that pydantic found.
+def explain_validation_error(
+    error: ValidationError, missing: Callable[[str], str], unexpected: Callable[[str], str]
+) -> str:
+    """Return one sentence about the first error that pydantic has found.
 
     Args:
-        error: What pydantic raised for the arguments of a call.
-        missing: Returns the sentence for an argument that is absent, by its name.
-        unexpected: Returns the sentence for an argument that the tool does not take, by its name.
+        error: Error of pydantic for the arguments of a call.
+        missing: Function that returns the sentence for a missing argument, given its name.
+        unexpected: Function that returns the sentence for an argument that the tool does not take, given its name.
     """
     found = error.errors(include_url=False)
     first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])

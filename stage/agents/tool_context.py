@@ -1,4 +1,4 @@
-"""`ToolContext`: a stage as the tools use it, with drivers, budget, diagnostics and bus traces."""
+"""`ToolContext`: what the tools of an agent share: the stage, its host drivers, the budget, diagnostics and bus traces."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from stage.sim.stage import Stage
 
 
 class ToolContext:
-    """A stage that an agent drives.
+    """Stage that an agent drives, with what its tools share.
 
     Attributes:
-        stage: It belongs to the tools from now on.
+        stage: The stage; only the tools may use it from now on.
         mode: "host" or "truth".
-        meter: What the agent has used of its budget.
+        meter: Counter of what the agent has used of its budget.
         axes: Names of the axes.
         report: Report of the last procedure; None before the first.
-        diagnostics: Of each chip.
-        traces: Of the bus of each chip, in words.
+        diagnostics: Diagnostics of each chip.
+        traces: Bus trace of each chip, in words.
     """
 
     def __init__(self, stage: Stage, mode: str, budget: Budget, patience: float | None):
@@ -37,7 +37,7 @@ class ToolContext:
 
     @property
     def axis_argument(self) -> tuple[Any, Any]:
-        """The argument that names an axis; optional on a stage with one axis."""
+        """Tool argument for the name of an axis; optional on a stage with one axis."""
         if len(self.axes) == 1:
             return argument(choice(self.axes), "Name of the axis.", self.axes[0])
         return argument(choice(self.axes), "Name of the axis.")
@@ -48,11 +48,11 @@ class ToolContext:
         return round(self.stage.time, 9)
 
     def axis(self, name: str) -> Axis:
-        """Return the axis of this name."""
+        """Return the axis with this name."""
         return self.stage.axes[name]
 
     def driver(self, name: str) -> Driver:
-        """Return the driver of an axis: the same from call to call, for it remembers what it wrote."""
+        """Return the host driver of an axis, the same one for each call because it stores what it has written."""
         axis = self.axis(name)
         if name not in self._drivers:
             self._drivers[name] = get_driver(axis)
@@ -62,8 +62,8 @@ class ToolContext:
         """Return the bus trace of the chip of an axis."""
         return self.traces[self.stage.chips.index(self.axis(axis).chip)]
 
-    def forget(self) -> None:
-        """Drop what the tools know of the stage: a snapshot or a reset has changed its state."""
+    def drop_cached_state(self) -> None:
+        """Drop the drivers and restart the bus traces, because a snapshot or a reset has changed the state of the stage."""
         self._drivers.clear()
         for trace in self.traces:
             trace.restart()

@@ -1,14 +1,14 @@
-"""`Toolbox`: the tools of one stage, and every call of them.
+"""`Toolbox`: the tools of one stage, with the calls of one agent.
 
     box = Toolbox(Stage("xy"), mode="host", budget=Budget(moves=20, seconds=60))
     answer = box.call("write_register", {"axis": "x", "name": "R1", "value": "1F4h"})
     answer.ok, answer.text, answer.data
 
-In mode "host" an agent sees what a host on the bus can see: what it reads there, what it wrote, its clock. Mode "truth" adds what
-only the simulation knows, and tools that change the machine.
+In mode "host", an agent sees what a host on the bus can see: what it reads there, what it has written, and its clock. Mode "truth"
+adds what only the simulation knows, and tools that change the machine.
 
-A call never raises: the answer says what is wrong and what is allowed, and the stage keeps its state, but for the time and the bus
-cycles that have passed until then.
+Errors of a call do not raise: the answer says what is wrong and what is allowed. The stage then keeps its state, except for the
+time and the bus cycles that have passed until the error.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ class Toolbox(ToolContext, ToolSet):
     """Tools of a stage for one agent. One call runs at a time; others wait.
 
     Args:
-        stage: The stage; it belongs to the toolbox from now on.
+        stage: The stage; only the toolbox may use it from now on.
         mode: "host" or "truth".
-        budget: What the agent may use; default: no limit.
-        snapshots: The agent may put the stage back to an earlier state.
-        patience: Real seconds that a call may take; None for any.
-        folder: Where `save_recording` may write files in mode "truth"; None: nowhere.
-        more: Tools beside the usual ones.
+        budget: Limits of what the agent may use; None: no limits.
+        snapshots: Whether the agent may restore earlier states of the stage.
+        patience: Longest real time that a call may take, s; None: no limit.
+        folder: Folder for the files of `save_recording` in mode "truth"; None: no such tool.
+        more: Tools in addition to the usual ones.
 
     Attributes:
         tools: Tools by name.
-        recordings: The last recording.
+        recordings: Recording tools, which hold the last recording.
 
     Raises:
         ArgumentError: An argument has another type or value.
@@ -80,8 +80,8 @@ class Toolbox(ToolContext, ToolSet):
 
     @explain_arguments
     def act(self, tool: Tool, values: dict[str, Any]) -> Any:
-        """Run a tool and count what it uses. A move that is refused before its first bus cycle does not count."""
-        self.meter.begin()
+        """Run a tool, and count what it uses. A move that is refused before its first bus cycle does not count."""
+        self.meter.begin_call()
         cycles = self.meter.cycles
         try:
             if tool.moves:
@@ -92,26 +92,29 @@ class Toolbox(ToolContext, ToolSet):
                 self.meter.moves -= 1
             raise
         finally:
-            self.meter.end()
+            self.meter.end_call()
             for trace in self.traces:
                 trace.update()
-            self.recordings.limit()
+            self.recordings.end_long_recording()
 
     def describe_failure(self, error: StageError) -> Answer:
-        """Add what is left of a budget that is spent, and the report so far of a move that took too long."""
+        """Return the answer of a call that has raised an error.
+
+        The answer contains the rest of the budget if that is spent, and the report so far of a move that took too long.
+        """
         data: dict[str, Any] = {"error": str(error)}
         if isinstance(error, BudgetSpent):
-            data["left"] = self.meter.left()
+            data["left"] = self.meter.list_remaining()
         report = getattr(error, "report", None)
         if report is not None:
             self.report = report
             data["report"] = describe_report(report, self.mode)
         return Answer(False, data)
 
-    def interrupt(self) -> None:
+    def request_session_end(self) -> None:
         self.meter.session_ended = True
 
-    def cancel(self) -> None:
+    def cancel_call(self) -> None:
         self.meter.call_cancelled = True
 
     def release(self) -> None:
@@ -119,6 +122,6 @@ class Toolbox(ToolContext, ToolSet):
             trace.close()
             diagnostics.close()
 
-    def forget(self) -> None:
-        super().forget()
-        self.motion.forget()
+    def drop_cached_state(self) -> None:
+        super().drop_cached_state()
+        self.motion.stop_watching_all()

@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     """Serve until the client goes, or until Ctrl-C or SIGTERM."""
     import_extra("mcp", "stage mcp")
     from stage.agents.budget import Budget
-    from stage.agents.server.client_sessions import Sessions, ToolboxFactory
+    from stage.agents.server.client_sessions import ClientSessions, ToolboxFactory
 
     for name in ("idle", "sessions"):
         if not getattr(args, name) > 0:
@@ -99,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
     factory = ToolboxFactory(
         lambda: make_stage(args, visuals=False), args.mode, budget, not args.no_snapshots, args.patience, args.folder
     )
-    _ = factory.original  # an error of the stage comes before anybody connects
+    _ = factory.original_stage  # an error of the stage comes before anybody connects
     if not args.http:
         from stage.agents.server.stdio import serve
 
@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     from stage.agents.server.http import HttpServer
 
-    server = HttpServer(factory, Sessions(factory, args.sessions, args.idle), args.port, token)
+    server = HttpServer(factory, ClientSessions(factory, args.sessions, args.idle), args.port, token)
     print(f"{server.address}\nAuthorization: Bearer {server.token}\nCtrl-C ends it", flush=True)
     server.run()
     print("ended", file=sys.stderr)

@@ -12,8 +12,8 @@ pytest.importorskip("mcp")
 import uvicorn
 
 from stage.agents.server import http, stdio
-from stage.agents.server.client_sessions import Sessions
-from stage.agents.server.http import Gate, HttpServer
+from stage.agents.server.client_sessions import ClientSessions
+from stage.agents.server.http import HttpServer, TokenGate
 from stage.errors import StageError
 
 ID = b"mcp-session-id"
@@ -55,7 +55,7 @@ class SessionsStub:
 def door():
     """Return `door(method, session)`, which sends a request to a Gate and returns the messages; door.app, door.sessions."""
     app, sessions = ProtocolStub(), SessionsStub()
-    created = Gate(app, "t", sessions)
+    created = TokenGate(app, "t", sessions)
 
     def send_request(method="POST", session=None, kind="http", token="Bearer t", **more):
         sent = []
@@ -176,7 +176,7 @@ def created(monkeypatch):
         def run(self, sockets):
             observed.sockets = sockets
 
-    monkeypatch.setattr(http, "Protocol", Protocol)
+    monkeypatch.setattr(http, "ProtocolServer", Protocol)
     monkeypatch.setattr(http, "InterruptibleServer", Server)
     monkeypatch.setattr(uvicorn, "Config", lambda app, **how: SimpleNamespace(app=app, **how))
     opened = []
@@ -192,7 +192,7 @@ def created(monkeypatch):
 
 
 def test_a_server_is_bounded_as_its_sessions_are(created):
-    server, observed = created(Sessions(dict, limit=7, idle_s=33.0), token="mine")
+    server, observed = created(ClientSessions(dict, limit=7, idle_s=33.0), token="mine")
     assert observed.app == {
         "streamable_http_path": "/mcp", "json_response": True, "max_request_body_size": 256 * 1024, "session_idle_timeout": 33.0,
         "max_sessions": 14, "host": "127.0.0.1",
@@ -200,7 +200,7 @@ def test_a_server_is_bounded_as_its_sessions_are(created):
     assert (observed.sessionless, observed.threads) == (False, max(2, os.cpu_count() or 2))
     assert (observed.config.log_level, observed.config.timeout_graceful_shutdown) == ("error", 1)
     assert server.token == "mine"
-    assert isinstance(observed.config.app, Gate)
+    assert isinstance(observed.config.app, TokenGate)
     server.run()
     assert observed.sockets == [server._socket]
     server.stop()
@@ -208,13 +208,13 @@ def test_a_server_is_bounded_as_its_sessions_are(created):
 
 
 def test_a_token_that_the_server_makes_is_long_and_no_other_server_s(created):
-    tokens = {created(Sessions(dict))[0].token for _ in range(3)}
+    tokens = {created(ClientSessions(dict))[0].token for _ in range(3)}
     assert len(tokens) == 3
     assert min(map(len, tokens)) >= 32
 
 
 def test_a_client_connects_to_the_port_that_is_listened_at(created):
-    server, _ = created(Sessions(dict))
+    server, _ = created(ClientSessions(dict))
     assert server.address == f"http://127.0.0.1:{server.port}/mcp"
     assert server.port == server._socket.getsockname()[1] > 0
     socket.create_connection(("127.0.0.1", server.port), 5).close()
@@ -222,15 +222,15 @@ def test_a_client_connects_to_the_port_that_is_listened_at(created):
 
 @pytest.mark.parametrize("port", [None, 70_000])
 def test_a_port_that_cannot_be_had_is_named_with_what_to_do(created, port):
-    acquired = created(Sessions(dict))[0].port
+    acquired = created(ClientSessions(dict))[0].port
     with pytest.raises(
         StageError, match=f"127.0.0.1:{port or acquired}: .*Choose another port, or 0 for any that is free"
     ):
-        created(Sessions(dict), port or acquired)
+        created(ClientSessions(dict), port or acquired)
 
 
 def test_a_request_without_a_session_has_no_key(created):
-    key = created(Sessions(dict))[1].key
+    key = created(ClientSessions(dict))[1].key
     assert key(SimpleNamespace(request=None)) is None
     assert key(SimpleNamespace(request=SimpleNamespace(headers={"mcp-session-id": "a"}))) == "a"
     assert key(SimpleNamespace(request=SimpleNamespace(headers={}))) is None
@@ -246,7 +246,7 @@ def test_due_sessions_are_looked_for_every_two_seconds_while_the_app_lives_and_a
 
     monkeypatch.setattr(http.anyio, "sleep", sleep)
     sessions = SimpleNamespace(
-        close_due=lambda: reported.append("reap"), close_all=lambda: reported.append("close all")
+        close_expired=lambda: reported.append("reap"), close_all=lambda: reported.append("close all")
     )
 
     class LifespanRecorder:
@@ -284,7 +284,7 @@ def test_when_the_client_is_silent_for_good_its_session_ends(monkeypatch):
         await give.send("a")
         await give.send("b")
         give.close()
-        await stdio._relay(reading, passed_on, SimpleNamespace(close_all=lambda: reported.append("all")))
+        await stdio._relay_messages(reading, passed_on, SimpleNamespace(close_all=lambda: reported.append("all")))
         return [m async for m in acquired]
 
     assert asyncio.run(work()) == ["a", "b"]

@@ -80,7 +80,7 @@ def test_of_many_mistakes_the_last_are_stored(make_box, mode):
     for k in range(MAX_DIAGNOSTICS + 40):
         chip.write(0, 0x50 if k < 40 else 0x51)  # bit 4 of a control mode means nothing
     assert [d.value for d in chip.diagnostics] == [0x50] * 40 + [0x51] * MAX_DIAGNOSTICS
-    assert [d.value for d in box.diagnostics[0].all()] == [0x51] * MAX_DIAGNOSTICS
+    assert [d.value for d in box.diagnostics[0].list_all()] == [0x51] * MAX_DIAGNOSTICS
 
 
 def test_a_write_that_was_lost_resembles_any_other(make_box):

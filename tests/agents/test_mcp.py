@@ -28,8 +28,8 @@ from support.from_schema import calls
 from support.mcp_served import Served, over_stdio
 
 from stage import Stage
-from stage.agents.server.client_sessions import Sessions, ToolboxFactory
-from stage.agents.server.http import Gate, HttpServer
+from stage.agents.server.client_sessions import ClientSessions, ToolboxFactory
+from stage.agents.server.http import HttpServer, TokenGate
 from stage.agents.server.stdio import LineReader
 
 
@@ -75,7 +75,7 @@ def test_http_has_what_a_client_needs(served):
 
 def test_who_comes_before_the_server_runs_is_not_refused():
     maker = ToolboxFactory(lambda: Stage("xy", visuals=False))
-    server = HttpServer(maker, Sessions(maker))
+    server = HttpServer(maker, ClientSessions(maker))
     socket.create_connection(("127.0.0.1", server.port), 5).close()
 
 
@@ -180,7 +180,10 @@ def test_a_client_with_two_streams_is_connected_until_both_have_closed():
         await receive()
 
     async def work():
-        door, ends = Gate(app, "t", SimpleNamespace(note_disconnect=gone.append)), (asyncio.Event(), asyncio.Event())
+        door, ends = (
+            TokenGate(app, "t", SimpleNamespace(note_disconnect=gone.append)),
+            (asyncio.Event(), asyncio.Event()),
+        )
         lines = [asyncio.create_task(door(scope, end.wait, None)) for end in ends]
         for end, line, reported in zip(ends, lines, ([], ["a"]), strict=True):
             await asyncio.sleep(0)
@@ -388,7 +391,7 @@ def test_a_cancelled_call_ends_and_the_next_call_works(served):
         target=lambda: message.append(post(7, "tools/call", {"name": "wait", "arguments": {"seconds": 120}}))
     )
     wait.start()
-    box = served.sessions.box(head["mcp-session-id"])
+    box = served.sessions.get_toolbox(head["mcp-session-id"])
     while not box.stage.loop.pace:
         time.sleep(0.001)
     post(0, "notifications/cancelled", {"requestId": 7})

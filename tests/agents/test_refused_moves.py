@@ -54,7 +54,7 @@ def test_a_stop_that_the_host_wrote_into_one_move_is_none_of_the_next(make_box, 
         box.call("stop", {"axis": "x"})
     else:
         box.call("wait", {"seconds": 1.0})
-        box.motion.forget()
+        box.motion.stop_watching_all()
     box.stage.place(x=0.14)
     box.call("start", {"axis": "x", "distance": "30mm"})
     assert box.call("wait_until_stopped", {"axis": "x"}).data["stopped_by"] == "EL+"
@@ -78,11 +78,14 @@ def test_the_last_recording_is_of_the_last_move(make_box):
     box.call("record", {"on": True})
     box.call("move", {"axis": "x", "pulses": 100})
     box.call("record", {"on": False})
-    assert "seconds" in saved.last()
+    assert "seconds" in saved.describe_last_recording()
     box.call("move", {"axis": "y", "pulses": 200})
-    assert saved.last()["axis"] == "y"
+    assert saved.describe_last_recording()["axis"] == "y"
     box.call("line", {"distances": {"x": "1mm", "y": "2mm"}})
-    assert {n: a["columns"]["pulses"][-1] for n, a in saved.last()["axes"].items()} == {"x": 320, "y": 640}
+    assert {n: a["columns"]["pulses"][-1] for n, a in saved.describe_last_recording()["axes"].items()} == {
+        "x": 320,
+        "y": 640,
+    }
 
 
 def test_another_axis_of_the_chip_is_not_stopped():

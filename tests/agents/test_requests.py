@@ -11,8 +11,8 @@ pytest.importorskip("mcp")
 
 from stage import Stage, __version__
 from stage.agents.server import mcp_handlers
-from stage.agents.server.client_sessions import Sessions, ToolboxFactory
-from stage.agents.server.mcp_handlers import NO_SESSION, Protocol
+from stage.agents.server.client_sessions import ClientSessions, ToolboxFactory
+from stage.agents.server.mcp_handlers import NO_SESSION, ProtocolServer
 from stage.agents.server.prompts import PROMPTS
 from stage.agents.server.resources import list_pages
 from stage.agents.tool import Answer
@@ -26,8 +26,8 @@ def maker():
 @pytest.fixture
 def served(maker):
     """Return `served(handler, key=..., **params)`, which calls a protocol handler for the session `key`."""
-    sessions = Sessions(maker)
-    created = Protocol(maker, sessions, lambda ctx: ctx.key, sessionless=True, threads=2)
+    sessions = ClientSessions(maker)
+    created = ProtocolServer(maker, sessions, lambda ctx: ctx.key, sessionless=True, threads=2)
 
     def send_request(handler, /, key="a", **params):
         async def work():
@@ -98,7 +98,7 @@ def test_every_page_is_listed_and_read_as_its_kind(served, maker):
     for p in present.values():
         (text,) = served("_read_resource", uri=p.uri).contents
         assert (str(text.uri), text.mime_type) == (p.uri, p.kind)
-        assert text.text == p.read(served.sessions.box("a"))
+        assert text.text == p.read(served.sessions.get_toolbox("a"))
     assert "preset move" in served("_read_resource", uri="stage://recording/last").contents[0].text
     assert served("_list_templates").resource_templates == []
 
@@ -132,7 +132,7 @@ def test_without_a_stage_no_prompts_and_no_resources_are_listed(served):
 
 
 def test_a_server_without_sessions_in_its_protocol_names_those_that_have_them(maker):
-    old = Protocol(maker, Sessions(maker), lambda ctx: None, sessionless=False, threads=1)
+    old = ProtocolServer(maker, ClientSessions(maker), lambda ctx: None, sessionless=False, threads=1)
     message = asyncio.run(old._discover(None, None))
     assert message.supported_versions == list(mcp_handlers.HANDSHAKE_PROTOCOL_VERSIONS)
     assert message.instructions == mcp_handlers.INSTRUCTIONS

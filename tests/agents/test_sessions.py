@@ -7,7 +7,7 @@ import pytest
 
 from stage import Stage
 from stage.agents import Budget
-from stage.agents.server.client_sessions import Sessions, ToolboxFactory
+from stage.agents.server.client_sessions import ClientSessions, ToolboxFactory
 from stage.errors import StageError
 
 
@@ -29,71 +29,71 @@ def clock():
 
 
 def test_each_session_has_a_separate_stage(maker):
-    sessions = Sessions(maker)
-    sessions.box("a").call("move", {"axis": "x", "pulses": 500})
-    assert sessions.box("a").stage.axes["x"].chip.net() == 500
-    assert sessions.box("b").stage.axes["x"].chip.net() == 0
-    assert sessions.box("b").call("budget").data["left"]["moves"] == 3
-    assert sessions.box("a") is sessions.box("a")
+    sessions = ClientSessions(maker)
+    sessions.get_toolbox("a").call("move", {"axis": "x", "pulses": 500})
+    assert sessions.get_toolbox("a").stage.axes["x"].chip.net() == 500
+    assert sessions.get_toolbox("b").stage.axes["x"].chip.net() == 0
+    assert sessions.get_toolbox("b").call("budget").data["left"]["moves"] == 3
+    assert sessions.get_toolbox("a") is sessions.get_toolbox("a")
     sessions.close_all()
     assert len(sessions) == 0
 
 
 def test_the_first_stage_and_the_catalogue_stay_at_power_up(maker):
-    sessions = Sessions(maker)
-    sessions.box("a").call("move", {"axis": "x", "pulses": 500})
-    assert maker.original.time == maker.catalog.stage.time == 0
-    assert list(maker.catalog.tools) == list(sessions.box("a").tools)
+    sessions = ClientSessions(maker)
+    sessions.get_toolbox("a").call("move", {"axis": "x", "pulses": 500})
+    assert maker.original_stage.time == maker.catalog.stage.time == 0
+    assert list(maker.catalog.tools) == list(sessions.get_toolbox("a").tools)
 
 
 def test_a_silent_session_ends_and_a_later_caller_is_reported(maker, clock):
-    sessions = Sessions(maker, idle_s=60, clock=clock)
-    box = sessions.box("a")
+    sessions = ClientSessions(maker, idle_s=60, clock=clock)
+    box = sessions.get_toolbox("a")
     clock.now = 59
-    assert sessions.close_due() == 0
-    sessions.box("a")
+    assert sessions.close_expired() == 0
+    sessions.get_toolbox("a")
     clock.now = 120
-    assert sessions.close_due() == 1
+    assert sessions.close_expired() == 1
     assert box.closed
     with pytest.raises(StageError, match="This session has ended"):
-        sessions.box("a")
+        sessions.get_toolbox("a")
 
 
 def test_a_client_that_has_gone_may_come_back_for_a_while(maker, clock):
-    sessions = Sessions(maker, grace_s=10, clock=clock)
-    sessions.box("a")
+    sessions = ClientSessions(maker, grace_s=10, clock=clock)
+    sessions.get_toolbox("a")
     sessions.note_disconnect("a")
     sessions.note_disconnect("nobody")
     clock.now = 9
-    assert sessions.close_due() == 0
-    sessions.box("a")  # it is back
+    assert sessions.close_expired() == 0
+    sessions.get_toolbox("a")  # it is back
     clock.now = 30
-    assert sessions.close_due() == 0
+    assert sessions.close_expired() == 0
     sessions.note_disconnect("a")
     clock.now = 41
-    assert sessions.close_due() == 1
+    assert sessions.close_expired() == 1
 
 
 def test_a_session_does_not_live_for_ever(maker, clock):
-    sessions = Sessions(maker, life_s=100, clock=clock)
+    sessions = ClientSessions(maker, life_s=100, clock=clock)
     for clock.now in range(0, 100, 10):
-        sessions.box("a")
+        sessions.get_toolbox("a")
     clock.now = 101
-    assert sessions.close_due() == 1
+    assert sessions.close_expired() == 1
 
 
 def test_sessions_beyond_the_limit_are_refused_until_one_is_idle(maker, clock):
-    sessions = Sessions(maker, limit=2, idle_s=60, clock=clock)
-    sessions.box("a"), sessions.box("b")
+    sessions = ClientSessions(maker, limit=2, idle_s=60, clock=clock)
+    sessions.get_toolbox("a"), sessions.get_toolbox("b")
     with pytest.raises(StageError, match="2 sessions are open"):
-        sessions.box("c")
+        sessions.get_toolbox("c")
     clock.now = 61  # the others have fallen silent
-    assert sessions.box("c").call("budget").ok
+    assert sessions.get_toolbox("c").call("budget").ok
 
 
 def test_a_session_that_is_closed_ends_the_call_that_it_makes(maker):
-    sessions = Sessions(maker)
-    box, answers = sessions.box("a"), []
+    sessions = ClientSessions(maker)
+    box, answers = sessions.get_toolbox("a"), []
     thread = threading.Thread(target=lambda: answers.append(box.call("wait", {"seconds": 120})))
     thread.start()
     while not box.stage.loop.pace:

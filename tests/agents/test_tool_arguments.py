@@ -13,8 +13,8 @@ from stage.agents.tool_arguments import (
     argument,
     choice,
     integer,
-    lengths_of,
     list_of,
+    make_length_mapping_type,
     number,
 )
 from stage.errors import ArgumentError
@@ -100,7 +100,8 @@ WRONG_TYPES = [
     (Flag, 1), (Flag, "yes"), (number(), "fast"), (number(), True), pytest.param(number(), 10**5000, id="huge"),
     (number(), "nan"), (Text, 3),
     (list_of(REGISTER), []), (list_of(REGISTER), "x"), (list_of(REGISTER), {}), (choice(("x", "y")), 3),
-    (lengths_of(("x", "y")), []), (lengths_of(("x", "y")), {}), (lengths_of(("x", "y")), {"q": 1}),
+    (make_length_mapping_type(("x", "y")), []), (make_length_mapping_type(("x", "y")), {}),
+    (make_length_mapping_type(("x", "y")), {"q": 1}),
 ]  # fmt: skip
 
 
@@ -134,6 +135,6 @@ def test_a_list_has_as_many_items_as_its_schema_says_and_one_value_is_a_list():
 
 
 def test_a_mapping_names_each_axis_once():
-    both = lengths_of(("x", "y"))
+    both = make_length_mapping_type(("x", "y"))
     assert parse(both, {"x": "1mm", "Y": 0.002}) == {"x": pytest.approx(1e-3), "y": 0.002}
     assert "each name may be given once" in refuse(both, {"x": 1, "X": 2})

@@ -178,13 +178,13 @@ def test_restored_time_stays_spent_and_each_call_has_a_limit(make_box):
 
 
 def test_a_call_that_was_cancelled_is_the_last_that_is(box):
-    box.cancel()
+    box.cancel_call()
     assert box.call("wait", {"seconds": 0.1}).ok, "a new call begins anew"
-    box.meter.begin()
-    box.cancel()
+    box.meter.begin_call()
+    box.cancel_call()
     with pytest.raises(StageError, match="cancelled the call"):
         box.stage.run(0.1)
-    box.meter.end()
+    box.meter.end_call()
 
 
 def test_each_branch_has_its_report_drivers_and_trace(box):
@@ -355,7 +355,7 @@ def test_the_schema_of_home_has_the_methods_of_all_axes(chips):
 def test_of_time_that_is_spent_nothing_is_left_and_no_minus_nothing(make_box):
     box = make_box(budget=Budget(seconds=0.03))
     box.call("wait", {"seconds": 0.03})
-    assert str(box.meter.left()["seconds"]) == "0.0"
+    assert str(box.meter.list_remaining()["seconds"]) == "0.0"
 
 
 def test_the_trace_keeps_the_bus_cycles_before_a_restore(box):

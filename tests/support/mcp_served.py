@@ -5,7 +5,7 @@ import sys
 import threading
 
 from stage import Stage
-from stage.agents.server.client_sessions import Sessions, ToolboxFactory
+from stage.agents.server.client_sessions import ClientSessions, ToolboxFactory
 
 
 class Served:
@@ -15,7 +15,7 @@ class Served:
         from stage.agents.server.http import HttpServer
 
         self.maker = ToolboxFactory(lambda: Stage("xy", visuals=False), **how)
-        self.sessions = Sessions(self.maker)
+        self.sessions = ClientSessions(self.maker)
         self.server = HttpServer(self.maker, self.sessions)
         self._thread = threading.Thread(target=self.server.run, daemon=True)
         self._thread.start()

@@ -1,11 +1,10 @@
-"""`Sessions`: a toolbox for each client, made when the client first needs it, closed when the client ends or falls silent.
+"""`ClientSessions`: a toolbox for each client, created when the client first needs it, closed when the client leaves or is silent.
 
-    sessions = Sessions(ToolboxFactory(lambda: Stage("xy")), limit=64, idle_s=600.0)
-    sessions.box("3f1c").call("home", {"axis": "x"})
+    sessions = ClientSessions(ToolboxFactory(lambda: Stage("xy")), limit=64, idle_s=600.0)
+    sessions.get_toolbox("3f1c").call("home", {"axis": "x"})
     sessions.close("3f1c")
 
-All stages are copies of one, so that a session costs some milliseconds and no second model file. The transports are in stdio.py and
-http.py, the protocol in mcp_handlers.py.
+All stages are copies of one stage, so a new session takes only some milliseconds and does not load the model again.
 """
 
 from __future__ import annotations
@@ -30,11 +29,11 @@ MAX_SESSIONS = 64
 
 @dataclass
 class ToolboxFactory:
-    """Maker of toolboxes whose stages are alike.
+    """Factory of toolboxes with equal stages.
 
     Attributes:
-        make_stage: Called once, when the first stage is needed.
-        mode, budget, snapshots, patience, folder: Of each toolbox.
+        make_stage: Function that returns the stage to copy; called when the first stage is needed.
+        mode, budget, snapshots, patience, folder: Arguments of each `Toolbox`.
     """
 
     make_stage: Callable[[], Stage]
@@ -48,32 +47,33 @@ class ToolboxFactory:
         self._lock = threading.RLock()
 
     @cached_property
-    def original(self) -> Stage:
-        """The stage that all others are copies of; nobody moves it."""
+    def original_stage(self) -> Stage:
+        """Stage that is copied for each session and never moved."""
         return self.make_stage()
 
     @cached_property
     def catalog(self) -> Toolbox:
-        """A toolbox whose tools are those of every session; nobody calls them."""
+        """Toolbox with the same tools as each session, only for listing them."""
         return self()
 
     def __call__(self) -> Toolbox:
-        """Make a toolbox with a stage of its own."""
+        """Return a new toolbox with a stage of its own."""
         with self._lock:  # a copy reads the original
-            stage = copy.deepcopy(self.original)
+            stage = copy.deepcopy(self.original_stage)
         return Toolbox(
             stage, self.mode, self.budget, snapshots=self.snapshots, patience=self.patience, folder=self.folder
         )
 
 
 @dataclass
-class Session:
-    """An open session.
+class ClientSession:
+    """Open session of a client.
 
     Attributes:
-        box: Its toolbox.
-        began_s, used_s: Clock when it began, and when it was last used.
-        left_s: Clock when its client was seen to go; None: the client is there.
+        box: Toolbox of the session.
+        began_s: Clock time of the begin, s.
+        used_s: Clock time of the last use, s.
+        left_s: Clock time at which the connection of the client broke, s; None while it is connected.
     """
 
     box: Toolbox
@@ -82,16 +82,16 @@ class Session:
     left_s: float | None = None
 
 
-class Sessions:
-    """Sessions by a key that the transport gives. Safe to use from any thread.
+class ClientSessions:
+    """Open sessions of all clients, by a key from the transport. Any thread may call the methods.
 
     Args:
-        make: Makes the toolbox of a new session.
-        limit: Number of sessions at once.
-        idle_s: Seconds without a call after which a session ends.
-        grace_s: Seconds after its client has gone.
-        life_s: Seconds that a session may last.
-        clock: Returns seconds.
+        make: Function that returns the toolbox for a new session.
+        limit: Greatest number of open sessions.
+        idle_s: Time without a call after which a session ends, s.
+        grace_s: Time after the client's disconnection after which its session ends, s.
+        life_s: Longest duration of a session, s.
+        clock: Function that returns the time, s.
     """
 
     def __init__(
@@ -105,19 +105,19 @@ class Sessions:
     ):
         self.make, self.limit, self.idle_s, self.grace_s, self.life_s = make, limit, idle_s, grace_s, life_s
         self._clock = clock
-        self._open: dict[str, Session] = {}
+        self._open: dict[str, ClientSession] = {}
         self._ended: deque[str] = deque(maxlen=MAX_REMEMBERED)
         self._lock = threading.RLock()
 
     def __contains__(self, key: str) -> bool:
-        """Return whether the session has a stage."""
+        """Return whether the session is open and thus has a stage."""
         return key in self._open
 
     def __len__(self) -> int:
         return len(self._open)
 
-    def box(self, key: str) -> Toolbox:
-        """Return the toolbox of a session, and open the session if it is new.
+    def get_toolbox(self, key: str) -> Toolbox:
+        """Return the toolbox of a session; open the session if it is new.
 
         Raises:
             StageError: The session has ended, or too many are open.
@@ -130,40 +130,40 @@ class Sessions:
                         "This session has ended: it was closed, silent for too long, or too old. Connect again; a new session "
                         "begins at power-up."
                     )
-                self.close_due()
+                self.close_expired()
                 if len(self._open) >= self.limit:
                     raise StageError(
                         f"{self.limit} sessions are open, which is the limit: close one, or try again later."
                     )
                 now = self._clock()
-                session = self._open[key] = Session(self.make(), now, now)
+                session = self._open[key] = ClientSession(self.make(), now, now)
             session.used_s, session.left_s = self._clock(), None
             return session.box
 
     def note_disconnect(self, key: str) -> None:
-        """Note that the client's connection broke: the session ends unless the client comes back within `grace_s`."""
+        """Store that the client's connection broke. The session ends unless the client comes back within `grace_s`."""
         with self._lock:
             if key in self._open:
                 self._open[key].left_s = self._clock()
 
-    def cancel(self, key: str) -> None:
-        """End the call that a session makes: its client no longer waits for it."""
+    def cancel_call(self, key: str) -> None:
+        """End the running call of a session, because its client no longer waits for it."""
         session = self._open.get(key)
         if session is not None:
-            session.box.cancel()
+            session.box.cancel_call()
 
     def close(self, key: str) -> None:
-        """End a session, also in the middle of a call. Does nothing for one that is not open."""
+        """End a session, even during a call. Does nothing if the session is not open."""
         with self._lock:
             session = self._open.pop(key, None)
             if session is None:
                 return
             self._ended.append(key)
-        session.box.interrupt()
+        session.box.request_session_end()
         session.box.close()
 
-    def close_due(self) -> int:
-        """End the sessions that are silent, abandoned or old, and return their number."""
+    def close_expired(self) -> int:
+        """End the sessions that are idle, abandoned or too old; return their number."""
         now = self._clock()
         with self._lock:
             due = [

@@ -1,4 +1,4 @@
-"""The transport for several clients: streamable HTTP on this machine, for clients that have the token."""
+"""Transport for several clients: streamable HTTP on this machine, for clients that send the token."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ import anyio
 import uvicorn
 from starlette.applications import Starlette
 
-from stage.agents.server.client_sessions import Sessions, ToolboxFactory
-from stage.agents.server.mcp_handlers import Protocol
+from stage.agents.server.client_sessions import ClientSessions, ToolboxFactory
+from stage.agents.server.mcp_handlers import ProtocolServer
 from stage.errors import StageError
 
 LOCAL_HOST, PATH = "127.0.0.1", "/mcp"
@@ -29,16 +29,16 @@ UNAUTHORIZED = (
 )
 
 
-class Gate:
-    """ASGI middleware that admits clients with the token, and tells the sessions which client leaves.
+class TokenGate:
+    """ASGI middleware that admits only requests with the token, and tells the sessions which clients leave.
 
     Args:
-        app: The server of the protocol.
-        token: What clients have to send.
+        app: ASGI application of the MCP server.
+        token: Token that clients must send.
         sessions: The open sessions.
     """
 
-    def __init__(self, app: Any, token: str, sessions: Sessions):
+    def __init__(self, app: Any, token: str, sessions: ClientSessions):
         self._app, self._token, self._sessions = app, token, sessions
         self._connections: dict[str, int] = {}  # open event streams of a session
         self._unused: dict[str, None] = {}  # sessions without a stage, longest silent first
@@ -53,7 +53,7 @@ class Gate:
             return
         key, method = headers.get(SESSION_HEADER), scope["method"]
         if key is None:
-            await self._open(scope, receive, send)
+            await self._forward_opening_request(scope, receive, send)
         elif method == "POST":
             if key in self._unused:
                 self._unused[key] = self._unused.pop(key)
@@ -63,15 +63,18 @@ class Gate:
             self._unused.pop(key, None)
             await anyio.to_thread.run_sync(self._sessions.close, key)
         else:
-            await self._stream(key, scope, receive, send)
+            await self._serve_event_stream(key, scope, receive, send)
 
-    async def _open(self, scope: Any, receive: Any, send: Any) -> None:
-        """Pass on a request that may open a session.
+    async def _forward_opening_request(self, scope: Any, receive: Any, send: Any) -> None:
+        """Forward a request without session key, which may open a session in the protocol.
 
-        As many sessions that never call a tool stay open as may have a stage; the longest silent of them ends first.
+        A session has no stage before its first tool call. At most `limit` such sessions stay open; the one that has been silent
+        for the
+        longest time ends first.
         """
 
         async def note_session(message: Any) -> None:
+            """Store the key of the session that the response opens, and send the message."""
             if message["type"] == "http.response.start":
                 for name, value in message.get("headers", ()):
                     if name.decode("latin1").lower() == SESSION_HEADER:
@@ -83,11 +86,11 @@ class Gate:
         while len(self._unused) >= self._sessions.limit:
             key = next(iter(self._unused))
             del self._unused[key]
-            await self._delete(key, scope)
+            await self._delete_session(key, scope)
         await self._app(scope, receive, note_session)
 
-    async def _delete(self, key: str, scope: Any) -> None:
-        """End a session in the protocol, as if its client had done so."""
+    async def _delete_session(self, key: str, scope: Any) -> None:
+        """End a session in the protocol by the DELETE request that its client could send."""
 
         async def receive() -> Any:
             return {"type": "http.request", "body": b"", "more_body": False}
@@ -99,8 +102,8 @@ class Gate:
         headers.append((SESSION_HEADER.encode(), key.encode()))
         await self._app({**scope, "method": "DELETE", "headers": headers}, receive, send)
 
-    async def _stream(self, key: str, scope: Any, receive: Any, send: Any) -> None:
-        """Serve the event stream of a client: when its last one breaks, the client may have gone."""
+    async def _serve_event_stream(self, key: str, scope: Any, receive: Any, send: Any) -> None:
+        """Serve an event stream of a client. When its last stream breaks, note that the client has disconnected."""
         self._connections[key] = self._connections.get(key, 0) + 1
         try:
             await self._app(scope, receive, send)
@@ -122,14 +125,14 @@ async def _refuse(send: Any) -> None:
 
 
 class InterruptibleServer(uvicorn.Server):
-    """A server that ends running calls at SIGINT and SIGTERM before it waits for them; a second SIGINT ends the process."""
+    """Uvicorn server that ends running calls at SIGINT and SIGTERM, then waits for their ends. A second SIGINT ends the process."""
 
-    def __init__(self, config: uvicorn.Config, sessions: Sessions):
+    def __init__(self, config: uvicorn.Config, sessions: ClientSessions):
         super().__init__(config)
         self._sessions = sessions
 
     def handle_exit(self, sig: int, frame: Any) -> None:
-        """Handle a signal, as uvicorn calls it."""
+        """Handle a signal; uvicorn calls this method."""
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)  # event streams break off now
         threading.Thread(target=self._sessions.close_all, name="end of the sessions", daemon=True).start()
@@ -137,14 +140,14 @@ class InterruptibleServer(uvicorn.Server):
 
 
 class HttpServer:
-    """Server that listens from its construction on; `run` serves.
+    """HTTP server that listens as soon as it is constructed, and serves in `run`.
 
     Args:
-        factory: Makes the stages.
+        factory: Factory of the toolboxes.
         sessions: The open sessions.
-        port: Port; 0 for any that is free.
-        token: What clients have to send; None makes one.
-        host: Address to listen at.
+        port: TCP port; 0: a free port.
+        token: Token that clients must send; None: a new one.
+        host: Address to listen on.
 
     Raises:
         StageError: The port is not available.
@@ -153,7 +156,7 @@ class HttpServer:
     def __init__(
         self,
         factory: ToolboxFactory,
-        sessions: Sessions,
+        sessions: ClientSessions,
         port: int = 0,
         token: str | None = None,
         host: str = LOCAL_HOST,
@@ -162,13 +165,13 @@ class HttpServer:
         self._socket = _listen(host, port)
         self.port = self._socket.getsockname()[1]
         threads = max(2, os.cpu_count() or 2)
-        protocol = Protocol(factory, sessions, _find_key, sessionless=False, threads=threads)
+        protocol = ProtocolServer(factory, sessions, _find_session_key, sessionless=False, threads=threads)
         app = protocol.server.streamable_http_app(
             streamable_http_path=PATH, json_response=True, max_request_body_size=MAX_REQUEST_BYTES,
             session_idle_timeout=sessions.idle_s, max_sessions=2 * sessions.limit, host=host,
         )  # fmt: skip
         _add_cleanup(app, sessions)
-        config = uvicorn.Config(Gate(app, self.token, sessions), log_level="error", timeout_graceful_shutdown=1)
+        config = uvicorn.Config(TokenGate(app, self.token, sessions), log_level="error", timeout_graceful_shutdown=1)
         self._server = InterruptibleServer(config, sessions)
 
     @property
@@ -181,28 +184,29 @@ class HttpServer:
         self._server.run([self._socket])
 
     def stop(self) -> None:
-        """End the server, from another thread."""
+        """Stop the server; another thread may call this method."""
         self._server.should_exit = True
 
 
-def _find_key(ctx: Any) -> str | None:
+def _find_session_key(ctx: Any) -> str | None:
+    """Return the session key in the header of a request, or None."""
     request = ctx.request
     return None if request is None else request.headers.get(SESSION_HEADER)
 
 
-def _add_cleanup(app: Starlette, sessions: Sessions) -> None:
-    """End due sessions at intervals while the app runs, and all sessions with the app."""
+def _add_cleanup(app: Starlette, sessions: ClientSessions) -> None:
+    """End expired sessions at intervals while the app runs, and all sessions when it ends."""
     inner: Callable[..., Any] = app.router.lifespan_context
 
-    async def close_due() -> None:
+    async def close_expired() -> None:
         while True:
             await anyio.sleep(CLEANUP_INTERVAL_S)
-            await anyio.to_thread.run_sync(sessions.close_due)
+            await anyio.to_thread.run_sync(sessions.close_expired)
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> Any:
         async with inner(app) as state, anyio.create_task_group() as group:
-            group.start_soon(close_due)
+            group.start_soon(close_expired)
             try:
                 yield state
             finally:
@@ -213,6 +217,7 @@ def _add_cleanup(app: Starlette, sessions: Sessions) -> None:
 
 
 def _listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens on a host and port. Raises StageError if the port is not available."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

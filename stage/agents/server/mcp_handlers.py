@@ -1,4 +1,4 @@
-"""Handlers of the Model Context Protocol, the same for both transports: they answer requests from sessions."""
+"""Handlers of the Model Context Protocol for both transports: they answer the requests of client sessions."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from mcp.shared.exceptions import MCPError
 from mcp_types.version import HANDSHAKE_PROTOCOL_VERSIONS
 
 from stage import __version__
-from stage.agents.server.client_sessions import Sessions, ToolboxFactory
+from stage.agents.server.client_sessions import ClientSessions, ToolboxFactory
 from stage.agents.server.prompts import PROMPTS, fill_prompt
 from stage.agents.server.resources import list_pages
-from stage.agents.tool import Answer, Tool, refuse
+from stage.agents.tool import Answer, Tool, make_failed_answer
 from stage.agents.tool_arguments import format_value
 from stage.agents.toolbox import Toolbox
 from stage.errors import StageError, unknown_name_error
@@ -33,18 +33,20 @@ NO_SESSION = (
 FindKey = Callable[[ServerRequestContext[Any, Any]], str | None]
 
 
-class Protocol:
-    """A server for the clients of one transport.
+class ProtocolServer:
+    """MCP server for the clients of one transport.
 
     Args:
-        factory: Makes the stages; its catalog has the tools.
+        factory: Factory of the toolboxes; its catalog lists the tools.
         sessions: The open sessions.
-        find_key: Returns the session key of a request, or None.
-        sessionless: The transport also speaks the newest protocol, which has no sessions.
-        threads: Number of calls that run at once.
+        find_key: Function that returns the session key of a request, or None.
+        sessionless: Whether the transport also accepts the newest protocol version, which has no sessions.
+        threads: Greatest number of calls that run at once.
     """
 
-    def __init__(self, factory: ToolboxFactory, sessions: Sessions, find_key: FindKey, sessionless: bool, threads: int):
+    def __init__(
+        self, factory: ToolboxFactory, sessions: ClientSessions, find_key: FindKey, sessionless: bool, threads: int
+    ):
         self._factory, self._sessions, self._find_key, self._threads = factory, sessions, find_key, threads
         self._limiter: anyio.CapacityLimiter | None = None
         self._call_locks: dict[str, anyio.Lock] = {}
@@ -60,7 +62,7 @@ class Protocol:
             self.server.add_request_handler("server/discover", types.RequestParams, self._discover)
 
     async def _discover(self, ctx: Any, params: Any) -> types.DiscoverResult:
-        """Offer the protocols with sessions only: a stage lasts from call to call."""
+        """Offer only the protocol versions with sessions, because a stage must last from call to call."""
         return types.DiscoverResult(
             supported_versions=list(HANDSHAKE_PROTOCOL_VERSIONS),
             capabilities=self.server.get_capabilities(protocol_version=HANDSHAKE_PROTOCOL_VERSIONS[-1]),
@@ -76,27 +78,29 @@ class Protocol:
     async def _call_tool(self, ctx: Any, params: types.CallToolRequestParams) -> types.CallToolResult:
         key = self._find_key(ctx)
         if key is None:
-            return _make_result(refuse(NO_SESSION))
+            return _make_result(make_failed_answer(NO_SESSION))
         lock = self._call_locks.setdefault(key, anyio.Lock())
         if len(self._call_locks) > 2 * self._sessions.limit:
             self._call_locks = {k: lock for k, lock in self._call_locks.items() if lock.locked() or k == key}
         async with lock:  # a call that waits for its session takes no thread
-            call = partial(self._call, key, params.name, params.arguments)
+            call = partial(self._call_toolbox, key, params.name, params.arguments)
             try:
                 answer = await self._run_in_thread(call, abandon_on_cancel=True)
             except anyio.get_cancelled_exc_class():
-                self._sessions.cancel(key)
+                self._sessions.cancel_call(key)
                 raise
         return _make_result(answer)
 
-    def _call(self, key: str, name: str, arguments: Any) -> Answer:
+    def _call_toolbox(self, key: str, name: str, arguments: Any) -> Answer:
+        """Call a tool in the toolbox of a session."""
         try:
-            box = self._sessions.box(key)
+            box = self._sessions.get_toolbox(key)
         except StageError as error:
-            return refuse(str(error))
+            return make_failed_answer(str(error))
         return box.call(name, arguments)
 
     async def _run_in_thread(self, work: Callable[[], Any], abandon_on_cancel: bool = False) -> Any:
+        """Run a function in one of the server's threads, and return its result."""
         if self._limiter is None:
             self._limiter = anyio.CapacityLimiter(self._threads)
         return await anyio.to_thread.run_sync(work, limiter=self._limiter, abandon_on_cancel=abandon_on_cancel)
@@ -109,7 +113,7 @@ class Protocol:
         return types.ListResourcesResult(resources=listed)
 
     async def _list_templates(self, ctx: Any, params: Any) -> types.ListResourceTemplatesResult:
-        """Return no templates: every resource is listed."""
+        """Return no templates: the list of resources is complete."""
         return types.ListResourceTemplatesResult(resource_templates=[])
 
     async def _read_resource(self, ctx: Any, params: types.ReadResourceRequestParams) -> types.ReadResourceResult:
@@ -141,7 +145,7 @@ class Protocol:
         return types.GetPromptResult(messages=[message])
 
     async def _run_or_refuse(self, work: Callable[[], Any]) -> Any:
-        """Run `work` in a thread; a StageError becomes an error of the protocol with the same text."""
+        """Run a function in a thread, and convert a StageError to an error of the protocol with the same text."""
         try:
             return await self._run_in_thread(work)
         except StageError as error:
@@ -151,11 +155,11 @@ class Protocol:
         key = self._find_key(ctx)
         if key is None:
             raise StageError(NO_SESSION)
-        return self._sessions.box(key)
+        return self._sessions.get_toolbox(key)
 
 
 async def _check_call_form(ctx: Any, call_next: Any) -> Any:
-    """Answer a call of a wrong form by a tool error that says what is allowed, and not by an error of the protocol."""
+    """Answer a malformed tool call with a tool error that says what is allowed, instead of an error of the protocol."""
     params = ctx.params or {}
     if ctx.method == "tools/call" and ctx.request_id is not None:
         name, arguments, error = params.get("name"), params.get("arguments"), ""
@@ -164,7 +168,7 @@ async def _check_call_form(ctx: Any, call_next: Any) -> Any:
         elif not isinstance(arguments, dict | None):
             error = f"The arguments of {format_value(name)} should be an object, and not {format_value(arguments)}."
         if error:
-            return _make_result(refuse(error)).model_dump(by_alias=True, exclude_none=True, mode="json")
+            return _make_result(make_failed_answer(error)).model_dump(by_alias=True, exclude_none=True, mode="json")
     return await call_next(ctx)
 
 
@@ -179,6 +183,7 @@ def _describe_tool(tool: Tool) -> types.Tool:
 
 
 def _make_result(answer: Answer) -> types.CallToolResult:
+    """Convert an answer to a result of the protocol."""
     content: list[Any] = [types.TextContent(type="text", text=answer.text)]
     if answer.png is not None:
         image = base64.b64encode(answer.png).decode()

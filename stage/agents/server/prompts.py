@@ -1,4 +1,4 @@
-"""Prompts: what an engineer would ask of an agent at this machine, ready to send."""
+"""Prompts that an engineer would give to an agent at this machine, with arguments to fill in."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ MAX_ARGUMENT_CHARACTERS = 100
 
 
 class PromptTemplate(NamedTuple):
-    """A prompt with places for its arguments.
+    """Prompt with placeholders for arguments.
 
     Attributes:
-        text: What it is for.
-        arguments: Name -> description, and the value if none is given.
-        template: The prompt itself.
+        text: Description of its purpose.
+        arguments: Description and default value of each argument by its name.
+        template: Text of the prompt with the placeholders.
     """
 
     text: str
@@ -75,15 +75,15 @@ def fill_prompt(name: str, values: Mapping[str, str] | None, axes: tuple[str, ..
     """Fill in the arguments of a prompt.
 
     Args:
-        name: Of the prompt.
-        values: Arguments by name; those that are absent have their defaults.
-        axes: Names of the axes; the first is the default.
+        name: Name of the prompt.
+        values: Arguments by name; arguments that are missing have their defaults.
+        axes: Names of the axes; the first is the default axis.
 
     Returns:
         The text to send.
 
     Raises:
-        ArgumentError: There is no such prompt, argument or axis, or a value is too long.
+        ArgumentError: No prompt, argument or axis has this name, or a value is too long.
     """
     prompt = PROMPTS[choose("prompt", name, tuple(PROMPTS) if axes else ())]
     filled = {key: default for key, (_, default) in prompt.arguments.items()}

@@ -1,4 +1,4 @@
-"""Resources of the server: the axes, register maps, facts of the chips, the last recording."""
+"""Resources that clients can read: the axes, the register maps, descriptions of the chips, and the last recording."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ from stage.errors import add_article
 JSON, TEXT = "application/json", "text/plain"
 
 
-class Page(NamedTuple):
-    """A resource.
+class ResourcePage(NamedTuple):
+    """Resource that a client can read.
 
     Attributes:
-        uri, name, text: Its address, its title and what it shows.
-        kind: JSON or TEXT.
-        read: Returns its text for the session that asks.
+        uri: Address.
+        name: Title.
+        text: Description.
+        kind: MIME type, JSON or TEXT.
+        read: Function that returns the content, given the toolbox of the session that reads it.
     """
 
     uri: str
@@ -31,38 +33,53 @@ class Page(NamedTuple):
     read: Callable[[Toolbox], str]
 
 
-def list_pages(catalog: Any) -> dict[str, Page]:
-    """List the resources by address; tools without a stage have none."""
+def list_pages(catalog: Any) -> dict[str, ResourcePage]:
+    """Return all resources by their addresses; none for a catalog of tools without a stage."""
     if catalog.stage is None:
         return {}
     pages = [
-        Page("stage://axes", "axes", "The model's axes: chips, travel, pulses, ways to home.", JSON, _read_axes),
-        Page("stage://recording/last", "last recording", "The course of the last move, as columns.", JSON, _read_recording),
+        ResourcePage("stage://axes", "axes", "The model's axes: chips, travel, pulses, ways to home.", JSON, _read_axes),
+        ResourcePage("stage://recording/last", "last recording", "The course of the last move, as columns.", JSON, _read_recording),
     ]  # fmt: skip
     for kind in dict.fromkeys(type(a.chip) for a in catalog.stage.axes.values()):
         uri, chip = f"stage://chips/{kind.MAP.chip}", kind.MAP.chip
         registers, facts = describe_map(kind.MAP), describe_chip(kind)
         pages += [
-            Page(f"{uri}/registers", f"{chip} registers", "The register map, bit by bit.", TEXT, _read_text(registers)),
-            Page(f"{uri}/facts", f"{chip} facts", "What the data sheet says, in our words.", TEXT, _read_text(facts)),
+            ResourcePage(
+                f"{uri}/registers",
+                f"{chip} registers",
+                "The register map, bit by bit.",
+                TEXT,
+                _make_text_reader(registers),
+            ),
+            ResourcePage(
+                f"{uri}/facts",
+                f"{chip} facts",
+                "What the data sheet says, in our words.",
+                TEXT,
+                _make_text_reader(facts),
+            ),
         ]
     return {p.uri: p for p in pages}
 
 
-def _read_text(text: str) -> Callable[[Toolbox], str]:
+def _make_text_reader(text: str) -> Callable[[Toolbox], str]:
+    """Return a `read` function that returns a constant text."""
     return lambda box: text
 
 
 def _read_axes(box: Toolbox) -> str:
+    """Return the description of the stage as JSON."""
     return json.dumps(box.tools["describe"].act(), indent=1)
 
 
 def _read_recording(box: Toolbox) -> str:
-    return json.dumps(box.recordings.last())
+    """Return the last recording as JSON."""
+    return json.dumps(box.recordings.describe_last_recording())
 
 
 def describe_chip(kind: type[Chip]) -> str:
-    """Describe a chip apart from its registers, in sentences."""
+    """Describe the properties of a chip except its registers, in sentences."""
     low, high = kind.CLOCK_RANGE
     counter, bits = kind.COUNTER
     lines = [

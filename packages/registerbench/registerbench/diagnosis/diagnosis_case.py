@@ -165,7 +165,7 @@ class Case:
         """Power the machine up, with the fault unless it is repaired, and place x where the customer starts it."""
         stage = self.stage
         stage.reset()
-        self.box.forget()
+        self.box.drop_cached_state()
         if self._is_repaired and self.setup.cause in REPAIRS:
             REPAIRS[self.setup.cause](stage)
         stage.place(x=self.setup.trial.starts_m[0] if start is None else start)
@@ -178,7 +178,7 @@ class Case:
         If the fault is in the machine, the original program must meet the requirements as well.
         """
         texts = [self._text] + [self.setup.program] * (self._is_fault_in_machine and self._text != self.setup.program)
-        self.box.meter.end()
+        self.box.meter.end_call()
         return next(
             (
                 why

@@ -44,8 +44,8 @@ class _Game:
         return SimpleNamespace(
             call=self._call,
             close=lambda: None,
-            interrupt=lambda: None,
-            cancel=lambda: None,
+            request_session_end=lambda: None,
+            cancel_call=lambda: None,
             tools=self.tools,
             stage=None,
             recordings=None,
