@@ -38,7 +38,7 @@ from stage.errors import ArgumentError, StageError, add_article, unknown_name_er
 from stage.native import without_attributes
 from stage.support import snapshots
 from stage.support.argument_checks import explain_arguments
-from stage.support.snapshot_files import FiledSnapshot
+from stage.support.snapshot_files import SavableSnapshot
 
 MAX_CLOCKS = 1 << 45  # a speed of 13 bits times this still fits 63 bits
 LAST_CLOCK = 1 << 59  # what is scheduled from there on still fits 63 bits
@@ -63,7 +63,7 @@ class Bus(Protocol):
         """
 
 
-class Snapshot(FiledSnapshot):
+class Snapshot(SavableSnapshot):
     """All state of one chip. It can be restored into a chip of the same kind: class, clock and options.
 
     `save(path)` and `Snapshot.load(path)` keep it in a file.

@@ -12,7 +12,7 @@ from stage.chips.diagnostics import parse_diagnostics
 from stage.drives.stepper import DRIVE
 from stage.sim import engine_records
 from stage.support import snapshots
-from stage.support.snapshot_files import FiledSnapshot
+from stage.support.snapshot_files import SavableSnapshot
 
 if TYPE_CHECKING:
     from stage.sim.axis import Axis
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from stage.sim.stage_state import State
 
 
-class Snapshot(FiledSnapshot):
+class Snapshot(SavableSnapshot):
     """All state of a stage; restores into any equal stage. `save(path)` and `Snapshot.load(path)` keep it in a file.
 
     Attributes:

@@ -32,13 +32,14 @@ def explain_arguments(function: Callable[Parameters, Result]) -> Callable[Parame
 
     @wraps(function)
     def call(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
+        """Call the function, and explain its error if an argument does not fit."""
         __tracebackhide__ = True  # pytest shows who was called, and not this
         try:
             return function(*args, **kwargs)
         except ArgumentError:
             raise
         except PYTHON_ERRORS as error:
-            wrong = _describe_wrong(function, args, kwargs)
+            wrong = _describe_mismatch(function, args, kwargs)
             if wrong is None:
                 raise
             raise wrong from error
@@ -69,7 +70,7 @@ def _get_signature(function: Callable) -> inspect.Signature:
     return inspect.signature(function)
 
 
-def _describe_wrong(function: Callable, args: tuple, kwargs: dict[str, Any]) -> WrongType | None:
+def _describe_mismatch(function: Callable, args: tuple, kwargs: dict[str, Any]) -> WrongType | None:
     """Describe the first argument that does not fit the signature of `function`; None if the annotations show no mistake."""
     signature = _get_signature(function)
     names = [name for name in signature.parameters if name not in ("self", "cls")]

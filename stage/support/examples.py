@@ -1,6 +1,6 @@
 """The examples that come with PulseStage: programs, drivers, custom chips, notebooks. `stage example NAME` copies one.
 
-In a checkout they are in scripts/ and docs/notebooks/; in a wheel they are in stage/examples_/, where stage.native.backend puts
+In a checkout they are in scripts/ and docs/notebooks/. A wheel contains them in stage/examples_/, where stage.native.backend copies
 them.
 """
 
@@ -18,7 +18,7 @@ from stage.support.files import FileError
 
 
 class Requirement(NamedTuple):
-    """Requirement of an example: a library, the extra that installs it, and its purpose ("": the whole example needs it)."""
+    """Library that an example needs: its name, the extra that installs it, and its purpose ("": the whole example needs it)."""
 
     library: str
     extra: str
@@ -111,6 +111,7 @@ def install_examples(folder: Path) -> None:
 
 
 def _copy_files(source: Path, target: Path) -> None:
+    """Copy a file, or a folder without GENERATED_FILES."""
     if source.is_dir():
         ignore: Callable = shutil.ignore_patterns(*GENERATED_FILES)
         shutil.copytree(source, target, ignore=ignore, dirs_exist_ok=True)

@@ -41,11 +41,11 @@ def to_path(path: Any, error: type[StageError] = FileError) -> Path:
 
 
 def check_readable(path: Any, file_kind: str, error: type[StageError] = FileError) -> Path:
-    """Check that a path is a regular, readable file that is not empty, and return it.
+    """Check that a path is a regular, readable file that is not empty, and return the path.
 
     Args:
         path: Path to check.
-        file_kind: Kind of file, for errors, as in "recording".
+        file_kind: Kind of file, for errors, for example "recording".
         error: Type of the error to raise for a missing or empty file, a folder, a device, a pipe, or missing permission.
     """
     path = to_path(path, error)
@@ -207,7 +207,7 @@ def _copy_to_stream(part: Path, target: Path) -> None:
 
 def _move_into_place(part: Path, target: Path, overwrite: bool) -> bool:
     """Rename `part` to `target`; return False if `target` exists and `overwrite` is False."""
-    _sync(part)
+    _flush_to_disk(part)
     if overwrite:
         with suppress(FileNotFoundError):
             shutil.copymode(target, part)
@@ -218,7 +218,7 @@ def _move_into_place(part: Path, target: Path, overwrite: bool) -> bool:
         except FileExistsError:
             return False
     with suppress(OSError):  # not every file system can sync a folder
-        _sync(target.parent)
+        _flush_to_disk(target.parent)
     return True
 
 
@@ -233,7 +233,8 @@ def _rename_without_overwriting(part: Path, target: Path) -> None:
         os.replace(part, target)
 
 
-def _sync(path: Path) -> None:
+def _flush_to_disk(path: Path) -> None:
+    """Flush the content of a file or a folder to the disk."""
     file = os.open(path, os.O_RDONLY)
     try:
         os.fsync(file)

@@ -1,8 +1,8 @@
 """Choice of the OpenGL backend for MuJoCo's renderers and windows, with an error that names what is missing.
 
-Without MUJOCO_GL, MuJoCo chooses GLFW, which needs a screen. Without one its viewer ends the process, and so does the second
-renderer after a first one that failed. So EGL is used where there is no screen, GLFW is tested before MuJoCo uses it, and a library
-that has failed once is not tried again.
+Without MUJOCO_GL, MuJoCo chooses GLFW, which needs a screen. Without a screen, MuJoCo's viewer ends the process, and so does a
+renderer that is created after another one has failed. So this module uses EGL on machines without a screen, tests GLFW before
+MuJoCo uses it, and does not try a library again that has failed once.
 """
 
 from __future__ import annotations
@@ -33,7 +33,9 @@ def has_screen() -> bool:
 
 
 def check_window(alternative: str) -> None:
-    """Raise StageError if MuJoCo's viewer cannot open a window; `alternative` is a sentence that says what to do then."""
+    """Raise StageError if MuJoCo's viewer cannot open a window. The error ends with `alternative`, a sentence that says what to do
+    instead.
+    """
     if not has_screen():
         raise StageError(f"there is no screen here for MuJoCo's viewer. {alternative}")
     if why := _find_glfw_failure():
@@ -41,9 +43,10 @@ def check_window(alternative: str) -> None:
 
 
 def make_renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
-    """Make MuJoCo's renderer for pictures of `width` x `height` pixels; without a screen by EGL unless MUJOCO_GL is set.
+    """Make MuJoCo's renderer for pictures of `width` x `height` pixels. Without a screen, use EGL unless MUJOCO_GL is set.
 
-    Raises StageError if there is no OpenGL, or if the picture is larger than the model's offscreen buffer.
+    Raises:
+        StageError: There is no OpenGL, or the picture is larger than the model's offscreen buffer.
     """
     import mujoco
 
@@ -76,9 +79,10 @@ def _close_renderers() -> None:
 
 @contextmanager
 def _choose_context(cls: type) -> Iterator[None]:
-    """Let MuJoCo's renderer create its context by EGL in this block, if there is no screen and MUJOCO_GL is not set.
+    """Within this block, let MuJoCo's renderer create its context by EGL if there is no screen and MUJOCO_GL is not set.
 
-    Raises RuntimeError if GLFW would be used and does not work.
+    Raises:
+        RuntimeError: The renderer would use GLFW, which does not work here.
     """
     setting = os.environ.get("MUJOCO_GL", "").lower().strip()
     module: Any = getattr(sys.modules[cls.__module__], "gl_context", None)

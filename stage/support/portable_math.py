@@ -1,8 +1,8 @@
 """Elementary functions whose bits do not depend on the processor: `log`, `log1p`, `exp`, `cbrt`, `power` of numbers and arrays.
 
-NumPy has several implementations of these functions and uses the fastest one for the processor. Those for AVX-512 round differently
-in the last place, so that an entry of the benchmark would no longer be equal bit for bit. These functions call the C library, which
-has one implementation for all processors with fused multiplication: every x86-64 of the last ten years.
+NumPy has several implementations of these functions, and uses the fastest one for the processor. Those for AVX-512 round the last
+place differently, so an entry of the benchmark would not have the same bits on all processors. The functions of this module call
+the C library instead. Its results are the same on all processors with fused multiplication: every x86-64 of the last ten years.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ import numpy as np
 
 
 def _apply_elementwise(function: Callable[[float], float]) -> Callable[[Any], Any]:
+    """Return a function that applies `function` to a number, or to each element of an array."""
+
     def call(x: Any) -> Any:
         values = np.asarray(x, np.float64)
         return np.array([function(v) for v in values.ravel().tolist()], np.float64).reshape(values.shape)[()]
@@ -23,18 +25,21 @@ def _apply_elementwise(function: Callable[[float], float]) -> Callable[[Any], An
 
 
 def _log(v: float) -> float:
+    """Return the natural logarithm of a number; -inf for 0 and NaN for negative numbers, as NumPy does."""
     if v > 0:
         return math.log(v)
     return -math.inf if v == 0 else math.nan
 
 
 def _log1p(v: float) -> float:
+    """Return the natural logarithm of 1 + v; -inf and NaN where NumPy returns these."""
     if v > -1:
         return math.log1p(v)
     return -math.inf if v == -1 else math.nan
 
 
 def _exp(v: float) -> float:
+    """Return e to the power of v; infinity instead of an overflow error."""
     try:
         return math.exp(v)
     except OverflowError:

@@ -40,8 +40,8 @@ class SnapshotError(ArgumentError):
     """Error: a file is not a snapshot, is damaged, or is a snapshot of another kind."""
 
 
-class FiledSnapshot(Snapshot):
-    """Snapshot that can be saved to a file. Subclasses convert their state and their diagnostics."""
+class SavableSnapshot(Snapshot):
+    """Snapshot that can be saved to a file. Subclasses define how its state and its diagnostics are decoded."""
 
     @classmethod
     def _decode_state(cls, data: bytes) -> Any:
@@ -60,7 +60,7 @@ class FiledSnapshot(Snapshot):
             FileError: The file cannot be written, or exists (and not `overwrite`).
             ArgumentError: The snapshot is damaged.
         """
-        self.checked()
+        self.check_integrity()
         state = np.frombuffer(self.state, np.uint8).tobytes()
         description = {
             "of": self.of,
@@ -77,17 +77,23 @@ class FiledSnapshot(Snapshot):
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> Self:
-        """Load a snapshot from a file that `save` has written. `restore` checks whether it fits.
+        """Load a snapshot from a file that `save` has written. Only `restore` checks whether it fits the object.
 
         Raises:
             SnapshotError: The file is missing, not a regular file, not a snapshot, larger than 64 MiB, damaged, of another format,
-                or a snapshot of another kind of object.
+                or a
+                snapshot of another kind of object.
         """
         return cls.from_bytes(read_bytes(path, "snapshot", MAX_FILE_BYTES, SnapshotError), str(path))
 
     @classmethod
     def from_bytes(cls, data: bytes, name: str = "it") -> Self:
-        """Parse the bytes of a snapshot file; `name` is their origin for errors. Raises the errors of `load`."""
+        """Parse the bytes of a snapshot file. Raises the errors of `load`.
+
+        Args:
+            data: Bytes of the file.
+            name: Name of the file, for errors.
+        """
         if not isinstance(data, bytes):
             raise SnapshotError(f"data={data!r}: give the bytes of a snapshot's file.")
         description, state = _split_file(name, data)
@@ -106,14 +112,22 @@ class FiledSnapshot(Snapshot):
                 cls._decode_diagnostics(description["noted"]),
                 description["checksum"],
             )
-            snapshot.checked()
+            snapshot.check_integrity()
         except (ArgumentError, KeyError, TypeError, ValueError) as error:
             raise SnapshotError(_describe_damage(name, "its description does not fit its state")) from error
         return snapshot
 
 
 def _split_file(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
-    """Split the bytes of a file into its description and its state. Raises SnapshotError."""
+    """Split the bytes of a snapshot file into its description and its state.
+
+    Args:
+        name: Name of the file, for errors.
+        data: Bytes of the file.
+
+    Raises:
+        SnapshotError: The bytes are not an intact snapshot file.
+    """
     if not data.startswith(MAGIC):
         if data and MAGIC.startswith(data[: len(MAGIC)]):
             raise SnapshotError(_describe_damage(name, "it ends in its first line"))
@@ -148,4 +162,5 @@ def _split_file(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def _describe_damage(name: str, why: str) -> str:
+    """Return the error message for a damaged snapshot file, with the reason `why`."""
     return f"{name} is a damaged snapshot: {why}. Take it anew, or copy the file again."

@@ -1,8 +1,8 @@
-"""Snapshots with a header, which describes the chip or stage that was captured, and a checksum.
+"""Base class of snapshots: the captured state, a header that describes the chip or stage, and a checksum.
 
-Compiled code trusts its state: a flipped bit may be an index. So a snapshot has a header that describes the captured object, and a
-checksum of header and state; both are compared before anything is restored. A pickled snapshot also has a checksum of all its
-bytes, and a damaged one is refused when it is loaded.
+Compiled code trusts its state: a flipped bit may be an array index. So a snapshot has a checksum of header and state, and `restore`
+compares checksum and header before it changes anything. A pickled snapshot also has a checksum of all its bytes, and a damaged one
+is refused when it is loaded.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class Header:
-    """Description of the object of a snapshot as pairs of a property and its value, the most general property first."""
+    """Description of the captured object as pairs (property, value), the most general property first."""
 
     parts: tuple[tuple[str, str], ...]
 
@@ -37,9 +37,14 @@ class Header:
 
 @dataclass(frozen=True, repr=False)
 class Snapshot:
-    """Base of the snapshots of chips and of stages; `of` is the kind of object that it restores, as in "a stage".
+    """Base class of the snapshots of chips and of stages.
 
-    `checksum` is the CRC-32 of header and state. It detects every flip of up to three bits, and all but one in 2^32 of the others.
+    Attributes:
+        of: Kind of object that the snapshot restores, for example "a stage".
+        header: Description of the captured object.
+        state: Captured state, as bytes or an array.
+        diagnostics: Diagnostics of the chips.
+        checksum: CRC-32 of header and state. It detects every flip of up to three bits, and all but one in 2^32 of the others.
     """
 
     of: ClassVar[str]
@@ -52,8 +57,8 @@ class Snapshot:
         of = dict(self.header.parts)
         return f"<Snapshot of {self.of}: {next(iter(of.values()), '')}; {len(bytes(self.state)):,} bytes>"
 
-    def checked(self) -> None:
-        """Raise ArgumentError if header and state do not have the checksum of the original."""
+    def check_integrity(self) -> None:
+        """Raise ArgumentError if header and state do not match the checksum."""
         try:
             is_intact = self.checksum == zlib.crc32(self.state, self.header.checksum)
         except (TypeError, ValueError, AttributeError):
@@ -70,6 +75,7 @@ class Snapshot:
 
 
 def _unpacked(cls: type[Snapshot], version: int, packed: bytes, checksum: int) -> Snapshot:
+    """Return a snapshot from its pickled form. Raises ArgumentError if it is damaged or of another version."""
     if version != VERSION:
         raise ArgumentError(
             f"this snapshot of {cls.of} is of format {version}, and this PulseStage reads format {VERSION}: take it anew."
@@ -90,7 +96,7 @@ def check_restorable(snapshot: Any, cls: type[Snapshot], header: Header) -> None
     if not isinstance(snapshot, cls):
         what = f"a snapshot of {snapshot.of}" if isinstance(snapshot, Snapshot) else reprlib.repr(snapshot)
         raise ArgumentError(f"{what} cannot be restored into {cls.of}: give what its own snapshot() returned.")
-    snapshot.checked()
+    snapshot.check_integrity()
     if snapshot.header is header or snapshot.header.parts == header.parts:
         return
     parts_of_snapshot, parts_of_target = dict(snapshot.header.parts), dict(header.parts)
