@@ -68,7 +68,7 @@ class ServerError(RuntimeError):
 
 
 class Status(NamedTuple):
-    """State of a board: simulated seconds since power-up, bus cycles, whether the interrupt line is asserted."""
+    """State of a board: simulated seconds since power-up, number of bus cycles, and whether the interrupt line is asserted."""
 
     seconds: float
     cycles: int
@@ -76,7 +76,7 @@ class Status(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Place of an axis: position and commanded position in m (rad), full steps lost."""
+    """Position of an axis and commanded position, m or rad, and lost full steps."""
 
     position: float
     commanded: float
@@ -88,13 +88,13 @@ def connect(address: str = "", *, observe: bool = False, timeout: float | None =
 
     Args:
         address: "HOST:PORT", "HOST" or ":PORT"; default: 127.0.0.1 and 7240.
-        observe: Whether to read status, positions and pins only; any number may observe, one host drives.
-        timeout: Seconds of real time to connect and be greeted.
+        observe: Whether to read only status, positions and pins. Any number of hosts may observe, but only one may drive.
+        timeout: Real seconds to wait for the connection and the greeting.
 
     Raises:
-        OSError: Nobody listens there.
-        ValueError: It is no address.
-        ServerError: The server refuses, for example since another host drives.
+        OSError: No server listens at this address.
+        ValueError: The address is malformed.
+        ServerError: The server refuses the connection, for example because another host drives.
     """
     host, _, port = address.rpartition(":") if ":" in address else (address, "", "")
     if port and not port.isdecimal():
@@ -116,12 +116,14 @@ def connect(address: str = "", *, observe: bool = False, timeout: float | None =
 
 
 class _Requests(Generic[_W, _R]):
-    """Requests of bus and time, a method each. A `Batch` collects them; a `Client` sends each at once."""
+    """Methods for requests of bus cycles and time. A `Batch` collects the requests; a `Client` sends each one at once."""
 
     def _write(self, what: int, a: int, b: int = 0) -> _W:
+        """Make or collect a request without an answer; `what` is its kind, `a` and `b` are its operands."""
         raise NotImplementedError
 
     def _read(self, what: int, a: int = 0, b: int = 0, times: int = 0, every: int = 0, mask: int = 0) -> _R:
+        """Make or collect a request with an answer; see `Batch.add` for the parameters."""
         raise NotImplementedError
 
     def out8(self, port: int, value: int) -> _W:
@@ -168,7 +170,7 @@ class _Requests(Generic[_W, _R]):
         return self._write(DELAY, us)
 
     def spend_ns(self, ns: int) -> _W:
-        """Let nanoseconds of computing pass."""
+        """Let nanoseconds pass in which the host computes."""
         return self._write(SPEND, ns)
 
     def micros(self) -> _R:
@@ -180,32 +182,32 @@ class _Requests(Generic[_W, _R]):
         return self._read(LINE)
 
     def until8(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> _R:
-        """Read 8 bits until (the value that was read & mask) == value.
+        """Read 8 bits until (value read & mask) == value.
 
         Args:
             port: The port.
-            mask: The bits that count.
+            mask: Mask of the bits to compare.
             value: The value to wait for.
-            times: How many reads there are at most.
+            times: Largest number of reads.
             every_us: Time between two reads, us.
 
         Returns:
-            The value that was read last.
+            The last value read.
         """
         return self._read(UNTIL8, port, value, times, every_us, mask)
 
     def until16(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> _R:
-        """Read 16 bits until (the value that was read & mask) == value.
+        """Read 16 bits until (value read & mask) == value.
 
         Args:
             port: The port of the low byte.
-            mask: The bits that count.
+            mask: Mask of the bits to compare.
             value: The value to wait for.
-            times: How many reads there are at most.
+            times: Largest number of reads.
             every_us: Time between two reads, us.
 
         Returns:
-            The value that was read last.
+            The last value read.
         """
         return self._read(UNTIL16, port, value, times, every_us, mask)
 
@@ -218,28 +220,30 @@ class _Requests(Generic[_W, _R]):
 
         Args:
             axis: Name of the axis.
-            **levels: True for a line that is asserted: step=True, dir=False, enable=True.
+            **levels: Whether each named line is asserted: step=True, dir=False, enable=True.
 
         Raises:
             ValueError: The server's board has no such axis or line.
         """
         chip, bits = self.find_lines(axis, levels)
-        asserted = _join_bits(bit for bit, level in zip(bits, levels.values(), strict=True) if level)
-        return self._write(SET_LINES, chip | WITH_CYCLE, _join_bits(bits) << LINES_SHIFT | asserted)
+        asserted = _combine_bits(bit for bit, level in zip(bits, levels.values(), strict=True) if level)
+        return self._write(SET_LINES, chip | WITH_CYCLE, _combine_bits(bits) << LINES_SHIFT | asserted)
 
     def read_lines(self, axis: str) -> _R:
         """Read the word of all lines of a STEP/DIR axis, in one bus cycle; `find_lines` returns their bits."""
         return self._read(READ_LINES, self.find_lines(axis)[0] | WITH_CYCLE)
 
     def watch_lines(self, axis: str, *lines: str) -> _W:
-        """Assert the interrupt line while lines of a STEP/DIR axis have other levels than now. A hook calls it again.
+        """Watch lines of a STEP/DIR axis: assert the interrupt line while they have other levels than at this call.
+
+        A hook calls this method again after it has handled the change.
 
         Args:
             axis: Name of the axis.
-            *lines: Names of the lines: limit, origin ...; none: no longer.
+            *lines: Names of the lines, for example limit or origin; without names, stop watching.
         """
         chip, bits = self.find_lines(axis, lines)
-        return self._write(WATCH_LINES, chip, _join_bits(bits))
+        return self._write(WATCH_LINES, chip, _combine_bits(bits))
 
     def find_lines(self, axis: str, lines: Iterable[str] = ()) -> tuple[int, list[int]]:
         """Return the number of the chip of a STEP/DIR axis, and the bits of some of its lines.
@@ -261,7 +265,7 @@ class _Requests(Generic[_W, _R]):
 
 
 class Batch(_Requests["Batch", "Batch"]):
-    """Requests that go together. The methods return the batch itself, so that they can be chained."""
+    """Requests that are sent together. The methods return the batch itself, so that calls can be chained."""
 
     def __init__(self, client: Client | None = None):
         self._client, self._entries = client, bytearray()
@@ -276,7 +280,7 @@ class Batch(_Requests["Batch", "Batch"]):
             b: Second operand: a value.
             times: Largest number of reads, for UNTIL8 and UNTIL16.
             every: Time between two reads, us.
-            mask: The bits that count, for UNTIL8 and UNTIL16.
+            mask: Mask of the bits to compare, for UNTIL8 and UNTIL16.
 
         Returns:
             This batch.
@@ -333,8 +337,8 @@ class Batch(_Requests["Batch", "Batch"]):
         return [answers[k] for k in reads]
 
 
-def _join_bits(bits: Iterable[int]) -> int:
-    """Return a word in which all bits of some words are set."""
+def _combine_bits(bits: Iterable[int]) -> int:
+    """Return the bitwise OR of all words."""
     word = 0
     for bit in bits:
         word |= bit
@@ -342,6 +346,7 @@ def _join_bits(bits: Iterable[int]) -> int:
 
 
 def _unpack_answers(content: bytes) -> tuple[int, ...]:
+    """Unpack the answers to a batch from the body of its reply."""
     return struct.unpack(f"<{len(content) // ANSWER.size}q", content)
 
 
@@ -395,7 +400,7 @@ class Client(_Requests[None, int]):
         self.request(HOOK, WORD.pack(hook is not None))
 
     def on_timer(self, period_us: float, hook: Callable[[], None] | None, *, n: int = 0, level: int = 1) -> None:
-        """Call a function periodically, at that ns.
+        """Call a function periodically, exact to a nanosecond of simulated time.
 
         Args:
             period_us: Period, us; 0: the timer is off.
@@ -437,7 +442,7 @@ class Client(_Requests[None, int]):
         return Status(now * 1e-9, cycles, bool(line))
 
     def positions(self) -> dict[str, Place]:
-        """Read the place of each axis, by its name."""
+        """Read the positions and lost steps of each axis, by the name of the axis."""
         places = PLACE.iter_unpack(self.request(POSITIONS))
         return {axis: Place(*place) for axis, place in zip(self.about["axes"], places, strict=True)}
 
@@ -460,12 +465,12 @@ class Client(_Requests[None, int]):
         """Send a frame, and return the body of its reply.
 
         Args:
-            kind: HELLO, BATCH, ...
-            body: Its body.
+            kind: Kind of the frame: HELLO, BATCH, ...
+            body: Body of the frame.
 
         Raises:
-            ServerError: The server refuses it.
-            ConnectionError: The server is gone, or this connection closed.
+            ServerError: The server refuses the frame.
+            ConnectionError: The server has ended, or this connection is closed.
             ValueError: The body is too long for a frame.
         """
         if len(body) > MAX_BODY:
@@ -488,6 +493,7 @@ class Client(_Requests[None, int]):
                 return reply
 
     def _call_hook(self, source: int) -> None:
+        """Call the hook of the interrupt line or of a timer, as the server's frame INTERRUPT demands, and send RETURN."""
         message = b""
         try:
             if (hook := self._hooks.get(source)) is not None:
@@ -499,6 +505,7 @@ class Client(_Requests[None, int]):
         self._send(HEAD.pack(len(message), RETURN, 0) + message)
 
     def _send(self, content: bytes) -> None:
+        """Send all bytes. Raises ConnectionError if the server has ended."""
         try:
             self._wire.sendall(content)
         except TimeoutError:
@@ -507,10 +514,12 @@ class Client(_Requests[None, int]):
             raise self._make_error() from None
 
     def _make_error(self) -> ConnectionError:
+        """Return the error for a connection that the server has closed."""
         who = "this connection is closed" if self._wire.fileno() < 0 else "the server has closed the connection"
         return ConnectionError(f"{who}. Make another one: connect().")
 
     def _receive(self, size: int) -> bytes:
+        """Receive exactly `size` bytes. Raises ConnectionError if the server has ended."""
         content = bytearray()
         while len(content) < size:
             try:

@@ -1,4 +1,4 @@
-"""`FrameExecutor`: executes the frames of a host on a board. It knows nothing of sockets."""
+"""`FrameExecutor`: executes the frames of a host on a board, independently of sockets."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class BatchError(StageError):
         self.answers = answers
 
 
-class _Buffers:
-    """Buffers for the entries and answers of a batch.
+class _BatchBuffers:
+    """Memory for the entries and answers of a batch.
 
     Args:
         n: Largest number of entries.
@@ -75,7 +75,7 @@ class FrameExecutor:
         report: Callable[[float, str], None] = lambda seconds, text: None,
     ):
         self.board, self._keep, self._pause, self._hook, self._report = board, keep, pause, hook, report
-        self._buffers, self._in_batch = _Buffers(MAX_ENTRIES), False
+        self._buffers, self._in_batch = _BatchBuffers(MAX_ENTRIES), False
         self._timers: dict[int, bytes] = {}
         self._snapshots: dict[str, Any] = {START: board.stage.snapshot()}
         self.handlers: dict[int, Callable[[bytes], bytes]] = {
@@ -117,10 +117,11 @@ class FrameExecutor:
     # --- frames: body -> body of the reply ---
 
     def _execute_batch(self, body: bytes) -> bytes:
+        """Execute the entries of a frame BATCH, and return the answers."""
         n, rest = divmod(len(body), client.ENTRY.size)
         if rest:
             raise ArgumentError(f"BATCH: {len(body)} bytes; an entry has {client.ENTRY.size}.")
-        buffers = _Buffers(n) if self._in_batch else self._buffers  # the outer batch is not done yet
+        buffers = _BatchBuffers(n) if self._in_batch else self._buffers  # the outer batch is not done yet
         buffers.bytes[: len(body)] = body
         wrong = find_first_invalid.with_gil(buffers.entries_at, n, len(self.board.stage.chips))
         if wrong < n:
@@ -144,7 +145,7 @@ class FrameExecutor:
         return buffers.answers[:n].tobytes()
 
     def _pause_batch(self) -> None:
-        """Pause a batch; compiled code calls it."""
+        """Call the server's `pause` during a batch. Compiled code calls this method periodically."""
         link = self.board.link
         if not link.record["stopped"]:
             try:
@@ -235,6 +236,7 @@ class FrameExecutor:
         return b""
 
     def _find_axis(self, name: str) -> Any:
+        """Return the axis with a name. Raises ArgumentError for an unknown name."""
         axes = self.board.stage.axes
         if name not in axes:
             raise ArgumentError(f"{unknown_name_error('axis', name, axes)} Write AXIS.PIN or AXIS.switches.SWITCH.")
@@ -255,14 +257,14 @@ def _describe_lines(stage: Stage) -> dict[str, Any]:
 
 
 def _split_place(text: str) -> tuple[str, str, bool]:
-    """Split AXIS.PIN or AXIS.switches.SWITCH: axis, name and whether it is a switch. The name of an axis may have dots."""
+    """Split AXIS.PIN or AXIS.switches.SWITCH into the axis, the name, and whether it is a switch. An axis name may contain dots."""
     axis, _, name = text.rpartition(".") if "." in text else (text, "", "")
     of_switches = axis.endswith(".switches")
     return axis.removesuffix(".switches") if of_switches else axis, name, of_switches
 
 
 def describe_error(error: BaseException) -> str:
-    """Describe an error to a host: its text, and its type if it is none of the project's own."""
+    """Describe an error to a host: its text, and its type unless it is one of the project's own errors."""
     return str(error) if isinstance(error, StageError | HostError) else f"{type(error).__name__}: {error}"
 
 
@@ -287,6 +289,7 @@ def _describe_wrong_entry(entry: Any) -> str:
 
 
 def _parse_word(frame: str, body: bytes, known: tuple[int, ...]) -> int:
+    """Parse the body of a frame as a u32 that is one of the `known` values. Raises ArgumentError for anything else."""
     try:
         value = client.WORD.unpack(body)[0]
     except struct.error:
@@ -298,6 +301,7 @@ def _parse_word(frame: str, body: bytes, known: tuple[int, ...]) -> int:
 
 
 def _parse_text(frame: str, body: bytes) -> str:
+    """Parse the body of a frame as a short UTF-8 text. Raises ArgumentError for anything else."""
     if not 0 < len(body) <= MAX_NAME_BYTES:
         raise ArgumentError(f"{frame}: a name of {len(body):,} bytes; it has 1 to {MAX_NAME_BYTES}.")
     try:
@@ -307,10 +311,11 @@ def _parse_text(frame: str, body: bytes) -> str:
 
 
 def _make_printable(line: str) -> str:
-    """Escape control characters other than tabs, since they could affect the terminal that shows the line."""
+    """Escape control characters except tabs, because they could affect the terminal that shows the line."""
     return "".join(c if c.isprintable() or c == "\t" else ascii(c)[1:-1] for c in line.rstrip("\r\n"))
 
 
 def _check_body_is_empty(frame: str, body: bytes) -> None:
+    """Raise ArgumentError if the body of a frame is not empty."""
     if body:
         raise ArgumentError(f"{frame}: {len(body):,} bytes; it has no body.")

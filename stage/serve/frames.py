@@ -11,14 +11,14 @@ from stage.serve import client
 
 
 class Frame(NamedTuple):
-    """A kind of frame.
+    """Kind of frame.
 
     Attributes:
-        kind: Its number.
-        name: Its name.
-        body: Body of the request.
-        reply: Body of the reply.
-        effect: What it does.
+        kind: Number of the kind.
+        name: Name of the kind.
+        body: Content of a request's body.
+        reply: Content of the reply's body.
+        effect: What the frame does.
         observes: Whether a connection that only observes may send it.
     """
 
@@ -80,8 +80,8 @@ ENTRIES = (
 """Entries of a BATCH: (what, name, a, b, what it does)."""
 
 
-def table() -> str:
-    """Return both tables, as docs/serve.md has them."""
+def format_tables() -> str:
+    """Return the tables of frames and of batch entries in Markdown, for docs/serve.md."""
     lines = ["| kind | name | body of the request | body of the reply | |", "|---|---|---|---|---|"]
     for f in FRAMES:
         effect = f.effect + (" (also for observers)" if f.observes else "")
@@ -92,4 +92,4 @@ def table() -> str:
 
 
 if __name__ == "__main__":
-    print(table(), end="")
+    print(format_tables(), end="")

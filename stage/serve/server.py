@@ -33,7 +33,7 @@ _NAMES = {frame.kind: frame.name for frame in FRAMES}
 _FOR_OBSERVERS = frozenset(frame.kind for frame in FRAMES if frame.observes)
 
 
-class _GoneError(StageError):
+class _HostGoneError(StageError):
     """Error that ends a frame in progress because its host has disconnected or the server ends."""
 
 
@@ -42,10 +42,11 @@ class _Connection:
 
     Attributes:
         role: DRIVE or OBSERVE; None before the connection has sent HELLO.
-        received, outgoing: Bytes that are still to be handled or sent.
+        received: Bytes that the server has not handled yet.
+        outgoing: Bytes that the server has not sent yet.
         since: Monotonic time, s, at which the server began to wait for the rest of a frame, or None.
         closing: Whether the connection closes after its outgoing bytes are sent.
-        gone: Whether the other end has closed the connection.
+        gone: Whether the host has closed the connection.
     """
 
     def __init__(self, wire: socket.socket, name: str):
@@ -89,25 +90,26 @@ class _Connection:
 
 
 class Server:
-    """A board behind a socket that listens.
+    """Server of a board, which listens on a socket.
 
     Args:
-        board: A Board; nobody else drives it while `run` runs.
-        bind: Address at which it listens.
-        port: TCP port; 0 chooses a free one.
-        fresh: Whether each host finds the board in its present state; otherwise in the state in which the last host left it.
-        keep: Number of log lines that are kept.
-        report: Function that gets lines for a terminal: which hosts connect and disconnect, and what they log.
+        board: A Board; only the server drives it while `run` runs.
+        bind: Address on which the server listens.
+        port: TCP port; 0: a free port.
+        fresh: Whether the server resets the board for each host to its state at the server's start; False: a host finds it as the
+            last one left it.
+        keep: Greatest number of stored log lines.
+        report: Function that is called with lines for a terminal: which hosts connect and disconnect, and what they log.
         before_each: Function that is called before each request of the driving host, and periodically within a batch. It may
             wait.
 
     Attributes:
-        address: Host and port at which it listens.
-        machine: The Machine that carries frames out.
+        address: Host and port on which the server listens.
+        machine: Executor of the frames.
 
     Raises:
-        ArgumentError: There is no such port.
-        StageError: Nothing can listen there.
+        ArgumentError: The port is out of range.
+        StageError: The server cannot listen on this address and port.
     """
 
     def __init__(
@@ -123,7 +125,7 @@ class Server:
     ):
         self._fresh, self._report, self._before_each = fresh, report, before_each
         self.machine = FrameExecutor(
-            board, keep=keep, pause=self._pause, hook=self._call_hook,
+            board, keep=keep, pause=self._handle_events_in_batch, hook=self._call_hook,
             report=lambda seconds, text: report(f"{seconds:12.6f}  {text}"),
         )  # fmt: skip
         self._driver: _Connection | None = None
@@ -147,7 +149,7 @@ class Server:
                 self._handle_events(self._compute_poll_timeout())
         finally:
             for connection in list(self._connections()):
-                self._close(connection)
+                self._close_connection(connection)
             self._selector.close()
             for end in (self._listener, self._notifier, self._notified):
                 end.close()
@@ -168,18 +170,18 @@ class Server:
         for key, events in self._selector.select(seconds):
             connection: _Connection | None = key.data
             if key.fileobj is self._listener:
-                self._accept()
+                self._accept_connection()
             elif connection is None:
                 with suppress(OSError):
                     self._notified.recv(4096)
             else:
                 if events & selectors.EVENT_READ and len(connection.received) < MAX_WAITING:
-                    self._receive(connection)
+                    self._receive_bytes(connection)
                 if events & selectors.EVENT_WRITE:
-                    self._send(connection)
+                    self._send_bytes(connection)
         for connection in list(self._connections()):
             self._handle_frame(connection)
-            self._update(connection)
+            self._update_connection(connection)
 
     def _can_handle_frame(self, connection: _Connection) -> bool:
         """Tell whether the server may handle a frame of this connection now.
@@ -199,7 +201,7 @@ class Server:
                 waits.append(max(connection.since + PATIENCE_S - time.monotonic(), 0.0))
         return min(waits, default=None)
 
-    def _accept(self) -> None:
+    def _accept_connection(self) -> None:
         with suppress(OSError):  # the other end is gone already
             wire, address = self._listener.accept()
             wire.setblocking(False)
@@ -211,7 +213,7 @@ class Server:
                 return
             self._selector.register(wire, selectors.EVENT_READ, connection)
 
-    def _receive(self, connection: _Connection) -> None:
+    def _receive_bytes(self, connection: _Connection) -> None:
         try:
             more = connection.wire.recv(READ_SIZE)
         except BlockingIOError:
@@ -223,7 +225,7 @@ class Server:
         if connection.since is None:
             connection.since = time.monotonic()
 
-    def _send(self, connection: _Connection) -> None:
+    def _send_bytes(self, connection: _Connection) -> None:
         try:
             while connection.outgoing:
                 sent = connection.wire.send(connection.outgoing)
@@ -233,14 +235,14 @@ class Server:
         except OSError:
             connection.gone = True
 
-    def _update(self, connection: _Connection) -> None:
-        """Close a connection that has ended or is overdue; otherwise choose the events for which the server waits."""
+    def _update_connection(self, connection: _Connection) -> None:
+        """Close a connection that has ended or is overdue; otherwise select the events for which the server waits."""
         overdue = connection.is_overdue()
         if overdue and not connection.closing and connection.is_awaited() and not connection.has_frame():
-            self._refuse(connection, f"no whole frame in {PATIENCE_S:g} s.")
-            self._send(connection)
+            self._refuse_connection(connection, f"no whole frame in {PATIENCE_S:g} s.")
+            self._send_bytes(connection)
         if connection.gone or (connection.closing and (overdue or not connection.outgoing)):
-            self._close(connection)
+            self._close_connection(connection)
             return
         if connection.since is not None and not connection.is_awaited():
             connection.since = None
@@ -249,7 +251,7 @@ class Server:
         if events and events != self._selector.get_key(connection.wire).events:
             self._selector.modify(connection.wire, events, connection)
 
-    def _close(self, connection: _Connection) -> None:
+    def _close_connection(self, connection: _Connection) -> None:
         with suppress(KeyError, ValueError):
             self._selector.unregister(connection.wire)
         connection.wire.close()
@@ -267,22 +269,23 @@ class Server:
     # --- frames ---
 
     def _handle_frame(self, connection: _Connection) -> None:
-        """Handle the next frame of a connection if it is complete and permitted now."""
+        """Handle the next frame of a connection if the frame is complete and the connection may send it now."""
         if connection.gone or connection.closing or not self._can_handle_frame(connection):
             return
         try:
             frame = connection.take_frame()
         except ArgumentError as error:
-            self._refuse(connection, str(error))
+            self._refuse_connection(connection, str(error))
             frame = None
         if frame is not None:
-            self._handle(connection, *frame)
+            self._answer_frame(connection, *frame)
         if connection.outgoing:
-            self._send(connection)
+            self._send_bytes(connection)
 
-    def _handle(self, connection: _Connection, kind: int, number: int, body: bytes) -> None:
+    def _answer_frame(self, connection: _Connection, kind: int, number: int, body: bytes) -> None:
+        """Execute a frame, and queue its reply or its error."""
         if connection.role is None:
-            self._greet(connection, kind, number, body)
+            self._handle_greeting(connection, kind, number, body)
             return
         if kind == client.RETURN:
             self._end_hook(connection, body)
@@ -295,7 +298,7 @@ class Server:
                 )
             if connection.role != client.DRIVE and kind not in _FOR_OBSERVERS:
                 raise StageError(f"{_NAMES[kind]}: this connection only observes; connect with role 0 to drive.")
-            reply = self._carry_out(connection, kind, body)
+            reply = self._execute_frame(connection, kind, body)
         except BatchError as error:
             done = len(error.answers) // client.ANSWER.size
             self._queue_frame(
@@ -306,7 +309,8 @@ class Server:
         else:
             self._queue_frame(connection, kind, number, reply)
 
-    def _carry_out(self, connection: _Connection, kind: int, body: bytes) -> bytes:
+    def _execute_frame(self, connection: _Connection, kind: int, body: bytes) -> bytes:
+        """Execute a frame by its handler; mark the server as busy if the driving host has sent it."""
         if connection is not self._driver:
             return self.machine.handlers[kind](body)
         before = self._busy, self._in_hook
@@ -319,9 +323,10 @@ class Server:
             if connection.gone and not self._busy:
                 self._release_driver()
 
-    def _greet(self, connection: _Connection, kind: int, number: int, body: bytes) -> None:
+    def _handle_greeting(self, connection: _Connection, kind: int, number: int, body: bytes) -> None:
+        """Admit the host whose first frame is a valid HELLO, or refuse the connection."""
         if kind != client.HELLO or len(body) != client.GREETING.size or not body.startswith(client.MAGIC):
-            self._refuse(connection, "the first frame has to be HELLO, see docs/serve.md.", number)
+            self._refuse_connection(connection, "the first frame has to be HELLO, see docs/serve.md.", number)
             return
         _, version, role = client.GREETING.unpack(body)
         greeted = sum(1 for other in self._connections() if other.role is not None)
@@ -334,17 +339,18 @@ class Server:
         elif role == client.DRIVE and self._driver is not None:
             why = f"{self._driver.name} drives this stage, one host at a time. Wait until it is gone, or observe."
         else:
-            self._admit(connection, role, number)
+            self._admit_host(connection, role, number)
             return
-        self._refuse(connection, why, number)
+        self._refuse_connection(connection, why, number)
 
-    def _admit(self, connection: _Connection, role: int, number: int) -> None:
+    def _admit_host(self, connection: _Connection, role: int, number: int) -> None:
+        """Give a connection its role, and queue the reply to its HELLO."""
         if role == client.DRIVE:
             if self._fresh:
                 try:
                     self.machine.reset_to_start()
                 except StageError as error:
-                    self._refuse(connection, str(error), number)
+                    self._refuse_connection(connection, str(error), number)
                     return
             self._driver = connection
             self._report(f"{connection.name} drives, at {self.machine.board.stage.time:.6f} s")
@@ -356,34 +362,33 @@ class Server:
     def _queue_frame(self, connection: _Connection, kind: int, number: int, body: bytes) -> None:
         connection.outgoing += client.HEAD.pack(len(body), kind, number) + body
 
-    def _refuse(self, connection: _Connection, text: str, number: int = 0) -> None:
-        """Send an error and close the connection."""
+    def _refuse_connection(self, connection: _Connection, text: str, number: int = 0) -> None:
+        """Queue an error, and close the connection after it is sent."""
         self._queue_frame(connection, client.ERROR, number, client.WORD.pack(0) + text.encode())
         connection.closing, connection.since = True, time.monotonic()
 
     # --- while a frame of the driver is being carried out ---
 
-    def _pause(self) -> None:
-        """Handle events during a batch."""
+    def _handle_events_in_batch(self) -> None:
+        """Handle events during a batch, without waiting for any."""
         self._handle_events(0.0)
         self._check_host_present()
         self._before_each()
 
     def _check_host_present(self) -> None:
-        """Raise _GoneError if the server ends, or the host that sent the frame in progress has disconnected."""
+        """Raise _HostGoneError if the server ends, or if the host that sent the frame in progress has disconnected."""
         if self._stopping:
-            raise _GoneError("the server ends.")
+            raise _HostGoneError("the server ends.")
         if self._driver is None or self._driver.gone:
-            raise _GoneError("the host is gone.")
+            raise _HostGoneError("the host is gone.")
 
     def _call_hook(self, source: int) -> None:
-        """Let the host call its hook for the interrupt line or a timer, and serve its requests until the hook
-        returns."""
+        """Let the host call its hook for the interrupt line or a timer, and serve its requests until the hook returns."""
         driver = self._driver
         if driver is None:
             return
         self._queue_frame(driver, client.INTERRUPT, 0, client.WORD.pack(source))
-        self._send(driver)
+        self._send_bytes(driver)
         self._in_hook, self._returned, self._failed_hook = True, False, ""
         try:
             while not self._returned:
@@ -395,6 +400,7 @@ class Server:
             raise StageError(f"the interrupt hook of the host failed: {self._failed_hook}")
 
     def _end_hook(self, connection: _Connection, body: bytes) -> None:
+        """Handle a frame RETURN of the host, which ends the hook."""
         if connection is not self._driver or not self._in_hook:
             self._queue_frame(connection, client.ERROR, 0, client.WORD.pack(0) + b"RETURN: no hook was called.")
             return
@@ -402,7 +408,7 @@ class Server:
 
 
 def _listen(bind: str, port: int) -> socket.socket:
-    """Return a socket that listens. Raises StageError."""
+    """Return a socket that listens on an address and port. Raises StageError if that is not possible."""
     listener = socket.socket(socket.AF_INET6 if ":" in bind else socket.AF_INET, socket.SOCK_STREAM)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -16,7 +16,7 @@ PAGE = (Path(__file__).resolve().parents[2] / "docs" / "serve.md").read_text()
 
 
 def test_the_page_has_the_table_of_frames():
-    assert frames.table() in PAGE, "python -m stage.serve.frames prints it"
+    assert frames.format_tables() in PAGE, "python -m stage.serve.frames prints it"
 
 
 def test_every_frame_and_entry_is_in_the_table(served):
