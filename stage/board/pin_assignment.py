@@ -4,7 +4,7 @@
 
 A `!` in front of a pin inverts it: the line is asserted while the pin is low. The names of presets stand for the wiring of common
 boards. Lines that the microcontroller drives: step, dir, enable. Lines that it reads: limit (either end limit), limit_plus,
-limit_minus, origin, probe.
+limit_minus, origin, probe, and the outputs diag and index of power stages that have them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from stage.chips import Chip
-from stage.chips.stepdir.line_names import DRIVEN, READ
+from stage.chips.stepdir.line_names import DRIVEN, READ, has_line
 from stage.errors import ArgumentError, unknown_name_error
 
 SHARED = ("enable", *READ)
@@ -132,7 +132,12 @@ def _check_pin_line(line: PinLine, chips: Mapping[str, Chip]) -> None:
     if line.axis not in chips:
         raise ArgumentError(f"--pins {line}: {unknown_name_error('axis', line.axis, chips)}")
     chip = chips[line.axis]
-    if any(name not in chip.INPUTS for name in ("step", *(DRIVEN | READ)[line.line])):
+    if "step" in chip.INPUTS and not has_line(chip, line.line):
+        raise ArgumentError(
+            f"--pins {line}: the power stage of axis {line.axis} has no output {line.line}. Choose one that has it "
+            "(stage list power-stages), or leave the line out."
+        )
+    if not has_line(chip, line.line):
         raise ArgumentError(
             f"--pins {line}: axis {line.axis} has a {type(chip).__name__}, which makes its own steps. Make it a STEP/DIR axis: "
             f"--chips stepdir."

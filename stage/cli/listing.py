@@ -80,15 +80,23 @@ def _list_power_stages(args: argparse.Namespace) -> int:
     for name, p in power_stages.items():
         print(f"{name:10} {p.title}: {p.max_current:g} A, {p.min_supply:g} to {p.max_supply:g} V")
         if p.mode_pins:
-            modes = ", ".join(f"{levels} 1/{n}" for n, levels in p.microsteps.items())
+            modes = ", ".join(f"{levels} 1/{n}" for n, levels in p.microsteps.items() if levels)
             print(f"  {' '.join(p.mode_pins)}: {modes}")
+        if by_register := [f"1/{n}" for n, levels in p.microsteps.items() if p.chip and not levels]:
+            print(f"  by registers: {', '.join(by_register)}")
         for field, text in p.evidence.items():
             letter, _, reason = text.partition(": ")
             value = getattr(p, field)
             value_text = (
-                f"{value * 1e6:g} us" if field in TIMES else str(value) if isinstance(value, int | float | str) else ""
+                f"{value * 1e6:g} us"
+                if field in TIMES
+                else f"{value:.4}"
+                if type(value) is float
+                else str(value)
+                if isinstance(value, int | str)
+                else ""
             )
-            print(f"  {field:17}{value_text:10}{letter:3}{reason}".rstrip())
+            print(f"  {field:20}{value_text:10}{letter:3}{reason}".rstrip())
     print("evidence: " + ", ".join(f"{letter} {meaning}" for letter, meaning in EVIDENCE.items()))
     return 0
 

@@ -48,6 +48,10 @@ class PowerStage:
         enable_level: Level of the ENABLE pin that switches the outputs on, "low" or "high".
         current_divider: The current limit is the reference voltage over this number and the sense resistor.
         sense_resistor: Sense resistor of the usual module, ohm.
+        internal_resistance: Resistance inside the power stage, in series with the sense resistor, ohm.
+        chip: STEP/DIR chip with the registers and further pins of the power stage, as "package.module:Class" of a subclass of
+            `stage.chips.STEPDIR`; "": the power stage has none. Microsteps that only registers select have no levels of
+            `mode_pins`: "".
         evidence: Source of a field's value, by the field's name: a letter of EVIDENCE and a reason.
 
     Raises:
@@ -70,6 +74,8 @@ class PowerStage:
     enable_level: str = "low"
     current_divider: float | None = None
     sense_resistor: float | None = None
+    internal_resistance: float = 0.0
+    chip: str = ""
     evidence: Mapping[str, str] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
@@ -85,13 +91,18 @@ class PowerStage:
             if not 0 <= getattr(self, time) <= MAX_TIME_S:
                 raise ArgumentError(f"{self.name}: {time}={getattr(self, time)!r}: from 0 up to {MAX_TIME_S:g} s.")
         for microsteps, levels in self.microsteps.items():
-            if not 1 <= microsteps <= 256 or len(levels) != len(self.mode_pins) or set(levels) - set("HL"):
+            is_by_register = bool(self.chip) and levels == ""
+            if not 1 <= microsteps <= 256 or not (
+                is_by_register or (len(levels) == len(self.mode_pins) and not set(levels) - set("HL"))
+            ):
                 raise ArgumentError(
                     f"{self.name}: microsteps {microsteps!r} by {levels!r}: 1 to 256 microsteps, and H or L for each of the "
                     f"pins {', '.join(self.mode_pins) or '(none)'}."
                 )
         if self.enable_level not in ("low", "high"):
             raise ArgumentError(f"{self.name}: enable_level={self.enable_level!r}: 'low' or 'high'.")
+        if self.chip and not all(self.chip.partition(":")[::2]):
+            raise ArgumentError(f"{self.name}: chip={self.chip!r}: write 'package.module:Class'.")
 
     @property
     def times(self) -> tuple[float, ...]:
@@ -107,7 +118,7 @@ class PowerStage:
         for microsteps, known in self.microsteps.items():
             if known == levels.upper():
                 return microsteps
-        known = ", ".join(f"{levels} 1/{n}" for n, levels in self.microsteps.items())
+        known = ", ".join(f"{levels} 1/{n}" for n, levels in self.microsteps.items() if levels)
         raise ArgumentError(f"{self.name}: {levels!r} on {' '.join(self.mode_pins)} selects nothing. Known: {known}.")
 
     def compute_current_limit(self, vref: float, sense_resistor: float | None = None) -> float:
@@ -128,7 +139,7 @@ class PowerStage:
             raise ArgumentError(f"{self.name} has no reference voltage: give Drive(current=...).")
         if not vref > 0 or not resistor > 0:
             raise ArgumentError(f"vref={vref!r} V with {resistor!r} ohm: both must be greater than 0.")
-        return min(vref / (self.current_divider * resistor), self.max_current)
+        return min(vref / (self.current_divider * (resistor + self.internal_resistance)), self.max_current)
 
 
 TIMES = ("step_high", "step_low", "dir_setup", "dir_hold", "enable_setup")

@@ -14,7 +14,7 @@ from stage import __version__
 from stage.board import Board, HostError
 from stage.board.bus.batch import ENTRY, find_first_invalid, resume_batch, run_batch
 from stage.board.bus.host_record import LAST_PORT, MAX_DELAY_US
-from stage.board.pin_assignment import DRIVEN, READ
+from stage.board.pin_assignment import DRIVEN, READ, has_line
 from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.serve import client
 from stage.serve.frames import ENTRIES
@@ -249,7 +249,11 @@ def _describe_lines(stage: Stage) -> dict[str, Any]:
     return {
         name: {
             "chip": chips.index(axis.chip),
-            "bits": {line: sum(axis.chip.INPUTS[pin] for pin in pins) for line, pins in (DRIVEN | READ).items()},
+            "bits": {
+                line: sum(axis.chip.INPUTS[pin] for pin in pins)
+                for line, pins in (DRIVEN | READ).items()
+                if has_line(axis.chip, line)
+            },
         }
         for name, axis in stage.axes.items()
         if "step" in axis.chip.INPUTS

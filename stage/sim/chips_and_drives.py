@@ -46,7 +46,17 @@ def choose_chips_and_drives(
                 raise unknown_name_error("axis", name, known)
     plant.reserve_fitted_values(spec, names)
     axes = _make_chip_axes(chips, names, clock)
-    return names, axes, [_choose_drive(drives, name, axis.chip, spec) for name, axis in zip(names, axes, strict=True)]
+    chosen = [_choose_drive(drives, name, axis.chip, spec) for name, axis in zip(names, axes, strict=True)]
+    return names, [_use_power_stage_chip(axis, drive) for axis, drive in zip(axes, chosen, strict=True)], chosen
+
+
+def _use_power_stage_chip(axis: ChipAxis, drive: Drive | Servo) -> ChipAxis:
+    """Replace a plain STEP/DIR axis by that of its power stage if the power stage has registers."""
+    if not isinstance(drive, Drive) or not drive.power_stage.chip or type(axis.chip).__name__ != "STEPDIR":
+        return axis
+    from stage.chips.stepdir.power_stage_chips import make_power_stage_chip  # a family is loaded when it is needed
+
+    return make_power_stage_chip(drive.power_stage.chip, drive.power_stage.name, axis.chip.clock_hz).axes[0]
 
 
 def fit_rotors(

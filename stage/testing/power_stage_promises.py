@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from stage.chips.stepdir import STEPDIR
+from stage.chips.stepdir.power_stage_chips import make_power_stage_chip
+from stage.chips.stepdir.state import POSITION
 from stage.drives.motors import Drive
 from stage.drives.power_stages import TIMES, PowerStage, find_power_stage
 
 REST_NS = 1_000_000_000
 """Time between two trials, longer than any that a power stage may demand."""
+COUNTS = 1 << 32
+"""Number of values of POSITION."""
 
 
 def power_stage_conformance(power_stage: str | PowerStage) -> None:
@@ -29,7 +33,7 @@ def power_stage_conformance(power_stage: str | PowerStage) -> None:
     for microsteps, levels in power_stage.microsteps.items():
         drive = Drive(power_stage=power_stage, microsteps=microsteps, bus_voltage=supply)
         assert drive.amplitude <= power_stage.max_current, f"{power_stage.name}: a current above max_current"
-        if power_stage.mode_pins:
+        if levels:
             assert power_stage.find_microsteps(levels) == microsteps, f"{power_stage.name}: {levels} selects twice"
     for which, seconds in enumerate(power_stage.times):
         _check_time(power_stage, which, round(seconds * 1e9), supply)
@@ -50,7 +54,7 @@ def _check_time(power_stage: PowerStage, which: int, min_time_ns: int, supply: f
     for drops_edges in (False, True):
         drive = Drive(power_stage=power_stage, microsteps=microsteps, bus_voltage=supply, drops_edges=drops_edges)
         for short in (0, 1) if min_time_ns else (0,):
-            axis = STEPDIR()
+            axis = make_power_stage_chip(power_stage.chip, power_stage.name)
             axis.fit_drive(drive)
             steps = _make_step(axis, which, min_time_ns - short)
             keys = [diagnostic.key for diagnostic in axis.diagnostics]
@@ -81,11 +85,11 @@ def _make_step(axis: STEPDIR, which: int, time_ns: int) -> int:
         if which == 2:
             axis.pins.dir = False
             axis.advance(setup)
-    before = axis.net()
+    before = axis.read(POSITION)
     axis.pins.step = True
     axis.advance(min(high, hold))
     if which == 3:
         axis.pins.dir = not axis.pins.dir
         axis.advance(REST_NS)
     axis.pins.step = False
-    return abs(axis.net() - before)
+    return min((axis.read(POSITION) - before) % COUNTS, (before - axis.read(POSITION)) % COUNTS)

@@ -77,6 +77,7 @@ def test_a_stage_takes_a_power_stage_in_place_of_a_drive():
         ({"dir_hold": float("nan")}, "dir_hold"),
         ({"microsteps": {16: "HH"}}, "MS1, MS2, MS3"),
         ({"enable_level": "on"}, "'low' or 'high'"),
+        ({"chip": "acme"}, "package.module:Class"),
     ],
 )
 def test_values_that_no_power_stage_has_are_refused(values, message):
@@ -124,6 +125,48 @@ def test_a_package_that_brings_a_bad_power_stage_is_named(tmp_path, monkeypatch,
     with pytest.raises(error, match=message):
         find_power_stage("acme100")
     assert find_power_stage("a4988") is A4988
+
+
+WITH_REGISTERS = """
+from dataclasses import replace
+from stage.chips import STEPDIR
+from stage.drives.power_stages import A4988
+class AcmeAxis(STEPDIR):
+    pass
+ACME100 = replace(
+    A4988, name="acme100", title="ACME 100", chip="acme_registers:AcmeAxis", microsteps={16: "HHH", 256: ""}
+)
+"""
+
+
+def test_a_power_stage_with_registers_brings_the_chip_of_its_axes(tmp_path, monkeypatch):
+    install(tmp_path, WITH_REGISTERS, "acme_registers")
+    monkeypatch.syspath_prepend(tmp_path)
+    stage = Stage("xy", chips="stepdir", drives={"x": "acme100", "y": "a4988"}, visuals=False)
+    assert [type(axis.chip).__name__ for axis in stage.axes.values()] == ["AcmeAxis", "STEPDIR"]
+    assert Stage("xy", drives="acme100", visuals=False).axes["x"].chip.__class__.__name__ == "PCL240K"
+    power_stage = find_power_stage("acme100")
+    power_stage_conformance(power_stage)
+    assert Drive(power_stage=power_stage, microsteps=256).power_stage.find_microsteps("HHH") == 16
+    with pytest.raises(ArgumentError, match=r"Known: HHH 1/16\.$"):
+        power_stage.find_microsteps("LLL")
+
+
+@pytest.mark.parametrize(
+    ("chip", "error", "message"),
+    [
+        ("no_such_module:Axis", LoadError, "chip no_such_module:Axis cannot be loaded: ModuleNotFoundError"),
+        ("stage.chips:PCL240K", ArgumentError, "has to be a subclass of STEPDIR"),
+    ],
+)
+def test_a_chip_of_a_power_stage_that_does_not_fit_is_named(chip, error, message):
+    with pytest.raises(error, match=message):
+        Stage("xy", chips="stepdir", drives=replace(A4988, name="acme", chip=chip), visuals=False)
+
+
+def test_a_resistance_inside_the_power_stage_lowers_the_current():
+    inside = replace(A4988, internal_resistance=0.032)
+    assert inside.compute_current_limit(0.8) == pytest.approx(1.0)
 
 
 def test_the_conformance_suite_finds_a_time_that_nobody_demands():

@@ -22,6 +22,7 @@ from stage.chips.stepdir.line_names import Line
 from stage.chips.stepdir.lint import describe_violation, lint_write
 from stage.chips.stepdir.maps import ADDRESS_MASK, CONTROL_ADDRESS, DATA_MASK, MAP
 from stage.chips.stepdir.state import ENABLE, TIMES
+from stage.chips.stepdir.step_timer import GO, MINUS
 from stage.support.argument_checks import explain_arguments
 
 __all__ = ["STEPDIR"]
@@ -86,7 +87,7 @@ class STEPDIR(Chip):
 
     @classmethod
     def read_direction(cls, address: int, value: int) -> bool | None:
-        return bool(value & core.MINUS) if address == CONTROL_ADDRESS and value & core.GO else None
+        return bool(value & MINUS) if address == CONTROL_ADDRESS and value & GO else None
 
     def fit_drive(self, drive: Any, axis: int = 0) -> None:
         """Take the amplitude of the phase currents, and the times that the power stage demands, from the drive of the axis."""

@@ -13,9 +13,15 @@ DRIVEN = {"step": ("step",), "dir": ("dir",), "enable": ("enable",)}
 """Lines that a host drives -> input pins of the axis."""
 READ = {
     "limit": ("el_plus", "el_minus"), "limit_plus": ("el_plus",), "limit_minus": ("el_minus",), "origin": ("org",),
-    "probe": ("probe",),
+    "probe": ("probe",), "diag": ("diag",), "index": ("index",),
 }  # fmt: skip
-"""Lines that a host reads -> pins of the axis; the line is asserted while one of them is."""
+"""Lines that a host reads -> pins of the axis; the line is asserted while one of them is. Only axes whose power stage has such
+outputs have the last two."""
+
+
+def has_line(chip: Chip, name: str) -> bool:
+    """Return whether a chip is a STEP/DIR axis with this line."""
+    return all(pin in chip.INPUTS for pin in ("step", *(DRIVEN | READ)[name]))
 
 
 class Line:

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from stage.chips.diagnostics import Finding, Rule
-from stage.chips.stepdir.core import CONTINUOUS, GO, SLOW
 from stage.chips.stepdir.maps import CONTROL_ADDRESS, MAP
 from stage.chips.stepdir.state import (
     DIR_HOLD,
@@ -19,6 +18,7 @@ from stage.chips.stepdir.state import (
     STEP_LOW,
     STEPS,
 )
+from stage.chips.stepdir.step_timer import CONTINUOUS, GO, SLOW
 
 VALUE_RANGE = Rule("value-range", "step timer")
 NO_REGISTER = Rule("no-register", "step timer")

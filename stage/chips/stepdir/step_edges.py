@@ -39,6 +39,12 @@ def process_rising_step(chip):
     in_time &= check_edge_time(chip, DIR_SETUP, chip.clock - chip.turned)
     in_time &= check_edge_time(chip, ENABLE_SETUP, chip.clock - chip.enabled)
     chip.rose = chip.clock
+    count_step(chip, in_time)
+
+
+@hot
+def count_step(chip, in_time):
+    """Count a step in the direction of DIR, unless its edge came too early for a power stage that drops such edges."""
     chip.last_step = 0
     if (in_time or not chip.drops_edges) and (chip.inputs & ENABLE or chip.counts_disabled):
         minus = 1 if chip.inputs & DIR else 0

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 from stage.chips.journal import Journal
-from stage.chips.stepdir.core import AT_ONCE, SLOW
 from stage.chips.stepdir.maps import CONTROL_ADDRESS, END_REASONS, MAP
+from stage.chips.stepdir.step_timer import AT_ONCE, SLOW
 from stage.errors import ArgumentError, ExceededLimit
 from stage.firmware import operation_pattern
 from stage.firmware.driver import (
@@ -158,6 +158,7 @@ class StepDirDriver(Driver):
         """Write registers. Raises StageError for an axis that moves."""
         if self.chip.busy():
             raise self.build_moving_error()
+        self.prepare()
         now = ImmediateOperations(self.axis)
         for name, value in values.items():
             now.register(self.index, self.chip, name, value)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.chips.stepdir.core import AT_ONCE
 from stage.chips.stepdir.maps import CONTROL_ADDRESS, MAP
+from stage.chips.stepdir.step_timer import AT_ONCE
 from stage.errors import ArgumentError
 from stage.firmware.home_program import HomeProgram, HomeResults
 from stage.firmware.parameter_ranges import ParameterRanges, get_register_range
