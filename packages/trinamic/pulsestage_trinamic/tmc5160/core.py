@@ -6,6 +6,7 @@ in closed form, while nothing but steps happens.
 
 from __future__ import annotations
 
+from pulsestage_trinamic import load_measurement
 from pulsestage_trinamic.tmc5160 import (
     bus,
     encoder,
@@ -19,7 +20,6 @@ from pulsestage_trinamic.tmc5160 import (
 )
 from pulsestage_trinamic.tmc5160.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
 from stage.chips.cores import run_slices, scan_while_shafts_move
-from stage.drives.trig import compute_sincos
 from stage.native import array_of, exported, hot, least
 
 SPARE_EDGES = 8  # entries of `out` that are still free when `scan` returns early
@@ -236,10 +236,7 @@ def set_load(c, j, angle, emf):
         angle: Electrical radians by which the field leads the rotor.
         emf: Back EMF as a share of the supply.
     """
-    sin, cos = compute_sincos(angle)
-    way = -c.dir if c.reg[state.GCONF] & state.SHAFT else c.dir
-    sin *= way
-    lam = 1024 if cos <= 0.0 else int(1024.0 * sin + 0.5) if sin > 0.0 else 0
+    lam = load_measurement.compute_load(angle, -c.dir if c.reg[state.GCONF] & state.SHAFT else c.dir)
     return stallguard.add_load_sample(c, lam, int(1024.0 * (emf if emf < 1.0 else 1.0) + 0.5))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pulsestage_trinamic import cool_step, load_measurement
 from pulsestage_trinamic.tmc5160 import power_stage, sequencer, speed_thresholds, state
 from stage.native import hot, least
 
@@ -71,29 +72,11 @@ def _measure_load(c):
     c.sg = value
     c.stall = 1 if value == 0 else 0
     if c.cooling:
-        _update_cool_step(c)
+        cool_step.adapt_current(c, c.reg[state.COOLCONF], power_stage.read_irun(c))
     if c.stall and c.reg[state.SW_MODE] & state.SG_STOP and speed_thresholds.is_stall_stop_possible(c):
         c.events |= state.EVENT_SG
         return True
     return False
-
-
-@hot
-def _update_cool_step(c):
-    r = c.reg[state.COOLCONF]
-    low, top = 32 * (r & 15), 32 * ((r & 15) + (r >> 8 & 15) + 1)
-    if c.sg < low:
-        c.cs = least(power_stage.read_irun(c), c.cs + (1 << (r >> 5 & 3)))
-        c.count = 0
-    elif c.sg >= top:
-        c.count += 1
-        sedn = r >> 13 & 3
-        if c.count >= (32 if sedn == 0 else 8 if sedn == 1 else 2 if sedn == 2 else 1):
-            c.count = 0
-            bottom = power_stage.read_irun(c) >> (2 if r >> 15 & 1 else 1)
-            c.cs = bottom if c.cs - 1 < bottom else c.cs - 1
-    else:
-        c.count = 0
 
 
 @hot
@@ -110,10 +93,5 @@ def add_load_sample(c, lam, emf):
     """
     if c.dir == 0 or not is_measuring(c):
         return 0
-    if c.load_of != c.full:
-        c.load_of, c.load_n, c.load_sum, c.emf_sum = c.full, 0, 0, 0
-    c.load_n += 1
-    c.load_sum += lam
-    c.emf_sum += emf
-    c.lam, c.emf = c.load_sum // c.load_n, c.emf_sum // c.load_n
+    load_measurement.add_load_sample(c, lam, emf)
     return 1

@@ -1,0 +1,31 @@
+"""Compiled CoolStep, which all chips with it share: the current scale that follows the measured load."""
+
+from __future__ import annotations
+
+from stage.native import hot, least
+
+STEPS_DOWN = (32, 8, 2, 1)
+"""Measurements for one step down, by SEDN."""
+
+
+@hot
+def adapt_current(c, coolconf, irun):
+    """Adapt the current scale `c.cs` to the measurement `c.sg`.
+
+    Args:
+        c: State of the chip.
+        coolconf: COOLCONF.
+        irun: Current scale of IRUN, the upper limit.
+    """
+    low, top = 32 * (coolconf & 15), 32 * ((coolconf & 15) + (coolconf >> 8 & 15) + 1)
+    if c.sg < low:
+        c.cs = least(irun, c.cs + (1 << (coolconf >> 5 & 3)))
+        c.count = 0
+    elif c.sg >= top:
+        c.count += 1
+        if c.count >= STEPS_DOWN[coolconf >> 13 & 3]:
+            c.count = 0
+            bottom = irun >> (2 if coolconf >> 15 & 1 else 1)
+            c.cs = bottom if c.cs - 1 < bottom else c.cs - 1
+    else:
+        c.count = 0

@@ -1,0 +1,20 @@
+"""Power stages of Trinamic for STEP/DIR axes, by entry points: `Stage("xyz", chips="stepdir", drives="tmc2209")`."""
+
+from __future__ import annotations
+
+from stage.drives.power_stages import PowerStage
+
+_MICROSTEPS = dict.fromkeys((1, 2, 4, 8, 16, 32, 64, 128, 256), "")
+
+TMC2209 = PowerStage(
+    "tmc2209", "Trinamic TMC2209", 2.8, 4.75, 29.0, _MICROSTEPS | {8: "LL", 16: "HH", 32: "HL", 64: "LH"}, ("MS1", "MS2"),
+    step_high=100e-9, step_low=100e-9, dir_setup=20e-9, dir_hold=20e-9, current_divider=2.5 / 0.325, sense_resistor=0.11,
+    internal_resistance=0.02, chip="pulsestage_trinamic.tmc2209:TMC2209",
+    evidence={
+        "max_current": "S: peak; 2 A RMS", "min_supply": "S", "max_supply": "S: data sheet rev. 1.09; up to 28 V in operation",
+        "microsteps": "S: MS1 and MS2; the others by CHOPCONF.MRES", "step_high": "S: filter time", "step_low": "S: filter time",
+        "dir_setup": "S", "dir_hold": "S", "enable_setup": "I: none is given", "counts_disabled": "I: the sequencer goes on",
+        "current_divider": "S: 0.325 V full scale at 2.5 V", "sense_resistor": "I: that of common modules",
+        "internal_resistance": "S: 20 mohm",
+    },
+)  # fmt: skip

@@ -1,0 +1,162 @@
+"""Trinamic TMC2209: STEP/DIR driver of one two-phase stepper, as the power stage of a STEP/DIR axis.
+
+from stage import Stage
+stage = Stage("xyz", chips="stepdir", drives="tmc2209")      an entry point of the package makes the name known
+chip = stage.axes["x"].chip
+chip.write_register("CHOPCONF", 0x10000053)                  writes a register directly, without the UART
+chip.uart.write(bytes.fromhex("05000048"))                   sends a datagram, from now on
+stage.run(2e-3)
+chip.uart.read()                                             the reply, as far as it has come
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+from pulsestage_trinamic.tmc2209 import core, driver, lint, maps
+from pulsestage_trinamic.tmc2209.describe import Decoder, Listener
+from pulsestage_trinamic.tmc2209.maps import MAP
+from pulsestage_trinamic.tmc2209.state import MS1, MS2
+from pulsestage_trinamic.tmc2209.uart_port import UartPort
+from stage.chips.diagnostics import Finding
+from stage.chips.stepdir import STEPDIR
+from stage.chips.stepdir.line_names import Line
+from stage.errors import ArgumentError
+
+__all__ = ["TMC2209"]
+
+DEFAULT_BAUD = 115_200
+PLACES_PER_FULL_STEP = 256
+"""Places of the field in a full step."""
+
+
+class TMC2209(STEPDIR):
+    """STEP/DIR axis with a TMC2209. Pins are True while asserted or high; hosts read its outputs DIAG and INDEX like switches.
+
+    Positions count in the microsteps of the axis' Drive, whatever the chip is set to: a host whose steps per millimeter do not fit
+    MRES moves a wrong distance, as in silicon.
+
+    Args:
+        clock_hz: Frequency at which edges of the lines are placed, Hz; default: 1 GHz.
+        rsense: Resistance of each sense resistor, ohm.
+        f_clk: Frequency of the chip's own clock, Hz.
+
+    Raises:
+        ArgumentError: A value that no chip or module has.
+    """
+
+    MAP: ClassVar = MAP
+    CORE: ClassVar = core
+    INPUTS: ClassVar = core.INPUTS
+    OUTPUTS: ClassVar = core.OUTPUTS
+    ADDRESSES: ClassVar = maps.ADDRESSES
+    ADDRESS_MASK: ClassVar = maps.ADDRESSES - 1
+    READING_ACTS: ClassVar = frozenset({maps.UART_BYTE})
+    DRIVER: ClassVar = "pulsestage_trinamic.tmc2209.host_driver:Tmc2209Driver"
+
+    diag, index = Line("diag"), Line("index")
+
+    def __init__(self, clock_hz: int | None = None, rsense: float = 0.11, f_clk: int = 12_000_000):
+        if isinstance(rsense, bool) or not isinstance(rsense, int | float) or not 0.001 <= rsense <= 10:
+            raise ArgumentError(f"rsense={rsense!r}: sense resistors have 0.001 to 10 ohm; 0.11 ohm is usual.")
+        if isinstance(f_clk, bool) or not isinstance(f_clk, int) or not 1_000_000 <= f_clk <= 20_000_000:
+            raise ArgumentError(
+                f"f_clk={f_clk!r}: the chip's clock is a whole number of 1 to 20 MHz; its own is 12 MHz."
+            )
+        self.rsense, self.f_clk = float(rsense), f_clk
+        super().__init__(clock_hz)
+        self.uart = UartPort(self)
+
+    def _configure(self, record: Any) -> None:
+        super()._configure(record)
+        record["f_clk"], record["rsense"], record["vref"], record["unit"] = self.f_clk, self.rsense, 1.0, 16
+        record["bit_ns"], record["arrives"] = round(1e9 / DEFAULT_BAUD), core.state.NEVER
+        record["inputs"] |= MS1 | MS2
+
+    def options(self) -> dict[str, Any]:
+        return {"clock_hz": self.clock_hz, "rsense": self.rsense, "f_clk": self.f_clk}
+
+    def fit_drive(self, drive: Any, axis: int = 0) -> None:
+        """Take what the chip needs from the drive of the axis.
+
+        MS1 and MS2 get the levels of the drive's microsteps; microsteps that only MRES selects need a host that writes it. VREF is
+        set so that IRUN = 31 gives the drive's current, up to 2.5 V.
+        """
+        super().fit_drive(drive, axis)
+        c = self._record
+        c["unit"] = PLACES_PER_FULL_STEP // drive.microsteps
+        levels = drive.power_stage.microsteps.get(drive.microsteps, "")
+        if levels and drive.power_stage.chip:
+            word = int(c["inputs"]) & ~(MS1 | MS2)
+            c["inputs"] = word | (MS1 if levels[0] == "H" else 0) | (MS2 if levels[1] == "H" else 0)
+        full_scale = driver.FULL_SCALE_V / (self.rsense + driver.INTERNAL_OHM)
+        c["vref"] = min(1.0, drive.amplitude / full_scale)
+        c["ir_share"] = drive.motor.resistance / drive.bus_voltage
+
+    # --- registers ---
+
+    @property
+    def microsteps(self) -> int:
+        """Microsteps of a full step that the chip makes of a step now."""
+        return PLACES_PER_FULL_STEP // int(core.get_step_places.with_gil(self.pointer))
+
+    @property
+    def amplitude(self) -> float:
+        """Amplitude of the phase currents now, A."""
+        return float(core.read_motor_current.with_gil(self.pointer, 0))
+
+    def read_register(self, name: str) -> int:
+        """Return what a register holds, also one that cannot be read, by its name; no time passes. Raises ArgumentError."""
+        register = MAP.register(name)
+        return int(register.value(core.get_register_value.with_gil(self.pointer, register.number)))
+
+    def write_register(self, name: str, value: int) -> None:
+        """Write a register by its name, by one bus cycle and without the UART. Raises ArgumentError."""
+        for address, datum in self.register_cycles(name, value):
+            self.write(address, datum)
+
+    @classmethod
+    def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
+        return [(address, datum & maps.M32) for address, datum in super().register_cycles(name, value, axis)]
+
+    def set_load(self, lam: int, emf: int = 1024) -> None:
+        """Set the load that StallGuard4 measures from now on, for a chip that is not on a stage. Journals do not record it.
+
+        Args:
+            lam: Load torque; 1024 is the torque at a load angle of 90 degrees.
+            emf: Back EMF; 1024 is the supply.
+
+        Raises:
+            ArgumentError: The chip is on a stage, or a value is not within 0 to 1024.
+        """
+        if self.attached or not (0 <= lam <= 1024 and 0 <= emf <= 1024):
+            raise ArgumentError(
+                f"set_load({lam!r}, {emf!r}): both values are 0 to 1024. The motor of a stage sets the load of its chip itself."
+            )
+        core.set_fixed_load.with_gil(self.pointer, int(lam), int(emf))
+
+    def explain_missing_current(self, axis: int = 0) -> str:
+        """Explain why the power stage supplies no current to the motor; "" if it does."""
+        if self.amplitude:
+            return ""
+        return (
+            super().explain_missing_current(axis)
+            or "its power stage is off (TOFF = 0, a fault, or FREEWHEEL at IHOLD = 0)"
+        )
+
+    # --- interface of the chip registry ---
+
+    def values(self) -> dict[str, int]:
+        pointer = self.pointer
+        return {r.name: r.value(core.get_register_value.with_gil(pointer, r.number)) for r in MAP.registers}
+
+    def lint(self, address: int, value: int) -> Iterator[Finding]:
+        yield from lint.lint_write(self._record, address, value)
+
+    def decoder(self, axis: int = 0) -> Decoder:
+        self._check_axis(axis)
+        return Decoder()
+
+    def listener(self) -> Listener:
+        return Listener()

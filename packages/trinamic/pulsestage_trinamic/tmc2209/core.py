@@ -1,0 +1,280 @@
+"""Compiled core of the TMC2209: the lines and the step timer of a STEP/DIR axis, the chip's motor driver and its UART.
+
+See stage/chips/cores.py for the functions. Addresses 0 to Fh are the step timer, 10h and 11h the host's UART, and 80h to FFh the
+registers of the chip, for hosts that do not simulate the UART.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pulsestage_trinamic import load_measurement
+from pulsestage_trinamic.tmc2209 import driver, maps, registers, state, uart
+from pulsestage_trinamic.tmc2209.state import INPUTS, OUTPUTS, STATE
+from stage.chips.cores import SCAN_ROOM, run_slices
+from stage.chips.stepdir import step_timer
+from stage.chips.stepdir.core import EDGE, MARKED_CHANGE, PULSE
+from stage.chips.stepdir.state import RATE, STEP
+from stage.chips.stepdir.step_edges import apply_line_levels, count_step
+from stage.native import array_of, exported, floor, greatest, hot, least
+
+__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE"]
+
+PLACE_ANGLE = math.pi / 512.0
+"""Electrical radians in 1/256 full step."""
+
+
+@hot
+def _find_next_event(c):
+    """Return the clock of the next event of the step timer, the chip or its UART, or NEVER."""
+    at = least(step_timer.find_next_event(c), uart.find_next_event(c))
+    return least(at, least(c.next_step, driver.find_next_timer_clock(c)))
+
+
+@hot
+def _advance_to_event(c, until):
+    """Let time pass to the next event or to `until`, and return whether an event happened."""
+    at = greatest(_find_next_event(c), c.clock)
+    if at > until:
+        c.clock = until
+        return False
+    c.clock = at
+    if step_timer.find_next_event(c) <= at:
+        before = c.inputs
+        step_timer.process_event(c)
+        _follow_lines(c, before)
+    elif uart.find_next_event(c) <= at:
+        uart.process_event(c)
+    elif c.next_step <= at:
+        driver.make_internal_step(c)
+    else:
+        driver.process_timers(c)
+    return True
+
+
+@hot
+def _follow_lines(c, before):
+    """Let the chip follow the lines after their levels have changed from `before`."""
+    if before & ~c.inputs & STEP and c.registers[state.CHOPCONF] & state.DEDGE:
+        count_step(c, True)
+    driver.follow_steps(c)
+
+
+@exported(None, STATE, "i8")
+def run(c, until):
+    """Let the clock run up to `until`."""
+    while _advance_to_event(c, until):
+        pass
+
+
+@exported("i8", STATE, "i8")
+def advance(c, until):
+    """Let the clock run up to `until`, and return the steps of the field."""
+    before = c.moves
+    run(c, until)
+    return c.moves - before
+
+
+@exported("i8", STATE, "i8", array_of(PULSE))
+def trace_pulses(c, until, pulses):
+    """Let the clock run up to `until`, write each step of the field into `pulses`, and return their number."""
+    k, before = 0, c.moves
+    while _advance_to_event(c, until):
+        if c.moves > before:
+            pulses[k].clock, pulses[k].axis, pulses[k].direction = c.clock, 0, c.direction
+            k += 1
+        before = c.moves
+    return k
+
+
+@exported(None, STATE, "i8", array_of(EDGE), "i8")
+def write_present_edge(c, axis_index, edges, edge_index):
+    """Write the axis as it is now into edge `edge_index`."""
+    e = edges[edge_index]
+    e.clock, e.inputs, e.outputs = c.clock, read_inputs(c, 0), read_outputs(c, 0)
+    e.counter, e.net = read_counter(c, 0), read_net_count(c, 0)
+    e.rate = compute_pulse_rate(c, 0, 1.0)
+
+
+@exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
+def scan_edges(c, until, every_pulse, axis_index, edges):
+    """Let the clock run up to `until` and mark changes of pins and rate, and each edge of the lines if `every_pulse`."""
+    k, word, pins, rate = 0, read_outputs(c, 0), read_inputs(c, 0), compute_pulse_rate(c, 0, 1.0)
+    while c.clock < until and k < len(edges) - SCAN_ROOM:
+        if not _advance_to_event(c, until):
+            break
+        now, new = read_outputs(c, 0), compute_pulse_rate(c, 0, 1.0)
+        answers = (pins ^ read_inputs(c, 0)) & state.DIAG
+        if every_pulse or now != word or answers or abs(new - rate) > MARKED_CHANGE * c.reg[RATE] / c.hz:
+            write_present_edge(c, 0, edges, k)
+            word, pins, rate = now, read_inputs(c, 0), new
+            k += 1
+    return k
+
+
+@exported(None, STATE, "i8", "i8")
+def run_window(c, row_address, first_slice):
+    """Run the slices of a physics step."""
+    run_slices(c, row_address, first_slice, run, read_net_count, compute_drive_input)
+
+
+@exported("f8", STATE, "i8", "i8", "f8")
+def compute_drive_input(c, axis_index, net_before, clocks):
+    """Return the mean count of the last `clocks` clocks."""
+    return driver.compute_mean_place(c, clocks) / c.unit
+
+
+@exported(None, STATE)
+def power_up(c):
+    """Clear registers, step timer and chip; lines and switches stay as the host and the stage drive them."""
+    step_timer.clear(c)
+    registers.clear(c)
+    uart.clear(c)
+
+
+@exported("i8", STATE, "i8")
+def peek(c, address):
+    """Return what a read would give."""
+    if address >= maps.REGISTER_BASE:
+        return registers.read_register(c, address - maps.REGISTER_BASE)
+    if address == maps.UART_BYTE:
+        return c.to_host[c.collected % state.QUEUE] if c.collected < c.sent else maps.NO_BYTE
+    if address == maps.UART_BIT_NS:
+        return c.bit_ns
+    return step_timer.read_register(c, address) if address < len(c.reg) else 0
+
+
+@exported("i8", STATE, "i8")
+def read(c, address):
+    """Make a read cycle; one of UART_BYTE takes the byte."""
+    value = peek(c, address)
+    if address == maps.UART_BYTE:
+        uart.take_byte(c)
+    return value
+
+
+@exported(None, STATE, "i8", "i8")
+def write(c, address, value):
+    """Make a write cycle."""
+    if address >= maps.REGISTER_BASE:
+        registers.write_register(c, address - maps.REGISTER_BASE, value)
+    elif address == maps.UART_BYTE:
+        uart.send_to_chip(c, value)
+    elif address == maps.UART_BIT_NS:
+        c.bit_ns = greatest(1, value)
+    elif address < len(c.reg):
+        before = c.inputs
+        step_timer.write_register(c, address, value)
+        _follow_lines(c, before)
+
+
+@exported("i8", STATE, "i8")
+def get_register_value(c, address):
+    """Return the value that a register holds, also of one that cannot be read."""
+    if address >= maps.REGISTER_BASE:
+        return registers.get_register_value(c, address - maps.REGISTER_BASE)
+    return step_timer.read_register(c, address)
+
+
+@exported("i8", STATE)
+def get_step_places(c):
+    """Return by how many 1/256 full steps a step moves the field."""
+    return 1 << driver.read_step_shift(c)
+
+
+@exported(None, STATE, "i8", "i8")
+def set_input(c, axis_index, word):
+    """Take new levels of the input pins; the outputs of the chip among them stay its own."""
+    before, word = c.inputs, word & ~state.ANSWERED
+    apply_line_levels(c, word)
+    _follow_lines(c, before)
+    step_timer.stop_at_switches(c, word & ~before)
+    if (word ^ before) & ~STEP:
+        if (word ^ before) & state.PDN:
+            driver.apply_current_registers(c)
+        driver.latch_faults(c)
+
+
+@exported("i8", STATE, "i8")
+def read_inputs(c, axis_index):
+    """Return the pins, with DIAG and INDEX, which the host reads as it reads the switches."""
+    return registers.compute_input_word(c)
+
+
+@exported("i8", STATE, "i8")
+def read_outputs(c, axis_index):
+    """Return the output pins of the step timer."""
+    return step_timer.compute_output_pins(c)
+
+
+@exported("i8", STATE, "i8")
+def read_status(c, axis_index):
+    """Return the status word."""
+    return step_timer.compute_status(c)
+
+
+@exported("i8", STATE, "i8")
+def is_busy(c, axis_index):
+    """Return whether the step timer runs."""
+    return c.running
+
+
+@exported("i8", STATE, "i8")
+def read_net_count(c, axis_index):
+    """Return the place of the interpolated field since power-up, in microsteps of the axis' Drive."""
+    return int(floor((c.field - driver.compute_lag(c, c.clock)) / c.unit + 0.5))
+
+
+@exported("i8", STATE, "i8")
+def read_counter(c, axis_index):
+    """Return POSITION."""
+    return step_timer.read_position(c)
+
+
+@exported("f8", STATE, "i8", "f8")
+def compute_pulse_rate(c, axis_index, hz):
+    """Return the rate at which the count changes now, per second of a clock of `hz`."""
+    per_step = float(1 << driver.read_step_shift(c)) / c.unit
+    if c.registers[state.GCONF] & state.SHAFT:
+        per_step = -per_step
+    value = c.registers[state.VACTUAL]
+    if value:
+        speed = value if value < 1 << 23 else value - (1 << 24)
+        return per_step * speed * (float(c.f_clk) / (1 << 24)) * hz / c.hz
+    return per_step * step_timer.compute_step_rate(c, hz)
+
+
+@exported("f8", STATE, "i8")
+def read_motor_current(c, axis_index):
+    """Return the amplitude of the phase currents, A."""
+    return driver.compute_current_amplitude(c)
+
+
+@exported("i8", STATE, "i8", "f8", "f8")
+def set_load(c, axis_index, angle, emf):
+    """Take a sample of the load, and return whether the chip's behavior can depend on it.
+
+    Args:
+        c: State of the chip.
+        axis_index: Axis, 0.
+        angle: Electrical radians by which the count of `read_net_count`, a whole number, leads the rotor.
+        emf: Back EMF as a share of the supply.
+    """
+    if not driver.is_measuring(c) or c.period == 0:
+        return 0
+    place = c.field - driver.compute_lag(c, c.clock)
+    angle += (place - read_net_count(c, 0) * c.unit) * PLACE_ANGLE
+    lam = load_measurement.compute_load(angle, c.direction)
+    load_measurement.add_load_sample(c, lam, int(1024.0 * least(emf, 1.0) + 0.5))
+    return 1
+
+
+@exported(None, STATE, "i8", "i8")
+def set_fixed_load(c, lam, emf):
+    """Set the load, 0 to 1024 each, of a chip that is not on a stage."""
+    c.lam, c.emf = lam, emf
+
+
+@exported(None, STATE, "i8", "f8", "f8")
+def set_shaft(c, axis_index, count, rate):
+    """Do nothing: the axis has no input for an encoder."""

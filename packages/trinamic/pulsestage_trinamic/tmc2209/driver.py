@@ -1,0 +1,359 @@
+"""Compiled motor driver of the TMC2209: the field that follows the steps, currents, speed thresholds, StallGuard4 and faults.
+
+Times are in clocks of the axis, whose frequency is `c.hz`; the chip's own clock has `c.f_clk` Hz.
+"""
+
+from __future__ import annotations
+
+from pulsestage_trinamic import cool_step
+from pulsestage_trinamic.tmc2209 import state
+from stage.chips.stepdir.state import ENABLE
+from stage.native import greatest, hot, least
+
+FULL_SCALE_V, SENSITIVE_FULL_SCALE_V = 0.325, 0.180
+"""Volts at the sense resistor and the chip's own resistance, with CS = 31, by vsense."""
+INTERNAL_OHM = 0.02
+STANDSTILL_CLOCKS = 1 << 20
+DELAY_CLOCKS = 1 << 18
+FULL_RESULT = 510
+"""SG_RESULT of a motor without load whose back EMF is the whole voltage, see tmc2209_sheet.md."""
+
+
+@hot
+def to_axis_clocks(c, chip_clocks):
+    """Convert clocks of the chip to clocks of the axis."""
+    return chip_clocks // c.f_clk * c.hz + chip_clocks % c.f_clk * c.hz // c.f_clk
+
+
+@hot
+def read_step_shift(c):
+    """Return MRES: a step is 2^MRES of 1/256 full step."""
+    if c.registers[state.GCONF] & state.MSTEP_REG_SELECT:
+        return least(8, c.registers[state.CHOPCONF] >> 24 & 15)
+    if c.inputs & state.MS1:
+        return 4 if c.inputs & state.MS2 else 3  # 16, 32 microsteps
+    return 2 if c.inputs & state.MS2 else 5  # 64, 8 microsteps
+
+
+@hot
+def is_spread_cycle_selected(c):
+    """Return whether SpreadCycle is selected at all speeds: the pin SPREAD inverts the bit."""
+    return ((c.registers[state.GCONF] & state.EN_SPREADCYCLE) != 0) != ((c.inputs & state.SPREAD) != 0)
+
+
+@hot
+def is_stealth_chop_active(c):
+    return not is_spread_cycle_selected(c) and not c.passed & state.FAST
+
+
+@hot
+def is_power_stage_on(c):
+    """Return whether the power stage drives the motor."""
+    return c.registers[state.CHOPCONF] & 15 and c.inputs & ENABLE and not (c.shorts or c.hot or c.inputs & state.UV_CP)
+
+
+# --- currents ---
+
+
+@hot
+def read_irun(c):
+    return c.registers[state.IHOLD_IRUN] >> 8 & 31
+
+
+@hot
+def read_ihold(c):
+    return c.registers[state.IHOLD_IRUN] & 31
+
+
+@hot
+def is_current_reduced_at_rest(c):
+    """Return whether the current falls to IHOLD at standstill: always with pdn_disable, else while PDN_UART is low."""
+    return c.registers[state.GCONF] & state.PDN_DISABLE or not c.inputs & state.PDN
+
+
+@hot
+def compute_current_amplitude(c):
+    """Return the amplitude of the phase currents, A."""
+    if not is_power_stage_on(c):
+        return 0.0
+    if c.current == state.HOLDS and c.cs == 0 and c.registers[state.PWMCONF] >> 20 & 3 and is_stealth_chop_active(c):
+        return 0.0
+    volts = SENSITIVE_FULL_SCALE_V if c.registers[state.CHOPCONF] & state.VSENSE else FULL_SCALE_V
+    if c.registers[state.GCONF] & state.I_SCALE_ANALOG:
+        volts *= c.vref
+    return (c.cs + 1) / 32.0 * volts / (c.rsense + INTERNAL_OHM)
+
+
+@hot
+def compute_standstill_clock(c):
+    """Return the clock from which on the motor stands still (stst)."""
+    return c.stepped + to_axis_clocks(c, STANDSTILL_CLOCKS)
+
+
+@hot
+def find_next_timer_clock(c):
+    """Return the clock at which the next timer of standstill ends, or NEVER."""
+    at = state.NEVER
+    standstill = compute_standstill_clock(c)
+    if c.period or c.stall or c.sg:
+        at = standstill
+    if c.current == state.RUNS and is_current_reduced_at_rest(c):
+        at = least(at, standstill + to_axis_clocks(c, c.registers[state.TPOWERDOWN] * DELAY_CLOCKS))
+    elif c.current == state.FALLS:
+        at = least(at, c.falls)
+    return at if at > c.clock else c.clock
+
+
+@hot
+def process_timers(c):
+    """Process the timers of standstill that end at this clock."""
+    standstill = compute_standstill_clock(c)
+    if c.clock >= standstill and (c.period or c.stall or c.sg):
+        c.period = c.stall = c.sg = 0
+        update_thresholds(c)
+    delay = to_axis_clocks(c, (c.registers[state.IHOLD_IRUN] >> 16 & 15) * DELAY_CLOCKS)
+    down = standstill + to_axis_clocks(c, c.registers[state.TPOWERDOWN] * DELAY_CLOCKS)
+    if c.current == state.RUNS and is_current_reduced_at_rest(c) and c.clock >= down:
+        c.current, c.falls = state.FALLS, c.clock + delay
+    if c.current == state.FALLS and c.clock >= c.falls:
+        if delay == 0:
+            c.cs = read_ihold(c)
+        elif c.cs != read_ihold(c):
+            c.cs += 1 if read_ihold(c) > c.cs else -1
+        c.falls += delay
+        if c.cs == read_ihold(c):
+            c.current, c.falls = state.HOLDS, state.NEVER
+
+
+@hot
+def apply_current_registers(c):
+    """Apply a write of IHOLD_IRUN, and a change of what reduces the current at rest."""
+    if c.current != state.RUNS and not is_current_reduced_at_rest(c):
+        c.current, c.falls = state.RUNS, state.NEVER
+    if c.current == state.RUNS:
+        c.cs = read_irun(c)
+    elif c.current == state.HOLDS:
+        c.cs = read_ihold(c)
+
+
+# --- speed ---
+
+
+@hot
+def compute_tstep(c):
+    """Return TSTEP, clocks of the chip per 1/256 step, from the time between the last two steps."""
+    if c.period == 0 or c.clock >= compute_standstill_clock(c):
+        return state.MAX_TSTEP
+    per_step = greatest(c.period, c.clock - c.stepped) * c.f_clk // c.hz
+    return least(state.MAX_TSTEP, per_step >> read_step_shift(c))
+
+
+@hot
+def _get_bit_if_passed(c, bit, threshold, excludes_equal, tstep):
+    """Return the bit of a threshold if TSTEP has passed it, with the hysteresis of the data sheet, and else 0."""
+    if threshold == 0:
+        return 0
+    if tstep <= threshold * 15 // 16 - 1:
+        return bit
+    if tstep > threshold or (excludes_equal and tstep == threshold):
+        return 0
+    return c.passed & bit
+
+
+@hot
+def update_thresholds(c):
+    """Update the speed thresholds, and what depends on them."""
+    tstep = compute_tstep(c)
+    c.passed = _get_bit_if_passed(c, state.FAST, c.registers[state.TPWMTHRS], True, tstep) | _get_bit_if_passed(
+        c, state.COOL, c.registers[state.TCOOLTHRS], False, tstep
+    )
+    if not is_measuring(c):
+        c.sg = c.stall = 0
+    cooling = 1 if is_cool_step_active(c) else 0
+    if c.cooling and not cooling:
+        c.count = 0
+        if c.current == state.RUNS:
+            c.cs = read_irun(c)
+    c.cooling = cooling
+
+
+# --- StallGuard4 ---
+
+
+@hot
+def is_measuring(c):
+    """Return whether StallGuard4 measures: in StealthChop only."""
+    return is_power_stage_on(c) and is_stealth_chop_active(c)
+
+
+@hot
+def is_stall_output_enabled(c):
+    """Return whether a stall shows at DIAG: in StealthChop, while TCOOLTHRS >= TSTEP > TPWMTHRS."""
+    return c.passed & state.COOL and is_measuring(c)
+
+
+@hot
+def is_cool_step_active(c):
+    return c.registers[state.COOLCONF] & 15 and is_stall_output_enabled(c)
+
+
+@hot
+def compute_result(c):
+    """Return SG_RESULT for the mean load of the present full step.
+
+    The share of the back EMF in the voltage of the winding, e / (e + I R), rises with speed and falls with current; the load
+    takes its part of it. With LAM as a share of the greatest torque at the present current, more current gives more result under
+    the same load.
+    """
+    emf = c.emf / 1024.0
+    volts = emf + compute_current_amplitude(c) * c.ir_share
+    share = emf / volts if volts > 0.0 else 1.0
+    return int(FULL_RESULT * share * (1024 - c.lam) / 1024.0) & ~1
+
+
+@hot
+def measure_load(c):
+    """Measure the load at the end of a full step."""
+    c.full += 1
+    if not is_measuring(c):
+        return
+    c.sg = compute_result(c)
+    c.stall = 1 if c.sg <= 2 * c.registers[state.SGTHRS] and is_stall_output_enabled(c) else 0
+    if c.cooling:
+        cool_step.adapt_current(c, c.registers[state.COOLCONF], read_irun(c))
+
+
+# --- the field ---
+
+
+@hot
+def move_field(c, places):
+    """Move the field by a step of so many places, 1/256 full steps, and raise the current to IRUN."""
+    if places == 0:
+        return
+    has_stopped = c.clock >= compute_standstill_clock(c)
+    c.period = 0 if has_stopped else c.clock - c.stepped
+    k = c.moves % state.HISTORY
+    c.moved_at[k], c.moved_by[k] = c.clock, places
+    c.moved_in[k] = c.period if c.registers[state.CHOPCONF] & state.INTPOL else 0
+    c.moves += 1
+    before = c.mscnt >> 8
+    c.field += places
+    c.mscnt = c.mscnt + places & 1023
+    c.stepped, c.direction = c.clock, 1 if places > 0 else -1
+    if c.current != state.RUNS:
+        c.current, c.falls = state.RUNS, state.NEVER
+        c.cs = read_irun(c)
+    update_thresholds(c)
+    if c.mscnt >> 8 != before:
+        measure_load(c)
+
+
+@hot
+def follow_steps(c):
+    """Let the field follow the steps that the lines have counted since the last call."""
+    steps = c.net - c.followed
+    if steps == 0:
+        return
+    c.followed = c.net
+    if c.registers[state.VACTUAL] == 0:
+        places = steps << read_step_shift(c)
+        move_field(c, -places if c.registers[state.GCONF] & state.SHAFT else places)
+
+
+@hot
+def compute_lag(c, at):
+    """Return by how many places the interpolated field is behind `field` at a clock, from the steps that are still remembered."""
+    lag = 0.0
+    for j in range(least(c.moves, state.HISTORY)):
+        k = (c.moves - 1 - j) % state.HISTORY
+        rest = c.moved_at[k] + c.moved_in[k] - at
+        if rest <= 0:
+            break
+        if c.moved_in[k]:
+            lag += c.moved_by[k] * least(1.0, float(rest) / c.moved_in[k])
+    return lag
+
+
+@hot
+def compute_mean_place(c, clocks):
+    """Return the mean place of the interpolated field over the last `clocks` clocks.
+
+    A step moves the field evenly in the time between the step before and itself, or at once. The function integrates what each
+    step has still left to move.
+    """
+    missing = 0.0
+    begin = c.clock - clocks
+    for j in range(least(c.moves, state.HISTORY)):
+        k = (c.moves - 1 - j) % state.HISTORY
+        since, lasts = float(c.moved_at[k]) - begin, float(c.moved_in[k])
+        if since + lasts <= 0.0:
+            break
+        missing += c.moved_by[k] * (_integrate_rest(since, lasts, 0.0) - _integrate_rest(since, lasts, clocks))
+    return c.field - missing / clocks
+
+
+@hot
+def _integrate_rest(since, lasts, x):
+    """Integrate the share that a step has left to move, from x on: 1 up to `since`, then falling to 0 in `lasts` clocks."""
+    if x <= since:
+        return since - x + 0.5 * lasts
+    rest = since + lasts - x
+    return 0.5 * rest * rest / lasts if rest > 0.0 else 0.0
+
+
+# --- internal steps ---
+
+
+@hot
+def start_internal_steps(c, value):
+    """Begin steps of the velocity VACTUAL from now on; 0 returns to STEP and DIR."""
+    c.velocity_since, c.velocity_steps, c.next_step = c.clock, 0, state.NEVER
+    c.followed = c.net
+    if value:
+        _schedule_internal_step(c, value)
+
+
+@hot
+def _schedule_internal_step(c, value):
+    speed = value if value < 1 << 23 else (1 << 24) - value
+    chip_clocks = ((c.velocity_steps + 1) << 24) // speed
+    c.next_step = greatest(c.velocity_since + to_axis_clocks(c, chip_clocks), c.clock + 1)
+    if c.velocity_steps >= 1 << 16:  # the products stay within 63 bits
+        c.velocity_since, c.velocity_steps = c.next_step, -1
+
+
+@hot
+def make_internal_step(c):
+    """Make the step of VACTUAL that is due."""
+    value = c.registers[state.VACTUAL]
+    places = 1 << read_step_shift(c)
+    c.toggle ^= 1
+    minus = (value >= 1 << 23) != ((c.registers[state.GCONF] & state.SHAFT) != 0)
+    move_field(c, -places if minus else places)
+    c.velocity_steps += 1
+    _schedule_internal_step(c, value)
+
+
+# --- faults ---
+
+
+@hot
+def latch_faults(c):
+    """Latch the faults that are present, and switch the power stage off."""
+    chop = c.registers[state.CHOPCONF]
+    if chop & 15 == 0 or not c.inputs & ENABLE:
+        c.shorts = 0
+    else:
+        c.shorts |= c.inputs & (
+            (0 if chop & state.DISS2G else state.S2GA | state.S2GB)
+            | (0 if chop & state.DISS2VS else state.S2VSA | state.S2VSB)
+        )
+    if c.inputs & state.OT:
+        c.hot = 1
+    elif not c.inputs & state.OTPW:
+        c.hot = 0
+    if c.shorts or c.hot:
+        c.gstat |= 2
+    if not is_measuring(c):
+        c.sg = c.stall = 0

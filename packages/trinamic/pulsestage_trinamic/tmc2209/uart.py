@@ -1,0 +1,160 @@
+"""Compiled single-wire UART of the TMC2209: bytes of the host arrive in simulated time, datagrams act, replies leave.
+
+A byte is a start bit, 8 data bits from the lowest on, and a stop bit. The chip takes the host's rate from the sync nibble, so a
+rate within its range needs no setting; it replies at the same rate.
+"""
+
+from __future__ import annotations
+
+from pulsestage_trinamic.tmc2209 import registers, state
+from stage.native import greatest, hot
+
+BYTE_BITS = 10
+SYNC = 0x5
+MASTER_ADDRESS = 0xFF
+WRITE_BIT = 0x80
+READ_SIZE, WRITE_SIZE = 4, 8
+PAUSE_BITS = 63
+"""A datagram ends without effect when two start bits are further apart."""
+RECOVERY_BITS = 12
+"""Idle time after which the chip listens again when it has lost a datagram."""
+SLOWEST_BAUD, CLOCKS_PER_BIT = 9000, 16
+"""Limits of the automatic rate: bits per second, and clocks of the chip per bit."""
+
+
+@hot
+def add_to_crc(crc, byte):
+    """Add a byte to the CRC of polynomial x^8 + x^2 + x + 1, lowest bit first."""
+    for _ in range(8):
+        crc = (crc << 1 ^ 0x07) & 0xFF if (crc >> 7 ^ byte) & 1 else crc << 1 & 0xFF
+        byte >>= 1
+    return crc
+
+
+@hot
+def compute_bit_clocks(c):
+    return greatest(1, c.bit_ns * c.hz // 1_000_000_000)
+
+
+@hot
+def clear(c):
+    """Clear the chip's side of the line. Bytes of the host that are on their way stay."""
+    c.received = c.lost_sync = 0
+    c.byte_begin = c.byte_end = -state.NEVER
+    c.replied, c.replies = state.DATAGRAM, state.NEVER
+
+
+@hot
+def send_to_chip(c, byte):
+    """Let the host send a byte, after those that it has sent before. A byte beyond QUEUE is lost."""
+    if c.queued - c.delivered >= state.QUEUE:
+        return
+    if c.queued == c.delivered:
+        c.arrives = greatest(c.clock, c.byte_end) + BYTE_BITS * compute_bit_clocks(c)
+    c.to_chip[c.queued % state.QUEUE] = byte & 0xFF
+    c.queued += 1
+
+
+@hot
+def take_byte(c):
+    """Return the next byte that the chip has sent to the host, or -1."""
+    if c.collected == c.sent:
+        return -1
+    c.collected += 1
+    return c.to_host[(c.collected - 1) % state.QUEUE]
+
+
+@hot
+def find_next_event(c):
+    """Return the clock of the next byte in either direction, or NEVER."""
+    return c.arrives if c.arrives < c.replies else c.replies
+
+
+@hot
+def process_event(c):
+    """Process the byte that ends at this clock."""
+    if c.clock >= c.arrives:
+        byte = c.to_chip[c.delivered % state.QUEUE]
+        c.delivered += 1
+        bits = compute_bit_clocks(c)
+        c.arrives = c.clock + BYTE_BITS * bits if c.queued > c.delivered else state.NEVER
+        _receive(c, byte, bits)
+    elif c.clock >= c.replies:
+        _send_reply_byte(c)
+
+
+@hot
+def _is_rate_understood(c, bits):
+    return bits * SLOWEST_BAUD <= c.hz and bits * c.f_clk >= CLOCKS_PER_BIT * c.hz
+
+
+@hot
+def _receive(c, byte, bits):
+    """Take a byte whose stop bit ends now."""
+    begin = c.clock - BYTE_BITS * bits
+    if c.received and begin - c.byte_begin > PAUSE_BITS * bits:
+        c.received = 0
+    if c.lost_sync and begin - c.byte_end >= RECOVERY_BITS * bits:
+        c.lost_sync = 0
+    c.byte_begin, c.byte_end = begin, c.clock
+    c.inputs |= state.PDN  # the line is high while it is idle
+    if c.lost_sync or c.replied < state.DATAGRAM or not _is_rate_understood(c, bits):
+        return
+    if c.received == 0 and byte & 0xF != SYNC:
+        c.lost_sync = 1
+        return
+    c.datagram[c.received] = byte
+    c.received += 1
+    if c.received < READ_SIZE:
+        return
+    size = WRITE_SIZE if c.datagram[2] & WRITE_BIT else READ_SIZE
+    if c.received == size:
+        c.received = 0
+        _execute(c, size, bits)
+
+
+@hot
+def _execute(c, size, bits):
+    """Execute a whole datagram, if its CRC is right and it is for this chip."""
+    crc = 0
+    for k in range(size - 1):
+        crc = add_to_crc(crc, c.datagram[k])
+    if crc != c.datagram[size - 1]:
+        c.lost_sync = 1
+        return
+    address = (1 if c.inputs & state.MS1 else 0) | (2 if c.inputs & state.MS2 else 0)
+    if c.datagram[1] != address:
+        return
+    register = c.datagram[2] & 0x7F
+    if size == WRITE_SIZE:
+        value = c.datagram[3] << 24 | c.datagram[4] << 16 | c.datagram[5] << 8 | c.datagram[6]
+        c.ifcnt = c.ifcnt + 1 & 0xFF
+        registers.write_register(c, register, value)
+        return
+    _prepare_reply(c, register, registers.read_register(c, register))
+    delay = ((c.registers[state.SLAVECONF] >> 9 & 7) * 2 + 1) * 8
+    c.replied = 0
+    c.replies = c.clock + (delay + BYTE_BITS) * bits
+
+
+@hot
+def _prepare_reply(c, register, value):
+    c.reply[0], c.reply[1], c.reply[2] = SYNC, MASTER_ADDRESS, register
+    crc = 0
+    for k in range(4):
+        c.reply[3 + k] = value >> 8 * (3 - k) & 0xFF
+    for k in range(state.DATAGRAM - 1):
+        crc = add_to_crc(crc, c.reply[k])
+    c.reply[state.DATAGRAM - 1] = crc
+
+
+@hot
+def _send_reply_byte(c):
+    """Send the byte of the reply whose stop bit ends now; the oldest unread byte is lost when the host reads none."""
+    if c.sent - c.collected >= state.QUEUE:
+        c.collected += 1
+    c.to_host[c.sent % state.QUEUE] = c.reply[c.replied]
+    c.sent += 1
+    c.replied += 1
+    c.byte_end = c.clock
+    c.replies = c.clock + BYTE_BITS * compute_bit_clocks(c) if c.replied < state.DATAGRAM else state.NEVER

@@ -1,0 +1,107 @@
+"""`UartPort`: the host's end of the single-wire UART of a chip, in Python, at simulated time.
+
+chip.uart.write(bytes.fromhex("0500060F"))    bytes from now on, at `baud`; no time passes
+stage.run(2e-3)
+chip.uart.read()                              what the chip has sent
+
+build_write(0, 0x10, 0x11F10)                 datagrams by themselves
+"""
+
+from __future__ import annotations
+
+from operator import index
+from typing import TYPE_CHECKING
+
+from pulsestage_trinamic.tmc2209 import maps, state, uart
+from stage.errors import ArgumentError, StageError
+
+if TYPE_CHECKING:
+    from pulsestage_trinamic.tmc2209 import TMC2209
+
+BAUD_RANGE = (300, 2_000_000)
+
+
+def compute_crc(content: bytes) -> int:
+    """Compute the CRC of the bytes of a datagram before it."""
+    crc = 0
+    for byte in content:
+        crc = int(uart.add_to_crc(crc, byte))
+    return crc
+
+
+def build_read(address: int, register: int) -> bytes:
+    """Build the request for a register of the chip with an address, 0 to 3."""
+    content = bytes((uart.SYNC, address & 0xFF, register & 0x7F))
+    return content + bytes((compute_crc(content),))
+
+
+def build_write(address: int, register: int, value: int) -> bytes:
+    """Build the datagram that writes a register of the chip with an address, 0 to 3."""
+    content = bytes((uart.SYNC, address & 0xFF, register & 0x7F | uart.WRITE_BIT)) + (value & maps.M32).to_bytes(
+        4, "big"
+    )
+    return content + bytes((compute_crc(content),))
+
+
+class UartPort:
+    """Host's end of the line. The chip takes the rate from the sync nibble, so `baud` can be set at any time.
+
+    Args:
+        chip: The chip at the other end.
+    """
+
+    def __init__(self, chip: TMC2209):
+        self._chip = chip
+
+    @property
+    def baud(self) -> int:
+        """Rate of the host, bits per second."""
+        return round(1e9 / int(self._chip.state["bit_ns"]))
+
+    @baud.setter
+    def baud(self, value: int) -> None:
+        low, high = BAUD_RANGE
+        if isinstance(value, bool) or not low <= value <= high:
+            raise ArgumentError(
+                f"baud={value!r}: {low} to {high:,} bits per second; the chip understands 9,000 to 750,000."
+            )
+        self._chip.write(maps.UART_BIT_NS, round(1e9 / value))
+
+    @property
+    def address(self) -> int:
+        """Address of the chip, by the levels of MS1 and MS2."""
+        pins = self._chip.pins
+        return int(pins.ms1) + 2 * int(pins.ms2)
+
+    @property
+    def pending(self) -> int:
+        """Number of bytes of the host that have not arrived."""
+        c = self._chip.state
+        return int(c["queued"] - c["delivered"])
+
+    @property
+    def is_replying(self) -> bool:
+        """True while a reply is on its way."""
+        return int(self._chip.state["replied"]) < state.DATAGRAM
+
+    def write(self, content: bytes) -> None:
+        """Send bytes, after those that are still on their way. No time passes but that of the bus cycles.
+
+        Raises:
+            ArgumentError: `content` is no bytes.
+            StageError: More bytes than the line's queue holds are on their way.
+        """
+        if not isinstance(content, bytes | bytearray):
+            raise ArgumentError(f"write({content!r}): give bytes, such as bytes.fromhex('05000048').")
+        if self.pending + len(content) > state.QUEUE:
+            raise StageError(
+                f"{len(content)} bytes: the line holds {state.QUEUE}, and {self.pending} are on their way. Let time pass first."
+            )
+        for byte in content:
+            self._chip.write(maps.UART_BYTE, byte)
+
+    def read(self, size: int | None = None) -> bytes:
+        """Return bytes that the chip has sent and that nobody has read, at most `size`. No time passes but that of bus cycles."""
+        waiting = int(self._chip.state["sent"] - self._chip.state["collected"])
+        count = waiting if size is None else min(waiting, index(size))
+        return bytes(int(self._chip.read(maps.UART_BYTE)) for _ in range(count))
