@@ -110,13 +110,13 @@ class StageVecEnv(VecEnvAdapter):
 
     def reset(self) -> np.ndarray:
         infos: dict[str, Any] = {}
-        if any(self._check_options):  # SB3 has options for each; these are all for one
-            for k, options in enumerate(self._check_options):
+        if any(self._options):  # SB3 has options for each; these are all for one
+            for k, options in enumerate(self._options):
                 mask = np.arange(self.num_envs) == k
-                observations, infos = self.envs.reset(seed=self._spread_seeds, options={**options, "reset_mask": mask})
+                observations, infos = self.envs.reset(seed=self._seeds, options={**options, "reset_mask": mask})
                 self.reset_infos[k] = info_of(infos, k)
         else:
-            observations, infos = self.envs.reset(seed=self._spread_seeds)
+            observations, infos = self.envs.reset(seed=self._seeds)
             self.reset_infos = [info_of(infos, k) for k in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()

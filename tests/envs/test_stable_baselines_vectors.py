@@ -28,16 +28,16 @@ class VecEnv:
         self._reset_options()
 
     def _reset_seeds(self):
-        self._spread_seeds = [None] * self.num_envs
+        self._seeds = [None] * self.num_envs
 
     def _reset_options(self):
-        self._check_options = [{} for _ in range(self.num_envs)]
+        self._options = [{} for _ in range(self.num_envs)]
 
     def seed(self, seed):
-        self._spread_seeds = [seed + k for k in range(self.num_envs)]
+        self._seeds = [seed + k for k in range(self.num_envs)]
 
     def set_options(self, options):
-        self._check_options = copy.deepcopy(options if isinstance(options, list) else [options] * self.num_envs)
+        self._options = copy.deepcopy(options if isinstance(options, list) else [options] * self.num_envs)
 
     def step(self, actions):
         self.step_async(actions)
@@ -61,6 +61,13 @@ def sb3(monkeypatch):
     return importlib.import_module("stage.envs.sb3")
 
 
+def test_the_stand_in_has_the_attributes_of_the_class_of_stable_baselines():
+    real = pytest.importorskip("stable_baselines3.common.vec_env", reason="extra rl is not installed")
+    attributes = real.VecEnv.__init__.__code__.co_names
+    assert {"_seeds", "_options"} <= set(attributes)
+    assert set(vars(VecEnv(1, None, None))) <= {*attributes, "reset_infos"}
+
+
 def make_single(seed, id_=ID, options=None, **settings):
     env = gymnasium.make(id_, disable_env_checker=True, **settings or SHORT).unwrapped
     return env, *env.reset(seed=seed, options=options)
@@ -77,7 +84,7 @@ def test_a_stable_baselines_vector_equals_single_environments_across_an_episode_
     ones = [make_single(5 + k) for k in range(3)]
     assert (observed == [one[1] for one in ones]).all()
     assert [to_comparable(info) for info in envs.reset_infos] == [to_comparable(one[2]) for one in ones]
-    assert envs._spread_seeds == [None] * 3, "a seed is for one reset"
+    assert envs._seeds == [None] * 3, "a seed is for one reset"
     rng = np.random.default_rng(2)
     for step in (1, 2, 3):
         actions = rng.uniform(-1, 1, (3, *envs.action_space.shape)).astype(np.float32)
@@ -119,7 +126,7 @@ def test_options_of_stable_baselines_are_for_each_environment_and_for_one_reset(
     ones = [make_single(7 + k, options=o) for k, o in enumerate(({"distance": 400}, {"payload": 2.5}, {}))]
     assert (observed == [one[1] for one in ones]).all()
     assert [to_comparable(info) for info in envs.reset_infos] == [to_comparable(one[2]) for one in ones]
-    assert not any(envs._check_options)
+    assert not any(envs._options)
     envs.reset()
     assert [info["distance"] for info in envs.reset_infos] == [one[0].reset()[1]["distance"] for one in ones]
 
