@@ -1,13 +1,13 @@
 """Gymnasium environments whose actions are registers and bus cycles.
 
     import gymnasium
-    import stage.envs                                                   registers them
+    import stage.envs                                                   registers the environments
     env = gymnasium.make("stage/RegisterTuning-v0")
     envs = gymnasium.make_vec("stage/RegisterTuning-v0", num_envs=64, vectorization_mode="vector_entry_point")
 
-One file each holds the rules (a Task, for any number of stages at once, see task.py) and its settings; stage_env.py makes the
-scalar and the vector environment of it, with the same bits. A step's rewards, ends and info are one record a stage
-(step_results.py).
+Each environment has one file with its settings (a `Config`) and its rules (a `Task` of task.py, for any number of stages at
+once). stage_env.py builds a scalar and a vector environment from a task; both give the same bits. step_results.py has the
+record of one step of one stage: its rewards, its end and its info.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ IDS = {
 
 
 def register() -> None:
-    """Register the environments in Gymnasium; the import of this module does it."""
+    """Register the environments in Gymnasium. Importing this module calls this function."""
     for id_, where in IDS.items():
         if id_ not in gymnasium.registry:
             entry = f"stage.envs.{where}"

@@ -1,6 +1,7 @@
 """Host of `stage/BusMacros-v1`: the macros that are allowed now, what the host has written and read, and a scripted policy.
 
-It knows what it wrote and what it read: every answer here follows from these. bus_macros.py has the episodes and their judge.
+The host knows only what it has written and read. The values in this file follow from that knowledge alone; bus_macros.py draws
+the episodes and judges the actions.
 """
 
 from __future__ import annotations
@@ -22,26 +23,30 @@ AXIS = record(
     [(name, "i8") for name in "rates distance running fresh known zero seen target lost limit".split()]
     + [("goal", "f8"), *((name, "?") for name in SWITCHES)]
 )
-"""What the host remembers of an axis (rates, distance: -1 none; zero, seen: pulses), its goal, and what the judge does: most steps
-lost, whether it stands at an end limit."""
+"""State of an axis. Memory of the host: rates, distance (indices; -1: not written), running, fresh, known, zero and seen (pulses).
+State of the judge: target (pulses), goal (m), lost (largest number of lost full steps), limit (whether an end limit is on)."""
 EPISODE = record(
     [(name, "i8") for name in "level selected began before limits".split()]
     + [(name, "f8") for name in "potential usual start loan".split()]
 )
-"""ns; end limits hit; the last potential; s, that the formula takes; the potential at the begin; with a
-discount what has been lent."""
+"""State of an episode: began, before (time at its beginning and at that of the step, ns); limits (end limits hit); potential (the
+last one); usual (time of the formula, s); start (potential at the beginning); loan (paid so far, for a discount below 1)."""
 
 
 class BusHost(MachineTask[Any]):
-    """The host's side of the task.
+    """Task with macros as actions, seen from the host: its memory, its observations and its scripted policy.
 
-    Attributes: axes; wired, of each the bits of SWITCHES in its inputs; book, the macros; axis_states, (n, axes) AXIS; episodes,
-    (n,) EPISODE.
+    Attributes:
+        axes: Axes of the first stage, m of them.
+        switch_masks: Bits of SWITCHES in the inputs of each axis' chip.
+        macro_table: Programs of all macros.
+        axis_states: Memory of the host, AXIS records, (n, m).
+        episodes: State of each episode, EPISODE records, (n,).
     """
 
     axes: list[Any]
-    wired: list[list[int]]
-    book: MacroTable
+    switch_masks: list[list[int]]
+    macro_table: MacroTable
     axis_states: np.ndarray
     episodes: np.ndarray
     _valid: np.ndarray
@@ -64,7 +69,7 @@ class BusHost(MachineTask[Any]):
         *machine_contexts.OBSERVATION,
     )
 
-    def layout(self) -> list[Feature]:
+    def list_all_features(self) -> list[Feature]:
         of_axes = [e for e in self.OBSERVATION if e.each]
         at = self.OBSERVATION.index(of_axes[0])
         often = {"rates": len(RATES), "distance": len(self.config.grid)}
@@ -80,7 +85,7 @@ class BusHost(MachineTask[Any]):
 
     def action_masks(self) -> np.ndarray:
         """Return which actions have an effect now, (n, actions) int8."""
-        s, c, e = self.selected_state, self.config, self.episodes
+        s, c, e = self.selected_axis_state, self.config, self.episodes
         idle = s["running"] == 0
         able = idle & (s["rates"] >= 0) & (s["distance"] >= 0)
         columns = [
@@ -91,68 +96,90 @@ class BusHost(MachineTask[Any]):
         return np.stack(columns, axis=1).astype(np.int8)
 
     @property
-    def selected_state(self) -> np.ndarray:
-        """Memory of the host for the selected axis, (n,)."""
+    def selected_axis_state(self) -> np.ndarray:
+        """What the host remembers of the selected axis of each stage, AXIS records, (n,)."""
         return self.axis_states[np.arange(self.n), self.episodes["selected"]]
 
     def make_programs(self) -> np.ndarray:
         to_registers, every = self.actions, np.arange(self.n)
         self._valid = self.action_masks()[every, to_registers] != 0
-        return self.book.programs(
-            to_registers, self.episodes["selected"], self.selected_state, self._valid & self.active
+        return self.macro_table.select_programs(
+            to_registers, self.episodes["selected"], self.selected_axis_state, self._valid & self.active
         )
 
     # --- what it remembers and sees ---
 
-    def _update_memory(self, played: PlayedPrograms, t: np.ndarray) -> None:
-        """Update the host's memory after the macros that were played."""
+    def _update_memory(self, played: PlayedPrograms, truth: np.ndarray) -> None:
+        """Update the host's memory after the macros that were played.
+
+        Args:
+            played: Results of the macros.
+            truth: True state of the axes, (n, m).
+        """
         done = self._valid & self.converged
-        for kind, mask in self.book.is_kind.items():
+        for kind, mask in self.macro_table.is_kind.items():
             rows = np.flatnonzero(done & mask[self.actions])
             if not len(rows):
                 continue
             axis = self.episodes["selected"][rows]
             if kind == "select":
-                self.episodes["selected"][rows] = self.book.value[self.actions[rows]]
+                self.episodes["selected"][rows] = self.macro_table.value[self.actions[rows]]
                 continue
             s = self.axis_states[rows, axis]
             if kind in ("rates", "distance"):
-                s[kind] = self.book.value[self.actions[rows]]
+                s[kind] = self.macro_table.value[self.actions[rows]]
             elif kind in ("plus", "minus"):
                 s["running"], s["fresh"] = 1, 0
             elif kind == "wait":
                 s["running"], s["fresh"] = played.results[rows, 0] < 0, 0
             elif kind == "read":
-                self._store_read_values(s, t[rows, axis], axis)
+                self._store_read_values(s, truth[rows, axis], axis)
             else:
-                self._store_home_results(s, played.results[rows], t[rows, axis], axis)
+                self._store_home_results(s, played.results[rows], truth[rows, axis], axis)
             self.axis_states[rows, axis] = s
 
-    def _store_read_values(self, s: np.ndarray, t: np.ndarray, axis: np.ndarray) -> None:
-        s["fresh"], s["seen"] = 1, t["pulses"]
-        pins = np.array(self.wired)[axis]
-        for j, name in enumerate(SWITCHES):
-            s[name] = t["inputs"] & pins[:, j] != 0
+    def _store_read_values(self, axis_states: np.ndarray, truth: np.ndarray, axis: np.ndarray) -> None:
+        """Store what the macro `read` shows: the pulse counter and the switches.
 
-    def _store_home_results(self, s: np.ndarray, results: np.ndarray, t: np.ndarray, axis: np.ndarray) -> None:
+        Args:
+            axis_states: Memory to fill, AXIS records, (k,).
+            truth: True state of the axes that were read, (k,).
+            axis: Index of the axis, (k,).
+        """
+        axis_states["fresh"], axis_states["seen"] = 1, truth["pulses"]
+        pins = np.array(self.switch_masks)[axis]
+        for j, name in enumerate(SWITCHES):
+            axis_states[name] = truth["inputs"] & pins[:, j] != 0
+
+    def _store_home_results(
+        self, axis_states: np.ndarray, results: np.ndarray, truth: np.ndarray, axis: np.ndarray
+    ) -> None:
+        """Store the results of origin returns. The position becomes the new zero, and the chip's registers count as unwritten.
+
+        Args:
+            axis_states: Memory to fill, AXIS records, (k,).
+            results: Results of the programs, (k, operations).
+            truth: True state of the axes, (k,).
+            axis: Index of the axis, (k,).
+        """
         for a in np.unique(axis):
             mask = axis == a
-            s["known"][mask] = self.book.ends_at_origin(int(a), results[mask])
-        s["zero"], s["rates"], s["distance"] = t["pulses"], -1, -1
-        self._store_read_values(s, t, axis)
+            axis_states["known"][mask] = self.macro_table.ends_at_origin(int(a), results[mask])
+        axis_states["zero"], axis_states["rates"], axis_states["distance"] = truth["pulses"], -1, -1
+        self._store_read_values(axis_states, truth, axis)
 
     def compute_observations(self) -> np.ndarray:
-        c, s, e, every, used = self.config, self.axis_states, self.episodes, self.selected_state, self.uses_axis
+        c, s, e, every, used = self.config, self.axis_states, self.episodes, self.selected_axis_state, self.uses_axis
         distances_left = np.where(s["known"] != 0, s["target"] - (s["seen"] - s["zero"]), 0)
-        left = distances_left[np.arange(self.n), e["selected"]]
+        left, farthest = distances_left[np.arange(self.n), e["selected"]], c.max_target_pulses
         log = (
             np.sign(left)
             * portable_math.log1p(np.abs(left) / c.grid[0])
-            / portable_math.log1p(2 * c.longest / c.grid[0])
+            / portable_math.log1p(2 * farthest / c.grid[0])
         )
         one = [
             every["known"] != 0, every["running"] != 0, every["fresh"] != 0, *(every["rates"] == r for r in range(len(RATES))),
-            *(every["distance"] == d for d in range(len(c.grid))), left / c.longest, log, *(every[name] for name in SWITCHES),
+            *(every["distance"] == d for d in range(len(c.grid))), left / farthest, log, *(every[name] for name in SWITCHES),
         ]  # fmt: skip
         selected = e["selected"][:, None] == np.arange(len(self.axes))
         arrived = (s["known"] != 0) & (distances_left == 0)
@@ -169,6 +196,7 @@ class BusHost(MachineTask[Any]):
         return np.array([self._choose_action(k) for k in range(self.n)], np.int64)
 
     def _choose_action(self, stage_index: int) -> int:
+        """Choose the next action of the scripted policy on one stage."""
         c, selected = self.config, int(self.episodes[stage_index]["selected"])
         at = {name: j for j, name in enumerate((*RATES, *c.grid, *OTHERS))}
         for a, s in enumerate(self.axis_states[stage_index]):
@@ -176,7 +204,7 @@ class BusHost(MachineTask[Any]):
             if not self.uses_axis[stage_index, a] or (s["known"] and left == 0 and s["fresh"]):
                 continue
             if a != selected:
-                return self.book.macros_per_axis + a
+                return self.macro_table.macros_per_axis + a
             if s["running"]:
                 return at["wait"]
             if not s["fresh"]:

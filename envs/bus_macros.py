@@ -3,46 +3,47 @@
 stage/RegisterBus-v0 has single bus cycles as actions.
 
 An episode has one machine, hidden as in FewShotTuning (machine_contexts.py), and a target for each axis that takes part. The
-host writes registers from a grid, starts, waits, and reads; what does nothing now is masked.
+host writes registers from a grid, starts moves, waits, and reads. Macros that have no effect at present are masked.
 
-action        Discrete, `env.macros` has the names; on the axis that is selected
+action        Discrete, `env.macros` has the names. These act on the selected axis:
               rates r        write the registers of RATES[r]: gentle, usual, bold
               distance d     write the finish register: grid[d] pulses
-              plus, minus    start a move of these; the registers are written once more, as some chips forget them at a reset
-              home           an origin return from where the axis is: minus to ORG, back off, approach. What was in the registers is
-                             gone. PCL-240 chips refuse it on ORG
+              plus, minus    start a move with these; the registers are written once more, as some chips forget them at a reset
+              home           origin return from the present position: minus to ORG, back off, approach. It overwrites the
+                             registers. PCL-240 chips refuse it on ORG
               wait           poll the status until the axis has stopped
-              read           read status and counters, which the observation then has
-              and for each axis
-              select a       the macros act on it from now on; a move of another axis goes on
-mask          info["action_mask"], int8: 1 for what has an effect, from what the host knows by itself. An action that is masked is
-              legal, does nothing, and counts. env.action_masks() for sb3-contrib.
-observation   float32, -1 to 1, only what a host knows (truth=True adds the machine at the end); of the axis that is selected
-              its origin is known; it was started and not waited for; what was read is still true; rates that are written, one of 3;
-              distance that is written, one of len(grid); way left to the target as last read, / the longest, and by its logarithm
-              with its sign; ORG, EL-, EL+ as last read;
-              then for each axis: it takes part; is selected; was started and not waited for; has no way left, as last read;
-              then level / 3, macros left / `macros`, time left / `time_limit`
-levels        0 "move"     x alone, origin known, the target one distance of the grid away, either way
-              1 "target"   x alone, any multiple of grid[0] up to twice the sum of the grid, either way
-              2 "axes"     all axes so
-              3 "origin"   all axes, each powered up somewhere near ORG, on either side of it; targets are counted from ORG, plus
-              Spaces are the same for all, so that one policy can learn them one after the other. mixed=True draws each
+              read           read status and counters, which the observation then contains
+              and this exists for each axis:
+              select a       select the axis for the next macros; a move of another axis continues
+mask          info["action_mask"], int8: 1 for a macro that has an effect, by what the host itself knows. A masked action is legal,
+              has no effect, and counts as a macro. env.action_masks() for sb3-contrib.
+observation   float32, -1 to 1, only what a host knows (truth=True adds the machine at the end). Of the selected axis:
+              its origin is known; a move was started and not waited for; the last values read are still valid; rates that are
+              written, one of 3; distance that is written, one of len(grid); distance left to the target as last read / the
+              longest possible, and its logarithm with its sign; ORG, EL-, EL+ as last read.
+              Of each axis: it takes part; it is selected; a move was started and not waited for; no distance is left, as last
+              read. Then level / 3, macros left / `macros`, time left / `time_limit`
+levels        0 "move"     x alone, origin known, the target one distance of the grid away, in either direction
+              1 "target"   x alone, any multiple of grid[0] up to twice the sum of the grid, in either direction
+              2 "axes"     the same for all axes
+              3 "origin"   all axes, each powered up near ORG, on either side of it; targets are counted from ORG, plus
+              All levels have the same spaces, so one policy can learn them one after the other. mixed=True draws each
               episode's level evenly from 0 to `level`; reset(options={"level": 1}) sets one.
 reward        the sum of
-              progress   progress_weight x (potential now - potential before). The potential is - the mean of log(1 +
-                         error beyond `lag` / `tolerance`), / its largest, and - 1/2 of the axes whose origin is not known; 0 at
-                         success
+              progress   progress_weight x (potential now - potential before). The potential is minus the mean over the axes of
+                         log(1 + error beyond `lag` / `tolerance`), divided by its largest value, minus 1/2 for each axis whose
+                         origin is not known; 0 at success
               cost       - macro_weight for each action, - time_weight x s
               success    success_weight, once
               damage     - damage_weight when the first step is lost, and for each end limit hit
-              failed     at an end without success what is left of the cost up to `macros` and `time_limit`, so that no failure is
+              failed     at an end without success: the cost that is left up to `macros` and `time_limit`, so that no failure is
                          cheaper than another
-              With a `discount` below 1 all is paid at the end, and a loan on it before, as in RegisterBus: register_bus.py.
-episode       terminated when all axes have stopped, their motors pull within `tolerance` of their targets, friction leaves the
-              carriages within `lag`, no step is lost, and the origins are known; or when a step is lost while the origin cannot
-              be found again (below level 3). Truncated after `macros` actions or `time_limit`.
-score         time: s, to success. formula: one move straight to the target (of level 3 by ORG) at the usual rates.
+              With a `discount` below 1, everything is paid at the end, and a loan before, as in RegisterBus: register_bus.py.
+episode       terminated at success, which means that every axis has stopped, its motor pulls it to within `tolerance` of its
+              target, friction keeps its carriage within `lag` of that position, no step is lost, and its origin is known. Also
+              terminated when a step is lost and the level does not allow to find the origin again (below level 3). Truncated
+              after `macros` actions or `time_limit`.
+score         time: s, to success. formula: one move straight to the target (in level 3 by way of ORG) at the usual rates.
 """
 
 from __future__ import annotations
@@ -60,7 +61,18 @@ from stage.envs.hidden_machines import MachineSettings
 from stage.envs.macro_programs import RATES, MacroTable
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.origin_switch import OriginSwitch
-from stage.envs.settings import Count, Discount, Each, Flag, Names, Number, Positive, Seconds, Weight, Word
+from stage.envs.settings import (
+    ChoiceSetting,
+    Count,
+    Discount,
+    Flag,
+    NamesSetting,
+    NumberSetting,
+    NumbersSetting,
+    Positive,
+    Seconds,
+    Weight,
+)
 from stage.envs.single_moves import compute_move_time
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.step_results import SCORE_FEATURE, write_scores
@@ -69,24 +81,43 @@ from stage.sim.fleet import PlayedPrograms
 from stage.support import portable_math
 
 LEVELS = ("move", "target", "axes", "origin")
-MAX_BEFORE_ORIGIN = 1_000  # pulses on the far side of ORG at which "origin" may begin, at most
+MAX_BEFORE_ORIGIN = 1_000  # pulses: largest distance beyond ORG, on the minus side, at which level "origin" starts
 
 
 @dataclass(frozen=True)
 class Config(MachineSettings):
-    """Settings of BusMacros, beside those of hidden machines."""
+    """Settings of BusMacros, in addition to those of `MachineSettings`.
+
+    Attributes:
+        level: Level of the episodes, one of LEVELS.
+        mixed: Whether each episode draws its level, evenly, up to `level`.
+        axes: Names of the axes.
+        grid: Distances that a macro can write, pulses, in rising order.
+        macros: Number of macros after which an episode is truncated.
+        time_limit: Simulated time after which an episode is truncated, s.
+        tolerance: Largest distance between the target and the position to which the motor pulls the carriage, pulses.
+        lag: Largest distance by which friction may keep the carriage from that position, pulses; by default a full step.
+        patience: Longest simulated time of the macro `wait`, s.
+        settle: Simulated time after each stop, s.
+        discount: Discount of the learner for one action; 1 for none.
+        progress_weight: Factor on the part `progress` of the reward.
+        macro_weight: Cost of an action.
+        time_weight: Cost of a simulated second.
+        success_weight: Reward of success.
+        damage_weight: Cost of the first lost step, and of each end limit that an axis hits.
+    """
 
     FAULTS = (*machine_faults.HAMPERING, "bounce")
-    level: Annotated[str, Word(LEVELS)] = "origin"
-    mixed: Flag = False  # levels up to that one, drawn for each episode
-    axes: Annotated[tuple[str, ...], Names(1)] = ("x", "y")
-    grid: Annotated[tuple[int, ...], Each(1, whole=True)] = (16, 64, 256, 1024)  # pulses
-    macros: Count = 120  # an episode
-    time_limit: Seconds = 30.0  # s
-    tolerance: Positive = 8.0  # pulses, of where the motor pulls the carriage to
-    lag: Positive = 16.0  # pulses, that friction may hold the carriage off there: a full step of the default drives
-    patience: Seconds = 2.0  # s, that a wait may take
-    settle: Annotated[float, Number(high=1.0)] = 0.02  # s, after each stop
+    level: Annotated[str, ChoiceSetting(LEVELS)] = "origin"
+    mixed: Flag = False
+    axes: Annotated[tuple[str, ...], NamesSetting(1)] = ("x", "y")
+    grid: Annotated[tuple[int, ...], NumbersSetting(1, integer=True)] = (16, 64, 256, 1024)
+    macros: Count = 120
+    time_limit: Seconds = 30.0
+    tolerance: Positive = 8.0
+    lag: Positive = 16.0
+    patience: Seconds = 2.0
+    settle: Annotated[float, NumberSetting(high=1.0)] = 0.02
     discount: Discount = 1.0
     progress_weight: Weight = 2.0
     macro_weight: Weight = 0.01
@@ -104,15 +135,17 @@ class Config(MachineSettings):
             )
 
     @property
-    def longest(self) -> int:
-        """Pulses of the farthest target."""
+    def max_target_pulses(self) -> int:
+        """Largest distance of a target, pulses."""
         return int(2 * sum(self.grid))
 
 
 class BusMacros(BusHost):
+    """Rules of stage/BusMacros-v1: how episodes begin, and how macros are judged. The module docstring states them."""
+
     Config = Config
     OPTIONS = ("level", "targets", *machine_contexts.OPTIONS)
-    """level: 0 to 3 or its name; targets: {axis: pulses, signed}; and parts of the machine."""
+    """Options of a reset. level: 0 to 3, or a name; targets: {axis: signed pulses}; and values of the machine."""
     PARTS = ("progress", "cost", "success", "damage", "failed")
     STATE = ("context", "axis_states", "episodes")
     INFO = (
@@ -131,7 +164,7 @@ class BusMacros(BusHost):
     def axis_names(self) -> tuple[str, ...]:
         return self.config.axes
 
-    def prepare(self) -> None:
+    def make_spaces_and_arrays(self) -> None:
         c, n, first = self.config, self.n, self.stages[0]
         self.axes = [first.axes[name] for name in c.axes]
         self.index = [a.index for a in self.axes]
@@ -141,11 +174,11 @@ class BusMacros(BusHost):
         self.full_step = np.array([0.5 * np.pi / (_get_motor(a).rotor_teeth * a.gear) for a in self.axes])
         self.origin = np.array([OriginSwitch(first, a).position for a in self.axes])
         self.turn = np.array([2 * np.pi / (_get_motor(a).rotor_teeth * abs(a.gear)) for a in self.axes])
-        self.wired = [[a.chip.wired(pin) for pin in SWITCHES] for a in self.axes]
+        self.switch_masks = [[a.chip.wired(pin) for pin in SWITCHES] for a in self.axes]
         self.prepare_machines()
         self.top = LEVELS.index(c.level)
-        self.book = MacroTable(self.axes, c.grid, c.patience, c.settle)
-        self.names = self.book.names
+        self.macro_table = MacroTable(self.axes, c.grid, c.patience, c.settle)
+        self.names = self.macro_table.names
         self.action_space = gymnasium.spaces.Discrete(len(self.names))
         self.observation_space = self.make_observation_space()
         self.shapes = {"action_mask": (len(self.names),)}
@@ -162,13 +195,13 @@ class BusMacros(BusHost):
         e, axes = self.episodes[stage_index], self.axis_states[stage_index]
         axes[...] = np.zeros((), AXIS)
         sign = rng.choice((-1, 1), m) if level < 3 else np.ones(m, np.int64)
-        units = rng.integers(1, c.longest // c.grid[0] + 1, m)
+        units = rng.integers(1, c.max_target_pulses // c.grid[0] + 1, m)
         distance = units * c.grid[0] if level else rng.choice(c.grid, m)
-        start = rng.integers(-MAX_BEFORE_ORIGIN, c.longest, m)
+        start = rng.integers(-MAX_BEFORE_ORIGIN, c.max_target_pulses, m)
         axes["target"] = sign * distance
         axes["rates"] = axes["distance"] = -1
-        self._apply_options(axes, options, level)
-        at = self._find_starts(stage_index, level, start)
+        self._set_target_options(axes, options, level)
+        at = self._compute_start_positions(stage_index, level, start)
         from_origin = np.rint((at - self.origin) / self.signed_pulse_m)
         axes["goal"] = (self.origin if level == 3 else at) + self.signed_pulse_m * axes["target"]
         axes["known"], axes["fresh"] = level < 3, 1
@@ -176,7 +209,7 @@ class BusMacros(BusHost):
         self._place_carriages(stage_index, at)
         truth = self.fleet.truth()[stage_index, self.index]
         e["began"] = e["before"] = int(truth["now"][0])
-        for a, pins in enumerate(self.wired):
+        for a, pins in enumerate(self.switch_masks):
             for name, mask in zip(SWITCHES, pins, strict=True):
                 axes[name][a] = int(truth["inputs"][a]) & mask != 0
         straight = np.abs(axes["target"]) + (np.abs(from_origin) if level == 3 else 0)
@@ -184,37 +217,50 @@ class BusMacros(BusHost):
         e["potential"] = e["start"] = self._compute_potential(truth[None], slice(stage_index, stage_index + 1))[0]
         e["loan"] = 0.0
 
-    def _apply_options(self, axes: Any, options: Mapping[str, Any], level: int) -> None:
+    def _set_target_options(self, axes: Any, options: Mapping[str, Any], level: int) -> None:
+        """Set the targets of the option "targets", pulses by axis. Raises ArgumentError for one that the level does not allow."""
         targets, c = options.get("targets", {}), self.config
-        low = -c.longest if level < 3 else 1
+        low = -c.max_target_pulses if level < 3 else 1
         if not isinstance(targets, Mapping) or not all(
-            isinstance(d, int | np.integer) and not isinstance(d, bool) and low <= d <= c.longest
+            isinstance(d, int | np.integer) and not isinstance(d, bool) and low <= d <= c.max_target_pulses
             for d in targets.values()
         ):
-            raise ArgumentError(f"option targets={targets!r}: {{axis: whole pulses, {low} to {c.longest}}}.")
+            raise ArgumentError(f"option targets={targets!r}: {{axis: whole pulses, {low} to {c.max_target_pulses}}}.")
         for name, pulses in targets.items():
             if name not in c.axes:
                 raise unknown_name_error("axis", name, c.axes)
             axes["target"][c.axes.index(name)] = pulses
 
-    def _find_starts(self, stage_index: int, level: int, start: np.ndarray) -> np.ndarray:
-        """Return the positions of the carriages at power-up, m, at the rotor's angle of the context."""
-        pulses = start if level == 3 else np.full(len(self.axes), self.config.longest + 2 * MAX_BEFORE_ORIGIN)
+    def _compute_start_positions(self, stage_index: int, level: int, pulses_from_origin: np.ndarray) -> np.ndarray:
+        """Compute the positions of the carriages at power-up, m, (m,).
+
+        Args:
+            stage_index: Index of the stage, whose context has the angle of the rotors.
+            level: Level of the episode, 0 to 3.
+            pulses_from_origin: Distances from ORG in level 3, pulses, (m,). The other levels start at a fixed distance.
+        """
+        pulses = (
+            pulses_from_origin
+            if level == 3
+            else np.full(len(self.axes), self.config.max_target_pulses + 2 * MAX_BEFORE_ORIGIN)
+        )
         at = self.origin + self.signed_pulse_m * pulses
         return (np.floor(at / self.turn) + float(self.context[stage_index]["switch"])) * self.turn
 
-    def _place_carriages(self, stage_index: int, at: np.ndarray) -> None:
+    def _place_carriages(self, stage_index: int, positions: np.ndarray) -> None:
+        """Place the carriages of one stage at positions, m, (m,), after its machine was drawn."""
         stage = self.stages[stage_index]
         self.apply_machine(stage_index)
-        stage.place(**{name: float(q) for name, q in zip(self.config.axes, at, strict=True)})
+        stage.place(**{name: float(q) for name, q in zip(self.config.axes, positions, strict=True)})
 
     @staticmethod
-    def _parse_level(targets: Any) -> int:
-        if isinstance(targets, str) and targets in LEVELS:
-            return LEVELS.index(targets)
-        if isinstance(targets, bool) or not isinstance(targets, int | np.integer) or not 0 <= targets < len(LEVELS):
-            raise ArgumentError(f"option level={targets!r}: 0 to 3, or {', '.join(LEVELS)}.")
-        return int(targets)
+    def _parse_level(level: Any) -> int:
+        """Return the index of a level that is given by its index or its name. Raises ArgumentError."""
+        if isinstance(level, str) and level in LEVELS:
+            return LEVELS.index(level)
+        if isinstance(level, bool) or not isinstance(level, int | np.integer) or not 0 <= level < len(LEVELS):
+            raise ArgumentError(f"option level={level!r}: 0 to 3, or {', '.join(LEVELS)}.")
+        return int(level)
 
     def describe_episode(self, stage_index: int) -> dict[str, Any]:
         return {
@@ -229,7 +275,7 @@ class BusMacros(BusHost):
         good, used, now = self.converged, self.uses_axis, t["now"][:, 0]
         lost = np.abs(t["lost_steps"]) * used
         inputs = t["inputs"]
-        at_limit = np.stack([inputs[:, a] & (w[1] | w[2]) != 0 for a, w in enumerate(self.wired)], axis=1) & used
+        at_limit = np.stack([inputs[:, a] & (w[1] | w[2]) != 0 for a, w in enumerate(self.switch_masks)], axis=1) & used
         s = self.axis_states
         hits = (at_limit & (s["limit"] == 0)).sum(axis=1)
         first = (lost.max(axis=1) > 0) & (s["lost"].max(axis=1) == 0)
@@ -258,7 +304,7 @@ class BusMacros(BusHost):
         e["limits"][good] += hits[good]
         s["lost"][good], s["limit"][good] = np.maximum(s["lost"], lost)[good], at_limit[good]
         if c.discount < 1.0:
-            parts |= self._apply_loan(success | failed)
+            parts |= self._compute_discounted_parts(success | failed)
         elapsed = (now - e["began"]) * 1e-9
         info = {
             "level": e["level"], "action_mask": self.action_masks(), **self.machine_info,
@@ -269,8 +315,15 @@ class BusMacros(BusHost):
         time = np.where(success, elapsed, np.inf)
         write_scores(self.results["score"], time, e["usual"], self.steps, s["lost"].sum(axis=1), e["limits"])
 
-    def _apply_loan(self, over: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the parts of a step with a discount: whole at the end of an episode, before that a loan on them."""
+    def _compute_discounted_parts(self, over: np.ndarray) -> dict[str, np.ndarray]:
+        """Compute progress, cost and damage for a `discount` below 1: paid when the episode ends, with a loan before.
+
+        Args:
+            over: Mask of the stages whose episode ends, (n,).
+
+        Returns:
+            The three parts by name, (n,) each.
+        """
         c, e, good = self.config, self.episodes, self.converged
         progress = c.progress_weight * (e["potential"] - e["start"])
         cost = -c.macro_weight * self.steps - c.time_weight * 1e-9 * (e["before"] - e["began"])
@@ -282,12 +335,17 @@ class BusMacros(BusHost):
         e["loan"][good] = loan[good]
         return {"progress": paid, "cost": np.where(over, cost, 0.0), "damage": np.where(over, damage, 0.0)}
 
-    def _compute_potential(self, t: np.ndarray, which: slice) -> np.ndarray:
-        """Compute the potential of stages, (stages,), from about -1.5 to 0."""
+    def _compute_potential(self, truth: np.ndarray, which: slice) -> np.ndarray:
+        """Compute the potential of some stages, from about -1.5 (far away, origin unknown) to 0 (at the targets).
+
+        Args:
+            truth: True state of the axes, (stages, m).
+            which: Slice of the stages.
+        """
         c, s, used = self.config, self.axis_states[which], self.uses_axis[which]
-        beyond = np.maximum(np.abs(t["position"] - s["goal"]) / self.per_pulse - c.lag, 0.0) / c.tolerance
+        beyond = np.maximum(np.abs(truth["position"] - s["goal"]) / self.per_pulse - c.lag, 0.0) / c.tolerance
         distance = portable_math.log1p(beyond) / portable_math.log1p(
-            (c.longest + MAX_BEFORE_ORIGIN) / c.tolerance
+            (c.max_target_pulses + MAX_BEFORE_ORIGIN) / c.tolerance
         ) + 0.5 * (s["known"] == 0)
         total = np.zeros(len(s))
         for a in range(len(self.axes)):
@@ -300,11 +358,13 @@ def _get_motor(axis: Any) -> Any:
 
 
 class BusMacrosEnv(StageEnv):
+    """Gymnasium environment stage/BusMacros-v1."""
+
     task = BusMacros
 
     @property
     def macros(self) -> tuple[str, ...]:
-        """Name of the macro of each action."""
+        """Names of the macros, in the order of the actions."""
         return self._task.names  # type: ignore[attr-defined]
 
     def action_masks(self) -> np.ndarray:
@@ -313,11 +373,13 @@ class BusMacrosEnv(StageEnv):
 
 
 class BusMacrosVectorEnv(StageVectorEnv):
+    """Vector environment stage/BusMacros-v1."""
+
     task = BusMacros
 
     @property
     def macros(self) -> tuple[str, ...]:
-        """Name of the macro of each action."""
+        """Names of the macros, in the order of the actions."""
         return self._task.names  # type: ignore[attr-defined]
 
     def action_masks(self) -> np.ndarray:

@@ -1,34 +1,34 @@
 """`stage/DriftingHome-v1`: repeated origin returns on a machine that drifts and may have a fault, which the agent can report.
 
-An episode has one hidden machine (machine_contexts.py), which may have one fault (machine_faults.py). ORG trips a little
-elsewhere at each return: it walks by up to `walk` from one to the next, its contact scatters by `noise`, and bounces for as
-long as is drawn for the machine. A step is one whole origin return, as one program of bus cycles, or the report of a fault,
-which ends the episode. What a return shows counts for the next.
+An episode has one hidden machine (machine_contexts.py), which may have one fault (machine_faults.py). ORG trips at a slightly
+different position at each return: it moves by up to `walk` from one return to the next, its contact scatters by `noise`, and it
+bounces for a time that is drawn for the machine. A step is one whole origin return, as one program of bus cycles, or the report
+of a fault, which ends the episode. The result of one return helps to choose the next.
 
-action        Box [-1, 1]^6: rate of the search (pps), its ramps (s), rate of the approach (pps), by their logarithms over
-              RATES; pulses by which ORG is left before the search, by its cube root, and by which the host backs off before the
-              approach, by its logarithm; and the report: above 0 it says that the machine has a fault, and no return is made.
-              The driver's Search makes the registers of these, so one policy can act through every chip.
+action        Box [-1, 1]^6: rate of the search (pps), its ramps (s) and rate of the approach (pps), by their logarithms over
+              RATES; pulses by which ORG is left before the search, by their cube root; pulses by which the host backs off before
+              the approach, by their logarithm; and the report: above 0 it states that the machine has a fault, and no return is
+              made. The driver of the chip computes the registers, so one policy can act through every chip.
 observation   float32, -1 to 1, only what a host knows (truth=True adds machine and fault)
-              ORG asserted now; returns left / returns; way that the host has moved away from the last origin, / `reach`, 0 where
-              it has none;
-              and of the last return, 0 before the first: there was one; ended at the origin, by the chip; an end limit; late; ORG
-              released before the approach; duration / 4 limits; pulses of the search / those from EL to EL; of the approach beyond
-              those of backing off / 64; found origin off the last one by so many pulses, as counted, / 64;
-              returns in a row that did not end at the origin / returns
+              ORG asserted now; returns left / returns; distance that the host has moved away from the last origin / `reach`, 0
+              without an origin;
+              and of the last return, 0 before the first: there was one; it ended at the origin, by the chip; it hit an end limit;
+              a run took too long; ORG was released before the approach; duration / 4 limits; pulses of the search / those from EL
+              to EL; pulses of the approach beyond those of backing off / 64; counted pulses between this origin and the last one
+              / 64; number of last returns in a row that did not end at the origin / returns
 reward        the sum of
               time       - time_weight x s
-              error      - error_weight x pulses from where ORG trips this time, 64 at most
-              missed     - missed_weight if the carriage is not at the origin (64 pulses and more) or the chip did not find it
+              error      - error_weight x pulses between the carriage and the place where ORG trips this time, at most 64
+              missed     - missed_weight if the carriage is 64 pulses or more from the origin, or the chip did not find it
               damage     - damage_weight if steps were lost, and if a run ended at an end limit
-              report     report_weight for the report of a fault that there is; for one that there is not - false_weight, and what
-                         the returns that were left cost at their worst, so that it is no way out; - unreported_weight at the end
-                         of an episode whose fault nobody reported
+              report     report_weight for the report of an existing fault. For a false report - false_weight, and the highest
+                         cost of the returns that were left, so that a false report never pays. - unreported_weight at the end of
+                         an episode whose fault was not reported
 episode       `returns` returns, then truncated; terminated by a report. Each return begins anywhere within `reach` of ORG, on
               either side, but not beyond an end limit.
-score         success: a fault was reported, or there was none, none was reported, and each return ended within `tolerance` of
-              where ORG trips. time: s a return, the mean; of a reported fault s up to the report, the formula's at least.
-              formula: the same returns at the usual rates (8000 pps, approach 400 pps), in closed form.
+score         success: an existing fault was reported; or there was none, none was reported, and each return ended within
+              `tolerance` of ORG. time: mean seconds of a return; with a reported fault the seconds up to the report, at least
+              those of the formula. formula: the same returns at the usual rates (8000 pps, approach 400 pps), in closed form.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from stage.envs import machine_contexts, machine_faults
 from stage.envs.hidden_machines import MachineSettings, MachineTask
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.origin_switch import OriginSwitch
-from stage.envs.settings import AxisName, Count, Number, Pair, Positive, Range, Seconds, Weight
+from stage.envs.settings import AxisName, Count, NumberSetting, Pair, Positive, RangeSetting, Seconds, Weight
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.step_results import SCORE_FEATURE, write_scores
 from stage.errors import ArgumentError
@@ -55,29 +55,49 @@ from stage.sim.program import Program
 from stage.support import portable_math
 
 RATES = {"search": (1000.0, 30_000.0), "ramp": (0.01, 0.2), "approach": (100.0, 4000.0)}  # pps, s, pps
-LEAVE, BACK_OFF = 9_600, (64, 1600)  # pulses, the most; least and most
+LEAVE, BACK_OFF = 9_600, (64, 1600)  # pulses: largest distance; smallest and largest distance
 USUAL = {"search": 8000.0, "ramp": 0.1, "approach": 400.0, "leave": 0, "back_off": 200}
-FL = 0.125  # of the search's rate
-MAX_ERROR_PULSES = 64.0  # pulses: an electrical period of a motor at 1/16 step
-LIMIT_CLEARANCE_M = 1e-3  # m; no return starts nearer to an end limit
-NUMBERS_OF_LAST = 10  # numbers of an observation
+FL = 0.125  # start rate, as a share of the rate of the search
+MAX_ERROR_PULSES = 64.0  # an electrical period of a motor with 1/16 microsteps
+LIMIT_CLEARANCE_M = 1e-3  # smallest distance between the start of a return and an end limit
+NUMBERS_OF_LAST = 10  # numbers of an observation that describe the last return
 
 
 @dataclass(frozen=True)
 class Config(MachineSettings):
-    """Settings of DriftingHome, beside those of hidden machines."""
+    """Settings of DriftingHome, in addition to those of `MachineSettings`.
+
+    Attributes:
+        axis: Name of the axis.
+        healthy: Share of the machines that have no fault.
+        walk: Largest distance by which ORG moves between two returns, m; these distances add up.
+        noise: Largest random distance, at one return, between the place of ORG and the position at which it trips, m.
+        bounces: Smallest and largest time for which the contact of ORG bounces, s.
+        reach: Largest distance between ORG and the start of a return, m.
+        returns: Number of returns in an episode.
+        limit: Longest simulated time of each of the four runs of a return, s.
+        settle: Simulated time after each run, s.
+        tolerance: Largest distance between carriage and ORG at the end of a successful return, pulses.
+        time_weight: Cost of a simulated second.
+        error_weight: Cost of a pulse between the carriage and ORG, up to MAX_ERROR_PULSES pulses.
+        missed_weight: Cost of a return that does not end at the origin.
+        damage_weight: Cost of lost steps, and of a run that ends at an end limit.
+        report_weight: Reward for the report of a fault that exists.
+        false_weight: Cost of the report of a fault that does not exist.
+        unreported_weight: Cost of a fault that was not reported in the episode.
+    """
 
     FAULTS = machine_faults.DISABLING
     axis: AxisName = "x"
-    healthy: Annotated[float, Number(high=1.0)] = 0.6  # share of machines without a fault
-    walk: Annotated[float, Number(high=1e-3)] = 2e-5  # m
-    noise: Annotated[float, Number(high=1e-3)] = 5e-6  # m
-    bounces: Annotated[Pair, Range(high=0.1)] = (0.0, 1e-3)  # s, for which the contact of ORG bounces
-    reach: Annotated[float, Number(1e-3, high=1.0)] = 0.02  # m
-    returns: Count = 6  # an episode
-    limit: Seconds = 3.0  # s, each of the four runs may take
-    settle: Seconds = 0.05  # s
-    tolerance: Positive = 12.0  # pulses
+    healthy: Annotated[float, NumberSetting(high=1.0)] = 0.6
+    walk: Annotated[float, NumberSetting(high=1e-3)] = 2e-5
+    noise: Annotated[float, NumberSetting(high=1e-3)] = 5e-6
+    bounces: Annotated[Pair, RangeSetting(high=0.1)] = (0.0, 1e-3)
+    reach: Annotated[float, NumberSetting(1e-3, high=1.0)] = 0.02
+    returns: Count = 6
+    limit: Seconds = 3.0
+    settle: Seconds = 0.05
+    tolerance: Positive = 12.0
     time_weight: Weight = 0.5
     error_weight: Weight = 0.05
     missed_weight: Weight = 3.0
@@ -95,18 +115,18 @@ def action_of(
     back_off: int = 200,
     report: bool = False,
 ) -> np.ndarray:
-    """Return the action that means these values; a value beyond its range counts as the end of the range.
+    """Return the action that stands for these values. A value beyond its range counts as the end of the range.
 
     Args:
         search: Rate of the search, pps.
-        ramp: Duration of its ramps, s.
+        ramp: Duration of each ramp of the search, s.
         approach: Rate of the approach, pps.
-        leave: Pulses by which ORG is left before the search.
-        back_off: Pulses by which the host backs off before the approach.
-        report: Report a fault in place of a return.
+        leave: Distance by which the axis leaves ORG before the search, pulses.
+        back_off: Distance by which the host backs off before the approach, pulses.
+        report: Whether to report a fault instead of making a return.
 
     Returns:
-        An action, (6,) float32.
+        Action, (6,) float32.
     """
     low, high = portable_math.log(np.array(list(RATES.values()))).T
     rates = 2 * (portable_math.log((search, ramp, approach)) - low) / (high - low) - 1
@@ -117,9 +137,11 @@ def action_of(
 
 
 class DriftingHome(MachineTask[Config]):
+    """Rules of stage/DriftingHome-v1. The module docstring states them."""
+
     Config = Config
     OPTIONS = ("start", *machine_contexts.OPTIONS)
-    """start: m, of the first return; fault: a name, or "none"; and parts of the machine."""
+    """Options of a reset. start: start of the first return, m; fault: a name, or "none"; and values of the machine."""
     PARTS = ("time", "error", "missed", "damage", "report")
     STATE = ("context", "place", "shift", "last", "away", "last_end", "sums", "bounce")
     RESTARTS = True
@@ -153,7 +175,7 @@ class DriftingHome(MachineTask[Config]):
         SCORE_FEATURE,
     )
 
-    def prepare(self) -> None:
+    def make_spaces_and_arrays(self) -> None:
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
         self.prepare_machines()
@@ -185,15 +207,20 @@ class DriftingHome(MachineTask[Config]):
         self._begin_return(stage_index, options)
 
     def make_fault_rng(self, stage_index: int) -> np.random.Generator:
-        """Return the generator of the stage itself: in this task every machine may have a fault."""
+        """Return the generator of the stage itself: in this task, every machine may have a fault."""
         return self.rngs[stage_index]
 
-    def prepare_next(self) -> None:
+    def prepare_next_step(self) -> None:
         for k in np.flatnonzero(self.converged & ~self.results["terminated"]):
             self._begin_return(int(k), {})
 
     def _begin_return(self, stage_index: int, options: Mapping[str, Any]) -> None:
-        """Begin the next return: ORG drifts, and the carriage moves elsewhere."""
+        """Begin the next return of a stage: ORG drifts, and the carriage starts elsewhere.
+
+        Args:
+            stage_index: Index of the stage.
+            options: Options of the reset, among them "start", m; empty for later returns.
+        """
         c, rng, stage = self.config, self.rngs[stage_index], self.stages[stage_index]
         low, high = self.switch.low + LIMIT_CLEARANCE_M, self.switch.high - LIMIT_CLEARANCE_M
         walk, noise, at = rng.uniform(-1, 1, 3)
@@ -222,7 +249,7 @@ class DriftingHome(MachineTask[Config]):
     # --- returns ---
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
-        """Return the driver's search choices for actions, (n, choices)."""
+        """Compute the parameters of the driver's origin return that actions stand for, (n, choices)."""
         low, high = portable_math.log(np.array(list(RATES.values()))).T
         b0, b1 = portable_math.log(BACK_OFF)
         rows = []
@@ -235,16 +262,16 @@ class DriftingHome(MachineTask[Config]):
         return np.array(rows, np.int64)
 
     @property
-    def reports(self) -> np.ndarray:
-        """Mask of the actions that report a fault, (n,)."""
+    def is_report(self) -> np.ndarray:
+        """Mask of the stages whose action reports a fault, (n,)."""
         return self.actions[:, 5] > 0
 
     def make_programs(self) -> list[Program]:
-        rows, reports = self.to_registers(self.actions), self.reports
+        rows, reports = self.to_registers(self.actions), self.is_report
         return [Program() if told else self.search.write_program(row) for row, told in zip(rows, reports, strict=True)]
 
     def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
-        c, t, reports = self.config, truth[:, self.axis.index], self.reports
+        c, t, reports = self.config, truth[:, self.axis.index], self.is_report
         rows, returned = self.to_registers(self.actions), ~reports
         width = max(self.search.result_indices.values()) + 1
         results = np.zeros((self.n, max(width, played.results.shape[1])), np.int64)
@@ -284,30 +311,30 @@ class DriftingHome(MachineTask[Config]):
         self._score_episodes(reports, broken)
 
     def _store_last_return(
-        self, outcome: Any, home: np.ndarray, t: np.ndarray, duration: np.ndarray, good: np.ndarray
+        self, outcome: Any, at_origin: np.ndarray, truth: np.ndarray, duration: np.ndarray, valid: np.ndarray
     ) -> None:
-        """Store what the host can observe of the last return.
+        """Store what a host can observe of the last return, for the next observation.
 
         Args:
-            outcome: Outcomes of the returns, (n,).
-            home: Mask of the returns that ended at home.
-            t: TRUTH of the axis on each stage.
+            outcome: Outcomes of the returns, as the driver reads them, (n,) each.
+            at_origin: Mask of the returns that ended at the origin, by the chip.
+            truth: True state of the axis on each stage, (n,).
             duration: Durations of the returns, s.
-            good: Mask of the stages whose return counts.
+            valid: Mask of the stages that made a return.
         """
         travel_pulses = (self.switch.high - self.switch.low) / self.per_pulse
-        known = home & ~np.isnan(self.last_end)
-        counted = t["pulses"] + np.sign(self.axis.gear) * self.away / self.per_pulse
+        known = at_origin & ~np.isnan(self.last_end)
+        counted = truth["pulses"] + np.sign(self.axis.gear) * self.away / self.per_pulse
         now = [
-            good, home, outcome.end_limit, outcome.timed_out, outcome.released, duration / (4 * self.config.limit),
+            valid, at_origin, outcome.end_limit, outcome.timed_out, outcome.released, duration / (4 * self.config.limit),
             outcome.searched / travel_pulses, outcome.overrun / MAX_ERROR_PULSES, np.where(known, counted / MAX_ERROR_PULSES, 0.0),
-            np.where(home, 0.0, self.last[:, -1] + 1 / self.config.returns),
+            np.where(at_origin, 0.0, self.last[:, -1] + 1 / self.config.returns),
         ]  # fmt: skip
-        self.last[good] = np.clip(np.nan_to_num(np.stack(now, axis=1)), -1.0, 1.0)[good]
-        self.last_end[good] = np.where(home, t["position"], np.nan)[good]
+        self.last[valid] = np.clip(np.nan_to_num(np.stack(now, axis=1)), -1.0, 1.0)[valid]
+        self.last_end[valid] = np.where(at_origin, truth["position"], np.nan)[valid]
 
     def _compute_usual_times(self) -> np.ndarray:
-        """Compute the seconds that a return from each present position takes at the usual rates, (n,)."""
+        """Compute how long a return from each start position takes at the usual rates, s, (n,)."""
         u, settled = USUAL, 3 * self.config.settle
         distance = np.abs(self.place - self.origin) / self.per_pulse
         return (
@@ -315,6 +342,12 @@ class DriftingHome(MachineTask[Config]):
         )
 
     def _score_episodes(self, reports: np.ndarray, broken: np.ndarray) -> None:
+        """Write the scores of the episodes, of which those that end now are used.
+
+        Args:
+            reports: Mask of the stages whose action reports a fault, (n,).
+            broken: Mask of the machines that have a fault, (n,).
+        """
         seconds, usual, bad, lost, limits = self.sums.T
         returns = np.maximum(self.steps - reports, 1)
         success = np.where(broken, reports, ~reports & (bad == 0))
@@ -335,21 +368,35 @@ class DriftingHome(MachineTask[Config]):
     # --- a host ---
 
     def scripted_action(self) -> np.ndarray:
-        """Return the usual rates: leave ORG first where it is asserted, be slower after a failed return, and report after two."""
+        """Return actions with the usual rates.
+
+        The host leaves ORG before the search if ORG is asserted, approaches at half the rate after a failed return, and reports a
+        fault after two failed returns in a row.
+        """
         on_org = self.fleet.truth()["inputs"][:, self.axis.index] & self.axis.chip.wired("org") != 0
         failed = np.rint(self.last[:, -1] * self.config.returns)
         rows = zip(on_org.tolist(), failed.tolist(), strict=True)
         return np.stack([self._choose_scripted_action(*row) for row in rows])
 
     @staticmethod
-    def _choose_scripted_action(on_org: bool, often: float) -> np.ndarray:
-        approach = USUAL["approach"] / (2 if often else 1)
-        return action_of(leave=LEAVE if on_org else 0, approach=approach, report=often >= 2)
+    def _choose_scripted_action(on_org: bool, failures: float) -> np.ndarray:
+        """Choose the scripted action of one stage.
+
+        Args:
+            on_org: Whether ORG is asserted.
+            failures: Number of failed returns in a row.
+        """
+        approach = USUAL["approach"] / (2 if failures else 1)
+        return action_of(leave=LEAVE if on_org else 0, approach=approach, report=failures >= 2)
 
 
 class DriftingHomeEnv(StageEnv):
+    """Gymnasium environment stage/DriftingHome-v1."""
+
     task = DriftingHome
 
 
 class DriftingHomeVectorEnv(StageVectorEnv):
+    """Vector environment stage/DriftingHome-v1."""
+
     task = DriftingHome

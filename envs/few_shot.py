@@ -1,31 +1,33 @@
-"""`stage/FewShotTuning-v1`: several tries at one move on a machine that the host does not know, then a proof of the best try.
+"""`stage/FewShotTuning-v1`: several attempts at one move on a machine that the host does not know, then a proof of the best one.
 
-An episode is one machine and one distance. What the machine is (payload, friction, supply, current of the drive, core loss and
-inductance of the motor, place and drift of ORG) is hidden, and stays the same for all tries: what a try has shown counts for
-the next, so memory pays. Each try is a whole move from power-up, from where ORG trips. After the last, the best try that kept
-step is made `proofs` times more with `margin` kg beyond the payload. If one of these moves fails, the next best is proved, and
-so on; what counts is the best that holds. So the task remembers for the host, which may try one thing after another without a
-look. With answer="last" the last try is the answer, and is proved alone: a host has to remember what its tries have shown.
+An episode is one machine and one distance. The machine (payload, friction, supply, current of the drive, core loss and
+inductance of the motor, place and drift of ORG) is hidden and stays the same for all attempts, so a host that remembers its
+attempts has an advantage. Each attempt is a whole move from power-up, from the place where ORG trips. After the last attempt,
+the best one that kept step is repeated `proofs` times with `margin` kg more payload. If one of these moves fails, the next best
+attempt is proved, and so on; the best attempt that passes counts. The task thus remembers for the host, which may try several
+moves without reading any result. With answer="last", only the last attempt is proved: a host has to remember what its attempts
+have shown.
 
 action        Box [-1, 1]^4, the same for every chip: start rate, drive rate, seconds of ramp-up and ramp-down, each by its
-              logarithm over RATES; of ramps that do not fit into the move as much as does, as steep. The chip's formulas make
-              registers of them.
+              logarithm over RATES. Ramps that do not fit into the move are shortened with the same slope. The chip's formulas
+              compute its registers.
 observation   float32, -1 to 1, only what a host can know (truth=True adds the context at the end):
-              distance, by its logarithm; tries left / tries; time of the best try that kept step by the encoder / twice the usual
-              time, 1 before there is one; and then for each try (memory="all"), or for the last one (memory="last"), 0 before it
+              distance, by its logarithm; attempts left / tries; time of the best attempt that kept step by the encoder / twice
+              the usual time, 1 before there is one; then for each attempt (memory="all") or for the last one (memory="last"), 0
+              before it:
               the four actions; 1; duration / twice the usual time; 1 if it made its pulses; 1 if it kept step by the encoder;
-              swing / (swing + 0.1 mm). Without encoder=True the last two are 0: the pulses are all that a host then knows.
+              swing / (swing + 0.1 mm). With encoder=False the last two are 0: the host then only knows the pulses.
 reward        the sum of
-              gain     log(best cost before / best cost now), where a try that kept step costs its seconds, and vibration_weight s
-                       for each 0.1 mm of vibration; before the first it is two usual times. With answer="last" the costs of the
-                       last try and of the one before it; one that lost steps, or is slower, costs two usual times
+              gain     log(best cost before / best cost now). The cost of an attempt that kept step is its seconds, plus
+                       vibration_weight s for each 0.1 mm of vibration; before the first attempt it is two usual times. With
+                       answer="last", the costs of the last attempt and of the one before it count, each at most two usual times
               damage   - damage_weight if a step was lost, or an end limit hit
-              proof    after the last try: what was gained by tries that do not hold in the proof is taken back
-              So without damage the sum is log(2 x usual time / cost of the best that holds), or 0.
+              proof    after the last attempt: minus what was gained by attempts that fail in the proof
+              Without damage, the sum is log(2 x usual time / cost of the best proved attempt), or 0.
               The usual time is that of the driver's usual speeds (1000 to 16,000 pps in 0.15 s), which every machine here can do.
-episode       `tries` tries, then terminated.
+episode       `tries` attempts, then terminated.
 score         time: s, the proved cost. formula: the engineer's (stage.tune.formula) for the split's heaviest payload, closed form.
-split         where machines come from, see machine_contexts.py; a setting that is given comes before the split's.
+split         where machines come from, see machine_contexts.py; a setting that is not None overrides the split's.
 """
 
 from __future__ import annotations
@@ -43,8 +45,18 @@ from stage.envs import machine_contexts
 from stage.envs.hidden_machines import MachineSettings, MachineTask
 from stage.envs.observation_features import HOST, TRUTH, Feature
 from stage.envs.scaling import scale_log
-from stage.envs.settings import AxisName, Count, Counts, Flag, Number, Seconds, Weight, Word, read_option
-from stage.envs.single_moves import MAX_OFFSET_M, TENTH_MM, Trial, compute_move_time
+from stage.envs.settings import (
+    AxisName,
+    ChoiceSetting,
+    Count,
+    Counts,
+    Flag,
+    NumberSetting,
+    Seconds,
+    Weight,
+    read_option,
+)
+from stage.envs.single_moves import MAX_OFFSET_M, TENTH_MM, MoveTrial, compute_move_time
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.step_results import SCORE_FEATURE, write_scores
 from stage.firmware.driver import Speeds, get_driver
@@ -54,34 +66,54 @@ from stage.sim.program import Program
 from stage.support import portable_math
 from stage.tune.formula import Load, compute_speeds
 
-RATES = {"start": (200.0, 6000.0), "drive": (2000.0, 60_000.0), "up": (0.01, 0.3), "down": (0.01, 0.3)}  # pps, s
-ENCODER_COUNT_M = 5e-6  # m, of the encoder
-MIN_RAMP_S = 2e-3  # s, of a ramp
+RATES = {
+    "start": (200.0, 6000.0),
+    "drive": (2000.0, 60_000.0),
+    "up": (0.01, 0.3),
+    "down": (0.01, 0.3),
+}  # pps, pps, s, s
+ENCODER_COUNT_M = 5e-6
+MIN_RAMP_S = 2e-3
 MEMORIES = ("all", "last")
 ANSWERS = ("best", "last")
-NUMBERS_PER_TRY = 9  # numbers of an observation
+NUMBERS_PER_TRY = 9  # numbers of an observation that describe one attempt
 
 
 @dataclass(frozen=True)
 class Config(MachineSettings):
-    """Settings of FewShotTuning, beside those of hidden machines."""
+    """Settings of FewShotTuning, in addition to those of `MachineSettings`.
+
+    Attributes:
+        axis: Name of the axis.
+        distances: Smallest and largest distance, pulses, drawn evenly by their logarithm.
+        judge_at: Site or body at which vibration is observed; None: see `find_judged_point`.
+        tries: Number of attempts in an episode.
+        proofs: Number of moves that prove an attempt.
+        margin: Mass that the moves of a proof have beyond the payload, kg.
+        encoder: Whether the host reads an encoder on the carriage after each attempt.
+        memory: "all": an observation has every attempt; "last": only the last one.
+        answer: "best": the best attempt is proved; "last": the last one.
+        settle: Simulated time after the stop in which vibration and swing are observed, s.
+        damage_weight: Cost of an attempt that loses a step or hits an end limit.
+        vibration_weight: Cost of 0.1 mm of vibration, s.
+    """
 
     axis: AxisName = "x"
-    distances: Counts = (1600, 16_000)  # pulses, drawn evenly by their logarithm
-    judge_at: AxisName | None = None  # site or body at which vibration is observed, as in RegisterTuning
-    tries: Count = 8  # an episode
-    proofs: Annotated[int, Number(low=0, high=64, whole=True)] = 4  # moves
-    margin: Annotated[float, Number(high=1e3)] = 0.5  # kg that the proof has beyond the payload
-    encoder: Flag = True  # on the carriage, read by the host after each try
-    memory: Annotated[str, Word(MEMORIES)] = "all"  # or "last"
-    answer: Annotated[str, Word(ANSWERS)] = "best"  # what is proved: the best try, or the last one
-    settle: Seconds = 0.1  # s, in which vibration and swing are observed
+    distances: Counts = (1600, 16_000)
+    judge_at: AxisName | None = None
+    tries: Count = 8
+    proofs: Annotated[int, NumberSetting(low=0, high=64, integer=True)] = 4
+    margin: Annotated[float, NumberSetting(high=1e3)] = 0.5
+    encoder: Flag = True
+    memory: Annotated[str, ChoiceSetting(MEMORIES)] = "all"
+    answer: Annotated[str, ChoiceSetting(ANSWERS)] = "best"
+    settle: Seconds = 0.1
     damage_weight: Weight = 0.05
-    vibration_weight: Weight = 0.02  # s for each 0.1 mm
+    vibration_weight: Weight = 0.02
 
 
 def action_of(start: float, drive: float, up: float, down: float) -> np.ndarray:
-    """Return the action that means these values; a value beyond RATES counts as the end of its range.
+    """Return the action that stands for these values. A value beyond RATES counts as the end of its range.
 
     Args:
         start: Start rate, pps.
@@ -90,16 +122,18 @@ def action_of(start: float, drive: float, up: float, down: float) -> np.ndarray:
         down: Duration of the ramp down, s.
 
     Returns:
-        An action, (4,) float32.
+        Action, (4,) float32.
     """
     low, high = portable_math.log(np.array(list(RATES.values()))).T
     return np.clip(2 * (portable_math.log((start, drive, up, down)) - low) / (high - low) - 1, -1, 1).astype(np.float32)
 
 
 class FewShotTuning(MachineTask[Config]):
+    """Rules of stage/FewShotTuning-v1. The module docstring states them."""
+
     Config: ClassVar[type] = Config
     OPTIONS: ClassVar[tuple[str, ...]] = ("distance", *machine_contexts.OPTIONS)
-    """The move and the machine, in place of drawn ones."""
+    """Options of a reset, which replace drawn values of the move and the machine."""
     PARTS = ("gain", "damage", "proof")
     STATE: ClassVar[tuple[str, ...]] = (
         "distance",
@@ -162,14 +196,14 @@ class FewShotTuning(MachineTask[Config]):
         SCORE_FEATURE,
     )
 
-    def prepare(self) -> None:
+    def make_spaces_and_arrays(self) -> None:
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
         self.driver = get_driver(self.axis)
         self.judged, point = find_judged_point(first, c.axis, c.judge_at)
-        self.trial = Trial(self.axis, point, c.settle, encoder=True)
+        self.trial = MoveTrial(self.axis, point, c.settle, encoder=True)
         self.prepare_machines()
-        self.trial.check(c.distances, "pulses")
+        self.trial.require_room(c.distances, "pulses")
         self.names = self.driver.list_move_registers(s_curve=False)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(RATES),), np.float32)
         self.observation_space = self.make_observation_space()
@@ -182,7 +216,7 @@ class FewShotTuning(MachineTask[Config]):
         self.formula, self.damage = np.ones((n, 5)), np.zeros((n, 2), np.int64)
         self.proof_fleet = Fleet([copy.deepcopy(first) for _ in range(n)], self.fleet.threads)
 
-    def layout(self) -> list[Feature]:
+    def list_all_features(self) -> list[Feature]:
         tries = self.config.tries if self.config.memory == "all" else 1
         return [
             *self.OBSERVATION[:3],
@@ -203,15 +237,21 @@ class FewShotTuning(MachineTask[Config]):
             np.inf,
             0,
         )
-        self._compute_formula(stage_index, rng, options)
-        self._place_next(stage_index)
+        self._compute_formula_move(stage_index, rng, options)
+        self._place_for_next_attempt(stage_index)
 
-    def _compute_formula(self, stage_index: int, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
-        """Compute the formula's move for a machine of which the host only knows the heaviest payload."""
-        self._set_formula(stage_index, self.ranges["payload"][1])
+    def _compute_formula_move(self, stage_index: int, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
+        """Compute the move of the engineer's formula for one stage, for a host that only knows the split's heaviest payload.
 
-    def _set_formula(self, stage_index: int, payload: float) -> None:
-        """Store the formula's rates and ramps for a payload, kg, and the time that they take."""
+        Args:
+            stage_index: Index of the stage.
+            rng: Random generator of the stage; not used here, but by subclasses.
+            options: Options of the reset.
+        """
+        self._store_formula_move(stage_index, self.ranges["payload"][1])
+
+    def _store_formula_move(self, stage_index: int, payload: float) -> None:
+        """Compute and store the rates and ramps of the engineer's formula for a payload, kg, and the duration of that move."""
         move, distance = (
             compute_speeds(self.load.add_mass(payload), int(self.distance[stage_index])),
             int(self.distance[stage_index]),
@@ -222,19 +262,20 @@ class FewShotTuning(MachineTask[Config]):
         self.formula[stage_index] = *rate, took
 
     def scripted_action(self) -> np.ndarray:
-        """Return the engineer's formula (stage.tune.formula) as action of every try."""
+        """Return the actions of the engineer's formula (stage.tune.formula), the same for every attempt."""
         return np.stack([action_of(*row[:4]) for row in self.formula])
 
-    def prepare_next(self) -> None:
+    def prepare_next_step(self) -> None:
         for k in np.flatnonzero(self.converged & ~self.results["terminated"]):
-            self._place_next(int(k))
+            self._place_for_next_attempt(int(k))
 
-    def _place_next(self, stage_index: int) -> None:
-        """Place stage k for its next try, at the angle where ORG trips this time."""
+    def _place_for_next_attempt(self, stage_index: int) -> None:
+        """Place the carriage of a stage for its next attempt, where ORG trips this time."""
         self.angle[stage_index] = self._draw_origin_angle(stage_index)
         self._place_carriages(self.stages[stage_index], stage_index, float(self.angle[stage_index]))
 
     def _draw_origin_angle(self, stage_index: int) -> float:
+        """Draw the angle of the rotor at which ORG trips in the next attempt, in electrical turns from 0 to 1."""
         return float(
             (
                 self.context[stage_index]["switch"]
@@ -244,6 +285,14 @@ class FewShotTuning(MachineTask[Config]):
         )
 
     def _place_carriages(self, stage: Stage, stage_index: int, angle: float, extra_payload_kg: float = 0.0) -> None:
+        """Put a stage at power-up, with the machine of a stage's episode and the carriage at the start of its move.
+
+        Args:
+            stage: Stage to change.
+            stage_index: Index of the stage whose machine and move it gets.
+            angle: Angle of the rotor at the start, electrical turns from 0 to 1.
+            extra_payload_kg: Mass beyond the payload, kg.
+        """
         stage.restore(self.start)
         self.configure_stage(stage, stage_index, extra_payload_kg)
         stage.place(**{self.config.axis: self.trial.find_start(float(self.distance[stage_index]), angle)})
@@ -254,8 +303,8 @@ class FewShotTuning(MachineTask[Config]):
     # --- tries ---
 
     @property
-    def usual(self) -> np.ndarray:
-        """Time that each stage's move takes at the usual speeds, s, by the closed form."""
+    def usual_times_s(self) -> np.ndarray:
+        """Duration of each stage's move at the usual speeds, s, (n,), in closed form."""
         return compute_move_time(self.distance, Speeds().start, Speeds().drive, Speeds().up)
 
     def decode_action(self, action: np.ndarray, distance: int) -> tuple[float, float, float, float]:
@@ -264,54 +313,55 @@ class FewShotTuning(MachineTask[Config]):
         If the ramps do not fit into the move, the top rate and the ramp times are reduced until they do.
 
         Args:
-            action: (4,), from -1 to 1.
-            distance: Pulses of the move.
+            action: Action, (4,), from -1 to 1.
+            distance: Distance of the move, pulses.
 
         Returns:
-            Start rate and top rate, pps; times of the ramp up and the ramp down, s.
+            Start rate and top rate, pps; durations of the ramp up and the ramp down, s.
         """
         low, high = portable_math.log(np.array(list(RATES.values()))).T
         start, drive, up, down = portable_math.exp(
             low + (high - low) * (np.asarray(action, np.float64) + 1) / 2
         ).tolist()
         drive = max(drive, 1.05 * start)
-        flat = (up + down) / (drive - start)  # s2 a pulse: both ramps are as steep as that, wherever they end
+        flat = (up + down) / (drive - start)  # duration of both ramps for each pps of rate change, s2 a pulse
         top = min(drive, float(np.sqrt(start**2 + 2 * distance / flat)))
         shorter = (top - start) / (drive - start)
         return start, top, max(up * shorter, MIN_RAMP_S), max(down * shorter, MIN_RAMP_S)
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
-        """Return the registers of actions, (n, registers)."""
+        """Compute the registers of actions by the formulas of the chip, (n, registers)."""
         rows = []
         for action, distance in zip(actions, self.distance.tolist(), strict=True):
             values = self.driver.compute_move_registers(*self.decode_action(action, distance), distance, s_curve=False)
             rows.append([values[name] for name in self.names])
         return np.array(rows, np.int64)
 
-    def _compute_gain(self, tries: np.ndarray) -> np.ndarray:
-        """Compute the value of the answer after so many tries, (n,)."""
-        return self._compute_value(self._answer_costs(tries).min(axis=1))
+    def _compute_gain(self, attempts: np.ndarray) -> np.ndarray:
+        """Compute the value of the answer of each stage, (n,), after `attempts` attempts on it, (n,)."""
+        return self._compute_value(self._get_answer_costs(attempts).min(axis=1))
 
-    def _answer_costs(self, tries: np.ndarray) -> np.ndarray:
-        """Return the costs of the tries that may be the answer, (n, tries); infinite elsewhere."""
+    def _get_answer_costs(self, attempts: np.ndarray) -> np.ndarray:
+        """Return the costs of the attempts that can be the answer, (n, tries); infinite for all other attempts."""
         at = np.arange(self.config.tries)
-        is_answer = at < tries[:, None] if self.config.answer == "best" else at == tries[:, None] - 1
+        is_answer = at < attempts[:, None] if self.config.answer == "best" else at == attempts[:, None] - 1
         return np.where(is_answer, self.cost, np.inf)
 
     def _compute_value(self, cost: np.ndarray) -> np.ndarray:
-        """Return log(two usual times / cost); 0 for what costs more."""
-        return np.maximum(portable_math.log(2 * self.usual) - portable_math.log(cost), 0.0)
+        """Compute the value of a move: log(two usual times / cost); 0 for a higher cost."""
+        return np.maximum(portable_math.log(2 * self.usual_times_s) - portable_math.log(cost), 0.0)
 
     def make_programs(self) -> list[Program]:
-        return self._make_programs_of_rows(self.to_registers(self.actions))
+        return self._make_programs_from_registers(self.to_registers(self.actions))
 
-    def _make_programs_of_rows(self, rows: np.ndarray) -> list[Program]:
-        limits = (2 * self.usual).tolist()
+    def _make_programs_from_registers(self, rows: np.ndarray) -> list[Program]:
+        """Make the program of a move for the registers of each stage, (n, registers)."""
+        limits = (2 * self.usual_times_s).tolist()
         columns = zip(rows.tolist(), self.distance.tolist(), limits, strict=True)
-        return [self.trial.program(dict(zip(self.names, row, strict=True)), d, limit) for row, d, limit in columns]
+        return [self.trial.make_program(dict(zip(self.names, row, strict=True)), d, limit) for row, d, limit in columns]
 
     def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
-        c, t, usual = self.config, truth[:, self.axis.index], self.usual
+        c, t, usual = self.config, truth[:, self.axis.index], self.usual_times_s
         outcome = self.trial.read_outcomes(played, t, self.distance, ENCODER_COUNT_M)
         good = self.converged
         cost = outcome.duration + c.vibration_weight * outcome.vibration / TENTH_MM
@@ -320,7 +370,7 @@ class FewShotTuning(MachineTask[Config]):
         self.cost[indices, self.steps[indices] - 1] = np.where(outcome.in_step, cost, np.inf)[indices]
         self.rows[indices, self.steps[indices] - 1] = rows[indices]
         gain, last = self._compute_gain(self.steps) - before, self.steps >= c.tries
-        proved = self._prove_best(good & last)
+        proved = self._find_best_proved_cost(good & last)
         parts = {
             "gain": gain,
             "damage": np.where(outcome.lost | outcome.stopped, -c.damage_weight, 0.0),
@@ -348,10 +398,17 @@ class FewShotTuning(MachineTask[Config]):
         self.set_results(parts, info, last, False)
         write_scores(self.results["score"], proved, self.formula[:, 4], self.steps, *self.damage.T)
 
-    def _prove_best(self, which: np.ndarray) -> np.ndarray:
-        """Return the best cost that holds in a proof, (n,); infinite where none does, and for stages not in `which`."""
-        proved, left, every = np.full(self.n, np.inf), which.copy(), np.arange(self.n)
-        costs = self._answer_costs(self.steps)
+    def _find_best_proved_cost(self, stage_mask: np.ndarray) -> np.ndarray:
+        """Prove attempts, the best first, until one passes.
+
+        Args:
+            stage_mask: Mask of the stages whose attempts are proved, (n,).
+
+        Returns:
+            Lowest cost that passed its proof, (n,); infinite for stages without one.
+        """
+        proved, left, every = np.full(self.n, np.inf), stage_mask.copy(), np.arange(self.n)
+        costs = self._get_answer_costs(self.steps)
         order = np.argsort(costs, axis=1, kind="stable")
         for at in order.T:
             cost = costs[every, at]
@@ -363,10 +420,20 @@ class FewShotTuning(MachineTask[Config]):
             left &= ~proved_now
         return proved
 
-    def _prove_moves(self, which: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Return which stages keep step with these registers in `proofs` moves, `margin` kg heavier."""
-        c, holds = self.config, which.copy()
-        programs = self._make_programs_of_rows(np.where(which[:, None], rows, self.to_registers(self.actions)))
+    def _prove_moves(self, stage_mask: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Repeat a move `proofs` times on each stage, `margin` kg heavier and from other angles of the rotor.
+
+        Args:
+            stage_mask: Mask of the stages that move, (n,).
+            rows: Registers of the moves, (n, registers).
+
+        Returns:
+            Mask of the stages that kept step in all these moves, (n,).
+        """
+        c, holds = self.config, stage_mask.copy()
+        programs = self._make_programs_from_registers(
+            np.where(stage_mask[:, None], rows, self.to_registers(self.actions))
+        )
         for _ in range(c.proofs):
             if not holds.any():
                 break
@@ -383,7 +450,7 @@ class FewShotTuning(MachineTask[Config]):
         table = self.table
         if c.memory == "last":
             table = table[np.arange(n), np.maximum(self.steps - 1, 0)]
-        best = np.minimum(self.best_time / (2 * self.usual), 1.0)
+        best = np.minimum(self.best_time / (2 * self.usual_times_s), 1.0)
         columns = [
             np.stack([scaled_distance, 1.0 - self.steps / c.tries, best], axis=1),
             table.reshape(n, -1),
@@ -397,8 +464,12 @@ class FewShotTuning(MachineTask[Config]):
 
 
 class FewShotTuningEnv(StageEnv):
+    """Gymnasium environment stage/FewShotTuning-v1."""
+
     task = FewShotTuning
 
 
 class FewShotTuningVectorEnv(StageVectorEnv):
+    """Vector environment stage/FewShotTuning-v1."""
+
     task = FewShotTuning

@@ -1,13 +1,15 @@
 """Tasks on hidden machines: their common settings, their stage, and the machine of each episode.
 
 @dataclass(frozen=True)
-class Config(Machines):              split, model, chip, ranges, faults, bus_cycle and truth are there
-    FAULTS = faulty.HAMPERING        of the faults of a split those that its machines may have
+class Config(MachineSettings):              has split, model, chip, ranges, faults, bus_cycle and truth
+FAULTS = machine_faults.HAMPERING       the faults that machines of this task may have
 
 class MyTask(MachineTask[Config]):
-    prepare:   self.prepare_machines()          `machines`, `ranges`, `faults` and `context`, (n,) CONTEXT
-    begin:     self.draw_machine(k, options)
-    step:      self.outfit(stage, k) after a stage was restored
+def make_spaces_and_arrays(self):
+    self.prepare_machines()             makes `machines`, `ranges`, `faults` and `context`
+def begin_episode(self, stage_index, options):
+    self.draw_machine(stage_index, options)
+    self.configure_stage(self.stages[stage_index], stage_index)     also after each restore of the stage
 """
 
 from __future__ import annotations
@@ -21,33 +23,62 @@ import numpy as np
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import machine_contexts, machine_faults
-from stage.envs.settings import AxisName, Cycle, Number, Pair, Payloads, Range, Settings, TruthOption, Word, Words
+from stage.envs.settings import (
+    AxisName,
+    ChoiceSetting,
+    ChoicesSetting,
+    Cycle,
+    NumberSetting,
+    Pair,
+    Payloads,
+    RangeSetting,
+    Settings,
+    TruthOption,
+)
 from stage.envs.task import ConfigT, MoveTask
 from stage.errors import ArgumentError, unknown_name_error
-from stage.sim.named_points import find_carrier
+from stage.sim.named_points import find_payload_body
 
 
 @dataclass(frozen=True)
 class MachineSettings(Settings):
-    """Settings that say where the machines of the episodes come from; None: as the split has it."""
+    """Settings that define from which distribution the machines of the episodes are drawn. None stands for the split's value.
+
+    Attributes:
+        split: Name of the distribution, a key of SPLITS.
+        model: Name of the model.
+        chip: Name or class of the chip.
+        payloads: Smallest and largest payload, kg.
+        frictions: Range of the factor on the friction and damping of the model.
+        supplies: Range of the factor on the nominal supply voltage.
+        currents: Range of the factor on the current of the drive.
+        losses: Range of the factor on the core loss of the motor.
+        inductances: Range of the factor on the inductance of the motor.
+        drifts: Range of the largest drift of ORG between two attempts, in electrical turns.
+        faults: Names of the faults that may be drawn.
+        healthy: Share of the machines without a fault, for a split that has faults.
+        payload_on: Body that carries the payload, or a site on it; None: see `find_payload_body`.
+        bus_cycle: Duration of a bus cycle, s.
+        truth: Whether observation and info have values that no host can know: True (both), "info" (info alone), False (neither).
+    """
 
     FAULTS: ClassVar[tuple[str, ...]] = machine_faults.HAMPERING
-    """That machines of this task may have."""
-    split: Annotated[str, Word(tuple(machine_contexts.SPLITS))] = "train"
+    """Faults that machines of this task may have."""
+    split: Annotated[str, ChoiceSetting(tuple(machine_contexts.SPLITS))] = "train"
     model: str | None = None
     chip: str | type[Chip] | None = None
-    payloads: Payloads | None = None  # kg
-    frictions: Annotated[Pair, Range(1e-3)] | None = None  # times the model's
-    supplies: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal voltage
-    currents: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the current of the drive
-    losses: Annotated[Pair, Range(0.01, high=10.0)] | None = None  # times the core loss of the motor
-    inductances: Annotated[Pair, Range(0.1, high=10.0)] | None = None  # times the inductance of the motor
-    drifts: Annotated[Pair, Range(0.0, high=0.5)] | None = None  # electrical turns, from try to try
-    faults: Annotated[tuple[str, ...], Words(machine_faults.NAMES)] | None = None
-    healthy: Annotated[float, Number(high=1.0)] = 0.0  # share of machines without a fault, where there are faults
-    payload_on: AxisName | None = None  # body or site that carries it; None: see find_carrier
-    bus_cycle: Cycle = 1e-6  # s
-    truth: TruthOption = "info"  # where what no host can see is shown: observation_features.py
+    payloads: Payloads | None = None
+    frictions: Annotated[Pair, RangeSetting(1e-3)] | None = None
+    supplies: Annotated[Pair, RangeSetting(0.1, high=2.0)] | None = None
+    currents: Annotated[Pair, RangeSetting(0.1, high=2.0)] | None = None
+    losses: Annotated[Pair, RangeSetting(0.01, high=10.0)] | None = None
+    inductances: Annotated[Pair, RangeSetting(0.1, high=10.0)] | None = None
+    drifts: Annotated[Pair, RangeSetting(0.0, high=0.5)] | None = None
+    faults: Annotated[tuple[str, ...], ChoicesSetting(machine_faults.NAMES)] | None = None
+    healthy: Annotated[float, NumberSetting(high=1.0)] = 0.0
+    payload_on: AxisName | None = None
+    bus_cycle: Cycle = 1e-6
+    truth: TruthOption = "info"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -59,9 +90,14 @@ class MachineSettings(Settings):
 
 
 class MachineTask(MoveTask[ConfigT]):
-    """A task of steppers' slides on machines that the host does not know.
+    """Base of the tasks on slides with stepper motors whose machine the host does not know.
 
-    Attributes: machines, an axis each, as the model has them; ranges of a context; faults, names that may be drawn; context, (n,).
+    Attributes:
+        machines: For each axis, the values of the model that a context changes.
+        faulty: For each axis, the values that a fault changes.
+        ranges: Smallest and largest value of each number of a context, by name.
+        faults: Names of the faults that may be drawn.
+        context: Context of each stage, CONTEXT records, (n,).
     """
 
     context: np.ndarray
@@ -74,7 +110,7 @@ class MachineTask(MoveTask[ConfigT]):
 
     def make_stage(self, visuals: bool) -> Stage:
         c: Any = self.config
-        model, chip = (machine_contexts.get_setting(c, name) for name in ("model", "chip"))
+        model, chip = (machine_contexts.get_split_setting(c, name) for name in ("model", "chip"))
         new_stage = Stage(model, chips=chip_class(chip), bus_cycle=c.bus_cycle, visuals=visuals)
         for name in self.axis_names:
             if name not in new_stage.axes:
@@ -84,22 +120,22 @@ class MachineTask(MoveTask[ConfigT]):
         return new_stage
 
     def prepare_machines(self) -> None:
-        """Read the nominal machines from stages that nobody has changed; a subclass calls it in `prepare`."""
+        """Read the nominal machines from the first stage, before any context. Subclasses call this in `make_spaces_and_arrays`."""
         c: Any = self.config
         first, names = self.stages[0], self.axis_names
-        on = find_carrier(first, names[0], c.payload_on)
+        on = find_payload_body(first, names[0], c.payload_on)
         self.machines = [machine_contexts.NominalMachine.from_stage(first, name, on) for name in names]
         self.faulty = [machine_faults.FaultyAxis.from_stage(first, name) for name in names]
         self.ranges = machine_contexts.get_context_ranges(c)
-        self.faults = tuple(name for name in machine_contexts.get_setting(c, "faults") if name in c.FAULTS)
+        self.faults = tuple(name for name in machine_contexts.get_split_setting(c, "faults") if name in c.FAULTS)
         self.context = np.zeros(self.n, machine_contexts.CONTEXT)
 
     def draw_machine(self, stage_index: int, options: Mapping[str, Any], axes: int | None = None) -> None:
-        """Draw the machine of stage k's episode.
+        """Draw the machine of a stage's next episode.
 
         Args:
-            stage_index: Number of the stage.
-            options: Of the reset.
+            stage_index: Index of the stage.
+            options: Options of the reset, which replace drawn values.
             axes: Number of axes that may have a fault; default: all.
         """
         machine_contexts.draw_context(self.rngs[stage_index], self.ranges, self.context[stage_index], options)
@@ -108,11 +144,19 @@ class MachineTask(MoveTask[ConfigT]):
         )
 
     def make_fault_rng(self, stage_index: int) -> np.random.Generator:
-        """Make a generator of numbers that do not change what stage k draws from now on."""
+        """Make the generator that draws a stage's fault, without changing what the generator of the stage draws afterwards."""
         bits: Any = self.rngs[stage_index].bit_generator
         return np.random.Generator(bits.jumped())
 
     def draw_fault(self, stage_index: int, options: Mapping[str, Any], rng: np.random.Generator, axes: int) -> None:
+        """Draw the fault of a stage's next episode.
+
+        Args:
+            stage_index: Index of the stage.
+            options: Options of the reset; "fault" names the fault instead.
+            rng: Random generator.
+            axes: Number of axes that may have the fault.
+        """
         c: Any = self.config
         machine_faults.draw_machine_fault(rng, self.faults, c.healthy, axes, self.context[stage_index])
         if "fault" in options:
@@ -123,18 +167,18 @@ class MachineTask(MoveTask[ConfigT]):
     def configure_stage(
         self, stage: Stage, stage_index: int, extra_payload_kg: float = 0.0, bounce: float = 0.0
     ) -> None:
-        """Make a stage the machine of stage k's episode.
+        """Apply the machine of an episode, with its fault, to a stage.
 
         Args:
-            stage: To change.
-            stage_index: Number of the stage whose machine it becomes.
-            extra_payload_kg: kg beyond the payload.
-            bounce: Seconds for which the contact of ORG bounces.
+            stage: Stage to change.
+            stage_index: Index of the stage whose episode has the machine.
+            extra_payload_kg: Mass beyond the payload, kg.
+            bounce: Time for which the contact of ORG bounces, s.
         """
         context = self.context[stage_index]
         fault, at = int(context["fault"]), int(context["faulty"])
         for machine in self.machines:
-            machine.apply(stage, context, extra_payload_kg + machine_faults.find_overload(fault))
+            machine.apply(stage, context, extra_payload_kg + machine_faults.compute_overload_kg(fault))
         for j, axis in enumerate(self.faulty):
             axis.apply(stage, machine_faults.NAMES[fault if j == at else 0], bounce)
 
@@ -142,15 +186,15 @@ class MachineTask(MoveTask[ConfigT]):
         self.configure_stage(self.stages[stage_index], stage_index)
 
     def describe_machine(self, stage_index: int) -> dict[str, Any]:
-        """Return the machine of stage k for the info of a reset."""
+        """Return the machine of a stage for the info of a reset, by name."""
         return {f.name: f.kind(self.context[stage_index][f.name]) for f in machine_contexts.INFO}
 
     @property
     def machine_info(self) -> dict[str, np.ndarray]:
-        """Machines for the info of a step, by name."""
+        """Machines of all stages for the info of a step, by name."""
         return {f.name: self.context[f.name] for f in machine_contexts.INFO}
 
     @property
     def machine_features(self) -> np.ndarray:
-        """Machines for an observation with truth=True, (n, features)."""
+        """Machines of all stages as numbers of an observation with truth=True, (n, features)."""
         return machine_contexts.scale_contexts(self.ranges, self.context)

@@ -1,13 +1,13 @@
 """Hidden machines of episodes: the values that the host does not know, their ranges by split, and how they are drawn.
 
-    SPLITS["train"]            settings by name; every other split is the same but for what it names
+    SPLITS["train"]            settings by name; another split names only what differs from train
     context = np.zeros((), CONTEXT)
     draw_context(rng, ranges, context, options)
     NominalMachine.from_stage(stage, "x", carrier).apply(stage, context)
 
-Which fault a machine has is part of its context: machine_faults.py draws and makes them. hidden_machines.py has what tasks on
-hidden machines share. A context is the machine's: a stage's snapshots leave all of it alone but the current and the inductance,
-which the drive has.
+A context includes the fault of the machine, which machine_faults.py draws and makes. hidden_machines.py has the common part of
+all tasks on hidden machines. A snapshot of a stage contains only two values of a context, the current and the inductance of the
+drive. The task applies the context again after it has restored a stage.
 """
 
 from __future__ import annotations
@@ -28,8 +28,12 @@ from stage.native import record
 from stage.support import portable_math
 
 
-def _compute_factors(value: str) -> tuple[float, float]:
-    """Compute the spread of a value over the nominal one, for the motor of the shipped models."""
+def _compute_tolerance_factors(value: str) -> tuple[float, float]:
+    """Compute the smallest and largest value of a motor property, as factors on its nominal value.
+
+    Args:
+        value: Attribute of the motor of the shipped models, such as "inductance".
+    """
     motor = MOTORS["17HS4401"]
     nominal, (low, high, _) = getattr(motor, value), estimate_tolerances(motor)[value]
     return round(low / nominal, 2), round(high / nominal, 2)
@@ -38,7 +42,8 @@ def _compute_factors(value: str) -> tuple[float, float]:
 SPLITS: dict[str, dict[str, Any]] = {
     "train": {
         "model": "xyz", "chip": "PCL240K", "payloads": (0.0, 5.0), "frictions": (0.5, 2.0), "supplies": (0.7, 1.1),
-        "currents": (0.6, 1.0), "losses": _compute_factors("core_loss_damping"), "inductances": _compute_factors("inductance"),
+        "currents": (0.6, 1.0), "losses": _compute_tolerance_factors("core_loss_damping"),
+        "inductances": _compute_tolerance_factors("inductance"),
         "drifts": (0.0, 0.1), "faults": ("org open", "org closed"),
     },
     "heavy": {"payloads": (5.0, 10.0)},
@@ -50,13 +55,13 @@ SPLITS: dict[str, dict[str, Any]] = {
     "mast": {"model": "xy_mast"},
     "faults": {"faults": ("jam", "phase open", "brownout", "binding", "sag", "overload", "bounce")},
 }  # fmt: skip
-"""Where contexts come from: of "train" a policy may learn, the others test it. All that a split does not name is as in train. A
-task takes those of the faults that its machines may have (`FAULTS` of its Config): none of train, but for DriftingHome.
+"""Distributions of contexts by name. A policy may learn from "train"; the others test it. Values that a split does not name are
+those of train. Of the faults, a task uses only those in `FAULTS` of its Config; only DriftingHome uses the faults of train.
 
-The current, which a drive's switch or potentiometer sets, scales the torque up to the speed where the supply limits the
-current. Above that speed loss and inductance count. Those of train are the spread of the shipped models' motor
-(stage/drives/motor_tolerances.py); those of weak begin where it ends, up to a loss of 9e-4 N m s/rad, which is that of the
-motor whose curve is published."""
+A switch or potentiometer of the drive sets the current, which scales the torque up to the speed at which the supply limits the
+current. Above that speed, core loss and inductance limit the torque. Their ranges in train are the tolerances of the shipped
+models' motor (stage/drives/motor_tolerances.py). Those in weak begin where the tolerances end. Its largest loss, 9e-4 N m s/rad,
+is that of the motor whose curve is published."""
 
 KINDS = {
     "payload": ("payloads", "kg on the table"),
@@ -71,17 +76,17 @@ KINDS = {
         "largest number of electrical turns by which ORG trips earlier or later from attempt to attempt",
     ),
 }
-"""Of a context: its setting, and what it is."""
+"""Numbers of a context: name -> (setting with its range; "" for 0 to 1, meaning)."""
 LOGARITHMIC = ("friction", "loss")
-"""Parts that are drawn evenly by their logarithm; the others are drawn evenly."""
+"""Numbers of a context that are drawn evenly by their logarithm; all others are drawn evenly."""
 
 CONTEXT = record([(name, "f8") for name in KINDS] + [("fault", "i8"), ("faulty", "i8")])
-"""fault: its number in faulty.NAMES, 0 for none; faulty: which of the task's axes has it."""
+"""Numbers of a context; fault: index in machine_faults.NAMES, 0 for none; faulty: index of the axis that has the fault."""
 OPTIONS = (*KINDS, "fault")
-"""Parts of a machine that `reset(options=...)` takes."""
+"""Values of a machine that options of a reset can set."""
 INFO = (
     *(Feature(name, TRUTH, f"{text}, of the episode", kind=float) for name, (_, text) in KINDS.items()),
-    Feature("fault", TRUTH, "number of the machine's fault in faulty.NAMES, 0 for none", kind=int),
+    Feature("fault", TRUTH, "number of the machine's fault in machine_faults.NAMES, 0 for none", kind=int),
 )
 """Features of a machine in an info."""
 
@@ -92,38 +97,38 @@ OBSERVATION = (
 """Features of a machine in an observation with truth=True; `scale_contexts` computes them."""
 
 
-def get_setting(config: Any, name: str) -> Any:
-    """Return a setting of a Config that has a split: the value of the Config, or that of the split if it is None.
+def get_split_setting(config: Any, name: str) -> Any:
+    """Return a setting of a Config; if it is None, return the value of the Config's split.
 
     Args:
         config: Settings with the attribute `split`.
-        name: Of the setting.
+        name: Name of the setting.
     """
     value = getattr(config, name)
     return SPLITS[config.split].get(name, SPLITS["train"][name]) if value is None else value
 
 
 def get_context_ranges(config: Any) -> dict[str, tuple[float, float]]:
-    """Return the least and the largest value of each number of a context."""
+    """Return the smallest and largest value of each number of a context, by name."""
     unit_range = (0.0, 1.0)
-    return {name: get_setting(config, kind) if kind else unit_range for name, (kind, _) in KINDS.items()}
+    return {name: get_split_setting(config, kind) if kind else unit_range for name, (kind, _) in KINDS.items()}
 
 
 def draw_context(
-    rng: np.random.Generator, ends: Mapping[str, tuple[float, float]], context: Any, options: Mapping[str, Any]
+    rng: np.random.Generator, ranges: Mapping[str, tuple[float, float]], context: Any, options: Mapping[str, Any]
 ) -> None:
-    """Draw the numbers of a context: evenly, those of LOGARITHMIC by their logarithm.
+    """Draw the numbers of a context, evenly over their ranges; those in LOGARITHMIC evenly by their logarithm.
 
     Args:
-        rng: Random generator; each number is drawn in any case, so that an option changes no other number.
-        ends: Least and largest value by name.
+        rng: Random generator. Each number is drawn even if an option replaces it, so that an option changes no other number.
+        ranges: Smallest and largest value of each number, by name.
         context: Record to fill.
-        options: Values in place of drawn ones.
+        options: Values that replace drawn ones, by name.
 
     Raises:
-        ArgumentError: An option is beyond its ends.
+        ArgumentError: An option is out of its range.
     """
-    for name, (low, high) in ends.items():
+    for name, (low, high) in ranges.items():
         drawn = (
             portable_math.exp(rng.uniform(*portable_math.log((low, high))))
             if name in LOGARITHMIC
@@ -132,17 +137,17 @@ def draw_context(
         context[name] = read_option(options, name, float(drawn), (low, high))
 
 
-def scale_contexts(ends: Mapping[str, tuple[float, float]], context: np.ndarray) -> np.ndarray:
+def scale_contexts(ranges: Mapping[str, tuple[float, float]], context: np.ndarray) -> np.ndarray:
     """Scale contexts for an observation.
 
     Args:
-        ends: Least and largest value by name.
-        context: Records, (n,).
+        ranges: Smallest and largest value of each number, by name.
+        context: CONTEXT records, (n,).
 
     Returns:
-        Numbers from -1 to 1 over their ranges, and 1 for a machine with a fault, (n, OBSERVATION).
+        Each number from -1 to 1 over its range, and 1 for a machine with a fault, (n, len(OBSERVATION)).
     """
-    numbers = [scale(context[name], span) for name, span in ends.items()]
+    numbers = [scale(context[name], span) for name, span in ranges.items()]
     return np.stack([*numbers, context["fault"] != 0], axis=1)
 
 
@@ -153,9 +158,9 @@ class NominalMachine:
     Attributes:
         axis: Name of the axis.
         carrier: Name of the body that carries the payload.
-        friction: Friction of the joint, N (N m on a hinge).
+        friction: Dry friction of the joint, N (N m on a hinge).
         damping: Damping of the joint, N s/m (N m s/rad on a hinge).
-        supply: Voltage of the supply, V.
+        supply: Supply voltage, V.
         current: Current of the power stage, A.
         loss: Core loss damping of the motor, N m s/rad.
         inductance: Inductance of a winding, H.
@@ -172,11 +177,11 @@ class NominalMachine:
 
     @classmethod
     def from_stage(cls, stage: Stage, axis: str, carrier: str) -> NominalMachine:
-        """Read the values of an axis from a stage that nobody has changed.
+        """Read the values of an axis from a stage that no context has changed.
 
         Args:
-            stage: At power-up.
-            axis: Its name.
+            stage: Stage at power-up.
+            axis: Name of the axis.
             carrier: Name of the body that carries the payload.
         """
         a, model = stage.axes[axis], stage.model
@@ -188,12 +193,12 @@ class NominalMachine:
         return cls(axis, carrier, friction, damping, float(a.faults.bus_voltage), current, loss, inductance)
 
     def apply(self, stage: Stage, context: Any, extra_payload_kg: float = 0.0) -> None:
-        """Make the stage the machine of a context. After a restore it has to be done again, for the drive.
+        """Apply a context to a stage. Call this again after each restore, which resets the drive.
 
         Args:
-            stage: To change.
-            context: Record of CONTEXT.
-            extra_payload_kg: kg beyond the payload of the context.
+            stage: Stage to change.
+            context: CONTEXT record.
+            extra_payload_kg: Mass in addition to the payload of the context, kg.
         """
         axis = stage.axes[self.axis]
         dof, drive = axis.plant.dof, stage.state.drives[axis.index]

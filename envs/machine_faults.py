@@ -1,8 +1,8 @@
 """Faults that the machine of an episode may have, drawn by name; stage/sim/faults.py explains their physics.
 
-draw(rng, names, 0.6, 1, context)       which a machine has, if any
-faults = Faulty.of(stage, "x")          the axis as it is without
-faults.put(stage, "org open")           and with; "none" mends it
+draw_machine_fault(rng, names, 0.6, 1, context)      draws a fault, or none with a probability of 0.6
+healthy = FaultyAxis.from_stage(stage, "x")          reads the axis without a fault
+healthy.apply(stage, "org open")                     makes the fault; "none" clears it
 """
 
 from __future__ import annotations
@@ -31,28 +31,28 @@ FAULTS = {
     "bounce": "the contact of ORG bounces for 1 ms",
 }
 NAMES = tuple(FAULTS)
-"""A context keeps a fault by its number in here."""
+"""Names of the faults; a context holds the index of its fault in this tuple."""
 DISABLING = NAMES[1:6]
-"""With these an axis does not do what it is told; a host can only notice and say so."""
+"""Faults with which an axis cannot make its moves; a host can only detect and report them."""
 HAMPERING = ("binding", "sag", "overload")
-"""With these it still moves, but not as a healthy one; all can be worked around by slower moves."""
-BROWNOUT, SAG = 0.03, 0.6  # of the voltage
-BINDING = 0.25  # of what the motor can push
-OVERLOAD = 12.0  # kg
-BOUNCE, TOGGLES = 1e-3, 6  # s; of a bouncing contact
+"""Faults with which an axis still moves, but worse than a healthy one; slower moves avoid the effects."""
+BROWNOUT, SAG = 0.03, 0.6  # supply voltage, as a share of its healthy value
+BINDING = 0.25  # additional friction, as a share of the motor's largest force
+OVERLOAD = 12.0  # additional payload, kg
+BOUNCE, TOGGLES = 1e-3, 6  # duration of a bounce, s; number of level changes in it
 _SWITCH = {"org open": 0, "org closed": 1}
 _SUPPLY = {"brownout": BROWNOUT, "sag": SAG}
 _PUSH = {"jam": DEFAULT_JAM_FACTOR, "binding": BINDING}
 
 
 def draw_machine_fault(rng: np.random.Generator, names: Sequence[str], healthy: float, axes: int, context: Any) -> None:
-    """Draw the fault of a context: none with the probability `healthy`, else one of `names`, on one of `axes` axes.
+    """Draw the fault of a context: none with the probability `healthy`, otherwise one of `names` on one of the axes.
 
     Args:
         rng: Random generator.
-        names: Of the faults that may be drawn.
+        names: Names of the faults that may be drawn.
         healthy: Probability of no fault.
-        axes: Number of axes that may have it.
+        axes: Number of axes that may have the fault.
         context: Record to fill.
     """
     broken, which = rng.uniform() >= healthy, int(rng.integers(0, max(len(names), 1)))
@@ -60,14 +60,28 @@ def draw_machine_fault(rng: np.random.Generator, names: Sequence[str], healthy: 
     context["faulty"] = rng.integers(0, axes) if axes > 1 else 0
 
 
-def find_overload(fault: int) -> float:
-    """Return the mass on the table beyond the payload, kg."""
+def compute_overload_kg(fault: int) -> float:
+    """Return the mass that a fault adds to the payload, kg.
+
+    Args:
+        fault: Index of the fault in NAMES.
+    """
     return OVERLOAD if NAMES[fault] == "overload" else 0.0
 
 
 @dataclass(frozen=True)
 class FaultyAxis:
-    """The parts of an axis that faults change, as a healthy machine has them, after its context was put on."""
+    """Axis whose faults can be made and cleared, with the values that it has without a fault.
+
+    Attributes:
+        axis: Name of the axis.
+        row: Row of its ORG switch in the stage's table of switches; None without ORG.
+        forced: State to which ORG is forced in the healthy machine; -1 if it is not forced.
+        solref: Reference parameters of the joint's friction constraint (MuJoCo's dof_solref).
+        solimp: Impedance parameters of the joint's friction constraint (MuJoCo's dof_solimp).
+        phases: Bit mask of the motor phases that are open.
+        push: Largest force of the motor on the joint, N.
+    """
 
     axis: str
     row: int | None
@@ -79,11 +93,11 @@ class FaultyAxis:
 
     @classmethod
     def from_stage(cls, stage: Stage, axis: str) -> FaultyAxis:
-        """Read the parts of an axis from a stage that nobody has changed.
+        """Read an axis from a stage on which no fault has been made.
 
         Args:
-            stage: At power-up.
-            axis: Its name.
+            stage: Stage at power-up.
+            axis: Name of the axis.
         """
         a, model = stage.axes[axis], stage.model
         row = a.switches.row("org") if any(s.pin == "org" for s in a.plant.switches) else None
@@ -94,15 +108,15 @@ class FaultyAxis:
         )
 
     def apply(self, stage: Stage, name: str, bounce: float = 0.0) -> None:
-        """Give the machine this fault and no other, after its context was applied.
+        """Make one fault on the axis and clear all others. Call this after the context was applied.
 
         Args:
-            stage: To change.
-            name: Of the fault; "none" clears it.
-            bounce: Seconds for which the contact of ORG bounces.
+            stage: Stage to change.
+            name: Name of the fault; "none" clears all faults.
+            bounce: Time for which the contact of ORG bounces, s.
 
         Raises:
-            ArgumentError: The fault is of a switch that the axis does not have.
+            ArgumentError: The fault is of an ORG switch, and the axis has none.
         """
         axis: Any = stage.axes[self.axis]
         model, dof = stage.model, axis.plant.dof

@@ -1,8 +1,8 @@
-"""Features: the numbers of an observation and the values of an info, each with a note whether a host could know it.
+"""Features: the numbers of an observation and the values of an info, and for each whether a host could know it.
 
 A host reads the bus, has a clock, and can compute what follows from its own writes. Everything else is TRUTH: the position of
-the carriage, lost steps, swing, payload, friction, the angle of the rotor, and the parts of the reward. Spaces, the setting
-`truth` and docs/envs_features.md come from one table for each environment.
+the carriage, lost steps, swing, payload, friction, the angle of the rotor, and the parts of the reward. Each environment has one
+table of features, from which its spaces, the setting `truth` and docs/envs_features.md follow.
 
     python -m stage.envs.observation_features > docs/envs_features.md
 """
@@ -20,14 +20,15 @@ HOST, TRUTH = "host", "truth"
 
 @dataclass(frozen=True)
 class Feature:
-    """A number of an observation, or a value of an info.
+    """Description of a number of an observation, or of a value of an info.
 
     Attributes:
-        name: Key of the info; numbers of an observation may share one.
-        who: HOST or TRUTH.
-        text: What it is, with its unit.
-        each: There is one for each of these, such as "axis" or "chip".
-        kind: Type of the value in the info of a step; None: it is in the info of a reset alone, or in an observation.
+        name: Key in the info; several numbers of an observation may share a name.
+        who: HOST if a host can know the value, TRUTH if only the simulation knows it.
+        text: Meaning and unit.
+        each: Thing of which each has such a number, such as "axis" or "chip"; "" for a single number.
+        kind: Type of the value in the info of a step. None for numbers of an observation, and for values that only the info of a
+            reset has.
     """
 
     name: str
@@ -45,10 +46,10 @@ EVERY_STEP = (
 
 
 class TruthSetting:
-    """Kind of the setting `truth`: True, False, or "info"."""
+    """Check of the setting `truth`, which accepts True, False and "info"."""
 
     def check(self, name: str, value: Any) -> None:
-        """Raise ArgumentError for any other value of the setting `name`."""
+        """Raise ArgumentError unless the setting `name` accepts the value."""
         if not isinstance(value, bool) and not (isinstance(value, str) and value == "info"):
             raise ArgumentError(
                 f"{name}={value!r}: True (observation and info have what no host can see), 'info' (info alone) or False (neither)."
@@ -56,12 +57,22 @@ class TruthSetting:
 
 
 def list_visible(features: Iterable[Feature], truth: Any) -> list[bool]:
-    """List for each feature whether an observation has it under this setting of `truth`."""
+    """List for each feature whether an observation contains it.
+
+    Args:
+        features: Features of the observation.
+        truth: The setting `truth`.
+    """
     return [f.who == HOST or truth is True for f in features]
 
 
 def list_hidden(features: Iterable[Feature], truth: Any) -> frozenset[str]:
-    """List the names that an info leaves out under this setting of `truth`."""
+    """List the names that an info lacks because of the setting `truth`.
+
+    Args:
+        features: Features of the info.
+        truth: The setting `truth`.
+    """
     return frozenset(f.name for f in (*features, *EVERY_STEP) if f.who == TRUTH and truth is False)
 
 
@@ -85,8 +96,8 @@ setting: a policy that learns from them uses truth during training, but not when
 """
 
 
-def write_features_page() -> str:
-    """Write docs/envs_features.md."""
+def format_features_page() -> str:
+    """Return the text of docs/envs_features.md."""
     from importlib import import_module
 
     from stage.envs import IDS
@@ -104,4 +115,4 @@ def write_features_page() -> str:
 
 
 if __name__ == "__main__":
-    print(write_features_page(), end="")
+    print(format_features_page(), end="")

@@ -8,15 +8,15 @@ from stage.sim.axis import Axis
 
 
 class OriginSwitch:
-    """ORG switch and end limits of an axis.
+    """ORG switch of an axis, which can be shifted, and the positions of the end limits.
 
     Args:
-        stage: Whose switch nobody has shifted.
-        axis: Of the stage.
+        stage: Stage on which no ORG switch has been shifted.
+        axis: Axis of the stage.
 
     Attributes:
-        position: Where ORG trips, m.
-        low, high: Where the end limits trip, m.
+        position: Position at which ORG trips, m.
+        low, high: Positions at which the end limits trip, m.
 
     Raises:
         ArgumentError: The axis lacks one of the switches.
@@ -34,10 +34,10 @@ class OriginSwitch:
         self._nominal = stage.model.geom_pos[self._beam].copy()
 
     def shift(self, stage: Stage, distance: float) -> None:
-        """Shift the switch of a stage along the travel.
+        """Shift the ORG switch of a stage along the travel of the axis.
 
         Args:
-            stage: The same model.
-            distance: From its nominal place, m.
+            stage: Stage to change, with the same model.
+            distance: Signed distance from the nominal position, m.
         """
         stage.model.geom_pos[self._beam] = self._nominal + self._direction * distance

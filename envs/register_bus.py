@@ -2,40 +2,40 @@
 
 action        MultiDiscrete [kind, chip, address, value]
               kind 0 writes `value` to `address` of a chip, kind 1 reads that address, kind 2 + k waits for waits[k].
-              Entries that a kind does not use are ignored. Addresses and values are those of the chip's bus: 0..3 and a byte on
-              a PCL-240, one an axis; 0..7 and a word of 16 bits on a NOVA chip, one for several axes; 0..63 and a byte on an
-              HCTL-1100, one an axis.
+              Numbers that a kind does not use are ignored. Addresses and values are those of the chip's bus: 0..3 and a byte on
+              a PCL-240, one chip for each axis; 0..7 and a word of 16 bits on a NOVA chip, one chip for several axes; 0..63 and a
+              byte on an HCTL-1100, one chip for each axis.
 observation   float32 in [-1, 1]; for every chip in turn
               status bits b0.. as last read (PCL-240 8, NOVA 16: RR0, HCTL-1100 8: R07)
-              what was last read at the other addresses (3: bytes of a PCL-240's counter; 7: RR1..RR7), / the largest datum
+              last values read at the other addresses (3: bytes of a PCL-240's counter; 7: RR1..RR7), / the largest datum
               age of the values of all addresses (4; 8; 64): 0 never read, else 1 / (1 + age / 1 ms)
-              and then for each of its axes
+              then for each axis of the chip
               target / distances[1], pulses from the start; 0 with goal "home"
-              and with truth=True, what no host knows: the carriage's
-              place in its travel    velocity / 0.5 m/s    lost full steps / 64    error / its scale
-              then for all
+              and with truth=True, which no host knows: the carriage's
+              position in its travel    velocity / 0.5 m/s    lost full steps / 64    error / its scale
+              then once
               value of the last read / the largest    1 if the last action was a read    time / time_limit    actions / cycles
-              With live=True the addresses always show the present values (PCL-240: status and R0; NOVA: RR0 to RR7), the
-              entries of age are 1, and no bus cycle is needed.
-              With truth=False the info has no truth either, see observation_features.py.
+              With live=True, the addresses always show the present values (PCL-240: status and R0; NOVA: RR0 to RR7), the
+              ages are 1, and no bus cycle is needed to read.
+              With truth=False, the info has no truth either, see observation_features.py.
 reward        the sum of
-              progress   progress_weight x (potential now - potential before); the potential is - the mean of the axes' errors
-                         beyond the tolerance / scale (distances[1], or with "home" the way from EL to EL), 0 at success
+              progress   progress_weight x (potential now - potential before). The potential is minus the mean of the axes' errors
+                         beyond the tolerance / scale (distances[1], or with "home" the distance from EL to EL), 0 at success
               time       - time_weight x s
               success    success_weight, once
-              lost       - lost_weight for every full step lost, the first 64 of an episode
-              failed     - what is left of both at an end without success: time_weight x s up to the time limit, lost_weight x
-                         full steps up to 64. So every failure costs the same but for its progress: to be out of actions soon,
-                         or to wait, pays no better than a try that loses steps.
-              With a `discount` below 1, the learner's own, these parts are paid at the end of the episode, each whole: their sum
-              is what the episode is worth. Until then there is a loan on it, in progress: discount x loan now - loan before, at
-              every end - loan before. The loan is what the episode was worth so far, at least minus the cost of a failure,
-              / (1 + (1 - discount) x cycles). So the sum, each reward discounted, is discount^(steps - 1) x worth, whatever was
-              lent (potential-based shaping), and the plain sum differs from the worth by less than the largest worth so far.
+              lost       - lost_weight for every lost full step, the first 64 of an episode
+              failed     the rest of both costs at an end without success: time_weight x s up to the time limit, and lost_weight x
+                         full steps up to 64. So every failure costs the same except for its progress: to use up the actions
+                         early, or to wait, is not better than a try that loses steps.
+              A `discount` below 1 should be the learner's own. These parts are then paid in full at the end of the episode, and
+              their sum is what the episode is worth. Until then, `progress` pays a loan: discount x loan now - loan before; at the
+              end, - loan before. The loan is what the episode was worth so far, at least minus the cost of a failure, divided by
+              (1 + (1 - discount) x cycles). So the sum of the discounted rewards is discount^(steps - 1) x worth, whatever the
+              loans were (potential-based shaping), and the plain sum differs from the worth by less than the largest worth.
 episode       terminated at success: every axis has stopped, stands within `tolerance` of its goal, and (with "position") has
               lost no step. Truncated after `time_limit` s or `cycles` actions.
-goal          "position": random targets, uniform on a log scale, in either direction from the position at power-up, which is that
-              of the model but for the rotor's angle, drawn anywhere in an electrical turn (of a servo, in a count).
+goal          "position": random targets, uniform on a log scale, in either direction from the position at power-up. That is the
+              model's, except for the rotor's angle, which is drawn over an electrical turn (of a servo, over a count).
               "home": each carriage begins anywhere between its end limits, and must end where ORG trips.
 """
 
@@ -61,40 +61,63 @@ from stage.errors import ArgumentError, unknown_name_error
 from stage.sim import program_player
 from stage.support import portable_math
 
-WRITE, READ, WAIT = core.WRITE, core.READ, core.WAIT  # kinds of action; WAIT + k
+WRITE, READ, WAIT = core.WRITE, core.READ, core.WAIT  # kinds of action; WAIT + k waits for waits[k]
 GOALS = ("position", "home")
-DISTANCES = (400, 8000)  # pulses
-ROOM = 0.9  # of the way to the nearest end limit, that targets by default use at most
-LIMIT_CLEARANCE_M = 5e-4  # m; "home" starts no nearer to an end limit
+DISTANCES = (400, 8000)  # default range of the targets' distances, pulses
+ROOM = 0.9  # largest default distance of a target, as a share of the distance to the nearest end limit
+LIMIT_CLEARANCE_M = 5e-4  # smallest distance between a start with goal "home" and an end limit
 
 
 @dataclass(frozen=True)
 class Config(settings.Settings):
-    """Settings of RegisterBus."""
+    """Settings of RegisterBus.
+
+    Attributes:
+        model: Name of the model.
+        chip: Name or class of the chips.
+        axes: Names of the axes that have a chip; None: every axis of the model.
+        goal: "position": drawn targets; "home": the place where ORG trips.
+        waits: Durations that an action can wait, s.
+        distances: Smallest and largest distance of a target for the goal "position", pulses; None: 400 to 8000, or as far as there
+            is room.
+        tolerance: Largest distance from the goal at success, pulses or counts; None: IN_POSITION of the chip's class (4, of a servo
+            10).
+        standing: Speed below which an axis counts as standing still, m/s.
+        time_limit: Simulated time after which an episode is truncated, s.
+        cycles: Number of actions after which an episode is truncated.
+        live: Whether observations always show the present values of all addresses, without reads.
+        truth: Whether observation and info have values that no host can know: True (both), "info" (info alone), False (neither).
+        discount: Discount of the learner for one action; 1 for none.
+        progress_weight: Factor on the part `progress` of the reward.
+        time_weight: Cost of a simulated second.
+        success_weight: Reward of success.
+        lost_weight: Cost of a lost full step.
+        bus_cycle: Duration of a bus cycle, s.
+    """
 
     model: str = "xyz"
     chip: str | type[Chip] = "PCL240K"
-    axes: Annotated[tuple[str, ...] | None, settings.Names(1)] = None  # that have a chip; None: every axis of the model
-    goal: Annotated[str, settings.Word(GOALS)] = "position"  # or "home"
-    waits: Annotated[tuple[float, ...], settings.Each(above=True, high=settings.MAX_SECONDS)] = (
+    axes: Annotated[tuple[str, ...] | None, settings.NamesSetting(1)] = None
+    goal: Annotated[str, settings.ChoiceSetting(GOALS)] = "position"
+    waits: Annotated[tuple[float, ...], settings.NumbersSetting(exclude_low=True, high=settings.MAX_SECONDS)] = (
         1e-4,
         1e-3,
         1e-2,
         1e-1,
-    )  # s
-    distances: settings.Counts | None = None  # pulses, of goal "position"; None: 400 to 8000, as far as there is room
+    )
+    distances: settings.Counts | None = None
     tolerance: settings.Positive = None  # type: ignore[assignment]  # pulses; None: IN_POSITION of the chip's class, 4, counts of a servo 10
-    standing: settings.Positive = 1e-3  # m/s, slower than this is standing still
-    time_limit: settings.Seconds = 30.0  # s
-    cycles: settings.Count = 2000  # actions
+    standing: settings.Positive = 1e-3
+    time_limit: settings.Seconds = 30.0
+    cycles: settings.Count = 2000
     live: settings.Flag = False
-    truth: settings.TruthOption = "info"  # where what no host can see is shown: observation_features.py
+    truth: settings.TruthOption = "info"
     discount: settings.Discount = 1.0
     progress_weight: settings.Weight = 1.0
     time_weight: settings.Weight = 0.1
     success_weight: settings.Weight = 10.0
     lost_weight: settings.Weight = 0.05
-    bus_cycle: settings.Cycle = 1e-6  # s
+    bus_cycle: settings.Cycle = 1e-6
 
     def __post_init__(self) -> None:
         if self.tolerance is None:
@@ -108,9 +131,11 @@ class Config(settings.Settings):
 
 
 class RegisterBus(Task[Config]):
+    """Rules of stage/RegisterBus-v0, whose steps run in compiled code (register_bus_core.py). The module docstring states them."""
+
     Config = Config
     OPTIONS = ("target", "start")
-    """target: {axis: pulses, signed} instead of drawn ones; start: {axis: m}, where carriages stand at the beginning."""
+    """Options of a reset, which replace drawn values. target: {axis: signed pulses}; start: {axis: start position, m}."""
     STATE = ("episodes", "axis_states", "words")
     OBSERVATION = (
         Feature("status", HOST, "bits of the status as last read, from b0", "chip"),
@@ -135,15 +160,15 @@ class RegisterBus(Task[Config]):
         chips = chip if c.axes is None else dict.fromkeys(c.axes, chip)
         return Stage(c.model, chips=chips, bus_cycle=c.bus_cycle, visuals=visuals)
 
-    def prepare(self) -> None:
+    def make_spaces_and_arrays(self) -> None:
         c, n = self.config, self.n
         self.axes = list(self.stages[0].axes.values())
         m = len(self.axes)
         self.per_pulse = np.array([a.meters_per_pulse for a in self.axes])
-        self.sign = np.array([np.sign(a.gear) for a in self.axes])  # of the joint, when pulses go plus
-        self.full_step = np.array([self._full_step(a) for a in self.axes])
+        self.sign = np.array([np.sign(a.gear) for a in self.axes])  # direction of the joint for plus pulses
+        self.full_step = np.array([self._compute_full_step_m(a) for a in self.axes])
         self.travel = np.array([a.travel for a in self.axes])
-        self.limits = np.array([self._find_limits(a) for a in self.axes])
+        self.limits = np.array([self._get_limit_positions(a) for a in self.axes])
         self.power_up = self.fleet.truth()["position"][0]
         self.turn = np.array([StartPositions(a).turn for a in self.axes])
         room_m = np.abs(self.limits - self.power_up[:, None]).min(axis=1) - self.turn
@@ -151,7 +176,7 @@ class RegisterBus(Task[Config]):
         least, largest = DISTANCES
         self.distances = c.distances or (least, max(least, min(largest, int(ROOM * room))))
         if c.goal == "home":
-            self.origin = np.array([self._find_switch(a, "org") for a in self.axes])
+            self.origin = np.array([self._get_switch_position(a, "org") for a in self.axes])
             if np.isnan(self.origin).any():
                 raise ArgumentError(f"axes {[a.name for a in self.axes]!r}: goal 'home' needs an ORG switch on each.")
             self.scale = self.limits[:, 1] - self.limits[:, 0]
@@ -176,15 +201,15 @@ class RegisterBus(Task[Config]):
         )
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float32)
         self.waits = np.array([round(w * 1e9) for w in c.waits], np.int64)  # ns
-        self._write_rules()
+        self._fill_rule_records()
         self.episodes, self.axis_states = np.zeros(n, core.EPISODE), np.zeros((n, m), core.AXIS)
         self.words = np.zeros((n, len(chips), chip.ADDRESSES), core.WORD)
         self._truth = np.zeros((n, m), program_player.TRUTH)
         self._ops, self._values, self._status = (np.zeros(shape, np.int64) for shape in ((n, 1, 4), (n, 1), n))
         self._played_by_python = np.zeros(n, bool)
 
-    def _write_rules(self) -> None:
-        """Write the settings into the records that compiled code reads."""
+    def _fill_rule_records(self) -> None:
+        """Fill the records with the settings that compiled code reads."""
         c = self.config
         self.rules, self.axis_rules = np.zeros(1, core.RULES), np.zeros(len(self.axes), core.AXIS_RULES)
         rules = {name: getattr(c, name) for name in core.SETTINGS} | {"truth": c.truth is True}
@@ -219,7 +244,7 @@ class RegisterBus(Task[Config]):
         self._address = self._frame.ctypes.data
         self._rows = self.results.rows.ctypes.data, len(self.results.rows)
 
-    def layout(self) -> list[Feature]:
+    def list_all_features(self) -> list[Feature]:
         status, words, ages, target, *truth, value, was_read, time, actions = self.OBSERVATION
         addresses = self.axes[0].chip.ADDRESSES
         features: list[Feature] = []
@@ -230,23 +255,24 @@ class RegisterBus(Task[Config]):
         return [*features, value, was_read, time, actions]
 
     @staticmethod
-    def _full_step(axis: Any) -> float:
-        """Return the travel of the carriage in a full step, m; 0 for a servo."""
+    def _compute_full_step_m(axis: Any) -> float:
+        """Compute the travel of the carriage in a full step, m; 0 for a servo."""
         return 0.0 if axis.drive.has_encoder else 0.5 * np.pi / (axis.drive.motor.rotor_teeth * axis.gear)
 
     @staticmethod
-    def _find_switch(axis: Any, pin: str) -> float:
+    def _get_switch_position(axis: Any, pin: str) -> float:
+        """Return the position at which a switch of an axis trips, m; NaN if the axis does not have it."""
         return next((s.touch for s in axis.plant.switches if s.pin == pin), np.nan)
 
-    def _find_limits(self, axis: Any) -> tuple[float, float]:
-        """Return the positions at which the end limits trip, or the ends of the travel, m."""
-        low, high = self._find_switch(axis, "el_minus"), self._find_switch(axis, "el_plus")
+    def _get_limit_positions(self, axis: Any) -> tuple[float, float]:
+        """Return the positions at which the end limits of an axis trip, m; without a limit, the end of the travel."""
+        low, high = self._get_switch_position(axis, "el_minus"), self._get_switch_position(axis, "el_plus")
         return axis.travel[0] if np.isnan(low) else low, axis.travel[1] if np.isnan(high) else high
 
     def begin_episode(self, stage_index: int, options: Mapping[str, Any]) -> None:
         c, rng, m = self.config, self.rngs[stage_index], len(self.axes)
         if c.goal == "home":
-            start, target = self._draw_places(rng), np.zeros(m, np.int64)
+            start, target = self._draw_start_positions(rng), np.zeros(m, np.int64)
         else:
             low, high = portable_math.log(self.distances)
             distance = np.rint(portable_math.exp(rng.uniform(low, high, m))).astype(np.int64)
@@ -268,10 +294,10 @@ class RegisterBus(Task[Config]):
         indices = self.axis_states[stage_index]
         indices["target"], indices["goal"], indices["lost"] = target, goal, 0
         self.words[stage_index]["seen"], self.words[stage_index]["when"] = 0, -1
-        self._conclude(stage_index, stage_index + 1, True)
+        self._conclude_steps(stage_index, stage_index + 1, True)
 
-    def _draw_places(self, rng: np.random.Generator) -> np.ndarray:
-        """Anywhere between the end limits, but not at the origin already."""
+    def _draw_start_positions(self, rng: np.random.Generator) -> np.ndarray:
+        """Draw a start position for each axis, m: between the end limits, and not within the tolerance of the origin."""
         while True:
             q = rng.uniform(self.limits[:, 0] + LIMIT_CLEARANCE_M, self.limits[:, 1] - LIMIT_CLEARANCE_M)
             if (np.abs(q - self.origin) > self.config.tolerance * self.per_pulse).all():
@@ -280,7 +306,19 @@ class RegisterBus(Task[Config]):
     def _read_options_by_axis(
         self, name: str, options: Mapping[str, Any], kinds: tuple[type, ...]
     ) -> list[tuple[int, Any]]:
-        """An option as (axis index, value) pairs."""
+        """Read an option of a reset that maps names of axes to values.
+
+        Args:
+            name: Name of the option, "start" or "target".
+            options: Options of the reset.
+            kinds: Allowed types of a value.
+
+        Returns:
+            Pairs of the index of an axis and its value.
+
+        Raises:
+            ArgumentError: The option is not such a mapping.
+        """
         values = options.get(name, {})
         names = [a.name for a in self.axes]
         if not isinstance(values, Mapping) or (name == "target" and values and self.config.goal == "home"):
@@ -307,7 +345,7 @@ class RegisterBus(Task[Config]):
     def play(self) -> None:
         watched = self.fleet.list_python_stages()
         if not watched:
-            self.fleet.run_on_threads(self._step)
+            self.fleet.run_on_threads(self._step_stages)
             self.fleet.check_status(self._status)
             return
         self._played_by_python[watched] = True
@@ -319,21 +357,33 @@ class RegisterBus(Task[Config]):
                 self._status[k] = program_player.play_in_python(
                     self.stages[k], self._ops[k], self._values[k], np.zeros((0, 2))
                 )
-        self._conclude(0, self.n, False)
+        self._conclude_steps(0, self.n, False)
 
-    def _step(self, begin: int, end: int) -> None:
+    def _step_stages(self, begin: int, end: int) -> None:
+        """Play and judge a step of a range of stages in compiled code."""
         core.step_stages.c(self._address, begin, end, *self._rows)
 
-    def _conclude(self, begin: int, end: int, fresh: bool) -> None:
+    def _conclude_steps(self, begin: int, end: int, fresh: bool) -> None:
+        """Judge and observe a range of stages in compiled code.
+
+        Args:
+            begin: First stage.
+            end: Stage after the last one.
+            fresh: Whether an episode begins on these stages, so that there is no step to judge.
+        """
         core.conclude_steps.c(self._address, begin, end, fresh, *self._rows)
 
     def update_observations(self) -> None:
-        """Done by `begin` and `act`."""
+        """Do nothing: `begin_episode` and `play` have already updated the observations."""
 
 
 class RegisterBusEnv(StageEnv):
+    """Gymnasium environment stage/RegisterBus-v0."""
+
     task = RegisterBus
 
 
 class RegisterBusVectorEnv(StageVectorEnv):
+    """Vector environment stage/RegisterBus-v0."""
+
     task = RegisterBus

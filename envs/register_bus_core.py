@@ -1,7 +1,7 @@
 """The compiled part of `register_bus`: a step of many stages, from actions to observations, without the GIL.
 
-All its data are in arrays of the task, whose addresses a FRAME holds, so a call takes only a few numbers. A `step` has two
-halves, `play_actions` and `conclude_steps`, so that a recorded stage can be played by Python in between.
+The task owns all arrays. A FRAME record holds their addresses and lengths, so that a call passes only a few numbers. A step has
+two halves, `play_actions` and `conclude_steps`, so that Python can play the program of a recorded stage in between.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from stage.native import array_at, array_of, exported, greatest, hot, least, rec
 from stage.sim import program, stage_handle
 from stage.sim import program_player as player
 
-WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k
-HALF_AGE_NS = 1e6  # ns, at which freshness is one half
-SPEED_SCALE, STEPS_SCALE = 0.5, 64.0  # m/s, full steps: what counts as 1 in an observation
+WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k waits for waits[k]
+HALF_AGE_NS = 1e6  # age at which 1 / (1 + age / HALF_AGE_NS) is one half
+SPEED_SCALE, STEPS_SCALE = 0.5, 64.0  # m/s, full steps: values that scale to 1 in an observation
 PER_AXIS, TRUTH, COMMON = 1, 4, 4
-MAX_PAID_STEPS = 64  # full steps lost that cost something, an episode
+MAX_PAID_STEPS = 64  # largest number of lost full steps in an episode that cost something
 
 SETTINGS = {
     **dict.fromkeys("discount progress_weight time_weight success_weight lost_weight standing cycles".split(), "f8"),
@@ -34,11 +34,11 @@ RULES = record(
         *(("bits", "i8"), ("status", "i8"), ("most", "f8")),
     ]
 )
-"""Settings by their names; what counts as 1 of a target (pulses) and of a time (ns); the time limit, ns; goal "home";
-the reward of a divergence; bits of the data bus, address of the status, the largest datum."""
+"""Settings of the task, by their names; target that scales to 1, pulses; time that scales to 1, ns; time limit, ns; whether the
+goal is "home"; reward of a divergence; bits of the data bus; address of the status; largest datum."""
 
 AXIS_RULES = record([(name, "f8") for name in "near per_pulse full_step scale low high".split()] + [("chip", "i8")])
-"""Of an axis: tolerance, pulse, full step, error that counts as 1, ends of its travel, all in m; which chip it is on."""
+"""Values of an axis: tolerance, pulse, full step, error that scales to 1, ends of the travel, all in m; index of its chip."""
 
 EPISODE = record(
     [
@@ -51,21 +51,21 @@ EPISODE = record(
         ("loan", "f8"),
     ]
 )
-"""ns at its begin and at that of the step; the last potential; what was just read, or -1; full steps lost that have been paid;
-the potential at its begin; with a discount what has been lent."""
+"""State of an episode: time at its beginning and at that of the step, ns; last potential; value just read, or -1; lost full steps
+that have been paid; potential at its beginning; loan paid so far, for a discount below 1."""
 
 AXIS = record([("goal", "f8"), ("target", "i8"), ("lost", "i8")])
-"""Goal, m; target, pulses; most full steps lost so far."""
+"""State of an axis: goal, m; target, pulses; largest number of lost full steps so far."""
 
 WORD = record([("seen", "i8"), ("when", "i8")])
-"""Of an address of a chip: what was last read there, and when: ns, or -1."""
+"""Last read of an address of a chip: the value (seen), and the time (when), ns; -1 if it was never read."""
 
 
 def count_observation_words(addresses, bits):
-    """Return the number of observations for a chip: status bits, words at the other addresses, freshness of all.
+    """Return how many numbers of an observation a chip has: its status bits, the words at its other addresses, and all their ages.
 
     Args:
-        addresses: Number of its addresses.
+        addresses: Number of the chip's addresses.
         bits: Number of its status bits.
     """
     return bits + (addresses - 1) + addresses
@@ -91,7 +91,7 @@ FRAME = record(
     + [(name, "i8") for name in "truth episodes axes words first observations".split()]
     + [(name, "i8") for name in "stages n_axes n_chips n_addresses n_waits width".split()]
 )
-"""Where the arrays lie, and their lengths. first: the first axis of each chip."""
+"""Addresses of the arrays of a task, and their lengths. first: the first axis of each chip; by_hand: stages that Python plays."""
 
 INTEGER, REAL, SMALL, FLAG = np.dtype("i8"), np.dtype("f8"), np.dtype("f4"), np.dtype("?")
 HANDLE, TRUTHS = stage_handle.HANDLE, player.TRUTH
@@ -99,7 +99,13 @@ HANDLE, TRUTHS = stage_handle.HANDLE, player.TRUTH
 
 @exported(None, FRAME, "i8", "i8")
 def play_actions(frame, begin, end):
-    """Turn the actions of the active stages begin..end-1 into operations of a host, and play them where Python does not."""
+    """Convert the actions of active stages to operations of a host, and play them, except on stages that Python plays.
+
+    Args:
+        frame: FRAME record.
+        begin: First stage.
+        end: Stage after the last one.
+    """
     handles = array_at(frame.handles, frame.stages, HANDLE)
     waits = array_at(frame.waits, frame.n_waits, INTEGER)
     active = array_at(frame.active, frame.stages, FLAG)
@@ -125,7 +131,7 @@ def play_actions(frame, begin, end):
 
 @hot
 def _compute_potential(axes, rules, truth):
-    """Compute minus the mean of the axes' position errors beyond the tolerance, each divided by its scale."""
+    """Compute the potential: minus the mean of the axes' position errors beyond the tolerance, each divided by its scale."""
     total = 0.0
     for a in range(len(axes)):
         total -= greatest(abs(truth[a].position - axes[a].goal) - rules[a].near, 0.0) / rules[a].scale
@@ -134,7 +140,7 @@ def _compute_potential(axes, rules, truth):
 
 @hot
 def _has_arrived(settings, axes, rules, truth):
-    """Return whether every axis rests at its goal, where its motor pulls it, without a lost step."""
+    """Return whether every axis stands still within the tolerance, its motor pulls it there, and it has lost no step."""
     for a in range(len(axes)):
         t, rule, goal = truth[a], rules[a], axes[a].goal
         rest = t.commanded - t.lost_steps * rule.full_step
@@ -148,8 +154,8 @@ def _has_arrived(settings, axes, rules, truth):
 
 
 @hot
-def _apply_loan(settings, over, now, potential, episode, parts):
-    """Set the parts of the reward: at the end in full; before, as a loan that the end takes back."""
+def _set_discounted_parts(settings, over, now, potential, episode, parts):
+    """Set the parts of the reward for a `discount` below 1: all of them at the end of the episode (over), and a loan before."""
     progress = settings.progress_weight * (potential - episode.start)
     time = -settings.time_weight * 1e-9 * (now - episode.began)
     lost = -settings.lost_weight * episode.paid
@@ -164,7 +170,7 @@ def _apply_loan(settings, over, now, potential, episode, parts):
 
 @hot
 def _judge_step(settings, rules, action, value, bad, steps, episode, axes, words, truth, result):
-    """Fill the result of the step that was just played, and store what the next step needs."""
+    """Fill the result of the step that was just played, and update the record of the episode."""
     now = truth[0].now
     success = _has_arrived(settings, axes, rules, truth)
     error, lost, more = 0.0, 0, 0
@@ -193,11 +199,11 @@ def _judge_step(settings, rules, action, value, bad, steps, episode, axes, words
         episode.paid += more
         parts.lost = -settings.lost_weight * more
         parts.failed = 0.0
-        if result.truncated:  # what waiting to the end would have cost, and whatever could have been lost
+        if result.truncated:  # the cost of waiting until the end, and of all steps that could have been lost
             left = 1e-9 * (settings.limit - (now - episode.began))
             parts.failed = -(settings.time_weight * left + settings.lost_weight * (MAX_PAID_STEPS - episode.paid))
         if settings.discount < 1.0:
-            _apply_loan(settings, success or result.truncated, now, potential, episode, parts)
+            _set_discounted_parts(settings, success or result.truncated, now, potential, episode, parts)
         result.reward = parts.progress + parts.time + parts.success + parts.lost + parts.failed
         episode.potential, episode.before = potential, now
         for a in range(len(axes)):
@@ -208,7 +214,7 @@ def _judge_step(settings, rules, action, value, bad, steps, episode, axes, words
 
 @hot
 def _read_all_words(handle, first, words, now):
-    """Store the present values at every address of the chips."""
+    """Store the present values at all addresses of the chips, with the time `now`, ns; `first`: first axis of each chip."""
     for i in range(len(words)):
         chip = stage_handle.get_chip_table(handle)[stage_handle.get_axis_table(handle)[first[i]].chip]
         for j in range(words.shape[1]):
@@ -217,7 +223,7 @@ def _read_all_words(handle, first, words, now):
 
 @hot
 def _write_words(settings, words, now, observation, at):
-    """Write what was last read from a chip into an observation, and return the place after it."""
+    """Write status bits, values and ages of a chip's words into an observation from index `at`; return the next index."""
     for j in range(settings.bits):
         observation[at + j] = words[settings.status].seen >> j & 1
     at += settings.bits
@@ -232,6 +238,7 @@ def _write_words(settings, words, now, observation, at):
 
 @hot
 def _write_observation(settings, rules, steps, episode, axes, words, truth, observation):
+    """Write the observation of a stage, each number limited to -1 to 1."""
     now, at = truth[0].now, 0
     for a in range(len(axes)):
         x, t, rule = axes[a], truth[a], rules[a]
@@ -255,9 +262,14 @@ def _write_observation(settings, rules, steps, episode, axes, words, truth, obse
 
 @exported(None, FRAME, "i8", "i8", "i8", array_of(RESULT))
 def conclude_steps(frame, begin, end, fresh, results):
-    """Look at the active stages, judge what they have done, observe; one that diverged keeps its last observation.
+    """Judge the last step of active stages, and write their observations; a stage that diverged keeps its last observation.
 
-    fresh: an episode begins on these stages in place of a step; goals and words read are set. results: (stages,) RESULT.
+    Args:
+        frame: FRAME record.
+        begin: First stage.
+        end: Stage after the last one.
+        fresh: 1 if an episode begins on these stages, so that there is no step to judge; goals are already set.
+        results: Records to fill, (stages,) RESULT.
     """
     handles = array_at(frame.handles, frame.stages, HANDLE)
     r = array_at(frame.rules, 1, RULES)[0]
@@ -297,6 +309,13 @@ def conclude_steps(frame, begin, end, fresh, results):
 
 @exported(None, FRAME, "i8", "i8", array_of(RESULT))
 def step_stages(frame, begin, end, results):
-    """Play and conclude a step of every stage; call it only if Python plays no stage."""
+    """Play and judge a step of a range of stages. Call this only if Python plays no stage.
+
+    Args:
+        frame: FRAME record.
+        begin: First stage.
+        end: Stage after the last one.
+        results: Records to fill, (stages,) RESULT.
+    """
     play_actions(frame, begin, end)
     conclude_steps(frame, begin, end, 0, results)

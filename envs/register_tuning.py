@@ -1,26 +1,26 @@
 """`stage/RegisterTuning-v0`: choose a chip's registers for one move after the other.
 
-A step is one whole move of a random distance with a random payload on the table: registers, start, and then physics decides. Each
-move starts at rest from the same position, so steps are independent of each other. The chip is driven by its driver, see
-stage/firmware/driver.py.
+A step is one whole move of a random distance with a random payload on the table: the host writes registers and a start command,
+and physics decides the outcome. Each move starts at rest from the same position, so steps are independent of each other. The
+host uses the driver of the chip, see stage/firmware/driver.py.
 
-action        Box [-1, 1]^n, see register_actions.py; with actions="registers" the integers themselves, MultiDiscrete.
+action        Box [-1, 1]^n, see register_scaling.py; with actions="registers" the integers themselves, MultiDiscrete.
               PCL-240: R1 FL, R2 FH1, R4, R5 rates, R6 ramp-down point, R7 multiplier; with S-curves R14 and R15, their spans
               MCX514: SV, DV, AC; with S-curves JK        MCX304, MCX302, MCX312: SV, V, A; with S-curves K; R is 400,000
 observation   float32, the task and the result of the last move:
               0 distance, -1 to 1 over its range    1 payload, -1 to 1    2 last duration / limit
               3 last move: steps lost (0 or 1)      4 last vibration / (last + 0.1 mm)    5 last move made all its pulses
 reward        the sum of
-              time       - duration / 1 s, from the start command to the stop (up to the limit)
-              lost       - lost_weight if a full step was lost, or the carriage is not where the pulses say
-              vibration  - vibration_weight x the travel of the point at which moves are judged, in `settle` after the stop / 0.1 mm
+              time       - duration / 1 s, from the start command to the stop (at most the limit)
+              lost       - lost_weight if a full step was lost, or if the carriage is not where the pulse count says
+              vibration  - vibration_weight x travel of the judged point within `settle` after the stop / 0.1 mm
               limit      - limit_weight if the move did not make its pulses: an end limit, or the time limit
 episode       `moves` moves, then truncated.
-early_ends    a move that fails costs the time of the limit and is over at once. One whose chip, by itself, cannot make the pulses
-              within the limit is not made at all; one that loses a step ends there, its vibration is not observed.
-judge_at      a site or body that the axis carries, where the process is: what counts is how far it still travels after the stop.
-              None: of the sites tool, camera and work the first that can swing (a camera on a mast), else the first that there is;
-              in a model that has none of them the axis itself.
+early_ends    With early_ends=True, a move that fails costs the time of the limit and ends at once. A move whose pulses the chip
+              cannot make within the limit is not made at all; a move that loses a step ends there, and its vibration is 0.
+judge_at      Name of a site or body that the axis carries, whose travel after the stop is the vibration. None: of the sites tool,
+              camera and work, the first that can swing (a camera on a mast), else the first that exists; in a model without
+              these sites, the axis itself.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ import numpy as np
 from stage.chips import Chip, chip_class
 from stage.envs import settings
 from stage.envs.observation_features import HOST, TRUTH, Feature
-from stage.envs.register_actions import RegisterBox
-from stage.envs.single_moves import TENTH_MM, Trial
+from stage.envs.register_scaling import RegisterBox
+from stage.envs.single_moves import TENTH_MM, MoveTrial
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.tuning_task import NEXT_MOVE, TuningTask, describe_move_info
 from stage.sim.fleet import PlayedPrograms
@@ -43,29 +43,52 @@ from stage.sim.program import END, Program
 
 @dataclass(frozen=True)
 class Config(settings.Settings):
-    """Settings of RegisterTuning."""
+    """Settings of RegisterTuning.
+
+    Attributes:
+        model: Name of the model.
+        chip: Name or class of the chip.
+        s_curve: Whether moves have S-curves; None: only on a PCL240MS.
+        axis: Name of the axis.
+        actions: "box": numbers from -1 to 1; "registers": the integers themselves.
+        distances: Smallest and largest distance, pulses, drawn evenly by their logarithm.
+        payloads: Smallest and largest payload, kg, drawn evenly.
+        payload_on: Body that carries the payload, or a site on it; None: see `find_payload_body`.
+        judge_at: Site or body at which vibration is observed; None: see `find_judged_point`.
+        moves: Number of moves in an episode.
+        limit: Longest simulated time of a move, s.
+        settle: Simulated time after the stop in which vibration is observed, s.
+        lost_weight: Cost of a move that loses a full step.
+        vibration_weight: Cost of 0.1 mm of vibration.
+        limit_weight: Cost of a move that does not make all its pulses.
+        bus_cycle: Duration of a bus cycle, s.
+        early_ends: Whether moves end as soon as they have failed, which allows many more moves a second.
+        truth: Whether observation and info have values that no host can know: True (both), "info" (info alone), False (neither).
+    """
 
     model: str = "xyz"
     chip: str | type[Chip] = "PCL240K"
-    s_curve: settings.Flag | None = None  # None: on a PCL240MS only
+    s_curve: settings.Flag | None = None
     axis: settings.AxisName = "x"
-    actions: settings.Actions = "box"  # or "registers"
-    distances: settings.Counts = (1600, 32000)  # pulses, drawn evenly by their logarithm
-    payloads: settings.Payloads = (0.0, 10.0)  # kg, drawn evenly
-    payload_on: settings.AxisName | None = None  # body or site that carries it; None: see find_carrier
-    judge_at: settings.AxisName | None = None  # site or body at which vibration is observed; None: see above
-    moves: settings.Count = 8  # an episode
-    limit: settings.Seconds = 4.0  # s, a move may take
-    settle: settings.Seconds = 0.1  # s, in which vibration is observed
+    actions: settings.Actions = "box"
+    distances: settings.Counts = (1600, 32000)
+    payloads: settings.Payloads = (0.0, 10.0)
+    payload_on: settings.AxisName | None = None
+    judge_at: settings.AxisName | None = None
+    moves: settings.Count = 8
+    limit: settings.Seconds = 4.0
+    settle: settings.Seconds = 0.1
     lost_weight: settings.Weight = 5.0
     vibration_weight: settings.Weight = 0.1
     limit_weight: settings.Weight = 5.0
-    bus_cycle: settings.Cycle = 1e-6  # s
-    early_ends: settings.Flag = False  # of moves that fail: many more moves a second
-    truth: settings.TruthOption = True  # where what no host can see is shown: observation_features.py
+    bus_cycle: settings.Cycle = 1e-6
+    early_ends: settings.Flag = False
+    truth: settings.TruthOption = True
 
 
 class RegisterTuning(TuningTask[Config]):
+    """Rules of stage/RegisterTuning-v0. The module docstring states them."""
+
     Config = Config
     PARTS = ("time", "lost", "vibration", "limit")
     UNIT = "pulses"
@@ -90,15 +113,15 @@ class RegisterTuning(TuningTask[Config]):
     def make_register_box(self) -> RegisterBox:
         return RegisterBox.of_registers(self.axis.chip.MAP, self.trial.driver.list_move_registers(self.config.s_curve))
 
-    def prepare(self) -> None:
+    def make_spaces_and_arrays(self) -> None:
         c, first = self.config, self.stages[0]
         self.judged, self.point = find_judged_point(first, c.axis, c.judge_at)
-        self.trial = Trial(first.axes[c.axis], self.point, c.settle)
-        super().prepare()
+        self.trial = MoveTrial(first.axes[c.axis], self.point, c.settle)
+        super().make_spaces_and_arrays()
 
     def make_program(self, row: np.ndarray, distance: int) -> Program:
         c = self.config
-        program = self.trial.program(self.registers.to_dict(row), distance, c.limit, keep_step=c.early_ends)
+        program = self.trial.make_program(self.registers.to_dict(row), distance, c.limit, end_on_lost_step=c.early_ends)
         if c.early_ends and self.trial.is_hopeless(program, distance, c.limit):
             program.ops[0] = (END, 0, 0, 0)
         return program
@@ -120,8 +143,12 @@ class RegisterTuning(TuningTask[Config]):
 
 
 class RegisterTuningEnv(StageEnv):
+    """Gymnasium environment stage/RegisterTuning-v0."""
+
     task = RegisterTuning
 
 
 class RegisterTuningVectorEnv(StageVectorEnv):
+    """Vector environment stage/RegisterTuning-v0."""
+
     task = RegisterTuning

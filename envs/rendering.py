@@ -1,4 +1,4 @@
-"""Pictures of a stage for `render`: an off-screen renderer, or MuJoCo's viewer."""
+"""Rendering of a stage for Gymnasium's `render`: off-screen images, or the window of MuJoCo's viewer."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ if TYPE_CHECKING:
     from stage.recording import Recording
 
 
-class Pose:
-    """The stage, or a copy of it for drawing with its joints elsewhere: the stage itself does not move."""
+class StagePoser:
+    """Copy of a stage's MjData for drawing, whose joints can be set without moving the stage itself."""
 
     def __init__(self, stage: Stage):
         self._stage, self.data = stage, mujoco.MjData(stage.model)
 
     def __call__(self, qpos: np.ndarray | None = None) -> mujoco.MjData:
-        """MjData with all that is drawn; always the same."""
+        """Return the same MjData at each call, with its geoms at the joint positions `qpos`; None: as the stage is now."""
         self.data.qpos[:] = self._stage.data.qpos if qpos is None else qpos
         mujoco.mj_fwdPosition(self._stage.model, self.data)
         return self.data
 
 
-class OffScreen:
-    """Frames as arrays (height, width, 3) of uint8."""
+class OffScreenRenderer:
+    """Renderer of images, (height, width, 3) uint8, without a window."""
 
     def __init__(self, stage: Stage, camera: str, width: int, height: int):
         model = stage.model
         names = [model.camera(k).name for k in range(model.ncam)]
         if camera not in names:
             raise unknown_name_error("camera", camera, names)
-        self._pose, self._camera = Pose(stage), camera
+        self._pose, self._camera = StagePoser(stage), camera
         self._renderer = make_renderer(model, height, width)
 
-    def frame(self, qpos: np.ndarray | None = None) -> np.ndarray:
-        """The stage as it is, or with its joints at `qpos`."""
+    def render_stage(self, qpos: np.ndarray | None = None) -> np.ndarray:
+        """Return an image of the stage with its joints at `qpos`; None: as the stage is now."""
         self._renderer.update_scene(self._pose(qpos), self._camera)
         return self._renderer.render()
 
@@ -48,12 +48,12 @@ class OffScreen:
         self._renderer.close()
 
 
-class OnScreen:
-    """MuJoCo's own viewer."""
+class ViewerWindow:
+    """Window of MuJoCo's own viewer."""
 
     def __init__(self, stage: Stage):
         check_window("Use render_mode='rgb_array', or record.")
-        self._pose = Pose(stage)
+        self._pose = StagePoser(stage)
         try:
             import mujoco.viewer
 
@@ -63,8 +63,8 @@ class OnScreen:
                 f"MuJoCo's viewer does not open ({error}). Use render_mode='rgb_array', or record."
             ) from error
 
-    def frame(self, qpos: np.ndarray | None = None) -> None:
-        """The stage as it is, or with its joints at `qpos`."""
+    def render_stage(self, qpos: np.ndarray | None = None) -> None:
+        """Show the stage with its joints at `qpos`; None: as the stage is now."""
         self._pose(qpos)
         self._viewer.sync()
 
@@ -72,8 +72,13 @@ class OnScreen:
         self._viewer.close()
 
 
-class Film:
-    """Joint positions during a step, every `every` s of its time and at its end. The stage moves exactly as without it."""
+class PoseSampler:
+    """Sampler of the joint positions during a step, for the frames of a film. It does not influence the stage.
+
+    Args:
+        stage: Stage to sample.
+        every: Simulated time between two samples, s.
+    """
 
     def __init__(self, stage: Stage, every: float):
         self._stage, recording = stage, stage.recording
@@ -83,8 +88,8 @@ class Film:
         self._recording: Recording = recording
         self._begin, self._stride = len(self._recording), max(1, round(every / self._recording.every))
 
-    def end(self) -> np.ndarray:
-        """The step is over: (frames, nq), at least one."""
+    def finish(self) -> np.ndarray:
+        """Return the sampled joint positions when the step is over, (frames, nq); the last row is the end of the step."""
         rows = [piece["qpos"] for piece in self._recording.pieces(begin=self._begin)]
         if self._own_recording is not None:
             self._own_recording.close()
@@ -92,17 +97,17 @@ class Film:
         return np.concatenate([recorded, self._stage.data.qpos[None]])
 
 
-def make_viewer(stage: Stage, mode: str, camera: str, width: int, height: int) -> OffScreen | OnScreen:
-    """Return the viewer for a render mode.
+def make_viewer(stage: Stage, mode: str, camera: str, width: int, height: int) -> OffScreenRenderer | ViewerWindow:
+    """Make the viewer for a render mode.
 
     Args:
-        stage: To show.
-        mode: "human", or another for off-screen frames.
-        camera: Name of the camera.
-        width: Of a frame, pixels.
-        height: Of a frame, pixels.
+        stage: Stage to show.
+        mode: "human" for a window; any other mode for off-screen images.
+        camera: Name of the camera of off-screen images.
+        width: Width of an image, pixels.
+        height: Height of an image, pixels.
 
     Raises:
-        StageError: There is no GL, or no screen.
+        StageError: OpenGL or a screen is not available.
     """
-    return OnScreen(stage) if mode == "human" else OffScreen(stage, camera, width, height)
+    return ViewerWindow(stage) if mode == "human" else OffScreenRenderer(stage, camera, width, height)

@@ -28,11 +28,11 @@ PER_STAGE_METHODS = ("action_masks", "scripted_action")
 
 
 class VecEnvAdapter(VecEnv):
-    """Base of StageVecEnv: the part of SB3's VecEnv that is the same for all vectors of stages.
+    """Base of StageVecEnv: the part of SB3's VecEnv that is the same for all vector environments of stages.
 
     Args:
-        envs: The vector environment; it closes with this.
-        action_space: Space that SB3 sees; default: that of one environment.
+        envs: Vector environment, which is closed with the adapter.
+        action_space: Action space that SB3 sees; default: that of one environment.
     """
 
     def __init__(self, envs: StageVectorEnv, action_space: gymnasium.Space | None = None):
@@ -46,11 +46,11 @@ class VecEnvAdapter(VecEnv):
         self.envs.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute of the environments: "stage" is each one's own, any other is that of the vector.
+        """Return an attribute once for each environment. "stage" is each environment's own; all others are those of the vector.
 
         Args:
             attr_name: Name of the attribute.
-            indices: Numbers of the environments; default: all.
+            indices: Indices of the environments; default: all.
         """
         whose = self._get_indices(indices)
         if attr_name == "stage":
@@ -60,10 +60,11 @@ class VecEnvAdapter(VecEnv):
         return [value for _ in whose]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refuse to change an attribute: raise ArgumentError, because settings of a vector are fixed when it is made."""
         raise ArgumentError(f"set_attr({attr_name!r}): the stages of a vector have their settings from its start.")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Return the rows of methods that answer for all stages at once: "action_masks" and "scripted_action"."""
+        """Call a method of the vector, one of PER_STAGE_METHODS, and return its row for each environment."""
         if method_name in PER_STAGE_METHODS and hasattr(self.envs, method_name):
             rows = getattr(self.envs, method_name)(*args, **kwargs)
             return [rows[k] for k in self._get_indices(indices)]
@@ -73,21 +74,25 @@ class VecEnvAdapter(VecEnv):
         )
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """Return False for each environment: the environments of a vector have no wrappers."""
         return [False for _ in self._get_indices(indices)]
 
 
 class StageVecEnv(VecEnvAdapter):
-    """A vector environment of an id.
+    """Vector environment for Stable-Baselines3, made from an environment id.
+
+    At the end of an episode, infos[k] is its last info with "terminal_observation" and "TimeLimit.truncated" (truncated and
+    not terminated: SB3 then adds the value of the last observation), and reset_infos[k] is the info of the new episode.
+    After `seed(s)`, `reset()` starts environment k as a scalar environment starts with the seed s + k.
 
     Args:
-        id_: "stage/RegisterTuning-v0" and so on. num_envs: how many stages.
-        threads: default one a processor. Other settings are those of the environment.
+        id_: Id of the environment, such as "stage/RegisterTuning-v0".
+        num_envs: Number of stages.
+        threads: Number of threads; default: one for each processor.
+        **settings: Settings of the environment.
 
-    Where an episode ends, infos[k] is its last info with "terminal_observation" and "TimeLimit.truncated" (truncated and not
-    terminated: SB3 then adds the value of the last observation), and reset_infos[k] the info of the new one. `seed(s)` and
-    `reset()` begin environment k as a scalar environment begins with seed s + k.
-
-    Raises ArgumentError for actions that SB3 cannot choose: a MultiDiscrete that does not begin at 0 (actions="registers").
+    Raises:
+        ArgumentError: SB3 cannot choose the actions: a MultiDiscrete that does not begin at 0 (actions="registers").
     """
 
     envs: StageVectorEnv
@@ -110,7 +115,7 @@ class StageVecEnv(VecEnvAdapter):
 
     def reset(self) -> np.ndarray:
         infos: dict[str, Any] = {}
-        if any(self._options):  # SB3 has options for each; these are all for one
+        if any(self._options):  # SB3 has options for each environment; a reset of the vector has one set of options
             for k, options in enumerate(self._options):
                 mask = np.arange(self.num_envs) == k
                 observations, infos = self.envs.reset(seed=self._seeds, options={**options, "reset_mask": mask})

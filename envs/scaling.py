@@ -8,21 +8,21 @@ from stage.support import portable_math
 
 
 def scale(values: Any, ends: Any) -> Any:
-    """Scale numbers between two ends to -1 to 1.
+    """Scale numbers linearly so that the ends of a range become -1 and 1.
 
     Args:
-        values: A number or an array.
-        ends: Least and largest value.
+        values: Number or array.
+        ends: Smallest and largest value of the range.
     """
     low, high = ends
     return (values - low) / max(high - low, 1e-9) * 2.0 - 1.0
 
 
 def scale_log(values: Any, ends: Any) -> Any:
-    """Scale numbers between two ends to -1 to 1 by their logarithm.
+    """Scale the logarithms of numbers so that the ends of a range become -1 and 1.
 
     Args:
-        values: A number or an array, above 0.
-        ends: Least and largest value.
+        values: Number or array, above 0.
+        ends: Smallest and largest value of the range.
     """
     return scale(portable_math.log(values), portable_math.log(ends))

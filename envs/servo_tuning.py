@@ -1,22 +1,23 @@
 """`stage/ServoTuning-v0`: choose an HCTL-1100's digital filter and sample time for one move of a servo axis after the other.
 
-A step is one whole move of a random distance with a random payload on the table: registers, a position step or a trapezoid, and
-then physics decides. Each move starts at rest from power-up at the same position, so steps are independent of each other.
+A step is one whole move of a random distance with a random payload on the table: the host writes registers and commands a
+position step or a trapezoid, and physics decides the outcome. Each move starts at rest from power-up at the same position, so
+steps are independent of each other.
 
-action        Box [-1, 1]^4: R22 gain, R20 zero, R21 pole, R0F T, see register_actions.py; with actions="registers" the integers
+action        Box [-1, 1]^4: R22 gain, R20 zero, R21 pole, R0F T, see register_scaling.py; with actions="registers" the integers
               themselves, MultiDiscrete. Gain and T are spread by their logarithm.
 observation   float32, the task and the result of the last move:
               0 distance, -1 to 1 over its range    1 payload, -1 to 1    2 last settling time / limit
               3 last overshoot / (last + 10 counts)    4 last unrest / (last + 10 counts)    5 last move settled
 reward        the sum of
               time       - settling time / 1 s: from the start until the carriage stays within the deadband
-              overshoot  - overshoot_weight x the farthest beyond the goal / distance, 1 at most
-              unrest     - unrest_weight x peak-to-peak travel in the last `rest` seconds / 100 counts, 10 at most
-              limit      - limit_weight if it did not settle by `limit`: if it left the deadband in the last `rest` seconds
+              overshoot  - overshoot_weight x largest distance beyond the goal / distance of the move, at most 1
+              unrest     - unrest_weight x peak-to-peak travel in the last `rest` seconds / 100 counts, at most 10
+              limit      - limit_weight if the carriage did not settle: it left the deadband in the last `rest` s before `limit`
 episode       `moves` moves, then truncated.
 
-The motion is what the host can write in Init/Idle, so no command falls into the unsafe part of a sample. A trapezoid's rates are
-counts per sample in the registers: the host converts them for the T that was chosen, and rounds them.
+The host writes the whole command in Init/Idle mode, so no command falls into the unsafe part of a sample. The registers hold the
+rates of a trapezoid in counts per sample. The host converts them for the T that the action chose, and rounds them.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ import numpy as np
 from stage.chips import Chip, chip_class
 from stage.envs import settings
 from stage.envs.observation_features import HOST, Feature
-from stage.envs.register_actions import RegisterBox
+from stage.envs.register_scaling import RegisterBox
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.tuning_task import NEXT_MOVE, TuningTask, describe_move_info
 from stage.errors import ArgumentError
@@ -38,35 +39,58 @@ from stage.sim.fleet import PlayedPrograms
 from stage.sim.program import Program
 
 MOTIONS = ("step", "trapezoid")
-LOOK = 1e-3  # s between two looks at the carriage
-SMALL, UNREST_SCALE = 10.0, 100.0  # counts
+LOOK = 1e-3  # time between two samples of the carriage's position, s
+SMALL, UNREST_SCALE = (
+    10.0,
+    100.0,
+)  # counts that scale to 1/2 in an observation; counts of unrest that cost unrest_weight
 
 
 @dataclass(frozen=True)
 class Config(settings.Settings):
-    """Settings of ServoTuning."""
+    """Settings of ServoTuning.
+
+    Attributes:
+        model: Name of the model.
+        chip: Name or class of the chip.
+        axis: Name of the axis.
+        motion: "step" for position steps, "trapezoid" for trapezoidal profiles.
+        actions: "box": numbers from -1 to 1; "registers": the integers themselves.
+        distances: Smallest and largest distance, counts, drawn evenly by their logarithm; trapezoids need longer distances.
+        payloads: Smallest and largest payload, kg, drawn evenly.
+        payload_on: Body that carries the payload, or a site on it; None: see `find_payload_body`.
+        moves: Number of moves in an episode.
+        velocity: Velocity of a trapezoid, counts/s.
+        acceleration: Acceleration of a trapezoid, counts/s2.
+        deadband: Distance from the goal within which the carriage counts as settled, counts.
+        limit: Simulated time of a move, s.
+        rest: Simulated time at the end of `limit` in which unrest is observed, s.
+        overshoot_weight: Cost of an overshoot as large as the distance.
+        unrest_weight: Cost of an unrest of 100 counts.
+        limit_weight: Cost of a move that does not settle.
+        bus_cycle: Duration of a bus cycle, s.
+        truth: Whether observation and info have values that no host can know: True (both), "info" (info alone), False (neither).
+    """
 
     model: str = "xyz_servo"
     chip: str | type[Chip] = "HCTL1100"
     axis: settings.AxisName = "x"
-    motion: Annotated[str, settings.Word(MOTIONS)] = "step"  # or "trapezoid"
-    actions: settings.Actions = "box"  # or "registers"
-    distances: settings.Counts = (50, 500)  # counts, drawn evenly by their logarithm; a trapezoid takes longer ones
-    payloads: settings.Payloads = (0.0, 10.0)  # kg, drawn evenly
-    payload_on: settings.AxisName | None = None  # body or site that carries it; None: see find_carrier
-    moves: settings.Count = 8  # an episode
-    velocity: settings.Positive = 40_000.0  # counts/s, of a trapezoid
-    acceleration: settings.Positive = 400_000.0  # counts/s2
-    deadband: settings.Positive = 3.0  # counts
-    limit: settings.Seconds = 0.5  # s, a move may take
-    rest: Annotated[float, settings.Number(LOOK, high=settings.MAX_SECONDS)] = (
-        0.1  # s at its end in which unrest is observed
-    )
+    motion: Annotated[str, settings.ChoiceSetting(MOTIONS)] = "step"
+    actions: settings.Actions = "box"
+    distances: settings.Counts = (50, 500)
+    payloads: settings.Payloads = (0.0, 10.0)
+    payload_on: settings.AxisName | None = None
+    moves: settings.Count = 8
+    velocity: settings.Positive = 40_000.0
+    acceleration: settings.Positive = 400_000.0
+    deadband: settings.Positive = 3.0
+    limit: settings.Seconds = 0.5
+    rest: Annotated[float, settings.NumberSetting(LOOK, high=settings.MAX_SECONDS)] = 0.1
     overshoot_weight: settings.Weight = 0.2
     unrest_weight: settings.Weight = 0.2
     limit_weight: settings.Weight = 1.0
-    bus_cycle: settings.Cycle = 1e-6  # s
-    truth: settings.TruthOption = True  # where what no host can see is shown: observation_features.py
+    bus_cycle: settings.Cycle = 1e-6
+    truth: settings.TruthOption = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -75,6 +99,8 @@ class Config(settings.Settings):
 
 
 class ServoTuning(TuningTask[Config]):
+    """Rules of stage/ServoTuning-v0. The module docstring states them."""
+
     Config = Config
     STATE = (*TuningTask.STATE, "goal")
     PARTS = ("time", "overshoot", "unrest", "limit")
@@ -103,22 +129,22 @@ class ServoTuning(TuningTask[Config]):
         ranges = self.driver.get_filter_ranges(self.config.motion == "trapezoid").ranges
         return RegisterBox(list(ranges), ranges.values())
 
-    def prepare(self) -> None:
+    def make_spaces_and_arrays(self) -> None:
         c = self.config
         self.samples, self.tail = int(round(c.limit / LOOK)), int(round(c.rest / LOOK))
-        super().prepare()
-        self.goal = np.zeros(self.n)  # counts of the encoder, absolute
+        super().make_spaces_and_arrays()
+        self.goal = np.zeros(self.n)  # absolute position, counts of the encoder
 
     def prepare_after_placing(self, stage_index: int) -> None:
         chip: Any = self.stages[stage_index].axes[self.config.axis].chip
         self.goal[stage_index] = chip.encoder + self.distance[stage_index]
 
     def make_program(self, row: np.ndarray, distance: int) -> Program:
-        """The host's bus cycles for one move, and looks at the carriage."""
+        """Make the host's bus cycles for one move, followed by samples of the carriage's position every LOOK seconds."""
         c, p = self.config, Program()
         rates = (c.velocity, c.acceleration) if c.motion == "trapezoid" else None
         self.driver.write_servo_move(p, self.registers.to_dict(row), distance, rates)
-        self.first = len(p)  # of the pairs of a wait and a look
+        self.first = len(p)  # index of the first pair of a wait and a sample
         for k in range(self.samples):
             (p.measure if k >= self.samples - self.tail else p.wait)(LOOK)
             p.sample_position(self.axis.index)
@@ -131,10 +157,12 @@ class ServoTuning(TuningTask[Config]):
         error = self.goal[:, None] - sign * samples / self.axis.meters_per_pulse  # counts
         ends = played.extremes[:, self.axis.plant.qpos] * (
             sign / self.axis.meters_per_pulse
-        )  # of the rest, every physics step
+        )  # extremes of the rest, over all physics steps
         ends = np.where(np.isfinite(ends), self.goal[:, None] - ends, np.inf)
         outside = np.abs(error) > c.deadband
-        settled_at = self.samples - np.argmax(outside[:, ::-1], axis=1)  # looks up to the last one outside
+        settled_at = self.samples - np.argmax(
+            outside[:, ::-1], axis=1
+        )  # samples up to the last one outside the deadband
         finished = (np.abs(ends) <= c.deadband).all(axis=1) & ~outside[:, -1]
         settled = np.where(finished, np.where(outside.any(axis=1), settled_at, 0), self.samples) * LOOK
         overshoot = np.maximum(-error.min(axis=1), 0.0)
@@ -147,15 +175,19 @@ class ServoTuning(TuningTask[Config]):
         }
         overshoot, unrest, last = (
             np.rint(counts) for counts in (overshoot, unrest, error[:, -1])
-        )  # as an encoder has them
+        )  # whole counts, as an encoder has them
         info = {"settled": settled, "overshoot": overshoot, "unrest": unrest, "error": last, "finished": finished}
         shares = overshoot / (overshoot + SMALL), unrest / (unrest + SMALL)
         self.set_move_results(parts, info, np.stack([settled / c.limit, *shares, finished * 1.0], axis=1))
 
 
 class ServoTuningEnv(StageEnv):
+    """Gymnasium environment stage/ServoTuning-v0."""
+
     task = ServoTuning
 
 
 class ServoTuningVectorEnv(StageVectorEnv):
+    """Vector environment stage/ServoTuning-v0."""
+
     task = ServoTuning

@@ -1,13 +1,13 @@
-"""Kinds of settings of the environments, and their checks.
+"""Settings of the environments with checks of their values.
 
     @dataclass(frozen=True)
     class Config(Settings):
-        moves: Count = 8                                     a whole number from 1 up
-        limit: Seconds = 4.0                                 more than 0, up to 1e6 s
-        payloads: Annotated[Pair, Range(0.0)] = (0.0, 10.0)  (least, most), from 0 up
+        moves: Count = 8                                            an integer from 1 up
+        limit: Seconds = 4.0                                        more than 0, up to 1e6 s
+        payloads: Annotated[Pair, RangeSetting(0.0)] = (0.0, 10.0)  (smallest, largest), from 0 up
 
-A Config with a number out of its range, with nan, or with an unknown word raises an ArgumentError that names the setting. What a
-kind cannot know, for example which axes a model has, is checked where the setting is used.
+A Config with a number out of its range, with NaN, or with an unknown word raises an ArgumentError that names the setting. What
+these classes cannot know, for example which axes a model has, is checked where the setting is used.
 """
 
 from __future__ import annotations
@@ -25,38 +25,46 @@ from stage.errors import ArgumentError, unknown_name_error
 
 
 class UnknownSetting(ArgumentError, TypeError):
-    """An environment has no such setting: a TypeError as well, as Gymnasium's own environments raise it.
+    """Error of a setting that an environment does not have; also a TypeError, which Gymnasium's own environments raise.
 
-    It begins with Python's own words: TorchRL, for one, looks for them, to try again without what it had added itself.
+    Its message begins with Python's own words, which TorchRL, for example, looks for in order to try again without the settings
+    that it had added itself.
     """
 
 
-MAX_NUMBER = 1e9  # of any number
-MAX_SECONDS = 1e6  # s
+MAX_NUMBER = 1e9  # largest value of any setting
+MAX_SECONDS = 1e6
 
 
 @dataclass(frozen=True)
-class Number:
-    """A number from `low` up, or above it, to `high`; a whole one."""
+class NumberSetting:
+    """Check of a setting that is a number.
+
+    Attributes:
+        low: Smallest allowed value.
+        exclude_low: Whether the number must be larger than `low`.
+        high: Largest allowed value.
+        integer: Whether the number must be an integer.
+    """
 
     low: float = 0.0
-    above: bool = False
+    exclude_low: bool = False
     high: float = MAX_NUMBER
-    whole: bool = False
+    integer: bool = False
 
     @property
     def allowed(self) -> str:
-        """Description of the allowed values."""
-        start = f"more than {self.low:g}" if self.above else f"{self.low:g} or more"
-        return f"a {'whole ' if self.whole else ''}number, {start}, up to {self.high:g}"
+        """Description of the allowed numbers in words."""
+        start = f"more than {self.low:g}" if self.exclude_low else f"{self.low:g} or more"
+        return f"a {'whole ' if self.integer else ''}number, {start}, up to {self.high:g}"
 
     def accepts(self, value: Any) -> bool:
-        """Return whether the value is such a number; True and False are not."""
+        """Return whether a value is an allowed number. True and False are not numbers."""
         if not isinstance(value, Real) or isinstance(value, bool):
             return False
         number = float(value)
-        inside = (self.low < number if self.above else self.low <= number) and number <= self.high
-        return inside and (number.is_integer() or not self.whole)
+        inside = (self.low < number if self.exclude_low else self.low <= number) and number <= self.high
+        return inside and (number.is_integer() or not self.integer)
 
     def check(self, name: str, value: Any) -> None:
         """Raise ArgumentError unless the setting `name` accepts the value."""
@@ -65,10 +73,14 @@ class Number:
 
 
 @dataclass(frozen=True)
-class Range(Number):
-    """(least, most), each such a number. more: further conditions, in words."""
+class RangeSetting(NumberSetting):
+    """Check of a setting that is a pair (smallest, largest), both of which are allowed numbers.
 
-    more: str = ""
+    Attributes:
+        further_condition: Further condition in words, for the error.
+    """
+
+    further_condition: str = ""
 
     def check(self, name: str, value: Any) -> None:
         if (
@@ -78,25 +90,29 @@ class Range(Number):
             and value[0] <= value[1]
         ):
             return
-        what = f"{'whole ' if self.whole else ''}numbers {'above' if self.above else 'from'} {self.low:g} up"
-        raise ArgumentError(f"{name}={value!r}: (least, most), {what}, to {self.high:g}{self.more}.")
+        what = f"{'whole ' if self.integer else ''}numbers {'above' if self.exclude_low else 'from'} {self.low:g} up"
+        raise ArgumentError(f"{name}={value!r}: (least, most), {what}, to {self.high:g}{self.further_condition}.")
 
 
 @dataclass(frozen=True)
-class Word:
-    """One of the words known."""
+class ChoiceSetting:
+    """Check of a setting that is one of some words.
 
-    known: tuple[str, ...]
+    Attributes:
+        choices: The allowed words.
+    """
+
+    choices: tuple[str, ...]
 
     def check(self, name: str, value: Any) -> None:
         """Raise ArgumentError unless the setting `name` accepts the value."""
-        if not isinstance(value, str) or value not in self.known:
-            raise unknown_name_error(name, value, self.known)
+        if not isinstance(value, str) or value not in self.choices:
+            raise unknown_name_error(name, value, self.choices)
 
 
 @dataclass(frozen=True)
-class NumberOrRange(Range):
-    """Such a number, for least and most, or both."""
+class NumberOrRangeSetting(RangeSetting):
+    """Check of a setting that is either one allowed number or a pair (smallest, largest)."""
 
     def check(self, name: str, value: Any) -> None:
         if not self.accepts(value):
@@ -104,16 +120,16 @@ class NumberOrRange(Range):
 
 
 @dataclass(frozen=True)
-class Each(Number):
-    """One or more such numbers."""
+class NumbersSetting(NumberSetting):
+    """Check of a setting that is a sequence of one or more allowed numbers."""
 
     def check(self, name: str, value: Any) -> None:
         if not isinstance(value, Sequence | np.ndarray) or not len(value) or not all(map(self.accepts, value)):
             raise ArgumentError(f"{name}={value!r}: one or more, each {self.allowed}.")
 
 
-class Boolean:
-    """True or False, and nothing that Python takes for one of them."""
+class BooleanSetting:
+    """Check of a setting that is True or False. It refuses 0, 1 and other values that Python would convert."""
 
     def check(self, name: str, value: Any) -> None:
         """Raise ArgumentError unless the setting `name` accepts the value."""
@@ -121,8 +137,8 @@ class Boolean:
             raise ArgumentError(f"{name}={value!r}: True or False.")
 
 
-class Name:
-    """A name in the model."""
+class NameSetting:
+    """Check of a setting that is the name of something in the model."""
 
     def check(self, name: str, value: Any) -> None:
         """Raise ArgumentError unless the setting `name` accepts the value."""
@@ -131,60 +147,68 @@ class Name:
 
 
 @dataclass(frozen=True)
-class Names:
-    """At least so many different names in the model; a str is names of one letter."""
+class NamesSetting:
+    """Check of a setting that is a sequence of different names in the model. A str counts as a sequence of names of one letter.
 
-    least: int
+    Attributes:
+        min_names: Smallest number of names.
+    """
+
+    min_names: int
 
     def check(self, name: str, value: Any) -> None:
         """Raise ArgumentError unless the setting `name` accepts the value."""
         names = list(value) if isinstance(value, Sequence) else [None]
-        if not all(isinstance(n, str) for n in names) or not self.least <= len(set(names)) == len(names):
-            few = ("one", "two")[self.least - 1]
+        if not all(isinstance(n, str) for n in names) or not self.min_names <= len(set(names)) == len(names):
+            few = ("one", "two")[self.min_names - 1]
             raise ArgumentError(f"{name}={value!r}: {few} or more different names, for example ('x', 'y').")
 
 
 @dataclass(frozen=True)
-class Words:
-    """Any of some words, each once at most."""
+class ChoicesSetting:
+    """Check of a setting that is a sequence of some words, each at most once.
 
-    allowed: tuple[str, ...]
+    Attributes:
+        choices: The allowed words.
+    """
+
+    choices: tuple[str, ...]
 
     def check(self, name: str, value: Any) -> None:
         """Raise ArgumentError unless the setting `name` accepts the value."""
         if isinstance(value, str) or not isinstance(value, Sequence):
-            raise ArgumentError(f"{name}={value!r}: some of {', '.join(self.allowed)}, as ({self.allowed[0]!r},).")
+            raise ArgumentError(f"{name}={value!r}: some of {', '.join(self.choices)}, as ({self.choices[0]!r},).")
         for word in value:
-            if not isinstance(word, str) or word not in self.allowed:
-                raise unknown_name_error(f"word of {name}", word, self.allowed)
+            if not isinstance(word, str) or word not in self.choices:
+                raise unknown_name_error(f"word of {name}", word, self.choices)
         if len(set(value)) != len(value):
             raise ArgumentError(f"{name}={value!r}: each once.")
 
 
 Pair = tuple[float, float]
-Positive = Annotated[float, Number(above=True)]
-Seconds = Annotated[float, Number(above=True, high=MAX_SECONDS)]
-Cycle = Annotated[float, Number(high=1.0)]
-"""s, that a bus cycle takes."""
-Weight = Annotated[float, Number()]
-"""Of a part of the reward; which sign the part has is the environment's."""
-Discount = Annotated[float, Number(above=True, high=1.0)]
-"""A learner's own, of a step."""
-Count = Annotated[int, Number(above=True, whole=True)]
-Counts = Annotated[tuple[int, int], Range(1, whole=True)]
-Payloads = Annotated[Pair, Range()]
-"""kg."""
-Flag = Annotated[bool, Boolean()]
+Positive = Annotated[float, NumberSetting(exclude_low=True)]
+Seconds = Annotated[float, NumberSetting(exclude_low=True, high=MAX_SECONDS)]
+Cycle = Annotated[float, NumberSetting(high=1.0)]
+"""Duration of a bus cycle, s."""
+Weight = Annotated[float, NumberSetting()]
+"""Factor on a part of the reward, from 0 up; the environment decides whether the part is a cost."""
+Discount = Annotated[float, NumberSetting(exclude_low=True, high=1.0)]
+"""Discount of the learner for one step."""
+Count = Annotated[int, NumberSetting(exclude_low=True, integer=True)]
+Counts = Annotated[tuple[int, int], RangeSetting(1, integer=True)]
+Payloads = Annotated[Pair, RangeSetting()]
+"""Range of the payload, kg."""
+Flag = Annotated[bool, BooleanSetting()]
 TruthOption = Annotated[bool | str, TruthSetting()]
-"""Where what no host can see is shown, see observation_features.py."""
-AxisName = Annotated[str, Name()]
-Actions = Annotated[str, Word(("box", "registers"))]
+"""Whether observation and info have values that no host can know, see observation_features.py."""
+AxisName = Annotated[str, NameSetting()]
+Actions = Annotated[str, ChoiceSetting(("box", "registers"))]
 
 
 class Settings:
-    """The base of every Config: a frozen dataclass whose settings are checked by their kinds.
+    """Base of every Config, a frozen dataclass, which checks its settings when it is made.
 
-    None is a value of those settings alone whose default it is.
+    The value None is allowed only for settings whose default is None.
     """
 
     def __post_init__(self) -> None:
@@ -197,34 +221,36 @@ class Settings:
 
 @cache
 def _list_setting_kinds(config: type) -> list[tuple[str, Any]]:
-    """List name and kind of each setting of a Config that has a kind; a setting with several kinds occurs several times."""
+    """List the name and the check of each setting that has one. A setting with several checks occurs several times."""
     hints = get_type_hints(config, include_extras=True)
     parts = [
         (name, part) for name, hint in hints.items() for part in (hint, *get_args(hint))
-    ]  # those of `KIND | None`, too
+    ]  # also the parts of `KIND | None`
     return [(name, kind) for name, part in parts for kind in getattr(part, "__metadata__", ())]
 
 
 def read_option(
-    options: Mapping[str, Any], name: str, drawn: float, ends: tuple[float, float]
+    options: Mapping[str, Any], name: str, default: float, limits: tuple[float, float]
 ) -> float | np.integer | np.floating:
     """Read a number of `reset(options=...)`.
 
     Args:
         options: Options of the reset.
-        name: Of the option.
-        drawn: Value where the option is absent; if it is an int, the option must be whole.
-        ends: Least and largest value.
+        name: Name of the option.
+        default: Value if the option is absent. If it is an int, the option must be an integer.
+        limits: Smallest and largest allowed value.
 
     Raises:
-        ArgumentError: The option is not such a number.
+        ArgumentError: The option is not an allowed number.
     """
-    value, is_integer = options.get(name, drawn), isinstance(drawn, int)
+    value, is_integer = options.get(name, default), isinstance(default, int)
     if (
         isinstance(value, bool)
         or not isinstance(value, int | float | np.integer | np.floating)
-        or not ends[0] <= value <= ends[1]
+        or not limits[0] <= value <= limits[1]
         or (is_integer and value != int(value))
     ):
-        raise ArgumentError(f"option {name}={value!r}: {'a whole number ' * is_integer}from {ends[0]} to {ends[1]}.")
+        raise ArgumentError(
+            f"option {name}={value!r}: {'a whole number ' * is_integer}from {limits[0]} to {limits[1]}."
+        )
     return value

@@ -1,4 +1,4 @@
-"""One move of one axis: its start position, its bus cycles, and its outcome."""
+"""Single moves of one axis: where they begin, their bus cycles, and their outcomes."""
 
 from __future__ import annotations
 
@@ -16,20 +16,17 @@ from stage.sim.program import Program
 from stage.sim.stage import Axis
 
 TENTH_MM = 1e-4  # m
-MAX_OFFSET_M = 50e-6  # m, between carriage and pulses at rest
+MAX_OFFSET_M = 50e-6  # between the carriage and the position that the pulses imply, at rest
 
 
 def compute_move_time(distance: Any, start: float, drive: float, ramp: float) -> Any:
-    """Compute the duration of moves in closed form.
+    """Compute the duration of moves with two equal ramps in closed form, s.
 
     Args:
-        distance: Pulses.
+        distance: Distances, pulses.
         start: Start rate, pps.
         drive: Drive rate, pps.
         ramp: Duration of each ramp, s.
-
-    Returns:
-        Seconds.
     """
     steep = (drive - start) / ramp
     top = np.minimum(np.sqrt(distance * steep + start**2), drive)
@@ -37,10 +34,10 @@ def compute_move_time(distance: Any, start: float, drive: float, ramp: float) ->
 
 
 class StartPositions:
-    """Positions at which moves begin, so that the middle of the move is the middle of the travel, at a chosen angle of the rotor.
+    """Start positions for which the middle of a move is the middle of the travel, up to a chosen angle of the rotor.
 
     Attributes:
-        turn: Travel, m (rad), after which the rotor stands in its field as before: an electrical turn; of a servo, a count.
+        turn: Travel after which the rotor has the same angle in its field, m (rad): an electrical turn; for a servo, a count.
     """
 
     def __init__(self, axis: Axis):
@@ -51,12 +48,12 @@ class StartPositions:
             motor: Any = axis.drive.motor
             self.turn = 2 * np.pi / (motor.rotor_teeth * abs(axis.gear))
 
-    def check(self, distances: tuple[float, float], unit: str) -> None:
+    def require_room(self, distances: tuple[float, float], unit: str) -> None:
         """Raise ArgumentError if the longest distance does not fit into the travel.
 
         Args:
-            distances: Least and largest, in pulses or counts.
-            unit: Word for the error.
+            distances: Smallest and largest distance, pulses or counts.
+            unit: Name of the unit, for the error.
         """
         travel = self.axis.travel[1] - self.axis.travel[0]
         room = min(0.95 * travel, travel - 2 * self.turn) / self.axis.meters_per_pulse
@@ -64,27 +61,27 @@ class StartPositions:
             raise ArgumentError(f"distances={distances!r}: axis {self.axis.name} has room for {int(room)} {unit}.")
 
     def find_start(self, distance: float, angle: float) -> float:
-        """Return the position, m (rad), at which a move begins.
+        """Return the position at which a move begins, m (rad).
 
         Args:
-            distance: Pulses, plus or minus.
-            angle: Of the rotor in its field, 0 to 1.
+            distance: Signed distance of the move, pulses.
+            angle: Angle of the rotor in its field, electrical turns from 0 to 1.
         """
         signed_pulse_m = np.sign(self.axis.gear) * self.axis.meters_per_pulse
         return float((np.floor((self.middle - 0.5 * signed_pulse_m * distance) / self.turn) + angle) * self.turn)
 
 
 class MoveOutcomes(NamedTuple):
-    """Outcomes of a move on each stage, (n,).
+    """Outcomes of one move on each of n stages, (n,) each.
 
     Attributes:
-        duration: Seconds.
-        finished: The move made its pulses.
-        stopped: It ended without them.
-        lost: A step was lost, or the carriage is not where the pulses say.
-        vibration: Travel after the stop, m.
-        error: Of the encoder, counts.
-        swing: Of the encoder after the stop, m.
+        duration: Duration, s.
+        finished: Mask of the moves that made all their pulses.
+        stopped: Mask of the moves that stopped before they had made all their pulses.
+        lost: Mask of the moves that lost a step, or whose carriage is not where the pulse count says.
+        vibration: Travel of the judged point after the stop, m.
+        error: Encoder count minus the count that the pulses imply; 0 without an encoder.
+        swing: Travel after the stop by the encoder, m; 0 without an encoder.
     """
 
     duration: np.ndarray
@@ -97,12 +94,12 @@ class MoveOutcomes(NamedTuple):
 
     @property
     def in_step(self) -> np.ndarray:
-        """Mask of the moves that made their pulses and lost no step."""
+        """Mask of the moves that made all their pulses and lost no step."""
         return self.finished & ~self.lost
 
 
 class PulsePredictor:
-    """Predictor of the pulses that the chip of an axis makes of a program, without a stage."""
+    """Predictor of how many pulses a chip makes for a program. It runs a copy of the chip without the stage."""
 
     def __init__(self, axis: Axis):
         self.axis = axis
@@ -110,11 +107,11 @@ class PulsePredictor:
         self._fresh = type(chip)(**chip.options()).snapshot().record
 
     def predict_pulses(self, ops: np.ndarray, seconds: float) -> int | None:
-        """Return the net pulses of the drive that operations start, or None if it is not over in time.
+        """Return the net pulses that the operations make, or None if the chip still drives after `seconds`.
 
         Args:
             ops: Operations of a program, (operations, 4).
-            seconds: Chip time.
+            seconds: Time of the chip, s.
         """
         core = self.axis.chip.CORE
         rows = np.frombuffer(bytearray(self._fresh), core.STATE)
@@ -125,12 +122,14 @@ class PulsePredictor:
         return None if net_pulses == program_player.STILL_BUSY else int(net_pulses)
 
 
-class Trial(StartPositions):
-    """Moves of an axis from power-up, by its driver.
+class MoveTrial(StartPositions):
+    """Writer of programs for moves of an axis from power-up, and reader of their outcomes.
 
     Args:
-        point: at which vibration is observed, see `Program.measure`; 0: the axis itself. settle: s after the stop in which it is.
-        encoder: the host reads one on the carriage before and after the move, and in the settling time.
+        axis: Axis that moves, by its host driver.
+        point: Point at which vibration is observed, as for `Program.measure`; 0 for the axis itself.
+        settle: Simulated time after the stop in which vibration is observed, s.
+        encoder: Whether the host reads an encoder on the carriage before the move, after it, and while the carriage settles.
     """
 
     def __init__(self, axis: Axis, point: int, settle: float, encoder: bool = False):
@@ -139,32 +138,34 @@ class Trial(StartPositions):
         self.predictor = PulsePredictor(axis)
         self.stop = self.rest = 0
 
-    def program(self, values: Mapping[str, int], distance: int, limit: float, keep_step: bool = False) -> Program:
-        """Make the bus cycles of a move. All programs have the same length.
+    def make_program(
+        self, values: Mapping[str, int], distance: int, limit: float, end_on_lost_step: bool = False
+    ) -> Program:
+        """Make the bus cycles of a move. All programs of a trial have the same length.
 
         Args:
-            values: Registers by name.
-            distance: Pulses.
-            limit: Simulated seconds that the move may take.
-            keep_step: End at the first step that is lost.
+            values: Register values by name.
+            distance: Signed distance of the move, pulses.
+            limit: Longest simulated time of the move, s.
+            end_on_lost_step: Whether the move ends at the first lost step.
         """
         p = Program()
         if self.encoder:
             p.sample_position(self.axis.index)
         self.driver.write_move(p, values, distance)
-        self.stop = len(p)  # the wait for the stop
-        self.driver.write_stop(p.until_stopped([self.axis.index], limit, keep_step=keep_step))
+        self.stop = len(p)  # index of the operation that waits for the stop
+        self.driver.write_stop(p.until_stopped([self.axis.index], limit, keep_step=end_on_lost_step))
         self.rest = len(p)
         p.measure(self.settle, self.point)
         return p.sample_position(self.axis.index) if self.encoder else p
 
     def is_hopeless(self, program: Program, distance: int, limit: float) -> bool:
-        """Return whether the chip alone cannot make the pulses within the limit, so that physics need not run.
+        """Return whether the chip cannot make the pulses within the limit, so that physics need not run.
 
         Args:
-            program: What `program` returned.
-            distance: Pulses.
-            limit: Seconds.
+            program: Program of `make_program`.
+            distance: Signed distance of the move, pulses.
+            limit: Longest simulated time of the move, s.
         """
         return self.predictor.predict_pulses(np.array(program.ops[: self.stop], np.int64), limit) != distance
 
@@ -174,10 +175,10 @@ class Trial(StartPositions):
         """Read the outcomes of programs that were played.
 
         Args:
-            played: What the fleet returned.
-            truth: True state of this axis after it, (n,).
-            distance: Pulses, (n,).
-            count: Count of the encoder, m.
+            played: Results of the programs of `make_program`.
+            truth: True state of this axis after its program, (n,).
+            distance: Signed distances of the moves, pulses, (n,).
+            count: Travel of one encoder count, m.
         """
         took = played.results[:, self.stop] * 1e-9
         finished = (took > 0) & (truth["pulses"] == distance)

@@ -17,24 +17,32 @@ from stage import Stage
 from stage.envs import env_snapshots
 from stage.envs.env_snapshots import EnvSnapshot
 from stage.envs.observation_features import Feature
-from stage.envs.settings import Number
+from stage.envs.settings import NumberSetting
 from stage.envs.step_results import DIVERGED as DIVERGED
 from stage.envs.task import MoveTask, Task, check_action, make_config
 from stage.errors import ArgumentError, unknown_name_error
 from stage.support.snapshots import Header
 
 RENDER_MODES = ("rgb_array", "rgb_array_list", "human")
-FPS = 30  # of simulated time
+FPS = 30  # frames in a second of simulated time
 WIDTH, HEIGHT = 640, 480
 ENV_SETTINGS = ("render_mode", "camera", "record", "render_every")
 VECTOR_SETTINGS = ("num_envs", "threads", "autoreset_mode", "render_mode")
 """Settings of the scalar and of the vector environment beside those of the task."""
-FRAME_INTERVAL = Number(low=1e-4, high=1e3)  # s, between frames
+FRAME_INTERVAL = NumberSetting(low=1e-4, high=1e3)  # time between frames, s
 
 
-def _check_options(task: type[Task], options: Mapping[str, Any] | None, more: Sequence[str] = ()) -> dict[str, Any]:
-    """Check the options of a reset. Raises ArgumentError for one that is neither the task's nor one of `more`."""
-    known = [*task.OPTIONS, *more]
+def _check_reset_options(
+    task: type[Task], options: Mapping[str, Any] | None, further_names: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Return the options of a reset as a dict. Raises ArgumentError for unknown options.
+
+    Args:
+        task: Class of the task.
+        options: Options of the reset, or None.
+        further_names: Names of options that are allowed in addition to those of the task.
+    """
+    known = [*task.OPTIONS, *further_names]
     if not isinstance(options, Mapping | None):
         raise ArgumentError(f"options={options!r}: None, or a dict with any of: {', '.join(known) or 'nothing'}.")
     for name in options or {}:
@@ -44,7 +52,7 @@ def _check_options(task: type[Task], options: Mapping[str, Any] | None, more: Se
 
 
 def _spread_seeds(seed: Any, n: int) -> list[int | None]:
-    """Return the seed of each environment: one seed s stands for s, s + 1, ..."""
+    """Return one seed for each of n environments. A single seed s stands for s, s + 1, ..."""
     if seed is None or isinstance(seed, int | np.integer):
         return [None if seed is None else int(seed) + k for k in range(n)]
     if not isinstance(seed, Sequence | np.ndarray) or not all(
@@ -57,44 +65,45 @@ def _spread_seeds(seed: Any, n: int) -> list[int | None]:
 
 
 class _TaskAccess:
-    """Access to the task, the same for the scalar and the vector environment."""
+    """Mixin with the properties that scalar and vector environments take from their task."""
 
     _task: Task
 
     @property
     def observation_features(self) -> list[Feature]:
-        """Features of one environment's observation, a name and a text for each number, in its order."""
+        """Features of one environment's observation: name and meaning of each number, in order."""
         return self._task.observation_features
 
     @property
     def task_instance(self) -> Task:
-        """The task that the environment plays: its settings `config`, its `stages`, what it draws and computes for all of them."""
+        """Task that the environment plays, with its settings `config`, its `stages`, and what it has drawn for them."""
         return self._task
 
     @property
     def info_features(self) -> tuple[Feature, ...]:
-        """Features of an info, and for each whether a host could know it."""
+        """Features of an info: name, meaning and type of each value, and whether a host could know it."""
         return (*self._task.INFO,)
 
     @property
     def header(self) -> Header:
-        """Description of the environment that a snapshot carries."""
+        """Description of the environment that its snapshots carry."""
         return env_snapshots.make_header(self._task)
 
 
 class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
-    """One stage under a task.
+    """Gymnasium environment of one stage that a task controls.
 
     Args:
-        render_mode: what `render` gives (needs GL). "rgb_array": the stage at the end of the step, and not where the next move
-            will begin. "rgb_array_list": the frames since the last call or reset, `render_every` of simulated time where a step
-            is a whole move, and the end of each step. "human": a viewer that shows the same in real time. None: nothing.
-        camera: of the model.
-        render_every: s of simulated time from one frame to the next, 1/30 by default. Where a step is a bus cycle, each step is a
-            frame by default, and with render_every no frame comes earlier than so much after the last.
-        record: a file name for rerun recordings, with {} for the number of the episode, or of the step where each begins at
-            power-up: "run/{}.rrd".
-        Other settings are those of the task's Config.
+        render_mode: Kind of pictures that `render` returns; all need OpenGL. None: no pictures. "rgb_array": the stage at the
+            end of the step, before the next move is prepared. "rgb_array_list": the frames since the last call or reset; if a
+            step is a whole move, one each `render_every` of simulated time and one at the end. "human": a window that shows
+            these frames in real time.
+        camera: Name of a camera of the model.
+        record: File name for recordings, such as "run/{}.rrd"; {} stands for the number of the episode, or of the step if each step
+            begins at power-up.
+        render_every: Simulated time between two frames, s; default: 1/30 s. If a step is a bus cycle, each step has a frame by
+            default; with a value, the shortest time between two frames.
+        **settings: Settings of the task's Config.
     """
 
     task: ClassVar[type[Task]]
@@ -123,28 +132,30 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
         self._viewer: Any = None
         self._recording: Any = None
         self._episode = 0
-        self._frames: list[np.ndarray] = []  # qpos of the frames that `render` will give
-        self._end: np.ndarray | None = None  # of the last step, where the task has moved the stage since
+        self._frames: list[np.ndarray] = []  # joint positions of the frames that `render` will return
+        self._end: np.ndarray | None = (
+            None  # joint positions at the end of the last step, if the task has moved the stage since
+        )
 
     @property
     def config(self) -> Any:
-        """The settings, as the task has them."""
+        """Settings of the task, a frozen dataclass."""
         return self._task.config
 
     @property
     def stage(self) -> Stage:
-        """The stage itself, for inspection."""
+        """Stage of the environment, for inspection."""
         return self._task.stages[0]
 
     def scripted_action(self) -> Any:
-        """Return the next action of a host that does not learn. Raises ArgumentError for a task without one."""
+        """Return the next action of the task's scripted host, which does not learn. Raises ArgumentError for a task without one."""
         return self._task.scripted_action()[0]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         super().reset(seed=seed)
-        options = _check_options(self.task, options)
+        options = _check_reset_options(self.task, options)
         self._save_recording()
         self._task.rngs[0] = self.np_random
         self._task.reset_stage(0, options)
@@ -164,7 +175,7 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
         self._play_step()
         if task.RESTARTS:
             self._save_recording()
-        task.prepare_next()
+        task.prepare_next_step()
         if task.RESTARTS:
             self._start_recording()
         task.update_observations()
@@ -173,25 +184,25 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
         return task.observations[0].copy(), reward, terminated, truncated, info
 
     def snapshot(self) -> EnvSnapshot:
-        """Take a snapshot of the whole episode, for `restore`. Raises ArgumentError before the first reset."""
+        """Take a snapshot of the complete episode, for `restore`. Raises ArgumentError before the first reset."""
         env_snapshots.require_episodes([self._is_started])
         return env_snapshots.take_snapshot(self._task, (self._over, self._np_random_seed, self._end))
 
     def restore(self, snapshot: EnvSnapshot) -> None:
-        """Continue from a snapshot, bit for bit, as often as you like: the next step is the one that followed it.
+        """Continue from a snapshot, bit for bit, as often as you like.
 
         Args:
-            snapshot: Of an environment with the same settings.
+            snapshot: Snapshot of an environment with the same settings.
 
         Raises:
             ArgumentError: The snapshot is of an environment with other settings, or damaged.
-            StageError: The environment records.
+            StageError: The environment makes a recording.
         """
         self._over, self._np_random_seed, self._end = env_snapshots.restore_snapshot(self._task, snapshot)
         self._np_random, self._is_started = self._task.rngs[0], True
 
     def _play_step(self) -> None:
-        """Play the step, and note its frames."""
+        """Play one step of the task, and collect its frames for `render`."""
         task = self._task
         if self.render_mode is None:
             task.play()
@@ -205,26 +216,26 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
             self._add_frames(frames, frames[-1].copy())
 
     def _film_move(self) -> np.ndarray:
-        """Play a whole move and return the joint positions to show, (frames, nq), the last at its end."""
+        """Play a whole move, and return the joint positions of its frames, (frames, nq); the last frame is the end of the move."""
         if self.render_mode == "rgb_array":
             self._task.play()
             return self.stage.data.qpos[None]
-        from stage.envs.rendering import Film
+        from stage.envs.rendering import PoseSampler
 
-        begin, film = self.stage.data.qpos.copy(), Film(self.stage, self._frame_interval or 1 / FPS)
+        begin, sampler = self.stage.data.qpos.copy(), PoseSampler(self.stage, self._frame_interval or 1 / FPS)
         try:
             self._task.play()
         finally:
-            frames = film.end()
+            frames = sampler.finish()
         is_noted = self._frames and (begin == self._frames[-1]).all()
         return frames if is_noted else np.concatenate([begin[None], frames])
 
     def _add_frames(self, frames: np.ndarray, end: np.ndarray | None) -> None:
-        """Note frames to show.
+        """Store frames for `render`, or show them at once in render mode "human".
 
         Args:
             frames: Joint positions, (frames, nq).
-            end: Joint positions at the end of the step, if the task has moved the stage since; else None.
+            end: Joint positions at the end of the step, if the task has moved the stage since then; else None.
         """
         self._end = end
         if self.render_mode == "rgb_array_list":
@@ -233,9 +244,10 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
             for k, qpos in enumerate(frames):
                 if k:
                     time.sleep(self._frame_interval or 1 / FPS)
-                self._open_viewer().frame(qpos)
+                self._open_viewer().render_stage(qpos)
 
     def _open_viewer(self) -> Any:
+        """Return the viewer of the render mode, and open it at the first call."""
         if self._viewer is None:
             from stage.envs.rendering import make_viewer
 
@@ -243,14 +255,14 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
         return self._viewer
 
     def render(self) -> Any:
-        """Return a frame (height, width, 3) of uint8, a list of frames, or None, as the render mode says."""
+        """Return an image, (height, width, 3) uint8, a list of images, or None, depending on the render mode."""
         if self.render_mode is None:
             return None
         if self.render_mode == "rgb_array_list":
-            frames = [self._open_viewer().frame(qpos) for qpos in self._frames]
+            frames = [self._open_viewer().render_stage(qpos) for qpos in self._frames]
             self._frames.clear()
             return frames
-        return self._open_viewer().frame(self._end)
+        return self._open_viewer().render_stage(self._end)
 
     def close(self) -> None:
         self._save_recording()
@@ -259,10 +271,12 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
             self._viewer = None
 
     def _start_recording(self) -> None:
+        """Begin a recording of the stage, if the environment makes recordings."""
         if self._record is not None:
             self._recording = self.stage.record()
 
     def _save_recording(self) -> None:
+        """Save the current recording under the number of the episode or step, and count up."""
         if self._recording is not None:
             self._recording.close()
             path = Path(str(self._record).replace("{}", str(self._episode)))
@@ -276,11 +290,16 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
 
 
 class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
-    """Many stages under a task, on threads, without the GIL: the same bits as as many scalar environments.
+    """Gymnasium vector environment of many stages that one task controls, stepped on threads without the GIL.
+
+    The results are bit for bit those of the same number of scalar environments.
 
     Args:
-        num_envs: how many. threads: default one a processor.
-        autoreset_mode: as Gymnasium defines them, default NEXT_STEP. Other settings are those of the task's Config.
+        num_envs: Number of stages.
+        threads: Number of threads; default: one for each processor.
+        autoreset_mode: When finished episodes are reset, as Gymnasium defines it.
+        render_mode: Always None: a vector does not render.
+        **settings: Settings of the task's Config.
     """
 
     task: ClassVar[type[Task]]
@@ -311,19 +330,19 @@ class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
 
     @property
     def stages(self) -> list[Stage]:
-        """The stages themselves."""
+        """Stages of the environments, in order."""
         return self._task.stages
 
     def scripted_action(self) -> np.ndarray:
-        """Return the next actions of a host that does not learn, (num_envs, ...). Raises ArgumentError for a task without one."""
+        """Return the next actions of the task's scripted host, (num_envs, ...). Raises ArgumentError for a task without one."""
         return self._task.scripted_action()
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        options = _check_options(self.task, options, ["reset_mask"])
+        options = _check_reset_options(self.task, options, ["reset_mask"])
         mask = options.pop("reset_mask", np.ones(self.num_envs, bool))
-        self._check_mask(mask)
+        self._check_reset_mask(mask)
         seeds = _spread_seeds(seed, self.num_envs)
         infos: dict[str, Any] = {}
         for k in np.flatnonzero(mask).tolist():
@@ -342,13 +361,13 @@ class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
         return env_snapshots.take_snapshot(self._task, self._over)
 
     def restore(self, snapshot: EnvSnapshot) -> None:
-        """Continue from a snapshot, bit for bit, as often as you like.
+        """Continue from a snapshot, bit for bit. It can be restored repeatedly.
 
         Args:
-            snapshot: Of a vector with the same settings and number of stages.
+            snapshot: Snapshot of a vector environment with the same settings and number of stages.
 
         Raises:
-            ArgumentError: The snapshot is of another vector, or damaged.
+            ArgumentError: The snapshot is of another vector environment, or damaged.
         """
         self._over = env_snapshots.restore_snapshot(self._task, snapshot).copy()
         self._seeded[:] = True
@@ -370,8 +389,8 @@ class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
             task.play()
             rewards[active] = task.results["reward"][active]
             ends[:, active] = task.results["terminated"][active], task.results["truncated"][active]
-            _join_columns(infos, task.results.read_columns(active))
-            task.prepare_next()
+            _merge_info_columns(infos, task.results.read_columns(active))
+            task.prepare_next_step()
         task.update_observations()
         observations = task.observations.copy()
         self._over = ends[0] | ends[1]
@@ -383,7 +402,12 @@ class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
         return observations, rewards, ends[0], ends[1], infos
 
     def _reset_finished_stages(self, infos: dict[str, Any], observations: np.ndarray) -> dict[str, Any]:
-        """Reset finished stages, and keep their last observation and info, as Gymnasium requires."""
+        """Reset finished stages, and return the infos with their last observation and info, as Gymnasium's SAME_STEP requires.
+
+        Args:
+            infos: Infos of the step.
+            observations: Observations of the step, (num_envs, ...).
+        """
         last = infos
         merged: dict[str, Any] = {}
         for k in range(self.num_envs):
@@ -395,7 +419,8 @@ class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
             merged = self._add_info(merged, info, k)
         return merged
 
-    def _check_mask(self, mask: Any) -> None:
+    def _check_reset_mask(self, mask: Any) -> None:
+        """Raise ArgumentError unless the option reset_mask is a mask of the environments that selects at least one."""
         if (
             not isinstance(mask, np.ndarray)
             or mask.dtype != np.bool_
@@ -405,17 +430,17 @@ class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
             raise ArgumentError(f"reset_mask {mask!r}: a bool array of shape ({self.num_envs},), at least one True.")
 
     def close_extras(self, **kwargs: Any) -> None:
-        if hasattr(self, "_task"):  # not where its settings were refused: Gymnasium closes it all the same
+        if hasattr(self, "_task"):  # Gymnasium also closes an environment whose settings were refused
             self._task.close()
 
 
-def _to_python(value: Any) -> Any:
-    """A number as Python's, an array as one of its own."""
+def _to_plain_value(value: Any) -> Any:
+    """Convert a NumPy scalar to a Python value, and copy an array; return any other value as it is."""
     return value.item() if isinstance(value, np.generic) else value.copy() if isinstance(value, np.ndarray) else value
 
 
-def _join_columns(infos: dict[str, Any], columns: dict[str, Any]) -> None:
-    """Add columns to a vector's infos, in which other environments may have the same names."""
+def _merge_info_columns(infos: dict[str, Any], columns: dict[str, Any]) -> None:
+    """Merge the columns of a step into infos that already have columns of environments that were reset."""
     for name in [n for n in columns if n in infos and f"_{n}" in infos]:
         whose = infos[f"_{name}"]
         columns[name][whose] = infos[name][whose]
@@ -424,14 +449,14 @@ def _join_columns(infos: dict[str, Any], columns: dict[str, Any]) -> None:
 
 
 def info_of(infos: Mapping[str, Any], stage_index: int) -> dict[str, Any]:
-    """Return the info of one environment out of the info of a vector.
+    """Return the info of one environment from the infos of a vector environment.
 
     Args:
-        infos: Info of the vector, with a mask for each key.
-        stage_index: Number of the environment.
+        infos: Infos of the vector environment, with a mask for each key.
+        stage_index: Index of the environment.
     """
     return {
-        name: info_of(v, stage_index) if isinstance(v, dict) else _to_python(v[stage_index])
+        name: info_of(v, stage_index) if isinstance(v, dict) else _to_plain_value(v[stage_index])
         for name, v in infos.items()
         if not name.startswith("_") and infos[f"_{name}"][stage_index]
     }

@@ -1,22 +1,22 @@
-"""Records of the results of a step, one for each stage.
+"""Records of the results of a step, one record for each stage.
 
 `StageEnv` reads a row of the array, `StageVectorEnv` its columns.
 
-Tasks with a benchmark also have a score at the end of an episode, under the same names in all of them:
+Tasks with a benchmark also have a score at the end of an episode, with the same names in all tasks:
 
     *_, info = env.step(action)
     if "score" in info:                  the episode is over
         print(info["score"])
 
     success      the task was done, as the task defines it
-    time         s: of the best move that was proved, where a task proves; else what the task took; infinite without success
-    regret       log(time / the time of the formula), which is what a host gets that tries nothing and only reads data sheets;
-                 below 0 where the player was faster; infinite without success
-    moves        steps of the episode: moves, tries, returns, or macros
+    time         s: of the best proved move if the task has proofs; else of the whole task; infinite without success
+    regret       log(time / time of the formula). The formula is what a host can do that only reads data sheets and makes no
+                 attempt. Below 0 if the player was faster; infinite without success
+    moves        steps of the episode: moves, attempts, returns, or macros
     lost_steps   full steps lost in all, by all axes
     limits       moves that ended at an end limit
 
-No host knows the score: with truth=False it is left out, as all truth is.
+No host can know the score, so truth=False hides it like all truth.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from stage.native import record
 from stage.support import portable_math
 
 DIVERGED = -10.0  # reward of a step in which the simulation diverged
-CAUSES = ("", "diverged")  # of an end that is no part of the task, by the number in a record
+CAUSES = ("", "diverged")  # causes of an end that the task does not define, by their index in a record
 SCORE = record(
     [("success", "?"), ("time", "f8"), ("regret", "f8"), ("moves", "i8"), ("lost_steps", "i8"), ("limits", "i8")]
 )
@@ -39,21 +39,21 @@ SCORE_FEATURE = Feature(
     "score", TRUTH, "only at the end of an episode: success, time, regret, moves, lost_steps, limits"
 )
 FAILED = (False, np.inf, np.inf)
-"""Success, time and regret of an episode that came to nothing."""
+"""Success, time and regret of an episode without success."""
 
 
 def make_step_result_dtype(
     parts: Sequence[str], info: Iterable[Feature], shapes: Mapping[str, tuple[int, ...]] | None = None
 ) -> np.dtype:
-    """Make the dtype of the record that holds the results of one step.
+    """Make the dtype of the record that holds the results of one step of one stage.
 
     Args:
         parts: Names of the parts whose sum is the reward.
-        info: Features of the info; with `SCORE_FEATURE` there is a score at an episode's end.
-        shapes: Shapes of the features that are arrays.
+        info: Features of the info. With `SCORE_FEATURE` among them, there is a score at the end of an episode.
+        shapes: Shapes of the features that are arrays, by name.
 
     Returns:
-        A dtype with reward, ends, cause, parts, info, and the score.
+        A dtype with reward, terminated, truncated, cause, parts, info, and the score.
     """
     features = tuple(info)
     values = [(f.name, f.kind, (shapes or {}).get(f.name, ())) for f in features if f.kind is not None]
@@ -67,11 +67,11 @@ def write_scores(rows: np.ndarray, time: Any, formula: Any, moves: Any, lost_ste
 
     Args:
         rows: Records of `SCORE`, (n,).
-        time: Seconds, infinite without success.
-        formula: Seconds that the formula needs for the same.
-        moves: Steps of the episode.
-        lost_steps: Full steps lost, by all axes.
-        limits: Moves that ended at an end limit.
+        time: Time of the player, s; infinite without success.
+        formula: Time of the formula for the same task, s.
+        moves: Numbers of steps of the episodes.
+        lost_steps: Full steps lost by all axes.
+        limits: Numbers of moves that ended at an end limit.
     """
     rows["time"], rows["success"] = time, np.isfinite(time)
     rows["regret"] = portable_math.log(np.asarray(time, float) / formula)
@@ -79,7 +79,7 @@ def write_scores(rows: np.ndarray, time: Any, formula: Any, moves: Any, lost_ste
 
 
 class Results:
-    """Records of the results of n stages.
+    """Results of the last step of n stages, one record for each.
 
     Args:
         n: Number of stages.
@@ -87,7 +87,8 @@ class Results:
         hidden: Names that an info leaves out.
 
     Attributes:
-        rows: (n,) records.
+        rows: Records, (n,).
+        scored: Whether the records have a score.
     """
 
     def __init__(self, n: int, dtype: np.dtype, hidden: frozenset[str] = frozenset()):
@@ -97,14 +98,14 @@ class Results:
         self.scored = "score" in (dtype.names or ())
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """A column; "parts", "info" and "score" have columns of their own."""
+        """Return a column of the records by name; "parts", "info" and "score" are records with columns of their own."""
         return self.rows[name]
 
     def __setitem__(self, name: str, values: Any) -> None:
         self.rows[name] = values
 
     def finish(self, bad: np.ndarray) -> None:
-        """Sum up the parts of the reward, and end the episodes of stages that diverged.
+        """Sum up the parts of the rewards, and end the episodes of stages whose simulation diverged.
 
         Args:
             bad: Mask of the stages that diverged, (n,).
@@ -122,7 +123,7 @@ class Results:
                 rows["score"][name][bad] = value
 
     def read_row(self, stage_index: int) -> tuple[float, bool, bool, dict[str, Any]]:
-        """Return (reward, terminated, truncated, info) of stage k."""
+        """Return reward, terminated, truncated and info of one stage."""
         reward, terminated, truncated, cause, parts, values, *score = self.rows.item(stage_index)
         info = dict(zip(self._info, values))  # noqa: B905 (the check would cost as much as all else)
         for name in self._arrays:
@@ -138,7 +139,7 @@ class Results:
         return reward, terminated, truncated, info
 
     def read_columns(self, active: np.ndarray) -> dict[str, Any]:
-        """Return the info of all stages in Gymnasium's form: arrays, each with a mask of the stages that have it.
+        """Return the infos of all stages in Gymnasium's form: arrays by name, each with a mask of the stages that have the value.
 
         Args:
             active: Mask of the stages that took part in the step, (n,).
@@ -161,4 +162,5 @@ class Results:
 
 
 def _mask_values(values: dict[str, Any], active: np.ndarray) -> dict[str, Any]:
+    """Return values with a mask for each name, under the name with a leading underscore."""
     return {key: v for name, value in values.items() for key, v in ((name, value), (f"_{name}", active.copy()))}

@@ -1,24 +1,23 @@
 """`stage/SynchronizedLine-v1`: a straight line of two or three axes on a machine that the host does not know, and its proof.
 
-An episode is one machine (machine_contexts.py, hidden), one line and one try: rate, ramps and the registers of all axes. The
-move is made from places where the rotors stand anywhere in their fields, and then `proofs` times more from others, with
-`margin` kg beyond the payload. How the axes are kept on the line depends on the chip's family, as in SynchronizedMove
-(synchronized_move.py).
+An episode is one hidden machine (machine_contexts.py), one line and one attempt: rate, ramps and the registers of all axes. The
+move starts at random angles of the rotors, and is then repeated `proofs` times from other angles, with `margin` kg more payload.
+How the axes are kept on the line depends on the chip's family, as in SynchronizedMove (synchronized_move.py).
 
 action        Box [-1, 1]^(2 + 6 axes): peak rate of the longest axis and seconds of its ramps, by their logarithms over `rate` and
               `ramps`; then six corrections for each axis to the data sheet's a:b registers (PCL-240: R1, R2, R4, R5, R6, R7), as
-              the "corrections" of SynchronizedMove: 0 is the engineer's answer. A chip that has fewer registers takes the first
-              ones of each axis, one that interpolates those of the first axis; the rest has no effect. So one policy can act
-              through every chip.
+              the "corrections" of SynchronizedMove: 0 is the engineer's answer. A chip with fewer registers uses the first
+              corrections of each axis, a chip that interpolates uses those of the first axis; the others have no effect. So one
+              policy can act through every chip.
 observation   float32, -1 to 1, for each axis: signed distance / longest distance possible; and how far the data sheet's registers
-              take it off its share of the longest axis at the usual rate, by the closed form, as in SynchronizedMove (4
+              take the axis off its share of the longest axis at the usual rate, by the closed form, as in SynchronizedMove (4
               numbers). truth=True adds the machine
 reward        the sum of
-              gain     log(2 x usual time / cost) of the try that kept step, where the cost is its seconds, and path_weight s for
-                       each pulse off the line, carriage_weight s for each 0.1 mm that the carriages are, and vibration_weight s
-                       for each 0.1 mm of vibration after the stop; 0 for what costs more
+              gain     log(2 x usual time / cost) of an attempt that kept step, 0 for a higher cost. The cost is its seconds, plus
+                       path_weight s for each pulse off the line, carriage_weight s for each 0.1 mm of the carriages off the
+                       line, and vibration_weight s for each 0.1 mm of vibration after the stop
               damage   - damage_weight if a step was lost, or the move did not make its pulses
-              proof    what was gained is taken back if one of the proofs loses a step
+              proof    minus the gain if one of the proofs loses a step
               The usual time is that of 1000 to 16,000 pps of the longest axis, in 0.15 s.
 episode       one step, then terminated.
 score         time: s, the proved cost. formula: the time at the engineer's rate (stage.tune.formula) for the heaviest payload of
@@ -39,7 +38,16 @@ from stage import Stage
 from stage.envs import machine_contexts, synchronized_move
 from stage.envs.hidden_machines import MachineSettings, MachineTask
 from stage.envs.observation_features import HOST, TRUTH, Feature
-from stage.envs.settings import AxisName, Counts, Number, NumberOrRange, Pair, Range, Seconds, Weight
+from stage.envs.settings import (
+    AxisName,
+    Counts,
+    NumberOrRangeSetting,
+    NumberSetting,
+    Pair,
+    RangeSetting,
+    Seconds,
+    Weight,
+)
 from stage.envs.single_moves import TENTH_MM, compute_move_time
 from stage.envs.stage_env import StageEnv, StageVectorEnv
 from stage.envs.step_results import SCORE_FEATURE, write_scores
@@ -53,24 +61,42 @@ from stage.sim.program import MEASURE
 from stage.support import portable_math
 from stage.tune.formula import Load, compute_speeds
 
-CORRECTIONS = 6  # an axis
+CORRECTIONS = 6  # numbers of an action for each axis
 
 
 @dataclass(frozen=True)
 class Config(MachineSettings, synchronized_move.Config):
-    """Settings of SynchronizedLine, beside those of hidden machines and of SynchronizedMove."""
+    """Settings of SynchronizedLine, in addition to those of `MachineSettings` and SynchronizedMove.
 
-    distances: Counts = (1_600, 12_000)  # pulses of each axis, drawn evenly by their logarithm, with any sign
-    rate: Annotated[float | Pair, NumberOrRange(more=", not below fl")] = (2_000.0, 60_000.0)  # pps, that can be chosen
-    ramps: Annotated[Pair, Range(1e-3, high=1.0)] = (0.01, 0.3)  # s, that can be chosen
-    judge_at: AxisName | None = None  # site or body that the first axis carries, at which vibration is observed
-    proofs: Annotated[int, Number(low=0, high=64, whole=True)] = 3  # moves
-    margin: Annotated[float, Number(high=1e3)] = 0.5  # kg that the proof has beyond the payload
-    settle: Seconds = 1e-3  # s after the last pulse, to which the carriages are watched
-    rest: Seconds = 0.1  # s after that, in which vibration is observed
-    path_weight: Weight = 0.01  # s a pulse
-    carriage_weight: Weight = 0.01  # s for each 0.1 mm
-    vibration_weight: Weight = 0.02  # s for each 0.1 mm
+    Attributes:
+        distances: Smallest and largest distance of each axis, pulses, drawn evenly by their logarithm, with a random sign.
+        rate: Range of the peak rate that an action chooses, pps.
+        ramps: Range of the ramp duration that an action chooses, s.
+        judge_at: Site or body that the first axis carries, at which vibration is observed; None: see `find_judged_point`.
+        proofs: Number of moves that prove the attempt.
+        margin: Mass that the moves of a proof have beyond the payload, kg.
+        settle: Simulated time after the last pulse until which the carriages are observed, s.
+        rest: Simulated time after that in which vibration is observed, s.
+        path_weight: Cost of a pulse of path deviation, s.
+        carriage_weight: Cost of 0.1 mm between the carriages and the line, s.
+        vibration_weight: Cost of 0.1 mm of vibration, s.
+        damage_weight: Cost of a move that loses a step or does not make all its pulses.
+    """
+
+    distances: Counts = (1_600, 12_000)
+    rate: Annotated[float | Pair, NumberOrRangeSetting(further_condition=", not below fl")] = (
+        2_000.0,
+        60_000.0,
+    )
+    ramps: Annotated[Pair, RangeSetting(1e-3, high=1.0)] = (0.01, 0.3)
+    judge_at: AxisName | None = None
+    proofs: Annotated[int, NumberSetting(low=0, high=64, integer=True)] = 3
+    margin: Annotated[float, NumberSetting(high=1e3)] = 0.5
+    settle: Seconds = 1e-3
+    rest: Seconds = 0.1
+    path_weight: Weight = 0.01
+    carriage_weight: Weight = 0.01
+    vibration_weight: Weight = 0.02
     damage_weight: Weight = 0.05
 
     def __post_init__(self) -> None:
@@ -84,9 +110,11 @@ class Config(MachineSettings, synchronized_move.Config):
 
 
 class SynchronizedLine(MachineTask[Any], SynchronizedMove):
+    """Rules of stage/SynchronizedLine-v1. The module docstring states them."""
+
     Config: ClassVar[type] = Config
     OPTIONS = ("distances", *machine_contexts.OPTIONS)
-    """The line and the machine, in place of drawn ones."""
+    """Options of a reset, which replace drawn values of the line and the machine."""
     PARTS = ("gain", "damage", "proof")
     STATE = ("distances", "rate", "ramp", "context", "angles", "formula")
     OBSERVATION: ClassVar[tuple[Feature, ...]] = (*SynchronizedMove.OBSERVATION[1:6], *machine_contexts.OBSERVATION)
@@ -108,10 +136,10 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
     def axis_names(self) -> tuple[str, ...]:
         return self.config.axes
 
-    def prepare(self) -> None:
+    def make_spaces_and_arrays(self) -> None:
         c: Any = self.config
         n, first = self.n, self.stages[0]
-        super().prepare()
+        super().make_spaces_and_arrays()
         m = len(self.axes)
         self.judged, self.point = find_judged_point(first, c.axes[0], c.judge_at)
         self.prepare_machines()
@@ -122,7 +150,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         self.ramp, self.formula = np.full(n, 0.1), np.ones((n, 3))
         self.proof_fleet = Fleet([copy.deepcopy(first) for _ in range(n)], self.fleet.threads)
 
-    def layout(self) -> list[Feature]:
+    def list_all_features(self) -> list[Feature]:
         return [*self.OBSERVATION[:5] * len(self.axes), *self.OBSERVATION[5:]]
 
     # --- machines and lines ---
@@ -139,12 +167,19 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         self.ramp[stage_index] = np.clip(Speeds().up, *c.ramps)
         self.angles[stage_index] = rng.uniform(size=m)
         self._place_carriages(self.stages[stage_index], stage_index)
-        self._compute_formula(stage_index)
+        self._compute_formula_move(stage_index)
 
-    def prepare_next(self) -> None:
-        """Each episode is one step."""
+    def prepare_next_step(self) -> None:
+        """Do nothing, because an episode has only one step."""
 
     def _place_carriages(self, stage: Stage, stage_index: int, extra_payload_kg: float = 0.0) -> None:
+        """Put a stage at power-up, with the machine of an episode and the carriages at the start of its line.
+
+        Args:
+            stage: Stage to change.
+            stage_index: Index of the stage whose machine and line it gets.
+            extra_payload_kg: Mass beyond the payload, kg.
+        """
         stage.restore(self.start)
         self.configure_stage(stage, stage_index, extra_payload_kg)
         begin = zip(
@@ -159,8 +194,8 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
     def describe_episode(self, stage_index: int) -> dict[str, Any]:
         return {"distances": self.distances[stage_index].copy(), **self.describe_machine(stage_index)}
 
-    def _compute_formula(self, stage_index: int) -> None:
-        """Compute rate, ramp and time by the formula: no axis is faster or steeper than it may be."""
+    def _compute_formula_move(self, stage_index: int) -> None:
+        """Compute the rate, ramp and duration of a stage's line by the engineer's formula, within the limits of each axis."""
         c: Any = self.config
         sizes = np.abs(self.distances[stage_index])
         longest = int(sizes.max())
@@ -177,12 +212,12 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
 
     @property
     def requested_lines(self) -> LineMoves:
-        """Lines to move, at the rates and ramps that are chosen."""
+        """Lines of all stages, with the rates and ramps of the last actions."""
         return LineMoves(self.distances, self.rate, self.ramp)
 
     @property
-    def usual(self) -> np.ndarray:
-        """Seconds that the usual rate takes, (n,)."""
+    def usual_times_s(self) -> np.ndarray:
+        """Duration of each stage's line at the usual rate, s, (n,)."""
         s = Speeds()
         return compute_move_time(np.abs(self.distances).max(axis=1).astype(float), s.start, s.drive, s.up)
 
@@ -192,14 +227,14 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         return self.line.apply_corrections(self.requested_lines, wanted[:, :rows, :columns])
 
     def action_of(self, rate: Any, ramp: Any) -> np.ndarray:
-        """Return the actions that mean these values, without corrections.
+        """Return the actions that stand for a rate and a ramp, without corrections.
 
         Args:
-            rate: Peak rate of the longest axis, pps.
-            ramp: Duration of the ramps, s.
+            rate: Peak rate of the longest axis, pps, a number or (n,).
+            ramp: Duration of the ramps, s, a number or (n,).
 
         Returns:
-            (n, actions) float32.
+            Actions, (n, actions) float32.
         """
         c: Any = self.config
         out = np.zeros((self.n, self.action_space.shape[0]), np.float32)  # type: ignore[index]
@@ -209,7 +244,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         return out
 
     def scripted_action(self) -> np.ndarray:
-        """Return the engineer's rate and ramp, and the data sheet's registers for them."""
+        """Return actions with the rate and ramp of the engineer's formula, and the data sheet's registers for them."""
         return self.action_of(self.formula[:, 0], self.formula[:, 1])
 
     def make_programs(self) -> np.ndarray:
@@ -226,7 +261,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
 
     def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
         c: Any = self.config
-        t, usual = truth[:, self.index], self.usual
+        t, usual = truth[:, self.index], self.usual_times_s
         lost, finished = t["lost_steps"], self._find_finished_moves(t)
         deviation, duration = np.where(finished, self.path, np.inf), np.where(finished, self.seconds, c.limit)
         off_line, vibration = self._measure_carriages(played.results), played.results[:, -1] * 1e-12
@@ -252,23 +287,25 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         damage = np.abs(lost).sum(axis=1), (~finished) * 1
         write_scores(self.results["score"], proved, self.formula[:, 2], self.steps, *damage)
 
-    def _find_finished_moves(self, t: np.ndarray) -> np.ndarray:
-        return ((t["pulses"] == self.distances) & (t["busy"] == 0)).all(axis=1)
+    def _find_finished_moves(self, truth: np.ndarray) -> np.ndarray:
+        """Return the mask of the stages on which all axes made their pulses and stopped, (n,)."""
+        return ((truth["pulses"] == self.distances) & (truth["busy"] == 0)).all(axis=1)
 
     def _compute_value(self, cost: np.ndarray) -> np.ndarray:
-        return np.maximum(portable_math.log(2 * self.usual) - portable_math.log(cost), 0.0)
+        """Compute the value of a move: log(two usual times / cost); 0 for a higher cost."""
+        return np.maximum(portable_math.log(2 * self.usual_times_s) - portable_math.log(cost), 0.0)
 
-    def _prove_moves(self, which: np.ndarray) -> np.ndarray:
-        """Repeat moves with the same registers from other angles of the rotors, in `proofs` moves and `margin` kg heavier.
+    def _prove_moves(self, stage_mask: np.ndarray) -> np.ndarray:
+        """Repeat moves `proofs` times with the same registers, `margin` kg heavier and from other angles of the rotors.
 
         Args:
-            which: Mask of the stages to prove.
+            stage_mask: Mask of the stages to prove, (n,).
 
         Returns:
-            Mask of the stages that keep step in all these moves.
+            Mask of the stages that keep step in all these moves, (n,).
         """
         c: Any = self.config
-        holds = which.copy()
+        holds = stage_mask.copy()
         for _ in range(c.proofs):
             if not holds.any():
                 break
@@ -300,8 +337,12 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
 
 
 class SynchronizedLineEnv(StageEnv):
+    """Gymnasium environment stage/SynchronizedLine-v1."""
+
     task = SynchronizedLine
 
 
 class SynchronizedLineVectorEnv(StageVectorEnv):
+    """Vector environment stage/SynchronizedLine-v1."""
+
     task = SynchronizedLine

@@ -1,39 +1,41 @@
 """`stage/SynchronizedMove-v0`: choose the registers that bring two or three axes along a straight line together.
 
-A step is one whole move of random signed distances, from rest to rest, its middle in the middle of the travel but for the rotors'
-angles at the start, which are drawn anywhere in an electrical turn. How the axes are kept on the line depends on the family: its
-`Line` in stage/firmware writes the registers and starts the axes.
-    PCL-240           the a:b scheme. Nothing couples the chips but their registers, R0 and R1 to R7 of each, and their start
+A step is one whole move of random signed distances, from rest to rest. The middle of the move is the middle of the travel, up to
+the angles of the rotors at the start, which are drawn over an electrical turn. How the axes are kept on the line depends on the
+family: its line programs in stage/firmware write the registers and start the axes.
+    PCL-240           the a:b scheme. Nothing couples the chips except their registers, R0 and R1 to R7 of each, and their start
                       commands, a bus cycle apart, the longest axis last: they deviate from the line by their different rounding.
-    MCX514, MCX312    linear interpolation by the chip, where it has all axes; it takes speeds of one axis and finish points of all.
+    MCX514, MCX312    linear interpolation by the chip if it has all axes; it takes the speeds of one axis and all finish points.
     MCX304, MCX302    the a:b scheme by ranges: R in inverse ratio to the distances. The axes of a chip start at one clock. An
                       MCX312 with axes on two chips does the same.
-    others            as their driver's `lines` has it: a TMC5160 by velocities and accelerations in the ratio, XTARGET starts each.
+    others            as the `lines` of their driver define it: a TMC5160 by velocities and accelerations in the ratio of the
+                      distances; a write to XTARGET starts each axis.
 
 action        flat, the registers of the first axis, then of the next: PCL-240 R1 R2 R4 R5 R6 R7, MCX304 and MCX302 R SV V A, with
-              S-curves K. Of a chip that interpolates one row for all: MCX514 SV DV AC, with S-curves JK, MCX312 SV V A, with K.
-              Pulses to go and finish points are those of the move. Settings `actions`:
-              "corrections"  Box [-1, 1]: counts added to the data sheet's a:b registers (`data_sheet`); 0 is the engineer's answer.
-                             A register takes a share of the counts that move the axis by `reach` pulses along the line (at least
-                             one); R7 of `multiplier_reach` counts, and the others are worked out for that R7, and the ramp
-                             times of all for that of the longest axis. Where the chip interpolates, factors from 1/2 to 2.
-              "box"          Box [-1, 1]: the registers, see register_actions.py
+              S-curves K. A chip that interpolates has one row for all axes: MCX514 SV DV AC, with S-curves JK, MCX312 SV V A,
+              with K. Distances and finish points are those of the move. Setting `actions`:
+              "corrections"  Box [-1, 1]: counts added to the data sheet's a:b registers
+                             (`compute_data_sheet_registers`); 0 is the engineer's answer. A correction of 1 is the number of
+                             counts (at least one) that moves the axis by `reach` pulses along the line. For R7 it is
+                             `multiplier_reach` counts; the other registers are computed for that R7, and the ramp times of all
+                             axes for that of the longest. If the chip interpolates, factors from 1/2 to 2.
+              "box"          Box [-1, 1]: the registers, see register_scaling.py
               "registers"    MultiDiscrete: the registers themselves
 observation   float32, -1 to 1. 0: rate on a log scale over its range (0 if it is fixed). Then for each axis
               0 signed distance / longest distance possible; and by how many pulses (/ 2 `reach`, clipped) the data sheet's
               registers take the axis off its share of the longest axis' pulses, by the closed form: 1 ahead after the ramp-up,
-              2 more ahead at the ramp-down, 3 ramp-down earlier by, 4 shorter ramp-down by; 0 where the chip interpolates.
+              2 further ahead at the ramp-down, 3 ramp-down earlier, 4 ramp-down shorter; 0 if the chip interpolates.
               Last, of the move before (0 at first): path deviation / `far`, carriage deviation / (itself + 0.1 mm),
               duration / `limit`, 1 if it was finished.
 reward        the sum of
-              path       - path_weight x largest distance of the pulse counts from the line, pulses, at most `far`;
-                         `far` where the move was not finished. It is found by running copies of the chips.
-              carriages  - carriage_weight x largest distance of the carriages from the line / 0.1 mm, at most 10 of them,
+              path       - path_weight x largest distance between the pulse counts and the line, pulses, at most `far`;
+                         `far` if the move was not finished. Copies of the chips are run to compute it.
+              carriages  - carriage_weight x largest distance between the carriages and the line / 0.1 mm, at most 10,
                          sampled `looks` times from the first start to `settle` after the last pulse
               time       - time_weight x seconds from the first start command to the last pulse, at most `limit`
               lost       - lost_weight if an axis lost a full step
               limit      - limit_weight if the move was not finished: an end limit, or the time limit
-episode       `moves` moves, one by default, then terminated: no time limit cuts it. A move that was not finished ends it, too.
+episode       `moves` moves, one by default, then terminated. A move that was not finished also ends it. No time limit truncates it.
 """
 
 from __future__ import annotations
@@ -48,7 +50,7 @@ from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import settings
 from stage.envs.observation_features import HOST, TRUTH, Feature
-from stage.envs.register_actions import RegisterBox
+from stage.envs.register_scaling import RegisterBox
 from stage.envs.scaling import scale_log
 from stage.envs.single_moves import StartPositions
 from stage.envs.stage_env import StageEnv, StageVectorEnv
@@ -68,32 +70,60 @@ TENTH_MM = 1e-4  # m
 
 @dataclass(frozen=True)
 class Config(settings.Settings):
-    """Settings of SynchronizedMove."""
+    """Settings of SynchronizedMove.
+
+    Attributes:
+        model: Name of the model.
+        chip: Name or class of the chip.
+        axes: Names of the axes.
+        actions: "corrections" of the data sheet's registers, "box" or "registers"; see the module.
+        distances: Smallest and largest distance of each axis, pulses, drawn evenly by their logarithm, with a random sign.
+        rate: Peak rate of the longest axis by the data sheet, pps: a number, or a range from which it is drawn in the same way.
+        fl: Start rate of the longest axis, pps.
+        accel: Duration of both ramps, s.
+        s_curve: Whether all ramps are S-curves (PCL240MS and NOVA chips).
+        reach: Distance along the line that a correction of 1 adds or removes, pulses.
+        multiplier_reach: Counts of R7 that a correction of 1 adds.
+        moves: Number of moves in an episode.
+        limit: Longest simulated time of a move, s.
+        settle: Simulated time after the last pulse until which the carriages are observed, s.
+        looks: Number of samples of the carriages in a move.
+        far: Largest path deviation that counts, pulses.
+        path_weight: Cost of a pulse of path deviation.
+        carriage_weight: Cost of 0.1 mm between the carriages and the line.
+        time_weight: Cost of a simulated second.
+        lost_weight: Cost of a move in which an axis loses a full step.
+        limit_weight: Cost of a move that is not finished.
+        bus_cycle: Duration of a bus cycle, s.
+        truth: Whether observation and info have values that no host can know: True (both), "info" (info alone), False (neither).
+    """
 
     model: str = "xyz"
     chip: str | type[Chip] = "PCL240K"
-    axes: Annotated[tuple[str, ...], settings.Names(2)] = ("x", "y")
-    actions: Annotated[str, settings.Word(ACTIONS)] = "corrections"  # or "box", "registers"
-    distances: settings.Counts = (4_000, 20_000)  # pulses of each axis, drawn evenly by their logarithm, with any sign
-    # pps, peak of the longest axis by the data sheet; drawn likewise
-    rate: Annotated[float | settings.Pair, settings.NumberOrRange(more=", not below fl")] = (8_000.0, 32_000.0)
-    fl: settings.Positive = 1_000.0  # pps, of the longest axis
-    accel: settings.Seconds = 0.1  # s, of both ramps
-    s_curve: settings.Flag = False  # S-curves throughout; PCL240MS, NOVA
-    reach: settings.Positive = 4.0  # pulses
-    multiplier_reach: Annotated[int, settings.Number(whole=True)] = 1  # counts of R7
-    moves: settings.Count = 1  # an episode
-    limit: settings.Seconds = 4.0  # s, a move may take
-    settle: settings.Seconds = 0.05  # s after the last pulse
-    looks: settings.Count = 100  # at the carriages, a move
-    far: settings.Positive = 20.0  # pulses
-    path_weight: settings.Weight = 1.0  # a pulse
-    carriage_weight: settings.Weight = 1.0  # 0.1 mm
-    time_weight: settings.Weight = 1.0  # a second
+    axes: Annotated[tuple[str, ...], settings.NamesSetting(2)] = ("x", "y")
+    actions: Annotated[str, settings.ChoiceSetting(ACTIONS)] = "corrections"
+    distances: settings.Counts = (4_000, 20_000)
+    rate: Annotated[float | settings.Pair, settings.NumberOrRangeSetting(further_condition=", not below fl")] = (
+        8_000.0,
+        32_000.0,
+    )
+    fl: settings.Positive = 1_000.0
+    accel: settings.Seconds = 0.1
+    s_curve: settings.Flag = False
+    reach: settings.Positive = 4.0
+    multiplier_reach: Annotated[int, settings.NumberSetting(integer=True)] = 1
+    moves: settings.Count = 1
+    limit: settings.Seconds = 4.0
+    settle: settings.Seconds = 0.05
+    looks: settings.Count = 100
+    far: settings.Positive = 20.0
+    path_weight: settings.Weight = 1.0
+    carriage_weight: settings.Weight = 1.0
+    time_weight: settings.Weight = 1.0
     lost_weight: settings.Weight = 10.0
     limit_weight: settings.Weight = 10.0
-    bus_cycle: settings.Cycle = 1e-6  # s
-    truth: settings.TruthOption = True  # where what no host can see is shown: observation_features.py
+    bus_cycle: settings.Cycle = 1e-6
+    truth: settings.TruthOption = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -105,7 +135,7 @@ class Config(settings.Settings):
 
     @property
     def rates(self) -> tuple[float, float]:
-        """Least and largest rate, pps."""
+        """Smallest and largest peak rate of the longest axis, pps."""
         low, high = self.rate if isinstance(self.rate, tuple | list) else (self.rate, self.rate)
         return float(low), float(high)
 
@@ -120,15 +150,17 @@ LINE_FEATURES = (
     Feature("carriage_deviation", TRUTH, "m off the line", kind=float),
     Feature("duration", HOST, "s", kind=float),
 )
-"""How well and how fast a move followed its line."""
+"""Features of an info that describe how well and how fast a move followed its line."""
 END_FEATURES = (
     Feature("lost_steps", TRUTH, "full steps of each axis", kind=int),
     Feature("finished", HOST, "all axes made their pulses", kind=bool),
 )
-"""How a move of several axes ended."""
+"""Features of an info that describe how a move of several axes ended."""
 
 
 class SynchronizedMove(MoveTask[Config]):
+    """Rules of stage/SynchronizedMove-v0. The module docstring states them."""
+
     Config: ClassVar[type] = Config
     OPTIONS: ClassVar[tuple[str, ...]] = ("distances", "rate")
     PARTS: ClassVar[tuple[str, ...]] = ("path", "carriages", "time", "lost", "limit")
@@ -163,7 +195,7 @@ class SynchronizedMove(MoveTask[Config]):
                 raise ArgumentError(f"axes={c.axes!r}: {name} turns, and a line is of slides.")
         return new_stage
 
-    def prepare(self) -> None:
+    def make_spaces_and_arrays(self) -> None:
         c, first = self.config, self.stages[0]
         self.axes = [first.axes[name] for name in c.axes]
         self.index = [a.index for a in self.axes]
@@ -172,7 +204,7 @@ class SynchronizedMove(MoveTask[Config]):
         self.hz = self.line.clock_hz
         self.start_positions = [StartPositions(a) for a in self.axes]
         for starts in self.start_positions:
-            starts.check(c.distances, "pulses")
+            starts.require_room(c.distances, "pulses")
         if c.rates[1] > self.line.max_rate:
             raise ArgumentError(f"rate={c.rate!r}: up to {self.line.max_rate:.0f} pps here.")
         self.registers = RegisterBox.of_registers(self.line.chip.MAP, self.line.names * self.line.shape[0])
@@ -184,7 +216,7 @@ class SynchronizedMove(MoveTask[Config]):
         self.rate, self.last = np.full(self.n, c.rates[0]), np.zeros((self.n, 4))
         self.path, self.seconds = np.zeros(self.n), np.zeros(self.n)
 
-    def layout(self) -> list[Feature]:
+    def list_all_features(self) -> list[Feature]:
         rate, *of_moves = self.OBSERVATION
         of_axes, of_the_last = of_moves[:5], of_moves[5:]
         return [rate, *of_axes * len(self.axes), *of_the_last]
@@ -196,12 +228,17 @@ class SynchronizedMove(MoveTask[Config]):
     def describe_episode(self, stage_index: int) -> dict[str, Any]:
         return {"distances": self.distances[stage_index].copy(), "rate": float(self.rate[stage_index])}
 
-    def prepare_next(self) -> None:
+    def prepare_next_step(self) -> None:
         for k in np.flatnonzero(self.converged & ~self.results["terminated"]):
             self._draw_move(int(k), {})
 
     def _draw_move(self, stage_index: int, options: Mapping[str, Any]) -> None:
-        """Draw the next move of stage k, and put its carriages where it starts, with the rotors at any angle."""
+        """Draw the next move of a stage, and put its carriages at the start, with random angles of the rotors.
+
+        Args:
+            stage_index: Index of the stage.
+            options: Options of the reset, which replace drawn values.
+        """
         c, rng = self.config, self.rngs[stage_index]
         low, high = portable_math.log(c.distances)
         sizes = np.rint(portable_math.exp(rng.uniform(low, high, len(self.axes)))).astype(np.int64)
@@ -213,6 +250,7 @@ class SynchronizedMove(MoveTask[Config]):
         self.stages[stage_index].place(**{s.axis.name: s.find_start(d, angle) for s, d, angle in begin})
 
     def _apply_options(self, stage_index: int, options: Mapping[str, Any]) -> None:
+        """Replace the drawn rate and distances of a stage by those of the options. Raises ArgumentError for values out of range."""
         c, names = self.config, self.config.axes
         if (rate := options.get("rate")) is not None:
             if not isinstance(rate, int | float | np.number) or not c.rates[0] <= rate <= c.rates[1]:
@@ -234,15 +272,15 @@ class SynchronizedMove(MoveTask[Config]):
 
     @property
     def requested_lines(self) -> LineMoves:
-        """Lines to move."""
+        """Lines of all stages, each with its distances and its rate."""
         return LineMoves(self.distances, self.rate)
 
-    def data_sheet(self) -> np.ndarray:
-        """Return the engineer's registers for the present moves: (stages, *line.shape)."""
+    def compute_data_sheet_registers(self) -> np.ndarray:
+        """Compute the registers of the present moves by the formulas of the data sheet, (stages, *line.shape)."""
         return self.line.compute_registers(self.requested_lines)
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
-        """Return the registers of actions, (stages, *line.shape)."""
+        """Convert actions to registers, (stages, *line.shape)."""
         shape = (len(actions), *self.line.shape)
         if self.config.actions == "registers":
             return actions.astype(np.int64).reshape(shape)
@@ -259,7 +297,7 @@ class SynchronizedMove(MoveTask[Config]):
         self._truth_at_start = self.fleet.truth()[:, self.index]
         self.fleet.run_on_threads(lambda low, high: self._measure_paths(low, high, moves))
         length = np.minimum(self.seconds + self.line.compute_last_pulse_seconds(registers), c.limit) + c.settle
-        every = 1 + len(self.index)  # a wait, and a look at each axis
+        every = 1 + len(self.index)  # operations of a sample: a wait, and one for each axis
         samples = np.zeros((self.n, c.looks, every, 4), np.int64)
         samples[:, :, 0, 0] = WAIT
         samples[:, :, 0, 1] = np.ceil(length * (1e9 / c.looks))[:, None]
@@ -268,7 +306,13 @@ class SynchronizedMove(MoveTask[Config]):
         return np.concatenate([moves, samples.reshape(self.n, -1, 4)], axis=1)
 
     def _measure_paths(self, low: int, high: int, moves: np.ndarray) -> None:
-        """Run copies of the chips of some stages, and store how far the pulses stray from the line and how long they take."""
+        """Measure the path deviation and the duration of moves by running copies of the chips.
+
+        Args:
+            low: First stage.
+            high: Stage after the last one.
+            moves: Programs of the moves, (stages, operations, 4).
+        """
         cycle = round(self.config.bus_cycle * 1e9)
         for k in np.flatnonzero(self.active[low:high]) + low:
             began = (
@@ -306,7 +350,11 @@ class SynchronizedMove(MoveTask[Config]):
         self.set_results(parts, info, over | ~finished, False)
 
     def _measure_carriages(self, results: np.ndarray) -> np.ndarray:
-        """Return the largest distance of the carriages from their line, m."""
+        """Return the largest distance between the carriages and their line in each move, m, (stages,).
+
+        Args:
+            results: Results of the programs, (stages, operations), with samples of the positions.
+        """
         line = self.signed_pulse_m * self.distances
         length2, dot = np.zeros(self.n), np.zeros((self.n, self.config.looks))
         off = []
@@ -334,8 +382,12 @@ class SynchronizedMove(MoveTask[Config]):
 
 
 class SynchronizedMoveEnv(StageEnv):
+    """Gymnasium environment stage/SynchronizedMove-v0."""
+
     task = SynchronizedMove
 
 
 class SynchronizedMoveVectorEnv(StageVectorEnv):
+    """Vector environment stage/SynchronizedMove-v0."""
+
     task = SynchronizedMove

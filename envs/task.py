@@ -1,4 +1,4 @@
-"""Rules of an environment for n stages at once: `Task`, and `MoveTask`, whose step is a program of bus cycles."""
+"""Rules of an environment for n stages at once: `Task`, and `MoveTask` for tasks whose step is a program of bus cycles."""
 
 from __future__ import annotations
 
@@ -25,35 +25,45 @@ ConfigT = TypeVar("ConfigT")
 
 
 class Task(ABC, Generic[ConfigT]):
-    """The rules behind the scalar and the vector environment.
+    """Rules that a scalar and a vector environment share, for n stages at once.
 
-    A subclass sets `Config` (a frozen dataclass of its settings), makes the two spaces and `result` (the dtype of a step's
-    record), and writes `stage`, `begin`, `act` and `observe`. Arrays have the stage as their first index and stay where
-    they are. A stage's numbers do not depend on how many there are.
+    A subclass sets the class attributes, and implements `make_stage`, `make_spaces_and_arrays`, `begin_episode`, `play` and
+    `update_observations`. The first index of every array is the stage. Arrays stay at their address, because compiled code may use
+    them. The values of a stage do not depend on the number of stages.
+
+    Args:
+        n: Number of stages.
+        config: Settings, an object of `Config`.
+        threads: Number of threads; default: one for each processor.
+        visuals: Whether to load the visual geoms of the model.
 
     Attributes:
-        actions, active: what the next step does, (n, ...), and on which stages, (n,) bool.
-        results: of the last step, one record a stage; those of stages that are not active do not count.
-        observations: (n, ...). A stage that diverged keeps its last one.
+        stages: Stages, which begin each episode at the snapshot `start`.
+        rngs: Random generator of each stage.
+        actions: Actions of the next step, (n, ...).
+        active: Mask of the stages that take part in the next step, (n,).
+        steps: Number of steps of each episode so far, (n,).
+        results: Results of the last step; those of stages that are not active are not valid.
+        observations: Observations, (n, ...). A stage that diverged keeps its last one.
     """
 
     Config: ClassVar[type]
     OPTIONS: ClassVar[tuple[str, ...]] = ()
-    """What `reset(options=...)` takes."""
+    """Names of the options of a reset."""
     STATE: ClassVar[tuple[str, ...]] = ()
-    """The arrays of what is drawn and counted for each stage, beside steps, observations and results: snapshots have them."""
+    """Names of the arrays, besides steps, observations and results, that make up the state of the episodes in snapshots."""
     OBSERVATION: ClassVar[tuple[Feature, ...]]
-    """What an observation may have, in its order; see `layout`."""
+    """Features of an observation in their order, before `list_all_features` repeats them for each axis or chip."""
     INFO: ClassVar[tuple[Feature, ...]]
-    """Features of an info, of a reset and of a step."""
+    """Features of the infos of resets and steps."""
     PARTS: ClassVar[tuple[str, ...]]
     """Names of the parts whose sum is the reward."""
     RESTARTS: ClassVar[bool] = False
-    """Every step begins at power-up, made ready by `renew`; a recording then holds one step."""
+    """Whether every step begins at power-up, so that a recording holds only one step."""
     action_space: gymnasium.Space
     observation_space: gymnasium.Space
     shapes: Mapping[str, tuple[int, ...]] = MappingProxyType({})
-    """Shapes of the features of an info that are arrays; `prepare` sets them."""
+    """Shapes of the features of an info that are arrays, by name; `make_spaces_and_arrays` sets them."""
 
     def __init__(self, n: int, config: ConfigT, threads: int | None = None, visuals: bool = False):
         self.n, self.config = n, config
@@ -64,8 +74,8 @@ class Task(ABC, Generic[ConfigT]):
         self.rngs = [np.random.default_rng(0)] * n
         self.steps = np.zeros(n, np.int64)
         self.active = np.ones(n, bool)
-        self.header: Any = None  # of its snapshots, once there is one
-        self.prepare()
+        self.header: Any = None  # description for snapshots, made at the first one
+        self.make_spaces_and_arrays()
         self.actions = np.zeros((n, *self.action_space.shape), self.action_space.dtype)  # type: ignore[misc]
         self.observations = np.zeros((n, *self.observation_space.shape), self.observation_space.dtype)  # type: ignore[misc]
         self.hidden = list_hidden(self.INFO, self.truth)
@@ -78,26 +88,28 @@ class Task(ABC, Generic[ConfigT]):
 
     @abstractmethod
     def make_stage(self, visuals: bool) -> Stage:
-        """Make one stage, at power-up.
+        """Make one stage at power-up; the other stages are copies of it.
 
         Args:
-            visuals: Load the visual geoms of the model.
+            visuals: Whether to load the visual geoms of the model.
         """
 
     @abstractmethod
-    def prepare(self) -> None:
-        """Make the spaces, the record, and the arrays of what is drawn for each stage."""
+    def make_spaces_and_arrays(self) -> None:
+        """Make the action space, the observation space, and the arrays that hold the state of the episodes."""
 
     def bind_arrays(self) -> None:
-        """Note where the arrays lie, if compiled code uses them."""
+        """Store the addresses of the arrays that compiled code uses. The base class has none."""
 
     @abstractmethod
     def begin_episode(self, stage_index: int, options: Mapping[str, Any]) -> None:
-        """Begin an episode on stage k, drawn from `rngs[k]`. The stage is at power-up; its payload is as it was.
+        """Draw an episode from the stage's random generator, and prepare its first step.
+
+        The stage is at power-up, except for its payload and other changes of the model, which the last episode made.
 
         Args:
-            stage_index: Number of the stage.
-            options: Of the reset.
+            stage_index: Index of the stage.
+            options: Options of the reset, which replace drawn values.
 
         Raises:
             ArgumentError: An option has a wrong value.
@@ -105,71 +117,71 @@ class Task(ABC, Generic[ConfigT]):
 
     @abstractmethod
     def play(self) -> None:
-        """Play `actions` on the `active` stages, at least one, and judge: fill `results` and count `steps`."""
+        """Play `actions` on the `active` stages, of which there is at least one; fill `results` and count `steps`."""
 
     def apply_machine(self, stage_index: int) -> None:
-        """Give stage k the machine that was drawn, the payload and the like, which a stage's snapshots leave alone."""
+        """Apply what was drawn for a stage and is not part of its snapshots, such as the payload. The base class has nothing."""
 
-    def prepare_next(self) -> None:
-        """Prepare the stages that are `converged` for their next step."""
+    def prepare_next_step(self) -> None:
+        """Prepare the next step of the stages in `converged`, for example by drawing the next move. The base class does nothing."""
 
     @abstractmethod
     def update_observations(self) -> None:
-        """Bring `observations` up to date."""
+        """Compute `observations` from the present state."""
 
     def describe_episode(self, stage_index: int) -> dict[str, Any]:
-        """Return all info of a reset of stage k, truth included."""
+        """Return all values of the info of a reset, including truth, by name."""
         return {}
 
     def scripted_action(self) -> np.ndarray:
-        """Return the next actions of a host that does not learn, (n, ...). Raises ArgumentError for a task without one."""
+        """Return the next actions of a scripted host that does not learn, (n, ...). Raises ArgumentError for a task without one."""
         raise ArgumentError(f"{type(self).__name__} has no scripted host.")
 
-    def layout(self) -> list[Feature]:
-        """Return the features of the whole observation, a feature for each number, truth included."""
+    def list_all_features(self) -> list[Feature]:
+        """List a feature for each number of an observation with truth=True, in order."""
         return list(self.OBSERVATION)
 
     def close(self) -> None:
-        """End the threads."""
+        """End the threads of the fleet."""
         self.fleet.close()
 
     # --- the rest is the same for all ---
 
     @property
     def truth(self) -> Any:
-        """The setting that says where truth is shown."""
+        """Setting `truth`: where values appear that no host can know (True, "info" or False)."""
         config: Any = self.config
         return config.truth
 
     @property
     def observation_features(self) -> list[Feature]:
-        """Features of the observation, a feature for each number."""
-        every = self.layout()
+        """Features of the observation under the setting `truth`, one for each number."""
+        every = self.list_all_features()
         return [e for e, shown in zip(every, list_visible(every, self.truth), strict=True) if shown]
 
     def reset_info(self, stage_index: int) -> dict[str, Any]:
-        """Return the info of a reset of stage k, without truth where the setting `truth` hides it."""
+        """Return the info of a reset of a stage, without the values that the setting `truth` hides."""
         return {name: value for name, value in self.describe_episode(stage_index).items() if name not in self.hidden}
 
     @property
     def converged(self) -> np.ndarray:
-        """Mask of the stages that have made a step that did not diverge."""
+        """Mask of the active stages whose last step did not diverge, (n,)."""
         return self.active & (self.results["cause"] == 0)
 
     def reset_stage(self, stage_index: int, options: Mapping[str, Any]) -> None:
-        """Put stage k back to power-up, and begin an episode.
+        """Restore a stage to power-up, and begin an episode.
 
         Args:
-            stage_index: Number of the stage.
-            options: Of the reset.
+            stage_index: Index of the stage.
+            options: Options of the reset.
         """
         self.stages[stage_index].restore(self.start)
         self.steps[stage_index] = 0
         self.results["cause"][stage_index] = 0
         self.begin_episode(stage_index, options)
 
-    def save_stage(self, stage_index: int) -> tuple:
-        """Return the whole episode of stage k, for `load_stage`."""
+    def save_episode(self, stage_index: int) -> tuple:
+        """Return the complete state of a stage's episode, for `load_episode`."""
         stage = self.stages[stage_index].snapshot()
         arrays = [getattr(self, name)[stage_index].tobytes() for name in self._state_names]
         return (
@@ -177,12 +189,12 @@ class Task(ABC, Generic[ConfigT]):
             self.rngs[stage_index].bit_generator.state,
         )  # fmt: skip
 
-    def load_stage(self, stage_index: int, saved: tuple) -> None:
-        """Put stage k into an episode that `save_stage` returned.
+    def load_episode(self, stage_index: int, saved: tuple) -> None:
+        """Restore the state of an episode on a stage.
 
         Args:
-            stage_index: Number of the stage.
-            saved: What `save_stage` returned.
+            stage_index: Index of the stage.
+            saved: State that `save_episode` returned.
         """
         stage, arrays, result, drawn = saved
         for name, row in zip(self._state_names, arrays, strict=True):
@@ -196,44 +208,48 @@ class Task(ABC, Generic[ConfigT]):
 
     @property
     def _state_names(self) -> tuple[str, ...]:
+        """Names of the arrays that make up the state of the episodes."""
         return ("steps", "observations", *self.STATE)
 
     def set_action(self, stage_index: int, action: Any) -> None:
-        """Set the next action of stage k.
+        """Set the next action of a stage.
 
         Args:
-            stage_index: Number of the stage.
-            action: In the action space.
+            stage_index: Index of the stage.
+            action: Action in the action space.
 
         Raises:
-            ArgumentError: The action is not in the space.
+            ArgumentError: The action is not in the action space.
         """
         self.actions[stage_index] = check_action(self.action_space, action)
 
 
 class MoveTask(Task[ConfigT]):
-    """A task whose step is a program of bus cycles, judged when it has been played. Elementwise arithmetic only."""
+    """Task whose step is a program of bus cycles, which is judged after it was played.
+
+    Subclasses compute elementwise over the stages, so that a stage's values do not depend on the number of stages.
+    """
 
     @abstractmethod
     def make_programs(self) -> Sequence[Program] | np.ndarray:
-        """Return the bus cycles of the host on each stage for its action; those of inactive stages do not count."""
+        """Make the bus cycles of the host on each stage for its action. Those of inactive stages are ignored."""
 
     @abstractmethod
     def judge(self, played: PlayedPrograms, truth: np.ndarray) -> None:
-        """Fill the results of the step that was just played: parts, info, terminated, truncated.
+        """Judge the step that was just played: set the parts of the reward, the info, terminated and truncated.
 
         Args:
-            played: What the fleet returned.
-            truth: True state of each axis after it, (n, axes).
+            played: Results of the programs.
+            truth: True state of each axis after its program, (n, axes).
         """
 
     @abstractmethod
     def compute_observations(self) -> np.ndarray:
-        """Compute every stage's observation, (n, ...), truth included."""
+        """Compute the observation of every stage as with truth=True, (n, numbers)."""
 
     def make_observation_space(self) -> gymnasium.spaces.Box:
-        """Make the observation space of the visible features."""
-        self.visible = np.array(list_visible(self.layout(), self.truth))
+        """Make the observation space for the numbers that the setting `truth` leaves visible."""
+        self.visible = np.array(list_visible(self.list_all_features(), self.truth))
         return gymnasium.spaces.Box(-1.0, 1.0, (int(self.visible.sum()),), np.float32)
 
     def play(self) -> None:
@@ -258,10 +274,10 @@ class MoveTask(Task[ConfigT]):
         """Set the results of a step by columns.
 
         Args:
-            parts: Of the reward, by name, (n,).
-            info: By name, (n, ...).
-            terminated: Mask, (n,).
-            truncated: Mask, (n,).
+            parts: Parts of the reward by name, (n,) each.
+            info: Values of the info by name, (n, ...) each.
+            terminated: Mask of the episodes that terminated, (n,).
+            truncated: Mask of the episodes that were truncated, (n,).
         """
         for columns, values in ((self.results["parts"], parts), (self.results["info"], info)):
             for name, value in values.items():
@@ -269,31 +285,31 @@ class MoveTask(Task[ConfigT]):
         self.results["terminated"], self.results["truncated"] = terminated, truncated
 
 
-def make_config(task: type[Task], settings: Mapping[str, Any], more: Iterable[str] = ()) -> Any:
-    """Make the Config of a task.
+def make_config(task: type[Task], settings: Mapping[str, Any], further_names: Iterable[str] = ()) -> Any:
+    """Make the Config of a task from settings by name.
 
     Args:
         task: Class of the task.
-        settings: By name.
-        more: Names that the caller knows beside those of the task, for the error.
+        settings: Settings by name.
+        further_names: Names of other arguments of the caller, which the error lists as well.
 
     Raises:
-        UnknownSetting: The task has no such setting.
+        UnknownSetting: The task has no setting with one of the names.
     """
     known = [f.name for f in fields(task.Config)]
     for name in settings:
         if name not in known:
-            detail = unknown_name_error(f"{task.__name__} setting", name, [*known, *more])
+            detail = unknown_name_error(f"{task.__name__} setting", name, [*known, *further_names])
             raise UnknownSetting(f"got an unexpected keyword argument {name!r}: {detail}")
     return task.Config(**settings)
 
 
 def check_action(space: gymnasium.Space, action: Any) -> np.ndarray:
-    """Return an action as an array of the space's type.
+    """Convert an action to an array of the space's type, and check it.
 
     Args:
-        space: Of the actions.
-        action: To check.
+        space: Action space.
+        action: Action to check.
 
     Raises:
         ArgumentError: The action is not in the space; the message names both.

@@ -1,7 +1,7 @@
 """`TuningTask`: the common part of RegisterTuning and ServoTuning.
 
-An action chooses the registers of one move of one axis; the distance, the payload and the rotor's angle at the start are random for
-each move.
+An action chooses the registers of one move of one axis. The distance, the payload and the angle of the rotor at the start are
+drawn for each move.
 
 A subclass defines its chip, its registers, the bus cycles of a move and the reward of a move.
 """
@@ -17,13 +17,13 @@ import numpy as np
 from stage import Stage
 from stage.chips import Chip
 from stage.envs.observation_features import HOST, TRUTH, Feature
-from stage.envs.register_actions import RegisterBox
+from stage.envs.register_scaling import RegisterBox
 from stage.envs.scaling import scale, scale_log
 from stage.envs.settings import read_option
 from stage.envs.single_moves import StartPositions
 from stage.envs.task import MoveTask
 from stage.errors import unknown_name_error
-from stage.sim.named_points import find_carrier
+from stage.sim.named_points import find_payload_body
 from stage.sim.program import Program
 from stage.support import portable_math
 
@@ -33,15 +33,15 @@ NEXT_MOVE = (
     Feature("distance", HOST, "distance of the next move, by its logarithm from -1 to 1 over `distances`"),
     Feature("payload", TRUTH, "payload of the next move, from -1 to 1 over `payloads`"),
 )
-"""What an observation has of the next move."""
+"""Features of an observation that describe the next move."""
 
 
 def describe_move_info(unit: str, turn: str) -> tuple[Feature, ...]:
-    """Describe the features of a move in an info; those of a reset are of the next move.
+    """Describe the features of a drawn move in an info.
 
     Args:
-        unit: Of a distance.
-        turn: What an angle of 1 is.
+        unit: Unit of a distance.
+        turn: Meaning of an angle of 1.
     """
     return (
         Feature("distance", HOST, f"{unit}; in the info of a reset, those of the next move", kind=int),
@@ -57,18 +57,18 @@ def describe_move_info(unit: str, turn: str) -> tuple[Feature, ...]:
 
 
 class TuningTask(MoveTask[ConfigT]):
-    """Base of the tuning tasks.
+    """Base of the tasks in which an action chooses the registers of one move.
 
-    Their settings have model, axis, actions ("box" or "registers"), distances and payloads (ends of what is drawn), payload_on,
-    moves (of an episode), limit (s, for a move) and bus_cycle.
+    The Config of a subclass has at least `model`, `axis`, `actions` ("box" or "registers"), `distances` and `payloads` (ranges from
+    which they are drawn), `payload_on`, `moves` (of an episode), `limit` (s, of a move) and `bus_cycle`.
     """
 
     OPTIONS: ClassVar[tuple[str, ...]] = ("distance", "payload", "angle")
-    """angle: of the rotor at the start, in electrical turns of the motor from 0 to 1; of a servo in counts of its encoder."""
+    """Options of a reset. angle: that of the rotor at the start, from 0 to 1 electrical turn; for a servo, encoder count."""
     STATE: ClassVar[tuple[str, ...]] = ("distance", "payload", "angle", "last")
     RESTARTS = True
     UNIT: ClassVar[str]
-    """Of a distance."""
+    """Unit of a distance."""
 
     @abstractmethod
     def chip(self) -> type[Chip]:
@@ -76,19 +76,19 @@ class TuningTask(MoveTask[ConfigT]):
 
     @abstractmethod
     def make_register_box(self) -> RegisterBox:
-        """Return the registers that an action chooses; `axis` is known."""
+        """Make the ranges of the registers that an action chooses. `axis` is already set."""
 
     @abstractmethod
     def make_program(self, row: np.ndarray, distance: int) -> Program:
-        """Make the bus cycles of a move, and of what is observed. All programs have the same length.
+        """Make the bus cycles of a move and of the observation after it. All programs have the same length.
 
         Args:
-            row: Registers, in the order of `registers`.
-            distance: Pulses, or counts of a servo.
+            row: Register values, in the order of `registers`.
+            distance: Distance of the move, pulses, or counts for a servo.
         """
 
     def prepare_after_placing(self, stage_index: int) -> None:
-        """Note the start of stage k's next move; called when the carriage is there."""
+        """Prepare a stage's next move after its carriage was put at the start. The base class does nothing."""
 
     def make_stage(self, visuals: bool) -> Stage:
         c: Any = self.config
@@ -97,14 +97,14 @@ class TuningTask(MoveTask[ConfigT]):
             raise unknown_name_error("axis", c.axis, new_stage.axes)
         return new_stage
 
-    def prepare(self) -> None:
+    def make_spaces_and_arrays(self) -> None:
         c: Any = self.config
         self.axis = self.stages[0].axes[c.axis]
-        self.carrier = find_carrier(self.stages[0], c.axis, c.payload_on)
+        self.carrier = find_payload_body(self.stages[0], c.axis, c.payload_on)
         self.registers = self.make_register_box()
         self.action_space = self.registers.box if c.actions == "box" else self.registers.discrete
         self.starts = StartPositions(self.axis)
-        self.starts.check(c.distances, self.UNIT)
+        self.starts.require_room(c.distances, self.UNIT)
         self.observation_space = self.make_observation_space()
         self.shapes = {"registers": (len(self.registers),)}
         self.distance, self.payload, self.angle = np.ones(self.n, np.int64), np.zeros(self.n), np.zeros(self.n)
@@ -115,7 +115,7 @@ class TuningTask(MoveTask[ConfigT]):
         self.last[stage_index] = 0.0
         self._draw_move(stage_index, options)
 
-    def prepare_next(self) -> None:
+    def prepare_next_step(self) -> None:
         for k in np.flatnonzero(self.converged):
             self._draw_move(int(k), {})
 
@@ -127,21 +127,26 @@ class TuningTask(MoveTask[ConfigT]):
         }
 
     def draw_distance(self, stage_index: int, options: Mapping[str, Any]) -> int:
-        """Draw the distance of the next move of a stage. A subclass may override this, and return negative distances too.
+        """Draw the distance of the next move of a stage. A subclass may override this method, and may return negative distances.
 
         Args:
-            stage_index: Number of the stage; `rngs[k]` is its random generator.
-            options: Options of the reset; "distance" comes before a drawn one.
+            stage_index: Index of the stage.
+            options: Options of the reset; "distance" replaces a drawn one.
 
         Returns:
-            Pulses (of a servo, counts), signed.
+            Signed distance, pulses, or counts for a servo.
         """
         c: Any = self.config
         drawn = int(np.rint(portable_math.exp(self.rngs[stage_index].uniform(*portable_math.log(c.distances)))))
         return int(read_option(options, "distance", drawn, c.distances))
 
     def _draw_move(self, stage_index: int, options: Mapping[str, Any]) -> None:
-        """Draw the next move of stage k, its payload and the rotor's angle, and put the carriage at its start."""
+        """Draw the distance, the payload and the rotor's angle of a stage's next move, and put the carriage at its start.
+
+        Args:
+            stage_index: Index of the stage.
+            options: Options of the reset, which replace drawn values.
+        """
         c: Any = self.config
         rng, stage = self.rngs[stage_index], self.stages[stage_index]
         distance = self.draw_distance(stage_index, options)
@@ -159,7 +164,7 @@ class TuningTask(MoveTask[ConfigT]):
         self.stages[stage_index].set_payload(float(self.payload[stage_index]), self.carrier)
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
-        """Return the registers of actions, (n, registers)."""
+        """Convert actions to register values, (n, registers)."""
         c: Any = self.config
         return self.registers.from_action(actions) if c.actions == "box" else actions.astype(np.int64)
 
@@ -170,12 +175,12 @@ class TuningTask(MoveTask[ConfigT]):
     def set_move_results(
         self, parts: Mapping[str, np.ndarray], info: Mapping[str, np.ndarray], now: np.ndarray
     ) -> None:
-        """Set the results of moves.
+        """Set the results of moves, and store the outcome for the next observation.
 
         Args:
-            parts: Of the reward, by name.
-            info: By name.
-            now: Outcome that the next observations show, (stages, 4).
+            parts: Parts of the reward by name, (n,) each.
+            info: Values of the info by name, (n, ...) each.
+            now: Outcome of the move, as the next observation shows it, (n, 4).
         """
         c: Any = self.config
         good = self.converged

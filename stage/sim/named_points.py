@@ -10,57 +10,58 @@ if TYPE_CHECKING:
     from stage.sim.stage import Stage
 
 
-def find_carrier(stage: Stage, axis: str, named: str | None) -> str:
-    """Find the body that carries a payload.
+def find_payload_body(stage: Stage, axis: str, name: str | None) -> str:
+    """Find the body that carries the payload.
 
     Args:
-        stage: Of the model.
+        stage: Stage of the model.
         axis: Name of the axis that moves.
-        named: Name of a body, or of a site on it. None: the body of the site "work", or in a model without it the body that the
+        name: Name of a body, or of a site on it. None: the body of the site "work", or in a model without it the body that the
             axis moves.
 
     Returns:
         Name of the body.
 
     Raises:
-        ArgumentError: The model has no such name.
+        ArgumentError: The model has no body or site with this name.
     """
     model = stage.model
     sites = {model.site(k).name: model.site(k).bodyid[0] for k in range(model.nsite)}
     bodies = {model.body(k).name: k for k in range(1, model.nbody)}
-    if named is None:
+    if name is None:
         body = sites.get("work", model.jnt_bodyid[stage.axes[axis].joint])
-    elif named not in bodies and named not in sites:
-        raise unknown_name_error("body or site of payload_on", named, filter(None, {**bodies, **sites}))
+    elif name not in bodies and name not in sites:
+        raise unknown_name_error("body or site of payload_on", name, filter(None, {**bodies, **sites}))
     else:
-        body = bodies.get(named, sites.get(named))
+        body = bodies.get(name, sites.get(name))
     return str(model.body(int(body)).name)
 
 
 JUDGED_SITES = ("tool", "camera", "work")
-"""Names of the sites at which a move is judged, where none is named."""
+"""Names of the sites whose vibration is observed by default, in order of preference."""
 
 
-def find_judged_point(stage: Stage, axis: str, named: str | None) -> tuple[str, int]:
-    """Find the point of a model at which a move of an axis is judged.
+def find_judged_point(stage: Stage, axis: str, name: str | None) -> tuple[str, int]:
+    """Find the point of a model whose vibration is observed after a move.
 
     Args:
-        stage: Of the model.
+        stage: Stage of the model.
         axis: Name of the axis that moves.
-        named: A site or a body that the axis carries. None: of JUDGED_SITES that it carries, the first that can swing (a joint
-            without a motor is between the site and the axis), else the first; in a model with none of them the axis itself.
+        name: Name of a site or body that the axis carries. None: of the sites JUDGED_SITES that the axis carries, the first
+            that can swing (because a joint without a motor is between the site and the axis), or else the first of them. In a
+            model with none of them, the axis itself.
 
     Returns:
         Name of the point, and its number for `Program.measure`; ("", 0) for the axis itself.
 
     Raises:
-        ArgumentError: The axis carries no such site or body.
+        ArgumentError: The axis carries no site or body with this name.
     """
     model, home = stage.model, int(stage.model.jnt_bodyid[stage.axes[axis].joint])
     moved = {a.joint for a in stage.axes.values()}
 
     def chain(body: int) -> list[int] | None:
-        """Return the bodies from `body` to the axis' own, or None if the axis does not carry it."""
+        """Return the bodies from `body` up to that of the axis, or None if the axis does not carry `body`."""
         bodies = [body]
         while bodies[-1] and bodies[-1] != home:
             bodies.append(int(model.body_parentid[bodies[-1]]))
@@ -71,12 +72,12 @@ def find_judged_point(stage: Stage, axis: str, named: str | None) -> tuple[str, 
     carried = {
         name: (point, bodies) for name, (point, bodies) in candidates.items() if bodies is not None and name.split()[1:]
     }
-    if named is not None:
+    if name is not None:
         for kind in ("site", "body"):
-            if f"{kind} {named}" in carried:
-                return named, carried[f"{kind} {named}"][0]
+            if f"{kind} {name}" in carried:
+                return name, carried[f"{kind} {name}"][0]
         raise unknown_name_error(
-            f"site or body of judge_at that axis {axis} carries,", named, {name.split(" ", 1)[1] for name in carried}
+            f"site or body of judge_at that axis {axis} carries,", name, {name.split(" ", 1)[1] for name in carried}
         )
     chosen_sites = {name: carried[f"site {name}"] for name in JUDGED_SITES if f"site {name}" in carried}
     for name, (point, bodies) in chosen_sites.items():

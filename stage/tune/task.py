@@ -14,7 +14,7 @@ import numpy as np
 from stage import Stage
 from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware.driver import get_driver
-from stage.sim.named_points import find_carrier, find_judged_point
+from stage.sim.named_points import find_judged_point, find_payload_body
 from stage.support.argument_checks import explain_constructor
 from stage.tune.machine_tolerances import Machine, fit_machine
 from stage.units import DEVIATION_UNITS, POSITION_UNITS
@@ -149,7 +149,7 @@ class Task:
 
     def _find_payload_body(self, axis: Any) -> str:
         """Return `payload_on`, or the default body if it rides on the axis, or the body that the axis moves."""
-        default = find_carrier(self.stage, self.axis, self.payload_on)
+        default = find_payload_body(self.stage, self.axis, self.payload_on)
         if self.payload_on is not None or is_moved_by_joint(self.stage.model, default, axis.joint):
             return default
         model = self.stage.model

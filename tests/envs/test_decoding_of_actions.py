@@ -37,11 +37,11 @@ def test_a_declared_payload_stays_in_its_range_despite_its_error():
     task = SimpleNamespace(
         config=SimpleNamespace(error=0.9), ranges={"payload": (4.0, 5.0)}, context=context, declared=np.zeros(1)
     )
-    task._set_formula = lambda k, payload: requested.append(payload)
+    task._store_formula_move = lambda k, payload: requested.append(payload)
     rng = np.random.default_rng(1)
     for _ in range(12):
-        OneShotTuning._compute_formula(task, 0, rng, {})  # type: ignore[arg-type]
+        OneShotTuning._compute_formula_move(task, 0, rng, {})  # type: ignore[arg-type]
     assert max(requested) == 5.0, "no more than the heaviest"
     assert 0 <= min(requested) < 4.0
-    OneShotTuning._compute_formula(task, 0, rng, {"declared": 0.0})  # type: ignore[arg-type]
+    OneShotTuning._compute_formula_move(task, 0, rng, {"declared": 0.0})  # type: ignore[arg-type]
     assert requested[-1] == 0.0

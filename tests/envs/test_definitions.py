@@ -72,7 +72,7 @@ def test_derived_figures_of_the_page_are_correct():
         + 2 * c.damage_weight
     )
     assert f"which is {worst:.4g} for each" in SECTIONS["DriftingHome"]
-    assert f"up to {b.longest} (twice the sum" in SECTIONS["BusMacros"]
-    assert f"1 to {b.longest // b.grid[0]} times {b.grid[0]} pulses" in SECTIONS["BusMacros"]
+    assert f"up to {b.max_target_pulses} (twice the sum" in SECTIONS["BusMacros"]
+    assert f"1 to {b.max_target_pulses // b.grid[0]} times {b.grid[0]} pulses" in SECTIONS["BusMacros"]
     assert "one of 14 macros" in SECTIONS["BusMacros"]
     assert len(macro_programs.RATES) + len(b.grid) + len(macro_programs.OTHERS) + len(b.axes) == 14

@@ -10,7 +10,7 @@ import stage.envs  # noqa: F401
 from stage import ArgumentError, Program, Stage
 from stage.chips import CHIPS, PCL240K
 from stage.envs.origin_return import Config
-from stage.envs.register_actions import RegisterBox
+from stage.envs.register_scaling import RegisterBox
 from stage.firmware.driver import get_driver
 from stage.sim.program import WRITE
 

@@ -120,6 +120,6 @@ def test_the_truth_setting_accepts_three_values():
 
 def test_the_documented_table_matches_the_declared_entries():
     saved = (Path(__file__).parents[2] / "docs" / "envs_features.md").read_text()
-    assert saved == observation_features.write_features_page(), (
+    assert saved == observation_features.format_features_page(), (
         "python -m stage.envs.observation_features > docs/envs_features.md"
     )

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import stage.envs  # noqa: F401
-from stage.envs.stage_env import _join_columns, info_of
+from stage.envs.stage_env import _merge_info_columns, info_of
 
 SHORT = {
     "stage/RegisterTuning-v0": {"model": "xy", "moves": 2, "distances": (300, 900), "limit": 0.3, "settle": 0.01},
@@ -38,7 +38,7 @@ def test_info_columns_of_the_same_name_are_joined():
     second, others = np.array([False, True, False]), np.array([True, False, True])
     infos = {"a": np.array([0, 5, 0]), "_a": second, "b": np.array([0, 7, 0]), "_b": second}
     columns = {"a": np.array([3, 0, 4]), "_a": others.copy(), "c": np.array([1, 0, 2]), "_c": others}
-    _join_columns(infos, columns)
+    _merge_info_columns(infos, columns)
     assert {name: array.tolist() for name, array in infos.items()} == {
         "a": [3, 5, 4], "_a": [True] * 3, "b": [0, 7, 0], "_b": second.tolist(), "c": [1, 0, 2], "_c": others.tolist(),
     }  # fmt: skip

@@ -11,7 +11,7 @@ from support.examples import SEED
 from stage import ArgumentError, Stage
 from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.envs import origin_return as returns
-from stage.envs.register_actions import RegisterBox
+from stage.envs.register_scaling import RegisterBox
 from stage.sim.engine_records import INDEX
 from stage.sim.program import Program
 
@@ -27,7 +27,7 @@ def make_env(**settings):
 
 
 def encode_action(env, **changes):
-    return env.strategy.to_action(FIRMWARE | changes)
+    return env.register_box.to_action(FIRMWARE | changes)
 
 
 def run_one_return(env, start, *, payload=5.0, friction=1.0, **changes):
@@ -82,7 +82,7 @@ def run_nova_return(chip, start, settings=None, **changes):
     """Play a return by the automatic home search and return the observation, reward and info."""
     env = make_env(chip=chip, **settings or {})
     env.reset(seed=0, options={"start": start, "payload": 5.0, "friction": 1.0})
-    observation, reward, *_, info = env.step(env.strategy.to_action(NOVA[chip] | changes))
+    observation, reward, *_, info = env.step(env.register_box.to_action(NOVA[chip] | changes))
     return observation, reward, info
 
 
@@ -110,7 +110,7 @@ def test_a_home_search_without_its_fast_step_is_slower_and_another_axis_finds_ho
     assert slow["duration"] > fast["duration"]
     env = make_env(chip=chip, axis="z")
     env.reset(seed=0, options={"start": env._task.origin + 0.002, "payload": 0.0})
-    info = env.step(env.strategy.to_action(NOVA[chip]))[4]
+    info = env.step(env.register_box.to_action(NOVA[chip]))[4]
     assert info["home"]
     assert abs(info["error"]) < 2
 
@@ -174,7 +174,7 @@ def test_a_faster_search_gains_time_and_a_faster_approach_loses_precision():
 def test_the_origin_at_an_index_pulse_is_its_upper_edge_for_both_directions_of_the_screw():
     """gear="-628.3185307" """
     created = [
-        returns.OriginReturn._find_origin(
+        returns.OriginReturn._compute_origin(
             SimpleNamespace(
                 switch=SimpleNamespace(position=-0.12),
                 config=SimpleNamespace(ez=2),
@@ -304,13 +304,13 @@ def test_an_action_decodes_to_its_values_exactly():
     seed = SEED
     rng = np.random.default_rng(seed)
     for chip in (PCL240K, PCL240MS, MCX304):
-        strategy = make_env(chip=chip).strategy
-        rows = rng.integers(strategy.low, strategy.high + 1, (500, len(strategy)))
-        assert np.array_equal(strategy.from_action(strategy.to_action(rows)), rows), f"seed {seed}"
-        for end, rows in ((-1.0, strategy.low), (1.0, strategy.high)):
-            assert np.array_equal(strategy.from_action(np.full(len(strategy), end)), rows)
+        box = make_env(chip=chip).register_box
+        rows = rng.integers(box.low, box.high + 1, (500, len(box)))
+        assert np.array_equal(box.from_action(box.to_action(rows)), rows), f"seed {seed}"
+        for end, rows in ((-1.0, box.low), (1.0, box.high)):
+            assert np.array_equal(box.from_action(np.full(len(box), end)), rows)
     basic = RegisterBox.of_registers(PCL240K.MAP, ("R1", "R2", "R4", "R1"))
-    row = make_env().strategy.from_action(np.full(7, 0.3))
+    row = make_env().register_box.from_action(np.full(7, 0.3))
     assert np.array_equal(row[:4], basic.from_action(np.full(4, 0.3)))
 
 
@@ -367,7 +367,7 @@ def test_a_return_with_the_origin_switch_stuck_on_is_not_home(chip, leave):
     env = make_env(chip=chip)
     env.reset(seed=0, options={"start": 0.149, "payload": 5.0, "friction": 1.0})
     env._task.stages[0].axes["x"].switches.stick("org", True)
-    *_, info = env.step(env.strategy.to_action(NOVA[chip] | {"leave": leave}))
+    *_, info = env.step(env.register_box.to_action(NOVA[chip] | {"leave": leave}))
     assert (info["home"], info["late"], info["end_limit"]) == (False, False, leave > 0)
 
 

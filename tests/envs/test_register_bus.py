@@ -692,10 +692,10 @@ def test_targets_reach_up_to_the_nearer_end_limit():
     """Axis z of xyz starts nearer to one end limit; the electrical turn of 64 pulses is subtracted."""
     task = make_env(axes=("z",))._task
     for side, maximum in (((-3064.0, 20_000.0), 2700), ((-20_000.0, 3064.0), 2700), ((-9000.0, 9000.0), 8000)):
-        task._find_limits = lambda axis, side=side, p=task.per_pulse[0], at=task.power_up[0]: tuple(
+        task._get_limit_positions = lambda axis, side=side, p=task.per_pulse[0], at=task.power_up[0]: tuple(
             at + p * np.array(side)
         )
-        task.prepare()
+        task.make_spaces_and_arrays()
         assert task.distances == pytest.approx((400, maximum), abs=1)
 
 

@@ -80,7 +80,7 @@ def test_registers_are_rates_by_the_data_sheet(chip, values, curved):
 def test_the_axis_of_a_chip_that_moves_is_the_one_requested(axis):
     env = make_env(chip=MCX514, axis=axis)
     env.reset(seed=1, options={"distance": DISTANCE})
-    env._task.prepare_next = lambda: None
+    env._task.prepare_next_step = lambda: None
     env.step(env._task.registers.to_action({"SV": 800, "DV": 8000, "AC": 100_000}))
     moved = {name: a.chip.net(a.chip_axis) for name, a in env.stage.axes.items()}
     assert moved == {"x": 0, "y": 0, "z": 0} | {axis: DISTANCE}
@@ -204,13 +204,13 @@ def test_a_move_begins_with_the_rotor_at_its_angle_and_half_the_distance_before_
 def test_a_shared_name_means_the_body_for_payloads_and_the_site_for_judging():
     from stage import Stage
     from stage.sim import plant
-    from stage.sim.named_points import find_carrier, find_judged_point
+    from stage.sim.named_points import find_judged_point, find_payload_body
 
     spec = plant.open_spec("xy")
     spec.body("y").add_site(name="x")
     stage = Stage(spec, visuals=False)
-    assert find_carrier(stage, "x", "x") == "x"
-    assert find_carrier(stage, "x", "tool") == stage.model.body(int(stage.model.site("tool").bodyid[0])).name
+    assert find_payload_body(stage, "x", "x") == "x"
+    assert find_payload_body(stage, "x", "tool") == stage.model.body(int(stage.model.site("tool").bodyid[0])).name
     name, point = find_judged_point(stage, "x", "x")
     assert (name, point) == ("x", 1 + stage.model.site("x").id)
     assert find_judged_point(stage, "x", "y") == ("y", -stage.model.body("y").id)

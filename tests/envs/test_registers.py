@@ -6,7 +6,7 @@ from support.examples import FIXED, SEED
 
 from stage import ArgumentError
 from stage.chips import PCL240K, PCL240MS
-from stage.envs.register_actions import RegisterBox
+from stage.envs.register_scaling import RegisterBox
 from stage.firmware.pcl240.driver import S_CURVE_REGISTERS
 from stage.firmware.pcl240.driver import TUNED_REGISTERS as REGISTERS
 

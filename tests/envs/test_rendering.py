@@ -32,7 +32,7 @@ class Watcher:
     def __init__(self, stage):
         self.stage, self.frames = stage, []
 
-    def frame(self, qpos=None):
+    def render_stage(self, qpos=None):
         self.frames.append(np.array(self.stage.data.qpos if qpos is None else qpos))
         return self.frames[-1]
 
@@ -109,7 +109,7 @@ model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><camera name='c'/><li
 for _ in range(2):
     for mode in ("human", "rgb_array"):
         try:
-            print(make_viewer(SimpleNamespace(model=model, data=mujoco.MjData(model)), mode, "c", 64, 48).frame().shape)
+            print(make_viewer(SimpleNamespace(model=model, data=mujoco.MjData(model)), mode, "c", 64, 48).render_stage().shape)
         except StageError as error:
             print(mode, error)
 """
@@ -218,7 +218,7 @@ def test_a_window_pauses_between_the_frames_of_a_move(frames, monkeypatch):
     """gymnasium.make("stage/OriginReturn-v0", render_mode="human"): a pause between two frames, none before the first."""
     env, order = make_env("stage/OriginReturn-v0", "human"), []
     monkeypatch.setattr("time.sleep", order.append)
-    monkeypatch.setattr(Watcher, "frame", lambda self, qpos=None: order.append("frame"))
+    monkeypatch.setattr(Watcher, "render_stage", lambda self, qpos=None: order.append("frame"))
     env._add_frames(np.zeros((3, env.stage.model.nq)), None)
     assert order == ["frame", 1 / 30, "frame", 1 / 30, "frame"]
 

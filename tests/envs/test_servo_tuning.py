@@ -27,7 +27,7 @@ def make_one_move(values, distance=200, payload=0.0, **settings):
 def test_the_registers_selected_are_those_in_the_chip():
     env = make_env()
     env.reset(seed=1)
-    env._task.prepare_next = lambda: None
+    env._task.prepare_next_step = lambda: None
     values = {"R22": 77, "R20": 200, "R21": 31, "R0F": 90}
     info = env.step(env._task.registers.to_action(values))[4]
     holding = env.stage.axes["x"].chip.values()
@@ -41,7 +41,7 @@ def test_the_registers_selected_are_those_in_the_chip():
 def test_a_good_filter_settles_and_the_carriage_is_at_its_goal(motion, axis):
     env = make_env(motion=motion, axis=axis, distances=(100, 4000))
     env.reset(seed=1, options={"distance": 1000, "payload": 0.0})
-    env._task.prepare_next = lambda: None
+    env._task.prepare_next_step = lambda: None
     before = env.stage.axes[axis].position
     _, reward, _, _, info = env.step(env._task.registers.to_action(GOOD))
     assert info["finished"]

@@ -9,7 +9,14 @@ import pytest
 
 import stage.envs
 from stage import ArgumentError
-from stage.envs.settings import Boolean, Name, Names, Number, Range, _list_setting_kinds
+from stage.envs.settings import (
+    BooleanSetting,
+    NameSetting,
+    NamesSetting,
+    NumberSetting,
+    RangeSetting,
+    _list_setting_kinds,
+)
 from stage.sim import plant
 
 CONFIGS = {id_: import_module("stage.envs." + where.split(":")[0]).Config for id_, where in stage.envs.IDS.items()}
@@ -29,23 +36,30 @@ def test_every_setting_refuses_non_numbers_and_values_out_of_range(id_):
     assert {f.name for f in fields(config)} - set(kinds) <= UNCHECKED
     for name, kind in kinds.items():
         default = getattr(config, name, None)
-        for bad in (np.nan, -1.0, np.inf, [], 1 + 2j, *([] if isinstance(kind, Name | Names) else ["much"])):
+        for bad in (
+            np.nan,
+            -1.0,
+            np.inf,
+            [],
+            1 + 2j,
+            *([] if isinstance(kind, NameSetting | NamesSetting) else ["much"]),
+        ):
             wrong = (bad, bad) if isinstance(default, tuple) else bad
             with pytest.raises(ArgumentError, match=rf"{name}"):
                 config(**{name: wrong})
         if default is not None:
             with pytest.raises(ArgumentError, match=rf"{name}.*None"):
                 config(**{name: None})
-        if isinstance(kind, Range) and default:
+        if isinstance(kind, RangeSetting) and default:
             for wrong in ((default[1], default[0]), default[:1], "much", (*default, default[1])):
                 with pytest.raises(ArgumentError, match=rf"{name}=.*least, most"):
                     config(**{name: wrong})
-        if isinstance(kind, Boolean):
+        if isinstance(kind, BooleanSetting):
             with pytest.raises(ArgumentError, match=rf"{name}=1: True or False"):
                 config(**{name: 1})
         if name.endswith("_weight"):
             assert getattr(config(**{name: 0}), name) == 0
-        if type(kind) is Number and kind.whole:
+        if type(kind) is NumberSetting and kind.integer:
             with pytest.raises(ArgumentError, match=rf"{name}=.*whole number"):
                 config(**{name: default + 0.5})
             assert getattr(config(**{name: np.int64(default)}), name) == default
@@ -100,9 +114,9 @@ def test_a_model_without_a_site_work_carries_its_payload(id_):
 @pytest.mark.parametrize("id_", CONFIGS)
 def test_the_kind_of_a_setting_accepts_its_limits_and_nothing_beyond(id_):
     for name, kind in _list_setting_kinds(CONFIGS[id_]):
-        if isinstance(kind, Number):
-            low = kind.low + (1 if kind.whole else 1e-9) if kind.above else kind.low
-            beyond = kind.low if kind.above else kind.low - (1 if kind.whole else 1e-9)
+        if isinstance(kind, NumberSetting):
+            low = kind.low + (1 if kind.integer else 1e-9) if kind.exclude_low else kind.low
+            beyond = kind.low if kind.exclude_low else kind.low - (1 if kind.integer else 1e-9)
             inside, outside = (low, kind.high), (beyond, kind.high * 1.01 + 1)
             assert all(map(kind.accepts, inside)), name
             assert not any(map(kind.accepts, (*outside, True))), name

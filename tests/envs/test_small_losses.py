@@ -129,7 +129,7 @@ def test_the_spread_of_returns_is_of_one_episode_and_none_after_its_first():
             if k:
                 env._task._draw_move(0, {"start": start})
             usual = {"R1": 50, "R2": 800, "R4": 983, "approach": 20, "leave": 0, "back_off": 200, "sd": 1}
-            *_, info = env.step(env.strategy.to_action(usual))
+            *_, info = env.step(env.register_box.to_action(usual))
             assert info["home"]
             spreads.append(info["spread"])
     assert spreads[0] == spreads[2] == 0

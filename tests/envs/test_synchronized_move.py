@@ -7,7 +7,7 @@ from support.mirrored import mirrored
 
 from stage import Stage, firmware
 from stage.chips import CHIPS
-from stage.envs.register_actions import RegisterBox
+from stage.envs.register_scaling import RegisterBox
 from stage.envs.synchronized_move import (
     Config,
     SynchronizedMove,
@@ -119,7 +119,7 @@ def test_registers_as_integers_are_the_registers_written():
 def test_no_correction_is_the_data_sheets_answer_in_the_ratio_of_the_distances(axes):
     rules = build_rules(15, axes=axes, distances=(2_000, 20_000))
     created = rules.to_registers(np.zeros((15, 6 * len(axes)), np.float32))
-    assert (created == rules.data_sheet()).all()
+    assert (created == rules.compute_data_sheet_registers()).all()
     for row, d in zip(created.astype(float), np.abs(rules.distances), strict=True):
         low, high, up, down, point, r7 = row.T
         rho, lead = d / d.max(), int(d.argmax())
@@ -156,14 +156,14 @@ def test_a_small_number_leaves_the_multiplier_alone():
     rules = build_rules(8)
     action = np.zeros((8, 12), np.float32)
     action[:, [5, 11]] = 0.49
-    assert (rules.to_registers(action) == rules.data_sheet()).all()
+    assert (rules.to_registers(action) == rules.compute_data_sheet_registers()).all()
 
 
 def test_the_observation_predicts_the_deviation_of_the_follower_pulses():
     rules = build_rules(30)
     errors, rows = (
         rules.line.compute_share_errors(rules.requested_lines),
-        rules.line.rows(rules.data_sheet(), rules.requested_lines),
+        rules.line.rows(rules.compute_data_sheet_registers(), rules.requested_lines),
     )
     for k, d in enumerate(np.abs(rules.distances)):
         lead = int(d.argmax())
@@ -432,7 +432,7 @@ def test_ranges_in_the_ratio_of_the_distances_deviate_like_ideal_axes(chip, axes
     """The chips of two axes each are released a bus cycle apart."""
     rules = build_rules(20, chip=chip, axes=axes, s_curve=s_curve)
     created = rules.to_registers(np.zeros((20, *rules.action_space.shape), np.float32))
-    assert (created == rules.data_sheet()).all()
+    assert (created == rules.compute_data_sheet_registers()).all()
     rules.make_programs()
     for row, d, path, rate in zip(created.astype(float), rules.distances, rules.path, rules.rate, strict=True):
         assert path <= compute_perfect_deviation(d) + 0.1
@@ -448,7 +448,7 @@ def test_very_different_distances_still_have_legal_ranges():
     rules = build_rules(1, chip="MCX304", distances=(1, 20_000))
     for d in ([20_000, 1], [20_000, 300], [3, 2], [1, 1]):
         rules.distances[0] = d
-        (registers,) = rules.data_sheet()
+        (registers,) = rules.compute_data_sheet_registers()
         assert (
             (registers >= rules.line.clip_to_legal(registers)) & (registers <= rules.line.clip_to_legal(registers))
         ).all()
@@ -459,7 +459,7 @@ def test_very_different_distances_still_have_legal_ranges():
 @pytest.mark.parametrize("s_curve", [False, True])
 def test_counts_of_the_ratio_move_an_axis_by_no_more_than_reach_pulses(s_curve):
     rules = build_rules(8, chip="MCX304", s_curve=s_curve)
-    basic, (n, m) = rules.data_sheet(), rules.line.shape
+    basic, (n, m) = rules.compute_data_sheet_registers(), rules.line.shape
     worth = rules.line.compute_pulses_per_register_unit(basic, rules.requested_lines)
     for k in range(n * m):
         axis, register = divmod(k, m)
@@ -481,13 +481,16 @@ def test_no_correction_takes_fl_above_fh():
     shape = (4, *created.line.shape)
     corrections = np.zeros(shape)
     corrections[:, :, 0], corrections[:, :, 1] = 1.0, -1.0
-    sheet, corrected = created.data_sheet(), created.line.apply_corrections(created.requested_lines, corrections)
+    sheet, corrected = (
+        created.compute_data_sheet_registers(),
+        created.line.apply_corrections(created.requested_lines, corrections),
+    )
     assert (sheet[:, :, 0] <= sheet[:, :, 1]).all()
     assert (corrected[:, :, 1] < sheet[:, :, 1]).any()
     assert (corrected[:, :, 0] <= corrected[:, :, 1]).all()
     chip = build_rules(4, chip="MCX514", rate=2000.0, fl=2000.0, accel=0.01)
     bent = chip.line.apply_corrections(chip.requested_lines, np.tile([1.0, -1.0, 0.0], (4, 1, 1)))
-    assert (bent[:, :, 1] < chip.data_sheet()[:, :, 1]).all()
+    assert (bent[:, :, 1] < chip.compute_data_sheet_registers()[:, :, 1]).all()
     assert (bent[:, :, 0] == bent[:, :, 1]).all()
 
 
@@ -531,7 +534,7 @@ def test_the_last_pulse_lasts_one_period_of_the_slower_rate():
 
 def test_corrections_of_interpolation_are_factors():
     rules = build_rules(6, chip="MCX514")
-    basic = rules.data_sheet()
+    basic = rules.compute_data_sheet_registers()
     assert basic.shape == (6, 1, 3)
     for k in range(3):
         action = np.zeros((6, 3), np.float32)

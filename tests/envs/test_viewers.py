@@ -38,9 +38,9 @@ def test_a_picture_has_the_requested_size_camera_and_joint_positions(machine, mo
     monkeypatch.setattr(rendering, "make_renderer", Renderer)
     camera = machine.model.camera(0).name
     created = rendering.make_viewer(machine, "rgb_array", camera, 64, 48)
-    assert isinstance(created, rendering.OffScreen)
+    assert isinstance(created, rendering.OffScreenRenderer)
     before = machine.data.qpos.copy()
-    assert created.frame() == created.frame(np.array([0.01, -0.02])) == "a picture"
+    assert created.render_stage() == created.render_stage(np.array([0.01, -0.02])) == "a picture"
     created.close()
     size, current, elsewhere, closed = created._renderer.events
     assert size == (machine.model, 48, 64)
@@ -68,14 +68,14 @@ def window(monkeypatch):
 
 def test_a_window_shows_the_joint_positions_of_each_frame(machine, window):
     created = rendering.make_viewer(machine, "human", "overview", 64, 48)
-    assert isinstance(created, rendering.OnScreen)
+    assert isinstance(created, rendering.ViewerWindow)
     assert window.checked == ["Use render_mode='rgb_array', or record."]
     ((model, data),) = window.events
     assert (model, data) == (machine.model, created._pose.data)
     assert data.qpos.tolist() == machine.data.qpos.tolist()
-    assert created.frame(np.array([0.01, 0.02])) is None
+    assert created.render_stage(np.array([0.01, 0.02])) is None
     assert data.qpos.tolist() == [0.01, 0.02]
-    created.frame()
+    created.render_stage()
     assert data.qpos.tolist() == machine.data.qpos.tolist()
     created.close()
     assert window.events[1:] == ["synced", "synced", "closed"]
@@ -89,7 +89,7 @@ def test_a_window_that_cannot_open_explains_the_cause_and_the_remedy(machine, wi
     with pytest.raises(
         StageError, match=r"viewer does not open \(no display\)\. Use render_mode='rgb_array', or record\."
     ):
-        rendering.OnScreen(machine)
+        rendering.ViewerWindow(machine)
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_a_window_that_cannot_open_explains_the_cause_and_the_remedy(machine, wi
 )
 def test_a_frame_is_due_when_so_much_time_has_passed_to_the_nanosecond(every, frames, monkeypatch):
     monkeypatch.setattr(
-        rendering, "make_viewer", lambda *_: SimpleNamespace(frame=lambda qpos=None: 0, close=lambda: None)
+        rendering, "make_viewer", lambda *_: SimpleNamespace(render_stage=lambda qpos=None: 0, close=lambda: None)
     )
     env = gymnasium.make(
         "stage/RegisterBus-v0",

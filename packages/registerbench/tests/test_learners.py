@@ -102,7 +102,7 @@ def test_cma_es_finds_a_bolder_policy_than_it_begins_with(tmp_path):
 
 
 def test_a_rule_earns_the_tabulated_rewards_of_its_attempts(rules):
-    from registerbench.baselines.boldness_table import BOLDNESS, BoldnessTable
+    from registerbench.baselines.outcomes_by_boldness import BOLDNESS, BoldnessTable
 
     edge = np.array([2.0, 4.0])
     saved = BOLDNESS[:, None] < edge

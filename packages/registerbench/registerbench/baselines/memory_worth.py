@@ -3,7 +3,7 @@
 python -m registerbench.baselines.memory_worth
 python -m registerbench.baselines.memory_worth --tasks few-shot-wide --machines 128
 
-The hosts play on a table of boldness_table.py, with machines of the split train:
+The hosts play on a table of outcomes_by_boldness.py, with machines of the split train:
 knows     knows the best boldness of each machine: no host can be better
 blind     uses the same eight numbers for all machines, the best that a search from STARTS sequences finds; it observes nothing
 looks     uses the rule with memory of rule_policies.py, whose numbers CMA-ES has found
@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from registerbench.baselines import explain_interrupt
-from registerbench.baselines.boldness_table import BOLDNESS, BoldnessTable, learn_rule, measure_boldness_table
+from registerbench.baselines.outcomes_by_boldness import BOLDNESS, BoldnessTable, learn_rule, measure_boldness_table
 from registerbench.baselines.rule_policies import ATTEMPTS, RememberingRule
 
 FIRST_SEED, STARTS = 2000, 6

@@ -9,9 +9,9 @@ run has other machines. The policy is the mean of CMA-ES's distribution after th
 episodes. Training has cheaper settings than the tests (training_envs.py). The mean plays test episodes before the first generation
 and after a quarter, half and all of the generations. They form the learning curve: a CSV file with a row for each episode.
 
-The rules of few-shot and few-shot-wide learn on a table (boldness_table.py): a run tries TABLE_MACHINES machines of train at every
-boldness, and CMA-ES chooses the numbers of both rules, with and without memory, on this table. A point of the curve is the rule
-that was learned from the first TABLE_PARTS machines. A finished run is skipped. Needs the package cmaes (extra `rl`).
+The rules of few-shot and few-shot-wide learn on a table (outcomes_by_boldness.py): a run tries TABLE_MACHINES machines of train
+at every boldness, and CMA-ES chooses the numbers of both rules, with and without memory, on this table. A point of the curve is
+the rule that was learned from the first TABLE_PARTS machines. A finished run is skipped. Needs the package cmaes (extra `rl`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import numpy as np
 
 from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
-from registerbench.baselines.boldness_table import learn_rule, measure_boldness_table
+from registerbench.baselines.outcomes_by_boldness import learn_rule, measure_boldness_table
 from registerbench.baselines.rule_policies import RULES, BoldnessRule, Rule
 from registerbench.baselines.training_envs import CHEAPER_SETTINGS, make_training_envs
 from registerbench.benchmark_tasks import CARDS, FIRST_TEST_SEED, OPEN_ROUND

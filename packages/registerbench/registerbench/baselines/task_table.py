@@ -42,7 +42,7 @@ def list_splits(id_: str) -> tuple[str, ...]:
     module, name = stage.envs.IDS[id_].split(":")
     task: Any = getattr(import_module(f"stage.envs.{module}"), name)
     (known,) = get_type_hints(task.Config, include_extras=True)["split"].__metadata__
-    return tuple(known.known)
+    return tuple(known.choices)
 
 
 def play_episodes(id_: str, player: str, episodes: int, **settings: Any) -> tuple[np.ndarray, dict[str, np.ndarray]]:

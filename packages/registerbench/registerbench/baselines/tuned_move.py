@@ -24,7 +24,7 @@ import numpy as np
 from registerbench.baselines.formula_knobs import FormulaKnobs
 from stage import Stage
 from stage.chips import CHIPS, chip_class
-from stage.envs.register_actions import RegisterBox
+from stage.envs.register_scaling import RegisterBox
 from stage.envs.register_tuning import RegisterTuning
 from stage.envs.stage_env import StageVectorEnv
 from stage.firmware.driver import get_driver

@@ -1,7 +1,7 @@
 """A player with a small trained policy: a table of weights that maps an observation to rates and ramps.
 
-trained.json has the tables, which baselines/agent_policy.py found by the cross-entropy method on the split train, with seeds
-below 1,000,000. In tasks without a table the player does what the formula does.
+baselines/trained_policy_training.py finds the tables in trained.json by the cross-entropy method on the split train, with seeds
+below 1,000,000. In tasks without a table, the player does what the formula does.
 """
 
 from __future__ import annotations

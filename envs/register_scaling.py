@@ -1,17 +1,17 @@
-"""Conversion between registers and actions: a number from -1 to 1 for each register, and back without loss.
+"""Scaling of registers to actions: a number from -1 to 1 for each register, and back without loss.
 
     box = RegisterBox.of_registers(PCL240K.MAP, ("R1", "R2", "R4", "R5", "R6", "R7"))
     box.from_action(action)      int64 register values, each in its legal range
-    box.to_action(registers)     float32 in [-1, 1]; from_action of it gives the registers back, exactly (of the MCX514's to
-                                 2 in a million: its registers hold more values than a float32)
+    box.to_action(registers)     float32 in [-1, 1]; `from_action` of these returns the registers, exactly (for the MCX514 to
+                                 2 in a million, because its registers hold more values than a float32)
 
 With u = (a + 1) / 2, from 0 to 1, a register between low and high is
 
-    low (high / low)^u           where low > 0: speeds, rates and multipliers matter by their ratios
-    low + (high - low) u^3       where low is 0 and the range is wide (R6): small values matter most
-    low + (high - low) u         where it is not (spans of S-curves)
+    low (high / low)^u           if low > 0: speeds, rates and multipliers matter by their ratios
+    low + (high - low) u^3       if low is 0 and the range is wide (R6): small values matter most
+    low + (high - low) u         if low is 0 and the range is narrow (spans of S-curves)
 
-rounded. R6 takes 0 to 1,048,575 on every chip: no float32 tells more apart, and no move here is longer.
+rounded. The range of R6 is 0 to 1,048,575 for every chip: a float32 cannot distinguish more values, and no move here is longer.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ WIDE_RANGE = 1 << 16
 
 
 class RegisterBox:
-    """Numbers between ends, as a Box or as a MultiDiscrete.
+    """Ranges of some registers, with the conversion between their values and actions from -1 to 1.
 
     Args:
-        names: Of the numbers.
-        ends: Least and largest value of each.
-        cubed: Names for which small values matter most, beside the wide ranges.
+        names: Names of the registers.
+        ends: Smallest and largest value of each register.
+        cubed: Names of registers in whose range small values matter most, in addition to all wide ranges.
     """
 
     def __init__(self, names: Sequence[str], ends: Iterable[tuple[int, int]], cubed: Sequence[str] = ()):
@@ -47,7 +47,12 @@ class RegisterBox:
 
     @classmethod
     def of_registers(cls, map_: RegisterMap, names: Sequence[str]) -> RegisterBox:
-        """Make a box of some registers of a chip."""
+        """Make the box of some registers of a chip.
+
+        Args:
+            map_: Register map of the chip.
+            names: Names of the registers.
+        """
         return cls(names, [get_register_range(map_, name) for name in names])
 
     def __len__(self) -> int:
@@ -55,16 +60,16 @@ class RegisterBox:
 
     @property
     def box(self) -> gymnasium.spaces.Box:
-        """Space of actions as numbers from -1 to 1."""
+        """Action space of numbers from -1 to 1, one for each register."""
         return gymnasium.spaces.Box(-1.0, 1.0, (len(self),), np.float32)
 
     @property
     def discrete(self) -> gymnasium.spaces.MultiDiscrete:
-        """Space of actions that are the registers themselves."""
+        """Action space of the register values themselves."""
         return gymnasium.spaces.MultiDiscrete(self.high - self.low + 1, start=self.low)
 
     def from_action(self, action: np.ndarray) -> np.ndarray:
-        """Convert (..., n) actions to (..., n) int64 registers."""
+        """Convert actions, (..., n), to int64 register values, (..., n)."""
         u = (np.clip(np.asarray(action, np.float64), -1.0, 1.0) + 1.0) / 2.0
         scaled = np.where(
             self._logarithmic,
@@ -74,13 +79,13 @@ class RegisterBox:
         return np.clip(np.rint(scaled), self.low, self.high).astype(np.int64)
 
     def to_action(self, registers: np.ndarray | Mapping[str, int]) -> np.ndarray:
-        """Convert registers to actions.
+        """Convert register values to actions.
 
         Args:
-            registers: (..., n) values, or a mapping by name.
+            registers: Values, (..., n), or a mapping from name to value.
 
         Returns:
-            (..., n) float32 actions.
+            Actions, (..., n) float32.
 
         Raises:
             ArgumentError: A value is out of its range.
@@ -99,5 +104,5 @@ class RegisterBox:
         return (2.0 * u - 1.0).astype(np.float32)
 
     def to_dict(self, registers: np.ndarray) -> dict[str, int]:
-        """Return one row of registers by name."""
+        """Return one row of register values by name."""
         return {n: int(v) for n, v in zip(self.names, registers, strict=True)}

@@ -1,6 +1,6 @@
 """Training of the shipped player "trained" by the cross-entropy method: tables of weights from an observation to an action.
 
-python -m registerbench.baselines.agent_policy --generations 12 -o trained.json
+python -m registerbench.baselines.trained_policy_training --generations 12 -o trained.json
 """
 
 from __future__ import annotations
