@@ -22,7 +22,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from support.pages import Step, agree, steps  # noqa: E402
+from support.pages import Step, choose_tolerance, get_exit_code, is_printed, steps  # noqa: E402
 
 SESSION = """\
 import json, sys, io, contextlib
@@ -55,7 +55,7 @@ class TutorialReader:
         self._session: Any = None
 
     def run(self, command: list[str]) -> str:
-        """A command; what it prints. Raises Wrong unless it ends with 0."""
+        """A command; what it prints. Raises Wrong unless it ends with the exit code of the page."""
         clean = {
             k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "DISPLAY", "WAYLAND_DISPLAY", "VIRTUAL_ENV")
         }
@@ -63,7 +63,7 @@ class TutorialReader:
         done = subprocess.run(
             command, cwd=self.folder, env=clean, capture_output=True, text=True, errors="replace", check=False
         )
-        if done.returncode:
+        if done.returncode != get_exit_code(shlex.join(command)):
             raise Wrong(f"{self.page.name}: {shlex.join(command)}\n{done.stdout}{done.stderr}")
         return done.stdout
 
@@ -96,7 +96,7 @@ class TutorialReader:
             elif step.kind == "typed":
                 lines = [line.split("  #")[0].strip() for line in step.text.splitlines()]
                 output = "".join(self.run(shlex.split(line)) for line in lines if not line.startswith("pip "))
-            elif step.shows and not agree("\n".join(output.splitlines()[: len(step.text.splitlines())]), step.text):
+            elif step.shows and not is_printed(step.text, output, choose_tolerance(self.page)):
                 raise Wrong(f"{self.page.name}:{step.line} says\n{step.text}\nand here is printed\n{output}")
             took = time.perf_counter() - begin
             self.first = self.first or (took if output else 0.0)

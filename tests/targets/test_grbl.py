@@ -6,14 +6,18 @@ reset. Z keeps its current, as a brake would hold it: grbl switches its motors o
 
 import os
 import random
+import shlex
 from pathlib import Path
 
 import pytest
 from support.gcode_machine import STEPS_PER_MM, GcodeMachine
+from support.pages import is_printed, steps
 
 from stage import faults
+from stage.cli import main
 from stage.targets import mcus
 
+PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "grbl.md"
 GRBL = os.environ.get("PULSESTAGE_GRBL_ELF", "")
 pytestmark = [
     pytest.mark.skipif(not GRBL, reason="PULSESTAGE_GRBL_ELF names no ELF of grbl 1.1h"),
@@ -54,6 +58,25 @@ def list_random_moves(rng: random.Random, count: int) -> list[str]:
             lines.append("G{} X{} Y{} I{} J{}".format(rng.choice([2, 3]), *target[:2], *half))
         at = target[:2]
     return lines
+
+
+@pytest.mark.slow
+def test_the_command_of_the_page_prints_what_the_page_says(tmp_path, monkeypatch, capsys):
+    page_steps = steps(PAGE)
+    (console,) = (step.text for step in page_steps if step.kind == "console")
+    (script,) = (step for step in page_steps if step.file == "grbl.txt")
+    command, _, on_page = console.partition("\n")
+    monkeypatch.chdir(tmp_path)
+    Path("grbl.elf").write_bytes(Path(GRBL).read_bytes())
+    Path(script.file).write_text(script.text)
+    assert main(shlex.split(command.removeprefix("$ stage "))) == 0
+    printed = capsys.readouterr().out
+    assert is_printed(on_page, printed, tolerance=0.002), printed  # the compiler decides on some cycles
+    assert [line.split()[-1] for line in printed.splitlines() if "error:" in line] == [
+        "error:7",
+        ">:error:7",
+        ">:error:7",
+    ]
 
 
 @pytest.mark.slow

@@ -5,12 +5,14 @@ import os
 import random
 import re
 import select
+import shlex
 import socket
 import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from support.pages import steps
 from support.target_boards import board_of
 
 from stage import Stage
@@ -24,6 +26,7 @@ from stage.errors import ArgumentError, RunTimeout, StageError
 from stage.targets import TargetHost, mcus
 
 DATA = Path(__file__).parent / "data"
+PAGE = Path(__file__).parents[2] / "docs" / "serial.md"
 PINS = "data=A,address=C:0-3,cs=B0,wr=G0,rd=G1"
 RUN = ["run", str(DATA / "serial.avr.elf"), "--mcu", "atmega2560", "--map", PINS, "--chips", "pcl240k"]
 SPEED_115200, FRAME_8E2, OFF_10_MS, END, BUSY_10_MS = (bytes([code]) for code in (1, 2, 3, 4, 5))
@@ -316,6 +319,21 @@ def test_a_script_that_waits_in_vain_fails_at_its_line(tmp_path, capsys):
 def test_a_line_that_is_no_command_is_refused(tmp_path, line, words):
     with pytest.raises(ArgumentError, match=re.escape(words)):
         read_script(write_script(tmp_path, line))
+
+
+@needs_simavr
+@pytest.mark.slow
+def test_the_script_of_the_page_homes_and_moves(tmp_path, monkeypatch, capsys):
+    page_steps = steps(PAGE)
+    (script,) = (step.text for step in page_steps if step.file == "job.txt")
+    (commands,) = (step.text for step in page_steps if "--serial-script job.txt" in step.text)
+    monkeypatch.chdir(tmp_path)
+    Path("job.txt").write_text(script, encoding="utf-8")
+    for command in commands.splitlines():
+        assert main(shlex.split(command.removeprefix("stage "))) == 0
+    assert re.search(r"^x +-139\.99\d\d +-139\.9969 +0 ", capsys.readouterr().out, re.M), (
+        "10 mm from where it was at rest"
+    )
 
 
 def test_a_line_has_one_other_end(tmp_path, capsys):

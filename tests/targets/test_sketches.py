@@ -5,15 +5,17 @@ library AccelStepper. Nothing of either is in this repository.
 """
 
 import os
+import shlex
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
-from support.pages import steps
+from support.pages import is_printed, steps
 
 from stage import Stage
 from stage.board import Board
+from stage.cli import main
 from stage.targets import TargetHost, mcus
 
 CORE = Path(os.environ.get("PULSESTAGE_ARDUINO_AVR", "/usr/share/arduino/hardware/arduino/avr"))
@@ -67,6 +69,19 @@ def test_the_sketch_of_the_page_homes_on_its_switch_and_backs_off_by_10_mm(tmp_p
     assert [text for _, text in host.log] == ["home", "10 mm from home"]
     assert x.commanded == pytest.approx(-140 * MM, abs=0.007 * MM)
     assert (x.lost_steps, x.chip.diagnostics) == (0, [])
+
+
+def test_the_binary_of_the_page_prints_what_the_page_says(tmp_path, monkeypatch, capsys):
+    (sketch,) = (step.text for step in steps(PAGE) if step.file == "sketch.ino")
+    (console,) = (step.text for step in steps(PAGE) if step.kind == "console")
+    command, _, on_page = console.partition("\n")
+    words = shlex.split(command.removeprefix("$ stage "))
+    (tmp_path / "build").mkdir()
+    build_sketch(tmp_path, sketch).rename(tmp_path / words[1])
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    assert is_printed(on_page, printed, tolerance=0.002), printed  # the compiler decides on some cycles
 
 
 @pytest.mark.skipif(
