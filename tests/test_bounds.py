@@ -22,7 +22,7 @@ from stage.sim import engine_records, faults
 from stage.sim.fleet import MAX_TIME_NS, Fleet
 from stage.sim.program import Program
 from stage.sim.stage import MAX_RUN_S
-from stage.study.preset_move_objective import parse_values
+from stage.study.preset_move_objective import parse_register_values
 from stage.testing import assert_at
 
 BELOW_9 = math.nextafter(1e9, 0)
@@ -81,9 +81,9 @@ BOUNDS = {
     "axes of a circle": (lambda v: servo_profile.compute_circle_positions(9, seconds=0.4, sample=1e-2, axes=v), (2, 3), (1, 4)),
     "rate of a start": (lambda v: dynamometer.count_steps_lost_in_start(Drive(), v, 1e-4), (1.0,), (0, 1.1e7)),
     "rpm": (dynamometer._check_speeds, (1e-9, 20_000), (0, 20_001)),
-    "low of a log range": (lambda v: parse_values("R2", f"{v}:9:log"), (1, 9), (0, 10)),
-    "low of a range": (lambda v: parse_values("R2", f"{v}:9"), (0, 9), (-1, 10)),
-    "value of a register": (lambda v: parse_values("R2", v), (0, 1), (-1, 0.5)),
+    "low of a log range": (lambda v: parse_register_values("R2", f"{v}:9:log"), (1, 9), (0, 10)),
+    "low of a range": (lambda v: parse_register_values("R2", f"{v}:9"), (0, 9), (-1, 10)),
+    "value of a register": (lambda v: parse_register_values("R2", v), (0, 1), (-1, 0.5)),
 }  # fmt: skip
 ON_A_STAGE = {
     "timeout": (lambda s, v: s.run_until(lambda: True, timeout=v), (0, MAX_RUN_S), (-1e-9, MAX_RUN_S * 1.001)),

@@ -24,7 +24,10 @@ JOURNAL_HEAD = b'{"op_code":'
 
 
 def open_storage(place: str | os.PathLike) -> optuna.storages.BaseStorage:
-    """Open the storage at `place`: a file, which is made if it is missing, or the URL of a database as SQLAlchemy takes it.
+    """Open an Optuna storage. A file that does not exist is created.
+
+    Args:
+        place: Path of a file, or URL of a database as in SQLAlchemy.
 
     Raises:
         StageError: The place cannot hold a study.
@@ -40,7 +43,7 @@ def open_storage(place: str | os.PathLike) -> optuna.storages.BaseStorage:
 
 
 class DurableJournal(JournalFileBackend):
-    """Optuna's file of one JSON object a line, that survives kills and a full disk."""
+    """Optuna's journal file (one JSON object per line), made safe against killed processes and a full disk."""
 
     def __init__(self, path: Path):
         if path.exists():
@@ -50,11 +53,11 @@ class DurableJournal(JournalFileBackend):
                 head = file.read(len(JOURNAL_HEAD))
             if not JOURNAL_HEAD.startswith(head):
                 raise StageError(f"{path} is there and holds no study: choose another place.")
-        lock: Any = AppendLock(path)  # Optuna's base class is not public
+        lock: Any = JournalAppendLock(path)  # Optuna's base class is not public
         super().__init__(str(path), lock)
 
     def append_logs(self, logs: list[dict[str, Any]]) -> None:
-        """Append to the file, durably.
+        """Append entries to the file, and wait until they are on the disk.
 
         Raises:
             FileError: The file cannot be written; what was recorded before stays.
@@ -68,11 +71,11 @@ class DurableJournal(JournalFileBackend):
             ) from error
 
 
-class AppendLock:
-    """Lock of the right to append to the journal.
+class JournalAppendLock:
+    """Lock that allows one process to append to the journal.
 
-    Optuna's own locks are files: if their holder is killed, all others wait for half a minute. This lock is released by the system.
-    The next holder removes a line that was not written to its end; otherwise the journal could not be read any more.
+    Optuna's own locks are files: after a kill of their owner all other processes wait for half a minute. The operating system
+    releases this lock at once. Its next owner removes an incomplete last line, which would make the journal unreadable.
     """
 
     def __init__(self, path: Path):
@@ -80,7 +83,7 @@ class AppendLock:
         self._lock_file: IO | None = None
 
     def acquire(self) -> bool:
-        """Wait for the lock, and remove a line that was not written to its end."""
+        """Wait for the lock, and remove an incomplete last line of the journal."""
         lock_file = Path(f"{self._path}.lock").open("a")  # noqa: SIM115
         try:
             fcntl.flock(lock_file, fcntl.LOCK_EX)
@@ -92,6 +95,7 @@ class AppendLock:
         return True
 
     def _remove_unfinished_line(self) -> None:
+        """Cut the journal after its last complete line."""
         with self._path.open("rb+") as journal:
             end = journal.seek(0, os.SEEK_END)
             if end and (journal.seek(-1, os.SEEK_END), journal.read(1))[1] != b"\n":
@@ -106,19 +110,20 @@ class AppendLock:
 
 
 class TrialSeededSampler(optuna.samplers.BaseSampler):
-    """Sampler whose random numbers follow from a seed and the trial's number.
+    """Sampler whose random numbers depend only on a seed and the number of the trial.
 
-    So a continued study does not repeat its first trials, no two workers draw the same trial, and one worker makes the same
-    study to the bit, whether stopped in between or not.
+    A continued study therefore does not repeat its first trials, no two workers draw the same trial, and a study with one worker
+    has the same bits whether it was interrupted or not.
 
     Args:
-        make: Function that makes a sampler from a seed. The sampler must keep its state in the study, as Optuna's samplers do.
+        make: Function that creates a sampler from a seed. The sampler must keep its state in the study, as Optuna's samplers do.
     """
 
     def __init__(self, make: Callable[..., optuna.samplers.BaseSampler], seed: int):
         self._make, self._seed = make, seed
 
     def _make_trial_sampler(self, trial: Any) -> Any:
+        """Create the sampler for one trial."""
         key = (trial.number, 0, len(trial.params))
         return self._make(seed=int(np.random.SeedSequence(self._seed, spawn_key=key).generate_state(1)[0]))
 

@@ -1,8 +1,8 @@
-"""What a trial measures. An objective is a function of an Optuna trial; here is one that is made of preset moves.
+"""An Optuna objective that makes preset moves with the register values of a trial and scores them.
 
 objective = PresetMoves(pulses=8000)
 objective.measure({"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}, seed=1)      without Optuna
-optuna.create_study().optimize(objective, n_trials=100)                               with
+optuna.create_study().optimize(objective, n_trials=100)                               with Optuna
 """
 
 from __future__ import annotations
@@ -40,15 +40,19 @@ _local = threading.local()
 
 
 class Range(NamedTuple):
-    """Every whole number from low to high."""
+    """Whole numbers from `low` to `high`, both inclusive; `log`: sampled evenly on a logarithmic scale."""
 
     low: int
     high: int
     log: bool
 
 
-def parse_values(name: str, text: str | int) -> Range | tuple[int, ...]:
-    """Return the values that a register may take, by its text in a space.
+def parse_register_values(name: str, text: str | int) -> Range | tuple[int, ...]:
+    """Return the values that a register may take.
+
+    Args:
+        name: Name of the register, for errors.
+        text: A value, a list of values or a range, in the form of a `Space`.
 
     Raises:
         ArgumentError: The text is no value, no list of values and no range.
@@ -73,14 +77,23 @@ def parse_values(name: str, text: str | int) -> Range | tuple[int, ...]:
 
 @explain_arguments
 def suggest_registers(trial: Trial, space: Space) -> dict[str, int]:
-    """Return the register values of a trial; the trial's `params` hold them all.
+    """Let Optuna choose the register values of a trial.
+
+    Every register is a parameter of the trial, even one with a single possible value.
+
+    Args:
+        trial: Optuna trial.
+        space: Possible values of each register.
+
+    Returns:
+        Values by the names of the registers.
 
     Raises:
         ArgumentError: A text of the space is no value, no list of values and no range.
     """
     registers = {}
     for name, text in space.items():
-        values = parse_values(name, text)
+        values = parse_register_values(name, text)
         if isinstance(values, Range):
             registers[name] = trial.suggest_int(name, values.low, values.high, log=values.log)
         elif len(values) == 1:
@@ -92,7 +105,10 @@ def suggest_registers(trial: Trial, space: Space) -> dict[str, int]:
 
 @explain_arguments
 def derive_seed(trial: Trial, seed: int = 0) -> int:
-    """Return a seed for whatever else a trial draws: it follows from `seed` and the number of the trial alone."""
+    """Return a seed for everything random in a trial except its parameters.
+
+    It depends only on `seed` and the number of the trial.
+    """
     words = np.random.SeedSequence(seed, spawn_key=(trial.number, 1)).generate_state(1, np.uint64)[0]
     return int(words >> np.uint64(1))
 
@@ -100,20 +116,27 @@ def derive_seed(trial: Trial, seed: int = 0) -> int:
 @explain_constructor
 @dataclass(frozen=True)
 class PresetMoves:
-    """Preset moves of one axis with a trial's R1, R2, R4, R5, R7 (R3: R2; R14, R15: spans of S-curves), one after the other.
+    """Optuna objective: one or more preset moves of an axis with the R1, R2, R4, R5 and R7 of a trial.
 
-    The start is random within 0.1 mm, by the trial's seed: the result does not depend on one rotor angle. R6 is by the data sheet.
-    A trial's user attributes are its seed and all that `measure` returns.
+    R3 equals R2, R6 follows the data sheet, and on chips with S-curves R14 and R15 are their spans. The start position is random
+    within 0.1 mm, so that the result does not depend on one rotor angle. The user attributes of a trial are its seed and all
+    results of `measure`.
 
     Args:
-        space: what the registers take.
-        goals: which measures to minimize; with several, a study finds their Pareto front.
-        model, axis, chips: `xyz`, `x`, `pcl240k`; `pcl240mk`, `pcl240ms`, too.
-        pulses: of one move, or of some, one after the other; with more than one a pruner may end a trial in between.
-        start: m. band: m, the tool is quiet while within it of its place. rest: s of observation after a move; a camera on a mast
-            needs 4.
-        seed: of the seeds of the trials.
-    Raises ArgumentError: a register or an option that is not known.
+        space: Possible values of each register.
+        goals: Names of the measures to minimize. With several goals a study finds their Pareto front.
+        model: Name of the model.
+        axis: Name of the axis.
+        chips: Name of the chip: pcl240k, pcl240mk or pcl240ms.
+        pulses: Pulses of the move, or of each of several successive moves. With several moves a pruner may end a trial between
+            them.
+        start: Nominal start position, m.
+        band: The tool is quiet while it is within this distance of its final position, m.
+        rest: Time of observation after each move, s; a camera on a mast needs 4 s.
+        seed: Seed from which the seeds of the trials follow.
+
+    Raises:
+        ArgumentError: A register, a goal or an axis does not exist, or the chip is of another family.
     """
 
     space: Space = field(default_factory=lambda: SPACE)
@@ -138,10 +161,10 @@ class PresetMoves:
                 f"chips={self.chips!r}: PresetMoves writes registers of the PCL-240 family: pcl240k, pcl240mk, pcl240ms. The "
                 "environment stage/RegisterTuning-v0 tunes moves of any chip that has a driver."
             )
-        check_registers(self.space, self._chip)
+        check_speed_registers(self.space, self._chip)
         for name, text in self.space.items():
-            parse_values(name, text)
-        stage, _ = _get_stage(self.model, self._chip)
+            parse_register_values(name, text)
+        stage, _ = _get_thread_stage(self.model, self._chip)
         if self.axis not in stage.axes:
             raise unknown_name_error("axis", self.axis, stage.axes)
 
@@ -150,11 +173,16 @@ class PresetMoves:
         return chip_class(str(self.chips))
 
     def __call__(self, trial: Trial) -> float | tuple[float, ...]:
-        """Measure a trial of an Optuna study: its goals' values. Raises optuna.TrialPruned."""
+        """Measure a trial and return the value of its goal, or a tuple of values if there are several goals.
+
+        Raises:
+            optuna.TrialPruned: The pruner of the study ends the trial.
+        """
         registers, seed = suggest_registers(trial, self.space), derive_seed(trial, self.seed)
         trial.set_user_attr("seed", seed)
 
         def report(move: int, measures: dict[str, float]) -> None:
+            """Report the measures after a move to Optuna, and end the trial if the pruner decides so."""
             trial.report(measures[self.goals[0]], move)
             if trial.should_prune():
                 from optuna import TrialPruned
@@ -173,25 +201,26 @@ class PresetMoves:
         seed: int,
         report: Callable[[int, dict[str, float]], None] = lambda k, m: None,
     ) -> dict[str, float]:
-        """Make the moves with these registers: the same arguments give the same bits, in whatever process or thread.
+        """Make the moves with these registers. Equal arguments give equal results, bit for bit, in any process or thread.
 
         Args:
             registers: Register values by name.
-            seed: Seed of the place at which the moves begin.
-            report: Called after each move but the last, with its index from 0 on and the measures so far.
+            seed: Seed of the random start position.
+            report: Function that is called after each move except the last one, with the index of the move (from 0) and the
+                measures so far.
 
         Returns:
-            score: s from a move's start until the tool stays within `band` of its place, the mean of the moves; 10 s more for a
-                move after which it does not within `rest`, or that loses steps or ends elsewhere.
-            duration: s from the first pulse to the last, all moves. lost_steps: of all. reached: moves that ended as asked.
-            vibration: m, the largest half swing of the tool after a stop.
+            score: mean time from the start of a move until the tool stays within `band`, s; plus 10 s for each move that loses
+                steps, ends elsewhere, or after which the tool is not quiet within `rest`.
+            duration: time from the first pulse to the last, summed over the moves, s. lost_steps: sum over the moves.
+            reached: number of moves that ended at their target. vibration: largest half swing of the tool after a stop, m.
 
         Raises:
             ArgumentError: A register value is not legal.
             SimulationError: The simulation diverged.
         """
         profile = build_profile(registers, self._chip)
-        stage, begin = _get_stage(self.model, self._chip)
+        stage, begin = _get_thread_stage(self.model, self._chip)
         stage.restore(begin)
         start = self.start + np.random.default_rng(seed).uniform(-START_SPREAD_M, START_SPREAD_M)
         stage.place(**{self.axis: start})
@@ -206,6 +235,7 @@ class PresetMoves:
 
 
 def _combine_measures(moves: list[dict[str, float]]) -> dict[str, float]:
+    """Combine the measures of single moves into those of a trial."""
     columns = {name: [m[name] for m in moves] for name in moves[0]}
     return {
         "score": float(np.mean(columns["score"])),
@@ -216,8 +246,8 @@ def _combine_measures(moves: list[dict[str, float]]) -> dict[str, float]:
     }
 
 
-def check_registers(names: Mapping[str, object], chip: Any) -> None:
-    """Raise ArgumentError for a speed register that is missing or unknown."""
+def check_speed_registers(names: Mapping[str, object], chip: Any) -> None:
+    """Raise ArgumentError if a speed register is missing, or a name is not one of the chip's speed registers."""
     known = {"R1", "R2", "R3", "R4", "R5", "R7"} | ({"R14", "R15"} if chip.S_CURVES else set())
     for name in names:
         if name not in known:
@@ -229,20 +259,20 @@ def check_registers(names: Mapping[str, object], chip: Any) -> None:
 
 
 def build_profile(registers: Mapping[str, int], chip: Any) -> Profile:
-    """Return the speed registers as a Profile.
+    """Build the Profile that has these values of the speed registers.
 
     Raises:
         ArgumentError: A register is missing or unknown.
     """
-    check_registers(registers, chip)
+    check_speed_registers(registers, chip)
     speeds = {k: v for k, v in registers.items() if k not in ("R14", "R15")}
     curved = "R14" in registers or "R15" in registers
     spans = (registers.get("R14", 0), registers.get("R15", 0)) if curved else None
     return Profile(**({"R3": registers["R2"]} | speeds), spans=spans, chip=chip)
 
 
-def _get_stage(model: str, chip: Any) -> tuple[Stage, Any]:
-    """Return a stage of this thread, and its snapshot at power-up."""
+def _get_thread_stage(model: str, chip: Any) -> tuple[Stage, Any]:
+    """Return the stage that this thread uses for a model and a chip, and the stage's snapshot at power-up."""
     stages = _local.__dict__.setdefault("stages", {})
     if (model, chip) not in stages:
         stage = Stage(model, chips=chip)
@@ -251,6 +281,7 @@ def _get_stage(model: str, chip: Any) -> tuple[Stage, Any]:
 
 
 def _measure_move(stage: Stage, name: str, profile: Profile, pulses: int, band: float, rest: float) -> dict[str, float]:
+    """Make one preset move and return its measures."""
     axis: Any = stage.axes[name]
     goal = axis.commanded + pulses * axis.meters_per_pulse * np.sign(axis.gear)
     with stage.record(every=SAMPLE_INTERVAL_S) as recording:
@@ -273,7 +304,7 @@ def _measure_move(stage: Stage, name: str, profile: Profile, pulses: int, band: 
 
 
 def _measure_deflection(stage: Stage, recording: Any, name: str) -> Any:
-    """Return how far the camera of xy_mast is off its carriage, m; 0 on stages without one."""
+    """Return the deflection of the camera on xy_mast from its carriage at each sample, m; 0 for stages without a mast."""
     joints = [stage.model.joint(k) for k in range(stage.model.njnt)]
     at = [j.qposadr[0] for j in joints if j.name == f"camera_{name}"]
     if not at:

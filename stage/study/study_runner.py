@@ -33,12 +33,12 @@ def open_study(
     pruner: optuna.pruners.BasePruner | None = None,
     seed: int = 0,
 ) -> optuna.Study:
-    """Open the study in a storage, or create it: an Optuna study that minimizes.
+    """Open the study in a storage, or create a study that minimizes.
 
     Args:
         objective: Objective of the study.
         storage: Path of a file that processes of one machine share, or URL of a database, for many machines.
-        sampler: Makes a sampler from a seed, for example optuna.samplers.NSGAIISampler; default: TPE.
+        sampler: Function that creates a sampler from a seed, for example optuna.samplers.NSGAIISampler; default: TPE.
         pruner: Optuna pruner; default: no trial is pruned.
         seed: Seed of the sampler.
 
@@ -104,19 +104,19 @@ def run(
     pruner: optuna.pruners.BasePruner | None = None,
     seed: int = 0,
 ) -> optuna.Study:
-    """Run the study in a storage until it has a number of finished trials. Trials that the storage holds already count.
+    """Run the study in a storage until it has a given number of finished trials, those of earlier runs included.
 
-    A trial that raises a StageError is finished, too: it has failed, and its user attribute "error" says why. Any other error ends
-    the run. A trial whose process was killed does not count; another is run for it.
+    A trial that raises a StageError is finished too: it has failed, and its user attribute "error" says why. Any other exception
+        ends the
+    run. A trial whose process was killed does not count, and another trial replaces it.
 
     Args:
         objective: Objective of the study.
         storage: Path of a file, or URL of a database, see `open_study`.
-        trials: Number of finished trials that the study shall have.
-        workers: Number of processes; 1 runs the trials in this process. Each worker may finish a trial after the last one that is
-            needed. With several workers the objective must be importable, and the calling program needs
-            `if __name__ == "__main__"`.
-        sampler: Makes a sampler from a seed, see `open_study`.
+        trials: Total number of finished trials after the run.
+        workers: Number of processes; 1 runs the trials in this process. Each worker may finish one trial more than necessary. With
+            several workers the objective must be importable, and the calling program needs `if __name__ == "__main__"`.
+        sampler: Function that creates a sampler from a seed, see `open_study`.
         pruner: Optuna pruner, see `open_study`.
         seed: Seed of the sampler.
 
@@ -165,19 +165,19 @@ def run(
 
 @explain_arguments
 def count_finished(study: optuna.Study) -> int:
-    """Count the trials of the study that ended by themselves: complete, pruned, or failed with an error that was recorded."""
+    """Count the trials that are complete, pruned or failed with a recorded error. Trials of killed processes do not count."""
     return sum(
         t.state.name in ("COMPLETE", "PRUNED") or "error" in t.user_attrs for t in study.get_trials(deepcopy=False)
     )
 
 
 def get_goals(objective: Objective) -> tuple[str, ...]:
-    """Return the names of what an objective minimizes."""
+    """Return the names of the quantities that an objective minimizes."""
     return tuple(getattr(objective, "goals", ("score",)))
 
 
 def describe_objective(objective: Objective) -> dict[str, str]:
-    """Return what the numbers of a study depend on, as far as can be known; a study must not mix two of these."""
+    """Return the settings on which the results of a study depend, as far as they are known. A study must not mix different ones."""
     named = objective if hasattr(objective, "__qualname__") else type(objective)
     fields = dataclasses.fields(objective) if dataclasses.is_dataclass(objective) else ()
     settings = {f.name: repr(getattr(objective, f.name)) for f in fields}
@@ -186,9 +186,11 @@ def describe_objective(objective: Objective) -> dict[str, str]:
 
 
 def _optimize(study: optuna.Study, objective: Objective, trials: int) -> None:
+    """Run trials in this process until the study has enough of them."""
     parent = multiprocessing.parent_process()
 
     def run_trial(trial: optuna.Trial) -> Any:
+        """Run the objective; store the message of a StageError in the trial."""
         try:
             return objective(trial)
         except StageError as error:
@@ -196,6 +198,7 @@ def _optimize(study: optuna.Study, objective: Objective, trials: int) -> None:
             raise
 
     def stop(study: optuna.Study, _: object) -> None:
+        """Stop the study when it has enough trials, or when the parent process has ended."""
         if count_finished(study) >= trials or (parent is not None and not parent.is_alive()):
             study.stop()
 
@@ -203,10 +206,10 @@ def _optimize(study: optuna.Study, objective: Objective, trials: int) -> None:
         study.optimize(run_trial, catch=(StageError,), callbacks=[stop])
 
 
-def _run_worker(objective: Objective, storage: Any, trials: int, how: dict[str, Any]) -> None:
-    """Run trials in a worker process, which ends when its parent does, however that ends."""
+def _run_worker(objective: Objective, storage: Any, trials: int, study_options: dict[str, Any]) -> None:
+    """Run trials in a worker process, which ends when its parent process ends for any reason."""
     try:
-        _optimize(open_study(objective, storage, **how), objective, trials)
+        _optimize(open_study(objective, storage, **study_options), objective, trials)
     except StageError as error:
         print(f"worker {os.getpid()}: {error}", file=sys.stderr)
         sys.exit(2)

@@ -1,4 +1,4 @@
-"""Random machines within the tolerances of motor, supply and guides of an axis.
+"""Random machines within the tolerances of motor, power supply and guides of an axis.
 
     spreads = find_spreads(axis)                                ranges of the values, with their evidence
     machines = draw_machines(axis, np.random.default_rng(0), 96)
@@ -22,14 +22,14 @@ from stage.support import portable_math
 
 
 class Spread(NamedTuple):
-    """Range that a value of a machine is drawn from, evenly.
+    """Range from which a value of a machine is drawn with uniform probability.
 
     Attributes:
         low: Least value.
         high: Greatest value.
         unit: Unit of both.
-        logarithmic: Whether the logarithm of the value is drawn evenly, in place of the value.
-        evidence: Letter of `stage.drives.motors.EVIDENCE`, and what the range is known from.
+        logarithmic: Whether the logarithm of the value, and not the value itself, is uniformly distributed.
+        evidence: Letter of `stage.drives.motors.EVIDENCE`, and the source of the range.
     """
 
     low: float
@@ -39,13 +39,13 @@ class Spread(NamedTuple):
     evidence: str
 
     def scale(self, value: float, tolerance: float | None = None, evidence: str = "") -> Spread:
-        """Multiply a range of factors by a value; a tolerance that is stated takes the place of the factors."""
+        """Return the range of a value from this range of factors. A stated tolerance replaces the factors."""
         if tolerance is not None:
             return self._replace(low=(1 - tolerance) * value, high=(1 + tolerance) * value, evidence=evidence)
         return self._replace(low=self.low * value, high=self.high * value)
 
     def draw(self, rng: np.random.Generator) -> float:
-        """Draw a value."""
+        """Draw a random value from the range."""
         if self.logarithmic:
             return float(portable_math.exp(rng.uniform(*portable_math.log((self.low, self.high)))))
         return float(rng.uniform(self.low, self.high))
@@ -67,14 +67,19 @@ VALUE_UNITS = {"core loss": "N m s/rad", "inductance": "H"} | {
 
 
 class Machine(NamedTuple):
-    """One machine of those that an axis may be: its drive with the motor, and its friction over that of the model."""
+    """One possible machine of an axis within the tolerances.
+
+    Attributes:
+        drive: Drive of the machine, with its motor.
+        friction: Friction as a factor of the model's friction.
+    """
 
     drive: Drive | Servo
     friction: float
 
     @property
     def values(self) -> dict[str, float]:
-        """Its values by the names of their spreads, in SI."""
+        """Values of the machine in SI units, by the names of their spreads."""
         drive = self.drive
         found = {"resistance": drive.motor.resistance, "friction": self.friction, "supply": drive.bus_voltage}
         if isinstance(drive, Drive):
@@ -86,9 +91,9 @@ class Machine(NamedTuple):
 
 
 def find_spreads(axis: Any) -> dict[str, Spread]:
-    """Find the ranges of the values of an axis' machine, by the names of `VALUE_UNITS`.
+    """Find the range of each uncertain value of an axis' machine, by the names of `VALUE_UNITS`.
 
-    A servo has no core loss and no inductance, nor has a core loss that the model states itself a range.
+    A servo has no core loss and no inductance. A core loss that the model itself states has no range either.
 
     Raises:
         ArgumentError: A tolerance of 100 % or more in the evidence of the motor.
@@ -108,7 +113,7 @@ def find_spreads(axis: Any) -> dict[str, Spread]:
 
 
 def draw_machines(axis: Any, rng: np.random.Generator, count: int) -> list[Machine]:
-    """Draw machines that an axis may be, each value from its own spread and independent of the others."""
+    """Draw random machines of an axis. Each value comes from its own range, independently of the others."""
     spreads = find_spreads(axis)
     return [
         _build_machine(axis.drive, {name: spread.draw(rng) for name, spread in spreads.items()}) for _ in range(count)
@@ -116,6 +121,7 @@ def draw_machines(axis: Any, rng: np.random.Generator, count: int) -> list[Machi
 
 
 def _build_machine(drive: Drive | Servo, values: dict[str, float]) -> Machine:
+    """Build the machine that has these values."""
     motor: Any = replace(drive.motor, resistance=values["resistance"])
     if isinstance(drive, Drive):
         motor = vary_motor(motor, values.get("core loss"), values["inductance"])
@@ -123,7 +129,13 @@ def _build_machine(drive: Drive | Servo, values: dict[str, float]) -> Machine:
 
 
 def fit_machine(axis: Any, machine: Machine, model: Any) -> None:
-    """Make an axis that of a machine. model: the MjModel that nobody has changed, for its friction and damping."""
+    """Give an axis the motor, supply and friction of a machine.
+
+    Args:
+        axis: Axis of the stage to change.
+        machine: Machine within the tolerances.
+        model: Unchanged MjModel, whose friction and damping are multiplied by the machine's factor.
+    """
     vary_drive(axis, machine.drive)
     here, dof = axis.stage.model, axis.plant.dof
     here.dof_frictionloss[dof] = model.dof_frictionloss[dof] * machine.friction

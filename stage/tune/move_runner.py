@@ -30,11 +30,11 @@ class MoveOutcomes(NamedTuple):
     overshoots: np.ndarray
 
     def is_good(self, task: Task, within_payload: np.ndarray) -> np.ndarray:
-        """Mark the moves that kept step and, within the payload, arrived without excessive overshoot.
+        """Return which moves kept step and, unless their payload includes the margin, arrived without excessive overshoot.
 
         Args:
             task: Task with the overshoot limit.
-            within_payload: Mask of the cases that must arrive; the others must only keep step.
+            within_payload: Mask of the cases without additional mass, which must arrive; the others must only keep step.
 
         Returns:
             Mask (plans, cases).
@@ -44,7 +44,9 @@ class MoveOutcomes(NamedTuple):
 
 
 class MoveRunner:
-    """Runner of test moves on a fleet of copies of the task's machine. Results do not depend on the fleet's size or threads.
+    """Runner of test moves on a fleet of copies of the task's machine.
+
+    The results depend neither on the size of the fleet nor on the number of threads.
 
     Attributes:
         move_count: Number of moves run so far.

@@ -61,12 +61,13 @@ class MovePlanner(ABC):
         self._top_speed: np.ndarray | None = None
 
     def build_load(self, payload: float) -> Load:
-        """Return the load of the drive with a payload in kg. A payload that does not ride on the axis adds nothing."""
+        """Return the load of the drive with a payload in kg. A payload that the axis does not move changes nothing."""
         on_axis = is_moved_by_joint(self.axis.stage.model, self.task.payload_body, self.axis.joint)
         return self.unloaded.add_mass(payload if on_axis else 0.0)
 
     def compute_thrust_left(self, machine: Machine) -> float:
-        """Compute the force that a machine has left over friction at the top rate of the formula, N (N m on a hinge)."""
+        """Compute the force that the motor of a machine has in addition to friction at the formula's top rate, N (N m on a
+        hinge)."""
         if self._top_speed is None:
             self._top_speed = np.array([self.compute_speeds(SAFETY_FACTOR).drive / self.unloaded.pulses_per_metre])
         load, top = replace(self.unloaded, drive=machine.drive), self._top_speed
@@ -94,7 +95,7 @@ class MovePlanner(ABC):
             raise ArgumentError(f"{kg:g} kg on axis {self.task.axis}: {error} {hint}") from None
 
     def _describe_max_payload(self, safety_factor: float) -> str:
-        """Find the largest payload that the formula accepts by bisection, and describe it."""
+        """Find the largest payload that the formula accepts, by bisection, and describe it in words."""
         low, high = 0.0, self.task.max_payload
         try:
             compute_speeds(self.build_load(0.0), self.task.pulses, safety_factor)
@@ -158,10 +159,10 @@ class MovePlanner(ABC):
 
 
 class StepperPlanner(MovePlanner):
-    """Planner of start rate, drive rate, ramps and the trim values that a driver offers in addition.
+    """Planner of start rate, drive rate, ramps and the registers that a driver lists in TRIM_FACTORS.
 
     Attributes:
-        trim_factors: Search range of each trim value, as a factor.
+        trim_factors: Search range of each of those registers, as a factor.
         has_single_ramp: True if the chip has one rate for acceleration and deceleration.
     """
 
@@ -245,7 +246,7 @@ class ServoPlanner(MovePlanner):
         return MovePlan(registers, Speeds(0.0, drive, up, up))
 
     def _compute_filter(self) -> dict[str, int]:
-        """Compute the filter of the formula for the full payload once, and return it."""
+        """Compute the formula's filter for the full payload. The result is cached."""
         if not hasattr(self, "_filter"):
             stage = self.task.copy_stage()
             stage.set_payload(self.task.payload, self.task.payload_body)

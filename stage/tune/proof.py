@@ -1,4 +1,4 @@
-"""Proof of a plan: moves of machines that the search has not seen, and the spare payload that these carry."""
+"""Proof of a plan: moves of machines that the search has not seen, and the additional payload that these machines carry."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ MAX_MARGIN_FACTOR = 4  # heaviest tested payload, in margins; one of the steps i
 
 @dataclass(frozen=True)
 class Proof:
-    """Results of the moves of one plan, each made by a machine of its own.
+    """Results of the moves of one plan. Each move is made by another machine.
 
     Attributes:
         move_count: Number of moves.
-        good_count: Number of moves that kept step and, within the payload, arrived without excessive overshoot.
-        arrival_times: Arrival times within the payload, s; NaN where a move did not arrive. All plans use the same order.
+        good_count: Number of moves that kept step and, up to the task's payload, arrived without excessive overshoot.
+        arrival_times: Arrival times with up to the task's payload, s; NaN where a move did not arrive. All plans use the same
+            order.
         max_overshoot: Largest distance beyond the goal, m.
         lost_step_count: Number of moves that did not keep step.
         failed: Indices of the moves that were not good.

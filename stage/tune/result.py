@@ -124,7 +124,7 @@ class TuningResult:
 
     @cached_property
     def spreads(self) -> dict[str, Spread]:
-        """Ranges that the machines of the proof were drawn from, with those of the payload and of the rotor's angle."""
+        """Ranges from which the machines of the proof were drawn, together with those of the payload and the rotor angle."""
         return find_spreads(self.task.stage.axes[self.task.axis]) | {
             "payload": Spread(
                 0.0,
@@ -137,7 +137,7 @@ class TuningResult:
         }
 
     def describe_spreads(self) -> str:
-        """Describe in a table what the machines of the proof were drawn from."""
+        """Describe the ranges of the proof's machines in a table."""
         rows = [("a machine has", "drawn evenly from", "known from")]
         for name, spread in self.spreads.items():
             rows.append((name, f"{spread}{' (logarithm)' if spread.logarithmic else ''}", spread.evidence))
@@ -145,7 +145,7 @@ class TuningResult:
         return "\n".join(f"{name:15}{drawn:{width}}{known}" for name, drawn, known in rows)
 
     def state_claim(self) -> str:
-        """State for which machines the registers hold, and how well the core loss of their motor is known."""
+        """Say for which machines the registers are proved, and how well the core loss of their motor is known."""
         motor, loss = self.task.stage.axes[self.task.axis].drive.motor.name, self.spreads.get("core loss")
         known = "" if loss is None else f" Core loss of the {motor}: {loss} ({loss.evidence.partition(': ')[2]})."
         return f"The axis {self.describe_proof(self.answer)}, from the ranges above.{known}"

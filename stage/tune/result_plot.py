@@ -19,8 +19,8 @@ from stage.units import DEVIATION_UNITS, POSITION_UNITS
 if TYPE_CHECKING:
     from stage.tune.result import TuningResult
 
-CURVE_COLOURS = {"formula": MUTED_COLOR, "search": COLORS[0]}
-TOLERANCE_COLOUR = "#dbe8f5"
+CURVE_COLORS = {"formula": MUTED_COLOR, "search": COLORS[0]}
+TOLERANCE_COLOR = "#dbe8f5"
 
 
 def plot_result(result: TuningResult, path: str | PathLike, overwrite: bool = False) -> None:
@@ -43,7 +43,7 @@ def plot_result(result: TuningResult, path: str | PathLike, overwrite: bool = Fa
     duration = 1.15 * max(answer.proof.max_time for answer in result.answers) + 0.01
     for answer in result.answers:
         t, rate, position, following_error, sample_t, goal_error = _record_move(result, answer.plan, duration)
-        colour = CURVE_COLOURS[answer.name]
+        colour = CURVE_COLORS[answer.name]
         mean_ms, max_ms = answer.proof.mean_time * 1e3, answer.proof.max_time * 1e3
         label = f"{answer.name}: arrives after {mean_ms:.0f} ms (mean), {max_ms:.0f} ms (worst)"
         panels[0].plot(t * 1e3, rate * 1e-3, color=colour, lw=1.4, label=label, drawstyle="steps-post")
@@ -53,7 +53,7 @@ def plot_result(result: TuningResult, path: str | PathLike, overwrite: bool = Fa
         for panel in panels:
             panel.axvline(mean_ms, color=colour, lw=0.8, ls=(0, (5, 4)))
     tolerance = float(task.tolerance or 0.0) * small_unit.factor
-    panels[3].axhspan(-tolerance, tolerance, color=TOLERANCE_COLOUR, zorder=0, label="arrived")
+    panels[3].axhspan(-tolerance, tolerance, color=TOLERANCE_COLOR, zorder=0, label="arrived")
     panels[3].set_ylim(-4 * tolerance, 4 * tolerance)
     panels[0].set(ylabel="rate, 1000 counts/s" if task.is_servo else "pulse rate, kpps")
     panels[1].set(ylabel=f"position, {unit.symbol}")

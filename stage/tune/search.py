@@ -127,7 +127,7 @@ def search_registers(
 def _measure_plans(
     runner: MoveRunner, plans: Sequence[MovePlan | None], cases: Sequence[MoveCase], time_limit: float
 ) -> list[Trial]:
-    """Run a trial of each plan. A plan of None, which the chip cannot make, gets more failures than any other."""
+    """Run a trial of each plan. A plan of None, which the chip cannot execute, counts as having more failures than any other."""
     possible = [plan for plan in plans if plan is not None]
     within_payload = runner.task.is_within_payload(list(cases))
     measured: list[Trial] = []
@@ -145,6 +145,7 @@ def _measure_plans(
 
 
 def _create_study(seed: int) -> Any:
+    """Create the Optuna study of a search."""
     optuna = import_optuna()
     sampler = optuna.samplers.TPESampler(n_startup_trials=16, multivariate=True, seed=seed)
     return optuna.create_study(sampler=sampler)
@@ -168,4 +169,5 @@ def _suggest_plan(planner: MovePlanner, trial: Any, center: Any) -> MovePlan | N
 
 
 def _rank_trials(trials: Sequence[Trial]) -> list[Trial]:
+    """Return the trials in the order of failed moves, then of arrival time."""
     return sorted(trials, key=lambda trial: (trial.failed_moves, trial.max_time, trial.number))

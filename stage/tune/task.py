@@ -195,12 +195,12 @@ class Task:
 
     @property
     def machine(self) -> Machine:
-        """Machine of `stage` as it is."""
+        """Machine of the task's own stage, within whose tolerances others are drawn."""
         axis: Any = self.stage.axes[self.axis]
         return Machine(replace(axis.drive, bus_voltage=axis.faults.bus_voltage), 1.0)
 
     def copy_stage(self) -> Stage:
-        """Return an independent copy of the stage."""
+        """Return a copy of the task's stage that shares no state with it."""
         return copy.deepcopy(self.stage)
 
     def build_corner_cases(
@@ -217,7 +217,7 @@ class Task:
         Returns:
             Cases without a payload, with the payload, and with the payload and its margin.
         """
-        payloads = sorted({0.0, self.payload, self._payload_with_margin(margin_factor)})
+        payloads = sorted({0.0, self.payload, self._compute_payload_with_margin(margin_factor)})
         first, n = rng.uniform(0, 1), angles * len(payloads)
         turns = [(first + k / n) % 1.0 - 0.5 for k in range(n)]
         cases = [
@@ -225,7 +225,7 @@ class Task:
             for k, payload in enumerate(payloads)
             for j in range(angles)
         ]
-        return _with_machines(cases[::-1], machines)[::-1]
+        return _assign_machines(cases[::-1], machines)[::-1]
 
     def draw_cases(
         self, rng: np.random.Generator, moves: int, margin_factor: float = 1.0, machines: Iterable[Machine] = ()
@@ -241,19 +241,20 @@ class Task:
         Returns:
             Cases, a quarter of them at each extreme payload and a quarter at random payloads in between.
         """
-        corners = (0.0, self.payload, self._payload_with_margin(margin_factor))
+        corners = (0.0, self.payload, self._compute_payload_with_margin(margin_factor))
         payloads = [corners[k % 4] if k % 4 < 3 else float(rng.uniform(0, corners[2])) for k in range(moves)]
         cases = [
             MoveCase(payload, self.pulses_per_electrical_turn * float(rng.uniform(-0.5, 0.5)), 1 - 2 * (k // 4 % 2))
             for k, payload in enumerate(payloads)
         ]
-        return _with_machines(cases, machines)
+        return _assign_machines(cases, machines)
 
-    def _payload_with_margin(self, margin_factor: float) -> float:
+    def _compute_payload_with_margin(self, margin_factor: float) -> float:
+        """Return the payload plus a multiple of the margin, kg."""
         return self.payload + margin_factor * float(self.margin or 0.0)
 
     def is_within_payload(self, cases: list[MoveCase]) -> np.ndarray:
-        """Mark the cases without extra mass from the margin.
+        """Mark the cases whose payload does not exceed the task's payload.
 
         Args:
             cases: Conditions of the moves.
@@ -264,7 +265,8 @@ class Task:
         return np.array([case.payload <= self.payload + PAYLOAD_ROUNDING_KG for case in cases])
 
 
-def _with_machines(cases: list[MoveCase], machines: Iterable[Machine]) -> list[MoveCase]:
+def _assign_machines(cases: list[MoveCase], machines: Iterable[Machine]) -> list[MoveCase]:
+    """Return the cases with the machines assigned in order; cases after the last machine keep the task's own."""
     return [case._replace(machine=machine) for case, machine in zip_longest(cases, machines) if case is not None]
 
 
@@ -286,7 +288,7 @@ def is_moved_by_joint(model: Any, body: str, joint: int) -> bool:
 
 
 def compute_usable_travel(axis: Any) -> tuple[float, float]:
-    """Return the lowest and highest position at which neither limit switch of an axis is active, m (rad)."""
+    """Return the lowest and the highest position at which no limit switch of an axis is on, m (rad)."""
     low, high = axis.travel
     for switch in axis.plant.switches:
         if switch.pin == "el_plus":

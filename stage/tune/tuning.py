@@ -111,15 +111,15 @@ def tune(
 
 
 class ProofCases(NamedTuple):
-    """Cases of a run, all drawn before it begins.
+    """All cases of one tuning, drawn before it begins.
 
     Attributes:
-        formula: Cases that the formula's registers must pass, by machines that are hardly able to.
-        search: Cases of each trial, likewise, with more than the margin.
-        leading: Further cases of a trial that would be the best so far.
-        unseen: Cases of the best trials, before the proof.
-        proof: Cases of the proof, each by another machine.
-        spare: Seed of the cases that measure the spare payload, and the machines that make them, the weakest of the proof.
+        formula: Cases that the formula's registers must pass, with the machines that have the least thrust.
+        search: Cases of each trial, with such machines and more than the margin.
+        leading: Further cases for a trial that would be the best so far.
+        unseen: Cases for the best trials before their proof.
+        proof: Cases of the proof, each with another machine.
+        spare: Seed of the cases that measure the spare payload, and their machines: the weakest ones of the proof.
     """
 
     formula: list[MoveCase]
@@ -131,7 +131,7 @@ class ProofCases(NamedTuple):
 
 
 def _draw_cases(planner: MovePlanner, seed: int, moves: int) -> ProofCases:
-    """Draw the cases of a run and the machines that make them."""
+    """Draw the cases of a tuning and the machines that make the moves."""
     task, axis = planner.task, planner.axis
     *seeds, spare_seed, machine_seed = np.random.SeedSequence(seed).spawn(6)
     trial_rng, leader_rng, candidate_rng, proof_rng = (np.random.default_rng(s) for s in seeds)
@@ -153,7 +153,7 @@ def _prove_formula(runner: MoveRunner, planner: MovePlanner, cases: ProofCases) 
     """Raise the formula's safety factor until its registers pass the proof.
 
     Returns:
-        Safety factor, time limit of the moves in s, and the answer, which is not proved where no factor helps.
+        Safety factor, time limit of the moves in s, and the answer, which is not proved if no factor suffices.
     """
     tested, proved = list(cases.formula), None
     while True:
@@ -171,9 +171,10 @@ def _prove_formula(runner: MoveRunner, planner: MovePlanner, cases: ProofCases) 
 
 
 def _prove_best(runner: MoveRunner, ranked: Sequence[Trial], cases: ProofCases) -> tuple[Answer | None, int]:
-    """Find the fastest of a search's trials that passes the proof, and the number of faster ones that do not.
+    """Find the fastest trial of the search that passes the proof, and the number of faster ones that do not.
 
-    The best are proved eight at a time. Where all of these fail, those of the others remain that pass the cases which they failed.
+    The best trials are proved eight at a time. If all eight fail, the remaining trials must first pass the cases that these have
+    failed.
     """
     left = [trial for trial in ranked if trial.plan is not None and not trial.failed_moves]
     rejected = 0
@@ -192,13 +193,13 @@ def _prove_best(runner: MoveRunner, ranked: Sequence[Trial], cases: ProofCases) 
                     return answer, rejected
                 hard += [cases.proof[k] for k in answer.proof.failed]
             rejected += 1
-        passing = _select_trials(runner, left, [case for case, _ in Counter(hard).most_common(MAX_HARD_CASES)])
+        passing = _select_passing_trials(runner, left, [case for case, _ in Counter(hard).most_common(MAX_HARD_CASES)])
         left, rejected = passing, rejected + len(left) - len(passing)
     return None, rejected
 
 
-def _select_trials(runner: MoveRunner, trials: Sequence[Trial], cases: Sequence[MoveCase]) -> list[Trial]:
-    """Select the trials that pass these cases, too."""
+def _select_passing_trials(runner: MoveRunner, trials: Sequence[Trial], cases: Sequence[MoveCase]) -> list[Trial]:
+    """Return the trials whose plans pass these cases."""
     if not trials or not cases:
         return list(trials)
     time_limit = compute_time_limit(max(trial.max_time for trial in trials), runner.task.hold)
@@ -208,7 +209,7 @@ def _select_trials(runner: MoveRunner, trials: Sequence[Trial], cases: Sequence[
 
 
 def _describe_strongest_failure(planner: MovePlanner, cases: Sequence[MoveCase], proof: Proof) -> str:
-    """Describe, of the machines that failed in a proof, the one with the most thrust, in a sentence that begins with a blank."""
+    """Describe the machine with the most thrust among those that failed in a proof. The sentence begins with a space."""
     failed = [machine for k in proof.failed if (machine := cases[k].machine) is not None]
     if not failed:
         return ""
@@ -297,7 +298,7 @@ def _is_faster(formula: Answer, search: Answer) -> bool:
 
 
 def _prove_answer(runner: MoveRunner, name: str, plan: MovePlan, cases: ProofCases, time_limit: float) -> Answer:
-    """Prove a plan and, if all moves pass, measure its spare payload. One seed gives all plans the same rotor angles."""
+    """Prove a plan and, if all moves pass, measure its spare payload. All plans get the same rotor angles from one seed."""
     proof = prove_plans(runner, [plan], cases.proof, time_limit)[0]
     seed, machines = cases.spare
     spare, is_lower_bound = 0.0, False

@@ -122,7 +122,7 @@ def test_each_kind_of_range_uses_its_optuna_suggestion():
     results = suggest_registers(trial, {"R1": "4:100:log", "R2": "400:2800", "R4": "10,20,40", "R7": 12})
     assert requested == [("R1", 4, 100, True), ("R2", 400, 2800, False), ("R4", (10, 20, 40)), ("R7", 12, 12, False)]
     assert results == {"R1": 4, "R2": 400, "R4": 40, "R7": 12}
-    assert {name: preset_move_objective.parse_values(name, text) for name, text in SPACE.items()} == {
+    assert {name: preset_move_objective.parse_register_values(name, text) for name, text in SPACE.items()} == {
         "R1": (4, 100, True), "R2": (400, 2800, False), "R4": (60, 800, True), "R5": (60, 800, True), "R7": (12,),
     }  # fmt: skip
     assert PresetMoves(model="xy")._chip is PCL240K

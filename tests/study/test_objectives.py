@@ -20,7 +20,7 @@ from stage.study.preset_move_objective import (
     _combine_measures,
     _measure_move,
     build_profile,
-    parse_values,
+    parse_register_values,
 )
 
 GENTLE = {"R1": 20, "R2": 640, "R4": 400, "R5": 400, "R7": 12}
@@ -187,16 +187,16 @@ def test_an_invalid_objective_is_refused_before_its_first_trial(options, message
 
 
 def test_values_of_a_register_are_one_value_several_or_a_range():
-    assert parse_values("R7", 12) == parse_values("R7", "12") == (12,)
-    assert parse_values("R7", "12,24") == (12, 24)
-    assert parse_values("R2", "400:2800") == Range(400, 2800, False)
-    assert parse_values("R4", "60:800:log") == Range(60, 800, True)
+    assert parse_register_values("R7", 12) == parse_register_values("R7", "12") == (12,)
+    assert parse_register_values("R7", "12,24") == (12, 24)
+    assert parse_register_values("R2", "400:2800") == Range(400, 2800, False)
+    assert parse_register_values("R4", "60:800:log") == Range(60, 800, True)
 
 
 @pytest.mark.parametrize("text", ["", "a", "5:4", "0:9:log", "1:9:lin", "1:9/3", "1:2:log:3", "1.5", "-5:5", "-5", -5])
 def test_invalid_values_of_a_register_are_refused(text):
     with pytest.raises(ArgumentError, match="R2="):
-        parse_values("R2", text)
+        parse_register_values("R2", text)
 
 
 def test_a_move_on_a_screw_with_an_inverse_gear_reaches_its_goal(tmp_path):

@@ -20,7 +20,7 @@ import optuna
 
 from stage.errors import ArgumentError, StageError
 from stage.study import PresetMoves, count_finished, derive_seed, open_study, read_study, run, suggest_registers
-from stage.study.optuna_storage import AppendLock
+from stage.study.optuna_storage import JournalAppendLock
 
 ROOT = Path(__file__).resolve().parents[2]
 SWEEP = ROOT / "scripts" / "sweep.py"
@@ -150,7 +150,7 @@ def test_the_next_writer_removes_an_incomplete_last_line(tmp_path):
 def test_the_lock_of_a_killed_process_does_not_delay_others(tmp_path):
     run(compute_valley, tmp_path / "study", 1)
     if (holder := os.fork()) == 0:
-        AppendLock(tmp_path / "study").acquire()
+        JournalAppendLock(tmp_path / "study").acquire()
         os.kill(os.getpid(), signal.SIGKILL)
     assert os.waitstatus_to_exitcode(os.waitpid(holder, 0)[1]) == -signal.SIGKILL
     began = time.monotonic()

@@ -13,7 +13,7 @@ import optuna
 
 from stage.errors import ArgumentError, StageError
 from stage.study import count_finished, open_study, optuna_storage, read_study, run, study_runner
-from stage.study.optuna_storage import AppendLock, DurableJournal, TrialSeededSampler
+from stage.study.optuna_storage import DurableJournal, JournalAppendLock, TrialSeededSampler
 from stage.study.study_runner import _optimize, _run_worker
 from stage.support.files import FileError
 
@@ -216,7 +216,7 @@ def test_each_trial_has_a_sampler_seeded_by_its_number(monkeypatch):
 def test_the_lock_removes_an_incomplete_last_line_of_the_journal(tmp_path, content, expected):
     path = tmp_path / "study"
     path.write_bytes(content)
-    lock = AppendLock(path)
+    lock = JournalAppendLock(path)
     assert lock.acquire() is True
     assert path.read_bytes() == expected
     lock.release()
@@ -225,7 +225,7 @@ def test_the_lock_removes_an_incomplete_last_line_of_the_journal(tmp_path, conte
 
 def test_a_lock_is_exclusive_until_its_release_and_after_a_failed_acquire(tmp_path):
     path = tmp_path / "study"
-    lock = AppendLock(path)
+    lock = JournalAppendLock(path)
     with pytest.raises(FileNotFoundError):
         lock.acquire()
 
