@@ -52,4 +52,5 @@ def run_in_child_process(work: Callable[[], str], seconds: float | None) -> str:
 
 
 def _send_result(work: Callable[[], str], sender: Connection) -> None:
+    """Run `work` in the child process and send its text to the parent."""
     sender.send(work())

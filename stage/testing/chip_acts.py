@@ -1,7 +1,7 @@
-"""Acts of conformance tests on a chip: bus cycles, changes of pins, and time that passes.
+"""Actions of conformance tests on a chip: bus cycles, changes of pins, and time that passes.
 
-The module draws random acts, and moves as the chip's host driver writes them.
-`perform_act` carries an act out and returns the chip's answer. Acts are plain data, so that a test can do the same to two chips.
+The module draws random actions, and moves as the chip's host driver writes them. `perform_act` executes an action and returns the
+chip's answer. An `Act` is plain data, so that a test can do the same to two chips.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MAX_PULSES_PER_ACT = 20_000
 
 
 class Act(NamedTuple):
-    """One act on a chip.
+    """One action on a chip.
 
     Attributes:
         kind: "write", "read", "pin", "time" or "reset".
@@ -35,7 +35,7 @@ class Act(NamedTuple):
 
 
 def perform_act(chip: Chip, act: Act) -> Any:
-    """Carry an act out and return the chip's answer: the word read, or the number of pulses made; else None."""
+    """Execute an action and return the chip's answer: the word read, or the number of pulses made; else None."""
     if act.kind == "write":
         chip.write(act.a, act.b)
     elif act.kind == "read":
@@ -50,47 +50,47 @@ def perform_act(chip: Chip, act: Act) -> Any:
 
 
 def perform_acts(chip: Chip, acts: Iterable[Act]) -> list[Any]:
-    """Carry acts out in order and return the chip's answers."""
+    """Execute actions in order and return the chip's answers."""
     return [perform_act(chip, act) for act in acts]
 
 
 def draw_acts(
-    kind: type[Chip], rng: np.random.Generator, count: int, resets: bool = True, start_writes: Sequence[Act] = ()
+    chip_class: type[Chip], rng: np.random.Generator, count: int, resets: bool = True, start_writes: Sequence[Act] = ()
 ) -> list[Act]:
-    """Draw random acts: registers with legal and illegal values, commands, garbage, pins, time.
+    """Draw random actions: registers with legal and illegal values, commands, random bytes, pins, time.
 
     Args:
-        kind: Class of the chip.
+        chip_class: Class of the chip.
         rng: Random numbers.
-        count: How many acts to draw; a register may take several writes.
+        count: Number of actions to draw; a register may take several writes.
         resets: Whether resets are among them.
         start_writes: Writes that start a drive, see `list_start_writes`. Random commands then also go to their addresses.
     """
     acts: list[Act] = []
-    registers = [r for r in kind.MAP.registers if "W" in r.access]
-    codes = [code for c in kind.MAP.commands for code in c.codes]
+    registers = [r for r in chip_class.MAP.registers if "W" in r.access]
+    codes = [code for c in chip_class.MAP.commands for code in c.codes]
     for _ in range(count):
         what = int(rng.integers(0, 20))
         if what < 5 and registers:
-            r, axis = registers[rng.integers(len(registers))], int(rng.integers(kind.AXES))
+            r, axis = registers[rng.integers(len(registers))], int(rng.integers(chip_class.AXES))
             low, high = r.range
             value = (low, high, int(rng.integers(low, high, endpoint=True)))[min(int(rng.integers(6)), 2)]
-            acts += [Act("write", *cycle) for cycle in kind.register_cycles(r.name, value & r.mask, axis)]
+            acts += [Act("write", *cycle) for cycle in chip_class.register_cycles(r.name, value & r.mask, axis)]
         elif what < 8 and codes:
             code = codes[rng.integers(len(codes))]
             if start_writes and rng.integers(2):
-                acts.append(replace_command_code(kind, start_writes[int(rng.integers(len(start_writes)))], code))
+                acts.append(replace_command_code(chip_class, start_writes[int(rng.integers(len(start_writes)))], code))
             else:
                 code |= int(rng.integers(0, 16) << 8 if rng.integers(2) else 0)
-                acts.append(Act("write", 0, code & kind.DATA_MASK))
+                acts.append(Act("write", 0, code & chip_class.DATA_MASK))
         elif what < 11:
-            value = int(rng.integers(0, kind.DATA_MASK, endpoint=True)) >> int(rng.integers(0, 12))
-            acts.append(Act("write", int(rng.integers(kind.ADDRESSES)), value))
+            value = int(rng.integers(0, chip_class.DATA_MASK, endpoint=True)) >> int(rng.integers(0, 12))
+            acts.append(Act("write", int(rng.integers(chip_class.ADDRESSES)), value))
         elif what < 13:
-            acts.append(Act("read", int(rng.integers(kind.ADDRESSES))))
-        elif what < 15 and kind.INPUTS:
-            pin = int(rng.integers(len(kind.INPUTS)))
-            acts.append(Act("pin", int(rng.integers(kind.AXES)), pin, int(rng.integers(2))))
+            acts.append(Act("read", int(rng.integers(chip_class.ADDRESSES))))
+        elif what < 15 and chip_class.INPUTS:
+            pin = int(rng.integers(len(chip_class.INPUTS)))
+            acts.append(Act("pin", int(rng.integers(chip_class.AXES)), pin, int(rng.integers(2))))
         elif what == 15 and resets:
             acts.append(Act("reset"))
         else:
@@ -98,14 +98,14 @@ def draw_acts(
     return acts
 
 
-def replace_command_code(kind: type[Chip], begin: Act, code: int) -> Act:
-    """Return the write of a command with another code. The bits above the code, which select the axis, stay."""
-    bits = max(code for c in kind.MAP.commands for code in c.codes).bit_length()
-    return begin._replace(b=(begin.b >> bits << bits | code) & kind.DATA_MASK)
+def replace_command_code(chip_class: type[Chip], write: Act, code: int) -> Act:
+    """Return the write of a command with another command code. The bits above the code, which select the axis, stay."""
+    bits = max(code for c in chip_class.MAP.commands for code in c.codes).bit_length()
+    return write._replace(b=(write.b >> bits << bits | code) & chip_class.DATA_MASK)
 
 
 def list_start_writes(chip: Chip) -> list[Act]:
-    """Return for each axis the write with which the host driver starts a drive; [] without a driver."""
+    """Return for each axis the write with which the host driver starts a drive; [] if the chip has no driver."""
     writes = []
     for axis in range(chip.AXES):
         move, _ = draw_move(chip, axis, np.random.default_rng(axis))
@@ -113,11 +113,14 @@ def list_start_writes(chip: Chip) -> list[Act]:
     return writes
 
 
-def draw_drive_starts(chip: Chip, rng: np.random.Generator, axes: int) -> list[Act]:
-    """Draw starts of drives on `axes` axes by the host driver, some with another mode, or another command in the last write."""
+def draw_drive_start_writes(chip: Chip, rng: np.random.Generator, axis_count: int) -> list[Act]:
+    """Draw writes that start drives on `axis_count` axes, as the host driver starts them.
+
+    Some have another mode, or another command in the last write.
+    """
     codes = [c.code for c in chip.MAP.commands if (c.starts or c.kind == "drive") and not c.together]
     acts: list[Act] = []
-    for axis in rng.permutation(chip.AXES)[:axes].tolist():
+    for axis in rng.permutation(chip.AXES)[:axis_count].tolist():
         move, _ = draw_move(chip, axis, rng)
         if codes and move and move[-1].kind == "write" and rng.integers(2):
             move[-1] = replace_command_code(type(chip), move[-1], codes[int(rng.integers(len(codes)))])
@@ -127,19 +130,19 @@ def draw_drive_starts(chip: Chip, rng: np.random.Generator, axes: int) -> list[A
     return acts
 
 
-def _draw_mode_writes(kind: type[Chip], axis: int, rng: np.random.Generator) -> list[Act]:
+def _draw_mode_writes(chip_class: type[Chip], axis: int, rng: np.random.Generator) -> list[Act]:
     """Draw writes of random bits to a register of an axis that has fields: modes, polarities, interrupts."""
-    modes = [r for r in kind.MAP.registers if r.fields and "W" in r.access]
+    modes = [r for r in chip_class.MAP.registers if r.fields and "W" in r.access]
     if not modes:
         return []
     r = modes[int(rng.integers(len(modes)))]
     value = int(rng.integers(0, r.mask, endpoint=True))
-    return [Act("write", *cycle) for cycle in kind.register_cycles(r.name, value, axis)]
+    return [Act("write", *cycle) for cycle in chip_class.register_cycles(r.name, value, axis)]
 
 
 @dataclass(frozen=True)
 class _AxisWithoutStage:
-    """Axis without a stage, with the attributes that a host driver needs to write a move."""
+    """Axis that belongs to no stage, with the attributes that a host driver needs to write a move."""
 
     chip: Chip
     chip_axis: int
@@ -159,12 +162,12 @@ def draw_move(
         chip: Chip after power-up.
         axis: Axis of the chip.
         rng: Random numbers.
-        slow: Whether the move has a constant rate, where the chip can.
+        slow: Whether the move has a constant rate, if the chip supports this.
         direction: 1 or -1; 0: either.
 
     Returns:
-        The acts, and the pulses of the move, negative towards minus, at most what the register FINISH holds; ([], 0) without a
-        driver.
+        The actions, and the pulses of the move, negative towards minus, at most what the driver's DISTANCE_REGISTER holds; ([], 0)
+        without a driver.
     """
     if not chip.DRIVER:
         return [], 0
@@ -202,6 +205,7 @@ def list_stop_acts(chip: Chip, axis: int) -> list[Act]:
 
 
 def _convert_program(program: Program, chip: Chip) -> list[Act]:
+    """Convert the operations of a program to actions on one chip."""
     acts = []
     for kind, a, b, c in program.ops:
         if kind == WRITE:
@@ -212,7 +216,7 @@ def _convert_program(program: Program, chip: Chip) -> list[Act]:
 
 
 def count_clocks_to_end(chip: Chip, axis: int, seconds: float = 5.0) -> int:
-    """Return the number of clocks after which the drive of an axis has ended, rounded up. The function runs a copy of the chip."""
+    """Return the number of clocks until the drive of an axis ends, rounded up, at most `seconds`. A copy of the chip runs."""
     probe = chip.make_replica()
     step = max(chip.clock_hz // 200, 1)
     for _ in range(int(seconds * 200)):
@@ -223,7 +227,7 @@ def count_clocks_to_end(chip: Chip, axis: int, seconds: float = 5.0) -> int:
 
 
 def find_pulse_clocks(chip: Chip, clocks: int) -> np.ndarray:
-    """Return the clocks, counted from now, at which a chip makes pulses in the next `clocks` clocks. It runs a copy of the chip.
+    """Return the clocks, counted from now, at which the pulses of the next `clocks` clocks begin. A copy of the chip runs.
 
     Raises:
         StageError: Same as for `check_trace_room`.
@@ -233,7 +237,7 @@ def find_pulse_clocks(chip: Chip, clocks: int) -> np.ndarray:
 
 
 def check_trace_room(chip: Chip, clocks: int) -> None:
-    """Check that `advance` counts all pulses by which the axes' `net` changes, because a trace has no room for more.
+    """Check that `advance` counts every pulse by which `net` of the axes changes; otherwise a trace would have too little room.
 
     Raises:
         StageError: `advance` counts fewer pulses.
@@ -246,26 +250,27 @@ def check_trace_room(chip: Chip, clocks: int) -> None:
         raise StageError(f"advance({clocks}) says {pulses} pulses, and the axes' net go by {counted}")
 
 
-def describe_differences(kind: type[Chip], one: bytes, other: bytes) -> str:
-    """Describe the first three fields in which two states differ, with both values; "" if the states are equal."""
-    a, b = (np.frombuffer(state, kind.CORE.STATE) for state in (one, other))
+def describe_differences(chip_class: type[Chip], first_state: bytes, second_state: bytes) -> str:
+    """Describe the first three fields in which two states of a chip differ, with both values; "" if the states are equal."""
+    a, b = (np.frombuffer(state, chip_class.CORE.STATE) for state in (first_state, second_state))
     names = list(_compare_fields("", a[0], b[0]))
     return ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
 
 
-def _compare_fields(name: str, a: Any, b: Any) -> Iterable[str]:
-    if isinstance(a, np.void) and a.dtype.names:
-        for field in a.dtype.names:
-            yield from _compare_fields(f"{name}.{field}".lstrip("."), a[field], b[field])
-    elif isinstance(a, np.ndarray):
-        for k, (x, y) in enumerate(zip(a.ravel(), b.ravel(), strict=True)):
+def _compare_fields(name: str, first: Any, second: Any) -> Iterable[str]:
+    """Yield a description of each difference between two values of a field, with the fields and elements inside."""
+    if isinstance(first, np.void) and first.dtype.names:
+        for field in first.dtype.names:
+            yield from _compare_fields(f"{name}.{field}".lstrip("."), first[field], second[field])
+    elif isinstance(first, np.ndarray):
+        for k, (x, y) in enumerate(zip(first.ravel(), second.ravel(), strict=True)):
             yield from _compare_fields(f"{name}[{k}]", x, y)
-    elif np.asarray(a).tobytes() != np.asarray(b).tobytes():
-        yield f"{name} ({a} and {b})"
+    elif np.asarray(first).tobytes() != np.asarray(second).tobytes():
+        yield f"{name} ({first} and {second})"
 
 
 def limit_pulses(acts: Sequence[Act], chip: Chip) -> list[Act]:
-    """Perform acts on `chip`, and return them with shorter times where the chip would make more than MAX_PULSES_PER_ACT pulses."""
+    """Execute actions on `chip`, and return them with their times shortened to at most MAX_PULSES_PER_ACT pulses each."""
     done = []
     for act in acts:
         shortened = act

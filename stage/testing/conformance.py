@@ -29,10 +29,10 @@ SHORT_TIME_LIMIT_S = 15.0
 
 
 class NotConforming(StageError, AssertionError):
-    """A chip breaks promises.
+    """Error: a chip breaks promises.
 
     Attributes:
-        broken: Name of each broken promise -> what the chip does.
+        broken: What the chip does instead, by the name of each broken promise.
     """
 
     def __init__(self, message: str, broken: dict[str, str]):
@@ -44,7 +44,7 @@ class NotConforming(StageError, AssertionError):
 
 
 class ChipConformance:
-    """Conformance suite for chips: call it, or let `tests` make a test function. See the module's docstring."""
+    """Conformance suite for chips. Call it, or let `tests` make a test function; see the docstring of the module."""
 
     promises = tuple(PROMISES)
     """The names of all promises."""
@@ -60,17 +60,17 @@ class ChipConformance:
         limit: float | None = PROMISE_TIME_LIMIT_S,
         **options: Any,
     ) -> None:
-        """Try every promise, or those in `promises`. A core that cannot be compiled is reported at once.
+        """Check every promise, or those in `promises`. A core that cannot be compiled is reported at once.
 
         Args:
             chip: Class of a chip, or its name.
             programs: Number of random programs for each promise. 3 take about a second; 300 also find rare faults.
             seed: Seed of the random numbers; default: a new one in each call. The suite prints it, and the error contains it.
-            promises: Names of the promises to try; default: all.
-            uncompiled: Whether the same programs, run as plain Python in a process of its own, must give the same bits.
-            limit: Real time for each promise in a process of its own, s, so that a core that never answers, or that writes beyond
-                an array, is reported as a broken promise. After the first such core the others get SHORT_LIMIT. None: this process,
-                without a limit, for debuggers.
+            promises: Names of the promises to check; default: all.
+            uncompiled: Whether plain Python in a separate process must give the same bits for the same programs.
+            limit: Real time for each promise, s. Each promise is checked in a separate process, so that a core that loops forever
+                or writes beyond an array is reported as a broken promise. After a loop the others get SHORT_TIME_LIMIT_S. None:
+                check in this process without a limit, for debuggers.
             options: Arguments of the chip's constructor, for example clock_hz.
 
         Raises:
@@ -78,15 +78,15 @@ class ChipConformance:
             ArgumentError: A promise is unknown, or the limit is not a time.
         """
         __tracebackhide__ = True
-        kind = _check_arguments(chip, limit)
+        chip_class = _check_arguments(chip, limit)
         seed = random.SystemRandom().getrandbits(32) if seed is None else seed
-        print(f"chip_conformance({getattr(kind, '__name__', kind)}, seed={seed})")
-        trial = PromiseTrial(kind, partial(kind, **options), seed, programs)
+        print(f"chip_conformance({getattr(chip_class, '__name__', chip_class)}, seed={seed})")
+        trial = PromiseTrial(chip_class, partial(chip_class, **options), seed, programs)
         broken: dict[str, str] = {}
         try:
-            getattr(kind.CORE.power_up, "c")  # noqa: B009  its library is built here, without a limit
+            getattr(chip_class.CORE.power_up, "c")  # noqa: B009  its library is built here, without a limit
         except NativeError as error:
-            raise NotConforming(f"{kind.__name__}: {error}", {"has_what_every_chip_has": str(error)}) from None
+            raise NotConforming(f"{chip_class.__name__}: {error}", {"has_what_every_chip_has": str(error)}) from None
         except Exception:  # what is wrong with it, a promise says
             pass
         for name in PROMISES if promises is None else promises:
@@ -98,12 +98,12 @@ class ChipConformance:
                 if name == "has_what_every_chip_has":
                     break
         if uncompiled and not broken:
-            from stage.testing.uncompiled import compare
+            from stage.testing.uncompiled_comparison import compare_with_plain_python
 
-            if report := compare(kind, options, seed, programs, limit):
+            if report := compare_with_plain_python(chip_class, options, seed, programs, limit):
                 broken["compiled = uncompiled"] = report
         if broken:
-            raise _make_error(kind, seed, broken)
+            raise _make_error(chip_class, seed, broken)
 
     def tests(self, chip: type[Chip] | str, **options: Any) -> Callable:
         """Make a test function for pytest, with one test for each promise.
@@ -140,16 +140,24 @@ def _check_arguments(chip: Any, limit: Any) -> type[Chip]:
     """
     if limit is not None and not (isinstance(limit, int | float) and limit > 0):
         raise ArgumentError(f"limit={limit!r}: seconds above 0, or None for no limit.")
-    kind = chip_class(chip) if isinstance(chip, str) else chip
-    if not isinstance(kind, type):
+    found = chip_class(chip) if isinstance(chip, str) else chip
+    if not isinstance(found, type):
         raise ArgumentError(f"chip={chip!r}: give a class of chips, as PCL240K, or the name of one.")
-    return kind
+    return found
 
 
-def _make_error(kind: type[Chip], seed: int, broken: dict[str, str]) -> NotConforming:
+def _make_error(chip_class: type[Chip], seed: int, broken: dict[str, str]) -> NotConforming:
     """Return the error that lists broken promises."""
-    lines = "\n".join(f"  {PROMISES[n].__doc__ if n in PROMISES else n}\n    but: {b}" for n, b in broken.items())
-    return NotConforming(f"{kind.__name__} breaks {len(broken)} of its promises (seed={seed}):\n{lines}", broken)
+    lines = "\n".join(f"  {_describe_promise(name)}\n    but: {report}" for name, report in broken.items())
+    return NotConforming(f"{chip_class.__name__} breaks {len(broken)} of its promises (seed={seed}):\n{lines}", broken)
+
+
+def _describe_promise(name: str) -> str:
+    """Return the promise that the first paragraph of its function's docstring states; for an unknown name the name."""
+    if name not in PROMISES:
+        return name
+    paragraph = (PROMISES[name].__doc__ or "").split("\n\n")[0]
+    return " ".join(paragraph.split()).removeprefix("Check that ")
 
 
 def _shorten_limit(limit: float | None, broken: dict[str, str]) -> float | None:

@@ -1,4 +1,4 @@
-"""Files of a failed test (recording, waveforms and bus trace) in a folder for each test, and their list in the test's report."""
+"""Files for a failed test (recording, waveforms and bus trace) in a folder per test, and the list of them in the test's report."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ MAX_FOLDER_NAME = 120  # characters of a folder's name
 PACKAGE_FOLDER = Path(package.__file__).parent
 
 
-def choose_folder(config: pytest.Config, nodeid: str) -> Path:
-    """Return the folder for the files of a test. Each test id has its own folder."""
+def choose_test_folder(config: pytest.Config, nodeid: str) -> Path:
+    """Return the folder for the files of a test. Different test ids have different folders."""
     option = config.getoption("pulsestage_output")
     where = (
         config.invocation_params.dir / option
@@ -58,7 +58,7 @@ class FailedTestFiles:
 
     def __init__(self, item: pytest.Item, stage: WatchedStage, model: Any):
         self.stage, self._model = stage, model
-        self.folder = choose_folder(item.config, item.nodeid)
+        self.folder = choose_test_folder(item.config, item.nodeid)
         self._from = item.config.invocation_params.dir
         self.board: Board | None = None
         self._saved = False
@@ -84,7 +84,8 @@ class FailedTestFiles:
                 last.tb_next = None
 
     def save(self) -> str:
-        """Save all files and return the text for the report; "" if nothing has happened yet or the files are already saved."""
+        """Save all files and return the text for the report; "" if nothing has happened in the test, or the files are already
+        saved."""
         if self._saved or not (self.stage.time or (self.board and self.board.cycles)):
             return ""
         self._saved = True
@@ -101,6 +102,7 @@ class FailedTestFiles:
         )
 
     def _describe_state(self) -> str:
+        """Describe position, switches and lost steps of each axis, bus writes that break rules, and faults."""
         stage = self.stage
         lines = [f"stage at {stage.time:.6f} s:"]
         for axis in stage.axes.values():
@@ -126,6 +128,7 @@ class FailedTestFiles:
         return "\n".join(lines)
 
     def _describe_log(self) -> str:
+        """Return the last lines of the firmware's log, after a heading."""
         log = self.board.log if self.board is not None else []
         more = [f"  ... {len(log) - REPORTED_LOG_LINES} lines before"] if len(log) > REPORTED_LOG_LINES else []
         lines = [f"  {seconds:.9f}  {text}" for seconds, text in log[-REPORTED_LOG_LINES:]]
@@ -183,6 +186,7 @@ class FailedTestFiles:
         return "\n".join(lines)
 
     def _save_file(self, what: str, name: str, opener: str, save: Callable[[Path], Any]) -> str:
+        """Save one file, and return a line with its description, path and the command that opens it."""
         path = self.folder / name
         try:
             save(path)
@@ -207,7 +211,7 @@ MAX_RECORDINGS = 3
 
 
 class WatchedStage(Stage):
-    """Stage that records itself in the background from `watch` to `unwatch`.
+    """Stage that is recorded in the background from `watch` to `unwatch`.
 
     The background recording ends when the test records or restores the stage, and another one begins afterwards. Copies of the
     stage have no background recording.
@@ -268,7 +272,7 @@ class WatchedStage(Stage):
             self._start_background_recording()
 
     def stop_recording(self) -> None:
-        """Stop a recording; the background recording goes on."""
+        """Stop the test's recording; a background recording begins again."""
         super().stop_recording()
         if self._background is not None:  # `_stop_background_recording` would write more, and the disk is full
             self._background, self._watched = None, False
@@ -276,5 +280,5 @@ class WatchedStage(Stage):
 
 
 def has_recorded_anything(recording: Recording) -> bool:
-    """Whether time passed in a recording, or a bus cycle was made."""
+    """Return whether time passed during a recording, or a bus cycle was made."""
     return bool(len(recording)) or any(len(journal.entries) for journal in recording.journals.values())

@@ -19,7 +19,7 @@ def build_library(request: pytest.FixtureRequest, arguments: dict[str, Any]) -> 
 
     Args:
         request: Request of the fixture.
-        arguments: Arguments of the marker; `sources`, `flags` and `platform` are removed.
+        arguments: Arguments of the marker. The function removes `sources`, `flags` and `platform`.
 
     Raises:
         NoCompilerError: There is no C compiler.
@@ -39,9 +39,8 @@ def build_library(request: pytest.FixtureRequest, arguments: dict[str, Any]) -> 
     return _build_once(base / "pulsestage-firmware", sources, flags, platform, arguments.get("cost", 0) > 0)
 
 
-def _build_once(
-    choose_folder: Path, sources: list[Path], flags: tuple[str, ...], platform: str | None, metered: bool
-) -> Path:
+def _build_once(folder: Path, sources: list[Path], flags: tuple[str, ...], platform: str | None, metered: bool) -> Path:
+    """Build sources in `folder` unless another worker process has built the same sources with the same flags."""
     inputs = [
         *(find_compiler(source) for source in sources),
         *flags,
@@ -52,7 +51,7 @@ def _build_once(
     key = hashlib.sha256(os.fsencode("\0".join(inputs)))
     for source in platforms.add_sketch_files(sources):
         key.update(source.read_bytes())
-    library = choose_folder / key.hexdigest()[:16] / f"{sources[0].stem}.so"
+    library = folder / key.hexdigest()[:16] / f"{sources[0].stem}.so"
     if not library.exists():
         library.parent.mkdir(parents=True, exist_ok=True)
         part = library.with_suffix(f".{os.getpid()}.part")

@@ -1,4 +1,7 @@
-"""Settings of the plugin, and arguments of a test's markers: the nearest marker counts, of function, class and module."""
+"""Settings of the plugin, and arguments of a test's markers.
+
+If several markers set an argument, the nearest one counts: function, then class, then module.
+"""
 
 from __future__ import annotations
 
@@ -99,18 +102,19 @@ def find_file(node: pytest.Item, name: Any, what: str) -> Path:
     if not isinstance(name, str | Path):
         raise ArgumentError(f"{what} {name!r}: a path in quotes is wanted.")
     folders = list(dict.fromkeys((node.path.parent, node.config.rootpath)))
-    for choose_folder in folders:
-        if (choose_folder / name).is_file():
-            return (choose_folder / name).resolve()
+    for folder in folders:
+        if (folder / name).is_file():
+            return (folder / name).resolve()
     raise FileError(f"{what} {str(name)!r}: there is no such file, from {' or '.join(map(str, folders))}.")
 
 
 def _list_markers(node: pytest.Item, *names: str) -> list[pytest.Mark]:
+    """Return the markers of a test with one of these names, the nearest one first."""
     return [mark for mark in node.iter_markers() if mark.name in names][::-1]
 
 
 def _bind_arguments(mark: pytest.Mark, names: Iterable[str], exactly: bool = False) -> dict[str, Any]:
-    """Return the arguments of a marker by name."""
+    """Return the arguments of a marker by name. Raises ArgumentError for unknown arguments."""
     names = tuple(names)
     if len(mark.args) > len(names) or (exactly and len(mark.args) + len(mark.kwargs) != len(names)):
         text = ", ".join([*map(repr, mark.args), *(f"{k}={v!r}" for k, v in mark.kwargs.items())])
@@ -126,6 +130,7 @@ def _bind_arguments(mark: pytest.Mark, names: Iterable[str], exactly: bool = Fal
 
 
 def _read_chips(mark: pytest.Mark) -> Any:
+    """Return the chips that a marker names, as `Stage` takes them."""
     if len(mark.args) + bool(mark.kwargs) != 1:
         raise ArgumentError(
             '@pytest.mark.chips: one chip for all axes, @pytest.mark.chips("PCL240MS"), or one an axis, '

@@ -15,13 +15,13 @@ COUNTS = 1 << 32
 
 
 def power_stage_conformance(power_stage: str | PowerStage) -> None:
-    """Check a power stage: its evidence, a drive at each of its microsteps, its current, and each time that it demands.
+    """Check a power stage: its evidence, a drive at each of its microsteps, its current, and each shortest time that it demands.
 
-    An edge at exactly the shortest time has no diagnostic, one that comes a nanosecond earlier has that of its time, and with
-    `drops_edges` it is lost.
+    An edge after exactly the shortest time must have no diagnostic, one a nanosecond earlier must have the diagnostic of that
+    time, and with `drops_edges` its step must be lost.
 
     Args:
-        power_stage: Power stage or its name; that of a package has to be installed.
+        power_stage: Power stage or its name; the package of a power stage has to be installed.
 
     Raises:
         AssertionError: A promise is broken; the message names it.
@@ -40,14 +40,14 @@ def power_stage_conformance(power_stage: str | PowerStage) -> None:
 
 
 def _check_evidence(power_stage: PowerStage) -> None:
-    """Check that evidence names fields of the power stage, and letters."""
+    """Check that the evidence names fields of the power stage and begins with a letter of EVIDENCE."""
     for name, source in power_stage.evidence.items():
         assert hasattr(power_stage, name), f"{power_stage.name}: evidence of {name}, which is no field"
         assert source[:1] in ("S", "I"), f"{power_stage.name}: evidence of {name} begins with S or I, not {source!r}"
 
 
 def _check_time(power_stage: PowerStage, which: int, min_time_ns: int, supply: float) -> None:
-    """Check that a time is demanded to the nanosecond."""
+    """Check that a shortest time is demanded to the nanosecond."""
     microsteps = min(power_stage.microsteps)
     name = f"{power_stage.name}: {TIMES[which]} of {getattr(power_stage, TIMES[which]):g} s"
     assert min_time_ns == round(getattr(power_stage, TIMES[which]) * 1e9), f"{name} is not demanded"
@@ -64,7 +64,16 @@ def _check_time(power_stage: PowerStage, which: int, min_time_ns: int, supply: f
 
 
 def _make_step(axis: STEPDIR, which: int, time_ns: int) -> int:
-    """Make one step in which one time is as long as given and all others are long, and return the steps counted."""
+    """Make one step in which one time is exactly `time_ns` and all others are long.
+
+    Args:
+        axis: STEP/DIR axis with the power stage.
+        which: Index of the time in the power stage's TIMES.
+        time_ns: Length of that time, ns.
+
+    Returns:
+        Number of steps that the axis has counted.
+    """
     times = [REST_NS] * len(TIMES)
     times[which] = time_ns
     high, low, setup, hold, enable_setup = times

@@ -1,4 +1,4 @@
-"""`PromiseTrial`: chips, random programs and moves with which a promise is tried; and the error `BrokenPromise`."""
+"""`PromiseTrial`: chips, random programs and moves for checking a promise; and the error `BrokenPromise`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stage.testing.chip_acts import (
     Act,
     describe_differences,
     draw_acts,
-    draw_drive_starts,
+    draw_drive_start_writes,
     draw_move,
     limit_pulses,
     list_start_writes,
@@ -23,34 +23,34 @@ from stage.testing.chip_acts import (
 
 
 class BrokenPromise(Exception):
-    """Error of a chip that breaks a promise; its text says what the chip does."""
+    """Error: a chip breaks a promise. The message says what the chip does."""
 
 
 @dataclass(frozen=True)
 class PromiseTrial:
-    """Chips, random programs and moves for one promise.
+    """Chips, random programs and moves for checking one promise.
 
     Attributes:
-        kind: Class of the chip.
-        make: Makes a chip.
+        chip_class: Class of the chip.
+        make: Function that creates a chip.
         seed: Seed of all random numbers.
         programs: Number of random programs.
     """
 
-    kind: type[Chip]
+    chip_class: type[Chip]
     make: Callable[[], Chip]
     seed: int
     programs: int
 
     def seeded_generators(self) -> Iterator[np.random.Generator]:
-        """Yield the random numbers of each program."""
+        """Yield a random number generator for each program, with a seed of its own."""
         for k in range(self.programs):
             yield np.random.default_rng([self.seed, k])
 
     @property
     def counts_pulses(self) -> bool:
         """True if `net` counts the pulses that a trace lists. The `net` of a servo counts its command position."""
-        return not self.kind.SERVO
+        return not self.chip_class.SERVO
 
     @cached_property
     def start_writes(self) -> list[Act]:
@@ -59,20 +59,20 @@ class PromiseTrial:
 
     def draw_acts(self, rng: np.random.Generator, count: int) -> list[Act]:
         """Draw random acts."""
-        return draw_acts(self.kind, rng, count, start_writes=self.start_writes)
+        return draw_acts(self.chip_class, rng, count, start_writes=self.start_writes)
 
     def draw_program(self, rng: np.random.Generator) -> list[Act]:
         """Draw a program: moves of some axes, time, and then random acts; or random acts alone."""
         chip = self.make()
-        begin = draw_drive_starts(chip, rng, int(rng.integers(1, 4))) if rng.integers(4) else []
+        begin = draw_drive_start_writes(chip, rng, int(rng.integers(1, 4))) if rng.integers(4) else []
         clocks = (
             chip.clock_hz // 4 if rng.integers(3) == 0 else int(rng.integers(1, 200_000))
         )  # in a quarter second they end
         return limit_pulses([*begin, Act("time", clocks), *self.draw_acts(rng, 25)], chip)
 
     def draw_drives(self, chip: Chip, rng: np.random.Generator) -> list[Act]:
-        """Draw drives of all axes that start now."""
-        return limit_pulses(draw_drive_starts(chip, rng, chip.AXES), chip.make_replica())
+        """Draw writes that start a drive on each axis now."""
+        return limit_pulses(draw_drive_start_writes(chip, rng, chip.AXES), chip.make_replica())
 
     def start_move(self, rng: np.random.Generator, slow: bool = False) -> tuple[Chip, int, int]:
         """Start a move on a new chip.
@@ -80,14 +80,17 @@ class PromiseTrial:
         Returns:
             The chip, its axis, and the pulses to come, negative towards minus; 0 pulses without a driver.
         """
-        chip, axis = self.make(), int(rng.integers(self.kind.AXES))
+        chip, axis = self.make(), int(rng.integers(self.chip_class.AXES))
         acts, pulses = draw_move(chip, axis, rng, slow)
         perform_acts(chip, acts)
         return chip, axis, pulses
 
     def start_moves(self, rng: np.random.Generator) -> Iterator[tuple[Chip, int, int]]:
-        """Yield, as `start_move`, a move of each axis in each direction; none for a servo or without a driver."""
-        for axis in range(self.kind.AXES if self.kind.DRIVER and self.counts_pulses else 0):
+        """Start a move of each axis in each direction, and yield what `start_move` returns.
+
+        There are no moves for a servo or without a driver.
+        """
+        for axis in range(self.chip_class.AXES if self.chip_class.DRIVER and self.counts_pulses else 0):
             for direction in (1, -1):
                 chip = self.make()
                 acts, pulses = draw_move(chip, axis, rng, direction=direction)
@@ -98,10 +101,10 @@ class PromiseTrial:
         """Raise BrokenPromise unless two chips are in the same state, bit for bit."""
         self.require_same_bits(chip.state.tobytes(), other.state.tobytes(), when)
 
-    def require_same_bits(self, one: bytes, other: bytes, when: str) -> None:
+    def require_same_bits(self, first: bytes, second: bytes, when: str) -> None:
         """Raise BrokenPromise unless two states are equal."""
-        if one != other:
-            raise BrokenPromise(f"{when}, the state differs in {describe_differences(self.kind, one, other)}")
+        if first != second:
+            raise BrokenPromise(f"{when}, the state differs in {describe_differences(self.chip_class, first, second)}")
 
 
 def read_counter(chip: Chip, axis: int) -> int:
@@ -110,7 +113,7 @@ def read_counter(chip: Chip, axis: int) -> int:
 
 
 def read_visible_state(chip: Chip) -> Any:
-    """Return all values of registers, output words and input words of a chip."""
+    """Return everything of a chip that can be seen: the values of all registers, and the output and input words."""
     return (
         chip.values() | {f"{n} of axis {k}": v for k in range(1, chip.AXES) for n, v in chip.values_of(k).items()},
         [chip.output_word(k) for k in range(chip.AXES)],
@@ -118,18 +121,18 @@ def read_visible_state(chip: Chip) -> Any:
     )
 
 
-def describe_difference(mine: Any, its: Any, when: str = "after power-up") -> str:
-    """Describe the first difference of two results of `read_visible_state`.
+def describe_difference(first: Any, second: Any, when: str = "after power-up") -> str:
+    """Describe the first difference between two results of `read_visible_state`.
 
     Args:
-        mine: One result.
-        its: The other result.
-        when: When `its` was read.
+        first: One result.
+        second: The other result.
+        when: When `second` was read, for the message.
     """
-    for name in its[0]:
-        if mine[0].get(name) != its[0][name]:
-            return f"{name} {mine[0].get(name)}, and {when} {its[0][name]}"
-    return f"pins {mine[1:]}, and {when} {its[1:]}"
+    for name in second[0]:
+        if first[0].get(name) != second[0][name]:
+            return f"{name} {first[0].get(name)}, and {when} {second[0][name]}"
+    return f"pins {first[1:]}, and {when} {second[1:]}"
 
 
 def format_first_and_last(numbers: np.ndarray) -> str:

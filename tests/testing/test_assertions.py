@@ -24,7 +24,7 @@ from stage.testing import (
     assert_stopped,
 )
 from stage.testing.assertions import format_ranges
-from stage.testing.failed_test_files import FailedTestFiles, WatchedStage, choose_folder
+from stage.testing.failed_test_files import FailedTestFiles, WatchedStage, choose_test_folder
 from stage.testing.path_assertion import _measure_distances
 
 SLOW = firmware.Profile.of(fh1=8000, accel=0.05)
@@ -329,7 +329,7 @@ def test_two_tests_never_share_a_folder_and_one_has_always_the_same(tmp_path):
             rootpath=tmp_path,
             invocation_params=SimpleNamespace(dir=tmp_path / "here"),
         )
-        return choose_folder(config, nodeid)
+        return choose_test_folder(config, nodeid)
 
     reference = "tests/a/test_b.py::test_c"
     assert named(reference) == named(reference) == tmp_path / ".pulsestage" / "tests.a.test_b.py.test_c"

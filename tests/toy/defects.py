@@ -234,7 +234,7 @@ DEFECTS: dict[str, tuple[type, str, str]] = {
         type("TOY", (TOY,), {"WIRING": {"el_plus": "el_minus", "el_minus": "el_plus"}}),
         "limit_switches", "goes on to its end, though el_plus is asserted"),
     "the direction exchanged": (
-        ReversedDirection, "limit_switches", "axis 0 goes (plus|minus), and `turns` says (plus|minus)"),
+        ReversedDirection, "limit_switches", "axis 0 goes (plus|minus), and `read_direction` says (plus|minus)"),
     "a stop for all": (
         build_toy8(write=answers.write_stopping_all_axes), "axes_alone",
         "the driver's stop of axis . changes the pulses"),

@@ -1,7 +1,8 @@
-"""Promises that every chip keeps. A function for each promise raises `BrokenPromise` if a chip breaks it; see conformance.py.
+"""Promises that every chip must keep.
 
-The functions try random acts (chip_acts.py), and moves as the chip's host driver writes them. Reports of broken promises show the
-docstrings of the functions.
+Each promise is a function that raises `BrokenPromise` if a chip breaks it; see conformance.py. The functions check random actions
+(chip_acts.py) and moves as the chip's host driver writes them. The report of a broken promise shows the first paragraph of the
+function's docstring without "Check that".
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from stage.testing.promises.bus import (
     check_words,
 )
 from stage.testing.promises.journal import check_journals
-from stage.testing.promises.moves import check_axes_alone, check_courses, check_limit_switches
+from stage.testing.promises.moves import check_axes_alone, check_limit_switches, check_move_signals
 from stage.testing.promises.state import check_determinism, check_resets, check_snapshots
 from stage.testing.promises.timing import (
-    check_cut_time,
     check_drive_inputs,
+    check_time_in_pieces,
     check_time_that_passes,
     check_trace,
     check_windows,
@@ -34,8 +35,8 @@ PROMISES: dict[str, Callable[[PromiseTrial], None]] = {
     "has_what_every_chip_has": check_contract, "pins_by_name": check_pins_by_name, "register_cycles": check_register_cycles,
     "command_cycles": check_command_cycles, "bus_lines": check_bus_lines, "time_that_passes": check_time_that_passes,
     "reads": check_reads, "diagnostics": check_diagnostics, "words": check_words, "determinism": check_determinism,
-    "traced": check_trace, "cut_time": check_cut_time, "windows": check_windows, "drive_inputs": check_drive_inputs,
-    "courses": check_courses, "limit_switches": check_limit_switches, "axes_alone": check_axes_alone,
+    "traced": check_trace, "cut_time": check_time_in_pieces, "windows": check_windows, "drive_inputs": check_drive_inputs,
+    "courses": check_move_signals, "limit_switches": check_limit_switches, "axes_alone": check_axes_alone,
     "snapshots": check_snapshots, "journals": check_journals, "resets": check_resets,
 }  # fmt: skip
 """Name of a promise, as users pass it to `chip_conformance` -> function that checks it. Its docstring is what reports show."""

@@ -1,4 +1,4 @@
-"""Promises about addresses, registers and pins, and about what a chip says in words."""
+"""Promises about addresses, registers, pins and the descriptions that a chip gives."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ from stage.testing.chip_acts import copy_state, describe_differences, perform_ac
 from stage.testing.promise_trial import BrokenPromise, PromiseTrial
 
 
-def check_contract(t: PromiseTrial) -> None:
-    """the contract: class, core and records have all that loops, boards and recordings ask of them"""
+def check_contract(trial: PromiseTrial) -> None:
+    """Check that the class, core and records of the chip have every attribute that loops, boards and recordings use."""
     try:
-        contract.check(t.kind, Chip)
+        contract.check(trial.chip_class, Chip)
     except ArgumentError as error:
         raise BrokenPromise(str(error)) from None
-    axis, bits = t.kind.IRQ
-    known = sum(t.kind.OUTPUTS.values())
-    if bits & ~known or not -1 <= axis < t.kind.AXES:
+    axis, bits = trial.chip_class.IRQ
+    known = sum(trial.chip_class.OUTPUTS.values())
+    if bits & ~known or not -1 <= axis < trial.chip_class.AXES:
         raise BrokenPromise(
-            f"IRQ is ({axis}, {bits:#x}): an axis from 0 to {t.kind.AXES - 1}, or -1, and bits of OUTPUTS, which are {known:#x}"
+            f"IRQ is ({axis}, {bits:#x}): an axis from 0 to {trial.chip_class.AXES - 1}, or -1, and bits of OUTPUTS, which are "
+            f"{known:#x}"
         )
 
 
-def check_bus_lines(t: PromiseTrial) -> None:
-    """masks: only the address and data lines that the chip has matter, of writes and of reads"""
-    for rng in t.seeded_generators():
-        near, distant = t.make(), t.make()
+def check_bus_lines(trial: PromiseTrial) -> None:
+    """Check that bits of an address or a value beyond the chip's address and data lines have no effect on writes and reads."""
+    for rng in trial.seeded_generators():
+        near, distant = trial.make(), trial.make()
         for _ in range(60):
             address = int(rng.integers(near.ADDRESS_MASK, endpoint=True))
             value = int(rng.integers(near.DATA_MASK, endpoint=True)) >> int(rng.integers(0, 12))
@@ -48,14 +49,14 @@ def check_bus_lines(t: PromiseTrial) -> None:
                 raise BrokenPromise(
                     f"a read of address {address:X}h gives {read}, and the data lines hold 0 to {near.DATA_MASK:X}h"
                 )
-            t.require_same_state(
+            trial.require_same_state(
                 near, distant, f"after a write of {value:X}h to {address:X}h and as {beyond:X}h beyond the lines"
             )
 
 
-def check_pins_by_name(t: PromiseTrial) -> None:
-    """pins: an input can be set, alone and by name; an output refuses; a name that is none is refused"""
-    chip = t.make()
+def check_pins_by_name(trial: PromiseTrial) -> None:
+    """Check that each input can be set alone and by name, and that setting an output or an unknown name is refused."""
+    chip = trial.make()
     for axis in chip.axes:
         pins = axis.pins
         if unknown := set(dir(pins)) ^ {*chip.INPUTS, *chip.OUTPUTS}:
@@ -83,20 +84,20 @@ def check_pins_by_name(t: PromiseTrial) -> None:
             raise BrokenPromise(f"pin {name}, no input, can be set")
 
 
-def check_reads(t: PromiseTrial) -> None:
-    """reads: a read cycle changes nothing, but at READING_ACTS; `peek`, what a host would like to see there, never does"""
-    for rng in t.seeded_generators():
-        chip = t.make()
-        for act in t.draw_program(rng):
+def check_reads(trial: PromiseTrial) -> None:
+    """Check that a read changes nothing, except at READING_ACTS, and that `peek` never changes anything."""
+    for rng in trial.seeded_generators():
+        chip = trial.make()
+        for act in trial.draw_program(rng):
             perform_act(chip, act)
-            _check_core_reads(t, chip)
-        _check_peeks_and_reads(t, chip)
-        perform_acts(chip, t.draw_drives(chip, rng))
-        _check_peeks_and_reads(t, chip)
+            _check_core_reads(trial, chip)
+        _check_peeks_and_reads(trial, chip)
+        perform_acts(chip, trial.draw_drives(chip, rng))
+        _check_peeks_and_reads(trial, chip)
 
 
-def _check_core_reads(t: PromiseTrial, chip: Chip) -> None:
-    """Check reads of a copy after each act: they change nothing of what comes."""
+def _check_core_reads(trial: PromiseTrial, chip: Chip) -> None:
+    """Check on a copy after each action that a read does not change anything that follows."""
     for address in range(chip.ADDRESSES):
         if address not in chip.READING_ACTS:
             before, state = copy_state(chip), copy_state(chip)
@@ -104,54 +105,56 @@ def _check_core_reads(t: PromiseTrial, chip: Chip) -> None:
                 for looked in (before, state):
                     chip.CORE.read_outputs(looked, k)
             chip.CORE.read(state, address)
-            _require_unchanged(t, address, before.tobytes(), state.tobytes())
+            _require_unchanged(trial, address, before.tobytes(), state.tobytes())
 
 
-def _check_peeks_and_reads(t: PromiseTrial, chip: Chip) -> None:
+def _check_peeks_and_reads(trial: PromiseTrial, chip: Chip) -> None:
+    """Check that at each address neither `peek` nor a read changes the chip, except reads at READING_ACTS."""
     for k in range(chip.AXES):
         chip.output_word(k)
     for address in range(chip.ADDRESSES):
         before = chip.state.tobytes()
         chip.CORE.peek.with_gil(chip.pointer, address)
-        t.require_same_bits(before, chip.state.tobytes(), f"after peek({address:X}h)")
+        trial.require_same_bits(before, chip.state.tobytes(), f"after peek({address:X}h)")
         if address in chip.READING_ACTS:
             continue
         if not 0 <= (value := chip.read(address)) <= chip.DATA_MASK:
             raise BrokenPromise(f"read({address:X}h) gives {value}, and the data lines hold 0 to {chip.DATA_MASK:X}h")
-        _require_unchanged(t, address, before, chip.state.tobytes())
+        _require_unchanged(trial, address, before, chip.state.tobytes())
 
 
-def _require_unchanged(t: PromiseTrial, address: int, before: bytes, now: bytes) -> None:
+def _require_unchanged(trial: PromiseTrial, address: int, before: bytes, now: bytes) -> None:
+    """Raise BrokenPromise if a cycle at an address has changed the state."""
     if now != before:
-        differ = describe_differences(t.kind, before, now)
+        differ = describe_differences(trial.chip_class, before, now)
         raise BrokenPromise(f"read({address:X}h) changes {differ}, and {address:X}h is not in READING_ACTS")
 
 
-def check_register_cycles(t: PromiseTrial) -> None:
-    """register_cycles: every register that can be written is, by cycles that the bus has"""
-    for r in t.kind.MAP.registers:
+def check_register_cycles(trial: PromiseTrial) -> None:
+    """Check that every writable register gets its value from the bus cycles that the family lists for it."""
+    for r in trial.chip_class.MAP.registers:
         if "W" not in r.access:
             continue
         for value in dict.fromkeys(r.range):
-            cycles = t.kind.register_cycles(r.name, value & r.mask, t.kind.AXES - 1)
+            cycles = trial.chip_class.register_cycles(r.name, value & r.mask, trial.chip_class.AXES - 1)
             if not cycles:
                 raise BrokenPromise(f"no bus cycle writes {r.name}")
             for address, datum in cycles:
-                if not (0 <= address <= t.kind.ADDRESS_MASK and 0 <= datum <= t.kind.DATA_MASK):
+                if not (0 <= address <= trial.chip_class.ADDRESS_MASK and 0 <= datum <= trial.chip_class.DATA_MASK):
                     raise BrokenPromise(
                         f"{r.name} = {value} is written by ({address}, {datum}), which is not on the bus"
                     )
 
 
-def check_command_cycles(t: PromiseTrial) -> None:
-    """command_cycles: every command is sent by cycles that the bus has, where the family says how"""
-    map_ = t.kind.MAP
+def check_command_cycles(trial: PromiseTrial) -> None:
+    """Check that every command is sent by bus cycles that exist on the bus, if the family lists cycles for commands."""
+    map_ = trial.chip_class.MAP
     sent: list[Command | Word] = [*map_.commands, *(w for w in map_.words if w.written)]
     for what in sent:
         name = what.name if isinstance(what, Word) else what.symbol
         takes = isinstance(what, Word) or what.choice or (what.bytes and "read" not in what.kind)
         try:
-            cycles = t.kind.command_cycles(name, t.kind.AXES - 1, 1 if takes else None)
+            cycles = trial.chip_class.command_cycles(name, trial.chip_class.AXES - 1, 1 if takes else None)
         except NotImplementedError:
             return
         except Exception as error:
@@ -166,20 +169,21 @@ def check_command_cycles(t: PromiseTrial) -> None:
         if not cycles:
             raise BrokenPromise(f"no bus cycle sends {name}")
         for address, datum in cycles:
-            if not (0 <= address <= t.kind.ADDRESS_MASK and 0 <= datum <= t.kind.DATA_MASK):
+            if not (0 <= address <= trial.chip_class.ADDRESS_MASK and 0 <= datum <= trial.chip_class.DATA_MASK):
                 raise BrokenPromise(f"{name} is sent by ({address}, {datum}), which is not on the bus")
 
 
 def _format_line(error: Exception) -> str:
+    """Return the type and the message of an exception in one line."""
     where = traceback.extract_tb(error.__traceback__)[-1]
     return f"{where.filename}, line {where.lineno}, in {where.name}"
 
 
-def check_diagnostics(t: PromiseTrial) -> None:
-    """bad writes: none raises, whatever its address and value; what is noted is a Diagnostic with words; noting changes nothing"""
-    for rng in t.seeded_generators():
-        chip = t.make()
-        for act in t.draw_acts(rng, 60):
+def check_diagnostics(trial: PromiseTrial) -> None:
+    """Check that no bus write raises, that each diagnostic is a Diagnostic with text, and that lint changes no state."""
+    for rng in trial.seeded_generators():
+        chip = trial.make()
+        for act in trial.draw_acts(rng, 60):
             if act.kind == "time":
                 act = act._replace(a=min(act.a, 1000))
             if act.kind == "write":
@@ -187,7 +191,7 @@ def check_diagnostics(t: PromiseTrial) -> None:
                 _require_no_error(
                     f"lint({act.a:X}h, {act.b:X}h)", lambda c, a, b: list(c.lint(a, b)), chip, act.a, act.b
                 )
-                t.require_same_bits(
+                trial.require_same_bits(
                     before, chip.state.tobytes(), f"after lint({act.a:X}h, {act.b:X}h), which only looks"
                 )
             _require_no_error(str(act), perform_act, chip, act)
@@ -201,20 +205,20 @@ def check_diagnostics(t: PromiseTrial) -> None:
 
 
 def _require_no_error(what: str, call: Callable[..., Any], *args: Any) -> None:
-    """Raise BrokenPromise if the call raises."""
+    """Raise BrokenPromise if calling `call` raises an exception."""
     try:
         call(*args)
     except Exception as error:
         raise BrokenPromise(f"{what} raises {type(error).__name__}: {error}") from error
 
 
-def check_words(t: PromiseTrial) -> None:
-    """words: listener and decoder tell every bus cycle in a line of ASCII"""
-    for rng in t.seeded_generators():
-        chip = t.make()
+def check_words(trial: PromiseTrial) -> None:
+    """Check that the listener and the decoder describe every bus cycle in one line of ASCII."""
+    for rng in trial.seeded_generators():
+        chip = trial.make()
         listener = chip.listener()
         journal = chip.journal()
-        for act in t.draw_program(rng):
+        for act in trial.draw_program(rng):
             if act.kind in ("write", "read"):
                 text = ""
                 value = act.b if act.kind == "write" else int(chip.CORE.peek.with_gil(chip.pointer, act.a))

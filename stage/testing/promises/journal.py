@@ -17,34 +17,34 @@ from stage.testing.promise_trial import (
 )
 
 
-def check_journals(t: PromiseTrial) -> None:
-    """journals: a replay ends in the same state, and its course shows every pin and count at its clock"""
-    for rng in t.seeded_generators():
-        chip, axis = t.make(), int(rng.integers(t.kind.AXES))
+def check_journals(trial: PromiseTrial) -> None:
+    """Check that a replay ends in the chip's state, and that its waveforms show every pin and count at the right clock."""
+    for rng in trial.seeded_generators():
+        chip, axis = trial.make(), int(rng.integers(trial.chip_class.AXES))
         journal = chip.journal(axis)
-        perform_acts(chip, t.draw_program(rng))
+        perform_acts(chip, trial.draw_program(rng))
         journal.close()
         for every in (False, True):
             replay = Replay(journal)
             pieces = list(replay.pieces(every))
             chip.output_word(axis)  # some settle their pins when somebody looks
             if every:  # some keep in their state how long a pulse is shown
-                _require_same_future(t, chip, replay.state, rng)
+                _require_same_future(trial, chip, replay.state, rng)
             else:
-                _require_same_settled_state(t, chip, replay.state, "after a replay")
+                _require_same_settled_state(trial, chip, replay.state, "after a replay")
             edges = np.concatenate(pieces)
             if (np.diff(edges["clock"]) < 0).any() or edges["clock"][-1] != chip.clock:
                 raise BrokenPromise(
                     f"the course's edges are at {format_first_and_last(edges['clock'])}, and the chip at {chip.clock}"
                 )
             decode(chip.decoder(axis), journal.entries)
-        _check_course_pins(t, rng)
-        _check_scan_room(t, rng)
+        _check_pin_waveforms(trial, rng)
+        _check_scan_room(trial, rng)
 
 
-def _check_scan_room(t: PromiseTrial, rng: np.random.Generator) -> None:
+def _check_scan_room(trial: PromiseTrial, rng: np.random.Generator) -> None:
     """Check that `scan` writes no more edges than its array holds."""
-    chip, axis, _ = t.start_move(rng)
+    chip, axis, _ = trial.start_move(rng)
     until, room, edges = (
         chip.clock + chip.clock_hz // 20,
         cores.SCAN_ROOM,
@@ -63,23 +63,26 @@ def _check_scan_room(t: PromiseTrial, rng: np.random.Generator) -> None:
             break
 
 
-def _require_same_settled_state(t: PromiseTrial, chip: Chip, state: bytes, when: str) -> None:
+def _require_same_settled_state(trial: PromiseTrial, chip: Chip, state: bytes, when: str) -> None:
+    """Raise BrokenPromise unless the chip has this state after its pins have settled."""
     other = chip.make_replica(state)
     for k in range(chip.AXES):
         other.output_word(k)
         chip.output_word(k)
-    t.require_same_state(chip, other, when)
+    trial.require_same_state(chip, other, when)
 
 
-def _require_same_future(t: PromiseTrial, chip: Chip, state: bytes, rng: np.random.Generator) -> None:
+def _require_same_future(trial: PromiseTrial, chip: Chip, state: bytes, rng: np.random.Generator) -> None:
+    """Raise BrokenPromise unless a chip with this state continues exactly as the given chip does."""
     one, other = chip.make_replica(), chip.make_replica(state)
-    acts = limit_pulses(t.draw_acts(rng, 10), chip.make_replica())
+    acts = limit_pulses(trial.draw_acts(rng, 10), chip.make_replica())
     if perform_acts(one, acts) != perform_acts(other, acts) or read_visible_state(one) != read_visible_state(other):
         raise BrokenPromise("after a replay with every pulse it does not go on as the chip does")
 
 
-def _check_course_pins(t: PromiseTrial, rng: np.random.Generator) -> None:
-    chip, axis, _ = t.start_move(rng)
+def _check_pin_waveforms(trial: PromiseTrial, rng: np.random.Generator) -> None:
+    """Check that the waveforms of a move show the chip's outputs, net pulses and counter at random clocks."""
+    chip, axis, _ = trial.start_move(rng)
     clocks, start = min(count_clocks_to_end(chip, axis), chip.clock_hz // 4), chip.clock
     replica = chip.make_replica()
     journal = replica.journal(axis)
@@ -97,7 +100,7 @@ def _check_course_pins(t: PromiseTrial, rng: np.random.Generator) -> None:
         )  # pulse outputs: only if all are asked for
         wrong |= (int(edge["outputs"]) ^ word) & (int(other["outputs"]) ^ word)
         if wrong:
-            pins = ", ".join(name for name, bit in t.kind.OUTPUTS.items() if bit & wrong)
+            pins = ", ".join(name for name, bit in trial.chip_class.OUTPUTS.items() if bit & wrong)
             raise BrokenPromise(
                 f"{n} clocks after the start the course shows output {pins} at another level than the chip"
             )
@@ -105,11 +108,11 @@ def _check_course_pins(t: PromiseTrial, rng: np.random.Generator) -> None:
             ("net", int(edge["net"]), int(probe.CORE.read_net_count.with_gil(probe.pointer, axis))),
             ("counter", int(edge["counter"]), read_counter(probe, axis)),
         ):
-            if course != real and t.counts_pulses:
+            if course != real and trial.counts_pulses:
                 raise BrokenPromise(f"{n} clocks after the start the course shows {what} {course}, and the chip {real}")
 
 
 def _find_toggling_bits(outputs: np.ndarray, times: int) -> int:
-    """The bits that change at least so many times."""
+    """Return a mask of the output bits that change at least `times` times."""
     changes = outputs[1:] ^ outputs[:-1]
     return sum(1 << k for k in range(63) if int((changes >> k & 1).sum()) >= max(times, 1))

@@ -1,4 +1,4 @@
-"""Promises about time: a chip lets it pass at once or in pieces, pulse by pulse."""
+"""Promises about time, which may pass at once, in pieces, or pulse by pulse."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from stage.testing.promise_trial import BrokenPromise, PromiseTrial, format_firs
 from stage.testing.promises.moves import draw_simultaneous_moves
 
 
-def check_time_that_passes(t: PromiseTrial) -> None:
-    """clock: `advance(n)` takes n reference clocks, a bus cycle of a chip without a stage none"""
-    for rng in t.seeded_generators():
-        chip = t.make()
-        for act in t.draw_program(rng):
+def check_time_that_passes(trial: PromiseTrial) -> None:
+    """Check that `advance(n)` takes n reference clocks and that a bus cycle of a chip without a stage takes none."""
+    for rng in trial.seeded_generators():
+        chip = trial.make()
+        for act in trial.draw_program(rng):
             before = chip.clock
             perform_act(chip, act)
             expected = before + (act.a if act.kind == "time" else 0)
@@ -30,14 +30,14 @@ def check_time_that_passes(t: PromiseTrial) -> None:
                 raise BrokenPromise(f"after {act} the clock is {chip.clock}, not {expected}")
 
 
-def check_trace(t: PromiseTrial) -> None:
-    """trace = advance: as many pulses, in order, within the time, by axis and direction as `net` counts; the same state"""
-    for rng in t.seeded_generators():
-        one, other = t.make(), t.make()
-        acts = t.draw_program(rng)
-        used = t.make()
+def check_trace(trial: PromiseTrial) -> None:
+    """Check that `trace` and `advance` give the same pulses by axis and direction, in order, and the same state."""
+    for rng in trial.seeded_generators():
+        one, other = trial.make(), trial.make()
+        acts = trial.draw_program(rng)
+        used = trial.make()
         perform_acts(used, acts)
-        for act in [*acts, *t.draw_drives(used, rng), *draw_simultaneous_moves(t, rng)]:
+        for act in [*acts, *trial.draw_drives(used, rng), *draw_simultaneous_moves(trial, rng)]:
             if act.kind != "time":
                 perform_act(one, act)
                 perform_act(other, act)
@@ -60,8 +60,8 @@ def check_trace(t: PromiseTrial) -> None:
                 )
             if ((axes < 0) | (axes >= one.AXES) | (abs(directions) != 1)).any():
                 raise BrokenPromise(f"trace gives axes {sorted(set(axes))} and directions {sorted(set(directions))}")
-            t.require_same_state(one, other, f"after advance({act.a}) and trace({act.a})")
-            for k in range(one.AXES if t.counts_pulses else 0):
+            trial.require_same_state(one, other, f"after advance({act.a}) and trace({act.a})")
+            for k in range(one.AXES if trial.counts_pulses else 0):
                 if one.net(k) - nets[k] != int(directions[axes == k].sum()):
                     raise BrokenPromise(
                         f"net of axis {k} goes from {nets[k]} to {one.net(k)}, and the trace lists "
@@ -69,24 +69,24 @@ def check_trace(t: PromiseTrial) -> None:
                     )
 
 
-def check_cut_time(t: PromiseTrial) -> None:
-    """cutting of time: advance(a + b) is advance(a) and advance(b), wherever it is cut, also at the very clock of an event"""
-    for rng in t.seeded_generators():
-        chip, axis, pulses = t.start_move(rng)
-        if pulses or not t.counts_pulses:
+def check_time_in_pieces(trial: PromiseTrial) -> None:
+    """Check that `advance(a + b)` equals `advance(a)` and `advance(b)` wherever the time is cut, even at the clock of an event."""
+    for rng in trial.seeded_generators():
+        chip, axis, pulses = trial.start_move(rng)
+        if pulses or not trial.counts_pulses:
             clocks = min(count_clocks_to_end(chip, axis), chip.clock_hz // 2)
-            _check_cut(t, chip, clocks, _list_instants(chip, axis, clocks, rng))
-        chip = t.make()
-        for act in t.draw_program(rng):
+            _check_cut_at(trial, chip, clocks, _draw_event_clocks(chip, axis, clocks, rng))
+        chip = trial.make()
+        for act in trial.draw_program(rng):
             if act.kind == "time" and act.a > 1:
                 at = find_pulse_clocks(chip, act.a)
                 pulse = [int(at[rng.integers(len(at))])] if len(at) else []
-                _check_cut(t, chip, act.a, [*pulse, int(rng.integers(1, act.a))])
+                _check_cut_at(trial, chip, act.a, [*pulse, int(rng.integers(1, act.a))])
             perform_act(chip, act)
 
 
-def _list_instants(chip: Chip, axis: int, clocks: int, rng: np.random.Generator) -> list[int]:
-    """List clocks at which something happens in a move, and those next to them."""
+def _draw_event_clocks(chip: Chip, axis: int, clocks: int, rng: np.random.Generator) -> list[int]:
+    """Draw clocks at which an edge or a pulse occurs during a move, and add the clocks next to them."""
     probe = chip.make_replica()
     with_edges = probe.journal(axis)
     probe.advance(clocks)
@@ -97,7 +97,8 @@ def _list_instants(chip: Chip, axis: int, clocks: int, rng: np.random.Generator)
     return [int(n) + d for n in sampled for d in (-1, 0, 1)]
 
 
-def _check_cut(t: PromiseTrial, chip: Chip, clocks: int, cuts: list[int]) -> None:
+def _check_cut_at(trial: PromiseTrial, chip: Chip, clocks: int, cuts: list[int]) -> None:
+    """Check that time cut at each of the clocks `cuts` gives the same pulses and state as uncut time."""
     uncut = chip.make_replica()
     pulse_count = uncut.advance(clocks)
     for n in cuts:
@@ -108,23 +109,29 @@ def _check_cut(t: PromiseTrial, chip: Chip, clocks: int, cuts: list[int]) -> Non
             raise BrokenPromise(
                 f"advance({clocks}) makes {pulse_count} pulses, and advance({n}), advance({clocks - n}) {parts}"
             )
-        t.require_same_state(uncut, cut, f"after advance({clocks}), and after advance({n}) and advance({clocks - n})")
+        trial.require_same_state(
+            uncut, cut, f"after advance({clocks}), and after advance({n}) and advance({clocks - n})"
+        )
 
 
-def check_windows(t: PromiseTrial) -> None:
-    """run, window and advance agree: a stage's loop takes a chip where `advance` does, with each slice's mean and net"""
-    for rng in t.seeded_generators():
-        chip = t.make()
-        perform_acts(chip, t.draw_drives(chip, rng))
-        _check_window_slices(t, chip, 5, int(rng.integers(1, max(chip.clock_hz // 5000, 2))))
+def check_windows(trial: PromiseTrial) -> None:
+    """Check that run and window, which a stage's loop calls, lead to the same state as `advance`.
+
+    The mean and the net pulses of each slice must be right as well.
+    """
+    for rng in trial.seeded_generators():
+        chip = trial.make()
+        perform_acts(chip, trial.draw_drives(chip, rng))
+        _check_window_slices(trial, chip, 5, int(rng.integers(1, max(chip.clock_hz // 5000, 2))))
         at = find_pulse_clocks(chip, chip.clock_hz // 50)
         later = rng.choice(at[4:40], min(len(at[4:40]), 4), replace=False)
         for n in (*at[:4].tolist(), *later.tolist()):  # a slice that ends at the very clock of a pulse, and beside it
-            _check_window_slices(t, chip, 1, n)
-            _check_window_slices(t, chip, 1, max(n + int(rng.choice((-1, 1))), 1))
+            _check_window_slices(trial, chip, 1, n)
+            _check_window_slices(trial, chip, 1, max(n + int(rng.choice((-1, 1))), 1))
 
 
-def _check_window_slices(t: PromiseTrial, chip: Chip, slices: int, ticks: int) -> None:
+def _check_window_slices(trial: PromiseTrial, chip: Chip, slices: int, ticks: int) -> None:
+    """Compare the three ways of advancing a chip by a window of `slices` slices of `ticks` clocks."""
     core = chip.CORE
     by_run, by_window, by_advance = chip.make_replica(), chip.make_replica(), chip.make_replica()
     nets = np.array([core.read_net_count.with_gil(chip.pointer, k) for k in range(chip.AXES)])
@@ -146,19 +153,22 @@ def _check_window_slices(t: PromiseTrial, chip: Chip, slices: int, ticks: int) -
             expected[j, k] = core.compute_drive_input.c(by_run.pointer, j, int(nets[j]), float(ticks))
             nets[j] = core.read_net_count.with_gil(by_run.pointer, j)
     by_advance.advance(slices * ticks)
-    t.require_same_state(by_run, by_advance, f"after run and advance by {slices * ticks} clocks")
-    t.require_same_state(by_run, by_window, f"after run and window by {slices} slices of {ticks} clocks")
+    trial.require_same_state(by_run, by_advance, f"after run and advance by {slices * ticks} clocks")
+    trial.require_same_state(by_run, by_window, f"after run and window by {slices} slices of {ticks} clocks")
     if counts.tolist() != nets.tolist():
         raise BrokenPromise(f"window leaves the counts {counts.tolist()}, and net is {nets.tolist()}")
     if means.tobytes() != expected.tobytes():
         raise BrokenPromise(f"run_window gives the means {means.tolist()}, and compute_drive_input {expected.tolist()}")
 
 
-def check_drive_inputs(t: PromiseTrial) -> None:
-    """compute_drive_input, the mean of the pulse count over a slice or a servo's motor command; compute_pulse_rate"""
-    for rng in t.seeded_generators():
-        chip, axis, move_pulses = t.start_move(rng, slow=True)
-        if not move_pulses and t.counts_pulses:
+def check_drive_inputs(trial: PromiseTrial) -> None:
+    """Check that compute_drive_input gives the mean pulse count of a slice, or a servo's motor command.
+
+    Check compute_pulse_rate likewise.
+    """
+    for rng in trial.seeded_generators():
+        chip, axis, move_pulses = trial.start_move(rng, slow=True)
+        if not move_pulses and trial.counts_pulses:
             return
         chip.advance(int(rng.integers(1, max(chip.clock_hz // 100, 2))))
         for _ in range(12):
@@ -166,7 +176,7 @@ def check_drive_inputs(t: PromiseTrial) -> None:
             start, before, going = chip.clock, chip.net(axis), chip.busy(axis)
             trace = chip.trace(ticks)
             mean_input = float(chip.CORE.compute_drive_input.c(chip.pointer, axis, before, float(ticks)))
-            if not t.counts_pulses:
+            if not trial.counts_pulses:
                 if not -1 <= mean_input <= 1:
                     raise BrokenPromise(f"compute_drive_input is {mean_input}, and a motor command is -1 to 1")
                 continue

@@ -1,4 +1,7 @@
-"""Comparison of compiled code with plain Python: `python -m stage.testing.uncompiled` runs the programs in a separate process."""
+"""Comparison of compiled code with plain Python.
+
+`python -m stage.testing.uncompiled_comparison` runs the programs in a separate process without compilation.
+"""
 
 from __future__ import annotations
 
@@ -15,25 +18,27 @@ from stage.testing.chip_acts import perform_act
 from stage.testing.promise_trial import PromiseTrial
 
 
-def compare(kind: type[Chip], options: dict[str, Any], seed: int, programs: int, limit: float | None = None) -> str:
+def compare_with_plain_python(
+    chip_class: type[Chip], options: dict[str, Any], seed: int, programs: int, limit: float | None = None
+) -> str:
     """Compare the answers and states of compiled code with those of plain Python.
 
     Args:
-        kind: Class of the chip.
-        options: What a chip is made with.
+        chip_class: Class of the chip.
+        options: Arguments of the chip's constructor.
         seed: Seed of the programs.
         programs: Number of programs.
         limit: Real time for the plain Python, s; None: no limit.
 
     Returns:
-        Where they first differ; "" if they are equal.
+        The first difference in words; "" if there is none.
     """
-    compiled = run_programs(kind, options, seed, programs)
-    job = json.dumps([kind.__module__, kind.__qualname__, options, seed, programs, sys.path])
+    compiled = run_programs(chip_class, options, seed, programs)
+    job = json.dumps([chip_class.__module__, chip_class.__qualname__, options, seed, programs, sys.path])
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "stage.testing.uncompiled"], input=job, capture_output=True, encoding=ENCODING, errors=ERRORS,
-            env=os.environ | {"NUMBA_DISABLE_JIT": "1"}, timeout=limit,
+            [sys.executable, "-m", "stage.testing.uncompiled_comparison"], input=job, capture_output=True, encoding=ENCODING,
+            errors=ERRORS, env=os.environ | {"NUMBA_DISABLE_JIT": "1"}, timeout=limit,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         return f"as plain Python it has not ended after {limit:g} s"
@@ -48,9 +53,9 @@ def compare(kind: type[Chip], options: dict[str, Any], seed: int, programs: int,
     return ""
 
 
-def run_programs(kind: type[Chip], options: dict[str, Any], seed: int, programs: int) -> list[list[str]]:
+def run_programs(chip_class: type[Chip], options: dict[str, Any], seed: int, programs: int) -> list[list[str]]:
     """Return, for each program, the chip's answer and state after each act."""
-    trial = PromiseTrial(kind, lambda: kind(**options), seed, programs)
+    trial = PromiseTrial(chip_class, lambda: chip_class(**options), seed, programs)
     found = []
     for rng in trial.seeded_generators():
         chip, answers = trial.make(), []
@@ -62,7 +67,7 @@ def run_programs(kind: type[Chip], options: dict[str, Any], seed: int, programs:
 
 
 def main() -> None:
-    """Read a job as `compare` writes it, and print the result of `run_programs`."""
+    """Read a job that `compare_with_plain_python` has written, and print the result of `run_programs`."""
     module, name, options, seed, programs, path = json.load(sys.stdin)
     sys.path[:] = path
     kind: Any = import_module(module)
