@@ -328,7 +328,7 @@ def test_a_cleared_fault_is_the_only_one_that_a_recording_says_was_cleared(xyz):
         first, second = faults.phase_open(xyz.axes["x"], "a"), faults.phase_open(xyz.axes["x"], "b")
         first.clear()
         second.clear()
-    texts = [note.text for note in recording.notes]
+    texts = [note.text for note in recording.fault_changes]
     assert texts == [
         "axis x: phase a open: begins", "axis x: phase b open: begins",
         "axis x: phase a open: cleared", "axis x: phase b open: cleared",
@@ -465,7 +465,7 @@ def test_every_contact_of_the_machine_may_bounce_as_fast_as_it_can(xyz):
             axis.switches.stick("sd_plus", None)
     for fault in each:
         fault.clear()
-    recording.check_time()
+    recording.require_forward_time()
     for name, journal in recording.journals.items():
         assert journal.course().edges["inputs"][-1] == xyz.axes[name].chip.input_word(0)
         assert len(find_edges(journal, "org")[0]) <= 9 * 4
@@ -762,7 +762,7 @@ def test_a_recording_names_the_faults_at_their_moments(xyz, tmp_path):
         with faults.jam(x):
             xyz.run(0.0100001)
         stuck.clear()
-    texts = [(round(n.time, 7), n.text, n.in_force) for n in recording.notes]
+    texts = [(round(n.time, 7), n.text, n.in_force) for n in recording.fault_changes]
     both = ("axis x: org stuck closed", "axis x: jammed")
     assert texts == [
         (0.0, "in force from the start", both[:1]),

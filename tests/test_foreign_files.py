@@ -19,7 +19,7 @@ from stage.chips.chip import Snapshot as ChipSnapshot
 from stage.cli import main
 from stage.errors import ArgumentError, StageError
 from stage.panel import saved_panel as share
-from stage.recording import RecordingError, read, rerun_viewer, rrd_process
+from stage.recording import RecordingError, read, rerun_viewer, rrd_reader_process
 from stage.support.foreign_files import DocumentError, parse_json, parse_toml, read_bytes, read_members
 from stage.targets.elf import ARM, Elf
 
@@ -205,7 +205,7 @@ def test_hundreds_of_damaged_recordings_are_read_or_refused_in_words(recorded, t
 READER = """
 import os, signal, sys, time
 sys.path.insert(0, {folder!r})
-from stage.recording.rrd_process import END, HEAD
+from stage.recording.rrd_reader_process import CHUNK_HEAD, END_MARK
 out = sys.stdout.buffer
 {what}
 """
@@ -215,9 +215,9 @@ out = sys.stdout.buffer
     ("what", "says"),
     [
         ("os.kill(os.getpid(), signal.SIGABRT)", "reader was ended by SIGABRT"),
-        ("out.write(HEAD.pack(4, 1000)); out.flush(); os._exit(0)", "reader ended with status 0"),
-        ("out.write(HEAD.pack(5, 0) + b'other'); out.flush(); os._exit(0)", "is damaged: other"),
-        ("out.write(HEAD.pack(4, 1 << 60)); out.flush(); time.sleep(60)", "far larger when it is unpacked"),
+        ("out.write(CHUNK_HEAD.pack(4, 1000)); out.flush(); os._exit(0)", "reader ended with status 0"),
+        ("out.write(CHUNK_HEAD.pack(5, 0) + b'other'); out.flush(); os._exit(0)", "is damaged: other"),
+        ("out.write(CHUNK_HEAD.pack(4, 1 << 60)); out.flush(); time.sleep(60)", "far larger when it is unpacked"),
         ("time.sleep(60)", "was not done with it after 1 s"),
     ],
 )
@@ -226,9 +226,9 @@ def test_whatever_the_reading_process_does_is_an_error_in_words(recorded, tmp_pa
     program, path = tmp_path / "reader.py", tmp_path / "a.rrd"
     program.write_text(READER.format(folder=os.getcwd(), what=what))
     path.write_bytes(recorded)
-    monkeypatch.setattr(rrd_process, "PROGRAM", str(program))
+    monkeypatch.setattr(rrd_reader_process, "PROGRAM", str(program))
     if "sleep" in what:
-        monkeypatch.setattr(rrd_process, "SECONDS_OF_START", 1.0 if what.startswith("time") else 60.0)
+        monkeypatch.setattr(rrd_reader_process, "START_LIMIT_S", 1.0 if what.startswith("time") else 60.0)
     with pytest.raises(RecordingError, match=says):
         read(path)
 

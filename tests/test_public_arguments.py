@@ -34,7 +34,7 @@ MODULES = {
 NOT_CALLED_BY_USERS = {
     "stage.firmware.Axis": "a protocol",
     "stage.recording.Recording": "Stage.record() makes it",
-    "stage.recording.Saved": "stage.recording.read() makes it",
+    "stage.recording.SavedRecording": "stage.recording.read() makes it",
     "Stage.note_fault": "faults call it",
     "Stage.begin_recording": "recordings call it",
     "Stage.panel": "opens a page",

@@ -154,7 +154,7 @@ class Link:
             h["noted"] = 0
             self.journal_edges(n)
         if (recording := stage.loop.recording) is not None:
-            recording.take(int(h["filled"]))
+            recording.take_rows(int(h["filled"]))
             h["filled"] = recording.filled
 
     def journal_edges(self, n: int) -> None:

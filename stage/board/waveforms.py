@@ -20,7 +20,7 @@ import numpy as np
 
 from stage.board.bus.host_record import CALLED, IN, IN_WIDE, OUT_WIDE, RETURNED
 from stage.board.trace import KIND_BITS
-from stage.recording.vcd_writer import HOST
+from stage.recording.vcd_writer import HOST_SCOPE
 
 if TYPE_CHECKING:
     from stage.board.board import Board
@@ -100,16 +100,16 @@ def _register_signals(lines: np.ndarray, writer: Any, bus_ns: int, begin: int) -
     cycles, kinds = lines[~hooks], kind[~hooks]
     wide = bool(np.isin(kinds, (IN_WIDE, OUT_WIDE)).any())
     bits = max(16, int(cycles["port"].max()).bit_length() if len(cycles) else 16)
-    port = writer.register_var(HOST, "PORT", "reg", size=bits, init="x")
-    data = writer.register_var(HOST, "DATA", "reg", size=16 if wide else 8, init="x")
-    rd, wr = (writer.register_var(HOST, name, "wire", size=1, init=1) for name in ("RD_n", "WR_n"))
-    polls = writer.register_var(HOST, "POLLS", "wire", size=1, init=0)
+    port = writer.register_var(HOST_SCOPE, "PORT", "reg", size=bits, init="x")
+    data = writer.register_var(HOST_SCOPE, "DATA", "reg", size=16 if wide else 8, init="x")
+    rd, wr = (writer.register_var(HOST_SCOPE, name, "wire", size=1, init=1) for name in ("RD_n", "WR_n"))
+    polls = writer.register_var(HOST_SCOPE, "POLLS", "wire", size=1, init=0)
     streams = [
         _iterate_cycles(cycles, np.isin(kinds, (IN, IN_WIDE)), (port, data, rd, wr), bus_ns, begin),
         _iterate_polls(cycles, polls),
     ]
     if hooks.any():
-        hook = writer.register_var(HOST, "HOOK", "wire", size=1, init=0)
+        hook = writer.register_var(HOST_SCOPE, "HOOK", "wire", size=1, init=0)
         times, levels = lines["first"][hooks].tolist(), (kind[hooks] == CALLED).astype(int).tolist()
         streams.append((t, hook, level) for t, level in zip(times, levels, strict=True))
     return streams

@@ -154,10 +154,10 @@ class Sampler:
         traces: Traces by name, see `find_traces`.
         events: The last diagnostics of the chips, oldest first.
         samples, positions, filled: Buffers that the engine fills, like those of a Recording.
-        FORWARD: Whether the stage's time may only go forward while this object samples.
+        REQUIRES_FORWARD_TIME: Whether the stage's time may only go forward while this object samples.
     """
 
-    FORWARD = False
+    REQUIRES_FORWARD_TIME = False
 
     def __init__(self, session: Session):
         stage = session.stage
@@ -183,7 +183,7 @@ class Sampler:
 
     # --- in the stage's thread ---
 
-    def take(self, filled: int) -> None:
+    def take_rows(self, filled: int) -> None:
         """Store the first `filled` rows of the engine's buffers. The engine's loop calls this when the buffers are full."""
         if filled:
             self.filled = 0

@@ -13,21 +13,21 @@ if TYPE_CHECKING:
     from stage.recording.recording import Recording
 
 
-FORMAT = 1
+FORMAT_VERSION = 1
 """Version of the series and lanes in an .rrd file: counted up when what is read back would mean something else."""
 
 
 class Series(NamedTuple):
-    """Plot of one quantity.
+    """Quantity of an axis that a recording plots.
 
     Attributes:
-        title: Title.
-        units: Unit on a slide, and on a hinge.
+        title: Title of the plot.
+        units: Unit for an axis on a slide joint, and for one on a hinge joint.
         scales: Factors from SI to these units.
-        tolerance: Distance, in these units, within which the drawn line passes every sample.
-        value: Function of the samples of an axis.
-        only: "stepper" or "servo" where the other kind of axis has none.
-        servo: Title and unit of a servo, where they differ.
+        tolerance: Largest distance, in these units, between the drawn line and any sample.
+        value: Function that computes the quantity from the samples of an axis.
+        only: "stepper" or "servo" if only such axes have this series; "" if all have it.
+        servo: Title and unit for a servo axis if they differ from those of a stepper axis; else None.
     """
 
     title: str
@@ -39,7 +39,8 @@ class Series(NamedTuple):
     servo: tuple[str, str] | None = None
 
 
-def _split_units(units: dict[str, Unit]) -> tuple[tuple[str, str], tuple[float, float]]:
+def _split_symbols_and_factors(units: dict[str, Unit]) -> tuple[tuple[str, str], tuple[float, float]]:
+    """Return the unit symbols and the factors from SI, each for (slide, hinge)."""
     slide, hinge = units["m"], units["rad"]
     return (slide.symbol, hinge.symbol), (slide.factor, hinge.factor)
 
@@ -48,10 +49,12 @@ SERIES = {
     "rate": Series(
         "Pulse rate", ("pps", "pps"), (1, 1), 0.5, lambda s: s["rate"], servo=("Commanded velocity", "counts/s")
     ),
-    "position": Series("Position", *_split_units(POSITION_UNITS), 2e-4, lambda s: s["position"]),
-    "commanded": Series("Commanded position", *_split_units(POSITION_UNITS), 2e-4, lambda s: s["commanded"]),
+    "position": Series("Position", *_split_symbols_and_factors(POSITION_UNITS), 2e-4, lambda s: s["position"]),
+    "commanded": Series(
+        "Commanded position", *_split_symbols_and_factors(POSITION_UNITS), 2e-4, lambda s: s["commanded"]
+    ),
     "following_error": Series(
-        "Following error", *_split_units(DEVIATION_UNITS), 0.02, lambda s: s["commanded"] - s["position"]
+        "Following error", *_split_symbols_and_factors(DEVIATION_UNITS), 0.02, lambda s: s["commanded"] - s["position"]
     ),
     "voltage": Series("Motor voltage", ("V", "V"), (1, 1), 0.02, lambda s: s["voltage"], "servo"),
     "current": Series("Motor current", ("A", "A"), (1, 1), 0.005, lambda s: s["current_a"], "servo"),
@@ -66,13 +69,13 @@ SERIES = {
 
 
 def select_series(axis: Any, series: Mapping[str, Series] = SERIES) -> dict[str, Series]:
-    """Return the series that an axis has, of all `series`."""
+    """Return the entries of `series` that this axis has."""
     kind = "servo" if axis.drive.has_encoder else "stepper"
     return {key: s for key, s in series.items() if s.only in ("", kind)}
 
 
 def describe_series(series: Series, axis: Any) -> tuple[str, str, float]:
-    """Return the title and the unit of a series of an axis, and the factor from SI to this unit."""
+    """Return the title, the unit and the factor from SI to that unit for one series of an axis."""
     on_hinge = axis.unit != "m"
     title, unit = series.servo if series.servo and axis.drive.has_encoder else (series.title, series.units[on_hinge])
     return title, unit, series.scales[on_hinge]
@@ -91,7 +94,7 @@ COLORS = {
 
 
 def assign_colors(recording: Recording) -> dict[str, str]:
-    """Return the name of each axis' color."""
+    """Return the color of each axis, by the name of the axis."""
     names = list(COLORS)
     return {name: names[k % len(names)] for k, name in enumerate(recording.axes)}
 

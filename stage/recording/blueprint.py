@@ -1,4 +1,4 @@
-"""The dashboard that a recording opens as: the stage large, its signals, what was sampled, and the bus."""
+"""The rerun dashboard that opens with a recording: a large 3D view, signals, sampled quantities and bus cycles."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from stage.recording.rerun_scene import make_axis_entity_path
 if TYPE_CHECKING:
     from stage.recording.recording import Recording
 
-CAMERA = "overview"  # name of the camera in the MJCF from which the first view is
+CAMERA_NAME = "overview"  # name of the camera in the MJCF from which the first view is
 FIELD_OF_VIEW_DEG = 55.0  # of rerun's eye
 MARGIN = 1.12
-SAMPLED = ("following_error", "voltage", "current", "load_angle", "lost_steps", "counter")
+SAMPLED_SERIES = ("following_error", "voltage", "current", "load_angle", "lost_steps", "counter")
 BACKGROUND = (30, 34, 41)
 GRID = (96, 104, 118, 110)
 
 
 def build_dashboard(recording: Recording) -> Any:
-    """Return the rerun blueprint of a recording."""
+    """Build the rerun blueprint of the dashboard for a recording."""
     position, target = find_eye(recording.model)
     view = rrb.Spatial3DView(
         origin="/stage",
@@ -40,6 +40,7 @@ def build_dashboard(recording: Recording) -> Any:
     together = rrb.TimeAxis(link="LinkToGlobal")
 
     def plot(*keys: str, suffix: str = "") -> Any:
+        """Return the view of one plot with these series of all axes."""
         return rrb.TimeSeriesView(
             name=make_plot_title(recording, keys[0]) + suffix,
             origin="/",
@@ -70,7 +71,7 @@ def build_dashboard(recording: Recording) -> Any:
             rrb.Vertical(
                 plot("rate", suffix=f": {', '.join(f'{a} {c}' for a, c in assign_colors(recording).items())}"),
                 plot("position", "commanded", suffix=", commanded darker"),
-                rrb.Tabs(*(plot(key) for key in SAMPLED if list_axes_with_series(recording, key))),
+                rrb.Tabs(*(plot(key) for key in SAMPLED_SERIES if list_axes_with_series(recording, key))),
                 rrb.Tabs(
                     bus,
                     rrb.TextDocumentView(origin="/about", name="About"),
@@ -89,9 +90,12 @@ def build_dashboard(recording: Recording) -> Any:
 
 
 def find_eye(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return the position of the eye and the point at its center: of the MJCF's camera `overview`, else of MuJoCo's viewer."""
+    """Return the position of the viewer's eye and the point that it looks at.
+
+    They come from the camera `overview` of the MJCF or, without such a camera, from MuJoCo's default view.
+    """
     target = np.array(model.stat.center)
-    camera = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, CAMERA)
+    camera = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, CAMERA_NAME)
     if camera >= 0:
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
@@ -108,7 +112,7 @@ def find_eye(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _build_grid(model: mujoco.MjModel) -> Any:
-    """Return lines on the floor, a power of ten of meters apart that fits the model."""
+    """Return the lines of a grid on the floor; their spacing is a power of ten of meters that suits the size of the model."""
     floor = geom_archetypes.find_floor(model)
     if floor is None:
         return rrb.LineGrid3D(visible=False)

@@ -1,8 +1,9 @@
-"""Serve one recording to browsers of this machine: rerun's page and the file, by a server of this process.
+"""HTTP server of one recording for browsers of this machine: it serves rerun's page and the recording.
 
-A web site can make its name point at 127.0.0.1 (DNS rebinding), and a browser then lets its pages read from there. So listening on
-127.0.0.1 keeps out other machines, but not their pages, and rerun's own servers accept any host name. This server accepts 127.0.0.1
-and localhost only, and only a path that nobody can guess, which also keeps out other users of the machine.
+A web site can make its name point at 127.0.0.1 (DNS rebinding), and a browser then lets the site's pages read from there.
+Listening on 127.0.0.1 therefore keeps out other machines, but not such pages, and rerun's own servers accept any host name. This
+server accepts only the names 127.0.0.1 and localhost, and only paths in a folder with a random name. Other users of the machine
+cannot guess that name.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from typing import Any
 from urllib.parse import quote, urlsplit
 
 HOST = "127.0.0.1"
-NAMES = (HOST, "localhost")
-PAGE = {
+ALLOWED_HOST_NAMES = (HOST, "localhost")
+PAGE_MIME_TYPES = {
     "": "text/html; charset=utf-8",
     "re_viewer.js": "text/javascript",
     "re_viewer_bg.wasm": "application/wasm",
@@ -28,31 +29,31 @@ PAGE = {
     "apple-touch-icon.png": "image/png",
 }
 """MIME types of the files of rerun's page, by name."""
-RECORDING = "recording.rrd"  # its name in addresses: rerun goes by the ending
+RECORDING_NAME = "recording.rrd"  # its name in addresses: rerun goes by the ending
 
 
 CONTENT_POLICY = "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:"
 """Content-Security-Policy of the page: nothing from other servers, to which it would send usage data."""
 
 
-class Server(ThreadingHTTPServer):
-    """Server of a recording at `address`. Raises OSError where the port cannot be had.
+class RecordingServer(ThreadingHTTPServer):
+    """HTTP server of a recording at `address`. The constructor raises OSError if the port is not free.
 
     Args:
-        rrd: The recording.
+        rrd: Path of the recording.
         port: TCP port.
-        outside: The page may call other servers.
+        allow_other_servers: Whether the page may call other servers.
 
     Attributes:
-        page: Files of rerun's page, by the names of PAGE; set them before it serves.
+        page: Contents of the files of rerun's page, by the names of PAGE_MIME_TYPES. Set them before the server starts.
     """
 
     daemon_threads = True
 
-    def __init__(self, rrd: Path, port: int, outside: bool = False) -> None:
+    def __init__(self, rrd: Path, port: int, allow_other_servers: bool = False) -> None:
         super().__init__((HOST, port), _Handler)
         self.rrd = rrd
-        self.outside = outside
+        self.allows_other_servers = allow_other_servers
         self.page: Mapping[str, bytes] = {}
         self.folder = f"/{secrets.token_urlsafe(16)}/"
 
@@ -63,22 +64,26 @@ class Server(ThreadingHTTPServer):
 
     @property
     def hosts(self) -> list[str]:
-        """Names of the server with its port, which browsers omit where it is 80."""
-        return [f"{name}:{self.server_port}" for name in NAMES] + list(NAMES) * (self.server_port == 80)
+        """Host names, with and where possible without the port, that a request may address."""
+        return [f"{name}:{self.server_port}" for name in ALLOWED_HOST_NAMES] + list(ALLOWED_HOST_NAMES) * (
+            self.server_port == 80
+        )
 
     def server_bind(self) -> None:
-        """Bind without asking the network for the name of the machine, as HTTPServer does."""
+        """Bind the port without a DNS look-up of this machine's name, which HTTPServer would make."""
         TCPServer.server_bind(self)
         self.server_name, self.server_port = HOST, int(self.server_address[1])
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Report errors, but those of a browser that disconnects."""
+        """Report errors of a request, except those of a browser that disconnects."""
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
 
 class _Handler(BaseHTTPRequestHandler):
-    server: Server
+    """Handler of one browser connection to a RecordingServer."""
+
+    server: RecordingServer
     timeout = 60  # s that a browser may say nothing
 
     def do_GET(self) -> None:
@@ -96,14 +101,14 @@ class _Handler(BaseHTTPRequestHandler):
         if name == address.path:  # not in our folder
             self._refuse(HTTPStatus.NOT_FOUND, "Nothing is served here. Open the address that the command has printed.")
         elif name == "" and not address.query:
-            self._begin(HTTPStatus.FOUND, "text/plain", 0)
-            recording = quote(f"http://{hosts[0]}{self.server.folder}{RECORDING}", safe="")
+            self._send_head(HTTPStatus.FOUND, "text/plain", 0)
+            recording = quote(f"http://{hosts[0]}{self.server.folder}{RECORDING_NAME}", safe="")
             self.send_header("Location", f"{self.server.folder}?url={recording}")
             self.end_headers()
-        elif name == RECORDING:
+        elif name == RECORDING_NAME:
             self._send_recording()
         elif name in self.server.page:
-            self._send(HTTPStatus.OK, PAGE[name], self.server.page[name])
+            self._send(HTTPStatus.OK, PAGE_MIME_TYPES[name], self.server.page[name])
         else:
             self._refuse(HTTPStatus.NOT_FOUND, "There is no such file.")
 
@@ -112,27 +117,28 @@ class _Handler(BaseHTTPRequestHandler):
     def _send_recording(self) -> None:
         try:
             with self.server.rrd.open("rb") as file:
-                self._begin(HTTPStatus.OK, "application/octet-stream", self.server.rrd.stat().st_size)
+                self._send_head(HTTPStatus.OK, "application/octet-stream", self.server.rrd.stat().st_size)
                 self.end_headers()
                 if self.command == "GET":
                     shutil.copyfileobj(file, self.wfile)
         except FileNotFoundError:
             self._refuse(HTTPStatus.NOT_FOUND, "The recording is no longer there.")
 
-    def _refuse(self, status: HTTPStatus, why: str) -> None:
-        self._send(status, "text/plain; charset=utf-8", f"{why}\n".encode())
+    def _refuse(self, status: HTTPStatus, reason: str) -> None:
+        self._send(status, "text/plain; charset=utf-8", f"{reason}\n".encode())
 
-    def _send(self, status: HTTPStatus, kind: str, content: bytes) -> None:
-        self._begin(status, kind, len(content))
+    def _send(self, status: HTTPStatus, mime_type: str, content: bytes) -> None:
+        self._send_head(status, mime_type, len(content))
         self.end_headers()
         if self.command == "GET":
             self.wfile.write(content)
 
-    def _begin(self, status: HTTPStatus, kind: str, length: int) -> None:
+    def _send_head(self, status: HTTPStatus, mime_type: str, length: int) -> None:
+        """Send the status and the headers that all answers have; the caller may add headers before `end_headers`."""
         self.send_response(status)
-        self.send_header("Content-Type", kind)
+        self.send_header("Content-Type", mime_type)
         self.send_header("Content-Length", str(length))
-        if not self.server.outside:
+        if not self.server.allows_other_servers:
             self.send_header("Content-Security-Policy", CONTENT_POLICY)
         self.send_header("Referrer-Policy", "no-referrer")  # nobody else learns the path
         self.send_header("X-Content-Type-Options", "nosniff")

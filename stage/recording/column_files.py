@@ -1,6 +1,7 @@
-"""Columns as data frames and files: pandas, Parquet, CSV, NumPy's .npz. Each is written in pieces, so hours do not fill memory.
+"""Columns as data frames and files: pandas, Parquet, CSV, NumPy's .npz.
 
-Names and units are those of the columns: "x/position" in metres. Parquet keeps the unit of each column as metadata of its field.
+Files are written in parts, so that hours of samples do not fill the memory. Names and units are those of the columns, for example
+"x/position" in meters. A Parquet file has the unit of each column in the metadata of its field.
 """
 
 from __future__ import annotations
@@ -27,19 +28,23 @@ FORMATS = {".csv": "to_csv", ".parquet": "to_parquet", ".npz": "to_npz"}
 
 
 def find_writer_name(path: str | os.PathLike) -> str:
-    """Return the method of `Tabular` that writes a file of this name. Raises FileError for an ending that is none of FORMATS."""
+    """Return the name of the method of `Tabular` that writes a file with this ending.
+
+    Raises:
+        FileError: The ending is not among FORMATS.
+    """
     return FORMATS[check_ending(path, FORMATS, "a table")]
 
 
 class Columns(dict[str, np.ndarray]):
-    """Columns by name. An unknown name raises UnknownKey, which is a KeyError, with the near misses."""
+    """Columns by name. An unknown name raises UnknownKey (a KeyError), whose message lists similar names."""
 
     def __missing__(self, name: object) -> np.ndarray:
         raise UnknownKey(str(unknown_name_error("column", name, self)))
 
 
 class Tabular:
-    """Table of columns over time: arrays of one length by name, "time" first."""
+    """Base class of tables of columns over time: arrays of equal length by name, "time" first."""
 
     ERROR: type[FileError] = FileError
 
@@ -49,15 +54,23 @@ class Tabular:
         raise NotImplementedError
 
     @explain_arguments
-    def parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
-        """Yield these columns, a number of rows at a time; once at least. Raises ArgumentError for an unknown column."""
-        return self._parts(self._known_columns(names))
+    def iterate_columns(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
+        """Yield the values of these columns for successive groups of rows, at least once.
 
-    def _parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
-        """Yield these columns, which exist."""
+        Args:
+            names: Names of the columns.
+
+        Raises:
+            ArgumentError: A column does not exist.
+        """
+        return self._iterate_columns(self._check_column_names(names))
+
+    def _iterate_columns(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
+        """Yield the values of columns that exist, for successive groups of rows."""
         raise NotImplementedError
 
-    def _known_columns(self, names: Sequence[str]) -> list[str]:
+    def _check_column_names(self, names: Sequence[str]) -> list[str]:
+        """Return the names as a list. Raises ArgumentError if a column does not exist."""
         known = list(self.units)
         for name in names:
             if name not in known:
@@ -65,9 +78,10 @@ class Tabular:
         return list(names)
 
     def _select_columns(self, columns: Sequence[str] | str | None) -> list[str]:
+        """Return the names of the columns to write, "time" included."""
         if columns is None:
             return list(self.units)
-        names = self._known_columns([columns] if isinstance(columns, str) else columns)
+        names = self._check_column_names([columns] if isinstance(columns, str) else columns)
         return ["time", *(name for name in dict.fromkeys(names) if name != "time")]
 
     @explain_arguments
@@ -83,7 +97,7 @@ class Tabular:
         """
         pandas = import_extra("pandas", "a data frame")
         names = self._select_columns(columns)
-        parts = [*self.parts(names)]
+        parts = [*self.iterate_columns(names)]
         columns_by_name = {name: np.concatenate([part[name] for part in parts]) for name in names}
         index = pandas.Index(columns_by_name.pop("time"), name="time")
         frame = pandas.DataFrame(columns_by_name, index=index)
@@ -116,7 +130,7 @@ class Tabular:
         with write_atomically(path, overwrite, self.ERROR) as part:
             writer = None
             try:
-                for piece in self.parts(names):
+                for piece in self.iterate_columns(names):
                     arrays = [pyarrow.array(piece[name]) for name in names]
                     if writer is None:
                         fields = [
@@ -136,7 +150,9 @@ class Tabular:
     def to_csv(
         self, path: str | os.PathLike, columns: Sequence[str] | str | None = None, *, overwrite: bool = False
     ) -> Path:
-        """Write a CSV file: a line of names, then a line a sample. Numbers have all digits that they need; pins are 0 and 1.
+        """Write a CSV file: a line with the names, then one line per sample.
+
+        Numbers have as many digits as their exact value needs; pins are 0 and 1.
 
         Args:
             path: The file.
@@ -157,7 +173,7 @@ class Tabular:
         ):
             rows = csv.writer(file, lineterminator="\n")
             rows.writerow(names)
-            for piece in self.parts(names):
+            for piece in self.iterate_columns(names):
                 values = [piece[name] for name in names]
                 rows.writerows(zip(*((v.astype(int) if v.dtype == bool else v).tolist() for v in values), strict=True))
         return Path(path)
@@ -186,7 +202,7 @@ class Tabular:
             zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive,
         ):
             for name in names:  # one at a time: never all of them in memory
-                values = np.concatenate([piece[name] for piece in self.parts([name])])
+                values = np.concatenate([piece[name] for piece in self.iterate_columns([name])])
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                     np.lib.format.write_array(file, values, allow_pickle=False)
         return Path(path)
@@ -194,7 +210,7 @@ class Tabular:
     def to_file(
         self, path: str | os.PathLike, columns: Sequence[str] | str | None = None, *, overwrite: bool = False
     ) -> Path:
-        """Write a file of the kind that the ending of its name says: .csv, .parquet or .npz.
+        """Write a .csv, .parquet or .npz file, according to the ending of the path.
 
         Args:
             path: The file.

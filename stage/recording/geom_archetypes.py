@@ -17,7 +17,7 @@ _KIND = mujoco.mjtGeom
 
 
 def is_visible(model: mujoco.MjModel, geom: int) -> bool:
-    """Return whether a geom is meant to be seen.
+    """Return whether a geom is meant to be seen (its group is below HIDDEN_GROUP, and it is not transparent).
 
     Args:
         model: The model.
@@ -29,7 +29,7 @@ def is_visible(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def find_color(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """Return the color of a geom: that of its material, with the mean of its texture, where it has one.
+    """Return the color of a geom. A material counts instead of the geom's own color, with the mean color of its texture.
 
     Args:
         model: The model.
@@ -57,7 +57,10 @@ def _compute_mean_texture(model: mujoco.MjModel, texture: int) -> np.ndarray:
 
 
 def find_floor(model: mujoco.MjModel) -> int | None:
-    """Return the first level plane of the world, or None; it is shown as a grid of lines, which hides nothing from below."""
+    """Return the first horizontal plane of the world, or None.
+
+    A grid of lines stands for this plane, so that it hides nothing from a camera below it.
+    """
     planes = model.geom_type == int(_KIND.mjGEOM_PLANE)  # with the name itself numpy compares objects, one by one
     for g in np.flatnonzero(planes & (model.geom_bodyid == 0)).tolist():
         if abs(model.geom_quat[g][0]) > 1 - 1e-9:
@@ -66,7 +69,7 @@ def find_floor(model: mujoco.MjModel) -> int | None:
 
 
 def list_shapes(model: mujoco.MjModel, body: int) -> Iterator[tuple[str, Any]]:
-    """Yield names of entities and archetypes for the geoms of a body, in the body's frame.
+    """Yield the names and rerun archetypes of the geoms of a body, in the frame of the body.
 
     Args:
         model: The model.
@@ -78,8 +81,8 @@ def list_shapes(model: mujoco.MjModel, body: int) -> Iterator[tuple[str, Any]]:
         if g != grid and is_visible(model, g):
             kinds.setdefault(int(model.geom_type[g]), []).append(g)
     for kind, geoms in kinds.items():
-        if kind in _MAKERS:
-            name, make = _MAKERS[kind]
+        if kind in _ARCHETYPE_MAKERS:
+            name, make = _ARCHETYPE_MAKERS[kind]
             yield name, make(model, geoms)
         elif kind == _KIND.mjGEOM_MESH:
             for g in geoms:
@@ -87,6 +90,7 @@ def list_shapes(model: mujoco.MjModel, body: int) -> Iterator[tuple[str, Any]]:
 
 
 def _place_geoms(model: mujoco.MjModel, geoms: list[int]) -> dict[str, Any]:
+    """Return rotations and colors of geoms as arguments of an archetype."""
     quats = np.roll(model.geom_quat[geoms], -1, axis=1)  # rerun's order is x y z w
     return {"quaternions": quats, "colors": np.array([find_color(model, g) for g in geoms])}
 
@@ -101,12 +105,12 @@ def _make_boxes(model: mujoco.MjModel, geoms: list[int]) -> Any:
 
 
 def _make_planes(model: mujoco.MjModel, geoms: list[int]) -> Any:
-    """Return slabs whose tops are the planes; an endless one ends at twice the model's extent."""
+    """Return flat boxes whose tops are the planes. An infinite plane ends at twice the extent of the model."""
     limit = 2 * float(model.stat.extent)
     half = model.geom_size[geoms].copy()
     half[(half <= 0) | (half > limit)] = limit
     half[:, 2] = PLANE_THICKNESS_M
-    down = np.array([rotate(model.geom_quat[g], [0, 0, -PLANE_THICKNESS_M]) for g in geoms])
+    down = np.array([rotate_vector(model.geom_quat[g], [0, 0, -PLANE_THICKNESS_M]) for g in geoms])
     return rr.Boxes3D(
         half_sizes=half, centers=model.geom_pos[geoms] + down, fill_mode="solid", **_place_geoms(model, geoms)
     )
@@ -129,16 +133,16 @@ def _make_cylinders(model: mujoco.MjModel, geoms: list[int]) -> Any:
 
 
 def _make_capsules(model: mujoco.MjModel, geoms: list[int]) -> Any:
-    """Return capsules; rerun's begins at its origin, MuJoCo's has its center there."""
+    """Return capsules. The origin of rerun's capsule is at one end; MuJoCo's is in the middle."""
     size = model.geom_size[geoms]
-    ends = np.array([rotate(model.geom_quat[g], [0, 0, -s[1]]) for g, s in zip(geoms, size, strict=True)])
+    ends = np.array([rotate_vector(model.geom_quat[g], [0, 0, -s[1]]) for g, s in zip(geoms, size, strict=True)])
     return rr.Capsules3D(
         lengths=2 * size[:, 1], radii=size[:, 0], translations=model.geom_pos[geoms] + ends, fill_mode="solid",
         **_place_geoms(model, geoms),
     )  # fmt: skip
 
 
-_MAKERS: dict[int, tuple[str, Any]] = {
+_ARCHETYPE_MAKERS: dict[int, tuple[str, Any]] = {
     int(_KIND.mjGEOM_BOX): ("boxes", _make_boxes),
     int(_KIND.mjGEOM_PLANE): ("planes", _make_planes),
     int(_KIND.mjGEOM_SPHERE): ("spheres", _make_ellipsoids),
@@ -149,7 +153,7 @@ _MAKERS: dict[int, tuple[str, Any]] = {
 
 
 def find_triangles(model: mujoco.MjModel, mesh: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the triangles of a mesh with one normal each, so that a viewer shows the edges of the mesh sharp.
+    """Return the triangles of a mesh with one normal each, so that a viewer shows sharp edges.
 
     Args:
         model: The model.
@@ -179,20 +183,20 @@ def _make_mesh(model: mujoco.MjModel, geom: int) -> Any:
     )
 
 
-def rotate(quat: Any, v: Any) -> np.ndarray:
-    """Rotate a vector.
+def rotate_vector(quaternion: Any, vector: Any) -> np.ndarray:
+    """Return a vector rotated by a quaternion.
 
     Args:
-        quat: Quaternion w x y z, as MuJoCo has it.
-        v: Vector, (3,).
+        quaternion: Quaternion w x y z, as in MuJoCo.
+        vector: Vector, (3,).
     """
     out = np.zeros(3)
-    mujoco.mju_rotVecQuat(out, np.asarray(v, float), np.asarray(quat, float))
+    mujoco.mju_rotVecQuat(out, np.asarray(vector, float), np.asarray(quaternion, float))
     return out
 
 
 def compute_poses(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute where the bodies and sites are.
+    """Compute the poses of all bodies and the positions of all sites for a series of joint positions.
 
     Args:
         model: The model.

@@ -1,4 +1,7 @@
-"""Pins as an oscilloscope shows them: names and polarity on the wire, chip phases, status bits; each family defines its own."""
+"""Signals of chips as an oscilloscope shows them: names and polarity of pins, motion phases, status bits.
+
+The class of each chip family defines the names.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +22,8 @@ SWITCHES = {
 HOLD, CONTROL = "hold", "control"
 
 
-def find_wire(chip: Any, pin: str) -> tuple[str, int]:
-    """Return the name of a pin on the wire, and its level while asserted.
+def find_wire_name_and_level(chip: Any, pin: str) -> tuple[str, int]:
+    """Return the name of a pin's wire, and the level (0 or 1) of the wire while the pin is asserted.
 
     Args:
         chip: The chip.
@@ -29,22 +32,30 @@ def find_wire(chip: Any, pin: str) -> tuple[str, int]:
     return chip.WIRES.get(pin, (pin.upper(), 1))
 
 
-def settle_edges(pieces: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-    """Yield the edges without those that another edge at the same clock follows: the levels on which the wires settle."""
+def settle_edges(edge_arrays: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    """Yield only the last of several edges at the same clock, which has the final levels of the wires.
+
+    Args:
+        edge_arrays: Successive arrays of edges of a chip.
+    """
     rest: np.ndarray | None = None
-    for piece in pieces:
+    for edges in edge_arrays:
         if rest is not None:
-            piece = np.concatenate([rest, piece])
-        is_last = piece["clock"][1:] != piece["clock"][:-1]
-        rest = piece[-1:]
+            edges = np.concatenate([rest, edges])
+        is_last = edges["clock"][1:] != edges["clock"][:-1]
+        rest = edges[-1:]
         if is_last.any():
-            yield piece[:-1][is_last]
+            yield edges[:-1][is_last]
     if rest is not None:
         yield rest
 
 
 def list_pin_edges(journal: Journal | Replay) -> np.ndarray:
-    """Return the edges of a chip at which a pin other than the pulses changes, and the first (of a Replay, what is new)."""
+    """Return the first edge, and each edge at which a pin that is no pulse output changes.
+
+    Args:
+        journal: Journal of the chip, or a Replay, of which the new edges count.
+    """
     parts: list[np.ndarray] = []
     before = None
     for piece in settle_edges(journal.pieces()):
@@ -56,7 +67,7 @@ def list_pin_edges(journal: Journal | Replay) -> np.ndarray:
 
 
 def find_changes(edges: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where a signal changes; the first edge is a change.
+    """Return the clocks at which a signal changes, and its new values. The first edge counts as a change.
 
     Args:
         edges: Edges of a chip, (n,).
@@ -70,7 +81,7 @@ def find_changes(edges: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def is_asserted(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
-    """Return the state of a pin from each edge on.
+    """Return whether a pin is asserted after each edge.
 
     Args:
         chip: The chip.
@@ -85,7 +96,9 @@ def is_asserted(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
 
 
 def is_switch_on(axis: Any, edges: np.ndarray, switch: str) -> np.ndarray:
-    """Return from each edge on whether a switch, or one that shares its pin, is on, as the pin says.
+    """Return after each edge whether a switch is on, as far as its pin shows that.
+
+    If several switches share the pin, the result is True while any of them is on.
 
     Args:
         axis: The axis.
@@ -99,28 +112,31 @@ def is_switch_on(axis: Any, edges: np.ndarray, switch: str) -> np.ndarray:
     return is_asserted(axis.chip, edges, switch) != is_positive
 
 
-def list_phases(chip: Any) -> list[str]:
-    """Return the phases that a chip can have, the one without a pin last."""
+def list_motion_phases(chip: Any) -> list[str]:
+    """Return the names of the motion phases of a chip, such as "up" (ramp up).
+
+    The last one applies while no phase pin is asserted.
+    """
     rest = CONTROL if chip.SERVO else HOLD
     return [*dict.fromkeys(phase for phase in chip.PHASES.values() if phase != rest), rest]
 
 
-def find_phases(chip: Any, edges: np.ndarray) -> np.ndarray:
-    """Return the chip's phase from each edge on: up, keep, down, hold; of a servo idle, profile, control.
+def find_motion_phases(chip: Any, edges: np.ndarray) -> np.ndarray:
+    """Return the motion phase after each edge: up, keep, down, hold; for a servo idle, profile, control.
 
     Args:
         chip: The chip.
         edges: Edges of its journal, (n,).
     """
-    rest = np.full(len(edges), list_phases(chip)[-1])
+    rest = np.full(len(edges), list_motion_phases(chip)[-1])
     levels = [is_asserted(chip, edges, pin) for pin in chip.PHASES]
     return np.select(levels, list(chip.PHASES.values()), rest) if levels else rest
 
 
 def list_switches(axis: Any) -> Iterator[tuple[str, str, str]]:
-    """Yield name, label and kind of the switches that an axis' chip can tell apart; `is_asserted` takes the name.
+    """Yield name, label and kind of each switch that the chip of an axis can distinguish. `is_asserted` takes the name.
 
-    Switches that are wired to one pin are one, by the pin's name.
+    Switches that share a pin are one entry, with the name of the pin.
     """
     chip = axis.chip
     wired = [p for p in SWITCHES if chip.wired(p) and p in axis.switches.as_dict()]
@@ -133,13 +149,13 @@ def list_switches(axis: Any) -> Iterator[tuple[str, str, str]]:
             yield chip.WIRING[switch], kind.upper(), kind
 
 
-def decode_status(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the bits of the status byte from each edge on, as a read at address 0 would give them.
+def decode_status(chip: Any, edges: np.ndarray, is_minus: np.ndarray) -> dict[str, np.ndarray]:
+    """Return each bit of the status byte after each edge, as a read at address 0 would show it.
 
     Args:
         chip: The chip.
         edges: Edges of its journal, (n,).
-        minus: Whether the direction is minus, (n,), see `list_directions`.
+        is_minus: Whether the direction is minus, (n,), see `list_directions`.
 
     Returns:
         Booleans by name of the bit, (n,); empty for a chip that has no status byte.
@@ -149,12 +165,12 @@ def decode_status(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, 
     for field in word.fields if word is not None else ():
         levels = [_read_status_bit(chip, edges, pin) for pin in field.pins]
         if levels:
-            bits[field.name] = np.where(minus, levels[-1], levels[0])
+            bits[field.name] = np.where(is_minus, levels[-1], levels[0])
     return bits
 
 
 def _read_status_bit(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
-    """Return a pin as the chip reads it, where polarity bits invert it; with / before its name the opposite."""
+    """Return a pin as the status byte shows it: with the polarity that the chip is set to, inverted if its name begins with "/"."""
     name = pin.removeprefix("/")
     bit = chip.wired(name)
     has_reading = bit and "seen" in (edges.dtype.names or ())
@@ -163,14 +179,14 @@ def _read_status_bit(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
 
 
 def list_directions(chip: Any, journal: Journal) -> tuple[np.ndarray, np.ndarray]:
-    """Return the directions that bus writes select.
+    """Return the directions that the bus writes in a journal select, and when.
 
     Args:
         chip: The chip.
         journal: Its journal.
 
     Returns:
-        Clocks, of which the first is the start's, and whether the direction is minus from each on.
+        Clocks, the first of them that of the journal's start, and from each clock on whether the direction is minus.
     """
     start = journal.start
     if "minus" not in (start.dtype.names or ()):
@@ -185,10 +201,10 @@ def list_directions(chip: Any, journal: Journal) -> tuple[np.ndarray, np.ndarray
 
 
 def to_pulse_rates(edges: np.ndarray, clock_hz: int) -> np.ndarray:
-    """Return the pulse rate from each edge on, pps.
+    """Return the pulse rate after each edge, pps.
 
     Args:
         edges: Edges of a chip, (n,).
-        clock_hz: Its clock, Hz.
+        clock_hz: Reference clock of the chip, Hz.
     """
     return edges["rate"] * clock_hz

@@ -33,7 +33,7 @@ from stage.chips.exclusive_access import exclusively
 from stage.chips.journal import Journal
 from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.recording.column_files import Columns, Tabular
-from stage.recording.vcd_writer import HostBus
+from stage.recording.vcd_writer import RecordedBusCycles
 from stage.sim.engine_records import SAMPLE
 from stage.support import html
 from stage.support.argument_checks import check_integer, explain_arguments
@@ -93,13 +93,13 @@ def find_column_unit(column: str, unit: str, servo: bool) -> str:
     return usual.replace("m", unit, 1) if usual in ("m", "m/s") else usual
 
 
-class Note(NamedTuple):
-    """Begin or end of a fault.
+class FaultChange(NamedTuple):
+    """Begin or end of a fault during a recording.
 
     Attributes:
-        time: s.
+        time: Time of the change, s.
         text: The fault in words.
-        in_force: Faults in force from then on, see Stage.faults.
+        in_force: All faults in force from then on, see Stage.faults.
     """
 
     time: float
@@ -108,11 +108,11 @@ class Note(NamedTuple):
 
 
 class RecordingError(FileError):
-    """Error of a recording that cannot go on, or cannot be written to a path."""
+    """Error of a recording that cannot continue or cannot be written to a file."""
 
 
 class RecordingWarning(UserWarning):
-    """Warning that a recording could not go on, and the simulation continued without it (on_error="warn")."""
+    """Warning that a recording has ended early while the simulation continues (on_error="warn")."""
 
 
 def _make_write_error(path: Path, error: OSError) -> RecordingError:
@@ -120,33 +120,33 @@ def _make_write_error(path: Path, error: OSError) -> RecordingError:
 
 
 class Recording(Tabular):
-    """Samples and journals of a run, from now to its `close`. A context manager, usable after its end.
+    """Samples and journals of a run, from its creation to `close`. A context manager; the data stays available after `close`.
 
     Args:
-        stage: A stage that is not recorded.
-        every: Seconds between samples, up to 1e6, rounded to whole physics steps, one at least; switch edges and bus writes are
-            exact anyway.
-        path: Write a rerun file as it goes, see `stream`.
+        stage: A stage that is not being recorded.
+        every: Seconds between samples, up to 1e6, rounded to whole physics steps, one at least. Switch edges and bus writes are
+            exact in any case.
+        path: Rerun file to write during the run, see `stream`.
         overwrite: The file may exist.
-        on_error: What a full disk does while it records: "raise" a RecordingError in the run, which can then continue without it,
-            or "warn" (RecordingWarning) and go on.
+        on_error: Reaction to a full disk during the run. "raise": a RecordingError, after which the run can continue without
+            recording; "warn": a RecordingWarning.
 
     Raises:
-        ArgumentError: A time between samples that cannot be.
-        StageError: Another recording goes on.
+        ArgumentError: `every` is out of range.
+        StageError: The stage is already being recorded.
         RecordingError: The stage drives no axis, or the file cannot be written.
 
     Attributes:
         model: The MjModel.
         axes: The stage's axes by name.
         every: Seconds between samples.
-        notes: Faults that began and ended, in order.
+        fault_changes: Begins and ends of faults, in order.
         host: Bus cycles of a board, if the stage has one.
-        samples, positions, filled: The engine's buffers, (ROWS, axes) SAMPLE and (ROWS, nq), and the rows that it filled.
+        samples, positions, filled: The engine's buffers, (ROWS, axes) SAMPLE and (ROWS, nq), and the number of filled rows.
     """
 
     ERROR = RecordingError
-    FORWARD = True
+    REQUIRES_FORWARD_TIME = True
     """Whether the stage's time may only go forward during the recording."""
 
     def __init__(
@@ -173,12 +173,13 @@ class Recording(Tabular):
                 self.close()
                 raise
 
-    def _begin(self, stage: Any, steps: int) -> None:
+    def _begin(self, stage: Any, physics_steps_per_sample: int) -> None:
+        """Allocate the buffers, open the journals of all chips and connect to the stage."""
         model, axes = stage.model, stage.axes
-        self.model, self.axes, self.every = model, axes, steps * stage.state.dt * 1e-9
+        self.model, self.axes, self.every = model, axes, physics_steps_per_sample * stage.state.dt * 1e-9
         self._stage, self._is_closed = stage, False
         self._dtype = np.dtype([("axes", _SAMPLE, (len(axes),)), ("qpos", "f8", (model.nq,))])
-        self._open()
+        self._open_temporary_file()
         self._spooled = 0
         self.on_error: Literal["raise", "warn"] = "raise"
         self._log: RerunLog | None = None
@@ -187,27 +188,28 @@ class Recording(Tabular):
         self.positions = np.zeros((ROWS, model.nq))
         self.filled = 0
         self._disorder = False
-        self.notes: list[Note] = []
+        self.fault_changes: list[FaultChange] = []
         self.journals: dict[str, Journal] = {name: axis.chip.journal(axis.chip_axis) for name, axis in axes.items()}
-        self.host = HostBus(stage)
-        stage.begin_recording(self, steps)
+        self.host = RecordedBusCycles(stage)
+        stage.begin_recording(self, physics_steps_per_sample)
         if stage.faults:
-            self.note(stage.time, "in force from the start", stage.faults)
+            self.add_fault_change(stage.time, "in force from the start", stage.faults)
 
-    def _open(self) -> None:
+    def _open_temporary_file(self) -> None:
+        """Open the file that receives full buffers; it belongs to this process."""
         self._process = os.getpid()
         self._file = tempfile.TemporaryFile(prefix="pulsestage-", buffering=0)  # noqa: SIM115
         weakref.finalize(self, self._file.close)
 
     def _separate_fork(self) -> None:
-        """Go on with a file of one's own in a fork of the process that recorded: both would write to the one that they share.
+        """Give a fork of the recording process its own temporary file. Otherwise both processes would write to the same one.
 
-        A rerun file remains that of the other process.
+        A rerun file stays with the other process.
         """
         if self._process == os.getpid():
             return
         shared, at, end = self._file, 0, self._spooled * self._dtype.itemsize
-        self._open()
+        self._open_temporary_file()
         while at < end:
             piece = os.pread(
                 shared.fileno(), min(end - at, 1 << 20), at
@@ -224,16 +226,21 @@ class Recording(Tabular):
                 stacklevel=2,
             )
 
-    def take(self, filled: int) -> None:
-        """Take the buffers, which the engine has filled up to row `filled`; full ones go to the file."""
+    def take_rows(self, filled: int) -> None:
+        """Take over the rows that the engine has written to the buffers. Full buffers go to the temporary file.
+
+        Args:
+            filled: Number of rows that are filled now.
+        """
         self._separate_fork()
         self.filled = filled
         if filled == ROWS:
-            self._spool()
+            self._write_full_buffers()
         if self._log is not None and len(self) - self._flushed >= self._flush_rows:
             self.flush()
 
-    def _spool(self) -> None:
+    def _write_full_buffers(self) -> None:
+        """Append the full buffers to the temporary file and mark them as empty."""
         self.filled = 0  # first of all: the engine must never find a full buffer
         self._disorder |= self._has_backward_time(ROWS)
         rows = self._pack_samples(ROWS).view(np.uint8).data
@@ -255,15 +262,16 @@ class Recording(Tabular):
     def stream(
         self, path: str | os.PathLike, seconds: float = 1.0, overwrite: bool = False, on_error: str = "raise"
     ) -> Recording:
-        """Write a rerun file while the stage runs, as `save` would at the end.
+        """Write a rerun file while the stage runs, with the same content as a later `save`.
 
-        Flushed samples survive a kill of this process: `rerun FILE` and rerun's readers read the file up to there. The footer that
-        `rerun rrd verify` needs is written by `close`, and so is the tool's path. A file that cannot grow ends with the last good
-        flush, and the samples go on to the temporary file: `save` them elsewhere.
+        If this process is killed, `rerun FILE` and rerun's readers can read everything up to the last flush. Only `close` writes
+        the footer that `rerun rrd verify` needs, and the path of the tool. If the disk is full, the file ends with the last
+        complete flush, and further
+        samples go to the temporary file: `save` them elsewhere.
 
         Args:
             path: The file, .rrd.
-            seconds: Simulated seconds between two flushes; there is one every 4096 samples, too, and at `flush`.
+            seconds: Simulated seconds between two flushes. Further flushes come after every 4096 samples and with `flush`.
             overwrite: The file may exist.
             on_error: See the class.
 
@@ -271,7 +279,7 @@ class Recording(Tabular):
             The recording.
 
         Raises:
-            ArgumentError: The time between flushes, or `on_error`, cannot be.
+            ArgumentError: `seconds` or `on_error` is out of range.
             RecordingError: As `save`.
         """
         from stage.recording.rerun_log import RerunLog
@@ -296,13 +304,14 @@ class Recording(Tabular):
         return self
 
     def flush(self) -> None:
-        """Write now the samples that a `stream` has not written yet."""
+        """Write the samples that are not yet in the file of `stream`."""
         self._separate_fork()
         if self._log is not None:
             self._flushed = len(self)
             self._write_or_stop(self._log.write_new_samples)
 
     def _write_or_stop(self, write: Callable[[], None]) -> None:
+        """Call `write`; after an OSError, close the file of `stream` and report the failure."""
         try:
             write()
         except OSError as error:
@@ -313,30 +322,32 @@ class Recording(Tabular):
             self._report_failure(f"{_make_write_error(self._log_path, error)} {rest}", error)
 
     def _report_failure(self, message: str, error: Exception) -> None:
+        """Raise a RecordingError or give a RecordingWarning, according to `on_error`."""
         if self.on_error == "raise":
             raise RecordingError(message) from error
         warnings.warn(message, RecordingWarning, stacklevel=2)
 
-    def _pack_samples(self, n: int) -> np.ndarray:
-        rows = np.empty(n, self._dtype)
-        rows["axes"] = self.samples[:n].view(_SAMPLE)
-        rows["qpos"] = self.positions[:n]
+    def _pack_samples(self, row_count: int) -> np.ndarray:
+        """Return the first `row_count` rows of the buffers as records with the fields `axes` and `qpos`."""
+        rows = np.empty(row_count, self._dtype)
+        rows["axes"] = self.samples[:row_count].view(_SAMPLE)
+        rows["qpos"] = self.positions[:row_count]
         return rows
 
-    def note(self, time: float, text: str, in_force: tuple[str, ...]) -> None:
-        """Note that a fault began or ended, see Note.
+    def add_fault_change(self, time: float, text: str, in_force: tuple[str, ...]) -> None:
+        """Record that a fault begins or ends.
 
         Args:
-            time: s.
+            time: Time of the change, s.
             text: The fault in words.
-            in_force: Faults in force from then on.
+            in_force: All faults in force from then on.
         """
-        self.notes.append(Note(time, text, in_force))
+        self.fault_changes.append(FaultChange(time, text, in_force))
 
     def close(self) -> None:
-        """Stop recording; the stage goes on without. Safe to call twice, and from any thread.
+        """Stop recording; the stage continues without it. Safe to call twice, and from any thread.
 
-        It waits for other threads that use the stage, unless the stage has a session that refuses this thread.
+        It waits for other threads that use the stage, except for a session that refuses this thread.
         """
         if self._is_closed:
             return
@@ -369,23 +380,23 @@ class Recording(Tabular):
 
     @property
     def began(self) -> float:
-        """Time of the start, s."""
+        """Time at which the recording began, s."""
         return min(float(self.seconds(name, j.start["clock"])) for name, j in self.journals.items())
 
     @property
     def duration(self) -> float:
-        """Seconds from the start to the last sample."""
+        """Seconds from the begin of the recording to the last sample."""
         return len(self) * self.every
 
     def pieces(self, rows: int = 16 * ROWS, begin: int = 0) -> Iterator[np.ndarray]:
-        """Yield the samples in order, in pieces: records with fields `axes` (SAMPLE, one an axis) and `qpos`.
+        """Yield the samples in order, in arrays of records with the fields `axes` (SAMPLE, one per axis) and `qpos`.
 
         Args:
-            rows: Samples of a piece, at most.
-            begin: Number of the first sample.
+            rows: Maximum number of samples in an array.
+            begin: Index of the first sample.
 
         Raises:
-            ArgumentError: A number is out of range; when the first piece is taken.
+            ArgumentError: A number is out of range; raised when the first array is requested.
         """
         check_integer("rows", rows, 1)
         check_integer("begin", begin, 0)
@@ -401,15 +412,15 @@ class Recording(Tabular):
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """Every column as an array of len(recording): "time" (s), "x/position" ... (see COLUMNS), "x/el_plus" ... (bool).
+        """Every column by name: "time" (s), "x/position" ... (see COLUMNS), "x/el_plus" ... (bool); arrays of len(recording).
 
-        They are read all at once: hours of samples take gigabytes; `column` reads one.
+        All columns are read into memory, gigabytes for hours of samples; `column` reads only one.
         """
         return Columns(self._read_columns(list(self.units)))
 
     @explain_arguments
     def column(self, name: str) -> np.ndarray:
-        """Return one column, see `columns`. Raises ArgumentError with the near misses."""
+        """Return one column, see `columns`. Raises ArgumentError with similar names for an unknown one."""
         if name not in (units := self.units):
             raise unknown_name_error("column", name, units)
         return self._read_columns([name])[name]
@@ -423,14 +434,14 @@ class Recording(Tabular):
             for column in (*COLUMNS, *axis.chip.INPUTS, *axis.chip.OUTPUTS)
         }
 
-    def _parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
+    def _iterate_columns(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
         for piece in self.pieces() if len(self) else [self._pack_samples(0)]:
             yield {name: self._extract_column(piece["axes"], name) for name in names}
 
     def _read_columns(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         out: dict[str, np.ndarray] = {}
         at = 0
-        for part in self.parts(names):
+        for part in self.iterate_columns(names):
             for name, values in part.items():
                 if name not in out:
                     out[name] = np.empty(len(self), values.dtype)
@@ -457,7 +468,7 @@ class Recording(Tabular):
 
     @explain_arguments
     def seconds(self, axis: str, clock: Number) -> Number:
-        """Return the stage's time, s, of clocks of a chip: both count from power-up.
+        """Convert clocks of a chip to the time of the stage, s. Both count from power-up.
 
         Args:
             axis: Name of an axis of the chip.
@@ -470,11 +481,12 @@ class Recording(Tabular):
             raise unknown_name_error("axis", axis, self.axes)
         return clock / self.axes[axis].chip.clock_hz
 
-    def _has_backward_time(self, n: int) -> bool:
-        return bool(np.any(np.diff(self.samples["time"][:n, 0]) < 0))
+    def _has_backward_time(self, row_count: int) -> bool:
+        """Return whether the time decreases within the first `row_count` rows of the buffers."""
+        return bool(np.any(np.diff(self.samples["time"][:row_count, 0]) < 0))
 
-    def check_time(self) -> None:
-        """Raise RecordingError if the stage was restored to an earlier time: its journals then make no sense."""
+    def require_forward_time(self) -> None:
+        """Raise RecordingError if the stage was restored to an earlier time, because the order of the journals is then lost."""
         for name, journal in self.journals.items():
             clocks = journal.entries.packed()["clock"]
             ends = int(clocks.max(initial=0)) > journal.until
@@ -485,7 +497,7 @@ class Recording(Tabular):
                 )
 
     def save(self, path: str | os.PathLike, overwrite: bool = False) -> Path:
-        """Write a rerun recording (.rrd) that opens as a dashboard: `rerun FILE`.
+        """Write a rerun recording (.rrd), which `rerun FILE` opens as a dashboard.
 
         Args:
             path: The file, .rrd.
@@ -495,19 +507,19 @@ class Recording(Tabular):
             Its path.
 
         Raises:
-            RecordingError: The file does not end in .rrd, exists, or cannot be written; nothing has changed then.
+            RecordingError: The file does not end in .rrd, exists, or cannot be written. An existing file stays unchanged.
         """
         from stage.recording.rerun_log import write_rrd
 
         check_ending(path, *RECORDING, RecordingError)
-        self.check_time()
+        self.require_forward_time()
         with write_atomically(path, overwrite, RecordingError) as part:
             write_rrd(self, part)
         return Path(path)
 
     @explain_arguments
     def plot(self, path: str | os.PathLike | None = None, *, overwrite: bool = False) -> Figure:
-        """Draw one static picture: rates, positions, following errors, lost steps and switches over time.
+        """Draw rates, positions, following errors, lost steps and switches over time in one figure.
 
         Args:
             path: File to save it to.
@@ -528,13 +540,13 @@ class Recording(Tabular):
         return html.format_preformatted(repr(self)) + (html.embed_figure(self.plot) if len(self) else "")
 
     def _repr_mimebundle_(self, **_: Any) -> dict[str, Any]:
-        """Return the dashboard for a notebook, where rerun's widget is installed, and the picture for other viewers."""
+        """Return the dashboard for a notebook in which rerun's widget is installed, and the figure for other viewers."""
         from stage.recording.rerun_viewer import build_widget
 
         return {"text/plain": repr(self), "text/html": self._repr_html_(), **build_widget(self)}
 
     def to_vcd(self, path: str | os.PathLike, overwrite: bool = False) -> Path:
-        """Write the chips' pins, status bits and R0 as waveforms (.vcd), every pulse in them: `gtkwave FILE`.
+        """Write the pins, status bits and R0 of all chips as waveforms (.vcd) with every pulse, for example for `gtkwave FILE`.
 
         Args:
             path: The file, .vcd.
@@ -549,7 +561,7 @@ class Recording(Tabular):
         from stage.recording.vcd_writer import write_vcd
 
         check_ending(path, *WAVEFORMS, RecordingError)
-        self.check_time()
+        self.require_forward_time()
         with write_atomically(path, overwrite, RecordingError) as part:
             write_vcd(self, part)
         return Path(path)

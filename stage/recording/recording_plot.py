@@ -1,6 +1,6 @@
-"""A recording as one static picture: rates, places, following errors and switches over time. Needs matplotlib (extra `plot`).
+"""A recording as one figure: rates, positions, following errors and switches over time. Needs matplotlib (extra `plot`).
 
-It is drawn from samples, a few thousand of them; what is exact to the clock is in the dashboard and the waveforms.
+The figure uses a few thousand samples. The dashboard and the waveforms are exact to the clock.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LANE_HEIGHT_IN = 0.17
 
 
 def draw_recording(recording: Recording, path: str | os.PathLike | None = None, overwrite: bool = False) -> Any:
-    """Draw a recording.
+    """Draw rates, positions, following errors, lost steps and switches of a recording over time.
 
     Args:
         recording: The recording.
@@ -66,12 +66,13 @@ def _has_lost_steps(recording: Recording) -> bool:
     return any(recording.column(f"{name}/lost_steps").any() for name in list_axes_with_series(recording, "lost_steps"))
 
 
-def _draw_panel(ax: Any, recording: Recording, keys: tuple[str, ...], time: np.ndarray, every: int) -> None:
+def _draw_panel(ax: Any, recording: Recording, keys: tuple[str, ...], time: np.ndarray, stride: int) -> None:
+    """Draw the series `keys` of all axes into one panel, using every `stride`-th sample."""
     for k, (name, axis) in enumerate(recording.axes.items()):
         color = plot_style.COLORS[k % len(plot_style.COLORS)]
         for key in keys:
             if name in list_axes_with_series(recording, key):
-                values = recording.column(f"{name}/{key}")[::every] * SERIES[key].scales[axis.unit != "m"]
+                values = recording.column(f"{name}/{key}")[::stride] * SERIES[key].scales[axis.unit != "m"]
                 is_command = key == "commanded"
                 style = {"linewidth": 2.6, "alpha": 0.35} if is_command else {"linewidth": 1.1, "label": name}
                 ax.plot(time, values, color=color, **style)
@@ -83,7 +84,7 @@ def _draw_panel(ax: Any, recording: Recording, keys: tuple[str, ...], time: np.n
 
 
 def _list_lanes(recording: Recording) -> list[tuple[str, str, np.ndarray]]:
-    """Return label, kind and states of each switch that was asserted at some time, of each axis, from the top."""
+    """Return label, kind and states of each switch of each axis that was on at some time, from the top."""
     lanes = []
     for name, axis in recording.axes.items():
         for pin, (label, kind) in SWITCHES.items():
@@ -92,10 +93,11 @@ def _list_lanes(recording: Recording) -> list[tuple[str, str, np.ndarray]]:
     return lanes
 
 
-def _draw_lanes(ax: Any, lanes: list[tuple[str, str, np.ndarray]], time: np.ndarray, every: int) -> None:
+def _draw_lanes(ax: Any, lanes: list[tuple[str, str, np.ndarray]], time: np.ndarray, stride: int) -> None:
+    """Draw one horizontal lane per switch, colored while the switch is on."""
     for k, (_, kind, on) in enumerate(reversed(lanes)):
-        states = on[: len(time) * every]
-        states = np.maximum.reduceat(states, np.arange(0, len(states), every))  # a short edge is not left out
+        states = on[: len(time) * stride]
+        states = np.maximum.reduceat(states, np.arange(0, len(states), stride))  # a short edge is not left out
         ax.axhline(k + 0.14, color=plot_style.FRAME_COLOR, linewidth=0.6, zorder=0)
         ax.fill_between(
             time, k + 0.14, k + 0.14 + 0.66 * states, step="post", color=plot_style.SWITCH_COLORS[kind], linewidth=0

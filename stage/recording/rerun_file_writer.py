@@ -22,7 +22,7 @@ FLUSH_TIMEOUT_S = 60.0
 
 
 class BlueprintWithStream:
-    """Blueprint that holds the stream into which rerun writes it. The methods are those that rerun calls.
+    """Blueprint that keeps the stream into which rerun writes it. rerun calls its methods.
 
     Attributes:
         stream: RecordingStream, set when the blueprint is saved.
@@ -33,7 +33,7 @@ class BlueprintWithStream:
         self.stream: Any = None
 
     def to_blueprint(self) -> BlueprintWithStream:
-        """Return itself, as rerun wants a whole blueprint."""
+        """Return itself, because rerun accepts only complete blueprints."""
         return self
 
     def _log_to_stream(self, stream: Any) -> None:
@@ -42,9 +42,9 @@ class BlueprintWithStream:
 
 
 class RrdSink:
-    """File of a RecordingStream. Raises OSError, and so do `flush` and `close`.
+    """Writer of a RecordingStream's file. The constructor, `flush` and `close` raise OSError.
 
-    Each flush is one write of whole messages, and after an OSError the file ends with the last flush that succeeded.
+    Each flush is one write of complete messages. After an OSError the file ends with the last flush that succeeded.
 
     Args:
         out: The RecordingStream.
@@ -70,7 +70,7 @@ class RrdSink:
         os.close(write_end)
 
     def _read_pipe(self) -> None:
-        """Take bytes from the pipe, so that rerun never waits."""
+        """Read bytes from the pipe all the time, so that rerun never waits."""
         poll = select.poll()
         poll.register(self._end, select.POLLIN)
         while True:
@@ -84,7 +84,7 @@ class RrdSink:
                 self._bytes += data
 
     def flush(self) -> None:
-        """Write everything that was logged so far to the file, where it survives a kill of this process."""
+        """Write all messages so far to the file, where a kill of this process does not affect them."""
         try:
             self.out.flush(timeout_sec=FLUSH_TIMEOUT_S)
         except RuntimeError as error:
@@ -92,6 +92,7 @@ class RrdSink:
         self._write()
 
     def _write(self) -> None:
+        """Write to the file the bytes that have come out of the pipe; on failure, cut the file to its former length."""
         while True:
             with self._lock:  # what is not in the pipe is in the buffer, never between
                 if not struct.unpack("i", fcntl.ioctl(self._end, termios.FIONREAD, bytes(4)))[0]:
@@ -108,7 +109,7 @@ class RrdSink:
             raise
 
     def close(self) -> None:
-        """Write what is left, and rerun's footer. Safe to call twice."""
+        """Write the remaining messages and rerun's footer. Safe to call twice."""
         if self._file.closed:
             return
         try:
@@ -118,12 +119,13 @@ class RrdSink:
             self._stop()
 
     def abandon(self) -> None:
-        """Close the file as it is. Safe to call twice, and after `close`."""
+        """Close the file without writing anything more. Safe to call twice, and after `close`."""
         if not self._file.closed:
             self.out.disconnect()
             self._stop()
 
     def _stop(self) -> None:
+        """End the thread that reads the pipe, and close both."""
         self.out = None
         release_streams()
         self._closing = True

@@ -25,14 +25,14 @@ import numpy as np
 from stage.chips.describe import Statement
 from stage.chips.journal import Replay
 from stage.recording import pin_signals, rerun_scene
-from stage.recording.axis_series import COLORS, FORMAT, assign_colors, select_series
+from stage.recording.axis_series import COLORS, FORMAT_VERSION, assign_colors, select_series
 from stage.recording.line_thinning import mark_needed_samples
 from stage.recording.rerun_file_writer import RrdSink
 from stage.recording.rerun_import import rr
 from stage.units import DEVIATION_UNITS
 
 if TYPE_CHECKING:
-    from stage.recording.recording import Note, Recording
+    from stage.recording.recording import FaultChange, Recording
 
 STATES = {
     "up": (38, 140, 92), "keep": (40, 108, 186), "down": (190, 120, 26), "hold": (52, 57, 66),
@@ -58,15 +58,15 @@ def write_rrd(recording: Recording, path: Path) -> None:
 
 
 class RerunLog:
-    """Rerun file of a recording, which grows with it. Raises OSError where the file cannot be written.
+    """Writer of the rerun file of a recording while the recording grows. Raises OSError if the file cannot be written.
 
-    Everything up to the last `log_new_states` is in the file and can be read there, even if this process is killed.
+    Everything up to the last `write_new_samples` is in the file and can be read there, even if this process is killed.
     """
 
     def __init__(self, recording: Recording, path: Path, overwrite: bool = False):
         from stage.recording.blueprint import build_dashboard
 
-        self._recording, self._rows, self._notes_logged = recording, 0, 0
+        self._recording, self._rows, self._fault_changes_logged = recording, 0, 0
         self._colors = {name: COLORS[color] for name, color in assign_colors(recording).items()}
         self._lanes = {name: StateLanes(recording, name, self._colors[name]) for name in recording.axes}
         self._scene = rerun_scene.Scene(recording)
@@ -90,13 +90,13 @@ class RerunLog:
         for name, lanes in self._lanes.items():
             edges, first = lanes.log_new_states(self._sink.out)
             self._scene.log_lamps(self._sink.out, name, edges, first)
-        self._scene.forget_track()
-        _log_faults(self._sink.out, self._recording.notes, self._notes_logged)
-        self._notes_logged = len(self._recording.notes)
+        self._scene.forget_old_positions()
+        _log_faults(self._sink.out, self._recording.fault_changes, self._fault_changes_logged)
+        self._fault_changes_logged = len(self._recording.fault_changes)
         self._sink.flush()
 
     def finish(self) -> None:
-        """Write the parts that are known at the end only: the length, the tool's path, the last register's value."""
+        """Write the data that is known only at the end: the length, the path of the tool, the value of the last register."""
         _log_about(self._sink.out, self._recording)
         self._scene.log_tool_path(self._sink.out)
         for lanes in self._lanes.values():
@@ -104,16 +104,17 @@ class RerunLog:
         self._sink.close()
 
     def close(self) -> None:
-        """Close the file as it is; needed only without `finish`."""
+        """Close the file without the data of `finish`. Not needed after `finish`."""
         self._sink.abandon()
 
 
 def find_model_name(model: mujoco.MjModel) -> str:
-    """Return the name of the model in its MJCF."""
+    """Return the name that the model has in its MJCF."""
     return bytes(model.names).split(b"\0", 1)[0].decode(errors="replace")
 
 
 def _log_about(out: Any, recording: Recording) -> None:
+    """Log model, chips and motors as text and as properties of the recording."""
     model = recording.model
     name = find_model_name(model)
     out.send_recording_name(name)
@@ -134,7 +135,7 @@ def _log_about(out: Any, recording: Recording) -> None:
         "units": [a.unit for a in axes],
         "servos": [a.drive.has_encoder for a in axes],
     }
-    out.send_property("columns", rr.AnyValues(format=FORMAT, every_ns=round(recording.every * 1e9), **columns))
+    out.send_property("columns", rr.AnyValues(format=FORMAT_VERSION, every_ns=round(recording.every * 1e9), **columns))
     table = "\n".join(["| axis | chip | clock | motor | way |", "|---|---|---|---|---|", *rows])
     text = (
         f"# {name}\n\n{table}\n\n"
@@ -147,6 +148,7 @@ def _log_about(out: Any, recording: Recording) -> None:
 
 
 def _log_styles(out: Any, recording: Recording, colors: dict[str, tuple]) -> None:
+    """Log the colors and names of series and lanes."""
     for name, color in colors.items():
         for series in select_series(recording.axes[name]):
             is_command = series == "commanded"
@@ -159,9 +161,10 @@ def _log_styles(out: Any, recording: Recording, colors: dict[str, tuple]) -> Non
             out.log(f"{rerun_scene.make_axis_entity_path(name)}/{series}", style, static=True)
 
 
-def _log_series(out: Any, recording: Recording, piece: np.ndarray) -> None:
+def _log_series(out: Any, recording: Recording, rows: np.ndarray) -> None:
+    """Log the samples of each series that its drawn line needs."""
     for name, axis in recording.axes.items():
-        samples = piece["axes"][:, axis.index]
+        samples = rows["axes"][:, axis.index]
         time = np.ascontiguousarray(samples["time"])
         for key, series in select_series(axis).items():
             v = np.ascontiguousarray(series.value(samples) * float(series.scales[axis.unit != "m"]))
@@ -176,7 +179,7 @@ def _log_series(out: Any, recording: Recording, piece: np.ndarray) -> None:
 
 
 class StateLanes:
-    """Phase, switches and bus of one axis, up to the end of its journal."""
+    """Logger of one axis' state lanes: motion phase, switches and bus, up to the end of its journal."""
 
     def __init__(self, recording: Recording, name: str, color: tuple):
         self._recording, self._name, self._color = recording, name, color
@@ -188,10 +191,10 @@ class StateLanes:
         """Last state of each lane."""
 
     def log_new_states(self, out: Any) -> tuple[np.ndarray, bool]:
-        """Log what is new.
+        """Log the states since the last call.
 
         Returns:
-            The pin edges, the first of them as it was before, and whether this is the first call.
+            The new pin edges, preceded by the state before them, and whether this is the first call.
         """
         edges, first = pin_signals.list_pin_edges(self._replay), self._first
         self._log_edges(out, edges)
@@ -202,13 +205,14 @@ class StateLanes:
         return edges, first
 
     def log_last_write(self, out: Any) -> None:
-        """Log a register write that nothing followed."""
+        """Log a register write after which nothing more was written."""
         self._log_bus(out, self._decoder.flush())
 
     def _log_edges(self, out: Any, edges: np.ndarray) -> None:
+        """Log motion phase and switches from new pin edges."""
         chip = self._axis.chip
-        phases = {s: STATES[s] for s in pin_signals.list_phases(chip)}
-        self._log_lane(out, "phase", edges, pin_signals.find_phases(chip, edges), phases)
+        phases = {s: STATES[s] for s in pin_signals.list_motion_phases(chip)}
+        self._log_lane(out, "phase", edges, pin_signals.find_motion_phases(chip, edges), phases)
         together, kinds = np.full(len(edges), "", object), {}
         for pin, label, kind in pin_signals.list_switches(self._axis):
             kinds[label] = kind
@@ -225,6 +229,7 @@ class StateLanes:
     def _log_lane(
         self, out: Any, lane: str, edges: np.ndarray, states: Any, colors: dict[str, tuple], style: bool = False
     ) -> None:
+        """Log the changes of one state lane."""
         path = f"{rerun_scene.make_axis_entity_path(self._name)}/{lane}"
         if style or self._first:
             out.log(path, rr.StateConfiguration(values=list(colors), colors=list(colors.values())), static=True)
@@ -236,32 +241,33 @@ class StateLanes:
             when = rerun_scene.to_time_column(self._recording.seconds(self._name, clocks))
             out.send_columns(path, indexes=[when], columns=rr.StateChange.columns(state=[str(s) for s in states]))
 
-    def _log_bus(self, out: Any, actions: list[Statement]) -> None:
-        if not actions:
+    def _log_bus(self, out: Any, statements: list[Statement]) -> None:
+        """Log bus writes as text, one line per command or complete register."""
+        if not statements:
             return
-        seconds = self._recording.seconds(self._name, np.array([s.clock for s in actions], np.int64))
+        seconds = self._recording.seconds(self._name, np.array([s.clock for s in statements], np.int64))
         out.send_columns(
             f"{rerun_scene.make_axis_entity_path(self._name)}/bus",
             indexes=[rerun_scene.to_time_column(seconds)],
             columns=rr.TextLog.columns(
-                text=[f"{t:11.6f}  {self._name}  {s}" for t, s in zip(seconds, actions, strict=True)],
-                level=[LEVELS[s.kind] for s in actions],
-                color=[(*self._color, 255)] * len(actions),
+                text=[f"{t:11.6f}  {self._name}  {s}" for t, s in zip(seconds, statements, strict=True)],
+                level=[LEVELS[s.kind] for s in statements],
+                color=[(*self._color, 255)] * len(statements),
             ),
         )
 
 
-def _log_faults(out: Any, notes: list[Note], first: int) -> None:
-    """Log the notes from `first` on."""
-    new = notes[first:]
+def _log_faults(out: Any, fault_changes: list[FaultChange], first_index: int) -> None:
+    """Log the fault changes from index `first_index` on."""
+    new = fault_changes[first_index:]
     if not new:
         return
     when = rerun_scene.to_time_column(np.array([n.time for n in new]))
-    states = ["; ".join(n.in_force) or "none" for n in notes]
+    states = ["; ".join(n.in_force) or "none" for n in fault_changes]
     colors = {s: STATES["off" if s == "none" else "fault"] for s in dict.fromkeys(states)}
     style = rr.StateConfiguration(values=list(colors), colors=list(colors.values()))
     out.log("faults", style, static=True)
-    out.send_columns("faults", indexes=[when], columns=rr.StateChange.columns(state=states[first:]))
+    out.send_columns("faults", indexes=[when], columns=rr.StateChange.columns(state=states[first_index:]))
     texts = rr.TextLog.columns(
         text=[f"{n.time:11.6f}  FAULT  {n.text}" for n in new],
         level=["ERROR"] * len(new),

@@ -1,9 +1,9 @@
-"""The 3D stage of a recording: bodies that move, the tool's path on the work, lamps on the switches.
+"""The 3D scene of a recording: bodies that move, the path of the tool on the work, lamps on the switches.
 
 stage/BODY/boxes ...            geoms, static; BODY has the transform over time, world frame
-stage/BODY/lamp_x_el_plus ...   above the switch: lit while asserted, at the instants of its edges
-stage/BODY/path                 where the tool has been, in the frame of the work
-stage/directions                an arrow an axis, in its color
+stage/BODY/lamp_x_el_plus ...   lamp above the switch: lit while the switch is on, exact to the edge
+stage/BODY/path                 path of the tool in the frame of the work
+stage/directions                one arrow per axis, in its color
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ import mujoco
 import numpy as np
 
 from stage.recording import geom_archetypes, pin_signals
-from stage.recording.geom_archetypes import rotate
+from stage.recording.geom_archetypes import rotate_vector
 from stage.recording.rerun_import import rr
 from stage.support.identifier_escapes import escape_name
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording
 
-FRAMES = 60  # a second
-GRID = 1e-6  # m (and of a quaternion): a body that moved less has not moved, to the eye
+FRAMES_PER_S = 60  # a second
+MIN_VISIBLE_MOTION_M = 1e-6  # m (and of a quaternion): a body that moved less has not moved, to the eye
 PATH_COLOR = (255, 138, 48)
 LAMPS = {"el": (255, 66, 54), "sd": (255, 184, 36), "org": (64, 224, 120)}
 DIM_FACTOR = 0.35  # of a lamp that is off
@@ -45,10 +45,11 @@ class Scene:
         self._lamps = {name: list(_list_lamps(recording, name)) for name in recording.axes}
         shared = any(rivals for lamps in self._lamps.values() for *_, rivals in lamps)
         self._track: list[tuple[np.ndarray, np.ndarray]] | None = [] if shared else None
-        """Times and qpos since the last `forget_track`: they say which of two switches on one pin is on; None: none share one."""
+        """Times and qpos since the last `forget_old_positions`: they say which of two switches on one pin is on; None: none
+        share one."""
 
     def log_static_geoms(self, out: Any, colors: dict[str, tuple]) -> None:
-        """Log what does not move.
+        """Log everything that does not move.
 
         Args:
             out: The RecordingStream.
@@ -66,19 +67,19 @@ class Scene:
         for path, place, *_ in (lamp for lamps in self._lamps.values() for lamp in lamps):
             out.log(path, rr.Points3D([place]), static=True)
 
-    def log_poses(self, out: Any, piece: np.ndarray) -> None:
-        """Log the poses of the bodies and the tool.
+    def log_poses(self, out: Any, rows: np.ndarray) -> None:
+        """Log the poses of the bodies and of the tool.
 
         Args:
             out: The RecordingStream.
-            piece: Next rows of the recording.
+            rows: Next rows of the recording.
         """
-        model, every = self._recording.model, max(1, round(1 / FRAMES / self._recording.every))
+        model, every = self._recording.model, max(1, round(1 / FRAMES_PER_S / self._recording.every))
         pick = slice(-self._rows_logged % every, None, every)
-        time, qpos = piece["axes"]["time"][pick, 0], piece["qpos"][pick]
+        time, qpos = rows["axes"]["time"][pick, 0], rows["qpos"][pick]
         if not self._rows_logged:  # the file begins with the first edges, before the first sample
             time = np.concatenate([[self._recording.began], time[1:]])
-        self._rows_logged += len(piece)
+        self._rows_logged += len(rows)
         if len(time):
             xpos, xquat, sites = geom_archetypes.compute_poses(model, qpos)
             for body in self._moving:
@@ -87,22 +88,22 @@ class Scene:
             if self._track is not None:
                 self._track.append((time, qpos))
 
-    def log_lamps(self, out: Any, name: str, edges: np.ndarray, first: bool) -> None:
+    def log_lamps(self, out: Any, name: str, edges: np.ndarray, is_first_call: bool) -> None:
         """Log the lamps of an axis.
 
         Args:
             out: The RecordingStream.
             name: Name of the axis.
-            edges: Pin edges of its chip.
-            first: These are the first ones; else the first edge is as it was before.
+            edges: Pin edges of its chip since the last call, preceded by the state before them.
+            is_first_call: Whether this is the first call for this axis, so that the first edge is the initial state.
         """
         axis = self._recording.axes[name]
         for path, _, pin, kind, rivals in self._lamps[name]:
             lit = pin_signals.is_switch_on(axis, edges, pin)
             if rivals:
-                lit &= self._find_nearest_switch(name, edges, pin, rivals)
+                lit &= self._is_nearest_switch(name, edges, pin, rivals)
             clocks, on = pin_signals.find_changes(edges, lit)
-            if not first and bool(on[0]) == self._lamp_states.get(
+            if not is_first_call and bool(on[0]) == self._lamp_states.get(
                 path
             ):  # as it was: unless it changed at the end of the last
                 clocks, on = clocks[1:], on[1:]
@@ -119,14 +120,14 @@ class Scene:
                 ),
             )
 
-    def forget_track(self) -> None:
-        """Forget the positions but the last: all lamps are up to date."""
+    def forget_old_positions(self) -> None:
+        """Discard all stored positions except the last one. Call it when all lamps are up to date."""
         if self._track:
             time, qpos = self._track[-1]
             self._track = [(time[-1:], qpos[-1:])]
 
-    def _find_nearest_switch(self, name: str, edges: np.ndarray, pin: str, rivals: tuple[str, ...]) -> np.ndarray:
-        """Return at each edge whether the carriage is nearer to where a switch trips than to any rival on its pin."""
+    def _is_nearest_switch(self, name: str, edges: np.ndarray, pin: str, rivals: tuple[str, ...]) -> np.ndarray:
+        """Return for each edge whether the carriage is nearer to this switch than to the other switches on the same pin."""
         if not self._track:
             return np.ones(len(edges), bool)
         axis = self._recording.axes[name]
@@ -136,9 +137,9 @@ class Scene:
         return np.all([away[pin] <= away[rival] for rival in rivals], axis=0)
 
     def log_tool_path(self, out: Any) -> None:
-        """Log the tool's path, which is drawn whole."""
+        """Log the complete path of the tool as one line."""
         if self._path:
-            _log_path(out, self._recording.model, np.concatenate(self._path))
+            _log_tool_path_points(out, self._recording.model, np.concatenate(self._path))
 
 
 def make_body_entity_path(model: mujoco.MjModel, body: int) -> str:
@@ -152,7 +153,7 @@ def make_axis_entity_path(name: str) -> str:
 
 
 def _log_pose(out: Any, model: mujoco.MjModel, body: int) -> None:
-    """Log the pose of a body that is part of the frame, once."""
+    """Log the constant pose of a body that never moves."""
     xpos, xquat, _ = geom_archetypes.compute_poses(model, model.qpos0[None])
     out.log(
         make_body_entity_path(model, body),
@@ -162,7 +163,8 @@ def _log_pose(out: Any, model: mujoco.MjModel, body: int) -> None:
 
 
 def _log_poses(out: Any, path: str, time: np.ndarray, position: np.ndarray, quat: np.ndarray) -> None:
-    cell = np.rint(np.hstack([position, quat]) / GRID)
+    """Log the poses of a body over time, without those that differ too little to be seen."""
+    cell = np.rint(np.hstack([position, quat]) / MIN_VISIBLE_MOTION_M)
     keep = np.concatenate([[True], np.any(cell[1:] != cell[:-1], axis=1)])
     out.send_columns(
         path,
@@ -174,18 +176,18 @@ def _log_poses(out: Any, path: str, time: np.ndarray, position: np.ndarray, quat
 
 
 def to_time_column(seconds: Any) -> Any:
-    """Return times, s, as the time column of an entity, to the nanosecond."""
+    """Convert times in seconds to the time column of an entity, rounded to nanoseconds."""
     return rr.TimeColumn("time", duration=np.rint(np.asarray(seconds) * 1e9).astype("timedelta64[ns]"))
 
 
 def _find_work_body(model: mujoco.MjModel) -> int:
-    """Return the body that carries the work: that of the site `work`, else the world."""
+    """Return the body that carries the work: the body of the site `work`, otherwise the world."""
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "work")
     return int(model.site_bodyid[site]) if site >= 0 else 0
 
 
 def _to_work_frame(model: mujoco.MjModel, xpos: np.ndarray, xquat: np.ndarray, sites: np.ndarray) -> np.ndarray:
-    """Return the tool's points in the frame of the work; where the tool moves with the work, in that of the world."""
+    """Convert positions of the tool to the frame of the work, or to the world frame if the tool moves with the work."""
     tool = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tool")
     if tool < 0:
         return np.zeros((0, 3))
@@ -193,13 +195,16 @@ def _to_work_frame(model: mujoco.MjModel, xpos: np.ndarray, xquat: np.ndarray, s
     if model.site_bodyid[tool] == body:
         return sites[:, tool]
     inverse = xquat[:, body] * [-1, -1, -1, 1]
-    return np.array([rotate(np.roll(q, 1), p) for q, p in zip(inverse, sites[:, tool] - xpos[:, body], strict=True)])
+    return np.array(
+        [rotate_vector(np.roll(q, 1), p) for q, p in zip(inverse, sites[:, tool] - xpos[:, body], strict=True)]
+    )
 
 
-def _log_path(out: Any, model: mujoco.MjModel, points: np.ndarray) -> None:
+def _log_tool_path_points(out: Any, model: mujoco.MjModel, points: np.ndarray) -> None:
+    """Log the points of the tool's path as one line, without points that coincide."""
     if len(points) < 2:
         return
-    cell = np.rint(points / GRID)
+    cell = np.rint(points / MIN_VISIBLE_MOTION_M)
     keep = np.concatenate([[True], np.any(cell[1:] != cell[:-1], axis=1)])
     tool = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tool")
     body = _find_work_body(model)
@@ -209,7 +214,7 @@ def _log_path(out: Any, model: mujoco.MjModel, points: np.ndarray) -> None:
 
 
 def _log_directions(out: Any, recording: Recording, colors: dict[str, tuple[int, int, int]]) -> None:
-    """Log arrows along plus at a front corner of the frame."""
+    """Log arrows in the plus directions of the axes at a front corner of the frame."""
     model = recording.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -236,7 +241,7 @@ def _log_directions(out: Any, recording: Recording, colors: dict[str, tuple[int,
 
 
 def _list_lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarray, str, str, tuple[str, ...]]]:
-    """Yield entity, place, switch and kind of each lamp of an axis, and the other switches on the same pin of the chip."""
+    """Yield the entity, position, switch and kind of each lamp of an axis, and the other switches on the same pin of the chip."""
     model, axis = recording.model, recording.axes[name]
     carriage = int(model.jnt_bodyid[axis.joint])
     data = mujoco.MjData(model)
@@ -248,7 +253,7 @@ def _list_lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarr
         pair = (int(model.sensor_refid[sensor]), int(model.sensor_objid[sensor]))
         geom = next((g for g in pair if model.geom_bodyid[g] != carriage), pair[0])
         body = int(model.geom_bodyid[geom])
-        above = rotate(data.xquat[body] * [1, -1, -1, -1], [0, 0, LAMP_HEIGHT * model.stat.extent])
+        above = rotate_vector(data.xquat[body] * [1, -1, -1, -1], [0, 0, LAMP_HEIGHT * model.stat.extent])
         path = f"{make_body_entity_path(model, body)}/lamp_{escape_name(name)}_{pin}"
         wired, others = axis.chip.wired(pin), axis.switches.as_dict()
         rivals = tuple(p for p in pin_signals.SWITCHES if p != pin and p in others and axis.chip.wired(p) == wired)

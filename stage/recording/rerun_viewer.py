@@ -1,8 +1,8 @@
-"""Look at a recording: in rerun's viewer, in a browser, or as a picture without a screen.
+"""Show a recording in rerun's viewer or in a browser, or render it to a picture without a screen.
 
-rerun's servers listen on every address of the machine by default; those started here listen on 127.0.0.1 only,
-send no usage data (PULSESTAGE_RERUN_ANALYTICS=1 leaves that to rerun's own settings), and end with the process that waits for them.
-Browsers are served by stage.recording.browser_server, because rerun's servers accept any host name.
+rerun's servers listen on every address of the machine by default. Those started here listen on 127.0.0.1 only, send no usage data
+(PULSESTAGE_RERUN_ANALYTICS=1 leaves that choice to rerun's own settings), and end with the process that waits for them.
+stage.recording.browser_server serves browsers, because rerun's servers accept any host name.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError, StageError
-from stage.recording.browser_server import HOST, PAGE, RECORDING, Server
+from stage.recording.browser_server import HOST, PAGE_MIME_TYPES, RECORDING_NAME, RecordingServer
 from stage.recording.rerun_import import experimental
 from stage.support.extras import import_extra, is_installed
 from stage.support.files import refuse_irregular, write_atomically
@@ -44,11 +44,11 @@ WIDGET_SIZE = 960, 620  # pixels
 
 
 class ViewerError(StageError):
-    """Error of rerun's viewer: it is missing or failed."""
+    """Error: rerun's viewer is missing or has failed."""
 
 
-def find_executable() -> str:
-    """Return the path of rerun's program; the command `rerun` is a script that would leave it running when it is ended."""
+def find_rerun_executable() -> str:
+    """Return the path of rerun's executable. The command `rerun` is a script, and ending it would leave the executable running."""
     if "RERUN_CLI_PATH" in os.environ:
         return os.environ["RERUN_CLI_PATH"]
     spec = find_spec("rerun_cli")
@@ -64,30 +64,34 @@ def find_executable() -> str:
 
 
 def open_viewer(rrd: str | os.PathLike) -> None:
-    """Open the recording in a window and return at once. Raises ViewerError where there is no screen."""
+    """Open a recording in a window and return at once. Raises ViewerError on a machine without a screen."""
     rrd = _check_recording(rrd)
     check_screen(str(rrd))
-    command = [find_executable(), str(rrd), "--bind", HOST, "--port", "auto"]
+    command = [find_rerun_executable(), str(rrd), "--bind", HOST, "--port", "auto"]
     nowhere = subprocess.DEVNULL
-    subprocess.Popen(command, env=build_environment(), stdout=nowhere, stderr=nowhere, start_new_session=True)
+    subprocess.Popen(command, env=build_rerun_environment(), stdout=nowhere, stderr=nowhere, start_new_session=True)
 
 
-def check_screen(what: str) -> None:
-    """Raise ViewerError where there is no screen to show something on."""
+def check_screen(subject: str) -> None:
+    """Raise ViewerError on a machine without a screen.
+
+    Args:
+        subject: What was to be shown, for the message.
+    """
     if not has_screen():
         raise ViewerError(
-            f"no screen here to show {what} on. Serve it to a browser (--web), or draw it (--picture, screenshot())."
+            f"no screen here to show {subject} on. Serve it to a browser (--web), or draw it (--picture, screenshot())."
         )
 
 
 def check_port(port: int) -> None:
-    """Raise ArgumentError for a number that is no TCP port."""
+    """Raise ArgumentError if a number is no TCP port."""
     if int(port) != port or not 1 <= port <= 65535:
         raise ArgumentError(f"port={port!r}: a port is a whole number of 1 to 65535.")
 
 
-def make_web_server(rrd: str | os.PathLike, port: int = 9090) -> Server:
-    """Make a server of the dashboard for browsers of this machine, at its `address`; call its `serve_forever()`.
+def make_web_server(rrd: str | os.PathLike, port: int = 9090) -> RecordingServer:
+    """Make a server of the dashboard for browsers of this machine. Call its `serve_forever()`; its `address` is the page.
 
     Args:
         rrd: The recording.
@@ -95,12 +99,12 @@ def make_web_server(rrd: str | os.PathLike, port: int = 9090) -> Server:
 
     Raises:
         ArgumentError: The number is no port.
-        ViewerError: The port cannot be had, or rerun gives no page.
+        ViewerError: The port is in use, or rerun provides no page.
     """
     rrd = _check_recording(rrd)
     check_port(port)
     try:
-        server = Server(rrd, int(port), outside=_allows_analytics())
+        server = RecordingServer(rrd, int(port), allow_other_servers=_allows_analytics())
     except OSError as error:
         why = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be had: {error.strerror}"
         raise ViewerError(f"port {port} {why}. Choose another: --port {find_free_port()}, for example.") from error
@@ -128,19 +132,19 @@ def serve_web(rrd: str | os.PathLike, port: int = 9090) -> None:
 
 
 def _fetch_page() -> dict[str, bytes]:
-    """Return the files of rerun's page, from its own server, which gets no recording and ends here."""
+    """Return the files of rerun's page by name. They come from rerun's own server, which runs only for this purpose."""
     port = find_free_port()
-    command = [find_executable(), f"http://{HOST}/{RECORDING}", "--serve-web", "--bind", HOST]
+    command = [find_rerun_executable(), f"http://{HOST}/{RECORDING_NAME}", "--serve-web", "--bind", HOST]
     command += ["--web-viewer-port", str(port)]
     with _run_rerun(command, stderr=subprocess.PIPE) as process:
-        _wait_for(port, process)
-        page = {name: _fetch_file(port, name) for name in PAGE}
+        _wait_for_port(port, process)
+        page = {name: _fetch_file(port, name) for name in PAGE_MIME_TYPES}
         _check_process(process)  # if it has ended, another server has answered
     return page
 
 
 def _fetch_file(port: int, name: str) -> bytes:
-    """Return a file of rerun's page."""
+    """Return one file of rerun's page from the server at `port`."""
     connection = http.client.HTTPConnection(HOST, port, timeout=30)
     try:
         connection.request("GET", f"/{name}")
@@ -164,7 +168,7 @@ def take_screenshot(
 ) -> Path:
     """Render the dashboard to a PNG without a screen (needs a Vulkan driver; Debian: mesa-vulkan-drivers).
 
-    It waits until the viewer has loaded everything and two pictures in a row are the same.
+    The function waits until the viewer has loaded everything and two successive pictures are equal.
 
     Args:
         rrd: The recording.
@@ -183,33 +187,34 @@ def take_screenshot(
     """
     rrd = _check_recording(rrd)
     with write_atomically(Path(png).absolute(), overwrite) as part:
-        _render(rrd, part, size, at, timeout)
+        _render_screenshot(rrd, part, size, at, timeout)
     return Path(png).absolute()
 
 
-def _render(rrd: Path, png: Path, size: tuple[int, int], at: float | None, timeout: float) -> None:
+def _render_screenshot(rrd: Path, png: Path, size: tuple[int, int], at: float | None, timeout: float) -> None:
+    """Run the viewer without a window until it has saved the picture."""
     port = find_free_port()
-    command = [find_executable(), str(rrd), "--headless", "--window-size", f"{size[0]}x{size[1] + FRAME_HEIGHT}"]
+    command = [find_rerun_executable(), str(rrd), "--headless", "--window-size", f"{size[0]}x{size[1] + FRAME_HEIGHT}"]
     command += ["--bind", HOST, "--port", str(port)]
     deadline = time.monotonic() + timeout
     with _run_rerun(command, stderr=subprocess.PIPE) as process:
-        _wait_for(port, process, deadline)
+        _wait_for_port(port, process, deadline)
         client = _connect_client(port, process, deadline)
-        _show_moment(client, at)
+        _show_time(client, at)
         before = b""
         while time.monotonic() < deadline:
             client.save_screenshot(str(png))
             now = png.read_bytes()
             if now == before:
-                _cut_frame(png, size)
+                _cut_window_frame(png, size)
                 return
             before = now
             time.sleep(0.5)
     raise ViewerError(f"rerun did not settle on a picture of {rrd} within {timeout:g} s.")
 
 
-def _cut_frame(png: Path, size: tuple[int, int]) -> None:
-    """Remove the top of a window's frame, which without a window is an empty bar."""
+def _cut_window_frame(png: Path, size: tuple[int, int]) -> None:
+    """Cut off the frame at the top of the window, which is an empty bar in the picture."""
     from PIL import Image
 
     with Image.open(png) as picture:
@@ -220,7 +225,7 @@ def _cut_frame(png: Path, size: tuple[int, int]) -> None:
 
 
 def _connect_client(port: int, process: subprocess.Popen, deadline: float) -> Any:
-    """A client of the viewer at `port`, once that has loaded all it was given."""
+    """Return a client of the viewer at `port` after the viewer has loaded the recording."""
     reason: object = "it is still loading"
     while time.monotonic() < deadline:
         _check_process(process)
@@ -235,13 +240,15 @@ def _connect_client(port: int, process: subprocess.Popen, deadline: float) -> An
     raise ViewerError(f"rerun's viewer does not answer: {reason}")
 
 
-def _show_moment(client: Any, at: float | None) -> None:
+def _show_time(client: Any, time_s: float | None) -> None:
+    """Let the viewer show a time, s; None: the end of the recording."""
     timeline = next(t for r in client.get_state().recordings for t in r.timelines if t.name == "time")
-    seconds = (timeline.end or 0) * 1e-9 if at is None else at
+    seconds = (timeline.end or 0) * 1e-9 if time_s is None else time_s
     client.set_time("time", duration=seconds, play_state="paused")
 
 
 def _check_recording(rrd: str | os.PathLike) -> Path:
+    """Return the absolute path of a recording. Raises ViewerError if there is no such file."""
     path = Path(rrd)
     refuse_irregular(path, "recording", ViewerError)
     if not path.is_file():
@@ -249,7 +256,8 @@ def _check_recording(rrd: str | os.PathLike) -> Path:
     return path.absolute()
 
 
-def _wait_for(port: int, process: subprocess.Popen, deadline: float | None = None) -> None:
+def _wait_for_port(port: int, process: subprocess.Popen, deadline: float | None = None) -> None:
+    """Wait until something listens on the port or the deadline has passed. Raises ViewerError if the process ends."""
     deadline = time.monotonic() + 30 if deadline is None else deadline
     while _is_port_free(port) and time.monotonic() < deadline:
         _check_process(process)
@@ -271,24 +279,27 @@ def _check_process(process: subprocess.Popen) -> None:
     raise ViewerError(f"rerun ended with code {process.returncode}: {cause}.{advice}")
 
 
-def build_environment() -> dict[str, str]:
+def build_rerun_environment() -> dict[str, str]:
     """Return the environment of rerun's program: usage data off, unless PULSESTAGE_RERUN_ANALYTICS selects rerun's own settings."""
     return {**os.environ, **({} if _allows_analytics() else {"XDG_CONFIG_HOME": str(SETTINGS_FOLDER)})}
 
 
 def _allows_analytics() -> bool:
-    """Return whether rerun follows its own settings."""
+    """Return whether rerun's own settings decide about usage data."""
     return os.environ.get("PULSESTAGE_RERUN_ANALYTICS", "0") not in ("", "0")
 
 
 @contextmanager
 def _run_rerun(command: list[str], stderr: int | None = None) -> Iterator[subprocess.Popen]:
-    """Run rerun's program in this block; it ends also by SIGTERM and SIGHUP to this process, and on Linux however that ends."""
+    """Run rerun's program during the `with` block.
+
+    It also ends if this process gets SIGTERM or SIGHUP and, on Linux, however this process ends.
+    """
     prctl = getattr(ctypes.CDLL(None), "prctl", None) if sys.platform == "linux" else None
     with _exit_on_signals():
         process = subprocess.Popen(
             command,
-            env=build_environment() | QUIET_ENVIRONMENT,
+            env=build_rerun_environment() | QUIET_ENVIRONMENT,
             stdout=subprocess.DEVNULL,
             stderr=stderr,
             preexec_fn=prctl and (lambda: prctl(PARENT_DEATH_SIGNAL, signal.SIGTERM)),
@@ -301,7 +312,7 @@ def _run_rerun(command: list[str], stderr: int | None = None) -> Iterator[subpro
 
 @contextmanager
 def _exit_on_signals() -> Iterator[None]:
-    """Leave this block by SystemExit at SIGTERM and SIGHUP, so that open files and processes are closed."""
+    """Turn SIGTERM and SIGHUP into SystemExit during the `with` block, so that open files and processes are closed."""
 
     def leave(signum: int, _frame: object) -> None:
         raise SystemExit(128 + signum)
@@ -337,9 +348,9 @@ def find_free_port() -> int:
 
 
 def build_widget(recording: Recording) -> dict[str, Any]:
-    """Return the dashboard of a recording as Jupyter's widget, by MIME type: pip install 'pulsestage[notebook]'.
+    """Return the dashboard of a recording as a Jupyter widget, by MIME type: pip install 'pulsestage[notebook]'.
 
-    It is empty where rerun's widget is not installed, and for recordings that are too long for a browser.
+    The result is empty if rerun's widget is not installed or the recording is too long for a browser.
     """
     if not (is_installed("rerun") and is_installed("rerun_notebook")) or not 0 < len(recording) <= MAX_WIDGET_SAMPLES:
         return {}

@@ -1,7 +1,7 @@
-"""Columns read back from an .rrd file: `read("x.rrd")`.
+"""Columns of a recording read from an .rrd file: `read("x.rrd")`.
 
-A file has of each series the samples that its plot needs, see rerun_log.py. The columns interpolate between them at each sample's
-time, within the tolerance of SERIES of the recorded values. Switches and phases are exact to the clock in `states`.
+The file contains only the samples of each series that its plot needs, see rerun_log.py. The columns interpolate between them at the
+time of each original sample, within the tolerance of SERIES. Switches and phases in `states` are exact to the clock.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from stage.errors import StageError, unknown_name_error
-from stage.recording.axis_series import FORMAT, SERIES
+from stage.recording.axis_series import FORMAT_VERSION, SERIES
 from stage.recording.column_files import Columns, Tabular
 from stage.recording.recording import RecordingError, find_column_unit
-from stage.recording.rrd_process import DamagedFile, read_chunks
+from stage.recording.rrd_reader_process import DamagedFile, read_chunks
 from stage.support.extras import import_extra, is_installed
 from stage.support.foreign_files import open_regular
 from stage.support.identifier_escapes import escape_name
@@ -33,13 +33,13 @@ COLUMN_NAMES = {"current": "current_a"}
 State = tuple[np.ndarray, np.ndarray]
 
 
-class Saved(Tabular):
-    """Content of an .rrd file. Made by `read`.
+class SavedRecording(Tabular):
+    """Content of an .rrd file. `read` creates it.
 
     Attributes:
         path: The file.
         model: Name of the model in its MJCF.
-        axes: Chip, motor and distance a pulse in words, by name of the axis.
+        axes: Chip, motor and distance per pulse in words, by name of the axis.
         every: Seconds between samples.
         columns: "time" (s), "x/position" ..., as in `Recording.columns`, as far as the file has them; "x/el_plus" ... (bool):
             whether the switch is on; "x/phase" (text).
@@ -58,24 +58,25 @@ class Saved(Tabular):
                 f"{path} is a rerun file, but no recording of this PulseStage: it does not say what its columns are. Give one that "
                 "Recording.save or --record has written."
             )
-        if known["format"] != [FORMAT]:
+        if known["format"] != [FORMAT_VERSION]:
             raise RecordingError(
-                f"{path} is of format {known['format'][0]}, and this PulseStage reads format {FORMAT}: read it with the version "
-                "that wrote it."
+                f"{path} is of format {known['format'][0]}, and this PulseStage reads format {FORMAT_VERSION}: read it with the "
+                "version that wrote it."
             )
         self._kinds = dict(zip(known["axes"], zip(known["units"], known["servos"], strict=True), strict=True))
         self.every = known["every_ns"][0] * 1e-9
         self._every_ns = known["every_ns"][0]
-        self.axes = {name: self._property("axes", name) for name in self._kinds}
-        self.model = self._property("stage", "model")
+        self.axes = {name: self._read_property("axes", name) for name in self._kinds}
+        self.model = self._read_property("stage", "model")
 
-    def _property(self, of: str, name: str) -> str:
-        _, values = self._entities.get(f"/__properties/{of}", {}).get(name, (None, [[""]]))
+    def _read_property(self, entity: str, name: str) -> str:
+        """Return a text property of the file by its entity and name; "" if the file has none."""
+        _, values = self._entities.get(f"/__properties/{entity}", {}).get(name, (None, [[""]]))
         return str(values[-1][0])
 
     @cached_property
     def _series(self) -> dict[str, tuple[str, str, np.ndarray, np.ndarray]]:
-        """Axis, series, times (ns) and drawn values by column."""
+        """Axis, series, times (ns) and drawn values, by name of the column."""
         series = {}
         for axis in self._kinds:
             for key in SERIES:
@@ -88,7 +89,7 @@ class Saved(Tabular):
 
     @cached_property
     def states(self) -> dict[str, State]:
-        """Times (s) and states from each time on, by lane."""
+        """Times (s) and the state from each time on, by lane."""
         states_by_lane = {}
         lanes = {f"{axis}/phase": f"/axes/{escape_name(axis)}/phase" for axis in self._kinds}
         for axis in self._kinds:
@@ -114,7 +115,7 @@ class Saved(Tabular):
         return sorted(writes)
 
     @cached_property
-    def _ticks(self) -> np.ndarray:
+    def _sample_times_ns(self) -> np.ndarray:
         """Times of the samples, ns."""
         spans = [(times[0], times[-1]) for *_, times, _ in self._series.values() if len(times)]
         if not spans:
@@ -125,7 +126,7 @@ class Saved(Tabular):
         return np.arange(begin, end + 1, self._every_ns)
 
     def __len__(self) -> int:
-        return len(self._ticks)
+        return len(self._sample_times_ns)
 
     @cached_property
     def units(self) -> dict[str, str]:
@@ -141,7 +142,7 @@ class Saved(Tabular):
         return units
 
     def check(self) -> None:
-        """Raise ValueError, or another error of Python, where the columns do not fit together, as those of a damaged file."""
+        """Raise ValueError, or another built-in exception, if the columns are inconsistent because the file is damaged."""
         if not self._every_ns > 0:
             raise ValueError(f"a sample every {self._every_ns} ns")
         for *_, times, values in self._series.values():
@@ -150,39 +151,37 @@ class Saved(Tabular):
         for lane, (times, states) in self.states.items():
             if len(times) != len(states):
                 raise ValueError(f"{lane} has {len(times)} times of {len(states)} states")
-        _ = self.bus, self.units, self._ticks
+        _ = self.bus, self.units, self._sample_times_ns
 
     def column(self, name: str) -> np.ndarray:
-        """Return one column, (len(self),). Raises ArgumentError with the near misses."""
+        """Return one column, (len(self),). Raises ArgumentError with similar names for an unknown one."""
         if name not in self.units:
             raise unknown_name_error("column", name, self.units)
         if name == "time":
-            return self._ticks * 1e-9
+            return self._sample_times_ns * 1e-9
         if name in self._series:
             axis, key, times, drawn = self._series[name]
             hinge = self._kinds[axis][0] != "m"
-            values = np.interp(self._ticks, times, drawn) / SERIES[key].scales[hinge]
+            values = np.interp(self._sample_times_ns, times, drawn) / SERIES[key].scales[hinge]
             return np.rint(values).astype(np.int64) if key in INTEGER_SERIES else values
         times, states = self.states[name]
-        at = np.maximum(np.searchsorted(np.rint(times * 1e9), self._ticks, side="right") - 1, 0)
+        at = np.maximum(np.searchsorted(np.rint(times * 1e9), self._sample_times_ns, side="right") - 1, 0)
         return states[at] if name.endswith("/phase") else (states != "off")[at]
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """Every column, by name."""
+        """All columns by name."""
         return Columns({name: self.column(name) for name in self.units})
 
-    def _parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
+    def _iterate_columns(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
         yield {name: self.column(name) for name in names}
 
     def __repr__(self) -> str:
-        return (
-            f"<Saved {self.path.name}, {len(self)} samples of {', '.join(self.axes)}, {len(self) * self.every:.3f} s>"
-        )
+        return f"<SavedRecording {self.path.name}, {len(self)} samples of {', '.join(self.axes)}, {len(self) * self.every:.3f} s>"
 
 
-def read(path: str | os.PathLike) -> Saved:
-    """Return the columns of a recording that `Recording.save`, `Recording.stream` or `--record` has written.
+def read(path: str | os.PathLike) -> SavedRecording:
+    """Read a recording that `Recording.save`, `Recording.stream` or `--record` has written.
 
     Args:
         path: The file, .rrd.
@@ -206,7 +205,7 @@ def read(path: str | os.PathLike) -> Saved:
     try:
         for entity, batch in read_chunks(path):
             _add_chunk(entities.setdefault(entity, {}), batch)
-        saved = Saved(path, entities)
+        saved = SavedRecording(path, entities)
         saved.check()
     except (
         DamagedFile,
@@ -228,10 +227,10 @@ def read(path: str | os.PathLike) -> Saved:
 
 
 def _add_chunk(entity: dict[str, Any], batch: Any) -> None:
-    """Append the columns of a rerun chunk to an entity's.
+    """Append the columns of a rerun chunk to those of an entity.
 
     Args:
-        entity: The columns that were read before, by name of the rerun component: times, ns (None for static data), and values.
+        entity: Columns read so far, by name of the rerun component: times, ns (None for static data), and values.
         batch: The chunk, an Arrow record batch.
     """
     kinds = {field.name: (field.metadata or {}).get(b"rerun:kind", b"data") for field in batch.schema}

@@ -1,16 +1,16 @@
-"""A recording as waveforms: every pin, pulse, status bit and bus write of every chip, to the tick of its clock.
+"""A recording as waveforms: every pin, pulse, status bit and bus write of every chip, exact to the tick of its clock.
 
-    x                   a scope an axis; "x 1" is x_u20_1, see stage.support.identifier_escapes
-      POUT_n PDIR ...   every pin, as a probe on the wire would show it: `_n` marks what is 0 while asserted
+    x                   one scope per axis; "x 1" is x_u20_1, see stage.support.identifier_escapes
+      POUT_n PDIR ...   every pin, as a probe on the wire would show it: `_n` marks a wire that is 0 while asserted
       R0 RATE           down counter, 24 bits; pulse rate, pps. Of an HCTL-1100 R14, the actual position, and R0E, the command
-                          position, at the samples that change the command or the motor command MC; RATE in counts a second
-      status            operating, lt, zero ...: the byte that a read at address 0 would give, bit by bit
-      bus               WR: a write cycle (event), with A, its address, and D, its data; RESET: the /RESET pin (event); if there
-                          were any, LOST: a write cycle that did not reach the chip; RD: a read cycle that changed something
-    host                  the bus cycles of a board, reads too, see stage.board.waveforms
+                          position, at the samples that change the command or the motor command MC; RATE in counts per second
+      status            operating, lt, zero ...: the bits of the byte that a read at address 0 would return
+      bus               WR: a write cycle (event), with A, its address, and D, its data; RESET: the /RESET pin (event); only if they
+                          occur, LOST: a write cycle that did not reach the chip; RD: a read cycle that changed something
+    host                  the bus cycles of a board, with reads, see stage.board.waveforms
 
-Time is that of the stage, in nanoseconds. Tick n of a clock of f Hz is at n / f, each rounded to the nanosecond
-separately: no error adds up, and n is round(ns f / 1e9).
+Times are those of the stage in nanoseconds. Tick n of a clock of f Hz is at n / f, and each time is rounded to the nanosecond
+separately: errors do not add up, and n is round(ns f / 1e9).
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ from stage.support.identifier_escapes import escape_name
 if TYPE_CHECKING:
     from stage.recording.recording import Recording
 
-SECOND = 1_000_000_000
-EDGES = 16384  # at a time
-HOST = "host"
+NS_PER_S = 1_000_000_000
+MAX_EDGES_AT_ONCE = 16384  # at a time
+HOST_SCOPE = "host"
 """Scope of a board's bus cycles, see stage.board.waveforms."""
 DATE = "simulated time since power-up"  # and not the wall clock: equal runs make equal files
 
-EVENTS = {WRITE: "WR", RESET: "RESET", LOST: "LOST", READ: "RD"}
+EVENT_NAMES = {WRITE: "WR", RESET: "RESET", LOST: "LOST", READ: "RD"}
 Change = tuple[int, Any, Any]  # ns, variable, value
 
 
 def to_nanoseconds(clock: Any, hz: int) -> Any:
-    """Return the time of a clock in ns, rounded; exact for centuries.
+    """Convert clocks of a chip to nanoseconds, rounded; exact for centuries.
 
     Args:
         clock: Ticks since power-up, an int or an int64 array.
-        hz: Frequency of the clock.
+        hz: Frequency of the clock, Hz.
     """
-    return clock // hz * SECOND + (clock % hz * SECOND + hz // 2) // hz
+    return clock // hz * NS_PER_S + (clock % hz * NS_PER_S + hz // 2) // hz
 
 
 def write_vcd(recording: Recording, path: Path) -> Path:
@@ -68,7 +68,7 @@ def write_vcd(recording: Recording, path: Path) -> Path:
             streams = [
                 s
                 for axis in recording.axes
-                for s in (_add_pins(recording, axis, writer), _add_bus(recording, axis, writer))
+                for s in (_register_pins(recording, axis, writer), _register_bus(recording, axis, writer))
             ]
             if recording.host is not None:
                 end = max(end, recording.host.until)
@@ -80,20 +80,21 @@ def write_vcd(recording: Recording, path: Path) -> Path:
 
 
 def make_scope_name(axis: str) -> str:
-    """Return the scope of an axis, which is never that of the host's bus."""
-    return escape_name(axis, reserved=(HOST,))
+    """Return the name of an axis' scope, which always differs from HOST_SCOPE."""
+    return escape_name(axis, reserved=(HOST_SCOPE,))
 
 
 def _get_clock_hz(recording: Recording, axis: str) -> int:
     return recording.axes[axis].chip.clock_hz
 
 
-def _add_pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
-    """Register the pins, counter, rate and status of an axis, and return their changes."""
+def _register_pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
+    """Register the pins, counter, rate and status of an axis in the VCD file, and return an iterator of their changes."""
     chip, journal = recording.axes[axis].chip, recording.journals[axis]
     clocks, minus = pin_signals.list_directions(chip, journal)
 
     def levels(edges: np.ndarray) -> dict[str, tuple[str, int, np.ndarray]]:
+        """Return kind, bits and values of each signal after each edge."""
         return _compute_levels(chip, edges, minus[np.searchsorted(clocks, edges["clock"], side="right") - 1])
 
     variables, now = {}, {}
@@ -103,7 +104,8 @@ def _add_pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
         variables[name] = writer.register_var(tuple(scope), short, kind, size=size, init=now[name])
 
     def changes() -> Iterator[Change]:
-        for edges in pin_signals.settle_edges(journal.pieces(every_pulse=True, size=EDGES)):
+        """Yield the changes of all signals in the order of time."""
+        for edges in pin_signals.settle_edges(journal.pieces(every_pulse=True, size=MAX_EDGES_AT_ONCE)):
             ns = to_nanoseconds(edges["clock"], chip.clock_hz)
             which, at, what = [], [], []
             for name, (_, _, v) in levels(edges).items():
@@ -121,10 +123,10 @@ def _add_pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
 
 
 def _compute_levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, tuple[str, int, np.ndarray]]:
-    """Return kind, bits and values from each edge on, of each signal."""
+    """Return for each signal its VCD kind, its number of bits, and its value after each edge."""
     out: dict[str, tuple[str, int, np.ndarray]] = {}
     for pin in (*chip.OUTPUTS, *chip.INPUTS):
-        name, level = pin_signals.find_wire(chip, pin)
+        name, level = pin_signals.find_wire_name_and_level(chip, pin)
         out[name] = ("wire", 1, (pin_signals.is_asserted(chip, edges, pin) == bool(level)).astype(np.int64))
     counter, bits = chip.COUNTER
     out[counter] = ("reg", bits, edges["counter"])
@@ -136,11 +138,11 @@ def _compute_levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str
     return out
 
 
-def _add_bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
-    """Register the bus of an axis, and return its cycles and resets."""
+def _register_bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
+    """Register the bus signals of an axis in the VCD file, and return an iterator of its cycles and resets."""
     chip, journal, scope = recording.axes[axis].chip, recording.journals[axis], (make_scope_name(axis), "bus")
     kinds = {WRITE, RESET, *journal.entries.packed()["kind"].tolist()}  # most recordings have no LOST and no RD
-    events = {k: writer.register_var(scope, name, "event", size=1) for k, name in EVENTS.items() if k in kinds}
+    events = {k: writer.register_var(scope, name, "event", size=1) for k, name in EVENT_NAMES.items() if k in kinds}
     address = writer.register_var(scope, "A", "reg", size=chip.ADDRESS_MASK.bit_length(), init="x")
     data = writer.register_var(scope, "D", "reg", size=chip.DATA_MASK.bit_length(), init="x")
 
@@ -155,8 +157,8 @@ def _add_bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
     return changes()
 
 
-class HostBus:
-    """Bus cycles of a stage's board from now to `close`, see stage.board.waveforms. The board may come later."""
+class RecordedBusCycles:
+    """Bus cycles that the board of a stage makes from now to `close`, for a VCD file. The board may be created later."""
 
     def __init__(self, stage: Any):
         self._stage = stage
@@ -165,16 +167,16 @@ class HostBus:
         self._until: int | None = None
 
     def close(self) -> None:
-        """End the recording of cycles."""
+        """Stop collecting cycles."""
         self._end, self._until = None if self._stage.host is None else self._stage.host.get_position(), self._stage.now
 
     @property
     def until(self) -> int:
-        """Time of `close`, or now, ns."""
+        """Time of `close`, or the present time while open, ns."""
         return self._stage.now if self._until is None else self._until
 
     def changes(self, writer: Any, begin: int, end: int) -> list[Iterator[Change]]:
-        """Register the bus in a file, if there were cycles, and return its changes.
+        """Register the bus in a VCD file, if there were cycles, and return iterators of its changes.
 
         Args:
             writer: VCDWriter of the file.

@@ -374,7 +374,9 @@ class Stage:
         """
         (self.active_faults.append if begins else self.active_faults.remove)(fault)
         if self.recording is not None:
-            self.recording.note(self.time, f"{fault.text}: {'begins' if begins else 'cleared'}", self.faults)
+            self.recording.add_fault_change(
+                self.time, f"{fault.text}: {'begins' if begins else 'cleared'}", self.faults
+            )
 
     @explain_arguments
     @exclusive
@@ -578,7 +580,7 @@ class Stage:
     def recording(self) -> Recording | None:
         """Recording in progress, or None."""
         taking = self.loop.recording
-        return taking if taking is not None and taking.FORWARD else None
+        return taking if taking is not None and taking.REQUIRES_FORWARD_TIME else None
 
     @explain_arguments
     def record(

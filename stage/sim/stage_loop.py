@@ -37,8 +37,8 @@ class Loop:
     Attributes:
         state: Records of the stage.
         chips: Chips of the stage.
-        recording: What the engine samples for: the recording in progress; or an observer with the same buffers and `take`, and
-            FORWARD False: time may then go back, and a recording takes its place; or None.
+        recording: What the engine samples for: the recording in progress; or an observer with the same buffers and `take_rows`, and
+            REQUIRES_FORWARD_TIME False: time may then go back, and a recording takes its place; or None.
         time_refusal: Why no time may pass now and no other state be loaded; "" where both may.
         state_refusal: Why no other state may be loaded, though time may pass; "" where one may.
         pace: Function that decides when time may pass: `pace(until)` is called before a run to `until` (ns), may wait or let others
@@ -85,7 +85,7 @@ class Loop:
 
         In a recording, whose time would run backwards, it stays cleared.
         """
-        if not self._words.item(POWERED) and (self.recording is None or not self.recording.FORWARD):
+        if not self._words.item(POWERED) and (self.recording is None or not self.recording.REQUIRES_FORWARD_TIME):
             self._power_up()
 
     def prepare_change(self) -> None:
@@ -222,11 +222,11 @@ class Loop:
             self.journal_edges(int(h["noted"]))
             h["noted"] = 0
         if recording is not None:
-            recording.take(int(h["filled"]))
+            recording.take_rows(int(h["filled"]))
         if error is not None:
             raise error
         if status == engine_records.WIPED:
-            if recording is not None and recording.FORWARD:
+            if recording is not None and recording.REQUIRES_FORWARD_TIME:
                 raise StageError(
                     "the stage's state was cleared (mj_resetData?) in the middle of a recording, whose time runs forward only: "
                     "close the recording; the stage is at power-up then."

@@ -400,7 +400,7 @@ def record_samples():
             recording.every,
             recording.began,
             recording.duration,
-            list(recording.notes),
+            list(recording.fault_changes),
         ]
         if axis is not y:
             continue

@@ -27,7 +27,7 @@ def test_a_switch_that_trips_as_the_file_is_flushed_is_on_from_then_on(tmp_path,
 
 def test_samples_that_go_back_in_one_buffer_are_detected(bench):
     feed(bench.recording, 10)
-    bench.recording.check_time()
+    bench.recording.require_forward_time()
     bench.recording.samples["time"][7:10] -= 0.005
     with pytest.raises(RecordingError, match=r"went back in time while it was recorded \(axis x\)"):
-        bench.recording.check_time()
+        bench.recording.require_forward_time()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from stage.recording.vcd_writer import HostBus
+from stage.recording.vcd_writer import RecordedBusCycles
 
 
 class PositionHost:
@@ -23,7 +23,7 @@ def test_a_part_begins_and_ends_at_the_positions_of_the_bus_trace():
     host = PositionHost()
     stage = SimpleNamespace(host=host, now=10)
     host.at = 3
-    part = HostBus(stage)
+    part = RecordedBusCycles(stage)
     host.at, stage.now = 7, 20
     assert part.until == 20
     assert part.changes("writer", 1, 2) == ["changes"]
@@ -36,7 +36,7 @@ def test_a_part_begins_and_ends_at_the_positions_of_the_bus_trace():
 
 def test_a_board_that_comes_during_the_recording_is_in_it_and_one_that_comes_after_is_not():
     stage = SimpleNamespace(host=None, now=0)
-    during, before = HostBus(stage), HostBus(stage)
+    during, before = RecordedBusCycles(stage), RecordedBusCycles(stage)
     before.close()
     stage.host = PositionHost()
     stage.host.at = 5
@@ -45,7 +45,7 @@ def test_a_board_that_comes_during_the_recording_is_in_it_and_one_that_comes_aft
     during.close()
     assert during.changes("writer", 0, 1) == ["changes"]
     assert stage.host.requests == [("writer", None, None, 0, 1), ("writer", None, 5, 0, 1)]
-    nobody = HostBus(SimpleNamespace(host=None, now=4))
+    nobody = RecordedBusCycles(SimpleNamespace(host=None, now=4))
     assert nobody.changes("writer", 0, 1) == []
     nobody.close()
     assert nobody.until == 4

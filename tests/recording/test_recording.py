@@ -247,7 +247,7 @@ def test_a_stage_that_went_back_in_time_is_detected(tmp_path):
     feed(bench.recording, 2 * ROWS)
     bench.recording.samples["time"][:] = 0.5
     bench.recording.samples["time"][5:] = 0.1
-    bench.recording.take(ROWS)
+    bench.recording.take_rows(ROWS)
     with pytest.raises(RecordingError, match="went back in time"):
         bench.recording.save(tmp_path / "x.rrd")
     assert len(bench.recording.column("time")) == 3 * ROWS
@@ -258,7 +258,7 @@ def test_a_single_chip_that_went_back_in_time_is_detected(bench, tmp_path):
     before = bench.chip.snapshot()
     bench.chip.advance(1000)
     bench.chip.write(0, 0x08)
-    bench.recording.check_time()
+    bench.recording.require_forward_time()
     bench.chip.restore(before)
     with pytest.raises(RecordingError, match="went back in time"):
         bench.recording.save(tmp_path / "x.rrd")

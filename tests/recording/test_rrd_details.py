@@ -33,12 +33,12 @@ def streamed(tmp_path_factory):
     recording, chip = bench.recording, bench.chip
     recording.stream(path)
     feed(recording, 2)
-    recording.note(0.001, "axis x: jammed: begins", ("jammed", "slips"))
+    recording.add_fault_change(0.001, "axis x: jammed: begins", ("jammed", "slips"))
     chip.write(0, 0x15)
     recording.flush()
     feed(recording, 3)
-    recording.note(0.002, "axis x: jammed: ends", ("slips",))
-    recording.note(0.004, "axis x: slips: ends", ())
+    recording.add_fault_change(0.002, "axis x: jammed: ends", ("slips",))
+    recording.add_fault_change(0.004, "axis x: slips: ends", ())
     chip.reset()
     recording.flush()
     for address, value in ((0, 0x82), (1, 0x40), (2, 0x1F), (3, 0x00)):
@@ -111,7 +111,7 @@ def test_the_facts_are_those_of_each_axis_and_the_length_that_of_the_end(tmp_pat
     assert (run.every, len(run), run.model) == (2e-3, 5, "bench")
     assert (run.units["x/position"], run.units["y/position"]) == ("m", "rad")
     assert (run.units["x/rate"], run.units["y/rate"]) == ("pps", "counts/s")
-    assert run._property("stage", "samples") == "5"
+    assert run._read_property("stage", "samples") == "5"
 
 
 def test_a_lane_continues_and_combined_switches_have_the_most_important_color(monkeypatch):
@@ -162,7 +162,7 @@ def test_a_full_buffer_that_went_back_in_time_is_detected_later(tmp_path):
         bench.recording.samples["time"][:, 0] = np.arange(ROWS) * 1e-3
         if back:
             bench.recording.samples["time"][7, 0] = 9.0
-        bench.recording.take(ROWS)
+        bench.recording.take_rows(ROWS)
     with pytest.raises(RecordingError, match="went back in time"):
         bench.recording.save(tmp_path / "x.rrd")
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from stage.errors import ArgumentError
-from stage.recording.axis_series import FORMAT, SERIES
+from stage.recording.axis_series import FORMAT_VERSION, SERIES
 from stage.recording.recording import RecordingError
-from stage.recording.saved_recording import Saved
+from stage.recording.saved_recording import SavedRecording
 
 TICK = 1_000_000  # ns
 
@@ -22,7 +22,7 @@ def entities(**more):
         "axes": ["x", "a"],
         "units": ["m", "rad"],
         "servos": [False, True],
-        "format": [FORMAT],
+        "format": [FORMAT_VERSION],
         "every_ns": [TICK],
     }
     return {
@@ -42,13 +42,13 @@ def lane(times, states):
 
 
 def saved(**more):
-    return Saved(Path("of/a run.rrd"), entities(**more))
+    return SavedRecording(Path("of/a run.rrd"), entities(**more))
 
 
 def test_the_last_state_of_each_axis_is_in_the_file():
     run = saved(**{"/axes/x/rate": drawn([0, 9], [0, 0])})
     assert (run.axes, run.model) == ({"x": "a chip, ended", "a": "a servo"}, "bench")
-    assert repr(run) == "<Saved a run.rrd, 10 samples of x, a, 0.010 s>"
+    assert repr(run) == "<SavedRecording a run.rrd, 10 samples of x, a, 0.010 s>"
     assert (len(run), run.every) == (10, pytest.approx(1e-3))
 
 
@@ -57,7 +57,7 @@ def test_samples_cover_every_tick_between_the_first_and_the_last_point():
     run = saved(**{"/axes/x/rate": drawn([2, 5], [0, 0]), "/axes/a/rate": drawn([3, 7], [0, 0])})
     assert run.column("time").tolist() == pytest.approx([0.002, 0.003, 0.004, 0.005, 0.006, 0.007])
     assert len(saved()) == 0
-    assert repr(saved()) == "<Saved a run.rrd, 0 samples of x, a, 0.000 s>"
+    assert repr(saved()) == "<SavedRecording a run.rrd, 0 samples of x, a, 0.000 s>"
 
 
 def test_points_in_any_order_are_the_same_line():
@@ -128,8 +128,10 @@ def test_the_bus_of_all_axes_is_in_the_order_of_its_times_without_the_time_in_th
 
 def test_a_file_of_another_format_says_which_it_is_and_which_is_read():
     of = entities()
-    of["/__properties/columns"]["format"] = (None, [[FORMAT + 6]])
-    with pytest.raises(RecordingError, match=rf"is of format {FORMAT + 6}, and this PulseStage reads format {FORMAT}:"):
-        Saved(Path("x.rrd"), of)
+    of["/__properties/columns"]["format"] = (None, [[FORMAT_VERSION + 6]])
+    with pytest.raises(
+        RecordingError, match=rf"is of format {FORMAT_VERSION + 6}, and this PulseStage reads format {FORMAT_VERSION}:"
+    ):
+        SavedRecording(Path("x.rrd"), of)
     with pytest.raises(RecordingError, match="it does not say what its columns are"):
-        Saved(Path("x.rrd"), {})
+        SavedRecording(Path("x.rrd"), {})

@@ -114,17 +114,17 @@ def test_of_two_switches_on_one_pin_that_lamp_is_lit_to_whose_switch_the_carriag
     edge = np.zeros(4, [("clock", "i8"), ("inputs", "i8"), ("outputs", "i8")])
     edge["clock"], edge["inputs"] = [0, 1000, 2000, 3000], [0, 1, 0, 1]
     created.log_poses(Out(), rows(recording.model, times, [0.2, 0.12, 0.25, 0.39]))
-    lit = {pin: created._find_nearest_switch("x", edge, pin, rivals) & pin_signals.is_switch_on(recording.axes["x"], edge, pin)
+    lit = {pin: created._is_nearest_switch("x", edge, pin, rivals) & pin_signals.is_switch_on(recording.axes["x"], edge, pin)
            for _, _, pin, _, rivals in created._lamps["x"]}  # fmt: skip
     assert {pin: on.tolist() for pin, on in lit.items()} == {
         "org": [False, True, False, False], "el_plus": [False, False, False, True],
     }  # fmt: skip
-    created.forget_track()
+    created.forget_old_positions()
     later = edge[3:].copy()
-    assert created._find_nearest_switch("x", later, "el_plus", ("org",)).tolist() == [True], (
+    assert created._is_nearest_switch("x", later, "el_plus", ("org",)).tolist() == [True], (
         "where it stood last is not forgotten"
     )
-    assert created._find_nearest_switch("x", later, "org", ("el_plus",)).tolist() == [False]
+    assert created._is_nearest_switch("x", later, "org", ("el_plus",)).tolist() == [False]
 
 
 def test_a_lit_lamp_is_bright_and_its_first_state_is_logged_once(tmp_path):
@@ -183,7 +183,7 @@ def test_the_path_is_where_the_tool_was_on_the_work():
     assert points[0] == pytest.approx([0.3, 0.4, -0.5])
     assert points[1] == pytest.approx([0.4, -0.2, -0.5]), "turned back with the work"
     out = Out()
-    rerun_scene._log_path(out, model, points)
+    rerun_scene._log_tool_path_points(out, model, points)
     assert list(out.logged) == ["stage/work/path"]
 
 
@@ -194,14 +194,14 @@ def test_a_tool_that_rides_with_the_work_leaves_its_path_in_the_world_and_no_too
     points = rerun_scene._to_work_frame(riding, *compute_poses(riding, qpos))
     assert points[:, 0] == pytest.approx([0.3, 0.4, 0.4])
     out = Out()
-    rerun_scene._log_path(out, riding, points)
+    rerun_scene._log_tool_path_points(out, riding, points)
     assert list(out.logged) == ["stage/world/path"]
     (strip,) = out.logged["stage/world/path"].strips.as_arrow_array().to_pylist()
     assert len(strip) == 2, "where it stands there is one point"
     none = model_of(tool="")
     out = Out()
-    rerun_scene._log_path(out, none, rerun_scene._to_work_frame(none, *compute_poses(none, qpos)))
-    rerun_scene._log_path(out, riding, points[:1])
+    rerun_scene._log_tool_path_points(out, none, rerun_scene._to_work_frame(none, *compute_poses(none, qpos)))
+    rerun_scene._log_tool_path_points(out, riding, points[:1])
     assert out.logged == {}
     unmodified = model_of(work="")
     assert rerun_scene._to_work_frame(unmodified, *compute_poses(unmodified, qpos))[1] == pytest.approx(

@@ -47,8 +47,8 @@ def test_a_chip_is_at_rest_where_no_pin_says_a_phase():
         pins = list(chip.PHASES)
         rows = [(k, 0, chip.OUTPUTS[pin]) for k, pin in enumerate(pins)] + [(len(pins), 0, 0)]
         rest = "control" if chip.SERVO else "hold"
-        assert pin_signals.find_phases(chip(), edges(*rows)).tolist() == [*chip.PHASES.values(), rest]
-        known = pin_signals.list_phases(chip())
+        assert pin_signals.find_motion_phases(chip(), edges(*rows)).tolist() == [*chip.PHASES.values(), rest]
+        known = pin_signals.list_motion_phases(chip())
         assert known[-1] == rest
         assert sorted(known) == sorted({*chip.PHASES.values(), rest})
 

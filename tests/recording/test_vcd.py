@@ -71,7 +71,7 @@ def test_pulses_pins_status_and_counter_are_those_of_the_chip_to_the_clock(tmp_p
         ns = to_nanoseconds(now, HZ)
         assert vcd.at("x.R0", ns) == r0
         for pin, on in pins.items():
-            name, asserted = pin_signals.find_wire(bench.chip, pin)
+            name, asserted = pin_signals.find_wire_name_and_level(bench.chip, pin)
             assert vcd.at(f"x.{name}", ns) == (asserted if on else 1 - asserted), (seed, now, pin)
         for field in PCL240K.MAP.word("status").fields:
             assert vcd.at(f"x.status.{field.name}", ns) == field.of(status), (seed, now, field.name)
@@ -231,7 +231,7 @@ def test_the_waveforms_do_not_depend_on_the_size_of_pieces(tmp_path, bench, monk
     """many changes lie where one piece ends and the next begins"""
     wild(bench, 3, steps=10)
     complete = bench.recording.to_vcd(tmp_path / "whole.vcd").read_bytes()
-    monkeypatch.setattr("stage.recording.vcd_writer.EDGES", 70)
+    monkeypatch.setattr("stage.recording.vcd_writer.MAX_EDGES_AT_ONCE", 70)
     assert bench.recording.to_vcd(tmp_path / "pieces.vcd").read_bytes() == complete
 
 

@@ -190,9 +190,9 @@ def test_reruns_usage_data_is_off_unless_requested(tmp_path, monkeypatch, reques
     monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", requested)
     monkeypatch.delenv("CI", raising=False)  # rerun sends nothing from a machine that says so
     before = {p: p.read_bytes() for p in rerun_viewer.SETTINGS_FOLDER.rglob("*") if p.is_file()}
-    command = [rerun_viewer.find_executable(), "analytics", "config"]
+    command = [rerun_viewer.find_rerun_executable(), "analytics", "config"]
     message = subprocess.run(
-        command, env=rerun_viewer.build_environment(), capture_output=True, text=True, check=True
+        command, env=rerun_viewer.build_rerun_environment(), capture_output=True, text=True, check=True
     ).stdout
     assert ('"analytics_enabled": true' in message) == bool(requested)
     assert ('"analytics_enabled": false' in message) != bool(requested)
@@ -279,7 +279,7 @@ def test_nobody_waits_for_ever_for_a_viewer_that_never_listens():
         requested.append(1)
         return None if len(requested) < 50 else 1
 
-    rerun_viewer._wait_for(
+    rerun_viewer._wait_for_port(
         rerun_viewer.find_free_port(), SimpleNamespace(poll=poll, stderr=None, returncode=1), time.monotonic() + 0.15
     )
     assert 1 <= len(requested) < 10
@@ -327,11 +327,11 @@ def test_a_picture_waits_until_the_viewer_has_loaded_and_settled(rrd, tmp_path, 
 
     monkeypatch.setattr("rerun.experimental.ViewerClient", SimpleNamespace(connect=connect))
     monkeypatch.setattr(rerun_viewer, "_run_rerun", started)
-    monkeypatch.setattr(rerun_viewer, "_wait_for", lambda *_: None)
-    monkeypatch.setattr(rerun_viewer, "_cut_frame", lambda *arguments: done.append(arguments))
+    monkeypatch.setattr(rerun_viewer, "_wait_for_port", lambda *_: None)
+    monkeypatch.setattr(rerun_viewer, "_cut_window_frame", lambda *arguments: done.append(arguments))
     monkeypatch.setattr("time.sleep", done.append)
     png = tmp_path / "x.png"
-    rerun_viewer._render(rrd, png, (640, 480), None, 20)
+    rerun_viewer._render_screenshot(rrd, png, (640, 480), None, 20)
     size = ["--headless", "--window-size", f"640x{480 + rerun_viewer.FRAME_HEIGHT}"]
     current = (1, ("time",), {"duration": 2.0, "play_state": "paused"})
     assert done == [size, 0.2, 0.2, 0.2, current, 0.5, 0.5, (png, (640, 480))]

@@ -16,7 +16,7 @@ import pytest
 
 from stage.errors import ArgumentError
 from stage.recording import rerun_viewer
-from stage.recording.browser_server import Server
+from stage.recording.browser_server import RecordingServer
 from stage.recording.rerun_viewer import ViewerError
 from stage.support.files import FileError
 
@@ -34,10 +34,10 @@ def test_a_port_beyond_the_first_and_the_last_is_refused(port):
      (errno.EACCES, "port 9191 cannot be had: no, sir. Choose another: --port 4711")],
 )  # fmt: skip
 def test_a_port_that_cannot_be_had_says_why_and_names_one_that_is_free(tmp_path, monkeypatch, number, message):
-    def refused(rrd, port, outside):
+    def refused(rrd, port, allow_other_servers):
         raise OSError(number, "no, sir")
 
-    monkeypatch.setattr(rerun_viewer, "Server", refused)
+    monkeypatch.setattr(rerun_viewer, "RecordingServer", refused)
     monkeypatch.setattr(rerun_viewer, "find_free_port", lambda: 4711)
     rrd = tmp_path / "x.rrd"
     rrd.touch()
@@ -54,7 +54,7 @@ def test_usage_data_is_sent_only_on_request(monkeypatch, arguments, wanted):
     monkeypatch.setenv("XDG_CONFIG_HOME", "/own")
     if arguments is not None:
         monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", arguments)
-    assert rerun_viewer.build_environment()["XDG_CONFIG_HOME"] == (
+    assert rerun_viewer.build_rerun_environment()["XDG_CONFIG_HOME"] == (
         "/own" if wanted else str(rerun_viewer.SETTINGS_FOLDER)
     )
 
@@ -66,14 +66,14 @@ def test_reruns_program_is_the_one_that_is_named_or_that_of_its_package(tmp_path
     monkeypatch.setattr(rerun_viewer, "find_spec", lambda name: spec)
     monkeypatch.setattr(rerun_viewer, "import_extra", lambda *_: None)
     with pytest.raises(ViewerError, match=rf"in {tmp_path}/none, {tmp_path} has no program of rerun\. Install it anew"):
-        rerun_viewer.find_executable()
+        rerun_viewer.find_rerun_executable()
     for name in ("rerun.exe", "rerun", "Rerun.app/Contents/MacOS/Rerun"):
         program = tmp_path / name
         program.parent.mkdir(parents=True, exist_ok=True)
         program.touch()
-        assert rerun_viewer.find_executable() == str(program)
+        assert rerun_viewer.find_rerun_executable() == str(program)
     monkeypatch.setenv("RERUN_CLI_PATH", "/else/where")
-    assert rerun_viewer.find_executable() == "/else/where"
+    assert rerun_viewer.find_rerun_executable() == "/else/where"
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_a_picture_shows_the_requested_time_or_the_end(at, end, displayed):
     client = SimpleNamespace(
         get_state=lambda: state, set_time=lambda *arguments, **named: requested.append((arguments, named))
     )
-    rerun_viewer._show_moment(client, at)
+    rerun_viewer._show_time(client, at)
     assert requested == [(("time",), {"duration": pytest.approx(displayed), "play_state": "paused"})]
 
 
@@ -124,7 +124,9 @@ def test_an_existing_picture_is_overwritten_only_on_request(tmp_path, monkeypatc
     rrd, png, requested = tmp_path / "x.rrd", tmp_path / "x.png", []
     rrd.touch(), png.write_bytes(b"old")
     monkeypatch.setattr(
-        rerun_viewer, "_render", lambda rrd, part, *arguments: (requested.append(arguments), part.write_bytes(b"new"))
+        rerun_viewer,
+        "_render_screenshot",
+        lambda rrd, part, *arguments: (requested.append(arguments), part.write_bytes(b"new")),
     )
     with pytest.raises(FileError, match=r"x\.png"):
         rerun_viewer.take_screenshot(rrd, png)
@@ -143,7 +145,7 @@ def test_an_empty_bar_of_a_window_is_cut_off_and_what_is_drawn_stays(tmp_path, b
         for x in range(64):
             picture.putpixel((x, y), bar(x) if y < rerun_viewer.FRAME_HEIGHT else y)
     picture.save(tmp_path / "x.png")
-    rerun_viewer._cut_frame(tmp_path / "x.png", (64, 48))
+    rerun_viewer._cut_window_frame(tmp_path / "x.png", (64, 48))
     with image.open(tmp_path / "x.png") as cut:
         assert cut.size == (64, 48)
         assert cut.getpixel((5, 0)) == (rerun_viewer.FRAME_HEIGHT if top else 5)
@@ -178,7 +180,7 @@ def test_a_page_that_rerun_does_not_give_is_named(monkeypatch, name, called):
 
 @contextmanager
 def serving(rrd):
-    with Server(rrd, 0) as server:
+    with RecordingServer(rrd, 0) as server:
         server.page = {"": b"the page", "favicon.ico": b"an icon"}
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
@@ -223,13 +225,13 @@ def test_headers_forbid_caching_sniffing_and_referrers(tmp_path):
 
 def test_at_port_80_a_browser_leaves_the_port_away():
     server = SimpleNamespace(server_port=80)
-    assert Server.hosts.fget(server) == ["127.0.0.1:80", "localhost:80", "127.0.0.1", "localhost"]
+    assert RecordingServer.hosts.fget(server) == ["127.0.0.1:80", "localhost:80", "127.0.0.1", "localhost"]
     server.server_port = 8080
-    assert Server.hosts.fget(server) == ["127.0.0.1:8080", "localhost:8080"]
+    assert RecordingServer.hosts.fget(server) == ["127.0.0.1:8080", "localhost:8080"]
 
 
 def test_a_disconnected_browser_is_no_error_and_others_are_reported(tmp_path, capfd):
-    with Server(Path(tmp_path), 0) as server:
+    with RecordingServer(Path(tmp_path), 0) as server:
         for error, reported in ((BrokenPipeError("gone"), False), (ValueError("a mistake of ours"), True)):
             try:
                 raise error

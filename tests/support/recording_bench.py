@@ -9,7 +9,7 @@ import numpy as np
 from stage import Drive
 from stage.chips import PCL240K
 from stage.recording import Recording
-from stage.recording.rerun_viewer import build_environment, find_executable
+from stage.recording.rerun_viewer import build_rerun_environment, find_rerun_executable
 from support.programs import load_registers, start_preset
 
 ONE_AXIS = """
@@ -70,13 +70,13 @@ def feed(recording, n, rng=None):
         s["rate"] = np.abs(32_000 * np.cos(t))[:, None]
         s["counter"] = (1e6 - 32_000 * np.sin(t)).astype(int)[:, None]
         recording.positions[rows_to_fill] = 0.1 * np.sin(t)[:, None]
-        recording.take(recording.filled + free)
+        recording.take_rows(recording.filled + free)
         done += free
 
 
 def rerun_cli(*args):
-    command = [find_executable(), *map(str, args)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, env=build_environment())
+    command = [find_rerun_executable(), *map(str, args)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, env=build_rerun_environment())
 
 
 def read_rrd(path):

@@ -54,12 +54,12 @@ class Samples:
     """Buffers for samples of the engine, which the parent copies into its recording. The stage uses them like a
     recording."""
 
-    FORWARD = True
+    REQUIRES_FORWARD_TIME = True
 
     def __init__(self, shared: SharedMemory):
         self.samples, self.positions, self.filled = shared.samples, shared.positions, 0
 
-    def take(self, filled: int) -> None:
+    def take_rows(self, filled: int) -> None:
         """Store the number of rows that the engine has filled."""
         self.filled = filled
 

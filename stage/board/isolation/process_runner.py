@@ -291,7 +291,7 @@ class ProcessRunner:
             recording.samples[begin:end] = shared.samples[at : at + end - begin]
             recording.positions[begin:end] = shared.positions[at : at + end - begin]
             at += end - begin
-            recording.take(end)
+            recording.take_rows(end)
         board.log += shared.take_log_lines()
 
     def _answer_call(self, call: ParentCallRequest) -> tuple[int, bool, bytes | None, tuple[int, ...]]:

@@ -25,7 +25,7 @@ def draw_demonstration(result: DemoResult, path: str | None, overwrite: bool) ->
 
     figure = plot_style.make_figure(9, 5.2)
     panels = figure.subplots(2, 1, sharex=True)
-    begins = [n.time for n in result.recordings[1].notes if n.text.endswith("begins")][:1]
+    begins = [n.time for n in result.recordings[1].fault_changes if n.text.endswith("begins")][:1]
     limits = _find_limits(result, begins)
     for panel, column in zip(panels, result.demo.draws, strict=True):
         unit = _find_unit(column)
@@ -50,7 +50,7 @@ def draw_demonstration(result: DemoResult, path: str | None, overwrite: bool) ->
     panels[1].set_xlabel("time, s", color=plot_style.TEXT_COLOR, fontsize=8.5)
     if limits:
         panels[0].set_xlim(limits)
-    name = result.recordings[1].notes[0].text.removesuffix(": begins")
+    name = result.recordings[1].fault_changes[0].text.removesuffix(": begins")
     plot_style.add_heading(figure, f"{name[:1].upper()}{name[1:]}", result.name)
     if path is not None:
         save_figure(figure, path, 150, overwrite)

@@ -1,8 +1,10 @@
-"""Reads the columns of an .rrd file in a process of its own, as damage in such a file can abort the process inside rerun's reader.
+"""Read the columns of an .rrd file in a separate process, because a damaged file can make rerun's reader abort the process.
 
-The file runs as a program that writes to standard output, for each chunk, the length of the entity's path and of the columns, the
-path, and the columns as an Arrow stream; at the end, or where the reader fails, it writes its last word as a chunk without columns.
-It imports nothing of PulseStage, so that it starts fast. Arrow has validated what comes out of it: offsets, lengths and texts.
+This file also runs as the program of that process. It writes to standard output, for each chunk, the length of the entity's path
+and of the columns, the path, and the columns as an Arrow stream. After the last chunk, or where the reader fails, it writes a
+final
+message as a chunk without columns. It imports nothing of PulseStage, so that it starts fast. Arrow validates offsets, lengths and
+texts of what arrives.
 """
 
 from __future__ import annotations
@@ -20,24 +22,24 @@ from signal import Signals
 from typing import IO, Any
 
 PROGRAM = __file__
-HEAD = struct.Struct("<IQ")
-END = "whole"
+CHUNK_HEAD = struct.Struct("<IQ")
+END_MARK = "whole"
 LIMITS = 256 << 20, 64  # bytes that any file may have when it is unpacked, and times its size
-SECONDS_OF_START, BYTES_A_SECOND = 60.0, 1 << 20
+START_LIMIT_S, MIN_BYTES_PER_S = 60.0, 1 << 20
 BYTES_OF_PROCESS = 2 << 30  # of its threads and libraries
 SKIPPED = "/stage"  # the scene: pictures, no columns
 
 
 class DamagedFile(Exception):
-    """A file that rerun's reader cannot read, with what it message."""
+    """Error: rerun's reader cannot read a file. The message says why."""
 
 
 def read_chunks(path: Path) -> Iterator[tuple[str, Any]]:
-    """Yield the entity path and the Arrow record batch of each chunk, but those of the scene. Raises DamagedFile."""
+    """Yield the entity path and the Arrow record batch of each chunk, except those of the 3D scene. Raises DamagedFile."""
     import pyarrow
 
     size = path.stat().st_size
-    left, seconds = LIMITS[0] + LIMITS[1] * size, SECONDS_OF_START + size / BYTES_A_SECOND
+    left, seconds = LIMITS[0] + LIMITS[1] * size, START_LIMIT_S + size / MIN_BYTES_PER_S
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "RUST_LOG": "off"}
     process = subprocess.Popen(
         [sys.executable, "-P", PROGRAM, str(path)], env=environment,
@@ -49,8 +51,8 @@ def read_chunks(path: Path) -> Iterator[tuple[str, Any]]:
     message = None
     try:
         out: IO[bytes] = process.stdout  # type: ignore[assignment]
-        while len(head := out.read(HEAD.size)) == HEAD.size:
-            length, columns = HEAD.unpack(head)
+        while len(head := out.read(CHUNK_HEAD.size)) == CHUNK_HEAD.size:
+            length, columns = CHUNK_HEAD.unpack(head)
             if not columns:
                 message = out.read(length).decode(errors="replace")
                 break
@@ -72,26 +74,26 @@ def read_chunks(path: Path) -> Iterator[tuple[str, Any]]:
         raise DamagedFile(
             _describe_end(code) if in_time else f"rerun's reader was not done with it after {seconds:.0f} s"
         )
-    if message != END:
+    if message != END_MARK:
         raise DamagedFile(message)
 
 
 def _describe_end(code: int) -> str:
-    """Return in words how the process ended that should have read a file."""
+    """Describe how the reading process ended, from its exit code."""
     return (
         f"rerun's reader was ended by {Signals(-code).name}" if code < 0 else f"rerun's reader ended with status {code}"
     )
 
 
 def _write_chunks(path: str, out: IO[bytes]) -> None:
-    """Write the chunks of a file, as the program that `read_chunks` starts."""
+    """Write the chunks of a file to `out`, as the program that `read_chunks` starts."""
     limit = LIMITS[0] + LIMITS[1] * Path(path).stat().st_size + BYTES_OF_PROCESS
     with suppress(ValueError, OSError):  # somebody has set a lower limit
         resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     import pyarrow
     from rerun.chunk import RrdReader
 
-    message = END
+    message = END_MARK
     try:
         for chunk in RrdReader(path).stream():
             if chunk.entity_path.startswith(SKIPPED):
@@ -102,12 +104,12 @@ def _write_chunks(path: str, out: IO[bytes]) -> None:
             with pyarrow.ipc.new_stream(sink, batch.schema) as stream:
                 stream.write_batch(batch)
             entity, content = chunk.entity_path.encode(), sink.getvalue()
-            out.write(HEAD.pack(len(entity), content.size) + entity)
+            out.write(CHUNK_HEAD.pack(len(entity), content.size) + entity)
             out.write(content)
     except (RuntimeError, ValueError) as error:
         message = str(error).rpartition("rrd: ")[2].partition("\n")[0][:200]
     last = message.encode()
-    out.write(HEAD.pack(len(last), 0) + last)
+    out.write(CHUNK_HEAD.pack(len(last), 0) + last)
     out.flush()
 
 
