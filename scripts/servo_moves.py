@@ -18,7 +18,7 @@ import numpy as np
 from stage import ExtraMissing, Stage
 from stage.chips import HCTL1100
 from stage.chips.hctl1100 import maps
-from stage.firmware.hctl1100.chip_port import CONTROL, MODE_FLAGS, RESET, SET_FLAG_BIT, Port
+from stage.firmware.hctl1100.chip_port import CONTROL, MODE_FLAGS, RESET, SET_FLAG_BIT, ChipPort
 from stage.firmware.hctl1100.moves import FilterTuning, ServoMoveReport, move_by_trapezoid, set_up_servo
 from stage.firmware.hctl1100.position_streaming import (
     compute_circle_errors,
@@ -62,7 +62,7 @@ def a_stage(**places: float) -> Stage:
     return stage
 
 
-def commands(port: Port, begin: int, samples: int) -> np.ndarray:
+def commands(port: ChipPort, begin: int, samples: int) -> np.ndarray:
     """Compute the commands of the profile generator with this chip's registers, sample by sample from `begin` on."""
     chip, values = HCTL1100(port.chip.clock_hz), port.chip.values()
     for address in (*maps.ACCELERATION.addresses, maps.MAX_VELOCITY, *maps.FINAL_POSITION.addresses):
@@ -97,7 +97,7 @@ def run_trapezoid(tuning: FilterTuning = TUNING, counts: int = COUNTS, name: str
     when = first + port.sample * np.arange(-1, int((stage.time - first) / port.sample) - 1)
     command = zero + commands(port, at, len(when) - 1) - at
     position = np.interp(when, columns["time"], columns[f"{name}/position"]) / axis.meters_per_pulse
-    predicted = ServoLoop.of(axis, tuning).following_error(command)
+    predicted = ServoLoop.from_axis(axis, tuning).compute_following_error(command)
     return Trapezoid(report, when - first, command - zero, position - zero, command - position, predicted)
 
 

@@ -333,7 +333,7 @@ def test_a_dual_rate_move_prints_the_speeds_that_the_registers_reach(bench, monk
     options = "--fl 700 --fh1 9000 --fh2 15000 --accel 0.2 --decel 0.4 --from -12.5"
     assert main(["dual-rate", "y", "3000", *options.split()]) == 1, "it did not go as asked"
     assert calls == [("y", 3000, speeds, 0.1, ["FH1", "FH2", "FH1"], pytest.approx(-0.0125))]
-    assert str(get_driver(bench.axes["y"]).profile(speeds)) in capsys.readouterr().out
+    assert str(get_driver(bench.axes["y"]).build_profile(speeds)) in capsys.readouterr().out
 
 
 def test_the_board_of_run_lies_where_the_options_say(monkeypatch):

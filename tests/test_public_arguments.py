@@ -39,7 +39,7 @@ NOT_CALLED_BY_USERS = {
     "Stage.begin_recording": "recordings call it",
     "Stage.panel": "opens a page",
     "Recording.close": "ends the recording that the other cases read",
-    "Recording.take": "the engine calls it",
+    "Recording.take_rows": "the engine calls it",
     "Recording.stream": "once in the life of a recording",
     "Toolbox.release": "ends the toolbox that the other cases call",
 }

@@ -10,7 +10,7 @@ from stage import ArgumentError, RunTimeout, Stage, firmware
 from stage.chips import HCTL1100, MCX304, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS, cores
 from stage.cli import build_parser
 from stage.cli.stage_setup import make_stage
-from stage.firmware.hctl1100.chip_port import Port
+from stage.firmware.hctl1100.chip_port import ChipPort
 from stage.sim.stage_snapshot import Snapshot
 from stage.support.axis_values import parse_wiring
 
@@ -58,7 +58,7 @@ def find_org_position(axis):
 def test_an_hctl1100_has_no_polarity_bit_a_limit_of_positive_logic_keeps_it_in_idle():
     """LIMIT is low while nobody is on the switch: status D7 = 0, and control mode is refused."""
     _, x = make_wired_stage(HCTL1100, LIMITS)
-    port = Port(x)
+    port = ChipPort(x)
     assert port.is_limited()
     x.chip.write(0x05, 0x03)
     assert x.pins.init
@@ -71,7 +71,7 @@ def test_an_hctl1100_has_no_polarity_bit_a_limit_of_positive_logic_keeps_it_in_i
 def test_the_sensors_of_an_hctl1100_can_be_of_positive_logic_all_the_same():
     """STOP triggers at power-up, before anything has moved: a homing program that looks at it finds out."""
     _, x = make_wired_stage(HCTL1100, {"org": "positive", "ez": "positive"})
-    assert not Port(x).read_status() & 0x40
+    assert not ChipPort(x).read_status() & 0x40
 
 
 @pytest.mark.parametrize("sensors", [{"org": "positive"}, LIMITS], ids=["org", "limits"])

@@ -11,7 +11,7 @@ from bench.machines import BareModel, make_moving_stage
 from bench.timing import do_nothing, measure_alternately
 from stage import Stage
 from stage.chips import PCL240MS
-from stage.firmware import Port, Profile
+from stage.firmware import ChipPort, Profile
 from stage.firmware.pcl240 import chip_port
 
 TITLE = "Closed loop beside bare mj_step (xyz, three axes in motion)"
@@ -67,7 +67,7 @@ def compare_with_mj_step(run: Run, stage: Stage, suffix: str, words: str) -> Ite
 def measure_ramp_shapes(run: Run) -> tuple[np.ndarray, np.ndarray]:
     """Seconds for half a second of three axes ramping up and down: with S-curves, and with linear ramps."""
     stage = Stage("xyz", chips=PCL240MS)
-    ports = [Port(axis) for axis in stage.axes.values()]
+    ports = [ChipPort(axis) for axis in stage.axes.values()]
 
     def start(spans: tuple[int, int] | None) -> None:
         stage.reset()

@@ -11,7 +11,7 @@ import numpy as np
 
 from stage import Stage
 from stage.chips import PCL240K
-from stage.firmware import Port
+from stage.firmware import ChipPort
 from stage.firmware.pcl240.chip_port import CONTROL, MINUS, RAMP, RESET
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -32,7 +32,7 @@ def make_moving_stage(model: Any = "xyz", **settings: Any) -> Stage:
     """Chips that keep their motors running for as long as a comparison takes: some seconds."""
     stage = Stage(model, chips=PCL240K, **settings)
     for axis in stage.axes.values():
-        Port(axis).write_registers(**RATE)
+        ChipPort(axis).write_registers(**RATE)
     run_continuously(stage)
     stage.run(SETTLED)
     return stage

@@ -8,7 +8,7 @@ from functools import partial
 from stage.chips import MCX304, MCX514
 from stage.chips.nova import Nova
 from stage.firmware import Bench
-from stage.firmware.nova.chip_port import Port
+from stage.firmware.nova.chip_port import ChipPort
 from worked_examples.table import example, write_registers
 
 mcx514 = partial(example, "MCX514")
@@ -16,14 +16,14 @@ notice = partial(example, "MCX302, 304, 312 notice")
 SPEEDS = {"SV": 1000, "DV": 10_000, "AC": 100_000, "TP": 0}
 
 
-def make_port(chip: type[Nova], **values: int) -> Port:
+def make_port(chip: type[Nova], **values: int) -> ChipPort:
     """Return the port of a fresh chip, with registers loaded by name."""
-    axis_port = Port(Bench(chip()).axes["x"])
+    axis_port = ChipPort(Bench(chip()).axes["x"])
     axis_port.write_parameters(**values)
     return axis_port
 
 
-def measure_drive(p: Port, command: str, seconds: float = 5) -> int:
+def measure_drive(p: ChipPort, command: str, seconds: float = 5) -> int:
     """Run a drive command until the axis stops, and return the change of LP in pulses."""
     before = p.read_position()
     p.write_command(command)
@@ -90,7 +90,7 @@ STOP0, LIMIT, SOFT, S_CURVE = (
 )
 
 
-def is_driving_after(act: Callable[[Port], None], wr2: int = 0, wr3: int = S_CURVE, start: str = "F_DRV_P") -> int:
+def is_driving_after(act: Callable[[ChipPort], None], wr2: int = 0, wr3: int = S_CURVE, start: str = "F_DRV_P") -> int:
     """n-DRV of an MCX304 two seconds after `act` at the end of a deceleration, in area d of the notice's figure 3."""
     p = make_port(MCX304, **FAST, P=40_000, CP=1_000_000)
     p.write_mode_words(WR1=STOP0, WR2=wr2, WR3=wr3)
@@ -107,16 +107,16 @@ def is_driving_after(act: Callable[[Port], None], wr2: int = 0, wr3: int = S_CUR
     return int(p.is_driving())
 
 
-def make_pin_action(name: str) -> Callable[[Port], None]:
+def make_pin_action(name: str) -> Callable[[ChipPort], None]:
     """Assert an input of the axis."""
     return lambda p: setattr(p.axis.pins, name, True)
 
 
-def make_command_action(symbol: str) -> Callable[[Port], None]:
+def make_command_action(symbol: str) -> Callable[[ChipPort], None]:
     return lambda p: p.write_command(symbol)
 
 
-def set_soft_limit(p: Port) -> None:
+def set_soft_limit(p: ChipPort) -> None:
     """COMP+ where the axis is."""
     p.write_parameters(CP=p.read_position() - 1)
 

@@ -19,7 +19,7 @@ from stage.firmware.axis import Axis
 from stage.firmware.chip_bench import Bench
 from stage.firmware.gantry_homing import square_gantry
 from stage.firmware.move_report import Report
-from stage.firmware.pcl240.chip_port import Port
+from stage.firmware.pcl240.chip_port import ChipPort
 from stage.firmware.pcl240.line_plan import Plan, plan
 from stage.firmware.pcl240.moves import continuous_move, external_count, interrupted_move, preset_move
 from stage.firmware.pcl240.origin_return import origin_return
@@ -39,7 +39,7 @@ PROCEDURES: dict[str, Callable] = {
 """Every procedure by name."""
 
 
-def procedure(name: str) -> Callable:
+def find_procedure(name: str) -> Callable:
     """Return the procedure with this name.
 
     Args:
@@ -55,7 +55,7 @@ def procedure(name: str) -> Callable:
 
 
 __all__ = [
-    "Axis", "Bench", "PROCEDURES", "Plan", "Port", "Profile", "Report", "SynchronizedReport", "continuous_move",
+    "Axis", "Bench", "PROCEDURES", "Plan", "ChipPort", "Profile", "Report", "SynchronizedReport", "continuous_move",
     "curved_ramp_move", "dual_rate_move", "external_count", "home", "interrupted_move", "jog", "line", "move", "origin_return",
-    "plan", "preset_move", "procedure", "speed_change_move", "square_gantry", "stop", "synchronized_move",
+    "plan", "preset_move", "find_procedure", "speed_change_move", "square_gantry", "stop", "synchronized_move",
 ]  # fmt: skip

@@ -28,9 +28,10 @@ def has_positive_logic(axis: object, sensor: str) -> bool:
 
 
 class Axis(Protocol):
-    """An axis for firmware: a chip on a bus, and time.
+    """Interface of an axis for firmware: a chip on a bus, and time.
 
-    The other properties are the true state of the machine. Only reports use them.
+    The properties `position`, `commanded` and `lost_steps` are the true state of the machine, which a host cannot see. Only
+    reports use them.
     """
 
     @property
@@ -47,7 +48,7 @@ class Axis(Protocol):
 
     @property
     def meters_per_pulse(self) -> float | None:
-        """Metres per pulse (rad on a hinge); None without a carriage."""
+        """Meters per pulse (rad on a hinge); None without a carriage."""
 
     @property
     def time(self) -> float:
@@ -101,7 +102,7 @@ def check_seconds(seconds: float) -> None:
 
 
 class HasAxes(Protocol):
-    """A machine with axes by name: a Stage or a Bench."""
+    """Machine with axes by name: a Stage or a Bench."""
 
     @property
     def axes(self) -> Mapping[str, Axis]:

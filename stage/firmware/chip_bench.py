@@ -30,7 +30,7 @@ PositionSpan = tuple[int | None, int | None]
 
 
 class BenchAxis:
-    """Axis of a bench: a chip whose pulses move nothing, or only the carriage of a rail."""
+    """Axis of a bench: a chip without a machine, or with a carriage that follows the pulses exactly (`Bench.add_rail`)."""
 
     chip_axis = 0
     meters_per_pulse = None
@@ -65,12 +65,13 @@ class BenchAxis:
         return self._offset + self.chip.net(self.chip_axis)
 
     def _place_on_rail(self, at: int, spans: dict[str, PositionSpan]) -> None:
+        """Place the carriage of a rail at `at` pulses, with the pins that it asserts within spans of pulses."""
         self._offset, self._spans = at - self.chip.net(self.chip_axis), spans
         self._bounds = [bound for span in spans.values() for bound in span if bound is not None]
         self._assert_switches()
 
     def _assert_switches(self) -> None:
-        """Set all inputs at once: switches of a stage that share an edge change together, so the chip sees no state between."""
+        """Set all inputs at once, so that the chip sees no intermediate state where switches share an edge."""
         chip, place = self.chip, self.rail_position
         old = word = chip.input_word(self.chip_axis)
         for pin, span in self._spans.items():
@@ -86,12 +87,12 @@ class BenchAxis:
         return np.frombuffer(bytearray(self.chip.state.tobytes()), self.chip.CORE.STATE)
 
     def _run(self, clock: int) -> None:
-        """Let the chip run up to `clock`, in parts after which Ctrl-C takes effect."""
+        """Run the chip up to `clock`, in parts between which Ctrl-C takes effect."""
         for stop in split_run(self.chip.clock, clock):
-            self._run_piece(stop)
+            self._run_part(stop)
 
-    def _run_piece(self, clock: int) -> None:
-        """Let the chip run up to `clock`; update the inputs at each pulse that moves the carriage into a span or out of it."""
+    def _run_part(self, clock: int) -> None:
+        """Run the chip up to `clock`; update the inputs at each pulse that moves the carriage into a span or out of it."""
         chip = self.chip
         core, c = chip.CORE, chip.pointer
         while self._spans and chip.clock < clock:
@@ -122,7 +123,9 @@ class Bench(Bus):
     Args:
         chips: Chips, named x, y, z, u, v, w in their order; or one mapping name -> chip; or keywords.
         bus_cycle: Seconds that one bus cycle takes.
-    Raises ArgumentError when there is no chip, or one that belongs to a stage or another bench.
+
+    Raises:
+        ArgumentError: There is no chip, or one belongs to a stage or another bench.
     """
 
     def __init__(self, *chips: Chip | Mapping[str, Chip], bus_cycle: float = 1e-6, **named: Chip):
@@ -163,7 +166,7 @@ class Bench(Bus):
         return self._bus_ns * 1e-9
 
     def cycle(self) -> None:
-        """Let one bus cycle pass; chips call it before each read and write."""
+        """Let the time of one bus cycle pass; chips call this method before each read and write."""
         self._advance(self._now + self._bus_ns)
 
     @explain_arguments
@@ -210,6 +213,7 @@ class Bench(Bus):
         self.axes[axis]._place_on_rail(at, spans)
 
     def _advance(self, until: int) -> None:
+        """Advance to a time of the bench, ns, and call the actions that are due."""
         for name, axis in self.axes.items():
             check_clock(self._clock_at(name, axis.chip, until))
         while self._events and self._events[0][0] <= until:
@@ -219,6 +223,7 @@ class Bench(Bus):
         self._run(max(until, self._now))  # an action may have spent bus cycles
 
     def _run(self, until: int) -> None:
+        """Run all chips to a time of the bench, ns."""
         self._now = until
         for name, axis in self.axes.items():
             axis._run(self._clock_at(name, axis.chip, until))
@@ -229,5 +234,6 @@ class Bench(Bus):
 
 
 def _is_within(place: Any, span: PositionSpan) -> Any:
+    """Return whether a position, or each of an array, is within a span."""
     low, high = span
     return (place >= (-np.inf if low is None else low)) & (place <= (np.inf if high is None else high))

@@ -152,7 +152,7 @@ class Driver(ABC):
         return self.chip.lock
 
     def build_inverted_sensor_error(self, sensor: str) -> ArgumentError:
-        """Return the error for a sensor whose inverted logic neither the chip nor its driver supports."""
+        """Return the error for a sensor whose inverted logic this chip and its driver do not support."""
         logic = getattr(self.axis, "wiring", {}).get(sensor, "positive")
         return ArgumentError(
             f"axis {self.axis.name}: {sensor} is of {logic} logic, and {add_article(self.chip.MAP.chip)} cannot read it so. "
@@ -209,7 +209,7 @@ class Driver(ABC):
         return self.explain_end(self.goal in (None, self.chip.net(self.axis.chip_axis)))
 
     def check_speeds(self, speeds: Speeds) -> None:
-        """Raise ArgumentError for what this family does not have of `Speeds`."""
+        """Raise ArgumentError if this family does not support one of the options in `speeds`."""
         chip = add_article(self.chip.MAP.chip)
         for name in ("second", "constant", "automatic", "approach"):
             value = getattr(speeds, name)
@@ -291,7 +291,7 @@ class Driver(ABC):
         return self.home(direction, speeds, int(method == "index"), timeout)
 
     def list_homing_methods(self) -> tuple[str, ...]:
-        """Return those of HOMING_METHODS for which the axis' chip has an input."""
+        """Return the HOMING_METHODS that the inputs of the axis' chip allow."""
         return tuple(what for what in self.HOMING_METHODS if what != "index" or self.chip.wired("ez"))
 
     def check_homing(self, method: str, index: int = 0) -> None:
@@ -315,7 +315,7 @@ class Driver(ABC):
         check_origin(self.axis, [by for by in self.list_homing_methods() if by not in ("switch", "index")])
 
     def prepare(self) -> Any:
-        """Set the chip up for its first drive, if the family requires this; nothing moves.
+        """Set the chip up for its first drive, if the family requires this. Nothing moves.
 
         Raises:
             StageError: The axis moves already.
@@ -575,7 +575,7 @@ def get_driver_class(chip: type[Chip]) -> type[Driver]:
 
 
 def select_moving(drivers: Mapping[str, DriverType], pulses: Mapping[str, int]) -> dict[str, DriverType]:
-    """Return the drivers of the axes that move on a line. Raises ArgumentError if no axis has pulses to make."""
+    """Return the drivers of the axes that have pulses to make on a line. Raises ArgumentError if no axis has any."""
     moving = {name: driver for name, driver in drivers.items() if pulses[name]}
     if not moving:
         values = ", ".join(f"{name} 0" for name in drivers)

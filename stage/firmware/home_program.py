@@ -14,7 +14,7 @@ from stage.sim.program import Program
 
 
 class HomeResults(NamedTuple):
-    """Results of origin returns, as far as a host knows them: arrays (stages) of pulses or bool."""
+    """Results of origin returns, as far as a host knows them: arrays of pulses or bool, shape (stages,)."""
 
     timed_out: np.ndarray
     """Whether a run exceeded its time limit."""
@@ -31,11 +31,11 @@ class HomeResults(NamedTuple):
 
 
 class HomeProgram(ABC):
-    """An origin return towards minus, written as a program that cannot branch.
+    """Origin return towards minus as a program, which cannot branch.
 
     Attributes:
-        choices: Ranges of the numbers in a row, which the user chooses.
-        marks: the places of the results that `read_results` needs; the same for every program.
+        choices: Ranges of the numbers that the user chooses, in the order of a row.
+        result_indices: Indices of the operations whose results `read_results` needs, by name; equal for every program.
     """
 
     choices: ParameterRanges
@@ -55,7 +55,7 @@ class HomeProgram(ABC):
     def find_nearest_row(
         self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int
     ) -> list[int]:
-        """Return the row of choices that comes closest to the rates and pulses of a user.
+        """Return the choices that come closest to the rates and pulses of a user, as a row.
 
         Args:
             fl: Start rate, pps.
@@ -66,7 +66,7 @@ class HomeProgram(ABC):
             back_off: Pulses of the move away from ORG before the last approach.
 
         Raises:
-            ArgumentError: The family does not define it.
+            ArgumentError: This family does not support the conversion.
         """
         raise ArgumentError(
             f"{type(self).__module__}.{type(self).__name__} makes no choices of rates: give those of "
@@ -74,7 +74,7 @@ class HomeProgram(ABC):
         )
 
     def _round_to_ranges(self, wanted: Mapping[str, float]) -> list[int]:
-        """Return the row with the wanted numbers, rounded and clipped to their ranges."""
+        """Return the row with these numbers, rounded and clipped to their ranges."""
         ranges = self.choices.ranges.items()
         return [int(min(max(round(wanted[name]), low), high)) for name, (low, high) in ranges]
 
@@ -83,14 +83,14 @@ class HomeProgram(ABC):
         """Decode the results of programs.
 
         Args:
-            results: Results of the programs (stages, operations).
-            rows: Choices with which the programs were written (stages, choices).
+            results: Results of the programs, shape (stages, operations).
+            rows: Choices with which the programs were written, shape (stages, choices).
 
         Returns:
             Results of all stages.
         """
 
-    def _note_result_index(self, name: str, program: Program) -> Program:
+    def _store_result_index(self, name: str, program: Program) -> Program:
         """Store the index of the next operation under `name` in `result_indices`, and return the program."""
         self.result_indices[name] = len(program)
         return program

@@ -50,9 +50,9 @@ class LineMoves(NamedTuple):
     """Moves along lines, one for each stage.
 
     Attributes:
-        distances: Signed pulses of each axis (stages, axes).
-        rate: Peak rate of the longest axis, pps (stages).
-        ramp: Time of its ramps, s (stages); None: the `accel` of the line's settings.
+        distances: Signed pulses of each axis, shape (stages, axes).
+        rate: Peak rate of the longest axis, pps, shape (stages,).
+        ramp: Time of its ramps, s, shape (stages,); None: the `accel` of the line's settings.
     """
 
     distances: np.ndarray
@@ -61,21 +61,21 @@ class LineMoves(NamedTuple):
 
     @property
     def magnitudes(self) -> np.ndarray:
-        """Pulses of each axis without their sign (stages, axes)."""
+        """Pulses of each axis without their sign, shape (stages, axes)."""
         return np.abs(self.distances)
 
     @property
     def longest(self) -> np.ndarray:
-        """Pulses of the longest axis (stages)."""
+        """Pulses of the longest axis, shape (stages,)."""
         return self.magnitudes.max(axis=1)
 
     @property
     def shares(self) -> np.ndarray:
-        """Each axis' pulses as a share of the longest one's (stages, axes)."""
+        """Pulses of each axis divided by those of the longest axis, shape (stages, axes)."""
         return self.magnitudes / self.longest[:, None]
 
     def select_leader_values(self, values: np.ndarray) -> np.ndarray:
-        """Return the column of the longest axis, (stages, 1), from values (stages, axes)."""
+        """Select the values of the longest axis, shape (stages, 1), from values of all axes, shape (stages, axes)."""
         return np.take_along_axis(values, self.magnitudes.argmax(axis=1)[:, None], 1)
 
 
@@ -87,7 +87,7 @@ class LineSettings(NamedTuple):
         accel: Time of its ramps, s.
         s_curve: Whether the ramps are S-curves.
         reach: Pulses along the line by which a correction of 1 moves an axis.
-        axes: Names of the axes, for errors.
+        axes: Names of the axes, for error messages.
     """
 
     fl: float
@@ -102,8 +102,8 @@ class LinePrograms(ABC):
 
     Attributes:
         names: Names of the registers in a row.
-        shape: (rows, names), with one row for each axis, or one row for all axes.
-        fastest: highest rate of the longest axis, pps.
+        shape: Shape (rows, names) of the registers of one stage, with one row for each axis, or one row for all axes.
+        max_rate: Highest rate of the longest axis, pps.
     """
 
     names: tuple[str, ...]
@@ -125,7 +125,14 @@ class LinePrograms(ABC):
 
     @abstractmethod
     def compute_registers(self, moves: LineMoves) -> np.ndarray:
-        """Compute the registers (stages, *shape) by the formulas of the data sheet."""
+        """Compute the registers by the formulas of the data sheet.
+
+        Args:
+            moves: Moves along the line.
+
+        Returns:
+            Registers, shape (stages, *shape).
+        """
 
     @abstractmethod
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
@@ -133,18 +140,21 @@ class LinePrograms(ABC):
 
         Args:
             moves: Moves along the line.
-            corrections: Numbers from -1 to 1 (stages, *shape); 0 changes nothing.
+            corrections: Numbers from -1 to 1, shape (stages, *shape); 0 changes nothing.
 
         Returns:
-            Registers (stages, *shape).
+            Registers, shape (stages, *shape).
         """
 
     @abstractmethod
     def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
-        """Compute how far each axis strays from its share of the line with the data sheet's registers.
+        """Compute how far each axis is from its share of the line with the registers of the data sheet.
+
+        Args:
+            moves: Moves along the line.
 
         Returns:
-            Pulses (stages, axes, 4), see `compute_deviations`.
+            Pulses, shape (stages, axes, 4), see `compute_deviations`.
         """
 
     @abstractmethod
@@ -152,32 +162,35 @@ class LinePrograms(ABC):
         """Write the bus cycles from rest to the last start command.
 
         Args:
-            registers: Registers (stages, *shape).
+            registers: Registers, shape (stages, *shape).
             moves: Moves along the line.
 
         Returns:
-            Operations (stages, operations, 4). The stages differ only in the numbers that the operations write.
+            Operations, shape (stages, operations, 4). The stages differ only in the numbers that the operations write.
         """
 
     @abstractmethod
     def find_start_operations(self, distances: np.ndarray) -> np.ndarray:
-        """Return for each axis of one stage the index of the operation that starts it."""
+        """Return for each axis of one stage the index of the operation that starts the axis."""
 
     def compute_last_pulse_seconds(self, registers: np.ndarray) -> np.ndarray:
-        """Return the seconds from the beginning of the last pulse to the end of the drive (stages)."""
+        """Return the seconds from the beginning of the last pulse to the end of the drive, shape (stages,)."""
         return np.zeros(len(registers))
 
     # --- the same for all ---
 
-    def clip_to_legal(self, registers: np.ndarray) -> np.ndarray:
+    def clip_to_legal_range(self, registers: np.ndarray) -> np.ndarray:
         """Clip registers to the ranges of the data sheet."""
         return np.clip(np.rint(registers), self.low, self.high).astype(np.int64)
 
-    def compute_peaks(self, moves: LineMoves) -> tuple[np.ndarray, np.ndarray]:
+    def compute_peak_rates_and_ramps(self, moves: LineMoves) -> tuple[np.ndarray, np.ndarray]:
         """Compute the peak rates and ramp times for which the moves are long enough.
 
+        Args:
+            moves: Moves along the line.
+
         Returns:
-            Rate, pps (stages), and time, s (stages).
+            Rates, pps, and times of the ramps, s, each of shape (stages,).
         """
         c = self.settings
         accel = c.accel if moves.ramp is None else moves.ramp
@@ -186,7 +199,13 @@ class LinePrograms(ABC):
         return peak, np.maximum(accel * (peak - c.fl) / top, 1e-6)
 
     def compute_deviations(
-        self, moves: LineMoves, rate: np.ndarray, ramp: np.ndarray, lag: np.ndarray, less: np.ndarray, point: np.ndarray
+        self,
+        moves: LineMoves,
+        rate: np.ndarray,
+        ramp: np.ndarray,
+        lag: np.ndarray,
+        ramp_down_lag: np.ndarray,
+        down_point: np.ndarray,
     ) -> np.ndarray:
         """Compute in closed form how far axes are from their shares of the longest one. All arrays are (stages, axes).
 
@@ -195,8 +214,8 @@ class LinePrograms(ABC):
             rate: Rates, pps.
             ramp: Times of the ramps up, s.
             lag: Pulses that the two ramps make less than the full rate would in their time.
-            less: Pulses that the ramp down makes less than the full rate would in its time.
-            point: Pulses left when the ramp down begins.
+            ramp_down_lag: Pulses that the ramp down makes less than the full rate would in its time.
+            down_point: Pulses left when the ramp down begins.
 
         Returns:
             Pulses (stages, axes, 4): lead of the axis after the ramp-up, increase of the lead until the ramp-down, pulses by which
@@ -204,20 +223,28 @@ class LinePrograms(ABC):
         """
         lead, share = moves.select_leader_values, moves.shares
         risen = lead(ramp)
-        falls = lead((moves.magnitudes - point + lag) / rate)
+        falls = lead((moves.magnitudes - down_point + lag) / rate)
         off = rate - share * lead(rate)
         rise = off * risen - (lag - share * lead(lag))
-        return np.stack([rise, off * (falls - risen), point - share * lead(point), less - share * lead(less)], axis=2)
+        return np.stack(
+            [
+                rise,
+                off * (falls - risen),
+                down_point - share * lead(down_point),
+                ramp_down_lag - share * lead(ramp_down_lag),
+            ],
+            axis=2,
+        )
 
     def trace_pulses(self, ops: np.ndarray, distances: np.ndarray) -> list[np.ndarray]:
         """Run the program of one stage on copies of the chips, and record their pulses.
 
         Args:
-            ops: Operations of the program (operations, 4).
-            distances: Signed pulses of each axis (axes).
+            ops: Operations of the program, shape (operations, 4).
+            distances: Signed pulses of each axis, shape (axes,).
 
         Returns:
-            Ticks (int64) from each axis' start to each of its pulses.
+            For each axis the ticks (int64) from its start to each of its pulses.
         """
         out: list[np.ndarray] = [np.empty(0, np.int64)] * len(self.drivers)
         for (chip, mine), fresh in zip(self._group_by_chip(), self._fresh, strict=True):
@@ -238,12 +265,24 @@ class LinePrograms(ABC):
             chips.setdefault(id(h.chip), (h.chip, []))[1].append(a)
         return list(chips.values())
 
-    def _add_slot(self, program: Program, back: int, column: int, shift: int = 0) -> None:
-        """Mark an operation of the template, `back` before its end, as one that writes a column, shifted right by `shift`."""
+    def _mark_column_operation(self, program: Program, back: int, column: int, shift: int = 0) -> None:
+        """Mark an operation of the template as one that writes a column.
+
+        Args:
+            program: Template.
+            back: Position of the operation, counted from the end of the template.
+            column: Index of the column that `_fill_template` writes there.
+            shift: Number of bits by which the value is shifted to the right.
+        """
         self._slots.append((len(program) - back, column, shift))
 
     def _fill_template(self, template: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return copies of the template with the numbers of `columns` (stages, columns) in the marked operations."""
+        """Return copies of the template in which the marked operations write their columns.
+
+        Args:
+            template: Operations, shape (operations, 4).
+            columns: Numbers to write, shape (stages, columns).
+        """
         ops = np.repeat(template[None], len(columns), axis=0)
         for j, column, shift in self._slots:
             ops[:, j, 3] = columns[:, column] >> shift & self.chip.DATA_MASK

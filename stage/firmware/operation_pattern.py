@@ -19,7 +19,7 @@ PatternLane = tuple[str, str, str]
 
 
 class PatternNote(NamedTuple):
-    """A line of text above the curve, with a mark at `time`: a dot for an event, an arrow for a command of the host."""
+    """Line of text above the curve of a plot, with a mark at `time`: a dot for an event, an arrow for a command of the host."""
 
     time: float
     code: str
@@ -59,7 +59,7 @@ class OperationPattern:
         on = self.course.pin(pin)
         return pin in self.ALWAYS or bool(on.any() if pin in self.course.chip.INPUTS else on.any() and not on.all())
 
-    def minus(self) -> np.ndarray:
+    def find_minus_edges(self) -> np.ndarray:
         """Return a mask of the edges after which the axis moves in the minus direction."""
         return np.diff(self.course.edges["net"], append=self.course.edges["net"][-1]) < 0
 
@@ -67,11 +67,11 @@ class OperationPattern:
         """Return the rates that have names in the data sheet, pps."""
         return {}
 
-    def notes(self, t: np.ndarray) -> list[PatternNote]:
-        """Return notes of the host's commands and of the chip's events.
+    def make_notes(self, times: np.ndarray) -> list[PatternNote]:
+        """Return the notes of the host's commands and of the chip's events.
 
         Args:
-            t: Times of the edges of the report's waveform, s from the first start.
+            times: Times of the edges of the report's waveform, s from the first start.
         """
         report = self.report
         notes = [

@@ -50,7 +50,8 @@ def _find_worst_deviation(times, signs, starts, ends, line, at, cursor, when):
     """Return the largest distance of the pulse counts from the line, and write its time to when[0].
 
     The pulses of axis k are times[starts[k]:ends[k]]. Pulses at the same time count as one step. `at` (zeros) and `cursor` (a copy
-    of `starts`) are scratch arrays."""
+    of `starts`) are work arrays.
+    """
     n = len(line)
     length2 = 0.0
     for k in range(n):
@@ -76,6 +77,7 @@ def _find_worst_deviation(times, signs, starts, ends, line, at, cursor, when):
 
 
 def _pack_pulses(pulses: Sequence[Any], distances: Sequence[int], clock_hz: Any) -> tuple[np.ndarray, ...]:
+    """Return the arguments of `_find_worst_deviation` for these pulses. Raises ArgumentError as `compute_path_deviation`."""
     if len(pulses) != len(distances) or not len(pulses):
         raise ArgumentError(f"{len(pulses)} axes of pulses and {len(distances)} distances: give one distance an axis.")
     hz = [clock_hz] * len(pulses) if clock_hz is None or np.isscalar(clock_hz) else list(clock_hz)
@@ -143,7 +145,7 @@ def compute_path_points(pulses: Sequence[Any], clock_hz: Any = None) -> tuple[np
 
 
 def compute_perfect_deviation(distances: Sequence[int]) -> float:
-    """Compute the deviation of perfect axes: they start at the same time and have constant rates exactly in ratio."""
+    """Compute the deviation of perfect axes, which start at the same time and have constant rates exactly in ratio, pulses."""
     perfect = [(np.arange(1, abs(d) + 1) / max(abs(d), 1), np.sign(d)) for d in distances]
     return compute_path_deviation(perfect, distances).pulses
 
@@ -182,6 +184,7 @@ def replay_pulses(journal: Journal) -> np.ndarray:
 
 
 def _list_encoder_counts(journal: Journal) -> np.ndarray:
+    """Return a record for each count that a servo's command moved, like the pulses of other chips."""
     edges = journal.course().edges
     steps = np.diff(edges["net"])
     at = np.repeat(np.arange(1, len(edges)), np.abs(steps))

@@ -59,7 +59,7 @@ def draw_operation_pattern(
     t[0], t[-1] = min(t[0], begin), max(t[-1], end)  # nothing moves before and after
     scale, unit = (1e3, "ms") if end - begin < 2 else (1.0, "s")
     limits = begin * scale, end * scale
-    notes = [n._replace(time=n.time * scale) for n in pattern.notes(t)]
+    notes = [n._replace(time=n.time * scale) for n in pattern.make_notes(t)]
     if ax is not None:
         figure = ax.figure
         box = ax.get_window_extent()
@@ -87,6 +87,7 @@ def draw_operation_pattern(
 
 
 def _draw_heading(figure: Any, report: Report, title: str | None, height: float) -> None:
+    """Draw the title and the main results above the plot."""
     y = 1 - 0.25 / height
     name = title or f"{report.procedure[:1].upper()}{report.procedure[1:]}, axis {report.axis}"
     summary = f"{_format_signed(report.pulses)} pulses, {report.duration:.3f} s, stopped by {report.stopped_by}"
@@ -96,20 +97,20 @@ def _draw_heading(figure: Any, report: Report, title: str | None, height: float)
     figure.text(1 - 0.12 / WIDTH, y, summary, color=MUTED_COLOR, fontsize=8.5, ha="right", va="center")
 
 
-def _format_signed(n: int) -> str:
-    return f"{n:+,d}".replace("-", "\N{MINUS SIGN}")
+def _format_signed(number: int) -> str:
+    return f"{number:+,d}".replace("-", "\N{MINUS SIGN}")
 
 
-def _compute_time_range(report: Report, t: np.ndarray) -> tuple[float, float]:
+def _compute_time_range(report: Report, times: np.ndarray) -> tuple[float, float]:
     """Return the times from shortly before the first start to shortly after the last stop, s."""
-    last = report.duration if report.duration else max(float(t[-1]), 1e-3)
+    last = report.duration if report.duration else max(float(times[-1]), 1e-3)
     return -0.025 * last, 1.04 * last
 
 
 def _draw_rate_panel(
     ax: Any,
     pattern: OperationPattern,
-    t: np.ndarray,
+    times: np.ndarray,
     limits: tuple[float, float],
     notes: list[PatternNote],
     width: float,
@@ -120,21 +121,21 @@ def _draw_rate_panel(
     rates = report.rates
     peak = float(rates.max()) or 1.0
     rows = _assign_note_rows(notes, limits, width)
-    plateaus = _find_plateaus(report, levels, t, limits)
+    plateaus = _find_plateaus(report, levels, times, limits)
     first = 1.6 if any(rate > 0.97 * peak for _, rate in plateaus) else 0.9  # the lowest note leaves room for the rate
     above = (max(rows, default=0) + first + 0.7) * ROW  # points for the notes
     scale = peak / (height - above)  # pps a point
     ax.set_xlim(*limits)
     ax.set_ylim(0, height * scale)
-    minus = pattern.minus()
+    minus = pattern.find_minus_edges()
     both = len(set(minus[rates > 0].tolist())) > 1
     for colour, part in ((FILL, ~minus | (not both)), (MINUS_FILL, minus & both)):
-        ax.fill_between(t, np.where(part, rates, 0), step="post", color=colour, linewidth=0)
+        ax.fill_between(times, np.where(part, rates, 0), step="post", color=colour, linewidth=0)
     for name, level in levels.items():
         if level <= 1.02 * peak:
             ax.axhline(level, color=MUTED_COLOR, linewidth=0.6, linestyle=(0, (5, 4)), zorder=1)
             _label_level(ax, level, f"{name}  {level:,.0f}")
-    ax.step(t, rates, where="post", color=LINE, linewidth=1.3, zorder=3, solid_joinstyle="round")
+    ax.step(times, rates, where="post", color=LINE, linewidth=1.3, zorder=3, solid_joinstyle="round")
     for when, rate in plateaus:
         ax.annotate(
             f"{rate:,.0f}",
@@ -146,7 +147,7 @@ def _draw_rate_panel(
             color=MUTED_COLOR,
         )
     for note, row in zip(notes, rows, strict=True):
-        _draw_note(ax, note, _get_note_rate(report, t, note), (height - above + (row + first) * ROW) * scale)
+        _draw_note(ax, note, _get_note_rate(report, times, note), (height - above + (row + first) * ROW) * scale)
     ax.set_ylabel("pulse rate, pps", color=TEXT_COLOR, fontsize=8.5, y=0.5 * (height - above) / height)
     ax.locator_params(axis="y", nbins=6)
     ticks = [v for v in ax.get_yticks() if v <= 1.02 * peak]
@@ -156,36 +157,38 @@ def _draw_rate_panel(
 
 
 def _label_level(ax: Any, level: float, text: str) -> None:
+    """Draw a horizontal line at a rate, with its name."""
     ax.annotate(
         text, (1, level), xycoords=("axes fraction", "data"), xytext=(5, 0), textcoords="offset points", va="center",
         fontsize=SIZE, color=MUTED_COLOR, annotation_clip=False,
     )  # fmt: skip
 
 
-def _get_note_rate(report: Report, t: np.ndarray, note: PatternNote) -> float:
+def _get_note_rate(report: Report, times: np.ndarray, note: PatternNote) -> float:
     """Return the rate at which the mark of a note meets the curve: the rate just before it, or the first rate."""
-    k = int(np.searchsorted(t, note.time - 1e-9))
+    k = int(np.searchsorted(times, note.time - 1e-9))
     before = float(report.rates[max(k - 1, 0)])
-    after = float(report.rates[min(int(np.searchsorted(t, note.time + 1e-9, "right")) - 1, len(t) - 1)])
+    after = float(report.rates[min(int(np.searchsorted(times, note.time + 1e-9, "right")) - 1, len(times) - 1)])
     return before or after
 
 
 def _find_plateaus(
-    report: Report, named: dict[str, float], t: np.ndarray, limits: tuple[float, float]
+    report: Report, named: dict[str, float], times: np.ndarray, limits: tuple[float, float]
 ) -> list[tuple[float, float]]:
     """Return (time of the middle, rate) of each interval of constant rate that has no labeled level."""
     rates, levels = report.rates, list(named.values())
     begins = np.flatnonzero(np.diff(rates, prepend=-1.0) != 0)
     return [
-        ((t[k] + t[stop]) / 2, float(rates[k]))
+        ((times[k] + times[stop]) / 2, float(rates[k]))
         for k, stop in zip(begins, [*begins[1:], len(rates) - 1], strict=True)
         if rates[k] > 0
-        and t[stop] - t[k] > 0.05 * (limits[1] - limits[0])
+        and times[stop] - times[k] > 0.05 * (limits[1] - limits[0])
         and not any(abs(v - rates[k]) < 0.004 * rates.max() for v in levels)
     ]
 
 
 def _measure_text_width(text: str, bold: bool = False) -> float:
+    """Return the width of a text, points."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import TextPath
 
@@ -207,7 +210,8 @@ def _assign_note_rows(notes: list[PatternNote], limits: tuple[float, float], wid
     return rows
 
 
-def _draw_note(ax: Any, note: PatternNote, rate: float, y: float) -> None:
+def _draw_note(ax: Any, note: PatternNote, rate: float, height: float) -> None:
+    """Draw a note, its arrow or dot, and the line from it to the curve."""
     colour = EVENT_COLOR if note.event else TEXT_COLOR
     style = "-" if note.event else "-|>,head_width=0.16,head_length=0.32"
     arrow = {
@@ -217,23 +221,24 @@ def _draw_note(ax: Any, note: PatternNote, rate: float, y: float) -> None:
         "shrinkA": 0,
         "shrinkB": 0,
     }
-    ax.annotate("", (note.time, rate), (note.time, y), zorder=2, annotation_clip=False, arrowprops=arrow)
+    ax.annotate("", (note.time, rate), (note.time, height), zorder=2, annotation_clip=False, arrowprops=arrow)
     if note.event:
         ax.plot([note.time], [rate], "o", color=EVENT_COLOR, markersize=3, zorder=5, clip_on=False)
     gap = 3.0
     for text, bold in ((note.code, True), (note.words, False)):
         if text:
             ax.annotate(
-                text, (note.time, y), xytext=(gap, -0.5), textcoords="offset points", va="center", fontsize=SIZE,
+                text, (note.time, height), xytext=(gap, -0.5), textcoords="offset points", va="center", fontsize=SIZE,
                 color=colour if bold or note.event else MUTED_COLOR, weight="bold" if bold else "normal", annotation_clip=False,
             )  # fmt: skip
             gap += _measure_text_width(text, bold) + 3.5
 
 
-def _draw_lanes(ax: Any, t: np.ndarray, limits: tuple[float, float], lanes: list) -> None:
+def _draw_lanes(ax: Any, times: np.ndarray, limits: tuple[float, float], lanes: list) -> None:
+    """Draw one lane per signal, filled while the signal is on."""
     for k, (on, _, colour) in enumerate(reversed(lanes)):
         ax.axhline(k + 0.14, color=FRAME_COLOR, linewidth=0.6, zorder=0)
-        ax.fill_between(t, k + 0.14, k + 0.14 + 0.66 * on, step="post", color=colour, linewidth=0)
+        ax.fill_between(times, k + 0.14, k + 0.14 + 0.66 * on, step="post", color=colour, linewidth=0)
     labels = [label for _, label, _ in reversed(lanes)]
     ax.set_yticks([k + 0.45 for k in range(len(lanes))], labels)
     ax.set_ylim(0, len(lanes))

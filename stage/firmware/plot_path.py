@@ -83,6 +83,7 @@ def _draw_staircase(ax: Any, report: SynchronizedReport, counts: np.ndarray, lin
 
 
 def _make_locator() -> Any:
+    """Return a tick locator that uses only whole pulses."""
     from matplotlib.ticker import MultipleLocator
 
     return MultipleLocator(2)
@@ -124,6 +125,7 @@ def _draw_distance(
 
 
 def _draw_rates(ax: Any, report: SynchronizedReport) -> None:
+    """Draw the pulse rates of all axes over time."""
     scale, unit_name = _choose_time_unit(report)
     first = min(r.began for r in report.axes.values())
     peak = 0.0
@@ -145,4 +147,5 @@ def _draw_rates(ax: Any, report: SynchronizedReport) -> None:
 
 
 def _choose_time_unit(report: SynchronizedReport) -> tuple[float, str]:
+    """Return the factor from seconds to the unit of the time axis, and the name of the unit."""
     return (1e3, "ms") if report.seconds < 2 else (1.0, "s")

@@ -207,6 +207,10 @@ class EarlyStopHandler:
 
     Pass it as `on_poll` to `wait_until_stopped`.
 
+    Args:
+        together: Observer of the line.
+        drivers: Driver of each axis by name; each has a method `slow_down`.
+
     Attributes:
         stopped: Names of the axes that it has slowed down.
     """
@@ -249,9 +253,11 @@ class CarriageDeviationMeter:
         )
 
     def _positions(self) -> np.ndarray:
+        """Return the positions of the carriages relative to the start, m."""
         return np.array([a.position for a in self._axes])
 
     def measure(self) -> None:
+        """Measure the present distance from the line, and keep it if it is the largest one."""
         if self._axes:
             off = self._positions() - self._start
             along = min(max(off @ self._line / (self._line @ self._line), 0.0), 1.0)

@@ -103,7 +103,7 @@ def test_the_commands_of_the_pcl240_are_those_of_its_data_sheet():
     ) == (1, 2, 4, 8, 0x10, 0x20)
     assert (chip_port.CONTROL, chip_port.SELECT, chip_port.OUTPUT) == (0x40, 0x80, 0xC0)
     assert (chip_port.COLLECTIVE, chip_port.EXTENSION, chip_port.EXTERNAL) == (0x20, 0x08, 0x10)
-    assert (chip_port.encode_index(1), chip_port.encode_index(16)) == (
+    assert (chip_port.encode_index_pulse_number(1), chip_port.encode_index_pulse_number(16)) == (
         1 << 21 | 1 << 20,
         1 << 21 | 1 << 20 | 15 << 16,
     )

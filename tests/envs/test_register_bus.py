@@ -46,7 +46,7 @@ class HostChip:
 
 
 class HostAxis:
-    """An axis for `firmware.Port`, and for the steps of an origin return."""
+    """An axis for `firmware.ChipPort`, and for the steps of an origin return."""
 
     def __init__(self, host, index, axis):
         self.host, self.name, self.chip = host, axis.name, HostChip(host, index, axis.chip)
@@ -213,7 +213,7 @@ def test_a_live_observation_leaves_the_factors_of_an_mcx304_for_the_host_to_read
 def go_home(host):
     """Return to the origin as the firmware does: leave ORG, search fast, back off, search slowly."""
     for axis in host.axes:
-        port, profile = chip_port.Port(axis), firmware.Profile.of(fl=1000, fh1=16_000, accel=0.15)
+        port, profile = chip_port.ChipPort(axis), firmware.Profile.of(fl=1000, fh1=16_000, accel=0.15)
 
         def run(control, start, port=port, axis=axis):
             port.write_command(chip_port.RESET)

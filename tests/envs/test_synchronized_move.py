@@ -18,7 +18,7 @@ from stage.errors import ArgumentError
 from stage.firmware.driver import get_driver
 from stage.firmware.line_programs import LineMoves, create_line_programs
 from stage.firmware.path_deviation import compute_path_deviation, compute_perfect_deviation, replay_pulses
-from stage.firmware.pcl240 import register_row_emulation
+from stage.firmware.pcl240 import register_row_pulses
 from stage.firmware.pcl240.driver import TUNED_REGISTERS as REGISTERS
 
 SHORT = {"distances": (500, 3000), "rate": 16_000.0, "accel": 0.05}
@@ -163,12 +163,12 @@ def test_the_observation_predicts_the_deviation_of_the_follower_pulses():
     rules = build_rules(30)
     errors, rows = (
         rules.line.compute_share_errors(rules.requested_lines),
-        rules.line.rows(rules.compute_data_sheet_registers(), rules.requested_lines),
+        rules.line.build_register_rows(rules.compute_data_sheet_registers(), rules.requested_lines),
     )
     for k, d in enumerate(np.abs(rules.distances)):
         lead = int(d.argmax())
         follower, rho = 1 - lead, d[1 - lead] / d[lead]
-        pulses = [register_row_emulation.trace_row(row, CHIPS["PCL240K"]) for row in rows[k]]
+        pulses = [register_row_pulses.trace_row(row, CHIPS["PCL240K"]) for row in rows[k]]
         row = rows[k, lead]
         risen = (row[2] - row[1]) * row[4]
         falls = pulses[lead][d[lead] - row[6]]
@@ -450,7 +450,8 @@ def test_very_different_distances_still_have_legal_ranges():
         rules.distances[0] = d
         (registers,) = rules.compute_data_sheet_registers()
         assert (
-            (registers >= rules.line.clip_to_legal(registers)) & (registers <= rules.line.clip_to_legal(registers))
+            (registers >= rules.line.clip_to_legal_range(registers))
+            & (registers <= rules.line.clip_to_legal_range(registers))
         ).all()
         rules.make_programs()
         assert rules.path[0] < 1.6

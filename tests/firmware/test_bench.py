@@ -4,7 +4,7 @@ import pytest
 
 from stage import ArgumentError, firmware
 from stage.chips import PCL240K
-from stage.firmware import Bench, Port
+from stage.firmware import Bench, ChipPort
 
 
 def test_chips_are_named_in_their_order_or_by_the_caller():
@@ -94,7 +94,7 @@ def test_arguments_out_of_range_raise_errors(call, message):
 def test_a_port_on_a_bench_reads_the_status_of_its_chip():
     x = Bench(PCL240K()).axes["x"]
     x.chip.pins.org = True
-    assert str(Port(x).read_status()) == "halted, R0 = 0, ORG"
+    assert str(ChipPort(x).read_status()) == "halted, R0 = 0, ORG"
 
 
 def test_an_action_scheduled_in_the_past_runs_at_once():

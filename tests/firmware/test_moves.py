@@ -146,7 +146,7 @@ def test_the_plot_of_a_report_is_written_to_a_file(x, tmp_path):
 
 def test_the_counter_is_read_consistently_across_a_borrow(x):
     """The Q & A's remedy: every value read lies between the true ones before and after."""
-    port = firmware.Port(x)
+    port = firmware.ChipPort(x)
     port.write_registers(R0=0x020100, R1=8191, R2=8191, R7=2)
     port.write_command(0x11)
     for _ in range(300):
@@ -180,7 +180,7 @@ def test_the_counter_is_read_consistently_across_a_borrow(x):
         (lambda a: firmware.external_count(a, -5), "external pulses are counted from 1 on"),
         (lambda a: firmware.external_count(a, 5, rate=1e9), "sampled by the clock"),
         (lambda a: firmware.external_count(a, 5, source=[1, 2]), "a function of the axis, or a generator"),
-        (lambda a: firmware.Port(a).write_register("R9", 1), "unknown PCL240K register 'R9'"),
+        (lambda a: firmware.ChipPort(a).write_register("R9", 1), "unknown PCL240K register 'R9'"),
     ],
 )
 def test_errors_of_invalid_arguments_name_the_value_and_the_range(x, call, message):

@@ -6,7 +6,7 @@ from support.examples import SEED
 
 from stage import ArgumentError, Stage, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS
-from stage.firmware import Port
+from stage.firmware import ChipPort
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +143,7 @@ def test_the_origin_return_ends_at_the_requested_index_pulse(stage_with_ez_chips
     assert report.stopped_by == "EZ"
     stage.run(0.1)  # the carriage still swings by half a pulse when the report is made
     assert axis.position == pytest.approx(find_index_positions(axis)[ez - 1], abs=2 * axis.meters_per_pulse)
-    assert Port(axis).read_position() == 0, "the position counter starts at the origin"
+    assert ChipPort(axis).read_position() == 0, "the position counter starts at the origin"
     assert axis.chip.diagnostics == []
 
 

@@ -6,7 +6,7 @@ from support.examples import SEED, scaled
 
 from stage import ArgumentError, RunTimeout, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS
-from stage.firmware import Bench, Port, Profile
+from stage.firmware import Bench, ChipPort, Profile
 
 P = Profile.of(fl=1000, fh1=16_000, accel=0.1)
 LOW, HIGH = -3200, 20_000
@@ -108,7 +108,7 @@ def test_an_org_switch_that_is_never_released_is_not_the_origin():
 @pytest.mark.parametrize("high_speed", [True, False])
 def test_a_carriage_that_releases_org_during_a_poll_is_home(monkeypatch, high_speed):
     """The carriage rings, or the contact bounces: the first status byte after each stop has no ORG, later ones do."""
-    status_read, operating, missed = Port.read_status, False, []
+    status_read, operating, missed = ChipPort.read_status, False, []
 
     def status(port):
         nonlocal operating
@@ -119,7 +119,7 @@ def test_a_carriage_that_releases_org_during_a_poll_is_home(monkeypatch, high_sp
             observed = observed._replace(org=False)
         return observed
 
-    monkeypatch.setattr(Port, "read_status", status)
+    monkeypatch.setattr(ChipPort, "read_status", status)
     x = make_axis_at(12_000)
     report = firmware.origin_return(x, -1, P, high_speed=high_speed)
     assert (report.stopped_by, x.rail_position, len(missed)) == ("ORG", 0, 2)

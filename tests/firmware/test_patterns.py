@@ -50,7 +50,7 @@ def phases(report):
 def notes(report):
     from stage.firmware.driver import get_driver_class
 
-    return get_driver_class(report.course.chip).PATTERN_CLASS(report).notes(report.course.seconds - report.began)
+    return get_driver_class(report.course.chip).PATTERN_CLASS(report).make_notes(report.course.seconds - report.began)
 
 
 def test_the_page_of_patterns_is_up_to_date(reports):
@@ -168,7 +168,7 @@ def test_notes_never_overlap(reports, monkeypatch):
     )  # the same words stand in many
     for report in reports.values():
         t = report.course.seconds - report.began
-        notes = get_driver_class(report.course.chip).PATTERN_CLASS(report).notes(t)
+        notes = get_driver_class(report.course.chip).PATTERN_CLASS(report).make_notes(t)
         limits, width = plot_move._compute_time_range(report, t), 500.0
         rows = plot_move._assign_note_rows(notes, limits, width)
         at = [(n.time - limits[0]) / (limits[1] - limits[0]) * width for n in notes]

@@ -1,17 +1,18 @@
-"""`Port`: bytes, bits and polling."""
+"""`ChipPort`: bytes, bits and polling."""
 
 from types import SimpleNamespace
 
 import pytest
 
 from stage import ArgumentError, RunTimeout, StageError, firmware
-from stage.chips import PCL240K, PCL240MK
-from stage.firmware import Bench, Port, Profile
+from stage.chips import CHIPS, PCL240K, PCL240MK
+from stage.firmware import Bench, ChipPort, Profile
+from stage.firmware.driver import get_driver_class
 from stage.firmware.pcl240 import chip_port
 
 
 def make_port(**options):
-    return Port(Bench(PCL240K(), **options).axes["x"])
+    return ChipPort(Bench(PCL240K(), **options).axes["x"])
 
 
 def test_registers_are_written_from_the_high_byte_to_the_low():
@@ -48,7 +49,7 @@ def test_the_status_is_named_by_the_register_map_and_readable():
 
 
 def test_reading_a_register_keeps_the_selected_register_and_the_output_mode():
-    p = Port(Bench(PCL240MK()).axes["x"])
+    p = ChipPort(Bench(PCL240MK()).axes["x"])
     p.write_command(chip_port.OUTPUT | chip_port.EXTERNAL)
     p.write_registers(R0=0x010203, R10=0x040506)
     assert p.read_register("R10") == 0x040506
@@ -91,8 +92,8 @@ def test_a_timeout_states_the_phase_of_the_chip_and_has_the_report():
     assert not report.ok
     with pytest.raises(StageError, match="axis x is moving: wait until it stops, or stop it with 08h"):
         firmware.preset_move(x, 10)
-    Port(x).write_command(chip_port.RESET)
-    Port(x).wait_until_stopped(1)
+    ChipPort(x).write_command(chip_port.RESET)
+    ChipPort(x).wait_until_stopped(1)
     assert firmware.preset_move(x, 10).ok
 
 
@@ -113,8 +114,16 @@ def test_a_long_move_is_polled_every_two_milliseconds():
 
 
 def test_every_procedure_has_a_name():
-    assert firmware.procedure("preset-move") is firmware.preset_move
-    assert firmware.procedure("origin_return") is firmware.origin_return
+    assert firmware.find_procedure("preset-move") is firmware.preset_move
+    assert firmware.find_procedure("origin_return") is firmware.origin_return
     assert set(firmware.PROCEDURES) <= set(firmware.__all__)
     with pytest.raises(ArgumentError, match=r"unknown procedure 'orign_return'. Did you mean 'origin_return'"):
-        firmware.procedure("orign_return")
+        firmware.find_procedure("orign_return")
+
+
+@pytest.mark.parametrize("name", list(CHIPS))
+def test_the_distance_of_a_move_has_a_register_on_every_chip(name):
+    """STEP/DIR's driver set FINISH, which nothing reads: the fault lost-write and BusMacros found no register"""
+    chip = CHIPS[name]
+    register = get_driver_class(chip).DISTANCE_REGISTER
+    assert chip.register_cycles(register, 1, 0) != chip.register_cycles(register, 2, 0)

@@ -299,7 +299,7 @@ def test_the_drawing_of_a_run_has_the_command_that_stopped_it(stage):
     """firmware.jog(axis, 0.1, 0.02).plot()"""
     x = stage.axes["x"]
     report = firmware.jog(x, 0.05, 0.02, accel=0.2)
-    notes = get_driver(x).PATTERN_CLASS(report).notes(report.course.seconds - report.began)
+    notes = get_driver(x).PATTERN_CLASS(report).make_notes(report.course.seconds - report.began)
     assert [note.words for note in notes if "decelerating stop" in note.words] == ["X decelerating stop"]
 
 
@@ -589,7 +589,7 @@ def test_reports_of_every_chip_are_drawn(stage, tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 10_000
     pattern = get_driver_class(type(stage.axes["x"].chip)).PATTERN_CLASS(report)
     t = report.course.seconds - report.began
-    notes = pattern.notes(t)
+    notes = pattern.make_notes(t)
     assert any(not n.event for n in notes), "the start command"
     assert notes[-1].event, "why it stopped"
     assert pattern.list_lanes()
@@ -599,7 +599,9 @@ def test_the_drawing_of_a_line_names_its_interpolation_and_omits_register_writes
     """firmware.line({"x": 3e-3, "y": 1e-3}, stage.axes).axes["x"].plot()"""
     axes = Stage("xy", chips=MCX514, visuals=False).axes
     report = firmware.line({"x": 3e-3, "y": 1e-3}, axes).axes["x"]
-    words = [n.words for n in get_driver(axes["x"]).PATTERN_CLASS(report).notes(report.course.seconds - report.began)]
+    words = [
+        n.words for n in get_driver(axes["x"]).PATTERN_CLASS(report).make_notes(report.course.seconds - report.began)
+    ]
     assert "2-axis linear interpolation" in words
     assert not [w for w in words if "write" in w]
 

@@ -6,7 +6,7 @@ from support.examples import SEED
 
 from stage import ArgumentError, StageError, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS
-from stage.firmware import Bench, Port, Profile
+from stage.firmware import Bench, ChipPort, Profile
 from stage.firmware.pcl240.preset_move_closed_form import _compute_mean_step_delay, compute_double_span
 
 SHAPES = [False, True, 0.2]
@@ -128,7 +128,7 @@ def test_a_profile_for_the_ms_that_a_k_cannot_hold_names_the_register():
 @pytest.mark.parametrize("chip", [PCL240MK, PCL240MS])
 def test_registers_are_read_back_and_the_position_is_counted(chip):
     x = axis(chip)
-    port = Port(x)
+    port = ChipPort(x)
     port.write_registers(R1=500, R13=0x123456, R12=0xABCDEF)
     assert [port.read_register(n) for n in ("R1", "R13", "R12")] == [500, 0x123456, 0xABCDEF]
     firmware.preset_move(x, 3000)
@@ -140,7 +140,7 @@ def test_registers_are_read_back_and_the_position_is_counted(chip):
 
 def test_a_k_reads_r0_only():
     with pytest.raises(StageError, match="reads R0 only"):
-        Port(axis(PCL240K)).read_register("R1")
+        ChipPort(axis(PCL240K)).read_register("R1")
 
 
 def test_listings_name_extension_registers():

@@ -9,15 +9,15 @@ from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import HCTL1100
 from stage.chips.hctl1100.maps import NUMBERS
 from stage.firmware.driver import Speeds
-from stage.firmware.hctl1100.chip_port import INIT, PROFILE, Port
+from stage.firmware.hctl1100.chip_port import INIT, PROFILE, ChipPort
 from stage.firmware.hctl1100.driver import _compute_line_rows
 from stage.firmware.hctl1100.homing import home_servo, leave_limit
 from stage.firmware.hctl1100.moves import (
     FilterTuning,
     move_by_step,
     move_by_trapezoid,
-    run_integral_velocity,
-    run_proportional_velocity,
+    run_in_integral_velocity_mode,
+    run_in_proportional_velocity_mode,
     set_up_servo,
 )
 from stage.firmware.hctl1100.servo_loop_model import ServoLoop
@@ -37,13 +37,13 @@ def find_switch_edge(axis, pin="org"):
 
 def test_a_port_is_for_hctl1100s_only():
     with pytest.raises(ArgumentError, match="no HCTL1100"):
-        Port(Stage("xyz", visuals=False).axes["x"])
+        ChipPort(Stage("xyz", visuals=False).axes["x"])
 
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_a_number_is_written_byte_by_byte_high_first_up_to_both_ends_of_its_range(stage, name):
     x = stage.axes["x"]
-    port, word = Port(x), NUMBERS[name]
+    port, word = ChipPort(x), NUMBERS[name]
     n = len(word.addresses)
     for value in (word.minimum, word.maximum):
         journal = x.chip.journal()
@@ -62,7 +62,7 @@ def test_a_number_is_written_byte_by_byte_high_first_up_to_both_ends_of_its_rang
     [("gain", 256), ("timer", -1), ("maximum_velocity", 128), ("final_position", 1 << 23), ("zero", 0.5)],
 )
 def test_a_value_beyond_its_register_is_refused_before_the_first_bus_cycle(stage, name, value):
-    port = Port(stage.axes["x"])
+    port = ChipPort(stage.axes["x"])
     with pytest.raises(ArgumentError, match=f"{name}={value}"):
         port.write_numbers(pole=1, **{name: value})
     with pytest.raises(ArgumentError, match="nothing to load"):
@@ -72,7 +72,7 @@ def test_a_value_beyond_its_register_is_refused_before_the_first_bus_cycle(stage
 
 
 def test_a_port_writes_and_reads_complete_numbers(stage):
-    port = Port(stage.axes["x"])
+    port = ChipPort(stage.axes["x"])
     port.write_numbers(
         command_position=-70_000,
         final_position=1_234_567,
@@ -174,12 +174,12 @@ def test_rates_beyond_the_registers_at_this_sample_time_are_refused(stage):
         with pytest.raises(ArgumentError, match="Choose another rate, or another T"):
             move_by_trapezoid(port, 100, **rates)
     for rate in (127.4, -127.4):  # counts a sample; whole ones are held
-        assert run_integral_velocity(port, rate / port.sample, seconds=0.02).asked == pytest.approx(
+        assert run_in_integral_velocity_mode(port, rate / port.sample, seconds=0.02).asked == pytest.approx(
             rate / port.sample, rel=0.01
         )
         for beyond in (1.02 * rate, 0.001 * rate):
             with pytest.raises(ArgumentError, match=r"in the register of integral_velocity .* 1 to 127"):
-                run_integral_velocity(port, beyond / port.sample)
+                run_in_integral_velocity_mode(port, beyond / port.sample)
 
 
 def test_an_unknown_mode_is_refused(stage):
@@ -200,7 +200,7 @@ def test_a_port_that_never_finds_the_safe_part_of_a_sample_raises_an_error(stage
     """T cannot be read back: a second port takes it to be as after a reset."""
     set_up_servo(stage.axes["x"], FilterTuning(timer=0))
     with pytest.raises(ArgumentError, match="T cannot be read back"):
-        Port(stage.axes["x"]).write_command_position(5)
+        ChipPort(stage.axes["x"]).write_command_position(5)
 
 
 def test_a_deadband_that_the_loop_cannot_hold_ends_in_a_timeout_with_the_motor_off(stage):
@@ -214,7 +214,7 @@ def test_a_deadband_that_the_loop_cannot_hold_ends_in_a_timeout_with_the_motor_o
 @pytest.mark.parametrize("rate", [20_000, -6_000])
 def test_integral_velocity_reaches_its_rate_and_stops_in_position_control(stage, rate):
     port = set_up_servo(stage.axes["x"])
-    report = run_integral_velocity(port, rate, seconds=0.2)
+    report = run_in_integral_velocity_mode(port, rate, seconds=0.2)
     assert report.asked == pytest.approx(rate, rel=0.08), "whole counts a sample"
     assert report.reached == pytest.approx(report.asked, rel=0.01)
     assert report.ended == ""
@@ -228,8 +228,8 @@ def test_proportional_velocity_falls_short_by_the_share_of_drag_and_friction(sta
     """K/4 (command - velocity) = motor command, and that holds the velocity against drag and friction."""
     tuning = FilterTuning(gain=0x80)
     port = set_up_servo(stage.axes["x"], tuning)
-    report = run_proportional_velocity(port, rate, seconds=0.4)
-    loop = ServoLoop.of(stage.axes["x"], tuning)
+    report = run_in_proportional_velocity_mode(port, rate, seconds=0.4)
+    loop = ServoLoop.from_axis(stage.axes["x"], tuning)
     per = tuning.gain / 4 * port.sample  # motor command for one count/s
     offset = np.sign(rate)
     expected = (per * report.asked - offset * loop.friction) * loop.gain / (1 + per * loop.gain)
@@ -244,23 +244,23 @@ def test_proportional_velocity_falls_short_by_the_share_of_drag_and_friction(sta
 def test_stop_brakes_integral_velocity_only(stage):
     port = set_up_servo(stage.axes["x"])
     stage.axes["x"].switches.stick("org", True)
-    report = run_integral_velocity(port, 8_000, seconds=0.2)
+    report = run_in_integral_velocity_mode(port, 8_000, seconds=0.2)
     assert report.ended == "STOP"
     assert abs(report.reached) < 100
     assert "ended by STOP" in str(report)
     assert move_by_trapezoid(port, 500).ok
-    assert run_proportional_velocity(port, 8_000, seconds=0.2).reached > 6_000
+    assert run_in_proportional_velocity_mode(port, 8_000, seconds=0.2).reached > 6_000
 
 
 def test_a_limit_ends_a_run_at_a_velocity(stage):
     port = set_up_servo(stage.axes["x"])
     stage.axes["x"].switches.stick("el_plus", True)
-    assert run_integral_velocity(port, 8_000, seconds=0.1).ended == "LIMIT"
+    assert run_in_integral_velocity_mode(port, 8_000, seconds=0.1).ended == "LIMIT"
     assert port.read_status() & INIT, "and is left so"
     stage.axes["x"].switches.stick("el_plus", None)
     port = set_up_servo(stage.axes["x"], FilterTuning(gain=0x80))
     stage.axes["x"].switches.stick("el_plus", True)
-    report = run_proportional_velocity(port, 8_000, seconds=0.1)
+    report = run_in_proportional_velocity_mode(port, 8_000, seconds=0.1)
     assert (report.ended, abs(report.reached) < 100) == ("LIMIT", True)
     assert port.read_status() & INIT
 
@@ -281,7 +281,7 @@ def test_an_axis_leaves_its_limit_switch_by_the_motor_command_of_the_host(stage)
     x = stage.axes["x"]
     stage.place(x=find_switch_edge(x, "el_plus") + 1e-4)
     assert x.switches.el_plus
-    port = Port(x)
+    port = ChipPort(x)
     leave_limit(port, -1)
     stage.run(0.1)
     assert not x.switches.el_plus
@@ -298,7 +298,7 @@ def test_home_is_at_the_index_pulse_from_any_start(stage, name, sag, offset):
     axis = stage.axes[name]
     stage.place(**{name: find_switch_edge(axis) + offset})
     report = home_servo(set_up_servo(axis), deadband=sag)
-    port = Port(axis)
+    port = ChipPort(axis)
     stage.run(0.1)
     assert abs(port.read_position()) <= sag
     revolutions = axis.position * axis.gear / (2 * np.pi) - axis.plant.index

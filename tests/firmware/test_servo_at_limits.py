@@ -8,7 +8,7 @@ from stage import RunTimeout, Stage, faults, firmware
 from stage.chips import HCTL1100
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import Speeds, get_driver
-from stage.firmware.hctl1100.chip_port import Port
+from stage.firmware.hctl1100.chip_port import ChipPort
 from stage.firmware.hctl1100.homing import leave_limit
 from stage.firmware.move_report import ProcedureObserver
 from stage.panel.procedure_forms import Jog
@@ -273,7 +273,7 @@ def test_a_stop_ends_a_drive_out_of_a_limit():
     x.switches.stick("el_plus", True)
     stage.run(1e-3)
     with Session(stage, speed=FREE, paused=True) as session:
-        left = session.act("leave", lambda stage: leave_limit(Port(x), -1, max_counts=10**9, timeout=1e6))
+        left = session.act("leave", lambda stage: leave_limit(ChipPort(x), -1, max_counts=10**9, timeout=1e6))
         session.paused = False
         wait_until(lambda: session.view.time > 0.05)
         assert x.chip.motor_command == -15

@@ -10,7 +10,7 @@ import pytest
 from stage import ArgumentError, Stage
 from stage.chips import HCTL1100
 from stage.chips.journal_entries import WRITE
-from stage.firmware.hctl1100.chip_port import Port
+from stage.firmware.hctl1100.chip_port import ChipPort
 from stage.firmware.hctl1100.moves import FilterTuning, set_up_servo
 from stage.firmware.hctl1100.position_streaming import (
     compute_circle_errors,
@@ -124,7 +124,7 @@ def test_a_designed_gain_is_within_its_register():
 def test_without_a_common_sample_each_chips_timer_is_polled(stage, monkeypatch):
     """follow(ports, profile, leader_only=False)"""
     ports, requested = [set_up_servo(stage.axes[name]) for name in "xy"], []
-    monkeypatch.setattr(Port, "wait_for_safe_part", lambda port, mode="position": requested.append(port.axis.name))
+    monkeypatch.setattr(ChipPort, "wait_for_safe_part", lambda port, mode="position": requested.append(port.axis.name))
     for alone, expected in ((True, ["x", "x"]), (False, ["x", "x", "y"] * 2)):
         stream_positions(ports, np.zeros((2, 2)), leader_only=alone)
         assert requested == expected
@@ -206,7 +206,7 @@ def test_the_models_closed_loop_is_the_sum_over_its_samples():
         direction = 1.0 if n and r > command[n - 1] else 0.0
         f = loop.gain * (u - loop.friction * direction)
         x, v = x + loop.tau * (1 - p) * v + (h - loop.tau * (1 - p)) * f, p * v + (1 - p) * f
-    assert loop.following_error(command) == pytest.approx(np.array(expected), abs=1e-9)
+    assert loop.compute_following_error(command) == pytest.approx(np.array(expected), abs=1e-9)
 
 
 @pytest.mark.parametrize("name", ["x", "y"])
@@ -215,7 +215,7 @@ def test_the_models_masses_and_friction_are_those_of_the_machine(stage, name, pa
     """An open loop: half of full drive from rest, PWM port in Init/Idle; the way after 0.1 s."""
     axis = stage.axes[name]
     stage.set_payload(payload)
-    loop, before = ServoLoop.of(axis, FilterTuning()), axis.position
+    loop, before = ServoLoop.from_axis(axis, FilterTuning()), axis.position
     axis.chip.write(0x09, 50)
     stage.run(0.1)
     u = 50 - loop.friction

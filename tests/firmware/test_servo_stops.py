@@ -11,7 +11,7 @@ from stage import RunTimeout, Stage, StageError, firmware
 from stage.chips import HCTL1100
 from stage.firmware.driver import Speeds, get_driver
 from stage.firmware.hctl1100.driver import Hctl1100Driver
-from stage.firmware.hctl1100.moves import FilterTuning, run_proportional_velocity, set_up_servo
+from stage.firmware.hctl1100.moves import FilterTuning, run_in_proportional_velocity_mode, set_up_servo
 from stage.panel.session import FREE, Session
 
 COUNT = 5e-6  # m
@@ -131,7 +131,7 @@ def test_a_stop_ends_proportional_velocity(stage):
     assert at > 1e-3
     stage.run(0.1)
     assert x.position == pytest.approx(at, abs=10 * COUNT)
-    assert run_proportional_velocity(port, 8000, seconds=0.05).ended == ""
+    assert run_in_proportional_velocity_mode(port, 8000, seconds=0.05).ended == ""
 
 
 STARTS = {

@@ -12,7 +12,7 @@ from stage.chips import PCL240K, PCL240MS
 from stage.cli import main
 from stage.firmware import Bench, Profile, plan
 from stage.firmware.pcl240 import chip_port, driver
-from stage.firmware.pcl240.chip_port import explain_silence
+from stage.firmware.pcl240.chip_port import explain_missing_pulses
 
 HZ = 4_915_200
 GOOD = 2.0  # pulses from the line
@@ -23,7 +23,7 @@ def make_stage_with_followers(pairs, chips=PCL240K, model="xyz"):
 
 
 def write_registers(axis, **registers):
-    firmware.Port(axis).write_registers(**registers)
+    firmware.ChipPort(axis).write_registers(**registers)
 
 
 def run_command(*argv):
@@ -127,7 +127,7 @@ def test_the_error_of_a_wait_for_pulses_without_a_clock_names_the_cause():
         (stage.axes["y"], "clock of axis x .SYNI., whose R7 is 0"),
         (Bench(PCL240K()).axes["x"], "its R7 is 0"),
     ):
-        port = firmware.Port(axis)
+        port = firmware.ChipPort(axis)
         port.write_registers(R0=100, R1=100)
         port.write_control_mode(chip_port.PRESET)
         port.write_command(chip_port.START["FL"])
@@ -192,7 +192,7 @@ def test_a_follower_runs_at_one_step_of_the_leaders_multiplier_or_faster(pulses,
 def test_explain_silence_names_a_leader_whose_multiplier_makes_no_clock():
     y = make_stage_with_followers({"y": "x"}).axes["y"]
     write_registers(y.stage.axes["x"], R7=60)
-    assert explain_silence(y) == ""
+    assert explain_missing_pulses(y) == ""
     for address, datum in ((0, 0x87), (2, 0), (1, 1)):  # R7 = 1, which the firmware itself does not write
         y.stage.axes["x"].chip.write(address, datum)
-    assert "the clock of axis x (SYNI), whose R7 is 1" in explain_silence(y)
+    assert "the clock of axis x (SYNI), whose R7 is 1" in explain_missing_pulses(y)

@@ -8,7 +8,7 @@ from stage import Stage, faults, firmware
 from stage.chips import CHIPS, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, Profile
 from stage.firmware.driver import Speeds, get_driver, get_driver_class
-from stage.firmware.nova.chip_port import Port
+from stage.firmware.nova.chip_port import ChipPort
 from stage.firmware.pcl240 import chip_port
 
 BLIP_S = 20e-6  # less than the time between two looks of a host, more than a reference clock
@@ -177,7 +177,7 @@ def test_a_host_that_stops_a_nova_drive_is_the_reason(name):
 def test_a_software_limit_that_ends_a_nova_drive_is_the_reason(name, direction):
     """WR2 SLMT+ and SLMT-, at 500 pulses: the drive slows down there"""
     x = bench(CHIPS[name])
-    port, limit = Port(x), "SLMT+" if direction > 0 else "SLMT-"
+    port, limit = ChipPort(x), "SLMT+" if direction > 0 else "SLMT-"
     port.write_parameters(CP=500, CM=-500)
     port.write_mode_words(WR2=x.chip.MAP.mask("WR2", "SLMT+") | x.chip.MAP.mask("WR2", "SLMT-"))
     report = firmware.move(x, pulses=4000 * direction)

@@ -14,14 +14,14 @@ from stage import ArgumentError
 from stage.chips import PCL240K
 from stage.firmware import Bench, plan, synchronized_move
 from stage.firmware.pcl240 import follower_fit, leader_search
-from stage.firmware.pcl240.leader_search import effective_steps
+from stage.firmware.pcl240.leader_search import compute_equivalent_linear_steps
 from stage.firmware.pcl240.preset_move_closed_form import (
     compute_ramp_ticks,
     count_pulses,
     fill_motion,
     find_first_pulse_tick,
 )
-from stage.firmware.pcl240.register_row_emulation import trace_row
+from stage.firmware.pcl240.register_row_pulses import trace_row
 from stage.firmware.pcl240.speed_profile import compute_ramp_seconds
 
 
@@ -70,11 +70,11 @@ def compute_max_deviation(leader, follower, lead, corners=False, hz=4_915_200):
 
 def test_a_ramp_down_point_may_be_the_largest_that_r6_holds():
     row = np.array([20_000, 100, 1100, 1100, 100, 100, 0, 40])
-    needed = int(next(leader_search._vary_tails(row, 4_915_200, 1 << 20))[6])
+    needed = int(next(leader_search._vary_tail_lengths(row, 4_915_200, 1 << 20))[6])
     assert needed > 100
-    assert next(leader_search._vary_tails(row, 4_915_200, needed))[6] == needed
+    assert next(leader_search._vary_tail_lengths(row, 4_915_200, needed))[6] == needed
     with pytest.raises(ArgumentError, match=f"R6 counts to {needed - 1}: shorten decel or lower the rate"):
-        next(leader_search._vary_tails(row, 4_915_200, needed - 1))
+        next(leader_search._vary_tail_lengths(row, 4_915_200, needed - 1))
 
 
 def test_longer_tails_are_tried_only_if_fl_is_fast_enough():
@@ -82,7 +82,9 @@ def test_longer_tails_are_tried_only_if_fl_is_fast_enough():
     tails = {}
     for fl in (1, 100):
         row = np.array([4000, fl, fl + 66, fl + 66, 100, 100, 0, 40])
-        points = [int(row_of_registers[6]) for row_of_registers in leader_search._vary_tails(row, 4_915_200, 1 << 20)]
+        points = [
+            int(row_of_registers[6]) for row_of_registers in leader_search._vary_tail_lengths(row, 4_915_200, 1 << 20)
+        ]
         tails[fl] = [point - points[0] + 5 for point in points]
     assert tails == {1: [5, 4, 6], 100: [5, 8, 11, 14, 4, 6, 9]}
 
@@ -159,8 +161,8 @@ def test_the_ratio_error_is_the_largest_of_all_axes_in_either_direction():
         error = (y.fh / y.distance) / (x.fh / x.distance) - 1
         signs.append(np.sign(error))
         assert p.ratio_error == pytest.approx(abs(error), rel=1e-6)
-        assert y.ramps or not any("axis y: FL" in note for note in p.notes)
-    assert (signs, y.ramps) == ([1, -1, 1], False)
+        assert y.has_ramps or not any("axis y: FL" in note for note in p.notes)
+    assert (signs, y.has_ramps) == ([1, -1, 1], False)
 
 
 def test_equal_distances_have_no_deviation():
@@ -189,14 +191,14 @@ def test_a_short_move_peaks_lower_on_all_axes_and_keeps_its_slope():
 @pytest.mark.parametrize("distances", [{"x": 1}, {"x": 1, "y": -1}, {"x": 7, "y": 3}, {"x": 9, "y": 2}])
 def test_a_very_short_move_runs_at_constant_fl(distances):
     p = plan(distances)
-    assert not any(a.ramps for a in p.axes.values())
+    assert not any(a.has_ramps for a in p.axes.values())
     assert "too few for a ramp" in p.notes[0]
     assert p.deviation <= 1
 
 
 def test_constant_speed_is_rate_equal_to_fl():
     p = plan({"x": 3000, "y": 2000}, rate=1500, fl=1500)
-    assert not any(a.ramps for a in p.axes.values())
+    assert not any(a.has_ramps for a in p.axes.values())
     assert p.axes["y"].fh == pytest.approx(1000, rel=1e-6)
 
 
@@ -318,15 +320,15 @@ def test_a_ramp_with_curved_ends_is_as_long_as_a_linear_one_of_its_effective_ste
     for gain, share in ((1, 0.3), (2, 0.1), (3, 0.45), (40, 0.2), (41, 0.49)):
         span = max(round(share * gain), 1)
         made = compute_ramp_seconds(100, 100 + gain, 50, 4_915_200, min(span, gain // 2))
-        assert effective_steps(gain, share) * 50 / 4_915_200 == pytest.approx(made, rel=1e-9)
-    assert [effective_steps(40, share) for share in (0, 0.5)] == [40, 40]
+        assert compute_equivalent_linear_steps(gain, share) * 50 / 4_915_200 == pytest.approx(made, rel=1e-9)
+    assert [compute_equivalent_linear_steps(40, share) for share in (0, 0.5)] == [40, 40]
 
 
 def test_a_move_with_a_slow_fl_has_the_tail_of_the_data_sheet():
     """plan({"x": 1000, "y": 500}, rate=1000, fl=10): the 5 pulses at FL take half a second"""
     p = plan({"x": 1000, "y": 500}, rate=1000, fl=10)
     assert p.axes["x"].fl == pytest.approx(10, rel=0.05)
-    assert p.axes["x"].ramps
+    assert p.axes["x"].has_ramps
 
 
 def test_the_notes_of_a_plan_name_an_axis_that_cannot_ramp_slowly_enough():

@@ -16,10 +16,10 @@ from stage.firmware.driver import ImmediateOperations, Speeds, get_default_speed
 from stage.firmware.gantry_homing import group_tandem_axes, square_gantry_at_speeds
 from stage.firmware.line_programs import LineMoves, LineSettings, create_line_programs
 from stage.firmware.nova import path_interpolation
-from stage.firmware.nova.chip_port import Port as NovaPort
+from stage.firmware.nova.chip_port import ChipPort as NovaPort
 from stage.firmware.parameter_ranges import get_register_range
 from stage.firmware.path_deviation import compute_path_points, compute_perfect_deviation
-from stage.firmware.pcl240 import follower_fit, register_row_emulation
+from stage.firmware.pcl240 import follower_fit, register_row_pulses
 from stage.firmware.pcl240 import preset_move_closed_form as closed
 from stage.sim import plant
 from stage.sim.program import Program
@@ -253,7 +253,7 @@ def plan_lines(cls, curve):
         results[name] = {
             "is": [RECORDED_CLASS_NAMES[type(result).__name__], result.names, result.shape, result.max_rate,
                    result.low, result.high],
-            "reach": [result.compute_peaks(requested), result.compute_peaks(steep)], "rows": rows,
+            "reach": [result.compute_peak_rates_and_ramps(requested), result.compute_peak_rates_and_ramps(steep)], "rows": rows,
             "steep": result.compute_registers(steep), "same": bool(
             (result.apply_corrections(requested, 0 * off) == rows).all()), "changed": changed,
             "errors": result.compute_share_errors(requested),
@@ -390,12 +390,12 @@ def compute_closed_forms():
         closed.fill_motion(r, c)
         times = [float(c[3]) * part for part in (0.01, 0.1, 0.37, 0.5, 0.8, 0.99, 1.0)]
         chip = PCL240MS if len(r) > 8 else PCL240MK
-        ticks = register_row_emulation.trace_row(r, chip, bool(k % 2 and fh > fl and r[6] > 1))
+        ticks = register_row_pulses.trace_row(r, chip, bool(k % 2 and fh > fl and r[6] > 1))
         results[k] = [
             c, [closed.count_pulses(r, c, t) for t in times], closed.find_first_pulse_tick(r, c),
             closed.compute_ramp_ticks(r, r[4]),
             closed.compute_ramp_stretch(r), r[8:], len(ticks), int(ticks.sum()), int(ticks[0]),
-            register_row_emulation.compute_ramp_down_offset(r, chip),
+            register_row_pulses.compute_ramp_down_offset(r, chip),
         ]  # fmt: skip
         if leader is not None and leader[0] >= size:
             results[f"{k} follows"] = follower_fit.estimate_line_distance(
@@ -522,8 +522,8 @@ def read_reports():
     ):
         results[str(bad)] = attempt(lambda bad=bad: str(firmware.move(x, **({"distance": 1e-3} | bad))))
     results["bench"] = attempt(lambda: str(firmware.move(Bench(PCL240K()).axes["x"], 1e-3)))
-    results["by name"] = [firmware.procedure(n).__name__ for n in ("preset-move", "HOME", "jog")]
-    results["no name"] = attempt(firmware.procedure, "hom")
+    results["by name"] = [firmware.find_procedure(n).__name__ for n in ("preset-move", "HOME", "jog")]
+    results["no name"] = attempt(firmware.find_procedure, "hom")
     return results
 
 

@@ -10,12 +10,12 @@ from stage.firmware import Bench, Profile
 from stage.firmware.hctl1100 import homing as servo_home
 from stage.firmware.hctl1100 import moves as servo
 from stage.firmware.hctl1100 import position_streaming as follow
-from stage.firmware.hctl1100.chip_port import Port as ServoPort
+from stage.firmware.hctl1100.chip_port import ChipPort as ServoPort
 from stage.firmware.hctl1100.servo_loop_model import ServoLoop, design_filter
 from stage.firmware.nova import path_interpolation, s_curve_workarounds
 from stage.firmware.nova.home_search import home_search
 from stage.firmware.pcl240 import chip_port, moves
-from stage.firmware.pcl240.chip_port import Port as PulsePort
+from stage.firmware.pcl240.chip_port import ChipPort as PulsePort
 
 
 def move_synchronized():
@@ -152,8 +152,8 @@ def run_servo_into_ends():
     calls = {
         "trapezoid": (lambda p: servo.move_by_trapezoid(p, 900, velocity=20_000)),
         "step": (lambda p: servo.move_by_step(p, 300)),
-        "integral": (lambda p: servo.run_integral_velocity(p, 9000, 0.1)),
-        "proportional": (lambda p: servo.run_proportional_velocity(p, 9000, 0.1)),
+        "integral": (lambda p: servo.run_in_integral_velocity_mode(p, 9000, 0.1)),
+        "proportional": (lambda p: servo.run_in_proportional_velocity_mode(p, 9000, 0.1)),
         "home": (lambda p: servo_home.home_servo(p, 1, index=False)),
     }  # fmt: skip
     results = {}
@@ -217,7 +217,7 @@ def run_servo_into_ends():
     results["synchronize"] = attempt(
         follow.synchronize_sample_timers, [port, servo.set_up_servo(stage.axes["y"], servo.FilterTuning(timer=0x33))]
     )
-    loop = ServoLoop.of(x, servo.FilterTuning(gain=20, zero=0xF0, timer=0x30))
+    loop = ServoLoop.from_axis(x, servo.FilterTuning(gain=20, zero=0xF0, timer=0x30))
     results["loop"] = [
         loop.gain,
         loop.tau,

@@ -45,7 +45,9 @@ def test_the_engineers_design_has_its_margin_and_settles_sooner_than_after_a_res
     pytest.importorskip("control", reason="extra servo is not installed")
     machine = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     machine.set_payload(payload)
-    loop = servo_formula.ServoLoop.of(machine.axes["x"], servo_formula.FilterTuning(pole=servo_formula.DEFAULT_POLE))
+    loop = servo_formula.ServoLoop.from_axis(
+        machine.axes["x"], servo_formula.FilterTuning(pole=servo_formula.DEFAULT_POLE)
+    )
     created = servo_formula.design_filter(loop)
     assert created.phase_margin == pytest.approx(
         servo_formula.PHASE_MARGIN_DEGREES, abs=servo_formula.MAX_MARGIN_LOSS_DEGREES

@@ -146,9 +146,9 @@ class Return(HomeProgram):
     def _run(self, p, name, symbol, pulses):
         a = self.driver.index
         p.register(a, self.driver.chip, "COUNT", pulses).command(a, MAP.command(symbol).code)
-        self._note_result_index(f"{name} time", p).until_stopped([a], self.settings.limit)
+        self._store_result_index(f"{name} time", p).until_stopped([a], self.settings.limit)
         p.command(a, MAP.command("STOP").code).wait(self.settings.settle)
-        self._note_result_index(name, p).read(a, 0)
+        self._store_result_index(name, p).read(a, 0)
 
     def read_results(self, results, rows):
         values = {name: results[:, at] for name, at in self.result_indices.items()}

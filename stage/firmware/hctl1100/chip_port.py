@@ -1,8 +1,8 @@
-"""`Port`: access to the registers of one axis' HCTL-1100 by name, with bus cycles and waits only.
+"""`ChipPort`: access to the registers of one axis' HCTL-1100 by name, with bus cycles and waits only.
 
-port = Port(stage.axes["x"])
+port = ChipPort(stage.axes["x"])
 port.write_numbers(gain=0x40, zero=0xE5, pole=0x40, timer=0x40)
-port.hold_position()                               position control, where the shaft stands
+port.hold_position()                               position control at the present position of the shaft
 port.write_command_position(port.read_position() + 100)       in the safe part of a sample
 """
 
@@ -47,10 +47,11 @@ SAFE_MARGIN_COUNTS = 3  # counts of the timer: so long before the sample's end n
 MAX_TIMER_READS = 8  # at the timer, one after the other; two or three are enough
 
 
-class Port:
-    """Bus port of one axis. It stores T, the only value that the chip cannot read back.
+class ChipPort:
+    """Bus port of one axis' chip. It stores T, the only value that the chip cannot read back.
 
-    Raises ArgumentError if the axis' chip is no HCTL-1100.
+    Raises:
+        ArgumentError: The axis' chip is no HCTL-1100.
     """
 
     def __init__(self, axis: Axis):
@@ -69,7 +70,11 @@ class Port:
         return self.count * (self.t + 1)
 
     def write_numbers(self, **values: int) -> None:
-        """Write numbers by name (NUMBERS of the chip's maps). Raises ArgumentError before the first bus cycle."""
+        """Write values by name (NUMBERS of the chip's maps), after a check of all values.
+
+        Raises:
+            ArgumentError: A name is unknown, or a value does not fit; no bus cycle has been made.
+        """
         for name, value in values.items():
             number = NUMBERS.get(name)
             if number is None:
@@ -147,6 +152,7 @@ class Port:
         self.axis.wait(self.sample)
 
     def _set_flags(self, name: str) -> None:
+        """Set the flag of a control mode and clear those of the others."""
         for flag in MODE_FLAGS.values():
             if flag != MODE_FLAGS.get(name):
                 self.chip.write(FLAG, flag)

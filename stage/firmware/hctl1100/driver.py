@@ -17,7 +17,7 @@ from stage.errors import ArgumentError, ExceededLimit, RunTimeout
 from stage.firmware import operation_pattern
 from stage.firmware.axis import get_forward_direction, has_positive_logic
 from stage.firmware.driver import SETTLING_TIME_S, Driver, Speeds, select_moving
-from stage.firmware.hctl1100.chip_port import CONTROL, IDLE, LIMIT, MODE_FLAGS, SET_FLAG_BIT, STOP, Port
+from stage.firmware.hctl1100.chip_port import CONTROL, IDLE, LIMIT, MODE_FLAGS, SET_FLAG_BIT, STOP, ChipPort
 from stage.firmware.hctl1100.homing import hold_once_at_rest, home_servo, leave_limit
 from stage.firmware.hctl1100.moves import (
     FilterTuning,
@@ -49,7 +49,7 @@ LIMIT_SWITCHES = {1: "el_plus", -1: "el_minus"}  # by the carriage's direction
 
 
 class Hctl1100Pattern(operation_pattern.OperationPattern):
-    """Signals and commands of an HCTL-1100 that a drawing of a report shows."""
+    """Signals and commands of an HCTL-1100 that the plot of a report shows."""
 
     LANES = (
         ("prof", "PROF", BLUE), ("init", "INIT", GREY), ("index", "EZ", GREEN), ("stop", "ORG", GREEN), ("limit", "LIMIT", RED),
@@ -76,9 +76,9 @@ class Hctl1100Driver(Driver):
 
     def __init__(self, axis: Any):
         super().__init__(axis)
-        self.port = Port(axis)
+        self.port = ChipPort(axis)
 
-    def prepare(self) -> Port:
+    def prepare(self) -> ChipPort:
         """Load the filter and T if the chip is in Init/Idle, and switch to position control.
 
         On a limit switch the chip accepts no control mode: it stays in Init/Idle with the actual position as command position.
@@ -103,7 +103,7 @@ class Hctl1100Driver(Driver):
             self.port.write_numbers(command_position=self.port.read_position())
         return self.port
 
-    def _prepare_for(self, speeds: Speeds) -> Port:
+    def _prepare_for(self, speeds: Speeds) -> ChipPort:
         """Prepare the chip for a move, and check its rates.
 
         Raises:
@@ -115,7 +115,7 @@ class Hctl1100Driver(Driver):
         return port
 
     def is_driving_mode(self, mode: str) -> bool:
-        """Return whether the chip changes its command position in this control mode. An axis that STOP has stopped rests."""
+        """Return whether the chip changes its command position in this control mode, unless STOP has stopped the axis."""
         if mode != "integral velocity":
             return mode in ("trapezoid", "proportional velocity")
         before = self.port.read_command_position()
@@ -136,7 +136,10 @@ class Hctl1100Driver(Driver):
             leave_limit(self.port, direction)
 
     def _read_active_limits(self) -> set[int]:
-        """Read the directions of the end limits that are on, by inputs of the host, because the chip has one pin for both."""
+        """Return the directions of the end limits that are on.
+
+        The host reads its own inputs, because the chip has one pin for both limits.
+        """
         switches = getattr(self.axis, "switches", None)
         on = switches.as_dict() if switches is not None else {}
         return {end * get_forward_direction(self.axis) for end, name in LIMIT_SWITCHES.items() if on.get(name)}
@@ -183,6 +186,7 @@ class Hctl1100Driver(Driver):
             )
 
     def _check_move(self, pulses: int, speeds: Speeds) -> None:
+        """Raise ArgumentError if the chip cannot make the move."""
         if not pulses or int(pulses) != pulses:
             raise ArgumentError(f"pulses={pulses!r}: a whole number of counts, the sign is the direction.")
         self._check_linear_ramps(speeds)
@@ -281,6 +285,7 @@ class Hctl1100Driver(Driver):
         return r.value(self.chip.read(r.number))
 
     def _check_linear_ramps(self, speeds: Speeds) -> None:
+        """Raise ArgumentError for speeds with S-curves."""
         if speeds.s_curve:
             raise self.build_s_curve_error()
 
@@ -336,6 +341,7 @@ class Hctl1100Driver(Driver):
             begin = ports[0].axis.time
 
             def check_progress() -> None:
+                """Raise RunTimeout after `timeout`; update the observation of the line."""
                 line.measure_carriages()
                 if timeout is not None and not ports[0].axis.time - begin <= timeout:
                     raise RunTimeout(f"the line was not drawn after {timeout:g} s; the axes are held where they are.")
@@ -356,6 +362,7 @@ class Hctl1100Driver(Driver):
     # --- as programs: RegisterBus takes the chip as any; the tasks that write programs of pulses do not ---
 
     def _refuse_task(self, task: str) -> NoReturn:
+        """Raise ArgumentError for a task that only chips with pulse outputs support."""
         raise ArgumentError(
             f"chip {self.chip.MAP.chip} on axis {self.axis.name}: {task}; it is a servo's and makes no pulses. "
             "Take ServoTuning, RegisterBus or another chip."
@@ -381,7 +388,7 @@ class Hctl1100Driver(Driver):
 
     def compute_filter(self) -> dict[str, int]:
         """Compute the filter by frequency response (`servo_loop_model.design_filter`), with pole and T as after a reset."""
-        t = design_filter(ServoLoop.of(self.axis, FilterTuning(pole=DEFAULT_POLE)))
+        t = design_filter(ServoLoop.from_axis(self.axis, FilterTuning(pole=DEFAULT_POLE)))
         return {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer}
 
     def write_servo_move(
@@ -389,11 +396,12 @@ class Hctl1100Driver(Driver):
     ) -> None:
         """Add the bus cycles of a move.
 
-        They are made in Init/Idle, so that no command falls into the unsafe part of a sample. Rates are rounded to counts per
-        sample.
+        The program writes them in Init/Idle, so that no command falls into the unsafe part of a sample. Rates are rounded to
+        counts per sample.
         """
 
         def put(name: str, value: int) -> None:
+            """Add the write of a value by the name of the chip's number."""
             program.register(self.index, self.chip, name, value)
 
         for name, value in values.items():
@@ -418,17 +426,17 @@ class Hctl1100Driver(Driver):
 
 
 class _EndLimitReached(Exception):
-    """Signal that one axis of a line has met an end limit."""
+    """Signal that one axis of a line has reached an end limit."""
 
 
-def _follow_line(ports: list[Port], rows: np.ndarray, braking: int, poll: Callable[[], None]) -> bool:
+def _follow_line(ports: list[ChipPort], rows: np.ndarray, braking_samples: int, on_row: Callable[[], None]) -> bool:
     """Write the command positions of a line. If an end limit stops one axis, slow the others down along the line.
 
     Args:
         ports: Ports of the axes.
-        rows: Command positions relative to the start (samples, axes).
-        braking: Number of samples in which the axes slow down.
-        poll: Function to call after each row.
+        rows: Command positions relative to the start, shape (samples, axes).
+        braking_samples: Number of samples in which the axes slow down.
+        on_row: Function to call after each row.
 
     Returns:
         True if all rows were written.
@@ -436,26 +444,29 @@ def _follow_line(ports: list[Port], rows: np.ndarray, braking: int, poll: Callab
     sample = 0
 
     def poll_limits() -> None:
+        """Call `on_row`, and raise _EndLimitReached if an axis is in Init/Idle."""
         nonlocal sample
         sample += 1
-        poll()
+        on_row()
         if any(port.is_limited() for port in ports):
             raise _EndLimitReached
 
     try:
         stream_positions(ports, rows, on_row=poll_limits)
     except _EndLimitReached:
-        left = 1 - np.arange(1, braking + 1) / braking
-        times = sample - 1 + 0.5 * braking * (1 - left**2)  # of the rows: one a sample at first, none at the end
+        left = 1 - np.arange(1, braking_samples + 1) / braking_samples
+        times = (
+            sample - 1 + 0.5 * braking_samples * (1 - left**2)
+        )  # of the rows: one a sample at first, none at the end
         places = np.array([np.interp(times, np.arange(len(rows)), column) for column in rows.T]).T - rows[sample - 1]
         free = [k for k, port in enumerate(ports) if not port.is_limited()]
         if free:
-            stream_positions([ports[k] for k in free], places[:, free], on_row=poll)
+            stream_positions([ports[k] for k in free], places[:, free], on_row=on_row)
     return sample == len(rows)
 
 
 def _compute_line_rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:
-    """Compute command positions relative to the start, (samples, axes): a trapezoid at the rates of the longest axis."""
+    """Compute command positions relative to the start, shape (samples, axes): a trapezoid at the rates of the longest axis."""
     max_distance = max(abs(d) for d in distances) or 1
     maximum = NUMBERS["integral_velocity"].maximum / sample
     if not 0 < speeds.drive <= maximum:

@@ -1,6 +1,6 @@
 """Homing of a servo axis with an HCTL-1100: to the home switch, back out of it, then to the encoder's index pulse.
 
-    print(home(set_up(stage.axes["x"])))
+    print(home_servo(set_up_servo(stage.axes["x"])))
 
 A stage wires both end limits to LIMIT, ORG to STOP and the index pulse to INDEX. STOP acts only in integral velocity mode, in
 which it brakes the axis to rest. LIMIT acts in all modes and leads to Init/Idle, from which the host itself must drive the motor
@@ -21,7 +21,7 @@ from stage.chips.exclusive_access import exclusive
 from stage.chips.hctl1100.maps import MODE
 from stage.errors import RunTimeout
 from stage.firmware.axis import check_direction
-from stage.firmware.hctl1100.chip_port import CONTROL, LIMIT, STOP, Port
+from stage.firmware.hctl1100.chip_port import CONTROL, LIMIT, STOP, ChipPort
 from stage.firmware.hctl1100.moves import (
     convert_acceleration_to_register,
     convert_velocity_to_register,
@@ -65,7 +65,7 @@ class ServoHomeReport:
 
 @exclusive
 def home_servo(
-    port: Port,
+    port: ChipPort,
     direction: int = -1,
     *,
     speed: float = 8_000,
@@ -111,7 +111,7 @@ def home_servo(
 
 @exclusive
 def leave_limit(
-    port: Port, direction: int, *, push: int = PUSH_COMMAND, max_counts: int = MAX_COUNTS, timeout: float = 2.0
+    port: ChipPort, direction: int, *, push: int = PUSH_COMMAND, max_counts: int = MAX_COUNTS, timeout: float = 2.0
 ) -> None:
     """Drive an axis out of its limit switch in Init/Idle, in which the chip closes no loop; then hold its position.
 
@@ -131,6 +131,7 @@ def leave_limit(
     port.write_numbers(motor_command=direction * push)
 
     def is_released_or_out_of_reach() -> bool:
+        """Return whether the limit is released or the axis has moved `max_counts`."""
         return bool(port.clear_status() & LIMIT) or abs(port.read_position() - begin) > max_counts
 
     port.wait_until(is_released_or_out_of_reach, timeout, "release of the limit switch", FAST_POLL_S)
@@ -143,7 +144,7 @@ def leave_limit(
     port.hold_position()
 
 
-def _run_to_switch(port: Port, velocity: int, timeout: float) -> int:
+def _run_to_switch(port: ChipPort, velocity: int, timeout: float) -> int:
     """Run in integral velocity mode until STOP has triggered and the axis rests; return the position at which STOP triggered."""
     port.write_numbers(integral_velocity=0)
     port.set_control_mode("integral velocity")
@@ -158,7 +159,7 @@ def _run_to_switch(port: Port, velocity: int, timeout: float) -> int:
     return at
 
 
-def _check_limit(port: Port, what: str) -> None:
+def _check_limit(port: ChipPort, what: str) -> None:
     """Raise RunTimeout if LIMIT has triggered. `what` names the event that was expected, for the message."""
     if port.is_limited():
         raise RunTimeout(
@@ -166,7 +167,7 @@ def _check_limit(port: Port, what: str) -> None:
         )
 
 
-def hold_once_at_rest(port: Port) -> None:
+def hold_once_at_rest(port: ChipPort) -> None:
     """Switch to position control as soon as the command position is at rest."""
     before = port.read_command_position() - 1
     while before != (now := port.read_command_position()):
@@ -176,11 +177,12 @@ def hold_once_at_rest(port: Port) -> None:
 
 
 def _back_out_of_switch(
-    port: Port, direction: int, speed: float, acceleration: float, turn: int, timeout: float
+    port: ChipPort, direction: int, speed: float, acceleration: float, turn: int, timeout: float
 ) -> None:
     """Move back, an eighth of a turn at a time, until STOP can be cleared. The moves are trapezoids, which ignore STOP."""
 
     def released() -> bool:
+        """Clear STOP if it is released, and return whether that was possible."""
         if port.clear_status() & STOP:
             return True
         move_by_trapezoid(port, direction * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
@@ -191,7 +193,7 @@ def _back_out_of_switch(
     move_by_trapezoid(port, direction * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
 
 
-def _find_index_pulse(port: Port, direction: int, turn: int) -> int:
+def _find_index_pulse(port: ChipPort, direction: int, turn: int) -> int:
     """Find the index pulse, and return the position at which it begins when approached in `direction`."""
     pins = port.axis.chip.axes[port.axis.chip_axis].pins
     port.clear_status()
@@ -221,7 +223,7 @@ def _find_index_pulse(port: Port, direction: int, turn: int) -> int:
     return port.read_position()
 
 
-def _preset_position(port: Port, origin: int) -> None:
+def _preset_position(port: ChipPort, origin: int) -> None:
     """Subtract `origin` from the actual position.
 
     The chip allows this only in Init/Idle, so the motor is off for a few bus cycles.

@@ -1,13 +1,14 @@
 """Moves of a servo axis with an HCTL-1100: a position step, a trapezoid, and the two velocity modes.
 
-    x = set_up(stage.axes["x"], Tuning(gain=0x40))
-    print(step(x, 100))
-    print(trapezoid(x, 20_000, velocity=40_000, acceleration=400_000))
-    print(integral_velocity(x, 20_000, seconds=0.5))
+    x = set_up_servo(stage.axes["x"], FilterTuning(gain=0x40))
+    print(move_by_step(x, 100))
+    print(move_by_trapezoid(x, 20_000, velocity=40_000, acceleration=400_000))
+    print(run_in_integral_velocity_mode(x, 20_000, seconds=0.5))
 
 Positions are counts of the encoder, and rates are counts/s. The registers hold rates in counts per sample, so rates are rounded,
 and the reports contain the rounded rates. After each procedure the axis is in position control, or in Init/Idle if LIMIT has ended
-the procedure. See homing.py for home, position_streaming.py for motion commanded sample by sample."""
+the procedure. See homing.py for home, position_streaming.py for motion commanded sample by sample.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ import numpy as np
 from stage.chips.hctl1100.maps import FLAG, MINIMUM_T, NUMBERS, find_reset_value
 from stage.errors import ArgumentError, ExceededLimit
 from stage.firmware.axis import Axis
-from stage.firmware.hctl1100.chip_port import LIMIT, MODE_FLAGS, PROFILE, SAFE_MARGIN_COUNTS, STOP, Port
+from stage.firmware.hctl1100.chip_port import LIMIT, MODE_FLAGS, PROFILE, SAFE_MARGIN_COUNTS, STOP, ChipPort
 from stage.firmware.hctl1100.position_streaming import stream_positions, wait_for_next_sample
 
 SETTLED_DWELL_S = 0.02  # s within the deadband: settled
@@ -85,7 +86,7 @@ class ServoMoveReport:
 
 @dataclass(frozen=True)
 class VelocityReport:
-    """Report of a run at a velocity.
+    """Report of a run in one of the two velocity modes.
 
     Attributes:
         axis: Name of the axis.
@@ -106,7 +107,7 @@ class VelocityReport:
         return f"{self.axis}: {self.mode} velocity {self.asked:+.0f} counts/s asked, {self.reached:+.0f} reached{end}"
 
 
-def set_up_servo(axis: Axis, tuning: FilterTuning | None = None) -> Port:
+def set_up_servo(axis: Axis, tuning: FilterTuning | None = None) -> ChipPort:
     """Load the filter and the sample time, and switch to position control at the present position.
 
     Args:
@@ -119,7 +120,7 @@ def set_up_servo(axis: Axis, tuning: FilterTuning | None = None) -> Port:
     Raises:
         ArgumentError: The chip is no HCTL-1100, a value does not fit its register, or LIMIT is asserted.
     """
-    port = Port(axis)
+    port = ChipPort(axis)
     port.enter_idle()
     load_filter(port, tuning or FilterTuning())
     if not port.clear_status() & LIMIT:
@@ -131,12 +132,12 @@ def set_up_servo(axis: Axis, tuning: FilterTuning | None = None) -> Port:
     return port
 
 
-def load_filter(port: Port, tuning: FilterTuning) -> None:
+def load_filter(port: ChipPort, tuning: FilterTuning) -> None:
     """Load the filter and T. Raises ArgumentError for values that do not fit their registers."""
     port.write_numbers(timer=tuning.timer, gain=tuning.gain, zero=tuning.zero, pole=tuning.pole)
 
 
-def move_by_step(port: Port, counts: int, *, deadband: int = 3, timeout: float = 2.0) -> ServoMoveReport:
+def move_by_step(port: ChipPort, counts: int, *, deadband: int = 3, timeout: float = 2.0) -> ServoMoveReport:
     """Move by a step of the command position, without a profile.
 
     Args:
@@ -157,7 +158,7 @@ def move_by_step(port: Port, counts: int, *, deadband: int = 3, timeout: float =
 
 
 def move_by_trapezoid(
-    port: Port,
+    port: ChipPort,
     counts: int,
     *,
     velocity: float = 40_000,
@@ -187,7 +188,7 @@ def move_by_trapezoid(
     return wait_until_settled(port, begin, counts, deadband, timeout, (v, a, port.axis.time - begin))
 
 
-def start_trapezoid(port: Port, counts: int, velocity: float, acceleration: float) -> tuple[float, float, float]:
+def start_trapezoid(port: ChipPort, counts: int, velocity: float, acceleration: float) -> tuple[float, float, float]:
     """Start a trapezoidal profile, and do not wait for its end.
 
     Args:
@@ -212,7 +213,7 @@ def start_trapezoid(port: Port, counts: int, velocity: float, acceleration: floa
     return begin, v / port.sample, a / 256 / port.sample**2
 
 
-def brake_trapezoid(port: Port) -> None:
+def brake_trapezoid(port: ChipPort) -> None:
     """Slow a trapezoid down to rest at its own acceleration; the axis is then in position control.
 
     The host may not write the data of a profile while it runs. So it ends the profile (F0) and commands the ramp itself, with a new
@@ -238,7 +239,7 @@ def brake_trapezoid(port: Port) -> None:
         stream_positions([port], positions[1:, None] - positions[0])
 
 
-def wait_for_profile_end(port: Port, timeout: float) -> None:
+def wait_for_profile_end(port: ChipPort, timeout: float) -> None:
     """Wait until the profile has ended or LIMIT has stopped it.
 
     Args:
@@ -252,7 +253,7 @@ def wait_for_profile_end(port: Port, timeout: float) -> None:
 
 
 def wait_until_settled(
-    port: Port,
+    port: ChipPort,
     begin: float,
     counts: int,
     deadband: int,
@@ -279,6 +280,7 @@ def wait_until_settled(
     limited = False
 
     def is_settled() -> bool:
+        """Return whether the axis has stayed within the deadband for SETTLED_DWELL_S, or LIMIT has triggered."""
         nonlocal since, error, limited
         error, now = goal - port.read_position(), port.axis.time
         limited = port.is_limited()
@@ -290,8 +292,8 @@ def wait_until_settled(
     return ServoMoveReport(port.axis.name, counts, *rates, since - begin, error, deadband, limited)
 
 
-def run_proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> VelocityReport:
-    """Turn in proportional velocity mode, then stop. Friction and drag leave a velocity error, because nothing integrates it.
+def run_in_proportional_velocity_mode(port: ChipPort, rate: float, seconds: float = 0.5) -> VelocityReport:
+    """Turn the motor in proportional velocity mode, then stop it. Nothing integrates the velocity error due to friction.
 
     Args:
         port: Port of the axis.
@@ -310,6 +312,7 @@ def run_proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> 
     port.set_control_mode("proportional velocity")
 
     def turn(value: int) -> None:
+        """Write the command velocity, counts per sample."""
         port.wait_for_safe_part("proportional velocity")
         port.write_numbers(proportional_velocity=value)
 
@@ -324,10 +327,10 @@ def run_proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> 
     return VelocityReport(port.axis.name, "proportional", word / 16 / port.sample, reached, ended)
 
 
-def run_integral_velocity(
-    port: Port, rate: float, seconds: float = 0.5, acceleration: float = 400_000
+def run_in_integral_velocity_mode(
+    port: ChipPort, rate: float, seconds: float = 0.5, acceleration: float = 400_000
 ) -> VelocityReport:
-    """Turn in integral velocity mode, in which the command position advances in each sample, then stop. The speed has ramps.
+    """Turn the motor in integral velocity mode with ramps, then stop it. The command position advances in each sample.
 
     Args:
         port: Port of the axis.
@@ -341,7 +344,7 @@ def run_integral_velocity(
     Raises:
         ArgumentError: The chip does not have these rates at this sample time.
     """
-    word, ramp = start_integral_velocity(port, rate, acceleration)
+    word, ramp = start_integral_velocity_mode(port, rate, acceleration)
     port.axis.wait(ramp)
     reached = _measure_mean_velocity(port, seconds)
     ended = "LIMIT" if port.is_limited() else "" if port.read_status() & STOP else "STOP"
@@ -352,8 +355,8 @@ def run_integral_velocity(
     return VelocityReport(port.axis.name, "integral", word / port.sample, reached, ended)
 
 
-def start_integral_velocity(port: Port, rate: float, acceleration: float) -> tuple[int, float]:
-    """Start to turn in integral velocity mode.
+def start_integral_velocity_mode(port: ChipPort, rate: float, acceleration: float) -> tuple[int, float]:
+    """Start the motor in integral velocity mode.
 
     Args:
         port: Port of the axis.
@@ -377,13 +380,13 @@ def start_integral_velocity(port: Port, rate: float, acceleration: float) -> tup
     return word, (abs(word) * 256 / a + 2) * port.sample
 
 
-def write_command_velocity(port: Port, velocity: int) -> None:
+def write_command_velocity(port: ChipPort, velocity: int) -> None:
     """Write a command velocity for integral velocity mode, counts per sample, in the safe part of a sample."""
     port.wait_for_safe_part("integral velocity")
     port.write_numbers(integral_velocity=velocity)
 
 
-def _measure_mean_velocity(port: Port, seconds: float) -> float:
+def _measure_mean_velocity(port: ChipPort, seconds: float) -> float:
     """Measure the mean velocity over the second half of `seconds`, counts/s."""
     port.axis.wait(0.5 * seconds)
     begin, first = port.axis.time, port.read_position()
@@ -391,7 +394,7 @@ def _measure_mean_velocity(port: Port, seconds: float) -> float:
     return (port.read_position() - first) / (port.axis.time - begin)
 
 
-def convert_velocity_to_register(port: Port, rate: float, name: str, scale: int) -> int:
+def convert_velocity_to_register(port: ChipPort, rate: float, name: str, scale: int) -> int:
     """Convert a velocity to the value of a register.
 
     Args:
@@ -406,12 +409,13 @@ def convert_velocity_to_register(port: Port, rate: float, name: str, scale: int)
     return _round_to_register(port, name, rate, port.sample * scale, "speed", "counts/s")
 
 
-def convert_acceleration_to_register(port: Port, acceleration: float) -> int:
+def convert_acceleration_to_register(port: ChipPort, acceleration: float) -> int:
     """Convert an acceleration, counts/s2, to the value of R27:R26. Raises ArgumentError if the value is 0 or too large."""
     return _round_to_register(port, "acceleration", acceleration, port.sample**2 * 256, "acceleration", "counts/s2")
 
 
-def _round_to_register(port: Port, name: str, requested: float, scale: float, what: str, unit: str) -> int:
+def _round_to_register(port: ChipPort, name: str, requested: float, scale: float, what: str, unit: str) -> int:
+    """Return `requested` times `scale`, rounded. Raises ArgumentError if the register cannot hold it."""
     rate = requested * scale
     number, value = NUMBERS[name], round(rate) if math.isfinite(rate) else 0
     if value == 0 or not number.minimum <= value <= number.maximum:

@@ -1,8 +1,8 @@
 """Streaming of positions: the host writes a command position to each chip in each sample, synchronized by the SYNC pins.
 
-    ports = [set_up(stage.axes[n]) for n in "xyz"]
-    synchronize(ports)
-    print(follow(ports, circle(6000, seconds=1.5, sample=ports[0].sample, axes=3)))
+    ports = [set_up_servo(stage.axes[n]) for n in "xyz"]
+    synchronize_sample_timers(ports)
+    print(stream_positions(ports, compute_circle_positions(6000, seconds=1.5, sample=ports[0].sample, axes=3)))
 
 According to the data sheet, the chip computes at the beginning of a sample, and a command that arrives then may disturb it. So the
 host reads the sample timer, which counts down from T, and writes after it has counted down by the minimum of Table 4. SYNC starts
@@ -19,7 +19,7 @@ import numpy as np
 
 from stage.chips.hctl1100.maps import TIMER
 from stage.errors import ArgumentError
-from stage.firmware.hctl1100.chip_port import SAFE_MARGIN_COUNTS, Port
+from stage.firmware.hctl1100.chip_port import SAFE_MARGIN_COUNTS, ChipPort
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class StreamReport:
         return f"{self.commands} commands in {self.seconds:.3f} s, {self.missed} samples missed"
 
 
-def synchronize_sample_timers(ports: Sequence[Port]) -> None:
+def synchronize_sample_timers(ports: Sequence[ChipPort]) -> None:
     """Start the sample timers of all chips at the same clock, by the line to their SYNC pins.
 
     The chips obey SYNC only in Init/Idle, so the axes have no motor command for a few bus cycles. They hold their positions
@@ -66,7 +66,11 @@ def synchronize_sample_timers(ports: Sequence[Port]) -> None:
 
 
 def stream_positions(
-    ports: Sequence[Port], profile: np.ndarray, *, leader_only: bool = True, on_row: Callable[[], None] | None = None
+    ports: Sequence[ChipPort],
+    profile: np.ndarray,
+    *,
+    leader_only: bool = True,
+    on_row: Callable[[], None] | None = None,
 ) -> StreamReport:
     """Write one row of command positions, relative to the present ones, in the safe part of each sample.
 
@@ -103,8 +107,8 @@ def stream_positions(
     return StreamReport(len(rows), max(round(seconds / main.sample) - len(rows), 0), seconds)
 
 
-def wait_for_next_sample(port: Port, mode: str = "position") -> None:
-    """Wait for the safe part of the next sample. It replaces a host's timer interrupt and read of R0F.
+def wait_for_next_sample(port: ChipPort, mode: str = "position") -> None:
+    """Wait for the safe part of the next sample, as firmware would by a timer interrupt and a read of R0F.
 
     Args:
         port: Port of the axis.

@@ -1,15 +1,15 @@
 """Model of a servo axis with an HCTL-1100 as a linear sampled system, computed from the data of the machine without measurements.
 
-    loop = Loop.of(port.axis, tuning)
-    error = loop.following_error(command)       counts, sample by sample; command: counts
-    tuning = design(loop)                       gain and zero by frequency response
+    loop = ServoLoop.from_axis(port.axis, tuning)
+    error = loop.compute_following_error(command)       counts, sample by sample; command: counts
+    tuning = design_filter(loop)                        gain and zero by frequency response
 
 The plant is a DC motor that drives a mass; its voltage is constant during a sample:
 
     m dv/dt = F u - (d + back-EMF) v - friction      G(s) = gain / s (1 + tau s)
 
 Its transfer function in z is exact. The model omits rounding, saturation, the physics step and play. Coulomb friction is constant
-while the axis moves in one direction, so the model treats it as an input. `following_error` needs SciPy.
+while the axis moves in one direction, so the model treats it as an input. `compute_following_error` needs SciPy.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class ServoLoop:
     clock_hz: int = 2_000_000
 
     @classmethod
-    def of(cls, axis: Any, tuning: FilterTuning) -> ServoLoop:
+    def from_axis(cls, axis: Any, tuning: FilterTuning) -> ServoLoop:
         """Compute the model of a stage's axis from its present masses, friction, motor and encoder.
 
         Args:
@@ -93,10 +93,11 @@ class ServoLoop:
         return np.roots(self._characteristic())
 
     def _characteristic(self) -> np.ndarray:
+        """Return the characteristic polynomial of the closed loop in z, the highest power first."""
         (b, a), (n, d) = self.plant, self.filter
         return np.polyadd(np.convolve(a, d), np.convolve(b, n))
 
-    def following_error(self, command: np.ndarray) -> np.ndarray:
+    def compute_following_error(self, command: np.ndarray) -> np.ndarray:
         """Compute command minus position at each sample for an axis that was at rest before.
 
         Args:
@@ -127,8 +128,8 @@ def design_filter(loop: ServoLoop, margin: float = PHASE_MARGIN_DEGREES, rattle:
     Args:
         loop: Plant and filter.
         margin: Phase margin, degrees.
-        rattle: Largest response of the filter to one count of the encoder, units of motor command. It limits the gain, because a
-            coarse encoder makes a fast filter rattle.
+        rattle: Largest change of the motor command after one count of the encoder, units of motor command. It limits the gain,
+            because a fast filter turns each count of a coarse encoder into a jerk.
 
     Returns:
         The filter.

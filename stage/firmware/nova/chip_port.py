@@ -1,6 +1,6 @@
-"""`Port`: access to the registers of one axis of a NOVA chip by name, with bus cycles and waits only.
+"""`ChipPort`: access to the registers of one axis of a NOVA chip by name, with bus cycles and waits only.
 
-    port = Port(axis)                        the axis of a Stage or a Bench
+    port = ChipPort(axis)                    the axis of a Stage or a Bench
     port.write_parameters(SV=400, DV=8000, AC=80_000)    parameters and modes, by their names on this chip
     port.write_mode_words(WR2=..., WR3=...)
     port.write_command("DRVRL")
@@ -64,11 +64,11 @@ def compute_logic_bits(axis: Axis, word: str) -> int:
 
 
 def compute_mcx514_inputs(axis: Axis) -> int:
-    """Compute WR2 of an MCX514: end limits stop, all sensors as they are wired."""
+    """Compute WR2 of an MCX514 with which end limits stop the axis and the logic of all sensors suits their wiring."""
     return MAP.mask("WR2", "HLM-E") | compute_logic_bits(axis, "WR2")
 
 
-class Port:
+class ChipPort:
     """Bus port of one axis. Raises ArgumentError if the axis' chip is no NOVA chip."""
 
     def __init__(self, axis: Axis):
@@ -180,11 +180,11 @@ class Port:
 
 
 def get_bit_mask(word: str, *names: str) -> int:
-    """Return bits of a word or mode register of an MCX514 by their names."""
+    """Return the mask of named bits in a word or mode register of an MCX514."""
     return sum(MAP.mask(word, name) for name in names)
 
 
-def open_ports(axes: tuple[Axis, ...]) -> list[Port]:
+def open_ports(axes: tuple[Axis, ...]) -> list[ChipPort]:
     """Open the ports of axes of one MCX514, in the order of the axes on the chip.
 
     Args:
@@ -196,13 +196,13 @@ def open_ports(axes: tuple[Axis, ...]) -> list[Port]:
     for axis in axes:
         if not isinstance(getattr(axis, "chip", None), MCX514):
             raise ArgumentError(f"{axis!r} has no MCX514: make the stage with chips=MCX514.")
-    ports = sorted((Port(axis) for axis in axes), key=lambda port: port.bit)
+    ports = sorted((ChipPort(axis) for axis in axes), key=lambda port: port.bit)
     if not ports or len({id(port.chip) for port in ports}) > 1 or len({port.bit for port in ports}) < len(ports):
         raise ArgumentError(f"axes {', '.join(a.name for a in axes) or 'none'}: give different axes of one MCX514.")
     return ports
 
 
-def stop_axes(ports: list[Port]) -> None:
+def stop_axes(ports: list[ChipPort]) -> None:
     """Stop the axes of these ports at once, without a ramp."""
     for port in ports:
         port.write_command("DRVFBRK")

@@ -23,7 +23,7 @@ from stage.firmware.driver import (
 from stage.firmware.home_program import HomeProgram
 from stage.firmware.line_programs import LineMoves, LinePrograms, LineSettings, create_line_programs
 from stage.firmware.move_report import ProcedureObserver, Report
-from stage.firmware.nova.chip_port import Port
+from stage.firmware.nova.chip_port import ChipPort
 from stage.firmware.nova.home_program import HomeSearchProgram
 from stage.firmware.nova.line_programs import InterpolatedLinePrograms, NovaLinePrograms, RangeRatioLinePrograms
 from stage.firmware.operation_pattern import AMBER, BLUE, GREEN, GREY, RED, VIOLET
@@ -83,7 +83,7 @@ class NovaDriver(Driver):
     def __init__(self, axis: Any):
         super().__init__(axis)
         self.map = self.chip.MAP
-        self.port = Port(axis)
+        self.port = ChipPort(axis)
         self.bit = self.port.bit
 
     # --- now ---
@@ -176,14 +176,14 @@ class NovaDriver(Driver):
         )
 
     def _write_modes_and_registers(self, registers: Mapping[str, int]) -> None:
-        """Write modes and speeds. Raises StageError for an axis that moves."""
+        """Write the drive modes and the speed registers. Raises StageError if the axis moves."""
         if self.port.is_driving():
             raise self.build_moving_error()
         now = ImmediateOperations(self.axis)
         self.add_drive_modes(now, self.JERK in registers)
         for name, value in registers.items():
             self.add_register_write(now, name, value)
-        self.add_clear_ends(now)
+        self.add_end_status_clear(now)
 
     @classmethod
     def move_line(
@@ -229,7 +229,7 @@ class NovaDriver(Driver):
             {n: pulses[n] for n in moving_drivers},
         ) as together:
             for d in moving_drivers.values():
-                d.add_clear_ends(now)
+                d.add_end_status_clear(now)
             starts = line_plan.find_start_operations(distances[0]).tolist()
             for j, (_, index, address, value) in enumerate(ops.tolist()):
                 now.write(index, address, value)
@@ -322,7 +322,7 @@ class NovaDriver(Driver):
     def write_stop(self, program: Operations) -> None:
         self.add_command(program, self.STOP)
 
-    def clip_to_legal(self, name: str, value: float) -> int:
+    def clip_to_legal_range(self, name: str, value: float) -> int:
         """Return the nearest value of a register that the data sheet allows."""
         low, high = get_register_range(self.map, name)
         return int(np.clip(round(value), low, high))
@@ -343,7 +343,7 @@ class NovaDriver(Driver):
 
     @abstractmethod
     def can_interpolate(self, drivers: Sequence[NovaDriver]) -> bool:
-        """Return whether the chip can interpolate the axes of these drivers.
+        """Return whether one chip, or several linked ones, can interpolate the axes of these drivers.
 
         Args:
             drivers: Drivers of the axes.
@@ -371,20 +371,20 @@ class NovaDriver(Driver):
 
         Args:
             program: Program, or operations that are done at once.
-            fast: Begin at the drive speed, not at HV.
+            fast: True to begin at the drive speed; False to begin at HV.
             timer: Code of the rest between steps; 0: none.
-            index: Go on to STOP2.
+            index: True to go on to STOP2, the index pulse.
             limit: Seconds that a drive may take.
             rest: Seconds of rest after the search.
             direction: Direction in which ORG lies, 1 or -1.
 
         Returns:
-            Indices of the polls for the stop.
+            Indices of the operations that poll for the stop.
         """
 
     @abstractmethod
     def add_level_reads(self, program: Program) -> dict[str, tuple[int, int, bool]]:
-        """Add the reads of errors and levels.
+        """Add the reads of errors and of the levels of STOP1 and STOP2.
 
         Args:
             program: Program that gets the reads.
@@ -393,14 +393,14 @@ class NovaDriver(Driver):
             For "error", "stop1" and "stop2": index of the read operation, mask, and the level that means on.
         """
 
-    def is_active_high(self, k: int) -> bool:
-        """Return whether STOP1 (ORG) or STOP2 (EZ) is high while it is on."""
-        return has_positive_logic(self.axis, ("org", "ez")[k - 1])
+    def is_stop_input_active_high(self, number: int) -> bool:
+        """Return whether STOP1 (ORG) or STOP2 (EZ) is high while it is on; `number` is 1 or 2."""
+        return has_positive_logic(self.axis, ("org", "ez")[number - 1])
 
     @abstractmethod
-    def add_clear_ends(self, program: OperationsType) -> OperationsType:
-        """Add the command that clears the end status of earlier drives."""
+    def add_end_status_clear(self, program: OperationsType) -> OperationsType:
+        """Add the command that clears the end status of earlier drives, if the chip has one."""
 
     @abstractmethod
     def get_search_ranges(self) -> dict[str, tuple[int, int]]:
-        """Return the ranges of the choices of a home search, by name, in addition to the speeds and `leave`."""
+        """Return the ranges of the choices of a home search by name, except the speeds and `leave`."""

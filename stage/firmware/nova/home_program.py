@@ -51,12 +51,12 @@ class HomeSearchProgram(HomeProgram):
         p = driver.add_drive_modes(Program())
         for name in (*driver.SPEEDS, "HV"):
             driver.add_register_write(p, name, values[name])
-        self._note_result_index("leave time", driver.add_drive(p, values["leave"])).until_stopped(
+        self._store_result_index("leave time", driver.add_drive(p, values["leave"])).until_stopped(
             [driver.index], c.limit
         )
         driver.add_command(p, driver.STOP).wait(c.settle if values["leave"] else 0.0)
         self._add_position_reads(p, "left")
-        driver.add_clear_ends(p)  # a limit that the leaving has met
+        driver.add_end_status_clear(p)  # a limit that the leaving has met
         polls = driver.add_home_search(p, bool(values["step1"]), values.get("timer", 0), bool(c.ez), c.limit, c.settle)
         self.result_indices |= {f"home time {k}": at for k, at in enumerate(polls)}
         for name, (at, mask, high) in driver.add_level_reads(p).items():
@@ -64,10 +64,11 @@ class HomeSearchProgram(HomeProgram):
         self._add_position_reads(p, "ended")
         return p
 
-    def _add_position_reads(self, p: Program, name: str) -> None:
-        self.driver.add_command(p, "R-LP")
+    def _add_position_reads(self, program: Program, name: str) -> None:
+        """Add the reads of both words of the logical position, and store their indices under `name`."""
+        self.driver.add_command(program, "R-LP")
         for address in (6, 7):
-            self._note_result_index(f"{name} {address}", p).read(self.driver.index, address)
+            self._store_result_index(f"{name} {address}", program).read(self.driver.index, address)
 
     def read_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
         marked = {name: results[:, at] for name, at in self.result_indices.items()}

@@ -23,7 +23,7 @@ from stage.firmware.axis import Axis
 from stage.firmware.nova.chip_port import (
     MAP,
     POLL_INTERVAL_S,
-    Port,
+    ChipPort,
     compute_mcx514_inputs,
     get_bit_mask,
     open_ports,
@@ -42,9 +42,12 @@ class HomeSearchReport:
     """Report of an axis' home search.
 
     Attributes:
+        axis: Name of the axis.
         states: (Seconds since the start, HSST) at each change that the host read; HOME_STATES has their meaning.
-        seconds: Time from the command to the end. errors: Names of the bits of RR2 that are set.
-        position: Position of the carriage, m; None without one. unit: "m", or "rad" on a hinge.
+        seconds: Time from the command to the end.
+        errors: Names of the bits of RR2 that are set.
+        position: Position of the carriage, m; None without one.
+        unit: "m", or "rad" on a hinge.
     """
 
     axis: str
@@ -80,7 +83,7 @@ def home_search(
     timeout: float = 60.0,
     back: bool = True,
 ) -> dict[str, HomeSearchReport]:
-    """Search home on axes of one MCX514, all at once.
+    """Search home on several axes of one MCX514 at the same time.
 
     Args:
         axes: Axes of one chip.
@@ -89,12 +92,12 @@ def home_search(
         home_speed: Speed of steps 2 and 3 (HV), pps.
         initial_speed: Initial speed of all steps (SV), pps.
         acceleration: Acceleration, pps/s.
-        index: End at an index pulse after ORG.
-        offset: Signed pulses to move from there in the end.
-        timer: Rest between steps, one of TIMERS, s: a motor rings when a switch stops it.
+        index: Whether the search ends at an index pulse after ORG.
+        offset: Signed pulses of a last move from there.
+        timer: Rest between steps, one of TIMER_CHOICES_S, s: a motor rings when a switch stops it.
         timeout: Simulated seconds for the whole search.
-        back: What to do at an end limit that comes before ORG. True: search on the way back, as the chip does. False: stop there,
-            with the limit among the errors. There is no ORG on the way back if ORG stays asserted up to the limit.
+        back: Reaction to an end limit that comes before ORG. True: search on the way back, as the chip does. False: stop there,
+            with the limit among the errors. If ORG stays asserted up to the limit, there is no ORG on the way back.
 
     Returns:
         A report for each axis by name.
@@ -135,14 +138,14 @@ def home_search(
     return reports
 
 
-def _stop_at_limit(port: Port, direction: int) -> tuple[str, ...]:
-    """Stop the axis at the end limit, and return the name of the limit."""
+def _stop_at_limit(port: ChipPort, direction: int) -> tuple[str, ...]:
+    """Stop an axis that has turned back at an end limit, and return the name of the limit."""
     stop_axes([port])
     return ("HLMT-" if direction < 0 else "HLMT+",)
 
 
 def _poll_home_states(
-    ports: list[Port], begin: float, timeout: float, at_limit: Callable[[Port], None] | None
+    ports: list[ChipPort], begin: float, timeout: float, at_limit: Callable[[ChipPort], None] | None
 ) -> list[tuple[tuple[float, int], ...]]:
     """Poll HSST until it is 0 on all axes.
 

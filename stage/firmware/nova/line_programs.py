@@ -22,7 +22,7 @@ MAX_SPEED = 8000  # of SV, V
 
 
 class Ramps(NamedTuple):
-    """Ramps of the axes; all arrays are (stages, axes).
+    """Ramps of the axes; all arrays have the shape (stages, axes).
 
     Attributes:
         multiple: Multiple 8,000,000 / R.
@@ -54,13 +54,20 @@ class NovaLinePrograms(LinePrograms):
         """
         driver.map.check_value(driver.DISTANCE_REGISTER, pulses if driver.SIGNED else abs(pulses))
 
-    def _add_register_column(self, program: Program, h: NovaDriver, name: str, column: int) -> None:
-        """Add a register whose value is a column."""
-        h.add_register_write(program, name, 0)
+    def _add_register_column(self, program: Program, driver: NovaDriver, name: str, column: int) -> None:
+        """Add the write of a register whose value is a column.
+
+        Args:
+            program: Template of the programs.
+            driver: Driver of the axis.
+            name: Name of the register.
+            column: Index of the column.
+        """
+        driver.add_register_write(program, name, 0)
         wide = self.chip.MAP.register(name).bits > 16
-        self._add_slot(program, 3 if wide else 2, column)
+        self._mark_column_operation(program, 3 if wide else 2, column)
         if wide:
-            self._add_slot(program, 2, column, 16)
+            self._mark_column_operation(program, 2, column, 16)
 
 
 class InterpolatedLinePrograms(NovaLinePrograms):
@@ -77,6 +84,7 @@ class InterpolatedLinePrograms(NovaLinePrograms):
         self._first = self._write_template()
 
     def _write_template(self) -> int:
+        """Write the program that is equal for all moves except for its columns, and return the index of the start command."""
         p, h = Program(), self.main
         for other in self.drivers:
             other.add_drive_modes(p, self.settings.s_curve)
@@ -99,7 +107,7 @@ class InterpolatedLinePrograms(NovaLinePrograms):
     def compute_registers(self, moves: LineMoves) -> np.ndarray:
         """Compute the registers of the longest axis by the data sheet's formulas."""
         c, rows = self.settings, []
-        for peak, ramp, longest in zip(*self.compute_peaks(moves), moves.longest, strict=True):
+        for peak, ramp, longest in zip(*self.compute_peak_rates_and_ramps(moves), moves.longest, strict=True):
             registers = self.main.compute_move_registers(min(c.fl, peak), peak, ramp, ramp, int(longest), c.s_curve)
             rows.append([[registers[name] for name in self.names]])
         return np.array(rows, np.int64)
@@ -107,14 +115,14 @@ class InterpolatedLinePrograms(NovaLinePrograms):
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """Multiply the registers by factors from 1/2 to 2.
 
-        The chip keeps the axes on the line whatever the registers are, so a correction has no effect in pulses to scale it by.
+        The chip keeps the axes on the line with any registers, so a correction moves no axis along the line.
         """
-        rows = self.clip_to_legal(self.compute_registers(moves) * MAX_CORRECTION_FACTOR**corrections)
+        rows = self.clip_to_legal_range(self.compute_registers(moves) * MAX_CORRECTION_FACTOR**corrections)
         rows[:, :, 0] = np.minimum(rows[:, :, 0], rows[:, :, 1])
         return rows
 
     def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
-        """Return zeros: the chip interpolates."""
+        """Return zeros, because the chip interpolates."""
         return np.zeros((*moves.distances.shape, 4))
 
     def write_programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
@@ -139,6 +147,7 @@ class RangeRatioLinePrograms(NovaLinePrograms):
         self._write_template()
 
     def _write_template(self) -> None:
+        """Write the program that is equal for all moves except for its columns."""
         p, m = Program(), len(self.names)
         self._drives, self._released = [], np.zeros(len(self.drivers), np.int64)
         chips = [[self.drivers[a] for a in mine] for _, mine in self._group_by_chip()]
@@ -163,7 +172,7 @@ class RangeRatioLinePrograms(NovaLinePrograms):
         V is as large as possible with a multiple of at least 1 on the shortest axis. The other registers are the nearest to each
         axis' share of the longest axis' values.
         """
-        c, rho, (peak, ramp) = self.settings, moves.shares, self.compute_peaks(moves)
+        c, rho, (peak, ramp) = self.settings, moves.shares, self.compute_peak_rates_and_ramps(moves)
         fl = np.minimum(c.fl, peak)
         least, max_range = self.ranges
         multiple = np.clip(np.maximum(1.0 / rho.min(axis=1), peak / MAX_SPEED), 1.0, np.minimum(RANGE / least, peak))
@@ -181,23 +190,23 @@ class RangeRatioLinePrograms(NovaLinePrograms):
             columns += [np.rint(62_500_000 * multiple / jerk)[:, None] / share]
         else:
             columns += [share * np.maximum(np.rint(gain / ramp / (125 * multiple)), 1.0)[:, None]]
-        return self._limit_initial_speed(self.clip_to_legal(np.stack(columns, axis=2)))
+        return self._limit_initial_speed(self.clip_to_legal_range(np.stack(columns, axis=2)))
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        """Correct each register by a share of the counts, at least one, that move its axis by `reach` pulses along the line."""
+        """Correct each register by a fraction of the counts (at least one) that move its axis by `reach` pulses along the line."""
         rows = self.compute_registers(moves)
         counts = np.maximum(np.rint(self.settings.reach / self.compute_pulses_per_register_unit(rows, moves)), 1)
-        return self._limit_initial_speed(self.clip_to_legal(rows + np.rint(corrections * counts)))
+        return self._limit_initial_speed(self.clip_to_legal_range(rows + np.rint(corrections * counts)))
 
     def compute_pulses_per_register_unit(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
-        """Compute the pulses by which one count of each register moves an axis along the line, by the data sheet's formulas.
+        """Compute the pulses by which one unit of each register moves an axis along the line, by the data sheet's formulas.
 
         Args:
-            registers: Registers (stages, axes, names).
+            registers: Registers, shape (stages, axes, names).
             moves: Moves along the line.
 
         Returns:
-            Pulses (stages, axes, names).
+            Pulses, shape (stages, axes, names).
         """
         at, r = self._compute_ramps(registers), registers.astype(np.float64)
         worth = [moves.magnitudes / r[..., 0], at.ramp * at.multiple, moves.magnitudes / r[..., 2], at.lag / r[..., 3]]
@@ -210,7 +219,7 @@ class RangeRatioLinePrograms(NovaLinePrograms):
         return self.compute_deviations(moves, at.high, at.ramp, at.lag, at.lag, 0.5 * (at.low + at.high) * at.ramp)
 
     def _compute_ramps(self, registers: np.ndarray) -> Ramps:
-        """Compute the ramps that registers (stages, axes, names) give."""
+        """Compute the ramps that result from registers of shape (stages, axes, names)."""
         r = registers.astype(np.float64)
         m = RANGE / r[..., 0]
         low, high, rate = m * r[..., 1], m * r[..., 2], 125.0 * m * r[..., 3]

@@ -27,7 +27,7 @@ SPEED_MULTIPLE = 20
 
 
 class FirstGenerationDriver(NovaDriver):
-    """Driver of MCX304, MCX302, MCX312 and MCX314As: speeds are multiples of 8,000,000 / R pps.
+    """Driver of MCX304, MCX302, MCX312 and MCX314As, whose speeds are multiples of 8,000,000 / R pps.
 
     The fast step of their home search does not use ORG, so a continuous drive that STOP1 ends replaces it.
     """
@@ -47,11 +47,13 @@ class FirstGenerationDriver(NovaDriver):
         with ProcedureObserver(self.axis, "origin return") as observer:
             self._write_modes_and_registers(registers)
             now = ImmediateOperations(self.axis)
-            self.add_register_write(now, "HV", self.clip_to_legal("HV", HOME_SPEED_PPS / self.UNIT))
+            self.add_register_write(now, "HV", self.clip_to_legal_range("HV", HOME_SPEED_PPS / self.UNIT))
             self._add_run_to_signal(now, direction, timeout, SETTLING_TIME_S)
             address, stop1 = self._locate_stop_level(1)
             stop_reason = self.read_stop_reason()
-            if stop_reason in ("EL+", "EL-") and bool(self.chip.read(address) & stop1) != self.is_active_high(1):
+            if stop_reason in ("EL+", "EL-") and bool(
+                self.chip.read(address) & stop1
+            ) != self.is_stop_input_active_high(1):
                 return observer.make_report(stop_reason)
             self._add_search_start(now, bool(index), direction, FILTER_CODE)
             at_limit = self._wait_for_search(timeout)
@@ -67,13 +69,13 @@ class FirstGenerationDriver(NovaDriver):
     def _wait_for_search(self, timeout: float) -> bool:
         """Wait until the search is over, and return whether an end limit has ended it.
 
-        Where the end limit comes before ORG the chip goes back to look for it, and where ORG ends before the limit does, it finds
-        none and
-        goes on for ever: it is stopped.
+        If the end limit comes before ORG, the chip searches ORG on the way back. If ORG ends before the limit does, the chip finds
+        no edge there and goes on forever, so the driver stops it.
         """
         back: list[bool] = []
 
         def stop_at_limit() -> None:
+            """Stop the axis if the chip searches back from an end limit."""
             if not back and self.port.read_status_register(2) & HMST.mask == HMST_SEARCHES_BACK:
                 back.append(True)
                 self.port.write_command(self.STOP)
@@ -81,8 +83,8 @@ class FirstGenerationDriver(NovaDriver):
         wait_until_stopped([self.axis], timeout, on_poll=stop_at_limit)
         return bool(back)
 
-    def add_clear_ends(self, program: OperationsType) -> OperationsType:
-        """Return the operations as they are: the end status of a drive stays until the next drive begins."""
+    def add_end_status_clear(self, program: OperationsType) -> OperationsType:
+        """Return the operations unchanged: the end status of a drive stays until the next drive begins."""
         return program
 
     def add_drive_modes(self, program: OperationsType, s_curve: bool = False) -> OperationsType:
@@ -97,8 +99,9 @@ class FirstGenerationDriver(NovaDriver):
             self.add_register_write(program, "EM", 0)
         return self.add_register_write(self.add_register_write(program, "R", RANGE // SPEED_MULTIPLE), "AO", 0)
 
-    def _compute_wr1(self, *more: str) -> int:
-        return self.get_mask("WR1", *more) | compute_logic_bits(self.axis, "WR1")
+    def _compute_wr1(self, *bit_names: str) -> int:
+        """Return WR1 with the logic of the sensors and the named bits."""
+        return self.get_mask("WR1", *bit_names) | compute_logic_bits(self.axis, "WR1")
 
     def add_drive(self, program: OperationsType, pulses: int) -> OperationsType:
         return self.add_command(
@@ -108,7 +111,7 @@ class FirstGenerationDriver(NovaDriver):
     def compute_move_registers(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
-        """Compute A = (V - SV) / (125 m ta), K by the jerk 4 (V - SV) / ta^2; one ramp for both ways, the longer one."""
+        """Compute A = (V - SV) / (125 m ta), and K from the jerk 4 (V - SV) / ta^2. The longer ramp time counts for both ramps."""
         seconds = max(up, down)
         values = {
             "SV": fl / SPEED_MULTIPLE,
@@ -119,7 +122,7 @@ class FirstGenerationDriver(NovaDriver):
             max_jerk = get_register_range(self.map, "K")[1]  # also where nothing is to be ramped
             jerk = 62_500_000 * SPEED_MULTIPLE * seconds**2 / (4 * (fh - fl)) if fh > fl else max_jerk
             values |= {"A": get_register_range(self.map, "A")[1], "K": jerk}
-        return {name: self.clip_to_legal(name, value) for name, value in values.items()}
+        return {name: self.clip_to_legal_range(name, value) for name, value in values.items()}
 
     def can_interpolate(self, drivers: Sequence[NovaDriver]) -> bool:
         has_it = any(c.symbol == f"IP_{len(drivers)}ST" for c in self.map.commands)
@@ -145,20 +148,27 @@ class FirstGenerationDriver(NovaDriver):
         return [*polls, self._add_search(program, index, SEARCH_TIME_FACTOR * limit, rest, direction)]
 
     def _add_run_to_signal(self, program: Operations, direction: int, limit: float, rest: float) -> int:
-        """Drive until STOP1, or a limit, ends it; return the index of the poll for the stop."""
+        """Add a continuous drive that STOP1 or a limit ends; return the index of the operation that polls for the stop."""
         self.add_command(self.add_mode_words(program, WR1=self._compute_wr1("SP1-E")), self.RUN[direction < 0])
         return self._add_stop_wait(program, limit, rest)
 
     def _add_search(self, program: Operations, index: bool, limit: float, rest: float, direction: int) -> int:
-        """Add the automatic home search without its first step; return the index of the poll for the stop."""
+        """Add the automatic home search without its first step; return the index of the operation that polls for the stop."""
         self._add_search_start(program, index, direction, 0)
         return self._add_stop_wait(program, limit, rest)
 
-    def _add_search_start(self, program: Operations, index: bool, direction: int, steady: int) -> None:
-        """Begin the automatic home search. steady: FL of the filter of the switches; 0: none."""
+    def _add_search_start(self, program: Operations, index: bool, direction: int, filter_code: int) -> None:
+        """Add the start of the automatic home search.
+
+        Args:
+            program: Program, or operations that are done at once.
+            index: Whether the search goes on to the index pulse.
+            direction: Direction in which ORG lies, 1 or -1.
+            filter_code: Code FL of the input filter of the switches; 0: none.
+        """
         extended = isinstance(self.chip, MCX314AS)  # its filters are in EM
         place = "EM" if extended else "WR3"
-        filters = (self.get_mask(place, "FE0") | steady << self.map.bit(place, "FL")) if steady else 0
+        filters = (self.get_mask(place, "FE0") | filter_code << self.map.bit(place, "FL")) if filter_code else 0
         self.add_mode_words(program, WR1=self._compute_wr1(), **({"WR3": filters} if filters and not extended else {}))
         steps = ["ST2", "ST3"][: 1 + index]
         bits = [f"{step}-E" for step in steps] + [f"{step}-D" for step in steps if direction < 0]
@@ -167,6 +177,7 @@ class FirstGenerationDriver(NovaDriver):
         self.add_command(program, "HOME_EXEC")
 
     def _add_stop_wait(self, program: Operations, limit: float, rest: float) -> int:
+        """Add the wait for the end of a drive and a rest; return the index of the operation that polls for the stop."""
         at = len(program)
         program.until_stopped([self.index], limit)
         self.add_command(program, self.STOP).wait(rest)
@@ -176,14 +187,16 @@ class FirstGenerationDriver(NovaDriver):
         self.add_command(program, self.NOP)
         at = len(program)
         program.read(self.index, 2).read(self.index, self._locate_stop_level(1)[0])
-        levels = {f"stop{k}": (at + 1, self._locate_stop_level(k)[1], self.is_active_high(k)) for k in (1, 2)}
+        levels = {
+            f"stop{k}": (at + 1, self._locate_stop_level(k)[1], self.is_stop_input_active_high(k)) for k in (1, 2)
+        }
         return {
             "error": (at, self.get_mask("RR2", "HOME", "HLMT+"), True),
             **levels,
         }  # on its way out of an ORG that is stuck
 
-    def _locate_stop_level(self, k: int) -> tuple[int, int]:
-        """Return where STOPk of this axis is read: address and mask."""
+    def _locate_stop_level(self, number: int) -> tuple[int, int]:
+        """Return the address and the mask at which the level of STOP1 or STOP2 of this axis is read."""
         axis = self.axis.chip_axis
         word = f"RR{4 + axis // (1 if self.chip.AXES == 2 else 2)}"
-        return int(word[2:]), self.get_mask(word, f"{'XYZU'[axis]}-STOP{k}")
+        return int(word[2:]), self.get_mask(word, f"{'XYZU'[axis]}-STOP{number}")

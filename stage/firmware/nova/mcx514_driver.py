@@ -22,6 +22,8 @@ MASTER, SLAVE = 1, 2  # MLT
 
 
 class Mcx514Driver(NovaDriver):
+    """Driver of the MCX514."""
+
     SPEEDS: ClassVar = ("SV", "DV", "AC")
     JERK: ClassVar = "JK"
     DISTANCE_REGISTER: ClassVar = "TP"
@@ -50,7 +52,7 @@ class Mcx514Driver(NovaDriver):
         speed = PathSpeed(registers["DV"], registers["SV"], registers["AC"])
         return draw_path([ArcSegment(centre=centre)], self.axis, other.axis, speed=speed)
 
-    def add_clear_ends(self, program: OperationsType) -> OperationsType:
+    def add_end_status_clear(self, program: OperationsType) -> OperationsType:
         return self.add_command(program, "R2CLR")
 
     def add_drive_modes(self, program: OperationsType, s_curve: bool = False) -> OperationsType:
@@ -64,12 +66,15 @@ class Mcx514Driver(NovaDriver):
     def compute_move_registers(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
-        """Compute AC = (DV - SV) / ta (appendix A-1), JK = 4 (DV - SV) / ta^2 (A-2); one ramp for both ways, the longer one."""
+        """Compute AC = (DV - SV) / ta (appendix A-1) and JK = 4 (DV - SV) / ta^2 (A-2).
+
+        The longer ramp time counts for both ramps.
+        """
         seconds = max(up, down)
         values = {"SV": fl, "DV": fh, "AC": (fh - fl) / seconds}
         if s_curve:
             values |= {"AC": get_register_range(self.map, "AC")[1], "JK": 4 * (fh - fl) / seconds**2}
-        return {name: self.clip_to_legal(name, value) for name, value in values.items()}
+        return {name: self.clip_to_legal_range(name, value) for name, value in values.items()}
 
     def can_interpolate(self, drivers: Sequence[NovaDriver]) -> bool:
         if len({id(h.chip) for h in drivers}) > 1 and not all(getattr(h.chip, "linked", False) for h in drivers):
@@ -81,9 +86,9 @@ class Mcx514Driver(NovaDriver):
         return True
 
     def add_interpolation(self, program: OperationsType, drivers: Sequence[NovaDriver]) -> OperationsType:
-        """Start the line with this axis as the main one; of several chips its own is the master, and starts last.
+        """Start the line with this axis as the main one. With several chips, this axis' chip is the master and starts last.
 
-        One axis alone makes a relative drive: LHK1 is for axes of several chips.
+        A single axis makes a relative drive, because LHK1 is for axes of several chips.
         """
         if len(drivers) == 1:
             return self.add_command(program, "DRVRL")
@@ -118,7 +123,9 @@ class Mcx514Driver(NovaDriver):
         self.add_command(program, self.NOP)
         at = len(program)
         program.read(self.index, 2).read(self.index, 3)
-        levels = {f"stop{k}": (at + 1, self.get_mask("RR3-0", f"STOP{k}"), self.is_active_high(k)) for k in (1, 2)}
+        levels = {
+            f"stop{k}": (at + 1, self.get_mask("RR3-0", f"STOP{k}"), self.is_stop_input_active_high(k)) for k in (1, 2)
+        }
         return {
             "error": (at, self.get_mask("RR2", "HOME", "HLMT+"), True),
             **levels,

@@ -1,9 +1,10 @@
 """Paths of lines, arcs and helices by the interpolation of an MCX514, without a stop between the segments.
 
     x, y, z = (stage.axes[n] for n in "xyz")
-    draw([Arc(centre=(0, 4000))], x, y, speed=Speed(8000))
-    draw([Helix(centre=(0, 4000), rotations=3, along=(1600,))], x, y, z)
-    draw([Line(8000, 0), Arc(centre=(0, 4000), finish=(4000, 4000)), Line(0, 8000)], x, y)
+    draw_path([ArcSegment(centre=(0, 4000))], x, y, speed=PathSpeed(8000))
+    draw_path([HelixSegment(centre=(0, 4000), rotations=3, along=(1600,))], x, y, z, speed=PathSpeed(8000))
+    segments = [LineSegment((8000, 0)), ArcSegment(centre=(0, 4000), finish=(4000, 4000)), LineSegment((0, 8000))]
+    draw_path(segments, x, y, speed=PathSpeed(8000))
 
 Coordinates are pulses from the beginning of a segment, one number for each axis in the order of the chip's axes. The pre-buffer
 holds eight segments in addition to the one that runs, and the host refills it. The chip ramps down in the last segment; if that is
@@ -21,7 +22,7 @@ from stage.firmware.axis import Axis
 from stage.firmware.nova.chip_port import (
     MAP,
     POLL_INTERVAL_S,
-    Port,
+    ChipPort,
     compute_mcx514_inputs,
     get_bit_mask,
     open_ports,
@@ -43,8 +44,8 @@ class PathSpeed:
         initial: Initial speed, pps.
         acceleration: Acceleration, pps/s.
         jerk: Jerk of S-curves, pps/s2; 0: linear ramps.
-        even: True for constant vector speed: a step of two axes together takes sqrt(2) times as long. False: `drive` is the rate of
-            the fastest axis.
+        even: True for constant vector speed, in which a pulse of two axes together takes sqrt(2) times as long. False: `drive` is
+            the rate of the fastest axis.
     """
 
     drive: int
@@ -151,7 +152,7 @@ def draw_path(segments: Sequence[PathSegment], *axes: Axis, speed: PathSpeed, ti
     begin = main.axis.time
 
     def wait_while(bits: int, value: int) -> int:
-        """Poll RR0 while the chip drives and these bits of RR0 have this value; return its next value."""
+        """Poll RR0 while the chip drives and the bits `bits` of RR0 equal `value`; return the last RR0."""
         while (status := main.chip.read(0)) & DRIVING and status & bits == value:
             if not main.axis.time - begin <= timeout:
                 stop_axes(ports)
@@ -177,7 +178,7 @@ def draw_path(segments: Sequence[PathSegment], *axes: Axis, speed: PathSpeed, ti
     )
 
 
-def _write_path_modes(ports: list[Port], speed: PathSpeed) -> None:
+def _write_path_modes(ports: list[ChipPort], speed: PathSpeed) -> None:
     """Write the modes of the axes, the speeds of the main one, and which axes take part."""
     ports[0].write_parameters(
         SV=speed.initial, DV=speed.drive, AC=speed.acceleration, **({"JK": speed.jerk} if speed.jerk else {})
@@ -195,6 +196,7 @@ SegmentWords = tuple[str, dict[str, int], list[dict[str, int]]]
 
 
 def _encode_segment(segment: PathSegment, axes: int) -> SegmentWords:
+    """Return the command and the register values of a segment for `axes` axes."""
     if not 2 <= axes <= MAX_AXES:
         raise ArgumentError(f"{axes} axes: an MCX514 interpolates 2 to {MAX_AXES}.")
     if isinstance(segment, LineSegment):
@@ -210,7 +212,7 @@ def _encode_segment(segment: PathSegment, axes: int) -> SegmentWords:
     return f"HL{rotation}", {"HLN": segment.rotations}, points + [{"TP": v} for v in segment.along]
 
 
-def _add_helix_calculation(ports: list[Port], words: SegmentWords) -> SegmentWords:
+def _add_helix_calculation(ports: list[ChipPort], words: SegmentWords) -> SegmentWords:
     """Add the result of the chip's helical calculation (6Bh, 6Ch) to a helix. The chip cannot calculate while it interpolates."""
     command, chip_words, axis_words = words
     if not command.startswith("HL"):

@@ -12,7 +12,7 @@ from stage.chips import MCX302, MCX304, MCX312
 from stage.chips.nova.registers.mcx300 import MCX304_MAP as MAP
 from stage.errors import ArgumentError
 from stage.firmware.axis import Axis
-from stage.firmware.nova.chip_port import Port
+from stage.firmware.nova.chip_port import ChipPort
 
 DECELERATING_STOP, SUDDEN_STOP = "STOP_DEC", "STOP_SUDDEN"
 ASND, CNST, DSND = (MAP.mask("RR1", name) for name in ("ASND", "CNST", "DSND"))
@@ -26,22 +26,22 @@ LIMITS_DECELERATE = MAP.mask("WR2", "LMTMD")
 S_CURVE = MAP.mask("WR3", "SACC")
 
 
-def open_port(axis: Axis) -> Port:
+def open_port(axis: Axis) -> ChipPort:
     """Open the port of an axis whose chip can have the failure. Raises ArgumentError for another chip."""
     if not isinstance(getattr(axis, "chip", None), (MCX304, MCX302, MCX312)):
         raise ArgumentError(f"{axis!r} has no MCX304, MCX302 or MCX312, and no other chip has this failure.")
-    return Port(axis)
+    return ChipPort(axis)
 
 
 class DecelerationFlag:
-    """Case 1, (1): "When deceleration starts, interruption will be occurred to prohibit execution of deceleration stop command
-    (26h) until driving completion."
+    """Flag that prohibits the decelerating stop from the begin of the deceleration to the end of the drive (case 1, (1)).
 
-    Create a flag before each start. The drive must reach its drive speed V: without an interval of constant speed there is no
-    interrupt before area d.
+    "When deceleration starts, interruption will be occurred to prohibit execution of deceleration stop command (26h) until driving
+    completion." Create a flag before each start. The drive must reach its drive speed V: without an interval of constant speed
+    there is no interrupt before area d.
     """
 
-    def __init__(self, port: Port):
+    def __init__(self, port: ChipPort):
         self.port, self.prohibits = port, False
         port.read_status_register(3)  # factors of the drive before
         port.set_mode_bits("WR1", C_END_ENABLE)
@@ -56,7 +56,7 @@ class DecelerationFlag:
 def stop_guarded(flag: DecelerationFlag) -> bool:
     """Write the decelerating stop unless the flag prohibits it (case 1, (1)).
 
-    "within task, see flag and if it's 1, don't execute deceleration stop command". Here the routine is called in place of an
+    "within task, see flag and if it's 1, don't execute deceleration stop command". A host calls the function in place of an
     interrupt.
 
     Args:
@@ -82,7 +82,7 @@ def compute_judgmental_speed(initial: int, drive: int) -> float:
     return (drive - initial) / 2 + initial
 
 
-def stop_by_speed(port: Port, judgmental: float) -> bool:
+def stop_by_speed(port: ChipPort, judgmental: float) -> bool:
     """Write the decelerating stop if it does no harm at the present speed (case 1, (2)).
 
     "make sure status is accelerating (ASND=1) or constant speed driving (CNST=1) and driving speed is same or faster than
@@ -102,7 +102,7 @@ def stop_by_speed(port: Port, judgmental: float) -> bool:
     return True
 
 
-def handle_limit_interrupt(port: Port) -> bool:
+def handle_limit_interrupt(port: ChipPort) -> bool:
     """Handle the interrupt for C-END, which WR1 D13 enables (case 2, (1)); the numbers are those of the notice.
 
     The handler ends a runaway drive that a limit was to stop. After a stop by 26h it does nothing.
@@ -128,7 +128,7 @@ def handle_limit_interrupt(port: Port) -> bool:
     return True
 
 
-def handle_limit_timer(port: Port) -> bool:
+def handle_limit_timer(port: ChipPort) -> bool:
     """Handle the timer interrupt of case 2, (2).
 
     "always read out status of progress directional hardware limit (RR1/D12, D13) with timer interruption. If limit signal becomes
@@ -145,7 +145,7 @@ def handle_limit_timer(port: Port) -> bool:
     return _end_runaway(port, STOPPED_BY_LIMIT)
 
 
-def start_within_limits(port: Port, pulses: int, low: int, high: int) -> bool:
+def start_within_limits(port: ChipPort, pulses: int, low: int, high: int) -> bool:
     """Start a drive unless its target is beyond a software limit (case 3).
 
     "If target position is over value of software limit, don't drive to avoid the trouble."
@@ -165,7 +165,7 @@ def start_within_limits(port: Port, pulses: int, low: int, high: int) -> bool:
     return True
 
 
-def handle_stop_signal_timer(port: Port) -> bool:
+def handle_stop_signal_timer(port: ChipPort) -> bool:
     """Handle the timer interrupt of case 4: as case 2, (2), with STOP0 to STOP2 (RR1 D8 to D10).
 
     Args:
@@ -177,7 +177,8 @@ def handle_stop_signal_timer(port: Port) -> bool:
     return _end_runaway(port, STOPPED_BY_STOP)
 
 
-def _end_runaway(port: Port, causes: int) -> bool:
+def _end_runaway(port: ChipPort, causes: int) -> bool:
+    """Write 27h if a cause of a stop is set and the axis drives with ASND = CNST = DSND = 0; return whether it was written."""
     status = port.read_status_register(1)
     if not status & causes or status & PHASES or not port.is_driving():
         return False

@@ -1,6 +1,6 @@
-"""`Port`: access to the registers and commands of a PCL-240 chip, with bus cycles and waits only.
+"""`ChipPort`: access to the registers and commands of a PCL-240 chip, with bus cycles and waits only.
 
-port = Port(axis)                          the axis of a Stage or a Bench
+port = ChipPort(axis)                      the axis of a Stage or a Bench
 port.write_registers(R0=2000, R6=300)
 port.write_command(CONTROL | PRESET)
 port.write_command(RAMP["FH1"])
@@ -42,8 +42,8 @@ INTERRUPT = bits.INT_AT_STOP
 
 __all__ = [
     "AUTOMATIC", "COLLECTIVE", "CONTROL", "EXTENSION", "EXTERNAL", "EZ_SIGNAL", "INTERRUPT", "MINUS", "ORIGIN",
-    "OUTPUT", "POSITION", "PRESET", "Port", "RAMP", "RESET", "SD", "SELECT", "SLOW_DOWN", "START", "Status",
-    "UNCORRECTED", "describe_leader", "encode_index", "explain_silence", "has_ez_monitor", "require_clock",
+    "ChipPort", "OUTPUT", "POSITION", "PRESET", "RAMP", "RESET", "SD", "SELECT", "SLOW_DOWN", "START", "Status",
+    "UNCORRECTED", "describe_leader", "encode_index_pulse_number", "explain_missing_pulses", "has_ez_monitor", "require_clock",
 ]  # fmt: skip
 
 POLL_INTERVAL_S = 1e-3  # s between two looks at the status byte of a run that takes long
@@ -72,15 +72,19 @@ def read_leader_multiplier(axis: Axis) -> int | None:
 
 
 def require_clock(axis: Axis) -> int | None:
-    """Return `read_leader_multiplier`. Raises StageError where the leader makes no clock."""
+    """Check that the axis' chip has a clock, and return the R7 of its leader, see `read_leader_multiplier`.
+
+    Raises:
+        StageError: The leader outputs no clock.
+    """
     multiplier = read_leader_multiplier(axis)
     if multiplier is not None and multiplier < MIN_MULTIPLIER:
-        raise StageError(f"axis {axis.name} makes no pulses: {explain_silence(axis)}")
+        raise StageError(f"axis {axis.name} makes no pulses: {explain_missing_pulses(axis)}")
     return multiplier
 
 
-def explain_silence(axis: Axis) -> str:
-    """Explain why the axis' chip cannot make pulses; "" if it has a clock."""
+def explain_missing_pulses(axis: Axis) -> str:
+    """Explain why the axis' chip cannot make pulses now; "" if it has a clock."""
     multiplier = read_leader_multiplier(axis)
     if multiplier is not None and multiplier < MIN_MULTIPLIER:
         leader = describe_leader(axis)
@@ -118,7 +122,7 @@ POLARITY_FIELDS = {"org": ("R13", "org_logic"), "ez": ("R12", "ez_logic")}
 
 
 class Status(NamedTuple):
-    """Bits of the status byte from high to low, with the names of the register map."""
+    """Bits of the status byte, from the highest to the lowest, with the names of the register map."""
 
     no_int: bool
     operating: bool
@@ -173,8 +177,8 @@ def compute_polarity_bits(axis: Axis) -> dict[str, int]:
     return bits
 
 
-def encode_index(ez: int) -> int:
-    """Return the bits of R13 by which an origin return ends at the ez-th index pulse after ORG, at FL."""
+def encode_index_pulse_number(ez: int) -> int:
+    """Return the bits of R13 with which an origin return ends at the ez-th index pulse after ORG, at FL."""
     return bits.EZ_RETURN | bits.EZ_FROM_FL | (ez - 1) << bits.EZ_COUNT
 
 
@@ -184,8 +188,12 @@ def has_ez_monitor(chip: Chip | type[Chip]) -> bool:
 
 
 @explain_constructor
-class Port:
-    """Bus port of one axis' chip."""
+class ChipPort:
+    """Bus port of one axis' chip.
+
+    Args:
+        axis: Axis of a stage or a bench, whose chip is of the PCL-240 family.
+    """
 
     def __init__(self, axis: Axis):
         self.axis, self._chip = axis, axis.chip
@@ -199,7 +207,7 @@ class Port:
         self._chip.write(0, value)
 
     def write_control_mode(self, bits: int) -> None:
-        """Write the control mode; on MK and MS with the bit that makes the position counter R10 count."""
+        """Write the control mode; on MK and MS together with the bit that makes the position counter R10 count."""
         self.write_command(CONTROL | bits | (POSITION if self.extended else 0))
 
     def write_register(self, name: str, value: int) -> None:
@@ -227,7 +235,7 @@ class Port:
         return _READ[self._chip.read(0)]
 
     def read_counter(self) -> int:
-        """Read all bytes of R0, from high to low, then middle and high again, until they agree (data sheet Q & A).
+        """Read all bytes of R0 from high to low, and repeat the reads until they agree (data sheet Q & A).
 
         Raises:
             StageError: The bytes never agree, because the bus is too slow for the pulse rate.
@@ -255,7 +263,9 @@ class Port:
             StageError: The chip can read only R0.
         """
         if not self.extended:
-            raise StageError(f"axis {self.axis.name}: {add_article(self._chip.MAP.chip)} reads R0 only (Port.counter).")
+            raise StageError(
+                f"axis {self.axis.name}: {add_article(self._chip.MAP.chip)} reads R0 only (ChipPort.read_counter)."
+            )
         output = self._output
         self.write_command(output | EXTENSION)
         self.write_command(SELECT | COLLECTIVE | self._chip.MAP.register(name).number)
@@ -265,7 +275,7 @@ class Port:
         return high << 16 | middle << 8 | low
 
     def read_position(self) -> int:
-        """Read R10 of MK and MS: signed pulses since it was last written; an origin return writes 0."""
+        """Read R10 of MK and MS: signed pulses since the last write to it. An origin return writes 0."""
         raw = self.read_register("R10")
         return raw - (1 << 24) if raw & 1 << 23 else raw
 
@@ -309,7 +319,7 @@ class Port:
                 raise RunTimeout(
                     f"axis {self.axis.name} {still} after {timeout:.3f} s (waiting for {what}): "
                     f"R0 = {self.read_counter()}, {status}. "
-                    f"{explain_silence(self.axis) or 'Give it more time, or stop it with 08h.'}"
+                    f"{explain_missing_pulses(self.axis) or 'Give it more time, or stop it with 08h.'}"
                 )
             self.axis.wait(min(compute_poll_interval(poll, passed), timeout - passed + 1e-6))
         return status

@@ -14,7 +14,7 @@ from stage.firmware.driver import DUAL_RATE_ORDER, Driver, Speeds
 from stage.firmware.home_program import HomeProgram
 from stage.firmware.move_report import Report
 from stage.firmware.pcl240 import chip_port, moves
-from stage.firmware.pcl240.chip_port import Port, require_clock
+from stage.firmware.pcl240.chip_port import ChipPort, require_clock
 from stage.firmware.pcl240.home_program import FourRunHomeProgram
 from stage.firmware.pcl240.line_programs import RatioLinePrograms
 from stage.firmware.pcl240.operation_pattern import Pcl240Pattern
@@ -44,7 +44,7 @@ class Pcl240Driver(Driver):
 
     def __init__(self, axis: Any):
         super().__init__(axis)
-        self.port = Port(axis)
+        self.port = ChipPort(axis)
         self._journal: Journal | None = None
         self._close = weakref.finalize(self, lambda: None)
 
@@ -52,10 +52,13 @@ class Pcl240Driver(Driver):
         return get_default_second_rate(drive, self.chip.clock_hz, require_clock(self.axis))
 
     def describe_speeds(self, speeds: Speeds) -> str:
-        return str(self.profile(speeds))
+        return str(self.build_profile(speeds))
 
-    def profile(self, speeds: Speeds) -> Profile:
-        """Return the profile of these speeds: FH1 is the drive speed, and FH2 the second one or, without one, the drive speed."""
+    def build_profile(self, speeds: Speeds) -> Profile:
+        """Build the profile of these speeds: FH1 is the drive speed, FH2 the second drive speed.
+
+        Without a second drive speed, FH2 is the drive speed, too.
+        """
         result = Profile.of(
             speeds.start,
             speeds.drive,
@@ -70,34 +73,35 @@ class Pcl240Driver(Driver):
 
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
         """Make a preset move, see `preset_move`."""
-        self._forget_run()
+        self._close_journal()
         return moves.preset_move(
-            self.axis, pulses, self.profile(speeds), high_speed=not speeds.constant, automatic=speeds.automatic, timeout=timeout,
+            self.axis, pulses, self.build_profile(speeds), high_speed=not speeds.constant, automatic=speeds.automatic,
+            timeout=timeout,
         )  # fmt: skip
 
     def start(self, pulses: int, speeds: Speeds) -> None:
         self._open_journal()
         self.goal = self.chip.net() + pulses
-        moves.start_preset(self.port, self.profile(speeds), pulses)
+        moves.start_preset(self.port, self.build_profile(speeds), pulses)
 
     def move_at_two_rates(
         self, pulses: int, speeds: Speeds, dwell: float, rates: Sequence[str] = DUAL_RATE_ORDER
     ) -> Report:
         """Make a dual-rate move, see `dual_rate_move`."""
-        self._forget_run()
-        return dual_rate_move(self.axis, pulses, self.profile(speeds), rates=rates, dwell=dwell)
+        self._close_journal()
+        return dual_rate_move(self.axis, pulses, self.build_profile(speeds), rates=rates, dwell=dwell)
 
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
         """Return to the mechanical origin, see `origin_return`."""
-        self._forget_run()
+        self._close_journal()
         return origin_return(
-            self.axis, direction, self.profile(speeds), high_speed=not speeds.constant, slow_approach=speeds.approach != 0,
+            self.axis, direction, self.build_profile(speeds), high_speed=not speeds.constant, slow_approach=speeds.approach != 0,
             approach=speeds.approach or APPROACH_RATE_PPS, ez=index or None, timeout=timeout,
         )  # fmt: skip
 
     def start_continuous_move(self, direction: int, speeds: Speeds) -> None:
         self._open_journal()
-        moves.write_move_setup(self.port, self.profile(speeds), chip_port.MINUS if direction < 0 else 0)
+        moves.write_move_setup(self.port, self.build_profile(speeds), chip_port.MINUS if direction < 0 else 0)
         self.port.write_command(chip_port.RAMP["FH1"])
 
     def halt(self, at_once: bool = False) -> None:
@@ -109,21 +113,21 @@ class Pcl240Driver(Driver):
     def is_stop_command(self, address: int, value: int) -> bool:
         return address == 0 and value >> 6 == 0 and bool(value & chip_port.RESET)
 
-    def _forget_run(self) -> None:
-        """Close the journal of the move that this driver has started."""
+    def _close_journal(self) -> None:
+        """Close the journal of the move that this driver has started, if it is open."""
         self._close()
         self._journal = None
 
     def _open_journal(self) -> None:
-        """Open a journal of the chip, which shows what has ended the move. It closes with the move or with this driver."""
-        self._forget_run()
+        """Open a journal of the chip to find out later what has ended the move. It closes with the move or with this driver."""
+        self._close_journal()
         self._journal = self.chip.journal()
         self._close = weakref.finalize(self, self._journal.close)
 
     def read_stop_reason(self) -> str:
         """Return the stop reason of the move that this driver has started, a stop command included; "" while the axis moves.
 
-        If another host has started the move, or there was none, the method returns what would stop the chip now.
+        If another host has started the move, or there was none, the result is what would stop the chip now.
         """
         if self.port.read_status().operating:
             return ""
@@ -147,7 +151,7 @@ class Pcl240Driver(Driver):
         """Move axes along a straight line with rates in the ratio of the distances, see `synchronized_move`."""
         axes = {name: driver.axis for name, driver in drivers.items()}
         for driver in drivers.values():
-            cast("Pcl240Driver", driver)._forget_run()
+            cast("Pcl240Driver", driver)._close_journal()
         return synchronized_move(
             dict(pulses), axes, rate=speeds.drive, fl=speeds.start, accel=speeds.up, decel=speeds.down,
             s_curve=speeds.s_curve, automatic=speeds.automatic, timeout=timeout,

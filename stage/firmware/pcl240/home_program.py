@@ -75,7 +75,7 @@ class FourRunHomeProgram(HomeProgram):
         self._add_run(p, "back off", chip_port.PRESET, chip_port.START["FL"], back_off, c.settle)
         p.register(a, chip, "R1", approach)
         if c.ez:
-            p.register(a, chip, "R13", logic.get("R13", 0) | chip_port.encode_index(c.ez))
+            p.register(a, chip, "R13", logic.get("R13", 0) | chip_port.encode_index_pulse_number(c.ez))
         self._add_run(p, "approach", chip_port.ORIGIN | chip_port.MINUS, chip_port.START["FL"], 0, c.settle)
         if c.ez and not chip_port.has_ez_monitor(
             chip
@@ -83,21 +83,24 @@ class FourRunHomeProgram(HomeProgram):
             p.register(a, chip, "R1", 1).command(a, chip_port.CONTROL | chip_port.MINUS).command(
                 a, chip_port.START["FL"]
             )
-            self._note_result_index("index", p).read(a, 0).command(a, chip_port.RESET).register(a, chip, "R1", approach)
+            self._store_result_index("index", p).read(a, 0).command(a, chip_port.RESET).register(
+                a, chip, "R1", approach
+            )
         elif c.ez:  # the index pulse, as R17 shows it: bit 20, in the high byte
             p.command(a, chip_port.OUTPUT | chip_port.EXTENSION)
             p.command(a, chip_port.SELECT | chip_port.COLLECTIVE | chip.MAP.register("R17").number)
-            self._note_result_index("index", p).read(a, 3).command(a, chip_port.OUTPUT)
+            self._store_result_index("index", p).read(a, 3).command(a, chip_port.OUTPUT)
         return p
 
-    def _add_run(self, p: Program, name: str, control: int, start: int, r0: int, rest: float) -> None:
+    def _add_run(self, program: Program, name: str, control: int, start: int, r0: int, rest: float) -> None:
+        """Add one run: control mode, R0, start command, wait for the end, rest, and reads of status and R0."""
         a = self.driver.index
-        p.register(a, self.driver.chip, "R0", r0).command(a, chip_port.CONTROL | control).command(a, start)
-        self._note_result_index(f"{name} time", p).until_stopped([a], self.settings.limit).command(
+        program.register(a, self.driver.chip, "R0", r0).command(a, chip_port.CONTROL | control).command(a, start)
+        self._store_result_index(f"{name} time", program).until_stopped([a], self.settings.limit).command(
             a, chip_port.RESET
         ).wait(rest)
         for address in (0, 3, 2, 1):
-            self._note_result_index(f"{name} {address}", p).read(a, address)
+            self._store_result_index(f"{name} {address}", program).read(a, address)
 
     def read_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
         marked = {name: results[:, at] for name, at in self.result_indices.items()}

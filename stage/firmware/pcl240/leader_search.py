@@ -47,7 +47,7 @@ class RegisterRanges(NamedTuple):
     row: int
 
     @classmethod
-    def of(cls, chip: type[PCL240], automatic: bool) -> RegisterRanges:
+    def from_chip(cls, chip: type[PCL240], automatic: bool) -> RegisterRanges:
         """Return the ranges of a chip.
 
         Args:
@@ -59,7 +59,7 @@ class RegisterRanges(NamedTuple):
 
 
 class LeaderMove(NamedTuple):
-    """Move of the longest axis.
+    """Requested move of the longest axis.
 
     Attributes:
         length: Pulses.
@@ -67,7 +67,7 @@ class LeaderMove(NamedTuple):
         fl: FL, pps.
         up: Time of the ramp up, s.
         down: Time of the ramp down, s.
-        share: Share of the speed steps in each curved end of the ramps of all axes: 0 for linear ramps, 0.5 for ramps without a
+        share: Fraction of the speed steps in each curved end of the ramps of all axes: 0 for linear ramps, 0.5 for ramps without a
             linear part.
         automatic: Whether the chips find the ramp-down point.
         multiplier: The only possible R7; 0 for any.
@@ -88,7 +88,7 @@ AS_LEADER = -1
 
 
 class Follower(NamedTuple):
-    """Move of an axis other than the longest one.
+    """Requested move of an axis other than the longest one.
 
     Attributes:
         pulses: Pulses, unsigned.
@@ -106,7 +106,8 @@ class Follower(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Best rows of registers for a follower, and estimates of their distances from the line in its pulses."""
+    """Best rows of registers for a follower, and a score for each: about its largest distance from the line in the follower's
+    pulses."""
 
     registers: np.ndarray
     scores: np.ndarray
@@ -135,7 +136,7 @@ def search_registers(
     least, work = np.inf, np.zeros(1, follower_fit.WORK_DTYPE)
     for bare in _list_leaders(move, hz, widths, followers):
         rises: dict[str, np.ndarray] = {}
-        for leader in _vary_tails(bare, hz, widths.point):
+        for leader in _vary_tail_lengths(bare, hz, widths.point):
             candidates = {}
             for name, (d, own_hz, (rate, point, size), lead, multiplier) in followers.items():
                 only = int(leader[7]) if multiplier == AS_LEADER else multiplier
@@ -167,9 +168,10 @@ def search_registers(
 def _list_leaders(
     move: LeaderMove, hz: int, widths: RegisterRanges, followers: Mapping[str, Follower]
 ) -> list[np.ndarray]:
-    """List rows for the longest axis, with R6 = 0, the most promising first.
+    """List rows of registers for the longest axis, with R6 = 0, the most promising first.
 
-    R7 and FH may be any that make the rate within 0.2 %. The order depends on how well the followers can make their shares of it.
+    R7 and FH may be any that make the rate within 0.2 %. The order depends on how well the followers can make their shares of the
+    rate.
     """
     finest = min(MAX_R7, int(hz * MAX_SPEED / (8192 * move.fh) + 1e-9))
     tried, max_shift = (LEADERS_LONG, SHIFTS_LONG) if move.length > LONG else (LEADERS, SHIFTS)
@@ -185,7 +187,7 @@ def _list_leaders(
     if move.up == 0.0:
         low, up, down = high, np.full(len(r7), 2.0), np.full(len(r7), 2.0)
     else:
-        gain = effective_steps(np.maximum(high - low, 1), move.share)
+        gain = compute_equivalent_linear_steps(np.maximum(high - low, 1), move.share)
         up, down = np.rint(move.up * hz / gain), np.rint(move.down * hz / gain)
         fits &= (high > low) & (np.minimum(up, down) >= 2) & (np.maximum(up, down) <= widths.rate)
         error += np.abs(up * gain / hz / move.up - 1) / 8 + np.abs(down * gain / hz / move.down - 1) / 8
@@ -213,22 +215,22 @@ def _list_leaders(
     return rows
 
 
-def effective_steps(gain: Any, share: float) -> Any:
+def compute_equivalent_linear_steps(steps: Any, share: float) -> Any:
     """Return the speed steps of a linear ramp that takes as long as a ramp with curved ends.
 
     Args:
-        gain: Speed steps of the ramp.
-        share: Share of the steps in each curved end.
+        steps: Speed steps of the ramp with curved ends.
+        share: Fraction of the steps in each curved end.
     """
     if not 0 < share < 0.5:
-        return gain
-    span = np.maximum(np.rint(share * gain), 1)
-    return np.minimum(gain / 2 + span, gain)
+        return steps
+    span = np.maximum(np.rint(share * steps), 1)
+    return np.minimum(steps / 2 + span, steps)
 
 
 def _refuse_ramp(move: LeaderMove, hz: int, max_rate: int, step: np.ndarray, high: np.ndarray, low: np.ndarray) -> None:
     """Raise ArgumentError for ramps that no R7 can make; the message states the possible range."""
-    gain = effective_steps((high - low)[high > low], move.share)
+    gain = compute_equivalent_linear_steps((high - low)[high > low], move.share)
     if not len(gain):
         raise ArgumentError(
             f"fl={move.fl:g} and rate={move.fh:g} pps are within one speed step ({step.min():.3g} pps): make them "
@@ -246,8 +248,8 @@ def _refuse_ramp(move: LeaderMove, hz: int, max_rate: int, step: np.ndarray, hig
     )
 
 
-def _vary_tails(leader: np.ndarray, hz: int, max_rate: int) -> Iterator[np.ndarray]:
-    """Yield the leader's row with several R6: some lengths of its last part at FL suit the followers better."""
+def _vary_tail_lengths(leader: np.ndarray, hz: int, max_rate: int) -> Iterator[np.ndarray]:
+    """Yield the leader's row with several values of R6, because some lengths of its last part at FL suit the followers better."""
     if leader[2] == leader[1]:
         yield leader
         return

@@ -31,11 +31,11 @@ from stage.firmware.pcl240.leader_search import (
     Follower,
     LeaderMove,
     RegisterRanges,
-    effective_steps,
+    compute_equivalent_linear_steps,
     search_registers,
 )
 from stage.firmware.pcl240.preset_move_closed_form import fill_motion
-from stage.firmware.pcl240.register_row_emulation import ROW_REGISTERS, compute_ramp_down_offset, trace_row
+from stage.firmware.pcl240.register_row_pulses import ROW_REGISTERS, compute_ramp_down_offset, trace_row
 from stage.firmware.pcl240.speed_profile import DEFAULT_RAMP_TIME_S, FH1, FL, compute_ramp_seconds
 from stage.support.argument_checks import explain_arguments
 
@@ -53,6 +53,7 @@ class AxisPlan:
         distance: Signed distance, pulses.
         registers: Values of R0 to R7, on a PCL240MS also of R14 and R15.
         clock_hz: Reference clock, Hz.
+        chip: Class of the chip.
         down_point: Pulses left when the ramp-down begins. It equals R6 without the automatic ramp-down point.
         automatic: Whether the chip finds that point; R6 is then an offset in two's complement.
         lead: Seconds between this axis' start command and the last axis'.
@@ -84,8 +85,8 @@ class AxisPlan:
         return self.registers["R2"] * self.step
 
     @property
-    def ramps(self) -> bool:
-        """Whether the axis has ramps."""
+    def has_ramps(self) -> bool:
+        """Whether the axis has ramps, as opposed to a constant rate."""
         return self.registers["R2"] > self.registers["R1"]
 
     @property
@@ -119,16 +120,17 @@ class AxisPlan:
 
 @dataclass(frozen=True)
 class Plan:
-    """Registers for every axis that moves, and their quality.
+    """Registers for every axis that moves, and the quality of the line.
 
     Attributes:
         axes: Plan of each axis.
-        order: Names in the order of the start commands, the longest axis last. An axis that is ahead by less than a step of the
-            staircase does not increase the deviation, but one that lags does.
+        order: Names in the order of the start commands, the longest axis last. An axis that is ahead by less than one pulse does
+            not increase the deviation, but an axis that lags does.
         bus_delay: Seconds between two start commands that the plan assumes.
-        ratio_error: Largest relative error of an FH against the longest axis'.
-        deviation: Predicted largest distance from the line in pulses, found by running emulated chips. exact: False for moves of
-            more than 2,000,000 pulses in all, for which it is the closed form's estimate.
+        ratio_error: Largest relative error of an FH compared with its share of the longest axis' FH.
+        deviation: Predicted largest distance from the line, pulses.
+        exact: Whether emulated chips have measured `deviation`. For moves of more than 2,000,000 pulses in all, it is an estimate
+            in closed form.
         seconds: Time from the first start command to the last pulse, s.
         notes: Differences between the plan and the requested rates and times, with the reasons.
     """
@@ -149,11 +151,11 @@ class Plan:
 
     @property
     def perfect(self) -> float:
-        """Deviation of axes with rates exactly in ratio and a common start, pulses: their path is a staircase too."""
+        """Deviation of axes with rates exactly in ratio and a common start, pulses: even their path is a staircase."""
         return compute_perfect_deviation(list(self.distances.values()))
 
     def with_bus_delay(self, bus_delay: float) -> Plan:
-        """Return the same registers with another time between start commands, and the deviation with it.
+        """Return a plan with the same registers, another time between start commands, and the deviation that results.
 
         Args:
             bus_delay: Seconds between two start commands.
@@ -246,12 +248,12 @@ def plan(
     hz = {n: hz for n, (_, hz) in kinds.items()}
     order = _order_starts(moving)
     leader_name, lead = order[-1], _compute_start_leads(order, bus_delay)
-    move, notes = _shorten(abs(moving[leader_name]), rate, fl, accel, decel)
+    move, notes = _shorten_to_length(abs(moving[leader_name]), rate, fl, accel, decel)
     only = dict.fromkeys(shared, AS_LEADER) | dict(multipliers or {})
     move = move._replace(share=share, automatic=automatic, multiplier=max(only.get(leader_name, 0), 0))
     _check_reachable_rates(moving, leader_name, move, rate, hz)
     _check_multipliers(moving, move, only, hz)
-    widths = {n: RegisterRanges.of(chip, automatic) for n, (chip, _) in kinds.items()}
+    widths = {n: RegisterRanges.from_chip(chip, automatic) for n, (chip, _) in kinds.items()}
     followers = {n: Follower(abs(moving[n]), hz[n], widths[n], lead[n], only.get(n, 0)) for n in order[:-1]}
     leader, candidates = search_registers(move, hz[leader_name], widths[leader_name], followers)
     rows = {leader_name: leader} | {n: c.registers[0] for n, c in candidates.items()}
@@ -275,7 +277,11 @@ def _check_distance(name: str, d: Any) -> int:
 
 
 def _get_axis_value(what: str, name: str, values: Any) -> Any:
-    """Return the value of an axis, where there is one for each axis. Raises ArgumentError for a missing one."""
+    """Return the value of an axis from a mapping by axis, or the value itself if it is equal for all axes.
+
+    Raises:
+        ArgumentError: The mapping has no value for the axis.
+    """
     if not isinstance(values, Mapping):
         return values
     if name not in values:
@@ -284,7 +290,7 @@ def _get_axis_value(what: str, name: str, values: Any) -> Any:
 
 
 def _get_curve_share(s_curve: bool | float) -> float:
-    """Return the share of the speed steps in each curved end: 0 for linear ramps, 0.5 for S-curves throughout."""
+    """Return the fraction of the speed steps in each curved end: 0 for linear ramps, 0.5 for S-curves throughout."""
     if isinstance(s_curve, bool):
         return 0.5 if s_curve else 0.0
     if not isinstance(s_curve, int | float) or not 0 < s_curve <= 0.5:
@@ -331,8 +337,8 @@ def _check_rates_and_times(
         raise ArgumentError(f"bus_delay={bus_delay!r}: start commands are 0 to 1 s apart.")
 
 
-def _shorten(length: int, rate: float, fl: float, accel: float, decel: float) -> tuple[LeaderMove, list[str]]:
-    """Return the move of the longest axis with a peak rate and ramps that fit into `length` pulses, and notes about changes."""
+def _shorten_to_length(length: int, rate: float, fl: float, accel: float, decel: float) -> tuple[LeaderMove, list[str]]:
+    """Return the move of the longest axis with a peak rate and ramps that fit into `length` pulses, and notes about the changes."""
     if rate <= fl:
         return LeaderMove(length, fl, fl, 0.0, 0.0), []
     room = max(min(MAX_RAMP_SHARE * length, length - 2 * TAILS[0]), 0.0)
@@ -347,7 +353,7 @@ def _shorten(length: int, rate: float, fl: float, accel: float, decel: float) ->
 
 
 def _check_reachable_rates(moving: dict, leader: str, move: LeaderMove, rate: float, hz: dict) -> None:
-    """Raise ArgumentError for rates that no registers can make."""
+    """Raise ArgumentError for rates that no registers of an axis can make."""
     max_rate = hz[leader] * MAX_SPEED / (8192 * MIN_R7)
     if max(rate, move.fh) > max_rate:
         raise ArgumentError(
@@ -369,7 +375,7 @@ def _check_reachable_rates(moving: dict, leader: str, move: LeaderMove, rate: fl
 
 
 def _check_multipliers(moving: dict, move: LeaderMove, only: Mapping[str, int], hz: dict) -> None:
-    """Raise ArgumentError for rates that an axis cannot make with the one R7 that its chip receives."""
+    """Raise ArgumentError for rates that an axis cannot make with the R7 of the clock that its chip receives."""
     for name, d in moving.items():
         r7 = only.get(name, 0)
         if r7 > 0:
@@ -388,7 +394,7 @@ def _check_multipliers(moving: dict, move: LeaderMove, only: Mapping[str, int], 
 def _choose_by_emulation(
     rows: dict, leader_name: str, kinds: dict, followers: dict[str, Follower], candidates: Mapping[str, Candidates]
 ) -> None:
-    """Choose the best candidates of the followers by running emulated chips."""
+    """Choose the best candidates of the followers by running emulated chips, and store their registers in `rows`."""
     leader = rows[leader_name]
     pulses = trace_row(leader, kinds[leader_name][0]) / kinds[leader_name][1]
     for name, choice in candidates.items():
@@ -465,8 +471,8 @@ def _list_remarks(axes: dict[str, AxisPlan], move: LeaderMove, deviation: float)
     for name, a in axes.items():
         own = abs(a.distance) / move.length
         gain = round((move.fh - move.fl) * own * 8192 * MAX_R7 / a.clock_hz)
-        max_rate = RegisterRanges.of(a.chip, a.automatic).rate
-        max_ramp = effective_steps(gain, move.share) * max_rate / a.clock_hz
+        max_rate = RegisterRanges.from_chip(a.chip, a.automatic).rate
+        max_ramp = compute_equivalent_linear_steps(gain, move.share) * max_rate / a.clock_hz
         for word, wanted, actual in (("accel", move.up, a.accel), ("decel", move.down, a.decel)):
             if wanted > max_ramp and actual < 0.95 * wanted:
                 reason = (
@@ -479,7 +485,7 @@ def _list_remarks(axes: dict[str, AxisPlan], move: LeaderMove, deviation: float)
                         f"the rate, or move {name} by itself."
                     )
                 notes.append(f"{reason}; {actual:.2g} s here")
-        if abs(a.fl / (move.fl * own) - 1) > 0.05 and a.ramps:
+        if abs(a.fl / (move.fl * own) - 1) > 0.05 and a.has_ramps:
             notes.append(
                 f"axis {name}: FL {a.fl:.4g} pps instead of {move.fl * own:.4g}: the nearest that keeps to the line"
             )

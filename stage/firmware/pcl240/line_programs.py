@@ -33,23 +33,23 @@ class RatioLinePrograms(LinePrograms):
     def compute_registers(self, moves: LineMoves) -> np.ndarray:
         """Compute FL and FH in the ratio of the distances, equal ramp times, and R6 = Psd + 5 pulses in that ratio.
 
-        Each is rounded to the nearest value, ramp times to those that the longest axis really has.
+        Each register is rounded to the nearest value. Ramp times are those that the longest axis has after rounding.
 
         Args:
             moves: Moves along the line.
 
         Returns:
-            Registers (stages, axes, 6).
+            Registers, shape (stages, axes, 6).
         """
-        peak = self.compute_peaks(moves)[0]
+        peak = self.compute_peak_rates_and_ramps(moves)[0]
         return self._compute_with_multipliers(
             moves, self._find_finest_multiplier(peak[:, None] * np.ones_like(moves.shares), FH_SPEED_STEPS)
         )
 
     def _compute_with_multipliers(self, moves: LineMoves, r7: np.ndarray) -> np.ndarray:
-        """Compute the registers of `compute_registers` with other multipliers (stages, axes)."""
+        """Compute the registers as `compute_registers` does, with given multipliers R7 of shape (stages, axes)."""
         fl, max_rate = self.settings.fl, self.chip.MAP.register("R4").mask
-        rho, (peak, ramp) = moves.shares, self.compute_peaks(moves)
+        rho, (peak, ramp) = moves.shares, self.compute_peak_rates_and_ramps(moves)
         step = self.clock_hz / (8192.0 * r7)
         high = np.clip(np.rint(rho * peak[:, None] / step), 1, MAX_SPEED_STEPS)
         low = np.clip(np.rint(rho * np.minimum(fl, peak)[:, None] / step), 1, high)
@@ -59,42 +59,42 @@ class RatioLinePrograms(LinePrograms):
         rate = np.clip(np.rint(clocks / gain), 2, max_rate)
         fall = (high + low) * gain * rate / (16384.0 * r7)
         point = np.minimum(np.floor(fall) + np.maximum(np.rint(TAIL_PULSES * rho), 1), moves.magnitudes)
-        return self.clip_to_legal(np.stack([low, high, rate, rate, point, r7], axis=2))
+        return self.clip_to_legal_range(np.stack([low, high, rate, rate, point, r7], axis=2))
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """Correct the registers of the data sheet.
 
-        R1, R2, R4, R5 and R6 change by a share of the counts that move the axis by `reach` pulses along the line, one at least; R7
-        by `multiplier_reach` counts, the others computed for it.
+        R1, R2, R4, R5 and R6 change by a fraction of the counts (at least one) that move the axis by `reach` pulses along the
+        line. R7 changes by a fraction of `multiplier_reach` counts, and the other registers are computed for the new R7.
 
         Args:
             moves: Moves along the line.
-            corrections: Numbers from -1 to 1 (stages, axes, 6).
+            corrections: Numbers from -1 to 1, shape (stages, axes, 6).
 
         Returns:
-            Registers (stages, axes, 6).
+            Registers, shape (stages, axes, 6).
         """
         c, a = self.settings, corrections
-        peak = self.compute_peaks(moves)[0]
+        peak = self.compute_peak_rates_and_ramps(moves)[0]
         r7 = self.compute_registers(moves)[:, :, 5] + np.rint(a[:, :, 5] * c.multiplier_reach)
         corrected = self._compute_with_multipliers(
             moves, np.clip(r7, 2, self._find_finest_multiplier(moves.shares * peak[:, None], MAX_SPEED_STEPS))
         )
         counts = np.maximum(np.rint(c.reach / self.compute_pulses_per_register_unit(corrected, moves)), 1)
         corrected[:, :, :5] += np.rint(a[:, :, :5] * counts).astype(np.int64)
-        corrected = self.clip_to_legal(corrected)
+        corrected = self.clip_to_legal_range(corrected)
         corrected[:, :, 0] = np.minimum(corrected[:, :, 0], corrected[:, :, 1])
         return corrected
 
     def compute_pulses_per_register_unit(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
-        """Compute by how many pulses one count of R1, R2, R4, R5, R6 moves an axis along the line, by the data sheet's formulas.
+        """Compute the pulses by which one unit of R1, R2, R4, R5 or R6 moves an axis along the line, by the data sheet's formulas.
 
         Args:
-            registers: Registers (stages, axes, 6).
+            registers: Registers, shape (stages, axes, 6).
             moves: Moves along the line.
 
         Returns:
-            Pulses (stages, axes, 5).
+            Pulses, shape (stages, axes, 5).
         """
         low, high, up, _, _, r7 = np.moveaxis(registers.astype(np.float64), 2, 0)
         gain = np.maximum(high - low, 1)
@@ -115,8 +115,7 @@ class RatioLinePrograms(LinePrograms):
     # --- the program ---
 
     def _write_template(self) -> None:
-        """Write the program that is the same for all moves but for the bytes of registers, the direction and the order of
-        starts."""
+        """Write the program that is equal for all moves except for bytes of registers, the direction and the order of starts."""
         p, self._controls = Program(), []
         self._written = [f"R{k}" for k in range(8)] + (["R14", "R15"] if self.chip.S_CURVES else [])
         for a, h in enumerate(self.drivers):
@@ -124,7 +123,7 @@ class RatioLinePrograms(LinePrograms):
             for column, name in enumerate(self._written):
                 p.register(h.index, self.chip, name, 0)
                 for k in range((self.chip.MAP.register(name).bits + 7) // 8):
-                    self._add_slot(p, 1 + k, a * len(self._written) + column, 8 * k)
+                    self._mark_column_operation(p, 1 + k, a * len(self._written) + column, 8 * k)
             p.command(h.index, chip_port.CONTROL | chip_port.PRESET)
             self._controls.append(len(p) - 1)
         self._first = len(p)
@@ -132,8 +131,9 @@ class RatioLinePrograms(LinePrograms):
             p.command(h.index, chip_port.START["FH1"])
         self._template = np.array(p.ops, np.int64)
 
-    def rows(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
-        """Return the values that are written to each chip: (stages, axes, R0 to R7, with S-curves R14 and R15)."""
+    def build_register_rows(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+        """Return the values that the program writes to each chip, shape (stages, axes, registers): R0 to R7, with S-curves R14 and
+        R15."""
         r = registers
         columns = [moves.magnitudes, r[..., 0], r[..., 1], r[..., 1], *(r[..., k] for k in range(2, 6))]
         if len(self._written) > 8:
@@ -142,7 +142,7 @@ class RatioLinePrograms(LinePrograms):
         return np.stack(columns, axis=2)
 
     def write_programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
-        rows = self.rows(registers, moves)
+        rows = self.build_register_rows(registers, moves)
         ops = self._fill_template(self._template, rows.reshape(len(rows), -1))
         for a, j in enumerate(self._controls):
             ops[:, j, 3] |= np.where(moves.distances[:, a] < 0, chip_port.MINUS, 0)

@@ -15,7 +15,7 @@ from stage.firmware.axis import Axis, check_direction, check_seconds
 from stage.firmware.driver import SETTLING_TIME_S
 from stage.firmware.move_report import Report
 from stage.firmware.pcl240 import chip_port
-from stage.firmware.pcl240.chip_port import Port, check_chip_family, describe_leader, require_clock
+from stage.firmware.pcl240.chip_port import ChipPort, check_chip_family, describe_leader, require_clock
 from stage.firmware.pcl240.speed_profile import Profile
 from stage.firmware.pcl240.stop_reason import Pcl240Observer
 from stage.support.argument_checks import check_timeout, explain_arguments
@@ -40,32 +40,30 @@ def preset_move(
     interrupt: bool = False,
     timeout: float | None = None,
 ) -> Report:
-    """Move by `pulses` (signed: the sign is the direction) and stop on the last one (data sheet section 5 b, c).
+    r"""Move by `pulses` (signed: the sign is the direction) and stop on the last one (data sheet section 5 b, c).
 
     high speed, 15h           ______ FH1          constant speed, 11h     ______ FH1
-                             /      \\                                    |      |
-                         FL /        \\ FL                                |      |
-                           |    R6 -> |\\ 0                         ______|      |______
+                             /      \                                    |      |
+                         FL /        \ FL                                |      |
+                           |    R6 -> |\ 0                         ______|      |______
     R0 counts down, and the ramp-down begins where it falls below R6.
 
     Args:
         axis: Axis whose chip is a PCL-240.
         pulses: Signed number of output pulses, 1 to 16,777,215 in magnitude.
         profile: Rates and ramps; default: those of `Profile.of`.
-        high_speed: With ramps, to FH1 or (fh2) FH2; otherwise constant speed FH1 or FH2.
+        high_speed: True for ramps to FH1 or (fh2) FH2; False for constant speed FH1 or FH2.
         fh2: FH2 in place of FH1.
-        s_curve: True for S-curves throughout, a share (above 0, up to 0.5) of FH - FL for curved ends, False for linear ramps, in
-            the ramp times of the profile; default: as the profile says. S-curves need a PCL240MS.
+        s_curve: True for S-curves throughout, a fraction (above 0, up to 0.5) of FH - FL for curved ends, False for linear ramps,
+            in the ramp times of the profile; default: as the profile says. S-curves need a PCL240MS.
         automatic: True: the chip finds the ramp-down point itself, and decelerates on R4 (MK and MS). Default: True if the chip
-        can do
-            this and the profile's R5 equals R4.
+            supports this and the profile's R5 equals R4.
         fh_correction: True: with the automatic point, a PCL240MS lowers the FH of a move that is too short to reach it. False:
-        such a
-            move is a triangle.
+            such a move is a triangle.
         down_point: R6; default by the data sheet's formula, triangular for a short move, so that it ends at FL. With `automatic`
             a signed offset, default 2: pulses by which the ramp-down begins earlier than the count of the ramp-up.
-        slow_down: The SD switch of the direction slows the axis to FL while it is asserted.
-        interrupt: /INT at the stop.
+        slow_down: Whether the SD switch of the direction slows the axis to FL while it is asserted.
+        interrupt: Whether the chip asserts /INT at the stop.
         timeout: Simulated seconds to wait; default: half as much again as the move can take, and one.
 
     Returns:
@@ -101,7 +99,7 @@ def preset_move(
         return p.finish(compute_time_limit(timeout, profile, count), pulses)
 
 
-def start_preset(port: Port, profile: Profile, pulses: int) -> None:
+def start_preset(port: ChipPort, profile: Profile, pulses: int) -> None:
     """Start a high-speed preset move with FH1 and the data sheet's ramp-down point, and do not wait for its end.
 
     Raises:
@@ -145,26 +143,26 @@ def continuous_move(
     immediate: bool = False,
     interrupt: bool = False,
 ) -> Report:
-    """Run for `seconds`, then stop (data sheet section 5 d, e).
+    r"""Run for `seconds`, then stop (data sheet section 5 d, e).
 
     15h           ______  1Dh                     15h           ______  08h
-                 /      \\                                      /      |
-             FL /        \\ FL                              FL /       |
+                 /      \                                      /      |
+             FL /        \ FL                              FL /       |
      __________|          |_______                 __________|        |_______
 
-    A high-speed run is stopped decelerating (1Dh, 1Fh) or, `immediate`, by the reset command; a constant-speed run always by the
-    reset command. The other arguments are those of `preset_move`.
+    A high-speed run ends with a decelerating stop (1Dh, 1Fh) or, if `immediate` is set, with the reset command. A constant-speed
+    run always ends with the reset command.
 
     Args:
         axis: Axis whose chip is a PCL-240.
         seconds: Simulated time from the start command to the stop command, s.
         direction: 1 or -1.
         profile: Rates and ramps.
-        high_speed: With ramps.
+        high_speed: Whether the run has ramps.
         fh2: FH2 in place of FH1.
-        slow_down: The SD switch of the direction slows the axis to FL while it is asserted.
-        immediate: Stop by the reset command.
-        interrupt: /INT at the stop.
+        slow_down: Whether the SD switch of the direction slows the axis to FL while it is asserted.
+        immediate: Whether the reset command stops the run.
+        interrupt: Whether the chip asserts /INT at the stop.
 
     Returns:
         What the host could observe, and the true state of the stage beside it.
@@ -200,8 +198,8 @@ def interrupted_move(
 ) -> Report:
     """Interrupt a preset move by a decelerating stop, and resume it with its residual pulses (data sheet section 4, R0; section 6).
 
-    The stop is reported by /INT. The reset command re-arms the start and takes /INT back; the ramp-down point is set again, in case
-    the rest is too short to reach the high rate.
+    /INT reports the stop. The reset command enables the next start and releases /INT. The ramp-down point is written again, in
+    case the rest of the move is too short to reach the high rate.
 
     Args:
         axis: Axis whose chip is a PCL-240.
@@ -286,7 +284,7 @@ def external_count(
         raise ArgumentError(f"pulses={pulses!r}: external pulses are counted from 1 on; direction=-1 runs backwards.")
     if source is None and not 0 < rate <= axis.chip.clock_hz / 4:
         raise ArgumentError(f"rate={rate!r} Hz: EXTP is sampled by the clock; more than 0 and up to a quarter of it.")
-    make_pulse = _take_pulses_of(source) if source is not None else lambda a: _make_square_pulse(a, rate)
+    make_pulse = _make_external_pulse_function(source) if source is not None else lambda a: _make_square_pulse(a, rate)
     with Pcl240Observer(axis, "external count") as p:
         write_move_setup(p.port, profile, chip_port.PRESET | encode_direction(direction), output=chip_port.EXTERNAL)
         p.port.write_register("R0", count)
@@ -315,7 +313,7 @@ def _make_square_pulse(axis: Axis, rate: float) -> bool:
     return True
 
 
-def _take_pulses_of(source: Callable[[Axis], bool] | Iterator) -> Callable[[Axis], bool]:
+def _make_external_pulse_function(source: Callable[[Axis], bool] | Iterator) -> Callable[[Axis], bool]:
     """Return a function of the axis that makes one external pulse, and returns False when there are no more."""
     if callable(source):
         return source
@@ -326,7 +324,7 @@ def _take_pulses_of(source: Callable[[Axis], bool] | Iterator) -> Callable[[Axis
     return lambda axis: next(source, StopIteration) is not StopIteration
 
 
-def write_move_setup(port: Port, profile: Profile, control: int, output: int = 0) -> None:
+def write_move_setup(port: ChipPort, profile: Profile, control: int, output: int = 0) -> None:
     """Write the reset command, the speed data, the output mode and the control mode (data sheet section 5 a).
 
     Raises:
@@ -345,7 +343,7 @@ def choose_profile(axis: Axis, profile: Profile | None) -> Profile:
 
     Raises:
         ArgumentError: The profile does not fit.
-        StageError: The chip counts the clock of another chip (SYNI) that makes none.
+        StageError: The chip takes its clock from another chip (SYNI), and that chip outputs none.
     """
     chip, multiplier = check_chip_family(axis), require_clock(axis)
     if profile is None:
@@ -366,7 +364,7 @@ def choose_profile(axis: Axis, profile: Profile | None) -> Profile:
 
 
 def check_pulses(pulses: int) -> int:
-    """Return the magnitude of signed pulses. Raises ArgumentError for a number that R0 cannot count."""
+    """Return the number of pulses without its sign. Raises ArgumentError for a number that R0 cannot count."""
     if not isinstance(pulses, int | float) or not 1 <= abs(pulses) <= COUNTER_MASK or int(pulses) != pulses:
         raise ArgumentError(f"pulses={pulses!r}: R0 counts 1 to 16777215 pulses; the sign is the direction.")
     return abs(int(pulses))

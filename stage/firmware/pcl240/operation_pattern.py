@@ -34,14 +34,15 @@ class Pcl240Pattern(operation_pattern.OperationPattern):
 
     def is_relevant(self, pin: str) -> bool:
         if pin == "pdir":
-            return len(set(self.minus()[self.course.running].tolist())) > 1
+            return len(set(self.find_minus_edges()[self.course.running].tolist())) > 1
         return pin in self.ALWAYS or bool(self.course.pin(pin).any())
 
-    def minus(self) -> np.ndarray:
+    def find_minus_edges(self) -> np.ndarray:
+        """Return a mask of the edges after which the axis moves in the minus direction."""
         return self.course.pin("pdir")
 
     def list_named_rates(self) -> dict[str, float]:
-        """Return FL, FH1, FH2 in pps, of those that commands select and whose register was written once."""
+        """Return FL, FH1 and FH2 in pps, if a command selects them and their register was written only once."""
         values: dict[str, set[int]] = {}
         used = set()
         for s in self.report.statements:
@@ -55,13 +56,13 @@ class Pcl240Pattern(operation_pattern.OperationPattern):
         once = {n: values[r] for n, r in names.items() if n in used and len(values.get(r, ())) == 1}
         return {n: next(iter(v)) * step for n, v in once.items()}
 
-    def notes(self, t: np.ndarray) -> list[PatternNote]:
+    def make_notes(self, times: np.ndarray) -> list[PatternNote]:
         """Return notes of the commands that start, change or stop a run, of each ramp-down point, and of the end.
 
         The note of a command also has the bytes that prepare it (reset command, control mode, a register).
 
         Args:
-            t: Times of the edges of the report's waveform, s from the first start.
+            times: Times of the edges of the report's waveform, s from the first start.
         """
         report, course = self.report, self.course
         hold, clocks = course.pin("hold"), course.edges["clock"]
@@ -93,7 +94,7 @@ class Pcl240Pattern(operation_pattern.OperationPattern):
                 ahead = [a for a in ahead if a[0] != code[0]] + [f"{code}h"]  # the latest of a group counts
         falls = course.pin("fdown") & course.pin("lt") & ~hold
         for k in np.flatnonzero(falls[1:] & ~course.pin("lt")[:-1]) + 1:
-            notes.append(PatternNote(float(t[k]), "", f"R0 < R6 = {course.edges['counter'][k] + 1:,d}", True))
+            notes.append(PatternNote(float(times[k]), "", f"R0 < R6 = {course.edges['counter'][k] + 1:,d}", True))
         return sorted([*notes, *self.describe_end()], key=lambda n: n.time)
 
     def describe_end(self) -> list[PatternNote]:

@@ -38,11 +38,11 @@ def origin_return(
     ez: int | None = None,
     timeout: float = 60.0,
 ) -> Report:
-    """Return to the mechanical origin from any position: before ORG, on it, beyond it, or on an end limit.
+    r"""Return to the mechanical origin from any position: before ORG, on it, beyond it, or on an end limit.
 
                 ______ FH1
-               /      \\  SD                        towards ORG
-              /        \\______ FL
+               /      \  SD                        towards ORG
+              /        \______ FL
         _____/                |___      __________  at `approach` pps, up to ORG
                             ORG   |____|            away: out of ORG, `back_off` pulses more
 
@@ -53,17 +53,17 @@ def origin_return(
         direction: Direction in which ORG lies, 1 or -1.
         profile: Rates and ramps.
         high_speed: True to run at FH1 until SD slows the axis; False for constant FL.
-        slow_approach: Back off by `back_off` pulses and come again at `approach` pps, which makes the position repeatable within a
-            pulse.
+        slow_approach: Whether the axis backs off by `back_off` pulses and comes again at `approach` pps, which makes the position
+            repeatable within a pulse.
         back_off: Pulses from the release of ORG to the start of the approach.
         approach: Rate of the last approach, pps.
-        ez: End at the ez-th index pulse after ORG, 1 to 16, at FL or slower, where a switch that has drifted does no harm (R13;
-            data sheet MS, 2-4). Needs a PCL240MK or PCL240MS.
+        ez: Number of the index pulse after ORG at which the return ends, 1 to 16, at FL or slower; the position of the switch then
+            hardly matters (R13; data sheet MS, 2-4). Needs a PCL240MK or PCL240MS.
         timeout: Simulated seconds that each of its runs may take.
 
     Returns:
-        A report whose `stopped_by` is "ORG", or "EZ", or what was met in its place: the end limit ahead (no ORG), the one behind
-        (ORG was not released), or "HOME" where ORG is asserted again after the axis has left it.
+        A report whose `stopped_by` is "ORG" or "EZ" after success, and otherwise what the axis has met: the end limit ahead (no
+        ORG), the one behind (ORG was not released), or "HOME" if ORG is asserted again after the axis has left it.
 
     Raises:
         ArgumentError: A value is out of its range, or the axis has no origin switch.
@@ -98,7 +98,7 @@ def origin_return(
 
 
 def _check_index_number(axis: Axis, ez: int) -> None:
-    """Raise ArgumentError if the chip cannot count index pulses, or not as many as `ez`."""
+    """Raise ArgumentError if the chip cannot count index pulses, or cannot count as many as `ez`."""
     if not getattr(axis.chip, "EXTENDED", False):
         raise ArgumentError(
             f"axis {axis.name}: {add_article(axis.chip.MAP.chip)} does not count EZ: a PCL240MK or PCL240MS does."
@@ -112,7 +112,7 @@ def _run_to_origin(p: Pcl240Observer, direction: int, high_speed: bool, timeout:
     port = p.port
     if port.extended:
         logic = chip_port.compute_polarity_bits(port.axis).get("R13", 0)
-        port.write_register("R13", logic | (chip_port.encode_index(ez) if ez else 0))
+        port.write_register("R13", logic | (chip_port.encode_index_pulse_number(ez) if ez else 0))
     port.write_control_mode(chip_port.ORIGIN | (chip_port.SD if high_speed else 0) | encode_direction(direction))
     port.write_command(chip_port.RAMP["FH1"] if high_speed else chip_port.START["FL"])
     port.wait_until_stopped(timeout)

@@ -1,4 +1,4 @@
-"""Moves that change their pulse rate: two rates, any number of rates, ramps of several pieces (data sheet section 5 h, 6, Q & A).
+"""Moves that change their pulse rate: two rates, any number of rates, ramps of several segments (data sheet section 5 h, 6, Q & A).
 
 A chip has FL and two high rates. The host can rewrite the register that is not selected during the motion and then select it, so
 any number of rates is possible. It does not write R0 and R6 during the motion, as the Q & A demands: the ramp-down point suits the
@@ -16,7 +16,7 @@ from stage.errors import ArgumentError, ExceededLimit
 from stage.firmware.axis import Axis, check_direction, check_seconds
 from stage.firmware.move_report import Report
 from stage.firmware.pcl240 import chip_port
-from stage.firmware.pcl240.chip_port import Port, Status
+from stage.firmware.pcl240.chip_port import ChipPort, Status
 from stage.firmware.pcl240.moves import (
     check_pulses,
     choose_profile,
@@ -139,14 +139,14 @@ def speed_change_move(
 ) -> Report:
     """Make a preset move through any number of rates, each for `dwell` seconds after its ramp (data sheet section 5 h).
 
-    The register that is not in use is rewritten, then selected.
+    For each change, the host rewrites the speed register that is not in use and then selects it.
 
     Args:
         axis: Axis whose chip is a PCL-240.
         pulses: Signed number of output pulses.
         rates: Rates in order, pps.
         profile: FL and ramps.
-        dwell: Time at each rate but the last, s.
+        dwell: Time at each rate except the last, s.
         timeout: Simulated seconds to wait; default: half as much again as the move can take, and one.
 
     Returns:
@@ -169,7 +169,7 @@ def speed_change_move(
             if not p.port.read_status().operating:
                 break
             _change_speed(p.port, k, speed)
-        return p.finish(compute_time_limit(timeout, _with_high_rates(profile, min(speeds)), count), pulses)
+        return p.finish(compute_time_limit(timeout, _replace_high_rates(profile, min(speeds)), count), pulses)
 
 
 @explain_arguments
@@ -182,15 +182,17 @@ def curved_ramp_move(
     *,
     timeout: float | None = None,
 ) -> Report:
-    """Make a preset move whose ramp-up is made of linear pieces, each to a rate in pps within a time in seconds.
+    """Make a preset move whose ramp-up consists of linear segments, each to a rate in pps within a time in seconds.
 
-    The chip ramps linearly only; in a ramp that is long beside the host's bus cycles, acceleration rate (R4) and speed register
-    are written successively (data sheet, Q & A). Rates rise. The ramp-down is one line to FL, at the profile's R5.
+    The chip itself ramps only linearly. During a ramp that is long compared with a bus cycle, the host writes the acceleration
+    rate (R4) and the speed register again and again (data sheet, Q & A). The rates must rise. The ramp-down is a single line to
+    FL, with the
+    profile's R5.
 
     Args:
         axis: Axis whose chip is a PCL-240.
         pulses: Signed number of output pulses.
-        pieces: Pairs of a rate, pps, and the time to reach it, s.
+        pieces: Segments of the ramp: pairs of a rate, pps, and the time to reach it, s.
         profile: FL and the ramp-down.
         timeout: Simulated seconds to wait; default: half as much again as the move can take, and one.
 
@@ -222,17 +224,17 @@ def curved_ramp_move(
                 break
             p.port.write_register("R4", ramp)
             _change_speed(p.port, k, speed)
-        return p.finish(compute_time_limit(timeout, _with_high_rates(profile, min(speeds)), count), pulses)
+        return p.finish(compute_time_limit(timeout, _replace_high_rates(profile, min(speeds)), count), pulses)
 
 
-def _wait_for_rate(port: Port) -> Status:
+def _wait_for_rate(port: ChipPort) -> Status:
     """Wait until the selected rate is reached, or the axis has stopped."""
     return port.wait_until(lambda s: s.fkeep or not s.operating, MAX_RAMP_S, what="the end of the ramp")
 
 
-def _change_speed(port: Port, k: int, speed: int) -> None:
+def _change_speed(port: ChipPort, index: int, speed: int) -> None:
     """Make the k-th change of speed: write the unused register (FH2 and FH1 alternate), and ramp to its speed."""
-    register, rate = ("R3", "FH2") if k % 2 else ("R2", "FH1")
+    register, rate = ("R3", "FH2") if index % 2 else ("R2", "FH1")
     port.write_register(register, speed)
     port.write_command(chip_port.RAMP[rate])
 
@@ -250,7 +252,7 @@ def _convert_rates(axis: Axis, profile: Profile, rates: Sequence[float]) -> list
 
 
 def _convert_pieces(axis: Axis, profile: Profile, pieces: Sequence[tuple[float, float]]) -> tuple[list[int], list[int]]:
-    """Convert the pieces of a ramp to speed steps and values of R4. Raises ArgumentError if the rates do not rise."""
+    """Convert the segments of a ramp to speed steps and values of R4. Raises ArgumentError if the rates do not rise."""
     if not all(isinstance(piece, Sequence) and len(piece) == 2 for piece in pieces):
         raise ArgumentError(f"pieces={pieces!r}: give pairs of a rate in pps and the time to reach it in seconds.")
     speeds = _convert_rates(axis, profile, [rate for rate, _ in pieces])
@@ -280,6 +282,6 @@ def _refuse_short_move(count: int, needed: float) -> None:
         ).with_limit(ExceededLimit("pulses", count, int(needed) + 6))
 
 
-def _with_high_rates(profile: Profile, speed: int) -> Profile:
+def _replace_high_rates(profile: Profile, speed: int) -> Profile:
     """Return the profile with one speed as both high rates."""
     return replace(profile, R2=speed, R3=speed)

@@ -44,7 +44,8 @@ def compute_pulse_rate(speed: float, r7: int, clock_hz: int = PCL240K.DEFAULT_CL
 def compute_linear_ramp_steps(low: int, high: int, span: int | None = None) -> float:
     """Compute the speed steps of a linear ramp that takes as long as a ramp with curved ends.
 
-    (K + 2 S) / 2 with K = high - low and S the span; 0 or above half the ramp means half of it (data sheet MS, 3-1).
+    The result is (K + 2 S) / 2 with K = high - low and S = span. A span of 0, or of more than half the ramp, means half the ramp
+    (data sheet MS, 3-1).
 
     Args:
         low: Speed at the begin of the ramp, speed steps.
@@ -91,7 +92,18 @@ def compute_ramp_pulses(low: int, high: int, rate: float, r7: int, span: int | N
 def is_triangular_move(
     r0: int, low: int, high: int, r4: int, r5: int, r7: int, up: int | None = None, down: int | None = None
 ) -> bool:
-    """Return whether a move is too short to reach FH: R0 < Psu + Psd (Q & A; its 18384 is a misprint of 16384). up, down: spans."""
+    """Return whether a move is too short to reach FH: R0 < Psu + Psd (Q & A; its 18384 is a misprint of 16384).
+
+    Args:
+        r0: Pulses of the move.
+        low: FL, speed steps.
+        high: FH, speed steps.
+        r4: Acceleration rate R4.
+        r5: Deceleration rate R5.
+        r7: Multiplier R7.
+        up: Speed steps of each curved end of the ramp up; None for a linear ramp.
+        down: Speed steps of each curved end of the ramp down; None for a linear ramp.
+    """
     return r0 < compute_ramp_pulses(low, high, r4, r7, up) + compute_ramp_pulses(low, high, r5, r7, down)
 
 
@@ -145,22 +157,26 @@ def compute_down_point(r0: int, low: int, high: int, r4: int, r5: int, r7: int, 
 
 
 def get_default_second_rate(fh1: float, clock_hz: int, multiplier: int | None = None) -> float:
-    """Return the usual FH2 beside an FH1, pps: twice as much, where the chip reaches that with R7 = `multiplier` (None: any)."""
+    """Return the usual FH2 for an FH1: twice the FH1 if the chip reaches that with R7 = `multiplier` (None: any R7), else FH1's
+    limit."""
     return min(2 * fh1, compute_pulse_rate(8191, multiplier or 2, clock_hz))
 
 
 @explain_constructor
 @dataclass(frozen=True)
 class Profile:
-    """Speed registers of a move. Every value is checked against the register map: ArgumentError names the register.
+    """Speed registers of a move. The constructor checks every value against the register map.
 
     Attributes:
         R1, R2, R3: FL, FH1 and FH2, speed steps of clock_hz / (8192 R7) pps.
         R4, R5: Clocks per speed step.
         R7: Multiplier.
         clock_hz: Reference clock, Hz.
-        spans: Speed steps of the S-curves' ends when accelerating and decelerating, 0 for curved throughout; None for linear ramps.
+        spans: Speed steps of the curved ends of the ramps up and down, 0 for curved throughout; None for linear ramps.
         chip: Class of chip whose registers these are.
+
+    Raises:
+        ArgumentError: A value does not fit its register; the message names the register.
     """
 
     R1: int
@@ -257,10 +273,11 @@ class Profile:
         (r1, r2, r3), (r4, r5) = speeds[:, best].astype(int).tolist(), rates[:, best].astype(int).tolist()
         result = cls(r1, r2, r3, r4, r5, int(r7[best]), clock_hz, None, chip)
         if fl < max(fh1, fh2):
-            result._refuse_clipped({"R4": (accel, result.R4), "R5": (decel, result.R5)}, float(span[best]))
+            result._refuse_clipped_ramps({"R4": (accel, result.R4), "R5": (decel, result.R5)}, float(span[best]))
         return result.with_ramp_shape(s_curve) if s_curve else result
 
-    def _refuse_clipped(self, ramps: dict[str, tuple[float, int]], span: float) -> None:
+    def _refuse_clipped_ramps(self, ramps: dict[str, tuple[float, int]], span: float) -> None:
+        """Raise ArgumentError for ramp times that R4 or R5 cannot hold."""
         for register, (seconds, rate) in ramps.items():
             wanted = seconds * self.clock_hz / span
             max_rate = self.chip.MAP.register(register).mask
@@ -299,12 +316,13 @@ class Profile:
     def for_chip(self, chip: type[PCL240]) -> Profile:
         """Return the profile for another chip of the family.
 
-        Raises ArgumentError, with the register's name, where it does not fit.
+        Raises:
+            ArgumentError: The profile does not fit the chip; the message names the register.
         """
         return self if chip is self.chip else replace(self, chip=chip)
 
     def registers(self) -> dict[str, int]:
-        """Return the register values by name; on a chip with S-curves R14 and R15, too."""
+        """Return the register values by name, with R14 and R15 on a chip with S-curves."""
         linear = {"R1": self.R1, "R2": self.R2, "R3": self.R3, "R4": self.R4, "R5": self.R5, "R7": self.R7}
         if not self.chip.S_CURVES:
             return linear
@@ -312,11 +330,13 @@ class Profile:
         return linear | {"R14": up, "R15": down}
 
     @property
-    def _up(self) -> int | None:
+    def _up_span(self) -> int | None:
+        """Speed steps of each curved end of the ramp up; None for a linear ramp."""
         return self.spans[0] if self.spans else None
 
     @property
-    def _down(self) -> int | None:
+    def _down_span(self) -> int | None:
+        """Speed steps of each curved end of the ramp down; None for a linear ramp."""
         return self.spans[1] if self.spans else None
 
     @property
@@ -345,11 +365,11 @@ class Profile:
 
     def accel(self, fh2: bool = False) -> float:
         """Return the time from FL to FH1, or FH2, s."""
-        return compute_ramp_seconds(self.R1, self.get_high_speed(fh2), self.R4, self.clock_hz, self._up)
+        return compute_ramp_seconds(self.R1, self.get_high_speed(fh2), self.R4, self.clock_hz, self._up_span)
 
     def decel(self, fh2: bool = False) -> float:
         """Return the time from FH1, or FH2, to FL, s."""
-        return compute_ramp_seconds(self.R1, self.get_high_speed(fh2), self.R5, self.clock_hz, self._down)
+        return compute_ramp_seconds(self.R1, self.get_high_speed(fh2), self.R5, self.clock_hz, self._down_span)
 
     def down_point(self, pulses: int, fh2: bool = False) -> int:
         """Compute R6 for a preset move. Raises ArgumentError where R6 cannot hold it.
@@ -362,14 +382,14 @@ class Profile:
             Value of R6.
         """
         point = compute_down_point(
-            pulses, self.R1, max(self.get_high_speed(fh2), self.R1), self.R4, self.R5, self.R7, self._down
+            pulses, self.R1, max(self.get_high_speed(fh2), self.R1), self.R4, self.R5, self.R7, self._down_span
         )
         return self.chip.MAP.check_value("R6", point)
 
     def for_distance(self, pulses: int, fh2: bool = False) -> Profile:
-        """Return an S-curve profile whose FH a preset move reaches: "revised R2" (data sheet MS, 3-4).
+        """Return an S-curve profile with the highest FH that a preset move reaches: "revised R2" (data sheet MS, 3-4).
 
-        Linear ramps stay as they are: they can turn round anywhere.
+        Linear ramps stay unchanged, because they can end anywhere.
 
         Args:
             pulses: Pulses of the move.
@@ -378,7 +398,14 @@ class Profile:
         if self.spans is None or self.get_high_speed(fh2) <= self.R1:
             return self
         high = compute_revised_high_speed(
-            pulses, self.R1, self.get_high_speed(fh2), self.R4, self.R5, self.R7, self._up or 0, self._down or 0
+            pulses,
+            self.R1,
+            self.get_high_speed(fh2),
+            self.R4,
+            self.R5,
+            self.R7,
+            self._up_span or 0,
+            self._down_span or 0,
         )
         high = max(high, self.R1)
         return replace(self, R3=high) if fh2 else replace(self, R2=high)
@@ -393,14 +420,14 @@ class Profile:
         speed_before, total, stops = self.R1, 0.0, [*speeds, self.R1]
         for k, speed in enumerate(stops):
             low, high = sorted((speed_before, speed))
-            rate, span = (self.R4, self._up) if speed > speed_before else (self.R5, self._down)
+            rate, span = (self.R4, self._up_span) if speed > speed_before else (self.R5, self._down_span)
             total += compute_ramp_pulses(low, high, rate, self.R7, span)
             total += dwell * speed * self.step if k < len(stops) - 2 else 0.0
             speed_before = speed
         return total
 
     def estimate_seconds(self, pulses: int) -> float:
-        """Return an upper bound of a move's duration: all of it at FL or at FH1, whichever is slower, and two ramps, s."""
+        """Return an upper bound of a move's duration, s: all pulses at FL or FH1, whichever is slower, and two ramps."""
         return pulses / min(self.fl, self.fh1, self.fh2) + 2 * max(self.accel(True), self.decel(True), 0.0)
 
     def __str__(self) -> str:

@@ -18,17 +18,21 @@ from stage.firmware import move_report
 from stage.firmware.axis import Axis
 from stage.firmware.driver import SETTLING_TIME_S
 from stage.firmware.move_report import Report
-from stage.firmware.pcl240.chip_port import Port, check_chip_family
+from stage.firmware.pcl240.chip_port import ChipPort, check_chip_family
 from stage.firmware.stop_reasons import UNKNOWN
 
 
 class Pcl240Observer(move_report.ProcedureObserver):
-    """Observer of an axis whose chip is of the family. Raises ArgumentError for another."""
+    """Observer of an axis with a PCL-240, which finds in the chip's journal why a run ended.
+
+    Raises:
+        ArgumentError: The chip is of another family.
+    """
 
     def __init__(self, axis: Axis, name: str):
         check_chip_family(axis)
         super().__init__(axis, name)
-        self.port = Port(axis)
+        self.port = ChipPort(axis)
 
     def find_stop_reason(self) -> str:
         """Return what ended the axis' last run, see `find_stop_reason`; UNKNOWN where no start has reached the chip."""
@@ -53,10 +57,13 @@ class Pcl240Observer(move_report.ProcedureObserver):
 
 
 def find_stop_reason(journal: Journal) -> str:
-    """Return what ended the last run that a journal has seen, or what refused the start after it.
+    """Return what has ended the last run in a journal, or what has refused the start after it.
+
+    Args:
+        journal: Journal of the chip.
 
     Returns:
-        "R0 = 0", "ORG", "EZ", "EL+", "EL-", "decelerating stop", "reset command" or "reset pin"; "" while the chip runs, and where
+        "R0 = 0", "ORG", "EZ", "EL+", "EL-", "decelerating stop", "reset command" or "reset pin"; "" while the chip runs, and if
         it has not been started.
     """
     core, rows = journal.chip.CORE, np.frombuffer(bytearray(journal.start.tobytes()), journal.chip.CORE.STATE)
@@ -82,14 +89,18 @@ def find_stop_reason(journal: Journal) -> str:
 
 
 def _decode_command(entry: Any) -> tuple[bool, bool]:
-    """Return whether an entry of a journal is an operating-mode command with the start bit, and with the stop bit."""
+    """Return whether a journal entry is an operating-mode command with the start bit, and whether it is one with the stop bit."""
     if (entry.kind, entry.a) != (WRITE, 0) or entry.b & bits.GROUP != OPERATE:
         return False, False
     return bool(entry.b & bits.START), bool(entry.b & bits.STOP)
 
 
 def find_present_stop_cause(chip: Any) -> str:
-    """Return what stops a chip, a record of its state, or keeps it from starting; "" for nothing but commands."""
+    """Return what stops a chip now, or keeps it from starting, apart from commands; "" for nothing.
+
+    Args:
+        chip: Record of the chip's state.
+    """
     homes_by_index = chip["extended"] and chip["reg"][bits.R13] & bits.EZ_RETURN
     if chip["preset"] and chip["reg"][0] == 0:
         return "R0 = 0"

@@ -44,22 +44,21 @@ def synchronized_move(
 ) -> SynchronizedReport:
     """Move several axes along a straight line, by bus cycles only.
 
-    A status read shows what a bus cycle costs, and the plan takes it into account. When an end limit stops an axis, the others are
-    slowed
-    down and stopped: the line is lost.
+    A status read shows how long a bus cycle takes, and the plan takes this time into account. If an end limit stops an axis, the
+    other axes slow down and stop, because the line is lost.
 
     Args:
         distances: Axis name (or axis) -> signed pulses; 0 keeps an axis still. Or a Plan made before.
-        axes: Stage, bench, or mapping such as stage.axes in which the names are found. Not needed when the keys are axes.
+        axes: Stage, bench, or mapping such as stage.axes in which the names are found. Not needed if the keys are axes.
         rate: FH of the longest axis, pps.
         fl: FL of the longest axis, pps.
         accel: Time of the ramp up, s.
         decel: Time of the ramp down, s; default: `accel`.
-        s_curve: True for S-curves throughout, a share (above 0, up to 0.5) of FH - FL for curved ends, False for linear ramps.
+        s_curve: True for S-curves throughout, a fraction (above 0, up to 0.5) of FH - FL for curved ends, False for linear ramps.
             Every axis that moves needs a PCL240MS for it.
-        automatic: The chips find the ramp-down point themselves, and decelerate as they accelerated (PCL240MK and PCL240MS).
-            Default, as
-            False: the plan computes it.
+        automatic: Whether the chips find the ramp-down point themselves, and decelerate as they accelerated (PCL240MK and
+            PCL240MS).
+            Default: False; the plan computes the point.
         timeout: Simulated seconds for the motion; default: half as much again as the plan takes, and one.
 
     Returns:
@@ -107,7 +106,7 @@ def _run_plan(axes: dict[str, Axis], line_plan: Plan, timeout: float | None) -> 
                 chip_port.PRESET | minus | (chip_port.AUTOMATIC if line_plan.axes[n].automatic else 0)
             )
         for n, p in watch.items():  # nothing between the starts but the bus
-            p.port.write_command(chip_port.RAMP["FH1"] if line_plan.axes[n].ramps else chip_port.START["FH1"])
+            p.port.write_command(chip_port.RAMP["FH1"] if line_plan.axes[n].has_ramps else chip_port.START["FH1"])
             line.note_start(n)
         with line.attach_reports_to_timeout():
             stopped_by = _wait_for_axes(
@@ -118,9 +117,9 @@ def _run_plan(axes: dict[str, Axis], line_plan: Plan, timeout: float | None) -> 
 
 
 def _wait_for_axes(
-    watch: dict[str, Pcl240Observer], line_plan: Plan, patience: float, line: LineObserver
+    watch: dict[str, Pcl240Observer], line_plan: Plan, timeout_s: float, line: LineObserver
 ) -> dict[str, str]:
-    """Poll all axes until none operates; return why each stopped."""
+    """Poll all axes until none moves; return the stop reason of each axis."""
     stopped_by: dict[str, str] = {}
     broken = False
     clock = next(iter(watch.values())).axis
@@ -140,21 +139,21 @@ def _wait_for_axes(
                 if n not in stopped_by:
                     p.port.write_command(chip_port.SLOW_DOWN["FH1"])
         passed = clock.time - begin
-        if passed >= patience:
+        if passed >= timeout_s:
             left = {n: watch[n].port.read_counter() for n in watch if n not in stopped_by}
             raise RunTimeout(
-                f"after {patience:.3f} s axes still operate; pulses left: {left}. Give more time, or stop them with 08h."
+                f"after {timeout_s:.3f} s axes still operate; pulses left: {left}. Give more time, or stop them with 08h."
             )
         poll = (
             chip_port.POLL_INTERVAL_S
             if line.carriages.worst is not None
             else max(chip_port.POLL_INTERVAL_S, line_plan.seconds / MAX_POLLS)
         )
-        clock.wait(min(poll, patience - passed + 1e-6))
+        clock.wait(min(poll, timeout_s - passed + 1e-6))
 
 
 def _select_axes(distances: Mapping, axes: Any) -> dict[str, tuple[Axis, int]]:
-    """Find the axes of a move, see `select_axes`. Raises ArgumentError for chips of another family, too."""
+    """Find the axes of a move as `select_axes` does. Raises ArgumentError also for chips of another family."""
     selected = select_axes(distances, axes, "synchronized_move")
     for axis, _ in selected.values():
         check_chip_family(axis)
@@ -162,6 +161,7 @@ def _select_axes(distances: Mapping, axes: Any) -> dict[str, tuple[Axis, int]]:
 
 
 def _check_same_chips(line_plan: Plan, selected: dict[str, tuple[Axis, int]]) -> None:
+    """Raise ArgumentError for a plan made for other chips or clocks than those of the axes."""
     for n, a in line_plan.axes.items():
         if type(selected[n][0].chip) is not a.chip:
             raise ArgumentError(
@@ -190,7 +190,7 @@ def _find_clock_arguments(moving: Mapping[str, Axis]) -> dict[str, Any]:
 
 
 def _check_clocks(line_plan: Plan, selected: dict[str, tuple[Axis, int]]) -> None:
-    """Raise ArgumentError for a plan whose followers would hear another R7 than their own."""
+    """Raise ArgumentError for a plan whose followers would receive a clock of another R7 than the planned one."""
     clocks = _find_clock_arguments({n: selected[n][0] for n in line_plan.axes})
     for n, a in line_plan.axes.items():
         leaders = [m for m in line_plan.axes if selected[m][0].chip is getattr(selected[n][0].chip, "syni", None)]
@@ -206,12 +206,12 @@ def _check_clocks(line_plan: Plan, selected: dict[str, tuple[Axis, int]]) -> Non
 
 
 def _measure_bus_delay(selected: dict[str, tuple[Axis, int]], names: Any) -> float:
-    """Read each axis' status, to check that it is at rest and to measure the time of a bus cycle, s."""
+    """Check that each axis is at rest by a status read, and return the time that a bus cycle takes, s."""
     delay = 0.0
     for n in names:
         axis = selected[n][0]
         before = axis.time
-        if chip_port.Port(axis).read_status().operating:
+        if chip_port.ChipPort(axis).read_status().operating:
             raise ArgumentError(f"axis {n} is moving: wait until it stops, or stop it with 08h.")
         delay = axis.time - before
     return delay

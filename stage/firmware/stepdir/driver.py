@@ -1,4 +1,4 @@
-"""The driver of STEP/DIR axes: it writes rates, ramps and steps to the step timer, as firmware sets up its timer interrupt."""
+"""Driver of STEP/DIR axes: it writes rates, ramps and steps to the step timer, as firmware sets up its timer interrupt."""
 
 from __future__ import annotations
 
@@ -53,9 +53,8 @@ class StepDirDriver(Driver):
     DONE_REASON: ClassVar = END_REASONS[1]
     HOME_REASONS: ClassVar = ("ORG",)
     HOMING_METHODS: ClassVar = ("switch",)
-    DISTANCE_REGISTER: ClassVar = "STEPS"
     INDEX_PULSES: ClassVar = 0
-    FINISH: ClassVar = "STEPS"
+    DISTANCE_REGISTER: ClassVar = "STEPS"
     OPTIONS: ClassVar = frozenset({"s_curve_share", "constant", "approach"})
 
     # --- now ---
@@ -102,9 +101,11 @@ class StepDirDriver(Driver):
         return self._run_to_end("HOME", direction, timeout)
 
     def _is_at_origin(self) -> bool:
+        """Return whether the status shows ORG."""
         return bool(self.chip.read(CONTROL_ADDRESS) & MAP.mask("status", "org"))
 
     def _run_to_end(self, command: str, direction: int, timeout: float) -> str:
+        """Start a run with a command in a direction, wait for its end, and return the stop reason."""
         self._send(command, direction)
         wait_until_stopped([self.axis], timeout)
         reason = self._read_end_reason()
@@ -131,6 +132,7 @@ class StepDirDriver(Driver):
         return reason if reason in ("EL+", "EL-", "ORG") else ""
 
     def _read_end_reason(self) -> str:
+        """Return the stop reason that the status shows."""
         return END_REASONS[END.of(self.chip.read(CONTROL_ADDRESS))]
 
     def read_register(self, name: str) -> int:
@@ -138,7 +140,7 @@ class StepDirDriver(Driver):
         return register.value(self.chip.read(register.number))
 
     def _compute_registers(self, speeds: Speeds) -> dict[str, int]:
-        """Compute the registers of speeds. Raises ArgumentError for rates that the step timer does not make."""
+        """Compute the registers of these speeds. Raises ArgumentError for rates that the step timer cannot make."""
         for name, field, rate in (("START", "start_speed", speeds.start), ("RATE", "speed", speeds.drive)):
             low, high = MAP.register(name).range
             if not low <= rate <= high:
@@ -155,7 +157,7 @@ class StepDirDriver(Driver):
         return {**registers, "CURVED": round(100 * share)}
 
     def _write_registers(self, values: Mapping[str, int]) -> None:
-        """Write registers. Raises StageError for an axis that moves."""
+        """Write registers by name. Raises StageError if the axis moves."""
         if self.chip.busy():
             raise self.build_moving_error()
         self.prepare()
@@ -164,6 +166,7 @@ class StepDirDriver(Driver):
             now.register(self.index, self.chip, name, value)
 
     def _send(self, command: str, direction: int) -> None:
+        """Write a command for a direction to the command register."""
         self.chip.write(CONTROL_ADDRESS, encode_command(command, direction))
 
     @classmethod

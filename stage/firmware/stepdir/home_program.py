@@ -56,6 +56,7 @@ class OrgHomeProgram(HomeProgram):
         return program
 
     def _add_register_write(self, program: Program, name: str, value: int) -> None:
+        """Add the write of a register by name."""
         program.register(self.driver.index, self.driver.chip, name, value)
 
     def _add_move(self, program: Program, phase: str, command: str, steps: int) -> None:
@@ -63,10 +64,10 @@ class OrgHomeProgram(HomeProgram):
         index = self.driver.index
         self._add_register_write(program, "STEPS", steps)
         program.command(index, MAP.command(command).code)
-        self._note_result_index(f"{phase} time", program).until_stopped([index], self.settings.limit)
+        self._store_result_index(f"{phase} time", program).until_stopped([index], self.settings.limit)
         program.command(index, AT_ONCE).wait(self.settings.settle)
-        self._note_result_index(f"{phase} status", program).read(index, CONTROL_ADDRESS)
-        self._note_result_index(f"{phase} position", program).read(index, POSITION.number)
+        self._store_result_index(f"{phase} status", program).read(index, CONTROL_ADDRESS)
+        self._store_result_index(f"{phase} position", program).read(index, POSITION.number)
 
     def read_results(self, results: np.ndarray, rows: np.ndarray) -> HomeResults:
         columns = {name: results[:, at] for name, at in self.result_indices.items()}

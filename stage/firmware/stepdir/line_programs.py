@@ -18,9 +18,9 @@ MAX_CORRECTION_FACTOR = 2.0
 
 
 class BresenhamLinePrograms(LinePrograms):
-    """Line whose axes all run the profile of the longest one, and spread their own steps among its steps.
+    """Lines whose axes all run the profile of the longest axis and distribute their own steps among its steps.
 
-    Only the rates and ramps are to be chosen, at which the carriages can follow: one row for all axes.
+    The user chooses only rates and ramps at which the carriages can follow, in one row for all axes.
     """
 
     def __init__(self, drivers: Sequence[Driver], settings: Any):
@@ -40,12 +40,12 @@ class BresenhamLinePrograms(LinePrograms):
     def _add_register(self, program: Program, driver: Driver, name: str, column: int) -> None:
         """Add the write of a register whose value is a column of `write_programs`."""
         program.register(driver.index, driver.chip, name, 0)
-        self._add_slot(program, 1, column)
+        self._mark_column_operation(program, 1, column)
 
     def compute_registers(self, moves: LineMoves) -> np.ndarray:
         """Compute the registers of the longest axis for the rates and ramps of the settings."""
         settings, rows = self.settings, []
-        for peak, ramp, events in zip(*self.compute_peaks(moves), moves.longest, strict=True):
+        for peak, ramp, events in zip(*self.compute_peak_rates_and_ramps(moves), moves.longest, strict=True):
             registers = self.drivers[0].compute_move_registers(
                 min(settings.fl, peak), peak, ramp, ramp, int(events), settings.s_curve
             )
@@ -53,12 +53,12 @@ class BresenhamLinePrograms(LinePrograms):
         return np.array(rows, np.int64)
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        rows = self.clip_to_legal(self.compute_registers(moves) * MAX_CORRECTION_FACTOR**corrections)
+        rows = self.clip_to_legal_range(self.compute_registers(moves) * MAX_CORRECTION_FACTOR**corrections)
         rows[:, :, 0] = np.minimum(rows[:, :, 0], rows[:, :, 1])
         return rows
 
     def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
-        """Return zeros: no axis leaves the line by more than half a step."""
+        """Return zeros, because no axis leaves the line by more than half a step."""
         return np.zeros((*moves.distances.shape, 4))
 
     def write_programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:

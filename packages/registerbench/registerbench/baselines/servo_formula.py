@@ -99,7 +99,7 @@ def design_registers(axis: Any, timer: int = TIMER) -> dict[str, int]:
     Returns:
         R22, R20, R21 and R0F by name.
     """
-    t = design_filter(ServoLoop.of(axis, FilterTuning(pole=DEFAULT_POLE, timer=timer))).tuning
+    t = design_filter(ServoLoop.from_axis(axis, FilterTuning(pole=DEFAULT_POLE, timer=timer))).tuning
     return {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer}
 
 
@@ -174,7 +174,7 @@ def main() -> None:
     args = parser.parse_args()
     stage = Stage("xyz_servo", chips=HCTL1100)
     stage.set_payload(args.payload)
-    loop = ServoLoop.of(stage.axes["x"], FilterTuning(pole=DEFAULT_POLE, timer=TIMER))
+    loop = ServoLoop.from_axis(stage.axes["x"], FilterTuning(pole=DEFAULT_POLE, timer=TIMER))
     try:
         by_reset, designed = compute_margins(loop), design_filter(loop, args.margin, args.rattle)
     except StageError as error:

@@ -30,7 +30,7 @@ from stage.agents import Budget, Tool, Toolbox
 from stage.envs.register_tuning import Config
 from stage.envs.single_moves import MAX_OFFSET_M, TENTH_MM
 from stage.errors import RunTimeout
-from stage.firmware import Port
+from stage.firmware import ChipPort
 from stage.firmware.pcl240 import chip_port
 from stage.firmware.pcl240.driver import TUNED_REGISTERS as REGISTERS
 from stage.firmware.pcl240.speed_profile import TAIL_PULSES, compute_ramp_pulses
@@ -63,7 +63,7 @@ class TuningSession:
         self._stage, self._rng = Stage(model), np.random.default_rng(0)
         self._stage.set_payload(payload)
         self._axis = self._stage.axes["x"]
-        self._port = Port(self._axis)
+        self._port = ChipPort(self._axis)
         attempt = Tool(
             "attempt",
             "Make the move with the registers as they are, and put the table back.",

@@ -40,22 +40,22 @@ class ProportionalLine(LinePrograms):
                 p.register(driver.index, driver.chip, name, value)
             for column, name in enumerate(self.names):
                 p.register(driver.index, driver.chip, name, 0)
-                self._add_slot(p, 1, a * len(self.names) + column)
+                self._mark_column_operation(p, 1, a * len(self.names) + column)
         for a, driver in enumerate(self.drivers):
             p.register(driver.index, driver.chip, "XTARGET", 0)
-            self._add_slot(p, 1, count * len(self.names) + a)
+            self._mark_column_operation(p, 1, count * len(self.names) + a)
         self._template = np.array(p.ops, np.int64)
 
     def compute_registers(self, moves: LineMoves) -> np.ndarray:
         """Compute the registers of the longest axis by the formulas, rounded; other axes get the nearest values to their share."""
-        c, (peak, ramp) = self.settings, self.compute_peaks(moves)
+        c, (peak, ramp) = self.settings, self.compute_peak_rates_and_ramps(moves)
         low = np.minimum(c.fl, peak)
         lead = np.zeros((len(peak), len(self.names)))
         lead[:, 0] = lead[:, 4] = low * VELOCITY_UNIT / self.clock_hz
         lead[:, 2] = peak * VELOCITY_UNIT / self.clock_hz
         lead[:, 1] = lead[:, 3] = (peak - low) / ramp * ACCELERATION_UNIT / self.clock_hz**2
         rounded = np.maximum(np.rint(lead), 1.0)
-        return self.clip_to_legal(moves.shares[:, :, None] * rounded[:, None, :])
+        return self.clip_to_legal_range(moves.shares[:, :, None] * rounded[:, None, :])
 
     def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """Correct the data sheet's registers; a correction of 1 moves the axis by `reach` steps along the line, or by one count.
@@ -69,7 +69,7 @@ class ProportionalLine(LinePrograms):
         """
         registers = self.compute_registers(moves)
         counts = np.maximum(np.rint(self.settings.reach / self.compute_pulses_per_register_unit(registers, moves)), 1)
-        return self.clip_to_legal(registers + np.rint(corrections * counts))
+        return self.clip_to_legal_range(registers + np.rint(corrections * counts))
 
     def compute_pulses_per_register_unit(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         """Return by how many steps one count of each register moves an axis along the line.

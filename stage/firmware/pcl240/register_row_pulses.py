@@ -1,4 +1,7 @@
-"""Rows of registers (see follower_fit.py) on an emulated chip: their pulses, and the offset of their automatic ramp-down point."""
+"""Pulses of rows of registers, measured on an emulated chip, and the offset of their automatic ramp-down point.
+
+A row has the registers of one axis of a line, see follower_fit.py.
+"""
 
 from __future__ import annotations
 
@@ -25,23 +28,24 @@ def trace_row(row: np.ndarray, chip: type[PCL240] = PCL240K, automatic: bool = F
     """
     row = np.asarray(row, np.int64)
     r6 = compute_ramp_down_offset(row, chip) & chip.MAP.register("R6").mask if automatic else int(row[6])
-    emulated = _start_chip(row, chip, r6, automatic)
+    emulated = _start_row_on_chip(row, chip, r6, automatic)
     pulses = np.empty(int(row[0]), emulated.CORE.PULSE)
     emulated.CORE.trace_pulses.c(emulated.pointer, MAX_CLOCKS, pulses.ctypes.data, len(pulses))
     return pulses["clock"].copy()
 
 
 def compute_ramp_down_offset(row: np.ndarray, chip: type[PCL240]) -> int:
-    """Compute the R6 with which the automatic ramp-down begins at the pulse of the row's R6 (normative model, section 7).
+    """Compute the R6 with which the automatic ramp-down begins at the same pulse as an ordinary one with the row's R6.
 
-    The automatic ramp-down begins at R0 <= pulses of the ramp-up + offset, the ordinary one at R0 < R6.
+    The automatic ramp-down begins at R0 <= pulses of the ramp-up + offset, the ordinary one at R0 < R6 (normative model, section
+    7).
     """
-    emulated = _start_chip(row, chip, int(row[6]), False)
+    emulated = _start_row_on_chip(row, chip, int(row[6]), False)
     emulated.CORE.advance.c(emulated.pointer, MAX_CLOCKS)
     return int(row[6]) - 1 - int(emulated.state["rise_pulses"])
 
 
-def _start_chip(row: np.ndarray, chip: type[PCL240], r6: int, automatic: bool) -> PCL240:
+def _start_row_on_chip(row: np.ndarray, chip: type[PCL240], r6: int, automatic: bool) -> PCL240:
     """Return a new chip that has started the preset move of a row, but with R6 = `r6`."""
     emulated = chip()
     for name, value in zip(ROW_REGISTERS, [*row[:6].tolist(), r6, *row[7:].tolist()], strict=False):
