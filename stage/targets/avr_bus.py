@@ -32,13 +32,13 @@ _PIN_PATTERN = re.compile(r"([A-HJ-L])([0-7])")
 _PIN_RANGE_PATTERN = re.compile(r"([A-HJ-L]):([0-7])-([0-7])")
 
 
-def encode_request(text: str) -> int:
-    """Return the number of a request to avr_ioctl, such as "iogA"."""
+def encode_ioctl_request(text: str) -> int:
+    """Return the number of a request to simavr's function avr_ioctl, given by its four letters, for example "iogA"."""
     return int.from_bytes(text.encode(), "big")
 
 
-class Pins(NamedTuple):
-    """Pins of a bus; each pin is the number of its port in PORTS and its bit."""
+class BusPins(NamedTuple):
+    """Pins of an AVR that form its bus. Each pin is a pair: the number of its port in PORTS, and its bit."""
 
     data: int
     address: tuple[Pin, ...]
@@ -63,7 +63,7 @@ class AvrBus:
         board: The board.
     """
 
-    def __init__(self, pins: Pins, avr: Any, board: Board):
+    def __init__(self, pins: BusPins, avr: Any, board: Board):
         n = len(PORTS)
         self._levels, self._outputs = np.zeros(n, "i8"), np.zeros(n, "i8")
         none = (avr_core.NO_PIN, 0)
@@ -81,17 +81,17 @@ class AvrBus:
         b.levels, b.outputs, b.was_write = self._levels.ctypes.data, self._outputs.ctypes.data, 1
         used = sorted({pins.data, *(p[0] for p in (pins.cs, pins.wr, pins.rd, *pins.address) if p)})
         self._ports = np.array([(self._row.ctypes.data, port) for port in used], avr_core.PORT)
-        self._functions = avr_core.follow_levels.pointer, avr_core.follow_directions.pointer
+        self._functions = avr_core.store_port_levels.pointer, avr_core.store_port_directions.pointer
         for k, port in enumerate(used):
             for number, function in zip((PIN_ALL, DIRECTION_ALL), self._functions, strict=True):
                 avr.notify(avr.find_irq(port, number), function, self._ports[k : k + 1])
 
 
-def parse_bus_pins(texts: str | Sequence[str]) -> Pins:
+def parse_bus_pins(texts: str | Sequence[str]) -> BusPins:
     """Parse the description of a bus.
 
     Args:
-        texts: One description in the form above, for example FORM.
+        texts: One description in the form of this module's docstring, for example FORM.
 
     Raises:
         ArgumentError: The text has another form, or uses a pin twice.
@@ -118,7 +118,7 @@ def parse_bus_pins(texts: str | Sequence[str]) -> Pins:
         base = int(parts["base"], 0) if "base" in parts else None
     except ValueError:
         raise ArgumentError(f"--map {text!r}: base={parts['base']} is no port, for example base=0x300.") from None
-    return Pins(data, address, single.get("cs"), single["wr"], single["rd"], single.get("irq"), base)
+    return BusPins(data, address, single.get("cs"), single["wr"], single["rd"], single.get("irq"), base)
 
 
 def _split_description(text: str) -> dict[str, str]:
@@ -138,6 +138,7 @@ def _split_description(text: str) -> dict[str, str]:
 
 
 def _parse_pin(text: str, key: str, value: str) -> Pin:
+    """Return the pin in a value such as B0; `text` and `key` are for the error message."""
     match = _PIN_PATTERN.fullmatch(value)
     if match is None:
         raise ArgumentError(f"--map {text!r}: {key}={value} is no pin, for example {key}=B0.")
@@ -145,6 +146,7 @@ def _parse_pin(text: str, key: str, value: str) -> Pin:
 
 
 def _parse_address(text: str, value: str) -> tuple[Pin, ...]:
+    """Return the address pins, lowest first, in a value such as C:0-1+D4; `text` is for the error message."""
     pins: list[Pin] = []
     for part in value.split("+"):
         match = _PIN_RANGE_PATTERN.fullmatch(part)

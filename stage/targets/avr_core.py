@@ -77,13 +77,14 @@ _get_timer_status, _read_memory = declare_address_call("i8", "i8", "i8", "i8"), 
 
 
 @hot
-def count_cycles(cpu):
-    """Return the clock cycles that the processor has run."""
+def get_cycle_count(cpu):
+    """Return the number of clock cycles that the processor has run."""
     return cpu.when + 1 - _get_timer_status(cpu.status, (cpu.avr, cpu.timer, cpu.own))
 
 
 @hot
-def _read_pin(bus, at):
+def _read_pin_level(bus, at):
+    """Return the level of a pin, 0 or 1, given the address of its PIN record. A pin that is no output is pulled up."""
     pin = array_at(at, 1, PIN)[0]
     if pin.port == NO_PIN:
         return 0
@@ -92,7 +93,8 @@ def _read_pin(bus, at):
 
 
 @hot
-def _read_address(bus):
+def _read_port_address(bus):
+    """Return the port of the board that the address pins select."""
     pins, address = array_at(bus.addresses, bus.n_addresses, PIN), 0
     levels = array_at(bus.levels, len(PORTS), INTEGER)
     for k in range(bus.n_addresses):
@@ -102,18 +104,22 @@ def _read_address(bus):
 
 @hot
 def _update_bus(bus):
-    """Make the bus cycle that a change of pins begins or ends."""
+    """Make the bus cycle that begins or ends with the present levels of the pins, if any."""
     cpu = array_at(bus.avr, 1, AVR)[0]
-    selected, write, read = _read_pin(bus, bus.select) == 0, _read_pin(bus, bus.write), _read_pin(bus, bus.read)
+    selected, write, read = (
+        _read_pin_level(bus, bus.select) == 0,
+        _read_pin_level(bus, bus.write),
+        _read_pin_level(bus, bus.read),
+    )
     if write and not bus.was_write and (selected or bus.was_selected):
         value = array_at(bus.levels, len(PORTS), INTEGER)[bus.data_port]
-        bus_cycle(cpu, count_cycles(cpu), OUT8, _read_address(bus), value & 0xFF)
+        bus_cycle(cpu, get_cycle_count(cpu), OUT8, _read_port_address(bus), value & 0xFF)
     bus.was_selected, bus.was_write = selected, write
     if read or not selected:
         bus.reading = 0
     elif not bus.reading:
         bus.reading = 1
-        value = bus_cycle(cpu, count_cycles(cpu), IN8, _read_address(bus), 0)
+        value = bus_cycle(cpu, get_cycle_count(cpu), IN8, _read_port_address(bus), 0)
         if array_at(bus.outputs, len(PORTS), INTEGER)[bus.data_port]:
             if bus.conflicts == 0:
                 request(cpu, LOG, bus.warning, 0)
@@ -124,16 +130,16 @@ def _update_bus(bus):
 
 
 @exported(None, "i8", "i4", PORT)
-def follow_levels(_irq, value, port):
-    """Store the levels that the program drives at a port, and update the bus."""
+def store_port_levels(_irq, value, port):
+    """Store the levels that the program drives at a port, and update the bus. simavr calls this at each change."""
     bus = array_at(port.bus, 1, BUS)[0]
     array_at(bus.levels, len(PORTS), INTEGER)[port.port] = value
     _update_bus(bus)
 
 
 @exported(None, "i8", "i4", PORT)
-def follow_directions(_irq, value, port):
-    """Store which pins of a port are outputs, and update the bus."""
+def store_port_directions(_irq, value, port):
+    """Store which pins of a port are outputs, and update the bus. simavr calls this at each change."""
     bus = array_at(port.bus, 1, BUS)[0]
     array_at(bus.outputs, len(PORTS), INTEGER)[port.port] = value
     _update_bus(bus)
@@ -141,7 +147,7 @@ def follow_directions(_irq, value, port):
 
 @hot
 def _drive_lines(port, changed):
-    """Pass the changed pins (bits) of a port to the lines at them, at the cycle of the edge."""
+    """Drive the lines at the pins of a port whose bits are set in `changed`, at the cycle of the edge."""
     lines, mask, asserted = array_at(port.lines, port.n_lines, DRIVEN_LINE), 0, 0
     for k in range(len(lines)):
         line = lines[k]
@@ -153,7 +159,7 @@ def _drive_lines(port, changed):
                 asserted |= line.mask
         if mask and line.last:  # together, because the direction counts before a step at the same cycle
             cpu = array_at(port.avr, 1, AVR)[0]
-            request(cpu, UNTIL, compute_time(cpu, count_cycles(cpu)), 0)
+            request(cpu, UNTIL, compute_time(cpu, get_cycle_count(cpu)), 0)
             request(cpu, SET_LINES, line.chip, mask << LINES_SHIFT | asserted)
             mask = asserted = 0
 
@@ -169,7 +175,7 @@ def _count_pins(counts, pins):
 
 @exported(None, "i8", "i4", LINE_PORT)
 def drive_line_levels(_irq, value, port):
-    """Take a new value of the PORT register of a port with lines."""
+    """Store a new value of the PORT register of a port with lines, and drive its lines. simavr calls this at each change."""
     changed, port.levels = (value & 0xFF) ^ port.levels, value & 0xFF
     _count_pins(port.rises, changed & port.levels & port.outputs)
     _count_pins(port.pull_ups, changed & port.levels & ~port.outputs)
@@ -178,15 +184,15 @@ def drive_line_levels(_irq, value, port):
 
 @exported(None, "i8", "i4", LINE_PORT)
 def drive_line_directions(_irq, value, port):
-    """Take new directions of the pins of a port with lines."""
+    """Store new directions of the pins of a port with lines, and drive its lines. simavr calls this at each change."""
     changed, port.outputs = (value & 0xFF) ^ port.outputs, value & 0xFF
     _count_pins(port.rises, changed & port.levels & port.outputs)
     _drive_lines(port, changed)
 
 
 @hot
-def _show_lines(cpu):
-    """Pass switches that have changed to the pins that the program reads.
+def _update_read_lines(cpu):
+    """Set the pins that the program reads to the switches that have changed.
 
     simavr raises the level of an internal pull-up at each write to the PORT register. It keeps the level of an external one.
     """
@@ -207,14 +213,16 @@ def _show_lines(cpu):
 
 
 @hot
-def _begin_lines(cpu):
-    """Release the lines that the program will drive, since no pin of a processor is an output after a reset, and pass the
-    switches to the pins that it reads."""
+def _initialize_lines(cpu):
+    """Release the lines that the program will drive, and set the pins that it reads.
+
+    After a reset, no pin of a processor is an output.
+    """
     lines = array_at(cpu.lines, 1, LINES)[0]
     ports = array_at(lines.ports, lines.n_ports, LINE_PORT)
     for k in range(len(ports)):
         _drive_lines(ports[k], 0xFF)
-    _show_lines(cpu)
+    _update_read_lines(cpu)
 
 
 @hot
@@ -229,15 +237,18 @@ def _check_sleep(cpu):
 
 @exported("i8", "i8", "i8", AVR)
 def end_quantum(_avr, when, cpu):
-    """Advance the board at the end of a quantum, and check whether the program has ended or sleeps. Return the cycle of
-    the next call."""
+    """Advance the board at the end of a quantum, and check whether the program has ended or sleeps.
+
+    Returns:
+        The cycle at which simavr calls this function next.
+    """
     cpu.when = when + cpu.quantum
     line = advance_board(cpu, when)
     if line != cpu.line:
         cpu.line = line
         _raise_irq(cpu.raise_irq, (cpu.line_irq, 1 - line))
     if cpu.lines:
-        _show_lines(cpu)
+        _update_read_lines(cpu)
     if cpu.pc and array_at(cpu.pc, 1, STATE)[0] == cpu.stop:
         cpu.code = (
             _read_memory(cpu.read_memory, (cpu.avr, 24)) & 0xFF
@@ -256,10 +267,10 @@ def end_quantum(_avr, when, cpu):
 def run(cpu):
     """Run until the program ends or cannot continue; return simavr's state.
 
-    An interrupt may follow the instruction after SEI; simavr would have it wait for one more.
+    A pending interrupt is served one instruction after SEI; simavr alone would wait for one instruction more.
     """
     if cpu.lines:
-        _begin_lines(cpu)
+        _initialize_lines(cpu)
     while not cpu.ended:
         state = _run(cpu.run, (cpu.avr,))
         wait = array_at(cpu.interrupt_wait, 1, WAIT)

@@ -12,7 +12,7 @@ from stage.board.board import Board
 from stage.board.pin_assignment import DRIVEN, PinLine, PinUse, WiringFinding, find_wiring_findings
 from stage.errors import ArgumentError
 from stage.targets import avr_core
-from stage.targets.avr_bus import DIRECTION_ALL, encode_request
+from stage.targets.avr_bus import DIRECTION_ALL, encode_ioctl_request
 
 PORT_REGISTER = 10
 """The simavr IRQ of a port's PORT register."""
@@ -28,12 +28,12 @@ MISSING_PINS = {
     "atmega32u4": "C0 C1 C2 C3 C4 C5 E0 E1 E3 E4 E5 E7 F2 F3",
 }
 """Pins of ports that a family, named by how its names begin, has only in part. simavr has the whole ports."""
-Place = tuple[int, int, PinLine]
+PlacedLine = tuple[int, int, PinLine]
 """A line, behind the port and the bit of its pin."""
 
 
 class AvrLines:
-    """Lines of axes, connected to the pins of an AVR.
+    """STEP/DIR lines and switches of axes, connected to the pins of an AVR.
 
     Args:
         lines: The lines.
@@ -41,7 +41,7 @@ class AvrLines:
         board: The board.
 
     Raises:
-        ArgumentError: A pin that this AVR does not have, or that is one of its bus.
+        ArgumentError: This AVR does not have one of the pins, or a pin is part of its bus.
     """
 
     def __init__(self, lines: Sequence[PinLine], avr: Any, board: Board):
@@ -78,8 +78,8 @@ class AvrLines:
         chip = self._axes[line.axis].chip
         return self._chips.index(chip), line.get_mask(chip)
 
-    def _connect_driven_lines(self, places: Sequence[Place], avr: Any) -> None:
-        """Watch all ports: pins without a line tell which one was meant, see `find_wiring_findings`."""
+    def _connect_driven_lines(self, places: Sequence[PlacedLine], avr: Any) -> None:
+        """Watch the pins of all ports, because pins without a line help to find a wrong wiring; see `find_wiring_problems`."""
         self._port_numbers = [port for port in range(len(avr_core.PORTS)) if avr.has_port(port)]
         self._driven = [self._make_driven_rows([p for p in places if p[0] == port]) for port in self._port_numbers]
         self._ports = np.zeros(len(self._driven), avr_core.LINE_PORT)
@@ -90,7 +90,7 @@ class AvrLines:
             for number, function in zip((PORT_REGISTER, DIRECTION_ALL), self._functions, strict=True):
                 avr.notify(avr.find_irq(port, number), function, self._ports[k : k + 1])
 
-    def _make_driven_rows(self, places: Sequence[Place]) -> np.ndarray:
+    def _make_driven_rows(self, places: Sequence[PlacedLine]) -> np.ndarray:
         """Return the DRIVEN_LINE records of a port, those of a chip one after the other."""
         rows = []
         for _, bit, line in places:
@@ -102,7 +102,8 @@ class AvrLines:
             [(bit, chip, *rest, end) for (chip, bit, *rest), end in zip(rows, ends, strict=True)], avr_core.DRIVEN_LINE
         )
 
-    def _connect_read_lines(self, places: Sequence[Place], avr: Any) -> None:
+    def _connect_read_lines(self, places: Sequence[PlacedLine], avr: Any) -> None:
+        """Connect the lines that the program reads, such as switches, to their pins."""
         ports = sorted({port for port, _, _ in places})
         self._pulled = np.zeros(len(ports), avr_core.PULLED_PORT)
         self._read = np.zeros(len(places), avr_core.READ_LINE)
@@ -112,7 +113,7 @@ class AvrLines:
             place, inverted = (avr.find_irq(port, bit), addresses[port], bit), line.inverted
             self._read[k] = (*place, *self._find_chip(line), inverted, inverted, last)
             pulled = self._pulled[ports.index(port)]
-            pulled["request"] = encode_request("iop" + avr_core.PORTS[port])
+            pulled["request"] = encode_ioctl_request("iop" + avr_core.PORTS[port])
             pulled["pulls"] |= 1 << (_PULL_MASK + bit) | inverted << (avr_core.PULL_VALUE + bit)
         for port, pulled in zip(ports, self._pulled, strict=True):
             avr.control_port(int(pulled["request"]), addresses[port])
@@ -121,10 +122,10 @@ class AvrLines:
 
 
 def parse_avr_pin(line: PinLine, mcu: str) -> tuple[int, int]:
-    """Return port and bit of a line's pin, as (1, 0) for B0.
+    """Return port and bit of a line's pin, for example (1, 0) for B0.
 
     Raises:
-        ArgumentError: It is no pin of an AVR, or this AVR does not have it.
+        ArgumentError: The pin is not one of an AVR, or this AVR does not have it.
     """
     match = _PIN.fullmatch(line.pin)
     if match is None:
@@ -136,6 +137,7 @@ def parse_avr_pin(line: PinLine, mcu: str) -> tuple[int, int]:
 
 
 def _check_pin_of_line(line: PinLine, has_port: bool, is_of_bus: bool, mcu: str) -> None:
+    """Raise ArgumentError if the pin of a line does not exist on the AVR `mcu`, or is part of its bus."""
     if not has_port:
         raise ArgumentError(f"--pins {line}: the {mcu} has no port {line.pin[0]}; take a pin that it has.")
     if is_of_bus:

@@ -13,7 +13,7 @@ from stage.board.bus.host_record import HOST, LOG, READ_SERIAL, SEND_SERIAL, TAK
 from stage.board.bus.serial_core import LINE
 from stage.native import array_at, declare_address_call, exported, greatest, hot, record
 from stage.sim.stage_handle import INTEGER
-from stage.targets.avr_core import AVR, count_cycles
+from stage.targets.avr_core import AVR, get_cycle_count
 from stage.targets.processor_core import advance_board, request
 
 QUEUE = 64
@@ -53,7 +53,7 @@ _raise_irq, _read_memory = declare_address_call(None, "i8", "i4"), declare_addre
 
 @hot
 def _read_bits(cpu, bits):
-    """Read bits of a register that an avr_regbit_t describes; 0 without one."""
+    """Return the register bits that an avr_regbit_t describes; 0 if `bits` is 0."""
     if bits == 0:
         return 0
     return _read_memory(cpu.read_memory, (cpu.avr, bits & 0x1FF)) >> (bits >> 9 & 7) & (bits >> 12 & 0xFF)
@@ -70,13 +70,14 @@ def _count_character_cycles(cpu, uart):
 
 
 @hot
-def _get_line(cpu):
+def _get_serial_line(cpu):
+    """Return the board's serial line."""
     return array_at(array_at(cpu.host, 1, HOST)[0].serial, 1, LINE)[0]
 
 
 @exported(None, "i8", "i4", UART)
-def follow_sent_byte(_irq, value, uart):
-    """Collect a byte that the program sends for the log, and put it on the line to the board."""
+def handle_sent_byte(_irq, value, uart):
+    """Add a byte that the program sends to the log, and begin to send it to the board. simavr calls this."""
     cpu = array_at(uart.avr, 1, AVR)[0]
     _log_byte(cpu, uart, value)
     if uart.byte_cycles_at == 0:
@@ -84,7 +85,7 @@ def follow_sent_byte(_irq, value, uart):
     duration = _count_character_cycles(cpu, uart)
     array_at(uart.byte_cycles_at, 1, INTEGER)[0] = duration  # simavr counts a parity bit that is not there
     if uart.connected and uart.queued < QUEUE:
-        now = count_cycles(cpu)
+        now = get_cycle_count(cpu)
         uart.done = greatest(uart.done, now) + duration
         place = (uart.first + uart.queued) % QUEUE
         uart.queue[place], uart.ends[place] = value, uart.done
@@ -95,6 +96,7 @@ def follow_sent_byte(_irq, value, uart):
 
 @hot
 def _log_byte(cpu, uart, value):
+    """Add a byte to the line of text for the log, and log the line if it is complete."""
     text = array_at(uart.text, uart.room, BYTE)
     if value != LINE_END and value != CARRIAGE_RETURN:
         text[uart.length] = value
@@ -102,37 +104,42 @@ def _log_byte(cpu, uart, value):
     if (value == LINE_END or uart.length == uart.room - 1) and uart.length:
         text[uart.length] = 0
         uart.length = 0
-        advance_board(cpu, count_cycles(cpu))
+        advance_board(cpu, get_cycle_count(cpu))
         request(cpu, LOG, uart.text, 0)
 
 
 @exported("i8", "i8", "i8", UART)
 def deliver_sent_byte(_avr, when, uart):
-    """Pass a byte whose stop bit has ended to the board. Return the cycle at which the next one ends, or 0."""
+    """Pass a byte whose stop bit has ended to the board.
+
+    Returns:
+        The cycle at which the next byte ends, or 0.
+    """
     cpu = array_at(uart.avr, 1, AVR)[0]
     advance_board(cpu, when)
-    _send_first(cpu, uart)
+    _send_oldest_byte(cpu, uart)
     return uart.ends[uart.first] if uart.queued else 0
 
 
 @hot
-def _send_first(cpu, uart):
+def _send_oldest_byte(cpu, uart):
+    """Pass the oldest byte of the queue to the board."""
     byte = uart.queue[uart.first]
     uart.first, uart.queued = (uart.first + 1) % QUEUE, uart.queued - 1
     request(cpu, SEND_SERIAL, byte, 0)
 
 
 @exported(None, UART)
-def send_rest(uart):
+def flush_sent_bytes(uart):
     """Pass the bytes that are still being sent to the board, at the end of a run."""
     cpu = array_at(uart.avr, 1, AVR)[0]
     while uart.queued:
-        _send_first(cpu, uart)
+        _send_oldest_byte(cpu, uart)
 
 
 @hot
 def _present_byte(cpu, uart, byte):
-    """Pass a byte, whose time on the line has passed, to simavr's UART, which raises RXC in the next cycle."""
+    """Pass a received byte to simavr's UART, which raises RXC in the next cycle. The byte's time on the line has passed."""
     simavr_cycles = array_at(uart.byte_cycles_at, 1, INTEGER)
     before, simavr_cycles[0] = simavr_cycles[0], 1
     uart.presented = 1
@@ -142,7 +149,7 @@ def _present_byte(cpu, uart, byte):
 
 @hot
 def _store_byte(cpu, uart, byte):
-    """Store a byte in the receiver; a byte that finds it full is lost."""
+    """Store a received byte in the receiver. A byte that finds the receiver full is lost."""
     if not uart.presented:
         _present_byte(cpu, uart, byte)
     elif uart.waiting < DEPTH - 1:
@@ -155,8 +162,8 @@ def _store_byte(cpu, uart, byte):
 
 
 @exported(None, "i8", "i4", UART)
-def follow_read_byte(_irq, _value, uart):
-    """Present the next byte of the receiver when the program has read the one before: simavr's UART is empty."""
+def handle_read_byte(_irq, _value, uart):
+    """Present the next byte of the receiver, because the program has read the last one. simavr calls this."""
     if uart.presented == 0:
         return
     uart.presented = 0
@@ -168,9 +175,13 @@ def follow_read_byte(_irq, _value, uart):
 
 @exported("i8", "i8", "i8", UART)
 def receive_byte(_avr, when, uart):
-    """Pass a byte from the board to the receiver when its stop bit has ended. Return the cycle of the next call."""
+    """Pass a byte from the board to the receiver when its stop bit has ended.
+
+    Returns:
+        The cycle at which simavr calls this function next.
+    """
     cpu = array_at(uart.avr, 1, AVR)[0]
-    line = _get_line(cpu)
+    line = _get_serial_line(cpu)
     if line.fed <= line.removed:
         uart.receiving = 0
         return when + uart.idle

@@ -32,7 +32,7 @@ SIMAVR = record(
     response           cycles from an interrupt to the first instruction of its vector
     memory, flash      its memories
     vectors            address of n_vectors VECTOR records
-    event              address of `end_wait`
+    event              address of `handle_timer_event`
     watch_write ...    addresses of avr_core_watch_write, avr_core_watch_read, avr_raise_interrupt, avr_clear_interrupt,
                        avr_raise_irq, avr_cycle_timer_register, avr_cycle_timer_cancel
 """
@@ -99,45 +99,47 @@ _register_event, _cancel_event = (
 
 @hot
 def _get_simavr(timer):
+    """Return the SIMAVR record of a timer."""
     return array_at(timer.simavr, 1, SIMAVR)[0]
 
 
 @hot
 def get_cycle(simavr):
-    """Return the cycle at which the present instruction began."""
+    """Return the cycle at which the current instruction began."""
     return array_at(simavr.cycle, 1, INTEGER)[0]
 
 
 @hot
 def _get_access_cycle(simavr):
-    """Return the cycle in which the present instruction accesses a register."""
+    """Return the cycle in which the current instruction accesses a register."""
     pc = np.int64(array_at(simavr.pc, 1, WORD)[0])
     is_in_or_out = array_at(simavr.flash + pc + 1, 1, BYTE)[0] & 0xF0 == 0xB0
     return get_cycle(simavr) + (0 if is_in_or_out else 1)
 
 
 @hot
-def peek(simavr, register):
-    """Return the byte of a register as it is in memory."""
+def read_register_byte(simavr, register):
+    """Return the byte of a register as it is in simavr's memory, without side effects."""
     return np.int64(array_at(simavr.memory, DATA_SIZE, BYTE)[register])
 
 
 @hot
-def poke(simavr, register, value):
-    """Change the byte of a register in memory."""
+def write_register_byte(simavr, register, value):
+    """Change the byte of a register in simavr's memory, without side effects."""
     array_at(simavr.memory, DATA_SIZE, BYTE)[register] = value & 0xFF
 
 
 @hot
 def read_bits(simavr, bits):
-    """Return the value of register bits, packed as simavr does: register, lowest bit, mask; 0 if there are none."""
+    """Return the value of register bits, packed as in simavr: register, lowest bit, mask. Return 0 for no bits."""
     if bits & 0x1FF == 0:
         return np.int64(0)
-    return peek(simavr, bits & 0x1FF) >> (bits >> 9 & 7) & (bits >> 12 & 0xFF)
+    return read_register_byte(simavr, bits & 0x1FF) >> (bits >> 9 & 7) & (bits >> 12 & 0xFF)
 
 
 @hot
-def _read_selection(simavr, selection):
+def _read_selected_number(simavr, selection):
+    """Return the number that several register bits form, the lowest first, for example the mode of a timer."""
     number = np.int64(0)
     for k in range(WIDTHS):
         number |= read_bits(simavr, selection[k]) << k
@@ -145,16 +147,17 @@ def _read_selection(simavr, selection):
 
 
 @hot
-def _is_raised(simavr, vector):
-    return peek(simavr, vector.flag) & vector.flag_mask != 0
+def _is_flag_set(simavr, vector):
+    """Return whether the flag of an interrupt is set."""
+    return read_register_byte(simavr, vector.flag) & vector.flag_mask != 0
 
 
 # --- time ---
 
 
 @hot
-def _count_on(timer, ticks):
-    """Count a number of ticks, at least 1."""
+def _advance_count(timer, ticks):
+    """Advance the count of a timer by a number of ticks, at least 1."""
     count = timer.count
     if timer.is_blocked:
         count = count + 1 & timer.maximum
@@ -170,8 +173,11 @@ def _count_on(timer, ticks):
 
 
 @hot
-def _find_end(timer, value, is_match):
-    """Return the ticks until the count leaves a value, or 0 if it never has it."""
+def _find_ticks_until_count_leaves(timer, value, is_match):
+    """Return the ticks until the count leaves a value, or 0 if it never has this value.
+
+    `is_match` says that the value is a compare value; the timer ignores a match right after a write of its count.
+    """
     count, before = timer.count, 0
     if timer.is_blocked:
         if not is_match and count == value:
@@ -187,15 +193,15 @@ def _find_end(timer, value, is_match):
 @hot
 def _count_matches(timer, value, is_match, ticks):
     """Return how often the count leaves a value during a number of ticks."""
-    first = _find_end(timer, value, is_match)
+    first = _find_ticks_until_count_leaves(timer, value, is_match)
     if first == 0 or first > ticks:
         return 0
     return 1 + ((ticks - first) // (timer.top + 1) if value <= timer.top else 0)
 
 
 @hot
-def _drive_pin(simavr, unit, matches):
-    """Let the output of a unit follow a number of matches."""
+def _drive_output(simavr, unit, matches):
+    """Change the output pin of a compare unit as its mode demands for a number of matches."""
     mode = read_bits(simavr, unit.mode)
     if mode == 0:
         return
@@ -208,16 +214,16 @@ def _drive_pin(simavr, unit, matches):
 
 @hot
 def _set_flag(simavr, address):
-    """Set the flag of an interrupt, and raise it if it is enabled."""
+    """Set the flag of the interrupt at an address, and raise the interrupt if it is enabled."""
     if address:
         vector = array_at(address, 1, VECTOR)[0]
-        if vector.vector and not _is_raised(simavr, vector):
+        if vector.vector and not _is_flag_set(simavr, vector):
             call_for_vector(simavr.raise_interrupt, (simavr.avr, vector.vector))
 
 
 @hot
-def _advance(timer, cycle):
-    """Bring a timer up to date, with all flags and outputs on the way."""
+def _update_timer(timer, cycle):
+    """Advance a timer to a cycle, with all flags and outputs that change until then."""
     if timer.is_simavrs or not timer.runs:
         return
     simavr, tick = _get_simavr(timer), cycle >> timer.shift
@@ -229,50 +235,50 @@ def _advance(timer, cycle):
         exists = timer.is_top_icr if k == CAPTURE else units[k].register
         units[k].matches = _count_matches(timer, units[k].value, 1, ticks) if exists else 0
     overflows = _count_matches(timer, timer.maximum, 0, ticks)
-    _count_on(timer, ticks)
+    _advance_count(timer, ticks)
     timer.tick = tick
     for k in range(N_UNITS):
         if units[k].matches:
-            _drive_pin(simavr, units[k], units[k].matches)
+            _drive_output(simavr, units[k], units[k].matches)
             _set_flag(simavr, units[k].vector)
     if overflows:
         _set_flag(simavr, timer.overflow)
 
 
 @hot
-def _is_awaited(simavr, address):
-    """Tell whether the next event of an interrupt changes its flag."""
+def _can_change_flag(simavr, address):
+    """Return whether the next event of an interrupt changes its flag."""
     if address == 0:
         return False
     vector = array_at(address, 1, VECTOR)[0]
-    return vector.vector != 0 and not _is_raised(simavr, vector)
+    return vector.vector != 0 and not _is_flag_set(simavr, vector)
 
 
 @hot
-def _find_next_end(timer, simavr):
-    """Return the ticks until the next change of a flag or an output, or 0."""
+def _find_ticks_until_next_event(timer, simavr):
+    """Return the ticks until the next change of a flag or an output, or 0 if there is none."""
     units, best = array_at(timer.units, N_UNITS, UNIT), 0
     for k in range(N_UNITS):
         unit = units[k]
         exists = timer.is_top_icr if k == CAPTURE else unit.register
-        if exists and (_is_awaited(simavr, unit.vector) or read_bits(simavr, unit.mode)):
-            ticks = _find_end(timer, unit.value, 1)
+        if exists and (_can_change_flag(simavr, unit.vector) or read_bits(simavr, unit.mode)):
+            ticks = _find_ticks_until_count_leaves(timer, unit.value, 1)
             if ticks and (best == 0 or ticks < best):
                 best = ticks
-    if _is_awaited(simavr, timer.overflow):
-        ticks = _find_end(timer, timer.maximum, 0)
+    if _can_change_flag(simavr, timer.overflow):
+        ticks = _find_ticks_until_count_leaves(timer, timer.maximum, 0)
         if ticks and (best == 0 or ticks < best):
             best = ticks
     return best
 
 
 @hot
-def _schedule(timer):
+def _schedule_event(timer):
     """Tell simavr when the next event of an up-to-date timer is due."""
     if timer.is_simavrs:
         return
     simavr = _get_simavr(timer)
-    ticks = _find_next_end(timer, simavr) if timer.runs else 0
+    ticks = _find_ticks_until_next_event(timer, simavr) if timer.runs else 0
     due = timer.tick + ticks << timer.shift if ticks else 0
     if due == timer.due:
         return
@@ -284,11 +290,11 @@ def _schedule(timer):
 
 
 @exported("i8", "i8", "i8", TIMER)
-def end_wait(_avr, when, timer):
-    """Handle the event of a timer."""
+def handle_timer_event(_avr, when, timer):
+    """Handle the scheduled event of a timer. simavr calls this."""
     timer.due = 0
-    _advance(timer, when)
-    _schedule(timer)
+    _update_timer(timer, when)
+    _schedule_event(timer)
     return 0
 
 
@@ -297,7 +303,7 @@ def end_wait(_avr, when, timer):
 
 @hot
 def _call_original(timer, simavr, register, value):
-    """Write a register as simavr does."""
+    """Write a register by simavr's own function."""
     originals = array_at(timer.originals, timer.n_originals, ORIGINAL)
     for k in range(timer.n_originals):
         if originals[k].register == register and originals[k].function:
@@ -308,14 +314,15 @@ def _call_original(timer, simavr, register, value):
 
 @hot
 def _find_top(timer):
+    """Return the greatest count of a timer in CTC mode."""
     units = array_at(timer.units, N_UNITS, UNIT)
     return units[CAPTURE].value if timer.is_top_icr else units[0].value
 
 
 @hot
 def _select_mode(timer, simavr, cycle):
-    """Take mode and clock from the registers, from a cycle on."""
-    mode, clock = _read_selection(simavr, timer.modes), _read_selection(simavr, timer.clocks)
+    """Set the mode and the clock of a timer from its registers, with effect from a cycle on."""
+    mode, clock = _read_selected_number(simavr, timer.modes), _read_selected_number(simavr, timer.clocks)
     kind, shift = timer.kinds[mode], timer.shifts[clock]
     is_external = shift & EXTERNAL != 0 or (timer.has_external_clock != 0 and clock >= 6)
     is_known = kind in (RESERVED, NORMAL, CTC)
@@ -329,47 +336,49 @@ def _select_mode(timer, simavr, cycle):
 
 
 @hot
-def _leave_simavr(timer, simavr):
-    """Take the count over from simavr and stop its timer; the registers keep their values."""
+def _take_over_from_simavr(timer, simavr):
+    """Copy the count from simavr and stop simavr's timer. The registers keep their values."""
     _read_register(timer.read, (simavr.avr, timer.count_low, timer.read_parameter))
-    timer.count = peek(simavr, timer.count_low) | (peek(simavr, timer.count_high) << 8 if timer.count_high else 0)
+    timer.count = read_register_byte(simavr, timer.count_low) | (
+        read_register_byte(simavr, timer.count_high) << 8 if timer.count_high else 0
+    )
     register = timer.clocks[0] & 0x1FF
-    value, mask = peek(simavr, register), np.int64(0)
+    value, mask = read_register_byte(simavr, register), np.int64(0)
     for k in range(WIDTHS):
         bits = timer.clocks[k]
         if bits & 0x1FF == register:
             mask |= (bits >> 12 & 0xFF) << (bits >> 9 & 7)
     _call_original(timer, simavr, register, value & ~mask)
-    poke(simavr, register, value)
+    write_register_byte(simavr, register, value)
     timer.due = 0
     if timer.capture_irq:
         unit = array_at(timer.units, N_UNITS, UNIT)[CAPTURE]
-        unit.value = peek(simavr, unit.register) | peek(simavr, unit.high) << 8
+        unit.value = read_register_byte(simavr, unit.register) | read_register_byte(simavr, unit.high) << 8
 
 
 @hot
 def _strobe_outputs(timer, simavr, value):
-    """Force matches of the outputs whose FOC bits are set. They set no flag."""
+    """Force a match at the outputs whose FOC bits are set in `value`. Forced matches set no flag."""
     units = array_at(timer.units, N_UNITS, UNIT)
     for k in range(CAPTURE):
         if value >> (7 - k) & 1:
-            _drive_pin(simavr, units[k], 1)
+            _drive_output(simavr, units[k], 1)
 
 
 @exported(None, "i8", "i4", "i4", TIMER)
 def write_control(_avr, register, value, timer):
-    """Write TCCRnA, TCCRnB or ASSR."""
+    """Handle a write of TCCRnA, TCCRnB or ASSR."""
     simavr, register, value = _get_simavr(timer), register & 0xFFFF, value & 0xFF
     cycle = _get_access_cycle(simavr) + 1
-    _advance(timer, cycle)
+    _update_timer(timer, cycle)
     strobes = np.int64(0)
     if register == timer.strobes:
         strobes, value = value & timer.strobe_mask, value & ~timer.strobe_mask
-    was_simavrs, before = timer.is_simavrs, peek(simavr, register)
-    poke(simavr, register, value)
+    was_simavrs, before = timer.is_simavrs, read_register_byte(simavr, register)
+    write_register_byte(simavr, register, value)
     _select_mode(timer, simavr, cycle)
     if timer.is_simavrs or was_simavrs:
-        poke(simavr, register, before)
+        write_register_byte(simavr, register, before)
     if timer.is_simavrs:
         if timer.due:
             _cancel_event(simavr.cancel, (simavr.avr, simavr.event, timer.own))
@@ -377,32 +386,32 @@ def write_control(_avr, register, value, timer):
         _call_original(timer, simavr, register, value)
         return
     if was_simavrs:
-        _leave_simavr(timer, simavr)
+        _take_over_from_simavr(timer, simavr)
     _watch_write(simavr.watch_write, (simavr.avr, register, value))
     _strobe_outputs(timer, simavr, strobes)
-    _schedule(timer)
+    _schedule_event(timer)
 
 
 @exported(None, "i8", "i4", "i4", TIMER)
 def write_strobes(_avr, _register, value, timer):
-    """Write TCCRnC of a 16-bit timer, which reads as 0."""
+    """Handle a write of TCCRnC of a 16-bit timer, which reads as 0."""
     if not timer.is_simavrs:
         simavr = _get_simavr(timer)
-        _advance(timer, _get_access_cycle(simavr) + 1)
+        _update_timer(timer, _get_access_cycle(simavr) + 1)
         _strobe_outputs(timer, simavr, value & timer.strobe_mask)
 
 
 @exported(None, "i8", "i4", "i4", TIMER)
 def write_high_byte(_avr, _register, value, timer):
-    """Write a high byte, which waits in TEMP for its low byte."""
+    """Handle a write of a high byte, which TEMP stores until its low byte is written."""
     timer.temp = value & 0xFF
 
 
 @hot
 def _write_word(timer, simavr, register, high, value):
-    """Write a register, as simavr does where the timer is its own, and return its value."""
+    """Write a register, as simavr does if the timer is simavr's, and return its value."""
     if high:
-        poke(simavr, high, timer.temp)
+        write_register_byte(simavr, high, timer.temp)
     if timer.is_simavrs:
         _call_original(timer, simavr, register, value)
     else:
@@ -412,64 +421,64 @@ def _write_word(timer, simavr, register, high, value):
 
 @exported(None, "i8", "i4", "i4", TIMER)
 def write_compare(_avr, register, value, timer):
-    """Write OCRnA, OCRnB, OCRnC or ICRn."""
+    """Handle a write of OCRnA, OCRnB, OCRnC or ICRn."""
     simavr, register, value = _get_simavr(timer), register & 0xFFFF, value & 0xFF
-    _advance(timer, _get_access_cycle(simavr) + 1)
+    _update_timer(timer, _get_access_cycle(simavr) + 1)
     units = array_at(timer.units, N_UNITS, UNIT)
     for k in range(N_UNITS):
         if units[k].register == register:
             units[k].value = _write_word(timer, simavr, register, units[k].high, value)
-    if timer.kinds[_read_selection(simavr, timer.modes)] == CTC:
+    if timer.kinds[_read_selected_number(simavr, timer.modes)] == CTC:
         timer.top = _find_top(timer)
-    _schedule(timer)
+    _schedule_event(timer)
 
 
 @exported(None, "i8", "i4", "i4", TIMER)
 def write_count(_avr, register, value, timer):
-    """Write TCNTn."""
+    """Handle a write of TCNTn."""
     simavr, register, value = _get_simavr(timer), register & 0xFFFF, value & 0xFF
     cycle = _get_access_cycle(simavr) + 1
-    _advance(timer, cycle)
+    _update_timer(timer, cycle)
     count = _write_word(timer, simavr, register, timer.count_high, value)
     if timer.is_simavrs:
         return
     timer.count, timer.is_blocked = count, 1
     if timer.runs:
         timer.tick = cycle >> timer.shift
-    _schedule(timer)
+    _schedule_event(timer)
 
 
 @exported("i4", "i8", "i4", TIMER)
 def read_count(_avr, register, timer):
-    """Read the low byte of TCNTn; the high byte goes to TEMP."""
+    """Return the low byte of TCNTn, and store the high byte in TEMP."""
     simavr, register = _get_simavr(timer), register & 0xFFFF
     if timer.is_simavrs:
         value = _read_register(timer.read, (simavr.avr, register, timer.read_parameter)) & 0xFF
         if timer.count_high:
-            timer.temp = peek(simavr, timer.count_high)
+            timer.temp = read_register_byte(simavr, timer.count_high)
         return value
-    _advance(timer, _get_access_cycle(simavr))
-    _schedule(timer)
-    poke(simavr, register, timer.count)
+    _update_timer(timer, _get_access_cycle(simavr))
+    _schedule_event(timer)
+    write_register_byte(simavr, register, timer.count)
     timer.temp = timer.count >> 8
     return _watch_read(simavr.watch_read, (simavr.avr, register)) & 0xFF
 
 
 @exported("i4", "i8", "i4", TIMER)
 def read_capture(_avr, register, timer):
-    """Read the low byte of ICRn; the high byte goes to TEMP."""
+    """Return the low byte of ICRn, and store the high byte in TEMP."""
     simavr, unit = _get_simavr(timer), array_at(timer.units, N_UNITS, UNIT)[CAPTURE]
     if timer.is_simavrs:
-        timer.temp = peek(simavr, unit.high)
+        timer.temp = read_register_byte(simavr, unit.high)
     else:
-        poke(simavr, unit.register, unit.value)
+        write_register_byte(simavr, unit.register, unit.value)
         timer.temp = unit.value >> 8
     return _watch_read(simavr.watch_read, (simavr.avr, register & 0xFFFF)) & 0xFF
 
 
 @exported("i4", "i8", "i4", TIMER)
 def read_high_byte(_avr, _register, timer):
-    """Read the high byte of TCNTn or ICRn, which is in TEMP."""
+    """Return the high byte of TCNTn or ICRn, which is in TEMP."""
     return np.int64(timer.temp)
 
 
@@ -478,64 +487,65 @@ def read_high_byte(_avr, _register, timer):
 
 @exported(None, "i8", "i4", "i4", SIMAVR)
 def write_enables(_avr, register, value, simavr):
-    """Write TIMSKn: an interrupt whose flag is set already comes at once."""
+    """Handle a write of TIMSKn, and raise each enabled interrupt whose flag is already set."""
     register = register & 0xFFFF
     _watch_write(simavr.watch_write, (simavr.avr, register, value & 0xFF))
     vectors = array_at(simavr.vectors, simavr.n_vectors, VECTOR)
     for k in range(simavr.n_vectors):
         vector = vectors[k]
-        if vector.enable == register and value & vector.enable_mask and _is_raised(simavr, vector):
+        if vector.enable == register and value & vector.enable_mask and _is_flag_set(simavr, vector):
             call_for_vector(simavr.raise_interrupt, (simavr.avr, vector.vector))
 
 
 @hot
 def _clear_flag(simavr, vector):
-    poke(simavr, vector.flag, peek(simavr, vector.flag) & ~vector.flag_mask)
+    """Clear the flag of an interrupt."""
+    write_register_byte(simavr, vector.flag, read_register_byte(simavr, vector.flag) & ~vector.flag_mask)
 
 
 @exported("i4", "i8", "i4", SIMAVR)
 def read_flags(_avr, register, simavr):
-    """Read TIFRn."""
+    """Return TIFRn with all flags up to date."""
     register = register & 0xFFFF
     vectors = array_at(simavr.vectors, simavr.n_vectors, VECTOR)
     for k in range(simavr.n_vectors):
         if vectors[k].flag == register:
             timer = array_at(vectors[k].timer, 1, TIMER)[0]
-            _advance(timer, _get_access_cycle(simavr))
-            _schedule(timer)
+            _update_timer(timer, _get_access_cycle(simavr))
+            _schedule_event(timer)
     return _watch_read(simavr.watch_read, (simavr.avr, register)) & 0xFF
 
 
 @exported(None, "i8", "i4", "i4", SIMAVR)
 def write_flags(_avr, register, value, simavr):
-    """Write TIFRn: each 1 clears a flag."""
+    """Handle a write of TIFRn, where each 1 clears a flag."""
     register = register & 0xFFFF
     vectors = array_at(simavr.vectors, simavr.n_vectors, VECTOR)
     for k in range(simavr.n_vectors):
         vector = vectors[k]
         if vector.flag == register and value & vector.flag_mask:
             timer = array_at(vector.timer, 1, TIMER)[0]
-            _advance(timer, _get_access_cycle(simavr) + 1)
+            _update_timer(timer, _get_access_cycle(simavr) + 1)
             if array_at(vector.pending, 1, BYTE)[0] & 1:
                 call_for_vector(simavr.clear_interrupt, (simavr.avr, vector.vector))
             _clear_flag(simavr, vector)
-            _schedule(timer)
+            _schedule_event(timer)
 
 
 @exported(None, "i8", "i4", VECTOR)
-def end_pending(_irq, value, vector):
-    """Clear the flag of an interrupt when its routine begins."""
+def clear_served_flag(_irq, value, vector):
+    """Clear the flag of an interrupt when its routine begins. simavr calls this."""
     if value == 0:
         timer = array_at(vector.timer, 1, TIMER)[0]
         simavr = _get_simavr(timer)
-        _advance(timer, get_cycle(simavr))
+        _update_timer(timer, get_cycle(simavr))
         _clear_flag(simavr, vector)
-        _schedule(timer)
+        _schedule_event(timer)
 
 
 @exported(None, "i8", "i4", SIMAVR)
-def respond(_irq, value, simavr):
-    """Let the time pass that the processor takes to call the routine of an interrupt."""
+def spend_response_time(_irq, value, simavr):
+    """Let the cycles pass that the processor needs to enter an interrupt routine. simavr calls this."""
     if value:
         array_at(simavr.cycle, 1, INTEGER)[0] += simavr.response
         left = array_at(simavr.cycles_left, 1, INTEGER)
@@ -550,6 +560,6 @@ def capture_count(irq, level, timer):
         return
     simavr = _get_simavr(timer)
     if was_high == (read_bits(simavr, timer.capture_edge) == 0):
-        _advance(timer, get_cycle(simavr))
-        _schedule(timer)
+        _update_timer(timer, get_cycle(simavr))
+        _schedule_event(timer)
         array_at(timer.units, N_UNITS, UNIT)[CAPTURE].value = timer.count

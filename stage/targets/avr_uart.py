@@ -1,7 +1,7 @@
 """`AvrUart`: a serial line of a program on simavr, connected to the log and to the board.
 
 simavr has no functions for the rate of a UART. Its registers and the cycles of a character are read from the structure avr_uart_t,
-which `stage.targets.simavr_layout` describes. If `find_layout` does not find them, the program's output still goes to the log.
+which `stage.targets.simavr_layout` describes. If `find_uart_layout` does not find them, the program's output still goes to the log.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from stage.board.board import Board
 from stage.native import array_at
 from stage.targets import avr_serial
-from stage.targets.simavr_layout import IRQ, MODULE, UART, list_modules, view
+from stage.targets.simavr_layout import IRQ, MODULE, UART, list_modules, view_structure
 
 NAMES = "0123"
 INPUT, OUTPUT, EMPTY = 0, 1, 2
@@ -39,32 +39,32 @@ _UPM1 = 5
 
 @dataclass(frozen=True)
 class UartLayout:
-    """Place of what is needed in an avr_uart_t.
+    """Position of the fields of an avr_uart_t that this module needs.
 
     Attributes:
         bits: The avr_regbit_t of each name of _BITS, and of upm.
-        byte_cycles_at: Address of the cycles of a character.
+        byte_cycles_at: Address of the field with the cycles of a character.
     """
 
     bits: dict[str, int]
     byte_cycles_at: int
 
 
-def find_layout(irqs: int, avr: int, name: str, hz: int) -> UartLayout | None:
-    """Find registers and rate of a UART after a reset, or return None if the structure is not as expected.
+def find_uart_layout(irqs: int, avr: int, name: str, hz: int) -> UartLayout | None:
+    """Find the registers and the rate of a UART after a reset; return None if the structure is not as expected.
 
     Args:
-        irqs: Address of its IRQs.
+        irqs: Address of the UART's simavr IRQs.
         avr: Address of the avr_t.
-        name: Its name, a digit.
-        hz: Clock of the AVR.
+        name: Name of the UART, a digit.
+        hz: Clock of the AVR, Hz.
     """
-    uart = next((at for at in list_modules(avr) if int(view(at, MODULE)["irq"]) == irqs), 0)
+    uart = next((at for at in list_modules(avr) if int(view_structure(at, MODULE)["irq"]) == irqs), 0)
     if not uart:
         return None
     content: Any = array_at(uart, _SEARCHED.stop, np.dtype("u1"))
     places = np.flatnonzero(content[_SEARCHED].view("<u8") == hz * RESET_BYTE_US // 1_000_000)
-    fields = view(uart, UART)
+    fields = view_structure(uart, UART)
     words = {bits: int(fields[bits]) for bits in _BITS}
     if fields["name"] != ord(name) or len(places) != 1 or words["ubrrl"] >> 12 != 0xFF or words["rxen"] >> 12 != 1:
         return None
@@ -74,14 +74,14 @@ def find_layout(irqs: int, avr: int, name: str, hz: int) -> UartLayout | None:
 
 
 class AvrUart:
-    """Serial line of a program.
+    """Serial line of a program on simavr.
 
     Args:
         name: Name of the UART, a digit.
         avr: A LoadedAvr after its reset.
-        irqs: Address of the IRQs of the UART.
+        irqs: Address of the UART's simavr IRQs.
         board: The board.
-        connected: Whether it is the board's serial line, rather than for the log only.
+        connected: Whether this is the board's serial line; False: its bytes only go to the log.
     """
 
     def __init__(self, name: str, avr: Any, irqs: int, board: Board, connected: bool):
@@ -93,10 +93,10 @@ class AvrUart:
         u.text, u.room = ctypes.addressof(self._text), LOG_LINE_SIZE
         u.input, u.idle = irqs + INPUT * IRQ.itemsize, max(1, round(IDLE_S * record.hz))
         u.register_timer = avr.find_function_address("avr_cycle_timer_register")
-        self._follow, self._receive = avr_serial.follow_sent_byte.pointer, avr_serial.receive_byte.pointer
+        self._sent_handler, self._receive = avr_serial.handle_sent_byte.pointer, avr_serial.receive_byte.pointer
         self._deliver = avr_serial.deliver_sent_byte.pointer
         u.deliver = ctypes.cast(self._deliver, ctypes.c_void_p).value
-        layout = find_layout(irqs, int(record.avr), name, int(record.hz))
+        layout = find_uart_layout(irqs, int(record.avr), name, int(record.hz))
         if layout is not None:
             u.connected, u.byte_cycles_at = connected, layout.byte_cycles_at
             for key, word in layout.bits.items():
@@ -105,16 +105,16 @@ class AvrUart:
             board.serial.record["is_wired"] = 1
             self._warning = ctypes.create_string_buffer(OVERRUN)
             u.warning = ctypes.addressof(self._warning)
-            self._follow_read = avr_serial.follow_read_byte.pointer
-            avr.notify(irqs + EMPTY * IRQ.itemsize, self._follow_read, self._row)
-        avr.notify(irqs + OUTPUT * IRQ.itemsize, self._follow, self._row)
+            self._read_handler = avr_serial.handle_read_byte.pointer
+            avr.notify(irqs + EMPTY * IRQ.itemsize, self._read_handler, self._row)
+        avr.notify(irqs + OUTPUT * IRQ.itemsize, self._sent_handler, self._row)
 
-    def start(self) -> None:
-        """Begin to look for bytes from the board."""
+    def start_receiving(self) -> None:
+        """Begin to receive bytes from the board."""
         u = self._row[0]
         if u.connected:
             self._avr.start_timer(int(u.idle), self._receive, int(u.address))
 
-    def finish(self) -> None:
-        """Pass the bytes that are still being sent to the board."""
-        avr_serial.send_rest.c(int(self._row[0].address))
+    def flush_sent_bytes(self) -> None:
+        """Pass the bytes that are still being sent to the board, at the end of a run."""
+        avr_serial.flush_sent_bytes.c(int(self._row[0].address))

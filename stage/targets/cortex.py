@@ -1,8 +1,8 @@
-"""Cortex-M on Unicorn: memory, exceptions with priorities, SysTick, NVIC and semihosting. Windows of its memory reach
+"""Cortex-M on Unicorn: memory, exceptions with priorities, SysTick, NVIC and semihosting. Windows in its memory are bus cycles of
 the board.
 
-Timing: 1.5 cycles for a 16-bit instruction and 2.5 cycles for a 32-bit one, which approximates a Cortex-M3 whose flash
-has wait states.
+Timing: 1.5 cycles for a 16-bit instruction and 2.5 cycles for a 32-bit one, which approximates a Cortex-M3 whose flash has wait
+states.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from stage.targets.elf import ARM, Elf, check_arm
 from stage.targets.gdb import DebugServer, make_cortex_registers
 from stage.targets.nvic import Nvic
 from stage.targets.processor_core import wait
-from stage.targets.unicorn_engine import INVALID_INSTRUCTION, PAGE_SIZE, Engine, Registers
+from stage.targets.unicorn_engine import INVALID_INSTRUCTION, PAGE_SIZE, Registers, UnicornProcessor
 
 DEFAULT_HZ = 72_000_000
 INSTRUCTION_UNITS, BYTE_UNITS, UNITS = 1, 1, 2
@@ -55,14 +55,14 @@ MODELS = {"cortex-m0": 7, "cortex-m3": 8, "cortex-m4": 9}
 
 @dataclass(frozen=True)
 class CortexProgram:
-    """An ELF program.
+    """ELF program for a Cortex-M.
 
     Attributes:
         path: The file.
-        mcu: The processor.
-        hz: Its clock, or None.
-        windows: Windows of the board.
-        irq: The interrupt of NVIC that the board's line is wired to, or None.
+        mcu: Name of the processor.
+        hz: Clock of the processor in Hz, or None for the default.
+        windows: Address ranges that lead to ports of the board.
+        irq: Number of the NVIC interrupt to which the board's line is wired, or None.
         gdb: TCP port of a GDB server, or None.
     """
 
@@ -78,7 +78,7 @@ class CortexProgram:
         return Cortex(self, board)
 
 
-class Cortex(Engine):
+class Cortex(UnicornProcessor):
     """Cortex-M with a loaded program."""
 
     REGISTER_PREFIX = "UC_ARM_REG_"
@@ -122,6 +122,7 @@ class Cortex(Engine):
         return int.from_bytes(self.uc.mem_read(address, 4), "little")
 
     def _map_memory(self, windows: tuple[Window, ...]) -> None:
+        """Map the memory regions, the private peripherals and the windows of the board."""
         import unicorn
 
         self._windows_of_board = windows
@@ -190,6 +191,7 @@ class Cortex(Engine):
         return self._elf.describe_address(self.get("pc") & ~1)
 
     def _store_exception(self, _uc: Any, number: int, _user: Any) -> None:
+        """Store the number of an exception, which `handle_stop` handles. Unicorn calls this."""
         self._raised = number
         self.uc.emu_stop()
 
@@ -231,10 +233,12 @@ class Cortex(Engine):
             self._pc += 2
 
     def _describe_fault(self, error: Any) -> str:
+        """Describe an error of Unicorn for an error message."""
         invalid = error.errno == INVALID_INSTRUCTION
         return self._describe_exception(_UNDEFINED) if invalid else super()._describe_fault(error)
 
     def _describe_exception(self, number: int) -> str:
+        """Describe an exception that ends the program for an error message."""
         if number == _UNDEFINED and not self.get("xpsr") & _THUMB:
             number = _NO_THUMB
         words = _EXCEPTIONS.get(number, f"exception {number} of Unicorn")
@@ -277,6 +281,7 @@ class Cortex(Engine):
         self._exit.set(sp + _FRAME.size + (4 if xpsr & 0x200 else 0), xpsr_now, *words, self._pc | 1)
 
     def _group_registers(self, names: str) -> Registers:
+        """Return a group of registers, given by their names in one text."""
         return Registers(self._lib, self.handle, [self.find_register_number(name) for name in names.split()])
 
     # --- its own devices ---
@@ -289,10 +294,12 @@ class Cortex(Engine):
         t.due = t.cycles
 
     def _read_private(self, _uc: Any, offset: int, size: int, _user: Any) -> int:
+        """Return bytes of the private peripherals. Unicorn calls this."""
         value = self.nvic.read(offset & ~3) >> 8 * (offset & 3)
         return value & (1 << 8 * size) - 1
 
     def _write_private(self, _uc: Any, offset: int, size: int, value: int, _user: Any) -> None:
+        """Write bytes of the private peripherals; end the run if they request a reset. Unicorn calls this."""
         if offset < 0x80:  # ITM, the first stimulus port
             self.log_text(value.to_bytes(size, "little").decode("latin1"))
         elif self.nvic.write(offset & ~3, value << 8 * (offset & 3), size, offset & 3):
@@ -308,7 +315,7 @@ _FAILED = 0xFFFFFFFF
 
 
 class Semihosting:
-    """Semihosting services (Arm), which a program requests by a breakpoint.
+    """Arm's semihosting services, which a program requests by a breakpoint instruction.
 
     Args:
         cpu: A Cortex.
@@ -318,7 +325,7 @@ class Semihosting:
         self._cpu = cpu
 
     def execute_request(self) -> None:
-        """Execute one request."""
+        """Execute the request whose number and parameter are in r0 and r1."""
         cpu = self._cpu
         what, about = cpu.get("r0"), cpu.get("r1")
         answer = 0
@@ -345,11 +352,13 @@ class Semihosting:
         cpu.set(r0=answer)
 
     def _read_text(self, address: int) -> str:
+        """Return the text at an address up to its zero byte."""
         text = b""
         while b"\0" not in text and len(text) < MAX_TEXT:
             text += bytes(self._cpu.uc.mem_read(address + len(text), 16))
         return text.split(b"\0")[0].decode("latin1")
 
     def _count_hundredths(self) -> int:
+        """Return the simulated time in hundredths of a second."""
         t = self._cpu.record
         return int(t.cycles) * 100 // int(t.hz)

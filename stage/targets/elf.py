@@ -46,8 +46,13 @@ _DAMAGED = (ValueError, LookupError, TypeError, AttributeError, AssertionError, 
 
 
 class Segment(NamedTuple):
-    """Content of a program segment, with its load address (`at`) and the address at which the program uses it
-    (`used_at`)."""
+    """Segment of a program.
+
+    Attributes:
+        at: Address at which it is loaded.
+        used_at: Address at which the program uses it.
+        content: Bytes of the segment.
+    """
 
     at: int
     used_at: int
@@ -56,16 +61,16 @@ class Segment(NamedTuple):
 
 def read_machine_name(path: Path) -> str:
     """Return the name of the machine for which an ELF file was built, or "" for other files. Raises FileError."""
-    head = read_elf_head(_read(path)[:ELF_HEAD_SIZE])
+    head = read_elf_head(_read_program_file(path)[:ELF_HEAD_SIZE])
     return MACHINES.get(head[1], f"machine {head[1]}") if head else ""
 
 
 class Elf:
-    """Program for a machine of 32 bits or less.
+    """ELF program for a processor of 32 bits or less.
 
     Args:
         path: The file.
-        machine: Machine number of the processor, AVR or ARM.
+        machine: ELF machine number of the processor, AVR or ARM.
         mcu: Name of the processor, for messages.
         how: Command that builds a program, for messages.
 
@@ -73,19 +78,19 @@ class Elf:
         flags, entry: Fields of the ELF header.
         segments: Segments to load.
         attributes: Arm's build attributes by tag name.
-        device_name: The processor's name as avr-gcc has stored it, or "".
-        symbols: Addresses by name.
+        device_name: Name of the processor as avr-gcc has stored it, or "".
+        symbols: Addresses by symbol name.
 
     Raises:
         FileError: The file does not exist.
-        LibraryError: The file is no program, or one for another machine.
+        LibraryError: The file is no program, or a program for another machine.
     """
 
     def __init__(self, path: Path, machine: int, mcu: str, how: str):
         from elftools.common.exceptions import ELFError
         from elftools.elf.elffile import ELFFile
 
-        self.path, content = path, _read(path)
+        self.path, content = path, _read_program_file(path)
         machine_name = read_machine_name(path)
         if not machine_name:
             raise LibraryError(f"{path} is no ELF file: {mcu} runs what its linker makes, for example by {how}.")
@@ -111,6 +116,7 @@ class Elf:
             raise LibraryError(f"{path} is cut off or damaged: its tables point behind its end.") from None
 
     def _find_section(self, name: str) -> Any:
+        """Return the section with a name, or None."""
         return next((section for section in self._sections if section.name == name), None)
 
     def read_section(self, name: str) -> bytes:
@@ -146,6 +152,7 @@ class Elf:
         return words
 
     def _find_source_line(self, address: int) -> str:
+        """Return the source file and line of an address, found by addr2line, or ""."""
         for tool in filter(shutil.which, ADDR2LINE):
             done = run_program([tool, "-e", str(self.path), hex(address)])
             line = done.stdout.strip().split(" (")[0]
@@ -293,7 +300,8 @@ def check_arm(elf: Elf, mcu: str, how: str) -> None:
     )
 
 
-def _read(path: Path) -> bytes:
+def _read_program_file(path: Path) -> bytes:
+    """Read the bytes of a program file. Raises FileError."""
     refuse_irregular(path, "program")
     if not path.is_file():
         raise FileError(f"{path}: there is no such file.")

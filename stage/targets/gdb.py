@@ -24,10 +24,10 @@ _REPLIES = {"vCont?": "vCont;c;C;s;S", "qAttached": "1", "qC": "QC1", "qfThreadI
 
 
 class DebugRegisters:
-    """Registers of a processor in GDB's numbering.
+    """Registers of a processor, numbered as GDB numbers them.
 
     Args:
-        cpu: An Engine; its `go_to` sets the program counter.
+        cpu: A UnicornProcessor; its `set_program_counter` sets the program counter.
         architecture: Name of the architecture in GDB.
         feature: Name of the register set in GDB.
         names: Names of the 32-bit registers, in GDB's order.
@@ -104,8 +104,8 @@ class DebugServer:
     """Server for one debugger in each run.
 
     Args:
-        engine: The Engine.
-        registers: Registers of the engine.
+        engine: The UnicornProcessor to debug.
+        registers: Registers of the processor.
         port: TCP port.
 
     Attributes:
@@ -124,7 +124,7 @@ class DebugServer:
         self.is_halted, self.is_single_step, self._reported = True, False, True
         self._signal = TRAP
         self._commands: dict[str, Callable[[str], str]] = {
-            "g": self._read_all, "G": self._write_all, "p": self._read_register, "P": self._write_register,
+            "g": self._read_all_registers, "G": self._write_all_registers, "p": self._read_register, "P": self._write_register,
             "m": self._read_memory, "M": self._write_memory, "Z": self._set_breakpoint, "z": self._clear_breakpoint,
         }  # fmt: skip
 
@@ -133,19 +133,19 @@ class DebugServer:
     def prepare_engine_run(self) -> None:
         """Wait for a debugger before the first run, and answer its commands while the program is halted."""
         if self._socket is None and self._port:
-            self._accept()
+            self._accept_debugger()
         if self.is_halted:
-            self._serve()
+            self._answer_commands()
         if self._socket is not None:
             address = self._engine.get_program_counter()
             self._skipped = address if address in self._breakpoints else None
             self._runs.set()
 
     def finish_engine_run(self) -> bool:
-        """Take note that the engine has stopped.
+        """Handle a stop of the processor.
 
         Returns:
-            Whether the debugger has stopped it, so that the engine must not look for another reason.
+            Whether the debugger has stopped the processor, so that the caller need not look for another reason.
         """
         self._runs.clear()
         if self.is_single_step:
@@ -158,7 +158,7 @@ class DebugServer:
         self._runs.clear()
         if self._socket is not None:
             self.is_halted, self._reported, self._signal = True, False, SEGMENTATION
-            self._serve()
+            self._answer_commands()
 
     def report_end(self, code: int) -> None:
         """Tell the debugger that the program has ended, and close the connection.
@@ -168,12 +168,13 @@ class DebugServer:
         """
         self._runs.clear()
         if self._socket is not None:
-            self._send(f"W{code & 0xFF:02x}")
-            self._close()
+            self._send_packet(f"W{code & 0xFF:02x}")
+            self._close_connection()
 
     # --- the connection ---
 
-    def _accept(self) -> None:
+    def _accept_debugger(self) -> None:
+        """Wait for a debugger to connect, and watch its connection for Ctrl-C."""
         with socket.create_server(("127.0.0.1", self._port)) as server:
             print(f"GDB: target remote 127.0.0.1:{self._port}", file=sys.stderr, flush=True)
             self._socket, _ = server.accept()
@@ -195,24 +196,27 @@ class DebugServer:
                 return
 
     def _halt(self, signal: int) -> None:
+        """Stop the processor, and halt the program for the debugger with a signal number."""
         self.is_halted, self._reported, self._signal = True, False, signal
         self._engine.uc.emu_stop()
 
-    def _close(self) -> None:
+    def _close_connection(self) -> None:
+        """Close the connection, remove all breakpoints, and let the program continue."""
         if self._socket is not None:
             self._socket.close()
         self._socket, self.is_halted = None, False
         for address in list(self._breakpoints):
             self._remove_breakpoint(address)
 
-    def _send(self, text: str) -> None:
+    def _send_packet(self, text: str) -> None:
+        """Send a packet with a text to the debugger."""
         if self._socket is not None:
             try:
                 self._socket.sendall(f"${text}#{sum(text.encode()) & 0xFF:02x}".encode())
             except OSError:
-                self._close()
+                self._close_connection()
 
-    def _receive(self) -> str | None:
+    def _receive_command(self) -> str | None:
         """Return the next command, CTRL_C, or None if the debugger has disconnected."""
         while self._socket is not None:
             self._received = self._received.lstrip(b"+-")
@@ -229,35 +233,35 @@ class DebugServer:
             except OSError:
                 more = b""
             if not more:
-                self._close()
+                self._close_connection()
             self._received += more
         return None
 
-    def _serve(self) -> None:
-        """Answer commands while the program is halted."""
+    def _answer_commands(self) -> None:
+        """Report the halt, and answer commands while the program is halted."""
         if not self._reported:
-            self._send(f"S{self._signal:02x}")
+            self._send_packet(f"S{self._signal:02x}")
             self._reported = True
-        while self.is_halted and (command := self._receive()) is not None:
-            if command != CTRL_C and (reply := self._answer(command)) is not None:
-                self._send(reply)
+        while self.is_halted and (command := self._receive_command()) is not None:
+            if command != CTRL_C and (reply := self._execute_command(command)) is not None:
+                self._send_packet(reply)
 
     # --- commands ---
 
-    def _answer(self, command: str) -> str | None:
-        """Execute a command and return the reply, or None if there is none or it follows later."""
+    def _execute_command(self, command: str) -> str | None:
+        """Execute a command and return the reply, or None if there is no reply or it follows later."""
         kind, rest = command[:1], command[1:]
         if kind in "cs" or command.startswith("vCont;"):
             one = kind == "s" or command.startswith("vCont;s")
             self.is_halted, self.is_single_step, self._reported = False, one, False
             return None
         if kind == "k":
-            self._close()
+            self._close_connection()
             self._engine.end(0)
             return None
         if kind == "D":
-            self._send("OK")
-            self._close()
+            self._send_packet("OK")
+            self._close_connection()
             return None
         if kind in "qQvH?T":
             return self._answer_query(command)
@@ -267,6 +271,7 @@ class DebugServer:
             return _ERROR
 
     def _answer_query(self, command: str) -> str:
+        """Return the reply to a query (q, Q, v, H, T) or to a question for the last signal (?)."""
         if command.startswith("qXfer:features:read:target.xml:"):
             at, size = _parse_range(command.rsplit(":", 1)[1])
             description = self._registers.description
@@ -280,34 +285,41 @@ class DebugServer:
             return f"S{self._signal:02x}"
         return _REPLIES.get(command, "OK" if command[0] in "HT" else "")
 
-    def _read_all(self, _rest: str) -> str:
+    def _read_all_registers(self, _rest: str) -> str:
+        """Return all registers in hexadecimal (command g)."""
         return "".join(self._format_register(n) for n in range(len(self._registers.sizes)))
 
-    def _write_all(self, rest: str) -> str:
+    def _write_all_registers(self, rest: str) -> str:
+        """Write all registers (command G)."""
         for n, size in enumerate(self._registers.sizes):
             self._registers.write(n, int.from_bytes(bytes.fromhex(rest[: 2 * size]), "little"))
             rest = rest[2 * size :]
         return "OK"
 
     def _read_register(self, rest: str) -> str:
+        """Return a register in hexadecimal (command p)."""
         return self._format_register(int(rest, 16))
 
     def _write_register(self, rest: str) -> str:
+        """Write a register (command P)."""
         number, value = rest.split("=")
         self._registers.write(int(number, 16), int.from_bytes(bytes.fromhex(value), "little"))
         return "OK"
 
     def _format_register(self, n: int) -> str:
+        """Return a register in hexadecimal, the lowest byte first."""
         size = self._registers.sizes[n]
         return (self._registers.read(n) & (1 << 8 * size) - 1).to_bytes(size, "little").hex()
 
     def _read_memory(self, rest: str) -> str:
+        """Return memory in hexadecimal (command m), or an error for a window of the board."""
         at, size = _parse_range(rest)
         if self._engine.overlaps_window(at, size):
             return _ERROR
         return bytes(self._engine.uc.mem_read(at, min(size, MAX_READ))).hex()
 
     def _write_memory(self, rest: str) -> str:
+        """Write memory (command M), or return an error for a window of the board."""
         where, content = rest.split(":")
         at, size = _parse_range(where)
         if self._engine.overlaps_window(at, size):
@@ -316,6 +328,7 @@ class DebugServer:
         return "OK"
 
     def _set_breakpoint(self, rest: str) -> str:
+        """Set a breakpoint (command Z)."""
         kind, address = rest.split(",")[:2]
         at = int(address, 16)
         if kind not in "01":
@@ -325,6 +338,7 @@ class DebugServer:
         return "OK"
 
     def _clear_breakpoint(self, rest: str) -> str:
+        """Clear a breakpoint (command z)."""
         kind, address = rest.split(",")[:2]
         if kind not in "01":
             return ""
@@ -332,6 +346,7 @@ class DebugServer:
         return "OK"
 
     def _remove_breakpoint(self, address: int) -> None:
+        """Remove the breakpoint at an address, if there is one."""
         if address in self._breakpoints:
             self._engine.uc.hook_del(self._breakpoints.pop(address))
 
@@ -346,5 +361,6 @@ class DebugServer:
 
 
 def _parse_range(text: str) -> tuple[int, int]:
+    """Return address and size in a text such as "1000,20", both in hexadecimal."""
     at, size = (int(part, 16) for part in text.split(","))
     return at, size

@@ -35,24 +35,25 @@ DEBUG_PATIENCE_S = 1e9  # with a person at a debugger
 
 
 class TargetHost(Host):
-    """Firmware as a program of another processor.
+    """Firmware that runs as a program of another processor, on an emulator.
 
     Args:
-        firmware: An ELF program; for mcu 8086 a .COM or .EXE.
-        board: A Board; one firmware at a time drives it.
-        mcu: The processor, for example atmega2560, cortex-m3, 8086.
-        map: How the board is wired to it, one text or several: an AVR's pins, see stage.targets.avr_bus; of a Cortex-M windows, see
-            stage.board.memory_mapped_ports; an 8086 has ports of its own.
-        pins: Pins of an AVR that are STEP/DIR lines and switches of axes, see stage.board.pin_assignment: one text or several.
-        mcu_clock: Its clock, Hz; default: see docs/targets.md.
-        gdb: TCP port, on 127.0.0.1, at which the processor waits for a GDB.
-        isolated: Whether it runs in a process of its own, see stage.board.isolation.
-        patience: Seconds of real time that it may run without simulated time passing.
+        firmware: An ELF program; for mcu 8086, a .COM or .EXE file.
+        board: A Board; only one firmware at a time drives it.
+        mcu: Name of the processor, for example atmega2560, cortex-m3, 8086.
+        map: Wiring of the board to the processor, one text or several: the pins of an AVR, see stage.targets.avr_bus; the memory
+            windows
+            of a Cortex-M, see stage.board.memory_mapped_ports; an 8086 has ports of its own.
+        pins: Pins of an AVR that are STEP/DIR lines and switches of axes, one text or several; see stage.board.pin_assignment.
+        mcu_clock: Clock of the processor, Hz; None: the default in docs/targets.md.
+        gdb: TCP port on 127.0.0.1 at which the processor waits for a debugger (GDB); None: no debugger.
+        isolated: Whether the firmware runs in a process of its own, see stage.board.isolation.
+        patience: Longest real time that the firmware may run while no simulated time passes, s.
 
     Raises:
-        ArgumentError: An unknown mcu, a map of another form, or no such clock or patience.
+        ArgumentError: The mcu is unknown, the map has another form, or the clock or patience is out of range.
         NoEmulatorError: The emulator is not installed.
-        LibraryError, FileError: No program of this processor.
+        LibraryError, FileError: The file is no program for this processor.
     """
 
     def __init__(  # noqa: PLR0913  each is one property of the processor or of its wiring
@@ -89,8 +90,10 @@ class TargetHost(Host):
 
 
 def _check_port_is_free(port: int) -> None:
-    """Raise ArgumentError if a TCP port is in use. Emulators notice that only during the run, and simavr then waits
-    forever."""
+    """Raise ArgumentError if a TCP port is in use.
+
+    An emulator would notice that only during the run, and simavr would then wait forever.
+    """
     with socket.socket() as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -138,7 +141,7 @@ def make_program(
 
 
 def _parse_cortex_maps(maps: list[str]) -> tuple[tuple[Window, ...], int | None]:
-    """Parse windows, as 0x40021000=0x300+0x40, and irq=6: the interrupt of NVIC that the board's line is wired to."""
+    """Parse texts such as 0x40021000=0x300+0x40 (a window) and irq=6 (the NVIC interrupt to which the board's line is wired)."""
     wires = [m for m in maps if m.strip().startswith("irq")]
     windows = parse_windows([m for m in maps if m not in wires])
     match = re.fullmatch(r"\s*irq\s*=\s*([0-9]+)\s*", wires[0]) if wires else None
@@ -152,7 +155,7 @@ def _parse_cortex_maps(maps: list[str]) -> tuple[tuple[Window, ...], int | None]
 
 
 def _parse_pc_maps(maps: list[str]) -> int | None:
-    """Parse irq=5: the interrupt of a PC that the board's line is wired to."""
+    """Parse a text such as irq=5: the interrupt of a PC to which the board's line is wired."""
     if not maps:
         return None
     match = re.fullmatch(r"\s*irq\s*=\s*([2-7])\s*", maps[0]) if len(maps) == 1 else None

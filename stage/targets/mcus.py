@@ -1,4 +1,4 @@
-"""The processors that can be emulated: which emulator has each, and what it needs."""
+"""Processors that can be emulated, the emulator of each, and what the emulator needs."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def has_unicorn() -> bool:
 
 
 def check_unicorn() -> None:
-    """Raise NoEmulatorError where Unicorn is not installed."""
+    """Raise NoEmulatorError if Unicorn is not installed."""
     if not has_unicorn():
         raise NoEmulatorError(f"there is no {UNICORN}: install it.")
 

@@ -1,4 +1,4 @@
-"""The interrupt controller and SysTick of a Cortex-M: registers by their offset from E0000000h, and which exception comes next."""
+"""Interrupt controller and SysTick of a Cortex-M: registers by their offset from E0000000h, and the choice of an exception."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _RESET = 4
 
 
 class Nvic:
-    """Interrupt controller and SysTick.
+    """Interrupt controller (NVIC) and SysTick.
 
     Args:
         now: Function that returns the number of clock cycles that the processor has run.
-        irq: Number of the interrupt that the board's line is wired to, or None.
+        irq: Number of the interrupt to which the board's line is wired, or None.
 
     Attributes:
-        level: Whether the board pulls its line.
-        vectors: Address of the table of vectors.
+        level: Whether the board asserts its interrupt line.
+        vectors: Address of the vector table.
     """
 
     def __init__(self, now: Callable[[], int], irq: int | None):
@@ -56,11 +56,13 @@ class Nvic:
         return {n for n in self._pending if n < FIRST or n in self._enabled}
 
     def _list_candidates(self) -> set[int]:
+        """Return all exceptions that are pending and enabled, including that of the board's line."""
         line = FIRST + self._irq if self._irq is not None else None
         may_come = self.level and line in self._enabled and line not in self._active
         return self._list_waiting_exceptions() | ({line} if line is not None and may_come else set())
 
     def _get_active_priority(self) -> int:
+        """Return the highest priority (lowest number) of the active exceptions."""
         return min((self._priority.get(n, 0) for n in self._active), default=_LOWEST)
 
     def enter_exception(self, number: int) -> None:
@@ -93,8 +95,7 @@ class Nvic:
         )
 
     def can_line_interrupt(self) -> bool:
-        """Tell whether the interrupt of the board's line is enabled and has a higher priority than the running
-        routine."""
+        """Tell whether the interrupt of the board's line is enabled, with a higher priority than the running routine."""
         if self._irq is None or FIRST + self._irq not in self._enabled or FIRST + self._irq in self._active:
             return False
         return self._priority.get(FIRST + self._irq, 0) < self._get_active_priority()
@@ -117,6 +118,7 @@ class Nvic:
             self._pending.add(SYSTICK)
 
     def _read_systick_count(self) -> int:
+        """Return the current count of SysTick."""
         if not self._control & 1:
             return 0
         return self._reload - (self._now() - self._started) % (self._reload + 1)
@@ -164,6 +166,7 @@ class Nvic:
 
     @staticmethod
     def _pack_register_bits(numbers: set[int], at: int) -> int:
+        """Return a 32-bit register with a bit for each exception in `numbers`, for the register at offset `at` of its group."""
         return sum(1 << n - FIRST - at * 8 for n in numbers if 0 <= n - FIRST - at * 8 < 32)
 
     def write(self, at: int, value: int, size: int, byte: int) -> bool:
@@ -200,6 +203,7 @@ class Nvic:
         return False
 
     def _write_systick(self, at: int, value: int) -> None:
+        """Write a register of SysTick."""
         if at == _RELOAD:
             self._reload = value & 0xFFFFFF
             return

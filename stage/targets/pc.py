@@ -22,9 +22,9 @@ from stage.targets import dos
 from stage.targets.elf import MAX_SIZE, read_machine_name
 from stage.targets.gdb import DebugServer, make_pc_registers
 from stage.targets.pc_timer import HZ as TIMER_HZ
-from stage.targets.pc_timer import Timers
+from stage.targets.pc_timer import PcTimer
 from stage.targets.processor_core import poll_from_python, wait
-from stage.targets.unicorn_engine import NEVER, Engine
+from stage.targets.unicorn_engine import NEVER, UnicornProcessor
 
 DEFAULT_HZ = 4_772_727
 INSTRUCTION_CYCLES, BYTE_CYCLES = 8, 4
@@ -64,11 +64,11 @@ class PcProgram:
         return Pc(self, board)
 
 
-class Pc(Engine):
-    """PC with a loaded program.
+class Pc(UnicornProcessor):
+    """PC with a loaded DOS program.
 
     Attributes:
-        prefix: Segment of the program's prefix.
+        prefix: Segment of the program's prefix (PSP).
     """
 
     REGISTER_PREFIX = "UC_X86_REG_"
@@ -90,7 +90,7 @@ class Pc(Engine):
         t.watched, t.edge = program.irq is not None, 1
         self.uc.mem_map(0, MEMORY)
         self._masked, self._in_service = 0xFF & ~(1 | (1 << program.irq if program.irq else 0)), 0
-        self.timers = Timers(lambda: int(t.cycles) * TIMER_HZ // int(t.hz))
+        self.timers = PcTimer(lambda: int(t.cycles) * TIMER_HZ // int(t.hz))
         self._tick_pending = 0
         self._load_bios()
         self._load_program(program.path)
@@ -127,6 +127,7 @@ class Pc(Engine):
     # --- before the program runs ---
 
     def _load_bios(self) -> None:
+        """Fill the interrupt vectors with default routines in ROM."""
         for n in range(256):
             self.write(0, 4 * n, struct.pack("<HH", *self.get_default_vector(n)))
         self.write(ROM, STUBS, b"\xcf" * 256)
@@ -143,6 +144,7 @@ class Pc(Engine):
         return offset, segment
 
     def _load_program(self, path: Path) -> None:
+        """Load a .COM or .EXE file behind its prefix, and set the registers for its start."""
         refuse_irregular(path, "program")
         if not path.is_file():
             raise FileError(f"{path}: there is no such file.")
@@ -176,6 +178,7 @@ class Pc(Engine):
         )
 
     def _load_exe(self, path: Path, content: bytes) -> None:
+        """Load an .EXE file, relocate it, and set the registers for its start."""
         if len(content) < 0x1C:
             raise LibraryError(f"{path} is cut off: an .EXE has a head of 28 bytes.")
         last, pages, relocations, head, _, _, ss, sp, _, ip, cs, table = struct.unpack_from("<12H", content, 2)
@@ -207,7 +210,7 @@ class Pc(Engine):
         elif number in (6, 13):
             self.fail("an instruction that this processor does not have")
         else:
-            self.dos.serve(number)
+            self.dos.execute_interrupt(number)
 
     def get_start_address(self) -> int:
         """Return the linear address of CS:IP."""
@@ -223,8 +226,7 @@ class Pc(Engine):
         return f"{cs:04X}:{ip:04X} (offset {((cs - PREFIX_SEGMENT) << 4) + ip:X}h of its segment)"
 
     def handle_stop(self) -> None:
-        """Handle a stop of Unicorn: enter a software interrupt, wait at HLT, update the timer and poll the board's
-        line."""
+        """Handle a stop of Unicorn: enter a software interrupt, wait at HLT, update the timer, or poll the board's line."""
         t = self.record
         if self._call is not None:
             number, self._call = self._call, None
@@ -237,7 +239,7 @@ class Pc(Engine):
             wait.c(t.own)
         if t.cycles >= t.alarm:
             self._pend_timer_interrupt()
-        self._serve_interrupts()
+        self._enter_pending_interrupt()
 
     def _enter_interrupt(self, number: int) -> None:
         """Begin the routine of an interrupt."""
@@ -246,7 +248,8 @@ class Pc(Engine):
         offset, segment = self.read_vector(number)
         self.set(sp=sp, eflags=flags & ~0x300, cs=segment, ip=offset)
 
-    def _serve_interrupts(self) -> None:
+    def _enter_pending_interrupt(self) -> None:
+        """Enter the routine of a pending interrupt, of the timer or the board's line, if interrupts are enabled."""
         t = self.record
         if not self.get("eflags") & _IF:
             t.device_waits = self._tick_pending
@@ -270,7 +273,7 @@ class Pc(Engine):
             self.record.due = self.record.cycles
 
     def _pend_timer_interrupt(self) -> None:
-        """Record that channel 0 has reached zero."""
+        """Mark the interrupt of timer channel 0 as pending, because the channel has reached zero."""
         self._tick_pending = self.record.device_waits = 1
         self.schedule_timer_interrupt()
 
@@ -278,7 +281,7 @@ class Pc(Engine):
         """Schedule the next interrupt of timer channel 0, if the program has installed a routine for it."""
         is_used = any(self.read_vector(n) != self.get_default_vector(n) for n in (0x08, 0x1C))
         t = self.record
-        t.alarm = -(-self.timers.next_tick() * int(t.hz) // TIMER_HZ) if is_used else NEVER
+        t.alarm = -(-self.timers.find_next_zero() * int(t.hz) // TIMER_HZ) if is_used else NEVER
         t.due = t.cycles
 
     # --- ports of the PC ---
@@ -306,6 +309,7 @@ class Pc(Engine):
             return OPEN_BUS
 
     def _make_board_cycle(self, port: int, size: int, value: int) -> int:
+        """Make a bus cycle of the board; `value` is written, -1 for a read. Return the value read."""
         link = self._board.link
         what = (OUT8 if size == 1 else OUT16) if value >= 0 else (IN8 if size == 1 else IN16)
         poll_from_python.c(self.record.own)
@@ -313,11 +317,13 @@ class Pc(Engine):
         return int(link.request(link.pointer, what, port, max(value, 0)))
 
     def _read_internal_port(self, port: int) -> int:
+        """Return a byte of the timer or the interrupt controller."""
         if port in (0x20, 0x21):
             return self._masked if port == 0x21 else 0
         return self.timers.read(port)
 
     def _write_internal_port(self, port: int, value: int) -> int:
+        """Write a byte to the timer or the interrupt controller."""
         if port not in (0x20, 0x21):
             self.timers.write(port, value)
             self.schedule_timer_interrupt()

@@ -1,4 +1,4 @@
-"""The timer of a PC (8253): three channels of 1.19318 MHz, in closed form; channel 2 with its gate at port 61h."""
+"""Timer of a PC (8253): three channels of 1.19318 MHz, computed in closed form, channel 2 with its gate at port 61h."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ _SQUARE = 3
 
 
 @dataclass
-class Channel:
-    """Counter of the timer.
+class TimerChannel:
+    """Counter channel of the timer.
 
     Attributes:
-        mode, access: Fields of its control word.
+        mode, access: Fields of the control word.
         reload: Reload value, 1 to 65536.
-        started: Time at which it was loaded, in timer clocks.
-        low: Low byte, while the high byte has not been written.
+        started: Time at which the counter was loaded, in timer clocks.
+        low: Low byte of a reload value, until the high byte has been written.
         latched: Latched count, or -1.
-        half: Byte that is accessed next, 0 low or 1 high.
+        half: Byte that is accessed next: 0 low, 1 high.
     """
 
     mode: int = _SQUARE
@@ -57,8 +57,8 @@ class Channel:
         return passed % self.reload != self.reload - 1 if self.mode in (2, 6) else passed >= self.reload
 
 
-class Timers:
-    """Three counter channels of a PC.
+class PcTimer:
+    """Three counter channels of a PC's timer.
 
     Args:
         now: Function that returns the current time in timer clocks.
@@ -66,10 +66,10 @@ class Timers:
 
     def __init__(self, now: Callable[[], int]):
         self._now = now
-        self.channels = [Channel(), Channel(), Channel()]
+        self.channels = [TimerChannel(), TimerChannel(), TimerChannel()]
         self._gate = 0
 
-    def next_tick(self) -> int:
+    def find_next_zero(self) -> int:
         """Return the time at which channel 0 reaches zero next, in timer clocks."""
         c = self.channels[0]
         return c.started + ((self._now() - c.started) // c.reload + 1) * c.reload

@@ -1,12 +1,11 @@
-"""Common functions of emulated processors, compiled: clock and bus cycles; on Unicorn also interrupt line, ports and
-windows.
+"""Common functions of emulated processors, compiled: clock and bus cycles; on Unicorn also interrupt line, ports and windows.
 
-A processor counts its clock cycles. Before each bus cycle the board advances to the processor's time; at the latest it
-does so after a quantum, when the processor polls the interrupt line. If a bus cycle of the board takes longer, the
+A processor counts its clock cycles. Before each bus cycle, the board advances to the processor's time, and at the latest after a
+quantum, when the processor polls the interrupt line. If a bus cycle of the board takes longer than that of the processor, the
 processor waits (READY).
 
-Unicorn does not model the duration of instructions. Here each instruction takes a fixed number of cycles plus some for
-each byte: an approximation that each processor documents.
+Unicorn does not model the duration of instructions. Here each instruction takes a fixed number of cycles, and some more for each of
+its bytes; the module of each processor states its numbers.
 """
 
 from __future__ import annotations
@@ -53,14 +52,14 @@ _internal_port = declare_address_call("i8", "i8", "i8", "i8", "i8")
 
 @hot
 def _are_interrupts_enabled(cpu):
+    """Return whether the processor's flags enable interrupts."""
     _reg_read(cpu.reg_read, (cpu.uc, cpu.flags, cpu.flags_at))
     return array_at(cpu.flags_at, 1, INTEGER)[0] & cpu.mask == cpu.on
 
 
 @hot
 def poll(cpu):
-    """Advance the board to the processor's time and read the interrupt line; return 1 if Python has something to
-    handle."""
+    """Advance the board to the processor's time, and read the interrupt line. Return 1 if Python has something to handle."""
     line = advance_board(cpu, cpu.cycles)
     if line and not (cpu.edge and cpu.before):
         cpu.raised = 1
@@ -76,7 +75,7 @@ def poll(cpu):
 
 @exported("i8", MACHINE)
 def poll_from_python(cpu):
-    """Poll on behalf of Python."""
+    """Do the same as `poll`, for calls from Python."""
     return poll(cpu)
 
 
@@ -89,7 +88,7 @@ def wait(cpu):
 
 @exported(None, "i8", "i8", "i4", MACHINE)
 def count_instruction(_uc, _address, size, cpu):
-    """Count an instruction before it runs, and stop Unicorn if Python has something to handle."""
+    """Count the cycles of an instruction before it runs, and stop Unicorn if Python has something to handle."""
     cpu.cycles += cpu.each + cpu.byte * size
     if cpu.cycles >= cpu.due and poll(cpu):
         _stop(cpu.stop, (cpu.uc,))
@@ -97,19 +96,21 @@ def count_instruction(_uc, _address, size, cpu):
 
 @hot
 def _read_port(cpu, size, port):
+    """Make read cycles at ports of the board for a value of `size` bytes; return the value."""
     code = IN8 if size == 1 else IN16 if size == 2 else IN32
     return bus_cycle(cpu, cpu.cycles, code, port, 0)
 
 
 @hot
 def _write_port(cpu, size, port, value):
+    """Make write cycles at ports of the board for a value of `size` bytes."""
     code = OUT8 if size == 1 else OUT16 if size == 2 else OUT32
     bus_cycle(cpu, cpu.cycles, code, port, value)
 
 
 @exported("i4", "i8", "i4", "i4", MACHINE)
 def execute_in(_uc, port, size, cpu):
-    """Execute the instruction IN."""
+    """Execute the instruction IN. Unicorn calls this."""
     if port < cpu.n_internal_ports:
         return _internal_port(cpu.internal_port, (cpu.own, port, size, -1))
     value = _read_port(cpu, size, port)
@@ -119,7 +120,7 @@ def execute_in(_uc, port, size, cpu):
 
 @exported(None, "i8", "i4", "i4", "i4", MACHINE)
 def execute_out(_uc, port, size, value, cpu):
-    """Execute the instruction OUT."""
+    """Execute the instruction OUT. Unicorn calls this."""
     if port < cpu.n_internal_ports:
         _internal_port(cpu.internal_port, (cpu.own, port, size, value & (0xFF if size == 1 else 0xFFFF)))
         return
@@ -129,7 +130,7 @@ def execute_out(_uc, port, size, value, cpu):
 
 @hot
 def _find_port(cpu, address, size):
-    """Return the port of an address in a window; for other addresses stop Unicorn and return -1."""
+    """Return the port of the board for an address in a window. For other addresses, stop Unicorn and return -1."""
     windows = array_at(cpu.windows, cpu.n_windows, WINDOW)
     for k in range(cpu.n_windows):
         n = address - windows[k].address
@@ -142,7 +143,7 @@ def _find_port(cpu, address, size):
 
 @exported("i8", "i8", "i8", "i4", PAGE)
 def load_from_window(_uc, offset, size, page):
-    """Load from a page of memory with windows."""
+    """Return bytes at an offset in a page of memory with windows. Unicorn calls this."""
     cpu = array_at(page.machine, 1, MACHINE)[0]
     port = _find_port(cpu, page.address + offset, size)
     if port < 0:
@@ -154,7 +155,7 @@ def load_from_window(_uc, offset, size, page):
 
 @exported(None, "i8", "i8", "i4", "i8", PAGE)
 def store_to_window(_uc, offset, size, value, page):
-    """Store to a page of memory with windows."""
+    """Store bytes at an offset in a page of memory with windows. Unicorn calls this."""
     cpu = array_at(page.machine, 1, MACHINE)[0]
     port = _find_port(cpu, page.address + offset, size)
     if port >= 0:
@@ -164,26 +165,25 @@ def store_to_window(_uc, offset, size, value, page):
 
 @hot
 def request(cpu, code, a, b):
-    """Execute a request to the board."""
+    """Execute a request to the board and return its answer. `code` is the kind of the request; `a` and `b` are its operands."""
     return _request(cpu.request, (cpu.host, code, a, b))
 
 
 @hot
 def compute_time(cpu, cycles):
-    """Return the board's time, ns, at which the processor has run this number of cycles."""
+    """Return the board's time, ns, at which the processor has run a number of cycles."""
     return cpu.begin + cpu.waits + cycles // cpu.hz * SECOND + cycles % cpu.hz * SECOND // cpu.hz
 
 
 @hot
 def advance_board(cpu, cycles):
-    """Advance the board to the processor's time; return 1 if the interrupt line is asserted and wired to the
-    processor."""
+    """Advance the board to the processor's time. Return 1 if the interrupt line is asserted and wired to the processor."""
     return request(cpu, UNTIL, compute_time(cpu, cycles), cpu.watched)
 
 
 @hot
 def bus_cycle(cpu, cycles, code, port, value):
-    """Make a bus cycle that ends when the processor has run this number of cycles; return the answer."""
+    """Make a bus cycle that ends when the processor has run a number of cycles; return the answer."""
     host = array_at(cpu.host, 1, HOST)[0]
     end = compute_time(cpu, cycles)
     request(cpu, UNTIL, end - host.bus, 0)

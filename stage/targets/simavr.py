@@ -1,8 +1,8 @@
-"""Run AVR programs on simavr. Its library, which is under the GPL, is opened at run time; it is neither part of this
-package nor linked.
+"""AVR programs on simavr. The library of simavr, which is under the GPL, is opened at run time; it is neither part of this package
+nor linked.
 
-The module uses simavr's functions. What these cannot give, such as clock and program counter, is in simavr's structures;
-`simavr_layout` knows their offsets and refuses a version that has others.
+The module uses simavr's functions. Values without a function, such as clock and program counter, are read from simavr's structures:
+`simavr_layout` knows their offsets, and refuses a version of simavr with other offsets.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from stage.board.pin_assignment import PinLine, WiringFinding
 from stage.errors import StageError
 from stage.native import address_of, array_at
 from stage.targets import avr_core, avr_uart, mcus, simavr_layout
-from stage.targets.avr_bus import AvrBus, Pins, encode_request
+from stage.targets.avr_bus import AvrBus, BusPins, encode_ioctl_request
 from stage.targets.avr_lines import AvrLines
 from stage.targets.avr_uart import AvrUart
 from stage.targets.elf import AVR, Elf, check_avr, read_mmcu
@@ -66,27 +66,27 @@ _ADDRESS_SPACE = 1 << 24  # bytes that an address of an AVR reaches, with RAMPZ 
 
 
 class _Eeprom(ctypes.Structure):
-    """avr_eeprom_desc_t."""
+    """Structure avr_eeprom_desc_t of simavr."""
 
     _fields_ = (("content", ctypes.c_char_p), ("offset", ctypes.c_uint16), ("size", ctypes.c_uint32))
 
 
 @dataclass(frozen=True)
 class AvrProgram:
-    """An ELF program for an AVR.
+    """ELF program for an AVR.
 
     Attributes:
         path: The file.
-        mcu: The AVR.
-        pins: The pins of its bus; None: it has none.
+        mcu: Name of the AVR.
+        pins: Pins of its bus; None: it has no bus.
         lines: Lines of axes at its pins.
-        hz: Its clock; None: that of its .mmcu section, or 16 MHz.
+        hz: Clock, Hz; None: that of the program's .mmcu section, or 16 MHz.
         gdb: TCP port of a GDB server, or None.
     """
 
     path: Path
     mcu: str
-    pins: Pins | None
+    pins: BusPins | None
     lines: tuple[PinLine, ...]
     hz: int | None
     gdb: int | None
@@ -97,17 +97,17 @@ class AvrProgram:
 
 
 class _Library:
-    """Library of simavr, loaded once a process, with its messages redirected to this module.
+    """Library of simavr, loaded once in a process, whose messages go to this module.
 
-    In the process of an isolated firmware its output, allocation and GDB server are redirected, too.
+    In the process of an isolated firmware, its output, memory allocation and GDB server are redirected, too.
 
     Attributes:
-        instance: The one object of this class, or None before the first use.
-        library: The library, as ctypes has loaded it.
+        instance: The only object of this class, or None before the first use.
+        library: The library as a ctypes object.
         messages: Level and text of each message.
         running_record: AVR record of the running program, or None.
-        run_cycles: Its run_cycle_count and run_cycle_limit: cycles that simavr runs on end.
-        gdb_port: TCP port of its GDB server.
+        run_cycles: simavr's run_cycle_count and run_cycle_limit: the cycles that it runs without a check.
+        gdb_port: TCP port of simavr's GDB server.
     """
 
     instance: _Library | None = None
@@ -122,13 +122,13 @@ class _Library:
         self._libc = libc = ctypes.CDLL(None)
         libc.calloc.restype, libc.calloc.argtypes = ctypes.c_void_p, (ctypes.c_size_t, ctypes.c_size_t)
         self._text = ctypes.create_string_buffer(1024)
-        self._logger, self.no_op = _LOGGER(self._log), _NOTHING(lambda _: 0)
+        self._logger, self.no_op = _LOGGER(self._store_message), _NOTHING(lambda _: 0)
         self.is_redirected = isolated and IS_SUPPORTED
         if self.is_redirected:
             from stage.board.isolation.traps import redirect_calls
 
             self._functions = {
-                **dict.fromkeys(("printf", "__printf_chk", "puts", "putchar"), self.no_op), "bind": _BIND(self._bind),
+                **dict.fromkeys(("printf", "__printf_chk", "puts", "putchar"), self.no_op), "bind": _BIND(self._bind_gdb_server),
                 "malloc": _MALLOC(lambda size: self._allocate_with_reserve("malloc", size)),
                 "calloc": _CALLOC(lambda count, size: self._allocate_with_reserve("calloc", count * size)),
             }  # fmt: skip
@@ -137,7 +137,8 @@ class _Library:
         self.make_avr, self.get_irq = self.library["avr_make_mcu_by_name"], self.library["avr_io_getirq"]
         self.make_avr.restype = self.get_irq.restype = ctypes.c_void_p
 
-    def _log(self, _avr: int, level: int, text: bytes, arguments: int) -> None:
+    def _store_message(self, _avr: int, level: int, text: bytes, arguments: int) -> None:
+        """Store a message of simavr. simavr calls this."""
         self._libc.vsnprintf(self._text, len(self._text), text, ctypes.c_void_p(arguments))
         message = _COLOR.sub("", self._text.value.decode(errors="replace")).strip()
         self.messages.append((level, message))
@@ -145,19 +146,20 @@ class _Library:
             self.running_record.ended = 1
             self.run_cycles[0] = 0  # no further instruction
 
-    def _bind(self, socket: int, address: int, size: int) -> int:
+    def _bind_gdb_server(self, socket: int, address: int, size: int) -> int:
         """Bind simavr's GDB server, which would listen on all interfaces, to 127.0.0.1 and the chosen port."""
         ours = ctypes.string_at(address, 2) + struct.pack("!H", self.gdb_port) + bytes((127, 0, 0, 1)) + bytes(8)
         return int(self._libc.bind(socket, ours, size))
 
     def _allocate_with_reserve(self, name: str, size: int) -> int | None:
+        """Allocate memory for simavr by its function `name`, with reserve space behind it."""
         room, self._reserves[name] = self._reserves[name], 0
         return self._libc.calloc(1, size + room)
 
     def init_avr(self, avr: int) -> None:
         """Call avr_init, and allocate flash and RAM with reserve space behind them.
 
-        simavr reports a write behind the end of a memory, but executes it all the same.
+        simavr reports a write beyond the end of a memory, but executes it nevertheless.
 
         Args:
             avr: Address of the avr_t.
@@ -179,6 +181,7 @@ class _Library:
 
 
 def _open_library(isolated: bool) -> _Library:
+    """Return the library of simavr; open it at the first call."""
     if _Library.instance is None:
         _Library.instance = _Library(isolated)
     return _Library.instance
@@ -223,7 +226,7 @@ class LoadedAvr:
         self._bus = AvrBus(program.pins, self, board) if program.pins else None
         if irq:
             self.raise_irq(int(self.record.line_irq), 1)
-        self._speed_up()
+        self._skip_needless_checks()
         drives_lines = any("step" in chip.INPUTS for chip in board.stage.chips)
         self._lines = AvrLines(program.lines, self, board) if drives_lines else None
         self._connect_serial_lines()
@@ -237,31 +240,32 @@ class LoadedAvr:
         return int.from_bytes(read_mmcu(self._elf).get(_CLOCK_TAG, b"")[:4], "little")
 
     def _set_clock(self, hz: int) -> None:
-        """Set the clock in Hz, let simavr not sleep in real time, and find what this class reads in the avr_t."""
-        row = simavr_layout.view(self._avr, simavr_layout.AVR)
+        """Set the clock in Hz, keep simavr from sleeping in real time, and find the fields of the avr_t that this class reads."""
+        row = simavr_layout.view_structure(self._avr, simavr_layout.AVR)
         row["hz"], row["sleep"] = hz, ctypes.cast(self._simavr.no_op, ctypes.c_void_p).value
         at = {name: self._avr + simavr_layout.get_offset(simavr_layout.AVR, name) for name in row.dtype.names}
         self._pc, self._state_at, self._wait_at = at["pc"], at["state"], at["interrupt_wait"]
         self._state = array_at(self._state_at, 1, np.dtype("u4"))
         self._run_cycles = array_at(at["cycles_left"], 2, np.dtype("u8"))
 
-    def _speed_up(self) -> None:
-        """Take from simavr what it does after each instruction although nothing comes of it.
+    def _skip_needless_checks(self) -> None:
+        """Turn off checks that simavr would make after each instruction without any effect.
 
-        Up to the next timer it may run RUN_CYCLES instructions on end. GDB needs a check after each. A low pin of an external
-        interrupt, which simavr would poll in each cycle even if the interrupt is disabled, interrupts at its edge. Only the
-        interrupt line of the board, which is high at this moment, remains a level.
+        Between two timer events, simavr then runs RUN_CYCLES instructions without a check, unless GDB needs one after each. A low
+        pin of an
+        external interrupt, which simavr would poll in each cycle even if the interrupt is disabled, interrupts at its edge. Only
+        the
+        interrupt line of the board, which is high at this moment, remains level-sensitive.
         """
         if not self._gdb:
             self._run_cycles[1] = RUN_CYCLES
         for number in range(EXTERNAL_INTERRUPTS):
-            irq = self._simavr.get_irq(ctypes.c_void_p(self._avr), encode_request("int "), number)
+            irq = self._simavr.get_irq(ctypes.c_void_p(self._avr), encode_ioctl_request("int "), number)
             if irq and not array_at(int(irq) + _VALUE, 1, np.dtype("u4"))[0]:
                 self._call_library("avr_extint_set_strict_lvl_trig", ctypes.c_uint8(number), ctypes.c_uint8(0))
 
     def _disconnect_upper_analog_inputs(self) -> None:
-        """Let the analog inputs from 8 on read 0, as the others do. simavr has values for eight of them and would read what
-        follows in memory."""
+        """Let the analog inputs from 8 on read 0, like the others. simavr has values for only eight, and would read beyond them."""
         words: Any = array_at(self._avr, self._simavr.get_size(self._avr) // 8, np.dtype("u8"))
         inputs = (_ANALOG_INPUT | np.arange(ANALOG_INPUTS) << _INPUT_NUMBER).astype("u8")
         for at in np.flatnonzero(words == inputs[0]):
@@ -270,6 +274,7 @@ class LoadedAvr:
                 modes[(modes & ((1 << _INPUT_NUMBER) - 1) == _ANALOG_INPUT) & (modes > inputs[-1])] = 0
 
     def _load_content(self) -> None:
+        """Load the program's segments into flash, RAM and EEPROM."""
         room, begin = _read_flash_size(self._avr), b""
         for segment in self._elf.segments:
             if segment.used_at >= EEPROM + 0x10000:
@@ -277,7 +282,7 @@ class LoadedAvr:
             content = segment.content
             if segment.used_at >= EEPROM:
                 description = _Eeprom(content, segment.used_at - EEPROM, len(content))
-                self._call_library("avr_ioctl", encode_request("eesp"), ctypes.byref(description))
+                self._call_library("avr_ioctl", encode_ioctl_request("eesp"), ctypes.byref(description))
             elif segment.at + len(content) > room:
                 raise LibraryError(
                     f"{self.path} has code up to {segment.at + len(content):X}h, and the flash ends at {room:X}h: it was linked "
@@ -331,14 +336,17 @@ class LoadedAvr:
         return bool(self._get_port_irq(port, 0))
 
     def _get_port_irq(self, port: int, number: int) -> int | None:
-        return self._simavr.get_irq(ctypes.c_void_p(self._avr), encode_request("iog" + avr_core.PORTS[port]), number)
+        """Return a simavr IRQ of a port, or None if this AVR has no such port."""
+        return self._simavr.get_irq(
+            ctypes.c_void_p(self._avr), encode_ioctl_request("iog" + avr_core.PORTS[port]), number
+        )
 
     def find_function_address(self, name: str) -> int:
         """Return the address of a function of simavr."""
         return self._simavr.find_function_address(name)
 
     def control_port(self, request: int, description: int) -> None:
-        """Call avr_ioctl with the address of a description."""
+        """Call avr_ioctl with a request number and the address of a description."""
         self._call_library("avr_ioctl", request, ctypes.c_void_p(description))
 
     def raise_irq(self, irq: int, level: int) -> None:
@@ -361,9 +369,9 @@ class LoadedAvr:
         """Connect the serial lines of the program to the log, and the first of them to the board."""
         self._uarts: list[AvrUart] = []
         for name in avr_uart.NAMES:
-            irqs = self._simavr.get_irq(ctypes.c_void_p(self._avr), encode_request("uar" + name), 0)
+            irqs = self._simavr.get_irq(ctypes.c_void_p(self._avr), encode_ioctl_request("uar" + name), 0)
             if irqs:
-                self._call_library("avr_ioctl", encode_request("uas" + name), ctypes.byref(ctypes.c_uint32(0)))
+                self._call_library("avr_ioctl", encode_ioctl_request("uas" + name), ctypes.byref(ctypes.c_uint32(0)))
                 self._uarts.append(AvrUart(name, self, int(irqs), self._board, connected=not self._uarts))
 
     def start_timer(self, cycles: int, function: Any, address: int) -> None:
@@ -385,7 +393,7 @@ class LoadedAvr:
         t.when = t.quantum
         self.start_timer(int(t.quantum), self._tick, int(t.own))
         for uart in self._uarts:
-            uart.start()
+            uart.start_receiving()
         if self._gdb:
             library.gdb_port = self._gdb
             self._state[0] = STOPPED
@@ -395,7 +403,7 @@ class LoadedAvr:
         avr_core.run.c(t.own)
         library.running_record = None
         for uart in self._uarts:
-            uart.finish()
+            uart.flush_sent_bytes()
         if t.asleep == avr_core.NOTHING_WAKES:
             library.messages.append((_ERROR, SLEEPS_FOR_EVER))
         elif t.ended and not any(key in text for _, text in library.messages for key in _ENDS):
@@ -483,10 +491,10 @@ class InterruptVectors:
                 break
 
     def end_run_at_missing_routines(self, code: bytes) -> int:
-        """Let the run end where the program has no routine for an interrupt.
+        """Make the run end where the program has no routine for an interrupt.
 
-        Vectors of such interrupts lead to a jump to address 0, which would begin the program anew. An invalid instruction
-        takes the place of that jump.
+        Vectors of such interrupts lead to a jump to address 0, which would restart the program. An invalid instruction replaces
+        that jump.
 
         Args:
             code: The program, from address 0 on.

@@ -1,9 +1,9 @@
-"""Structures of simavr 1.6 and 1.7, described by the offsets of their fields, and the check that the loaded library has them.
+"""Structures of simavr 1.6 and 1.7, described by the offsets of their fields, and a check that the loaded library has this layout.
 
-simavr has no functions for what its timers are: registers, modes, prescalers, and who answers an access. The check makes
-an ATmega328P and compares what the structures must say then (registers of the data sheet, addresses that functions of
-the library return, the effect of instructions that it runs) with what they say. It reads memory through a pipe, which
-refuses an address without memory, so another layout is an error and not a crash.
+simavr has no functions that return the properties of its timers: registers, modes, prescalers, and the functions that handle their
+accesses. The check creates an ATmega328P and compares the fields of the structures with values that they must have then: registers
+of the data sheet, addresses that functions of the library return, effects of executed instructions. It reads memory through a pipe,
+which refuses an invalid address, so a library with another layout causes an error and not a crash.
 """
 
 from __future__ import annotations
@@ -24,33 +24,37 @@ _VERSIONS_BY_CLOCK = {64: f"{VERSIONS}, built in another way", 72: "1.8 or later
 N_REGISTERS = 280
 
 
-def _describe(size: int, **fields: tuple[int, Any]) -> np.dtype:
-    """Return the type of a structure of a size in bytes, whose fields are pairs of an offset and a type."""
+def _make_structure_type(size: int, **fields: tuple[int, Any]) -> np.dtype:
+    """Return the dtype of a structure with a size in bytes, whose fields are pairs (offset, type)."""
     offsets, formats = zip(*fields.values(), strict=True)
     return np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": size})
 
 
-REGISTER = _describe(40, read_parameter=(8, "i8"), read=(16, "i8"), write_parameter=(24, "i8"), write=(32, "i8"))
+REGISTER = _make_structure_type(
+    40, read_parameter=(8, "i8"), read=(16, "i8"), write_parameter=(24, "i8"), write=(32, "i8")
+)
 """Functions that answer accesses to a register."""
-AVR = _describe(
+AVR = _make_structure_type(
     16016, name=(0, "i8"), flash_end=(12, "u4"), state=(60, "u4"), hz=(64, "u4"), cycle=(80, "i8"), cycles_left=(88, "i8"),
     cycle_limit=(96, "i8"), run=(160, "i8"), sleep=(168, "i8"), flags=(192, ("u1", 8)), interrupt_wait=(200, "i1"), pc=(204, "u4"),
     registers=(216, (REGISTER, N_REGISTERS)), flash=(11712, "i8"), data=(11720, "i8"), modules=(11728, "i8"),
 )  # fmt: skip
 """An avr_t. interrupt_wait: below 0, instructions until interrupts are served; 1: one waits."""
-MODULE = _describe(72, next=(0, "i8"), avr=(8, "i8"), n_irqs=(36, "i4"), irq=(40, "i8"))
-IRQ = _describe(40, name=(8, "i8"), level=(20, "u4"))
-VECTOR = _describe(104, number=(0, "u1"), enable=(4, "u4"), flag=(8, "u4"), irq=(16, "i8"), pending=(96, "u1"))
-COMPARE = _describe(
+MODULE = _make_structure_type(72, next=(0, "i8"), avr=(8, "i8"), n_irqs=(36, "i4"), irq=(40, "i8"))
+IRQ = _make_structure_type(40, name=(8, "i8"), level=(20, "u4"))
+VECTOR = _make_structure_type(
+    104, number=(0, "u1"), enable=(4, "u4"), flag=(8, "u4"), irq=(16, "i8"), pending=(96, "u1")
+)
+COMPARE = _make_structure_type(
     136, vector=(0, VECTOR), timer=(104, "i8"), low=(112, "u2"), high=(114, "u2"), mode=(116, "u4"), pin=(120, "u4")
 )
-TIMER = _describe(
+TIMER = _make_structure_type(
     896, module=(0, MODULE), count_low=(84, "u2"), icr_low=(86, "u2"), count_high=(88, "u2"), icr_high=(90, "u2"),
     modes=(92, ("u4", 4)), kinds=(108, ("u4", 16)), asynchronous=(184, "u4"), clocks=(188, ("u4", 4)),
     shifts=(204, ("u1", 16)), clock_pin=(224, "u4"), capture_edge=(240, "u4"), compare=(248, (COMPARE, 3)),
     overflow=(656, VECTOR), capture=(760, VECTOR),
 )  # fmt: skip
-UART = _describe(
+UART = _make_structure_type(
     624, module=(0, MODULE), name=(72, "u1"), control=(84, "u2"), frame=(86, "u2"), rxen=(88, "u4"), transmitter=(92, "u4"),
     u2x=(96, "u4"), usbs=(100, "u4"), ucsz=(104, "u4"), ucsz2=(108, "u4"), ubrrl=(128, "u4"), ubrrh=(132, "u4"),
     empty=(344, VECTOR),
@@ -71,45 +75,45 @@ _NOP, _SEI, _JUMP_TO_ITSELF = 0x0000, 0x9478, 0xCFFF
 
 
 def get_offset(structure: np.dtype, field: str) -> int:
-    """Return where a field stands in a structure, in bytes."""
+    """Return the offset of a field in a structure, in bytes."""
     assert structure.fields is not None
     return structure.fields[field][1]
 
 
 def get_register(bits: int) -> int:
-    """Return the address of the register of register bits, as simavr packs them."""
+    """Return the register address of register bits, packed as in simavr."""
     return int(bits) & 0x1FF
 
 
 def get_mask(bits: int) -> int:
-    """Return the bits of register bits, as simavr packs them."""
+    """Return the mask of register bits, packed as in simavr."""
     return (int(bits) >> 12 & 0xFF) << (int(bits) >> 9 & 7)
 
 
-def view(address: int, structure: np.dtype) -> Any:
-    """Return the structure at an address."""
+def view_structure(address: int, structure: np.dtype) -> Any:
+    """Return the structure at an address of this process, as a NumPy record that shares its memory."""
     return array_at(address, 1, structure)[0]
 
 
 def list_modules(avr: int) -> list[int]:
-    """Return the addresses of an AVR's modules, such as its timers. The layout of the library has been checked."""
-    modules, address = [], int(view(avr, AVR)["modules"])
+    """Return the addresses of an AVR's modules, such as its timers. The layout of the library must have been checked."""
+    modules, address = [], int(view_structure(avr, AVR)["modules"])
     while address:
         modules.append(address)
-        address = int(view(address, MODULE)["next"])
+        address = int(view_structure(address, MODULE)["next"])
     return modules
 
 
 def list_modules_of(library: ctypes.CDLL, avr: int, kind: str) -> list[int]:
-    """Return the addresses of an AVR's modules of a kind.
+    """Return the addresses of an AVR's modules of one kind.
 
     Args:
         library: Library of simavr, whose layout has been checked.
         avr: Address of the avr_t.
-        kind: Kind as simavr's requests name it: "tmr" or "uar".
+        kind: Kind of module in simavr's requests: "tmr" or "uar".
     """
     irqs = {find_irq(library, avr, f"{kind}{name}") for name in MODULE_NAMES} - {0}
-    return [address for address in list_modules(avr) if int(view(address, MODULE)["irq"]) in irqs]
+    return [address for address in list_modules(avr) if int(view_structure(address, MODULE)["irq"]) in irqs]
 
 
 def find_irq(library: ctypes.CDLL, avr: int, module: str) -> int:
@@ -120,8 +124,11 @@ def find_irq(library: ctypes.CDLL, avr: int, module: str) -> int:
 
 
 def find_output_irq(timer: int, unit: int) -> int:
-    """Return the simavr IRQ of a timer's compare output. The last three are outputs, and that of the capture pin precedes them."""
-    module = view(timer, MODULE)
+    """Return the simavr IRQ of a compare output of a timer.
+
+    The outputs are the last three IRQs of the timer; that of the capture pin precedes them.
+    """
+    module = view_structure(timer, MODULE)
     return int(module["irq"]) + (int(module["n_irqs"]) - 3 + unit) * IRQ.itemsize
 
 
@@ -141,7 +148,7 @@ def check_layout(library: ctypes.CDLL) -> None:
         library: The library.
 
     Raises:
-        StageError: It has another one.
+        StageError: The library has another layout.
     """
     name, handle = str(vars(library)["_name"]), library._handle
     if handle not in _checked:
@@ -154,13 +161,14 @@ def check_layout(library: ctypes.CDLL) -> None:
 
 
 def _guess_version(library: ctypes.CDLL) -> str:
-    """Return the version of the library as words, by the place of the clock, which is 1 MHz at first."""
-    head = np.frombuffer(_read(_make_atmega328p(library), 128) or b"", "<u4")
+    """Return the version of the library in words, guessed from the position of the clock field, which is 1 MHz at first."""
+    head = np.frombuffer(_read_memory(_make_atmega328p(library), 128) or b"", "<u4")
     places = [4 * int(k) for k in np.flatnonzero(head == _BEGIN_HZ)]
     return _VERSIONS_BY_CLOCK.get(places[0] if places else 0, "of an unknown version")
 
 
 def _make_atmega328p(library: ctypes.CDLL) -> int:
+    """Create an ATmega328P in simavr; return the address of its avr_t."""
     make = library["avr_make_mcu_by_name"]
     make.restype = ctypes.c_void_p
     avr = int(make(b"atmega328p") or 0)
@@ -169,8 +177,8 @@ def _make_atmega328p(library: ctypes.CDLL) -> int:
     return avr
 
 
-def _read(address: int, size: int) -> bytes | None:
-    """Return memory at an address, or None if there is none."""
+def _read_memory(address: int, size: int) -> bytes | None:
+    """Return memory at an address, or None if the address is invalid."""
     libc = ctypes.CDLL(None)
     libc.write.restype, libc.write.argtypes = ctypes.c_ssize_t, (ctypes.c_int, ctypes.c_void_p, ctypes.c_size_t)
     end, begin = os.pipe()
@@ -182,13 +190,13 @@ def _read(address: int, size: int) -> bytes | None:
 
 
 def _read_structure(address: int, structure: np.dtype) -> Any:
-    """Return a copy of the structure at an address, or None if there is no memory."""
-    content = _read(address, structure.itemsize) if address else None
+    """Return a copy of the structure at an address, or None if the address is invalid."""
+    content = _read_memory(address, structure.itemsize) if address else None
     return None if content is None else np.frombuffer(content, structure)[0]
 
 
 def _find_misfit(library: ctypes.CDLL) -> str:
-    """Return the name of a part of simavr that is not where versions 1.6 and 1.7 have it, or an empty text."""
+    """Return the name of a part of simavr that has another layout than in versions 1.6 and 1.7, or "" if none has."""
     avr = _make_atmega328p(library)
     try:
         return _find_misfit_of_core(library, avr) or _find_misfit_of_modules(library, avr)
@@ -197,7 +205,7 @@ def _find_misfit(library: ctypes.CDLL) -> str:
 
 
 def _find_misfit_of_core(library: ctypes.CDLL, avr: int) -> str:
-    """Run three instructions and compare what they change."""
+    """Run three instructions, compare their effects, and return the name of a part with another layout, or ""."""
     code = np.array([_NOP, _SEI, _NOP, _JUMP_TO_ITSELF], "<u2").tobytes()
     library["avr_loadcode"](ctypes.c_void_p(avr), code, len(code), 0)
     states = [_read_structure(avr, AVR)]
@@ -208,7 +216,7 @@ def _find_misfit_of_core(library: ctypes.CDLL, avr: int) -> str:
         return "avr_t"
     end = states[-1]
     expected: dict[str, tuple[Any, Any]] = {
-        "mmcu": (_read(int(end["name"]), 9), b"atmega328"),
+        "mmcu": (_read_memory(int(end["name"]), 9), b"atmega328"),
         "flashend": (int(end["flash_end"]), 0x7FFF),
         "state": ((int(end["state"]), int(end["hz"])), (_RUNNING, _BEGIN_HZ)),
         "cycle": ([int(s["cycle"]) for s in states], [0, 1, 2]),
@@ -216,16 +224,16 @@ def _find_misfit_of_core(library: ctypes.CDLL, avr: int) -> str:
         "sreg": ([int(s["flags"][7]) for s in states], [0, 0, 1]),
         "interrupt_state": ([int(s["interrupt_wait"]) for s in states], [0, 0, -1]),
         "run_cycle_count": ([int(end[name]) for name in ("cycles_left", "cycle_limit")], [1, 1]),
-        "run": (int(end["run"]), _find_address(library, "avr_callback_run_raw")),
-        "sleep": (int(end["sleep"]), _find_address(library, "avr_callback_sleep_raw")),
-        "flash": (_read(int(end["flash"]), len(code)), code),
-        "data": (_read(int(end["data"]) + _SPL, 2), _RAM_END.to_bytes(2, "little")),
+        "run": (int(end["run"]), _find_function_address(library, "avr_callback_run_raw")),
+        "sleep": (int(end["sleep"]), _find_function_address(library, "avr_callback_sleep_raw")),
+        "flash": (_read_memory(int(end["flash"]), len(code)), code),
+        "data": (_read_memory(int(end["data"]) + _SPL, 2), _RAM_END.to_bytes(2, "little")),
     }
     return next((f"avr_t.{name}" for name, (value, wanted) in expected.items() if value != wanted), "")
 
 
 def _find_misfit_of_modules(library: ctypes.CDLL, avr: int) -> str:
-    """Compare registers of timers and UART with the data sheet, and find each timer where its registers have functions."""
+    """Compare registers of timers and UART with the data sheet; return the name of a part with another layout, or ""."""
     core = _read_structure(avr, AVR)
     modules: dict[int, int] = {}
     address = int(core["modules"])
@@ -252,7 +260,7 @@ def _find_misfit_of_modules(library: ctypes.CDLL, avr: int) -> str:
             return f"a compare unit of timer {name}"
         for unit, words in ((-1, b"icp"), (0, b"compa"), (2, b"compc")):
             irq = _read_structure(find_output_irq(address, unit), IRQ)
-            if irq is None or words not in (_read(int(irq["name"]), 20) or b""):
+            if irq is None or words not in (_read_memory(int(irq["name"]), 20) or b""):
                 return f"an IRQ of timer {name}"
     uart = _read_structure(modules.get(find_irq(library, avr, "uar0"), 0), UART)
     if uart is None or (int(uart["control"]), get_register(uart["transmitter"])) != (_UCSRB, _UCSRB):
@@ -260,5 +268,6 @@ def _find_misfit_of_modules(library: ctypes.CDLL, avr: int) -> str:
     return "" if get_register(uart["empty"]["flag"]) == _UCSRB - 1 else "an interrupt of the UART"
 
 
-def _find_address(library: ctypes.CDLL, name: str) -> int:
+def _find_function_address(library: ctypes.CDLL, name: str) -> int:
+    """Return the address of a function of the library."""
     return ctypes.cast(library[name], ctypes.c_void_p).value or 0

@@ -1,7 +1,7 @@
-"""`SimavrOverlay`: connection of compiled functions to an AVR of simavr, in which that then follows the data sheet.
+"""`SimavrOverlay`: connects compiled functions to an AVR of simavr, so that the AVR behaves as in the data sheet.
 
-simavr asks a function for each access to a register. The overlay puts its own functions there, keeps simavr's, and calls
-them where a timer's mode is one that simavr emulates.
+simavr calls a function for each access to a register. The overlay replaces simavr's functions by its own, and calls simavr's in the
+modes of a timer that only simavr emulates.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from stage.native import Exported, address_of
 from stage.targets import avr_timers, avr_transmitter, simavr_layout
 from stage.targets.avr_timers import CAPTURE, N_UNITS, ORIGINAL, SIMAVR, TIMER, UNIT, VECTOR
-from stage.targets.simavr_layout import get_mask, get_offset, get_register, view
+from stage.targets.simavr_layout import get_mask, get_offset, get_register, view_structure
 
 RESPONSE, THREE_BYTE_FLASH = 4, 0x20000
 """Cycles from an interrupt to its vector, and the size of the flash (bytes) from which the return address takes one more."""
@@ -28,22 +28,22 @@ _FUNCTIONS = {
 
 
 class SimavrOverlay:
-    """Exact timers of an AVR, the response time of its interrupts, and the flags of its UARTs, from the state after a reset on.
+    """Exact timers of an AVR, the response time of its interrupts, and the flags of its UARTs, with effect from the last reset on.
 
     Args:
         library: Library of simavr.
         avr: Address of the avr_t, after avr_reset.
 
     Raises:
-        StageError: The library is not laid out as simavr 1.6 and 1.7.
+        StageError: The library does not have the layout of simavr 1.6 and 1.7.
     """
 
     def __init__(self, library: ctypes.CDLL, avr: int):
         simavr_layout.check_layout(library)
-        self._library, self._avr = library, view(avr, simavr_layout.AVR)
+        self._library, self._avr = library, view_structure(avr, simavr_layout.AVR)
         self._pointers: list[Any] = []
         modules = simavr_layout.list_modules_of(library, avr, "tmr")
-        timers = [t for t in modules if _is_known(view(t, simavr_layout.TIMER))]
+        timers = [t for t in modules if _is_known_timer(view_structure(t, simavr_layout.TIMER))]
         self._simavr, self._timers = np.zeros(1, SIMAVR), np.zeros(len(timers), TIMER)
         self._units = np.zeros((len(timers), N_UNITS), UNIT)
         self._vectors = np.zeros((len(timers), N_VECTORS), VECTOR)
@@ -52,12 +52,13 @@ class SimavrOverlay:
         for k, address in enumerate(timers):
             self._fill_timer(k, address)
         for k, address in enumerate(timers):
-            self._connect(self._timers[k : k + 1], view(address, simavr_layout.TIMER))
+            self._connect_timer(self._timers[k : k + 1], view_structure(address, simavr_layout.TIMER))
         self._connect_interrupts()
         self._connect_responses(avr)
         self._connect_uarts(avr)
 
     def _fill_simavr(self, avr: int) -> None:
+        """Fill the SIMAVR record with addresses of an avr_t and of functions of the library."""
         row = self._simavr[0]
         row["avr"] = avr
         for name in ("cycle", "cycles_left", "pc"):
@@ -65,7 +66,7 @@ class SimavrOverlay:
         row["memory"], row["flash"] = self._avr["data"], self._avr["flash"]
         row["vectors"], row["n_vectors"] = self._vectors.ctypes.data, self._vectors.size
         row["response"] = RESPONSE + (int(self._avr["flash_end"]) >= THREE_BYTE_FLASH)
-        row["event"] = self._get_address(avr_timers.end_wait)
+        row["event"] = self._get_address(avr_timers.handle_timer_event)
         for name, function in _FUNCTIONS.items():
             row[name] = ctypes.cast(self._library[function], ctypes.c_void_p).value
 
@@ -75,7 +76,8 @@ class SimavrOverlay:
         return ctypes.cast(function.pointer, ctypes.c_void_p).value or 0
 
     def _fill_timer(self, k: int, address: int) -> None:
-        timer, row = view(address, simavr_layout.TIMER), self._timers[k]
+        """Fill the TIMER record number `k` for the timer of simavr at an address."""
+        timer, row = view_structure(address, simavr_layout.TIMER), self._timers[k]
         row["own"], row["simavr"] = address_of(self._timers[k : k + 1]), self._simavr.ctypes.data
         row["units"] = self._units[k].ctypes.data
         for name in ("count_low", "count_high", "capture_edge", "asynchronous", "modes", "clocks", "shifts"):
@@ -85,7 +87,7 @@ class SimavrOverlay:
         row["maximum"] = row["top"] = 0xFFFF if timer["count_high"] else 0xFF
         if timer["icr_high"]:
             row["capture_irq"] = simavr_layout.find_capture_irq(address)
-        row["strobes"], row["strobe_mask"] = _find_strobes(timer)
+        row["strobes"], row["strobe_mask"] = _find_force_compare_bits(timer)
         compare = address + get_offset(simavr_layout.TIMER, "compare")
         places = [compare + n * simavr_layout.COMPARE.itemsize for n in range(CAPTURE)]
         places += [address + get_offset(simavr_layout.TIMER, name) for name in ("overflow", "capture")]
@@ -98,8 +100,12 @@ class SimavrOverlay:
         self._units[k, CAPTURE] = (timer["icr_low"], timer["icr_high"], 0, 0, row["capture"], 0, 0, 0)
 
     def _fill_vector(self, k: int, n: int, address: int) -> int:
-        """Fill a record for an interrupt of a timer; return its address, or 0 if there is no such interrupt."""
-        vector, row = view(address, simavr_layout.VECTOR), self._vectors[k, n : n + 1]
+        """Fill the VECTOR record `n` of timer `k` for the interrupt of simavr at an address.
+
+        Returns:
+            Address of the record, or 0 if there is no such interrupt.
+        """
+        vector, row = view_structure(address, simavr_layout.VECTOR), self._vectors[k, n : n + 1]
         if not vector["number"] or not get_register(vector["flag"]):
             return 0
         pending = address + get_offset(simavr_layout.VECTOR, "pending")
@@ -107,8 +113,8 @@ class SimavrOverlay:
         row[0] = (self._timers[k]["own"], address, pending, *bits)
         return address_of(row)
 
-    def _connect(self, row: np.ndarray, timer: Any) -> None:
-        """Answer accesses to the registers of a timer."""
+    def _connect_timer(self, row: np.ndarray, timer: Any) -> None:
+        """Replace the functions that write the registers of a timer."""
         control = {get_register(bits) for name in ("modes", "clocks") for bits in timer[name]}
         control.add(get_register(timer["asynchronous"]))
         writes = dict.fromkeys(control - {0}, avr_timers.write_control)
@@ -130,6 +136,7 @@ class SimavrOverlay:
         self._connect_reads(row, timer)
 
     def _connect_reads(self, row: np.ndarray, timer: Any) -> None:
+        """Replace the functions that read the count and capture registers of a timer."""
         functions = self._avr["registers"][int(timer["count_low"]) - simavr_layout.REGISTER_BEGIN]
         row["read"], row["read_parameter"] = functions["read"], functions["read_parameter"]
         reads = {int(timer["count_low"]): avr_timers.read_count}
@@ -145,7 +152,7 @@ class SimavrOverlay:
             functions["read"], functions["read_parameter"] = self._get_address(function), row[0]["own"]
 
     def _connect_interrupts(self) -> None:
-        """Answer writes of enable bits and flags, and learn when simavr serves an interrupt."""
+        """Replace the functions of enable bits and flags, and register for the beginning of interrupt routines."""
         vectors = self._vectors.reshape(-1)
         vectors = vectors[vectors["vector"] != 0]
         for field, function in (("enable", avr_timers.write_enables), ("flag", avr_timers.write_flags)):
@@ -160,23 +167,27 @@ class SimavrOverlay:
             vector = self._vectors.reshape(-1)[k : k + 1]
             if vector[0]["vector"]:
                 irq = int(vector[0]["vector"]) + get_offset(simavr_layout.VECTOR, "irq")
-                self._notify(irq, avr_timers.end_pending, vector)
+                self._register_callback(irq, avr_timers.clear_served_flag, vector)
         for k in range(len(self._timers)):
             if self._timers[k]["capture_irq"]:
-                self._notify(int(self._timers[k]["capture_irq"]), avr_timers.capture_count, self._timers[k : k + 1])
+                self._register_callback(
+                    int(self._timers[k]["capture_irq"]), avr_timers.capture_count, self._timers[k : k + 1]
+                )
 
     def _connect_responses(self, avr: int) -> None:
+        """Register for the beginning of all interrupt routines, to spend the response time."""
         get = self._library["avr_get_interrupt_irq"]
         get.restype = ctypes.c_void_p
         for number in range(1, 128):
             if irq := get(ctypes.c_void_p(avr), ctypes.c_uint8(number)):
-                self._notify(irq + simavr_layout.IRQ.itemsize, avr_timers.respond, self._simavr)
+                self._register_callback(irq + simavr_layout.IRQ.itemsize, avr_timers.spend_response_time, self._simavr)
 
     def _connect_uarts(self, avr: int) -> None:
+        """Replace the functions that write the transmitter enable bits of the UARTs."""
         modules = simavr_layout.list_modules_of(self._library, avr, "uar")
         self._uarts = np.zeros(len(modules), avr_transmitter.TRANSMITTER)
         for k, address in enumerate(modules):
-            uart = view(address, simavr_layout.UART)
+            uart = view_structure(address, simavr_layout.UART)
             register = get_register(uart["transmitter"])
             if not register or not uart["empty"]["number"]:
                 continue
@@ -186,22 +197,22 @@ class SimavrOverlay:
                 self._simavr.ctypes.data, functions["write"], functions["write_parameter"], uart["transmitter"], vector,
                 get_register(flag), get_mask(flag),
             )  # fmt: skip
-            functions["write"] = self._get_address(avr_transmitter.write_transmitter)
+            functions["write"] = self._get_address(avr_transmitter.write_transmitter_enable)
             functions["write_parameter"] = address_of(self._uarts[k : k + 1])
 
-    def _notify(self, irq: int, function: Exported, row: np.ndarray) -> None:
-        """Let simavr call a compiled function with a record when an IRQ changes."""
+    def _register_callback(self, irq: int, function: Exported, row: np.ndarray) -> None:
+        """Register a compiled function that simavr calls with a record when a simavr IRQ changes."""
         address = ctypes.c_void_p(self._get_address(function))
         self._library["avr_irq_register_notify"](ctypes.c_void_p(irq), address, ctypes.c_void_p(address_of(row)))
 
 
-def _is_known(timer: Any) -> bool:
-    """Tell whether a timer is one of the usual kind, with three bits that select its clock."""
+def _is_known_timer(timer: Any) -> bool:
+    """Tell whether a timer is one of the usual kind, whose clock is selected by three bits."""
     return not get_register(timer["clocks"][3]) and bool(timer["count_low"])
 
 
-def _find_strobes(timer: Any) -> tuple[int, int]:
-    """Return the register with the FOC bits of a timer and the bits, or 0 and 0."""
+def _find_force_compare_bits(timer: Any) -> tuple[int, int]:
+    """Return the register with the FOC bits of a timer, and the mask of these bits; 0 and 0 if there are none."""
     mode, clock = get_register(timer["modes"][0]), get_register(timer["clocks"][0])
     units = sum(0x80 >> k for k in range(CAPTURE) if timer["compare"][k]["low"])
     if not timer["count_high"]:

@@ -1,5 +1,4 @@
-"""`Engine`: base of processors on Unicorn, with registers, log and error messages. cortex.py and pc.py derive the
-processors."""
+"""`UnicornProcessor`: base class of processors on Unicorn, with registers, log and error messages; see cortex.py and pc.py."""
 
 from __future__ import annotations
 
@@ -32,8 +31,8 @@ INVALID = {
 _MEMORY_ERRORS = (6, 7, 8, 12, 13, 14)
 
 
-class _Record(ctypes.Structure):
-    """View of the MACHINE record as a ctypes structure, which Python reads and writes quickly."""
+class _MachineRecord(ctypes.Structure):
+    """MACHINE record as a ctypes structure, whose fields Python accesses faster than those of a NumPy record."""
 
     _fields_ = tuple((name, ctypes.c_int64) for name in processor_core.MACHINE.names or ())
 
@@ -59,12 +58,12 @@ class Registers:
         self._lib.uc_reg_write_batch(self._handle, self._numbers, self._pointers, self._n)
 
 
-class Engine:
-    """Processor on Unicorn.
+class UnicornProcessor:
+    """Processor on Unicorn with a program.
 
     Args:
-        path: The program.
-        board: Board that it drives.
+        path: The program file.
+        board: Board that the program drives.
         arch, mode: Architecture and mode in Unicorn.
         hz: Clock of the processor, Hz.
         model: Model number in Unicorn, or None.
@@ -92,7 +91,7 @@ class Engine:
             self.uc.ctl_set_cpu_model(model)
         self._row = np.zeros(1, processor_core.MACHINE)
         self._flags = np.zeros(1, "i8")
-        t = self.record = _Record.from_buffer(self._row.data)
+        t = self.record = _MachineRecord.from_buffer(self._row.data)
         link = board.link
         t.own, t.uc, t.host, t.request = (
             self._row.ctypes.data,
@@ -100,7 +99,7 @@ class Engine:
             link.pointer,
             requests.request.address,
         )
-        t.stop, t.reg_read = (_address(self._lib[name]) for name in ("uc_emu_stop", "uc_reg_read"))
+        t.stop, t.reg_read = (_get_function_address(self._lib[name]) for name in ("uc_emu_stop", "uc_reg_read"))
         t.flags_at, t.hz, t.alarm = self._flags.ctypes.data, hz, NEVER
         t.quantum = max(1, round(QUANTUM_S * hz))
         self.ended, self.code = False, 0
@@ -110,7 +109,7 @@ class Engine:
         self.fault = ""
         self._functions: list[Any] = []
         self._line = ""
-        self.hook(_CODE, processor_core.count_instruction.pointer)
+        self.add_hook(_CODE, processor_core.count_instruction.pointer)
         self._invalid_address: int | None = None
         self.uc.hook_add(unicorn.UC_HOOK_MEM_INVALID, self._store_invalid_address)
 
@@ -136,7 +135,7 @@ class Engine:
 
     # --- calls of Unicorn ---
 
-    def hook(self, kind: int, function: Any, instruction: int = 0) -> None:
+    def add_hook(self, kind: int, function: Any, instruction: int = 0) -> None:
         """Register a compiled function that Unicorn calls with the MACHINE record.
 
         Args:
@@ -161,9 +160,9 @@ class Engine:
             below: Number of ports, from 0 on, that belong to the processor itself.
         """
         self._functions.append(function)
-        self.record.internal_port, self.record.n_internal_ports = _address(function), below
-        self.hook(_INSN, processor_core.execute_in.pointer, _IN)
-        self.hook(_INSN, processor_core.execute_out.pointer, _OUT)
+        self.record.internal_port, self.record.n_internal_ports = _get_function_address(function), below
+        self.add_hook(_INSN, processor_core.execute_in.pointer, _IN)
+        self.add_hook(_INSN, processor_core.execute_out.pointer, _OUT)
 
     def map_windows(self, windows: Any) -> None:
         """Map the pages of memory in which windows of the board lie."""
@@ -202,6 +201,7 @@ class Engine:
         self._line = ""
 
     def _log_line(self, line: str) -> None:
+        """Add a line of the program's output to the board's log."""
         text = ctypes.create_string_buffer(line.encode())
         processor_core.poll_from_python.c(self.record.own)
         self._board.link.request(self._board.link.pointer, host_record.LOG, ctypes.addressof(text), 0)
@@ -238,7 +238,7 @@ class Engine:
         return self.get_start_address()
 
     def handle_debugger_stop(self) -> None:
-        """Bring the state up to date after a debugger has stopped the processor. The base does nothing."""
+        """Update the state after a debugger has stopped the processor. The base class does nothing."""
 
     # --- it runs ---
 
@@ -292,6 +292,7 @@ class Engine:
         return False
 
     def _describe_fault(self, error: Any) -> str:
+        """Describe an error of Unicorn for an error message."""
         words = INVALID.get(error.errno, f"Unicorn says {error}")
         by_address = error.errno in _MEMORY_ERRORS and self._invalid_address is not None
         return f"{words}, address {self._invalid_address:X}h" if by_address else words
@@ -344,5 +345,6 @@ class Engine:
         """Do nothing; Unicorn frees its memory together with its object."""
 
 
-def _address(function: Any) -> int:
+def _get_function_address(function: Any) -> int:
+    """Return the address of a ctypes function."""
     return ctypes.cast(function, ctypes.c_void_p).value or 0

@@ -41,7 +41,7 @@ def run_on_simavr(elf: Path, n_results: int) -> list[int]:
     """Run a program to its end on simavr with exact timers, and return its results."""
     from stage.targets.simavr import _open_library
     from stage.targets.simavr_layout import AVR as AVR_STRUCTURE
-    from stage.targets.simavr_layout import view
+    from stage.targets.simavr_layout import view_structure
     from stage.targets.simavr_overlay import SimavrOverlay
 
     simavr = _open_library(False)
@@ -52,7 +52,7 @@ def run_on_simavr(elf: Path, n_results: int) -> list[int]:
         library["avr_loadcode"](ctypes.c_void_p(avr), segment.content, len(segment.content), segment.at)
     library["avr_reset"](ctypes.c_void_p(avr))
     overlay = SimavrOverlay(library, avr)
-    state = view(avr, AVR_STRUCTURE)
+    state = view_structure(avr, AVR_STRUCTURE)
     while state["pc"] != program.symbols["done"]:
         library["avr_run"](ctypes.c_void_p(avr))
     memory = ctypes.string_at(int(state["data"]) + RESULTS, n_results)

@@ -67,7 +67,7 @@ class PC:
     def serve(self, number, **registers):
         self.set(**registers)
         before = dict(self.words)
-        Dos(self).serve(number)
+        Dos(self).execute_interrupt(number)
         return {name: value for name, value in self.words.items() if value != before[name]}
 
 

@@ -76,7 +76,7 @@ def gdb():
     theirs.settimeout(5)
     with theirs:
         yield SimpleNamespace(
-            server=server, engine=server._engine, seen=server._registers, wire=theirs, ask=server._answer
+            server=server, engine=server._engine, seen=server._registers, wire=theirs, ask=server._execute_command
         )
     ours.close()
 
@@ -151,7 +151,7 @@ def test_a_program_continues_or_makes_one_step(gdb, requested, steps):
 
 def test_packets_are_acknowledged_until_the_debugger_disables_it(gdb):
     gdb.wire.sendall(b"+" + packet("qC") + packet("QStartNoAckMode") + packet("qAttached") + packet("c"))
-    gdb.server._serve()
+    gdb.server._answer_commands()
     assert gdb.wire.recv(1000) == b"+" + packet("QC1") + b"+" + packet("OK") + packet("1")
     assert not gdb.server.is_halted
 

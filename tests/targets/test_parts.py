@@ -18,8 +18,8 @@ from stage.targets.cortex import APPLICATION_ENDS, Semihosting
 from stage.targets.elf import ARM, AVR, Elf, read_machine_name
 from stage.targets.nvic import FIRST, NEVER, PENDSV, SVC, SYSTICK, Nvic
 from stage.targets.pc import Pc
-from stage.targets.pc_timer import FULL, Channel, Timers
-from stage.targets.unicorn_engine import Engine
+from stage.targets.pc_timer import FULL, PcTimer, TimerChannel
+from stage.targets.unicorn_engine import UnicornProcessor
 
 DATA = Path(__file__).parent / "data"
 
@@ -199,32 +199,32 @@ def test_counters_and_outputs_of_the_8253_by_mode():
         (3, 10, [10, 8, 2, 10, 8, 6], [1, 1, 0, 1, 1, 1]),
         (6, 10, [10, 9, 1, 10, 9, 8], [1, 1, 0, 1, 1, 1]),
     ):
-        c = Channel(mode=mode, reload=reload, started=100)
+        c = TimerChannel(mode=mode, reload=reload, started=100)
         at = [100, 101, 109, 110, 111, 112]
         assert [c.compute_count(t) for t in at] == counts, mode
         assert [int(c.compute_output(t)) for t in at] == outputs, mode
-    c = Channel(mode=3, reload=9, started=0)
+    c = TimerChannel(mode=3, reload=9, started=0)
     assert [int(c.compute_output(t)) for t in range(9)] == [1, 1, 1, 1, 1, 0, 0, 0, 0]
-    c = Channel(mode=3, reload=10, started=0)
+    c = TimerChannel(mode=3, reload=10, started=0)
     assert [int(c.compute_output(t)) for t in range(10)] == [1] * 5 + [0] * 5
     for at in range(30):
-        three, seven = (Channel(mode=mode, reload=9) for mode in (3, 7))
+        three, seven = (TimerChannel(mode=mode, reload=9) for mode in (3, 7))
         assert (three.compute_count(at), three.compute_output(at)) == (
             seven.compute_count(at),
             seven.compute_output(at),
         )
-    assert all(Channel(mode=3, reload=9).compute_count(t) % 2 == 0 for t in range(20))
-    assert Channel(mode=2, reload=FULL).compute_count(0) == 0, "10000h in 16 bits"
-    assert Channel(mode=0, reload=FULL).compute_count(0) == 0
+    assert all(TimerChannel(mode=3, reload=9).compute_count(t) % 2 == 0 for t in range(20))
+    assert TimerChannel(mode=2, reload=FULL).compute_count(0) == 0, "10000h in 16 bits"
+    assert TimerChannel(mode=0, reload=FULL).compute_count(0) == 0
 
 
 def test_the_bytes_of_a_counter_come_as_its_access_says():
     now = [0]
-    t = Timers(lambda: now[0])
+    t = PcTimer(lambda: now[0])
     for port, value in ((0x43, 0x14), (0x40, 0x80)):  # channel 0: the low byte alone, mode 2
         t.write(port, value)
     now[0] = 0x10
-    assert (t.read(0x40), t.read(0x40), t.next_tick()) == (0x70, 0x70, 0x80)
+    assert (t.read(0x40), t.read(0x40), t.find_next_zero()) == (0x70, 0x70, 0x80)
     for port, value in ((0x43, 0x64), (0x41, 0x12)):  # channel 1: the high byte alone
         t.write(port, value)
     now[0] += 0x10
@@ -261,7 +261,7 @@ def test_the_bytes_of_a_counter_come_as_its_access_says():
 
 def test_the_gate_of_channel_2_starts_it_and_the_refresh_toggles():
     now = [0]
-    t = Timers(lambda: now[0])
+    t = PcTimer(lambda: now[0])
     for port, value in ((0x43, 0xB0), (0x42, 100), (0x42, 0)):
         t.write(port, value)
     now[0] = 72
@@ -291,7 +291,7 @@ class Bare(Pc):
             cycles=0, hz=4_772_727, due=1, device_waits=0, line=0, raised=0, alarm=NEVER, own=0
         )
         self._irq, self._masked, self._in_service, self._tick_pending = irq, 0, 0, 0
-        self.timers = Timers(lambda: self.cycles[0])
+        self.timers = PcTimer(lambda: self.cycles[0])
         self.words = {"eflags": 0x302, "sp": 0x100, "ss": 0x50, "cs": 0x1000, "ip": 0x123}
         self.memory = bytearray(1 << 20)
         self._board = SimpleNamespace(ports={0x50: "a device"})
@@ -360,7 +360,7 @@ def test_the_controller_serves_by_priority_until_the_end_of_interrupt():
     for number in (8, 13):
         pc.write(0, 4 * number, struct.pack("<HH", 0x10 * number, 0x2000))
     r.raised = 1
-    pc._serve_interrupts()
+    pc._enter_pending_interrupt()
     assert (pc.words["cs"], pc.words["ip"], pc.words["sp"], r.raised, bool(r.line)) == (0x2000, 0xD0, 0xFA, 0, False)
     assert pc.words["eflags"] == 0x2, "neither interrupts nor single steps in its routine"
     assert struct.unpack("<HHH", pc.read(0x50, 0xFA, 6)) == (0x123, 0x1000, 0x302)
@@ -394,7 +394,7 @@ def test_a_tick_comes_when_interrupts_are_on_and_it_is_neither_masked_nor_served
         pc = Bare()
         pc.words["eflags"], pc._masked, pc._in_service = flags, masked, served
         pc._pend_timer_interrupt()
-        pc._serve_interrupts()
+        pc._enter_pending_interrupt()
         assert (pc.words["sp"] == 0xFA, int(pc.record.device_waits)) == (comes, wanted), (flags, masked, served)
         pc._masked = 0
         pc.words["eflags"] = flags
@@ -402,7 +402,7 @@ def test_a_tick_comes_when_interrupts_are_on_and_it_is_neither_masked_nor_served
         assert int(pc.record.device_waits) == (not comes), (flags, masked, served)
     pc = Bare(irq=None)
     pc.record.raised = pc.record.line = 1
-    pc._serve_interrupts()
+    pc._enter_pending_interrupt()
     assert pc.words["sp"] == 0x100, "no wire, no interrupt"
     pc = Bare()
     pc.words["sp"] = 2
@@ -505,12 +505,14 @@ def test_an_elf_file_says_its_machine_and_what_is_loaded(tmp_path):
 
 def test_memory_that_holds_windows_is_known_to_the_byte():
     engine = SimpleNamespace(window_pages=[0x1000, 0x5000])
-    inside = {at: Engine.overlaps_window(engine, at, 2) for at in (0xFFE, 0xFFF, 0x1FFF, 0x2000, 0x4FFF, 0x6000)}
+    inside = {
+        at: UnicornProcessor.overlaps_window(engine, at, 2) for at in (0xFFE, 0xFFF, 0x1FFF, 0x2000, 0x4FFF, 0x6000)
+    }
     assert inside == {0xFFE: False, 0xFFF: True, 0x1FFF: True, 0x2000: False, 0x4FFF: True, 0x6000: False}
 
 
 def test_a_line_without_an_end_is_printed_in_pieces():
-    class Says(Engine):
+    class Says(UnicornProcessor):
         def __init__(self):
             self._line, self.printed = "", []
 
@@ -537,7 +539,7 @@ def test_carriage_returns_of_a_serial_line_are_not_in_its_text():
     processor, text, line = np.zeros(1, avr_core.AVR), np.zeros(80, "u1"), np.zeros(1, avr_serial.UART)
     line[0].avr, line[0].text, line[0].room = processor.ctypes.data, text.ctypes.data, 80
     for byte in b"a\rb":
-        avr_serial.follow_sent_byte(0, byte, line)
+        avr_serial.handle_sent_byte(0, byte, line)
     assert (line[0].length, bytes(text[:3])) == (2, b"ab\0")
 
 

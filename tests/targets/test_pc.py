@@ -12,7 +12,7 @@ from stage.chips import MCX304, PCL240K, PCL240MK
 from stage.errors import ArgumentError
 from stage.support.files import FileError
 from stage.targets import NoEmulatorError, TargetHost, mcus
-from stage.targets.pc_timer import Timers
+from stage.targets.pc_timer import PcTimer
 
 DATA = Path(__file__).parent / "data"
 needs_unicorn = pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
@@ -194,7 +194,7 @@ def test_without_unicorn_the_error_names_the_package(monkeypatch):
 
 def test_a_counter_is_read_as_it_was_latched():
     now = [0]
-    timers = Timers(lambda: now[0])
+    timers = PcTimer(lambda: now[0])
     for port, value in ((0x43, 0x34), (0x40, 0xE8), (0x40, 0x03)):  # channel 0, mode 2, 1000
         timers.write(port, value)
     now[0] = 300
@@ -202,7 +202,7 @@ def test_a_counter_is_read_as_it_was_latched():
     now[0] = 555
     assert timers.read(0x40) | timers.read(0x40) << 8 == 700
     assert timers.read(0x40) | timers.read(0x40) << 8 == 445
-    assert timers.next_tick() == 1000
+    assert timers.find_next_zero() == 1000
     for port, value in ((0x43, 0xB0), (0x42, 100), (0x42, 0), (0x61, 1)):  # channel 2, mode 0
         timers.write(port, value)
     assert not timers.read(0x61) & 0x20
