@@ -1,4 +1,4 @@
-"""Values of axes as text, as users type them for a stage: AXIS=VALUE,AXIS=VALUE."""
+"""Values of axes in texts that users type for a stage: AXIS=VALUE,AXIS=VALUE."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ from stage.errors import ArgumentError
 
 
 def split_pair(item: str) -> tuple[str, str]:
-    """Split AXIS=VALUE at its last =, as the name of an axis may have one and no value has. Without = the name is empty."""
+    """Split AXIS=VALUE into axis and value; without = the axis is "".
+
+    The last = counts, because the name of an axis may contain one, but no value does.
+    """
     name, _, value = item.rpartition("=")
     return name, value
 
 
 def split_pairs(text: str) -> list[tuple[str, str]]:
-    """Split AXIS=VALUE,AXIS=VALUE; a comma before the = of a pair belongs to the name of the axis."""
+    """Split AXIS=VALUE,AXIS=VALUE into pairs. A part without = belongs to the next name: `a,b=1` is a value of the axis `a,b`."""
     pairs, name = [], ""
     for part in text.split(","):
         if "=" in part:
@@ -27,20 +30,21 @@ def split_pairs(text: str) -> list[tuple[str, str]]:
 
 
 def parse_chips(text: str) -> dict[str, str]:
-    """Return the chip of each axis, of --chips x=pcl240ms,y=mcx304. Raises ArgumentError."""
+    """Parse the value of --chips, for example x=pcl240ms,y=mcx304; return the chip of each axis. Raises ArgumentError."""
     return _parse_unique_pairs(
         f"--chips {text}", text, "write one chip for all axes, or AXIS=CHIP,AXIS=CHIP: x=pcl240ms,y=mcx304."
     )
 
 
 def parse_syni(items: Iterable[str]) -> dict[str, str]:
-    """Return the leader of each follower, of --syni y=x. Raises ArgumentError."""
+    """Parse the values of --syni, for example y=x; return the leader of each follower. Raises ArgumentError."""
     text = ",".join(items)
     form = "write FOLLOWER=LEADER, for example y=x, or y=x,z=x."
     return _parse_unique_pairs(f"--syni {text!r}", text, form) if text or list(items) else {}
 
 
 def _parse_unique_pairs(option: str, text: str, form: str) -> dict[str, str]:
+    """Parse pairs AXIS=VALUE of an option, each axis once. Raises ArgumentError, which shows the allowed `form`."""
     pairs: dict[str, str] = {}
     for axis, value in split_pairs(text):
         if not axis or not value:
@@ -52,7 +56,7 @@ def _parse_unique_pairs(option: str, text: str, form: str) -> dict[str, str]:
 
 
 def parse_wiring(items: Iterable[str]) -> dict[str, dict[str, str]]:
-    """Return the logic of each sensor of each axis, of --wiring x.org=positive.
+    """Parse the values of --wiring, for example x.org=positive; return the logic of each sensor of each axis.
 
     Raises:
         ArgumentError: An item is not AXIS.SENSOR=LOGIC.
@@ -68,7 +72,7 @@ def parse_wiring(items: Iterable[str]) -> dict[str, dict[str, str]]:
 
 
 def parse_multichip(text: str | None) -> list[str] | None:
-    """Return the axes of --multichip x,z. Raises ArgumentError."""
+    """Parse the value of --multichip, for example x,z; return the axes. Raises ArgumentError."""
     if text is None:
         return None
     names = [name.strip() for name in text.split(",")]

@@ -1,7 +1,7 @@
-"""Parts that installed packages bring: chips, power stages and commands, by the entry points of their pyproject.toml.
+"""Parts that installed packages supply: chips, power stages and commands, by the entry points of their pyproject.toml.
 
-The metadata of all packages is read when a part is asked for that PulseStage does not have itself; a package is imported when its
-own part is.
+The metadata of all packages is read only when a part is requested that PulseStage itself does not have, and a package is imported
+only when its own part is requested.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class PackagePart:
     Attributes:
         name: Name of the entry point.
         package: Name and version of the package.
-        where: "module:object".
+        where: Location of the object, "module:object".
     """
 
     name: str
@@ -35,11 +35,12 @@ def find_package_parts(group: str, normalize: Callable[[str], str]) -> dict[str,
     """Find the entry points of a group in all installed packages.
 
     Args:
-        group: Name of the group, as "pulsestage.chips".
+        group: Name of the group, for example "pulsestage.chips".
         normalize: Function that returns the form in which names are compared.
 
     Returns:
-        Parts of each normalized name; more than one where packages differ. A package that is installed twice counts once.
+        Parts by normalized name; more than one part if packages have the same name for different ones. A package that is installed
+        twice counts once.
     """
     from importlib.metadata import entry_points  # takes 50 ms, and most commands need only what PulseStage brings
 
@@ -55,16 +56,16 @@ def find_package_parts(group: str, normalize: Callable[[str], str]) -> dict[str,
 def load_package_part(
     kind: str, name: str, parts: Sequence[PackagePart], use: Callable[[Any], Any] | None = None
 ) -> Any:
-    """Import the package that brings a part, and return the part.
+    """Import the package that supplies a part, and return the object of the part.
 
     Args:
         kind: Word for parts of this group, for errors.
         name: Normalized name of the part.
         parts: All parts of this name.
-        use: Function to call with the part at once; what it raises counts as a failure of the package.
+        use: Function that is called with the object at once; its errors count as failures of the package.
 
     Raises:
-        ArgumentError: Two packages bring a part of this name.
+        ArgumentError: Two packages supply a part of this name.
         LoadError: The package cannot be imported or has no such object, or `use` fails.
     """
     from importlib.metadata import EntryPoint
