@@ -1,7 +1,7 @@
 """The command `stage`.
 
-Exit codes: 0 done as asked; 1 it ran, but not as asked (lost steps, stopped by a limit); 2 wrong usage or an error that
-says what to do; 130 interrupted.
+Exit codes: 0: done as requested; 1: done, but not as requested (lost steps, stopped by a limit); 2: wrong usage, or an error whose
+message says what to do; 130: interrupted.
 """
 
 from __future__ import annotations
@@ -55,6 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(argv: Sequence[str] | None) -> int:
+    """Parse the words and run their command; return the exit code, also for an error or Ctrl-C."""
     from stage.cli.commands import describe_interruption, fail
     from stage.cli.completion import complete
     from stage.errors import StageError
@@ -84,10 +85,10 @@ def _run(argv: Sequence[str] | None) -> int:
 
 
 def build_parser(words: Sequence[str] = ()) -> Parser:
-    """Build the parser of the command line; cheap, as a command imports what is heavy when it runs.
+    """Build the parser of the command line. This is fast, because a command imports its libraries only when it runs.
 
     Args:
-        words: What was typed. Commands of other packages are only looked for where the first word is no command of PulseStage.
+        words: The typed words. Commands of other packages are looked for only if the first word is no command of PulseStage.
     """
     from stage import __version__
     from stage.cli.package_commands import add_package_commands

@@ -45,23 +45,24 @@ def add_command(
     more: str = "",
     json: bool = True,
 ) -> argparse.ArgumentParser:
-    """Add a subcommand and return its parser.
+    """Add a subcommand to the command line, and return its parser.
 
     Args:
         commands: Subparsers of the command line.
-        name: Word that is typed after `stage`.
+        name: Word that users type after `stage`.
         run: Function of the parsed arguments that returns the exit code.
         help_: Line for the list of commands.
         description: Paragraph at the beginning of the command's help.
-        examples: Pairs of a command line and what it does.
+        examples: Pairs of a command line and a description of its effect.
         more: Paragraph after the examples.
-        json: Offer --json.
+        json: Whether the command has the option --json.
     """
     p = commands.add_parser(name, help=help_, description=description, epilog=format_examples(examples, more))
     if json:
         p.add_argument("--json", action="store_true", help="print JSON instead of text")
 
     def call(args: argparse.Namespace) -> int:
+        """Run the command, with its facts as JSON if --json is given."""
         args.wrote = []
         return run_as_json(run, args) if json and args.json else run(args)
 
@@ -70,7 +71,7 @@ def add_command(
 
 
 def format_examples(examples: Iterable[tuple[str, str]], more: str = "") -> str:
-    """Return the end of a help text: a line for each pair of a command line and what it does, and a paragraph."""
+    """Return the end of a help text: a line for each pair of a command line and its effect, then the paragraph `more`."""
     examples = list(examples)
     width = min(max(len(line) for line, _ in examples), 64)
     lines = "\n".join(f"  {line:{width}}  {effect}".rstrip() for line, effect in examples)
@@ -92,7 +93,7 @@ def wrote(args: argparse.Namespace, path: Any, text: str) -> None:
 
 
 def warn(args: argparse.Namespace, text: str) -> None:
-    """Print a warning to standard error, or add it to the facts."""
+    """Print a warning to standard error; with --json, add it to the facts."""
     if getattr(args, "json", False):
         args.warnings = [*getattr(args, "warnings", ()), text]
     else:
@@ -100,7 +101,7 @@ def warn(args: argparse.Namespace, text: str) -> None:
 
 
 def fail(args: argparse.Namespace, error: BaseException, text: str = "") -> None:
-    """Print an error to standard error; `text` replaces the error's own words."""
+    """Print an error to standard error, as JSON with --json. `text` replaces the message of the error."""
     text = text or str(error)
     if getattr(args, "json", False):
         print(json.dumps({"error": text, "type": type(error).__name__}), file=sys.stderr)
@@ -109,7 +110,7 @@ def fail(args: argparse.Namespace, error: BaseException, text: str = "") -> None
 
 
 def describe_interruption(args: argparse.Namespace) -> str:
-    """Return the message of a command that Ctrl-C has ended: it names the files that are not written."""
+    """Return the message for a command that Ctrl-C has ended; it names the files that were requested but not written."""
     written = getattr(args, "wrote", [])
     requested = {name: getattr(args, name, None) for name in OUTPUT_OPTIONS}
     missing = [
@@ -119,7 +120,7 @@ def describe_interruption(args: argparse.Namespace) -> str:
 
 
 def run_as_json(run: Callable[[argparse.Namespace], int], args: argparse.Namespace) -> int:
-    """Run a command, and print its facts, files and warnings as JSON, also where Ctrl-C ends it."""
+    """Run a command, and print its facts, files and warnings as JSON instead of its text, even if Ctrl-C ends the command."""
     interruption: KeyboardInterrupt | None = None
     with Path(os.devnull).open("w", encoding="utf-8", errors="replace") as nowhere, redirect_stdout(nowhere):
         try:
@@ -142,7 +143,7 @@ def run_as_json(run: Callable[[argparse.Namespace], int], args: argparse.Namespa
 
 
 def to_json(value: Any) -> Any:
-    """Return a value as JSON has it: by its method `json()`, or its fields; null for a number that is not finite."""
+    """Convert a value for JSON: by its method `json()`, or from its fields; null for NaN and infinity."""
     if hasattr(value, "json"):
         return to_json(value.json())
     if hasattr(value, "tolist"):  # NumPy's

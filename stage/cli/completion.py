@@ -26,7 +26,7 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what a shell reads to complete this command line."""
+    """Print the script that a shell reads to complete this command line."""
     from stage.support.extras import import_extra
 
     print(import_extra("argcomplete", "completion").shellcode(["stage"], shell=args.shell))
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def complete(parser: Parser) -> None:
-    """Answer a shell that asks what may come next, and end the process; return where no shell asks."""
+    """Answer a shell that asks for completions, and end the process; return if no shell asks."""
     if "_ARGCOMPLETE" in os.environ:
         import argcomplete
 

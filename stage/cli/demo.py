@@ -39,7 +39,7 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make the moves; exit code 0 if all went as asked."""
+    """Make the moves of the demonstration; return 0 if all went as requested."""
     from stage.firmware.gantry_homing import group_tandem_axes
     from stage.support.opengl import has_screen
 
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def make_moves(stage: Any) -> list[Any]:
-    """Make the moves of the demonstration; return their reports."""
+    """Make the moves of the demonstration on a stage, and return their reports."""
     from stage.firmware.driver import Speeds
     from stage.firmware.gantry_homing import group_tandem_axes
 
@@ -104,7 +104,10 @@ def make_moves(stage: Any) -> list[Any]:
 
 
 def _home(group: list[Any], speeds: Any) -> list[Any]:
-    """Home tandem axes together; an axis without SD, which runs into ORG at its full rate, at half of it."""
+    """Home one axis or the axes of a gantry together.
+
+    An axis without SD switch, which would reach ORG at its full rate, is homed at half of the rate.
+    """
     from stage import firmware
 
     if len(group) > 1:
@@ -115,6 +118,7 @@ def _home(group: list[Any], speeds: Any) -> list[Any]:
 
 
 def _move(group: list[Any], share: float, speeds: Any) -> list[Any]:
+    """Move one axis, or the axes of a gantry along a line, by a share of the travel."""
     from stage import firmware
 
     if len(group) == 1:
@@ -123,13 +127,14 @@ def _move(group: list[Any], share: float, speeds: Any) -> list[Any]:
 
 
 def _draw_line(pulses: dict[Any, int], speeds: Any) -> Any:
+    """Move axes along a line, by pulses for each axis, and return the report."""
     from stage import firmware
 
     return firmware.line(pulses, pulses=True, speed=speeds)
 
 
 def _move_at_two_rates(group: list[Any], speeds: Any) -> list[Any]:
-    """Move at two rates; tandem axes, and an axis that is too short for two, at one."""
+    """Move an axis at two rates. The axes of a gantry, and an axis whose travel is too short for two rates, move at one."""
     from stage.firmware.procedures import move_at_two_rates
 
     if len(group) == 1:
@@ -142,7 +147,7 @@ def _move_at_two_rates(group: list[Any], speeds: Any) -> list[Any]:
 
 
 def find_pulses(axis: Any, share: float) -> int:
-    """Return the signed pulses of a share of the axis' travel, in the other direction where there is no room for them."""
+    """Return the signed pulses for a share of the axis' travel, in the opposite direction if there is no room in the given one."""
     low, high = axis.travel
     distance = share * (high - low)
     direction = 1 if distance > 0 else -1
@@ -154,7 +159,7 @@ def find_pulses(axis: Any, share: float) -> int:
 
 
 def format_row(report: Any) -> tuple[str, ...]:
-    """Return the row of the table for a report."""
+    """Return the cells of a report's row in the table."""
     asked = "to ORG" if report.asked is None else f"{report.asked:+d}"
     good = report.ok and (report.stopped_by == "ORG" or report.asked is not None)
     return (
@@ -164,6 +169,7 @@ def format_row(report: Any) -> tuple[str, ...]:
 
 
 def _format_table(rows: list[tuple[str, ...]]) -> str:
+    """Format rows of cells as a table with aligned columns."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(v.ljust(w) for v, w in zip(row, widths, strict=True)).rstrip() for row in rows]
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])

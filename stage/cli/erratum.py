@@ -1,7 +1,7 @@
-"""The command `stage erratum`: the S-curve failure of MCX302, MCX304 and MCX312, beside a work-around of NOVA's notice.
+"""The command `stage erratum`: the S-curve failure of MCX302, MCX304 and MCX312, and the work-around of NOVA's notice.
 
-The same move is made twice. A decelerating stop is commanded in area d, the end of the deceleration: once by 26h whatever the chip
-is doing, once by `stop_by_speed`. `run_demonstration` serves the command, the tests and docs/erratum.md.
+The command makes the same move twice, and commands a decelerating stop in area d, the end of the deceleration: once by command 26h,
+whatever the chip is doing, and once by `stop_by_speed`. The command, the tests and docs/erratum.md call `run_demonstration`.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ def add(commands: Any) -> None:
 
 @dataclass(frozen=True)
 class ErratumResult:
-    """Result: the run with the bare 26h, and the one with the work-around.
+    """Result of the demonstration: the run with command 26h alone, and the run with the work-around.
 
     Attributes:
         chip: Name of the chip.
-        mended: The chip does not have the failure.
-        figures: Figures of the two runs; those whose names end in mm are in meters or radians.
+        mended: Whether the chip does not have the failure.
+        figures: Measured values of the two runs; those whose names end in mm are in meters or radians.
         recordings: Recordings of the two runs, or None.
-        unit: "m", or "rad" where the axis is a hinge.
+        unit: Unit of lengths: "m", or "rad" if the axis is a hinge.
     """
 
     chip: str
@@ -70,7 +70,7 @@ class ErratumResult:
 
     @property
     def as_claimed(self) -> bool:
-        """Verdict: the bare 26h runs away and loses steps, except on mended chips, and the work-around ends on the target."""
+        """Verdict: with 26h alone the axis runs away, except on a mended chip, and the work-around ends on the target."""
         bare, guarded = self.figures
         good = [
             f["n-DRV 2 s later"] == 0 and f["pulses past the target"] == 0 == f["lost steps"] for f in (bare, guarded)
@@ -78,20 +78,20 @@ class ErratumResult:
         return good[1] and (good[0] if self.mended else bare["n-DRV 2 s later"] == 1 and bare["lost steps"] > 0)
 
     def table(self) -> str:
-        """Return the figures of both runs, a line each."""
+        """Return the measured values of both runs, a line for each."""
         from stage.cli.fault.demonstrations import format_figures
 
         return format_figures(("", "26h", "stop_by_speed"), self.figures, self.unit)
 
     def plot(self, path: str | None = None, overwrite: bool = False) -> Any:
-        """Draw both runs over time, and the areas of the notice; return the figure. Needs recordings, and matplotlib."""
+        """Draw both runs over time, with the areas of the notice, and return the figure. Needs recordings, and matplotlib."""
         from stage.cli.erratum_picture import draw_erratum_plot
 
         return draw_erratum_plot(self, path, overwrite)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the failure; exit code 0 if it is as claimed."""
+    """Demonstrate the failure; return 0 if it happens as claimed."""
     both = args, _rename_files_of_work_around(args)
     for named in both:
         check_outputs(named)
@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _rename_files_of_work_around(args: argparse.Namespace) -> argparse.Namespace:
-    """Return the options for the run with the work-around: its files have names of their own, and no viewer is opened."""
+    """Return the options for the run with the work-around: its files get other names, and no viewer opens."""
     named = {}
     for what in ("record", "vcd", "picture"):
         path = getattr(args, what)
@@ -120,6 +120,7 @@ def _rename_files_of_work_around(args: argparse.Namespace) -> argparse.Namespace
 
 
 def _make_stage(args: argparse.Namespace) -> Any:
+    """Create the stage that the options describe. Raises StageError for a chip without the failure."""
     from stage import Drive, Stage
     from stage.chips import MCX302, MCX304, MCX312, chip_class
 
@@ -135,11 +136,12 @@ def _make_stage(args: argparse.Namespace) -> Any:
 def run_demonstration(
     make: Callable[[], Any], records: tuple[Record | None, Record | None] = (None, None)
 ) -> ErratumResult:
-    """Make the move on two stages: with the work-around, and then with a bare 26h.
+    """Make the move on two stages: first with the work-around, then with command 26h alone.
 
     Args:
-        make: Makes a stage.
-        records: Context managers of the recordings with the bare 26h and with the work-around.
+        make: Function that returns a new stage.
+        records: Functions that return the context manager of a recording, for the run with 26h and for the one with the work-
+            around.
     """
     from stage.cli.fault.host_programs import get_first_axis
 
@@ -158,6 +160,7 @@ def run_demonstration(
 
 
 def _stop_by_26h(port: Any) -> bool:
+    """Send the command 26h of a decelerating stop, and return True."""
     from stage.firmware.nova import s_curve_workarounds
 
     port.write_command(s_curve_workarounds.DECELERATING_STOP)
@@ -165,13 +168,19 @@ def _stop_by_26h(port: Any) -> bool:
 
 
 def _stop_by_speed(port: Any) -> bool:
+    """Command a decelerating stop by the work-around, and return whether it is under way."""
     from stage.firmware.nova.s_curve_workarounds import compute_judgmental_speed, stop_by_speed
 
     return stop_by_speed(port, compute_judgmental_speed(MOVE["SV"], MOVE["V"]))
 
 
 def _drive_s_curve(stage: Any, stop: Callable[[Any], bool]) -> Figures:
-    """Drive an S-curve up to 5 mm before EL+, by bus cycles, call `stop(port)` once RR1 shows area d, and return figures."""
+    """Drive an S-curve that ends 5 mm before EL+, by bus cycles, and return its measured values.
+
+    Args:
+        stage: The stage.
+        stop: Function of the chip's port that commands a stop; it is called once RR1 shows area d, until it returns True.
+    """
     from stage.cli.fault.host_programs import find_touch, get_first_axis
     from stage.firmware.nova import s_curve_workarounds
 

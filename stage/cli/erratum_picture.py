@@ -16,7 +16,13 @@ STATUS_LANES = {"ASND": "asnd", "CNST": "cnst", "DSND": "dsnd", "n-DRV": "drive"
 
 
 def draw_erratum_plot(result: ErratumResult, path: str | None, overwrite: bool) -> Any:
-    """Draw rate and position of both runs; beside them, close up, the rate and the bits of RR1 around area d."""
+    """Draw rate and position of both runs, and next to them a close-up of the rate and the bits of RR1 around area d.
+
+    Args:
+        result: Result of the demonstration, with recordings.
+        path: File to write; None: only return the figure.
+        overwrite: Whether to overwrite an existing file.
+    """
     from stage.support.files import save_figure
     from stage.support.plot_style import COLORS, MUTED_COLOR, TEXT_COLOR, make_figure, remove_frame, set_title
 
@@ -69,12 +75,13 @@ def draw_erratum_plot(result: ErratumResult, path: str | None, overwrite: bool) 
 
 
 def _read_waveform(recording: Any) -> tuple[Any, np.ndarray]:
+    """Return the times, s, and the rates, pps, of the first axis of a recording."""
     waveform = recording.journals[next(iter(recording.axes))].course()
     return waveform, recording.began + waveform.seconds
 
 
 def _find_areas(recording: Any) -> dict[str, tuple[float, float]]:
-    """Return when the areas a to d of the notice begin and end, s, by the chip's status pins."""
+    """Return begin and end, s, of each of the areas a to d of the notice, found from the chip's status pins."""
     waveform, time = _read_waveform(recording)
     asnd, cnst, dsnd = (waveform.pin(name) for name in ("asnd", "cnst", "dsnd"))
 
@@ -88,6 +95,7 @@ def _find_areas(recording: Any) -> dict[str, tuple[float, float]]:
 
 
 def _draw_bits(panel: Any, recording: Any, color: str) -> None:
+    """Draw the bits of RR1 of a recording as lanes."""
     waveform, time = _read_waveform(recording)
     for k, pin in enumerate(reversed(STATUS_LANES.values())):
         panel.plot(time, k + 0.7 * waveform.pin(pin), drawstyle="steps-post", color=color, linewidth=1.6)

@@ -24,7 +24,7 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Copy an example, or list them all."""
+    """Copy an example, or list all examples."""
     from stage.support import examples
     from stage.support.extras import is_installed
 
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _describe(name: str) -> str:
-    """Return what an example shows, and the extra that it needs."""
+    """Return the description of an example, and the extra that it needs."""
     from stage.support import examples
 
     extra = examples.REQUIREMENTS.get(name)
@@ -50,6 +50,7 @@ def _describe(name: str) -> str:
 
 
 def _next_step(copy: Path) -> str:
+    """Return a sentence that says how to run the copied example."""
     if copy.suffix == ".py":
         return f"run it with: python {copy}"
     if copy.suffix == ".ipynb":

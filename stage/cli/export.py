@@ -31,7 +31,7 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the columns, or list them."""
+    """Write the columns of a recording to a file, or list them."""
     from stage.recording import read
     from stage.recording.column_files import find_writer_name
     from stage.support.files import FileError, check_writable
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def split_columns(text: str, known: Container[str]) -> list[str]:
-    """Split at commas, except those in the name of a known column: the axis `a,b` has the column `a,b/position`."""
+    """Split a list of columns at its commas, except commas within a known column: the axis `a,b` has the column `a,b/position`."""
     parts, names = text.split(","), list[str]()
     while parts:
         joined = ((",".join(parts[:n]).strip(), n) for n in range(len(parts), 0, -1))

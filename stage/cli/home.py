@@ -43,7 +43,7 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Home axes, those of one load together; exit code 0 if each has found its origin and no step is lost."""
+    """Home axes, those that drive one load together; return 0 if each has found its origin and no step is lost."""
     from stage.firmware.driver import get_driver
     from stage.firmware.gantry_homing import group_tandem_axes
 
@@ -71,6 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _home(args: argparse.Namespace, axis: Any) -> Any:
+    """Home one axis as the options say, and return the report."""
     from stage import firmware
     from stage.firmware.driver import get_driver
 
@@ -85,7 +86,13 @@ def _home(args: argparse.Namespace, axis: Any) -> Any:
 
 
 def _home_together(args: argparse.Namespace, axes: list[Any], names: str) -> list[Any]:
-    """Home axes that drive one load."""
+    """Home axes that drive one load together, and return their reports.
+
+    Args:
+        args: Options of the command.
+        axes: The axes.
+        names: Names of the axes, for messages.
+    """
     from stage.firmware.gantry_homing import square_gantry_at_speeds
 
     for option in ("by", "ez", "constant", "fast_only", "fh2"):

@@ -1,4 +1,4 @@
-"""The commands `stage list`, `stage chips` and `stage registers`: what there is."""
+"""The commands `stage list`, `stage chips` and `stage registers`: chips, motors, power stages, models and register maps."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def add(commands: Any) -> None:
 
 
 def list_kind(args: argparse.Namespace) -> int:
-    """Print what there is of one kind."""
+    """Print all items of one kind: chips, motors, power stages or models."""
     return KINDS[args.what](args)
 
 
 def list_chips(args: argparse.Namespace) -> int:
-    """Print the chips, and where they come from."""
+    """Print the chips, and the packages that supply them."""
     from stage.chips import CHIPS
 
     lines = CHIPS.listed()
@@ -58,6 +58,7 @@ def list_chips(args: argparse.Namespace) -> int:
 
 
 def _list_motors(args: argparse.Namespace) -> int:
+    """Print the motors with their values."""
     from stage.drives.dc_motors import DC_MOTORS
     from stage.drives.motors import EVIDENCE, MOTORS
 
@@ -73,6 +74,7 @@ def _list_motors(args: argparse.Namespace) -> int:
 
 
 def _list_power_stages(args: argparse.Namespace) -> int:
+    """Print the power stages with their values."""
     from stage.drives.power_stages import EVIDENCE, TIMES, find_power_stage, list_power_stages
 
     power_stages = {name: find_power_stage(name) for name in list_power_stages()}
@@ -102,7 +104,7 @@ def _list_power_stages(args: argparse.Namespace) -> int:
 
 
 def _print_evidence(motor: Any) -> None:
-    """Print each value of a motor with its unit, the letter of its evidence, and the reason."""
+    """Print each value of a motor with its unit, the letter of its evidence, and the reason for it."""
     from stage.drives.motors import UNITS
 
     for name, text in motor.evidence.items():
@@ -112,6 +114,7 @@ def _print_evidence(motor: Any) -> None:
 
 
 def _list_models(args: argparse.Namespace) -> int:
+    """Print the models with their axes."""
     from stage.sim import plant
 
     axes = {
@@ -128,7 +131,7 @@ KINDS = {"chips": list_chips, "motors": _list_motors, "power-stages": _list_powe
 
 
 def list_registers(args: argparse.Namespace) -> int:
-    """Print a register map."""
+    """Print the register map of a chip."""
     from stage.chips import chip_class
     from stage.chips.register_map import dump
 

@@ -72,7 +72,7 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until the client goes, or until Ctrl-C or SIGTERM."""
+    """Serve until the client disconnects, or until Ctrl-C or SIGTERM."""
     import_extra("mcp", "stage mcp")
     from stage.agents.budget import Budget
     from stage.agents.server.client_sessions import ClientSessions, ToolboxFactory

@@ -87,6 +87,7 @@ def add(commands: Any) -> None:
 
 
 def _add_axis_and_distance(p: argparse.ArgumentParser) -> None:
+    """Add the arguments AXIS and DISTANCE to a parser."""
     p.add_argument("axis", metavar="AXIS", help="axis to move")
     p.add_argument(
         "distance", metavar="DISTANCE", help="pulses (counts of a servo), or 10mm, 30deg; the sign is the direction"
@@ -94,14 +95,14 @@ def _add_axis_and_distance(p: argparse.ArgumentParser) -> None:
 
 
 def move(args: argparse.Namespace) -> int:
-    """Move an axis; exit code 0 if it has moved as asked."""
+    """Move an axis; return 0 if it has moved as requested."""
     from stage import firmware
 
     return _run_on_axis(args, lambda axis, pulses, speeds: firmware.move(axis, pulses=pulses, speed=speeds))
 
 
 def dual_rate(args: argparse.Namespace) -> int:
-    """Move an axis at two rates; exit code 0 if it has moved as asked."""
+    """Move an axis at two rates; return 0 if it has moved as requested."""
     from stage.firmware.driver import get_driver
     from stage.firmware.procedures import move_at_two_rates
 
@@ -118,7 +119,12 @@ def dual_rate(args: argparse.Namespace) -> int:
 
 
 def _run_on_axis(args: argparse.Namespace, run: Any) -> int:
-    """Call `run(axis, pulses, speeds)`, which returns a report."""
+    """Move the axis that the options name, and print the report; return the exit code.
+
+    Args:
+        args: Options of the command.
+        run: Function of the axis, the pulses and the speeds that makes the move and returns its report.
+    """
     from stage.firmware.driver import get_driver
 
     stage = make_stage(args)
@@ -141,7 +147,7 @@ def _run_on_axis(args: argparse.Namespace, run: Any) -> int:
 
 
 def _warn_of_tandem(args: argparse.Namespace, axis: Any, left: Sequence[str], items: list[str]) -> None:
-    """Warn that an axis moves without those which drive the same load.
+    """Warn that an axis moves without other axes that drive the same load.
 
     Args:
         args: Options, for `warn`.
@@ -159,7 +165,7 @@ def _warn_of_tandem(args: argparse.Namespace, axis: Any, left: Sequence[str], it
 
 
 def sync(args: argparse.Namespace) -> int:
-    """Move several axes along a line; exit code 0 if they have moved as asked."""
+    """Move several axes along a line; return 0 if they have moved as requested."""
     from stage import firmware
     from stage.firmware.driver import get_driver
     from stage.firmware.procedures import check_same_chip_kind

@@ -30,7 +30,7 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the model, or print it."""
+    """Write a new model to a file, or print it."""
     from stage.sim import plant
     from stage.sim.plant.new_model import NewAxis, new_model
     from stage.support.files import MODEL, check_ending, check_writable, write_atomically

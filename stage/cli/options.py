@@ -1,4 +1,4 @@
-"""Options that commands have in common, and the types of their values: 20000, 20000pps, 100ms, 24V, 0x300."""
+"""Options that several commands have, and the types of their values: 20000, 20000pps, 100ms, 24V, 0x300."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ CHIPS = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", 
 
 
 class Quantity:
-    """Type of a number with a unit of one kind, a key of OTHER_FACTORS. Without a unit it is in SI, a pulse rate in pps."""
+    """Type of an option's value: a number with a unit of one kind, which is a key of OTHER_FACTORS.
+
+    A number without unit is in SI units; a pulse rate without unit is in pps.
+    """
 
     def __init__(self, kind: str, positive: bool = False):
         self.kind, self.units, self.positive = kind, OTHER_FACTORS[kind], positive
@@ -39,7 +42,7 @@ class Quantity:
 
 
 class IntegerQuantity(Quantity):
-    """Type of a quantity that is a whole number; it may also be written as 0x300."""
+    """Type of an option's value: an integer with a unit; it may also be written as 0x300."""
 
     def __call__(self, text: str) -> int:
         """Parse a whole number with or without a unit."""
@@ -81,7 +84,7 @@ def port(text: str) -> int:
 
 
 class NotedAction(argparse.Action):
-    """Action that stores a value, and as NAME_given that the user gave one."""
+    """Action of an option that stores its value, and as NAME_given that the user has given the option."""
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
         """Store the value of an option."""
@@ -93,7 +96,7 @@ class NotedAction(argparse.Action):
 
 
 def add_stage_and_output_options(p: argparse.ArgumentParser, chips: Sequence[str] = CHIPS) -> None:
-    """Add --model, the options of a stage, and those of its recordings."""
+    """Add --model, the options of a stage, and the options of its recordings."""
     g = p.add_argument_group("stage")
     g.add_argument("--model", default="xyz", help=format_model_help()).known = list_models()  # type: ignore[attr-defined]
     add_stage_options(g, chips)
@@ -110,12 +113,12 @@ def add_stage_and_output_options(p: argparse.ArgumentParser, chips: Sequence[str
 
 
 def add_model_argument(p: argparse.ArgumentParser) -> None:
-    """Add MODEL as an argument that may be left out."""
+    """Add the optional argument MODEL."""
     p.add_argument("model", nargs="?", default="xyz", help=format_model_help()).known = list_models()  # type: ignore[attr-defined]
 
 
 def list_models() -> list[str]:
-    """Return the names of the models that PulseStage brings."""
+    """Return the names of the models that come with PulseStage."""
     return import_module("stage.models").names()
 
 
@@ -163,7 +166,7 @@ def add_plot_option(p: Any) -> None:
 
 
 def add_start_option(p: Any) -> None:
-    """Add --from."""
+    """Add --from, the position at which an axis starts."""
     p.add_argument(
         "--from", dest="start", metavar="PLACE",
         help="position at which the carriage starts: 20mm, 30deg; without a unit mm, degrees on a hinge (default: 0)",
@@ -171,7 +174,7 @@ def add_start_option(p: Any) -> None:
 
 
 def add_speed_options(p: argparse.ArgumentParser) -> None:
-    """Add rates and ramp times."""
+    """Add the options of speeds and ramp times."""
     g = p.add_argument_group("speeds (pulses per second; the chip makes the nearest that its registers allow)")
     g.add_argument("--fl", type=RATE, help="FL: rate at the start and at the stop")
     g.add_argument("--fh1", type=RATE, help="FH1: rate of the move")
@@ -181,7 +184,7 @@ def add_speed_options(p: argparse.ArgumentParser) -> None:
 
 
 def add_ramp_options(p: argparse.ArgumentParser) -> None:
-    """Add the shape of ramps."""
+    """Add the options of the ramps' shape."""
     g = p.add_argument_group("ramps")
     g.add_argument(
         "--s-curve", nargs="?", type=float, const=True, default=False, metavar="SHARE",
@@ -194,7 +197,7 @@ def add_ramp_options(p: argparse.ArgumentParser) -> None:
 
 
 def add_board_options(p: argparse.ArgumentParser) -> None:
-    """Add the options of a board and of what is on its bus."""
+    """Add the options of a board and of the devices on its bus."""
     g = p.add_argument_group("board")
     g.add_argument(
         "--layout",
@@ -243,6 +246,6 @@ def add_panel_options(p: argparse.ArgumentParser) -> None:
 
 
 def add_page_options(g: Any) -> None:
-    """Add the options of every live page."""
+    """Add the options that every live page has."""
     g.add_argument("--no-browser", action="store_true", help="print the link instead of opening a browser")
     g.add_argument("--speed", type=float, default=1.0, help="simulated seconds per second, 0.001 to 1000 (default: 1)")

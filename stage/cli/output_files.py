@@ -1,4 +1,4 @@
-"""Files that commands write, and pages that they serve: checked before the work, written after it."""
+"""Files that commands write, and pages that they serve: checked before the command works, written after it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FILE_OPTIONS = ("record", "vcd", "picture", "plot", "trace")
 
 
 def check_outputs(args: argparse.Namespace) -> None:
-    """Refuse what cannot be written or served, before the work and not after it.
+    """Refuse outputs that cannot be written or served, before the command begins its work.
 
     Raises:
         FileError: A file cannot be written, or has the wrong ending.
@@ -41,7 +41,7 @@ def check_outputs(args: argparse.Namespace) -> None:
 
 
 def _check_viewers(args: argparse.Namespace) -> None:
-    """Refuse --view without a screen, and a port that cannot serve --web."""
+    """Refuse --view on a machine without a screen, and a port on which --web cannot serve."""
     web, view = getattr(args, "web", False), getattr(args, "view", False)
     if view:
         import_extra("rerun", "--view")
@@ -60,7 +60,7 @@ def _check_viewers(args: argparse.Namespace) -> None:
 
 
 def _list_files(args: argparse.Namespace) -> dict[str, str]:
-    """Return the files that options name, by option."""
+    """Return the file that each output option names, by the option."""
     named = {name: path for name in FILE_OPTIONS if (path := getattr(args, name, None))}
     if named.get("trace") == "-":
         del named["trace"]
@@ -68,7 +68,7 @@ def _list_files(args: argparse.Namespace) -> dict[str, str]:
 
 
 def _check_separate(named: dict[str, str]) -> None:
-    """Refuse two outputs in one file. Raises FileError."""
+    """Raise FileError if two output options name the same file."""
     from stage.support.files import FileError
 
     options_by_file: dict[str, str] = {}
@@ -80,7 +80,7 @@ def _check_separate(named: dict[str, str]) -> None:
 
 
 def _check_writable(named: dict[str, str], force: bool) -> None:
-    """Refuse names with a wrong ending, and what cannot be written. Raises FileError, ArgumentError."""
+    """Raise FileError or ArgumentError for a file with a wrong ending, or one that cannot be written."""
     from stage.support.files import PICTURE, RECORDING, WAVEFORMS, check_ending, check_writable, find_figure_format
 
     endings = {"record": RECORDING, "vcd": WAVEFORMS, "picture": PICTURE}
@@ -96,14 +96,14 @@ def _check_writable(named: dict[str, str], force: bool) -> None:
 
 @contextmanager
 def record_to_files(args: argparse.Namespace, stage: Any, plot_reports: bool = True) -> Iterator[Any]:
-    """Record what happens in this block, if --record, --vcd, --view or --web asks for it, and write it at the end.
+    """Record this block if --record, --vcd, --view or --web asks for it, and write the files at its end.
 
-    Where Ctrl-C ends the block, what was recorded until then is written, and the reports so far are printed.
+    If Ctrl-C ends the block, the recording so far is written, and the reports so far are printed.
 
     Args:
         args: Options of the command.
         stage: Stage that the block drives.
-        plot_reports: Draw the reports so far for --plot, too.
+        plot_reports: Whether to draw the reports so far for --plot after Ctrl-C, too.
 
     Yields:
         The recording, or None.
@@ -140,7 +140,13 @@ def record_to_files(args: argparse.Namespace, stage: Any, plot_reports: bool = T
 
 @contextmanager
 def record_for_plot(args: argparse.Namespace, stage: Any, interval: float) -> Iterator[Any]:
-    """Record as `record_to_files` does, or where no option asks for it, for --plot with `interval` seconds between samples."""
+    """Record this block as `record_to_files` does; if no option asks for a recording, record samples for --plot only.
+
+    Args:
+        args: Options of the command.
+        stage: Stage that the block drives.
+        interval: Time between two samples for --plot, s.
+    """
     with record_to_files(args, stage, plot_reports=False) as recording:
         if recording is None and args.plot:
             with stage.record(interval) as recording:
@@ -150,7 +156,7 @@ def record_for_plot(args: argparse.Namespace, stage: Any, interval: float) -> It
 
 
 def _show_reports(args: argparse.Namespace, reports: list[Any], plot: bool) -> None:
-    """Print the reports of procedures that Ctrl-C has ended."""
+    """Print the reports of the procedures that ended before Ctrl-C, and draw them if `plot`."""
     for report in reports:
         print(report)
     if reports:
@@ -160,7 +166,7 @@ def _show_reports(args: argparse.Namespace, reports: list[Any], plot: bool) -> N
 
 
 def _write_recording(args: argparse.Namespace, recording: Any, usual: str | None) -> str | None:
-    """Write the files of a recording. Returns the name of the .rrd, None where none was asked for."""
+    """Write the files of a recording; return the name of the .rrd file, or None if there is none."""
     rrd = None
     if args.record or usual:
         rrd = args.record or find_free_name(str(usual), args.force)  # another command may have taken the name meanwhile
@@ -182,13 +188,18 @@ def _write_recording(args: argparse.Namespace, recording: Any, usual: str | None
 
 
 def find_free_name(usual: str, force: bool) -> str:
-    """Return the usual name, or with a number where that one is taken: demo.rrd, demo-2.rrd, ...; with `force` the usual one."""
+    """Return `usual`, or if such a file exists the same name with a number: demo.rrd, demo-2.rrd, ...
+
+    Args:
+        usual: Name of the file.
+        force: Whether to return `usual` even if the file exists.
+    """
     names = (usual, *(f"{Path(usual).stem}-{n}{Path(usual).suffix}" for n in range(2, 10_000)))
     return usual if force else next((name for name in names if not os.path.lexists(name)), usual)
 
 
 def draw_plot(args: argparse.Namespace, draw: Callable[..., Any]) -> None:
-    """Draw the diagram of --plot, if it is given."""
+    """Draw the diagram for --plot by `draw`, if the option is given."""
     if getattr(args, "plot", None):
         draw(args.plot, overwrite=args.force)
         wrote(args, args.plot, "drawn")

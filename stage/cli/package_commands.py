@@ -1,12 +1,13 @@
-"""Commands that installed packages bring: `stage NAME` of a package works as a command of PulseStage's own.
+"""Commands of installed packages: `stage NAME` of a package works like a command of PulseStage itself.
 
-A package names its commands in its pyproject.toml, each with the function that adds it:
+A package lists its commands in its pyproject.toml, each with the function that adds it:
 
     [project.entry-points."pulsestage.commands"]
     bench = "registerbench.commands:add_bench"
 
-The function is called with argparse's subparsers and adds the command by `stage.cli.commands.add_command`. A package is imported
-when one of its commands, or the list of all commands, is asked for. PulseStage's own commands take precedence.
+The function gets argparse's subparsers and adds the command by `stage.cli.commands.add_command`. A package is imported only when
+one
+of its commands, or the list of all commands, is requested. PulseStage's own commands take precedence.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ KNOWN_PACKAGES = {
 
 
 def add_package_commands(commands: Any) -> None:
-    """Add the commands of installed packages to argparse's subparsers; warn of one that fails, and leave it out."""
+    """Add the commands of installed packages to argparse's subparsers. Warn of a command that fails, and omit it."""
     for name, parts in sorted(find_package_parts(GROUP, str).items()):
         try:
             if name in commands.choices:
@@ -40,7 +41,7 @@ def add_package_commands(commands: Any) -> None:
 
 
 def explain_missing_command(name: str) -> str:
-    """Return the sentence that says which package brings a command that is not installed; "" for an unknown name."""
+    """Return a sentence that names the package of a command that is not installed; "" for an unknown command."""
     if name not in KNOWN_PACKAGES:
         return ""
     package = KNOWN_PACKAGES[name]

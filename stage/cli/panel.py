@@ -1,4 +1,4 @@
-"""The command `stage panel`, and the live page beside a command that drives a stage (--panel)."""
+"""The command `stage panel`, and the live page of another command that drives a stage (--panel)."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
 
 @contextmanager
 def on_end_signals(end: Callable[[], None]) -> Iterator[None]:
-    """Call `end()` at Ctrl-C and SIGTERM, in this block."""
+    """Within this block, call `end()` at Ctrl-C and SIGTERM."""
     before = {number: signal.signal(number, lambda *_: end()) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
@@ -88,12 +88,12 @@ def on_end_signals(end: Callable[[], None]) -> Iterator[None]:
 
 @contextmanager
 def show_panel(args: argparse.Namespace, stage: Any, program: str) -> Iterator[Session | None]:
-    """Show what this block does on a live page, if --panel asks for it; the block begins when a browser shows the page.
+    """Show this block on a live page if --panel asks for it; the block begins when a browser shows the page.
 
     Args:
         args: Options of the command.
         stage: Stage that the block drives.
-        program: Name of what drives it.
+        program: Name of the program that drives the stage, for the page.
 
     Yields:
         The session of the page, or None.
@@ -110,7 +110,7 @@ def show_panel(args: argparse.Namespace, stage: Any, program: str) -> Iterator[S
 
 
 def keep_panel(session: Session) -> None:
-    """Leave the stage to the page, after the program has ended, until Ctrl-C or SIGTERM."""
+    """After the program has ended, keep the page and its stage until Ctrl-C or SIGTERM."""
     session.dismiss_program()
     print("the page stays; Ctrl-C ends it", flush=True)
     over = threading.Event()
@@ -119,16 +119,16 @@ def keep_panel(session: Session) -> None:
 
 
 def run_in_real_time(session: Session, host: Any, seconds: float | None, timeout: float) -> Any:
-    """Run firmware in real time, a piece at a time.
+    """Run firmware in real time, in short pieces.
 
     Args:
         session: Session of the page.
         host: Host that runs the firmware.
-        seconds: Simulated time to run for; None: until it returns.
-        timeout: Simulated seconds after which it has to return.
+        seconds: Simulated time to run for, s; None: until the firmware returns.
+        timeout: Simulated time within which the firmware must return, s.
 
     Returns:
-        What `host.run(timeout)`, or `host.run_for(seconds)`, returns.
+        The result of `host.run(timeout)`, or of `host.run_for(seconds)`.
     """
     stage = host.board.stage
     left = timeout if seconds is None else seconds

@@ -1,4 +1,4 @@
-"""Parser of the command line: argparse with errors of one line that say what to do, and examples in every help text."""
+"""Argument parser of the command line: argparse with errors of one line that say what to do, and examples in every help text."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EXAMPLES = "examples:\n"
 
 
 class HelpFormatter(argparse.HelpFormatter):
-    """Formatter that wraps paragraphs, and leaves lines of examples as they are."""
+    """Formatter of help texts that wraps paragraphs, but not the lines of examples."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         paragraph, heading, lines = text.partition(EXAMPLES)
@@ -25,17 +25,17 @@ class HelpFormatter(argparse.HelpFormatter):
 
 
 class UsageError(Exception):
-    """Wrong usage of the command line, in one line."""
+    """Error of wrong usage of the command line, described in one line."""
 
 
 class Parser(argparse.ArgumentParser):
-    """Parser whose errors are one line. An argument without fixed choices may have its usual values in `known`."""
+    """Argument parser whose errors are one line. An argument without fixed choices may list its usual values in `known`."""
 
     def __init__(self, *args: Any, **kwargs: Any):
         super().__init__(*args, **{"formatter_class": HelpFormatter, **kwargs})
 
     def error(self, message: str) -> NoReturn:
-        """Raise UsageError."""
+        """Raise UsageError for a message of argparse."""
         command = re.match(r"argument COMMAND: invalid choice: '([^']*)'", message)
         if command and (explanation := explain_missing_command(command[1])):
             raise UsageError(f"{self.prog}: {explanation}")
@@ -44,13 +44,16 @@ class Parser(argparse.ArgumentParser):
         )
 
     def _list_values(self, message: str) -> str:
-        """Return the sentence that lists the values of the one argument that is missing, or ""."""
+        """Return a sentence with the values of the argument whose absence the message reports, or ""."""
         missing = message.partition("arguments are required: ")[2].split(", ")
         known = [a.choices or getattr(a, "known", None) for a in self._actions if (a.metavar or a.dest) in missing]
         return f" Known: {', '.join(known[0])}." if len(missing) == 1 and known and known[0] else ""
 
     def parse(self, words: Sequence[str]) -> argparse.Namespace:
-        """Return the arguments. Wrong usage ends the program with exit code 2; the command itself explains an unknown option."""
+        """Parse the typed words. Wrong usage ends the program with exit code 2.
+
+        The error for an unknown option comes from the parser of its command.
+        """
         try:
             args, left = self.parse_known_args([_escape_negative(word) for word in words])
             if left:
@@ -62,7 +65,7 @@ class Parser(argparse.ArgumentParser):
             self.exit(2, f"{text}\n")
 
     def set_completers(self) -> None:
-        """Give each argument the completer of argcomplete for its values: names, or files of one kind."""
+        """Set the completer of argcomplete for each argument: names, or files of one kind."""
         from argcomplete.completers import ChoicesCompleter, FilesCompleter
 
         for action in self._actions:
@@ -77,7 +80,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def _explain_left_over(parser: Parser, word: str, words: Sequence[str]) -> str:
-    """Return what is wrong with a word that no argument takes."""
+    """Return the error text for a word that no argument takes."""
     options = list(dict.fromkeys(re.findall(r"--[a-z][\w-]*", parser.format_help())))
     if word == "--json" and word not in options:
         return (
@@ -90,12 +93,12 @@ def _explain_left_over(parser: Parser, word: str, words: Sequence[str]) -> str:
 
 
 def _escape_negative(word: str) -> str:
-    """Return a word that argparse takes for a value: it takes -2000 for a number, but -2mm for an option."""
+    """Return a word such as -2mm in a form that argparse does not mistake for an option."""
     return f" {word}" if re.match(r"-\.?\d.*[a-z]$", word) else word
 
 
 def _explain(message: str) -> str:
-    """Return a message of argparse, with near names for a value that is none of its choices."""
+    """Return an error message of argparse, with similar names if a value is none of its choices."""
     if found := re.fullmatch(r"argument (\S+): invalid choice: '(.*?)' \(choose from (.*)\)", message):
         where, value, choices = found.groups()
         kind = "command" if where == "COMMAND" else f"value of {where}" if where.startswith("-") else "name"
@@ -106,5 +109,6 @@ def _explain(message: str) -> str:
 
 
 def _explain_unknown(kind: str, value: str, known: Sequence[str]) -> str:
+    """Return the error text for an unknown value of a kind, with similar names."""
     near = find_similar_names(value, known, 0.6)
     return f"unknown {kind} {value!r}." + (f" Did you mean {' or '.join(near)}?" if near else "")

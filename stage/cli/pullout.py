@@ -29,7 +29,7 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate and print the pull-out curve, and compare it with the published one."""
+    """Simulate and print the pull-out curve of a motor, and compare it with the published curve."""
     from stage.drives.dynamometer import tabulate_pull_out
     from stage.drives.motors import Drive, describe_core_loss, estimate_core_loss, find_motor
     from stage.drives.published_curves import PUBLISHED_CURVES

@@ -45,7 +45,7 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until Ctrl-C or SIGTERM; then write what is asked for, and print where the axes are."""
+    """Serve until Ctrl-C or SIGTERM; then write the requested files, and print the positions of the axes."""
     if args.fresh and (args.record or args.vcd or args.view or args.web or args.picture):
         raise ArgumentError(
             "--fresh puts the stage back to its start for each host, and time in a recording only runs forward: give one of them."
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _serve(args: argparse.Namespace, board: Any, session: Any) -> int:
-    """Serve a board; `session` is that of the page beside it, or None."""
+    """Serve a board; return the exit code. `session` is that of the board's live page, or None."""
     from stage.serve.server import Server
 
     before_each = session.catch_up if session is not None else lambda: None
@@ -87,11 +87,12 @@ def _serve(args: argparse.Namespace, board: Any, session: Any) -> int:
 
 
 def _print_now(line: Any) -> None:
-    """Print a line for a reader that waits for it."""
+    """Print a line at once, for a reader that waits for it."""
     print(line, flush=True)
 
 
 def _is_local(bind: str) -> bool:
+    """Return whether an address to listen on is reachable only from this machine."""
     try:
         return ipaddress.ip_address(bind).is_loopback
     except ValueError:

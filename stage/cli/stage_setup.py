@@ -1,4 +1,4 @@
-"""What the options of a command describe: the stage, its board, and the moves of its axes."""
+"""Objects that the options of a command describe: the stage, its board, and the moves of its axes."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from stage.units import POSITION_FACTORS, POSITION_UNITS, explain_number_error, 
 
 
 def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
-    """Make the stage that the options describe.
+    """Create the stage that the options describe.
 
     Args:
         args: Options of the command.
-        visuals: Keep what is only for display.
+        visuals: Whether to keep the parts of the model that are only for display.
     """
     from stage import Drive, Stage
     from stage.sim.chips_and_drives import find_chip_class
@@ -44,7 +44,7 @@ def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
 
 
 def make_board(args: argparse.Namespace) -> Any:
-    """Make the board that the options describe, with its carriages where --place puts them."""
+    """Create the board that the options describe, with its carriages at the positions of --place."""
     from stage.board import Board
 
     stage = make_stage(args)
@@ -53,7 +53,7 @@ def make_board(args: argparse.Namespace) -> Any:
 
 
 def place_carriages(args: argparse.Namespace, stage: Any) -> None:
-    """Put carriages where --place puts them."""
+    """Move carriages to the positions of --place."""
     placed = set()
     for item in args.place:
         name, place = split_pair(item)
@@ -66,10 +66,10 @@ def place_carriages(args: argparse.Namespace, stage: Any) -> None:
 
 
 def parse_encoder(item: str) -> Any:
-    """Return the encoder of --encoder x=2000/turn.
+    """Parse the value of --encoder, for example x=2000/turn.
 
     Raises:
-        ArgumentError: The text names no axis, or no counts other than 0.
+        ArgumentError: The text has no axis, or no number of counts other than 0.
     """
     from stage.sim.encoder import Encoder
 
@@ -97,10 +97,10 @@ SPEED_OPTIONS = {
 
 
 def parse_speed_options(args: argparse.Namespace, axis: Any) -> Any:
-    """Return the `Speeds` that the options ask of an axis.
+    """Return the `Speeds` that the options set for an axis.
 
     Raises:
-        ArgumentError: Its chip does not have what an option asks for.
+        ArgumentError: The axis' chip does not support one of the options.
     """
     from stage.firmware.driver import get_driver
     from stage.firmware.procedures import parse_speeds
@@ -129,10 +129,10 @@ def parse_speed_options(args: argparse.Namespace, axis: Any) -> Any:
 
 
 def parse_distance(axis: Any, text: str) -> int:
-    """Return the pulses of a distance as it is typed: 8000 (pulses), 10mm, -0.5deg.
+    """Return the pulses of a typed distance: 8000 (pulses), 10mm, -0.5deg.
 
     Raises:
-        ArgumentError: The text is no whole number, and no distance in a unit of the axis.
+        ArgumentError: The text is no integer, and no distance in a unit of the axis.
     """
     from stage.firmware.procedures import convert_to_pulses
 
@@ -150,7 +150,7 @@ def parse_distance(axis: Any, text: str) -> int:
 
 
 def warn_if_beyond_limits(args: argparse.Namespace, axis: Any, pulses: int) -> None:
-    """Print a warning if a move of `pulses` leads beyond the end limits of the axis, or beyond its travel if it has no limits."""
+    """Print a warning if a move of `pulses` would pass an end limit of the axis, or the end of its travel if it has no limits."""
     ends = {s.pin: s.touch for s in axis.plant.switches}
     low, high = (-math.inf, math.inf) if axis.unit == "rad" else axis.travel  # a hinge without limits turns without end
     low, high = ends.get("el_minus", low), ends.get("el_plus", high)
@@ -166,10 +166,10 @@ def warn_if_beyond_limits(args: argparse.Namespace, axis: Any, pulses: int) -> N
 
 
 def find_axis(stage: Any, name: str) -> Any:
-    """Return an axis by its name.
+    """Return the axis with a name.
 
     Raises:
-        ArgumentError: There is no such axis; the error has near names.
+        ArgumentError: The stage has no such axis; the error lists similar names.
     """
     if name not in stage.axes:
         raise unknown_name_error("axis", name, stage.axes)
@@ -177,16 +177,16 @@ def find_axis(stage: Any, name: str) -> Any:
 
 
 def place_carriage(stage: Any, axis: Any, option: str, place: str | None) -> None:
-    """Put the carriage of an axis at a place.
+    """Move the carriage of an axis to a position.
 
     Args:
         stage: Stage of the axis.
-        axis: Axis to place.
-        option: Option that names the place, for errors.
-        place: 62mm, 90deg, or a number of mm, degrees on a hinge; None: leave the carriage where it is.
+        axis: Axis to move.
+        option: Option that names the position, for errors.
+        place: Position such as 62mm or 90deg, or a number of mm (degrees on a hinge); None: do not move the carriage.
 
     Raises:
-        ArgumentError: The text is no place, or outside the travel of the axis.
+        ArgumentError: The text is no position, or is outside the travel of the axis.
     """
     if place is None:
         return

@@ -1,7 +1,7 @@
-"""Terminal of a command: standard output that may be closed, and progress on standard error.
+"""Terminal of a command: standard output that a reader may close, and progress on standard error.
 
-Standard output may be closed on the way, as in `stage demo | head -1`, or lack a character, as ASCII lacks most. The command
-continues and writes its files. Progress is shown only where standard error is a terminal.
+A reader may close standard output during a command, as in `stage demo | head -1`, or its encoding may lack a character, as ASCII
+does. The command then continues and writes its files. Progress is shown only if standard error is a terminal.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ class Output:
         self._try(self._stream.flush)
 
     def _try(self, call: Callable[..., Any], *args: str) -> None:
+        """Call a method of the stream unless an earlier call has failed. After a failure, redirect the stream to nowhere."""
         if self.error is not None:
             return
         try:
@@ -57,10 +58,11 @@ class Output:
 
 
 def open_missing_streams() -> None:
-    """Let standard streams that were closed when this process began lead to nowhere.
+    """Open the null device for each standard stream that was closed when this process began.
 
-    Otherwise Python has no object for them, and the next files that are opened get their numbers: what a compiler or firmware
-    then prints would go into these files.
+    Otherwise Python has no object for it, and a file that is opened later gets its descriptor: the output of a compiler or of
+    firmware
+    would then go into that file.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
@@ -68,9 +70,9 @@ def open_missing_streams() -> None:
 
 
 def run_with_output(run: Callable[[], int]) -> int:
-    """Return the exit code of `run()`, and print what it prints.
+    """Run a command with a standard output that may be closed; return its exit code.
 
-    A reader that has gone away is no error; the code is 2 where anything else keeps the text from being written.
+    A closed standard output is no error. The code is 2 if anything else prevents the text from being written.
     """
     open_missing_streams()
     output = Output(sys.stdout)
@@ -96,20 +98,20 @@ def note(text: str) -> None:
 
 
 def show_progress(task: str, share: float) -> None:
-    """Show in a line how much of a task is done, 0 to 1."""
+    """Show in a line the share of a task that is done, 0 to 1."""
     if sys.stderr.isatty():
         print(f"\r{task} {share:4.0%}", end="\n" if share >= 1 else "", file=sys.stderr, flush=True)
 
 
 def rewrite_line(text: str) -> None:
-    """Replace the line on which the cursor is; "" clears it."""
+    """Replace the line at the cursor by a text; "" clears the line."""
     if sys.stderr.isatty():
         print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
 
 @contextmanager
 def show_simulated_time(stage: Any) -> Iterator[None]:
-    """Show in this block, after a while, how far the simulated time is."""
+    """Within this block, show the simulated time in a line that is updated regularly."""
     if not sys.stderr.isatty():
         yield
         return

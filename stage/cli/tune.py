@@ -80,7 +80,7 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Find registers, print them, and write them to files."""
+    """Search for registers, print them, and write them to files."""
     from stage.tune import Task, tune
     from stage.tune.search import import_optuna
 
@@ -124,6 +124,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write_files(args: argparse.Namespace, result: Any, folder: Path) -> None:
+    """Write the files of a result into a folder."""
     from stage.support.files import write_atomically
 
     texts = {"c": result.c_source(), "text": f"{result}\n", "json": json.dumps(result.json(), indent=1) + "\n"}
@@ -140,7 +141,7 @@ def _write_files(args: argparse.Namespace, result: Any, folder: Path) -> None:
 
 
 def _check_folder(args: argparse.Namespace) -> Path | None:
-    """Return the folder of --output, which is made if it is missing. Raises FileError for one that cannot be written to."""
+    """Return the folder of --output, and create it if it is missing. Raises FileError for a folder that cannot be written to."""
     from stage.support.files import FileError, check_writable
 
     if args.output is None:
@@ -163,9 +164,14 @@ def _check_folder(args: argparse.Namespace) -> Path | None:
 
 
 def parse_spare(text: str, payload: float) -> float | None:
-    """Return the additional mass of --spare in kg: of 0.6, or of 30 % of the payload.
+    """Return the additional mass for --spare, kg, or None for a share of no payload, where the usual margin holds.
 
-    None stands for the usual margin, where there is no payload. Raises ArgumentError.
+    Args:
+        text: Typed mass, for example 0.6, or share of the payload, for example 30%.
+        payload: Mass of the payload, kg.
+
+    Raises:
+        ArgumentError: The text is neither a mass nor a share.
     """
     text = text.strip()
     number, percent, rest = text.partition("%")
@@ -178,7 +184,7 @@ def parse_spare(text: str, payload: float) -> float | None:
 
 
 def explain_unit(axis: Any, distance: str) -> str:
-    """Return the sentence that proposes a unit for a distance without one, which is pulses; "" for one that has a unit."""
+    """Return a sentence that proposes a unit for a distance without one, which counts as pulses; "" for a distance with a unit."""
     from stage.firmware.driver import get_driver
 
     distance = distance.strip()
@@ -189,7 +195,7 @@ def explain_unit(axis: Any, distance: str) -> str:
 
 
 def _parse_settle(axis: Any, settle: list[str] | None) -> tuple[float | None, float]:
-    """Return the window of --settle in m (rad), None for the usual one, and its time in s. Raises ArgumentError."""
+    """Return the window of --settle in m (rad), or None for the usual one, and its time in s. Raises ArgumentError."""
     from stage.tune.task import DEFAULT_HOLD_S
 
     if settle is None:
@@ -205,6 +211,14 @@ def _parse_length(axis: Any, option: str, text: str) -> float:
 
 
 def _parse_positive(option: str, text: str, units: dict[str, float], example: str) -> float:
+    """Parse a positive number with a unit. Raises ArgumentError.
+
+    Args:
+        option: Option with this value, for errors.
+        text: The text.
+        units: SI value of each allowed unit.
+        example: Example of a value, for errors.
+    """
     value = parse_quantity(text, units)
     if value is None or not 0 < value < float("inf"):
         raise ArgumentError(
@@ -214,7 +228,7 @@ def _parse_positive(option: str, text: str, units: dict[str, float], example: st
 
 
 class _Progress:
-    """Line on a terminal that shows how far the search is."""
+    """Progress of a search, as a line on the terminal."""
 
     def __init__(self, trials: int):
         self._trials = trials

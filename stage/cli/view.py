@@ -35,7 +35,7 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Open the viewer, or print the axes, or draw a picture."""
+    """Open the viewer, print the axes, or draw a picture."""
     from stage.sim import plant
     from stage.sim.stage import Stage
     from stage.support.opengl import check_window
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _describe_axis(axis: Any) -> dict[str, Any]:
-    """Return what the naming contract says of an axis, in m or rad."""
+    """Return the attributes that the naming contract gives to an axis, in m or rad."""
     return {
         "name": axis.name, "kind": "hinge" if axis.hinge else "slide", "travel": axis.travel,
         "per_turn": 2 * math.pi / abs(axis.gear), "motor": axis.motor, "switches": {s.pin: s.touch for s in axis.switches},
@@ -66,17 +66,17 @@ def _describe_axis(axis: Any) -> dict[str, Any]:
 
 
 def draw_model(model: Any, path: str, camera: str | None, overwrite: bool, key: str | None = None) -> None:
-    """Render a model to a file, with an arrow towards plus and the name of each axis in the colors of the dashboard.
+    """Render a model to a file, with the name of each axis and an arrow in its positive direction, in the colors of the dashboard.
 
     Args:
         model: MjModel.
-        path: File to write, a PNG.
-        camera: Camera of the model; None: `overview`, or a free one that sees all.
-        overwrite: Overwrite a file that exists.
-        key: Keyframe; None: the first one, or zero where there is none.
+        path: PNG file to write.
+        camera: Camera of the model; None: `overview`, or a free camera that sees the whole model.
+        overwrite: Whether to overwrite an existing file.
+        key: Keyframe; None: the first one, or the zero position if there is none.
 
     Raises:
-        StageError: There is no such camera, or no OpenGL.
+        StageError: The model has no such camera, or there is no OpenGL.
         ExtraMissing: matplotlib is not installed.
     """
     import mujoco
@@ -114,7 +114,7 @@ def draw_model(model: Any, path: str, camera: str | None, overwrite: bool, key: 
 
 
 def _draw_arrow(ax: Any, model: Any, data: Any, eye: Any, axis: Any, k: int) -> None:
-    """Draw an arrow along a slide, or around a hinge, from the middle of what the axis moves."""
+    """Draw an arrow along a slide, or around a hinge, from the middle of the bodies that the axis moves."""
     import numpy as np
     from matplotlib import patheffects
 
@@ -148,7 +148,7 @@ def _draw_arrow(ax: Any, model: Any, data: Any, eye: Any, axis: Any, k: int) -> 
 
 
 def _project(eye: Any, points: Any) -> Any:
-    """Return where points (n, 3) of the world are in the picture, pixels (n, 2)."""
+    """Return the pixels, shape (n, 2), of the picture at which points of the world, m, shape (n, 3), appear."""
     import numpy as np
 
     forward, up = np.array(eye.forward), np.array(eye.up)

@@ -1,7 +1,7 @@
-"""The command `stage fault`: one thing breaks, and the same program runs on a healthy stage and on a faulty one.
+"""The command `stage fault`: it makes one fault, and runs the same program on a healthy and on a faulty stage.
 
-A demonstration is a program with a fault in it (programs.py), the figures that it measures, and what is claimed of them
-(demonstrations.py).
+A demonstration consists of a host program with a fault (host_programs.py), the values that the program measures, and the claim
+about them (demonstrations.py).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def add(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """List the faults, or show one; exit code 0 if what is claimed happens."""
+    """List the faults, or demonstrate one; return 0 if it happens as claimed."""
     from stage.cli.fault import demonstrations
 
     if args.name is None:

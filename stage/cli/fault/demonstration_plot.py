@@ -75,7 +75,10 @@ def _find_unit(column: str) -> str | None:
 
 
 def _read_waveform(recording: Any, column: str) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Return times in s, values, and whether each holds until the next, of the first axis; rates and pins to the clock."""
+    """Return times in s, values, and whether each value holds until the next one, for a column of the first axis.
+
+    Rates and pins are exact to a clock of the chip.
+    """
     from stage.recording.pin_signals import is_asserted, to_pulse_rates
 
     name, axis = next(iter(recording.axes.items()))
@@ -91,7 +94,12 @@ def _read_waveform(recording: Any, column: str) -> tuple[np.ndarray, np.ndarray,
 
 
 def _find_limits(result: DemoResult, begins: list[float]) -> tuple[float, float] | None:
-    """Return when the picture begins and ends, s; None: all of the run."""
+    """Return the times, s, at which the picture begins and ends; None: the whole run.
+
+    Args:
+        result: Result of the demonstration.
+        begins: Times at which the fault began in each run, s.
+    """
     if result.demo.close_up is None:
         return None
     pin = next((column for column in result.demo.draws if _find_unit(column) is None), None)

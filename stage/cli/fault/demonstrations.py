@@ -32,7 +32,7 @@ HYSTERESIS_UM = 28.0  # 25 of a switch, and a pulse
 
 @dataclass(frozen=True)
 class Claim:
-    """Claim for a servo, where it differs from that for a stepper; see `Demo`."""
+    """Claim of a demonstration about a servo, if it differs from that about a stepper; for the attributes see `Demo`."""
 
     claim: str
     notice: str
@@ -45,14 +45,14 @@ class Demo:
     """Demonstration of a fault.
 
     Attributes:
-        claim: What happens, in a sentence.
-        notice: How a host can detect it.
-        program: Runs on a stage, and returns its figures.
-        happened: Whether the figures of the healthy and of the faulty run are as claimed.
+        claim: Sentence that says what happens.
+        notice: Sentence that says how a host can detect the fault.
+        program: Host program; a function of the stage and of a function that makes the fault, which returns the measured values.
+        happened: Function that returns whether the measured values of the healthy and the faulty run are as claimed.
         draws: Two columns of the first axis' recording for the picture.
-        close_up: Seconds before and after the moment that the picture shows: that at which the fault begins, or the first edge
-            of a switch among `draws`; None: all of the run.
-        servo: Claim for servos; None: the same.
+        close_up: Times before and after the interesting moment that the picture shows, s. This moment is the begin of the fault, or
+            the first edge of a switch that `draws` names. None: the whole run.
+        servo: Claim about servos; None: the same as about steppers.
     """
 
     claim: str
@@ -64,21 +64,21 @@ class Demo:
     servo: Claim | None = None
 
     def for_servo(self) -> Demo:
-        """Return the demonstration with what is claimed of a servo."""
+        """Return the demonstration with its claim about servos."""
         return replace(self, **vars(self.servo)) if self.servo else self
 
 
 @dataclass(frozen=True)
 class DemoResult:
-    """Result of a demonstration: the healthy run and the faulty one.
+    """Result of a demonstration: the healthy run and the faulty run.
 
     Attributes:
         name: Name of the demonstration.
         demo: The demonstration.
-        figures: Figures of the two runs; those whose names end in mm or um are in meters or radians.
+        figures: Measured values of the two runs; those whose names end in mm or um are in meters or radians.
         recordings: Recordings of the two runs, or None.
-        unit: "m", or "rad" where the first axis is a hinge.
-        turn: Way of the axis, m (rad), for a turn of the motor.
+        unit: Unit of lengths: "m", or "rad" if the first axis is a hinge.
+        turn: Distance of the axis for a turn of the motor, m (rad).
     """
 
     name: str
@@ -90,15 +90,15 @@ class DemoResult:
 
     @property
     def as_claimed(self) -> bool:
-        """Verdict: what is claimed has happened."""
+        """Verdict of the demonstration: the claim has come true."""
         return self.demo.happened(*map(self._scale_to_reference_screw, self.figures))
 
     def _scale_to_reference_screw(self, figures: Figures) -> Figures:
-        """Scale lengths to those of an axis that moves SCREW_M per turn of its motor, which the claims are about."""
+        """Scale lengths to an axis that moves SCREW_M per turn of its motor, for which the claims are written."""
         return {k: v * SCREW_M / self.turn if k.endswith(", mm") else v for k, v in figures.items()}
 
     def table(self) -> str:
-        """Return the figures of both runs, a line each."""
+        """Return the measured values of both runs, a line for each."""
         return format_figures(("", "healthy", "faulty"), self.figures, self.unit)
 
     def plot(self, path: str | None = None, overwrite: bool = False) -> Any:
@@ -109,12 +109,12 @@ class DemoResult:
 
 
 def format_figures(head: tuple[str, str, str], figures: tuple[Figures, Figures], unit: str) -> str:
-    """Return the figures of two runs, a line each.
+    """Return the measured values of two runs as a table, a line for each.
 
     Args:
         head: Headings of the columns.
-        figures: Figures by name; those whose names end in mm or um are lengths.
-        unit: "m", or "rad": lengths are angles, and are given in degrees.
+        figures: Measured values of each run by name; those whose names end in mm or um are lengths.
+        unit: "m", or "rad": lengths are angles, and the table shows degrees.
     """
     first, second = figures
     rows = [head, *(_format_figure(name, value, second[name], unit) for name, value in first.items())]
@@ -132,7 +132,7 @@ def _format_figure(name: str, first: Any, second: Any, unit: str) -> tuple[str, 
 
 
 def find_key(name: str) -> str:
-    """Return the name of a demonstration as DEMOS has it. Raises ArgumentError with near names."""
+    """Return the key of DEMOS for a typed name of a demonstration. Raises ArgumentError, with similar names, for an unknown one."""
     key = name.lower().replace("_", "-")
     if key not in DEMOS:
         raise unknown_name_error("fault", name, DEMOS)
@@ -146,13 +146,13 @@ def run_demonstration(
 
     Args:
         name: Name of the demonstration.
-        make: Makes a stage.
-        record: Context manager of the recording of the faulty run.
-        record_both: Record the healthy run, too.
+        make: Function that returns a new stage.
+        record: Function of the stage that returns the context manager of the faulty run's recording; None: no recording.
+        record_both: Whether to record the healthy run, too.
 
     Raises:
-        ArgumentError: There is no demonstration of this name.
-        StageError: The stage cannot show it; the error has the reason.
+        ArgumentError: No demonstration has this name.
+        StageError: The stage cannot show the fault; the error says why.
     """
     key = find_key(name)
     stage = make()
@@ -171,7 +171,7 @@ def run_demonstration(
 
 
 def has_arrived(figures: Figures) -> bool:
-    """Return whether the chip has made its move to the end."""
+    """Return whether the chip has completed its move."""
     return figures["stopped by"] not in LIMITS
 
 

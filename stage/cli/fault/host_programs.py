@@ -1,7 +1,7 @@
-"""Programs of the demonstrations: what a host does, with any chip, by its driver; and their figures.
+"""Host programs of the demonstrations: each drives a stage through its host drivers, with any chip, and returns measured values.
 
-Distances and rates are turns of the motor, so that carriages do the same whatever a pulse is: 5 turns are 16,000 pulses of a drive
-with 16 microsteps, 10,000 counts of a servo's encoder.
+Distances and rates are in turns of the motor, so that a carriage moves alike whatever the length of a pulse is: 5 turns are 16,000
+pulses of a drive with 16 microsteps, or 10,000 counts of a servo's encoder.
 """
 
 from __future__ import annotations
@@ -23,12 +23,16 @@ TIMEOUT_S = 60.0
 
 
 def get_first_axis(stage: Any) -> Any:
-    """Return the axis on which a fault is shown."""
+    """Return the axis on which the faults are demonstrated."""
     return next(iter(stage.axes.values()))
 
 
 def find_touch(axis: Any, pin: str) -> float:
-    """Return the position at which the axis trips a switch, m. Raises StageError where there is no switch, or no pin for it."""
+    """Return the position at which an axis trips a switch, m.
+
+    Raises:
+        StageError: The axis has no such switch, or its chip has no pin for it.
+    """
     if not axis.chip.wired(pin):
         raise StageError(
             f"axis {axis.name}: {add_article(type(axis.chip).__name__)} has no pin for {pin}, which is to fail. Choose a "
@@ -43,18 +47,25 @@ def find_touch(axis: Any, pin: str) -> float:
 
 
 def convert_revolutions_to_pulses(axis: Any, turns: float) -> int:
-    """Return the pulses, or counts, of so many turns of the motor."""
+    """Return the pulses, or encoder counts, for a number of turns of the motor."""
     return round(turns * axis.drive.pulses_per_turn)
 
 
 def make_speeds(axis: Any, drive: float, ramp: float, start: float = START_TURNS_PER_S) -> Speeds:
-    """Return speeds from turns of the motor per second, and the seconds of the ramps."""
+    """Return the speeds of a move in pulses per second.
+
+    Args:
+        axis: Axis that moves.
+        drive: Drive speed, turns of the motor per second.
+        ramp: Duration of each ramp, s.
+        start: Start speed, turns of the motor per second.
+    """
     turn = axis.drive.pulses_per_turn
     return Speeds(start * turn, drive * turn, ramp, ramp)
 
 
 def start_move(axis: Any, turns: float, *speeds: float) -> Callable[[], Figures]:
-    """Start a move; return a function that waits for its end, and for the motor, and returns the figures.
+    """Start a move, and return a function that waits for its end and returns the measured values.
 
     Args:
         axis: Axis that moves.
@@ -67,10 +78,12 @@ def start_move(axis: Any, turns: float, *speeds: float) -> Callable[[], Figures]
     start, net = axis.position, axis.chip.net(axis.chip_axis)
 
     def measure_error() -> None:
+        """Store the largest following error so far."""
         nonlocal worst
         worst = max(worst, abs(axis.commanded - axis.position))
 
     def finish() -> Figures:
+        """Wait for the end of the move and for the motor to settle; return the measured values."""
         stopped_by = driver.wait(TIMEOUT_S, measure_error if servo else None)
         lag = axis.commanded - axis.position
         axis.wait(0.3)
@@ -87,7 +100,7 @@ def start_move(axis: Any, turns: float, *speeds: float) -> Callable[[], Figures]
 
 
 def run_into_stuck_open_limit(stage: Any, make_fault: MakeFault) -> Figures:
-    """Run into EL+, which is stuck open."""
+    """Move into EL+, which is stuck open."""
     x = get_first_axis(stage)
     stage.place(**{x.name: find_touch(x, "el_plus") - 0.010})
     with make_fault(faults.switch_stuck, x, "el_plus", False):
@@ -95,7 +108,7 @@ def run_into_stuck_open_limit(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def move_with_stuck_closed_limit(stage: Any, make_fault: MakeFault) -> Figures:
-    """Let EL+ stick closed in a move."""
+    """Make a move during which EL+ sticks closed."""
     x = get_first_axis(stage)
     finish = start_move(x, 10, 6.25, 0.1)
     x.wait(0.5)
@@ -104,7 +117,7 @@ def move_with_stuck_closed_limit(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def home_with_bouncing_origin(stage: Any, make_fault: MakeFault) -> Figures:
-    """Home while ORG bounces."""
+    """Home while the contact of ORG bounces."""
     x = get_first_axis(stage)
     with make_fault(faults.bounce, x, "org", BOUNCE_S):
         stage.place(**{x.name: find_touch(x, "org") + 0.002})
@@ -123,7 +136,7 @@ def home_with_bouncing_origin(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def home_without_vane(stage: Any, make_fault: MakeFault) -> Figures:
-    """Home without the vane of ORG."""
+    """Home while ORG's vane is missing."""
     x = get_first_axis(stage)
     with make_fault(faults.vane_missing, x, "org"):
         report = firmware.home(x, speed=make_speeds(x, 5, 0.07))
@@ -136,7 +149,7 @@ def home_without_vane(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def move_with_heavy_payload(stage: Any, make_fault: MakeFault) -> Figures:
-    """Move with a payload that is twice what it should be."""
+    """Make a move with a payload of twice the planned mass."""
     x = get_first_axis(stage)
     stage.set_payload(10.0)
     with make_fault(faults.payload, stage, 2.0):
@@ -144,7 +157,7 @@ def move_with_heavy_payload(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def move_with_falling_supply(stage: Any, make_fault: MakeFault) -> Figures:
-    """Let the supply fall to 8 V at speed."""
+    """Make a move during which the supply falls to 8 V."""
     x = get_first_axis(stage)
     finish = start_move(x, 12.5, 18.75, 0.1, 0.46875)
     x.wait(0.3)
@@ -153,7 +166,7 @@ def move_with_falling_supply(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def move_with_jam(stage: Any, make_fault: MakeFault) -> Figures:
-    """Jam the axis in a move."""
+    """Make a move during which the axis jams."""
     x = get_first_axis(stage)
     finish = start_move(x, 10, 6.25, 0.1)
     x.wait(0.5)
@@ -163,7 +176,7 @@ def move_with_jam(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def move_with_open_phase(stage: Any, make_fault: MakeFault) -> Figures:
-    """Open phase B before a move from rest, and at speed."""
+    """Open phase B of the motor before a move from rest, and during a move."""
     x = get_first_axis(stage)
     with make_fault(faults.phase_open, x, "b"):
         figures = start_move(x, 5, 3.125, 0.1)()
@@ -194,7 +207,7 @@ def start_skew(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def _find_axis_started_separately(stage: Any, axis: Any) -> Any:
-    """Return an axis that a line with `axis` starts by another command. Raises StageError where there is none, with the reason."""
+    """Return an axis that a line with `axis` starts by a separate command. Raises StageError, with the reason, if there is none."""
     chip = axis.chip.MAP.chip
     if get_driver(axis).has_position_loop:
         raise StageError(
@@ -214,7 +227,7 @@ def _find_axis_started_separately(stage: Any, axis: Any) -> Any:
 
 
 def move_with_lost_write(stage: Any, make_fault: MakeFault) -> Figures:
-    """Lose a write of the distance."""
+    """Make a move whose write of the distance gets lost on the bus."""
     x = get_first_axis(stage)
     turns = min(5, 0.9 * (x.travel[1] - x.position) * abs(x.gear) / (2 * math.pi))
     distance, register = convert_revolutions_to_pulses(x, turns), get_driver(x).DISTANCE_REGISTER
