@@ -37,6 +37,33 @@ def test_a_line_that_the_stage_drives_cannot_be_set(line):
     assert chip.input_word(0) == STEPDIR.INPUTS["enable"]
 
 
+@pytest.mark.parametrize(
+    ("chips", "find", "name", "message"),
+    [
+        ("stepdir", lambda axis: axis.chip, "stepp", r"The STEPDIR has no attribute 'stepp'\. Did you mean step\?"),
+        ("stepdir", lambda axis: axis.chip, "direction", r"no attribute 'direction'\. Did you mean dir\? Lines that"),
+        ("stepdir", lambda axis: axis, "step", r"Axis x has no attribute 'step' .* stage\.axes\['x'\]\.chip\.step\."),
+        ("stepdir", lambda axis: axis.chip.axes[0], "step", r"Input pins are set as pins\.step = True"),
+        (
+            "pcl240k",
+            lambda axis: axis.chip,
+            "step",
+            r"The PCL240K has no attribute 'step'\. Input pins are set as pins\.",
+        ),
+        ("pcl240k", lambda axis: axis.chip, "el_plus", r"set as pins\.el_plus = True: el_plus, el_minus,"),
+        ("pcl240k", lambda axis: axis, "org", r"stage\.axes\['x'\]\.pins\.org\."),
+        ("mcx304", lambda axis: axis.chip, "pulse", r"The MCX304 has no attribute 'pulse'"),
+    ],
+)
+def test_an_attribute_that_does_not_exist_cannot_be_set(chips, find, name, message):
+    target = find(Stage("xyz", chips=chips, visuals=False).axes["x"])
+    for same in (target, copy.copy(target)):
+        with pytest.raises(AttributeError, match=message) as refused:
+            setattr(same, name, True)
+        assert isinstance(refused.value, StageError)
+        assert name not in vars(same)
+
+
 def test_pulses_are_those_of_a_loop_to_the_nanosecond(stage):
     one, other = copy.deepcopy(stage), copy.deepcopy(stage)
     one.axes["y"].chip.dir = other.axes["y"].chip.dir = True

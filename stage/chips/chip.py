@@ -34,10 +34,11 @@ from stage.chips.diagnostics import (
 from stage.chips.exclusive_access import SessionLock, exclusive, exclusively, with_lock
 from stage.chips.journal import Journal
 from stage.chips.register_map import RegisterMap, Word, dump
-from stage.errors import ArgumentError, StageError, add_article, unknown_name_error
+from stage.errors import ArgumentError, StageError, add_article, find_similar_names, unknown_name_error
 from stage.native import without_attributes
 from stage.support import snapshots
 from stage.support.argument_checks import explain_arguments
+from stage.support.declared_attributes import DeclaredAttributes, UnknownAttribute
 from stage.support.snapshot_files import SavableSnapshot
 
 MAX_CLOCKS = 1 << 45  # a speed of 13 bits times this still fits 63 bits
@@ -101,13 +102,13 @@ class Pins:
             return bool(chip.input_word(self._axis) & self._inputs[name])
         if name in self._outputs:
             return bool(chip.output_word(self._axis) & self._outputs[name])
-        raise _NoPin(unknown_name_error(f"{type(chip).__name__} pin", name, dir(self)))
+        raise UnknownAttribute(unknown_name_error(f"{type(chip).__name__} pin", name, dir(self)))
 
     def __setattr__(self, name: str, value: bool) -> None:
         chip = self._chip
         if name not in self._inputs:
             kind = "is an output and cannot be driven" if name in self._outputs else "is not a pin"
-            raise _NoPin(f"{type(chip).__name__} {name!r} {kind}. Inputs: {', '.join(self._inputs)}.")
+            raise UnknownAttribute(f"{type(chip).__name__} {name!r} {kind}. Inputs: {', '.join(self._inputs)}.")
         with exclusively(chip):
             word = chip.input_word(self._axis)
             bit = self._inputs[name]
@@ -129,18 +130,23 @@ class Pins:
         return "Pins(" + ", ".join(name for name, on in self.as_dict().items() if on) + ")"
 
 
-class _NoPin(StageError, AttributeError):
-    """An error about a pin that does not exist or cannot be set."""
-
-
-class ChipAxis:
+class ChipAxis(DeclaredAttributes):
     """One axis of a chip."""
 
     def __init__(self, chip: Chip, index: int):
         self.chip, self.index, self.pins = chip, index, Pins(chip, index, chip.INPUTS, chip.OUTPUTS)
 
+    def _explain_unknown_attribute(self, name: str) -> str:
+        return f"An axis of a chip has no attribute {name!r}. {explain_pins(self.pins, name)}"
 
-class Chip:
+
+def explain_pins(pins: Pins, name: str) -> str:
+    """Explain, as a sentence, how to set the input pins of an axis to somebody who took `name` for one of its attributes."""
+    similar = find_similar_names(name, pins._inputs)
+    return f"Input pins are set as pins.{similar[0] if similar else next(iter(pins._inputs))} = True: {', '.join(pins._inputs)}."
+
+
+class Chip(DeclaredAttributes):
     """Base class of all chips. A family derives its chips from it."""
 
     MAP: ClassVar[RegisterMap]
@@ -235,6 +241,9 @@ class Chip:
                 f"a reference clock of {self.clock_hz:,} Hz: the silicon is sold for {minimum:,} to {maximum:,} Hz"
             )
             self.diagnose(0, 0, 0, [(CLOCK_RANGE.at(self.CLOCK_SOURCE), message)])
+
+    def _explain_unknown_attribute(self, name: str) -> str:
+        return f"The {type(self).__name__} has no attribute {name!r}. {explain_pins(self.axes[0].pins, name)}"
 
     @property
     def diagnostics(self) -> list[Diagnostic]:

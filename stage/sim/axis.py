@@ -15,6 +15,7 @@ from stage.errors import ArgumentError, StageError, UnknownKey, unknown_name_err
 from stage.sim.pin_edge_player import LINE_EDGE, play_pin_edges
 from stage.support import html
 from stage.support.argument_checks import check_integer, explain_arguments
+from stage.support.declared_attributes import DeclaredAttributes
 from stage.units import POSITION_UNITS
 
 PLAYED_PULSES = 1 << 16
@@ -122,7 +123,7 @@ class AxisFaults:
         vars(self).update(vars(copy), switches=switches)
 
 
-class Axis:
+class Axis(DeclaredAttributes):
     """One axis: chip, drive, motor, joint, switches.
 
     Attributes:
@@ -163,6 +164,13 @@ class Axis:
         switches = stage.state.switch_table[t.first_switch : t.end_switch][SWITCH_FAULTS]
         self.faults = AxisFaults(drive.bus_voltage, switches)
         self.armature, self.rotor = float(stage.model.dof_armature[plant.dof]), drive.motor.rotor_inertia
+
+    def _explain_unknown_attribute(self, name: str) -> str:
+        text = f"Axis {self.name} has no attribute {name!r} to set."
+        if hasattr(type(self.chip), name) or name in self.chip.INPUTS:
+            place = "chip" if hasattr(type(self.chip), name) else "pins"
+            return f"{text} Its chip has: stage.axes[{self.name!r}].{place}.{name}."
+        return f"{text} stage.place({self.name}=...) moves its carriage; chip and pins have what a host sets."
 
     @property
     def lock(self) -> SessionLock | None:

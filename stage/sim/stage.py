@@ -168,7 +168,7 @@ class Stage:
         per_unit = encoder.list_counts_per_unit(self._encoders, self._plant)
         self.state = State(self.model, offset, self._plant, chip_axes, drives, bus, per_unit, wires)
         for follower, leader in wires.leaders.items():
-            follower.syni = leader  # type: ignore[attr-defined]
+            follower.syni = leader
         self.data, self.chips = self.state.data, list_chips(chip_axes)
         self.loop = Loop(self.state, self.chips, self._power_up)
         for chip, rows in zip(self.chips, self.state.chips, strict=True):

@@ -18,11 +18,12 @@ from stage.chips.chip import Chip
 from stage.chips.diagnostics import Diagnostic
 from stage.chips.stepdir import core
 from stage.chips.stepdir.describe import Decoder, Listener
-from stage.chips.stepdir.line_names import Line
+from stage.chips.stepdir.line_names import DRIVEN, READ, Line
 from stage.chips.stepdir.lint import describe_violation, lint_write
 from stage.chips.stepdir.maps import ADDRESS_MASK, CONTROL_ADDRESS, DATA_MASK, MAP
 from stage.chips.stepdir.state import ENABLE, TIMES
 from stage.chips.stepdir.step_timer import GO, MINUS
+from stage.errors import find_similar_names
 from stage.support.argument_checks import explain_arguments
 
 __all__ = ["STEPDIR"]
@@ -97,6 +98,12 @@ class STEPDIR(Chip):
         c["counts_disabled"] = power_stage.counts_disabled
         c["required"] = [round(seconds * self.clock_hz) for seconds in power_stage.times]
         self.power_stage = power_stage.title
+
+    def _explain_unknown_attribute(self, name: str) -> str:
+        lines = ", ".join(DRIVEN)
+        similar = find_similar_names(name, DRIVEN | READ)
+        hint = f" Did you mean {similar[0]}?" if similar else ""
+        return f"The STEPDIR has no attribute {name!r}.{hint} Lines that a host drives: {lines}; that it reads: {', '.join(READ)}."
 
     def explain_missing_current(self, axis: int = 0) -> str:
         self._check_axis(axis)
