@@ -97,7 +97,7 @@ def play_suite(args: argparse.Namespace) -> int:
     from stage.support.files import ENTRY, TRANSCRIPT, check_ending, check_writable
 
     player, limits = _make_player(args), arena.Limits(args.most, args.patience, args.time)
-    suite = arena.suite(args.suite, args.split, args.episodes)
+    suite = arena.make_suite(args.suite, args.split, args.episodes)
     _check_options(args, len(suite.games))
     for path, kind in ((args.output, TRANSCRIPT), (args.entry, ENTRY)):
         if path is not None:
@@ -112,7 +112,7 @@ def play_suite(args: argparse.Namespace) -> int:
             header = make_header(suite, name, limits)
             writer = stack.enter_context(arena.TranscriptWriter(args.output, header, args.force, args.resume))
         earlier_games = writer.earlier_games if writer else ()
-        progress = _Progress(writer, len(earlier_games), len(suite.games))
+        progress = _GameReporter(writer, len(earlier_games), len(suite.games))
         try:
             result = arena.play(suite, player, name, limits, progress, earlier_games)
         except arena.Interrupted as why:
@@ -131,8 +131,14 @@ def play_suite(args: argparse.Namespace) -> int:
     return code
 
 
-class _Progress:
-    """Callback that writes each finished game to the transcript, and prints the number of games on a terminal."""
+class _GameReporter:
+    """Callback that writes each finished game to the transcript, and counts the games in a line on a terminal.
+
+    Args:
+        writer: Writer of the transcript, or None.
+        count: Number of games that are already finished.
+        total: Number of games of the suite.
+    """
 
     def __init__(self, writer: TranscriptWriter | None, count: int, total: int):
         self._writer, self._count, self._total = writer, count, total
@@ -148,7 +154,12 @@ class _Progress:
 
 
 def _check_options(args: argparse.Namespace, count: int) -> None:
-    """Raise ArgumentError for options that do not go together; count: number of games."""
+    """Raise ArgumentError for options that do not go together.
+
+    Args:
+        args: Options of the command line.
+        count: Number of games.
+    """
     if args.mcp and count != 1:
         raise ArgumentError(
             f"--mcp: one game for one client, and {args.suite} has {count}: give --episodes 1, or diagnosis:late."
@@ -188,7 +199,7 @@ def _print_result(args: argparse.Namespace, result: SuiteResult, out: Any) -> No
 
 
 def _print_troubles(result: SuiteResult) -> None:
-    """Print on standard error what went wrong and how often."""
+    """Print on standard error which troubles occurred in the games, and how often."""
     counts = result.trouble_counts
     for what, times in counts.most_common(MAX_SHOWN_TROUBLES):
         print(f"stage: {what}{f' ({times} times)' if times > 1 else ''}", file=sys.stderr)
@@ -201,7 +212,7 @@ def _print_troubles(result: SuiteResult) -> None:
 
 
 def _make_player(args: argparse.Namespace) -> Any:
-    """Make the player that the options name. Raises ArgumentError if they name several."""
+    """Make the player that the options select. Raises ArgumentError if they select several."""
     from registerbench.arena.players import make_player
 
     named = [name for name in ("by", "command", "endpoint") if getattr(args, name) is not None] + ["mcp"] * args.mcp
@@ -228,7 +239,11 @@ def _make_player(args: argparse.Namespace) -> Any:
 
 
 def replay_transcript(args: argparse.Namespace) -> int:
-    """Repeat the calls of a transcript, and return the exit code: 0 if all is the same, 1 if it differs or is cut."""
+    """Repeat the calls of a transcript, and print the result.
+
+    Returns:
+        Exit code: 0 if every answer and score is the same, 1 if one differs or the transcript is incomplete.
+    """
     from registerbench import arena
 
     replay = arena.replay(args.file)

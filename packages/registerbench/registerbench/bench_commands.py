@@ -88,7 +88,11 @@ def add_bench_table(commands: Any) -> None:
 
 
 def print_tasks(args: argparse.Namespace) -> int:
-    """The tasks, or one of them."""
+    """Print all tasks, or one task with its splits and tracks; with --json as JSON.
+
+    Returns:
+        Exit code 0.
+    """
     from registerbench import CARDS
     from registerbench.benchmark_tasks import FIRST_TEST_SEED, TRACKS, find_card, list_test_seeds
     from registerbench.shipped_policies import COMMON_PLAYERS, TASK_PLAYERS
@@ -127,7 +131,11 @@ def print_tasks(args: argparse.Namespace) -> int:
 
 
 def submit_entry(args: argparse.Namespace) -> int:
-    """Play and pack."""
+    """Play the test episodes of a task, and write the entry that holds them.
+
+    Returns:
+        Exit code 0.
+    """
     import registerbench
     from registerbench.benchmark_tasks import find_card
     from stage.support.files import ENTRY, check_ending, check_writable
@@ -135,7 +143,7 @@ def submit_entry(args: argparse.Namespace) -> int:
     card = find_card(args.task)
     check_ending(args.output, *ENTRY)
     check_writable(args.output, args.force, overwrite_hint="give --force")
-    progress = _Progress("played")
+    progress = _EpisodeCounter("played")
     entry = registerbench.play(
         args.policy, args.task, args.split, track=args.track, round_=args.round, settings=_parse_settings(args.set, card.choices),
         name=args.name, run=args.run_number, notes=args.notes, cost=_parse_costs(args.cost), episodes=args.episodes,
@@ -156,10 +164,14 @@ def submit_entry(args: argparse.Namespace) -> int:
 
 
 def verify_entry(args: argparse.Namespace) -> int:
-    """Replay. 0: it is what it says; 1: it differs; 2: refused."""
+    """Replay an entry, and print the verdict.
+
+    Returns:
+        Exit code: 0 if the replay confirms the entry, 1 if it differs. A refused entry raises an error, which gives 2.
+    """
     import registerbench
 
-    progress = _Progress("replayed")
+    progress = _EpisodeCounter("replayed")
     verdict = registerbench.verify(args.file, args.tolerance, progress)
     progress.end()
     tell(args, verdict)
@@ -186,7 +198,15 @@ def _compute_mean_scores(entry: Any) -> dict[str, float | None]:
 
 
 def _parse_settings(pairs: list[str], choices: Any) -> dict[str, Any]:
-    """NAME=VALUE, where VALUE is one of those that the card has. Raises ArgumentError."""
+    """Parse settings NAME=VALUE, where VALUE is one of the values that the card allows for NAME.
+
+    Args:
+        pairs: Settings as the user wrote them.
+        choices: Allowed values by name.
+
+    Raises:
+        ArgumentError: A setting has no "=".
+    """
     selected = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")
@@ -197,6 +217,7 @@ def _parse_settings(pairs: list[str], choices: Any) -> dict[str, Any]:
 
 
 def _parse_costs(pairs: list[str]) -> dict[str, float]:
+    """Parse costs NAME=NUMBER. Raises ArgumentError for anything but a number from 0 up."""
     cost = {}
     for pair in pairs:
         name, _, text = pair.partition("=")
@@ -209,8 +230,12 @@ def _parse_costs(pairs: list[str]) -> dict[str, float]:
     return cost
 
 
-class _Progress:
-    """A line on a terminal that says how many episodes are done."""
+class _EpisodeCounter:
+    """Callback that shows on a terminal how many episodes are finished.
+
+    Args:
+        what: What happens to the episodes, such as "played".
+    """
 
     def __init__(self, what: str):
         self._what, self._on = what, sys.stderr.isatty()
@@ -220,5 +245,6 @@ class _Progress:
             print(f"\r\033[K{self._what} {done} of {of} episodes ...", end="", file=sys.stderr, flush=True)
 
     def end(self) -> None:
+        """Erase the line."""
         if self._on:
             print("\r\033[K", end="", file=sys.stderr, flush=True)

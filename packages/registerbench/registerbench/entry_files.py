@@ -283,10 +283,12 @@ def _check_values(header: dict[str, Any], refuse: Callable[[str], EntryError]) -
 
 
 def _is_text(value: Any, max_length: int) -> bool:
+    """Return whether a value is a str of at most `max_length` characters."""
     return isinstance(value, str) and len(value) <= max_length and value.isprintable()
 
 
 def _is_count(value: Any) -> bool:
+    """Return whether a value is an int from 0 up."""
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 63
 
 

@@ -73,7 +73,7 @@ class Verdict:
 
     @property
     def ok(self) -> bool:
-        """Whether the replay confirms the entry, exactly or within the tolerance."""
+        """True if the replay confirms the entry, exactly or within the tolerance."""
         return self.exact or bool(self.within_tolerance)
 
     def json(self) -> dict[str, Any]:
@@ -216,11 +216,11 @@ class _Replay:
         self.first_steps = np.concatenate([[0], np.cumsum(e.steps)])
 
     def note_difference(self, difference: Difference, by: float) -> None:
-        """Note a difference.
+        """Store a difference between the entry and its replay, if it is the first or the largest so far.
 
         Args:
-            difference: Where it is, and of what.
-            by: Difference of numbers; infinite for other values; NaN for observations, of which there are only digests.
+            difference: Place and values of the difference.
+            by: Absolute difference of numbers; infinite for other values; NaN for observations, of which there are only digests.
         """
         if self.first_difference is None or _is_earlier(difference, self.first_difference):
             self.first_difference = difference
@@ -236,9 +236,9 @@ class _Replay:
                 self.first_beyond_tolerance = difference
 
     def replay_all(self, envs: Any, report_progress: Callable[[int, int], None] | None) -> None:
-        """Replay all episodes, as many at once as there are lanes.
+        """Replay all episodes, with one episode in each environment at a time.
 
-        A lane for which no episode is left replays its last one, and this replay does not count.
+        An environment for which no episode is left replays its last episode once more; this replay does not count.
         """
         e, n = self.e, envs.num_envs
         queue = list(range(len(e.seeds)))
@@ -279,34 +279,47 @@ class _Replay:
                     report_progress(len(e.seeds) - len(queue) - int(is_counted.sum()), len(e.seeds))
             step_numbers += 1
 
-    def compare_observation(self, k: int, step: int, observation: np.ndarray) -> None:
+    def compare_observation(self, episode: int, step: int, observation: np.ndarray) -> None:
+        """Compare the digest of an observation with that of the entry."""
         claimed, found = (
-            int(self.e.observation_digests[self.first_steps[k] + k + step + 1]),
+            int(self.e.observation_digests[self.first_steps[episode] + episode + step + 1]),
             digest_observation(observation),
         )
         if claimed != found:
             self.note_difference(
-                Difference(k, step, "digest of the observation", f"{claimed:016x}", f"{found:016x}"), np.nan
+                Difference(episode, step, "digest of the observation", f"{claimed:016x}", f"{found:016x}"), np.nan
             )
 
-    def compare_scores(self, k: int, found: Mapping[str, float]) -> None:
+    def compare_scores(self, episode: int, found: Mapping[str, float]) -> None:
+        """Compare the scores of an episode with those of the entry."""
         if set(found) != set(self.e.scores):
             texts = (", ".join(names) for names in (self.e.scores, found))
-            self.note_difference(Difference(k, None, "names of the scores", *texts), np.inf)
+            self.note_difference(Difference(episode, None, "names of the scores", *texts), np.inf)
             return
         for name, value in found.items():
-            self._compare_number(k, None, f"score {name!r}", float(self.e.scores[name][k]), value)
+            self._compare_number(episode, None, f"score {name!r}", float(self.e.scores[name][episode]), value)
 
-    def _compare_number(self, k: int, step: int | None, what: str, claimed: float, found: float) -> None:
+    def _compare_number(self, episode: int, step: int | None, what: str, claimed: float, found: float) -> None:
+        """Compare a number of the entry with that of the replay, and store a difference.
+
+        Args:
+            episode: Index of the episode.
+            step: Index of the step, or None for scores.
+            what: Name of the number, in words.
+            claimed: Number of the entry.
+            found: Number of the replay.
+        """
         if np.float64(claimed).tobytes() != np.float64(found).tobytes():
             by = abs(claimed - found)
-            self.note_difference(Difference(k, step, what, repr(claimed), repr(found)), np.inf if np.isnan(by) else by)
+            self.note_difference(
+                Difference(episode, step, what, repr(claimed), repr(found)), np.inf if np.isnan(by) else by
+            )
 
 
-def _is_earlier(a: Difference, b: Difference) -> bool:
-    """Return whether a difference comes before another in the order of episodes and steps."""
+def _is_earlier(difference: Difference, other: Difference) -> bool:
+    """Return whether a difference comes before another one in the order of episodes and steps."""
 
     def place(d: Difference) -> tuple[float, float]:
         return (np.inf if d.episode is None else d.episode, np.inf if d.step is None else d.step)
 
-    return place(a) < place(b)
+    return place(difference) < place(other)

@@ -124,6 +124,7 @@ class EpisodeSequence:
         self.env.close()
 
     def _store_observation(self, info: Mapping[str, Any]) -> None:
+        """Store the latest observation with its digest, and the info without what the track hides."""
         self._observation_digests.append(digest_observation(self.observation))
         self.info = {key: v for key, v in info.items() if key not in self._hidden_names}
 

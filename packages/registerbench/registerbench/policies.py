@@ -126,7 +126,7 @@ def _import_policy(name: str) -> Policy:
 
 
 class UserPolicy:
-    """Player that asks a policy (a user's or a shipped one) for each action."""
+    """Player that calls a policy, which a user or the benchmark provides, for each action."""
 
     def __init__(self, policy: Policy, name: str, shipped: bool = False):
         self.policy, self.name, self.shipped = policy, name, shipped

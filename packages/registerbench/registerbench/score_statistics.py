@@ -1,10 +1,9 @@
 """Interquartile means and bootstrap intervals, which decide whether one method beats another.
 
-The interquartile mean (IQM) is that of Agarwal et al. (NeurIPS 2021, rliable). Scores are arrays (runs, episodes): each run
-of a learner plays the same test episodes, and each episode has a machine of its own. The bootstrap draws whole runs and
-episodes
-again, with replacement: a training run plays all of its episodes, so its luck is in all of them. The interval of a single run
-reflects the spread over machines alone.
+The interquartile mean (IQM) is that of Agarwal et al. (NeurIPS 2021, rliable). Scores are arrays (runs, episodes): each run of a
+learner plays the same test episodes, and each episode has its own machine. The bootstrap draws whole runs and whole episodes
+with replacement, because all episodes of a training run depend on its luck. The interval of a single run reflects only the
+spread over machines.
 """
 
 from __future__ import annotations
@@ -162,6 +161,7 @@ class Row:
 
 
 def _format_or_dash(value: float | None, form: str) -> str:
+    """Format a number, or return a dash for None."""
     return "-" if value is None else format(value, form)
 
 
@@ -203,9 +203,11 @@ def _compute_row(runs: list[Entry]) -> Row:
         )
 
     def stack_scores(name: str) -> np.ndarray | None:
+        """Return a score of all runs, (runs, episodes); None if an entry lacks it."""
         return np.array([e.scores[name] for e in runs]) if all(name in e.scores for e in runs) else None
 
     def compute_mean(name: str) -> float | None:
+        """Return the mean of a score over all runs and episodes; None if an entry lacks it."""
         values = stack_scores(name)
         return None if values is None else float(values.mean())
 
@@ -247,4 +249,5 @@ def format_tables(entries: Iterable[Entry], long: bool = False) -> str:
 
 
 def _format_row(cells: Iterable[str]) -> str:
+    """Format a row of a Markdown table."""
     return f"| {' | '.join(cells)} |"

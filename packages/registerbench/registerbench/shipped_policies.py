@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class RandomPolicy:
-    """Uniformly random actions, of those that an action mask allows if there is one."""
+    """Policy that draws uniformly random actions; if there is an action mask, among the allowed ones."""
 
     def __init__(self, seed: int):
         self.seed = seed
@@ -31,7 +31,7 @@ class RandomPolicy:
 
 
 class ScriptedPolicy:
-    """The task's own scripted host, which does not learn."""
+    """Policy of the task's own scripted host, which does not learn."""
 
     def reset(self, context: PolicyContext) -> None:
         self.env = context.env

@@ -24,8 +24,8 @@ def test_the_table_of_all_tasks_is_of_complete_episodes_and_names_its_splits(mon
 
 @pytest.mark.slow
 def test_on_machines_that_differ_a_host_that_remembers_is_better_than_one_that_does_not():
-    fixed, _ = few_shot.play_machines(few_shot.make_fixed_host(3.4), "weak", 16, few_shot.TEST)
-    search, times = few_shot.play_machines(few_shot.make_searching_host(3.4 / few_shot.STEP), "weak", 16, few_shot.TEST)
+    fixed, _ = few_shot.play_host(few_shot.make_fixed_host(3.4), "weak", 16, few_shot.TEST)
+    search, times = few_shot.play_host(few_shot.make_searching_host(3.4 / few_shot.STEP), "weak", 16, few_shot.TEST)
     assert (
         few_shot.compute_interval(search, statistic=np.mean)[0] > few_shot.compute_interval(fixed, statistic=np.mean)[1]
     )

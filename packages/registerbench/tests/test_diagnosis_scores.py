@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from registerbench.arena import make_player, play, suite
+from registerbench.arena import make_player, make_suite, play
 from registerbench.diagnosis import CAUSES, SERVICES, SETUPS, Case
 from registerbench.diagnosis.acceptance_trial import AcceptanceTrial, TrialSample, find_rests
 
@@ -136,7 +136,7 @@ def test_nothing_counts_after_finish():
 
 @pytest.mark.slow
 def test_the_technician_scores_almost_one_on_all_setups():
-    came = play(suite("diagnosis"), make_player("technician"))
+    came = play(make_suite("diagnosis"), make_player("technician"))
     assert all(r.score["value"] > 0.95 for r in came.games)
 
 

@@ -63,7 +63,7 @@ def test_the_shipped_policy_plays_like_the_trained_one(rules, task, player):
     from registerbench.baselines import rule_learners as learners
 
     kind = rules.RULES[task, player]
-    w = np.array(kind.BEGINS) + 0.1
+    w = np.array(kind.INITIAL_NUMBERS) + 0.1
     envs = learners.make_training_envs(task, 2, **learners.CHEAPER_SETTINGS.get(task, {}))
     total, _, steps = learners.play_rule(envs, kind, w, 5)
     envs.close()
@@ -102,20 +102,22 @@ def test_cma_es_finds_a_bolder_policy_than_it_begins_with(tmp_path):
 
 
 def test_a_rule_earns_the_tabulated_rewards_of_its_attempts(rules):
-    from registerbench.baselines.outcomes_by_boldness import BOLDNESS, BoldnessTable
+    from registerbench.baselines.outcomes_by_boldness import BOLDNESS, OutcomesByBoldness
 
     edge = np.array([2.0, 4.0])
     saved = BOLDNESS[:, None] < edge
     worth = np.where(saved, np.log(BOLDNESS)[:, None], 0.0)
-    table = BoldnessTable(saved, saved, worth, np.zeros(2), False, 0, 0.05)
-    at = table.find_rows(np.log([1.9, 2.1, 3.9]))
+    table = OutcomesByBoldness(saved, saved, worth, np.zeros(2), False, 0, 0.05)
+    at = table.find_nearest_rows(np.log([1.9, 2.1, 3.9]))
     assert saved[at].tolist() == [[True, True], [False, True], [False, True]]
     best = table.sum_rewards(np.array([at[0], at[2], at[1]])[:, None])
     assert best == pytest.approx([worth[at[0], 0] - 2 * 0.05, worth[at[2], 1]])
     answer = dataclasses.replace(table, last=True)
     assert answer.sum_rewards(np.array([at[2], at[1]])[:, None]) == pytest.approx([-2 * 0.05, worth[at[1], 1]])
-    w = rules.RememberingRule.BEGINS
-    closed_in, blind = (answer.play_rule(kind, kind.BEGINS) for kind in (rules.RememberingRule, rules.ScheduledRule))
+    w = rules.RememberingRule.INITIAL_NUMBERS
+    closed_in, blind = (
+        answer.play_rule(kind, kind.INITIAL_NUMBERS) for kind in (rules.RememberingRule, rules.ScheduledRule)
+    )
     assert (closed_in > np.log(edge) - 0.2 - 5 * 0.05).all(), (
         "close to each machine's edge, after five tries that were lost"
     )

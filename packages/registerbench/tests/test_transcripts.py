@@ -9,10 +9,10 @@ from registerbench.arena import (
     Interrupted,
     TranscriptWriter,
     make_player,
+    make_suite,
     play,
     read_transcript,
     replay,
-    suite,
     transcript,
     write_transcript,
 )
@@ -31,12 +31,12 @@ def samples(table):
 
 @pytest.fixture(scope="module")
 def delayed():
-    return play(suite("diagnosis:late"), make_player("technician"), "technician")
+    return play(make_suite("diagnosis:late"), make_player("technician"), "technician")
 
 
 @pytest.fixture(scope="module")
 def three():
-    return play(suite("diagnosis", episodes=3), samples, "looks")
+    return play(make_suite("diagnosis", episodes=3), samples, "looks")
 
 
 def lines(path):
@@ -106,7 +106,7 @@ def test_a_part_is_never_reported_as_the_suite(three, delayed, tmp_path, capsys)
 @pytest.mark.parametrize("change", ["of", "fewer", "other", "seed", "round", "split"])
 def test_a_part_cannot_be_written_as_complete(tmp_path, change, request):
     came = (
-        play(suite("one-shot", episodes=2), make_player("random"), "r")
+        play(make_suite("one-shot", episodes=2), make_player("random"), "r")
         if change in ("seed", "round", "split")
         else None
     )
@@ -135,7 +135,7 @@ def test_a_part_cannot_be_written_as_complete(tmp_path, change, request):
 
 
 def test_calls_after_the_end_or_beyond_the_limit_are_detected(tmp_path):
-    came = play(suite("diagnosis:late"), lambda t: t.call("finish"), "f", Limits(max_calls=1))
+    came = play(make_suite("diagnosis:late"), lambda t: t.call("finish"), "f", Limits(max_calls=1))
     write_transcript(came, tmp_path / "t.jsonl")
     rows = lines(tmp_path / "t.jsonl")
     more = {
@@ -182,12 +182,12 @@ def test_games_that_a_suite_does_not_contain_are_refused(three, tmp_path, k, key
 
 def test_limits_other_than_the_defaults_are_reported():
     assert "up to 9 calls a game, and 400 are usual" in str(
-        play(suite("diagnosis:late"), samples, "l", Limits(max_calls=9))
+        play(make_suite("diagnosis:late"), samples, "l", Limits(max_calls=9))
     )
 
 
 def test_a_transcript_of_the_bench_is_replayed_too(tmp_path):
-    came = play(suite("few-shot", "weak", 2), make_player("random"), "random")
+    came = play(make_suite("few-shot", "weak", 2), make_player("random"), "random")
     write_transcript(came, tmp_path / "r.jsonl")
     assert replay(tmp_path / "r.jsonl").is_same
 
@@ -210,7 +210,7 @@ def create_breaking_player(at):
 
 
 def test_a_run_that_breaks_off_leaves_its_games_and_continues(tmp_path):
-    games, file = suite("diagnosis", episodes=4), tmp_path / "t.jsonl"
+    games, file = make_suite("diagnosis", episodes=4), tmp_path / "t.jsonl"
     with TranscriptWriter(file, make_header(games, "p", Limits())) as writer:
         with pytest.raises(Interrupted, match=r"^game 3 of 4, diagnosis:wide: the endpoint is out of money$") as error:
             play(games, create_breaking_player(3), "p", report_progress=writer.write_game)
@@ -268,12 +268,12 @@ def test_continuing_requires_the_earlier_games_to_replay_identically(tmp_path, t
         TranscriptWriter(file, three.head, resume=True) as writer,
         pytest.raises(ArgumentError, match="comes out otherwise here"),
     ):
-        play(suite("diagnosis", episodes=3), samples, "looks", earlier_games=writer.earlier_games)
+        play(make_suite("diagnosis", episodes=3), samples, "looks", earlier_games=writer.earlier_games)
 
 
 def test_a_transcript_that_ends_within_a_game_is_refused(tmp_path):
     """The last game of the transcript lacks the line of its score."""
-    games, file = suite("diagnosis", episodes=2), tmp_path / "t.jsonl"
+    games, file = make_suite("diagnosis", episodes=2), tmp_path / "t.jsonl"
     write_transcript(play(games, create_breaking_player(0), "p"), file)
     lines = file.read_text().splitlines(keepends=True)
     scores = [k for k, line in enumerate(lines) if "score" in json.loads(line)]
@@ -328,7 +328,7 @@ def test_a_line_after_the_end_of_a_transcript_is_refused(delayed, tmp_path):
 
 def test_a_game_that_is_played_again_says_where_it_first_differs(delayed):
     (claimed,) = delayed.games
-    game = next(iter(suite("diagnosis:late")))
+    game = next(iter(make_suite("diagnosis:late")))
     assert "with seed" in replay_game(game, dataclasses.replace(claimed, seed=5))
     assert "2 are allowed" in replay_game(game, claimed, max_calls=2)
     unmade = [{**row, "made": False, "ok": True} for row in claimed.calls]

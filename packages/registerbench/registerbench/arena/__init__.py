@@ -1,6 +1,6 @@
 """Measuring agents of any kind: games, players, and transcripts that anybody can replay without the agent.
 
-    result = play(suite("diagnosis"), make_player("technician"))
+    result = play(make_suite("diagnosis"), make_player("technician"))
     print(result)                                 a score with its interval, and the number of games
     write_transcript(result, "technician.jsonl")
     assert replay("technician.jsonl").is_same     the same calls again, compared bit for bit
@@ -12,7 +12,7 @@ Protocol. The command line offers all of this as `stage agent`.
 """
 
 from registerbench.arena.game_session import GameSession, Limits
-from registerbench.arena.games import Game, list_suites, suite
+from registerbench.arena.games import Game, list_suites, make_suite
 from registerbench.arena.players import make_player
 from registerbench.arena.suite_results import GameResult, SuiteResult
 from registerbench.arena.suite_runner import Interrupted, make_header, play
@@ -34,6 +34,6 @@ __all__ = [
     "play",
     "read_transcript",
     "replay",
-    "suite",
+    "make_suite",
     "write_transcript",
 ]

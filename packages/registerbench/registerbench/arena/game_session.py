@@ -54,14 +54,14 @@ class GameSession:
     """Interface through which a player plays a game.
 
     Attributes:
-        task: What is to be done, in words.
+        task: Goal of the game, in words.
         name: Name of the game.
         limits: Limits of calls and time.
         tokens: Number of tokens that the player has stated.
         log: Calls so far, each with its arguments and its answer.
         tools_without_log: The tools themselves; calls made through them are not logged.
-        trouble_counts: What the player did wrong apart from calls, and how often.
-        end_reason: Why the game was ended for the player; "" if it was not.
+        trouble_counts: Mistakes of the player outside calls, in words, and how often each occurred.
+        end_reason: Reason for which the game was ended for the player; "" if it was not.
     """
 
     def __init__(self, game: Game, limits: Limits | None = None):
@@ -84,7 +84,7 @@ class GameSession:
 
     @property
     def over(self) -> bool:
-        """Whether nothing more can be done: the game is over, or the player has used up its calls or its time."""
+        """True if no further call is possible: the game is over, or the player has used up its calls or its time."""
         return self._is_ended or self._game.over or len(self.log) >= self.limits.max_calls
 
     def call(self, name: Any, arguments: Any = None) -> Answer:
@@ -106,6 +106,7 @@ class GameSession:
                 self._thinking_since = monotonic()
 
     def _call(self, name: Any, arguments: Any) -> Answer:
+        """Make a call, add it to the log, and return its answer; a player beyond its limits ends its game."""
         if self.over:
             return self._refuse_call()
         try:
@@ -135,11 +136,11 @@ class GameSession:
         return Answer(False, {"error": why})
 
     def count_trouble(self, what: str) -> None:
-        """Count something that the player does wrong apart from its calls; the end of the game reports the counts."""
+        """Count a mistake of the player outside its calls, such as an invalid line; the result of the game has the counts."""
         self.trouble_counts[what] += 1
 
     def count_tokens(self, tokens: Any) -> None:
-        """Add the number of tokens that the player states; anything but an integer counts as a trouble."""
+        """Add a number of tokens that the player states; anything but an integer counts as a trouble."""
         if isinstance(tokens, bool) or not isinstance(tokens, int) or not 0 <= tokens < MAX_TOKENS:
             self.count_trouble("tokens that are no whole number, and are not counted")
         else:
@@ -156,7 +157,7 @@ class GameSession:
         return max(min(self.limits.patience - elapsed, self.limits.time - self._thinking_s - elapsed), 1e-3)
 
     def explain_timeout(self) -> str:
-        """Return the reason if the player has taken too long; "" if it has not."""
+        """Return the reason why the player has taken too long, in words; "" if it has not."""
         since = self._thinking_since
         if since is None:
             return ""
@@ -180,5 +181,5 @@ class GameSession:
 
 
 def round_trip_json(value: Any) -> Any:
-    """Return a value as it would come back from a JSON file."""
+    """Convert a value to JSON and back, so that it equals the value that is read from a transcript."""
     return json.loads(json.dumps(value, default=repr))

@@ -1,7 +1,7 @@
 """Games that an agent plays by tools: broken set-ups to diagnose, and episodes of the tasks of the benchmark.
 
-suite("diagnosis")                 all ten broken set-ups; suite("diagnosis:late") has one of them
-suite("few-shot", episodes=8)      the first test episodes of a task
+make_suite("diagnosis")                 all ten broken set-ups; make_suite("diagnosis:late") has one of them
+make_suite("few-shot", episodes=8)      the first test episodes of a task
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class Game:
 
     Attributes:
         name: Name of the game.
-        seed: Seed of the episode, or None.
-        task: What is to be done, in words.
+        seed: Seed of the episode; None for broken set-ups.
+        task: Goal of the game, in words.
         calls: Tools of the player.
     """
 
@@ -41,10 +41,11 @@ class Game:
 
     @property
     def over(self) -> bool:
+        """True if the game has ended."""
         raise NotImplementedError
 
-    def score(self) -> dict[str, float]:
-        """Return the scores by name, among them "value". It is called once, at the end."""
+    def compute_scores(self) -> dict[str, float]:
+        """Compute the scores by name, among them "value". This is called once, at the end of the game."""
         raise NotImplementedError
 
     def close(self) -> None:
@@ -63,7 +64,7 @@ class DiagnosisGame(Game):
     def over(self) -> bool:
         return self.case.over
 
-    def score(self) -> dict[str, float]:
+    def compute_scores(self) -> dict[str, float]:
         reached = self.case.score()
         return {
             "value": reached.value,
@@ -108,19 +109,22 @@ class BenchmarkGame(Game):
         return self._sequence.finished > self.number
 
     def _call_formula(self) -> dict[str, Any]:
+        """Answer the tool `formula`: the arguments of `act` that the task's formula proposes."""
         self._require_running()
         return self._actions.choose_formula_arguments()
 
     def _call_act(self, **arguments: Any) -> dict[str, Any]:
+        """Answer the tool `act`: make a step of the environment, and return the observation and the info."""
         self._require_running()
         self._sequence.act(self._actions.make_action(**arguments))
         return {"over": self.over, **self._actions.name_observation()}
 
     def _require_running(self) -> None:
+        """Raise an error if the episode is over."""
         if self.over:
             raise StageError("this episode is over: nothing can be done in it any more.")
 
-    def score(self) -> dict[str, float]:
+    def compute_scores(self) -> dict[str, float]:
         left_steps = 0
         while not self.over:  # the rest of an episode that its player left is played with actions that do nothing
             self._sequence.act(self._actions.choose_idle_action())
@@ -133,7 +137,7 @@ class BenchmarkGame(Game):
 
 
 class Suite:
-    """Games that are made, played and closed one after the other by iterating.
+    """Games that are made, played and closed one after the other by iteration.
 
     Attributes:
         name: Name of the suite.
@@ -187,7 +191,7 @@ def list_suites() -> list[str]:
     return [DIAGNOSIS, *CARDS]
 
 
-def suite(name: str, split: str = TRAIN, episodes: int | None = None, round_: str = OPEN_ROUND) -> Suite:
+def make_suite(name: str, split: str = TRAIN, episodes: int | None = None, round_: str = OPEN_ROUND) -> Suite:
     """Make the suite with this name.
 
     Args:

@@ -92,7 +92,7 @@ class SuiteResult:
 
     @property
     def is_complete(self) -> bool:
-        """Whether all games of the suite were played, so that the value is the score of the suite."""
+        """True if all games of the suite were played, so that the value is the score of the suite."""
         return len(self.games) == self.head.of
 
     @property
@@ -115,7 +115,7 @@ class SuiteResult:
 
     @property
     def summary(self) -> str:
-        """The suite, the score and the calls in a sentence, without the tokens that the player states."""
+        """Sentence with the suite, the score and the number of calls. It omits the tokens, which only the player states."""
         n, valid = len(self.games), sum(r.valid_calls for r in self.games)
         where = f"{self.head.kind} {self.head.split}".rstrip()
         what = "mean of found and mended" if self.head.kind == DIAGNOSIS else "interquartile mean of the return"
@@ -129,7 +129,7 @@ class SuiteResult:
 
     @property
     def trouble_counts(self) -> Counter[str]:
-        """How often each trouble occurred: reasons for which games were ended, and what players did wrong apart from calls."""
+        """Number of times that each trouble occurred: reasons for which games were ended, and mistakes of players outside calls."""
         counts = Counter({r.end_reason: 0 for r in self.games if r.end_reason})
         for r in self.games:
             counts.update(r.trouble_counts)
@@ -139,7 +139,7 @@ class SuiteResult:
 
     @property
     def is_valid(self) -> bool:
-        """Whether at least one call was valid and no game was ended for the player."""
+        """True if at least one call was valid and no game was ended for the player."""
         return any(r.valid_calls for r in self.games) and not any(r.end_reason for r in self.games)
 
 
@@ -168,11 +168,11 @@ def summarize_result(result: SuiteResult) -> dict[str, Any]:
     )
 
 
-def compute_value(kind: str, values: Sequence[float]) -> tuple[float, float, float]:
+def compute_value(suite_kind: str, values: Sequence[float]) -> tuple[float, float, float]:
     """Compute the score of a suite from the values of its games.
 
     Args:
-        kind: "diagnosis", or the name of a task.
+        suite_kind: "diagnosis", or the name of a task.
         values: Value of each game.
 
     Returns:
@@ -181,7 +181,7 @@ def compute_value(kind: str, values: Sequence[float]) -> tuple[float, float, flo
     scores = np.array(values, float)
     if not len(scores):
         return float("nan"), float("nan"), float("nan")
-    if kind != DIAGNOSIS:
+    if suite_kind != DIAGNOSIS:
         return compute_iqm(scores), *compute_interval(scores)
     rng = np.random.default_rng(0)
     means = scores[rng.integers(0, len(scores), (2000, len(scores)))].mean(axis=1)

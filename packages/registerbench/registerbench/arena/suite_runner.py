@@ -92,7 +92,7 @@ def _play_game(game: Game, player: Player, limits: Limits) -> GameResult:
     """Let the player play one game, and return its result."""
     session = GameSession(game, limits)
     _run_in_thread(player, session)
-    score = {name: float(v) for name, v in game.score().items()}
+    score = {name: float(v) for name, v in game.compute_scores().items()}
     return GameResult(
         game.name, game.seed, session.log, score, session.tokens, session.end_reason, dict(session.trouble_counts)
     )

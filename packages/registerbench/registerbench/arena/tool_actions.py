@@ -48,7 +48,7 @@ class ToolActions:
     """Conversion between the actions of a task and the arguments of the tool `act`.
 
     Attributes:
-        text: What `act` does, as a phrase.
+        text: Description of `act`, as a phrase.
     """
 
     text: str
@@ -62,15 +62,15 @@ class ToolActions:
         raise NotImplementedError
 
     def make_action(self, **values: Any) -> Any:
-        """Make the environment's action of the arguments."""
+        """Convert arguments of `act` to an action of the environment."""
         raise NotImplementedError
 
     def choose_formula_arguments(self) -> dict[str, Any]:
-        """Return what the task's scripted host would do now, as arguments of `act`."""
+        """Return the action of the task's scripted host as arguments of `act`."""
         raise NotImplementedError
 
     def choose_idle_action(self) -> Any:
-        """Return the action with which an episode goes on after its player has left."""
+        """Return the action with which an episode is played to its end after its player has left."""
         return np.zeros(self._env.action_space.shape, self._env.action_space.dtype)
 
     def name_observation(self) -> dict[str, Any]:
@@ -189,7 +189,7 @@ KINDS: dict[str, type[ToolActions]] = {
 
 
 def make_tool_actions(sequence: EpisodeSequence) -> ToolActions:
-    """Make the conversion for the task that is sequence. Raises ArgumentError for a task without one."""
+    """Make the conversion for the task of a sequence of episodes. Raises ArgumentError for a task without one."""
     if sequence.card.name in KINDS:
         return KINDS[sequence.card.name](sequence)
     if isinstance(sequence.env.action_space, gymnasium.spaces.Discrete) and hasattr(sequence.env, "macros"):

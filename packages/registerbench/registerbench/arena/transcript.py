@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import IO, Any
 
 from registerbench.arena.game_session import MAX_TOKENS, Limits
-from registerbench.arena.games import Suite, suite
+from registerbench.arena.games import Suite, make_suite
 from registerbench.arena.suite_results import GameResult, RunHeader, SuiteResult, summarize_result
 from registerbench.package_versions import list_versions
 from stage.errors import ArgumentError
@@ -51,7 +51,7 @@ class Transcript:
 def rebuild_suite(head: RunHeader) -> Suite:
     """Make the suite that a transcript names. Raises ArgumentError if its games differ from those of the transcript."""
     one = ":" in head.suite
-    games = suite(head.suite, head.split or "train", None if one else len(head.games), head.round)
+    games = make_suite(head.suite, head.split or "train", None if one else len(head.games), head.round)
     if (games.split, games.round) != (head.split, head.round):
         raise ArgumentError(
             f"{head.suite}: split {head.split!r}, round {head.round!r} in the transcript, which it does not have."
@@ -90,10 +90,15 @@ class TranscriptWriter:
         about |= {"time": limits.time, **columns}
         self._write({**about, "versions": list_versions()})
 
-    def write_game(self, r: GameResult) -> None:
+    def write_game(self, result: GameResult) -> None:
         """Write the lines of a game that is over."""
-        end = {"score": r.score, "tokens": r.tokens, "ended": r.end_reason, "troubles": r.trouble_counts}
-        self._write({"game": r.game, "seed": r.seed}, *r.calls, end)
+        end = {
+            "score": result.score,
+            "tokens": result.tokens,
+            "ended": result.end_reason,
+            "troubles": result.trouble_counts,
+        }
+        self._write({"game": result.game, "seed": result.seed}, *result.calls, end)
 
     def write_summary(self, result: SuiteResult) -> None:
         """Write the last line."""
@@ -112,6 +117,7 @@ class TranscriptWriter:
         self.close()
 
     def _write(self, *lines: dict[str, Any]) -> None:
+        """Write values as lines of JSON, and flush the file."""
         try:
             self._file.write("".join(json.dumps(line) + "\n" for line in lines))
             self._file.flush()
@@ -190,11 +196,13 @@ def read_transcript(path: str | os.PathLike) -> Transcript:
 
 
 def _format_reason(why: Exception) -> str:
+    """Return the reason for which a line cannot be parsed, in words."""
     text = str(why)[:200].rstrip(".")
     return text if isinstance(why, ValueError) else f"{type(why).__name__}: {text}"
 
 
 def _parse_header(line: Any) -> RunHeader:
+    """Parse the first line of a transcript. Raises ValueError, KeyError or TypeError."""
     if not isinstance(line, dict) or "format" not in line:
         raise ValueError("its first line says no format")
     if line["format"] != [FORMAT_NAME, FORMAT_VERSION]:
@@ -208,7 +216,7 @@ def _parse_header(line: Any) -> RunHeader:
 
 
 def _parse_game(lines: list[dict[str, Any]], end: dict[str, Any]) -> GameResult:
-    """Parse the lines of a game and its end. Raises ValueError, KeyError or TypeError."""
+    """Parse the lines of a game and its last line. Raises ValueError, KeyError or TypeError."""
     first, *calls = lines
     for row in calls:
         _ = row["call"], row["arguments"], row["answer"]
@@ -228,12 +236,14 @@ def _parse_game(lines: list[dict[str, Any]], end: dict[str, Any]) -> GameResult:
 
 
 def _require_text(value: Any) -> str:
+    """Return a value that is a str. Raises ValueError for any other value."""
     if not isinstance(value, str) or len(value) > 2000:
         raise ValueError(f"{value!r:.60} is no text")
     return value
 
 
 def _require_count(value: Any) -> int:
+    """Return a value that is an int from 0 up. Raises ValueError for any other value."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < MAX_TOKENS * 10_000:
         raise ValueError(f"{value!r:.60} is no whole number")
     return value

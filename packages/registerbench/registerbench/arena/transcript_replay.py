@@ -29,7 +29,7 @@ class TranscriptReplay:
 
     @property
     def is_same(self) -> bool:
-        """Whether every answer and every score is equal, bit for bit, and every game is there."""
+        """True if every answer and every score is equal, bit for bit, and no game is missing."""
         return not self.first_difference and not self.missing_part
 
     def __str__(self) -> str:
@@ -102,7 +102,7 @@ def replay_game(game: Game, claimed: GameResult, max_calls: int | None = None) -
         answer = game.calls.call(row["call"], row["arguments"])
         if (answer.ok, round_trip_json(answer.data)) != (row["ok"], row["answer"]):
             return f"{where}: {str(row['answer'])[:200]} in the transcript, {answer.text[:200]} here"
-    score = round_trip_json({name: float(v) for name, v in game.score().items()})
+    score = round_trip_json({name: float(v) for name, v in game.compute_scores().items()})
     return "" if score == claimed.score else f"game {game.name}, score: {claimed.score} in the transcript, {score} here"
 
 
@@ -118,7 +118,7 @@ def _compare_summary(recorded: Transcript, result: SuiteResult) -> str:
 
 
 def _describe_missing_games(recorded: Transcript) -> str:
-    """Say which part of the games a transcript lacks; "" if it is complete."""
+    """Return a sentence about the games that a transcript lacks; "" if it is complete."""
     n, of = len(recorded.games), len(recorded.head.games)
     if n < of:
         return f"The transcript is cut: {n} of its {of} games are there."

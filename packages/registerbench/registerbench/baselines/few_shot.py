@@ -35,6 +35,7 @@ BoldnessHost = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def make_fixed_host(boldness: float) -> Callable[[int], BoldnessHost]:
+    """Make a host that chooses the same boldness for every attempt."""
     return lambda machines: lambda last_boldness, in_step: np.full(machines, boldness)
 
 
@@ -70,7 +71,7 @@ def make_searching_host(first: float) -> Callable[[int], BoldnessHost]:
     return make_host
 
 
-def play_machines(
+def play_host(
     host: Callable[[int], BoldnessHost], split: str, machines: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Play an episode on each machine.
@@ -110,7 +111,7 @@ def main() -> None:
     )
     parser.add_argument("--machines", type=int, default=32, metavar="N", help="how many")
     args = parser.parse_args()
-    scores = [play_machines(make_fixed_host(b), "train", args.machines, TRAIN)[0].mean() for b in BOLDNESS]
+    scores = [play_host(make_fixed_host(b), "train", args.machines, TRAIN)[0].mean() for b in BOLDNESS]
     best = BOLDNESS[int(np.argmax(scores))]
     print(f"on the split train, boldness {best:g} is the best of {', '.join(f'{b:g}' for b in BOLDNESS)}")
     print("| split | host | sum of rewards | proved | cost, usual times |\n|---|---|---|---|---|")
@@ -120,7 +121,7 @@ def main() -> None:
             "fixed": make_fixed_host(best),
             "search": make_searching_host(best / STEP),
         }.items():
-            totals, costs = play_machines(host, split, args.machines, TEST)
+            totals, costs = play_host(host, split, args.machines, TEST)
             low, high = compute_interval(totals, statistic=np.mean)
             proved = np.isfinite(costs)
             median = f"{np.median(costs[proved]):.3f}" if proved.any() else "-"

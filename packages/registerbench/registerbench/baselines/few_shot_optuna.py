@@ -38,6 +38,7 @@ class OptunaPolicy:
         raise NotImplementedError
 
     def reset(self, context: Any) -> None:
+        """Begin a study for the next episode."""
         where: dict[str, list[int]] = {}
         for k, name in enumerate(context.feature_names):
             where.setdefault(name, []).append(k)

@@ -47,6 +47,13 @@ OTHERS = {"formula": "-.", "scripted": "-.", "search": "--", "random": ":"}
 
 
 def learn_missing_runs(folder: Path, tasks: list[str], quick: bool) -> None:
+    """Train the runs of some tasks whose files do not exist yet.
+
+    Args:
+        folder: Folder of the files.
+        tasks: Names of the cards.
+        quick: Whether to train only one short run of each task.
+    """
     from registerbench.baselines import rule_learners as rules
 
     for task in (t for t in RUNS if t in tasks):
@@ -78,6 +85,7 @@ def collect_rows(folder: Path) -> Iterator[tuple]:
 
 
 def pack_runs(folder: Path, path: Path) -> None:
+    """Pack the rows of all runs in a folder into one compressed CSV file."""
     with path.open("wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
         text = "\n".join(",".join(map(str, row)) for row in (COLUMNS, *collect_rows(folder)))
         file.write((text + "\n").encode())
@@ -148,15 +156,15 @@ def read_other_players(task: str, episodes: int) -> dict[str, dict[str, np.ndarr
     return scores_by_player
 
 
-def format_spread(values: np.ndarray, of: Any = compute_iqm) -> str:
+def format_statistic_with_interval(values: np.ndarray, statistic: Any = compute_iqm) -> str:
     """Format the interquartile mean, or another statistic, with its 95 % interval.
 
     Args:
         values: Values, (runs, episodes).
-        of: Function that computes the statistic.
+        statistic: Function that computes the statistic.
     """
-    low, high = compute_interval(values, statistic=of)
-    return f"{of(values):.3f} ({low:.3f} to {high:.3f})"
+    low, high = compute_interval(values, statistic=statistic)
+    return f"{statistic(values):.3f} ({low:.3f} to {high:.3f})"
 
 
 def format_table(rows_by_task: dict[str, dict[str, dict[str, list[dict]]]]) -> str:
@@ -185,18 +193,36 @@ def format_table(rows_by_task: dict[str, dict[str, dict[str, list[dict]]]]) -> s
                         len(runs),
                         f"{at:.0f}",
                         f"{s.mean():.0f}",
-                        format_spread(v),
-                        format_spread(v, np.mean),
+                        format_statistic_with_interval(v),
+                        format_statistic_with_interval(v, np.mean),
                         f"{w.mean():.0%}",
                     )
                 )
         for name, scores in read_other_players(task, EPISODES).items():
             v, w = scores["return"], scores["success"]
-            lines.append((task, name, "-", "-", "-", format_spread(v), format_spread(v, np.mean), f"{w.mean():.0%}"))
+            lines.append(
+                (
+                    task,
+                    name,
+                    "-",
+                    "-",
+                    "-",
+                    format_statistic_with_interval(v),
+                    format_statistic_with_interval(v, np.mean),
+                    f"{w.mean():.0%}",
+                )
+            )
     return "\n".join(f"| {' | '.join(map(str, cells))} |" for cells in lines)
 
 
 def draw_panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) -> None:
+    """Draw the learning curves of one task.
+
+    Args:
+        ax: Axes of Matplotlib.
+        task: Name of the card.
+        players: Rows by player and run.
+    """
     ordered = sorted(players.items(), key=lambda of: max(int(r[-1]["steps"]) for r in of[1].values()))
     for color, (player, runs) in zip(plot_style.COLORS, ordered, strict=False):
         at, values = interpolate_levels(runs) if task == "bus" else collect_points(runs)
@@ -222,6 +248,7 @@ def draw_panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) ->
 
 
 def draw_curves(data: Path, picture: Path) -> None:
+    """Draw the learning curves of all tasks from packed runs into one PNG file."""
     rows_by_task = read_runs(data)
     tasks = [task for task in PANELS if task in rows_by_task]
     columns = min(len(tasks), 3)

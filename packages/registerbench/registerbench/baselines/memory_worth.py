@@ -19,16 +19,26 @@ from dataclasses import replace
 import numpy as np
 
 from registerbench.baselines import explain_interrupt
-from registerbench.baselines.outcomes_by_boldness import BOLDNESS, BoldnessTable, learn_rule, measure_boldness_table
+from registerbench.baselines.outcomes_by_boldness import (
+    BOLDNESS,
+    OutcomesByBoldness,
+    learn_rule,
+    measure_outcomes_by_boldness,
+)
 from registerbench.baselines.rule_policies import ATTEMPTS, RememberingRule
 
 FIRST_SEED, STARTS = 2000, 6
 
 
-def search_blindly(table: BoldnessTable) -> float:
-    """Return the highest mean reward of a fixed sequence of attempts, found by coordinate search from STARTS random sequences."""
+def search_blindly(table: OutcomesByBoldness) -> float:
+    """Search for the best fixed sequence of attempts by coordinate search from STARTS random sequences.
+
+    Returns:
+        Highest mean reward.
+    """
 
     def compute_mean_reward(attempts: list[int]) -> float:
+        """Return the mean reward of a sequence of attempts that is the same for all machines."""
         return float(table.sum_rewards(np.array(attempts)[:, None]).mean())
 
     rng, best = np.random.default_rng(0), -np.inf
@@ -51,7 +61,7 @@ def main() -> None:
     args = parser.parse_args()
     print("| machines of | answer | knows | blind | looks |\n|---|---|---|---|---|")
     for task in args.tasks:
-        measured = measure_boldness_table(task, FIRST_SEED, args.machines)
+        measured = measure_outcomes_by_boldness(task, FIRST_SEED, args.machines)
         for last in (False, True):
             table = replace(measured, last=last)
             remembering = table.play_rule(

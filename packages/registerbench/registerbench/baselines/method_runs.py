@@ -168,6 +168,7 @@ class MethodRun:
 
     @property
     def registers(self) -> dict[str, int]:
+        """Registers of the answer by name."""
         return (
             dict(zip(REGISTERS, self.search_log.registers[self.answer], strict=True)) if self.answer is not None else {}
         )
@@ -288,6 +289,15 @@ DICTIONARY_COLUMNS = [f.name for f in SCHEMA if f.name not in BYTE_SPLIT_COLUMNS
 
 
 def make_table(run: MethodRun, part: str, context: str, number: int | None, log: MoveLog) -> pyarrow.Table:
+    """Make the Parquet rows of the moves of one part of a run.
+
+    Args:
+        run: Run of a method.
+        part: Part of the run: search, proof or test.
+        context: Name of the test context; "" for other parts.
+        number: Number of the move in the search that a proof repeats, or None.
+        log: Moves of the part.
+    """
     count = len(log)
     order = list(range(count))
     distance, kg, angle = zip(*log.drawn, strict=True)
@@ -342,6 +352,7 @@ class MethodRuns:
 
     @classmethod
     def read(cls, path: Path) -> MethodRuns:
+        """Read runs from a Parquet file."""
         table = pyarrow.parquet.read_table(path)
         all_ = cls(**json.loads(table.schema.metadata[b"results"]))
         columns = {name: table[name].to_pylist() for name in table.column_names}
@@ -403,9 +414,17 @@ class MethodRuns:
 
     @property
     def methods(self) -> list[Method]:
+        """Methods that are compared: all, or those of QUICK_METHODS."""
         return [m for m in METHODS if not self.quick or m.name in QUICK_METHODS]
 
     def run_method(self, payload: str, method: Method, seed: int) -> None:
+        """Make one run of a method, and append it.
+
+        Args:
+            payload: Name of the payload.
+            method: Method to run.
+            seed: Seed of the search.
+        """
         began, mass = time.perf_counter(), self.payloads[payload]
         settings: dict[str, Any] = {"lanes": method.lanes, "seed": seed, "model": self.model}
         with MoveTuning(mass, method.count_moves(self.budget), method.space, **settings) as moves:

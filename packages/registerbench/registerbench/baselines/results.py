@@ -59,6 +59,7 @@ DRAWN = [m for m in METHODS if m.space == "knobs"]
 
 @cache
 def get_power_up_state(model: str) -> tuple[Stage, Any]:
+    """Return a stage of a model and its snapshot at power-up."""
     stage = Stage(model)
     stage.place(x=-DISTANCE / 2 * stage.axes["x"].meters_per_pulse)
     return stage, stage.snapshot()
@@ -87,10 +88,11 @@ def repeat_move(registers: dict[str, int], payload: float, model: str = MODEL) -
 
 
 def select_runs(runs: list[MethodRun], payload: str, method: Method) -> list[MethodRun]:
+    """Return the runs of a method with a payload."""
     return [r for r in runs if (r.payload, r.method) == (payload, method.name)]
 
 
-def format_spread(values: list[float], form: str) -> str:
+def format_iqm_with_interval(values: list[float], form: str) -> str:
     """Format the interquartile mean, with its 95 % interval if there are several runs.
 
     Args:
@@ -105,7 +107,7 @@ def format_spread(values: list[float], form: str) -> str:
     return middle if len(known) == 1 else f"{middle} ({low} to {high})"
 
 
-def count_losses(runs: list[MethodRun], context: str) -> str:
+def format_loss_counts(runs: list[MethodRun], context: str) -> str:
     """Format the number of moves that lost steps in all tests, and the number of answers with such a move.
 
     Args:
@@ -120,6 +122,7 @@ def count_losses(runs: list[MethodRun], context: str) -> str:
 
 
 def format_table(runs: list[MethodRun], payload: str) -> list[str]:
+    """Return the lines of the table of all methods for a payload."""
     lines = [
         "| method | moves | seeds | reward, ms | time, ms | vibration, um | lost: new moves | lost: shorter moves | spare, kg "
         "| moves that kept step | lucky |",
@@ -133,12 +136,12 @@ def format_table(runs: list[MethodRun], payload: str) -> list[str]:
         some = f", {none} of {len(rs)} found none" if none else ""
         lines.append(
             f"| {method.name} | {len(rs[0].search_log)} | {'-' if method.fixed_moves else len(rs)} "
-            f"| {format_spread([r.compute_mean('reward') for r in rs], '.1f')}{some} "
-            f"| {format_spread([r.compute_mean('duration') for r in rs], '.1f')} "
-            f"| {format_spread([r.compute_mean('vibration') for r in rs], '.0f')} "
-            f"| {count_losses(rs, NEW_MOVES)} | {count_losses(rs, SHORTER_MOVES)} "
-            f"| {format_spread([r.spare_payload for r in rs], '.1f')} "
-            f"| {np.mean([r.kept_step_share for r in rs]):.0%} | {format_spread([r.lucky_moves for r in rs], '.0f')} |"
+            f"| {format_iqm_with_interval([r.compute_mean('reward') for r in rs], '.1f')}{some} "
+            f"| {format_iqm_with_interval([r.compute_mean('duration') for r in rs], '.1f')} "
+            f"| {format_iqm_with_interval([r.compute_mean('vibration') for r in rs], '.0f')} "
+            f"| {format_loss_counts(rs, NEW_MOVES)} | {format_loss_counts(rs, SHORTER_MOVES)} "
+            f"| {format_iqm_with_interval([r.spare_payload for r in rs], '.1f')} "
+            f"| {np.mean([r.kept_step_share for r in rs]):.0%} | {format_iqm_with_interval([r.lucky_moves for r in rs], '.0f')} |"
         )
     return lines
 
@@ -210,6 +213,13 @@ def describe_verdict(runs: list[MethodRun], payload: str, against: Method) -> st
     every = compute_gains(runs, payload, against)
 
     def list_names(which: int, beats: bool, loses: bool) -> str:
+        """List the names of the methods with a verdict on one of the gains, in words.
+
+        Args:
+            which: Index of the gain, as in `compute_gains`.
+            beats: Whether to list methods that beat the formula.
+            loses: Whether to list methods that the formula beats.
+        """
         some = [m.name for m, g in every.items() if (g[which].beats, g[which].loses) == (beats, loses)]
         return ", ".join(some) or "none"
 
@@ -268,28 +278,30 @@ def describe_price_of_losses(runs: list[MethodRun]) -> str:
     )
 
 
-def format_command(all_: MethodRuns) -> str:
+def format_command(method_runs: MethodRuns) -> str:
     """Return the command line that makes the page."""
-    words = ["python", "-m", "registerbench.baselines.results", *(["--quick"] if all_.quick else [])]
-    words += ["--model", all_.model] if all_.model != MODEL else []
-    if not all_.payloads.items() <= PAYLOADS.items():
-        words += ["--payload", *(f"{kg:g}" for kg in all_.payloads.values())]
-    return shlex.join([*words, "--budget", str(all_.budget), "--seeds", str(all_.seeds)])
+    words = ["python", "-m", "registerbench.baselines.results", *(["--quick"] if method_runs.quick else [])]
+    words += ["--model", method_runs.model] if method_runs.model != MODEL else []
+    if not method_runs.payloads.items() <= PAYLOADS.items():
+        words += ["--payload", *(f"{kg:g}" for kg in method_runs.payloads.values())]
+    return shlex.join([*words, "--budget", str(method_runs.budget), "--seeds", str(method_runs.seeds)])
 
 
-def format_page(all_: MethodRuns) -> str:
-    runs, payloads_ = all_.runs, all_.payloads
-    versions = ", ".join(f"{p} {v}" for p, v in all_.versions.items())
+def format_page(method_runs: MethodRuns) -> str:
+    """Return the text of docs/results.md."""
+    runs, payloads_ = method_runs.runs, method_runs.payloads
+    versions = ", ".join(f"{p} {v}" for p, v in method_runs.versions.items())
     payloads = " and ".join(f"{kg:g} kg ({name})" for name, kg in payloads_.items())
     tables = [line for p, kg in payloads_.items() for line in (f"### {kg:g} kg, {p}", "", *format_table(runs, p), "")]
     verdicts = [f"- {describe_verdict(runs, p, against)}" for p in payloads_ for against in (FORMULA, BOLDEST)]
     return TEXT.format(
-        made_by=format_command(all_), distance=DISTANCE, mm=DISTANCE * MM, payloads=payloads, budget=all_.budget, seeds=all_.seeds,
+        made_by=format_command(method_runs), distance=DISTANCE, mm=DISTANCE * MM, payloads=payloads,
+        budget=method_runs.budget, seeds=method_runs.seeds,
         limit=LIMIT, tables="\n".join(tables), verdicts="\n".join(verdicts),
         comparison="\n".join(format_comparison(runs, payloads_)),
-        versions=versions, minutes=all_.took / 60, moves=sum(len(r.search_log) for r in runs),
+        versions=versions, minutes=method_runs.took / 60, moves=sum(len(r.search_log) for r in runs),
         more=sum(len(log) for r in runs for log in (*r.proof_logs.values(), *r.test_logs.values())), safety=formula.SAFETY_FACTOR,
-        held=MAX_HOLDING, margin=MARGIN, tolerance=TOLERANCE, repeats=REPEATS, candidates=CANDIDATES, model=all_.model,
+        held=MAX_HOLDING, margin=MARGIN, tolerance=TOLERANCE, repeats=REPEATS, candidates=CANDIDATES, model=method_runs.model,
         new=TEST_CONTEXTS[NEW_MOVES].moves, shorter=TEST_CONTEXTS[SHORTER_MOVES].moves, shortest=MIN_DISTANCE * MM,
         each=TEST_CONTEXTS[f"+{EXTRA_PAYLOADS_KG[0]:g} kg"].moves, step=EXTRA_PAYLOADS_KG[0], most=EXTRA_PAYLOADS_KG[-1],
         flattered=describe_reward_excess(runs),
@@ -374,8 +386,9 @@ Budgets: {budget} moves per seed, {seeds} seeds (raw registers: a quarter of the
 # The picture
 
 
-def draw(all_: MethodRuns, path: Path) -> None:
-    runs, payloads = all_.runs, all_.payloads
+def draw_comparison(method_runs: MethodRuns, path: Path) -> None:
+    """Draw the learning curves and the moves of all methods into one PNG file."""
+    runs, payloads = method_runs.runs, method_runs.payloads
     figure = Figure(figsize=(6.25 * len(payloads), 8.4), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.12)
     with rc_context({"font.size": 10}):
@@ -383,7 +396,7 @@ def draw(all_: MethodRuns, path: Path) -> None:
             figure.subplots(2, len(payloads), squeeze=False).T, payloads.items(), strict=True
         ):
             draw_learning_curves(top, runs, payload)
-            draw_move_rates(bottom, runs, payload, mass, all_.model)
+            draw_move_rates(bottom, runs, payload, mass, method_runs.model)
             set_title(top, f"{mass:g} kg: highest reward of a move so far", 12)
             set_title(bottom, f"{mass:g} kg: the moves found", 12)
             for ax in (top, bottom):
@@ -395,6 +408,7 @@ def draw(all_: MethodRuns, path: Path) -> None:
 
 
 def draw_learning_curves(ax: Any, runs: list[MethodRun], payload: str) -> None:
+    """Draw the highest reward after each move of each method, for a payload."""
     for base, style in ((FORMULA, "--"), (BOLDEST, ":")):
         (run,) = select_runs(runs, payload, base)
         ax.axhline(run.compute_mean("reward"), color=base.color, ls=style, lw=1.6)
@@ -413,6 +427,15 @@ def draw_learning_curves(ax: Any, runs: list[MethodRun], payload: str) -> None:
 
 
 def draw_move_rates(ax: Any, runs: list[MethodRun], payload: str, mass: float, model: str) -> None:
+    """Draw the pulse rates of the answers' moves over time, for a payload.
+
+    Args:
+        ax: Axes of Matplotlib.
+        runs: All runs.
+        payload: Name of the payload.
+        mass: Payload, kg.
+        model: Name of the model.
+    """
     for method in (FORMULA, BOLDEST, *DRAWN):
         answered = [r for r in select_runs(runs, payload, method) if r.answer is not None]
         if not answered:
@@ -452,7 +475,7 @@ def main() -> None:
         data.parent.mkdir(parents=True, exist_ok=True)
         all_.write(data)
     all_ = MethodRuns.read(data)  # what is published is what the page says
-    draw(all_, args.out / "pictures" / "results.png")
+    draw_comparison(all_, args.out / "pictures" / "results.png")
     (args.out / "results.md").write_text(format_page(all_))
     print(f"{args.out}: results.md and pictures/results.png written, from data/results.parquet")
 

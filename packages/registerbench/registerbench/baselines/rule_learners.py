@@ -27,7 +27,7 @@ import numpy as np
 
 from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
-from registerbench.baselines.outcomes_by_boldness import learn_rule, measure_boldness_table
+from registerbench.baselines.outcomes_by_boldness import learn_rule, measure_outcomes_by_boldness
 from registerbench.baselines.rule_policies import RULES, BoldnessRule, Rule
 from registerbench.baselines.training_envs import CHEAPER_SETTINGS, make_training_envs
 from registerbench.benchmark_tasks import CARDS, FIRST_TEST_SEED, OPEN_ROUND
@@ -41,21 +41,21 @@ UNTRAINED_RESULTS: dict[tuple[str, type[Rule]], tuple[np.ndarray, np.ndarray]] =
 COLUMNS = ("steps", "processor_s", "episode", "return", "success")
 
 
-def play_rule(envs: Any, rule_class: type[Rule], w: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """Play an episode on each of the machines of seeds seed, seed + 1, ...
+def play_rule(envs: Any, rule_class: type[Rule], numbers: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """Play one episode on each machine. The machines have the seeds `seed`, `seed + 1`, and so on.
 
     Args:
         envs: Vector environment.
         rule_class: Class of the rule.
-        w: Numbers of the rule.
+        numbers: Numbers of the rule.
         seed: Seed of the first machine.
 
     Returns:
-        Sums of rewards, successes, (n,) each, and the number of steps.
+        Sums of rewards, (n,), successes, (n,), and the number of all steps.
     """
     n = envs.num_envs
     observation, _ = envs.reset(seed=seed)
-    rule, steps = rule_class(w, [e.name for e in envs.observation_features], n), 0
+    rule, steps = rule_class(numbers, [e.name for e in envs.observation_features], n), 0
     total, won, over = np.zeros(n), np.zeros(n, bool), np.zeros(n, bool)
     while not over.all():
         observation, rewards, terminated, truncated, infos = envs.step(rule(observation))
@@ -77,30 +77,36 @@ class RuleLearner:
     """
 
     def __init__(self, task: str, player: str, seed: int):
-        self.kind, self.task, self.seed = RULES[task, player], task, seed
+        self.rule_class, self.task, self.seed = RULES[task, player], task, seed
         self.generations, self.machines = BUDGET.get(task, (0, 1))
         self.learning = make_training_envs(task, self.machines, **CHEAPER_SETTINGS.get(task, {}))
         self.testing = make_training_envs(task, EPISODES)
         self.moves, self.seconds = 0, 0.0
         self.rows: list[tuple] = [COLUMNS]
 
-    def add_curve_point(self, z: np.ndarray) -> float:
-        """Play the test episodes with these numbers, add them to the curve, and return the mean of their returns."""
-        total, won = (
-            self.play_untrained()
-            if not z.any()
-            else play_rule(self.testing, self.kind, self.kind.scale_numbers(z), FIRST_TEST_SEED)[:2]
-        )
+    def add_curve_point(self, cma_numbers: np.ndarray) -> float:
+        """Play the test episodes with some numbers, add them to the learning curve, and return the mean of their returns.
+
+        Args:
+            cma_numbers: Numbers of CMA-ES, which `Rule.scale_numbers` converts.
+        """
+        if cma_numbers.any():
+            numbers = self.rule_class.scale_numbers(cma_numbers)
+            total, won, _ = play_rule(self.testing, self.rule_class, numbers, FIRST_TEST_SEED)
+        else:
+            total, won = self.play_untrained()
         for k, (value, success) in enumerate(zip(total.tolist(), won.tolist(), strict=True)):
             self.rows.append((self.moves, f"{self.seconds:.1f}", FIRST_TEST_SEED + k, f"{value:.5f}", int(success)))
         return float(total.mean())
 
     def play_untrained(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the results of the rule before it has learned, which are the same for all seeds."""
-        if (self.task, self.kind) not in UNTRAINED_RESULTS:
-            begins = np.array(self.kind.BEGINS)
-            UNTRAINED_RESULTS[self.task, self.kind] = play_rule(self.testing, self.kind, begins, FIRST_TEST_SEED)[:2]
-        return UNTRAINED_RESULTS[self.task, self.kind]
+        if (self.task, self.rule_class) not in UNTRAINED_RESULTS:
+            begins = np.array(self.rule_class.INITIAL_NUMBERS)
+            UNTRAINED_RESULTS[self.task, self.rule_class] = play_rule(
+                self.testing, self.rule_class, begins, FIRST_TEST_SEED
+            )[:2]
+        return UNTRAINED_RESULTS[self.task, self.rule_class]
 
     def run_generation(self, search: Any, number: int) -> None:
         """Play the candidates of a generation, and update CMA-ES.
@@ -112,17 +118,17 @@ class RuleLearner:
         start_s, machines = time.process_time(), 1000 * (self.seed + 1) + self.machines * number
         candidates, worth = [search.ask() for _ in range(POPULATION)], []
         for z in candidates:
-            total, _, steps = play_rule(self.learning, self.kind, self.kind.scale_numbers(z), machines)
+            total, _, steps = play_rule(self.learning, self.rule_class, self.rule_class.scale_numbers(z), machines)
             worth.append(float(total.mean()))
             self.moves += steps
         search.tell([(z, -value) for z, value in zip(candidates, worth, strict=True)])
         self.seconds += time.process_time() - start_s
 
     def learn_numbers(self, generations: int) -> np.ndarray:
-        """Search the numbers of the rule by CMA-ES."""
+        """Search the numbers of the rule by CMA-ES in the environments, and return the mean of CMA-ES."""
         from cmaes import CMA
 
-        size = len(self.kind.BEGINS)
+        size = len(self.rule_class.INITIAL_NUMBERS)
         search = CMA(mean=np.zeros(size), sigma=1.0, seed=self.seed, population_size=POPULATION)
         self.add_curve_point(search.mean)
         for k in range(generations):
@@ -132,25 +138,25 @@ class RuleLearner:
         return search.mean
 
     def learn_numbers_on_table(self, table: Any) -> np.ndarray:
-        """Search the numbers of the rule on a table, with more of its machines at each point of the curve."""
-        self.add_curve_point(z := np.zeros(len(self.kind.BEGINS)))
+        """Search the numbers of the rule on measured outcomes of ever more machines, and return the last ones."""
+        self.add_curve_point(z := np.zeros(len(self.rule_class.INITIAL_NUMBERS)))
         for machines in (m for m in TABLE_PARTS if m <= len(table.distance)):
             start_s, part = time.process_time(), table.select_first_machines(machines)
-            z = learn_rule(self.kind, part, self.seed)
+            z = learn_rule(self.rule_class, part, self.seed)
             self.seconds += time.process_time() - start_s
             self.moves = part.moves
             self.add_curve_point(z)
         return z
 
-    def write_policy(self, z: np.ndarray, path: Path) -> None:
+    def write_policy(self, cma_numbers: np.ndarray, path: Path) -> None:
         """Write the policy (JSON) and its learning curve (CSV), and print the points of the curve.
 
         Args:
-            z: Numbers of CMA-ES.
+            cma_numbers: Numbers of CMA-ES, which `Rule.scale_numbers` converts.
             path: File without its suffix.
         """
         cost = {"moves": self.moves, "processor_s": round(self.seconds, 1)}
-        w = self.kind.scale_numbers(z).round(4).tolist()
+        w = self.rule_class.scale_numbers(cma_numbers).round(4).tolist()
         with path.with_suffix(".csv").open("w", newline="") as file:
             csv.writer(file).writerows(self.rows)
         path.with_suffix(".json").write_text(json.dumps({"w": w, "cost": cost}))
@@ -182,7 +188,7 @@ def learn(task: str, run: int, folder: Path, generations: int | None = None, mac
         if issubclass(learner.kind, BoldnessRule):
             if table is None:
                 start_s = time.process_time()
-                table = measure_boldness_table(task, 1000 * (run + 1), machines)
+                table = measure_outcomes_by_boldness(task, 1000 * (run + 1), machines)
                 spent = time.process_time() - start_s
                 print(f"{task} {run}: tried {machines} machines, {spent:.1f} s", flush=True)
             learner.seconds = spent
@@ -193,10 +199,15 @@ def learn(task: str, run: int, folder: Path, generations: int | None = None, mac
 
 
 class RulePolicy:
-    """Policy of a rule that was learned, for `registerbench.play`."""
+    """Policy of a rule that was learned, for `registerbench.play`.
 
-    def __init__(self, kind: type[Rule], w: list[float]):
-        self.kind, self.w = kind, w
+    Args:
+        rule_class: Class of the rule.
+        numbers: Numbers of the rule.
+    """
+
+    def __init__(self, rule_class: type[Rule], numbers: list[float]):
+        self.kind, self.w = rule_class, numbers
 
     def reset(self, context: Any) -> None:
         self.rule = self.kind(self.w, context.feature_names)

@@ -21,29 +21,36 @@ TAMEST, BOLDEST = 0.5, 12.0
 
 
 class Rule:
-    """Policy with a few numbers.
+    """Policy with a few numbers that a learner chooses.
+
+    Args:
+        numbers: Numbers of the rule.
+        names: Names of the features of an observation.
+        machines: Number of machines that the rule plays at once.
 
     Attributes:
-        BEGINS: Its numbers before it has learned.
-        SCALES: Standard deviation of each number in the first generation.
+        INITIAL_NUMBERS: Numbers before the rule has learned.
+        DEVIATIONS: Standard deviation of each number in the first generation.
+        attempts_made: Number of steps of the episode so far.
     """
 
-    BEGINS: ClassVar[tuple[float, ...]]
-    SCALES: ClassVar[tuple[float, ...]]
+    INITIAL_NUMBERS: ClassVar[tuple[float, ...]]
+    DEVIATIONS: ClassVar[tuple[float, ...]]
 
-    def __init__(self, w: Sequence[float] | np.ndarray, names: Sequence[str], n: int = 1):
-        self.w, self.names, self.attempts_made = np.asarray(w, float), list(names), 0
+    def __init__(self, numbers: Sequence[float] | np.ndarray, names: Sequence[str], machines: int = 1):
+        self.w, self.names, self.attempts_made = np.asarray(numbers, float), list(names), 0
 
     @classmethod
-    def scale_numbers(cls, z: np.ndarray) -> np.ndarray:
+    def scale_numbers(cls, cma_numbers: np.ndarray) -> np.ndarray:
         """Convert the numbers of CMA-ES to those of the rule.
 
         Args:
-            z: Numbers with a standard deviation of 1 in the first generation; 0 stands for BEGINS.
+            cma_numbers: Numbers with a standard deviation of 1 in the first generation; 0 stands for INITIAL_NUMBERS.
         """
-        return np.array(cls.BEGINS) + np.array(cls.SCALES) * z
+        return np.array(cls.INITIAL_NUMBERS) + np.array(cls.DEVIATIONS) * cma_numbers
 
     def get_feature(self, name: str, observation: np.ndarray) -> np.ndarray:
+        """Return a feature of all machines by name, (machines,)."""
         return observation[:, self.names.index(name)].astype(float)
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
@@ -52,6 +59,7 @@ class Rule:
         return np.clip(action, -1.0, 1.0).astype(np.float32)
 
     def choose_actions(self, observation: np.ndarray) -> np.ndarray:
+        """Choose the next actions, (machines, ...), from observations, (machines, features)."""
         raise NotImplementedError
 
 
@@ -63,6 +71,7 @@ class LinearRule(Rule):
     """Number of actions that the rule computes, and number of all actions."""
 
     def compute_features(self, observation: np.ndarray) -> list[np.ndarray]:
+        """Compute the features of which the actions are linear functions, (machines,) each."""
         raise NotImplementedError
 
     def choose_actions(self, observation: np.ndarray) -> np.ndarray:
@@ -78,7 +87,7 @@ class OneShotRule(LinearRule):
     """Rule of one-shot: both rates and both ramps follow from the distance and the declared payload."""
 
     ACTIONS = 4, 4
-    BEGINS, SCALES = (0.0,) * 12, (0.5,) * 4 + (0.25,) * 8
+    INITIAL_NUMBERS, DEVIATIONS = (0.0,) * 12, (0.5,) * 4 + (0.25,) * 8
 
     def compute_features(self, observation: np.ndarray) -> list[np.ndarray]:
         return [self.get_feature("distance", observation), self.get_feature("declared", observation)]
@@ -88,7 +97,7 @@ class LineRule(LinearRule):
     """Rule of line: rate and ramp follow from the longest distance and from the ratio of the shortest to it."""
 
     ACTIONS = 2, 14
-    BEGINS, SCALES = (0.0,) * 6, (0.5,) * 2 + (0.25,) * 4
+    INITIAL_NUMBERS, DEVIATIONS = (0.0,) * 6, (0.5,) * 2 + (0.25,) * 4
 
     def compute_features(self, observation: np.ndarray) -> list[np.ndarray]:
         distances = np.abs(observation[:, [k for k, name in enumerate(self.names) if name == "distance"]])
@@ -103,7 +112,7 @@ class HomeRule(Rule):
     number of failed returns in a row, and on how the last one failed.
     """
 
-    BEGINS, SCALES = (0.0,) * 7 + (-0.5, 0.0, 0.0, 0.0), (0.5,) * 7 + (0.3, 1.0, 0.5, 0.5)
+    INITIAL_NUMBERS, DEVIATIONS = (0.0,) * 7 + (-0.5, 0.0, 0.0, 0.0), (0.5,) * 7 + (0.3, 1.0, 0.5, 0.5)
 
     def choose_actions(self, observation: np.ndarray) -> np.ndarray:
         search, ramp, approach, back_off, leave, asserted, slower, report, *signs = self.w
@@ -154,6 +163,7 @@ class BoldnessRule(Rule):
         return np.clip(self.compute_log_boldness(distance, in_step), np.log(TAMEST), np.log(BOLDEST))
 
     def compute_log_boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
+        """Compute the logarithm of the next boldness, (n,), before it is limited to the permitted range."""
         raise NotImplementedError
 
 
@@ -163,7 +173,7 @@ class ScheduledRule(BoldnessRule):
     The boldness can rise or fall during an episode, so that the last attempt has the boldness that the rule aims at.
     """
 
-    BEGINS, SCALES = (0.7, 0.0, 0.0), (0.4, 0.2, 0.4)
+    INITIAL_NUMBERS, DEVIATIONS = (0.7, 0.0, 0.0), (0.4, 0.2, 0.4)
 
     def compute_log_boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
         w = self.w
@@ -173,14 +183,14 @@ class ScheduledRule(BoldnessRule):
 class RememberingRule(BoldnessRule):
     """Rule that remembers earlier attempts, and tries between the boldest that kept step and the tamest that did not."""
 
-    BEGINS, SCALES = (0.7, 0.0, 0.2, 0.5, 0.1), (0.4, 0.2, 0.1, 0.2, 0.1)
+    INITIAL_NUMBERS, DEVIATIONS = (0.7, 0.0, 0.2, 0.5, 0.1), (0.4, 0.2, 0.1, 0.2, 0.1)
 
-    def __init__(self, w: Sequence[float] | np.ndarray, names: Sequence[str], n: int = 1):
-        super().__init__(w, names, n)
+    def __init__(self, numbers: Sequence[float] | np.ndarray, names: Sequence[str], machines: int = 1):
+        super().__init__(numbers, names, machines)
         self.boldest_success, self.tamest_failure, self.last = (
-            np.full(n, -np.inf),
-            np.full(n, np.inf),
-            np.zeros(n),
+            np.full(machines, -np.inf),
+            np.full(machines, np.inf),
+            np.zeros(machines),
         )  # logarithms
 
     def choose_log_boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
@@ -188,6 +198,11 @@ class RememberingRule(BoldnessRule):
         return self.last
 
     def update_bounds(self, in_step: np.ndarray) -> None:
+        """Update the boldest success and the tamest failure of each machine after an attempt.
+
+        Args:
+            in_step: Whether the last attempt kept step by the encoder, (n,).
+        """
         self.boldest_success = np.where(in_step, np.maximum(self.boldest_success, self.last), self.boldest_success)
         self.tamest_failure = np.where(in_step, self.tamest_failure, np.minimum(self.tamest_failure, self.last))
         self.boldest_success = np.where(self.boldest_success >= self.tamest_failure, -np.inf, self.boldest_success)

@@ -103,29 +103,31 @@ def design_registers(axis: Any, timer: int = TIMER) -> dict[str, int]:
     return {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer}
 
 
-def draw_design(d: LoopDesign, loop: ServoLoop, path: Path) -> None:
+def draw_design(design: LoopDesign, loop: ServoLoop, path: Path) -> None:
     """Draw the Bode diagram and the root locus.
 
     Args:
-        d: Design to draw.
+        design: Design to draw.
         loop: Servo loop with the plant.
         path: PNG file.
     """
     from matplotlib import pyplot as plt
 
-    c, system = import_control(), make_open_loop(replace(loop, tuning=d.tuning))
+    c, system = import_control(), make_open_loop(replace(loop, tuning=design.tuning))
     figure, axes = plt.subplots(1, 3, figsize=(15, 5), layout="constrained")
     omega = np.geomspace(1.0, 0.95 * np.pi / loop.sample, 800)
     response = system(np.exp(1j * omega * loop.sample))
     axes[0].loglog(omega / (2 * np.pi), np.abs(response))
     axes[1].semilogx(omega / (2 * np.pi), np.degrees(np.unwrap(np.angle(response))))
-    axes[0].axvline(d.crossover / (2 * np.pi), color="#d1571f", lw=1)
-    axes[1].axvline(d.crossover / (2 * np.pi), color="#d1571f", lw=1)
-    axes[0].set(xlabel="frequency (Hz)", ylabel="open loop", title=f"crossover {d.crossover / (2 * np.pi):.0f} Hz")
-    axes[1].set(xlabel="frequency (Hz)", ylabel="phase (degrees)", title=f"phase margin {d.phase_margin:.0f} degrees")
+    axes[0].axvline(design.crossover / (2 * np.pi), color="#d1571f", lw=1)
+    axes[1].axvline(design.crossover / (2 * np.pi), color="#d1571f", lw=1)
+    axes[0].set(xlabel="frequency (Hz)", ylabel="open loop", title=f"crossover {design.crossover / (2 * np.pi):.0f} Hz")
+    axes[1].set(
+        xlabel="frequency (Hz)", ylabel="phase (degrees)", title=f"phase margin {design.phase_margin:.0f} degrees"
+    )
     loci = c.root_locus_map(system, gains=np.geomspace(1e-2, 10, 400)).loci
     axes[2].plot(loci.real, loci.imag, color="#66717d", lw=1)
-    poles = replace(loop, tuning=d.tuning).poles
+    poles = replace(loop, tuning=design.tuning).poles
     axes[2].plot(poles.real, poles.imag, "x", color="#d1571f")
     axes[2].add_patch(plt.Circle((0, 0), 1, fill=False, color="#aab4be"))
     axes[2].set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal", title="root locus in z")

@@ -79,6 +79,7 @@ class TuningSession:
         self._return_to_start()
 
     def _try_move(self) -> dict[str, Any]:
+        """Answer the tool that makes a move with the present registers: return its duration, its vibration and its score."""
         stage, axis, port, c = self._stage, self._axis, self._port, Config()
         port.write_command(chip_port.RESET)
         port.write_register("R0", self.distance)
@@ -108,6 +109,7 @@ class TuningSession:
         }  # fmt: skip
 
     def _return_to_start(self) -> None:
+        """Put the carriage back to the start of the move."""
         low, high = self._axis.travel
         begin = (low + high - self.distance * self._axis.meters_per_pulse) / 2
         turn = TURN * self._axis.meters_per_pulse
@@ -131,6 +133,7 @@ def tune_by_coordinates(session: TuningSession, show: bool = False) -> None:
     """
 
     def attempt(registers: dict[str, int]) -> float | None:
+        """Make a move with these registers by calling tools, and return its score; None if no moves are left."""
         point = int(compute_ramp_pulses(*(registers[n] for n in ("R1", "R2", "R5", "R7")))) + TAIL_PULSES
         for name, value in {**registers, "R6": point}.items():
             session.box.call("write_register", {"axis": "x", "name": name, "value": value})

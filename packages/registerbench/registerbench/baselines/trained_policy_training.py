@@ -23,11 +23,11 @@ FIRST = (0.2, 0.9, 0.1, -0.1)  # first constants of start, drive, up and down, a
 
 
 def name_features(observation: np.ndarray, names: list[str]) -> dict[str, Any]:
-    """Return one observation by names, as a tool gives it to a player.
+    """Return the observation of one machine by name, as a tool returns it to a player.
 
     Args:
-        observation: Features of one machine.
-        names: Names of the features; several of one name become a list.
+        observation: Features of the machine, (features,).
+        names: Names of the features; several features of one name become a list.
     """
     values: dict[str, Any] = {}
     for name, value in zip(names, observation.tolist(), strict=True):
@@ -35,25 +35,25 @@ def name_features(observation: np.ndarray, names: list[str]) -> dict[str, Any]:
     return {name: v[0] if len(v) == 1 else v for name, v in values.items()}
 
 
-def compute_returns(envs: Any, kind: str, tables: np.ndarray, seed: int) -> np.ndarray:
-    """Compute the return of each table: the mean over one episode on each of its machines.
+def compute_returns(envs: Any, task: str, weights: np.ndarray, seed: int) -> np.ndarray:
+    """Compute the return of each candidate policy: the mean over one episode on each of its EACH machines.
 
     Args:
-        envs: Vector environment.
-        kind: Name of the task.
-        tables: Weights, (tables, ...).
+        envs: Vector environment of MACHINES machines.
+        task: Name of the task.
+        weights: Weights of the candidates, (TABLES, actions, features + 1).
         seed: Seed of the first machine.
 
     Returns:
-        Mean returns, (tables,).
+        Mean returns, (TABLES,).
     """
-    tables = np.repeat(tables, EACH, axis=0)
+    weights = np.repeat(weights, EACH, axis=0)
     names, total = [e.name for e in envs.observation_features], np.zeros(MACHINES)
     observation, _ = envs.reset(seed=seed)
     while True:
         actions = [
-            compute_action(w, compute_features(kind, name_features(row, names)))
-            for w, row in zip(tables, observation, strict=True)
+            compute_action(w, compute_features(task, name_features(row, names)))
+            for w, row in zip(weights, observation, strict=True)
         ]
         observation, rewards, terminated, truncated, _ = envs.step(np.array(actions, np.float32))
         total += rewards
@@ -61,40 +61,41 @@ def compute_returns(envs: Any, kind: str, tables: np.ndarray, seed: int) -> np.n
             return total.reshape(TABLES, EACH).mean(axis=1)
 
 
-def train_table(kind: str, generations: int) -> np.ndarray:
-    """Train the table of a task.
+def train_weights(task: str, generations: int) -> np.ndarray:
+    """Train the weights of the policy for a task by the cross-entropy method.
 
     Args:
-        kind: Name of the task.
+        task: Name of the task.
         generations: Number of generations.
 
     Returns:
-        Mean of the tables after the last generation, (actions, features + 1).
+        Mean of the best weights of the last generation, (actions, features + 1).
     """
-    card = CARDS[kind]
+    card = CARDS[task]
     vector: Any = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "Disabled"}
     envs = gymnasium.make_vec(card.id, MACHINES, **vector, **card.settings, split="train", truth="info").unwrapped
     rng = np.random.default_rng(0)
-    middle = np.zeros((4, len(FEATURES[kind]) + 1))
+    middle = np.zeros((4, len(FEATURES[task]) + 1))
     middle[:, -1] = FIRST
     spread = np.full(middle.shape, 0.25)
     for g in range(generations):
         tables = rng.normal(middle, spread, (TABLES, *middle.shape))
         tables[0] = middle
-        reached = compute_returns(envs, kind, tables, 1000 + 10_000 * g)
+        reached = compute_returns(envs, task, tables, 1000 + 10_000 * g)
         best = tables[np.argsort(reached)[-ELITE:]]
         middle, spread = best.mean(0), best.std(0) + 0.01
-        print(f"{kind}, generation {g}: mean {reached.mean():.3f}, middle {reached[0]:.3f}", flush=True)
+        print(f"{task}, generation {g}: mean {reached.mean():.3f}, middle {reached[0]:.3f}", flush=True)
     envs.close()
     return middle
 
 
 def main() -> None:
+    """Train the policies of all tasks, and write them to a JSON file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--generations", type=int, default=12)
     parser.add_argument("-o", "--output", default="trained.json")
     args = parser.parse_args()
-    tables = {kind: np.round(train_table(kind, args.generations), 4).tolist() for kind in FEATURES}
+    tables = {kind: np.round(train_weights(kind, args.generations), 4).tolist() for kind in FEATURES}
     Path(args.output).write_text(json.dumps(tables, indent=1) + "\n")
 
 

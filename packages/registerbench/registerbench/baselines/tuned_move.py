@@ -47,6 +47,7 @@ class BothDirectionsTuning(RegisterTuning):
     """RegisterTuning in which every second machine moves in the minus direction; used to test answers, not to find them."""
 
     def draw_distance(self, k: int, options: Mapping[str, Any]) -> int:
+        """Draw the distance of the next move; stages with an odd index move in the minus direction."""
         return super().draw_distance(k, options) * (-1 if k % 2 else 1)
 
 
@@ -203,6 +204,13 @@ class MoveTuning:
         return rewards
 
     def _log_moves(self, rewards: np.ndarray, info: dict[str, Any], n: int) -> None:
+        """Append the first n moves of a step to the log.
+
+        Args:
+            rewards: Rewards of the step, (lanes,).
+            info: Info of the step.
+            n: Number of moves that count.
+        """
         parts = info["reward_parts"]
         kept_step = (parts["lost"] == 0) & (parts["limit"] == 0) & (info["cause"] != "diverged")
         columns = rewards, info["duration"], info["lost_steps"], info["vibration"], kept_step, info["registers"]

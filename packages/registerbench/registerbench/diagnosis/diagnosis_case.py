@@ -100,6 +100,7 @@ class Case:
     # --- tools ---
 
     def _make_tools(self) -> list[Tool]:
+        """Make the tools of the agent that are specific to broken set-ups."""
         cause = {"cause": argument(choice(tuple(CAUSES)), "what is wrong")}
         work = {"work": argument(choice(tuple(SERVICES)), "what shall be done")}
         text = {"text": argument(Text, "the whole program, lines as `program` shows them")}
@@ -118,12 +119,14 @@ class Case:
         ]  # fmt: skip
 
     def _replace_program(self, text: str) -> dict[str, Any]:
+        """Answer a tool call: replace the host's program by a text."""
         self._require_running()
         lines = parse_program(text, self.stage)
         self._text = text
         return {"lines": len(lines), "text": "written; run it"}
 
     def _run_program(self) -> dict[str, Any]:
+        """Answer a tool call: run the host's program from power-up."""
         self._require_running()
         if self._runs >= self._max_runs:
             raise StageError(f"All {self._max_runs} runs are used. Answer, repair and finish with what you know.")
@@ -133,9 +136,11 @@ class Case:
         return self._host.run(lines)
 
     def _measure_positions(self) -> dict[str, Any]:
+        """Answer a tool call: return the positions of the carriages, mm."""
         return {f"{a.name}_mm": round(a.position * 1e3, 2) for a in self.stage.axes.values()}
 
     def _perform_service(self, work: str) -> dict[str, Any]:
+        """Answer a tool call: perform a service of SERVICES on the machine."""
         self._require_running()
         if SERVICES[work] == self.setup.cause and not self._is_repaired:
             self._is_repaired = True
@@ -145,6 +150,7 @@ class Case:
         return {"text": "done. The machine is at power-up."}
 
     def _record_answer(self, cause: str) -> dict[str, Any]:
+        """Answer a tool call: store the cause that the agent names."""
         self._require_running()
         if self._answer:
             raise StageError(f"You have already answered: {self._answer}. The first answer counts.")
@@ -152,10 +158,12 @@ class Case:
         return {"text": "noted."}
 
     def _finish(self) -> dict[str, Any]:
+        """Answer a tool call: end the game."""
         self.over = True
         return {"text": "thank you."}
 
     def _require_running(self) -> None:
+        """Raise an error if the agent has finished."""
         if self.over:
             raise StageError("You have finished: nothing counts anymore.")
 
@@ -190,6 +198,12 @@ class Case:
         )
 
     def _explain_trial_failure(self, text: str, start: float) -> str:
+        """Run a program from one start position, and explain why it fails the acceptance trial; "" if it passes.
+
+        Args:
+            text: Text of the program.
+            start: Start position of x, m.
+        """
         lines = parse_program(text, self.stage)
         self._power_up(start)
         watch = TrialObserver(self.stage, self.setup.trial.max_seconds)
@@ -200,4 +214,5 @@ class Case:
 
     @property
     def _is_fault_in_machine(self) -> bool:
+        """True if the machine is broken, not the program."""
         return self.setup.cause in SERVICES.values()

@@ -199,6 +199,7 @@ def parse_program(text: str, stage: Stage) -> list[ProgramLine]:
 
 
 def _parse_line(line: str, stage: Stage) -> Callable[[ProgramHost], None]:
+    """Parse one line of a program, and return the function that executes it on a host."""
     word, _, rest = line.partition(" ")
     if word == "wait":
         seconds = _parse_seconds(rest)
@@ -237,6 +238,7 @@ def _parse_cycles(axis: Axis, text: str) -> tuple[BusCycle, ...]:
 
 
 def _parse_until(words: list[str], stage: Stage) -> Callable[[ProgramHost], None]:
+    """Parse a line `until ...`, and return the function that polls."""
     usage = "as in `until x stopped 5` or `until x RR1.DSND 1 2`"
     if not words:
         raise ArgumentError(f"until: {usage}.")
@@ -268,6 +270,7 @@ def _parse_until(words: list[str], stage: Stage) -> Callable[[ProgramHost], None
 
 
 def _list_status_words(axis: Axis) -> tuple[str, ...]:
+    """List the names of the status words of an axis' chip."""
     from stage.firmware.driver import get_driver
 
     replica = _UnobservedAxis(axis)
@@ -282,6 +285,7 @@ class _UnobservedAxis:
 
 
 def _parse_seconds(text: str) -> float:
+    """Parse a number of seconds. Raises ArgumentError."""
     try:
         value = float(text)
     except ValueError:

@@ -189,7 +189,7 @@ def write_register(c, address, value):
             power_stage.apply_current_registers(c)
     if address == state.CHOPCONF and value & 15 == 0:
         c.shorts = 0
-    stallguard.update_after_change(c)
+    stallguard.update_stallguard_and_coolstep(c)
     update_position_reached(c)
 
 

@@ -59,7 +59,7 @@ def _process_clock(c):
         c.zw -= 1
     else:
         goes = ramp.update_speed(c) and c.q > 0
-    stallguard.update_after_change(c)
+    stallguard.update_stallguard_and_coolstep(c)
     if goes:
         c.ph += c.q
         if c.ph >= state.PHASE_PER_STEP:

@@ -33,8 +33,8 @@ def is_cool_step_active(c):
 
 
 @hot
-def update_after_change(c):
-    """Update thresholds, StallGuard and CoolStep after the speed, registers or faults may have changed."""
+def update_stallguard_and_coolstep(c):
+    """Update thresholds, StallGuard and CoolStep after a change of speed, registers or faults, in which they start or stop."""
     c.speeds = speed_thresholds.find_passed_thresholds(c, c.q)
     clear_result_if_unmeasured(c)
     cooling = 1 if is_cool_step_active(c) else 0

@@ -76,7 +76,7 @@ class CommandPlayer:
                     pipe.close()  # type: ignore[union-attr]
 
     def stop(self) -> None:
-        """End the command because the game is over; may be called from another thread."""
+        """End the command because its game is over. Another thread may call this method."""
         self._kill(self._process)
 
     def _kill(self, process: Any) -> None:
@@ -86,9 +86,19 @@ class CommandPlayer:
                 os.killpg(process.pid, signal.SIGKILL)
 
     def _play(self, session: GameSession, process: Any, lines: queue.Queue[str]) -> bool:
-        """Play until the game ends, and return whether the command played on to the end."""
+        """Play until the game ends.
+
+        Args:
+            session: Session of the game.
+            process: Process of the command.
+            lines: Lines that the command has written.
+
+        Returns:
+            Whether the command played to the end of the game.
+        """
 
         def send(what: dict[str, Any]) -> None:
+            """Write a message to the command as a line of JSON."""
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it reads no more
                 process.stdin.write(json.dumps(what) + "\n")
                 process.stdin.flush()
@@ -130,9 +140,16 @@ def _handle_early_exit(session: GameSession, process: Any) -> None:
 
 
 def _read_lines(stream: Any, lines: queue.Queue[str], gone: threading.Event) -> None:
-    """Put the lines of a stream into a queue, and "" at its end; wait while the queue is full."""
+    """Put the lines of a stream into a queue, and "" at its end. Wait while the queue is full, unless nobody reads it.
+
+    Args:
+        stream: Output of the command.
+        lines: Queue for the lines.
+        gone: Event that is set when nobody reads the queue any more.
+    """
 
     def put(line: str) -> None:
+        """Put a line into the queue as soon as there is room."""
         while not gone.is_set():
             with contextlib.suppress(queue.Full):
                 lines.put(line, timeout=0.2)
@@ -145,7 +162,7 @@ def _read_lines(stream: Any, lines: queue.Queue[str], gone: threading.Event) -> 
 
 
 def _parse_message(line: str) -> dict[str, Any] | str:
-    """Parse a line of the command; return a sentence if it is not a message."""
+    """Parse a line of the command; if it is not a message, return a sentence that says why."""
     try:
         message = parse_json(line)
     except DocumentError as why:

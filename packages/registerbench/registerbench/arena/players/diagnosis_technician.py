@@ -65,6 +65,7 @@ def _find_cause_by_trial(session: GameSession, program: str) -> str:
 
 
 def _run_and_measure(session: GameSession, program: str) -> Any:
+    """Replace the program, run it, and return the measured positions."""
     session.call("write_program", {"text": program})
     session.call("run")
     return session.call("measure").data
@@ -76,6 +77,7 @@ def _cut_after_first_move(program: str) -> str:
 
 
 def _lengthen_ramp_down(program: str) -> str:
+    """Return the program with an earlier ramp-down of its moves."""
     return re.sub(r"R6 <- (\d+)", lambda match: f"R6 <- {10 * int(match[1])}", program, count=1)
 
 

@@ -67,6 +67,13 @@ class EndpointPlayer:
     def _request_message(
         self, session: GameSession, messages: list[dict[str, Any]], tools: list[dict[str, Any]]
     ) -> dict[str, Any]:
+        """Send the conversation to the endpoint, and return the model's message; repeat a request that fails for a moment.
+
+        Args:
+            session: Session of the game.
+            messages: Conversation so far.
+            tools: Tools, as the endpoint takes them.
+        """
         reply = self._post(session, {"model": self.model, "messages": messages, "tools": tools})
         try:
             message = reply["choices"][0]["message"]
@@ -84,6 +91,7 @@ class EndpointPlayer:
         return {**stored, "tool_calls": calls} if calls else stored
 
     def _post(self, session: GameSession, body: dict[str, Any]) -> Any:
+        """Post a request and return the reply, parsed from JSON."""
         head = {"Content-Type": "application/json", **({"Authorization": f"Bearer {self._key}"} if self._key else {})}
         request = urllib.request.Request(self.url, json.dumps(body).encode(), head)
         for attempt in range(MAX_ATTEMPTS):
@@ -125,7 +133,7 @@ def _read_reply(session: GameSession, reply: Any) -> bytes:
 
 
 def _call_tool(session: GameSession, call: dict[str, Any]) -> str:
-    """Make a call of the model, and return its answer as text for the model."""
+    """Make a tool call that the model requested, and return the answer as text for the model."""
     function = call.get("function") or {}
     text = function.get("arguments") or "{}"
     try:

@@ -37,9 +37,11 @@ class RandomPlayer:
                 return
 
     def _draw_arguments(self, schema: dict[str, Any]) -> dict[str, Any]:
+        """Draw a value for each argument of a tool within its JSON schema."""
         return {name: self._draw_value(schema["properties"][name]) for name in schema["required"]}
 
     def _draw_value(self, schema: dict[str, Any]) -> Any:
+        """Draw a value within a JSON schema."""
         schema = schema.get("anyOf", [schema])[0]
         if "enum" in schema:
             return str(self._rng.choice(schema["enum"]))

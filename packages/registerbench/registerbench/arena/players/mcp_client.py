@@ -24,7 +24,7 @@ class McpClientPlayer:
 
 
 class _Game:
-    """Stand-in for a factory of stages: the one session that it makes is the game."""
+    """Stand-in for the MCP server's factory of stages. The only session that it makes is the game."""
 
     def __init__(self, session: GameSession):
         self._table = session

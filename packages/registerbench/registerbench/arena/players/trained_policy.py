@@ -25,7 +25,7 @@ FEATURES = {
 
 
 def play_trained_policy(session: GameSession) -> None:
-    """Act by the table until the game is over."""
+    """Play a game by the trained policy of its task, or by the formula if there is no policy."""
     kind = session.name.partition(":")[0]
     if kind not in FEATURES:
         play_formula(session)
@@ -41,14 +41,14 @@ def play_trained_policy(session: GameSession) -> None:
         observation = answer.data["observation"]
 
 
-def compute_features(kind: str, observation: Mapping[str, Any]) -> np.ndarray:
-    """Compute the input of the policy, which ends with a 1.
+def compute_features(task: str, observation: Mapping[str, Any]) -> np.ndarray:
+    """Compute the input of the policy from an observation. Its last number is 1.
 
     Args:
-        kind: Name of the task.
+        task: Name of the task.
         observation: Features of the observation by name.
     """
-    if kind == "one-shot":
+    if task == "one-shot":
         return np.array([observation["distance"], observation["declared"], 1.0])
     attempted = [k for k, m in enumerate(observation["tried"]) if m > 0]
     last = attempted[-1] if attempted else None
