@@ -39,7 +39,7 @@ def open_end(text: str) -> PtyEnd | TcpEnd:
         return PtyEnd(Path(rest) if rest else None)
     if kind == "tcp" and rest.isascii() and rest.isdigit() and int(rest) < 1 << 16:
         return TcpEnd(int(rest))
-    raise ArgumentError(f"--serial {text!r}: {FORMS}.")
+    raise ArgumentError(f"--serial {text!r} is no end of a serial line. Write {FORMS}.")
 
 
 class ConnectedEnd(SerialEnd):

@@ -250,7 +250,7 @@ def _raise_at_sigterm(board: Any, terminated: threading.Event) -> Iterator[None]
         terminated.set()
         raise HostError(
             f"ended from outside by SIGTERM. What is known of it ends at {board.stage.time:.6f} s, after {board.cycles:,} bus "
-            f"cycles:\n{board.trace.text(12)}"
+            f"cycles. {board.trace.format_ending(12)}"
         )
 
     main = threading.current_thread() is threading.main_thread()  # other threads get no signals

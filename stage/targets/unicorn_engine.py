@@ -338,7 +338,7 @@ class UnicornProcessor:
         processor_core.poll_from_python.c(self.record.own)
         return HostError(
             f"{self.path.name}: {what}, at {self.describe_location()}; at {board.stage.time:.6f} s, after "
-            f"{board.cycles:,} bus cycles. Its last bus cycles:\n{board.trace.text(12)}"
+            f"{board.cycles:,} bus cycles. {board.trace.format_ending(12)}"
         )
 
     def close(self) -> None:

@@ -135,6 +135,17 @@ def test_firmware_that_never_returns_is_run_for_so_long(capsys):
     assert "simulated time from 0 to 1e9 s" in capsys.readouterr().err
 
 
+def test_a_run_stopped_by_sigterm_before_its_first_bus_cycle_shows_no_empty_table(monkeypatch, capsys):
+    source = """#include <signal.h>
+    #include <stdlib.h>
+    PULSESTAGE_MAIN { ps_delay_us(10); kill(atoi(getenv("TOLD")), SIGTERM); for (;;) ps_delay_us(1000); }"""
+    monkeypatch.setenv("TOLD", str(os.getpid()))
+    assert main(["run", str(firmware(source)), "--model", "xy"]) == 1
+    error = capsys.readouterr().err
+    assert "after 0 bus cycles. It has made no bus cycle." in error
+    assert "seconds  port" not in error
+
+
 @needs_rerun
 @pytest.mark.parametrize("isolated", [["--in-process"], []], ids=["thread", "process"])
 def test_a_run_stopped_by_sigterm_reports_its_state_and_writes_its_files(isolated, tmp_path, monkeypatch, capsys):

@@ -459,7 +459,7 @@ def test_a_port_in_use_is_one_sentence():
 
 @pytest.mark.parametrize("text", ["usb", "pty:", "tcp:", "tcp:x", "tcp:65536"])
 def test_an_end_that_does_not_exist_is_refused(text):
-    with pytest.raises(ArgumentError, match=r"pty, pty:LINK .* or tcp:PORT"):
+    with pytest.raises(ArgumentError, match=r"is no end of a serial line. Write pty, pty:LINK .* or tcp:PORT"):
         open_end(text)
 
 

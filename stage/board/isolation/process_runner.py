@@ -386,8 +386,8 @@ class ProcessRunner:
         return HostError(
             f"{self._path.name} has written over the memory by which its process tells what happens on the bus, and {how}. Does a "
             "pointer run on, or a memset beyond its array? -fsanitize=address finds where (docs/debugging.md). What it did last is "
-            f"not known: the stage stands at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. The last that is "
-            f"known:\n{board.trace.text(12)}"
+            f"not known: the stage stands at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles, as far as is "
+            f"known. {board.trace.format_ending(12)}"
         )
 
     def _repeat_cycles(self, edges: np.ndarray) -> None:

@@ -175,7 +175,7 @@ class Windows:
 
     def _format_moment(self) -> str:
         board = self._link.board
-        return f"at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles:\n{board.trace.text(12)}"
+        return f"at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. {board.trace.format_ending(12)}"
 
 
 def _install_handler() -> None:
