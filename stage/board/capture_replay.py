@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from stage.board.pin_assignment import DRIVEN, PinLine, parse_pins
+from stage.board.pin_assignment import DRIVEN, PRESETS, PinLine, parse_pins
 from stage.errors import ArgumentError
 from stage.firmware.axis import check_seconds
 from stage.recording.vcd_reader import Capture, CaptureError, read_capture
@@ -143,11 +143,13 @@ class ReplayReport:
         path: The file.
         duration: From its first time to its last, s.
         axes: Report of each axis that has a line.
+        absent: Lines of a board's wiring, such as y.step=D3, that were left out: the capture lacks them, or STEP of their axis.
     """
 
     path: str
     duration: float
     axes: tuple[AxisReplay, ...]
+    absent: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -161,6 +163,8 @@ class ReplayReport:
 
     def __str__(self) -> str:
         lines = [f"{self.path}: {self.duration:.6f} s", *map(str, self.axes)]
+        if self.absent:
+            lines.append(f"left out, as the capture lacks them or STEP of their axis: {', '.join(self.absent)}")
         if not self.has_steps:
             lines.append("No STEP line of --pins changes in the capture. Name the signals that do.")
         return "\n".join(lines)
@@ -168,7 +172,7 @@ class ReplayReport:
     def json(self) -> dict[str, Any]:
         """Return everything as numbers and texts, as `--json` prints it: s, m (rad)."""
         axes = [vars(axis) | {"ok": axis.ok} for axis in self.axes]
-        return {"path": self.path, "duration": self.duration, "ok": self.ok, "axes": axes}
+        return {"path": self.path, "duration": self.duration, "ok": self.ok, "axes": axes, "absent": self.absent}
 
 
 class _LineChanges(NamedTuple):
@@ -202,10 +206,13 @@ def replay_capture(stage: Stage, path: str | PathLike, pins: str | Iterable[str]
         ArgumentError: `pins` names no STEP line, or a line or axis that the stage does not have.
     """
     check_seconds(rest)
-    lines = parse_pins(pins, {name: axis.chip for name, axis in stage.axes.items()})
+    texts = [pins] if isinstance(pins, str) else list(pins)
+    lines = parse_pins(texts, {name: axis.chip for name, axis in stage.axes.items()})
     if not any(line.line == "step" for line in lines):
         raise ArgumentError("--pins names no STEP line, so nothing would move: write x.step=D2,x.dir=D5.")
     capture = read_capture(path)
+    absent = _find_absent_lines(capture, lines, texts)
+    lines = tuple(line for line in lines if line not in absent)
     changes, duration_ns = _decode_lines(capture, lines)
     edges = _make_edges(stage, [c for c in changes if c.line.line in DRIVEN])
     begin = stage.now
@@ -219,7 +226,25 @@ def replay_capture(stage: Stage, path: str | PathLike, pins: str | Iterable[str]
         _report_axis(axis, [c for c in changes if c.line.axis == axis.name], observation, begin, word, *values)
         for axis, word, values in zip(axes, inputs, before, strict=True)
     )
-    return ReplayReport(str(path), duration_ns * 1e-9, reports)
+    return ReplayReport(str(path), duration_ns * 1e-9, reports, tuple(map(str, absent)))
+
+
+def _find_absent_lines(capture: Capture, lines: Sequence[PinLine], texts: Sequence[str]) -> list[PinLine]:
+    """Return the lines of a board's wiring to leave out: the capture lacks them, or STEP of their axis.
+
+    If it has no STEP line at all, or has STEP of an axis without DIR, no line is left out, and the missing signal is an error.
+    """
+    boards = [PRESETS.get(name.strip(), "") for text in texts for name in text.split(",")]
+    wiring = {entry for board in boards for entry in board.split(",")}
+    missing = [line for line in lines if not capture.has_signal(line.pin)]
+    steps = {line.axis for line in lines if line.line == "step" and line not in missing}
+    if not steps:
+        return []
+    return [
+        line
+        for line in lines
+        if str(line) in wiring and (line.axis not in steps or (line in missing and line.line != "dir"))
+    ]
 
 
 def _decode_lines(capture: Capture, lines: Sequence[PinLine]) -> tuple[list[_LineChanges], int]:

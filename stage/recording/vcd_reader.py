@@ -142,6 +142,10 @@ class Capture:
             raise CaptureError(f"{self.path} has no signal {name}: the bits of {vector} are {low} to {high}.")
         return SignalBit(signal.code, abs(index - signal.last_bit))
 
+    def has_signal(self, name: str) -> bool:
+        """Tell whether a signal has a name, which may have its scopes before it."""
+        return bool(self._find_signals(name))
+
     def _find_signals(self, name: str) -> list[Signal]:
         """Return the signals with a name; several names of one signal count once."""
         return list({s.code: s for s in self.signals if name in (s.name, s.path, *s.vector_names)}.values())

@@ -302,6 +302,28 @@ def test_the_decoder_agrees_with_the_reader_of_the_library(tmp_path):
     assert (changes.begin, changes.end) == (0, now)
 
 
+def test_lines_of_a_board_that_are_not_in_the_capture_are_left_out(tmp_path):
+    path = write_capture(tmp_path / "c.vcd", {"D2": make_steps(40), "D5": [(0, 1)], "B0": [(0, 0)]}, 10**7)
+    report = replay_capture(make_stage(), path, "grbl")
+    (x,) = report.axes
+    assert (x.axis, x.accepted, report.ok) == ("x", 40, True)
+    assert x.commanded == pytest.approx(-40 / 3.2e5), "DIR is high for minus"
+    assert "left out, as the capture lacks them or STEP of their axis: y.step=D3, y.dir=D6, y.enable=!B0, " in str(
+        report
+    )
+    with pytest.raises(CaptureError, match="has no signal D3"):
+        replay_capture(make_stage(), path, "x.step=D2,y.step=D3")
+
+
+def test_a_step_line_of_a_board_without_its_dir_line_is_refused(tmp_path):
+    path = write_capture(tmp_path / "c.vcd", {"D2": make_steps(40)}, 10**7)
+    with pytest.raises(CaptureError, match="has no signal D5"):
+        replay_capture(make_stage(), path, "grbl")
+    path = write_capture(tmp_path / "none.vcd", {"S": make_steps(40)}, 10**7)
+    with pytest.raises(CaptureError, match="has no signal D2"):
+        replay_capture(make_stage(), path, "grbl")
+
+
 WRONG = [
     ("x.step=D3", {}, "has no signal D3; it has D2, D5."),
     ("x.enable=D5", {}, "names no STEP line"),
