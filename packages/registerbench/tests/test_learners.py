@@ -112,7 +112,7 @@ def test_a_rule_earns_the_tabulated_rewards_of_its_attempts(rules):
     assert saved[at].tolist() == [[True, True], [False, True], [False, True]]
     best = table.sum_rewards(np.array([at[0], at[2], at[1]])[:, None])
     assert best == pytest.approx([worth[at[0], 0] - 2 * 0.05, worth[at[2], 1]])
-    answer = dataclasses.replace(table, last=True)
+    answer = dataclasses.replace(table, last_attempt_counts=True)
     assert answer.sum_rewards(np.array([at[2], at[1]])[:, None]) == pytest.approx([-2 * 0.05, worth[at[1], 1]])
     w = rules.RememberingRule.INITIAL_NUMBERS
     closed_in, blind = (
