@@ -18,3 +18,13 @@ TMC2209 = PowerStage(
         "internal_resistance": "S: 20 mohm",
     },
 )  # fmt: skip
+TMC5160 = PowerStage(
+    "tmc5160", "Trinamic TMC5160 with SD_MODE high", 10.0, 8.0, 60.0, _MICROSTEPS, step_high=100e-9, step_low=100e-9,
+    dir_setup=20e-9, dir_hold=20e-9, chip="pulsestage_trinamic.tmc5160_step_dir:StepDirTMC5160",
+    evidence={
+        "max_current": "I: external transistors; 10 A with 33 mohm, and the chip's sense resistors set the limit",
+        "min_supply": "S", "max_supply": "S: up to 55 V in operation, 60 V at most", "microsteps": "S: by CHOPCONF.MRES",
+        "step_high": "I: as the TMC2209", "step_low": "I: as the TMC2209", "dir_setup": "S", "dir_hold": "S",
+        "enable_setup": "I: none is given", "counts_disabled": "I: the sequencer goes on",
+    },
+)  # fmt: skip

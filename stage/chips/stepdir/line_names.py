@@ -13,10 +13,10 @@ DRIVEN = {"step": ("step",), "dir": ("dir",), "enable": ("enable",)}
 """Lines that a host drives -> input pins of the axis."""
 READ = {
     "limit": ("el_plus", "el_minus"), "limit_plus": ("el_plus",), "limit_minus": ("el_minus",), "origin": ("org",),
-    "probe": ("probe",), "diag": ("diag",), "index": ("index",),
+    "probe": ("probe",), "diag": ("diag",), "diag0": ("diag0",), "diag1": ("diag1",), "index": ("index",),
 }  # fmt: skip
 """Lines that a host reads -> pins of the axis; the line is asserted while one of them is. Only axes whose power stage has such
-outputs have the last two."""
+outputs have the last four."""
 
 
 def has_line(chip: Chip, name: str) -> bool:

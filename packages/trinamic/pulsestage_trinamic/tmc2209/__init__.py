@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, ClassVar
 
+from pulsestage_trinamic.field import PLACES_PER_FULL_STEP
 from pulsestage_trinamic.tmc2209 import core, driver, lint, maps
 from pulsestage_trinamic.tmc2209.describe import Decoder, Listener
 from pulsestage_trinamic.tmc2209.maps import MAP
@@ -27,8 +28,6 @@ from stage.errors import ArgumentError
 __all__ = ["TMC2209"]
 
 DEFAULT_BAUD = 115_200
-PLACES_PER_FULL_STEP = 256
-"""Places of the field in a full step."""
 
 
 class TMC2209(STEPDIR):

@@ -6,9 +6,7 @@ registers of the chip, for hosts that do not simulate the UART.
 
 from __future__ import annotations
 
-import math
-
-from pulsestage_trinamic import load_measurement
+from pulsestage_trinamic import field, load_measurement
 from pulsestage_trinamic.tmc2209 import driver, maps, registers, state, uart
 from pulsestage_trinamic.tmc2209.state import INPUTS, OUTPUTS, STATE
 from stage.chips.cores import SCAN_ROOM, run_slices
@@ -16,12 +14,9 @@ from stage.chips.stepdir import step_timer
 from stage.chips.stepdir.core import EDGE, MARKED_CHANGE, PULSE
 from stage.chips.stepdir.state import RATE, STEP
 from stage.chips.stepdir.step_edges import apply_line_levels, count_step
-from stage.native import array_of, exported, floor, greatest, hot, least
+from stage.native import array_of, exported, greatest, hot, least
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE"]
-
-PLACE_ANGLE = math.pi / 512.0
-"""Electrical radians in 1/256 full step."""
 
 
 @hot
@@ -121,7 +116,7 @@ def run_window(c, row_address, first_slice):
 @exported("f8", STATE, "i8", "i8", "f8")
 def compute_drive_input(c, axis_index, net_before, clocks):
     """Return the mean count of the last `clocks` clocks."""
-    return driver.compute_mean_place(c, clocks) / c.unit
+    return field.compute_mean_place(c, clocks) / c.unit
 
 
 @exported(None, STATE)
@@ -222,7 +217,7 @@ def is_busy(c, axis_index):
 @exported("i8", STATE, "i8")
 def read_net_count(c, axis_index):
     """Return the place of the interpolated field since power-up, in microsteps of the axis' Drive."""
-    return int(floor((c.field - driver.compute_lag(c, c.clock)) / c.unit + 0.5))
+    return field.compute_net_count(c)
 
 
 @exported("i8", STATE, "i8")
@@ -262,9 +257,7 @@ def set_load(c, axis_index, angle, emf):
     """
     if not driver.is_measuring(c) or c.period == 0:
         return 0
-    place = c.field - driver.compute_lag(c, c.clock)
-    angle += (place - read_net_count(c, 0) * c.unit) * PLACE_ANGLE
-    lam = load_measurement.compute_load(angle, c.direction)
+    lam = load_measurement.compute_load(field.correct_load_angle(c, angle), c.direction)
     load_measurement.add_load_sample(c, lam, int(1024.0 * least(emf, 1.0) + 0.5))
     return 1
 

@@ -5,7 +5,7 @@ Times are in clocks of the axis, whose frequency is `c.hz`; the chip's own clock
 
 from __future__ import annotations
 
-from pulsestage_trinamic import cool_step
+from pulsestage_trinamic import cool_step, field
 from pulsestage_trinamic.tmc2209 import state
 from stage.chips.stepdir.state import ENABLE
 from stage.native import greatest, hot, least
@@ -233,12 +233,8 @@ def move_field(c, places):
         return
     has_stopped = c.clock >= compute_standstill_clock(c)
     c.period = 0 if has_stopped else c.clock - c.stepped
-    k = c.moves % state.HISTORY
-    c.moved_at[k], c.moved_by[k] = c.clock, places
-    c.moved_in[k] = c.period if c.registers[state.CHOPCONF] & state.INTPOL else 0
-    c.moves += 1
     before = c.mscnt >> 8
-    c.field += places
+    field.move(c, places, c.period if c.registers[state.CHOPCONF] & state.INTPOL else 0)
     c.mscnt = c.mscnt + places & 1023
     c.stepped, c.direction = c.clock, 1 if places > 0 else -1
     if c.current != state.RUNS:
@@ -259,47 +255,6 @@ def follow_steps(c):
     if c.registers[state.VACTUAL] == 0:
         places = steps << read_step_shift(c)
         move_field(c, -places if c.registers[state.GCONF] & state.SHAFT else places)
-
-
-@hot
-def compute_lag(c, at):
-    """Return by how many places the interpolated field is behind `field` at a clock, from the steps that are still remembered."""
-    lag = 0.0
-    for j in range(least(c.moves, state.HISTORY)):
-        k = (c.moves - 1 - j) % state.HISTORY
-        rest = c.moved_at[k] + c.moved_in[k] - at
-        if rest <= 0:
-            break
-        if c.moved_in[k]:
-            lag += c.moved_by[k] * least(1.0, float(rest) / c.moved_in[k])
-    return lag
-
-
-@hot
-def compute_mean_place(c, clocks):
-    """Return the mean place of the interpolated field over the last `clocks` clocks.
-
-    A step moves the field evenly in the time between the step before and itself, or at once. The function integrates what each
-    step has still left to move.
-    """
-    missing = 0.0
-    begin = c.clock - clocks
-    for j in range(least(c.moves, state.HISTORY)):
-        k = (c.moves - 1 - j) % state.HISTORY
-        since, lasts = float(c.moved_at[k]) - begin, float(c.moved_in[k])
-        if since + lasts <= 0.0:
-            break
-        missing += c.moved_by[k] * (_integrate_rest(since, lasts, 0.0) - _integrate_rest(since, lasts, clocks))
-    return c.field - missing / clocks
-
-
-@hot
-def _integrate_rest(since, lasts, x):
-    """Integrate the share that a step has left to move, from x on: 1 up to `since`, then falling to 0 in `lasts` clocks."""
-    if x <= since:
-        return since - x + 0.5 * lasts
-    rest = since + lasts - x
-    return 0.5 * rest * rest / lasts if rest > 0.0 else 0.0
 
 
 # --- internal steps ---

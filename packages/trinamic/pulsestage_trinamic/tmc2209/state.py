@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from pulsestage_trinamic import field
 from pulsestage_trinamic.tmc2209.maps import MAP, NUMBER, REGISTERS
 from stage.chips.stepdir import state as lines
 from stage.native import record
 
 NEVER = lines.NEVER
-HISTORY = lines.HISTORY
 QUEUE = 64
 """Bytes on their way to the chip, and bytes that it has sent and nobody has read."""
 DATAGRAM = 8
@@ -22,18 +22,13 @@ STATE = record(
         ("rsense", "f8"),  # ohm
         ("vref", "f8"),  # share of 2.5 V at VREF
         ("ir_share", "f8"),  # voltage of one ampere in a winding, as a share of the supply
-        ("unit", "i8"),  # 1/256 full steps in a microstep of the axis' Drive
         # sequencer: places of the field are in 1/256 full steps
-        ("field", "i8"),  # place of the field since power-up
+        *field.FIELDS,
         ("followed", "i8"),  # `net` up to which the field has followed the steps
         ("mscnt", "i8"),
         ("stepped", "i8"),  # clock of the last step of the field
         ("period", "i8"),  # clocks between its last two steps, 0 at rest
         ("direction", "i8"),  # direction of the field's last step, 1 or -1
-        ("moves", "i8"),  # number of steps of the field
-        ("moved_at", "i8", (HISTORY,)),  # clock of each of the last steps
-        ("moved_by", "i8", (HISTORY,)),  # places that the field moves
-        ("moved_in", "i8", (HISTORY,)),  # clocks in which interpolation moves it there; 0: at once
         ("full", "i8"),  # full steps, for the means of the load
         ("next_step", "i8"),  # clock of the next internal step (VACTUAL), or NEVER
         ("velocity_since", "i8"),  # clock at which VACTUAL was written

@@ -123,7 +123,7 @@ def get_register_value(c, address):
     if address == state.GSTAT:
         return c.gstat
     if address == state.IOIN:
-        return VERSION | c.inputs & 0x3F
+        return VERSION | c.inputs & state.IOIN_PINS
     if address == state.TSTEP:
         return speed_thresholds.compute_tstep(c, c.q)
     if address == state.XACTUAL:

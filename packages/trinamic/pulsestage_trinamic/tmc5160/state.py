@@ -90,7 +90,8 @@ STATE = record(
 )
 """One chip."""
 
-REFL, REFR, ENCB, ENCA, DRV_ENN, ENCN = (1 << k for k in range(6))  # as in IOIN
+REFL, REFR, ENCB, ENCA, DRV_ENN, ENCN, SD_MODE = (1 << k for k in range(7))  # as in IOIN
+IOIN_PINS = 2 * SD_MODE - 1
 S2GA, S2GB, S2VSA, S2VSB, OT, OTPW, OLA, OLB, UV_CP = (1 << k for k in range(8, 17))
 INPUTS = {
     "refl": REFL, "refr": REFR, "encb": ENCB, "enca": ENCA, "drv_enn": DRV_ENN, "encn": ENCN,

@@ -1,0 +1,148 @@
+"""Trinamic TMC5160 with SD_MODE high: the power stage of a STEP/DIR axis, configured by SPI.
+
+from stage import Stage, firmware
+stage = Stage("xyz", chips="stepdir", drives="tmc5160")
+chip = stage.axes["x"].chip
+firmware.move(stage.axes["x"], 10e-3)                        switches the power stage on, and moves by STEP and DIR
+chip.transfer(bytes.fromhex("EC050100C3"))                   an SPI datagram; returns the answer to the one before
+chip.write_register("CHOPCONF", 0x140100C3)                  a register without SPI
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from pulsestage_trinamic.field import PLACES_PER_FULL_STEP
+from pulsestage_trinamic.tmc5160.maps import M32
+from pulsestage_trinamic.tmc5160_step_dir import core, maps
+from pulsestage_trinamic.tmc5160_step_dir.describe import Decoder, Listener
+from pulsestage_trinamic.tmc5160_step_dir.maps import MAP
+from stage.chips.stepdir import STEPDIR
+from stage.chips.stepdir.line_names import Line
+from stage.errors import ArgumentError
+
+__all__ = ["StepDirTMC5160"]
+
+SPI_DATAGRAM = maps.SPI_BASE + 2
+
+
+class StepDirTMC5160(STEPDIR):
+    """STEP/DIR axis with a TMC5160. After power-up the power stage is off (TOFF = 0) and a step is 1/256 full step.
+
+    Positions count in the microsteps of the axis' Drive, whatever MRES is.
+
+    Args:
+        clock_hz: Frequency at which edges of the lines are placed, Hz; default: 1 GHz.
+        rsense: Resistance of each sense resistor, ohm.
+        f_clk: Frequency of the chip's own clock, Hz.
+
+    Raises:
+        ArgumentError: A value that no chip or module has.
+    """
+
+    MAP: ClassVar = MAP
+    CORE: ClassVar = core
+    INPUTS: ClassVar = core.INPUTS
+    OUTPUTS: ClassVar = core.OUTPUTS
+    WIRES: ClassVar = {"diag0": ("DIAG0_n", 0), "diag1": ("DIAG1_n", 0)}
+    ADDRESSES: ClassVar = maps.ADDRESSES
+    ADDRESS_MASK: ClassVar = maps.ADDRESSES - 1
+    DATA_MASK: ClassVar = maps.M40
+    DRIVER: ClassVar = "pulsestage_trinamic.tmc5160_step_dir.host_driver:StepDirTmc5160Driver"
+
+    diag0, diag1 = Line("diag0"), Line("diag1")
+
+    def __init__(self, clock_hz: int | None = None, rsense: float = 0.1, f_clk: int = 12_000_000):
+        if isinstance(rsense, bool) or not isinstance(rsense, int | float) or not 0.001 <= rsense <= 10:
+            raise ArgumentError(
+                f"rsense={rsense!r}: sense resistors have 0.001 to 10 ohm; 0.1 ohm allows up to 2.3 A RMS."
+            )
+        if isinstance(f_clk, bool) or not isinstance(f_clk, int) or not 1_000_000 <= f_clk <= 20_000_000:
+            raise ArgumentError(
+                f"f_clk={f_clk!r}: the chip's clock is a whole number of 1 to 20 MHz; its own is 12 MHz."
+            )
+        self.rsense, self.f_clk = float(rsense), f_clk
+        super().__init__(clock_hz)
+
+    def _configure(self, record: Any) -> None:
+        super()._configure(record)
+        record["unit"] = 1
+        record["driver"]["hz"], record["driver"]["rsense"] = self.f_clk, self.rsense
+
+    def options(self) -> dict[str, Any]:
+        return {"clock_hz": self.clock_hz, "rsense": self.rsense, "f_clk": self.f_clk}
+
+    def fit_drive(self, drive: Any, axis: int = 0) -> None:
+        """Take what the chip needs from the drive of the axis: its microsteps, in which positions count."""
+        super().fit_drive(drive, axis)
+        self._record["unit"] = PLACES_PER_FULL_STEP // drive.microsteps
+
+    # --- SPI and registers ---
+
+    def transfer(self, datagram: bytes) -> bytes:
+        """Send an SPI datagram of 5 bytes and return the 5 bytes of the answer to the one before. Raises ArgumentError."""
+        if len(datagram) != 5:
+            raise ArgumentError(f"transfer({bytes(datagram)!r}): a datagram has 5 bytes, address first.")
+        self.write(SPI_DATAGRAM, int.from_bytes(datagram, "big"))
+        return int(self.read(SPI_DATAGRAM)).to_bytes(5, "big")
+
+    @property
+    def microsteps(self) -> int:
+        """Microsteps of a full step that the chip makes of a step now."""
+        return PLACES_PER_FULL_STEP // int(core.get_step_places.with_gil(self.pointer))
+
+    @property
+    def amplitude(self) -> float:
+        """Amplitude of the phase currents now, A."""
+        return float(core.read_motor_current.with_gil(self.pointer, 0))
+
+    def read_register(self, name: str) -> int:
+        """Return what a register holds, also one that cannot be read, by its name; no time passes. Raises ArgumentError."""
+        register = MAP.register(name)
+        return int(register.value(core.get_register_value.with_gil(self.pointer, register.number)))
+
+    def write_register(self, name: str, value: int) -> None:
+        """Write a register by its name, by one bus cycle and without SPI. Raises ArgumentError."""
+        for address, datum in self.register_cycles(name, value):
+            self.write(address, datum)
+
+    @classmethod
+    def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
+        return [(address, datum & M32) for address, datum in super().register_cycles(name, value, axis)]
+
+    def set_load(self, lam: int, emf: int = 1024) -> None:
+        """Set the load that StallGuard2 measures from now on, for a chip that is not on a stage. Journals do not record it.
+
+        Args:
+            lam: Load torque; 1024 is the torque at a load angle of 90 degrees.
+            emf: Back EMF; 1024 is the supply.
+
+        Raises:
+            ArgumentError: The chip is on a stage, or a value is not within 0 to 1024.
+        """
+        if self.attached or not (0 <= lam <= 1024 and 0 <= emf <= 1024):
+            raise ArgumentError(
+                f"set_load({lam!r}, {emf!r}): both values are 0 to 1024. The motor of a stage sets the load of its chip itself."
+            )
+        core.set_fixed_load.with_gil(self.pointer, int(lam), int(emf))
+
+    def explain_missing_current(self, axis: int = 0) -> str:
+        """Explain why the power stage supplies no current to the motor; "" if it does."""
+        if self.amplitude:
+            return ""
+        if not self.state["driver"]["powered"][0]:
+            return "its power stage was never switched on (CHOPCONF.TOFF = 0 after power-up, or ENABLE is not asserted)"
+        return "its power stage is off (TOFF = 0, ENABLE not asserted, a fault, or FREEWHEEL at IHOLD = 0)"
+
+    # --- interface of the chip registry ---
+
+    def values(self) -> dict[str, int]:
+        pointer = self.pointer
+        return {r.name: r.value(core.get_register_value.with_gil(pointer, r.number)) for r in MAP.registers}
+
+    def decoder(self, axis: int = 0) -> Decoder:
+        self._check_axis(axis)
+        return Decoder()
+
+    def listener(self) -> Listener:
+        return Listener()

@@ -1,0 +1,267 @@
+"""Compiled core of a STEP/DIR axis with a TMC5160: the lines and the step timer, and the chip's driver with its SPI.
+
+See stage/chips/cores.py for the functions, and maps.py for the addresses.
+"""
+
+from __future__ import annotations
+
+from pulsestage_trinamic import field, load_measurement
+from pulsestage_trinamic.tmc5160 import bus, power_stage, stallguard
+from pulsestage_trinamic.tmc5160 import maps as chip_maps
+from pulsestage_trinamic.tmc5160 import state as chip
+from pulsestage_trinamic.tmc5160_step_dir import driver, maps, state
+from pulsestage_trinamic.tmc5160_step_dir.state import INPUTS, OUTPUTS, STATE
+from stage.chips.cores import SCAN_ROOM, run_slices
+from stage.chips.stepdir import step_timer
+from stage.chips.stepdir.core import EDGE, MARKED_CHANGE, PULSE
+from stage.chips.stepdir.state import RATE, STEP
+from stage.chips.stepdir.step_edges import apply_line_levels, count_step
+from stage.native import array_of, exported, greatest, hot, least
+
+__all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE"]
+
+
+@hot
+def _find_next_event(c):
+    """Return the clock of the next event of the step timer or the chip, or NEVER."""
+    return least(step_timer.find_next_event(c), driver.find_next_timer(c))
+
+
+@hot
+def _advance_to_event(c, until):
+    """Let time pass to the next event or to `until`, and return whether an event happened."""
+    at = greatest(_find_next_event(c), c.clock)
+    if at > until:
+        c.clock = until
+        return False
+    c.clock = at
+    if step_timer.find_next_event(c) <= at:
+        before = c.inputs
+        step_timer.process_event(c)
+        _follow_lines(c, before)
+    else:
+        driver.process_timers(c)
+    return True
+
+
+@hot
+def _follow_lines(c, before):
+    """Let the chip follow the lines after their levels have changed from `before`."""
+    if before & ~c.inputs & STEP and c.driver[0].reg[chip.CHOPCONF] & state.DEDGE:
+        count_step(c, True)
+    driver.follow_steps(c)
+
+
+@exported(None, STATE, "i8")
+def run(c, until):
+    """Let the clock run up to `until`."""
+    while _advance_to_event(c, until):
+        pass
+
+
+@exported("i8", STATE, "i8")
+def advance(c, until):
+    """Let the clock run up to `until`, and return the steps of the field."""
+    before = c.moves
+    run(c, until)
+    return c.moves - before
+
+
+@exported("i8", STATE, "i8", array_of(PULSE))
+def trace_pulses(c, until, pulses):
+    """Let the clock run up to `until`, write each step of the field into `pulses`, and return their number."""
+    k, before = 0, c.moves
+    while _advance_to_event(c, until):
+        if c.moves > before:
+            pulses[k].clock, pulses[k].axis, pulses[k].direction = c.clock, 0, c.driver[0].way
+            k += 1
+        before = c.moves
+    return k
+
+
+@exported(None, STATE, "i8", array_of(EDGE), "i8")
+def write_present_edge(c, axis_index, edges, edge_index):
+    """Write the axis as it is now into edge `edge_index`."""
+    e = edges[edge_index]
+    e.clock, e.inputs, e.outputs = c.clock, read_inputs(c, 0), read_outputs(c, 0)
+    e.counter, e.net = read_counter(c, 0), read_net_count(c, 0)
+    e.rate = compute_pulse_rate(c, 0, 1.0)
+
+
+@exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
+def scan_edges(c, until, every_pulse, axis_index, edges):
+    """Let the clock run up to `until` and mark changes of pins and rate, and each edge of the lines if `every_pulse`."""
+    k, word, pins, rate = 0, read_outputs(c, 0), read_inputs(c, 0), compute_pulse_rate(c, 0, 1.0)
+    while c.clock < until and k < len(edges) - SCAN_ROOM:
+        if not _advance_to_event(c, until):
+            break
+        now, new = read_outputs(c, 0), compute_pulse_rate(c, 0, 1.0)
+        answers = (pins ^ read_inputs(c, 0)) & state.ANSWERED
+        if every_pulse or now != word or answers or abs(new - rate) > MARKED_CHANGE * c.reg[RATE] / c.hz:
+            write_present_edge(c, 0, edges, k)
+            word, pins, rate = now, read_inputs(c, 0), new
+            k += 1
+    return k
+
+
+@exported(None, STATE, "i8", "i8")
+def run_window(c, row_address, first_slice):
+    """Run the slices of a physics step."""
+    run_slices(c, row_address, first_slice, run, read_net_count, compute_drive_input)
+
+
+@exported("f8", STATE, "i8", "i8", "f8")
+def compute_drive_input(c, axis_index, net_before, clocks):
+    """Return the mean count of the last `clocks` clocks."""
+    return field.compute_mean_place(c, clocks) / c.unit
+
+
+@exported(None, STATE)
+def power_up(c):
+    """Clear step timer and chip; lines and switches stay as the host and the stage drive them."""
+    step_timer.clear(c)
+    c.followed = c.net
+    driver.update_clock(c)
+    bus.power_up(c.driver[0])
+    driver.take_pins(c)
+
+
+@exported("i8", STATE, "i8")
+def peek(c, address):
+    """Return what a read would give."""
+    if address >= maps.REGISTER_BASE:
+        number = address - maps.REGISTER_BASE
+        return driver.get_register_value(c, number) if chip_maps.IS_READABLE[number] else 0
+    if maps.SPI_BASE <= address < maps.SPI_BASE + maps.SPI_ADDRESSES:
+        return bus.peek_address(c.driver[0], chip_maps.SPI_CS + address - maps.SPI_BASE)
+    return step_timer.read_register(c, address) if address < len(c.reg) else 0
+
+
+@exported("i8", STATE, "i8")
+def read(c, address):
+    """Make a read cycle."""
+    return peek(c, address)
+
+
+@hot
+def _write_chip(c, address, value):
+    driver.take_pins(c)
+    bus.write_address(c.driver[0], address, value)
+    driver.take_pins(c)
+
+
+@exported(None, STATE, "i8", "i8")
+def write(c, address, value):
+    """Make a write cycle."""
+    if address >= maps.REGISTER_BASE:
+        _write_chip(c, address - maps.REGISTER_BASE, value & chip_maps.M32)
+    elif maps.SPI_BASE <= address < maps.SPI_BASE + maps.SPI_ADDRESSES:
+        _write_chip(c, chip_maps.SPI_CS + address - maps.SPI_BASE, value)
+    elif address < len(c.reg):
+        before = c.inputs
+        step_timer.write_register(c, address, value & chip_maps.M32)
+        _follow_lines(c, before)
+
+
+@exported("i8", STATE, "i8")
+def get_register_value(c, address):
+    """Return the value that a register holds, also of one that cannot be read."""
+    if address >= maps.REGISTER_BASE:
+        return driver.get_register_value(c, address - maps.REGISTER_BASE)
+    return step_timer.read_register(c, address)
+
+
+@exported("i8", STATE)
+def get_step_places(c):
+    """Return by how many 1/256 full steps a step moves the field."""
+    return 1 << chip.get_step_shift(c.driver[0])
+
+
+@exported(None, STATE, "i8", "i8")
+def set_input(c, axis_index, word):
+    """Take new levels of the input pins; the outputs of the chip among them stay its own."""
+    before, word = c.inputs, word & ~state.ANSWERED
+    apply_line_levels(c, word)
+    _follow_lines(c, before)
+    step_timer.stop_at_switches(c, word & ~before)
+    if (word ^ before) & ~STEP:
+        driver.take_pins(c)
+
+
+@exported("i8", STATE, "i8")
+def read_inputs(c, axis_index):
+    """Return the pins, with DIAG0 and DIAG1, which the host reads as it reads the switches."""
+    return driver.compute_input_word(c)
+
+
+@exported("i8", STATE, "i8")
+def read_outputs(c, axis_index):
+    """Return the output pins of the step timer."""
+    return step_timer.compute_output_pins(c)
+
+
+@exported("i8", STATE, "i8")
+def read_status(c, axis_index):
+    """Return the status word."""
+    return step_timer.compute_status(c)
+
+
+@exported("i8", STATE, "i8")
+def is_busy(c, axis_index):
+    """Return whether the step timer runs."""
+    return c.running
+
+
+@exported("i8", STATE, "i8")
+def read_net_count(c, axis_index):
+    """Return the place of the interpolated field since power-up, in microsteps of the axis' Drive."""
+    return field.compute_net_count(c)
+
+
+@exported("i8", STATE, "i8")
+def read_counter(c, axis_index):
+    """Return POSITION."""
+    return step_timer.read_position(c)
+
+
+@exported("f8", STATE, "i8", "f8")
+def compute_pulse_rate(c, axis_index, hz):
+    """Return the rate at which the count changes now, per second of a clock of `hz`."""
+    d = c.driver[0]
+    per_step = float(1 << chip.get_step_shift(d)) / c.unit
+    if d.reg[chip.GCONF] & chip.SHAFT:
+        per_step = -per_step
+    return per_step * step_timer.compute_step_rate(c, hz)
+
+
+@exported("f8", STATE, "i8")
+def read_motor_current(c, axis_index):
+    """Return the amplitude of the phase currents, A."""
+    return power_stage.compute_current_amplitude(c.driver[0])
+
+
+@exported("i8", STATE, "i8", "f8", "f8")
+def set_load(c, axis_index, angle, emf):
+    """Take a sample of the load, and return whether the chip's behavior can depend on it.
+
+    Args:
+        c: State of the chip.
+        axis_index: Axis, 0.
+        angle: Electrical radians by which the count of `read_net_count`, a whole number, leads the rotor.
+        emf: Back EMF as a share of the supply.
+    """
+    d = c.driver[0]
+    direction = -d.dir if d.reg[chip.GCONF] & chip.SHAFT else d.dir
+    lam = load_measurement.compute_load(field.correct_load_angle(c, angle), direction)
+    return stallguard.add_load_sample(d, lam, int(1024.0 * least(emf, 1.0) + 0.5))
+
+
+@exported(None, STATE, "i8", "i8")
+def set_fixed_load(c, lam, emf):
+    """Set the load, 0 to 1024 each, of a chip that is not on a stage."""
+    stallguard.set_fixed_load(c.driver[0], lam, emf)
+
+
+@exported(None, STATE, "i8", "f8", "f8")
+def set_shaft(c, axis_index, count, rate):
+    """Do nothing: the axis has no input for an encoder."""

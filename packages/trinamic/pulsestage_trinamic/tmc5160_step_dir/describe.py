@@ -1,0 +1,54 @@
+"""Descriptions of the bus cycles of a STEP/DIR axis with a TMC5160 in words."""
+
+from __future__ import annotations
+
+from pulsestage_trinamic.tmc5160 import describe as chip
+from pulsestage_trinamic.tmc5160 import maps as chip_maps
+from pulsestage_trinamic.tmc5160_step_dir import maps
+from stage.chips.describe import Statement
+from stage.chips.stepdir import describe as step_timer
+
+
+def _find_chip_address(address: int) -> int | None:
+    """Return the address in the map of the TMC5160, or None for the step timer."""
+    if address >= maps.REGISTER_BASE:
+        return address - maps.REGISTER_BASE
+    if maps.SPI_BASE <= address < maps.SPI_BASE + maps.SPI_ADDRESSES:
+        return chip_maps.SPI_CS + address - maps.SPI_BASE
+    return None
+
+
+class Listener(step_timer.Listener):
+    """Descriptions of bus cycles."""
+
+    def write(self, address: int, value: int) -> str:
+        there = _find_chip_address(address)
+        return super().write(address, value) if there is None else chip.describe_write(there, value)
+
+    def read(self, address: int, value: int) -> str:
+        there = _find_chip_address(address)
+        if there is None:
+            return super().read(address, value)
+        return chip.describe_register(there, value, False) if there < chip_maps.REGISTERS else f"SPI = {value:X}h"
+
+
+class Decoder(step_timer.Decoder):
+    """Meaning of the writes of a journal. Bytes of SPI are collected to datagrams."""
+
+    def __init__(self) -> None:
+        self._chip = chip.Decoder()
+
+    def decode_write(self, clock: int, address: int, value: int) -> list[Statement]:
+        there = _find_chip_address(address)
+        if there is None:
+            return super().decode_write(clock, address, value)
+        return self._chip.decode_write(clock, there, value)
+
+    def describe_lost_write(self, address: int, value: int) -> tuple[str, str]:
+        there = _find_chip_address(address)
+        if there is None:
+            return super().describe_lost_write(address, value)
+        return self._chip.describe_lost_write(there, value)
+
+    def reset(self) -> None:
+        self._chip.reset()
