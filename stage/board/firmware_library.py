@@ -487,11 +487,11 @@ class Library:
             ) from None
         if any("step" in chip.INPUTS for chip in self._link.stage.chips):
             table[0], table[1] = self._table.ctypes.data, len(self._table)
-            self._pin_use = np.ctypeslib.as_array(use).view(PIN_USE)
+        self._pin_use = np.ctypeslib.as_array(use).view(PIN_USE)
 
     def find_wiring_findings(self) -> tuple[WiringFinding, ...]:
         """Return the signs that lines of axes are at the wrong pins of the firmware."""
-        if self._pin_use is None:
+        if self._pin_use is None or not (self._lines or self._pin_use.view("u1").any()):
             return ()
         return find_findings(self._table, self._lines, self._pin_use[0], self._link.stage)
 

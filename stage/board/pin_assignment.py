@@ -201,26 +201,27 @@ def find_wiring_findings(
         chips: Chip of each axis by the axis' name.
     """
     others = {pin: rises for pin, rises in others.items() if rises > 1}
-    if not uses:
-        return _find_unconnected_pins(others, chips)
     steps = [use for use in uses if use.line.line == "step"]
+    if not steps:
+        return _find_unconnected_pins(others, chips)
     by_axis = [_find_step_finding(use, uses, others, chips[use.line.axis]) for use in steps]
     findings = tuple(finding for finding in by_axis if finding)
-    if steps and not findings and not any(use.rises for use in steps):
+    if not findings and not any(use.rises for use in steps):
         text = f"The program has made no step: {', '.join(map(str, steps))} never changed, nor did other pins."
         return (WiringFinding("", text, is_problem=False),)
     return findings
 
 
 def _find_unconnected_pins(others: Mapping[str, int], chips: Mapping[str, Chip]) -> tuple[WiringFinding, ...]:
-    """Return a finding about pins that a program drives while --pins names no line that it drives."""
-    axes = {name: chip for name, chip in chips.items() if "step" in chip.INPUTS}
-    if not axes or not others or any(chip.state["accepted"] for chip in axes.values()):
+    """Return a finding about pins that a program drives while --pins names no STEP line, and nothing has moved an axis."""
+    if not others or any(chip.net(k) for chip in chips.values() for k in range(chip.AXES)):
         return ()
+    axes = [name for name, chip in chips.items() if "step" in chip.INPUTS]
+    option = "" if axes else "--chips stepdir "
     busiest = max(others, key=lambda pin: others[pin])
     text = (
-        f"The program toggles {', '.join(others)}, and no STEP/DIR axis is connected to its pins: write --pins "
-        f"{next(iter(axes))}.step={busiest} and so on (docs/step_dir.md)."
+        f"The program toggles {', '.join(others)}, and no STEP/DIR axis is connected to its pins: write {option}--pins "
+        f"{[*axes, *chips][0]}.step={busiest} and so on (docs/step_dir.md)."
     )
     return (WiringFinding("", text, others[busiest] >= MIN_RISES),)
 

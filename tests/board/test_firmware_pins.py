@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
-from stage import ArgumentError, Stage
+from stage import ArgumentError, Stage, firmware
 from stage.board import Board, HostError, LibraryError, NativeHost
 from stage.cli import main
 from stage.sim.pin_edge_player import LINE_EDGE, play_pin_edges
@@ -208,15 +208,28 @@ def test_a_power_stage_that_stays_disabled_is_a_problem(run, enable, accepted):
     assert host.wiring_problems == problems
 
 
-def test_pins_that_no_line_is_at_are_a_problem_for_a_step_dir_axis_only(run, tmp_path):
+def test_pins_that_no_line_is_at_are_a_problem(run):
     host, _ = run(pulse(2, 320) + pulse(13, 2), pins=())
     assert host.wiring_problems == (
         "The program toggles 2, 13, and no STEP/DIR axis is connected to its pins: write --pins x.step=2 and so on "
         "(docs/step_dir.md).",
     )
-    other = NativeHost(tmp_path / "driver.c", Board(Stage("xy", chips="pcl240mk")), isolated=False)
-    other.run()
-    assert other.wiring_findings == ()
+    host, _ = run(pulse(2, 320), pins="x.enable=!8,x.limit=9")
+    assert len(host.wiring_problems) == 1
+
+
+def test_pins_are_a_problem_on_a_stage_without_step_dir_axes_unless_its_chips_move(run, tmp_path):
+    options = {"pins": (), "chips": "pcl240k", "drives": None}
+    host, _ = run(pulse(2, 320), **options)
+    assert host.wiring_problems == (
+        "The program toggles 2, and no STEP/DIR axis is connected to its pins: write --chips stepdir --pins x.step=2 and so on "
+        "(docs/step_dir.md).",
+    )
+    stage = host.board.stage
+    firmware.move(stage.axes["x"], pulses=10)
+    again = NativeHost(tmp_path / "driver.c", host.board, isolated=False)
+    again.run()
+    assert again.wiring_findings == ()
 
 
 def test_firmware_that_makes_no_step_is_reported_and_other_firmware_is_not(run):

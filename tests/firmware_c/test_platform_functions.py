@@ -476,7 +476,8 @@ def test_a_sketch_has_serial_strings_spi_and_interrupts_by_edge(tmp_path):
     )
     assert code == 0, SKETCH.splitlines()[code - 1]
     assert log == [
-        "pins: no PinBus says how a chip is wired to them, so no chip sees them; docs/porting.md",
+        "pins: no PinBus says how a chip is wired to them, so no chip sees them (docs/porting.md); STEP/DIR axes need "
+        "--chips stepdir --pins x.step=D2,x.dir=D5",
         "FF 0.333 deg -5",
         "SPI.transfer: no device is at the SPI bus, or none is selected; it reads FFh. Set SPI.device to a function of yours, "
         "or name the chip's pin: PinBus(0x300).spi(10)",

@@ -375,7 +375,8 @@ inline void said_if_unwired()
     if (!pins().first && pulsestage_pins.lines && !pulsestage_pins.n_lines)
         ps_log("pins: they drive no STEP/DIR axis without --pins x.step=D2,x.dir=D5; docs/step_dir.md");
     else if (!pins().first && !pulsestage_pins.n_lines)
-        ps_log("pins: no PinBus says how a chip is wired to them, so no chip sees them; docs/porting.md");
+        ps_log("pins: no PinBus says how a chip is wired to them, so no chip sees them (docs/porting.md); STEP/DIR axes "
+               "need --chips stepdir --pins x.step=D2,x.dir=D5");
 }
 
 /* What the program reads of a port, these bits of it. A pin that no bus drives costs a look at the clock, so that a loop which waits
