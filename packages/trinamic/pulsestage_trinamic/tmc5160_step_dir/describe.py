@@ -22,14 +22,18 @@ class Listener(step_timer.Listener):
     """Descriptions of bus cycles."""
 
     def write(self, address: int, value: int) -> str:
-        there = _find_chip_address(address)
-        return super().write(address, value) if there is None else chip.describe_write(there, value)
+        chip_address = _find_chip_address(address)
+        return super().write(address, value) if chip_address is None else chip.describe_write(chip_address, value)
 
     def read(self, address: int, value: int) -> str:
-        there = _find_chip_address(address)
-        if there is None:
+        chip_address = _find_chip_address(address)
+        if chip_address is None:
             return super().read(address, value)
-        return chip.describe_register(there, value, False) if there < chip_maps.REGISTERS else f"SPI = {value:X}h"
+        return (
+            chip.describe_register(chip_address, value, False)
+            if chip_address < chip_maps.REGISTERS
+            else f"SPI = {value:X}h"
+        )
 
 
 class Decoder(step_timer.Decoder):
@@ -39,16 +43,16 @@ class Decoder(step_timer.Decoder):
         self._chip = chip.Decoder()
 
     def decode_write(self, clock: int, address: int, value: int) -> list[Statement]:
-        there = _find_chip_address(address)
-        if there is None:
+        chip_address = _find_chip_address(address)
+        if chip_address is None:
             return super().decode_write(clock, address, value)
-        return self._chip.decode_write(clock, there, value)
+        return self._chip.decode_write(clock, chip_address, value)
 
     def describe_lost_write(self, address: int, value: int) -> tuple[str, str]:
-        there = _find_chip_address(address)
-        if there is None:
+        chip_address = _find_chip_address(address)
+        if chip_address is None:
             return super().describe_lost_write(address, value)
-        return self._chip.describe_lost_write(there, value)
+        return self._chip.describe_lost_write(chip_address, value)
 
     def reset(self) -> None:
         self._chip.reset()
