@@ -110,7 +110,9 @@ def pull_out_by_ode(motor, volts, current, speed, sine):
     return b + (a - c) ** 2 / (8 * (2 * b - a - c))
 
 
-@pytest.mark.parametrize(("rpm", "sine"), [(1500, True), (900, False), (1500, False)])
+@pytest.mark.parametrize(
+    ("rpm", "sine"), [(1500, True), pytest.param(900, False, marks=pytest.mark.slow), (1500, False)]
+)
 def test_an_independent_solver_finds_the_pull_out_torque_of_the_bench(rpm, sine):
     expected = pull_out_by_ode(LOSSY, 24.0, 2.0, rpm * 2 * math.pi / 60, sine)
     simulated = simulate_pull_out(Drive(LOSSY, **(SINE if sine else {"microsteps": 64})), [rpm])[0]
@@ -118,7 +120,9 @@ def test_an_independent_solver_finds_the_pull_out_torque_of_the_bench(rpm, sine)
     assert simulated == pytest.approx(expected, rel=5e-3)
 
 
-@pytest.mark.parametrize(("rpm", "mode"), [(600, "chopper"), (1500, "chopper"), (1500, "sine")])
+@pytest.mark.parametrize(
+    ("rpm", "mode"), [pytest.param(600, "chopper", marks=pytest.mark.slow), (1500, "chopper"), (1500, "sine")]
+)
 def test_the_windows_of_a_stage_have_the_pull_out_torque_of_an_independent_solver(rpm, mode):
     """At a constant speed, the best of all load angles, over 4 ms in windows of eight slices: whole electrical turns."""
     speed, slice_s, means = rpm * 2 * math.pi / 60, 31.25e-6, []

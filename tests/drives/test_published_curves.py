@@ -34,7 +34,7 @@ def test_the_curve_of_the_17hs19_2004s1_is_that_of_the_specification():
     assert CURVE.reading
 
 
-@pytest.mark.parametrize("speeds", [EVERY_SECOND, BETWEEN])
+@pytest.mark.parametrize("speeds", [pytest.param(EVERY_SECOND, marks=pytest.mark.slow), BETWEEN])
 def test_two_values_fitted_to_six_points_predict_the_others_within_5_percent(speeds):
     fit = fit_curve(DATA_SHEET, CURVE, speeds)
     print(fit)

@@ -41,7 +41,7 @@ def test_a_core_loss_of_a_data_sheet_does_not_claim_a_fit_to_a_curve():
     )
 
 
-@pytest.mark.parametrize(("factor", "end"), [(1.2, "low"), (0.8, "high")])
+@pytest.mark.parametrize(("factor", "end"), [(1.2, "low"), pytest.param(0.8, "high", marks=pytest.mark.slow)])
 def test_the_ends_of_a_fitted_loss_are_fits_with_the_inductances_at_their_ends(factor, end):
     m = replace(find_motor(CURVE.motor), effective_inductance=factor * 3.0e-3)
     fit = fit_curve(m, CURVE, [200, 400, 600, 800, 1000, 1200])

@@ -257,17 +257,25 @@ def flipped(content):
 
 
 @pytest.mark.parametrize(
-    "damage", [lambda content: b"", shortened, flipped, None], ids=["empty", "cut", "flipped", "no seal"]
+    "damage", [lambda content: b"", shortened, flipped, None], ids=["empty", "cut", "flipped", "no digest"]
 )
-def test_a_damaged_object_in_the_cache_is_rebuilt(toy, damage):
-    """: > stage/__pycache__/stage.chips.pcl240-*.o; rm stage/_native.so
-    Every start said "undefined symbol", for ever."""
-    (part,) = (path for path in (toy / "toy" / "__pycache__").glob("*.o") if path.name != "manifest.o")
-    content = part.read_bytes()
+def test_damage_of_an_object_is_seen(tmp_path, damage):
+    part, content = tmp_path / "toy.o", bytes(range(256)) * 4
+    object_files.write_object(part, content)
+    assert object_files.is_intact(part)
     if damage:
         part.write_bytes(damage(content))
     else:
         Path(f"{part}.sha256").unlink()
+    assert not object_files.is_intact(part)
+
+
+def test_a_damaged_object_in_the_cache_is_rebuilt(toy):
+    """: > stage/__pycache__/stage.chips.pcl240-*.o; rm stage/_native.so
+    Every start said "undefined symbol", for ever."""
+    (part,) = (path for path in (toy / "toy" / "__pycache__").glob("*.o") if path.name != "manifest.o")
+    content = part.read_bytes()
+    part.write_bytes(flipped(content))
     (toy / "toy" / load.NAME).unlink()
     done = run(toy)
     assert (done.stdout, "1 of 1 parts" in done.stderr) == ("42\n", True)
