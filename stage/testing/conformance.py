@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from functools import partial
 from typing import Any
 
 from stage.chips import Chip, chip_class
 from stage.errors import ArgumentError, NativeError, StageError, unknown_name_error
-from stage.testing.bounded_child_process import NOT_FINISHED, run_in_child_process
+from stage.testing.bounded_child_process import NOT_FINISHED, BoundedChildProcess
 from stage.testing.promise_trial import BrokenPromise, PromiseTrial
 from stage.testing.promises import PROMISES
 
@@ -68,9 +69,9 @@ class ChipConformance:
             seed: Seed of the random numbers; default: a new one in each call. The suite prints it, and the error contains it.
             promises: Names of the promises to check; default: all.
             uncompiled: Whether plain Python in a separate process must give the same bits for the same programs.
-            limit: Real time for each promise, s. Each promise is checked in a separate process, so that a core that loops forever
-                or writes beyond an array is reported as a broken promise. After a loop the others get SHORT_TIME_LIMIT_S. None:
-                check in this process without a limit, for debuggers.
+            limit: Real time for each promise, s. The promises are checked in a separate process, so that a core that loops
+                forever or writes beyond an array is reported as a broken promise. After a loop the others get
+                SHORT_TIME_LIMIT_S. None: check in this process without a limit, for debuggers.
             options: Arguments of the chip's constructor, for example clock_hz.
 
         Raises:
@@ -82,21 +83,17 @@ class ChipConformance:
         seed = random.SystemRandom().getrandbits(32) if seed is None else seed
         print(f"chip_conformance({getattr(chip_class, '__name__', chip_class)}, seed={seed})")
         trial = PromiseTrial(chip_class, partial(chip_class, **options), seed, programs)
-        broken: dict[str, str] = {}
         try:
             getattr(chip_class.CORE.power_up, "c")  # noqa: B009  its library is built here, without a limit
         except NativeError as error:
             raise NotConforming(f"{chip_class.__name__}: {error}", {"has_what_every_chip_has": str(error)}) from None
         except Exception:  # what is wrong with it, a promise says
             pass
-        for name in PROMISES if promises is None else promises:
+        names = list(PROMISES if promises is None else promises)
+        for name in names:
             if name not in PROMISES:
                 raise unknown_name_error("promise", name, PROMISES)
-            if report := run_in_child_process(partial(_describe_broken_promise, PROMISES[name], trial), limit):
-                broken[name] = report
-                limit = _shorten_limit(limit, broken)
-                if name == "has_what_every_chip_has":
-                    break
+        broken = _find_broken_promises(names, trial, limit)
         if uncompiled and not broken:
             from stage.testing.uncompiled_comparison import compare_with_plain_python
 
@@ -158,6 +155,19 @@ def _describe_promise(name: str) -> str:
         return name
     paragraph = (PROMISES[name].__doc__ or "").split("\n\n")[0]
     return " ".join(paragraph.split()).removeprefix("Check that ")
+
+
+def _find_broken_promises(names: list[str], trial: PromiseTrial, limit: float | None) -> dict[str, str]:
+    """Try promises in a child process, and return what the chip does instead of keeping some of them."""
+    broken: dict[str, str] = {}
+    functions = [partial(_describe_broken_promise, PROMISES[name], trial) for name in names]
+    with closing(BoundedChildProcess(functions)) as child:
+        for name in names:
+            if report := child.run_next(_shorten_limit(limit, broken)):
+                broken[name] = report
+                if name == "has_what_every_chip_has":
+                    break
+    return broken
 
 
 def _shorten_limit(limit: float | None, broken: dict[str, str]) -> float | None:

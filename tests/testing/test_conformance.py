@@ -14,7 +14,7 @@ from toy import TOY, TOY8, defects
 from stage.chips import CHIPS, PCL240K
 from stage.errors import ArgumentError, NativeError, StageError
 from stage.testing import chip_acts, chip_conformance, conformance, promises
-from stage.testing.bounded_child_process import NOT_FINISHED, run_in_child_process
+from stage.testing.bounded_child_process import NOT_FINISHED, BoundedChildProcess
 from stage.testing.conformance import NotConforming
 from stage.testing.promise_trial import describe_difference
 
@@ -130,7 +130,7 @@ def test_after_a_promise_that_does_not_finish_the_others_have_less_time(monkeypa
     monkeypatch.setattr(conformance, "SHORT_TIME_LIMIT_S", 0.5)
     argument = []
     monkeypatch.setattr(
-        conformance, "run_in_child_process", lambda work, limit: argument.append(limit) or f"{NOT_FINISHED} {limit:g} s"
+        BoundedChildProcess, "run_next", lambda self, limit: argument.append(limit) or f"{NOT_FINISHED} {limit:g} s"
     )
     with pytest.raises(NotConforming):
         chip_conformance(TOY, promises=["reads", "pins_by_name"], limit=30)
@@ -175,13 +175,25 @@ def test_a_limit_is_a_time_or_none():
             chip_conformance(TOY, limit=limit)
     chip_conformance(TOY, seed=SEED, programs=1, promises=["pins_by_name"], limit=None)
     with pytest.raises(ZeroDivisionError):
-        run_in_child_process(lambda: str(1 // 0), None)
+        BoundedChildProcess([lambda: str(1 // 0)]).run_next(None)
 
 
 def test_the_text_of_a_promise_arrives_complete_and_a_silent_process_is_reported():
     words = "it answers " + "x" * 200_000
-    assert run_in_child_process(lambda: words, 20) == words
-    assert run_in_child_process(lambda: os._exit(3), 20) == "its process ended with status 3 and no word"
+    child = BoundedChildProcess([lambda: words, lambda: os._exit(3), lambda: words])
+    assert child.run_next(20) == words
+    assert child.run_next(20) == "its process ended with status 3 and no word"
+    assert child.run_next(20) == words
+
+
+def test_promises_that_are_kept_run_in_one_process_and_one_that_hangs_ends_it():
+    get_process = lambda: str(os.getpid())  # noqa: E731
+    child = BoundedChildProcess([get_process, get_process, lambda: time.sleep(60) or "", get_process])
+    first, second = child.run_next(60), child.run_next(60)
+    assert first == second != str(os.getpid())
+    assert child.run_next(0.01).startswith(f"{NOT_FINISHED} 0.01 s")
+    assert child.run_next(60) not in (first, str(os.getpid()))
+    child.close()
 
 
 def test_moves_of_a_driver_are_tried_in_both_directions():
