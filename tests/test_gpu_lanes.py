@@ -136,7 +136,7 @@ def make_servo_program(rng):
     return stage, p.read(0, 0x14).read(1, 0x13).sample_position(2)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("make", [make_stepper_program, make_servo_program])
 def test_a_lane_does_what_the_engine_does_to_the_bit(make, seed):
     print("seed", seed)
