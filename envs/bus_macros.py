@@ -174,7 +174,7 @@ class BusMacros(BusHost):
         self.full_step = np.array([0.5 * np.pi / (_get_motor(a).rotor_teeth * a.gear) for a in self.axes])
         self.origin = np.array([OriginSwitch(first, a).position for a in self.axes])
         self.turn = np.array([2 * np.pi / (_get_motor(a).rotor_teeth * abs(a.gear)) for a in self.axes])
-        self.switch_masks = [[a.chip.wired(pin) for pin in SWITCHES] for a in self.axes]
+        self.switch_masks = [[a.chip.find_switch_input(pin) for pin in SWITCHES] for a in self.axes]
         self.prepare_machines()
         self.top = LEVELS.index(c.level)
         self.macro_table = MacroTable(self.axes, c.grid, c.patience, c.settle)

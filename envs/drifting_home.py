@@ -358,7 +358,7 @@ class DriftingHome(MachineTask[Config]):
     def compute_observations(self) -> np.ndarray:
         c, inputs = self.config, self.fleet.truth()["inputs"][:, self.axis.index]
         columns = [
-            inputs & self.axis.chip.wired("org") != 0,
+            inputs & self.axis.chip.find_switch_input("org") != 0,
             1.0 - self.steps / c.returns,
             self.away / c.reach,
         ]
@@ -373,7 +373,7 @@ class DriftingHome(MachineTask[Config]):
         The host leaves ORG before the search if ORG is asserted, approaches at half the rate after a failed return, and reports a
         fault after two failed returns in a row.
         """
-        on_org = self.fleet.truth()["inputs"][:, self.axis.index] & self.axis.chip.wired("org") != 0
+        on_org = self.fleet.truth()["inputs"][:, self.axis.index] & self.axis.chip.find_switch_input("org") != 0
         failed = np.rint(self.last[:, -1] * self.config.returns)
         rows = zip(on_org.tolist(), failed.tolist(), strict=True)
         return np.stack([self._choose_scripted_action(*row) for row in rows])

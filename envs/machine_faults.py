@@ -100,7 +100,7 @@ class FaultyAxis:
             axis: Name of the axis.
         """
         a, model = stage.axes[axis], stage.model
-        row = a.switches.row("org") if any(s.pin == "org" for s in a.plant.switches) else None
+        row = a.switches.find_index("org") if any(s.pin == "org" for s in a.plant.switches) else None
         dof, forced = a.plant.dof, -1 if row is None else int(stage.state.switch_table[row]["forced"])
         push = a.drive.peak_torque * abs(a.gear)
         return cls(

@@ -298,8 +298,8 @@ class OriginReturn(MoveTask[Config]):
     def compute_observations(self) -> np.ndarray:
         c, inputs = self.config, self.fleet.truth()["inputs"][:, self.axis.index]
         columns = [
-            inputs & self.axis.chip.wired("org") != 0,
-            inputs & self.axis.chip.wired("sd_plus") != 0,
+            inputs & self.axis.chip.find_switch_input("org") != 0,
+            inputs & self.axis.chip.find_switch_input("sd_plus") != 0,
             1.0 - self.steps / c.returns,
             scale(self.payload, c.payloads),
             scale_log(self.friction, c.frictions),

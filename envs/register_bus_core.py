@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from stage.chips import cores
+from stage.chips import core_interface
 from stage.envs import observation_features
 from stage.envs.step_results import make_step_result_dtype
 from stage.native import array_at, array_of, exported, greatest, hot, least, record
@@ -218,7 +218,7 @@ def _read_all_words(handle, first, words, now):
     for i in range(len(words)):
         chip = stage_handle.get_chip_table(handle)[stage_handle.get_axis_table(handle)[first[i]].chip]
         for j in range(words.shape[1]):
-            words[i, j].seen, words[i, j].when = cores.peek(chip, j), now
+            words[i, j].seen, words[i, j].when = core_interface.peek(chip, j), now
 
 
 @hot

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage.chips import cores
+from stage.chips import core_interface
 from stage.errors import ArgumentError
 from stage.firmware.driver import get_driver
 from stage.sim import program_player
@@ -115,8 +115,8 @@ class PulsePredictor:
         """
         core = self.axis.chip.CORE
         rows = np.frombuffer(bytearray(self._fresh), core.STATE)
-        replica = np.zeros(1, cores.CHIP)
-        cores.fill_chip_record(replica[0], core, rows.ctypes.data)
+        replica = np.zeros(1, core_interface.CHIP)
+        core_interface.fill_chip_record(replica[0], core, rows.ctypes.data)
         until = round(seconds * self.axis.chip.clock_hz)
         net_pulses = program_player.predict_pulses(replica, ops, 1 << self.axis.index, self.axis.chip_axis, until)
         return None if net_pulses == program_player.STILL_BUSY else int(net_pulses)

@@ -71,13 +71,13 @@ def measure(stage: Stage, programs: np.ndarray, copies: int) -> str:
         for _ in range(STEPS_A_LAUNCH):
             physics.step()
 
-    graph = physics.capture(steps)
+    graph = physics.capture_graph(steps)
     closed, bare = [], []
     for _ in range(3):
         fleet.reset()
         fleet.load(each)
         closed.append(timed(fleet.advance))
-        bare.append(timed(lambda: physics.launch(graph)))
+        bare.append(timed(lambda: physics.launch_graph(graph)))
     best, alone = min(closed), min(bare)
     begin = time.perf_counter()
     fleet.reset()

@@ -58,13 +58,17 @@ def __getattr__(name: str) -> Any:
 
 
 def load_method_of_stage(name: str) -> Any:
-    """Return what a convenience of `Stage` calls, and load its package."""
+    """Load the function or class behind a method of `Stage` that another package implements, such as `record` or `panel`."""
     module, _, attribute = _METHODS_OF_STAGE[name].partition(":")
     return getattr(_load_module(module), attribute)
 
 
 def _load_module(module: str) -> Any:
-    """The module. Python reports an AttributeError during its import as "cannot import name", without the cause: so LoadError."""
+    """Import a module of this package.
+
+    Raises:
+        LoadError: The import raises AttributeError, which Python would report as "cannot import name", without the cause.
+    """
     try:
         return import_module(module)
     except StageError:

@@ -1,4 +1,4 @@
-"""Errors of PulseStage. The text of each says what was given, what is allowed and what to do; no state has changed."""
+"""Errors of PulseStage. Each text states what was given, what is allowed and what to do. No state has changed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def escape(text: str) -> str:
 
 
 class StageError(Exception):
-    """Base of every error that PulseStage raises. Its text can be encoded, whatever the names of files in it."""
+    """Base class of every error that PulseStage raises. UTF-8 can encode its text, whatever file names it contains."""
 
     def __str__(self) -> str:
         return escape(super().__str__())
@@ -39,7 +39,7 @@ class ArgumentError(StageError, ValueError):
     """An argument is out of range or not known.
 
     Attributes:
-        exceeded_limit: Limit of the chip behind the error, for a caller that shows it in other units; None without numbers.
+        exceeded_limit: Limit of the chip that a value has exceeded, for callers that show it in other units; None otherwise.
     """
 
     exceeded_limit: ExceededLimit | None = None
@@ -51,7 +51,7 @@ class ArgumentError(StageError, ValueError):
 
 
 class UnknownKey(ArgumentError, KeyError):
-    """A mapping has no such key. It is a KeyError as well, but is printed without quotes."""
+    """A mapping has no such key. This error is a KeyError as well, but its text is printed without quotes."""
 
     def __str__(self) -> str:
         return escape(str(self.args[0]))

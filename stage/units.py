@@ -80,7 +80,7 @@ def identify_unit(text: str) -> tuple[str, str] | None:
 
 
 def explain_number_error(text: str) -> str:
-    """Explain what is wrong with a text that is not a number: a sentence after a space, or "" without an explanation."""
+    """Explain why a text is not a number: a sentence that begins with a space, or "" if there is no explanation."""
     repaired = text.strip().replace(",", ".")
     if text.count(",") == 1 and (identify_unit(repaired) or parse_quantity(repaired, {"": 1.0}) is not None):
         return f" Use a decimal point: {repaired}."

@@ -199,9 +199,9 @@ def test_installed_from_a_wheel_and_editable_in_a_fresh_environment(tmp_path):
 
 def test_an_old_setuptools_is_refused_with_the_command_to_install(monkeypatch):
     """pip install --no-build-isolation ./scripts/acme_chip: No module named 'setuptools.command.bdist_wheel'"""
-    monkeypatch.delitem(sys.modules, "stage.native.packing", raising=False)
+    monkeypatch.delitem(sys.modules, "stage.native.package_build_backend", raising=False)
     monkeypatch.setitem(sys.modules, "setuptools.command.bdist_wheel", None)
     with pytest.raises(
         ImportError, match=r"setuptools 80 or newer, and [\d.]+ is installed: pip install 'setuptools>=80'"
     ):
-        importlib.import_module("stage.native.packing")
+        importlib.import_module("stage.native.package_build_backend")

@@ -17,7 +17,7 @@ def test_each_area_ends_where_its_pin_falls_or_at_the_last_edge(more, end):
 
     waveform = SimpleNamespace(seconds=np.arange(8.0 + len(more)), pin=pin)
     recording = SimpleNamespace(
-        journals={"x": SimpleNamespace(course=lambda: waveform)}, axes={"x": None, "y": None}, began=2.0
+        journals={"x": SimpleNamespace(replay_waveforms=lambda: waveform)}, axes={"x": None, "y": None}, began=2.0
     )
     expected = {"a": (1.0, 3.0), "b": (3.0, 4.0), "c": (4.0, 6.0), "d": (7.0, end)}
     assert _areas(recording) == {area: (first + 2.0, last + 2.0) for area, (first, last) in expected.items()}

@@ -19,8 +19,8 @@ def arrays():
 def device_state(arrays):
     created = DeviceState()
     assert (created.words, created.header_part) == (0, ())
-    created.add("a latch", arrays[:1])
-    created.add("a counter", arrays[1:])
+    created.add_device("a latch", arrays[:1])
+    created.add_device("a counter", arrays[1:])
     return created
 
 

@@ -128,7 +128,7 @@ def test_carriages_may_be_placed_at_both_ends_of_their_travel(stage):
 def test_a_device_that_comes_on_the_bus_later_leaves_power_up_where_it_was(stage):
     delayed = copy.deepcopy(stage)
     delayed.run(1e-3)
-    delayed.attach("a latch", [np.zeros(1)])
+    delayed.attach_device("a latch", [np.zeros(1)])
     delayed.reset()
     assert delayed.now == stage.now
 

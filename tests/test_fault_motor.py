@@ -183,7 +183,7 @@ def test_every_preset_can_take_the_place_of_every_other(xyz):
 
 def test_a_stage_with_a_device_on_its_bus_has_it_in_its_snapshots_with_any_motor(xyz):
     stage = copy.deepcopy(xyz)
-    stage.attach("a latch", [np.zeros(3, np.uint8)])
+    stage.attach_device("a latch", [np.zeros(3, np.uint8)])
     device = stage.header.parts[-1]
     assert "a latch" in device[1]
     with faults.motor(stage.axes["x"], SMALL):

@@ -16,9 +16,9 @@ def make_recording(org_from, begins=0.2):
     edges = np.zeros(len(TIME), [("inputs", "i8"), ("outputs", "i8")])
     edges["inputs"] = org_from <= TIME
     waveform = SimpleNamespace(edges=edges, seconds=TIME)
-    chip = SimpleNamespace(wired=lambda pin: 1, OUTPUTS={})
+    chip = SimpleNamespace(find_switch_input=lambda pin: 1, OUTPUTS={})
     return SimpleNamespace(
-        axes={"x": SimpleNamespace(chip=chip)}, journals={"x": SimpleNamespace(course=lambda: waveform)}, began=0.0,
+        axes={"x": SimpleNamespace(chip=chip)}, journals={"x": SimpleNamespace(replay_waveforms=lambda: waveform)}, began=0.0,
         notes=[SimpleNamespace(time=begins, text="axis x: jammed: begins")],
         column=lambda name: TIME if name in ("time", "x/position") else 4 * TIME,
     )  # fmt: skip

@@ -70,7 +70,7 @@ def run_into(axis, pin, ahead=5e-5):
 
 def find_edges(journal, pin):
     """(clock, level) of each change of an input in a journal."""
-    profile = journal.course()
+    profile = journal.replay_waveforms()
     level = profile.pin(pin)
     k = np.flatnonzero(level[1:] != level[:-1]) + 1
     return profile.edges["clock"][k], level[k]
@@ -467,7 +467,7 @@ def test_every_contact_of_the_machine_may_bounce_as_fast_as_it_can(xyz):
         fault.clear()
     recording.require_forward_time()
     for name, journal in recording.journals.items():
-        assert journal.course().edges["inputs"][-1] == xyz.axes[name].chip.input_word(0)
+        assert journal.replay_waveforms().edges["inputs"][-1] == xyz.axes[name].chip.input_word(0)
         assert len(find_edges(journal, "org")[0]) <= 9 * 4
 
 
@@ -648,10 +648,10 @@ def test_a_start_that_waits_for_its_release_is_not_delayed_and_the_release_is():
     starts = []
     for symbol in ("START_HOLD", "F_DRV_P", "START_FREE"):
         word = 1 << 8 | chip.MAP.command(symbol).code
-        starts.append((chip.starts(0, word), chip.starts(0, word, 1)))
+        starts.append((chip.would_start_drive(0, word), chip.would_start_drive(0, word, 1)))
         chip.write(0, word)
     assert starts == [(False, False), (False, False), (True, False)]
-    assert not chip.starts(0, 1 << 8 | chip.MAP.command("F_DRV_P").code), "it drives already"
+    assert not chip.would_start_drive(0, 1 << 8 | chip.MAP.command("F_DRV_P").code), "it drives already"
 
 
 def test_a_lost_write_takes_its_cycle_and_nothing_else_happens(xyz):
@@ -726,7 +726,7 @@ def test_the_journal_the_report_and_the_waveforms_show_what_got_lost(xyz, tmp_pa
     assert report.pulses == 0
     assert not report.ok
     assert report.stopped_by == "unknown", "it never started, and no limit is on"
-    profile = recording.journals["x"].course()
+    profile = recording.journals["x"].replay_waveforms()
     assert profile.pin("hold").all(), "its replay does not see the write either"
     assert profile.edges["counter"][-1] == 1000
     assert " LOST " in recording.to_vcd(tmp_path / "x.vcd").read_text()

@@ -111,7 +111,7 @@ class Passage:
 
     def end(self):
         self._journal.close()
-        passage = self._journal.course()
+        passage = self._journal.replay_waveforms()
         level = passage.pin("org")
         k = np.flatnonzero(level[1:] != level[:-1]) + 1
         self.edges = [(float(passage.edges["clock"][i]) / self.axis.chip.clock_hz, bool(level[i])) for i in k]

@@ -221,7 +221,7 @@ def test_a_stage_is_in_a_fleet_once(first):
 
 def test_a_stage_that_another_thread_runs_is_not_played(first):
     fleet = Fleet(copy_stages(first, 2), 1)
-    with fleet.stages[1].loop.claimed(), pytest.raises(StageError, match=r"stage 1 of the fleet.*in use"):
+    with fleet.stages[1].loop.claim(), pytest.raises(StageError, match=r"stage 1 of the fleet.*in use"):
         fleet.play([make_program(first, 0)] * 2)
     fleet.play([make_program(first, 0)] * 2)
 

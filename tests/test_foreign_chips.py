@@ -90,7 +90,7 @@ def test_a_name_that_two_packages_bring_is_refused_and_one_of_ours_stays_ours(mo
         "PulseStage: PCL240MS is one of PulseStage's own chips, and stays it, though one 1.0 has one of this name: give"
     )
     assert [line.startswith(message) for line in errors] == [True], "once, where the name is used"
-    lines = {line.name: line for line in CHIPS.listed() if line.problem}
+    lines = {line.name: line for line in CHIPS.list_chips() if line.problem}
     assert lines.keys() == {"TOY", "PCL240MS"}
     assert "is one of PulseStage's own" in lines["PCL240MS"].problem
 

@@ -32,10 +32,10 @@ class Lanes:
             lambda function: function,
             {},
             {
-                "any_in_warp": lambda condition: any(self.exchange(bool(condition))),
-                "value_in_warp": lambda value, thread: self.exchange(value)[thread],
-                "thread_number": lambda: self.local.number,
-                "words_of": lambda records, count: np.asarray(records).view(np.int64),
+                "is_true_in_warp": lambda condition: any(self.exchange(bool(condition))),
+                "read_value_in_warp": lambda value, thread: self.exchange(value)[thread],
+                "get_thread_number": lambda: self.local.number,
+                "view_as_words": lambda records, count: np.asarray(records).view(np.int64),
                 "cuda": SimpleNamespace(local=SimpleNamespace(array=np.zeros)),
             },
         )
@@ -78,7 +78,7 @@ def play_by_lanes(stage, ops):
     lanes, layout = Lanes(), LaneLayout(stage)
     advance, inspect = make_kernels(stage, layout, lanes.tools)
     words = layout.pack(1)
-    first, host = layout.host_words()
+    first, host = layout.find_host_words()
     words[first:] = host[:, None]
     results, extremes = np.zeros((1, len(ops)), np.int64), np.empty((1, model.nq, 2))
     extremes[..., 0], extremes[..., 1] = np.inf, -np.inf

@@ -54,7 +54,7 @@ OPERATIONS = {
 def test_a_stage_in_use_says_so_and_stays_as_it_was(xy, direction):
     start_preset(xy.axes["x"].chip, 1000)
     before = get_state_bits(xy)
-    with xy.loop.claimed(), pytest.raises(StageError, match="in use"):
+    with xy.loop.claim(), pytest.raises(StageError, match="in use"):
         OPERATIONS[direction](xy)
     assert get_state_bits(xy) == before
     xy.run(1e-3)
@@ -63,7 +63,7 @@ def test_a_stage_in_use_says_so_and_stays_as_it_was(xy, direction):
 @pytest.mark.skipif(not COMPILED, reason="uncompiled, threads take turns by themselves")
 def test_without_bus_time_a_cycle_is_refused_as_well():
     stage = Stage("xy", chips=PCL240K, bus_cycle=0, visuals=False)
-    with stage.loop.claimed(), pytest.raises(StageError, match="in use"):
+    with stage.loop.claim(), pytest.raises(StageError, match="in use"):
         stage.axes["x"].chip.read(0)
     stage.axes["x"].chip.read(0)
 
@@ -427,7 +427,7 @@ def test_a_long_delay_is_as_long_as_it_says_whatever_hooks_take_of_it(xy):
 
 @pytest.mark.parametrize("axis", [4, -1, 10**8, 1.0, True])
 def test_a_journal_is_of_an_axis_that_the_chip_has(axis):
-    """MCX514().journal(4).course() read foreign memory, journal(10**8) ended the process"""
+    """MCX514().journal(4).replay_waveforms() read foreign memory, journal(10**8) ended the process"""
     chip = MCX514()
     with pytest.raises(ArgumentError, match="axes 0 to 3"):
         chip.journal(axis)

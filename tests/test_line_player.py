@@ -93,7 +93,7 @@ def test_a_journal_has_each_edge_of_many(stage):
     stage = copy.deepcopy(stage)
     journal = stage.axes["x"].chip.journal()
     stage.axes["x"].pulse(5000, rate=50_000)  # more edges than the engine has room to note
-    assert journal.course().edges["net"][-1] == 5000
+    assert journal.replay_waveforms().edges["net"][-1] == 5000
     assert len(journal.entries) == 10_000
 
 

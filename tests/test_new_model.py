@@ -19,7 +19,7 @@ from stage.sim.plant.new_model import NewAxis, new_model
 
 
 def make_spec(*axes):
-    return mujoco.MjSpec.from_string(new_model([NewAxis.of(a) for a in axes]))
+    return mujoco.MjSpec.from_string(new_model([NewAxis.parse(a) for a in axes]))
 
 
 KINDS = st.one_of(
@@ -32,7 +32,7 @@ KINDS = st.one_of(
 @settings(deadline=None)
 @given(st.lists(KINDS, min_size=1, max_size=4))
 def test_every_chain_of_axes_keeps_the_contract_and_its_switches_trip_where_documented(kinds):
-    axes = [NewAxis.of(f"q{k}:{kind}") for k, kind in enumerate(kinds)]
+    axes = [NewAxis.parse(f"q{k}:{kind}") for k, kind in enumerate(kinds)]
     result = plant.bind_axes(mujoco.MjSpec.from_string(new_model(axes)).compile())
     assert [a.name for a in result] == [a.name for a in axes]
     for requested, axis in zip(axes, result, strict=True):
@@ -109,10 +109,10 @@ def test_the_command_writes_a_model_that_the_other_commands_take(tmp_path, capsy
 
 
 def test_axes_of_radians_and_centimetres_are_the_same_lengths():
-    assert NewAxis.of("a:hinge:6.283185rad").endless
-    assert NewAxis.of("x:slide:30cm") == NewAxis.of("x:slide:0.3m") == NewAxis.of("x:slide:300mm")
+    assert NewAxis.parse("a:hinge:6.283185rad").endless
+    assert NewAxis.parse("x:slide:30cm") == NewAxis.parse("x:slide:0.3m") == NewAxis.parse("x:slide:300mm")
     with pytest.raises(ModelError):
-        NewAxis.of("1x:slide:30cm")
+        NewAxis.parse("1x:slide:30cm")
 
 
 @pytest.mark.parametrize(

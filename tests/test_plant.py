@@ -614,15 +614,15 @@ def test_every_number_of_a_model_is_in_its_fingerprint_and_no_colour_of_a_textur
 def test_a_line_that_mends_two_axes_is_proposed_once():
     problems = ModelProblems()
     for axis in "xy":
-        problems.add(axis, "site 'work' is missing", '<site name="work"/>')
+        problems.add_problem(axis, "site 'work' is missing", '<site name="work"/>')
     with pytest.raises(ModelError, match=r"axis x: .*\n.*axis y: ") as caught:
-        problems.check()
+        problems.raise_if_any()
     assert caught.value.missing == ('<site name="work"/>',)
 
 
 def test_the_line_to_add_names_the_geoms_that_the_file_has():
     """Remove a sensor: the contract proposed geom2="x_org_switch" where the file has x_org_beam, and took a_org for a slip"""
-    text = new_model([NewAxis.of("x:slide:300mm"), NewAxis.of("a:hinge:90deg")])
+    text = new_model([NewAxis.parse("x:slide:300mm"), NewAxis.parse("a:hinge:90deg")])
     lines = [line for line in text.splitlines() if '<contact name="x_org"' not in line]
     with pytest.raises(ModelError) as caught:
         plant.bind_axes(mujoco.MjModel.from_xml_string("\n".join(lines)))
@@ -717,7 +717,7 @@ def test_a_switch_of_either_side_is_detected_from_the_same_distance():
 @pytest.mark.parametrize(("named", "geoms"), [("x_org_only_vane", 1), ("x_org_vane", 2)])
 def test_a_line_to_add_names_a_geom_only_where_it_is_unambiguous(named, geoms):
     """x_org_only_vane alone; with another, the usual name stands in the line, for somebody to choose"""
-    text = new_model([NewAxis.of("x:slide:300mm")]).replace("x_org_vane", "x_org_only_vane")
+    text = new_model([NewAxis.parse("x:slide:300mm")]).replace("x_org_vane", "x_org_only_vane")
     lines = [line for line in text.splitlines() if '<contact name="x_org"' not in line]
     if geoms > 1:
         at = next(k for k, line in enumerate(lines) if 'name="x_org_only_vane"' in line)
@@ -738,7 +738,7 @@ def test_a_shipped_model_that_is_edited_is_read_again(tmp_path, monkeypatch):
     for file in files("stage.models").iterdir():
         if file.name.endswith(".xml"):
             (tmp_path / file.name).write_text(file.read_text())
-    monkeypatch.setattr(plant.model_spec, "_find_model_folder", lambda: tmp_path)
+    monkeypatch.setattr(plant.model_preparation, "_find_model_folder", lambda: tmp_path)
     before = plant.open_spec("xy").option.timestep
     path = tmp_path / "_common.xml" if "timestep" in (tmp_path / "_common.xml").read_text() else tmp_path / "xy.xml"
     path.write_text(path.read_text().replace('timestep="0.00025"', 'timestep="0.000125"'))

@@ -180,7 +180,7 @@ def test_limit_ends_every_mode_on_the_clock_of_the_edge(xyz, name, plus):
     servo.move(axis.chip, 800 * direction)
     with xyz.record() as recorded:
         xyz.run_until(lambda: axis.pins.limit, timeout=1)
-    edges = np.concatenate(list(recorded.journals[name].pieces()))
+    edges = np.concatenate(list(recorded.journals[name].replay_in_pieces()))
     at = np.flatnonzero(edges["inputs"] & axis.chip.INPUTS["limit"])[0]
     assert edges["outputs"][at] & axis.chip.OUTPUTS["init"]
     assert not edges["outputs"][at - 1] & axis.chip.OUTPUTS["init"]
@@ -299,7 +299,7 @@ def test_a_replay_equals_a_chip_that_receives_the_shaft_step_by_step(xyz, every_
             k += 1
     assert k > (400 if every_pulse else 30)
     for size in (100, 5000):
-        pieces = list(journal.pieces(every_pulse, size))
+        pieces = list(journal.replay_in_pieces(every_pulse, size))
         assert (np.concatenate(pieces) == out[:k]).all()
         assert max(len(p) for p in pieces) <= size
 

@@ -43,7 +43,7 @@ def test_every_relative_link_of_the_site_leads_to_a_file(site):
 
 def test_the_reference_has_every_chip_with_its_registers_and_every_command(site):
     reference = site / "pages" / "reference"
-    for line in CHIPS.listed():
+    for line in CHIPS.list_chips():
         if line.package == "pulsestage":
             page = (reference / f"map_{line.name.lower()}.md").read_text()
             assert all(f"`{r.name}`" in page for r in line.chip.MAP.registers)

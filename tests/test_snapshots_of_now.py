@@ -20,6 +20,6 @@ def test_a_snapshot_of_a_stage_whose_data_were_cleared_is_of_power_up(xy):
 
 
 def test_a_snapshot_of_a_stage_that_another_runs_is_refused(xy):
-    with xy.loop.claimed(), pytest.raises(StageError, match="in use"):
+    with xy.loop.claim(), pytest.raises(StageError, match="in use"):
         xy.snapshot()
     assert xy.snapshot().state is not None

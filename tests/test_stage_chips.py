@@ -182,7 +182,7 @@ def test_the_index_pulse_of_the_encoder_is_stop2(make_stage_of):
     stage = make_stage_of(MIXED)
     y, z = stage.axes["y"], stage.axes["z"]
     for axis, pin in ((y, "stop2"), (z, "ez")):
-        wired = axis.chip.wired("ez")
+        wired = axis.chip.find_switch_input("ez")
         assert wired == axis.chip.INPUTS.get(pin, 0)
     t = stage.state.axis_table[y.index]
     turn = 2 * np.pi / t.gear
@@ -204,7 +204,7 @@ def test_an_index_pulse_within_one_step_has_its_full_width():
         journal = y.chip.journal()
         stage.run(4e-3)
         speed = stage.data.qvel[row.dof] / turn
-    profile = journal.course()
+    profile = journal.replay_waveforms()
     edges = np.flatnonzero(np.diff(profile.pin("ez").astype(int))) + 1
     begin, end = profile.seconds[edges]
     assert speed > 80

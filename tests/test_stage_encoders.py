@@ -190,7 +190,7 @@ def test_a_journal_brings_a_chip_on_the_bench_to_the_same_state(fed):
         assert field in internal or np.array_equal(lone.state["ax"][field], x.chip.state["ax"][field]), field
     shafts = [(e.axis, bits_to_float(e.a)) for e in journal.entries if e.kind == SHAFT]
     assert {axis for axis, _ in shafts} == {0, 1}
-    edges = journal.course(every_pulse=True).edges
+    edges = journal.replay_waveforms(every_pulse=True).edges
     a = (edges["inputs"] & MCX514.INPUTS["eca"] != 0).astype(int)
     assert abs(np.diff(a)).sum() == pytest.approx(real_position(x.chip) / 2, abs=20)
 

@@ -163,7 +163,7 @@ def replay_journal():
     chip.advance(5_000_000)
     journal.close()
     for every_pulse in (False, True):
-        observed.append(np.concatenate(list(journal.pieces(every_pulse, size=100))).tobytes())
+        observed.append(np.concatenate(list(journal.replay_in_pieces(every_pulse, size=100))).tobytes())
     return observed
 
 
@@ -196,7 +196,7 @@ def move_several_axes():
         journal.close()
         yield b"".join(map(pack_fields, texts)) + chip.snapshot().record
         for every_pulse in (of_514,) if FIXED else (False, True):
-            yield np.concatenate(list(journal.pieces(every_pulse, size=100))).tobytes()
+            yield np.concatenate(list(journal.replay_in_pieces(every_pulse, size=100))).tobytes()
     stage = Stage("xyz", chips={"x": MCX514, "y": MCX514, "z": PCL240K}, visuals=False)
     x, chip = stage.axes["x"], stage.axes["x"].chip
     stage.place(x=next(s.touch for s in x.plant.switches if s.pin == "el_plus") - 3e-5)
@@ -227,7 +227,7 @@ def run_closed_loop():
     yield stage.snapshot().state.tobytes()
     for name in sorted(recorded.columns):
         yield recorded.columns[name].tobytes()
-    yield np.concatenate(list(recorded.journals["x"].pieces(every_pulse=True, size=100))).tobytes()
+    yield np.concatenate(list(recorded.journals["x"].replay_in_pieces(every_pulse=True, size=100))).tobytes()
     p = Program()
     servo.control(type("Bus", (), {"write": staticmethod(lambda *w: p.write(0, *w))}))
     p.register(0, x.chip, "R29", 30).register(0, x.chip, "R28", 5).register(0, x.chip, "R26", 0x80).write(0, 0, 0x08)
@@ -252,7 +252,7 @@ def count_encoder():
     assert len(set(observed)) > 4
     yield repr(observed)
     yield stage.snapshot().state.tobytes()
-    yield np.concatenate(list(journal.pieces(every_pulse=True, size=100))).tobytes()
+    yield np.concatenate(list(journal.replay_in_pieces(every_pulse=True, size=100))).tobytes()
 
 
 def run_on_a_board():
@@ -311,7 +311,7 @@ def draw_line_by_two_chips():
     journal = slave.journal()
     stage.run(0.00125)
     yield from (chip.state.tobytes() for chip in stage.chips)
-    yield journal.course(every_pulse=True).edges.tobytes()
+    yield journal.replay_waveforms(every_pulse=True).edges.tobytes()
 
 
 SCENES = (

@@ -46,7 +46,12 @@ OPERATIONS = {
     "repr": repr,
     "chip snapshot": lambda s: s.axes["x"].chip.snapshot(),
     "twin": lambda s: s.axes["x"].chip.make_replica().values(),
-    "journal": lambda s: (j := s.axes["x"].chip.journal(), s.run(0.01), j.close(), j.course().edges.tobytes())[3],
+    "journal": lambda s: (
+        j := s.axes["x"].chip.journal(),
+        s.run(0.01),
+        j.close(),
+        j.replay_waveforms().edges.tobytes(),
+    )[3],
     "reset pin": lambda s: s.axes["x"].chip.reset(),
     "position": lambda s: s.axes["x"].position,
     "commanded": lambda s: s.axes["x"].commanded,

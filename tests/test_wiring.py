@@ -7,7 +7,7 @@ import pytest
 from support.pcl240ms_bench import load
 
 from stage import ArgumentError, RunTimeout, Stage, firmware
-from stage.chips import HCTL1100, MCX304, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS, cores
+from stage.chips import HCTL1100, MCX304, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS, core_interface
 from stage.cli import build_parser
 from stage.cli.stage_setup import make_stage
 from stage.firmware.hctl1100.chip_port import ChipPort
@@ -215,13 +215,13 @@ def test_a_recording_replays_a_follower():
     stage.run(0.02)
     load(stage.axes["x"].chip, R7=20)
     stage.run(0.02)
-    profile = journal.course()
+    profile = journal.replay_waveforms()
     assert profile.edges["net"][-1] == y.net() > 50
 
 
 def test_the_bits_of_a_wire_between_chips_leave_room_for_all_pins():
     for chip in (PCL240K, PCL240MK, PCL240MS):
-        assert max(chip.INPUTS.values()) < 1 << cores.WIRE_BIT
+        assert max(chip.INPUTS.values()) < 1 << core_interface.WIRE_BIT
 
 
 @pytest.mark.parametrize(("item", "message"), [("x.org", "AXIS.SENSOR=LOGIC"), ("org=positive", "AXIS.SENSOR=LOGIC")])

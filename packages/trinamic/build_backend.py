@@ -5,11 +5,11 @@ import tomllib
 from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-IN_CHECKOUT = (CHECKOUT / "stage" / "native" / "packing.py").is_file()
+IN_CHECKOUT = (CHECKOUT / "stage" / "native" / "package_build_backend.py").is_file()
 if IN_CHECKOUT:
     sys.path.insert(0, str(CHECKOUT))
 
-from stage.native.packing import *  # noqa: E402, F403
+from stage.native.package_build_backend import *  # noqa: E402, F403
 
 
 def get_requires_for_build_wheel(config_settings: object = None) -> list[str]:

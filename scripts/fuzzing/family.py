@@ -143,7 +143,7 @@ class Family:
     def check_waveform(self, chip: Chip, journal: Journal, pulses: int) -> None:
         """Replay the journal of a whole compiled input, and compare its end with the chip."""
         edges = np.concatenate(
-            list(journal.pieces(every_pulse=pulses <= self.FEW and chip.clock < self.FEW_CLOCKS, size=1024))
+            list(journal.replay_in_pieces(every_pulse=pulses <= self.FEW and chip.clock < self.FEW_CLOCKS, size=1024))
         )
         require(bool((edges["clock"][1:] >= edges["clock"][:-1]).all()), "a course that runs back")
         is_at = self.read_end_values(chip)

@@ -25,7 +25,7 @@ def write(pages: Path) -> dict[str, list[tuple[str, str]]]:
     folder.mkdir(exist_ok=True)
     (folder / "command_line.md").write_text(command_line())
     pages_by_section: dict[str, list[tuple[str, str]]] = {"Register maps": [], "Python": []}
-    for line in CHIPS.listed():
+    for line in CHIPS.list_chips():
         if line.chip is not None and line.package == "pulsestage":
             name = line.name.lower()
             (folder / f"map_{name}.md").write_text(register_map(line.chip.MAP))

@@ -10,7 +10,7 @@ from stage.agents.tool import Tool
 from stage.agents.tool_arguments import Text, argument, choice, choose, integer, list_of
 from stage.agents.tool_context import ToolContext
 from stage.chips.chip import Chip
-from stage.chips.describe import Fields
+from stage.chips.describe import FieldDescriber
 from stage.chips.register_map import EVIDENCE, Register, RegisterMap, Word, dump
 from stage.errors import ArgumentError
 
@@ -110,7 +110,7 @@ class BusTools:
         r = self._find_register(axis, name)
         value = self._context.driver(axis).read_register(r.name)
         answer = {"axis": axis, "register": r.name, "value": value, "hex": f"{value & r.mask:X}h", "title": r.title}
-        return answer | ({"says": Fields(r).describe(r.name, value & r.mask)} if r.fields else {})
+        return answer | ({"says": FieldDescriber(r).describe(r.name, value & r.mask)} if r.fields else {})
 
     def write_register(self, axis: str, name: str, value: int) -> dict[str, Any]:
         """Write a whole register by bus cycles. A value that the data sheet does not allow is refused."""
@@ -149,7 +149,7 @@ class BusTools:
     def _make_write_cycles(self, axis: str, cycles: list[tuple[int, int]]) -> dict[str, Any]:
         """Write values to addresses of an axis' chip, given as (address, value), and return the result of the tool."""
         chip, written = self._context.axis(axis).chip, []
-        listener = chip.listener()
+        listener = chip.make_describer()
         for address, value in cycles:
             self._motion.watch_write(chip, address, value)
             chip.write(address, value)
@@ -160,7 +160,7 @@ class BusTools:
         """Make bus read cycles, one for each address."""
         chip, trace = self._context.axis(axis).chip, self._context.trace_of(axis)
         _check_addresses(chip, addresses)
-        listener = chip.listener()
+        listener = chip.make_describer()
         values = []
         for address in addresses:
             values.append((address, trace.read(address)))
@@ -243,13 +243,18 @@ def describe_entry(map_: RegisterMap, name: str) -> str:
 def _describe_word(place: Register | Word, value: int) -> dict[str, Any]:
     """Describe the value of a register or status word: its number, its fields in a sentence, and fields not at the usual value."""
     bits = [
-        {"bit": f.name, "value": f.of(value), "means": f.says(f.of(value)) or f.text, "evidence": f.evidence}
+        {
+            "bit": f.name,
+            "value": f.extract(value),
+            "means": f.describe_value(f.extract(value)) or f.text,
+            "evidence": f.evidence,
+        }
         for f in place.fields
-        if f.silent is None or f.of(value) != f.silent
+        if f.silent is None or f.extract(value) != f.silent
     ]
     return {
         "value": f"{value:0{(place.bits + 3) // 4}X}h",
-        "says": Fields(place).describe(place.name, value),
+        "says": FieldDescriber(place).describe(place.name, value),
         "bits": bits,
     }
 

@@ -11,7 +11,7 @@ from stage.agents.tool import Tool
 from stage.agents.tool_arguments import Flag, Length, argument, choice, integer, make_length_mapping_type, number
 from stage.agents.tool_context import ToolContext
 from stage.chips.chip import Chip
-from stage.chips.describe import Fields
+from stage.chips.describe import FieldDescriber
 from stage.errors import ArgumentError, StageError
 from stage.firmware import procedures
 from stage.firmware.driver import DEFAULT_RAMP_S, SETTLING_TIME_S, Speeds, wait_until_stopped
@@ -168,7 +168,7 @@ class MotionTools:
             if a.name in self._watched and chip.busy(a.chip_axis):
                 if self._context.driver(a.name).is_stop_command(address, value):
                     self._stop_commands[a.name] = f"stopped by the host: {value:0{chip.DATA_MASK.bit_length() // 4}X}h"
-            elif chip.starts(address, value, a.chip_axis):
+            elif chip.would_start_drive(address, value, a.chip_axis):
                 self._context.meter.count_move()
                 self._stop_watching(a.name)
                 self._begin_watching(a.name, STARTED_BY_BUS, None)
@@ -201,7 +201,7 @@ class MotionTools:
         """Describe from the status why a move ended that the host had started by bus cycles."""
         places = {p.name: p for p in self._context.axis(axis).chip.MAP.places}
         words = self._context.driver(axis).read_status_words()
-        return "; ".join(Fields(places[name]).describe(name, value) for name, value in words.items())
+        return "; ".join(FieldDescriber(places[name]).describe(name, value) for name, value in words.items())
 
     def _report_watched_move(self, axis: str, reason: str, stop_command: str = "") -> dict[str, Any]:
         """End the watch of an axis' move, and return its report as the tool's result.

@@ -56,7 +56,7 @@ class TruthTools:
     def peek(self, axis: str) -> dict[str, Any]:
         """Show the registers and words of an axis without a bus cycle."""
         a = self._context.axis(axis)
-        return {"axis": axis, "values": a.chip.values_of(a.chip_axis)}
+        return {"axis": axis, "values": a.chip.axis_values(a.chip_axis)}
 
     def place(self, axis: str, position: float) -> dict[str, Any]:
         """Put a carriage somewhere by hand, at rest, with the motors off."""

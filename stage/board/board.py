@@ -314,7 +314,7 @@ class Board:
         self.devices.append(device)
         self._rebuild_port_table()
         self.link.publish_devices()
-        self.stage.attach(device.name, device.list_arrays())
+        self.stage.attach_device(device.name, device.list_arrays())
         return device
 
     def _rebuild_port_table(self) -> None:
@@ -372,7 +372,9 @@ class Board:
 
     def make_describer(self) -> Meaning:
         """Return a function that explains bus cycles. It must receive all cycles from the first one on."""
-        listeners = {place.index: twin.listener() for place, twin in zip(self.places, self._initial_chips, strict=True)}
+        listeners = {
+            place.index: twin.make_describer() for place, twin in zip(self.places, self._initial_chips, strict=True)
+        }
         latches: dict[int, int] = {}
         by_port = {port: tuple(p) for port, p in self._list_ports()}
         of_devices = [device.make_describer() for device in self.devices]

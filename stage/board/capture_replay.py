@@ -353,7 +353,7 @@ def _list_switch_edges(axis: Axis, words: np.ndarray, times: np.ndarray) -> Iter
     """
     for time, before, word in zip(times.tolist(), words[:-1].tolist(), words[1:].tolist(), strict=True):
         for switch in axis.switches.as_dict():
-            bit = axis.chip.wired(switch)
+            bit = axis.chip.find_switch_input(switch)
             if (before ^ word) & bit:
                 yield SwitchEdge(time, switch, bool(word & bit))
 

@@ -162,11 +162,11 @@ class Link:
         self.stage.loop.journal_edges(n)
         for chip in self.stage.chips:
             if chip.journal_lint is not None:
-                chip.journal_lint.limit_memory()
+                chip.journal_lint.process_long_journal()
 
     def is_write_lost(self, chip: int, address: int, value: int) -> bool:
         """Tell whether a fault of the bus loses this write before it reaches the chip."""
-        return self.stage.chips[chip].loses(address, value)
+        return self.stage.chips[chip].loses_write(address, value)
 
     def call_device(self, k: int, n: int, kind: int, value: int) -> int:
         """Make a bus cycle at a register of a device that is written in Python, and return the answer.

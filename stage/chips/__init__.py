@@ -3,8 +3,8 @@
     from stage.chips import PCL240K, PCL240MK, PCL240MS, MCX514, MCX512, MCX501, MCX314AS, MCX304, MCX302, MCX312
     from stage.chips import HCTL1100, STEPDIR
 
-A family is a register map (data), a state record and a compiled core; see chip.py for what they share. It is loaded when one of its
-chips is first needed. The chips know neither MuJoCo nor each other.
+A family consists of a register map (data), a state record and a compiled core; chip.py has what all families share. A family is
+loaded when one of its chips is first needed. Chips depend neither on MuJoCo nor on each other.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ def chip_class(chip: str | type[Chip]) -> type[Chip]:
     if not isinstance(chip, str):
         if not (isinstance(chip, type) and issubclass(chip, Chip)):
             raise ArgumentError(f"chip {chip!r}: give a chip class or its name: {', '.join(CHIPS)}.")
-        contract.check(chip, Chip, methods=False)
+        contract.check_chip_class(chip, Chip, check_methods=False)
         return chip
     if chip not in CHIPS:
         raise unknown_name_error("chip", chip.upper(), CHIPS)
-    CHIPS.warn_of_claims(chip)
+    CHIPS.warn_of_name_conflict(chip)
     return CHIPS[chip]
 
 

@@ -5,7 +5,7 @@
     chip.advance(1000)           1000 reference clocks; returns the number of pulses
     chip.pins.el_plus = True     True is asserted, whatever the polarity
 
-A chip of a stage shares the stage's clock: there a bus cycle takes bus time, and only the stage advances it.
+A chip of a stage shares the stage's clock: each bus cycle takes the stage's bus time, and only the stage advances the chip.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from zlib import crc32
 import numpy as np
 
 from stage.chips import contract
-from stage.chips.describe import Decoder, Listener
+from stage.chips.describe import CycleDescriber, Decoder
 from stage.chips.diagnostics import (
     BUS_WIDTH,
     CLOCK_RANGE,
@@ -48,13 +48,13 @@ MIN_PIECE_S, MAX_PIECE_S = 0.025, 0.1
 
 
 class Bus(Protocol):
-    """Stage or bench that a chip belongs to, and that keeps its time."""
+    """Interface of the stage or test bench that a chip belongs to, and that advances the chip's clock."""
 
     def cycle(self) -> None:
         """Let the time of one bus cycle pass."""
 
     def ensure_powered(self) -> None:
-        """Bring the state of the chips up to date before somebody reads it between bus cycles."""
+        """Power the chips up again if MuJoCo has cleared their state; call it before a state is read between bus cycles."""
 
     def prepare_change(self) -> None:
         """Prepare for a change of a chip's state between bus cycles.
@@ -215,7 +215,7 @@ class Chip(DeclaredAttributes):
         Raises:
             ArgumentError: The clock is no whole number in this range, or the class breaks the contract of chips.
         """
-        contract.check(type(self), Chip, methods=False)
+        contract.check_chip_class(type(self), Chip, check_methods=False)
         hz: Any = self.DEFAULT_CLOCK_HZ if clock_hz is None else clock_hz
         if not isinstance(hz, int | float | np.number) or not 1 <= hz <= self.MAX_CLOCK_HZ or int(hz) != hz:
             raise ArgumentError(
@@ -240,7 +240,7 @@ class Chip(DeclaredAttributes):
             message = (
                 f"a reference clock of {self.clock_hz:,} Hz: the silicon is sold for {minimum:,} to {maximum:,} Hz"
             )
-            self.diagnose(0, 0, 0, [(CLOCK_RANGE.at(self.CLOCK_SOURCE), message)])
+            self.diagnose(0, 0, 0, [(CLOCK_RANGE.with_source(self.CLOCK_SOURCE), message)])
 
     def _explain_unknown_attribute(self, name: str) -> str:
         return f"The {type(self).__name__} has no attribute {name!r}. {explain_pins(self.axes[0].pins, name)}"
@@ -268,7 +268,7 @@ class Chip(DeclaredAttributes):
         return ()
 
     def fit_drive(self, drive: Any, axis: int = 0) -> None:
-        """Take from the drive of an axis what the chip needs to know about it: nothing, for most chips. A stage calls it once.
+        """Store what the chip needs to know about the drive of an axis. Most chips need nothing; a stage calls this once.
 
         Args:
             drive: `stage.drives.motors.Drive` or `Servo` of the axis.
@@ -321,11 +321,11 @@ class Chip(DeclaredAttributes):
             self._use_record(*self._alone)
             self._alone = None
 
-    def share(self, lock: SessionLock | None) -> None:
-        """Let each bus cycle take a lock from now on, see stage.chips.exclusive_access.
+    def set_lock(self, lock: SessionLock | None) -> None:
+        """Set the lock that each later bus cycle takes, see stage.chips.exclusive_access.
 
         Args:
-            lock: The lock; None: no lock, which costs nothing.
+            lock: Lock of an open session; None: bus cycles take no lock.
         """
         self.lock = lock
         for name in ("read", "write"):
@@ -371,8 +371,8 @@ class Chip(DeclaredAttributes):
         return self.axes[0].pins
 
     @classmethod
-    def wired(cls, switch: str) -> int:
-        """Return the input bit that a switch of a stage drives.
+    def find_switch_input(cls, switch: str) -> int:
+        """Return the bit of the input pin to which a switch of the stage is wired.
 
         Args:
             switch: Name of the switch: "el_plus", "org", "ez" ...
@@ -383,8 +383,8 @@ class Chip(DeclaredAttributes):
         return cls.INPUTS.get(cls.WIRING.get(switch, switch), 0)
 
     @classmethod
-    def syno(cls, rows: np.ndarray) -> int:
-        """Return the address of the word that SYNO gives other chips.
+    def find_syno_address(cls, rows: np.ndarray) -> int:
+        """Return the address of the word that the output SYNO sends to other chips.
 
         Args:
             rows: State of the chip, an array of one record.
@@ -395,7 +395,7 @@ class Chip(DeclaredAttributes):
         raise NotImplementedError(f"{cls.__name__} has no SYNO.")
 
     def net(self, axis: int = 0) -> int:
-        """Return the net number of pulses since power-up, which a drive has received. No register shows it.
+        """Return the net number of pulses (plus less minus) that the drive has received since power-up. No register shows it.
 
         Args:
             axis: Axis of the chip.
@@ -408,10 +408,11 @@ class Chip(DeclaredAttributes):
     def set_shaft(self, count: float, rate: float = 0.0, axis: int = 0) -> None:
         """Put the shaft of an encoder at `count + rate * (clock - now)` from now on.
 
-        The counter of the axis follows as its mode says. The first call only sets where the shaft is.
+        The counter of the axis follows the shaft in the mode that its registers select. The first call only sets the place of the
+        shaft, and the counter stays.
 
         Args:
-            count: Edges of the encoder, which the family rounds.
+            count: Position of the shaft in edges of the encoder; the chip family rounds it.
             rate: Edges per reference clock.
             axis: Axis of the chip.
 
@@ -468,17 +469,17 @@ class Chip(DeclaredAttributes):
 
         Raises:
             ArgumentError: There is no such name, or the datum is missing, not expected, or does not fit.
-            NotImplementedError: The family does not say how its commands are sent.
+            NotImplementedError: The family does not define how its commands are sent.
         """
         cls._check_axis(axis)
-        what, datum = cls.MAP.find_sent(symbol, datum)
+        what, datum = cls.MAP.find_command_or_word(symbol, datum)
         if isinstance(what, Word) and what.address is not None:
             return [(what.address, what.fixed | datum)]
         raise NotImplementedError(f"{cls.__name__} does not say how its commands are sent.")
 
     @classmethod
-    def rates(cls, edges: np.ndarray) -> np.ndarray:
-        """Return the magnitude of an axis' rate from each edge of its waveforms on, in pulses per reference clock.
+    def compute_rates(cls, edges: np.ndarray) -> np.ndarray:
+        """Compute the magnitude of an axis' rate from each edge of its waveforms on, in pulses per reference clock.
 
         Args:
             edges: EDGE records of the core, see `Journal.course`.
@@ -486,17 +487,17 @@ class Chip(DeclaredAttributes):
         return np.abs(edges["rate"])
 
     @classmethod
-    def running(cls, edges: np.ndarray) -> np.ndarray:
+    def is_driving(cls, edges: np.ndarray) -> np.ndarray:
         """Return whether an axis drives, from each edge of its waveforms on (bool).
 
         Args:
             edges: EDGE records of the core, see `Journal.course`.
         """
-        return cls.rates(edges) != 0
+        return cls.compute_rates(edges) != 0
 
     @classmethod
-    def read_direction(cls, address: int, value: int) -> bool | None:
-        """Return the direction that a bus write selects for the drives to come.
+    def find_selected_direction(cls, address: int, value: int) -> bool | None:
+        """Return the direction that a bus write selects for later drives.
 
         Args:
             address: Bus address.
@@ -507,7 +508,7 @@ class Chip(DeclaredAttributes):
         """
         return None
 
-    def starts(self, address: int, value: int, axis: int = 0) -> bool:
+    def would_start_drive(self, address: int, value: int, axis: int = 0) -> bool:
         """Return whether a bus write would start a drive of a resting axis now. The chip does not change.
 
         Args:
@@ -525,17 +526,17 @@ class Chip(DeclaredAttributes):
         return bool(core.read.with_gil(address_of_twin, at) & mask)
 
     def options(self) -> dict[str, Any]:
-        """Return the arguments with which another chip of the same kind can be made: `type(chip)(**chip.options())`."""
+        """Return the arguments of the constructor that make an equal chip: `type(chip)(**chip.options())`."""
         return {"clock_hz": self.clock_hz}
 
-    def kind(self) -> tuple:
-        """Return what two chips must have in common to exchange states: class, clock and further options."""
+    def compatibility_key(self) -> tuple:
+        """Return class, reference clock and options: two chips with equal keys can exchange states."""
         return (type(self).__name__, *self.options().values())
 
     @cached_property
     def header(self) -> snapshots.Header:
         """Description of the chip in its snapshots."""
-        name, hz, *also = self.kind()
+        name, hz, *also = self.compatibility_key()
         options = "".join(f", {option}" for option in also)
         return snapshots.Header(
             (("chip", f"{name} at {hz} Hz{options}"), ("layout of its state", snapshots.hash_layout(self.CORE.STATE)))
@@ -572,7 +573,7 @@ class Chip(DeclaredAttributes):
             value: Value that the chip sees.
             requested: Address and value that the host has asked for, before masking.
         """
-        lost = self.loses(address, value)
+        lost = self.loses_write(address, value)
         if self._bus is not None:
             self._bus.cycle()
         if lost:
@@ -587,8 +588,8 @@ class Chip(DeclaredAttributes):
         if self.open_journal is not None:
             self.open_journal.note_write(self.clock, address, value)
 
-    def loses(self, address: int, value: int) -> bool:
-        """Call every fault of the bus before a write, and return whether one of them loses the write.
+    def loses_write(self, address: int, value: int) -> bool:
+        """Return whether a fault of the bus loses a write. Every bus fault in force inspects the write.
 
         Args:
             address: Bus address.
@@ -603,7 +604,7 @@ class Chip(DeclaredAttributes):
             clock: Reference clocks since power-up.
             address: Address of the write.
             value: Value of the write.
-            findings: Broken rules and messages. A rule that is reported `once` is left out if its key is there already.
+            findings: Pairs of a broken rule and a message. A rule with `once` is left out if `diagnostics` already has its key.
         """
         for rule, message in findings:
             if not rule.once or all(d.key != rule.key for d in self._diagnostics):
@@ -655,7 +656,7 @@ class Chip(DeclaredAttributes):
             The number of pulses begun, on all axes.
 
         Raises:
-            ArgumentError: It is no such number, or leads beyond LAST_CLOCK.
+            ArgumentError: `clocks` is out of range, or leads beyond LAST_CLOCK.
             StageError: The chip shares the clock of a stage.
         """
         until, advance, at = self._find_end_clock(clocks), self.CORE.advance.c, self.pointer
@@ -674,7 +675,7 @@ class Chip(DeclaredAttributes):
             (int8, +1 or -1).
 
         Raises:
-            ArgumentError: As `advance`; also if there are more pulses than memory holds.
+            ArgumentError: `clocks` is out of range, or there are more pulses than memory holds.
             StageError: The chip shares the clock of a stage.
         """
         until = self._find_end_clock(clocks)
@@ -698,7 +699,7 @@ class Chip(DeclaredAttributes):
         return out
 
     def _trace_piece(self, until: int) -> np.ndarray:
-        """Run up to a clock and return the pulses. A copy of the state runs first, to count them."""
+        """Run up to a clock and return the pulses. A copy of the state runs first, to count the pulses."""
         out = np.zeros(self.CORE.advance(self._rows[self._i : self._i + 1].copy(), until), self.CORE.PULSE)
         self.CORE.trace_pulses.c(self.pointer, until, out.ctypes.data, len(out))
         return out
@@ -766,7 +767,7 @@ class Chip(DeclaredAttributes):
         return int(self.CORE.read_inputs.with_gil(self.pointer, axis))
 
     def set_input_word(self, axis: int, word: int) -> None:
-        """Drive the input pins of an axis. Journals do not note it.
+        """Drive the input pins of an axis. Open journals do not record this change.
 
         Args:
             axis: Axis of the chip.
@@ -819,7 +820,7 @@ class Chip(DeclaredAttributes):
         """
         raise NotImplementedError
 
-    def listener(self) -> Listener:
+    def make_describer(self) -> CycleDescriber:
         """Return an object that describes bus cycles from now on, beginning with the present state of the chip."""
         raise NotImplementedError
 
@@ -827,10 +828,10 @@ class Chip(DeclaredAttributes):
         """Return the present contents of every register by its name: a view for debuggers, without bus cycles."""
         raise NotImplementedError
 
-    def values_of(self, axis: int = 0) -> dict[str, int]:
+    def axis_values(self, axis: int = 0) -> dict[str, int]:
         """Return the present contents of the registers and words of one axis, by name, and of those that all axes share.
 
-        It needs no bus cycles, and has registers that cannot be read if the state holds them.
+        No bus cycle is made. Registers that a host cannot read are included if the state stores their value.
 
         Args:
             axis: Axis of the chip.

@@ -1,7 +1,7 @@
 """Contract of chips: checks that a chip class and its core have everything that stages, boards, recordings and environments
 use.
 
-`check` runs once for each class, when the class is loaded by its name or when its first chip is made, before there is a stage.
+`check_chip_class` runs once for each class, when the class is loaded by its name or when its first chip is made.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.chips.cores import ANSWERS, OPTIONAL
+from stage.chips.core_interface import ANSWERS, OPTIONAL
 from stage.chips.register_map import Register, RegisterMap, Word
 from stage.errors import ArgumentError
 from stage.native import Exported, array_of
@@ -46,33 +46,36 @@ ANSWERS_OF_ENCODER_CHIPS: dict[str, tuple[Any, ...]] = {
 REQUIRED_METHODS = {
     "register_cycles": "the bus write cycles that put a value into a register",
     "decoder": "what a journal's writes say, for recordings",
-    "listener": "what bus cycles say, for traces",
+    "make_describer": "what bus cycles say, for traces",
     "values": "what every register holds, for dumps",
 }
 """Methods of `Chip` that each family must have."""
 
 
-def check(chip: Any, base: type, methods: bool = True) -> None:
+def check_chip_class(chip_class: Any, base: type, check_methods: bool = True) -> None:
     """Check that a class has everything that stages, boards, recordings and environments need of a chip.
 
     Args:
-        chip: The class.
-        base: Chip.
-        methods: Check REQUIRED_METHODS as well. A class that is not registered may lack them as long as nobody needs descriptions.
+        chip_class: Class to check.
+        base: The class `Chip`, which this module cannot import.
+        check_methods: Whether to check REQUIRED_METHODS as well. A class that is not registered may lack them until somebody
+            needs a description of its bus cycles.
 
     Raises:
         ArgumentError: The class is not derived from `base`, or lacks something; the message names it.
     """
-    if (chip, methods) in _CHECKED:
+    if (chip_class, check_methods) in _CHECKED:
         return
-    if not isinstance(chip, type) or not issubclass(chip, base):
-        raise ArgumentError(f"{chip!r} is no class below stage.chips.Chip.")
-    problems = [*_check_class(chip), *_check_core(getattr(chip, "CORE", None), chip)]
-    problems += _check_methods(chip, base) if methods else []
+    if not isinstance(chip_class, type) or not issubclass(chip_class, base):
+        raise ArgumentError(f"{chip_class!r} is no class below stage.chips.Chip.")
+    problems = [*_check_class(chip_class), *_check_core(getattr(chip_class, "CORE", None), chip_class)]
+    problems += _check_methods(chip_class, base) if check_methods else []
     if problems:
         more = f" (and {len(problems) - 1} more: {'; '.join(problems[1:4])})" if problems[1:] else ""
-        raise ArgumentError(f"{chip.__name__} breaks the contract of chips: {problems[0]}{more}. docs/your_own_chip.md")
-    _CHECKED.add((chip, methods))
+        raise ArgumentError(
+            f"{chip_class.__name__} breaks the contract of chips: {problems[0]}{more}. docs/your_own_chip.md"
+        )
+    _CHECKED.add((chip_class, check_methods))
 
 
 def _list_fields(dtype: np.dtype) -> Iterator[str]:
@@ -132,10 +135,11 @@ def _is_positive_integer(number: Any) -> bool:
     return isinstance(number, int | np.integer) and not isinstance(number, bool) and int(number) >= 1
 
 
-def _is_pair(value: Any, first: type) -> bool:
-    """Return whether a value is a tuple of something of type `first` and an integer."""
+def _is_pair(value: Any, first_type: type) -> bool:
+    """Return whether a value is a tuple of something of type `first_type` and an integer."""
     return (
-        isinstance(value, tuple) and [isinstance(v, k) for v, k in zip(value, (first, int), strict=False)] == [True] * 2
+        isinstance(value, tuple)
+        and [isinstance(v, k) for v, k in zip(value, (first_type, int), strict=False)] == [True] * 2
     )
 
 

@@ -1,11 +1,11 @@
-"""Descriptions of bus cycles in words: the base classes for decoders of journals and listeners of bus traces.
+"""Descriptions of bus cycles in words: interfaces and base classes for describers of bus cycles and decoders of journals.
 
-    listener = chip.listener()     begins with the chip's present state: the last column of a bus trace
-    listener.write(0, 0x85)        'select R5: deceleration rate'
-    listener.read(0, 0xE8)         'status: operating, neither ramping up nor down, R0 = 0'
+    describer = chip.make_describer()            begins with the chip's present state
+    describer.write(0, 0x85)                     'select R5: deceleration rate', as in the last column of a bus trace
+    describer.read(0, 0xE8)                      'status: operating, neither ramping up nor down, R0 = 0'
     decode(chip.decoder(), journal.entries)      a journal as commands and whole register values
 
-A listener describes each bus cycle. It sees bus cycles only: after a reset pin or a lost write, get a new one from the chip. A
+A describer describes each bus cycle. It does not notice a reset pin or a lost write: after these, get a new one from the chip. A
 decoder returns commands and whole register values: all bytes of a register are one `Statement`.
 """
 
@@ -29,9 +29,9 @@ class Statement(NamedTuple):
 
     Attributes:
         clock: Reference clocks since power-up, at the last write.
-        kind: "command", "register", "reset", or "lost": a write that did not arrive.
-        code: The bytes or words written, in hexadecimal.
-        meaning: What they say, in words.
+        kind: "command", "register", "reset", or "lost" for a write that did not arrive.
+        code: Bytes or words written, in hexadecimal.
+        meaning: Meaning of the bytes or words, in English.
         register: Name of the register in the map; "" for a command.
         value: Value of the register.
     """
@@ -47,11 +47,11 @@ class Statement(NamedTuple):
         return f"{self.code}  {self.meaning}"
 
 
-class Listener(Protocol):
-    """Descriptions of bus cycles, each a line of ASCII of at most MAX_LINE_LENGTH characters. A listener never raises."""
+class CycleDescriber(Protocol):
+    """Describer of the bus cycles of one chip, each in a line of ASCII of at most MAX_LINE_LENGTH characters. It never raises."""
 
     def write(self, address: int, value: int) -> str:
-        """Describe a write cycle that follows those before it.
+        """Describe a write cycle that follows the cycles described before.
 
         Args:
             address: Bus address.
@@ -59,16 +59,16 @@ class Listener(Protocol):
         """
 
     def read(self, address: int, value: int) -> str:
-        """Describe a read cycle that follows the cycles before it.
+        """Describe a read cycle that follows the cycles described before.
 
         Args:
             address: Bus address.
-            value: Datum that it returned.
+            value: Datum that the cycle returned.
         """
 
 
 class Decoder:
-    """Base class of decoders, which turn journal entries into commands and whole register values, a part at a time."""
+    """Base class of decoders, which convert journal entries to commands and whole register values, in several calls if needed."""
 
     def decode(self, entries: Iterable[Entry]) -> list[Statement]:
         """Decode further entries.
@@ -93,11 +93,11 @@ class Decoder:
         return statements
 
     def flush(self) -> list[Statement]:
-        """Return the statements of writes that still waited for later ones."""
+        """Return the statements of writes that have waited for later writes, at the end of a journal."""
         return []
 
     def decode_write(self, clock: int, address: int, value: int) -> list[Statement]:
-        """Decode a write, and the writes that waited for it.
+        """Decode a write, together with earlier writes that needed it to be complete.
 
         Args:
             clock: Reference clocks since power-up.
@@ -129,12 +129,12 @@ def decode(decoder: Decoder, entries: Iterable[Entry]) -> list[Statement]:
     return decoder.decode(entries) + decoder.flush()
 
 
-class Fields:
-    """Descriptions of the contents of a register or word, field by field.
+class FieldDescriber:
+    """Describer of the contents of a register or word, field by field.
 
     Args:
         place: The register or word.
-        silent: Leave out values without information, see `Field.silent`.
+        silent: Whether to leave out values without information, see `Field.silent`.
     """
 
     def __init__(self, place: Register | Word, silent: bool = True):
@@ -144,7 +144,7 @@ class Fields:
         self._lines: dict[tuple[str, int, str], str] = {}
 
     def describe(self, head: str, value: int, tail: str = "") -> str:
-        """Describe contents.
+        """Describe the contents of the register or word in one line.
 
         Args:
             head: Words before the fields.
@@ -152,8 +152,8 @@ class Fields:
             tail: Words behind the fields.
 
         Returns:
-            `head`, the fields that have something to report, and `tail`. If the line is too long, the longest fields are given
-            by name.
+            `head`, the descriptions of the fields, and `tail`. If the line is too long, only the names of the longest fields
+            appear.
         """
         known = self._lines.get((head, value, tail))
         if known is None:
@@ -182,27 +182,27 @@ class Fields:
 
 
 def shorten_line(text: str) -> str:
-    """Return a text, cut if it is longer than a line of a trace."""
+    """Return a text, cut off if it is longer than MAX_LINE_LENGTH characters, a line of a bus trace."""
     return text if len(text) <= MAX_LINE_LENGTH else text[: MAX_LINE_LENGTH - 3] + "..."
 
 
-def describe_byte(name: str, byte: int, value: int) -> str:
+def describe_byte(name: str, byte_number: int, value: int) -> str:
     """Describe one byte of a register.
 
     Args:
         name: Name of the register.
-        byte: Number of the byte; the lowest is 0.
+        byte_number: Number of the byte; the lowest is 0.
         value: Its new value.
     """
-    return f"{name} bits {8 * byte + 7}..{8 * byte} = {value:02X}h"
+    return f"{name} bits {8 * byte_number + 7}..{8 * byte_number} = {value:02X}h"
 
 
-def _list_meanings(f: Field, silent: bool) -> dict[int, str]:
-    """Return the words that the register map has for the values of a field."""
-    values = f.values or {1: f.meaning}
-    return {v: f.says(v) for v in values if not (silent and v == f.silent)}
+def _list_meanings(field: Field, silent: bool) -> dict[int, str]:
+    """Return the descriptions that the register map has for the values of a field: value -> words."""
+    values = field.values or {1: field.meaning}
+    return {v: field.describe_value(v) for v in values if not (silent and v == field.silent)}
 
 
-def _describe_number(f: Field, v: int) -> str:
-    subject = f.meaning or f.name
-    return f"{subject} = {v}" if f.high - f.low < MAX_DECIMAL_BITS else f"{subject} = {v:X}h ({v})"
+def _describe_number(field: Field, value: int) -> str:
+    subject = field.meaning or field.name
+    return f"{subject} = {value}" if field.high - field.low < MAX_DECIMAL_BITS else f"{subject} = {value:X}h ({value})"

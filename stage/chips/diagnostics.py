@@ -24,7 +24,7 @@ class Rule(NamedTuple):
     """A rule of a data sheet whose breach a lint recognizes.
 
     Attributes:
-        key: Short, stable identifier, unique in its family, for example "no-reset-command". Repetitions are counted by it.
+        key: Short, stable identifier, unique in its chip family, such as "no-reset-command".
         source: Section of the data sheet that states the rule.
         once: Whether a chip keeps only the first diagnostic of this rule: for limits of the silicon that a running program would
             exceed again and again.
@@ -34,7 +34,7 @@ class Rule(NamedTuple):
     source: str
     once: bool = False
 
-    def at(self, section: str) -> Rule:
+    def with_source(self, section: str) -> Rule:
         """Return this rule with another section of the data sheet; "" leaves the section as it is."""
         return self._replace(source=section) if section else self
 
@@ -53,9 +53,9 @@ class Diagnostic(NamedTuple):
         clock: Reference clocks since power-up at the write.
         address: Address of the write.
         value: Value of the write.
-        message: What is wrong with it, and what it does.
+        message: What is wrong with the write, and its effect.
         source: Section of the data sheet.
-        key: Identifier of the rule that it breaks, see `Rule`.
+        key: Identifier of the broken rule, see `Rule`.
     """
 
     clock: int
@@ -70,8 +70,8 @@ def parse_diagnostics(data: Iterable[Any]) -> tuple[Diagnostic, ...]:
     """Convert the diagnostics in a snapshot's file.
 
     Raises:
-        TypeError: The data are something else.
-        ValueError: The data are something else.
+        TypeError: The data are not the diagnostics of a snapshot.
+        ValueError: The data are not the diagnostics of a snapshot.
     """
     diagnostics = tuple(Diagnostic(*fields) for fields in data)
     if any(list(map(type, d)) != [int, int, int, str, str, str] for d in diagnostics):
@@ -85,14 +85,14 @@ def list_rules(lint: ModuleType) -> list[Rule]:
 
 
 class JournalLint:
-    """Lint of a chip whose bus cycles compiled code makes. It reads the writes from a journal when diagnostics are requested."""
+    """Lint of a chip whose bus cycles compiled code makes. It reads the writes from a journal when a user requests diagnostics."""
 
     def __init__(self, chip: Chip):
         self._chip = chip
         self._journal = chip.journal()
 
-    def limit_memory(self) -> None:
-        """Process the journal if it has become long."""
+    def process_long_journal(self) -> None:
+        """Process the journal if it has become long, so that its memory stays bounded."""
         if len(self._journal.entries) > MAX_JOURNAL_ENTRIES:
             self.process()
 

@@ -5,7 +5,7 @@ session of stage.panel sets it to a re-entrant lock. Each call below holds it fr
 it while simulated time passes.
 
     @exclusive
-    def move(self, pulses): ...          the whole method; `self.lock` is asked at each call
+    def move(self, pulses): ...          the whole method; each call reads `self.lock` anew
 
     with exclusively(stage): ...         a block
 """

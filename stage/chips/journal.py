@@ -1,8 +1,8 @@
 """Journals of the bus cycles and input changes of a chip, and their replay to the waveforms of an axis, to the clock.
 
 A chip is deterministic, so everything that it does follows from its state at the start and from its inputs. `Journal` stores
-only these, a few bytes per event, for any number of pulses. `Journal.course()` replays them on a second chip and returns each
-change of speed and of every pin, to the clock. Waveforms and the drawings of operation patterns are made from it.
+only these, a few bytes per event, for any number of pulses. `Journal.replay_waveforms()` replays them on a second chip and
+returns each change of speed and of every pin, to the clock. Waveforms and the drawings of operation patterns are made from it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MIN_PIECE_EDGES = 64  # a scan may write several edges before it checks for free
 
 
 class Waveforms(NamedTuple):
-    """Waveforms of one axis of a chip: everything that it did, to the clock.
+    """Waveforms of one axis of a chip, exact to the clock.
 
     Attributes:
         chip: Class of the chip.
@@ -40,13 +40,13 @@ class Waveforms(NamedTuple):
 
     @property
     def seconds(self) -> np.ndarray:
-        """Time of each edge since the first."""
+        """Time from the first edge to each edge, s."""
         return (self.edges["clock"] - self.edges["clock"][0]) / self.clock_hz
 
     @property
     def running(self) -> np.ndarray:
         """Whether the axis drives, from each edge on (bool)."""
-        return self.chip.running(self.edges)
+        return self.chip.is_driving(self.edges)
 
     def pin(self, name: str) -> np.ndarray:
         """Return the state of a pin from each edge on (bool).
@@ -59,7 +59,7 @@ class Waveforms(NamedTuple):
 
 
 class Journal:
-    """Journal of the events of one chip, from its creation to `close()`; it replays the waveforms of one axis."""
+    """Journal of the bus writes and input changes of one chip, from its creation to `close()`; it replays one axis' waveforms."""
 
     def __init__(self, chip: Chip, previous: Journal | None = None, axis: int = 0):
         self.chip, self._previous, self.axis = chip, previous, axis
@@ -76,7 +76,7 @@ class Journal:
         self._append_entry(clock, LOST, address, value)
 
     def note_read(self, clock: int, address: int, value: int) -> None:
-        """Note a read cycle that changes something."""
+        """Note a read cycle that changes the chip's state."""
         self._append_entry(clock, READ, address, value)
 
     def note_input(self, clock: int, axis: int, word: int) -> None:
@@ -84,11 +84,11 @@ class Journal:
         self._append_entry(clock, INPUT, axis, word)
 
     def note_reset(self, clock: int) -> None:
-        """Note the reset pin."""
+        """Note that the reset pin was asserted."""
         self._append_entry(clock, RESET, 0, 0)
 
     def note_shaft(self, clock: int, axis: int, count: float, rate: float) -> None:
-        """Note the place and the rate of an encoder's shaft."""
+        """Note that the shaft of an encoder was set: its position (counts) and its rate (counts per clock)."""
         self._append_entry(clock, SHAFT, float_to_bits(count), float_to_bits(rate), axis)
 
     def extend(self, packed: np.ndarray) -> None:
@@ -100,7 +100,7 @@ class Journal:
 
     def _append_entry(self, clock: int, kind: int, a: int, b: int, axis: int = 0) -> None:
         if self._end is None:
-            self.entries.note(clock, kind, a, b, axis)
+            self.entries.append(clock, kind, a, b, axis)
         if self._previous is not None:
             self._previous._append_entry(clock, kind, a, b, axis)
 
@@ -128,16 +128,18 @@ class Journal:
         """Clock at which the waveforms end: that of `close()`, or the chip's present clock."""
         return self.chip.clock if self._end is None else self._end
 
-    def course(self, every_pulse: bool = False) -> Waveforms:
+    def replay_waveforms(self, every_pulse: bool = False) -> Waveforms:
         """Replay the journal, and return the waveforms of its axis.
 
         Args:
             every_pulse: Include the edges of the pulse output.
         """
         chip = self.chip
-        return Waveforms(type(chip), chip.clock_hz, np.concatenate(list(self.pieces(every_pulse))), self.entries[:])
+        return Waveforms(
+            type(chip), chip.clock_hz, np.concatenate(list(self.replay_in_pieces(every_pulse))), self.entries[:]
+        )
 
-    def pieces(self, every_pulse: bool = False, size: int = PIECE_EDGES) -> Iterator[np.ndarray]:
+    def replay_in_pieces(self, every_pulse: bool = False, size: int = PIECE_EDGES) -> Iterator[np.ndarray]:
         """Replay the journal piece by piece, in bounded memory.
 
         Args:
@@ -147,7 +149,7 @@ class Journal:
         Raises:
             ArgumentError: `size` is below 64.
         """
-        return Replay(self).pieces(every_pulse, size)
+        return Replay(self).replay_in_pieces(every_pulse, size)
 
 
 class Replay:
@@ -160,11 +162,11 @@ class Replay:
 
     @property
     def state(self) -> bytes:
-        """State of the chip at the end of what has been replayed, as bytes; in the end the chip's own state."""
+        """State of the chip after the last entry that has been replayed, as bytes."""
         return self._rows.tobytes()
 
-    def pieces(self, every_pulse: bool = False, size: int = PIECE_EDGES) -> Iterator[np.ndarray]:
-        """Replay the entries since the last call. The first edge is the state at its end.
+    def replay_in_pieces(self, every_pulse: bool = False, size: int = PIECE_EDGES) -> Iterator[np.ndarray]:
+        """Replay the entries since the last call. The first edge is the state at the end of that call.
 
         Args:
             every_pulse: Include the edges of the pulse output.
@@ -214,9 +216,11 @@ NO_SHAFT: ShaftEntries = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros
 
 
 def _split_at_shafts(entries: Entries) -> Iterator[tuple[Entry | None, ShaftEntries]]:
-    """Yield each entry, or None at the end, with the entries of shafts and wires before it.
+    """Split a journal for a replay: collect the entries of shafts and wires into arrays for compiled code, because they are many.
 
-    Shafts come every physics step, and wires with every pulse. For wires the word, negated, takes the place of the axis.
+    Yields:
+        Each other entry, with the entries of shafts and wires before it. The last pair has None as its entry. An entry of wires
+        has its word, negated, in place of the axis.
     """
     packed = entries.packed()
     wires = packed["kind"] == WIRES

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 
 
-class Kind(IntEnum):
+class EntryKind(IntEnum):
     """Kinds of events in a journal."""
 
     WRITE = 0
@@ -29,35 +29,35 @@ class Kind(IntEnum):
     SHAFT = 5
     """Where the shaft of the axis is from now on: count and counts a clock, both as `bits`."""
     LOAD = 6
-    """A sample of the load of the axis' motor, see `cores.set_load`: angle and share, both as `bits`."""
+    """A sample of the load of the axis' motor, see `core_interface.set_load`: angle and share, both as `bits`."""
     WIRES = 7
     """What other chips drive onto the wires between them, see stage/chips/linked_chips.py: the word."""
 
 
-WRITE, INPUT, RESET, LOST, READ, SHAFT, LOAD, WIRES = map(int, Kind)  # for compiled code
+WRITE, INPUT, RESET, LOST, READ, SHAFT, LOAD, WIRES = map(int, EntryKind)  # for compiled code
 PACKED = np.dtype([("clock", "i8"), ("kind", "i4"), ("axis", "i4"), ("a", "i8"), ("b", "i8")])
 AXIS = 32
 """Bit of a packed entry's second word from which on it is the axis."""
 
 
 def float_to_bits(number: float) -> int:
-    """Return the integer with the same bits as a float64, for an entry."""
+    """Return the integer that has the same 64 bits as a float64, so that an entry can store it."""
     return int(struct.unpack("q", struct.pack("d", number))[0])
 
 
 def bits_to_float(bits: int) -> float:
-    """Return the float64 with these bits."""
+    """Return the float64 that has the same 64 bits as an integer."""
     return float(struct.unpack("d", struct.pack("q", bits))[0])
 
 
 class Entry(NamedTuple):
-    """One input of a chip between two ticks of its reference clock.
+    """One input that a chip received: a bus cycle, a change of pins, a reset, or a position of a shaft.
 
     Attributes:
         clock: Reference clocks since power-up.
-        kind: A `Kind`, which defines the meaning of a and b.
-        a: First number.
-        b: Second number.
+        kind: A `EntryKind`, which defines the meaning of a and b.
+        a: First operand, such as the address of a write.
+        b: Second operand, such as the datum of a write.
         axis: Axis of a SHAFT or a LOAD.
     """
 
@@ -67,12 +67,12 @@ class Entry(NamedTuple):
     b: int
     axis: int = 0
 
-    def apply(self, core: Any, c: Any) -> None:
+    def apply(self, core: Any, chip_state: Any) -> None:
         """Repeat the input on a chip.
 
         Args:
             core: Core of the chip's family.
-            c: State of the chip: a record, an array of one, or an address.
+            chip_state: State of the chip: a record, an array of one, or an address.
         """
         args: tuple[float, ...] = ()
         kind = self.kind
@@ -92,7 +92,7 @@ class Entry(NamedTuple):
             function = core.power_up
         else:
             return
-        (function.c if isinstance(c, int) else function)(c, *args)
+        (function.c if isinstance(chip_state, int) else function)(chip_state, *args)
 
 
 class Entries(Sequence[Entry]):
@@ -101,12 +101,12 @@ class Entries(Sequence[Entry]):
     def __init__(self) -> None:
         self._words = array("q")
 
-    def note(self, clock: int, kind: int, a: int, b: int, axis: int = 0) -> None:
+    def append(self, clock: int, kind: int, a: int, b: int, axis: int = 0) -> None:
         """Append an entry.
 
         Args:
             clock: Reference clocks since power-up.
-            kind: A `Kind`.
+            kind: A `EntryKind`.
             a: First number.
             b: Second number.
             axis: Axis of a SHAFT or a LOAD.

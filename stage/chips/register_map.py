@@ -1,9 +1,9 @@
 """Register maps as data: dumps, diagnostics, documentation and tests read the same tables.
 
-A map says for every bit what it means and on what evidence: S data sheet, H vendor header, D another page of the
+A map has the meaning of every bit and the evidence for it: S data sheet, H vendor header, D another page of the
 manual, C working drivers agree, M memory of the manual, I inferred, ? in doubt. A core takes its masks, bit numbers and
-command codes from here when it is imported: `MAP.mask("WR3", "SACC")`, `MAP.command("DV").code`. What a value of a field
-means is data, too: `Field.values`. Dumps, traces, diagnostics and whoever offers a choice read it there.
+command codes from a map when the core is imported: `MAP.mask("WR3", "SACC")`, `MAP.command("DV").code`. The meanings of a
+field's values are data, too (`Field.values`): dumps, traces, diagnostics and selection lists show them.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ class Field:
     """A field of a register, command or status word: bits `high` to `low`.
 
     Attributes:
-        name: Name of the data sheet, or one of ours where it has none.
+        name: Name in the data sheet, or a name of our own if the data sheet has none.
         high: Highest bit.
         low: Lowest bit.
-        meaning: Subject of the bits; of a field without `values` what it means if it is not 0. It may be empty where the
-            values are enough.
+        meaning: Subject of the bits; for a field without `values` its meaning if it is not 0. Empty if the values are enough.
         evidence: Letter of EVIDENCE.
         access: "R", "W" or "RW".
-        legal: Range of a field of which not every value means something.
-        values: Value -> meaning, of a field that selects. A value that the sources do not explain is left out.
-        note: Further text of a dump.
+        legal: Smallest and largest value with a meaning, for a field of which not every value has one.
+        values: Value -> meaning, for a field that selects one of several options. A value that the sources do not explain is
+            left out.
+        note: Further text for a dump.
         silent: Value without information, which a trace leaves out; None: a trace shows each.
         pins: Pin that a status bit shows, with `/` before it if the bit is 0 while the pin is asserted; two pins if the direction
             decides, that of plus first.
@@ -68,7 +68,7 @@ class Field:
 
     @property
     def mask(self) -> int:
-        """Bits of the field, in place."""
+        """Mask of the field's bits in its word."""
         return ((1 << (self.high - self.low + 1)) - 1) << self.low
 
     @property
@@ -76,33 +76,35 @@ class Field:
         """Numbers of the bits, as text."""
         return f"{self.high}" if self.high == self.low else f"{self.high}..{self.low}"
 
-    def of(self, word: int) -> int:
-        """Return the field's value.
+    def extract(self, word: int) -> int:
+        """Extract the field's value from a word.
 
         Args:
             word: Contents of the register or word.
         """
         return (word & self.mask) >> self.low
 
-    def code(self, says: str) -> int:
-        """Return the bits, in place, of the value with a meaning.
+    def find_code(self, meaning: str) -> int:
+        """Return the code that selects a meaning: the field's bits in its word.
 
         Args:
-            says: Meaning of the value in `values`.
+            meaning: Meaning of the value in `values`.
 
         Raises:
             ArgumentError: No value has this meaning; the message has near misses.
         """
-        return _find_in_table({text: v for v, text in self.values.items()}, says, f"value of {self.name}") << self.low
+        return (
+            _find_in_table({text: v for v, text in self.values.items()}, meaning, f"value of {self.name}") << self.low
+        )
 
-    def says(self, value: int) -> str:
+    def describe_value(self, value: int) -> str:
         """Return the meaning of a value in words.
 
         Args:
             value: Value of the field.
 
         Returns:
-            The words; "" if the map has none for it.
+            The meaning in words; "" if the map has none for this value.
         """
         if self.values:
             text = self.values.get(value, "")
@@ -111,7 +113,7 @@ class Field:
 
     @property
     def text(self) -> str:
-        """All words of a dump: the meaning, the values, the note."""
+        """Description of the field in a dump: its meaning, its values, its note."""
         listed = [f"{v} {text}" for v, text in self.values.items()] if self.listed else []
         values = ("; " if any("," in text for text in listed) else ", ").join(listed)
         text = ": ".join(part for part in (self.meaning, values) if part)
@@ -120,23 +122,23 @@ class Field:
 
 @dataclass(frozen=True)
 class Register:
-    """One register.
+    """Register of a chip.
 
     Attributes:
         name: Name of the data sheet.
-        number: How the chip selects it.
-        bits: Width.
+        number: Number by which the chip selects the register.
+        bits: Width in bits.
         access: "R", "W" or "RW".
         title: Name in words.
-        legal: Range of the data sheet.
-        fields: Fields, if it has some.
+        legal: Smallest and largest value that the data sheet allows.
+        fields: Fields of the register; empty for a plain number.
         evidence: Letter of EVIDENCE.
-        unit: Unit of its value.
-        signed: Whether it holds two's complement.
+        unit: Unit of the value.
+        signed: Whether the value is in two's complement.
         also: Legal values outside the range.
         reset: Value after reset, if known.
         note: Further text.
-        tuned: Range that a search chooses from, where it is not `legal`.
+        tuned: Range from which a search for good values chooses, if it is not `legal`.
         section: Section of the data sheet that describes it, for diagnostics.
     """
 
@@ -163,7 +165,7 @@ class Register:
 
     @property
     def mask(self) -> int:
-        """All bits."""
+        """Mask of all bits of the register."""
         return (1 << self.bits) - 1
 
     @property
@@ -191,12 +193,12 @@ class Register:
 
     @cached_property
     def writable(self) -> int:
-        """Bits that a write changes."""
+        """Mask of the bits that a write changes."""
         return self.mask & ~sum(f.mask for f in self.fields if f.access == "R")
 
     @cached_property
     def used(self) -> int:
-        """Bits that have a meaning."""
+        """Mask of the bits that have a meaning."""
         return sum(f.mask for f in self.fields) or self.mask
 
 
@@ -210,8 +212,9 @@ class Word:
         fields: Its fields.
         bits: Width.
         note: Further text.
-        address: Bus address at which it is written or read; None: the map does not say.
-        sends: What a host usually writes -> what it does. Bits that tell the word from others may be left out.
+        address: Bus address at which the word is written or read; None if the map does not state it.
+        sends: Values that a host usually writes -> their effect. Bits that distinguish the word from others at its address may be
+            left out.
         section: Section of the data sheet that describes it, for diagnostics.
     """
 
@@ -231,41 +234,41 @@ class Word:
 
     @cached_property
     def used(self) -> int:
-        """Bits that have a meaning."""
+        """Mask of the bits that have a meaning."""
         return sum(f.mask for f in self.fields)
 
     @property
     def written(self) -> bool:
-        """Whether a host writes it, at its address."""
+        """Whether a host writes the word, and the map has its address."""
         return self.address is not None and any("W" in f.access for f in self.fields)
 
     @cached_property
     def fixed(self) -> int:
-        """Bits, in place, of fields with one legal value, which distinguish the words of one address."""
+        """Values, in place, of the fields with one legal value: they distinguish the words that share an address."""
         return sum(f.legal[0] << f.low for f in self.fields if f.legal and f.legal[0] == f.legal[1])
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command code.
+    """Command of a chip.
 
     Attributes:
-        code: The code.
-        symbol: Name of the data sheet.
+        code: Command code.
+        symbol: Name in the data sheet.
         title: Name in words.
         kind: One of COMMAND_KINDS.
-        bytes: Number of bytes of data that it takes or returns.
-        legal: Range of the data.
+        bytes: Number of bytes of data that the command takes or returns.
+        legal: Smallest and largest value of the data.
         evidence: Letter of EVIDENCE.
         unit: Unit of the data.
-        choice: Bits of the code that choose what it acts on; at least one of them is set.
-        axes: Whether it is sent to axes.
-        starts: Whether it begins a drive.
+        choice: Bits of the code that select the objects on which the command acts; at least one of them is set.
+        axes: Whether the command is sent to axes.
+        starts: Whether the command begins a drive.
         note: Further text.
         chooses: Names of the `choice` bits, the lowest first.
-        together: Numbers of axes that take part, of a command that moves several.
-        points: Whether it moves them to finish points.
-        lacking: What the emulator does not do of it, as a diagnostic says it.
+        together: Numbers of axes that can take part in a command that moves several axes.
+        points: Whether the command moves the axes to finish points.
+        lacking: Effects that the emulator lacks, in the words of a diagnostic.
     """
 
     code: int
@@ -292,42 +295,61 @@ class Command:
 
     @property
     def description(self) -> str:
-        """Title, note and unit."""
+        """Description of the command: title, note and unit."""
         choices = f" {self.chooses[0]} to {self.chooses[-1]}" if self.chooses else ""
         return _join_note(self.title + choices, self.note) + (f" ({self.unit})" if self.unit else "")
 
     @property
     def hex(self) -> str:
-        """Code as data sheets print it."""
+        """Command code in hexadecimal, as data sheets print it."""
         return f"{self.code:02X}h" if not self.choice else f"{self.codes[0]:02X}h..{self.codes[-1]:02X}h"
 
 
-def writes(r: Register, kind: str = "data write", axes: bool = True) -> Command:
-    """Return the command that writes a register whose number is the command's code.
+def make_write_command(register: Register, kind: str = "data write", axes: bool = True) -> Command:
+    """Make the command that writes a register. The number of the register is the command's code.
 
     Args:
-        r: The register.
+        register: The register.
         kind: "data write" or "mode write".
         axes: Whether the command is sent to axes.
     """
-    return Command(r.number, r.name, r.title, kind, r.bits // 8, r.legal, r.evidence, r.unit, axes=axes, note=r.note)
+    return Command(
+        register.number,
+        register.name,
+        register.title,
+        kind,
+        register.bits // 8,
+        register.legal,
+        register.evidence,
+        register.unit,
+        axes=axes,
+        note=register.note,
+    )
 
 
-def reads(r: Register, code: int | None = None, evidence: str = "", axes: bool = True) -> Command:
-    """Return the command that reads a register.
+def make_read_command(register: Register, code: int | None = None, evidence: str = "", axes: bool = True) -> Command:
+    """Make the command that reads a register.
 
     Args:
-        r: The register.
+        register: The register.
         code: Code of the command, whose symbol is then R- and the register's name; None: the register's number, as it can
             only be read.
         evidence: Letter of EVIDENCE; "": that of the register.
         axes: Whether the command is sent to axes.
     """
     if code is None:
-        return replace(writes(r, "data read", axes), legal=None)
-    evidence_letter = evidence or r.evidence
+        return replace(make_write_command(register, "data read", axes), legal=None)
+    evidence_letter = evidence or register.evidence
     return Command(
-        code, f"R-{r.name}", f"read {r.name}", "data read", r.bits // 8, None, evidence_letter, r.unit, axes=axes
+        code,
+        f"R-{register.name}",
+        f"read {register.name}",
+        "data read",
+        register.bits // 8,
+        None,
+        evidence_letter,
+        register.unit,
+        axes=axes,
     )
 
 
@@ -358,7 +380,7 @@ class RegisterMap:
         """Return the register with a name, in any case.
 
         Raises:
-            ArgumentError: There is none; the message has near misses.
+            ArgumentError: The map has no such register; the message proposes similar names.
         """
         return _find_in_table(self._registers, _to_upper(name), f"{self.chip} register")
 
@@ -366,7 +388,7 @@ class RegisterMap:
         """Return the word with a name.
 
         Raises:
-            ArgumentError: There is none; the message has near misses.
+            ArgumentError: The map has no such word; the message proposes similar names.
         """
         return _find_in_table(self._words, name, f"{self.chip} word")
 
@@ -374,7 +396,7 @@ class RegisterMap:
         """Return the command with a symbol, in any case.
 
         Raises:
-            ArgumentError: There is none; the message has near misses.
+            ArgumentError: The map has no such command; the message proposes similar symbols.
         """
         return _find_in_table(self._commands, _to_upper(symbol), f"{self.chip} command")
 
@@ -383,8 +405,8 @@ class RegisterMap:
         """Command of each command code."""
         return {code: c for c in self.commands for code in c.codes}
 
-    def find_sent(self, symbol: str, datum: int | None = None) -> tuple[Command | Word, int]:
-        """Find the command or word that a host sends under a name, and check its datum; see `Chip.command_cycles`.
+    def find_command_or_word(self, symbol: str, datum: int | None = None) -> tuple[Command | Word, int]:
+        """Find the command or word with a name, and check the datum that a host sends with it; see `Chip.command_cycles`.
 
         Args:
             symbol: Symbol of a command, or name of a word that a host writes, in any case.
@@ -419,45 +441,45 @@ class RegisterMap:
             raise ArgumentError(f"{self.chip} {symbol} takes {takes}, one of them at least; {datum!r} was given.")
         return what, int(datum or 0) & mask
 
-    def field(self, where: str, name: str) -> Field:
-        """Return a field.
+    def field(self, register_or_word: str, name: str) -> Field:
+        """Return a field of a register or word.
 
         Args:
-            where: Name of the register or word.
+            register_or_word: Name of the register or word.
             name: Name of the field.
 
         Raises:
-            ArgumentError: There is none; the message has near misses.
+            ArgumentError: There is no such field; the message proposes similar names.
         """
-        fields = _find_in_table(self._fields, where, f"{self.chip} register or word")
-        return _find_in_table(fields, name, f"field of {self.chip} {where}")
+        fields = _find_in_table(self._fields, register_or_word, f"{self.chip} register or word")
+        return _find_in_table(fields, name, f"field of {self.chip} {register_or_word}")
 
-    def mask(self, where: str, name: str) -> int:
+    def mask(self, register_or_word: str, name: str) -> int:
         """Return the bits of a field, in place.
 
         Args:
-            where: Name of the register or word.
+            register_or_word: Name of the register or word.
             name: Name of the field.
         """
-        return self.field(where, name).mask
+        return self.field(register_or_word, name).mask
 
-    def bit(self, where: str, name: str) -> int:
+    def bit(self, register_or_word: str, name: str) -> int:
         """Return the number of a field's lowest bit.
 
         Args:
-            where: Name of the register or word.
+            register_or_word: Name of the register or word.
             name: Name of the field.
         """
-        return self.field(where, name).low
+        return self.field(register_or_word, name).low
 
-    def masks(self, where: str, *names: str) -> tuple[int, ...]:
+    def masks(self, register_or_word: str, *names: str) -> tuple[int, ...]:
         """Return the bits of several fields of one register or word, each in place.
 
         Args:
-            where: Name of the register or word.
+            register_or_word: Name of the register or word.
             *names: Names of the fields.
         """
-        return tuple(self.mask(where, name) for name in names)
+        return tuple(self.mask(register_or_word, name) for name in names)
 
     @cached_property
     def _registers(self) -> dict[str, Register]:
@@ -503,7 +525,7 @@ class RegisterMap:
 
 
 def _to_upper(name: str) -> str:
-    """Return a name in capitals, as the tables have it. Raises ArgumentError if it is no text."""
+    """Convert a name to capitals, as in the tables. Raises ArgumentError if it is not a string."""
     if isinstance(name, str):
         return name.upper()
     from stage.errors import ArgumentError
@@ -512,7 +534,7 @@ def _to_upper(name: str) -> str:
 
 
 def _find_in_table(table: dict[str, T], name: str, kind: str) -> T:
-    """Return the entry of a table with a name, or raise ArgumentError with near misses."""
+    """Return the entry with a name from a table, or raise ArgumentError with similar names."""
     if name not in table:
         from stage.errors import unknown_name_error
 
@@ -555,7 +577,7 @@ def dump(map_: RegisterMap, values: dict[str, int] | None = None) -> str:
 
     Args:
         map_: The map.
-        values: Register or word -> value; with it the table also has the present value of each field.
+        values: Name of a register or word -> present value; the table then shows the present value of each field.
     """
     lines = [f"{map_.chip}: {map_.title}", f"source: {map_.source}", *_summarize(map_), ""]
     wide = max([18, *(len(_format_range(r)) + 1 for r in map_.registers)])
@@ -585,7 +607,7 @@ def dump(map_: RegisterMap, values: dict[str, int] | None = None) -> str:
 
 
 def _summarize(map_: RegisterMap) -> list[str]:
-    """Count registers, words and commands, and the letters of their evidence."""
+    """Summarize the map in lines: numbers of registers, words and commands, and their evidence."""
     written = sum("W" in r.access for r in map_.registers)
     counted = (
         (len(map_.registers), "register", f" ({written} writable)"),
@@ -603,17 +625,21 @@ def _join_note(title: str, note: str) -> str:
     return f"{title}: {note}" if note else title
 
 
-def _format_range(r: Register) -> str:
-    return " or ".join([f"{r.legal[0]}..{r.legal[1]}", *map(str, r.also)]) if r.legal else "any"
+def _format_range(register: Register) -> str:
+    return (
+        " or ".join([f"{register.legal[0]}..{register.legal[1]}", *map(str, register.also)])
+        if register.legal
+        else "any"
+    )
 
 
-def _format_title(r: Register) -> str:
-    return r.text + (f"; {r.reset} after reset" if r.reset else "")
+def _format_title(register: Register) -> str:
+    return register.text + (f"; {register.reset} after reset" if register.reset else "")
 
 
-def _format_field(f: Field, word: int | None) -> str:
-    now = "" if word is None else f" = {f.of(word)}"
-    return f"  b{f.bits:<7}{f.name:14}{f.evidence:3}{f.text}{now}"
+def _format_field(field: Field, word: int | None) -> str:
+    now = "" if word is None else f" = {field.extract(word)}"
+    return f"  b{field.bits:<7}{field.name:14}{field.evidence:3}{field.text}{now}"
 
 
 def _list_evidence(map_: RegisterMap) -> set[str]:

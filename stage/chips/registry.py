@@ -5,8 +5,8 @@ A package names its chips in its pyproject.toml, and then they are known whereve
     [project.entry-points."pulsestage.chips"]
     ACME1000 = "acme_chips:ACME1000"
 
-PulseStage's own are found first, and cost nothing. For any other name the metadata of the installed packages is read; a chip's
-package is imported when that chip is asked for, and no sooner.
+PulseStage's own chips are found first, without a search. For any other name the metadata of the installed packages is read. The
+package of a chip is imported when that chip is requested.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PACKAGE_NAME = "pulsestage"
 
 @dataclass(frozen=True)
 class ListedChip:
-    """Line of a list of chips.
+    """Entry of a list of all chips, such as `stage chips` prints.
 
     Attributes:
         name: Name of the chip.
@@ -46,14 +46,14 @@ class ListedChip:
 
 
 def normalize_chip_name(name: str) -> str:
-    """Return a chip's name as the registry has it: capitals, without hyphens."""
+    """Convert a chip's name to the form of the registry: capitals, without hyphens."""
     return name.upper().replace("-", "").replace("_", "")
 
 
 class Registry(MutableMapping[str, type[Chip]]):
     """Chip classes by name: PulseStage's own, and those of installed packages.
 
-    Iteration gives every name, including those that cannot be loaded; `listed` tells which these are.
+    Iteration yields every name, including chips that cannot be loaded; `list_chips` has the reason for each of these.
 
     Args:
         families: Package below `home` -> names of its classes.
@@ -103,7 +103,7 @@ class Registry(MutableMapping[str, type[Chip]]):
         self._loaded.clear()
 
     def popitem(self) -> tuple[str, type[Chip]]:
-        """Remove and return the last class that was set or loaded. Raises UnknownKey where there is none."""
+        """Remove and return the last class that was set or loaded. Raises UnknownKey if there is none."""
         try:
             return self._loaded.popitem()
         except KeyError:
@@ -120,20 +120,20 @@ class Registry(MutableMapping[str, type[Chip]]):
         """Names of PulseStage's own chips."""
         return tuple(self._families)
 
-    def listed(self) -> list[ListedChip]:
-        """List every chip, PulseStage's own first, with the reason if one cannot be loaded. Imports all packages of chips."""
+    def list_chips(self) -> list[ListedChip]:
+        """List every chip, PulseStage's own first, with the reason if it cannot be loaded. This imports all packages of chips."""
         lines = [ListedChip(name, PACKAGE_NAME, self[name]) for name in self._families]
         for name, sources in sorted(_find_sources().items()):
             packages = ", ".join(source.package for source in sources)
             try:
                 if name in self._families:
-                    raise ArgumentError(_describe_claim(name, sources))
+                    raise ArgumentError(_describe_name_conflict(name, sources))
                 lines.append(ListedChip(name, packages, self[name]))
             except StageError as error:
                 lines.append(ListedChip(name, packages, None, str(error)))
         return lines
 
-    def warn_of_claims(self, name: str) -> None:
+    def warn_of_name_conflict(self, name: str) -> None:
         """Warn once, on stderr, if a package brings a chip under one of PulseStage's own names.
 
         Args:
@@ -143,11 +143,11 @@ class Registry(MutableMapping[str, type[Chip]]):
         if name not in self._families or name in self._told:
             return
         self._told.add(name)
-        if not _is_possibly_claimed(name):
+        if not _may_have_name_conflict(name):
             return
         sources = _find_sources().get(name)
         if sources:
-            print(f"PulseStage: {_describe_claim(name, sources)}", file=sys.stderr, flush=True)
+            print(f"PulseStage: {_describe_name_conflict(name, sources)}", file=sys.stderr, flush=True)
 
     def _load(self, name: str) -> type[Chip]:
         if name in self._families:
@@ -163,8 +163,11 @@ def _find_sources() -> dict[str, list[PackagePart]]:
     return find_package_parts(GROUP, normalize_chip_name)
 
 
-def _is_possibly_claimed(name: str) -> bool:
-    """Return whether the files of installed packages may name a chip so: some ms, where `_find_sources` takes 50."""
+def _may_have_name_conflict(name: str) -> bool:
+    """Return whether an installed package may bring a chip with this name.
+
+    The function only searches the text of the entry-point files, which takes a few ms; `_find_sources` parses them in 50 ms.
+    """
     for folder in sys.path:
         for info in (*glob(join(escape(folder), "*.dist-info")), *glob(join(escape(folder), "*.egg-info"))):
             try:
@@ -177,7 +180,7 @@ def _is_possibly_claimed(name: str) -> bool:
     return False
 
 
-def _describe_claim(name: str, sources: list[PackagePart]) -> str:
+def _describe_name_conflict(name: str, sources: list[PackagePart]) -> str:
     """Describe that a package brings a chip under one of PulseStage's own names."""
     others = " and ".join(source.package for source in sources)
     advice = _advise_renaming(sources)
@@ -188,7 +191,7 @@ def _load_class(name: str, sources: list[PackagePart]) -> type[Chip]:
     """Load the class that an entry point names. Raises LoadError or ArgumentError."""
     chip = load_package_part("chip", name, sources)
     try:
-        contract.check(chip, Chip)
+        contract.check_chip_class(chip, Chip)
         if normalize_chip_name(chip.__name__) != name:
             advice = _advise_renaming(sources)
             raise ArgumentError(

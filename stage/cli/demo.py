@@ -113,7 +113,7 @@ def _home(group: list[Any], speeds: Any) -> list[Any]:
     if len(group) > 1:
         return firmware.square_gantry(*group)
     axis = group[0]
-    slowed = "sd_minus" in axis.switches.as_dict() or not axis.chip.wired("sd_minus")
+    slowed = "sd_minus" in axis.switches.as_dict() or not axis.chip.find_switch_input("sd_minus")
     return [firmware.home(axis, speed=speeds if slowed else speeds._replace(drive=DRIVE_PPS / 2))]
 
 

@@ -76,7 +76,7 @@ def draw_erratum_plot(result: ErratumResult, path: str | None, overwrite: bool) 
 
 def _read_waveform(recording: Any) -> tuple[Any, np.ndarray]:
     """Return the times, s, and the rates, pps, of the first axis of a recording."""
-    waveform = recording.journals[next(iter(recording.axes))].course()
+    waveform = recording.journals[next(iter(recording.axes))].replay_waveforms()
     return waveform, recording.began + waveform.seconds
 
 

@@ -42,7 +42,7 @@ def list_chips(args: argparse.Namespace) -> int:
     """Print the chips, and the packages that supply them."""
     from stage.chips import CHIPS
 
-    lines = CHIPS.listed()
+    lines = CHIPS.list_chips()
     facts = [
         {"name": n.name, "package": n.package, "title": n.chip and n.chip.MAP.title, "problem": n.problem}
         for n in lines

@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     from stage.sim.plant.new_model import NewAxis, new_model
     from stage.support.files import MODEL, check_ending, check_writable, write_atomically
 
-    text = new_model([NewAxis.of(item) for item in args.axes.split(",")])
+    text = new_model([NewAxis.parse(item) for item in args.axes.split(",")])
     if args.output in (None, "-"):
         tell(args, mjcf=text)
         print(text, end="")

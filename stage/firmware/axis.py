@@ -81,7 +81,7 @@ def check_origin(axis: Axis, others: Sequence[str] = ()) -> None:
         ArgumentError: The chip has an input for the origin switch, and the axis has no such switch.
     """
     switches = getattr(axis, "switches", None)
-    if switches is not None and axis.chip.wired("org") and "org" not in switches.as_dict():
+    if switches is not None and axis.chip.find_switch_input("org") and "org" not in switches.as_dict():
         instead = f" Home by {' or '.join(others)}." if others else ""
         raise ArgumentError(
             f"axis {axis.name} has no origin switch, so its run would not end: give the model {axis.name}_org "

@@ -292,7 +292,7 @@ class Driver(ABC):
 
     def list_homing_methods(self) -> tuple[str, ...]:
         """Return the HOMING_METHODS that the inputs of the axis' chip allow."""
-        return tuple(what for what in self.HOMING_METHODS if what != "index" or self.chip.wired("ez"))
+        return tuple(what for what in self.HOMING_METHODS if what != "index" or self.chip.find_switch_input("ez"))
 
     def check_homing(self, method: str, index: int = 0) -> None:
         """Check that the chip supports a homing method.

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage.chips import cores
+from stage.chips import core_interface
 from stage.errors import ArgumentError
 from stage.firmware.driver import Driver
 from stage.firmware.parameter_ranges import get_register_range
@@ -249,8 +249,8 @@ class LinePrograms(ABC):
         out: list[np.ndarray] = [np.empty(0, np.int64)] * len(self.drivers)
         for (chip, mine), fresh in zip(self._group_by_chip(), self._fresh, strict=True):
             rows = np.frombuffer(bytearray(fresh), chip.CORE.STATE)
-            replica = np.zeros(1, cores.CHIP)
-            cores.fill_chip_record(replica[0], chip.CORE, rows.ctypes.data)
+            replica = np.zeros(1, core_interface.CHIP)
+            core_interface.fill_chip_record(replica[0], chip.CORE, rows.ctypes.data)
             program_player.write_cycles(replica, ops, sum(1 << self.drivers[a].index for a in mine))
             pulses = np.empty(int(np.abs(distances[mine]).sum()), chip.CORE.PULSE)
             pulses = pulses[: chip.CORE.trace_pulses.c(rows.ctypes.data, MAX_CLOCKS, pulses.ctypes.data, len(pulses))]

@@ -185,7 +185,7 @@ class Report:
 
 def compute_rates(course: Waveforms) -> np.ndarray:
     """Return the unsigned pulse rate after each edge of waveforms, pps."""
-    return course.chip.rates(course.edges) * course.clock_hz
+    return course.chip.compute_rates(course.edges) * course.clock_hz
 
 
 class ProcedureObserver:
@@ -234,7 +234,7 @@ class ProcedureObserver:
         axis = self.axis
         residual = self.read_residual()
         self.journal.close()
-        course = self.journal.course()
+        course = self.journal.replay_waveforms()
         net, running, seconds = course.edges["net"], np.flatnonzero(course.running), course.seconds
         duration = float(seconds[min(running[-1] + 1, len(net) - 1)] - seconds[running[0]]) if len(running) else 0.0
         lost = axis.lost_steps

@@ -185,7 +185,7 @@ def replay_pulses(journal: Journal) -> np.ndarray:
 
 def _list_encoder_counts(journal: Journal) -> np.ndarray:
     """Return a record for each count that a servo's command moved, like the pulses of other chips."""
-    edges = journal.course().edges
+    edges = journal.replay_waveforms().edges
     steps = np.diff(edges["net"])
     at = np.repeat(np.arange(1, len(edges)), np.abs(steps))
     counts = np.zeros(len(at), journal.chip.CORE.PULSE)

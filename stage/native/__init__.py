@@ -1,4 +1,4 @@
-"""Compiled functions: Python functions that become one native library, built ahead.
+"""Compiled functions: Python functions that are compiled ahead of time to one native library.
 
     @hot
     def period(c): ...                         part of what calls it

@@ -1,4 +1,4 @@
-"""`python -m stage.native [PACKAGE ...]`: bring native libraries up to date; without a name, PulseStage's own."""
+"""`python -m stage.native [PACKAGE ...]`: build the native libraries of packages; without a name, PulseStage's own."""
 
 import sys
 
@@ -7,7 +7,7 @@ from stage.native.build import build_library
 
 
 def main() -> int:
-    """Build the packages named; return 1 where one cannot be built."""
+    """Build the libraries of the packages on the command line, and return 1 if one cannot be built."""
     for package in sys.argv[1:] or ["stage"]:
         try:
             print(build_library(package))

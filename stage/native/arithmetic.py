@@ -11,13 +11,16 @@ from stage.native.hot_functions import hot
 
 @hot
 def floor(x: Any) -> Any:
-    """Return the whole number at or below x, as a float: numba's math.floor makes an integer first, and no vector instruction."""
+    """Return the largest whole number that is not above x, as a float.
+
+    numba's math.floor converts to an integer first, and does not use a vector instruction.
+    """
     return float(np.floor(x))
 
 
 @hot
 def least(a: Any, b: Any) -> Any:
-    """Return the lesser of two values: numba types its own min again, and slowly, for every kind of argument."""
+    """Return the lesser of two values. numba's own min takes longer to compile, because each kind of argument is typed anew."""
     return b if b < a else a
 
 

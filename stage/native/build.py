@@ -1,9 +1,9 @@
-"""Builder of a package's native library: it finds the parts that are out of date, has their objects compiled, and links them.
+"""Builder of a package's native library: it compiles the parts that are out of date to object files, and links all parts.
 
-A part is what one family exports: a folder of the third level, with all below it. Its object depends on the code of the modules
-that define it and of what they import, transitively, but for functions that it calls by their symbols, whose signatures are enough.
-It is kept in the package's __pycache__ under a digest of them all: only parts whose code has changed are made again, and those
-whose file is damaged. A comment or a docstring is no code.
+A part consists of the functions that the modules of one folder export, such as those of a chip family. Its object file depends on
+the code of these modules and of the modules that they import, transitively; of functions that are called by their symbols only the
+signature matters. Object files are stored in the package's __pycache__ under a digest of this code, so that only parts whose code
+has changed are compiled again, or parts whose file is damaged. Comments and docstrings do not count as code.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ COMPILERS = tuple(filter(None, (os.environ.get("CC"), "cc", "clang", "gcc")))
 
 
 def build_missing(package: str, why: str) -> Path:
-    """Build the library of a package, which is missing or does not fit.
+    """Build the library of a package that is missing, or that does not match the sources or the machine.
 
     Args:
         package: Name of the package.
-        why: Reason, as `load.explain_library_misfit` gives it, for the error.
+        why: Result of `load.explain_library_misfit`, for the error.
 
     Returns:
         Path of the library.
@@ -69,12 +69,12 @@ def build_library(package: str) -> Path:
         package: Name of the package.
 
     Returns:
-        Path of the library; in a folder of this process alone where the package is read-only.
+        Path of the library; if the package is read-only, in a temporary folder of this process.
 
     Raises:
         NativeError: The library cannot be built or written.
     """
-    places = load.find_folders(package)
+    places = load.find_package_folders(package)
     folder = places[package]
     try:
         try:
@@ -99,7 +99,7 @@ def _build_library(package: str, places: dict[str, Path], folder: Path) -> Path:
         raise NativeError(
             f"libraries are built with numba {NUMBA}, and {installed} is installed: pip install numba=={NUMBA}."
         )
-    roots = places | load.find_folders("stage")
+    roots = places | load.find_package_folders("stage")
     known = {module: Path(source) for module, source in load.list_modules(roots)}
     parts = _list_parts(package, places)
     object_cache = folder / "__pycache__"
@@ -130,7 +130,9 @@ def _build_library(package: str, places: dict[str, Path], folder: Path) -> Path:
     }
     temporary = path.with_name(f"{path.name}.{os.getpid()}")
     try:
-        _link_library(objects, _manifest_object(manifest, object_cache), temporary, complete=package == "stage")
+        _link_library(
+            objects, _write_manifest_object(manifest, object_cache), temporary, all_symbols_needed=package == "stage"
+        )
         if sys.platform == "linux":  # elsewhere the linker signs
             content = temporary.read_bytes()
             digest = load.digest_content(content, load.NO_DIGEST)
@@ -143,7 +145,7 @@ def _build_library(package: str, places: dict[str, Path], folder: Path) -> Path:
 
 
 def _list_parts(package: str, places: dict[str, Path]) -> dict[str, list[str]]:
-    """Return part -> the modules in its folder and below that export functions."""
+    """Return for each part the modules that export functions, in the folder of the part and below it."""
     parts: dict[str, list[str]] = {}
     for module in load.find_exporting_modules(places):
         folder = module.rpartition(".")[0]
@@ -154,10 +156,15 @@ def _list_parts(package: str, places: dict[str, Path]) -> dict[str, list[str]]:
 
 
 def _find_dependencies(modules: list[str], known: dict[str, Path]) -> dict[str, str]:
-    """Return what the object of these modules depends on, sorted.
+    """Return the digests of all code on which the object file of some modules depends, sorted by name.
 
-    Module -> digest of its code, for them and all that they import, of `known`; "module function" -> digest of the signature, for
-    exported functions that they import and call by their symbols.
+    Args:
+        modules: Modules of a part.
+        known: Module -> file of all modules that may be imported.
+
+    Returns:
+        Module -> digest of its code, for the modules and their imports; "module function" -> digest of the signature, for functions
+        that are called by their symbols.
     """
     digests: dict[str, str] = {}
     left = [f"stage.native.{name}" for name in ("arithmetic", "object_emitter", "numba_implementations")] + list(
@@ -178,7 +185,7 @@ def _find_dependencies(modules: list[str], known: dict[str, Path]) -> dict[str, 
 
 
 def _read_code(source: Path) -> ast.Module:
-    """Return the code of a source file: no comment, no docstring, no place of a line changes it."""
+    """Parse a source file to its code, which does not depend on comments, docstrings and the positions of lines."""
     return _parse_code(source.read_text(encoding="utf-8"))
 
 
@@ -197,7 +204,10 @@ def _digest_code(code: ast.AST) -> str:
 
 
 def _find_exported_signature(tree: ast.Module, name: str) -> ast.expr | None:
-    """Return the signature of an exported function that is called by its symbol; one that takes arrays is compiled into callers."""
+    """Return the signature of an exported function that is called by its symbol; None if it is compiled into its callers.
+
+    Functions that take arrays are compiled into their callers.
+    """
     for node in tree.body:
         if isinstance(node, ast.FunctionDef) and node.name == name:
             for decorator in node.decorator_list:
@@ -207,7 +217,7 @@ def _find_exported_signature(tree: ast.Module, name: str) -> ast.expr | None:
 
 
 def _list_imports(module: str, tree: ast.Module, known: dict[str, Path]) -> Iterator[tuple[str, str]]:
-    """Yield the modules of `known` that a module imports, and the name that it imports from each, or ""."""
+    """Yield pairs of a module of `known` that a module imports, and the name that is imported from it, or ""."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from ((alias.name, "") for alias in node.names if alias.name in known)
@@ -222,7 +232,7 @@ def _list_imports(module: str, tree: ast.Module, known: dict[str, Path]) -> Iter
 
 
 def _emit_objects(parts: list[list[str]], roots: dict[str, Path], processor: str, say: _ProgressLine) -> None:
-    """Make objects, by a process for each processor."""
+    """Compile parts to object files, with one process for each processor."""
     if not parts:
         return
     environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")} | {"PULSESTAGE_EMIT": "1"}
@@ -252,8 +262,8 @@ def _emit_objects(parts: list[list[str]], roots: dict[str, Path], processor: str
         raise NativeError(f"the native library could not be built:\n{errors[0].strip()}")
 
 
-def _manifest_object(manifest: dict[str, Any], object_cache: Path) -> Path:
-    """Write an object that holds the manifest of the library, and return its path."""
+def _write_manifest_object(manifest: dict[str, Any], object_cache: Path) -> Path:
+    """Write an object file with the manifest of the library, and return its path."""
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
@@ -267,18 +277,19 @@ def _manifest_object(manifest: dict[str, Any], object_cache: Path) -> Path:
     return path
 
 
-def _link_library(objects: list[Path], manifest: Path, path: Path, complete: bool) -> None:
-    """Link objects to a shared library.
+def _link_library(objects: list[Path], manifest: Path, path: Path, all_symbols_needed: bool) -> None:
+    """Link object files to a shared library.
 
     Args:
-        objects: Objects of all parts.
-        manifest: Object of the manifest.
+        objects: Object files of all parts.
+        manifest: Object file of the manifest.
         path: Library to write.
-        complete: Whether a symbol that is missing is an error; another library of ours may have those of a package from outside.
+        all_symbols_needed: Whether a missing symbol is an error. The library of another package may lack symbols, which
+            PulseStage's library has.
     """
     names = [str(o) for o in (*objects, manifest)]
     symbols = ["-Wl,-Bsymbolic"] if sys.platform == "linux" else ["-undefined", "dynamic_lookup"]
-    if complete and sys.platform == "linux":
+    if all_symbols_needed and sys.platform == "linux":
         symbols.append("-Wl,-z,defs")
     try:
         subprocess.run(
@@ -291,7 +302,7 @@ def _link_library(objects: list[Path], manifest: Path, path: Path, complete: boo
 
 
 def find_linker() -> list[str]:
-    """Return the command that links: a C compiler of this machine, or the one that the package ziglang brings."""
+    """Return the command of a linker: a C compiler of this machine, or the one of the package ziglang."""
     for name in COMPILERS:
         if shutil.which(name):
             return [name]
@@ -302,7 +313,10 @@ def find_linker() -> list[str]:
 
 @contextmanager
 def _build_lock(folder: Path) -> Iterator[None]:
-    """Let one process at a time build in a folder; where it cannot be locked, each builds for itself and the last library stays."""
+    """Let one process at a time build in a folder, within this context.
+
+    If the folder cannot be locked, several processes build at once, and the library of the last one stays.
+    """
     handle = os.open(folder, os.O_RDONLY)
     try:
         if not os.access(folder, os.W_OK):
@@ -317,7 +331,7 @@ def _build_lock(folder: Path) -> Iterator[None]:
 
 
 class _ProgressLine:
-    """Line on standard error that shows how far a build is."""
+    """Line on standard error that shows the progress of a build."""
 
     def __init__(self, what: str, stale: int, parts: int) -> None:
         self._what, self._done, self._all, self._lock = what, 0, stale, threading.Lock()

@@ -1,4 +1,4 @@
-"""Explains why a hot function does not compile, in two lines: the line of the source, and the reason."""
+"""Explanation of errors of numba in two lines: the line of the source that does not compile, and the reason."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def explain_compile_error(function: Any, error: BaseException) -> str:
 
     Args:
         function: Python function that was compiled.
-        error: What numba raised.
+        error: Exception that numba has raised.
     """
     text = _ANSI_COLORS.sub("", str(error))
     reason: list[str] = []
@@ -38,7 +38,7 @@ def explain_compile_error(function: Any, error: BaseException) -> str:
 
 
 def _find_place(function: Any, error: BaseException, text: str) -> tuple[str, int]:
-    """Return file and line of the innermost place outside numba that did not compile; else where the function begins."""
+    """Return file and line of the innermost statement outside numba that did not compile; else the start of the function."""
     code = inspect.unwrap(function).__code__
     places = [(file, int(line)) for file, line in _PLACE.findall(text)]
     if (loc := getattr(error, "loc", None)) is not None:

@@ -1,4 +1,4 @@
-"""How this process runs compiled functions: from the library, as plain Python, or while it compiles them."""
+"""Mode in which this process runs hot functions: from the native library, as plain Python, or to compile them."""
 
 import os
 

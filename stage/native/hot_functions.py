@@ -26,7 +26,7 @@ _C_TYPES: dict[str | None, Any] = {None: None, "i4": ctypes.c_int32, "i8": ctype
 
 
 @dataclass(frozen=True)
-class Array:
+class ArrayArgument:
     """Array argument of an exported function.
 
     Attributes:
@@ -38,26 +38,26 @@ class Array:
     dimensions: int
 
 
-def array_of(dtype: Any, dimensions: int = 1) -> Array:
-    """Return an array argument of an exported function; C passes the address and the length of each dimension.
+def array_of(dtype: Any, dimensions: int = 1) -> ArrayArgument:
+    """Declare an array argument of an exported function. C passes its address and the length of each dimension.
 
     Args:
         dtype: Type of the elements.
         dimensions: Number of dimensions.
     """
-    return Array(np.dtype(dtype), dimensions)
+    return ArrayArgument(np.dtype(dtype), dimensions)
 
 
 def hot(function: Callable) -> Any:
-    """Compile `function` into the functions that call it. From Python it runs as Python: export what has to be fast there."""
+    """Compile `function` into the compiled functions that call it. Called from Python it runs as Python; see `exported`."""
     return numba_implementations.hot(function) if EMITTING else function
 
 
 def exported(result: str | None, *arguments: Any) -> Callable[[Callable], Exported]:
-    """Compile the function by itself, as a function of the library.
+    """Compile the function as a function of the native library, which Python and C can call.
 
     Args:
-        result: Type of the result, see this module; None for none.
+        result: Type of the result, see this module; None for no result.
         arguments: Types of the arguments.
     """
     return lambda function: Exported(function, result, arguments)
@@ -66,8 +66,8 @@ def exported(result: str | None, *arguments: Any) -> Callable[[Callable], Export
 class Exported:
     """Function of the native library.
 
-    A call checks its arguments. `c` takes C arguments (addresses and lengths in place of records and arrays) and checks nothing:
-    its callers must keep the memory alive.
+    A call checks its arguments. `c` takes C arguments (addresses and lengths in place of records and arrays) without checks, and
+    the caller must keep the memory alive.
     """
 
     every: ClassVar[list[Exported]] = []
@@ -86,10 +86,10 @@ class Exported:
         """Call the function from Python.
 
         Args:
-            args: Records as records or arrays of one or more, of which the first counts; arrays as arrays; numbers.
+            args: Records, numbers and arrays. A record may be the first element of an array.
 
         Raises:
-            ArgumentError: Compiled code could not take an argument without harm: another dtype, strides, no memory of its own.
+            ArgumentError: An argument has another dtype, strides, or no memory of its own, so that compiled code cannot use it.
         """
         if not COMPILED:  # Python looks by itself
             return self.function(*map(_unwrap_record, args, self.arguments))
@@ -97,7 +97,7 @@ class Exported:
             raise ArgumentError(f"{self.name}: {len(args)} arguments given, it takes {len(self.arguments)}.")
         c_arguments: list[Any] = []
         for k, (value, kind) in enumerate(zip(args, self.arguments, strict=True)):
-            if isinstance(kind, Array):
+            if isinstance(kind, ArrayArgument):
                 self._check(k, value, kind.dtype, kind.dimensions)
                 c_arguments += (value.ctypes.data, *value.shape)
             elif isinstance(kind, np.dtype):
@@ -107,12 +107,14 @@ class Exported:
                 c_arguments.append(self._check_number(k, value, kind))
         return self.c(*c_arguments)
 
-    def _check_number(self, k: int, value: Any, kind: str) -> Any:
+    def _check_number(self, argument_index: int, value: Any, kind: str) -> Any:
         if kind == "f8":
             try:
                 return float(value)
             except (TypeError, ValueError):
-                raise ArgumentError(f"{self.name}, argument {k + 1}: {value!r}; it takes a number.") from None
+                raise ArgumentError(
+                    f"{self.name}, argument {argument_index + 1}: {value!r}; it takes a number."
+                ) from None
         try:
             number = index(value)
         except TypeError:
@@ -120,23 +122,25 @@ class Exported:
         bits = 8 * int(kind[1:]) - 1
         if number is None or not -(1 << bits) <= number < 1 << bits:
             raise ArgumentError(
-                f"{self.name}, argument {k + 1}: {value!r}; it takes a whole number of {bits + 1} bits."
+                f"{self.name}, argument {argument_index + 1}: {value!r}; it takes a whole number of {bits + 1} bits."
             )
         return number
 
-    def _check(self, k: int, value: Any, dtype: np.dtype, dimensions: int) -> None:
+    def _check(self, argument_index: int, value: Any, dtype: np.dtype, dimensions: int) -> None:
         if isinstance(value, np.void) and not dimensions:
             value = np.asarray(value)  # of no dimensions, the same memory
         elif not isinstance(value, np.ndarray):
-            raise self._make_type_error(k, f"an {type(value).__name__}", dtype, dimensions)
+            raise self._make_type_error(argument_index, f"an {type(value).__name__}", dtype, dimensions)
         elif not dimensions and not value.size:
-            raise self._make_type_error(k, "an empty array", dtype, dimensions)
+            raise self._make_type_error(argument_index, "an empty array", dtype, dimensions)
         elif dimensions and value.ndim != dimensions:
-            raise self._make_type_error(k, f"an array of {value.ndim} dimensions", dtype, dimensions)
+            raise self._make_type_error(argument_index, f"an array of {value.ndim} dimensions", dtype, dimensions)
         if value.dtype is not dtype and value.dtype != dtype:
-            raise self._make_type_error(k, f"elements {_format_dtype(value.dtype)}", dtype, dimensions)
+            raise self._make_type_error(argument_index, f"elements {_format_dtype(value.dtype)}", dtype, dimensions)
         if not value.flags.c_contiguous or not value.flags.aligned or not value.flags.writeable:
-            raise self._make_type_error(k, "an array with strides, unaligned or read-only", dtype, dimensions)
+            raise self._make_type_error(
+                argument_index, "an array with strides, unaligned or read-only", dtype, dimensions
+            )
 
     def _make_type_error(self, argument_index: int, given_kind: str, dtype: np.dtype, dimensions: int) -> ArgumentError:
         wanted = f"a contiguous, writeable array of {dimensions} dimensions" if dimensions else "a record, or an array"
@@ -146,12 +150,12 @@ class Exported:
 
     @cached_property
     def c(self) -> Any:
-        """Function that takes C arguments: addresses for records, addresses and lengths for arrays. It checks nothing."""
+        """Function that takes C arguments without checks: addresses for records, addresses and lengths for arrays."""
         return self.prototype(self.address) if COMPILED else self._call_uncompiled
 
     @cached_property
     def with_gil(self) -> Any:
-        """Same as `c`, with the GIL held: for calls of a microsecond. Two threads are never in such functions at once."""
+        """Function like `c` that holds the GIL, for calls of a microsecond. Two threads never run such functions at once."""
         return (
             _make_prototype(self.result, self.arguments, ctypes.PYFUNCTYPE)(self.address)
             if COMPILED
@@ -160,12 +164,12 @@ class Exported:
 
     @cached_property
     def prototype(self) -> Any:
-        """Type of `pointer`."""
+        """Function type of ctypes, the type of `pointer`."""
         return _make_prototype(self.result, self.arguments)
 
     @cached_property
     def pointer(self) -> Any:
-        """Function of ctypes, for C."""
+        """Function pointer of ctypes, which C can call."""
         return self.c if COMPILED else self.prototype(self._call_uncompiled)
 
     @cached_property
@@ -180,7 +184,7 @@ class Exported:
         """Call the Python function with C arguments."""
         left, values = iter(words), []
         for kind in self.arguments:
-            if isinstance(kind, Array):
+            if isinstance(kind, ArrayArgument):
                 address = next(left)
                 values.append(
                     record_dtypes.array_at(address, tuple(next(left) for _ in range(kind.dimensions)), kind.dtype)
@@ -193,10 +197,10 @@ class Exported:
 
 
 def declare_address_call(result: str | None, *arguments: Any) -> Any:
-    """Return a hot function (address, (argument, ...)) -> result that calls the function at an address, with records by theirs.
+    """Make a hot function (address, (argument, ...)) -> result that calls the function at an address. Records pass by address.
 
     Args:
-        result: Type of the result, None for none.
+        result: Type of the result, None for no result.
         arguments: Types of the arguments.
     """
     if EMITTING:
@@ -212,9 +216,10 @@ def declare_address_call(result: str | None, *arguments: Any) -> Any:
 
 
 def make_compare_and_exchange(old: int | None, new: int | None) -> Any:
-    """Return a hot function (address, word) -> bool that exchanges 64 bits in one step that no other thread interrupts.
+    """Make a hot function (address, word) -> bool: an atomic compare-and-exchange of 64 bits.
 
-    It returns True if the word at the address was `old` and now is `new`. Uncompiled the GIL does this, and it always returns True.
+    It returns True if the word at the address was `old` and now is `new`. As plain Python it relies on the GIL, and always returns
+    True.
 
     Args:
         old: Word before; None stands for the argument `word`.
@@ -240,7 +245,7 @@ def _make_prototype(result: str | None, arguments: tuple, function: Any = ctypes
     words: list[Any] = []
     for a in arguments:
         words += (
-            [ctypes.c_int64] * (1 + (a.dimensions if isinstance(a, Array) else 0))
+            [ctypes.c_int64] * (1 + (a.dimensions if isinstance(a, ArrayArgument) else 0))
             if not isinstance(a, str)
             else [_C_TYPES[a]]
         )
@@ -248,7 +253,7 @@ def _make_prototype(result: str | None, arguments: tuple, function: Any = ctypes
 
 
 def _unwrap_record(value: Any, kind: Any) -> Any:
-    """Return the record that a function takes of a sequence of one."""
+    """Return the first record of an array, for an argument that is a record; other values unchanged."""
     return value[0] if isinstance(kind, np.dtype) and isinstance(value, np.ndarray | list) else value
 
 

@@ -15,8 +15,8 @@ def make_index_page(text: str, source: str, tag: str) -> str:
     """Return the text with absolute links.
 
     Args:
-        text: README.md.
-        source: Address of the repository, as https://github.com/OWNER/NAME.
+        text: Contents of README.md.
+        source: Address of the repository, such as https://github.com/OWNER/NAME.
         tag: Tag of the version.
     """
     raw = source.replace("https://github.com/", "https://raw.githubusercontent.com/")
@@ -30,7 +30,11 @@ def make_index_page(text: str, source: str, tag: str) -> str:
 
 
 def write_index_page(root: Path) -> None:
-    """Write the page from pyproject.toml and README.md of a checkout."""
+    """Write the page for a package index from pyproject.toml and README.md of a checkout.
+
+    Args:
+        root: Folder of the checkout.
+    """
     project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     text = (root / "README.md").read_text(encoding="utf-8")
     (root / PAGE).parent.mkdir(exist_ok=True)

@@ -56,11 +56,11 @@ def _load_library(package: str) -> ctypes.CDLL:
 
 
 def explain_library_misfit(package: str, path: Path) -> str:
-    """Say why a library is not that of a package as it is here; "" if it is.
+    """Explain why a library does not match the sources of a package or this machine; "" if it matches.
 
     Args:
         package: Name of the package.
-        path: Library.
+        path: Path of the library.
     """
     try:
         content = path.read_bytes()
@@ -77,14 +77,14 @@ def explain_library_misfit(package: str, path: Path) -> str:
 
 
 def _find_changed_source(package: str, path: Path, sources: dict[str, str]) -> str:
-    """Name a source that is not as the library's, or new; "" if there is none.
+    """Return the name of a module that is new, or has changed since the library was built; "" if there is none.
 
     Args:
         package: Name of the package.
-        path: Library.
-        sources: Module -> digest of its file.
+        path: Path of the library.
+        sources: Module -> digest of its file when the library was built.
     """
-    places = {root: find_folders(root) for root in {module.partition(".")[0] for module in sources}}
+    places = {root: find_package_folders(root) for root in {module.partition(".")[0] for module in sources}}
     for module, digest in sources.items():
         try:
             same = digest_file(find_source(module, places[module.partition(".")[0]])) == digest
@@ -94,15 +94,15 @@ def _find_changed_source(package: str, path: Path, sources: dict[str, str]) -> s
             return f"{path} was built with another version of PulseStage: {module} is not as it was there"
         if not same:
             return f"{path} was built from other sources: {module} has changed"
-    own_folders = places.get(package) or find_folders(package)
+    own_folders = places.get(package) or find_package_folders(package)
     # a wheel has its modules for good
-    if package != "stage" or _project_file(own_folders[package]).is_file():
+    if package != "stage" or _find_project_file(own_folders[package]).is_file():
         for module in find_exporting_modules(own_folders, sources):
             return f"{path} was built from other sources: {module} is new"
     return ""
 
 
-def _project_file(folder: Path) -> Path:
+def _find_project_file(folder: Path) -> Path:
     """Return the path of a package's project file, which exists in a checkout."""
     return folder.parent / "pyproject.toml"
 
@@ -120,7 +120,7 @@ def list_modules(places: dict[str, Path]) -> Iterator[tuple[str, str]]:
 
 
 def _list_sources(folder: str) -> Iterator[str]:
-    """Yield the files of modules in a folder and below. A checkout calls it at each start: pathlib takes ten times as long."""
+    """Yield the files of modules in a folder and below it. Each start in a checkout does this; pathlib is ten times slower."""
     with os.scandir(folder) as entries:
         for entry in entries:
             if entry.name.endswith(".py") and entry.name != "__init__.py":
@@ -156,18 +156,18 @@ def _parse_manifest(content: bytes) -> dict[str, Any] | None:
     return manifest if manifest.keys() == FIELDS else None
 
 
-def digest_content(content: bytes, written: str) -> str:
-    """Return the digest of a library in which the digest `written` stands."""
-    return hashlib.sha256(content.replace(written.encode(), NO_DIGEST.encode(), 1)).hexdigest()
+def digest_content(content: bytes, stored_digest: str) -> str:
+    """Compute the digest of a library that contains the digest `stored_digest`, which does not count."""
+    return hashlib.sha256(content.replace(stored_digest.encode(), NO_DIGEST.encode(), 1)).hexdigest()
 
 
 def read_manifest(path: Path) -> dict[str, Any] | None:
-    """Return the manifest of a library: target, needs, numba, sources; None without a library."""
+    """Read the manifest of a library, with the entries target, needs, numba and sources; None if there is no library."""
     return _parse_manifest(path.read_bytes()) if path.is_file() else None
 
 
-def digest_of_sources() -> str:
-    """Return the digest of the sources of PulseStage's library; "none" without a library, "run as Python" uncompiled."""
+def compute_source_digest() -> str:
+    """Return the digest of the sources of PulseStage's library; "none" without a library, "run as Python" in that mode."""
     from stage.native.compile_mode import COMPILED
 
     if not COMPILED:
@@ -178,20 +178,20 @@ def digest_of_sources() -> str:
 
 
 def advise_install(package: str) -> str:
-    """Say how to get the library of a package."""
+    """Return the advice how to install the library of a package, for an error."""
     if package == "stage":
         return "Install PulseStage again (pip install --force-reinstall --no-deps pulsestage; in a checkout: pip install -e .)."
     return f"Build it: pip install 'pulsestage[build]', then python -m stage.native {package}"
 
 
 def describe_target() -> str:
-    """Return system and processor, as a library names them."""
+    """Return the names of operating system and processor, as in the manifest of a library."""
     return f"{sys.platform}-{platform.machine()}"
 
 
 @cache
 def read_features() -> frozenset[str]:
-    """Return the features of the processor in Linux' words; where they are unknown, those that every library needs."""
+    """Return the features of the processor by the names of Linux; if they are unknown, the features that a library needs."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -218,10 +218,10 @@ def _find_root(package: str) -> Path:
     return Path(next(iter(spec.submodule_search_locations))).resolve()
 
 
-def find_folders(package: str) -> dict[str, Path]:
-    """Return a package, and its subpackages that lie elsewhere in a checkout -> folder."""
+def find_package_folders(package: str) -> dict[str, Path]:
+    """Return the folder of a package by its name, and the folders of subpackages that are elsewhere in a checkout."""
     root = _find_root(package)
-    folders, project = {package: root}, _project_file(root)
+    folders, project = {package: root}, _find_project_file(root)
     if project.is_file():
         import tomllib  # for a checkout only
 
@@ -233,18 +233,18 @@ def find_folders(package: str) -> dict[str, Path]:
 
 
 def find_source(module: str, places: dict[str, Path]) -> str:
-    """Return the path of a module's file, whether it exists or not.
+    """Return the path at which the file of a module is expected.
 
     Args:
         module: Full name of the module.
-        places: Folders of its package, as `find_folders` returns them.
+        places: Folders of its package, as `find_package_folders` returns them.
     """
     name = max((name for name in places if module.startswith(f"{name}.")), key=len)
     return f"{places[name]}/{module[len(name) + 1 :].replace('.', '/')}.py"
 
 
 def digest_file(source: str | Path) -> str:
-    """Return the digest of a source file. Each start of a process calls it for each module: pathlib would take half of the time.
+    """Compute the digest of a source file. Each start of a process does this for every module, so it does not use pathlib.
 
     Raises:
         OSError: The file cannot be read.

@@ -17,13 +17,13 @@ from numba.np.arrayobj import make_array, populate_array
 
 
 def hot(function: Callable) -> Any:
-    """Return numba's form of a hot function. No fastmath: the same input gives the same bits."""
+    """Compile a hot function by numba, without fastmath, so that the same input gives the same bits."""
     options: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     return numba.njit(nogil=True, error_model="numpy", **options)(function)
 
 
 def lower_array(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]) -> Any:
-    """Return LLVM's value of numba's array of this type that lies at an address; nobody owns it."""
+    """Build LLVM's value of a numba array, without an owner, whose memory begins at an address."""
     array = make_array(kind)(context, builder)
     item = context.get_data_type(kind.dtype)
     size = context.get_constant(types.intp, context.get_abi_sizeof(item))
@@ -127,7 +127,7 @@ restore_previous_float_mode: Any = intrinsic(_restore_mode)
 """See stage.native.hot_functions."""
 
 
-def _frame_address(_context: Any) -> Any:
+def _read_frame_address(_context: Any) -> Any:
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kind = ir.FunctionType(cgutils.voidptr_t, [ir.IntType(32)])
         place = cgutils.get_or_insert_function(builder.module, kind, "llvm.frameaddress.p0")
@@ -151,7 +151,7 @@ def _stack_mark(_context: Any, words: Any, value: Any) -> Any:
     return types.int64(words, value), lower
 
 
-get_frame_address: Any = intrinsic(_frame_address)
+get_frame_address: Any = intrinsic(_read_frame_address)
 stack_mark: Any = intrinsic(prefer_literal=True)(_stack_mark)
 """See stage.native.hot_functions."""
 
@@ -167,7 +167,10 @@ def get_numba_type(kind: Any) -> Any:
 
 
 def register(exported: type) -> None:
-    """Let hot functions call exported ones by their symbols; those that take arrays are compiled into their callers."""
+    """Register the type of exported functions with numba, so that hot functions can call them.
+
+    Functions are called by their symbols; those that take arrays are compiled into their callers.
+    """
 
     @typeof_impl.register(exported)
     def typeof_exported(function: Any, _context: Any) -> Any:
@@ -178,7 +181,7 @@ def register(exported: type) -> None:
 
 
 def declare_address_call(result: str | None, arguments: tuple) -> Any:
-    """Return the intrinsic of `stage.native.hot_functions.called`."""
+    """Make the intrinsic for `stage.native.hot_functions.declare_address_call`."""
     returned, wanted = get_numba_type(result), [get_numba_type(a) for a in arguments]
 
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -203,7 +206,7 @@ def declare_address_call(result: str | None, arguments: tuple) -> Any:
 
 
 def make_compare_and_exchange(old: int | None, new: int | None) -> Any:
-    """Return the intrinsic of `stage.native.hot_functions.exchange`."""
+    """Make the intrinsic for `stage.native.hot_functions.make_compare_and_exchange`."""
     word = ir.IntType(64)
 
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:

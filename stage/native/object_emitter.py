@@ -2,8 +2,8 @@
 
     PULSESTAGE_EMIT=1 python -m stage.native.object_emitter < JOB     JOB: JSON, see `main`
 
-numba by itself optimizes each function, and again in each that calls it; here what it lowers is only gathered, so that LLVM
-optimizes a part of the library once, as a whole.
+numba alone would optimize each function, and again each function that calls it. This module only collects the code that numba has
+lowered, so that LLVM optimizes each part of the library once, as a whole.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ define void @NRT_decref(i8* %p) alwaysinline { ret void }
 
 
 class _GatheredLibrary(codegen.AOTCodeLibrary):
-    """Code that numba made of a function, as text before optimization: LLVM parses it once, into the whole part."""
+    """LLVM code that numba has made of a function, as text before optimization. LLVM later parses it into the whole part."""
 
     def __init__(self, generator: Any, name: str):
         codegen.CodeLibrary.__init__(self, generator, name)
@@ -64,17 +64,17 @@ class _Codegen(codegen.AOTCPUCodegen):
     _library_class = _GatheredLibrary
 
     def set_env(self, name: str, environment: Any) -> None:
-        """Nothing runs here."""
+        """Do nothing: the compiled code does not run in this process."""
 
 
 class BarePackageFinder:
-    """Importer of a package's modules without its __init__: a library needs no chip class and no Gymnasium."""
+    """Import finder that finds packages without their __init__, because a build needs neither chip classes nor Gymnasium."""
 
     def __init__(self, places: dict[str, str]):
         self._places = {name: Path(folder) for name, folder in places.items()}
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
-        """Find a package of the tree, without its __init__."""
+        """Return the specification of a package without its __init__; None for other modules."""
         if name == "stage.native":
             return None
         for prefix, folder in self._places.items():
@@ -88,7 +88,7 @@ class BarePackageFinder:
 
 
 def make_context(processor: str) -> Any:
-    """Return numba's context, which compiles for this processor from now on."""
+    """Make the context with which numba compiles for a processor from now on."""
     context: Any = cpu_target.target_context
     context.refresh()  # numba compiles some of its own, to be run
     context._internal_codegen = _Codegen("pulsestage", cpu_name=processor)
@@ -104,7 +104,7 @@ def _gather_libraries(library: Any, libraries: dict[int, Any]) -> None:
 
 
 def _make_entry(function: Any, context: Any) -> Iterator[Any]:
-    """Yield the libraries of an exported function: its C entry, and what numba made of the function."""
+    """Yield the code of an exported function: its entry for C, and the code that numba has made of the function."""
     from stage.native.numba_implementations import get_numba_type, lower_array
 
     returned, arguments = get_numba_type(function.result), tuple(get_numba_type(a) for a in function.arguments)
@@ -178,7 +178,7 @@ def emit_object(modules: list[str], context: Any) -> bytes:
 
 
 def _refuse_missing_symbols(linked: Any, exported: set[str], modules: list[str]) -> None:
-    """Raise SystemExit if the code needs a symbol that a library may not use: a function that can raise or allocate."""
+    """Raise SystemExit if the code needs a symbol that a library must not use, of a function that can raise or allocate."""
     for symbol in (*linked.functions, *linked.global_variables):
         if (
             symbol.is_declaration
@@ -192,7 +192,7 @@ def _refuse_missing_symbols(linked: Any, exported: set[str], modules: list[str])
 
 
 def _emit_next_part(next_part: Any, parts: list[list[str]], context: Any) -> None:
-    """Make one part after another, of those that no other process has taken."""
+    """Compile one part after another, always the next one that no other process has begun."""
     while True:
         with next_part:
             number, next_part.value = next_part.value, next_part.value + 1
@@ -208,10 +208,10 @@ def _emit_next_part(next_part: Any, parts: list[list[str]], context: Any) -> Non
 
 
 def main() -> int:
-    """Make the parts of a job, JSON on standard input.
+    """Compile the parts of a job, which is JSON on standard input.
 
     A job is {"places": package -> folder, "processor": ..., "workers": ..., "parts": [[object, module, ...], ...]}. Each worker is
-    a copy of this process, with all imports done; whichever is free takes the next part.
+    a copy of this process, with all imports done. A worker that is free compiles the next part.
     """
     gc.disable()  # nearly all that is made is kept to the end: looking for the rest takes a sixth of the time
     sys.modules["scipy"] = None  # type: ignore[assignment]  # numba would look for a BLAS in it, and import most of it

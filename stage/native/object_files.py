@@ -8,11 +8,11 @@ from pathlib import Path
 
 
 def write_object(path: Path, content: bytes) -> None:
-    """Write an object and its digest, so that no power cut leaves the name without the content.
+    """Write an object file and its digest, so that a power cut cannot leave the name without the content.
 
     Args:
         path: File to write.
-        content: Object.
+        content: Content of the object file.
 
     Raises:
         OSError: The file cannot be written.

@@ -15,7 +15,7 @@ from stage.native.compile_mode import COMPILED, EMITTING
 
 
 def record(fields: list) -> np.dtype:
-    """Return a structured dtype whose elements have attributes, compiled or not; `hot` functions take arrays and elements of it.
+    """Make a structured dtype whose elements have their fields as attributes, in compiled functions and in plain Python.
 
     Args:
         fields: Fields as NumPy takes them.
@@ -25,7 +25,7 @@ def record(fields: list) -> np.dtype:
 
 
 class _FastRecordType(type):
-    """Metaclass of the classes that `_make_fast_record` makes; they are pickled as NumPy's."""
+    """Metaclass of the classes that `_make_fast_record` makes, which are pickled as NumPy's record types."""
 
 
 def _get_record_type() -> Any:
@@ -40,7 +40,7 @@ copyreg.pickle(_FastRecordType, _reduce_to_numpy)
 
 
 def _make_fast_record(dtype: np.dtype) -> type:
-    """Return np.record with attributes that C looks up: NumPy's look-up, in Python, would be most of an uncompiled run."""
+    """Make a subclass of np.record whose fields are C descriptors, because NumPy's own look-up of attributes is slow."""
     names = dtype.names or ()
     if any(
         hasattr(np.record, n) or not issubclass(dtype[n].base.type, (np.record, np.number, np.bool_)) for n in names
@@ -53,12 +53,12 @@ def _make_fast_record(dtype: np.dtype) -> type:
 
 
 def without_attributes(dtype: np.dtype) -> np.dtype:
-    """Return a dtype of the same fields whose elements have no attributes; access by name from Python is then faster."""
+    """Return a dtype with the same fields whose elements have no attributes, so that access by `element["name"]` is faster."""
     return np.dtype([(name, dtype[name]) for name in dtype.names or ()])
 
 
 def address_of(item: np.ndarray | np.void) -> int:
-    """Return the address of an array or a record; that of a record takes longer."""
+    """Return the address of the memory of an array or a record; for a record this takes longer."""
     if isinstance(item, np.ndarray):
         return int(item.ctypes.data)
     return int(item.__array_interface__["data"][0])
@@ -74,7 +74,7 @@ def _view_memory(address: int, shape: tuple[int, ...], dtype: np.dtype) -> np.nd
 
 
 def _view_array(address: Any, shape: Any, dtype: Any) -> Any:
-    """Return the array at an address; its owner has to keep the memory.
+    """Return an array over the memory at an address. The caller must keep the memory alive.
 
     Args:
         address: Address.
@@ -89,9 +89,9 @@ array_at: Any = _view_array
 
 
 def _allocate_room(rows: int, columns: int) -> np.ndarray:
-    """Return an array of float64 on the stack of the calling function, gone when that returns.
+    """Allocate an array of float64 on the stack of the calling function; it ends when that function returns.
 
-    Both numbers are constants of the module, or written out.
+    Both arguments must be literals or constants of the module.
     """
     return np.empty((rows, columns))
 

@@ -176,7 +176,7 @@ class RegisterRow:
             old, self._flash = self._flash, "flash-b" if self._flash == "flash-a" else "flash-a"
             self._value.classes(remove=old, add=self._flash)
         for control in self._fields:
-            control.show(control.field.of(value))
+            control.show(control.field.extract(value))
 
     def _show_chip_value(self) -> None:
         """Show the value that the chip holds, or nothing if it cannot be read."""
@@ -230,7 +230,7 @@ class RegisterRow:
             self._area = ui.element("div").classes("fields")
         with self._area:
             self._fields = [
-                FieldControl(f, f.of(self._chip_value or 0), f"field-{self._mark}-{f.name}", self._write_field)
+                FieldControl(f, f.extract(self._chip_value or 0), f"field-{self._mark}-{f.name}", self._write_field)
                 for f in self.place.fields
                 if not is_fixed(f)
             ]
@@ -239,7 +239,7 @@ class RegisterRow:
     async def _write_field(self, field: Field, value: int) -> None:
         word = self._chip_value
         if word is not None:
-            if field.of(word) != value:
+            if field.extract(word) != value:
                 await self._send(replace_field(word, field, value))
             return
         try:  # composed here: the other fields are what their controls say
@@ -274,7 +274,7 @@ class LampRow:
         self._chip_value = value
         self._head.text = f"{self._word.name} {format_value(self._word, value)}"
         for field, lamp in self._lamps:
-            _show_lamp(lamp, field, field.of(value))
+            _show_lamp(lamp, field, field.extract(value))
 
 
 def _show_lamp(lamp: ui.label, field: Field, value: int) -> None:

@@ -131,8 +131,8 @@ def describe_value(register: Register | Word, value: int) -> str:
     word = value & (1 << register.bits) - 1
     if not register.fields:
         return f"{word:X}h" if abs(value) > 9 else ""
-    fields = [(f, f.of(word)) for f in register.fields if not is_fixed(f) and f.of(word) != f.silent]
-    texts = [f.says(value) or (f"{f.name} = {value}" if value else "") for f, value in fields]
+    fields = [(f, f.extract(word)) for f in register.fields if not is_fixed(f) and f.extract(word) != f.silent]
+    texts = [f.describe_value(value) or (f"{f.name} = {value}" if value else "") for f, value in fields]
     return ", ".join(text for text in texts if text)
 
 
@@ -193,8 +193,8 @@ def describe_lamp(field: Field, value: int) -> tuple[str, bool]:
     """Return the text of the lamp of a field with this value, and whether the lamp is on."""
     on = value != (0 if field.silent is None else field.silent)
     if field.high != field.low:
-        return f"{field.says(value) or f'{field.name} {value}'}", on
-    return field.says(value) or field.meaning or field.name, on
+        return f"{field.describe_value(value) or f'{field.name} {value}'}", on
+    return field.describe_value(value) or field.meaning or field.name, on
 
 
 def find_weakest_evidence(fields: tuple[Field, ...]) -> str:

@@ -220,7 +220,7 @@ def _write_port_calls(place: Any, cycle: ProgramCycle) -> list[str]:
 
 def _describe_cycles(panel: Panel, saved: SavedPanel) -> list[str]:
     """Return a description of each cycle of the program, like that of the bus trace; "" for a read."""
-    listeners = [type(chip)(**chip.options()).listener() for chip in panel.session.stage.chips]
+    listeners = [type(chip)(**chip.options()).make_describer() for chip in panel.session.stage.chips]
     return [
         "" if s.value is None else listeners[s.chip].write(s.address, s.value).replace("*/", "* /") for s in saved.sent
     ]

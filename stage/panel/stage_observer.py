@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from stage.chips.chip import Chip
-from stage.chips.describe import Listener
+from stage.chips.describe import CycleDescriber
 from stage.chips.diagnostics import Diagnostic
 from stage.chips.journal_entries import LOST, READ, RESET, WRITE, Entry
 from stage.panel.session import Session
@@ -88,7 +88,7 @@ class BusTrace:
         self.sent: list[Entry] | None = None
         self.digits = (chip.DATA_MASK.bit_length() + 3) // 4
         self._journal = chip.journal()
-        self._listener: Listener = chip.listener()
+        self._listener: CycleDescriber = chip.make_describer()
         self._number, self._clock = 0, chip.clock
         self._last_diagnostic: Diagnostic | None = None
         self._add_diagnostics()
@@ -130,14 +130,14 @@ class BusTrace:
         self._clock = self.chip.clock
         while self.sent and self.sent[-1].clock > self.chip.clock:
             self.sent.pop()
-        self._listener = self.chip.listener()
+        self._listener = self.chip.make_describer()
         self._last_diagnostic = self.chip.diagnostics[-1] if self.chip.diagnostics else None
         self._add(self.chip.clock, "reset", 0, 0, "the time went back")
 
     def _add_entry(self, e: Entry) -> None:
         is_lost = e.kind == LOST and self._losses
         if e.kind == RESET:
-            self._listener = self.chip.listener()
+            self._listener = self.chip.make_describer()
             words = "the reset pin"
         elif is_lost:
             words = "did not arrive"
@@ -289,7 +289,7 @@ def build_chip_view(chip: Chip, axis: int) -> ChipView:
     """Return the values of one axis of a chip."""
     inputs, outputs = chip.input_word(axis), chip.output_word(axis)
     return ChipView(
-        chip.values_of(axis),
+        chip.axis_values(axis),
         {name: bool(inputs & bit) for name, bit in chip.INPUTS.items()},
         {name: bool(outputs & bit) for name, bit in chip.OUTPUTS.items()},
     )

@@ -279,7 +279,7 @@ class StageThread:
         """Let the stage and its chips use a lock, or none (None)."""
         self.stage.loop.lock = lock
         for chip in self.stage.chips:
-            chip.share(lock)
+            chip.set_lock(lock)
 
     def _reserve(self) -> None:
         """Reserve the lock for the worker if it drives, and refuse all other threads if there is also no program."""
@@ -427,7 +427,7 @@ class StageThread:
             self._restart_clock()
 
     def _pace(self, until: int) -> int:
-        """Wait until simulated time may go on towards `until`, ns; return the time, ns, to which it may go now. See `Loop.pace`."""
+        """Wait until simulated time may pass towards `until`, ns, and return how far it may go now, ns. See `StageLoop.pace`."""
         if until - self._words.item(0) < MAX_BUS_CYCLE_NS or self._unpaced:
             return until
         if 0 <= until - self._polled_at < min(MAX_UNPACED_NS, self._clock.slice_s * 1e9):

@@ -58,7 +58,7 @@ def list_pin_edges(journal: Journal | Replay) -> np.ndarray:
     """
     parts: list[np.ndarray] = []
     before = None
-    for piece in settle_edges(journal.pieces()):
+    for piece in settle_edges(journal.replay_in_pieces()):
         pins = np.stack([piece["inputs"], piece["outputs"]], axis=1)
         same = np.all(pins[1:] == pins[:-1], axis=1)
         parts.append(piece[~np.concatenate([[before is not None and bool(np.all(pins[0] == before))], same])])
@@ -91,7 +91,7 @@ def is_asserted(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
     Returns:
         Booleans, (n,).
     """
-    bit = chip.wired(pin)
+    bit = chip.find_switch_input(pin)
     return (edges["inputs"] & bit if bit else edges["outputs"] & chip.OUTPUTS[pin]) != 0
 
 
@@ -108,7 +108,9 @@ def is_switch_on(axis: Any, edges: np.ndarray, switch: str) -> np.ndarray:
     Returns:
         Booleans, (n,).
     """
-    is_positive = any(axis.chip.wired(s) == axis.chip.wired(switch) for s in getattr(axis, "wiring", ()))
+    is_positive = any(
+        axis.chip.find_switch_input(s) == axis.chip.find_switch_input(switch) for s in getattr(axis, "wiring", ())
+    )
     return is_asserted(axis.chip, edges, switch) != is_positive
 
 
@@ -139,10 +141,10 @@ def list_switches(axis: Any) -> Iterator[tuple[str, str, str]]:
     Switches that share a pin are one entry, with the name of the pin.
     """
     chip = axis.chip
-    wired = [p for p in SWITCHES if chip.wired(p) and p in axis.switches.as_dict()]
+    wired = [p for p in SWITCHES if chip.find_switch_input(p) and p in axis.switches.as_dict()]
     for switch in wired:
         label, kind = SWITCHES[switch]
-        on_one_pin = [p for p in wired if chip.wired(p) == chip.wired(switch)]
+        on_one_pin = [p for p in wired if chip.find_switch_input(p) == chip.find_switch_input(switch)]
         if len(on_one_pin) == 1:
             yield switch, label, kind
         elif switch == on_one_pin[0]:
@@ -172,7 +174,7 @@ def decode_status(chip: Any, edges: np.ndarray, is_minus: np.ndarray) -> dict[st
 def _read_status_bit(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
     """Return a pin as the status byte shows it: with the polarity that the chip is set to, inverted if its name begins with "/"."""
     name = pin.removeprefix("/")
-    bit = chip.wired(name)
+    bit = chip.find_switch_input(name)
     has_reading = bit and "seen" in (edges.dtype.names or ())
     level = edges["seen"] & bit != 0 if has_reading else is_asserted(chip, edges, name)
     return level != pin.startswith("/")
@@ -193,7 +195,7 @@ def list_directions(chip: Any, journal: Journal) -> tuple[np.ndarray, np.ndarray
         return np.array([int(start["clock"])]), np.array([False])
     clocks, minus = [int(start["clock"])], [bool(start["minus"])]
     for e in journal.entries:
-        is_minus = False if e.kind == RESET else chip.read_direction(e.a, e.b) if e.kind == WRITE else None
+        is_minus = False if e.kind == RESET else chip.find_selected_direction(e.a, e.b) if e.kind == WRITE else None
         if is_minus is not None:
             clocks.append(e.clock)
             minus.append(is_minus)

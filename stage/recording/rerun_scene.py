@@ -248,13 +248,15 @@ def _list_lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarr
     mujoco.mj_kinematics(model, data)
     for pin, (_, kind) in pin_signals.SWITCHES.items():
         sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, f"{name}_{pin}")
-        if sensor < 0 or not axis.chip.wired(pin):
+        if sensor < 0 or not axis.chip.find_switch_input(pin):
             continue
         pair = (int(model.sensor_refid[sensor]), int(model.sensor_objid[sensor]))
         geom = next((g for g in pair if model.geom_bodyid[g] != carriage), pair[0])
         body = int(model.geom_bodyid[geom])
         above = rotate_vector(data.xquat[body] * [1, -1, -1, -1], [0, 0, LAMP_HEIGHT * model.stat.extent])
         path = f"{make_body_entity_path(model, body)}/lamp_{escape_name(name)}_{pin}"
-        wired, others = axis.chip.wired(pin), axis.switches.as_dict()
-        rivals = tuple(p for p in pin_signals.SWITCHES if p != pin and p in others and axis.chip.wired(p) == wired)
+        wired, others = axis.chip.find_switch_input(pin), axis.switches.as_dict()
+        rivals = tuple(
+            p for p in pin_signals.SWITCHES if p != pin and p in others and axis.chip.find_switch_input(p) == wired
+        )
         yield path, model.geom_pos[geom] + above, pin, kind, rivals

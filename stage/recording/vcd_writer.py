@@ -98,14 +98,14 @@ def _register_pins(recording: Recording, axis: str, writer: Any) -> Iterator[Cha
         return _compute_levels(chip, edges, minus[np.searchsorted(clocks, edges["clock"], side="right") - 1])
 
     variables, now = {}, {}
-    for name, (kind, size, v) in levels(next(journal.pieces(size=256))[:1]).items():
+    for name, (kind, size, v) in levels(next(journal.replay_in_pieces(size=256))[:1]).items():
         *scope, short = (make_scope_name(axis), *map(escape_name, name.split(".")))
         now[name] = v[0].item()
         variables[name] = writer.register_var(tuple(scope), short, kind, size=size, init=now[name])
 
     def changes() -> Iterator[Change]:
         """Yield the changes of all signals in the order of time."""
-        for edges in pin_signals.settle_edges(journal.pieces(every_pulse=True, size=MAX_EDGES_AT_ONCE)):
+        for edges in pin_signals.settle_edges(journal.replay_in_pieces(every_pulse=True, size=MAX_EDGES_AT_ONCE)):
             ns = to_nanoseconds(edges["clock"], chip.clock_hz)
             which, at, what = [], [], []
             for name, (_, _, v) in levels(edges).items():

@@ -220,7 +220,7 @@ class FrameExecutor:
         axis_name, name, of_switches = _split_place(_parse_text("PIN", body))
         axis = self._find_axis(axis_name)
         if of_switches:
-            axis.switches.row(name)  # raises for an unknown one
+            axis.switches.find_index(name)  # raises for an unknown one
             return client.ANSWER.pack(getattr(axis.switches, name))
         pins: dict[str, bool] = {**getattr(axis.chip, "pins", axis.pins).as_dict(), **axis.pins.as_dict()}
         if name not in pins:

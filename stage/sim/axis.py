@@ -33,15 +33,15 @@ if TYPE_CHECKING:
 
 
 class Switches:
-    """Limit switches of an axis by name; True = asserted. `stick` forces one, for fault tests."""
+    """Limit switches of an axis by name; True = asserted. `stick` forces the level of one, for fault tests."""
 
     _axis: Axis
 
     def __init__(self, axis: Axis):
         object.__setattr__(self, "_axis", axis)
 
-    def row(self, name: str) -> int:
-        """Return the index of a switch in the tables of the stage's state.
+    def find_index(self, name: str) -> int:
+        """Return the index of a switch in the tables of switches of the stage's state.
 
         Args:
             name: Pin of the switch.
@@ -60,7 +60,7 @@ class Switches:
             raise AttributeError(name)
         stage = self._axis.stage
         stage.ensure_powered()
-        return bool(stage.state.switches[self.row(name)].on)
+        return bool(stage.state.switches[self.find_index(name)].on)
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise StageError(f"a switch follows its vane; to force {name!r} use switches.stick({name!r}, True or False).")
@@ -70,7 +70,7 @@ class Switches:
 
         Args:
             name: Pin of the switch.
-            asserted: True, False, or None to let it work again.
+            asserted: Level of the switch; None lets the switch work again.
 
         Raises:
             ArgumentError: The switch is not fitted, or `asserted` is something else.
@@ -82,7 +82,7 @@ class Switches:
         stage = self._axis.stage
         with exclusively(stage):
             stage.prepare_change()
-            stage.state.switch_table[self.row(name)].forced = -1 if asserted is None else int(asserted)
+            stage.state.switch_table[self.find_index(name)].forced = -1 if asserted is None else int(asserted)
             stage.update_switches(self._axis)
 
     def __dir__(self) -> list[str]:
@@ -100,11 +100,11 @@ class Switches:
 class AxisFaults:
     """Values of an axis that faults have changed. Snapshots and `reset` leave them alone; copies of a stage have them, too.
 
-    A new fault of an axis adds a field here, and to `Stage.apply_faults` what it means for the records of compiled code.
+    A new kind of fault adds a field to this class, and code to `Stage.apply_faults` that applies it to the compiled code's records.
 
     Attributes:
-        bus_voltage: Supply voltage of its drive, V.
-        switches: SWITCH_FAULTS of each of its switches: a view of their rows in the table of the stage's state.
+        bus_voltage: Supply voltage of the axis' drive, V.
+        switches: Fields SWITCH_FAULTS of each of the axis' switches, a view of their rows in SWITCH_TABLE.
         open_phases: Phases of the motor whose wire is broken, bits of stage.drives.stepper.A and B.
     """
 
@@ -117,30 +117,30 @@ class AxisFaults:
         return replace(self, switches=self.switches.tolist())
 
     def load(self, copy: AxisFaults) -> None:
-        """Load the values of a copy, of the same axis of an equal stage."""
+        """Load the values of a copy that was made of the same axis of an equal stage."""
         switches = self.switches
         switches[:] = copy.switches
         vars(self).update(vars(copy), switches=switches)
 
 
 class Axis(DeclaredAttributes):
-    """One axis: chip, drive, motor, joint, switches.
+    """One axis of a stage: chip, drive, motor, joint, switches.
 
     Attributes:
         name: Name of the axis.
-        chip: Its chip; `chip_axis` is the number of its axis there.
-        drive: Its drive, a Drive or a Servo.
-        index: Its column in recordings.
-        joint: Id of its joint in the model.
+        chip: Chip that drives the axis; `chip_axis` is the index of the axis on this chip.
+        drive: Drive of the axis, a `Drive` or a `Servo`.
+        index: Index of the axis on the stage, its column in recordings.
+        joint: Id of the joint in the model.
         gear: Rotor radians per joint unit.
         meters_per_pulse: Joint units per pulse (rad on a hinge).
         unit: "m", or "rad" on a hinge.
         tandem: Names of the axes that drive the same load: a host moves and homes them together, see `firmware.square_gantry`.
-        wiring: Its sensors that are not of the logic of its chip after a reset, {"org": "positive"}.
-        stage: The Stage that it belongs to.
-        plant: Its parts of the model, a `stage.sim.plant.PlantAxis`.
-        faults: What faults have changed, an `AxisFaults`; after a change call `Stage.apply_faults`.
-        armature: Armature of the joint, with the rotor of `drive` as the stage was built, see `fit_model`.
+        wiring: Sensors whose logic differs from what the chip expects after a reset, such as {"org": "positive"}.
+        stage: The Stage to which the axis belongs.
+        plant: Parts of the model that make the axis, a `stage.sim.plant.PlantAxis`.
+        faults: Values that faults have changed, an `AxisFaults`; after a change call `Stage.apply_faults`.
+        armature: Armature of the joint, including the rotor of the drive with which the stage was built.
         rotor: Inertia of that rotor, kg m^2.
     """
 
@@ -174,12 +174,12 @@ class Axis(DeclaredAttributes):
 
     @property
     def lock(self) -> SessionLock | None:
-        """Lock of its stage, see `Stage.lock`."""
+        """Lock of the stage, see `Stage.lock`."""
         return self.chip.lock
 
     @property
     def pins(self) -> Pins:
-        """Pins of its axis of the chip."""
+        """Pins of the chip that belong to this axis."""
         return self.chip.axes[self.chip_axis].pins
 
     @property
@@ -201,12 +201,12 @@ class Axis(DeclaredAttributes):
     def pulse(self, count: int, rate: float = 1000.0, high: float = 5e-6) -> None:
         """Make steps at a constant rate by the STEP line, in the direction of DIR, and return at the end of the last period.
 
-        Compiled code makes the edges, so that a step costs less than 1 us. Edges of several axes at once: see
-        `stage.sim.pin_edge_player.play_pin_edges`.
+        Compiled code makes the edges, so that a step costs less than 1 us. `stage.sim.pin_edge_player.play_pin_edges` makes edges
+        on several axes at once.
 
         Args:
             count: Number of steps, 0 or more.
-            rate: Steps per second; the stage's clock has whole ns.
+            rate: Steps per second; each edge is rounded to a whole nanosecond.
             high: Time for which STEP is high, s; less than a period.
 
         Raises:
@@ -246,32 +246,32 @@ class Axis(DeclaredAttributes):
 
     @property
     def commanded(self) -> float:
-        """Position by the pulses, m; it differs from `position` by following error and lost steps."""
+        """Position commanded by the pulses, m (rad on a hinge); it differs from `position` by following error and lost steps."""
         q = self.position
         d, net = self.read_drive()
         return float(q + any_drive.compute_lag(d, net, q * self.gear) / self.gear)
 
     @property
     def lost_steps(self) -> int:
-        """Full steps by which the rotor lags the pulses, a multiple of four; from the rotor's angle. 0 for a servo."""
+        """Full steps by which the rotor lags the pulses, a multiple of four, computed from the rotor's angle. 0 for a servo."""
         d, net = self.read_drive()
         return int(any_drive.count_lost_steps(d, net, self.position * self.gear))
 
     @property
     def load_angle(self) -> float:
-        """Commanded minus rotor angle, electrical radians; plain radians for a servo."""
+        """Commanded angle minus rotor angle, in electrical radians; for a servo in mechanical radians."""
         d, net = self.read_drive()
         return float(any_drive.compute_load_angle(d, net, self.position * self.gear))
 
     def read_drive(self) -> tuple[Any, float]:
-        """Return its drive's record (stage.drives.stepper.DRIVE, with the currents), and the net pulses that the drive has had."""
+        """Return the drive's record (stage.drives.stepper.DRIVE, with the currents), and the net pulses that it has received."""
         chip = self.chip
         return self.stage.state.drives[self.index], float(
             chip.CORE.read_net_count.with_gil(chip.pointer, self.chip_axis)
         )
 
     def __reduce__(self) -> tuple:
-        """Copy the axis as that of a copy of its stage: by itself it would be a chip that nothing drives."""
+        """Copy or pickle the axis as an axis of a copy of its stage, because an axis does nothing without its stage."""
         return _find_axis, (self.stage, self.name)
 
     def __repr__(self) -> str:
@@ -312,22 +312,22 @@ class Axes(Mapping[str, Axis]):
         return name in self._axes
 
     def keys(self) -> KeysView[str]:
-        """Return the names, as of a dict."""
+        """Return a view of the names, like `dict.keys`."""
         return self._axes.keys()
 
     def values(self) -> ValuesView[Axis]:
-        """Return the axes, as of a dict."""
+        """Return a view of the axes, like `dict.values`."""
         return self._axes.values()
 
     def items(self) -> ItemsView[str, Axis]:
-        """Return names and axes, as of a dict."""
+        """Return a view of pairs of name and axis, like `dict.items`."""
         return self._axes.items()
 
     def __reversed__(self) -> Iterator[str]:
         return reversed(self._axes)
 
     def _ipython_key_completions_(self) -> list[str]:
-        """Return what Tab offers after `stage.axes[`."""
+        """Return the names that IPython offers to complete `stage.axes[`."""
         return list(self._axes)
 
     def __repr__(self) -> str:
@@ -338,7 +338,7 @@ class Axes(Mapping[str, Axis]):
 
 
 def format_axes_table(axes: Iterable[Axis]) -> str:
-    """Format axes as a table of HTML, a line each."""
+    """Format axes as an HTML table with a row for each."""
     rows = []
     for a in axes:
         place, on = (

@@ -1,7 +1,7 @@
 """`DeviceState`: arrays of the devices on a stage's bus, part of the stage's state outside MuJoCo's.
 
-MuJoCo's userdata gets its size when the model is compiled, and devices come later. Snapshots, and the process of isolated
-firmware, carry these arrays behind MuJoCo's state.
+MuJoCo's userdata gets its size when the model is compiled, and devices are added later. Snapshots, and the process of isolated
+firmware, store these arrays behind MuJoCo's state.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ HEADER_PART = "devices on its bus"
 
 
 class DeviceState:
-    """Arrays of the devices of one stage.
+    """State of the devices on the bus of one stage: the arrays of all devices.
 
     Attributes:
         words: Number of words of 8 bytes that all arrays take; each array begins at a new word.
@@ -28,7 +28,7 @@ class DeviceState:
         self._names: list[str] = []
         self.words = 0
 
-    def add(self, name: str, arrays: Sequence[np.ndarray]) -> None:
+    def add_device(self, name: str, arrays: Sequence[np.ndarray]) -> None:
         """Add the arrays of a device.
 
         Args:
@@ -47,7 +47,7 @@ class DeviceState:
 
     @property
     def header_part(self) -> tuple[tuple[str, str], ...]:
-        """Part of a snapshot's header that describes the arrays; () without any."""
+        """Part of a snapshot's header that describes the arrays; () if there are none."""
         return ((HEADER_PART, "; ".join(self._names)),) if self._names else ()
 
     def copy_to(self, words: np.ndarray) -> None:

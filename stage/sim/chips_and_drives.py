@@ -1,4 +1,4 @@
-"""Choice of a chip's axis and a drive for each axis of the stage, from what a user gives as `chips=` and `drives=`."""
+"""Choice of a chip's axis and a drive for each axis of the stage, from the arguments `chips=` and `drives=` of `Stage`."""
 
 from __future__ import annotations
 
@@ -24,13 +24,16 @@ DriveChoice = Drive | Servo | Motor | DCMotor | PowerStage | str | Mapping[str, 
 def choose_chips_and_drives(
     spec: Any, chips: ChipChoice | None, drives: DriveChoice, clock: int | None = None
 ) -> tuple[list[str], list[ChipAxis], list[Drive | Servo]]:
-    """Return the names of the axes, their chips' axes and their drives, as `Stage` takes chips, drives and clock.
+    """Choose a chip's axis and a drive for each axis of a stage, from the arguments of `Stage`.
 
     Args:
-        spec: Of `plant.open_spec`; it gets the actuators that the drives need.
-        chips: Argument of `Stage`.
-        drives: Argument of `Stage`.
-        clock: Argument of `Stage`.
+        spec: Model, as `plant.open_spec` returns it. It gets the actuators that the drives need.
+        chips: Argument `chips` of `Stage`.
+        drives: Argument `drives` of `Stage`.
+        clock: Argument `clock` of `Stage`, Hz.
+
+    Returns:
+        Names of the axes; for each axis, the axis of a chip and the drive.
 
     Raises:
         ArgumentError: An axis, a chip or a motor does not exist or does not fit.
@@ -64,11 +67,11 @@ def fit_rotors(
 ) -> None:
     """Fit the rotor of each drive's motor: its inertia into the joint's armature, its core loss as damping of the actuator.
 
-    The inertia takes the place of that of the motor which the model names, or which a former stage has fitted to this MjModel. An
+    The inertia replaces the inertia of the motor that the model names, or that an earlier stage has fitted to this MjModel. An
     actuator that has a damping of its own in the model keeps it.
 
     Raises:
-        ModelError: An actuator of an MjModel that its chip cannot drive; an armature smaller than the rotor inside it.
+        ModelError: A chip cannot drive the actuator of an MjModel, or an armature is smaller than the rotor that it includes.
     """
     before = model.dof_armature.copy(), model.actuator_damping.copy()
     for p, axis, d in zip(axes, chip_axes, drives, strict=True):
@@ -98,10 +101,10 @@ def fit_rotors(
 
 
 def _check_losses(model: Any, plant_axis: plant.PlantAxis, drive: Drive | Servo) -> None:
-    """Check friction and damping against the motor: most times a value that it cannot overcome is a number in other units.
+    """Check that a motor can overcome the friction and the damping of its joint; a value that is too large is often in other units.
 
     Raises:
-        ModelError: The motor cannot overcome them.
+        ModelError: The motor cannot overcome the friction or the damping.
     """
     torque = drive.motor.holding_torque if isinstance(drive, Drive) else drive.peak_torque
     force, unit = torque * abs(plant_axis.gear), "N m" if plant_axis.hinge else "N"
@@ -130,7 +133,7 @@ def _check_losses(model: Any, plant_axis: plant.PlantAxis, drive: Drive | Servo)
 
 
 def _format_one_digit(value: float) -> str:
-    """Format a value with one digit, as a number to write down."""
+    """Format a value with one significant digit, as a suggestion for a model."""
     return f"{float(f'{value:.0e}'):g}"
 
 
@@ -145,7 +148,7 @@ def find_chip_class(name: str) -> type[Chip]:
     """Return the chip class of a name, in any case.
 
     Raises:
-        ArgumentError: There is none; of the name of a power stage the message says where that belongs.
+        ArgumentError: There is no such chip. If the name is that of a power stage, the message names the argument for it.
         LoadError: The package of the chip cannot be imported.
     """
     if name not in CHIPS and is_power_stage(name):
@@ -156,15 +159,15 @@ def find_chip_class(name: str) -> type[Chip]:
     return chip_class(name)
 
 
-def _make_chip_axes(chips: Any, names: list[str], clock: int | None) -> list[ChipAxis]:
-    """Make a chip's axis for each axis named; axes with the same class or function share its chips."""
+def _make_chip_axes(chips: Any, names: list[str], clock_hz: int | None) -> list[ChipAxis]:
+    """Make a chip's axis for each named axis of the stage. Axes with the same chip class or function share chips."""
     free: dict[int, list[ChipAxis]] = {}
     chip_axes: list[ChipAxis] = []
     for name in names:
         choice = chips[name] if isinstance(chips, Mapping) else chips
         left = free.setdefault(id(choice), [])
         if not left:
-            chip = _make_chip(choice, clock) if callable(choice) else choice
+            chip = _make_chip(choice, clock_hz) if callable(choice) else choice
             if not isinstance(chip, Chip):
                 raise ArgumentError(
                     f"chips for axis {name}: {choice!r} is no chip class, nor a name of one: {', '.join(CHIPS)}."
@@ -176,8 +179,8 @@ def _make_chip_axes(chips: Any, names: list[str], clock: int | None) -> list[Chi
     return chip_axes
 
 
-def _make_chip(choice: Any, clock: int | None) -> Any:
-    return choice() if clock is None or not isinstance(choice, type) else choice(clock_hz=clock)
+def _make_chip(choice: Any, clock_hz: int | None) -> Any:
+    return choice() if clock_hz is None or not isinstance(choice, type) else choice(clock_hz=clock_hz)
 
 
 def _find_any_motor(name: str) -> Motor | DCMotor:
@@ -185,7 +188,7 @@ def _find_any_motor(name: str) -> Motor | DCMotor:
 
 
 def _make_drive(choice: Any, motor: str) -> Drive:
-    """Make the drive of a stepper's axis from a motor or a power stage, or their names; `motor` is that of the model."""
+    """Make the drive of a stepper's axis from a motor or a power stage, or their names; `motor` names the model's motor."""
     if choice is None:
         return Drive(find_motor(motor))
     if isinstance(choice, PowerStage) or (choice not in MOTORS and is_power_stage(choice)):
@@ -196,7 +199,7 @@ def _make_drive(choice: Any, motor: str) -> Drive:
 
 
 def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Servo:
-    """Choose the drive of an axis for its chip, as requested or as the model names it; the spec gets the actuator that it needs."""
+    """Choose the drive of an axis as requested, or with the motor that the model names. The spec gets the actuator for it."""
     choice, named = drives.get(axis) if isinstance(drives, Mapping) else drives, plant.find_motor_names(spec).get(axis)
     servo = chip.SERVO
     wrong, presets = ((Drive, Motor), MOTORS) if servo else ((Servo, DCMotor), DC_MOTORS)

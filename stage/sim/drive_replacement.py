@@ -14,7 +14,7 @@ from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError
 from stage.sim import mujoco_callbacks
-from stage.sim.integration_checks import check_dampers, check_step
+from stage.sim.integration_checks import check_dampers, check_step_length
 from stage.sim.plant import view_fitted_values
 from stage.sim.stage_state import SAVED, State
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 def replace_motor_in_model(
     model: Any, here: mujoco.MjData, axes: Sequence[Axis], axis: Axis, drive: Drive | Servo
 ) -> None:
-    """Fit the rotor and the core loss of a drive's motor to the joint of an axis in place of its own.
+    """Fit the rotor and the core loss of a drive's motor to the joint of an axis, in place of those of the present motor.
 
-    A <dcmotor> gets its constants.
+    An actuator <dcmotor> gets the constants of the motor.
 
     Args:
         model: Model of the stage.
-        here: Positions of all axes.
+        here: Present state, for the positions of all axes.
         axes: All axes of the stage.
         axis: Axis to change.
         drive: Its new drive.
@@ -59,15 +59,15 @@ def replace_motor_in_model(
     mujoco_callbacks.forward_guarded(trial, data)
     plants, drives = [a.plant for a in axes], [drive if a is axis else a.drive for a in axes]
     check_dampers(trial, plants, drives)
-    check_step(trial, data, plants, drives)
+    check_step_length(trial, data, plants, drives)
     _set_model_values(model, axis, drive, armature)
 
 
 def vary_drive(axis: Axis, drive: Drive | Servo) -> None:
-    """Give an axis another specimen of its motor and supply, with other losses, windings and voltage.
+    """Change losses, windings and supply voltage of an axis, as of another specimen of the same motor and supply.
 
-    The rotor inertia stays, so snapshots that were taken before remain valid. MuJoCo computes its constants again only if damping
-    appears or vanishes.
+    The rotor inertia stays, so snapshots that were taken before remain valid. MuJoCo computes its constants again only if a damping
+    becomes zero or nonzero.
 
     Args:
         axis: Axis of a stage.
@@ -101,38 +101,38 @@ def _set_windings(model: Any, axis: Axis, drive: Drive | Servo) -> None:
         model.actuator_gainprm[axis.plant.actuator, :2] = drive.motor.resistance, drive.motor.torque_constant
 
 
-def set_drive_record(state: State, axis: Axis, drive: Drive | Servo, record: Any) -> None:
-    """Write the constants of a drive into a DRIVE record. Its angle stays and its currents follow: no jump, no lost step.
+def set_drive_record(state: State, axis: Axis, drive: Drive | Servo, drive_record: Any) -> None:
+    """Write the constants of a drive into a DRIVE record. The angle stays and the currents follow: no jump, no lost step.
 
     Args:
         state: State of the stage.
         axis: Axis of the drive.
         drive: The drive.
-        record: DRIVE record.
+        drive_record: DRIVE record.
     """
-    current = record.current
-    drive.fill(record)
+    current = drive_record.current
+    drive.fill(drive_record)
     if state.chip_table[state.axis_table[axis.index].chip].read_motor_current:
-        record.current = current  # is the chip's to say
+        drive_record.current = current  # is the chip's to say
 
 
-def compute_power_up_state(state: State, axis: Axis, drive: Drive | Servo, before: np.ndarray) -> np.ndarray:
-    """Return the state of power-up with another drive; its currents are settled.
+def compute_power_up_state(state: State, axis: Axis, drive: Drive | Servo, former_state: np.ndarray) -> np.ndarray:
+    """Compute the state of power-up with another drive, whose currents have settled.
 
     Args:
         state: State of the stage.
         axis: Axis of the drive.
         drive: The drive.
-        before: State of power-up with the former drive.
+        former_state: State of power-up with the former drive, float64 (words,).
     """
     n = len(state.saved)
     data = mujoco.MjData(state.model)
-    mujoco.mj_setState(state.model, data, before[:n], SAVED)
+    mujoco.mj_setState(state.model, data, former_state[:n], SAVED)
     begin = (state.drives.ctypes.data - state.data.userdata.ctypes.data) // data.userdata.itemsize
     words = state.drives.nbytes // data.userdata.itemsize
     record = data.userdata[begin : begin + words].view(state.drives.dtype)[axis.index]
     set_drive_record(state, axis, drive, record)
     any_drive.power_up(record, 0.0, float(data.qpos[axis.plant.qpos]) * axis.gear)
-    after = before.copy()
+    after = former_state.copy()
     mujoco.mj_getState(state.model, data, after[:n], SAVED)
     return after

@@ -19,17 +19,17 @@ if TYPE_CHECKING:
 class Encoder:
     """Incremental encoder: Encoder("x", per_metre=200_000) on a carriage, or Encoder("x", per_turn=2000) on its motor.
 
-    Counts are those of all edges, four a line.
+    All edges count, four for each line of the encoder.
 
     Attributes:
         axis: Name of the axis.
-        per_metre: Counts a meter (rad on a hinge).
-        per_turn: Counts a turn of the motor.
-        zero: Position (m, rad) at which it counts 0; default: where the axis is when the device comes on its board. A chip's own
-            counter has none: it is 0 after a reset.
+        per_metre: Counts per meter (per rad on a hinge).
+        per_turn: Counts per turn of the motor.
+        zero: Position (m, rad) at which the count is 0; default: the position of the axis when the device is added to the board.
+            The counter of a chip ignores it: that counter is 0 after a reset.
 
     Raises:
-        ArgumentError: None or both of the rates, or a value that is no number.
+        ArgumentError: Neither or both of `per_metre` and `per_turn` are given, or a value is not a finite number.
     """
 
     axis: str
@@ -39,7 +39,7 @@ class Encoder:
 
     def __post_init__(self) -> None:
         rates = [n for n in (self.per_metre, self.per_turn) if n is not None]
-        if len(rates) != 1 or not _is_rate(rates[0]):
+        if len(rates) != 1 or not _is_finite_and_nonzero(rates[0]):
             raise ArgumentError(
                 f"{self!r}: give either per_metre= or per_turn=, counts a metre or a turn of the motor; below 0 it is mounted the "
                 "other way round."
@@ -48,10 +48,10 @@ class Encoder:
             raise ArgumentError(f"{self!r}: zero= is the position at which it counts 0, m (rad on a hinge).")
 
     def compute_counts_per_unit(self, gear: float) -> float:
-        """Return the counts per unit of the joint (m, rad).
+        """Compute the counts per unit of the joint (m, rad).
 
         Args:
-            gear: Radians of the rotor per unit of the joint.
+            gear: Rotor radians per joint unit.
         """
         return self.per_metre if self.per_metre is not None else (self.per_turn or 0.0) * gear / (2 * math.pi)
 
@@ -84,15 +84,15 @@ EncoderChoice = Mapping[str, float] | Iterable[Encoder] | Encoder | None
 def choose_encoders(
     encoder_choice: EncoderChoice, names: Sequence[str], chip_axes: Sequence[ChipAxis]
 ) -> tuple[Encoder, ...]:
-    """Return the encoders that chips of a stage count, as `Stage` takes them.
+    """Choose the encoders that the chips of a stage count, from the argument of `Stage`.
 
     Args:
-        encoder_choice: Argument of `Stage`.
-        names: Axes of the stage.
-        chip_axes: Their axes of chips.
+        encoder_choice: Argument `encoders` of `Stage`.
+        names: Names of the stage's axes.
+        chip_axes: For each axis of the stage, the axis of its chip.
 
     Raises:
-        ArgumentError: An axis does not exist, has two, or a chip that counts none.
+        ArgumentError: An axis does not exist, has two encoders, or a chip that counts no encoder.
     """
     chosen: dict[str, Encoder] = {}
     for encoder in _list_encoders(encoder_choice):
@@ -107,7 +107,7 @@ def choose_encoders(
                 f'drives={{"{encoder.axis}": Servo(counts=...)}}.'
             )
         if not chip.ENCODERS:
-            able = ", ".join(line.name for line in CHIPS.listed() if line.chip and line.chip.ENCODERS)
+            able = ", ".join(line.name for line in CHIPS.list_chips() if line.chip and line.chip.ENCODERS)
             raise ArgumentError(
                 f"encoders for axis {encoder.axis}: {chip.__name__} has no input for an encoder; {able} have. Or put a counter on "
                 "the bus: board.attach_device(HCTL2016(encoder), port)."
@@ -122,7 +122,7 @@ def choose_encoders(
 
 
 def list_counts_per_unit(encoders: Iterable[Encoder], plant: Sequence[PlantAxis]) -> list[float]:
-    """Return for each axis the counts per unit of its joint; 0 where no chip counts any.
+    """List for each axis the counts per unit of its joint; 0 for an axis whose chip counts no encoder.
 
     Args:
         encoders: Encoders that chips count.
@@ -139,7 +139,7 @@ def _list_encoders(choice: EncoderChoice) -> list[Encoder]:
         return [choice]
     if isinstance(choice, Mapping):
         for axis, counts in choice.items():
-            if not _is_rate(counts):
+            if not _is_finite_and_nonzero(counts):
                 raise ArgumentError(
                     f"encoders for axis {axis}: {counts!r}: a number of counts a metre is wanted, not 0, for example 200_000; "
                     f'below 0 it is mounted the other way round. On the motor: encoders=[Encoder("{axis}", per_turn=2000)].'
@@ -155,7 +155,7 @@ def _list_encoders(choice: EncoderChoice) -> list[Encoder]:
     return encoders
 
 
-def _is_rate(number: Any) -> bool:
+def _is_finite_and_nonzero(number: Any) -> bool:
     """Return whether a value is finite and not 0."""
     return not isinstance(number, bool) and _is_finite(number) and number != 0
 

@@ -1,22 +1,23 @@
-"""The one compiled loop: switches -> chips -> drives -> mj_step, many steps per call.
+"""The compiled loop of a stage: switches -> chips -> drives -> mj_step, many steps per call.
 
 Time is an integer of nanoseconds. A physics step of dt is a *window* [start, start + dt) of chip time, cut into equal
-slices. Every chip runs through the window (an input edge or a bus cycle may fall anywhere inside), and its mean pulse count
-in each slice is kept. At the window's end every drive turns its counts into torque, slice by slice; the mean goes to
+slices. Every chip runs through the window (an input edge or a bus cycle may come at any time in it), and its mean pulse count
+in each slice is stored. At the window's end every drive converts its counts to torque, slice by slice; the mean torque goes to
 `ctrl`, and mj_step moves the stage.
 
 MuJoCo's integrator is a leapfrog: positions belong to times t, velocities to half a step before. The force that it needs at a
-position is the mean over the window centred there. So the position in `qpos` is that of a window's centre, not of its start: at a
-chip time tau after the window's start a joint is at q + v (tau - dt / 2). With this the coupling adds no false damping (the ringing
-of a stepper would die out too fast), and a switch's edge is extrapolated by half a step only. The velocity at the centre is not
-known before the force is: a drive that needs it solves for it (`stepper.compute_mean_torque`), or the coupling would add energy.
+position is the mean over the window centered at that time. So the position in `qpos` is that at the center of a window, not at its
+start: at a chip time tau after the window's start a joint is at q + v (tau - dt / 2). Thus the coupling adds no false damping,
+which would make the ringing of a stepper die out too fast, and a switch's edge is extrapolated by half a step only. The velocity at
+the center depends on the force: a drive that needs it solves for it (`stepper.compute_mean_torque`); otherwise the coupling would
+add energy.
 
-All state is in records inside MjData.userdata, all tables of constants in arrays beside it; nothing here allocates.
+All state is in records inside MjData.userdata, all tables of constants are in separate arrays; this module allocates no memory.
 """
 
 from __future__ import annotations
 
-from stage.chips import cores, linked_chips
+from stage.chips import core_interface, linked_chips
 from stage.chips.journal_entries import LOAD, SHAFT
 from stage.drives import drive_dispatch, stepper
 from stage.native import array_at, declare_address_call, exported, hot, least
@@ -77,8 +78,8 @@ _get_state = declare_address_call(None, "i8", "i8", "i8", "i4")
 
 
 @hot
-def _run_chips(handle, stop):
-    """Run the chips up to `stop` ns, inside the window, and return the slices done."""
+def _run_chips(handle, stop_ns):
+    """Run the chips up to the time `stop_ns`, inside the window, and return the number of slices that are complete."""
     w, rows, axis_records = get_world(handle), get_chip_table(handle), get_axes(handle)
     start, dt = w.start, get_clockwork(handle).dt
     hz = clock = rest = 0
@@ -87,25 +88,25 @@ def _run_chips(handle, stop):
         chip = rows[i]
         if chip.link:
             if _is_first_linked_chip(rows, i):
-                k = _run_linked(handle, i, stop)
+                k = _run_linked_chips(handle, i, stop_ns)
             continue
-        if cores.update_wired_input(chip):
+        if core_interface.update_wired_input(chip):
             journal_input(handle, w.now, chip, 0)
         if chip.hz != hz:
             hz = chip.hz
             clock, rest = compute_clock_at(start, hz), start % SECOND * hz % SECOND
         k, now = w.slice, 0
-        if stop == start + dt and find_next_edge(axis_records, chip) > stop:
+        if stop_ns == start + dt and find_next_edge(axis_records, chip) > stop_ns:
             chip.begin, chip.rest = clock, rest
-            cores.run_window(chip, k)
+            core_interface.run_window(chip, k)
             k = SLICES
             continue
-        while now < stop:
+        while now < stop_ns:
             bound = start + (k + 1) * dt // SLICES
-            now = least(bound, stop)
+            now = least(bound, stop_ns)
             if find_next_edge(axis_records, chip) <= now:
                 process_edges(handle, chip, now)
-            cores.run(chip, clock + (rest + (now - start) * hz) // SECOND)
+            core_interface.run(chip, clock + (rest + (now - start) * hz) // SECOND)
             if now == bound:
                 _store_slice_counts(chip, axis_records, k)
                 k += 1
@@ -114,11 +115,11 @@ def _run_chips(handle, stop):
 
 @hot
 def _store_slice_counts(chip, axis_records, slice_index):
-    """Keep the axes' mean counts in slice `slice_index`, which ends now."""
+    """Store the mean pulse counts of a chip's axes in slice `slice_index`, which ends now."""
     for j in range(chip.axes):
-        axis = axis_records[cores.find_stage_axis(chip, j)]
-        axis.counts[slice_index] = cores.compute_drive_input(chip, j, axis.count, chip.ticks)
-        axis.count = cores.read_net_count(chip, j)
+        axis = axis_records[core_interface.find_stage_axis(chip, j)]
+        axis.counts[slice_index] = core_interface.compute_drive_input(chip, j, axis.count, chip.ticks)
+        axis.count = core_interface.read_net_count(chip, j)
 
 
 @hot
@@ -131,33 +132,33 @@ def _is_first_linked_chip(rows, chip_index):
 
 
 @hot
-def _run_linked(handle, first, stop):
-    """Run the chips that are linked to the first one, as `_run_chips`: an edge of one acts on all at its clock."""
+def _run_linked_chips(handle, first_chip, stop_ns):
+    """Run the chips that are linked to the first one, as `_run_chips` does. An edge of one chip acts on all at its clock."""
     w, rows, axis_records, edges = (
         get_world(handle),
         get_chip_table(handle),
         get_axes(handle),
         array_at(handle.edges, handle.edge_room, EDGE),
     )
-    start, dt, link, hz = w.start, get_clockwork(handle).dt, rows[first].link, rows[first].hz
+    start, dt, link, hz = w.start, get_clockwork(handle).dt, rows[first_chip].link, rows[first_chip].hz
     k, now = w.slice, 0
-    while now < stop:
+    while now < stop_ns:
         bound = start + (k + 1) * dt // SLICES
-        now = least(bound, stop)
+        now = least(bound, stop_ns)
         while True:
             edge = now + 1
-            for i in range(first, len(rows)):
+            for i in range(first_chip, len(rows)):
                 if rows[i].link == link:
                     edge = least(edge, find_next_edge(axis_records, rows[i]))
             at = least(edge, now)
             handle.noted = linked_chips.run_linked_chips(rows, link, compute_clock_at(at, hz), at, edges, handle.noted)
             if edge > now:
                 break
-            for i in range(first, len(rows)):
+            for i in range(first_chip, len(rows)):
                 if rows[i].link == link and find_next_edge(axis_records, rows[i]) <= edge:
                     process_edges(handle, rows[i], edge)
         if now == bound:
-            for i in range(first, len(rows)):
+            for i in range(first_chip, len(rows)):
                 if rows[i].link == link:
                     _store_slice_counts(rows[i], axis_records, k)
             k += 1
@@ -166,7 +167,7 @@ def _run_linked(handle, first, stop):
 
 @hot
 def _read_shaft(handle, axis_row):
-    """Return the present count of an axis' encoder, and its speed, counts a second."""
+    """Return the present count of an axis' encoder, and its speed in counts per second."""
     w, v = get_world(handle), get_qvel(handle)[axis_row.dof]
     tau = float(w.now - w.start) / SECOND - get_clockwork(handle).half
     return (get_qpos(handle)[axis_row.qpos] + v * tau) * axis_row.counts, v * axis_row.counts
@@ -174,16 +175,16 @@ def _read_shaft(handle, axis_row):
 
 @hot
 def _pass_shafts_to_chips(handle):
-    """Pass the shafts to the chips that count them, at the beginning of a window."""
+    """Pass position and speed of the encoders' shafts to the chips that count them, at the beginning of a window."""
     rows = get_chip_table(handle)
     for i in range(len(rows)):
         chip = rows[i]
         for j in range(chip.axes):
-            a = cores.find_stage_axis(chip, j)
+            a = core_interface.find_stage_axis(chip, j)
             if get_axis_table(handle)[a].counts == 0.0:
                 continue
             count, speed = _read_shaft(handle, get_axis_table(handle)[a])
-            cores.set_shaft(chip, j, count, speed / chip.hz)
+            core_interface.set_shaft(chip, j, count, speed / chip.hz)
             if has_edge_room(handle):
                 e = note_edge(handle, get_world(handle).now, chip, a, SHAFT, j, 0)
                 e.count, e.rate = count, speed / chip.hz
@@ -200,49 +201,52 @@ def _pass_loads_to_chips(handle):
             continue
         v = get_qvel(handle)[t.dof]
         angle = drive_dispatch.compute_load_angle(
-            d, cores.read_net_count(chip, t.chip_axis), (get_qpos(handle)[t.qpos] - v * half) * t.gear
+            d, core_interface.read_net_count(chip, t.chip_axis), (get_qpos(handle)[t.qpos] - v * half) * t.gear
         )
         share = d.torque_constant * abs(v * t.gear) / d.voltage
-        if cores.set_load(chip, t.chip_axis, angle, share) and has_edge_room(handle):
+        if core_interface.set_load(chip, t.chip_axis, angle, share) and has_edge_room(handle):
             e = note_edge(handle, get_world(handle).now, chip, a, LOAD, t.chip_axis, 0)
             e.count, e.rate = angle, share
 
 
 @hot
 def _read_motor_currents(handle):
-    """Take the currents of the motors whose chips set them."""
+    """Read the motor currents from the chips that set the currents of their motors."""
     rows = get_drives(handle)
     for a in range(len(rows)):
         t = get_axis_table(handle)[a]
         chip = get_chip_table(handle)[t.chip]
         if chip.read_motor_current:
-            rows[a].current = cores.read_motor_current(chip, t.chip_axis)
+            rows[a].current = core_interface.read_motor_current(chip, t.chip_axis)
 
 
 @hot
-def _write_axis_sample(handle, axis_index, effort, out):
-    """Write axis `axis_index` as it is now into a SAMPLE."""
+def _write_axis_sample(handle, axis_index, effort, sample):
+    """Write the present state of axis `axis_index` into a SAMPLE record."""
     t, d = get_axis_table(handle)[axis_index], get_drives(handle)[axis_index]
     chip, j = get_chip_table(handle)[t.chip], t.chip_axis
-    net = cores.read_net_count(chip, j)
+    net = core_interface.read_net_count(chip, j)
     v = get_qvel(handle)[t.dof]
     q = get_qpos(handle)[t.qpos] - v * get_clockwork(handle).half
     theta = q * t.gear
-    out.time = get_world(handle).now / SECOND
-    out.position, out.velocity = q, v
-    out.commanded = q + drive_dispatch.compute_lag(d, net, theta) / t.gear
-    out.load_angle, out.torque = stepper.compute_load_angle(d, net, theta), drive_dispatch.compute_torque(d, effort)
-    out.voltage = drive_dispatch.compute_voltage(d, effort)
-    out.current_a, out.current_b = d.current_a, d.current_b
-    out.rate = cores.compute_pulse_rate(chip, j, chip.hz)
-    out.pulses, out.counter = net, cores.read_counter(chip, j)
-    out.lost_steps = drive_dispatch.count_lost_steps(d, net, theta)
-    out.inputs, out.outputs = cores.read_inputs(chip, j), cores.read_outputs(chip, j)
+    sample.time = get_world(handle).now / SECOND
+    sample.position, sample.velocity = q, v
+    sample.commanded = q + drive_dispatch.compute_lag(d, net, theta) / t.gear
+    sample.load_angle, sample.torque = (
+        stepper.compute_load_angle(d, net, theta),
+        drive_dispatch.compute_torque(d, effort),
+    )
+    sample.voltage = drive_dispatch.compute_voltage(d, effort)
+    sample.current_a, sample.current_b = d.current_a, d.current_b
+    sample.rate = core_interface.compute_pulse_rate(chip, j, chip.hz)
+    sample.pulses, sample.counter = net, core_interface.read_counter(chip, j)
+    sample.lost_steps = drive_dispatch.count_lost_steps(d, net, theta)
+    sample.inputs, sample.outputs = core_interface.read_inputs(chip, j), core_interface.read_outputs(chip, j)
 
 
 @hot
 def _write_samples(handle, ctrl):
-    """Write all axes as they are now into the next row of samples."""
+    """Write the present state of all axes into the next row of samples."""
     samples = array_at(handle.samples, (handle.room, handle.n_axes), SAMPLE)
     positions = array_at(handle.positions, (handle.room, handle.nq), REAL)
     for a in range(handle.n_axes):
@@ -263,8 +267,8 @@ def _would_call_unguarded_callback(clock):
 
 
 @hot
-def _run_until(handle, until):
-    """Run up to `until` ns and return why it returned (REACHED, ...)."""
+def _run_until(handle, until_ns):
+    """Let the stage's time pass up to `until_ns`, and return why the run ended (REACHED, ...)."""
     w, clock, axis_records, table, rows = (
         get_world(handle),
         get_clockwork(handle),
@@ -278,14 +282,14 @@ def _run_until(handle, until):
     core_loss = array_at(handle.core_loss, handle.nu, REAL)
     if not w.powered:
         return WIPED
-    if w.start + clock.dt <= until:
+    if w.start + clock.dt <= until_ns:
         if _would_call_unguarded_callback(clock):
             return UNGUARDED
         if handle.state:
             _get_state(clock.mj_get_state, (handle.mj_model, handle.mj_data, handle.state, clock.state_spec))
-    while w.now < until:
+    while w.now < until_ns:
         end = w.start + clock.dt
-        stop = least(until, end)
+        stop = least(until_ns, end)
         k = _run_chips(handle, stop)
         w.now = stop
         w.slice = k
@@ -328,18 +332,18 @@ def _run_until(handle, until):
 
 
 @exported("i8", HANDLE, "i8")
-def advance(handle, until):
-    """Let the stage's time pass up to `until` ns, unless the engine has to stop before.
+def advance(handle, until_ns):
+    """Let the stage's time pass up to `until_ns` nanoseconds since power-up, unless the engine has to stop earlier.
 
-    It logs where the handle says. Of a run that is undone nothing stays logged.
+    Edges and samples go to the buffers of the handle. If the run is undone, its edges and samples are removed again.
 
     Returns:
-        Why it stopped (REACHED, ...).
+        Reason of the stop (REACHED, ...).
     """
     if not claim(handle.clockwork, ENGINE):
         return IN_USE
     filled, noted = handle.filled, handle.noted
-    status = _run_until(handle, until)
+    status = _run_until(handle, until_ns)
     if status in (DIVERGED, FAILED):
         handle.filled, handle.noted = filled, noted
     handle.status = status
@@ -355,13 +359,13 @@ def has_unguarded_callback(handle):
 
 @exported("i8", HANDLE, "i8")
 def claim_stage(handle, token):
-    """Return 1 if the stage was free: no other thread can run it until `release_stage` with this token."""
+    """Claim a stage for one thread, and return 1 if the stage was free. Others cannot run it until `release_stage(token)`."""
     return 1 if claim(handle.clockwork, token) else 0
 
 
 @exported(None, HANDLE, "i8")
 def release_stage(handle, token):
-    """End a claim with this token."""
+    """Release a stage that was claimed with this token."""
     release(handle.clockwork, token)
 
 
@@ -386,30 +390,32 @@ def _find_axis_switch_levels(handle, axis_index):
     chip, q = get_chip_table(handle)[t.chip], get_qpos(handle)[t.qpos]
     if t.counts != 0.0:
         count, speed = _read_shaft(handle, t)
-        cores.set_shaft(chip, t.chip_axis, count, speed / chip.hz)
+        core_interface.set_shaft(chip, t.chip_axis, count, speed / chip.hz)
     axis.next_edge = NEVER
     axis.speed = get_qvel(handle)[t.dof]
-    axis.count = cores.read_net_count(chip, t.chip_axis)
+    axis.count = core_interface.read_net_count(chip, t.chip_axis)
     for k in range(SLICES):
         axis.counts[k] = drive_dispatch.make_rest_signal(d, axis.count)
     for k in range(t.first_switch, t.end_switch):
         s, row = get_switches(handle)[k], get_switch_table(handle)[k]
         s.edge = s.next_edge = NEVER
         s.on = row.forced if row.forced >= 0 else (1 if is_in_flag(get_clockwork(handle), s, row, q) else 0)
-    word = apply_switches(t, get_switches(handle), get_switch_table(handle), cores.read_inputs(chip, t.chip_axis))
+    word = apply_switches(
+        t, get_switches(handle), get_switch_table(handle), core_interface.read_inputs(chip, t.chip_axis)
+    )
     if t.index_bit:
         axis.index_edge = axis.index_end = NEVER
         axis.index_on = 1 if abs(measure_index_offset(t, q)) <= 0.5 * INDEX else 0
         word = apply_index_pulse(t, axis, word)
-    cores.set_input(chip, t.chip_axis, word)
+    core_interface.set_input(chip, t.chip_axis, word)
     if chip.read_motor_current:
-        d.current = cores.read_motor_current(chip, t.chip_axis)
+        d.current = core_interface.read_motor_current(chip, t.chip_axis)
     drive_dispatch.power_up(d, float(axis.count), q * t.gear)
 
 
 @exported(None, HANDLE)
 def find_switch_levels(handle):
-    """Find switch levels and pending edges, before the first window, or after the carriages were placed."""
+    """Set the levels of all switches and predict their edges, before the first window or after the carriages were placed."""
     get_world(handle).powered = 1
     for k in range(handle.n_switches):
         s = get_switches(handle)[k]
@@ -420,4 +426,6 @@ def find_switch_levels(handle):
     rows = get_chip_table(handle)
     for i in range(len(rows)):
         if rows[i].link and _is_first_linked_chip(rows, i):
-            linked_chips.exchange_words(rows, rows[i].link, get_world(handle).now, array_at(handle.edges, 0, EDGE), 0)
+            linked_chips.exchange_wire_words(
+                rows, rows[i].link, get_world(handle).now, array_at(handle.edges, 0, EDGE), 0
+            )

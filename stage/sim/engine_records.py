@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from stage.chips import cores
+from stage.chips import core_interface
 from stage.drives import stepper
 from stage.native import hot, record
 
@@ -59,7 +59,7 @@ callbacks, native: Where the addresses of the callbacks lie, and their values wh
 mj_step, mj_get_state, state_spec: Addresses of MuJoCo's functions, and the parts of its state that a snapshot has.
 flag_edges, n_flag_edges: Where the FLAG_EDGE records of all switches lie, and their number.
 """
-CHIP_TABLE = cores.CHIP
+CHIP_TABLE = core_interface.CHIP
 AXIS_TABLE = record(
     [(name, "i8") for name in "chip chip_axis qpos dof actuator first_switch end_switch index_bit positive".split()]
     + [("gear", "f8"), ("index_at", "f8"), ("counts", "f8")]
@@ -97,9 +97,6 @@ MAX_SPEED = 1e6  # of any joint, per second; beyond it, or NaN, the simulation h
 
 
 @hot
-def compute_clock_at(now: int, hz: int) -> int:
-    """Compute the clock of a chip at `now` ns, exact for centuries.
-
-    `hz` is the reference clock of the chip, Hz.
-    """
-    return now // SECOND * hz + now % SECOND * hz // SECOND
+def compute_clock_at(now_ns: int, hz: int) -> int:
+    """Compute the number of reference clocks of a chip with a clock of `hz` at `now_ns` nanoseconds, exact for centuries."""
+    return now_ns // SECOND * hz + now_ns % SECOND * hz // SECOND

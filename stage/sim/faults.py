@@ -8,14 +8,15 @@
         print(firmware.preset_move(x, 3200))
 
 Each function makes its fault at the present simulated time and returns a `Fault`: leaving the `with`, or `clear()`, ends it.
-Faults of switches and of the bus begin on the nanosecond, also inside a physics step; those of drives and mechanics act on
-the whole physics step (0.25 ms) in which they begin. Several may be in force, also of one thing: the last one counts, and when any
-of them is cleared, the others act as if it had not been there. `stage.faults` names them, and so does a recording, at their times.
+Faults of switches and of the bus begin on the nanosecond, also inside a physics step; faults of drives and mechanics act on
+the whole physics step (0.25 ms) in which they begin. Several faults may be in force, even of one part: the last one counts, and
+if one of them is cleared, the others act as if it had never been made. `stage.faults` names the faults in force, and a recording
+has them at their times.
 
-A fault belongs to the machine, as a payload does: snapshots, `restore` and `reset` do not change it (and across `motor` there is no
-`restore`), copies and pickles of a stage have it too (permanently: `clear` acts on the stage where the fault was made). Its effects
-are state: a contact that is bouncing, a rotor that has slipped, a current. `start_skew` and `lost_write` are faults of the host's
-board: copies do not have them.
+A fault belongs to the machine, as a payload does: snapshots, `restore` and `reset` do not change it, and a snapshot from before a
+fault `motor` cannot be restored. Copies and pickles of a stage have the fault too, permanently: `clear` acts on the stage on which
+the fault was made. The effects of a fault are state: a contact that is bouncing, a rotor that has slipped, a current. `start_skew`
+and `lost_write` are faults of the host's board, which copies do not have.
 
 docs/faults.md has the simulated effect of each, and how a host can detect it; `stage fault` demonstrates it.
 """
@@ -48,14 +49,14 @@ class Fault:
     """Fault in force; a context manager.
 
     Args:
-        stage: Stage whose fault it is, or None.
-        text: The fault in words.
-        begin: Makes the fault and returns what ends it; it is called again where an earlier fault of one of the same things is
-            cleared.
-        things: What it changes.
+        stage: Stage that has the fault, or None.
+        text: Description of the fault.
+        begin: Function that makes the fault and returns the function that ends it. It is called again when an earlier fault of the
+            same part is cleared.
+        things: Identifiers of the parts that the fault changes.
 
     Attributes:
-        in_force: False once it is cleared.
+        in_force: False after the fault was cleared.
     """
 
     def __init__(
@@ -75,7 +76,7 @@ class Fault:
                 stage.note_fault(self, True)
 
     def clear(self) -> None:
-        """End the fault, now. A second call does nothing; what the fault has done stays done."""
+        """End the fault now. Its effects on the state, such as lost steps, remain. A second call does nothing."""
         if not self.in_force:
             return
         with exclusively(self._stage):
@@ -89,9 +90,9 @@ class Fault:
                 self._stage.note_fault(self, False)
 
     def _list_dependent_faults(self) -> list[Fault]:
-        """Return the later faults in force that a clearing of this fault affects, in the order in which they were made.
+        """Return the later faults in force that must be made again when this fault is cleared, in the order of their making.
 
-        They have changed a value that this fault, or another fault of the list, had changed before.
+        Each has changed a value that this fault, or another fault of the list, had changed before.
         """
         if self._stage is None:
             return []
@@ -141,7 +142,7 @@ def switch_stuck(axis: Axis, pin: str, closed: bool) -> Fault:
         ArgumentError: The switch is not fitted.
     """
     _check_type(axis)
-    row = axis.switches.row(pin)
+    row = axis.switches.find_index(pin)
     return _make_switch_fault(
         axis, f"{pin} stuck {'closed' if closed else 'open'}", {row: {"forced": int(bool(closed))}}
     )
@@ -151,7 +152,7 @@ def switch_stuck(axis: Axis, pin: str, closed: bool) -> Fault:
 def vane_missing(axis: Axis, pin: str) -> Fault:
     """Take off the vane that trips a switch: no switch that it serves will trip again (an EL vane serves both EL).
 
-    Only the beam that nothing interrupts is modeled, not the vane that lies in the machine.
+    The simulated effect is that nothing interrupts the beam of the switch. The vane that has come off is not simulated.
 
     Args:
         axis: Axis of a stage.
@@ -161,11 +162,11 @@ def vane_missing(axis: Axis, pin: str) -> Fault:
         ArgumentError: The switch is not fitted.
     """
     _check_type(axis)
-    axis.switches.row(pin)
+    axis.switches.find_index(pin)
     fitted = axis.plant.switches
     vane = next(_find_vane(axis, s.sensor) for s in fitted if s.pin == pin)
     served = [s.pin for s in fitted if s.pin == pin or (vane is not None and _find_vane(axis, s.sensor) == vane)]
-    rows = {axis.switches.row(p): {"forced": 0} for p in served}
+    rows = {axis.switches.find_index(p): {"forced": 0} for p in served}
     return _make_switch_fault(axis, f"vane of {' and '.join(served)} missing", rows)
 
 
@@ -173,9 +174,9 @@ def vane_missing(axis: Axis, pin: str) -> Fault:
 def bounce(axis: Axis, pin: str, seconds: float = 2e-3, toggles: int = 6) -> Fault:
     """Make the contact of a switch bounce: each edge is followed by `toggles` more within `seconds`, and then it rests.
 
-    The toggles come ever sooner, as a contact's do, the last at `seconds`: after an edge at 0 and with n toggles, number k comes
-    at seconds (1 - (n - k) (n - k + 1) / (n (n + 1))). Nothing is random: equal runs bounce alike. While a contact bounces it
-    does not follow its vane. A bounce that is under way when the fault is cleared is completed.
+    The intervals between toggles become shorter, as those of a contact do: after an edge at time 0, toggle k of n comes at
+    seconds (1 - (n - k) (n - k + 1) / (n (n + 1))), the last one at `seconds`. Nothing is random: equal runs bounce alike. A
+    contact that bounces does not follow its vane. A bounce that has begun when the fault is cleared is completed.
 
     Args:
         axis: Axis of a stage.
@@ -187,7 +188,7 @@ def bounce(axis: Axis, pin: str, seconds: float = 2e-3, toggles: int = 6) -> Fau
         ArgumentError: The switch is not fitted, or a value is out of range.
     """
     _check_type(axis)
-    row = axis.switches.row(pin)
+    row = axis.switches.find_index(pin)
     if not 0 < seconds <= 1:
         raise ArgumentError(f"seconds={seconds!r}: a contact bounces for more than 0 and up to 1 s; 2e-3 is usual.")
     if toggles not in range(2, MAX_TOGGLES + 1, 2):
@@ -223,10 +224,10 @@ def _find_vane(axis: Axis, sensor: int) -> int | None:
     return next((g for g in geoms if _is_on_body(m, int(m.jnt_bodyid[axis.joint]), int(m.geom_bodyid[g]))), None)
 
 
-def _is_on_body(model: Any, body: int, other: int) -> bool:
-    while other > body:
-        other = int(model.body_parentid[other])
-    return other == body
+def _is_on_body(model: Any, body: int, ancestor: int) -> bool:
+    while ancestor > body:
+        ancestor = int(model.body_parentid[ancestor])
+    return ancestor == body
 
 
 # --- mechanics ---
@@ -258,12 +259,12 @@ def payload(stage: Stage, factor: float = 2.0, body: str | None = None) -> Fault
 def jam(axis: Axis, force: float | None = None) -> Fault:
     """Make the axis jam, by more dry friction.
 
-    It stops a carriage within a few physics steps and holds it to 20 um, in both directions: MuJoCo's friction yields a little.
-    A DC motor's steady push moves it on by some 0.7 mm/s at full drive.
+    The friction stops a carriage within a few physics steps and holds it to 20 um, in both directions, because MuJoCo's friction
+    yields a little. The steady force of a DC motor at full drive moves the carriage by some 0.7 mm/s.
 
     Args:
         axis: Axis of a stage.
-        force: Friction, N (N m on a hinge); default: ten times what its motor can push.
+        force: Friction, N (N m on a hinge); default: ten times the force of the axis' motor.
 
     Raises:
         ArgumentError: The force is out of range.
@@ -318,7 +319,7 @@ def bus_voltage(where: Axis | Stage, volts: float) -> Fault:
 
 @explain_arguments
 def phase_open(axis: Axis, phase: str = "a") -> Fault:
-    """Break a wire to the motor: the phase carries no current, from one moment to the next.
+    """Break a wire to the motor: the phase carries no current from now on.
 
     Args:
         axis: Axis of a stage.
@@ -356,19 +357,19 @@ def _make_axis_fault(
 
 @explain_arguments
 def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
-    """Put another motor in place of the axis' own.
+    """Replace the motor of an axis by another motor.
 
-    Its rotor, torque and currents are those of its data sheet; the settings of the drive stay, so do the rotor's angle and the
-    lost steps, and currents follow. Another motor is another machine: `restore` refuses snapshots taken before, and when the fault
-    is cleared those taken between; `reset` is power-up with the present motor.
+    Rotor, torque and currents are those of the new motor's data sheet. The settings of the drive, the rotor's angle and the lost
+    steps stay. Another motor makes another machine: `restore` refuses snapshots that were taken with the other motor, and `reset`
+    returns to power-up with the present motor.
 
     Args:
         axis: Axis of a stage.
-        motor: Name of a preset, or a Motor (DCMotor) of as many steps a turn.
+        motor: Name of a preset, or a Motor (DCMotor) with the same number of steps per turn.
 
     Raises:
-        ArgumentError: There is no such motor, it has other steps, or the axis has it already.
-        ModelError: It cannot be simulated with the model's time step.
+        ArgumentError: There is no such motor, it has another number of steps per turn, or the axis has it already.
+        ModelError: The motor cannot be simulated with the model's time step.
     """
     _check_type(axis)
     before = axis.drive
@@ -395,8 +396,8 @@ def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
 def start_skew(axis: Axis, seconds: float) -> Fault:
     """Delay the next bus write that makes this axis drive, a start command, as if the CPU were called away.
 
-    A command that starts several axes of a chip is late for all of them. A servo that follows command positions has no such
-    write.
+    A command that starts several axes of a chip is late for all of them. A servo that follows command positions has no start
+    command to delay.
 
     Args:
         axis: Axis of a stage.
@@ -410,7 +411,7 @@ def start_skew(axis: Axis, seconds: float) -> Fault:
         raise ArgumentError(f"seconds={seconds!r}: the CPU comes back after 0 s or more.")
 
     def glitch(address: int, value: int) -> bool:
-        if axis.chip.starts(address, value, axis.chip_axis):
+        if axis.chip.would_start_drive(address, value, axis.chip_axis):
             fault.clear()
             axis.stage.run(seconds)
         return False
@@ -423,14 +424,14 @@ def start_skew(axis: Axis, seconds: float) -> Fault:
 def lost_write(where: Axis | Chip, address: int | None = None, value: int | None = None, skip: int = 0) -> Fault:
     """Lose one bus write: the next to this axis' chip, or the next that has this `address` and this `value`.
 
-    The cycle takes its time and the chip sees nothing of it, so nothing gets into `chip.diagnostics`; journals and recordings
-    show the byte as lost. The fault is over once a write is lost.
+    The cycle takes its time, but the chip does not receive it, so `chip.diagnostics` has no entry. Journals and recordings show the
+    byte as lost. The fault ends when it has lost one write.
 
     Args:
         where: Axis of a stage, or a chip.
         address: Address of the write; None: any.
         value: Value of the write; None: any.
-        skip: Writes that match and arrive before.
+        skip: Number of matching writes that still arrive before the lost one.
 
     Raises:
         ArgumentError: `skip` is not a whole number, 0 or more.
@@ -469,7 +470,7 @@ def _make_bus_fault(where: Axis | Chip, description: str, glitch: Callable[[int,
     return Fault(stage, f"{name}: {description}", begin)
 
 
-def _check_type(value: Any, kind: type = Axis) -> None:
-    if not isinstance(value, kind):
-        wanted = "stage.axes['x']" if kind is Axis else "a Stage"
+def _check_type(value: Any, expected_type: type = Axis) -> None:
+    if not isinstance(value, expected_type):
+        wanted = "stage.axes['x']" if expected_type is Axis else "a Stage"
         raise ArgumentError(f"{value!r} is not what breaks here: give {wanted}.")

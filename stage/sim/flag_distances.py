@@ -13,9 +13,18 @@ _distance = declare_address_call("f8", "i8", "i8", "i4", "i4", "f8", "i8")
 
 @exported(None, "i8", "i8", "i8", "i8", array_of("f8"), "i8", array_of("f8"), array_of("i4", 2), array_of("f8", 2))
 def measure_distances(kinematics, distance, model, data, qpos, coordinate, positions, pairs, out):
-    """Measure out[i, j], the distance of the geoms pairs[j] where coordinate k of `qpos`, the data's own, is positions[i], m.
+    """Measure the distances of pairs of geoms at positions of one joint, m.
 
-    kinematics, distance, model, data: Addresses of MuJoCo's functions mj_kinematics and mj_geomDistance, and of their arguments.
+    Args:
+        kinematics: Address of MuJoCo's function mj_kinematics.
+        distance: Address of MuJoCo's function mj_geomDistance.
+        model: Address of the mjModel.
+        data: Address of the mjData.
+        qpos: qpos of the mjData, whose element `coordinate` the function changes.
+        coordinate: Index of the joint's coordinate in `qpos`.
+        positions: Positions of the joint, (positions,).
+        pairs: Ids of the geoms of each pair, (pairs, 2).
+        out: Distances to fill, (positions, pairs), m.
     """
     for i in range(len(positions)):
         qpos[coordinate] = positions[i]

@@ -4,9 +4,9 @@
     program = Program().command(0, 0x08).register(0, PCL240K, "R0", 2000) ...
     played = fleet.play([program] * 64)
 
-The result is the same as if a Python driver had done the same bus cycles on each stage alone: the same bits, on any number of
-threads. Stages that are being recorded, or whose chips keep a journal, are played by Python itself. Only there are a program's
-writes checked for mistakes (`chip.diagnostics`).
+The result is the same as if a Python driver had made the same bus cycles on each stage alone: the same bits, on any number of
+threads. Python itself plays the programs of stages that are being recorded, or whose chips have an open journal. Only on these
+stages does `chip.diagnostics` list writes that break a rule.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class PlayedPrograms(NamedTuple):
 
     Attributes:
         results: (stages, operations) int64.
-        extremes: (stages, nq, 2), least and greatest qpos while measured (inf, -inf where nothing was).
-        diverged: (stages,) bool, the program ended there.
+        extremes: (stages, nq, 2), least and greatest qpos during the operations MEASURE; inf, -inf in a program without them.
+        diverged: (stages,) bool, whether the simulation diverged, which ended the program.
     """
 
     results: np.ndarray
@@ -49,7 +49,7 @@ class PlayedPrograms(NamedTuple):
 class _BackgroundPlay:
     """Programs that another thread plays while the main thread waits.
 
-    It consists of bare locks and flags: Ctrl-C during a call of a Future may leave that locked.
+    It consists of plain locks and flags, because Ctrl-C during a call of a Future may leave the Future locked.
     """
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ class Fleet:
         device: str = "cpu",
         copies: int | None = None,
     ) -> Fleet:
-        """Make room for a fleet on processors, or, with device="cuda", on a GPU; see `__init__`."""
+        """Create a `Fleet`, or a `GpuFleet` if `device` is "cuda"; see `__init__`."""
         if device not in DEVICES:
             raise unknown_name_error("device", device, DEVICES)
         if device == "cuda" and cls is Fleet:
@@ -87,9 +87,9 @@ class Fleet:
 
         Args:
             stages: Stages of one model and one set of axes; on a GPU one stage.
-            threads: Default: one a processor, at most one a stage.
+            threads: Number of threads; default: one for each processor, at most one for each stage.
             device: "cpu", or "cuda" for an NVIDIA GPU; see docs/gpu.md.
-            copies: On a GPU, how many copies of the stage there are.
+            copies: Number of copies of the stage on a GPU.
 
         Attributes:
             handles: A HANDLE for each stage, for compiled code; not on a GPU.
@@ -128,18 +128,18 @@ class Fleet:
 
     @explain_arguments
     def play(self, programs: Sequence[Program] | np.ndarray) -> PlayedPrograms:
-        """Play programs[k] on stage k; an empty one leaves it alone.
+        """Play programs[k] on stage k. An empty program leaves its stage as it is.
 
-        After Ctrl-C each stage stands somewhere in its program, in a wait for example, and can be used as before.
+        After Ctrl-C each stage has stopped at some point of its program, for example in a wait, and remains usable.
 
         Args:
-            programs: One a stage; or an array (stages, operations, 4).
+            programs: One program per stage, or an array of shape (stages, operations, 4).
 
         Returns:
             Results, extremes, and which stages diverged.
 
         Raises:
-            ArgumentError: A program names an axis that does not exist, or a time that is none; nothing is played then.
+            ArgumentError: A program names an axis that does not exist, or has an invalid time. No program is played then.
         """
         n, ops = len(self), check_programs(programs, len(self), self.stages[0], *self._points)
         results, status = np.zeros(ops.shape[:2], np.int64), np.zeros(n, np.int64)
@@ -159,9 +159,9 @@ class Fleet:
         return PlayedPrograms(results, extremes, status == program_player.DIVERGED)
 
     def list_python_stages(self) -> list[int]:
-        """List the stages that Python has to play: those with a recording, or whose chips have a journal or lose writes.
+        """List the stages whose programs Python must play: those with a recording, or whose chips have a journal or a bus fault.
 
-        Where MuJoCo has callbacks, all of them are.
+        If MuJoCo has Python callbacks, the list has all stages.
         """
         indices = []
         all_of_them = engine.has_unguarded_callback.with_gil(self._first)
@@ -180,13 +180,13 @@ class Fleet:
     @staticmethod
     @explain_arguments
     def check_status(status: np.ndarray) -> None:
-        """Check that all stages could be played.
+        """Check that the programs of all stages could be played.
 
         Args:
-            status: Of `play.play`.
+            status: Status of each stage, as compiled code returns it, (stages,).
 
         Raises:
-            StageError: A stage was in use.
+            StageError: Another thread used a stage.
         """
         if any(how := status.tolist()):  # of few stages faster than numpy: steps of environments pass here
             for k, why in enumerate(how):
@@ -194,7 +194,7 @@ class Fleet:
                     raise StageError(f"stage {k} of the fleet: {IN_USE}")
 
     def truth(self) -> np.ndarray:
-        """Return every axis of every stage now: a new array (stages, axes) of play.TRUTH."""
+        """Return the true state of every axis of every stage now: a new array (stages, axes) of TRUTH records."""
         for stage in self.stages:
             stage.ensure_powered()
         program_player.inspect_axes(self.handles, 0, len(self), self._truth)
@@ -218,10 +218,10 @@ class Fleet:
 
     @explain_arguments
     def run_on_threads(self, work: Callable[[int, int], None]) -> None:
-        """Call `work` for ranges of stages that make up all of them, on the fleet's threads.
+        """Call `work` on the fleet's threads, for ranges of stages that together contain every stage.
 
         Args:
-            work: Takes begin and end of a range.
+            work: Function of the begin and the end of a range of stage indices.
         """
         self._stop_background()
         self._run_chunks_on_threads(work)
@@ -239,7 +239,7 @@ class Fleet:
             for k in left:
                 work(cuts[k], cuts[k + 1])
 
-        pool = self._workers()
+        pool = self._get_thread_pool()
         jobs = [pool.submit(share) for _ in range(self.threads - 1)]
         try:
             share()
@@ -249,7 +249,7 @@ class Fleet:
             job.result()
 
     def _play_interruptibly(self, work: Callable[[int, int], None]) -> None:
-        """Call `work` as `run_on_threads` does; Ctrl-C, which Python handles in its main thread between bytecodes only, ends it."""
+        """Call `work` as `run_on_threads` does, on a background thread, so that Ctrl-C in the main thread can end it."""
         if threading.current_thread() is not threading.main_thread():
             self.run_on_threads(work)
             return
@@ -268,7 +268,7 @@ class Fleet:
                 turn.over.release()
 
         try:
-            self._workers().submit(play_all)
+            self._get_thread_pool().submit(play_all)
             turn.over.acquire()
         finally:
             self._stop_background()
@@ -276,7 +276,7 @@ class Fleet:
             raise turn.failed
 
     def _stop_background(self) -> None:
-        """End what another thread plays for the main thread. After another Ctrl-C here, the next call does it again."""
+        """End the programs that a background thread plays. If Ctrl-C interrupts this, the next call of `play` repeats it."""
         if threading.current_thread() is not threading.main_thread():
             return
         if self._background is not None and self._process == os.getpid():
@@ -287,8 +287,8 @@ class Fleet:
             self.handles["halt"] = 0
         self._background = None
 
-    def _workers(self) -> ThreadPoolExecutor:
-        """Return the threads of this process; one of them may be waiting for the others."""
+    def _get_thread_pool(self) -> ThreadPoolExecutor:
+        """Return the thread pool of this process, and make it if the process is new, for example after a fork."""
         if self._process != os.getpid():  # forked: the threads are the parent's
             self._pool, self._process = None, os.getpid()
         if self._pool is None:
@@ -301,53 +301,65 @@ TIME_OPERANDS = {WAIT: (1,), MEASURE: (1,), STOP: (2, 3), KEEP: (2, 3)}  # which
 
 
 def check_programs(
-    programs: Sequence[Program] | np.ndarray, n: int, first: Stage, sites: int | None = None, bodies: int | None = None
+    programs: Sequence[Program] | np.ndarray,
+    stage_count: int,
+    first_stage: Stage,
+    site_count: int | None = None,
+    body_count: int | None = None,
 ) -> np.ndarray:
-    """Check programs of `n` stages like `first`, and return them as compiled code takes them, (n, operations, 4) int64.
+    """Check programs, and convert them to the array that compiled code takes.
 
     Args:
-        programs: One a stage; or an array (n, operations, 4).
-        n: Number of stages.
-        first: One of the stages.
-        sites: How many sites all stages have; default: those of `first`.
-        bodies: How many bodies all stages have; default: those of `first`.
+        programs: One program per stage, or an array of shape (stages, operations, 4).
+        stage_count: Number of stages.
+        first_stage: One of the stages, which are all equal.
+        site_count: Number of sites of all stages together; default: the number of `first_stage`.
+        body_count: Number of bodies of all stages together; default: the number of `first_stage`.
+
+    Returns:
+        Operations of all programs, (stages, operations, 4) int64.
 
     Raises:
-        ArgumentError: A program names an axis or a point that does not exist, or a time that is none.
+        ArgumentError: A program names an axis or a point that does not exist, or a time that is out of range.
     """
     ops = programs if isinstance(programs, np.ndarray) else _stack_programs(programs)
-    if ops.ndim != 3 or len(ops) != n or ops.shape[2] != 4:
-        raise ArgumentError(f"programs of shape {ops.shape}: one a stage, ({n}, operations, 4).")
+    if ops.ndim != 3 or len(ops) != stage_count or ops.shape[2] != 4:
+        raise ArgumentError(f"programs of shape {ops.shape}: one a stage, ({stage_count}, operations, 4).")
     ops = np.ascontiguousarray(ops, np.int64)
-    model = first.model
+    model = first_stage.model
     _check_operations(
-        ops, list(first.axes), model.nsite if sites is None else sites, model.nbody if bodies is None else bodies
+        ops,
+        list(first_stage.axes),
+        model.nsite if site_count is None else site_count,
+        model.nbody if body_count is None else body_count,
     )
     return ops
 
 
-def _check_operations(ops: np.ndarray, axes: list[str], sites: int, bodies: int) -> None:
+def _check_operations(operations: np.ndarray, axes: list[str], site_count: int, body_count: int) -> None:
     """Check programs, (stages, operations, 4): compiled code trusts them.
 
     Raises:
         ArgumentError: A program names an axis or a point that does not exist, or a time that is none.
     """
-    kind, a = ops[:, :, 0], ops[:, :, 1]
+    kind, a = operations[:, :, 0], operations[:, :, 1]
     last = np.logical_or.accumulate(kind == END, axis=1)  # from here on nothing is played
     bad = (kind < 0) | (kind >= len(NAMES))
     bad |= np.isin(kind, AXIS_OPERATIONS) & ((a < 0) | (a >= len(axes)))
-    bad |= np.isin(kind, (STOP, KEEP)) & ((a < 0) | (a >= 1 << len(axes)) | (ops[:, :, 2] < 1))
+    bad |= np.isin(kind, (STOP, KEEP)) & ((a < 0) | (a >= 1 << len(axes)) | (operations[:, :, 2] < 1))
     for timed, numbers in TIME_OPERANDS.items():
         for n in numbers:
-            bad |= (kind == timed) & ((ops[:, :, n] < 0) | (ops[:, :, n] > MAX_TIME_NS))
-    bad |= np.isin(kind, (MEASURE, LOOK)) & ((ops[:, :, 2] > sites) | (ops[:, :, 2] <= -bodies))
-    bad |= (kind == LOOK) & ((ops[:, :, 3] < 0) | (ops[:, :, 3] > 2))
+            bad |= (kind == timed) & ((operations[:, :, n] < 0) | (operations[:, :, n] > MAX_TIME_NS))
+    bad |= np.isin(kind, (MEASURE, LOOK)) & ((operations[:, :, 2] > site_count) | (operations[:, :, 2] <= -body_count))
+    bad |= (kind == LOOK) & ((operations[:, :, 3] < 0) | (operations[:, :, 3] > 2))
     bad &= ~last
     if bad.any():
         k, j = (int(n) for n in np.argwhere(bad)[0])
-        op = ops[k, j].tolist()
+        op = operations[k, j].tolist()
         name = NAMES[op[0]] if 0 <= op[0] < len(NAMES) else "unknown operation"
-        point = f" A point is 1 + the index of a site, up to {sites}, or - that of a body, from {1 - bodies} on."
+        point = (
+            f" A point is 1 + the index of a site, up to {site_count}, or - that of a body, from {1 - body_count} on."
+        )
         point = point if op[0] == MEASURE or (op[0] == LOOK and any(op[2:])) else ""
         raise ArgumentError(
             f"program {k}, operation {j}: {name} {tuple(op[1:])}. Axes are given by their index, 0 to {len(axes) - 1} "

@@ -1,6 +1,6 @@
 """Checks that MuJoCo's integrator and time step suit a stage: a leapfrog integrator, and steps short enough for the motors.
 
-docs/models.md, "The time step", has the simulated moves behind the bounds.
+docs/models.md, "The time step", has the simulated moves from which the bounds follow.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ SHIPPED_STEP_S = 0.00025
 PROPOSED_STEPS_S = [m * 10.0**e for e in range(-3, -7, -1) for m in (5, 2.5, 1)]
 
 
-def check_options(model: mujoco.MjModel) -> None:
+def check_integration_options(model: mujoco.MjModel) -> None:
     """Check the integrator and the time step of a model.
 
     Raises:
-        ModelError: The integrator is no leapfrog.
+        ModelError: The integrator is not a leapfrog integrator.
         ArgumentError: The time step is out of range.
     """
     integrator, step = int(model.opt.integrator), model.opt.timestep
@@ -52,7 +52,7 @@ def check_options(model: mujoco.MjModel) -> None:
 
 
 def check_dampers(model: mujoco.MjModel, axes: Iterable[PlantAxis], drives: Iterable[Drive | Servo]) -> None:
-    """Check that a model has dampers, where its motors have a core loss, which is a damping of their actuators.
+    """Check that MuJoCo's dampers are enabled in a model if a motor has a core loss, which is a damping of its actuator.
 
     Args:
         model: Model.
@@ -60,7 +60,7 @@ def check_dampers(model: mujoco.MjModel, axes: Iterable[PlantAxis], drives: Iter
         drives: Their drives.
 
     Raises:
-        ModelError: It has none.
+        ModelError: The model disables dampers.
     """
     if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER:
         return
@@ -72,7 +72,7 @@ def check_dampers(model: mujoco.MjModel, axes: Iterable[PlantAxis], drives: Iter
         )
 
 
-def check_step(
+def check_step_length(
     model: mujoco.MjModel, data: mujoco.MjData, axes: Iterable[PlantAxis], drives: Iterable[Drive | Servo]
 ) -> None:
     """Check that the time step is short enough for the motors.
@@ -84,7 +84,7 @@ def check_step(
         drives: Their drives.
 
     Raises:
-        ModelError: It is too long for a motor.
+        ModelError: The time step is too long for a motor.
     """
     mobility = np.zeros((model.nv, model.nv))
     mujoco.mj_solveM(model, data, mobility, np.eye(model.nv))
@@ -105,7 +105,13 @@ def check_step(
 
 
 def _find_max_step(axis: PlantAxis, drive: Drive | Servo, mobility: float) -> tuple[float, str]:
-    """Return the longest time step for an axis, s, and the reason for it. mobility: acceleration of the joint per force."""
+    """Return the longest time step for an axis, s, and the reason for this limit.
+
+    Args:
+        axis: Axis of the model.
+        drive: Drive of the axis.
+        mobility: Acceleration of the joint per force, 1/kg (1/(kg m^2) on a hinge).
+    """
     m = drive.motor
     if not 0 < mobility < math.inf:
         return math.inf, ""

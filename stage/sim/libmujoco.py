@@ -19,5 +19,5 @@ def load_mujoco_library() -> ctypes.CDLL:
 
 @cache
 def find_mujoco_address(name: str) -> int:
-    """Return the address of a function of MuJoCo's library."""
+    """Return the address of a function of MuJoCo's library by its name."""
     return int(ctypes.cast(load_mujoco_library()[name], ctypes.c_void_p).value or 0)

@@ -1,8 +1,8 @@
 """Guards for MuJoCo's Python callbacks (`mujoco.set_mjcb_control` and others) while compiled code steps the physics.
 
-MuJoCo calls them in the middle of a step. It cannot pass on an exception from a callback and would end the process. So they run
-guarded: the exception is kept, the step is completed without further callbacks, and then the exception is raised in the caller of
-the step. `forward_guarded` is mj_forward so guarded.
+MuJoCo calls these callbacks in the middle of a step. It cannot pass on an exception and would end the process. A guard therefore
+stores the exception, lets the step complete without further callbacks, and then raises the exception in the caller of the step.
+`forward_guarded` is mj_forward with such a guard.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ _guards: dict[int, Callable[[BaseException | None], bool]] = {}  # by thread
 
 
 @contextmanager
-def guard_callbacks(failed: Callable[[BaseException | None], bool]) -> Iterator[None]:
-    """Keep exceptions of MuJoCo's callbacks from leaving them, in this context and thread.
+def guard_callbacks(take_error: Callable[[BaseException | None], bool]) -> Iterator[None]:
+    """Catch the exceptions of MuJoCo's Python callbacks in this context and thread.
 
     Args:
-        failed: Takes the exception, or None, and returns whether there was one.
+        take_error: Function of an exception, or of None. It stores the exception, and returns whether one has been stored.
     """
     me = threading.get_ident()
     try:
@@ -49,7 +49,7 @@ def guard_callbacks(failed: Callable[[BaseException | None], bool]) -> Iterator[
                     if callable(callback):
                         _installed[name] = callback, _make_guard(callback)
                         getattr(mujoco, f"set_mjcb_{name}")(_installed[name][1])
-            _guards[me] = failed
+            _guards[me] = take_error
         yield
     finally:
         with _lock:
@@ -61,13 +61,15 @@ def guard_callbacks(failed: Callable[[BaseException | None], bool]) -> Iterator[
                 _installed.clear()
 
 
-def forward_guarded(model: mujoco.MjModel, data: mujoco.MjData, back: Callable[[], None] | None = None) -> None:
-    """Let MuJoCo compute what follows from the state (mj_forward).
+def forward_guarded(
+    model: mujoco.MjModel, data: mujoco.MjData, restore_state: Callable[[], None] | None = None
+) -> None:
+    """Let MuJoCo compute all quantities that depend on the state (mj_forward).
 
     Args:
         model: Model.
-        data: Its state.
-        back: Puts the former state back, if a callback raises.
+        data: State of the model.
+        restore_state: Function that restores the former state, called if a callback raises.
 
     Raises:
         SimulationError: A callback raises.
@@ -81,20 +83,20 @@ def forward_guarded(model: mujoco.MjModel, data: mujoco.MjData, back: Callable[[
 
     with guard_callbacks(failed):
         mujoco.mj_forward(model, data)
-        if errors and back is not None:
-            back()
+        if errors and restore_state is not None:
+            restore_state()
             mujoco.mj_forward(model, data)
     if errors:
         raise make_callback_error(errors[0], data.time, "Nothing has changed.")
 
 
 def make_callback_error(error: BaseException | None, seconds: float, state_text: str) -> BaseException:
-    """Make the error for a callback's exception; for Ctrl-C, which may come while one runs, that.
+    """Make the error for an exception of a callback. For Ctrl-C, which may come while a callback runs, return it unchanged.
 
     Args:
         error: The exception.
         seconds: Simulated time, s.
-        state_text: State of the stage now, in words.
+        state_text: Description of the present state of the stage, for the message.
     """
     if not isinstance(error, Exception):
         return error or KeyboardInterrupt()

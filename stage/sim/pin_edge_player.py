@@ -21,12 +21,12 @@ MAX_SWITCH_EDGES = 1 << 14
 
 
 class LineObservation(NamedTuple):
-    """Observations of a stage while edges were played.
+    """Observations of a stage during a play of pin edges.
 
     Attributes:
         switch_edges: SWITCH_EDGE records, the first MAX_SWITCH_EDGES of them.
         largest_errors: Largest following error of each axis at the end of a physics step, m (rad on a hinge).
-        error_times: Time of each, ns since power-up.
+        error_times: Time of each largest error, ns since power-up.
     """
 
     switch_edges: np.ndarray
@@ -35,12 +35,12 @@ class LineObservation(NamedTuple):
 
 
 def play_pin_edges(stage: Stage, edges: np.ndarray, until: int) -> LineObservation:
-    """Play edges of input pins into a stage, each at its nanosecond. No edge costs a call of Python.
+    """Let a stage's time pass, and change input pins of its chips on the way, each edge at its nanosecond, in compiled code.
 
     Args:
         stage: The stage.
-        edges: LINE_EDGE records in the order of their times; an edge whose time has passed comes at once.
-        until: Time at which to end, ns since power-up; edges after it are left out.
+        edges: LINE_EDGE records in the order of their times; an edge whose time has passed is made at once.
+        until: Time at the end, ns since power-up; later edges are ignored.
 
     Raises:
         ArgumentError: The edges are not in order, or are of axes that the stage does not have.
@@ -54,7 +54,7 @@ def play_pin_edges(stage: Stage, edges: np.ndarray, until: int) -> LineObservati
     axes, switch_edges = np.zeros(len(stage.axes), OBSERVED_AXIS), np.zeros(MAX_SWITCH_EDGES, SWITCH_EDGE)
     for row, axis in zip(axes, stage.axes.values(), strict=True):
         row["inputs"] = axis.chip.input_word(axis.chip_axis)
-        row["switches"] = sum({axis.chip.wired(pin) for pin in PINS})
+        row["switches"] = sum({axis.chip.find_switch_input(pin) for pin in PINS})
     player = np.zeros(1, LINE_PLAYER)
     row = player[0]
     row["edges"], row["n_edges"], row["axes"] = edges.ctypes.data, len(edges), axes.ctypes.data

@@ -5,7 +5,7 @@ On the way the stage is observed: every edge of its switches, and the largest fo
 
 from __future__ import annotations
 
-from stage.chips import cores
+from stage.chips import core_interface
 from stage.chips.journal_entries import INPUT
 from stage.drives import drive_dispatch
 from stage.native import array_at, exported, greatest, hot, least, record
@@ -39,75 +39,78 @@ of an OBSERVED_AXIS for each axis; address, room and number of SWITCH_EDGE recor
 
 
 @hot
-def _observe_switches(h, p, first):
-    """Keep the edges of switches that the engine has noted, from note `first` on."""
-    notes = array_at(h.edges, h.edge_room, EDGE)
-    axes, switch_edges = array_at(p.axes, h.n_axes, OBSERVED_AXIS), array_at(p.switch_edges, p.room, SWITCH_EDGE)
-    for k in range(first, h.noted):
+def _observe_switches(handle, player, first_note):
+    """Store the switch edges that the engine has logged, from log entry `first_note` on."""
+    notes = array_at(handle.edges, handle.edge_room, EDGE)
+    axes, switch_edges = (
+        array_at(player.axes, handle.n_axes, OBSERVED_AXIS),
+        array_at(player.switch_edges, player.room, SWITCH_EDGE),
+    )
+    for k in range(first_note, handle.noted):
         e = notes[k]
         if e.kind != INPUT:
             continue
         axis = axes[e.axis]
         changed = (axis.inputs ^ e.b) & axis.switches
         axis.inputs = e.b
-        if changed and p.n_switch_edges < p.room:
-            out = switch_edges[p.n_switch_edges]
+        if changed and player.n_switch_edges < player.room:
+            out = switch_edges[player.n_switch_edges]
             out.time, out.axis, out.inputs = e.now, e.axis, e.b
-            p.n_switch_edges += 1
+            player.n_switch_edges += 1
 
 
 @hot
-def _observe_following_errors(h, p):
-    """Keep the largest following error of each axis at the end of a physics step."""
-    axes = array_at(p.axes, h.n_axes, OBSERVED_AXIS)
-    for a in range(h.n_axes):
-        t = get_axis_table(h)[a]
-        count = float(cores.read_net_count(get_chip_table(h)[t.chip], t.chip_axis))
-        position = get_qpos(h)[t.qpos] - get_qvel(h)[t.dof] * get_clockwork(h).half
-        error = abs(drive_dispatch.compute_lag(get_drives(h)[a], count, position * t.gear) / t.gear)
+def _observe_following_errors(handle, player):
+    """Update the largest following error of each axis at the end of a physics step."""
+    axes = array_at(player.axes, handle.n_axes, OBSERVED_AXIS)
+    for a in range(handle.n_axes):
+        t = get_axis_table(handle)[a]
+        count = float(core_interface.read_net_count(get_chip_table(handle)[t.chip], t.chip_axis))
+        position = get_qpos(handle)[t.qpos] - get_qvel(handle)[t.dof] * get_clockwork(handle).half
+        error = abs(drive_dispatch.compute_lag(get_drives(handle)[a], count, position * t.gear) / t.gear)
         if error > axes[a].largest_error:
-            axes[a].largest_error, axes[a].error_time = error, get_world(h).now
+            axes[a].largest_error, axes[a].error_time = error, get_world(handle).now
 
 
 @hot
-def _apply_edge(h, p, edge):
-    """Change the input pins of an axis now."""
-    t = get_axis_table(h)[edge.axis]
-    c = get_chip_table(h)[t.chip]
-    before = cores.read_inputs(c, t.chip_axis)
+def _apply_edge(handle, player, edge):
+    """Change the input pins of an axis now, as a LINE_EDGE record describes."""
+    t = get_axis_table(handle)[edge.axis]
+    c = get_chip_table(handle)[t.chip]
+    before = core_interface.read_inputs(c, t.chip_axis)
     word = before & ~edge.pins | edge.levels & edge.pins
     if word != before:
-        cores.set_input(c, t.chip_axis, word)
-        array_at(p.axes, h.n_axes, OBSERVED_AXIS)[edge.axis].inputs = word
-        if p.has_journals:
-            journal_input(h, get_world(h).now, c, t.chip_axis)
+        core_interface.set_input(c, t.chip_axis, word)
+        array_at(player.axes, handle.n_axes, OBSERVED_AXIS)[edge.axis].inputs = word
+        if player.has_journals:
+            journal_input(handle, get_world(handle).now, c, t.chip_axis)
 
 
 @exported("i8", HANDLE, "i8", LINE_PLAYER)
-def play_line_edges(h, until, p):
-    """Let the stage's time pass up to `until` ns as `engine.advance` does, and apply every edge up to then at its time.
+def play_line_edges(handle, until_ns, player):
+    """Let the stage's time pass up to `until_ns` as `engine.advance` does, and apply every pin edge up to then at its time.
 
     Returns:
-        Why it stopped, as `engine.advance`.
+        Reason of the stop, as `engine.advance` returns it.
     """
-    w, dt, edges = get_world(h), get_clockwork(h).dt, array_at(p.edges, p.n_edges, LINE_EDGE)
+    w, dt, edges = get_world(handle), get_clockwork(handle).dt, array_at(player.edges, player.n_edges, LINE_EDGE)
     while True:
-        time = edges[p.next].time if p.next < p.n_edges else NEVER
-        start, noted = w.start, h.noted
-        status = advance(h, least(least(until, greatest(time, w.now)), w.start + dt))
+        time = edges[player.next].time if player.next < player.n_edges else NEVER
+        start, noted = w.start, handle.noted
+        status = advance(handle, least(least(until_ns, greatest(time, w.now)), w.start + dt))
         if status not in (REACHED, SAMPLES_FULL, EDGES_FULL):
             return status
-        _observe_switches(h, p, noted)
+        _observe_switches(handle, player, noted)
         if w.start != start:
-            _observe_following_errors(h, p)
+            _observe_following_errors(handle, player)
         if status != REACHED:
             return status
         if time <= w.now:
             if (
-                p.has_journals and h.noted >= h.edge_room - get_clockwork(h).most_edges
+                player.has_journals and handle.noted >= handle.edge_room - get_clockwork(handle).most_edges
             ):  # the engine needs that much in any step
                 return EDGES_FULL
-            _apply_edge(h, p, edges[p.next])
-            p.next += 1
-        elif w.now >= until:
+            _apply_edge(handle, player, edges[player.next])
+            player.next += 1
+        elif w.now >= until_ns:
             return REACHED

@@ -1,20 +1,20 @@
-"""`Program`: the actions of a host, listed before they are done: bus cycles and waiting, without branches.
+"""`Program`: a list of bus cycles and waits of a host, without branches, which compiled code plays.
 
-A program is an array of operations, (kind, a, b, c) of int64 each:
+A program is an array of operations, each of four int64 (kind, a, b, c):
 
     WRITE    axis, address, value     one bus write cycle; its time passes first
     READ     axis, address, -         one bus read cycle; its value is the operation's result
     WAIT     ns, -, -
-    STOP     mask, poll ns, limit ns  poll the status of the axes in `mask` until none is in motion;
-                                      the result is the ns it took, negative where `limit` came first
-    KEEP     mask, poll ns, limit ns  as STOP, and the program ends where a rotor of one of the axes is in another turn of its field
-                                      than its pulses: the result is then the ns up to there, negative
-    MEASURE  ns, point, -             pass the time a physics step at a time and keep each coordinate's extremes; with a point, 1 +
-                                      a site's index or - a body's, the result is how far it travelled: the diagonal of the box
-                                      that it kept to, in pm
-    LOOK     axis, point, coordinate  the axis' position is the operation's result, in pm (prad on a hinge); with a point, as of
-                                      MEASURE, its coordinate of the world, 0 to 2
-    END      -, -, -
+    STOP     mask, poll ns, limit ns  poll the status of the axes in `mask` until none is in motion; the result is the duration
+                                      in ns, negative if `limit` passed first
+    KEEP     mask, poll ns, limit ns  as STOP, and the program ends if an axis in `mask` loses a step; the result is then the
+                                      negative duration up to that time
+    MEASURE  ns, point, -             wait, and store the least and the greatest value of each coordinate; with a point (1 + the
+                                      index of a site, or minus the index of a body) the result is the point's travel in pm: the
+                                      diagonal of the smallest box around its path
+    LOOK     axis, point, coordinate  the result is the position of the axis in pm (prad on a hinge); with a point, as of MEASURE,
+                                      the result is the point's world coordinate 0 to 2
+    END      -, -, -                  end of the program
 
 program_player.py plays programs.
 """
@@ -37,7 +37,7 @@ MAX_AXES = 62  # bits of a mask
 
 
 class Operations(ABC):
-    """Actions of a host, one operation after the other; each method returns the same object."""
+    """Base class of lists of a host's operations. Each method appends an operation and returns the list."""
 
     @abstractmethod
     def __len__(self) -> int:
@@ -92,10 +92,10 @@ class Operations(ABC):
 
 
 def _to_int(name: str, value: int) -> int:
-    """Return a number of an operation.
+    """Convert an argument of an operation to an integer.
 
     Raises:
-        WrongType: It is not a whole number of 64 bits.
+        WrongType: The argument is not a whole number of 64 bits.
     """
     try:
         if (number := int(value)) == value and -(1 << 63) <= number < 1 << 63:
@@ -106,10 +106,10 @@ def _to_int(name: str, value: int) -> int:
 
 
 def _to_ns(name: str, seconds: float) -> int:
-    """Return seconds of an operation in ns.
+    """Convert the seconds of an operation to nanoseconds.
 
     Raises:
-        WrongType: It is not a number.
+        WrongType: The argument is not a number.
     """
     try:
         return _to_int(name, round(seconds * 1e9))
@@ -118,7 +118,7 @@ def _to_ns(name: str, seconds: float) -> int:
 
 
 class Program(Operations):
-    """List of operations; each method appends one and returns the program.
+    """Program of a host: each method appends an operation and returns the program.
 
     Raises:
         ArgumentError: An argument is not a number.
@@ -158,13 +158,13 @@ class Program(Operations):
 
     @explain_arguments
     def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 2.5e-4, keep_step: bool = False) -> Self:
-        """Add a poll until none of the axes is in motion; the result is the ns it took, negative when the limit came first.
+        """Add a poll until none of the axes is in motion; its result is the duration in ns, negative if the limit passed first.
 
         Args:
             axes: Indices of the axes.
             limit: Simulated time to wait, s.
             poll: Simulated time between two polls, s.
-            keep_step: End the program at the first step that one of the axes loses; the result is then negative, too.
+            keep_step: Whether to end the program at the first step that one of the axes loses; the result is then negative, too.
 
         Raises:
             ArgumentError: An axis is out of range.
@@ -177,22 +177,22 @@ class Program(Operations):
         return self
 
     def sample_position(self, axis: int, point: int = 0, coordinate: int = 0) -> Self:
-        """Add a sample of a true position, which no bus cycle reads; the result is in pm (prad on a hinge).
+        """Add a sample of a true position, which a host cannot read; its result is in pm (prad on a hinge).
 
         Args:
             axis: Index of the axis.
-            point: 0 for the position of the axis; else a point as of `measure`, sampled at the beginning of the physics step.
+            point: 0 for the position of the axis; else a point as in `measure`, sampled at the beginning of the physics step.
             coordinate: Coordinate of the point in the world, 0 to 2.
         """
         self.ops.append((LOOK, _to_int("axis", axis), _to_int("point", point), _to_int("coordinate", coordinate)))
         return self
 
     def measure(self, seconds: float, point: int = 0) -> Self:
-        """Add a wait in which every coordinate's extremes are kept, as MuJoCo has them at each physics step's begin.
+        """Add a wait that stores the least and the greatest value of every coordinate, sampled at the beginning of physics steps.
 
         Args:
             seconds: Simulated time, s.
-            point: 1 + the index of a site, or - that of a body, whose travel is then the result, see above; 0 for none.
+            point: 1 + the index of a site, or minus the index of a body: the result is then the travel of this point; 0: none.
         """
         self.ops.append((MEASURE, _to_ns("seconds", seconds), _to_int("point", point), 0))
         return self

@@ -1,7 +1,7 @@
 """Player of host programs on many stages at once, compiled: it runs without the GIL.
 
-The result is that of a Python program through `Stage`, to the bit: `play_in_python` plays a program that way, for recordings and
-tests.
+The results are bit for bit those of a Python program that makes the same bus cycles on a `Stage`. `play_in_python` plays a program
+in this way, for recordings and tests.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.chips import cores
+from stage.chips import core_interface
 from stage.drives import drive_dispatch
 from stage.errors import SimulationError
 from stage.native import array_at, array_of, exported, greatest, hot, least, record
@@ -51,9 +51,9 @@ TRUTH = record(
 
 
 @hot
-def _advance_halting(handle, until):
-    """Let a stage's time pass up to `until`; return 0, or why it did not."""
-    w, end = get_world(handle), int(until)
+def _advance_unless_halted(handle, until_ns):
+    """Let a stage's time pass up to `until_ns`, unless the play is halted. Return 0, or the reason of the stop."""
+    w, end = get_world(handle), int(until_ns)
     while end - w.now > MAX_PIECE_NS:
         if handle.halt:
             return HALTED
@@ -64,14 +64,14 @@ def _advance_halting(handle, until):
 
 
 @hot
-def _has_lost_step(handle, mask):
+def _has_lost_step(handle, axis_mask):
     """Return whether an axis in the mask has lost a step."""
     w, axes = get_world(handle), get_axis_table(handle)
     tau = (w.now - w.start - 0.5 * get_clockwork(handle).dt) * 1e-9
     for k in range(handle.n_axes):
-        if mask >> k & 1:
+        if axis_mask >> k & 1:
             t = axes[k]
-            net = cores.read_net_count(get_chip_table(handle)[t.chip], t.chip_axis)
+            net = core_interface.read_net_count(get_chip_table(handle)[t.chip], t.chip_axis)
             if (
                 drive_dispatch.count_lost_steps(
                     get_drives(handle)[k],
@@ -85,34 +85,38 @@ def _has_lost_step(handle, mask):
 
 
 @hot
-def _poll_until_stopped(handle, mask, poll, limit, keep_step):
-    """Poll the axes in the mask until none is in motion.
+def _poll_until_stopped(handle, axis_mask, poll_ns, limit_ns, keep_step):
+    """Poll the status of the axes in a mask until none is in motion.
 
-    Returns (as `_advance_halting`, or STEP_LOST; ns that it took, negative where `limit` or a lost step came first).
+    Returns:
+        Status of `_advance_unless_halted`, or STEP_LOST; duration in ns, negative if `limit_ns` or a lost step came first.
     """
     w, axes = get_world(handle), get_axis_table(handle)
-    begin, left = w.now, mask
+    begin, left = w.now, axis_mask
     while True:
         for k in range(handle.n_axes):
             if left >> k & 1:
-                bad = _advance_halting(handle, w.now + handle.bus)
+                bad = _advance_unless_halted(handle, w.now + handle.bus)
                 if bad:
                     return bad, 0
-                if not cores.is_busy(get_chip_table(handle)[axes[k].chip], axes[k].chip_axis):
+                if not core_interface.is_busy(get_chip_table(handle)[axes[k].chip], axes[k].chip_axis):
                     left &= ~(1 << k)
         took = w.now - begin
-        if keep_step and _has_lost_step(handle, mask):
+        if keep_step and _has_lost_step(handle, axis_mask):
             return STEP_LOST, -took
-        if left == 0 or took >= limit:
+        if left == 0 or took >= limit_ns:
             return 0, took if left == 0 else -took
-        bad = _advance_halting(handle, w.now + poll)
+        bad = _advance_unless_halted(handle, w.now + poll_ns)
         if bad:
             return bad, 0
 
 
 @hot
-def _measure_extremes(handle, end, point, extremes):
-    """Let time pass up to `end` a physics step at a time. Returns (as `_advance_halting`, pm that the point travelled)."""
+def _measure_extremes(handle, end_ns, point, extremes):
+    """Let time pass up to `end_ns`, and update the extremes of all coordinates at each physics step.
+
+    Returns:
+        Status of `_advance_unless_halted`; travel of the point, pm."""
     w, dt, positions = get_world(handle), get_clockwork(handle).dt, get_qpos(handle)
     sites, bodies = (
         array_at(handle.sites, (handle.n_sites, 3), REAL),
@@ -120,8 +124,8 @@ def _measure_extremes(handle, end, point, extremes):
     )
     x0 = y0 = z0 = math.inf
     x1 = y1 = z1 = -math.inf
-    while w.now < end:
-        bad = _advance_halting(handle, least(end, w.start + dt))
+    while w.now < end_ns:
+        bad = _advance_unless_halted(handle, least(end_ns, w.start + dt))
         if bad:
             return bad, 0
         for i in range(handle.nq):
@@ -138,7 +142,17 @@ def _measure_extremes(handle, end, point, extremes):
 
 @hot
 def play_program(handle, ops, results, extremes):
-    """Play `ops` on the stage of handle `handle`; return PLAYED, DIVERGED or why it could not be played."""
+    """Play a program on the stage of a handle.
+
+    Args:
+        handle: HANDLE of the stage.
+        ops: Operations, (operations, 4).
+        results: Results of the operations to fill, (operations,).
+        extremes: Least and greatest value of each coordinate to update, (nq, 2).
+
+    Returns:
+        PLAYED, DIVERGED, or the reason why the program could not be played.
+    """
     w, axes = get_world(handle), get_axis_table(handle)
     for j in range(len(ops)):
         kind, a, b, c = ops[j, 0], ops[j, 1], ops[j, 2], ops[j, 3]
@@ -154,7 +168,7 @@ def play_program(handle, ops, results, extremes):
         elif kind == MEASURE:
             bad, results[j] = _measure_extremes(handle, w.now + a, b, extremes)
         elif kind == WAIT:
-            bad = _advance_halting(handle, w.now + a)
+            bad = _advance_unless_halted(handle, w.now + a)
         elif kind == LOOK and b:
             sites, bodies = (
                 array_at(handle.sites, (handle.n_sites, 3), REAL),
@@ -167,11 +181,11 @@ def play_program(handle, ops, results, extremes):
             q, v = get_qpos(handle)[axes[a].qpos], get_qvel(handle)[axes[a].dof]
             results[j] = math.floor((q + v * tau) * 1e12)
         else:
-            bad = _advance_halting(handle, w.now + handle.bus)
+            bad = _advance_unless_halted(handle, w.now + handle.bus)
             if not bad and kind == WRITE:
-                cores.write(get_chip_table(handle)[axes[a].chip], b, c)
+                core_interface.write(get_chip_table(handle)[axes[a].chip], b, c)
             elif not bad:
-                results[j] = cores.read(get_chip_table(handle)[axes[a].chip], b)
+                results[j] = core_interface.read(get_chip_table(handle)[axes[a].chip], b)
         if bad:
             return bad
     return PLAYED
@@ -179,34 +193,48 @@ def play_program(handle, ops, results, extremes):
 
 @exported(None, array_of(HANDLE), "i8", "i8", array_of("i8", 3), array_of("i8", 2), array_of("f8", 3), array_of("i8"))
 def play_programs(handles, begin, end, ops, results, extremes, status):
-    """Play ops[k] on stage k for k in begin..end-1; results (stages, ops), extremes (stages, nq, 2), status (stages)."""
+    """Play program ops[k] on stage k for k from `begin` to `end` - 1.
+
+    Args:
+        handles: HANDLE of each stage.
+        begin: First stage.
+        end: Stage after the last one.
+        ops: Operations, (stages, operations, 4).
+        results: Results of the operations to fill, (stages, operations).
+        extremes: Least and greatest value of each coordinate to update, (stages, nq, 2).
+        status: Status of `play_program` to fill, (stages,).
+    """
     for k in range(begin, end):
         status[k] = play_program(handles[k], ops[k], results[k], extremes[k])
 
 
 @hot
-def inspect_axis(world, chip, axis_row, drive, clockwork, qpos, qvel, out):
-    """Write the present state of an axis into a TRUTH."""
+def inspect_axis(world, chip, axis_row, drive, clockwork, qpos, qvel, truth):
+    """Write the present true state of an axis into a TRUTH record."""
     tau = (world.now - world.start - 0.5 * clockwork.dt) * 1e-9
     j = axis_row.chip_axis
-    net = cores.read_net_count(chip, j)
+    net = core_interface.read_net_count(chip, j)
     v = qvel[axis_row.dof]
     q = qpos[axis_row.qpos] + v * tau
     theta = q * axis_row.gear
-    out.now, out.position, out.velocity = world.now, q, v
-    out.commanded = q + drive_dispatch.compute_lag(drive, float(net), theta) / axis_row.gear
-    out.lost_steps = drive_dispatch.count_lost_steps(drive, float(net), theta)
-    out.pulses, out.counter, out.inputs = net, cores.read_counter(chip, j), cores.read_inputs(chip, j)
-    out.outputs, out.status, out.busy = (
-        cores.read_outputs(chip, j),
-        cores.read_status(chip, j),
-        1 if cores.is_busy(chip, j) else 0,
+    truth.now, truth.position, truth.velocity = world.now, q, v
+    truth.commanded = q + drive_dispatch.compute_lag(drive, float(net), theta) / axis_row.gear
+    truth.lost_steps = drive_dispatch.count_lost_steps(drive, float(net), theta)
+    truth.pulses, truth.counter, truth.inputs = (
+        net,
+        core_interface.read_counter(chip, j),
+        core_interface.read_inputs(chip, j),
+    )
+    truth.outputs, truth.status, truth.busy = (
+        core_interface.read_outputs(chip, j),
+        core_interface.read_status(chip, j),
+        1 if core_interface.is_busy(chip, j) else 0,
     )
 
 
 @exported(None, array_of(HANDLE), "i8", "i8", array_of(TRUTH, 2))
 def inspect_axes(handles, begin, end, truth):
-    """Fill truth[k, a] for every axis of the stages begin..end-1."""
+    """Fill truth[k, a], TRUTH records, for every axis of the stages `begin` to `end` - 1."""
     for k in range(begin, end):
         handle = handles[k]
         axes = get_axis_table(handle)
@@ -225,36 +253,36 @@ def inspect_axes(handles, begin, end, truth):
 
 
 @hot
-def write_program_cycles(chip, ops, axes):
-    """Write the write cycles of a program to a chip, for the axes in the mask."""
+def write_program_cycles(chip, ops, axis_mask):
+    """Make the write cycles of a program on a chip, for the axes in a mask."""
     for j in range(len(ops)):
-        if ops[j, 0] == WRITE and axes >> ops[j, 1] & 1:
-            cores.write(chip, ops[j, 2], ops[j, 3])
+        if ops[j, 0] == WRITE and axis_mask >> ops[j, 1] & 1:
+            core_interface.write(chip, ops[j, 2], ops[j, 3])
 
 
-@exported(None, cores.CHIP, array_of("i8", 2), "i8")
-def write_cycles(chip, ops, axes):
-    """Write the write cycles of a program to the chip whose axes are in the mask, at one clock."""
-    write_program_cycles(chip, ops, axes)
+@exported(None, core_interface.CHIP, array_of("i8", 2), "i8")
+def write_cycles(chip, ops, axis_mask):
+    """Make the write cycles of a program on the chip whose axes are in a mask, all at one clock."""
+    write_program_cycles(chip, ops, axis_mask)
 
 
-@exported("i8", cores.CHIP, array_of("i8", 2), "i8", "i8", "i8")
-def predict_pulses(chip, ops, axes, axis, until):
-    """Predict the net pulses of a chip's axis after `write_cycles` and time up to the clock `until`, without a stage.
+@exported("i8", core_interface.CHIP, array_of("i8", 2), "i8", "i8", "i8")
+def predict_pulses(chip, ops, axis_mask, axis, until_clock):
+    """Predict the net pulses of a chip's axis at the clock `until_clock`, after `write_cycles` now, without a stage.
 
     Returns:
-        The pulses; STILL_BUSY if the axis is in motion then.
+        The net pulses; STILL_BUSY if the axis is still in motion at that clock.
     """
-    write_program_cycles(chip, ops, axes)
-    cores.run(chip, until)
-    return STILL_BUSY if cores.is_busy(chip, axis) else cores.read_net_count(chip, axis)
+    write_program_cycles(chip, ops, axis_mask)
+    core_interface.run(chip, until_clock)
+    return STILL_BUSY if core_interface.is_busy(chip, axis) else core_interface.read_net_count(chip, axis)
 
 
 class _OperationRunner:
-    """Runner of a program's operations on one stage, through the bus cycles of its chips; a method for each operation.
+    """Runner of a program's operations on one stage, through the bus cycles of its chips; it has a method for each operation.
 
     Attributes:
-        step_lost: Whether an operation KEEP has ended the program because an axis has lost steps.
+        step_lost: Whether an operation KEEP has ended the program because an axis has lost a step.
     """
 
     def __init__(self, stage: Any, extremes: np.ndarray):
@@ -311,13 +339,13 @@ class _OperationRunner:
 
 
 def play_in_python(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarray) -> int:
-    """Play a program on one stage through its chips' own bus cycles: recordings, journals and diagnostics take part.
+    """Play a program on one stage in Python, so that recordings, journals and diagnostics receive its bus cycles.
 
     Args:
         stage: Stage.
-        ops: (operations, 4).
-        results: (operations,), filled.
-        extremes: (nq, 2), lowered and raised.
+        ops: Operations, (operations, 4).
+        results: Results of the operations to fill, (operations,).
+        extremes: Least and greatest value of each coordinate to update, (nq, 2).
 
     Returns:
         PLAYED or DIVERGED.

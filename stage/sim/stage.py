@@ -3,13 +3,13 @@
     stage = Stage("xyz", chips=PCL240K)
     stage.axes["x"].chip.write(0, 0x10)          a bus cycle; takes `bus_cycle` seconds of simulated time
     stage.run(0.5)
-    stage.axes["x"].position                     the true position in metres; .commanded is the position by the pulses
+    stage.axes["x"].position                     the true position in meters; .commanded is the position by the pulses
 
 Promises, each with a test: the same stage, program and seed give the same bits; a run of n steps then m is a run of n + m;
 snapshot, restore, copy and pickle continue bit for bit; an error leaves the state as it was.
 
-This is the user's interface. stage.sim.plant reads the model, wiring.py the chips and drives; the records are in a `State`; a
-`Loop` advances time.
+This module is the interface for users. stage.sim.plant reads the model, chips_and_drives.py chooses the chips and drives, a `State`
+holds the records, and a `StageLoop` advances time.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from stage.sim.drive_replacement import compute_power_up_state, replace_motor_in
 from stage.sim.encoder import EncoderChoice
 from stage.sim.model_fingerprint import compute_mechanics_digest
 from stage.sim.payload import Payloads
-from stage.sim.stage_loop import Loop
+from stage.sim.stage_loop import StageLoop
 from stage.sim.stage_snapshot import Snapshot, describe_stage
 from stage.sim.stage_state import SAVED, State, count_state_words, list_chips
 from stage.sim.wiring_choices import Wires, WiringChoice, choose_leaders, choose_linked_axes, choose_wiring
@@ -67,23 +67,25 @@ class Stage:
         clock: Hz, the reference clock of chips that are given by class or name; default: that of each chip's data sheet.
         encoders: what the chips' own counters of the real position count (RP, EP of NOVA's): a mapping axis -> counts a metre
             (rad), all four edges of a line, or Encoders of stage.sim.encoder. Default: nothing; a Servo has its own.
-        wiring: the logic of sensors: a mapping axis -> switch (or "ez", the index) -> "negative", low while on, or "positive"; the
-            default is what its chip takes as asserted after a reset, negative for all of PulseStage's own. A chip that can reads it
-            by its polarity bits; the drivers of stage.firmware set them.
+        wiring: the logic of sensors: a mapping axis -> switch (or "ez", the index) -> "negative", low while on, or "positive".
+            Default: the logic that the chip expects after a reset, negative for all of PulseStage's own chips. A chip with polarity
+            bits can read other sensors; the drivers of stage.firmware set these bits.
         syni: chips of the PCL-240 family that count another's clock: a mapping follower -> leader of axes, {"y": "x"}.
         multichip: an axis of each MCX514 or MCX512 that the lines of multichip interpolation join, ["x", "u"].
-        visuals: False leaves out what is only for display, for runs without pictures: the same bits, a third faster.
+        visuals: False discards elements that are only for display, for runs without pictures: the same bits, a third faster.
 
     Raises:
-        ArgumentError: unknown model, axis, chip or motor. ModelError: the model breaks the naming contract, or its integrator or
-            time step cannot be right.
+        ArgumentError: unknown model, axis, chip or motor.
+        ModelError: the model breaks the naming contract, or its integrator or time step is not suitable.
 
     Attributes:
         model, data: the MjModel and the MjData.
-        host: for recordings, what its Board knows of the host's bus; None without a Board.
-        axes: each `Axis` by its name, in the order of their indices; chips: each once.
-        state: the places of its records; loop: advances its time; beside: state outside MuJoCo's. For compiled code, boards and
-            tests; users need none of them.
+        host: for recordings, the Board's data about the host's bus; None without a Board.
+        axes: each `Axis` by its name, in the order of their indices.
+        chips: all chips, each once.
+        state: records of the stage in memory; for compiled code, boards and tests.
+        loop: `StageLoop` that advances time; for boards and tests.
+        device_state: arrays of devices on the bus, state outside MuJoCo's; for boards.
     """
 
     host: Any = None
@@ -115,7 +117,7 @@ class Stage:
         self._followers = choose_leaders(syni, names, chip_axes)
         self._linked, _ = choose_linked_axes(multichip, names, chip_axes)
         self.model, offset = plant.compile_spec(spec, count_state_words(chip_axes, 5 * len(names)))
-        integration_checks.check_options(self.model)
+        integration_checks.check_integration_options(self.model)
         try:
             self._build(names, chip_axes, drives_chosen, round(bus_cycle * 1e9), offset, wiring)
         except BaseException:
@@ -141,7 +143,7 @@ class Stage:
             d.fill(self.state.drives[k])
         mujoco_callbacks.forward_guarded(self.model, self.data)
         integration_checks.check_dampers(self.model, self._plant, drives)
-        integration_checks.check_step(self.model, self.data, self._plant, drives)
+        integration_checks.check_step_length(self.model, self.data, self._plant, drives)
         engine.find_switch_levels.with_gil(self.state.pointer)
         self.run_to(0)
         self._initial = self.snapshot()
@@ -170,7 +172,7 @@ class Stage:
         for follower, leader in wires.leaders.items():
             follower.syni = leader
         self.data, self.chips = self.state.data, list_chips(chip_axes)
-        self.loop = Loop(self.state, self.chips, self._power_up)
+        self.loop = StageLoop(self.state, self.chips, self._power_up)
         for chip, rows in zip(self.chips, self.state.chips, strict=True):
             chip.attach(self.loop, rows)
         for chip_axis, drive in zip(chip_axes, drives, strict=True):
@@ -184,7 +186,7 @@ class Stage:
         self.device_state = DeviceState()
 
     def _make_header(self) -> Header:
-        """Describe what the stage's snapshots are taken of, without devices."""
+        """Make the description of the stage in its snapshots, without the devices on its bus."""
         return describe_stage(self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked)
 
     @property
@@ -227,7 +229,7 @@ class Stage:
         self.loop.prepare_change()
 
     def _power_up(self) -> None:
-        """Reset the stage; a carriage that MuJoCo has put elsewhere (by a keyframe) stays there."""
+        """Reset the stage after MuJoCo has cleared its state. Carriages stay where MuJoCo has put them, as by a keyframe."""
         data = self.data
         names = ("qpos", "qvel", "act", "mocap_pos", "mocap_quat")
         places = [getattr(data, name).copy() for name in names]
@@ -246,7 +248,7 @@ class Stage:
 
         Raises:
             ArgumentError: `n` is not a whole number, or out of range.
-            SimulationError: As `run`.
+            SimulationError: The simulation diverges, see `run`.
         """
         dt = self.state.dt
         max_steps = MAX_RUN_S * engine_records.SECOND // dt
@@ -266,7 +268,7 @@ class Stage:
             seconds: Simulated time, s.
 
         Raises:
-            SimulationError: The simulation diverges; the state is then that before the step which did.
+            SimulationError: The simulation diverges; the state is then that before the diverging step.
             StageError: The model's time step or integrator is not that with which the stage was built.
         """
         if not 0 <= seconds < MAX_RUN_S:
@@ -277,14 +279,14 @@ class Stage:
     @explain_arguments
     @exclusive
     def run_to(self, until: int) -> None:
-        """Advance to a time; one that has passed changes nothing.
+        """Advance to a time. A time that has passed changes nothing.
 
         Args:
             until: ns since power-up.
 
         Raises:
             ArgumentError: `until` is not a whole number, or too far away.
-            SimulationError: As `run`.
+            SimulationError: The simulation diverges, see `run`.
         """
         if int(until) != until or until - self.state.now > MAX_RUN_S * engine_records.SECOND:
             raise ArgumentError(
@@ -353,7 +355,7 @@ class Stage:
         """Return the mass that `set_payload` put on a body, kg.
 
         Args:
-            body: As of `set_payload`.
+            body: Name of the body; default: the one that carries the site "work".
 
         Raises:
             ArgumentError: There is no such body.
@@ -362,7 +364,7 @@ class Stage:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Texts of the faults in force, see stage.faults. They are the machine's: snapshots and `reset` leave them alone."""
+        """Descriptions of the faults in force, see stage.faults. Faults belong to the machine: snapshots and `reset` keep them."""
         return (*self._inherited, *(fault.text for fault in self.active_faults))
 
     def note_fault(self, fault: Any, begins: bool) -> None:
@@ -370,7 +372,7 @@ class Stage:
 
         Args:
             fault: The `Fault`.
-            begins: False where it ends.
+            begins: Whether the fault begins; False: it ends.
         """
         (self.active_faults.append if begins else self.active_faults.remove)(fault)
         if self.recording is not None:
@@ -381,13 +383,13 @@ class Stage:
     @explain_arguments
     @exclusive
     def update_switches(self, axis: Axis) -> None:
-        """Apply a change of this axis' rows of `state.switch_table` from now on."""
+        """Apply a change of an axis' rows of `state.switch_table` from now on."""
         self.loop.update_switches(axis.index)
 
     @explain_arguments
     @exclusive
     def replace_drive(self, axis: Axis, drive: Drive | Servo) -> None:
-        """Give an axis a drive with another motor, see `faults.motor`. Snapshots taken before are those of another stage.
+        """Give an axis a drive with another motor, see `faults.motor`. Snapshots that were taken before cannot be restored.
 
         Args:
             axis: Axis of this stage.
@@ -395,13 +397,13 @@ class Stage:
 
         Raises:
             ArgumentError: `drive` is not a drive, or the rotor does not fit the armature.
-            ModelError: The motor cannot be simulated with this time step. The stage is then as it was.
+            ModelError: The motor cannot be simulated with this time step. The stage has not changed.
         """
         if not isinstance(drive, Drive | Servo):
             raise ArgumentError(f"drive={drive!r}: give a Drive or a Servo.")
         self.prepare_change()
         self.loop.check_state_allowed()
-        with self.loop.claimed():
+        with self.loop.claim():
             replace_motor_in_model(self.model, self.data, self._axes, axis, drive)
             axis.drive = drive
             set_drive_record(self.state, axis, drive, self.state.drives[axis.index])
@@ -433,7 +435,7 @@ class Stage:
     def place(self, /, **positions: float) -> None:
         """Place carriages, at rest, as if moved by hand with the motors off: `stage.place(x=0.05)`.
 
-        The drives take hold at the nearest microstep: no jump, no lost step.
+        The drives hold the nearest microstep from then on: no jump, no lost step.
 
         Args:
             positions: Axis -> position, m (rad on a hinge).
@@ -456,7 +458,7 @@ class Stage:
         self._apply_positions([(self.data.qpos, qpos), (self.data.qvel, qvel)])
 
     def _apply_positions(self, changes: Iterable[tuple[np.ndarray, np.ndarray]]) -> None:
-        """Set positions or speeds of MuJoCo, and compute switch levels and edges again.
+        """Set positions or speeds in MuJoCo's data, and compute switch levels and edges again.
 
         Args:
             changes: Pairs of an array of MuJoCo and its new values.
@@ -466,7 +468,7 @@ class Stage:
             for here, values in changes:
                 here[:] = values
 
-        with self.loop.claimed():
+        with self.loop.claim():
             self.loop.apply_change(put)
             engine.find_switch_levels.with_gil(self.state.pointer)
         for axis in self._axes:
@@ -478,7 +480,7 @@ class Stage:
 
     @property
     def header(self) -> Header:
-        """Description of the stage in its snapshots: those with an equal one can be restored."""
+        """Description of the stage in its snapshots. A snapshot can be restored if its description is equal."""
         return self._header
 
     @exclusive
@@ -490,7 +492,7 @@ class Stage:
         return _make_snapshot(self._header, state, tuple(tuple(chip.diagnostics) for chip in self.chips))
 
     def copy_state(self, state: np.ndarray) -> None:
-        """Copy all state but the diagnostics into an array: MuJoCo's, and behind it that of devices.
+        """Copy all state except the diagnostics into an array: MuJoCo's state, followed by the state of devices.
 
         Args:
             state: float64, (words,).
@@ -505,7 +507,7 @@ class Stage:
 
     @exclusive
     def load_state(self, state: np.ndarray) -> None:
-        """Put the stage into a state that `copy_state` has copied, of this stage or an equal one.
+        """Load a state that `copy_state` has copied from this stage or an equal one.
 
         Args:
             state: float64, (words,).
@@ -527,8 +529,8 @@ class Stage:
 
     @explain_arguments
     @exclusive
-    def attach(self, name: str, arrays: Sequence[np.ndarray]) -> None:
-        """Make arrays of a device on its bus part of the stage's state; as they are now they are at power-up.
+    def attach_device(self, name: str, arrays: Sequence[np.ndarray]) -> None:
+        """Make the arrays of a device on the bus part of the stage's state; their present contents are those at power-up.
 
         Args:
             name: Name of the device.
@@ -537,7 +539,7 @@ class Stage:
         Raises:
             ArgumentError: An array is not contiguous.
         """
-        self.device_state.add(name, arrays)
+        self.device_state.add_device(name, arrays)
         header = Header(self._bare.parts + self.device_state.header_part)
         state = np.zeros(len(self.state.saved) + self.device_state.words)
         self.copy_state(state)
@@ -546,20 +548,20 @@ class Stage:
         self._header, self._initial = header, _make_snapshot(header, state, before.diagnostics)
 
     def _without_devices(self, snapshot: Snapshot) -> Snapshot:
-        """Return a snapshot without the devices on the bus, for a copy of the stage: they stay with their board."""
+        """Remove the devices on the bus from a snapshot, for a copy of the stage, which has no board."""
         return _make_snapshot(self._bare, snapshot.state[: len(self.state.saved)].copy(), snapshot.diagnostics)
 
     @exclusive
     def restore(self, snapshot: Snapshot) -> None:
-        """Continue from a snapshot, bit for bit. Payloads and faults are the machine's and stay as they are.
+        """Continue from a snapshot, bit for bit. Payloads and faults belong to the machine and stay as they are.
 
         Args:
-            snapshot: Of this stage or an equal one.
+            snapshot: Snapshot of this stage or an equal one.
 
         Raises:
             ArgumentError: The snapshot is damaged, or of another kind of stage (axes, chips, drives, bus cycle, time step or
                 mechanics of the model).
-            StageError: A recording goes on.
+            StageError: A recording is in progress.
         """
         snapshots.check_restorable(snapshot, Snapshot, self._header)
         if self.recording is not None:
@@ -571,7 +573,7 @@ class Stage:
         self.apply_faults()
 
     def reset(self) -> None:
-        """Return to power-up: the state that the stage was made with."""
+        """Return to power-up, the state in which the stage was made."""
         self.restore(self._initial)
 
     # --- recording ---
@@ -591,25 +593,25 @@ class Stage:
         overwrite: bool = False,
         on_error: str = "raise",
     ) -> Recording:
-        """Record all that happens from now to the recording's close; use as `with stage.record() as recording:`.
+        """Record the stage from now to the close of the recording; use it as `with stage.record() as recording:`.
 
         Args:
-            every: Seconds between samples, up to 1e6, rounded to whole physics steps, one at least; switch edges and bus writes are
-                exact anyway.
+            every: Seconds between samples, up to 1e6, rounded to whole physics steps, at least one; switch edges and bus writes are
+                always exact.
             path: File of rerun to write at the same time, see `Recording.stream`.
             overwrite: Whether an existing file may be replaced.
             on_error: "raise" or "warn", for errors of the file.
 
         Raises:
             ArgumentError: `every` is out of range.
-            StageError: Another recording goes on.
+            StageError: Another recording is in progress.
             RecordingError: The file cannot be written.
         """
         return load_method_of_stage("record")(self, every, path, overwrite=overwrite, on_error=on_error)
 
     @exclusive
     def begin_recording(self, recording: Any, steps: int) -> None:
-        """Have the engine fill the buffers of a recording, see `Loop.recording`.
+        """Make the engine fill the buffers of a recording from now on, see `StageLoop.recording`.
 
         Args:
             recording: Owner of the buffers.
@@ -639,15 +641,15 @@ class Stage:
     ) -> Panel:
         """Open a live page of the stage for the program that drives it, until its `close()`; see docs/panel.md.
 
-        From now on time passes at `speed` simulated seconds a second at most, and the program waits while somebody has paused it on
-        the page, or taken the stage over. What the stage does stays the same, bit for bit, unless somebody interferes.
+        From now on simulated time passes at most `speed` times as fast as real time. The program waits while a user of the page has
+        paused it or has taken control of the stage. The stage behaves the same, bit for bit, unless a user changes something.
 
         Args:
-            port: TCP port, 0 for one that is free.
-            host: Another address than 127.0.0.1 lets in whoever has the link with its token.
-            speed: Simulated seconds a second at most.
-            program: What the page calls the program.
-            browser: Whether to open the page; its link is `.address`.
+            port: TCP port, 0 for a free one.
+            host: Address to bind. With an address other than 127.0.0.1 everybody who has the link with its token can connect.
+            speed: Largest number of simulated seconds per second.
+            program: Name of the program on the page.
+            browser: Whether to open the page in a browser; the attribute `address` of the result has the link.
 
         Raises:
             ArgumentError: An argument is out of range.
@@ -658,7 +660,7 @@ class Stage:
     # --- copies ---
 
     def describe_machine(self) -> dict[str, Any]:
-        """Return what the stage is made of, faults and payloads included: all but its state."""
+        """Return a description of the machine, including faults and payloads but without its state, for copies of the stage."""
         return {
             "model": self.model,
             "plant": self._plant,

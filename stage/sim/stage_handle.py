@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.chips import cores
+from stage.chips import core_interface
 from stage.drives.stepper import DRIVE
 from stage.native import array_at, hot, make_compare_and_exchange, record
 from stage.sim import engine_records
@@ -46,7 +46,7 @@ REAL, INTEGER = np.dtype("f8"), np.dtype("i8")
 
 
 def _make_array_accessor(name: str, length: str, dtype: np.dtype) -> Any:
-    """Return a hot function of a HANDLE: the array whose address and length are in these fields."""
+    """Make a hot function of a HANDLE that returns an array. Fields of the HANDLE have the array's address and length."""
 
     @hot
     def view(handle):
@@ -56,7 +56,7 @@ def _make_array_accessor(name: str, length: str, dtype: np.dtype) -> Any:
 
 
 def _make_record_accessor(name: str, dtype: np.dtype) -> Any:
-    """Return a hot function of a HANDLE: the record whose address is in this field."""
+    """Make a hot function of a HANDLE that returns a record. A field of the HANDLE has the record's address."""
 
     @hot
     def view(handle):
@@ -79,28 +79,35 @@ get_sensordata = _make_array_accessor("sensordata", "ns", REAL)
 
 @hot
 def has_edge_room(handle):
-    """Return whether another edge can be noted."""
+    """Return whether the buffer of the HANDLE has room for another edge."""
     return handle.noted < handle.edge_room
 
 
 @hot
-def note_edge(handle, now, chip, axis, kind, first_number, second_number):
-    """Note an event that has reached chip `chip`; the caller has checked that there is room.
+def note_edge(handle, now_ns, chip, axis, kind, first_number, second_number):
+    """Log an input that a chip has received, for its journal. The caller has checked that the buffer has room.
 
     Args:
         handle: HANDLE.
-        now: Time, ns.
+        now_ns: Time, ns.
         chip: Row of CHIP_TABLE.
         axis: Axis of the stage, one of the chip's.
         kind: Kind of the `Entry` for the journal.
-        first_number: Its first number.
-        second_number: Its second number.
+        first_number: Operand `a` of the entry.
+        second_number: Operand `b` of the entry.
 
     Returns:
-        The EDGE.
+        The EDGE record.
     """
     e = array_at(handle.edges, handle.edge_room, engine_records.EDGE)[handle.noted]
-    e.now, e.clock, e.axis, e.kind, e.a, e.b = now, cores.read_clock(chip), axis, kind, first_number, second_number
+    e.now, e.clock, e.axis, e.kind, e.a, e.b = (
+        now_ns,
+        core_interface.read_clock(chip),
+        axis,
+        kind,
+        first_number,
+        second_number,
+    )
     handle.noted += 1
     return e
 
@@ -116,17 +123,17 @@ release: Any = make_compare_and_exchange(None, 0)
 """(address, token) -> True if the word at the address was `token` and is 0 now."""
 
 
-def make_token() -> int:
-    """Return a number for one claim only, so that an exception can be cleaned up after wherever it was raised."""
+def make_claim_token() -> int:
+    """Return a number that identifies one claim of a stage, so that a cleanup after an exception releases only its own claim."""
     return next(_tokens)
 
 
 def fill_handle(handles: np.ndarray, index: int, state: State) -> None:
-    """Write the HANDLE of a stage into handles[k].
+    """Write the HANDLE of a stage into handles[index].
 
     Args:
         handles: Records that begin with the fields of HANDLE.
-        index: Index.
+        index: Index of the record to fill.
         state: State of the stage, which must outlive the handle.
     """
     handle = handles[index]
@@ -155,7 +162,7 @@ def fill_handle(handles: np.ndarray, index: int, state: State) -> None:
 
 
 def set_sample_buffers(handle: Any, recording: Any) -> None:
-    """Have the engine write samples into the buffers of a recording; None: no samples."""
+    """Make the engine write samples into the buffers of a recording; None: no samples."""
     if recording is not None:
         handle["samples"], handle["positions"] = recording.samples.ctypes.data, recording.positions.ctypes.data
         handle["room"], handle["filled"] = len(recording.samples), recording.filled

@@ -1,8 +1,7 @@
-"""`Loop`: advances the time of a stage. It calls the engine repeatedly, and writes what the engine has logged to journals and
-recordings.
+"""`StageLoop`: advances the time of a stage by calls of the engine, and writes the engine's logs to journals and recordings.
 
 A long run is made in pieces of some hundredths of a second of real time, so that Ctrl-C works. After each piece the inputs of the
-chips go to their journals and the samples to the recording; a step that diverged, or in which a callback failed, is undone.
+chips go to their journals and the samples to the recording. A step that diverged, or in which a callback failed, is undone.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from stage.chips.exclusive_access import SessionLock
 from stage.chips.journal_entries import LOAD, PACKED, SHAFT
 from stage.errors import ArgumentError, SimulationError, StageError
 from stage.sim import engine, engine_records, mujoco_callbacks
-from stage.sim.stage_handle import make_token
+from stage.sim.stage_handle import make_claim_token
 from stage.sim.stage_state import POWERED, SAVED, START, State
 
 MIN_PIECE_S, MAX_PIECE_S = 0.025, 0.1  # s of real time, a piece of a long run takes between them
@@ -31,19 +30,20 @@ IN_USE = (
 )
 
 
-class Loop:
-    """Advances the time of a stage, and is the bus of its chips, see `stage.chips.chip.Bus`.
+class StageLoop:
+    """StageLoop that advances the time of a stage; it is the bus of the stage's chips, see `stage.chips.chip.Bus`.
 
     Attributes:
         state: Records of the stage.
         chips: Chips of the stage.
-        recording: What the engine samples for: the recording in progress; or an observer with the same buffers and `take_rows`, and
-            REQUIRES_FORWARD_TIME False: time may then go back, and a recording takes its place; or None.
-        time_refusal: Why no time may pass now and no other state be loaded; "" where both may.
-        state_refusal: Why no other state may be loaded, though time may pass; "" where one may.
-        pace: Function that decides when time may pass: `pace(until)` is called before a run to `until` (ns), may wait or let others
-            act meanwhile, and returns how far time may go now; then it is called again. Before any other change of the stage it is
-            called with the present time. None: time passes without a pace.
+        recording: Receiver of the engine's samples: the recording in progress, or an observer with the same buffers and method
+            `take_rows`, or None. With an observer, whose REQUIRES_FORWARD_TIME is False, time may go back, and a new recording
+            replaces the observer.
+        time_refusal: Reason why no time may pass and no other state may be loaded; "" if both are allowed.
+        state_refusal: Reason why no other state may be loaded, though time may pass; "" if it is allowed.
+        pace: Function that decides when time may pass. `pace(until)` is called before a run to `until` (ns), may wait, and returns
+            the time up to which the run may go now; then it is called again. Before any other change of the stage it is called with
+            the present time. None: time passes without a pace.
         each_cycle: Function that is called before each bus cycle that Python makes, and may refuse it by an error; or None.
         lock: Lock that users of the stage take while a session is open, see stage.chips.exclusive_access; or None.
     """
@@ -54,7 +54,7 @@ class Loop:
         Args:
             state: Records of the stage.
             chips: Chips of the stage.
-            power_up: Called where the stage's state was cleared, to bring it to that after power-up.
+            power_up: Function that resets the stage to power-up, called when MuJoCo has cleared its state.
         """
         self.state, self.chips = state, chips
         self.recording: Any = None
@@ -81,9 +81,9 @@ class Loop:
             self.prepare_change()
 
     def ensure_powered(self) -> None:
-        """Power the stage up if MuJoCo has cleared userdata, where chips and drives live, as mj_resetData does.
+        """Power the stage up if MuJoCo has cleared userdata with the state of chips and drives, as mj_resetData does.
 
-        In a recording, whose time would run backwards, it stays cleared.
+        During a recording the state stays cleared, because the time of the recording would go back.
         """
         if not self._words.item(POWERED) and (self.recording is None or not self.recording.REQUIRES_FORWARD_TIME):
             self._power_up()
@@ -101,13 +101,13 @@ class Loop:
         self.ensure_powered()
 
     @contextmanager
-    def claimed(self) -> Iterator[None]:
-        """Keep other threads from running the stage within this context.
+    def claim(self) -> Iterator[None]:
+        """Claim the stage for this thread within a context, so that other threads cannot run it.
 
         Raises:
-            StageError: Another thread runs it now.
+            StageError: Another thread runs the stage now.
         """
-        token = make_token()
+        token = make_claim_token()
         try:
             if not engine.claim_stage.with_gil(self._pointer, token):
                 raise StageError(IN_USE)
@@ -121,7 +121,7 @@ class Loop:
         """Check that time may pass.
 
         Raises:
-            StageError: It may not, see `time_refusal`.
+            StageError: Time may not pass, see `time_refusal`.
         """
         if (pace := self.pace) is not None:
             pace(self._words.item(0))
@@ -132,7 +132,7 @@ class Loop:
         """Check that another state may be loaded, or firmware run.
 
         Raises:
-            StageError: It may not, see `state_refusal`.
+            StageError: No state may be loaded, see `state_refusal`.
         """
         if (pace := self.pace) is not None:
             pace(self._words.item(0))
@@ -143,7 +143,7 @@ class Loop:
         """Check that the model has the time step and the integrator with which the stage was built.
 
         Raises:
-            StageError: It has others.
+            StageError: The time step or the integrator has changed.
         """
         opt, built = self._opt, self._built
         if opt.timestep == built[0] and opt.integrator == built[1]:
@@ -159,7 +159,7 @@ class Loop:
         """Let time pass up to `until`, ns since power-up.
 
         Raises:
-            SimulationError: As of `Stage.run`.
+            SimulationError: The simulation diverges, see `Stage.run`.
             StageError: No time may pass now, or another thread runs the stage.
         """
         if self.time_refusal:
@@ -173,7 +173,8 @@ class Loop:
         """Let time pass by another compiled function than `engine.advance` within this context.
 
         Args:
-            advance: Function of the stage's pointer and a time (ns) that calls `engine.advance`, and answers as it does.
+            advance: Function of the address of the stage's HANDLE and a time (ns). It calls `engine.advance`, and returns its
+                result.
         """
         before, self._advance = self._advance, advance
         try:
@@ -202,14 +203,14 @@ class Loop:
             elif status == engine_records.REACHED:
                 return
 
-    def _choose_next_piece(self, took: float) -> int:
-        """Return the simulated time of the next piece of a long run, ns, where the last one took so many seconds."""
-        if took < MIN_PIECE_S:
+    def _choose_next_piece(self, last_duration_s: float) -> int:
+        """Choose the simulated time of the next piece of a long run, ns, from the real time of the last piece, s."""
+        if last_duration_s < MIN_PIECE_S:
             return min(2 * self._piece, 1 << 60)
-        return max(self._piece // 2, self._dt) if took > MAX_PIECE_S else self._piece
+        return max(self._piece // 2, self._dt) if last_duration_s > MAX_PIECE_S else self._piece
 
     def _process_engine_status(self, status: int, until: int) -> None:
-        """Take what the engine has noted after it returned before `until`, and handle or raise what stopped it."""
+        """Process the engine's logs after it has returned before `until`, and handle or raise the cause of its stop."""
         h, recording = self.state.handle, self.recording
         error: BaseException | None = None
         if status == engine_records.DIVERGED:
@@ -253,18 +254,18 @@ class Loop:
             clockwork.guarded = clockwork.failed = 0
 
     def load_state(self, saved: np.ndarray) -> None:
-        """Put the stage into a state, `State.saved` of another moment or of an equal stage."""
+        """Load a state of the stage: a copy of `State.saved` from another time or from an equal stage."""
         self.check_time_allowed()
         state = self.state
-        with self.claimed():
+        with self.claim():
             self.apply_change(lambda: mujoco.mj_setState(state.model, state.data, saved, SAVED))
             mujoco.mj_setState(state.model, state.data, saved, SAVED)
 
     def apply_change(self, change: Callable[[], None]) -> None:
-        """Make a change to MuJoCo's state, and compute what follows from it. The caller has `claimed` the stage.
+        """Call `change`, which changes MuJoCo's state, and update all dependent quantities. The caller has claimed the stage.
 
         Raises:
-            SimulationError: A callback of MuJoCo raises; the state is then as it was.
+            SimulationError: A callback of MuJoCo raises; the state has then not changed.
         """
         model, data = self.state.model, self.state.data
         if not engine.has_unguarded_callback.with_gil(self._pointer):
@@ -278,12 +279,12 @@ class Loop:
 
     # --- what the engine has noted ---
 
-    def journal_edges(self, n: int) -> None:
-        """Write the first `n` of `state.edges` into the journals of the chips that they reached."""
+    def journal_edges(self, edge_count: int) -> None:
+        """Write the first `edge_count` records of `state.edges` into the journals of the chips that received them."""
         noting = [(k, j) for k, chip in enumerate(self.chips) if (j := chip.open_journal) is not None]
         if not noting:
             return
-        edges = self.state.edges[:n]
+        edges = self.state.edges[:edge_count]
         chip_of = self.state.axis_table["chip"][edges["axis"]]
         for k, journal in noting:
             indices = np.flatnonzero(chip_of == k)
@@ -300,7 +301,7 @@ class Loop:
             journal.extend(packed)
 
     def update_switches(self, axis: int) -> None:
-        """Apply a change of the table of switches to the axis with this index, from now on.
+        """Apply a change of SWITCH_TABLE to the switches of the axis with this index, from now on.
 
         Raises:
             ArgumentError: There is no such axis.
@@ -308,7 +309,7 @@ class Loop:
         if not 0 <= axis < len(self.state.axis_table):
             raise ArgumentError(f"axis={axis!r}: the stage has axes 0 to {len(self.state.axis_table) - 1}.")
         self.ensure_powered()
-        with self.claimed():
+        with self.claim():
             engine.update_switches.with_gil(self._pointer, axis)
         if n := int(self.state.handle["noted"]):
             self.journal_edges(n)
@@ -327,10 +328,10 @@ class Loop:
         )
 
     def undo_divergence(self, pointer: int) -> SimulationError:
-        """Return to where the last run of the engine began, and run again up to the step before the one that diverged.
+        """Return to the beginning of the engine's last run, and run again up to the step before the diverging one.
 
         Args:
-            pointer: Address of the handle that it ran with.
+            pointer: Address of the HANDLE with which the engine ran.
 
         Returns:
             The error to raise.

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 
 class Snapshot(SavableSnapshot):
-    """All state of a stage; restores into any equal stage. `save(path)` and `Snapshot.load(path)` keep it in a file.
+    """All state of a stage. It can be restored into any equal stage; `save(path)` and `Snapshot.load(path)` store it in a file.
 
     Attributes:
-        state: MuJoCo's state, float64.
-        diagnostics: Those of each chip.
+        state: MuJoCo's state and the state of devices, float64.
+        diagnostics: Diagnostics of each chip.
     """
 
     of: ClassVar = "a stage"
@@ -47,15 +47,15 @@ def describe_stage(
     followers: Iterable[tuple[str, str]] = (),
     linked: Iterable[str] = (),
 ) -> snapshots.Header:
-    """Describe the stage that snapshots are taken of. Payloads and faults are no part of it.
+    """Make the description of a stage in its snapshots. Payloads and faults are not part of it.
 
     Args:
         state: State of the stage.
-        axes: Its axes.
-        mechanics: Of `fingerprint.compute_mechanics_digest`.
-        encoders: Encoders that its chips count.
-        followers: (follower, leader) axes at SYNI.
-        linked: Axes whose chips the lines of multichip interpolation join.
+        axes: Axes of the stage.
+        mechanics: Digest of the model, see `model_fingerprint.compute_mechanics_digest`.
+        encoders: Encoders that the chips count.
+        followers: Pairs (follower, leader) of axes whose chips are connected from SYNO to SYNI.
+        linked: Axes whose chips are wired to each other for multichip interpolation.
     """
     axes = list(axes)
     parts = [("axes", ", ".join(a.name for a in axes))]

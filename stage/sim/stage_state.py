@@ -1,8 +1,9 @@
-"""`State`: where each record of a stage lies in memory, for compiled code, boards and tests; users of a stage do not need it.
+"""`State`: the records of a stage in memory, for compiled code, boards and tests; users of a stage do not need it.
 
-All that changes while time passes is in MjData.userdata, so that MuJoCo's own snapshots, copies and rollouts carry it: one WORLD,
-an AXIS an axis, the record of every chip, a DRIVE an axis, a SWITCH a switch, an address latch a chip, in this order. Tables of
-constants (only faults change them) are in arrays beside it. A HANDLE gives compiled code the addresses of all of them.
+All values that change while time passes are in MjData.userdata, so that MuJoCo's own snapshots, copies and rollouts include them.
+The records are in this order: one WORLD, an AXIS for each axis, the state of every chip, a DRIVE for each axis, a SWITCH for each
+switch, an address latch for each chip. Tables of constants, which only faults change, are in separate arrays. A HANDLE gives
+compiled code the addresses of all of them.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from stage.chips import Chip, ChipAxis, cores
+from stage.chips import Chip, ChipAxis, core_interface
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.drives.stepper import DRIVE
@@ -38,11 +39,11 @@ class State:
         model: Model with room for the state in its userdata, see `count_state_words`.
         offset: Word of userdata at which the state begins.
         plant: Axes of the model.
-        chip_axes: Axes of the chips, one an axis.
-        drives: Drives, one an axis.
+        chip_axes: For each axis of the stage, the axis of its chip.
+        drives: For each axis of the stage, its drive.
         bus: Duration of a bus cycle, ns.
         encoders: For each axis, counts per joint unit of an encoder that its chip counts, 0 for none; a Servo has its own.
-        wires: Wires between sensors, chips and chips that differ from the usual.
+        wires: Wires of the stage that differ from the default.
     """
 
     model: mujoco.MjModel
@@ -135,7 +136,7 @@ class State:
 
     @property
     def powered(self) -> int:
-        """1 while the state is valid, 0 after userdata was cleared, for example by `mj_resetData`."""
+        """Whether the state is valid: 1, or 0 after userdata was cleared, for example by `mj_resetData`."""
         return self.words.item(POWERED)
 
     def set_edge_buffer(self, edges: np.ndarray) -> None:
@@ -143,8 +144,8 @@ class State:
         self.edges = edges
         self.handle["edges"], self.handle["edge_room"] = edges.ctypes.data, len(edges)
 
-    def _allocate_records(self, axes: int, switches: int, chips: Sequence[Chip]) -> None:
-        """Allocate the records in userdata and the tables of constants beside it."""
+    def _allocate_records(self, axis_count: int, switch_count: int, chips: Sequence[Chip]) -> None:
+        """Allocate the records in userdata, and the tables of constants in separate arrays."""
         self.userdata = self.data.userdata[self.offset :]
         left = self.userdata
 
@@ -156,13 +157,13 @@ class State:
 
         self.world = cut(engine_records.WORLD, 1)
         self.words = self.world.view(np.int64)
-        self.axes = cut(engine_records.AXIS, axes)
+        self.axes = cut(engine_records.AXIS, axis_count)
         self.chips = [cut(chip.CORE.STATE, 1) for chip in chips]
-        self.drives = cut(DRIVE, axes)
-        self.switches = cut(engine_records.SWITCH, switches)
+        self.drives = cut(DRIVE, axis_count)
+        self.switches = cut(engine_records.SWITCH, switch_count)
         self.latches = cut(engine_records.ADDRESS, len(chips))
-        self.axis_table = np.zeros(axes, engine_records.AXIS_TABLE)
-        self.switch_table = np.zeros(switches, engine_records.SWITCH_TABLE)
+        self.axis_table = np.zeros(axis_count, engine_records.AXIS_TABLE)
+        self.switch_table = np.zeros(switch_count, engine_records.SWITCH_TABLE)
         self.chip_table = np.zeros(len(chips), engine_records.CHIP_TABLE)
         self.clockwork = np.zeros(1, engine_records.CLOCKWORK)
 
@@ -185,21 +186,23 @@ class State:
     def _set_chip_table(self, chips: Sequence[Chip], leaders: Mapping[Chip, Chip], linked: Sequence[Chip]) -> None:
         w, self.slice_ends = self.clockwork[0], dict[int, np.ndarray]()
         rows_of = dict(zip(chips, self.chips, strict=True))
-        self.chip_axes = [np.zeros(chip.AXES, cores.CHIP_AXIS) for chip in chips]
+        self.chip_axes = [np.zeros(chip.AXES, core_interface.CHIP_AXIS) for chip in chips]
         for chip, rows, axes, c in zip(chips, self.chips, self.chip_axes, self.chip_table, strict=True):
-            cores.fill_chip_record(c, chip.CORE, rows.ctypes.data)
+            core_interface.fill_chip_record(c, chip.CORE, rows.ctypes.data)
             c.table = axes.ctypes.data
             c.hz, c.ticks = chip.clock_hz, w.h * chip.clock_hz
             c.slices, c.ends = w.slices, address_of(self._compute_slice_ends(chip.clock_hz))
             if chip in leaders:
-                c.wire = leaders[chip].syno(rows_of[leaders[chip]])
+                c.wire = leaders[chip].find_syno_address(rows_of[leaders[chip]])
             c.link = 1 if chip in linked else 0
 
     def _compute_slice_ends(self, hz: int) -> np.ndarray:
         """Return the SLICE_END records of a window, for chips with this reference clock."""
         if hz not in self.slice_ends:
             ns = [(k + 1) * self.dt // engine_records.SLICES for k in range(engine_records.SLICES)]
-            self.slice_ends[hz] = np.array([divmod(end * hz, cores.SLICE_REST_UNIT) for end in ns], cores.SLICE_END)
+            self.slice_ends[hz] = np.array(
+                [divmod(end * hz, core_interface.SLICE_REST_UNIT) for end in ns], core_interface.SLICE_END
+            )
         return self.slice_ends[hz]
 
     def _set_axis_table(
@@ -211,7 +214,7 @@ class State:
         encoders: Sequence[float],
         wires: Wires,
     ) -> None:
-        """Fill the table of axes, that of switches, and what chips have to know of their axes."""
+        """Fill the tables of axes and of switches, and the tables in which chips find their axes."""
         first, flag_edges = 0, list[tuple[float, ...]]()
         for k, (p, chip_axis, drive) in enumerate(zip(plant, chip_axes, drives, strict=True)):
             chip, j, t = chip_axis.chip, chip_axis.index, self.axis_table[k]
@@ -224,12 +227,12 @@ class State:
             chip_axis_record.axis, chip_axis_record.means = k, address_of(self.axes[k]["counts"])
             chip_axis_record.net = address_of(self.axes[k : k + 1]["count"])
             t.qpos, t.dof, t.actuator, t.gear = p.qpos, p.dof, p.actuator, p.gear
-            t.index_bit, t.index_at = chip.wired("ez"), p.index
+            t.index_bit, t.index_at = chip.find_switch_input("ez"), p.index
             t.positive = wires.find_inverted_pins(k, chip)
             t.counts = drive.counts * p.gear / (2 * np.pi) if isinstance(drive, Servo) else encoders[k]
             t.first_switch, t.end_switch = first, first + len(p.switches)
             for row, s in zip(self.switch_table[first : t.end_switch], p.switches, strict=True):
-                row.bit, row.found, row.dist, row.forced = chip.wired(s.pin), s.found, s.dist, -1
+                row.bit, row.found, row.dist, row.forced = chip.find_switch_input(s.pin), s.found, s.dist, -1
                 row.first_edge, row.turn = len(flag_edges), s.turn
                 flag_edges += [astuple(edge) for edge in s.edges]
                 row.end_edge = len(flag_edges)
@@ -243,12 +246,12 @@ def list_chips(axes: Sequence[ChipAxis]) -> tuple[Chip, ...]:
     return tuple(dict.fromkeys(axis.chip for axis in axes))
 
 
-def count_state_words(axes: Sequence[ChipAxis], switches: int) -> int:
-    """Return how many float64 words of userdata the state of a stage takes.
+def count_state_words(axes: Sequence[ChipAxis], switch_count: int) -> int:
+    """Count the float64 words of userdata that the state of a stage takes.
 
     Args:
         axes: Axes of its chips.
-        switches: Number of its switches.
+        switch_count: Number of its switches.
     """
     per_axis = engine_records.AXIS.itemsize + DRIVE.itemsize
     rows = sum(chip.CORE.STATE.itemsize for chip in list_chips(axes))
@@ -257,6 +260,6 @@ def count_state_words(axes: Sequence[ChipAxis], switches: int) -> int:
         engine_records.WORLD.itemsize
         + len(axes) * per_axis
         + rows
-        + switches * engine_records.SWITCH.itemsize
+        + switch_count * engine_records.SWITCH.itemsize
         + latches
     ) // 8

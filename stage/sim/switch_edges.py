@@ -1,8 +1,8 @@
-"""Edges of switches and of the encoder's index, compiled: predicted at a window's start, passed to a chip at their exact clock."""
+"""Edges of switches and of the encoder's index, compiled: predicted at a window's start, applied to a chip at their exact clock."""
 
 from __future__ import annotations
 
-from stage.chips import cores
+from stage.chips import core_interface
 from stage.chips.journal_entries import INPUT
 from stage.native import array_at, floor, hot, least
 from stage.sim.engine_records import (
@@ -41,12 +41,12 @@ def measure_index_offset(axis_row, position):
 
 
 @hot
-def _predict_index(world, axis, axis_row, position, velocity, half):
+def _predict_index_edges(world, axis, axis_row, position, velocity, half_step):
     """Predict, at the start of a window, when the index pulse begins and ends in it; there are at most two such edges."""
     axis.index_edge = axis.index_end = NEVER
     speed = velocity * axis_row.gear / TURN
     direction = 1.0 if speed >= 0.0 else -1.0
-    off = (measure_index_offset(axis_row, position) - speed * half) * direction  # as if the motor turned forward
+    off = (measure_index_offset(axis_row, position) - speed * half_step) * direction  # as if the motor turned forward
     off -= floor(off + 0.5)
     rim = 0.5 * INDEX + (INDEX_HYSTERESIS if axis.index_on else 0.0)
     speed *= direction
@@ -56,11 +56,11 @@ def _predict_index(world, axis, axis_row, position, velocity, half):
         wait = 0.0
     else:
         wait = -rim - off if off < -rim else 1.0 - rim - off
-    if wait <= speed * 2.0 * half:
+    if wait <= speed * 2.0 * half_step:
         axis.index_edge = world.start + (int(wait / speed * SECOND) if wait > 0.0 else 0)
         if not axis.index_on:
             last = wait + INDEX + INDEX_HYSTERESIS if wait > 0.0 else rim + INDEX_HYSTERESIS - off
-            if 0.0 < last < speed * 2.0 * half:
+            if 0.0 < last < speed * 2.0 * half_step:
                 axis.index_end = world.start + int(last / speed * SECOND)
         axis.next_edge = least(axis.next_edge, axis.index_edge)
 
@@ -102,10 +102,10 @@ def _measure_distance_outside(edges, switch_row, position):
 
 @hot
 def _correct_flag_shift(edges, switch, switch_row, position, distance):
-    """Correct `s.shift` where the sensor's distance, read at joint position `position`, contradicts it.
+    """Correct the shift of a flag if it contradicts the sensor's distance, which was read at joint position `position`.
 
-    Near an edge the distance gives the position of the joint. Elsewhere (far away, or deep in the switch, where the contact's
-    direction changes) it only shows on which side of the edge the joint is, and the shift keeps its last value.
+    Near an edge the distance gives the position of the joint. Farther from the edge (and deep in the switch, where the direction of
+    the contact changes) it only shows on which side of the edge the joint is, and the shift keeps its value.
     """
     position -= switch.shift
     e = edges[_find_nearest_edge(edges, switch_row, position)]
@@ -127,7 +127,7 @@ def _correct_flag_shift(edges, switch, switch_row, position, distance):
 
 @hot
 def _place_flag_ahead(edges, switch, switch_row, position, velocity, distance):
-    """Correct `s.shift` if the joint, at `position` when the sensor first detects the vane, would move away from the flag."""
+    """Correct the shift of a flag if the joint, at `position` when the sensor first detects the vane, would move away from it."""
     k, nearest = -1, UNREACHED
     for i in range(switch_row.first_edge, switch_row.end_edge):
         away = abs(_measure_travel_from(edges[i], position, switch_row.turn))
@@ -148,27 +148,29 @@ def is_in_flag(clockwork, switch, switch_row, position):
 
 
 @hot
-def _measure_travel_to_change(edges, switch_row, position, direction, gone, on):
-    """Return the travel from flag position `position` after which the switch changes next; `gone` if it should have changed by
-    then.
+def _measure_travel_to_change(edges, switch_row, position, direction, passed_travel, asserted):
+    """Compute the joint travel after which a switch changes next, measured from `position`.
 
     Args:
         edges: FLAG_EDGE records of all switches.
         switch_row: The switch's row of SWITCH_TABLE.
-        position: Joint position less the flag's shift.
+        position: Joint position less the flag's shift, m (rad on a hinge).
         direction: Direction of travel, 1.0 or -1.0.
-        gone: Travel from `position` that is behind the joint.
-        on: Whether the switch is asserted there.
+        passed_travel: Travel from `position` that the joint has already made.
+        asserted: Whether the switch is asserted at `position`.
+
+    Returns:
+        Travel in m (rad); `passed_travel` if the switch should already have changed; UNREACHED if no edge is ahead.
     """
-    hysteresis, ahead = HYSTERESIS if on else 0.0, UNREACHED
-    outside = _measure_distance_outside(edges, switch_row, position + direction * gone)
-    if (outside > hysteresis) if on else (outside <= 0.0):
-        return gone
+    hysteresis, ahead = HYSTERESIS if asserted else 0.0, UNREACHED
+    outside = _measure_distance_outside(edges, switch_row, position + direction * passed_travel)
+    if (outside > hysteresis) if asserted else (outside <= 0.0):
+        return passed_travel
     for i in range(switch_row.first_edge, switch_row.end_edge):
         e = edges[i]
-        if (e.slope * direction > 0.0) == (on != 0):
+        if (e.slope * direction > 0.0) == (asserted != 0):
             travel = hysteresis - _measure_travel_from(e, position, switch_row.turn) * direction
-            if gone <= travel < ahead:
+            if passed_travel <= travel < ahead:
                 ahead = travel
     return ahead
 
@@ -209,14 +211,14 @@ def predict_switch_changes(world, axis, clockwork, switch, switch_row, position,
 
 
 @hot
-def _schedule_next_toggle(switch, switch_row, now):
+def _schedule_next_toggle(switch, switch_row, now_ns):
     """Set when a bouncing contact toggles next. The intervals become shorter, and the last toggle is at the end of the bounce."""
     if switch.toggles == 0:
-        switch.toggles, switch.until = switch_row.toggles, now + switch_row.bounce
+        switch.toggles, switch.until = switch_row.toggles, now_ns + switch_row.bounce
     else:
         switch.toggles -= 1
     if switch.toggles:
-        switch.edge = now + 2 * (switch.until - now) // (switch.toggles + 1)
+        switch.edge = now_ns + 2 * (switch.until - now_ns) // (switch.toggles + 1)
 
 
 @hot
@@ -245,20 +247,31 @@ def predict_switch_edges(handle, has_moved):
 
 
 @hot
-def predict_axis_switch_edges(now, clock, axis, of_axis, records, rows, sensordata, position, velocity, has_moved):
-    """Predict the edges of one axis whose joint is at `position` with speed `velocity`; see `predict_switch_edges`.
+def predict_axis_switch_edges(
+    world, clockwork, axis, axis_row, switches, switch_table, sensordata, position, velocity, has_moved
+):
+    """Predict when the switches and the index pulse of one axis change within the window; see `predict_switch_edges`.
 
-    `now` and `clock` are WORLD and CLOCKWORK of the stage, `axis` and `of_axis` the axis' AXIS and its row of AXIS_TABLE, `records`
-    and `rows` all SWITCH and SWITCH_TABLE records.
+    Args:
+        world: WORLD record of the stage.
+        clockwork: CLOCKWORK record of the stage.
+        axis: AXIS record of the axis.
+        axis_row: The axis' row of AXIS_TABLE.
+        switches: SWITCH records of all switches.
+        switch_table: SWITCH_TABLE rows of all switches.
+        sensordata: MuJoCo's sensor values.
+        position: Position of the axis' joint, m (rad on a hinge).
+        velocity: Speed of the joint, m/s (rad/s).
+        has_moved: Whether qpos has moved by one step of the present qvel since the sensors were read.
     """
-    half, edges = clock.half, _flag_edges(clock)
+    half, edges = clockwork.half, _flag_edges(clockwork)
     axis.next_edge = NEVER
     awake = axis.awake or not has_moved
-    for k in range(of_axis.first_switch, of_axis.end_switch):
-        awake |= sensordata[rows[k].found] > 0.0 or rows[k].forced > 0
+    for k in range(axis_row.first_switch, axis_row.end_switch):
+        awake |= sensordata[switch_table[k].found] > 0.0 or switch_table[k].forced > 0
     axis.awake = 0
-    for k in range(of_axis.first_switch, of_axis.end_switch if awake else 0):  # else nothing has changed
-        s, t = records[k], rows[k]
+    for k in range(axis_row.first_switch, axis_row.end_switch if awake else 0):  # else nothing has changed
+        s, t = switches[k], switch_table[k]
         if sensordata[t.found] > 0.0:
             q_sensed, dist = position - velocity * 2.0 * half if has_moved else position, sensordata[t.dist]
             if has_moved and not s.sensed:
@@ -271,28 +284,28 @@ def predict_axis_switch_edges(now, clock, axis, of_axis, records, rows, sensorda
                 s.edge = s.next_edge = NEVER
                 continue
         axis.awake = 1
-        predict_switch_changes(now, axis, clock, s, t, position, velocity)
-    if of_axis.index_bit:
-        _predict_index(now, axis, of_axis, position, velocity, half)
+        predict_switch_changes(world, axis, clockwork, s, t, position, velocity)
+    if axis_row.index_bit:
+        _predict_index_edges(world, axis, axis_row, position, velocity, half)
 
 
 @hot
-def apply_switches(axis_row, records, rows, word):
-    """Return the pin word of an axis with the bits of its switches set to their present levels.
+def apply_switches(axis_row, switches, switch_table, word):
+    """Return the input word of an axis with the bits of its switches set to their present levels.
 
     If two switches are wired to one pin, either of them asserts it. A sensor of positive logic sets its bit while
-    it is off, since its pin is low then.
+    it is off, because its pin is then low.
     """
     on = off = 0
     for k in range(axis_row.first_switch, axis_row.end_switch):
-        bit = rows[k].bit
-        on, off = (on | bit, off) if records[k].on else (on, off | bit)
+        bit = switch_table[k].bit
+        on, off = (on | bit, off) if switches[k].on else (on, off | bit)
     return word & ~(on | off) | on ^ axis_row.positive & (on | off)
 
 
 @hot
 def apply_index_pulse(axis_row, axis, word):
-    """Return the pin word of an axis with the bit of its index pulse set to its present level."""
+    """Return the input word of an axis with the bit of its index pulse set to the present level."""
     return (
         word | axis_row.index_bit
         if axis.index_on != (axis_row.positive & axis_row.index_bit != 0)
@@ -301,60 +314,60 @@ def apply_index_pulse(axis_row, axis, word):
 
 
 @hot
-def process_axis_edges(axis, axis_row, chip, chip_axis, records, rows, now):
-    """Apply the edges of chip axis `chip_axis` that occur at `now`, ns."""
+def process_axis_edges(axis, axis_row, chip, chip_axis, switches, switch_table, now_ns):
+    """Apply the edges of chip axis `chip_axis` that occur at `now_ns`, ns."""
     axis.next_edge = NEVER
     for k in range(axis_row.first_switch, axis_row.end_switch):
-        s = records[k]
-        if s.edge <= now:
+        s = switches[k]
+        if s.edge <= now_ns:
             s.edge, s.next_edge = s.next_edge, NEVER
             s.on = 1 - s.on
-            if s.toggles or rows[k].bounce:
-                _schedule_next_toggle(s, rows[k], now)
+            if s.toggles or switch_table[k].bounce:
+                _schedule_next_toggle(s, switch_table[k], now_ns)
         axis.next_edge = least(axis.next_edge, s.edge)
-    word = apply_switches(axis_row, records, rows, cores.read_inputs(chip, chip_axis))
+    word = apply_switches(axis_row, switches, switch_table, core_interface.read_inputs(chip, chip_axis))
     if axis_row.index_bit:
-        if axis.index_edge <= now:
+        if axis.index_edge <= now_ns:
             axis.index_edge, axis.index_end = axis.index_end, NEVER
             axis.index_on = 1 - axis.index_on
             word = apply_index_pulse(axis_row, axis, word)
         axis.next_edge = least(axis.next_edge, axis.index_edge)
-    cores.set_input(chip, chip_axis, word)
+    core_interface.set_input(chip, chip_axis, word)
 
 
 @hot
 def find_next_edge(axis_records, chip):
     """Return the time, ns, at which the next input of a chip changes."""
-    edge = axis_records[cores.find_stage_axis(chip, 0)].next_edge
+    edge = axis_records[core_interface.find_stage_axis(chip, 0)].next_edge
     for j in range(1, chip.axes):
-        edge = least(edge, axis_records[cores.find_stage_axis(chip, j)].next_edge)
+        edge = least(edge, axis_records[core_interface.find_stage_axis(chip, j)].next_edge)
     return edge
 
 
 @hot
-def journal_input(handle, now, chip, chip_axis):
-    """Write into the journal that the inputs of chip axis `chip_axis` have changed at `now` ns."""
+def journal_input(handle, now_ns, chip, chip_axis):
+    """Log for the journal that the input pins of chip axis `chip_axis` have changed at `now_ns` ns."""
     if has_edge_room(handle):
         note_edge(
             handle,
-            now,
+            now_ns,
             chip,
-            cores.find_stage_axis(chip, chip_axis),
+            core_interface.find_stage_axis(chip, chip_axis),
             INPUT,
             chip_axis,
-            cores.read_inputs(chip, chip_axis),
+            core_interface.read_inputs(chip, chip_axis),
         )
 
 
 @hot
-def process_edges(handle, chip, until):
-    """Advance chip `chip` to `until` ns, and apply the edges of its switches on the way, each at its time."""
+def process_edges(handle, chip, until_ns):
+    """Advance chip `chip` to `until_ns` ns, and apply the edges of its switches on the way, each at its time."""
     axis_records, table = get_axes(handle), get_axis_table(handle)
     now = find_next_edge(axis_records, chip)
-    while now <= until:
-        cores.run(chip, compute_clock_at(now, chip.hz))
+    while now <= until_ns:
+        core_interface.run(chip, compute_clock_at(now, chip.hz))
         for j in range(chip.axes):
-            a = cores.find_stage_axis(chip, j)
+            a = core_interface.find_stage_axis(chip, j)
             if axis_records[a].next_edge > now:
                 continue
             process_axis_edges(axis_records[a], table[a], chip, j, get_switches(handle), get_switch_table(handle), now)

@@ -1,8 +1,8 @@
 """Predict the accelerations from which MuJoCo's solver starts.
 
 MuJoCo starts from `qacc_warmstart`, the accelerations of the last physics step. A drive changes its torque in every step, so the
-solver would need two iterations in each. While only the drive, damping and a friction that is overcome act on a joint, the change
-of its acceleration is known exactly, and the solver has nothing left to do. In all other cases it iterates from the prediction.
+solver would need two iterations in each. While only the drive, damping and sliding friction act on a joint, the change of its
+acceleration is known exactly, and the solver needs no iteration. In all other cases it iterates from the prediction.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ def compute_force_change(axis, axis_row, drive, effort_change, speed, damping, c
         axis: AXIS record of the axis.
         axis_row: The axis' row of AXIS_TABLE.
         drive: DRIVE record of the axis.
-        effort_change: Change of what goes to its actuator, N m or V.
-        speed: Of the joint, units/s.
-        damping: Of the joint, N s/m or N m s/rad.
+        effort_change: Change of the input of the axis' actuator, N m or V.
+        speed: Speed of the joint, m/s (rad/s on a hinge).
+        damping: Damping of the joint, N s/m (N m s/rad on a hinge).
         core_loss: Damping of the actuator, N m s/rad.
     """
     speed_change = speed - axis.speed
@@ -32,11 +32,13 @@ def compute_force_change(axis, axis_row, drive, effort_change, speed, damping, c
 
 
 @hot
-def apply_effort(clock, axis, axis_row, drive, position, velocity, ctrl, accelerations, inertia, damping, core_loss):
-    """Set what goes to an axis' actuator in the next physics step, and predict the acceleration of its joint.
+def apply_effort(
+    clockwork, axis, axis_row, drive, position, velocity, ctrl, accelerations, inertia, damping, core_loss
+):
+    """Set the input of an axis' actuator for the next physics step, and predict the acceleration of its joint.
 
     Args:
-        clock: CLOCKWORK of the stage.
+        clockwork: CLOCKWORK of the stage.
         axis: AXIS record of the axis.
         axis_row: The axis' row of AXIS_TABLE.
         drive: DRIVE record of the axis.
@@ -49,9 +51,15 @@ def apply_effort(clock, axis, axis_row, drive, position, velocity, ctrl, acceler
         core_loss: MuJoCo's actuator_damping.
     """
     speed, before = velocity[axis_row.dof], ctrl[axis_row.actuator]
-    gain = clock.half * axis_row.gear * axis_row.gear / inertia[axis_row.dof]
+    gain = clockwork.half * axis_row.gear * axis_row.gear / inertia[axis_row.dof]
     effort = drive_dispatch.compute_effort(
-        drive, axis.counts, clock.slices, position[axis_row.qpos] * axis_row.gear, speed * axis_row.gear, clock.h, gain
+        drive,
+        axis.counts,
+        clockwork.slices,
+        position[axis_row.qpos] * axis_row.gear,
+        speed * axis_row.gear,
+        clockwork.h,
+        gain,
     )
     ctrl[axis_row.actuator] = effort
     change = compute_force_change(

@@ -1,6 +1,6 @@
-"""Wires that differ from the default, as a user passes them: active levels of sensors, SYNO to SYNI, multichip lines.
+"""Checks of the arguments of `Stage` for wires that differ from the default.
 
-Sensors of positive logic, chips whose SYNI is connected to another chip's SYNO, and the lines of multichip interpolation.
+These are sensors of positive logic, chips whose SYNI is connected to another chip's SYNO, and lines of multichip interpolation.
 """
 
 from __future__ import annotations
@@ -21,31 +21,31 @@ LOGIC = ("negative", "positive")
 def choose_wiring(
     wiring: WiringChoice, plant: Sequence[PlantAxis], chip_axes: Sequence[ChipAxis]
 ) -> tuple[Mapping[str, str], ...]:
-    """Return for each axis its sensors that are not of its chip's logic, as `Stage` takes them.
+    """Return for each axis the sensors whose logic differs from the one that its chip expects, from the argument of `Stage`.
 
     Args:
-        wiring: Argument of `Stage`.
+        wiring: Argument `wiring` of `Stage`.
         plant: Axes of the model.
-        chip_axes: Their axes of chips.
+        chip_axes: For each axis of the stage, the axis of its chip.
 
     Raises:
-        ArgumentError: An axis or a sensor does not exist, or a logic is none.
+        ArgumentError: An axis or a sensor does not exist, or a logic is neither "negative" nor "positive".
     """
     if wiring is not None and not isinstance(wiring, Mapping):
-        raise _refuse_wiring(wiring)
+        raise _make_wiring_error(wiring)
     names = [p.name for p in plant]
     for name, sensors in (wiring or {}).items():
         if name not in names:
             raise unknown_name_error("axis", name, names)
         if not isinstance(sensors, Mapping):
-            raise _refuse_wiring(wiring)
+            raise _make_wiring_error(wiring)
     return tuple(
         _choose_axis_wiring((wiring or {}).get(p.name, {}), p, type(axis.chip))
         for p, axis in zip(plant, chip_axes, strict=True)
     )
 
 
-def _refuse_wiring(wiring: Any) -> ArgumentError:
+def _make_wiring_error(wiring: Any) -> ArgumentError:
     return ArgumentError(f'wiring={wiring!r}: a mapping axis -> sensor -> logic, {{"x": {{"org": "positive"}}}}.')
 
 
@@ -59,13 +59,13 @@ def _choose_axis_wiring(sensors: Mapping[str, str], plant: PlantAxis, chip: Any)
                 f"wiring of {sensor} of axis {plant.name}: {logic!r} is no logic; it is {LOGIC[0]!r} (low while the sensor is "
                 f"on) or {LOGIC[1]!r} (high); the default is {chip.LOGIC!r}."
             )
-        if not chip.wired(sensor):
+        if not chip.find_switch_input(sensor):
             raise ArgumentError(
                 f"wiring of {sensor} of axis {plant.name}: no pin of {add_article(chip.__name__)} is wired to it; leave it out."
             )
     turned = {sensor: logic for sensor, logic in sensors.items() if logic != chip.LOGIC}
     for sensor in turned:
-        others = [s for s in fitted if chip.wired(s) == chip.wired(sensor) and s not in turned]
+        others = [s for s in fitted if chip.find_switch_input(s) == chip.find_switch_input(sensor) and s not in turned]
         if others:
             raise ArgumentError(
                 f"wiring of {sensor} of axis {plant.name}: {', '.join(others)} is on the same pin of "
@@ -78,12 +78,12 @@ def _choose_axis_wiring(sensors: Mapping[str, str], plant: PlantAxis, chip: Any)
 def choose_leaders(
     syni: Mapping[str, str] | None, names: Sequence[str], chip_axes: Sequence[ChipAxis]
 ) -> tuple[tuple[str, str], ...]:
-    """Return (follower, leader) axes whose chips share the leader's clock, as `Stage` takes them in `syni`.
+    """Return the pairs (follower, leader) of axes whose chips share the leader's clock, from the argument of `Stage`.
 
     Args:
-        syni: Argument of `Stage`.
-        names: Axes of the stage.
-        chip_axes: Their axes of chips.
+        syni: Argument `syni` of `Stage`.
+        names: Names of the stage's axes.
+        chip_axes: For each axis of the stage, the axis of its chip.
 
     Raises:
         ArgumentError: An axis does not exist, or two chips cannot share a clock.
@@ -109,11 +109,11 @@ def check_shared_clock(follower: Chip, leader: Chip, connection: str) -> None:
 
     Args:
         follower: Chip whose SYNI is connected.
-        leader: Chip whose SYNO it is connected to.
-        connection: Beginning of the error.
+        leader: Chip whose SYNO is connected to that SYNI.
+        connection: Description of the connection, with which the error begins.
 
     Raises:
-        ArgumentError: They cannot.
+        ArgumentError: The chips cannot share a clock.
     """
     for chip in (follower, leader):
         if not chip.SYNCHRO:
@@ -132,12 +132,12 @@ def check_shared_clock(follower: Chip, leader: Chip, connection: str) -> None:
 def choose_linked_axes(
     multichip: Sequence[str] | None, names: Sequence[str], chip_axes: Sequence[ChipAxis]
 ) -> tuple[tuple[str, ...], tuple[Chip, ...]]:
-    """Return the axes whose chips the lines of multichip interpolation join, as `Stage` takes them, and these chips.
+    """Return the axes whose chips are wired to each other for multichip interpolation, from the argument of `Stage`, and the chips.
 
     Args:
-        multichip: Argument of `Stage`.
-        names: Axes of the stage.
-        chip_axes: Their axes of chips.
+        multichip: Argument `multichip` of `Stage`.
+        names: Names of the stage's axes.
+        chip_axes: For each axis of the stage, the axis of its chip.
 
     Raises:
         ArgumentError: An axis does not exist, or its chip has no such lines.
@@ -177,12 +177,12 @@ def choose_linked_axes(
 
 @dataclass(frozen=True)
 class Wires:
-    """Wires of a stage that differ from the usual.
+    """Wires of a stage that differ from the default.
 
     Attributes:
         inverted: For each axis the sensors whose logic is the opposite of the one that its chip expects.
-        leaders: Leader of each chip that follows one.
-        linked: Chips that the lines of multichip interpolation join.
+        leaders: Follower chip -> its leader, whose SYNO is connected to SYNI of the follower.
+        linked: Chips that are wired to each other for multichip interpolation.
     """
 
     inverted: Sequence[Mapping[str, str]]
@@ -190,13 +190,13 @@ class Wires:
     linked: Sequence[Chip]
 
     def find_inverted_pins(self, axis: int, chip: Chip) -> int:
-        """Return the input bits of a chip that sensors of the opposite logic drive.
+        """Return the mask of a chip's input pins to which sensors of the opposite logic are wired.
 
         Args:
             axis: Index of the axis.
-            chip: Its chip.
+            chip: Chip of the axis.
         """
         word = 0
         for sensor in self.inverted[axis]:
-            word |= chip.wired(sensor)
+            word |= chip.find_switch_input(sensor)
         return word

@@ -1,7 +1,7 @@
 """The examples that come with PulseStage: programs, drivers, custom chips, notebooks. `stage example NAME` copies one.
 
-In a checkout they are in scripts/ and docs/notebooks/. A wheel contains them in stage/examples_/, where stage.native.backend copies
-them.
+In a checkout they are in scripts/ and docs/notebooks/. A wheel contains them in stage/examples_/, where
+stage.native.build_backend copies them.
 """
 
 from __future__ import annotations

@@ -115,7 +115,7 @@ def read_counter(chip: Chip, axis: int) -> int:
 def read_visible_state(chip: Chip) -> Any:
     """Return everything of a chip that can be seen: the values of all registers, and the output and input words."""
     return (
-        chip.values() | {f"{n} of axis {k}": v for k in range(1, chip.AXES) for n, v in chip.values_of(k).items()},
+        chip.values() | {f"{n} of axis {k}": v for k in range(1, chip.AXES) for n, v in chip.axis_values(k).items()},
         [chip.output_word(k) for k in range(chip.AXES)],
         [chip.input_word(k) for k in range(chip.AXES)],
     )

@@ -230,7 +230,7 @@ def test_an_axis_is_distinguished_from_those_on_its_chip():
     message = box.call("describe").data["axes"]
     assert [message[name]["same_chip_as"] for name in "xyz"] == [["y", "z"], ["x", "z"], ["x", "y"]]
     assert box.call("write_register", {"axis": "z", "name": "DV", "value": 777}).ok
-    values = [box.stage.axes[name].chip.values_of(box.stage.axes[name].chip_axis)["DV"] for name in "xyz"]
+    values = [box.stage.axes[name].chip.axis_values(box.stage.axes[name].chip_axis)["DV"] for name in "xyz"]
     assert values[2] == 777
     assert 777 not in values[:2]
     assert box.call("read_register", {"axis": "z", "name": "LP"}).data["value"] == 0

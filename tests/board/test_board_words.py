@@ -36,7 +36,7 @@ def test_the_trace_names_the_address_in_a_latch():
         board.out8(port, value)
     board.in8(0x301), board.in8(0x300)
     message = [cycle.meaning for cycle in board.trace]
-    chip = board.stage.axes["x"].chip.make_replica().listener()
+    chip = board.stage.axes["x"].chip.make_replica().make_describer()
     assert message == [
         "x: address latch = 85h", f"x: {chip.write(5, 1)}", "x: address latch = 07h", f"x: {chip.write(7, 5)}",
         f"x: {chip.read(7, board.trace.lines()['value'][4])}", "x: the address latch cannot be read",

@@ -106,9 +106,9 @@ def test_hosts_in_c_and_python_and_direct_access_give_the_same_bits(chips, monke
         for name, column in expected.columns.items():
             assert column.tobytes() == recording.columns[name].tobytes() == from_c.columns[name].tobytes(), name
         for name, journal in expected.journals.items():
-            edges = journal.course().edges.tobytes()
-            assert recording.journals[name].course().edges.tobytes() == edges
-            assert from_c.journals[name].course().edges.tobytes() == edges
+            edges = journal.replay_waveforms().edges.tobytes()
+            assert recording.journals[name].replay_waveforms().edges.tobytes() == edges
+            assert from_c.journals[name].replay_waveforms().edges.tobytes() == edges
         assert any(chip.diagnostics for chip in reference.chips), "the program is meant to have mistakes in it"
 
 
@@ -308,7 +308,7 @@ class Foreign(Chip):
 
     MAP, CORE, INPUTS, OUTPUTS = PCL240K.MAP, PCL240K.CORE, PCL240K.INPUTS, PCL240K.OUTPUTS
     DEFAULT_CLOCK_HZ, BUSY, COUNTER = 4_915_200, PCL240K.BUSY, PCL240K.COUNTER
-    _configure, listener, EXTENDED, S_CURVES = PCL240K._configure, PCL240K.listener, False, False
+    _configure, make_describer, EXTENDED, S_CURVES = PCL240K._configure, PCL240K.make_describer, False, False
 
 
 def test_a_chip_from_outside_has_a_port_for_each_of_its_addresses():

@@ -141,7 +141,7 @@ def test_times_shorter_than_a_nanosecond_are_rounded_to_the_nearest(tmp_path, un
     stage = make_stage()
     with stage.record() as recording:
         report = replay_capture(stage, path, "x.step=S", rest=0)
-    waveforms = recording.journals["x"].course(every_pulse=True)
+    waveforms = recording.journals["x"].replay_waveforms(every_pulse=True)
     step = waveforms.pin("step")
     assert waveforms.seconds[1:][step[1:] != step[:-1]] == pytest.approx([100_000e-9, 103_001e-9], abs=1e-12)
     assert report.duration == pytest.approx(200e-6)
@@ -260,7 +260,7 @@ def test_a_recording_of_a_replay_has_each_edge(capture):
     stage = make_stage()
     with stage.record() as recording:
         replay_capture(stage, capture, "x.step=D2,x.dir=D5")
-    waveforms = recording.journals["x"].course(every_pulse=True)
+    waveforms = recording.journals["x"].replay_waveforms(every_pulse=True)
     step = waveforms.pin("step")
     rises = waveforms.seconds[1:][step[1:] & ~step[:-1]]
     assert rises == pytest.approx(1e-3 + 2e-4 * np.arange(320), abs=1e-12)

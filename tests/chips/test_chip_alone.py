@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stage.chips import CHIPS, MCX304, MCX514, PCL240K, chip_class
-from stage.chips.describe import Fields
+from stage.chips.describe import FieldDescriber
 from stage.chips.register_map import Field, Register, dump
 from stage.errors import ArgumentError
 
@@ -38,19 +38,19 @@ def test_a_dump_marks_the_bits_that_can_only_be_read_where_others_of_the_registe
 
 
 def test_starts_considers_only_the_address_and_data_lines_of_the_chip():
-    """chip.starts(address, value): lines above those of the bus are not there"""
+    """chip.would_start_drive(address, value): lines above those of the bus are not there"""
     chip = PCL240K()
     for name, value in {"R1": 100, "R2": 1000, "R4": 100, "R5": 100, "R7": 60}.items():
         for cycle in chip.register_cycles(name, value):
             chip.write(*cycle)
     before = chip.state.tobytes()
     for address, value in ((0, 0x15), (4, 0x15), (0, 0x115), (0x100, 0xFF15)):
-        assert chip.starts(address, value), (address, value)
-    assert not chip.starts(1, 0x15)
-    assert not chip.starts(0, 0x08)
+        assert chip.would_start_drive(address, value), (address, value)
+    assert not chip.would_start_drive(1, 0x15)
+    assert not chip.would_start_drive(0, 0x08)
     assert chip.state.tobytes() == before
     chip.write(0, 0x15)
-    assert not chip.starts(0, 0x15), "it drives already"
+    assert not chip.would_start_drive(0, 0x15), "it drives already"
 
 
 @pytest.mark.parametrize(
@@ -67,11 +67,11 @@ def test_starts_considers_only_the_axis_asked_about(kind, run, registers):
             for cycle in chip.register_cycles(name, value, axis):
                 chip.write(*cycle)
     (write,) = chip.command_cycles(run, 2)
-    assert [chip.starts(*write, axis) for axis in range(4)] == [False, False, True, False]
+    assert [chip.would_start_drive(*write, axis) for axis in range(4)] == [False, False, True, False]
     chip.write(*write)
-    assert not chip.starts(*write, 2)
+    assert not chip.would_start_drive(*write, 2)
     (other,) = chip.command_cycles(run, 0)
-    assert chip.starts(*other, 0), "another drives"
+    assert chip.would_start_drive(*other, 0), "another drives"
 
 
 class Line:
@@ -106,7 +106,7 @@ def test_a_chip_that_leaves_its_bus_is_as_it_was_before_and_alone():
 
 
 def test_the_same_bits_with_another_end_of_their_sentence_are_another_sentence():
-    fields = Fields(PCL240K.MAP.word("status"))
+    fields = FieldDescriber(PCL240K.MAP.word("status"))
     message = fields.describe("status", 0xC0)
     assert fields.describe("status", 0xC0, "; and more") == message + "; and more"
     assert fields.describe("status", 0xC0) == message

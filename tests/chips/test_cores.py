@@ -1,4 +1,4 @@
-"""The contract between a stage and the cores of its chips, see stage/chips/cores.py."""
+"""The contract between a stage and the cores of its chips, see stage/chips/core_interface.py."""
 
 import random
 import subprocess
@@ -10,7 +10,7 @@ from loops.rows import describe_axis
 from support import nova_programs, programs, servo_programs
 from support.examples import SEED
 
-from stage.chips import CHIPS, FAMILIES, cores
+from stage.chips import CHIPS, FAMILIES, core_interface
 from stage.errors import ArgumentError, StageError
 from stage.native import Exported
 
@@ -20,7 +20,7 @@ every_chip = pytest.mark.parametrize("name", CHIPS.built_in)
 @every_chip
 def test_a_core_gives_every_answer_with_the_types_that_loops_call_it_by(name):
     core = CHIPS[name].CORE
-    for answer, (result, *arguments) in cores.ANSWERS.items():
+    for answer, (result, *arguments) in core_interface.ANSWERS.items():
         function = getattr(core, answer)
         assert isinstance(function, Exported), answer
         assert (function.result, *function.arguments) == (result, core.STATE, *arguments), answer
@@ -36,8 +36,8 @@ def test_a_state_begins_with_its_clock(name):
 
 
 def report(chip):
-    rows, out = np.zeros(1, cores.CHIP), np.zeros(5, np.int64)
-    cores.fill_chip_record(rows[0], chip.CORE, chip.pointer)
+    rows, out = np.zeros(1, core_interface.CHIP), np.zeros(5, np.int64)
+    core_interface.fill_chip_record(rows[0], chip.CORE, chip.pointer)
     describe_axis(rows, 0, out)
     return tuple(out.tolist())
 
@@ -152,7 +152,7 @@ def test_every_command_of_a_chip_is_sent_as_its_listener_hears_it(name):
     """chip.command_cycles("DRVRL", axis=2): the words of the map, and the axis' name, come back from the bus"""
     make = CHIPS[name]
     axis, chip = make.AXES - 1, make()
-    listener = chip.listener()
+    listener = chip.make_describer()
     for command in make.MAP.commands:
         takes = command.choice or (command.bytes if "read" not in command.kind else 0)
         cycles = make.command_cycles(command.symbol.lower(), axis, 1 if takes else None)
@@ -186,7 +186,7 @@ def test_a_command_that_is_none_or_whose_datum_does_not_fit_is_refused(name, arg
 
 @pytest.mark.parametrize("name", [name for name in CHIPS.built_in if not CHIPS[name].SERVO])
 def test_the_values_of_an_axis_are_those_that_were_written_to_it_and_to_no_other(name):
-    """chip.values_of(axis): also of registers that no host can read; looking changes nothing"""
+    """chip.axis_values(axis): also of registers that no host can read; looking changes nothing"""
     chip, written = CHIPS[name](), {}
     axis = chip.AXES - 1
     for register in chip.MAP.registers:
@@ -195,7 +195,7 @@ def test_the_values_of_an_axis_are_those_that_were_written_to_it_and_to_no_other
             for cycle in chip.register_cycles(register.name, written[register.name], axis):
                 chip.write(*cycle)
     before = chip.state.tobytes()
-    values_of_axis, there = chip.values_of(axis), chip.values_of(0)
+    values_of_axis, there = chip.axis_values(axis), chip.axis_values(0)
     assert chip.state.tobytes() == before
     written.pop("TX", None)  # what is read under this name is the longest way of the segment that runs
     displayed = {k: v for k, v in values_of_axis.items() if k in written}
@@ -203,7 +203,7 @@ def test_the_values_of_an_axis_are_those_that_were_written_to_it_and_to_no_other
     assert len(displayed) >= len(written) - 2, "EM and SM of the MCX314As are kept as what they mean"
     assert axis == 0 or values_of_axis != there
     with pytest.raises(ArgumentError, match="axis"):
-        chip.values_of(chip.AXES)
+        chip.axis_values(chip.AXES)
 
 
 def test_a_chip_of_a_stage_is_restored_with_its_stage(xy):
@@ -231,7 +231,7 @@ def test_a_chip_ignores_address_and_data_bits_beyond_its_lines(name):
     """chip.write(0x40, 0x108) of a PCL-240 is chip.write(0, 8)"""
     near, remote, draw = CHIPS[name](), CHIPS[name](), random.Random(1)
     beyond, full = near.ADDRESS_MASK + 1, near.DATA_MASK + 1
-    local, forwarded = near.listener(), remote.listener()
+    local, forwarded = near.make_describer(), remote.make_describer()
     for _ in range(150):
         address, value = draw.randrange(beyond), draw.randrange(full)
         assert local.write(address, value) == forwarded.write(address, value + full)

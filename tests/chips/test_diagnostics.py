@@ -83,7 +83,7 @@ def test_a_drive_command_has_a_diagnostic_of_each_axis_bit_and_each_reason():
 def test_a_rule_that_is_reported_once_is_limited_by_its_key():
     chip = PCL240K()
     slow, fast, every = Rule("slow", "a", once=True), Rule("fast", "a", once=True), Rule("every", "a")
-    for k, rule in enumerate((slow, slow, fast, every, slow.at("b"), every)):
+    for k, rule in enumerate((slow, slow, fast, every, slow.with_source("b"), every)):
         chip.diagnose(k, 0, 0, [(rule, f"the same words: {k}")])
     assert [(d.clock, d.key) for d in chip.diagnostics] == [(0, "slow"), (2, "fast"), (3, "every"), (5, "every")]
     chip.diagnose(6, 0, 0, [(slow, ""), (every, "")])

@@ -127,7 +127,7 @@ def test_the_waveforms_have_every_change_of_the_phases():
     journal = chip.journal()
     chip.advance(2000)
     journal.close()
-    edges = journal.course().edges
+    edges = journal.replay_waveforms().edges
     changes = edges["clock"][1:-1]
     assert len(changes) == 13
     assert (np.diff(changes) % 100 == 0).all()

@@ -444,10 +444,10 @@ def test_pulse_is_on_for_the_commands_share_of_each_period_of_100_clocks(command
         chip.advance(1)
     assert sum(observed) == 3 * min(abs(command), 100)
     assert chip.pins.sign == (command < 0)
-    waveforms = journal.course(every_pulse=True)
+    waveforms = journal.replay_waveforms(every_pulse=True)
     level = np.repeat(waveforms.pin("pulse"), np.diff(waveforms.edges["clock"], append=chip.clock))
     assert level[:300].tolist() == observed, "and so a waveform shows it"
-    assert len(journal.course().edges) <= 2, "which has no edges of it unless it is asked for pulses"
+    assert len(journal.replay_waveforms().edges) <= 2, "which has no edges of it unless it is asked for pulses"
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def test_net_is_the_raw_count_of_the_command_position_wherever_the_position_has_
     assert chip.command_position == position(chip)
     chip.encoder = 1 << 24  # once round: the nearer count of those that read alike
     assert chip.net() == of(chip)[0] == (1 << 24) + 223
-    edges = journal.course().edges
+    edges = journal.replay_waveforms().edges
     assert edges["command"].tolist() == [-77] * len(edges)
     assert set(edges["net"].tolist()) == {-77, 223, (1 << 24) + 223}
 

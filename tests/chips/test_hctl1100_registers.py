@@ -213,16 +213,16 @@ def test_counts_faster_than_one_in_three_clocks_do_not_come_through_the_filter()
     chip = HCTL1100()
     chip.set_shaft(0, 1 / 3)
     chip.advance(3000)
-    assert (chip.encoder, chip.missed) == (1000, 0)
+    assert (chip.encoder, chip.missed_counts) == (1000, 0)
     chip.set_shaft(1000, 0.5)
     chip.advance(3000)
-    assert (chip.encoder, chip.missed, position(chip)) == (1000, 1500, 1000)
+    assert (chip.encoder, chip.missed_counts, position(chip)) == (1000, 1500, 1000)
     chip.set_shaft(2500, -0.25)
     chip.advance(400)
-    assert (chip.encoder, chip.missed) == (900, 1500), "slow enough again, from where it was heard last"
+    assert (chip.encoder, chip.missed_counts) == (900, 1500), "slow enough again, from where it was heard last"
     chip.set_shaft(2400, -0.5)
     chip.advance(400)
-    assert (chip.encoder, chip.missed) == (900, 1300)
+    assert (chip.encoder, chip.missed_counts) == (900, 1300)
     chip.encoder = 70
     assert (chip.encoder, position(chip)) == (70, 70)
 
@@ -238,7 +238,7 @@ def test_a_shaft_has_a_finite_place_and_rate(wrong):
     chip.advance(1 << 40)
     assert 0 <= chip.read(0x14) < 256
     chip.write(0x05, ALIGN)
-    assert (chip.encoder, chip.missed) == (1 << 53, -(1 << 53)), "so fast that nothing is counted"
+    assert (chip.encoder, chip.missed_counts) == (1 << 53, -(1 << 53)), "so fast that nothing is counted"
 
 
 # --- command position ---
@@ -278,7 +278,7 @@ def test_a_servo_chip_makes_no_pulses_and_its_waveforms_have_the_commanded_motio
     assert chip.command_position == 100
     assert not chip.busy()
     journal.close()
-    waveforms = journal.course(every_pulse=True)
+    waveforms = journal.replay_waveforms(every_pulse=True)
     edges = waveforms.edges
     assert edges["command"][[0, -1]].tolist() == [0, 100]
     of_samples = (edges["clock"] % SAMPLE == 0) | (edges["command"] == [0, *edges["command"][:-1]])

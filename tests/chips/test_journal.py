@@ -145,8 +145,8 @@ def test_waveforms_end_where_their_journal_was_closed_and_a_newer_journal_contin
     older.close()
     closed = x.chip.clock
     xy.run(0.0213)
-    assert (older.until, int(older.course().edges["clock"][-1])) == (closed, closed)
-    assert younger.until == x.chip.clock == int(younger.course().edges["clock"][-1]) > closed
+    assert (older.until, int(older.replay_waveforms().edges["clock"][-1])) == (closed, closed)
+    assert younger.until == x.chip.clock == int(younger.replay_waveforms().edges["clock"][-1]) > closed
     hear_a_switch(xy, older, x.chip.journal(), younger)
     assert (older.until, x.chip.open_journal) == (closed, None)
 
@@ -175,7 +175,7 @@ def test_entries_are_a_sequence_of_32_bytes_each():
     entries = Entries()
     assert not entries
     for row in rows:
-        entries.note(*row)
+        entries.append(*row)
     rows = [Entry(*row) for row in rows]
     assert list(entries) == rows
     assert (len(entries), entries[0], entries[-1], entries[7].b) == (1000, rows[0], rows[-1], -(1 << 40))
@@ -194,33 +194,33 @@ def test_entries_are_a_sequence_of_32_bytes_each():
 
 def test_entries_that_are_looked_at_can_still_grow():
     entries = Entries()
-    entries.note(1, WRITE, 0, 0)
+    entries.append(1, WRITE, 0, 0)
     kept, walk = entries.packed(), iter(entries)
-    entries.note(2, WRITE, 0, 0)
+    entries.append(2, WRITE, 0, 0)
     assert len(kept) == 1
     assert [e.clock for e in walk] == [1, 2]
 
 
 def test_pieces_of_any_size_make_up_the_waveforms_even_if_all_writes_have_one_clock():
-    """list(journal.pieces(size=65)) of 300 writes without time between them"""
+    """list(journal.replay_in_pieces(size=65)) of 300 writes without time between them"""
     chip = PCL240K()
     journal = chip.journal()
     for k in range(300):
         chip.write(1 + k % 3, k & 0xFF)
     chip.advance(10)
-    uncut = journal.course().edges
+    uncut = journal.replay_waveforms().edges
     assert len(uncut) == 302
     for size in (64, 65, 66, 100, 301, 302):
-        pieces = list(journal.pieces(size=size))
+        pieces = list(journal.replay_in_pieces(size=size))
         assert max(map(len, pieces)) <= size
         assert np.concatenate(pieces).tobytes() == uncut.tobytes()
 
 
 @pytest.mark.parametrize("size", [-1, 0, 1, 8, 63, 64.0, True, None])
 def test_a_piece_that_a_scan_cannot_be_sure_to_fit_into_is_refused_before_anything_is_written(size):
-    """journal.pieces(size=0) wrote behind its array, and 1 to 8 never ended"""
+    """journal.replay_in_pieces(size=0) wrote behind its array, and 1 to 8 never ended"""
     chip = PCL240K()
     journal = chip.journal()
     with pytest.raises(ArgumentError, match=f"size={size}: a whole number, 64 or more"):
-        journal.pieces(size=size)
-    assert len(np.concatenate(list(journal.pieces(size=64)))) == 2
+        journal.replay_in_pieces(size=size)
+    assert len(np.concatenate(list(journal.replay_in_pieces(size=64)))) == 2

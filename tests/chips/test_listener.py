@@ -37,7 +37,7 @@ def received(chip, listener, cycle):
 
 def after(chip, *cycles):
     """Return the description of the last of several cycles."""
-    listener = chip.listener()
+    listener = chip.make_describer()
     return [received(chip, listener, cycle) for cycle in cycles][-1]
 
 
@@ -64,7 +64,7 @@ def test_a_cycle_of_the_pcl240_says_what_it_means(cycle, sentence):
 
 
 def test_a_status_byte_is_described_field_by_field():
-    listener = PCL240K().listener()
+    listener = PCL240K().make_describer()
     assert listener.read(0, 0xD8) == "status: operating, R0 < R6, R0 = 0"
     assert listener.read(0, 0x60) == "status: /INT pending, operating, neither ramping up nor down"
 
@@ -72,7 +72,7 @@ def test_a_status_byte_is_described_field_by_field():
 @pytest.mark.parametrize("order", [(3, 2, 1), (1, 2, 3)])
 def test_the_value_of_a_register_is_described_with_the_last_of_its_bytes(order):
     chip = PCL240K()
-    listener = chip.listener()
+    listener = chip.make_describer()
     message = [received(chip, listener, (W, a, 0x123400 >> 8 * (a - 1) & 0xFF)) for a in order]
     assert message[-1].endswith(": R0 = 123400h (1192960)")
     assert message[1] == "R0 bits 15..8 = 34h"
@@ -84,7 +84,7 @@ def test_a_byte_above_the_width_of_a_register_is_described_so():
 
 def test_in_collective_mode_the_upper_bytes_wait():
     chip = PCL240MS()
-    listener = chip.listener()
+    listener = chip.make_describer()
     cycles = [(W, 0, 0xA0), (W, 3, 0x01), (W, 2, 0x02), (W, 1, 0x03)]
     assert [received(chip, listener, c) for c in cycles] == [
         "select R0, collective: down counter",
@@ -127,7 +127,7 @@ def test_a_command_with_start_and_stop_leaves_the_described_r6_as_it_is(code):
 
 def test_a_counter_has_no_described_value_if_its_other_bytes_may_have_changed():
     chip = PCL240K()
-    listener = chip.listener()
+    listener = chip.make_describer()
     for cycle in [(W, 0, 0x80), (W, 3, 0), (W, 2, 1), (W, 1, 0), (W, 0, 0x87), (W, 1, 2), (W, 0, 0x81), (W, 2, 16)]:
         received(chip, listener, cycle)
     received(chip, listener, (W, 0, 0x10))
@@ -191,11 +191,11 @@ def test_a_write_to_a_nova_chip_says_what_it_means(make, cycles, sentence):
     ],
 )
 def test_a_read_of_a_nova_chip_describes_the_fields_that_are_set(make, address, value, sentence):
-    assert make().listener().read(address, value) == sentence
+    assert make().make_describer().read(address, value) == sentence
 
 
 def test_rr3_of_the_mcx514_is_described_by_the_selected_page_of_its_axis():
-    listener = MCX514().listener()
+    listener = MCX514().make_describer()
     assert listener.write(0, 0x027B) == "Y: RR3 shows page 1"
     assert listener.read(3, 0x20) == "Y: RR3 page 1: speed is constant"
     listener.write(0, 0x011F)
@@ -214,7 +214,7 @@ def test_rr6_and_rr7_are_described_as_the_register_that_the_command_read():
         (W, 0, 0x0212),
         (R, 6, 0),
     ]
-    listener = chip.listener()
+    listener = chip.make_describer()
     assert [received(chip, listener, c) for c in cycles][3:] == [
         "Y: read logical position counter LP",
         "Y: LP bits 15..0 = FF00h",
@@ -226,14 +226,14 @@ def test_rr6_and_rr7_are_described_as_the_register_that_the_command_read():
 
 def test_on_the_8_bit_bus_a_byte_says_what_its_word_is_then():
     chip = MCX514()
-    listeners = [chip.listener()]
+    listeners = [chip.make_describer()]
     message = []
     for at, value in (
         (1, 0x01), (0, 0x50), (12, 0x0F), (13, 0x10), (4, 0x02), (5, 0x20), (1, 0x02), (0, 0x25), (5, 0x20),
     ):  # fmt: skip
         chip.write_byte(at, value)
         (expected,) = {listener.write(16 + at, value) for listener in listeners}
-        listeners.append(chip.listener())
+        listeners.append(chip.make_describer())
         message.append(expected)
     assert message == [
         "WR0 bits 15..8 = 01h: waits for bits 7..0",
@@ -253,7 +253,7 @@ def test_on_the_8_bit_bus_a_byte_says_what_its_word_is_then():
 @pytest.mark.parametrize(("make", "reset"), [(MCX514, 0x00FF), (MCX304, 0x8000), (MCX312, 0x8000)])
 def test_after_a_reset_command_a_nova_chip_is_described_as_after_power_up(make, reset):
     chip = make()
-    listener = chip.listener()
+    listener = chip.make_describer()
     received(chip, listener, (W, 6, 0x1234))
     received(chip, listener, (W, 7, 0x1234))
     if make is MCX514:
@@ -263,7 +263,7 @@ def test_after_a_reset_command_a_nova_chip_is_described_as_after_power_up(make, 
     reading = chip.MAP.command("R-LP").code
     received(chip, listener, (W, 0, 0x0200 | reading))
     received(chip, listener, (W, 0, reset))
-    new = make().listener()
+    new = make().make_describer()
     for cycle in [(R, 3, 1), (W, 3, 4), (R, 6, 0), *((W, k, 0x0123) for k in range(1, 8)), (W, 0, 0x0109)]:
         assert says(listener, cycle) == says(new, cycle)
 
@@ -324,7 +324,7 @@ def test_the_actual_position_is_described_with_the_last_of_its_latched_bytes():
 def test_any_cycle_gets_a_short_line_of_ascii(name, seed):
     """Also cycles at no address of the chip, and what no chip would return."""
     chip, rng = CHIPS[name](), random.Random(seed)
-    listener = chip.listener()
+    listener = chip.make_describer()
     for _ in range(1000):
         write, address, value = rng.random() < 0.6, rng.randrange(-1, 70), rng.randrange(-1, 1 << 17)
         message = says(listener, (write, address, value))
@@ -338,7 +338,7 @@ def test_any_cycle_gets_a_short_line_of_ascii(name, seed):
 @pytest.mark.parametrize("make", PCL)
 def test_a_pcl240_register_holds_the_value_that_the_listener_describes(make, seed):
     chip, rng, expected = make(), random.Random(seed), 0
-    listener = chip.listener()
+    listener = chip.make_describer()
     for _ in range(500):
         address = rng.randrange(4)
         value = rng.randrange(256)
@@ -355,7 +355,7 @@ def test_a_pcl240_register_holds_the_value_that_the_listener_describes(make, see
 @pytest.mark.parametrize("make", NOVA)
 def test_a_nova_register_reads_back_the_value_that_the_listener_describes(make, seed):
     chip, rng = make(), random.Random(seed)
-    listener = chip.listener()
+    listener = chip.make_describer()
     reads = {c.symbol for c in chip.MAP.commands if c.kind == "data read"}
     readable = [
         r for r in chip.MAP.registers if f"R-{r.name}" in reads and not r.fields and r.name != "TX"
@@ -374,7 +374,7 @@ def test_a_nova_register_reads_back_the_value_that_the_listener_describes(make, 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_an_hctl1100_register_holds_the_value_that_the_listener_describes(seed):
     chip, rng, expected = HCTL1100(), random.Random(seed), 0
-    listener = chip.listener()
+    listener = chip.make_describer()
     for _ in range(500):
         address = rng.choice((0x0C, 0x0D, 0x0E, 0x15, 0x16, 0x17, 0x29, 0x2A, 0x2B, 0x05))
         message = received(chip, listener, (W, address, rng.randrange(4 if address == 0x05 else 256)))
@@ -433,10 +433,10 @@ def _hctl1100_statement(make, rng):
 def test_a_listener_that_starts_in_the_middle_says_what_one_from_power_up_says(name, seed):
     """Anywhere but between a NOVA command that reads data and the reads of RR6 and RR7: the chip does not hold that command."""
     chip, rng = CHIPS[name](), random.Random(seed)
-    listeners = [chip.listener()]
+    listeners = [chip.make_describer()]
     for part in program(type(chip), rng):
         if rng.random() < 0.1:
-            listeners.append(chip.listener())
+            listeners.append(chip.make_describer())
         for cycle in part:
             expected = happen(chip, cycle)
             message = {says(listener, expected) for listener in listeners}

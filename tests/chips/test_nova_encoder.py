@@ -145,7 +145,7 @@ def test_a_journal_a_snapshot_and_a_copy_go_on_with_the_encoders_of_all_axes():
     journal.close()
     assert [e.axis for e in journal.entries if e.kind == SHAFT] == [0, 1, 0]
     for every_pulse in (False, True):
-        edges = np.concatenate(list(journal.pieces(every_pulse, size=80)))
+        edges = np.concatenate(list(journal.replay_in_pieces(every_pulse, size=80)))
         assert edges["clock"][-1] == chip.clock
         assert edges["inputs"][-1] == chip.input_word(1)
     assert len(edges) > 10, "every edge of ECA and ECB is in the course"

@@ -28,7 +28,7 @@ class Contents:
     def __init__(self, **contents):
         vars(self).update(contents)
 
-    def interpolated_by(self, command):
+    def find_axes_of_interpolation(self, command):
         return self.interpolated_axes
 
     def find_refusals(self, value):

@@ -142,7 +142,7 @@ def test_after_reset_every_parameter_holds_a_legal_value(chip):
         if r.access != "R":
             assert r.reset is not None
             assert r.allows(r.value(r.reset)), r.name
-            assert all(f.legal is None or f.legal[0] <= f.of(r.reset) <= f.legal[1] for f in r.fields), r.name
+            assert all(f.legal is None or f.legal[0] <= f.extract(r.reset) <= f.legal[1] for f in r.fields), r.name
 
 
 # bits as the pages print them, of every word: the first and the last, and those that are easily mistaken

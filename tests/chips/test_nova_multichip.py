@@ -81,7 +81,7 @@ def pass_clocks(stage, clocks):
 
 def pulse_count(journal, since):
     """(clock since then, direction) of a journal's pulses."""
-    edges = journal.course(every_pulse=True).edges
+    edges = journal.replay_waveforms(every_pulse=True).edges
     steps = np.diff(edges["net"], prepend=edges["net"][0])
     at = np.flatnonzero(steps)
     return list(zip((edges["clock"][at] - since).tolist(), steps[at].tolist(), strict=True))
@@ -389,7 +389,7 @@ def test_a_recording_shows_the_pulses_and_the_rate_of_a_slave(pair):
         stage.run(0.02)
     journal.close()
     replay = Replay(journal)
-    assert sum(len(edges) for edges in replay.pieces()) < 250, "without every pulse: rates and pins"
+    assert sum(len(edges) for edges in replay.replay_in_pieces()) < 250, "without every pulse: rates and pins"
     assert replay.state == slave.state.tobytes()
     columns = recording.columns
     assert columns["a3/pulses"][-1] == -50

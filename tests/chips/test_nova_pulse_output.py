@@ -124,7 +124,7 @@ def test_at_every_clock_the_pins_are_those_of_the_waveform(name):
                 observed.append((chip.clock, *displayed(chip)))
                 chip.advance(1)
         journal.close()
-        edges = journal.course(every_pulse=True).edges
+        edges = journal.replay_waveforms(every_pulse=True).edges
         at = edges["clock"].searchsorted([clock for clock, _, _ in observed], side="right") - 1
         outputs, bits = edges["outputs"][at], chip.OUTPUTS
         for (clock, pls, direction), word in zip(observed, outputs, strict=True):
@@ -151,7 +151,7 @@ def test_pulses_of_an_interpolation_are_at_the_pins_of_each_axis():
     assert (0, True) not in directions
     assert highs[0] == [16 * k + n for k in range(1, 9) for n in range(8)], "x at every tick of 1600 clocks, half of it"
     assert len(highs[1]) == 4 * 8
-    edges = journal.course(every_pulse=True).edges
+    edges = journal.replay_waveforms(every_pulse=True).edges
     rises = (edges["outputs"][1:] & ~edges["outputs"][:-1] & chip.OUTPUTS["pls"] != 0).sum()
     assert rises == 4
 
@@ -166,6 +166,6 @@ def test_a_waveform_of_the_recorder_has_every_pulse_at_the_pin_of_its_direction(
         journal = chip.journal()
         command(chip, code)
         chip.advance(1000)
-        edges = journal.course(every_pulse=True).edges
+        edges = journal.replay_waveforms(every_pulse=True).edges
         risen = edges["outputs"][1:] & ~edges["outputs"][:-1]
         assert [(risen & chip.OUTPUTS[pin] != 0).sum() for pin in ("pls", "dir")] == [0, 7]

@@ -11,7 +11,7 @@ from stage.chips import CHIPS
 
 CHIP_OBSERVERS = {
     "values": lambda chip, axis: chip.values(),
-    "values_of": lambda chip, axis: chip.values_of(axis),
+    "values_of": lambda chip, axis: chip.axis_values(axis),
     "dump": lambda chip, axis: chip.dump(),
     "repr": lambda chip, axis: repr(chip),
     "pins": lambda chip, axis: chip.axes[axis].pins.as_dict(),
@@ -23,8 +23,8 @@ CHIP_OBSERVERS = {
     "lint": lambda chip, axis: [
         list(chip.lint(k, v)) for k in range(chip.ADDRESSES) for v in (0, 0x150, chip.DATA_MASK)
     ],
-    "tried start": lambda chip, axis: chip.starts(0, 0x150, axis),
-    "listener": lambda chip, axis: chip.listener(),
+    "tried start": lambda chip, axis: chip.would_start_drive(0, 0x150, axis),
+    "listener": lambda chip, axis: chip.make_describer(),
     "decoder": lambda chip, axis: chip.decoder(axis),
     "diagnostics": lambda chip, axis: list(chip.diagnostics),
     "twin": lambda chip, axis: chip.make_replica().advance(10_000),

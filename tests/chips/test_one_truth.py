@@ -73,14 +73,14 @@ def fits(name):
 )  # fmt: skip
 def test_a_field_is_described_by_its_meaning_and_its_values(f, text, message):
     assert f.text == text
-    assert {v: f.says(v) for v in message} == message
+    assert {v: f.describe_value(v) for v in message} == message
 
 
 def test_a_value_is_found_by_its_words_in_place():
     f = Field("SPD", 7, 6, "vector speed", values={0: "off", 2: "three axes"})
-    assert f.code("three axes") == 0x80
+    assert f.find_code("three axes") == 0x80
     with pytest.raises(ArgumentError, match="three axes"):
-        f.code("three axis")
+        f.find_code("three axis")
 
 
 def test_the_commands_of_the_pcl240_are_those_of_its_data_sheet():

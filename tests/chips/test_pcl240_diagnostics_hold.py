@@ -130,6 +130,6 @@ def test_a_move_whose_diagnostic_says_that_it_stops_without_ramping_down_never_r
         chip.advance(1 << 34)
         journal.close()
         assert chip.pins.hold
-        assert not journal.course().pin("fdown").any(), f"{chip.values()}: {message!r}"
+        assert not journal.replay_waveforms().pin("fdown").any(), f"{chip.values()}: {message!r}"
         observed += 1
     assert observed > EXAMPLES // 2

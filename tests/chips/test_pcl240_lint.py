@@ -407,7 +407,7 @@ def test_the_pulses_of_an_s_curve_decide_what_is_too_negative(span):
         assert bool(find_messages(chip, "R6")) == too_negative
         journal = chip.journal()
         chip.advance(FOREVER)
-        assert journal.course().pin("fdown").any() == (not too_negative), "so it is"
+        assert journal.replay_waveforms().pin("fdown").any() == (not too_negative), "so it is"
 
 
 @BOTH

@@ -102,7 +102,7 @@ def test_while_the_last_pulse_is_completed_the_rate_is_that_of_the_run():
     middle = chip.clock
     chip.advance(1000)
     assert (chip.pins.hold, rate(chip)) == (True, 0.0)
-    edges = journal.course().edges
+    edges = journal.replay_waveforms().edges
     assert set(edges["speed"][(edges["clock"] > 0) & (edges["clock"] <= middle)].tolist()) <= {800}
     assert edges["speed"][-1] == 0
 
@@ -113,7 +113,7 @@ def test_independent_pulses_appear_in_waveforms_on_the_pin_of_their_direction(co
     journal = chip.journal()
     chip.write(0, 0x11)
     pulses = chip.advance(500)
-    waveforms = journal.course(every_pulse=True)
+    waveforms = journal.replay_waveforms(every_pulse=True)
     displayed = waveforms.pin(moves)
     assert int((displayed[1:] & ~displayed[:-1]).sum()) == pulses > 0
     assert not waveforms.pin(rests).any()

@@ -74,7 +74,7 @@ def test_every_speed_of_the_waveforms_equals_the_reference_at_its_clock():
         journal = chip.journal()
         for player in (chip, model):
             follow(player, program)
-        waveforms = journal.course()
+        waveforms = journal.replay_waveforms()
         last = np.flatnonzero(np.diff(waveforms.edges["clock"], append=chip.clock + 1))  # of the edges at each clock
         clocks, previous = (
             waveforms.edges["clock"][last],
@@ -103,7 +103,7 @@ def test_each_step_of_the_widest_s_curve_ramp_is_on_its_clock(rate, span, up):
     model.speed = 1 if up else 8191
     journal, began = chip.journal(), chip.clock
     chip.advance(max_length)
-    edges = journal.course().edges
+    edges = journal.replay_waveforms().edges
     changes = np.flatnonzero(np.diff(edges["speed"].astype(np.int64))) + 1
     curve = SCurve(model, 8191 if up else 1, 1 if up else -1)
     due = [
@@ -122,7 +122,7 @@ def test_the_revised_fh_of_any_legal_values_is_the_references():
             follow(player, program)
         journal = chip.journal()
         chip.advance(max(model.selected_speed - model.speed, 0) * model.registers[4] + 10)
-        assert journal.course().edges["speed"].max() == max(model.selected_speed, model.speed), program
+        assert journal.replay_waveforms().edges["speed"].max() == max(model.selected_speed, model.speed), program
         revised += bool(model.revised)
     assert revised > 0
 

@@ -93,7 +93,7 @@ def test_the_fh_correction_makes_no_triangle_and_changes_no_register(r14):
         journal = chip.journal()
         chip.advance(FOREVER)
         assert [chip.values()[name] for name in NAMES[1:]] == before
-        waveforms = journal.course()
+        waveforms = journal.replay_waveforms()
         speed = waveforms.edges["speed"]
         assert 400 < speed.max() < 800
         assert (waveforms.pin("fkeep") & (speed == speed.max())).any() == kept_at_top

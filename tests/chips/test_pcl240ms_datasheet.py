@@ -339,7 +339,7 @@ def steps_up(r):
     chip = started(r, control=CONTINUOUS)
     journal = chip.journal()
     chip.advance(clocks_while(chip, "fup") + 1)
-    edges = journal.course().edges
+    edges = journal.replay_waveforms().edges
     at = np.flatnonzero(np.diff(edges["speed"])) + 1
     return edges["clock"][at], edges["speed"][at]
 
@@ -351,7 +351,7 @@ def steps_down(r):
     chip.write(0, 0x14)
     journal = chip.journal()
     chip.advance(LONG)
-    edges = journal.course().edges
+    edges = journal.replay_waveforms().edges
     at = np.flatnonzero(np.diff(edges["speed"])) + 1
     return edges["clock"][at] - edges["clock"][0] - 1, edges["speed"][at]
 

@@ -383,7 +383,7 @@ def curve_with(name, value, ramp, steps_taken):
     clocks_while(chip, lambda chip: abs(chip.state["speed"] - started) < steps_taken)
     load(chip, **{name: value})
     chip.advance(100_000)
-    edges = journal.course().edges
+    edges = journal.replay_waveforms().edges
     return np.diff(edges["clock"][np.flatnonzero(np.diff(edges["speed"])) + 1])
 
 
@@ -425,7 +425,7 @@ def test_a_new_goal_inside_an_s_curve_starts_a_curve_from_the_present_speed():
     chip = begun(PCL240MS, R2=400, R4=20, R14=0)
     journal = chip.journal()
     chip.advance(4000)
-    speed = int(journal.course().edges["speed"][-1])
+    speed = int(journal.replay_waveforms().edges["speed"][-1])
     assert 50 < speed < 400
     load(chip, R2=1000)
     assert clocks_while(chip, "fup") == (1000 - speed) * 20

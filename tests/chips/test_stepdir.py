@@ -185,7 +185,7 @@ def test_step_stays_high_for_the_programmed_time_and_low_at_least_as_long():
     journal = axis.journal()
     write(axis, "MOVE+", START=200_000, RATE=200_000, STEPS=50, HIGH=4_000)
     axis.advance(SECOND)
-    replayed = journal.course(every_pulse=True)
+    replayed = journal.replay_waveforms(every_pulse=True)
     edges = replayed.edges["clock"][np.flatnonzero(np.diff(replayed.pin("step").astype(int))) + 1]
     assert np.diff(edges)[::2].tolist() == [4_000] * 50
     assert np.diff(edges)[1::2].min() >= 4_000
@@ -217,7 +217,7 @@ def test_a_run_to_the_origin_ends_with_the_ramp_down_after_its_switch():
     axis.pins.org = False
     axis.advance(SECOND)
     assert before - axis.net() == pytest.approx((1000 + 10_000) / 2 * 0.05, abs=1)
-    assert axis.MAP.field("status", "end").of(axis.read(0)) == 4
+    assert axis.MAP.field("status", "end").extract(axis.read(0)) == 4
     axis.pins.org = True
     write(axis, "HOME-")
     assert not axis.busy(), "it is there already"

@@ -98,7 +98,7 @@ def test_a_machine_has_the_parameters_of_its_context_and_the_torque_constant_of_
 @pytest.mark.parametrize("fault", ["jam", "org open", "org closed", "phase open", "bounce"])
 def test_a_fault_is_cleared_by_the_next_fault_and_by_none(fault):
     stage, x, parts = create_machine()
-    row, dof = stage.state.switch_table[x.switches.row("org")], x.plant.dof
+    row, dof = stage.state.switch_table[x.switches.find_index("org")], x.plant.dof
 
     def observed():
         switch = int(row["forced"]), int(row["bounce"]), int(row["toggles"])
@@ -120,7 +120,7 @@ def test_a_fault_is_cleared_by_the_next_fault_and_by_none(fault):
 
 def test_a_switch_stuck_before_the_episode_stays_stuck_without_a_fault():
     stage, x, _ = create_machine()
-    row = stage.state.switch_table[x.switches.row("org")]
+    row = stage.state.switch_table[x.switches.find_index("org")]
     row["forced"] = 1
     parts = machine_faults.FaultyAxis.from_stage(stage, "x")
     parts.apply(stage, "org open")

@@ -117,7 +117,7 @@ def test_the_origin_drifts_and_the_counters_show_the_drift():
 
 def test_a_fault_ends_with_its_episode(env):
     model, axis = env.stage.model, env.stage.axes["x"]
-    row, dof = axis.switches.row("org"), axis.plant.dof
+    row, dof = axis.switches.find_index("org"), axis.plant.dof
 
     def read_machine():
         switch = env.stage.state.switch_table[row]

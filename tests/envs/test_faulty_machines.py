@@ -90,7 +90,7 @@ def test_a_bouncing_origin_switch_still_permits_an_origin_return():
     env = make_env("stage/BusMacros-v1", level="origin", axes=("x",))
     for fault in ("none", "bounce"):
         _, info = env.reset(seed=3, options={**HEALTHY, "fault": fault, "targets": {"x": 64}})
-        switch = env.stage.state.switch_table[env.stage.axes["x"].switches.row("org")]
+        switch = env.stage.state.switch_table[env.stage.axes["x"].switches.find_index("org")]
         assert switch["bounce"] == (1_000_000 if fault == "bounce" else 0)
         over = False
         while not over:

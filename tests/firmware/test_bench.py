@@ -55,7 +55,7 @@ def test_a_switch_on_a_rail_changes_at_the_pulse_that_crosses_it(rate):
     x = bench.axes["x"]
     journal = x.chip.journal()
     firmware.preset_move(x, 100, firmware.Profile.of(fl=rate, fh1=rate, fh2=rate), high_speed=False)
-    edges = journal.course(every_pulse=True).edges
+    edges = journal.replay_waveforms(every_pulse=True).edges
     assert x.rail_position == 50
     for bit_on in (False, True):
         places = {int(e["net"]) - 50 for e in edges if bool(e["inputs"] & PCL240K.INPUTS["ins"]) is bit_on}

@@ -1,6 +1,6 @@
 """Functions for tests of stage.native and of the table of chips."""
 
-from stage.chips import cores
+from stage.chips import core_interface
 from stage.native import allocate_on_stack, array_at, array_of, declare_address_call, exported, hot, record
 
 CELL = record([("a", "i8"), ("b", "f8")])
@@ -83,8 +83,12 @@ def on_the_stack(x):
     return summed(first) + 10.0 + summed(second)
 
 
-@exported(None, cores.CHIP, "i8", array_of("i8"))
+@exported(None, core_interface.CHIP, "i8", array_of("i8"))
 def describe_axis(c, axis, out):
     """Write clock, net pulses, inputs, outputs and status of an axis of a chip to `out`."""
-    out[0], out[1], out[2] = cores.read_clock(c), cores.read_net_count(c, axis), cores.read_inputs(c, axis)
-    out[3], out[4] = cores.read_outputs(c, axis), cores.read_status(c, axis)
+    out[0], out[1], out[2] = (
+        core_interface.read_clock(c),
+        core_interface.read_net_count(c, axis),
+        core_interface.read_inputs(c, axis),
+    )
+    out[3], out[4] = core_interface.read_outputs(c, axis), core_interface.read_status(c, axis)

@@ -159,7 +159,7 @@ def test_an_object_is_rebuilt_for_a_change_of_its_code_and_of_code_compiled_into
 
 
 def test_an_edit_of_the_engine_makes_one_part_of_the_library_again():
-    places = load.find_folders("stage")
+    places = load.find_package_folders("stage")
     known = {module: Path(source) for module, source in load.list_modules(places)}
     parts = build._list_parts("stage", places)
     assert [name for name in parts if "stage.sim.engine" in build._find_dependencies(parts[name], known)] == [
@@ -304,10 +304,10 @@ def test_the_link_reports_a_symbol_missing_in_the_library_of_pulsestage(toy, tmp
     )
     subprocess.run([*build.find_linker(), "-fPIC", "-c", "calls.c"], cwd=tmp_path, check=True)
     calls, manifest = tmp_path / "calls.o", part.with_name("manifest.o")
-    build._link_library([calls, part], manifest, tmp_path / "whole.so", complete=True)
-    build._link_library([calls], manifest, tmp_path / "of_a_package.so", complete=False)
+    build._link_library([calls, part], manifest, tmp_path / "whole.so", all_symbols_needed=True)
+    build._link_library([calls], manifest, tmp_path / "of_a_package.so", all_symbols_needed=False)
     with pytest.raises(NativeError, match=r"(?s)could not be linked:.*toy_1core_1stepped"):
-        build._link_library([calls], manifest, tmp_path / "lacks.so", complete=True)
+        build._link_library([calls], manifest, tmp_path / "lacks.so", all_symbols_needed=True)
 
 
 def test_a_full_disk_in_the_temporary_folder_is_reported(tmp_path, monkeypatch):
@@ -337,7 +337,7 @@ def test_a_full_disk_during_a_build_is_reported(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(build, "_manifest_object", full)
+    monkeypatch.setattr(build, "_write_manifest_object", full)
     with pytest.raises(NativeError, match=r"could not be written to .*toy: No space left on device\. Make room there"):
         build.build_library("toy")
     monkeypatch.undo()
@@ -451,7 +451,7 @@ def test_the_builder_says_where_the_library_is(toy):
 
 def test_a_missing_package_is_named():
     with pytest.raises(NativeError, match="'no_such_package' cannot be found"):
-        load.find_folders("no_such_package")
+        load.find_package_folders("no_such_package")
 
 
 def test_a_library_is_linked_by_the_first_compiler_installed(tmp_path, monkeypatch):
@@ -492,12 +492,12 @@ def test_a_build_by_another_numba_or_a_link_that_fails_leaves_nothing(tmp_path, 
     monkeypatch.setattr(build, "version", lambda name: build.NUMBA)
     monkeypatch.setattr(build, "_emit_objects", lambda parts, *_: None)
 
-    def fails(objects, manifest, path, complete):
+    def fails(objects, manifest, path, all_symbols_needed):
         path.write_text("half")
         raise NativeError("the disk is full")
 
     monkeypatch.setattr(build, "_link_library", fails)
-    monkeypatch.setattr(build, "_manifest_object", lambda *_: None)
+    monkeypatch.setattr(build, "_write_manifest_object", lambda *_: None)
     with pytest.raises(NativeError, match="the disk is full"):
         build.build_library("toy")
     assert [path.name for path in (tmp_path / "toy").iterdir() if "_native" in path.name] == []
@@ -515,7 +515,7 @@ def test_the_library_of_a_read_only_package_belongs_to_the_process(tmp_path, mon
     monkeypatch.setattr(build.os, "access", lambda folder, how: False)
     monkeypatch.setattr(build, "_emit_objects", lambda parts, *_: None)
     monkeypatch.setattr(
-        build, "_link_library", lambda objects, manifest, path, complete: path.write_text(load.NO_DIGEST)
+        build, "_link_library", lambda objects, manifest, path, all_symbols_needed: path.write_text(load.NO_DIGEST)
     )
     at_exit = []
     monkeypatch.setattr(build.atexit, "register", lambda *call, **how: at_exit.append((call, how)))

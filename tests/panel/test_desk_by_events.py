@@ -191,7 +191,7 @@ def test_a_line_of_the_console_is_sent_to_the_selected_chip(served, page):
         page.put("console-target", index)
         line(page, f"R1 <- {value}")
         page.until(lambda: typed(page) == "")
-    assert call_on_stage(served, lambda stage: [chip.values_of(0)["R1"] for chip in stage.chips]) == [123, 321]
+    assert call_on_stage(served, lambda stage: [chip.axis_values(0)["R1"] for chip in stage.chips]) == [123, 321]
 
 
 def test_a_line_that_is_wrong_stays_and_says_so_until_escape(served, page):
@@ -237,7 +237,7 @@ def test_rows_and_commands_are_of_the_selected_axis(wide):
     chip = session.stage.chips[0]
 
     def current():
-        return session.do(lambda stage: [chip.values_of(j)["DV"] for j in range(4)])
+        return session.do(lambda stage: [chip.axis_values(j)["DV"] for j in range(4)])
 
     before = current()
     for axis, value in ((1, 77), (0, 55)):
@@ -298,7 +298,7 @@ def test_cycles_are_made_in_order_and_reads_are_returned_and_traced(served, page
     ]
     assert served.panel.observer.number > number
     assert result == call_on_stage(served, lambda stage: [stage.chips[1].read(address) for address in (1, 0)])
-    assert call_on_stage(served, lambda stage: [chip.values_of(0)["R1"] for chip in stage.chips]) == [0, 7]
+    assert call_on_stage(served, lambda stage: [chip.axis_values(0)["R1"] for chip in stage.chips]) == [0, 7]
 
 
 def test_a_refused_cycle_is_reported(served, page, monkeypatch):

@@ -144,7 +144,7 @@ def test_another_motor_is_selected_on_the_page_and_named_on_its_card(fault_bench
 def test_a_switch_bounces_until_the_fault_is_cleared(fault_bench):
     def toggles():
         return fault_bench.stage(
-            lambda stage: int(stage.state.switch_table[stage.axes["x"].switches.row("org")]["toggles"])
+            lambda stage: int(stage.state.switch_table[stage.axes["x"].switches.find_index("org")]["toggles"])
         )
 
     break_it(fault_bench, "bounce", pin="org")

@@ -12,7 +12,7 @@ def enter(text):
 
 
 def holds(bench, name):
-    return bench.stage(lambda stage: stage.chips[0].values_of(0)[name])
+    return bench.stage(lambda stage: stage.chips[0].axis_values(0)[name])
 
 
 def console(bench, *lines):

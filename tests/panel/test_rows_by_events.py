@@ -187,7 +187,7 @@ def test_each_field_of_a_register_is_shown_and_writes_its_own_bits(page, make_ro
     for current in (0x5A5A5A5A & limit, limit, 0):
         row.update(current)
         for field in fields:
-            widget, value = row.field(field), field.of(current)
+            widget, value = row.field(field), field.extract(current)
             if "W" not in field.access:
                 assert (widget.text, "on" in widget.classes) == describe_lamp(field, value)
                 continue
@@ -361,7 +361,7 @@ def test_a_readable_word_lights_its_lamps_and_is_hidden_without_a_value(page):
             assert row._line.visible
             assert row._head.text == f"{place.name} {format_value(place, value)}"
             assert [(lamp.text, "on" in lamp.classes) for _, lamp in row._lamps] == [
-                describe_lamp(f, f.of(value)) for f in place.fields
+                describe_lamp(f, f.extract(value)) for f in place.fields
             ]
         row.update({})
         assert not row._line.visible
@@ -379,6 +379,6 @@ def test_a_register_of_the_chip_is_written_on_its_page_and_of_the_chip_of_that_p
     page.until(lambda: page.all("value-1-R1"))
     page.enter("value-1-R1", "321")
     page.until(lambda: page.find("value-1-R1").value == "321")
-    current = session.do(lambda stage: [chip.values_of(0)["R1"] for chip in stage.chips])
+    current = session.do(lambda stage: [chip.axis_values(0)["R1"] for chip in stage.chips])
     assert current == [0, 321]
     assert not page.said

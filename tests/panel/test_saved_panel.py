@@ -341,7 +341,7 @@ def test_each_cycle_has_the_words_of_the_trace_as_comment():
         for line in saved_panel.to_python(stage, shared(sent), 8_000).splitlines()
         if "  # " in line
     ]
-    hears = [chip.listener() for chip in stage.session.stage.chips]
+    hears = [chip.make_describer() for chip in stage.session.stage.chips]
     reported = [words for words in reported if not words.startswith("ns")]  # the headings
     assert reported == [hears[s.chip].write(s.address, s.value) for s in sent]
     in_c = saved_panel.to_c(stage, shared(sent), 8_000)

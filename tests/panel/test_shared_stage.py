@@ -62,7 +62,7 @@ class User(threading.Thread):
             value = self.dice.randrange(1, 8000)
             for cycle in chip.register_cycles("R1", value):
                 chip.write(*cycle)
-            assert chip.values_of(0)["R1"] == value
+            assert chip.axis_values(0)["R1"] == value
 
     def _do_move(self, stage):
         firmware.move(self._axis(stage), self.dice.choice((-1, 1)) * 5e-4)

@@ -177,7 +177,7 @@ def test_registers_are_read_for_a_while_after_each_request(session, timed, real)
     assert set(observer.chips) == {(0, 0), (0, 1)}
     chip = session.stage.chips[0]
     for (_, axis), view in observer.chips.items():
-        assert view.values == session.do(lambda stage, a=axis: chip.values_of(a))
+        assert view.values == session.do(lambda stage, a=axis: chip.axis_values(a))
         words = chip.input_word(axis), chip.output_word(axis)
         for pins, word, levels in zip((chip.INPUTS, chip.OUTPUTS), words, (view.inputs, view.outputs), strict=True):
             assert levels == {name: word & bit != 0 for name, bit in pins.items()}

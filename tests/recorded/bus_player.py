@@ -53,7 +53,7 @@ class BusPlayer:
 
     def __init__(self, chip, axis=0):
         self.chip, self.events, self.pulses = chip, {}, 0
-        self.journal, self.listener = chip.journal(axis), chip.listener()
+        self.journal, self.listener = chip.journal(axis), chip.make_describer()
         self.checked = 0
         self.common_pins = (
             Pins(chip, chip.AXES, nova.COMMON_INPUTS, nova.COMMON_OUTPUTS) if chip.ADDRESS_MASK == 31 else None
@@ -102,7 +102,7 @@ class BusPlayer:
             self.pulses += value if kind == "advance" else 0
             self.note(label, value)
             if kind == "reset":
-                self.listener = chip.listener()
+                self.listener = chip.make_describer()
 
     def write(self, write, *cycle):
         """Write, and keep the first diagnostic of the family's lint: the others are for the tests of the lints."""
@@ -127,7 +127,7 @@ class BusPlayer:
         self.journal.close()
         statements = decode(self.chip.decoder(self.journal.axis), self.journal.entries)
         self.note("commands", [[s.clock, s.code, s.meaning] for s in statements])
-        edges = self.journal.course(every_pulse=self.chip.clock < MAX_CLOCK_OF_SINGLE_PULSES).edges
+        edges = self.journal.replay_waveforms(every_pulse=self.chip.clock < MAX_CLOCK_OF_SINGLE_PULSES).edges
         for k in range(0, len(edges), EDGES_PER_EVENT):
             some = edges[k : k + EDGES_PER_EVENT]
             self.note("edges", [some[name].tolist() for name in ("clock", "inputs", "outputs", "counter", "net")])

@@ -334,7 +334,7 @@ def use_benches():
             a.chip.net(),
         ]
     journal.close()
-    edges = journal.course().edges
+    edges = journal.replay_waveforms().edges
     results["edges"] = [[int(e["clock"]), int(e["inputs"]), int(e["net"])] for e in edges]
     results["order"] = order
     result.add_rail("a", at=-5, org=(None, None))
@@ -435,9 +435,9 @@ def use_nova_ports():
         port.set_mode_bits("WR3", 0x08)
         port.set_mode_bits("WR1", 0x01, False)
         port.set_mode_bits("WR2", 0x0080)
-        saved = {n: v for n, v in port.chip.values_of(1).items() if n.startswith("WR")}
+        saved = {n: v for n, v in port.chip.axis_values(1).items() if n.startswith("WR")}
         results[cls.__name__] = [
-            saved, port.chip.values_of(0)["WR1"], attempt(port.write_mode_words, WR4=1), attempt(port.write_parameters, XX=1),
+            saved, port.chip.axis_values(0)["WR1"], attempt(port.write_mode_words, WR4=1), attempt(port.write_parameters, XX=1),
             attempt(port.write_parameters, LP=1 << 40),
             attempt(port.start_drive, 0), attempt(port.start_drive, -60), port.is_driving(), port.read_position(),
             [port.read_status_register(k) for k in (1, 2, 3)],

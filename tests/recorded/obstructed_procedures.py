@@ -286,7 +286,7 @@ def run_nova_into_ends():
     for _ in range(6):
         b.wait(0.05)
         flag.interrupt()
-        flags.append([flag.prohibits, port.read_status_register(1), b.axes["x"].chip.values_of(0)["WR1"]])
+        flags.append([flag.prohibits, port.read_status_register(1), b.axes["x"].chip.axis_values(0)["WR1"]])
     results["flag"] = [
         flags,
         s_curve_workarounds.stop_guarded(flag),

@@ -37,7 +37,7 @@ ZOO = "x:slide:120mm,b:hinge:90deg,z:slide:8cm,a:hinge:360deg"
 
 def make_stage_of_many_axes(**options):
     """Return a stage of slides and hinges, each on the one before."""
-    text = new_model([NewAxis.of(item) for item in ZOO.split(",")])
+    text = new_model([NewAxis.parse(item) for item in ZOO.split(",")])
     return Stage(mujoco.MjSpec.from_string(text), visuals=False, **options)
 
 
@@ -120,7 +120,7 @@ def wired(name):
         "sd_minus": "positive",
     }
     cls = {"PCL240MS": PCL240MS, "MCX514": MCX514, "MCX304": MCX304}[name]
-    wired = {k: v for k, v in logic.items() if cls().wired(k)}
+    wired = {k: v for k, v in logic.items() if cls().find_switch_input(k)}
     stage = make_stage("xy", {"x": cls, "y": partial(cls)}, wiring={"y": wired})
     x, y = stage.axes.values()
     results = {"at rest": [x.pins.as_dict(), y.pins.as_dict(), y.wiring]}

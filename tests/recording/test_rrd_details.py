@@ -131,7 +131,12 @@ def test_a_lane_continues_and_combined_switches_have_the_most_important_color(mo
     axis, chip = bench.axes["x"], bench.chip
     axis.switches = SimpleNamespace(as_dict=lambda: {"org": False, "el_plus": False})
     lanes = StateLanes(bench.recording, "x", (1, 2, 3))
-    org, end, hold, up = chip.wired("org"), chip.wired("el_plus"), chip.OUTPUTS["hold"], chip.OUTPUTS["fup"]
+    org, end, hold, up = (
+        chip.find_switch_input("org"),
+        chip.find_switch_input("el_plus"),
+        chip.OUTPUTS["hold"],
+        chip.OUTPUTS["fup"],
+    )
     edges = np.zeros(6, [("clock", "i8"), ("inputs", "i8"), ("outputs", "i8")])
     edges["clock"] = np.arange(6) * chip.clock_hz
     edges["inputs"] = [0, org, org | end, end, 0, org]

@@ -50,7 +50,7 @@ def model_of(work=WORK, tool=TOOL):
 class Chip:
     clock_hz = 1000
 
-    def wired(self, pin):
+    def find_switch_input(self, pin):
         return {"org": 1, "el_plus": 1}.get(pin, 0)
 
     def __init__(self):
@@ -170,7 +170,7 @@ def test_a_lamp_is_above_its_switch_on_the_frame():
         assert turn @ place - data.geom(name).xpos == pytest.approx([0, 0, up], abs=1e-12)
     rivals = {pin: rivals for *_, pin, _, rivals in rerun_scene._list_lamps(recording, "x")}
     assert rivals == {"org": ("el_plus",), "el_plus": ("org",)}
-    recording.axes["x"].chip.wired = lambda pin: {"org": 1}.get(pin, 0)
+    recording.axes["x"].chip.find_switch_input = lambda pin: {"org": 1}.get(pin, 0)
     assert [lamp[2] for lamp in rerun_scene._list_lamps(recording, "x")] == ["org"], "the other is wired to nothing"
 
 

@@ -30,9 +30,9 @@ def test_of_several_edges_at_one_clock_the_last_counts_in_one_piece_and_across_t
 def test_edges_are_those_at_which_a_pin_changes_and_the_first():
     """pieces that begin as the one before has ended: no edge; an output alone that changes is one"""
     pieces = [edges((1, 1, 0), (2, 1, 0), (3, 1, 4)), edges((4, 1, 4), (5, 0, 4), (6, 0, 4))]
-    journal = SimpleNamespace(pieces=lambda: iter(pieces))
+    journal = SimpleNamespace(replay_in_pieces=lambda: iter(pieces))
     assert pin_signals.list_pin_edges(journal)["clock"].tolist() == [1, 3, 5]
-    begins = SimpleNamespace(pieces=lambda: iter([edges((1, 1, 0)), edges((2, 0, 0))]))
+    begins = SimpleNamespace(replay_in_pieces=lambda: iter([edges((1, 1, 0)), edges((2, 0, 0))]))
     assert pin_signals.list_pin_edges(begins)["clock"].tolist() == [1, 2]
 
 
@@ -60,7 +60,7 @@ class Wired:
         self.WIRING = {"el_minus": "both", "org": "both"}
         self.OUTPUTS = {"pout": 64}
 
-    def wired(self, pin):
+    def find_switch_input(self, pin):
         return {"el_minus": 1, "org": 1, "el_plus": 2, "both": 1, "in": 1}.get(pin, 0)
 
 
@@ -112,7 +112,7 @@ def test_the_direction_is_that_of_the_last_write_and_plus_after_the_reset_pin():
     """minus at the start; a write that does not turn it; plus, minus, a reset"""
     start = np.array([(100, 1)], [("clock", "i8"), ("minus", "i8")])[0]
     turns = {1: None, 2: False, 3: True}
-    chip = SimpleNamespace(read_direction=lambda a, b: turns[b])
+    chip = SimpleNamespace(find_selected_direction=lambda a, b: turns[b])
     entries = [
         SimpleNamespace(kind=kind, clock=clock, a=0, b=b)
         for kind, clock, b in ((WRITE, 110, 1), (WRITE, 120, 2), (WRITE, 130, 3), (RESET, 140, 3), (WRITE, 150, 3))

@@ -74,7 +74,7 @@ def test_pulses_pins_status_and_counter_are_those_of_the_chip_to_the_clock(tmp_p
             name, asserted = pin_signals.find_wire_name_and_level(bench.chip, pin)
             assert vcd.at(f"x.{name}", ns) == (asserted if on else 1 - asserted), (seed, now, pin)
         for field in PCL240K.MAP.word("status").fields:
-            assert vcd.at(f"x.status.{field.name}", ns) == field.of(status), (seed, now, field.name)
+            assert vcd.at(f"x.status.{field.name}", ns) == field.extract(status), (seed, now, field.name)
 
 
 def test_hold_is_1_at_rest_and_0_in_operation_in_the_waveforms(tmp_path, bench):
@@ -222,9 +222,9 @@ def test_the_pieces_of_a_recording_are_the_recording(bench):
     wild(bench, 3)
     journal = bench.recording.journals["x"]
     for every_pulse in (False, True):
-        parts = list(journal.pieces(every_pulse, size=100))
+        parts = list(journal.replay_in_pieces(every_pulse, size=100))
         assert max(map(len, parts)) <= 100
-        assert np.array_equal(np.concatenate(parts), journal.course(every_pulse).edges)
+        assert np.array_equal(np.concatenate(parts), journal.replay_waveforms(every_pulse).edges)
 
 
 def test_the_waveforms_do_not_depend_on_the_size_of_pieces(tmp_path, bench, monkeypatch):

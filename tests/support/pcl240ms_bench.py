@@ -167,7 +167,7 @@ class RecordedMove:
             chip.advance(MAX_CLOCKS)
         assert not chip.read(0) & 0x40, "it never ends"
         journal.close()
-        waveform = journal.course()
+        waveform = journal.replay_waveforms()
         edges = waveform.edges
         last = np.flatnonzero(edges["speed"])[-1] + 1
         self.clock = edges["clock"][:last] - edges["clock"][0]

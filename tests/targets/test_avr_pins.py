@@ -168,7 +168,7 @@ def test_edges_come_at_the_cycle_of_their_instruction(build):
     with make_host(elf) as host:
         journal = host.board.stage.axes["x"].chip.journal()
         host.run_for(1e-3)
-        waveforms = journal.course()
+        waveforms = journal.replay_waveforms()
         clocks, high = waveforms.edges["clock"], waveforms.pin("step").astype(int)
         rises, falls = clocks[1:][np.diff(high) > 0], clocks[1:][np.diff(high) < 0]
         assert len(rises) == pytest.approx(1e-3 / (42 / 16e6), abs=10)
@@ -188,7 +188,7 @@ def test_a_timer_steps_by_its_compare_pin(build):
     with make_host(elf, "x.step=B1,x.dir=D5") as host:
         journal = host.board.stage.axes["x"].chip.journal()
         host.run_for(0.02)
-        waveforms = journal.course()
+        waveforms = journal.replay_waveforms()
         rises = waveforms.edges["clock"][1:][np.diff(waveforms.pin("step").astype(int)) > 0]
         assert count_steps(host)["x"] == len(rises) == 80
         assert np.abs(np.diff(rises) - 250_000).max() <= 3 * 63, "the instruction in progress ends first"
@@ -316,7 +316,7 @@ def run_and_read_state(host) -> tuple:
     stage = host.board.stage
     journal = stage.axes["x"].chip.journal()
     result = host.run(timeout=1)
-    waveforms = journal.course()
+    waveforms = journal.replay_waveforms()
     return (
         result,
         stage.now,

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 from stage.chips.chip import Chip
 from toy import core, eight
 from toy.maps import AXES, MAP, MAP8
-from toy.words import Decoder, Listener
+from toy.words import CycleDescriber, Decoder
 
 
 class TOY(Chip):
@@ -37,8 +37,8 @@ class TOY(Chip):
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder(self.MAP)
 
-    def listener(self) -> Listener:
-        return Listener(self.MAP)
+    def make_describer(self) -> CycleDescriber:
+        return CycleDescriber(self.MAP)
 
     def values(self) -> dict[str, int]:
         return {r.name: self.CORE.peek.with_gil(self.pointer, r.number) for r in self.MAP.registers}

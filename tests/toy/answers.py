@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stage.chips.cores import run_slices
+from stage.chips.core_interface import run_slices
 from stage.native import array_of, exported, least
 from toy import core, eight
 from toy.core import EDGE, MINUS, PLUS, PULSE, STATE

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stage.chips.cores import run_slices
+from stage.chips.core_interface import run_slices
 from stage.native import array_of, exported, hot, least, record
 
 INPUTS = {"el_plus": 1, "el_minus": 2, "org": 4}

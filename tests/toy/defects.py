@@ -78,7 +78,7 @@ class SharedCounter(TOY):
 
 
 class EmptyDescriptions(TOY):
-    def listener(self) -> Any:
+    def make_describer(self) -> Any:
         return SimpleNamespace(write=lambda address, value: "", read=lambda address, value: "")
 
 
@@ -90,7 +90,7 @@ class AddressBeyondTheBus(TOY):
 
 class ReversedDirection(TOY):
     @classmethod
-    def read_direction(cls, address: int, value: int) -> bool | None:
+    def find_selected_direction(cls, address: int, value: int) -> bool | None:
         return value == core.PLUS if address == 0 and value in (core.PLUS, core.MINUS) else None
 
 
@@ -234,12 +234,12 @@ DEFECTS: dict[str, tuple[type, str, str]] = {
         type("TOY", (TOY,), {"WIRING": {"el_plus": "el_minus", "el_minus": "el_plus"}}),
         "limit_switches", "goes on to its end, though el_plus is asserted"),
     "the direction exchanged": (
-        ReversedDirection, "limit_switches", "axis 0 goes (plus|minus), and `read_direction` says (plus|minus)"),
+        ReversedDirection, "limit_switches", "axis 0 goes (plus|minus), and `find_selected_direction` says (plus|minus)"),
     "a stop for all": (
         build_toy8(write=answers.write_stopping_all_axes), "axes_alone",
         "the driver's stop of axis . changes the pulses"),
     "values of one axis": (
-        FirstAxisValuesOnly, "axes_alone", "RATE = 1 written to axis 0 changes what values_of gives for another axis"),
+        FirstAxisValuesOnly, "axes_alone", "RATE = 1 written to axis 0 changes what axis_values gives for another axis"),
     "a trace that loses": (
         build_toy8(trace_pulses=answers.trace_one_pulse_per_clock), "traced", "says .* pulses, and trace lists"),
     "a scan beyond its array": (

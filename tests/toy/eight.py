@@ -1,6 +1,6 @@
 """The compiled core of the TOY8: eight axes like that of the TOY on one chip."""
 
-from stage.chips.cores import run_slices
+from stage.chips.core_interface import run_slices
 from stage.native import array_of, exported, hot, least, record
 from toy.core import EDGE, EL_MINUS, EL_PLUS, INPUTS, MINUS, OUTPUTS, PLUS, PULSE, RATE
 

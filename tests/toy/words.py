@@ -35,7 +35,7 @@ class Decoder(describe.Decoder):
         """Do nothing: the decoder has no state."""
 
 
-class Listener:
+class CycleDescriber:
     def __init__(self, map_: RegisterMap):
         self._map = map_
 

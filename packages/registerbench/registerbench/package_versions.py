@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import stage.envs
-from stage.native.load import describe_target, digest_of_sources
+from stage.native.load import compute_source_digest, describe_target
 
 PHYSICS_VERSION = "2"
 """Version of the motors' physics. In version 1, which older entries do not state, motors had no core loss, and hidden machines
@@ -48,6 +48,6 @@ def describe_environment(env: Any) -> dict[str, str]:
     content = b"\0".join(path.name.encode() + b"\0" + path.read_bytes() for path in paths)
     return {
         **parts,
-        "compiled sources": digest_of_sources(),
+        "compiled sources": compute_source_digest(),
         "rules": hashlib.blake2b(content, digest_size=8).hexdigest(),
     }

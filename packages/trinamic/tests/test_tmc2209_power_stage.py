@@ -273,7 +273,7 @@ def test_a_journal_replays_the_steps_and_a_snapshot_continues_to_the_bit():
     saved = chip.snapshot()
     chip.advance(10**8)
     end = chip.state.tobytes()
-    edges = journal.course().edges
+    edges = journal.replay_waveforms().edges
     assert edges["net"][-1] == chip.net()
     chip.restore(saved)
     chip.advance(4 * 10**7)

@@ -161,6 +161,6 @@ def test_the_load_is_in_the_journal_so_that_a_recording_repeats_diag():
     firmware.move(x, 155e-3)
     journal = x.chip.journal()
     assert drive_until_diag(x, 6400, 30) is not None
-    replayed = journal.course().edges
+    replayed = journal.replay_waveforms().edges
     bit = x.chip.INPUTS["diag"]
     assert replayed["inputs"][-1] & bit

@@ -122,7 +122,7 @@ def test_a_journal_records_the_encoder_edges_of_a_shaft_that_rotates_without_the
     journal = chip.journal()
     chip.advance(20_000)
     journal.close()
-    edges = journal.course(every_pulse=True).edges
+    edges = journal.replay_waveforms(every_pulse=True).edges
     pins = edges["inputs"] & (chip.INPUTS["enca"] | chip.INPUTS["encb"])
     assert np.count_nonzero(np.diff(pins)) == 20
 
@@ -231,7 +231,7 @@ def test_copies_snapshots_and_journals_continue_to_the_same_bits(x):
     stage.run(0.02)
     after = stage.snapshot()
     journal.close()
-    edges = journal.course(every_pulse=True).edges
+    edges = journal.replay_waveforms(every_pulse=True).edges
     a = (edges["inputs"] & x.chip.INPUTS["enca"] != 0).astype(int)
     lone = x.chip.make_replica(journal.start.tobytes())
     for e in journal.entries:

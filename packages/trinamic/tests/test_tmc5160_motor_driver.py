@@ -201,7 +201,7 @@ def test_a_journal_replays_the_stall_that_the_load_caused(x):
     begin = x.chip.net()
     firmware.home(x, by="stall", speed=0.03)
     journal.close()
-    edges = journal.course().edges
+    edges = journal.replay_waveforms().edges
     assert edges["net"][-1] == x.chip.net()
     assert edges["net"][0] == begin
 

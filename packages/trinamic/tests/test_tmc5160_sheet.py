@@ -222,7 +222,7 @@ def record_edges(chip):
     while chip.busy():
         chip.advance(100_000)
     journal.close()
-    return journal.course().edges
+    return journal.replay_waveforms().edges
 
 
 @pytest.mark.parametrize("shaft", [0, 1])
@@ -282,7 +282,7 @@ def test_recorded_edges_hold_the_counter_as_a_host_reads_it(chip):
 
 
 def test_the_description_of_a_write_names_the_flags_it_clears(chip):
-    describe_write = chip.listener().write
+    describe_write = chip.make_describer().write
     assert describe_write(0x01, 5) == "GSTAT <- 5h: clears reset, uv_cp"
     assert describe_write(0x01, 0) == "GSTAT <- 0h: clears nothing"
 

@@ -134,7 +134,7 @@ def test_a_journal_replays_the_steps_and_a_snapshot_continues_to_the_bit():
     make_steps(chip, 5)
     chip.advance(3 * 10**8)
     end = chip.state.tobytes()
-    assert journal.course().edges["net"][-1] == chip.net()
+    assert journal.replay_waveforms().edges["net"][-1] == chip.net()
     chip.restore(saved)
     make_steps(chip, 5)
     chip.advance(10**8)

@@ -31,14 +31,14 @@ class ACME1000(Chip):
         return [(cls.MAP.register(name).number, value)]
 
     @classmethod
-    def read_direction(cls, address, value):
+    def find_selected_direction(cls, address, value):
         return bool(value & core.MINUS) if address == 0 and value & core.GO else None
 
     def decoder(self, axis=0):
         return words.Decoder()
 
-    def listener(self):
-        return words.Listener()
+    def make_describer(self):
+        return words.CycleDescriber()
 
     def values(self):
         return {r.name: core.peek.with_gil(self.pointer, r.number) for r in self.MAP.registers}

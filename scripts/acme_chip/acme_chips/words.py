@@ -2,11 +2,11 @@
 
 from acme_chips.maps import CONTROL, MAP, STATUS
 from stage.chips import describe
-from stage.chips.describe import Fields, Statement
+from stage.chips.describe import FieldDescriber, Statement
 from stage.chips.diagnostics import Rule
 
 NAMES = {r.number: r.name for r in MAP.registers}
-FIELDS = Fields(STATUS)
+FIELDS = FieldDescriber(STATUS)
 
 VALUE_RANGE = Rule("value-range", "table 1")
 NO_REGISTER = Rule("no-register", "table 1")
@@ -18,11 +18,11 @@ NO_RAMP = Rule("no-ramp", "section 3")
 def describe_write(address, value):
     """Describe a write cycle."""
     if address == 0:
-        return MAP.by_code[value].title if value in MAP.by_code else Fields(CONTROL).describe("control", value)
+        return MAP.by_code[value].title if value in MAP.by_code else FieldDescriber(CONTROL).describe("control", value)
     return f"{NAMES[address]} <- {value}" if address in NAMES else "nothing is there"
 
 
-class Listener:
+class CycleDescriber:
     """Descriptions of bus cycles."""
 
     def write(self, address, value):

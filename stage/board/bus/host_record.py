@@ -11,7 +11,7 @@ A compiled device, shipped or in C, is two functions over its state, which get t
 
 from __future__ import annotations
 
-from stage.chips import cores
+from stage.chips import core_interface
 from stage.native import array_at, declare_address_call, enter_usual_float_mode, floor, hot, record
 from stage.sim import engine_records, stage_handle
 from stage.sim.stage_handle import (
@@ -249,7 +249,7 @@ def append_to_journal(host, kind, chip, address, value):
         call_python(host, FULL)
     e = array_at(host.edges, host.edge_room, engine_records.EDGE)[host.noted]
     c = get_chip(host, chip)
-    e.now, e.clock, e.axis = get_now(host), cores.read_clock(c), cores.find_stage_axis(c, 0)
+    e.now, e.clock, e.axis = get_now(host), core_interface.read_clock(c), core_interface.find_stage_axis(c, 0)
     e.kind, e.a, e.b = kind, address, value
     host.noted += 1
 

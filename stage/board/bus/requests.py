@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from stage.board.bus import host_record, interrupts, serial_core, waiting
 from stage.board.bus.host_record import DEVICE, EIGHT, IN8, IN16, LAST_PORT, OUT, OUT16, STRAY, append_to_trace
-from stage.chips import cores
+from stage.chips import core_interface
 from stage.chips.journal_entries import INPUT, LOST, READ, WRITE
 from stage.native import (
     array_at,
@@ -53,7 +53,7 @@ def _write_chip(host, chip, address, value, kind, port, data):
     if not host.stopped:
         waiting.advance_chip(host, chip)
         if not lost:
-            cores.write(host_record.get_chip(host, chip), address, value)
+            core_interface.write(host_record.get_chip(host, chip), address, value)
         if host.journals:
             host_record.append_to_journal(host, LOST if lost else WRITE, chip, address, value)
     append_to_trace(host, kind | lost * host_record.WRITE_LOST, port, data, -1)
@@ -65,7 +65,7 @@ def _read_chip(host, chip, address):
     if host.stopped:
         return 0xFFFF
     waiting.advance_chip(host, chip)
-    value = cores.read(host_record.get_chip(host, chip), address)
+    value = core_interface.read(host_record.get_chip(host, chip), address)
     if host.journals and array_at(host.acts, host.n_chips, INTEGER)[chip] >> address & 1:
         host_record.append_to_journal(host, READ, chip, address, value)
     return value
@@ -347,12 +347,12 @@ def _access_lines(host, code, where, argument):
         waiting.pass_bus_cycle(host)
     waiting.advance_chip(host, chip)
     c = host_record.get_chip(host, chip)
-    word = cores.read_inputs(c, 0)
+    word = core_interface.read_inputs(c, 0)
     if code == host_record.SET_LINES:
         mask = argument >> host_record.LINES_SHIFT
         changed = word & ~mask | argument & mask
         if changed != word:
-            cores.set_input(c, 0, changed)
+            core_interface.set_input(c, 0, changed)
             if host.journals:
                 host_record.append_to_journal(host, INPUT, chip, 0, changed)
         word = changed

@@ -6,7 +6,7 @@ from __future__ import annotations
 from stage.board.bus import host_record, interrupts
 from stage.board.bus.host_record import call_python, get_stage
 from stage.board.bus.interrupts import MARK, MARKED
-from stage.chips import cores
+from stage.chips import core_interface
 from stage.native import array_at, greatest, hot, least, stack_mark
 from stage.sim import engine_records
 from stage.sim.engine import advance
@@ -88,7 +88,7 @@ def advance_chip(host, chip):
     """Advance one chip to the host's time."""
     if host.ahead:
         c = host_record.get_chip(host, chip)
-        cores.run(c, engine_records.compute_clock_at(host_record.get_now(host), c.hz))
+        core_interface.run(c, engine_records.compute_clock_at(host_record.get_now(host), c.hz))
 
 
 @hot
@@ -99,8 +99,8 @@ def find_interrupt_mask(host):
     for k in range(host.n_chips):
         irq = irqs[k]
         c = host_record.get_chip(host, k)
-        is_pulling = irq.bits and cores.read_outputs(c, irq.axis) & irq.bits
-        if is_pulling or (irq.watched and (cores.read_inputs(c, 0) ^ irq.levels) & irq.watched):
+        is_pulling = irq.bits and core_interface.read_outputs(c, irq.axis) & irq.bits
+        if is_pulling or (irq.watched and (core_interface.read_inputs(c, 0) ^ irq.levels) & irq.watched):
             pulling |= 1 << k
     if host.n_devices:
         pulling |= host_record.find_interrupting_devices(host) << host.n_chips

@@ -19,7 +19,7 @@ import numpy as np
 from stage.chips.chip import Chip
 from stage.chips.diagnostics import Finding
 from stage.chips.hctl1100 import core
-from stage.chips.hctl1100.describe import Decoder, Listener
+from stage.chips.hctl1100.describe import CycleDescriber, Decoder
 from stage.chips.hctl1100.lint import lint_write
 from stage.chips.hctl1100.maps import ACTUAL_LOW, ADDRESSES, MAP, NUMBERS, STATUS
 from stage.support.argument_checks import explain_arguments
@@ -32,9 +32,9 @@ INIT, PROFILE = (MAP.mask("R07", name) for name in ("init", "profile"))
 class HCTL1100(Chip):
     """Agilent HCTL-1100: digital filter, profile generator and commutator for one axis.
 
-    The bus addresses are the numbers of the registers, 0 to 63; higher ones act modulo 64. The chip makes no pulses: `trace` is
-    empty, and `net` is the encoder count that corresponds to the command position. The input pins are low when asserted, the
-    output pins high.
+    The bus addresses are the numbers of the registers, 0 to 63; the chip ignores higher address bits. The chip makes no pulses:
+    `trace` returns an empty array, and `net` returns the encoder count that corresponds to the command position. The input pins are
+    low when asserted, the output pins high.
     """
 
     MAP: ClassVar = MAP
@@ -62,7 +62,7 @@ class HCTL1100(Chip):
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
         """Return the write cycles to the addresses of a register or number.
 
-        A number of several bytes has a name in `maps.NUMBERS`, where the order of its bytes stands.
+        A number of several bytes has a name in `maps.NUMBERS`, which also defines the order of its bytes.
 
         Args:
             name: Name of the register or number.
@@ -76,8 +76,8 @@ class HCTL1100(Chip):
         return [(cls.MAP.register(name).number, index(value))]
 
     @classmethod
-    def rates(cls, edges: np.ndarray) -> np.ndarray:
-        """Return the rates of the profile generator, or, if a host writes command positions, the rates from each to the next.
+    def compute_rates(cls, edges: np.ndarray) -> np.ndarray:
+        """Compute the rates of the profile generator; if a host writes command positions, the mean rates between two of them.
 
         Args:
             edges: EDGE records of the core.
@@ -92,31 +92,31 @@ class HCTL1100(Chip):
 
     @property
     def motor_command(self) -> int:
-        """Motor command, -128 to 127, as the control law or a write to R08 or R09 has last set it."""
+        """Motor command, -128 to 127, last set by the control law or by a write to R08 or R09."""
         return int(self.state["motor_command"])
 
     @property
     def encoder(self) -> int:
-        """Raw count of the encoder. An assignment puts the shaft there, at rest."""
+        """Raw count of the encoder. An assignment puts the shaft at this count, at rest."""
         return core.read_encoder.with_gil(self.pointer)
 
     @encoder.setter
     def encoder(self, count: int) -> None:
-        """Raw count of the encoder. An assignment puts the shaft there, at rest."""
+        """Raw count of the encoder. An assignment puts the shaft at this count, at rest."""
         lost = core.compute_missed_counts.with_gil(self.pointer)
         self.set_shaft(count + lost + 0.5 if lost else count)  # between two counts, where rounding does not matter
 
     @property
-    def missed(self) -> float:
-        """Net number of counts that the encoder's input filter has dropped: the shaft is so far ahead of the count.
+    def missed_counts(self) -> float:
+        """Net number of encoder counts that the input filter has dropped: position of the shaft minus `encoder`.
 
-        It drops counts that come faster than one in three clocks.
+        The filter drops counts that come faster than one in three clocks.
         """
         return core.compute_missed_counts.with_gil(self.pointer)
 
     @property
     def shaft(self) -> tuple[float, float]:
-        """Count and rate of the last call of `set_shaft`."""
+        """Position (counts) and rate (counts per clock) of the shaft in the last call of `set_shaft`."""
         return float(self.state["shaft_count"]), float(self.state["shaft_rate"])
 
     def shaft_of(self, axis: int) -> tuple[float, float]:
@@ -129,12 +129,15 @@ class HCTL1100(Chip):
         return int(self.state["command"])
 
     def busy(self, axis: int = 0) -> bool:
-        """Read by one bus cycle whether a trapezoid is in progress. After LIMIT has ended one its flag stays set in Init/Idle."""
+        """Read by one bus cycle whether a trapezoid is in progress.
+
+        If LIMIT ends a trapezoid, the flag of the trapezoid stays set in Init/Idle.
+        """
         self._check_axis(axis)
         return self.read(STATUS) & (INIT | PROFILE) == PROFILE
 
     def net(self, axis: int = 0) -> int:
-        """Return the command position as a raw count of the encoder: `encoder` shows it when the shaft has arrived."""
+        """Return the command position as a raw count of the encoder, which `encoder` equals when the shaft has arrived."""
         self._check_axis(axis)
         return core.read_net_count.with_gil(self.pointer, 0)
 
@@ -145,8 +148,8 @@ class HCTL1100(Chip):
         self._check_axis(axis)
         return Decoder(self.MAP)
 
-    def listener(self) -> Listener:
-        return Listener(self.MAP, self.state)
+    def make_describer(self) -> CycleDescriber:
+        return CycleDescriber(self.MAP, self.state)
 
     def lint(self, address: int, value: int) -> Iterator[Finding]:
         return lint_write(self._record, lambda: self.encoder, address, value)

@@ -10,7 +10,7 @@ from stage.native import hot
 ALL_FLAGS = sum(f.mask for f in maps.MAP.register("R00").fields)
 FLAG_SET, FLAG_NUMBER = (f.mask for f in maps.FLAG_WRITE.fields)
 MODE_RESET, MODE_IDLE, MODE_ALIGN, MODE_CONTROL = (
-    maps.MODE_WRITE.fields[0].code(name) for name in ("reset", "Init/Idle", "Align", "control")
+    maps.MODE_WRITE.fields[0].find_code(name) for name in ("reset", "Init/Idle", "Align", "control")
 )
 NOT_LIMIT, NOT_STOP, INIT_BIT, PROFILE_BIT = (
     maps.MAP.mask("R07", name) for name in ("limit", "stop", "init", "profile")
@@ -26,7 +26,7 @@ IS_WRITE_ONLY = tuple(
 
 @hot
 def enter_idle(chip):
-    """Enter Init/Idle: set the motor command to 0 and clear the history of the control law. The flags stay."""
+    """Enter the mode Init/Idle: set the motor command to 0 and clear the history of the control law. The flags stay."""
     chip.mode, chip.aligning = state.IDLE, 0
     law.clear_history(chip)
     motor_port.set_command(chip, 0)
@@ -165,7 +165,7 @@ def write_byte(chip, address, value):
         chip.position_origin = encoder.read_count(chip)
     elif address in (maps.PORT, maps.PWM) or maps.PRESET_HIGH <= address <= maps.PRESET_LOW:
         if chip.mode == state.IDLE:
-            _write_idle(chip, address, value)
+            _write_idle_register(chip, address, value)
     else:
         chip.reg[address] = value & state.STORED[address]
         if address in (maps.PROPORTIONAL_LOW, maps.PROPORTIONAL_HIGH):
@@ -175,8 +175,8 @@ def write_byte(chip, address, value):
 
 
 @hot
-def _write_idle(chip, address, value):
-    """Write a register that the chip accepts only in Init/Idle."""
+def _write_idle_register(chip, address, value):
+    """Write a register that the chip accepts only in the mode Init/Idle."""
     if address == maps.PORT:
         motor_port.write_port(chip, value - PORT_ZERO)
     elif address == maps.PWM:

@@ -27,43 +27,47 @@ def count_phases(chip):
 
 
 @hot
-def _encoder_counts_per_ring_count(chip):
-    """Return how many encoder counts move the ring by one: 4 if it counts full counts, else 1."""
+def _compute_encoder_counts_per_ring_count(chip):
+    """Return the number of encoder counts that move the ring by one: 4 if the ring counts full counts, else 1."""
     return 4 if chip.status & FULL else 1
 
 
 @hot
 def compute_ring_position(chip):
-    """Compute the count of the ring, before the modulo by its length R18."""
+    """Compute the count of the commutation ring before the modulo by the ring's length R18."""
     return (
         chip.ring_position
         if chip.flag_bits & F4
-        else (read_count(chip) - chip.ring_origin) // _encoder_counts_per_ring_count(chip)
+        else (read_count(chip) - chip.ring_origin) // _compute_encoder_counts_per_ring_count(chip)
     )
 
 
 @hot
 def restart_ring(chip):
-    """Set the count of the ring to 0."""
+    """Set the count of the commutation ring to 0."""
     chip.ring_origin, chip.ring_position = read_count(chip), 0
 
 
 @hot
 def hold_ring(chip):
-    """Store the count of the ring, at which it stays while F4 is set. Call it before F4 is set."""
+    """Hold the commutation ring at its present count while F4 is set. Call this before F4 is set."""
     chip.ring_position = compute_ring_position(chip)
 
 
 @hot
 def release_ring(chip):
-    """Let the ring count on from the count that it was held at. Call it before F4 is cleared."""
-    chip.ring_origin = read_count(chip) - chip.ring_position * _encoder_counts_per_ring_count(chip)
+    """Let the commutation ring continue from the count at which it was held. Call this before F4 is cleared."""
+    chip.ring_origin = read_count(chip) - chip.ring_position * _compute_encoder_counts_per_ring_count(chip)
 
 
 @hot
 def compute_phase_advance(chip):
-    """Compute the counts of the ring that the shaft turns during the time of R19, limited to +-R1F."""
-    turned = compute_filtered_rate(chip) * (16.0 * (chip.reg[PHASE_TIMER] + 1)) / _encoder_counts_per_ring_count(chip)
+    """Compute the phase advance: ring counts that the shaft turns during the time of R19, limited to +-R1F."""
+    turned = (
+        compute_filtered_rate(chip)
+        * (16.0 * (chip.reg[PHASE_TIMER] + 1))
+        / _compute_encoder_counts_per_ring_count(chip)
+    )
     max_advance = float(chip.reg[MAX_ADVANCE])
     return int(least(greatest(turned, -max_advance), max_advance))
 
@@ -92,7 +96,7 @@ def start_align(chip):
 
 @hot
 def run_align_sample(chip):
-    """Run one sample of Align. After the last one the ring is at 0, and the control mode begins."""
+    """Run one sample of the Align mode. After its last sample the ring is at 0, and the control mode begins."""
     chip.aligning -= 1
     if chip.aligning == 0:
         restart_ring(chip)

@@ -1,14 +1,14 @@
-"""Core of the HCTL-1100, compiled: the functions that stages, hosts and journals call, see stage/chips/cores.py.
+"""Core of the HCTL-1100, compiled: the functions that stages, hosts and journals call, see stage/chips/core_interface.py.
 
 `run` jumps from sample to sample, and over samples that change nothing. Between samples nothing changes.
 
-The chip makes no pulses: for a stage `net` is the count that corresponds to the command position, and the motor receives
-`drive_input`, a share of full drive.
+The chip makes no pulses: for a stage its net count is the encoder count that corresponds to the command position, and the motor
+receives the drive input, a share of full drive.
 """
 
 from __future__ import annotations
 
-from stage.chips.cores import run_slices, scan_while_shafts_move
+from stage.chips.core_interface import run_slices, scan_while_shafts_move
 from stage.chips.hctl1100 import bus, commutator, encoder, motor_port, sample_timer, state
 from stage.chips.hctl1100 import digital_filter as law
 from stage.chips.hctl1100.maps import ADDRESSES, PROPORTIONAL_HIGH, PROPORTIONAL_LOW, RING
@@ -54,7 +54,7 @@ def run(chip, until):
             _run_sample(chip, until)
 
 
-# --- the functions for a stage, see stage/chips/cores.py; the only axis is 0 ---
+# --- the functions for a stage, see stage/chips/core_interface.py; the only axis is 0 ---
 
 
 @exported(None, STATE, "i8", "f8", "f8")
@@ -72,7 +72,7 @@ def set_shaft(chip, axis_index, count, rate):
 
 @exported("i8", STATE, "i8")
 def read_net_count(chip, axis_index):
-    """Return the raw count of the encoder that corresponds to the command position."""
+    """Return the net count of this servo: the raw encoder count that corresponds to the command position."""
     now = encoder.read_count(chip)
     return now + state.to_signed(chip.command - (now - chip.position_origin), 24)
 
@@ -150,8 +150,8 @@ def compute_drive_input(chip, axis_index, net_before, clocks):
     Args:
         chip: State of the chip.
         axis_index: Axis of the chip.
-        net_before: The value at the start of these ticks.
-        clocks: Reference clocks.
+        net_before: Not used: the chip integrates its motor command itself.
+        clocks: Number of reference clocks since the last call.
     """
     mean = chip.drive_integral / (motor_port.FULL_DRIVE * clocks)
     chip.drive_integral = 0
@@ -163,7 +163,7 @@ def compute_drive_input(chip, axis_index, net_before, clocks):
 
 @exported(None, STATE, "i8", "i8")
 def run_window(chip, row_address, first_slice):
-    """Let the chip's clock run through the slices of a window, see stage/chips/cores.py."""
+    """Let the chip's clock run through the slices of a window, see stage/chips/core_interface.py."""
     run_slices(chip, row_address, first_slice, run, read_net_count, compute_drive_input)
 
 
@@ -193,7 +193,7 @@ def read(chip, address):
 
 @exported("i8", STATE, "i8")
 def read_register_value(chip, address):
-    """Return what a register reads as, without a bus cycle."""
+    """Return the value that a host would read from a register, without a bus cycle."""
     return bus.peek_byte(chip, address)
 
 
@@ -246,7 +246,7 @@ def write_present_edge(chip, axis_index, edges, edge_index):
 
 @hot
 def _find_next_pin_change(chip, until, every_pulse):
-    """Return the next clock, at most `until`, at which an output pin may change; PULSE counts only with `every_pulse`."""
+    """Return the next clock, at most `until`, at which an output pin may change. PULSE is considered only with `every_pulse`."""
     stop = until if chip.mode == state.IDLE else least(until, chip.sample_end)
     if every_pulse:
         stop = least(stop, motor_port.find_next_pulse_edge(chip))
@@ -294,7 +294,7 @@ def scan_edges(chip, until, every_pulse, axis_index, edges):
     array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
 )  # fmt: skip
 def scan_edges_and_shafts(chip, until, every_pulse, axis_index, edges, clocks, axes, counts, rates, done):
-    """Scan while the shafts of axes move, see `stage.chips.cores.scan_while_shafts_move`."""
+    """Write the edges of an axis while encoder shafts move, see `stage.chips.core_interface.scan_while_shafts_move`."""
     return scan_while_shafts_move(
         chip, until, every_pulse, axis_index, edges, clocks, axes, counts, rates, done, scan_edges, set_shaft
     )

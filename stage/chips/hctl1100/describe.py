@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from stage.chips import describe
-from stage.chips.describe import Fields, Statement, shorten_line
+from stage.chips.describe import FieldDescriber, Statement, shorten_line
 from stage.chips.hctl1100 import maps
 from stage.chips.hctl1100.state import IDLE, STORED
 from stage.chips.register_map import Register, RegisterMap
@@ -27,14 +27,14 @@ class Decoder(describe.Decoder):
         register = self._registers.get(address)
         kind = "command" if address in (maps.FLAG, maps.MODE) else "register"
         known = (register.name, register.value(value)) if register and kind == "register" else ("", 0)
-        return [Statement(clock, kind, f"{address:02X} {value:02X}", self._meaning(address, value), *known)]
+        return [Statement(clock, kind, f"{address:02X} {value:02X}", self._describe_meaning(address, value), *known)]
 
     def describe_lost_write(self, address: int, value: int) -> tuple[str, str]:
-        return f"{address:02X} {value:02X}", self._meaning(address, value)
+        return f"{address:02X} {value:02X}", self._describe_meaning(address, value)
 
-    def _meaning(self, address: int, value: int) -> str:
+    def _describe_meaning(self, address: int, value: int) -> str:
         if address == maps.FLAG:
-            return f"{SET.says(SET.of(value))} F{NUMBER.of(value)}"
+            return f"{SET.describe_value(SET.extract(value))} F{NUMBER.extract(value)}"
         if address == maps.MODE:
             return MODES.get(value, "no mode")
         register = self._registers.get(address)
@@ -45,8 +45,8 @@ class Decoder(describe.Decoder):
         )
 
 
-class Listener:
-    """Descriptions of the bus cycles of an HCTL-1100.
+class CycleDescriber:
+    """Describer of the bus cycles of an HCTL-1100.
 
     Args:
         map_: Register map of the chip.
@@ -66,8 +66,10 @@ class Listener:
         self._unread: set[int] = set()  # of the latched bytes
         self._idle = int(record["mode"]) == IDLE
         flags, status = self._registers[maps.FLAG], self._registers[maps.STATUS]
-        self._flags, self._status = Fields(flags), Fields(status)
-        self._set = Fields(replace(status, fields=tuple(f for f in status.fields if f.access == "RW")), silent=False)
+        self._flags, self._status = FieldDescriber(flags), FieldDescriber(status)
+        self._set = FieldDescriber(
+            replace(status, fields=tuple(f for f in status.fields if f.access == "RW")), silent=False
+        )
         self._known = {maps.FLAG: map_.mask(flags.name, "f1"), maps.STATUS: map_.mask(status.name, "init")}
 
     def write(self, address: int, value: int) -> str:
@@ -90,8 +92,8 @@ class Listener:
         return self._describe_number(register, value)
 
     def _describe_flag(self, register: Register, value: int) -> str:
-        number = NUMBER.of(value)
-        verb = SET.says(SET.of(value))
+        number = NUMBER.extract(value)
+        verb = SET.describe_value(SET.extract(value))
         f = next((f for f in register.fields if f.low == number), None)
         if f is None:
             return f"{verb} F{number}: no flag of the {self._chip}"
@@ -111,7 +113,7 @@ class Listener:
             self._bytes[register.number] = value & STORED[register.number] if not q.waits else value
         if q.waits and (register.number != q.low or (preset and not self._idle)):
             return shorten_line(f"{register.name} = {value:02X}h: {register.text}")
-        return shorten_line(f"{register.name} = {value:02X}h: {q.of(self._bytes)}")
+        return shorten_line(f"{register.name} = {value:02X}h: {q.describe(self._bytes)}")
 
     def read(self, address: int, value: int) -> str:
         """Describe a read cycle of register `address`, 0 to 63."""
@@ -133,15 +135,15 @@ class Listener:
             return shorten_line(f"{register.name} = {value:02X}h: {register.text}")
         return self._describe_latched_read(register, q, value)
 
-    def _describe_latched_read(self, register: Register, q: maps.RegisterQuantity, value: int) -> str:
-        """Describe a read of a latched byte: the whole number with the last of its bytes, once the low byte was read."""
-        if register.number == q.low:
-            self._unread = set(q.addresses)
+    def _describe_latched_read(self, register: Register, quantity: maps.RegisterQuantity, value: int) -> str:
+        """Describe a read of a latched byte: with the last byte the whole number, if the low byte was read before."""
+        if register.number == quantity.low:
+            self._unread = set(quantity.addresses)
         fresh = register.number in self._unread
         self._unread.discard(register.number)
         self._bytes[register.number] = value
-        if not self._unread and (fresh or register.number == q.addresses[0]):
-            return shorten_line(f"{register.name} = {value:02X}h: {q.of(self._bytes)}")
+        if not self._unread and (fresh or register.number == quantity.addresses[0]):
+            return shorten_line(f"{register.name} = {value:02X}h: {quantity.describe(self._bytes)}")
         return shorten_line(f"{register.name} = {value:02X}h: {register.text}")
 
     def _describe_register(self, register: Register, value: int, stored: int) -> str:
@@ -150,6 +152,6 @@ class Listener:
 
 
 def _find_title(register: Register) -> str:
-    """Return the title of a register, or of the number that it is a part of."""
+    """Return the title of a register, or of the number of which the register holds one byte."""
     q = maps.QUANTITIES.get(register.number)
     return q.title if q else register.title

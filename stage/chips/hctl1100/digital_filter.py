@@ -2,8 +2,8 @@
 
     MC(n) = (256 K X(n) - A K X(n-1) - 4 B MC(n-1)) / 1024      D(z) = K (z - A/256) / 4 (z + B/256)
 
-and in proportional velocity mode MC(n) = K/4 Y(n). Divisions round down. The command is limited, and the law remembers the limited
-value.
+and in proportional velocity mode MC(n) = K/4 Y(n). X is the position error, Y the velocity error, K the gain, A the zero, B the
+pole. Divisions round down. The command is limited, and the limited value is the MC(n-1) of the next sample.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from stage.native import hot
 
 @hot
 def clear_history(chip):
-    """Clear what the control law remembers of earlier samples."""
+    """Clear the values of earlier samples that the control law uses, X(n-1) and MC(n-1)."""
     chip.error = chip.output = chip.velocity = chip.fraction = chip.computing_until = 0
     chip.last_count = read_count(chip)
 
 
 @hot
-def _compute_command(chip, error):
-    """Compute the motor command MC(n) for the position error X(n) = x."""
+def _compute_command(chip, position_error):
+    """Compute the motor command MC(n) for the position error X(n), in counts."""
     k = chip.reg[GAIN]
     return motor_port.clip_command(
-        chip, (256 * k * error - chip.reg[ZERO] * k * chip.error - 4 * chip.reg[POLE] * chip.output) >> 10
+        chip, (256 * k * position_error - chip.reg[ZERO] * k * chip.error - 4 * chip.reg[POLE] * chip.output) >> 10
     )
 
 
 @hot
 def _compute_velocity_command(chip):
-    """Compute the motor command MC(n) of proportional velocity control. The velocity is in 16ths of counts, as R24, R23 are."""
+    """Compute the motor command MC(n) of proportional velocity control, with velocities in 16ths of counts per sample."""
     y = to_signed(chip.reg[PROPORTIONAL_HIGH] << 8 | chip.reg[PROPORTIONAL_LOW], 16) - 16 * chip.actual_velocity
     return motor_port.clip_command(chip, (chip.reg[GAIN] * y) >> 6)
 
@@ -86,7 +86,7 @@ def _is_computing(chip):
 def apply_early_position(chip, command):
     """Apply a command position that the host wrote before the computation of the sample was finished.
 
-    The law runs once more with the new low byte and the old upper bytes; the ports keep its result until the next sample.
+    The control law runs once more with the new low byte and the old upper bytes. The ports keep this result until the next sample.
     """
     if _is_computing(chip) and find_control_mode(chip.flag_bits) != PROPORTIONAL:
         torn = chip.command & ~0xFF | command & 0xFF
@@ -99,8 +99,8 @@ def apply_early_position(chip, command):
 def apply_early_velocity(chip, mode):
     """Apply a command velocity that the host wrote before the computation of the sample was finished.
 
-    If the velocity is that of the present mode, its law runs once more: in proportional velocity mode with the bytes as they
-    are now, in integral velocity mode with the new velocity in place of the velocity that the ramp has reached.
+    If the present mode uses this velocity, its control law runs once more: in proportional velocity mode with the present bytes, in
+    integral velocity mode with the new velocity in place of the velocity that the ramp has reached.
     """
     if not _is_computing(chip) or find_control_mode(chip.flag_bits) != mode:
         return

@@ -27,7 +27,7 @@ def _compute_count_at(chip, clock):
 
 @hot
 def compute_filtered_rate(chip):
-    """Return the rate of the shaft if its counts pass the input filter, in counts per clock; 0 if they come too fast."""
+    """Return the rate of the shaft in counts per clock; 0 if the counts come too fast for the input filter."""
     return chip.shaft_rate if abs(chip.shaft_rate) <= MAX_FILTERED_RATE else 0.0
 
 
@@ -40,7 +40,7 @@ def set_shaft(chip, count, rate):
 
 @hot
 def compute_missed_counts(chip):
-    """Return the net number of counts that the input filter has dropped: the shaft is so far ahead of the raw count."""
+    """Return the net number of counts that the input filter has dropped: position of the shaft minus the raw count."""
     missed = chip.missed_counts + (chip.shaft_rate - compute_filtered_rate(chip)) * (chip.clock - chip.shaft_clock)
     return least(greatest(missed, -MAX_COUNT), MAX_COUNT)
 

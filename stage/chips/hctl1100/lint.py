@@ -51,7 +51,7 @@ PROFILE_DATA = (
 )
 IDLE_ONLY = (maps.PORT, maps.PWM, *maps.PRESET_POSITION.addresses)
 MODES = maps.MODE_WRITE.fields[0]
-RESET, INIT, ALIGN = (MODES.code(name) for name in ("reset", "Init/Idle", "Align"))
+RESET, INIT, ALIGN = (MODES.find_code(name) for name in ("reset", "Init/Idle", "Align"))
 SET, NUMBER = maps.FLAG_WRITE.fields
 
 
@@ -72,7 +72,7 @@ def lint_write(chip: Any, read_encoder: Callable[[], int], address: int, value: 
         yield READ_ONLY, f"{r.name} can only be read: the write does nothing"
         return
     if address in IDLE_ONLY and chip["mode"] != state.IDLE:
-        yield NOT_IN_IDLE.at(r.name), f"{r.name} is written outside of Init/Idle: ignored"
+        yield NOT_IN_IDLE.with_source(r.name), f"{r.name} is written outside of Init/Idle: ignored"
     if address == maps.FLAG:
         yield from _lint_flag(chip, value)
     elif address == maps.MODE:
@@ -81,15 +81,15 @@ def lint_write(chip: Any, read_encoder: Callable[[], int], address: int, value: 
         yield from _lint_timer(value, state.find_control_mode(int(chip["flag_bits"])))
     elif r.legal and not r.allows(r.value(value)):
         message = f"{r.name} = {r.value(value)}: {r.title} takes {r.legal[0]} to {r.legal[1]}"
-        yield VALUE_RANGE.at(r.name), message
+        yield VALUE_RANGE.with_source(r.name), message
     if chip["mode"] == state.CONTROL:
         yield from _lint_data_in_control(chip, address, value)
 
 
 def _lint_flag(chip: Any, value: int) -> Iterator[Finding]:
     """Check a write to R00."""
-    number = NUMBER.of(value)
-    bit, on = 1 << number, SET.of(value)
+    number = NUMBER.extract(value)
+    bit, on = 1 << number, SET.extract(value)
     if bit == state.F1:
         yield CHIP_SETS_F1, "F1 is set and cleared by the chip alone: write R05"
         return
@@ -143,10 +143,11 @@ def _lint_control_mode(chip: Any, flags: int) -> Iterator[Finding]:
     yield from _lint_timer(int(reg[maps.TIMER]), state.find_control_mode(flags))
 
 
-def _lint_timer(t: int, mode: int) -> Iterator[Finding]:
+def _lint_timer(timer: int, mode: int) -> Iterator[Finding]:
     """Check that the timer value is large enough for a control mode."""
-    if t < state.MIN_TIMER_VALUES[mode]:
-        message = f"T = {t:02X}h is below {state.MIN_TIMER_VALUES[mode]:02X}h, the least for {state.CONTROL_MODES[mode]} control"
+    if timer < state.MIN_TIMER_VALUES[mode]:
+        least = state.MIN_TIMER_VALUES[mode]
+        message = f"T = {timer:02X}h is below {least:02X}h, the least for {state.CONTROL_MODES[mode]} control"
         yield SAMPLE_TOO_SHORT, message
 
 

@@ -29,15 +29,15 @@ SEVEN_BITS = (0, 0x7F)
 
 @dataclass(frozen=True)
 class RegisterQuantity:
-    """A number that two or three registers hold, the high byte first.
+    """Quantity in two or three registers of a byte each, the high byte first.
 
     Attributes:
         title: Name in words.
         addresses: Addresses of the registers, that of the high byte first.
-        unit: Unit of the number.
-        scale: Value of the number that is 1 unit.
-        signed: Whether the number is in two's complement.
-        waits: Whether the upper bytes wait until the low byte is written.
+        unit: Unit in which the quantity is described.
+        scale: Value of the registers that corresponds to 1 unit.
+        signed: Whether the value is in two's complement.
+        waits: Whether written upper bytes take effect only when the low byte is written.
         latched: Whether a read of the low byte latches the upper bytes.
     """
 
@@ -51,18 +51,18 @@ class RegisterQuantity:
 
     @property
     def low(self) -> int:
-        """The address of the low byte."""
+        """Address of the register with the low byte."""
         return self.addresses[-1]
 
     def shift(self, address: int) -> int:
-        """Return the number of the lowest bit of a register's byte in the number."""
+        """Return the number of bits by which the byte at an address is shifted in the value: 0 for the low byte, then 8, 16."""
         return 8 * (len(self.addresses) - 1 - self.addresses.index(address))
 
-    def of(self, bytes_: dict[int, int]) -> str:
-        """Describe the number that bytes make.
+    def describe(self, bytes_: dict[int, int]) -> str:
+        """Describe the value of the quantity in words.
 
         Args:
-            bytes_: Address -> byte.
+            bytes_: Address of a register -> its byte.
 
         Returns:
             For example "command position = 4112 counts".
@@ -165,7 +165,7 @@ def _make_register(number: int, access: str, title: str, **more: object) -> Regi
 
 
 def _make_number_byte(number: int, access: str, part: str, **more: object) -> Register:
-    """Return a register that is one byte of a number."""
+    """Return a register that holds one byte of a number."""
     q = QUANTITIES[number]
     return _make_register(number, access, f"{q.title}, {part}", unit=q.unit, **more)
 
@@ -223,11 +223,11 @@ POSITION_BOUND = 1 << 23  # counts; positions are -TOP to TOP - 1
 
 
 @dataclass(frozen=True)
-class Number:
-    """A number that a host writes as one, in one or several registers.
+class WritableNumber:
+    """Number that a host writes by one call of `HCTL1100.register_cycles`, into one or several registers.
 
     Attributes:
-        addresses: Bus addresses of its bytes, in the order in which the host writes them: the high byte first.
+        addresses: Bus addresses of its bytes, in the order in which a host writes them: the high byte first.
         minimum: Smallest value.
         maximum: Largest value.
     """
@@ -238,18 +238,18 @@ class Number:
 
 
 NUMBERS = {
-    "timer": Number((TIMER,), 0, 0xFF),
-    "zero": Number((ZERO,), 0, 0xFF),
-    "pole": Number((POLE,), 0, 0xFF),
-    "gain": Number((GAIN,), 0, 0xFF),
-    "command_position": Number(COMMAND_POSITION.addresses, -POSITION_BOUND, POSITION_BOUND - 1),
-    "preset_position": Number(PRESET_POSITION.addresses, -POSITION_BOUND, POSITION_BOUND - 1),
-    "final_position": Number(FINAL_POSITION.addresses, -POSITION_BOUND, POSITION_BOUND - 1),
-    "acceleration": Number(ACCELERATION.addresses, 0, 0x7FFF),
-    "maximum_velocity": Number((MAX_VELOCITY,), 0, 0x7F),
-    "proportional_velocity": Number(PROPORTIONAL_VELOCITY.addresses, -0x8000, 0x7FFF),
-    "integral_velocity": Number((INTEGRAL_VELOCITY,), -0x80, 0x7F),
-    "motor_command": Number((PWM,), -100, 100),
+    "timer": WritableNumber((TIMER,), 0, 0xFF),
+    "zero": WritableNumber((ZERO,), 0, 0xFF),
+    "pole": WritableNumber((POLE,), 0, 0xFF),
+    "gain": WritableNumber((GAIN,), 0, 0xFF),
+    "command_position": WritableNumber(COMMAND_POSITION.addresses, -POSITION_BOUND, POSITION_BOUND - 1),
+    "preset_position": WritableNumber(PRESET_POSITION.addresses, -POSITION_BOUND, POSITION_BOUND - 1),
+    "final_position": WritableNumber(FINAL_POSITION.addresses, -POSITION_BOUND, POSITION_BOUND - 1),
+    "acceleration": WritableNumber(ACCELERATION.addresses, 0, 0x7FFF),
+    "maximum_velocity": WritableNumber((MAX_VELOCITY,), 0, 0x7F),
+    "proportional_velocity": WritableNumber(PROPORTIONAL_VELOCITY.addresses, -0x8000, 0x7FFF),
+    "integral_velocity": WritableNumber((INTEGRAL_VELOCITY,), -0x80, 0x7F),
+    "motor_command": WritableNumber((PWM,), -100, 100),
 }
 """What a host writes as one: acceleration in 256ths of counts per sample2, proportional velocity in 16ths of counts per sample, the
 other velocities in counts per sample; motor_command in hundredths of full drive, in Init/Idle only."""

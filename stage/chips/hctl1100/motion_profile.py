@@ -1,6 +1,6 @@
 """The profile generator of the HCTL-1100, which moves the command position once a sample; compiled.
 
-Velocities are in 256ths of counts per sample.
+Velocities are in 256ths of counts per sample, accelerations in 256ths of counts per sample squared.
 
     trapezoid          integral velocity
        ____                 ______ R3C
@@ -28,15 +28,15 @@ def read_final_position(chip):
 
 
 @hot
-def _move_command_position(chip, direction):
-    """Move the command position by 256ths of counts; it wraps at 24 bits."""
-    at = (chip.command << 8 | chip.fraction) + direction
+def _move_command_position(chip, distance):
+    """Move the command position by a signed distance in 256ths of counts. The position wraps at 24 bits."""
+    at = (chip.command << 8 | chip.fraction) + distance
     chip.command, chip.fraction = to_signed(at >> 8, 24), at & 0xFF
 
 
 @hot
 def _compute_braking_distance(velocity, acceleration):
-    """Return the distance in which velocity v falls to 0 in steps of a: the sum of v - a, v - 2 a ... above 0."""
+    """Return the distance in 256ths of counts in which `velocity` falls to 0 if each sample reduces it by `acceleration`."""
     n = (velocity - 1) // acceleration
     return n * velocity - acceleration * (n * (n + 1) // 2)
 
@@ -60,7 +60,7 @@ def run_trapezoid_sample(chip):
 
 @hot
 def run_integral_sample(chip):
-    """Run one sample at the integral command velocity, or on the ramp to it. STOP sets this velocity to 0."""
+    """Run one sample of integral velocity control, on the ramp to the command velocity or at it. STOP sets this velocity to 0."""
     if chip.stop_triggered:
         chip.reg[maps.INTEGRAL_VELOCITY] = 0
     goal, a = to_signed(chip.reg[maps.INTEGRAL_VELOCITY], 8) << 8, read_acceleration(chip)

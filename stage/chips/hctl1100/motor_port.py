@@ -11,7 +11,7 @@ PWM_PERIOD = 100  # clocks
 
 @hot
 def clip_command(chip, value):
-    """Limit a motor command to what the ports hold, -128 to 127, or 0 to 127 if F2 selects unipolar commands."""
+    """Limit a motor command to the range of the ports: -128 to 127, or 0 to 127 if F2 selects unipolar commands."""
     return least(greatest(value, 0 if chip.flag_bits & F2 else -128), 127)
 
 
@@ -59,7 +59,7 @@ def integrate_motor_command(chip, until):
 
 @hot
 def _compute_pulse_width(chip):
-    """Return for how many clocks of each PWM period PULSE is on."""
+    """Return the number of clocks of each PWM period for which PULSE is on."""
     return abs(clip_to_full_drive(chip.pwm))
 
 

@@ -23,7 +23,7 @@ def start_period(chip):
 
 @hot
 def run_idle(chip, until):
-    """Reload the timer as often as it ends up to `until`. In Init/Idle a sample does nothing else."""
+    """Reload the timer at each end of its period up to `until`. In Init/Idle a sample has no other effect."""
     if until >= chip.sample_end:
         chip.period = chip.reg[T]
         period = CLOCKS_PER_COUNT * (chip.period + 1)
@@ -32,7 +32,7 @@ def run_idle(chip, until):
 
 @hot
 def skip_samples(chip, samples):
-    """Let a number of whole periods pass, in which nothing changes."""
+    """Skip a number of whole sample periods, in which nothing but the time changes."""
     rest = samples * CLOCKS_PER_COUNT * (chip.period + 1)
     chip.clock += rest
     chip.sample_end += rest
@@ -41,7 +41,7 @@ def skip_samples(chip, samples):
 
 @hot
 def read_timer(chip):
-    """Return the running count that R0F reads."""
+    """Return the present count of the sample timer, which a read of R0F returns."""
     return 0 if chip.timer_stopped else (chip.sample_end - 1 - chip.clock) // CLOCKS_PER_COUNT
 
 

@@ -12,7 +12,7 @@ from stage.chips.chip import Chip, Pins, make_cycle_error
 from stage.chips.diagnostics import Finding
 from stage.chips.exclusive_access import exclusive
 from stage.chips.nova import core, state
-from stage.chips.nova.describe import Decoder, Listener
+from stage.chips.nova.describe import CycleDescriber, Decoder
 from stage.chips.nova.functions import encoder
 from stage.chips.nova.lint import LintState, Mcx312LintState, Mcx314asLintState, lint_write
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP, MCX314AS_MAP
@@ -30,7 +30,7 @@ AX1, AX2, AX3 = (MCX314AS_MAP.field("WR5", f"AX{k}") for k in (1, 2, 3))
 
 
 class Nova(Chip):
-    """Base of the NOVA chips. Bus address n, 0 to 7, is WRn for writes and RRn for reads, words of 16 bits."""
+    """Base class of the NOVA chips. Bus address n, 0 to 7, is the 16-bit word WRn for writes and RRn for reads."""
 
     CORE: ClassVar = core
     INPUTS: ClassVar = state.INPUTS
@@ -103,7 +103,7 @@ class Nova(Chip):
         return LintState(self._record, self.AXES, self._find_interpolated_axes)
 
     def _find_interpolated_axes(self) -> int:
-        """Return the axes that take part in interpolation, as bits."""
+        """Return the axes that the registers select for interpolation, as bits; bit 0 is X."""
         return 0
 
     @classmethod
@@ -137,7 +137,7 @@ class Nova(Chip):
             datum: Its data.
         """
         cls._check_axis(axis)
-        what, datum = cls.MAP.find_sent(symbol, datum)
+        what, datum = cls.MAP.find_command_or_word(symbol, datum)
         if isinstance(what, Word):
             cycles = super().command_cycles(symbol, axis, datum)
             return [*cls.command_cycles("NOP", axis), *cycles] if 1 <= cycles[0][0] <= 3 else cycles
@@ -152,15 +152,18 @@ class Nova(Chip):
         self._check_axis(axis)
         return Decoder(self.MAP, axis)
 
-    def listener(self) -> Listener:
-        return Listener(self.MAP, self.state)
+    def make_describer(self) -> CycleDescriber:
+        return CycleDescriber(self.MAP, self.state)
 
     def values(self) -> dict[str, int]:
         words = (w.name for w in self.MAP.words if w.name.startswith("RR"))
         return {name: core.read_register_value.with_gil(self.pointer, int(name[2]), name == "RR3-1") for name in words}
 
-    def values_of(self, axis: int = 0) -> dict[str, int]:
-        """Return the words of an axis as if a host had selected it, and the registers as they read, or as they were written."""
+    def axis_values(self, axis: int = 0) -> dict[str, int]:
+        """Return the registers of an axis by name, and its words as a host reads them when it has selected the axis.
+
+        A register that cannot be read has the value that was last written.
+        """
         self._check_axis(axis)
         chip, map_, values = self.make_replica(), self.MAP, {}
         c: Any = chip.state
@@ -178,18 +181,18 @@ class Nova(Chip):
             if (read := reads.get(r.name)) is not None:
                 core.write.with_gil(chip.pointer, 0, (select if read.axes else 0) | read.code)
                 values[r.name] = r.value(int(c["read_high"]) << 16 | int(c["read_low"]))
-            elif (place := self._find_place(r.name)) is not None:
+            elif (place := self._find_register_field(r.name)) is not None:
                 name, k = place
                 has_each_axis = map_.command(r.name).axes
                 values[r.name] = r.value(int(c["ax"][axis if has_each_axis else 0][name][k]))
         return values
 
     @classmethod
-    def _find_place(cls, name: str) -> tuple[str, int] | None:
-        """Find the place in the state of an axis that holds a register which cannot be read.
+    def _find_register_field(cls, name: str) -> tuple[str, int] | None:
+        """Find the field of an axis' state that stores a register which a host cannot read.
 
         Returns:
-            Field and index; None if the state does not hold the register as it was written.
+            Name of the field and index in it; None if the state does not store the value that was written.
         """
         number = cls.MAP.register(name).number
         if number < state.REGISTERS:
@@ -210,7 +213,7 @@ class MCX514(Nova):
 
     @property
     def linked(self) -> bool:
-        """Whether lines of multichip interpolation join the chip to others, see `Stage(multichip=...)`."""
+        """Whether the chip is wired to other chips for multichip interpolation, see `Stage(multichip=...)`."""
         return bool(self.state["wire_word"])
 
     def _find_interpolated_axes(self) -> int:
@@ -268,11 +271,11 @@ class MCX501(MCX514):
 
 
 class _ErratumChip(Nova):
-    """Base of the MCX304, MCX302 and MCX312.
+    """Base class of the MCX304, MCX302 and MCX312, which have an erratum.
 
     Args:
         clock_hz: Reference clock; default: that of the data sheet.
-        errata: Emulate the chip as it was sold, with the S-curve failure of NOVA's notice; False: a chip without it.
+        errata: Whether to emulate the chip as it was sold, with the S-curve failure that NOVA's notice describes.
     """
 
     INPUTS: ClassVar = state.INPUTS_300
@@ -311,7 +314,7 @@ class MCX312(_ErratumChip):
 
     def _find_interpolated_axes(self) -> int:
         word = int(self._record["outputs5"])
-        return 1 << AX1.of(word) | 1 << AX2.of(word)
+        return 1 << AX1.extract(word) | 1 << AX2.extract(word)
 
     def _lint_state(self) -> LintState:
         return Mcx312LintState(self._record, self.AXES, self._find_interpolated_axes)
@@ -329,7 +332,7 @@ class MCX314AS(Nova):
     READING_ACTS: ClassVar = frozenset({3})  # RR3, the interrupt factors
 
     def _find_interpolated_axes(self, count: int = 3) -> int:
-        axes = [f.of(int(self._record["outputs5"])) for f in (AX1, AX2, AX3)]
+        axes = [f.extract(int(self._record["outputs5"])) for f in (AX1, AX2, AX3)]
         return sum(1 << j for j in {*axes[:count]})
 
     def _lint_state(self) -> LintState:

@@ -1,18 +1,18 @@
-"""Core of the NOVA chips, compiled: the functions that stages, hosts and journals call, see stage/chips/cores.py.
+"""Core of the NOVA chips, compiled: the functions that stages, hosts and journals call, see stage/chips/core_interface.py.
 
-`run` jumps from event to event; between two events pulses follow in closed form. An event is the end of a drive or of a piece
-of its profile, a counter that reaches a value that matters, an input that passes its filter, a timer, or a bus write.
+`run` jumps from event to event; between two events the pulses are computed in closed form. An event is the end of a drive or of a
+piece of its profile, a counter that reaches a compared value, an input that passes its filter, the end of a timer, or a bus write.
 single_axis_drive.py has the drive of one axis, pulse_timing.py the clocks of its pulses, pulse_trace.py their order for a
 trace.
 """
 
 from __future__ import annotations
 
-from stage.chips.cores import run_slices
+from stage.chips.core_interface import run_slices
 from stage.chips.nova import state
 from stage.chips.nova.bus import mcx300 as bus304
 from stage.chips.nova.bus import mcx514 as bus514
-from stage.chips.nova.bus.parameters_and_phases import compute_phase_bits, find_lowest_axis, is_axis_busy
+from stage.chips.nova.bus.parameters_and_axis_status import compute_ramp_phase_bits, find_lowest_axis, is_axis_busy
 from stage.chips.nova.functions import comparators, encoder, external_drives, home_search, synchronous_actions
 from stage.chips.nova.functions import general_ports as ports
 from stage.chips.nova.functions import input_pins as pins_in
@@ -43,14 +43,14 @@ __all__ = [
 
 @exported(None, STATE)
 def _process_due_events(chip):
-    """Do everything that is due at the present clock, then find the clock of the next event."""
+    """Process all events that are due at the present clock, and find the clock of the next event."""
     if chip.encoder_axes:
         encoder.follow_shafts(chip)
     for j in range(chip.axes):
         chip.ax[j].finished_sets = 0
     for _ in range(MAX_ROUNDS):
         chip.stale = 0
-        at = pins_in.update_emergency(chip)
+        at = pins_in.update_emergency_input(chip)
         for j in range(chip.axes):
             axis = chip.ax[j]
             at = least(at, pins_in.update_inputs(chip, axis))
@@ -74,7 +74,7 @@ def _process_due_events(chip):
             at = least(
                 at, single_axis_drive.find_next_event(chip, axis, synchronous_actions.count_pulses_to_event(chip, axis))
             )
-        if encoder.has_encoder(chip, j) and comparators.uses_rp(chip, axis):
+        if encoder.has_encoder(chip, j) and comparators.uses_real_position_counter(chip, axis):
             at = least(at, comparators.find_next_rp_change(chip, axis))
     if chip.interpolating:
         at = least(at, interpolation.find_next_event(chip))
@@ -83,7 +83,7 @@ def _process_due_events(chip):
 
 @hot
 def _advance_time(chip, until):
-    """Let time pass in which only pulses happen. A tick of an interpolation that causes an event ends it early."""
+    """Advance the clock to `until`, with nothing but pulses. A tick of an interpolation that causes an event ends this early."""
     if chip.interpolating:
         until = interpolation.make_ticks(chip, until)
     _advance_drives(chip, until)
@@ -102,7 +102,7 @@ def _advance_drives(chip, until):
 def run(chip, until):
     """Let the chip's clock run up to `until`.
 
-    Afterwards the counters are up to date and nothing is due, so that reading them changes no bit of the state.
+    Afterwards the counters are up to date and no event is due, so that a read of a counter changes no bit of the state.
     """
     if chip.stale:
         _process_due_events(chip)
@@ -114,7 +114,7 @@ def run(chip, until):
         encoder.follow_shafts(chip)
 
 
-# --- the functions for a stage, see stage/chips/cores.py ---
+# --- the functions for a stage, see stage/chips/core_interface.py ---
 
 
 @exported("i8", STATE, "i8")
@@ -140,7 +140,7 @@ def set_shaft(chip, axis_index, count, rate):
         rate: Edges per reference clock.
     """
     encoder.set_shaft(chip, axis_index, count, rate)
-    if comparators.uses_rp(chip, chip.ax[axis_index]):
+    if comparators.uses_real_position_counter(chip, chip.ax[axis_index]):
         _process_due_events(chip)
 
 
@@ -187,13 +187,13 @@ def find_wire_output_end(chip):
 
 @exported("i8", STATE)
 def read_wire_word(chip):
-    """Return the word that the wires brought last."""
+    """Return the last word that the chip received from the wires to other chips."""
     return chip.wire_word
 
 
 @exported(None, STATE, "i8")
 def set_wire_word(chip, word):
-    """Give the chip a new word from the wires to other chips."""
+    """Pass the chip a new word from the wires to other chips."""
     if chip.stale:
         _process_due_events(chip)
     multichip.apply_wire_word(chip, word, _process_due_events)
@@ -235,10 +235,10 @@ def read_outputs(chip, axis_index):
 
 @hot
 def _compute_other_outputs(chip, axis_index):
-    """Compute the output pins of axis `axis_index` except PLS and DIR."""
+    """Compute the levels of all output pins of axis `axis_index` except PLS and DIR."""
     axis = chip.ax[axis_index]
     word = state.DRIVE if is_axis_busy(axis) else 0
-    bits = compute_phase_bits(chip, chip.ax[chip.ip.main_axis] if axis.interpolates else axis)
+    bits = compute_ramp_phase_bits(chip, chip.ax[chip.ip.main_axis] if axis.interpolates else axis)
     word |= (state.ASND if bits & 1 else 0) | (state.CNST if bits & 2 else 0) | (state.DSND if bits & 4 else 0)
     word |= (state.DCC if chip.clock < axis.dcc_end else 0) | (state.SPLIT if axis.split_output else 0)
     return word | ports.find_driven_outputs(chip, axis_index) * state.OUT
@@ -271,13 +271,13 @@ def compute_pulse_rate(chip, axis_index, hz):
 
 @exported("f8", STATE, "i8", "i8", "f8")
 def compute_drive_input(chip, axis_index, net_before, clocks):
-    """Compute the mean over the last ticks of the net pulse count.
+    """Compute the mean of the net pulse count over the last `clocks` reference clocks.
 
     Args:
         chip: State of the chip.
         axis_index: Axis of the chip.
-        net_before: The value at the start of these ticks.
-        clocks: Reference clocks.
+        net_before: Net pulse count at the start of these clocks.
+        clocks: Number of reference clocks.
     """
     axis = chip.ax[axis_index]
     start, late, rest = chip.clock - clocks, 0.0, axis.net - net_before
@@ -290,25 +290,25 @@ def compute_drive_input(chip, axis_index, net_before, clocks):
 
 @hot
 def _clear_pulse_times(axis):
-    """Clear the times of interpolated pulses, which only the mean of the present slice needs."""
+    """Clear the times of an axis' interpolated pulses, which are needed only for the mean count of the present slice."""
     axis.pulse_clock_sum = axis.recent_net = axis.first_pulse_clock = 0
 
 
 @hot
-def _compute_mean_lag(chip, axis, rest, clocks):
-    """Compute by how much the mean pulse count over the last ticks is less than the count now.
+def _compute_mean_lag(chip, axis, even_pulses, clocks):
+    """Compute the difference between the present pulse count and its mean over the last `clocks` reference clocks.
 
     Args:
         chip: State of the chip.
         axis: State of the axis.
-        rest: Net number of pulses in these ticks, without interpolated ones.
-        clocks: Reference clocks.
+        even_pulses: Net number of pulses in these clocks, without those of an interpolation.
+        clocks: Number of reference clocks.
     """
-    n = abs(rest)
+    n = abs(even_pulses)
     if n == 0:
         return 0.0
     if not axis.driving:
-        return 0.5 * rest
+        return 0.5 * even_pulses
     s = single_axis_drive.find_piece(axis, chip.clock - axis.origin)
     t = (float(chip.clock - axis.origin) - axis.t[s, 0]) - axis.t[s, 1]
     r = (
@@ -318,9 +318,9 @@ def _compute_mean_lag(chip, axis, rest, clocks):
     )
     v = axis.v[s, 0] + t * (2.0 * axis.a2[s, 0] + 3.0 * t * axis.j6[s, 0])
     if v <= 0.0:
-        return 0.5 * rest
+        return 0.5 * even_pulses
     ago = (n * greatest(r, 0.0) + 0.5 * n * (n - 1)) / v
-    return (1.0 if rest > 0 else -1.0) * (n - least(ago / clocks, float(n)))
+    return (1.0 if even_pulses > 0 else -1.0) * (n - least(ago / clocks, float(n)))
 
 
 # --- the chip by itself ---
@@ -335,7 +335,7 @@ def _clear_all_pulse_times(chip):
 
 @hot
 def write_word(chip, address, value):
-    """Write a word to WR0 to WR7."""
+    """Write a word to one of the registers WR0 to WR7."""
     if chip.variant == state.MCX514_TYPE:
         bus514.write_register(chip, address, value)
     else:
@@ -344,7 +344,7 @@ def write_word(chip, address, value):
 
 @hot
 def read_word(chip, address):
-    """Read a word of RR0 to RR7."""
+    """Read a word from one of the registers RR0 to RR7."""
     return (
         bus514.read_register(chip, address)
         if chip.variant == state.MCX514_TYPE
@@ -391,7 +391,7 @@ def read(chip, address):
 
 @exported("i8", STATE, "i8", "i8")
 def read_register_value(chip, register_number, page):
-    """Return what RRk reads, without a bus cycle and its side effects.
+    """Return the value that a host would read from an RR register, without the side effects of a bus cycle.
 
     Args:
         chip: State of the chip.
@@ -406,7 +406,7 @@ def read_register_value(chip, register_number, page):
 
 @exported(None, STATE, "i8", "i8")
 def run_window(chip, row_address, first_slice):
-    """Let the chip's clock run through the slices of a window, see stage/chips/cores.py."""
+    """Let the chip's clock run through the slices of a window, see stage/chips/core_interface.py."""
     run_slices(chip, row_address, first_slice, run, read_net_count, compute_drive_input)
 
 
@@ -474,18 +474,18 @@ def write_present_edge(chip, axis_index, edges, edge_index):
 
 
 @hot
-def _compute_watched_outputs(chip, axis_index, every_pulse, off):
+def _compute_watched_outputs(chip, axis_index, every_pulse, pulse_end):
     """Compute the output pins that a scan watches.
 
     Args:
         chip: State of the chip.
         axis_index: Number of the axis.
-        every_pulse: Include pulses; else PLS and DIR count as without a pulse.
-        off: Clock at which the present pulse goes off.
+        every_pulse: Whether to include pulses; otherwise PLS and DIR have the levels between two pulses.
+        pulse_end: Clock at which the present pulse goes off.
     """
     axis = chip.ax[axis_index]
     return _compute_other_outputs(chip, axis_index) | (
-        compute_pulse_pins(chip, axis, chip.clock < off) if every_pulse else compute_resting_pins(chip, axis)
+        compute_pulse_pins(chip, axis, chip.clock < pulse_end) if every_pulse else compute_resting_pins(chip, axis)
     )
 
 
@@ -544,7 +544,7 @@ def scan_edges(chip, until, every_pulse, axis_index, edges):
     array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
 )  # fmt: skip
 def scan_edges_and_shafts(chip, until, every_pulse, axis_index, edges, clocks, axes, counts, rates, done):
-    """Scan while the shafts of axes move, see `stage.chips.cores.scan_while_shafts_move`."""
+    """Write the edges of an axis while encoder shafts move, see `stage.chips.core_interface.scan_while_shafts_move`."""
     k = 0
     while k < len(edges) - 2 * EDGE_MARGIN:
         n = done[0]
@@ -565,7 +565,7 @@ def scan_edges_and_shafts(chip, until, every_pulse, axis_index, edges, clocks, a
 
 @hot
 def _apply_wire_word(chip, every_pulse, axis_index, edges, edge_index, word):
-    """Apply a new word on the wires, and write an EDGE record if that changes the axis: the word can make a pulse.
+    """Apply a new word from the wires to other chips, and write an EDGE record if it changes the axis, for example by a pulse.
 
     Args:
         chip: State of the chip.

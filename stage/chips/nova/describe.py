@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from stage.chips import describe
-from stage.chips.describe import Fields, Statement, describe_byte, shorten_line
+from stage.chips.describe import FieldDescriber, Statement, describe_byte, shorten_line
 from stage.chips.nova.registers.field_builders import AXES, name_axes
 from stage.chips.nova.registers.mcx300 import RESET
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
@@ -19,12 +19,12 @@ WRITING_KINDS = ("data write", "mode write")
 
 
 def is_reset(map_: RegisterMap, value: int) -> bool:
-    """Return whether a word to WR0 is the reset of a chip that has no reset command."""
+    """Return whether a word written to WR0 resets the chip by its reset bit, on chips without a reset command."""
     return value == RESET and not any(command.symbol == "RST" for command in map_.commands)
 
 
 class Decoder(describe.Decoder):
-    """Decoder of journals: the commands to one axis of a chip, with their data."""
+    """Decoder of the journals of a NOVA chip, to the commands for one axis with their data."""
 
     def __init__(self, map_: RegisterMap, axis: int = 0):
         self._map, self._bit = map_, 1 << axis
@@ -47,17 +47,17 @@ class Decoder(describe.Decoder):
                 return []
         self._words[n] = value
         if n == 0:
-            return self._command(clock, value)
+            return self._decode_command(clock, value)
         if n >= 6 or (n <= 3 and not self._selected & self._bit):
             return []
         return [Statement(clock, "register", f"{value:04X}", f"WR{n} <- {value:04X}h", f"WR{n}", value)]
 
-    def _command(self, clock: int, value: int) -> list[Statement]:
-        axes, command = AXIS.of(value), self._map.by_code.get(CODE.of(value))
+    def _decode_command(self, clock: int, value: int) -> list[Statement]:
+        axes, command = AXIS.extract(value), self._map.by_code.get(CODE.extract(value))
         self._selected = axes or self._selected
         if axes and not axes & self._bit:
             return []
-        words = f"{name_axes(axes)} {self._meaning(command, value)}".strip()
+        words = f"{name_axes(axes)} {self._describe_meaning(command, value)}".strip()
         if command is None or command.kind not in WRITING_KINDS:
             return [Statement(clock, "command", f"{value:04X}", words)]
         register = self._map.register(command.symbol)
@@ -67,7 +67,7 @@ class Decoder(describe.Decoder):
         """Return the value that a command writes into a register."""
         return register.value(self._words[7] << 16 | self._words[6])
 
-    def _meaning(self, command: Command | None, value: int) -> str:
+    def _describe_meaning(self, command: Command | None, value: int) -> str:
         if is_reset(self._map, value):
             return "reset"
         if command is None:
@@ -78,11 +78,11 @@ class Decoder(describe.Decoder):
         return _describe_command(command, value)
 
 
-class Listener:
-    """Descriptions of the bus cycles of a NOVA chip.
+class CycleDescriber:
+    """Describer of the bus cycles of a NOVA chip.
 
     Addresses 16 to 31 are the bytes of WR0 to WR7 and RR0 to RR7 on the 8-bit bus. The contents of RR6 and RR7 are described if the
-    listener has seen the command that filled them.
+    describer has seen the command that filled them.
 
     Args:
         map_: Register map of the chip.
@@ -100,7 +100,7 @@ class Listener:
         self._bytes: dict[int, int] = {}  # of RR6 and RR7, as read
         self._sets = [w for w in map_.words if w.name.startswith("BP")]
         self._titles = {n: map_.word(f"WR{n}").title for n in (1, 2, 3)}
-        self._fields = {p.name: Fields(p) for p in map_.places if p.fields}
+        self._fields = {p.name: FieldDescriber(p) for p in map_.places if p.fields}
 
     def write(self, address: int, value: int) -> str:
         """Describe a write cycle to WRn.
@@ -113,7 +113,7 @@ class Listener:
             return self._write_byte(address - BYTES, value & 0xFF)
         n, value = address & 7, value & 0xFFFF
         if n == 0:
-            return shorten_line(self._command(value))
+            return shorten_line(self._describe_command_word(value))
         if self._pattern and 2 <= n < 2 + len(self._sets):
             word = self._sets[n - 2]
             return f"{word.name} = {value:04X}h: {word.title}"
@@ -128,19 +128,19 @@ class Listener:
         fields = self._fields.get(f"WR{n}")
         return fields.describe(f"WR{n}", value) if fields else f"WR{n} is not used on the {self._map.chip}"
 
-    def _write_byte(self, at: int, value: int) -> str:
-        """Describe a write of a byte: the word that the register holds after it."""
-        n, high = at >> 1 & 7, at & 1
-        old = self._first if n == 0 else self._by_axis[self._find_lowest_axis][n] if n <= 3 else self._common[n]
+    def _write_byte(self, byte_index: int, value: int) -> str:
+        """Describe a write of a byte by the word that the register then contains."""
+        n, high = byte_index >> 1 & 7, byte_index & 1
+        old = self._first if n == 0 else self._by_axis[self._lowest_axis][n] if n <= 3 else self._common[n]
         word = old & 0xFF | value << 8 if high else old & 0xFF00 | value
         if n == 0 and high:
             self._first = word
             return f"{describe_byte('WR0', high, value)}: waits for bits 7..0"
         return self.write(n, word)
 
-    def _command(self, value: int) -> str:
+    def _describe_command_word(self, value: int) -> str:
         """Describe a word to WR0."""
-        command, axis_bits = self._map.by_code.get(CODE.of(value)), AXIS.of(value)
+        command, axis_bits = self._map.by_code.get(CODE.extract(value)), AXIS.extract(value)
         axes = axis_bits & self._there if self._map.axes > 1 else 1
         if is_reset(self._map, value) or (command is not None and command.symbol == "RST" and not axis_bits):
             self._reset()
@@ -151,16 +151,16 @@ class Listener:
             names += f" (no {name_axes(axis_bits & ~axes)} on the {self._map.chip})"
         head = f"{names}: " if names else ""
         if command is None:
-            return f"{head}{CODE.of(value):02X}h is no command of the {self._map.chip}"
+            return f"{head}{CODE.extract(value):02X}h is no command of the {self._map.chip}"
         if command.kind == "data read":
             return self._note_reading(command)
         if command.axes and not axes:
             return f"to no axis, nothing happens: {command.title}"
         if command.symbol == "RST":
             return f"{head}nothing happens, it takes no axis bits: {command.title}"
-        return self._describe_executed(command, value, axes, head)
+        return self._describe_executed_command(command, value, axes, head)
 
-    def _describe_executed(self, command: Command, value: int, axes: int, head: str) -> str:
+    def _describe_executed_command(self, command: Command, value: int, axes: int, head: str) -> str:
         if command.kind in WRITING_KINDS:
             register = self._map.register(command.symbol)
             return self._describe_contents(
@@ -173,10 +173,10 @@ class Listener:
         return head + _describe_command(command, value)
 
     def _note_reading(self, command: Command) -> str:
-        """Note what a reading command fills RR6 and RR7 with."""
+        """Note the register that a reading command has copied to RR6 and RR7, and describe the command."""
         name = command.symbol.removeprefix("R-")
         place = self._map.word(name) if name.startswith("WR") else self._map.register(name)
-        axis = f"{AXES[self._find_lowest_axis]}: " if command.axes else ""
+        axis = f"{AXES[self._lowest_axis]}: " if command.axes else ""
         self._reading, self._bytes = (axis, place, command.bytes), {}
         return f"{axis}read {place.title} {name}"
 
@@ -199,37 +199,37 @@ class Listener:
             return self._data(2 * (n - 6) + high, width, value)
         name = f"RR{n}"
         if n == 3 and "RR3-1" in self._fields:
-            name += "-1" if self._pages >> self._find_lowest_axis & 1 else "-0"
-        head = f"{AXES[self._find_lowest_axis]}: " if 1 <= n <= 3 else ""
+            name += "-1" if self._pages >> self._lowest_axis & 1 else "-0"
+        head = f"{AXES[self._lowest_axis]}: " if 1 <= n <= 3 else ""
         head += name.replace("-", " page ")
         if width == 1:
             head += f" bits {8 * high + 7}..{8 * high}"
         fields = self._fields.get(name)
         return fields.describe(head, value << 8 * high) if fields else f"{head} is not used on the {self._map.chip}"
 
-    def _data(self, at: int, width: int, value: int) -> str:
-        """Describe a read of RR6 and RR7: the whole value as soon as all of its bytes were read.
+    def _data(self, first_byte: int, byte_count: int, value: int) -> str:
+        """Describe a read of RR6 or RR7. The description includes the whole value as soon as all of its bytes have been read.
 
         Args:
-            at: Number of the first byte.
-            width: Number of bytes.
+            first_byte: Number of the first byte.
+            byte_count: Number of bytes.
             value: The bytes.
         """
-        for k in range(width):
-            self._bytes[at + k] = value >> 8 * k & 0xFF
-        part = f"{8 * (at + width) - 1}..{8 * at} = {value:0{2 * width}X}h"
+        for k in range(byte_count):
+            self._bytes[first_byte + k] = value >> 8 * k & 0xFF
+        part = f"{8 * (first_byte + byte_count) - 1}..{8 * first_byte} = {value:0{2 * byte_count}X}h"
         if self._reading is None:
             return f"data read, bits {part}"
         axis, place, size = self._reading
-        if at >= size or any(k not in self._bytes for k in range(size)):
+        if first_byte >= size or any(k not in self._bytes for k in range(size)):
             return f"{axis}{place.name} bits {part}"
         return self._describe_contents(
             f"{axis}{place.title} {place.name}", place, sum(self._bytes[k] << 8 * k for k in range(size))
         )
 
     @property
-    def _find_lowest_axis(self) -> int:
-        """Return the lowest selected axis, the one that answers reads."""
+    def _lowest_axis(self) -> int:
+        """Lowest selected axis, from which a host reads."""
         return (self._selected & -self._selected).bit_length() - 1
 
     def _describe_contents(self, head: str, place: Register | Word, word: int) -> str:
@@ -247,6 +247,6 @@ class Listener:
 
 
 def _describe_command(command: Command, value: int) -> str:
-    """Describe what a command does, and on what."""
+    """Describe the effect of a command and the objects on which it acts."""
     names = [name for k, name in enumerate(command.chooses) if value & command.choice & 1 << k]
     return " ".join([command.title, *names])

@@ -1,7 +1,7 @@
 """Lint of the NOVA chips: the rules of their manuals that a bus write breaks.
 
-Ranges, axes and bits come from the register map, so that all chips of the family share the rules. `LintState` gives what a chip
-holds before the write; each value is computed when it is read, as most writes need few. A mask of axes has bit 0 for X.
+Ranges, axes and bits come from the register map, so that all chips of the family share the rules. `LintState` has the contents of
+a chip before the write; each value is computed when it is read, because most writes need few. A mask of axes has bit 0 for X.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ STOP3 = {state.F_STOP3: "STOP3 is active and enabled"}
 
 
 class LintState:
-    """Contents of a chip that its lint reads.
+    """Contents of a chip before a write, as its lint reads them.
 
     Args:
         record: State of the chip.
@@ -83,13 +83,7 @@ class LintState:
     """
 
     def __init__(self, record: Any, axes: int, find_interpolated_axes: Callable[..., int]):
-        """Look at a chip's record.
 
-        Args:
-            record: The chip's state, with access by name.
-            axes: Number of axes.
-            find_interpolated_axes: Returns the axes that IPM or WR5 choose, as bits.
-        """
         self._record, self._count, self._find_interpolated_axes = record, axes, find_interpolated_axes
 
     @cached_property
@@ -108,21 +102,23 @@ class LintState:
 
     @cached_property
     def driving_axes(self) -> int:
-        """Axes with n-DRV = 1."""
+        """Axes whose status bit n-DRV is 1, as bits."""
         return sum(1 << k for k, x in enumerate(self._axes) if x["driving"] or x["interpolates"])
 
-    def _find_fixed_pulse_drives(self, absolute: int) -> int:
+    def _find_fixed_pulse_drives(self, is_absolute: int) -> int:
         axes = enumerate(self._axes)
-        return sum(1 << k for k, x in axes if self.driving_axes >> k & 1 and x["fixed"] and x["absolute"] == absolute)
+        return sum(
+            1 << k for k, x in axes if self.driving_axes >> k & 1 and x["fixed"] and x["absolute"] == is_absolute
+        )
 
     @property
     def relative_drives(self) -> int:
-        """Axes in relative or counter relative position driving (50h, 51h)."""
+        """Axes in relative or counter relative position driving (50h, 51h), as bits."""
         return self._find_fixed_pulse_drives(0)
 
     @property
     def absolute_drives(self) -> int:
-        """Axes in absolute position driving (54h)."""
+        """Axes in absolute position driving (54h), as bits."""
         return self._find_fixed_pulse_drives(1)
 
     @property
@@ -138,15 +134,15 @@ class LintState:
 
     @property
     def is_loading_pattern(self) -> bool:
-        """Whether WR2 to WR5 are the BP registers (36h)."""
+        """Whether writes to WR2 to WR5 go to the bit pattern registers, after command 36h."""
         return bool(self._record["ip"]["loads_pattern"])
 
     @property
     def interpolated_axes(self) -> int:
-        """Axes that IPM or WR5 choose."""
+        """Axes that the register IPM or WR5 selects for interpolation, as bits."""
         return self._find_interpolated_axes()
 
-    def interpolated_by(self, command: Command) -> int:
+    def find_axes_of_interpolation(self, command: Command) -> int:
         """Return the axes that take part in an interpolation command, as bits."""
         return self.interpolated_axes
 
@@ -190,12 +186,12 @@ class LintState:
 
     @property
     def has_master_started(self) -> bool:
-        """Whether the master of the wires has begun."""
+        """Whether the master of the linked chips has started."""
         return bool(self._record["wire_word"] & multichip.GO)
 
     @property
     def drive_speed(self) -> tuple[int, ...]:
-        """DV of every axis, pps; empty where speeds have no common unit."""
+        """DV of every axis, pps; empty on chips whose speeds have no common unit."""
         return tuple(int(x["reg"][state.DV]) for x in self._record["ax"])
 
     @property
@@ -210,7 +206,7 @@ class LintState:
 
 
 class Mcx312LintState(LintState):
-    """The contents of a chip whose finish points have a sign, and whose speeds have no common unit."""
+    """Contents of an MCX312, whose finish points are signed, and whose speeds have no common unit."""
 
     @property
     def multichip_role(self) -> int:
@@ -227,9 +223,9 @@ class Mcx312LintState(LintState):
 
 
 class Mcx314asLintState(Mcx312LintState):
-    """Contents of a chip whose WR5 names three axes; a command of two axes ignores the third."""
+    """Contents of an MCX314As, whose WR5 selects three axes; a command of two axes ignores the third."""
 
-    def interpolated_by(self, command: Command) -> int:
+    def find_axes_of_interpolation(self, command: Command) -> int:
         return self._find_interpolated_axes(max(command.together))
 
 
@@ -248,7 +244,7 @@ def lint_write(map_: RegisterMap, chip: Any, address: int, value: int) -> Iterat
         w = map_.word(f"WR{address}")
         if unused := value & ~w.used:
             message = f"{w.name} = {value:04X}h: the {map_.chip} has no {_name_bits(unused)} there"
-            yield UNUSED_BITS.at(w.name), message
+            yield UNUSED_BITS.with_source(w.name), message
         yield from _lint_fields(w, value, w.name)
 
 
@@ -260,7 +256,7 @@ def _lint_command(map_: RegisterMap, chip: Any, value: int) -> Iterator[Finding]
         if more := value & ~RESET & ~reserved:
             yield RESET_WITH_MORE, f"WR0 = {value:04X}h resets the chip: leave {_name_bits(more)} 0"
         return
-    code, axes = CODE.of(value), AXIS.of(value)
+    code, axes = CODE.extract(value), AXIS.extract(value)
     command = map_.by_code.get(code)
     if command is None:
         yield UNKNOWN_COMMAND, f"{code:02X}h is no command of the {map_.chip}"
@@ -282,7 +278,7 @@ def _lint_command(map_: RegisterMap, chip: Any, value: int) -> Iterator[Finding]
 
 def _lint_drive(map_: RegisterMap, chip: Any, command: Command, value: int) -> Iterator[Finding]:
     """Check a drive command, the word `value` to WR0."""
-    name, axes = f"{command.code:02X}h ({command.title})", AXIS.of(value)
+    name, axes = f"{command.code:02X}h ({command.title})", AXIS.extract(value)
     if command.starts and (moving := axes & chip.driving_axes):
         yield ALREADY_DRIVING, f"{name} while {_name_axes(moving)} is driving (n-DRV = 1)"
     if command.symbol in TP_DRIVES:
@@ -314,18 +310,18 @@ def _lint_data(register: Register, chip: Any, command: Command, axes: int) -> It
         not register.allows(value) and register.name != "TP"
     ):  # TP may be any number as data of a bit pattern: its drives are checked
         yield (
-            VALUE_RANGE.at(section),
+            VALUE_RANGE.with_source(section),
             f"{register.name} = {value}: {register.title} takes {register.range[0]} to {register.range[1]}",
         )
     if command.kind == "mode write" and (unused := word & ~register.used):
-        yield UNUSED_BITS.at(section), f"{register.name} = {word:04X}h: it has no {_name_bits(unused)}"
+        yield UNUSED_BITS.with_source(section), f"{register.name} = {word:04X}h: it has no {_name_bits(unused)}"
     for f in register.fields:
-        if axes and f.only is not None and f.of(word) and not axes >> f.only & 1:
+        if axes and f.only is not None and f.extract(word) and not axes >> f.only & 1:
             message = f"{register.name} = {word:04X}h to {_name_axes(axes)}: {f.name} ({f.meaning}) acts on {AXES[f.only]} only"
-            yield ONE_AXIS_ONLY.at(section), message
-    if register.name == "IPM" and MLT.of(word) and LMDF.of(word):
+            yield ONE_AXIS_ONLY.with_source(section), message
+    if register.name == "IPM" and MLT.extract(word) and LMDF.extract(word):
         message = f"IPM = {word:04X}h: MLT and LMDF exclude each other; short-axis pulses are not equalized"
-        yield EXCLUSIVE_BITS.at(section), message
+        yield EXCLUSIVE_BITS.with_source(section), message
     if register.name == "TP":
         yield from _lint_pulses_in_motion(register, chip, axes, value)
     if register.name == "DV" and chip.is_interpolating and axes & _find_main_axis(chip) and value > CONTINUOUS_SPEED:
@@ -335,9 +331,12 @@ def _lint_data(register: Register, chip: Any, command: Command, axes: int) -> It
 
 
 def _lint_pulses_in_motion(tp: Register, chip: Any, axes: int, value: int) -> Iterator[Finding]:
-    """Check a value of TP that is written while axes drive."""
+    """Check a value that is written to TP while axes drive."""
     if axes & chip.relative_drives and not tp.allows(value):
-        yield VALUE_RANGE.at(tp.section), f"TP = {value} while driving: {tp.title} takes {tp.range[0]} to {tp.range[1]}"
+        yield (
+            VALUE_RANGE.with_source(tp.section),
+            f"TP = {value} while driving: {tp.title} takes {tp.range[0]} to {tp.range[1]}",
+        )
     if moving := axes & chip.absolute_drives:
         message = f"TP written while {_name_axes(moving)} is in absolute position driving: it cannot be changed"
         yield TP_IN_ABSOLUTE_DRIVE, message
@@ -361,7 +360,7 @@ def _lint_pulse_numbers(map_: RegisterMap, chip: Any, name: str, axes: int) -> I
 
 def _lint_interpolation(chip: Any, command: Command, name: str) -> Iterator[Finding]:
     """Check an interpolation command."""
-    axes = chip.interpolated_by(command)
+    axes = chip.find_axes_of_interpolation(command)
     if (count := axes.bit_count()) not in command.together:
         yield NUMBER_OF_AXES, f"{name} with {count} axes chosen{': ' if axes else ''}{_name_axes(axes)}"
     if chip.multichip_role:
@@ -422,10 +421,13 @@ def _find_main_axis(chip: Any) -> int:
 
 
 def _lint_fields(place: Register | Word, word: int, section: str) -> Iterator[Finding]:
-    """Find the fields whose value means nothing."""
+    """Find the fields of a register or word whose value has no meaning."""
     for f in place.fields:
-        if f.legal and not f.legal[0] <= f.of(word) <= f.legal[1]:
-            yield FIELD_RANGE.at(section), f"{place.name} = {word:04X}h: {f.name} = {f.of(word)} ({f.text})"
+        if f.legal and not f.legal[0] <= f.extract(word) <= f.legal[1]:
+            yield (
+                FIELD_RANGE.with_source(section),
+                f"{place.name} = {word:04X}h: {f.name} = {f.extract(word)} ({f.text})",
+            )
 
 
 def _name_bits(mask: int) -> str:

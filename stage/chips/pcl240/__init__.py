@@ -11,7 +11,7 @@ import numpy as np
 from stage.chips.chip import Chip
 from stage.chips.diagnostics import Finding
 from stage.chips.pcl240 import core, state
-from stage.chips.pcl240.describe import Decoder, Listener
+from stage.chips.pcl240.describe import CycleDescriber, Decoder
 from stage.chips.pcl240.lint import Predictions, lint_command, lint_data
 from stage.chips.pcl240.maps import (
     CONTROL,
@@ -35,9 +35,9 @@ MAX_START_DELAY_CLOCKS = 1 << 26
 
 
 class PCL240(Chip):
-    """Base of the PCL-240 family.
+    """Base class of the PCL-240 family.
 
-    Bus address 0 is the command for writes and the status for reads. Addresses 1, 2 and 3 are the bytes of the selected
+    A write to bus address 0 is a command, a read of it returns the status. Addresses 1, 2 and 3 are the bytes of the selected
     register, low to high; reads return R0, or in the extension mode of MK and MS the selected register.
     """
 
@@ -69,28 +69,28 @@ class PCL240(Chip):
         record["offset_sign_bit"] = (self.MAP.register("R6").mask + 1) // 2
 
     @classmethod
-    def syno(cls, rows: np.ndarray) -> int:
-        """Return the address of R7: the clock behind the multiplier is the reference clock divided by 8192 R7."""
+    def find_syno_address(cls, rows: np.ndarray) -> int:
+        """Return the address of R7 in the state. SYNO outputs the reference clock divided by 8192 R7."""
         at: int = rows["reg"][0, 7:8].ctypes.data
         return at
 
     @property
     def syni(self) -> PCL240 | None:
-        """Chip whose SYNO is connected to SYNI, so that this chip counts its clock; None: its own clock.
+        """Leader: the chip whose output SYNO clocks this chip through its input SYNI. None: the chip uses its own clock.
 
-        It can be set on a chip that belongs to no stage: each write and `advance` uses R7 of the leader at that time. Copies of
-        the chip are not connected, and keep the last R7 of the leader. On a stage see `Stage(syni=...)`. An assignment raises
-        ArgumentError or StageError.
+        An assignment connects a chip that belongs to no stage, or raises ArgumentError or StageError; on a stage see
+        `Stage(syni=...)`. Each write and each `advance` uses the leader's R7 at that time. Copies of the chip are not connected;
+        they keep the last R7 of the leader.
         """
         return self._leader
 
     @syni.setter
     def syni(self, leader: PCL240 | None) -> None:
-        """Chip whose SYNO is connected to SYNI, so that this chip counts its clock; None: its own clock.
+        """Leader: the chip whose output SYNO clocks this chip through its input SYNI. None: the chip uses its own clock.
 
-        It can be set on a chip that belongs to no stage: each write and `advance` uses R7 of the leader at that time. Copies of
-        the chip are not connected, and keep the last R7 of the leader. On a stage see `Stage(syni=...)`. An assignment raises
-        ArgumentError or StageError.
+        An assignment connects a chip that belongs to no stage, or raises ArgumentError or StageError; on a stage see
+        `Stage(syni=...)`. Each write and each `advance` uses the leader's R7 at that time. Copies of the chip are not connected;
+        they keep the last R7 of the leader.
         """
         if self.attached:
             raise StageError('a chip of a stage is connected where the stage is made: Stage(syni={"y": "x"}).')
@@ -103,7 +103,7 @@ class PCL240(Chip):
         self._update_syni()
 
     def _update_syni(self) -> None:
-        """Bring the leader's present R7 to SYNI."""
+        """Copy the leader's present R7 to the input SYNI of this chip."""
         word = self.input_word(0) & state.ALL_INPUTS
         if self._leader is not None:
             word |= int(self._leader.state["reg"][7]) + 1 << state.SYNI
@@ -128,8 +128,8 @@ class PCL240(Chip):
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
         """Return a select command and the bytes of the register, high to low.
 
-        The silicon has no latch: in this order a value that grows in motion is never below the old one in between (data sheet,
-        section 4).
+        The silicon has no latch. In this order a value that is increased in motion is never below the old value between two
+        writes (data sheet, section 4).
 
         Args:
             name: Name of the register.
@@ -142,11 +142,11 @@ class PCL240(Chip):
         return [(0, SELECT | r.number), *bytes_]
 
     @classmethod
-    def running(cls, edges: np.ndarray) -> np.ndarray:
+    def is_driving(cls, edges: np.ndarray) -> np.ndarray:
         return (edges["outputs"] & cls.OUTPUTS["hold"]) == 0
 
     @classmethod
-    def read_direction(cls, address: int, value: int) -> bool | None:
+    def find_selected_direction(cls, address: int, value: int) -> bool | None:
         """Return the direction in a control mode command, True for minus; None for other writes."""
         return bool(value & state.MINUS) if address == 0 and value & state.GROUP == CONTROL else None
 
@@ -154,8 +154,8 @@ class PCL240(Chip):
         self._check_axis(axis)
         return Decoder(self.MAP)
 
-    def listener(self) -> Listener:
-        return Listener(self.MAP, self.state)
+    def make_describer(self) -> CycleDescriber:
+        return CycleDescriber(self.MAP, self.state)
 
     def values(self) -> dict[str, int]:
         return {
@@ -169,13 +169,13 @@ class PCL240(Chip):
         return lint_command(self.MAP, self._record, predictions, value)
 
     def _makes_pulses(self, command: int) -> bool:
-        """Return whether a command leads to pulses, if no write and no input comes after it."""
+        """Return whether a command leads to pulses, if neither a write nor a change of an input follows it."""
         rows = copy.deepcopy(self._rows[self._i : self._i + 1])
         core.write(rows, 0, command)
         return bool(core.advance(rows, self.clock + MAX_START_DELAY_CLOCKS) > 0)
 
     def _predict_last_speed(self, command: int) -> int | None:
-        """Return the speed steps at the end of the run that a command begins; None if the run does not end by itself."""
+        """Predict the speed, in speed steps, at the end of the run that a command begins; None if the run never ends by itself."""
         rows = copy.deepcopy(self._rows[self._i : self._i + 1])
         core.write(rows, 0, command)
         core.advance(rows, self.clock + MAX_MOVE_CLOCKS)
@@ -192,16 +192,16 @@ class PCL240K(PCL240):
 
 
 class PCL240MK(PCL240):
-    """Nippon Pulse PCL-240MK: the K with R10 to R17 and what they control.
+    """Nippon Pulse PCL-240MK: a PCL-240K with the registers R10 to R17 and the functions that they control.
 
-    It adds read-back, collective transfers, a position counter, EZ counting and the automatic ramp-down point.
+    These are read-back, collective transfers, a position counter, EZ counting and the automatic ramp-down point.
     """
 
     MAP: ClassVar = PCL240MK_MAP
 
 
 class PCL240MS(PCL240):
-    """Nippon Pulse PCL-240MS: the MK with S-curve ramps, FH correction and wider R4, R5, R6."""
+    """Nippon Pulse PCL-240MS: a PCL-240MK with S-curve ramps, correction of FH and wider R4, R5, R6."""
 
     MAP: ClassVar = PCL240MS_MAP
     S_CURVES: ClassVar = True

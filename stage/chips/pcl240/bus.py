@@ -63,14 +63,14 @@ def _store_register(chip, register_number, value):
         chip.reg[register_number] & ~chip.writable_bits[register_number] | value & chip.writable_bits[register_number]
     )
     if register_number in (7, state.R12, state.R13):
-        state.read_pins(chip)
+        state.update_active_inputs(chip)
     if chip.running and (register_number in (1, 4, 5, state.R14, state.R15)):
         chip.automatic_off = 1
 
 
 @hot
 def _write_data(chip, address, value):
-    """Store a byte that was written to address 1, 2 or 3.
+    """Store a byte that was written to bus address 1, 2 or 3, a byte of the selected register.
 
     Args:
         chip: State of the chip.
@@ -126,7 +126,7 @@ def write_byte(chip, address, value):
 
 @hot
 def read_register(chip, register_number):
-    """Return what a register reads. Only the MS has the EZ monitor in R17.
+    """Return the value that a read of a register returns. Only the MS has the EZ monitor in R17.
 
     Args:
         chip: State of the chip.

@@ -1,11 +1,11 @@
-"""Core of the PCL-240 family, compiled: the functions that stages, hosts and journals call, see stage/chips/cores.py.
+"""Core of the PCL-240 family, compiled: the functions that stages, hosts and journals call, see stage/chips/core_interface.py.
 
 motion.py makes the pulses.
 """
 
 from __future__ import annotations
 
-from stage.chips.cores import run_slices
+from stage.chips.core_interface import run_slices
 from stage.chips.pcl240 import state
 from stage.chips.pcl240.bus import compute_outputs, read_byte, read_register, write_byte
 from stage.chips.pcl240.motion import compute_mean_count, run, run_to_event, run_window_at_constant_speed
@@ -20,7 +20,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-# --- the functions for a stage, see stage/chips/cores.py; the only axis is 0 ---
+# --- the functions for a stage, see stage/chips/core_interface.py; the only axis is 0 ---
 
 
 @exported("i8", STATE, "i8")
@@ -57,7 +57,7 @@ def set_input(chip, axis_index, word):
     """
     multiplier = chip.multiplier
     chip.inputs = word
-    state.read_pins(chip)
+    state.update_active_inputs(chip)
     if chip.multiplier != multiplier:
         chip.quiet_until = 0
 
@@ -76,7 +76,7 @@ def peek(chip, address):
 
 @exported("i8", STATE, "i8")
 def is_busy(chip, axis_index):
-    """Return status bit 6: a run is in operation."""
+    """Return whether status bit 6 is on: a run is in operation."""
     return read_byte(chip, 0) & state.S_OPERATING
 
 
@@ -104,13 +104,13 @@ def compute_pulse_rate(chip, axis_index, hz):
 
 @exported("f8", STATE, "i8", "i8", "f8")
 def compute_drive_input(chip, axis_index, net_before, clocks):
-    """Compute the mean over the last ticks of the net pulse count.
+    """Compute the mean of the net pulse count over the last `clocks` reference clocks.
 
     Args:
         chip: State of the chip.
         axis_index: Axis of the chip.
-        net_before: The value at the start of these ticks.
-        clocks: Reference clocks.
+        net_before: Net pulse count at the start of these clocks.
+        clocks: Number of reference clocks.
     """
     if net_before != chip.net and (not (chip.running or chip.finishing) or chip.speed == 0):
         return 0.5 * (net_before + chip.net)
@@ -124,20 +124,20 @@ def _find_pulse_pin(chip):
 
 
 @hot
-def _write_edge(chip, edges, edge_index, clock, word, r0, net):
+def _write_edge(chip, edges, edge_index, clock, outputs, r0, net):
     """Write an EDGE record, and return the number of the next one.
 
     Args:
         chip: State of the chip.
         edges: EDGE records.
         edge_index: Number of the record.
-        clock: Its clock.
-        word: Output pins.
-        r0: Down counter.
-        net: Net pulses.
+        clock: Clock of the edge.
+        outputs: Output pins, bits of OUTPUTS.
+        r0: Down counter R0.
+        net: Net pulses since power-up.
     """
     e = edges[edge_index]
-    e.clock, e.outputs, e.inputs, e.counter, e.net = clock, word, chip.inputs, r0, net
+    e.clock, e.outputs, e.inputs, e.counter, e.net = clock, outputs, chip.inputs, r0, net
     e.seen = chip.active_inputs
     e.speed = chip.speed if chip.running or chip.finishing else 0
     e.rate = e.speed / (8192.0 * chip.multiplier) if chip.multiplier >= 2 else 0.0
@@ -145,8 +145,25 @@ def _write_edge(chip, edges, edge_index, clock, word, r0, net):
 
 
 @hot
-def _write_pulse_edges(chip, edges, edge_index, clock, phase, low, speed, pulses, base, r0, net):
-    """POUT's edges within a span of `speed` ticks with `pulses` pulses that began at `clock` with `phase` and `low`."""
+def _write_pulse_edges(chip, edges, edge_index, clock, phase, pulse_low, duration, pulses, outputs, r0, net):
+    """Write the edges of the output POUT during a time of constant speed.
+
+    Args:
+        chip: State of the chip.
+        edges: EDGE records.
+        edge_index: Number of the next record.
+        clock: Clock at the start of the time.
+        phase: Phase of the pulse generator at the start.
+        pulse_low: Whether POUT is asserted (low) at the start.
+        duration: Duration of the time, clocks.
+        pulses: Number of pulses that begin in this time.
+        outputs: Output pins without POUT, bits of OUTPUTS.
+        r0: Down counter R0 at the start.
+        net: Net pulses since power-up at the start.
+
+    Returns:
+        The number of the next record.
+    """
     m = 8192 * chip.multiplier
     bit = _find_pulse_pin(chip)
     direction = -1 if chip.minus else 1
@@ -154,16 +171,16 @@ def _write_pulse_edges(chip, edges, edge_index, clock, phase, low, speed, pulses
     for j in range(pulses + 1):
         if j:
             edge_index = _write_edge(
-                chip, edges, edge_index, clock - (phase - j * m) // chip.speed, base | bit, r0, net
+                chip, edges, edge_index, clock - (phase - j * m) // chip.speed, outputs | bit, r0, net
             )
             r0 = (r0 - counts_output) & state.COUNTER_MASK
             net += direction
             edges[edge_index - 1].counter, edges[edge_index - 1].net = r0, net
-            low = 1
+            pulse_low = 1
         rise = greatest(1, -((phase - j * m - m // 2) // chip.speed))
-        if low and rise <= speed and (j == pulses or rise < -((phase - (j + 1) * m) // chip.speed)):
-            edge_index = _write_edge(chip, edges, edge_index, clock + rise, base, r0, net)
-            low = 0
+        if pulse_low and rise <= duration and (j == pulses or rise < -((phase - (j + 1) * m) // chip.speed)):
+            edge_index = _write_edge(chip, edges, edge_index, clock + rise, outputs, r0, net)
+            pulse_low = 0
     return edge_index
 
 
@@ -221,7 +238,7 @@ def scan_edges(chip, until, every_pulse, axis_index, edges):
 
 @exported(None, STATE, "i8", "i8")
 def run_window(chip, row_address, first_slice):
-    """Let the chip's clock run through the slices of a window, see stage/chips/cores.py."""
+    """Let the chip's clock run through the slices of a window, see stage/chips/core_interface.py."""
     if not run_window_at_constant_speed(chip, row_address, first_slice):
         run_slices(chip, row_address, first_slice, run, read_net_count, compute_drive_input)
 
@@ -257,7 +274,7 @@ def read(chip, address):
 
 @exported("i8", STATE, "i8")
 def read_register_value(chip, register_number):
-    """Return what the register with index `register_number` reads, without a bus cycle."""
+    """Return the value that a host would read from the register with index `register_number`, without a bus cycle."""
     return read_register(chip, register_number)
 
 

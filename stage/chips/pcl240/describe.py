@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from stage.chips import describe
-from stage.chips.describe import Fields, Statement, describe_byte, shorten_line
+from stage.chips.describe import FieldDescriber, Statement, describe_byte, shorten_line
 from stage.chips.pcl240.maps import CONTROL, COUNTERS, OPERATE, OPERATING_MODE, OUTPUT, SELECT, WRITTEN
 from stage.chips.pcl240.state import GROUP, INT_AT_STOP, RAMP, REGISTER, START, STOP
 from stage.chips.register_map import Register, RegisterMap
@@ -25,24 +25,24 @@ def describe_command(map_: RegisterMap, value: int) -> str:
             f"select {find_selected_register(map_, value).name}{', collective' if is_collective(map_, value) else ''}"
         )
     word = map_.word(WRITTEN[group])
-    on = [f.name for f in word.fields if f.name != "group" and f.of(value)]
+    on = [f.name for f in word.fields if f.name != "group" and f.extract(value)]
     return f"{word.name} mode: {', '.join(on) or _NONE[group]}"
 
 
 def find_selected_register(map_: RegisterMap, value: int) -> Register:
     """Return the register that a select byte names. Bits that the chip does not have are ignored."""
-    number = value & (_find_mask(map_, "select", "extension") | REGISTER)
+    number = value & (_find_field_mask(map_, "select", "extension") | REGISTER)
     return next(register for register in map_.registers if register.number == number)
 
 
 def is_collective(map_: RegisterMap, value: int) -> bool:
-    """Return whether a select byte asks for collective transfers."""
-    return bool(value & _find_mask(map_, "select", "collective"))
+    """Return whether a select byte selects collective transfers."""
+    return bool(value & _find_field_mask(map_, "select", "collective"))
 
 
 def name_speed(value: int) -> str:
-    """Return the name of the speed that a start selects: FL, FH1 or FH2."""
-    return SPEED.values.get(SPEED.of(value), SPEED.values[0])
+    """Return the name of the speed that a start command selects: FL, FH1 or FH2."""
+    return SPEED.values.get(SPEED.extract(value), SPEED.values[0])
 
 
 def _describe_operating_command(value: int) -> str:
@@ -57,13 +57,13 @@ def _describe_operating_command(value: int) -> str:
     return "no operation" + (irq or ", clear /INT")
 
 
-def _find_mask(map_: RegisterMap, word: str, name: str) -> int:
+def _find_field_mask(map_: RegisterMap, word: str, name: str) -> int:
     """Return the mask of a field; 0 if the chip has no such field."""
     return sum(f.mask for f in map_.word(word).fields if f.name == name)
 
 
 class Decoder(describe.Decoder):
-    """Decoder of journals: a register with its select command and its bytes is one statement, so that the last bytes may wait."""
+    """Decoder of the journals of a PCL-240. A select command and the bytes of its register together are one statement."""
 
     def __init__(self, map_: RegisterMap):
         self._map = map_
@@ -94,7 +94,7 @@ class Decoder(describe.Decoder):
         self._select = SELECT
 
     def flush(self) -> list[Statement]:
-        """The register whose bytes are there, if any."""
+        """Return the statement of the register whose bytes have been written since its select command, if there is one."""
         if not self._bytes:
             return []
         register, known, parts = find_selected_register(self._map, self._select), self._bytes, self._bytes
@@ -114,8 +114,8 @@ class Decoder(describe.Decoder):
         ]
 
 
-class Listener:
-    """Descriptions of the bus cycles of a PCL-240 chip.
+class CycleDescriber:
+    """Describer of the bus cycles of a PCL-240 chip.
 
     The whole value of a register is described with its lowest byte, or with its highest if the bytes come in that order.
 
@@ -134,10 +134,10 @@ class Listener:
         self._returned = map_.register("R0")
         self._last = 0  # address of the data write just before
         self._aged: dict[str, set[int]] = {name: set() for name in COUNTERS}
-        self._extension, self._external = (_find_mask(map_, "output", name) for name in ("extension", "external"))
+        self._extension, self._external = (_find_field_mask(map_, "output", name) for name in ("extension", "external"))
         self._output = int(record["output_mode"])
-        self._status = Fields(map_.word("status"))
-        self._fields = {register.name: Fields(register) for register in map_.registers if register.fields}
+        self._status = FieldDescriber(map_.word("status"))
+        self._fields = {register.name: FieldDescriber(register) for register in map_.registers if register.fields}
 
     def write(self, address: int, value: int) -> str:
         """Describe a write cycle to address 0 to 3."""

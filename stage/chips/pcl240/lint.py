@@ -1,8 +1,8 @@
 """Lint of the PCL-240 chips: the rules of their data sheets that a bus write breaks.
 
-`chip` is the state of the chip before the write, a record; `map_` is its register map. A start command has two groups of rules:
-those about what keeps it from making pulses, and those about the way the pulses go. Where one of the former is broken, the rules
-about ramps are silent. A start command while the chip runs is a speed change: the rules of a start do not apply.
+`chip` is the state of the chip before the write, a record; `map_` is its register map. The rules for a start command form two
+groups: obstacles that keep the chip from making pulses, and rules about ramps. If the lint finds an obstacle, it does not check the
+rules about ramps. A start command while the chip runs is a speed change: the rules for a start do not apply.
 """
 
 from __future__ import annotations
@@ -89,11 +89,12 @@ _RAMPING = ("R1", "R4", "R5", "R14", "R15")
 
 
 class Predictions(NamedTuple):
-    """Functions that predict the effect of a command if no write and no input comes after it.
+    """Functions that predict the effect of a command if neither a write nor a change of an input follows it.
 
     Attributes:
-        makes_pulses: Returns whether the command leads to pulses.
-        predict_last_speed: Returns the speed steps at the end of the run; None if it does not begin or does not end.
+        makes_pulses: Function of a command that returns whether it leads to pulses.
+        predict_last_speed: Function of a command that returns the speed, in speed steps, at the end of the run; None if the run
+            does not begin or does not end.
         clock_hz: Reference clock.
     """
 
@@ -137,7 +138,10 @@ def lint_data(map_: RegisterMap, chip: Any, address: int, value: int) -> Iterato
 
 
 def _find_sign_extension(name: str, chip: Any, written: int) -> int:
-    """Find the bits of a byte, or of a collective write, that only repeat the sign of R6 as an offset: none of them is lost."""
+    """Find the bits of a written byte, or of a collective write, that only repeat the sign of R6 as an offset.
+
+    These bits do not fit the register, but no information is lost without them.
+    """
     sign = _WORD & ~(int(chip["offset_sign_bit"]) - 1)
     return sign if name == "R6" and chip["extended"] and written & sign == sign else 0
 
@@ -156,7 +160,7 @@ def lint_command(map_: RegisterMap, chip: Any, predictions: Predictions, value: 
         if unused := value & ~word.used:
             bits = " and ".join(str(k) for k in range(7, -1, -1) if unused >> k & 1)
             message = f"{word.name} mode {value:02X}h: bit {bits} means nothing on this chip"
-            yield UNUSED_BITS.at(word.section), message
+            yield UNUSED_BITS.with_source(word.section), message
         if word.name == "control":
             yield from _lint_direction(chip, value)
         return
@@ -182,7 +186,7 @@ def _lint_direction(chip: Any, value: int) -> Iterator[Finding]:
 
 
 def _describe_effect(chip: Any, value: int) -> str:
-    """Describe what a command of group 00 that is in no table does."""
+    """Describe the effect of a command of group 00 that the tables of the data sheet do not contain."""
     if value & STOP and value & START:
         if not chip["running"]:
             return "nothing runs that it could stop"
@@ -193,16 +197,16 @@ def _describe_effect(chip: Any, value: int) -> str:
     return "it does nothing but " + ("ask for /INT at the stop" if value & INT_AT_STOP else "take /INT back")
 
 
-def _lint_rate(chip: Any, hz: int, value: int) -> Iterator[Finding]:
-    """Compare the speed that a start or a speed change asks for with what the silicon is sold for."""
+def _lint_rate(chip: Any, clock_hz: int, value: int) -> Iterator[Finding]:
+    """Check that the speed which a start or a speed change selects is within the maximum of the data sheet."""
     multiplier = int(chip["multiplier"])
     k = max(
         [1, _FH.get(value & SPEED, 1)] if value & RAMP else [_FH.get(value & SPEED, 1)], key=lambda k: chip["reg"][k]
     )
     steps = int(chip["reg"][k])
-    if multiplier < 2 or steps * hz <= MAX_RATE_PPS * 8192 * multiplier:
+    if multiplier < 2 or steps * clock_hz <= MAX_RATE_PPS * 8192 * multiplier:
         return
-    pps, unit = steps * hz / (8192 * multiplier), hz / (8192 * multiplier)
+    pps, unit = steps * clock_hz / (8192 * multiplier), clock_hz / (8192 * multiplier)
     yield (
         TOO_FAST,
         f"output above {MAX_RATE_PPS:,} pps, the most of this chip: R{k} = {steps} asks for {pps:,.0f} pps with R7 = {multiplier}, "
@@ -221,28 +225,28 @@ def _lint_start(chip: Any, predictions: Predictions, value: int) -> Iterator[Fin
         yield from _lint_triangle(chip, registers, value, predictions)
 
 
-def _find_obstacles(chip: Any, r: list[int], predictions: Predictions, value: int) -> Iterator[Finding]:
-    """Find what keeps a start from making pulses, or ends them at speed 0.
+def _find_obstacles(chip: Any, registers: list[int], predictions: Predictions, value: int) -> Iterator[Finding]:
+    """Find the obstacles that keep a start command from making pulses, or that end the pulses at speed 0.
 
-    Ramps start from FL, and a decelerating stop ends there, whatever speed is selected, so R1 must not be 0.
+    Ramps start from FL, and a decelerating stop ends at FL, whatever speed is selected, so R1 must not be 0.
     """
     if chip["finishing"]:
         message = "start while the last pulse is still being completed is ignored: poll status bit 6"
         yield START_WHILE_FINISHING, message
     if not chip["armed"]:
         yield NO_RESET_COMMAND, "start after a stop without the reset command 08h is ignored"
-    if chip["preset"] and r[0] == 0:
+    if chip["preset"] and registers[0] == 0:
         yield NO_PULSES_LEFT, "start in preset mode with R0 = 0: no pulse, no /INT"
     if chip["active_inputs"] & (EL_MINUS if chip["minus"] else EL_PLUS):
         yield LIMIT_AHEAD, "start towards an asserted limit switch: no pulse comes; drive the other way"
     if chip["origin_return"] and chip["active_inputs"] & ORG:
-        logic = ", or clear R13 bit 23, which reads a high pin as ORG" if r[R13] & ORG_POSITIVE else ""
+        logic = ", or clear R13 bit 23, which reads a high pin as ORG" if registers[R13] & ORG_POSITIVE else ""
         yield STARTS_ON_ORG, f"origin return that starts on ORG: no pulse comes; leave ORG first{logic}"
     if chip["multiplier"] < 2:
         place = "R7 of the chip at SYNI" if chip["inputs"] >> SYNI else "R7"
         why = "no pulse comes; the multiplier does not operate unless it is set"
         yield NO_MULTIPLIER, f"start with {place} = {chip['multiplier']}: {why}"
-    if zero := [k for k in sorted({1, _FH.get(value & SPEED, 1)}) if r[k] == 0]:
+    if zero := [k for k in sorted({1, _FH.get(value & SPEED, 1)}) if registers[k] == 0]:
         message = f"start with {' and '.join(f'R{k} = 0' for k in zero)}: "
         message += (
             "the pulses end where a ramp leads to speed 0" if predictions.makes_pulses(value) else "no pulse comes"
@@ -250,45 +254,68 @@ def _find_obstacles(chip: Any, r: list[int], predictions: Predictions, value: in
         yield (FL_IS_0, f"{message}; any data must be set on R1") if 1 in zero else (FH_IS_0, message)
 
 
-def _lint_registers(chip: Any, r: list[int], value: int) -> Iterator[Finding]:
+def _lint_registers(chip: Any, registers: list[int], value: int) -> Iterator[Finding]:
     """Find the registers of a start that do not have the effect for which they are set."""
-    if value & RAMP and min(r[4], r[5]) < 2:
-        yield RATE_BELOW_2, f"high-speed start with R4 = {r[4]}, R5 = {r[5]}: rates below 2 hold the speed"
+    if value & RAMP and min(registers[4], registers[5]) < 2:
+        yield (
+            RATE_BELOW_2,
+            f"high-speed start with R4 = {registers[4]}, R5 = {registers[5]}: rates below 2 hold the speed",
+        )
     if (
         chip["extended"]
         and chip["origin_return"]
-        and not r[R13] & EZ_RETURN
-        and r[R13] & (MAX_EZ_COUNT << EZ_COUNT | EZ_FROM_FL)
+        and not registers[R13] & EZ_RETURN
+        and registers[R13] & (MAX_EZ_COUNT << EZ_COUNT | EZ_FROM_FL)
     ):
         yield EZ_NOT_SELECTED, "R13 counts EZ, but its bit 21 is 0: the origin return ends at ORG"
 
 
-def _lint_triangle(chip: Any, r: list[int], value: int, predictions: Predictions) -> Iterator[Finding]:
+def _lint_triangle(chip: Any, registers: list[int], value: int, predictions: Predictions) -> Iterator[Finding]:
     """Find an S-curve move that is too short for its FH, which the chip does not correct, and which stops above FL."""
-    fh, corrected = _FH.get(value & SPEED), chip["automatic_ramp_down"] and not r[R14] & UNCORRECTED
-    if not fh or not chip["s_curves"] or r[R14] & LINEAR or not chip["preset"] or corrected or r[fh] <= r[1]:
+    fh, corrected = _FH.get(value & SPEED), chip["automatic_ramp_down"] and not registers[R14] & UNCORRECTED
+    if (
+        not fh
+        or not chip["s_curves"]
+        or registers[R14] & LINEAR
+        or not chip["preset"]
+        or corrected
+        or registers[fh] <= registers[1]
+    ):
         return
-    height, rate, multiplier = r[fh] - r[1], r[4 if chip["automatic_ramp_down"] else 5], int(chip["multiplier"])
-    up, down = (s if 0 < 2 * s < height else height / 2 for s in (r[R14] & SPAN, r[R15] & SPAN))
-    ramps = (height + 2 * up) * r[4] + (height + 2 * down) * rate
-    if r[0] * 32768 * multiplier > (r[1] + r[fh]) * ramps:
+    height, rate, multiplier = (
+        registers[fh] - registers[1],
+        registers[4 if chip["automatic_ramp_down"] else 5],
+        int(chip["multiplier"]),
+    )
+    up, down = (s if 0 < 2 * s < height else height / 2 for s in (registers[R14] & SPAN, registers[R15] & SPAN))
+    ramps = (height + 2 * up) * registers[4] + (height + 2 * down) * rate
+    if registers[0] * 32768 * multiplier > (registers[1] + registers[fh]) * ramps:
         return
     last = predictions.predict_last_speed(value)
-    allowed = min(_compute_steps_of_phase(LAST_PULSES * 8192 * multiplier, r[1], rate, down), height / 10)
-    if last is None or last - r[1] <= allowed:
+    allowed = min(_compute_steps_of_phase(LAST_PULSES * 8192 * multiplier, registers[1], rate, down), height / 10)
+    if last is None or last - registers[1] <= allowed:
         return
-    last_pps, fl_pps = (k * predictions.clock_hz / (8192 * multiplier) for k in (last, r[1]))
+    last_pps, fl_pps = (k * predictions.clock_hz / (8192 * multiplier) for k in (last, registers[1]))
     why = "FH correction is off (R14 bit 15)"
     if not chip["automatic_ramp_down"]:
         why = "there is no FH correction without the automatic point"
-    message = f"R0 = {r[0]} is too short for R{fh} = {r[fh]}, and {why}: "
+    message = f"R0 = {registers[0]} is too short for R{fh} = {registers[fh]}, and {why}: "
     yield MOVE_TOO_SHORT, f"{message}it stops at {last_pps:,.0f} pps, FL is {fl_pps:,.0f} pps"
 
 
 def _compute_steps_of_phase(phase: float, fl: int, rate: int, span: float) -> float:
-    """Compute the speed steps above FL at which an S-curve that ends at FL has a given phase left.
+    """Compute how far above FL an S-curve down to FL is when the phase that remains up to its end has a given value.
 
-    There it is rate sqrt(k span) clocks before its end, and runs at FL + k / 3 on average.
+    At k speed steps above FL the ramp still takes rate sqrt(k span) clocks, at a mean speed of FL + k / 3.
+
+    Args:
+        phase: Remaining phase of the pulse generator: speed times clocks.
+        fl: FL in speed steps, R1.
+        rate: Rate of the ramp, R4 or R5.
+        span: Speed steps of the curved end.
+
+    Returns:
+        Speed steps above FL, k.
     """
     low, high = 0.0, 8191.0
     for _ in range(20):
@@ -297,35 +324,55 @@ def _compute_steps_of_phase(phase: float, fl: int, rate: int, span: float) -> fl
     return high
 
 
-def _lint_ramps(chip: Any, r: list[int], select: int) -> Iterator[Finding]:
+def _lint_ramps(chip: Any, registers: list[int], speed_select: int) -> Iterator[Finding]:
     """Find contradictions about the ramps of a high-speed start."""
-    fh, extended = _FH.get(select), bool(chip["extended"])
-    if extended and fh and r[1] > r[fh]:
-        yield FL_ABOVE_FH, f"R1 = {r[1]} is above R{fh} = {r[fh]}: the ramp leads down to FH"
+    fh, extended = _FH.get(speed_select), bool(chip["extended"])
+    if extended and fh and registers[1] > registers[fh]:
+        yield FL_ABOVE_FH, f"R1 = {registers[1]} is above R{fh} = {registers[fh]}: the ramp leads down to FH"
     if extended and chip["automatic_ramp_down"] and not chip["preset"]:
         message = "automatic ramp-down without preset mode: there is no point to ramp down at"
         yield AUTOMATIC_WITHOUT_PRESET, message
-    if extended and fh and r[1] != r[fh] and chip["s_curves"] and r[R14] & LINEAR and (r[R14] | r[R15]) & SPAN:
+    if (
+        extended
+        and fh
+        and registers[1] != registers[fh]
+        and chip["s_curves"]
+        and registers[R14] & LINEAR
+        and (registers[R14] | registers[R15]) & SPAN
+    ):
         yield SPAN_OF_LINEAR_RAMP, "R14 bit 12 selects linear ramps: the spans of R14 and R15 mean nothing"
-    if not chip["preset"] or not fh or r[1] >= r[fh]:
+    if not chip["preset"] or not fh or registers[1] >= registers[fh]:
         return
     if not chip["automatic_ramp_down"]:
-        if r[6] == 0:
+        if registers[6] == 0:
             why, section = (". 08h clears R6 on this chip", "MS section 3-4") if extended else ("", "")
             message = f"R6 = 0 in a high-speed preset move: it stops without ramping down{why}"
-            yield NO_RAMP_DOWN_POINT.at(section), message
+            yield NO_RAMP_DOWN_POINT.with_source(section), message
         return
-    yield from _lint_automatic_point(chip, r, fh)
+    yield from _lint_automatic_point(chip, registers, fh)
 
 
-def _lint_automatic_point(chip: Any, r: list[int], fh: int) -> Iterator[Finding]:
-    """Find what makes the automatic ramp-down point come too late, in a move that ramps up from FL to R`fh`."""
-    height = r[fh] - r[1]
-    linear = not chip["s_curves"] or r[R14] & LINEAR
-    up, down = (0 if linear or not 0 < 2 * s < height else s for s in (r[R14] & SPAN, r[R15] & SPAN))
-    offset = r[6] - 2 * int(chip["offset_sign_bit"]) if r[6] & int(chip["offset_sign_bit"]) else r[6]
-    rising = (r[1] + r[fh]) * (height + 2 * up if up else 2 * height) * r[4] // (32768 * int(chip["multiplier"]))
-    if offset < 0 and -offset >= min(r[0], rising):
+def _lint_automatic_point(chip: Any, registers: list[int], fh_number: int) -> Iterator[Finding]:
+    """Find settings that make the automatic ramp-down point come too late, in a move that ramps up from FL to FH.
+
+    Args:
+        chip: State of the chip before the write.
+        registers: Values of the registers by number.
+        fh_number: Number of the register with FH, 2 or 3.
+    """
+    height = registers[fh_number] - registers[1]
+    linear = not chip["s_curves"] or registers[R14] & LINEAR
+    up, down = (0 if linear or not 0 < 2 * s < height else s for s in (registers[R14] & SPAN, registers[R15] & SPAN))
+    offset = (
+        registers[6] - 2 * int(chip["offset_sign_bit"]) if registers[6] & int(chip["offset_sign_bit"]) else registers[6]
+    )
+    rising = (
+        (registers[1] + registers[fh_number])
+        * (height + 2 * up if up else 2 * height)
+        * registers[4]
+        // (32768 * int(chip["multiplier"]))
+    )
+    if offset < 0 and -offset >= min(registers[0], rising):
         message = f"R6 = {offset} as offset: the move ends before the automatic ramp-down begins"
         yield OFFSET_TOO_NEGATIVE, message
     if not linear and (up or height / 2) < (down or height / 2):

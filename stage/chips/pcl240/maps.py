@@ -4,9 +4,9 @@ Sources: PCL-240K data sheet (sections 3 and 4), "Differences between PCL-240MK 
 vendor header for the 240MK; in place of their lost figures the normative model. PDIR as a pin is asserted
 while low (minus) [I].
 
-S stands where a sentence or a table of these sheets says it. Two rules extend them to the MK and the MS: what the sheet of the 240K
-says of R0 to R7 holds for both unless the other sheet changes it, and what the other sheet describes without naming it among its
-"changes and additions" (section 1) exists on both.
+Evidence S means that a sentence or a table of these sheets states it. Two rules extend the sheets to the MK and the MS: statements
+of the 240K's sheet about R0 to R7 hold for both unless the other sheet changes them, and functions that the other sheet describes
+without naming them among its "changes and additions" (section 1) exist on both.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ PHASES = {"hold": "hold", "fup": "up", "fkeep": "keep", "fdown": "down"}
 
 
 def _make_group_field(code: int) -> Field:
-    """Return the field that distinguishes the four bytes of address 0."""
+    """Return the field that distinguishes the four kinds of commands at address 0."""
     return Field("group", 7, 6, f"{code >> 6:02b}", access="W", legal=(code >> 6, code >> 6))
 
 
-def _make_operating_mode(clears: str) -> Word:
-    """Return the operating mode command.
+def _make_operating_mode(reset_effect: str) -> Word:
+    """Return the word of the operating mode command.
 
     Args:
-        clears: Further effect of the reset command, for its description.
+        reset_effect: Further effect of the reset command, for its description.
     """
     return Word(
         "operate",
@@ -51,7 +51,7 @@ def _make_operating_mode(clears: str) -> Word:
             Field("int_at_stop", 5, 5, "/INT at stop", "S", "W", note="0 also clears a pending /INT [H]"),
             Field("start", 4, 4, "start, or a speed change while running", "S", "W"),
             Field(
-                "stop", 3, 3, f"alone: reset command{clears}; with start and ramp: decelerating stop", "S", "W",
+                "stop", 3, 3, f"alone: reset command{reset_effect}; with start and ramp: decelerating stop", "S", "W",
                 note="with start, without ramp: in no table, stops a constant-speed run at once [I]",
             ),
             Field("ramp", 2, 2, "", "S", "W", values={0: "constant speed", 1: "high speed (with ramps)"}),
@@ -167,12 +167,12 @@ EXTENDED_OUTPUT_MODE = _add_fields(
 )
 
 
-def _make_registers(rate_bits: int, point: Register, extended: bool) -> tuple[Register, ...]:
+def _make_registers(rate_bits: int, ramp_down_point: Register, extended: bool) -> tuple[Register, ...]:
     """Return R0 to R7.
 
     Args:
         rate_bits: Width of R4 and R5.
-        point: R6.
+        ramp_down_point: Register R6 of the chip.
         extended: Whether the chip has R10 to R17.
     """
     speed, rate = (1, 8191), (2, (1 << rate_bits) - 1)
@@ -184,7 +184,7 @@ def _make_registers(rate_bits: int, point: Register, extended: bool) -> tuple[Re
         Register("R3", 3, 13, access, "FH2 speed", speed, unit="speed steps"),
         Register("R4", 4, rate_bits, access, "acceleration rate", rate, unit="clocks per speed step"),
         Register("R5", 5, rate_bits, access, "deceleration rate", rate, unit="clocks per speed step"),
-        point,
+        ramp_down_point,
         Register("R7", 7, 10, access, "multiplier", (2, 1023), note="one speed step is clock / (8192 R7)"),
     )
 
@@ -203,7 +203,7 @@ def _make_stored_field(high: int, low: int) -> Field:
 
 
 def _make_extension_registers(s_curves: bool) -> tuple[Register, ...]:
-    """Return R10 to R17. On the MK the registers that only the MS has store what is written."""
+    """Return R10 to R17. On the MK the registers that only the MS uses store the written value without effect."""
     seen = "S" if s_curves else "I"
     span = Field(
         "span", 11, 0, "speed steps of each curved end", "S", note="1 to 4095; 0 or above half the ramp: half the ramp"

@@ -16,7 +16,7 @@ the normative model: 1 limit switches, 2 pulse, 3 speed.
 
 from __future__ import annotations
 
-from stage.chips.cores import CHIP, CHIP_AXIS, REAL, SLICE_END, WORD, compute_slice_end
+from stage.chips.core_interface import CHIP, CHIP_AXIS, REAL, SLICE_END, WORD, compute_slice_end
 from stage.chips.pcl240 import state
 from stage.chips.pcl240.bus import is_blocked
 from stage.chips.pcl240.ramp import (
@@ -36,7 +36,7 @@ FOREVER = 1 << 62
 
 @hot
 def _sample_inputs(chip):
-    """Sample the inputs at the first tick that sees a change, and return the pins that have become asserted.
+    """Sample the inputs in the first tick after a change, and return the pins that have become asserted.
 
     With external counting R0 counts on the rising edge of EXTP.
     """
@@ -82,7 +82,7 @@ def _apply_switches(chip, rising):
 
 @hot
 def _finish_pulse(chip, ticks):
-    """Run up to `ticks` ticks of a chip without a run: complete the last pulse, or idle. Returns the number of ticks."""
+    """Advance a chip without a run by at most `ticks` clocks: complete the last pulse, or idle. Returns the number of clocks."""
     s = ticks
     if chip.finishing and chip.speed > 0 and chip.multiplier >= 2:
         half = 4096 * chip.multiplier
@@ -99,7 +99,7 @@ def _finish_pulse(chip, ticks):
 
 @hot
 def run_to_event(chip, ticks):
-    """Run at least one and at most `ticks` ticks, up to the next event, and return the number of ticks."""
+    """Advance the chip by 1 to `ticks` clocks, up to the next event, and return the number of clocks."""
     ran, chip.quiet_until = chip.running, 0
     rising = _sample_inputs(chip) if chip.active_inputs != chip.last_inputs else 0
     if chip.running and (chip.passed_org or is_blocked(chip)):
@@ -147,7 +147,7 @@ def run_to_event(chip, ticks):
 
 @hot
 def _count_pulses_to_event(chip, counts_output):
-    """Return the number of pulses until a counter matters: R0 at 0, below R6, or wrapped; the automatic ramp-down point.
+    """Return the number of pulses until R0 reaches 0, falls below R6, wraps, or reaches the automatic ramp-down point.
 
     Args:
         chip: State of the chip.
@@ -168,7 +168,7 @@ def _count_pulses_to_event(chip, counts_output):
 
 @hot
 def _find_next_event(chip, counts_output):
-    """Find the clock before that of the next pulse that is an event, at constant speed.
+    """Find the last clock before the next pulse that is an event, at constant speed.
 
     Args:
         chip: State of the chip.
@@ -182,7 +182,7 @@ def _find_next_event(chip, counts_output):
 
 @hot
 def _run_at_constant_speed(chip, until):
-    """Run up to `until` at constant speed without an event. Has the effect of `run_to_event`, at less cost."""
+    """Advance to the clock `until` at constant speed without an event. It has the effect of `run_to_event`, but is faster."""
     ahead = chip.phase + (until - chip.clock) * chip.speed
     chip.clock = until
     if chip.multiplier < 2 or chip.speed == 0:  # a pulse in progress never ends
@@ -201,10 +201,10 @@ def _run_at_constant_speed(chip, until):
 
 @hot
 def compute_mean_count(net_before, net, phase, multiplier, speed, clocks):
-    """Compute the mean of a count over the last ticks.
+    """Compute the mean of a pulse count over the last `clocks` reference clocks, at constant speed.
 
     Args:
-        net_before: Count at the start of these ticks.
+        net_before: Count at the start of these clocks.
         net: Count now.
         phase: Phase of the pulse generator now.
         multiplier: R7.
@@ -226,9 +226,9 @@ def compute_mean_count(net_before, net, phase, multiplier, speed, clocks):
 
 @hot
 def run_window_at_constant_speed(chip, row_address, first_slice):
-    """Run a window as `cores.run_window` does, if the chip runs at constant speed without an event all the time.
+    """Run a window as `core_interface.run_window` does, if the chip's speed is constant and no event comes in the window.
 
-    It is faster because values that a slice takes over from the one before stay in processor registers.
+    This is faster because values that one slice passes to the next stay in processor registers.
 
     Args:
         chip: State of the chip.
@@ -265,7 +265,7 @@ def run_window_at_constant_speed(chip, row_address, first_slice):
 
 @hot
 def _run_ramp_steps(chip, until):
-    """Run the steps of a ramp up to `until`, except its last, as long as no other event comes."""
+    """Run the speed steps of a ramp up to `until`, except the last step, as long as no other event comes."""
     goal, direction = find_goal_speed(chip), chip.ramp_direction
     rate, last = read_linear_rate(chip, direction), goal - direction
     if (
@@ -318,7 +318,7 @@ def _run_ramp_steps(chip, until):
 
 @hot
 def _count_pulses(chip, pulses, counts_output):
-    """Count pulses that have begun.
+    """Add pulses that have begun to the counters.
 
     Args:
         chip: State of the chip.

@@ -22,7 +22,7 @@ NEVER = 1 << 40
 
 @hot
 def read_selected_speed(chip):
-    """Return the speed that the operating mode selects, or the corrected FH in its place."""
+    """Return the speed that the start command selects, or the corrected FH in its place."""
     if chip.speed_select == chip.corrected_select and chip.speed_select:
         return chip.corrected_speed
     if chip.speed_select == state.FH1:
@@ -65,7 +65,7 @@ def find_goal_speed(chip):
 
 @hot
 def _compute_integer_root(number):
-    """Return the integer part of a square root, x < 2^62."""
+    """Return the integer part of the square root of `number`, which is below 2^62."""
     r = int(math.sqrt(float(number)))
     while r * r > number:
         r -= 1
@@ -110,7 +110,7 @@ def correct_fh(chip):
 
 @hot
 def _compute_curve_time(chip, step_index):
-    """Compute the first whole clock at or after t(k). rate^2 K S stays below 2^60."""
+    """Compute the first whole clock of an S-curve ramp at or after its step `step_index`, t(k) of this module's formulas."""
     double = chip.twice_span
     if 2 * step_index <= double:
         square = chip.ramp_rate * chip.ramp_rate * step_index * double  # of t(k), twice
@@ -124,18 +124,18 @@ def _compute_curve_time(chip, step_index):
 
 
 @hot
-def _start_ramp(chip, goal, direction):
+def _start_ramp(chip, goal_speed, direction):
     """Start a ramp.
 
     Args:
         chip: State of the chip.
-        goal: Speed at its end, speed steps.
+        goal_speed: Speed at the end of the ramp, speed steps.
         direction: 1 up, -1 down.
     """
-    chip.ramp_direction, chip.ramp_clocks, chip.ramp_goal = direction, 0, goal
+    chip.ramp_direction, chip.ramp_clocks, chip.ramp_goal = direction, 0, goal_speed
     chip.curved_ramp = 1 if chip.s_curves and not chip.reg[state.R14] & state.LINEAR else 0
     if chip.curved_ramp:
-        chip.ramp_steps = abs(goal - chip.speed)
+        chip.ramp_steps = abs(goal_speed - chip.speed)
         chip.ramp_step = 0
         chip.rate_register = 4 if direction > 0 or chip.ramp_down_due else 5
         chip.ramp_rate, chip.twice_span = chip.reg[chip.rate_register], _compute_twice_span(chip)
@@ -144,7 +144,7 @@ def _start_ramp(chip, goal, direction):
 
 @hot
 def _compute_twice_span(chip):
-    """Compute 2 S from R14 or R15 as they are now."""
+    """Compute 2 S, twice the steps of a curved end, from the present value of R14 or R15."""
     span = chip.reg[state.R14 if chip.ramp_direction > 0 else state.R15] & state.SPAN
     return chip.ramp_steps if span == 0 or 2 * span > chip.ramp_steps else 2 * span
 
@@ -157,13 +157,13 @@ def read_linear_rate(chip, direction):
 
 @hot
 def schedule_next_step(chip):
-    """Find when the S-curve takes its next step: upwards the k-th step at t(k), downwards a clock after t(k - 1)."""
+    """Schedule the next step of an S-curve: upward step k at t(k), downward one clock after t(k - 1)."""
     chip.next_step_time = NEVER if chip.ramp_rate < 2 else _compute_step_time(chip, chip.ramp_step + 1)
 
 
 @hot
 def _compute_step_time(chip, step_index):
-    """Compute the clock of the ramp at which its k-th step comes."""
+    """Compute the clock, counted from the start of the ramp, at which step `step_index` comes."""
     if chip.ramp_direction > 0:
         return _compute_curve_time(chip, step_index)
     return 1 + (_compute_curve_time(chip, step_index - 1) if step_index > 1 else 0)
@@ -173,8 +173,8 @@ def _compute_step_time(chip, step_index):
 def finish_step(chip):
     """Finish a step of the S-curve, and schedule the next one.
 
-    Registers that a host has revised since the last step act from here on. The clock of the ramp becomes the one at which a
-    ramp with the new values from its start would take this very step.
+    New values that a host has written to the ramp's registers since the last step take effect now: the clock of the ramp is set to
+    that at which a ramp with these values from its start would take the same step.
     """
     chip.ramp_step += 1
     double = _compute_twice_span(chip)
@@ -195,33 +195,33 @@ def _compute_fdown_tail(chip):
 
 
 @hot
-def count_ticks_to_step(chip, goal):
-    """Count the ticks up to the next one in which step 3 may change something.
+def count_ticks_to_step(chip, goal_speed):
+    """Count the clocks up to the next one in which `update_speed` may change the state.
 
     Args:
         chip: State of the chip.
-        goal: Speed to which the ramp leads.
+        goal_speed: Speed to which the ramp leads.
     """
     speed = chip.speed
     if not chip.uses_ramps:
         return 1 if speed != read_selected_speed(chip) or chip.speed_rising else NEVER
-    if chip.speed_rising != (1 if goal > speed else 0) or (chip.stopping and speed <= chip.reg[1]):
+    if chip.speed_rising != (1 if goal_speed > speed else 0) or (chip.stopping and speed <= chip.reg[1]):
         return 1
     if not chip.ramp_down_due and is_ramp_down_automatic(chip) and compute_ramp_down_margin(chip) <= 0:
         return 1
-    if speed == goal:
+    if speed == goal_speed:
         return chip.fdown_end - chip.clock if chip.clock < chip.fdown_end else NEVER
-    if chip.ramp_direction != (1 if speed < goal else -1):
+    if chip.ramp_direction != (1 if speed < goal_speed else -1):
         return 1
     if chip.curved_ramp:
-        return greatest(1, chip.next_step_time - chip.ramp_clocks) if chip.ramp_goal == goal else 1
+        return greatest(1, chip.next_step_time - chip.ramp_clocks) if chip.ramp_goal == goal_speed else 1
     rate = read_linear_rate(chip, chip.ramp_direction)
     return greatest(1, rate - chip.ramp_clocks) if rate >= 2 else NEVER
 
 
 @hot
 def update_speed(chip):
-    """Update the speed: step 3 of a tick."""
+    """Update the speed, the third step of each clock in the normative model."""
     chip.speed_rising = 0
     if not chip.uses_ramps:
         chip.speed = read_selected_speed(chip)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.chips.cores import WIRE_BIT
+from stage.chips.core_interface import WIRE_BIT
 from stage.chips.pcl240.maps import PCL240MS_MAP as MAP
 from stage.native import greatest, hot, least, record
 
@@ -17,7 +17,7 @@ COUNTER_MASK = MAP.register("R0").mask
 # The bits of the bytes of address 0, of the status byte and of registers. The MS has all that the others have.
 GROUP = MAP.mask("operate", "group")
 INT_AT_STOP, START, STOP, RAMP, SPEED = MAP.masks("operate", "int_at_stop", "start", "stop", "ramp", "speed")
-FL, FH1, FH2 = (MAP.field("operate", "speed").code(name) for name in ("FL", "FH1", "FH2"))
+FL, FH1, FH2 = (MAP.field("operate", "speed").find_code(name) for name in ("FL", "FH1", "FH2"))
 MINUS, PRESET, SD, ORIGIN, AUTOMATIC, POSITION = MAP.masks(
     "control", "minus", "preset", "sd", "origin", "automatic", "position"
 )
@@ -164,11 +164,11 @@ def reset_chip(chip):
     begin_run(chip)
     for k in range(REGISTERS):
         chip.reg[k] = 0
-    read_pins(chip)
+    update_active_inputs(chip)
 
 
 @hot
-def read_pins(chip):
+def update_active_inputs(chip):
     """Update `active_inputs` and `multiplier` after a change of the pins, of R7, or of the bits that invert pins."""
     turned = (ORG if chip.reg[R13] & ORG_POSITIVE else 0) | (EZ if chip.reg[R12] & EZ_POSITIVE else 0)
     chip.active_inputs = (chip.inputs & ALL_INPUTS) ^ turned
@@ -178,7 +178,7 @@ def read_pins(chip):
 
 @hot
 def begin_run(chip):
-    """Clear the state that one run does not take over from the last."""
+    """Clear the state that a run does not take over from the run before it."""
     chip.phase = chip.ramp_clocks = chip.ramp_direction = chip.curved_ramp = chip.fdown_end = 0
     chip.speed_rising = chip.rise_pulses = chip.automatic_off = chip.ramp_down_due = chip.corrected_speed = (
         chip.corrected_select

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 from stage.chips.chip import Chip
 from stage.chips.diagnostics import Diagnostic
 from stage.chips.stepdir import core
-from stage.chips.stepdir.describe import Decoder, Listener
+from stage.chips.stepdir.describe import CycleDescriber, Decoder
 from stage.chips.stepdir.line_names import DRIVEN, READ, Line
 from stage.chips.stepdir.lint import describe_violation, lint_write
 from stage.chips.stepdir.maps import ADDRESS_MASK, CONTROL_ADDRESS, DATA_MASK, MAP
@@ -63,7 +63,10 @@ class STEPDIR(Chip):
 
     @property
     def diagnostics(self) -> list[Diagnostic]:
-        """Messages about writes, and one about each kind of time between edges that was too short for the power stage."""
+        """Messages about writes that break a rule, and about times between edges that were too short for the power stage.
+
+        Times of one kind, such as the width of STEP pulses, have one message.
+        """
         diagnostics = super().diagnostics
         c = self.state
         for which in range(TIMES):
@@ -83,15 +86,15 @@ class STEPDIR(Chip):
     @explain_arguments
     def command_cycles(cls, symbol: str, axis: int = 0, datum: int | None = None) -> list[tuple[int, int]]:
         cls._check_axis(axis)
-        what, datum = cls.MAP.find_sent(symbol, datum)
+        what, datum = cls.MAP.find_command_or_word(symbol, datum)
         return [(CONTROL_ADDRESS, getattr(what, "code", datum))]
 
     @classmethod
-    def read_direction(cls, address: int, value: int) -> bool | None:
+    def find_selected_direction(cls, address: int, value: int) -> bool | None:
         return bool(value & MINUS) if address == CONTROL_ADDRESS and value & GO else None
 
     def fit_drive(self, drive: Any, axis: int = 0) -> None:
-        """Take the amplitude of the phase currents, and the times that the power stage demands, from the drive of the axis."""
+        """Store the amplitude of the phase currents and the minimum times between edges of the axis' power stage."""
         self._check_axis(axis)
         power_stage, c = drive.power_stage, self._record
         c["amplitude"], c["drops_edges"] = drive.amplitude, drive.drops_edges
@@ -116,8 +119,8 @@ class STEPDIR(Chip):
         self._check_axis(axis)
         return Decoder()
 
-    def listener(self) -> Listener:
-        return Listener()
+    def make_describer(self) -> CycleDescriber:
+        return CycleDescriber()
 
     def values(self) -> dict[str, int]:
         return {r.name: r.value(core.peek.with_gil(self.pointer, r.number)) for r in self.MAP.registers}

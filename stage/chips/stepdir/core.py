@@ -1,4 +1,4 @@
-"""Core of the STEP/DIR axis, compiled: it advances from one edge to the next, see stage/chips/cores.py.
+"""Core of the STEP/DIR axis, compiled: it advances from one edge to the next, see stage/chips/core_interface.py.
 
 Firmware drives STEP, DIR and ENABLE as input pins. A host without firmware lets the step timer drive STEP and DIR: it writes rates,
 ramps and a number of steps, and a start. The steps of a line's shorter axes are spread among those of the longest one by
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.chips.cores import SCAN_ROOM, run_slices
+from stage.chips.core_interface import SCAN_ROOM, run_slices
 from stage.chips.stepdir import step_timer
 from stage.chips.stepdir.state import ENABLE, INPUTS, OUTPUTS, RATE, STATE
 from stage.chips.stepdir.step_edges import apply_line_levels, compute_mean_count
@@ -53,7 +53,7 @@ def trace_pulses(chip, until, pulses):
 
 @exported(None, STATE, "i8", array_of(EDGE), "i8")
 def write_present_edge(chip, axis_index, edges, edge_index):
-    """Write the axis as it is now into edge `edge_index`."""
+    """Write the present state of the axis into EDGE record `edge_index`."""
     e = edges[edge_index]
     e.clock, e.inputs, e.outputs, e.counter, e.net = (
         chip.clock,
@@ -67,7 +67,18 @@ def write_present_edge(chip, axis_index, edges, edge_index):
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan_edges(chip, until, every_pulse, axis_index, edges):
-    """Let the clock run up to `until` and mark changes of outputs and rate, and each edge of the lines if `every_pulse`."""
+    """Let the clock run up to `until`, and write an EDGE record at each change of the axis.
+
+    Args:
+        chip: State of the chip.
+        until: Clock at the end.
+        every_pulse: Include the edges of STEP and DIR.
+        axis_index: Axis of the chip, 0.
+        edges: EDGE records to fill.
+
+    Returns:
+        The number of records. If `edges` is nearly full the chip stops early.
+    """
     k, word, rate = 0, read_outputs(chip, 0), compute_pulse_rate(chip, 0, 1.0)
     while chip.clock < until and k < len(edges) - SCAN_ROOM:
         if not step_timer.advance_to_event(chip, until):
@@ -82,25 +93,25 @@ def scan_edges(chip, until, every_pulse, axis_index, edges):
 
 @exported(None, STATE, "i8", "i8")
 def run_window(chip, row_address, first_slice):
-    """Run the slices of a physics step."""
+    """Let the chip's clock run through the slices of a window, see stage/chips/core_interface.py."""
     run_slices(chip, row_address, first_slice, run, read_net_count, compute_drive_input)
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
 def compute_drive_input(chip, axis_index, net_before, clocks):
-    """Return the mean count of the last `clocks` clocks, which began with the count `net_before`."""
+    """Return the mean of the step count over the last `clocks` clocks; `net_before` is the count at their start."""
     return compute_mean_count(chip, net_before, clocks)
 
 
 @exported(None, STATE)
 def power_up(chip):
-    """Clear registers, step timer and violations; lines and switches stay as the host and the stage drive them."""
+    """Clear the registers, the step timer and the violations. The host and the stage keep driving lines and switches."""
     step_timer.clear(chip)
 
 
 @exported("i8", STATE, "i8")
 def peek(chip, address):
-    """Return what a read would give."""
+    """Return what a host would read at an address, without a bus cycle and its side effects."""
     return step_timer.read_register(chip, address)
 
 
@@ -118,7 +129,7 @@ def write(chip, address, value):
 
 @exported(None, STATE, "i8", "i8")
 def set_input(chip, axis_index, word):
-    """Take new levels of the input pins."""
+    """Set the levels of the input pins, and process the edges of STEP, DIR and ENABLE."""
     rising = word & ~chip.inputs
     apply_line_levels(chip, word)
     step_timer.stop_at_switches(chip, rising)
@@ -156,7 +167,7 @@ def read_net_count(chip, axis_index):
 
 @exported("i8", STATE, "i8")
 def read_counter(chip, axis_index):
-    """Return POSITION."""
+    """Return the value of the register POSITION."""
     return step_timer.read_position(chip)
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from stage.chips import describe
-from stage.chips.describe import Fields, Statement
+from stage.chips.describe import FieldDescriber, Statement
 from stage.chips.stepdir.maps import ADDRESS_MASK, CONTROL, CONTROL_ADDRESS, DATA_MASK, MAP, STATUS
 
 NAMES = {r.number: r.name for r in MAP.registers}
-CONTROL_FIELDS, STATUS_FIELDS = Fields(CONTROL), Fields(STATUS)
+CONTROL_FIELDS, STATUS_FIELDS = FieldDescriber(CONTROL), FieldDescriber(STATUS)
 
 
 def describe_write(address: int, value: int) -> str:
@@ -18,8 +18,8 @@ def describe_write(address: int, value: int) -> str:
     return f"{NAMES[address]} <- {value}" if address in NAMES else "nothing is at this address"
 
 
-class Listener:
-    """Descriptions of bus cycles."""
+class CycleDescriber:
+    """Describer of the bus cycles of the step timer."""
 
     def write(self, address: int, value: int) -> str:
         return describe_write(address, value)
@@ -32,7 +32,7 @@ class Listener:
 
 
 class Decoder(describe.Decoder):
-    """Meaning of the writes of a journal."""
+    """Decoder of the writes to the step timer in a journal."""
 
     def decode_write(self, clock: int, address: int, value: int) -> list[Statement]:
         kind, name = ("command", "") if address == CONTROL_ADDRESS else ("register", NAMES.get(address, ""))

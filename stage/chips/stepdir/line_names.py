@@ -25,7 +25,7 @@ def has_line(chip: Chip, name: str) -> bool:
 
 
 class Line:
-    """A line as an attribute of the chip: True while it is asserted. A line that a host drives can be set."""
+    """Descriptor of a line as an attribute of the chip: True while the line is asserted. A line that a host drives can be set."""
 
     def __init__(self, name: str):
         self._name, self._pins = name, (DRIVEN | READ)[name]

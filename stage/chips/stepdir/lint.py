@@ -1,4 +1,4 @@
-"""Diagnostics of a STEP/DIR axis: writes to the step timer that do not do what they seem to, and edges that come too early."""
+"""Diagnostics of a STEP/DIR axis: writes to the step timer that have no effect, and edges that come too early."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
     chip = make_power_stage_chip("acme_power:AcmeAxis", "acme100")
 
 Such a chip is a subclass of STEPDIR. Its core counts positions itself (`read_net_count`), in the microsteps of the axis' Drive,
-gives the current (`read_motor_current`) and may take the load of the motor (`set_load`), see stage/chips/cores.py.
+gives the current (`read_motor_current`) and may take the load of the motor (`set_load`), see stage/chips/core_interface.py.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ def count_step(chip, in_time):
 
 @hot
 def _undo_step(chip):
-    """Take the last step back: its edge was too short for the power stage."""
+    """Remove the last step from the count, because its pulse was too short for the power stage."""
     if chip.last_step:
         chip.net -= chip.last_step
         chip.accepted -= 1
@@ -75,7 +75,7 @@ def process_falling_step(chip):
 def apply_line_levels(chip, word):
     """Apply new levels of STEP, DIR and ENABLE.
 
-    If DIR or ENABLE changes at the clock of an edge of STEP, its change counts as earlier.
+    If DIR or ENABLE changes at the clock of an edge of STEP, the change of DIR or ENABLE is processed first.
     """
     changed = word ^ chip.inputs
     if changed & word & ENABLE:
@@ -111,7 +111,7 @@ def compute_mean_count(chip, net_before, clocks):
 
 @hot
 def measure_step_rate(chip, hz):
-    """Compute the signed rate of the edges of a host from the last two accepted ones, per second; 0 when they have stopped."""
+    """Compute the signed step rate, per second, from the last two accepted edges of a host; 0 when the edges have stopped."""
     if chip.accepted < 2:
         return 0.0
     last, previous = chip.history[(chip.accepted - 1) % HISTORY], chip.history[(chip.accepted - 2) % HISTORY]

@@ -46,7 +46,7 @@ HIGH_NS = MAP.register("HIGH").reset
 
 @hot
 def _schedule_rise(chip):
-    """Set the clock of the next rising edge of STEP; STEP stays low at least as long as it was high."""
+    """Schedule the next rising edge of STEP, so that STEP stays low at least as long as it was high."""
     if chip.events and chip.steps_done >= chip.steps:
         chip.next_rise = NEVER
         return
@@ -61,7 +61,7 @@ def _schedule_rise(chip):
 
 @hot
 def _compute_high_clocks(chip):
-    """Return the clocks that STEP stays high."""
+    """Return the number of clocks for which STEP stays high in each pulse of the step timer."""
     return greatest(1, to_clocks(chip, 1e-9 * chip.reg[HIGH]))
 
 
@@ -74,8 +74,8 @@ def end_move(chip, reason):
 
 
 @hot
-def _is_limit_ahead(chip):
-    """Return the reason of an end limit that blocks the direction of the move, or 0."""
+def _find_limit_ahead(chip):
+    """Return the end reason of the asserted end limit in the direction of the move, or 0 if none is asserted."""
     if chip.control & MINUS:
         return END_EL_MINUS if chip.inputs & EL_MINUS else 0
     return END_EL_PLUS if chip.inputs & EL_PLUS else 0
@@ -87,7 +87,7 @@ def start_move(chip, word):
     if chip.running or chip.reg[RATE] == 0 or (chip.reg[STEPS] == 0 and not word & CONTINUOUS):
         return
     chip.control = word
-    reason = _is_limit_ahead(chip)
+    reason = _find_limit_ahead(chip)
     if reason == 0 and word & UNTIL_ORG and chip.inputs & ORG:
         reason = END_ORG
     if reason:
@@ -103,7 +103,7 @@ def start_move(chip, word):
 
 @hot
 def slow_down(chip, reason):
-    """Begin the ramp down; the move ends for this reason."""
+    """Begin the ramp down at whose end the move ends with this reason."""
     if chip.running and not chip.slowing:
         chip.slowing, chip.end_reason = 1, reason
         plan_stop(chip)
@@ -122,7 +122,7 @@ def find_next_event(chip):
 
 @hot
 def process_event(chip):
-    """Let the event of the present clock happen."""
+    """Process the event of the step timer at the present clock: an edge of STEP or the end of the move."""
     if chip.clock == chip.next_fall:
         chip.next_fall = NEVER
         apply_line_levels(chip, chip.inputs & ~STEP)
@@ -149,7 +149,7 @@ def advance_to_event(chip, until):
 
 @hot
 def clear(chip):
-    """Clear registers, step timer and violations; lines and switches stay as the host and the stage drive them."""
+    """Clear the registers, the step timer and the violations. The host and the stage keep driving lines and switches."""
     for k in range(REGISTERS):
         chip.reg[k] = 0
     for k in range(TIMES):
@@ -168,7 +168,7 @@ def stop_at_switches(chip, rising):
     """End the move at a limit ahead, and slow it down when ORG is among the pins that have become asserted."""
     if not chip.running:
         return
-    reason = _is_limit_ahead(chip)
+    reason = _find_limit_ahead(chip)
     if reason:
         end_move(chip, reason)
     elif chip.control & UNTIL_ORG and rising & ORG:
@@ -202,13 +202,13 @@ def compute_step_rate(chip, hz):
 
 @hot
 def read_position(chip):
-    """Return POSITION."""
+    """Return the value of the register POSITION."""
     return (chip.net - chip.origin) & DATA_MASK
 
 
 @hot
 def read_register(chip, address):
-    """Return what a read cycle gives."""
+    """Return the value that a read cycle at an address returns."""
     if address == CONTROL_ADDRESS:
         return compute_status(chip)
     return read_position(chip) if address == POSITION else chip.reg[address]

@@ -24,7 +24,15 @@ MAX_PERIOD_S = 1e6
 
 @hot
 def _add_segment(chip, seconds, rate, acceleration, jerk):
-    """Add a segment at the end of the profile, and move the end."""
+    """Add a segment of constant jerk at the end of the profile, and move the end.
+
+    Args:
+        chip: State of the chip.
+        seconds: Duration of the segment, s.
+        rate: Rate at its start, steps of the longest axis per second.
+        acceleration: Acceleration at its start, steps/s^2.
+        jerk: Jerk, steps/s^3.
+    """
     k = chip.segments
     chip.rate[k], chip.acceleration[k], chip.jerk[k] = rate, acceleration, jerk
     chip.begin[k + 1] = chip.begin[k] + seconds
@@ -35,21 +43,21 @@ def _add_segment(chip, seconds, rate, acceleration, jerk):
 
 
 @hot
-def _add_ramp(chip, seconds, low, high):
-    """Add a ramp from rate `low` to rate `high`, which may be the lower one."""
-    change, share = high - low, 0.01 * chip.reg[CURVED]
+def _add_ramp(chip, seconds, begin_rate, end_rate):
+    """Add a ramp from one rate to a higher or lower rate, steps per second, in a number of seconds."""
+    change, share = end_rate - begin_rate, 0.01 * chip.reg[CURVED]
     if seconds <= 0.0 or change == 0.0:
         return
     acceleration = (1.0 + 2.0 * share) * change / seconds
     if share == 0.0:
-        _add_segment(chip, seconds, low, acceleration, 0.0)
+        _add_segment(chip, seconds, begin_rate, acceleration, 0.0)
         return
     curve = 2.0 * share * change / acceleration
     jerk = acceleration / curve
-    _add_segment(chip, curve, low, 0.0, jerk)
+    _add_segment(chip, curve, begin_rate, 0.0, jerk)
     if share < 0.5:
-        _add_segment(chip, seconds - 2.0 * curve, low + share * change, acceleration, 0.0)
-    _add_segment(chip, curve, high - share * change, acceleration, -jerk)
+        _add_segment(chip, seconds - 2.0 * curve, begin_rate + share * change, acceleration, 0.0)
+    _add_segment(chip, curve, end_rate - share * change, acceleration, -jerk)
 
 
 @hot
@@ -60,7 +68,7 @@ def _begin_profile(chip):
 
 @hot
 def plan_move(chip):
-    """Plan the profile of a move of `c.events` steps, or of a run without end if that is 0."""
+    """Plan the profile of a move of `chip.events` steps, or of a continuous move if that is 0."""
     _begin_profile(chip)
     top = float(chip.reg[RATE])
     low = float(chip.reg[START]) if chip.reg[START] < top else top
@@ -106,7 +114,7 @@ def plan_stop(chip):
 
 @hot
 def _find_present_segment(chip):
-    """Return the segment of the present clock, and the seconds since its begin."""
+    """Return the index of the profile's segment at the present clock, and the seconds since its beginning."""
     seconds = float(chip.clock - chip.started) / chip.hz
     k = 0
     while k + 1 <= chip.segments and chip.begin[k + 1] <= seconds:
@@ -137,15 +145,23 @@ def find_present_ramp(chip):
 
 
 @hot
-def _solve_line(distance, rate, acceleration):
-    """Return the seconds in which a segment without jerk covers a distance; infinite if it does not."""
+def _compute_time_at_constant_acceleration(distance, rate, acceleration):
+    """Return the seconds in which a segment without jerk covers a distance; infinite if it never does."""
     root = math.sqrt(greatest(0.0, rate * rate + 2.0 * acceleration * distance))
     return 2.0 * distance / (rate + root) if rate + root > 0.0 else math.inf
 
 
 @hot
-def _solve_curve(distance, rate, acceleration, jerk, seconds):
-    """Return the seconds in which a curved segment of a duration covers a distance: Newton's method between two bounds."""
+def _compute_time_at_constant_jerk(distance, rate, acceleration, jerk, seconds):
+    """Return the seconds in which a segment of constant jerk covers a distance, by Newton's method between two bounds.
+
+    Args:
+        distance: Distance in steps, at most that of the whole segment.
+        rate: Rate at the start of the segment, steps/s.
+        acceleration: Acceleration at the start of the segment, steps/s^2.
+        jerk: Jerk of the segment, steps/s^3.
+        seconds: Duration of the segment, the upper bound.
+    """
     low, high = 0.0, seconds
     s = 0.5 * seconds
     for _ in range(MAX_ITERATIONS):
@@ -166,7 +182,7 @@ def _solve_curve(distance, rate, acceleration, jerk, seconds):
 
 @hot
 def find_time_of_step(chip, target):
-    """Return the clock at which the profile has covered `target` steps of the longest axis, or NEVER; `c.segment` moves there."""
+    """Return the clock at which the profile has covered `target` steps of the longest axis, or NEVER. Updates `chip.segment`."""
     k = chip.segment
     while k < chip.segments and chip.position[k + 1] < target:
         k += 1
@@ -175,9 +191,9 @@ def find_time_of_step(chip, target):
         return NEVER
     distance = target - chip.position[k]
     if chip.jerk[k] == 0.0:
-        seconds = _solve_line(distance, chip.rate[k], chip.acceleration[k])
+        seconds = _compute_time_at_constant_acceleration(distance, chip.rate[k], chip.acceleration[k])
     else:
-        seconds = _solve_curve(
+        seconds = _compute_time_at_constant_jerk(
             distance, chip.rate[k], chip.acceleration[k], chip.jerk[k], chip.begin[k + 1] - chip.begin[k]
         )
     return chip.started + to_clocks(chip, chip.begin[k] + seconds) if seconds < MAX_PERIOD_S else NEVER

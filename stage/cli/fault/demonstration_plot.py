@@ -84,7 +84,7 @@ def _read_waveform(recording: Any, column: str) -> tuple[np.ndarray, np.ndarray,
     name, axis = next(iter(recording.axes.items()))
     if _find_unit(column) is not None and column != "rate":
         return recording.column("time"), recording.column(f"{name}/{column}"), False
-    waveform = recording.journals[name].course()
+    waveform = recording.journals[name].replay_waveforms()
     values = (
         to_pulse_rates(waveform.edges, waveform.clock_hz)
         if column == "rate"

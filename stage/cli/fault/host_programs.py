@@ -33,7 +33,7 @@ def find_touch(axis: Any, pin: str) -> float:
     Raises:
         StageError: The axis has no such switch, or its chip has no pin for it.
     """
-    if not axis.chip.wired(pin):
+    if not axis.chip.find_switch_input(pin):
         raise StageError(
             f"axis {axis.name}: {add_article(type(axis.chip).__name__)} has no pin for {pin}, which is to fail. Choose a "
             "chip that has one."
@@ -123,7 +123,7 @@ def home_with_bouncing_origin(stage: Any, make_fault: MakeFault) -> Figures:
         stage.place(**{x.name: find_touch(x, "org") + 0.002})
         report = firmware.home(x, speed=make_speeds(x, 5, 0.07))
     waveform = report.course
-    org, time = waveform.edges["inputs"] & x.chip.wired("org") != 0, waveform.seconds
+    org, time = waveform.edges["inputs"] & x.chip.find_switch_input("org") != 0, waveform.seconds
     first = int(org.argmax())
     in_bounce = (time[:-1] >= time[first]) & (time[:-1] < time[first] + 1.5 * BOUNCE_S)
     off = (time[1:] - time[:-1])[in_bounce & ~org[:-1]]

@@ -35,8 +35,10 @@ from stage.errors import ArgumentError, RunTimeout, unknown_name_error
 from stage.firmware.axis import Axis
 
 POLL_INTERVAL_S = 1e-3  # s between two looks
-RESET, IDLE, ALIGN, CONTROL = (MODE_WRITE.fields[0].code(mode) for mode in ("reset", "Init/Idle", "Align", "control"))
-SET_FLAG_BIT = FLAG_WRITE.fields[0].code("set")
+RESET, IDLE, ALIGN, CONTROL = (
+    MODE_WRITE.fields[0].find_code(mode) for mode in ("reset", "Init/Idle", "Align", "control")
+)
+SET_FLAG_BIT = FLAG_WRITE.fields[0].find_code("set")
 MODE_FLAGS = {
     mode: MAP.bit("R00", flag)
     for mode, flag in (("trapezoid", "f0"), ("proportional velocity", "f3"), ("integral velocity", "f5"))

@@ -32,7 +32,7 @@ from stage.firmware.nova.chip_port import (
 from stage.units import POSITION_UNITS
 
 HSST = MAP.field("RR3-0", "HSST")
-HSST_SEARCHES_BACK = HSST.code("step 2 irregular: waits for the signal in the other direction")
+HSST_SEARCHES_BACK = HSST.find_code("step 2 irregular: waits for the signal in the other direction")
 """State in which the chip searches in the opposite direction, because the axis met the end limit before the signal."""
 TIMER_CHOICES_S = (1e-3, 2e-3, 10e-3, 20e-3, 0.1, 0.2, 0.5, 1.0)  # s, HTM
 
@@ -161,10 +161,10 @@ def _poll_home_states(
     histories: list[list[tuple[float, int]]] = [[] for _ in ports]
     while not all(states and states[-1][1] == 0 for states in histories):
         for port, states in zip(ports, histories, strict=True):
-            state = HSST.of(port.read_status_register(3))
+            state = HSST.extract(port.read_status_register(3))
             if not states or states[-1][1] != state:
                 states.append((port.axis.time - begin, state))
-                if at_limit is not None and state == HSST.of(HSST_SEARCHES_BACK):
+                if at_limit is not None and state == HSST.extract(HSST_SEARCHES_BACK):
                     at_limit(port)
         if ports[0].axis.time - begin > timeout:
             stop_axes(ports)

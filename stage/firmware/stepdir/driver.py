@@ -133,7 +133,7 @@ class StepDirDriver(Driver):
 
     def _read_end_reason(self) -> str:
         """Return the stop reason that the status shows."""
-        return END_REASONS[END.of(self.chip.read(CONTROL_ADDRESS))]
+        return END_REASONS[END.extract(self.chip.read(CONTROL_ADDRESS))]
 
     def read_register(self, name: str) -> int:
         register = MAP.register(name)

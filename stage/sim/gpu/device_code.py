@@ -2,7 +2,7 @@
 
 A hot function finds the functions that it calls in its module's globals. `DeviceModules` copies a module: same code, but each
 function is a device function of numba-cuda, and its globals are those of the copy. Calls by address, which a GPU does not have,
-become direct calls: the copy of stage.chips.cores calls the core of one family.
+become direct calls: the copy of stage.chips.core_interface calls the core of one family.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from types import FunctionType, ModuleType
 from typing import Any, NamedTuple
 
 from stage import native
-from stage.chips import cores
+from stage.chips import core_interface
 from stage.support.extras import import_extra
 
 FEATURE_NAME = "a fleet on a GPU"
@@ -26,7 +26,14 @@ INLINED = ("_flag_edges",)
 
 
 class LaneChip(NamedTuple):
-    """A chip as device code passes it in place of a CHIP record: its state, number of axes, clock in Hz, clocks in a slice."""
+    """Chip of a lane, which device code uses in place of a CHIP record.
+
+    Attributes:
+        state: STATE record of the chip.
+        axes: Number of axes.
+        hz: Reference clock, Hz.
+        ticks: Reference clocks in a slice.
+    """
 
     state: Any
     axes: int
@@ -36,12 +43,13 @@ class LaneChip(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CompilerTools:
-    """Compiler of Python functions for a device.
+    """Functions that compile Python functions for a GPU.
 
     Attributes:
-        device: Makes a device function of a function. kernel: makes a kernel.
-        replaced: What takes the place of functions of stage.native.
-        lane_names: Names that the copy of lane_program.py has.
+        device: Compiles a function to a device function, which kernels call.
+        kernel: Compiles a function to a kernel.
+        replaced: Function of stage.native -> the device function that replaces it.
+        lane_names: Name -> object of the additional names in the copy of lane_program.py.
     """
 
     device: Callable[[FunctionType], Any]
@@ -52,7 +60,7 @@ class CompilerTools:
 
 @cache
 def make_cuda_tools() -> CompilerTools:
-    """Return numba-cuda as tools.
+    """Make the compiler tools for numba-cuda.
 
     Raises:
         ExtraMissing: numba-cuda is not installed.
@@ -63,8 +71,8 @@ def make_cuda_tools() -> CompilerTools:
     cgutils = import_module("numba.cuda.cgutils")
     ir: Any = import_module("llvmlite.ir")
 
-    def array_value(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
-        """Build the value of a contiguous array that lies at the pointer `data`; nobody owns it."""
+    def build_array_value(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
+        """Build numba's value of a contiguous array whose memory begins at the pointer `data`."""
         size = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
         strides, items = [size], context.get_constant(types.intp, 1)
         for length in reversed(shape[1:]):
@@ -89,14 +97,14 @@ def make_cuda_tools() -> CompilerTools:
             ]
             word = context.cast(builder, values[0], address, types.intp)
             data = builder.inttoptr(word, context.get_data_type(kind.dtype).as_pointer())
-            return array_value(context, builder, kind, data, lengths_as_words)
+            return build_array_value(context, builder, kind, data, lengths_as_words)
 
         return kind(address, shape, dtype), lower
 
     literal: Any = vars(extending)["_intrinsic"](prefer_literal=True)
 
     @literal
-    def room(_context: Any, rows: Any, columns: Any) -> Any:
+    def allocate_on_stack(_context: Any, rows: Any, columns: Any) -> Any:
         kind = types.Array(types.float64, 2, "C")
 
         def lower(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -104,18 +112,20 @@ def make_cuda_tools() -> CompilerTools:
             place = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), words))
             data = builder.bitcast(place, ir.DoubleType().as_pointer())
             shape = [context.get_constant(types.intp, n.literal_value) for n in (rows, columns)]
-            return array_value(context, builder, kind, data, shape)
+            return build_array_value(context, builder, kind, data, shape)
 
         return kind(rows, columns), lower
 
     @literal
-    def words_of(_context: Any, records: Any, count: Any) -> Any:
+    def view_as_words(_context: Any, records: Any, count: Any) -> Any:
         kind = types.Array(types.int64, 1, "C")
 
         def lower(context: Any, builder: Any, signature: Any, values: Any) -> Any:
             array = cgutils.create_struct_proxy(signature.args[0])(context, builder, value=values[0])
             data = builder.bitcast(array.data, ir.IntType(64).as_pointer())
-            return array_value(context, builder, kind, data, [context.get_constant(types.intp, count.literal_value)])
+            return build_array_value(
+                context, builder, kind, data, [context.get_constant(types.intp, count.literal_value)]
+            )
 
         return kind(records, count), lower
 
@@ -124,24 +134,24 @@ def make_cuda_tools() -> CompilerTools:
         return cuda.libdevice.floor(float(x))
 
     @cuda.jit(device=True)
-    def any_in_warp(condition: Any) -> Any:
+    def is_true_in_warp(condition: Any) -> Any:
         return cuda.any_sync(ALL_LANES, condition)
 
     @cuda.jit(device=True)
-    def value_in_warp(value: Any, thread: Any) -> Any:
+    def read_value_in_warp(value: Any, thread: Any) -> Any:
         return cuda.shfl_sync(ALL_LANES, value, thread)
 
     @cuda.jit(device=True)
-    def thread_number() -> Any:
+    def get_thread_number() -> Any:
         return cuda.grid(1)
 
     return CompilerTools(
         device=lambda f: cuda.jit(device=True, inline="always" if f.__name__ in INLINED else "never")(f),
         kernel=cuda.jit,
-        replaced={native.array_at: array_at, native.allocate_on_stack: room, native.floor: floor},
+        replaced={native.array_at: array_at, native.allocate_on_stack: allocate_on_stack, native.floor: floor},
         lane_names={
-            "any_in_warp": any_in_warp, "value_in_warp": value_in_warp, "thread_number": thread_number,
-            "words_of": words_of, "cuda": cuda,
+            "is_true_in_warp": is_true_in_warp, "read_value_in_warp": read_value_in_warp, "get_thread_number": get_thread_number,
+            "view_as_words": view_as_words, "cuda": cuda,
         },
     )  # fmt: skip
 
@@ -151,18 +161,23 @@ class DeviceModules:
 
     Args:
         core: The family's core.
-        tools: What compiles.
+        tools: Functions that compile for the device.
     """
 
     def __init__(self, core: ModuleType, tools: CompilerTools):
         self._tools = tools
         self._modules: dict[str, ModuleType] = {}
         self._functions: dict[FunctionType, Any] = {}
-        family = self.module(core.__name__)
-        self._modules[cores.__name__] = self._static_cores(family)
+        family = self.copy_module(core.__name__)
+        self._modules[core_interface.__name__] = self._make_static_core_interface(family)
 
-    def module(self, name: str, names: Mapping[str, Any] | None = None) -> ModuleType:
-        """Return the copy of a module; names: what it has besides, in place of its own names."""
+    def copy_module(self, name: str, replacements: Mapping[str, Any] | None = None) -> ModuleType:
+        """Copy a module: its functions become device functions. A second call returns the same copy.
+
+        Args:
+            name: Full name of the module.
+            replacements: Names of the copy that differ from the module's, with their objects.
+        """
         if name in self._modules:
             return self._modules[name]
         module_copy = self._modules[name] = ModuleType(name)
@@ -170,41 +185,49 @@ class DeviceModules:
         vars(module_copy).update(source)
         for key, value in source.items():
             if not key.startswith("__"):
-                vars(module_copy)[key] = self._copy(value, module_copy)
-        vars(module_copy).update(names or {})
+                vars(module_copy)[key] = self._copy_value(value, module_copy)
+        vars(module_copy).update(replacements or {})
         return module_copy
 
-    def function(self, name: str, module: ModuleType, compiler: Any) -> Any:
-        """Return a function of the module of which `module` is the copy, compiled by `compiler`."""
+    def compile_function(self, name: str, module: ModuleType, compiler: Any) -> Any:
+        """Compile a function of a module in a copy of this module.
+
+        Args:
+            name: Name of the function.
+            module: Copy of the module, see `copy_module`.
+            compiler: `device` or `kernel` of the compiler tools.
+        """
         function = vars(import_module(module.__name__))[name]
         return compiler(FunctionType(function.__code__, vars(module), name))
 
-    def _copy(self, value: Any, module: ModuleType) -> Any:
-        """Return what the copy of a module has in place of a value of the module."""
+    def _copy_value(self, value: Any, module: ModuleType) -> Any:
+        """Return the object that replaces a global of a module in the module's copy: a device function for a hot function."""
         if isinstance(value, native.Exported):
             value = value.function
         for function, replacement in self._tools.replaced.items():
             if value is function:
                 return replacement
         if isinstance(value, ModuleType) and value.__name__.startswith("stage."):
-            return self.module(value.__name__)
+            return self.copy_module(value.__name__)
         if not isinstance(value, FunctionType) or not value.__module__.startswith("stage."):
             return value
-        home = module if value.__module__ == module.__name__ else self.module(value.__module__)
+        home = module if value.__module__ == module.__name__ else self.copy_module(value.__module__)
         if value not in self._functions:
             copy = FunctionType(value.__code__, vars(home), value.__name__, value.__defaults__, value.__closure__)
             self._functions[value] = self._tools.device(copy)
         return self._functions[value]
 
-    def _static_cores(self, core: ModuleType) -> ModuleType:
-        """Return stage.chips.cores for `LaneChip` tuples of one family."""
-        module_copy = ModuleType(cores.__name__)
-        vars(module_copy).update({name: value for name, value in vars(cores).items() if isinstance(value, int)})
+    def _make_static_core_interface(self, core: ModuleType) -> ModuleType:
+        """Make a copy of stage.chips.core_interface for `LaneChip` tuples, which calls the core of one family directly."""
+        module_copy = ModuleType(core_interface.__name__)
+        vars(module_copy).update(
+            {name: value for name, value in vars(core_interface).items() if isinstance(value, int)}
+        )
         sources = {
             "find_stage_axis": "def find_stage_axis(chip, axis_index): return axis_index",
             "read_clock": "def read_clock(chip): return chip.state.clock",
         }
-        for name, (_, *arguments) in cores.ANSWERS.items():
+        for name, (_, *arguments) in core_interface.ANSWERS.items():
             values = ", ".join("xyz"[: len(arguments)])
             sources[name] = f"def {name}(chip, {values}): return core.{name}(chip.state, {values})"
         for name, source in sources.items():

@@ -20,7 +20,7 @@ from stage.errors import ArgumentError, GpuMissing, StageError
 from stage.sim import engine_records, fleet, program_player
 from stage.sim.gpu.device_code import FEATURE_NAME, CompilerTools, DeviceModules, make_cuda_tools
 from stage.sim.gpu.lane_layout import HOST, WARP, LaneLayout
-from stage.sim.gpu.warp_physics import Physics, load_warp
+from stage.sim.gpu.warp_physics import WarpPhysics, load_warp
 from stage.sim.program import Program
 from stage.sim.stage import Stage
 from stage.support.argument_checks import explain_arguments
@@ -32,12 +32,12 @@ STEPS_A_LAUNCH = 20
 
 
 class GpuFleet(fleet.Fleet):
-    """Copies of one stage on a GPU. `Fleet(..., device="cuda")` makes it.
+    """Fleet of copies of one stage on a GPU; `Fleet(..., device="cuda")` makes one.
 
     Attributes:
-        arrays: Arrays of the GPU by name, a row a copy, for libraries that take DLPack: qpos, qvel, ctrl (float32), results of the
-            last play (int64). They stay the same memory while programs have no more operations than those played before.
-        physics: What moves the copies.
+        arrays: GPU arrays by name, with a row per copy, for libraries that take DLPack: qpos, qvel, ctrl (float32) and the results
+            of the last play (int64). Their memory stays the same until a program has more operations than all programs before.
+        physics: Physics of all copies, computed by mujoco-warp.
     """
 
     @explain_arguments
@@ -64,7 +64,7 @@ class GpuFleet(fleet.Fleet):
             raise GpuMissing(
                 'device="cuda": numba-cuda finds no NVIDIA GPU, though warp does: its driver may be too old.'
             )
-        self.physics = Physics(stage.model, stage.data, self._copies)
+        self.physics = WarpPhysics(stage.model, stage.data, self._copies)
         self._layout = LaneLayout(stage)
         self._advance, self._inspect = make_kernels(stage, self._layout, tools)
         self._stream = cuda.external_stream(self.physics.stream.cuda_stream)
@@ -113,17 +113,17 @@ class GpuFleet(fleet.Fleet):
 
     @explain_arguments
     def play(self, programs: Sequence[Program] | np.ndarray) -> fleet.PlayedPrograms:
-        """Play programs[k] on copy k; an empty one leaves it alone. Programs may be given as an array (copies, operations, 4).
+        """Play programs[k] on copy k. An empty program leaves its copy as it is. An array (copies, operations, 4) is possible, too.
 
         Raises:
-            ArgumentError: A program names what is not there; nothing is played then.
-            StageError: A copy had more contacts than there is room for.
+            ArgumentError: A program names an axis or a point that does not exist. No program is played then.
+            StageError: A copy had more contacts than mujoco-warp has memory for.
         """
         self.load(programs)
         while self.advance():
             pass
         self.physics.run(self._advance_lanes)  # puts back what the last physics step has moved
-        if (overflowed := self.physics.overflowed()).any():
+        if (overflowed := self.physics.find_overflowed_copies()).any():
             raise StageError(
                 f"copy {int(np.argmax(overflowed))} of the fleet: more contacts at once than the model has over the travel of its "
                 "joints. Run such a stage on a processor."
@@ -137,7 +137,7 @@ class GpuFleet(fleet.Fleet):
 
     @explain_arguments
     def load(self, programs: Sequence[Program] | np.ndarray) -> None:
-        """Let every copy begin its program; `advance` plays them. Raises ArgumentError as `play`."""
+        """Load a program for every copy, which `advance` then plays. Raises ArgumentError as `play` does."""
         ops = fleet.check_programs(programs, len(self), self.stages[0])
         self._make_room(ops.shape[1])
         self._used = ops.shape[1]
@@ -151,19 +151,19 @@ class GpuFleet(fleet.Fleet):
         self._start_hosts()
 
     def advance(self) -> bool:
-        """Play the programs for STEPS_A_LAUNCH physics steps; returns whether one of them still went on."""
+        """Play the loaded programs for STEPS_A_LAUNCH physics steps, and return whether any program has not ended."""
         going = np.zeros(1, np.int32)
         self._playing.copy_to_device(going)
-        self.physics.launch(self._graph)
+        self.physics.launch_graph(self._graph)
         self._playing.copy_to_host(going)
         return bool(going[0])
 
     def truth(self) -> np.ndarray:
-        """Every axis of every copy now: a new array (copies, axes) of play.TRUTH."""
+        """Return the true state of every axis of every copy now: a new array (copies, axes) of TRUTH records."""
         rows, numbers, _, tables, _, clockwork = self._tables
 
         def inspect() -> None:
-            self._inspect[self._blocks, WARP, self._stream](
+            self._inspect[self._block_count, WARP, self._stream](
                 self._words, rows, numbers, tables, clockwork, self._qpos, self._qvel, self._device_truth
             )
 
@@ -171,17 +171,17 @@ class GpuFleet(fleet.Fleet):
         return self._device_truth.copy_to_host()
 
     def records(self) -> dict[str, np.ndarray]:
-        """Return a copy of every copy's records, as `LaneLayout.unpack` names them."""
+        """Return the records of every copy of the stage as arrays on the host, by the names of `LaneLayout.unpack`."""
         return self._layout.unpack(self._words.copy_to_host(), len(self))
 
     def reset(self) -> None:
-        """Put every copy back to the state in which the stage was when the fleet was made."""
+        """Return every copy to the state of the stage at the time when the fleet was made."""
         self._words.copy_to_device(self._begin)
         for array, begin in zip(self._coordinates, self._initial_coordinates, strict=True):
             array.copy_to_device(begin)
 
     def list_python_stages(self) -> list[int]:
-        """No copy is recorded."""
+        """Return an empty list, because copies on a GPU cannot be recorded."""
         return []
 
     def close(self) -> None:
@@ -190,22 +190,22 @@ class GpuFleet(fleet.Fleet):
         self._operations = 0
 
     @property
-    def _blocks(self) -> int:
-        return self._layout.threads(len(self)) // WARP
+    def _block_count(self) -> int:
+        return self._layout.count_threads(len(self)) // WARP
 
     def _advance_lanes(self) -> None:
-        self._advance[self._blocks, WARP, self._stream](
+        self._advance[self._block_count, WARP, self._stream](
             self._words, *self._tables, self._ops, self._results, *self._rest
         )
 
     def _start_hosts(self) -> None:
-        """Let the host of every copy begin its program."""
-        first, host = self._layout.host_words()
+        """Begin the program of every copy."""
+        first, host = self._layout.find_host_words()
         rows = np.repeat(host[:, None], self._words.shape[1], axis=1)
         self._words[first:].copy_to_device(rows)
 
     def _make_room(self, operations: int) -> None:
-        """Make arrays for so many operations, and the graph that uses them."""
+        """Make arrays for programs with a number of operations, and the CUDA graph that uses them."""
         if operations <= self._operations:
             return
         warp, shape = self.physics.warp, (len(self), operations)
@@ -229,7 +229,7 @@ class GpuFleet(fleet.Fleet):
             for _ in range(STEPS_A_LAUNCH):
                 step()
 
-        self._graph = self.physics.capture(steps)
+        self._graph = self.physics.capture_graph(steps)
 
 
 def check_stage(stage: Stage) -> None:
@@ -252,7 +252,13 @@ def check_stage(stage: Stage) -> None:
 
 
 def make_kernels(stage: Stage, layout: LaneLayout, tools: CompilerTools) -> tuple[Any, Any]:
-    """Return the kernels `advance_lanes` and `inspect_lanes` for copies of a stage; tools: see `DeviceModules`."""
+    """Compile the kernels `advance_lanes` and `inspect_lanes` for copies of a stage.
+
+    Args:
+        stage: Stage of which the fleet has copies.
+        layout: Layout of the lanes in GPU memory.
+        tools: Functions that compile for the device.
+    """
     sizes = (layout.lanes, layout.axes, layout.switches, stage.state.bus, bool(stage.state.clockwork["encoders"][0]))
     return _compile_kernels(stage.chips[0].CORE, sizes, tools)
 
@@ -269,5 +275,5 @@ def _compile_kernels(core: ModuleType, sizes: tuple[int, ...], tools: CompilerTo
     names = {name: dtype.itemsize // 8 * n for name, (dtype, n) in dtypes.items()}
     names |= {"STATE": state, "DRIVE": DRIVE, "LANES": lanes, "AXES": axes, "SWITCHES": switches}
     names |= {"BUS": bus, "ENCODERS": bool(encoders), **tools.lane_names}
-    module = modules.module("stage.sim.gpu.lane_program", names)
-    return tuple(modules.function(name, module, tools.kernel) for name in ("advance_lanes", "inspect_lanes"))
+    module = modules.copy_module("stage.sim.gpu.lane_program", names)
+    return tuple(modules.compile_function(name, module, tools.kernel) for name in ("advance_lanes", "inspect_lanes"))

@@ -32,12 +32,14 @@ AXIS_PLACE = record([(name, "i8") for name in "lane axis qpos dof".split()])
 
 
 class LaneLayout:
-    """The lanes of the copies of one stage.
+    """Layout in GPU memory of the lanes of all copies of one stage. A lane is one chip of one copy with its axes.
 
     Attributes:
-        lanes: Chips of a copy. axes, switches: of a lane, at most.
-        words: Words of a lane.
-        rows, axis_numbers, places, tables, switch_tables: What the kernel takes.
+        lanes: Number of lanes of a copy, its chips.
+        axes: Largest number of axes of a lane.
+        switches: Largest number of switches of a lane.
+        words: Number of 8-byte words of a lane.
+        rows, axis_numbers, places, tables, switch_tables: Arguments of the kernel, see `lane_program.advance_lanes`.
     """
 
     def __init__(self, stage: Stage):
@@ -77,8 +79,8 @@ class LaneLayout:
                 switch += end - first
                 self.places[axis] = i, j, table["qpos"][0], table["dof"][0]
 
-    def threads(self, copies: int) -> int:
-        """Return how many threads so many copies take; no copy is in two warps."""
+    def count_threads(self, copies: int) -> int:
+        """Count the threads that a number of copies needs. The lanes of a copy are always in one warp."""
         return -(-copies // (WARP // self.lanes)) * WARP
 
     def _number_threads(self, copies: int) -> np.ndarray:
@@ -89,20 +91,20 @@ class LaneLayout:
         return first[:, None] + np.arange(self.lanes)
 
     def pack(self, copies: int) -> np.ndarray:
-        """Return the words of all lanes, (words, threads) int64, each copy in the state in which the stage is now."""
-        out = np.zeros((self.words, self.threads(copies)), np.int64)
+        """Return the words of all lanes, (words, threads) int64, with each copy in the present state of the stage."""
+        out = np.zeros((self.words, self.count_threads(copies)), np.int64)
         out[:, self._number_threads(copies)] = np.stack([self._make_lane(i) for i in range(self.lanes)], axis=1)[
             :, None
         ]
         return out
 
-    def _make_lane(self, i: int) -> np.ndarray:
-        state, pieces = self._state, []
+    def _make_lane(self, lane_index: int) -> np.ndarray:
+        state, pieces, axes = self._state, [], self._axes[lane_index]
         host = np.zeros(1, HOST)
         host["status"] = engine_records.REACHED
         present = {
-            "chip": state.chips[i], "axes": state.axes[self._axes[i]], "drives": state.drives[self._axes[i]],
-            "switches": state.switches[self._switches[i]], "world": state.world, "host": host,
+            "chip": state.chips[lane_index], "axes": state.axes[axes], "drives": state.drives[axes],
+            "switches": state.switches[self._switches[lane_index]], "world": state.world, "host": host,
         }  # fmt: skip
         for name, dtype, n in self._parts:
             rows = np.zeros(n, dtype)
@@ -111,7 +113,15 @@ class LaneLayout:
         return np.concatenate(pieces)
 
     def unpack(self, words: np.ndarray, copies: int) -> dict[str, np.ndarray]:
-        """Return the records of all copies: chip (copies, lanes), world, host (copies,), and others as a stage has them."""
+        """Convert the words of all lanes to records by name.
+
+        Args:
+            words: Words of all lanes, (words, threads) int64.
+            copies: Number of copies.
+
+        Returns:
+            Arrays of records: "chip" (copies, lanes), "world" and "host" (copies,), and further names of `stage_state.State`.
+        """
         lane_words = words[:, self._number_threads(copies)]
         records_by_name: dict[str, np.ndarray] = {}
         at = 0
@@ -131,8 +141,8 @@ class LaneLayout:
             "host": records_by_name["host"][:, 0, 0],
         }
 
-    def host_words(self) -> tuple[int, Any]:
-        """Return the row at which the words of a HOST begin, and those of one that begins its program."""
+    def find_host_words(self) -> tuple[int, Any]:
+        """Return the row at which the words of a HOST record begin, and the words of a HOST that begins its program."""
         host = np.zeros(1, HOST)
         host["status"] = PLAYING
         words = host.view(np.int64)

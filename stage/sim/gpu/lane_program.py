@@ -7,7 +7,7 @@ Every lane of a copy plays the same program by itself, with the bus cycles of it
 polls its own axes, and the lanes of a warp tell each other which are in motion. All of it happens at the times, and in the order,
 of `stage.sim.program_player` and `stage.sim.engine`, so chips that see the same edges are the same to the bit.
 
-A copy whose program is over stands still, perhaps within a window: mujoco-warp moves it all the same, and the kernel puts it back.
+A copy whose program has ended stands still, perhaps within a window: mujoco-warp still moves it, and the kernel restores its state.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from stage.chips import cores
+from stage.chips import core_interface
 from stage.drives import drive_dispatch
 from stage.sim.engine_records import AXIS, MAX_SPEED, SECOND, SLICES, SWITCH, WORLD, compute_clock_at
 from stage.sim.gpu.device_code import LaneChip
@@ -33,10 +33,10 @@ DRIVE: Any = None
 LANES = AXES = SWITCHES = BUS = 1
 W_STATE = W_AXES = W_DRIVES = W_SWITCHES = W_WORLD = W_HOST = 1
 ENCODERS = False
-any_in_warp: Any = None
-value_in_warp: Any = None
-thread_number: Any = None
-words_of: Any = None
+is_true_in_warp: Any = None
+read_value_in_warp: Any = None
+get_thread_number: Any = None
+view_as_words: Any = None
 cuda: Any = None
 """`DeviceModules.module` gives these: records, sizes and their words (W_), ns of a bus cycle, functions of the GPU."""
 
@@ -76,7 +76,7 @@ def run_chip(chip, axes, table, switches, switch_table, world, window_ns, slice_
     while now < stop:
         bound = start + (slice_index + 1) * window_ns // SLICES
         now = min(min(bound, stop), max(edge, now))
-        cores.run(chip, clock + (rest + (now - start) * hz) // SECOND)
+        core_interface.run(chip, clock + (rest + (now - start) * hz) // SECOND)
         if edge <= now:
             for j in range(chip.axes):
                 if axes[j].next_edge <= now:
@@ -85,14 +85,14 @@ def run_chip(chip, axes, table, switches, switch_table, world, window_ns, slice_
         if now == bound:
             for j in range(chip.axes):
                 axis = axes[j]
-                axis.counts[slice_index] = cores.compute_drive_input(chip, j, axis.count, chip.ticks)
-                axis.count = cores.read_net_count(chip, j)
+                axis.counts[slice_index] = core_interface.compute_drive_input(chip, j, axis.count, chip.ticks)
+                axis.count = core_interface.read_net_count(chip, j)
             slice_index += 1
     return slice_index
 
 
 def begin_operation(host, now, kind, first_argument):
-    """Begin an operation at `now` ns: set when it ends, and reset the extremes that it measures."""
+    """Begin an operation of a program at `now` ns: compute its end, and reset the extremes that it measures."""
     host.started, host.begin, host.left, host.poll, host.until = 1, now, first_argument, 0, now
     if kind in (WRITE, READ):
         host.until = now + BUS
@@ -113,7 +113,7 @@ def read_point_coordinate(sites, bodies, copy, point, coordinate):
     return sites[copy, point - 1, coordinate] if point > 0 else bodies[copy, -point, coordinate]
 
 
-def note_extremes(host, extremes, qpos, sites, bodies, copy, point):
+def update_extremes(host, extremes, qpos, sites, bodies, copy, point):
     """Update the extremes of a copy's joint positions and of its measured point."""
     for k in range(qpos.shape[0]):
         extremes[k, 0], extremes[k, 1] = min(extremes[k, 0], float(qpos[k])), max(extremes[k, 1], float(qpos[k]))
@@ -148,11 +148,11 @@ def begin_window(world, host, chip, axes, table, switches, switch_table, clockwo
         predict_axis_switch_edges(world, clockwork, axes[j], t, switches, switch_table, sensordata, x, speed, True)
         if ENCODERS:
             tau = float(world.now - world.start) / SECOND - clockwork.half
-            cores.set_shaft(chip, j, (x + speed * tau) * t.counts, speed * t.counts / chip.hz)
+            core_interface.set_shaft(chip, j, (x + speed * tau) * t.counts, speed * t.counts / chip.hz)
 
 
 def choose_polls(host, places, lane, end):
-    """Choose the polls of the next round, at most one for each lane.
+    """Choose the status polls that the lanes of a copy make in the next round, at most one for each lane.
 
     Returns:
         Time of the last of these polls, ns; their axes as bits; time and axis of this lane's poll, or -1; whether the next
@@ -179,7 +179,7 @@ def has_lost_a_step(chip, drives, table, axis_numbers, mask, qpos, qvel, tau):
         t = table[j]
         if mask >> axis_numbers[j] & 1:
             theta = (qpos[t.qpos] + qvel[t.dof] * tau) * t.gear
-            if drive_dispatch.count_lost_steps(drives[j], float(cores.read_net_count(chip, j)), theta) != 0:
+            if drive_dispatch.count_lost_steps(drives[j], float(core_interface.read_net_count(chip, j)), theta) != 0:
                 return True
     return False
 
@@ -205,16 +205,16 @@ def advance_lanes(
         qvel: mujoco-warp's joint speeds, a row a copy.
         ctrl: mujoco-warp's actuator inputs, a row a copy.
         sensordata: mujoco-warp's sensor values, a row a copy.
-        inertia: dof_M0 of each copy.
-        damping: dof_damping of all copies.
-        core_loss: actuator_damping of all copies.
+        inertia: MuJoCo's dof_M0, a row per copy.
+        damping: MuJoCo's dof_damping, the same for all copies.
+        core_loss: MuJoCo's actuator_damping, the same for all copies.
         warmstart: mujoco-warp's qacc_warmstart, a row a copy.
         sites: mujoco-warp's positions of sites, a row a copy.
         bodies: mujoco-warp's positions of bodies, a row a copy.
         frozen_coordinates: (copies, nq + 2 nv), coordinates, speeds and accelerations of copies that stand still.
-        playing: (1,), set to 1 where a program goes on.
+        playing: (1,), set to 1 if any program has not ended.
     """
-    thread = thread_number()
+    thread = get_thread_number()
     in_warp = thread % WARP
     group = in_warp // LANES
     copy, lane, first = thread // WARP * (WARP // LANES) + group, in_warp - group * LANES, group * LANES
@@ -230,12 +230,14 @@ def advance_lanes(
         cuda.local.array(1, HOST),
     )
     if in_use:
-        load_records(words_of(chip_records, W_STATE), words, 0, thread)
-        load_records(words_of(axes, W_AXES), words, W_STATE, thread)
-        load_records(words_of(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
-        load_records(words_of(switches, W_SWITCHES), words, W_STATE + W_AXES + W_DRIVES, thread)
-        load_records(words_of(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)
-        load_records(words_of(host_records, W_HOST), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES + W_WORLD, thread)
+        load_records(view_as_words(chip_records, W_STATE), words, 0, thread)
+        load_records(view_as_words(axes, W_AXES), words, W_STATE, thread)
+        load_records(view_as_words(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
+        load_records(view_as_words(switches, W_SWITCHES), words, W_STATE + W_AXES + W_DRIVES, thread)
+        load_records(view_as_words(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)
+        load_records(
+            view_as_words(host_records, W_HOST), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES + W_WORLD, thread
+        )
     world, host = world_records[0], host_records[0]
     table, switch_table, numbers = tables[lane], switch_tables[lane], axis_numbers[lane]
     c = LaneChip(chip_records[0], rows[lane].axes, rows[lane].hz, rows[lane].ticks)
@@ -244,7 +246,7 @@ def advance_lanes(
     if in_use and host.stepped:
         begin_window(world, host, c, axes, table, switches, switch_table, clockwork, sensordata[copy], q, v)
         if lane == 0 and host.started and ops[copy, host.op, 0] == MEASURE:
-            note_extremes(host, extremes[copy], q, sites, bodies, copy, ops[copy, host.op, 2])
+            update_extremes(host, extremes[copy], q, sites, bodies, copy, ops[copy, host.op, 2])
     elif in_use and host.frozen and lane == 0:
         for k in range(nq):
             q[k] = frozen_coordinates[copy, k]
@@ -254,7 +256,7 @@ def advance_lanes(
     start, end, now = world.start, world.start + dt, world.now
     chip_now, slice_now = now, world.slice
     acting, running = in_use and host.status == PLAYING, in_use and not host.frozen
-    while any_in_warp(running):
+    while is_true_in_warp(running):
         kind, op, a, b, x = END, host.op, 0, 0, 0
         target, axis, polled, moving, beyond, judged = -1, -1, 0, 0, False, False
         if running and not acting:  # nothing more to do in this window, or the program is over
@@ -279,7 +281,7 @@ def advance_lanes(
                 if kind in (WRITE, READ) and places[a].lane == lane:
                     target = now
         working = running and target > chip_now
-        if any_in_warp(working) and working:  # the only place: a chip's code is long
+        if is_true_in_warp(working) and working:  # the only place: a chip's code is long
             slice_now = run_chip(c, axes, table, switches, switch_table, world, dt, slice_now, chip_now, target)
             chip_now = target
         if running and not acting and target >= 0:
@@ -289,14 +291,14 @@ def advance_lanes(
         if acting and not polling:
             if kind == WRITE:
                 if places[a].lane == lane:
-                    cores.write(c, b, x)
+                    core_interface.write(c, b, x)
             elif kind == READ:
                 if places[a].lane == lane:
-                    results[copy, op] = cores.read(c, b)
+                    results[copy, op] = core_interface.read(c, b)
             elif kind == MEASURE:
                 if lane == 0:
                     if a > 0:
-                        note_extremes(host, extremes[copy], q, sites, bodies, copy, b)
+                        update_extremes(host, extremes[copy], q, sites, bodies, copy, b)
                     results[copy, op] = measure_travel(host)
             elif kind == LOOK and lane == 0:
                 place = q[places[a].qpos] + v[places[a].dof] * tau
@@ -304,14 +306,14 @@ def advance_lanes(
                     place = read_point_coordinate(sites, bodies, copy, b, x)
                 results[copy, op] = int(math.floor(place * 1e12))
             end_operation(host)
-        if any_in_warp(polling):
-            if axis >= 0 and cores.is_busy(c, places[axis].axis):
+        if is_true_in_warp(polling):
+            if axis >= 0 and core_interface.is_busy(c, places[axis].axis):
                 moving = 1 << axis
             if polling and judged and kind == KEEP and has_lost_a_step(c, drives, table, numbers, a, q, v, tau):
                 moving |= LOST
             in_motion, moving = moving, 0
             for k in range(LANES):
-                moving |= value_in_warp(in_motion, first + k)
+                moving |= read_value_in_warp(in_motion, first + k)
             if polling:
                 host.left &= ~polled | moving
                 host.until = now
@@ -350,17 +352,19 @@ def advance_lanes(
             for k in range(nv):
                 frozen_coordinates[copy, nq + k], frozen_coordinates[copy, nq + nv + k] = v[k], warmstart[copy, k]
     if in_use:
-        store_records(words_of(chip_records, W_STATE), words, 0, thread)
-        store_records(words_of(axes, W_AXES), words, W_STATE, thread)
-        store_records(words_of(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
-        store_records(words_of(switches, W_SWITCHES), words, W_STATE + W_AXES + W_DRIVES, thread)
-        store_records(words_of(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)
-        store_records(words_of(host_records, W_HOST), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES + W_WORLD, thread)
+        store_records(view_as_words(chip_records, W_STATE), words, 0, thread)
+        store_records(view_as_words(axes, W_AXES), words, W_STATE, thread)
+        store_records(view_as_words(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
+        store_records(view_as_words(switches, W_SWITCHES), words, W_STATE + W_AXES + W_DRIVES, thread)
+        store_records(view_as_words(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)
+        store_records(
+            view_as_words(host_records, W_HOST), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES + W_WORLD, thread
+        )
 
 
 def inspect_lanes(words, rows, axis_numbers, tables, clockworks, qpos, qvel, truth):
-    """Fill truth[copy, axis], TRUTH records, for every axis. A kernel of as many threads as `advance_lanes`."""
-    thread = thread_number()
+    """Fill truth[copy, axis] with the true state of every axis, TRUTH records. The kernel has the threads of `advance_lanes`."""
+    thread = get_thread_number()
     in_warp = thread % WARP
     group = in_warp // LANES
     copy, lane = thread // WARP * (WARP // LANES) + group, in_warp - group * LANES
@@ -371,9 +375,9 @@ def inspect_lanes(words, rows, axis_numbers, tables, clockworks, qpos, qvel, tru
         cuda.local.array(AXES, DRIVE),
         cuda.local.array(1, WORLD),
     )
-    load_records(words_of(chip_records, W_STATE), words, 0, thread)
-    load_records(words_of(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
-    load_records(words_of(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)
+    load_records(view_as_words(chip_records, W_STATE), words, 0, thread)
+    load_records(view_as_words(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
+    load_records(view_as_words(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)
     c = LaneChip(chip_records[0], rows[lane].axes, rows[lane].hz, rows[lane].ticks)
     for j in range(c.axes):
         out = truth[copy, axis_numbers[lane, j]]

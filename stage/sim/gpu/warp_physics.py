@@ -18,10 +18,11 @@ SPARE_CONTACTS, SPARE_CONSTRAINTS = 4, 8
 
 
 def load_warp() -> Any:
-    """Return the module warp.
+    """Load mujoco-warp, and return the module warp.
 
     Raises:
-        ExtraMissing: warp or mujoco-warp is not installed. GpuMissing: there is no GPU.
+        ExtraMissing: warp or mujoco-warp is not installed.
+        GpuMissing: There is no GPU.
     """
     warp = import_extra("warp", FEATURE_NAME)
     import_extra("mujoco_warp", FEATURE_NAME)
@@ -34,19 +35,22 @@ def load_warp() -> Any:
     return warp
 
 
-class Physics:
-    """The coordinates of all copies of a stage, and what moves them.
+class WarpPhysics:
+    """Physics of all copies of a stage, computed by mujoco-warp.
 
     Args:
-        model, data: Of the stage; the copies begin in its state.
-        copies: How many.
+        model: Model of the stage.
+        data: Data of the stage; the copies begin in its state.
+        copies: Number of copies.
 
     Attributes:
-        data: mujoco-warp's Data, a row a copy.
+        data: mujoco-warp's Data, with a row per copy.
         stream: warp's stream in which all work is done.
 
     Raises:
-        ModelError: mujoco-warp does not take the model. Errors of `load_warp`.
+        ModelError: mujoco-warp cannot simulate the model.
+        ExtraMissing: warp or mujoco-warp is not installed.
+        GpuMissing: There is no GPU.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, copies: int):
@@ -76,29 +80,29 @@ class Physics:
         self._mujoco_warp.step(self._model, self.data)
 
     def run(self, work: Callable[[], None]) -> None:
-        """Do work in the stream, and wait for its end."""
+        """Call `work`, which enqueues work in the stream, and wait for the end of that work."""
         with self.warp.ScopedStream(self.stream):
             work()
         self.warp.synchronize_stream(self.stream)
 
-    def capture(self, work: Callable[[], None]) -> Any:
-        """Return a CUDA graph of work that has been done once before, so that all of its code is compiled."""
+    def capture_graph(self, work: Callable[[], None]) -> Any:
+        """Capture work as a CUDA graph. The work must have been done once before, so that all of its code is compiled."""
         with self.warp.ScopedStream(self.stream), self.warp.ScopedCapture(stream=self.stream) as captured:
             work()
         return captured.graph
 
-    def launch(self, graph: Any) -> None:
-        """Do what was captured, and wait for its end."""
+    def launch_graph(self, graph: Any) -> None:
+        """Launch a captured CUDA graph, and wait for its end."""
         self.warp.capture_launch(graph, stream=self.stream)
         self.warp.synchronize_stream(self.stream)
 
-    def overflowed(self) -> np.ndarray:
-        """Return which copies had more contacts or constraints than there is room for, (copies,) bool."""
+    def find_overflowed_copies(self) -> np.ndarray:
+        """Return which copies had more contacts or constraints than mujoco-warp has memory for, (copies,) bool."""
         return (self.data.overflow.numpy() & ~self._tolerated) != 0
 
 
 def count_constraints(model: mujoco.MjModel) -> tuple[int, int]:
-    """Count the most contacts and constraints over the travel of each joint, and of all together."""
+    """Return the largest numbers of contacts and of constraints while each joint, and then all joints, move over their travel."""
     data = mujoco.MjData(model)
     limited = model.jnt_limited.astype(bool)
     place = model.jnt_qposadr[limited]

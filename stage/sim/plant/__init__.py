@@ -8,7 +8,7 @@ Axis NAME is
         each with data="found dist" and a force-free <pair margin="-0.03" gap="0.04">,
     or <custom><text name="NAME_unfitted" data="sd_plus sd_minus"/></custom> for the switches that it does not have.
 <text name="NAME_motor" data="17HS4401"/> names the motor whose rotor inertia is in the joint's armature.
-<text name="NAME_tandem" data="OTHER"/> names the axes that drive the same load beside it.
+<text name="NAME_tandem" data="OTHER"/> names the other axes that drive the same load.
 A stage exchanges the actuator for the kind that the axis' chip drives, see `fit_actuator`: any model takes any chip.
 <numeric name="NAME_index" data="0.5"/> is the rotor angle of the encoder's index pulse (EZ), in turns from the rotor
 angle at joint position 0; by default half a turn from where ORG trips, as an encoder is usually mounted.
@@ -21,7 +21,7 @@ docs/models.md explains the contract and holds a complete small model.
 """
 
 from stage.sim.engine_records import PINS
-from stage.sim.plant.model_spec import (
+from stage.sim.plant.model_preparation import (
     compile_spec,
     discard_visuals,
     find_axis_names,

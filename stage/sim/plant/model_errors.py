@@ -13,13 +13,13 @@ MARGIN, GAP = -0.03, 0.04  # of the pairs that the errors propose
 
 
 class ModelProblems:
-    """Everything that breaks the naming contract in one model: texts, and the lines to add or change."""
+    """Collection of everything in one model that breaks the naming contract: descriptions, and MJCF lines to add or change."""
 
     def __init__(self) -> None:
         self.texts: list[str] = []
         self.lines: list[str] = []
 
-    def add(self, axis: str, text: str, line: str | None = None) -> None:
+    def add_problem(self, axis: str, text: str, line: str | None = None) -> None:
         """Add a problem.
 
         Args:
@@ -31,8 +31,8 @@ class ModelProblems:
         if line and line not in self.lines:
             self.lines.append(line)
 
-    def check(self) -> None:
-        """Raise one ModelError that lists all of them, if there are any."""
+    def raise_if_any(self) -> None:
+        """Raise one ModelError that lists all problems, if there are any."""
         if not self.texts:
             return
         lines = "".join(f"\n    {line}" for line in self.lines)
@@ -45,12 +45,12 @@ class ModelProblems:
 
 
 def find_nearest_name(name: str, known: Iterable[str]) -> list[str]:
-    """Return the name nearest to `name`, if one is near."""
+    """Return the known name that is most similar to `name` in a list, empty if none is similar."""
     return find_similar_names(name, filter(None, known), 0.6)[:1]
 
 
 def suggest_name(model: Any, kind: Any, count: int, name: str, axes: Sequence[str]) -> str:
-    """Suggest a similar name of the model for a name that is missing, as words for an error; "" if no name is similar."""
+    """Suggest a similar name of the model for a missing name, as a clause for an error; "" if no name is similar."""
     known = (mujoco.mj_id2name(model, kind, k) or "" for k in range(count))
     near = find_nearest_name(name, (k for k in known if k not in axes))
     return f" (there is {near[0]!r}: a slip?)" if near else ""

@@ -20,7 +20,7 @@ from stage.sim.plant.model_errors import (
     format_joint_line,
     suggest_name,
 )
-from stage.sim.plant.model_spec import find_axis_names, read_texts
+from stage.sim.plant.model_preparation import find_axis_names, read_texts
 from stage.sim.plant.switch_finder import Switch, SwitchFinder
 from stage.units import POSITION_UNITS
 
@@ -34,11 +34,13 @@ class PlantAxis:
 
     Attributes:
         name: Name of the axis.
-        joint, actuator: Ids in the model.
-        qpos, dof: Addresses of the joint.
+        joint: Id of the joint in the model.
+        actuator: Id of the actuator in the model.
+        qpos: Address of the joint in MuJoCo's qpos.
+        dof: Address of the joint in MuJoCo's qvel.
         gear: Rotor radians per joint unit, signed.
         travel: Range of the joint, m (rad if `hinge`).
-        motor: Name of the motor inside the armature, or None.
+        motor: Name of the motor whose rotor the armature includes, or None.
         servo: Whether the actuator is a DC motor.
         index: Rotor angle of the index pulse, in turns from the rotor angle at joint position 0.
         switches: Switches fitted, in the order of PINS.
@@ -125,14 +127,14 @@ class _AxisBinder:
                              'or sensor. Remove contact="disable", constraint="disable" and sensor="disable".')  # fmt: skip
         bound = [self._bind_axis(name) for name in self.axes]
         tandems = self._find_tandem_axes()
-        self.problems.check()
+        self.problems.raise_if_any()
         return tuple(replace(a, tandem=tandems.get(a.name, ())) for a in bound if a is not None)
 
     def _find_id(self, kind: Any, name: str) -> int:
         return int(mujoco.mj_name2id(self.model, kind, name))
 
     def _find_tandem_axes(self) -> dict[str, tuple[str, ...]]:
-        """Return for each axis the other axes that drive the same load; a text NAME_tandem of one of them names them."""
+        """Return for each axis the names of the other axes that drive the same load, from the texts NAME_tandem."""
         tandems: dict[str, tuple[str, ...]] = {}
         if not any(name.endswith("_tandem") for name in self.texts):
             return tandems
@@ -141,11 +143,11 @@ class _AxisBinder:
             for other in self.texts.get(f"{name}_tandem", "").split():
                 if other not in known or other == name:
                     near = "".join(f" (meant {a!r}?)" for a in find_nearest_name(other, known))
-                    self.problems.add(
+                    self.problems.add_problem(
                         name, f"the text {name}_tandem names {other!r}{near}; it names other axes of one load"
                     )
                 elif not self._are_parallel(name, other):
-                    self.problems.add(
+                    self.problems.add_problem(
                         name,
                         f"the text {name}_tandem names {other!r}, whose joint has another direction or another distance for a "
                         "turn of the motor: tandem axes are side by side",
@@ -157,7 +159,7 @@ class _AxisBinder:
         return {a: tuple(b for b in others if b in self.axes) for a, others in tandems.items()}
 
     def _are_parallel(self, name: str, other: str) -> bool:
-        """Return whether two joints have the same direction, and their motors move them equally far in a turn."""
+        """Return whether two joints have the same direction, and a turn of their motors moves them equally far."""
         m, data = self.model, mujoco.MjData(self.model)
         mujoco.mj_kinematics(m, data)
         one, two = (self._find_id(mujoco.mjtObj.mjOBJ_JOINT, a) for a in (name, other))
@@ -171,24 +173,24 @@ class _AxisBinder:
         m, obj = self.model, mujoco.mjtObj
         joint, actuator = self._find_id(obj.mjOBJ_JOINT, name), self._find_id(obj.mjOBJ_ACTUATOR, name)
         if joint < 0:
-            self.problems.add(
+            self.problems.add_problem(
                 name,
                 f"no joint {name!r}{suggest_name(m, obj.mjOBJ_JOINT, m.njnt, name, self.axes)}",
                 format_joint_line(name),
             )
         if actuator < 0:
             near = suggest_name(m, obj.mjOBJ_ACTUATOR, m.nu, name, self.axes)
-            self.problems.add(name, f"no actuator {name!r}{near}", format_actuator_line(name))
+            self.problems.add_problem(name, f"no actuator {name!r}{near}", format_actuator_line(name))
         if joint < 0 or actuator < 0:
             return None
         slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
         if int(m.jnt_type[joint]) not in (slide, hinge):
-            self.problems.add(name, f"joint {name!r} is neither slide nor hinge", format_joint_line(name))
+            self.problems.add_problem(name, f"joint {name!r} is neither slide nor hinge", format_joint_line(name))
             return None
         low, high = (float(v) for v in m.jnt_range[joint])
         if not low < high:
             line = format_joint_line(name, int(m.jnt_type[joint]) == hinge)
-            self.problems.add(name, f"joint {name!r} has no range, so its switches cannot be looked for", line)
+            self.problems.add_problem(name, f"joint {name!r} has no range, so its switches cannot be looked for", line)
         gear = float(m.actuator_gear[actuator][0])
         servo = bool(m.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_DCMOTOR)
         self._check_drive(name, joint, actuator, servo)
@@ -197,13 +199,15 @@ class _AxisBinder:
             return None
         flag_distances = self.switches.measure_flag_distances(name, joint, low, high)
         switches_found = [
-            self.switches.find(name, pin, joint, low, high, flag_distances) for pin in PINS if pin not in unfitted
+            self.switches.find_switch(name, pin, joint, low, high, flag_distances)
+            for pin in PINS
+            if pin not in unfitted
         ]
         switches = tuple(s for s in switches_found if s is not None)
-        self.switches.check_order(name, switches)
+        self.switches.check_switch_order(name, switches)
         return PlantAxis(
             name, joint, int(m.jnt_qposadr[joint]), int(m.jnt_dofadr[joint]), actuator, gear, (low, high),
-            bool(m.jnt_type[joint] == hinge), self.texts.get(f"{name}_motor"), servo, self._index(name, gear, switches),
+            bool(m.jnt_type[joint] == hinge), self.texts.get(f"{name}_motor"), servo, self._find_index_angle(name, gear, switches),
             switches,
         )  # fmt: skip
 
@@ -212,7 +216,7 @@ class _AxisBinder:
         m = self.model
         armature = float(m.dof_armature[m.jnt_dofadr[joint]])
         if not 0 <= armature <= 1e9:
-            self.problems.add(
+            self.problems.add_problem(
                 name,
                 f"joint {name!r} has an armature of {armature:g}; inertia is 0 to 1e9, in kg (kg m2 on a hinge): that of the "
                 "rotor times the gear squared, or 0",
@@ -220,7 +224,7 @@ class _AxisBinder:
         gear = float(m.actuator_gear[actuator][0])
         fits = self._is_dc_motor(joint, actuator) if servo else self._is_motor(joint, actuator)
         if not fits or not 1e-6 <= abs(gear) <= 1e9:
-            self.problems.add(
+            self.problems.add_problem(
                 name,
                 f"actuator {name!r} is not a <motor> on joint {name!r}, nor a <dcmotor> with voltage input only, with a gear of "
                 f"1e-6 to 1e9 (rotor radians per joint unit); if {name!r} is no axis of a chip, name those that are: "
@@ -234,20 +238,22 @@ class _AxisBinder:
         for pin in unfitted:
             if pin not in PINS:
                 near = "".join(f" (meant {p!r}?)" for p in find_nearest_name(pin, PINS))
-                self.problems.add(name, f"the text {name}_unfitted names {pin!r}{near}; switches are {', '.join(PINS)}")
+                self.problems.add_problem(
+                    name, f"the text {name}_unfitted names {pin!r}{near}; switches are {', '.join(PINS)}"
+                )
         return unfitted
 
-    def _index(self, name: str, gear: float, switches: Iterable[Switch]) -> float:
+    def _find_index_angle(self, name: str, gear: float, switches: Iterable[Switch]) -> float:
         m = self.model
         k = self._find_id(mujoco.mjtObj.mjOBJ_NUMERIC, f"{name}_index")
         if k >= 0:
             index = float(m.numeric_data[m.numeric_adr[k]])
             if not abs(index) <= 1e6:
-                self.problems.add(name, f"the numeric {name}_index is {index}: give turns, mostly 0 to 1")
+                self.problems.add_problem(name, f"the numeric {name}_index is {index}: give turns, mostly 0 to 1")
             return index
         return next(((s.touch * gear / (2 * np.pi) + 0.5) % 1.0 for s in switches if s.pin == "org"), 0.0)
 
-    def _is_on(self, joint: int, actuator: int) -> bool:
+    def _acts_on_joint(self, joint: int, actuator: int) -> bool:
         m = self.model
         return bool(
             m.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT and m.actuator_trnid[actuator][0] == joint
@@ -258,11 +264,11 @@ class _AxisBinder:
         m = self.model
         resistance, constant = m.actuator_gainprm[actuator][:2]
         stateless = m.actuator_actnum[actuator] == 0 and not m.actuator_biasprm[actuator].any()
-        return self._is_on(joint, actuator) and bool(stateless and resistance > 0 and constant > 0)
+        return self._acts_on_joint(joint, actuator) and bool(stateless and resistance > 0 and constant > 0)
 
     def _is_motor(self, joint: int, actuator: int) -> bool:
         m = self.model
-        return self._is_on(joint, actuator) and bool(
+        return self._acts_on_joint(joint, actuator) and bool(
             m.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE
             and m.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
             and m.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE

@@ -1,11 +1,11 @@
-"""`new_model`: writes a commented MJCF model that keeps the naming contract. Each axis rides on the one before it.
+"""`new_model`: writes a commented MJCF model that keeps the naming contract. Each axis moves the next one.
 
-    axes = [NewAxis.of("x:slide:300mm"), NewAxis.of("a:hinge:360deg")]
+    axes = [NewAxis.parse("x:slide:300mm"), NewAxis.parse("a:hinge:360deg")]
     text = new_model(axes)
 
-A slide is a carriage on a screw of 10 mm lead, a hinge a table behind a 10:1 gear. The travel of an axis is that between its end
-limits. From minus: hard stop, EL-, ORG (asserted at and below the origin), SD-, ..., SD+, EL+, hard stop. A hinge of 360 degrees
-turns without end: it has ORG alone.
+A slide is a carriage on a screw of 10 mm lead, a hinge a table on a 10:1 gear. The travel of an axis is that between its end
+limits. From minus to plus an axis has: hard stop, EL-, ORG (asserted at and below the origin), SD-, SD+, EL+, hard stop. A hinge of
+360 degrees turns endlessly, and has the switch ORG only.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class NewAxis:
     travel: float
 
     @classmethod
-    def of(cls, text: str) -> NewAxis:
+    def parse(cls, text: str) -> NewAxis:
         """Parse `x:slide:300mm` or `a:hinge:90deg`.
 
         Raises:
@@ -72,7 +72,7 @@ class NewAxis:
 
     @property
     def endless(self) -> bool:
-        """True for an axis that turns without end limits."""
+        """Whether the axis turns endlessly, without end limits."""
         return self.kind == "hinge" and self.travel > WIDEST
 
 
@@ -86,7 +86,7 @@ class _SwitchGeom(NamedTuple):
 
 
 class _AxisParts(NamedTuple):
-    """Lines that an axis adds to the model: on its frame, on what moves, contacts."""
+    """MJCF lines that an axis adds to the model: fixed to its frame, on its moving part, and pairs for contacts."""
 
     frame: list[str]
     moving: list[str]
@@ -97,7 +97,7 @@ def new_model(axes: Sequence[NewAxis]) -> str:
     """Return the MJCF of a new model.
 
     Args:
-        axes: Its axes, each riding on the one before.
+        axes: Axes of the model; each moves the next one.
 
     Raises:
         ModelError: Two axes have one name, or there is none.
@@ -160,7 +160,7 @@ def new_model(axes: Sequence[NewAxis]) -> str:
 
 
 def _choose_directions(axes: Sequence[NewAxis]) -> dict[str, str]:
-    """Choose the direction of each slide: the one it is named after, or the next that no other has."""
+    """Choose the direction x, y or z of each slide: the one in its name, or the next that no other slide has."""
     directions = {a.name: a.name.lower() for a in axes if a.kind == "slide" and a.name.lower() in DIRECTIONS}
     free = [d for d in DIRECTIONS if d not in directions.values()]
     for a in axes:
@@ -170,7 +170,7 @@ def _choose_directions(axes: Sequence[NewAxis]) -> dict[str, str]:
 
 
 def _build_bodies(axes: list[NewAxis], directions: dict[str, str]) -> tuple[list[str], list[str]]:
-    """Return the bodies from the first axis on, each on the one before, and all pairs."""
+    """Return the MJCF lines of the bodies, each axis inside the body of the axis before, and the lines of all contact pairs."""
     a, rest = axes[0], axes[1:]
     parts = _build_slide(a) if a.kind == "slide" else _build_hinge(a)
     inner, pairs = _build_bodies(rest, directions) if rest else (
@@ -218,7 +218,7 @@ def _compute_gear(axis: NewAxis) -> float:
 
 
 def _compute_armature(axis: NewAxis) -> float:
-    """Return the armature, kg (kg m2 on a hinge)."""
+    """Return the inertia of rotor and screw as seen at the joint, MuJoCo's armature, kg (kg m^2 on a hinge)."""
     screw = 0.5 * STEEL * math.pi * SCREW**4 * (axis.travel + 0.1) if axis.kind == "slide" else 0.0
     return (ROTOR_INERTIA_KG_M2 + screw) * _compute_gear(axis) ** 2
 
@@ -269,7 +269,7 @@ def _build_slide(axis: NewAxis) -> _AxisParts:
 
 
 def _build_hinge(axis: NewAxis) -> _AxisParts:
-    """Return the parts of a table that turns about z. Each switch has a track of its own, above the last; vanes are flat."""
+    """Return the parts of a table that turns about z. Each switch and its flat vane have a height of their own."""
     name, at_radius = axis.name, TABLE_RADIUS_M - 0.008
     frame = [f'<geom class="frame" type="cylinder" size="{TABLE_RADIUS_M} 0.008" pos="0 0 -0.01"/>']
     moving = [f'<geom name="{name}_table" type="cylinder" size="{TABLE_RADIUS_M} 0.004" pos="0 0 0.035" mass="0.5"/>']
@@ -300,5 +300,5 @@ def _build_hinge(axis: NewAxis) -> _AxisParts:
     return _AxisParts(frame, moving, pairs)
 
 
-def _make_pair(axis: NewAxis, s: _SwitchGeom) -> str:
-    return f'<pair class="switch" geom1="{axis.name}_{s.name}_vane" geom2="{axis.name}_{s.name}_beam"/>'
+def _make_pair(axis: NewAxis, switch: _SwitchGeom) -> str:
+    return f'<pair class="switch" geom1="{axis.name}_{switch.name}_vane" geom2="{axis.name}_{switch.name}_beam"/>'

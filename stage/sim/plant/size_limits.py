@@ -1,8 +1,8 @@
 """Limits on the size to which a model file may expand, checked before MuJoCo reads the file.
 
 A few lines of MJCF can ask for more than any machine holds: nested `<replicate>`s, a `<composite>` of 100,000 bodies, a height
-field of 10^10 samples, a mesh whose file is a pipe. MuJoCo cannot be interrupted while it compiles, so such a model is refused by
-counting. The bounds lie far above what a motion stage needs; within them MuJoCo compiles for seconds, not for hours.
+field of 10^10 samples, a mesh whose file is a pipe. MuJoCo cannot be interrupted while it compiles, so this module counts the
+elements first, and refuses such a model. The bounds are far above the needs of a motion stage, and up to them MuJoCo needs seconds.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def check_model_size(path: Path) -> None:
 
 
 class _ModelSizeCounter:
-    """Number of elements that a model file expands to, with the files that it names."""
+    """Counter of the elements to which a model file and the files that it names expand."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -61,7 +61,7 @@ class _ModelSizeCounter:
         self._check_limit("size", "numbers of user data", self._elements * self._user_numbers, MAX_SAMPLES)
 
     def _add_file(self, path: Path, copies: int, parents: tuple[Path, ...]) -> None:
-        """Count `copies` of a file; `parents` are the files that led here."""
+        """Count the elements of a file `copies` times; `parents` are the files by which it is included, the outermost first."""
         self._files += 1
         if path in parents:
             raise ModelError(
@@ -82,7 +82,7 @@ class _ModelSizeCounter:
                 if element.tag == "include":
                     self._add_file(file, times, (*parents, path))
             if element.tag == "attach":
-                for file in self._find(models.get(element.get("model", ""), "")):
+                for file in self._find_file(models.get(element.get("model", ""), "")):
                     self._add_file(file, times, (*parents, path))
             inner = times * _multiply_counts(element.get("count")) if element.tag == "replicate" else times
             stack.extend((child, inner) for child in element)
@@ -117,7 +117,7 @@ class _ModelSizeCounter:
                     self._user_numbers = max(self._user_numbers, _multiply_counts(value))
 
     def _add_samples(self, element: ElementTree.Element, unit: str, sizes: tuple[str, ...]) -> None:
-        """Count the samples of a height field or a texture: by its sizes, and those of a picture in a file by its header."""
+        """Count the samples of a height field or a texture, from its sizes, or from the header of its picture file."""
         self._samples += math.prod(_multiply_counts(element.get(name)) for name in sizes)
         self._samples += sum(map(_count_pixels, self._iterate_files(element)))
         self._check_limit(element.tag, unit, self._samples, MAX_SAMPLES)
@@ -134,9 +134,9 @@ class _ModelSizeCounter:
         max_bytes = MAX_FLEX_FILE_BYTES if element.tag == "flexcomp" else MAX_FILE_BYTES
         for name, value in element.items():
             if name.startswith("file") and value:
-                yield from self._find(value, max_bytes)
+                yield from self._find_file(value, max_bytes)
 
-    def _find(self, name: str, max_bytes: int = MAX_FILE_BYTES) -> Iterator[Path]:
+    def _find_file(self, name: str, max_bytes: int = MAX_FILE_BYTES) -> Iterator[Path]:
         for folder in self._folders if name else ():
             path = folder / name
             if path.exists():
@@ -146,7 +146,7 @@ class _ModelSizeCounter:
 
 
 class _BoundedTreeBuilder(ElementTree.TreeBuilder):
-    """Builds the tree of a file that has no more elements than a model may have, and stops at the first one beyond."""
+    """Builder of an XML tree that stops with an error at the first element beyond the maximum of a model."""
 
     def __init__(self, path: Path):
         super().__init__()
@@ -164,7 +164,7 @@ class _BoundedTreeBuilder(ElementTree.TreeBuilder):
 
 
 def _parse_bounded_xml(path: Path) -> ElementTree.Element:
-    """Return the root of an XML file, read as leniently as MuJoCo does: any bytes in texts, any dashes in comments, no entities."""
+    """Parse an XML file as leniently as MuJoCo does: any bytes in texts, any dashes in comments, no entities."""
     content = read_bytes(path, "MJCF file", MAX_FILE_BYTES, ModelError).decode(errors="replace")
     text = _MARKUP.sub(lambda match: match[1] or "", _CONTROL.sub(" ", content))
     text = _LITERAL_AMPERSAND.sub("&amp;", text[max(text.find("<"), 0) :])
@@ -175,7 +175,7 @@ def _parse_bounded_xml(path: Path) -> ElementTree.Element:
 
 
 def _count_pixels(path: Path) -> int:
-    """Return the pixels of a picture in PNG, by its header; 0 of any other file, whose bytes are bounded."""
+    """Return the number of pixels in the header of a PNG picture; 0 for any other file, whose size in bytes is limited."""
     with open_regular(path, "file of a model", MAX_FILE_BYTES, ModelError) as file:
         head = file.read(_PNG_SIZE.stop)
     if not head.startswith(_PNG) or len(head) < _PNG_SIZE.stop:
@@ -185,7 +185,7 @@ def _count_pixels(path: Path) -> int:
 
 
 def _multiply_counts(counts: str | None) -> int:
-    """Return the product of whole numbers in an attribute; what is no number counts as 1, as MuJoCo refuses it."""
+    """Return the product of the whole numbers in an attribute. Other words count as 1, because MuJoCo refuses them later."""
     try:
         return math.prod(max(int(float(count)), 1) for count in (counts or "1").split())
     except (ValueError, OverflowError):

@@ -1,6 +1,4 @@
-"""Search for the switches of an axis: where each one trips, from which distance its sensor detects the vane, and whether it
-works.
-"""
+"""Search for the switches of an axis: the positions at which each one trips, and the travel over which its sensor is exact."""
 
 from __future__ import annotations
 
@@ -30,15 +28,16 @@ _DATA_DIMS = (("FOUND", 1), ("FORCE", 3), ("TORQUE", 3), ("DIST", 1), ("POS", 3)
 
 @dataclass(frozen=True)
 class FlagEdge:
-    """A place in the joint's travel where a vane enters or leaves its switch.
+    """Edge of a flag: a joint position at which a vane enters or leaves its switch.
 
-    Beside it, the contact sensor's distance over `slope` is the joint's travel from the edge, to `noise` + `bend` travel^2.
+    Near the edge, the distance of the contact sensor divided by `slope` is the joint's travel from the edge. The error of this
+    travel is at most `noise` + `bend` travel^2.
 
     Attributes:
-        at: Joint position where the distance is 0.
-        slope: d dist / d q at the edge: negative if the vane enters the switch on the way to plus, positive if it leaves it.
-        bend, noise: Bounds of the error of the travel that is read from the sensor, see above.
-        below, above: Travels read from the sensor, to minus and to plus, between which these bounds hold.
+        at: Joint position at which the distance is 0.
+        slope: d dist / d q at the edge: negative if the vane enters the switch in plus direction, positive if it leaves it.
+        bend, noise: Coefficients of the error bound.
+        below, above: Travels from the edge, to minus and to plus, up to which the error bound holds.
     """
 
     at: float
@@ -51,17 +50,17 @@ class FlagEdge:
 
 @dataclass(frozen=True)
 class Switch:
-    """Limit switch and its vane.
+    """Limit switch of an axis and the vane that trips it.
 
     Attributes:
         pin: el_plus, el_minus, sd_plus, sd_minus or org.
-        sensor: Id in the model.
-        found, dist: Addresses in sensordata.
-        touch: Joint position at which the vane, coming from the middle of travel (to ORG: from plus), trips the switch.
-        slope: d dist / d q there; -1 or 1 for flat faces on a slide, m/rad on a hinge.
-        lookahead: Joint travel before the touch over which `dist` is available.
-        edges: All edges of its flag in the joint's travel, from minus to plus; both of a short flag.
-        turn: Joint travel after which they come again: a full turn of a hinge that turns as far, else 0.
+        sensor: Id of the contact sensor in the model.
+        found, dist: Addresses of the sensor's fields in sensordata.
+        touch: Joint position at which the switch trips when the joint comes from the middle of its travel, for ORG from plus.
+        slope: d dist / d q at `touch`; -1 or 1 for flat faces on a slide, m/rad on a hinge.
+        lookahead: Joint travel before `touch` over which `dist` is available.
+        edges: All edges of the flag in the joint's travel, from minus to plus.
+        turn: Joint travel after which the edges repeat: a full turn of a hinge with such a travel, else 0.
     """
 
     pin: str
@@ -76,7 +75,7 @@ class Switch:
 
 
 class SwitchFinder:
-    """Finder of limit switches: moves the axes of a model through their travel and measures. Errors go to `problems`."""
+    """Finder of limit switches, which moves the axes of a model over their travel and measures. Errors go to `problems`."""
 
     def __init__(self, model: mujoco.MjModel, problems: ModelProblems, axes: Sequence[str]):
         self.model, self.data, self.problems, self.axes = model, mujoco.MjData(model), problems, axes
@@ -86,14 +85,14 @@ class SwitchFinder:
 
     @property
     def _known_sensor_names(self) -> list[str]:
-        """Names that are correct as they are, so that a misspelled sensor cannot mean them: axes, and their switches' sensors."""
+        """Names of the sensors of all axes and switches: a name of another object cannot be a misspelling of one of these."""
         return [*self.axes, *(f"{axis}_{pin}" for axis in self.axes for pin in PINS)]
 
     def _guess_flag_geoms(self, axis: str, pin: str) -> tuple[str, str]:
-        """Guess vane and switch of a pin from the names of the model's geoms, for the line of MJCF that an error suggests.
+        """Guess the geoms of vane and switch of a pin from the names of the model's geoms, for the line that an error suggests.
 
         Returns:
-            Names of vane and switch; "" where no geom or several geoms have a matching name.
+            Names of vane and switch; "" if no geom or several geoms have a matching name.
         """
         m, begins = self.model, f"{axis}_{pin}_"
         geoms = (m.geom(k).name for k in range(m.ngeom))
@@ -103,7 +102,7 @@ class SwitchFinder:
             (vanes if "vane" in name else switches).append(name)
         return vanes[0] if len(vanes) == 1 else "", switches[0] if len(switches) == 1 else ""
 
-    def find(
+    def find_switch(
         self,
         axis: str,
         pin: str,
@@ -134,30 +133,30 @@ class SwitchFinder:
         pair, line = format_pair_line(vane_name, switch_name), format_sensor_line(axis, pin, vane_name, switch_name)
         at = self._find_field_addresses(sensor)
         if "FOUND" not in at or "DIST" not in at:
-            self.problems.add(axis, f'sensor {name!r} needs data="found dist"', line)
+            self.problems.add_problem(axis, f'sensor {name!r} needs data="found dist"', line)
             return None
         edges = self._find_edges(joint, (vane, switch), low, high, flag_distances[vane, switch])
         if isinstance(edges, str):
-            self.problems.add(axis, f"switch {pin}: the vane {edges}")
+            self.problems.add_problem(axis, f"switch {pin}: the vane {edges}")
             return None
         entering, leaving = [e for e in edges if e[1] < 0], [e for e in edges if e[1] > 0]
         q, slope = entering[0] if entering and (pin.endswith("plus") or not leaving) else leaving[-1]
         found_address, dist = at["FOUND"], at["DIST"]
         ahead = q + MIN_LOOKAHEAD_M / slope
-        self._compute_at(joint, ahead)
+        self._compute_sensors_at(joint, ahead)
         is_seen, gap = self.data.sensordata[found_address] > 0, self._measure_distance(joint, ahead, vane, switch)
         read = self.data.sensordata[dist]
         if not is_seen:
             text = f"sensor {name!r} does not see its vane {MIN_LOOKAHEAD_M * 1e3} mm before the touch: "
-            self.problems.add(axis, text + "no pair, or its margin + gap is too small", pair)
+            self.problems.add_problem(axis, text + "no pair, or its margin + gap is too small", pair)
             return None
         if abs(read - gap) > 0.1 * MIN_LOOKAHEAD_M:
             text = f"sensor {name!r} reads {read * 1e3:.3f} mm where vane and switch are {gap * 1e3:.3f} mm apart"
-            self.problems.add(axis, text, line)
+            self.problems.add_problem(axis, text, line)
             return None
         if any(self._exerts_force(joint, end, {vane, switch}) for end in (q, low, high)):
             text = f"switch {pin} pushes its vane: the margin must be negative, the gap larger"
-            self.problems.add(axis, text, pair)
+            self.problems.add_problem(axis, text, pair)
             return None
         if pin.startswith("el"):
             self._check_held_to_hard_stop(axis, pin, joint, found_address, dist, q, high if pin == "el_plus" else low)
@@ -184,12 +183,12 @@ class SwitchFinder:
             text = f"sensor {name!r} must name geom1 (vane) and geom2 (switch)"
         else:
             return sensor
-        self.problems.add(axis, text, format_sensor_line(axis, pin, *self._guess_flag_geoms(axis, pin)))
+        self.problems.add_problem(axis, text, format_sensor_line(axis, pin, *self._guess_flag_geoms(axis, pin)))
         return None
 
     def _exerts_force(self, joint: int, position: float, pair: set[int]) -> bool:
-        """Return whether two geoms push each other with this joint at q."""
-        self._compute_at(joint, position)
+        """Return whether two geoms push each other when the joint is at a position."""
+        self._compute_sensors_at(joint, position)
         return pair in self._list_pushing_pairs()
 
     def _limit_to_one_turn(self, joint: int, low: float, high: float) -> tuple[float, float, float]:
@@ -217,8 +216,8 @@ class SwitchFinder:
         self.data.qpos[:] = self.model.qpos0
         self.data.qpos[self.model.jnt_qposadr[joint]] = position
 
-    def _compute_at(self, joint: int, position: float) -> None:
-        """Compute positions, contacts and sensors with this joint at q and the others at qpos0."""
+    def _compute_sensors_at(self, joint: int, position: float) -> None:
+        """Compute positions, contacts and sensors with one joint at a position and the other joints at qpos0."""
         self._set_joint_position(joint, position)
         mujoco_callbacks.forward_guarded(self.model, self.data)
 
@@ -309,47 +308,47 @@ class SwitchFinder:
         return edges if all(slope for _, slope in edges) else "grazes it: the distance does not change with the joint"
 
     def _refine_minimum(
-        self, joint: int, pair: tuple[int, int], a: float, b: float, narrowest: float
+        self, joint: int, pair: tuple[int, int], low: float, high: float, narrowest: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Refine the scan where a narrow vane may touch its switch between two positions.
 
         Args:
             joint: Id of the joint.
             pair: Ids of vane and switch.
-            a: Joint position at which the search begins.
-            b: Joint position at which the search ends.
+            low: Joint position at which the search begins.
+            high: Joint position at which the search ends.
             narrowest: Joint travel at which the search gives up.
 
         Returns:
             Joint positions around the least distance, and the distances there, m.
         """
         while True:
-            finer = np.linspace(a, b, 65)
+            finer = np.linspace(low, high, 65)
             near = self._measure_distances(joint, finer, [pair])[:, 0]
             may_touch = np.flatnonzero(_may_touch_between(near))
-            if (near <= 0).any() or not len(may_touch) or b - a < narrowest:
+            if (near <= 0).any() or not len(may_touch) or high - low < narrowest:
                 return finer[1:-1], near[1:-1]
             k = int(may_touch[np.argmin(near[may_touch + 1])])
-            a, b = finer[k], finer[k + 2]
+            low, high = finer[k], finer[k + 2]
 
-    def _find_zero_distance(self, joint: int, pair: tuple[int, int], a: float, b: float) -> float:
-        """Find by bisection the joint position between `a` and `b` at which the distance of vane and switch is 0."""
-        on = self._measure_distance(joint, b, *pair) <= 0
-        while a < (q := 0.5 * (a + b)) < b:
-            a, b = (a, q) if (self._measure_distance(joint, q, *pair) <= 0) == on else (q, b)
+    def _find_zero_distance(self, joint: int, pair: tuple[int, int], low: float, high: float) -> float:
+        """Find by bisection the joint position between `low` and `high` at which the distance of vane and switch is 0."""
+        on = self._measure_distance(joint, high, *pair) <= 0
+        while low < (q := 0.5 * (low + high)) < high:
+            low, high = (low, q) if (self._measure_distance(joint, q, *pair) <= 0) == on else (q, high)
         return float(q)
 
     def _find_slope(
-        self, joint: int, pair: tuple[int, int], at: float, entering: bool, span: float, room: float
+        self, joint: int, pair: tuple[int, int], edge_position: float, entering: bool, travel: float, room: float
     ) -> float:
         """Find the slope of the distance at an edge of the flag.
 
         Args:
             joint: Id of the joint.
             pair: Ids of vane and switch.
-            at: Joint position of the edge.
-            entering: Whether the vane enters its switch there on the way to plus.
-            span: Joint travel of the axis.
+            edge_position: Joint position of the edge.
+            entering: Whether the vane enters its switch at this edge in plus direction.
+            travel: Joint travel of the axis.
             room: Joint travel from this edge to the nearest other one.
 
         Returns:
@@ -359,8 +358,8 @@ class SwitchFinder:
         def distance(position: float) -> float:
             return self._measure_distance(joint, position, *pair)
 
-        steps = np.geomspace(min(1e-6 * span, 1e-2 * room), 1e-2 * span, 5)
-        slopes = [float((distance(at + e) - distance(at - e)) / (2 * e)) for e in steps]
+        steps = np.geomspace(min(1e-6 * travel, 1e-2 * room), 1e-2 * travel, 5)
+        slopes = [float((distance(edge_position + e) - distance(edge_position - e)) / (2 * e)) for e in steps]
         right = [(slope < 0) == entering and slope != 0 for slope in slopes]
         steady = [
             ok and abs(s - t) <= MAX_LINEAR_ERROR * abs(s) for ok, (s, t) in zip(right, pairwise(slopes), strict=False)
@@ -369,26 +368,35 @@ class SwitchFinder:
         return 0.0 if choice is None else slopes[choice]
 
     def _measure_edge(
-        self, joint: int, found_address: int, dist_address: int, at: float, slope: float, span: float, room: float
+        self,
+        joint: int,
+        found_address: int,
+        dist_address: int,
+        edge_position: float,
+        slope: float,
+        travel: float,
+        room: float,
     ) -> FlagEdge:
-        """Measure how far from an edge the contact sensor's distance still gives the joint's position, and how exactly.
+        """Measure over which travel, and how exactly, the contact sensor's distance gives the joint's position near an edge.
 
         Args:
             joint: Id of the joint.
             found_address: Address of the sensor's field `found` in sensordata.
             dist_address: Address of its field `dist`.
-            at: Joint position of the edge.
+            edge_position: Joint position of the edge.
             slope: d dist / d q at the edge.
-            span: Joint travel of the axis.
+            travel: Joint travel of the axis.
             room: Joint travel from this edge to the nearest other one.
         """
         noise, bend, limits = MIN_TRAVEL, 0.0, []
-        nearest = min(MIN_FLAG_SHARE * span, 1e-4 * room)  # the first steps, up to 100 times as far, measure the noise
-        steps = (span * np.geomspace(nearest / span, 1, 41)).tolist()
+        nearest = min(
+            MIN_FLAG_SHARE * travel, 1e-4 * room
+        )  # the first steps, up to 100 times as far, measure the noise
+        steps = (travel * np.geomspace(nearest / travel, 1, 41)).tolist()
         for side in (-1, 1):
             limit = 0.0
             for step in steps:
-                self._compute_at(joint, at + side * step)
+                self._compute_sensors_at(joint, edge_position + side * step)
                 if not self.data.sensordata[found_address] > 0:
                     break
                 sensed = float(self.data.sensordata[dist_address]) / slope
@@ -399,7 +407,7 @@ class SwitchFinder:
                     break
                 bend, limit = max(bend, 1.5 * (error - noise) / step**2), TRUSTED_TRAVEL_SHARE * sensed
             limits.append(limit)
-        return FlagEdge(at, slope, bend, noise, *limits)
+        return FlagEdge(edge_position, slope, bend, noise, *limits)
 
     def _measure_lookahead(
         self, joint: int, found_address: int, position: float, slope: float, low: float, high: float
@@ -409,7 +417,7 @@ class SwitchFinder:
         room = high - position if slope > 0 else position - low
         for _ in range(24):
             x = 0.5 * (near + unseen) if unseen else min(2 * near, room)
-            self._compute_at(joint, position + sign * x)
+            self._compute_sensors_at(joint, position + sign * x)
             if not self.data.sensordata[found_address] > 0:
                 unseen = x
             elif not unseen and x >= room:
@@ -421,27 +429,29 @@ class SwitchFinder:
     def _check_held_to_hard_stop(
         self, axis: str, pin: str, joint: int, found_address: int, dist: int, touch: float, end: float
     ) -> None:
-        """Check that EL trips before the hard stop, and stays asserted up to the stop or the end of the range."""
+        """Check that an end limit trips before the hard stop, and stays asserted up to the stop or the end of the joint's range."""
         m = self.model
         roots = m.body_jntadr[m.body_rootid[m.geom_bodyid]]  # the first joint of what a geom belongs to; -1: none
         loose = (roots >= 0) & (m.jnt_type[roots] == mujoco.mjtJoint.mjJNT_FREE)  # lies about; no stop of this axis
-        self._compute_at(joint, float(m.qpos0[m.jnt_qposadr[joint]]))
+        self._compute_sensors_at(joint, float(m.qpos0[m.jnt_qposadr[joint]]))
         always = self._list_pushing_pairs()
         for q in np.linspace(touch, end, 25):
-            self._compute_at(joint, q)
+            self._compute_sensors_at(joint, q)
             stop = [sorted(p) for p in self._list_pushing_pairs() if p not in always and not any(loose[g] for g in p)]
             if stop and q == touch:
                 geoms = " and ".join(repr(m.geom(g).name) for g in stop[0])
-                self.problems.add(axis, f"the hard stop ({geoms} touch) comes before {pin}, which trips at {touch:g}")
+                self.problems.add_problem(
+                    axis, f"the hard stop ({geoms} touch) comes before {pin}, which trips at {touch:g}"
+                )
             if stop:
                 return
             if q != touch and not (self.data.sensordata[found_address] > 0 and self.data.sensordata[dist] <= 0):
                 text = f"switch {pin} trips at {touch:g} but lets go again before {q:g}: lengthen its vane up to the hard stop"
-                self.problems.add(axis, text)
+                self.problems.add_problem(axis, text)
                 return
 
-    def check_order(self, axis: str, switches: tuple[Switch, ...]) -> None:
-        """Check that the switches of an axis are at the right ends, and in an order that makes sense.
+    def check_switch_order(self, axis: str, switches: tuple[Switch, ...]) -> None:
+        """Check that the switches of an axis are at the correct ends of its travel, and in a plausible order.
 
         Args:
             axis: Name of the axis.
@@ -452,7 +462,7 @@ class SwitchFinder:
         for pin, sign in (("el_plus", -1), ("el_minus", 1), ("sd_plus", -1), ("sd_minus", 1)):
             if pin in by and by[pin].slope * sign < 0:
                 side, wrong = "plus" if pin.endswith("plus") else "minus", True
-                self.problems.add(
+                self.problems.add_problem(
                     axis, f"switch {pin} trips when the joint moves away from {side}: is it at the wrong end?"
                 )
         if wrong:
@@ -466,11 +476,11 @@ class SwitchFinder:
         ):
             if low in by and high in by and by[low].touch > by[high].touch:
                 a, b = f"{low} trips at {by[low].touch:g}", f"{high} at {by[high].touch:g}"
-                self.problems.add(axis, f"{a}, {b}: in this order {meaning}")
+                self.problems.add_problem(axis, f"{a}, {b}: in this order {meaning}")
 
 
 def _limit_to_one_distance(edges: list[FlagEdge], closed: bool) -> tuple[FlagEdge, ...]:
-    """Limit the trusted travel beside each edge, so that a sensor distance within it belongs to one edge only.
+    """Limit the travel near each edge over which the sensor is used, so that each distance belongs to one edge only.
 
     Args:
         edges: Edges from minus to plus.
@@ -490,20 +500,20 @@ def _make_scan_grid(low: float, high: float) -> np.ndarray:
     return np.concatenate(([low - step], np.linspace(low, high, SCAN_POSITIONS), [high + step]))
 
 
-def _measure_free_travel(places: list[float], span: float) -> list[float]:
-    """Return the distance from each place to the nearest other one, at most `span`; `places` ascend."""
-    gaps = [span, *(max(b - a, MIN_TRAVEL) for a, b in pairwise(places)), span]
+def _measure_free_travel(positions: list[float], maximum: float) -> list[float]:
+    """Return the distance from each of the ascending `positions` to its nearest neighbor, at most `maximum`."""
+    gaps = [maximum, *(max(b - a, MIN_TRAVEL) for a, b in pairwise(positions)), maximum]
     return [min(before, after) for before, after in pairwise(gaps)]
 
 
-def _may_touch_between(dist: np.ndarray) -> np.ndarray:
-    """Return where a narrow vane may touch the switch between two scanned positions.
+def _may_touch_between(distances: np.ndarray) -> np.ndarray:
+    """Return at which scanned positions a narrow vane may touch the switch between this position and a neighbor.
 
     Args:
-        dist: Distances at the scanned positions.
+        distances: Distances at the scanned positions.
 
     Returns:
         A mask of all positions but the first and the last.
     """
-    middle, sides = dist[1:-1], (dist[:-2], dist[2:])
+    middle, sides = distances[1:-1], (distances[:-2], distances[2:])
     return (middle > 0) & (middle <= np.minimum(*sides)) & (2 * middle <= np.maximum(*sides))

@@ -19,7 +19,7 @@ from stage.testing.promise_trial import BrokenPromise, PromiseTrial
 def check_contract(trial: PromiseTrial) -> None:
     """Check that the class, core and records of the chip have every attribute that loops, boards and recordings use."""
     try:
-        contract.check(trial.chip_class, Chip)
+        contract.check_chip_class(trial.chip_class, Chip)
     except ArgumentError as error:
         raise BrokenPromise(str(error)) from None
     axis, bits = trial.chip_class.IRQ
@@ -216,7 +216,7 @@ def check_words(trial: PromiseTrial) -> None:
     """Check that the listener and the decoder describe every bus cycle in one line of ASCII."""
     for rng in trial.seeded_generators():
         chip = trial.make()
-        listener = chip.listener()
+        listener = chip.make_describer()
         journal = chip.journal()
         for act in trial.draw_program(rng):
             if act.kind in ("write", "read"):

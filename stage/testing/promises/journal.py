@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.chips import Chip, cores
+from stage.chips import Chip, core_interface
 from stage.chips.describe import decode
 from stage.chips.journal import Replay
 from stage.testing.chip_acts import copy_state, count_clocks_to_end, find_pulse_clocks, limit_pulses, perform_acts
@@ -26,7 +26,7 @@ def check_journals(trial: PromiseTrial) -> None:
         journal.close()
         for every in (False, True):
             replay = Replay(journal)
-            pieces = list(replay.pieces(every))
+            pieces = list(replay.replay_in_pieces(every))
             chip.output_word(axis)  # some settle their pins when somebody looks
             if every:  # some keep in their state how long a pulse is shown
                 _require_same_future(trial, chip, replay.state, rng)
@@ -47,8 +47,8 @@ def _check_scan_room(trial: PromiseTrial, rng: np.random.Generator) -> None:
     chip, axis, _ = trial.start_move(rng)
     until, room, edges = (
         chip.clock + chip.clock_hz // 20,
-        cores.SCAN_ROOM,
-        np.zeros(2 * cores.SCAN_ROOM, chip.CORE.EDGE),
+        core_interface.SCAN_ROOM,
+        np.zeros(2 * core_interface.SCAN_ROOM, chip.CORE.EDGE),
     )
     state = copy_state(chip)
     edges.view(np.uint8)[:] = 0xA5
@@ -87,7 +87,7 @@ def _check_pin_waveforms(trial: PromiseTrial, rng: np.random.Generator) -> None:
     replica = chip.make_replica()
     journal = replica.journal(axis)
     replica.advance(clocks)
-    fine, coarse = (journal.course(every).edges for every in (True, False))
+    fine, coarse = (journal.replay_waveforms(every).edges for every in (True, False))
     at = find_pulse_clocks(chip, clocks)
     likely = at[rng.integers(len(at), size=3)] if len(at) else at
     for n in sorted({clocks, *(int(k) for k in (*rng.integers(0, clocks, 4), *likely, *at[-1:]))}):

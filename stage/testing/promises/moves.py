@@ -73,7 +73,7 @@ MAX_TRIED_ACTS = 12
 
 
 def check_limit_switches(trial: PromiseTrial) -> None:
-    """Check that an end switch stops only the driver's move towards it, and that `read_direction` knows each direction."""
+    """Check that an end switch stops only the driver's move towards it, and that `find_selected_direction` knows each direction."""
     for rng in trial.seeded_generators():
         for chip, axis, pulses in trial.start_moves(rng):
             _check_direction(trial, axis, pulses, rng)
@@ -82,7 +82,7 @@ def check_limit_switches(trial: PromiseTrial) -> None:
             if free.net(axis) - chip.net(axis) != pulses:
                 continue  # `check_move_signals` tells
             for switch, direction in (("el_plus", 1), ("el_minus", -1)):
-                bit = trial.chip_class.wired(switch)
+                bit = trial.chip_class.find_switch_input(switch)
                 if not bit:
                     continue
                 probe = chip.make_replica()
@@ -100,7 +100,7 @@ def check_limit_switches(trial: PromiseTrial) -> None:
 
 
 def _check_direction(trial: PromiseTrial, axis: int, pulses: int, rng: np.random.Generator) -> None:
-    """Compare the direction that `read_direction` finds in each drive command with that of the pulses."""
+    """Compare the direction that `find_selected_direction` finds in each drive command with that of the pulses."""
     codes = [
         code
         for c in trial.chip_class.MAP.commands
@@ -113,12 +113,12 @@ def _check_direction(trial: PromiseTrial, axis: int, pulses: int, rng: np.random
         chip, tried = trial.make(), [*acts[:-1], begin]
         perform_acts(chip, tried)
         directions = {direction for _, direction in _trace_axis_pulses(chip, axis, chip.clock_hz // 50)}
-        answers = [trial.chip_class.read_direction(act.a, act.b) for act in tried if act.kind == "write"]
+        answers = [trial.chip_class.find_selected_direction(act.a, act.b) for act in tried if act.kind == "write"]
         known = [minus for minus in answers if minus is not None]
         if known and len(directions) == 1 and known[-1] == (1 in directions):
             raise BrokenPromise(
                 f"begun by a write of {begin.b:X}h to {begin.a:X}h, axis {axis} goes {_name_direction(not known[-1])}, and "
-                f"`read_direction` says {_name_direction(known[-1])}"
+                f"`find_selected_direction` says {_name_direction(known[-1])}"
             )
 
 
@@ -210,16 +210,16 @@ def _check_registers(trial: PromiseTrial) -> None:
     for axis in range(trial.chip_class.AXES):
         for name, value, acts in _list_axis_registers(trial, axis):
             chip = trial.make()
-            others = [chip.values_of(k).get(name) for k in range(trial.chip_class.AXES) if k != axis]
+            others = [chip.axis_values(k).get(name) for k in range(trial.chip_class.AXES) if k != axis]
             perform_acts(chip, acts)
-            now = chip.values_of(axis).get(name)
+            now = chip.axis_values(axis).get(name)
             first = first_values.setdefault((name, value), now)
             if now != first:
                 raise BrokenPromise(
                     f"{name} = {value} written to axis {axis} shows as {now} in values_of({axis}), and written to axis 0 as "
                     f"{first} in values_of(0)"
                 )
-            if others != [chip.values_of(k).get(name) for k in range(trial.chip_class.AXES) if k != axis]:
+            if others != [chip.axis_values(k).get(name) for k in range(trial.chip_class.AXES) if k != axis]:
                 raise BrokenPromise(
                     f"{name} = {value} written to axis {axis} changes what values_of gives for another axis"
                 )

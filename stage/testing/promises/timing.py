@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.chips import Chip, cores
+from stage.chips import Chip, core_interface
 from stage.errors import StageError
 from stage.testing.chip_acts import (
     check_trace_room,
@@ -90,7 +90,7 @@ def _draw_event_clocks(chip: Chip, axis: int, clocks: int, rng: np.random.Genera
     probe = chip.make_replica()
     with_edges = probe.journal(axis)
     probe.advance(clocks)
-    edges = with_edges.course().edges["clock"] - chip.clock
+    edges = with_edges.replay_waveforms().edges["clock"] - chip.clock
     known = np.unique(np.concatenate([edges, find_pulse_clocks(chip, clocks)[:200]]))
     known = known[(known > 1) & (known < clocks - 1)]
     sampled = rng.choice(known, min(len(known), 6), replace=False) if len(known) else known
@@ -137,10 +137,10 @@ def _check_window_slices(trial: PromiseTrial, chip: Chip, slices: int, ticks: in
     nets = np.array([core.read_net_count.with_gil(chip.pointer, k) for k in range(chip.AXES)])
     clocks = chip.clock + ticks * np.arange(1, slices + 1)
     means, counts = np.zeros((chip.AXES, slices)), nets.copy()
-    row, table = np.zeros(1, cores.CHIP), np.zeros(chip.AXES, cores.CHIP_AXIS)
-    cores.fill_chip_record(row[0], core, by_window.pointer)
+    row, table = np.zeros(1, core_interface.CHIP), np.zeros(chip.AXES, core_interface.CHIP_AXIS)
+    core_interface.fill_chip_record(row[0], core, by_window.pointer)
     row["axes"], row["slices"], row["ticks"] = chip.AXES, slices, ticks
-    ends = np.zeros(slices, cores.SLICE_END)
+    ends = np.zeros(slices, core_interface.SLICE_END)
     ends["clocks"] = clocks - chip.clock
     row["begin"], row["ends"], row["table"], row["hz"] = chip.clock, ends.ctypes.data, table.ctypes.data, chip.clock_hz
     for k in range(chip.AXES):

@@ -78,7 +78,9 @@ class HctlHost:
             assert v["R08"] == chip.motor_command + 0x80
             assert v["R09"] == chip.motor_command & 0xFF
         count, rate = chip.shaft
-        assert rate or chip.encoder == math.floor(count - chip.missed), "a shaft that stands is where it was seen"
+        assert rate or chip.encoder == math.floor(count - chip.missed_counts), (
+            "a shaft that stands is where it was seen"
+        )
 
     def observe(self, chip) -> dict:
         """Return what `check_interval` needs of the moment before time passes."""

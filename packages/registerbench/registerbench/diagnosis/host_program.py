@@ -261,7 +261,9 @@ def _parse_until(words: list[str], stage: Stage) -> Callable[[ProgramHost], None
     def wait_until_bit(host: ProgramHost) -> None:
         driver = host.driver(host.find_answering_axis(name).name)
         host.wait_until(
-            lambda: bool(field.of(driver.read_status_words()[where])) == bool(wanted), limit, f"{words[1]} = {wanted}"
+            lambda: bool(field.extract(driver.read_status_words()[where])) == bool(wanted),
+            limit,
+            f"{words[1]} = {wanted}",
         )
 
     if where not in _list_status_words(axis):

@@ -20,8 +20,8 @@ SERVICES = {
 def swap_limit_wires(stage: Stage) -> None:
     """Exchange the wires of x's end limits."""
     axis = stage.axes["x"]
-    rows = [axis.switches.row(pin) for pin in ("el_plus", "el_minus")]
-    bits = {pin: axis.chip.wired(pin) for pin in ("el_plus", "el_minus")}
+    rows = [axis.switches.find_index(pin) for pin in ("el_plus", "el_minus")]
+    bits = {pin: axis.chip.find_switch_input(pin) for pin in ("el_plus", "el_minus")}
     stage.state.switch_table[rows[0]].bit, stage.state.switch_table[rows[1]].bit = bits["el_minus"], bits["el_plus"]
     stage.update_switches(axis)
 
@@ -30,7 +30,7 @@ def restore_limit_wires(stage: Stage) -> None:
     """Connect the wires of x's end limits correctly again."""
     axis = stage.axes["x"]
     for pin in ("el_plus", "el_minus"):
-        stage.state.switch_table[axis.switches.row(pin)].bit = axis.chip.wired(pin)
+        stage.state.switch_table[axis.switches.find_index(pin)].bit = axis.chip.find_switch_input(pin)
     stage.update_switches(axis)
 
 

@@ -1,7 +1,7 @@
 """Compiled core of the TMC2209: the lines and the step timer of a STEP/DIR axis, the chip's motor driver and its UART.
 
-See stage/chips/cores.py for the functions. Addresses 0 to Fh are the step timer, 10h and 11h the host's UART, and 80h to FFh the
-registers of the chip, for hosts that do not simulate the UART.
+See stage/chips/core_interface.py for the functions. Addresses 0 to Fh are the step timer, 10h and 11h the host's UART, and 80h to
+FFh the registers of the chip, for hosts that do not simulate the UART.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from pulsestage_trinamic import field, load_measurement
 from pulsestage_trinamic.tmc2209 import driver, maps, registers, state, uart
 from pulsestage_trinamic.tmc2209.state import INPUTS, OUTPUTS, STATE
-from stage.chips.cores import SCAN_ROOM, run_slices
+from stage.chips.core_interface import SCAN_ROOM, run_slices
 from stage.chips.stepdir import step_timer
 from stage.chips.stepdir.core import EDGE, MARKED_CHANGE, PULSE
 from stage.chips.stepdir.state import RATE, STEP

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pulsestage_trinamic.tmc2209 import maps
-from stage.chips.describe import Fields, Statement, shorten_line
+from stage.chips.describe import FieldDescriber, Statement, shorten_line
 from stage.chips.stepdir import describe as step_timer
 
-_FIELDS = {r.number: Fields(r) for r in maps.DRIVER_REGISTERS if r.fields}
+_FIELDS = {r.number: FieldDescriber(r) for r in maps.DRIVER_REGISTERS if r.fields}
 
 
 def describe_register(number: int, value: int, is_write: bool) -> str:
@@ -41,7 +41,7 @@ def describe_write(address: int, value: int) -> str:
     return step_timer.describe_write(address, value)
 
 
-class Listener(step_timer.Listener):
+class CycleDescriber(step_timer.CycleDescriber):
     """Descriptions of bus cycles."""
 
     def write(self, address: int, value: int) -> str:

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import Any, ClassVar
 
 from pulsestage_trinamic.tmc5160 import core, encoder, lint
-from pulsestage_trinamic.tmc5160.describe import Decoder, Listener
+from pulsestage_trinamic.tmc5160.describe import CycleDescriber, Decoder
 from pulsestage_trinamic.tmc5160.maps import ADDRESSES, M32, M40, MAP, MOTION, SPI_DATAGRAM
 from stage.chips.chip import Chip
 from stage.chips.diagnostics import Finding
@@ -137,8 +137,8 @@ class TMC5160(Chip):
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder()
 
-    def listener(self) -> Listener:
-        return Listener(self.state)
+    def make_describer(self) -> CycleDescriber:
+        return CycleDescriber(self.state)
 
     def lint(self, address: int, value: int) -> Iterator[Finding]:
         yield from lint.lint_write(self._record, address, value)

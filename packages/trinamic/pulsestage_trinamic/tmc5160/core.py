@@ -19,7 +19,7 @@ from pulsestage_trinamic.tmc5160 import (
     switches,
 )
 from pulsestage_trinamic.tmc5160.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
-from stage.chips.cores import run_slices, scan_while_shafts_move
+from stage.chips.core_interface import run_slices, scan_while_shafts_move
 from stage.native import array_of, exported, hot, least
 
 SPARE_EDGES = 8  # entries of `out` that are still free when `scan` returns early
@@ -205,7 +205,7 @@ def run(c, until):
         _run_to_next_event(c, until, 0)
 
 
-# --- the functions for a stage, see stage/chips/cores.py; the only axis is 0 ---
+# --- the functions for a stage, see stage/chips/core_interface.py; the only axis is 0 ---
 
 
 @exported(None, STATE, "i8", "i8")
@@ -418,7 +418,7 @@ def scan_edges(c, until, every_pulse, axis, out):
     array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
 )  # fmt: skip
 def scan_edges_and_shafts(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
-    """Scan while the position of the shaft changes at `clocks`, see stage/chips/cores.py."""
+    """Scan while the position of the shaft changes at `clocks`, see stage/chips/core_interface.py."""
     return scan_while_shafts_move(
         c, until, every_pulse, axis, out, clocks, axes, counts, rates, done, scan_edges, set_shaft
     )

@@ -6,11 +6,11 @@ from typing import Any
 
 from pulsestage_trinamic.tmc5160 import maps
 from stage.chips import describe
-from stage.chips.describe import Fields, Statement, shorten_line
+from stage.chips.describe import FieldDescriber, Statement, shorten_line
 
-_FIELDS = {r.number: Fields(r) for r in maps.MAP.registers if r.fields}
+_FIELDS = {r.number: FieldDescriber(r) for r in maps.MAP.registers if r.fields}
 CLEARED = [maps.MAP.register(name).number for name in ("GSTAT", "RAMP_STAT", "ENC_STATUS")]
-_STATUS = Fields(maps.MAP.word("SPI_STATUS"))
+_STATUS = FieldDescriber(maps.MAP.word("SPI_STATUS"))
 
 
 def describe_register(address: int, value: int, is_write: bool) -> str:
@@ -104,8 +104,8 @@ def describe_write(address: int, value: int) -> str:
     return describe_datagram(value) if address == maps.SPI_DATAGRAM else f"nothing can be written at {address:02X}h"
 
 
-class Listener:
-    """Describer of single bus cycles, see `stage.chips.describe.Listener`.
+class CycleDescriber:
+    """Describer of single bus cycles, see `stage.chips.describe.CycleDescriber`.
 
     It follows the bytes of a datagram, beginning with those in the chip's record.
     """

@@ -1,6 +1,6 @@
 """Compiled core of a STEP/DIR axis with a TMC5160: the lines and the step timer, and the chip's driver with its SPI.
 
-See stage/chips/cores.py for the functions, and maps.py for the addresses.
+See stage/chips/core_interface.py for the functions, and maps.py for the addresses.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pulsestage_trinamic.tmc5160 import maps as chip_maps
 from pulsestage_trinamic.tmc5160 import state as chip
 from pulsestage_trinamic.tmc5160_step_dir import driver, maps, state
 from pulsestage_trinamic.tmc5160_step_dir.state import INPUTS, OUTPUTS, STATE
-from stage.chips.cores import SCAN_ROOM, run_slices
+from stage.chips.core_interface import SCAN_ROOM, run_slices
 from stage.chips.stepdir import step_timer
 from stage.chips.stepdir.core import EDGE, MARKED_CHANGE, PULSE
 from stage.chips.stepdir.state import RATE, STEP

@@ -18,7 +18,7 @@ def _find_chip_address(address: int) -> int | None:
     return None
 
 
-class Listener(step_timer.Listener):
+class CycleDescriber(step_timer.CycleDescriber):
     """Descriptions of bus cycles."""
 
     def write(self, address: int, value: int) -> str:

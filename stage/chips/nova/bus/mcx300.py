@@ -5,9 +5,9 @@ Speeds and accelerations are written in multiples of R; rate_registers.py conver
 
 from __future__ import annotations
 
-from stage.chips.nova import power_up, state
-from stage.chips.nova.bus.parameters_and_phases import (
-    compute_phase_bits,
+from stage.chips.nova import common_reset, state
+from stage.chips.nova.bus.parameters_and_axis_status import (
+    compute_ramp_phase_bits,
     find_lowest_axis,
     is_axis_busy,
     list_parameters,
@@ -26,22 +26,22 @@ from stage.native import exported, hot, least
 WRITES, SIGNED, SHORT, RESET_PLACES, RESET_VALUES = list_parameters(MAP)
 
 
-def _find_code(symbol: str) -> int:
+def _find_command_code(symbol: str) -> int:
     return MAP.command(symbol).code
 
 
-def _find_mask(word: str, name: str) -> int:
+def _find_field_mask(word: str, name: str) -> int:
     return MAP.mask(word, name)
 
 
-PLUS, MINUS, PLUS_ON, MINUS_ON, HOLD, FREE, DSTOP, SSTOP = (_find_code(n) for n in (
+PLUS, MINUS, PLUS_ON, MINUS_ON, HOLD, FREE, DSTOP, SSTOP = (_find_command_code(n) for n in (
     "F_DRV_P", "F_DRV_M", "C_DRV_P", "C_DRV_M", "START_HOLD", "START_FREE", "STOP_DEC", "STOP_SUDDEN"))  # fmt: skip
-R_LP, R_EP, R_CV, R_CA = (_find_code(n) for n in ("R-LP", "R-EP", "CV", "CA"))
+R_LP, R_EP, R_CV, R_CA = (_find_command_code(n) for n in ("R-LP", "R-EP", "CV", "CA"))
 R_BR = MCX314AS_MAP.command("BR").code
 _INTERPOLATING = [c.code for c in MAP.commands if c.kind == "interpolation"]
 INTERPOLATION_FIRST, INTERPOLATION_LAST = min(_INTERPOLATING), max(_INTERPOLATING)
-HM_CODE, HV_CODE, HOME, DCC = (_find_code(n) for n in ("HM", "HV", "HOME_EXEC", "DEVCTR_CLR"))
-CODE, AXIS_BITS, FIRST_AXIS = _find_mask("WR0", "CODE"), _find_mask("WR0", "AXIS"), MAP.bit("WR0", "AXIS")
+HM_CODE, HV_CODE, HOME, DCC = (_find_command_code(n) for n in ("HM", "HV", "HOME_EXEC", "DEVCTR_CLR"))
+CODE, AXIS_BITS, FIRST_AXIS = _find_field_mask("WR0", "CODE"), _find_field_mask("WR0", "AXIS"), MAP.bit("WR0", "AXIS")
 DRIVES, FAILS, HOMES = (1 << MCX304_MAP.bit("RR0", n) for n in ("n-DRV", "n-ERR", "n-HOM"))  # of X
 CMP_PLUS, CMP_MINUS = MAP.masks("RR1", "CMP+", "CMP-")
 FIRST_PHASE = MAP.bit("RR1", "ASND")
@@ -50,7 +50,7 @@ BY_STOPS, BY_OTHERS = (
     sum(MAP.masks("RR1", "LMT+", "LMT-", "ALARM", "EMG")),
 )
 """Causes of the last stop; of the MCX514, whose bits `causes` holds, those of STOP0 to STOP2 are one bit higher."""
-HOME_ERROR, HMST = _find_mask("RR2", "HOME"), MAP.bit("RR2", "HMST")
+HOME_ERROR, HMST = _find_field_mask("RR2", "HOME"), MAP.bit("RR2", "HMST")
 CONSTANT_END, CONSTANT_START, DRIVE_END, HOME_END = MAP.masks("RR3", "C-END", "C-STA", "D-END", "HMEND")
 FIRST_INTERRUPT = MAP.bit("WR1", "PULSE")
 INTERRUPTS = sum(f.mask for f in MAP.word("WR1").fields if f.low >= FIRST_INTERRUPT) >> FIRST_INTERRUPT
@@ -58,12 +58,14 @@ IN_EMG, IN_EXP_PLUS, IN_EXP_MINUS, IN_INPOS, IN_ALARM, IN_IN, IN_LMT_PLUS, IN_LM
     *MAP.masks("RR4", "EMG", "X-EXP+", "X-EXP-", "X-INPOS", "X-ALARM", "X-IN", "X-LMT+", "X-LMT-"),
 )  # fmt: skip
 """Input levels of X; those of another axis lie alike in its half or word."""
-SP0_E, SP1_E, SP2_E = (_find_mask("WR1", f"SP{k}-E") for k in range(3))
-SP0_L, SP1_L, SP2_L = (_find_mask("WR1", f"SP{k}-L") for k in range(3))
-SLMT_PLUS, SLMT_MINUS, LMTMD, HLMT_PLUS, HLMT_MINUS, CMPSL, PINMD, ALM_E, INP_E, ALM_L, INP_L = (_find_mask("WR2", n) for n in (
-    "SLMT+", "SLMT-", "LMTMD", "HLMT+", "HLMT-", "CMPSL", "PINMD", "ALM-E", "INP-E", "ALM-L", "INP-L"))  # fmt: skip
+SP0_E, SP1_E, SP2_E = (_find_field_mask("WR1", f"SP{k}-E") for k in range(3))
+SP0_L, SP1_L, SP2_L = (_find_field_mask("WR1", f"SP{k}-L") for k in range(3))
+SLMT_PLUS, SLMT_MINUS, LMTMD, HLMT_PLUS, HLMT_MINUS, CMPSL, PINMD, ALM_E, INP_E, ALM_L, INP_L = (
+    _find_field_mask("WR2", name)
+    for name in "SLMT+ SLMT- LMTMD HLMT+ HLMT- CMPSL PINMD ALM-E INP-E ALM-L INP-L".split()
+)
 PIND, FL = MAP.bit("WR2", "PIND"), MAP.bit("WR3", "FL")
-MANLD, DSNDE, SACC, AVTRI = (_find_mask("WR3", n) for n in ("MANLD", "DSNDE", "SACC", "AVTRI"))
+MANLD, DSNDE, SACC, AVTRI = (_find_field_mask("WR3", n) for n in ("MANLD", "DSNDE", "SACC", "AVTRI"))
 EPCLR, EPINV = MAP.masks("WR1", "EPCLR", "EPINV")
 FE0 = MAP.bit("WR3", "FE0")
 SP3_L, SP3_E = MCX314AS_MAP.masks("WR1", "SP3-L", "SP3-E")
@@ -86,7 +88,7 @@ def reset_chip(chip):
 
     The clock, the input pins and the pulse totals stay.
     """
-    power_up.clear_state(chip)
+    common_reset.clear_state(chip)
     for j in range(state.AXES):
         axis = chip.ax[j]
         for k in range(len(RESET_PLACES)):
@@ -98,7 +100,7 @@ def reset_chip(chip):
 
 @hot
 def apply_mode_registers(chip, axis):
-    """Set the fields of an axis that follow from WR1 to WR3 and EM."""
+    """Update the fields of an axis that depend on the registers WR1 to WR3 and EM."""
     w = axis.wr[1]
     axis.stop_inputs = (1 if w & SP0_E else 0) | (2 if w & SP1_E else 0) | (4 if w & SP2_E else 0)
     e = axis.mode[state.EM]
@@ -246,7 +248,7 @@ def write_register(chip, address, value):
         chip.outputs5 = value
         chip.stale = 1
     else:
-        single_axis_drive.store_data(chip, address, value)
+        single_axis_drive.store_data_register(chip, address, value)
 
 
 @hot
@@ -260,7 +262,7 @@ def _compute_comparisons(axis):
 
 @hot
 def compute_errors(chip, axis):
-    """Compute the errors in RR2: limits, ALARM and EMG, as long as they are present."""
+    """Compute the errors that RR2 shows while they are present: limits, ALARM and EMG."""
     word = 0
     if axis.soft_plus and _compute_comparisons(axis) & CMP_PLUS:
         word |= state.E_SLMT_PLUS
@@ -333,7 +335,7 @@ def read_register(chip, address):
     if address == 0:
         return compute_status(chip)
     if address == 1:
-        bits = compute_phase_bits(chip, axis)
+        bits = compute_ramp_phase_bits(chip, axis)
         more = BY_STOP3 if axis.stop_causes & state.F_STOP3 else 0
         return (
             _compute_comparisons(axis)

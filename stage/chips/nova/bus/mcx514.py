@@ -5,9 +5,9 @@ A command that writes data takes it from WR6 and WR7; a command that reads data 
 
 from __future__ import annotations
 
-from stage.chips.nova import power_up, state
-from stage.chips.nova.bus.parameters_and_phases import (
-    compute_phase_bits,
+from stage.chips.nova import common_reset, state
+from stage.chips.nova.bus.parameters_and_axis_status import (
+    compute_ramp_phase_bits,
     find_lowest_axis,
     is_axis_busy,
     list_parameters,
@@ -27,16 +27,16 @@ WRITES, SIGNED, SHORT, RESET_PLACES, RESET_VALUES = list_parameters(MAP)
 SHARED_REGISTERS = sum(1 << c.code for c in MAP.commands if c.kind == "data write" and not c.axes)
 
 
-def _find_code(symbol: str) -> int:
+def _find_command_code(symbol: str) -> int:
     return MAP.command(symbol).code
 
 
-def _find_mask(word: str, name: str) -> int:
+def _find_field_mask(word: str, name: str) -> int:
     return MAP.mask(word, name)
 
 
-RST = _find_code("RST")
-CODE, AXIS_BITS, FIRST_AXIS = _find_mask("WR0", "CODE"), _find_mask("WR0", "AXIS"), MAP.bit("WR0", "AXIS")
+RST = _find_command_code("RST")
+CODE, AXIS_BITS, FIRST_AXIS = _find_field_mask("WR0", "CODE"), _find_field_mask("WR0", "AXIS"), MAP.bit("WR0", "AXIS")
 MODE_LAST = max(c.code for m in GENERATION for c in m.commands if c.kind == "mode write")
 READS = {c.symbol: c.code for m in GENERATION for c in m.commands if c.kind == "data read"}
 R_CV, R_CA, R_CT, R_CHLN, R_TX = (READS[n] for n in ("CV", "CA", "CT", "CHLN", "R-TX"))
@@ -50,11 +50,11 @@ MODE_PLACES = tuple(
 READ_FIRST, READ_LAST = min(READS.values()), max(READS.values()) | 15
 """Reading commands; the others among them read as 0."""
 R_WR1, R_WR3 = READS["R-WR1"], READS["R-WR3"]
-DRVRL, DRVNR, DRVVP, DRVVM, DRVAB, DRVSBRK, DRVFBRK, DIRCP, DIRCM, HMSRC = (_find_code(n) for n in (
+DRVRL, DRVNR, DRVVP, DRVVM, DRVAB, DRVSBRK, DRVFBRK, DIRCP, DIRCM, HMSRC = (_find_command_code(n) for n in (
     "DRVRL", "DRVNR", "DRVVP", "DRVVM", "DRVAB", "DRVSBRK", "DRVFBRK", "DIRCP", "DIRCM", "HMSRC"))  # fmt: skip
-VINC, VDEC, DHOLD, DFREE, R2CLR, RR3P0, RR3P1 = (_find_code(n) for n in (
+VINC, VDEC, DHOLD, DFREE, R2CLR, RR3P0, RR3P1 = (_find_command_code(n) for n in (
     "VINC", "VDEC", "DHOLD", "DFREE", "R2CLR", "RR3P0", "RR3P1"))  # fmt: skip
-MFPC = _find_code("MFPC")
+MFPC = _find_command_code("MFPC")
 _CODES = {m.axes: set(m.by_code) for m in GENERATION}
 LACKING_CHIPS = tuple(
     sum(1 << axes for axes, its in _CODES.items() if code not in its) if code in set().union(*_CODES.values()) else 0
@@ -64,13 +64,13 @@ LACKING_CHIPS = tuple(
 _INTERPOLATING = [c.code for c in MAP.commands if c.kind == "interpolation"]
 INTERPOLATION_FIRST, INTERPOLATION_LAST = min(_INTERPOLATING), max(_INTERPOLATING)
 
-SP0_E, SP1_E, SP2_E, INP_E, ALM_E, HLM_E, HLM_M, SLM_E, SLM_O, SLM_M = (_find_mask("WR2", n) for n in (
+SP0_E, SP1_E, SP2_E, INP_E, ALM_E, HLM_E, HLM_M, SLM_E, SLM_O, SLM_M = (_find_field_mask("WR2", n) for n in (
     "SP0-E", "SP1-E", "SP2-E", "INP-E", "ALM-E", "HLM-E", "HLM-M", "SLM-E", "SLM-O", "SLM-M"))  # fmt: skip
 SP0_L, SP1_L, SP2_L, INP_L, ALM_L, HLM_L = (
-    _find_mask("WR2", f"{n}-L") for n in ("SP0", "SP1", "SP2", "INP", "ALM", "HLM")
+    _find_field_mask("WR2", f"{n}-L") for n in ("SP0", "SP1", "SP2", "INP", "ALM", "HLM")
 )
 MANLD, DSNDE, SACC, PIINV, LMINV, AVTRI = (
-    _find_mask("WR3", n) for n in ("MANLD", "DSNDE", "SACC", "PIINV", "LMINV", "AVTRI")
+    _find_field_mask("WR3", n) for n in ("MANLD", "DSNDE", "SACC", "PIINV", "LMINV", "AVTRI")
 )
 PIMD = MAP.bit("WR3", "PIMD")
 DRIVES, FAILS = 1 << MAP.bit("RR0", "n-DRV"), 1 << MAP.bit("RR0", "n-ERR")  # of X
@@ -96,7 +96,7 @@ def reset_chip(chip):
 
     The clock, the input pins and the pulse totals stay.
     """
-    power_up.clear_state(chip)
+    common_reset.clear_state(chip)
     for j in range(state.AXES):
         axis = chip.ax[j]
         for k in range(len(RESET_PLACES)):
@@ -106,7 +106,7 @@ def reset_chip(chip):
 
 @hot
 def apply_mode_registers(axis):
-    """Set the fields of an axis that follow from WR2, WR3 and the filter mode."""
+    """Update the fields of an axis that depend on the registers WR2, WR3 and the filter mode."""
     w = axis.wr[2]
     axis.stop_inputs = (1 if w & SP0_E else 0) | (2 if w & SP1_E else 0) | (4 if w & SP2_E else 0)
     axis.inpos_enabled, axis.alarm_stops = w & INP_E, w & ALM_E
@@ -160,7 +160,7 @@ def _execute_read_command(chip, code):
     axis = chip.ax[find_lowest_axis(chip)]
     place = PLACES[code]
     if code == R_TX:
-        value = prebuffer.read_tx(chip)
+        value = prebuffer.read_maximum_finish_point(chip)
     elif 0 <= place < state.REGISTERS:
         value = chip.ax[0].reg[place] if SHARED_REGISTERS >> place & 1 else axis.reg[place]
     elif MODE_PLACES[code] >= 0:
@@ -172,7 +172,7 @@ def _execute_read_command(chip, code):
     elif code == R_CT:
         value = timer.read_timer(chip, axis)
     elif code == R_CHLN:
-        value = prebuffer.read_chln(chip)
+        value = prebuffer.read_helix_rotations(chip)
     elif R_WR1 <= code <= R_WR3:
         value = axis.wr[code - R_WR1 + 1]
     else:
@@ -288,7 +288,7 @@ def write_register(chip, address, value):
     elif address == 5:
         chip.outputs5 = value
     else:
-        single_axis_drive.store_data(chip, address, value)
+        single_axis_drive.store_data_register(chip, address, value)
 
 
 @hot
@@ -351,7 +351,11 @@ def read_register(chip, address):
     if address == 3:
         if chip.status_pages >> j & 1:
             more = multichip.MCERR if chip.multichip_error else 0
-            return synchronous_actions.compute_status_bits(axis) | compute_phase_bits(chip, axis) << FIRST_PHASE | more
+            return (
+                synchronous_actions.compute_status_bits(axis)
+                | compute_ramp_phase_bits(chip, axis) << FIRST_PHASE
+                | more
+            )
         return _compute_rr3_page_0(chip, axis)
     if address == 4:
         return ports.compute_port_word(chip, 0)

@@ -1,1 +1,1 @@
-"""What NOVA chips do beside driving, compiled: home search, comparators, synchronous actions, timer, inputs and outputs."""
+"""Functions of the NOVA chips other than drives, compiled: home search, comparators, synchronous actions, timer, ports."""

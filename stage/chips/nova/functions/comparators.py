@@ -22,16 +22,16 @@ PULSE, GE_MINUS, LT_MINUS, LT_PLUS, GE_PLUS = MCX304_MAP.masks("RR3", "PULSE", "
 
 
 @hot
-def _read_source(axis, set_index):
-    """Return what MRm is compared with: AT_LP, AT_RP, AT_CV or AT_CT."""
+def _read_compared_source(axis, set_index):
+    """Return the quantity with which register MR `set_index` is compared: AT_LP, AT_RP, AT_CV or AT_CT."""
     return axis.mode[MRM] >> 4 * set_index & 3
 
 
 @hot
-def _is_true(chip, axis, set_index):
-    """Return whether the comparison of MRm is true."""
+def _is_comparison_true(chip, axis, set_index):
+    """Return whether the comparison with register MR `set_index` is true."""
     kind, condition, than = (
-        _read_source(axis, set_index),
+        _read_compared_source(axis, set_index),
         axis.mode[MRM] >> 4 * set_index + 2 & 3,
         axis.reg[MR0 + set_index],
     )
@@ -56,7 +56,7 @@ def _find_true_comparisons(chip, axis):
     word = 0
     if chip.variant == MCX514_TYPE:
         for m in range(MR_COUNT):
-            if _is_true(chip, axis, m):
+            if _is_comparison_true(chip, axis, m):
                 word |= 1 << m
         return word
     counter = counters.read_limited_counter(axis)
@@ -66,7 +66,7 @@ def _find_true_comparisons(chip, axis):
 
 @hot
 def reset_comparisons(chip, axis):
-    """Note the comparisons that are true after a reset, so that they are no events."""
+    """Note the comparisons that are true after a reset, so that they do not count as events."""
     axis.comparison_events = 0
     axis.true_comparisons = _find_true_comparisons(chip, axis)
 
@@ -86,18 +86,18 @@ def update_comparisons(chip, axis):
 
 
 @hot
-def uses_rp(chip, axis):
-    """Return whether a comparison or a software limit uses RP."""
+def uses_real_position_counter(chip, axis):
+    """Return whether a comparison or a software limit uses RP, the real position counter of the encoder."""
     if chip.variant == MCX514_TYPE:
         for m in range(MR_COUNT):
-            if _read_source(axis, m) == AT_RP:
+            if _read_compared_source(axis, m) == AT_RP:
                 return True
     return axis.soft_rp != 0
 
 
 @hot
 def _count_pulses_to(counter, direction, value):
-    """Return the number of pulses until a counter reaches a value, leaves it, or wraps.
+    """Return the number of pulses after which a counter reaches a value, leaves it, or wraps.
 
     Args:
         counter: Value of the counter.
@@ -121,7 +121,7 @@ def count_pulses_to_change(chip, axis):
             )
         return distance
     for m in range(MR_COUNT):
-        if _read_source(axis, m) == AT_LP:
+        if _read_compared_source(axis, m) == AT_LP:
             distance = least(distance, _count_pulses_to(axis.reg[LP], axis.direction, axis.reg[MR0 + m]))
     return distance
 
@@ -161,7 +161,7 @@ def _count_to_rp_change(chip, axis, direction):
     if chip.variant == MCX514_TYPE:
         maximum = axis.reg[RX]
         for m in range(MR_COUNT):
-            if _read_source(axis, m) == AT_RP:
+            if _read_compared_source(axis, m) == AT_RP:
                 condition, value = axis.mode[MRM] >> 4 * m + 2 & 3, axis.reg[MR0 + m]
                 if condition != ABOVE:
                     distance = least(distance, _count_to_boundary(counter, direction, value, maximum))
@@ -197,7 +197,7 @@ def find_next_change(chip, axis):
     if chip.variant != MCX514_TYPE:
         return at
     for m in range(MR_COUNT):
-        kind, value = _read_source(axis, m), axis.reg[MR0 + m]
+        kind, value = _read_compared_source(axis, m), axis.reg[MR0 + m]
         if kind == AT_CT and axis.timer_end:
             at = least(
                 at,

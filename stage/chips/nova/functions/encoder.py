@@ -37,9 +37,9 @@ def _find_edge(axis, clock):
 
 
 @hot
-def _count_edges_of_phase(low, high, phase):
-    """Count the edges from low + 1 to high whose number is `phase` modulo 4."""
-    return (high - phase >> 2) - (low - phase >> 2)
+def _count_edges_with_remainder(first_edge, last_edge, remainder):
+    """Count the edges after `first_edge`, up to `last_edge`, whose number is `remainder` modulo 4."""
+    return (last_edge - remainder >> 2) - (first_edge - remainder >> 2)
 
 
 @hot
@@ -48,8 +48,10 @@ def _count_rp_steps(mode, begin, end):
     if mode != UP_DOWN:
         return (end >> mode) - (begin >> mode)
     if end >= begin:
-        return _count_edges_of_phase(begin, end, UP_FORWARD) - _count_edges_of_phase(begin, end, DOWN_FORWARD)
-    return _count_edges_of_phase(end, begin, UP_BACKWARD) - _count_edges_of_phase(end, begin, DOWN_BACKWARD)
+        return _count_edges_with_remainder(begin, end, UP_FORWARD) - _count_edges_with_remainder(
+            begin, end, DOWN_FORWARD
+        )
+    return _count_edges_with_remainder(end, begin, UP_BACKWARD) - _count_edges_with_remainder(end, begin, DOWN_BACKWARD)
 
 
 @hot

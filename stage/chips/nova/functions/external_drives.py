@@ -42,19 +42,19 @@ def _read_exp_mode(chip, axis):
 
 @hot
 def reset_external_drives(axis):
-    """Note the present levels of the pins, so that they are no changes."""
+    """Note the present levels of EXP+ and EXP-, so that they do not count as changes."""
     axis.last_exp_levels, axis.exp_driving = _read_exp_levels(axis), 0
 
 
 @hot
 def _start_drive(chip, axis, minus, fixed):
-    """Start the drive of a pin, unless the axis is busy.
+    """Start the drive that a change of EXP+ or EXP- requests, unless the axis is busy.
 
     Args:
         chip: State of the chip.
         axis: State of the axis.
-        minus: Whether it goes in - direction.
-        fixed: Whether it makes a fixed number of pulses.
+        minus: Whether the drive goes in - direction.
+        fixed: Whether the drive makes a fixed number of pulses.
     """
     if not fixed:
         kind = single_axis_drive.BACKWARD if minus else single_axis_drive.FORWARD
@@ -69,7 +69,7 @@ def _start_drive(chip, axis, minus, fixed):
 
 @hot
 def apply_pin_changes(chip, axis):
-    """Apply the changes of the pins since the last call."""
+    """Start and stop external drives after changes of EXP+ and EXP- since the last call."""
     levels = _read_exp_levels(axis)
     if axis.exp_driving and not axis.driving:
         axis.exp_driving = 0

@@ -7,7 +7,7 @@ its level. OUT0 to OUT3 of the older chips are those of WR4, or with OUTSL CMP+,
 
 from __future__ import annotations
 
-from stage.chips.nova.bus.parameters_and_phases import compute_phase_bits, is_axis_busy
+from stage.chips.nova.bus.parameters_and_axis_status import compute_ramp_phase_bits, is_axis_busy
 from stage.chips.nova.motion import counters
 from stage.chips.nova.registers.field_builders import DCC_WIDTHS
 from stage.chips.nova.registers.mcx300 import MCX304_MAP, MCX314AS_MAP
@@ -48,7 +48,9 @@ def compute_port_levels(chip, axis_index):
     output_word = chip.outputs5 if (axis_index and chip.axes == 2) or axis_index > 1 else chip.outputs4
     output_word >>= 8 if axis_index & 1 and chip.axes == 4 else 0
     status = (
-        (1 if is_axis_busy(axis) else 0) | (2 if axis.stop_causes & 0xFF else 0) | compute_phase_bits(chip, axis) << 2
+        (1 if is_axis_busy(axis) else 0)
+        | (2 if axis.stop_causes & 0xFF else 0)
+        | compute_ramp_phase_bits(chip, axis) << 2
     )
     other = (axis.true_comparisons & 15) << 4
     for m in range(SYNC_SETS):
@@ -79,16 +81,16 @@ def _compute_upper_ports(axis, output_word):
 
 
 @hot
-def compute_port_word(chip, first):
-    """Compute RR4 or RR5: the PIO levels of axes `first` and `first` + 1, on the MCX512 those of one axis."""
+def compute_port_word(chip, first_axis):
+    """Compute RR4 or RR5: the PIO levels of axes `first_axis` and `first_axis` + 1, on the MCX512 those of one axis."""
     if chip.axes == 2:
-        return compute_port_levels(chip, first // 2)
-    return compute_port_levels(chip, first) | compute_port_levels(chip, first + 1) << 8
+        return compute_port_levels(chip, first_axis // 2)
+    return compute_port_levels(chip, first_axis) | compute_port_levels(chip, first_axis + 1) << 8
 
 
 @hot
 def find_driven_outputs(chip, axis_index):
-    """Return the levels that the chip itself drives onto pins of an axis: PIO that are outputs; OUT0 to OUT3 of the older chips."""
+    """Return the levels that the chip drives onto general pins of an axis: PIO pins that are outputs, or OUT0 to OUT3."""
     if chip.variant == MCX514_TYPE:
         axis = chip.ax[axis_index]
         output_word = find_general_inputs(axis) | ~(axis.mode[P3M] << LOWER_PORTS) & UPPER_PORTS
@@ -104,7 +106,7 @@ def find_driven_outputs(chip, axis_index):
 @hot
 def _compute_status_outputs(chip, axis):
     """Compute CMP+, CMP-, ASND and DSND as bits 0 to 3."""
-    bits, counter = compute_phase_bits(chip, axis), counters.read_limited_counter(axis)
+    bits, counter = compute_ramp_phase_bits(chip, axis), counters.read_limited_counter(axis)
     word = (1 if counter >= axis.reg[COMP_PLUS] else 0) | (2 if counter < axis.reg[COMP_MINUS] else 0)
     return word | (4 if bits & 1 else 0) | (8 if bits & 4 else 0)
 
@@ -118,7 +120,7 @@ def start_sync_pulse(chip, axis, set_index):
 
 @hot
 def start_dcc_pulse(chip, axis):
-    """Begin a pulse on DCC, and return how many clocks it lasts."""
+    """Begin a pulse on the output DCC, and return its duration in clocks."""
     code = axis.mode[H2M] >> DCP if chip.variant == MCX514_TYPE else axis.mode[HM] >> DCCW
     clocks = CLOCKS_PER_US * DCC_WIDTHS[code & 7]
     axis.dcc_end = chip.clock + clocks

@@ -192,11 +192,11 @@ def _finish_search(chip, axis):
 
 
 @hot
-def _clear_counters(axis, real, logical):
-    """Clear the position counters: RP if `real`, LP if `logical`."""
-    if real:
+def _clear_counters(axis, clear_rp, clear_lp):
+    """Clear the position counters: RP if `clear_rp`, LP if `clear_lp`."""
+    if clear_rp:
         axis.reg[state.RP] = 0
-    if logical:
+    if clear_lp:
         axis.reg[state.LP] = 0
 
 
@@ -205,29 +205,29 @@ def _clear_counters(axis, real, logical):
 
 @hot
 def launch_step_drive(chip, axis):
-    """Begin the drive that a step has requested. It is separate from the steps because they compile much faster without it."""
+    """Begin the drive that a step of the search has requested, apart from the steps because these then compile much faster."""
     direction, axis.launch_direction = axis.launch_direction, 0
     single_axis_drive.begin_drive(chip, axis, direction, axis.launch_pulses)
 
 
 @hot
-def _request_drive(axis, next_step, direction, slow):
-    """Request a drive without an end for a step.
+def _request_drive(axis, search_step, direction, at_hv):
+    """Request an endless drive for a step of the search; `launch_step_drive` begins it.
 
     Args:
         axis: State of the axis.
-        next_step: State of the search from now on.
+        search_step: State of the search from now on.
         direction: +1 or -1.
-        slow: Whether it runs at HV.
+        at_hv: Whether the drive runs at the home search speed HV.
     """
-    axis.home_state, axis.drives_at_hv = next_step, slow
-    axis.home_handles_limits = 1 if next_step in (SEEK, SEARCH) else 0
+    axis.home_state, axis.drives_at_hv = search_step, at_hv
+    axis.home_handles_limits = 1 if search_step in (SEEK, SEARCH) else 0
     axis.launch_direction, axis.launch_pulses = direction, -1
 
 
 @hot
 def _begin_step(chip, axis, search_step):
-    """Begin step `search_step`, or the first later step that is enabled."""
+    """Begin step `search_step` of the search, or the first later step that is enabled."""
     enabled, mode = ENABLE_BITS[_is_mcx514(chip)], axis.mode[state.H1M]
     axis.home_trigger = axis.pause_end = axis.home_handles_limits = 0
     chip.stale = 1
@@ -307,7 +307,7 @@ def _requires_stop1(chip, axis):
 
 @hot
 def _finish_step_drive(chip, axis):
-    """Go on after the end of the drive of a step."""
+    """Continue the search after the drive of a step has ended."""
     if axis.home_state == OFFSET and axis.pulses_done >= axis.output_pulses:
         _finish_search(chip, axis)
     elif not axis.home_trigger:
@@ -326,7 +326,7 @@ def _finish_step_drive(chip, axis):
 
 @hot
 def _clear_at_signal(chip, axis, mode_bits):
-    """Clear counters and assert DCC after step 2 or 3, as the mode says.
+    """Clear counters and assert the output DCC after step 2 or 3, as the mode registers select.
 
     Args:
         chip: State of the chip.
@@ -362,13 +362,13 @@ def _find_step_after_pause(axis):
 
 @hot
 def _begin_pause(chip, axis, next_step, clocks):
-    """Begin the pause between two steps: DCC, then the timer if a step follows.
+    """Begin the pause between two steps of the search: the pulse on DCC, then the timer if a step follows.
 
     Args:
         chip: State of the chip.
         axis: State of the axis.
         next_step: State of the search from now on.
-        clocks: Duration of DCC.
+        clocks: Duration of the pulse on DCC, clocks.
     """
     axis.home_state, axis.home_handles_limits, axis.drives_at_hv = next_step, 0, 0
     mode = axis.mode[state.H2M]
@@ -388,7 +388,7 @@ def _begin_pause(chip, axis, next_step, clocks):
 
 @hot
 def update_search(chip, axis):
-    """Do what is due at the present clock. Sets `stale` if that changes something."""
+    """Process the events of the home search that are due at the present clock. Sets `chip.stale` if that changes the chip."""
     if not axis.home_state:
         return
     if axis.pause_end:
@@ -405,5 +405,5 @@ def update_search(chip, axis):
 
 @hot
 def find_next_event(chip, axis):
-    """Return the clock at which a pause ends, NEVER if there is none."""
+    """Return the clock at which the pause between two steps ends, NEVER if there is none."""
     return axis.pause_end if axis.pause_end else state.NEVER

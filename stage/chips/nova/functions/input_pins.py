@@ -27,28 +27,28 @@ def set_active_high(axis, word):
 
 
 @hot
-def _find_quadrature_phase(word):
-    """Return the quarter of its period, 0 to 3, in which an encoder with these levels is. A leads B forward."""
-    a, b = 1 if word & ECA else 0, 1 if word & ECB else 0
+def _find_quadrature_phase(levels):
+    """Return the quarter, 0 to 3, of an encoder's period in which ECA and ECB have these levels. A leads B forward."""
+    a, b = 1 if levels & ECA else 0, 1 if levels & ECB else 0
     return 2 * b + (a ^ b)
 
 
 @hot
-def _count_encoder_pins(chip, axis, old, new):
-    """Count an edge of ECA or ECB that a user of the pins has made, as the input mode says.
+def _count_encoder_pins(chip, axis, old_levels, new_levels):
+    """Count an edge of ECA or ECB that was made by setting the pins, in the mode that the registers select.
 
     Args:
         chip: State of the chip.
         axis: State of the axis.
-        old: Levels before the edge.
-        new: Levels after it.
+        old_levels: Levels before the edge.
+        new_levels: Levels after it.
     """
     direction = -1 if axis.encoder_reversed else 1
     if axis.encoder_mode == UP_DOWN:
-        rises = new & ~old
+        rises = new_levels & ~old_levels
         add_encoder_counts(chip, axis, direction * ((1 if rises & ECA else 0) - (1 if rises & ECB else 0)))
         return
-    begin, end = _find_quadrature_phase(old), _find_quadrature_phase(new)
+    begin, end = _find_quadrature_phase(old_levels), _find_quadrature_phase(new_levels)
     step = (end - begin) & 3
     if step == 2:
         return  # both at once: no direction can be told
@@ -62,7 +62,7 @@ def _count_encoder_pins(chip, axis, old, new):
 
 @hot
 def update_inputs(chip, axis):
-    """Let the filtered levels follow the pins, and return the clock at which a filter passes the next change."""
+    """Update the filtered levels of the pins, and return the clock at which a filter passes the next change."""
     at = NEVER
     if axis.inputs == axis.filtered_inputs:
         for k in range(INPUT_PINS):
@@ -100,8 +100,8 @@ def update_inputs(chip, axis):
 
 
 @hot
-def update_emergency(chip):
-    """Let the filtered level of EMG follow its pin, as `update_inputs` does. Its filter is that of axis X."""
+def update_emergency_input(chip):
+    """Update the filtered level of the pin EMG, and return the clock of its next change. Its filter is that of axis X."""
     axis = chip.ax[0]
     if chip.emg_pin == chip.emergency:
         chip.emg_filter_end = 0

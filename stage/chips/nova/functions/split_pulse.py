@@ -37,7 +37,7 @@ def stop_split_pulses(chip, axis):
 
 @hot
 def _begin_split_pulse(axis):
-    """Begin one split pulse. The present SP1 holds for its whole cycle."""
+    """Begin one split pulse. A new value of SP1 takes effect in the next cycle."""
     cycle = greatest(axis.reg[SP1] & 0xFFFF, 2)
     width = least(greatest(axis.reg[SP1] >> 16 & 0xFFFF, 1), cycle - 1)
     axis.split_output = 1
@@ -49,7 +49,7 @@ def _begin_split_pulse(axis):
 
 @hot
 def update_split_pulses(chip, axis):
-    """Do what is due after pulses of the drive have begun."""
+    """Begin or end split pulses after pulses of the drive have begun."""
     if axis.split_running and axis.split_output and axis.total >= axis.next_split_fall:
         axis.split_output = 0
         if axis.split_pulses_left == 0:

@@ -89,13 +89,13 @@ def compute_status_bits(axis):
 
 
 @hot
-def _has_occurred(factor, set_index, fired, rises, falls, levels):
+def _has_factor_occurred(factor, set_index, events, rises, falls, levels):
     """Return whether the activation factor of set `set_index` has occurred.
 
     Args:
         factor: The factor, bits 3 to 0 of SmM.
         set_index: Number of the set.
-        fired: Events since the last check.
+        events: Events of the axis since the last check, as bits.
         rises: PIO inputs that have risen.
         falls: PIO inputs that have fallen.
         levels: PIO levels.
@@ -103,9 +103,9 @@ def _has_occurred(factor, set_index, fired, rises, falls, levels):
     if factor == 0:
         return False
     if factor == COMPARISON:
-        return fired >> compare.FIRST_CMR + set_index & 1 != 0
+        return events >> compare.FIRST_CMR + set_index & 1 != 0
     if factor < RISES:
-        return fired & EVENTS[factor] != 0
+        return events & EVENTS[factor] != 0
     edge = falls if factor in (FALLS, FALLS_LOW, FALLS_HIGH) else rises
     if not edge >> set_index & 1:
         return False
@@ -125,7 +125,7 @@ def _find_due_sets(axis):
     axis.last_port_levels, axis.new_events = levels, 0
     if axis.enabled_sets and fired | rises | falls:
         for m in range(state.SYNC_SETS):
-            if _has_occurred(axis.mode[state.S0M + m] & 15, m, fired, rises, falls, levels):
+            if _has_factor_occurred(axis.mode[state.S0M + m] & 15, m, fired, rises, falls, levels):
                 axis.due_sets |= 1 << m
 
 
@@ -201,7 +201,7 @@ def _start_drive(chip, axis, set_index, action):
 
 @hot
 def _activate_set(chip, axis_index, set_index):
-    """Let set `set_index` of axis `axis_index` act, and activate the other sets that it names."""
+    """Perform the action of set `set_index` of axis `axis_index`, and activate the other sets that this set selects."""
     axis = chip.ax[axis_index]
     mode = axis.mode[state.S0M + set_index]
     axis.finished_sets |= 1 << set_index
@@ -223,7 +223,7 @@ def _activate_set(chip, axis_index, set_index):
 
 @hot
 def run_due_sets(chip, axis_index):
-    """Do what is due at the present clock. Sets `stale` if that changes something."""
+    """Run the synchronous actions that are due at the present clock. Sets `chip.stale` if that changes the chip."""
     axis = chip.ax[axis_index]
     if chip.variant != state.MCX514_TYPE:
         compare.update_comparisons(chip, axis)

@@ -1,6 +1,6 @@
 """The timer of the MCX514, which counts from 0 to TM, once every 16 clocks, and then restarts or stops; compiled.
 
-Inferred: it counts up; a new TM acts from the next timing on; a start while it runs begins a new timing.
+Inferred: the timer counts up; a new TM takes effect when the timer next starts from 0; a start command while it runs restarts it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ TMMD = MCX514_MAP.mask("WR3", "TMMD")
 
 @hot
 def _start_timer_at(axis, clock):
-    """Begin a timing at a clock."""
+    """Start the timer from 0 at a clock."""
     axis.timer_start, axis.timer_end = clock, clock + CLOCKS_PER_COUNT * greatest(axis.reg[TM], 1)
 
 
@@ -36,13 +36,13 @@ def stop_timer(chip, axis):
 
 @hot
 def read_timer(chip, axis):
-    """Return what CT reads: counts since the start, 0 while the timer is stopped."""
+    """Return the value of the register CT: counts since the start, 0 while the timer is stopped."""
     return (chip.clock - axis.timer_start) // CLOCKS_PER_COUNT if axis.timer_end else 0
 
 
 @hot
 def update_timer(chip, axis):
-    """Note the event TIMER if the timer has expired, and restart or stop it as TMMD says."""
+    """Note the event TIMER if the timer has expired, and restart or stop it as the mode bit TMMD selects."""
     if axis.timer_end and chip.clock >= axis.timer_end:
         note_event(axis, TIMER)
         if axis.wr[3] & TMMD:

@@ -9,7 +9,7 @@ PATTERN_STEPS = 16
 
 @hot
 def begin_pattern(interpolation, segment):
-    """Begin bit pattern `segment`, and return True: it always has ticks.
+    """Begin bit pattern `segment`, and return True, because a bit pattern always has ticks.
 
     Args:
         interpolation: State of the interpolation.
@@ -45,7 +45,7 @@ def step_pattern(interpolation, segment):
 
 @hot
 def count_pattern_ticks(segment):
-    """Count the ticks of a pattern as `line.count_line_ticks` does."""
+    """Count the ticks of a bit pattern by the number of axes that they move, as `line.count_line_ticks` does."""
     one = two = three = 0
     for bit in range(PATTERN_STEPS):
         moved = 0

@@ -1,7 +1,7 @@
 """Circular interpolation of the NOVA chips, octant by octant, counter-clockwise about the center; compiled.
 
-In each octant the faster axis steps at every tick, the slower one when that leads nearer to the circle. The arc ends in the octant
-of the finish point, when the faster axis has reached its coordinate of the finish point, or where that octant ends.
+In each octant the faster axis makes a pulse in every tick, the slower axis if that leads nearer to the circle. The arc ends in the
+octant of the finish point, when the faster axis has reached the coordinate of the finish point, or at the end of that octant.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ OCTANT_END_TICKS = 4  # ticks next to the end of an octant, which are made one b
 
 @hot
 def find_octant(x, y):
-    """Return the octant in which a counter-clockwise motion from a point runs."""
+    """Return the octant in which a counter-clockwise motion from the point (x, y) runs."""
     if x > 0 and y >= 0:
         return 1 if y >= x else 0
     if y > 0:
@@ -32,23 +32,23 @@ def find_octant(x, y):
 
 
 @hot
-def begin_arc(arc, x, y, goal_x, goal_y):
+def begin_arc(arc, x, y, finish_x, finish_y):
     """Begin an arc, or a whole circle if the finish point is the start.
 
     Args:
         arc: State of the arc.
         x: First coordinate of the start, from the center.
         y: Second coordinate.
-        goal_x: First coordinate of the finish point, from the center.
-        goal_y: Second coordinate.
+        finish_x: First coordinate of the finish point, from the center.
+        finish_y: Second coordinate.
 
     Returns:
         Whether the radius is not 0.
     """
-    arc.x, arc.y, arc.goal_x, arc.goal_y = x, y, goal_x, goal_y
+    arc.x, arc.y, arc.goal_x, arc.goal_y = x, y, finish_x, finish_y
     arc.radius_error = arc.octants_entered = 0
     arc.octant = find_octant(x, y)
-    last = 7 - find_octant(goal_x, -goal_y)  # a move to the finish point comes from there
+    last = 7 - find_octant(finish_x, -finish_y)  # a move to the finish point comes from there
     arc.octants_to_enter = (last - arc.octant) & 7
     if arc.octants_to_enter == 0 and _count_steps_to_go(arc) <= 0:
         arc.octants_to_enter = 8
@@ -57,7 +57,7 @@ def begin_arc(arc, x, y, goal_x, goal_y):
 
 @hot
 def _count_steps_to_go(arc):
-    """Return how many steps the faster axis of the present octant must make to reach the finish point's coordinate."""
+    """Count the pulses of the present octant's faster axis up to the coordinate of the finish point."""
     o = arc.octant
     return ((arc.goal_y - arc.y) if FAST_AXIS[o] else (arc.goal_x - arc.x)) * FAST_DIRECTION[o]
 
@@ -72,7 +72,7 @@ def has_arrived(arc):
 
 @hot
 def step_arc(arc):
-    """Make one tick of an arc, and return whether the slower axis steps as well."""
+    """Move an arc by one pulse of the octant's faster axis, and return whether the slower axis makes a pulse as well."""
     o = arc.octant
     fast = FAST_AXIS[o]
     u, v = (arc.y, arc.x) if fast else (arc.x, arc.y)
@@ -102,37 +102,37 @@ def _compute_integer_root(number):
 
 
 @hot
-def _find_nearest_coordinate(coordinate, square):
-    """Return the integer v for which u^2 + v^2 is nearest to `square`."""
-    r = _compute_integer_root(square - coordinate * coordinate)
-    return r + 1 if (r + 1) * (r + 1) + r * r < 2 * (square - coordinate * coordinate) else r
+def _find_nearest_coordinate(coordinate, radius_squared):
+    """Return the integer v for which coordinate^2 + v^2 is nearest to `radius_squared`."""
+    r = _compute_integer_root(radius_squared - coordinate * coordinate)
+    return r + 1 if (r + 1) * (r + 1) + r * r < 2 * (radius_squared - coordinate * coordinate) else r
 
 
 @hot
-def count_arc_ticks(arc, square):
-    """Move an arc to its end, and count its ticks and those that move both axes.
+def count_arc_ticks(arc, radius_squared):
+    """Move an arc to its end; count all ticks of the arc, and the ticks in which both axes make a pulse.
 
-    Within an octant the slower axis is always where it is nearest to the circle, so the function skips most ticks.
+    Within an octant the slower axis is always at the position nearest to the circle, so the function need not compute every tick.
 
     Args:
         arc: State of the arc.
-        square: Square of the radius.
+        radius_squared: Square of the radius.
     """
     count = both = 0
     while not has_arrived(arc):
         o = arc.octant
         fast, ahead = FAST_AXIS[o], FAST_DIRECTION[o]
         u, v = (arc.y, arc.x) if fast else (arc.x, arc.y)
-        room = _compute_integer_root(square // 2) - abs(u) if u * ahead >= 0 else abs(u)
+        room = _compute_integer_root(radius_squared // 2) - abs(u) if u * ahead >= 0 else abs(u)
         if arc.octants_entered == arc.octants_to_enter:
             room = least(room, _count_steps_to_go(arc))
-        if room > 2 * OCTANT_END_TICKS and abs(v) == _find_nearest_coordinate(u, square):
+        if room > 2 * OCTANT_END_TICKS and abs(v) == _find_nearest_coordinate(u, radius_squared):
             jump = room - OCTANT_END_TICKS
             u += jump * ahead
-            new = _find_nearest_coordinate(u, square) * (1 if v > 0 else -1)
+            new = _find_nearest_coordinate(u, radius_squared) * (1 if v > 0 else -1)
             count += jump
             both += abs(new - v)
-            arc.radius_error = u * u + new * new - square
+            arc.radius_error = u * u + new * new - radius_squared
             arc.x, arc.y = (new, u) if fast else (u, new)
         else:
             count += 1

@@ -1,4 +1,4 @@
-"""Helical interpolation of the NOVA chips: a circle of two axes, along which the others move in proportion to its ticks; compiled.
+"""Helical interpolation of the NOVA chips, compiled: a circle of two axes, and other axes that move in proportion to its ticks.
 
 The helical calculation counts the ticks of the arc, or, if there is a rotation number, of a whole turn, and stores them in HLV.
 The other axes make their pulses in that number of ticks, one per tick at most; pulses beyond HLV are lost [I]. The rotation
@@ -31,17 +31,17 @@ def begin_helix(interpolation, segment):
 
 
 @hot
-def _begin_arc_or_turn(arc, segment, turn):
+def _begin_arc_or_turn(arc, segment, is_turn):
     """Begin a whole turn, or the arc to the finish point, about the center.
 
     Args:
         arc: State of the arc.
         segment: The segment.
-        turn: Whether it is a whole turn.
+        is_turn: Whether it is a whole turn.
     """
     x, y = -segment.center[0] * segment.inner_ticks, -segment.center[1] * segment.inner_ticks
     goal_x, goal_y = (
-        (0, 0) if turn else (segment.finish[0] * segment.inner_ticks, segment.finish[1] * segment.inner_ticks)
+        (0, 0) if is_turn else (segment.finish[0] * segment.inner_ticks, segment.finish[1] * segment.inner_ticks)
     )
     return circular.begin_arc(arc, x, y * segment.y_sign, x + goal_x, (y + goal_y) * segment.y_sign)
 
@@ -83,9 +83,9 @@ def step_helix(interpolation, segment):
 
 
 @hot
-def _count_ticks(arc, segment, turn):
+def _count_ticks(arc, segment, is_turn):
     """Count the ticks of a whole turn or of the arc, and those that move both axes."""
-    if not _begin_arc_or_turn(arc, segment, turn):
+    if not _begin_arc_or_turn(arc, segment, is_turn):
         return 0, 0
     return circular.count_arc_ticks(arc, arc.x * arc.x + arc.y * arc.y)
 
@@ -109,19 +109,19 @@ def count_helix_ticks(arc, segment):
 
 
 @hot
-def compute_inner_ticks(arc, segment, value):
+def compute_inner_ticks(arc, segment, hlv):
     """Convert HLV to inner ticks. The result is exact if HLV is the result of the helical calculation.
 
     Args:
         arc: State of an arc, which the function overwrites.
         segment: The segment.
-        value: HLV.
+        hlv: HLV.
     """
     inner, _ = _count_ticks(arc, segment, segment.rotations > 0)
     fine, segment.inner_ticks = segment.inner_ticks, 1
     calculated = calculate_hlv(arc, segment)
     segment.inner_ticks = fine
-    return greatest(inner, 1) if value == calculated else value * fine
+    return greatest(inner, 1) if hlv == calculated else hlv * fine
 
 
 @hot

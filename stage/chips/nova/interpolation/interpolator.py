@@ -1,8 +1,9 @@
 """Interpolation of the NOVA chips, compiled: it begins and ends segments, and makes their ticks at the right clocks.
 
-The k-th tick begins when the profile has come to place k; with constant vector speed a tick that moves two axes is sqrt2 places
-from the one before, one that moves three sqrt3. The next tick is always prepared: its steps, directions, place and clock. When the
-last tick of a segment has begun the next segment is taken from the pre-buffer, so that its first tick comes one period later.
+The speed profile of the main axis gives a position over time, its *place*, in pulses. Tick k begins when the profile has reached
+place k; with constant vector speed the place of a tick that moves two axes is sqrt2 after the one before, and sqrt3 for three axes.
+The next tick is always prepared: its pulses, directions, place and clock. When the last tick of a segment has begun, the next
+segment is taken from the pre-buffer, so that its first tick comes one period later.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from stage.chips.nova.functions import synchronous_actions
 from stage.chips.nova.interpolation import segment
 from stage.chips.nova.motion import counters, rate_registers, single_axis_drive
 from stage.chips.nova.motion import double_double as dd
-from stage.chips.nova.motion.profile_planner import begin_plan_at, plan_stop, read_pair, write_pair
+from stage.chips.nova.motion.profile_planner import begin_plan_at, plan_stop
 from stage.chips.nova.motion.pulse_output import compute_pulse_width
 from stage.chips.nova.motion.pulse_timing import compute_speed, find_piece
 from stage.chips.nova.registers.mcx300 import MCX312_MAP
@@ -44,8 +45,8 @@ def reset_interpolation(chip):
 
 
 @hot
-def find_free_place(chip):
-    """Return the place in the queue that takes the next segment."""
+def find_free_queue_slot(chip):
+    """Return the index in the queue of segments that takes the next segment."""
     return (
         (chip.ip.queue_head + 1 + chip.ip.waiting_segments) % (state.STAGES + 1)
         if chip.interpolating
@@ -55,44 +56,44 @@ def find_free_place(chip):
 
 @hot
 def note_refused_segment(chip):
-    """Note that a segment cannot be taken: an error of continuous interpolation (CERR), if one is in progress."""
+    """Note that a segment was refused: an error of continuous interpolation (CERR), if an interpolation is in progress."""
     if chip.interpolating and chip.variant == state.MCX514_TYPE:
         chip.ax[chip.ip.main_axis].stop_causes |= state.E_CERR
 
 
 @hot
-def can_take_segment(chip, mask, depth):
-    """Return whether a segment can be written now, and note an error if not.
+def can_take_segment(chip, axis_mask, queue_depth):
+    """Return whether a host can write a segment now, and note an error if it cannot.
 
     Args:
         chip: State of the chip.
-        mask: Axes of the segment, as bits.
-        depth: Number of segments that the queue holds.
+        axis_mask: Axes of the segment, as bits.
+        queue_depth: Number of segments that the queue holds.
     """
-    if mask == 0:
+    if axis_mask == 0:
         return False
     if chip.interpolating:
-        if mask != chip.ip.axis_mask or chip.ip.waiting_segments >= depth:
+        if axis_mask != chip.ip.axis_mask or chip.ip.waiting_segments >= queue_depth:
             note_refused_segment(chip)
             return False
         return True
     for j in range(chip.axes):
         axis = chip.ax[j]
-        if mask >> j & 1 and (axis.driving or axis.awaits_inpos or axis.home_state):
+        if axis_mask >> j & 1 and (axis.driving or axis.awaits_inpos or axis.home_state):
             return False
     return True
 
 
 @hot
-def submit_segment(chip, mask, main, depth, stepped):
-    """Start the segment at `find_free_place`, or queue it behind those before it.
+def submit_segment(chip, axis_mask, main_axis, queue_depth, single_stepped):
+    """Start the segment that was written at `find_free_queue_slot`, or queue it behind earlier segments.
 
     Args:
         chip: State of the chip.
-        mask: Axes of the segment, as bits.
-        main: Main axis.
-        depth: Number of segments that the queue holds.
-        stepped: Whether single steps move it.
+        axis_mask: Axes of the segment, as bits.
+        main_axis: Main axis.
+        queue_depth: Number of segments that the queue holds.
+        single_stepped: Whether a host command makes each tick.
     """
     interpolation = chip.ip
     chip.stale = 1
@@ -100,28 +101,28 @@ def submit_segment(chip, mask, main, depth, stepped):
         interpolation.waiting_segments += 1
         interpolation.continuous = 1
         return
-    prepare_axes(chip, mask, main, depth, stepped)
+    prepare_axes(chip, axis_mask, main_axis, queue_depth, single_stepped)
     interpolation.role = 0
     start_interpolation(chip)
 
 
 @hot
-def prepare_axes(chip, mask, main, depth, stepped):
+def prepare_axes(chip, axis_mask, main_axis, queue_depth, single_stepped):
     """Prepare the axes of an interpolation that begins now, or at the same clock as those of other chips.
 
     Args:
         chip: State of the chip.
-        mask: Axes of the segment, as bits.
-        main: Main axis.
-        depth: Number of segments that the queue holds.
-        stepped: Whether single steps move it.
+        axis_mask: Axes of the segment, as bits.
+        main_axis: Main axis.
+        queue_depth: Number of segments that the queue holds.
+        single_stepped: Whether a host command makes each tick.
     """
     interpolation = chip.ip
     interpolation.axis_mask, interpolation.main_axis, interpolation.queue_depth, interpolation.single_stepped = (
-        mask,
-        main,
-        depth,
-        stepped,
+        axis_mask,
+        main_axis,
+        queue_depth,
+        single_stepped,
     )
     interpolation.continuous = interpolation.waiting_segments = interpolation.stopping = 0
     for j in range(chip.axes):
@@ -136,8 +137,8 @@ def start_interpolation(chip):
     """Start the prepared interpolation, unless a limit or an error prevents it."""
     interpolation, axis = chip.ip, chip.ax[chip.ip.main_axis]
     interpolation.start_clock = chip.clock
-    write_pair(interpolation.tick_place, dd.ZERO)
-    write_pair(interpolation.segment_start, dd.ZERO)
+    dd.store(interpolation.tick_place, dd.ZERO)
+    dd.store(interpolation.segment_start, dd.ZERO)
     segment.find_segment_end(chip)
     if not segment.begin_segment(chip):
         for j in range(chip.axes):
@@ -182,7 +183,7 @@ def end_interpolation(chip):
 
 @exported(None, state.STATE)
 def _begin_next_segment(chip):
-    """Begin the next segment after the last tick of one, or end the interpolation."""
+    """Begin the next segment of the queue after the last tick of a segment, or end the interpolation."""
     interpolation, axis = chip.ip, chip.ax[chip.ip.main_axis]
     chip.stale = 1
     ends = interpolation.plan_decelerates
@@ -193,7 +194,7 @@ def _begin_next_segment(chip):
         interpolation.waiting_segments -= 1
         interpolation.queue_head = (interpolation.queue_head + 1) % (state.STAGES + 1)
         _assert_interrupts(chip)
-        write_pair(interpolation.segment_start, read_pair(interpolation.tick_place))
+        dd.store(interpolation.segment_start, dd.load(interpolation.tick_place))
         segment.find_segment_end(chip)
         if segment.begin_segment(chip):
             break
@@ -210,7 +211,7 @@ def _begin_next_segment(chip):
 
 @hot
 def _assert_interrupts(chip):
-    """Assert the interrupt that a segment causes when it leaves the pre-buffer."""
+    """Assert the interrupts that are caused when a segment leaves the pre-buffer."""
     interpolation = chip.ip
     if chip.variant == state.MCX514_TYPE:
         word = chip.ax[0].mode[state.IPM]
@@ -230,7 +231,7 @@ def _assert_interrupts(chip):
 
 @hot
 def _compute_tick_rate(chip):
-    """Compute the present rate in ticks per clock."""
+    """Compute the present rate of the interpolation in ticks per clock."""
     interpolation, axis = chip.ip, chip.ax[chip.ip.main_axis]
     if interpolation.role == state.SLAVE:
         return 1.0 / interpolation.tick_interval if interpolation.tick_interval > 0 else 0.0
@@ -239,7 +240,7 @@ def _compute_tick_rate(chip):
 
 @hot
 def begin_tick(chip):
-    """Begin the prepared tick at the present clock."""
+    """Begin the prepared tick of the interpolation at the present clock."""
     interpolation, queued_segment = chip.ip, chip.queue[chip.ip.queue_head]
     if interpolation.ends_interpolation:
         end_interpolation(chip)
@@ -268,7 +269,7 @@ def begin_tick(chip):
 
 @exported("i8", state.STATE, "i8")
 def make_ticks(chip, until):
-    """Begin the ticks up to a clock.
+    """Begin all ticks of the interpolation up to a clock.
 
     Args:
         chip: State of the chip.
@@ -321,7 +322,7 @@ def trace_ticks(chip, until, pulses, pulse_index):
 
 @hot
 def update_interpolation(chip):
-    """Do what is due at the present clock. Sets `stale` if that changes something."""
+    """Process the events of the interpolation that are due at the present clock. Sets `chip.stale` if that changes the chip."""
     if not chip.interpolating:
         return
     interpolation, axis = chip.ip, chip.ax[chip.ip.main_axis]
@@ -336,7 +337,7 @@ def update_interpolation(chip):
         return
     n = chip.clock - axis.origin
     if stop == single_axis_drive.INSTANT_STOP or n >= axis.end_time or (stop and interpolation.single_stepped):
-        if interpolation.role == state.MASTER and collect_errors(chip) & ~interpolation.errors_at_start:
+        if interpolation.role == state.MASTER and collect_axis_errors(chip) & ~interpolation.errors_at_start:
             chip.signals_failure = 1
         end_interpolation(chip)
         return
@@ -355,12 +356,12 @@ def update_interpolation(chip):
     ):
         segment.replan_segment(chip, axis)
         chip.stale = 1
-    single_axis_drive.update_phase(axis, chip.clock - axis.origin)
+    single_axis_drive.update_ramp_phase(axis, chip.clock - axis.origin)
 
 
 @hot
-def collect_errors(chip):
-    """Return the error bits of RR2 of all axes, a byte per axis."""
+def collect_axis_errors(chip):
+    """Return the error bits of the register RR2 of all axes, one byte per axis."""
     found = 0
     for j in range(chip.axes):
         found |= (chip.ax[j].stop_causes & 0xFF) << 8 * j
@@ -369,7 +370,7 @@ def collect_errors(chip):
 
 @hot
 def find_next_event(chip):
-    """Return the clock of the next event except ticks, and set `ticks_until_check`."""
+    """Return the clock of the next event of the interpolation other than a tick, and set `ticks_until_check`."""
     interpolation, axis = chip.ip, chip.ax[chip.ip.main_axis]
     interpolation.ticks_until_check = state.NEVER
     for j in range(chip.axes):
@@ -393,7 +394,7 @@ def find_next_event(chip):
 
 @hot
 def make_single_step(chip):
-    """Make the next tick by command, if the interpolation is single-stepped."""
+    """Make the next tick of a single-stepped interpolation by a host's command."""
     if chip.interpolating and chip.ip.single_stepped and not chip.ip.awaits_start and chip.ip.role != state.SLAVE:
         begin_tick(chip)
         chip.stale = 1
@@ -404,7 +405,9 @@ def make_single_step(chip):
 
 @hot
 def compute_axis_rate(chip, axis_index):
-    """Compute the rate of an axis that takes part, in pulses per clock. Ticks of constant vector speed count as evenly spaced."""
+    """Compute the present rate of an axis in an interpolation, in pulses per clock.
+
+    With constant vector speed the ticks count as evenly spaced."""
     interpolation, segment = chip.ip, chip.queue[chip.ip.queue_head]
     share = 0.0
     for k in range(segment.axis_count):

@@ -47,7 +47,8 @@ def count_line_ticks(interpolation, segment):
         segment: The segment.
 
     Returns:
-        Ticks that move one axis or none, two, and three of the axes that constant vector speed considers.
+        Numbers of ticks in which one axis or none, two axes, and three axes make a pulse. Only the axes that constant vector speed
+        considers are counted.
     """
     ticks_in_all = segment.tick_count * segment.inner_ticks
     if not segment.vector_axes or segment.axis_count == 1:
@@ -81,9 +82,9 @@ def count_line_ticks(interpolation, segment):
 
 @hot
 def _count_ticks_by_steps(interpolation, segment, ticks_in_all):
-    """Count the ticks as `count_line_ticks` does, by walking along the line.
+    """Count the ticks of a line as `count_line_ticks` does, tick by tick.
 
-    Needed for three short axes, below a longer fourth axis or a maximum that the host has set.
+    This is needed if three axes are shorter than a fourth axis, or than a maximum that the host has set.
     """
     two = three = 0
     for _ in range(ticks_in_all if begin_line(interpolation, segment) else 0):
@@ -96,7 +97,7 @@ def _count_ticks_by_steps(interpolation, segment, ticks_in_all):
 
 @hot
 def count_common_ticks(first_steps, second_steps, tick_count):
-    """Count the ticks of a line in which two axes step at once.
+    """Count the ticks of a line in which two axes make a pulse at once.
 
     With n ticks, an axis of a steps makes one in tick k if a k lies in [-h, a - h) modulo n, with h = n // 2. So the function
     counts those points of the lattice (a k, b k) modulo n that lie in a rectangle. Its columns are e apart, and each begins

@@ -13,12 +13,12 @@ from stage.chips.nova.state import ARC, CP, LINE, PATTERN, TP
 from stage.native import greatest, hot, least
 
 
-def _find_code(symbol: str) -> int:
+def _find_command_code(symbol: str) -> int:
     return MAP.command(symbol).code
 
 
 LINE_2, CIRCLE_CW, CIRCLE_CCW, PATTERN_2, BP_ON, BP_OFF, BP_STACK, BP_CLEAR, ONE_STEP, DEC_ON, DEC_OFF, CLEAR = (
-    _find_code(n) for n in (
+    _find_command_code(n) for n in (
         "IP_2ST", "IP_CW", "IP_CCW", "IP_2BP", "BP_ENABLED", "BP_DISABLED", "BP_STACK", "BP_CLR", "IP_1STEP",
         "IP_DEC_VALID", "IP_DEC_INVALID", "IP_INTRPT_CLR")
 )  # fmt: skip
@@ -46,10 +46,10 @@ def execute_command(chip, code):
     elif code in (BP_ON, BP_OFF):
         ip.loads_pattern = 1 if code == BP_ON else 0
     elif code == BP_STACK:
-        _stack_set(chip)
+        _stack_pattern_set(chip)
     elif code == BP_CLEAR:
         ip.stacked_sets = 0
-        if _is_running_pattern(chip):
+        if _is_pattern_in_progress(chip):
             ip.waiting_segments = 0
             segment.update_pattern_end(chip)
     elif code in (DEC_ON, DEC_OFF):
@@ -63,35 +63,35 @@ def execute_command(chip, code):
 
 @hot
 def _to_coordinate(value):
-    """Convert a register to a finish point or center: 31 of its 32 bits, with a sign."""
+    """Convert the value of a register to a signed coordinate of a finish point or center: 31 of its 32 bits."""
     return (value + (1 << 30) & (1 << 31) - 1) - (1 << 30)
 
 
 @hot
-def _select_axes(chip, segment, axes, count):
-    """Let the first axes of WR5 take part in a segment, and set its other fields to their defaults.
+def _select_axes(chip, segment, axis_word, axis_count):
+    """Select the first axes of the word WR5 for a segment, and set the segment's other fields to their defaults.
 
     Args:
         chip: State of the chip.
         segment: The segment.
-        axes: Axis numbers, in a word like WR5.
-        count: Number of axes.
+        axis_word: Axis numbers, in a word like WR5.
+        axis_count: Number of axes.
     """
-    segment.axis_count = count
-    for k in range(count):
-        segment.axis_numbers[k] = axes >> AX1 + 2 * k & 3
+    segment.axis_count = axis_count
+    for k in range(axis_count):
+        segment.axis_numbers[k] = axis_word >> AX1 + 2 * k & 3
     segment.inner_ticks = segment.y_sign = 1
     segment.tick_count = segment.rotations = 0
-    segment.vector_axes = least(VECTOR_AXES[chip.outputs5 >> LSPD & 3], count)
+    segment.vector_axes = least(VECTOR_AXES[chip.outputs5 >> LSPD & 3], axis_count)
     segment.decelerates = chip.ip.deceleration_enabled
 
 
 @hot
-def _find_axis_mask(chip, axes, count):
-    """Return the bits of the first axes of WR5; 0 if the chip lacks one of them, or one comes twice."""
+def _find_axis_mask(chip, axis_word, axis_count):
+    """Return the mask of the first axes of the word WR5; 0 if the chip lacks one of them, or one occurs twice."""
     mask = 0
-    for k in range(count):
-        j = axes >> AX1 + 2 * k & 3
+    for k in range(axis_count):
+        j = axis_word >> AX1 + 2 * k & 3
         if j >= chip.axes or mask >> j & 1:
             return 0
         mask |= 1 << j
@@ -99,16 +99,16 @@ def _find_axis_mask(chip, axes, count):
 
 
 @hot
-def _load_segment(chip, code, count):
+def _load_segment(chip, code, axis_count):
     """Execute a command of a segment, 30h to 35h: start it, queue it, or ignore it.
 
     Args:
         chip: State of the chip.
         code: Code of the command.
-        count: Number of axes.
+        axis_count: Number of axes.
     """
     w, ip = chip.outputs5, chip.ip
-    mask, pattern = _find_axis_mask(chip, w, count), code in (PATTERN_2, PATTERN_3)
+    mask, pattern = _find_axis_mask(chip, w, axis_count), code in (PATTERN_2, PATTERN_3)
     if not interpolation.can_take_segment(chip, mask, ip.queue_depth if chip.interpolating else 1):
         return
     if chip.interpolating and (pattern or chip.queue[ip.queue_head].kind == PATTERN):
@@ -117,13 +117,13 @@ def _load_segment(chip, code, count):
     if pattern:
         sets, ip.stacked_sets = ip.stacked_sets, 0
         for k in range(sets):
-            _submit_set(chip, k, w, count, stepped)
+            _submit_pattern_set(chip, k, w, axis_count, stepped)
             if not chip.interpolating:
                 return
         return
-    segment = chip.queue[interpolation.find_free_place(chip)]
-    _select_axes(chip, segment, w, count)
-    for k in range(count):
+    segment = chip.queue[interpolation.find_free_queue_slot(chip)]
+    _select_axes(chip, segment, w, axis_count)
+    for k in range(axis_count):
         axis = chip.ax[segment.axis_numbers[k]]
         segment.finish[k] = _to_coordinate(axis.reg[TP])
         if k < 2:
@@ -135,54 +135,54 @@ def _load_segment(chip, code, count):
 
 
 @hot
-def _submit_set(chip, set_number, axes, count, stepped):
-    """Make set `set_number` of the pattern stack a segment.
+def _submit_pattern_set(chip, set_number, axis_word, axis_count, single_stepped):
+    """Start or queue set `set_number` of the bit pattern stack as a segment.
 
     Args:
         chip: State of the chip.
         set_number: Number of the set.
-        axes: Axis numbers, in a word like WR5.
-        count: Number of axes.
-        stepped: Whether single steps move it.
+        axis_word: Axis numbers, in a word like WR5.
+        axis_count: Number of axes.
+        single_stepped: Whether single steps move it.
     """
-    ip, queued_segment = chip.ip, chip.queue[interpolation.find_free_place(chip)]
-    _select_axes(chip, queued_segment, axes, count)
+    ip, queued_segment = chip.ip, chip.queue[interpolation.find_free_queue_slot(chip)]
+    _select_axes(chip, queued_segment, axis_word, axis_count)
     queued_segment.kind = PATTERN
-    for m in range(count):
+    for m in range(axis_count):
         queued_segment.finish[m] = ip.pattern_stack[set_number, 2 * m] | ip.pattern_stack[set_number, 2 * m + 1] << 16
     if chip.interpolating:
         queued_segment.decelerates = chip.queue[ip.queue_head].decelerates
     interpolation.submit_segment(
-        chip, _find_axis_mask(chip, axes, count), queued_segment.axis_numbers[0], MAX_SETS - 1, stepped
+        chip, _find_axis_mask(chip, axis_word, axis_count), queued_segment.axis_numbers[0], MAX_SETS - 1, single_stepped
     )
     segment.update_pattern_end(chip)
 
 
 @hot
-def _is_running_pattern(chip):
+def _is_pattern_in_progress(chip):
     """Return whether a bit pattern is in progress."""
     return chip.interpolating and chip.queue[chip.ip.queue_head].kind == PATTERN
 
 
 @hot
-def _count_sets(chip):
-    """Return BPSC: the number of sets in progress or stacked."""
-    return chip.ip.waiting_segments + 1 if _is_running_pattern(chip) else chip.ip.stacked_sets
+def _count_pattern_sets(chip):
+    """Return BPSC, the number of bit pattern sets in progress or stacked."""
+    return chip.ip.waiting_segments + 1 if _is_pattern_in_progress(chip) else chip.ip.stacked_sets
 
 
 @hot
-def _stack_set(chip):
-    """Stack the pattern that was written (38h), or queue it behind the running set. A fourth set is lost."""
+def _stack_pattern_set(chip):
+    """Stack the bit pattern set that was written (38h), or queue it behind the running set. A fourth set is lost."""
     interpolation = chip.ip
-    if _count_sets(chip) >= MAX_SETS:
+    if _count_pattern_sets(chip) >= MAX_SETS:
         return
     for m in range(SET_WORDS):
         interpolation.pattern_stack[interpolation.stacked_sets, m] = interpolation.pattern_words[m]
-    if _is_running_pattern(chip):
+    if _is_pattern_in_progress(chip):
         segment, axes = chip.queue[interpolation.queue_head], 0
         for k in range(segment.axis_count):
             axes |= segment.axis_numbers[k] << AX1 + 2 * k
-        _submit_set(chip, 0, axes, segment.axis_count, interpolation.single_stepped)
+        _submit_pattern_set(chip, 0, axes, segment.axis_count, interpolation.single_stepped)
     else:
         interpolation.stacked_sets += 1
 
@@ -203,7 +203,7 @@ def is_loading_pattern(chip):
 def compute_status_bits(chip):
     """Compute I-DRV, CNEXT, ZONE and BPSC, bits of RR0."""
     interpolation = chip.ip
-    word = _count_sets(chip) << BPSC
+    word = _count_pattern_sets(chip) << BPSC
     if chip.interpolating:
         word |= (
             I_DRV

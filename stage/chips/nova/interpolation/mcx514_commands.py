@@ -10,13 +10,13 @@ from stage.chips.nova.state import ARC, AXES, CP, HELIX, HLN, HLV, IPM, LINE, PA
 from stage.native import greatest, hot, least
 
 
-def _find_code(symbol: str) -> int:
+def _find_command_code(symbol: str) -> int:
     return MAP.command(symbol).code
 
 
-LINES, CIRCLE_CW, CIRCLE_CCW, PATTERNS, HELIX_CW, HELIX_CCW, COUNT_CW, COUNT_CCW = (_find_code(n) for n in (
+LINES, CIRCLE_CW, CIRCLE_CCW, PATTERNS, HELIX_CW, HELIX_CCW, COUNT_CW, COUNT_CCW = (_find_command_code(n) for n in (
     "LHK1", "CHKCW", "CHKCCW", "BHK2", "HLCW", "HLCCW", "HLPCW", "HLPCCW"))  # fmt: skip
-DECEN, DECDIS, CLRSTEP, MFPC = (_find_code(n) for n in ("DECEN", "DECDIS", "CLRSTEP", "MFPC"))
+DECEN, DECDIS, CLRSTEP, MFPC = (_find_command_code(n) for n in ("DECEN", "DECDIS", "CLRSTEP", "MFPC"))
 CXIV, LMDF, STEP, MAXM = (MAP.mask("IPM", n) for n in ("CXIV", "LMDF", "STEP", "MAXM"))
 SPD = MAP.bit("IPM", "SPD")
 CNEXT = MAP.mask("RR0", "CNEXT")
@@ -51,53 +51,53 @@ def _count_axes(mask):
 
 
 @hot
-def to_coordinate(value, fine):
-    """Convert a register to a finish point or center: 31 bits with a sign, less by the factor of the inner ticks.
+def to_coordinate(value, inner_ticks):
+    """Convert the value of a register to a signed coordinate of a finish point or center, divided by the inner ticks per tick.
 
     Args:
         value: Value of the register.
-        fine: Inner ticks per tick.
+        inner_ticks: Inner ticks per tick.
     """
-    half = (1 << 30) // fine
+    half = (1 << 30) // inner_ticks
     return (value + half) % (2 * half) - half
 
 
 @hot
-def _select_axes(chip, segment, word, count):
-    """Let the lowest axes of IPM take part in a segment, and set its other fields to their defaults.
+def _select_axes(chip, segment, ipm, axis_count):
+    """Select the lowest axes of the word IPM for a segment, and set the segment's other fields to their defaults.
 
     Args:
         chip: State of the chip.
         segment: The segment.
-        word: IPM.
-        count: Number of axes.
+        ipm: IPM.
+        axis_count: Number of axes.
     """
     segment.axis_count = 0
     for j in range(AXES):
-        if word >> j & 1 and segment.axis_count < count:
+        if ipm >> j & 1 and segment.axis_count < axis_count:
             segment.axis_numbers[segment.axis_count] = j
             segment.axis_count += 1
     for k in range(AXES):
         segment.finish[k] = 0
     segment.center[0] = segment.center[1] = segment.rotations = segment.tick_count = 0
     segment.y_sign = segment.inner_ticks = 1
-    segment.vector_axes = VECTOR_AXES[word >> SPD & 3]
+    segment.vector_axes = VECTOR_AXES[ipm >> SPD & 3]
     segment.decelerates = chip.ip.deceleration_enabled
 
 
 @hot
-def _load_circle(chip, queued_segment, word, clockwise):
+def _load_circle(chip, queued_segment, ipm, clockwise):
     """Load the finish point and the center of the first two axes into a segment.
 
     Args:
         chip: State of the chip.
         queued_segment: The segment.
-        word: IPM.
+        ipm: IPM.
         clockwise: Whether the circle is clockwise.
     """
-    if word & LMDF:
+    if ipm & LMDF:
         queued_segment.inner_ticks = segment.INNER_TICKS
-    if word & CXIV:
+    if ipm & CXIV:
         queued_segment.axis_numbers[0], queued_segment.axis_numbers[1] = (
             queued_segment.axis_numbers[1],
             queued_segment.axis_numbers[0],
@@ -127,12 +127,12 @@ def _load_segment(chip, code):
     if count < need:
         interpolation.note_refused_segment(chip)
         return
-    role = multichip.find_role(chip, word)
+    role = multichip.find_multichip_role(chip, word)
     if role and (code >= CIRCLE_CW or not multichip.can_take_line(chip, role)):
         return
     if not interpolation.can_take_segment(chip, mask, STAGES):
         return
-    queued_segment = chip.queue[interpolation.find_free_place(chip)]
+    queued_segment = chip.queue[interpolation.find_free_queue_slot(chip)]
     helix = code in (HELIX_CW, HELIX_CCW)
     _select_axes(chip, queued_segment, word, count if helix else need)
     main = queued_segment.axis_numbers[0]
@@ -175,7 +175,7 @@ def _calculate_hlv(chip, code):
     word = chip.ax[0].mode[IPM]
     if chip.interpolating or _count_axes(word & ENABLE_BITS) < 2:
         return
-    segment = chip.queue[interpolation.find_free_place(chip)]
+    segment = chip.queue[interpolation.find_free_queue_slot(chip)]
     _select_axes(chip, segment, word, 2)
     _load_circle(chip, segment, word & ~LMDF, code == COUNT_CW)
     segment.rotations = chip.ax[0].reg[HLN]
@@ -183,8 +183,8 @@ def _calculate_hlv(chip, code):
 
 
 @hot
-def read_tx(chip):
-    """Return what TX reads: the maximum finish point of the running segment, or of the one that is being written."""
+def read_maximum_finish_point(chip):
+    """Return the value of the register TX: the maximum finish point of the running segment, or of the one being written."""
     word = chip.ax[0].mode[IPM]
     if word & MAXM:
         return chip.ax[0].reg[TX]
@@ -212,6 +212,6 @@ def compute_status_bits(chip):
 
 
 @hot
-def read_chln(chip):
-    """Return what CHLN reads: the rotations that the helix has made."""
+def read_helix_rotations(chip):
+    """Return the value of the register CHLN: the number of rotations that the helix has completed."""
     return chip.ip.finished_rotations

@@ -1,4 +1,4 @@
-"""Multichip interpolation of the MCX514 and MCX512, compiled: several chips, joined by wires, make one line.
+"""Multichip interpolation of the MCX514 and MCX512, compiled: several chips, wired to each other, make one line.
 
 Each chip that takes part interpolates its own axes, relative to the largest finish point of all chips. The main axis of the
 master makes the ticks, and the wires bring them to the slaves at the same clock. The public text of the sheets only names the
@@ -25,20 +25,22 @@ MCERR = MCX514_MAP.mask("RR3-1", "MCERR")
 
 
 @hot
-def find_role(chip, word):
-    """Return the role that IPM gives the chip, MASTER, SLAVE or 0. A master without wires has none.
+def find_multichip_role(chip, ipm):
+    """Return the role of the chip in multichip interpolation by the register IPM: MASTER, SLAVE or 0 for none.
+
+    A master without wires to other chips has no role.
 
     Args:
         chip: State of the chip.
-        word: IPM.
+        ipm: IPM.
     """
-    role = word >> MLT & 3
+    role = ipm >> MLT & 3
     return role if role == SLAVE or (role == MASTER and chip.wire_word) else 0
 
 
 @hot
 def can_take_line(chip, role):
-    """Return whether a line can be written now. A slave that comes after the start of its master gets MCERR."""
+    """Return whether a host can write a line now. A slave whose master has already started gets the error MCERR."""
     if chip.interpolating:
         interpolation.note_refused_segment(chip)
         return False
@@ -47,25 +49,25 @@ def can_take_line(chip, role):
 
 
 @hot
-def await_start(chip, mask, main, stepped, role, fixed):
-    """Let the line at the head of the queue wait until all chips can start.
+def await_start(chip, axis_mask, main_axis, single_stepped, role, fixed_maximum):
+    """Make the line at the head of the queue wait until all linked chips can start.
 
     Args:
         chip: State of the chip.
-        mask: Axes of the line, as bits.
-        main: Main axis.
-        stepped: Whether single steps move it.
+        axis_mask: Axes of the line, as bits.
+        main_axis: Main axis.
+        single_stepped: Whether a host command makes each tick.
         role: MASTER or SLAVE.
-        fixed: Whether TX is the maximum finish point.
+        fixed_maximum: Whether the register TX has the maximum finish point.
     """
     ip = chip.ip
-    interpolation.prepare_axes(chip, mask, main, 0, SLAVE if role == SLAVE else stepped)
-    ip.role, ip.awaits_start, ip.uses_tx, ip.next_tick_clock = role, 1, fixed, NEVER
+    interpolation.prepare_axes(chip, axis_mask, main_axis, 0, SLAVE if role == SLAVE else single_stepped)
+    ip.role, ip.awaits_start, ip.uses_tx, ip.next_tick_clock = role, 1, fixed_maximum, NEVER
     ip.last_tick_clock = ip.tick_interval = 0
     chip.interpolating, chip.signals_failure, chip.stale = 1, 0, 1
     for j in range(chip.axes):
         chip.ax[j].moves = 0
-        if mask >> j & 1:
+        if axis_mask >> j & 1:
             chip.ax[j].interpolates = 1
     if role == SLAVE:
         chip.queue[ip.queue_head].decelerates = 0
@@ -76,23 +78,23 @@ def _begin_line(chip):
     """Begin the straight line now; all linked chips begin theirs at this clock."""
     ip, segment = chip.ip, chip.queue[chip.ip.queue_head]
     if not ip.uses_tx:
-        segment.tick_count = greatest(segment.tick_count, linked_chips.read_number(chip.wire_word))
+        segment.tick_count = greatest(segment.tick_count, linked_chips.read_wire_number(chip.wire_word))
     chip.interpolating = ip.awaits_start = 0
     for j in range(chip.axes):
         chip.ax[j].interpolates = 0
-    ip.errors_at_start, ip.last_tick_clock = interpolation.collect_errors(chip), chip.clock
+    ip.errors_at_start, ip.last_tick_clock = interpolation.collect_axis_errors(chip), chip.clock
     chip.stale = 1
     interpolation.start_interpolation(chip)
 
 
 @hot
-def apply_wire_word(chip, word, settle):
-    """Apply a change of the wires.
+def apply_wire_word(chip, word, process_due_events):
+    """Apply a new word from the wires to other chips: start, ticks of the master, end or failure.
 
     Args:
         chip: State of the chip.
         word: The new word, see stage/chips/linked_chips.py.
-        settle: Function that lets the chip do what is due.
+        process_due_events: Function that processes the chip's due events.
     """
     ip, old = chip.ip, chip.wire_word
     chip.wire_word = word
@@ -101,7 +103,7 @@ def apply_wire_word(chip, word, settle):
             if word & GO and not word & FAILURE:
                 _begin_line(chip)
         elif ip.role == SLAVE:
-            _apply_master_ticks(chip, linked_chips.count_new_pulses(word, old), settle)
+            _apply_master_ticks(chip, linked_chips.count_new_pulses(word, old), process_due_events)
             if chip.interpolating and not word & (GO | FAILURE):
                 interpolation.end_interpolation(chip)
         if chip.interpolating and word & FAILURE:
@@ -110,42 +112,42 @@ def apply_wire_word(chip, word, settle):
     if word & FAILURE:
         chip.signals_failure = 0
     if chip.stale:
-        settle(chip)
+        process_due_events(chip)
 
 
 @hot
-def _apply_master_ticks(chip, count, settle):
-    """Make the ticks that the master has sent.
+def _apply_master_ticks(chip, tick_count, process_due_events):
+    """Make the ticks of the interpolation that the master has sent to this slave.
 
     Args:
         chip: State of the chip.
-        count: Number of ticks.
-        settle: Function that lets the chip do what is due.
+        tick_count: Number of ticks.
+        process_due_events: Function that processes the chip's due events.
     """
     ip = chip.ip
-    for _ in range(count):
+    for _ in range(tick_count):
         if chip.interpolating:
             if chip.clock > ip.last_tick_clock:
                 ip.tick_interval, ip.last_tick_clock = chip.clock - ip.last_tick_clock, chip.clock
             interpolation.begin_tick(chip)
             if chip.stale:
-                settle(chip)
+                process_due_events(chip)
 
 
 @hot
 def compute_wire_output(chip):
-    """Compute the word that the chip drives onto the wires."""
+    """Compute the word that the chip drives onto the wires to other chips."""
     levels = FAILURE if chip.signals_failure else 0
     longest = 0
     if chip.interpolating and chip.ip.role:
         levels |= GO if chip.ip.role == MASTER else 0
         longest = chip.queue[chip.ip.queue_head].tick_count
-    return linked_chips.pack_word(levels, longest, chip.master_ticks)
+    return linked_chips.pack_wire_word(levels, longest, chip.master_ticks)
 
 
 @hot
 def find_wire_change(chip):
-    """Return the clock up to which that word does not change."""
+    """Return the clock up to which the word of `compute_wire_output` does not change."""
     if not (chip.interpolating and chip.ip.role):
         return NEVER
     return chip.quiet_until if chip.quiet_until < chip.ip.next_tick_clock else chip.ip.next_tick_clock

@@ -17,8 +17,6 @@ from stage.chips.nova.motion.profile_planner import (
     plan_braking_at,
     plan_endless_drive,
     plan_fixed_drive,
-    read_pair,
-    write_pair,
 )
 from stage.chips.nova.motion.pulse_timing import PLACE_TOLERANCE, compute_exact_place, compute_time_in_piece
 from stage.chips.nova.registers.mcx514 import CONTINUOUS_SPEED, MCX514_MAP
@@ -50,18 +48,18 @@ def begin_segment(chip):
 
 
 @hot
-def _find_tick_length(moved):
-    """Return the length of a tick that moves a number of axes, in places of the profile: 1, sqrt2 or sqrt3."""
-    return ONE if moved < 2 else ROOT2 if moved == 2 else ROOT3
+def _find_tick_length(moved_axes):
+    """Return the distance on the profile, in pulses, of a tick that moves a number of axes: 1, sqrt2 or sqrt3."""
+    return ONE if moved_axes < 2 else ROOT2 if moved_axes == 2 else ROOT3
 
 
 @hot
-def _compute_length(chip, queue_place):
-    """Compute the length of the k-th segment of the queue (0: the running one), in places of the profile.
+def _compute_segment_length(chip, queue_index):
+    """Compute the length on the profile, in pulses, of the segment at an index in the queue; 0 is the running segment.
 
     The segment must not have begun.
     """
-    interpolation, segment = chip.ip, chip.queue[(chip.ip.queue_head + queue_place) % (STAGES + 1)]
+    interpolation, segment = chip.ip, chip.queue[(chip.ip.queue_head + queue_index) % (STAGES + 1)]
     if segment.kind == LINE:
         one, two, three = linear.count_line_ticks(interpolation, segment)
     elif segment.kind == PATTERN:
@@ -77,7 +75,7 @@ def _compute_length(chip, queue_place):
 
 @exported(None, STATE)
 def prepare_tick(chip):
-    """Prepare the steps and directions of the next tick, and its place in the profile."""
+    """Prepare the pulses and directions of the next tick, and its place on the profile."""
     interpolation, segment = chip.ip, chip.queue[chip.ip.queue_head]
     if segment.kind == LINE:
         interpolation.is_last_tick = linear.step_line(interpolation, segment)
@@ -88,9 +86,9 @@ def prepare_tick(chip):
     moved = 0
     for k in range(least(segment.vector_axes, segment.axis_count)):
         moved += interpolation.steps[k]
-    write_pair(
+    dd.store(
         interpolation.tick_place,
-        dd.add(read_pair(interpolation.tick_place), dd.scale(_find_tick_length(moved), 1.0 / segment.inner_ticks)),
+        dd.add(dd.load(interpolation.tick_place), dd.scale(_find_tick_length(moved), 1.0 / segment.inner_ticks)),
     )
     for k in range(segment.axis_count):
         axis, direction = chip.ax[segment.axis_numbers[k]], interpolation.directions[k]
@@ -106,7 +104,7 @@ def prepare_tick(chip):
 
 @hot
 def limit_drive_speed(chip, axis):
-    """Return DV, limited to what the interpolation mode allows."""
+    """Return the drive speed DV, limited to the maximum that the interpolation mode allows."""
     interpolation = chip.ip
     if chip.variant != MCX514_TYPE:
         return axis.reg[DV]
@@ -119,23 +117,24 @@ def limit_drive_speed(chip, axis):
 
 @hot
 def _plan_segment(chip, axis):
-    """Plan the profile of the main axis, from its cursor on: to the end of the segment if the segment decelerates."""
+    """Plan the profile of the main axis from its cursor on, up to the end of the segment if the segment decelerates."""
     interpolation, segment = chip.ip, chip.queue[chip.ip.queue_head]
     interpolation.planned_speed = limit_drive_speed(chip, axis)
     interpolation.plan_decelerates = segment.decelerates
     rate_registers.load_drive_speed(chip, axis, interpolation.planned_speed)
     if not segment.decelerates:
-        plan_endless_drive(axis, read_pair(axis.dv))
+        plan_endless_drive(axis, dd.load(axis.dv))
         return
     goal = single_axis_drive.find_goal_speed(
-        axis, dd.floor(dd.subtract(read_pair(interpolation.segment_end), read_pair(interpolation.segment_start)))
+        axis,
+        dd.floor(dd.subtract(dd.load(interpolation.segment_end), dd.load(interpolation.segment_start))),
     )
-    point = dd.floor(read_pair(interpolation.segment_start)) + axis.reg[DP]
+    point = dd.floor(dd.load(interpolation.segment_start)) + axis.reg[DP]
     if not axis.manual_deceleration:
-        plan_fixed_drive(axis, dd.subtract(read_pair(interpolation.segment_end), dd.from_integer(axis.reg[AO])), goal)
-    elif dd.is_less(read_pair(axis.cursor[CURSOR_PLACE]), dd.from_integer(point)):
+        plan_fixed_drive(axis, dd.subtract(dd.load(interpolation.segment_end), dd.from_integer(axis.reg[AO])), goal)
+    elif dd.is_less(dd.load(axis.cursor[CURSOR_PLACE]), dd.from_integer(point)):
         plan_endless_drive(axis, goal)
-        if dd.is_less(dd.from_integer(point), read_pair(interpolation.segment_end)):
+        if dd.is_less(dd.from_integer(point), dd.load(interpolation.segment_end)):
             plan_braking_at(axis, point)
     else:
         append_braking(axis)
@@ -143,11 +142,18 @@ def _plan_segment(chip, axis):
 
 @exported(None, STATE, AXIS)
 def replan_segment(chip, axis):
-    """Plan the profile again, after the drive speed or the segments to come have changed."""
+    """Plan the profile of the main axis again, after the drive speed or the queued segments have changed."""
     interpolation = chip.ip
     if chip.clock == interpolation.start_clock:  # nothing has moved yet
         rate_registers.load_drive_speed(chip, axis, limit_drive_speed(chip, axis))
-        begin_plan(axis, chip.clock, dd.ZERO, dd.ZERO, dd.minimum(read_pair(axis.sv), read_pair(axis.dv)), dd.ZERO)
+        begin_plan(
+            axis,
+            chip.clock,
+            dd.ZERO,
+            dd.ZERO,
+            dd.minimum(dd.load(axis.sv), dd.load(axis.dv)),
+            dd.ZERO,
+        )
     else:
         begin_plan_at(axis, chip.clock - axis.origin)
     _plan_segment(chip, axis)
@@ -168,7 +174,7 @@ def find_tick_clock(chip, axis):
     interpolation.next_tick_clock = NEVER
     if not interpolation.single_stepped:
         n, interpolation.tick_piece = find_clock_of_place(
-            axis, interpolation.tick_piece, read_pair(interpolation.tick_place)
+            axis, interpolation.tick_piece, dd.load(interpolation.tick_place)
         )
         if n < NEVER:
             interpolation.next_tick_clock = axis.origin + n
@@ -178,7 +184,7 @@ def find_tick_clock(chip, axis):
 def is_chained_pattern(chip):
     """Return whether the running segment is a set of a bit pattern of an older chip.
 
-    There the sets are one interpolation, which decelerates at the end of the last set.
+    On these chips all sets form one interpolation, which decelerates at the end of the last set.
     """
     return chip.variant != MCX514_TYPE and chip.queue[chip.ip.queue_head].kind == PATTERN
 
@@ -188,53 +194,58 @@ def find_segment_end(chip):
     """Find the place in the profile at which the running segment ends, if it decelerates there."""
     interpolation = chip.ip
     if chip.queue[interpolation.queue_head].decelerates:
-        distance = read_pair(interpolation.segment_start)
+        distance = dd.load(interpolation.segment_start)
         for k in range(1 + (interpolation.waiting_segments if is_chained_pattern(chip) else 0)):
-            distance = dd.add(distance, _compute_length(chip, k))
-        write_pair(interpolation.segment_end, distance)
+            distance = dd.add(distance, _compute_segment_length(chip, k))
+        dd.store(interpolation.segment_end, distance)
 
 
 @hot
 def update_pattern_end(chip):
-    """Plan again after the number of sets that follow a bit pattern has changed (MCX312, MCX314As)."""
+    """Plan the profile again after the number of sets that follow a bit pattern has changed (MCX312, MCX314As)."""
     if chip.interpolating:
         find_segment_end(chip)
         chip.ip.planned_speed = -1  # plan anew
 
 
 @hot
-def _has_reached_place(axis, s, n, place):
-    """Return whether the profile has reached a place.
+def _has_reached_place(axis, piece, clocks, place):
+    """Return whether the profile has reached a place at a clock.
 
     Args:
         axis: State of the axis.
-        s: Number of the piece.
-        n: Clocks after the origin.
-        place: Pulses, a double-double.
+        piece: Number of the piece of the profile that is in force at this clock.
+        clocks: Clocks after the origin.
+        place: Position on the profile in pulses, a double-double.
     """
-    if axis.a2[s, 0] == 0.0 and axis.j6[s, 0] == 0.0:  # the same, sooner
+    if axis.a2[piece, 0] == 0.0 and axis.j6[piece, 0] == 0.0:  # the same, sooner
         reached = dd.add(
-            read_pair(axis.p[s]),
-            dd.multiply(dd.subtract(dd.from_integer(n), read_pair(axis.t[s])), read_pair(axis.v[s])),
+            dd.load(axis.p[piece]),
+            dd.multiply(
+                dd.subtract(dd.from_integer(clocks), dd.load(axis.t[piece])),
+                dd.load(axis.v[piece]),
+            ),
         )
     else:
-        reached = compute_exact_place(axis, s, n)
-    return not dd.is_less(dd.add(dd.add(dd.from_integer(axis.from_pulse[s]), reached), (PLACE_TOLERANCE, 0.0)), place)
+        reached = compute_exact_place(axis, piece, clocks)
+    return not dd.is_less(
+        dd.add(dd.add(dd.from_integer(axis.from_pulse[piece]), reached), (PLACE_TOLERANCE, 0.0)), place
+    )
 
 
 @hot
 def find_clock_of_place(axis, piece, place):
     """Find the first clock after the origin at which the profile has reached a place, which may be a fraction of a pulse.
 
-    Double-doubles decide if the time is next to a whole clock.
+    Double-doubles are used only if the result in floats is next to a whole clock.
 
     Args:
         axis: State of the axis.
         piece: Number of the first piece of the profile to search.
-        place: Pulses, a double-double.
+        place: Position on the profile in pulses, a double-double.
 
     Returns:
-        The clock, NEVER if it is centuries ahead; and the number of the piece.
+        The clock, NEVER if it is centuries ahead; and the number of the piece in force at that clock.
     """
     while True:
         low = axis.from_clock[piece]
@@ -246,7 +257,8 @@ def find_clock_of_place(axis, piece, place):
             else (axis.t[piece + 1, 0] - axis.t[piece, 0]) + (axis.t[piece + 1, 1] - axis.t[piece, 1])
         )
         distance = greatest(
-            dd.subtract(dd.subtract(place, dd.from_integer(axis.from_pulse[piece])), read_pair(axis.p[piece]))[0], 0.0
+            dd.subtract(dd.subtract(place, dd.from_integer(axis.from_pulse[piece])), dd.load(axis.p[piece]))[0],
+            0.0,
         )
         t = compute_time_in_piece(axis, piece, distance, max_time)
         at = axis.t[piece, 0] + t

@@ -19,7 +19,7 @@ def _wrap_counter(value, maximum):
 
 @hot
 def add_pulses(chip, axis, count):
-    """Count pulses that have begun.
+    """Add pulses that have begun to the logical position counter LP and to the pulse totals.
 
     Args:
         chip: State of the chip.
@@ -39,12 +39,12 @@ def add_pulses(chip, axis, count):
 
 @hot
 def add_encoder_counts(chip, axis, count):
-    """Count a movement of the encoder.
+    """Add counts of the encoder to the real position counter RP.
 
     Args:
         chip: State of the chip.
         axis: State of the axis.
-        count: Counts, with their sign.
+        count: Signed number of counts.
     """
     axis.reg[state.RP] = _wrap_counter(
         axis.reg[state.RP] + count, axis.reg[state.RX] if chip.variant == state.MCX514_TYPE else NO_MAXIMUM

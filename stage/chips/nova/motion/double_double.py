@@ -15,15 +15,27 @@ ZERO = (0.0, 0.0)
 
 
 @hot
+def load(row):
+    """Load a double-double from the two floats of a row."""
+    return row[0], row[1]
+
+
+@hot
+def store(row, value):
+    """Store a double-double in the two floats of a row."""
+    row[0], row[1] = value
+
+
+@hot
 def add_ordered_floats(a, b):
-    """Add two floats, |a| >= |b|, exactly."""
+    """Add two floats with |a| >= |b|; the result is the exact sum as a double-double."""
     s = a + b
     return s, b - (s - a)
 
 
 @hot
 def add_floats(a, b):
-    """Add two floats exactly."""
+    """Add two floats; the result is the exact sum as a double-double."""
     s = a + b
     v = s - a
     return s, (a - (s - v)) + (b - v)
@@ -31,7 +43,7 @@ def add_floats(a, b):
 
 @hot
 def multiply_floats(a, b):
-    """Multiply two floats exactly."""
+    """Multiply two floats; the result is the exact product as a double-double."""
     p = a * b
     t = SPLITTER * a
     ah = t - (t - a)
@@ -44,13 +56,14 @@ def multiply_floats(a, b):
 
 @hot
 def from_integer(i):
-    """Convert an integer, |i| < 2^62."""
+    """Convert an integer, |i| < 2^62, to a double-double, exactly."""
     h = float(i)
     return add_ordered_floats(h, float(i - int(h)))
 
 
 @hot
 def add(a, b):
+    """Add two double-doubles."""
     s, e = add_floats(a[0], b[0])
     t, f = add_floats(a[1], b[1])
     s, e = add_ordered_floats(s, e + t)
@@ -59,28 +72,32 @@ def add(a, b):
 
 @hot
 def negate(a):
+    """Negate a double-double."""
     return -a[0], -a[1]
 
 
 @hot
 def subtract(a, b):
+    """Subtract the double-double `b` from `a`."""
     return add(a, negate(b))
 
 
 @hot
 def multiply(a, b):
+    """Multiply two double-doubles."""
     p, e = multiply_floats(a[0], b[0])
     return add_ordered_floats(p, e + (a[0] * b[1] + a[1] * b[0]))
 
 
 @hot
 def scale(a, x):
-    """Multiply by a power of two, exactly."""
+    """Multiply a double-double by the float `x`, a power of two, exactly."""
     return a[0] * x, a[1] * x
 
 
 @hot
 def divide(a, b):
+    """Divide the double-double `a` by `b`."""
     q = a[0] / b[0]
     r = subtract(a, multiply((q, 0.0), b))
     p = r[0] / b[0]
@@ -91,7 +108,7 @@ def divide(a, b):
 
 @hot
 def square_root(a):
-    """Compute the square root; 0 for a number that is not positive."""
+    """Compute the square root of a double-double; 0 for a number that is not positive."""
     if a[0] <= 0.0:
         return ZERO
     x = math.sqrt(a[0])
@@ -103,12 +120,13 @@ def square_root(a):
 
 @hot
 def is_less(a, b):
+    """Return whether the double-double `a` is less than `b`."""
     return a[0] < b[0] or (a[0] == b[0] and a[1] < b[1])
 
 
 @hot
 def floor(a):
-    """Return the greatest integer that is not above `a`."""
+    """Return the greatest integer that is not above the double-double `a`."""
     h = math.floor(a[0])
     if h == a[0]:
         return int(h) + int(math.floor(a[1]))
@@ -117,4 +135,5 @@ def floor(a):
 
 @hot
 def minimum(a, b):
+    """Return the lesser of two double-doubles."""
     return a if is_less(a, b) else b

@@ -23,95 +23,83 @@ DURATION, START_ACCELERATION, JERK = range(3)  # columns of a piece
 SPEED_ROUNDING = 1e-25  # of a speed: what rounding leaves
 
 
-@hot
-def read_pair(row):
-    """Return a double-double from two places of a record."""
-    return row[0], row[1]
-
-
-@hot
-def write_pair(row, value):
-    """Store a double-double in two places of a record."""
-    row[0], row[1] = value
-
-
 # --- pieces of a change of speed ---
 
 
 @hot
 def _draft_piece(axis, piece_index, duration, rate, jerk):
-    """Store piece `piece_index` of a draft, and return the number of the next piece: k if the duration is not positive."""
-    write_pair(axis.drafted_pieces[piece_index, DURATION], duration)
-    write_pair(axis.drafted_pieces[piece_index, START_ACCELERATION], rate)
-    write_pair(axis.drafted_pieces[piece_index, JERK], jerk)
+    """Store a piece of a draft, unless its duration is not positive, and return the index of the next piece."""
+    dd.store(axis.drafted_pieces[piece_index, DURATION], duration)
+    dd.store(axis.drafted_pieces[piece_index, START_ACCELERATION], rate)
+    dd.store(axis.drafted_pieces[piece_index, JERK], jerk)
     return piece_index + 1 if duration[0] > 0.0 else piece_index
 
 
 @hot
-def _read_drafted(pieces, piece_index):
+def _read_draft_piece(pieces, piece_index):
     """Return the duration, the acceleration at the start and the jerk of piece `piece_index` of a draft."""
     return (
-        read_pair(pieces[piece_index, DURATION]),
-        read_pair(pieces[piece_index, START_ACCELERATION]),
-        read_pair(pieces[piece_index, JERK]),
+        dd.load(pieces[piece_index, DURATION]),
+        dd.load(pieces[piece_index, START_ACCELERATION]),
+        dd.load(pieces[piece_index, JERK]),
     )
 
 
 @hot
 def _negate_if(acceleration, negative):
-    """Return -a if `negative`, else a."""
+    """Return the acceleration negated if `negative`, else unchanged."""
     return dd.negate(acceleration) if negative else acceleration
 
 
 @hot
-def draft_speed_change(axis, speed, acceleration, goal):
+def draft_speed_change(axis, speed, acceleration, goal_speed):
     """Draft the change to another speed.
 
     Args:
         axis: State of the axis.
         speed: Speed at the start, pulses per clock.
         acceleration: Acceleration at the start.
-        goal: Speed at the end.
+        goal_speed: Speed at the end.
 
     Returns:
         The number of pieces in the draft.
     """
     zero = dd.ZERO
     if not axis.curved:
-        if dd.is_less(speed, goal):
+        if dd.is_less(speed, goal_speed):
             return _draft_piece(
                 axis,
                 0,
-                dd.divide(dd.subtract(goal, speed), read_pair(axis.acceleration)),
-                read_pair(axis.acceleration),
+                dd.divide(dd.subtract(goal_speed, speed), dd.load(axis.acceleration)),
+                dd.load(axis.acceleration),
                 zero,
             )
         return _draft_piece(
             axis,
             0,
-            dd.divide(dd.subtract(speed, goal), read_pair(axis.deceleration)),
-            dd.negate(read_pair(axis.deceleration)),
+            dd.divide(dd.subtract(speed, goal_speed), dd.load(axis.deceleration)),
+            dd.negate(dd.load(axis.deceleration)),
             zero,
         )
     k = 0
     falls = acceleration[0] < 0.0
     if acceleration[0] != 0.0:
-        jerk = read_pair(axis.deceleration_jerk) if falls else read_pair(axis.acceleration_jerk)
+        jerk = dd.load(axis.deceleration_jerk) if falls else dd.load(axis.acceleration_jerk)
         left = dd.scale(dd.divide(dd.multiply(acceleration, acceleration), jerk), 0.5)
         settled = dd.subtract(speed, left) if falls else dd.add(speed, left)
-        if not dd.is_less(goal, settled) if falls else not dd.is_less(settled, goal):
+        if not dd.is_less(goal_speed, settled) if falls else not dd.is_less(settled, goal_speed):
             k = _draft_piece(
                 axis, 0, dd.divide(_negate_if(acceleration, falls), jerk), acceleration, _negate_if(jerk, not falls)
             )
             speed, acceleration = settled, zero
-    falls = dd.is_less(goal, speed) if acceleration[0] == 0.0 else falls
-    gap = _negate_if(dd.subtract(goal, speed), falls)
-    if acceleration[0] == 0.0 and gap[0] <= SPEED_ROUNDING * goal[0]:
+    falls = dd.is_less(goal_speed, speed) if acceleration[0] == 0.0 else falls
+    gap = _negate_if(dd.subtract(goal_speed, speed), falls)
+    if acceleration[0] == 0.0 and gap[0] <= SPEED_ROUNDING * goal_speed[0]:
         return k
     jerk, maximum = (
-        (read_pair(axis.deceleration_jerk), read_pair(axis.deceleration))
+        (dd.load(axis.deceleration_jerk), dd.load(axis.deceleration))
         if falls
-        else (read_pair(axis.acceleration_jerk), read_pair(axis.acceleration))
+        else (dd.load(axis.acceleration_jerk), dd.load(axis.acceleration))
     )
     size = _negate_if(acceleration, falls)
     squares = dd.scale(dd.multiply(size, size), 0.5)
@@ -158,22 +146,22 @@ def draft_braking(axis, speed, acceleration):
     """
     if not axis.curved:
         return (
-            draft_speed_change(axis, speed, acceleration, read_pair(axis.sv))
-            if dd.is_less(read_pair(axis.sv), speed)
+            draft_speed_change(axis, speed, acceleration, dd.load(axis.sv))
+            if dd.is_less(dd.load(axis.sv), speed)
             else 0
         )
     if acceleration[0] == 0.0:
         return (
-            draft_speed_change(axis, speed, acceleration, read_pair(axis.sv))
-            if dd.is_less(read_pair(axis.sv), speed)
+            draft_speed_change(axis, speed, acceleration, dd.load(axis.sv))
+            if dd.is_less(dd.load(axis.sv), speed)
             else 0
         )
     falls = acceleration[0] < 0.0
-    jerk = read_pair(axis.deceleration_jerk) if falls else read_pair(axis.acceleration_jerk)
+    jerk = dd.load(axis.deceleration_jerk) if falls else dd.load(axis.acceleration_jerk)
     left = dd.scale(dd.divide(dd.multiply(acceleration, acceleration), jerk), 0.5)
     settled = dd.subtract(speed, left) if falls else dd.add(speed, left)
-    if dd.is_less(read_pair(axis.sv), settled):
-        return draft_speed_change(axis, speed, acceleration, read_pair(axis.sv))
+    if dd.is_less(dd.load(axis.sv), settled):
+        return draft_speed_change(axis, speed, acceleration, dd.load(axis.sv))
     return _draft_piece(
         axis, 0, dd.divide(_negate_if(acceleration, falls), jerk), acceleration, _negate_if(jerk, not falls)
     )
@@ -193,7 +181,7 @@ def compute_braking_distance(axis, speed, acceleration):
     """
     total = dd.ZERO
     for k in range(draft_braking(axis, speed, acceleration)):
-        duration, acceleration, jerk = _read_drafted(axis.drafted_pieces, k)
+        duration, acceleration, jerk = _read_draft_piece(axis.drafted_pieces, k)
         distance, speed = _integrate_piece(duration, speed, acceleration, jerk)
         total = dd.add(total, distance)
     return total
@@ -215,58 +203,58 @@ def begin_plan(axis, clock, clocks_after_origin, place, speed, acceleration):
         acceleration: Acceleration at that time.
     """
     axis.origin, axis.pieces, axis.end_time, axis.brake_piece = clock, 0, NEVER, MAX_PIECES
-    write_pair(axis.cursor[CURSOR_TIME], clocks_after_origin)
-    write_pair(axis.cursor[CURSOR_PLACE], place)
-    write_pair(axis.cursor[CURSOR_SPEED], speed)
-    write_pair(axis.cursor[CURSOR_ACCELERATION], acceleration)
+    dd.store(axis.cursor[CURSOR_TIME], clocks_after_origin)
+    dd.store(axis.cursor[CURSOR_PLACE], place)
+    dd.store(axis.cursor[CURSOR_SPEED], speed)
+    dd.store(axis.cursor[CURSOR_ACCELERATION], acceleration)
 
 
 @hot
-def _append_open_piece(axis, kind, acceleration, jerk):
+def _append_open_piece(axis, phase, acceleration, jerk):
     """Append a piece without an end, from the cursor on.
 
     Args:
         axis: State of the axis.
-        kind: Phase of the profile.
+        phase: Phase of the profile.
         acceleration: Acceleration at its start.
         jerk: Jerk.
     """
     s = axis.pieces
     t, place, v = (
-        read_pair(axis.cursor[CURSOR_TIME]),
-        read_pair(axis.cursor[CURSOR_PLACE]),
-        read_pair(axis.cursor[CURSOR_SPEED]),
+        dd.load(axis.cursor[CURSOR_TIME]),
+        dd.load(axis.cursor[CURSOR_PLACE]),
+        dd.load(axis.cursor[CURSOR_SPEED]),
     )
-    write_pair(axis.t[s], t)
+    dd.store(axis.t[s], t)
     axis.from_clock[s] = -dd.floor(dd.add(dd.negate(t), (1e-15, 0.0)))
     axis.from_pulse[s] = dd.floor(place)
-    write_pair(axis.p[s], dd.subtract(place, dd.from_integer(axis.from_pulse[s])))
-    write_pair(axis.v[s], v)
-    write_pair(axis.a2[s], dd.scale(acceleration, 0.5))
-    write_pair(axis.j6[s], dd.divide(jerk, (6.0, 0.0)))
-    axis.piece_phase[s] = kind
+    dd.store(axis.p[s], dd.subtract(place, dd.from_integer(axis.from_pulse[s])))
+    dd.store(axis.v[s], v)
+    dd.store(axis.a2[s], dd.scale(acceleration, 0.5))
+    dd.store(axis.j6[s], dd.divide(jerk, (6.0, 0.0)))
+    axis.piece_phase[s] = phase
     axis.pieces = s + 1
 
 
 @hot
-def _append_piece(axis, kind, duration, acceleration, jerk):
+def _append_piece(axis, phase, duration, acceleration, jerk):
     """Append a piece, and move the cursor to its end.
 
     Args:
         axis: State of the axis.
-        kind: Phase of the profile.
+        phase: Phase of the profile.
         duration: Clocks.
         acceleration: Acceleration at its start.
         jerk: Jerk.
     """
     if duration[0] <= 0.0:
         return
-    _append_open_piece(axis, kind, acceleration, jerk)
-    distance, v = _integrate_piece(duration, read_pair(axis.cursor[CURSOR_SPEED]), acceleration, jerk)
-    write_pair(axis.cursor[CURSOR_TIME], dd.add(read_pair(axis.cursor[CURSOR_TIME]), duration))
-    write_pair(axis.cursor[CURSOR_PLACE], dd.add(read_pair(axis.cursor[CURSOR_PLACE]), distance))
-    write_pair(axis.cursor[CURSOR_SPEED], v)
-    write_pair(axis.cursor[CURSOR_ACCELERATION], dd.add(acceleration, dd.multiply(jerk, duration)))
+    _append_open_piece(axis, phase, acceleration, jerk)
+    distance, v = _integrate_piece(duration, dd.load(axis.cursor[CURSOR_SPEED]), acceleration, jerk)
+    dd.store(axis.cursor[CURSOR_TIME], dd.add(dd.load(axis.cursor[CURSOR_TIME]), duration))
+    dd.store(axis.cursor[CURSOR_PLACE], dd.add(dd.load(axis.cursor[CURSOR_PLACE]), distance))
+    dd.store(axis.cursor[CURSOR_SPEED], v)
+    dd.store(axis.cursor[CURSOR_ACCELERATION], dd.add(acceleration, dd.multiply(jerk, duration)))
 
 
 @hot
@@ -276,27 +264,33 @@ def _find_piece_phase(acceleration, jerk):
 
 
 @hot
-def append_speed_change(axis, goal):
+def append_speed_change(axis, goal_speed):
     """Append the change from the cursor's speed to another speed."""
     for k in range(
         draft_speed_change(
-            axis, read_pair(axis.cursor[CURSOR_SPEED]), read_pair(axis.cursor[CURSOR_ACCELERATION]), goal
+            axis,
+            dd.load(axis.cursor[CURSOR_SPEED]),
+            dd.load(axis.cursor[CURSOR_ACCELERATION]),
+            goal_speed,
         )
     ):
-        duration, a, jerk = _read_drafted(axis.drafted_pieces, k)
+        duration, a, jerk = _read_draft_piece(axis.drafted_pieces, k)
         _append_piece(axis, _find_piece_phase(a, jerk), duration, a, jerk)
-    write_pair(axis.cursor[CURSOR_SPEED], goal)
-    write_pair(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
+    dd.store(axis.cursor[CURSOR_SPEED], goal_speed)
+    dd.store(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
 
 
 @hot
 def append_braking(axis):
-    """Append the automatic deceleration, and the initial speed without an end. The deceleration may have an area d."""
+    """Append the automatic deceleration, and then the initial speed without an end.
+
+    On chips with the S-curve failure the end of the deceleration is a piece of its own, area d of NOVA's notice.
+    """
     axis.brake_piece = axis.pieces
-    n = draft_braking(axis, read_pair(axis.cursor[CURSOR_SPEED]), read_pair(axis.cursor[CURSOR_ACCELERATION]))
+    n = draft_braking(axis, dd.load(axis.cursor[CURSOR_SPEED]), dd.load(axis.cursor[CURSOR_ACCELERATION]))
     for k in range(n):
-        duration, a, jerk = _read_drafted(axis.drafted_pieces, k)
-        dull = read_pair(axis.min_visible_acceleration)
+        duration, a, jerk = _read_draft_piece(axis.drafted_pieces, k)
+        dull = dd.load(axis.min_visible_acceleration)
         if dull[0] > 0.0 and a[0] < 0.0 and jerk[0] > 0.0:
             calm = dd.minimum(dd.divide(dull, jerk), duration)
             before = dd.subtract(duration, calm)
@@ -304,9 +298,9 @@ def append_braking(axis):
             _append_piece(axis, AREA_D, calm, dd.add(a, dd.multiply(jerk, before)), jerk)
         else:
             _append_piece(axis, _find_piece_phase(a, jerk), duration, a, jerk)
-    if n and dd.is_less(read_pair(axis.sv), read_pair(axis.cursor[CURSOR_SPEED])):  # but for rounding it is there
-        write_pair(axis.cursor[CURSOR_SPEED], read_pair(axis.sv))
-    write_pair(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
+    if n and dd.is_less(dd.load(axis.sv), dd.load(axis.cursor[CURSOR_SPEED])):  # but for rounding it is there
+        dd.store(axis.cursor[CURSOR_SPEED], dd.load(axis.sv))
+    dd.store(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
     _append_constant_speed(axis)
 
 
@@ -322,11 +316,8 @@ def _append_constant_speed(axis):
 @hot
 def plan_stop(axis):
     """Plan a decelerating stop: to the initial speed, at which the drive ends."""
-    if (
-        dd.is_less(read_pair(axis.sv), read_pair(axis.cursor[CURSOR_SPEED]))
-        or axis.cursor[CURSOR_ACCELERATION, 0] > 0.0
-    ):
-        append_speed_change(axis, read_pair(axis.sv))
+    if dd.is_less(dd.load(axis.sv), dd.load(axis.cursor[CURSOR_SPEED])) or axis.cursor[CURSOR_ACCELERATION, 0] > 0.0:
+        append_speed_change(axis, dd.load(axis.sv))
     _append_constant_speed(axis)
     axis.end_time = axis.from_clock[axis.pieces - 1]
 
@@ -345,32 +336,37 @@ def compute_triangle_speed(axis, pulses):
         axis: State of the axis.
         pulses: Number of pulses of the drive.
     """
-    up, down, low = read_pair(axis.acceleration), read_pair(axis.deceleration), read_pair(axis.sv)
+    up, down, low = (
+        dd.load(axis.acceleration),
+        dd.load(axis.deceleration),
+        dd.load(axis.sv),
+    )
     square = dd.multiply(dd.from_integer(pulses), dd.divide(dd.multiply(up, down), dd.add(up, down)))
     return dd.square_root(dd.add(dd.multiply(low, low), square))
 
 
 @hot
-def _compute_overshoot(axis, t, v, acceleration, jerk, room):
-    """Compute the distance by which a drive would pass its end if it braked t clocks after the start of a piece.
+def _compute_overshoot(axis, clocks, start_speed, acceleration, jerk, remaining_pulses):
+    """Compute the distance by which a drive would pass its end if it began to brake at a time in a piece.
 
     Args:
         axis: State of the axis.
-        t: Clocks, a double-double.
-        v: Speed at the start of the piece.
+        clocks: Clocks from the start of the piece to the begin of braking, a double-double.
+        start_speed: Speed at the start of the piece, pulses per clock.
         acceleration: Acceleration at the start of the piece.
         jerk: Jerk of the piece.
-        room: Pulses from the start of the piece to the end of the drive.
+        remaining_pulses: Pulses from the start of the piece to the end of the drive.
     """
-    distance, speed = _integrate_piece(t, v, acceleration, jerk)
+    distance, speed = _integrate_piece(clocks, start_speed, acceleration, jerk)
     return dd.subtract(
-        dd.add(distance, compute_braking_distance(axis, speed, dd.add(acceleration, dd.multiply(jerk, t)))), room
+        dd.add(distance, compute_braking_distance(axis, speed, dd.add(acceleration, dd.multiply(jerk, clocks)))),
+        remaining_pulses,
     )
 
 
 @hot
-def _find_brake_time(axis, max_time, speed, acceleration, jerk, room):
-    """Find the time in a piece at which the drive must begin to brake so that it ends after `room` pulses.
+def _find_brake_time(axis, max_time, speed, acceleration, jerk, remaining_pulses):
+    """Find the time in a piece at which the drive must begin to brake so that it ends after `remaining_pulses` pulses.
 
     Args:
         axis: State of the axis.
@@ -378,12 +374,12 @@ def _find_brake_time(axis, max_time, speed, acceleration, jerk, room):
         speed: Speed at the start of the piece.
         acceleration: Acceleration at the start of the piece.
         jerk: Jerk of the piece.
-        room: Pulses from the start of the piece to the end of the drive.
+        remaining_pulses: Pulses from the start of the piece to the end of the drive.
     """
     low, high = dd.ZERO, max_time
     under, over = (
-        _compute_overshoot(axis, low, speed, acceleration, jerk, room),
-        _compute_overshoot(axis, high, speed, acceleration, jerk, room),
+        _compute_overshoot(axis, low, speed, acceleration, jerk, remaining_pulses),
+        _compute_overshoot(axis, high, speed, acceleration, jerk, remaining_pulses),
     )
     side = 0
     for _ in range(200):
@@ -391,7 +387,7 @@ def _find_brake_time(axis, max_time, speed, acceleration, jerk, room):
         if width[0] <= 1e-31 * high[0] or over[0] == under[0]:
             break
         middle = dd.subtract(high, dd.divide(dd.multiply(over, width), dd.subtract(over, under)))
-        off = _compute_overshoot(axis, middle, speed, acceleration, jerk, room)
+        off = _compute_overshoot(axis, middle, speed, acceleration, jerk, remaining_pulses)
         if abs(off[0]) <= 1e-28:
             return middle
         if off[0] > 0.0:
@@ -406,25 +402,25 @@ def _find_brake_time(axis, max_time, speed, acceleration, jerk, room):
 
 
 @hot
-def plan_fixed_drive(axis, pulses, goal):
+def plan_fixed_drive(axis, pulses, drive_speed):
     """Plan a drive that ends after a number of pulses.
 
     Args:
         axis: State of the axis.
         pulses: Pulses of the drive from its start, a double-double.
-        goal: Drive speed.
+        drive_speed: Drive speed.
     """
-    v, a = read_pair(axis.cursor[CURSOR_SPEED]), read_pair(axis.cursor[CURSOR_ACCELERATION])
-    room = dd.subtract(pulses, read_pair(axis.cursor[CURSOR_PLACE]))
+    v, a = dd.load(axis.cursor[CURSOR_SPEED]), dd.load(axis.cursor[CURSOR_ACCELERATION])
+    room = dd.subtract(pulses, dd.load(axis.cursor[CURSOR_PLACE]))
     if not dd.is_less(compute_braking_distance(axis, v, a), room):
         append_braking(axis)
         return
-    n = draft_speed_change(axis, v, a, goal)
+    n = draft_speed_change(axis, v, a, drive_speed)
     for k in range(n):
         for part in range(3):
-            write_pair(axis.stored_draft[k, part], read_pair(axis.drafted_pieces[k, part]))
+            dd.store(axis.stored_draft[k, part], dd.load(axis.drafted_pieces[k, part]))
     for k in range(n):
-        duration, a, jerk = _read_drafted(axis.stored_draft, k)
+        duration, a, jerk = _read_draft_piece(axis.stored_draft, k)
         if _compute_overshoot(axis, duration, v, a, jerk, room)[0] > 0.0:
             _append_piece(axis, _find_piece_phase(a, jerk), _find_brake_time(axis, duration, v, a, jerk, room), a, jerk)
             append_braking(axis)
@@ -432,12 +428,12 @@ def plan_fixed_drive(axis, pulses, goal):
         distance, v = _integrate_piece(duration, v, a, jerk)
         room = dd.subtract(room, distance)
         _append_piece(axis, _find_piece_phase(a, jerk), duration, a, jerk)
-    write_pair(axis.cursor[CURSOR_SPEED], goal)
-    write_pair(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
+    dd.store(axis.cursor[CURSOR_SPEED], drive_speed)
+    dd.store(axis.cursor[CURSOR_ACCELERATION], dd.ZERO)
     _append_piece(
         axis,
         CONSTANT,
-        dd.divide(dd.subtract(room, compute_braking_distance(axis, goal, dd.ZERO)), goal),
+        dd.divide(dd.subtract(room, compute_braking_distance(axis, drive_speed, dd.ZERO)), drive_speed),
         dd.ZERO,
         dd.ZERO,
     )
@@ -445,9 +441,9 @@ def plan_fixed_drive(axis, pulses, goal):
 
 
 @hot
-def plan_endless_drive(axis, goal):
-    """Plan a drive without an end, at the speed `goal`."""
-    append_speed_change(axis, goal)
+def plan_endless_drive(axis, drive_speed):
+    """Plan a drive without an end, at the speed `drive_speed`."""
+    append_speed_change(axis, drive_speed)
     _append_constant_speed(axis)
 
 
@@ -457,8 +453,8 @@ def plan_braking_at(axis, pulses):
     s = axis.pieces - 1
     while s > 0 and axis.from_pulse[s] + (1 if axis.p[s, 0] > 0.0 else 0) > pulses:
         s -= 1
-    distance = dd.subtract(dd.from_integer(pulses - axis.from_pulse[s]), read_pair(axis.p[s]))
-    v, a2, j6 = read_pair(axis.v[s]), read_pair(axis.a2[s]), read_pair(axis.j6[s])
+    distance = dd.subtract(dd.from_integer(pulses - axis.from_pulse[s]), dd.load(axis.p[s]))
+    v, a2, j6 = dd.load(axis.v[s]), dd.load(axis.a2[s]), dd.load(axis.j6[s])
     t = (compute_time_in_piece(axis, s, distance[0], 1e17), 0.0)
     for _ in range(3):
         off = dd.subtract(dd.multiply(t, dd.add(v, dd.multiply(t, dd.add(a2, dd.multiply(t, j6))))), distance)
@@ -468,22 +464,23 @@ def plan_braking_at(axis, pulses):
     a = dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (6.0, 0.0))))
     speed = dd.add(v, dd.multiply(t, dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (3.0, 0.0))))))
     axis.pieces = s + 1 if t[0] > 0.0 else s
-    write_pair(axis.cursor[CURSOR_TIME], dd.add(read_pair(axis.t[s]), t))
-    write_pair(axis.cursor[CURSOR_PLACE], dd.from_integer(pulses))
-    write_pair(axis.cursor[CURSOR_SPEED], speed)
-    write_pair(axis.cursor[CURSOR_ACCELERATION], a if axis.curved else dd.ZERO)
+    dd.store(axis.cursor[CURSOR_TIME], dd.add(dd.load(axis.t[s]), t))
+    dd.store(axis.cursor[CURSOR_PLACE], dd.from_integer(pulses))
+    dd.store(axis.cursor[CURSOR_SPEED], speed)
+    dd.store(axis.cursor[CURSOR_ACCELERATION], a if axis.curved else dd.ZERO)
     append_braking(axis)
 
 
 @hot
 def begin_plan_at(axis, clocks):
-    """Begin a new plan `clocks` clocks after the origin, with the place, speed and acceleration that the drive has there."""
+    """Begin a new plan `clocks` clocks after the origin, with the place, speed and acceleration of the drive at that time."""
     s = find_piece(axis, clocks)
-    t = dd.subtract(dd.from_integer(clocks), read_pair(axis.t[s]))
+    t = dd.subtract(dd.from_integer(clocks), dd.load(axis.t[s]))
     place = dd.add(dd.from_integer(axis.from_pulse[s]), compute_exact_place(axis, s, clocks))
-    a2, j6 = read_pair(axis.a2[s]), read_pair(axis.j6[s])
+    a2, j6 = dd.load(axis.a2[s]), dd.load(axis.j6[s])
     v = dd.add(
-        read_pair(axis.v[s]), dd.multiply(t, dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (3.0, 0.0)))))
+        dd.load(axis.v[s]),
+        dd.multiply(t, dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (3.0, 0.0))))),
     )
     a = dd.add(dd.scale(a2, 2.0), dd.multiply(t, dd.multiply(j6, (6.0, 0.0))))
     begin_plan(axis, axis.origin + clocks, dd.ZERO, place, v, a if axis.curved else dd.ZERO)

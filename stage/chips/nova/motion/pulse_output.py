@@ -29,7 +29,7 @@ MAX_PULSE_CLOCKS = float(1 << 40)
 
 @hot
 def compute_pulse_width(rate):
-    """Return the number of clocks for which a pulse is on that begins at `rate` pulses per clock."""
+    """Return the width in clocks of a pulse that begins at a rate of `rate` pulses per clock."""
     return greatest(1, int(least(0.5 / rate, MAX_PULSE_CLOCKS))) if rate > 0.0 else 1
 
 
@@ -62,13 +62,13 @@ def _exchange_pins(chip, axis, word):
 
 
 @hot
-def compute_pulse_pins(chip, axis, on):
+def compute_pulse_pins(chip, axis, pulse_on):
     """Compute the levels of PLS and DIR.
 
     Args:
         chip: State of the chip.
         axis: State of the axis.
-        on: Whether a pulse is on.
+        pulse_on: Whether a pulse is on.
 
     Returns:
         Bits of PLS and DIR, set if the pin is high.
@@ -76,13 +76,13 @@ def compute_pulse_pins(chip, axis, on):
     mode, low = _read_output_mode(chip, axis), axis.wr[3] & DP_L if chip.variant == MCX514_TYPE else axis.wr[2] & PLS_L
     word = 0
     if mode == INDEPENDENT:
-        word = (DIR if axis.direction < 0 else PLS) if on else 0
+        word = (DIR if axis.direction < 0 else PLS) if pulse_on else 0
     elif mode == PULSE_AND_DIRECTION:
-        word = PLS if on else 0
+        word = PLS if pulse_on else 0
     else:
         edge = axis.net - axis.net_at_reset
         if mode == QUADRATURE_X2:
-            edge = 2 * edge - (axis.direction if on else 0)
+            edge = 2 * edge - (axis.direction if pulse_on else 0)
         word = (PLS if edge + 1 & 2 else 0) | (DIR if edge & 2 else 0)
     if low:
         word ^= PLS if mode == PULSE_AND_DIRECTION else PLS | DIR

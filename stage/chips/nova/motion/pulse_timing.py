@@ -1,7 +1,7 @@
 """Position and speed of a NOVA drive at a clock, and the clock at which its k-th pulse begins; compiled.
 
-The k-th pulse begins at the first whole clock at which the ideal position p has reached k. Floats decide as long as p is not
-next to a whole number, double-doubles where it is. A position within PLACE_TOLERANCE below k counts as k.
+The k-th pulse begins at the first whole clock at which the ideal position p has reached k. Floats are exact enough unless p is
+next to a whole number; there double-doubles decide. A position within PLACE_TOLERANCE below k counts as k.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def find_piece(axis, clocks):
 
 @hot
 def compute_exact_place(axis, piece, clocks):
-    """Compute exactly how many pulses, with a fraction, a drive has made at a clock since a piece of its profile began.
+    """Compute exactly the pulses, with their fraction, that a drive has made at a clock since a piece of its profile began.
 
     Args:
         axis: State of the axis.
@@ -36,7 +36,7 @@ def compute_exact_place(axis, piece, clocks):
         clocks: Clocks after the origin, which is the clock at which the drive began.
 
     Returns:
-        Pulses since the number of whole pulses (`from_pulse`) at which the piece began, a double-double.
+        Pulses after `axis.from_pulse[piece]`, the whole pulses at which the piece began; a double-double.
     """
     t = dd.subtract(dd.from_integer(clocks), (axis.t[piece, 0], axis.t[piece, 1]))
     r = dd.add((axis.a2[piece, 0], axis.a2[piece, 1]), dd.multiply(t, (axis.j6[piece, 0], axis.j6[piece, 1])))
@@ -134,7 +134,7 @@ def compute_time_in_piece(axis, piece, distance, max_time):
 def _compute_clock_by_floats(axis, piece, distance):
     """Compute the clock after the origin at which the drive has covered a distance, if floats are exact enough; else return -1.
 
-    Their error is below 1e-15 of the time, in a ramp 1e-14. The function does not attempt S-curves, nor linear ramps near
+    The relative error of floats is below 1e-15, in a ramp 1e-14. The function returns -1 for S-curves, and for linear ramps near
     standstill.
 
     Args:
@@ -182,7 +182,7 @@ def find_piece_of_pulse(axis, piece, pulse):
 
 @hot
 def find_clock_of_pulse(axis, pulse):
-    """Find the clock after the origin at which the k-th pulse of the drive begins, NEVER if that is centuries ahead."""
+    """Find the clock after the origin at which pulse number `pulse` of the drive begins, NEVER if that is centuries ahead."""
     return find_clock_in_piece(axis, find_piece_of_pulse(axis, 0, pulse), pulse)
 
 
@@ -234,7 +234,7 @@ def find_speed_crossing(axis, clocks, pps):
     Args:
         axis: State of the axis.
         clocks: Clocks after the origin at which the search begins.
-        pps: The value.
+        pps: Speed to find, pulses per second.
 
     Returns:
         Clocks after the origin, NEVER if there is no such clock.

@@ -35,7 +35,7 @@ def log_pulses(chip, until, pulses, first, pulse_index):
         chip: State of the chip.
         until: Clock at the end.
         pulses: PULSE records to fill.
-        first: Number of the first record of this stretch of time; other functions may have filled some.
+        first: Number of the first record of this call; earlier records belong to earlier times.
         pulse_index: Number of the next free record.
 
     Returns:
@@ -123,9 +123,9 @@ def _log_even_pulses(axis, axis_index, until, pulses, pulse_index):
 
 
 @hot
-def _predict_pulse(axis, clocks):
-    """Predict the clock of the pulse that is `clocks` pulses ahead; NEVER if the drive ends before it."""
-    axis.logged_pulses += clocks
+def _predict_pulse(axis, pulses_ahead):
+    """Predict the clock of the pulse that is `pulses_ahead` pulses ahead; NEVER if the drive ends before it."""
+    axis.logged_pulses += pulses_ahead
     axis.next_pulse_clock = NEVER
     k = axis.pulses_done + axis.logged_pulses
     if axis.fixed and k > axis.output_pulses:
@@ -140,17 +140,17 @@ def _predict_pulse(axis, clocks):
 
 
 @hot
-def _find_even_spacing(axis, piece, pulse_index, clock):
+def _find_even_spacing(axis, piece, pulse_number, clocks):
     """Set `even_pps` and `even_rest` if the pulses of a piece are evenly spaced from a pulse on.
 
     Args:
         axis: State of the axis.
         piece: Number of the piece.
-        pulse_index: Number of the pulse.
-        clock: Clocks after the origin at which it begins.
+        pulse_number: Number of the pulse in its drive.
+        clocks: Clocks after the origin at which the pulse begins.
     """
     axis.even_pps = NOT_EVEN
-    if axis.a2[piece, 0] != 0.0 or axis.j6[piece, 0] != 0.0 or clock >= NEVER:
+    if axis.a2[piece, 0] != 0.0 or axis.j6[piece, 0] != 0.0 or clocks >= NEVER:
         return
     hz = dd.from_integer(CLOCKS_PER_SECOND)
     speed = dd.multiply((axis.v[piece, 0], axis.v[piece, 1]), hz)
@@ -158,7 +158,7 @@ def _find_even_spacing(axis, piece, pulse_index, clock):
     if pps < 1 or abs(dd.subtract(speed, dd.from_integer(pps))[0]) > 1e-29 * pps:
         return
     over = dd.add(
-        dd.subtract(compute_exact_place(axis, piece, clock), dd.from_integer(pulse_index - axis.from_pulse[piece])),
+        dd.subtract(compute_exact_place(axis, piece, clocks), dd.from_integer(pulse_number - axis.from_pulse[piece])),
         (PLACE_TOLERANCE, 0.0),
     )
     rest = dd.floor(dd.multiply(over, hz))
@@ -188,7 +188,7 @@ def _merge_by_clock(pulses, first, middle, end):
 
 
 @hot
-def write_edge(chip, axis_index, edges, edge_index, word, rate):
+def write_edge(chip, axis_index, edges, edge_index, outputs, rate):
     """Write the present state of an axis into an EDGE record.
 
     Args:
@@ -196,14 +196,14 @@ def write_edge(chip, axis_index, edges, edge_index, word, rate):
         axis_index: Number of the axis.
         edges: EDGE records.
         edge_index: Number of the record.
-        word: Output pins.
+        outputs: Output pins, bits of OUTPUTS.
         rate: Pulses per clock.
 
     Returns:
-        k + 1.
+        The number of the next record, `edge_index` + 1.
     """
     e, axis = edges[edge_index], chip.ax[axis_index]
-    e.clock, e.inputs, e.outputs, e.counter, e.net = chip.clock, axis.inputs, word, axis.reg[LP], axis.net
+    e.clock, e.inputs, e.outputs, e.counter, e.net = chip.clock, axis.inputs, outputs, axis.reg[LP], axis.net
     e.rate = rate
     return edge_index + 1
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from stage.chips.nova import state
 from stage.chips.nova.motion import double_double as dd
-from stage.chips.nova.motion.profile_planner import write_pair
 from stage.chips.nova.motion.pulse_timing import CLOCKS_PER_SECOND, compute_acceleration, compute_speed
 from stage.native import greatest, hot, least
 
@@ -13,7 +12,7 @@ RANGE = 8_000_000
 
 @hot
 def has_profile(axis):
-    """Return whether the profile of the axis is in force: it drives, or is the main axis of an interpolation."""
+    """Return whether a speed profile moves the axis: the axis drives, or is the main axis of an interpolation."""
     return axis.driving or axis.interpolates == state.MAIN
 
 
@@ -79,7 +78,7 @@ def _convert_jerk(chip, axis, value):
 
 @hot
 def read_speed(chip, axis):
-    """Return what CV reads: the present speed in the unit of the speed parameters."""
+    """Return the value of the register CV: the present speed in the unit of the speed parameters."""
     if not has_profile(axis):
         return 0
     v = compute_speed(axis, chip.clock - axis.origin) * CLOCKS_PER_SECOND
@@ -90,7 +89,7 @@ def read_speed(chip, axis):
 
 @hot
 def read_acceleration(chip, axis):
-    """Return what CA reads: the magnitude of the present acceleration in the unit of its parameter."""
+    """Return the value of the register CA: the magnitude of the present acceleration in the unit of the parameter A."""
     if not has_profile(axis):
         return 0
     a = abs(compute_acceleration(axis, chip.clock - axis.origin)) * CLOCKS_PER_SECOND * CLOCKS_PER_SECOND
@@ -101,30 +100,30 @@ def read_acceleration(chip, axis):
 
 @hot
 def load_drive_speed(chip, axis, value):
-    """Set the drive speed of the plan; HV replaces the value during the slow steps of a home search.
+    """Set the drive speed of the plan from DV or V; during the slow steps of a home search HV takes its place.
 
     Args:
         chip: State of the chip.
         axis: State of the axis.
         value: Value of DV or V.
     """
-    write_pair(axis.dv, convert_speed(chip, axis, axis.reg[state.HV] if axis.drives_at_hv else value))
+    dd.store(axis.dv, convert_speed(chip, axis, axis.reg[state.HV] if axis.drives_at_hv else value))
 
 
 @hot
 def load_rates(chip, axis):
     """Set the initial speed, accelerations and jerks of the plan from the registers, at the start of a drive."""
-    write_pair(axis.sv, convert_speed(chip, axis, axis.reg[state.SV]))
-    write_pair(axis.acceleration, _convert_acceleration(chip, axis, axis.reg[state.AC]))
-    write_pair(
+    dd.store(axis.sv, convert_speed(chip, axis, axis.reg[state.SV]))
+    dd.store(axis.acceleration, _convert_acceleration(chip, axis, axis.reg[state.AC]))
+    dd.store(
         axis.deceleration,
         _convert_acceleration(chip, axis, axis.reg[state.DC] if axis.asymmetric else axis.reg[state.AC]),
     )
     jerk = axis.reg[state.JK] if chip.variant == state.MCX514_TYPE else axis.reg[state.K]
     other = axis.reg[state.DJ] if chip.variant == state.MCX514_TYPE else axis.reg[state.L] if chip.has_l else jerk
-    write_pair(axis.acceleration_jerk, _convert_jerk(chip, axis, jerk))
-    write_pair(axis.deceleration_jerk, _convert_jerk(chip, axis, other if axis.asymmetric else jerk))
+    dd.store(axis.acceleration_jerk, _convert_jerk(chip, axis, jerk))
+    dd.store(axis.deceleration_jerk, _convert_jerk(chip, axis, other if axis.asymmetric else jerk))
     axis.curved = axis.s_curve
-    write_pair(
+    dd.store(
         axis.min_visible_acceleration, _convert_acceleration(chip, axis, 1) if chip.errata and axis.fixed else dd.ZERO
     )

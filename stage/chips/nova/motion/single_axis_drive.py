@@ -32,7 +32,7 @@ def note_drive_event(axis, event):
 
 
 @hot
-def store_data(chip, address, value):
+def store_data_register(chip, address, value):
     """Store a write to WR6 or WR7.
 
     Args:
@@ -58,13 +58,13 @@ def find_goal_speed(axis, pulses):
         axis: State of the axis.
         pulses: Number of pulses of the drive.
     """
-    goal = profile_planner.read_pair(axis.dv)
+    goal = profile_planner.dd.load(axis.dv)
     if (
-        axis.prevents_triangle and not axis.curved and dd.is_less(profile_planner.read_pair(axis.sv), goal)
+        axis.prevents_triangle and not axis.curved and dd.is_less(profile_planner.dd.load(axis.sv), goal)
     ):  # a speed above the cap is kept
         top, now = (
             profile_planner.compute_triangle_speed(axis, pulses),
-            profile_planner.read_pair(axis.cursor[profile_planner.CURSOR_SPEED]),
+            profile_planner.dd.load(axis.cursor[profile_planner.CURSOR_SPEED]),
         )
         goal = dd.minimum(goal, now if dd.is_less(top, now) else top)
     return goal
@@ -75,7 +75,7 @@ def plan_drive(chip, axis):
     """Plan the rest of the drive, from the cursor of the plan on."""
     load_drive_speed(chip, axis, axis.reg[state.DV])
     if not axis.fixed:
-        profile_planner.plan_endless_drive(axis, profile_planner.read_pair(axis.dv))
+        profile_planner.plan_endless_drive(axis, profile_planner.dd.load(axis.dv))
         return
     goal = find_goal_speed(axis, axis.output_pulses)
     if not axis.manual_deceleration:
@@ -89,21 +89,21 @@ def plan_drive(chip, axis):
 
 
 @exported(None, state.STATE, state.AXIS, "i8", "i8")
-def begin_drive(chip, axis, direction, output):
+def begin_drive(chip, axis, direction, pulse_count):
     """Begin a drive at the present clock.
 
     Args:
         chip: State of the chip.
         axis: State of the axis.
         direction: +1 or -1.
-        output: Number of pulses; below 0 for a drive without an end.
+        pulse_count: Number of pulses; negative for a drive without an end.
     """
     axis.stop_causes &= 0xFF
     axis.pulses_done = axis.stopping = 0
-    axis.direction, axis.fixed, axis.output_pulses = direction, 1 if output >= 0 else 0, output
+    axis.direction, axis.fixed, axis.output_pulses = direction, 1 if pulse_count >= 0 else 0, pulse_count
     axis.interpolates = 0
     chip.stale = 1
-    if output == 0:
+    if pulse_count == 0:
         note_drive_event(axis, state.D_STA | state.D_END)
         return
     if find_start_obstacle(chip, axis, direction):
@@ -117,7 +117,7 @@ def begin_drive(chip, axis, direction, output):
         chip.clock,
         dd.ZERO,
         dd.ZERO,
-        dd.minimum(profile_planner.read_pair(axis.sv), profile_planner.read_pair(axis.dv)),
+        dd.minimum(profile_planner.dd.load(axis.sv), profile_planner.dd.load(axis.dv)),
         dd.ZERO,
     )
     plan_drive(chip, axis)
@@ -125,7 +125,7 @@ def begin_drive(chip, axis, direction, output):
 
 @hot
 def find_start_obstacle(chip, axis, direction):
-    """Find what keeps a drive from starting, and note it in RR2: a limit of its direction, ALARM or EMG.
+    """Find the inputs that keep a drive from starting (a limit of its direction, ALARM or EMG), and note them in RR2.
 
     Args:
         chip: State of the chip.
@@ -188,15 +188,15 @@ def execute_drive_command(chip, axis, kind):
 
 
 @hot
-def set_start_hold(chip, axis, on):
-    """Begin or end drive start hold. The end starts the drive that was commanded during the hold.
+def set_start_hold(chip, axis, hold):
+    """Begin or end the drive start hold, which delays drives. Its end starts the drive that was commanded during the hold.
 
     Args:
         chip: State of the chip.
         axis: State of the axis.
-        on: Whether the hold begins.
+        hold: Whether the hold begins.
     """
-    if on:
+    if hold:
         axis.start_hold |= 1
         return
     kind = (axis.start_hold >> 1) - 1
@@ -324,7 +324,7 @@ def begin_decelerating_stop(chip, axis, cause):
     store_pulse_end(axis)
     profile_planner.begin_plan_at(axis, n)
     if axis.piece_phase[s] == state.AREA_D:
-        profile_planner.write_pair(axis.cursor[profile_planner.CURSOR_ACCELERATION], dd.ZERO)
+        profile_planner.dd.store(axis.cursor[profile_planner.CURSOR_ACCELERATION], dd.ZERO)
         profile_planner.plan_runaway(axis)
         axis.fixed = 0
     else:
@@ -417,18 +417,18 @@ def begin_pulses_until(chip, axis, clock):
 
 @hot
 def check_drive(chip, axis):
-    """End the drive if it is complete, else update its phase. Call it after time has passed or something has changed."""
+    """End the drive if it is complete, else update its ramp phase. Call this after each advance of time and each change."""
     if not axis.driving:
         return
     n = chip.clock - axis.origin
     if (axis.fixed and axis.pulses_done >= axis.output_pulses) or n >= axis.end_time:
         end_drive(chip, axis, 0)
         return
-    update_phase(axis, n)
+    update_ramp_phase(axis, n)
 
 
 @hot
-def update_phase(axis, clocks):
+def update_ramp_phase(axis, clocks):
     """Note the events at which constant speed begins and ends.
 
     Args:
@@ -448,7 +448,7 @@ def update_phase(axis, clocks):
 
 @hot
 def count_pulses_to_event(chip, axis):
-    """Return the number of pulses until a counter reaches a value that matters to the drive."""
+    """Return the number of pulses until a counter reaches a value that affects the drive, such as a software limit."""
     pulses = axis.output_pulses - axis.pulses_done if axis.fixed else state.NEVER
     if not axis.soft_rp:
         lp = axis.reg[state.LP]

@@ -18,7 +18,7 @@ Values = tuple[str, ...] | Mapping[int, str]
 
 
 def format_times(us: Iterable[int]) -> tuple[str, ...]:
-    """Return times in microseconds as words."""
+    """Format times in microseconds as texts, for the values of a field."""
     return tuple(f"{t // 1000} ms" if t >= 1000 and t % 1000 == 0 else f"{t} us" for t in us)
 
 
@@ -60,18 +60,18 @@ def make_bits(
     return Field(name, high, low, meaning, evidence, values=by_value, between=between, **more)
 
 
-def make_axis_bits(name: str, low: int, axes: int, says: str, evidence: str = "C") -> Field:
+def make_axis_bits(name: str, low: int, axes: int, meaning: str, evidence: str = "C") -> Field:
     """Return a field with a bit for each axis, X first.
 
     Args:
         name: Name of the field.
         low: Bit of X.
         axes: Number of axes.
-        says: Meaning of axes whose bits are 1, behind their names.
+        meaning: Words that follow the names of the axes whose bits are 1, such as "is driving".
         evidence: Letter of EVIDENCE.
     """
-    values = {v: (name_axes(v) or "no axis") + says for v in range(1 << axes)}
-    note = f"{', '.join(AXES[:axes])}{says}"
+    values = {v: (name_axes(v) or "no axis") + meaning for v in range(1 << axes)}
+    note = f"{', '.join(AXES[:axes])}{meaning}"
     return make_bits(name, low + axes - 1, low, "", evidence, values, note=note, listed=False)
 
 
@@ -82,7 +82,7 @@ def make_word(name: str, title: str, *fields: Field | Iterable[Field], access: s
         name: Name of the word.
         title: Name in words.
         *fields: Its fields, in any order.
-        access: "R" or "W"; default: RRn can be read, WRn be written.
+        access: "R" or "W"; default: "R" for a word RRn, "W" for a word WRn.
         note: Further text.
     """
     in_order = [f for some in fields for f in ([some] if isinstance(some, Field) else some)]

@@ -1,7 +1,7 @@
 """MCX304, MCX302, MCX312: home mode, WR0 to WR7 and RR0 to RR7, bit by bit.
 
-Names of bits that the failure notice does not print are those of the manuals, from memory [M]; where the bits are is known
-from working drivers [C], some of them for the MCX314 only: then it is inferred for these chips [I].
+Names of bits that the failure notice does not print are those of the manuals, from memory [M]. The positions of the bits are known
+from working drivers [C]; some of these are for the MCX314 only, and the positions are then inferred for these chips [I].
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ DELAYS = (2, 256, 512, 1024, 2048, 4096, 8192, 16384)
 
 
 def _make_home_fields(shift: int = 0) -> tuple[Field, ...]:
-    """The home search: HM, or from bit 16 on the word in WR7 of EM."""
+    """Return the fields of the home search: those of HM, or with `shift` 16 those of the word in WR7 of EM."""
     ways = ("+", "-")
     meaning = (
         make_bits("DCCW", 15, 13, "DCC width", "I", values=format_times(DCC_WIDTHS)),
@@ -83,7 +83,7 @@ EM = Register(
 
 
 def _make_comparison_bits(low: int) -> tuple[Field, ...]:
-    """WR1 enables these interrupts, RR3 shows them."""
+    """Return the bits of the comparison interrupts, which WR1 enables and RR3 shows."""
     return (
         make_bit("PULSE", low, "a drive pulse began"),
         make_bit("P>=C-", low + 1, "the counter is at or above CM"),
@@ -203,7 +203,7 @@ BIT_PATTERN = tuple(
 """What WR2 to WR5 are while BP writing is enabled."""
 
 
-def _make_main_status(axes: int, interpolates: bool) -> Word:
+def _make_main_status_word(axes: int, interpolates: bool) -> Word:
     fields = [
         make_axis_bits("n-DRV", 0, axes, " is driving"),
         make_axis_bits("n-ERR", 4, axes, ": an error bit of RR1 or RR2 is set"),
@@ -221,7 +221,7 @@ def _make_main_status(axes: int, interpolates: bool) -> Word:
 
 
 def _make_input_word_of_two(name: str, low: str, high: str) -> Word:
-    """A word with the inputs of two axes."""
+    """Return a word with the inputs of two axes."""
     fields = [make_bit("EMG", 3, "level of EMG", "M", values=LEVELS)] if low == "X" else []
     for a, shift in ((low, 0), (high, 8)):
         fields += [
@@ -234,16 +234,23 @@ def _make_input_word_of_two(name: str, low: str, high: str) -> Word:
     return make_word(name, f"input levels of {low} and {high}", fields)
 
 
-def _make_input_word_of_one(name: str, a: str) -> Word:
-    """A word with the inputs of one axis."""
+def _make_input_word_of_one(name: str, axis_name: str) -> Word:
+    """Return a word with the inputs of one axis."""
     signals = {"STOP0": 0, "STOP1": 1, "STOP2": 2, "EXP+": 4, "EXP-": 5, "INPOS": 6, "ALARM": 7, "LMT+": 14, "LMT-": 15}
-    fields = [make_bit(f"{a}-{n}", k, f"level of {n} of {a}", "?", values=LEVELS) for n, k in signals.items()]
-    fields += [make_bit("EMG", 3, "level of EMG", "?", values=LEVELS)] if a == "X" else []
-    return make_word(name, f"input levels of {a}", fields, make_bits(f"{a}-IN", 13, 8, f"levels of IN5 to IN0 of {a}"))
+    fields = [
+        make_bit(f"{axis_name}-{n}", k, f"level of {n} of {axis_name}", "?", values=LEVELS) for n, k in signals.items()
+    ]
+    fields += [make_bit("EMG", 3, "level of EMG", "?", values=LEVELS)] if axis_name == "X" else []
+    return make_word(
+        name,
+        f"input levels of {axis_name}",
+        fields,
+        make_bits(f"{axis_name}-IN", 13, 8, f"levels of IN5 to IN0 of {axis_name}"),
+    )
 
 
-def _make_extended_words() -> tuple[Word, ...]:
-    """WR1, WR3, WR5, RR1 and the inputs of the MCX314As, whose STOP inputs are IN0 to IN3 in its manual."""
+def _make_mcx314as_words() -> tuple[Word, ...]:
+    """Return WR1, WR3, WR5, RR1 and the input words of the MCX314As, whose manual calls the STOP inputs IN0 to IN3."""
     written = {w.name: w for w in _WRITE_WORDS}
     outputs = {w.name: w for w in _READ_WORDS}
     wr1 = [f for f in written["WR1"].fields if f.name not in ("EPCLR", "EPINV")]
@@ -281,15 +288,15 @@ def _make_extended_words() -> tuple[Word, ...]:
     )  # fmt: skip
 
 
-def list_extended_words() -> tuple[Word, ...]:
-    """The words of the MCX314As."""
-    added = {w.name: w for w in _make_extended_words()}
+def list_mcx314as_words() -> tuple[Word, ...]:
+    """Return all words of the MCX314As."""
+    added = {w.name: w for w in _make_mcx314as_words()}
     shared = list_words(4, True)
     return (*(added.pop(w.name, w) for w in shared), *added.values())
 
 
 def list_words(axes: int, interpolates: bool) -> tuple[Word, ...]:
-    """WR0 to WR7, RR0 to RR7 and, where there is bit pattern interpolation, the BP registers."""
+    """Return the words WR0 to WR7, RR0 to RR7 and, on chips with bit pattern interpolation, the BP registers."""
     if axes == 2:
         inputs = (_make_input_word_of_one("RR4", "X"), _make_input_word_of_one("RR5", "Y"))
     else:
@@ -297,5 +304,5 @@ def list_words(axes: int, interpolates: bool) -> tuple[Word, ...]:
     outputs = (make_bits(f"{a}-OUT", 4 * k + 3, 4 * k, f"OUT3 to OUT0 of {a}") for k, a in enumerate(AXES[:axes]))
     return (
         *_WRITE_WORDS, make_word("WR4", "general outputs", outputs), _INTERPOLATION if interpolates else _NOT_USED, *DATA_WRITTEN,
-        *(BIT_PATTERN if interpolates else ()), _make_main_status(axes, interpolates), *_READ_WORDS, *inputs, *DATA_READ,
+        *(BIT_PATTERN if interpolates else ()), _make_main_status_word(axes, interpolates), *_READ_WORDS, *inputs, *DATA_READ,
     )  # fmt: skip

@@ -1,7 +1,7 @@
 """Register map of the NOVA MCX514 as data: parameters and commands; mcx514_words.py has the bits.
 
-Sources: sections 7.2.7 and 7.2.8 of NOVA's manual (data sheet), other pages of it, working drivers. What no page says is
-chosen as its reader would expect and marked I; so are all values after reset.
+Sources: sections 7.2.7 and 7.2.8 of NOVA's manual (data sheet), other pages of it, working drivers. What no page states is
+chosen as a reader would expect and marked I, as are all values after reset.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from stage.chips.nova.registers.mcx514_words import list_modes, list_words
-from stage.chips.register_map import Command, Field, Register, RegisterMap, reads, writes
+from stage.chips.nova.registers.mcx514_words import list_mode_registers, list_words
+from stage.chips.register_map import Command, Field, Register, RegisterMap, make_read_command, make_write_command
 
 JERK, RATE, SPEED = (1, 1_073_741_823), (1, 536_870_911), (1, 8_000_000)
 POINT = (-1_073_741_823, 1_073_741_823)
@@ -31,7 +31,7 @@ NO_AXIS = ("TX", "HLN", "HLV", "CHLN", "IPM", "UI")
 def _make_parameter(
     code: int, name: str, title: str, legal: tuple[int, int] | None = None, unit: str = "", reset: int = 0, **more: Any
 ) -> Register:
-    """Return a parameter, whose number is the code of the command that writes it; more: as of `Register`."""
+    """Return a parameter, whose number is the code of the command that writes it. `more` has further attributes of `Register`."""
     access = "RW" if name in READ_CODES else "W"
     return Register(
         name, code, more.pop("bits", 32), access, title, legal, unit=unit, reset=reset, **{"evidence": "C", **more}
@@ -89,28 +89,28 @@ _PAGES = {"DV": "S", "TX": "D"}
 
 
 def _make_read_commands(registers: tuple[Register, ...]) -> tuple[Command, ...]:
-    """30h to 49h."""
+    """Return the commands that read data, 30h to 49h."""
     present = {r.name for r in PRESENT}
     back = [r for r in registers if r.name in READ_CODES]
     found = [
-        *(reads(r, READ_CODES[r.name], _PAGES.get(r.name, "C"), axes=r.name not in NO_AXIS) for r in back),
-        *(reads(r, axes=r.name not in NO_AXIS) for r in registers if r.name in present),
+        *(make_read_command(r, READ_CODES[r.name], _PAGES.get(r.name, "C"), axes=r.name not in NO_AXIS) for r in back),
+        *(make_read_command(r, axes=r.name not in NO_AXIS) for r in registers if r.name in present),
         *(Command(0x3C + k, f"R-WR{k}", f"read WR{k}", "data read", 2, evidence="C") for k in (1, 2, 3)),
     ]
     return tuple(sorted(found, key=lambda c: c.code))
 
 
-def _make_drive(code: int, symbol: str, title: str, starts: bool = False, note: str = "") -> Command:
+def _make_drive_command(code: int, symbol: str, title: str, starts: bool = False, note: str = "") -> Command:
     return Command(code, symbol, title, "drive", evidence="C", starts=starts, note=note)
 
 
-def _make_interpolation(code: int, symbol: str, title: str) -> Command:
+def _make_interpolation_command(code: int, symbol: str, title: str) -> Command:
     return Command(code, symbol, title, "interpolation", evidence="C", axes=False)
 
 
-def _make_segment(code: int, symbol: str, title: str, *axes: int, points: bool = True) -> Command:
-    """A segment, of so many of the axes that IPM chooses."""
-    return replace(_make_interpolation(code, symbol, title), starts=True, together=axes, points=points)
+def _make_segment_command(code: int, symbol: str, title: str, *axes: int, points: bool = True) -> Command:
+    """Return the command of a segment. `axes` has the possible numbers of axes, which IPM selects."""
+    return replace(_make_interpolation_command(code, symbol, title), starts=True, together=axes, points=points)
 
 
 def _make_command(code: int, symbol: str, title: str, axes: bool = True) -> Command:
@@ -123,32 +123,32 @@ def _make_sync_command(code: int, symbol: str, verb: str) -> Command:
 
 
 _ACTIONS = (
-    _make_drive(0x50, "DRVRL", "relative position drive", True),
-    _make_drive(0x51, "DRVNR", "counter relative position drive", True, "the sign of TP inverted"),
-    _make_drive(0x52, "DRVVP", "+ direction continuous drive", True),
-    _make_drive(0x53, "DRVVM", "- direction continuous drive", True),
-    _make_drive(0x54, "DRVAB", "absolute position drive", True),
-    _make_drive(0x56, "DRVSBRK", "decelerating stop"),
-    _make_drive(0x57, "DRVFBRK", "instant stop"),
-    _make_drive(0x58, "DIRCP", "direction signal + (pulse and direction)"),
-    _make_drive(0x59, "DIRCM", "direction signal - (pulse and direction)"),
-    _make_drive(0x5A, "HMSRC", "automatic home search", True),
-    _make_segment(0x60, "LHK1", "1-axis linear interpolation (multichip)", 1),
-    _make_segment(0x61, "LHK2", "2-axis linear interpolation", 2),
-    _make_segment(0x62, "LHK3", "3-axis linear interpolation", 3),
-    _make_segment(0x63, "LHK4", "4-axis linear interpolation", 4),
-    _make_segment(0x64, "CHKCW", "CW circular interpolation", 2),
-    _make_segment(0x65, "CHKCCW", "CCW circular interpolation", 2),
-    _make_segment(0x66, "BHK2", "2-axis bit pattern interpolation", 2, points=False),
-    _make_segment(0x67, "BHK3", "3-axis bit pattern interpolation", 3, points=False),
-    _make_segment(0x68, "BHK4", "4-axis bit pattern interpolation", 4, points=False),
-    _make_segment(0x69, "HLCW", "CW helical interpolation", 3, 4),
-    _make_segment(0x6A, "HLCCW", "CCW helical interpolation", 3, 4),
-    _make_interpolation(0x6B, "HLPCW", "CW helical calculation"),
-    _make_interpolation(0x6C, "HLPCCW", "CCW helical calculation"),
-    _make_interpolation(0x6D, "DECEN", "deceleration enable"),
-    _make_interpolation(0x6E, "DECDIS", "deceleration disable"),
-    _make_interpolation(0x6F, "CLRSTEP", "interpolation interrupt clear, or single step"),
+    _make_drive_command(0x50, "DRVRL", "relative position drive", True),
+    _make_drive_command(0x51, "DRVNR", "counter relative position drive", True, "the sign of TP inverted"),
+    _make_drive_command(0x52, "DRVVP", "+ direction continuous drive", True),
+    _make_drive_command(0x53, "DRVVM", "- direction continuous drive", True),
+    _make_drive_command(0x54, "DRVAB", "absolute position drive", True),
+    _make_drive_command(0x56, "DRVSBRK", "decelerating stop"),
+    _make_drive_command(0x57, "DRVFBRK", "instant stop"),
+    _make_drive_command(0x58, "DIRCP", "direction signal + (pulse and direction)"),
+    _make_drive_command(0x59, "DIRCM", "direction signal - (pulse and direction)"),
+    _make_drive_command(0x5A, "HMSRC", "automatic home search", True),
+    _make_segment_command(0x60, "LHK1", "1-axis linear interpolation (multichip)", 1),
+    _make_segment_command(0x61, "LHK2", "2-axis linear interpolation", 2),
+    _make_segment_command(0x62, "LHK3", "3-axis linear interpolation", 3),
+    _make_segment_command(0x63, "LHK4", "4-axis linear interpolation", 4),
+    _make_segment_command(0x64, "CHKCW", "CW circular interpolation", 2),
+    _make_segment_command(0x65, "CHKCCW", "CCW circular interpolation", 2),
+    _make_segment_command(0x66, "BHK2", "2-axis bit pattern interpolation", 2, points=False),
+    _make_segment_command(0x67, "BHK3", "3-axis bit pattern interpolation", 3, points=False),
+    _make_segment_command(0x68, "BHK4", "4-axis bit pattern interpolation", 4, points=False),
+    _make_segment_command(0x69, "HLCW", "CW helical interpolation", 3, 4),
+    _make_segment_command(0x6A, "HLCCW", "CCW helical interpolation", 3, 4),
+    _make_interpolation_command(0x6B, "HLPCW", "CW helical calculation"),
+    _make_interpolation_command(0x6C, "HLPCCW", "CCW helical calculation"),
+    _make_interpolation_command(0x6D, "DECEN", "deceleration enable"),
+    _make_interpolation_command(0x6E, "DECDIS", "deceleration disable"),
+    _make_interpolation_command(0x6F, "CLRSTEP", "interpolation interrupt clear, or single step"),
     _make_command(0x70, "VINC", "speed increase by IV"),
     _make_command(0x71, "VDEC", "speed decrease by IV"),
     _make_command(0x72, "DCC", "deviation counter clear output"),
@@ -173,21 +173,21 @@ _NEEDS_HELICES = ("HLN", "HLV", "CHLN", "HLCW", "HLCCW", "HLPCW", "HLPCCW")
 """Registers and commands of interpolation, and of helices."""
 
 
-def _make_map(chip: str, axes: int, title: str) -> RegisterMap:
+def _make_register_map(chip: str, axes: int, title: str) -> RegisterMap:
     lacks = {*(_NEEDS_HELICES if axes < 3 else ()), *(_NEEDS_INTERPOLATION if axes < 2 else ())}
-    registers = tuple(r for r in (*PARAMETERS, *list_modes(axes), *PRESENT) if r.name not in lacks)
+    registers = tuple(r for r in (*PARAMETERS, *list_mode_registers(axes), *PRESENT) if r.name not in lacks)
 
     def has(c: Command) -> bool:
         if c.symbol in lacks or (c.kind == "interpolation" and axes < 2):
             return False
         return not c.together or min(c.together) <= axes
 
-    modes_of = {r.name for r in list_modes(axes)}
+    modes_of = {r.name for r in list_mode_registers(axes)}
     present = {r.name for r in PRESENT}
     commands = (
-        *(writes(r, axes=r.name not in NO_AXIS) for r in registers if r.name not in modes_of | present),
+        *(make_write_command(r, axes=r.name not in NO_AXIS) for r in registers if r.name not in modes_of | present),
         _make_command(0x1F, "NOP", "axis selection only"),
-        *(writes(r, "mode write", axes=r.name not in NO_AXIS) for r in registers if r.name in modes_of),
+        *(make_write_command(r, "mode write", axes=r.name not in NO_AXIS) for r in registers if r.name in modes_of),
         *_make_read_commands(registers),
         *(c for c in _ACTIONS if has(c)),
     )
@@ -202,8 +202,8 @@ def _make_map(chip: str, axes: int, title: str) -> RegisterMap:
     )
 
 
-MCX514_MAP = _make_map("MCX514", 4, "with interpolation, four axes")
-MCX512_MAP = _make_map("MCX512", 2, "with interpolation, two axes")
-MCX501_MAP = _make_map("MCX501", 1, "of one axis")
+MCX514_MAP = _make_register_map("MCX514", 4, "with interpolation, four axes")
+MCX512_MAP = _make_register_map("MCX512", 2, "with interpolation, two axes")
+MCX501_MAP = _make_register_map("MCX501", 1, "of one axis")
 GENERATION = (MCX514_MAP, MCX512_MAP, MCX501_MAP)
 """What the two smaller ones lack, and P3M, are of working drivers [C]; that they are alike otherwise is inferred."""

@@ -1,6 +1,6 @@
 """MCX514: mode registers, WR0 to WR7 and RR0 to RR7, bit by bit.
 
-Names of mode bits are those of the manual, from memory [M]; where the bits are is known from working drivers [C].
+Names of mode bits are those of the manual, from memory [M]; their positions are known from working drivers [C].
 """
 
 from __future__ import annotations
@@ -20,24 +20,35 @@ from stage.chips.nova.registers.field_builders import (
 from stage.chips.register_map import Field, Register, Word
 
 
-def _make_mode(code: int, name: str, title: str, *fields: Field, access: str = "W", evidence: str = "C") -> Register:
+def _make_mode_register(
+    code: int, name: str, title: str, *fields: Field, access: str = "W", evidence: str = "C"
+) -> Register:
     ordered = tuple(sorted(fields, key=lambda f: -f.high))
     return Register(name, code, 16, access, title, None, ordered, evidence, reset=0)
 
 
-def _make_pio_field(i: int) -> Field:
-    third = "sync pulse" if i < 4 else f"MR{i - 4} comparison"
-    return make_bits(f"P{i}M", 2 * i + 1, 2 * i, f"PIO{i}", values=("input", "output", "drive status", third))
+def _make_pio_field(pin_index: int) -> Field:
+    third = "sync pulse" if pin_index < 4 else f"MR{pin_index - 4} comparison"
+    return make_bits(
+        f"P{pin_index}M",
+        2 * pin_index + 1,
+        2 * pin_index,
+        f"PIO{pin_index}",
+        values=("input", "output", "drive status", third),
+    )
 
 
-def _make_sync_mode(n: int, axes: int = 4) -> Register:
-    actions_of_set = {4: f"MR{n} -> {('LP', 'RP', 'SV', 'AC')[n]}", 8: ("CV -> MR0", "CA -> MR1", "none", "none")[n]}
-    return _make_mode(
-        0x26 + n, f"S{n}M", f"synchronous action set {n}",
+def _make_sync_mode(set_index: int, axes: int = 4) -> Register:
+    actions_of_set = {
+        4: f"MR{set_index} -> {('LP', 'RP', 'SV', 'AC')[set_index]}",
+        8: ("CV -> MR0", "CA -> MR1", "none", "none")[set_index],
+    }
+    return _make_mode_register(
+        0x26 + set_index, f"S{set_index}M", f"synchronous action set {set_index}",
         make_bits("PREV", 3, 0, "factor", values=FACTORS, note="see FACTORS", listed=False),
         make_bits("ACT", 8, 4, "action", legal=(0, 24), values=dict(enumerate(ACTIONS)) | actions_of_set,
              note=f"see ACTIONS; 4 is {actions_of_set[4]}, 8 is {actions_of_set[8]}", listed=False),
-        *(make_bit(f"SNC+{k}", 8 + k, f"also SYNC{(n + k) % 4} of this axis") for k in (1, 2, 3)),
+        *(make_bit(f"SNC+{k}", 8 + k, f"also SYNC{(set_index + k) % 4} of this axis") for k in (1, 2, 3)),
         *(make_bit(f"AXIS{k}", 11 + k, f"also SYNC0 of axis +{k}") for k in range(1, axes)),
         make_bit("REP", 15, "", values=("once", "repeatedly")),
     )  # fmt: skip
@@ -76,7 +87,7 @@ FILTERS = tuple(f"{0.5 * 2**n:g} us" for n in range(16))
 
 def _make_interpolation_mode(axes: int) -> Register:
     speeds = ("off", "two axes simple", "three axes simple", "two axes high accuracy")
-    return _make_mode(
+    return _make_mode_register(
         0x2A, "IPM", "interpolation mode",
         *(make_bit(f"{a}-EN", k, f"{a} takes part", note="the lowest is the main axis") for k, a in enumerate(AXES[:axes])),
         make_bit("CXIV", 4, "the two axes of circular interpolation are exchanged"),
@@ -91,22 +102,22 @@ def _make_interpolation_mode(axes: int) -> Register:
 
 
 MODES = (
-    _make_mode(
+    _make_mode_register(
         0x20, "MRM", "multi-purpose register mode",
         *(make_bits(f"M{m}T", 4 * m + 1, 4 * m, f"MR{m} is compared with", values=("LP", "RP", "CV", "CT")) for m in range(4)),
         *(make_bits(f"M{m}C", 4 * m + 3, 4 * m + 2, "true if",
                     values=tuple(f"object {sign} MR{m}" for sign in (">=", ">", "=", "<"))) for m in range(4)),
         access="RW",
     ),
-    _make_mode(0x21, "P1M", "PIO signal setting 1", *(_make_pio_field(i) for i in range(8)), access="RW"),
-    _make_mode(
+    _make_mode_register(0x21, "P1M", "PIO signal setting 1", *(_make_pio_field(i) for i in range(8)), access="RW"),
+    _make_mode_register(
         0x22, "P2M", "PIO signal setting 2, other settings",
         *(make_bit(f"P{m}L", m, f"sync pulse on PIO{m}", "M", values=("high", "low")) for m in range(4)),
         make_bits("PW", 6, 4, "width of the sync pulses", "M", values=SYNC_WIDTHS),
         make_bits("EXOP", 8, 7, "drive by EXP+, EXP- (PIO4, PIO5)", "M", values=("off", "continuous", "relative", "manual pulser")),
         make_bits("stored", 15, 9, "others, not found", "I", note="stored, read back, no effect"), access="RW",
     ),
-    _make_mode(
+    _make_mode_register(
         0x23, "H1M", "automatic home search 1",
         make_bit("S1EN", 0, "step 1 (high-speed search, DV) is executed"),
         make_bit("S1DR", 1, "direction of step 1", values=("+", "-")),
@@ -124,7 +135,7 @@ MODES = (
         make_bit("S3LC", 14, "LP is cleared after step 3"),
         make_bit("S4EN", 15, "step 4 (offset of TP pulses, DV) is executed"),
     ),
-    _make_mode(
+    _make_mode_register(
         0x24, "H2M", "automatic home search 2",
         make_bit("SAND", 0, "step 3 stops only while STOP1 is active"),
         make_bit("RCLR", 1, "RP is cleared at the end"),
@@ -134,7 +145,7 @@ MODES = (
         make_bit("HTME", 7, "timer between steps"),
         make_bits("HTM", 10, 8, "timer", values=tuple(f"{ms} ms" for ms in HOME_TIMES)),
     ),
-    _make_mode(
+    _make_mode_register(
         0x25, "FLM", "input signal filters",
         make_bit("FE0", 0, "filter of EMG", note="valid on X only", only=0),
         *(make_bit(f"FE{k}", k, f"filter of {what}") for k, what in enumerate((
@@ -148,20 +159,26 @@ MODES = (
 )  # fmt: skip
 
 
-def list_modes(axes: int) -> tuple[Register, ...]:
-    """Mode registers of a chip of this generation with so many axes: one does not interpolate, two have more PIO pins."""
+def list_mode_registers(axes: int) -> tuple[Register, ...]:
+    """Return the mode registers of the MCX501, MCX512 or MCX514 by the number of axes.
+
+    A chip with one axis does not interpolate, a chip with two axes has more PIO pins.
+    """
     if axes == 4:
         return MODES
     kept = [r for r in MODES if r.name not in ("IPM", *(f"S{m}M" for m in range(4)))]
     more = [_make_sync_mode(m, axes) for m in range(4)]
     if axes == 2:
         directions = (make_bit(f"P{i}D", i - 8, f"PIO{i}", values=("input", "output")) for i in range(8, 14))
-        more += [_make_interpolation_mode(2), _make_mode(0x2B, "P3M", "PIO signal setting 3", *directions, access="RW")]
+        more += [
+            _make_interpolation_mode(2),
+            _make_mode_register(0x2B, "P3M", "PIO signal setting 3", *directions, access="RW"),
+        ]
     return (*kept, *more)
 
 
 def _make_event_bits() -> tuple[Field, ...]:
-    """WR1 enables them, RR1 shows them."""
+    """Return the bits of the events that WR1 enables and RR1 shows."""
     return (
         *(make_bit(f"CMR{m}", m, f"the MR{m} comparison became true") for m in range(4)),
         make_bit("D-STA", 4, "the drive started"),
@@ -281,7 +298,7 @@ def _make_status_word(axes: int) -> Word:
 
 
 def _make_port_words(axes: int) -> tuple[Word, ...]:
-    """WR4, WR5, RR4, RR5."""
+    """Return the words of the general ports: WR4, WR5, RR4, RR5."""
     out, levels = "general outputs of", "levels of the PIO pins of"
     if axes == 4:
         pairs = (("4", "X", "Y"), ("5", "Z", "U"))
@@ -309,6 +326,6 @@ def _make_port_words(axes: int) -> tuple[Word, ...]:
 
 
 def list_words(axes: int) -> tuple[Word, ...]:
-    """WR0 to WR7 and RR0 to RR7 of a chip of this generation with so many axes."""
+    """Return the words WR0 to WR7 and RR0 to RR7 of the MCX501, MCX512 or MCX514 by the number of axes."""
     found = {w.name: w for w in (*_FOUR, _make_status_word(axes), *_make_port_words(axes))}
     return tuple(found[n] for n in sorted(found, key=lambda n: (n[0] != "W", n)))

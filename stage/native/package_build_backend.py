@@ -1,15 +1,15 @@
-"""Build backend (PEP 517) for packages with compiled functions: setuptools, after the native library was built.
+"""Build backend (PEP 517) for other packages with compiled functions: setuptools, after the native library was built.
 
     [build-system]
     requires = ["setuptools>=80", "pulsestage[build]"]
-    build-backend = "stage.native.packing"
+    build-backend = "stage.native.package_build_backend"
 
     [tool.setuptools]
     packages = ["acme_chips"]
     package-data = {acme_chips = ["_native.so"]}
-    cmdclass = {bdist_wheel = "stage.native.packing.Wheel"}
+    cmdclass = {bdist_wheel = "stage.native.package_build_backend.Wheel"}
 
-An editable installation makes no library: it is made, and made again, when it is needed.
+An editable installation builds no library: PulseStage builds it when a function is called and the library is not up to date.
 """
 
 from __future__ import annotations
@@ -47,10 +47,12 @@ def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_dire
 
 
 class Wheel(bdist_wheel):
-    """Wheel for any Python of one system and processor: its library is machine code, but not that of an extension of Python."""
+    """Setuptools command for a wheel that fits every version of Python, on one operating system and processor.
+
+    The native library is machine code, but not an extension module of Python."""
 
     def finalize_options(self) -> None:
-        """Have the wheel named by its platform."""
+        """Mark the wheel as one for a platform."""
         self.distribution.has_ext_modules = lambda: True
         super().finalize_options()
 

@@ -25,7 +25,10 @@ def list_model_names() -> list[str]:
 
 
 def open_spec(source: Any) -> Any:
-    """Open a model: an MjSpec from a shipped name, a path or an MjSpec (copied); an MjModel is copied and passes through.
+    """Open a model by the name of a shipped model, a path, an MjSpec or an MjModel.
+
+    Returns:
+        A new MjSpec; for an MjModel a copy of it.
 
     Raises:
         ArgumentError: There is no such model.
@@ -66,20 +69,20 @@ def _find_model_folder() -> Path:
 
 
 def _read_model_versions() -> tuple[int, ...]:
-    """Return a value that changes when a file of a shipped model does."""
+    """Return a value that changes whenever a file of a shipped model changes."""
     return tuple(sorted(f.stat().st_mtime_ns for f in _find_model_folder().iterdir() if f.is_file()))
 
 
 @lru_cache(16)
 def _load_shipped_spec(name: str, _state: tuple[int, ...]) -> Any:
-    """The MjSpec of a shipped model; to be copied. Reading it takes a hundred times longer."""
+    """Load the MjSpec of a shipped model. Callers must copy it; reading the file takes a hundred times longer than copying."""
     return mujoco.MjSpec.from_file(str(_find_model_folder() / f"{name}.xml"))
 
 
 def discard_visuals(spec: Any) -> None:
-    """Let an MjSpec compile without what is only looked at: the same dynamics, to the bit, faster and in a fifth of the memory.
+    """Set an MjSpec to discard visual elements when it is compiled. An MjModel stays as it is.
 
-    An MjModel stays as it is.
+    The dynamics are the same to the bit; the model compiles faster and takes a fifth of the memory.
     """
     if not isinstance(spec, mujoco.MjSpec):
         return
@@ -92,10 +95,10 @@ def discard_visuals(spec: Any) -> None:
 
 
 def find_axis_names(source: Any) -> list[str]:
-    """Return every joint that has an actuator of its name, in the order of the actuators.
+    """Return the names of the joints that have an actuator of the same name, in the order of the actuators.
 
     Raises:
-        ModelError: There is none.
+        ModelError: No joint has one.
     """
     if isinstance(source, mujoco.MjModel):
         joints = [source.joint(k).name for k in range(source.njnt)]
@@ -118,24 +121,26 @@ def find_axis_names(source: Any) -> list[str]:
 
 
 def find_motor_names(source: Any) -> dict[str, str]:
-    """Return the motors that a model names, by axis."""
+    """Return the names of the motors that a model states, by axis."""
     compiled = isinstance(source, mujoco.MjModel)
     texts_by_name = (
-        read_texts(source) if compiled else {_decode_text(t, "name"): _decode_text(t, "data") for t in source.texts}
+        read_texts(source)
+        if compiled
+        else {_read_text_field(t, "name"): _read_text_field(t, "data") for t in source.texts}
     )
     return {name[: -len("_motor")]: data for name, data in texts_by_name.items() if name.endswith("_motor")}
 
 
-def _decode_text(text: Any, field: str) -> str:
-    """A field of an MjSpec's text; what is not UTF-8 in it is replaced, as in `read_texts`."""
+def _read_text_field(element: Any, field: str) -> str:
+    """Return a field of a <text> element of an MjSpec. Bytes that are not UTF-8 are replaced, as in `read_texts`."""
     try:
-        return str(getattr(text, field))
+        return str(getattr(element, field))
     except UnicodeDecodeError as error:
         return error.object.decode(errors="replace")
 
 
 def fit_actuator(source: Any, axis: str, constants: tuple[float, float] | None) -> None:
-    """Fit the actuator of an axis, if it is of another kind. An MjModel cannot change; `bind` reports if it does not fit.
+    """Exchange the actuator of an axis if it is of another kind. An MjModel cannot change; `bind` reports a wrong kind.
 
     Args:
         source: MjSpec or MjModel.
@@ -154,7 +159,7 @@ def fit_actuator(source: Any, axis: str, constants: tuple[float, float] | None) 
 
 
 def reserve_fitted_values(source: Any, axes: Iterable[str]) -> None:
-    """Give an MjSpec the numeric AXIS_fitted of each axis, see `view_fitted_values`. An MjModel stays as it is.
+    """Add the numeric AXIS_fitted of each axis to an MjSpec, see `view_fitted_values`. An MjModel stays as it is.
 
     Args:
         source: MjSpec or MjModel.
@@ -167,18 +172,18 @@ def reserve_fitted_values(source: Any, axes: Iterable[str]) -> None:
 
 
 def view_fitted_values(model: mujoco.MjModel, axis: str) -> np.ndarray:
-    """Return what a stage has put into a model for the motor of an axis, a view of its numeric AXIS_fitted.
+    """Return a view of the numeric AXIS_fitted, which has the values that a stage has put into a model for the motor of an axis.
 
     Returns:
-        (2,), the rotor inertia in the joint's armature, kg m^2, and the core loss in the actuator's damping, N m s/rad; 0 where
-        no stage has changed the value, and in a model without this numeric.
+        (2,), the rotor inertia in the joint's armature, kg m^2, and the core loss in the actuator's damping, N m s/rad; 0 for a
+        value that no stage has changed, and in a model without this numeric.
     """
     k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, f"{axis}_fitted")
     return model.numeric_data[model.numeric_adr[k] :][:2] if k >= 0 else np.zeros(2)
 
 
 def read_dc_constants(source: Any, axis: str) -> tuple[float, float] | None:
-    """Return torque constant, N m/A, and resistance, ohm, of the axis' <dcmotor>, if it has one."""
+    """Return torque constant, N m/A, and resistance, ohm, of the <dcmotor> of an axis; None without a <dcmotor>."""
     compiled = isinstance(source, mujoco.MjModel)
     for a in [source.actuator(k) for k in range(source.nu)] if compiled else list(source.actuators):
         if a.name == axis and int(np.squeeze(a.gaintype)) == mujoco.mjtGain.mjGAIN_DCMOTOR:
@@ -187,7 +192,7 @@ def read_dc_constants(source: Any, axis: str) -> tuple[float, float] | None:
 
 
 def read_texts(model: mujoco.MjModel) -> dict[str, str]:
-    """Return the <text>s of a model, by name."""
+    """Return the data of the <text> elements of a model, by name."""
     return {
         mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, k): bytes(
             model.text_data[model.text_adr[k] : model.text_adr[k] + model.text_size[k]]
@@ -197,19 +202,19 @@ def read_texts(model: mujoco.MjModel) -> dict[str, str]:
 
 
 def compile_spec(source: Any, words: int) -> tuple[mujoco.MjModel, int]:
-    """Compile a model with `words` more float64 of userdata than its own.
+    """Compile a model with additional userdata for the state of a stage.
 
-    An MjModel cannot grow: the last `words` of its userdata are taken.
+    An MjModel cannot grow: the state takes the last words of its userdata.
 
     Args:
         source: MjSpec or MjModel.
-        words: float64 words.
+        words: Number of float64 words for the state.
 
     Returns:
-        The model, and the word at which they begin.
+        The model, and the index of the first of these words in userdata.
 
     Raises:
-        ModelError: An MjModel has too few, or MuJoCo cannot compile the spec.
+        ModelError: An MjModel has too little userdata, or MuJoCo cannot compile the spec.
     """
     if isinstance(source, mujoco.MjModel):
         if source.nuserdata < words:

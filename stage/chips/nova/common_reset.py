@@ -1,4 +1,4 @@
-"""The part of a reset that is common to all NOVA chips, compiled."""
+"""Reset of the state that all NOVA chips have in common, compiled."""
 
 from __future__ import annotations
 

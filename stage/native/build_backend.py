@@ -1,7 +1,7 @@
 """The build backend of this project (PEP 517): setuptools, after the native library has been brought up to date.
 
-The build requirements are demanded only where the library does not exist yet: numba and, where no C compiler is found, the
-linker of the package ziglang. A chip family in another package has packing.py.
+The build requirements are numba and, if there is no C compiler, the linker of the package ziglang; they are requested only if the
+library is not up to date. package_build_backend.py is the backend for chip families in other packages.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ index_page.write_index_page(ROOT)  # pyproject.toml names it, and every hook rea
 
 
 def list_requirements() -> list[str]:
-    """List the distributions that the build of the library needs; none where it is up to date."""
+    """List the distributions that the build of the library needs; none if the library is up to date."""
     if not load.explain_library_misfit("stage", ROOT / "stage" / load.NAME):
         return []
     linkers = [] if any(map(shutil.which, build.COMPILERS)) else [LINKER]
@@ -33,23 +33,23 @@ def list_requirements() -> list[str]:
 
 
 def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
-    """PEP 517."""
+    """List the requirements for building a wheel (PEP 517)."""
     return [*build_meta.get_requires_for_build_wheel(config_settings), *list_requirements()]
 
 
 def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
-    """PEP 660."""
+    """List the requirements for building an editable wheel (PEP 660)."""
     return [*build_meta.get_requires_for_build_editable(config_settings), *list_requirements()]
 
 
 def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
-    """PEP 517."""
+    """Build the native library and then a wheel (PEP 517)."""
     build.build_library("stage")
     return str(build_meta.build_wheel(wheel_directory, config_settings, metadata_directory))
 
 
 def build_editable(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
-    """PEP 660."""
+    """Build the native library and then an editable wheel (PEP 660)."""
     build.build_library("stage")
     return str(build_meta.build_editable(wheel_directory, config_settings, metadata_directory))
 
@@ -57,10 +57,10 @@ def build_editable(wheel_directory: str, config_settings: Any = None, metadata_d
 if find_spec("setuptools.command.bdist_wheel"):
     from setuptools.command.build_py import build_py
 
-    from stage.native.packing import Wheel  # noqa: F401
+    from stage.native.package_build_backend import Wheel  # noqa: F401
 
     class BuildModules(build_py):
-        """The packages, those of package-dir that lie elsewhere in the checkout, and the examples."""
+        """Setuptools command that builds the packages, including those that package-dir puts elsewhere, and the examples."""
 
         def finalize_options(self) -> None:
             """Add the packages of package-dir."""
@@ -69,7 +69,7 @@ if find_spec("setuptools.command.bdist_wheel"):
             super().finalize_options()
 
         def run(self) -> None:
-            """Build, with the examples."""
+            """Build the packages, and copy the examples."""
             super().run()
             if not self.editable_mode:
                 from stage.support import examples

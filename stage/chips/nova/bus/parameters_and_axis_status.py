@@ -1,8 +1,4 @@
-"""Functions that the buses of all NOVA chips share, compiled.
-
-They list which command codes write a parameter, convert the data of a command to the value of a parameter, and compute the
-status bits that show in which phase of its ramp a drive is.
-"""
+"""Parameters by their command codes, and status bits of an axis: functions that the buses of all NOVA chips share, compiled."""
 
 from __future__ import annotations
 
@@ -15,14 +11,14 @@ from stage.native import hot
 
 
 class Parameters(NamedTuple):
-    """Parameters of a chip by command code. In the first three numbers bit k stands for command code k.
+    """Parameters of a chip by the command codes that write them. In the masks bit k stands for command code k.
 
     Attributes:
-        writes: Bits of the codes that write a parameter.
-        signed: Bits of the parameters with a sign.
-        short: Bits of the parameters of 16 bits.
+        writes: Mask of the codes that write a parameter.
+        signed: Mask of the codes whose parameter has a sign.
+        short: Mask of the codes whose parameter has 16 bits.
         places: Codes of the parameters that are not 0 after a reset.
-        values: Their values after a reset.
+        values: Values after a reset of the parameters in `places`.
     """
 
     writes: int
@@ -61,7 +57,7 @@ def to_parameter_value(word, signed, short):
 
 @hot
 def find_lowest_axis(chip):
-    """Return the lowest selected axis, the one that answers reads."""
+    """Return the index of the lowest selected axis, from which a host reads."""
     for j in range(AXES):
         if chip.selected >> j & 1:
             return j
@@ -70,13 +66,13 @@ def find_lowest_axis(chip):
 
 @hot
 def is_axis_busy(axis):
-    """Return n-DRV: whether the axis drives, waits for INPOS, searches home or interpolates."""
+    """Return whether the status bit n-DRV is on: the axis drives, waits for INPOS, searches home or interpolates."""
     return axis.driving or axis.awaits_inpos or axis.home_state or axis.interpolates
 
 
 @hot
-def compute_phase_bits(chip, axis):
-    """Compute ASND, CNST, DSND, AASND, ACNST and ADSND as bits 0 to 5."""
+def compute_ramp_phase_bits(chip, axis):
+    """Compute the status bits of the ramp phase, ASND, CNST, DSND, AASND, ACNST and ADSND, as bits 0 to 5."""
     if not rate_registers.has_profile(axis):
         return 0
     n = chip.clock - axis.origin

@@ -1,19 +1,18 @@
 """Interface between the compiled loops and the chip families: the functions that the core of each family provides.
 
-A family is a module of compiled functions, its *core*, over a record `STATE` that begins with the chip's clock. Every loop
-accepts it without a new compilation: a loop sees a chip as a CHIP record, with the addresses of the state, of the core's
-functions, and of a table of its axes, whose number is not limited.
+The *core* of a family is a module of compiled functions over a record `STATE`, which begins with the chip's clock. A loop sees a
+chip as a CHIP record with the addresses of the chip's state, of the core's functions, and of a table of the chip's axes, so it
+accepts every family without a new compilation.
 
-A core has the functions below, over a STATE record instead of a CHIP record, `exported` as ANSWERS says. `Chip` alone also needs
-power_up, advance, trace_pulses, scan_edges and write_present_edge, see stage/chips/pcl240/core.py. A core with encoder inputs has
-scan_edges_and_shafts as well: it scans while the shafts of `axes` are set at `clocks`, in order and up to `until`, to the given
-counts and rates. It begins with entry done[0], and increases that number. It stops early when the array is full, as scan_edges
-does; the caller repeats the call until done[0] is the number of entries and the clock is `until`.
+A core provides the functions of this module, with a STATE record in place of the CHIP record; ANSWERS has their types. The class
+`Chip` also needs power_up, advance, trace_pulses, scan_edges and write_present_edge, see stage/chips/pcl240/core.py. The core of a
+chip with encoder inputs also provides scan_edges_and_shafts, see `scan_while_shafts_move`. The caller repeats that function until
+done[0] is the number of entries and the clock is `until`, because it stops early when the array of edges is full.
 
-A chip that drives its motor itself has functions of OPTIONAL: `read_motor_current` returns the current of the stage's motor, and
-`set_load` receives the motor's load. A chip that can be wired to others of its kind has `read_wire_output`,
-`find_wire_output_end`, `read_wire_word` and `set_wire_word`, see stage/chips/linked_chips.py; in its scan_edges_and_shafts an
-entry with a negative axis is such a word, negated.
+A chip that drives its motor itself provides functions of OPTIONAL: `read_motor_current` returns the current of the stage's motor,
+and `set_load` receives the motor's load. A chip that can be wired to others of its kind provides `read_wire_output`,
+`find_wire_output_end`, `read_wire_word` and `set_wire_word`, see stage/chips/linked_chips.py. In its scan_edges_and_shafts an entry
+with a negative axis is a word from the wires, negated.
 """
 
 from __future__ import annotations
@@ -101,24 +100,24 @@ _mean, _rate, _word = (
 )
 
 
-def fill_chip_record(row: Any, core: Any, at: int) -> None:
-    """Fill a CHIP record.
+def fill_chip_record(chip_record: Any, core: Any, state_address: int) -> None:
+    """Fill a CHIP record with the addresses of a chip's state and of its core's functions.
 
     Args:
-        row: The record.
+        chip_record: The CHIP record.
         core: Core of the chip's family.
-        at: Address of the chip's state.
+        state_address: Address of the chip's state.
     """
-    row["at"], row["own"] = at, address_of(row)
+    chip_record["at"], chip_record["own"] = state_address, address_of(chip_record)
     for name in ANSWERS:
-        row[name] = getattr(core, name).address
+        chip_record[name] = getattr(core, name).address
     for name in OPTIONAL:
-        row[name] = getattr(core, name).address if hasattr(core, name) else 0
+        chip_record[name] = getattr(core, name).address if hasattr(core, name) else 0
 
 
 @hot
 def find_stage_axis(chip, axis_index):
-    """Return the number of the stage's axis that is axis `axis_index` of the chip."""
+    """Return the index on the stage of the axis that has index `axis_index` on the chip."""
     return array_at(chip.table, chip.axes, CHIP_AXIS)[axis_index].axis
 
 
@@ -136,28 +135,29 @@ def run(chip, until):
 
 @hot
 def run_window(chip, first_slice):
-    """Let the chip run through the slices of a window from slice k on, in which its pins do not change.
+    """Let the chip run through the slices of a window from slice `first_slice` on. Its pins do not change meanwhile.
 
-    The mean counts and the net count go to the addresses in its CHIP record.
+    A window is the chip time that one physics step covers, a slice an eighth of it. The mean pulse count of each slice and the net
+    pulse count go to the addresses in the chip's CHIP_AXIS records.
     """
     _window(chip.run_window, (chip.at, chip.own, first_slice))
 
 
 @hot
-def compute_slice_end(end, begin, rest):
+def compute_slice_end(slice_end, window_begin, begin_fraction):
     """Return the clock at the end of a slice of a window.
 
     Args:
-        end: Its SLICE_END record.
-        begin: Clock at the begin of the window.
-        rest: Fraction of a clock at the begin of the window.
+        slice_end: SLICE_END record of the slice.
+        window_begin: Clock at the beginning of the window.
+        begin_fraction: Fraction of a clock that has passed at the beginning of the window, in shares of SLICE_REST_UNIT.
     """
-    return begin + end.clocks + (1 if rest + end.rest >= SLICE_REST_UNIT else 0)
+    return window_begin + slice_end.clocks + (1 if begin_fraction + slice_end.rest >= SLICE_REST_UNIT else 0)
 
 
 @hot
 def run_slices(chip_state, row_address, first_slice, run, read_net, compute_input):
-    """Run the rest of a window slice by slice: a core's `run_window`, if it has no faster way.
+    """Run the rest of a window slice by slice. This implements `run_window` for cores without a faster way.
 
     Args:
         chip_state: State of the chip.
@@ -184,7 +184,7 @@ def run_slices(chip_state, row_address, first_slice, run, read_net, compute_inpu
 def scan_while_shafts_move(
     chip, until, every_pulse, axis_index, edges, clocks, axes, counts, rates, done, scan, set_shaft
 ):
-    """Scan a chip while shafts of its axes move: a core's `scan_edges_and_shafts`.
+    """Write the edges of an axis while encoder shafts of the chip move. This implements a core's `scan_edges_and_shafts`.
 
     Args:
         chip: State of the chip.
@@ -192,11 +192,11 @@ def scan_while_shafts_move(
         every_pulse: Include the edges of the pulse output.
         axis_index: Axis of the chip whose edges are written.
         edges: EDGE records to fill.
-        clocks: Clocks of the shafts' entries, in order.
-        axes: Axes of the entries.
-        counts: Counts at these clocks.
-        rates: Counts per clock from there on.
-        done: Number of entries that have been applied, an array of one.
+        clocks: Clocks at which shafts are set, ascending: one for each entry.
+        axes: Axis of the chip whose shaft an entry sets.
+        counts: Position that an entry sets, in counts of the encoder.
+        rates: Rate that an entry sets, in counts per clock.
+        done: Array of one element: number of entries applied so far. The function begins there and increases the number.
         scan: The core's `scan_edges`.
         set_shaft: The core's `set_shaft`.
 
@@ -240,16 +240,16 @@ def read_motor_current(chip, axis_index):
 
 @hot
 def set_load(chip, axis_index, angle, emf):
-    """Give the chip a sample of the load of its motor, once per window. Call it only if `chip.set_load` is not 0.
+    """Pass the chip a sample of the load of its motor, once per window. Call it only if `chip.set_load` is not 0.
 
     Args:
         chip: CHIP record.
         axis_index: Axis of the chip.
         angle: Angle by which the field leads the rotor, electrical radians, not wrapped; below 0 it lags.
-        emf: Back EMF as a share of the supply.
+        emf: Back EMF as a share of the supply voltage.
 
     Returns:
-        Whether the chip has used the sample; only then journals need it.
+        Whether the chip has used the sample; only then must journals record it.
     """
     return _load(chip.set_load, (chip.at, axis_index, angle, emf))
 
@@ -262,19 +262,19 @@ def read_wire_output(chip):
 
 @hot
 def find_wire_output_end(chip):
-    """Return the clock up to which that word does not change, as long as the wires bring nothing new."""
+    """Return the clock up to which `read_wire_output` does not change, as long as the chip receives no new word from the wires."""
     return _wire_output_until(chip.find_wire_output_end, (chip.at,))
 
 
 @hot
 def read_wire_word(chip):
-    """Return the last word that the wires have brought, see `set_wire_word`."""
+    """Return the last word that the chip has received from the wires between chips, see `set_wire_word`."""
     return _wire_word(chip.read_wire_word, (chip.at,))
 
 
 @hot
 def set_wire_word(chip, word):
-    """Bring the chip a new word from the wires between chips: levels, a number, and a count of pulses."""
+    """Pass the chip a new word from the wires between chips: levels, a number, and a count of pulses."""
     _set_wire_word(chip.set_wire_word, (chip.at, word))
 
 
@@ -286,7 +286,7 @@ def read_net_count(chip, axis_index):
 
 @hot
 def compute_drive_input(chip, axis_index, net_before, clocks):
-    """Return what the drive receives: the mean of the net count over the last clocks; for a servo the motor command, -1 to 1.
+    """Return the input of the drive: the mean net pulse count over the last clocks; for a servo the motor command, -1 to 1.
 
     Args:
         chip: CHIP record.
@@ -311,7 +311,7 @@ def compute_pulse_rate(chip, axis_index, hz):
 
 @hot
 def read_counter(chip, axis_index):
-    """Return the register that counts pulses for the host: R0 or LP."""
+    """Return the value of the register that counts pulses for the host: R0 of a PCL-240, LP of a NOVA chip."""
     return _word(chip.read_counter, (chip.at, axis_index))
 
 
