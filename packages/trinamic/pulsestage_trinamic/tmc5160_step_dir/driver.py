@@ -50,7 +50,7 @@ def process_timers(c):
     d = c.driver[0]
     if d.q and power_stage.is_at_standstill(d):
         d.q = d.dir = 0
-        stallguard.update_after_change(d)
+        stallguard.update_stallguard_and_coolstep(d)
     power_stage.process_standstill_timers(d)
 
 
@@ -83,7 +83,7 @@ def _make_step(c, direction):
     period = d.clock - d.last
     d.q = 0 if was_at_rest or period <= 0 else SPEED_OF_ONE_CLOCK // period
     d.dir = direction
-    stallguard.update_after_change(d)
+    stallguard.update_stallguard_and_coolstep(d)
     before, since = d.net, c.moved_at[(c.moves - 1) % len(c.moved_at)] if c.moves else c.clock
     stallguard.make_measured_step(d)
     interpolates = d.reg[chip.CHOPCONF] & state.INTPOL and not was_at_rest
